@@ -1,0 +1,147 @@
+"""What inspect reports, and that what is written reads back as it was."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+from tirefit import slip
+from tirefit.data.inspect import inspect
+from tirefit.data.read import read, read_frame
+from tirefit.data.write import to_convention, write_csv, write_text_atomic
+
+RNG = np.random.default_rng(11)
+
+
+def sweep(repeats=1, loads=(2000.0, 4000.0), **others):
+    kappa = np.tile(np.linspace(-0.1, 0.1, 11), repeats * len(loads))
+    fz = np.repeat(loads, 11 * repeats)
+    columns = {"kappa": kappa, "fx": 10 * fz * kappa, "fz": fz}
+    return columns | {name: np.full(len(fz), value) for name, value in others.items()}
+
+
+def support(report, fit):
+    return next(s for s in report.supports if s.fit == fit)
+
+
+def test_inspect_counts_loads_runs_and_directions():
+    frame = sweep(repeats=2, v=20.0) | {"run": ["a"] * 22 + ["b"] * 22}
+    report = inspect(read_frame(frame))
+    assert [run.n for run in report.runs] == [22, 22]
+    assert [level.median for run in report.runs for level in run.loads] == [2e3, 4e3]
+    assert report.runs[0].directions == ("sigma_x both signs",)
+    assert report.runs[0].replicates == 11
+    assert "2.0 kN (n=22)" in report.text()
+    assert support(report, "fx from sigma_x").possible
+    assert support(report, "load dependence").possible
+    assert not support(report, "speed-dependent friction").possible
+    assert "less than 20% apart" in support(report, "speed-dependent friction").reason
+    assert support(report, "fy from alpha").reason == "no fy and no alpha"
+
+
+def test_a_continuous_sweep_is_not_replicated():
+    kappa = np.sort(RNG.uniform(0, 0.2, 2000))
+    frame = {"kappa": kappa, "fx": kappa, "fz": np.full(2000, 4e3),
+             "time": np.arange(2000) / 50}  # fmt: skip
+    run = inspect(read_frame(frame)).runs[0]
+    assert run.replicates == 0
+    assert run.directions == ("sigma_x braking only",)
+    assert run.sampling_rate == pytest.approx(50)
+
+
+def test_the_report_fits_the_page_and_json(tmp_path):
+    path = tmp_path / ("a long name " * 8 + ".csv")
+    write_csv(path, sweep(fx_std=10.0) | {"a very long header " * 6: np.ones(22)})
+    with path.open("a") as file:
+        file.write("0.1,x,4000,1,1\n")
+    report = inspect(read(path, mask_bad_rows=True))
+    assert max(map(len, report.text().splitlines())) <= 80
+    assert "row 24, column 'fx': 'x' is text" in report.text()
+    assert "22 used, 1 masked" in report.text()
+    loaded = json.loads(json.dumps(report.as_dict(), allow_nan=False))
+    assert loaded["rows"] == 23 and loaded["columns"][0]["name"] == "sigma_x"
+    assert support(report, "a noise level that is known").possible
+
+
+@pytest.mark.parametrize("convention", list(slip.CONVENTIONS))
+@pytest.mark.parametrize("definition", list(slip.SLIP_DEFINITIONS))
+def test_to_convention_gives_the_file_back(tmp_path, convention, definition):
+    signs = slip.CONVENTIONS[convention]
+    kappa = RNG.uniform(-0.3, 0.5, 50)
+    own = slip.SLIP_DEFINITIONS[definition][1](slip.sigma_from_kappa(kappa))
+    alpha = RNG.uniform(-0.2, 0.2, 50)
+    own = own * np.cos(alpha) if definition == "s" else own
+    file = {
+        "Schlupf [%]": signs.slip * 100 * own,
+        "SA [deg]": signs.alpha * np.degrees(alpha),
+        "Fx [kN]": signs.fx * 20 * kappa,
+        "Fy [kN]": signs.fy * 15 * alpha,
+        "Mz [Nm]": -signs.mz * 200 * alpha,
+        "Fz [kN]": signs.fz * np.full(50, 4.0),
+        "Fx_std [N]": RNG.uniform(1, 2, 50),
+        "slip_std [%]": RNG.uniform(1, 2, 50),
+    }
+    options = {
+        "columns": {definition: "Schlupf [%]", f"{definition}_std": "slip_std [%]"},
+        "convention": convention,
+    }
+    data = read_frame(file, **options)
+    back = to_convention(data, dict(data.columns))
+    assert set(back) == set(file)
+    for header, values in file.items():
+        np.testing.assert_allclose(back[header], values, rtol=1e-10, err_msg=header)
+    write_csv(tmp_path / "back.csv", back)
+    again = read(tmp_path / "back.csv", **options)
+    for name in data.columns:
+        np.testing.assert_allclose(again[name], data[name], rtol=1e-10, err_msg=name)
+
+
+def test_canonical_columns_survive_a_file_exactly(tmp_path):
+    data = read_frame(sweep(v=20.0, fx_std=5.0))
+    write_csv(tmp_path / "a.csv", dict(data.columns))
+    again = read(tmp_path / "a.csv")
+    assert list(again.columns) == list(data.columns)
+    for name in data.columns:
+        np.testing.assert_array_equal(again[name], data[name])
+
+
+def test_predicted_std_takes_the_unit_of_its_force():
+    data = read_frame({**sweep(), "fx": sweep()["fx"] / 1000}, units={"fx": "kN"})
+    out = to_convention(data, {"fx": np.array([2000.0]), "fx_std": np.array([500.0])})
+    assert {name: values.tolist() for name, values in out.items()} == {
+        "fx": [2.0], "fx_std": [0.5],
+    }  # fmt: skip
+
+
+def test_csv_keeps_every_digit_and_leaves_nan_empty(tmp_path):
+    path = tmp_path / "a.csv"
+    values = np.array([0.1 + 0.2, np.nan, 1e-300])
+    write_csv(path, {"x, [N]": values, "run": ["a", 'b "c"', "d"], "n": [1, 2, 3]})
+    expected = '"x, [N]",run,n\n0.30000000000000004,a,1\n,"b ""c""",2\n1e-300,d,3\n'
+    assert path.read_bytes().decode() == expected
+
+
+def test_a_failed_write_leaves_the_old_file_alone(tmp_path, monkeypatch):
+    path = tmp_path / "a.csv"
+    path.write_text("old")
+    with pytest.raises(ValueError, match="shorter"):
+        write_csv(path, {"a": [1.0, 2.0], "b": [1.0]})
+
+    def fail(*_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(OSError, match="disk full"):
+        write_text_atomic(path, "new")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_write_keeps_the_permissions(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    path.chmod(0o640)
+    write_text_atomic(path, "grün\n")
+    assert path.read_text(encoding="utf-8") == "grün\n"
+    assert path.stat().st_mode & 0o777 == 0o640

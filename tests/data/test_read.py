@@ -1,0 +1,289 @@
+"""Reading well: units, conventions, encodings and slips come out canonical."""
+
+import gzip
+import hashlib
+
+import numpy as np
+import pytest
+
+from tirefit import slip
+from tirefit.data.columns import guess
+from tirefit.data.read import read, read_frame
+from tirefit.data.units import known_unit, resolve_unit
+from tirefit.results import DataError
+
+RNG = np.random.default_rng(7)
+KAPPA = np.array([-0.08, -0.04, -0.01, 0.01, 0.03, 0.06, 0.1])
+FX = 40000 * KAPPA
+TEXT = "kappa;fx;fz\n" + "".join(
+    f"{k};{f:.1f};4000.5\n" for k, f in zip(KAPPA, FX, strict=True)
+)
+
+
+def write(tmp_path, content, name="test.csv"):
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def said(data, fragment):
+    return any(fragment in sentence for sentence in data.source.assumptions)
+
+
+@pytest.mark.parametrize(
+    ("content", "name", "fragment"),
+    [
+        (TEXT.encode(), "a.csv", ""),
+        (TEXT.replace(";", ",").encode(), "a.csv", ""),
+        (TEXT.replace(";", "\t").encode(), "a.tsv", ""),
+        (TEXT.replace(";", " | ").encode(), "a.txt", ""),
+        (TEXT.replace("\n", "\r\n").encode(), "a.csv", ""),
+        (TEXT.encode("utf-8-sig"), "a.csv", ""),
+        (TEXT.encode("utf-16"), "a.csv", "UTF-16"),
+        (TEXT.replace(".", ",").encode(), "a.csv", "decimal comma"),
+        (gzip.compress(TEXT.encode()), "a.csv.gz", ""),
+        (b"# a comment; \"\n\n" + TEXT.encode().replace(b"\n", b"\n\n"), "a.csv", ""),
+        (TEXT.replace("fz\n", "fz\n-;N;N\n").encode(), "a.csv", "row 2 read as units"),
+        (TEXT.replace("fz", "fz;Stra\xdfe").replace(".5\n", ".5;1\n").encode("latin-1"),
+         "a.csv", "Latin-1"),
+        (b"A test of a tire\n" + TEXT.encode(), "a.csv", "before the header in line 2"),
+        (TEXT.replace(".5\n", ".5;\n").encode(), "a.csv", ""),
+    ],
+)  # fmt: skip
+def test_text_of_every_kind_gives_the_same_numbers(tmp_path, content, name, fragment):
+    path = write(tmp_path, content, name)
+    data = read(path)
+    np.testing.assert_array_equal(data["sigma_x"], KAPPA / (1 - KAPPA))
+    np.testing.assert_allclose(data["fx"], FX, rtol=1e-14)
+    np.testing.assert_array_equal(data["fz"], 4000.5)
+    assert data.runs == ("a",)
+    assert data.source.sha256 == hashlib.sha256(content).hexdigest()
+    assert said(data, fragment)
+    assert said(data, "column 'fx' read as fx in N")
+    assert said(data, "no sign convention declared: 'braking' assumed")
+
+
+def test_a_units_row_is_used(tmp_path):
+    content = TEXT.replace("fz\n", "fz\n%;kN;daN\n")
+    data = read(write(tmp_path, content))
+    np.testing.assert_allclose(data["fx"], 1000 * FX)
+    np.testing.assert_allclose(data["fz"], 40005)
+    np.testing.assert_allclose(data["sigma_x"], KAPPA / (100 - KAPPA))
+    assert data.source.line[0] == 3
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "unit"),
+    [
+        ("Fx [kN]", "fx", "kN"), ("slip (%)", "kappa", "%"),
+        ("alpha_deg", "alpha", "deg"), ("Fz_N", "fz", "N"), ("v_kmh", "v", "kmh"),
+        ("mz_Nm", "mz", "Nm"), ("vx_mmps", "v", "mmps"), ("Fx_std_N", "fx_std", "N"),
+        ("slip ratio", "slip_ratio", None), ("SR", "kappa", None),
+        ("SA", "alpha", None), ("IA", "gamma", None), ("lambda", "kappa", None),
+        ("Slip_Angle", "alpha", None), ("load / kN", "fz", "kN"),
+        ("speed, km/h", "v", "km/h"), ("t [s]", "time", "s"), ("s", "s", None),
+        ("elapsed", "time", None), ("σ_x", "sigma_x", None), ("kappa_std", "kappa_std",
+        None), ("W (IMU)", None, None), ("vicon time", None, None),
+        ("sinkage_std_mm", None, None), ("fx_front", None, None),
+        ("kappa_1", None, None), ("vx_cmd_mmps", None, None), ("", None, None),
+    ],
+)  # fmt: skip
+def test_headers_are_understood_or_left_alone(header, name, unit):
+    guessed = guess(header)
+    assert (guessed and tuple(guessed)) == ((name, unit) if name else None)
+
+
+@pytest.mark.parametrize(
+    ("column", "unit", "value", "si"),
+    [
+        ("kappa", "%", 5, 0.05), ("alpha", "deg", 180, np.pi), ("alpha", "°", 90,
+        np.pi / 2), ("fx", "kN", 2, 2000), ("fz", "lbf", 1, 4.4482216152605),
+        ("fz", "kgf", 1, 9.80665), ("v", "km/h", 36, 10), ("v", "mph", 1, 0.44704),
+        ("v", "mm/s", 1, 1e-3), ("omega", "rpm", 60, 2 * np.pi),
+        ("pressure", "bar", 2, 2e5), ("pressure", "psi", 1, 6894.757293168361),
+        ("temperature", "K", 273.15, 0), ("temperature", "degF", 212, 100),
+        ("time", "ms", 5, 0.005), ("mz", "N m", 3, 3), ("mz", "N·mm", 1, 1e-3),
+        ("fx", "-kN", 2, -2000), ("fx", "KN", 2, 2000), ("sigma_x", "-", 0.3, 0.3),
+        # through pint
+        ("fx", "dyne", 1, 1e-5), ("v", "knot", 1, 1852 / 3600),
+        ("alpha", "arcminute", 60, np.pi / 180), ("pressure", "inHg", 1, 3386.389),
+    ],
+)  # fmt: skip
+def test_units_convert_and_back(column, unit, value, si):
+    found = resolve_unit(unit, column)
+    assert found.to_si(value) == pytest.approx(si, rel=1e-6, abs=1e-12)
+    assert found.from_si(found.to_si(value)) == pytest.approx(value, rel=1e-12)
+
+
+def test_a_std_has_neither_sign_nor_offset():
+    assert resolve_unit("degF", "temperature_std").to_si(9, True) == pytest.approx(5)
+    assert resolve_unit("-kN", "fx_std").to_si(2, True) == 2000
+
+
+def test_milli_is_not_read_as_mega():
+    assert known_unit("mPa") is None
+    assert resolve_unit("mPa", "pressure").to_si(1) == pytest.approx(1e-3)
+    assert resolve_unit("MPa", "pressure").to_si(1) == 1e6
+
+
+@pytest.mark.parametrize(
+    ("convention", "signs"),
+    [
+        ("braking", (1, 1, 1, 1, 1, 1)),
+        ("iso-w", (-1, 1, -1, -1, 1, -1)),
+        ("sae", (-1, -1, -1, 1, -1, 1)),
+        ("adapted-sae", (-1, 1, -1, 1, 1, 1)),
+    ],
+)
+def test_conventions_come_out_canonical(convention, signs):
+    canonical = (KAPPA, KAPPA / 2, FX, FX / 3, np.full(7, 4e3), -FX / 90)
+    names = ("kappa", "alpha", "fx", "fy", "fz", "mz")
+    frame = {
+        name: sign * values
+        for name, sign, values in zip(names, signs, canonical, strict=True)
+    }
+    data = read_frame(frame, convention=convention)
+    np.testing.assert_allclose(data["sigma_x"], slip.sigma_from_kappa(KAPPA))
+    for name, values in list(zip(names, canonical, strict=True))[1:]:
+        np.testing.assert_array_equal(data[name], values, err_msg=name)
+    assert not said(data, "no sign convention")
+
+
+def test_a_flipped_column_mends_mixed_signs():
+    frame = {"kappa": KAPPA, "fx": -FX, "fz": np.full(7, 4000.0)}
+    with pytest.raises(DataError, match="--unit fx=-N"):
+        read_frame(frame)
+    data = read_frame(frame, units={"fx": "-N"})
+    np.testing.assert_array_equal(data["fx"], FX)
+    assert said(data, "sign of column 'fx' flipped")
+
+
+def frame_of(name, values, **others):
+    return {name: values, "fx": FX, "fz": np.full(7, 4000.0), **others}
+
+
+@pytest.mark.parametrize("definition", list(slip.SLIP_DEFINITIONS))
+def test_slip_definitions_and_their_std_become_sigma(definition):
+    sigma = slip.sigma_from_kappa(KAPPA)
+    to_sigma, from_sigma = slip.SLIP_DEFINITIONS[definition]
+    own = from_sigma(sigma)
+    std = {f"{definition}_std": np.full(7, 1e-3)}
+    data = read_frame(frame_of(definition, own, **std))
+    np.testing.assert_allclose(data["sigma_x"], sigma, rtol=1e-13)
+    slope = (to_sigma(own + 1e-6) - to_sigma(own - 1e-6)) / 2e-6
+    np.testing.assert_allclose(data["sigma_x_std"], 1e-3 * slope, rtol=1e-6)
+    assert data.source.slip_definition == definition
+    overridden = read_frame(frame_of("slip", own, slip_std=std.popitem()[1]),
+                            slip=definition)  # fmt: skip
+    np.testing.assert_array_equal(overridden["sigma_x"], data["sigma_x"])
+    np.testing.assert_array_equal(overridden["sigma_x_std"], data["sigma_x_std"])
+
+
+def test_s_uses_the_slip_angle():
+    alpha = np.linspace(-0.2, 0.2, 7)
+    data = read_frame(frame_of("s", KAPPA * np.cos(alpha), alpha=alpha))
+    np.testing.assert_allclose(data["sigma_x"], slip.sigma_from_kappa(KAPPA))
+    assert said(data, "kappa = s / cos(alpha)")
+
+
+def test_locked_and_spinning_wheels_stay_finite():
+    ratio = np.array([-1, -0.5, -0.1, 0.1, 0.2, 0.5, 1])
+    data = read_frame(frame_of("slip_ratio", ratio))
+    assert data["sigma_x"][-1] == slip.LOCKED
+    assert data["sigma_x"][0] == -1 + 1e-6
+    assert said(data, "1 rows of 'slip_ratio' are a locked wheel")
+    assert said(data, "at or below sigma_x = -1")
+
+
+def test_slip_from_wheel_speed_and_a_check_of_it():
+    radius, v = 0.3, 20.0
+    omega = v * (1 - KAPPA) / radius
+    speeds = {"omega": omega, "v": np.full(7, v), "fx": FX, "fz": np.full(7, 4e3)}
+    data = read_frame(speeds, rolling_radius=radius)
+    np.testing.assert_allclose(data["sigma_x"], slip.sigma_from_kappa(KAPPA), rtol=1e-9)
+    assert said(data, "with R = 0.3 m")
+    agreeing = read_frame({"kappa": KAPPA, **speeds}, rolling_radius=radius * 1.001)
+    np.testing.assert_allclose(agreeing["sigma_x"], data["sigma_x"])
+    speeds["omega"] = np.where(KAPPA == KAPPA[-1], 0, omega)
+    assert read_frame(speeds, rolling_radius=radius)["sigma_x"][-1] == slip.LOCKED
+
+
+def test_declared_columns_units_and_constants(tmp_path):
+    content = "run;Schlupf;Kraft;Tempo\n" + "".join(
+        f"{run};{100 * k};{f / 1000};72\n"
+        for run, k, f in zip("aabbbac", KAPPA, FX, strict=True)
+    )
+    data = read(
+        write(tmp_path, content),
+        columns={"kappa": "Schlupf", "fx": "kraft", "v": "Tempo"},
+        units={"kappa": "%", "fx": "kN", "v": "km/h"},
+        constants={"fz": 4000, "fx_std": 20},
+    )
+    np.testing.assert_allclose(data["fx"], FX)
+    np.testing.assert_allclose(data["v"], 20)
+    np.testing.assert_array_equal(data["fz"], 4000)
+    np.testing.assert_array_equal(data["fx_std"], 20)
+    assert data.runs == ("a", "b", "c")
+    assert data.run.tolist() == [0, 0, 1, 1, 1, 0, 2]
+    assert data.source.columns["sigma_x"] == "Schlupf"
+    assert data.source.units["v"] == "km/h"
+    assert said(data, "column 'Kraft' read as fx in kN, as declared")
+    assert said(data, "fz = 4000 N in all rows")
+
+
+def test_a_std_takes_the_unit_of_its_column():
+    data = read_frame({**frame_of("kappa", KAPPA), "fx_std": np.full(7, 0.1)},
+                      units={"fx": "kN"})  # fmt: skip
+    np.testing.assert_allclose(data["fx_std"], 100)
+    assert said(data, "'fx_std' read as fx_std in kN (the unit of fx)")
+
+
+def test_tire_test_consortium_files_have_their_units(tmp_path):
+    header = ["ET", "V", "SA", "IA", "P", "FY", "FZ"]
+    rows = [[0.1 * i, 40, a, 0, 80, -2000 * a, -1000] for i, a in enumerate((-2, 1, 3))]
+    content = "\n".join("\t".join(map(str, row)) for row in [header, *rows])
+    data = read(write(tmp_path, content), convention="sae")
+    np.testing.assert_allclose(data["v"], 40 / 3.6)
+    np.testing.assert_allclose(data["alpha"], np.radians([2, -1, -3]))
+    np.testing.assert_allclose(data["pressure"], 80e3)
+    np.testing.assert_array_equal(data["fz"], 1000)
+    assert said(data, "as in Tire Test Consortium files")
+
+
+def test_columns_that_mean_nothing_are_listed(tmp_path):
+    frame = {**frame_of("kappa", KAPPA), "colour": ["red"] * 7, "fy_std": np.ones(7)}
+    data = read_frame(frame)
+    assert "fy_std" not in data
+    assert said(data, "columns not read: 'colour', 'fy_std'")
+    assert said(data, "column 'fy_std' not used: there is no fy")
+
+
+def test_a_data_frame_reads_as_the_file_does(tmp_path):
+    pandas = pytest.importorskip("pandas")
+    path = write(tmp_path, TEXT)
+    frame = pandas.read_csv(path, sep=";")
+    from_file, from_frame = read(path), read_frame(frame, "named")
+    for name in from_file.columns:
+        np.testing.assert_array_equal(from_frame[name], from_file[name])
+    assert from_frame.runs == ("named",)
+
+
+def test_noise_around_zero_slip_is_no_contradiction():
+    x = RNG.normal(scale=0.01, size=500)
+    force = RNG.normal(scale=50, size=500)
+    data = read_frame({"kappa": x, "fx": force, "fz": np.full(500, 4e3)})
+    assert data.n == 500
+
+
+def test_a_large_file_reads_fast(tmp_path):
+    from time import perf_counter
+
+    n = 20_000
+    values = RNG.normal(scale=0.05, size=(n, 5))
+    rows = [",".join(map(repr, row)) for row in values.tolist()]
+    content = "kappa,alpha,a,b,c,fx,fz\n" + "\n".join(f"{r},1.5,4000" for r in rows)
+    path = write(tmp_path, content)
+    start = perf_counter()
+    assert read(path).n == n
+    # 0.1 s on one core; the slow path of a cell at a time takes several times that.
+    assert perf_counter() - start < 1.5

@@ -1,0 +1,311 @@
+"""Bad input: every problem is found, placed, explained and given a remedy."""
+
+import gzip
+
+import numpy as np
+import pytest
+
+from tirefit.data.read import read, read_frame, require
+from tirefit.results import DataError, TirefitError, UsageError
+
+HEADER = "kappa,fx,fz\n"
+GOOD = "0.01,400,4000\n0.02,800,4000\n0.03,1100,4000\n0.05,1500,4000\n"
+WELL = HEADER + GOOD
+
+
+def lines(*rows):
+    return HEADER + GOOD + "\n".join(rows) + "\n"
+
+
+def table(header, *columns):
+    rows = zip(*columns, strict=True)
+    return header + "\n" + "\n".join(",".join(map(str, row)) for row in rows) + "\n"
+
+
+SLIP = [-0.08, -0.05, -0.02, 0.02, 0.05, 0.08]
+FORCE = [3000, 2000, 900, -900, -2000, -3000]
+LOAD = [4000] * 6
+UP = [-force for force in FORCE]
+
+CASES = {
+    # cells and rows
+    "text": (
+        lines("0.1,abc,4000"), {}, ["row 6, column 'fx'", "'abc' is text", "mask"]
+    ),
+    "empty cell": (lines("0.1,,4000"), {}, ["row 6, column 'fx'", "an empty cell"]),
+    "nan": (lines("nan,1,4000"), {}, ["row 6, column 'kappa'", "nan is not a number"]),
+    "inf": (lines("0.1,1,-inf"), {}, ["row 6, column 'fz'", "-inf is infinite"]),
+    "overflow": (lines("0.1,1e999,1"), {}, ["row 6, column 'fx'", "is infinite"]),
+    "underscore": (lines("0.1,1_0,4000"), {}, ["row 6, column 'fx'", "'1_0' is text"]),
+    "ragged": (lines("0.1,1"), {}, ["row 6: 2 fields where the header has 3"]),
+    "too long": (lines("0.1,1,2,3"), {}, ["row 6: 4 fields where the header has 3"]),
+    "comments count": (
+        "# a\n\n" + lines("0.1,x,4000"), {}, ["row 8, column 'fx'", "'x'"]
+    ),
+    "all at once": (
+        lines("x,1,4000", "0.1,y,4000", "0.1,1"), {},
+        ["row 6, column 'kappa'", "row 7, column 'fx'", "row 8: 2 fields"],
+    ),
+    "many alike": (
+        lines(*["0.01,x,4000"] * 12), {},
+        ["row 6, column", "row 10, column", "and 7 more rows with the same fault"],
+    ),
+    "unclosed quote": (lines('0.1,"1,4000'), {}, ["row 6: 2 fields"]),
+    # range
+    "load": (lines("0.1,1,0"), {}, ["row 6, column 'fz'", "0 is not a load"]),
+    "kappa": (lines("1.5,1,4000"), {}, ["row 6", "1.5 is out", "--unit kappa=%"]),
+    "sigma": (
+        lines("7,1,4000").replace("kappa", "sigma_x"), {},
+        ["row 6, column 'sigma_x'", "|sigma_x| <= 5", "--unit sigma_x=%"],
+    ),
+    "below -1": (
+        lines("-2,-1,4000").replace("kappa", "sigma_x"), {},
+        ["row 6", "travel backwards", "--convention iso-w"],
+    ),
+    "s": (
+        lines("-1.5,-1,4000").replace("kappa", "s"), {},
+        ["row 6, column 's'", "|s| <= 1", "--unit s=%"],
+    ),
+    "s at an angle": (
+        table("s,alpha,fx,fz", [0.1, 0.2, 0.9], [0.0, 0.1, 0.6], [1, 2, 3], [9] * 3),
+        {}, ["row 4, column 's'", "s / cos(alpha) > 1"],
+    ),
+    "percent": (
+        table("kappa,fx,fz", [1, 2, 3, 4], [1, 2, 3, 4], [9] * 4), {},
+        ["3 of 4 rows (2 in row 3, ...)", "column 'kappa'", "--unit kappa=%"],
+    ),
+    "degrees": (
+        table("alpha,fy,fz", [1, 2, 3, 4], [1, 2, 3, 4], [9] * 4), {},
+        ["3 of 4 rows", "column 'alpha'", "--unit alpha=deg"],
+    ),
+    "speed": (
+        table("kappa,fx,fz,v", [0, 0.1, 0.2], [0, 1, 2], [9] * 3, [9, -1, 9]), {},
+        ["row 3, column 'v'", "-1 is a negative speed"],
+    ),
+    "pressure": (
+        table("kappa,fx,fz,pressure", [0, 0.1, 0.2], [0, 1, 2], [9] * 3, [9, 0, 9]), {},
+        ["row 3, column 'pressure'", "0 is not a pressure"],
+    ),
+    "std": (
+        table("kappa,fx,fz,fx_std", [0, 0.1, 0.2], [0, 1, 2], [9] * 3, [1, 0, 1]), {},
+        ["row 3, column 'fx_std'", "0 is not a standard deviation"],
+    ),
+    "z down": (
+        table("kappa,fx,fz", SLIP, UP, [-4000] * 6), {},
+        ["column 'fz'", "looks like SAE", "--convention sae"],
+    ),
+    "z up in sae": (
+        table("kappa,fx,fz", SLIP, UP, LOAD), {"convention": "sae"},
+        ["looks like z up", "--convention braking or iso-w or adapted-sae"],
+    ),
+    # columns
+    "no slip": ("fx,fz\n1,2\n", {}, ["no slip", "--column kappa=HEADER", "'fx', 'fz'"]),
+    "no radius": (
+        "omega,v,fx,fz\n1,2,3,4\n", {}, ["no slip", "--rolling-radius R [m]"]
+    ),
+    "no force": ("kappa,fz\n0.1,2\n", {}, ["no force", "--column fx=HEADER"]),
+    "no load": ("kappa,fx\n0.1,2\n", {}, ["no load", "--constant fz=4000"]),
+    "nothing known": (
+        "a,b\n1,2\n", {}, ["no slip", "no force", "no load", "columns found: 'a', 'b'"]
+    ),
+    "two alike": (
+        "kappa,Fx [N],force_x,fz\n0.1,1,1,2\n", {},
+        ["row 1", "'Fx [N]' and 'force_x' all mean fx", 'columns.fx = "Fx [N]"'],
+    ),
+    "same header": ("kappa,fx,fx,fz\n0.1,1,1,2\n", {}, ["'fx' and 'fx'", "rename"]),
+    "two slips": (
+        "kappa,sigma_x,fx,fz\n0.1,0.1,1,2\n", {},
+        ["'kappa' and 'sigma_x'", "all of them slip", "columns.kappa"],
+    ),
+    "two definitions": (
+        WELL.replace("fz", "fz,sigma_x_std").replace("4000", "4000,0.1"), {},
+        ["column 'sigma_x_std'", "but the slip column is kappa"],
+    ),
+    "spaces": ("kappa fx fz\n1 2 3\n", {}, ["'kappa fx fz' only; separate columns by"]),
+    "strange names": ("Zeit;Kraft\ns;t\n1;2\n", {}, ["columns found: 'Zeit', 'Kraft'"]),
+    "no such header": (
+        WELL, {"columns": {"fx": "fxx"}}, ["column 'fxx'", "no such", "mean 'fx'"]
+    ),
+    "declared twice": (
+        WELL, {"columns": {"fx": "fx", "fy": "fx"}}, ["declared as fy beside fx"]
+    ),
+    "constant too": (
+        WELL, {"constants": {"fz": 1.0}}, ["column 'fz'", "conflicts", "remove"]
+    ),
+    "constant angle": (
+        WELL, {"constants": {"alpha": 5.0}},
+        ["column '--constant alpha'", "out of range"],
+    ),
+    # units
+    "unknown unit": (
+        WELL.replace("fx", "fx [kNN]"), {},
+        ["row 1, column 'fx [kNN]'", "unknown unit 'kNN'", "mean 'kN'", "--unit fx="],
+    ),
+    "wrong dimension": (
+        WELL.replace("fx", "fx [deg]"), {}, ["unit of angle", "dimension force", "lbf"]
+    ),
+    "wrong in pint": (WELL, {"units": {"fx": "furlong"}}, ["not a unit of force"]),
+    "unused unit": (WELL, {"units": {"v": "km/h"}}, ["for v, which the file does not"]),
+    # the whole
+    "constant slip": (
+        table("kappa,fx,fz", [0.1] * 3, [1, 2, 3], [9] * 3), {},
+        ["constant slip (sigma_x = 0.111111"],
+    ),
+    "signs of fx": (
+        table("kappa,fx,fz", SLIP, FORCE, LOAD), {},
+        ["column 'fx'", "contradict the convention 'braking'", "--unit fx=-N"],
+    ),
+    "signs of fy": (
+        table("alpha,fy,fz", SLIP, FORCE, LOAD), {},
+        ["column 'fy'", "equal signs there", "fit --convention iso-w;"],
+    ),
+    "signs in iso": (
+        table("alpha,fy,fz", SLIP, UP, LOAD), {"convention": "iso-w"},
+        ["opposite signs there", "fit --convention braking or adapted-sae;"],
+    ),
+    "slip against omega": (
+        table("kappa,omega,v,fx,fz", SLIP, [40] * 6, [12] * 6, UP, LOAD),
+        {"rolling_radius": 0.2},
+        ["column 'kappa'", "contradicts (v - omega R)", "rolling radius"],
+    ),
+    "slip mirrored": (
+        table(
+            "kappa,omega,v,fx,fz",
+            SLIP, [(1 + k) * 50 for k in SLIP], [10] * 6, UP, LOAD,
+        ),
+        {"rolling_radius": 0.2},
+        ["opposite sign", "--convention"],
+    ),
+    "backwards": (
+        table("omega,v,fx,fz", [50, -1, 49], [10, 10, 10], [0, 1, 2], [9] * 3),
+        {"rolling_radius": 0.2}, ["row 3, column 'omega'", "turning backwards"],
+    ),
+    "radius alone": (
+        "omega,fx,fz\n1,2,3\n", {"rolling_radius": 0.2}, ["needs v to give a slip"]
+    ),
+    # the file
+    "empty": ("", {}, ["the file is empty"]),
+    "only comments": ("# a\n\n", {}, ["the file is empty"]),
+    "no rows": (HEADER, {}, ["no data rows"]),
+    "no header": (GOOD, {}, ["row 1", "numbers, not column names", "header"]),
+    "binary": (b"\x89PNG\r\n\x1a\n\x00\x00", {}, ["not a text file"]),
+    "zeros": (b"kappa,fx,fz\n0.1,\x001,2\n", {}, ["not a text file"]),
+    "spreadsheet": (b"PK\x03\x04abc", {}, ["spreadsheet", "export the sheet as CSV"]),
+    "broken utf-16": (b"\xff\xfek\x00a", {}, ["broken UTF-16"]),
+    "broken gzip": (gzip.compress(WELL.encode())[:-9], {}, ["gzip file is damaged"]),
+    "wrong point": (
+        "kappa;fx;fz\n0,1;1;2\n0.2;2;2\n", {},
+        ["row 2, column 'kappa'", "'0,1' is text"],
+    ),
+    # even when masking
+    "nothing left": (
+        "kappa,fx,fz\nx,1,2\ny,1,2\n", {"mask_bad_rows": True}, ["no usable rows"]
+    ),
+    "percent masked": (
+        table("kappa,fx,fz", [0.5, 2, 3, 4], [1, 2, 3, 4], [9] * 4),
+        {"mask_bad_rows": True}, ["3 of 4 rows", "--unit kappa=%"],
+    ),
+    "signs masked": (
+        table("kappa,fx,fz", [*SLIP, "x"], [*FORCE, 1], [*LOAD, 1]),
+        {"mask_bad_rows": True}, ["contradict"],
+    ),
+}  # fmt: skip
+
+
+def write(tmp_path, content):
+    path = tmp_path / "test file.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+@pytest.mark.parametrize(("content", "options", "expected"), CASES.values(), ids=CASES)
+def test_bad_data_names_place_reason_and_remedy(tmp_path, content, options, expected):
+    path = write(tmp_path, content)
+    with pytest.raises(DataError) as caught:
+        read(path, **options)
+    message = str(caught.value)
+    for fragment in expected:
+        assert fragment in message
+    assert caught.value.exit_code == 3
+    assert all(problem.file == str(path) for problem in caught.value.problems)
+    assert all(problem.remedy for problem in caught.value.problems)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"convention": "iso"}, ["'iso'", "mean 'iso-w'", "valid: braking, iso-w"]),
+        ({"slip": "kapa"}, ["--slip", "mean 'kappa'"]),
+        ({"columns": {"fxx": "a"}}, ["--column", "mean 'fx'"]),
+        ({"units": {"forze": "N"}}, ["--unit", "'forze'", "valid:"]),
+        ({"constants": {"kapa": 1.0}}, ["--constant", "'kapa'"]),
+        ({"constants": {"fz": -1.0}}, ["--constant fz=-1 is not a positive number"]),
+        ({"constants": {"gamma": float("nan")}}, ["gamma=nan is not a finite number"]),
+        ({"rolling_radius": -0.3}, ["--rolling-radius -0.3"]),
+        ({"convention": "x", "slip": "y"}, ["--convention", "--slip"]),
+    ],
+)
+def test_unknown_options_are_usage_errors(tmp_path, options, expected):
+    with pytest.raises(UsageError) as caught:
+        read(write(tmp_path, WELL), **options)
+    assert caught.value.exit_code == 2
+    for fragment in expected:
+        assert fragment in str(caught.value)
+
+
+def test_a_missing_file_is_named_with_its_neighbour(tmp_path):
+    write(tmp_path, WELL)
+    with pytest.raises(DataError, match="did you mean 'test file.csv'"):
+        read(tmp_path / "test_file.csv")
+    with pytest.raises(DataError, match="cannot be read"):
+        read(tmp_path)
+
+
+def test_bad_rows_are_masked_on_request_and_listed(tmp_path):
+    bad = ["0.1,abc,4000", "0.1,1", "0.1,900,-1", "1.5,1,4000"]
+    data = read(write(tmp_path, lines(*bad)), mask_bad_rows=True)
+    assert data.used.tolist() == [True] * 4 + [False] * 4
+    assert len(data) == 8 and data.n == 4
+    assert sorted(problem.row for problem in data.source.masked) == [6, 7, 8, 9]
+    assert np.isfinite(data.usable("sigma_x")).all()
+    assert data.source.line.tolist() == [2, 3, 4, 5, 6, 7, 8, 9]
+
+
+def test_many_masked_rows_are_grouped(tmp_path):
+    content = lines(*["0.1,x,4000"] * 400)
+    data = read(write(tmp_path, content), mask_bad_rows=True)
+    assert data.n == 4
+    assert len(data.source.masked) == 6
+    assert "and 395 more rows" in str(data.source.masked[-1])
+
+
+def test_require_names_what_a_model_needs(tmp_path):
+    data = read(write(tmp_path, WELL))
+    require(data, ["sigma_x", "fx"], "the brush model")
+    with pytest.raises(DataError) as caught:
+        require(data, ["v", "alpha"], "the model")
+    message = str(caught.value)
+    assert "the model needs v (forward speed" in message
+    assert "--constant v=VALUE [m/s]" in message
+    assert "needs alpha (slip angle)" in message
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        {},
+        {"kappa": [0.1, 0.2], "fx": [1.0], "fz": [1.0, 1.0]},
+        {"kappa": [[0.1, 0.2]], "fx": [[1.0, 2.0]], "fz": [[1.0, 1.0]]},
+        {"kappa": [], "fx": [], "fz": []},
+    ],
+)
+def test_frames_of_wrong_shape_are_refused(frame):
+    with pytest.raises(TirefitError, match="one-dimensional, equally long"):
+        read_frame(frame)
+
+
+def test_a_frame_is_checked_as_a_file_is_counting_from_zero():
+    with pytest.raises(DataError, match="data, row 1, column 'fz'"):
+        read_frame({"kappa": [0.1, 0.2, 0.3], "fx": [1, 2, 3], "fz": [9, -1, 9]})
+    with pytest.raises(UsageError, match="iso-w"):
+        read_frame({"kappa": [0.1], "fx": [1], "fz": [9]}, convention="iso")

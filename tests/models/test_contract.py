@@ -1,0 +1,349 @@
+"""What every registered model promises, visited by name."""
+
+import functools
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tirefit.models import MODELS, TireForces, TireInputs, forces, needs_speed
+from tirefit.params import parameter_values, specs, with_values
+from tirefit.slip import LOCKED
+
+EVERY = pytest.mark.parametrize("name", sorted(MODELS))
+BRUSHES = pytest.mark.parametrize("name", sorted(set(MODELS) - {"magic-formula"}))
+
+# Pairs of (sigma_x, alpha): rest, hardly moving, partly sliding, full sliding, locked.
+SLIPS = [
+    (0.0, 0.0),
+    (1e-12, 1e-12),
+    (-1e-12, -1e-12),
+    (0.02, 0.02),
+    (-0.02, -0.02),
+    (0.3, 0.3),
+    (-0.3, -0.3),
+    (5.0, 1.4),
+    (-0.9, -1.4),
+    (LOCKED, -0.7),
+]
+LOADS = [0.0, 1e-6, 4000.0]
+SPEEDS = [0.0, 20.0]
+ASYMMETRIES = [-1 / 3, 0.0, 1e-9, 0.5, 1.0]
+KINETIC = [0.0, 1.0]
+GRID = np.array(
+    [
+        (*slip, fz, v, d, m)
+        for slip, fz, v, d, m in itertools.product(
+            SLIPS, LOADS, SPEEDS, ASYMMETRIES, KINETIC
+        )
+    ]
+)
+INPUTS = TireInputs(*GRID.T[:4])
+
+
+def on_grid(name):
+    """The model with one set of parameter values per point of the grid."""
+    model = MODELS[name]
+    values = {key: np.full(len(GRID), val) for key, val in _values(model).items()}
+    values.update({key: GRID.T[4 + i] for i, key in enumerate("dm") if key in values})
+    return with_values(model, {key: jnp.asarray(val) for key, val in values.items()})
+
+
+def _values(model):
+    return {key: float(value) for key, value in parameter_values(model).items()}
+
+
+def evaluate(model, inputs):
+    """Forces, one set of values per sample, without compiling the model."""
+    arrays = jax.tree.map(jnp.asarray, (model, inputs))
+    return jax.vmap(lambda tire, sample: tire(sample))(*arrays)
+
+
+def peak(name):
+    """Largest force over load at the default values."""
+    values = _values(MODELS[name])
+    return next(values[key] for key in ("mu", "mu_peak", "D") if key in values)
+
+
+def stacked(result: TireForces):
+    """Modelled outputs as columns; the moment is absent from a Magic Formula."""
+    return jnp.stack([part for part in result if part is not None], axis=-1)
+
+
+def gradients(model, inputs):
+    """d(outputs)/d(parameters, inputs), by reverse mode."""
+    arrays = jax.tree.map(jnp.asarray, (model, inputs))
+    jacobian = jax.jacrev(lambda pair: stacked(pair[0](pair[1])))
+    return jax.vmap(jacobian)(arrays)
+
+
+@functools.cache
+def grid_forces(name):
+    return jax.tree.map(np.asarray, evaluate(on_grid(name), INPUTS))
+
+
+@functools.cache
+def grid_gradients(name):
+    return jax.tree.map(np.asarray, gradients(on_grid(name), INPUTS))
+
+
+@EVERY
+def test_finite_value_and_gradient(name):
+    for part in jax.tree.leaves(grid_forces(name)):
+        assert np.isfinite(part).all()
+    gradient = grid_gradients(name)
+    assert len(jax.tree.leaves(gradient)) == len(specs(MODELS[name])) + 4
+    for leaf in jax.tree.leaves(gradient):
+        bad = ~np.isfinite(leaf).all(axis=-1)
+        assert not bad.any(), GRID[bad][:3]
+
+
+@EVERY
+def test_forward_gradient_is_the_reverse_one(name):
+    arrays = jax.tree.map(jnp.asarray, (on_grid(name), INPUTS))
+    tangent = jax.tree.map(lambda leaf: 0.1 + jnp.abs(leaf), arrays)
+
+    def along(pair, direction):
+        _, out = jax.jvp(lambda pair: stacked(pair[0](pair[1])), (pair,), (direction,))
+        return out
+
+    forward = jax.vmap(along)(arrays, tangent)
+    parts = jax.tree.map(
+        lambda leaf, step: leaf * step[:, None], grid_gradients(name), tangent
+    )
+    reverse = sum(jax.tree.leaves(parts))
+    scale = sum(np.abs(leaf) for leaf in jax.tree.leaves(parts))
+    assert np.max(np.abs(forward - reverse) / (scale + 1e-9)) < 1e-12
+
+
+@EVERY
+def test_odd_in_slip(name):
+    mirrored = INPUTS._replace(sigma_x=-INPUTS.sigma_x, alpha=-INPUTS.alpha)
+    ahead, back = grid_forces(name), evaluate(on_grid(name), mirrored)
+    np.testing.assert_array_equal(ahead.fy, -back.fy)
+    if ahead.mz is not None:
+        np.testing.assert_array_equal(ahead.mz, -back.mz)
+    # The Magic Formula is odd in kappa; falling friction sees kappa through v_s.
+    if name != "magic-formula" and not needs_speed(MODELS[name]):
+        np.testing.assert_array_equal(ahead.fx, -back.fx)
+
+
+def test_magic_formula_is_odd_in_kappa():
+    kappa = np.array([1e-9, 0.01, 0.2, 0.5])
+    plus = forces(MODELS["magic-formula"], TireInputs(kappa / (1 - kappa), 0.0, 3e3))
+    minus = forces(MODELS["magic-formula"], TireInputs(-kappa / (1 + kappa), 0.0, 3e3))
+    np.testing.assert_allclose(plus.fx, -minus.fx, rtol=1e-14)
+
+
+@EVERY
+def test_speed_matters_where_the_model_says_so(name):
+    v = np.array([5.0, 25.0])
+    with jax.disable_jit():
+        result = forces(MODELS[name], TireInputs(0.3, 0.3, 4000.0, v))
+    changed = [bool(part[0] != part[1]) for part in (result.fx, result.fy)]
+    assert changed == [needs_speed(MODELS[name])] * 2
+
+
+@EVERY
+def test_no_force_without_slip_or_load(name):
+    result = grid_forces(name)
+    silent = ((INPUTS.sigma_x == 0) & (INPUTS.alpha == 0)) | (INPUTS.fz == 0)
+    assert silent.sum() > 100
+    for part in jax.tree.leaves(result):
+        np.testing.assert_array_equal(part[silent], 0.0)
+        assert (part[(INPUTS.sigma_x == 0.02) & (INPUTS.fz == 4000.0)] != 0).all()
+
+
+@EVERY
+def test_slope_at_rest(name):
+    values = _values(MODELS[name])
+    gradient = grid_gradients(name)[1]
+    loaded = (INPUTS.sigma_x == 0) & (INPUTS.fz == 4000.0)
+    if name == "magic-formula":
+        expected = values["B"] * values["C"] * values["D"] * 4000.0
+    else:
+        expected = 2 * values["cpa2"]
+    assert loaded.sum() == 20
+    along_x = gradient.sigma_x[loaded]
+    along_y = gradient.alpha[loaded]
+    np.testing.assert_allclose(along_x[:, 0], expected, rtol=1e-12)
+    np.testing.assert_allclose(along_y[:, 1], expected, rtol=1e-12)
+    np.testing.assert_array_equal(along_x[:, 1], 0.0)
+    np.testing.assert_array_equal(along_y[:, 0], 0.0)
+
+
+@BRUSHES
+def test_moment_slope_at_rest(name):
+    values = _values(MODELS[name])
+    gradient = grid_gradients(name)[1]
+    loaded = (INPUTS.sigma_x == 0) & (INPUTS.fz == 4000.0)
+    expected = -2 / 3 * values["half_length"] * values["cpa2"]
+    slope = gradient.alpha[loaded][:, 2]
+    np.testing.assert_allclose(slope, expected, rtol=1e-12)
+
+
+@EVERY
+def test_force_is_bounded_by_friction(name):
+    result = grid_forces(name)
+    limit = peak(name) * INPUTS.fz * (1 + 1e-12)
+    assert (np.abs(result.fx) <= limit).all()
+    assert (np.abs(result.fy) <= limit).all()
+    if result.mz is not None:
+        arm = _values(MODELS[name])["half_length"]
+        assert (np.abs(result.mz) <= arm * limit).all()
+
+
+@EVERY
+def test_pytree_round_trip(name):
+    model = MODELS[name]
+    leaves, structure = jax.tree.flatten(model)
+    assert leaves == list(parameter_values(model).values())
+    assert eqx.tree_equal(jax.tree.unflatten(structure, leaves), model)
+    doubled = jax.tree.map(lambda leaf: 2 * leaf, model)
+    assert _values(doubled) == {key: 2 * val for key, val in _values(model).items()}
+
+
+@EVERY
+def test_with_values_sets_each_parameter_alone(name):
+    model = MODELS[name]
+    before = _values(model)
+    for key in before:
+        changed = with_values(model, {key: 0.123})
+        assert _values(changed) == {**before, key: 0.123}
+    assert _values(model) == before
+    with pytest.raises(KeyError, match="no parameter.*nonsense"):
+        with_values(model, {"nonsense": 1.0})
+
+
+@EVERY
+def test_every_parameter_is_specified(name):
+    model = MODELS[name]
+    found = specs(model)
+    assert list(found) == list(parameter_values(model))
+    assert len(found) == len(jax.tree.leaves(model))
+    for key, spec in found.items():
+        assert parameter_values(model)[key] == spec.default
+        assert spec.lower <= spec.default <= spec.upper
+        assert spec.unit in {"-", "N", "m", "m/s", "s/m"}
+        assert spec.source.startswith(("S(", "O("))
+        assert spec.symbol and len(spec.meaning) > 8
+        assert spec.scale == "linear" or (spec.scale == "log" and spec.lower > 0)
+    assert any(spec.free for spec in found.values())
+
+
+SAMPLES = [(0.05, -0.1, 3000.0, 20.0), (-0.3, 0.02, 5000.0, 0.0), (4.0, 1.0, 0, 9)]
+
+
+@EVERY
+def test_batch_is_a_loop_of_single_samples(name):
+    with jax.disable_jit():
+        batch = forces(MODELS[name], TireInputs(*np.array(SAMPLES).T))
+        single = [forces(MODELS[name], TireInputs(*sample)) for sample in SAMPLES]
+    for part, parts in zip(batch, zip(*single, strict=True), strict=True):
+        if part is None:
+            assert parts == (None, None, None)
+            continue
+        assert part.shape == (3,)
+        assert all(one.shape == () for one in parts)
+        np.testing.assert_allclose(part, np.stack(parts), rtol=1e-13, atol=1e-9)
+
+
+# One of every formula; compiling all 44 would cost ten seconds.
+@pytest.mark.parametrize(
+    "name",
+    ["brush", "brush-dmns", "uniform-mh", "quartic-hs", "brush-m-peak"]
+    + ["brush-stribeck-s", "magic-formula"],
+)
+def test_compiled_is_uncompiled(name):
+    inputs = TireInputs(*np.array(SAMPLES).T)
+    compiled = forces(MODELS[name], inputs)
+    with jax.disable_jit():
+        plain = forces(MODELS[name], inputs)
+    for part, same in zip(
+        jax.tree.leaves(compiled), jax.tree.leaves(plain), strict=True
+    ):
+        np.testing.assert_allclose(part, same, rtol=1e-12, atol=1e-9)
+
+
+def test_scalars_broadcast_against_arrays():
+    slip = np.linspace(-0.1, 0.1, 3)
+    mixed = forces(MODELS["brush"], TireInputs(slip, 0.05, 4000.0))
+    full = forces(
+        MODELS["brush"],
+        TireInputs(slip, np.full(3, 0.05), np.full(3, 4000.0), np.zeros(3)),
+    )
+    assert eqx.tree_equal(mixed, full)
+    assert mixed.fy.shape == (3,)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "message"),
+    [
+        (TireInputs(np.zeros((2, 3)), 0.0, 1.0), "one-dimensional"),
+        (TireInputs(np.zeros(2), np.zeros(3), 1.0), "[Ii]ncompatible shapes"),
+    ],
+)
+def test_wrong_shapes_raise(inputs, message):
+    with pytest.raises(ValueError, match=message):
+        forces(MODELS["brush"], inputs)
+
+
+@EVERY
+def test_float32_is_finite_and_near(name):
+    model = on_grid(name)
+    exact = grid_forces(name)
+    model32, inputs32 = jax.tree.map(
+        lambda leaf: jnp.asarray(leaf, jnp.float32), (model, INPUTS)
+    )
+    rounded = evaluate(model32, inputs32)
+    for part, good in zip(
+        jax.tree.leaves(rounded), jax.tree.leaves(exact), strict=True
+    ):
+        assert part.dtype == jnp.float32
+        error = np.abs(np.asarray(part, float) - good)
+        assert (error <= 1e-4 * peak(name) * INPUTS.fz).all()
+    for leaf in jax.tree.leaves(gradients(model32, inputs32)):
+        assert leaf.dtype == jnp.float32
+        bad = ~np.isfinite(leaf).all(axis=-1)
+        assert not bad.any(), GRID[bad][:3]
+
+
+@pytest.mark.parametrize("name", ["brush-dm", "quartic", "magic-formula"])
+def test_float32_process(name):
+    with jax.enable_x64(False):
+        result = forces(MODELS[name], TireInputs(np.array([0.0, 0.05]), 0.1, 4000.0))
+    assert result.fx.dtype == np.float32
+    assert np.isfinite(result.fx).all()
+
+
+@pytest.mark.parametrize(
+    "name", ["brush", "brush-d", "uniform", "quartic", "brush-m", "brush-m-peak"]
+)
+def test_full_sliding_is_kinetic_friction(name):
+    values = _values(MODELS[name])
+    m = values.get("m", 1.0)
+    mu = values.get("mu")
+    if mu is None:
+        mu = values["mu_peak"] * (3 - 2 * m) ** 2 / (4 - 3 * m)
+    result = forces(MODELS[name], TireInputs(LOCKED, 0.0, 4000.0))
+    # The uniform patch never slides entirely; it comes within 1e-8 at a locked wheel.
+    tolerance = 1e-7 if name == "uniform" else 1e-14
+    np.testing.assert_allclose(result.fx, m * mu * 4000.0, rtol=tolerance)
+
+
+def test_registry_has_all_spellings():
+    letters = {
+        level + speed for level in ("", "m") for speed in ("", "n", "ns", "h", "hs")
+    }
+    families = ["brush", "brush-d", "uniform", "quartic"]
+    spelled = {
+        family if not tail else f"{family}{'' if family == 'brush-d' else '-'}{tail}"
+        for family in families
+        for tail in letters
+    }
+    others = {"brush-m-peak", "brush-stribeck", "brush-stribeck-s", "magic-formula"}
+    assert set(MODELS) == spelled | others
+    assert len(MODELS) == 44

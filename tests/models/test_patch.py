@@ -1,0 +1,190 @@
+"""Every brush model against the numeric patch of ``numeric_patch``."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numeric_patch import holding_ratio, integrate_patch, reference_tire
+
+from tirefit.models import MODELS, TireInputs
+from tirefit.params import parameter_values, with_values
+
+BRUSHES = pytest.mark.parametrize("name", sorted(set(MODELS) - {"magic-formula"}))
+
+ASYMMETRIES = [-1 / 3, -0.3, -1e-8, -1e-12, 0.0, 1e-12, 1e-8, 0.4, 0.9, 1.0]
+KINETIC = [0.0, 0.35, 0.8, 1.0]
+# Demand ratio over that of full sliding (over 1 for the uniform law, where sliding
+# begins at 1/4): sticking, hardly sliding, partly, almost and entirely sliding.
+DEMAND = [1e-7, 1e-3, 0.05, 0.2, 0.249, 0.251, 0.5, 0.8, 0.97, 0.999, 1.001, 1.3, 30.0]
+
+
+def full_sliding(name, d):
+    """Demand ratio from which every bristle slides."""
+    family = name.partition("-")[0]
+    if family == "uniform":
+        return np.ones_like(d)
+    return holding_ratio(family, d, 1.0)
+
+
+def draw(name, seed, d, m, demand):
+    """Parameter values and inputs, (n,) each: given shape and demand, random rest."""
+    rng = np.random.default_rng(seed)
+    n = len(d)
+
+    def between(low, high):
+        return rng.uniform(low, high, n)
+
+    ranges = {
+        "cpa2": (1e5, 3e5), "mu": (0.7, 1.3), "mu_peak": (0.7, 1.3),
+        "half_length": (0.05, 0.15), "n": (-0.003, 0.006), "h": (0.2, 1.0),
+        "v_st": (3.0, 40.0), "exponent": (0.3, 2.5), "mu_c": (0.3, 0.7),
+    }  # fmt: skip
+    values = {}
+    for key in parameter_values(MODELS[name]):
+        values[key] = {"d": d, "m": m}[key] if key in "dm" else between(*ranges[key])
+    fz, v = between(1e3, 8e3), between(0.0, 25.0)
+    mu = values.get("mu", 1.0)
+    slip = demand * full_sliding(name, d * ("d" in values)) * mu * fz / values["cpa2"]
+    sign_x = np.where(rng.random(n) < 0.5, -1.0, 1.0)
+    sigma_x = slip * np.where(slip < 0.8, sign_x, 1.0)
+    alpha = np.arctan(slip) * np.where(rng.random(n) < 0.5, -1.0, 1.0)
+    return values, np.stack([sigma_x, alpha, fz, v])
+
+
+def evaluate(name, values, inputs):
+    """Forces, one set of values per sample."""
+    model = with_values(
+        MODELS[name], {key: jnp.asarray(val) for key, val in values.items()}
+    )
+    samples = TireInputs(*map(jnp.asarray, inputs))
+    return jax.vmap(lambda tire, sample: tire(sample))(model, samples)
+
+
+def worst_errors(name, values, inputs):
+    """Largest relative error of fx, fy, mz, and the breakaway points of the patches."""
+    result = evaluate(name, values, inputs)
+    rows = []
+    for i, sample in enumerate(inputs.T):
+        at = {key: float(value[i]) for key, value in values.items()}
+        along, across = reference_tire(name, at, *sample)
+        side, ahead = np.sign(sample[1]), np.sign(sample[0])
+        rows.append(
+            [
+                (result.fx[i] - ahead * along.force) / along.force_scale,
+                (result.fy[i] - side * across.force) / across.force_scale,
+                (result.mz[i] - side * across.moment) / across.moment_scale,
+                along.breakaway,
+            ]
+        )
+    rows = np.array(rows)
+    return np.abs(rows[:, :3]).max(axis=0), rows[:, 3]
+
+
+@BRUSHES
+def test_force_and_moment_of_the_patch(name):
+    demand, d, m = (
+        axis.ravel() for axis in np.meshgrid(DEMAND, ASYMMETRIES[::3], KINETIC)
+    )
+    seed = sorted(MODELS).index(name)
+    values, inputs = draw(name, seed, d, m, demand)
+    worst, breakaway = worst_errors(name, values, inputs)
+    assert (worst < 1e-9).all(), worst
+    partly = np.abs(breakaway) < 1 - 1e-9
+    assert partly.sum() > 50  # the grid reaches every regime
+    if name.startswith("uniform"):
+        assert (breakaway == -1).sum() > 30
+    else:
+        assert (breakaway == 1).sum() > 30
+
+
+@pytest.mark.parametrize("name", ["brush-d", "brush-dm", "brush-dmns"])
+def test_all_asymmetries(name):
+    demand, d, m = (
+        axis.ravel() for axis in np.meshgrid(DEMAND, ASYMMETRIES, KINETIC[1::2])
+    )
+    values, inputs = draw(name, 7, d, m, demand)
+    worst, _ = worst_errors(name, values, inputs)
+    assert (worst < 1e-9).all(), worst
+
+
+def test_static_friction_decides_the_breakaway():
+    """The reference is no copy of the answer: S(12) and the printed numbers."""
+    patch = integrate_patch("brush", 0.0, 5e4, 1.0, 1.0, 3600.0, 0.05)
+    x = 5e4 * 0.05
+    closed = 2 * x - 4 / 3 * x**2 / 3600 + 8 / 27 * x**3 / 3600**2
+    np.testing.assert_allclose(patch.force, closed, rtol=1e-13)
+    lower = integrate_patch("brush", 0.0, 5e4, 1.0, 0.7, 3600.0, 0.05)
+    assert lower.breakaway == patch.breakaway
+    assert lower.force < patch.force
+
+
+@pytest.mark.parametrize("name", ["brush", "brush-d", "uniform", "quartic"])
+def test_constant_friction_takes_the_smaller_of_need_and_limit(name):
+    """For mu_k = mu_s each of 200,000 bristles gives min(need, limit)."""
+    n = 200_000
+    xi = -1 + (2 * np.arange(n) + 1) / n
+    family = name.partition("-")[0]
+    demand = np.array([0.1, 0.3, 0.7, 0.95, 1.5])
+    d = np.array([-0.3, 0.1, 0.6, 0.9, 0.2]) * (name == "brush-d")
+    values, inputs = draw(name, 3, d, np.ones(5), demand)
+    result = evaluate(name, values, inputs)
+    for i in range(5):
+        slip, load = np.tan(abs(inputs[1, i])), values["mu"][i] * inputs[2, i]
+        need = values["cpa2"][i] * slip * (1 - xi)
+        limit = load * holding_ratio(family, d[i], xi) * (1 - xi)
+        each = np.minimum(need, limit) * 2 / n
+        side = np.sign(inputs[1, i])
+        arm = values["half_length"][i]
+        np.testing.assert_allclose(result.fy[i], side * each.sum(), rtol=1e-9)
+        np.testing.assert_allclose(
+            result.mz[i], side * arm * (xi * each).sum(), rtol=0, atol=1e-9 * load * arm
+        )
+
+
+def smooth_samples(name, seed, n=400):
+    """Random samples away from the kinks: sticking ends, full sliding begins, rest."""
+    rng = np.random.default_rng(seed)
+    demand = rng.choice([rng.uniform(0.1, 0.23, n), rng.uniform(0.27, 0.8, n)])
+    demand = np.where(rng.random(n) < 0.2, rng.uniform(1.6, 3.0, n), demand)
+    values, inputs = draw(name, seed, rng.uniform(-0.3, 0.95, n), rng.random(n), demand)
+    inputs[3] += 2.0
+    return values, inputs
+
+
+@BRUSHES
+def test_gradient_is_the_central_difference(name):
+    """One parameter or input per sample, in turn, with a five-point stencil."""
+    values, inputs = smooth_samples(name, 11)
+    names = [*values, "sigma_x", "alpha", "fz", "v"]
+    table = np.stack([*values.values(), *inputs])
+    n = table.shape[1]
+    which = np.arange(n) % len(names)
+    direction = (np.arange(len(names))[:, None] == which) * 1.0
+    step = 1e-3 * np.maximum(np.abs(table), 1e-3)
+
+    def outputs(columns):
+        model = with_values(MODELS[name], dict(zip(values, columns, strict=False)))
+        return jnp.stack(model(TireInputs(*columns[len(values) :])))
+
+    def moved(by):
+        return np.asarray(jax.vmap(outputs)(jnp.asarray((table + by * step).T)))
+
+    shifts = [k * direction for k in (-2, -1, 1, 2)]
+    far_back, back, ahead, far = (moved(by) for by in shifts)
+    size = (direction * step).sum(axis=0)[:, None]
+    difference = (8 * (ahead - back) - (far - far_back)) / (12 * size)
+    _, tangent = jax.jvp(
+        jax.vmap(outputs), (jnp.asarray(table.T),), (jnp.asarray(direction.T),)
+    )
+    # Elasticity: the change for a change of the parameter by its own size.
+    load = inputs[2] * np.array([[1.0], [1.0], [0.1]])
+    error = np.abs(tangent - difference) * (1e3 * size) / load.T
+    worst = {key: error[which == i].max() for i, key in enumerate(names)}
+    assert max(worst.values()) < 1e-7, worst
+    moves = np.abs(difference) * (1e3 * size) / load.T
+    idle = [key for i, key in enumerate(names) if moves[which == i].max() < 1e-5]
+    assert idle == ([] if needs_v(name) else ["v"])
+
+
+def needs_v(name):
+    return "n" in name[5:] or "h" in name[5:] or "stribeck" in name

@@ -1,0 +1,375 @@
+"""What data must satisfy: row by row, and as a whole.
+
+A rule on rows yields :class:`BadRows`, which become errors or masked rows. Checks of
+the whole (signs, constant slip, missing columns) yield problems that stand even when
+bad rows are masked.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.data.columns import is_number
+from tirefit.results import Problem
+from tirefit.slip import (
+    CONVENTIONS,
+    LOCKED,
+    SLIP_DEFINITIONS,
+    slip_ratio_from_sigma,
+)
+
+__all__ = [
+    "BadRows",
+    "check_columns",
+    "check_rolling_radius",
+    "check_signs",
+    "check_variation",
+    "has_decimal_comma",
+    "list_problems",
+    "range_faults",
+    "read_numbers",
+]
+
+SHOWN = 5
+"""Rows of one fault that are listed one by one before the rest is summed up."""
+
+_NEARLY_ONE = 1 + 1e-6
+_LOWEST_SIGMA = -1.05
+_CORRECT = "correct the row, or mask bad rows with --mask-bad-rows"
+
+
+class BadRows(NamedTuple):
+    """Rows that break one rule in one column.
+
+    ``values`` holds, per row, what stands there; value and ``rule`` make the reason.
+    ``is_systematic``: where most rows break it the column is wrong, not its rows.
+    """
+
+    column: str | None
+    rows: Sequence[int]
+    values: Sequence[str]
+    rule: str
+    remedy: str = _CORRECT
+    is_systematic: bool = False
+
+
+class Rule(NamedTuple):
+    """A range rule: which values of a canonical column are bad, and why."""
+
+    column: str
+    is_bad: Callable[[np.ndarray], np.ndarray]
+    rule: str
+    remedy: str
+
+
+def _slip_rule(name: str) -> Rule:
+    return Rule(
+        name,
+        lambda slip: abs(slip) > _NEARLY_ONE,
+        f"is out of the physical range: |{name}| <= 1",
+        f"if the column is in percent: --unit {name}=%; if it is defined otherwise:"
+        " --slip sigma_x or --slip slip_ratio; " + _CORRECT,
+    )
+
+
+def _angle_rule(name: str) -> Rule:
+    return Rule(
+        name,
+        lambda angle: abs(angle) > np.pi / 2,
+        f"is out of range: |{name}| <= pi/2 rad",
+        f"if the column is in degrees: --unit {name}=deg; " + _CORRECT,
+    )
+
+
+_RULES = (
+    Rule(
+        "sigma_x",
+        lambda sigma: (abs(sigma) > 5) & (sigma < LOCKED),
+        "is out of the physical range: |sigma_x| <= 5",
+        "if the column is in percent: --unit sigma_x=%; if it is v_sx/v_x:"
+        " --slip kappa; " + _CORRECT,
+    ),
+    Rule(
+        "sigma_x",
+        lambda sigma: (sigma < _LOWEST_SIGMA) & (sigma >= -5),
+        "is below -1, where the wheel would have to travel backwards",
+        "if driving slip is positive in the file: --convention iso-w, sae or"
+        " adapted-sae; " + _CORRECT,
+    ),
+    *(_slip_rule(name) for name in SLIP_DEFINITIONS if name != "sigma_x"),
+    _angle_rule("alpha"),
+    _angle_rule("gamma"),
+    Rule("fz", lambda load: load <= 0, "is not a load: fz > 0 is needed", _CORRECT),
+    Rule("v", lambda speed: speed < 0, "is a negative speed", _CORRECT),
+    Rule("pressure", lambda p: p <= 0, "is not a pressure: > 0 is needed", _CORRECT),
+)
+
+
+def range_faults(
+    columns: Mapping[str, np.ndarray],
+    shown: Mapping[str, np.ndarray],
+    headers: Mapping[str, str],
+    convention: str,
+) -> list[BadRows]:
+    """Rows outside the physical range, by column.
+
+    Args:
+        columns: (n,) arrays in canonical units and signs; the slip under the name of
+            its definition. NaN is never out of range.
+        shown: the same columns as the file has them, for the messages.
+        headers: the file's own name of each column.
+        convention: the one the file is read in.
+    """
+    faults = []
+    for rule in _rules_for(columns):
+        values = columns[rule.column]
+        rows = np.flatnonzero(rule.is_bad(values))
+        if not len(rows):
+            continue
+        text, remedy = rule.rule, rule.remedy
+        if rule.column == "fz" and np.all(values[np.isfinite(values)] <= 0):
+            text, remedy = _load_hint(text, convention)
+        raw = [f"{value:.6g}" for value in shown[rule.column][rows]]
+        header = headers.get(rule.column, f"--constant {rule.column}")
+        faults.append(BadRows(header, rows, raw, text, remedy, is_systematic=True))
+    return faults
+
+
+def _rules_for(columns: Mapping[str, np.ndarray]) -> list[Rule]:
+    text = "is not a standard deviation: > 0 is needed"
+    stds = [
+        Rule(name, lambda std: std <= 0, text, _CORRECT)
+        for name in columns
+        if name.endswith("_std")
+    ]
+    return [rule for rule in _RULES if rule.column in columns] + stds
+
+
+def _load_hint(text: str, convention: str) -> tuple[str, str]:
+    sign = CONVENTIONS[convention].fz
+    look = "SAE (z down: loads are negative)" if sign > 0 else "z up (loads positive)"
+    fitting = [name for name, other in CONVENTIONS.items() if other.fz != sign]
+    return (
+        f"{text}; the file looks like {look}, but is read as {convention!r}",
+        f"declare the convention: --convention {' or '.join(fitting)}",
+    )
+
+
+def list_problems(
+    faults: Sequence[BadRows], lines: np.ndarray, file: str
+) -> tuple[list[Problem], list[Problem]]:
+    """Problems of bad rows, the first few of a kind one by one, the rest summed up.
+
+    Args:
+        faults: what was found.
+        lines: (n,) line of the file of each row.
+        file: named in the problems.
+
+    Returns:
+        Problems of single rows, and problems of whole columns (most rows are bad),
+        which masking cannot cure.
+    """
+    of_rows, of_columns = [], []
+    for fault in faults:
+        count = len(fault.rows)
+        rule, remedy, column = fault.rule, fault.remedy, fault.column
+        if fault.is_systematic and count > max(1, len(lines) / 2):
+            remedy = remedy.removesuffix(_CORRECT).removesuffix("; ")
+            remedy = remedy or "check the column's unit, sign and meaning"
+            first = f"{fault.values[0]} in row {lines[fault.rows[0]]}"
+            reason = f"{count} of {len(lines)} rows ({first}, ...): {rule}"
+            of_columns.append(Problem(reason, remedy, file, column=column))
+            continue
+        for row, value in list(zip(fault.rows, fault.values, strict=True))[:SHOWN]:
+            line = int(lines[row])
+            of_rows.append(Problem(f"{value} {rule}", remedy, file, line, column))
+        if count > SHOWN:
+            reason = f"and {count - SHOWN} more rows with the same fault: {rule}"
+            of_rows.append(Problem(reason, remedy, file, column=column))
+    return of_rows, of_columns
+
+
+def check_columns(columns, headers: Sequence[str], file: str) -> list[Problem]:
+    """What every fit needs: a slip, a force, the load; ``columns`` are those there."""
+    problems = []
+    found = ", ".join(repr(header) for header in headers)
+    if len(headers) == 1:
+        found += " only; separate columns by comma, semicolon, tab or |"
+    if "alpha" not in columns and not set(SLIP_DEFINITIONS) & set(columns):
+        remedy = f"name one, as in --column kappa=HEADER; columns found: {found}"
+        if {"omega", "v"} <= set(columns):
+            remedy = "give --rolling-radius R [m] to compute it from omega and v"
+        reason = "no slip: one of sigma_x, kappa, s, slip_ratio, alpha is needed"
+        problems.append(Problem(reason, remedy, file))
+    if not {"fx", "fy", "mz"} & set(columns):
+        remedy = f"name one, as in --column fx=HEADER; columns found: {found}"
+        reason = "no force: one of fx, fy, mz is needed"
+        problems.append(Problem(reason, remedy, file))
+    if "fz" not in columns:
+        remedy = "name it with --column fz=HEADER, or give --constant fz=4000 [N]"
+        problems.append(Problem("no load: fz is needed", remedy, file))
+    return problems
+
+
+def check_variation(columns: Mapping[str, np.ndarray], file: str) -> list[Problem]:
+    """A slip that never changes says nothing about a slip curve."""
+    slips = [name for name in ("sigma_x", "alpha") if name in columns]
+    spread = [np.ptp(columns[name]) if len(columns[name]) else 0.0 for name in slips]
+    if not slips or max(spread) > 1e-9:
+        return []
+    value = ", ".join(f"{name} = {columns[name][0]:.6g}" for name in slips)
+    remedy = "a fit needs rows at several slips: check that the right column is read"
+    return [Problem(f"constant slip ({value} in all used rows)", remedy, file)]
+
+
+def check_signs(
+    columns: Mapping[str, np.ndarray],
+    headers: Mapping[str, str],
+    convention: str,
+    file: str,
+) -> list[Problem]:
+    """Slip and force oppose in canonical signs: their correlation must not be < 0.
+
+    Args:
+        columns: (n,) canonical columns, used rows only.
+        headers: the file's own name of each column.
+        convention: the one the file was read in.
+        file: named in the problems.
+    """
+    pairs = []
+    if {"sigma_x", "fx"} <= columns.keys():
+        bounded = slip_ratio_from_sigma(columns["sigma_x"])
+        pairs.append(("slip", "sigma_x", "fx", _trend(bounded, columns["fx"], 0.005)))
+    if {"alpha", "fy"} <= columns.keys():
+        trend = _trend(columns["alpha"], columns["fy"], np.radians(0.5))
+        pairs.append(("alpha", "alpha", "fy", trend))
+    wrong = [pair for pair in pairs if pair[3] < 0]
+    if not wrong:
+        return []
+    fitting = _fitting_conventions(pairs, convention)
+    problems = []
+    for field, slip, force, _ in wrong:
+        names = f"{headers.get(slip, slip)!r} and {headers.get(force, force)!r}"
+        reason = (
+            f"signs contradict the convention {convention!r}: {names} have"
+            f" {_relation(convention, field, force)} signs there, the data have not"
+        )
+        remedy = f"if the sign of one column differs, flip it: --unit {force}=-N"
+        if fitting:
+            remedy = f"these signs fit --convention {' or '.join(fitting)}; {remedy}"
+        problems.append(Problem(reason, remedy, file, column=headers.get(force, force)))
+    return problems
+
+
+def _relation(convention: str, field: str, force: str) -> str:
+    signs = CONVENTIONS[convention]
+    return "equal" if getattr(signs, field) == getattr(signs, force) else "opposite"
+
+
+def _trend(x: np.ndarray, y: np.ndarray, least: float) -> int:
+    """Sign of a clear straight line through zero; 0 where there is none.
+
+    Clear: correlation beyond 0.25, t beyond 5, and x reaching ``least`` at all.
+    """
+    energy = np.sum(x * x) * np.sum(y * y)
+    if len(x) < 3 or energy == 0 or np.max(abs(x)) < least:
+        return 0
+    correlation = np.clip(np.sum(x * y) / np.sqrt(energy), -1, 1)
+    unexplained = max(1 - correlation**2, 1e-12)
+    t = correlation * np.sqrt((len(x) - 1) / unexplained)
+    return int(np.sign(correlation)) if abs(t) > 5 and abs(correlation) > 0.25 else 0
+
+
+def _fitting_conventions(pairs, convention: str) -> list[str]:
+    """Conventions in which every pair's trend, and the load, come out positive."""
+    read = CONVENTIONS[convention]
+    fitting = []
+    for name, other in CONVENTIONS.items():
+        trends = [
+            getattr(read, field)
+            * getattr(other, field)
+            * getattr(read, force)
+            * getattr(other, force)
+            * trend
+            for field, _, force, trend in pairs
+        ]
+        if other.fz == read.fz and all(trend >= 0 for trend in trends):
+            fitting.append(name)
+    return fitting
+
+
+def check_rolling_radius(
+    given: np.ndarray, computed: np.ndarray, header: str, file: str
+) -> list[Problem]:
+    """Physical slip of a column against (v - omega R) / (omega R), both (n,)."""
+    given, computed = slip_ratio_from_sigma(given), slip_ratio_from_sigma(computed)
+    limit = max(0.01, 0.2 * np.std(given))
+    apart = np.median(abs(given - computed))
+    if not apart > limit:
+        return []
+    remedy = "check the rolling radius, the slip definition (--slip) and the units"
+    if np.median(abs(-given - computed)) < limit:
+        remedy = "the slip has the opposite sign: declare the file's --convention"
+    reason = (
+        f"the slip contradicts (v - omega R)/(omega R): they differ by {apart:.3g}"
+        " in the median"
+    )
+    return [Problem(reason, remedy, file, column=header)]
+
+
+def has_decimal_comma(columns) -> bool:
+    """Commas in the cells, and no number that is written with a point."""
+    columns = [cells for cells in columns if not isinstance(cells, np.ndarray)]
+    if not any("," in "".join(cells) for cells in columns):
+        return False
+    return not any(
+        "." in cell and is_number(cell) for cells in columns for cell in cells
+    )
+
+
+def read_numbers(cells, header: str, ragged: np.ndarray):
+    """Numbers of a column of cells, and the faulty ones.
+
+    Args:
+        cells: n strings, or an (n,) array of numbers.
+        header: named in the faults.
+        ragged: (n,) bool, rows already known to be bad.
+
+    Returns:
+        float64 (n,) with NaN for every fault, and the faults by kind.
+    """
+    if isinstance(cells, np.ndarray):
+        values = cells.astype(float)
+    else:
+        try:
+            # float() accepts 1_000, which no measuring system writes
+            if "_" in "".join(cells):
+                raise ValueError
+            values = np.fromiter(map(float, cells), float, len(cells))
+        except ValueError:
+            parsed = [float(cell) if is_number(cell) else np.nan for cell in cells]
+            values = np.array(parsed, float)
+    kinds: dict[str, list[tuple[int, str]]] = {}
+    for row in np.flatnonzero(~np.isfinite(values) & ~ragged):
+        shown, kind = _fault_of(str(cells[row]))
+        kinds.setdefault(kind, []).append((int(row), shown))
+    faults = [
+        BadRows(header, *zip(*found, strict=True), kind)
+        for kind, found in kinds.items()
+    ]
+    return np.where(np.isfinite(values), values, np.nan), faults
+
+
+def _fault_of(cell: str) -> tuple[str, str]:
+    """How a cell without a finite number is shown, and what is wrong with it."""
+    text = cell.strip()
+    if not text:
+        return "an empty cell", "where a number is needed"
+    word = text.lstrip("+-").casefold()
+    if word in ("inf", "infinity") or is_number(text):
+        return text, "is infinite"
+    if word == "nan":
+        return text, "is not a number"
+    shown = text if len(text) <= 30 else text[:27] + "..."
+    return repr(shown), "is text where a number is needed"

@@ -1,0 +1,411 @@
+"""Which column of a file is which: declared by the user, or inferred and said."""
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from tirefit.data.table import CANONICAL
+from tirefit.data.units import (
+    Unit,
+    base_column,
+    dimension_of,
+    known_unit,
+    resolve_unit,
+)
+from tirefit.results import DataError, Problem, UsageError
+from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
+
+__all__ = [
+    "Column",
+    "Options",
+    "Plan",
+    "find_header",
+    "guess",
+    "is_number",
+    "is_units_row",
+    "plan_columns",
+]
+
+_NAMES = {
+    "time": "time t elapsed elapsedtime et",
+    "sigma_x": "sigmax sigma σ σx physicalslip",
+    "kappa": "kappa κ lambda λ sr slip slipx longslip longitudinalslip practicalslip",
+    "s": "s",
+    "slip_ratio": "slipratio",
+    "alpha": "alpha α sa slipangle",
+    "omega": "omega ω wheelangularvelocity wheelangularspeed angularvelocity",
+    "fx": "fx forcex longforce longitudinalforce",
+    "fy": "fy forcey latforce lateralforce sideforce",
+    "fz": "fz forcez load wheelload verticalload normalload verticalforce normalforce",
+    "mz": "mz momentz aligningmoment aligningtorque selfaligningmoment"
+    " selfaligningtorque",
+    "v": "v vx speed velocity forwardspeed forwardvelocity",
+    "gamma": "gamma γ ia camber camberangle inclination inclinationangle",
+    "pressure": "pressure p inflationpressure tirepressure tyrepressure",
+    "temperature": "temperature temp tstc tiretemperature tyretemperature",
+    "run": "run runid runno runnumber",
+}
+_ALIASES = {alias: name for name, names in _NAMES.items() for alias in names.split()}
+
+_TTC_UNITS = {"V": "km/h", "SA": "deg", "IA": "deg", "P": "kPa", "TSTC": "degC"}
+_TTC_MARKS = {"ET", "IA", "RL", "RE", "TSTC", "AMBTMP", "NFX", "NFY"}
+
+_STD_WORDS = {"std", "sd", "stdev", "stddev"}
+_BRACKETED = re.compile(r"^(.*?)\s*[\[({<]([^\])}>]*)[\])}>]\s*$")
+_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
+DELIMITERS = "\t;|,"
+_SEPARATORS = r"[\s_/,:.\-]+"
+
+MEANING_OF_SLIP = {
+    "sigma_x": "v_sx / (Omega R_e)",
+    "kappa": "v_sx / v_x",
+    "s": "v_sx / |v|",
+    "slip_ratio": "v_sx / max(v_x, Omega R_e)",
+}
+
+
+class Options(NamedTuple):
+    """What the user declares about a file; see :func:`tirefit.data.read.read`."""
+
+    columns: Mapping[str, str]
+    units: Mapping[str, str]
+    convention: str | None
+    slip: str | None
+    constants: Mapping[str, float]
+    rolling_radius: float | None
+    mask_bad_rows: bool
+
+    def check(self) -> None:
+        """Raises UsageError with every option whose value is not a known one."""
+        named = [*CANONICAL, *(key for key in SLIP_DEFINITIONS if key != "sigma_x")]
+        readable = [*named, "run", *(f"{name}_std" for name in named)]
+        constant = [*CANONICAL, *(f"{name}_std" for name in CANONICAL)]
+        problems = [
+            *_unknown("--column", self.columns, readable),
+            *_unknown("--unit", self.units, [n for n in readable if n != "run"]),
+            *_unknown("--constant", self.constants, constant),
+            *_unknown("--convention", [self.convention], CONVENTIONS),
+            *_unknown("--slip", [self.slip], SLIP_DEFINITIONS),
+        ]
+        radius = self.rolling_radius
+        if radius is not None and not 0 < radius < float("inf"):
+            problems.append(
+                Problem(
+                    f"--rolling-radius {radius} is not a positive length",
+                    "give the effective rolling radius in metres",
+                )
+            )
+        for name, value in self.constants.items():
+            is_size = name in ("fz", "v", "pressure") or name.endswith("_std")
+            if not abs(value) < float("inf") or (is_size and value <= 0):
+                kind = "a positive" if is_size else "a finite"
+                reason = f"--constant {name}={value:g} is not {kind} number"
+                problems.append(Problem(reason, "give it in SI units and signs"))
+        if problems:
+            raise UsageError(problems)
+
+
+def _unknown(option: str, given, known) -> list[Problem]:
+    problems = []
+    for value in given:
+        if value is None or value in known:
+            continue
+        close = difflib.get_close_matches(str(value), known, n=1)
+        meant = f"did you mean {close[0]!r}? " if close else ""
+        remedy = f"{meant}valid: {', '.join(known)}"
+        problems.append(Problem(f"{option}: {value!r} is not known", remedy))
+    return problems
+
+
+class Guess(NamedTuple):
+    """What a header alone says: the column's name and, if stated, its unit."""
+
+    name: str
+    unit: str | None
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column to read: canonical ``name`` (or a slip definition), place, unit.
+
+    ``unit`` is None for ``run`` and where the stated unit was refused.
+    """
+
+    name: str
+    header: str
+    index: int
+    unit_text: str = ""
+    unit: Unit | None = None
+
+
+@dataclass
+class Plan:
+    """The columns to read, by name (the slip column under its definition)."""
+
+    columns: dict[str, Column] = field(default_factory=dict)
+    assumptions: list[str] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+
+    @property
+    def slip(self) -> str | None:
+        """Definition of the slip column, or None without one."""
+        return next((name for name in self.columns if name in SLIP_DEFINITIONS), None)
+
+
+def guess(header: str) -> Guess | None:
+    """Name and unit that a header states, or None: ``Fx_std_N`` is fx_std in N."""
+    bracketed = _BRACKETED.match(header)
+    text, unit = bracketed.groups() if bracketed else (header, None)
+    words = [word for word in re.split(_SEPARATORS, text.strip()) if word]
+    is_std = any(word.casefold() in _STD_WORDS for word in words)
+    words = [word for word in words if word.casefold() not in _STD_WORDS]
+    for count in range(len(words), 0, -1):
+        name = _ALIASES.get("".join(words[:count]).casefold())
+        suffix = "/".join(words[count:])
+        if name is None or (suffix and (unit is not None or not _fits(suffix, name))):
+            continue
+        stated = unit if unit is not None else suffix or None
+        if name == "run" and (is_std or stated is not None):
+            return None
+        return Guess(f"{name}_std" if is_std else name, stated)
+    return None
+
+
+def find_header(lines, searched, declared) -> tuple[int, str]:
+    """Index of the header line and the delimiter.
+
+    Some systems write a title first: the header is the first of the searched lines
+    with two recognised columns, or else simply the first.
+    """
+    declared = {header.strip().casefold() for header in declared}
+    for index in searched:
+        names = re.split(f"[{DELIMITERS}]", lines[index])
+        names = [name.strip().strip('"') for name in names]
+        known = [name.casefold() in declared or guess(name) for name in names]
+        if sum(map(bool, known)) >= 2:
+            break
+    else:
+        index = searched[0]
+    delimiter = max(DELIMITERS, key=lines[index].count)
+    first = lines[searched[0]].count(delimiter)
+    if first >= lines[index].count(delimiter):  # as wide: no title, but the header
+        index = searched[0]
+        delimiter = max(DELIMITERS, key=lines[index].count)
+    return index, delimiter
+
+
+def is_units_row(row: list[str], width: int) -> bool:
+    """No numbers, and at least half of what is there are common units."""
+    cells = [cell.strip() for cell in row]
+    stated = [cell for cell in cells if cell not in ("", "-")]
+    if len(row) != width or not stated or any(map(is_number, cells)):
+        return False
+    return sum(known_unit(cell) is not None for cell in stated) * 2 >= len(stated)
+
+
+def is_number(text: str) -> bool:
+    """Whether a cell is a plain decimal number (not nan, inf or 1_000)."""
+    return _NUMBER.fullmatch(text) is not None
+
+
+def _fits(suffix: str, name: str) -> bool:
+    """Whether the end of a header is a unit of that column (``1`` is a number)."""
+    unit = None if suffix == "1" or name == "run" else known_unit(suffix)
+    return unit is not None and unit.dimension == dimension_of(name)
+
+
+def _group(name: str) -> str:
+    """Names that stand for one quantity: all slip definitions are one group."""
+    if base_column(name) not in SLIP_DEFINITIONS:
+        return name
+    return "slip_std" if name.endswith("_std") else "slip"
+
+
+def plan_columns(
+    headers: Sequence[str],
+    units_row: Sequence[str] | None,
+    options: Options,
+    file: str,
+) -> Plan:
+    """Decides which columns to read, as what and in which unit.
+
+    Args:
+        headers: header of each column of the file, in its order.
+        units_row: the unit of each column from a row under the header, if there.
+        options: what the user declared.
+        file: named in the problems.
+
+    Returns:
+        The plan, with every problem found in it and every inference as a sentence.
+    """
+    plan = Plan()
+    declared = _declared(headers, options, plan, file)
+    inferred = _inferred(headers, declared, plan, file)
+    _drop_lonely_std(declared | inferred, inferred, headers, plan)
+    chosen = declared | inferred
+    _check_slip_std(chosen, headers, plan, file)
+    for name, index in chosen.items():
+        named = options.slip if options.slip and _group(name) == "slip" else name
+        unit_text, how = _unit_of(name, index, headers, units_row, options, chosen)
+        column = Column(named, headers[index], index, unit_text)
+        plan.columns[named] = _with_unit(column, plan, file)
+        _say(column, name in declared, how, plan)
+    _check_units_used(options, plan, file)
+    ignored = [h for i, h in enumerate(headers) if h and i not in chosen.values()]
+    if ignored:
+        plan.assumptions.append(f"columns not read: {', '.join(map(repr, ignored))}")
+    return plan
+
+
+def _declared(headers, options, plan, file) -> dict[str, int]:
+    found = {}
+    folded = [header.casefold() for header in headers]
+    for name, header in options.columns.items():
+        wanted = header.strip()
+        places = [i for i, h in enumerate(headers) if h == wanted]
+        places = places or [i for i, h in enumerate(folded) if h == wanted.casefold()]
+        if len(places) == 1:
+            found[name] = places[0]
+            continue
+        if places:
+            reason = f"the header occurs {len(places)} times"
+            remedy = "rename one of them in the file"
+        else:
+            close = difflib.get_close_matches(wanted, headers, n=1)
+            meant = f"did you mean {close[0]!r}? " if close else ""
+            reason = f"the file has no such column (declared as {name})"
+            remedy = f"{meant}columns found: {', '.join(map(repr, headers))}"
+        plan.problems.append(Problem(reason, remedy, file, column=header))
+    _refuse_shared(found, headers, plan, file)
+    return found
+
+
+def _refuse_shared(found, headers, plan, file) -> None:
+    """One header declared as two columns, or two slip columns declared, is a slip."""
+    names = list(found)
+    for place, name in enumerate(names):
+        others = [
+            other
+            for other in names[:place]
+            if (found[other] == found[name] or _group(other) == _group(name))
+        ]
+        if others:
+            reason = f"declared as {name} beside {others[0]}, which excludes it"
+            remedy = f"give only one of --column {name}= and --column {others[0]}="
+            header = headers[found[name]]
+            plan.problems.append(Problem(reason, remedy, file, column=header))
+
+
+def _inferred(headers, declared, plan, file) -> dict[str, int]:
+    taken = {_group(name) for name in declared}
+    by_group: dict[str, list[tuple[str, int]]] = {}
+    for index, header in enumerate(headers):
+        guessed = None if index in declared.values() else guess(header)
+        if guessed and _group(guessed.name) not in taken:
+            by_group.setdefault(_group(guessed.name), []).append((guessed.name, index))
+    for matches in by_group.values():
+        if len(matches) < 2:
+            continue
+        listed = " and ".join(repr(headers[index]) for _, index in matches)
+        name, index = matches[0]
+        reason = f"duplicate column: {listed} all mean {name}"
+        if len({match for match, _ in matches}) > 1:
+            names = " and ".join(match for match, _ in matches)
+            reason = f"duplicate column: {listed} are read as {names}, all of them slip"
+        remedy = f'choose one: columns.{name} = "{headers[index]}" or --column {name}='
+        if len({headers[index] for _, index in matches}) == 1:
+            remedy = "rename or remove one of them in the file"
+        plan.problems.append(Problem(reason, remedy, file, column=headers[index]))
+    # Of duplicates the first goes on, so that its cells are checked as well.
+    return dict(matches[0] for matches in by_group.values())
+
+
+def _drop_lonely_std(chosen, inferred, headers, plan) -> None:
+    groups = {_group(name) for name in chosen}
+    for name in list(inferred):
+        if name.endswith("_std") and _group(name).removesuffix("_std") not in groups:
+            header = headers[inferred.pop(name)]
+            owner = base_column(name)
+            plan.assumptions.append(f"column {header!r} not used: there is no {owner}")
+
+
+def _check_slip_std(chosen, headers, plan, file) -> None:
+    """The std of a slip must be of the slip's own definition to be converted."""
+    names = {_group(name): name for name in chosen}
+    slip, std = names.get("slip"), names.get("slip_std")
+    if slip and std and std != f"{slip}_std":
+        reason = f"read as {std}, but the slip column is {slip}"
+        remedy = f"declare both by one definition: --column {slip}_std= or --column"
+        remedy += f" {base_column(std)}="
+        header = headers[chosen[std]]
+        plan.problems.append(Problem(reason, remedy, file, column=header))
+
+
+def _is_ttc(headers: Sequence[str]) -> bool:
+    """Whether the headers are those of the Tire Test Consortium (Calspan)."""
+    names = set(headers)
+    return "FZ" in names and bool(names & {"SA", "SR"}) and bool(names & _TTC_MARKS)
+
+
+def _unit_of(name, index, headers, units_row, options, chosen) -> tuple[str, str]:
+    """Unit text of a column and, where it was not stated, how it was found."""
+    if name == "run":
+        return "", ""
+    guessed = guess(headers[index])
+    bracketed = _BRACKETED.match(headers[index])
+    in_header = guessed.unit if guessed else bracketed and bracketed.group(2)
+    declared = _declared_unit(name, options)
+    if declared is not None:
+        other = in_header not in (None, declared)
+        return declared, f" (declared; the header says {in_header!r})" if other else ""
+    if in_header is not None:
+        return in_header, ""
+    if units_row is not None and units_row[index].strip():
+        return units_row[index].strip().strip("[](){}"), " (units row)"
+    if _is_ttc(headers) and headers[index] in _TTC_UNITS:
+        return _TTC_UNITS[headers[index]], " (as in Tire Test Consortium files)"
+    if name.endswith("_std"):
+        owner = next(n for n in chosen if _group(n) == _group(name)[: -len("_std")])
+        text, _ = _unit_of(owner, chosen[owner], headers, units_row, options, chosen)
+        return text.removeprefix("-") or "-", f" (the unit of {owner})"
+    canonical = CANONICAL.get(name, ("-", ""))[0]
+    return canonical, "" if headers[index] == name else " (no unit stated)"
+
+
+def _declared_unit(name: str, options: Options) -> str | None:
+    """The declared unit; any name of a slip column stands for the slip column."""
+    same = [key for key in options.units if _group(key) == _group(name)]
+    return options.units[name if name in same else same[0]] if same else None
+
+
+def _with_unit(column: Column, plan: Plan, file: str) -> Column:
+    if column.name == "run":
+        return column
+    try:
+        return replace(column, unit=resolve_unit(column.unit_text, column.name))
+    except DataError as error:
+        for problem in error.problems:
+            where = replace(problem, file=file, column=column.header)
+            plan.problems.append(where)
+        return column
+
+
+def _say(column: Column, is_declared: bool, how: str, plan: Plan) -> None:
+    unit = f" in {column.unit_text}{how}" if column.name != "run" else ""
+    ending = ", as declared" if is_declared else ""
+    meaning = ""
+    if column.name in SLIP_DEFINITIONS and column.header.casefold() != column.name:
+        meaning = f" = {MEANING_OF_SLIP[column.name]}"
+    sentence = f"column {column.header!r} read as {column.name}{meaning}{unit}{ending}"
+    plan.assumptions.append(sentence)
+
+
+def _check_units_used(options: Options, plan: Plan, file: str) -> None:
+    groups = {_group(name) for name in plan.columns}
+    for name in options.units:
+        if _group(name) not in groups:
+            reason = f"a unit is declared for {name}, which the file does not have"
+            remedy = f"remove --unit {name}= or name the column with --column {name}="
+            plan.problems.append(Problem(reason, remedy, file, column=name))

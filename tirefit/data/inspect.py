@@ -1,0 +1,346 @@
+"""What a data set holds and which fits it supports: :func:`inspect`."""
+
+import dataclasses
+import math
+import textwrap
+from dataclasses import dataclass
+
+import numpy as np
+
+from tirefit.data.table import CANONICAL, TireData
+from tirefit.data.units import base_column
+from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
+
+__all__ = ["ColumnSummary", "Inspection", "Level", "RunSummary", "Support", "inspect"]
+
+_WIDTH = 80
+_VARIES = 0.2
+"""Relative spread from which a load or speed dependence can be told from noise."""
+
+
+@dataclass(frozen=True)
+class ColumnSummary:
+    """One column, min/median/max of its used rows in the canonical ``unit``."""
+
+    name: str
+    unit: str
+    header: str | None
+    file_unit: str | None
+    min: float
+    median: float
+    max: float
+
+
+@dataclass(frozen=True)
+class Level:
+    """Values that lie together, as a load or speed that was held: ``n`` rows."""
+
+    median: float
+    min: float
+    max: float
+    n: int
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """One run: its used rows, levels, slips and sampling.
+
+    ``slip`` maps sigma_x and alpha to (min, max); ``replicates`` is the number of
+    operating points measured more than once, 0 in a continuous sweep.
+    """
+
+    name: str
+    n: int
+    loads: tuple[Level, ...]
+    speeds: tuple[Level, ...]
+    slip: dict[str, tuple[float, float]]
+    directions: tuple[str, ...]
+    sampling_rate: float | None
+    replicates: int
+
+
+@dataclass(frozen=True)
+class Support:
+    """Whether the data can carry a fit, and why or why not."""
+
+    fit: str
+    possible: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What :func:`inspect` found; :meth:`text` prints it, :meth:`as_dict` is JSON."""
+
+    file: str
+    sha256: str
+    rows: int
+    used: int
+    convention: str
+    slip_definition: str
+    columns: tuple[ColumnSummary, ...]
+    runs: tuple[RunSummary, ...]
+    supports: tuple[Support, ...]
+    assumptions: tuple[str, ...]
+    masked: tuple[str, ...]
+
+    def as_dict(self) -> dict:
+        """Plain values only, fit for JSON: numbers that are not finite are None."""
+        return _plain(dataclasses.asdict(self))
+
+    def text(self) -> str:
+        """A plain-text report of at most 80 columns."""
+        hidden = self.rows - self.used
+        meaning = CONVENTIONS[self.convention].description
+        lines = [
+            *_wrap(f"{self.file}"),
+            f"  {self.rows} rows, {self.used} used, {hidden} masked",
+            *_wrap(f"convention {self.convention}: {meaning}"),
+            f"  slip column as {self.slip_definition}",
+            *([f"  sha256 {self.sha256}"] if self.sha256 else []),
+            "",
+            *_column_lines(self.columns),
+        ]
+        lines += ["", "runs", *(line for run in self.runs for line in _run_lines(run))]
+        lines += ["", "fits these data support"]
+        for support in self.supports:
+            answer = "yes" if support.possible else "no "
+            lines += _wrap(f"{answer} {support.fit}: {support.reason}", "      ")
+        lines += ["", "what was assumed"]
+        lines += [line for said in self.assumptions for line in _wrap(said)]
+        if self.masked:
+            lines += ["", "masked rows"]
+            lines += [line for why in self.masked for line in _wrap(why)]
+        return "\n".join(lines)
+
+
+def inspect(data: TireData) -> Inspection:
+    """Summarises data: ranges, runs, loads, speeds, and which fits they support."""
+    source = data.source
+    return Inspection(
+        file=source.path or data.name,
+        sha256=source.sha256,
+        rows=len(data),
+        used=data.n,
+        convention=source.convention,
+        slip_definition=source.slip_definition,
+        columns=tuple(_summarise(data, name) for name in data.columns),
+        runs=tuple(_inspect_run(data, code) for code in range(len(data.runs))),
+        supports=tuple(_supports(data)),
+        assumptions=source.assumptions,
+        masked=tuple(
+            str(dataclasses.replace(problem, remedy="", file=""))
+            for problem in source.masked
+        ),
+    )
+
+
+def _summarise(data: TireData, name: str) -> ColumnSummary:
+    values = data.usable(name)
+    ranges = (np.min(values), np.median(values), np.max(values)) if len(values) else ()
+    return ColumnSummary(
+        name,
+        CANONICAL[base_column(name)][0],
+        data.source.columns.get(name),
+        data.source.units.get(name),
+        *([float(value) for value in ranges] or [math.nan] * 3),
+    )
+
+
+def _inspect_run(data: TireData, code: int) -> RunSummary:
+    part = data.where(data.run == code)
+    slips = [name for name in ("sigma_x", "alpha") if name in part and part.n]
+    ranges = {}
+    for name in slips:
+        values = part.usable(name)
+        ranges[name] = (float(values.min()), float(values.max()))
+    return RunSummary(
+        name=data.runs[code],
+        n=part.n,
+        loads=_levels(part, "fz"),
+        speeds=_levels(part, "v"),
+        slip=ranges,
+        directions=tuple(_direction(name, *ranges[name]) for name in slips),
+        sampling_rate=_sampling_rate(part),
+        replicates=_replicates(part),
+    )
+
+
+def _levels(part: TireData, name: str, gap: float = 0.1) -> tuple[Level, ...]:
+    """Values sorted and cut where a step exceeds ``gap`` of the value before it."""
+    if name not in part or not part.n:
+        return ()
+    values = np.sort(part.usable(name))
+    cuts = np.flatnonzero(np.diff(values) > gap * np.abs(values[:-1])) + 1
+    return tuple(
+        Level(float(np.median(v)), float(v[0]), float(v[-1]), len(v))
+        for v in np.split(values, cuts)
+    )
+
+
+def _direction(name: str, low: float, high: float) -> str:
+    positive, negative = "+", "-"
+    if name == "sigma_x":  # bounded, so that a locked wheel does not dwarf driving
+        positive, negative = "braking", "driving"
+        low, high = slip_ratio_from_sigma(low), slip_ratio_from_sigma(high)
+    least = 0.01 * max(abs(low), abs(high))
+    if low >= -least and high <= least:
+        return f"{name} zero"
+    if low >= -least:
+        return f"{name} {positive} only"
+    if high <= least:
+        return f"{name} {negative} only"
+    return f"{name} both signs"
+
+
+def _sampling_rate(part: TireData) -> float | None:
+    """Samples per second from the median step in time, None without steps."""
+    if "time" not in part or part.n < 2:
+        return None
+    step = float(np.median(np.diff(part.usable("time"))))
+    return 1 / step if step > 0 else None
+
+
+def _replicates(part: TireData) -> int:
+    """Operating points measured at least twice.
+
+    Points are told apart by gaps of 1 % of each slip's range and by load level; a
+    continuous sweep has no gaps, so it counts as one point and is not replicated.
+    """
+    slips = [name for name in ("sigma_x", "alpha") if name in part]
+    if not slips or part.n < 6:
+        return 0
+    points = []
+    for name in slips:
+        values = part.usable(name)
+        bounded = slip_ratio_from_sigma(values) if name == "sigma_x" else values
+        points.append(_cluster(bounded, 0.01 * np.ptp(bounded)))
+    points.append(_cluster(np.log(part.usable("fz")), 0.1))
+    _, counts = np.unique(np.stack(points), axis=1, return_counts=True)
+    return int(np.sum(counts >= 2)) if len(counts) >= 3 else 0
+
+
+def _cluster(values: np.ndarray, gap: float) -> np.ndarray:
+    """Number (n,) of the group of each value; groups are more than ``gap`` apart."""
+    order = np.argsort(values)
+    steps = np.diff(values[order], prepend=values[order[:1]]) > gap
+    groups = np.empty(len(values), int)
+    groups[order] = np.cumsum(steps)
+    return groups
+
+
+def _supports(data: TireData) -> list[Support]:
+    supports = [
+        _force_support(data, force, slip)
+        for force, slip in (("fx", "sigma_x"), ("fy", "alpha"), ("mz", "alpha"))
+    ]
+    supports.append(_combined_support(data))
+    supports.append(_spread_support(data, "v", "speed-dependent friction"))
+    supports.append(_spread_support(data, "fz", "load dependence"))
+    for fit, names in (
+        ("errors in slip", ["sigma_x_std"]),
+        ("a noise level that is known", ["fx_std", "fy_std", "mz_std"]),
+    ):
+        have = [name for name in names if name in data]
+        reason = f"{', '.join(have)} is there" if have else f"no {' or '.join(names)}"
+        supports.append(Support(fit, bool(have), reason))
+    return supports
+
+
+def _force_support(data: TireData, force: str, slip: str) -> Support:
+    fit = f"{force} from {slip}"
+    missing = [name for name in (force, slip) if name not in data]
+    if missing:
+        return Support(fit, False, f"no {' and no '.join(missing)}")
+    values = data.usable(slip)
+    if not data.n or np.ptp(values) < 1e-9:
+        return Support(fit, False, f"{slip} is constant")
+    distinct = len(np.unique(np.round(values, 9)))
+    return Support(fit, True, f"{data.n} rows, {distinct} different values of {slip}")
+
+
+def _combined_support(data: TireData) -> Support:
+    fit = "combined slip"
+    if not {"sigma_x", "alpha", "fx", "fy"} <= data.columns.keys():
+        return Support(fit, False, "needs sigma_x, alpha, fx and fy")
+    both = np.sum(
+        (abs(data.usable("sigma_x")) > 0.01) & (abs(data.usable("alpha")) > 0.01)
+    )
+    reason = f"{both} rows have both slips beyond 0.01"
+    return Support(fit, bool(both >= 10), reason)
+
+
+def _spread_support(data: TireData, name: str, fit: str) -> Support:
+    if name not in data:
+        return Support(fit, False, f"no {name}")
+    values = data.usable(name)
+    if not len(values):
+        return Support(fit, False, "no usable rows")
+    low, middle, high = np.percentile(values, [2.5, 50, 97.5])
+    spread = (high - low) / abs(middle) if middle else 0.0
+    unit = CANONICAL[name][0]
+    reason = f"{name} from {low:.4g} to {high:.4g} {unit}"
+    if spread <= _VARIES:
+        reason += f": less than {_VARIES:.0%} apart"
+    return Support(fit, bool(spread > _VARIES), reason)
+
+
+def _wrap(text: str, indent: str = "    ") -> list[str]:
+    return textwrap.wrap(
+        text, _WIDTH, initial_indent="  ", subsequent_indent=indent
+    ) or [""]
+
+
+def _column_lines(columns) -> list[str]:
+    lines = [
+        f"{'column':<16}{'unit':<7}{'min':>11}{'median':>11}{'max':>11}  read from"
+    ]
+    for c in columns:
+        header = c.header if c.header is not None else "(declared or computed)"
+        if c.file_unit and c.file_unit != c.unit:
+            header += f", {c.file_unit}"
+        numbers = f"{c.min:>11.4g}{c.median:>11.4g}{c.max:>11.4g}"
+        start = f"{c.name:<16}{c.unit:<7}{numbers}  "
+        lines.append(
+            start + textwrap.shorten(header, _WIDTH - len(start), placeholder=".")
+        )
+    return lines
+
+
+def _run_lines(run: RunSummary) -> list[str]:
+    parts = [f"{run.n} rows", *run.directions]
+    if run.sampling_rate:
+        parts.append(f"{run.sampling_rate:.4g} Hz")
+    if run.replicates:
+        parts.append(f"{run.replicates} operating points replicated")
+    lines = _wrap(f"{run.name}: {', '.join(parts)}")
+    for word, levels, unit in (
+        ("loads", run.loads, "N"),
+        ("speeds", run.speeds, "m/s"),
+    ):
+        if levels:
+            lines += _wrap(
+                f"  {word}: {', '.join(_level_text(x, unit) for x in levels)}"
+            )
+    return lines
+
+
+def _level_text(level: Level, unit: str) -> str:
+    scale, prefix = (1e-3, "k") if unit == "N" and level.median >= 1000 else (1.0, "")
+    middle = level.median * scale
+    text = f"{middle:#.2g}" if middle < 10 else f"{middle:.3g}"
+    text = f"{text} {prefix}{unit} (n={level.n})"
+    if level.max - level.min > _VARIES * abs(level.median):
+        text += f" from {level.min * scale:.3g} to {level.max * scale:.3g}"
+    return text
+
+
+def _plain(value):
+    """Tuples to lists and numbers that JSON cannot hold to None, at any depth."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,527 @@
+"""Files and frames in, canonical checked data out: :func:`read`, :func:`read_frame`.
+
+Every problem found is reported at once, each with its place and a remedy; what had to
+be assumed is kept as sentences in ``Source.assumptions``.
+"""
+
+import codecs
+import csv
+import difflib
+import gzip
+import hashlib
+import io
+import itertools
+import re
+import zlib
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from tirefit.data import check
+from tirefit.data.check import BadRows
+from tirefit.data.columns import (
+    Options,
+    Plan,
+    find_header,
+    is_number,
+    is_units_row,
+    plan_columns,
+)
+from tirefit.data.table import CANONICAL, Source, TireData
+from tirefit.data.units import (
+    SPINNING,
+    base_column,
+    sigma_derivative,
+    sign_of,
+    slip_from_speeds,
+    slip_to_sigma,
+)
+from tirefit.results import DataError, Problem
+from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
+
+__all__ = ["read", "read_frame", "require"]
+
+_SEARCHED = 10
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells of a file or frame before their meaning is known.
+
+    ``cells`` holds per column n strings or an (n,) number array; ``ragged`` (n,) bool
+    marks rows without the header's number of fields, ``lines`` (n,) their lines.
+    """
+
+    file: str
+    name: str
+    headers: list[str]
+    cells: list
+    lines: np.ndarray
+    ragged: np.ndarray
+    header_line: int | None = None
+    delimiter: str = ""
+    units_row: list[str] | None = None
+    sha256: str = ""
+    notes: tuple[str, ...] = ()
+    faults: tuple[BadRows, ...] = ()
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        beside = path.parent.iterdir() if path.parent.is_dir() else ()
+        close = difflib.get_close_matches(path.name, [p.name for p in beside], n=1)
+        remedy = f"did you mean {close[0]!r}?" if close else "check the path"
+        raise _refusal("the file does not exist", remedy, path) from None
+    except OSError as error:
+        reason = f"the file cannot be read: {error.strerror}"
+        raise _refusal(reason, "check the path and its permissions", path) from error
+
+
+def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataError:
+    return DataError(Problem(reason, remedy, str(path), row))
+
+
+def _decode(raw: bytes, path: Path) -> tuple[str, list[str]]:
+    """Text of the file, gunzipped, and what was assumed of its encoding."""
+    if raw.startswith(b"\x1f\x8b"):
+        try:
+            raw = gzip.decompress(raw)
+        except (OSError, EOFError, zlib.error) as error:
+            reason = f"the gzip file is damaged: {error}"
+            raise _refusal(reason, "copy or compress it again", path) from error
+    export = "give a text file: CSV, semicolon- or tab-separated, or such as .gz"
+    if raw.startswith(b"PK\x03\x04"):
+        reason = "not a text file but a zip archive or spreadsheet"
+        raise _refusal(reason, "export the sheet as CSV", path)
+    try:
+        if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            return raw.decode("utf-16"), ["read as UTF-16"]
+        text, notes = raw.decode("utf-8-sig"), []
+    except UnicodeDecodeError as error:
+        if error.encoding.startswith("utf-16"):
+            raise _refusal("not a text file: broken UTF-16", export, path) from error
+        text, notes = raw.decode("latin-1"), ["not UTF-8: read as Latin-1"]
+    if re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text):
+        raise _refusal("not a text file: it holds binary data", export, path)
+    return text, notes
+
+
+def _read_table(path: Path, declared: Collection[str]) -> Table:
+    """Reads a text file into cells; ``declared`` headers help to find the header."""
+    raw = _read_bytes(path)
+    text, notes = _decode(raw, path)
+    lines = [
+        "\n" if line.lstrip().startswith("#") or not line.strip() else line
+        for line in io.StringIO(text, newline="")
+    ]
+    content = (i for i, line in enumerate(lines) if line != "\n")
+    searched = list(itertools.islice(content, _SEARCHED))
+    if not searched:
+        raise _refusal("the file is empty", "give a header line and data rows", path)
+    start, delimiter = find_header(lines, searched, declared)
+    if start != searched[0]:
+        notes.append(f"lines before the header in line {start + 1} skipped")
+    rows, numbers = _split(lines[start:], delimiter, start, path)
+    headers, rows, numbers = [cell.strip() for cell in rows[0]], rows[1:], numbers[1:]
+    if all(is_number(cell) for cell in headers):
+        reason = "the first line holds numbers, not column names"
+        remedy = "add a header line such as kappa,fx,fz, without a # before it"
+        raise _refusal(reason, remedy, path, start + 1)
+    units_row = None
+    if rows and is_units_row(rows[0], len(headers)):
+        units_row, rows, numbers = rows[0], rows[1:], numbers[1:]
+        notes.append(f"row {start + 2} read as units")
+    if not rows:
+        reason = "there are no data rows below the header"
+        raise _refusal(reason, "give at least as many rows as parameters", path)
+    ragged, faults = _even_out(rows, len(headers))
+    stem = path.name.removesuffix(".gz")
+    return Table(
+        str(path), Path(stem).stem, headers, list(zip(*rows, strict=True)),
+        np.array(numbers), ragged, start + 1, delimiter, units_row,
+        hashlib.sha256(raw).hexdigest(), tuple(notes), faults,
+    )  # fmt: skip
+
+
+def _split(lines, delimiter, start, path) -> tuple[list[list[str]], list[int]]:
+    """Rows of cells without blank lines, and the line of each in the file."""
+    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
+    rows, numbers = [], []
+    try:
+        for row in reader:
+            if row:
+                rows.append(row)
+                numbers.append(start + reader.line_num)
+    except csv.Error as error:
+        row = start + reader.line_num
+        remedy = "look for a quotation mark that is not closed"
+        raise _refusal(
+            f"the line cannot be split: {error}", remedy, path, row
+        ) from error
+    return rows, numbers
+
+
+def _even_out(rows: list[list[str]], width: int) -> tuple[np.ndarray, tuple]:
+    """Makes all rows ``width`` long; those that were not are ragged and faulty."""
+    ragged = np.zeros(len(rows), bool)
+    found = []
+    for index, row in enumerate(rows):
+        if len(row) == width:
+            continue
+        if len(row) > width and not any(cell.strip() for cell in row[width:]):
+            rows[index] = row[:width]  # a delimiter at the end of the line
+            continue
+        found.append((index, f"{len(row)} fields"))
+        ragged[index] = True
+        rows[index] = ["nan"] * width
+    if not found:
+        return ragged, ()
+    indices, shown = zip(*found, strict=True)
+    return ragged, (BadRows(None, indices, shown, f"where the header has {width}"),)
+
+
+def _table_of_frame(frame, name: str) -> Table:
+    """A table of a DataFrame or a mapping of arrays; rows are counted from 0."""
+    headers = [str(header) for header in frame]
+    if hasattr(frame, "iloc"):
+        values = [frame.iloc[:, i].to_numpy() for i in range(len(headers))]
+    else:
+        values = [np.asarray(frame[header]) for header in frame]
+    lengths = {value.shape for value in values}
+    if not values or len(lengths) > 1 or values[0].ndim != 1 or not len(values[0]):
+        shapes = ", ".join(
+            f"{h}: {v.shape}" for h, v in zip(headers, values, strict=True)
+        )
+        reason = (
+            f"columns must be one-dimensional, equally long and not empty ({shapes})"
+        )
+        raise _refusal(reason, "give arrays of shape (n,)", name)
+    cells = [
+        value
+        if value.dtype.kind in "fiub"
+        else ["" if x is None else str(x) for x in value]
+        for value in values
+    ]
+    n = len(values[0])
+    return Table(name, name, headers, cells, np.arange(n), np.zeros(n, bool))
+
+
+def read(
+    path,
+    *,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    convention: str | None = None,
+    slip: str | None = None,
+    constants: Mapping[str, float] | None = None,
+    rolling_radius: float | None = None,
+    mask_bad_rows: bool = False,
+) -> TireData:
+    """Reads a text file (CSV and its kin, also .gz) into canonical, checked data.
+
+    Args:
+        path: the file.
+        columns: canonical name (or slip definition, ``run``, ``<column>_std``) to the
+            file's header; columns not named here are inferred and said.
+        units: canonical name to unit, e.g. ``{"fx": "kN", "kappa": "%"}``; a leading
+            minus (``-N``) flips the sign of one column.
+        convention: the file's signs, a key of ``slip.CONVENTIONS``; "braking" if None.
+        slip: definition of the slip column, a key of ``slip.SLIP_DEFINITIONS``.
+        constants: canonical columns that are constant over the file, SI and canonical
+            signs, e.g. ``{"fz": 4000, "v": 20}``.
+        rolling_radius: effective radius [m]; computes the slip from omega and v, or
+            checks the slip column against them.
+        mask_bad_rows: keep rows that break a rule, unused and listed in
+            ``source.masked``, instead of raising.
+
+    Raises:
+        UsageError: an option has an unknown name or value.
+        DataError: the file cannot be used; holds all problems found.
+    """
+    options = Options(
+        columns or {}, units or {}, convention, slip, constants or {},
+        rolling_radius, mask_bad_rows,
+    )  # fmt: skip
+    options.check()
+    return _checked(_read_table(Path(path), options.columns.values()), options)
+
+
+def read_frame(frame, name: str = "data", **options) -> TireData:
+    """As :func:`read`, from a pandas DataFrame or a mapping of name to (n,) array.
+
+    Rows are counted from 0 in its problems, as by ``iloc``.
+    """
+    known = Options({}, {}, None, None, {}, None, False)._replace(
+        **{key: value for key, value in options.items() if value is not None}
+    )
+    known.check()
+    return _checked(_table_of_frame(frame, name), known)
+
+
+def require(data: TireData, columns: Sequence[str], why: str) -> None:
+    """Raises DataError if a column that ``why`` (a model, a fit) needs is missing."""
+    problems = []
+    for column in columns:
+        if column in data:
+            continue
+        unit, meaning = CANONICAL[base_column(column)]
+        remedy = f"name its column with --column {column}=HEADER"
+        if base_column(column) not in ("sigma_x", "alpha", "fx", "fy", "mz"):
+            remedy += f", or give --constant {column}=VALUE [{unit}]"
+        if column == "sigma_x":
+            remedy += " (also kappa, s), or give omega, v and --rolling-radius"
+        reason = f"{why} needs {column} ({meaning}), which the data do not have"
+        problems.append(Problem(reason, remedy, data.source.path))
+    if problems:
+        raise DataError(problems)
+
+
+@dataclass
+class _Reading:
+    """State of one reading: what is known so far of the columns and their faults."""
+
+    table: Table
+    options: Options
+    plan: Plan
+    convention: str
+    columns: dict[str, np.ndarray] = field(default_factory=dict)
+    shown: dict[str, np.ndarray] = field(default_factory=dict)
+    headers: dict[str, str] = field(default_factory=dict)
+    faults: list[BadRows] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+    assumptions: list[str] = field(default_factory=list)
+
+    @property
+    def file(self) -> str:
+        return self.table.file
+
+    def bad(self) -> np.ndarray:
+        """(n,) bool: rows with a fault."""
+        bad = np.zeros(len(self.table.lines), bool)
+        for fault in self.faults:
+            bad[np.asarray(fault.rows, int)] = True
+        return bad
+
+
+def _checked(table: Table, options: Options) -> TireData:
+    """The whole way from a table of cells to data; raises all problems at once."""
+    plan = plan_columns(table.headers, table.units_row, options, table.file)
+    convention = options.convention or "braking"
+    reading = _Reading(table, options, plan, convention)
+    reading.problems = [
+        replace(problem, row=table.header_line) for problem in plan.problems
+    ]
+    reading.faults += table.faults
+    run, runs = _runs(reading)
+    _numbers_to_si(reading)
+    _constants(reading)
+    reading.faults += check.range_faults(
+        reading.columns, reading.shown, reading.headers, convention
+    )
+    definition = plan.slip or "sigma_x"
+    _slip_to_sigma(reading, plan.slip)
+    _use_rolling_radius(reading)
+    masked = _raise_or_mask(reading)
+    source = Source(
+        path=table.file,
+        sha256=table.sha256,
+        convention=convention,
+        slip_definition=definition,
+        columns=reading.headers,
+        units={
+            _canonical(c.name): c.unit_text for c in plan.columns.values() if c.unit
+        },
+        assumptions=tuple(_all_assumptions(reading)),
+        masked=masked,
+        line=table.lines,
+    )
+    order = [n for c in CANONICAL for n in (c, f"{c}_std") if n in reading.columns]
+    ordered = {name: reading.columns[name] for name in order}
+    return TireData(table.name, ordered, ~reading.bad(), run, runs, source)
+
+
+def _canonical(name: str) -> str:
+    """Canonical name of a column read: every slip definition ends as sigma_x."""
+    base = base_column(name)
+    return name.replace(base, "sigma_x", 1) if base in SLIP_DEFINITIONS else name
+
+
+def _runs(reading: _Reading) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Codes (n,) int in order of appearance, and the names of the runs."""
+    column = reading.plan.columns.get("run")
+    n = len(reading.table.lines)
+    if column is None:
+        return np.zeros(n, int), (reading.table.name,)
+    cells = reading.table.cells[column.index]
+    names = [str(cell).strip() for cell in cells]
+    if isinstance(cells, np.ndarray) and cells.dtype.kind == "f":
+        names = [f"{cell:.15g}" for cell in cells]
+    skip = reading.table.ragged
+    empty = [i for i, name in enumerate(names) if name in ("", "nan") and not skip[i]]
+    if empty:
+        values = ["an empty cell"] * len(empty)
+        reading.faults.append(
+            BadRows(column.header, empty, values, "is not a run's name")
+        )
+    codes: dict[str, int] = {}
+    run = [codes.setdefault(name, len(codes)) for name in names]
+    return np.array(run, int), tuple(codes)
+
+
+def _numbers_to_si(reading: _Reading) -> None:
+    """Fills ``columns`` with canonical units and signs, slip by its definition."""
+    plan, table = reading.plan, reading.table
+    numeric = [column for name, column in plan.columns.items() if name != "run"]
+    cells = {column.name: table.cells[column.index] for column in numeric}
+    if table.delimiter not in ("", ",") and check.has_decimal_comma(cells.values()):
+        reading.assumptions.append("numbers read with a decimal comma (1,5 is 1.5)")
+        cells = {
+            name: [cell.replace(",", ".") for cell in column]
+            for name, column in cells.items()
+        }
+    for column in numeric:
+        values, faults = check.read_numbers(
+            cells[column.name], column.header, table.ragged
+        )
+        reading.faults += faults
+        if column.unit is None:
+            continue
+        if column.unit.scale < 0:
+            sentence = f"sign of column {column.header!r} flipped, as declared"
+            reading.assumptions.append(sentence)
+        is_std = column.name.endswith("_std")
+        sign = sign_of(reading.convention, column.name)
+        reading.shown[column.name] = values
+        reading.columns[column.name] = sign * column.unit.to_si(values, is_std)
+        reading.headers[column.name] = column.header
+
+
+def _constants(reading: _Reading) -> None:
+    for name, value in reading.options.constants.items():
+        there = {_canonical(known): known for known in reading.headers}
+        if name in there:
+            header = reading.headers[there[name]]
+            reason = f"--constant {name}={value:g} conflicts with this column"
+            remedy = f"remove the constant: the file has {name}"
+            problem = Problem(reason, remedy, reading.file, column=header)
+            reading.problems.append(problem)
+            continue
+        reading.columns[name] = np.full(len(reading.table.lines), float(value))
+        reading.shown[name] = reading.columns[name]
+        unit = CANONICAL[base_column(name)][0]
+        sentence = f"{name} = {value:g} {unit} in all rows, as declared"
+        reading.assumptions.append(sentence)
+
+
+def _slip_to_sigma(reading: _Reading, definition: str | None) -> None:
+    """Replaces the slip column, and its std, by physical slip sigma_x."""
+    columns, headers = reading.columns, reading.headers
+    if definition not in columns:
+        return
+    header, alpha = headers.pop(definition), columns.get("alpha")
+    slip = columns.pop(definition)
+    if definition == "s" and alpha is not None:
+        reading.assumptions.append("kappa = s / cos(alpha) before conversion")
+        with np.errstate(invalid="ignore"):
+            over = np.flatnonzero((slip / np.cos(alpha) > 1 + 1e-6) & (slip <= 1))
+        if len(over):
+            shown = [f"{value:.6g}" for value in reading.shown["s"][over]]
+            rule = "gives kappa = s / cos(alpha) > 1, beyond a locked wheel"
+            reading.faults.append(BadRows(header, over, shown, rule))
+    good = ~reading.bad()
+    columns["sigma_x"] = np.where(good, slip_to_sigma(slip, definition, alpha), np.nan)
+    headers["sigma_x"] = header
+    if definition != "sigma_x":
+        reading.assumptions.append(f"{definition} converted to sigma_x")
+    _say_limits(reading, header)
+    for name in [n for n in columns if _canonical(n) == "sigma_x_std"]:
+        slope = sigma_derivative(columns["sigma_x"], definition, alpha)
+        columns["sigma_x_std"] = columns.pop(name) * slope
+        headers["sigma_x_std"] = headers.pop(name)
+
+
+def _say_limits(reading: _Reading, what: str) -> None:
+    sigma = reading.columns["sigma_x"]
+    locked, spinning = np.sum(sigma == LOCKED), np.sum(sigma == SPINNING)
+    if locked:
+        sentence = f"{locked} rows of {what!r} are a locked wheel: sigma_x = {LOCKED:g}"
+        reading.assumptions.append(sentence)
+    if spinning:
+        reading.assumptions.append(
+            f"{spinning} rows of {what!r} at or below sigma_x = -1 set to {SPINNING}"
+        )
+
+
+def _use_rolling_radius(reading: _Reading) -> None:
+    """Computes sigma_x = (v - omega R) / (omega R), or checks the slip column by it."""
+    columns, radius = reading.columns, reading.options.rolling_radius
+    if radius is None:
+        return
+    missing = [name for name in ("omega", "v") if name not in columns]
+    if missing:
+        if "sigma_x" not in columns:
+            reason = f"--rolling-radius needs {' and '.join(missing)} to give a slip"
+            remedy = "name them, as in --column omega=HEADER"
+            reading.problems.append(Problem(reason, remedy, reading.file))
+        return
+    sigma = slip_from_speeds(columns["omega"], columns["v"], radius)
+    if "sigma_x" in columns:
+        good = ~reading.bad() & np.isfinite(sigma + columns["sigma_x"])
+        if good.any():
+            reading.problems += check.check_rolling_radius(
+                columns["sigma_x"][good], sigma[good], reading.headers["sigma_x"],
+                reading.file,
+            )  # fmt: skip
+        return
+    header = reading.headers.get("omega", "omega")
+    for rows, rule in (
+        (np.flatnonzero(columns["omega"] < 0), "is a wheel turning backwards"),
+        (
+            np.flatnonzero((columns["omega"] == 0) & (columns["v"] == 0)),
+            "at standstill: no slip",
+        ),
+    ):
+        if len(rows):
+            shown = [f"{value:.6g}" for value in reading.shown["omega"][rows]]
+            reading.faults.append(BadRows(header, rows, shown, rule))
+    columns["sigma_x"] = np.where(reading.bad(), np.nan, sigma)
+    sentence = f"sigma_x = (v - omega R) / (omega R) with R = {radius:g} m"
+    reading.assumptions.append(sentence)
+    _say_limits(reading, header)
+
+
+def _raise_or_mask(reading: _Reading) -> tuple[Problem, ...]:
+    """Raises DataError with all that stands; else the masked rows as problems."""
+    of_rows, of_columns = check.list_problems(
+        reading.faults, reading.table.lines, reading.file
+    )
+    named = {_canonical(name) for name in reading.plan.columns}
+    there = named | set(reading.columns)
+    whole = reading.problems + of_columns
+    whole += check.check_columns(there, reading.table.headers, reading.file)
+    good = ~reading.bad()
+    if not whole:
+        used = {name: values[good] for name, values in reading.columns.items()}
+        if good.any():
+            whole += check.check_variation(used, reading.file)
+            whole += check.check_signs(
+                used, reading.headers, reading.convention, reading.file
+            )
+        elif reading.options.mask_bad_rows:
+            remedy = "see the rows' problems without --mask-bad-rows"
+            whole.append(Problem("no usable rows are left", remedy, reading.file))
+    if whole or (of_rows and not reading.options.mask_bad_rows):
+        raise DataError([*whole, *of_rows])
+    return tuple(of_rows)
+
+
+def _all_assumptions(reading: _Reading) -> list[str]:
+    said = [*reading.table.notes, *reading.plan.assumptions]
+    if reading.options.convention is None:
+        meaning = CONVENTIONS["braking"].description
+        said.append(f"no sign convention declared: 'braking' assumed: {meaning}")
+    return said + reading.assumptions

@@ -1,0 +1,234 @@
+"""Units and signs at the border: from a file's own to canonical SI, and back.
+
+The common units are exact factors in a table; any other unit is asked of pint,
+which is slow to import and so is loaded only then. A leading minus (``-N``) declares
+a column whose sign is opposite to the file's convention.
+"""
+
+import difflib
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.results import DataError, Problem
+from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS, kappa_from_sigma
+
+__all__ = [
+    "Unit",
+    "base_column",
+    "dimension_of",
+    "known_unit",
+    "resolve_unit",
+    "sign_of",
+    "sigma_derivative",
+    "slip_from_sigma",
+    "slip_from_speeds",
+    "slip_to_sigma",
+]
+
+SPINNING = -1 + 1e-6
+"""Physical slip that stands for a wheel spinning on the spot (sigma = -1)."""
+
+
+class Unit(NamedTuple):
+    """SI value = scale * value + offset; ``dimension`` is a plain word."""
+
+    dimension: str
+    scale: float
+    offset: float = 0.0
+
+    def to_si(self, values, is_std=False):
+        """File values to SI; a standard deviation has a size, so no sign or offset."""
+        return abs(self.scale) * values if is_std else self.scale * values + self.offset
+
+    def from_si(self, values, is_std=False):
+        """Inverse of :meth:`to_si`."""
+        if is_std:
+            return values / abs(self.scale)
+        return (values - self.offset) / self.scale
+
+
+_SI = {
+    "time": "s", "ratio": "-", "angle": "rad", "angular speed": "rad/s",
+    "force": "N", "moment": "N m", "speed": "m/s", "pressure": "Pa",
+    "temperature": "degC",
+}  # fmt: skip
+
+_DIMENSION = {
+    "time": "time", "alpha": "angle", "gamma": "angle", "omega": "angular speed",
+    "fx": "force", "fy": "force", "fz": "force", "mz": "moment", "v": "speed",
+    "pressure": "pressure", "temperature": "temperature",
+    **dict.fromkeys(SLIP_DEFINITIONS, "ratio"),
+}  # fmt: skip
+
+_TURN = 2 * np.pi
+
+_FACTORS = {
+    "time": {"s": 1, "sec": 1, "second": 1, "seconds": 1, "ms": 1e-3, "us": 1e-6,
+             "min": 60, "h": 3600},
+    "ratio": {"-": 1, "": 1, "1": 1, "none": 1, "dimensionless": 1, "ratio": 1,
+              "%": 0.01, "pct": 0.01, "percent": 0.01},
+    "angle": {"rad": 1, "mrad": 1e-3, "deg": np.pi / 180, "degree": np.pi / 180,
+              "degrees": np.pi / 180},
+    "angular speed": {"rad/s": 1, "radps": 1, "rads": 1, "1/s": 1, "deg/s": np.pi / 180,
+                      "degps": np.pi / 180, "rpm": _TURN / 60, "1/min": _TURN / 60,
+                      "rev/min": _TURN / 60, "rev/s": _TURN, "Hz": _TURN},
+    "force": {"N": 1, "kN": 1e3, "daN": 10, "lbf": 4.4482216152605, "kgf": 9.80665},
+    "moment": {"Nm": 1, "N-m": 1, "kNm": 1e3, "Nmm": 1e-3,
+               "lbfft": 1.3558179483314004, "ftlbf": 1.3558179483314004,
+               "ft-lb": 1.3558179483314004},
+    "speed": {"m/s": 1, "mps": 1, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "kph": 1 / 3.6,
+              "mph": 0.44704, "mm/s": 1e-3, "mmps": 1e-3, "cm/s": 1e-2, "ft/s": 0.3048},
+    "pressure": {"Pa": 1, "hPa": 100, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 100,
+                 "psi": 6894.757293168361},
+}  # fmt: skip
+
+_KNOWN = {
+    name: Unit(dimension, float(factor))
+    for dimension, factors in _FACTORS.items()
+    for name, factor in factors.items()
+} | {
+    **dict.fromkeys(("degC", "C", "celsius"), Unit("temperature", 1.0)),
+    **dict.fromkeys(("K", "kelvin"), Unit("temperature", 1.0, -273.15)),
+    **dict.fromkeys(("degF", "F", "fahrenheit"), Unit("temperature", 5 / 9, -160 / 9)),
+}
+# MPa is left out: reading mPa as MPa would be wrong by a factor of 1e9.
+_ANY_CASE = {name.casefold(): unit for name, unit in _KNOWN.items() if name != "MPa"}
+
+_SPELLING = str.maketrans({"°": "deg", "·": "", "⋅": "", "*": "", " ": "", "\xa0": ""})
+
+
+def base_column(column: str) -> str:
+    """The column a ``<column>_std`` belongs to; other names unchanged."""
+    return column.removesuffix("_std")
+
+
+def dimension_of(column: str) -> str:
+    """The dimension (a plain word) of a canonical or slip column, std or not."""
+    return _DIMENSION[base_column(column)]
+
+
+def known_unit(text: str) -> Unit | None:
+    """The unit if it is in the table of common units, else None; no pint here."""
+    spelled = text.strip().strip("[](){}").translate(_SPELLING)
+    return _KNOWN.get(spelled) or _ANY_CASE.get(spelled.casefold())
+
+
+def resolve_unit(text: str, column: str) -> Unit:
+    """The unit of a column, its dimension checked.
+
+    Args:
+        text: the unit as written, e.g. ``kN``; a leading minus flips the sign.
+        column: canonical name, a slip definition, or either with ``_std``.
+
+    Raises:
+        DataError: the unit is unknown or has another dimension than the column.
+    """
+    text = text.strip()
+    if text.startswith("-") and len(text) > 1:
+        unit = resolve_unit(text[1:], column)
+        return unit._replace(scale=-unit.scale)
+    wanted = dimension_of(column)
+    unit = known_unit(text) or _ask_pint(text, column, wanted)
+    if unit.dimension != wanted:
+        raise DataError(
+            Problem(
+                f"unit {text!r} is a unit of {unit.dimension}, but {column} is of"
+                f" dimension {wanted}",
+                _unit_remedy(text, column, wanted),
+            )
+        )
+    return unit
+
+
+def _unit_remedy(text: str, column: str, dimension: str) -> str:
+    units = [name for name, unit in _KNOWN.items() if unit.dimension == dimension]
+    close = difflib.get_close_matches(text, units, n=1)
+    meant = f"did you mean {close[0]!r}? " if close else ""
+    listed = ", ".join(repr(name) for name in units if name)
+    return f"{meant}give a unit of {dimension} with --unit {column}=...: {listed}"
+
+
+def _ask_pint(text: str, column: str, dimension: str) -> Unit:
+    """A unit outside the table as an affine map to SI, found by converting 0 and 1."""
+    import pint
+
+    remedy = _unit_remedy(text, column, dimension)
+    target = {"-": "", "N m": "N*m"}.get(_SI[dimension], _SI[dimension])
+    try:
+        registry = pint.UnitRegistry(on_redefinition="ignore")
+        unit = registry.Unit(text)
+        zero, one = (
+            registry.Quantity(x, unit).to(target).magnitude for x in (0.0, 1.0)
+        )
+    except pint.DimensionalityError as error:
+        reason = f"unit {text!r} is not a unit of {dimension}, which {column} needs"
+        raise DataError(Problem(reason, remedy)) from error
+    except Exception as error:  # pint raises its own, tokenizer and syntax errors
+        raise DataError(Problem(f"unknown unit {text!r}", remedy)) from error
+    return Unit(dimension, one - zero, zero)
+
+
+def sign_of(convention: str, column: str) -> int:
+    """Sign that turns a file's value into the canonical one (a std has none)."""
+    if column.endswith("_std"):
+        return 1
+    field = "slip" if column in SLIP_DEFINITIONS else column
+    return getattr(CONVENTIONS[convention], field, 1)
+
+
+def slip_to_sigma(slip, definition, alpha=None):
+    """Slip of any definition, in canonical signs, to physical slip sigma_x.
+
+    Args:
+        slip: (n,) array; NaN stays NaN.
+        definition: a key of ``SLIP_DEFINITIONS``.
+        alpha: (n,) slip angle [rad]; with it ``s`` becomes kappa = s / cos(alpha).
+
+    Returns:
+        (n,) sigma_x, limited to ``SPINNING`` (driving) and ``LOCKED`` (braking).
+    """
+    if definition == "s" and alpha is not None:
+        slip = slip / np.cos(alpha)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigma = SLIP_DEFINITIONS[definition][0](slip)
+    if definition != "sigma_x":
+        sigma = np.where(slip >= kappa_from_sigma(LOCKED), LOCKED, sigma)
+    return np.clip(sigma, SPINNING, LOCKED)
+
+
+def slip_from_speeds(omega, v, rolling_radius):
+    """Physical slip (v - omega R) / (omega R), limited to SPINNING and LOCKED.
+
+    Args:
+        omega: (n,) wheel speed [rad/s], >= 0.
+        v: (n,) forward speed [m/s], >= 0.
+        rolling_radius: effective rolling radius R [m].
+
+    Returns:
+        (n,) sigma_x, NaN at standstill.
+    """
+    speed = omega * rolling_radius
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigma = (v - speed) / speed
+    return np.clip(sigma, SPINNING, LOCKED)
+
+
+def slip_from_sigma(sigma, definition, alpha=None):
+    """Inverse of :func:`slip_to_sigma` within its limits."""
+    slip = SLIP_DEFINITIONS[definition][1](sigma)
+    if definition == "s" and alpha is not None:
+        slip = slip * np.cos(alpha)
+    return slip
+
+
+def sigma_derivative(sigma, definition, alpha=None):
+    """d sigma_x / d slip at ``sigma`` (n,), which carries a standard deviation over."""
+    kappa_like = (1 + sigma) ** 2
+    if definition == "sigma_x":
+        return np.ones_like(sigma)
+    if definition == "slip_ratio":
+        return np.where(sigma > 0, kappa_like, 1.0)
+    if definition == "s" and alpha is not None:
+        return kappa_like / np.cos(alpha)
+    return kappa_like

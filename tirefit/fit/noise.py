@@ -1,0 +1,62 @@
+"""Noise scale of the forces and the effective number of samples."""
+
+import numpy as np
+
+__all__ = ["autocorrelation_time", "effective_inflation", "robust_scale"]
+
+
+def autocorrelation_time(residuals: list[np.ndarray]) -> float:
+    """Integrated autocorrelation time of residuals in time order, at least 1.
+
+    Sum of the autocorrelation over lags by Geyer's initial positive sequence, runs
+    pooled. Where the lag-one autocorrelation is not significant at 0.1 % the residuals
+    count as independent.
+
+    Args:
+        residuals: one array (n_run,) per run, in the order they were measured.
+    """
+    parts = [part - 0.0 for part in residuals if len(part) > 2]
+    total = sum(float(part @ part) for part in parts)
+    count = sum(len(part) for part in parts)
+    if not parts or total <= 0:
+        return 1.0
+    longest = max(len(part) for part in parts)
+    correlation = np.zeros(longest)
+    for part in parts:
+        size = 2 ** int(np.ceil(np.log2(2 * len(part))))
+        spectrum = np.abs(np.fft.rfft(part, size)) ** 2
+        correlation[: len(part)] += np.fft.irfft(spectrum, size)[: len(part)]
+    correlation /= total
+    if correlation[1] < 3.3 / np.sqrt(count):
+        return 1.0
+    time = 1.0
+    for lag in range(1, longest - 1, 2):
+        pair = correlation[lag] + correlation[lag + 1]
+        if pair <= 0:
+            # The first lag of a pair that ends below zero may still be positive.
+            time += 2 * max(correlation[lag], 0.0)
+            break
+        time += 2 * pair
+    return float(min(max(time, 1.0), count / 4))
+
+
+def effective_inflation(residual, run, time) -> float:
+    """Rows per independent row: pooled autocorrelation time within the runs.
+
+    Args:
+        residual: whitened residuals of the used rows, shape (n,).
+        run: run of each row, shape (n,).
+        time: time of each row (n,), or None to take the order of the file.
+    """
+    parts = []
+    for code in np.unique(run):
+        part = residual[run == code]
+        if time is not None:
+            part = part[np.argsort(time[run == code], kind="stable")]
+        parts.append(part)
+    return autocorrelation_time(parts)
+
+
+def robust_scale(residual) -> float:
+    """Standard deviation from the median absolute deviation, shape (n,) -> scalar."""
+    return float(1.4826 * np.median(np.abs(residual - np.median(residual))))

@@ -1,0 +1,84 @@
+"""Forces that a fit or a model predicts, row by row, with their spread."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.fit.likelihood import CHANNEL_SLIP, predict
+
+__all__ = ["predict_forces", "row_moments"]
+
+
+@partial(jax.jit, static_argnames=("layout", "names"))
+def _moments(model, layout, z, rows, names):
+    mean, variance = {}, {}
+    plain = predict(model, layout, z, rows.inputs, rows.run)
+    for name in names:
+        slip = CHANNEL_SLIP[name]
+        if slip not in rows.nodes:
+            mean[name], variance[name] = plain[name], rows.scale[name] ** 2
+            continue
+        nodes = rows.nodes[slip]
+        weight = jax.nn.softmax(nodes.log_weight, axis=1)
+
+        def at(slips, slip=slip, name=name):
+            inputs = rows.inputs._replace(**{slip: slips})
+            return predict(model, layout, z, inputs, rows.run)[name]
+
+        forces = jax.vmap(at, in_axes=1, out_axes=1)(nodes.slip)
+        mean[name] = jnp.sum(weight * forces, axis=1)
+        spread = jnp.sum(weight * (forces - mean[name][:, None]) ** 2, axis=1)
+        variance[name] = rows.scale[name] ** 2 + spread
+    return mean, variance
+
+
+def row_moments(problem, z) -> tuple[dict, dict]:
+    """Mean and variance of each fitted force given the measured slip, by channel (n,).
+
+    Where the slip has noise, both are over the latent slips of the row.
+    """
+    names = tuple(c.name for c in problem.channels)
+    mean, variance = _moments(
+        problem.model, problem.layout, jnp.asarray(z), problem.rows, names
+    )
+    return (
+        {name: problem.used(value) for name, value in mean.items()},
+        {name: problem.used(value) for name, value in variance.items()},
+    )
+
+
+@partial(jax.jit, static_argnames=("layout",))
+def _linearised(model, layout, z, covariance, inputs, run):
+    def row(sample, run):
+        def force(z):
+            one = jax.tree.map(lambda value: value[None], sample)
+            found = predict(model, layout, z, one, run[None])
+            return {k: v[0] for k, v in found.items() if v is not None}
+
+        value, slope = force(z), jax.jacfwd(force)(z)
+        return value, {k: g @ covariance @ g for k, g in slope.items()}
+
+    return jax.vmap(row)(inputs, run)
+
+
+def predict_forces(model, layout, z, covariance, inputs, run) -> tuple[dict, dict]:
+    """Forces and the variance that the parameters' uncertainty gives them.
+
+    Args:
+        model: template with the fixed parameters.
+        layout, z, covariance: estimate in the unconstrained space.
+        inputs: ``TireInputs`` of arrays (n,).
+        run: run of each row, (n,).
+
+    Returns:
+        (force, variance): dicts of arrays (n,) for fx, fy and, where modelled, mz.
+    """
+    force, variance = _linearised(
+        model, layout, jnp.asarray(z), jnp.asarray(covariance), inputs, jnp.asarray(run)
+    )
+    return (
+        {k: np.asarray(v) for k, v in force.items()},
+        {k: np.asarray(v) for k, v in variance.items()},
+    )

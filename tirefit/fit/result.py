@@ -1,0 +1,218 @@
+"""The record of a fit, and ``fit.json`` (schema ``tirefit.fit/1``)."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tirefit.results import Outcome
+
+__all__ = [
+    "SCHEMA",
+    "Estimate",
+    "FitResult",
+    "FitStatistics",
+    "PosteriorSummary",
+    "json_safe",
+]
+
+SCHEMA = "tirefit.fit/1"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its uncertainty: value, standard deviation, 95 % interval, unit.
+
+    ``std`` and the ends of ``ci95`` are None where the data do not give them.
+    """
+
+    value: float
+    std: float | None
+    unit: str
+    ci95: tuple[float | None, float | None]
+    identified: bool = True
+    fixed: bool = False
+
+
+@dataclass(frozen=True)
+class FitStatistics:
+    """How well the model describes the data. ``rmse`` in the unit of the first force."""
+
+    rmse: float
+    r2: float
+    chi2_dof: float | None
+    aicc: float
+    bic: float
+    n: int
+    n_effective: float
+    dof: float
+    converged: bool
+    at_bound: tuple[str, ...]
+    starts: int
+    starts_agreeing: int
+    slip_structure: float
+
+
+@dataclass(frozen=True)
+class PosteriorSummary:
+    """What a sampler did: effective samples, R-hat and autocorrelation time by label."""
+
+    sampler: str
+    seed: int
+    ensembles: int
+    walkers: int
+    steps: int
+    discarded: int
+    ess: Mapping[str, float]
+    rhat: Mapping[str, float]
+    tau: Mapping[str, float]
+    acceptance: float
+    outcome: Outcome
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """One fit: what went in, what came out, how sure it is.
+
+    ``parameters`` come from the posterior where it ran, else from the profile; all
+    three routes stand in ``intervals`` (``covariance``, ``profile``, ``posterior``).
+    ``chains`` (ensembles, draws, p) are posterior samples of the free parameters in the
+    order of ``labels``, thinned to be nearly independent; ``z`` and ``covariance``
+    describe the estimate in the unconstrained space.
+    """
+
+    model: str
+    forces: tuple[str, ...]
+    parameters: dict[str, Estimate]
+    least_squares: dict[str, Estimate]
+    intervals: dict[str, dict[str, tuple[float | None, float | None]]]
+    derived: dict[str, Estimate]
+    statistics: FitStatistics
+    noise: dict[str, Any]
+    verdict: dict[str, Any]
+    outcomes: tuple[Outcome, ...]
+    labels: tuple[str, ...]
+    correlation: np.ndarray
+    data: dict[str, Any]
+    reference: dict[str, float]
+    solver: str
+    seed: int
+    version: str
+    versions: dict[str, str]
+    z: np.ndarray
+    covariance: np.ndarray
+    profiles: dict[str, dict[str, np.ndarray]]
+    posterior: PosteriorSummary | None = None
+    chains: np.ndarray | None = field(default=None, repr=False)
+    problem: Any = field(default=None, repr=False)
+    solved: Any = field(default=None, repr=False)
+    table: Any = field(default=None, repr=False)
+
+    @property
+    def converged(self) -> bool:
+        return Outcome.NOT_CONVERGED not in self.outcomes
+
+    @property
+    def identified(self) -> bool:
+        return Outcome.NOT_IDENTIFIED not in self.outcomes
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able content of ``fit.json``; no NaN, no infinity (they become null)."""
+        statistics = asdict(self.statistics)
+        content = {
+            "schema": SCHEMA,
+            "version": self.version,
+            "versions": self.versions,
+            "model": self.model,
+            "forces": list(self.forces),
+            "data": self.data,
+            "noise": self.noise,
+            "solver": self.solver,
+            "seed": self.seed,
+            "parameters": {k: asdict(v) for k, v in self.parameters.items()},
+            "least_squares": {k: asdict(v) for k, v in self.least_squares.items()},
+            "intervals": self.intervals,
+            "derived": {k: asdict(v) for k, v in self.derived.items()},
+            "reference": self.reference,
+            "correlation": {"labels": list(self.labels), "matrix": self.correlation},
+            "fit": statistics,
+            "posterior": _posterior_dict(self.posterior),
+            "prediction": {
+                "labels": list(self.labels),
+                "z": self.z,
+                "covariance": self.covariance,
+                "layout": _layout_dict(self.problem),
+            },
+            "verdict": self.verdict,
+            "outcomes": [outcome.name.lower() for outcome in self.outcomes],
+        }
+        return json_safe(content)
+
+    def to_json(self) -> str:
+        """Text of ``fit.json``."""
+        return json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
+
+    def _repr_html_(self) -> str:
+        from tirefit.report.html import fit_fragment
+
+        return fit_fragment(self)
+
+    def __str__(self) -> str:
+        from tirefit.report.text import fit_report
+
+        return fit_report(self)
+
+
+def _posterior_dict(summary: PosteriorSummary | None) -> dict | None:
+    if summary is None:
+        return None
+    return asdict(summary) | {"outcome": summary.outcome.name.lower()}
+
+
+def _layout_dict(problem) -> dict | None:
+    """All that ``predict`` needs to rebuild the model from ``fit.json``."""
+    if problem is None:
+        return None
+    from tirefit.params import parameter_values
+
+    layout = problem.layout
+    return {
+        "free": [
+            {
+                "name": p.name,
+                "per_run": p.per_run,
+                "lower": p.spec.lower,
+                "upper": p.spec.upper,
+            }
+            for p in layout.free
+        ],
+        "ties": [asdict(tie) for tie in layout.ties],
+        "runs": list(layout.runs),
+        "fixed": {
+            name: float(value)
+            for name, value in parameter_values(problem.model).items()
+            if name not in {p.name for p in layout.free}
+        },
+    }
+
+
+def json_safe(value: Any) -> Any:
+    """The same content with arrays as lists and non-finite numbers as None."""
+    if isinstance(value, Mapping):
+        return {str(key): json_safe(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [json_safe(item) for item in value]
+    if isinstance(value, Outcome):
+        return value.name.lower()
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if hasattr(value, "tolist"):
+        return json_safe(value.tolist())
+    return value

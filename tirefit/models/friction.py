@@ -1,0 +1,152 @@
+r"""Friction laws: kinetic and static coefficient as functions of sliding speed.
+
+A law turns the static friction :math:`\mu` of the brush into the coefficient of the
+sliding bristles, :math:`\mu_k(v_s)`. Laws compose: each takes the level that the one
+before it left (``Friction``). A law with ``static_too`` lowers the static friction in
+the same way; that hardly changes the force (S §4.2) but removes the hook before full
+sliding.
+"""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from tirefit.params import par
+
+__all__ = [
+    "AbstractFrictionLaw",
+    "Exponential",
+    "Friction",
+    "Kinetic",
+    "LinearInSpeed",
+    "Stribeck",
+]
+
+
+class AbstractFrictionLaw(eqx.Module):
+    """One dependence of the kinetic friction."""
+
+    @abc.abstractmethod
+    def apply(self, level, v_s):
+        """Coefficient [-] at sliding speed v_s [m/s] >= 0, from its level at rest."""
+
+    @property
+    @abc.abstractmethod
+    def lowers_static(self) -> bool:
+        """Whether the static friction follows the same law."""
+
+
+class Kinetic(AbstractFrictionLaw):
+    r""":math:`\mu_k = m \mu_s`, the constant friction of S(31)."""
+
+    m: float = par(
+        0.9, (0.0, 1.0), "-", "kinetic over static friction, mu_k / mu_s", "S(31)", "m"
+    )
+
+    def apply(self, level, v_s):
+        del v_s
+        return self.m * level
+
+    @property
+    def lowers_static(self) -> bool:
+        return False
+
+
+class LinearInSpeed(AbstractFrictionLaw):
+    r""":math:`\mu_k = \mu_0 - n v_s`, S(35); needs n max(v_s) < mu_0."""
+
+    n: float = par(
+        0.005, (-0.2, 0.2), "s/m", "loss of friction per sliding speed", "S(35)", "n"
+    )
+    static_too: bool = eqx.field(static=True, default=False)
+
+    def apply(self, level, v_s):
+        return level - self.n * v_s
+
+    @property
+    def lowers_static(self) -> bool:
+        return self.static_too
+
+
+def _decay(v_s, v_st, exponent):
+    """exp(-(v_s / v_st)^exponent) with a finite (zero) slope at rest."""
+    moving = v_s > 0
+    ratio = jnp.where(moving, v_s, v_st) / v_st
+    return jnp.where(moving, jnp.exp(-(ratio**exponent)), 1.0)
+
+
+def _v_st(free: bool):
+    return par(
+        30.0, (0.1, 1000.0), "m/s", "sliding speed over which friction falls",
+        "S(36)-(37)", "v_{st}", free=free, scale="log",
+    )  # fmt: skip
+
+
+def _exponent(free: bool):
+    return par(
+        0.5, (0.1, 3.0), "-", "exponent of the friction's fall with sliding speed",
+        "S(36)-(37)", r"\varepsilon", free=free,
+    )  # fmt: skip
+
+
+class Exponential(AbstractFrictionLaw):
+    r""":math:`\mu_k = \mu (h + (1-h) e^{-(v_s/v_{st})^\varepsilon})`, S(37)."""
+
+    h: float = par(
+        0.5, (0.0, 1.0), "-", "friction at high sliding speed over that at rest",
+        "S(37)", "h",
+    )  # fmt: skip
+    v_st: float = _v_st(free=False)
+    exponent: float = _exponent(free=False)
+    static_too: bool = eqx.field(static=True, default=False)
+
+    def apply(self, level, v_s):
+        decay = _decay(v_s, self.v_st, self.exponent)
+        return level * (self.h + (1 - self.h) * decay)
+
+    @property
+    def lowers_static(self) -> bool:
+        return self.static_too
+
+
+class Stribeck(AbstractFrictionLaw):
+    r""":math:`\mu_k = \mu_c + (\mu_s - \mu_c) e^{-(v_s/v_{st})^\varepsilon}`, S(36)."""
+
+    mu_c: float = par(
+        0.6, (0.01, 5.0), "-", "friction at high sliding speed", "S(36)", r"\mu_c"
+    )
+    v_st: float = _v_st(free=True)
+    exponent: float = _exponent(free=True)
+    static_too: bool = eqx.field(static=True, default=False)
+
+    def apply(self, level, v_s):
+        decay = _decay(v_s, self.v_st, self.exponent)
+        return self.mu_c + (level - self.mu_c) * decay
+
+    @property
+    def lowers_static(self) -> bool:
+        return self.static_too
+
+
+class Friction(eqx.Module):
+    """Laws in sequence; none of them is the constant friction of S(12)."""
+
+    laws: tuple[AbstractFrictionLaw, ...] = ()
+
+    def kinetic(self, mu, v_s):
+        """Coefficient of the sliding bristles [-] at sliding speed v_s [m/s]."""
+        for law in self.laws:
+            mu = law.apply(mu, v_s)
+        return mu
+
+    def static(self, mu, v_s):
+        """Coefficient up to which a bristle sticks [-]."""
+        for law in self.laws:
+            if law.lowers_static:
+                mu = law.apply(mu, v_s)
+        return mu
+
+    @property
+    def depends_on_speed(self) -> bool:
+        return any(not isinstance(law, Kinetic) for law in self.laws)

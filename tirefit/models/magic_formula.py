@@ -1,0 +1,35 @@
+r"""The four-coefficient Magic Formula, S(16)."""
+
+import jax.numpy as jnp
+
+from tirefit.models.base import AbstractTire, TireForces, TireInputs
+from tirefit.params import par
+from tirefit.slip import kappa_from_sigma
+
+__all__ = ["MagicFormula"]
+
+
+class MagicFormula(AbstractTire):
+    r""":math:`F = D F_z \sin(C \arctan(B x - E (B x - \arctan B x)))`, S(16).
+
+    x is the practical slip kappa for the longitudinal force and the slip angle alpha
+    [rad] for the lateral one. The aligning moment is not modelled.
+    """
+
+    B: float = par(
+        10.0, (0.1, 200.0), "-", "stiffness factor", "S(16)", "B", scale="log"
+    )
+    C: float = par(1.5, (0.5, 3.0), "-", "shape factor", "S(16)", "C")
+    D: float = par(1.0, (0.01, 5.0), "-", "peak force over load", "S(16)", "D")
+    E: float = par(0.0, (-20.0, 1.0), "-", "curvature factor", "S(16)", "E")
+
+    def pure(self, x, fz):
+        """Force [N] at slip x (kappa [-] or alpha [rad]) and load fz [N]."""
+        bx = self.B * x
+        angle = jnp.arctan(bx - self.E * (bx - jnp.arctan(bx)))
+        return self.D * fz * jnp.sin(self.C * angle)
+
+    def __call__(self, inputs: TireInputs) -> TireForces:
+        fx = self.pure(kappa_from_sigma(inputs.sigma_x), inputs.fz)
+        fy = self.pure(inputs.alpha, inputs.fz)
+        return TireForces(fx, fy, None)

@@ -1,0 +1,168 @@
+"""Parameters as fields: each carries its unit, bounds, default, meaning and source.
+
+The same metadata feeds the solver (bounds as a bijection), the prior, the tables and
+the report. A model is an ``equinox.Module``; a parameter is a field made by
+:func:`par`, in the model itself or in one of its parts (a pressure or friction law).
+"""
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+__all__ = [
+    "Spec",
+    "constrain",
+    "log_jacobian",
+    "par",
+    "parameter_values",
+    "specs",
+    "unconstrain",
+    "with_values",
+]
+
+Model = TypeVar("Model", bound=eqx.Module)
+
+
+class Spec(NamedTuple):
+    """What a parameter is: the one place that says it."""
+
+    default: float
+    lower: float
+    upper: float
+    unit: str
+    meaning: str
+    source: str
+    symbol: str
+    free: bool
+    scale: str
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        return self.lower, self.upper
+
+
+def par(
+    default: float,
+    bounds: tuple[float, float],
+    unit: str,
+    meaning: str,
+    source: str,
+    symbol: str,
+    *,
+    free: bool = True,
+    scale: str = "linear",
+) -> Any:
+    """A parameter field of a model.
+
+    Args:
+        default: value used where none is given.
+        bounds: smallest and largest allowed value; a fit stays strictly inside.
+        unit: SI unit, ``-`` for none.
+        meaning: one line for tables and reports.
+        source: equation it comes from.
+        symbol: TeX symbol for figures.
+        free: whether a fit estimates it unless told otherwise.
+        scale: ``linear``, or ``log`` for a positive scale over many decades.
+
+    Raises:
+        ValueError: the bounds are empty or do not hold the default.
+    """
+    lower, upper = bounds
+    if not lower <= default <= upper or lower == upper:
+        raise ValueError(f"default {default} outside the bounds [{lower}, {upper}]")
+    spec = Spec(
+        default, lower, upper, unit, meaning, source, symbol, free, scale
+    )
+    return eqx.field(default=default, metadata={"spec": spec})
+
+
+def _fields(model: eqx.Module) -> Iterator[tuple[dataclasses.Field, Any]]:
+    for field in dataclasses.fields(model):
+        yield field, getattr(model, field.name)
+
+
+def _parts(value: Any) -> tuple[eqx.Module, ...]:
+    if isinstance(value, eqx.Module):
+        return (value,)
+    if isinstance(value, tuple):
+        return tuple(part for part in value if isinstance(part, eqx.Module))
+    return ()
+
+
+def specs(model: eqx.Module) -> dict[str, Spec]:
+    """Parameter name -> :class:`Spec`, in the order of the fields, parts included."""
+    found: dict[str, Spec] = {}
+    for field, value in _fields(model):
+        if "spec" in field.metadata:
+            found[field.name] = field.metadata["spec"]
+        for part in _parts(value):
+            found.update(specs(part))
+    return found
+
+
+def parameter_values(model: eqx.Module) -> dict[str, Any]:
+    """Parameter name -> value, in the order of :func:`specs`."""
+    found: dict[str, Any] = {}
+    for field, value in _fields(model):
+        if "spec" in field.metadata:
+            found[field.name] = value
+        for part in _parts(value):
+            found.update(parameter_values(part))
+    return found
+
+
+def with_values(model: Model, values: Mapping[str, Any]) -> Model:
+    """The same model with other values; a name it lacks raises ``KeyError``."""
+    unknown = set(values) - set(specs(model))
+    if unknown:
+        raise KeyError(f"{type(model).__name__} has no parameter {sorted(unknown)}")
+    return _replace(model, values)
+
+
+def _replace(model: Model, values: Mapping[str, Any]) -> Model:
+    changes = {}
+    for field, value in _fields(model):
+        if "spec" in field.metadata and field.name in values:
+            changes[field.name] = values[field.name]
+        elif isinstance(value, eqx.Module):
+            changes[field.name] = _replace(value, values)
+        elif isinstance(value, tuple) and _parts(value):
+            changes[field.name] = tuple(_replace(part, values) for part in value)
+    return dataclasses.replace(model, **changes)
+
+
+def _interval(spec: Spec) -> tuple[float, float]:
+    if spec.scale == "log":
+        return math.log(spec.lower), math.log(spec.upper)
+    return spec.bounds
+
+
+def constrain(z, spec: Spec):
+    """Real line -> the open interval of the bounds, elementwise (any shape).
+
+    A sigmoid across the interval; across the logarithms on a ``log`` scale.
+    """
+    lower, upper = _interval(spec)
+    x = lower + (upper - lower) * jax.nn.sigmoid(z)
+    return jnp.exp(x) if spec.scale == "log" else x
+
+
+def unconstrain(x, spec: Spec):
+    """Inverse of :func:`constrain`; a value at a bound is taken just inside it."""
+    lower, upper = _interval(spec)
+    x = jnp.log(x) if spec.scale == "log" else jnp.asarray(x, float)
+    unit = jnp.clip((x - lower) / (upper - lower), 1e-9, 1 - 1e-9)
+    return jnp.log(unit) - jnp.log1p(-unit)
+
+
+def log_jacobian(z, spec: Spec):
+    """log |dx/dz| of :func:`constrain`, up to a constant (any shape)."""
+    log_slope = jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)
+    if spec.scale == "log":
+        return log_slope + jnp.log(constrain(z, spec))
+    return log_slope
