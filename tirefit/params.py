@@ -75,9 +75,7 @@ def par(
     lower, upper = bounds
     if not lower <= default <= upper or lower == upper:
         raise ValueError(f"default {default} outside the bounds [{lower}, {upper}]")
-    spec = Spec(
-        default, lower, upper, unit, meaning, source, symbol, free, scale
-    )
+    spec = Spec(default, lower, upper, unit, meaning, source, symbol, free, scale)
     return eqx.field(default=default, metadata={"spec": spec})
 
 

@@ -32,6 +32,7 @@ def test_inspect_counts_loads_runs_and_directions():
     assert [level.median for run in report.runs for level in run.loads] == [2e3, 4e3]
     assert report.runs[0].directions == ("sigma_x both signs",)
     assert report.runs[0].replicates == 11
+    assert inspect(read_frame(sweep(repeats=1))).runs[0].replicates == 0
     assert "2.0 kN (n=22)" in report.text()
     assert support(report, "fx from sigma_x").possible
     assert support(report, "load dependence").possible

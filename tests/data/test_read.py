@@ -10,6 +10,7 @@ from tirefit import slip
 from tirefit.data.columns import guess
 from tirefit.data.read import read, read_frame
 from tirefit.data.units import known_unit, resolve_unit
+from tirefit.data.write import to_convention
 from tirefit.results import DataError
 
 RNG = np.random.default_rng(7)
@@ -48,6 +49,21 @@ def said(data, fragment):
          "a.csv", "Latin-1"),
         (b"A test of a tire\n" + TEXT.encode(), "a.csv", "before the header in line 2"),
         (TEXT.replace(".5\n", ".5;\n").encode(), "a.csv", ""),
+        (TEXT.replace("\n", ";\n").encode(), "a.csv", ""),
+        (TEXT.replace("\n", "\r").encode(), "a.csv", ""),
+        (TEXT.replace("-", "\N{MINUS SIGN}").encode(), "a.csv", ""),
+        (TEXT.replace(";", "\xa0;\xa0").encode(), "a.csv", ""),
+        (TEXT.replace("4000.5", "4.0005E+03").encode(), "a.csv", ""),
+        (b"# joined\n\xef\xbb\xbf" + TEXT.encode(), "a.csv", ""),
+        (TEXT.replace("fx", "\ufefffx").encode(), "a.csv", ""),
+        (TEXT.encode() + b"\x1a", "a.csv", ""),
+        (gzip.compress(TEXT.encode()), "a.csv", ""),
+        (TEXT.encode(), "a.csv.gz", ""),
+        (b"sep=;\n" + TEXT.encode(), "a.csv", "before the header in line 2"),
+        (TEXT.replace("fz\n", "fz;x;x\n").replace(".5\n", ".5;1;\n").encode(),
+         "a.csv", "columns not read: 'x', 'x'"),
+        (TEXT.replace("fz\n", "fz\n\n[-];[N];[N]\n").encode(), "a.csv",
+         "row 3 read as units"),
     ],
 )  # fmt: skip
 def test_text_of_every_kind_gives_the_same_numbers(tmp_path, content, name, fragment):
@@ -70,6 +86,26 @@ def test_a_units_row_is_used(tmp_path):
     np.testing.assert_allclose(data["fz"], 40005)
     np.testing.assert_allclose(data["sigma_x"], KAPPA / (100 - KAPPA))
     assert data.source.line[0] == 3
+
+
+@pytest.mark.parametrize(
+    ("header", "delimiter"),
+    [
+        ('"kappa, -","Fx, N","Fz, N"', ","),
+        ('"kappa, -";"Fx, N";"Fz, N"', ";"),
+        ("kappa, -, -;Fx, N;Fz, N", ";"),
+        ('"kappa\r\n[-]","Fx\n[N]",Fz', ","),
+        ('"A title"\n"kappa\n[-]","Fx\n[N]",Fz', ","),
+        ("'Title, of a test'\nkappa|Fx, N|Fz, N", "|"),
+    ],
+)
+def test_headers_may_hold_delimiters_and_line_ends(tmp_path, header, delimiter):
+    rows = TEXT.split("\n", 1)[1].replace(";", delimiter)
+    data = read(write(tmp_path, f"{header}\n{rows}"))
+    np.testing.assert_array_equal(data["sigma_x"], KAPPA / (1 - KAPPA))
+    np.testing.assert_array_equal(data["fz"], 4000.5)
+    assert data.source.line[0] == header.count("\n") + 2
+    assert "\n" not in "".join(data.source.columns.values())
 
 
 @pytest.mark.parametrize(
@@ -179,6 +215,47 @@ def test_slip_definitions_and_their_std_become_sigma(definition):
     np.testing.assert_array_equal(overridden["sigma_x_std"], data["sigma_x_std"])
 
 
+@pytest.mark.parametrize("key", list(slip.SLIP_DEFINITIONS))
+@pytest.mark.parametrize("definition", list(slip.SLIP_DEFINITIONS))
+def test_a_unit_may_name_the_slip_by_any_definition(definition, key):
+    plain = read_frame(frame_of(definition, KAPPA))
+    percent = read_frame(frame_of(definition, 100 * KAPPA), units={key: "%"})
+    np.testing.assert_allclose(percent["sigma_x"], plain["sigma_x"], rtol=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 3])
+def test_rows_to_predict_need_no_force_and_no_sweep(n):
+    frame = {"kappa": np.full(n, -5.0), "fz": np.full(n, -4.0), "v": np.full(n, 20.0)}
+    units = {"kappa": "%", "fz": "kN", "fx": "-kN", "fx_std": "N"}
+    data = read_frame(
+        frame, forces=False, units=units, columns={"fx": "F"}, convention="sae"
+    )
+    assert list(data.columns) == ["sigma_x", "fz", "v"]
+    np.testing.assert_allclose(data["sigma_x"], 0.05 / 0.95)
+    np.testing.assert_allclose(data["fz"], 4000)
+    assert said(data, "column 'F' (fx) is not there")
+    out = to_convention(data, {"fx": np.full(n, 1500.0)})
+    np.testing.assert_allclose(out["fx"], 1.5)
+    for columns in ({"alpha": [0.1]}, {"omega": [60.0], "v": [20.0]}):
+        found = read_frame({**columns, "fz": [4e3]}, forces=False, rolling_radius=0.3)
+        assert found.n == 1
+    with pytest.raises(DataError, match="no force") as caught:
+        read_frame({"kappa": [0.1], "fz": [4e3]})
+    assert "no slip" not in str(caught.value)
+
+
+def test_forces_that_are_there_are_still_checked():
+    frame = {"kappa": KAPPA, "fx": -FX, "fz": np.full(7, 4000.0)}
+    with pytest.raises(DataError, match="contradict"):
+        read_frame(frame, forces=False)
+
+
+def test_a_std_whose_column_is_missing_is_in_si():
+    data = read_frame(frame_of("kappa", KAPPA, noise=np.ones(7)),
+                      columns={"fy_std": "noise"})  # fmt: skip
+    np.testing.assert_array_equal(data["fy_std"], 1)
+
+
 def test_s_uses_the_slip_angle():
     alpha = np.linspace(-0.2, 0.2, 7)
     data = read_frame(frame_of("s", KAPPA * np.cos(alpha), alpha=alpha))
@@ -268,11 +345,17 @@ def test_a_data_frame_reads_as_the_file_does(tmp_path):
     assert from_frame.runs == ("named",)
 
 
-def test_noise_around_zero_slip_is_no_contradiction():
-    x = RNG.normal(scale=0.01, size=500)
-    force = RNG.normal(scale=50, size=500)
-    data = read_frame({"kappa": x, "fx": force, "fz": np.full(500, 4e3)})
-    assert data.n == 500
+@pytest.mark.parametrize(("n", "correlation"), [(8, -0.7), (5000, -0.15)])
+def test_a_weak_trend_is_no_contradiction(n, correlation):
+    x, noise = RNG.normal(size=(2, n))
+    noise -= x * np.sum(x * noise) / np.sum(x * x)
+    noise *= np.sqrt(np.sum(x * x) / np.sum(noise * noise))
+    force = correlation * x + np.sqrt(1 - correlation**2) * noise
+    frame = {"alpha": 0.05 * x, "fy": 1e3 * force, "fz": np.full(n, 4e3)}
+    assert read_frame(frame).n == n
+    frame["fy"] = -1e4 * x + noise
+    with pytest.raises(DataError, match="contradict"):
+        read_frame(frame)
 
 
 def test_a_large_file_reads_fast(tmp_path):

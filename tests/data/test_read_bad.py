@@ -35,7 +35,7 @@ CASES = {
     "empty cell": (lines("0.1,,4000"), {}, ["row 6, column 'fx'", "an empty cell"]),
     "nan": (lines("nan,1,4000"), {}, ["row 6, column 'kappa'", "nan is not a number"]),
     "inf": (lines("0.1,1,-inf"), {}, ["row 6, column 'fz'", "-inf is infinite"]),
-    "overflow": (lines("0.1,1e999,1"), {}, ["row 6, column 'fx'", "is infinite"]),
+    "overflow": (lines("0.1,1e300,1"), {}, ["row 6, column 'fx'", "is infinite"]),
     "underscore": (lines("0.1,1_0,4000"), {}, ["row 6, column 'fx'", "'1_0' is text"]),
     "ragged": (lines("0.1,1"), {}, ["row 6: 2 fields where the header has 3"]),
     "too long": (lines("0.1,1,2,3"), {}, ["row 6: 4 fields where the header has 3"]),
@@ -50,7 +50,40 @@ CASES = {
         lines(*["0.01,x,4000"] * 12), {},
         ["row 6, column", "row 10, column", "and 7 more rows with the same fault"],
     ),
-    "unclosed quote": (lines('0.1,"1,4000'), {}, ["row 6: 2 fields"]),
+    "unclosed quote": (lines('0.1,"1,4000'), {}, ["row 6: a quotation mark is not"]),
+    "quote to the end": (
+        HEADER + '0.01,"1,4000\n' + GOOD, {"mask_bad_rows": True},
+        ["row 2: a quotation mark is not closed"],
+    ),
+    "quotes over lines": (
+        lines('0.1,"1,4000', '0.2,1",4000', "0.3,x,4000"), {},
+        ["row 6, column 'fx': '1,4000", "row 8, column 'fx': 'x' is text"],
+    ),
+    "ragged over lines": (
+        lines('0.1,"1,4000', '0.2"'), {}, ["row 6: 2 fields in rows 6 to 7 where"]
+    ),
+    "long cell": (lines("0.1," + "x" * 200_000), {}, ["row 6", "field larger than"]),
+    "long number": (lines(f"0.1,{'1' * 999},4"), {}, ["row 6", f" {'1' * 27}... is"]),
+    "mixed delimiters": (
+        lines("0.1;1;4000"), {}, ["row 6: 1 fields where the header has 3"]
+    ),
+    "two header rows": (
+        HEADER + "slip,force,load\n" + GOOD, {}, ["row 2, column 'kappa'", "'slip' is"]
+    ),
+    "unit in the cell": (
+        lines("0.1,1 N,4000"), {}, ["row 6, column 'fx': '1 N' is text"]
+    ),
+    "thousands": (
+        lines('0.1,"1,234.5",4000'), {},
+        ["row 6, column 'fx': '1,234.5' has a comma", "without group separators"],
+    ),
+    "thousands or decimals": (
+        "kappa;fx;fz\n0;1;4,000\n1;2;4,000\n", {}, ["row 2, column 'fz': '4,000' has"]
+    ),
+    "points group": (
+        "kappa;fx;fz\n0,01;1;4.000,5\n1;2;3\n", {},
+        ["row 2, column 'fz': '4.000,5' has a comma"],
+    ),
     # range
     "load": (lines("0.1,1,0"), {}, ["row 6, column 'fz'", "0 is not a load"]),
     "kappa": (lines("1.5,1,4000"), {}, ["row 6", "1.5 is out", "--unit kappa=%"]),
@@ -115,7 +148,7 @@ CASES = {
     "same header": ("kappa,fx,fx,fz\n0.1,1,1,2\n", {}, ["'fx' and 'fx'", "rename"]),
     "two slips": (
         "kappa,sigma_x,fx,fz\n0.1,0.1,1,2\n", {},
-        ["'kappa' and 'sigma_x'", "all of them slip", "columns.kappa"],
+        ["'kappa' and 'sigma_x'", "all mean kappa and sigma_x", "columns.kappa"],
     ),
     "two definitions": (
         WELL.replace("fz", "fz,sigma_x_std").replace("4000", "4000,0.1"), {},
@@ -145,7 +178,23 @@ CASES = {
         WELL.replace("fx", "fx [deg]"), {}, ["unit of angle", "dimension force", "lbf"]
     ),
     "wrong in pint": (WELL, {"units": {"fx": "furlong"}}, ["not a unit of force"]),
-    "unused unit": (WELL, {"units": {"v": "km/h"}}, ["for v, which the file does not"]),
+    "unused unit": (WELL, {"units": {"v": "km/h"}}, ["--unit or [data.units] for v, which"]),
+    "unused slip": (
+        "alpha,fy,fz\n0,1,2\n0.1,2,2\n", {"slip": "s"},
+        ["declared by --slip or [data] slip for s"],
+    ),
+    "unit of another slip": (
+        "alpha,fy,fz\n0,1,2\n0.1,2,2\n", {"units": {"kappa": "%"}},
+        ["column 'kappa'", "[data.units] for kappa, which the file does not have"],
+    ),
+    "angle for a slip": (
+        WELL, {"units": {"sigma_x": "deg"}},
+        ["column 'kappa'", "unit of angle, but kappa is of dimension ratio"],
+    ),
+    "two units of a slip": (
+        WELL, {"units": {"sigma_x": "%", "s": "-"}},
+        ["two units of the slip column", "sigma_x=%, s=-"],
+    ),
     # the whole
     "constant slip": (
         table("kappa,fx,fz", [0.1] * 3, [1, 2, 3], [9] * 3), {},
@@ -189,13 +238,29 @@ CASES = {
     "no rows": (HEADER, {}, ["no data rows"]),
     "no header": (GOOD, {}, ["row 1", "numbers, not column names", "header"]),
     "binary": (b"\x89PNG\r\n\x1a\n\x00\x00", {}, ["not a text file"]),
-    "zeros": (b"kappa,fx,fz\n0.1,\x001,2\n", {}, ["not a text file"]),
+    "zeros": (b"kappa,fx,fz\n0.1,\x001,2\n", {}, ["row 2: not a text file"]),
+    "no byte order mark": (WELL.encode("utf-16-le"), {}, ["like UTF-16", "as UTF-8"]),
+    "utf-32": (WELL.encode("utf-32"), {}, ["UTF-32", "save it as UTF-8"]),
+    "gzip twice": (gzip.compress(gzip.compress(WELL.encode())), {}, ["binary data"]),
+    "gzip and more": (gzip.compress(WELL.encode()) + b"x", {}, ["gzip file is dam"]),
+    "only units": (HEADER + "-,N,N\n", {}, ["no data rows", "give at least"]),
+    "no force to predict": (
+        "fx,v\n1,2\n", {"forces": False}, ["no slip", "no load"]
+    ),
+    "unit to predict": (
+        "kappa,fz\n0.1,2\n", {"forces": False, "units": {"fx": "deg"}},
+        ["column 'fx'", "unit of angle"],
+    ),
+    "other unit to predict": (
+        "kappa,fz\n0.1,2\n", {"forces": False, "units": {"v": "km/h"}},
+        ["for v, which the file does not have"],
+    ),
     "spreadsheet": (b"PK\x03\x04abc", {}, ["spreadsheet", "export the sheet as CSV"]),
     "broken utf-16": (b"\xff\xfek\x00a", {}, ["broken UTF-16"]),
     "broken gzip": (gzip.compress(WELL.encode())[:-9], {}, ["gzip file is damaged"]),
     "wrong point": (
         "kappa;fx;fz\n0,1;1;2\n0.2;2;2\n", {},
-        ["row 2, column 'kappa'", "'0,1' is text"],
+        ["row 2, column 'kappa'", "'0,1' has a comma"],
     ),
     # even when masking
     "nothing left": (
@@ -257,8 +322,27 @@ def test_a_missing_file_is_named_with_its_neighbour(tmp_path):
     write(tmp_path, WELL)
     with pytest.raises(DataError, match="did you mean 'test file.csv'"):
         read(tmp_path / "test_file.csv")
-    with pytest.raises(DataError, match="cannot be read"):
-        read(tmp_path)
+    for path, reason, remedy in (
+        (tmp_path / "nowhere", "does not exist", "check the path"),
+        (tmp_path / "no" / "where", "does not exist", "check the path"),
+        (tmp_path, "cannot be read: Is a directory", "check the path and its perm"),
+        (tmp_path / "test file.csv" / "x", "Not a directory", "check the path"),
+        (tmp_path / "a\0b", "cannot be read: embedded null", "check the path"),
+    ):
+        with pytest.raises(DataError, match=reason) as caught:
+            read(path)
+        assert remedy in caught.value.problems[0].remedy
+
+
+def test_a_file_without_permission_says_so(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise PermissionError(13, "Permission denied")
+
+    path = write(tmp_path, WELL)
+    monkeypatch.setattr("pathlib.Path.read_bytes", refuse)  # chmod does not stop root
+    with pytest.raises(DataError, match="Permission denied") as caught:
+        read(path)
+    assert "permissions" in caught.value.problems[0].remedy
 
 
 def test_bad_rows_are_masked_on_request_and_listed(tmp_path):

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from numeric_patch import holding_ratio, integrate_patch, reference_tire
 
-from tirefit.models import MODELS, TireInputs
+from tirefit.models import (
+    MODELS,
+    Asymmetric,
+    Parabolic,
+    Quartic,
+    TireInputs,
+    Uniform,
+)
 from tirefit.params import parameter_values, with_values
 
 BRUSHES = pytest.mark.parametrize("name", sorted(set(MODELS) - {"magic-formula"}))
@@ -57,22 +64,23 @@ def evaluate(name, values, inputs):
         MODELS[name], {key: jnp.asarray(val) for key, val in values.items()}
     )
     samples = TireInputs(*map(jnp.asarray, inputs))
-    return jax.vmap(lambda tire, sample: tire(sample))(model, samples)
+    with jax.disable_jit():  # operation by operation: 43 compilations less
+        return jax.vmap(lambda tire, sample: tire(sample))(model, samples)
 
 
 def worst_errors(name, values, inputs):
     """Largest relative error of fx, fy, mz, and the breakaway points of the patches."""
     result = evaluate(name, values, inputs)
-    rows = []
+    rows = []  # the 1e-9 N is for m = 0 and full sliding, where nothing is left
     for i, sample in enumerate(inputs.T):
         at = {key: float(value[i]) for key, value in values.items()}
         along, across = reference_tire(name, at, *sample)
         side, ahead = np.sign(sample[1]), np.sign(sample[0])
         rows.append(
             [
-                (result.fx[i] - ahead * along.force) / along.force_scale,
-                (result.fy[i] - side * across.force) / across.force_scale,
-                (result.mz[i] - side * across.moment) / across.moment_scale,
+                (result.fx[i] - ahead * along.force) / (along.force_scale + 1e-9),
+                (result.fy[i] - side * across.force) / (across.force_scale + 1e-9),
+                (result.mz[i] - side * across.moment) / (across.moment_scale + 1e-9),
                 along.breakaway,
             ]
         )
@@ -82,19 +90,18 @@ def worst_errors(name, values, inputs):
 
 @BRUSHES
 def test_force_and_moment_of_the_patch(name):
-    demand, d, m = (
-        axis.ravel() for axis in np.meshgrid(DEMAND, ASYMMETRIES[::3], KINETIC)
-    )
+    asymmetries = ASYMMETRIES[::3] if "brush-d" in name else [0.0]
+    demand, d, m = (axis.ravel() for axis in np.meshgrid(DEMAND, asymmetries, KINETIC))
     seed = sorted(MODELS).index(name)
     values, inputs = draw(name, seed, d, m, demand)
     worst, breakaway = worst_errors(name, values, inputs)
     assert (worst < 1e-9).all(), worst
     partly = np.abs(breakaway) < 1 - 1e-9
-    assert partly.sum() > 50  # the grid reaches every regime
+    assert partly.mean() > 0.4  # the grid reaches every regime
     if name.startswith("uniform"):
-        assert (breakaway == -1).sum() > 30
+        assert (breakaway == -1).mean() > 0.2
     else:
-        assert (breakaway == 1).sum() > 30
+        assert (breakaway == 1).mean() > 0.15
 
 
 @pytest.mark.parametrize("name", ["brush-d", "brush-dm", "brush-dmns"])
@@ -105,6 +112,37 @@ def test_all_asymmetries(name):
     values, inputs = draw(name, 7, d, m, demand)
     worst, _ = worst_errors(name, values, inputs)
     assert (worst < 1e-9).all(), worst
+
+
+LAWS = {
+    "brush": Parabolic(),
+    "uniform": Uniform(),
+    "quartic": Quartic(),
+    **{f"d = {d:.3g}": Asymmetric(d) for d in (-1 / 3, -1e-9, 0.0, 0.4, 0.95)},
+}
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_breakaway_keeps_its_digits_at_small_demand(law):
+    """Need equals limit at the breakaway point, relative to either."""
+    rho = jnp.asarray([1e-14, 1e-9, 1e-6, 1e-3, 0.1, 0.24, 0.26, 0.5, 0.9])
+    u = law.breakaway(rho)
+    partly = (u > 0) & (u < 2)
+    assert partly.sum() == (3 if isinstance(law, Uniform) else 9)
+    u, rho = u[partly], rho[partly]
+    np.testing.assert_allclose(law.density(u), rho * (2 - u), rtol=1e-13)
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_pressure_integrals_belong_to_the_density(law):
+    u = jnp.linspace(0.0, 2.0, 33)
+    density = law.density(u)
+    np.testing.assert_allclose(jax.vmap(jax.grad(law.cdf))(u), density, atol=1e-14)
+    moment = jax.vmap(jax.grad(law.moment))(u)
+    np.testing.assert_allclose(moment, (u - 1) * density, atol=1e-14)
+    assert law.cdf(u[0]) == law.moment(u[0]) == 0.0
+    np.testing.assert_allclose(law.cdf(u[-1]), 1.0, rtol=1e-15)
+    assert float(density.min()) >= 0.0
 
 
 def test_static_friction_decides_the_breakaway():
@@ -155,34 +193,34 @@ def smooth_samples(name, seed, n=400):
 def test_gradient_is_the_central_difference(name):
     """One parameter or input per sample, in turn, with a five-point stencil."""
     values, inputs = smooth_samples(name, 11)
-    names = [*values, "sigma_x", "alpha", "fz", "v"]
-    table = np.stack([*values.values(), *inputs])
-    n = table.shape[1]
-    which = np.arange(n) % len(names)
-    direction = (np.arange(len(names))[:, None] == which) * 1.0
-    step = 1e-3 * np.maximum(np.abs(table), 1e-3)
+    columns = {**values, **dict(zip(TireInputs._fields, inputs, strict=True))}
+    n = len(inputs[0])
+    which = np.arange(n) % len(columns)
+    direction = {key: 1.0 * (which == i) for i, key in enumerate(columns)}
+    step = {key: 1e-3 * np.maximum(np.abs(x), 1e-3) for key, x in columns.items()}
 
     def outputs(columns):
-        model = with_values(MODELS[name], dict(zip(values, columns, strict=False)))
-        return jnp.stack(model(TireInputs(*columns[len(values) :])))
+        inputs = [columns[key] for key in TireInputs._fields]
+        result = evaluate(name, {key: columns[key] for key in values}, inputs)
+        return jnp.stack(result, axis=-1)
 
-    def moved(by):
-        return np.asarray(jax.vmap(outputs)(jnp.asarray((table + by * step).T)))
-
-    shifts = [k * direction for k in (-2, -1, 1, 2)]
-    far_back, back, ahead, far = (moved(by) for by in shifts)
-    size = (direction * step).sum(axis=0)[:, None]
+    shifts = (-2, -1, 1, 2)
+    moved = {
+        key: np.concatenate([x + k * step[key] * direction[key] for k in shifts])
+        for key, x in columns.items()
+    }
+    far_back, back, ahead, far = np.asarray(outputs(moved)).reshape(4, n, 3)
+    size = sum(step[key] * direction[key] for key in columns)[:, None]
     difference = (8 * (ahead - back) - (far - far_back)) / (12 * size)
-    _, tangent = jax.jvp(
-        jax.vmap(outputs), (jnp.asarray(table.T),), (jnp.asarray(direction.T),)
-    )
+    arrays, tangents = jax.tree.map(jnp.asarray, (columns, direction))
+    _, tangent = jax.jvp(outputs, (arrays,), (tangents,))
     # Elasticity: the change for a change of the parameter by its own size.
     load = inputs[2] * np.array([[1.0], [1.0], [0.1]])
     error = np.abs(tangent - difference) * (1e3 * size) / load.T
-    worst = {key: error[which == i].max() for i, key in enumerate(names)}
+    worst = {key: error[which == i].max() for i, key in enumerate(columns)}
     assert max(worst.values()) < 1e-7, worst
     moves = np.abs(difference) * (1e3 * size) / load.T
-    idle = [key for i, key in enumerate(names) if moves[which == i].max() < 1e-5]
+    idle = [key for i, key in enumerate(columns) if moves[which == i].max() < 1e-5]
     assert idle == ([] if needs_v(name) else ["v"])
 
 

@@ -5,6 +5,7 @@ the whole (signs, constant slip, missing columns) yield problems that stand even
 bad rows are masked.
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -36,6 +37,8 @@ SHOWN = 5
 
 _NEARLY_ONE = 1 + 1e-6
 _LOWEST_SIGMA = -1.05
+_LARGEST = 1e100  # no measurement; its square still fits in a float
+_GROUPED = re.compile(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+\s*")
 _CORRECT = "correct the row, or mask bad rows with --mask-bad-rows"
 
 
@@ -190,8 +193,13 @@ def list_problems(
     return of_rows, of_columns
 
 
-def check_columns(columns, headers: Sequence[str], file: str) -> list[Problem]:
-    """What every fit needs: a slip, a force, the load; ``columns`` are those there."""
+def check_columns(
+    columns, headers: Sequence[str], file: str, forces: bool = True
+) -> list[Problem]:
+    """What every fit needs: a slip, a force if ``forces``, the load.
+
+    ``columns`` are those there, ``headers`` the file's own.
+    """
     problems = []
     found = ", ".join(repr(header) for header in headers)
     if len(headers) == 1:
@@ -202,7 +210,7 @@ def check_columns(columns, headers: Sequence[str], file: str) -> list[Problem]:
             remedy = "give --rolling-radius R [m] to compute it from omega and v"
         reason = "no slip: one of sigma_x, kappa, s, slip_ratio, alpha is needed"
         problems.append(Problem(reason, remedy, file))
-    if not {"fx", "fy", "mz"} & set(columns):
+    if forces and not {"fx", "fy", "mz"} & set(columns):
         remedy = f"name one, as in --column fx=HEADER; columns found: {found}"
         reason = "no force: one of fx, fy, mz is needed"
         problems.append(Problem(reason, remedy, file))
@@ -319,22 +327,26 @@ def check_rolling_radius(
 
 
 def has_decimal_comma(columns) -> bool:
-    """Commas in the cells, and no number that is written with a point."""
+    """Commas in the cells, not all as in 4,000, and no number with a point."""
     columns = [cells for cells in columns if not isinstance(cells, np.ndarray)]
     if not any("," in "".join(cells) for cells in columns):
+        return False
+    with_comma = (cell for cells in columns for cell in cells if "," in cell)
+    if all(_GROUPED.fullmatch(cell) for cell in with_comma):
         return False
     return not any(
         "." in cell and is_number(cell) for cells in columns for cell in cells
     )
 
 
-def read_numbers(cells, header: str, ragged: np.ndarray):
+def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False):
     """Numbers of a column of cells, and the faulty ones.
 
     Args:
         cells: n strings, or an (n,) array of numbers.
         header: named in the faults.
         ragged: (n,) bool, rows already known to be bad.
+        commas: whether a comma is the decimal point.
 
     Returns:
         float64 (n,) with NaN for every fault, and the faults by kind.
@@ -342,23 +354,26 @@ def read_numbers(cells, header: str, ragged: np.ndarray):
     if isinstance(cells, np.ndarray):
         values = cells.astype(float)
     else:
+        texts = [cell.replace(",", ".") for cell in cells] if commas else cells
         try:
             # float() accepts 1_000, which no measuring system writes
-            if "_" in "".join(cells):
+            if "_" in "".join(texts):
                 raise ValueError
-            values = np.fromiter(map(float, cells), float, len(cells))
+            values = np.fromiter(map(float, texts), float, len(texts))
         except ValueError:
-            parsed = [float(cell) if is_number(cell) else np.nan for cell in cells]
+            texts = [text.replace("\N{MINUS SIGN}", "-") for text in texts]
+            parsed = [float(text) if is_number(text) else np.nan for text in texts]
             values = np.array(parsed, float)
+    is_sane = abs(values) < _LARGEST
     kinds: dict[str, list[tuple[int, str]]] = {}
-    for row in np.flatnonzero(~np.isfinite(values) & ~ragged):
+    for row in np.flatnonzero(~is_sane & ~ragged):
         shown, kind = _fault_of(str(cells[row]))
         kinds.setdefault(kind, []).append((int(row), shown))
     faults = [
         BadRows(header, *zip(*found, strict=True), kind)
         for kind, found in kinds.items()
     ]
-    return np.where(np.isfinite(values), values, np.nan), faults
+    return np.where(is_sane, values, np.nan), faults
 
 
 def _fault_of(cell: str) -> tuple[str, str]:
@@ -366,10 +381,12 @@ def _fault_of(cell: str) -> tuple[str, str]:
     text = cell.strip()
     if not text:
         return "an empty cell", "where a number is needed"
+    shown = text if len(text) <= 30 else text[:27] + "..."
     word = text.lstrip("+-").casefold()
     if word in ("inf", "infinity") or is_number(text):
-        return text, "is infinite"
+        return shown, f"is infinite (beyond {_LARGEST:g})"
     if word == "nan":
         return text, "is not a number"
-    shown = text if len(text) <= 30 else text[:27] + "..."
+    if "," in text and is_number(text.replace(",", "")):
+        return repr(shown), "has a comma: write 4000.5, without group separators"
     return repr(shown), "is text where a number is needed"

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from tirefit.data.table import CANONICAL
 from tirefit.data.units import (
+    MEANING_OF_SLIP,
     Unit,
     base_column,
     dimension_of,
@@ -21,10 +22,8 @@ __all__ = [
     "Column",
     "Options",
     "Plan",
-    "find_header",
     "guess",
     "is_number",
-    "is_units_row",
     "plan_columns",
 ]
 
@@ -55,14 +54,12 @@ _TTC_MARKS = {"ET", "IA", "RL", "RE", "TSTC", "AMBTMP", "NFX", "NFY"}
 _STD_WORDS = {"std", "sd", "stdev", "stddev"}
 _BRACKETED = re.compile(r"^(.*?)\s*[\[({<]([^\])}>]*)[\])}>]\s*$")
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
-DELIMITERS = "\t;|,"
 _SEPARATORS = r"[\s_/,:.\-]+"
 
-MEANING_OF_SLIP = {
-    "sigma_x": "v_sx / (Omega R_e)",
-    "kappa": "v_sx / v_x",
-    "s": "v_sx / |v|",
-    "slip_ratio": "v_sx / max(v_x, Omega R_e)",
+_DECLARED_BY = {
+    "columns": "--column or [data.columns]",
+    "units": "--unit or [data.units]",
+    "slip": "--slip or [data] slip",
 }
 
 
@@ -76,12 +73,13 @@ class Options(NamedTuple):
     constants: Mapping[str, float]
     rolling_radius: float | None
     mask_bad_rows: bool
+    forces: bool
 
     def check(self) -> None:
         """Raises UsageError with every option whose value is not a known one."""
         named = [*CANONICAL, *(key for key in SLIP_DEFINITIONS if key != "sigma_x")]
         readable = [*named, "run", *(f"{name}_std" for name in named)]
-        constant = [*CANONICAL, *(f"{name}_std" for name in CANONICAL)]
+        constant = [name for name in readable if base_column(name) in CANONICAL]
         problems = [
             *_unknown("--column", self.columns, readable),
             *_unknown("--unit", self.units, [n for n in readable if n != "run"]),
@@ -91,12 +89,9 @@ class Options(NamedTuple):
         ]
         radius = self.rolling_radius
         if radius is not None and not 0 < radius < float("inf"):
-            problems.append(
-                Problem(
-                    f"--rolling-radius {radius} is not a positive length",
-                    "give the effective rolling radius in metres",
-                )
-            )
+            reason = f"--rolling-radius {radius} is not a positive length"
+            remedy = "give the effective rolling radius in metres"
+            problems.append(Problem(reason, remedy))
         for name, value in self.constants.items():
             is_size = name in ("fz", "v", "pressure") or name.endswith("_std")
             if not abs(value) < float("inf") or (is_size and value <= 0):
@@ -113,8 +108,8 @@ def _unknown(option: str, given, known) -> list[Problem]:
         if value is None or value in known:
             continue
         close = difflib.get_close_matches(str(value), known, n=1)
-        meant = f"did you mean {close[0]!r}? " if close else ""
-        remedy = f"{meant}valid: {', '.join(known)}"
+        remedy = f"did you mean {close[0]!r}? " if close else ""
+        remedy += f"valid: {', '.join(known)}"
         problems.append(Problem(f"{option}: {value!r} is not known", remedy))
     return problems
 
@@ -147,6 +142,8 @@ class Plan:
     columns: dict[str, Column] = field(default_factory=dict)
     assumptions: list[str] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
+    units_to_write: dict[str, str] = field(default_factory=dict)
+    """Declared units of forces that the file lacks, yet to be predicted."""
 
     @property
     def slip(self) -> str | None:
@@ -171,38 +168,6 @@ def guess(header: str) -> Guess | None:
             return None
         return Guess(f"{name}_std" if is_std else name, stated)
     return None
-
-
-def find_header(lines, searched, declared) -> tuple[int, str]:
-    """Index of the header line and the delimiter.
-
-    Some systems write a title first: the header is the first of the searched lines
-    with two recognised columns, or else simply the first.
-    """
-    declared = {header.strip().casefold() for header in declared}
-    for index in searched:
-        names = re.split(f"[{DELIMITERS}]", lines[index])
-        names = [name.strip().strip('"') for name in names]
-        known = [name.casefold() in declared or guess(name) for name in names]
-        if sum(map(bool, known)) >= 2:
-            break
-    else:
-        index = searched[0]
-    delimiter = max(DELIMITERS, key=lines[index].count)
-    first = lines[searched[0]].count(delimiter)
-    if first >= lines[index].count(delimiter):  # as wide: no title, but the header
-        index = searched[0]
-        delimiter = max(DELIMITERS, key=lines[index].count)
-    return index, delimiter
-
-
-def is_units_row(row: list[str], width: int) -> bool:
-    """No numbers, and at least half of what is there are common units."""
-    cells = [cell.strip() for cell in row]
-    stated = [cell for cell in cells if cell not in ("", "-")]
-    if len(row) != width or not stated or any(map(is_number, cells)):
-        return False
-    return sum(known_unit(cell) is not None for cell in stated) * 2 >= len(stated)
 
 
 def is_number(text: str) -> bool:
@@ -252,10 +217,10 @@ def plan_columns(
         column = Column(named, headers[index], index, unit_text)
         plan.columns[named] = _with_unit(column, plan, file)
         _say(column, name in declared, how, plan)
-    _check_units_used(options, plan, file)
+    _check_all_used(options, plan, file)
     ignored = [h for i, h in enumerate(headers) if h and i not in chosen.values()]
-    if ignored:
-        plan.assumptions.append(f"columns not read: {', '.join(map(repr, ignored))}")
+    listed = ", ".join(map(repr, ignored))
+    plan.assumptions += [f"columns not read: {listed}"] if ignored else []
     return plan
 
 
@@ -269,13 +234,16 @@ def _declared(headers, options, plan, file) -> dict[str, int]:
         if len(places) == 1:
             found[name] = places[0]
             continue
-        if places:
-            reason = f"the header occurs {len(places)} times"
-            remedy = "rename one of them in the file"
-        else:
+        if not places and _is_predicted(name, options):
+            plan.assumptions.append(f"column {header!r} ({name}) is not there")
+            continue
+        reason = f"the header occurs {len(places)} times"
+        remedy = "rename one of them in the file"
+        if not places:
             close = difflib.get_close_matches(wanted, headers, n=1)
             meant = f"did you mean {close[0]!r}? " if close else ""
-            reason = f"the file has no such column (declared as {name})"
+            how = f"declared as {name} by {_DECLARED_BY['columns']}"
+            reason = f"the file has no such column ({how})"
             remedy = f"{meant}columns found: {', '.join(map(repr, headers))}"
         plan.problems.append(Problem(reason, remedy, file, column=header))
     _refuse_shared(found, headers, plan, file)
@@ -289,7 +257,7 @@ def _refuse_shared(found, headers, plan, file) -> None:
         others = [
             other
             for other in names[:place]
-            if (found[other] == found[name] or _group(other) == _group(name))
+            if found[other] == found[name] or _group(other) == _group(name)
         ]
         if others:
             reason = f"declared as {name} beside {others[0]}, which excludes it"
@@ -310,10 +278,8 @@ def _inferred(headers, declared, plan, file) -> dict[str, int]:
             continue
         listed = " and ".join(repr(headers[index]) for _, index in matches)
         name, index = matches[0]
-        reason = f"duplicate column: {listed} all mean {name}"
-        if len({match for match, _ in matches}) > 1:
-            names = " and ".join(match for match, _ in matches)
-            reason = f"duplicate column: {listed} are read as {names}, all of them slip"
+        names = " and ".join(dict.fromkeys(match for match, _ in matches))
+        reason = f"duplicate column: {listed} all mean {names}"
         remedy = f'choose one: columns.{name} = "{headers[index]}" or --column {name}='
         if len({headers[index] for _, index in matches}) == 1:
             remedy = "rename or remove one of them in the file"
@@ -337,10 +303,9 @@ def _check_slip_std(chosen, headers, plan, file) -> None:
     slip, std = names.get("slip"), names.get("slip_std")
     if slip and std and std != f"{slip}_std":
         reason = f"read as {std}, but the slip column is {slip}"
-        remedy = f"declare both by one definition: --column {slip}_std= or --column"
-        remedy += f" {base_column(std)}="
-        header = headers[chosen[std]]
-        plan.problems.append(Problem(reason, remedy, file, column=header))
+        remedy = f"declare both by one definition, as with --column {slip}_std=HEADER"
+        where = headers[chosen[std]]
+        plan.problems.append(Problem(reason, remedy, file, column=where))
 
 
 def _is_ttc(headers: Sequence[str]) -> bool:
@@ -367,11 +332,18 @@ def _unit_of(name, index, headers, units_row, options, chosen) -> tuple[str, str
     if _is_ttc(headers) and headers[index] in _TTC_UNITS:
         return _TTC_UNITS[headers[index]], " (as in Tire Test Consortium files)"
     if name.endswith("_std"):
-        owner = next(n for n in chosen if _group(n) == _group(name)[: -len("_std")])
-        text, _ = _unit_of(owner, chosen[owner], headers, units_row, options, chosen)
-        return text.removeprefix("-") or "-", f" (the unit of {owner})"
-    canonical = CANONICAL.get(name, ("-", ""))[0]
+        group = _group(name).removesuffix("_std")
+        owner = next((n for n in chosen if _group(n) == group), None)
+        if owner is not None:
+            unit = _unit_of(owner, chosen[owner], headers, units_row, options, chosen)
+            return unit[0].removeprefix("-") or "-", f" (the unit of {owner})"
+    canonical = CANONICAL.get(base_column(name), ("-", ""))[0]
     return canonical, "" if headers[index] == name else " (no unit stated)"
+
+
+def _is_predicted(name: str, options: Options) -> bool:
+    """Whether a column may be missing, since it is a force yet to be predicted."""
+    return not options.forces and base_column(name) in ("fx", "fy", "mz")
 
 
 def _declared_unit(name: str, options: Options) -> str | None:
@@ -386,26 +358,42 @@ def _with_unit(column: Column, plan: Plan, file: str) -> Column:
     try:
         return replace(column, unit=resolve_unit(column.unit_text, column.name))
     except DataError as error:
-        for problem in error.problems:
-            where = replace(problem, file=file, column=column.header)
-            plan.problems.append(where)
+        plan.problems += [
+            replace(p, file=file, column=column.header) for p in error.problems
+        ]
         return column
 
 
 def _say(column: Column, is_declared: bool, how: str, plan: Plan) -> None:
     unit = f" in {column.unit_text}{how}" if column.name != "run" else ""
-    ending = ", as declared" if is_declared else ""
-    meaning = ""
+    ending, meaning = ", as declared" if is_declared else "", ""
     if column.name in SLIP_DEFINITIONS and column.header.casefold() != column.name:
         meaning = f" = {MEANING_OF_SLIP[column.name]}"
-    sentence = f"column {column.header!r} read as {column.name}{meaning}{unit}{ending}"
-    plan.assumptions.append(sentence)
+    what = f"{column.name}{meaning}{unit}{ending}"
+    plan.assumptions.append(f"column {column.header!r} read as {what}")
 
 
-def _check_units_used(options: Options, plan: Plan, file: str) -> None:
+def _check_all_used(options: Options, plan: Plan, file: str) -> None:
+    """A unit or a definition of a column that is not read is a mistake."""
     groups = {_group(name) for name in plan.columns}
-    for name in options.units:
-        if _group(name) not in groups:
-            reason = f"a unit is declared for {name}, which the file does not have"
-            remedy = f"remove --unit {name}= or name the column with --column {name}="
+    for group in ("slip", "slip_std"):
+        units = {n: unit for n, unit in options.units.items() if _group(n) == group}
+        if len(set(units.values())) > 1:
+            listed = ", ".join(f"{name}={unit}" for name, unit in units.items())
+            reason = (
+                f"the slip column has two units ({_DECLARED_BY['units']}): {listed}"
+            )
+            plan.problems.append(Problem(reason, "declare one of them", file))
+    declared = [("units", name) for name in options.units]
+    declared += [("slip", options.slip)] if options.slip else []
+    for option, name in declared:
+        if _group(name) in groups:
+            continue
+        if option == "units" and _is_predicted(name, options):
+            column = _with_unit(Column(name, name, -1, options.units[name]), plan, file)
+            plan.units_to_write |= {name: column.unit_text} if column.unit else {}
+        else:
+            how = f"declared by {_DECLARED_BY[option]}"
+            reason = f"{how} for {name}, which the file does not have"
+            remedy = f"remove it, or name the column with --column {name}=HEADER"
             plan.problems.append(Problem(reason, remedy, file, column=name))

@@ -4,16 +4,7 @@ Every problem found is reported at once, each with its place and a remedy; what 
 be assumed is kept as sentences in ``Source.assumptions``.
 """
 
-import codecs
-import csv
-import difflib
-import gzip
-import hashlib
-import io
-import itertools
-import re
-import zlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,15 +12,9 @@ import numpy as np
 
 from tirefit.data import check
 from tirefit.data.check import BadRows
-from tirefit.data.columns import (
-    Options,
-    Plan,
-    find_header,
-    is_number,
-    is_units_row,
-    plan_columns,
-)
+from tirefit.data.columns import Options, Plan, plan_columns
 from tirefit.data.table import CANONICAL, Source, TireData
+from tirefit.data.text import Table, read_table, table_of_frame
 from tirefit.data.units import (
     SPINNING,
     base_column,
@@ -41,173 +26,7 @@ from tirefit.data.units import (
 from tirefit.results import DataError, Problem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
 
-__all__ = ["read", "read_frame", "require"]
-
-_SEARCHED = 10
-
-
-@dataclass(frozen=True)
-class Table:
-    """Cells of a file or frame before their meaning is known.
-
-    ``cells`` holds per column n strings or an (n,) number array; ``ragged`` (n,) bool
-    marks rows without the header's number of fields, ``lines`` (n,) their lines.
-    """
-
-    file: str
-    name: str
-    headers: list[str]
-    cells: list
-    lines: np.ndarray
-    ragged: np.ndarray
-    header_line: int | None = None
-    delimiter: str = ""
-    units_row: list[str] | None = None
-    sha256: str = ""
-    notes: tuple[str, ...] = ()
-    faults: tuple[BadRows, ...] = ()
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        beside = path.parent.iterdir() if path.parent.is_dir() else ()
-        close = difflib.get_close_matches(path.name, [p.name for p in beside], n=1)
-        remedy = f"did you mean {close[0]!r}?" if close else "check the path"
-        raise _refusal("the file does not exist", remedy, path) from None
-    except OSError as error:
-        reason = f"the file cannot be read: {error.strerror}"
-        raise _refusal(reason, "check the path and its permissions", path) from error
-
-
-def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataError:
-    return DataError(Problem(reason, remedy, str(path), row))
-
-
-def _decode(raw: bytes, path: Path) -> tuple[str, list[str]]:
-    """Text of the file, gunzipped, and what was assumed of its encoding."""
-    if raw.startswith(b"\x1f\x8b"):
-        try:
-            raw = gzip.decompress(raw)
-        except (OSError, EOFError, zlib.error) as error:
-            reason = f"the gzip file is damaged: {error}"
-            raise _refusal(reason, "copy or compress it again", path) from error
-    export = "give a text file: CSV, semicolon- or tab-separated, or such as .gz"
-    if raw.startswith(b"PK\x03\x04"):
-        reason = "not a text file but a zip archive or spreadsheet"
-        raise _refusal(reason, "export the sheet as CSV", path)
-    try:
-        if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            return raw.decode("utf-16"), ["read as UTF-16"]
-        text, notes = raw.decode("utf-8-sig"), []
-    except UnicodeDecodeError as error:
-        if error.encoding.startswith("utf-16"):
-            raise _refusal("not a text file: broken UTF-16", export, path) from error
-        text, notes = raw.decode("latin-1"), ["not UTF-8: read as Latin-1"]
-    if re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text):
-        raise _refusal("not a text file: it holds binary data", export, path)
-    return text, notes
-
-
-def _read_table(path: Path, declared: Collection[str]) -> Table:
-    """Reads a text file into cells; ``declared`` headers help to find the header."""
-    raw = _read_bytes(path)
-    text, notes = _decode(raw, path)
-    lines = [
-        "\n" if line.lstrip().startswith("#") or not line.strip() else line
-        for line in io.StringIO(text, newline="")
-    ]
-    content = (i for i, line in enumerate(lines) if line != "\n")
-    searched = list(itertools.islice(content, _SEARCHED))
-    if not searched:
-        raise _refusal("the file is empty", "give a header line and data rows", path)
-    start, delimiter = find_header(lines, searched, declared)
-    if start != searched[0]:
-        notes.append(f"lines before the header in line {start + 1} skipped")
-    rows, numbers = _split(lines[start:], delimiter, start, path)
-    headers, rows, numbers = [cell.strip() for cell in rows[0]], rows[1:], numbers[1:]
-    if all(is_number(cell) for cell in headers):
-        reason = "the first line holds numbers, not column names"
-        remedy = "add a header line such as kappa,fx,fz, without a # before it"
-        raise _refusal(reason, remedy, path, start + 1)
-    units_row = None
-    if rows and is_units_row(rows[0], len(headers)):
-        units_row, rows, numbers = rows[0], rows[1:], numbers[1:]
-        notes.append(f"row {start + 2} read as units")
-    if not rows:
-        reason = "there are no data rows below the header"
-        raise _refusal(reason, "give at least as many rows as parameters", path)
-    ragged, faults = _even_out(rows, len(headers))
-    stem = path.name.removesuffix(".gz")
-    return Table(
-        str(path), Path(stem).stem, headers, list(zip(*rows, strict=True)),
-        np.array(numbers), ragged, start + 1, delimiter, units_row,
-        hashlib.sha256(raw).hexdigest(), tuple(notes), faults,
-    )  # fmt: skip
-
-
-def _split(lines, delimiter, start, path) -> tuple[list[list[str]], list[int]]:
-    """Rows of cells without blank lines, and the line of each in the file."""
-    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
-    rows, numbers = [], []
-    try:
-        for row in reader:
-            if row:
-                rows.append(row)
-                numbers.append(start + reader.line_num)
-    except csv.Error as error:
-        row = start + reader.line_num
-        remedy = "look for a quotation mark that is not closed"
-        raise _refusal(
-            f"the line cannot be split: {error}", remedy, path, row
-        ) from error
-    return rows, numbers
-
-
-def _even_out(rows: list[list[str]], width: int) -> tuple[np.ndarray, tuple]:
-    """Makes all rows ``width`` long; those that were not are ragged and faulty."""
-    ragged = np.zeros(len(rows), bool)
-    found = []
-    for index, row in enumerate(rows):
-        if len(row) == width:
-            continue
-        if len(row) > width and not any(cell.strip() for cell in row[width:]):
-            rows[index] = row[:width]  # a delimiter at the end of the line
-            continue
-        found.append((index, f"{len(row)} fields"))
-        ragged[index] = True
-        rows[index] = ["nan"] * width
-    if not found:
-        return ragged, ()
-    indices, shown = zip(*found, strict=True)
-    return ragged, (BadRows(None, indices, shown, f"where the header has {width}"),)
-
-
-def _table_of_frame(frame, name: str) -> Table:
-    """A table of a DataFrame or a mapping of arrays; rows are counted from 0."""
-    headers = [str(header) for header in frame]
-    if hasattr(frame, "iloc"):
-        values = [frame.iloc[:, i].to_numpy() for i in range(len(headers))]
-    else:
-        values = [np.asarray(frame[header]) for header in frame]
-    lengths = {value.shape for value in values}
-    if not values or len(lengths) > 1 or values[0].ndim != 1 or not len(values[0]):
-        shapes = ", ".join(
-            f"{h}: {v.shape}" for h, v in zip(headers, values, strict=True)
-        )
-        reason = (
-            f"columns must be one-dimensional, equally long and not empty ({shapes})"
-        )
-        raise _refusal(reason, "give arrays of shape (n,)", name)
-    cells = [
-        value
-        if value.dtype.kind in "fiub"
-        else ["" if x is None else str(x) for x in value]
-        for value in values
-    ]
-    n = len(values[0])
-    return Table(name, name, headers, cells, np.arange(n), np.zeros(n, bool))
+__all__ = ["Table", "read", "read_frame", "read_table", "require"]
 
 
 def read(
@@ -220,6 +39,7 @@ def read(
     constants: Mapping[str, float] | None = None,
     rolling_radius: float | None = None,
     mask_bad_rows: bool = False,
+    forces: bool = True,
 ) -> TireData:
     """Reads a text file (CSV and its kin, also .gz) into canonical, checked data.
 
@@ -237,6 +57,9 @@ def read(
             checks the slip column against them.
         mask_bad_rows: keep rows that break a rule, unused and listed in
             ``source.masked``, instead of raising.
+        forces: False where forces are to be predicted: then no force column is
+            needed and one operating point is enough, and a unit declared for a force
+            that the file does not have is kept for writing it.
 
     Raises:
         UsageError: an option has an unknown name or value.
@@ -244,10 +67,10 @@ def read(
     """
     options = Options(
         columns or {}, units or {}, convention, slip, constants or {},
-        rolling_radius, mask_bad_rows,
+        rolling_radius, mask_bad_rows, forces,
     )  # fmt: skip
     options.check()
-    return _checked(_read_table(Path(path), options.columns.values()), options)
+    return _checked(read_table(Path(path), options.columns.values()), options)
 
 
 def read_frame(frame, name: str = "data", **options) -> TireData:
@@ -255,11 +78,11 @@ def read_frame(frame, name: str = "data", **options) -> TireData:
 
     Rows are counted from 0 in its problems, as by ``iloc``.
     """
-    known = Options({}, {}, None, None, {}, None, False)._replace(
+    known = Options({}, {}, None, None, {}, None, False, True)._replace(
         **{key: value for key, value in options.items() if value is not None}
     )
     known.check()
-    return _checked(_table_of_frame(frame, name), known)
+    return _checked(table_of_frame(frame, name), known)
 
 
 def require(data: TireData, columns: Sequence[str], why: str) -> None:
@@ -332,9 +155,8 @@ def _checked(table: Table, options: Options) -> TireData:
         convention=convention,
         slip_definition=definition,
         columns=reading.headers,
-        units={
-            _canonical(c.name): c.unit_text for c in plan.columns.values() if c.unit
-        },
+        units=plan.units_to_write
+        | {_canonical(c.name): c.unit_text for c in plan.columns.values() if c.unit},
         assumptions=tuple(_all_assumptions(reading)),
         masked=masked,
         line=table.lines,
@@ -377,15 +199,14 @@ def _numbers_to_si(reading: _Reading) -> None:
     plan, table = reading.plan, reading.table
     numeric = [column for name, column in plan.columns.items() if name != "run"]
     cells = {column.name: table.cells[column.index] for column in numeric}
-    if table.delimiter not in ("", ",") and check.has_decimal_comma(cells.values()):
+    commas = table.delimiter not in ("", ",") and check.has_decimal_comma(
+        cells.values()
+    )
+    if commas:
         reading.assumptions.append("numbers read with a decimal comma (1,5 is 1.5)")
-        cells = {
-            name: [cell.replace(",", ".") for cell in column]
-            for name, column in cells.items()
-        }
     for column in numeric:
         values, faults = check.read_numbers(
-            cells[column.name], column.header, table.ragged
+            cells[column.name], column.header, table.ragged, commas
         )
         reading.faults += faults
         if column.unit is None:
@@ -405,7 +226,8 @@ def _constants(reading: _Reading) -> None:
         there = {_canonical(known): known for known in reading.headers}
         if name in there:
             header = reading.headers[there[name]]
-            reason = f"--constant {name}={value:g} conflicts with this column"
+            how = "by --constant or [data.constants]"
+            reason = f"{name} = {value:g}, declared {how}, conflicts with this column"
             remedy = f"remove the constant: the file has {name}"
             problem = Problem(reason, remedy, reading.file, column=header)
             reading.problems.append(problem)
@@ -502,12 +324,13 @@ def _raise_or_mask(reading: _Reading) -> tuple[Problem, ...]:
     named = {_canonical(name) for name in reading.plan.columns}
     there = named | set(reading.columns)
     whole = reading.problems + of_columns
-    whole += check.check_columns(there, reading.table.headers, reading.file)
+    forces = reading.options.forces
+    whole += check.check_columns(there, reading.table.headers, reading.file, forces)
     good = ~reading.bad()
     if not whole:
         used = {name: values[good] for name, values in reading.columns.items()}
         if good.any():
-            whole += check.check_variation(used, reading.file)
+            whole += check.check_variation(used, reading.file) if forces else []
             whole += check.check_signs(
                 used, reading.headers, reading.convention, reading.file
             )

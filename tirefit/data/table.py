@@ -1,13 +1,14 @@
 """The checked, canonical data that every fit reads: :class:`TireData`."""
 
-from collections.abc import Mapping
+import hashlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from tirefit.results import Problem
 
-__all__ = ["CANONICAL", "Source", "TireData"]
+__all__ = ["CANONICAL", "Source", "TireData", "join"]
 
 CANONICAL = {
     "time": ("s", "time"),
@@ -83,3 +84,42 @@ class TireData:
     def usable(self, column: str) -> np.ndarray:
         """The used rows of one column, shape (n_used,)."""
         return self.columns[column][self.used]
+
+
+def join(tables: Sequence[TireData]) -> TireData:
+    """Several files as the runs of one data set; only columns that all have are kept.
+
+    A file that holds several runs keeps them, named ``file:run``.
+    """
+    shared = [c for c in tables[0].columns if all(c in table for table in tables)]
+    runs, codes = [], []
+    for table in tables:
+        codes.append(table.run + len(runs))
+        several = len(table.runs) > 1
+        runs += [f"{table.name}:{r}" if several else table.name for r in table.runs]
+    dropped = sorted({c for table in tables for c in table.columns} - set(shared))
+    said = [
+        f"{table.name}: {text}" for table in tables for text in table.source.assumptions
+    ]
+    if dropped:
+        said.append(
+            f"columns that not every file has were left out: {', '.join(dropped)}"
+        )
+    digest = hashlib.sha256(
+        "".join(t.source.sha256 for t in tables).encode()
+    ).hexdigest()
+    source = replace(
+        tables[0].source,
+        path=", ".join(table.source.path for table in tables),
+        sha256=digest,
+        assumptions=tuple(said),
+        masked=tuple(problem for table in tables for problem in table.source.masked),
+    )
+    return TireData(
+        "+".join(table.name for table in tables),
+        {c: np.concatenate([table[c] for table in tables]) for c in shared},
+        np.concatenate([table.used for table in tables]),
+        np.concatenate(codes),
+        tuple(runs),
+        source,
+    )

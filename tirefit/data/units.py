@@ -14,6 +14,8 @@ from tirefit.results import DataError, Problem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS, kappa_from_sigma
 
 __all__ = [
+    "MEANING_OF_SLIP",
+    "SPINNING",
     "Unit",
     "base_column",
     "dimension_of",
@@ -25,6 +27,14 @@ __all__ = [
     "slip_from_speeds",
     "slip_to_sigma",
 ]
+
+MEANING_OF_SLIP = {
+    "sigma_x": "v_sx / (Omega R_e)",
+    "kappa": "v_sx / v_x",
+    "s": "v_sx / |v|",
+    "slip_ratio": "v_sx / max(v_x, Omega R_e)",
+}
+"""Names of a slip column -> its formula in words of S Table 1."""
 
 SPINNING = -1 + 1e-6
 """Physical slip that stands for a wheel spinning on the spot (sigma = -1)."""
@@ -209,7 +219,7 @@ def slip_from_speeds(omega, v, rolling_radius):
         (n,) sigma_x, NaN at standstill.
     """
     speed = omega * rolling_radius
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         sigma = (v - speed) / speed
     return np.clip(sigma, SPINNING, LOCKED)
 

@@ -194,7 +194,8 @@ class Vehicle(_Section):
         yaw_inertia: Yaw moment of inertia about the centre of gravity [kg m2].
         tracked_point: The point the log describes: ahead of the rear axle and to the
             left of the centre line [m]; None for the centre of gravity.
-        yaw_offset: Heading of the car minus the logged yaw [rad]; pose logs only.
+        yaw_offset: Heading of the car minus the logged yaw [rad]: it is added to the
+            logged yaw, which lowers alpha by as much; pose logs only.
         h_cg: Height of the centre of gravity [m]; None keeps the load static.
         gravity: [m/s2].
     """
@@ -292,6 +293,12 @@ class Vehicle(_Section):
         if self.tracked_point is None:
             return 0.0, 0.0
         return self.l_r - self.tracked_point[0], -self.tracked_point[1]
+
+    @property
+    def margin(self) -> float:
+        """Time dropped beside every edge, gap and glitch [s]."""
+        given = self.keep.margin
+        return self.filter.settling if given is None else given
 
     def factor(self, quantity: str) -> float:
         """Factor from the log's unit of ``quantity`` to SI."""

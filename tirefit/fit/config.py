@@ -97,7 +97,7 @@ class FitConfig(_Strict):
 
     model: str | None = None
     force: Force | list[Force] | None = None
-    solver: Literal["optimistix", "jaxopt"] = "optimistix"
+    solver: Literal["optimistix", "jaxopt", "gauss-newton"] = "optimistix"
     starts: PositiveInt = 8
     seed: int = Field(default=0, ge=0, lt=2**32)
     data: DataConfig = DataConfig()

@@ -20,18 +20,19 @@ from tirefit.fit.inference import (
     best_of,
     covariance,
     profile_all,
+    row_scores,
     solve_starts,
     threshold,
 )
-from tirefit.fit.likelihood import CHANNEL_SLIP, root_deviance
+from tirefit.fit.likelihood import CHANNEL_SLIP, noise_factor, root_deviance
 from tirefit.fit.noise import effective_inflation, robust_scale
 from tirefit.fit.predict import row_moments
 from tirefit.fit.problem import FitProblem, build, starting_points, with_scale
 from tirefit.fit.result import Estimate, FitResult, FitStatistics
 from tirefit.params import constrain
-from tirefit.results import Outcome, UsageError
+from tirefit.results import UsageError
 
-__all__ = ["Solved", "fit", "solve_problem"]
+__all__ = ["Solved", "derived_estimates", "fit", "solve_problem"]
 
 
 class Solved(NamedTuple):
@@ -50,8 +51,7 @@ class Solved(NamedTuple):
     n_effective: float
 
 
-def _blocks(problem: FitProblem, z, rules=None) -> dict[str, np.ndarray]:
-    del rules
+def _blocks(problem: FitProblem, z) -> dict[str, np.ndarray]:
     blocks = root_deviance(
         problem.model, problem.layout, jnp.asarray(z), problem.rows,
         problem.channels, problem.loss,
@@ -60,10 +60,8 @@ def _blocks(problem: FitProblem, z, rules=None) -> dict[str, np.ndarray]:
 
 
 def _unit_rules(problem: FitProblem) -> dict[str, Rule]:
-    names = []
-    for channel in problem.channels:
-        slip = CHANNEL_SLIP[channel.name]
-        names.append(slip if slip in problem.slip_noise else channel.name)
+    """Before the noise is settled: squares as they are."""
+    names = (problem.block_of(channel) for channel in problem.channels)
     return {name: Rule(1.0, 1.0, 0.0) for name in dict.fromkeys(names)}
 
 
@@ -75,33 +73,26 @@ def _solve(problem: FitProblem, starts, rules, solver: str):
     return jax.tree.map(np.asarray, solution)
 
 
-def _standardised(problem: FitProblem, z) -> dict[str, np.ndarray]:
-    """(observed - mean) / std of every row by channel, slip noise included, (n,)."""
-    mean, variance = row_moments(problem, z)
-    return {
-        c.name: (problem.used(problem.rows.observed[c.name]) - mean[c.name])
-        / np.sqrt(variance[c.name])
-        for c in problem.channels
-    }
-
-
 def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
     """Factors that bring the estimated noise scales to the residuals' size."""
-    mean, variance = row_moments(problem, z)
+    estimated = [c.name for c in problem.channels if c.noise_estimated]
+    if estimated and problem.rows.nodes:
+        factor = noise_factor(
+            problem.model, problem.layout, jnp.asarray(z), problem.rows,
+            problem.channels, problem.loss,
+        )  # fmt: skip
+        return {name: float(factor) for name in estimated}
+    mean, _ = row_moments(problem, z)
     factors = {}
-    for channel in problem.channels:
-        if not channel.noise_estimated:
-            continue
-        scale = problem.used(problem.rows.scale[channel.name])
-        residual = problem.used(problem.rows.observed[channel.name]) - mean[channel.name]
+    for name in estimated:
+        scale = problem.used(problem.rows.scale[name])
+        residual = (problem.used(problem.rows.observed[name]) - mean[name]) / scale
         dof = max(problem.n - problem.layout.size / len(problem.channels), 1.0)
         if problem.loss == "squares":
-            square = np.sum((residual / scale) ** 2) / dof
+            square = np.sum(residual**2) / dof
         else:
-            square = robust_scale(residual / scale) ** 2 * problem.n / dof
-        # What the noise of the slip contributes is not noise of the force.
-        by_slip = np.mean((variance[channel.name] - scale**2) / scale**2)
-        factors[channel.name] = float(np.sqrt(max(square - by_slip, 0.02 * square)))
+            square = robust_scale(residual) ** 2 * problem.n / dof
+        factors[name] = float(np.sqrt(square))
     return factors
 
 
@@ -109,18 +100,22 @@ def _settle_noise(problem: FitProblem, z, solver: str):
     """Alternate estimates and noise scales until the scales rest."""
     slope = _largest_slope(problem, z)
     problem = with_scale(problem, _scale_updates(problem, z), slope)
-    estimated = [c for c in problem.channels if c.noise_estimated]
-    matters = problem.slip_noise or problem.loss != "squares" or len(problem.channels) > 1
-    matters = matters or any(p.prior for p in problem.layout.free)
+    estimated = any(c.noise_estimated for c in problem.channels)
+    several = len(problem.channels) > 1 or problem.loss != "squares"
+    several = several or any(p.prior for p in problem.layout.free)
     rules = _unit_rules(problem)
-    for _ in range(12 if estimated and matters else 1 if problem.slip_noise else 0):
-        z = _solve(problem, jnp.asarray(z)[None], rules, solver).z[0]
-        if not estimated:
-            break
+    if problem.slip_noise:
+        rounds = 12 if estimated else 1
+    else:
+        rounds = 12 if estimated and several else 0
+    for _ in range(rounds):
+        z = _solve(problem, jnp.asarray(z)[None], rules, "gauss-newton").z[0]
         factors = _scale_updates(problem, z)
-        problem = with_scale(problem, factors, slope)
         if all(abs(np.log(factor)) < 1e-3 for factor in factors.values()):
             break
+        problem = with_scale(problem, factors, slope)
+    if rounds:
+        z = _solve(problem, jnp.asarray(z)[None], rules, solver).z[0]
     return problem, z
 
 
@@ -138,46 +133,64 @@ def _largest_slope(problem: FitProblem, z) -> float:
 
 def _order_in_time(data: TireData, problem: FitProblem):
     time = data.columns.get("time")
-    return None if time is None else time[data.used][: problem.n]
+    used = None if time is None else time[data.used]
+    # Rows outside the slip limits of the fit are not among the problem's.
+    return used if used is not None and len(used) == problem.n else None
 
 
 def _rules(problem: FitProblem, data: TireData, z, config: FitConfig):
     """Deviance rules by block, chi2/dof where the noise was given, n_effective."""
     run = problem.used(problem.rows.run)
-    time = _order_in_time(data, problem) if problem.n == data.n else None
-    standardised = _standardised(problem, z)
+    time = _order_in_time(data, problem)
+    scores = row_scores(
+        problem.model, problem.layout, jnp.asarray(z), problem.rows,
+        problem.channels, problem.loss,
+    )  # fmt: skip
     blocks = _blocks(problem, z)
-    rules, chi2_dof, effective_total = {}, None, 0.0
-    estimated = {c.name: c.noise_estimated for c in problem.channels}
+    rules, ratios, effective_total = {}, [], 0.0
     for name, block in blocks.items():
-        channels = [
-            c.name for c in problem.channels if name in (c.name, CHANNEL_SLIP[c.name])
-        ]
+        channels = problem.block_channels(name)
         inflation = 1.0
         if config.noise.effective_samples == "estimate":
-            inflation = max(
-                effective_inflation(standardised[c], run, time) for c in channels
-            )
+            inflation = effective_inflation(problem.used(scores[name]), run, time)
         effective = problem.n / inflation
         effective_total += effective
-        dof = max(problem.n - problem.layout.size / len(blocks), 1.0)
-        plain = name in estimated and estimated[name] and problem.loss == "squares"
-        if not any(estimated[c] for c in channels):
-            ratio = sum(float(standardised[c] @ standardised[c]) for c in channels)
-            chi2_dof = ratio / (dof * len(channels))
-            surprising = chdtrc(max(dof / inflation, 1), chi2_dof * dof / inflation) < 1e-3
-            if surprising and chi2_dof > 1:
-                inflation *= chi2_dof
-        rules[name] = Rule(
-            inflation, effective, float(block @ block) if plain else 0.0
+        estimated = any(c.noise_estimated for c in channels)
+        if not estimated:
+            ratio, surprising = _surprise(problem, z, channels, inflation)
+            ratios.append(ratio)
+            if surprising:
+                inflation *= ratio
+        plain = (
+            estimated and problem.loss == "squares" and name not in problem.slip_noise
         )
+        smallest = float(block @ block) if plain else 0.0
+        rules[name] = Rule(inflation, effective, smallest)
+    chi2_dof = float(np.mean(ratios)) if ratios else None
     return rules, chi2_dof, effective_total / len(blocks)
+
+
+def _surprise(problem: FitProblem, z, channels, inflation: float):
+    """chi2/dof of channels whose noise was given, and whether it is too large for it.
+
+    Slip noise counts as noise: the variance of each row is that given its slip.
+    """
+    mean, variance = row_moments(problem, z)
+    chi2 = 0.0
+    for channel in channels:
+        residual = problem.used(problem.rows.observed[channel.name])
+        residual = residual - mean[channel.name]
+        chi2 += float(np.sum(residual**2 / variance[channel.name]))
+    dof = max(problem.n * len(channels) - problem.layout.size, 1.0)
+    effective = max(dof / inflation, 1.0)
+    ratio = chi2 / dof
+    return ratio, ratio > 1 and chdtrc(effective, ratio * effective) < 1e-3
 
 
 def solve_problem(problem: FitProblem, data: TireData, config: FitConfig) -> Solved:
     """Least squares with the noise settled, and the covariance of z."""
     starts = starting_points(problem, config.starts, config.seed)
-    solution = _solve(problem, starts, _unit_rules_plain(problem), config.solver)
+    solution = _solve(problem, starts, _unit_rules(problem), config.solver)
     best = best_of(solution)
     z, converged = solution.z[best], bool(solution.converged[best])
     cost = np.where(np.isfinite(solution.cost), solution.cost, np.inf)
@@ -198,11 +211,6 @@ def solve_problem(problem: FitProblem, data: TireData, config: FitConfig) -> Sol
         config.starts, int(near.sum()), bool(np.any(spread > 3.0)), chi2_dof,
         n_effective,
     )  # fmt: skip
-
-
-def _unit_rules_plain(problem: FitProblem) -> dict[str, Rule]:
-    """Rules before the latent slips are laid out: every channel is its own block."""
-    return {c.name: Rule(1.0, 1.0, 0.0) for c in problem.channels}
 
 
 def _not_identified(spec, low: float, high: float, profile: Profile) -> bool:
@@ -292,11 +300,8 @@ def _minus_two_log_likelihood(solved: Solved) -> float:
     for name, block in _blocks(problem, solved.z).items():
         rule = solved.rules[name]
         share = float(rule.effective) / problem.n
-        channels = [
-            c.name for c in problem.channels if name in (c.name, CHANNEL_SLIP[c.name])
-        ]
-        for channel in channels:
-            scale = problem.used(problem.rows.scale[channel])
+        for channel in problem.block_channels(name):
+            scale = problem.used(problem.rows.scale[channel.name])
             total += share * float(np.sum(np.log(2 * np.pi * scale**2)))
         total += share * float(block @ block)
     return total
@@ -314,7 +319,7 @@ def _slip_structure(problem: FitProblem, residual) -> float:
     return float(ordered[1:] @ ordered[:-1]) / power if power > 0 else 0.0
 
 
-def _derived(solved: Solved, z_draws) -> dict[str, Estimate]:
+def derived_estimates(solved: Solved, z_draws) -> dict[str, Estimate]:
     """Derived quantities: the estimate's value, spread and interval of the draws."""
     problem = solved.problem
     channel = next((c.name for c in problem.channels if c.name != "mz"), None)
@@ -339,7 +344,9 @@ def _derived(solved: Solved, z_draws) -> dict[str, Estimate]:
         low, high = np.nanquantile(draws, [0.025, 0.975])
         unit = DERIVED[name][0]
         std = float(np.nanstd(draws))
-        estimates[name] = Estimate(float(values[0]), std, unit, (float(low), float(high)))
+        estimates[name] = Estimate(
+            float(values[0]), std, unit, (float(low), float(high))
+        )
     return estimates
 
 
@@ -454,7 +461,7 @@ def _summarise(solved: Solved, data: TireData, config: FitConfig) -> FitResult:
             "covariance": by_covariance,
             "profile": {label: value.ci95 for label, value in estimates.items()},
         },
-        derived=_derived(solved, draws),
+        derived=derived_estimates(solved, draws),
         statistics=_statistics(solved),
         noise=_noise_record(solved) | {"notes": list(problem.notes)},
         verdict={},
@@ -496,7 +503,9 @@ def _with_fixed(estimates: dict[str, Estimate], problem: FitProblem):
             continue
         if name in ties and ties[name].other in estimates:
             tie, other = ties[name], estimates[ties[name].other]
-            ends = tuple(None if end is None else tie.factor * end for end in other.ci95)
+            ends = tuple(
+                None if end is None else tie.factor * end for end in other.ci95
+            )
             everything[name] = Estimate(
                 tie.factor * other.value,
                 None if other.std is None else abs(tie.factor) * other.std,
@@ -504,5 +513,7 @@ def _with_fixed(estimates: dict[str, Estimate], problem: FitProblem):
             )  # fmt: skip
         elif name not in ties and (spec.free or name != "half_length"):
             value = float(parameter_values(problem.model)[name])
-            everything[name] = Estimate(value, None, spec.unit, (None, None), fixed=True)
+            everything[name] = Estimate(
+                value, None, spec.unit, (None, None), fixed=True
+            )
     return everything

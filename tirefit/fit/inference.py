@@ -29,6 +29,7 @@ __all__ = [
     "covariance",
     "deviance",
     "profile_all",
+    "row_scores",
     "solve_starts",
     "threshold",
 ]
@@ -84,6 +85,7 @@ def best_of(solution: Solution) -> int:
     return best if settled[best] <= cost[lowest] * (1 + 1e-6) + 1e-12 else lowest
 
 
+@partial(jax.jit, static_argnames=("layout", "channels", "loss"))
 def deviance(model, layout: Layout, z, rows: Rows, channels, loss, rules):
     """-2 log likelihood at z relative to the best fit, priors included (scalar)."""
     blocks = root_deviance(model, layout, z, rows, channels, loss)
@@ -132,9 +134,18 @@ def _profile_points(model, layout, index, values, starts, rows, channels, loss, 
         z = end.z.at[index].set(value)
         return deviance(model, layout, z, rows, channels, loss, rules), z
 
-    # In small batches: the slowest of a batch holds up the others, and arrays of a
-    # few thousand rows stay in cache.
-    return jax.lax.map(lambda a: one(*a), (index, values, starts), batch_size=8)
+    return jax.lax.map(lambda a: one(*a), (index, values, starts))
+
+
+@partial(jax.jit, static_argnames=("layout", "channels", "loss"))
+def row_scores(model, layout: Layout, z, rows: Rows, channels, loss):
+    """Contribution of every row to the gradient of log L, by block, each (n, p)."""
+
+    def blocks(z):
+        return root_deviance(model, layout, z, rows, channels, loss)
+
+    values, slopes = blocks(z), jax.jacfwd(blocks)(z)
+    return {name: -slopes[name] * values[name][:, None] for name in values}
 
 
 class Profile(NamedTuple):
@@ -160,94 +171,98 @@ def threshold(estimated: bool, effective: float, parameters: int) -> float:
     return float(effective * np.log1p(stdtrit(dof, 0.975) ** 2 / dof))
 
 
-_INNER = np.array([0.3, 0.7, 1.1, 1.5, 1.9, 2.3, 2.8, 3.5, 5.0])
+class _Side:
+    """One side of a profile: the search for the distance where the deviance, whose
+    root is nearly straight, reaches the level."""
+
+    def __init__(self, center: float, sign: int, std: float, level: float):
+        self.center, self.sign, self.goal = center, sign, np.sqrt(level)
+        self.reach = max(REACH - sign * center, 1e-3)
+        self.distances, self.roots = [0.0], [0.0]
+        self.std = min(std, self.reach / 3)
+        self.done = False
+
+    def next_distance(self) -> float:
+        tried = len(self.distances) - 1
+        if tried < 2:
+            return min((0.8, 1.5)[tried] * self.std, self.reach)
+        if self.done:
+            # One point beyond the interval, for the eye.
+            return min(1.3 * self.end, self.reach)
+        above = [d for d, r in zip(self.distances, self.roots, strict=True) if r > self.goal]
+        if above:
+            guess = np.interp(self.goal, *self._rising())
+            inner = max(d for d in self.distances if d < min(above))
+            # Interpolation that creeps along one end is pushed into the bracket.
+            return float(
+                np.clip(guess, inner + 0.05 * (min(above) - inner), min(above))
+            )
+        far, root = self.distances[-1], max(self.roots[-1], 1e-3)
+        return float(min(far * np.clip(1.02 * self.goal / root, 1.2, 4.0), self.reach))
+
+    def _rising(self) -> tuple[np.ndarray, np.ndarray]:
+        order = np.argsort(self.distances)
+        distances = np.array(self.distances)[order]
+        return np.maximum.accumulate(np.array(self.roots)[order]), distances
+
+    def add(self, distance: float, deviance: float) -> None:
+        self.distances.append(distance)
+        self.roots.append(float(np.sqrt(max(deviance, 0.0))))
+        close = abs(self.roots[-1] - self.goal) < 3e-3 * self.goal
+        exhausted = distance >= self.reach and self.roots[-1] <= self.goal
+        self.done = self.done or close or exhausted
+
+    @property
+    def open(self) -> bool:
+        return max(self.roots) < self.goal * (1 - 3e-3)
+
+    @property
+    def end(self) -> float:
+        """Distance of the crossing, or the reach where there is none."""
+        if self.open:
+            return self.reach
+        roots, distances = self._rising()
+        return float(np.interp(self.goal, roots, distances))
 
 
-def _offsets(std: float, reach: float) -> np.ndarray:
-    """Twelve distances from the estimate: dense to 5 std, then out to the bound."""
-    if not np.isfinite(std) or 6 * std >= reach:
-        return reach * np.linspace(1 / 12, 1, 12)
-    outer = np.geomspace(5 * std, reach, 4)[1:]
-    return np.concatenate([_INNER * std, outer])
+_ROUNDS = 16
 
 
 def profile_all(
     model, layout: Layout, z, cov, rows: Rows, channels, loss, rules, level: float
 ) -> list[Profile]:
-    """Profile likelihood of every element of z, in two passes: bracket, then refine."""
+    """Profile likelihood of every element of z, all sides searched together."""
     z, cov = np.asarray(z), np.asarray(cov)
-    size = layout.size
-
-    def evaluate(index, values):
-        shift = cov[:, index] / np.diag(cov)[index]
-        starts = z + (shift * (values - z[index])).T
-        starts = jnp.asarray(np.clip(starts, -REACH, REACH))
-        found, _ = _profile_points(
-            model, layout, jnp.asarray(index), jnp.asarray(values), starts, rows,
-            channels, loss, rules,
-        )  # fmt: skip
-        return np.nan_to_num(np.asarray(found), nan=np.inf)
-
     base = float(deviance(model, layout, jnp.asarray(z), rows, channels, loss, rules))
-    sides = [(index, sign) for index in range(size) for sign in (-1, 1)]
     std = np.sqrt(np.diag(cov))
-    grids = np.array(
-        [
-            z[i] + sign * _offsets(std[i], max(REACH - sign * z[i], 1e-3))
-            for i, sign in sides
-        ]
-    )
-    index = np.repeat([i for i, _ in sides], grids.shape[1])
-    first = evaluate(index, grids.ravel()).reshape(grids.shape) - base
-    brackets = [
-        _bracket(z[i], grid, value, level)
-        for (i, _), grid, value in zip(sides, grids, first, strict=True)
-    ]
-    steps = np.linspace(0, 1, grids.shape[1] + 2)[1:-1]
-    fine = np.array([low + (high - low) * steps for low, high in brackets])
-    second = evaluate(index, fine.ravel()).reshape(fine.shape) - base
-    profiles = []
-    for i in range(size):
-        ends = [
-            _crossing(
-                z[i],
-                np.concatenate([grids[2 * i + k], fine[2 * i + k]]),
-                np.concatenate([first[2 * i + k], second[2 * i + k]]),
-                level,
-            )
-            for k in (0, 1)
-        ]
-        both = slice(2 * i, 2 * i + 2)
-        points = np.concatenate([grids[both].ravel(), fine[both].ravel(), [z[i]]])
-        values = np.concatenate([first[both].ravel(), second[both].ravel(), [0.0]])
-        order = np.argsort(points)
-        (low, open_low), (high, open_high) = ends
-        profiles.append(
-            Profile(points[order], values[order], low, high, open_low, open_high)
-        )
-    return profiles
+    sides = [_Side(z[i], s, std[i], level) for i in range(layout.size) for s in (-1, 1)]
+    index = np.repeat(np.arange(layout.size), 2)
+    signs = np.tile([-1, 1], layout.size)
+    # How the other elements follow, at first by the covariance, then as last found.
+    follow = signs[:, None] * (cov[:, index] / np.diag(cov)[index]).T
+    for _ in range(_ROUNDS):
+        finished = all(side.done for side in sides)
+        distance = np.array([side.next_distance() for side in sides])
+        starts = np.clip(z + follow * distance[:, None], -REACH, REACH)
+        values = np.clip(z[index] + signs * distance, -REACH, REACH)
+        found, ends = _profile_points(
+            model, layout, jnp.asarray(index), jnp.asarray(values), jnp.asarray(starts),
+            rows, channels, loss, rules,
+        )  # fmt: skip
+        found = np.nan_to_num(np.asarray(found) - base, nan=1e9, posinf=1e9)
+        follow = (np.asarray(ends) - z) / np.maximum(distance, 1e-9)[:, None]
+        for side, d, value in zip(sides, distance, found, strict=True):
+            side.add(d, value)
+        if finished:
+            break
+    return [_joined(z[i], sides[2 * i], sides[2 * i + 1]) for i in range(layout.size)]
 
 
-def _bracket(center, grid, values, level):
-    """Interval of one side that holds the first crossing (or the whole side)."""
-    above = np.flatnonzero(values > level)
-    if len(above) == 0:
-        return center, grid[-1]
-    first = above[0]
-    return (center if first == 0 else grid[first - 1]), grid[first]
-
-
-def _crossing(center, points, values, level) -> tuple[float, bool]:
-    """First crossing of the level on one side, by the root of the deviance, which is
-    straight for a parabola; (the outermost point, True) where there is none."""
-    order = np.argsort(np.abs(points - center))
-    points = np.concatenate([[center], points[order]])
-    roots = np.sqrt(np.maximum(np.concatenate([[0.0], values[order]]), 0.0))
-    above = np.flatnonzero(roots > np.sqrt(level))
-    if len(above) == 0:
-        return float(points[-1]), True
-    upto = above[0] + 1
-    rising = np.maximum.accumulate(roots[:upto])
-    if not np.isfinite(rising[-1]):
-        return float(points[upto - 1]), False
-    return float(np.interp(np.sqrt(level), rising, points[:upto])), False
+def _joined(center: float, low: _Side, high: _Side) -> Profile:
+    distances = np.concatenate([-np.array(low.distances), np.array(high.distances[1:])])
+    roots = np.concatenate([low.roots, high.roots[1:]])
+    order = np.argsort(distances)
+    return Profile(
+        center + distances[order], roots[order] ** 2, center - low.end,
+        center + high.end, low.open, high.open,
+    )  # fmt: skip

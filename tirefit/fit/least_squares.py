@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 __all__ = ["SOLVERS", "Solution", "damped_gauss_newton", "solve"]
 
-_TOLERANCE = 1e-9
+_TOLERANCE = 1e-8
 _MAX_STEPS = 200
 
 

@@ -15,6 +15,7 @@ carry over.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -30,7 +31,7 @@ __all__ = [
     "LOSSES",
     "Channel",
     "Rows",
-    "channel_residual",
+    "noise_factor",
     "predict",
     "root_deviance",
 ]
@@ -120,13 +121,6 @@ def predict(
     return jax.vmap(one, in_axes=(axes, 0))(rows, inputs)
 
 
-def channel_residual(model, layout: Layout, z, rows: Rows, name: str):
-    """Whitened residuals (observed - predicted) / scale of one channel at the measured
-    slips, shape (n,)."""
-    predicted = predict(model, layout, z, rows.inputs, rows.run)[name]
-    return (rows.observed[name] - predicted) / rows.scale[name]
-
-
 def _node_squares(model, layout, z, rows, slip, names, loss):
     """Sum over channels of the losses at each latent slip, (n, nodes)."""
 
@@ -141,6 +135,7 @@ def _node_squares(model, layout, z, rows, slip, names, loss):
     return jax.vmap(at, in_axes=1, out_axes=1)(rows.nodes[slip].slip)
 
 
+@partial(jax.jit, static_argnames=("layout", "channels", "loss"))
 def root_deviance(model, layout: Layout, z, rows: Rows, channels, loss: str):
     """Residuals whose squares sum to -2 log likelihood, by block.
 
@@ -168,6 +163,32 @@ def root_deviance(model, layout: Layout, z, rows: Rows, channels, loss: str):
                 residual = (rows.observed[name] - predicted[name]) / rows.scale[name]
                 blocks[name] = rows.weight * _signed_root(function, residual, loss)
     return blocks
+
+
+@partial(jax.jit, static_argnames=("layout", "channels", "loss"))
+def noise_factor(model, layout: Layout, z, rows: Rows, channels, loss: str):
+    """Factor on all force scales that maximises the likelihood of rows with noisy slip.
+
+    There the size of the residuals does not give the noise: the slip's share depends
+    on where each row lies. Newton's method on the logarithm of the factor.
+    """
+
+    def objective(log_factor):
+        scale = {k: v * jnp.exp(log_factor) for k, v in rows.scale.items()}
+        blocks = root_deviance(
+            model, layout, z, rows._replace(scale=scale), channels, loss
+        )
+        squares = sum(jnp.sum(block**2) for block in blocks.values())
+        return squares / 2 + jnp.sum(rows.weight) * len(channels) * log_factor
+
+    def step(_, log_factor):
+        slope = jax.grad(objective)(log_factor)
+        curvature = jnp.maximum(
+            jax.hessian(objective)(log_factor), jnp.sum(rows.weight)
+        )
+        return log_factor - jnp.clip(slope / curvature, -0.7, 0.7)
+
+    return jnp.exp(jax.lax.fori_loop(0, 6, step, 0.0))
 
 
 def _signed_root(function, residual, loss: str):

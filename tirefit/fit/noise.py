@@ -40,21 +40,32 @@ def autocorrelation_time(residuals: list[np.ndarray]) -> float:
     return float(min(max(time, 1.0), count / 4))
 
 
-def effective_inflation(residual, run, time) -> float:
-    """Rows per independent row: pooled autocorrelation time within the runs.
+def effective_inflation(scores, run, time) -> float:
+    """Rows per independent row: how much more the estimates vary than if rows were
+    independent.
+
+    The largest autocorrelation time of the rows' contributions to the gradient, over
+    orthonormal directions of the parameters. The residuals alone would mislead: a
+    constant bias has an endless autocorrelation but cancels in the gradient of a
+    parameter whose sensitivity changes sign.
 
     Args:
-        residual: whitened residuals of the used rows, shape (n,).
+        scores: contribution of every row to the gradient, shape (n, p).
         run: run of each row, shape (n,).
         time: time of each row (n,), or None to take the order of the file.
     """
-    parts = []
-    for code in np.unique(run):
-        part = residual[run == code]
-        if time is not None:
-            part = part[np.argsort(time[run == code], kind="stable")]
-        parts.append(part)
-    return autocorrelation_time(parts)
+    # A parameter that no row informs about has no direction of its own.
+    left, size, _ = np.linalg.svd(scores, full_matrices=False)
+    directions = left[:, size > 1e-8 * max(size.max(), 1e-300)]
+    order = np.arange(len(run)) if time is None else np.lexsort((time, run))
+    parts = [order[run[order] == code] for code in np.unique(run)]
+    return max(
+        (
+            autocorrelation_time([column[part] for part in parts])
+            for column in directions.T
+        ),
+        default=1.0,
+    )
 
 
 def robust_scale(residual) -> float:

@@ -11,9 +11,9 @@ from tirefit.data.table import TireData
 from tirefit.fit.config import FitConfig, NoiseConfig, ParameterConfig
 from tirefit.fit.layout import FreeParameter, Layout, Tie
 from tirefit.fit.likelihood import CHANNEL_SLIP, Channel, Rows, SlipNodes
-from tirefit.fit.slip_noise import latent_nodes
+from tirefit.fit.slip_noise import latent_nodes, slip_density
 from tirefit.models import MODELS, AbstractTire, TireInputs, needs_speed
-from tirefit.params import Spec, parameter_values, specs, unconstrain, with_values
+from tirefit.params import Spec, parameter_values, specs, with_values
 from tirefit.results import DataError, Problem, UsageError
 
 __all__ = ["FitProblem", "build", "find_model", "starting_points", "with_scale"]
@@ -24,7 +24,8 @@ class FitProblem:
     """A fit ready to solve: static layout and channels, arrays in ``rows``.
 
     ``guess`` holds a first value of every free parameter by name; ``slip_noise`` the
-    standard deviation (n_used,) of each noisy slip; ``notes`` what was assumed.
+    standard deviation (n,) of each noisy slip, ``slip_density`` the distribution of
+    its true values; ``notes`` what was assumed.
     """
 
     name: str
@@ -36,12 +37,23 @@ class FitProblem:
     loss: str
     guess: Mapping[str, float]
     slip_noise: Mapping[str, np.ndarray] = field(default_factory=dict)
+    slip_density: Mapping[str, tuple] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property
     def slip_name(self) -> str:
         """The slip that drives the first fitted force."""
         return CHANNEL_SLIP[self.channels[0].name]
+
+    def block_of(self, channel: Channel) -> str:
+        """The block of residuals that a channel is in: its own, or that of its slip,
+        once latent slips are laid out."""
+        slip = CHANNEL_SLIP[channel.name]
+        return slip if slip in self.rows.nodes else channel.name
+
+    def block_channels(self, block: str) -> tuple[Channel, ...]:
+        """The channels in one block."""
+        return tuple(c for c in self.channels if self.block_of(c) == block)
 
     def used(self, array) -> np.ndarray:
         """An array over padded rows without its padding, shape (n,)."""
@@ -284,12 +296,13 @@ def build(data: TireData, name: str, config: FitConfig) -> FitProblem:
         channels.append(Channel(force, estimated))
         notes.append(note)
     _check_size(data, layout, channels, data.n * len(forces))
-    slip_noise = {}
+    slip_noise, densities = {}, {}
     for slip in dict.fromkeys(CHANNEL_SLIP[force] for force in forces):
         std, note = _slip_scale(data, slip, config.noise)
         notes.append(note)
         if std is not None:
             slip_noise[slip] = std
+            densities[slip] = slip_density(data.usable(slip), std)
     rows = Rows(
         _inputs(data, size),
         _pad(data.run[data.used], size).astype(int),
@@ -302,7 +315,7 @@ def build(data: TireData, name: str, config: FitConfig) -> FitProblem:
     guess |= {k: v.value for k, v in config.parameters.items() if v.value is not None}
     return FitProblem(
         name, model, layout, tuple(channels), rows, data.n, config.noise.loss,
-        guess, slip_noise, tuple(notes),
+        guess, slip_noise, densities, tuple(notes),
     )  # fmt: skip
 
 
@@ -342,7 +355,8 @@ def with_scale(problem: FitProblem, scale: Mapping[str, float], slope) -> FitPro
         force_std = min(float(np.median(problem.used(scales[k]))) for k in forces)
         steep = _bucket(slope * float(np.max(std)) / force_std)
         values = problem.used(getattr(problem.rows.inputs, slip))
-        slips, log_weight = latent_nodes(values, std, steep)
+        density = problem.slip_density[slip]
+        slips, log_weight = latent_nodes(values, std, density, steep)
         size = len(problem.rows.weight)
         repeat = size - problem.n
         slips = np.concatenate([slips, np.repeat(slips[:1], repeat, 0)])

@@ -39,7 +39,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class FitStatistics:
-    """How well the model describes the data. ``rmse`` in the unit of the first force."""
+    """How well the model describes the data; ``rmse`` in the first force's unit."""
 
     rmse: float
     r2: float
@@ -58,7 +58,7 @@ class FitStatistics:
 
 @dataclass(frozen=True)
 class PosteriorSummary:
-    """What a sampler did: effective samples, R-hat and autocorrelation time by label."""
+    """What a sampler did; effective samples, R-hat and tau (in steps) by label."""
 
     sampler: str
     seed: int
@@ -80,8 +80,9 @@ class FitResult:
     ``parameters`` come from the posterior where it ran, else from the profile; all
     three routes stand in ``intervals`` (``covariance``, ``profile``, ``posterior``).
     ``chains`` (ensembles, draws, p) are posterior samples of the free parameters in the
-    order of ``labels``, thinned to be nearly independent; ``z`` and ``covariance``
-    describe the estimate in the unconstrained space.
+    order of ``labels``, thinned to be nearly independent; ``walkers`` the same draws as
+    (ensembles, walkers, steps, p); ``z`` and ``covariance`` describe the estimate in
+    the unconstrained space.
     """
 
     model: str
@@ -107,6 +108,7 @@ class FitResult:
     profiles: dict[str, dict[str, np.ndarray]]
     posterior: PosteriorSummary | None = None
     chains: np.ndarray | None = field(default=None, repr=False)
+    walkers: np.ndarray | None = field(default=None, repr=False)
     problem: Any = field(default=None, repr=False)
     solved: Any = field(default=None, repr=False)
     table: Any = field(default=None, repr=False)

@@ -101,7 +101,9 @@ def judge(result: FitResult) -> FitResult:
         outcomes.append(summary.outcome)
         sentences.append(summary.outcome.value)
     differ = disagreements(result)
-    sentences += [f"intervals of {label} differ: {text}" for label, text in differ.items()]
+    sentences += [
+        f"intervals of {label} differ: {text}" for label, text in differ.items()
+    ]
     if result.statistics.n_effective < 0.5 * statistics.n:
         sentences.append(
             f"the residuals are autocorrelated: {statistics.n} rows count as"
@@ -120,7 +122,8 @@ def _speed_limit(result: FitResult) -> list[str]:
     inputs, problem = result.problem.rows.inputs, result.problem
     slip = problem.used(inputs.sigma_x)
     fastest = np.max(
-        np.abs(problem.used(inputs.v)) * np.maximum(
+        np.abs(problem.used(inputs.v))
+        * np.maximum(
             np.abs(slip / (1 + slip)), np.abs(np.tan(problem.used(inputs.alpha)))
         )
     )

@@ -1,0 +1,40 @@
+# Everything needs only Python 3.11+, make and git.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+
+.PHONY: install demo test statistics notebooks bench lint clean
+
+install: $(STAMP)
+
+$(STAMP): requirements.lock pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "tirefit needs Python 3.11 or later")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	touch $@
+
+# The main job on measured data: a report in the terminal, figures in out/demo.
+demo: install
+	$(BIN)/tirefit fit fits/dart_rear_axle/free_driving.csv --config fits/dart_rear_axle/fit.toml --out out/demo
+	@echo "figures: out/demo/fit.png out/demo/residuals.png out/demo/profile.png out/demo/corner.png out/demo/trace.png"
+
+test: install
+	$(BIN)/python -m pytest -q -n 2 tests
+
+# The long statistical runs: 1,600 data sets for each model and noise level.
+statistics: install
+	$(BIN)/python -m pytest -q -n 2 -m statistics --override-ini addopts="" tests
+
+notebooks: install
+	$(BIN)/python fits/run_notebooks.py
+
+bench: install
+	$(BIN)/python -m tests.bench
+
+lint: install
+	$(BIN)/ruff check . && $(BIN)/ruff format --check .
+
+clean:
+	rm -rf $(VENV) out build dist

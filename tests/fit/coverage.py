@@ -1,0 +1,140 @@
+"""Coverage of the 95 % intervals on synthetic data of known truth.
+
+An interval holds the truth where the profile deviance at the true value is below the
+level of the interval; the posterior's central interval holds it where the posterior
+probability below the truth lies between 2.5 and 97.5 %. Both are computed with the
+functions that make the intervals of a fit. Run as a script:
+
+    python tests/fit/coverage.py brush-d rig 1600
+"""
+
+import sys
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.data.table import TireData
+from tirefit.fit.config import parse_config
+from tirefit.fit.estimate import solve_problem
+from tirefit.fit.inference import _profile_points, deviance
+from tirefit.fit.posterior import _density, _whitening
+from tirefit.fit.problem import build
+from tirefit.models import MODELS, TireInputs, forces
+from tirefit.params import with_values
+
+
+class Setting(NamedTuple):
+    """Tire, load and noise of one kind of measurement."""
+
+    cpa2: float
+    mu: float
+    fz: float
+    slip_std: float
+    force_std: float
+
+
+SETTINGS = {
+    "rig": Setting(5e4, 1.0, 4000.0, 0.001, 40.0),
+    # S section 5.1: the printed noise figures are variances.
+    "seed": Setting(2.5e5, 0.98, 27e3, np.sqrt(0.2e-4), np.sqrt(0.2e-2) * 27e3),
+    "plain": Setting(5e4, 1.0, 4000.0, 0.0, 40.0),
+}
+EXTRA = {"d": 0.2, "m": 0.8, "n": 0.01, "h": 0.5}
+SPEEDS = np.array([10.0, 20.0, 30.0])
+
+
+def truth_of(model: str, setting: Setting) -> dict[str, float]:
+    letters = model.partition("-")[2]
+    extra = {k: v for k, v in EXTRA.items() if k in letters}
+    return {"cpa2": setting.cpa2, "mu": setting.mu} | extra
+
+
+def synthetic(model, setting: Setting, rows: int, reach: float, seed: int) -> TireData:
+    """Slips uniform from 0 to ``reach`` times the slip of full sliding at d = 0."""
+    generator = np.random.default_rng(seed)
+    truth = truth_of(model, setting)
+    top = reach * 1.5 * setting.mu * setting.fz / setting.cpa2
+    slip = generator.uniform(0, top, rows)
+    speed = SPEEDS[generator.integers(0, len(SPEEDS), rows)]
+    tire = with_values(MODELS[model], truth)
+    force = np.asarray(forces(tire, TireInputs(slip, 0.0, setting.fz, speed)).fx)
+    columns = {
+        "sigma_x": slip + setting.slip_std * generator.standard_normal(rows),
+        "fx": force + setting.force_std * generator.standard_normal(rows),
+        "fz": np.full(rows, setting.fz),
+        "v": speed,
+    }
+    return TireData(
+        "synthetic", columns, np.ones(rows, bool), np.zeros(rows, int), ("r",)
+    )
+
+
+def config_of(setting: Setting, estimated: bool):
+    noise = {} if estimated else {"fx": setting.force_std}
+    if setting.slip_std > 0:
+        noise["sigma_x"] = setting.slip_std
+    return parse_config({"noise": noise, "solver": "gauss-newton"})
+
+
+def holds(model, setting: Setting, data, estimated: bool, seed: int):
+    """For each parameter: (profile holds the truth, posterior holds it), (p,) each."""
+    config = config_of(setting, estimated)
+    solved = solve_problem(build(data, model, config), data, config)
+    problem = solved.problem
+    arguments = (problem.rows, problem.channels, problem.loss, solved.rules)
+    z_true = np.asarray(problem.layout.unconstrained(truth_of(model, setting)))
+    size = len(z_true)
+    base = deviance(problem.model, problem.layout, jnp.asarray(solved.z), *arguments)
+    found, _ = _profile_points(
+        problem.model, problem.layout, jnp.arange(size), jnp.asarray(z_true),
+        jnp.tile(solved.z, (size, 1)), *arguments,
+    )  # fmt: skip
+    inside = np.asarray(found) - float(base) < solved.level
+    return inside, _posterior_holds(solved, z_true, seed)
+
+
+def _posterior_holds(solved, z_true, seed: int, draws: int = 600):
+    """Importance sampling of the posterior from Student's t around the estimate."""
+    generator = np.random.default_rng(seed)
+    size, dof = len(z_true), 6.0
+    normal = generator.standard_normal((draws, size))
+    u = normal / np.sqrt(generator.chisquare(dof, (draws, 1)) / dof)
+    log_weight = np.asarray(_density(solved)(jnp.asarray(u)))
+    log_weight = log_weight + (dof + size) / 2 * np.log1p((u**2).sum(1) / dof)
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    center, root = _whitening(solved)
+    below = weight @ (center + u @ root.T < z_true)
+    return (below > 0.025) & (below < 0.975)
+
+
+def coverage(model, name: str, count: int, *, rows=400, reach=1.6, estimated=False):
+    """Share of ``count`` data sets whose intervals hold the truth: (profile, posterior),
+    each by parameter label."""
+    setting = SETTINGS[name]
+    inside = np.array(
+        [
+            holds(
+                model,
+                setting,
+                synthetic(model, setting, rows, reach, seed),
+                estimated,
+                seed,
+            )
+            for seed in range(count)
+        ]
+    )
+    labels = list(truth_of(model, setting))
+    profile, posterior = inside.mean(axis=0)
+    return dict(zip(labels, profile, strict=True)), dict(
+        zip(labels, posterior, strict=True)
+    )
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_compilation_cache_dir", "/tmp/tirefit-coverage-cache")
+    model, name, count = sys.argv[1], sys.argv[2], int(sys.argv[3])
+    print(model, name, *coverage(model, name, count, estimated="est" in sys.argv))

@@ -1,0 +1,202 @@
+"""The house rules that a parser can hold: floors, owners, sizes."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "tirefit"
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+# A room imports from lower floors and from itself. A new room needs a line here.
+FLOORS = {
+    "results": 0,
+    "params": 1,
+    "slip": 1,
+    "models": 2,
+    "data": 2,
+    "fit": 3,
+    "online": 3,
+    "diagnose": 4,
+    "sim": 4,
+    "report": 5,
+    "cli": 6,
+}
+
+# Third party -> where it may be imported, at the top or inside a function.
+OWNERS = {
+    "optimistix": "fit/least_squares.py",
+    "jaxopt": "fit/least_squares.py",
+    "emcee": "fit/posterior.py",
+    "matplotlib": "report/",
+    "corner": "report/",
+    "diffrax": "sim/",
+    "typer": "cli.py",
+}
+
+MAX_BODY = 60
+MAX_FILE = 400
+# "file.py" or "file.py:function" -> why it may be longer.
+LONG: dict[str, str] = {}
+
+
+def place(path):
+    return path.relative_to(PACKAGE).as_posix()
+
+
+def room_of(file):
+    return file.split("/")[0].removesuffix(".py")
+
+
+def imported(tree):
+    """(module, names) of every import statement, nested ones included."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield alias.name, []
+        elif isinstance(node, ast.ImportFrom):
+            yield "." * node.level + (node.module or ""), [a.name for a in node.names]
+
+
+def rooms_used(tree):
+    """Rooms of tirefit that a file imports; a relative import is '.'."""
+    for module, names in imported(tree):
+        if module.startswith("."):
+            yield "."
+        elif module == "tirefit":
+            yield from (name for name in names if name != "__version__")
+        elif module.startswith("tirefit."):
+            yield module.split(".")[1]
+
+
+def layer_faults(file, tree):
+    """Imports of a file that do not go down."""
+    here = room_of(file)
+    if here in ("__init__", "__main__"):  # the roof: re-exports, starts the cli
+        return []
+    return [
+        f"{file} imports {used}"
+        for used in rooms_used(tree)
+        if used != here and FLOORS.get(used, 99) >= FLOORS[here]
+    ]
+
+
+def owner_faults(file, tree):
+    """Libraries imported outside the file or folder that owns them."""
+    faults = []
+    for module, _ in imported(tree):
+        library = module.split(".")[0]
+        owner = OWNERS.get(library, "")
+        owned = file.startswith(owner) if owner.endswith("/") else file == owner
+        if owner and not owned:
+            faults.append(f"{file} imports {library}, which belongs to {owner}")
+        if library in ("jax", "equinox") and file.startswith("data/"):
+            faults.append(f"{file} imports {library}: data is plain NumPy")
+        if module == "__future__":
+            faults.append(f"{file} has a __future__ import: it switches off checks")
+    return faults
+
+
+def docstring_lines(node):
+    first = node.body[0] if node.body else None
+    if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
+        if isinstance(first.value.value, str):
+            return first.end_lineno - first.lineno + 1
+    return 0
+
+
+def size_faults(file, source, tree):
+    """Functions and files longer than the limits, docstrings not counted."""
+    sizes = {}
+    documentation = docstring_lines(tree)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef):
+            documentation += docstring_lines(node)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            text = docstring_lines(node)
+            documentation += text
+            body = node.end_lineno - node.body[0].lineno + 1 - text
+            sizes[f"{file}:{node.name}"] = (body, MAX_BODY)
+    sizes[file] = (len(source.splitlines()) - documentation, MAX_FILE)
+    return [
+        f"{name}: {size} lines, limit {limit}"
+        for name, (size, limit) in sizes.items()
+        if size > limit and name not in LONG
+    ]
+
+
+@pytest.mark.parametrize("path", FILES, ids=place)
+def test_file_keeps_the_rules(path):
+    source = path.read_text()
+    tree = ast.parse(source)
+    file = place(path)
+    assert room_of(file) in {*FLOORS, "__init__", "__main__"}, "a room without a floor"
+    assert layer_faults(file, tree) == []
+    assert owner_faults(file, tree) == []
+    assert size_faults(file, source, tree) == []
+
+
+def test_exceptions_are_still_needed():
+    names = set()
+    for path in FILES:
+        file = place(path)
+        names.add(file)
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef):
+                names.add(f"{file}:{node.name}")
+    assert set(LONG) <= names
+    assert all(len(reason) > 10 for reason in LONG.values())
+    assert len(FILES) > 10
+
+
+@pytest.mark.parametrize(
+    ("file", "source", "faults"),
+    [
+        ("models/x.py", "from tirefit.params import par", 0),
+        ("models/x.py", "from tirefit.models.base import forces", 0),
+        ("models/x.py", "from tirefit.data.table import Table", 1),
+        ("data/x.py", "import tirefit.models", 1),
+        ("fit/x.py", "from tirefit import data, models, results", 0),
+        ("fit/x.py", "def f():\n    from tirefit.report import draw", 1),
+        ("params.py", "from tirefit.slip import LOCKED", 1),
+        ("results.py", "from tirefit.params import par", 1),
+        ("fit/x.py", "from . import least_squares", 1),
+        ("fit/x.py", "from tirefit.nowhere import x", 1),
+        ("__init__.py", "from tirefit.cli import main", 0),
+    ],
+)
+def test_layer_check_sees(file, source, faults):
+    assert len(layer_faults(file, ast.parse(source))) == faults
+
+
+@pytest.mark.parametrize(
+    ("file", "source", "faults"),
+    [
+        ("fit/least_squares.py", "import optimistix as optx\nimport jaxopt", 0),
+        ("fit/profile.py", "import optimistix as optx", 1),
+        ("fit/profile.py", "def f():\n    from emcee.moves import StretchMove", 1),
+        ("report/draw.py", "import matplotlib.pyplot as plt\nimport corner", 0),
+        ("fit/x.py", "import matplotlib.pyplot", 1),
+        ("cli.py", "import typer", 0),
+        ("report/text.py", "import typer", 1),
+        ("data/read.py", "import jax.numpy as jnp", 1),
+        ("models/base.py", "import jax.numpy as jnp", 0),
+        ("models/base.py", "from __future__ import annotations", 1),
+    ],
+)
+def test_owner_check_sees(file, source, faults):
+    assert len(owner_faults(file, ast.parse(source))) == faults
+
+
+def test_size_check_sees():
+    def faults(source):
+        return size_faults("x.py", source, ast.parse(source))
+
+    body = "    y = 1\n" * 60
+    documented = '    """Long.\n' + "\n" * 80 + '    """\n'
+    assert faults("def f():\n" + documented + body) == []
+    assert faults("def f():\n" + body + "    y = 2\n") == ["x.py:f: 61 lines, limit 60"]
+    assert faults("y = 1\n" * 400) == []
+    assert faults("y = 1\n" * 401) == ["x.py: 401 lines, limit 400"]
+    in_class = "class A:\n    def f(self):\n" + "        y = 1\n" * 61
+    assert faults(in_class) == ["x.py:f: 61 lines, limit 60"]

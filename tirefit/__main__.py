@@ -1,0 +1,3 @@
+from tirefit.cli import main
+
+main()

@@ -1,0 +1,248 @@
+"""Text files and frames as tables of cells: bytes, encoding, delimiter, header."""
+
+import codecs
+import csv
+import difflib
+import gzip
+import hashlib
+import io
+import itertools
+import re
+import zlib
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tirefit.data.check import BadRows
+from tirefit.data.columns import guess, is_number
+from tirefit.data.units import known_unit
+from tirefit.results import DataError, Problem
+
+__all__ = ["Table", "read_table", "table_of_frame"]
+
+_DELIMITERS = "\t;|,"
+_END = "\0"
+_SEARCHED = 10
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells of a file or frame before their meaning is known.
+
+    ``cells`` holds per column n strings or an (n,) number array; ``ragged`` (n,) bool
+    marks rows without the header's number of fields, ``lines`` (n,) their lines.
+    """
+
+    file: str
+    name: str
+    headers: list[str]
+    cells: list
+    lines: np.ndarray
+    ragged: np.ndarray
+    header_line: int | None = None
+    delimiter: str = ""
+    units_row: list[str] | None = None
+    sha256: str = ""
+    notes: tuple[str, ...] = ()
+    faults: tuple[BadRows, ...] = ()
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        try:
+            beside = [other.name for other in path.parent.iterdir()]
+        except OSError:
+            beside = []
+        close = difflib.get_close_matches(path.name, beside, n=1)
+        remedy = f"did you mean {close[0]!r}?" if close else "check the path"
+        raise _refusal("the file does not exist", remedy, path) from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        cause = getattr(error, "strerror", None) or error
+        reason = f"the file cannot be read: {cause}"
+        raise _refusal(reason, "check the path and its permissions", path) from error
+
+
+def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataError:
+    return DataError(Problem(reason, remedy, str(path), row))
+
+
+def _decode(raw: bytes, path: Path) -> tuple[str, list[str]]:
+    """Text of the file, gunzipped, and what was assumed of its encoding."""
+    if raw.startswith(b"\x1f\x8b"):
+        try:
+            raw = gzip.decompress(raw)
+        except (OSError, EOFError, zlib.error) as error:
+            reason = f"the gzip file is damaged: {error}"
+            raise _refusal(reason, "copy or compress it again", path) from error
+    export = "give a text file: CSV, semicolon- or tab-separated, or such as .gz"
+    if raw.startswith(b"PK\x03\x04"):
+        reason = "not a text file but a zip archive or spreadsheet"
+        raise _refusal(reason, "export the sheet as CSV", path)
+    try:
+        if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            text, notes = raw.decode("utf-16"), ["read as UTF-16"]
+        else:
+            text, notes = raw.decode("utf-8"), []
+    except UnicodeDecodeError as error:
+        if error.encoding.startswith("utf-16"):
+            raise _refusal("not a text file: broken UTF-16", export, path) from error
+        text, notes = raw.decode("latin-1"), ["not UTF-8: read as Latin-1"]
+    # Byte order marks stay where files were joined; DOS ends a text with \x1a.
+    text = text.replace("\ufeff", "").removesuffix("\x1a")
+    binary = re.search(r"[\x00-\x08\x0e-\x1a\x1c-\x1f]", text)
+    if binary:
+        row = len(re.findall(r"\r\n?|\n", text[: binary.start()])) + 1
+        reason = "not a text file: it holds binary data"
+        if text.count("\0") > len(text) / 3:
+            reason = "it looks like UTF-16 or UTF-32 without a byte order mark"
+            export = "save it as UTF-8"
+        raise _refusal(reason, export, path, row)
+    return text, notes
+
+
+def read_table(path: Path, declared: Collection[str]) -> Table:
+    """Reads a text file into cells; ``declared`` headers help to find the header."""
+    raw = _read_bytes(path)
+    text, notes = _decode(raw, path)
+    lines = [
+        "\n" if line.lstrip().startswith("#") or not line.strip() else line
+        for line in io.StringIO(text, newline="")
+    ]
+    content = (i for i, line in enumerate(lines) if line != "\n")
+    searched = list(itertools.islice(content, _SEARCHED))
+    if not searched:
+        raise _refusal("the file is empty", "give a header line and data rows", path)
+    start, delimiter = _find_header(lines, searched, declared)
+    if start != searched[0]:
+        notes.append(f"lines before the header in line {start + 1} skipped")
+    rows, numbers = _split(lines[start:], delimiter, start, path)
+    headers = [re.sub(r"\s*[\r\n]\s*", " ", cell.strip()) for cell in rows[0]]
+    rows, numbers = rows[1:], numbers[1:]
+    if all(is_number(cell) for cell in headers):
+        reason = "the first line holds numbers, not column names"
+        remedy = "add a header line such as kappa,fx,fz, without a # before it"
+        raise _refusal(reason, remedy, path, start + 1)
+    units_row = None
+    if rows and _is_units_row(rows[0], len(headers)):
+        notes.append(f"row {numbers[0]} read as units")
+        units_row, rows, numbers = rows[0], rows[1:], numbers[1:]
+    if not rows:
+        reason = "there are no data rows below the header"
+        raise _refusal(reason, "give at least as many rows as parameters", path)
+    ragged, faults = _even_out(rows, len(headers), numbers)
+    stem = path.name.removesuffix(".gz")
+    return Table(
+        str(path), Path(stem).stem, headers, list(zip(*rows, strict=True)),
+        np.array(numbers), ragged, start + 1, delimiter, units_row,
+        hashlib.sha256(raw).hexdigest(), tuple(notes), faults,
+    )  # fmt: skip
+
+
+def _split(lines, delimiter, start, path) -> tuple[list[list[str]], list[int]]:
+    """Rows of cells without blank lines, and the line of each in the file."""
+    # A last line of one's own shows whether a quotation mark swallows the end.
+    reader = csv.reader([*lines, _END], delimiter=delimiter, skipinitialspace=True)
+    rows, numbers, number = [], [], start + 1
+    try:
+        for row in reader:
+            if row:
+                rows.append(row)
+                numbers.append(number)
+            number = start + reader.line_num + 1
+    except csv.Error as error:
+        reason = f"the line cannot be split: {error}"
+        remedy = "look for a quotation mark that is not closed"
+        raise _refusal(reason, remedy, path, number) from error
+    if rows.pop() != [_END]:
+        reason = "a quotation mark is not closed"
+        raise _refusal(reason, "close or remove it", path, numbers[-1])
+    return rows, numbers[:-1]
+
+
+def _even_out(rows: list[list[str]], width: int, lines) -> tuple[np.ndarray, tuple]:
+    """Makes all rows ``width`` long; those that were not are ragged and faulty."""
+    ragged = np.zeros(len(rows), bool)
+    found = []
+    for index, row in enumerate(rows):
+        if len(row) == width:
+            continue
+        if len(row) > width and not any(cell.strip() for cell in row[width:]):
+            rows[index] = row[:width]  # a delimiter at the end of the line
+            continue
+        inside = sum(cell.count("\n") for cell in row)
+        until = f" in rows {lines[index]} to {lines[index] + inside}" if inside else ""
+        found.append((index, f"{len(row)} fields{until}"))
+        ragged[index] = True
+        rows[index] = ["nan"] * width
+    if not found:
+        return ragged, ()
+    indices, shown = zip(*found, strict=True)
+    return ragged, (BadRows(None, indices, shown, f"where the header has {width}"),)
+
+
+def table_of_frame(frame, name: str) -> Table:
+    """A table of a DataFrame or a mapping of arrays; rows are counted from 0."""
+    headers = [str(header) for header in frame]
+    if hasattr(frame, "iloc"):
+        values = [frame.iloc[:, i].to_numpy() for i in range(len(headers))]
+    else:
+        values = [np.asarray(frame[header]) for header in frame]
+    lengths = {value.shape for value in values}
+    if not values or len(lengths) > 1 or values[0].ndim != 1 or not len(values[0]):
+        shapes = ", ".join(
+            f"{h}: {v.shape}" for h, v in zip(headers, values, strict=True)
+        )
+        reason = (
+            f"columns must be one-dimensional, equally long and not empty ({shapes})"
+        )
+        raise _refusal(reason, "give arrays of shape (n,)", name)
+    cells = [
+        value
+        if value.dtype.kind in "fiub"
+        else ["" if x is None else str(x) for x in value]
+        for value in values
+    ]
+    n = len(values[0])
+    return Table(name, name, headers, cells, np.arange(n), np.zeros(n, bool))
+
+
+def _find_header(lines, searched, declared) -> tuple[int, str]:
+    """Index of the header line and the delimiter.
+
+    Some systems write a title first: the header is the first of the searched lines
+    with two recognised columns, or else simply the first.
+    """
+    declared = {header.strip().casefold() for header in declared}
+
+    def split(index: int, delimiter: str) -> tuple[int, int]:
+        """Recognised columns of a line, which quotes may extend, and all of them."""
+        some = lines[index : index + _SEARCHED]
+        names = next(csv.reader(some, delimiter=delimiter, skipinitialspace=True))
+        names = [name.strip() for name in names]
+        known = [name.casefold() in declared or guess(name) for name in names]
+        return sum(map(bool, known)), len(names)
+
+    first = searched[0]
+    best = {}
+    for index in searched:
+        widths = {delimiter: split(index, delimiter) for delimiter in _DELIMITERS}
+        best[index] = max(_DELIMITERS, key=widths.get)
+        if widths[best[index]][0] < 2:
+            continue
+        if split(first, best[index])[1] < widths[best[index]][1]:
+            return index, best[index]
+        break
+    return first, best[first]  # as wide as the header found: not a title
+
+
+def _is_units_row(row: list[str], width: int) -> bool:
+    """No numbers, and at least half of what is there are common units."""
+    cells = [cell.strip() for cell in row]
+    stated = [cell for cell in cells if cell not in ("", "-")]
+    if len(row) != width or not stated or any(map(is_number, cells)):
+        return False
+    return sum(known_unit(cell) is not None for cell in stated) * 2 >= len(stated)

@@ -1,0 +1,118 @@
+"""Many fits of one model at once: least squares under vmap, in cache-sized batches."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tirefit.fit.layout import FreeParameter, Layout
+from tirefit.fit.least_squares import damped_gauss_newton
+from tirefit.fit.problem import find_model
+from tirefit.models import TireInputs
+from tirefit.params import specs, with_values
+
+__all__ = ["BatchFit", "fit_many"]
+
+
+class BatchFit(NamedTuple):
+    """Estimates of B fits: values and standard deviations (B, p) by ``names``."""
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    std: np.ndarray
+    converged: np.ndarray
+
+
+def fit_many(
+    model: str,
+    slip: Float[Array, "b n"],
+    force: Float[Array, "b n"],
+    fz: Float[Array, "b n"] | float,
+    v: Float[Array, "b n"] | float = 0.0,
+    *,
+    axis: str = "fx",
+    batch: int = 64,
+) -> BatchFit:
+    """Fit B data sets of n points each by least squares on the normal equations.
+
+    Args:
+        model: name of a registered model.
+        slip: sigma_x, or alpha [rad] for ``axis="fy"``; shape (B, n).
+        force: fx or fy [N], canonical signs; shape (B, n).
+        fz: load [N]; v: speed [m/s]; scalars or (B, n).
+        axis: ``fx`` or ``fy``.
+        batch: data sets solved side by side.
+
+    Returns:
+        estimates, with standard deviations from the covariance at the noise that the
+        residuals show (independent, equal).
+
+    Raises:
+        UsageError: unknown model.
+        ValueError: shapes that do not match, or an unknown axis.
+    """
+    slip, force = jnp.asarray(slip, float), jnp.asarray(force, float)
+    if slip.ndim != 2 or slip.shape != force.shape:
+        raise ValueError(
+            f"slip {slip.shape} and force {force.shape} must both be (B, n)"
+        )
+    if axis not in ("fx", "fy"):
+        raise ValueError(f"axis {axis!r} is neither fx nor fy")
+    template = find_model(model)
+    layout = Layout(
+        tuple(FreeParameter(k, s) for k, s in specs(template).items() if s.free)
+    )
+    fz = jnp.broadcast_to(jnp.asarray(fz, float), slip.shape)
+    v = jnp.broadcast_to(jnp.asarray(v, float), slip.shape)
+    values, std, converged = _solve_all(
+        template, layout, slip, force, fz, v, axis, batch
+    )
+    return BatchFit(
+        layout.labels, np.asarray(values), np.asarray(std), np.asarray(converged)
+    )
+
+
+@partial(jax.jit, static_argnames=("layout", "axis", "batch"))
+def _solve_all(template, layout, slip, force, fz, v, axis, batch):
+    def one(data):
+        slip, force, fz, v = data
+        slip_name = "sigma_x" if axis == "fx" else "alpha"
+
+        def residual(z):
+            tire = with_values(template, layout.natural(z))
+
+            def at(slip, fz, v):
+                inputs = TireInputs(fz=fz, v=v)._replace(**{slip_name: slip})
+                return getattr(tire(inputs), axis)
+
+            return (force - jax.vmap(at)(slip, fz, v)) / jnp.mean(fz)
+
+        end = damped_gauss_newton(residual, _guess(template, layout, *data))
+        jacobian = jax.jacfwd(residual)(end.z)
+        noise = end.cost / (slip.size - layout.size)
+        slope = jax.jacfwd(layout.vector)(end.z)
+        cov = slope @ jnp.linalg.inv(jacobian.T @ jacobian) @ slope.T * noise
+        return layout.vector(end.z), jnp.sqrt(jnp.diagonal(cov)), end.converged
+
+    return jax.lax.map(one, (slip, force, fz, v), batch_size=batch)
+
+
+def _guess(template, layout, slip, force, fz, v):
+    """Slope of the smaller slips and the largest force, in terms of the parameters."""
+    del v
+    small = jnp.abs(slip) <= 0.2 * jnp.max(jnp.abs(slip))
+    stiffness = jnp.sum(small * slip * force) / jnp.sum(small * slip**2)
+    peak = jnp.max(jnp.abs(force) / fz)
+    found = {
+        "cpa2": stiffness / 2,
+        "mu": peak,
+        "mu_peak": peak,
+        "mu_c": 0.6 * peak,
+        "D": peak,
+        "B": stiffness / (1.5 * peak * jnp.mean(fz)),
+    }
+    known = {p.name: jnp.asarray(p.spec.default, float) for p in layout.free}
+    return layout.unconstrained(known | {k: x for k, x in found.items() if k in known})

@@ -1,0 +1,261 @@
+"""Fits on disk: ``fit.json`` and ``posterior.nc``, and predictions from either."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tirefit.data.table import TireData
+from tirefit.fit.layout import FreeParameter, Layout, Tie
+from tirefit.fit.predict import predict_forces
+from tirefit.fit.problem import find_model
+from tirefit.fit.result import SCHEMA, FitResult
+from tirefit.models import AbstractTire, TireInputs, needs_speed
+from tirefit.params import parameter_values, specs, with_values
+from tirefit.results import DataError, Problem, UsageError
+
+__all__ = ["StoredFit", "load_fit", "predict", "save_fit", "write_posterior"]
+
+
+@dataclass(frozen=True)
+class StoredFit:
+    """What a prediction needs of a fit: the tire, the estimate and the noise.
+
+    ``noise`` holds the standard deviation [N, N m] of each fitted force's noise.
+    """
+
+    model: str
+    tire: AbstractTire
+    layout: Layout
+    z: np.ndarray
+    covariance: np.ndarray
+    noise: Mapping[str, float]
+    content: Mapping
+
+
+def load_fit(path: str | os.PathLike) -> StoredFit:
+    """Read a ``fit.json``.
+
+    Raises:
+        DataError: no such file, not JSON, or not of this schema.
+    """
+
+    def refuse(reason: str) -> DataError:
+        return DataError(Problem(reason, "give a fit.json of `tirefit fit`", str(path)))
+
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise refuse(f"cannot read it: {error.strerror}") from None
+    except ValueError as error:
+        raise refuse(f"not JSON: {error}") from None
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise refuse(f"its schema is not {SCHEMA}")
+    template = find_model(content["model"])
+    known = specs(template)
+    stored = content["prediction"]["layout"]
+    free = tuple(
+        FreeParameter(
+            item["name"],
+            known[item["name"]]._replace(lower=item["lower"], upper=item["upper"]),
+            item["per_run"],
+        )
+        for item in stored["free"]
+    )
+    layout = Layout(
+        free, tuple(Tie(**tie) for tie in stored["ties"]), tuple(stored["runs"])
+    )
+    noise = {
+        force: content["noise"][force]["median_std"] for force in content["forces"]
+    }
+    return StoredFit(
+        content["model"], with_values(template, stored["fixed"]), layout,
+        np.array(content["prediction"]["z"]),
+        np.array(content["prediction"]["covariance"]), noise, content,
+    )  # fmt: skip
+
+
+def _inputs(data: TireData) -> TireInputs:
+    zeros = np.zeros(len(data))
+    columns = (data.columns.get(name, zeros) for name in TireInputs._fields)
+    return TireInputs(*(np.nan_to_num(np.asarray(c, float)) for c in columns))
+
+
+def _require_inputs(data: TireData, model: AbstractTire, name: str) -> None:
+    missing = [] if "fz" in data else ["fz (load, N)"]
+    if needs_speed(model) and "v" not in data:
+        missing.append("v (speed, m/s)")
+    if missing:
+        raise DataError(
+            Problem(
+                f"{name} needs {' and '.join(missing)} for every row",
+                "name the column with --column, or give --constant",
+                data.source.path or data.name,
+            )
+        )
+
+
+def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
+    if not any(parameter.per_run for parameter in layout.free):
+        return np.zeros(len(data), int)
+    unknown = [run for run in data.runs if run not in layout.runs]
+    if unknown:
+        raise DataError(
+            Problem(
+                f"the fit has no parameters for the runs {', '.join(unknown)}",
+                f"it knows {', '.join(layout.runs)}",
+                data.source.path or data.name,
+            )
+        )
+    return np.array([layout.runs.index(run) for run in data.runs])[data.run]
+
+
+def predict(
+    source: "StoredFit | FitResult | str",
+    data: TireData,
+    values: Mapping[str, float] | None = None,
+) -> dict[str, np.ndarray]:
+    """Forces row by row, canonical, with a predictive standard deviation for a fit.
+
+    Args:
+        source: a fit, or the name of a model.
+        data: rows with slip, load and, where the model needs it, speed.
+        values: parameter values of a named model; defaults otherwise.
+
+    Returns:
+        (n,) arrays ``fx`` where the data have sigma_x, ``fy`` and ``mz`` where they
+        have alpha, and for a fit ``<force>_std``: parameter uncertainty, and for the
+        forces that were fitted the noise of one measurement. Masked rows are NaN.
+
+    Raises:
+        UsageError: unknown model or parameter, or a value outside its bounds.
+        DataError: the data lack an input, or have runs the fit does not know.
+    """
+    if isinstance(source, str):
+        return _of_model(source, data, values or {})
+    if isinstance(source, FitResult):
+        problem = source.problem
+        tire, layout, name = problem.model, problem.layout, source.model
+        noise = {force: source.noise[force]["median_std"] for force in source.forces}
+    else:
+        tire, layout, name, noise = (
+            source.tire, source.layout, source.model, source.noise
+        )  # fmt: skip
+    _require_inputs(data, tire, name)
+    force, variance = predict_forces(
+        tire,
+        layout,
+        source.z,
+        source.covariance,
+        _inputs(data),
+        _run_codes(data, layout),
+    )
+    out = {}
+    for channel in _channels(data, force):
+        out[channel] = force[channel]
+        noise_variance = noise.get(channel, 0.0) ** 2
+        out[f"{channel}_std"] = np.sqrt(variance[channel] + noise_variance)
+    return _masked(data, out)
+
+
+def _channels(data: TireData, force: Mapping) -> list[str]:
+    needs = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
+    return [c for c, slip in needs.items() if slip in data and force.get(c) is not None]
+
+
+def _masked(data: TireData, out: dict) -> dict[str, np.ndarray]:
+    return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
+
+
+def _of_model(name: str, data: TireData, values: Mapping[str, float]):
+    from tirefit.models import forces
+
+    template = find_model(name)
+    known, problems = specs(template), []
+    for key, value in values.items():
+        if key not in known:
+            problems.append(
+                Problem(
+                    f"{name} has no parameter {key!r}", f"it has {', '.join(known)}"
+                )
+            )
+        elif not known[key].lower <= value <= known[key].upper:
+            problems.append(
+                Problem(
+                    f"{key} = {value} is outside its bounds"
+                    f" [{known[key].lower:.6g}, {known[key].upper:.6g}]",
+                    "see `tirefit models`",
+                )
+            )
+    if problems:
+        raise UsageError(problems)
+    tire = with_values(template, parameter_values(template) | dict(values))
+    _require_inputs(data, tire, name)
+    found = forces(tire, _inputs(data))._asdict()
+    return _masked(data, {c: found[c] for c in _channels(data, found)})
+
+
+def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
+    """Posterior as netCDF: an xarray DataTree in the InferenceData layout.
+
+    Every walker is a chain, so that tools which assume independent draws within a
+    chain do not mistake walkers for draws. Written to a temporary name, then renamed.
+    """
+    import xarray as xr
+
+    summary, draws = result.posterior, result.walkers
+    ensembles, walkers, steps, _ = draws.shape
+    coords = {"chain": np.arange(ensembles * walkers), "draw": np.arange(steps)}
+    flat = draws.reshape(ensembles * walkers, steps, -1)
+    posterior = xr.Dataset(
+        {
+            label: (("chain", "draw"), flat[..., i], {"unit": _unit(result, label)})
+            for i, label in enumerate(result.labels)
+        },
+        coords | {"ensemble": ("chain", np.repeat(np.arange(ensembles), walkers))},
+        attrs={
+            "model": result.model, "version": result.version, "seed": summary.seed,
+            "sampler": summary.sampler, "created_by": "tirefit",
+            "data_sha256": result.data["sha256"], "convention": "braking, SI",
+        },
+    )  # fmt: skip
+    problem = result.problem
+    rows = {"row": np.arange(problem.n)}
+    observed = xr.Dataset(
+        {k: ("row", problem.used(v)) for k, v in problem.rows.observed.items()}, rows
+    )
+    constant = xr.Dataset(
+        {k: ("row", problem.used(v)) for k, v in problem.rows.inputs._asdict().items()},
+        rows,
+    )
+    tree = xr.DataTree.from_dict(
+        {"posterior": posterior, "observed_data": observed, "constant_data": constant}
+    )
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        tree.to_netcdf(temporary, engine="h5netcdf")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _unit(result: FitResult, label: str) -> str:
+    return result.least_squares[label].unit
+
+
+def save_fit(result: FitResult, directory: str | os.PathLike) -> list[Path]:
+    """Write ``fit.json`` and, where it was sampled, ``posterior.nc``; whole or not."""
+    from tirefit.data.write import write_text_atomic
+
+    directory = Path(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    written = []
+    if result.walkers is not None:
+        write_posterior(result, directory / "posterior.nc")
+        written.append(directory / "posterior.nc")
+    write_text_atomic(directory / "fit.json", result.to_json())
+    return [directory / "fit.json", *written]

@@ -1,0 +1,95 @@
+"""The look of all figures: colours, sizes, title, footnote; no global state.
+
+Only matplotlib's object API is used: pyplot is slow to import and keeps figures in
+global lists.
+"""
+
+import io
+import textwrap
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from tirefit.fit.result import FitResult
+from tirefit.report.text import verdict_line
+
+__all__ = [
+    "BLUE",
+    "COLORS",
+    "DARK",
+    "GREY",
+    "ORANGE",
+    "RED",
+    "Picture",
+    "frame",
+    "tidy",
+]
+
+BLUE, ORANGE, GREEN = "#0072B2", "#E69F00", "#009E73"
+RED, SKY, PURPLE = "#D55E00", "#56B4E9", "#CC79A7"
+COLORS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
+"""Okabe and Ito's palette: told apart with any colour vision."""
+DARK, GREY = "#222222", "#8a8a8a"
+
+WIDTH = 7.0
+DPI = 130
+
+
+class Picture(Figure):
+    """A figure that shows itself in a notebook, whatever backend is active there."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **{"dpi": DPI, "facecolor": "white"} | kwargs)
+        FigureCanvasAgg(self)
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png")
+        return buffer.getvalue()
+
+
+def frame(result: FitResult, height: float) -> tuple[Picture, tuple[float, float]]:
+    """An empty picture with title and footnote.
+
+    Args:
+        result: whose model, file and verdict the title names.
+        height: of the picture in inches.
+
+    Returns:
+        (picture, (bottom, top)): the share of the height that is free for axes.
+    """
+    picture = Picture(figsize=(WIDTH, height))
+    file = result.data["file"].replace("\\", "/").rsplit("/", 1)[-1]
+    ok = result.verdict.get("status", "ok") == "ok"
+    lines = textwrap.wrap(verdict_line(result), 100, max_lines=2, placeholder=" …")
+    picture.text(
+        0.02, 1 - 0.10 / height, _plain(f"{result.model} fitted to {file}"),
+        va="top", fontsize=10.5, fontweight="bold", color=DARK,
+    )  # fmt: skip
+    picture.text(
+        0.02, 1 - 0.31 / height, _plain("\n".join(lines)),
+        va="top", fontsize=8.5, color=DARK if ok else RED, linespacing=1.15,
+    )  # fmt: skip
+    picture.text(
+        0.02, 0.05 / height,
+        f"tirefit {result.version} · braking positive, SI · seed {result.seed}"
+        f" · {result.statistics.n} rows",
+        va="bottom", fontsize=6.5, color=GREY,
+    )  # fmt: skip
+    return picture, (0.2 / height, 1 - (0.38 + 0.15 * len(lines)) / height)
+
+
+def _plain(text: str) -> str:
+    """Text with no mathematics in it: a ``$`` of a file name is a ``$``."""
+    return text.replace("$", r"\$")
+
+
+def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:
+    """Open frame, small ticks, labels."""
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(GREY)
+    axes.tick_params(labelsize=size - 1, color=GREY, labelcolor=DARK, length=3)
+    axes.set_xlabel(x_label, fontsize=size, color=DARK)
+    axes.set_ylabel(y_label, fontsize=size, color=DARK)

@@ -1,0 +1,361 @@
+"""The fitted curve and its bands, as arrays."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import stdtrit
+
+from tirefit.fit.likelihood import CHANNEL_SLIP, predict
+from tirefit.fit.result import FitResult
+from tirefit.models import TireInputs, needs_speed
+from tirefit.params import parameter_values, unconstrain
+from tirefit.slip import LOCKED, sigma_from_slip_ratio, slip_ratio_from_sigma
+
+__all__ = ["Curve", "FitCurve", "Group", "SlipAxis", "fit_curve", "slip_axis"]
+
+_MOST_GROUPS = 6
+_POINTS = 240
+_DRAWS = 400
+_NORMAL = 1.959963984540054
+_FORCE_LABEL = {
+    "fx": ("longitudinal force $F_x$", "N", "$F_x / F_z$"),
+    "fy": ("lateral force $F_y$", "N", "$F_y / F_z$"),
+    "mz": ("aligning moment $M_z$", "N m", "$M_z / F_z$"),
+}
+_LIMIT = {
+    "mu": ("friction limit", r"\mu"),
+    "mu_peak": ("peak", r"\mu'"),
+    "D": ("peak", "D"),
+}
+
+
+class SlipAxis(NamedTuple):
+    """The slip as drawn: label, unit, and the maps from and to canonical values."""
+
+    label: str
+    unit: str
+    shown: object
+    canonical: object
+
+
+class Group(NamedTuple):
+    """Measured points of one level of load, slip, speed or run: slip, force (n,)."""
+
+    label: str
+    slip: np.ndarray
+    force: np.ndarray
+
+
+class Curve(NamedTuple):
+    """A fitted curve (m,) with its 95 % band and the 95 % band of a measurement.
+
+    ``limit`` is the friction limit, None where the model or the channel has none.
+    """
+
+    label: str
+    slip: np.ndarray
+    force: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    noise_low: np.ndarray
+    noise_high: np.ndarray
+    limit: float | None
+
+
+class FitCurve(NamedTuple):
+    """One force over its slip. ``curves`` match ``groups`` one to one, or are one."""
+
+    channel: str
+    x_label: str
+    y_label: str
+    groups: tuple[Group, ...]
+    curves: tuple[Curve, ...]
+    limit_label: str
+    note: str
+
+
+def slip_axis(name: str, values: np.ndarray) -> SlipAxis:
+    """How a slip is drawn: angles in degrees, near-locked wheels by their slip ratio.
+
+    Args:
+        name: ``sigma_x`` or ``alpha``.
+        values: canonical values to be drawn, (n,).
+    """
+    if name == "alpha":
+        return SlipAxis(r"slip angle $\alpha$", "deg", np.degrees, np.radians)
+    if np.max(np.abs(values), initial=0.0) <= 1.0:
+        return SlipAxis(r"slip $\sigma_x$", "-", np.asarray, np.asarray)
+    return SlipAxis(
+        r"slip ratio $v_{sx}/\max(v_x, \Omega R_e)$", "-", slip_ratio_from_sigma,
+        lambda ratio: sigma_from_slip_ratio(np.minimum(ratio, 1 - 1 / LOCKED)),
+    )  # fmt: skip
+
+
+def _levels(values: np.ndarray, scale: float) -> np.ndarray:
+    """Codes (n,) of the levels that values gather at; thirds where they spread."""
+    if not scale > 0 or np.ptp(values) <= 0.1 * scale:
+        return np.zeros(len(values), int)
+    order = np.sort(values)
+    wide = np.flatnonzero(np.diff(order) > 0.08 * scale)
+    edges = (order[wide] + order[wide + 1]) / 2
+    if not 1 <= len(edges) < _MOST_GROUPS:
+        edges = np.quantile(values, [1 / 3, 2 / 3])
+    return np.searchsorted(edges, values)
+
+
+def _keys(result: FitResult, slip: str) -> list[tuple[str, np.ndarray]]:
+    """(input, codes (n,)) of what separates the curves, at most six combinations."""
+    problem = result.problem
+    inputs, run = problem.rows.inputs, problem.used(problem.rows.run)
+    other = "alpha" if slip == "sigma_x" else "sigma_x"
+    per_run = any(p.per_run for p in problem.layout.free)
+    candidates = [("run", run)] if per_run else []
+    for name in ("fz", other, "v"):
+        values = problem.used(getattr(inputs, name))
+        scale = 0.1 if name == other else float(np.median(np.abs(values)))
+        if name != "v" or needs_speed(problem.model):
+            candidates.append((name, _levels(values, scale)))
+    kept: list[tuple[str, np.ndarray]] = []
+    for name, codes in candidates:
+        stack = np.stack([c for _, c in kept] + [codes], axis=1)
+        few = len(np.unique(stack, axis=0)) <= _MOST_GROUPS
+        if np.ptp(codes) > 0 and (few or name == "run"):
+            kept.append((name, codes))
+    return kept
+
+
+def _level_label(name: str, values: np.ndarray, runs) -> str:
+    if name == "run":
+        return str(runs[int(values[0])])
+    middle = float(np.median(values))
+    sign = "=" if np.ptp(values) <= 0.1 * abs(middle) + 1e-3 else "≈"
+    text = {
+        "fz": lambda: f"$F_z$ {sign} {middle:.0f} N",
+        "v": lambda: f"$v$ {sign} {middle:.3g} m/s",
+        "alpha": lambda: rf"$\alpha$ {sign} {np.degrees(middle):.2g}°",
+        "sigma_x": lambda: rf"$\sigma_x$ {sign} {middle:.2g}",
+    }
+    return text[name]()
+
+
+def _members(result: FitResult, keys) -> tuple[list[tuple[str, np.ndarray]], str]:
+    """((label, rows (n,) bool) of every group, note on what is left out)."""
+    problem = result.problem
+    columns = {**problem.rows.inputs._asdict(), "run": problem.rows.run}
+    if not keys:
+        return [("measured", np.ones(problem.n, bool))], ""
+    stack = np.stack([codes for _, codes in keys], axis=1)
+    combinations, of_row = np.unique(stack, axis=0, return_inverse=True)
+    chosen, note = range(len(combinations)), ""
+    if len(combinations) > _MOST_GROUPS:
+        chosen = np.linspace(0, len(combinations) - 1, _MOST_GROUPS).astype(int)
+        note = f"{_MOST_GROUPS} of {len(combinations)} runs shown"
+    found = []
+    for code in chosen:
+        rows = of_row.ravel() == code
+        parts = [
+            _level_label(name, problem.used(columns[name])[rows], problem.layout.runs)
+            for name, _ in keys
+        ]
+        found.append((", ".join(parts), rows))
+    return found, note
+
+
+def _value(result: FitResult, name: str, run: int) -> float:
+    """Least-squares value of a free, tied or fixed parameter in one run."""
+    problem = result.problem
+    for tie in problem.layout.ties:
+        if tie.name == name:
+            return tie.factor * _value(result, tie.other, run)
+    for label in (name, f"{name}[{problem.layout.runs[run]}]"):
+        if label in result.least_squares:
+            return result.least_squares[label].value
+    return float(parameter_values(problem.model)[name])
+
+
+@partial(jax.jit, static_argnames=("layout", "channel"))
+def _forces(model, layout, z, inputs, run, channel):
+    """One channel at one z: small, so that a figure waits little for its compiler."""
+    return predict(model, layout, z, inputs, run)[channel]
+
+
+def _z_draws(result: FitResult) -> np.ndarray:
+    """Some posterior draws in the unconstrained space, (at most 400, p)."""
+    flat = np.asarray(result.chains).reshape(-1, len(result.labels))
+    flat = flat[np.linspace(0, len(flat) - 1, min(_DRAWS, len(flat))).astype(int)]
+    columns = [
+        np.asarray(unconstrain(jnp.asarray(flat[:, i]), parameter.spec))
+        for i, (_, parameter) in enumerate(result.problem.layout.elements)
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _quantile(result: FitResult) -> float:
+    """Standard deviations to the end of a 95 % interval: Student's t where needed."""
+    if not any(c.noise_estimated for c in result.problem.channels):
+        return _NORMAL
+    return float(stdtrit(max(result.statistics.dof, 1.0), 0.975))
+
+
+def _band(result: FitResult, channel: str, inputs: TireInputs, run):
+    """(force, low, high) of the fitted curve, each (rows,).
+
+    The band holds the posterior's draws where there are any, else it is linearised in
+    z around the estimate, with the slopes from central differences.
+    """
+    problem, run = result.problem, jnp.asarray(run)
+
+    def at(z):
+        z = jnp.asarray(z)
+        return np.asarray(
+            _forces(problem.model, problem.layout, z, inputs, run, channel)
+        )
+
+    force = at(result.z)
+    if result.chains is not None:
+        draws = np.array([at(z) for z in _z_draws(result)])
+        return force, *np.quantile(draws, [0.025, 0.975], axis=0)
+    steps = np.diag(1e-4 * np.minimum(np.sqrt(np.diag(result.covariance)), 1.0))
+    slope = np.array([at(result.z + step) - at(result.z - step) for step in steps])
+    slope /= 2 * np.diag(steps)[:, None]
+    variance = np.einsum("in,ij,jn->n", slope, result.covariance, slope)
+    half = _quantile(result) * np.sqrt(np.maximum(variance, 0))
+    return force, force - half, force + half
+
+
+def _grid(problem, slip: str, axis: SlipAxis) -> np.ndarray:
+    """Slips as drawn, (m,), from zero or the smallest to just beyond the largest."""
+    values = axis.shown(problem.used(getattr(problem.rows.inputs, slip)))
+    low, high = min(values.min(), 0.0), max(values.max(), 0.0)
+    margin = 0.03 * (high - low)
+    low, high = low - margin * (low < 0), high + margin * (high > 0)
+    if axis.shown is slip_ratio_from_sigma:
+        low, high = max(low, -1 + 1e-3), min(high, 1.0)
+    return np.linspace(low, high, _POINTS)
+
+
+def _curves(result: FitResult, channel: str, members, axis: SlipAxis, normalise):
+    """The fitted curve of every group, all groups evaluated in one call."""
+    problem = result.problem
+    slip = CHANNEL_SLIP[channel]
+    shown = _grid(problem, slip, axis)
+    grid = np.asarray(axis.canonical(shown), float)
+    inputs, runs = problem.rows.inputs, problem.used(problem.rows.run)
+    middle = [
+        {
+            k: float(np.median(problem.used(v)[rows]))
+            for k, v in inputs._asdict().items()
+        }
+        for _, rows in members
+    ]
+    columns = {
+        name: np.concatenate(
+            [grid if name == slip else np.full(len(grid), m[name]) for m in middle]
+        )
+        for name in inputs._fields
+    }
+    run = [int(runs[rows][0]) for _, rows in members]
+    force, low, high = _band(
+        result, channel, TireInputs(**{k: jnp.asarray(v) for k, v in columns.items()}),
+        np.repeat(run, len(grid)),
+    )  # fmt: skip
+    found = []
+    for i, (label, rows) in enumerate(members):
+        part = slice(i * len(grid), (i + 1) * len(grid))
+        unit = middle[i]["fz"] if normalise else 1.0
+        noise = _noise(result, channel, rows, grid, force[part])
+        noise_half = _quantile(result) * noise
+        # Noise and parameter uncertainty are independent: half-widths add in square.
+        below = np.hypot(force[part] - low[part], noise_half)
+        above = np.hypot(high[part] - force[part], noise_half)
+        limit = _limit(result, channel, run[i], middle[i]["fz"])
+        found.append(
+            Curve(
+                label, shown, force[part] / unit, low[part] / unit, high[part] / unit,
+                (force[part] - below) / unit, (force[part] + above) / unit,
+                None if limit is None else limit / unit,
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def _noise(result: FitResult, channel: str, rows, grid, force) -> np.ndarray:
+    """Standard deviation of a measurement along a curve, slip noise included, (m,)."""
+    problem = result.problem
+    scale = float(np.median(problem.used(problem.rows.scale[channel])[rows]))
+    slip_std = problem.slip_noise.get(CHANNEL_SLIP[channel])
+    if slip_std is None:
+        return np.full(len(grid), scale)
+    slope = np.gradient(force, grid)
+    return np.hypot(scale, slope * float(np.median(slip_std)))
+
+
+def _limit_name(result: FitResult) -> str | None:
+    """The parameter that limits the friction, None where the model has none."""
+    names = parameter_values(result.problem.model)
+    return next((name for name in _LIMIT if name in names), None)
+
+
+def _limit(result: FitResult, channel: str, run: int, fz: float) -> float | None:
+    name = _limit_name(result)
+    return None if channel == "mz" or name is None else _value(result, name, run) * fz
+
+
+def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
+    """Measured points and fitted curves of one force over its slip.
+
+    Points are grouped by run (where a parameter is per run), load, the other slip and,
+    where the friction depends on it, speed. Within a group whose load varies by more
+    than 10 % points and curves are forces over load.
+
+    Args:
+        result: a fit with its problem.
+        channel: ``fx``, ``fy`` or ``mz``; the first fitted one if None.
+    """
+    problem = result.problem
+    channel = channel or problem.channels[0].name
+    slip = CHANNEL_SLIP[channel]
+    values = problem.used(getattr(problem.rows.inputs, slip))
+    force = problem.used(problem.rows.observed[channel])
+    load = problem.used(problem.rows.inputs.fz)
+    axis = slip_axis(slip, values)
+    members, note = _members(result, _keys(result, slip))
+    normalise = any(
+        np.ptp(np.quantile(load[rows], [0.025, 0.975])) > 0.1 * np.median(load[rows])
+        for _, rows in members
+    )
+    curves = _curves(result, channel, members, axis, normalise)
+    if len(members) == 1:
+        members = _by_run(problem, members)
+    unit = load if normalise else np.ones_like(load)
+    groups = tuple(
+        Group(label, axis.shown(values[rows]), (force / unit)[rows])
+        for label, rows in members
+    )
+    name, force_unit, ratio = _FORCE_LABEL[channel]
+    ratio_unit = "m" if channel == "mz" else "-"
+    return FitCurve(
+        channel, f"{axis.label} [{axis.unit}]",
+        f"{ratio} [{ratio_unit}]" if normalise else f"{name} [{force_unit}]",
+        groups, curves, _limit_label(result, normalise), note,
+    )  # fmt: skip
+
+
+def _limit_label(result: FitResult, normalise: bool) -> str:
+    name = _limit_name(result)
+    if name is None:
+        return ""
+    what, symbol = _LIMIT[name]
+    return f"{what} ${symbol}$" if normalise else f"{what} ${symbol} F_z$"
+
+
+def _by_run(problem, members):
+    """One group split by run, for colour only, where there are a few runs."""
+    run = problem.used(problem.rows.run)
+    codes = np.unique(run)
+    if not 1 < len(codes) <= _MOST_GROUPS:
+        return members
+    return [(str(problem.layout.runs[code]), run == code) for code in codes]

@@ -1,0 +1,155 @@
+"""Figures and comparisons for notebooks and scripts."""
+
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tirefit.fit.result import FitResult
+from tirefit.report.numbers import format_number
+from tirefit.report.text import table, value_text
+from tirefit.results import UsageError
+
+__all__ = [
+    "Comparison",
+    "compare",
+    "plot_corner",
+    "plot_fit",
+    "plot_profile",
+    "plot_residuals",
+    "plot_trace",
+]
+
+
+def _needs(result: FitResult, what: str, there: bool) -> None:
+    if not there:
+        raise UsageError(f"this fit has no {what}")
+
+
+def plot_fit(result: FitResult, ax=None):
+    """Measured points and the fitted curve with its bands; the Figure.
+
+    Args:
+        result: a fit from this process.
+        ax: axes to draw the first force on, of a figure of your own.
+    """
+    from tirefit.report import draw
+
+    _needs(result, "data in memory (fit again to draw it)", result.problem is not None)
+    if ax is None:
+        return draw.fit_figure(result)
+    draw.draw_fit(ax, draw.fit_curve(result))
+    return ax.figure
+
+
+def plot_residuals(result: FitResult):
+    """Residuals against every input, their distribution and order; the Figure."""
+    from tirefit.report import draw
+
+    _needs(result, "data in memory (fit again to draw it)", result.problem is not None)
+    return draw.residual_figure(result)
+
+
+def plot_corner(result: FitResult):
+    """Posterior of every parameter and every pair; the Figure."""
+    from tirefit.report import draw
+
+    _needs(result, "posterior: tirefit.sample(fit) adds it", result.chains is not None)
+    return draw.corner_figure(result)
+
+
+def plot_trace(result: FitResult):
+    """Posterior draws in order, by ensemble; the Figure."""
+    from tirefit.report import draw
+
+    _needs(result, "posterior: tirefit.sample(fit) adds it", result.chains is not None)
+    return draw.trace_figure(result)
+
+
+def plot_profile(result: FitResult):
+    """Profile likelihood, covariance and posterior of every parameter; the Figure."""
+    from tirefit.report import draw
+
+    _needs(result, "profile likelihood", bool(result.profiles))
+    return draw.profile_figure(result)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Several models on the same data, lowest AICc first; prints as a table.
+
+    ``rows`` are the cells of the table, header first; ``notes`` what to mind.
+    """
+
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        right = tuple(range(1, len(self.rows[0]) - 1))
+        lines = table([list(row) for row in self.rows], right)
+        return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
+
+    def _repr_html_(self) -> str:
+        from tirefit.report.html import html_table
+
+        notes = "".join(f"<div>{html.escape(note)}</div>" for note in self.notes)
+        return html_table(self.rows) + notes
+
+
+def _comparable(results: Sequence[FitResult]) -> None:
+    if not results:
+        raise UsageError("nothing to compare: give a list of fits")
+    keys = {
+        (r.data["file"], r.data["sha256"], r.statistics.n, r.forces) for r in results
+    }
+    if len(keys) > 1:
+        raise UsageError(
+            "these fits are of different rows or forces, so AICc, BIC and RMSE say"
+            " nothing about which model is better: fit all models to the same data"
+        )
+
+
+def compare(results: Sequence[FitResult]) -> Comparison:
+    """Models fitted to the same data, side by side.
+
+    Args:
+        results: fits of the same rows and forces.
+
+    Returns:
+        a table for ``print`` and for notebooks.
+
+    Raises:
+        UsageError: no fits, or fits of different data.
+    """
+    _comparable(results)
+    ordered = sorted(results, key=lambda r: r.statistics.aicc)
+    best_aicc = ordered[0].statistics.aicc
+    best_bic = min(r.statistics.bic for r in ordered)
+    unit = "N m" if ordered[0].forces[0] == "mz" else "N"
+    rows = [
+        ("model", "k", f"RMSE [{unit}]", "AICc", "Δ AICc", "Δ BIC", "n_eff", "verdict")
+    ]
+    for r in ordered:
+        s = r.statistics
+        rows.append(
+            (
+                r.model, str(len(r.labels)), format_number(s.rmse), f"{s.aicc:.1f}",
+                f"{s.aicc - best_aicc:.1f}", f"{s.bic - best_bic:.1f}",
+                f"{s.n_effective:.0f}", r.verdict.get("status", ""),
+            )
+        )  # fmt: skip
+    notes = [_parameters(r) for r in ordered]
+    effective = [r.statistics.n_effective for r in ordered]
+    if max(effective) > 1.1 * min(effective):
+        notes.append(
+            "n_eff differs between the models: AICc and BIC then compare roughly"
+        )
+    return Comparison(tuple(rows), tuple(notes))
+
+
+def _parameters(result: FitResult) -> str:
+    parts = []
+    for name, estimate in result.parameters.items():
+        if not estimate.fixed:
+            unit = "" if estimate.unit == "-" else f" {estimate.unit}"
+            parts.append(f"{name} = {value_text(estimate)}{unit}")
+    return f"{result.model}: {', '.join(parts)}"

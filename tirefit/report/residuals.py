@@ -1,0 +1,209 @@
+"""Residuals against every input, their distribution and their order, as arrays."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtri
+
+from tirefit.data.table import TireData
+from tirefit.fit.likelihood import CHANNEL_SLIP
+from tirefit.fit.predict import row_moments
+from tirefit.fit.result import FitResult
+from tirefit.report.curves import slip_axis
+
+__all__ = ["Residuals", "Scatter", "autocorrelation", "residual_panels", "standardised"]
+
+_BINS = 12
+_LABEL = {
+    "fz": ("load $F_z$", "N"),
+    "v": ("speed $v$", "m/s"),
+    "time": ("time", "s"),
+    "gamma": (r"camber $\gamma$", "deg"),
+    "pressure": ("pressure", "kPa"),
+    "temperature": ("temperature", "°C"),
+}
+_SHOWN = {"gamma": 180 / np.pi, "pressure": 1e-3}
+
+
+class Scatter(NamedTuple):
+    """Standardised residuals against one input: points (n,), and means over bins (k,).
+
+    ``half`` is the half-width of the 95 % interval of a bin's mean; ``ticks`` names
+    the values of a categorical input, and is empty for a number.
+    """
+
+    label: str
+    x: np.ndarray
+    residual: np.ndarray
+    center: np.ndarray
+    mean: np.ndarray
+    half: np.ndarray
+    ticks: tuple[str, ...]
+
+
+class Residuals(NamedTuple):
+    """All panels of one force.
+
+    ``normal`` (n,) are the quantiles of a standard normal that belong to ``ordered``
+    (n,), the sorted residuals; ``lags``, ``correlation`` and ``limit`` (95 % under
+    independence) are None where the rows have no order.
+    """
+
+    channel: str
+    scatters: tuple[Scatter, ...]
+    edges: np.ndarray
+    density: np.ndarray
+    normal: np.ndarray
+    ordered: np.ndarray
+    lags: np.ndarray | None
+    correlation: np.ndarray | None
+    limit: float
+
+
+def standardised(result: FitResult, channel: str) -> np.ndarray:
+    """(observed - fitted) / standard deviation of a measurement, (n,)."""
+    problem = result.problem
+    mean, variance = row_moments(problem, result.z)
+    observed = problem.used(problem.rows.observed[channel])
+    return (observed - mean[channel]) / np.sqrt(variance[channel])
+
+
+def _fitted_rows(problem, data: TireData | None) -> np.ndarray | None:
+    """The rows (len(data),) bool of the table that the fit used, None if unknown.
+
+    A fit may be limited to an interval of slip, which its smallest and largest tell.
+    """
+    if data is None:
+        return None
+    name = problem.slip_name
+    slip = problem.used(getattr(problem.rows.inputs, name))
+    with np.errstate(invalid="ignore"):
+        rows = data.used & (data[name] >= slip.min()) & (data[name] <= slip.max())
+    return rows if np.count_nonzero(rows) == problem.n else None
+
+
+def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
+    """Input -> (label, values as drawn (n,)) of every input that varies."""
+    problem = result.problem
+    inputs = problem.rows.inputs
+    found = {}
+    for name in dict.fromkeys((slip, "sigma_x", "alpha")):
+        values = problem.used(getattr(inputs, name))
+        axis = slip_axis(name, values)
+        found[name] = (f"{axis.label} [{axis.unit}]", axis.shown(values))
+    columns = {"fz": problem.used(inputs.fz), "v": problem.used(inputs.v)}
+    rows = _fitted_rows(problem, result.table)
+    if rows is not None:
+        others = [name for name in _LABEL if name in result.table]
+        columns.update({name: result.table[name][rows] for name in others})
+    for name in _LABEL:
+        if name in columns:
+            label, unit = _LABEL[name]
+            found[name] = (f"{label} [{unit}]", columns[name] * _SHOWN.get(name, 1.0))
+    return {
+        name: (label, values)
+        for name, (label, values) in found.items()
+        if np.all(np.isfinite(values))
+        and np.ptp(values) > 1e-6 * max(np.max(np.abs(values)), 1e-9)
+    }
+
+
+def _binned(x, residual, inflation: float):
+    """Centers, means and half-widths of the means' 95 % intervals, each (k,)."""
+    values = np.unique(x)
+    if len(values) <= _BINS:
+        codes = np.searchsorted(values, x)
+    else:
+        edges = np.unique(np.quantile(x, np.linspace(0, 1, _BINS + 1)[1:-1]))
+        codes = np.searchsorted(edges, x)
+    count = np.bincount(codes)
+    kept = count >= 3
+    if not np.any(kept):
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    count = np.maximum(count, 1)
+    center = np.bincount(codes, x) / count
+    mean = np.bincount(codes, residual) / count
+    square = np.bincount(codes, residual**2) / count - mean**2
+    half = 1.96 * np.sqrt(inflation * np.maximum(square, 0) / np.maximum(count - 1, 1))
+    return center[kept], mean[kept], half[kept]
+
+
+def autocorrelation(parts: list[np.ndarray], most: int = 40) -> np.ndarray:
+    """Autocorrelation at lags 0, 1, ... of residuals in order, runs pooled."""
+    longest = max((len(part) for part in parts), default=0)
+    power = sum(float(part @ part) for part in parts)
+    lags = range(max(min(most, longest // 4) + 1, 1))
+    if power <= 0:
+        return np.ones(1)
+    return np.array(
+        [sum(float(p[lag:] @ p[: len(p) - lag]) for p in parts) / power for lag in lags]
+    )
+
+
+def _order(result: FitResult, residual, inputs):
+    """Autocorrelation in the order of time, or of the file; None where it is moot."""
+    problem = result.problem
+    statistics = result.statistics
+    time = inputs.get("time")
+    if time is None and statistics.n_effective > 0.9 * statistics.n:
+        return None, None
+    run, parts = problem.used(problem.rows.run), []
+    for code in np.unique(run):
+        part = residual[run == code]
+        if time is not None:
+            part = part[np.argsort(time[1][run == code], kind="stable")]
+        parts.append(part)
+    correlation = autocorrelation(parts)
+    return np.arange(len(correlation)), correlation
+
+
+def _runs(result: FitResult, residual, inflation: float) -> list[Scatter]:
+    problem = result.problem
+    run = problem.used(problem.rows.run).astype(float)
+    codes = np.unique(run)
+    if not 1 < len(codes) <= 30:
+        return []
+    position = np.searchsorted(codes, run).astype(float)
+    spread = np.random.default_rng(0).uniform(-0.25, 0.25, len(run))
+    center, mean, half = [], [], []
+    for i in range(len(codes)):
+        part = residual[position == i]
+        center.append(float(i))
+        mean.append(part.mean())
+        half.append(1.96 * part.std() * np.sqrt(inflation / max(len(part) - 1, 1)))
+    return [
+        Scatter(
+            "run", position + spread, residual, np.array(center), np.array(mean),
+            np.array(half), tuple(str(problem.layout.runs[int(c)]) for c in codes),
+        )
+    ]  # fmt: skip
+
+
+def residual_panels(result: FitResult, channel: str | None = None) -> Residuals:
+    """Standardised residuals of one force, against all that varies.
+
+    Args:
+        result: a fit with its problem.
+        channel: a fitted force; the first one if None.
+    """
+    problem = result.problem
+    channel = channel or problem.channels[0].name
+    residual = standardised(result, channel)
+    inflation = max(result.statistics.n / max(result.statistics.n_effective, 1), 1.0)
+    inputs = _inputs(result, CHANNEL_SLIP[channel])
+    scatters = [
+        Scatter(label, x, residual, *_binned(x, residual, inflation), ())
+        for label, x in inputs.values()
+    ]
+    lags, correlation = _order(result, residual, inputs)
+    reach = max(4.0, float(np.max(np.abs(residual))))
+    count = int(np.clip(1.2 * np.sqrt(problem.n), 8, 40))
+    density, edges = np.histogram(
+        residual, np.linspace(-reach, reach, count + 1), density=True
+    )
+    ordered = np.sort(residual)
+    normal = ndtri((np.arange(problem.n) + 0.5) / problem.n)
+    return Residuals(
+        channel, tuple(scatters + _runs(result, residual, inflation)), edges, density,
+        normal, ordered, lags, correlation, 1.96 / np.sqrt(problem.n),
+    )  # fmt: skip

@@ -1,0 +1,236 @@
+"""Posterior and profile of the parameters, as arrays."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.fit.result import FitResult
+from tirefit.params import Spec
+
+__all__ = [
+    "Corner",
+    "ProfilePanel",
+    "Trace",
+    "corner_data",
+    "profile_data",
+    "symbol",
+    "trace_data",
+]
+
+_MOST = 12
+_BINS = 36
+_TRACE_POINTS = 600
+
+
+class Corner(NamedTuple):
+    """Marginal and joint posterior densities of p parameters.
+
+    ``edges`` (p, bins + 1); ``density`` (p, bins) peaks at 1; ``joint`` maps (row,
+    column), row > column, to a density (bins, bins) over (row, column), and ``levels``
+    the same key to the densities that enclose 95 % and 50 %. ``interval`` (p, 2) and
+    ``median`` (p,) are of the posterior, ``estimate`` (p,) is least squares.
+    """
+
+    labels: tuple[str, ...]
+    edges: np.ndarray
+    density: np.ndarray
+    joint: dict[tuple[int, int], np.ndarray]
+    levels: dict[tuple[int, int], tuple[float, float]]
+    interval: np.ndarray
+    median: np.ndarray
+    estimate: np.ndarray
+    identified: tuple[bool, ...]
+    note: str
+
+
+class Trace(NamedTuple):
+    """Draws of every ensemble over the length of the chain.
+
+    ``position`` (m,) from 0 to 1; ``draws`` (ensembles, m, p); ``edges``
+    (p, bins + 1) and ``density`` (ensembles, p, bins) of all draws; ``rhat`` and
+    ``ess`` (p,) or None.
+    """
+
+    labels: tuple[str, ...]
+    position: np.ndarray
+    draws: np.ndarray
+    edges: np.ndarray
+    density: np.ndarray
+    rhat: np.ndarray | None
+    ess: np.ndarray | None
+
+
+class ProfilePanel(NamedTuple):
+    """Profile of one parameter: deviance (m,) over its values (m,), and 95 % level.
+
+    ``parabola`` (m,) is what the covariance alone would give; ``edges`` and
+    ``density`` are the posterior's, peaking at 1, or None; ``interval`` is the
+    profile's; ``logarithmic`` says how the values are to be drawn.
+    """
+
+    label: str
+    value: np.ndarray
+    deviance: np.ndarray
+    parabola: np.ndarray
+    level: float
+    best: float
+    interval: tuple[float, float]
+    edges: np.ndarray | None
+    density: np.ndarray | None
+    identified: bool
+    logarithmic: bool
+
+
+def _spec(result: FitResult, label: str) -> Spec | None:
+    if result.problem is None:
+        return None
+    elements = dict(result.problem.layout.elements)
+    return elements[label].spec if label in elements else None
+
+
+def symbol(result: FitResult, label: str) -> str:
+    """Axis label of a parameter: TeX symbol, run and unit."""
+    spec = _spec(result, label)
+    _, bracket, run = label.partition("[")
+    name = label if spec is None else f"${spec.symbol}$"
+    where = f" ({run.rstrip(']')})" if bracket and spec is not None else ""
+    return f"{name}{where} [{result.least_squares[label].unit}]"
+
+
+def _edges(draws: np.ndarray) -> np.ndarray:
+    """Bin edges (bins + 1,) over 99.8 % of the draws, never of zero width."""
+    low, high = np.quantile(draws, [0.001, 0.999])
+    least = 1e-6 * max(abs(low), abs(high)) or 1e-6
+    if high - low < least:
+        low, high = low - least, high + least
+    return np.linspace(low, high, _BINS + 1)
+
+
+def _smooth(counts: np.ndarray) -> np.ndarray:
+    """Counts convolved with a narrow binomial kernel along every axis."""
+    kernel = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
+    for axis in range(counts.ndim):
+        counts = np.apply_along_axis(np.convolve, axis, counts, kernel, "same")
+    return counts
+
+
+def _peaked(counts: np.ndarray) -> np.ndarray:
+    return counts / max(float(counts.max()), 1e-300)
+
+
+def _enclosing(density: np.ndarray, shares: tuple[float, float]) -> tuple[float, float]:
+    """Densities whose contours enclose these shares, decreasing shares, increasing."""
+    order = np.sort(density.ravel())[::-1]
+    share = np.cumsum(order) / order.sum()
+    return tuple(float(order[np.searchsorted(share, s)]) for s in shares)
+
+
+def _flat(result: FitResult) -> np.ndarray:
+    flat = np.asarray(result.chains, float).reshape(-1, len(result.labels))
+    return flat[np.all(np.isfinite(flat), axis=1)]
+
+
+def corner_data(result: FitResult) -> Corner:
+    """Marginal and pairwise posterior densities of at most twelve parameters."""
+    flat, labels = _flat(result)[:, :_MOST], result.labels[:_MOST]
+    left_out = len(result.labels) - len(labels)
+    note = f"{_MOST} of {len(result.labels)} parameters shown" if left_out else ""
+    edges = np.array([_edges(column) for column in flat.T])
+    density = np.array(
+        [
+            _peaked(_smooth(np.histogram(column, e)[0].astype(float)))
+            for column, e in zip(flat.T, edges, strict=True)
+        ]
+    )
+    joint, levels = {}, {}
+    for i in range(len(labels)):
+        for j in range(i):
+            counts, _, _ = np.histogram2d(flat[:, i], flat[:, j], (edges[i], edges[j]))
+            joint[i, j] = _smooth(counts)
+            levels[i, j] = _enclosing(joint[i, j], (0.95, 0.5))
+    low, median, high = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
+    return Corner(
+        tuple(symbol(result, label) for label in labels), edges, density, joint, levels,
+        np.stack([low, high], axis=1), median,
+        np.array([result.least_squares[label].value for label in labels]),
+        tuple(result.least_squares[label].identified for label in labels), note,
+    )  # fmt: skip
+
+
+def trace_data(result: FitResult) -> Trace:
+    """Draws of every ensemble in order, thinned for drawing, and their densities."""
+    chains = np.asarray(result.chains, float)[..., :_MOST]
+    labels = result.labels[:_MOST]
+    length = chains.shape[1]
+    chosen = np.linspace(0, length - 1, min(_TRACE_POINTS, length)).astype(int)
+    edges = np.array([_edges(column) for column in _flat(result)[:, :_MOST].T])
+    density = np.array(
+        [
+            [
+                _peaked(_smooth(np.histogram(ensemble[:, i], edges[i])[0] * 1.0))
+                for i in range(len(labels))
+            ]
+            for ensemble in chains
+        ]
+    )
+    summary = result.posterior
+    rhat, ess = (
+        (None, None)
+        if summary is None
+        else (
+            np.array([record.get(label, np.nan) for label in labels])
+            for record in (summary.rhat, summary.ess)
+        )
+    )
+    return Trace(
+        tuple(symbol(result, label) for label in labels), chosen / max(length - 1, 1),
+        chains[:, chosen], edges, density, rhat, ess,
+    )  # fmt: skip
+
+
+def _visible(value, deviance, level: float) -> np.ndarray:
+    """The points (m,) bool worth drawing: up to some way above the level."""
+    near = np.flatnonzero(deviance <= 2.5 * level)
+    rows = np.zeros(len(value), bool)
+    rows[max(near[0] - 1, 0) : near[-1] + 2] = True
+    return rows & np.isfinite(deviance)
+
+
+def _dense(value, deviance, best: float, logarithmic: bool):
+    """The profile on a dense grid, by its signed root: straight for a parabola."""
+    value, first = np.unique(value, return_index=True)
+    root = np.sign(value - best) * np.sqrt(np.maximum(deviance[first], 0.0))
+    space = np.geomspace if logarithmic else np.linspace
+    grid = np.clip(space(value[0], value[-1], 300), value[0], value[-1])
+    return grid, np.interp(grid, value, root) ** 2
+
+
+def _profile_panel(result: FitResult, label: str, profile) -> ProfilePanel:
+    estimate = result.least_squares[label]
+    value, deviance = np.asarray(profile["value"]), np.asarray(profile["deviance"])
+    level = float(profile["level"])
+    rows = _visible(value, deviance, level)
+    spec = _spec(result, label)
+    wide = value[rows][-1] > 20 * value[rows][0]
+    logarithmic = bool(spec is not None and spec.scale == "log" and wide)
+    value, deviance = _dense(value[rows], deviance[rows], estimate.value, logarithmic)
+    low, high = result.intervals["covariance"][label]
+    parabola = level * ((value - (low + high) / 2) / max((high - low) / 2, 1e-300)) ** 2
+    edges = density = None
+    if result.chains is not None:
+        draws = _flat(result)[:, result.labels.index(label)]
+        edges = _edges(draws)
+        density = _peaked(_smooth(np.histogram(draws, edges)[0].astype(float)))
+    return ProfilePanel(
+        symbol(result, label), value, deviance, parabola, level, estimate.value,
+        result.intervals["profile"][label], edges, density, estimate.identified,
+        logarithmic,
+    )  # fmt: skip
+
+
+def profile_data(result: FitResult) -> tuple[ProfilePanel, ...]:
+    """Profile likelihood of at most twelve parameters beside the other two routes."""
+    return tuple(
+        _profile_panel(result, label, result.profiles[label])
+        for label in list(result.profiles)[:_MOST]
+    )
