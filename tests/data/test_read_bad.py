@@ -62,6 +62,7 @@ CASES = {
     "ragged over lines": (
         lines('0.1,"1,4000', '0.2"'), {}, ["row 6: 2 fields in rows 6 to 7 where"]
     ),
+    "long header": ("x" * 200_000 + "\n1\n", {}, ["row 1", "field larger than"]),
     "long cell": (lines("0.1," + "x" * 200_000), {}, ["row 6", "field larger than"]),
     "long number": (lines(f"0.1,{'1' * 999},4"), {}, ["row 6", f" {'1' * 27}... is"]),
     "mixed delimiters": (
@@ -178,7 +179,9 @@ CASES = {
         WELL.replace("fx", "fx [deg]"), {}, ["unit of angle", "dimension force", "lbf"]
     ),
     "wrong in pint": (WELL, {"units": {"fx": "furlong"}}, ["not a unit of force"]),
-    "unused unit": (WELL, {"units": {"v": "km/h"}}, ["--unit or [data.units] for v, which"]),
+    "unused unit": (
+        WELL, {"units": {"v": "km/h"}}, ["declared by --unit or [data.units] for v"]
+    ),
     "unused slip": (
         "alpha,fy,fz\n0,1,2\n0.1,2,2\n", {"slip": "s"},
         ["declared by --slip or [data] slip for s"],

@@ -17,10 +17,10 @@ import numpy as np
 
 from tirefit.data.table import TireData
 from tirefit.fit.config import parse_config
-from tirefit.fit.estimate import solve_problem
 from tirefit.fit.inference import _profile_points, deviance
 from tirefit.fit.posterior import _density, _whitening
 from tirefit.fit.problem import build
+from tirefit.fit.solve import solve_problem
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 

@@ -380,9 +380,7 @@ def _check_all_used(options: Options, plan: Plan, file: str) -> None:
         units = {n: unit for n, unit in options.units.items() if _group(n) == group}
         if len(set(units.values())) > 1:
             listed = ", ".join(f"{name}={unit}" for name, unit in units.items())
-            reason = (
-                f"the slip column has two units ({_DECLARED_BY['units']}): {listed}"
-            )
+            reason = f"two units of the slip column ({_DECLARED_BY['units']}): {listed}"
             plan.problems.append(Problem(reason, "declare one of them", file))
     declared = [("units", name) for name in options.units]
     declared += [("slip", options.slip)] if options.slip else []

@@ -90,6 +90,7 @@ def _decode(raw: bytes, path: Path) -> tuple[str, list[str]]:
     except UnicodeDecodeError as error:
         if error.encoding.startswith("utf-16"):
             raise _refusal("not a text file: broken UTF-16", export, path) from error
+        raw = raw.removeprefix(codecs.BOM_UTF8)
         text, notes = raw.decode("latin-1"), ["not UTF-8: read as Latin-1"]
     # Byte order marks stay where files were joined; DOS ends a text with \x1a.
     text = text.replace("\ufeff", "").removesuffix("\x1a")
@@ -221,7 +222,10 @@ def _find_header(lines, searched, declared) -> tuple[int, str]:
     def split(index: int, delimiter: str) -> tuple[int, int]:
         """Recognised columns of a line, which quotes may extend, and all of them."""
         some = lines[index : index + _SEARCHED]
-        names = next(csv.reader(some, delimiter=delimiter, skipinitialspace=True))
+        try:
+            names = next(csv.reader(some, delimiter=delimiter, skipinitialspace=True))
+        except csv.Error:  # too long for one cell
+            return 0, 0
         names = [name.strip() for name in names]
         known = [name.casefold() in declared or guess(name) for name in names]
         return sum(map(bool, known)), len(names)

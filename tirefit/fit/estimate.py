@@ -3,214 +3,27 @@
 import importlib.metadata
 import platform
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import chdtrc, stdtrit
+from scipy.special import stdtrit
 
 from tirefit.data.table import TireData
 from tirefit.fit.config import FitConfig, parse_config
 from tirefit.fit.derived import DERIVED, derived_values, reference_point
-from tirefit.fit.inference import (
-    REACH,
-    Profile,
-    Rule,
-    best_of,
-    covariance,
-    profile_all,
-    row_scores,
-    solve_starts,
-    threshold,
-)
-from tirefit.fit.likelihood import CHANNEL_SLIP, noise_factor, root_deviance
-from tirefit.fit.noise import effective_inflation, robust_scale
+from tirefit.fit.inference import REACH, Profile, profile_all
+from tirefit.fit.likelihood import CHANNEL_SLIP
 from tirefit.fit.predict import row_moments
-from tirefit.fit.problem import FitProblem, build, starting_points, with_scale
+from tirefit.fit.problem import FitProblem, build
 from tirefit.fit.result import Estimate, FitResult, FitStatistics
-from tirefit.params import constrain
+from tirefit.fit.solve import Solved, block_residuals, solve_problem
+from tirefit.fit.verdict import judge
+from tirefit.params import constrain, parameter_values, specs
 from tirefit.results import UsageError
 
-__all__ = ["Solved", "derived_estimates", "fit", "solve_problem"]
-
-
-class Solved(NamedTuple):
-    """A problem with its noise settled: estimate, covariance, deviance rules."""
-
-    problem: FitProblem
-    z: np.ndarray
-    covariance: np.ndarray
-    rules: dict[str, Rule]
-    level: float
-    converged: bool
-    starts: int
-    agreeing: int
-    ambiguous: bool
-    chi2_dof: float | None
-    n_effective: float
-
-
-def _blocks(problem: FitProblem, z) -> dict[str, np.ndarray]:
-    blocks = root_deviance(
-        problem.model, problem.layout, jnp.asarray(z), problem.rows,
-        problem.channels, problem.loss,
-    )  # fmt: skip
-    return {name: problem.used(block) for name, block in blocks.items()}
-
-
-def _unit_rules(problem: FitProblem) -> dict[str, Rule]:
-    """Before the noise is settled: squares as they are."""
-    names = (problem.block_of(channel) for channel in problem.channels)
-    return {name: Rule(1.0, 1.0, 0.0) for name in dict.fromkeys(names)}
-
-
-def _solve(problem: FitProblem, starts, rules, solver: str):
-    solution = solve_starts(
-        problem.model, problem.layout, starts, problem.rows, problem.channels,
-        problem.loss, rules, solver,
-    )  # fmt: skip
-    return jax.tree.map(np.asarray, solution)
-
-
-def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
-    """Factors that bring the estimated noise scales to the residuals' size."""
-    estimated = [c.name for c in problem.channels if c.noise_estimated]
-    if estimated and problem.rows.nodes:
-        factor = noise_factor(
-            problem.model, problem.layout, jnp.asarray(z), problem.rows,
-            problem.channels, problem.loss,
-        )  # fmt: skip
-        return {name: float(factor) for name in estimated}
-    mean, _ = row_moments(problem, z)
-    factors = {}
-    for name in estimated:
-        scale = problem.used(problem.rows.scale[name])
-        residual = (problem.used(problem.rows.observed[name]) - mean[name]) / scale
-        dof = max(problem.n - problem.layout.size / len(problem.channels), 1.0)
-        if problem.loss == "squares":
-            square = np.sum(residual**2) / dof
-        else:
-            square = robust_scale(residual) ** 2 * problem.n / dof
-        factors[name] = float(np.sqrt(square))
-    return factors
-
-
-def _settle_noise(problem: FitProblem, z, solver: str):
-    """Alternate estimates and noise scales until the scales rest."""
-    slope = _largest_slope(problem, z)
-    problem = with_scale(problem, _scale_updates(problem, z), slope)
-    estimated = any(c.noise_estimated for c in problem.channels)
-    several = len(problem.channels) > 1 or problem.loss != "squares"
-    several = several or any(p.prior for p in problem.layout.free)
-    rules = _unit_rules(problem)
-    if problem.slip_noise:
-        rounds = 12 if estimated else 1
-    else:
-        rounds = 12 if estimated and several else 0
-    for _ in range(rounds):
-        z = _solve(problem, jnp.asarray(z)[None], rules, "gauss-newton").z[0]
-        factors = _scale_updates(problem, z)
-        if all(abs(np.log(factor)) < 1e-3 for factor in factors.values()):
-            break
-        problem = with_scale(problem, factors, slope)
-    if rounds:
-        z = _solve(problem, jnp.asarray(z)[None], rules, solver).z[0]
-    return problem, z
-
-
-def _largest_slope(problem: FitProblem, z) -> float:
-    """Steepest force over slip of the fitted curve at the largest load [N]."""
-    fz = float(np.max(problem.used(problem.rows.inputs.fz)))
-    v = float(np.median(problem.used(problem.rows.inputs.v)))
-    channel = next((c.name for c in problem.channels if c.name != "mz"), "fy")
-    found = derived_values(
-        problem.model, problem.layout, jnp.asarray(z)[None], channel,
-        CHANNEL_SLIP[channel], fz, v,
-    )  # fmt: skip
-    return float(abs(found["C_x"][0]))
-
-
-def _order_in_time(data: TireData, problem: FitProblem):
-    time = data.columns.get("time")
-    used = None if time is None else time[data.used]
-    # Rows outside the slip limits of the fit are not among the problem's.
-    return used if used is not None and len(used) == problem.n else None
-
-
-def _rules(problem: FitProblem, data: TireData, z, config: FitConfig):
-    """Deviance rules by block, chi2/dof where the noise was given, n_effective."""
-    run = problem.used(problem.rows.run)
-    time = _order_in_time(data, problem)
-    scores = row_scores(
-        problem.model, problem.layout, jnp.asarray(z), problem.rows,
-        problem.channels, problem.loss,
-    )  # fmt: skip
-    blocks = _blocks(problem, z)
-    rules, ratios, effective_total = {}, [], 0.0
-    for name, block in blocks.items():
-        channels = problem.block_channels(name)
-        inflation = 1.0
-        if config.noise.effective_samples == "estimate":
-            inflation = effective_inflation(problem.used(scores[name]), run, time)
-        effective = problem.n / inflation
-        effective_total += effective
-        estimated = any(c.noise_estimated for c in channels)
-        if not estimated:
-            ratio, surprising = _surprise(problem, z, channels, inflation)
-            ratios.append(ratio)
-            if surprising:
-                inflation *= ratio
-        plain = (
-            estimated and problem.loss == "squares" and name not in problem.slip_noise
-        )
-        smallest = float(block @ block) if plain else 0.0
-        rules[name] = Rule(inflation, effective, smallest)
-    chi2_dof = float(np.mean(ratios)) if ratios else None
-    return rules, chi2_dof, effective_total / len(blocks)
-
-
-def _surprise(problem: FitProblem, z, channels, inflation: float):
-    """chi2/dof of channels whose noise was given, and whether it is too large for it.
-
-    Slip noise counts as noise: the variance of each row is that given its slip.
-    """
-    mean, variance = row_moments(problem, z)
-    chi2 = 0.0
-    for channel in channels:
-        residual = problem.used(problem.rows.observed[channel.name])
-        residual = residual - mean[channel.name]
-        chi2 += float(np.sum(residual**2 / variance[channel.name]))
-    dof = max(problem.n * len(channels) - problem.layout.size, 1.0)
-    effective = max(dof / inflation, 1.0)
-    ratio = chi2 / dof
-    return ratio, ratio > 1 and chdtrc(effective, ratio * effective) < 1e-3
-
-
-def solve_problem(problem: FitProblem, data: TireData, config: FitConfig) -> Solved:
-    """Least squares with the noise settled, and the covariance of z."""
-    starts = starting_points(problem, config.starts, config.seed)
-    solution = _solve(problem, starts, _unit_rules(problem), config.solver)
-    best = best_of(solution)
-    z, converged = solution.z[best], bool(solution.converged[best])
-    cost = np.where(np.isfinite(solution.cost), solution.cost, np.inf)
-    near = cost <= cost[best] * (1 + 1e-6) + 1e-9
-    problem, z = _settle_noise(problem, z, config.solver)
-    rules, chi2_dof, n_effective = _rules(problem, data, z, config)
-    cov = np.asarray(
-        covariance(
-            problem.model, problem.layout, jnp.asarray(z), problem.rows,
-            problem.channels, problem.loss, rules,
-        )
-    )  # fmt: skip
-    spread = np.abs(solution.z[near] - solution.z[best]) / np.sqrt(np.diag(cov))
-    any_estimated = any(c.noise_estimated for c in problem.channels)
-    level = threshold(any_estimated, n_effective, problem.layout.size)
-    return Solved(
-        problem, z, cov, rules, level, converged and bool(np.all(np.isfinite(z))),
-        config.starts, int(near.sum()), bool(np.any(spread > 3.0)), chi2_dof,
-        n_effective,
-    )  # fmt: skip
+__all__ = ["derived_estimates", "fit"]
 
 
 def _not_identified(spec, low: float, high: float, profile: Profile) -> bool:
@@ -297,7 +110,7 @@ def _minus_two_log_likelihood(solved: Solved) -> float:
     """With the effective number of rows, so that models compare fairly on
     autocorrelated residuals."""
     problem, total = solved.problem, 0.0
-    for name, block in _blocks(problem, solved.z).items():
+    for name, block in block_residuals(problem, solved.z).items():
         rule = solved.rules[name]
         share = float(rule.effective) / problem.n
         for channel in problem.block_channels(name):
@@ -441,8 +254,6 @@ def fit(
 
 
 def _summarise(solved: Solved, data: TireData, config: FitConfig) -> FitResult:
-    from tirefit.fit.verdict import judge
-
     problem = solved.problem
     profiles = profile_all(
         problem.model, problem.layout, solved.z, solved.covariance, problem.rows,
@@ -493,8 +304,6 @@ def _summarise(solved: Solved, data: TireData, config: FitConfig) -> FitResult:
 
 def _with_fixed(estimates: dict[str, Estimate], problem: FitProblem):
     """Estimates plus the fixed and tied parameters, in the model's order."""
-    from tirefit.params import parameter_values, specs
-
     everything = dict(estimates)
     free = {p.name for p in problem.layout.free}
     ties = {tie.name: tie for tie in problem.layout.ties}

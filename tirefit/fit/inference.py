@@ -189,7 +189,9 @@ class _Side:
         if self.done:
             # One point beyond the interval, for the eye.
             return min(1.3 * self.end, self.reach)
-        above = [d for d, r in zip(self.distances, self.roots, strict=True) if r > self.goal]
+        above = [
+            d for d, r in zip(self.distances, self.roots, strict=True) if r > self.goal
+        ]
         if above:
             guess = np.interp(self.goal, *self._rising())
             inner = max(d for d in self.distances if d < min(above))

@@ -20,10 +20,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.fit.estimate import Solved
+from tirefit.fit.estimate import derived_estimates
 from tirefit.fit.hmc import hmc_chunk, hmc_start
 from tirefit.fit.inference import REACH, deviance
 from tirefit.fit.result import Estimate, FitResult, PosteriorSummary
+from tirefit.fit.solve import Solved
 from tirefit.fit.verdict import judge
 from tirefit.results import Outcome, UsageError
 
@@ -399,8 +400,6 @@ def _with_posterior(
 
 
 def _posterior_derived(result: FitResult, z: np.ndarray, seed: int):
-    from tirefit.fit.estimate import derived_estimates
-
     flat = z.reshape(-1, z.shape[-1])
     chosen = np.random.default_rng(seed).choice(len(flat), min(len(flat), 512), False)
     return derived_estimates(result.solved, flat[chosen])

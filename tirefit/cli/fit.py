@@ -1,0 +1,235 @@
+"""``tirefit fit``: from files to directories of results."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tirefit.cli.options import (
+    ColumnOption,
+    ConfigOption,
+    ConstantOption,
+    ConventionOption,
+    Files,
+    MaskOption,
+    RadiusOption,
+    SlipOption,
+    UnitOption,
+    complain,
+    data_options,
+    error_text,
+    errors_to_exit,
+    progress_bar,
+    read_config,
+    say,
+    start_jax,
+)
+from tirefit.results import ExitCode, Outcome, Problem, TirefitError, UsageError
+
+__all__ = ["fit"]
+
+
+class Solver(StrEnum):
+    optimistix = "optimistix"
+    jaxopt = "jaxopt"
+    gauss_newton = "gauss-newton"
+
+
+class Sampler(StrEnum):
+    emcee = "emcee"
+    hmc = "hmc"
+
+
+def _model_names() -> list[str]:
+    from tirefit.models import MODELS
+
+    return list(MODELS)
+
+
+def _output_directories(files: list[Path], out: Path | None, joint: bool) -> list[Path]:
+    stems = [_stem(file) for file in files]
+    twice = sorted({stem for stem in stems if stems.count(stem) > 1})
+    if twice and not joint:
+        raise UsageError(
+            Problem(
+                f"several input files are named {', '.join(twice)}: their results would"
+                " overwrite each other",
+                "rename a file, or fit them one by one with different --out",
+            )
+        )
+    if len(files) == 1 or joint:
+        return [out if out is not None else Path(stems[0])]
+    return [(out or Path()) / stem for stem in stems]
+
+
+def _stem(file: Path) -> str:
+    name = file.name.removesuffix(".gz")
+    return Path(name).stem if Path(name).suffix else f"{name}.fit"
+
+
+def fit(
+    files: Files,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="a name of `tirefit models`; brush by default",
+            autocompletion=_model_names,
+        ),
+    ] = None,
+    config: ConfigOption = None,
+    posterior: Annotated[
+        bool, typer.Option("--posterior/--no-posterior", help="sample the posterior")
+    ] = True,
+    solver: Annotated[Solver | None, typer.Option(help="least-squares solver")] = None,
+    sampler: Annotated[Sampler | None, typer.Option(help="posterior sampler")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="of everything random")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="directory of the results")] = None,
+    force: Annotated[
+        list[str] | None,
+        typer.Option(help="force to fit: fx, fy, mz (repeat for more)"),
+    ] = None,
+    joint: Annotated[
+        bool, typer.Option("--joint", help="one fit of all files, each file a run")
+    ] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="exit 5 if a parameter is not identified")
+    ] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="continue the chain kept in the directory")
+    ] = False,
+    svg: Annotated[
+        bool, typer.Option("--svg", help="write every figure as SVG too")
+    ] = False,
+    column: ColumnOption = None,
+    unit: UnitOption = None,
+    constant: ConstantOption = None,
+    convention: ConventionOption = None,
+    slip: SlipOption = None,
+    rolling_radius: RadiusOption = None,
+    mask_bad_rows: MaskOption = False,
+) -> None:
+    """Fit a model: parameters, uncertainties, figures and a report."""
+    with errors_to_exit():
+        from tirefit.fit.config import FitConfig
+
+        base = read_config(config) or FitConfig()
+        options = data_options(
+            base,
+            column,
+            unit,
+            constant,
+            convention,
+            slip,
+            rolling_radius,
+            mask_bad_rows,
+        )
+        changes = {
+            "model": model, "seed": seed, "force": _forces(force),
+            "solver": solver.value if solver else None,
+        }  # fmt: skip
+        settings = base.model_copy(
+            update={k: v for k, v in changes.items() if v is not None}
+        )
+        if sampler is not None:
+            chosen = settings.posterior.model_copy(update={"sampler": sampler.value})
+            settings = settings.model_copy(update={"posterior": chosen})
+        directories = _output_directories(files, out, joint)
+        start_jax()
+        from tirefit.fit.problem import find_model
+
+        find_model(settings.model or "brush")
+        groups = [files] if joint else [[file] for file in files]
+        worst = _fit_all(
+            groups, directories, settings, options, posterior, resume, svg, strict
+        )
+        raise typer.Exit(worst)
+
+
+def _forces(force: list[str] | None) -> list[str] | None:
+    wrong = [name for name in force or [] if name not in ("fx", "fy", "mz")]
+    if wrong:
+        raise UsageError(Problem(f"--force {wrong[0]!r}", "one of fx, fy, mz"))
+    return force or None
+
+
+def _fit_all(
+    groups, directories, settings, options, posterior, resume, svg, strict
+) -> ExitCode:
+    """Every group of files; one bad file does not stop the others."""
+    codes, rows = [], []
+    for group, directory in zip(groups, directories, strict=True):
+        try:
+            result = _fit_one(
+                group, directory, settings, options, posterior, resume, svg
+            )
+        except TirefitError as error:
+            if len(groups) == 1 or error.exit_code == ExitCode.USAGE:
+                raise
+            complain(error_text(error))
+            codes.append(error.exit_code)
+            continue
+        codes.append(_exit_code(result, strict))
+        rows.append((directory, result))
+        if Outcome.INTERRUPTED in result.outcomes:
+            break
+    if len(groups) > 1:
+        say(_summary(rows))
+    # Bad data first, then convergence, then identification.
+    order = (ExitCode.DATA, ExitCode.NOT_CONVERGED, ExitCode.NOT_IDENTIFIED)
+    return next((code for code in order if code in codes), ExitCode.OK)
+
+
+def _fit_one(files, directory: Path, settings, options, posterior, resume, svg):
+    from tirefit.data.read import read
+    from tirefit.data.table import join
+    from tirefit.fit.estimate import fit as fit_data
+    from tirefit.fit.store import save_fit
+    from tirefit.report.draw import save_figures
+
+    tables = [read(file, **options) for file in files]
+    data = tables[0] if len(tables) == 1 else join(tables)
+    result = fit_data(data, config=settings)
+    directory.mkdir(parents=True, exist_ok=True)
+    if posterior:
+        result = _sampled(result, directory, settings, resume)
+    written = save_fit(result, directory)
+    written += save_figures(result, directory, svg=svg)
+    say(str(result))
+    say("wrote " + ", ".join(str(path) for path in written))
+    return result
+
+
+def _sampled(result, directory: Path, settings, resume: bool):
+    from tirefit.fit.posterior import sample
+
+    chosen = settings.posterior
+    with progress_bar("posterior") as progress:
+        return sample(
+            result,
+            sampler=chosen.sampler,
+            ensembles=chosen.ensembles,
+            walkers=chosen.walkers,
+            effective_samples=chosen.effective_samples,
+            max_steps=chosen.max_steps,
+            checkpoint=directory / "chain.npz",
+            resume=resume,
+            progress=progress,
+        )
+
+
+def _exit_code(result, strict: bool) -> ExitCode:
+    broken = {Outcome.NOT_CONVERGED, Outcome.CHAIN_TOO_SHORT, Outcome.INTERRUPTED}
+    if broken & set(result.outcomes):
+        return ExitCode.NOT_CONVERGED
+    if strict and not result.identified:
+        return ExitCode.NOT_IDENTIFIED
+    return ExitCode.OK
+
+
+def _summary(rows) -> str:
+    from tirefit.report.summary import summary_table
+
+    return summary_table([(str(directory), result) for directory, result in rows])
