@@ -15,7 +15,7 @@ FLOORS = {
     "slip": 1,
     "models": 2,
     "data": 2,
-    "fit": 3,
+    "fitting": 3,
     "online": 3,
     "diagnose": 4,
     "sim": 4,
@@ -25,13 +25,13 @@ FLOORS = {
 
 # Third party -> where it may be imported, at the top or inside a function.
 OWNERS = {
-    "optimistix": "fit/least_squares.py",
-    "jaxopt": "fit/least_squares.py",
-    "emcee": "fit/posterior.py",
+    "optimistix": "fitting/least_squares.py",
+    "jaxopt": "fitting/least_squares.py",
+    "emcee": "fitting/posterior.py",
     "matplotlib": "report/",
     "corner": "report/",
     "diffrax": "sim/",
-    "typer": "cli.py",
+    "typer": "cli/",
 }
 
 MAX_BODY = 60
@@ -172,12 +172,12 @@ def test_layer_check_sees(file, source, faults):
 @pytest.mark.parametrize(
     ("file", "source", "faults"),
     [
-        ("fit/least_squares.py", "import optimistix as optx\nimport jaxopt", 0),
+        ("fitting/least_squares.py", "import optimistix as optx\nimport jaxopt", 0),
         ("fit/profile.py", "import optimistix as optx", 1),
         ("fit/profile.py", "def f():\n    from emcee.moves import StretchMove", 1),
         ("report/draw.py", "import matplotlib.pyplot as plt\nimport corner", 0),
         ("fit/x.py", "import matplotlib.pyplot", 1),
-        ("cli.py", "import typer", 0),
+        ("cli/", "import typer", 0),
         ("report/text.py", "import typer", 1),
         ("data/read.py", "import jax.numpy as jnp", 1),
         ("models/base.py", "import jax.numpy as jnp", 0),

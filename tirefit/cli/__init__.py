@@ -144,8 +144,8 @@ def predict(
         start_jax()
         from tirefit.data.read import read
         from tirefit.data.write import to_convention, write_csv
-        from tirefit.fit.store import load_fit
-        from tirefit.fit.store import predict as forces_of
+        from tirefit.fitting.store import load_fit
+        from tirefit.fitting.store import predict as forces_of
 
         options = data_options(
             read_config(config), column, unit, constant, convention, slip,

@@ -113,7 +113,7 @@ def fit(
 ) -> None:
     """Fit a model: parameters, uncertainties, figures and a report."""
     with errors_to_exit():
-        from tirefit.fit.config import FitConfig
+        from tirefit.fitting.config import FitConfig
 
         base = read_config(config) or FitConfig()
         options = data_options(
@@ -138,7 +138,7 @@ def fit(
             settings = settings.model_copy(update={"posterior": chosen})
         directories = _output_directories(files, out, joint)
         start_jax()
-        from tirefit.fit.problem import find_model
+        from tirefit.fitting.problem import find_model
 
         find_model(settings.model or "brush")
         groups = [files] if joint else [[file] for file in files]
@@ -185,8 +185,8 @@ def _fit_all(
 def _fit_one(files, directory: Path, settings, options, posterior, resume, svg):
     from tirefit.data.read import read
     from tirefit.data.table import join
-    from tirefit.fit.estimate import fit as fit_data
-    from tirefit.fit.store import save_fit
+    from tirefit.fitting.estimate import fit as fit_data
+    from tirefit.fitting.store import save_fit
     from tirefit.report.draw import save_figures
 
     tables = [read(file, **options) for file in files]
@@ -203,7 +203,7 @@ def _fit_one(files, directory: Path, settings, options, posterior, resume, svg):
 
 
 def _sampled(result, directory: Path, settings, resume: bool):
-    from tirefit.fit.posterior import sample
+    from tirefit.fitting.posterior import sample
 
     chosen = settings.posterior
     with progress_bar("posterior") as progress:

@@ -173,6 +173,6 @@ def progress_bar(title: str) -> Iterator[Any]:
 def read_config(path: Path | None):
     if path is None:
         return None
-    from tirefit.fit.config import load_config
+    from tirefit.fitting.config import load_config
 
     return load_config(path)

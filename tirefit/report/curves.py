@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import stdtrit
 
-from tirefit.fit.likelihood import CHANNEL_SLIP, predict
-from tirefit.fit.result import FitResult
+from tirefit.fitting.likelihood import CHANNEL_SLIP, predict
+from tirefit.fitting.result import FitResult
 from tirefit.models import TireInputs, needs_speed
 from tirefit.params import parameter_values, unconstrain
 from tirefit.slip import LOCKED, sigma_from_slip_ratio, slip_ratio_from_sigma
@@ -52,7 +52,7 @@ class Group(NamedTuple):
 class Curve(NamedTuple):
     """A fitted curve (m,) with its 95 % band and the 95 % band of a measurement.
 
-    ``limit`` is the friction limit, None where the model or the channel has none.
+    ``limit`` is the friction limit, None where there is none or the data do not tell.
     """
 
     label: str
@@ -299,9 +299,17 @@ def _limit_name(result: FitResult) -> str | None:
     return next((name for name in _LIMIT if name in names), None)
 
 
+def _limit_known(result: FitResult, name: str) -> bool:
+    """Whether the data identify the friction limit in every run."""
+    labels = [k for k in result.least_squares if k.split("[")[0] == name]
+    return all(result.least_squares[label].identified for label in labels)
+
+
 def _limit(result: FitResult, channel: str, run: int, fz: float) -> float | None:
     name = _limit_name(result)
-    return None if channel == "mz" or name is None else _value(result, name, run) * fz
+    if channel == "mz" or name is None or not _limit_known(result, name):
+        return None
+    return _value(result, name, run) * fz
 
 
 def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
@@ -340,16 +348,17 @@ def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
     return FitCurve(
         channel, f"{axis.label} [{axis.unit}]",
         f"{ratio} [{ratio_unit}]" if normalise else f"{name} [{force_unit}]",
-        groups, curves, _limit_label(result, normalise), note,
+        groups, curves, _limit_label(result, channel, normalise), note,
     )  # fmt: skip
 
 
-def _limit_label(result: FitResult, normalise: bool) -> str:
+def _limit_label(result: FitResult, channel: str, normalise: bool) -> str:
     name = _limit_name(result)
-    if name is None:
+    if name is None or channel == "mz":
         return ""
     what, symbol = _LIMIT[name]
-    return f"{what} ${symbol}$" if normalise else f"{what} ${symbol} F_z$"
+    text = f"{what} ${symbol}$" if normalise else f"{what} ${symbol} F_z$"
+    return text if _limit_known(result, name) else f"{text}: not identified"
 
 
 def _by_run(problem, members):

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from tirefit.fit.result import FitResult
+from tirefit.fitting.result import FitResult
 from tirefit.report.canvas import (
     BLUE,
     COLORS,
@@ -21,6 +21,7 @@ from tirefit.report.canvas import (
 )
 from tirefit.report.curves import FitCurve, fit_curve
 from tirefit.report.draw_uncertainty import corner_figure, profile_figure, trace_figure
+from tirefit.report.numbers import format_number
 from tirefit.report.residuals import Residuals, Scatter, residual_panels
 
 __all__ = [
@@ -84,15 +85,13 @@ def _draw_limits(axes, curve: FitCurve, single: bool) -> str:
                     ls=(0, (5, 3)), zorder=1,
                 )  # fmt: skip
     limits = [one.limit for one in curve.curves if one.limit is not None]
-    if not limits:
-        return ""
-    if shown:
+    if shown or not limits:
         return curve.limit_label
-    return f"{curve.limit_label} = {min(limits):.4g}, out of view"
+    return f"{curve.limit_label} = {format_number(min(limits))}, out of view"
 
 
 def _legend(axes, curve: FitCurve, limit: str) -> None:
-    """Groups by colour, then what line and bands are; in the corner that is empty."""
+    """Groups by colour, then line and bands; beside the axes, or in an empty corner."""
     handles = [
         Line2D([], [], ls="none", marker="o", ms=4, color=_color(i), label=group.label)
         for i, group in enumerate(curve.groups)
@@ -103,15 +102,22 @@ def _legend(axes, curve: FitCurve, limit: str) -> None:
         Patch(color=DARK, alpha=_LIGHT, lw=0, label="95 % of measurements"),
     ]
     if limit:
-        style = (0, (5, 3)) if "out of view" not in limit else "none"
+        drawn = limit == curve.limit_label and curve.curves[0].limit is not None
+        style = (0, (5, 3)) if drawn else "none"
         handles.append(Line2D([], [], color=GREY, lw=0.9, ls=style, label=limit))
+    if len(curve.groups) > 1:
+        axes.legend(
+            handles=handles, fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0),
+            frameon=False, title=curve.note or None, title_fontsize=7.5,
+        )  # fmt: skip
+        return
     slip = curve.curves[0].slip
     place = "lower right" if slip[-1] > -slip[0] / 10 else "upper left"
     if curve.channel == "mz" and slip[0] < 0:
         place = "upper right"
     axes.legend(
         handles=handles, fontsize=8, loc=place, frameon=True, framealpha=0.85,
-        edgecolor="none", title=curve.note or None, title_fontsize=8,
+        edgecolor="none",
     )  # fmt: skip
 
 
@@ -123,8 +129,10 @@ def fit_figure(result: FitResult) -> Picture:
     step = (top - bottom) / count
     for i, channel in enumerate(result.forces):
         low = top - (i + 1) * step + 0.45 / height
-        axes = picture.add_axes((0.105, low, 0.87, step - 0.5 / height))
-        draw_fit(axes, fit_curve(result, channel))
+        curve = fit_curve(result, channel)
+        wide = 0.87 if len(curve.groups) == 1 else 0.635
+        axes = picture.add_axes((0.105, low, wide, step - 0.5 / height))
+        draw_fit(axes, curve)
     return picture
 
 
@@ -194,8 +202,10 @@ def residual_figure(result: FitResult) -> Picture:
     Further forces of a joint fit are shown against their slip.
     """
     data = residual_panels(result)
-    jobs = [(draw_scatter, panel) for panel in data.scatters]
-    for force in result.forces[1:]:
+    first, *others = result.forces
+    name = first if others else ""
+    jobs = [(partial(draw_scatter, force=name), panel) for panel in data.scatters]
+    for force in others:
         panel = residual_panels(result, force).scatters[0]
         jobs.insert(1, (partial(draw_scatter, force=force), panel))
     jobs += [(draw_histogram, data), (draw_quantiles, data)]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tirefit.fit.result import FitResult
+from tirefit.fitting.result import FitResult
 from tirefit.report.canvas import (
     BLUE,
     COLORS,
@@ -71,7 +71,7 @@ def corner_figure(result: FitResult) -> Picture:
     count = len(corner.labels)
     picture, (bottom, top) = frame(result, min(2.2 + 1.15 * count, 10.5))
     height = picture.get_figheight()
-    bottom += 0.6 / height
+    bottom += 0.68 / height
     wide, high = 0.84 / count, (top - bottom) / count
     size = float(np.clip(10 - 0.5 * count, 5.5, 9))
     for i in range(count):
@@ -84,7 +84,7 @@ def corner_figure(result: FitResult) -> Picture:
                 draw_joint(axes, corner, i, j)
             _corner_labels(axes, corner, i, j, size)
             # One line for all labels, however wide the numbers beside them are.
-            middle = (box[0] + box[2] / 2, 0.24 / height)
+            middle = (box[0] + box[2] / 2, 0.32 / height)
             axes.xaxis.set_label_coords(*middle, transform=picture.transFigure)
             middle = (0.04, box[1] + box[3] / 2)
             axes.yaxis.set_label_coords(*middle, transform=picture.transFigure)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tirefit.data.table import CANONICAL, TireData
-from tirefit.fit.result import FitResult
+from tirefit.fitting.result import FitResult
 from tirefit.report.numbers import format_interval, format_number
 from tirefit.report.text import note_on, value_text, verdict_line
 

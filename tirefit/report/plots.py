@@ -4,7 +4,7 @@ import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tirefit.fit.result import FitResult
+from tirefit.fitting.result import FitResult
 from tirefit.report.numbers import format_number
 from tirefit.report.text import table, value_text
 from tirefit.results import UsageError

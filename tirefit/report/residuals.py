@@ -6,9 +6,9 @@ import numpy as np
 from scipy.special import ndtri
 
 from tirefit.data.table import TireData
-from tirefit.fit.likelihood import CHANNEL_SLIP
-from tirefit.fit.predict import row_moments
-from tirefit.fit.result import FitResult
+from tirefit.fitting.likelihood import CHANNEL_SLIP
+from tirefit.fitting.predict import row_moments
+from tirefit.fitting.result import FitResult
 from tirefit.report.curves import slip_axis
 
 __all__ = ["Residuals", "Scatter", "autocorrelation", "residual_panels", "standardised"]

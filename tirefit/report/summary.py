@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from tirefit.fit.result import FitResult
+from tirefit.fitting.result import FitResult
 from tirefit.report.numbers import format_estimate
 from tirefit.report.text import table
 

@@ -4,7 +4,7 @@ import textwrap
 
 import numpy as np
 
-from tirefit.fit.result import Estimate, FitResult
+from tirefit.fitting.result import Estimate, FitResult
 from tirefit.report.numbers import format_estimate, format_interval, format_number
 
 __all__ = [
@@ -171,7 +171,7 @@ def _by_run(result: FitResult) -> list[str]:
     problem = result.problem
     if problem is None or len(result.data["runs"]) < 2:
         return []
-    from tirefit.fit.predict import row_moments
+    from tirefit.fitting.predict import row_moments
 
     name = result.forces[0]
     mean, _ = row_moments(problem, result.z)

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.fit.result import FitResult
+from tirefit.fitting.result import FitResult
 from tirefit.params import Spec
 
 __all__ = [

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.fit.likelihood import CHANNEL_SLIP, predict
+from tirefit.fitting.likelihood import CHANNEL_SLIP, predict
 
 __all__ = ["predict_forces", "row_moments"]
 

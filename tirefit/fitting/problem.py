@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.fit.config import FitConfig, NoiseConfig, ParameterConfig
-from tirefit.fit.layout import FreeParameter, Layout, Tie
-from tirefit.fit.likelihood import CHANNEL_SLIP, Channel, Rows, SlipNodes
-from tirefit.fit.slip_noise import latent_nodes, slip_density
+from tirefit.fitting.config import FitConfig, NoiseConfig, ParameterConfig
+from tirefit.fitting.layout import FreeParameter, Layout, Tie
+from tirefit.fitting.likelihood import CHANNEL_SLIP, Channel, Rows, SlipNodes
+from tirefit.fitting.slip_noise import latent_nodes, slip_density
 from tirefit.models import MODELS, AbstractTire, TireInputs, needs_speed
 from tirefit.params import Spec, parameter_values, specs, with_values
 from tirefit.results import DataError, Problem, UsageError

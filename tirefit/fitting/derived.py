@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.fit.layout import Layout
+from tirefit.fitting.layout import Layout
 from tirefit.models import TireInputs
 from tirefit.params import with_values
 

@@ -11,15 +11,15 @@ import numpy as np
 from scipy.special import stdtrit
 
 from tirefit.data.table import TireData
-from tirefit.fit.config import FitConfig, parse_config
-from tirefit.fit.derived import DERIVED, derived_values, reference_point
-from tirefit.fit.inference import REACH, Profile, profile_all
-from tirefit.fit.likelihood import CHANNEL_SLIP
-from tirefit.fit.predict import row_moments
-from tirefit.fit.problem import FitProblem, build
-from tirefit.fit.result import Estimate, FitResult, FitStatistics
-from tirefit.fit.solve import Solved, block_residuals, solve_problem
-from tirefit.fit.verdict import judge
+from tirefit.fitting.config import FitConfig, parse_config
+from tirefit.fitting.derived import DERIVED, derived_values, reference_point
+from tirefit.fitting.inference import REACH, Profile, profile_all
+from tirefit.fitting.likelihood import CHANNEL_SLIP
+from tirefit.fitting.predict import row_moments
+from tirefit.fitting.problem import FitProblem, build
+from tirefit.fitting.result import Estimate, FitResult, FitStatistics
+from tirefit.fitting.solve import Solved, block_residuals, solve_problem
+from tirefit.fitting.verdict import judge
 from tirefit.params import constrain, parameter_values, specs
 from tirefit.results import UsageError
 

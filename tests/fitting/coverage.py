@@ -16,11 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.fit.config import parse_config
-from tirefit.fit.inference import _profile_points, deviance
-from tirefit.fit.posterior import _density, _whitening
-from tirefit.fit.problem import build
-from tirefit.fit.solve import solve_problem
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.inference import _profile_points, deviance
+from tirefit.fitting.posterior import _density, _whitening
+from tirefit.fitting.problem import build
+from tirefit.fitting.solve import solve_problem
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 

@@ -20,12 +20,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.fit.estimate import derived_estimates
-from tirefit.fit.hmc import hmc_chunk, hmc_start
-from tirefit.fit.inference import REACH, deviance
-from tirefit.fit.result import Estimate, FitResult, PosteriorSummary
-from tirefit.fit.solve import Solved
-from tirefit.fit.verdict import judge
+from tirefit.fitting.estimate import derived_estimates
+from tirefit.fitting.hmc import hmc_chunk, hmc_start
+from tirefit.fitting.inference import REACH, deviance
+from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
+from tirefit.fitting.solve import Solved
+from tirefit.fitting.verdict import judge
 from tirefit.results import Outcome, UsageError
 
 __all__ = ["CHUNK", "SAMPLERS", "Chain", "sample", "split_rhat"]

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from tirefit.fit.layout import Layout
+from tirefit.fitting.layout import Layout
 from tirefit.models import AbstractTire, TireInputs
 from tirefit.params import with_values
 

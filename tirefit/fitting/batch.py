@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tirefit.fit.layout import FreeParameter, Layout
-from tirefit.fit.least_squares import damped_gauss_newton
-from tirefit.fit.problem import find_model
+from tirefit.fitting.layout import FreeParameter, Layout
+from tirefit.fitting.least_squares import damped_gauss_newton
+from tirefit.fitting.problem import find_model
 from tirefit.models import TireInputs
 from tirefit.params import specs, with_values
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tirefit.fit.result import FitResult
+from tirefit.fitting.result import FitResult
 from tirefit.results import Outcome
 
 __all__ = ["disagreements", "judge"]

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from tirefit.data.table import TireData
-from tirefit.fit.config import FitConfig
-from tirefit.fit.derived import derived_values
-from tirefit.fit.inference import (
+from tirefit.fitting.config import FitConfig
+from tirefit.fitting.derived import derived_values
+from tirefit.fitting.inference import (
     Rule,
     best_of,
     covariance,
@@ -18,10 +18,10 @@ from tirefit.fit.inference import (
     solve_starts,
     threshold,
 )
-from tirefit.fit.likelihood import CHANNEL_SLIP, noise_factor, root_deviance
-from tirefit.fit.noise import effective_inflation, robust_scale
-from tirefit.fit.predict import row_moments
-from tirefit.fit.problem import FitProblem, starting_points, with_scale
+from tirefit.fitting.likelihood import CHANNEL_SLIP, noise_factor, root_deviance
+from tirefit.fitting.noise import effective_inflation, robust_scale
+from tirefit.fitting.predict import row_moments
+from tirefit.fitting.problem import FitProblem, starting_points, with_scale
 
 __all__ = ["Solved", "block_residuals", "solve_problem"]
 

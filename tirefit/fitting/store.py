@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.fit.layout import FreeParameter, Layout, Tie
-from tirefit.fit.predict import predict_forces
-from tirefit.fit.problem import find_model
-from tirefit.fit.result import SCHEMA, FitResult
+from tirefit.fitting.layout import FreeParameter, Layout, Tie
+from tirefit.fitting.predict import predict_forces
+from tirefit.fitting.problem import find_model
+from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire, TireInputs, needs_speed
 from tirefit.params import parameter_values, specs, with_values
 from tirefit.results import DataError, Problem, UsageError

@@ -18,9 +18,9 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.special import stdtrit
 
-from tirefit.fit.layout import Layout
-from tirefit.fit.least_squares import Solution, damped_gauss_newton, solve
-from tirefit.fit.likelihood import Rows, root_deviance
+from tirefit.fitting.layout import Layout
+from tirefit.fitting.least_squares import Solution, damped_gauss_newton, solve
+from tirefit.fitting.likelihood import Rows, root_deviance
 
 __all__ = [
     "Profile",
@@ -183,9 +183,9 @@ class _Side:
         self.done = False
 
     def next_distance(self) -> float:
-        tried = len(self.distances) - 1
-        if tried < 2:
-            return min((0.8, 1.5)[tried] * self.std, self.reach)
+        count = len(self.distances) - 1
+        if count < 2:
+            return min((0.8, 1.5)[count] * self.std, self.reach)
         if self.done:
             # One point beyond the interval, for the eye.
             return min(1.3 * self.end, self.reach)

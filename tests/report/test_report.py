@@ -1,0 +1,445 @@
+"""The report room: arrays against independent evaluation, texts, files, fragments."""
+
+import json
+import re
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from tirefit.data.table import Source, TireData
+from tirefit.fitting.estimate import fit
+from tirefit.fitting.layout import FreeParameter, Layout
+from tirefit.fitting.predict import predict_forces
+from tirefit.fitting.result import Estimate, PosteriorSummary
+from tirefit.models import MODELS, TireInputs, forces
+from tirefit.params import Spec, with_values
+from tirefit.report import draw, draw_uncertainty, html, plots
+from tirefit.report.figures import (
+    corner_data,
+    fit_curve,
+    profile_data,
+    residual_panels,
+    trace_data,
+)
+from tirefit.report.model_tables import models_dict, models_table
+from tirefit.report.numbers import format_estimate, format_interval, format_number
+from tirefit.report.residuals import autocorrelation
+from tirefit.report.text import fit_report, verdict_line
+from tirefit.results import Outcome, Problem, UsageError
+
+TRUTH = {"cpa2": 5e4, "mu": 1.0, "m": 0.85}
+LOADS = (2000.0, 4000.0)
+NAME = 'sweep <b>$1 & "x".csv'
+
+
+def synthetic(n: int = 120, noise: float = 30.0) -> TireData:
+    """Two loads, two runs, in time order, one masked row."""
+    generator = np.random.default_rng(5)
+    slip = generator.uniform(0, 0.2, n)
+    load = np.asarray(LOADS)[np.arange(n) % 2]
+    model = with_values(MODELS["brush-m"], TRUTH)
+    force = forces(model, TireInputs(sigma_x=slip, fz=load, v=20.0)).fx
+    columns = {
+        "sigma_x": slip,
+        "fx": np.array(force) + noise * generator.standard_normal(n),
+        "fz": load,
+        "v": np.full(n, 20.0),
+        "time": np.arange(n) * 0.1,
+    }
+    used = np.ones(n, bool)
+    used[3] = False
+    source = Source(
+        path=f"data/{NAME}",
+        columns={"fx": "Fx <N>"},
+        assumptions=("speed 20 m/s: constant, given",),
+        masked=(Problem("load is not finite", row=5),),
+    )
+    return TireData(
+        "sweep", columns, used, np.arange(n) % 2, ("first", "second"), source
+    )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def rank_promotion():
+    with jax.numpy_rank_promotion("allow"):
+        yield
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return fit(synthetic(), "brush-m")
+
+
+def with_chains(result, draws: np.ndarray):
+    """The same fit as if its posterior had these draws (ensembles, draws, p)."""
+    labels = result.labels
+    each = dict.fromkeys(labels, 1.0)
+    summary = PosteriorSummary(
+        "emcee", 7, len(draws), 32, 800, 100, {k: 4321.0 for k in labels},
+        {k: 1.0012 for k in labels}, {k: 9.5 for k in labels}, 0.36, Outcome.CONVERGED,
+    )  # fmt: skip
+    low, high = np.quantile(draws.reshape(-1, len(labels)), [0.025, 0.975], axis=0)
+    ends = {k: (float(low[i]), float(high[i])) for i, k in enumerate(each)}
+    intervals = {**result.intervals, "posterior": ends}
+    return replace(result, chains=draws, posterior=summary, intervals=intervals)
+
+
+def gaussian_draws(result, count: int = 400) -> np.ndarray:
+    generator = np.random.default_rng(2)
+    values = np.array([result.least_squares[k].value for k in result.labels])
+    std = np.array([result.least_squares[k].std for k in result.labels])
+    return values + std * generator.standard_normal((4, count, len(values)))
+
+
+@pytest.fixture(scope="module")
+def sampled(plain):
+    return with_chains(plain, gaussian_draws(plain))
+
+
+def vague(result, label: str = "m"):
+    """The same fit with one parameter that the data do not identify."""
+    free = Estimate(0.4, None, "-", (0.0, 1.0), identified=False)
+    sentences = ["m is not identified by these data", "a second sentence"]
+    return replace(
+        result,
+        parameters={**result.parameters, label: free},
+        least_squares={**result.least_squares, label: free},
+        outcomes=(Outcome.NOT_IDENTIFIED,),
+        verdict={"status": "not identified", "sentences": sentences},
+    )
+
+
+def renamed(result, size: int):
+    """The same fit as if it had so many parameters p0, p1, ... (figures only)."""
+    labels = tuple(f"p{i}" for i in range(size))
+    spec = Spec(1.0, 0.0, 2.0, "N", "", "", "p", True, "linear")
+    layout = Layout(tuple(FreeParameter(label, spec) for label in labels))
+    one = Estimate(1.0, 0.1, "N", (0.8, 1.2))
+    return replace(
+        result,
+        labels=labels,
+        least_squares=dict.fromkeys(labels, one),
+        parameters=dict.fromkeys(labels, one),
+        problem=replace(result.problem, layout=layout),
+    )
+
+
+# Arrays
+
+
+def test_curve_is_the_model_at_the_estimate(plain):
+    curve = fit_curve(plain)
+    values = {k: plain.least_squares[k].value for k in plain.labels}
+    model = with_values(MODELS["brush-m"], values)
+    assert [g.label for g in curve.groups] == ["$F_z$ = 2000 N", "$F_z$ = 4000 N"]
+    for one, load in zip(curve.curves, LOADS, strict=True):
+        inputs = TireInputs(sigma_x=one.slip, fz=load, v=20.0)
+        np.testing.assert_allclose(one.force, forces(model, inputs).fx, rtol=1e-9)
+        assert one.limit == pytest.approx(values["mu"] * load)
+        assert one.slip[0] == 0
+        assert one.slip[-1] > plain.table.usable("sigma_x").max()
+
+
+def test_points_are_the_used_rows(plain):
+    groups = fit_curve(plain).groups
+    used = plain.table.usable("fz") == 4000.0
+    np.testing.assert_allclose(groups[1].force, plain.table.usable("fx")[used])
+    np.testing.assert_allclose(groups[1].slip, plain.table.usable("sigma_x")[used])
+    assert sum(len(group.slip) for group in groups) == plain.statistics.n == 119
+
+
+def test_band_agrees_with_automatic_derivatives(plain):
+    one = fit_curve(plain).curves[1]
+    size = len(one.slip)
+    inputs = TireInputs(
+        jnp.asarray(one.slip), jnp.zeros(size), jnp.full(size, 4000.0),
+        jnp.full(size, 20.0),
+    )  # fmt: skip
+    problem = plain.problem
+    _, variance = predict_forces(
+        problem.model, problem.layout, plain.z, plain.covariance, inputs,
+        np.zeros(size, int),
+    )  # fmt: skip
+    half = (one.high - one.low) / 2
+    dof = plain.statistics.dof
+    quantile = 1.96 * (1 + (1.96**2 + 1) / (4 * dof))
+    expected = quantile * np.sqrt(variance["fx"])
+    np.testing.assert_allclose(half, expected, rtol=2e-3, atol=1e-3)
+    scale = plain.noise["fx"]["median_std"]
+    noise_half = (one.noise_high - one.noise_low) / 2
+    np.testing.assert_allclose(noise_half, np.hypot(half, quantile * scale), rtol=2e-3)
+
+
+def test_band_of_chains_holds_95_percent_of_the_draws(sampled):
+    one = fit_curve(sampled).curves[1]
+    draws = sampled.chains.reshape(-1, len(sampled.labels))[::4]
+    at = 120
+
+    def named(values):
+        return dict(zip(sampled.labels, values, strict=True))
+
+    def force(values):
+        model = with_values(MODELS["brush-m"], named(values))
+        return model(TireInputs(one.slip[at], 0.0, 4000.0, 20.0)).fx
+
+    values = np.asarray(jax.vmap(force)(jnp.asarray(draws)))
+    inside = np.mean((values > one.low[at]) & (values < one.high[at]))
+    assert inside == pytest.approx(0.95, abs=0.03)
+
+
+def test_residuals_are_standardised_and_know_their_inputs(plain):
+    data = residual_panels(plain)
+    labels = [panel.label for panel in data.scatters]
+    assert [label.split(" [")[0] for label in labels] == [
+        r"slip $\sigma_x$", "load $F_z$", "time", "run",
+    ]  # fmt: skip
+    values = {k: plain.least_squares[k].value for k in plain.labels}
+    rows = plain.table
+    inputs = TireInputs(
+        sigma_x=rows.usable("sigma_x"), fz=rows.usable("fz"), v=rows.usable("v")
+    )
+    fitted = forces(with_values(MODELS["brush-m"], values), inputs).fx
+    scale = plain.noise["fx"]["median_std"]
+    expected = (rows.usable("fx") - np.asarray(fitted)) / scale
+    np.testing.assert_allclose(data.scatters[0].residual, expected, rtol=1e-6)
+    np.testing.assert_allclose(data.ordered, np.sort(expected), rtol=1e-6)
+    assert np.sum(data.density * np.diff(data.edges)) == pytest.approx(1.0)
+    load = data.scatters[1]
+    np.testing.assert_allclose(load.center, LOADS)
+    np.testing.assert_allclose(
+        load.mean, [expected[rows.usable("fz") == one].mean() for one in LOADS]
+    )
+    assert data.scatters[-1].ticks == ("first", "second")
+    assert data.lags is not None
+
+
+def test_residuals_of_a_fit_limited_in_slip_still_know_the_time():
+    limited = fit(synthetic(), "brush", config={"data": {"slip_max": 0.1}})
+    panels = residual_panels(limited).scatters
+    time = next(panel for panel in panels if panel.label.startswith("time"))
+    rows = limited.table.used & (limited.table["sigma_x"] <= 0.1)
+    np.testing.assert_allclose(time.x, limited.table["time"][rows])
+
+
+def test_autocorrelation_of_a_known_series():
+    np.testing.assert_allclose(
+        autocorrelation([np.array([1.0, -1.0] * 8)], 2), [1.0, -15 / 16, 14 / 16]
+    )
+
+
+def test_corner_levels_enclose_their_shares(sampled):
+    corner = corner_data(sampled)
+    flat = sampled.chains.reshape(-1, 3)
+    np.testing.assert_allclose(corner.median, np.median(flat, axis=0))
+    for key, joint in corner.joint.items():
+        outer, inner = corner.levels[key]
+        assert joint[joint >= outer].sum() / joint.sum() == pytest.approx(
+            0.95, abs=0.02
+        )
+        assert joint[joint >= inner].sum() / joint.sum() == pytest.approx(0.5, abs=0.02)
+
+
+def test_trace_keeps_the_order_of_every_ensemble(sampled):
+    trace = trace_data(sampled)
+    np.testing.assert_array_equal(trace.draws, sampled.chains)
+    np.testing.assert_allclose(trace.rhat, 1.0012)
+
+
+def test_profile_and_parabola_cross_the_level_at_their_intervals(plain):
+    for panel, label in zip(profile_data(plain), plain.labels, strict=True):
+        low, high = plain.intervals["profile"][label]
+        at = np.interp([low, high], panel.value, panel.deviance)
+        np.testing.assert_allclose(at, panel.level, rtol=0.02)
+        low, high = plain.intervals["covariance"][label]
+        inside = (panel.value > low) & (panel.value < high)
+        assert np.all(panel.parabola[inside] <= panel.level)
+        assert np.all(panel.parabola[~inside] >= panel.level)
+
+
+# Numbers and text
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [
+        (50340.97, 373.8, "50340 ± 370"),
+        (0.217808, 0.017452, "0.218 ± 0.017"),
+        (1.0, 0.0996, "1.00 ± 0.10"),
+        (0.99934, 0.000824, "0.99934 ± 0.00082"),
+        (-12.3456, 1.0, "-12.3 ± 1.0"),
+        (123456789.0, 1234567.0, "(1.235 ± 0.012)e+08"),
+        (3.21e-6, 4.4e-8, "(3.210 ± 0.044)e-06"),
+        (1.5, None, "1.5"),
+        (1.5, 0.0, "1.5"),
+        (float("nan"), None, "-"),
+    ],
+)
+def test_digits_follow_the_std(value, std, text):
+    assert format_estimate(value, std) == text
+
+
+def test_intervals_with_open_ends():
+    assert format_interval((None, None)) == "-"
+    assert format_interval((1.0, None)) == "[1, ..]"
+    assert format_interval((0.18409, 0.25278), 0.0174) == "[0.184, 0.253]"
+    assert format_number(1e9) == "1e+09"
+
+
+def test_report_holds_every_number_and_ends_with_the_verdict(sampled):
+    text = fit_report(sampled)
+    lines = text.splitlines()
+    assert max(map(len, lines)) <= 88
+    assert "\x1b" not in text
+    for label in sampled.labels:
+        e = sampled.parameters[label]
+        assert re.search(
+            rf"{label} +{re.escape(format_estimate(e.value, e.std))}", text
+        )
+    for expected in (
+        "119 used of 120 (1 masked), 2 runs", "braking positive, SI",
+        "speed 20 m/s: constant, given", "load is not finite", "covariance", "profile",
+        "posterior", "C_x", "RMSE", "AICc", "n_effective", "(estimated)", "4321",
+        "1.0012", "acceptance 0.36", "BY RUN", "second",
+    ):  # fmt: skip
+        assert expected in text
+    last = text.rstrip().split("\n\n")[-1]
+    assert last.startswith("VERDICT: ")
+
+
+def test_report_says_not_identified(plain):
+    text = fit_report(vague(plain))
+    row = next(line for line in text.splitlines() if line.startswith("  m "))
+    assert "not identified" in row and "[0, 1]" in row and "±" not in row
+    last = text.rstrip().split("\n\n")[-1]
+    assert last.startswith("VERDICT: not identified: m is not identified by these data")
+    assert last.endswith("- a second sentence")
+    assert verdict_line(vague(plain)).count("second") == 0
+
+
+def test_report_names_strong_correlations_and_bounds(plain):
+    strong = np.eye(3)
+    strong[0, 1] = strong[1, 0] = -0.97
+    statistics = replace(plain.statistics, at_bound=("m",))
+    text = fit_report(replace(plain, correlation=strong, statistics=statistics))
+    assert "cpa2 and mu: -0.970" in text and "at its bound" in text
+
+
+def test_model_tables_name_every_model_and_parameter():
+    text = models_table(MODELS)
+    assert all(re.search(rf"(^|\s){re.escape(name)}(\s|$)", text) for name in MODELS)
+    assert max(map(len, text.splitlines())) <= 88
+    content = json.loads(json.dumps(models_dict(MODELS)))
+    assert content["brush"]["parameters"]["mu"]["unit"] == "-"
+    assert set(content) == set(MODELS)
+
+
+# Figures
+
+
+def test_draws_on_given_axes(plain):
+    axes = Figure().subplots()
+    assert plots.plot_fit(plain, ax=axes) is axes.figure
+    assert axes.get_xlabel() == r"slip $\sigma_x$ [-]"
+    assert len(axes.lines) >= 4
+
+
+def test_every_figure_appears_whole(sampled, tmp_path):
+    written = draw.save_figures(sampled, tmp_path / "new", svg=True)
+    names = {path.name for path in written}
+    figures = ("fit", "residuals", "profile", "corner", "trace")
+    assert names == {f"{name}.{end}" for name in figures for end in ("png", "svg")}
+    assert {path.name for path in (tmp_path / "new").iterdir()} == names
+    for path in written:
+        start = path.read_bytes()[:8]
+        assert start == b"\x89PNG\r\n\x1a\n" if path.suffix == ".png" else b"<?xml"
+    draw.save_figures(sampled, tmp_path / "again", svg=True)
+    for path in written:
+        if path.suffix == ".png":
+            assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes()
+
+
+def test_a_failed_save_leaves_nothing_and_keeps_the_old(plain, tmp_path, monkeypatch):
+    (tmp_path / "fit.png").write_bytes(b"old")
+
+    def fail(self, file, **options):
+        open(file, "wb").write(b"half")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(draw.Picture, "savefig", fail)
+    with pytest.raises(OSError, match="disk full"):
+        draw.save_figures(plain, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["fit.png"]
+    assert (tmp_path / "fit.png").read_bytes() == b"old"
+
+
+def test_without_a_posterior_there_is_no_corner(plain, tmp_path):
+    names = {path.name for path in draw.save_figures(plain, tmp_path)}
+    assert names == {"fit.png", "residuals.png", "profile.png"}
+    with pytest.raises(UsageError, match="posterior"):
+        plots.plot_corner(plain)
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 14])
+def test_corner_and_trace_of_any_size_with_a_constant_column(plain, size):
+    draws = np.random.default_rng(1).normal(1.0, 0.1, (4, 50, size))
+    draws[..., -1] = 1.0
+    result = with_chains(renamed(plain, size), draws)
+    corner = draw_uncertainty.corner_figure(result)
+    shown = min(size, 12)
+    assert len(corner.axes) == shown * (shown + 1) // 2
+    assert corner._repr_png_()[:4] == b"\x89PNG"
+    assert len(draw_uncertainty.trace_figure(result).axes) == 2 * shown
+
+
+def test_figures_say_what_is_not_identified(plain, sampled):
+    labels = [axes.get_xlabel() for axes in plots.plot_profile(vague(plain)).axes]
+    assert any("not identified" in label for label in labels)
+    texts = [text.get_text() for text in plots.plot_corner(vague(sampled)).texts]
+    assert any("not identified: $m$" in text for text in texts)
+    curve = fit_curve(vague(plain, "mu"))
+    assert curve.curves[0].limit is None and "not identified" in curve.limit_label
+
+
+def test_title_names_model_file_and_verdict(plain):
+    texts = [text.get_text() for text in plots.plot_residuals(plain).texts]
+    assert texts[0] == "brush-m fitted to " + NAME.replace("$", r"\$")
+    assert texts[1].startswith("ok: RMSE")
+    assert "braking positive, SI · seed 0" in texts[2]
+
+
+# Fragments
+
+
+def test_fit_fragment_is_escaped_and_self_contained(plain):
+    text = html.fit_fragment(plain)
+    assert "<b>$1" not in text and "&lt;b&gt;$1 &amp;" in text
+    assert "data:image/png;base64," in text
+    assert not re.search(r"https?://|<script|<link", text)
+    assert all(f">{label}</td>" in text for label in plain.labels)
+    assert "not identified" in html.fit_fragment(vague(plain))
+
+
+def test_data_fragment_is_escaped_and_has_ranges():
+    text = html.data_fragment(synthetic())
+    assert "Fx &lt;N&gt;" in text and "<b>$1" not in text
+    assert "119 rows" in text and "1 more masked" in text
+    assert ">2000</td>" in text and ">4000</td>" in text
+
+
+def test_compare_orders_models_and_refuses_other_data(plain):
+    simple = fit(synthetic(), "brush")
+    table = plots.compare([simple, plain])
+    assert [row[0] for row in table.rows[1:]] == ["brush-m", "brush"]
+    assert f"{plain.statistics.aicc:.1f}" in str(table)
+    difference = simple.statistics.aicc - plain.statistics.aicc
+    assert table.rows[2][4] == f"{difference:.1f}"
+    assert "<table" in table._repr_html_()
+    other = replace(simple, statistics=replace(simple.statistics, n=7))
+    with pytest.raises(UsageError, match="same data"):
+        plots.compare([plain, other])
+    with pytest.raises(UsageError, match="nothing to compare"):
+        plots.compare([])
