@@ -366,7 +366,7 @@ def test_a_failed_save_leaves_nothing_and_keeps_the_old(plain, tmp_path, monkeyp
     (tmp_path / "fit.png").write_bytes(b"old")
 
     def fail(self, file, **options):
-        open(file, "wb").write(b"half")
+        file.write_bytes(b"half")
         raise OSError("disk full")
 
     monkeypatch.setattr(draw.Picture, "savefig", fail)
@@ -402,6 +402,16 @@ def test_figures_say_what_is_not_identified(plain, sampled):
     assert any("not identified: $m$" in text for text in texts)
     curve = fit_curve(vague(plain, "mu"))
     assert curve.curves[0].limit is None and "not identified" in curve.limit_label
+
+
+def test_a_dollar_in_a_run_name_is_no_mathematics(plain):
+    runs = ("$1 a", "b$")
+    table = replace(plain.table, runs=runs)
+    layout = replace(plain.problem.layout, runs=runs)
+    problem = replace(plain.problem, layout=layout)
+    result = replace(plain, table=table, problem=problem)
+    assert residual_panels(result).scatters[-1].ticks == (r"\$1 a", r"b\$")
+    assert plots.plot_residuals(result)._repr_png_()[:4] == b"\x89PNG"
 
 
 def test_title_names_model_file_and_verdict(plain):

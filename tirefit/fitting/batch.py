@@ -88,10 +88,11 @@ def _solve_all(template, layout, slip, force, fz, v, axis, batch):
                 inputs = TireInputs(fz=fz, v=v)._replace(**{slip_name: slip})
                 return getattr(tire(inputs), axis)
 
-            return (force - jax.vmap(at)(slip, fz, v)) / jnp.mean(fz)
+            values = (force - jax.vmap(at)(slip, fz, v)) / jnp.mean(fz)
+            return values, jnp.ones_like(values)
 
         end = damped_gauss_newton(residual, _guess(template, layout, *data))
-        jacobian = jax.jacfwd(residual)(end.z)
+        jacobian = jax.jacfwd(lambda z: residual(z)[0])(end.z)
         noise = end.cost / (slip.size - layout.size)
         slope = jax.jacfwd(layout.vector)(end.z)
         cov = slope @ jnp.linalg.inv(jacobian.T @ jacobian) @ slope.T * noise

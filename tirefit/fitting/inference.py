@@ -55,12 +55,18 @@ class Rule(NamedTuple):
 
 
 def _stacked(model, layout, z, rows, channels, loss, rules):
+    """All residuals and their scoring weights, see ``least_squares.Residual``."""
     blocks = root_deviance(model, layout, z, rows, channels, loss)
-    parts = [
-        block / jnp.sqrt(rules[name].inflation) if name in rules else block
-        for name, block in blocks.items()
-    ]
-    return jnp.concatenate([*parts, layout.prior_residual(z)])
+    values, weights = [], []
+    for name, block in blocks.items():
+        inflation = rules[name].inflation if name in rules else 1.0
+        values.append(block / jnp.sqrt(inflation))
+        noisy = name in rows.nodes
+        weights.append(jax.lax.stop_gradient(block) if noisy else jnp.ones_like(block))
+    pulls = layout.prior_residual(z)
+    values.append(pulls)
+    weights.append(jnp.ones_like(pulls))
+    return jnp.concatenate(values), jnp.concatenate(weights)
 
 
 @partial(jax.jit, static_argnames=("layout", "channels", "loss", "solver"))
@@ -110,7 +116,7 @@ def covariance(model, layout: Layout, z, rows: Rows, channels, loss, rules):
     """
 
     def residual(z):
-        return _stacked(model, layout, z, rows, channels, loss, rules)
+        return _stacked(model, layout, z, rows, channels, loss, rules)[0]
 
     if rows.nodes:
         information = jax.hessian(lambda z: residual(z) @ residual(z) / 2)(z)

@@ -31,7 +31,15 @@ class Solution(NamedTuple):
     steps: Int[Array, ""]
 
 
-Residual = Callable[[Float[Array, " p"]], Float[Array, " n"]]
+Residual = Callable[[Float[Array, " p"]], tuple[Float[Array, " n"], Float[Array, " n"]]]
+"""z (p,) -> (residuals, scoring weights), each (n,).
+
+The weight is 1 where the row is an ordinary residual r. Where the square of r is the
+deviance of a row (noisy slip), r carries no sign and r'r no curvature; there the weight
+is r itself, before any inflation, so that weight x slope is the gradient of the row's
+log likelihood, whose outer products estimate the information (Berndt, Hall, Hall &
+Hausman 1974).
+"""
 
 
 class _State(NamedTuple):
@@ -45,10 +53,11 @@ class _State(NamedTuple):
 
 
 def _linearise(residual: Residual, z):
-    """Cost, normal matrix and gradient from one pass of forward tangents."""
-    values, push = jax.linearize(residual, z)
+    """Cost, curvature and gradient from one pass of forward tangents."""
+    values, push, weights = jax.linearize(residual, z, has_aux=True)
     jacobian = jax.vmap(push)(jnp.eye(z.size))
-    return values @ values, jacobian @ jacobian.T, jacobian @ values
+    weighted = jacobian * weights
+    return values @ values, weighted @ weighted.T, jacobian @ values
 
 
 def damped_gauss_newton(
@@ -57,17 +66,22 @@ def damped_gauss_newton(
     """Levenberg-Marquardt on the normal equations, for few parameters in batches.
 
     Args:
-        residual: z (p,) -> residuals (n,); p up to about ten.
+        residual: residuals and scoring weights; p up to about ten.
         start: first z, shape (p,).
         max_steps: limit of trial steps.
-        tolerance: relative change of the cost and size of the step that ends it.
+        tolerance: share of the cost that one undamped step could still gain; below it
+            the search ends.
 
     A trial step is accepted only if its cost is lower, so NaN loses.
     """
-    cost, normal, gradient = _linearise(residual, start)
-    state = _State(
-        start, cost, normal, gradient, jnp.array(1e-4), jnp.array(0), jnp.array(False)
-    )
+
+    def gain(normal, gradient):
+        scale = jnp.maximum(jnp.diagonal(normal), 1e-12)
+        move = jnp.linalg.solve(normal + 1e-9 * jnp.diag(scale), gradient)
+        return gradient @ move
+
+    def small(cost, normal, gradient):
+        return gain(normal, gradient) <= tolerance * (cost + tolerance)
 
     def trial(state: _State) -> _State:
         scale = jnp.maximum(jnp.diagonal(state.normal), 1e-12)
@@ -77,36 +91,59 @@ def damped_gauss_newton(
         move = move * jnp.minimum(1.0, 3.0 / jnp.maximum(jnp.max(jnp.abs(move)), 1e-12))
         z = state.z + move
         cost, normal, gradient = _linearise(residual, z)
-        better = cost < state.cost
-        drop = -(2 * state.gradient @ move + move @ state.normal @ move)
-        enough = tolerance * (state.cost + tolerance)
-        small = (jnp.abs(state.cost - cost) <= enough) & (drop <= 10 * enough)
-        keep = partial(jnp.where, better)
-        return _State(
+        keep = partial(jnp.where, cost < state.cost)
+        new = _State(
             keep(z, state.z),
             keep(cost, state.cost),
             keep(normal, state.normal),
             keep(gradient, state.gradient),
             keep(state.damping / 8, state.damping * 8),
             state.step + 1,
-            small | (state.damping > 1e12),
+            state.done,
         )
+        stuck = new.damping > 1e10
+        return new._replace(done=small(new.cost, new.normal, new.gradient) | stuck)
 
     def going(state: _State):
         return ~state.done & (state.step < max_steps)
 
+    cost, normal, gradient = _linearise(residual, start)
+    state = _State(
+        start, cost, normal, gradient, jnp.array(1e-4), jnp.array(0), jnp.array(False)
+    )
     end = jax.lax.while_loop(going, trial, state)
     return Solution(end.z, end.cost, end.done & jnp.isfinite(end.cost), end.step)
+
+
+def _ordinary(residual: Residual, start) -> Callable:
+    """Residuals that a least-squares library can take, with the same minimum.
+
+    The rows of noisy slip become sqrt(1 + r^2 - r(start)^2): the sum of squares changes
+    by a constant, and near the start, where it must be, Gauss-Newton's curvature is
+    that of scoring.
+    """
+    first, weights = residual(start)
+    deviance_row = weights != 1.0
+
+    def ordinary(z):
+        values, _ = residual(z)
+        shifted = jnp.maximum(1 + values**2 - first**2, 1e-6)
+        return jnp.where(
+            deviance_row, jnp.sqrt(jnp.where(deviance_row, shifted, 1.0)), values
+        )
+
+    return ordinary
 
 
 def _optimistix(residual: Residual, start) -> Solution:
     import optimistix as optx
 
+    ordinary = _ordinary(residual, start)
     solver = optx.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE)
     solution = optx.least_squares(
-        lambda z, _: residual(z), solver, start, max_steps=_MAX_STEPS, throw=False
+        lambda z, _: ordinary(z), solver, start, max_steps=_MAX_STEPS, throw=False
     )
-    values = residual(solution.value)
+    values, _ = residual(solution.value)
     return Solution(
         solution.value,
         values @ values,
@@ -116,6 +153,7 @@ def _optimistix(residual: Residual, start) -> Solution:
 
 
 def _jaxopt(residual: Residual, start) -> Solution:
+    ordinary = _ordinary(residual, start)
     with warnings.catch_warnings():
         # jaxopt announces at import that it is no longer maintained.
         warnings.simplefilter("ignore")
@@ -124,14 +162,14 @@ def _jaxopt(residual: Residual, start) -> Solution:
         # Its accepted and rejected steps are blended by multiplication, so a single
         # non-finite residual would stall it for good.
         solver = jaxopt.LevenbergMarquardt(
-            residual_fun=lambda z: jnp.nan_to_num(residual(z), nan=1e6, posinf=1e6),
+            residual_fun=lambda z: jnp.nan_to_num(ordinary(z), nan=1e6, posinf=1e6),
             maxiter=_MAX_STEPS,
             tol=1e-6,
             xtol=1e-10,
             gtol=1e-6,
         )
         z, state = solver.run(start)
-    values = residual(z)
+    values, _ = residual(z)
     cost = values @ values
     converged = jnp.isfinite(cost) & (state.iter_num < _MAX_STEPS)
     return Solution(z, cost, converged, state.iter_num)

@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tirefit.fitting.result import FitResult
+from tirefit.report.numbers import plain_text
 from tirefit.report.text import verdict_line
 
 __all__ = [
@@ -63,11 +64,11 @@ def frame(result: FitResult, height: float) -> tuple[Picture, tuple[float, float
     ok = result.verdict.get("status", "ok") == "ok"
     lines = textwrap.wrap(verdict_line(result), 100, max_lines=2, placeholder=" …")
     picture.text(
-        0.02, 1 - 0.10 / height, _plain(f"{result.model} fitted to {file}"),
+        0.02, 1 - 0.10 / height, plain_text(f"{result.model} fitted to {file}"),
         va="top", fontsize=10.5, fontweight="bold", color=DARK,
     )  # fmt: skip
     picture.text(
-        0.02, 1 - 0.31 / height, _plain("\n".join(lines)),
+        0.02, 1 - 0.31 / height, plain_text("\n".join(lines)),
         va="top", fontsize=8.5, color=DARK if ok else RED, linespacing=1.15,
     )  # fmt: skip
     picture.text(
@@ -77,11 +78,6 @@ def frame(result: FitResult, height: float) -> tuple[Picture, tuple[float, float
         va="bottom", fontsize=6.5, color=GREY,
     )  # fmt: skip
     return picture, (0.2 / height, 1 - (0.38 + 0.15 * len(lines)) / height)
-
-
-def _plain(text: str) -> str:
-    """Text with no mathematics in it: a ``$`` of a file name is a ``$``."""
-    return text.replace("$", r"\$")
 
 
 def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:

@@ -12,6 +12,7 @@ from tirefit.fitting.likelihood import CHANNEL_SLIP, predict
 from tirefit.fitting.result import FitResult
 from tirefit.models import TireInputs, needs_speed
 from tirefit.params import parameter_values, unconstrain
+from tirefit.report.numbers import plain_text
 from tirefit.slip import LOCKED, sigma_from_slip_ratio, slip_ratio_from_sigma
 
 __all__ = ["Curve", "FitCurve", "Group", "SlipAxis", "fit_curve", "slip_axis"]
@@ -129,7 +130,7 @@ def _keys(result: FitResult, slip: str) -> list[tuple[str, np.ndarray]]:
 
 def _level_label(name: str, values: np.ndarray, runs) -> str:
     if name == "run":
-        return str(runs[int(values[0])])
+        return plain_text(str(runs[int(values[0])]))
     middle = float(np.median(values))
     sign = "=" if np.ptp(values) <= 0.1 * abs(middle) + 1e-3 else "≈"
     text = {
@@ -357,7 +358,7 @@ def _limit_label(result: FitResult, channel: str, normalise: bool) -> str:
     if name is None or channel == "mz":
         return ""
     what, symbol = _LIMIT[name]
-    text = f"{what} ${symbol}$" if normalise else f"{what} ${symbol} F_z$"
+    text = f"{what} ${symbol}$" if normalise else rf"{what} ${symbol}\,F_z$"
     return text if _limit_known(result, name) else f"{text}: not identified"
 
 
@@ -367,4 +368,4 @@ def _by_run(problem, members):
     codes = np.unique(run)
     if not 1 < len(codes) <= _MOST_GROUPS:
         return members
-    return [(str(problem.layout.runs[code]), run == code) for code in codes]
+    return [(plain_text(problem.layout.runs[code]), run == code) for code in codes]

@@ -3,6 +3,7 @@
 import os
 from functools import partial
 from pathlib import Path
+from textwrap import wrap
 
 import numpy as np
 from matplotlib.lines import Line2D
@@ -106,6 +107,9 @@ def _legend(axes, curve: FitCurve, limit: str) -> None:
         style = (0, (5, 3)) if drawn else "none"
         handles.append(Line2D([], [], color=GREY, lw=0.9, ls=style, label=limit))
     if len(curve.groups) > 1:
+        for handle in handles:
+            text = wrap(handle.get_label(), 24, max_lines=3, placeholder=" …")
+            handle.set_label("\n".join(text))
         axes.legend(
             handles=handles, fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0),
             frameon=False, title=curve.note or None, title_fontsize=7.5,

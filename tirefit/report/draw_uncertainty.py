@@ -72,6 +72,8 @@ def corner_figure(result: FitResult) -> Picture:
     picture, (bottom, top) = frame(result, min(2.2 + 1.15 * count, 10.5))
     height = picture.get_figheight()
     bottom += 0.68 / height
+    _corner_key(picture, corner, top)
+    top -= 0.5 / height if count == 1 else 0
     wide, high = 0.84 / count, (top - bottom) / count
     size = float(np.clip(10 - 0.5 * count, 5.5, 9))
     for i in range(count):
@@ -88,7 +90,6 @@ def corner_figure(result: FitResult) -> Picture:
             axes.xaxis.set_label_coords(*middle, transform=picture.transFigure)
             middle = (0.04, box[1] + box[3] / 2)
             axes.yaxis.set_label_coords(*middle, transform=picture.transFigure)
-    _corner_key(picture, corner, top)
     return picture
 
 
@@ -112,7 +113,7 @@ def _corner_labels(axes, corner: Corner, i: int, j: int, size: float) -> None:
 
 
 def _corner_key(picture: Picture, corner: Corner, top: float) -> None:
-    """What the colours mean, in the empty upper corner (below, for one parameter)."""
+    """What the colours mean, in the empty upper corner."""
     lines = ["line, shade: posterior median, 95 %", "dark, light: 50 %, 95 % regions"]
     lines.append("red: least squares")
     vague = [

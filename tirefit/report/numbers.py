@@ -2,10 +2,21 @@
 
 import math
 
-__all__ = ["format_estimate", "format_interval", "format_number", "places_of"]
+__all__ = [
+    "format_estimate",
+    "format_interval",
+    "format_number",
+    "places_of",
+    "plain_text",
+]
 
 _TOO_LARGE = 1e7
 _TOO_SMALL = 1e-4
+
+
+def plain_text(text: str) -> str:
+    """Text for a figure with no mathematics in it: a ``$`` of a name stays a ``$``."""
+    return text.replace("$", r"\$")
 
 
 def places_of(std: float) -> int:

@@ -10,6 +10,7 @@ from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.predict import row_moments
 from tirefit.fitting.result import FitResult
 from tirefit.report.curves import slip_axis
+from tirefit.report.numbers import plain_text
 
 __all__ = ["Residuals", "Scatter", "autocorrelation", "residual_panels", "standardised"]
 
@@ -171,10 +172,11 @@ def _runs(result: FitResult, residual, inflation: float) -> list[Scatter]:
         center.append(float(i))
         mean.append(part.mean())
         half.append(1.96 * part.std() * np.sqrt(inflation / max(len(part) - 1, 1)))
+    names = tuple(plain_text(problem.layout.runs[int(code)]) for code in codes)
     return [
         Scatter(
             "run", position + spread, residual, np.array(center), np.array(mean),
-            np.array(half), tuple(str(problem.layout.runs[int(c)]) for c in codes),
+            np.array(half), names,
         )
     ]  # fmt: skip
 

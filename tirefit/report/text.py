@@ -118,7 +118,7 @@ def _routes(result: FitResult) -> list[str]:
     for label in result.labels:
         std = result.least_squares[label].std
         ends = [result.intervals[route].get(label, (None, None)) for route in routes]
-        rows.append([_short(label), *(format_interval(end, std) for end in ends)])
+        rows.append([_short(label, 18), *(format_interval(end, std) for end in ends)])
     return ["", "INTERVALS BY ROUTE", *table(rows)]
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from tirefit.fitting.result import FitResult
 from tirefit.params import Spec
+from tirefit.report.numbers import plain_text
 
 __all__ = [
     "Corner",
@@ -93,16 +94,16 @@ def symbol(result: FitResult, label: str) -> str:
     spec = _spec(result, label)
     _, bracket, run = label.partition("[")
     name = label if spec is None else f"${spec.symbol}$"
-    where = f" ({run.rstrip(']')})" if bracket and spec is not None else ""
+    where = f" ({plain_text(run.rstrip(']'))})" if bracket and spec is not None else ""
     return f"{name}{where} [{result.least_squares[label].unit}]"
 
 
 def _edges(draws: np.ndarray) -> np.ndarray:
     """Bin edges (bins + 1,) over 99.8 % of the draws, never of zero width."""
     low, high = np.quantile(draws, [0.001, 0.999])
-    least = 1e-6 * max(abs(low), abs(high)) or 1e-6
-    if high - low < least:
-        low, high = low - least, high + least
+    size = max(abs(low), abs(high)) or 1.0
+    if high - low < 1e-6 * size:
+        low, high = low - 0.01 * size, high + 0.01 * size
     return np.linspace(low, high, _BINS + 1)
 
 
