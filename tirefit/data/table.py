@@ -3,9 +3,11 @@
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
+from tirefit.display import Displayed
 from tirefit.results import Problem
 
 __all__ = ["CANONICAL", "Source", "TireData", "join"]
@@ -48,13 +50,15 @@ class Source:
 
 
 @dataclass(frozen=True)
-class TireData:
+class TireData(Displayed):
     """Measured force-slip data in the canonical convention (see ``tirefit.slip``).
 
     ``columns`` holds float64 arrays of shape ``(n,)`` by canonical name. Rows are
     never dropped: ``used`` (n,) bool is False for a masked row, whose values may be
     NaN. ``run`` (n,) int indexes ``runs``.
     """
+
+    html_by: ClassVar[str] = "tirefit.report.html:data_fragment"
 
     name: str
     columns: Mapping[str, np.ndarray]

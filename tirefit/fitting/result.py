@@ -4,10 +4,11 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
+from tirefit.display import Displayed
 from tirefit.results import Outcome
 
 __all__ = [
@@ -74,7 +75,7 @@ class PosteriorSummary:
 
 
 @dataclass(frozen=True)
-class FitResult:
+class FitResult(Displayed):
     """One fit: what went in, what came out, how sure it is.
 
     ``parameters`` come from the posterior where it ran, else from the profile; all
@@ -84,6 +85,9 @@ class FitResult:
     (ensembles, walkers, steps, p); ``z`` and ``covariance`` describe the estimate in
     the unconstrained space.
     """
+
+    html_by: ClassVar[str] = "tirefit.report.html:fit_fragment"
+    text_by: ClassVar[str] = "tirefit.report.text:fit_report"
 
     model: str
     forces: tuple[str, ...]
@@ -156,16 +160,6 @@ class FitResult:
     def to_json(self) -> str:
         """Text of ``fit.json``."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
-
-    def _repr_html_(self) -> str:
-        from tirefit.report.html import fit_fragment
-
-        return fit_fragment(self)
-
-    def __str__(self) -> str:
-        from tirefit.report.text import fit_report
-
-        return fit_report(self)
 
 
 def _posterior_dict(summary: PosteriorSummary | None) -> dict | None:

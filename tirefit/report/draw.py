@@ -107,9 +107,11 @@ def _legend(axes, curve: FitCurve, limit: str) -> None:
         style = (0, (5, 3)) if drawn else "none"
         handles.append(Line2D([], [], color=GREY, lw=0.9, ls=style, label=limit))
     if len(curve.groups) > 1:
-        for handle in handles:
+        for handle in handles[: len(curve.groups)]:
             text = wrap(handle.get_label(), 24, max_lines=3, placeholder=" …")
             handle.set_label("\n".join(text))
+        if limit:
+            handles[-1].set_label(limit.replace(": ", ":\n").replace(", ", ",\n"))
         axes.legend(
             handles=handles, fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0),
             frameon=False, title=curve.note or None, title_fontsize=7.5,
