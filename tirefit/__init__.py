@@ -1,13 +1,13 @@
 """Fit tire models to measured force-slip data with honest uncertainty.
 
-    import jax
-    jax.config.update("jax_enable_x64", True)
-    import tirefit
+import jax
+jax.config.update("jax_enable_x64", True)
+import tirefit
 
-    data = tirefit.read("sweep.csv")
-    fit = tirefit.sample(tirefit.fit(data, "brush-d"))
-    print(fit)
-    tirefit.plot_fit(fit)
+data = tirefit.read("sweep.csv")
+fit = tirefit.sample(tirefit.fit(data, "brush-d"))
+print(fit)
+tirefit.plot_fit(fit)
 """
 
 import lazy_loader as _lazy

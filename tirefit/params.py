@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 __all__ = [
     "Spec",
@@ -140,27 +141,40 @@ def _interval(spec: Spec) -> tuple[float, float]:
     return spec.bounds
 
 
+def _library(value):
+    """JAX inside a trace and for its arrays; NumPy on the host, where each operation
+    of JAX would be compiled by itself."""
+    return jnp if isinstance(value, jax.Array) else np
+
+
 def constrain(z, spec: Spec):
     """Real line -> the open interval of the bounds, elementwise (any shape).
 
     A sigmoid across the interval; across the logarithms on a ``log`` scale.
     """
+    library = _library(z)
     lower, upper = _interval(spec)
-    x = lower + (upper - lower) * jax.nn.sigmoid(z)
-    return jnp.exp(x) if spec.scale == "log" else x
+    # tanh, not 1 / (1 + exp(-z)): it neither overflows nor loses its slope.
+    x = lower + (upper - lower) * (0.5 + 0.5 * library.tanh(0.5 * z))
+    return library.exp(x) if spec.scale == "log" else x
 
 
 def unconstrain(x, spec: Spec):
     """Inverse of :func:`constrain`; a value at a bound is taken just inside it."""
+    library = _library(x)
     lower, upper = _interval(spec)
-    x = jnp.log(x) if spec.scale == "log" else jnp.asarray(x, float)
-    unit = jnp.clip((x - lower) / (upper - lower), 1e-9, 1 - 1e-9)
-    return jnp.log(unit) - jnp.log1p(-unit)
+    x = library.log(x) if spec.scale == "log" else library.asarray(x, float)
+    unit = library.clip((x - lower) / (upper - lower), 1e-9, 1 - 1e-9)
+    return library.log(unit) - library.log1p(-unit)
 
 
 def log_jacobian(z, spec: Spec):
-    """log |dx/dz| of :func:`constrain`, up to a constant (any shape)."""
-    log_slope = jax.nn.log_sigmoid(z) + jax.nn.log_sigmoid(-z)
+    """log |dx/dz| of :func:`constrain` (any shape)."""
+    library = _library(z)
+    lower, upper = _interval(spec)
+    # log of sigmoid(z) sigmoid(-z), stable in both tails.
+    log_slope = -abs(z) - 2 * library.log1p(library.exp(-abs(z)))
+    log_slope = log_slope + math.log(upper - lower)
     if spec.scale == "log":
-        return log_slope + jnp.log(constrain(z, spec))
+        return log_slope + library.log(constrain(z, spec))
     return log_slope

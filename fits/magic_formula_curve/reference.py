@@ -22,10 +22,33 @@ MODELS = {
 }  # fmt: skip
 
 
+def curve_numbers() -> dict[str, float]:
+    """What draw.py reads off its figures, where no closed form gives it."""
+    from fits.magic_formula_curve.make_data import truck
+
+    tire, load, c, v = truck(), 27e3, 2.5e5, 20.0
+    kappa = np.linspace(0, 0.999, 999_001)
+    curve = formulas.magic_formula(kappa, **tire)
+    found = {"kappa of the peak": kappa[np.argmax(curve)]}
+    kappa, curve = kappa[kappa < 0.3], curve[kappa < 0.3]
+    sigma = kappa / (1 - kappa)
+    ahead = formulas.brush(sigma, load, v, c, tire["D"]) - curve
+    found["lead"] = ahead.max() / (tire["D"] * load)
+    found["passes"] = kappa[np.flatnonzero((ahead[1:] > 0) & (ahead[:-1] <= 0))[-1]]
+    mu_n = 1.05 - 0.0075 * v * kappa
+    mu_h = 1.3 * (0.4 + 0.6 * np.exp(-np.sqrt(v * kappa / 30)))
+    for law, mu, mu_k in (("n", 1.05, mu_n), ("h", 1.3, mu_h)):
+        constant = formulas.two_levels(sigma, load, c, mu, mu_k)
+        following = formulas.two_levels(sigma, load, c, mu_k, mu_k)
+        found[f"gap {law}"] = np.abs(constant - following).max() / constant.max()
+        found[f"peak {law}"] = constant.max() / load
+    return {name: float(value) for name, value in found.items()}
+
+
 def reference() -> dict[str, float]:
     """``figure10 brush-d d`` -> value, ``... d std`` as if rows were independent,
     ``... rmse``."""
-    found = {}
+    found = curve_numbers()
     for curve in ("figure10", "truck"):
         sigma, force, fz, v = np.loadtxt(
             HERE / f"{curve}.csv", delimiter=",", skiprows=1, unpack=True

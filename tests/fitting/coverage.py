@@ -18,7 +18,7 @@ import numpy as np
 from tirefit.data.table import TireData
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import _profile_points, deviance
-from tirefit.fitting.posterior import _density, _whitening
+from tirefit.fitting.posterior import SAMPLERS, _density, _whitening
 from tirefit.fitting.problem import build
 from tirefit.fitting.solve import solve_problem
 from tirefit.models import MODELS, TireInputs, forces
@@ -78,10 +78,10 @@ def config_of(setting: Setting, estimated: bool):
     return parse_config({"noise": noise, "solver": "gauss-newton"})
 
 
-def holds(model, setting: Setting, data, estimated: bool, seed: int):
-    """For each parameter: (profile holds the truth, posterior holds it), (p,) each."""
+def holds(model, setting: Setting, data, estimated: bool, seed: int, posterior: bool):
+    """Whether the profile interval, and the posterior's, hold the truth: (p,) each."""
     config = config_of(setting, estimated)
-    solved = solve_problem(build(data, model, config), data, config)
+    solved = solve_problem(build(data, model, config), config)
     problem = solved.problem
     arguments = (problem.rows, problem.channels, problem.loss, solved.rules)
     z_true = np.asarray(problem.layout.unconstrained(truth_of(model, setting)))
@@ -92,27 +92,36 @@ def holds(model, setting: Setting, data, estimated: bool, seed: int):
         jnp.tile(solved.z, (size, 1)), *arguments,
     )  # fmt: skip
     inside = np.asarray(found) - float(base) < solved.level
+    if not posterior:
+        return inside, np.full(size, np.nan)
     return inside, _posterior_holds(solved, z_true, seed)
 
 
-def _posterior_holds(solved, z_true, seed: int, draws: int = 600):
-    """Importance sampling of the posterior from Student's t around the estimate."""
-    generator = np.random.default_rng(seed)
-    size, dof = len(z_true), 6.0
-    normal = generator.standard_normal((draws, size))
-    u = normal / np.sqrt(generator.chisquare(dof, (draws, 1)) / dof)
-    log_weight = np.asarray(_density(solved)(jnp.asarray(u)))
-    log_weight = log_weight + (dof + size) / 2 * np.log1p((u**2).sum(1) / dof)
-    weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
-    center, root = _whitening(solved)
-    below = weight @ (center + u @ root.T < z_true)
+def _posterior_holds(solved, z_true, seed: int):
+    """Short ensembles of the sampler itself: 4 x 16 walkers, 150 + 500 steps."""
+    begin, advance = SAMPLERS["emcee"]
+    density, (center, root) = _density(solved), _whitening(solved)
+    state = begin(density, len(z_true), 4, 16, seed)
+    *_, state = advance(density, state, 150)
+    samples, *_ = advance(density, state, 500)
+    below = np.mean(center + samples @ root.T < z_true, axis=(0, 1, 2))
     return (below > 0.025) & (below < 0.975)
 
 
-def coverage(model, name: str, count: int, *, rows=400, reach=1.6, estimated=False):
-    """Share of ``count`` data sets whose intervals hold the truth: (profile, posterior),
-    each by parameter label."""
+def coverage(
+    model,
+    name: str,
+    count: int,
+    *,
+    rows=400,
+    reach=1.6,
+    estimated=False,
+    posterior=False,
+):
+    """Share of ``count`` data sets whose intervals hold the truth.
+
+    Returns (profile, posterior), each by parameter label.
+    """
     setting = SETTINGS[name]
     inside = np.array(
         [
@@ -122,6 +131,7 @@ def coverage(model, name: str, count: int, *, rows=400, reach=1.6, estimated=Fal
                 synthetic(model, setting, rows, reach, seed),
                 estimated,
                 seed,
+                posterior,
             )
             for seed in range(count)
         ]
@@ -137,4 +147,14 @@ if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_compilation_cache_dir", "/tmp/tirefit-coverage-cache")
     model, name, count = sys.argv[1], sys.argv[2], int(sys.argv[3])
-    print(model, name, *coverage(model, name, count, estimated="est" in sys.argv))
+    print(
+        model,
+        name,
+        *coverage(
+            model,
+            name,
+            count,
+            estimated="est" in sys.argv,
+            posterior="post" in sys.argv,
+        ),
+    )

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.special import stdtrit
 
@@ -15,12 +14,11 @@ from tirefit.fitting.config import FitConfig, parse_config
 from tirefit.fitting.derived import DERIVED, derived_values, reference_point
 from tirefit.fitting.inference import REACH, Profile, profile_all
 from tirefit.fitting.likelihood import CHANNEL_SLIP
-from tirefit.fitting.predict import row_moments
 from tirefit.fitting.problem import FitProblem, build
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics
-from tirefit.fitting.solve import Solved, block_residuals, solve_problem
+from tirefit.fitting.solve import Solved, solve_problem
 from tirefit.fitting.verdict import judge
-from tirefit.params import constrain, parameter_values, specs
+from tirefit.params import constrain, log_jacobian, parameter_values, specs
 from tirefit.results import UsageError
 
 __all__ = ["derived_estimates", "fit"]
@@ -49,9 +47,8 @@ def _profile_estimates(solved: Solved, profiles: list[Profile]):
     dof = max(solved.n_effective - solved.problem.layout.size, 1.0)
     quantile = float(stdtrit(dof, 0.975)) if any_estimated else 1.959963984540054
     for i, (label, parameter) in enumerate(solved.problem.layout.elements):
-        spec, z = parameter.spec, jnp.asarray(solved.z[i])
-        value = float(constrain(z, spec))
-        slope = float(jax.grad(lambda z, spec=spec: constrain(z, spec))(z))
+        spec, z = parameter.spec, solved.z[i]
+        value, slope = float(constrain(z, spec)), float(np.exp(log_jacobian(z, spec)))
         std = slope * float(np.sqrt(solved.covariance[i, i]))
         profile = profiles[i]
         low = spec.lower if profile.open_low else float(constrain(profile.low, spec))
@@ -76,9 +73,8 @@ def _at_bound(spec, value: float) -> bool:
 def _statistics(solved: Solved) -> FitStatistics:
     problem = solved.problem
     name = problem.channels[0].name
-    mean, _ = row_moments(problem, solved.z)
     observed = problem.used(problem.rows.observed[name])
-    residual = observed - mean[name]
+    residual = observed - solved.at.mean[name]
     parameters = problem.layout.size + sum(c.noise_estimated for c in problem.channels)
     minus_two_log = _minus_two_log_likelihood(solved)
     effective = solved.n_effective * len(solved.rules)
@@ -110,8 +106,8 @@ def _minus_two_log_likelihood(solved: Solved) -> float:
     """With the effective number of rows, so that models compare fairly on
     autocorrelated residuals."""
     problem, total = solved.problem, 0.0
-    for name, block in block_residuals(problem, solved.z).items():
-        rule = solved.rules[name]
+    for name, rule in solved.rules.items():
+        block = solved.at.values[name]
         share = float(rule.effective) / problem.n
         for channel in problem.block_channels(name):
             scale = problem.used(problem.rows.scale[channel.name])
@@ -139,7 +135,7 @@ def derived_estimates(solved: Solved, z_draws) -> dict[str, Estimate]:
     if channel is None:
         return {}
     at = reference_point(problem)
-    z = jnp.concatenate([jnp.asarray(solved.z)[None], jnp.asarray(z_draws)])
+    z = np.concatenate([solved.z[None], z_draws])
     found = derived_values(
         problem.model, problem.layout, z, channel, CHANNEL_SLIP[channel],
         at["fz"], at["v"],
@@ -250,7 +246,7 @@ def fit(
         )
     config = _config(config, solver=solver, seed=seed, model=model)
     problem = build(data, config.model or "brush", config)
-    return _summarise(solve_problem(problem, data, config), data, config)
+    return _summarise(solve_problem(problem, config), data, config)
 
 
 def _summarise(solved: Solved, data: TireData, config: FitConfig) -> FitResult:

@@ -21,15 +21,17 @@ from scipy.special import stdtrit
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.least_squares import Solution, damped_gauss_newton, solve
 from tirefit.fitting.likelihood import Rows, root_deviance
+from tirefit.fitting.predict import moments
 
 __all__ = [
     "Profile",
     "Rule",
     "best_of",
+    "Linearised",
     "covariance",
     "deviance",
+    "linearise",
     "profile_all",
-    "row_scores",
     "solve_starts",
     "threshold",
 ]
@@ -106,25 +108,59 @@ def deviance(model, layout: Layout, z, rows: Rows, channels, loss, rules):
     return total
 
 
+class Linearised(NamedTuple):
+    """Residuals of every row at z, their slopes, and the moments of the forces.
+
+    ``values`` (n,) and ``slopes`` (n, p) by block, the Gaussian priors as the block
+    ``prior``; ``mean`` and ``variance`` (n,) of each force given the measured slip.
+    """
+
+    values: dict[str, Array]
+    slopes: dict[str, Array]
+    mean: dict[str, Array]
+    variance: dict[str, Array]
+
+
 @partial(jax.jit, static_argnames=("layout", "channels", "loss"))
-def covariance(model, layout: Layout, z, rows: Rows, channels, loss, rules):
+def linearise(model, layout: Layout, z, rows: Rows, channels, loss) -> Linearised:
+    """All that the analysis of an estimate needs of the model, in one program."""
+
+    def blocks(z):
+        found = root_deviance(model, layout, z, rows, channels, loss)
+        return found | {"prior": layout.prior_residual(z)}
+
+    names = tuple(channel.name for channel in channels)
+    mean, variance = moments(model, layout, z, rows, names)
+    return Linearised(blocks(z), jax.jacfwd(blocks)(z), mean, variance)
+
+
+@partial(jax.jit, static_argnames=("layout", "channels", "loss"))
+def _hessian(model, layout: Layout, z, rows: Rows, channels, loss, rules):
+    def half(z):
+        values, _ = _stacked(model, layout, z, rows, channels, loss, rules)
+        return values @ values / 2
+
+    return jax.hessian(half)(z)
+
+
+def covariance(
+    model, layout: Layout, z, rows: Rows, channels, loss, rules, at: Linearised
+) -> np.ndarray:
     """Covariance of z, shape (p, p): the inverse of the curvature of the deviance.
 
     The Gauss-Newton curvature J'J; with slip noise the exact Hessian, because there
     the rows are no sum of squares. Directions without information get the variance of
     a parameter spread over its whole range.
     """
-
-    def residual(z):
-        return _stacked(model, layout, z, rows, channels, loss, rules)[0]
-
     if rows.nodes:
-        information = jax.hessian(lambda z: residual(z) @ residual(z) / 2)(z)
+        information = _hessian(model, layout, z, rows, channels, loss, rules)
     else:
-        jacobian = jax.jacfwd(residual)(z)
-        information = jacobian.T @ jacobian
-    values, vectors = jnp.linalg.eigh(information)
-    return (vectors / jnp.maximum(values, 1 / REACH**2)) @ vectors.T
+        information = sum(
+            slope.T @ slope / (rules[name].inflation if name in rules else 1.0)
+            for name, slope in ((k, np.asarray(v)) for k, v in at.slopes.items())
+        )
+    values, vectors = np.linalg.eigh(np.asarray(information))
+    return (vectors / np.maximum(values, 1 / REACH**2)) @ vectors.T
 
 
 @partial(jax.jit, static_argnames=("layout", "channels", "loss"))
@@ -241,28 +277,31 @@ def profile_all(
 ) -> list[Profile]:
     """Profile likelihood of every element of z, all sides searched together."""
     z, cov = np.asarray(z), np.asarray(cov)
-    base = float(deviance(model, layout, jnp.asarray(z), rows, channels, loss, rules))
     std = np.sqrt(np.diag(cov))
     sides = [_Side(z[i], s, std[i], level) for i in range(layout.size) for s in (-1, 1)]
     index = np.repeat(np.arange(layout.size), 2)
     signs = np.tile([-1, 1], layout.size)
     # How the other elements follow, at first by the covariance, then as last found.
     follow = signs[:, None] * (cov[:, index] / np.diag(cov)[index]).T
+    # The first round has distance zero: the deviance of the best fit itself.
+    base, distance = None, np.zeros(len(sides))
     for _ in range(_ROUNDS):
         finished = all(side.done for side in sides)
-        distance = np.array([side.next_distance() for side in sides])
         starts = np.clip(z + follow * distance[:, None], -REACH, REACH)
         values = np.clip(z[index] + signs * distance, -REACH, REACH)
         found, ends = _profile_points(
-            model, layout, jnp.asarray(index), jnp.asarray(values), jnp.asarray(starts),
-            rows, channels, loss, rules,
-        )  # fmt: skip
-        found = np.nan_to_num(np.asarray(found) - base, nan=1e9, posinf=1e9)
-        follow = (np.asarray(ends) - z) / np.maximum(distance, 1e-9)[:, None]
-        for side, d, value in zip(sides, distance, found, strict=True):
-            side.add(d, value)
+            model, layout, index, values, starts, rows, channels, loss, rules
+        )
+        if base is None:
+            base = float(np.min(found))
+        else:
+            found = np.nan_to_num(np.asarray(found) - base, nan=1e9, posinf=1e9)
+            follow = (np.asarray(ends) - z) / np.maximum(distance, 1e-9)[:, None]
+            for side, d, value in zip(sides, distance, found, strict=True):
+                side.add(d, value)
         if finished:
             break
+        distance = np.array([side.next_distance() for side in sides])
     return [_joined(z[i], sides[2 * i], sides[2 * i + 1]) for i in range(layout.size)]
 
 

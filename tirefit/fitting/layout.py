@@ -6,9 +6,11 @@ turns it into named values within their bounds.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from tirefit.params import Spec, constrain, log_jacobian, unconstrain
 
@@ -41,7 +43,8 @@ class Layout:
 
     free: tuple[FreeParameter, ...]
     ties: tuple[Tie, ...] = ()
-    runs: tuple[str, ...] = ("run",)
+    runs: tuple[str, ...] = field(default=("run",), compare=False)
+    """Not compared: the names of the runs would compile a fit of every file anew."""
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -78,18 +81,18 @@ class Layout:
 
     def vector(self, z):
         """Natural value of every element of z, shape (size,)."""
-        return jnp.stack(
-            [constrain(z[i], p.spec) for i, (_, p) in enumerate(self.elements)]
-        )
+        library = jnp if isinstance(z, jax.Array) else np
+        values = [constrain(z[i], p.spec) for i, (_, p) in enumerate(self.elements)]
+        return library.stack(values)
 
     def unconstrained(self, values: Mapping[str, float]):
         """z of the given natural values, by parameter name or by label."""
-        return jnp.stack(
-            [
-                unconstrain(values[label if label in values else p.name], p.spec)
-                for label, p in self.elements
-            ]
-        )
+        found = [
+            unconstrain(values[label if label in values else p.name], p.spec)
+            for label, p in self.elements
+        ]
+        traced = any(isinstance(value, jax.Array) for value in found)
+        return jnp.stack(found) if traced else np.array(found, float)
 
     def log_volume(self, z):
         """log |d natural / d z|: the prior flat in the bounds, in coordinates z."""

@@ -77,12 +77,10 @@ def _density(solved: Solved) -> Callable[[np.ndarray], np.ndarray]:
     center, root = _whitening(solved)
     static = (problem.channels, problem.loss)
     arguments = (problem.model, problem.layout)
-    base = deviance(
-        *arguments, jnp.asarray(solved.z), problem.rows, *static, solved.rules
-    )
+    base = deviance(*arguments, solved.z, problem.rows, *static, solved.rules)
     return partial(
         _log_density, model=problem.model, layout=problem.layout,
-        center=jnp.asarray(center), root=jnp.asarray(root), rows=problem.rows,
+        center=center, root=root, rows=problem.rows,
         channels=problem.channels, loss=problem.loss, rules=solved.rules, base=base,
     )  # fmt: skip
 

@@ -8,11 +8,15 @@ import numpy as np
 
 from tirefit.fitting.likelihood import CHANNEL_SLIP, predict
 
-__all__ = ["predict_forces", "row_moments"]
+__all__ = ["moments", "predict_forces", "row_moments"]
 
 
 @partial(jax.jit, static_argnames=("layout", "names"))
-def _moments(model, layout, z, rows, names):
+def moments(model, layout, z, rows, names):
+    """Mean and variance of each fitted force given the measured slip, by channel (n,).
+
+    Where the slip has noise, both are over the latent slips of the row.
+    """
     mean, variance = {}, {}
     plain = predict(model, layout, z, rows.inputs, rows.run)
     for name in names:
@@ -35,14 +39,9 @@ def _moments(model, layout, z, rows, names):
 
 
 def row_moments(problem, z) -> tuple[dict, dict]:
-    """Mean and variance of each fitted force given the measured slip, by channel (n,).
-
-    Where the slip has noise, both are over the latent slips of the row.
-    """
+    """:func:`moments` of a problem's own rows, without padding."""
     names = tuple(c.name for c in problem.channels)
-    mean, variance = _moments(
-        problem.model, problem.layout, jnp.asarray(z), problem.rows, names
-    )
+    mean, variance = moments(problem.model, problem.layout, z, problem.rows, names)
     return (
         {name: problem.used(value) for name, value in mean.items()},
         {name: problem.used(value) for name, value in variance.items()},

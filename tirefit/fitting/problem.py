@@ -4,7 +4,6 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-import jax.numpy as jnp
 import numpy as np
 
 from tirefit.data.table import TireData
@@ -25,7 +24,7 @@ class FitProblem:
 
     ``guess`` holds a first value of every free parameter by name; ``slip_noise`` the
     standard deviation (n,) of each noisy slip, ``slip_density`` the distribution of
-    its true values; ``notes`` what was assumed.
+    its true values; ``time`` (n,) orders the rows; ``notes`` says what was assumed.
     """
 
     name: str
@@ -38,6 +37,7 @@ class FitProblem:
     guess: Mapping[str, float]
     slip_noise: Mapping[str, np.ndarray] = field(default_factory=dict)
     slip_density: Mapping[str, tuple] = field(default_factory=dict)
+    time: np.ndarray | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -213,7 +213,7 @@ def _padded_size(n: int) -> int:
 
 def _pad(array, size: int):
     array = np.asarray(array)
-    return jnp.asarray(np.concatenate([array, np.repeat(array[:1], size - len(array))]))
+    return np.concatenate([array, np.repeat(array[:1], size - len(array))])
 
 
 def _inputs(data: TireData, size: int) -> TireInputs:
@@ -306,16 +306,17 @@ def build(data: TireData, name: str, config: FitConfig) -> FitProblem:
     rows = Rows(
         _inputs(data, size),
         _pad(data.run[data.used], size).astype(int),
-        jnp.asarray(np.arange(size) < data.n, float),
+        (np.arange(size) < data.n).astype(float),
         observed,
         scale,
         {},
     )
+    time = data.usable("time") if "time" in data else None
     guess = _first_guess(model, data, forces, layout)
     guess |= {k: v.value for k, v in config.parameters.items() if v.value is not None}
     return FitProblem(
         name, model, layout, tuple(channels), rows, data.n, config.noise.loss,
-        guess, slip_noise, densities, tuple(notes),
+        guess, slip_noise, densities, time, tuple(notes),
     )  # fmt: skip
 
 
@@ -361,7 +362,7 @@ def with_scale(problem: FitProblem, scale: Mapping[str, float], slope) -> FitPro
         repeat = size - problem.n
         slips = np.concatenate([slips, np.repeat(slips[:1], repeat, 0)])
         log_weight = np.concatenate([log_weight, np.repeat(log_weight[:1], repeat, 0)])
-        nodes[slip] = SlipNodes(jnp.asarray(slips), jnp.asarray(log_weight))
+        nodes[slip] = SlipNodes(slips, log_weight)
     return replace(problem, rows=problem.rows._replace(scale=scales, nodes=nodes))
 
 
@@ -380,4 +381,4 @@ def starting_points(problem: FitProblem, count: int, seed: int):
     widths = np.array(
         [0.1 if p.spec.scale == "log" else 1.0 for _, p in problem.layout.elements]
     )
-    return jnp.concatenate([first[None], first + jnp.asarray(scatter * widths)])
+    return np.concatenate([first[None], first + scatter * widths])

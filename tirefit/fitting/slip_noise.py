@@ -32,7 +32,7 @@ def slip_density(slip, std, hats: int = 20, iterations: int = 200):
     # Some thousands of slips give the distribution as well as all of them.
     every = max(len(slip) // 4000, 1)
     slip, std = slip[::every], std[::every]
-    width = float(np.ptp(slip))
+    width = max(float(np.ptp(slip)), float(np.median(std)))
     count = int(np.clip(width / max(float(np.median(std)), 1e-300), 3, hats))
     spacing = width / (count - 1)
     knots = slip.min() + spacing * np.arange(-1, count + 1)

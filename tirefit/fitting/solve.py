@@ -1,35 +1,38 @@
 """Solve a problem: multi-start least squares with its noise settled."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtrc
 
-from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig
-from tirefit.fitting.derived import derived_values
 from tirefit.fitting.inference import (
+    Linearised,
     Rule,
     best_of,
     covariance,
-    row_scores,
+    linearise,
     solve_starts,
     threshold,
 )
-from tirefit.fitting.likelihood import CHANNEL_SLIP, noise_factor, root_deviance
+from tirefit.fitting.likelihood import noise_factor
 from tirefit.fitting.noise import effective_inflation, robust_scale
 from tirefit.fitting.predict import row_moments
 from tirefit.fitting.problem import FitProblem, starting_points, with_scale
 
-__all__ = ["Solved", "block_residuals", "solve_problem"]
+__all__ = ["Solved", "solve_problem"]
 
 
 class Solved(NamedTuple):
-    """A problem with its noise settled: estimate, covariance, deviance rules."""
+    """A problem with its noise settled: estimate, covariance, deviance rules.
+
+    ``at`` holds residuals, slopes and moments of the used rows at the estimate.
+    """
 
     problem: FitProblem
+    at: Linearised
     z: np.ndarray
     covariance: np.ndarray
     rules: dict[str, Rule]
@@ -40,14 +43,6 @@ class Solved(NamedTuple):
     ambiguous: bool
     chi2_dof: float | None
     n_effective: float
-
-
-def block_residuals(problem: FitProblem, z) -> dict[str, np.ndarray]:
-    blocks = root_deviance(
-        problem.model, problem.layout, jnp.asarray(z), problem.rows,
-        problem.channels, problem.loss,
-    )  # fmt: skip
-    return {name: problem.used(block) for name, block in blocks.items()}
 
 
 def _unit_rules(problem: FitProblem) -> dict[str, Rule]:
@@ -69,7 +64,7 @@ def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
     estimated = [c.name for c in problem.channels if c.noise_estimated]
     if estimated and problem.rows.nodes:
         factor = noise_factor(
-            problem.model, problem.layout, jnp.asarray(z), problem.rows,
+            problem.model, problem.layout, z, problem.rows,
             problem.channels, problem.loss,
         )  # fmt: skip
         return {name: float(factor) for name in estimated}
@@ -89,7 +84,7 @@ def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
 
 def _settle_noise(problem: FitProblem, z, solver: str):
     """Alternate estimates and noise scales until the scales rest."""
-    slope = _largest_slope(problem, z)
+    slope = _largest_slope(problem, z) if problem.slip_noise else 0.0
     problem = with_scale(problem, _scale_updates(problem, z), slope)
     estimated = any(c.noise_estimated for c in problem.channels)
     several = len(problem.channels) > 1 or problem.loss != "squares"
@@ -100,85 +95,85 @@ def _settle_noise(problem: FitProblem, z, solver: str):
     else:
         rounds = 12 if estimated and several else 0
     for _ in range(rounds):
-        z = _solve(problem, jnp.asarray(z)[None], rules, "gauss-newton").z[0]
+        z = _solve(problem, z[None], rules, "gauss-newton").z[0]
         factors = _scale_updates(problem, z)
         if all(abs(np.log(factor)) < 1e-3 for factor in factors.values()):
             break
         problem = with_scale(problem, factors, slope)
     if rounds:
-        z = _solve(problem, jnp.asarray(z)[None], rules, solver).z[0]
+        z = _solve(problem, z[None], rules, solver).z[0]
     return problem, z
 
 
 def _largest_slope(problem: FitProblem, z) -> float:
-    """Steepest force over slip of the fitted curve at the largest load [N]."""
-    fz = float(np.max(problem.used(problem.rows.inputs.fz)))
-    v = float(np.median(problem.used(problem.rows.inputs.v)))
-    channel = next((c.name for c in problem.channels if c.name != "mz"), "fy")
-    found = derived_values(
-        problem.model, problem.layout, jnp.asarray(z)[None], channel,
-        CHANNEL_SLIP[channel], fz, v,
-    )  # fmt: skip
-    return float(abs(found["C_x"][0]))
+    """Steepest force over slip among the rows, from forces at nearby slips [N]."""
+    slip, rows = problem.slip_name, problem.rows
+    step = 1e-4 * float(np.ptp(problem.used(getattr(rows.inputs, slip))))
+    moved = rows.inputs._replace(**{slip: getattr(rows.inputs, slip) + step})
+    name = problem.channels[0].name
+    before, _ = row_moments(problem, z)
+    after, _ = row_moments(replace(problem, rows=rows._replace(inputs=moved)), z)
+    return float(np.max(np.abs(after[name] - before[name]))) / step
 
 
-def _order_in_time(data: TireData, problem: FitProblem):
-    time = data.columns.get("time")
-    used = None if time is None else time[data.used]
-    # Rows outside the slip limits of the fit are not among the problem's.
-    return used if used is not None and len(used) == problem.n else None
+def _used(problem: FitProblem, at: Linearised) -> Linearised:
+    """Without the padding rows; priors, which are no rows, as they are."""
+
+    def cut(arrays):
+        return {
+            k: np.asarray(v) if k == "prior" else problem.used(v)
+            for k, v in arrays.items()
+        }
+
+    return Linearised(*(cut(arrays) for arrays in at))
 
 
-def _rules(problem: FitProblem, data: TireData, z, config: FitConfig):
+def _rules(problem: FitProblem, at: Linearised, config: FitConfig):
     """Deviance rules by block, chi2/dof where the noise was given, n_effective."""
     run = problem.used(problem.rows.run)
-    time = _order_in_time(data, problem)
-    scores = row_scores(
-        problem.model, problem.layout, jnp.asarray(z), problem.rows,
-        problem.channels, problem.loss,
-    )  # fmt: skip
-    blocks = block_residuals(problem, z)
     rules, ratios, effective_total = {}, [], 0.0
-    for name, block in blocks.items():
+    for name, values in at.values.items():
+        if name == "prior":
+            continue
         channels = problem.block_channels(name)
         inflation = 1.0
         if config.noise.effective_samples == "estimate":
-            inflation = effective_inflation(problem.used(scores[name]), run, time)
+            scores = values[:, None] * at.slopes[name]
+            inflation = effective_inflation(scores, run, problem.time)
         effective = problem.n / inflation
         effective_total += effective
         estimated = any(c.noise_estimated for c in channels)
         if not estimated:
-            ratio, surprising = _surprise(problem, z, channels, inflation)
+            ratio, surprising = _surprise(problem, at, channels, inflation)
             ratios.append(ratio)
             if surprising:
                 inflation *= ratio
         plain = (
             estimated and problem.loss == "squares" and name not in problem.slip_noise
         )
-        smallest = float(block @ block) if plain else 0.0
+        smallest = float(values @ values) if plain else 0.0
         rules[name] = Rule(inflation, effective, smallest)
     chi2_dof = float(np.mean(ratios)) if ratios else None
-    return rules, chi2_dof, effective_total / len(blocks)
+    return rules, chi2_dof, effective_total / len(rules)
 
 
-def _surprise(problem: FitProblem, z, channels, inflation: float):
+def _surprise(problem: FitProblem, at: Linearised, channels, inflation: float):
     """chi2/dof of channels whose noise was given, and whether it is too large for it.
 
     Slip noise counts as noise: the variance of each row is that given its slip.
     """
-    mean, variance = row_moments(problem, z)
     chi2 = 0.0
     for channel in channels:
         residual = problem.used(problem.rows.observed[channel.name])
-        residual = residual - mean[channel.name]
-        chi2 += float(np.sum(residual**2 / variance[channel.name]))
+        residual = residual - at.mean[channel.name]
+        chi2 += float(np.sum(residual**2 / at.variance[channel.name]))
     dof = max(problem.n * len(channels) - problem.layout.size, 1.0)
     effective = max(dof / inflation, 1.0)
     ratio = chi2 / dof
     return ratio, ratio > 1 and chdtrc(effective, ratio * effective) < 1e-3
 
 
-def solve_problem(problem: FitProblem, data: TireData, config: FitConfig) -> Solved:
+def solve_problem(problem: FitProblem, config: FitConfig) -> Solved:
     """Least squares with the noise settled, and the covariance of z."""
     starts = starting_points(problem, config.starts, config.seed)
     solution = _solve(problem, starts, _unit_rules(problem), config.solver)
@@ -187,18 +182,17 @@ def solve_problem(problem: FitProblem, data: TireData, config: FitConfig) -> Sol
     cost = np.where(np.isfinite(solution.cost), solution.cost, np.inf)
     near = cost <= cost[best] * (1 + 1e-6) + 1e-9
     problem, z = _settle_noise(problem, z, config.solver)
-    rules, chi2_dof, n_effective = _rules(problem, data, z, config)
-    cov = np.asarray(
-        covariance(
-            problem.model, problem.layout, jnp.asarray(z), problem.rows,
-            problem.channels, problem.loss, rules,
-        )
+    arguments = (
+        problem.model, problem.layout, z, problem.rows, problem.channels, problem.loss
     )  # fmt: skip
+    at = _used(problem, linearise(*arguments))
+    rules, chi2_dof, n_effective = _rules(problem, at, config)
+    cov = covariance(*arguments, rules, at)
     spread = np.abs(solution.z[near] - solution.z[best]) / np.sqrt(np.diag(cov))
     any_estimated = any(c.noise_estimated for c in problem.channels)
     level = threshold(any_estimated, n_effective, problem.layout.size)
     return Solved(
-        problem, z, cov, rules, level, converged and bool(np.all(np.isfinite(z))),
+        problem, at, z, cov, rules, level, converged and bool(np.all(np.isfinite(z))),
         config.starts, int(near.sum()), bool(np.any(spread > 3.0)), chi2_dof,
         n_effective,
     )  # fmt: skip

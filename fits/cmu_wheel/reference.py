@@ -1,0 +1,48 @@
+"""The brush by SciPy, weighted by the same standard deviations: expected.toml's numbers.
+
+``python -m fits.cmu_wheel.reference``
+"""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from fits.formulas import brush, fit_scipy
+
+HERE = Path(__file__).parent
+LOCKED = 1e6
+"""Physical slip of a locked wheel."""
+
+
+def reference() -> dict[str, float]:
+    found = {}
+    for path in sorted(HERE.glob("*.csv")):
+        with path.open() as file:
+            rows = list(csv.DictReader(file))
+        ratio, fx, std, fz = (
+            np.array([float(row[name]) for row in rows])
+            for name in ("slip_ratio", "Fx_N", "Fx_std_N", "Fz_N")
+        )
+        slip = np.minimum(-ratio, 1 - 1e-12)
+        # Braking slip is kappa, driving slip is sigma already (S Table 1).
+        sigma = np.where(slip > 0, slip / (1 - slip), slip)
+        side, sigma = np.sign(sigma), np.minimum(np.abs(sigma), LOCKED)
+
+        def force(c, mu, side=side, sigma=sigma, fz=fz):
+            return side * brush(sigma, fz, 0.0, c, mu)
+
+        def weighted(c, mu, force=force, std=std):
+            return force(c, mu) / std
+
+        starts = [np.array([c, mu]) for c in (5, 20, 100) for mu in (0.3, 0.8, 1.3)]
+        values, _, rms = fit_scipy(weighted, -fx / std, starts, [0.01, 0.01], [1e9, 5])
+        found[f"{path.stem} cpa2"], found[f"{path.stem} mu"] = map(float, values)
+        found[f"{path.stem} rmse"] = float(np.sqrt(np.mean((force(*values) + fx) ** 2)))
+        found[f"{path.stem} chi2/dof"] = rms**2 * len(fx) / (len(fx) - 2)
+    return found
+
+
+if __name__ == "__main__":
+    for key, value in reference().items():
+        print(f"{key:28s} {value:.7g}")

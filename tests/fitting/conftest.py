@@ -1,0 +1,38 @@
+"""Fits that several files share: few models and one size, so little is compiled."""
+
+import jax
+import pytest
+from recipes import ESTIMATED, GIVEN, curve
+
+from tirefit.fitting.estimate import fit
+from tirefit.fitting.posterior import sample
+
+
+@pytest.fixture(scope="package", autouse=True)
+def rank_promotion():
+    """The fitting room broadcasts as NumPy does."""
+    with jax.numpy_rank_promotion("allow"):
+        yield
+
+
+@pytest.fixture(scope="package")
+def given():
+    """A brush on 400 rows past full sliding, its force noise given."""
+    return fit(curve(), config=GIVEN)
+
+
+@pytest.fixture(scope="package")
+def estimated():
+    """The same with the noise estimated."""
+    return fit(curve(), config=ESTIMATED)
+
+
+@pytest.fixture(scope="package")
+def sampled(given):
+    return sample(given, effective_samples=500)
+
+
+@pytest.fixture(scope="package")
+def vague():
+    """Slip to 20 % of full sliding: the friction is out of sight."""
+    return fit(curve(reach=0.2), config=GIVEN)

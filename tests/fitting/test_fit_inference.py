@@ -1,0 +1,182 @@
+"""Profiles, thresholds and the deviance, against scipy and closed forms."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from recipes import FZ, GIVEN, STD, TRUTH, brush_force, curve, table
+from scipy import optimize, stats
+
+from tirefit.fitting.estimate import fit
+from tirefit.fitting.inference import deviance, threshold
+from tirefit.fitting.problem import build
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.solve import solve_problem
+
+
+def test_threshold_of_given_noise_is_chi_squared():
+    np.testing.assert_allclose(threshold(False, 10, 2), stats.chi2.ppf(0.95, 1))
+
+
+@pytest.mark.parametrize(("n", "p"), [(10, 2), (400, 3), (4, 3)])
+def test_threshold_of_estimated_noise_is_students_t(n, p):
+    # In a linear model S(theta)/S_min = 1 + t^2/dof at t standard errors.
+    t = stats.t.ppf(0.975, n - p)
+    np.testing.assert_allclose(threshold(True, n, p), n * np.log(1 + t**2 / (n - p)))
+    assert threshold(True, n, p) > threshold(False, n, p)
+
+
+def test_threshold_with_fewer_rows_than_parameters_is_finite_and_wide():
+    assert 10 < threshold(True, 3, 3) < 1e3
+
+
+def squares(data, cpa2, mu):
+    force = brush_force(data["sigma_x"], cpa2, mu)
+    return float(np.sum((data["fx"] - force) ** 2)) / STD**2
+
+
+def deviance_at(result, values):
+    solved = result.solved
+    problem = solved.problem
+    z = problem.layout.unconstrained(values)
+    return float(
+        deviance(
+            problem.model, problem.layout, z, problem.rows, problem.channels,
+            problem.loss, solved.rules,
+        )
+    )  # fmt: skip
+
+
+OFF = {"cpa2": 4.98e4, "mu": 1.001}
+
+
+def best(result):
+    return {label: result.least_squares[label].value for label in ("cpa2", "mu")}
+
+
+def test_deviance_of_given_noise_is_the_sum_of_squares(given):
+    found = deviance_at(given, OFF) - deviance_at(given, best(given))
+    data = given.table
+    exact = squares(data, **OFF) - squares(data, **best(given))
+    assert given.statistics.n_effective == 400
+    np.testing.assert_allclose(found, exact, rtol=1e-6)
+
+
+def test_deviance_of_estimated_noise_is_the_log_of_the_sum(estimated):
+    found = deviance_at(estimated, OFF) - deviance_at(estimated, best(estimated))
+    data = estimated.table
+    ratio = squares(data, **OFF) / squares(data, **best(estimated))
+    np.testing.assert_allclose(found, 400 * np.log(ratio), rtol=1e-6)
+
+
+def constrained(data, label, value):
+    """Smallest sum of squares with one of the two parameters held."""
+    other = "mu" if label == "cpa2" else "cpa2"
+    scale = TRUTH[other]
+
+    def objective(u):
+        return squares(data, **{label: value, other: u * scale})
+
+    return optimize.minimize_scalar(
+        objective, bounds=(0.9, 1.1), method="bounded", options={"xatol": 1e-9}
+    ).fun
+
+
+@pytest.mark.parametrize("label", ["cpa2", "mu"])
+@pytest.mark.parametrize("end", [0, 1])
+def test_profile_ends_by_brute_force(given, estimated, label, end):
+    for result, level in ((given, 3.841), (estimated, threshold(True, 400, 2))):
+        value = result.intervals["profile"][label][end]
+        least = squares(result.table, **best(result))
+        held = constrained(result.table, label, value)
+        if result is given:
+            found = held - least
+        else:
+            found = 400 * np.log(held / least)
+        np.testing.assert_allclose(found, level, rtol=0.015)
+
+
+def test_profile_never_falls_below_the_best_fit(given, estimated, vague):
+    for result in (given, estimated, vague):
+        for profile in result.profiles.values():
+            assert profile["deviance"].min() >= 0
+            assert np.isfinite(profile["deviance"]).all()
+            assert (np.diff(profile["value"]) >= 0).all()
+    # Stored deviances are cut at zero: look below the cut.
+    base = deviance_at(given, best(given))
+    for shift in (-1e-3, -1e-5, 1e-5, 1e-3):
+        moved = {k: v * (1 + shift) for k, v in best(given).items()}
+        assert deviance_at(given, moved) >= base - 1e-6
+
+
+def test_profile_is_the_covariance_interval_where_noise_is_small():
+    # One tenth of the noise makes the curve straight over the interval.
+    config = GIVEN | {"noise": {"fx": STD / 10}}
+    result = fit(curve(noise=STD / 10), config=config)
+    for label in ("cpa2", "mu"):
+        low, high = result.intervals["profile"][label]
+        covariance = result.intervals["covariance"][label]
+        np.testing.assert_allclose(covariance, (low, high), atol=0.02 * (high - low))
+        half = (high - low) / 2
+        np.testing.assert_allclose(
+            half, 1.96 * result.least_squares[label].std, rtol=0.01
+        )
+    assert result.verdict["disagreements"] == {}
+
+
+def test_friction_out_of_sight_is_open_not_certain(vague):
+    mu, stiffness = vague.least_squares["mu"], vague.least_squares["cpa2"]
+    assert not mu.identified and mu.std is None
+    assert mu.ci95[1] == 5.0  # the bound: nothing in the data limits it
+    assert mu.ci95[0] < TRUTH["mu"]
+    assert stiffness.identified
+    low, high = stiffness.ci95
+    assert low < TRUTH["cpa2"] < high
+    # The lower end is real: there the sum of squares has risen by 3.84.
+    at = brute_minimum(vague.table, mu.ci95[0]) - squares(vague.table, **best(vague))
+    np.testing.assert_allclose(at, 3.841, rtol=0.05)
+
+
+def brute_minimum(data, mu):
+    return optimize.minimize_scalar(
+        lambda c: squares(data, c * 5e4, mu), bounds=(0.5, 3), method="bounded"
+    ).fun
+
+
+def test_autocorrelated_noise_widens_every_interval():
+    generator = np.random.default_rng(2)
+    n, rho = 400, 0.9
+    noise = np.empty(n)
+    noise[0] = generator.standard_normal()
+    for i in range(1, n):
+        noise[i] = rho * noise[i - 1] + np.sqrt(1 - rho**2) * generator.standard_normal()
+    slip = np.linspace(0, 0.19, n)
+    columns = {
+        "sigma_x": slip, "fx": brush_force(slip, **TRUTH) + STD * noise,
+        "fz": np.full(n, FZ), "time": np.arange(n) / 100,
+    }  # fmt: skip
+    data = table(columns)
+    wide = fit(data, config=GIVEN)
+    narrow = fit(data, config=GIVEN | {"noise": {"fx": STD, "effective_samples": "all"}})
+    assert wide.statistics.n_effective < 100
+    assert narrow.statistics.n_effective == 400
+    factor = np.sqrt(400 / wide.statistics.n_effective)
+    for label in ("cpa2", "mu"):
+        ratio = wide.least_squares[label].std / narrow.least_squares[label].std
+        np.testing.assert_allclose(ratio, factor, rtol=1e-3)
+        low, high = wide.least_squares[label].ci95
+        assert low < TRUTH[label] < high
+    assert any("autocorrelated" in s for s in wide.verdict["sentences"])
+
+
+def test_covariance_of_a_prior_combines_with_the_data():
+    # The prior alone informs mu here, so its standard deviation is the prior's.
+    config = GIVEN | {"parameters": {"mu": {"prior": {"mean": 1.0, "std": 0.01}}}}
+    data = curve(reach=0.1)
+    parsed = parse_config(config)
+    solved = solve_problem(build(data, "brush", parsed), data, parsed)
+    mu = float(solved.problem.layout.natural(jnp.asarray(solved.z))["mu"])
+    slope = (mu - 0.01) * (5.0 - mu) / 4.99
+    np.testing.assert_allclose(mu, 1.0, atol=0.002)
+    np.testing.assert_allclose(
+        slope * np.sqrt(solved.covariance[1, 1]), 0.01, rtol=0.02
+    )

@@ -1,0 +1,145 @@
+"""Autocorrelation of residuals and the distribution of true slips."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from tirefit.fitting.noise import (
+    autocorrelation_time,
+    effective_inflation,
+    robust_scale,
+)
+from tirefit.fitting.slip_noise import latent_nodes, slip_density
+
+
+def autoregressive(rho, n, seed):
+    steps = np.random.default_rng(seed).standard_normal(n)
+    out = np.empty(n)
+    out[0] = steps[0] / np.sqrt(1 - rho**2)
+    for i in range(1, n):
+        out[i] = rho * out[i - 1] + steps[i]
+    return out
+
+
+def test_autocorrelation_time_of_an_autoregression():
+    # (1 + rho)/(1 - rho) = 19. Its relative error in one series of n is about
+    # sqrt(2 (2M + 1)/n) with M ~ 5 tau lags summed: 6 % at n = 100,000.
+    times = [autocorrelation_time([autoregressive(0.9, 100_000, s)]) for s in range(4)]
+    assert abs(np.mean(times) - 19) < 3 * 0.06 * 19 / 2
+    assert max(abs(t - 19) for t in times) < 4 * 0.06 * 19
+
+
+def test_runs_are_pooled_without_joining_their_ends():
+    parts = [autoregressive(0.8, 20_000, s) for s in range(4)]
+    np.testing.assert_allclose(autocorrelation_time(parts), 9.0, rtol=0.15)
+
+
+def test_white_noise_counts_every_row():
+    # One-sided 3.3 sigma: 0.05 % false alarms, so 0.1 expected in 200.
+    generator = np.random.default_rng(0)
+    alarms = sum(
+        autocorrelation_time([generator.standard_normal(400)]) > 1 for _ in range(200)
+    )
+    assert alarms <= 2
+
+
+@pytest.mark.parametrize("parts", [[], [np.zeros(50)], [np.array([1.0, 2.0])]])
+def test_nothing_to_correlate(parts):
+    assert autocorrelation_time(parts) == 1.0
+
+
+def test_inflation_looks_at_the_scores_not_at_the_residuals():
+    residual = autoregressive(0.95, 4000, 5)
+    run = np.zeros(4000, int)
+    constant, flipping = np.ones(4000), np.tile([1.0, -1.0], 2000)
+    slow = effective_inflation((residual * constant)[:, None], run, None)
+    np.testing.assert_allclose(slow, 39, rtol=0.35)
+    assert effective_inflation((residual * flipping)[:, None], run, None) == 1.0
+    both = np.stack([3 * residual, residual * flipping], axis=1)
+    np.testing.assert_allclose(effective_inflation(both, run, None), slow, rtol=0.1)
+
+
+def test_inflation_takes_rows_in_order_of_time():
+    scores = autoregressive(0.9, 4000, 6)[:, None]
+    run, order = np.zeros(4000, int), np.random.default_rng(1).permutation(4000)
+    expected = effective_inflation(scores, run, None)
+    shuffled = effective_inflation(scores[order], run, np.arange(4000.0)[order])
+    np.testing.assert_allclose(shuffled, expected, rtol=1e-9)
+    assert effective_inflation(scores[order], run, None) < 2 < expected
+
+
+def test_a_direction_without_information_is_left_out():
+    scores = np.zeros((100, 2))
+    scores[:, 0] = np.random.default_rng(2).standard_normal(100)
+    assert effective_inflation(scores, np.zeros(100, int), None) == 1.0
+    assert effective_inflation(np.zeros((100, 2)), np.zeros(100, int), None) == 1.0
+
+
+def test_robust_scale_ignores_outliers():
+    values = np.random.default_rng(3).standard_normal(40_000)
+    np.testing.assert_allclose(robust_scale(values), 1.0, rtol=0.03)
+    values[:2000] = 1e6
+    np.testing.assert_allclose(robust_scale(values), 1.0, rtol=0.10)
+
+
+def triangle(s):
+    return np.interp(s, [0.0, 0.05, 0.2], [0.0, 10.0, 0.0])
+
+
+def noisy_slips(n=4000, std=0.03, seed=4):
+    generator = np.random.default_rng(seed)
+    true = generator.triangular(0.0, 0.05, 0.2, n)
+    return true, true + std * generator.standard_normal(n), np.full(n, std)
+
+
+def test_slip_density_recovers_a_known_density():
+    _, slip, std = noisy_slips()
+    knots, density = slip_density(slip, std)
+    np.testing.assert_allclose(np.trapezoid(density, knots), 1.0, rtol=1e-9)
+    assert density[0] == density[-1] == 0 and (density >= 0).all()
+    grid = np.linspace(-0.05, 0.25, 3001)
+
+    def distance(other):
+        return np.trapezoid(np.abs(other - triangle(grid)), grid)
+
+    found = distance(np.interp(grid, knots, density, left=0, right=0))
+    counts, edges = np.histogram(slip, knots, density=True)
+    raw = distance(np.interp(grid, (edges[1:] + edges[:-1]) / 2, counts))
+    assert found < 0.12
+    assert found < 0.8 * raw
+
+
+def test_slip_density_of_narrow_slips_stays_finite():
+    knots, density = slip_density(np.full(30, 0.1), np.full(30, 0.01))
+    assert np.isfinite(knots).all() and np.isfinite(density).all()
+
+
+@pytest.mark.parametrize("steepness", [0.1, 5.0])
+def test_nodes_integrate_a_constant_density_to_one(steepness):
+    flat = np.array([-10.0, 10.0]), np.array([1.0, 1.0])
+    std = np.array([0.01, 0.03])
+    nodes, log_weight = latent_nodes(np.array([0.0, 0.1]), std, flat, steepness)
+    spacing = np.diff(nodes, axis=1)[:, 0] / std
+    total = np.exp(log_weight).sum(1) * spacing / np.sqrt(2 * np.pi)
+    # 6e-5 of a Gaussian lies beyond four standard deviations.
+    np.testing.assert_allclose(total, 1.0, atol=1e-4)
+    assert spacing[0] * steepness <= 1.0
+
+
+def test_nodes_integrate_the_product_with_the_density():
+    _, slip, std = noisy_slips()
+    knots, density = slip_density(slip, std)
+    rows = [0, 1, 2, 3]
+    nodes, log_weight = latent_nodes(slip[rows], std[rows], (knots, density), 10.0)
+    step = np.diff(nodes, axis=1)[:, 0] / std[rows]
+    found = np.exp(log_weight).sum(1) * step / np.sqrt(2 * np.pi)
+
+    def product(s, center):
+        gauss = np.exp(-0.5 * ((s - center) / 0.03) ** 2) / (0.03 * np.sqrt(2 * np.pi))
+        return gauss * np.interp(s, knots, density, left=0, right=0)
+
+    for value, center in zip(found, slip[rows], strict=True):
+        ends = center - 0.24, center + 0.24
+        inside = knots[(knots > ends[0]) & (knots < ends[1])]
+        exact = quad(product, *ends, (center,), points=inside, limit=200)[0]
+        np.testing.assert_allclose(value, exact, rtol=3e-3)

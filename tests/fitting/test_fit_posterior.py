@@ -1,0 +1,227 @@
+"""Posterior: closeness to Laplace, agreement of samplers, seeds, resuming, files."""
+
+from dataclasses import replace
+
+import arviz
+import numpy as np
+import pytest
+import xarray as xr
+from recipes import GIVEN, STD, curve
+
+from tirefit.fitting.estimate import fit
+from tirefit.fitting.posterior import CHUNK, sample, split_rhat
+from tirefit.fitting.store import write_posterior
+from tirefit.results import Outcome, UsageError
+
+LABELS = ("cpa2", "mu")
+
+
+def test_well_identified_posterior_is_gaussian(given, sampled):
+    summary = sampled.posterior
+    assert summary.outcome is Outcome.CONVERGED and sampled.verdict["status"] == "ok"
+    for label in LABELS:
+        ess = summary.ess[label]
+        assert ess >= 500 and summary.rhat[label] < 1.01
+        assert summary.steps - summary.discarded >= 50 * summary.tau[label]
+        draws = sampled.walkers[..., sampled.labels.index(label)].ravel()
+        laplace = given.least_squares[label]
+        error = abs(draws.mean() - laplace.value) / laplace.std
+        assert error < 4 / np.sqrt(ess) + 0.02
+        assert abs(draws.std() / laplace.std - 1) < 4 / np.sqrt(2 * ess) + 0.01
+        low, high = sampled.intervals["posterior"][label]
+        assert sampled.parameters[label].ci95 == (low, high)
+        profile = given.intervals["profile"][label]
+        np.testing.assert_allclose(
+            (low, high), profile, atol=(0.02 + 6 / np.sqrt(ess)) * laplace.std
+        )
+
+
+def test_correlation_of_the_draws_is_that_of_the_fit(given, sampled):
+    draws = sampled.walkers.reshape(-1, 2)
+    np.testing.assert_allclose(
+        np.corrcoef(draws.T)[0, 1], given.correlation[0, 1], atol=0.15
+    )
+
+
+def synthetic_chains(shift=0.0):
+    chains = np.random.default_rng(0).standard_normal((4, 500, 32, 2))
+    chains[0, ..., 1] += shift
+    return chains
+
+
+def test_split_rhat():
+    agreeing = split_rhat(synthetic_chains())
+    assert agreeing.shape == (2,) and (agreeing >= 1).all() and (agreeing < 1.002).all()
+    shifted = split_rhat(synthetic_chains(2.0))
+    assert shifted[0] < 1.002 and shifted[1] > 1.1
+    # Half of one ensemble that drifts is seen too, though all means agree.
+    drifting = synthetic_chains()
+    drifting[:, :250, :, 0] += 2.0
+    assert split_rhat(drifting)[0] > 1.1
+
+
+def test_seed_reproduces_bit_for_bit(given, sampled):
+    again = sample(given, effective_samples=500)
+    assert np.array_equal(again.walkers, sampled.walkers)
+    assert again.to_json() == sampled.to_json()
+    other = sample(given, effective_samples=500, seed=1)
+    assert not np.array_equal(
+        other.walkers[:, :, :50], sampled.walkers[:, :, :50]
+    )
+
+
+def interrupt_at(count):
+    calls = []
+
+    def progress(share, note):
+        assert 0 <= share < 1 and "steps" in note
+        calls.append(share)
+        if len(calls) == count:
+            raise KeyboardInterrupt
+
+    return progress
+
+
+@pytest.mark.parametrize("sampler", ["emcee", "hmc"])
+def test_interrupted_and_resumed_is_uninterrupted(given, tmp_path, sampler):
+    settings = {
+        "sampler": sampler, "effective_samples": 10**9, "max_steps": 3 * CHUNK
+    }  # fmt: skip
+    whole = sample(given, **settings)
+    path = tmp_path / "chain.npz"
+    broken = sample(given, **settings, checkpoint=path, progress=interrupt_at(1))
+    assert broken.outcomes == (Outcome.INTERRUPTED,)
+    assert broken.posterior.steps == CHUNK and path.exists()
+    resumed = sample(given, **settings, checkpoint=path, resume=True)
+    assert resumed.posterior.steps == 3 * CHUNK
+    assert np.array_equal(resumed.walkers, whole.walkers)
+    assert resumed.posterior == whole.posterior
+    assert [p.name for p in tmp_path.iterdir()] == ["chain.npz"]
+
+
+def test_interrupt_before_any_sample_is_said(given, monkeypatch):
+    from tirefit.fitting import posterior
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(posterior.SAMPLERS, "emcee", (interrupted, interrupted))
+    result = sample(given)
+    assert Outcome.INTERRUPTED in result.outcomes
+    assert result.posterior is None
+
+
+def test_resume_completes_a_larger_target(given, tmp_path):
+    path = tmp_path / "chain.npz"
+    settings = {"sampler": "emcee", "checkpoint": path}
+    short = sample(given, **settings, effective_samples=10**9, max_steps=CHUNK)
+    assert short.outcomes == (Outcome.CHAIN_TOO_SHORT,)
+    assert short.verdict["status"] == "chain too short"
+    done = sample(given, **settings, effective_samples=500, resume=True)
+    assert done.posterior.outcome is Outcome.CONVERGED
+    assert done.posterior.steps > CHUNK
+    again = sample(given, **settings, effective_samples=500, resume=True)
+    assert again.posterior == done.posterior  # nothing left to do
+
+
+def test_a_chain_that_is_enough_at_the_limit_is_enough(given, sampled):
+    steps = sampled.posterior.steps
+    result = sample(given, effective_samples=500, max_steps=steps)
+    assert result.posterior.outcome is Outcome.CONVERGED
+
+
+def test_checkpoint_of_another_fit_is_refused(given, tmp_path):
+    path = tmp_path / "chain.npz"
+    sample(given, effective_samples=10**9, max_steps=CHUNK, checkpoint=path)
+    # Twice the noise: the same best fit, but not the same posterior.
+    noisier = fit(given.table, config=GIVEN | {"noise": {"fx": 2 * STD}})
+    others = {
+        "other data": (fit(curve(seed=2), config=GIVEN), {}),
+        "other noise": (noisier, {}),
+        "other seed": (given, {"seed": 5}),
+        "other sampler": (given, {"sampler": "hmc"}),
+        "other walkers": (given, {"walkers": 40}),
+    }
+    accepted = []
+    for name, (result, changes) in others.items():
+        try:
+            sample(
+                result, max_steps=CHUNK, checkpoint=path, resume=True, **changes
+            )
+        except UsageError as error:
+            assert "another fit" in str(error)
+        else:
+            accepted.append(name)
+    assert accepted == []
+
+
+def test_hmc_and_emcee_agree(given, sampled):
+    other = sample(given, sampler="hmc", effective_samples=2000)
+    assert other.posterior.outcome is Outcome.CONVERGED
+    for i, label in enumerate(sampled.labels):
+        std = given.least_squares[label].std
+        one, two = sampled.walkers[..., i], other.walkers[..., i]
+        ess = min(sampled.posterior.ess[label], 2000)
+        assert abs(one.mean() - two.mean()) < 4 * std / np.sqrt(ess)
+        assert abs(one.std() / two.std() - 1) < 4 / np.sqrt(2 * ess)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"ensembles": 3}, {"walkers": 33}, {"walkers": 4}],
+    ids=["too few ensembles", "odd walkers", "too few walkers"],
+)
+def test_unfit_ensembles_are_refused(given, settings):
+    with pytest.raises(UsageError, match="at least 4 ensembles and an even number"):
+        sample(given, **settings)
+
+
+def test_unidentified_friction_keeps_its_width(vague):
+    result = sample(vague, sampler="hmc", effective_samples=500)
+    mu = result.parameters["mu"]
+    assert mu.std is None and not mu.identified
+    low, high = mu.ci95
+    assert low < 1.0 and high > 4.5
+    assert result.verdict["status"] == "not identified"
+
+
+def test_arviz_reads_the_posterior(sampled, tmp_path):
+    path = tmp_path / "posterior.nc"
+    write_posterior(sampled, path)
+    assert [p.name for p in tmp_path.iterdir()] == ["posterior.nc"]
+    with xr.open_datatree(path, engine="h5netcdf") as tree:
+        assert {"posterior", "observed_data", "constant_data"} <= set(tree.children)
+        posterior = tree["posterior"].to_dataset().load()
+        assert tree["observed_data"]["fx"].shape == (400,)
+    assert posterior["mu"].dims == ("chain", "draw")
+    assert posterior.sizes["chain"] == 4 * 32
+    assert posterior["cpa2"].attrs["unit"] == "N"
+    assert posterior.attrs["model"] == "brush"
+    np.testing.assert_array_equal(
+        posterior["mu"].values.ravel(), sampled.walkers[..., 1].ravel()
+    )
+    data = arviz.from_dict(
+        posterior={label: posterior[label].values for label in LABELS}
+    )
+    ess = arviz.ess(data, method="mean")
+    for label in LABELS:
+        ratio = float(ess[label]) / sampled.posterior.ess[label]
+        assert 0.5 < ratio < 2
+        assert float(arviz.rhat(data)[label]) < 1.1
+
+
+def test_arviz_opens_the_file_itself(sampled, tmp_path):
+    path = tmp_path / "posterior.nc"
+    write_posterior(sampled, path)
+    data = arviz.from_netcdf(path, engine="h5netcdf")
+    summary = arviz.summary(data, var_names=["mu"], kind="stats", round_to=8)
+    np.testing.assert_allclose(
+        summary.loc["mu", "mean"], sampled.walkers[..., 1].mean(), rtol=1e-6
+    )
+
+
+def test_posterior_enters_the_record(sampled):
+    content = sampled.to_dict()
+    assert content["posterior"]["outcome"] == "converged"
+    assert content["intervals"]["posterior"]["mu"] == list(sampled.parameters["mu"].ci95)
+    assert replace(sampled, posterior=None).to_dict()["posterior"] is None

@@ -1,0 +1,44 @@
+"""Every case of ``fits/`` against its expected.toml: adding a case adds a test."""
+
+import pytest
+from fits_support import (
+    CASES,
+    all_checks,
+    broken,
+    derive_all,
+    load,
+    look_up,
+    malformed,
+    part_of,
+    run_fit,
+)
+
+NAMES = [case.name for case in CASES]
+
+
+@pytest.mark.parametrize("case", CASES, ids=NAMES)
+def test_expected_is_well_formed(case):
+    expected = load(case)
+    assert malformed(expected) == []
+    assert all_checks(expected)
+    assert (case / "README.md").exists()
+    figures = list(case.glob("*.png"))
+    assert figures
+    assert max(path.stat().st_size for path in figures) < 120_000
+
+
+@pytest.mark.parametrize("case", CASES, ids=NAMES)
+def test_case(case, tmp_path):
+    expected = load(case)
+    reference = part_of(case, "reference", "reference")
+    derive_all(case, expected, tmp_path)
+    wrong = []
+    for fit in expected.get("fit", []):
+        content = run_fit(case, fit, tmp_path).to_dict()
+        for check in fit["expect"]:
+            found = look_up(content, check["of"])
+            wrong += [f"{fit['name']}: {x}" for x in broken(check, found, reference)]
+    numbers = part_of(case, "draw", "properties") if "number" in expected else {}
+    for check in expected.get("number", []):
+        wrong += broken(check, numbers[check["of"]], reference)
+    assert wrong == [], "\n".join(wrong)
