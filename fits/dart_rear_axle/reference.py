@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fits.formulas import brush, fit_scipy
+from fits.formulas import brush, fit_scipy, magic_formula
 from tirefit import derive_files
 
 HERE = Path(__file__).parent
@@ -23,6 +23,15 @@ def brush_fit(alpha, fy, fz):
         lambda c, mu: side * brush(slip, fz, 0.0, c, mu), fy,
         [np.array([30.0, 0.7])], [1.0, 0.01], [1e4, 5.0],
     )  # fmt: skip
+
+
+def magic_rmse(alpha, fy, fz, shape: float) -> float:
+    """RMSE [N] of the Magic Formula with C held."""
+    return fit_scipy(
+        lambda b, d, e: magic_formula(alpha, fz, b, shape, d, e), fy,
+        [np.array([10 / shape, d, e]) for d in (0.7, 1.2) for e in (-1.0, 0.5)],
+        [0.1, 0.01, -20.0], [200.0, 5.0, 1.0],
+    )[2]  # fmt: skip
 
 
 def six_logs(vehicle: Path) -> dict[str, np.ndarray]:
@@ -71,6 +80,9 @@ def reference() -> dict[str, float]:
     values, naive, rmse = brush_fit(*demo.T)
     found |= {"demo cpa2": float(values[0]), "demo mu": float(values[1])}
     found |= {"demo rmse": rmse}
+    for shape in (0.6, 1.3, 2.4):
+        name = f"demo magic formula rmse, C = {shape}"
+        found[name] = magic_rmse(*demo.T, shape)
     return found
 
 

@@ -2,7 +2,7 @@
 
 import jax
 import pytest
-from recipes import ESTIMATED, GIVEN, curve
+from recipes import ESTIMATED, GIVEN, STD, VAGUE_NOISE, curve
 
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.posterior import sample
@@ -35,4 +35,6 @@ def sampled(given):
 @pytest.fixture(scope="package")
 def vague():
     """Slip to 20 % of full sliding: the friction is out of sight."""
-    return fit(curve(reach=0.2), config=GIVEN)
+    noise = VAGUE_NOISE * STD
+    config = GIVEN | {"noise": {"fx": noise}}
+    return fit(curve(reach=0.2, noise=noise), config=config)

@@ -3,12 +3,17 @@
 import numpy as np
 
 from tirefit.data.table import TireData
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.problem import build
+from tirefit.fitting.solve import Solved, solve_problem
 
 FZ = 4000.0
 STD = 40.0
 TRUTH = {"cpa2": 5e4, "mu": 1.0}
 FULL_SLIDING = 1.5 * TRUTH["mu"] * FZ / TRUTH["cpa2"]
 GIVEN = {"noise": {"fx": STD}, "solver": "gauss-newton"}
+VAGUE_NOISE = 15.0
+"""In units of STD: to 20 % of full sliding, the bend of the curve drowns in it."""
 ESTIMATED = {"solver": "gauss-newton"}
 
 
@@ -53,3 +58,9 @@ def table(columns, name="r", run=None, runs=None) -> TireData:
     n = len(columns["fz"])
     run = np.zeros(n, int) if run is None else run
     return TireData(name, columns, np.ones(n, bool), run, runs or (name,))
+
+
+def solved(data, config: dict, model="brush") -> Solved:
+    """Least squares alone: no profile, nothing derived."""
+    parsed = parse_config(config)
+    return solve_problem(build(data, model, parsed), parsed)

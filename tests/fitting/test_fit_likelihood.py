@@ -3,14 +3,13 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from recipes import FZ, STD, TRUTH, brush_force, curve, table
+from recipes import STD, TRUTH, brush_force, curve, solved, table
 from scipy.integrate import quad
 
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.likelihood import LOSSES, root_deviance
 from tirefit.fitting.predict import row_moments
 from tirefit.fitting.problem import build, with_scale
-from tirefit.fitting.solve import solve_problem
 
 OFF = {"cpa2": 4.6e4, "mu": 0.97}
 SLOPE = 1e5
@@ -47,9 +46,7 @@ def test_without_slip_noise_the_block_is_the_whitened_residual():
 
 FORMULAS = {
     "squares": lambda r: r**2,
-    "huber": lambda r: np.where(
-        abs(r) <= 1.345, r**2, 2 * 1.345 * abs(r) - 1.345**2
-    ),
+    "huber": lambda r: np.where(abs(r) <= 1.345, r**2, 2 * 1.345 * abs(r) - 1.345**2),
     "soft-l1": lambda r: 2 * (np.sqrt(1 + r**2) - 1),
     "cauchy": lambda r: 2.385**2 * np.log(1 + (r / 2.385) ** 2),
 }
@@ -134,10 +131,9 @@ def outlying():
 @pytest.mark.parametrize("loss", ["squares", "huber", "cauchy"])
 def test_outliers_pull_squares_but_not_robust_losses(loss):
     data = outlying()
-    config = parse_config({"noise": {"loss": loss}, "solver": "gauss-newton"})
-    solved = solve_problem(build(data, "brush", config), data, config)
-    mu = float(solved.problem.layout.natural(solved.z)["mu"])
-    scale = float(solved.problem.rows.scale["fx"][0])
+    end = solved(data, {"noise": {"loss": loss}, "solver": "gauss-newton"})
+    mu = float(end.problem.layout.natural(end.z)["mu"])
+    scale = float(end.problem.rows.scale["fx"][0])
     # 0.0007 is the standard deviation of mu without outliers; 2 % the raw pull.
     if loss == "squares":
         assert mu < TRUTH["mu"] - 0.01 and scale > 4 * STD
@@ -149,11 +145,9 @@ def test_outliers_pull_squares_but_not_robust_losses(loss):
 def test_force_noise_of_rows_with_noisy_slip_is_estimated():
     # The residuals hold the slip's noise too (up to 2.7 times the force's).
     data = curve(seed=10, slip_std=0.001)
-    config = parse_config({"noise": {"sigma_x": 0.001}, "solver": "gauss-newton"})
-    solved = solve_problem(build(data, "brush", config), data, config)
-    scale = float(solved.problem.rows.scale["fx"][0])
+    end = solved(data, {"noise": {"sigma_x": 0.001}, "solver": "gauss-newton"})
+    scale = float(end.problem.rows.scale["fx"][0])
     np.testing.assert_allclose(scale, STD, rtol=0.12)
-    values = solved.problem.layout.natural(solved.z)
+    values = end.problem.layout.natural(end.z)
     np.testing.assert_allclose(values["mu"], TRUTH["mu"], atol=4 * 0.0008)
     np.testing.assert_allclose(values["cpa2"], TRUTH["cpa2"], rtol=4 * 0.0035)
-    assert FZ == 4000

@@ -65,9 +65,7 @@ def test_seed_reproduces_bit_for_bit(given, sampled):
     assert np.array_equal(again.walkers, sampled.walkers)
     assert again.to_json() == sampled.to_json()
     other = sample(given, effective_samples=500, seed=1)
-    assert not np.array_equal(
-        other.walkers[:, :, :50], sampled.walkers[:, :, :50]
-    )
+    assert not np.array_equal(other.walkers[:, :, :50], sampled.walkers[:, :, :50])
 
 
 def interrupt_at(count):
@@ -145,9 +143,7 @@ def test_checkpoint_of_another_fit_is_refused(given, tmp_path):
     accepted = []
     for name, (result, changes) in others.items():
         try:
-            sample(
-                result, max_steps=CHUNK, checkpoint=path, resume=True, **changes
-            )
+            sample(result, max_steps=CHUNK, checkpoint=path, resume=True, **changes)
         except UsageError as error:
             assert "another fit" in str(error)
         else:
@@ -200,14 +196,11 @@ def test_arviz_reads_the_posterior(sampled, tmp_path):
     np.testing.assert_array_equal(
         posterior["mu"].values.ravel(), sampled.walkers[..., 1].ravel()
     )
-    data = arviz.from_dict(
-        posterior={label: posterior[label].values for label in LABELS}
-    )
-    ess = arviz.ess(data, method="mean")
     for label in LABELS:
-        ratio = float(ess[label]) / sampled.posterior.ess[label]
-        assert 0.5 < ratio < 2
-        assert float(arviz.rhat(data)[label]) < 1.1
+        ess = arviz.ess(posterior[label].values, method="mean")
+        # Ours was counted before every second step or so was dropped.
+        assert 0.5 < float(ess) / sampled.posterior.ess[label] < 2
+        assert float(arviz.rhat(posterior[label].values)) < 1.1
 
 
 def test_arviz_opens_the_file_itself(sampled, tmp_path):
@@ -223,5 +216,7 @@ def test_arviz_opens_the_file_itself(sampled, tmp_path):
 def test_posterior_enters_the_record(sampled):
     content = sampled.to_dict()
     assert content["posterior"]["outcome"] == "converged"
-    assert content["intervals"]["posterior"]["mu"] == list(sampled.parameters["mu"].ci95)
+    assert content["intervals"]["posterior"]["mu"] == list(
+        sampled.parameters["mu"].ci95
+    )
     assert replace(sampled, posterior=None).to_dict()["posterior"] is None

@@ -114,12 +114,16 @@ def start_jax() -> None:
     """64-bit floats, and a compilation cache that outlives the process."""
     import jax
 
+    from tirefit.compiled import keep_programs_in
+
     jax.config.update("jax_enable_x64", True)
     if jax.config.jax_compilation_cache_dir is None:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        jax.config.update("jax_compilation_cache_dir", str(Path(base) / "tirefit"))
+        cache = Path(base) / "tirefit"
+        jax.config.update("jax_compilation_cache_dir", str(cache))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+        keep_programs_in(cache / "programs")
 
 
 def say(text: str) -> None:

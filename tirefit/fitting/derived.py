@@ -1,11 +1,11 @@
 """Quantities that follow from the parameters, with their uncertainty."""
 
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from tirefit.compiled import compiled
 from tirefit.fitting.layout import Layout
 from tirefit.models import TireInputs
 from tirefit.params import with_values
@@ -58,7 +58,7 @@ def _peak(force):
     return jnp.where(slip < 0.999 * _LARGEST_SLIP, slip, jnp.nan), peak
 
 
-@partial(jax.jit, static_argnames=("layout", "channel", "slip_name", "run"))
+@compiled(static=("layout", "channel", "slip_name", "run"))
 def derived_values(model, layout: Layout, z, channel, slip_name, fz, v, run: int = 0):
     """Derived quantities of a batch of parameter vectors.
 

@@ -9,7 +9,6 @@ Everything rests on one function of z, the *deviance* D(z) = -2 log L + 2 log L(
   D = n_eff log(S / S_min), which in a linear model gives exactly Student's t.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -18,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.special import stdtrit
 
+from tirefit.compiled import compiled
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.least_squares import Solution, damped_gauss_newton, solve
 from tirefit.fitting.likelihood import Rows, root_deviance
@@ -71,7 +71,7 @@ def _stacked(model, layout, z, rows, channels, loss, rules):
     return jnp.concatenate(values), jnp.concatenate(weights)
 
 
-@partial(jax.jit, static_argnames=("layout", "channels", "loss", "solver"))
+@compiled(static=("layout", "channels", "loss", "solver"))
 def solve_starts(
     model, layout: Layout, starts, rows: Rows, channels, loss, rules, solver
 ) -> Solution:
@@ -93,7 +93,7 @@ def best_of(solution: Solution) -> int:
     return best if settled[best] <= cost[lowest] * (1 + 1e-6) + 1e-12 else lowest
 
 
-@partial(jax.jit, static_argnames=("layout", "channels", "loss"))
+@compiled(static=("layout", "channels", "loss"))
 def deviance(model, layout: Layout, z, rows: Rows, channels, loss, rules):
     """-2 log likelihood at z relative to the best fit, priors included (scalar)."""
     blocks = root_deviance(model, layout, z, rows, channels, loss)
@@ -121,7 +121,12 @@ class Linearised(NamedTuple):
     variance: dict[str, Array]
 
 
-@partial(jax.jit, static_argnames=("layout", "channels", "loss"))
+jax.export.register_namedtuple_serialization(
+    Linearised, serialized_name="tirefit.Linearised"
+)
+
+
+@compiled(static=("layout", "channels", "loss"))
 def linearise(model, layout: Layout, z, rows: Rows, channels, loss) -> Linearised:
     """All that the analysis of an estimate needs of the model, in one program."""
 
@@ -134,7 +139,7 @@ def linearise(model, layout: Layout, z, rows: Rows, channels, loss) -> Linearise
     return Linearised(blocks(z), jax.jacfwd(blocks)(z), mean, variance)
 
 
-@partial(jax.jit, static_argnames=("layout", "channels", "loss"))
+@compiled(static=("layout", "channels", "loss"))
 def _hessian(model, layout: Layout, z, rows: Rows, channels, loss, rules):
     def half(z):
         values, _ = _stacked(model, layout, z, rows, channels, loss, rules)
@@ -163,7 +168,7 @@ def covariance(
     return (vectors / np.maximum(values, 1 / REACH**2)) @ vectors.T
 
 
-@partial(jax.jit, static_argnames=("layout", "channels", "loss"))
+@compiled(static=("layout", "channels", "loss"))
 def _profile_points(model, layout, index, values, starts, rows, channels, loss, rules):
     """Deviance minimised over all but one element, at (m,) values of that element."""
 
@@ -179,7 +184,7 @@ def _profile_points(model, layout, index, values, starts, rows, channels, loss, 
     return jax.lax.map(lambda a: one(*a), (index, values, starts))
 
 
-@partial(jax.jit, static_argnames=("layout", "channels", "loss"))
+@compiled(static=("layout", "channels", "loss"))
 def row_scores(model, layout: Layout, z, rows: Rows, channels, loss):
     """Contribution of every row to the gradient of log L, by block, each (n, p)."""
 

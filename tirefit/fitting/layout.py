@@ -43,7 +43,7 @@ class Layout:
 
     free: tuple[FreeParameter, ...]
     ties: tuple[Tie, ...] = ()
-    runs: tuple[str, ...] = field(default=("run",), compare=False)
+    runs: tuple[str, ...] = field(default=("run",), compare=False, repr=False)
     """Not compared: the names of the runs would compile a fit of every file anew."""
 
     @property

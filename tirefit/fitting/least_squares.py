@@ -13,6 +13,7 @@ from functools import partial
 from typing import NamedTuple
 
 import jax
+import jax.export
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -30,6 +31,10 @@ class Solution(NamedTuple):
     converged: Bool[Array, ""]
     steps: Int[Array, ""]
 
+
+jax.export.register_namedtuple_serialization(
+    Solution, serialized_name="tirefit.Solution"
+)
 
 Residual = Callable[[Float[Array, " p"]], tuple[Float[Array, " n"], Float[Array, " n"]]]
 """z (p,) -> (residuals, scoring weights), each (n,).
@@ -56,7 +61,7 @@ def _linearise(residual: Residual, z):
     """Cost, curvature and gradient from one pass of forward tangents."""
     values, push, weights = jax.linearize(residual, z, has_aux=True)
     jacobian = jax.vmap(push)(jnp.eye(z.size))
-    weighted = jacobian * weights
+    weighted = jacobian * weights[None]
     return values @ values, weighted @ weighted.T, jacobian @ values
 
 
@@ -127,10 +132,10 @@ def _ordinary(residual: Residual, start) -> Callable:
 
     def ordinary(z):
         values, _ = residual(z)
-        shifted = jnp.maximum(1 + values**2 - first**2, 1e-6)
-        return jnp.where(
-            deviance_row, jnp.sqrt(jnp.where(deviance_row, shifted, 1.0)), values
-        )
+        # Reverse mode multiplies the branch not taken by zero: it must stay finite.
+        safe = jnp.where(deviance_row, values, first)
+        root = jnp.sqrt(jnp.maximum(1 + safe**2 - first**2, 1e-6))
+        return jnp.where(deviance_row, root, values)
 
     return ordinary
 

@@ -15,13 +15,13 @@ carry over.
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from tirefit.compiled import compiled
 from tirefit.fitting.layout import Layout
 from tirefit.models import AbstractTire, TireInputs
 from tirefit.params import with_values
@@ -135,7 +135,7 @@ def _node_squares(model, layout, z, rows, slip, names, loss):
     return jax.vmap(at, in_axes=1, out_axes=1)(rows.nodes[slip].slip)
 
 
-@partial(jax.jit, static_argnames=("layout", "channels", "loss"))
+@compiled(static=("layout", "channels", "loss"))
 def root_deviance(model, layout: Layout, z, rows: Rows, channels, loss: str):
     """Residuals whose squares sum to -2 log likelihood, by block.
 
@@ -165,7 +165,7 @@ def root_deviance(model, layout: Layout, z, rows: Rows, channels, loss: str):
     return blocks
 
 
-@partial(jax.jit, static_argnames=("layout", "channels", "loss"))
+@compiled(static=("layout", "channels", "loss"))
 def noise_factor(model, layout: Layout, z, rows: Rows, channels, loss: str):
     """Factor on all force scales that maximises the likelihood of rows with noisy slip.
 

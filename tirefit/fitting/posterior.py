@@ -208,6 +208,7 @@ def _identity(result: FitResult, sampler: str, seed: int, shape) -> str:
     parts = (
         result.model, result.data["sha256"], str(result.data["used"]), sampler,
         str(seed), str(shape), *result.labels, *(f"{value:.8g}" for value in result.z),
+        *(f"{value:.4g}" for value in np.diag(result.covariance)),
     )  # fmt: skip
     return "|".join(parts)
 
@@ -299,7 +300,8 @@ def sample(
         effective_samples, max_steps, path, identity, progress,
     )  # fmt: skip
     if chain is None:
-        return judge(replace(result, posterior=None))
+        done = judge(replace(result, posterior=None))
+        return replace(done, outcomes=(*done.outcomes, outcome))
     return _with_posterior(result, chain, outcome, sampler, seed, effective_samples)
 
 
@@ -324,11 +326,13 @@ def _draw(
     outcome = Outcome.CHAIN_TOO_SHORT
     try:
         state = begin(density, size, *shape, seed) if chain is None else chain.state
-        while chain is None or chain.samples.shape[1] < max_steps:
+        while True:
             if chain is not None:
                 health = _health(chain.samples, target)
                 if health.enough:
                     outcome = Outcome.CONVERGED
+                    break
+                if chain.samples.shape[1] >= max_steps:
                     break
                 if progress is not None:
                     progress(*_share(chain, health, target))

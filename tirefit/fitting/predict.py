@@ -1,17 +1,17 @@
 """Forces that a fit or a model predicts, row by row, with their spread."""
 
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from tirefit.compiled import compiled
 from tirefit.fitting.likelihood import CHANNEL_SLIP, predict
 
 __all__ = ["moments", "predict_forces", "row_moments"]
 
 
-@partial(jax.jit, static_argnames=("layout", "names"))
+@compiled(static=("layout", "names"))
 def moments(model, layout, z, rows, names):
     """Mean and variance of each fitted force given the measured slip, by channel (n,).
 
@@ -48,7 +48,7 @@ def row_moments(problem, z) -> tuple[dict, dict]:
     )
 
 
-@partial(jax.jit, static_argnames=("layout",))
+@compiled(static=("layout",))
 def _linearised(model, layout, z, covariance, inputs, run):
     def row(sample, run):
         def force(z):

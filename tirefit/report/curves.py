@@ -1,13 +1,12 @@
 """The fitted curve and its bands, as arrays."""
 
-from functools import partial
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.special import stdtrit
 
+from tirefit.compiled import compiled
 from tirefit.fitting.likelihood import CHANNEL_SLIP, predict
 from tirefit.fitting.result import FitResult
 from tirefit.models import TireInputs, needs_speed
@@ -177,7 +176,7 @@ def _value(result: FitResult, name: str, run: int) -> float:
     return float(parameter_values(problem.model)[name])
 
 
-@partial(jax.jit, static_argnames=("layout", "channel"))
+@compiled(static=("layout", "channel"))
 def _forces(model, layout, z, inputs, run, channel):
     """One channel at one z: small, so that a figure waits little for its compiler."""
     return predict(model, layout, z, inputs, run)[channel]

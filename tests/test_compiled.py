@@ -1,0 +1,79 @@
+"""Programs kept on disk give the same numbers, and are really used."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tirefit import compiled as module
+from tirefit.compiled import compiled, keep_programs_in
+
+
+@pytest.fixture
+def directory(tmp_path):
+    keep_programs_in(tmp_path)
+    yield tmp_path
+    keep_programs_in(None)
+
+
+def counted(traces):
+    @compiled(static=("power",))
+    def scaled(x, factor, power):
+        traces.append(power)
+        return {"value": factor * x**power}
+
+    return scaled
+
+
+def test_a_kept_program_is_not_traced_again(directory):
+    traces = []
+    x = np.linspace(0, 1, 5)
+    first = counted(traces)(x, 2.0, power=3)["value"]
+    assert traces == [3] and len(list(directory.iterdir())) == 1
+    again = counted(traces)(x, 2.0, power=3)["value"]
+    assert traces == [3]
+    np.testing.assert_allclose(first, 2 * x**3, rtol=1e-15)
+    np.testing.assert_array_equal(first, again)
+
+
+def test_static_arguments_shapes_and_types_name_other_programs(directory):
+    traces = []
+    function = counted(traces)
+    for x, power in [(np.ones(3), 2), (np.ones(4), 2), (np.ones(3), 3), (1.0, 2)]:
+        np.testing.assert_allclose(function(x, 1.0, power)["value"], np.ones_like(x))
+    assert traces == [2, 2, 3, 2] and len(list(directory.iterdir())) == 4
+
+
+def test_other_sources_name_other_programs(directory, monkeypatch):
+    traces = []
+    counted(traces)(np.ones(3), 1.0, 2)
+    monkeypatch.setattr(module, "_sources", lambda: b"edited")
+    counted(traces)(np.ones(3), 1.0, 2)
+    assert traces == [2, 2]
+
+
+def test_a_torn_file_is_made_anew(directory):
+    traces = []
+    counted(traces)(np.ones(3), 1.0, 2)
+    (file,) = directory.iterdir()
+    whole = file.read_bytes()
+    file.write_bytes(whole[:50])
+    assert counted(traces)(np.ones(3), 3.0, 2)["value"][0] == 3.0
+    assert traces == [2, 2] and file.read_bytes()[:50] == whole[:50]
+    assert len(file.read_bytes()) > 50
+
+
+def test_inside_a_trace_it_is_an_ordinary_function(directory):
+    function = counted([])
+    slope = jax.grad(lambda x: jnp.sum(function(x, 1.0, 3)["value"]))(jnp.array([2.0]))
+    np.testing.assert_allclose(slope, [12.0])
+    assert list(directory.iterdir()) == []
+
+
+def test_a_directory_that_cannot_be_written_to_is_no_error(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    keep_programs_in(tmp_path / "file")
+    try:
+        assert counted([])(np.ones(2), 1.0, 2)["value"].tolist() == [1.0, 1.0]
+    finally:
+        keep_programs_in(None)

@@ -1,0 +1,112 @@
+"""Programs that outlive the process: ``jax.jit`` whose traced program is kept on disk.
+
+JAX's own cache keeps what XLA compiled, but a new process still traces every function
+in Python first, which takes longer than most fits. Here the traced program
+(``jax.export``) is kept too, named by everything it depends on: the sources of the
+package, the versions of its libraries, the static arguments, and the structure,
+shapes and types of the others. A file that cannot be read is made anew.
+"""
+
+import hashlib
+import inspect
+import os
+from collections.abc import Callable
+from functools import cache, update_wrapper
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.export
+
+__all__ = ["Compiled", "compiled", "keep_programs_in"]
+
+_directory: Path | None = None
+
+# JAX promises no stability of this call between versions; the file names one version.
+_SAFE = [jax.export.DisabledSafetyCheck.custom_call("lapack_dormqr_ffi")]
+
+
+def keep_programs_in(directory: str | os.PathLike | None) -> None:
+    """Keep traced programs in this directory from now on; None keeps none."""
+    global _directory
+    _directory = None if directory is None else Path(directory)
+
+
+@cache
+def _sources() -> bytes:
+    """Digest of the package's sources and of the libraries that traces run through."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(file.read_bytes())
+    for library in ("jax", "jaxlib", "equinox", "optimistix", "jaxopt"):
+        digest.update(version(library).encode())
+    return digest.digest()
+
+
+class Compiled:
+    """A function jitted by ``jax.jit``, with its traced programs kept on disk."""
+
+    def __init__(self, function: Callable, static: tuple[str, ...]):
+        update_wrapper(self, function)
+        self._function, self._static = function, static
+        self._signature = inspect.signature(function)
+        self._jitted = jax.jit(function, static_argnames=static)
+        self._programs: dict[str, Callable] = {}
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        if _directory is None:
+            return self._jitted(*args, **kwargs)
+        bound = self._signature.bind(*args, **kwargs)
+        bound.apply_defaults()
+        static = {name: bound.arguments[name] for name in self._static}
+        dynamic = {k: v for k, v in bound.arguments.items() if k not in static}
+        leaves, structure = jax.tree.flatten(dynamic)
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return self._jitted(*args, **kwargs)
+        shapes = [jax.typeof(leaf).str_short() for leaf in leaves]
+        description = f"{self.__qualname__} {static} {structure} {shapes}"
+        key = hashlib.sha256(_sources() + description.encode()).hexdigest()
+        if key not in self._programs:
+            self._programs[key] = self._program(key, static, structure, leaves)
+        return self._programs[key](leaves)
+
+    def _program(self, key: str, static: dict, structure, leaves: list) -> Callable:
+        def flat(leaves):
+            return self._function(**jax.tree.unflatten(structure, leaves), **static)
+
+        path = _directory / f"{self.__name__}-{key[:32]}.program"
+        try:
+            exported = jax.export.deserialize(bytearray(path.read_bytes()))
+        except Exception:
+            # Absent, torn or of another JAX: trace it, and keep it for next time.
+            try:
+                exported = jax.export.export(jax.jit(flat), disabled_checks=_SAFE)(
+                    leaves
+                )
+                _write(path, exported.serialize())
+            except (ValueError, NotImplementedError):
+                # A program that cannot be written down still runs.
+                return jax.jit(flat)
+        return jax.jit(exported.call)
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Whole or not at all; a directory that cannot be written to is no error."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        temporary.write_bytes(content)
+        os.replace(temporary, path)
+    except OSError:
+        pass
+
+
+def compiled(*, static: tuple[str, ...] = ()) -> Callable[[Callable], Compiled]:
+    """Decorator: compile a function of arrays, and keep its programs between runs.
+
+    Args:
+        static: names of the arguments that are part of the program; each must have a
+            ``repr`` that says all that the program depends on.
+    """
+    return lambda function: Compiled(function, static)
