@@ -43,9 +43,9 @@ def brush_m(sigma, fz, v, c, mu, m):
 
 
 def brush_m_peak(sigma, fz, v, c, peak, m):
-    """S(34), its last term divided by (3 - 2m)^2 less than printed; peak = F_max/F_z.
+    """S(34), sigma^2 term divided by the (3 - 2m)^2 that the print lacks.
 
-    The sigma^2 term of the print lacks the same factor (errata, S(34)).
+    ``peak`` is F_max / F_z.
     """
     cs, top = c * sigma, fz * peak
     sticking = (

@@ -1,4 +1,4 @@
-"""The brush by SciPy, weighted by the same standard deviations: expected.toml's numbers.
+"""The brush by SciPy, weighted by the same deviations: numbers of expected.toml.
 
 ``python -m fits.cmu_wheel.reference``
 """

@@ -1,7 +1,7 @@
 """The small derived table of the demo: ``python -m fits.dart_rear_axle.make_data``.
 
-Both logs of free driving through ``derive`` at 100 Hz; every fifth row is written, 20 Hz
-for a bandwidth of 4 Hz, and so are five significant decimals.
+Both logs of free driving through ``derive`` at 100 Hz; every fifth row is written,
+which is 20 Hz for a bandwidth of 4 Hz, rounded to 0.01 mrad and 0.1 mN.
 """
 
 import csv

@@ -1,6 +1,6 @@
 """S Figures 13, 15, 17 and 18, and what is asserted of their curves.
 
-``python -m fits.magic_formula_curve.draw`` writes ``figure_13.png`` ... beside this file.
+``python -m fits.magic_formula_curve.draw`` writes them beside this file.
 S prints no coefficients for them: solid lines are the truck curve of ``make_data.py``,
 in the lateral panel the coefficients of S Figure 10. Brush curves share its slope.
 """
@@ -46,7 +46,7 @@ def figure_13(picture: Picture) -> None:
                   label=f"Magic Formula, {level}")  # fmt: skip
         left.plot(100 * KAPPA, brush("brush", KAPPA, mu=PEAK * ratio) / 1e3, "--",
                   color=COLORS[i], label=f"brush, {level}")  # fmt: skip
-    tidy(left, "slip κ [%]", "brake force F_x [kN]")
+    tidy(left, "slip κ [%]", "brake force $F_x$ [kN]")
     angle = np.deg2rad(np.linspace(0, 16, 400))
     slope = FIGURE10["B"] * FIGURE10["C"] * FIGURE10["D"] * FIGURE10["fz"]
     right.plot(np.rad2deg(angle), magic_formula(angle, **FIGURE10) / 1e3, color=DARK,
@@ -55,17 +55,18 @@ def figure_13(picture: Picture) -> None:
                     mu=FIGURE10["D"])  # fmt: skip
     right.plot(np.rad2deg(angle), lateral / 1e3, "--", color=COLORS[0],
                label="brush, same slope and peak")  # fmt: skip
-    tidy(right, "slip angle α [°]", "side force F_y [kN]")
-    left.set_title("longitudinal, F_z = 27 kN", fontsize=9)
-    right.set_title("lateral, F_z = 4 kN", fontsize=9)
+    tidy(right, "slip angle α [°]", "side force $F_y$ [kN]")
+    left.set_title("longitudinal, $F_z$ = 27 kN", fontsize=9)
+    right.set_title("lateral, $F_z$ = 4 kN", fontsize=9)
 
 
 def figure_15(picture: Picture) -> None:
     axes = _with_truck(picture)
-    for i, d in enumerate((-1 / 3, -0.15, 0.0, 0.4, 1.0)):
+    named = {"−1/3": -1 / 3, "−0.15": -0.15, "0": 0.0, "0.4": 0.4, "1": 1.0}
+    for i, (name, d) in enumerate(named.items()):
         axes.plot(100 * KAPPA, brush("brush-d", KAPPA, mu=PEAK, d=d) / 1e3,
                   linestyle=LINES[i % 4], color=COLORS[i],
-                  label=f"brush-d, d = {'−1/3' if i == 0 else f'{d:g}'}")  # fmt: skip
+                  label=f"brush-d, d = {name}")  # fmt: skip
 
 
 def figure_17(picture: Picture) -> None:
@@ -80,16 +81,17 @@ def figure_18(picture: Picture) -> None:
     left, right = picture.subplots(1, 2, sharey=True)
     for axes, title in ((left, "linear in speed"), (right, "exponential in speed")):
         _truck_line(axes)
-        tidy(axes, "slip κ [%]", "brake force F_x [kN]" if axes is left else "")
+        tidy(axes, "slip κ [%]", "brake force $F_x$ [kN]" if axes is left else "")
         axes.set_title(f"{title}, v = {SPEED:g} m/s", fontsize=9)
     for i, n in enumerate((0.0075, 0.015)):
         for model, line, said in (
-            ("brush-n", "--", "µ_s = µ_0"), ("brush-ns", ":", "µ_s = µ_k"),
+            ("brush-n", "-", "$µ_s = µ_0$"), ("brush-ns", "o", "$µ_s = µ_k$"),
         ):  # fmt: skip
             left.plot(100 * KAPPA, brush(model, KAPPA, mu=1.05, n=n) / 1e3, line,
-                      color=COLORS[i], label=f"n = {n:g} s/m, {said}")  # fmt: skip
+                      color=COLORS[i], markevery=30, markersize=3.5, mfc="none",
+                      label=f"n = {n:g} s/m, {said}")  # fmt: skip
     for i, (model, said) in enumerate(
-        (("brush-h", "µ_s = µ_0"), ("brush-hs", "µ_s = µ_k"))
+        (("brush-h", "$µ_s = µ_0$"), ("brush-hs", "$µ_s = µ_k$"))
     ):
         right.plot(100 * KAPPA, brush(model, KAPPA, mu=1.3, h=0.4) / 1e3, LINES[i],
                    color=COLORS[i], label=f"h = 0.4, µ = 1.3, {said}")  # fmt: skip
@@ -103,7 +105,7 @@ def _truck_line(axes) -> None:
 def _with_truck(picture: Picture):
     axes = picture.subplots()
     _truck_line(axes)
-    tidy(axes, "slip κ [%]", "brake force F_x [kN]")
+    tidy(axes, "slip κ [%]", "brake force $F_x$ [kN]")
     return axes
 
 
@@ -126,12 +128,13 @@ def properties() -> dict[str, float]:
     """Numbers read off the drawn curves, by name; expected.toml says what they are."""
     fine = np.linspace(0, 0.999, 999_001)
     curve, small = magic_formula(fine, **TRUCK), np.array([1e-6])
+    car = magic_formula(fine, **FIGURE10)
     found = {
         "truck: share of the peak at kappa 4 %": magic_formula(0.04, **TRUCK)
         / curve.max(),
         "truck: slope [N]": magic_formula(1e-6, **TRUCK) / 1e-6,
         "truck: kappa of the peak": fine[np.argmax(curve)],
-        "figure 10: kappa of the peak": fine[np.argmax(magic_formula(fine, **FIGURE10))],
+        "figure 10: kappa of the peak": fine[np.argmax(car)],
         "13: brush slope [N]": brush("brush", small, mu=PEAK)[0] / 1e-6,
     }
     half = fine[fine < 0.3]

@@ -12,7 +12,7 @@ STD = 40.0
 TRUTH = {"cpa2": 5e4, "mu": 1.0}
 FULL_SLIDING = 1.5 * TRUTH["mu"] * FZ / TRUTH["cpa2"]
 GIVEN = {"noise": {"fx": STD}, "solver": "gauss-newton"}
-VAGUE_NOISE = 15.0
+VAGUE_NOISE = 30.0
 """In units of STD: to 20 % of full sliding, the bend of the curve drowns in it."""
 ESTIMATED = {"solver": "gauss-newton"}
 

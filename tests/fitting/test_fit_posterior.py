@@ -173,11 +173,11 @@ def test_unfit_ensembles_are_refused(given, settings):
 
 
 def test_unidentified_friction_keeps_its_width(vague):
-    result = sample(vague, sampler="hmc", effective_samples=500)
+    result = sample(vague, max_steps=6 * CHUNK)
     mu = result.parameters["mu"]
     assert mu.std is None and not mu.identified
     low, high = mu.ci95
-    assert low < 1.0 and high > 4.5
+    assert low < 1.0 and high > 4.0
     assert result.verdict["status"] == "not identified"
 
 

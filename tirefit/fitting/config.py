@@ -3,7 +3,7 @@
 import difflib
 import tomllib
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
 from pydantic import ValidationError as _ValidationError
@@ -110,10 +110,13 @@ def _keys(model: type[BaseModel], location: tuple) -> list[str]:
     """Valid keys of the table that holds the last element of ``location``."""
     for part in location[:-1]:
         field = model.model_fields.get(str(part))
-        if field is not None and isinstance(field.annotation, type):
-            model = field.annotation
-        elif field is not None:
-            model = ParameterConfig
+        if field is not None:
+            kinds = (field.annotation, *get_args(field.annotation))
+            model = next(
+                kind
+                for kind in kinds
+                if isinstance(kind, type) and issubclass(kind, BaseModel)
+            )
     return list(model.model_fields)
 
 

@@ -33,7 +33,7 @@ __all__ = ["CHUNK", "SAMPLERS", "Chain", "sample", "split_rhat"]
 CHUNK = 100
 """Steps between two checks of convergence."""
 
-_WALKERS = 32
+_WALKERS = 64
 _RHAT = 1.01
 _STEPS_PER_TAU = 50
 
@@ -128,7 +128,10 @@ def _emcee_chunk(density, state: dict, steps: int):
     import emcee
 
     ensembles, walkers, size = state["coordinates"].shape
-    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
+    # Differential evolution, with full jumps between modes one time in ten (ter Braak
+    # 2006): a quarter of the stretch move's autocorrelation time, and no loop over
+    # walkers in Python as in the snooker move.
+    moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
     samples = np.empty((ensembles, steps, walkers, size))
     values = np.empty((ensembles, steps, walkers))
     accepted, after = 0.0, {key: value.copy() for key, value in state.items()}
@@ -270,7 +273,7 @@ def sample(
         result: a fit from this process (``tirefit.fit``).
         sampler: ``emcee``, or ``hmc`` (gradients, inside JAX; far faster).
         ensembles: independent ensembles, at least 4.
-        walkers: walkers per ensemble, even; by default 32, more for many parameters.
+        walkers: walkers per ensemble, even; by default 64, more for many parameters.
         effective_samples: stop once every parameter has as many, the chain is 50
             autocorrelation times long and split R-hat is below 1.01.
         max_steps: give up there, and say so.

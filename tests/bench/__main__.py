@@ -1,0 +1,173 @@
+"""Speed against the peers, as ratios measured in the same run: ``make bench``.
+
+Every comparison alternates the two sides and quotes medians, so that a drifting
+machine hits both. Nothing here passes or fails.
+"""
+
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+HERE = Path(__file__).parent
+ROWS = 400
+FZ, NOISE = 4000.0, 40.0
+
+
+def brush(slip, cpa2, mu, fz=FZ):
+    """The brush model as one writes it in NumPy."""
+    rho = np.minimum(cpa2 * slip / (mu * fz), 1.5)
+    u = 4 / 3 * rho
+    return mu * fz * u**2 * (3 - u) / 4 + cpa2 * slip * (2 - u) ** 2 / 2
+
+
+def measured(fits: int, seed: int = 0):
+    generator = np.random.default_rng(seed)
+    slip = np.sort(generator.uniform(0, 0.2, (fits, ROWS)), axis=1)
+    noise = NOISE * generator.standard_normal((fits, ROWS))
+    return slip, brush(slip, 5e4, 1.0) + noise
+
+
+def seconds(function, *arguments) -> float:
+    start = time.perf_counter()
+    function(*arguments)
+    return time.perf_counter() - start
+
+
+def say(name: str, ours: float, peer: float, unit: str, better: str) -> None:
+    ratio = peer / ours if better == "higher" else ours / peer
+    text = f"{ours / peer:.2f} x" if better == "higher" else f"{ratio:.3f} x the time"
+    print(f"{name:46s} {ours:10.4g} {peer:10.4g} {unit:14s} {text}", flush=True)
+
+
+def cold_fit(pairs: int = 5) -> None:
+    """Whole processes: one fit with its figures, compilation cache warm."""
+    with tempfile.TemporaryDirectory() as directory:
+        file = Path(directory) / "data.csv"
+        slip, force = measured(1)
+        table = np.c_[slip[0], force[0], np.full(ROWS, FZ)]
+        np.savetxt(file, table, delimiter=",", header="sigma_x,fx,fz", comments="")
+        out = Path(directory) / "out"
+        ours = [sys.executable, "-m", "tirefit", "fit", str(file), "--no-posterior"]
+        ours += ["--out", str(out)]
+        peer = [sys.executable, str(HERE / "scipy_peer.py"), str(file), str(out)]
+
+        def run(command):
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+
+        run(ours)
+        times = [(seconds(run, ours), seconds(run, peer)) for _ in range(pairs)]
+    say("fit, cold process, with figures", *medians(times), "s", "lower")
+
+
+def medians(times) -> tuple[float, float]:
+    return median(t[0] for t in times), median(t[1] for t in times)
+
+
+def help_text(runs: int = 5) -> None:
+    command = [sys.executable, "-m", "tirefit", "--help"]
+    bare = [sys.executable, "-c", "pass"]
+
+    def run(command):
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+
+    times = [(seconds(run, command), seconds(run, bare)) for _ in range(runs)]
+    say("tirefit --help (peer: bare Python)", *medians(times), "s", "lower")
+
+
+def batch(fits: int = 10_000, peers: int = 500) -> None:
+    """Least squares of many data sets of 400 points, time per fit."""
+    from scipy.optimize import curve_fit
+
+    from tirefit.fitting.batch import fit_many
+
+    slip, force = measured(fits)
+
+    def ours():
+        fit_many("brush", slip, force, FZ)
+
+    def peer():
+        for i in range(peers):
+            curve_fit(brush, slip[i], force[i], p0=[4e4, 0.9])
+
+    ours()
+    times = [(seconds(ours) / fits, seconds(peer) / peers) for _ in range(3)]
+    mine, other = medians(times)
+    say(
+        f"{fits} fits of {ROWS} points, per fit", mine * 1e6, other * 1e6, "us", "lower"
+    )
+    share_of_limit(mine)
+
+
+def share_of_limit(per_fit: float) -> None:
+    """The arithmetic of one fit against the machine's measured double-precision peak.
+
+    One evaluation with two tangents is about 60 operations a point, the normal
+    equations 12 more; a fit takes about 7 evaluations.
+    """
+    a = np.random.default_rng(0).random((1500, 1500))
+    peak = 2 * 1500**3 / min(seconds(np.matmul, a, a) for _ in range(5))
+    operations = 7 * ROWS * 72
+    share = operations / per_fit / peak
+    print(f"  {operations / 1e3:.0f} k operations a fit, {share:.1%} of {peak / 1e9:.0f}"
+          " Gflop/s (matrix product on all cores)")  # fmt: skip
+
+
+def posterior() -> None:
+    """Effective samples per second, smallest over the parameters."""
+    import emcee
+
+    from tirefit.data.read import read_frame
+    from tirefit.fitting.estimate import fit
+    from tirefit.fitting.posterior import sample
+
+    slip, force = measured(1)
+    frame = {"sigma_x": slip[0], "fx": force[0], "fz": np.full(ROWS, FZ)}
+    result = fit(read_frame(frame), "brush", config={"noise": {"fx": NOISE}})
+
+    def log_density(theta):
+        cpa2, mu = theta
+        if not (0 < mu < 5 and cpa2 > 0):
+            return -np.inf
+        return -0.5 * np.sum(((force[0] - brush(slip[0], cpa2, mu)) / NOISE) ** 2)
+
+    def peer(steps=1500):
+        start = time.perf_counter()
+        generator = np.random.default_rng(0)
+        walkers = np.array([5e4, 1.0]) * (1 + 0.002 * generator.normal(size=(32, 2)))
+        sampler = emcee.EnsembleSampler(32, 2, log_density)
+        sampler.run_mcmc(walkers, steps)
+        chain = sampler.get_chain(discard=150)
+        tau = emcee.autocorr.integrated_time(chain, quiet=True)
+        return chain.shape[0] * 32 / tau.max() / (time.perf_counter() - start)
+
+    def ours(name):
+        start = time.perf_counter()
+        found = sample(result, sampler=name, effective_samples=20_000)
+        ess = min(found.posterior.ess.values())
+        return ess / (time.perf_counter() - start)
+
+    for name in ("emcee", "hmc"):
+        ours(name)
+        pairs = [(ours(name), peer()) for _ in range(3)]
+        label = f"posterior, {name} (peer: emcee on NumPy)"
+        say(label, *medians(pairs), "ESS/s", "higher")
+
+
+def main() -> None:
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    print(f"{'':46s} {'tirefit':>10s} {'peer':>10s}")
+    help_text()
+    cold_fit()
+    batch()
+    posterior()
+
+
+if __name__ == "__main__":
+    main()

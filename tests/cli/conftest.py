@@ -1,0 +1,40 @@
+"""The command line in this process, with its caches in a directory of the tests."""
+
+import jax
+import pytest
+from typer.testing import CliRunner
+
+from tirefit.cli import app
+
+
+@pytest.fixture(scope="package", autouse=True)
+def own_cache(tmp_path_factory):
+    from tirefit.compiled import keep_programs_in
+
+    names = (
+        "jax_compilation_cache_dir",
+        "jax_persistent_cache_min_compile_time_secs",
+        "jax_persistent_cache_min_entry_size_bytes",
+    )
+    before = {name: getattr(jax.config, name) for name in names}
+    with pytest.MonkeyPatch.context() as patch, jax.numpy_rank_promotion("allow"):
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+    keep_programs_in(None)
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Runs a command in an empty directory and checks its exit code."""
+    monkeypatch.chdir(tmp_path)
+
+    def command(*arguments, exit_code=0):
+        result = CliRunner().invoke(app, [str(item) for item in arguments])
+        if result.exception and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        assert result.exit_code == exit_code, result.stdout + result.stderr
+        return result
+
+    return command

@@ -1,0 +1,218 @@
+"""fit.json and predictions: round trips, spreads, runs."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recipes import FZ, STD, TRUTH, brush_force, curve, table
+
+from tirefit.fitting.estimate import fit
+from tirefit.fitting.store import load_fit, predict, save_fit
+from tirefit.results import DataError, UsageError
+
+NEW = table({"sigma_x": np.linspace(-0.15, 0.2, 36), "fz": np.full(36, 3500.0)}, "new")
+
+
+def no_constant(text):
+    raise AssertionError(f"{text} is not JSON")
+
+
+def test_json_is_json_and_has_what_the_schema_promises(sampled, tmp_path):
+    written = save_fit(sampled, tmp_path / "out")
+    assert sorted(p.name for p in written) == ["fit.json", "posterior.nc"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
+        "fit.json", "posterior.nc"
+    ]  # fmt: skip
+    text = (tmp_path / "out" / "fit.json").read_text()
+    content = json.loads(text, parse_constant=no_constant)
+    assert content["schema"] == "tirefit.fit/1"
+    assert content["model"] == "brush" and content["seed"] == 0
+    for name in ("cpa2", "mu"):
+        entry = content["parameters"][name]
+        assert {"value", "std", "unit", "ci95"} <= set(entry)
+        assert entry["ci95"][0] < entry["value"] < entry["ci95"][1]
+    assert {
+        "rmse", "chi2_dof", "aicc", "bic", "n", "n_effective", "converged", "at_bound"
+    } <= set(content["fit"])  # fmt: skip
+    assert content["verdict"]["status"] == "ok"
+    assert content["data"]["convention"] == "braking" and "sha256" in content["data"]
+    assert {"jax", "numpy", "emcee", "python"} <= set(content["versions"])
+
+
+def test_not_a_number_becomes_null(given):
+    broken = replace(given.statistics, aicc=float("nan"), bic=float("inf"))
+    text = replace(given, statistics=broken).to_json()
+    content = json.loads(text, parse_constant=no_constant)
+    assert content["fit"]["aicc"] is None and content["fit"]["bic"] is None
+
+
+def test_information_criteria_by_hand(given, estimated):
+    for result, count in ((given, 2), (estimated, 3)):
+        values = {k: result.least_squares[k].value for k in ("cpa2", "mu")}
+        residual = result.table["fx"] - brush_force(result.table["sigma_x"], **values)
+        # The scale is that of the unbiased variance, as reported.
+        std = STD if result is given else np.sqrt(residual @ residual / 398)
+        minus_two_log = np.sum(np.log(2 * np.pi * std**2) + (residual / std) ** 2)
+        statistics = result.statistics
+        np.testing.assert_allclose(
+            statistics.bic, minus_two_log + count * np.log(400), rtol=1e-6
+        )
+        correction = 2 * count * (count + 1) / (400 - count - 1)
+        np.testing.assert_allclose(
+            statistics.aicc, minus_two_log + 2 * count + correction, rtol=1e-6
+        )
+        np.testing.assert_allclose(
+            statistics.rmse, np.sqrt(np.mean(residual**2)), rtol=1e-6
+        )
+
+
+def test_stored_fit_predicts_as_the_live_one(given, tmp_path):
+    save_fit(given, tmp_path)
+    assert not (tmp_path / "posterior.nc").exists()
+    stored, live = predict(load_fit(tmp_path / "fit.json"), NEW), predict(given, NEW)
+    assert set(stored) == set(live) == {"fx", "fx_std"}
+    for name in live:
+        np.testing.assert_allclose(stored[name], live[name], rtol=1e-12)
+    values = {k: given.least_squares[k].value for k in ("cpa2", "mu")}
+    expected = brush_force(NEW["sigma_x"], **values, fz=3500.0)
+    np.testing.assert_allclose(live["fx"], expected, rtol=1e-9, atol=1e-6)
+
+
+def test_predictive_spread_by_monte_carlo(given, sampled):
+    found = predict(given, NEW)["fx_std"]
+    draws = sampled.walkers.reshape(-1, 2)
+    chosen = draws[np.random.default_rng(0).choice(len(draws), 4000)]
+    forces = [brush_force(NEW["sigma_x"], *row, fz=3500.0) for row in chosen]
+    spread = np.std(forces, axis=0)
+    np.testing.assert_allclose(np.sqrt(found**2 - STD**2), spread, rtol=0.1, atol=0.05)
+    assert (found >= STD).all()
+
+
+def test_masked_rows_are_not_predicted(given):
+    used = np.arange(36) % 2 == 0
+    found = predict(given, replace(NEW, used=used))
+    assert (np.isnan(found["fx"]) == ~used).all()
+    assert (np.isnan(found["fx_std"]) == ~used).all()
+
+
+def test_named_model_predicts_without_a_spread():
+    found = predict("brush", NEW, TRUTH)
+    assert set(found) == {"fx"}
+    np.testing.assert_allclose(
+        found["fx"], brush_force(NEW["sigma_x"], **TRUTH, fz=3500.0), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "said"),
+    [
+        ("brsh", {}, "unknown model 'brsh'"),
+        ("brush", {"nu": 1.0}, "brush has no parameter 'nu'"),
+        ("brush", {"mu": 9.0}, "mu = 9.0 is outside its bounds [0.01, 5]"),
+    ],
+)
+def test_wrong_model_is_refused(name, values, said):
+    with pytest.raises(UsageError) as caught:
+        predict(name, NEW, values)
+    assert said in str(caught.value)
+
+
+def test_missing_inputs_are_named():
+    with pytest.raises(DataError, match=r"needs fz \(load, N\) and v \(speed, m/s\)"):
+        predict("brush-n", replace(NEW, columns={"sigma_x": NEW["sigma_x"]}))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [(None, "cannot read it"), ("{", "not JSON"), ("[]", "schema"), ("{}", "schema")],
+)
+def test_other_files_are_refused(tmp_path, text, said):
+    path = tmp_path / "fit.json"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(DataError, match=said):
+        load_fit(path)
+
+
+FRICTION = {"dry": 1.0, "wet": 0.7}
+
+
+@pytest.fixture(scope="module")
+def two_runs():
+    """One tire on two surfaces, 200 rows each, the friction per run."""
+    parts = [
+        curve(TRUTH | {"mu": mu}, n=200, seed=30 + i)
+        for i, mu in enumerate(FRICTION.values())
+    ]
+    columns = {k: np.concatenate([p[k] for p in parts]) for k in parts[0].columns}
+    return table(columns, "joint", np.repeat([0, 1], 200), tuple(FRICTION))
+
+
+@pytest.fixture(scope="module")
+def joint(two_runs):
+    config = {
+        "noise": {"fx": STD},
+        "solver": "gauss-newton",
+        "parameters": {"mu": {"per_run": True}},
+    }
+    return fit(two_runs, config=config)
+
+
+def test_joint_fit_recovers_both_frictions(joint):
+    assert joint.labels == ("cpa2", "mu[dry]", "mu[wet]")
+    for run, mu in FRICTION.items():
+        estimate = joint.least_squares[f"mu[{run}]"]
+        assert estimate.std < 0.002
+        assert abs(estimate.value - mu) < 4 * estimate.std
+    stiffness = joint.least_squares["cpa2"]
+    assert abs(stiffness.value - 5e4) < 4 * stiffness.std
+    assert joint.verdict["status"] == "ok"
+
+
+def test_fit_per_run_survives_the_file(joint, two_runs, tmp_path):
+    save_fit(joint, tmp_path)
+    stored = load_fit(tmp_path / "fit.json")
+    found, live = predict(stored, two_runs), predict(joint, two_runs)
+    np.testing.assert_allclose(found["fx"], live["fx"], rtol=1e-12)
+    wet = table({"sigma_x": np.array([0.3]), "fz": np.array([FZ])}, "x", runs=("wet",))
+    expected = joint.least_squares["mu[wet]"].value * FZ
+    np.testing.assert_allclose(predict(stored, wet)["fx"], expected, rtol=1e-9)
+
+
+def test_unknown_run_is_refused(joint):
+    with pytest.raises(DataError, match="no parameters for the runs new") as caught:
+        predict(joint, NEW)
+    assert "it knows dry, wet" in str(caught.value)
+
+
+def test_shared_fit_serves_any_run(given):
+    assert "new" not in given.data["runs"]
+    assert np.isfinite(predict(given, NEW)["fx"]).all()
+
+
+@pytest.fixture(scope="module")
+def tied():
+    """A tire whose kinetic over static friction follows its friction."""
+    data = curve(TRUTH | {"m": 0.8}, seed=40)
+    config = {
+        "noise": {"fx": STD}, "solver": "gauss-newton",
+        "parameters": {"m": {"tied": "mu", "factor": 0.8}, "cpa2": {"upper": 1e6}},
+    }  # fmt: skip
+    return fit(data, "brush-m", config=config)
+
+
+def test_tied_parameter_carries_its_uncertainty(tied):
+    assert tied.labels == ("cpa2", "mu")
+    m, mu = tied.parameters["m"], tied.parameters["mu"]
+    np.testing.assert_allclose(m.value, 0.8 * mu.value, rtol=1e-12)
+    np.testing.assert_allclose(m.std, 0.8 * mu.std, rtol=1e-12)
+    np.testing.assert_allclose(m.ci95, 0.8 * np.array(mu.ci95), rtol=1e-12)
+    assert abs(mu.value - 1.0) < 4 * mu.std
+
+
+def test_tied_fit_with_other_bounds_survives_the_file(tied, tmp_path):
+    save_fit(tied, tmp_path)
+    stored = predict(load_fit(tmp_path / "fit.json"), NEW)
+    for name, values in predict(tied, NEW).items():
+        np.testing.assert_allclose(stored[name], values, rtol=1e-12)

@@ -1,0 +1,214 @@
+"""What a fit says of itself, of its noise and of data it cannot use."""
+
+import jax
+import numpy as np
+import pytest
+from recipes import FZ, GIVEN, STD, TRUTH, brush_force, curve, solved, table
+
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.estimate import fit
+from tirefit.fitting.problem import build
+from tirefit.fitting.verdict import disagreements, judge
+from tirefit.results import DataError, Outcome, UsageError
+
+
+def test_noise_given_ten_times_too_small_is_a_poor_fit(given):
+    result = fit(curve(), config=GIVEN | {"noise": {"fx": STD / 10}})
+    assert result.verdict["status"] == "poor fit"
+    assert Outcome.POOR_FIT in result.outcomes
+    np.testing.assert_allclose(result.statistics.chi2_dof, 100, rtol=0.25)
+    for label in ("cpa2", "mu"):
+        # Widened to what the residuals show, not a tenth of it.
+        ratio = result.least_squares[label].std / given.least_squares[label].std
+        np.testing.assert_allclose(ratio, 1.0, rtol=0.1)
+
+
+def test_noise_given_too_large_is_believed(given):
+    result = fit(curve(), config=GIVEN | {"noise": {"fx": STD * 2}})
+    ratio = result.least_squares["mu"].std / given.least_squares["mu"].std
+    np.testing.assert_allclose(ratio, 2.0, rtol=1e-3)
+    assert result.statistics.chi2_dof < 0.5
+
+
+def test_good_fit_says_nothing(given, estimated):
+    for result in (given, estimated):
+        assert result.verdict == {"status": "ok", "sentences": [], "disagreements": {}}
+        assert result.outcomes == ()
+    assert 0.8 < given.statistics.chi2_dof < 1.2
+    assert estimated.statistics.chi2_dof is None
+
+
+def test_estimated_noise_is_said_and_right(estimated):
+    assert estimated.noise["fx"]["source"] == "estimated"
+    assert "noise of fx: estimated from the residuals" in estimated.noise["notes"]
+    np.testing.assert_allclose(
+        estimated.noise["fx"]["median_std"], STD, rtol=4 / np.sqrt(800)
+    )
+
+
+def test_unidentified_parameter_is_named(vague):
+    assert vague.verdict["status"] == "not identified" and not vague.identified
+    assert any(s.startswith("mu is not identified") for s in vague.verdict["sentences"])
+    assert vague.to_dict()["outcomes"][0] == "not_identified"
+
+
+def test_estimate_at_its_bound_has_a_one_sided_interval():
+    # No kinetic drop in the data: m sits at its upper bound 1.
+    data = curve(seed=21)
+    result = fit(data, "brush-m", config=GIVEN)
+    m = result.least_squares["m"]
+    if m.value < 0.999:
+        data = curve(seed=22)
+        result = fit(data, "brush-m", config=GIVEN)
+        m = result.least_squares["m"]
+    assert result.statistics.at_bound == ("m",)
+    assert m.std is None and m.identified
+    assert m.ci95[1] == 1.0 and 0.98 < m.ci95[0] < 1.0
+    assert result.verdict["status"] == "at a bound"
+    assert "m; its interval is one-sided" in " ".join(result.verdict["sentences"])
+
+
+def test_bounds_away_from_the_first_guess_do_not_trap_the_fit():
+    # The largest force is 0.6 of mu F_z here, so the first guess of mu is below 0.95.
+    data = curve(reach=0.5)
+    end = solved(data, GIVEN | {"parameters": {"mu": {"lower": 0.95, "upper": 1.2}}})
+    mu = float(end.problem.layout.natural(end.z)["mu"])
+    free = solved(data, GIVEN)
+    best = float(free.problem.layout.natural(free.z)["mu"])
+    assert 0.96 < best < 1.1
+    np.testing.assert_allclose(mu, best, rtol=1e-4)
+
+
+def test_routes_that_differ_are_named(given):
+    moved = {k: (lo, hi + 0.4 * (hi - lo)) for k, (lo, hi) in
+             given.intervals["profile"].items()}  # fmt: skip
+    from dataclasses import replace
+
+    result = replace(given, intervals=given.intervals | {"covariance": moved})
+    assert set(disagreements(result)) == {"cpa2", "mu"}
+    sentences = judge(result).verdict["sentences"]
+    assert any("intervals of mu differ: covariance interval" in s for s in sentences)
+
+
+def test_wrong_model_is_seen_in_the_residuals():
+    slip = np.sort(curve()["sigma_x"])
+    force = 3500 * np.sin(np.pi * slip / slip.max()) ** 2
+    noise = STD * np.random.default_rng(1).standard_normal(400)
+    data = table({"sigma_x": slip, "fx": force + noise, "fz": np.full(400, FZ)})
+    result = fit(data, config=GIVEN)
+    assert result.verdict["status"] == "poor fit"
+    assert any("curve misses systematically" in s for s in result.verdict["sentences"])
+
+
+def noisy(stds, seed=50):
+    slip = curve(seed=seed)["sigma_x"]
+    noise = stds * np.random.default_rng(seed).standard_normal(400)
+    return {
+        "sigma_x": slip, "fx": brush_force(slip, **TRUTH) + noise,
+        "fz": np.full(400, FZ),
+    }  # fmt: skip
+
+
+def test_std_column_weights_the_rows():
+    stds = np.where(np.arange(400) % 2, 4.0, 400.0)
+    columns = noisy(stds)
+    weighted = solved(table(columns | {"fx_std": stds}), {"solver": "gauss-newton"})
+    precise = {k: v[1::2] for k, v in columns.items()}
+    alone = solved(table(precise), {"noise": {"fx": 4.0}, "solver": "gauss-newton"})
+    np.testing.assert_allclose(weighted.z, alone.z, atol=1e-4)
+    assert "noise of fx: column fx_std" in weighted.problem.notes
+    np.testing.assert_allclose(
+        np.asarray(weighted.problem.rows.scale["fx"])[:400], stds
+    )
+
+
+def test_noise_proportional_to_load():
+    generator = np.random.default_rng(60)
+    load = generator.choice([1000.0, 4000.0, 8000.0], 400)
+    slip = generator.uniform(0, 0.3, 400)
+    force = brush_force(slip, **TRUTH, fz=load)
+    force = force + 0.01 * load * generator.standard_normal(400)
+    data = table({"sigma_x": slip, "fx": force, "fz": load})
+    config = {"noise": {"proportional_to_load": True}, "solver": "gauss-newton"}
+    end = solved(data, config)
+    scale = np.asarray(end.problem.rows.scale["fx"])[:400]
+    np.testing.assert_allclose(scale, 0.01 * load, rtol=4 / np.sqrt(800))
+    given = solved(data, {"noise": {"fx_relative": 0.01}, "solver": "gauss-newton"})
+    np.testing.assert_allclose(
+        np.asarray(given.problem.rows.scale["fx"])[:400], 0.01 * load
+    )
+    np.testing.assert_allclose(end.z, given.z, atol=1e-6)
+
+
+def test_slip_limits_choose_the_rows():
+    data = curve()
+    config = parse_config({"data": {"slip_min": 0.02, "slip_max": 0.1}})
+    problem = build(data, "brush", config)
+    slip = problem.used(problem.rows.inputs.sigma_x)
+    assert slip.min() >= 0.02 and slip.max() <= 0.1
+    inside = (data["sigma_x"] >= 0.02) & (data["sigma_x"] <= 0.1)
+    assert problem.n == np.count_nonzero(inside) < 400
+
+
+@pytest.mark.parametrize(("rows", "enough"), [(3, False), (4, True)])
+def test_as_many_unknowns_as_rows_are_refused(rows, enough):
+    # cpa2, mu and the noise level
+    if enough:
+        assert build(curve(n=rows), "brush", parse_config({})).n == rows
+        return
+    with pytest.raises(DataError, match="3 measured values for 3 unknowns") as caught:
+        build(curve(n=rows), "brush", parse_config({}))
+    assert "and the noise level" in str(caught.value)
+    assert build(curve(n=rows), "brush", parse_config({"noise": {"fx": 1.0}})).n == 3
+
+
+@pytest.mark.parametrize(
+    ("columns", "model", "config", "said"),
+    [
+        ({}, "brush-n", {}, "brush-n needs the speed of every row"),
+        ({}, "brush", {"force": "fy"}, "needs the columns fy and alpha"),
+        (
+            {"sigma_x": np.full(400, 0.1)},
+            "brush",
+            {},
+            "no force with a slip that varies",
+        ),
+        ({}, "brush", {"data": {"slip_min": 9.0}}, "no usable row"),
+    ],
+    ids=["speed", "force", "constant slip", "nothing inside the limits"],
+)
+def test_data_that_cannot_be_fitted_are_refused(columns, model, config, said):
+    data = curve(extra=columns)
+    with pytest.raises(DataError) as caught:
+        build(data, model, parse_config(config))
+    assert said in str(caught.value)
+    assert "remedy: " in str(caught.value)
+
+
+def test_magic_formula_has_no_moment():
+    slip = curve()["sigma_x"]
+    data = curve(extra={"alpha": slip, "mz": slip, "fy": slip})
+    with pytest.raises(UsageError, match="no aligning moment"):
+        build(data, "magic-formula", parse_config({"force": ["fy", "mz"]}))
+
+
+def test_single_precision_is_refused():
+    jax.config.update("jax_enable_x64", False)
+    try:
+        with pytest.raises(UsageError, match="64-bit floats"):
+            fit(curve())
+    finally:
+        jax.config.update("jax_enable_x64", True)
+
+
+def test_unknown_solver_is_refused():
+    with pytest.raises(UsageError, match="solver"):
+        fit(curve(), solver="newton")
+
+
+def test_few_slips_with_noise_stay_finite():
+    from tirefit.fitting.slip_noise import slip_density
+
+    knots, density = slip_density(np.full(30, 0.1), np.full(30, 0.01))
+    assert np.isfinite(density).all()
+    np.testing.assert_allclose(np.trapezoid(density, knots), 1.0, rtol=1e-9)
