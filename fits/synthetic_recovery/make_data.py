@@ -3,8 +3,9 @@
 400 rows a file, true sigma uniform on 0.001..0.3, three speeds and loads in turn; the
 forces are those of ``fits/formulas.py``, not of tirefit. Noise by its standard
 deviation: ``rig`` 0.001 of slip and 1 % of the load; ``s51`` as S section 5.1, whose
-figures are variances: slip sqrt(0.2e-4), force sqrt(0.2e-2) of the load. ``low_utilisation`` is the
-brush at rig noise where less than 60 % of the friction is used.
+figures are variances: slip sqrt(0.2e-4), force sqrt(0.2e-2) of the load.
+``low_utilisation`` is the brush at rig noise where less than 60 % of the friction is
+used.
 """
 
 from pathlib import Path

@@ -212,7 +212,7 @@ def _config(config: FitConfig | dict | None, **changes) -> FitConfig:
     elif isinstance(config, dict):
         config = parse_config(config)
     given = {key: value for key, value in changes.items() if value is not None}
-    return config.model_copy(update=given)
+    return parse_config(config.model_dump() | given, "fit()") if given else config
 
 
 def fit(

@@ -48,7 +48,8 @@ def _fit_quality(result: FitResult) -> list[str]:
             " given noise; the intervals are widened by that factor, and still assume"
             " that the model is right"
         )
-    if statistics.r2 < _POOR_R2:
+    # Where the noise is known, a small share may be all that it leaves.
+    if chi2 is None and statistics.r2 < _POOR_R2:
         found.append(
             f"the model explains {100 * max(statistics.r2, 0):.0f} % of the variance of"
             f" {result.forces[0]}"

@@ -1,0 +1,92 @@
+"""Run the notebooks of ``fits/notebooks`` in place: ``python fits/run_notebooks.py``.
+
+Outputs hold nothing that changes from run to run or from machine to machine: no
+times, no versions, no paths. A notebook that fails or warns is left as it was.
+"""
+
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import nbformat
+from jupyter_client import AsyncKernelManager
+from jupyter_client.kernelspec import KernelSpecManager
+from nbclient import NotebookClient
+
+NOTEBOOKS = Path(__file__).parent / "notebooks"
+
+_KERNEL = {"display_name": "Python 3 (ipykernel)", "language": "python"}
+_METADATA = {
+    "kernelspec": {**_KERNEL, "name": "python3"},
+    "language_info": {"name": "python"},
+}
+
+
+def execute(path: Path, **environment: str) -> nbformat.NotebookNode:
+    """The notebook with fresh outputs, run in its own folder by this interpreter.
+
+    Args:
+        path: the notebook; it is read, not written.
+        environment: variables of the kernel, over those of this process.
+
+    Raises:
+        CellExecutionError: a cell raised.
+        ValueError: a cell wrote to stderr: a warning, which no reader should meet.
+    """
+    notebook = nbformat.read(path, as_version=4)
+    with tempfile.TemporaryDirectory() as scratch:
+        kernel = Path(scratch, "kernels", "python3")
+        kernel.mkdir(parents=True)
+        command = [sys.executable, "-m", "ipykernel_launcher", "-f"]
+        spec = {"argv": [*command, "{connection_file}"], **_KERNEL}
+        kernel.joinpath("kernel.json").write_text(json.dumps(spec))
+        # No start-up files and no history of the user's; inline figures.
+        inherited = {k: v for k, v in os.environ.items() if k != "MPLBACKEND"}
+        environment = inherited | {"IPYTHONDIR": scratch} | environment
+        specs = KernelSpecManager(
+            kernel_dirs=[str(kernel.parent)], ensure_native_kernel=False
+        )
+        manager = AsyncKernelManager(
+            kernel_name="python3", kernel_spec_manager=specs, shutdown_wait_time=2.0
+        )
+        client = NotebookClient(
+            notebook,
+            km=manager,
+            timeout=600,
+            record_timing=False,
+            coalesce_streams=True,
+            resources={"metadata": {"path": str(path.parent)}},
+        )
+        client.execute(env=environment)
+    _clean(notebook)
+    return notebook
+
+
+def _clean(notebook: nbformat.NotebookNode) -> None:
+    """Drop what differs between machines; refuse warnings."""
+    notebook.metadata = nbformat.from_dict(_METADATA)
+    for cell in notebook.cells:
+        cell.metadata = nbformat.from_dict({})
+        for output in cell.get("outputs", []):
+            if output.get("name") == "stderr":
+                raise ValueError(f"a cell wrote to stderr:\n{output.text}")
+            if "metadata" in output:
+                output.metadata = nbformat.from_dict({})
+
+
+def main() -> None:
+    for path in sorted(NOTEBOOKS.glob("*.ipynb")):
+        notebook = execute(path)
+        temporary = path.with_name(f".{path.name}.part")
+        try:
+            nbformat.write(notebook, temporary)
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+        print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()

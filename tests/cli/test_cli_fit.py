@@ -1,0 +1,240 @@
+"""``tirefit fit``: files in, directories, exit codes and silence out."""
+
+import json
+
+import numpy as np
+import pytest
+
+STIFFNESS, FZ = 5e4, 4000.0
+# The same static choices in every test, so that one compilation serves them all.
+FAST = (
+    "solver = 'gauss-newton'\n[noise]\nfx = 40\n[posterior]\neffective_samples = 500\n"
+)
+
+
+def write(path, mu=1.0, reach=0.2, n=400, seed=1, header="sigma_x,fx,fz", noise=40.0):
+    generator = np.random.default_rng(seed)
+    slip = generator.uniform(0, reach, n)
+    x = np.minimum(slip * STIFFNESS / (1.5 * mu * FZ), 1.0)
+    # S(12) written out: C s - (C s)^2/(3 mu F_z) + (C s)^3/(27 (mu F_z)^2)
+    force = mu * FZ * (3 * x - 3 * x**2 + x**3) + noise * generator.standard_normal(n)
+    rows = (f"{a:.9g},{b:.9g},{FZ:g}" for a, b in zip(slip, force, strict=True))
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+@pytest.fixture
+def rig(tmp_path):
+    (tmp_path / "fit.toml").write_text(FAST)
+    return write(tmp_path / "rig.csv")
+
+
+def content(directory):
+    return json.loads((directory / "fit.json").read_text())
+
+
+def test_one_file_with_its_posterior(run, rig, tmp_path):
+    result = run("fit", rig, "--config", "fit.toml")
+    found = tmp_path / "rig"  # named after the file
+    names = {path.name for path in found.iterdir()}
+    assert {"fit.json", "posterior.nc", "chain.npz", "fit.png", "corner.png"} <= names
+    assert not any(name.endswith(".svg") or name.startswith(".") for name in names)
+    record = content(found)
+    assert record["posterior"]["outcome"] == "converged"
+    assert (
+        record["parameters"]["mu"]["ci95"][0]
+        < 1.0
+        < record["parameters"]["mu"]["ci95"][1]
+    )
+    assert record["data"]["sha256"] and record["data"]["file"].endswith("rig.csv")
+    assert result.stderr == ""  # no terminal, no progress
+    assert "VERDICT: ok" in result.stdout and "profile" in result.stdout
+    assert "posterior" in result.stdout and "covariance" in result.stdout
+
+
+def test_out_names_the_directory_and_svg_doubles_the_figures(run, rig, tmp_path):
+    run("fit", rig, "--config", "fit.toml", "--no-posterior", "--out", "a/b", "--svg")
+    found = tmp_path / "a" / "b"
+    names = {path.name for path in found.iterdir()}
+    assert not (tmp_path / "rig").exists()
+    assert "posterior.nc" not in names and "chain.npz" not in names
+    pngs = {name[:-4] for name in names if name.endswith(".png")}
+    assert pngs == {name[:-4] for name in names if name.endswith(".svg")} != set()
+    assert content(found)["posterior"] is None
+
+
+def test_several_files_fill_a_directory_each(run, rig, tmp_path):
+    write(tmp_path / "wet.csv", mu=0.7, seed=2)
+    result = run(
+        "fit", rig, "wet.csv", "--config", "fit.toml", "--no-posterior", "--out", "all"
+    )
+    assert sorted(p.name for p in (tmp_path / "all").iterdir()) == ["rig", "wet"]
+    for name, mu in (("rig", 1.0), ("wet", 0.7)):
+        found = content(tmp_path / "all" / name)["parameters"]["mu"]["value"]
+        assert abs(found - mu) < 0.005
+    summary = result.stdout.splitlines()[-8:]
+    for name in ("all/rig", "all/wet"):
+        assert any(line.strip().startswith(name) for line in summary)
+
+
+def test_several_files_without_out(run, rig, tmp_path):
+    write(tmp_path / "wet.csv", mu=0.7, seed=2)
+    run("fit", rig, "wet.csv", "--config", "fit.toml", "--no-posterior")
+    assert (tmp_path / "rig" / "fit.json").exists()
+    assert (tmp_path / "wet" / "fit.json").exists()
+
+
+def test_one_bad_file_does_not_stop_the_others(run, rig, tmp_path):
+    (tmp_path / "bad.csv").write_text("sigma_x,fx,fz\n0.1,oops,4000\n")
+    result = run(
+        "fit", "bad.csv", rig, "--config", "fit.toml", "--no-posterior", exit_code=3
+    )
+    assert "bad.csv" in result.stderr and "remedy" in result.stderr
+    assert (tmp_path / "rig" / "fit.json").exists()
+    assert not (tmp_path / "bad").exists()  # nothing half-written
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [(None, "no.csv"), ("", "no.csv"), ("sigma_x,fx\n0,0\n0.1,9\n", "fz")],
+    ids=["missing", "empty", "no load"],
+)
+def test_bad_data_leave_nothing(run, tmp_path, text, said):
+    if text is not None:
+        (tmp_path / "no.csv").write_text(text)
+    result = run("fit", "no.csv", exit_code=3)
+    assert said in result.stderr and "Traceback" not in result.stderr
+    assert result.stdout == ""
+    assert not (tmp_path / "no").exists()
+
+
+USAGE = {
+    "model": (["--model", "brsh"], "did you mean"),
+    "config": (["--config", "none.toml"], "none.toml"),
+    "force": (["--force", "fq"], "one of fx, fy, mz"),
+    "solver": (["--solver", "newton"], "newton"),
+    "seed": (["--seed", "-1"], "--seed"),
+    "column": (["--column", "fx"], "--column NAME=VALUE"),
+    "constant": (["--constant", "v=fast"], "not a number"),
+    "convention": (["--convention", "iso"], "iso"),
+    "option": (["--nonsense"], "--nonsense"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "said"), USAGE.values(), ids=USAGE)
+def test_wrong_use_is_exit_2(run, rig, tmp_path, arguments, said):
+    result = run("fit", rig, *arguments, exit_code=2)
+    assert said in result.stderr
+    assert not (tmp_path / "rig").exists()
+
+
+def test_same_name_twice_is_refused(run, rig, tmp_path):
+    (tmp_path / "other").mkdir()
+    write(tmp_path / "other" / "rig.csv")
+    result = run("fit", rig, "other/rig.csv", exit_code=2)
+    assert "are named rig" in result.stderr
+    assert not (tmp_path / "rig").exists()
+
+
+def test_unknown_key_of_the_configuration(run, rig, tmp_path):
+    (tmp_path / "bad.toml").write_text("modell = 'brush'\n")
+    result = run("fit", rig, "--config", "bad.toml", exit_code=2)
+    assert "did you mean 'model'" in result.stderr and "bad.toml" in result.stderr
+
+
+def test_command_line_overrides_the_configuration(run, rig, tmp_path):
+    (tmp_path / "other.toml").write_text("model = 'brush-d'\nseed = 4\n" + FAST)
+    run(
+        "fit", rig, "--config", "other.toml", "--model", "brush", "--seed", "7",
+        "--no-posterior",
+    )  # fmt: skip
+    record = content(tmp_path / "rig")
+    assert record["model"] == "brush" and record["seed"] == 7
+    assert record["solver"] == "gauss-newton"  # what was not overridden stays
+    assert record["noise"]["fx"]["source"] == "given"
+
+
+def test_not_identified_is_exit_5_only_when_strict(run, tmp_path):
+    # Slip to 17 % of full sliding, and noise that hides the bend.
+    write(tmp_path / "low.csv", reach=0.02, noise=1200.0)
+    (tmp_path / "fit.toml").write_text(FAST.replace("40", "1200"))
+    arguments = ("fit", "low.csv", "--config", "fit.toml", "--no-posterior")
+    result = run(*arguments)
+    assert "mu is not identified" in " ".join(result.stdout.split())
+    run(*arguments, "--strict", exit_code=5)
+    record = content(tmp_path / "low")["parameters"]["mu"]
+    assert record["identified"] is False and record["std"] is None
+
+
+def test_short_chain_is_exit_4_and_resume_completes_it(run, rig, tmp_path):
+    short = FAST + "max_steps = 100\n"
+    (tmp_path / "short.toml").write_text(short)
+    result = run("fit", rig, "--config", "short.toml", exit_code=4)
+    assert "--resume" in result.stdout
+    assert content(tmp_path / "rig")["posterior"]["steps"] == 100
+    run("fit", rig, "--config", "fit.toml", "--resume")
+    resumed = content(tmp_path / "rig")
+    assert resumed["posterior"]["outcome"] == "converged"
+    run("fit", rig, "--config", "fit.toml", "--out", "whole")
+    whole = content(tmp_path / "whole")
+    assert resumed["parameters"] == whole["parameters"]
+    assert resumed["posterior"] == whole["posterior"]
+
+
+def test_resume_of_another_fit_is_exit_2(run, rig, tmp_path):
+    (tmp_path / "short.toml").write_text(FAST + "max_steps = 100\n")
+    run("fit", rig, "--config", "short.toml", exit_code=4)
+    write(rig, seed=9)
+    result = run("fit", rig, "--config", "short.toml", "--resume", exit_code=2)
+    assert "another fit" in result.stderr
+
+
+def test_joint_fit_shares_the_tire_and_not_the_road(run, rig, tmp_path):
+    write(tmp_path / "wet.csv", mu=0.7, seed=2)
+    (tmp_path / "joint.toml").write_text(FAST + "[parameters.mu]\nper_run = true\n")
+    run(
+        "fit", rig, "wet.csv", "--joint", "--config", "joint.toml", "--no-posterior",
+        "--out", "both",
+    )  # fmt: skip
+    record = content(tmp_path / "both")
+    assert record["data"]["runs"] == ["rig", "wet"]
+    found = record["parameters"]
+    assert abs(found["mu[rig]"]["value"] - 1.0) < 0.005
+    assert abs(found["mu[wet]"]["value"] - 0.7) < 0.005
+    assert not (tmp_path / "rig").exists()
+
+
+def test_force_chooses_the_lateral_one(run, tmp_path):
+    write(tmp_path / "both.csv", header="alpha,fy,fz")
+    text = (tmp_path / "both.csv").read_text().splitlines()
+    rows = [f"{row},0.01,500" for row in text[1:]]
+    (tmp_path / "both.csv").write_text(
+        "\n".join(["alpha,fy,fz,sigma_x,fx", *rows]) + "\n"
+    )
+    (tmp_path / "fit.toml").write_text(FAST.replace("fx", "fy"))
+    run(
+        "fit", "both.csv", "--force", "fy", "--unit", "alpha=rad",
+        "--config", "fit.toml", "--no-posterior",
+    )  # fmt: skip
+    assert content(tmp_path / "both")["forces"] == ["fy"]
+
+
+def test_interrupted_chain_is_kept_and_resumed(run, rig, tmp_path, monkeypatch):
+    from tirefit.fitting import posterior
+
+    start, chunk = posterior.SAMPLERS["emcee"]
+    calls = []
+
+    def interrupted(*arguments):
+        calls.append(1)
+        if len(calls) > 1:
+            raise KeyboardInterrupt
+        return chunk(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setitem(posterior.SAMPLERS, "emcee", (start, interrupted))
+        result = run("fit", rig, "--config", "fit.toml", exit_code=4)
+    assert "interrupted" in result.stdout
+    assert content(tmp_path / "rig")["posterior"]["steps"] == 100
+    run("fit", rig, "--config", "fit.toml", "--resume")
+    assert content(tmp_path / "rig")["posterior"]["outcome"] == "converged"
