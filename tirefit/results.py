@@ -42,6 +42,7 @@ class Outcome(enum.Enum):
         " ensembles disagree: continue it with --resume"
     )
     INTERRUPTED = "interrupted: the samples drawn so far are kept; --resume continues"
+    SYSTEMATIC_MISFIT = "the residuals are mostly a systematic miss of the curve"
     POOR_FIT = (
         "the model does not describe these data: the residuals are larger or more"
         " structured than the noise allows"

@@ -1,6 +1,5 @@
 """Quantities that follow from the parameters, with their uncertainty."""
 
-
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -15,7 +15,7 @@ from tirefit.fitting.derived import DERIVED, derived_values, reference_point
 from tirefit.fitting.inference import REACH, Profile, profile_all
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.problem import FitProblem, build
-from tirefit.fitting.result import Estimate, FitResult, FitStatistics
+from tirefit.fitting.result import Estimate, FitResult, FitStatistics, information
 from tirefit.fitting.solve import Solved, solve_problem
 from tirefit.fitting.verdict import judge
 from tirefit.params import constrain, log_jacobian, parameter_values, specs
@@ -77,8 +77,8 @@ def _statistics(solved: Solved) -> FitStatistics:
     residual = observed - solved.at.mean[name]
     parameters = problem.layout.size + sum(c.noise_estimated for c in problem.channels)
     minus_two_log = _minus_two_log_likelihood(solved)
-    effective = solved.n_effective * len(solved.rules)
-    correction = 2 * parameters * (parameters + 1) / max(effective - parameters - 1, 1)
+    rows = problem.n * len(problem.channels)
+    aicc, bic = information(minus_two_log, rows, solved.n_effective, parameters)
     labels = tuple(
         label
         for i, (label, p) in enumerate(problem.layout.elements)
@@ -89,8 +89,10 @@ def _statistics(solved: Solved) -> FitStatistics:
         rmse=float(np.sqrt(np.mean(residual**2))),
         r2=1 - float(residual @ residual) / total if total > 0 else float("nan"),
         chi2_dof=solved.chi2_dof,
-        aicc=minus_two_log + 2 * parameters + correction,
-        bic=minus_two_log + parameters * float(np.log(max(effective, 1))),
+        aicc=aicc,
+        bic=bic,
+        minus_two_log_likelihood=minus_two_log,
+        unknowns=parameters,
         n=problem.n,
         n_effective=solved.n_effective,
         dof=solved.n_effective - problem.layout.size,
@@ -103,16 +105,14 @@ def _statistics(solved: Solved) -> FitStatistics:
 
 
 def _minus_two_log_likelihood(solved: Solved) -> float:
-    """With the effective number of rows, so that models compare fairly on
-    autocorrelated residuals."""
+    """Of all rows as if independent, at the noise scales in use."""
     problem, total = solved.problem, 0.0
-    for name, rule in solved.rules.items():
+    for name in solved.rules:
         block = solved.at.values[name]
-        share = float(rule.effective) / problem.n
         for channel in problem.block_channels(name):
             scale = problem.used(problem.rows.scale[channel.name])
-            total += share * float(np.sum(np.log(2 * np.pi * scale**2)))
-        total += share * float(block @ block)
+            total += float(np.sum(np.log(2 * np.pi * scale**2)))
+        total += float(block @ block)
     return total
 
 
@@ -128,8 +128,12 @@ def _slip_structure(problem: FitProblem, residual) -> float:
     return float(ordered[1:] @ ordered[:-1]) / power if power > 0 else 0.0
 
 
-def derived_estimates(solved: Solved, z_draws) -> dict[str, Estimate]:
-    """Derived quantities: the estimate's value, spread and interval of the draws."""
+def derived_estimates(solved: Solved, z_draws, withhold=False) -> dict[str, Estimate]:
+    """Derived quantities: the estimate's value, spread and interval of the draws.
+
+    ``withhold`` gives no spread: draws from a covariance mean nothing while a
+    parameter is open-ended, and only the posterior tells.
+    """
     problem = solved.problem
     channel = next((c.name for c in problem.channels if c.name != "mz"), None)
     if channel is None:
@@ -152,6 +156,9 @@ def derived_estimates(solved: Solved, z_draws) -> dict[str, Estimate]:
             continue
         low, high = np.nanquantile(draws, [0.025, 0.975])
         unit = DERIVED[name][0]
+        if withhold:
+            estimates[name] = Estimate(float(values[0]), None, unit, (None, None))
+            continue
         std = float(np.nanstd(draws))
         estimates[name] = Estimate(
             float(values[0]), std, unit, (float(low), float(high))
@@ -256,6 +263,7 @@ def _summarise(solved: Solved, data: TireData, config: FitConfig) -> FitResult:
         problem.channels, problem.loss, solved.rules, solved.level,
     )  # fmt: skip
     estimates, by_covariance = _profile_estimates(solved, profiles)
+    open_ended = not all(estimate.identified for estimate in estimates.values())
     std = np.sqrt(np.diag(solved.covariance))
     draws = _gaussian_draws(solved, config.seed)
     elements = problem.layout.elements
@@ -268,7 +276,7 @@ def _summarise(solved: Solved, data: TireData, config: FitConfig) -> FitResult:
             "covariance": by_covariance,
             "profile": {label: value.ci95 for label, value in estimates.items()},
         },
-        derived=derived_estimates(solved, draws),
+        derived=derived_estimates(solved, draws, withhold=open_ended),
         statistics=_statistics(solved),
         noise=_noise_record(solved) | {"notes": list(problem.notes)},
         verdict={},

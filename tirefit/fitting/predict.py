@@ -1,6 +1,5 @@
 """Forces that a fit or a model predicts, row by row, with their spread."""
 
-
 import jax
 import jax.numpy as jnp
 import numpy as np

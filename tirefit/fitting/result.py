@@ -17,6 +17,7 @@ __all__ = [
     "FitResult",
     "FitStatistics",
     "PosteriorSummary",
+    "information",
     "json_safe",
 ]
 
@@ -47,6 +48,8 @@ class FitStatistics:
     chi2_dof: float | None
     aicc: float
     bic: float
+    minus_two_log_likelihood: float
+    unknowns: int
     n: int
     n_effective: float
     dof: float
@@ -55,6 +58,20 @@ class FitStatistics:
     starts: int
     starts_agreeing: int
     slip_structure: float
+
+
+def information(
+    minus_two_log: float, rows: int, effective: float, unknowns: int
+) -> tuple[float, float]:
+    """(AICc, BIC) where ``rows`` count as ``effective`` independent ones.
+
+    The log likelihood of all rows shrinks by their ratio. Models compare fairly only at
+    one common effective number.
+    """
+    share = effective / rows
+    correction = 2 * unknowns * (unknowns + 1) / max(effective - unknowns - 1, 1)
+    aicc = share * minus_two_log + 2 * unknowns + correction
+    return aicc, share * minus_two_log + unknowns * math.log(max(effective, 1.0))
 
 
 @dataclass(frozen=True)

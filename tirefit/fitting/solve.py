@@ -9,6 +9,7 @@ from scipy.special import chdtrc
 
 from tirefit.fitting.config import FitConfig
 from tirefit.fitting.inference import (
+    REACH,
     Linearised,
     Rule,
     best_of,
@@ -23,6 +24,11 @@ from tirefit.fitting.predict import row_moments
 from tirefit.fitting.problem import FitProblem, starting_points, with_scale
 
 __all__ = ["Solved", "solve_problem"]
+
+
+_SETTLED = 1e-3
+"""Deviance left to gain at which an estimate counts as settled: 3 % of a standard
+deviation."""
 
 
 class Solved(NamedTuple):
@@ -173,6 +179,21 @@ def _surprise(problem: FitProblem, at: Linearised, channels, inflation: float):
     return ratio, ratio > 1 and chdtrc(effective, ratio * effective) < 1e-3
 
 
+def _still_to_gain(at: Linearised, z, cov, rules) -> float:
+    """Deviance that one more Gauss-Newton step would gain, bounds aside.
+
+    At a bound the bijection runs to infinity and no solver comes to rest, although
+    nothing is left to gain in any other direction.
+    """
+    free = np.abs(z) < 0.6 * REACH
+    gradient = sum(
+        at.slopes[name].T @ values / (rules[name].inflation if name in rules else 1.0)
+        for name, values in at.values.items()
+    )[free]
+    information = np.linalg.inv(cov)[np.ix_(free, free)]
+    return float(gradient @ np.linalg.solve(information, gradient))
+
+
 def solve_problem(problem: FitProblem, config: FitConfig) -> Solved:
     """Least squares with the noise settled, and the covariance of z."""
     starts = starting_points(problem, config.starts, config.seed)
@@ -188,11 +209,14 @@ def solve_problem(problem: FitProblem, config: FitConfig) -> Solved:
     at = _used(problem, linearise(*arguments))
     rules, chi2_dof, n_effective = _rules(problem, at, config)
     cov = covariance(*arguments, rules, at)
+    converged = bool(np.all(np.isfinite(z))) and (
+        converged or _still_to_gain(at, z, cov, rules) < _SETTLED
+    )
     spread = np.abs(solution.z[near] - solution.z[best]) / np.sqrt(np.diag(cov))
     any_estimated = any(c.noise_estimated for c in problem.channels)
     level = threshold(any_estimated, n_effective, problem.layout.size)
     return Solved(
-        problem, at, z, cov, rules, level, converged and bool(np.all(np.isfinite(z))),
+        problem, at, z, cov, rules, level, converged,
         config.starts, int(near.sum()), bool(np.any(spread > 3.0)), chi2_dof,
         n_effective,
     )  # fmt: skip

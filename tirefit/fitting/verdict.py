@@ -12,15 +12,20 @@ __all__ = ["disagreements", "judge"]
 _POOR_CHI2 = 2.0
 _POOR_R2 = 0.8
 _STRUCTURE_SIGMAS = 6.0
+_SYSTEMATIC = 0.5
+"""Correlation of neighbours above which half the residual is a miss, not noise."""
 
 
 def disagreements(result: FitResult) -> dict[str, str]:
     """Where the routes to an interval differ, by label.
 
-    An end that differs from the profile's by more than 30 % of its half-width is named.
+    An end that differs from the profile's by more than 30 % of its half-width is named;
+    a parameter that is not identified has no interval to agree on.
     """
     found = {}
     for label, (low, high) in result.intervals["profile"].items():
+        if not result.least_squares[label].identified:
+            continue
         half = (high - low) / 2
         if not half > 0:
             continue
@@ -57,62 +62,73 @@ def _fit_quality(result: FitResult) -> list[str]:
     return found
 
 
-def _structure(result: FitResult) -> list[str]:
+def _structure(result: FitResult) -> list[tuple[Outcome | None, str]]:
     value, n = result.statistics.slip_structure, result.statistics.n
-    if value * np.sqrt(n) > _STRUCTURE_SIGMAS and value > 0.2:
-        return [
-            f"residuals of neighbouring slips agree (correlation {value:.2f}): the"
-            " curve misses systematically there; look at residuals.png"
-        ]
-    return []
+    if value * np.sqrt(n) <= _STRUCTURE_SIGMAS or value <= 0.2:
+        return []
+    text = (
+        f"residuals of neighbouring slips agree (correlation {value:.2f}): the"
+        " curve misses systematically there; look at residuals.png"
+    )
+    return [(Outcome.SYSTEMATIC_MISFIT if value > _SYSTEMATIC else None, text)]
 
 
-def judge(result: FitResult) -> FitResult:
-    """The same fit with its outcomes and its verdict."""
-    outcomes, sentences = [], []
-    statistics = result.statistics
+def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
+    """All there is to say, each with the outcome it stands for."""
+    statistics, found = result.statistics, []
     if not statistics.converged:
-        outcomes.append(Outcome.NOT_CONVERGED)
-        sentences.append(Outcome.NOT_CONVERGED.value)
+        found.append((Outcome.NOT_CONVERGED, Outcome.NOT_CONVERGED.value))
+    found += [(Outcome.POOR_FIT, text) for text in _fit_quality(result)]
+    found += _structure(result)
     if result.solved is not None and result.solved.ambiguous:
-        outcomes.append(Outcome.STARTS_DISAGREE)
-        sentences.append(Outcome.STARTS_DISAGREE.value)
-    vague = [label for label, e in result.least_squares.items() if not e.identified]
-    if vague:
-        outcomes.append(Outcome.NOT_IDENTIFIED)
-        for label in vague:
-            low, high = result.least_squares[label].ci95
-            sentences.append(
+        found.append((Outcome.STARTS_DISAGREE, Outcome.STARTS_DISAGREE.value))
+    for label, estimate in result.least_squares.items():
+        if not estimate.identified:
+            low, high = estimate.ci95
+            text = (
                 f"{label} is not identified by these data: anything from {low:.4g} to"
                 f" {high:.4g} fits as well (95 %)"
             )
-    at_bound = [label for label in statistics.at_bound if label not in vague]
+            found.append((Outcome.NOT_IDENTIFIED, text))
+    at_bound = [
+        label for label in statistics.at_bound if result.least_squares[label].identified
+    ]
     if at_bound:
-        outcomes.append(Outcome.AT_BOUND)
-        sentences.append(
-            f"at its bound: {', '.join(at_bound)}; its interval is one-sided"
-        )
-    poor = _fit_quality(result)
-    if poor:
-        outcomes.append(Outcome.POOR_FIT)
-        sentences.append(Outcome.POOR_FIT.value)
-    sentences += poor + _structure(result) + _speed_limit(result)
+        text = f"at its bound: {', '.join(at_bound)}; the interval is one-sided"
+        found.append((Outcome.AT_BOUND, text))
     summary = result.posterior
     if summary is not None and summary.outcome is not Outcome.CONVERGED:
-        outcomes.append(summary.outcome)
-        sentences.append(summary.outcome.value)
-    differ = disagreements(result)
-    sentences += [
-        f"intervals of {label} differ: {text}" for label, text in differ.items()
-    ]
-    if result.statistics.n_effective < 0.5 * statistics.n:
-        sentences.append(
-            f"the residuals are autocorrelated: {statistics.n} rows count as"
-            f" {statistics.n_effective:.0f} independent ones in every interval"
+        found.append((summary.outcome, summary.outcome.value))
+    found += [(None, text) for text in _speed_limit(result)]
+    if statistics.n_effective < 0.5 * statistics.n:
+        text = (
+            f"residuals of neighbouring rows are correlated: {statistics.n} rows count"
+            f" as {statistics.n_effective:.0f} independent ones in every interval"
         )
-    status = _status(outcomes)
+        found.append((None, text))
+    return found
+
+
+def judge(result: FitResult) -> FitResult:
+    """The same fit with its outcomes and its verdict.
+
+    The first sentence is the one that the status stands for.
+    """
+    findings = _findings(result)
+    outcomes = tuple(dict.fromkeys(o for o, _ in findings if o is not None))
+    differ = disagreements(result)
+    if differ:
+        names = ", ".join(differ)
+        text = f"the routes to an interval disagree for {names}: trust the profile"
+        findings.append((None, f"{text} or the posterior, not the covariance"))
+    leading, status = next(
+        ((outcome, text) for outcome, text in _STATUS if outcome in outcomes),
+        (None, "ok"),
+    )
+    ordered = sorted(findings, key=lambda finding: finding[0] is not leading)
+    sentences = [text for _, text in (ordered if leading is not None else findings)]
     verdict = {"status": status, "sentences": sentences, "disagreements": differ}
-    return replace(result, outcomes=tuple(outcomes), verdict=verdict)
+    return replace(result, outcomes=outcomes, verdict=verdict)
 
 
 def _speed_limit(result: FitResult) -> list[str]:
@@ -142,11 +158,8 @@ _STATUS = (
     (Outcome.POOR_FIT, "poor fit"),
     (Outcome.STARTS_DISAGREE, "not unique"),
     (Outcome.NOT_IDENTIFIED, "not identified"),
+    (Outcome.SYSTEMATIC_MISFIT, "systematic misfit"),
     (Outcome.INTERRUPTED, "interrupted"),
     (Outcome.CHAIN_TOO_SHORT, "chain too short"),
     (Outcome.AT_BOUND, "at a bound"),
 )
-
-
-def _status(outcomes) -> str:
-    return next((text for outcome, text in _STATUS if outcome in outcomes), "ok")

@@ -4,7 +4,7 @@ import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tirefit.fitting.result import FitResult
+from tirefit.fitting.result import FitResult, information
 from tirefit.report.numbers import format_number
 from tirefit.report.text import table, value_text
 from tirefit.results import UsageError
@@ -109,7 +109,7 @@ def _comparable(results: Sequence[FitResult]) -> None:
 
 
 def compare(results: Sequence[FitResult]) -> Comparison:
-    """Models fitted to the same data, side by side.
+    """Models fitted to the same data, side by side, at one effective number of rows.
 
     Args:
         results: fits of the same rows and forces.
@@ -121,19 +121,29 @@ def compare(results: Sequence[FitResult]) -> Comparison:
         UsageError: no fits, or fits of different data.
     """
     _comparable(results)
-    ordered = sorted(results, key=lambda r: r.statistics.aicc)
-    best_aicc = ordered[0].statistics.aicc
-    best_bic = min(r.statistics.bic for r in ordered)
+    best = min(results, key=lambda r: r.statistics.rmse).statistics
+    criteria = {
+        id(r): information(
+            r.statistics.minus_two_log_likelihood,
+            best.n * len(r.forces),
+            best.n_effective,
+            r.statistics.unknowns,
+        )
+        for r in results
+    }
+    ordered = sorted(results, key=lambda r: criteria[id(r)][0])
+    best_aicc = criteria[id(ordered[0])][0]
+    best_bic = min(bic for _, bic in criteria.values())
     unit = "N m" if ordered[0].forces[0] == "mz" else "N"
     rows = [
         ("model", "k", f"RMSE [{unit}]", "AICc", "Δ AICc", "Δ BIC", "n_eff", "verdict")
     ]
     for r in ordered:
-        s = r.statistics
+        s, (aicc, bic) = r.statistics, criteria[id(r)]
         rows.append(
             (
-                r.model, str(len(r.labels)), format_number(s.rmse), f"{s.aicc:.1f}",
-                f"{s.aicc - best_aicc:.1f}", f"{s.bic - best_bic:.1f}",
+                r.model, str(len(r.labels)), format_number(s.rmse), f"{aicc:.1f}",
+                f"{aicc - best_aicc:.1f}", f"{bic - best_bic:.1f}",
                 f"{s.n_effective:.0f}", r.verdict.get("status", ""),
             )
         )  # fmt: skip
@@ -141,7 +151,8 @@ def compare(results: Sequence[FitResult]) -> Comparison:
     effective = [r.statistics.n_effective for r in ordered]
     if max(effective) > 1.1 * min(effective):
         notes.append(
-            "n_eff differs between the models: AICc and BIC then compare roughly"
+            "AICc and BIC count the rows of every model as"
+            f" {best.n_effective:.0f}, the effective number of the closest fit"
         )
     return Comparison(tuple(rows), tuple(notes))
 
