@@ -190,7 +190,7 @@ def test_arviz_reads_the_posterior(sampled, tmp_path):
         posterior = tree["posterior"].to_dataset().load()
         assert tree["observed_data"]["fx"].shape == (400,)
     assert posterior["mu"].dims == ("chain", "draw")
-    assert posterior.sizes["chain"] == 4 * 32
+    assert posterior.sizes["chain"] == 4 * sampled.posterior.walkers
     assert posterior["cpa2"].attrs["unit"] == "N"
     assert posterior.attrs["model"] == "brush"
     np.testing.assert_array_equal(

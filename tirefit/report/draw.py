@@ -158,7 +158,7 @@ def draw_scatter(axes, panel: Scatter, force: str = "") -> None:
     tidy(axes, panel.label, f"{force} residual / std".strip())
     axes.set_ylim(*_symmetric(panel.residual))
     if panel.ticks:
-        texts = [t if len(t) <= 14 else t[:13] + "…" for t in panel.ticks]
+        texts = [t if len(t) <= 14 else "…" + t[-13:] for t in panel.ticks]
         angle = 0 if sum(map(len, texts)) < 40 else 30
         anchor = "center" if angle == 0 else "right"
         axes.set_xticks(range(len(texts)), texts, rotation=angle, ha=anchor)

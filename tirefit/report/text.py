@@ -66,9 +66,9 @@ def note_on(result: FitResult, name: str) -> str:
     estimate = result.parameters[name]
     notes = []
     if name in result.statistics.at_bound:
-        notes.append("at its bound")
+        notes.append("at bound")
     if not estimate.identified and np.isfinite(estimate.value):
-        notes.append(f"best fit {format_number(estimate.value)}")
+        notes.append(f"best {format_number(estimate.value)}")
     if name in result.verdict.get("disagreements", {}):
         notes.append("routes differ")
     return ", ".join(notes)
@@ -125,7 +125,7 @@ def _routes(result: FitResult) -> list[str]:
 def _derived(result: FitResult) -> list[str]:
     if not result.derived:
         return []
-    at = f"F_z = {result.reference['fz']:.0f} N"
+    at = f"F_z = {format_number(result.reference['fz'])} N"
     if result.reference.get("v"):
         at += f", v = {result.reference['v']:.3g} m/s"
     rows = [["quantity", "value ± std", "unit", "95 % interval"]]
