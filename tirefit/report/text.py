@@ -66,7 +66,7 @@ def note_on(result: FitResult, name: str) -> str:
     estimate = result.parameters[name]
     notes = []
     if name in result.statistics.at_bound:
-        notes.append("at bound")
+        notes.append("at its bound")
     if not estimate.identified and np.isfinite(estimate.value):
         notes.append(f"best {format_number(estimate.value)}")
     if name in result.verdict.get("disagreements", {}):
