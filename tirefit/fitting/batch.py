@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from tirefit.fitting.layout import FreeParameter, Layout
 from tirefit.fitting.least_squares import damped_gauss_newton
-from tirefit.fitting.problem import find_model
+from tirefit.fitting.problem import find_model, guess_from_curve
 from tirefit.models import TireInputs
 from tirefit.params import specs, with_values
 
@@ -107,13 +107,6 @@ def _guess(template, layout, slip, force, fz, v):
     small = jnp.abs(slip) <= 0.2 * jnp.max(jnp.abs(slip))
     stiffness = jnp.sum(small * slip * force) / jnp.sum(small * slip**2)
     peak = jnp.max(jnp.abs(force) / fz)
-    found = {
-        "cpa2": stiffness / 2,
-        "mu": peak,
-        "mu_peak": peak,
-        "mu_c": 0.6 * peak,
-        "D": peak,
-        "B": stiffness / (1.5 * peak * jnp.mean(fz)),
-    }
+    found = guess_from_curve(stiffness, peak, jnp.mean(fz))
     known = {p.name: jnp.asarray(p.spec.default, float) for p in layout.free}
     return layout.unconstrained(known | {k: x for k, x in found.items() if k in known})

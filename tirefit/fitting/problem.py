@@ -15,7 +15,14 @@ from tirefit.models import MODELS, AbstractTire, TireInputs, needs_speed
 from tirefit.params import Spec, parameter_values, specs, with_values
 from tirefit.results import DataError, Problem, UsageError
 
-__all__ = ["FitProblem", "build", "find_model", "starting_points", "with_scale"]
+__all__ = [
+    "FitProblem",
+    "build",
+    "find_model",
+    "guess_from_curve",
+    "starting_points",
+    "with_scale",
+]
 
 
 @dataclass(frozen=True)
@@ -239,7 +246,19 @@ def _first_guess(model, data: TireData, forces, layout: Layout) -> dict[str, flo
     load = float(np.median(fz))
     stiffness = max(1.2 * stiffness, peak * load / max(size.max(), 1e-6))
     peak = min(max(1.03 * peak, 0.02), 4.0)
-    found = {
+    found = guess_from_curve(stiffness, peak, load)
+    return {name: found.get(name, value) for name, value in guess.items()}
+
+
+def guess_from_curve(stiffness, peak, load) -> dict:
+    """First values of the parameters that a look at the curve gives.
+
+    Args:
+        stiffness: slope of the force at small slip [N].
+        peak: largest force over load [-].
+        load: typical load [N].
+    """
+    return {
         "cpa2": stiffness / 2,
         "mu": peak,
         "mu_peak": peak,
@@ -247,7 +266,6 @@ def _first_guess(model, data: TireData, forces, layout: Layout) -> dict[str, flo
         "D": peak,
         "B": stiffness / (1.5 * peak * load),
     }
-    return {name: found.get(name, value) for name, value in guess.items()}
 
 
 def _check_size(data: TireData, layout: Layout, channels, n_values: int) -> None:
