@@ -170,7 +170,7 @@ def test_autocorrelated_noise_widens_every_interval():
         np.testing.assert_allclose(ratio, factor, rtol=1e-3)
         low, high = wide.least_squares[label].ci95
         assert low < TRUTH[label] < high
-    assert any("autocorrelated" in s for s in wide.verdict["sentences"])
+    assert any("are correlated" in s for s in wide.verdict["sentences"])
 
 
 def test_covariance_of_a_prior_combines_with_the_data():

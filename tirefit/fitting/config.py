@@ -89,7 +89,7 @@ class PosteriorConfig(_Strict):
     ensembles: int = Field(default=4, ge=4)
     walkers: PositiveInt | None = None
     effective_samples: PositiveInt = 4000
-    max_steps: PositiveInt = 20_000
+    max_steps: PositiveInt = 5000
 
 
 class FitConfig(_Strict):

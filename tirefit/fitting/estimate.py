@@ -181,13 +181,13 @@ def _versions() -> dict[str, str]:
     }
 
 
-def _data_record(data: TireData) -> dict[str, Any]:
+def _data_record(data: TireData, used: int) -> dict[str, Any]:
     source = data.source
     return {
         "file": source.path or data.name,
         "sha256": source.sha256,
         "rows": len(data),
-        "used": data.n,
+        "used": used,
         "masked": [str(problem) for problem in source.masked],
         "runs": list(data.runs),
         "convention": source.convention,
@@ -198,6 +198,14 @@ def _data_record(data: TireData) -> dict[str, Any]:
     }
 
 
+def _follows_load(problem: FitProblem, scale: np.ndarray) -> bool:
+    """Whether the noise is a fixed share of a load that varies."""
+    ratio = scale / problem.used(problem.rows.inputs.fz)
+    return bool(
+        np.ptp(scale) > 1e-9 * scale.max() and np.ptp(ratio) < 1e-9 * ratio.max()
+    )
+
+
 def _noise_record(solved: Solved) -> dict[str, Any]:
     problem = solved.problem
     record: dict[str, Any] = {"loss": problem.loss}
@@ -205,6 +213,7 @@ def _noise_record(solved: Solved) -> dict[str, Any]:
         scale = problem.used(problem.rows.scale[channel.name])
         record[channel.name] = {
             "median_std": float(np.median(scale)),
+            "proportional_to_load": _follows_load(problem, scale),
             "source": "estimated" if channel.noise_estimated else "given",
         }
     for slip, std in problem.slip_noise.items():
@@ -283,7 +292,7 @@ def _summarise(solved: Solved, data: TireData, config: FitConfig) -> FitResult:
         outcomes=(),
         labels=problem.layout.labels,
         correlation=solved.covariance / np.outer(std, std),
-        data=_data_record(data),
+        data=_data_record(data, problem.n),
         reference=reference_point(problem),
         solver=config.solver,
         seed=config.seed,

@@ -2,7 +2,7 @@
 
 There the posterior is nearly a unit Gaussian, so an identity mass and a handful of
 leapfrog steps give nearly independent samples (Neal 2011). The step size is adapted
-to 80 % acceptance in the first chunk, which is burn-in, and then left alone.
+to 80 % acceptance in steps that are not kept, and then left alone.
 """
 
 from functools import partial
@@ -15,6 +15,7 @@ __all__ = ["hmc_chunk", "hmc_start"]
 
 _LEAPFROG = 4
 _TARGET = 0.8
+_ADAPTATION = 100
 
 
 def hmc_start(density, size: int, ensembles: int, walkers: int, seed: int):
@@ -91,7 +92,16 @@ class _Static:
 
 
 def hmc_chunk(density, state: dict, steps: int):
-    """Advance every chain: (samples, log density, acceptance, state), as emcee's."""
+    """Advance every chain: (samples, log density, acceptance, state), as emcee's.
+
+    The steps that adapt the step size come first and are not among the samples.
+    """
+    if state["adapting"]:
+        state = _advanced(density, state, _ADAPTATION)[3]
+    return _advanced(density, state, steps)
+
+
+def _advanced(density, state: dict, steps: int):
     static = _Static(density)
     arrays = {
         k: v for k, v in density.keywords.items() if k not in dict(static.options)

@@ -61,7 +61,9 @@ def effective_inflation(scores, run, time) -> float:
     """
     # A parameter that no row informs about has no direction of its own.
     left, size, _ = np.linalg.svd(scores, full_matrices=False)
-    directions = left[:, size > 1e-8 * max(size.max(), 1e-300)]
+    known = size > 1e-8 * max(size.max(), 1e-300)
+    # The parameters' own directions too: those of equal size are arbitrary in the SVD.
+    directions = np.concatenate([left[:, known], scores], axis=1)
     order = np.arange(len(run)) if time is None else np.lexsort((time, run))
     parts = [order[run[order] == code] for code in np.unique(run)]
     return max(

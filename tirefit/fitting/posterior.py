@@ -261,7 +261,7 @@ def sample(
     ensembles: int = 4,
     walkers: int | None = None,
     effective_samples: int = 4000,
-    max_steps: int = 6000,
+    max_steps: int = 5000,
     seed: int | None = None,
     checkpoint: str | os.PathLike | None = None,
     resume: bool = False,
@@ -303,8 +303,7 @@ def sample(
         effective_samples, max_steps, path, identity, progress,
     )  # fmt: skip
     if chain is None:
-        done = judge(replace(result, posterior=None))
-        return replace(done, outcomes=(*done.outcomes, outcome))
+        return judge(replace(result, interrupted=True))
     return _with_posterior(result, chain, outcome, sampler, seed, effective_samples)
 
 

@@ -128,6 +128,8 @@ class FitResult(Displayed):
     covariance: np.ndarray
     profiles: dict[str, dict[str, np.ndarray]]
     posterior: PosteriorSummary | None = None
+    interrupted: bool = False
+    """Whether sampling was interrupted before it had anything to keep."""
     chains: np.ndarray | None = field(default=None, repr=False)
     walkers: np.ndarray | None = field(default=None, repr=False)
     problem: Any = field(default=None, repr=False)

@@ -24,7 +24,7 @@ __all__ = ["StoredFit", "load_fit", "predict", "save_fit", "write_posterior"]
 class StoredFit:
     """What a prediction needs of a fit: the tire, the estimate and the noise.
 
-    ``noise`` holds the standard deviation [N, N m] of each fitted force's noise.
+    ``noise`` holds the noise record of each fitted force, ``content`` the whole file.
     """
 
     model: str
@@ -32,7 +32,7 @@ class StoredFit:
     layout: Layout
     z: np.ndarray
     covariance: np.ndarray
-    noise: Mapping[str, float]
+    noise: Mapping[str, Mapping]
     content: Mapping
 
 
@@ -68,9 +68,7 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
     layout = Layout(
         free, tuple(Tie(**tie) for tie in stored["ties"]), tuple(stored["runs"])
     )
-    noise = {
-        force: content["noise"][force]["median_std"] for force in content["forces"]
-    }
+    noise = {force: content["noise"][force] for force in content["forces"]}
     return StoredFit(
         content["model"], with_values(template, stored["fixed"]), layout,
         np.array(content["prediction"]["z"]),
@@ -139,11 +137,13 @@ def predict(
     if isinstance(source, FitResult):
         problem = source.problem
         tire, layout, name = problem.model, problem.layout, source.model
-        noise = {force: source.noise[force]["median_std"] for force in source.forces}
+        noise = {force: source.noise[force] for force in source.forces}
+        reference = source.reference
     else:
         tire, layout, name, noise = (
             source.tire, source.layout, source.model, source.noise
         )  # fmt: skip
+        reference = source.content["reference"]
     _require_inputs(data, tire, name)
     force, variance = predict_forces(
         tire,
@@ -156,9 +156,20 @@ def predict(
     out = {}
     for channel in _channels(data, force):
         out[channel] = force[channel]
-        noise_variance = noise.get(channel, 0.0) ** 2
-        out[f"{channel}_std"] = np.sqrt(variance[channel] + noise_variance)
+        noise_std = _noise_std(data, channel, noise.get(channel), reference)
+        out[f"{channel}_std"] = np.hypot(np.sqrt(variance[channel]), noise_std)
     return _masked(data, out)
+
+
+def _noise_std(data: TireData, channel: str, record: Mapping | None, reference):
+    """Noise of one measurement: the rows' own where they state it, else the fit's."""
+    if f"{channel}_std" in data:
+        return data[f"{channel}_std"]
+    if record is None:
+        return 0.0
+    if record.get("proportional_to_load"):
+        return record["median_std"] * data["fz"] / reference["fz"]
+    return record["median_std"]
 
 
 def _channels(data: TireData, force: Mapping) -> list[str]:
@@ -254,7 +265,10 @@ def save_fit(result: FitResult, directory: str | os.PathLike) -> list[Path]:
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     written = []
-    if result.walkers is not None:
+    if result.walkers is None:
+        # A posterior of an earlier fit beside this fit.json would be taken for its own.
+        (directory / "posterior.nc").unlink(missing_ok=True)
+    else:
         write_posterior(result, directory / "posterior.nc")
         written.append(directory / "posterior.nc")
     write_text_atomic(directory / "fit.json", result.to_json())

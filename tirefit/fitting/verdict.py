@@ -99,6 +99,9 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     summary = result.posterior
     if summary is not None and summary.outcome is not Outcome.CONVERGED:
         found.append((summary.outcome, summary.outcome.value))
+    if result.interrupted:
+        text = "interrupted before the first samples: there is no posterior"
+        found.append((Outcome.INTERRUPTED, text))
     found += [(None, text) for text in _speed_limit(result)]
     if statistics.n_effective < 0.5 * statistics.n:
         text = (

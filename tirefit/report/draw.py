@@ -270,4 +270,10 @@ def save_figures(
         picture = figure(result)
         for suffix in (".png", ".svg") if svg else (".png",):
             written.append(_save(picture, directory / f"{name}{suffix}"))
+    # Figures of an earlier fit would be taken for this one's.
+    for name in ("fit", "residuals", "profile", "corner", "trace"):
+        for suffix in (".png", ".svg"):
+            path = directory / f"{name}{suffix}"
+            if path not in written:
+                path.unlink(missing_ok=True)
     return written

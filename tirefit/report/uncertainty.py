@@ -216,7 +216,9 @@ def _profile_panel(result: FitResult, label: str, profile) -> ProfilePanel:
     logarithmic = bool(spec is not None and spec.scale == "log" and wide)
     value, deviance = _dense(value[rows], deviance[rows], estimate.value, logarithmic)
     low, high = result.intervals["covariance"][label]
-    parabola = level * ((value - (low + high) / 2) / max((high - low) / 2, 1e-300)) ** 2
+    # At a bound the covariance interval has no width, and its parabola is a line up.
+    half = max((high - low) / 2, 1e-9 * max(abs(low), abs(high), 1e-300))
+    parabola = level * ((value - (low + high) / 2) / half) ** 2
     edges = density = None
     if result.chains is not None:
         draws = _flat(result)[:, result.labels.index(label)]
