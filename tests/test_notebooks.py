@@ -22,8 +22,9 @@ ESTIMATE = re.compile(r"\b([A-Za-z]\w*)(?: =)? +(-?[\d.]+) ± ([\d.]+)")
 
 @pytest.fixture(scope="session")
 def compiled(tmp_path_factory):
-    """Environment in which a second kernel need not compile what the first did."""
+    """Environment of kernels that compile little, and share what they compile."""
     return {
+        "JAX_DISABLE_MOST_OPTIMIZATIONS": "1",
         "JAX_COMPILATION_CACHE_DIR": str(tmp_path_factory.mktemp("compiled")),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",

@@ -113,8 +113,8 @@ def share_of_limit(per_fit: float) -> None:
     peak = 2 * 1500**3 / min(seconds(np.matmul, a, a) for _ in range(5))
     operations = 7 * ROWS * 72
     share = operations / per_fit / peak
-    print(f"  {operations / 1e3:.0f} k operations a fit, {share:.1%} of {peak / 1e9:.0f}"
-          " Gflop/s (matrix product on all cores)")  # fmt: skip
+    limit = f"{peak / 1e9:.0f} Gflop/s (matrix product on all cores)"
+    print(f"  {operations / 1e3:.0f} k operations a fit, {share:.1%} of {limit}")
 
 
 def posterior() -> None:

@@ -63,7 +63,7 @@ def test_estimate_at_its_bound_has_a_one_sided_interval():
     assert m.std is None and m.identified
     assert m.ci95[1] == 1.0 and 0.98 < m.ci95[0] < 1.0
     assert result.verdict["status"] == "at a bound"
-    assert "m; its interval is one-sided" in " ".join(result.verdict["sentences"])
+    assert "m; the interval is one-sided" in " ".join(result.verdict["sentences"])
 
 
 def test_bounds_away_from_the_first_guess_do_not_trap_the_fit():
@@ -83,7 +83,8 @@ def test_routes_that_differ_are_named(given):
     result = replace(given, intervals=given.intervals | {"covariance": moved})
     assert set(disagreements(result)) == {"cpa2", "mu"}
     sentences = judge(result).verdict["sentences"]
-    assert any("intervals of mu differ: covariance interval" in s for s in sentences)
+    assert any("disagree for cpa2, mu" in s for s in sentences)
+    assert judge(given).verdict["disagreements"] == {}
 
 
 def test_wrong_model_is_seen_in_the_residuals():

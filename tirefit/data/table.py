@@ -49,7 +49,7 @@ class Source:
     line: np.ndarray | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TireData(Displayed):
     """Measured force-slip data in the canonical convention (see ``tirefit.slip``).
 
@@ -66,6 +66,10 @@ class TireData(Displayed):
     run: np.ndarray
     runs: tuple[str, ...]
     source: Source = field(default_factory=Source)
+
+    def __repr__(self) -> str:
+        columns = ", ".join(self.columns)
+        return f"TireData({self.name!r}, {self.n} of {len(self)} rows: {columns})"
 
     def __len__(self) -> int:
         return len(self.used)

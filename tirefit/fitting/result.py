@@ -91,7 +91,7 @@ class PosteriorSummary:
     outcome: Outcome
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FitResult(Displayed):
     """One fit: what went in, what came out, how sure it is.
 
@@ -135,6 +135,10 @@ class FitResult(Displayed):
     problem: Any = field(default=None, repr=False)
     solved: Any = field(default=None, repr=False)
     table: Any = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        status = self.verdict["status"]
+        return f"FitResult({self.model!r}, {self.data['file']!r}, {status!r})"
 
     @property
     def converged(self) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 
 from tirefit.data.table import TireData
 from tirefit.fitting.layout import FreeParameter, Layout, Tie
+from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.predict import predict_forces
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import SCHEMA, FitResult
@@ -124,9 +125,10 @@ def predict(
         values: parameter values of a named model; defaults otherwise.
 
     Returns:
-        (n,) arrays ``fx`` where the data have sigma_x, ``fy`` and ``mz`` where they
-        have alpha, and for a fit ``<force>_std``: parameter uncertainty, and for the
-        forces that were fitted the noise of one measurement. Masked rows are NaN.
+        (n,) arrays. Of a named model ``fx`` where the data have sigma_x, ``fy`` and
+        ``mz`` where they have alpha; of a fit the forces that it fitted, each with a
+        ``<force>_std``: parameter uncertainty and the noise of one measurement.
+        Masked rows are NaN.
 
     Raises:
         UsageError: unknown model or parameter, or a value outside its bounds.
@@ -154,7 +156,17 @@ def predict(
         _run_codes(data, layout),
     )
     out = {}
-    for channel in _channels(data, force):
+    fitted = [channel for channel in _channels(data, force) if channel in noise]
+    if not fitted:
+        needs = " and ".join(CHANNEL_SLIP[channel] for channel in noise)
+        raise DataError(
+            Problem(
+                f"the fit is of {', '.join(noise)}: the data need {needs}",
+                "name the column with --column",
+                data.source.path or data.name,
+            )
+        )
+    for channel in fitted:
         out[channel] = force[channel]
         noise_std = _noise_std(data, channel, noise.get(channel), reference)
         out[f"{channel}_std"] = np.hypot(np.sqrt(variance[channel]), noise_std)
@@ -173,8 +185,11 @@ def _noise_std(data: TireData, channel: str, record: Mapping | None, reference):
 
 
 def _channels(data: TireData, force: Mapping) -> list[str]:
-    needs = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
-    return [c for c, slip in needs.items() if slip in data and force.get(c) is not None]
+    return [
+        channel
+        for channel, slip in CHANNEL_SLIP.items()
+        if slip in data and force.get(channel) is not None
+    ]
 
 
 def _masked(data: TireData, out: dict) -> dict[str, np.ndarray]:

@@ -49,15 +49,16 @@ def _fit_quality(result: FitResult) -> list[str]:
     chi2 = statistics.chi2_dof
     if chi2 is not None and chi2 > _POOR_CHI2:
         found.append(
-            f"chi2/dof = {chi2:.3g}: the residuals are {np.sqrt(chi2):.2g} times the"
-            " given noise; the intervals are widened by that factor, and still assume"
-            " that the model is right"
+            f"the model does not describe these data: chi2/dof = {chi2:.3g}, the"
+            f" residuals are {np.sqrt(chi2):.2g} times the given noise; the intervals"
+            " are widened by that factor, and still assume that the model is right"
         )
     # Where the noise is known, a small share may be all that it leaves.
     if chi2 is None and statistics.r2 < _POOR_R2:
+        share = 100 * max(statistics.r2, 0)
         found.append(
-            f"the model explains {100 * max(statistics.r2, 0):.0f} % of the variance of"
-            f" {result.forces[0]}"
+            f"the model does not describe these data: it explains {share:.0f} % of the"
+            f" variance of {result.forces[0]}"
         )
     return found
 
