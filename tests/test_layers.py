@@ -13,6 +13,7 @@ FLOORS = {
     "results": 0,
     "compiled": 0,
     "display": 0,
+    "names": 0,
     "params": 1,
     "slip": 1,
     "models": 2,

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import subprocess
 import sys
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from tirefit.models import MODELS
+from tirefit.names import MODEL_NAMES
 
 FZ = 4000.0
 PARABOLIC = {"cpa2": 5e4, "mu": 1.0}
@@ -154,3 +156,27 @@ def test_python_dash_m_starts_it():
         [sys.executable, "-m", "tirefit", "version"], capture_output=True, text=True
     )
     assert done.returncode == 0 and done.stderr == ""
+
+
+def test_completion_knows_every_model_without_importing_one():
+    assert sorted(MODEL_NAMES) == sorted(MODELS)
+
+
+def test_completing_a_model_imports_no_jax():
+    program = (
+        "import sys\n"
+        "from tirefit.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "print('jax' in sys.modules, 'numpy' in sys.modules)"
+    )
+    environment = os.environ | {
+        "_TIREFIT_COMPLETE": "complete_bash",
+        "COMP_WORDS": "tirefit fit --model brush-dm",
+        "COMP_CWORD": "3",
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=environment, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert "False False" in done.stdout

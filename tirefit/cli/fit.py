@@ -25,6 +25,7 @@ from tirefit.cli.options import (
     say,
     start_jax,
 )
+from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, Outcome, Problem, TirefitError, UsageError
 
 __all__ = ["fit"]
@@ -41,10 +42,8 @@ class Sampler(StrEnum):
     hmc = "hmc"
 
 
-def _model_names() -> list[str]:
-    from tirefit.models import MODELS
-
-    return list(MODELS)
+def _model_names(incomplete: str) -> list[str]:
+    return [name for name in MODEL_NAMES if name.startswith(incomplete)]
 
 
 def _output_directories(files: list[Path], out: Path | None, joint: bool) -> list[Path]:
