@@ -157,12 +157,31 @@ def predict(
             raise UsageError(
                 Problem("--set with a fit.json", "use it with a model name")
             )
-        table = read(data, **options, forces=False)
+        for given in (data, Path(source)):
+            if given.exists() and out.exists() and out.samefile(given):
+                raise UsageError(
+                    Problem(f"--out {out} is an input file", "choose another name")
+                )
         fitted = load_fit(source) if is_file else source
+        if is_file and options["convention"] is None:
+            options["convention"] = fitted.content["data"]["convention"]
+        table = read(data, **options, forces=False)
         found = to_convention(table, forces_of(fitted, table, values))
         write_csv(out, found)
         convention_text = f"convention {table.source.convention}"
+        if not is_file:
+            say(f"{source} with {_values_text(source, values)}")
         say(f"wrote {out}: {len(table)} rows, {', '.join(found)} ({convention_text})")
+
+
+def _values_text(name: str, values: dict[str, float]) -> str:
+    """Every parameter value of a named model, so that defaults are seen."""
+    from tirefit.models import MODELS
+    from tirefit.params import parameter_values
+
+    everything = parameter_values(MODELS[name]) | values
+    marks = {key: "" if key in values else " (default)" for key in everything}
+    return ", ".join(f"{k} = {v:g}{marks[k]}" for k, v in everything.items())
 
 
 @app.command()

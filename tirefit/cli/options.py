@@ -50,7 +50,11 @@ ConstantOption = Annotated[
 ]
 ConventionOption = Annotated[
     str | None,
-    typer.Option(help="signs of the file: braking, iso-w, sae, adapted-sae"),
+    typer.Option(
+        help="signs of the file: braking (slip and force positive when braking),"
+        " iso-w (driving positive, z up), sae (driving positive, z down),"
+        " adapted-sae (driving positive, F_y > 0 for alpha > 0); braking if not given"
+    ),
 ]
 SlipOption = Annotated[
     str | None,
@@ -104,7 +108,9 @@ def data_options(
         | numbers("--constant", constant),
         "convention": convention or (base.convention if base else None),
         "slip": slip or (base.slip if base else None),
-        "rolling_radius": radius or (base.rolling_radius if base else None),
+        "rolling_radius": radius
+        if radius is not None
+        else (base and base.rolling_radius),
         "mask_bad_rows": mask or bool(base and base.mask_bad_rows),
     }
     return merged

@@ -263,7 +263,10 @@ def check_signs(
             f"signs contradict the convention {convention!r}: {names} have"
             f" {_relation(convention, field, force)} signs there, the data have not"
         )
-        remedy = f"if the sign of one column differs, flip it: --unit {force}=-N"
+        remedy = (
+            "if the sign of one column differs, put a minus before its unit:"
+            f" --unit {force}=-N, or {force}=-kN where it is in kN"
+        )
         if fitting:
             remedy = f"these signs fit --convention {' or '.join(fitting)}; {remedy}"
         problems.append(Problem(reason, remedy, file, column=headers.get(force, force)))

@@ -3,7 +3,7 @@
 import difflib
 import tomllib
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
 from pydantic import ValidationError as _ValidationError
@@ -24,7 +24,7 @@ Force = Literal["fx", "fy", "mz"]
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Prior(_Strict):
@@ -96,7 +96,7 @@ class FitConfig(_Strict):
     """The whole of ``fit.toml``."""
 
     model: str | None = None
-    force: Force | list[Force] | None = None
+    force: Force | Annotated[list[Force], Field(min_length=1)] | None = None
     solver: Literal["optimistix", "jaxopt", "gauss-newton"] = "optimistix"
     starts: PositiveInt = 8
     seed: int = Field(default=0, ge=0, lt=2**32)

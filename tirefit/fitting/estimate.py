@@ -119,10 +119,21 @@ def _minus_two_log_likelihood(solved: Solved) -> float:
 def _slip_structure(problem: FitProblem, residual) -> float:
     """Correlation of the residuals of neighbours in slip: 0 for noise, 1 for a bias.
 
-    The mean over runs-free order of slip of products of neighbours, over the variance.
+    The larger of two orders: by slip alone, and by slip within run and load.
     """
-    slip = problem.used(getattr(problem.rows.inputs, problem.slip_name))
-    ordered = residual[np.argsort(slip, kind="stable")]
+    inputs = problem.rows.inputs
+    slip = problem.used(getattr(inputs, problem.slip_name))
+    run, load = problem.used(problem.rows.run), problem.used(inputs.fz)
+    # Neighbours of one run and about one load: rows of other conditions lie between
+    # them in slip, and a miss that alternates with them would look like noise.
+    orders = [
+        np.argsort(slip, kind="stable"),
+        np.lexsort((slip, np.round(np.log(load) / 0.1), run)),
+    ]
+    return max(_neighbours(residual[order]) for order in orders)
+
+
+def _neighbours(ordered: np.ndarray) -> float:
     ordered = ordered - ordered.mean()
     power = float(ordered @ ordered)
     return float(ordered[1:] @ ordered[:-1]) / power if power > 0 else 0.0
@@ -166,11 +177,16 @@ def derived_estimates(solved: Solved, z_draws, withhold=False) -> dict[str, Esti
     return estimates
 
 
-def _gaussian_draws(solved: Solved, seed: int, count: int = 512) -> np.ndarray:
+def _gaussian_draws(solved: Solved, seed: int, count: int = 2048) -> np.ndarray:
     generator = np.random.default_rng(seed)
     values, vectors = np.linalg.eigh(solved.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0))
-    draws = solved.z + generator.normal(size=(count, len(solved.z))) @ root.T
+    standard = generator.normal(size=(count, len(solved.z)))
+    if any(c.noise_estimated for c in solved.problem.channels):
+        # Student's t, as the intervals of the parameters have it.
+        dof = max(solved.n_effective - solved.problem.layout.size, 1.0)
+        standard /= np.sqrt(generator.chisquare(dof, (count, 1)) / dof)
+    draws = solved.z + standard @ root.T
     return np.clip(draws, -REACH, REACH)
 
 

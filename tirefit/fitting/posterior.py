@@ -10,6 +10,7 @@ that was not.
 """
 
 import os
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -230,7 +231,14 @@ def _save(path: Path, chain: Chain, identity: str) -> None:
 def _load(path: Path, identity: str) -> Chain | None:
     if not path.exists():
         return None
-    with np.load(path, allow_pickle=False) as file:
+    try:
+        opened = np.load(path, allow_pickle=False)
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile):
+        raise UsageError(
+            f"{path} is not a chain that tirefit kept: remove it, or fit without"
+            " --resume"
+        ) from None
+    with opened as file:
         if str(file["identity"]) != identity:
             raise UsageError(
                 f"{path} holds the chain of another fit (other data, model, seed or"
@@ -405,5 +413,5 @@ def _with_posterior(
 
 def _posterior_derived(result: FitResult, z: np.ndarray, seed: int):
     flat = z.reshape(-1, z.shape[-1])
-    chosen = np.random.default_rng(seed).choice(len(flat), min(len(flat), 512), False)
+    chosen = np.random.default_rng(seed).choice(len(flat), min(len(flat), 2048), False)
     return derived_estimates(result.solved, flat[chosen])

@@ -161,6 +161,14 @@ def _make_layout(
         wanted = spec.free if asked.free is None else asked.free
         if name == "half_length" and asked.free is None:
             wanted = "mz" in forces
+        if asked.prior is not None and not spec.lower < asked.prior.mean < spec.upper:
+            raise UsageError(
+                Problem(
+                    f"parameters.{name}: prior mean {asked.prior.mean:g} outside the"
+                    f" bounds [{spec.lower:.6g}, {spec.upper:.6g}]",
+                    "choose a mean inside the bounds",
+                )
+            )
         if asked.tied is not None:
             ties.append(Tie(name, asked.tied, asked.factor))
         elif wanted:
@@ -175,7 +183,7 @@ def _make_layout(
             raise UsageError(
                 Problem(
                     f"parameters.{tie.name}: tied to {tie.other!r}, which is not free",
-                    f"tie it to one of {', '.join(sorted(names))}",
+                    f"tie it to one of {', '.join(sorted(names)) or 'none: free one'}",
                 )
             )
     if not free:
@@ -210,6 +218,22 @@ def _slip_scale(data: TireData, slip: str, noise: NoiseConfig):
     if given is not None:
         return np.full(data.n, given), f"noise of {slip}: {given:g} given"
     return None, f"noise of {slip}: none assumed"
+
+
+def _check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
+    """Measured slips vary by at least their noise; if not, it places no row."""
+    noise, spread = float(np.median(std)), float(np.std(data.usable(slip)))
+    if noise > 0.7 * spread:
+        raise DataError(
+            Problem(
+                f"the noise of {slip} ({noise:.3g}) is as large as the spread of the"
+                f" measured slips (standard deviation {spread:.3g}): they say nothing"
+                " about where on the curve a row lies",
+                "check the unit of the noise",
+                data.source.path or data.name,
+                column=f"{slip}_std",
+            )
+        )
 
 
 def _padded_size(n: int) -> int:
@@ -319,6 +343,7 @@ def build(data: TireData, name: str, config: FitConfig) -> FitProblem:
         std, note = _slip_scale(data, slip, config.noise)
         notes.append(note)
         if std is not None:
+            _check_slip_noise(data, slip, std)
             slip_noise[slip] = std
             densities[slip] = slip_density(data.usable(slip), std)
     rows = Rows(

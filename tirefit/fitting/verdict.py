@@ -90,6 +90,11 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
                 f"{label} is not identified by these data: anything from {low:.4g} to"
                 f" {high:.4g} fits as well (95 %)"
             )
+            if label in statistics.at_bound:
+                text += (
+                    f"; the best fit stopped at the bound {estimate.value:.4g}: check"
+                    " the units, or widen the bound"
+                )
             found.append((Outcome.NOT_IDENTIFIED, text))
     at_bound = [
         label for label in statistics.at_bound if result.least_squares[label].identified
