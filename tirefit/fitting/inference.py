@@ -184,17 +184,6 @@ def _profile_points(model, layout, index, values, starts, rows, channels, loss, 
     return jax.lax.map(lambda a: one(*a), (index, values, starts))
 
 
-@compiled(static=("layout", "channels", "loss"))
-def row_scores(model, layout: Layout, z, rows: Rows, channels, loss):
-    """Contribution of every row to the gradient of log L, by block, each (n, p)."""
-
-    def blocks(z):
-        return root_deviance(model, layout, z, rows, channels, loss)
-
-    values, slopes = blocks(z), jax.jacfwd(blocks)(z)
-    return {name: -slopes[name] * values[name][:, None] for name in values}
-
-
 class Profile(NamedTuple):
     """Profile of one element of z: points (m,), their deviance, and the 95 % interval.
 
