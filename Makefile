@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: install demo test statistics notebooks bench lint clean
+.PHONY: install demo test statistics notebooks bench withheld withheld-full lint clean
 
 install: $(STAMP)
 
@@ -32,6 +32,15 @@ notebooks: install
 
 bench: install
 	$(BIN)/python -m tests.bench
+
+# Does diagnose name what it was not told? Sealed trials, scored once; see fits/withheld.
+withheld: ASKED = --trials 130 --seed 1001 --rows 200,900
+withheld-full: ASKED = --trials 1612 --seed 2001
+withheld withheld-full: install
+	$(BIN)/python -m fits.withheld.generate --sealed $(ASKED) --out out/$@
+	$(BIN)/python -m fits.withheld.run out/$@ --jobs 2
+	$(BIN)/python -m fits.withheld.baselines out/$@
+	$(BIN)/python -m fits.withheld.score out/$@
 
 lint: install
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .

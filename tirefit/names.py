@@ -2,7 +2,7 @@
 
 __all__ = ["MODEL_NAMES"]
 
-_PRESSURE = ("brush", "brush-d", "uniform", "quartic")
+_PRESSURE = ("brush", "brush-d", "uniform", "quartic", "elliptic")
 _SPEED = ("", "n", "ns", "h", "hs")
 
 
@@ -17,9 +17,26 @@ def _spelled() -> list[str]:
 
 MODEL_NAMES = (
     *_spelled(),
+    "brush-anisotropic",
+    "brush-anisotropic-m",
+    "brush-anisotropic-d",
+    "brush-anisotropic-dm",
     "brush-m-peak",
     "brush-stribeck",
     "brush-stribeck-s",
+    "brush-d-force",
+    "brush-d-load",
+    "brush-load",
+    "brush-load-d",
+    "brush-load-m",
+    "brush-load-n",
+    "brush-load-h",
+    "brush-relaxation",
+    "liu-peng",
+    "lugre",
+    "lugre-lumped",
     "magic-formula",
+    "magic-formula-combined",
+    "magic-formula-relaxation",
 )
 """Every key of ``tirefit.MODELS``."""

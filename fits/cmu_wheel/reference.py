@@ -20,17 +20,21 @@ def reference() -> dict[str, float]:
     for path in sorted(HERE.glob("*.csv")):
         with path.open() as file:
             rows = list(csv.DictReader(file))
-        ratio, fx, std, fz = (
+        angle, ratio, fx, std, fz = (
             np.array([float(row[name]) for row in rows])
-            for name in ("slip_ratio", "Fx_N", "Fx_std_N", "Fz_N")
+            for name in ("slip_angle_deg", "slip_ratio", "Fx_N", "Fx_std_N", "Fz_N")
         )
         slip = np.minimum(-ratio, 1 - 1e-12)
         # Braking slip is kappa, driving slip is sigma already (S Table 1).
         sigma = np.where(slip > 0, slip / (1 - slip), slip)
-        side, sigma = np.sign(sigma), np.minimum(np.abs(sigma), LOCKED)
+        sigma = np.minimum(sigma, LOCKED)
+        # Combined slip (S 2.3): the force of the resultant slip, in its direction.
+        sideways = np.minimum(np.tan(np.radians(angle)), LOCKED) * (1 + sigma)
+        resultant = np.hypot(sigma, sideways)
+        along = sigma / np.where(resultant > 0, resultant, 1.0)
 
-        def force(c, mu, side=side, sigma=sigma, fz=fz):
-            return side * brush(sigma, fz, 0.0, c, mu)
+        def force(c, mu, along=along, resultant=resultant, fz=fz):
+            return along * brush(resultant, fz, 0.0, c, mu)
 
         def weighted(c, mu, force=force, std=std):
             return force(c, mu) / std

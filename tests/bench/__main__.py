@@ -16,6 +16,7 @@ import numpy as np
 HERE = Path(__file__).parent
 ROWS = 400
 FZ, NOISE = 4000.0, 40.0
+MILLION = 1_000_000
 
 
 def brush(slip, cpa2, mu, fz=FZ):
@@ -109,12 +110,119 @@ def share_of_limit(per_fit: float) -> None:
     One evaluation with two tangents is about 60 operations a point, the normal
     equations 12 more; a fit takes about 7 evaluations.
     """
-    a = np.random.default_rng(0).random((1500, 1500))
-    peak = 2 * 1500**3 / min(seconds(np.matmul, a, a) for _ in range(5))
+    peak = flops_peak()
     operations = 7 * ROWS * 72
     share = operations / per_fit / peak
     limit = f"{peak / 1e9:.0f} Gflop/s (matrix product on all cores)"
     print(f"  {operations / 1e3:.0f} k operations a fit, {share:.1%} of {limit}")
+
+
+def flops_peak() -> float:
+    """Operations a second of a large double-precision matrix product."""
+    a = np.random.default_rng(0).random((1500, 1500))
+    return 2 * 1500**3 / min(seconds(np.matmul, a, a) for _ in range(5))
+
+
+def bandwidth() -> float:
+    """Bytes a second that a large copy reads and writes."""
+    source = np.ones(1 << 25)
+    target = np.zeros_like(source)
+    best = min(seconds(np.copyto, target, source) for _ in range(5))
+    return 2 * source.nbytes / best
+
+
+TRANSCENDENTAL = 20
+"""Operations that a sine, arctangent or root stands for."""
+
+
+def evaluations(name: str, compiled, arrays, peer, pairs: int = 7) -> None:
+    """A million evaluations: compiled program against NumPy, whose results agree.
+
+    Then the share of what the machine allows: of the bandwidth by the bytes of inputs
+    and results, each touched once; of the arithmetic by what the compiler counts.
+    """
+    import jax
+
+    def ours():
+        return jax.block_until_ready(compiled(*arrays))
+
+    found, expected = ours(), peer()
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-6)
+    mine, other = medians([(seconds(ours), seconds(peer)) for _ in range(pairs)])
+    say(name, mine * 1e3, other * 1e3, "ms", "lower")
+    moved = sum(part.nbytes for part in (*arrays, *found)) / mine
+    cost = compiled.cost_analysis()
+    count = cost["flops"] + TRANSCENDENTAL * cost.get("transcendentals", 0)
+    limit, peak = bandwidth(), flops_peak()
+    print(
+        f"  {moved / limit:.1%} of the bandwidth ({limit / 1e9:.1f} GB/s, a copy),"
+        f" {count / mine / peak:.1%} of the arithmetic ({peak / 1e9:.0f} Gflop/s,"
+        f" matrix product; {count / MILLION:.0f} operations each)"
+    )
+
+
+def magic_formula() -> None:
+    """Combined slip of a MF 6.1 tire: F_x, F_y and M_z."""
+    from collections import defaultdict
+
+    import jax
+
+    from tests.bench.magic_formula_peer import magic_formula_61
+    from tirefit.data.tir import read_tir
+    from tirefit.fitting.tir import tire_of
+    from tirefit.models import TireInputs
+
+    folder = HERE.parent / "data" / "tir" / "mfeval_julia"
+    tir = read_tir(folder / "MagicFormula61_Parameters.tir")
+    tire, coefficients = tire_of(tir), defaultdict(float, tir.numbers)
+    generator = np.random.default_rng(0)
+    limits = ((-0.3, 0.3), (-0.3, 0.3), (2e3, 1e4), (-0.05, 0.05), (2e5, 2.6e5))
+    kappa, alpha, fz, gamma, pressure = (
+        generator.uniform(*ends, MILLION) for ends in limits
+    )
+
+    def one(sigma_x, alpha, fz, gamma, pressure):
+        found = tire(TireInputs(sigma_x, alpha, fz, 0.0, gamma, pressure))
+        return -found.fx, -found.fy, -found.mz  # as the peer, in ISO-W axes
+
+    arrays = [jax.numpy.asarray(part) for part in (-kappa / (1 + kappa), alpha, fz)]
+    arrays += [jax.numpy.asarray(part) for part in (gamma, pressure)]
+    compiled = jax.jit(jax.vmap(one)).lower(*arrays).compile()
+
+    def peer():
+        return magic_formula_61(coefficients, kappa, alpha, gamma, fz, pressure)
+
+    evaluations("10^6 MF 6.1, combined slip", compiled, arrays, peer)
+
+
+def brush_with_gradient() -> None:
+    """Force of the brush and its derivatives by c_p a^2 and mu."""
+    import jax
+
+    from tirefit.models import Brush, TireInputs
+
+    generator = np.random.default_rng(0)
+    slip, fz = generator.uniform(0, 0.2, MILLION), generator.uniform(2e3, 6e3, MILLION)
+
+    def one(slip, fz):
+        def force(values):
+            return Brush(cpa2=values[0], mu=values[1])(TireInputs(slip, 0.0, fz)).fx
+
+        values = jax.numpy.array([5e4, 1.0])
+        slope = jax.jacfwd(force)(values)
+        return force(values), slope[0], slope[1]
+
+    arrays = [jax.numpy.asarray(slip), jax.numpy.asarray(fz)]
+    compiled = jax.jit(jax.vmap(one)).lower(*arrays).compile()
+
+    def peer(cpa2=5e4, mu=1.0):
+        """S(12) and its derivatives by hand."""
+        x = np.minimum(cpa2 * slip / (1.5 * mu * fz), 1.0)
+        force = mu * fz * x * (3 - x * (3 - x))
+        return force, 2 * slip * (1 - x) ** 2, fz * x**2 * (3 - 2 * x)
+
+    evaluations("10^6 brush with gradients", compiled, arrays, peer)
 
 
 def posterior() -> None:
@@ -166,6 +274,8 @@ def main() -> None:
     help_text()
     cold_fit()
     batch()
+    magic_formula()
+    brush_with_gradient()
     posterior()
 
 

@@ -4,7 +4,7 @@ import jax
 import pytest
 from typer.testing import CliRunner
 
-from tirefit.cli import app
+from tirefit.cli.commands import app
 
 
 @pytest.fixture(scope="package", autouse=True)

@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from tirefit.models import MODELS
 from tirefit.names import MODEL_NAMES
 
 FZ = 4000.0
+VEHICLE = Path(__file__).parents[2] / "fits" / "dart_jetracer" / "vehicle.toml"
 PARABOLIC = {"cpa2": 5e4, "mu": 1.0}
 
 
@@ -72,11 +74,89 @@ def test_fit_of_an_iso_file_predicts_it_back(run, tmp_path):
     assert abs(mu["value"] - 1) < 4 * mu["std"]
     run("predict", "o/fit.json", "iso.csv", "--convention", "iso-w", "--out", "f.csv")
     found = rows_of("f.csv")
-    assert list(found) == ["fx", "fx_std"]
+    assert list(found) == ["sigma_x", "fz", "fx", "fx_std"]
+    np.testing.assert_array_equal(found["sigma_x"], rows_of("iso.csv")["sigma_x"])
     np.testing.assert_allclose(found["fx"], -parabolic(slip), atol=25)
     residual = (-force - found["fx"]) / found["fx_std"]
     np.testing.assert_allclose(residual.std(), 1.0, atol=4 / np.sqrt(800))
     assert (found["fx_std"] > 40).all()
+
+
+def test_predictions_stand_beside_what_is_needed_to_plot_them(run, tmp_path):
+    # Locked, spinning up and free, in per cent and driving positive; angle in degrees.
+    slip = np.array([-100.0, -20.0, -0.1, 0.0, 10.0])
+    (tmp_path / "d.csv").write_text(
+        "run,Fx,slip [%],SA [deg],load / kN,t [ms]\n"
+        + "".join(
+            f"{name},9,{s},{a},4.2,{t}\n"
+            for name, s, a, t in zip("aabbb", slip, slip / 50, range(5), strict=True)
+        )
+        + "b,9,x,0,4.2,5\n"
+    )
+    run(
+        "predict", "brush", "d.csv", *SETS, "--column", "kappa=slip [%]", "--out",
+        "f.csv", "--convention", "adapted-sae", "--constant", "v=20", "--mask-bad-rows",
+    )  # fmt: skip
+    with open(tmp_path / "f.csv") as file:
+        rows = list(csv.DictReader(file))
+    first = ["run", "t [ms]", "slip [%]", "SA [deg]", "load / kN", "v"]
+    assert list(rows[0])[:6] == first and list(rows[0])[6:] == ["Fx", "fy", "mz"]
+    assert [row["run"] for row in rows] == ["a", "a", "b", "b", "b", "b"]
+    assert [float(row["slip [%]"]) for row in rows[:5]] == slip.tolist()
+    assert [float(row["SA [deg]"]) for row in rows[:5]] == (slip / 50).tolist()
+    assert {row["load / kN"] for row in rows} == {"4.2"}
+    assert [float(row["t [ms]"]) for row in rows] == [0, 1, 2, 3, 4, 5]
+    assert rows[5]["slip [%]"] == rows[5]["Fx"] == "" and rows[0]["Fx"] != ""
+
+
+OUTPUTS = {
+    "no folder": ("none/f.csv", "none/f.csv: the folder none does not exist"),
+    "in a file": ("d.csv/f.csv", "d.csv/f.csv: d.csv is a file, not a folder"),
+    "a folder": (".", "is a folder, where a file is to be written"),
+    "empty": ("", "'--out': it is empty"),
+    "an input": ("d.csv", "d.csv: --out is an input file"),
+}
+
+
+@pytest.mark.parametrize(("out", "said"), OUTPUTS.values(), ids=OUTPUTS)
+@pytest.mark.parametrize("command", ["predict", "derive"])
+def test_outputs_that_cannot_be_written(run, tmp_path, command, out, said):
+    write(tmp_path / "d.csv", "sigma_x,fz", SLIP, np.full(31, FZ))
+    before = sorted(tmp_path.iterdir())
+    arguments = ["brush", "d.csv"]
+    if command == "derive":
+        arguments = ["d.csv", "--vehicle", str(VEHICLE)]
+    result = run(command, *arguments, "--out", out, exit_code=2)
+    assert said in result.stderr and "/." not in result.stderr
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_data_options_mean_the_same_to_every_command(run, tmp_path):
+    kappa = SLIP / (1 + SLIP)
+    write(tmp_path / "d.csv", "a,b", -100 * kappa, -parabolic(SLIP) / 1000)
+    (tmp_path / "fit.toml").write_text(
+        "solver = 'gauss-newton'\n[noise]\nfx = 40\n[data]\nconvention = 'sae'\n"
+        "[data.units]\nfx = 'N'\n[data.constants]\nfz = 4000\n"
+    )
+    options = (
+        "--config", "fit.toml", "--column", "kappa=a", "--column", "fx=b",
+        "--unit", "kappa=%", "--unit", "fx=kN", "--convention", "iso-w", "--slip",
+        "kappa", "--constant", "v=20",
+    )  # fmt: skip
+    found = json.loads(run("inspect", "d.csv", "--json", *options).stdout)
+    largest = {column["name"]: column["max"] for column in found["columns"]}
+    assert found["convention"] == "iso-w" and found["warnings"] == []
+    np.testing.assert_allclose(
+        [largest[name] for name in ("sigma_x", "fx", "fz", "v")],
+        [0.3, parabolic(SLIP).max(), FZ, 20],
+    )
+    run("fit", "d.csv", "--no-posterior", "--out", "o", *options)
+    record = json.loads((tmp_path / "o/fit.json").read_text())
+    assert abs(record["parameters"]["mu"]["value"] - 1) < 1e-3
+    assert record["data"]["convention"] == "iso-w"
+    run("predict", "brush", "d.csv", *SETS, "--out", "f.csv", *options)
+    predicted = rows_of("f.csv")
+    np.testing.assert_allclose(predicted["b"], rows_of("d.csv")["b"], atol=1e-9)
 
 
 WRONG = {
@@ -88,7 +168,7 @@ WRONG = {
     "no data": (["brush", "none.csv"], 3, "none.csv"),
     "no such fit": (["none.json", "d.csv"], 3, "none.json"),
     "set on a fit": (["none.json", "d.csv", "--set", "mu=1"], 2, "--set"),
-    "speed needed": (["brush-n", "d.csv"], 3, "v (speed, m/s)"),
+    "speed needed": (["brush-n", "d.csv"], 3, "needs v (forward speed"),
 }
 
 
@@ -139,7 +219,7 @@ def test_help_imports_nothing_heavy(arguments):
     program = (
         "import sys\n"
         f"sys.argv = ['tirefit', *{arguments!r}]\n"
-        "from tirefit.cli import app\n"
+        "from tirefit.cli.commands import app\n"
         "try:\n    app()\n"
         "except SystemExit as end:\n    assert not end.code\n"
         "heavy = {'jax', 'matplotlib', 'numpy', 'scipy', 'emcee', 'xarray'}\n"

@@ -113,7 +113,19 @@ USAGE = {
     "config": (["--config", "none.toml"], "none.toml"),
     "force": (["--force", "fq"], "one of fx, fy, mz"),
     "solver": (["--solver", "newton"], "newton"),
-    "seed": (["--seed", "-1"], "--seed"),
+    "seed": (["--seed", "-1"], "'--seed': Input should be greater than or equal to 0"),
+    "large seed": (["--seed", "4294967296"], "less than or equal to 4294967295"),
+    "no out": (["--out", ""], "'--out': it is empty"),
+    "out is a file": (["--out", "rig.csv"], "rig.csv: no folder for the results"),
+    "no radius": (["--rolling-radius", "0"], "--rolling-radius 0.0 is not a positive"),
+    "radius": (["--rolling-radius", "-0.3"], "--rolling-radius -0.3 is not a pos"),
+    "no config": (["--config", ""], "'--config': it is empty"),
+    "no convention": (["--convention", ""], "--convention: '' is not known"),
+    "twice": (["--unit", "fx=N", "--unit", "fx=kN"], "fx is given twice: 'N' and 'kN'"),
+    "all at once": (
+        ["--unit", "fx", "--constant", "v=x"],
+        "error: 2 problems:\n  --unit 'fx'\n",
+    ),
     "column": (["--column", "fx"], "--column NAME=VALUE"),
     "constant": (["--constant", "v=fast"], "not a number"),
     "convention": (["--convention", "iso"], "iso"),
@@ -126,6 +138,20 @@ def test_wrong_use_is_exit_2(run, rig, tmp_path, arguments, said):
     result = run("fit", rig, *arguments, exit_code=2)
     assert said in result.stderr
     assert not (tmp_path / "rig").exists()
+
+
+def test_a_doubtful_convention_is_said_before_and_in_the_report(run, rig, tmp_path):
+    rows = [line.split(",") for line in rig.read_text().splitlines()[1:]]
+    iso = [f"{-float(slip)},{-float(force)},{fz}" for slip, force, fz in rows]
+    (tmp_path / "iso.csv").write_text("\n".join(["sigma_x,fx,fz", *iso]) + "\n")
+    arguments = ("fit", "iso.csv", "--config", "fit.toml", "--no-posterior")
+    result = run(*arguments)
+    assert "warning: iso.csv: no convention declared: read as braking" in result.stderr
+    assert "--convention iso-w or adapted-sae" in result.stderr
+    assert "warning: no convention declared" in " ".join(result.stdout.split())
+    notes = content(tmp_path / "iso")["data"]["assumptions"]
+    assert notes[0].startswith("warning: no convention declared")
+    assert run(*arguments, "--convention", "iso-w").stderr == ""
 
 
 def test_same_name_twice_is_refused(run, rig, tmp_path):
@@ -233,8 +259,11 @@ def test_interrupted_chain_is_kept_and_resumed(run, rig, tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setitem(posterior.SAMPLERS, "emcee", (start, interrupted))
-        result = run("fit", rig, "--config", "fit.toml", exit_code=4)
+        files = (rig, write(tmp_path / "wet.csv"))
+        result = run("fit", *files, "--config", "fit.toml", exit_code=4)
     assert "interrupted" in result.stdout
+    assert result.stderr == "interrupted: the last 1 of 2 not fitted\n"
+    assert not (tmp_path / "wet").exists()
     assert content(tmp_path / "rig")["posterior"]["steps"] == 100
     run("fit", rig, "--config", "fit.toml", "--resume")
     assert content(tmp_path / "rig")["posterior"]["outcome"] == "converged"

@@ -96,7 +96,34 @@ def test_yaw_offset_is_added_to_the_logged_yaw_and_stated(tmp_path):
     assert_true(turned, columns["t"][0], settings)
     shift = turned.columns["alpha"].mean() - raw.columns["alpha"].mean()
     assert shift == pytest.approx(-0.01, rel=0.05)
-    assert any("0.01 rad were added" in said for said in turned.assumptions)
+    assert "0.01 rad were added" in turned.heading
+    assert "heading offset: none assumed" in raw.heading
+
+
+def test_a_heading_offset_is_estimated_and_said(tmp_path):
+    """Case 3 again: 9.6 mrad by a jackknife over its logs (fits/dart_rear_axle)."""
+    (path,) = DART.glob("free_driving*/*10_02_28.csv.gz")
+    log = derive(path, load_vehicle(DART / "vehicle.toml"))
+    estimate = float(log.heading.partition("yaw_offset = ")[2].split()[0])
+    assert estimate == pytest.approx(0.0096, abs=0.0008)
+    said = " ".join(log.summary().split())
+    assert "heading offset: none assumed" in said
+    assert f"alpha is +{estimate:.4f} rad where fy = 0" in said
+    # Applied, nothing is left and the same offset is advised.
+    applied = load_vehicle(DART.parent / "dart_rear_axle" / "vehicle.toml")
+    again = derive(path, applied)
+    assert f"yaw_offset = {estimate:.4f}" in again.heading
+    left = float(again.heading.partition("alpha is ")[2].split()[0])
+    assert left == pytest.approx(estimate - applied.yaw_offset, abs=1.01e-4)
+    # Circles to one side say nothing of it, and rates have no heading.
+    path = next(DART.glob("circles*/*steerneg025*"))
+    one_way = derive(path, load_vehicle(DART / "vehicle.toml"))
+    assert "none assumed" in one_way.heading and "estimated" not in one_way.heading
+    rates = derive(
+        write_log(tmp_path / "a.csv", rates_log()),
+        vehicle(tmp_path, CAR + RATES + KEEP),
+    )
+    assert rates.heading == "heading offset: none, the log holds rates"
 
 
 def rates_log():
@@ -203,7 +230,7 @@ def test_bad_vehicle_reports_every_problem(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("mass = = 1", "is not TOML"),
+        ("mass = = 1", "not valid TOML"),
         ("mass_rear = 0.9\n" + CAR + POSE + KEEP, "mass_rear 0.9 kg contradicts"),
         ("wheelbase = 0.2\n" + CAR + POSE + KEEP, "is not l_f"),
         (CAR + POSE.replace('yaw = "psi"\n', "") + KEEP, "named are x, y"),
@@ -228,6 +255,46 @@ def test_inconsistent_vehicle_is_refused(tmp_path, text, message):
 def test_missing_vehicle_file_is_refused(tmp_path):
     with pytest.raises(UsageError, match="No such file"):
         load_vehicle(tmp_path / "vehicle.toml")
+
+
+def test_every_contradiction_of_a_vehicle_is_said_with_its_remedy(tmp_path):
+    text = (
+        "mass_rear = 9\nwheelbase = 1\nyaw_offset = 0.1\n" + CAR + RATES + KEEP
+        + "[units]\nv_x = 'furlong'\nroll = 'rad'\n"
+        + "[steering]\ncommand = [0, 1]\nangle = [0, 0.1]\n"
+    )  # fmt: skip
+    with pytest.raises(UsageError) as caught:
+        vehicle(tmp_path, text)
+    problems = caught.value.problems
+    said = [problem.reason.split()[0] for problem in problems]
+    assert sorted(said) == [
+        "[steering]", "mass_rear", "units.roll:", "units.v_x", "wheelbase",
+        "yaw_offset",
+    ]  # fmt: skip
+    assert all(problem.file.endswith("vehicle.toml") for problem in problems)
+    assert all(problem.remedy for problem in problems)
+
+
+def test_contradictions_of_a_section_are_said_beside_its_wrong_keys(tmp_path):
+    text = CAR + POSE + KEEP + "[filter]\norder = true\ncutoff = 40\nmax_gap = 0.5\n"
+    with pytest.raises(UsageError) as caught:
+        vehicle(tmp_path, text)
+    reasons = [problem.reason for problem in caught.value.problems]
+    assert len(reasons) == 3
+    assert reasons[0] == "filter.order = true: must be a valid integer"
+    assert reasons[1].startswith("filter: sample_rate 100 Hz is below 5 x cutoff")
+    assert reasons[2].startswith("filter: max_gap 0.5 s is above 1/cutoff")
+
+
+@pytest.mark.parametrize("front", ["-1", "true", "'0.9'"])
+def test_wrong_axle_mass_is_named_and_nothing_is_made_of_it(tmp_path, front):
+    text = f"mass_front = {front}\nmass_rear = 1\nwheelbase = 0.2\n"
+    with pytest.raises(UsageError) as caught:
+        vehicle(tmp_path, text + "yaw_inertia = 0.005\n" + POSE + KEEP)
+    reasons = {problem.reason for problem in caught.value.problems}
+    missing = {f"missing key {key!r}" for key in ("mass", "l_f", "l_r")}
+    (wrong,) = reasons - missing
+    assert wrong.startswith("mass_front = ") and missing < reasons
 
 
 def test_axle_masses_replace_the_position_of_the_centre_of_gravity(tmp_path):

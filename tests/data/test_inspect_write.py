@@ -9,7 +9,14 @@ import pytest
 from tirefit import slip
 from tirefit.data.inspect import inspect
 from tirefit.data.read import read, read_frame
-from tirefit.data.write import to_convention, write_csv, write_text_atomic
+from tirefit.data.write import (
+    output_problems,
+    prediction_table,
+    to_convention,
+    write_csv,
+    write_text_atomic,
+    write_texts,
+)
 
 RNG = np.random.default_rng(11)
 
@@ -39,6 +46,23 @@ def test_inspect_counts_loads_runs_and_directions():
     assert not support(report, "speed-dependent friction").possible
     assert "less than 20% apart" in support(report, "speed-dependent friction").reason
     assert support(report, "fy from alpha").reason == "no fy and no alpha"
+
+
+def test_combined_slip_is_described_and_not_promised():
+    kappa = np.linspace(-0.1, 0.1, 41)
+    alpha = 0.2 * np.cos(kappa * 50)
+    frame = {"kappa": kappa, "alpha": alpha, "fx": 3e4 * kappa, "fy": 3e4 * alpha,
+             "fz": np.full(41, 4e3)}  # fmt: skip
+    report = inspect(read_frame(frame))
+    beyond = (abs(kappa / (1 - kappa)) > 0.01) & (abs(alpha) > 0.01)
+    assert report.combined_rows == beyond.sum() > 10
+    said = "combined slip: fx, fy with sigma_x and alpha varying together in"
+    text = " ".join(report.text().split())
+    assert f"{said} {beyond.sum()} rows fits these" in text
+    assert "yes combined" not in text and "no combined" not in text
+    pure = inspect(read_frame(frame | {"alpha": np.where(kappa > 0.09, alpha, 0)}))
+    assert 0 < pure.combined_rows < 10 and "combined" not in pure.text()
+    assert inspect(read_frame(sweep())).combined_rows == 0
 
 
 def test_a_continuous_sweep_is_not_replicated():
@@ -129,12 +153,13 @@ def test_a_failed_write_leaves_the_old_file_alone(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="shorter"):
         write_csv(path, {"a": [1.0, 2.0], "b": [1.0]})
 
-    def fail(*_):
-        raise OSError("disk full")
+    def fail(name, *_):
+        raise OSError(28, "disk full", name)
 
     monkeypatch.setattr(os, "replace", fail)
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(OSError, match="disk full") as caught:
         write_text_atomic(path, "new")
+    assert caught.value.filename == str(path)  # not the temporary one
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -146,3 +171,38 @@ def test_a_write_keeps_the_permissions(tmp_path):
     write_text_atomic(path, "grün\n")
     assert path.read_text(encoding="utf-8") == "grün\n"
     assert path.stat().st_mode & 0o777 == 0o640
+
+
+def test_files_that_belong_together_are_written_together(tmp_path):
+    one, two = tmp_path / "one", tmp_path / "none" / "two"
+    one.write_text("old")
+    with pytest.raises(FileNotFoundError) as caught:
+        write_texts({one: "new", two: "new"})
+    assert caught.value.filename == str(two)
+    assert one.read_text() == "old" and list(tmp_path.iterdir()) == [one]
+    two.parent.mkdir()
+    write_texts({one: "new", two: "newer"})
+    assert (one.read_text(), two.read_text()) == ("new", "newer")
+
+
+def test_outputs_are_refused_before_the_work(tmp_path, monkeypatch):
+    path = tmp_path / "a.csv"
+    assert output_problems(path) == []
+    path.write_text("")
+    assert output_problems(path, inputs=[tmp_path / "b.csv"]) == []
+    (problem,) = output_problems(path, inputs=[tmp_path / "." / "a.csv"])
+    assert "input file" in problem.reason and problem.file == str(path)
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may write everywhere
+    (problem,) = output_problems(path)
+    assert f"no permission to write into the folder {tmp_path}" in problem.reason
+
+
+def test_a_prediction_table_returns_a_locked_wheel_and_every_digit():
+    kappa = np.array([0.1, 0.3, 1.0, -0.7])
+    frame = {"kappa": kappa, "fz": np.full(4, 4.1), "alpha": kappa / 7}
+    data = read_frame(frame, units={"fz": "kN", "alpha": "deg"}, forces=False)
+    assert data["sigma_x"][2] == slip.LOCKED
+    table = prediction_table(data, {"fx": np.full(4, 1e3)})
+    assert list(table) == ["kappa", "alpha", "fz", "fx"]
+    assert table["kappa"] == kappa.tolist() and table["fz"] == [4.1] * 4
+    np.testing.assert_allclose(table["alpha"], kappa / 7, rtol=1e-11)

@@ -90,7 +90,7 @@ CASES = {
     "kappa": (lines("1.5,1,4000"), {}, ["row 6", "1.5 is out", "--unit kappa=%"]),
     "sigma": (
         lines("7,1,4000").replace("kappa", "sigma_x"), {},
-        ["row 6, column 'sigma_x'", "|sigma_x| <= 5", "--unit sigma_x=%"],
+        ["row 6, column 'sigma_x'", "-1 <= sigma_x <= 5", "--unit sigma_x=%"],
     ),
     "below -1": (
         lines("-2,-1,4000").replace("kappa", "sigma_x"), {},

@@ -1,12 +1,25 @@
-"""Derived quantities against the closed forms of the paper."""
+"""Derived quantities against closed forms, and their intervals against brute force."""
 
+from dataclasses import replace
+
+import jax
 import numpy as np
 import pytest
-from recipes import FZ, GIVEN, TRUTH, curve, solved
+from recipes import FZ, GIVEN, STD, TRUTH, brush_force, curve, table
+from scipy.optimize import brentq, least_squares, minimize_scalar
 
-from tirefit.fitting.derived import derived_values
-from tirefit.fitting.estimate import derived_estimates
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.derived import (
+    _bowl,
+    derived_channel,
+    derived_values,
+    quantities,
+)
+from tirefit.fitting.estimate import fit, with_fixed
+from tirefit.fitting.inference import deviance
 from tirefit.fitting.layout import FreeParameter, Layout
+from tirefit.fitting.problem import build
+from tirefit.fitting.result import Estimate
 from tirefit.models import MODELS
 from tirefit.params import specs
 
@@ -16,21 +29,40 @@ def derived(model, values, channel="fx"):
     free = tuple(FreeParameter(k, s) for k, s in specs(template).items() if k in values)
     layout = Layout(free)
     z = np.asarray(layout.unconstrained(values))[None]
-    slip = "sigma_x" if channel == "fx" else "alpha"
-    found = derived_values(template, layout, z, channel, slip, FZ, 20.0)
+    found = derived_values(template, layout, z, channel, FZ, 20.0)
     return {name: float(value[0]) for name, value in found.items()}
 
 
+# Demand ratio of full sliding: S(11), S(30), O(4.13) of p = 5/8 (1 - xi^4).
+@pytest.mark.parametrize(
+    ("model", "extra", "rho"),
+    [
+        ("brush", {}, 1.5),
+        ("brush-d", {"d": 0.3}, 1.5 * 1.3),
+        ("brush-d", {"d": -0.2}, 1.5 * 0.8),
+        ("quartic", {}, 2.5),
+    ],
+)
 @pytest.mark.parametrize("channel", ["fx", "fy"])
-def test_brush_peaks_where_it_slides_entirely(channel):
-    found = derived("brush", TRUTH, channel)
-    # S(11): full sliding at 3 mu F_z / C with C = 2 c.
-    np.testing.assert_allclose(
-        found["slip_at_peak"], 1.5 * TRUTH["mu"] * FZ / TRUTH["cpa2"], rtol=1e-3
-    )
-    np.testing.assert_allclose(found["F_max"], TRUTH["mu"] * FZ, rtol=1e-9)
-    np.testing.assert_allclose(found["C_x"], 2 * TRUTH["cpa2"], rtol=1e-9)
-    np.testing.assert_allclose(found["mu_fz"], TRUTH["mu"] * FZ, rtol=1e-9)
+def test_a_plateau_begins_where_the_tire_slides_entirely(model, extra, rho, channel):
+    found = derived(model, TRUTH | extra, channel)
+    slip = rho * TRUTH["mu"] * FZ / TRUTH["cpa2"]
+    np.testing.assert_allclose(found["slip_at_peak"], slip, rtol=1e-7)
+    np.testing.assert_allclose(found["F_max"], TRUTH["mu"] * FZ, rtol=1e-12)
+    np.testing.assert_allclose(found["mu_fz"], TRUTH["mu"] * FZ, rtol=1e-12)
+    slope = {"fx": "C_x", "fy": "C_alpha"}[channel]
+    np.testing.assert_allclose(found[slope], 2 * TRUTH["cpa2"], rtol=1e-12)
+    assert set(found) == set(quantities(channel))
+
+
+def test_the_slope_is_called_after_the_fitted_force():
+    assert next(iter(quantities("fx").items())) == ("C_x", ("N", "slope at zero slip"))
+    assert next(iter(quantities("fy"))) == "C_alpha"
+    assert quantities("fx")["slip_at_peak"][1].startswith("sigma_x")
+    assert quantities("fy")["slip_at_peak"][1].startswith("tan(alpha)")
+    assert derived_channel(("fy", "fx")) == "fx"
+    assert derived_channel(("mz", "fy")) == "fy"
+    assert derived_channel(("mz",)) is None
 
 
 @pytest.mark.parametrize("m", [0.7, 0.85])
@@ -40,11 +72,11 @@ def test_peak_with_kinetic_friction(m):
     # F(u)/(mu F_z) with rho = 3 u/4 is 3u(1 - u/2)^2/2 + m u^2 (3 - u)/4; its slope is
     # zero at u = 2/(3 - 2m) (S(32)), where it is (4 - 3m)/(3 - 2m)^2 (S(33)).
     np.testing.assert_allclose(
-        found["slip_at_peak"], 1.5 * mu * FZ / c / (3 - 2 * m), rtol=1e-4
+        found["slip_at_peak"], 1.5 * mu * FZ / c / (3 - 2 * m), rtol=1e-12
     )
     peak = (4 - 3 * m) / (3 - 2 * m) ** 2
-    np.testing.assert_allclose(found["F_max"], mu * FZ * peak, rtol=1e-8)
-    np.testing.assert_allclose(found["F_max_over_fz"], mu * peak, rtol=1e-8)
+    np.testing.assert_allclose(found["F_max"], mu * FZ * peak, rtol=1e-12)
+    np.testing.assert_allclose(found["F_max_over_fz"], mu * peak, rtol=1e-12)
 
 
 def test_uniform_pressure_has_no_peak():
@@ -55,32 +87,188 @@ def test_uniform_pressure_has_no_peak():
 
 def test_magic_formula_has_no_static_friction():
     found = derived("magic-formula", {"B": 10.0, "C": 1.6, "D": 0.9, "E": 0.0})
-    np.testing.assert_allclose(found["C_x"], 10 * 1.6 * 0.9 * FZ, rtol=1e-9)
-    np.testing.assert_allclose(found["F_max"], 0.9 * FZ, rtol=1e-8)
+    np.testing.assert_allclose(found["C_x"], 10 * 1.6 * 0.9 * FZ, rtol=1e-12)
+    np.testing.assert_allclose(found["F_max"], 0.9 * FZ, rtol=1e-12)
     kappa = np.tan(np.pi / 2 / 1.6) / 10
-    np.testing.assert_allclose(found["slip_at_peak"], kappa / (1 - kappa), rtol=1e-4)
+    np.testing.assert_allclose(found["slip_at_peak"], kappa / (1 - kappa), rtol=1e-10)
     assert "mu_fz" not in found
 
 
-def test_uncertainty_follows_from_the_parameters(given):
-    mu, stiffness = given.least_squares["mu"], given.least_squares["cpa2"]
-    found = given.derived
-    # 512 draws: 3 % of a standard deviation, four of them.
-    np.testing.assert_allclose(found["C_x"].std, 2 * stiffness.std, rtol=0.13)
-    np.testing.assert_allclose(found["mu_fz"].std, mu.std * FZ, rtol=0.13)
-    np.testing.assert_allclose(found["mu_fz"].value, mu.value * FZ, rtol=1e-9)
-    low, high = found["F_max"].ci95
-    np.testing.assert_allclose(
-        [low, high], np.array(mu.ci95) * FZ, atol=0.4 * FZ * mu.std
-    )
-    assert found["C_x"].unit == "N" and found["slip_at_peak"].unit == "-"
+# Intervals
+
+
+@pytest.mark.parametrize("name", ["given", "estimated", "vague"])
+def test_a_quantity_of_one_parameter_has_its_interval(name, request):
+    result = request.getfixturevalue(name)
+    for quantity, label, factor in (
+        ("C_x", "cpa2", 2.0), ("mu_fz", "mu", FZ), ("F_max", "mu", FZ),
+        ("F_max_over_fz", "mu", 1.0),
+    ):  # fmt: skip
+        found, parameter = result.derived[quantity], result.least_squares[label]
+        np.testing.assert_allclose(found.value, factor * parameter.value, rtol=1e-9)
+        np.testing.assert_allclose(
+            found.ci95, factor * np.array(parameter.ci95), rtol=1e-9
+        )
+        assert found.identified == parameter.identified
+        if parameter.std is None:
+            assert found.std is None
+        else:
+            np.testing.assert_allclose(found.std, factor * parameter.std, rtol=1e-3)
+
+
+def test_what_the_data_leave_open_is_not_identified(vague):
+    slip = vague.derived["slip_at_peak"]
+    assert not slip.identified and slip.std is None
+    assert vague.derived["C_x"].identified and vague.derived["C_x"].std > 0
+
+
+def brute_force(data, of, start, bounds, reach):
+    """95 % ends of a quantity t by SciPy: all else fitted again at every t.
+
+    ``of(t, x)`` gives the brush's parameters from t and the others, x.
+    """
+
+    def misfit(t):
+        def residual(x):
+            force = brush_force(data["sigma_x"], **of(t, x))
+            return (data["fx"] - force) / STD
+
+        end = least_squares(residual, start, bounds=bounds, x_scale=start)
+        return 2 * end.cost
+
+    best = minimize_scalar(misfit, bounds=reach, options={"xatol": 1e-6 * reach[1]})
+    return [
+        brentq(lambda t: misfit(t) - best.fun - 3.841459, end, best.x, rtol=1e-5)
+        for end in reach
+    ]
+
+
+def share(d, m):
+    """Peak force over static friction times load: a parabola through a fine grid."""
+    force = brush_force(np.linspace(0.5, 3.0, 1001), 1.0, 1.0, d, m, fz=1.0)
+    at = np.clip(np.argmax(force), 1, 999)
+    before, peak, after = force[at - 1 : at + 2]
+    return peak + (after - before) ** 2 / 8 / (2 * peak - before - after)
+
+
+def test_peak_of_three_parameters_against_brute_force():
+    data = curve(TRUTH | {"d": 0.2, "m": 0.8}, reach=2.5, seed=3)
+    found = fit(data, "brush-dm", config=GIVEN).derived["F_max"]
+
+    def of(t, x):
+        c, d, m = x
+        return {"cpa2": c, "mu": t / FZ / share(d, m), "d": d, "m": m}
+
+    ends = brute_force(
+        data, of, [5e4, 0.2, 0.8], ([1e3, -0.33, 0.0], [1e6, 1.0, 1.0]),
+        (0.98 * found.value, 1.02 * found.value),
+    )  # fmt: skip
+    np.testing.assert_allclose(found.ci95, ends, atol=0.01 * np.ptp(ends))
+    # Nearly a parabola here: twice 1.96 standard deviations.
+    np.testing.assert_allclose(np.ptp(ends), 3.92 * found.std, rtol=0.03)
+
+
+def test_slip_of_two_parameters_against_brute_force(given):
+    found = given.derived["slip_at_peak"]
+    ends = brute_force(
+        curve(), lambda t, x: {"cpa2": x[0], "mu": t * x[0] / 1.5 / FZ}, [5e4],
+        ([1e3], [1e6]), (0.9 * found.value, 1.1 * found.value),
+    )  # fmt: skip
+    np.testing.assert_allclose(found.ci95, ends, atol=0.01 * np.ptp(ends))
+
+
+def test_peak_beside_a_parameter_at_its_bound():
+    # No kinetic drop in the data: m sits at its upper bound 1, and may be lower.
+    data = curve(seed=21)
+    result = fit(data, "brush-m", config=GIVEN)
+    found = result.derived["F_max"]
+
+    def of(t, x):
+        c, m = x
+        return {"cpa2": c, "mu": t / FZ * (3 - 2 * m) ** 2 / (4 - 3 * m), "m": m}
+
+    ends = brute_force(
+        data, of, [5e4, 0.99], ([1e3, 0.0], [1e6, 1.0]),
+        (0.97 * found.value, 1.03 * found.value),
+    )  # fmt: skip
+    np.testing.assert_allclose(found.ci95, ends, atol=0.02 * np.ptp(ends))
+    assert result.least_squares["m"].std is None and found.std is None
+
+
+@pytest.mark.parametrize("name", ["estimated", "given", "prior"])
+def test_slope_of_the_deviance(name, request):
+    end = request.getfixturevalue("given" if name == "prior" else name).solved
+    problem = end.problem
+    if name == "prior":
+        stiffness, friction = problem.layout.free
+        pulled = (stiffness, replace(friction, prior=(0.9, 0.05)))
+        problem = replace(problem, layout=replace(problem.layout, free=pulled))
+    end = end._replace(problem=problem)
+
+    def total(z):
+        return deviance(
+            problem.model, problem.layout, z, problem.rows, problem.channels,
+            problem.loss, end.rules,
+        )  # fmt: skip
+
+    z = end.z + np.sqrt(np.diag(end.covariance)) * [0.7, -1.1]
+    value, slope, _ = _bowl(end, z)
+    np.testing.assert_allclose(value, float(total(z)), rtol=1e-12)
+    np.testing.assert_allclose(2 * slope, jax.grad(total)(z), rtol=1e-9)
+
+
+def test_curvature_of_the_deviance_is_that_of_the_covariance(given):
+    end = given.solved
+    _, _, curvature = _bowl(end, end.z)
+    np.testing.assert_allclose(curvature @ end.covariance, np.eye(2), atol=1e-9)
+
+
+def test_posterior_quantities_are_of_the_posterior_draws(sampled):
+    cpa2, mu = sampled.chains.reshape(-1, 2).T
+    for name, draws in (
+        ("C_x", 2 * cpa2), ("F_max", mu * FZ), ("slip_at_peak", 1.5 * mu * FZ / cpa2),
+    ):  # fmt: skip
+        found = sampled.derived[name]
+        low, median, high = np.quantile(draws, [0.025, 0.5, 0.975])
+        np.testing.assert_allclose(found.value, median, rtol=1e-7)
+        np.testing.assert_allclose(found.ci95, (low, high), rtol=1e-7)
+        np.testing.assert_allclose(found.std, draws.std(), rtol=1e-6)
+    assert sampled.parameters["mu"].value == np.median(mu)
+    assert sampled.source == "posterior median and central 95 %"
+    assert sampled.to_dict()["source"] == sampled.source
+
+
+def test_least_squares_is_the_source_without_a_posterior(given):
+    assert given.source == "least squares, profile likelihood"
+    assert given.to_dict()["source"] == given.source
+
+
+def test_a_tied_parameter_follows_its_estimate():
+    config = {"parameters": {"d": {"tied": "mu", "factor": -0.2}}}
+    problem = build(curve(), "brush-d", parse_config(config))
+    mu = Estimate(0.5, 0.25, "-", (0.25, 1.0))
+    found = with_fixed({"cpa2": Estimate(5e4, 1.0, "N", (1.0, 2.0)), "mu": mu}, problem)
+    assert found["d"] == Estimate(-0.1, 0.05, "-", (-0.2, -0.05))
 
 
 def test_what_is_not_defined_has_no_number():
-    end = solved(curve(), GIVEN, "uniform")
-    draws = end.z + 1e-3 * np.random.default_rng(0).standard_normal((40, 2))
-    found = derived_estimates(end, draws)
-    slip = found["slip_at_peak"]
+    slip = fit(curve(), "uniform", config=GIVEN).derived["slip_at_peak"]
     assert not slip.identified and np.isnan(slip.value)
     assert slip.std is None and slip.ci95 == (None, None)
-    assert found["C_x"].identified and found["C_x"].std > 0
+
+
+def test_lateral_fit_with_a_friction_that_is_known():
+    data = curve()
+    columns = {"alpha": np.arctan(data["sigma_x"]), "fy": data["fx"], "fz": data["fz"]}
+    config = GIVEN | {
+        "noise": {"fy": STD}, "parameters": {"mu": {"value": 1.0, "free": False}}
+    }  # fmt: skip
+    result = fit(table(columns), config=config)
+    found, stiffness = result.derived, result.least_squares["cpa2"]
+    assert list(found) == list(quantities("fy")) and "C_x" not in found
+    assert found["C_alpha"].unit == "N/rad"
+    np.testing.assert_allclose(found["C_alpha"].value, 2 * stiffness.value, rtol=1e-9)
+    # A quantity of fixed parameters is fixed; one of a free one falls as it rises.
+    assert found["F_max"].fixed and found["F_max"].ci95 == (None, None)
+    ends = 1.5 * FZ / np.array(stiffness.ci95)
+    np.testing.assert_allclose(found["slip_at_peak"].ci95, ends[::-1], rtol=1e-6)

@@ -4,10 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from recipes import STD, curve
 
-from tirefit.fitting.layout import FreeParameter, Layout, Tie
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.estimate import fit
+from tirefit.fitting.layout import FreeParameter, Layout, Tie, choose_layout
 from tirefit.models import MODELS
 from tirefit.params import specs
+from tirefit.results import UsageError
 
 SPECS = specs(MODELS["brush-dm"])
 LAYOUT = Layout(
@@ -90,3 +94,107 @@ def test_names_of_runs_do_not_cause_a_new_compilation():
     assert function(wider, jnp.zeros(2)).shape == (2,)
     longer = Layout(wider.free, (), ("a", "b", "c"))
     assert function(longer, jnp.zeros(3)).shape == (3,)
+
+
+def chosen(model, parameters, forces=("fx",)):
+    config = parse_config({"parameters": parameters})
+    return choose_layout(MODELS[model], config, ("dry", "wet"), forces)
+
+
+# model, parameters -> bounds of the free parameter, of the tied one, name of each
+TIES = {
+    "upper end": ("brush-m", {"m": {"tied": "mu", "factor": 0.8}}, ("mu", 0.01, 1.25)),
+    "own bounds of the free one": (
+        "brush-m",
+        {"m": {"tied": "mu", "factor": 0.8}, "mu": {"lower": 0.5, "upper": 2}},
+        ("mu", 0.5, 1.25),
+    ),
+    "negative factor": (
+        "brush-d", {"d": {"tied": "mu", "factor": -0.2}}, ("mu", 0.01, 5 / 3),
+    ),
+    "lower end, on many decades": (
+        "brush", {"mu": {"tied": "cpa2", "factor": 1e-5}}, ("cpa2", 1e3, 5e5),
+    ),
+    "two ties": (
+        "brush-dm",
+        {"m": {"tied": "mu", "factor": 0.8}, "d": {"tied": "mu", "factor": -0.3}},
+        ("mu", 0.01, 1 / 0.9),
+    ),
+    "per run": (
+        "brush-m",
+        {"m": {"tied": "mu"}, "mu": {"per_run": True}},
+        ("mu", 0.01, 1.0),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("model", "parameters", "bounds"), TIES.values(), ids=TIES)
+def test_tied_parameter_is_held_to_its_own_bounds(model, parameters, bounds):
+    name, lower, upper = bounds
+    _, layout, notes = chosen(model, parameters)
+    (free,) = (p for p in layout.free if p.name == name)
+    np.testing.assert_allclose(free.spec.bounds, (lower, upper), rtol=1e-12)
+    assert any(note.startswith(f"{name} held to [") for note in notes)
+    for z in (-60.0, -1.0, 0.0, 1.0, 60.0):
+        values = layout.natural(np.full(layout.size, z))
+        for tie in layout.ties:
+            own = specs(MODELS[model])[tie.name]
+            assert np.all(values[tie.name] >= own.lower * (1 - 1e-12) - 1e-12)
+            assert np.all(values[tie.name] <= own.upper * (1 + 1e-12) + 1e-12)
+
+
+def test_tie_that_cannot_leave_the_bounds_narrows_nothing():
+    _, layout, notes = chosen("brush-stribeck", {"mu_c": {"tied": "mu"}})
+    assert {p.name: p.spec for p in layout.free}["mu"] == SPECS["mu"]
+    assert layout.ties == (Tie("mu_c", "mu"),) and notes == []
+
+
+def test_tie_outside_the_bounds_is_refused():
+    parameters = {"m": {"tied": "mu", "factor": 3}, "mu": {"lower": 0.5}}
+    with pytest.raises(UsageError) as caught:
+        chosen("brush-m", parameters)
+    (problem,) = caught.value.problems
+    assert problem.reason == (
+        "parameters.m: tied = 'mu' with factor = 3 is outside its bounds [0, 1] for"
+        " every mu in [0.5, 5]"
+    )
+    assert "bounds of mu" in problem.remedy
+
+
+def test_value_and_prior_are_checked_within_the_narrowed_bounds():
+    prior = {"mean": 1.5, "std": 0.1}
+    parameters = {"m": {"tied": "mu"}, "mu": {"value": 1.2, "prior": prior}}
+    with pytest.raises(UsageError) as caught:
+        chosen("brush-m", parameters)
+    value, mean = caught.value.problems
+    assert value.reason == "parameters.mu: value 1.2 outside its bounds [0.01, 1]"
+    assert mean.reason == "parameters.mu: prior mean 1.5 outside its bounds [0.01, 1]"
+
+
+def test_free_fixed_and_per_run_as_asked():
+    parameters = {
+        "cpa2": {"value": 3e4, "free": False},
+        "mu": {"per_run": True, "prior": {"mean": 1, "std": 0.1}},
+        "d": {"upper": 0.5},
+    }
+    model, layout, notes = chosen("brush-d", parameters)
+    assert layout.labels == ("mu[dry]", "mu[wet]", "d") and notes == []
+    assert layout.free[0].prior == (1.0, 0.1)
+    assert layout.free[1].spec == SPECS["d"]._replace(upper=0.5)
+    assert model.cpa2 == 3e4
+    _, layout, _ = chosen("brush", {}, ("fy", "mz"))
+    assert layout.labels == ("cpa2", "mu", "half_length")
+
+
+def test_interval_of_a_parameter_tied_by_a_negative_factor_is_in_order():
+    truth = {"cpa2": 5e4, "mu": 1.0, "d": -0.2}
+    config = {
+        "noise": {"fx": STD}, "solver": "gauss-newton",
+        "parameters": {"d": {"tied": "mu", "factor": -0.2}},
+    }  # fmt: skip
+    result = fit(curve(truth, n=100), "brush-d", config=config)
+    d, mu = result.parameters["d"], result.parameters["mu"]
+    assert d.ci95[0] < d.value < d.ci95[1]
+    np.testing.assert_allclose(d.ci95, -0.2 * np.array(mu.ci95[::-1]), rtol=1e-12)
+    assert abs(d.value + 0.2) < 4 * d.std
+    assert any(note.startswith("mu held to") for note in result.noise["notes"])

@@ -5,7 +5,18 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from recipes import FZ, GIVEN, STD, TRUTH, brush_force, curve, solved, table
+from recipes import (
+    ESTIMATED,
+    FULL_SLIDING,
+    FZ,
+    GIVEN,
+    STD,
+    TRUTH,
+    brush_force,
+    curve,
+    solved,
+    table,
+)
 
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import fit
@@ -97,6 +108,29 @@ def test_wrong_model_is_seen_in_the_residuals():
     assert any("curve misses systematically" in s for s in result.verdict["sentences"])
 
 
+@pytest.mark.parametrize(
+    ("config", "width"),
+    [(ESTIMATED, "are at rounding level"), (GIVEN, "say what the given noise would")],
+)
+def test_data_without_noise_are_called_exact(config, width):
+    result = fit(curve(noise=0.0), config=config)
+    assert result.verdict["status"] == "ok" and result.outcomes == ()
+    (said,) = result.verdict["sentences"]
+    assert said.startswith("the data are exact for this model") and width in said
+    assert result.statistics.rmse < 1e-9 * FZ and not result.solved.ambiguous
+    for label, truth in TRUTH.items():
+        assert result.least_squares[label].identified
+        np.testing.assert_allclose(result.least_squares[label].value, truth, rtol=1e-9)
+    slip = result.derived["slip_at_peak"]
+    assert slip.identified
+    np.testing.assert_allclose(slip.value, FULL_SLIDING, rtol=1e-7)
+
+
+def test_a_noise_of_a_millionth_is_noise():
+    result = fit(curve(noise=1e-6 * FZ), config=ESTIMATED)
+    assert result.verdict["sentences"] == [] and result.verdict["status"] == "ok"
+
+
 def noisy(stds, seed=50):
     slip = curve(seed=seed)["sigma_x"]
     noise = stds * np.random.default_rng(seed).standard_normal(400)
@@ -162,15 +196,20 @@ def test_as_many_unknowns_as_rows_are_refused(rows, enough):
 @pytest.mark.parametrize(
     ("columns", "model", "config", "said"),
     [
-        ({}, "brush-n", {}, "brush-n needs the speed of every row"),
-        ({}, "brush", {"force": "fy"}, "needs the columns fy and alpha"),
+        ({}, "brush-n", {}, "the model brush-n needs v (forward speed"),
+        ({}, "brush", {"force": "fy"}, "a fit of fy needs alpha"),
         (
             {"sigma_x": np.full(400, 0.1)},
             "brush",
             {},
             "no force with a slip that varies",
         ),
-        ({}, "brush", {"data": {"slip_min": 9.0}}, "no usable row"),
+        (
+            {},
+            "brush",
+            {"data": {"slip_min": 9.0}},
+            "no usable row within data.slip_min = 9 of config",
+        ),
     ],
     ids=["speed", "force", "constant slip", "nothing inside the limits"],
 )

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
 SCAN = np.cos(np.linspace(0, np.pi, 801))
 
 
@@ -32,6 +32,8 @@ def reference_density(family, d, xi):
         return np.full_like(xi, 0.5)
     if family == "quartic":
         return 5 / 8 * (1 - xi**4)
+    if family == "elliptic":
+        return 2 / np.pi * np.sqrt(1 - xi**2)
     return 3 / 4 * (1 - xi**2) * (1 + d * xi)
 
 
@@ -41,6 +43,8 @@ def holding_ratio(family, d, xi):
         return 0.5 / np.maximum(1 - xi, 1e-300)
     if family == "quartic":
         return 5 / 8 * (1 + xi) * (1 + xi**2)
+    if family == "elliptic":
+        return 2 / np.pi * np.sqrt((1 + xi) / np.maximum(1 - xi, 1e-300))
     return 3 / 4 * (1 + xi) * (1 + d * xi)
 
 
@@ -61,10 +65,13 @@ def breakaway_point(family, d, rho):
     )
 
 
-def _panel(function, low, high):
+def _panel(function, low, high, a):
+    """Integral over x = -a cos(angle), in which a vertical end is smooth."""
+    low, high = np.arccos(-low / a), np.arccos(-high / a)
     half = (high - low) / 2
-    x = low + half * (1 + NODES)
-    return half * (WEIGHTS * np.stack(function(x))).sum(axis=-1)
+    angle = low + half * (1 + NODES)
+    weights = half * WEIGHTS * a * np.sin(angle)
+    return (weights * np.stack(function(-a * np.cos(angle)))).sum(axis=-1)
 
 
 def integrate_patch(family, d, cpa2, mu_s, mu_k, fz, slip, a=0.1):
@@ -90,7 +97,7 @@ def integrate_patch(family, d, cpa2, mu_s, mu_k, fz, slip, a=0.1):
     total = np.zeros(4)
     for low, high in zip(edges, edges[1:], strict=False):
         law = sliding if (low + high) / 2 < a * xi_s else sticking
-        total += _panel(moments_of(law), low, high)
+        total += _panel(moments_of(law), low, high, a)
     return Patch(*total, xi_s)
 
 

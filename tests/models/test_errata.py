@@ -255,7 +255,7 @@ def taylor(name, order, values, v=0.0):
     tires = with_values(MODELS[name], dict(zip(given, arrays, strict=False)))
 
     def all_forces(sigma):
-        return jax.vmap(lambda tire, s, v: tire(TireInputs(s, 0.0, FZ, v)).fx)(
+        return jax.vmap(lambda tire, s, v: tire.pure(s, FZ, v * s / (1 + s))[0])(
             tires, sigma, arrays[-1]
         )
 

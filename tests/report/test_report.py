@@ -155,10 +155,8 @@ def test_points_are_the_used_rows(plain):
 def test_band_agrees_with_automatic_derivatives(plain):
     one = fit_curve(plain).curves[1]
     size = len(one.slip)
-    inputs = TireInputs(
-        jnp.asarray(one.slip), jnp.zeros(size), jnp.full(size, 4000.0),
-        jnp.full(size, 20.0),
-    )  # fmt: skip
+    inputs = TireInputs(sigma_x=one.slip, fz=4000.0, v=20.0)
+    inputs = jax.tree.map(lambda value: jnp.broadcast_to(value, size), inputs)
     problem = plain.problem
     _, variance = predict_forces(
         problem.model, problem.layout, plain.z, plain.covariance, inputs,
@@ -276,6 +274,8 @@ def test_profile_and_parabola_cross_the_level_at_their_intervals(plain):
         (1.5, None, "1.5"),
         (1.5, 0.0, "1.5"),
         (float("nan"), None, "-"),
+        (50000.000000000007, 4.1e-11, "50000 ± 4.1e-11"),
+        (0.9690351325, 2e-10, "0.9690351 ± 2e-10"),
     ],
 )
 def test_digits_follow_the_std(value, std, text):
@@ -286,6 +286,8 @@ def test_intervals_with_open_ends():
     assert format_interval((None, None)) == "-"
     assert format_interval((1.0, None)) == "[1, ..]"
     assert format_interval((0.18409, 0.25278), 0.0174) == "[0.184, 0.253]"
+    assert format_interval((49999.9999999997, 50000.0000000003)) == "[50000, 50000]"
+    assert format_interval((0.96903513, 0.96903514), 2e-9) == "[0.9690351, 0.9690351]"
     assert format_number(1e9) == "1e+09"
 
 
@@ -308,6 +310,32 @@ def test_report_holds_every_number_and_ends_with_the_verdict(sampled):
         assert expected in text
     last = text.rstrip().split("\n\n")[-1]
     assert last.startswith("VERDICT: ")
+
+
+def test_every_block_says_what_its_numbers_are(plain, sampled):
+    for result, source in (
+        (plain, "least squares, profile likelihood"),
+        (sampled, "posterior median and central 95 %"),
+    ):
+        text = fit_report(result)
+        assert f"PARAMETERS ({source})" in text
+        (heading,) = (one for one in text.splitlines() if one.startswith("DERIVED"))
+        assert heading.endswith(f"m/s; {source})")
+        assert f"119 rows; {source}<table" in html.fit_fragment(result)
+
+
+def test_derived_quantities_say_what_they_are(plain):
+    text = fit_report(plain)
+    c_x = plain.derived["C_x"]
+    value = re.escape(format_estimate(c_x.value, c_x.std))
+    assert re.search(rf"  C_x +{value} +N .*slope at zero slip\n", text)
+    assert re.search(r"  slip_at_peak .*sigma_x at peak\n", text)
+    open_ended = replace(c_x, std=None, ci95=(9e4, None), identified=False)
+    nowhere = replace(plain.derived["slip_at_peak"], value=np.nan, identified=False)
+    lateral = {"C_alpha": open_ended, "slip_at_peak": nowhere}
+    text = fit_report(replace(plain, forces=("fy",), derived=lateral, problem=None))
+    assert re.search(r"  C_alpha +not identified .*\[90000, \.\.\]", text)
+    assert re.search(r"  slip_at_peak +not defined .*tan\(alpha\) at peak", text)
 
 
 def test_report_says_not_identified(plain):
@@ -393,6 +421,29 @@ def test_corner_and_trace_of_any_size_with_a_constant_column(plain, size):
     assert len(corner.axes) == shown * (shown + 1) // 2
     assert corner._repr_png_()[:4] == b"\x89PNG"
     assert len(draw_uncertainty.trace_figure(result).axes) == 2 * shown
+
+
+@pytest.mark.parametrize("size", [1, 3, 7])
+def test_corner_labels_stand_beside_their_numbers(plain, size):
+    scale = 10.0 ** np.resize([0, 4, -3], size)
+    draws = np.random.default_rng(1).normal(1.0, 0.1, (4, 200, size)) * scale
+    picture = draw_uncertainty.corner_figure(with_chains(renamed(plain, size), draws))
+    picture.draw_without_rendering()
+    gaps = {"x": [], "y": []}
+    for axes in picture.axes:
+        for name, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
+            if not axis.label.get_text():
+                continue
+            label = axis.label.get_window_extent()
+            numbers = [t.get_window_extent() for t in axis.get_ticklabels()]
+            far = min(box.y0 if name == "x" else box.x0 for box in numbers)
+            gaps[name].append(far - (label.y1 if name == "x" else label.x1))
+            assert label.x0 > 0 and label.y0 > 0
+    assert len(gaps["x"]) == size and len(gaps["y"]) == size - 1
+    # Pixels at 130 an inch: the widest numbers almost touch, no label overlaps.
+    for each in gaps.values():
+        assert not each or 0 < min(each) < 8
+    assert not gaps["x"] or max(gaps["x"]) < 25
 
 
 def test_figures_say_what_is_not_identified(plain, sampled):

@@ -7,28 +7,26 @@ from typing import Annotated
 import typer
 
 from tirefit.cli.options import (
-    ColumnOption,
-    ConfigOption,
-    ConstantOption,
-    ConventionOption,
+    DataOptions,
     Files,
-    MaskOption,
-    RadiusOption,
-    SlipOption,
-    UnitOption,
     complain,
-    data_options,
     error_text,
     errors_to_exit,
+    has_terminal,
+    named_path,
     progress_bar,
     read_config,
+    read_options,
     say,
     start_jax,
+    takes_data_options,
+    warn,
 )
+from tirefit.cli.output import check_directories, claimed, staged
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, Outcome, Problem, TirefitError, UsageError
 
-__all__ = ["fit"]
+__all__ = ["exit_code", "fit", "fit_into", "model_names"]
 
 
 class Solver(StrEnum):
@@ -42,7 +40,7 @@ class Sampler(StrEnum):
     hmc = "hmc"
 
 
-def _model_names(incomplete: str) -> list[str]:
+def model_names(incomplete: str) -> list[str]:
     return [name for name in MODEL_NAMES if name.startswith(incomplete)]
 
 
@@ -67,25 +65,31 @@ def _stem(file: Path) -> str:
     return Path(name).stem if Path(name).suffix else f"{name}.fit"
 
 
+@takes_data_options
 def fit(
     files: Files,
+    options: DataOptions,
     model: Annotated[
         str | None,
         typer.Option(
             help="a name of `tirefit models`; brush by default",
-            autocompletion=_model_names,
+            autocompletion=model_names,
         ),
     ] = None,
-    config: ConfigOption = None,
     posterior: Annotated[
         bool, typer.Option("--posterior/--no-posterior", help="sample the posterior")
     ] = True,
     solver: Annotated[Solver | None, typer.Option(help="least-squares solver")] = None,
     sampler: Annotated[Sampler | None, typer.Option(help="posterior sampler")] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="of everything random")
+        int | None, typer.Option(min=0, max=2**32 - 1, help="of everything random")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="directory of the results")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", parser=named_path, help="directory of the results"
+        ),
+    ] = None,
     force: Annotated[
         list[str] | None,
         typer.Option(help="force to fit: fx, fy, mz (repeat for more)"),
@@ -102,29 +106,13 @@ def fit(
     svg: Annotated[
         bool, typer.Option("--svg", help="write every figure as SVG too")
     ] = False,
-    column: ColumnOption = None,
-    unit: UnitOption = None,
-    constant: ConstantOption = None,
-    convention: ConventionOption = None,
-    slip: SlipOption = None,
-    rolling_radius: RadiusOption = None,
-    mask_bad_rows: MaskOption = False,
 ) -> None:
     """Fit a model: parameters, uncertainties, figures and a report."""
     with errors_to_exit():
         from tirefit.fitting.config import FitConfig
 
-        base = read_config(config) or FitConfig()
-        options = data_options(
-            base,
-            column,
-            unit,
-            constant,
-            convention,
-            slip,
-            rolling_radius,
-            mask_bad_rows,
-        )
+        base = read_config(options.config) or FitConfig()
+        how = read_options(options, base)
         changes = {
             "model": model, "seed": seed, "force": _forces(force),
             "solver": solver.value if solver else None,
@@ -136,13 +124,14 @@ def fit(
             chosen = settings.posterior.model_copy(update={"sampler": sampler.value})
             settings = settings.model_copy(update={"posterior": chosen})
         directories = _output_directories(files, out, joint)
+        check_directories(directories)
         start_jax()
         from tirefit.fitting.problem import find_model
 
         find_model(settings.model or "brush")
         groups = [files] if joint else [[file] for file in files]
         worst = _fit_all(
-            groups, directories, settings, options, posterior, resume, svg, strict
+            groups, directories, settings, how, posterior, resume, svg, strict
         )
         raise typer.Exit(worst)
 
@@ -155,24 +144,27 @@ def _forces(force: list[str] | None) -> list[str] | None:
 
 
 def _fit_all(
-    groups, directories, settings, options, posterior, resume, svg, strict
+    groups, directories, settings, how, posterior, resume, svg, strict
 ) -> ExitCode:
     """Every group of files; one bad file does not stop the others."""
     codes, rows = [], []
-    for group, directory in zip(groups, directories, strict=True):
+    for i, (group, directory) in enumerate(zip(groups, directories, strict=True)):
+        if len(groups) > 1 and has_terminal():
+            complain(f"file {i + 1} of {len(groups)}: {group[0]}")
         try:
-            result = _fit_one(
-                group, directory, settings, options, posterior, resume, svg
-            )
+            result = _fit_one(group, directory, settings, how, posterior, resume, svg)
         except TirefitError as error:
             if len(groups) == 1 or error.exit_code == ExitCode.USAGE:
                 raise
             complain(error_text(error))
             codes.append(error.exit_code)
             continue
-        codes.append(_exit_code(result, strict))
+        codes.append(exit_code(result, strict))
         rows.append((directory, result))
         if Outcome.INTERRUPTED in result.outcomes:
+            left = len(groups) - i - 1
+            if left:
+                complain(f"interrupted: the last {left} of {len(groups)} not fitted")
             break
     if len(groups) > 1:
         say(_summary(rows))
@@ -181,24 +173,38 @@ def _fit_all(
     return next((code for code in order if code in codes), ExitCode.OK)
 
 
-def _fit_one(files, directory: Path, settings, options, posterior, resume, svg):
+def _fit_one(files, directory: Path, settings, how, posterior, resume, svg):
     from tirefit.data.read import read
     from tirefit.data.table import join
-    from tirefit.fitting.estimate import fit as fit_data
-    from tirefit.fitting.store import save_fit
-    from tirefit.report.draw import save_figures
 
-    tables = [read(file, **options) for file in files]
+    tables = [read(file, **how) for file in files]
+    for table in tables:
+        warn(table)
     data = tables[0] if len(tables) == 1 else join(tables)
-    result = fit_data(data, config=settings)
-    directory.mkdir(parents=True, exist_ok=True)
-    if posterior:
-        result = _sampled(result, directory, settings, resume)
-    written = save_fit(result, directory)
-    written += save_figures(result, directory, svg=svg)
+    return fit_into(directory, data, settings, posterior, resume, svg)
+
+
+def fit_into(directory, data, settings, posterior=False, resume=False, svg=False):
+    """Fits the data, and leaves the result and its figures in the directory."""
+    from tirefit.fitting.estimate import fit as fit_data
+
+    with claimed(directory):
+        result = fit_data(data, config=settings)
+        if posterior:
+            result = _sampled(result, directory, settings, resume)
+        written = _save(result, directory, svg)
     say(str(result))
     say("wrote " + ", ".join(str(path) for path in written))
     return result
+
+
+def _save(result, directory: Path, svg: bool) -> list[Path]:
+    from tirefit.fitting.store import save_fit
+    from tirefit.report.draw import FIGURE_FILES, save_figures
+
+    with staged(directory, known=["posterior.nc", *FIGURE_FILES]) as folder:
+        written = save_fit(result, folder) + save_figures(result, folder, svg=svg)
+    return [directory / path.name for path in written]
 
 
 def _sampled(result, directory: Path, settings, resume: bool):
@@ -219,7 +225,7 @@ def _sampled(result, directory: Path, settings, resume: bool):
         )
 
 
-def _exit_code(result, strict: bool) -> ExitCode:
+def exit_code(result, strict: bool = False) -> ExitCode:
     broken = {Outcome.NOT_CONVERGED, Outcome.CHAIN_TOO_SHORT, Outcome.INTERRUPTED}
     if broken & set(result.outcomes):
         return ExitCode.NOT_CONVERGED

@@ -1,9 +1,12 @@
 """Options that commands share, and how mistakes and progress reach the terminal."""
 
+import inspect
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,108 +15,162 @@ import typer
 from tirefit.results import ExitCode, Problem, TirefitError, UsageError
 
 __all__ = [
-    "ColumnOption",
-    "ConfigOption",
-    "ConstantOption",
-    "ConventionOption",
+    "DataOptions",
     "Files",
     "JsonOption",
-    "MaskOption",
-    "RadiusOption",
-    "SlipOption",
-    "UnitOption",
     "complain",
-    "data_options",
     "error_text",
     "errors_to_exit",
+    "has_terminal",
+    "named_path",
     "numbers",
     "progress_bar",
     "read_config",
+    "read_options",
     "say",
     "start_jax",
+    "takes_data_options",
+    "warn",
 ]
 
+
+def named_path(text: str) -> Path:
+    """A path option: an empty name, as of an unset variable, is not the folder here."""
+    if not text:
+        raise typer.BadParameter("it is empty: give a name")
+    return Path(text)
+
+
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV files")]
-ColumnOption = Annotated[
-    list[str] | None,
-    typer.Option("--column", metavar="NAME=HEADER", help="header of a column"),
-]
-UnitOption = Annotated[
-    list[str] | None,
-    typer.Option("--unit", metavar="NAME=UNIT", help="unit of a column, e.g. fx=kN"),
-]
-ConstantOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--constant", metavar="NAME=VALUE", help="column constant in SI units"
-    ),
-]
-ConventionOption = Annotated[
-    str | None,
-    typer.Option(
-        help="signs of the file: braking (slip and force positive when braking),"
-        " iso-w (driving positive, z up), sae (driving positive, z down),"
-        " adapted-sae (driving positive, F_y > 0 for alpha > 0); braking if not given"
-    ),
-]
-SlipOption = Annotated[
-    str | None,
-    typer.Option("--slip", help="slip definition: sigma_x, kappa, s, slip_ratio"),
-]
-RadiusOption = Annotated[
-    float | None, typer.Option("--rolling-radius", help="effective radius [m]")
-]
-MaskOption = Annotated[
-    bool, typer.Option("--mask-bad-rows", help="mask and list bad rows, do not stop")
-]
-ConfigOption = Annotated[
-    Path | None, typer.Option("--config", metavar="FIT.TOML", help="configuration")
-]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]
 
 
-def _pairs(option: str, items: list[str] | None) -> dict[str, str]:
-    pairs = {}
+@dataclass(frozen=True, kw_only=True)
+class DataOptions:
+    """What the command line declares of the files; every field is an option."""
+
+    config: Annotated[
+        Path | None,
+        typer.Option(metavar="FIT.TOML", parser=named_path, help="configuration"),
+    ] = None
+    column: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=HEADER", help="header of a column"),
+    ] = None
+    unit: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=UNIT", help="unit of a column, e.g. fx=kN"),
+    ] = None
+    constant: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="column constant in SI units"),
+    ] = None
+    convention: Annotated[
+        str | None,
+        typer.Option(
+            help="signs of the file: braking (slip and force positive when braking),"
+            " iso-w (driving positive, z up), sae (driving positive, z down),"
+            " adapted-sae (driving positive, F_y > 0 for alpha > 0); braking if not"
+            " given"
+        ),
+    ] = None
+    slip: Annotated[
+        str | None,
+        typer.Option(help="slip definition: sigma_x, kappa, s, slip_ratio"),
+    ] = None
+    rolling_radius: Annotated[
+        float | None, typer.Option(help="effective radius [m]")
+    ] = None
+    mask_bad_rows: Annotated[
+        bool,
+        typer.Option("--mask-bad-rows", help="mask and list bad rows, go on"),
+    ] = False
+
+
+def takes_data_options(command: Callable) -> Callable:
+    """The command with the fields of :class:`DataOptions` as options of its own.
+
+    They replace its parameter ``options``, which gets them as one object.
+    """
+    names = [field.name for field in fields(DataOptions)]
+
+    @wraps(command)
+    def with_options(**given):
+        options = DataOptions(**{name: given.pop(name) for name in names})
+        return command(**given, options=options)
+
+    signature = inspect.signature(command)
+    ours = [
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=field.default,
+            annotation=field.type,
+        )
+        for field in fields(DataOptions)
+    ]
+    own = [
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for parameter in signature.parameters.values()
+        if parameter.name != "options"
+    ]
+    with_options.__signature__ = signature.replace(parameters=[*own, *ours])
+    return with_options
+
+
+def _pairs(option: str, items: list[str] | None, problems: list[Problem]):
+    pairs: dict[str, str] = {}
     for item in items or []:
-        name, separator, value = item.partition("=")
-        if not separator or not name or not value:
-            raise UsageError(
-                Problem(f"{option} {item!r}", f"write it as {option} NAME=VALUE")
-            )
-        pairs[name.strip()] = value.strip()
+        name, _, value = (part.strip() for part in item.partition("="))
+        if not name or not value:
+            remedy = f"write it as {option} NAME=VALUE"
+            problems.append(Problem(f"{option} {item!r}", remedy))
+        elif name in pairs:
+            reason = f"{option} {name} is given twice: {pairs[name]!r} and {value!r}"
+            problems.append(Problem(reason, "give it once"))
+        else:
+            pairs[name] = value
     return pairs
 
 
-def numbers(option: str, items: list[str] | None) -> dict[str, float]:
-    numbers = {}
-    for name, value in _pairs(option, items).items():
+def numbers(
+    option: str, items: list[str] | None, problems: list[Problem]
+) -> dict[str, float]:
+    """Values of NAME=VALUE options; what is wrong with them goes into ``problems``."""
+    found = {}
+    for name, value in _pairs(option, items, problems).items():
         try:
-            numbers[name] = float(value)
+            found[name] = float(value)
         except ValueError:
-            raise UsageError(
-                Problem(f"{option} {name}={value}: not a number", "give an SI value")
-            ) from None
-    return numbers
+            reason = f"{option} {name}={value}: not a number"
+            problems.append(Problem(reason, "give an SI value"))
+    return found
 
 
-def data_options(
-    config, column, unit, constant, convention, slip, radius, mask
-) -> dict[str, Any]:
-    """Options of the command line over those of fit.toml, for ``read``."""
-    base = config.data if config is not None else None
-    merged = {
-        "columns": (dict(base.columns) if base else {}) | _pairs("--column", column),
-        "units": (dict(base.units) if base else {}) | _pairs("--unit", unit),
-        "constants": (dict(base.constants) if base else {})
-        | numbers("--constant", constant),
-        "convention": convention or (base.convention if base else None),
-        "slip": slip or (base.slip if base else None),
-        "rolling_radius": radius
-        if radius is not None
-        else (base and base.rolling_radius),
-        "mask_bad_rows": mask or bool(base and base.mask_bad_rows),
+def read_options(given: DataOptions, config) -> dict[str, Any]:
+    """Arguments of ``tirefit.read``: the command line's, laid over those of fit.toml.
+
+    Raises:
+        UsageError: pairs that are not pairs, or not of numbers; all of them.
+    """
+    problems: list[Problem] = []
+    pairs = {
+        "columns": _pairs("--column", given.column, problems),
+        "units": _pairs("--unit", given.unit, problems),
+        "constants": numbers("--constant", given.constant, problems),
     }
-    return merged
+    if problems:
+        raise UsageError(problems)
+    below = {} if config is None else config.data.model_dump()
+    single = {
+        name: below.get(name) if getattr(given, name) is None else getattr(given, name)
+        for name in ("convention", "slip", "rolling_radius")
+    }
+    return {
+        **{name: below.get(name, {}) | own for name, own in pairs.items()},
+        **single,
+        "mask_bad_rows": given.mask_bad_rows or below.get("mask_bad_rows", False),
+    }
 
 
 def start_jax() -> None:
@@ -140,6 +197,12 @@ def complain(text: str) -> None:
     typer.echo(text, err=True)
 
 
+def warn(table) -> None:
+    """What data were read as, where they may mean something else."""
+    for text in table.source.warnings:
+        complain(f"warning: {table.source.path}: {text}")
+
+
 @contextmanager
 def errors_to_exit() -> Iterator[None]:
     """A user's mistake becomes its message and its exit code."""
@@ -161,10 +224,15 @@ def error_text(error: TirefitError) -> str:
     return "\n".join([f"{head}:"] + [f"  {problem}" for problem in error.problems])
 
 
+def has_terminal() -> bool:
+    """Whether someone watches: progress is shown on a terminal only."""
+    return sys.stderr.isatty()
+
+
 @contextmanager
 def progress_bar(title: str) -> Iterator[Any]:
     """A bar on the terminal; None, and silence, where there is none."""
-    if not sys.stderr.isatty():
+    if not has_terminal():
         yield None
         return
     from rich.console import Console

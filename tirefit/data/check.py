@@ -1,35 +1,31 @@
 """What data must satisfy: row by row, and as a whole.
 
 A rule on rows yields :class:`BadRows`, which become errors or masked rows. Checks of
-the whole (signs, constant slip, missing columns) yield problems that stand even when
-bad rows are masked.
+the whole (constant slip, missing columns) yield problems that stand even when bad rows
+are masked. A doubt is a sentence: the data can be used, but may mean something else.
 """
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.data.columns import is_number
 from tirefit.results import Problem
-from tirefit.slip import (
-    CONVENTIONS,
-    LOCKED,
-    SLIP_DEFINITIONS,
-    slip_ratio_from_sigma,
-)
+from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
 
 __all__ = [
     "BadRows",
     "check_columns",
-    "check_rolling_radius",
-    "check_signs",
     "check_variation",
+    "doubt_units",
     "has_decimal_comma",
     "list_problems",
     "range_faults",
     "read_numbers",
+    "without_masking",
 ]
 
 SHOWN = 5
@@ -39,7 +35,10 @@ _NEARLY_ONE = 1 + 1e-6
 _LOWEST_SIGMA = -1.05
 _LARGEST = 1e100  # no measurement; its square still fits in a float
 _GROUPED = re.compile(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+\s*")
-_CORRECT = "correct the row, or mask bad rows with --mask-bad-rows"
+_OR_MASK = ", or mask bad rows with --mask-bad-rows"
+_CORRECT = f"correct the row{_OR_MASK}"
+_SHARES = (5e-3, 5.0)
+_LEAST_SLIP = (("fx", "sigma_x", 0.01), ("fy", "alpha", np.radians(0.5)))
 
 
 class BadRows(NamedTuple):
@@ -88,17 +87,10 @@ def _angle_rule(name: str) -> Rule:
 _RULES = (
     Rule(
         "sigma_x",
-        lambda sigma: (abs(sigma) > 5) & (sigma < LOCKED),
-        "is out of the physical range: |sigma_x| <= 5",
+        lambda sigma: (sigma < _LOWEST_SIGMA) | ((sigma > 5) & (sigma < LOCKED)),
+        "is out of the physical range: -1 <= sigma_x <= 5",
         "if the column is in percent: --unit sigma_x=%; if it is v_sx/v_x:"
         " --slip kappa; " + _CORRECT,
-    ),
-    Rule(
-        "sigma_x",
-        lambda sigma: (sigma < _LOWEST_SIGMA) & (sigma >= -5),
-        "is below -1, where the wheel would have to travel backwards",
-        "if driving slip is positive in the file: --convention iso-w, sae or"
-        " adapted-sae; " + _CORRECT,
     ),
     *(_slip_rule(name) for name in SLIP_DEFINITIONS if name != "sigma_x"),
     _angle_rule("alpha"),
@@ -133,10 +125,25 @@ def range_faults(
         text, remedy = rule.rule, rule.remedy
         if rule.column == "fz" and np.all(values[np.isfinite(values)] <= 0):
             text, remedy = _load_hint(text, convention)
+        if rule.column == "sigma_x" and not _looks_like_percent(values):
+            text, remedy = _MIRRORED
         raw = [f"{value:.6g}" for value in shown[rule.column][rows]]
         header = headers.get(rule.column, f"--constant {rule.column}")
         faults.append(BadRows(header, rows, raw, text, remedy, is_systematic=True))
     return faults
+
+
+_MIRRORED = (
+    "is below -1, where the wheel would have to travel backwards",
+    "if driving slip is positive in the file: --convention iso-w, sae or"
+    " adapted-sae; " + _CORRECT,
+)
+
+
+def _looks_like_percent(sigma: np.ndarray) -> bool:
+    """Whether no sign convention would bring the slips into their range."""
+    low, high = np.nanmin(sigma), np.nanmax(np.where(sigma < LOCKED, sigma, np.nan))
+    return low < -5 or high > 5 or (low < _LOWEST_SIGMA and high > -_LOWEST_SIGMA)
 
 
 def _rules_for(columns: Mapping[str, np.ndarray]) -> list[Rule]:
@@ -193,12 +200,18 @@ def list_problems(
     return of_rows, of_columns
 
 
+def without_masking(problem: Problem) -> Problem:
+    """A problem of a row that is masked already: its remedy no longer says to."""
+    return replace(problem, remedy=problem.remedy.replace(_OR_MASK, ""))
+
+
 def check_columns(
-    columns, headers: Sequence[str], file: str, forces: bool = True
+    columns, headers: Sequence[str], idle: Sequence[str], file: str, forces: bool = True
 ) -> list[Problem]:
     """What every fit needs: a slip, a force if ``forces``, the load.
 
-    ``columns`` are those there, ``headers`` the file's own.
+    ``columns`` are those there, ``headers`` the file's own; ``idle`` are the headers
+    of forces that are zero throughout.
     """
     problems = []
     found = ", ".join(repr(header) for header in headers)
@@ -213,6 +226,8 @@ def check_columns(
     if forces and not {"fx", "fy", "mz"} & set(columns):
         remedy = f"name one, as in --column fx=HEADER; columns found: {found}"
         reason = "no force: one of fx, fy, mz is needed"
+        if idle:
+            reason += f"; {' and '.join(map(repr, idle))} is zero in all rows"
         problems.append(Problem(reason, remedy, file))
     if "fz" not in columns:
         remedy = "name it with --column fz=HEADER, or give --constant fz=4000 [N]"
@@ -231,102 +246,42 @@ def check_variation(columns: Mapping[str, np.ndarray], file: str) -> list[Proble
     return [Problem(f"constant slip ({value} in all used rows)", remedy, file)]
 
 
-def check_signs(
-    columns: Mapping[str, np.ndarray],
-    headers: Mapping[str, str],
-    convention: str,
-    file: str,
-) -> list[Problem]:
-    """Slip and force oppose in canonical signs: their correlation must not be < 0.
+def doubt_units(
+    columns: Mapping[str, np.ndarray], headers: Mapping[str, str]
+) -> list[str]:
+    """Forces that no tire has under its load, in sentences with a remedy.
+
+    A tire carries some 5 to 30 times its slip as a share of the load until it slides,
+    and then about as much as its friction: a share beyond ``_SHARES`` in the 99th
+    percentile is a wrong unit. Where the tire hardly slips a small force is right.
 
     Args:
         columns: (n,) canonical columns, used rows only.
         headers: the file's own name of each column.
-        convention: the one the file was read in.
-        file: named in the problems.
     """
-    pairs = []
-    if {"sigma_x", "fx"} <= columns.keys():
-        bounded = slip_ratio_from_sigma(columns["sigma_x"])
-        pairs.append(("slip", "sigma_x", "fx", _trend(bounded, columns["fx"], 0.005)))
-    if {"alpha", "fy"} <= columns.keys():
-        trend = _trend(columns["alpha"], columns["fy"], np.radians(0.5))
-        pairs.append(("alpha", "alpha", "fy", trend))
-    wrong = [pair for pair in pairs if pair[3] < 0]
-    if not wrong:
-        return []
-    fitting = _fitting_conventions(pairs, convention)
-    problems = []
-    for field, slip, force, _ in wrong:
-        names = f"{headers.get(slip, slip)!r} and {headers.get(force, force)!r}"
-        reason = (
-            f"signs contradict the convention {convention!r}: {names} have"
-            f" {_relation(convention, field, force)} signs there, the data have not"
-        )
-        remedy = (
-            "if the sign of one column differs, put a minus before its unit:"
-            f" --unit {force}=-N, or {force}=-kN where it is in kN"
-        )
-        if fitting:
-            remedy = f"these signs fit --convention {' or '.join(fitting)}; {remedy}"
-        problems.append(Problem(reason, remedy, file, column=headers.get(force, force)))
-    return problems
-
-
-def _relation(convention: str, field: str, force: str) -> str:
-    signs = CONVENTIONS[convention]
-    return "equal" if getattr(signs, field) == getattr(signs, force) else "opposite"
-
-
-def _trend(x: np.ndarray, y: np.ndarray, least: float) -> int:
-    """Sign of a clear straight line through zero; 0 where there is none.
-
-    Clear: correlation beyond 0.25, t beyond 5, and x reaching ``least`` at all.
-    """
-    energy = np.sum(x * x) * np.sum(y * y)
-    if len(x) < 3 or energy == 0 or np.max(abs(x)) < least:
-        return 0
-    correlation = np.clip(np.sum(x * y) / np.sqrt(energy), -1, 1)
-    unexplained = max(1 - correlation**2, 1e-12)
-    t = correlation * np.sqrt((len(x) - 1) / unexplained)
-    return int(np.sign(correlation)) if abs(t) > 5 and abs(correlation) > 0.25 else 0
-
-
-def _fitting_conventions(pairs, convention: str) -> list[str]:
-    """Conventions in which every pair's trend, and the load, come out positive."""
-    read = CONVENTIONS[convention]
-    fitting = []
-    for name, other in CONVENTIONS.items():
-        trends = [
-            getattr(read, field)
-            * getattr(other, field)
-            * getattr(read, force)
-            * getattr(other, force)
-            * trend
-            for field, _, force, trend in pairs
-        ]
-        if other.fz == read.fz and all(trend >= 0 for trend in trends):
-            fitting.append(name)
-    return fitting
-
-
-def check_rolling_radius(
-    given: np.ndarray, computed: np.ndarray, header: str, file: str
-) -> list[Problem]:
-    """Physical slip of a column against (v - omega R) / (omega R), both (n,)."""
-    given, computed = slip_ratio_from_sigma(given), slip_ratio_from_sigma(computed)
-    limit = max(0.01, 0.2 * np.std(given))
-    apart = np.median(abs(given - computed))
-    if not apart > limit:
-        return []
-    remedy = "check the rolling radius, the slip definition (--slip) and the units"
-    if np.median(abs(-given - computed)) < limit:
-        remedy = "the slip has the opposite sign: declare the file's --convention"
-    reason = (
-        f"the slip contradicts (v - omega R)/(omega R): they differ by {apart:.3g}"
-        " in the median"
-    )
-    return [Problem(reason, remedy, file, column=header)]
+    said = []
+    for force, slip, least in _LEAST_SLIP:
+        if force not in columns or "fz" not in columns:
+            continue
+        share = np.percentile(abs(columns[force]) / columns["fz"], 99)
+        slips = slip in columns and np.percentile(abs(columns[slip]), 99) > least
+        name = repr(headers.get(force, force))
+        low, high = _SHARES
+        if share > high:
+            mended, column = share / 1000, "fz"
+        elif share < low and slips:
+            mended, column = share * 1000, force
+        else:
+            continue
+        remedy = f"check the units of {force} and fz"
+        if 10 * low < mended < high:
+            where = headers.get(column, f"--constant {column}")
+            remedy = f"if {where!r} is in kN, pass --unit {column}=kN"
+            if column not in headers:
+                remedy = f"give {where} in N, not in kN"
+        much = f"only {share:.2g} of" if share < 1 else f"{share:.0f} times"
+        said.append(f"{name} reaches {much} the load: {remedy}")
+    return said
 
 
 def has_decimal_comma(columns) -> bool:
@@ -342,7 +297,9 @@ def has_decimal_comma(columns) -> bool:
     )
 
 
-def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False):
+def read_numbers(
+    cells, header: str, ragged: np.ndarray, commas: bool = False, gaps: bool = False
+):
     """Numbers of a column of cells, and the faulty ones.
 
     Args:
@@ -350,6 +307,7 @@ def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False):
         header: named in the faults.
         ragged: (n,) bool, rows already known to be bad.
         commas: whether a comma is the decimal point.
+        gaps: whether an empty cell (NaN of a frame) is no fault.
 
     Returns:
         float64 (n,) with NaN for every fault, and the faults by kind.
@@ -370,6 +328,8 @@ def read_numbers(cells, header: str, ragged: np.ndarray, commas: bool = False):
     is_sane = abs(values) < _LARGEST
     kinds: dict[str, list[tuple[int, str]]] = {}
     for row in np.flatnonzero(~is_sane & ~ragged):
+        if gaps and str(cells[row]).strip() in ("", "nan"):
+            continue
         shown, kind = _fault_of(str(cells[row]))
         kinds.setdefault(kind, []).append((int(row), shown))
     faults = [

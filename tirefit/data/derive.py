@@ -18,6 +18,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import wrap
 
 import numpy as np
 
@@ -52,6 +53,7 @@ class DerivedLog:
             applies, so these and the kept ones add up to ``samples``).
         gaps: Number of gaps that were not interpolated.
         bandwidth: Frequency [Hz] at which the filter's gain is -3 dB.
+        heading: Sentence on the heading offset: applied, assumed none, left over.
         assumptions: Sentences: the bandwidth and everything that was assumed.
         source: Path, sha256 and epoch (the log's time [s] at time 0).
     """
@@ -64,6 +66,7 @@ class DerivedLog:
     dropped_samples: Mapping[str, int]
     gaps: int
     bandwidth: float
+    heading: str
     assumptions: tuple[str, ...]
     source: Mapping[str, str | float]
 
@@ -82,6 +85,9 @@ class DerivedLog:
                 f"    alpha {alpha.min():+.4f} to {alpha.max():+.4f} rad,"
                 f" fy {force.min():+.4g} to {force.max():+.4g} N,"
                 f" bandwidth {self.bandwidth:.3g} Hz (-3 dB)",
+                *wrap(
+                    self.heading, 80, initial_indent=" " * 4, subsequent_indent=" " * 6
+                ),
             ]
         )
 
@@ -135,15 +141,17 @@ def derive(path: str | Path, vehicle: Vehicle, axle: str = "rear") -> DerivedLog
                 str(path),
             )
         )
+    columns = {name: values[kept] for name, values in columns.items()}
     return DerivedLog(
         name=_run_name(path),
-        columns={name: values[kept] for name, values in columns.items()},
+        columns=columns,
         rows=track.rows,
         dropped_rows=track.dropped,
         samples=len(kept),
         dropped_samples=dropped,
         gaps=gaps,
         bandwidth=vehicle.filter.bandwidth,
+        heading=_heading(vehicle, axle, columns["alpha"], columns["fy"]),
         assumptions=_assumptions(track, vehicle, axle),
         source={"path": path.name, "sha256": track.sha256, "epoch": track.epoch},
     )
@@ -170,7 +178,7 @@ def derive_files(
         UsageError: If the configuration, the axle or ``out`` is wrong, or two logs
             have one name.
     """
-    from tirefit.data.write import write_csv, write_text_atomic
+    from tirefit.data.write import csv_text, write_texts
 
     out = Path(out)
     vehicle = load_vehicle(vehicle_toml)
@@ -189,9 +197,8 @@ def derive_files(
     }
     columns["run"] = np.repeat([log.name for log in logs], [len(log) for log in logs])
     metadata = out.with_name(f"{out.stem}.derive.json")
-    write_csv(out, columns)
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
-    write_text_atomic(metadata, content + "\n")
+    write_texts({metadata: content + "\n", out: csv_text(columns)})
     return DerivedFiles(out, metadata, tuple(logs))
 
 
@@ -276,16 +283,6 @@ def _assumptions(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
         said.append("fz is the static axle load (h_cg is not given)")
     else:
         said.append("fz is the axle load with the load transfer m a_x h_cg / L")
-    if vehicle.yaw_offset:
-        said.append(
-            f"{vehicle.yaw_offset:g} rad were added to the logged yaw, which lowers"
-            " alpha by as much"
-        )
-    elif vehicle.columns.motion == POSE:
-        said.append(
-            "the logged yaw is the car's heading: alpha is too large by as much as the"
-            " heading exceeds it"
-        )
     if vehicle.tracked_point is None:
         said.append("the log describes the centre of gravity (no tracked_point)")
     if axle == "front":
@@ -294,6 +291,49 @@ def _assumptions(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
             " neither drives nor brakes"
         )
     return (*said, *track.notes)
+
+
+def _heading(vehicle: Vehicle, axle: str, alpha: np.ndarray, fy: np.ndarray) -> str:
+    """What was done about the heading offset, and what the result says is left.
+
+    A symmetric axle has no side force at no slip angle, so alpha where fy = 0 is what
+    the heading exceeds the yaw that was used; at the front the steering adds its own.
+    """
+    if vehicle.columns.motion != POSE:
+        return "heading offset: none, the log holds rates"
+    if vehicle.yaw_offset:
+        said = (
+            f"heading offset: {vehicle.yaw_offset:g} rad were added to the logged yaw,"
+            " as declared, which lowers alpha by as much"
+        )
+    else:
+        said = (
+            "heading offset: none assumed, the logged yaw is the car's heading; alpha"
+            " is too large by as much as the heading exceeds it"
+        )
+    left = _alpha_at_rest(alpha, fy) if axle == "rear" else None
+    if left is None:
+        return said
+    return (
+        f"{said}; estimated from these data: alpha is {left:+.4f} rad where fy = 0,"
+        f" which for a symmetric tire yaw_offset = {vehicle.yaw_offset + left:.4f}"
+        " takes out"
+    )
+
+
+def _alpha_at_rest(alpha: np.ndarray, fy: np.ndarray) -> float | None:
+    """Slip angle [rad] at no side force, by an odd cubic through the weak half of fy.
+
+    None unless left and right turns both hold a tenth of those samples.
+    """
+    strong = np.percentile(abs(fy), 95)
+    weak = abs(fy) < 0.5 * strong
+    share = fy[weak] / strong
+    rarer = min(np.count_nonzero(share > 0.05), np.count_nonzero(share < -0.05))
+    if rarer <= 0.1 * len(share):
+        return None
+    terms = np.column_stack([np.ones(len(share)), share, share**3])
+    return float(np.linalg.lstsq(terms, alpha[weak])[0][0])
 
 
 def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
@@ -313,6 +353,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
                 "kept": len(log),
                 "dropped_samples": dict(log.dropped_samples),
                 "gaps": log.gaps,
+                "heading": log.heading,
                 "assumptions": list(log.assumptions),
             }
             for log in logs
@@ -339,8 +380,10 @@ def _run_name(path: Path) -> str:
 
 
 def _check_names(paths: Sequence[str | Path], out: Path) -> None:
-    """Raise UsageError unless ``out`` is a CSV and every log has its own name."""
-    problems = []
+    """Raise UsageError unless ``out`` can be a CSV and every log has its own name."""
+    from tirefit.data.write import output_problems
+
+    problems = output_problems(out, inputs=paths)
     if out.suffix != ".csv":
         problems.append(Problem("the output is a CSV", "end it in .csv", str(out)))
     names = [_run_name(Path(path)) for path in paths]

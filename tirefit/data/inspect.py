@@ -14,6 +14,8 @@ from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 __all__ = ["ColumnSummary", "Inspection", "Level", "RunSummary", "Support", "inspect"]
 
 _WIDTH = 80
+_COMBINED = 10
+"""Rows of combined slip from which it is no accident."""
 _VARIES = 0.2
 """Relative spread from which a load or speed dependence can be told from noise."""
 
@@ -70,7 +72,10 @@ class Support:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What :func:`inspect` found; :meth:`text` prints it, :meth:`as_dict` is JSON."""
+    """What :func:`inspect` found; :meth:`text` prints it, :meth:`as_dict` is JSON.
+
+    ``combined_rows`` counts rows with fx, fy and both slips beyond 0.01.
+    """
 
     file: str
     sha256: str
@@ -81,6 +86,8 @@ class Inspection:
     columns: tuple[ColumnSummary, ...]
     runs: tuple[RunSummary, ...]
     supports: tuple[Support, ...]
+    combined_rows: int
+    warnings: tuple[str, ...]
     assumptions: tuple[str, ...]
     masked: tuple[str, ...]
 
@@ -102,10 +109,16 @@ class Inspection:
             *_column_lines(self.columns),
         ]
         lines += ["", "runs", *(line for run in self.runs for line in _run_lines(run))]
+        if self.combined_rows >= _COMBINED:
+            both = "combined slip: fx, fy with sigma_x and alpha varying together"
+            lines += _wrap(f"{both} in {self.combined_rows} rows")
         lines += ["", "fits these data support"]
         for support in self.supports:
             answer = "yes" if support.possible else "no "
             lines += _wrap(f"{answer} {support.fit}: {support.reason}", "      ")
+        if self.warnings:
+            lines += ["", "warnings"]
+            lines += [line for said in self.warnings for line in _wrap(said)]
         lines += ["", "what was assumed"]
         lines += [line for said in self.assumptions for line in _wrap(said)]
         if self.masked:
@@ -127,6 +140,8 @@ def inspect(data: TireData) -> Inspection:
         columns=tuple(_summarise(data, name) for name in data.columns),
         runs=tuple(_inspect_run(data, code) for code in range(len(data.runs))),
         supports=tuple(_supports(data)),
+        combined_rows=_combined_rows(data),
+        warnings=source.warnings,
         assumptions=source.assumptions,
         masked=tuple(
             str(dataclasses.replace(problem, remedy="", file=""))
@@ -234,7 +249,6 @@ def _supports(data: TireData) -> list[Support]:
         _force_support(data, force, slip)
         for force, slip in (("fx", "sigma_x"), ("fy", "alpha"), ("mz", "alpha"))
     ]
-    supports.append(_combined_support(data))
     supports.append(_spread_support(data, "v", "speed-dependent friction"))
     supports.append(_spread_support(data, "fz", "load dependence"))
     for fit, names in (
@@ -259,15 +273,11 @@ def _force_support(data: TireData, force: str, slip: str) -> Support:
     return Support(fit, True, f"{data.n} rows, {distinct} different values of {slip}")
 
 
-def _combined_support(data: TireData) -> Support:
-    fit = "combined slip"
+def _combined_rows(data: TireData) -> int:
     if not {"sigma_x", "alpha", "fx", "fy"} <= data.columns.keys():
-        return Support(fit, False, "needs sigma_x, alpha, fx and fy")
-    both = np.sum(
-        (abs(data.usable("sigma_x")) > 0.01) & (abs(data.usable("alpha")) > 0.01)
-    )
-    reason = f"{both} rows have both slips beyond 0.01"
-    return Support(fit, bool(both >= 10), reason)
+        return 0
+    slips = (abs(data.usable(name)) > 0.01 for name in ("sigma_x", "alpha"))
+    return int(np.count_nonzero(np.logical_and(*slips)))
 
 
 def _spread_support(data: TireData, name: str, fit: str) -> Support:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tirefit.data import check
+from tirefit.data import check, signs
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Options, Plan, plan_columns
 from tirefit.data.table import CANONICAL, Source, TireData
@@ -93,12 +93,12 @@ def require(data: TireData, columns: Sequence[str], why: str) -> None:
             continue
         unit, meaning = CANONICAL[base_column(column)]
         remedy = f"name its column with --column {column}=HEADER"
-        if base_column(column) not in ("sigma_x", "alpha", "fx", "fy", "mz"):
+        if base_column(column) not in ("sigma_x", "alpha", "fx", "fy", "mz", "time"):
             remedy += f", or give --constant {column}=VALUE [{unit}]"
         if column == "sigma_x":
             remedy += " (also kappa, s), or give omega, v and --rolling-radius"
         reason = f"{why} needs {column} ({meaning}), which the data do not have"
-        problems.append(Problem(reason, remedy, data.source.path))
+        problems.append(Problem(reason, remedy, data.source.path or data.name))
     if problems:
         raise DataError(problems)
 
@@ -115,6 +115,7 @@ class _Reading:
     shown: dict[str, np.ndarray] = field(default_factory=dict)
     headers: dict[str, str] = field(default_factory=dict)
     faults: list[BadRows] = field(default_factory=list)
+    idle: list[str] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
     assumptions: list[str] = field(default_factory=list)
 
@@ -148,6 +149,7 @@ def _checked(table: Table, options: Options) -> TireData:
     definition = plan.slip or "sigma_x"
     _slip_to_sigma(reading, plan.slip)
     _use_rolling_radius(reading)
+    _drop_idle_forces(reading)
     masked = _raise_or_mask(reading)
     source = Source(
         path=table.file,
@@ -158,6 +160,7 @@ def _checked(table: Table, options: Options) -> TireData:
         units=plan.units_to_write
         | {_canonical(c.name): c.unit_text for c in plan.columns.values() if c.unit},
         assumptions=tuple(_all_assumptions(reading)),
+        warnings=_warnings(reading, definition),
         masked=masked,
         line=table.lines,
     )
@@ -205,10 +208,15 @@ def _numbers_to_si(reading: _Reading) -> None:
     if commas:
         reading.assumptions.append("numbers read with a decimal comma (1,5 is 1.5)")
     for column in numeric:
+        # Without a pressure the nominal one is meant; nothing else can be left out.
+        gaps = column.name == "pressure"
         values, faults = check.read_numbers(
-            cells[column.name], column.header, table.ragged, commas
+            cells[column.name], column.header, table.ragged, commas, gaps
         )
         reading.faults += faults
+        if gaps and np.isnan(values[~table.ragged]).any():
+            sentence = f"rows without {column.header!r} are at nominal pressure"
+            reading.assumptions.append(sentence)
         if column.unit is None:
             continue
         if column.unit.scale < 0:
@@ -294,7 +302,7 @@ def _use_rolling_radius(reading: _Reading) -> None:
     if "sigma_x" in columns:
         good = ~reading.bad() & np.isfinite(sigma + columns["sigma_x"])
         if good.any():
-            reading.problems += check.check_rolling_radius(
+            reading.problems += signs.check_rolling_radius(
                 columns["sigma_x"][good], sigma[good], reading.headers["sigma_x"],
                 reading.file,
             )  # fmt: skip
@@ -316,22 +324,39 @@ def _use_rolling_radius(reading: _Reading) -> None:
     _say_limits(reading, header)
 
 
+def _drop_idle_forces(reading: _Reading) -> None:
+    """A force that is zero throughout was not measured: nothing can be fitted to it."""
+    good = ~reading.bad()
+    if not reading.options.forces or not good.any():
+        return
+    for name in ("fx", "fy", "mz"):
+        if name in reading.columns and not np.any(reading.columns[name][good]):
+            reading.columns.pop(name)
+            header = reading.headers.pop(name, name)
+            reading.idle.append(header)
+            sentence = f"column {header!r} not used: it is zero in all rows"
+            reading.assumptions.append(sentence)
+
+
 def _raise_or_mask(reading: _Reading) -> tuple[Problem, ...]:
     """Raises DataError with all that stands; else the masked rows as problems."""
     of_rows, of_columns = check.list_problems(
         reading.faults, reading.table.lines, reading.file
     )
-    named = {_canonical(name) for name in reading.plan.columns}
+    plan = reading.plan.columns.items()
+    named = {_canonical(name) for name, c in plan if c.header not in reading.idle}
     there = named | set(reading.columns)
     whole = reading.problems + of_columns
     forces = reading.options.forces
-    whole += check.check_columns(there, reading.table.headers, reading.file, forces)
+    whole += check.check_columns(
+        there, reading.table.headers, reading.idle, reading.file, forces
+    )
     good = ~reading.bad()
     if not whole:
         used = {name: values[good] for name, values in reading.columns.items()}
         if good.any():
             whole += check.check_variation(used, reading.file) if forces else []
-            whole += check.check_signs(
+            whole += signs.check_signs(
                 used, reading.headers, reading.convention, reading.file
             )
         elif reading.options.mask_bad_rows:
@@ -339,7 +364,7 @@ def _raise_or_mask(reading: _Reading) -> tuple[Problem, ...]:
             whole.append(Problem("no usable rows are left", remedy, reading.file))
     if whole or (of_rows and not reading.options.mask_bad_rows):
         raise DataError([*whole, *of_rows])
-    return tuple(of_rows)
+    return tuple(check.without_masking(problem) for problem in of_rows)
 
 
 def _all_assumptions(reading: _Reading) -> list[str]:
@@ -348,3 +373,14 @@ def _all_assumptions(reading: _Reading) -> list[str]:
         meaning = CONVENTIONS["braking"].description
         said.append(f"no sign convention declared: 'braking' assumed: {meaning}")
     return said + reading.assumptions
+
+
+def _warnings(reading: _Reading, definition: str) -> tuple[str, ...]:
+    good = ~reading.bad()
+    if not good.any():
+        return ()
+    used = {name: values[good] for name, values in reading.columns.items()}
+    declared = reading.options.convention
+    doubt = signs.doubt_convention(used, reading.headers, definition, declared)
+    units = check.doubt_units(used, reading.headers)
+    return tuple(([doubt] if doubt else []) + units)

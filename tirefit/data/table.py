@@ -36,6 +36,7 @@ class Source:
     ``columns`` maps a canonical column to the file's own header; ``units`` to the
     unit it was read in; ``slip_definition`` is the definition of the file's slip
     column (a key of ``slip.SLIP_DEFINITIONS``); ``line`` holds each row's line.
+    ``warnings`` are sentences on what may mean something else than it was read as.
     """
 
     path: str = ""
@@ -45,8 +46,14 @@ class Source:
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     assumptions: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     masked: tuple[Problem, ...] = ()
     line: np.ndarray | None = None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """All that is to be said of the reading, warnings first."""
+        return (*(f"warning: {text}" for text in self.warnings), *self.assumptions)
 
 
 @dataclass(frozen=True, repr=False)
@@ -130,6 +137,11 @@ def join(tables: Sequence[TireData]) -> TireData:
         path=", ".join(table.source.path for table in tables),
         sha256=digest,
         assumptions=tuple(said),
+        warnings=tuple(
+            f"{table.name}: {text}"
+            for table in tables
+            for text in table.source.warnings
+        ),
         masked=tuple(problem for table in tables for problem in table.source.masked),
     )
     return TireData(

@@ -227,6 +227,8 @@ def slip_from_speeds(omega, v, rolling_radius):
 def slip_from_sigma(sigma, definition, alpha=None):
     """Inverse of :func:`slip_to_sigma` within its limits."""
     slip = SLIP_DEFINITIONS[definition][1](sigma)
+    if definition != "sigma_x":
+        slip = np.where(sigma >= LOCKED, 1.0, slip)
     if definition == "s" and alpha is not None:
         slip = slip * np.cos(alpha)
     return slip

@@ -23,21 +23,14 @@ The log's axes are those of ISO 8855: x forward, y left, yaw counter-clockwise.
 """
 
 import math
-import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    NonNegativeFloat,
-    PositiveFloat,
-    ValidationError,
-    model_validator,
-)
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
-from tirefit.results import Problem, UsageError
+from tirefit.results import Problem
+from tirefit.settings import Section, parse_settings, read_toml
 
 __all__ = ["UNITS", "Columns", "Filter", "Keep", "Steering", "Vehicle", "load_vehicle"]
 
@@ -66,13 +59,7 @@ _AXLE_TOLERANCE = 0.01
 """Axle masses and CG position are measured apart: they may differ by this, relative."""
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False
-    )
-
-
-class Columns(_Section):
+class Columns(Section):
     """Headers of the log's columns; pose (x, y, yaw) or rates, not both."""
 
     time: str
@@ -85,16 +72,14 @@ class Columns(_Section):
     a_y: str | None = None
     steering: str | None = None
 
-    @model_validator(mode="after")
-    def _one_route(self):
+    def contradictions(self) -> Iterator[Problem]:
         given = [name for name in POSE + RATES if getattr(self, name) is not None]
         if set(given) not in (set(POSE), set(RATES)):
-            raise ValueError(
-                f"name the columns {', '.join(POSE)} (a pose log) or"
-                f" {', '.join(RATES)} (a log of rates); named are"
-                f" {', '.join(given) or 'none of them'}"
+            yield Problem(
+                f"neither a pose log nor a log of rates: named are"
+                f" {', '.join(given) or 'none of their columns'}",
+                f"name {', '.join(POSE)} (a pose log) or {', '.join(RATES)} (rates)",
             )
-        return self
 
     @property
     def motion(self) -> tuple[str, ...]:
@@ -102,7 +87,7 @@ class Columns(_Section):
         return POSE if self.yaw is not None else RATES
 
 
-class Filter(_Section):
+class Filter(Section):
     """Resampling and the zero-phase low-pass.
 
     Attributes:
@@ -119,19 +104,19 @@ class Filter(_Section):
     sample_rate: PositiveFloat = 100.0
     max_gap: PositiveFloat | None = None
 
-    @model_validator(mode="after")
-    def _resolved(self):
+    def contradictions(self) -> Iterator[Problem]:
         if self.sample_rate < 5 * self.cutoff:
-            raise ValueError(
+            yield Problem(
                 f"sample_rate {self.sample_rate:g} Hz is below 5 x cutoff"
-                f" ({5 * self.cutoff:g} Hz): central differences would lose the band"
+                f" ({5 * self.cutoff:g} Hz): central differences would lose the band",
+                "raise sample_rate or lower cutoff",
             )
         if self.max_gap is not None and self.max_gap > 1 / self.cutoff:
-            raise ValueError(
+            yield Problem(
                 f"max_gap {self.max_gap:g} s is above 1/cutoff ({1 / self.cutoff:g} s):"
-                " what happened in such a gap would be invented"
+                " what happened in such a gap would be invented",
+                "lower max_gap or cutoff",
             )
-        return self
 
     @property
     def bandwidth(self) -> float:
@@ -144,7 +129,7 @@ class Filter(_Section):
         return 1.5 * max(1.0, self.order / 2) / self.cutoff
 
 
-class Keep(_Section):
+class Keep(Section):
     """Which derived samples are kept.
 
     Attributes:
@@ -163,25 +148,32 @@ class Keep(_Section):
     margin: NonNegativeFloat | None = None
 
 
-class Steering(_Section):
+class Steering(Section):
     """Road wheel angle [rad], left positive, at increasing steering commands."""
 
     command: Annotated[list[float], Field(min_length=2)]
     angle: Annotated[list[float], Field(min_length=2)]
 
-    @model_validator(mode="after")
-    def _is_map(self):
+    def contradictions(self) -> Iterator[Problem]:
         if len(self.command) != len(self.angle):
-            raise ValueError("command and angle have different lengths")
+            yield Problem(
+                f"command has {len(self.command)} points, angle {len(self.angle)}",
+                "give one angle for each command",
+            )
         pairs = zip(self.command, self.command[1:], strict=False)
         if any(right <= left for left, right in pairs):
-            raise ValueError("command does not increase")
+            yield Problem("command does not increase", "list the points in order")
         if max(abs(angle) for angle in self.angle) >= math.pi / 2:
-            raise ValueError("an angle is 90 deg or more: angles are in rad")
-        return self
+            yield Problem("an angle is 90 deg or more", "give the angles in rad")
 
 
-class Vehicle(_Section):
+_Arm = Annotated[
+    PositiveFloat,
+    Field(description="give l_f and l_r, or mass_front, mass_rear and wheelbase"),
+]
+
+
+class Vehicle(Section):
     """A single-track vehicle and how its log is read; SI units, ISO 8855 axes.
 
     Attributes:
@@ -201,11 +193,11 @@ class Vehicle(_Section):
     """
 
     mass: PositiveFloat
-    l_f: PositiveFloat
-    l_r: PositiveFloat
+    l_f: _Arm
+    l_r: _Arm
     mass_front: PositiveFloat | None = None
     mass_rear: PositiveFloat | None = None
-    wheelbase: PositiveFloat
+    wheelbase: _Arm
     yaw_inertia: PositiveFloat
     tracked_point: Annotated[list[float], Field(min_length=2, max_length=2)] | None = (
         None
@@ -224,68 +216,59 @@ class Vehicle(_Section):
     def _complete_geometry(cls, given):
         """Fill in what follows from the rest; what is missing is reported later."""
         given = dict(given)
-        try:
-            front, rear = given.get("mass_front"), given.get("mass_rear")
-            if front and rear:
-                given.setdefault("mass", front + rear)
-                if "wheelbase" in given:
-                    given.setdefault("l_f", given["wheelbase"] * rear / (front + rear))
-                    given.setdefault("l_r", given["wheelbase"] * front / (front + rear))
-            if "l_f" in given and "l_r" in given:
-                given.setdefault("wheelbase", given["l_f"] + given["l_r"])
-        except TypeError:
-            pass  # a wrong type is reported by its own field
+
+        def positive(*names):
+            values = [given.get(name) for name in names]
+            return all(type(value) in (int, float) and value > 0 for value in values)
+
+        if positive("mass_front", "mass_rear"):
+            front, rear = given["mass_front"], given["mass_rear"]
+            given.setdefault("mass", front + rear)
+            if positive("wheelbase"):
+                given.setdefault("l_f", given["wheelbase"] * rear / (front + rear))
+                given.setdefault("l_r", given["wheelbase"] * front / (front + rear))
+        if positive("l_f", "l_r"):
+            given.setdefault("wheelbase", given["l_f"] + given["l_r"])
         return given
 
-    @model_validator(mode="after")
-    def _consistent(self):
-        problems = [
-            *self._geometry_problems(),
-            *self._unit_problems(),
-            *self._column_problems(),
-        ]
-        if problems:
-            raise ValueError("; ".join(problems))
-        return self
+    def contradictions(self) -> Iterator[Problem]:
+        yield from self._geometry_problems()
+        for name, unit in self.units.items():
+            units = UNITS.get(name, {})
+            if unit not in units:
+                what = f"units.{name} = {unit!r}" if units else f"units.{name}: {name}"
+                known = ", ".join(units or UNITS)
+                yield Problem(f"{what} is not one of {known}", "choose one of them")
+        if (self.steering is None) != (self.columns.steering is None):
+            yield Problem(
+                "[steering] and columns.steering need each other",
+                "give both, or leave both out",
+            )
+        if self.yaw_offset and self.columns.motion == RATES:
+            yield Problem(
+                "yaw_offset applies to a pose log only",
+                "leave it out: a log of rates has no yaw",
+            )
 
-    def _geometry_problems(self) -> list[str]:
+    def _geometry_problems(self) -> Iterator[Problem]:
         def differ(one, other):
             return abs(one - other) > _AXLE_TOLERANCE * abs(other)
 
-        problems = []
         if differ(self.wheelbase, self.l_f + self.l_r):
-            problems.append(
+            yield Problem(
                 f"wheelbase {self.wheelbase:g} m is not l_f + l_r ="
-                f" {self.l_f + self.l_r:g} m"
+                f" {self.l_f + self.l_r:g} m",
+                "correct one of them, or leave wheelbase out",
             )
         for name, arm in (("mass_front", self.l_r), ("mass_rear", self.l_f)):
             stated = getattr(self, name)
             implied = self.mass * arm / self.wheelbase
             if stated is not None and differ(stated, implied):
-                problems.append(
+                yield Problem(
                     f"{name} {stated:g} kg contradicts mass, l_f and l_r, which give"
-                    f" {implied:.4g} kg"
+                    f" {implied:.4g} kg",
+                    f"correct one of them, or leave {name} out",
                 )
-        return problems
-
-    def _unit_problems(self) -> list[str]:
-        problems = []
-        for name, unit in self.units.items():
-            if name not in UNITS:
-                problems.append(f"[units] {name} is not one of {', '.join(UNITS)}")
-            elif unit not in UNITS[name]:
-                problems.append(
-                    f"[units] {name} = {unit!r} is not one of {', '.join(UNITS[name])}"
-                )
-        return problems
-
-    def _column_problems(self) -> list[str]:
-        problems = []
-        if (self.steering is None) != (self.columns.steering is None):
-            problems.append("[steering] and columns.steering need each other")
-        if self.yaw_offset and self.columns.motion == RATES:
-            problems.append("yaw_offset applies to a pose log only")
-        return problems
 
     @property
     def cg_from_tracked(self) -> tuple[float, float]:
@@ -312,47 +295,4 @@ def load_vehicle(path: str | Path) -> Vehicle:
         UsageError: If the file is missing, is not TOML or does not describe a
             vehicle; holds every problem found.
     """
-    path = Path(path)
-    try:
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(
-            Problem(
-                f"cannot be read: {error.strerror}",
-                "give the path of a vehicle.toml",
-                str(path),
-            )
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(
-            Problem(f"is not TOML: {error}", "correct the syntax", str(path))
-        ) from error
-    try:
-        return Vehicle.model_validate(given)
-    except ValidationError as error:
-        problems = [_problem(detail, str(path)) for detail in error.errors()]
-        raise UsageError(problems) from error
-
-
-def _problem(detail, file: str) -> Problem:
-    """One of pydantic's errors in our words."""
-    key = ".".join(str(part) for part in detail["loc"])
-    name = key.rpartition(".")[2]
-    if detail["type"] == "extra_forbidden":
-        section = Vehicle
-        for part in detail["loc"][:-1]:
-            section = section.model_fields[part].annotation
-            section = getattr(section, "__args__", (section,))[0]
-        known = ", ".join(section.model_fields)
-        return Problem(f"unknown key {key!r}", f"known keys: {known}", file)
-    if detail["type"] == "missing":
-        remedy = (
-            "give l_f and l_r, or mass_front, mass_rear and wheelbase"
-            if name in ("l_f", "l_r", "wheelbase")
-            else f"add {name!r}"
-        )
-        return Problem(f"missing key {key!r}", remedy, file)
-    reason = detail["msg"].removeprefix("Value error, ")
-    if detail["type"] != "value_error":
-        reason = f"{reason}, not {detail['input']!r}"
-    return Problem(f"{key}: {reason}" if key else reason, "correct it", file)
+    return parse_settings(Vehicle, read_toml(path), str(path))

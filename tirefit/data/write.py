@@ -4,7 +4,7 @@ import csv
 import io
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,23 +17,81 @@ from tirefit.data.units import (
     sign_of,
     slip_from_sigma,
 )
+from tirefit.results import Problem
 
-__all__ = ["to_convention", "write_csv", "write_text_atomic"]
+__all__ = [
+    "csv_text",
+    "output_problems",
+    "prediction_table",
+    "to_convention",
+    "write_csv",
+    "write_text_atomic",
+    "write_texts",
+]
+
+_PLOTTED = ("time", "sigma_x", "alpha", "gamma", "fz", "v", "pressure")
+
+
+def output_problems(path, inputs: Sequence = ()) -> list[Problem]:
+    """Why no file can be written at ``path``, asked before the work; none if it can.
+
+    A file that is there will be replaced, unless it is one of ``inputs``.
+    """
+    path = Path(path)
+    folder = path.parent
+    remedy = "choose another name with --out"
+    if path.exists() and any(
+        Path(given).exists() and path.samefile(given) for given in inputs
+    ):
+        reason = "--out is an input file"
+    elif path.is_dir():
+        reason = "is a folder, where a file is to be written"
+    elif not folder.exists():
+        reason, remedy = f"the folder {folder} does not exist", "make it first"
+    elif not folder.is_dir():
+        reason = f"{folder} is a file, not a folder"
+    elif not os.access(folder, os.W_OK | os.X_OK):
+        reason = f"no permission to write into the folder {folder.resolve()}"
+    else:
+        return []
+    return [Problem(reason, remedy, str(path))]
 
 
 def write_text_atomic(path, text: str) -> None:
     """Writes text as UTF-8 so that ``path`` holds all of it or what it held before."""
-    path = Path(path)
-    # In the same directory, so that the replacement is one step of the file system.
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    write_texts({path: text})
+
+
+def write_texts(texts: Mapping[object, str]) -> None:
+    """As :func:`write_text_atomic`, for files that belong together.
+
+    Args:
+        texts: path to content; all is on the disk before the first file is replaced.
+
+    Raises:
+        OSError: naming the path that could not be written.
+    """
+    waiting: dict[str, Path] = {}
+    path = None
     try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
-            file.write(text)
-        os.chmod(temporary, _mode(path))
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
+        for path, text in texts.items():
+            path = Path(path)
+            # In the same directory, so that replacing is one step of the file system.
+            handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+            waiting[name] = path
+            with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
+                file.write(text)
+            os.chmod(name, _mode(path))
+        for name, path in list(waiting.items()):
+            os.replace(name, path)
+            del waiting[name]
+    except OSError as error:
+        # A temporary name would mean nothing to the user.
+        error.filename, error.filename2 = str(path), None
         raise
+    finally:
+        for name in waiting:
+            os.unlink(name)
 
 
 def _mode(path: Path) -> int:
@@ -46,10 +104,14 @@ def _mode(path: Path) -> int:
 
 
 def write_csv(path, columns: Mapping[str, object]) -> None:
-    """Writes columns as CSV, whole or not at all.
+    """Writes columns as CSV, whole or not at all; see :func:`csv_text`."""
+    write_text_atomic(path, csv_text(columns))
+
+
+def csv_text(columns: Mapping[str, object]) -> str:
+    """Columns as the text of a CSV file.
 
     Args:
-        path: the file.
         columns: header to (n,) array or list of numbers or texts. Numbers are written
             in full precision, NaN as an empty cell.
 
@@ -61,7 +123,7 @@ def write_csv(path, columns: Mapping[str, object]) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
     writer.writerows(zip(*cells, strict=True))
-    write_text_atomic(path, text.getvalue())
+    return text.getvalue()
 
 
 def _cells(values) -> list[str]:
@@ -109,3 +171,23 @@ def to_convention(
             values = resolve_unit(text, name).from_si(values, is_std)
         out[source.columns.get(name, key)] = values
     return out
+
+
+def prediction_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
+    """What is needed to plot predicted forces, and the forces, in the file's own terms.
+
+    Args:
+        data: the rows that were predicted.
+        forces: (n,) canonical forces, ``<force>_std`` included.
+
+    Returns:
+        By the file's own headers: run, time, slips, camber, load, speed and pressure
+        as far as the data have them, then the forces.
+    """
+    named = [name for name in _PLOTTED if name in data]
+    inputs = to_convention(data, {name: data[name] for name in named})
+    # 12 digits: 0.1 that went to sigma_x and back is 0.1 again, as the file has it.
+    table = {k: [float(f"{v:.12g}") for v in values] for k, values in inputs.items()}
+    if len(data.runs) > 1:
+        table = {"run": [data.runs[code] for code in data.run]} | table
+    return table | to_convention(data, forces)

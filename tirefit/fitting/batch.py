@@ -13,6 +13,7 @@ from tirefit.fitting.least_squares import damped_gauss_newton
 from tirefit.fitting.problem import find_model, guess_from_curve
 from tirefit.models import TireInputs
 from tirefit.params import specs, with_values
+from tirefit.results import Problem, UsageError
 
 __all__ = ["BatchFit", "fit_many"]
 
@@ -51,7 +52,7 @@ def fit_many(
         residuals show (independent, equal).
 
     Raises:
-        UsageError: unknown model.
+        UsageError: unknown model, or a transient one.
         ValueError: shapes that do not match, or an unknown axis.
     """
     slip, force = jnp.asarray(slip, float), jnp.asarray(force, float)
@@ -62,6 +63,9 @@ def fit_many(
     if axis not in ("fx", "fy"):
         raise ValueError(f"axis {axis!r} is neither fx nor fy")
     template = find_model(model)
+    if template.transient:
+        reason = f"{model} follows the slip through time, which fit_many does not have"
+        raise UsageError(Problem(reason, "fit each data set by tirefit.fit"))
     layout = Layout(
         tuple(FreeParameter(k, s) for k, s in specs(template).items() if s.free)
     )

@@ -1,14 +1,19 @@
 """``fit.toml``: everything a fit can be told, in one file, checked at once."""
 
-import difflib
-import tomllib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
-from pydantic import ValidationError as _ValidationError
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PositiveFloat,
+    PositiveInt,
+    PrivateAttr,
+)
 
-from tirefit.results import Problem, UsageError
+from tirefit.results import Problem
+from tirefit.settings import Section, parse_settings, read_toml
 
 __all__ = [
     "DataConfig",
@@ -23,18 +28,25 @@ __all__ = [
 Force = Literal["fx", "fy", "mz"]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+def _out_of_order(section, low: str, high: str, remedy: str) -> Iterator[Problem]:
+    lower, upper = getattr(section, low), getattr(section, high)
+    if None not in (lower, upper) and lower >= upper:
+        reason = f"{low} = {lower:g} is not below {high} = {upper:g}"
+        yield Problem(reason, remedy)
 
 
-class Prior(_Strict):
+class Prior(Section):
     """Gaussian prior of a parameter, in its own unit."""
 
     mean: float
     std: PositiveFloat
 
 
-class ParameterConfig(_Strict):
+_OF_FREE = {"lower", "upper", "prior", "per_run"}
+"""What only a parameter that is estimated can have."""
+
+
+class ParameterConfig(Section):
     """What a fit does with one parameter.
 
     ``value`` starts a free parameter and holds a fixed one; ``free = false`` fixes it;
@@ -51,8 +63,34 @@ class ParameterConfig(_Strict):
     tied: str | None = None
     factor: float = 1.0
 
+    def contradictions(self) -> Iterator[Problem]:
+        yield from self._idle_keys()
+        if self.tied is None and self.factor != 1:
+            yield Problem("factor without tied", "name the other parameter by tied")
+        if self.factor == 0:
+            remedy = "hold it at zero by value = 0 and free = false"
+            yield Problem("factor = 0 ties it to nothing", remedy)
+        remedy = "leave room between them, or hold the parameter by free = false"
+        yield from _out_of_order(self, "lower", "upper", remedy)
 
-class NoiseConfig(_Strict):
+    def _idle_keys(self) -> Iterator[Problem]:
+        """Keys that a tied or fixed parameter has no use for."""
+        if self.tied is not None:
+            rule, remedy = f"tied = {self.tied!r}", "only factor goes with tied"
+            idle = {"free", "value", *_OF_FREE}
+        elif self.free is False:
+            rule, remedy = "free = false", "only value goes with it"
+            idle = _OF_FREE
+        else:
+            return
+        for key, field in ParameterConfig.model_fields.items():
+            if key in idle and getattr(self, key) != field.default:
+                yield Problem(
+                    f"{key} contradicts {rule}", f"leave one of them out: {remedy}"
+                )
+
+
+class NoiseConfig(Section):
     """Standard deviations of the noise; what is left out is estimated or, for slip,
     taken as none. ``<force>_relative`` is a fraction of the load."""
 
@@ -67,8 +105,16 @@ class NoiseConfig(_Strict):
     loss: Literal["squares", "huber", "soft-l1", "cauchy"] = "squares"
     effective_samples: Literal["estimate", "all"] = "estimate"
 
+    def contradictions(self) -> Iterator[Problem]:
+        for name in ("fx", "fy"):
+            if None not in (getattr(self, name), getattr(self, f"{name}_relative")):
+                yield Problem(
+                    f"{name} contradicts {name}_relative",
+                    "keep one: the standard deviation itself, or its share of the load",
+                )
 
-class DataConfig(_Strict):
+
+class DataConfig(Section):
     """How to read the file: see ``tirefit.read``."""
 
     columns: dict[str, str] = Field(default_factory=dict)
@@ -81,8 +127,13 @@ class DataConfig(_Strict):
     slip_min: float | None = None
     slip_max: float | None = None
 
+    def contradictions(self) -> Iterator[Problem]:
+        yield from _out_of_order(
+            self, "slip_min", "slip_max", "leave slips between them"
+        )
 
-class PosteriorConfig(_Strict):
+
+class PosteriorConfig(Section):
     """Sampling: which sampler, and how far."""
 
     sampler: Literal["emcee", "hmc"] = "emcee"
@@ -92,11 +143,20 @@ class PosteriorConfig(_Strict):
     max_steps: PositiveInt = 5000
 
 
-class FitConfig(_Strict):
+def _listed(force):
+    """``force = "fx"`` is short for ``force = ["fx"]``."""
+    if isinstance(force, str):
+        return [force]
+    return list(force) if isinstance(force, tuple) else force
+
+
+class FitConfig(Section):
     """The whole of ``fit.toml``."""
 
     model: str | None = None
-    force: Force | Annotated[list[Force], Field(min_length=1)] | None = None
+    force: (
+        Annotated[list[Force], Field(min_length=1), BeforeValidator(_listed)] | None
+    ) = None
     solver: Literal["optimistix", "jaxopt", "gauss-newton"] = "optimistix"
     starts: PositiveInt = 8
     seed: int = Field(default=0, ge=0, lt=2**32)
@@ -104,62 +164,30 @@ class FitConfig(_Strict):
     noise: NoiseConfig = NoiseConfig()
     parameters: dict[str, ParameterConfig] = Field(default_factory=dict)
     posterior: PosteriorConfig = PosteriorConfig()
+    _source: str = PrivateAttr("config")
+
+    @property
+    def source(self) -> str:
+        """Where the settings came from: the path of the file, or ``config``."""
+        return self._source
 
 
-def _keys(model: type[BaseModel], location: tuple) -> list[str]:
-    """Valid keys of the table that holds the last element of ``location``."""
-    for part in location[:-1]:
-        field = model.model_fields.get(str(part))
-        if field is not None:
-            kinds = (field.annotation, *get_args(field.annotation))
-            model = next(
-                kind
-                for kind in kinds
-                if isinstance(kind, type) and issubclass(kind, BaseModel)
-            )
-    return list(model.model_fields)
-
-
-def parse_config(content: dict, file: str = "fit.toml") -> FitConfig:
-    """Check a parsed ``fit.toml``.
+def parse_config(content: dict, source: str = "config") -> FitConfig:
+    """Check the content of a ``fit.toml``; ``source`` says where it came from.
 
     Raises:
-        UsageError: unknown keys, wrong types or values; every one of them.
+        UsageError: unknown keys, wrong types or values, keys that contradict each
+            other; every one of them.
     """
-    try:
-        return FitConfig.model_validate(content)
-    except _ValidationError as error:
-        problems = []
-        for item in error.errors():
-            location = item["loc"]
-            key = ".".join(str(part) for part in location)
-            if item["type"] == "extra_forbidden":
-                valid = _keys(FitConfig, location)
-                close = difflib.get_close_matches(str(location[-1]), valid, 1)
-                hint = f"did you mean {close[0]!r}? " if close else ""
-                remedy = f"{hint}valid keys here: {', '.join(valid)}"
-                problems.append(Problem(f"unknown key {key!r}", remedy, file))
-            else:
-                reason = f"{key}: {item['msg']} (got {item['input']!r})"
-                problems.append(Problem(reason, "correct the value", file))
-        raise UsageError(problems) from None
+    config = parse_settings(FitConfig, content, source)
+    config._source = source
+    return config
 
 
 def load_config(path: str | Path) -> FitConfig:
     """Read and check ``fit.toml``.
 
     Raises:
-        UsageError: no such file, not TOML, or unknown or wrong entries.
+        UsageError: no such file, not TOML, or what :func:`parse_config` refuses.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-        content = tomllib.loads(text)
-    except OSError as error:
-        raise UsageError(
-            Problem(f"cannot read it: {error.strerror}", "check the path", str(path))
-        ) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(
-            Problem(f"not valid TOML: {error}", "correct the file", str(path))
-        ) from None
-    return parse_config(content, str(path))
+    return parse_config(read_toml(path), str(path))

@@ -1,37 +1,70 @@
-"""Quantities that follow from the parameters, with their uncertainty."""
+"""Quantities that follow from the parameters, with their uncertainty.
+
+Without a posterior the interval of a quantity is that of its profile likelihood: the
+range of its values over all parameters whose deviance stays below the 95 % level. Of
+one parameter alone it is that parameter's own interval, mapped.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.special import expit, logit
 
 from tirefit.compiled import compiled
+from tirefit.fitting.inference import Profile, deviance, linearise
 from tirefit.fitting.layout import Layout
+from tirefit.fitting.likelihood import CHANNEL_SLIP
+from tirefit.fitting.problem import FitProblem
+from tirefit.fitting.result import Estimate
+from tirefit.fitting.solve import Solved
 from tirefit.models import TireInputs
 from tirefit.params import with_values
 
-__all__ = ["DERIVED", "derived_values", "reference_point"]
-
-DERIVED = {
-    "C_x": ("N", "slope of the force at zero slip, 2 c_p a^2 for a brush"),
-    "F_max": ("N", "peak force at the reference load and speed"),
-    "slip_at_peak": ("-", "slip at which the force peaks"),
-    "F_max_over_fz": ("-", "peak force over load, mu'"),
-    "mu_fz": ("N", "static friction times the reference load"),
-}
-"""Derived quantity -> (unit, meaning)."""
+__all__ = [
+    "derived_channel",
+    "derived_from_draws",
+    "derived_from_profile",
+    "derived_values",
+    "quantities",
+    "reference_point",
+]
 
 _LARGEST_SLIP = 3.0
 
 
-def reference_point(problem) -> dict[str, float]:
+def derived_channel(forces: Sequence[str]) -> str | None:
+    """The fitted force that the derived quantities are of; None for a moment alone."""
+    return next((name for name in ("fx", "fy") if name in forces), None)
+
+
+def quantities(channel: str) -> dict[str, tuple[str, str]]:
+    """Derived quantity of fx or fy -> (unit, meaning), in the order of the report."""
+    slope, unit, slip = {
+        "fx": ("C_x", "N", "sigma_x"),
+        "fy": ("C_alpha", "N/rad", "tan(alpha)"),
+    }[channel]
+    return {
+        slope: (unit, "slope at zero slip"),
+        "F_max": ("N", "peak force"),
+        "F_max_over_fz": ("-", "peak force / load"),
+        "mu_fz": ("N", "static mu x load"),
+        "slip_at_peak": ("-", f"{slip} at peak"),
+    }
+
+
+def reference_point(problem: FitProblem) -> dict[str, float]:
     """Median load [N] and speed [m/s] of the fitted rows."""
     fz = problem.used(problem.rows.inputs.fz)
     v = problem.used(problem.rows.inputs.v)
     return {"fz": float(np.median(fz)), "v": float(np.median(v))}
 
 
-def _curve(model, values, channel: str, slip_name: str, fz, v):
-    tire = with_values(model, values)
+def _curve(model, values, channel: str, fz, v):
+    tire, slip_name = with_values(model, values), CHANNEL_SLIP[channel]
 
     def force(slip):
         if slip_name == "alpha":
@@ -43,34 +76,45 @@ def _curve(model, values, channel: str, slip_name: str, fz, v):
 
 
 def _peak(force):
-    """(slip, force) of the first largest force, by three rounds of a refined grid."""
-    grid = jnp.geomspace(1e-5, _LARGEST_SLIP, 200)
-    for _ in range(4):
-        values = jax.vmap(force)(grid)
-        # The first point within rounding of the largest: a plateau begins there.
-        first = jnp.argmax(values >= values.max() * (1 - 1e-12))
-        slip, peak = grid[first], values[first]
-        low = grid[jnp.maximum(first - 1, 0)]
-        high = grid[jnp.minimum(first + 1, len(grid) - 1)]
-        grid = jnp.linspace(low, high, 200)
+    """(slip, force) of the first largest force: a grid, then where the slope ends.
+
+    A plateau is flat to the third order where it begins, so values alone would give
+    its slip to 1e-4; the sign of the slope gives it to rounding.
+    """
+    grid = jnp.concatenate([jnp.zeros(1), jnp.geomspace(1e-5, _LARGEST_SLIP, 200)])
+    values = jax.vmap(force)(grid)
+    first = jnp.argmax(values >= values.max() * (1 - 1e-12))
+    low = grid[jnp.maximum(first - 1, 0)]
+    high = grid[jnp.minimum(first + 1, len(grid) - 1)]
+    slope = jax.grad(force)
+    # Thrice the rounding of a slope of zero: 7e-8 of the slip of full sliding.
+    least = 5e-16 * slope(0.0)
+
+    def halve(_, ends):
+        low, high = ends
+        middle = (low + high) / 2
+        rising = slope(middle) > least
+        return jnp.where(rising, middle, low), jnp.where(rising, high, middle)
+
+    _, slip = jax.lax.fori_loop(0, 50, halve, (low, high))
     # A force that still rises at the largest slip has no peak.
-    return jnp.where(slip < 0.999 * _LARGEST_SLIP, slip, jnp.nan), peak
+    return jnp.where(slip < 0.999 * _LARGEST_SLIP, slip, jnp.nan), force(slip)
 
 
-@compiled(static=("layout", "channel", "slip_name", "run"))
-def derived_values(model, layout: Layout, z, channel, slip_name, fz, v, run: int = 0):
+@compiled(static=("layout", "channel", "run"))
+def derived_values(model, layout: Layout, z, channel, fz, v, run: int = 0):
     """Derived quantities of a batch of parameter vectors.
 
     Args:
         z: unconstrained parameters, shape (m, p).
         channel: fx or fy.
-        slip_name: the slip that drives it.
         fz, v: reference load [N] and speed [m/s].
         run: the run whose parameters count where they are per run.
 
     Returns:
-        dict of arrays (m,) by name of :data:`DERIVED`. ``slip_at_peak`` is sigma for
-        the longitudinal, tan(alpha) for the lateral force.
+        dict of arrays (m,) by name of :func:`quantities`. ``slip_at_peak`` is sigma for
+        the longitudinal, tan(alpha) for the lateral force; NaN where there is no peak.
+        ``mu_fz`` is missing where the model has no static friction.
     """
 
     def one(z):
@@ -78,17 +122,251 @@ def derived_values(model, layout: Layout, z, channel, slip_name, fz, v, run: int
             name: value[run] if jnp.ndim(value) else value
             for name, value in layout.natural(z).items()
         }
-        force = _curve(model, values, channel, slip_name, fz, v)
+        force = _curve(model, values, channel, fz, v)
         slip, peak = _peak(force)
         found = {
-            "C_x": jax.grad(force)(0.0),
+            next(iter(quantities(channel))): jax.grad(force)(0.0),
             "F_max": peak,
-            "slip_at_peak": slip,
             "F_max_over_fz": peak / fz,
+            "slip_at_peak": slip,
         }
-        mu = values.get("mu", getattr(model, "mu", None))
+        mu = with_values(model, values).static_friction(fz)
         if mu is not None:
             found["mu_fz"] = mu * fz
         return found
 
     return jax.lax.map(one, z, batch_size=64)
+
+
+def _evaluator(problem: FitProblem, channel: str) -> Callable:
+    """z (m, p) -> quantity -> values (m,), at the reference point, in order."""
+    at = reference_point(problem)
+
+    def evaluate(z):
+        found = derived_values(
+            problem.model, problem.layout, z, channel, at["fz"], at["v"]
+        )
+        return {k: np.asarray(found[k]) for k in quantities(channel) if k in found}
+
+    return evaluate
+
+
+def _bowl(solved: Solved, z):
+    """Deviance at z, half its slope (p,), and half its curvature (p, p)."""
+    problem = solved.problem
+    arguments = (
+        problem.model, problem.layout, z, problem.rows, problem.channels, problem.loss
+    )  # fmt: skip
+    at = linearise(*arguments)
+    slope, curvature = np.zeros(len(z)), np.zeros((len(z), len(z)))
+    for name, slopes in at.slopes.items():
+        values, slopes = np.asarray(at.values[name]), np.asarray(slopes)
+        weight = 1.0
+        if name in solved.rules:
+            rule = solved.rules[name]
+            weight = 1 / rule.inflation
+            if rule.smallest > 0:
+                weight = rule.effective / (values @ values)
+        slope += weight * (values @ slopes)
+        curvature += weight * (slopes.T @ slopes)
+    return float(deviance(*arguments, solved.rules)), slope, curvature
+
+
+def _slope_of(evaluate: Callable, name: str, z, std):
+    """A quantity at z and its slope (p,), by central differences."""
+    steps = np.diag(np.clip(1e-2 * std, 1e-4, 1e-2))
+    values = evaluate(np.concatenate([z[None], z + steps, z - steps]))[name]
+    up, down = np.split(values[1:], 2)
+    return values[0], (up - down) / (2 * np.diag(steps))
+
+
+_NEXT_TO_BOUND = 1e-9
+
+
+def _step(slope, pull, curvature, room: float, share):
+    """The step (p,) of :func:`_extreme` from shares at (p,).
+
+    An element at its bound that would go on is held there.
+    """
+    free, step = np.ones(len(share), bool), np.zeros(len(share))
+    for _ in range(2):
+        inverse = np.linalg.pinv(curvature[np.ix_(free, free)], hermitian=True)
+        left = room + slope[free] @ inverse @ slope[free]
+        reach = pull[free] @ inverse @ pull[free]
+        size = np.sqrt(max(left, 0.0) / max(reach, 1e-300))
+        step[free] = inverse @ (size * pull - slope)[free]
+        free = _inside(share + step) != share
+        step[~free] = 0.0
+    return step
+
+
+def _inside(share):
+    return np.clip(share, _NEXT_TO_BOUND, 1 - _NEXT_TO_BOUND)
+
+
+def _extreme(solved: Solved, quantity: Callable, sign: int) -> float:
+    """Largest (sign 1) or smallest (-1) value of a quantity within the 95 % region.
+
+    Venzon and Moolgavkar's iteration (Applied Statistics 37, 1988) for a function of
+    the parameters: where the deviance is a parabola and the quantity straight, one
+    step is exact. Taken in shares of each element's range, where a bound is a place
+    and not infinity. NaN where it does not settle.
+    """
+    level, fixed = solved.level, np.linalg.inv(solved.covariance)
+    share = _inside(expit(solved.z))
+    here = _bowl(solved, logit(share))
+    base, before, damping = here[0], np.inf, 1.0
+    for _ in range(60):
+        total, slope, curvature = here
+        scale = share * (1 - share)
+        value, pull = quantity(logit(share))
+        # Rows with slip noise are no squares: their curvature is the estimate's.
+        curvature = fixed if solved.problem.rows.nodes else curvature
+        step = _step(
+            slope / scale, sign * pull / scale, curvature / np.outer(scale, scale),
+            level - total + base, share,
+        )  # fmt: skip
+        length = float((step / scale) @ curvature @ (step / scale))
+        if not np.isfinite(length):
+            break
+        if length < 1e-6 * level and abs(total - base - level) < 1e-2 * level:
+            return float(value)
+        damping = damping / 2 if length > before else min(1.0, 1.5 * damping)
+        before, start = length, share
+        # Never far outside the region: beyond it lie other valleys.
+        while damping > 1e-4:
+            share = _inside(start + damping * step)
+            here = _bowl(solved, logit(share))
+            if here[0] - base < 2 * level:
+                break
+            damping /= 2
+        else:
+            break
+    return float("nan")
+
+
+def _ends(*values: float) -> tuple[float | None, float | None]:
+    """The smallest and the largest; None where an end is not known."""
+    low, high = sorted(values) if np.all(np.isfinite(values)) else values
+    return tuple(float(end) if np.isfinite(end) else None for end in (low, high))
+
+
+def _says_something(ci95) -> bool:
+    """Whether an interval is closed, and less than a factor of three wide."""
+    low, high = ci95
+    return low is not None and high is not None and 0 < low and high <= 3 * low
+
+
+def _with_ratio(found: dict[str, Estimate], names, fz: float) -> dict[str, Estimate]:
+    """The estimates in order, with that of the peak over the load."""
+    peak = found["F_max"]
+    found["F_max_over_fz"] = replace(
+        peak, value=peak.value / fz, std=None if peak.std is None else peak.std / fz,
+        unit="-", ci95=tuple(None if end is None else end / fz for end in peak.ci95),
+    )  # fmt: skip
+    return {name: found[name] for name in names if name in found}
+
+
+def _moved(evaluate: Callable, z, low, high):
+    """Quantity -> (value at z, values (2, p) with one element moved to either end)."""
+    size = len(z)
+    batch = np.tile(z, (2 * size + 1, 1))
+    batch[np.arange(1, size + 1), np.arange(size)] = low
+    batch[np.arange(size + 1, 2 * size + 1), np.arange(size)] = high
+    return {k: (v[0], v[1:].reshape(2, size)) for k, v in evaluate(batch).items()}
+
+
+def derived_from_profile(
+    solved: Solved, profiles: Sequence[Profile], estimates: Sequence[Estimate]
+) -> dict[str, Estimate]:
+    """Derived quantities at the least-squares estimate, with profile intervals.
+
+    Args:
+        profiles, estimates: of every element of z, in order.
+    """
+    problem, z = solved.problem, solved.z
+    channel = derived_channel([c.name for c in problem.channels])
+    if channel is None:
+        return {}
+    evaluate, units = _evaluator(problem, channel), quantities(channel)
+    low = np.array([-np.inf if p.open_low else p.low for p in profiles])
+    high = np.array([np.inf if p.open_high else p.high for p in profiles])
+    mapped = _moved(evaluate, z, low, high)
+    # Ends at rounding level would hide which elements a quantity depends on.
+    apart = _moved(evaluate, z, np.minimum(low, z - 0.01), np.maximum(high, z + 0.01))
+    found = {}
+    for name, (value, moved) in apart.items():
+        if name == "F_max_over_fz":
+            continue
+        value, unit = float(value), units[name][0]
+        same = np.abs(moved - value) <= 1e-7 * abs(value)
+        involved = np.flatnonzero(~same.all(axis=0))
+        if not np.isfinite(value):
+            found[name] = Estimate(value, None, unit, (None, None), identified=False)
+        elif len(involved) == 0:
+            found[name] = Estimate(value, None, unit, (None, None), fixed=True)
+        else:
+            ends = mapped[name][1][:, involved[0]] if len(involved) == 1 else None
+            known = [estimates[i] for i in involved]
+            found[name] = _estimate(solved, evaluate, name, unit, known, ends)
+    return _with_ratio(found, units, reference_point(problem)["fz"])
+
+
+def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Estimate:
+    """One quantity of the elements ``known``; ``ends`` where it is of one alone."""
+    spread = np.sqrt(np.diag(solved.covariance))
+    quantity = partial(_slope_of, evaluate, name, std=spread)
+    value, slope = quantity(solved.z)
+    std = float(np.sqrt(slope @ solved.covariance @ slope))
+    if ends is not None:
+        ci95 = _ends(*ends)
+        identified = known[0].identified
+    elif std < 1e-6 * abs(value):
+        half = np.sqrt(solved.level) * std
+        ci95, identified = _ends(value - half, value + half), True
+    else:
+        ci95 = _ends(*(_extreme(solved, quantity, sign) for sign in (-1, 1)))
+        identified = _says_something(ci95)
+    if not identified or any(one.std is None for one in known):
+        std = None
+    return Estimate(float(value), std, unit, ci95, identified)
+
+
+_BLOCK = 4096
+_CENTRAL = (0.025, 0.5, 0.975)
+
+
+def derived_from_draws(
+    problem: FitProblem, z_draws, least_squares: dict[str, Estimate]
+) -> dict[str, Estimate]:
+    """Derived quantities of posterior draws: median, spread and central 95 %.
+
+    Args:
+        z_draws: draws of the unconstrained parameters, shape (m, p).
+        least_squares: the same at the least-squares estimate, which says what the data
+            identify.
+    """
+    if not least_squares:
+        return {}
+    channel = derived_channel([c.name for c in problem.channels])
+    evaluate = _evaluator(problem, channel)
+    # Blocks of one size: one program, however many draws there are.
+    count, blocks = len(z_draws), -(-len(z_draws) // _BLOCK)
+    padded = np.resize(z_draws, (blocks * _BLOCK, z_draws.shape[1]))
+    parts = [evaluate(block) for block in np.split(padded, blocks)]
+    return {
+        name: _of_draws(np.concatenate([part[name] for part in parts])[:count], before)
+        for name, before in least_squares.items()
+    }
+
+
+def _of_draws(draws: np.ndarray, least_squares: Estimate) -> Estimate:
+    if least_squares.fixed:
+        return least_squares
+    unit, defined = least_squares.unit, np.isfinite(draws)
+    if np.mean(defined) <= 0.975:
+        return Estimate(float("nan"), None, unit, (None, None), identified=False)
+    low, median, high = (float(v) for v in np.quantile(draws[defined], _CENTRAL))
+    identified = least_squares.identified
+    std = float(draws[defined].std()) if identified else None
+    return Estimate(median, std, unit, (low, high), identified)

@@ -11,9 +11,8 @@ from scipy.special import stdtrit
 
 from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, parse_config
-from tirefit.fitting.derived import DERIVED, derived_values, reference_point
-from tirefit.fitting.inference import REACH, Profile, profile_all
-from tirefit.fitting.likelihood import CHANNEL_SLIP
+from tirefit.fitting.derived import derived_from_profile, reference_point
+from tirefit.fitting.inference import Profile, profile_all
 from tirefit.fitting.problem import FitProblem, build
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics, information
 from tirefit.fitting.solve import Solved, solve_problem
@@ -21,7 +20,7 @@ from tirefit.fitting.verdict import judge
 from tirefit.params import constrain, log_jacobian, parameter_values, specs
 from tirefit.results import UsageError
 
-__all__ = ["derived_estimates", "fit"]
+__all__ = ["fit", "with_fixed"]
 
 
 def _not_identified(spec, low: float, high: float, profile: Profile) -> bool:
@@ -139,57 +138,6 @@ def _neighbours(ordered: np.ndarray) -> float:
     return float(ordered[1:] @ ordered[:-1]) / power if power > 0 else 0.0
 
 
-def derived_estimates(solved: Solved, z_draws, withhold=False) -> dict[str, Estimate]:
-    """Derived quantities: the estimate's value, spread and interval of the draws.
-
-    ``withhold`` gives no spread: draws from a covariance mean nothing while a
-    parameter is open-ended, and only the posterior tells.
-    """
-    problem = solved.problem
-    channel = next((c.name for c in problem.channels if c.name != "mz"), None)
-    if channel is None:
-        return {}
-    at = reference_point(problem)
-    z = np.concatenate([solved.z[None], z_draws])
-    found = derived_values(
-        problem.model, problem.layout, z, channel, CHANNEL_SLIP[channel],
-        at["fz"], at["v"],
-    )  # fmt: skip
-    estimates = {}
-    for name, values in found.items():
-        values = np.asarray(values)
-        draws = values[1:]
-        defined = np.isfinite(values[0]) and np.mean(np.isfinite(draws)) > 0.975
-        if not defined:
-            estimates[name] = Estimate(
-                float("nan"), None, DERIVED[name][0], (None, None), identified=False
-            )
-            continue
-        low, high = np.nanquantile(draws, [0.025, 0.975])
-        unit = DERIVED[name][0]
-        if withhold:
-            estimates[name] = Estimate(float(values[0]), None, unit, (None, None))
-            continue
-        std = float(np.nanstd(draws))
-        estimates[name] = Estimate(
-            float(values[0]), std, unit, (float(low), float(high))
-        )
-    return estimates
-
-
-def _gaussian_draws(solved: Solved, seed: int, count: int = 2048) -> np.ndarray:
-    generator = np.random.default_rng(seed)
-    values, vectors = np.linalg.eigh(solved.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0))
-    standard = generator.normal(size=(count, len(solved.z)))
-    if any(c.noise_estimated for c in solved.problem.channels):
-        # Student's t, as the intervals of the parameters have it.
-        dof = max(solved.n_effective - solved.problem.layout.size, 1.0)
-        standard /= np.sqrt(generator.chisquare(dof, (count, 1)) / dof)
-    draws = solved.z + standard @ root.T
-    return np.clip(draws, -REACH, REACH)
-
-
 def _versions() -> dict[str, str]:
     packages = ("jax", "optimistix", "jaxopt", "emcee", "numpy", "scipy")
     return {"python": platform.python_version()} | {
@@ -210,7 +158,7 @@ def _data_record(data: TireData, used: int) -> dict[str, Any]:
         "slip_definition": source.slip_definition,
         "columns": dict(source.columns),
         "units": dict(source.units),
-        "assumptions": list(source.assumptions),
+        "assumptions": list(source.notes),
     }
 
 
@@ -244,7 +192,8 @@ def _config(config: FitConfig | dict | None, **changes) -> FitConfig:
     elif isinstance(config, dict):
         config = parse_config(config)
     given = {key: value for key, value in changes.items() if value is not None}
-    return parse_config(config.model_dump() | given, "fit()") if given else config
+    parse_config(given, "fit()")
+    return config.model_copy(update=given)
 
 
 def fit(
@@ -288,20 +237,18 @@ def _summarise(solved: Solved, data: TireData, config: FitConfig) -> FitResult:
         problem.channels, problem.loss, solved.rules, solved.level,
     )  # fmt: skip
     estimates, by_covariance = _profile_estimates(solved, profiles)
-    open_ended = not all(estimate.identified for estimate in estimates.values())
     std = np.sqrt(np.diag(solved.covariance))
-    draws = _gaussian_draws(solved, config.seed)
     elements = problem.layout.elements
     result = FitResult(
         model=problem.name,
         forces=tuple(c.name for c in problem.channels),
-        parameters=_with_fixed(estimates, problem),
+        parameters=with_fixed(estimates, problem),
         least_squares=estimates,
         intervals={
             "covariance": by_covariance,
             "profile": {label: value.ci95 for label, value in estimates.items()},
         },
-        derived=derived_estimates(solved, draws, withhold=open_ended),
+        derived=derived_from_profile(solved, profiles, list(estimates.values())),
         statistics=_statistics(solved),
         noise=_noise_record(solved) | {"notes": list(problem.notes)},
         verdict={},
@@ -331,7 +278,7 @@ def _summarise(solved: Solved, data: TireData, config: FitConfig) -> FitResult:
     return judge(result)
 
 
-def _with_fixed(estimates: dict[str, Estimate], problem: FitProblem):
+def with_fixed(estimates: dict[str, Estimate], problem: FitProblem):
     """Estimates plus the fixed and tied parameters, in the model's order."""
     everything = dict(estimates)
     free = {p.name for p in problem.layout.free}
@@ -342,7 +289,8 @@ def _with_fixed(estimates: dict[str, Estimate], problem: FitProblem):
         if name in ties and ties[name].other in estimates:
             tie, other = ties[name], estimates[ties[name].other]
             ends = tuple(
-                None if end is None else tie.factor * end for end in other.ci95
+                None if end is None else tie.factor * end
+                for end in (other.ci95 if tie.factor > 0 else other.ci95[::-1])
             )
             everything[name] = Estimate(
                 tie.factor * other.value,

@@ -134,8 +134,7 @@ def linearise(model, layout: Layout, z, rows: Rows, channels, loss) -> Linearise
         found = root_deviance(model, layout, z, rows, channels, loss)
         return found | {"prior": layout.prior_residual(z)}
 
-    names = tuple(channel.name for channel in channels)
-    mean, variance = moments(model, layout, z, rows, names)
+    mean, variance = moments(model, layout, z, rows, channels)
     return Linearised(blocks(z), jax.jacfwd(blocks)(z), mean, variance)
 
 

@@ -5,16 +5,26 @@ another one. The solver and the samplers see one unconstrained vector z; ``natur
 turns it into named values within their bounds.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.params import Spec, constrain, log_jacobian, unconstrain
+from tirefit.fitting.config import FitConfig, ParameterConfig
+from tirefit.models import AbstractTire
+from tirefit.params import (
+    Spec,
+    constrain,
+    log_jacobian,
+    specs,
+    unconstrain,
+    with_values,
+)
+from tirefit.results import Problem, UsageError
 
-__all__ = ["FreeParameter", "Layout", "Tie"]
+__all__ = ["FreeParameter", "Layout", "Tie", "choose_layout"]
 
 
 @dataclass(frozen=True)
@@ -106,3 +116,156 @@ class Layout:
             if p.prior is not None
         ]
         return jnp.stack(pulls) if pulls else jnp.zeros(0)
+
+
+def choose_layout(
+    model: AbstractTire, config: FitConfig, runs: tuple[str, ...], forces: Sequence[str]
+) -> tuple[AbstractTire, Layout, list[str]]:
+    """Which parameters a fit estimates, and within which bounds.
+
+    A tied parameter is held to its own bounds: they narrow those of the other one.
+
+    Args:
+        model: template of the fit.
+        config: what was asked for.
+        runs: names of the runs of the data.
+        forces: fitted forces; only ``mz`` lets the half-length be estimated.
+
+    Returns:
+        The model that holds the fixed values, the layout, and what was narrowed.
+
+    Raises:
+        UsageError: unknown parameters, impossible bounds, values, priors or ties;
+            every one of them.
+    """
+    known = specs(model)
+    asked = {name: config.parameters.get(name, ParameterConfig()) for name in known}
+    problems = [
+        Problem(
+            f"parameters.{name}: the model has no such parameter",
+            f"it has {', '.join(known)}",
+        )
+        for name in config.parameters
+        if name not in known
+    ]
+    ties = [Tie(n, a.tied, a.factor) for n, a in asked.items() if a.tied is not None]
+    free = [n for n in known if _is_free(known[n], n, asked[n], forces)]
+    bounded, notes = {}, []
+    for name in known:
+        bounded[name], found = _bounded(name, known[name], asked[name])
+        problems += found
+    for tie in ties:
+        if tie.other in free:
+            spec, found, said = _narrowed(tie, bounded)
+            bounded[tie.other] = spec
+            problems += found
+            notes += said
+        else:
+            problems.append(_wrong_tie(tie, ties, free, known))
+    for name in known:
+        problems += _misplaced(name, bounded[name], asked[name], name in free)
+    if not free:
+        problems.append(Problem("no free parameter", "free one under [parameters]"))
+    if problems:
+        raise UsageError([replace(p, file=config.source) for p in problems])
+    tied = {tie.name for tie in ties}
+    fixed = {
+        name: spec.default if asked[name].value is None else asked[name].value
+        for name, spec in known.items()
+        if name not in free and name not in tied
+    }
+    found = tuple(_free_parameter(n, bounded[n], asked[n], len(runs)) for n in free)
+    return with_values(model, fixed), Layout(found, tuple(ties), runs), notes
+
+
+def _is_free(spec: Spec, name: str, asked: ParameterConfig, forces) -> bool:
+    if asked.tied is not None or asked.free is not None:
+        return bool(asked.free)
+    return "mz" in forces if name == "half_length" else spec.free
+
+
+def _free_parameter(name: str, spec: Spec, asked: ParameterConfig, runs: int):
+    prior = asked.prior and (asked.prior.mean, asked.prior.std)
+    return FreeParameter(name, spec, asked.per_run and runs > 1, prior)
+
+
+def _interval(spec: Spec) -> str:
+    return f"[{spec.lower:.6g}, {spec.upper:.6g}]"
+
+
+def _bounded(name: str, spec: Spec, asked: ParameterConfig):
+    """The spec within the bounds asked for, and what is wrong with them."""
+    lower = spec.lower if asked.lower is None else asked.lower
+    upper = spec.upper if asked.upper is None else asked.upper
+    if spec.lower <= lower < upper <= spec.upper:
+        return spec._replace(lower=lower, upper=upper), []
+    reason = (
+        f"parameters.{name}: bounds [{lower:.6g}, {upper:.6g}] are empty or outside the"
+        f" model's {_interval(spec)}"
+    )
+    remedy = "choose lower and upper inside those of `tirefit models`"
+    return spec, [Problem(reason, remedy)]
+
+
+def _narrowed(tie: Tie, bounded: Mapping[str, Spec]):
+    """Spec of the other parameter, narrowed to where the tied one is within its bounds;
+    problems; and what to say."""
+    own, other = bounded[tie.name], bounded[tie.other]
+    low, high = sorted((own.lower / tie.factor, own.upper / tie.factor))
+    narrow = other._replace(lower=max(other.lower, low), upper=min(other.upper, high))
+    if narrow == other:
+        return other, [], []
+    product = f"{tie.factor:g} {tie.other}"
+    if narrow.lower >= narrow.upper:
+        reason = (
+            f"parameters.{tie.name}: tied = {tie.other!r} with factor = {tie.factor:g}"
+            f" is outside its bounds {_interval(own)} for every {tie.other} in"
+            f" {_interval(other)}"
+        )
+        remedy = f"change the factor, or the bounds of {tie.other}"
+        return other, [Problem(reason, remedy)], []
+    said = (
+        f"{tie.other} held to {_interval(narrow)}, so that {tie.name} = {product} stays"
+        f" within {_interval(own)}"
+    )
+    return narrow, [], [said]
+
+
+def _wrong_tie(tie: Tie, ties: Sequence[Tie], free: Sequence[str], known) -> Problem:
+    tied = {one.name: one.other for one in ties}
+    key, reason = f"parameters.{tie.name}", f"tied to {tie.other!r}, which is not free"
+    if tie.other == tie.name:
+        reason = f"tied to {tie.other!r}, itself"
+    elif tie.other in tied:
+        reason += f": parameters.{tie.other} is tied to {tied[tie.other]!r}"
+    elif tie.other not in known:
+        reason = f"tied to {tie.other!r}, which the model does not have"
+    remedy = f"tie it to one of {', '.join(free)}" if free else "free a parameter"
+    return Problem(f"{key}: {reason}", remedy)
+
+
+def _misplaced(
+    name: str, spec: Spec, asked: ParameterConfig, free: bool
+) -> Iterator[Problem]:
+    """Values and priors outside the bounds, and what has no effect when it is fixed."""
+    key, prior = f"parameters.{name}", asked.prior
+    if asked.value is not None and not spec.lower <= asked.value <= spec.upper:
+        reason = f"value {asked.value:g} outside its bounds {_interval(spec)}"
+        yield Problem(f"{key}: {reason}", "choose a value inside the bounds")
+    if prior is not None and not spec.lower < prior.mean < spec.upper:
+        reason = f"prior mean {prior.mean:g} outside its bounds {_interval(spec)}"
+        yield Problem(f"{key}: {reason}", "choose a mean inside the bounds")
+    if prior is not None:
+        width = prior.mean if spec.scale == "log" else spec.upper - spec.lower
+        if prior.std < 1e-9 * abs(width):
+            reason = f"prior std {prior.std:g} leaves it no room in {_interval(spec)}"
+            remedy = f"hold it by value = {prior.mean:g} and free = false"
+            yield Problem(f"{key}: {reason}", remedy)
+    if free or asked.free is False or asked.tied is not None:
+        return
+    idle = [k for k in ("lower", "upper", "prior") if getattr(asked, k) is not None]
+    idle += ["per_run"] if asked.per_run else []
+    remedy = "fit mz too" if name == "half_length" else f"set {key}.free = true"
+    for setting in idle:
+        reason = f"{setting} has no effect: this fit does not estimate {name}"
+        yield Problem(f"{key}: {reason}", f"{remedy}, or leave {setting} out")

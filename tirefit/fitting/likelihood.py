@@ -69,10 +69,18 @@ LOSSES = {
 
 @dataclass(frozen=True)
 class Channel:
-    """One fitted force: its name and whether its noise scale is estimated."""
+    """One fitted force: its name and whether its noise scale is estimated.
+
+    ``slip`` is the slip whose noise, if any, is integrated out for it: its own in pure
+    slip.
+    """
 
     name: str
     noise_estimated: bool = True
+    slip: str = ""
+
+    def __post_init__(self):
+        object.__setattr__(self, "slip", self.slip or CHANNEL_SLIP[self.name])
 
 
 class SlipNodes(NamedTuple):
@@ -114,11 +122,12 @@ def predict(
         name: value[run] if jnp.ndim(value) else value for name, value in values.items()
     }
     axes = {name: 0 if jnp.ndim(value) else None for name, value in rows.items()}
+    felt = with_values(model, rows).felt(inputs, run)
 
     def one(values, sample):
         return with_values(model, values)(sample)._asdict()
 
-    return jax.vmap(one, in_axes=(axes, 0))(rows, inputs)
+    return jax.vmap(one, in_axes=(axes, 0))(rows, felt)
 
 
 def _node_squares(model, layout, z, rows, slip, names, loss):
@@ -147,7 +156,7 @@ def root_deviance(model, layout: Layout, z, rows: Rows, channels, loss: str):
     blocks = {}
     predicted = None
     for slip in ("sigma_x", "alpha"):
-        names = [c.name for c in channels if CHANNEL_SLIP[c.name] == slip]
+        names = [c.name for c in channels if c.slip == slip]
         if names and slip in rows.nodes:
             squares = _node_squares(model, layout, z, rows, slip, names, function)
             log_weight = rows.nodes[slip].log_weight

@@ -21,7 +21,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.fitting.estimate import derived_estimates
+from tirefit.fitting.derived import derived_from_draws
+from tirefit.fitting.estimate import with_fixed
 from tirefit.fitting.hmc import hmc_chunk, hmc_start
 from tirefit.fitting.inference import REACH, deviance
 from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
@@ -371,15 +372,16 @@ def _with_posterior(
     solved: Solved = result.solved
     center, root = _whitening(solved)
     health = _health(chain.samples, target)
+    # Nearly independent draws; parameters and derived quantities are of the same ones.
+    thin = max(int(np.ceil(health.tau.max() / 2)), 1)
+    z = center + health.kept[:, ::thin] @ root.T
+    flat = z.reshape(-1, z.shape[-1])
     natural = jax.jit(jax.vmap(solved.problem.layout.vector))
-    z = center + health.kept @ root.T
-    values = np.asarray(natural(jnp.asarray(z.reshape(-1, z.shape[-1])))).reshape(
-        z.shape
-    )
+    kept = np.asarray(natural(jnp.asarray(flat))).reshape(z.shape)
     labels = result.labels
     estimates, ends = {}, {}
     for i, label in enumerate(labels):
-        draws = values[..., i].ravel()
+        draws = kept[..., i].ravel()
         low, high = (float(end) for end in np.quantile(draws, [0.025, 0.975]))
         least_squares = result.least_squares[label]
         ends[label] = (low, high)
@@ -388,8 +390,6 @@ def _with_posterior(
             float(draws.std()) if least_squares.identified else None,
             least_squares.unit, (low, high), least_squares.identified,
         )  # fmt: skip
-    thin = max(int(np.ceil(health.tau.max() / 2)), 1)
-    kept = values[:, ::thin]
     summary = PosteriorSummary(
         sampler, seed, chain.samples.shape[0], chain.samples.shape[2],
         chain.samples.shape[1], health.discarded,
@@ -401,17 +401,11 @@ def _with_posterior(
     return judge(
         replace(
             result,
-            parameters={**result.parameters, **estimates},
+            parameters=with_fixed(estimates, solved.problem),
             intervals={**result.intervals, "posterior": ends},
-            derived=_posterior_derived(result, z[:, ::thin], seed),
+            derived=derived_from_draws(solved.problem, flat, result.derived),
             chains=kept.reshape(kept.shape[0], -1, kept.shape[-1]),
             walkers=np.moveaxis(kept, 2, 1),
             posterior=summary,
         )
     )
-
-
-def _posterior_derived(result: FitResult, z: np.ndarray, seed: int):
-    flat = z.reshape(-1, z.shape[-1])
-    chosen = np.random.default_rng(seed).choice(len(flat), min(len(flat), 2048), False)
-    return derived_estimates(result.solved, flat[chosen])

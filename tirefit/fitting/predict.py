@@ -5,21 +5,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.compiled import compiled
-from tirefit.fitting.likelihood import CHANNEL_SLIP, predict
+from tirefit.fitting.likelihood import predict
 
 __all__ = ["moments", "predict_forces", "row_moments"]
 
 
-@compiled(static=("layout", "names"))
-def moments(model, layout, z, rows, names):
+@compiled(static=("layout", "channels"))
+def moments(model, layout, z, rows, channels):
     """Mean and variance of each fitted force given the measured slip, by channel (n,).
 
     Where the slip has noise, both are over the latent slips of the row.
     """
     mean, variance = {}, {}
     plain = predict(model, layout, z, rows.inputs, rows.run)
-    for name in names:
-        slip = CHANNEL_SLIP[name]
+    for name, slip in ((channel.name, channel.slip) for channel in channels):
         if slip not in rows.nodes:
             mean[name], variance[name] = plain[name], rows.scale[name] ** 2
             continue
@@ -39,8 +38,9 @@ def moments(model, layout, z, rows, names):
 
 def row_moments(problem, z) -> tuple[dict, dict]:
     """:func:`moments` of a problem's own rows, without padding."""
-    names = tuple(c.name for c in problem.channels)
-    mean, variance = moments(problem.model, problem.layout, z, problem.rows, names)
+    mean, variance = moments(
+        problem.model, problem.layout, z, problem.rows, problem.channels
+    )
     return (
         {name: problem.used(value) for name, value in mean.items()},
         {name: problem.used(value) for name, value in variance.items()},
@@ -49,16 +49,12 @@ def row_moments(problem, z) -> tuple[dict, dict]:
 
 @compiled(static=("layout",))
 def _linearised(model, layout, z, covariance, inputs, run):
-    def row(sample, run):
-        def force(z):
-            one = jax.tree.map(lambda value: value[None], sample)
-            found = predict(model, layout, z, one, run[None])
-            return {k: v[0] for k, v in found.items() if v is not None}
+    def force(z):
+        found = predict(model, layout, z, inputs, run)
+        return {k: v for k, v in found.items() if v is not None}
 
-        value, slope = force(z), jax.jacfwd(force)(z)
-        return value, {k: g @ covariance @ g for k, g in slope.items()}
-
-    return jax.vmap(row)(inputs, run)
+    slope = jax.jacfwd(force)(z)
+    return force(z), {k: jnp.sum(g @ covariance * g, axis=1) for k, g in slope.items()}
 
 
 def predict_forces(model, layout, z, covariance, inputs, run) -> tuple[dict, dict]:

@@ -6,13 +6,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tirefit.data.read import require
 from tirefit.data.table import TireData
+from tirefit.fitting.combined_slip import slip_of_forces
 from tirefit.fitting.config import FitConfig, NoiseConfig, ParameterConfig
-from tirefit.fitting.layout import FreeParameter, Layout, Tie
+from tirefit.fitting.layout import Layout, choose_layout
 from tirefit.fitting.likelihood import CHANNEL_SLIP, Channel, Rows, SlipNodes
 from tirefit.fitting.slip_noise import latent_nodes, slip_density
-from tirefit.models import MODELS, AbstractTire, TireInputs, needs_speed
-from tirefit.params import Spec, parameter_values, specs, with_values
+from tirefit.fitting.time_series import check_time_series, check_whole_series
+from tirefit.models import MODELS, AbstractTire, TireInputs, modelled
+from tirefit.params import parameter_values, specs
 from tirefit.results import DataError, Problem, UsageError
 
 __all__ = [
@@ -55,8 +58,7 @@ class FitProblem:
     def block_of(self, channel: Channel) -> str:
         """The block of residuals that a channel is in: its own, or that of its slip,
         once latent slips are laid out."""
-        slip = CHANNEL_SLIP[channel.name]
-        return slip if slip in self.rows.nodes else channel.name
+        return channel.slip if channel.slip in self.rows.nodes else channel.name
 
     def block_channels(self, block: str) -> tuple[Channel, ...]:
         """The channels in one block."""
@@ -85,19 +87,13 @@ def find_model(name: str) -> AbstractTire:
 def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], list]:
     possible = [c for c, slip in CHANNEL_SLIP.items() if c in data and slip in data]
     if config.force is not None:
-        wanted = [config.force] if isinstance(config.force, str) else config.force
-        missing = [name for name in wanted if name not in possible]
-        if missing:
-            needs = [f"{name} and {CHANNEL_SLIP[name]}" for name in missing]
-            raise DataError(
-                Problem(
-                    f"cannot fit {', '.join(missing)}: needs the columns "
-                    + "; ".join(needs),
-                    "name the columns under [data.columns] or fit another force",
-                    data.source.path or data.name,
-                )
-            )
-        return tuple(dict.fromkeys(wanted)), []
+        needed = [
+            column for name in config.force for column in (name, CHANNEL_SLIP[name])
+        ]
+        require(
+            data, list(dict.fromkeys(needed)), f"a fit of {', '.join(config.force)}"
+        )
+        return tuple(dict.fromkeys(config.force)), []
     varied = [c for c in possible if np.ptp(data.usable(CHANNEL_SLIP[c])) > 1e-9]
     if not varied:
         raise DataError(
@@ -114,81 +110,6 @@ def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], 
     if rest:
         note += f"; {', '.join(rest)} left out (set `force` in fit.toml to fit it)"
     return (chosen,), [note]
-
-
-def _bounds(name: str, spec: Spec, asked: ParameterConfig) -> Spec:
-    lower = spec.lower if asked.lower is None else asked.lower
-    upper = spec.upper if asked.upper is None else asked.upper
-    if not (spec.lower <= lower < upper <= spec.upper):
-        raise UsageError(
-            Problem(
-                f"parameters.{name}: bounds [{lower}, {upper}] are empty or outside"
-                f" the model's [{spec.lower:.6g}, {spec.upper:.6g}]",
-                "choose bounds inside those of `tirefit models`",
-            )
-        )
-    value = spec.default if asked.value is None else asked.value
-    if asked.value is not None and not lower <= value <= upper:
-        raise UsageError(
-            Problem(
-                f"parameters.{name}: value {value} outside its bounds"
-                f" [{lower:.6g}, {upper:.6g}]",
-                "choose a value inside the bounds",
-            )
-        )
-    return spec._replace(lower=lower, upper=upper)
-
-
-def _make_layout(
-    model: AbstractTire, config: FitConfig, runs: tuple[str, ...], forces
-) -> tuple[AbstractTire, Layout]:
-    known = specs(model)
-    unknown = [name for name in config.parameters if name not in known]
-    if unknown:
-        raise UsageError(
-            [
-                Problem(
-                    f"parameters.{name}: the model has no such parameter",
-                    f"it has {', '.join(known)}",
-                )
-                for name in unknown
-            ]
-        )
-    free, ties, fixed = [], [], {}
-    for name, spec in known.items():
-        asked = config.parameters.get(name, ParameterConfig())
-        spec = _bounds(name, spec, asked)
-        wanted = spec.free if asked.free is None else asked.free
-        if name == "half_length" and asked.free is None:
-            wanted = "mz" in forces
-        if asked.prior is not None and not spec.lower < asked.prior.mean < spec.upper:
-            raise UsageError(
-                Problem(
-                    f"parameters.{name}: prior mean {asked.prior.mean:g} outside the"
-                    f" bounds [{spec.lower:.6g}, {spec.upper:.6g}]",
-                    "choose a mean inside the bounds",
-                )
-            )
-        if asked.tied is not None:
-            ties.append(Tie(name, asked.tied, asked.factor))
-        elif wanted:
-            prior = asked.prior and (asked.prior.mean, asked.prior.std)
-            per_run = asked.per_run and len(runs) > 1
-            free.append(FreeParameter(name, spec, per_run, prior))
-        else:
-            fixed[name] = spec.default if asked.value is None else asked.value
-    names = {parameter.name for parameter in free}
-    for tie in ties:
-        if tie.other not in names:
-            raise UsageError(
-                Problem(
-                    f"parameters.{tie.name}: tied to {tie.other!r}, which is not free",
-                    f"tie it to one of {', '.join(sorted(names)) or 'none: free one'}",
-                )
-            )
-    if not free:
-        raise UsageError(Problem("no free parameter", "free one in fit.toml"))
-    return with_values(model, fixed), Layout(tuple(free), tuple(ties), runs)
 
 
 def _force_scale(data: TireData, name: str, noise: NoiseConfig):
@@ -220,18 +141,74 @@ def _slip_scale(data: TireData, slip: str, noise: NoiseConfig):
     return None, f"noise of {slip}: none assumed"
 
 
+def _noise_problems(data: TireData, forces, config: FitConfig):
+    """Noise beside which squares of residuals overflow or vanish: in columns, and in
+    the settings."""
+    given = {name: _force_scale(data, name, config.noise) for name in forces}
+    stds = {name: std for name, (std, estimated, _) in given.items() if not estimated}
+    for slip in dict.fromkeys(CHANNEL_SLIP[name] for name in forces):
+        std, _ = _slip_scale(data, slip, config.noise)
+        stds |= {} if std is None else {slip: std}
+    of_columns, of_settings = [], []
+    for name, std in stds.items():
+        largest = float(np.max(np.abs(data.usable(name)))) or 1.0
+        if name not in forces:
+            # The slip of a locked wheel, and its noise, stand for infinity.
+            largest, std = min(largest, 1.0), np.minimum(std, 1.0)
+        wrong = np.flatnonzero((std < 1e-9 * largest) | (std > 1e9 * largest))
+        if not len(wrong):
+            continue
+        beside = f"is not a noise level beside {name} up to {largest:.4g}"
+        if f"{name}_std" in data:
+            of_columns.append(_noise_column(data, f"{name}_std", wrong, beside))
+            continue
+        key = name if getattr(config.noise, name) is not None else f"{name}_relative"
+        reason = f"noise.{key} = {getattr(config.noise, key):g} {beside}"
+        remedy = f"give the true noise of {name}, or leave noise.{key} out"
+        of_settings.append(Problem(reason, remedy, config.source))
+    return of_columns, of_settings
+
+
+def _noise_column(data: TireData, column: str, wrong, beside: str) -> Problem:
+    """``wrong`` indexes the used rows."""
+    source, row = data.source, np.flatnonzero(data.used)[wrong[0]]
+    rows = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
+    return Problem(
+        f"{data[column][row]:.3g} {beside}{rows}",
+        "correct the column or its unit, or leave it out",
+        source.path or data.name,
+        None if source.line is None else int(source.line[row]),
+        source.columns.get(column, column),
+    )
+
+
+def _settled(data: TireData, model: AbstractTire, forces, config: FitConfig):
+    """What ``choose_layout`` gives; wrong settings of the noise are said with its."""
+    of_columns, of_settings = _noise_problems(data, forces, config)
+    try:
+        chosen = choose_layout(model, config, data.runs, forces)
+    except UsageError as error:
+        raise UsageError([*error.problems, *of_settings]) from None
+    if of_settings:
+        raise UsageError(of_settings)
+    if of_columns:
+        raise DataError(of_columns)
+    return chosen
+
+
 def _check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
     """Measured slips vary by at least their noise; if not, it places no row."""
     noise, spread = float(np.median(std)), float(np.std(data.usable(slip)))
     if noise > 0.7 * spread:
+        column = f"{slip}_std" if f"{slip}_std" in data else None
         raise DataError(
             Problem(
                 f"the noise of {slip} ({noise:.3g}) is as large as the spread of the"
                 f" measured slips (standard deviation {spread:.3g}): they say nothing"
                 " about where on the curve a row lies",
-                "check the unit of the noise",
+                f"check the unit of the noise, {column or f'noise.{slip}'}",
                 data.source.path or data.name,
-                column=f"{slip}_std",
+                column=column,
             )
         )
 
@@ -282,13 +259,16 @@ def guess_from_curve(stiffness, peak, load) -> dict:
         peak: largest force over load [-].
         load: typical load [N].
     """
+    factor = stiffness / (1.5 * peak * load)
     return {
         "cpa2": stiffness / 2,
         "mu": peak,
         "mu_peak": peak,
         "mu_c": 0.6 * peak,
-        "D": peak,
-        "B": stiffness / (1.5 * peak * load),
+        "mu_s": 1.5 * peak,
+        "sigma0": 10 * stiffness / load,  # 2 C / (F_z 2a), the patch 0.2 m long
+        **dict.fromkeys(("D", "Dx", "Dy"), peak),
+        **dict.fromkeys(("B", "Bx", "By"), factor),
     }
 
 
@@ -321,25 +301,31 @@ def build(data: TireData, name: str, config: FitConfig) -> FitProblem:
     """Choose forces, noise, free parameters and a first guess.
 
     Raises:
-        UsageError: unknown model or parameter, impossible bounds or ties.
-        DataError: columns the model needs are missing, or too few rows.
+        UsageError: unknown model or parameter, impossible bounds, ties or noise.
+        DataError: columns the model needs are missing, noise in a column that is none,
+            or too few rows.
     """
     template = find_model(name)
     forces, notes = _chosen_forces(data, config)
     data = _limited(data, config, CHANNEL_SLIP[forces[0]])
-    _require(data, name, template, forces)
-    model, layout = _make_layout(template, config, data.runs, forces)
+    _check_inputs(data, name, template, forces, config)
+    config, said = _with_reference_load(data, template, config)
+    model, layout, narrowed = _settled(data, template, forces, config)
+    notes += [*said, *narrowed]
     size = _padded_size(data.n)
     observed, scale, channels = {}, {}, []
+    slips = dict.fromkeys(CHANNEL_SLIP.values())
+    noisy = [s for s in slips if _slip_scale(data, s, config.noise)[0] is not None]
+    slip_of = slip_of_forces(data, template, forces, noisy)
     for force in forces:
         values, estimated, note = _force_scale(data, force, config.noise)
         observed[force] = _pad(data.usable(force), size)
         scale[force] = _pad(values, size)
-        channels.append(Channel(force, estimated))
+        channels.append(Channel(force, estimated, slip_of[force]))
         notes.append(note)
     _check_size(data, layout, channels, data.n * len(forces))
     slip_noise, densities = {}, {}
-    for slip in dict.fromkeys(CHANNEL_SLIP[force] for force in forces):
+    for slip in dict.fromkeys(slip_of.values()):
         std, note = _slip_scale(data, slip, config.noise)
         notes.append(note)
         if std is not None:
@@ -363,26 +349,38 @@ def build(data: TireData, name: str, config: FitConfig) -> FitProblem:
     )  # fmt: skip
 
 
-def _require(data: TireData, name: str, model, forces) -> None:
-    problems = []
-    file = data.source.path or data.name
-    if "mz" in forces and name == "magic-formula":
+def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
+    if "mz" in forces and "mz" not in modelled(model):
         raise UsageError(
-            Problem("magic-formula has no aligning moment", "fit fy, or a brush model")
+            Problem(f"{name} has no aligning moment", "fit fy, or a brush model")
         )
-    if needs_speed(model) and "v" not in data:
-        problems.append(
-            Problem(
-                f"{name} needs the speed of every row (column v, m/s): its friction"
-                " depends on sliding speed",
-                "name the column, or give --constant v=20 for a constant speed",
-                file,
-            )
-        )
+    require(data, ("fz", *model.needs), f"the model {name}")
+    if model.transient:
+        slips = dict.fromkeys(CHANNEL_SLIP[force] for force in forces)
+        check_whole_series(data, name, slips, config)
+        check_time_series(data, name)
     if data.n == 0:
-        problems.append(Problem("no usable row", "see `tirefit inspect`", file))
-    if problems:
-        raise DataError(problems)
+        limits = [
+            f"data.{key} = {value:g}"
+            for key, value in config.data
+            if key in ("slip_min", "slip_max") and value is not None
+        ]
+        reason, remedy = "no usable row", "see `tirefit inspect`"
+        if limits:
+            reason += f" within {' and '.join(limits)} of {config.source}"
+            remedy = "widen these limits"
+        raise DataError(Problem(reason, remedy, data.source.path or data.name))
+
+
+def _with_reference_load(data: TireData, model: AbstractTire, config: FitConfig):
+    """The configuration with a reference load where none is given, and what to say."""
+    asked = config.parameters.get("fz0", ParameterConfig())
+    if "fz0" not in specs(model) or asked.value is not None:
+        return config, []
+    load = float(f"{np.median(data.usable('fz')):.6g}")
+    given = config.parameters | {"fz0": asked.model_copy(update={"value": load})}
+    said = f"reference load fz0: {load:g} N, the median (set parameters.fz0.value)"
+    return config.model_copy(update={"parameters": given}), [said]
 
 
 def with_scale(problem: FitProblem, scale: Mapping[str, float], slope) -> FitProblem:
@@ -395,7 +393,7 @@ def with_scale(problem: FitProblem, scale: Mapping[str, float], slope) -> FitPro
     scales = {k: v * scale.get(k, 1.0) for k, v in problem.rows.scale.items()}
     nodes = {}
     for slip, std in problem.slip_noise.items():
-        forces = [c.name for c in problem.channels if CHANNEL_SLIP[c.name] == slip]
+        forces = [c.name for c in problem.channels if c.slip == slip]
         force_std = min(float(np.median(problem.used(scales[k]))) for k in forces)
         steep = _bucket(slope * float(np.max(std)) / force_std)
         values = problem.used(getattr(problem.rows.inputs, slip))

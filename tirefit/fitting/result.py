@@ -95,8 +95,9 @@ class PosteriorSummary:
 class FitResult(Displayed):
     """One fit: what went in, what came out, how sure it is.
 
-    ``parameters`` come from the posterior where it ran, else from the profile; all
-    three routes stand in ``intervals`` (``covariance``, ``profile``, ``posterior``).
+    ``parameters`` and ``derived`` come from the posterior where it ran, else from
+    least squares and the profile, as ``source`` says; all three routes stand in
+    ``intervals`` (``covariance``, ``profile``, ``posterior``).
     ``chains`` (ensembles, draws, p) are posterior samples of the free parameters in the
     order of ``labels``, thinned to be nearly independent; ``walkers`` the same draws as
     (ensembles, walkers, steps, p); ``z`` and ``covariance`` describe the estimate in
@@ -141,6 +142,13 @@ class FitResult(Displayed):
         return f"FitResult({self.model!r}, {self.data['file']!r}, {status!r})"
 
     @property
+    def source(self) -> str:
+        """What the values and intervals of ``parameters`` and ``derived`` are."""
+        if self.posterior is not None:
+            return "posterior median and central 95 %"
+        return "least squares, profile likelihood"
+
+    @property
     def converged(self) -> bool:
         return Outcome.NOT_CONVERGED not in self.outcomes
 
@@ -161,6 +169,7 @@ class FitResult(Displayed):
             "noise": self.noise,
             "solver": self.solver,
             "seed": self.seed,
+            "source": self.source,
             "parameters": {k: asdict(v) for k, v in self.parameters.items()},
             "least_squares": {k: asdict(v) for k, v in self.least_squares.items()},
             "intervals": self.intervals,

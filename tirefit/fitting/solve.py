@@ -30,6 +30,9 @@ _SETTLED = 1e-3
 """Deviance left to gain at which an estimate counts as settled: 3 % of a standard
 deviation."""
 
+_ONE_MINIMUM = 1e-5
+"""Distance in z below which two estimates are one."""
+
 
 class Solved(NamedTuple):
     """A problem with its noise settled: estimate, covariance, deviance rules.
@@ -113,13 +116,14 @@ def _settle_noise(problem: FitProblem, z, solver: str):
 
 def _largest_slope(problem: FitProblem, z) -> float:
     """Steepest force over slip among the rows, from forces at nearby slips [N]."""
-    slip, rows = problem.slip_name, problem.rows
+    slip, rows = problem.channels[0].slip, problem.rows
     step = 1e-4 * float(np.ptp(problem.used(getattr(rows.inputs, slip))))
     moved = rows.inputs._replace(**{slip: getattr(rows.inputs, slip) + step})
-    name = problem.channels[0].name
     before, _ = row_moments(problem, z)
     after, _ = row_moments(replace(problem, rows=rows._replace(inputs=moved)), z)
-    return float(np.max(np.abs(after[name] - before[name]))) / step
+    names = [c.name for c in problem.channels if c.slip == slip and c.name != "mz"]
+    changes = [np.abs(after[name] - before[name]) for name in names or ["mz"]]
+    return float(np.max(changes)) / step
 
 
 def _used(problem: FitProblem, at: Linearised) -> Linearised:
@@ -212,11 +216,13 @@ def solve_problem(problem: FitProblem, config: FitConfig) -> Solved:
     converged = bool(np.all(np.isfinite(z))) and (
         converged or _still_to_gain(at, z, cov, rules) < _SETTLED
     )
-    spread = np.abs(solution.z[near] - solution.z[best]) / np.sqrt(np.diag(cov))
+    # With exact data starts that agree to the solver's tolerance are one minimum.
+    far = np.maximum(3 * np.sqrt(np.diag(cov)), _ONE_MINIMUM)
+    ambiguous = bool(np.any(np.abs(solution.z[near] - solution.z[best]) > far))
     any_estimated = any(c.noise_estimated for c in problem.channels)
     level = threshold(any_estimated, n_effective, problem.layout.size)
     return Solved(
         problem, at, z, cov, rules, level, converged,
-        config.starts, int(near.sum()), bool(np.any(spread > 3.0)), chi2_dof,
+        config.starts, int(near.sum()), ambiguous, chi2_dof,
         n_effective,
     )  # fmt: skip

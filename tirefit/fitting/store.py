@@ -8,13 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.fitting.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.predict import predict_forces
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import SCHEMA, FitResult
-from tirefit.models import AbstractTire, TireInputs, needs_speed
+from tirefit.fitting.time_series import check_time_series
+from tirefit.models import AbstractTire, TireInputs
 from tirefit.params import parameter_values, specs, with_values
 from tirefit.results import DataError, Problem, UsageError
 
@@ -78,28 +80,15 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
 
 
 def _inputs(data: TireData) -> TireInputs:
+    """The used rows: the slip of a masked one is no part of a time series."""
     zeros = np.zeros(len(data))
     columns = (data.columns.get(name, zeros) for name in TireInputs._fields)
-    return TireInputs(*(np.nan_to_num(np.asarray(c, float)) for c in columns))
-
-
-def _require_inputs(data: TireData, model: AbstractTire, name: str) -> None:
-    missing = [] if "fz" in data else ["fz (load, N)"]
-    if needs_speed(model) and "v" not in data:
-        missing.append("v (speed, m/s)")
-    if missing:
-        raise DataError(
-            Problem(
-                f"{name} needs {' and '.join(missing)} for every row",
-                "name the column with --column, or give --constant",
-                data.source.path or data.name,
-            )
-        )
+    return TireInputs(*(np.nan_to_num(c[data.used].astype(float)) for c in columns))
 
 
 def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
     if not any(parameter.per_run for parameter in layout.free):
-        return np.zeros(len(data), int)
+        return data.run[data.used]
     unknown = [run for run in data.runs if run not in layout.runs]
     if unknown:
         raise DataError(
@@ -109,33 +98,35 @@ def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
                 data.source.path or data.name,
             )
         )
-    return np.array([layout.runs.index(run) for run in data.runs])[data.run]
+    return np.array([layout.runs.index(run) for run in data.runs])[data.run[data.used]]
 
 
 def predict(
-    source: "StoredFit | FitResult | str",
+    source: "StoredFit | FitResult | AbstractTire | str",
     data: TireData,
     values: Mapping[str, float] | None = None,
 ) -> dict[str, np.ndarray]:
     """Forces row by row, canonical, with a predictive standard deviation for a fit.
 
     Args:
-        source: a fit, or the name of a model.
+        source: a fit, a tire, or the name of a model.
         data: rows with slip, load and, where the model needs it, speed.
-        values: parameter values of a named model; defaults otherwise.
+        values: parameter values of a tire or a named model; its own otherwise.
 
     Returns:
-        (n,) arrays. Of a named model ``fx`` where the data have sigma_x, ``fy`` and
-        ``mz`` where they have alpha; of a fit the forces that it fitted, each with a
-        ``<force>_std``: parameter uncertainty and the noise of one measurement.
-        Masked rows are NaN.
+        (n,) arrays. Of a tire or a named model ``fx`` where the data have sigma_x,
+        ``fy`` and ``mz`` where they have alpha; of a fit the forces that it fitted,
+        each with a ``<force>_std``: parameter uncertainty and the noise of one
+        measurement. Masked rows are NaN.
 
     Raises:
         UsageError: unknown model or parameter, or a value outside its bounds.
         DataError: the data lack an input, or have runs the fit does not know.
     """
     if isinstance(source, str):
-        return _of_model(source, data, values or {})
+        return _of_model(find_model(source), source, data, values or {})
+    if isinstance(source, AbstractTire):
+        return _of_model(source, type(source).__name__, data, values or {})
     if isinstance(source, FitResult):
         problem = source.problem
         tire, layout, name = problem.model, problem.layout, source.model
@@ -146,15 +137,14 @@ def predict(
             source.tire, source.layout, source.model, source.noise
         )  # fmt: skip
         reference = source.content["reference"]
-    _require_inputs(data, tire, name)
-    force, variance = predict_forces(
-        tire,
-        layout,
-        source.z,
-        source.covariance,
-        _inputs(data),
+    require(data, ("fz", *tire.needs), f"the model {name}")
+    if tire.transient:
+        check_time_series(data, name)
+    found = predict_forces(
+        tire, layout, source.z, source.covariance, _inputs(data),
         _run_codes(data, layout),
-    )
+    )  # fmt: skip
+    force, variance = (_all_rows(data, part) for part in found)
     out = {}
     fitted = [channel for channel in _channels(data, force) if channel in noise]
     if not fitted:
@@ -192,14 +182,23 @@ def _channels(data: TireData, force: Mapping) -> list[str]:
     ]
 
 
+def _all_rows(data: TireData, out: Mapping) -> dict[str, np.ndarray]:
+    """Arrays over the used rows as arrays over all rows, NaN where masked."""
+    full = {name: np.full(len(data), np.nan) for name in out}
+    for name, values in out.items():
+        full[name][data.used] = values
+    return full
+
+
 def _masked(data: TireData, out: dict) -> dict[str, np.ndarray]:
     return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
 
 
-def _of_model(name: str, data: TireData, values: Mapping[str, float]):
+def _of_model(
+    template: AbstractTire, name: str, data: TireData, values: Mapping[str, float]
+):
     from tirefit.models import forces
 
-    template = find_model(name)
     known, problems = specs(template), []
     for key, value in values.items():
         if key not in known:
@@ -219,9 +218,11 @@ def _of_model(name: str, data: TireData, values: Mapping[str, float]):
     if problems:
         raise UsageError(problems)
     tire = with_values(template, parameter_values(template) | dict(values))
-    _require_inputs(data, tire, name)
-    found = forces(tire, _inputs(data))._asdict()
-    return _masked(data, {c: found[c] for c in _channels(data, found)})
+    require(data, ("fz", *tire.needs), f"the model {name}")
+    if tire.transient:
+        check_time_series(data, name)
+    found = forces(tire, _inputs(data), data.run[data.used])._asdict()
+    return _all_rows(data, {c: found[c] for c in _channels(data, found)})
 
 
 def write_posterior(result: FitResult, path: str | os.PathLike) -> None:

@@ -1,5 +1,6 @@
 """What a fit amounts to, in sentences a user can act on."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,9 @@ from tirefit.fitting.result import FitResult
 from tirefit.results import Outcome
 
 __all__ = ["disagreements", "judge"]
+
+_EXACT = 1e-9
+"""RMSE over the range of the force below which residuals are rounding."""
 
 _POOR_CHI2 = 2.0
 _POOR_R2 = 0.8
@@ -20,9 +24,12 @@ def disagreements(result: FitResult) -> dict[str, str]:
     """Where the routes to an interval differ, by label.
 
     An end that differs from the profile's by more than 30 % of its half-width is named;
-    a parameter that is not identified has no interval to agree on.
+    a parameter that is not identified has no interval to agree on, and rounding makes
+    none.
     """
     found = {}
+    if _exactness(result):
+        return found
     for label, (low, high) in result.intervals["profile"].items():
         if not result.least_squares[label].identified:
             continue
@@ -63,6 +70,33 @@ def _fit_quality(result: FitResult) -> list[str]:
     return found
 
 
+def _misfit(result: FitResult) -> float:
+    """Largest RMSE of a force over the range of its measured values."""
+    if result.solved is None:
+        return math.inf
+    problem, shares = result.solved.problem, []
+    for name, mean in result.solved.at.mean.items():
+        observed = problem.used(problem.rows.observed[name])
+        rmse = float(np.sqrt(np.mean((observed - mean) ** 2)))
+        shares.append(rmse / max(float(np.ptp(observed)), 1e-300))
+    return max(shares)
+
+
+def _exactness(result: FitResult) -> str:
+    """What exact data mean for the intervals; empty for measured ones."""
+    misfit = _misfit(result)
+    if misfit >= _EXACT:
+        return ""
+    sources = {result.noise[name]["source"] for name in result.forces}
+    width = "are at rounding level"
+    if "given" in sources:
+        width = "say what the given noise would leave open"
+    return (
+        f"the data are exact for this model (RMSE {misfit:.1g} of the range of the"
+        f" force): the intervals {width}"
+    )
+
+
 def _structure(result: FitResult) -> list[tuple[Outcome | None, str]]:
     value, n = result.statistics.slip_structure, result.statistics.n
     if value * np.sqrt(n) <= _STRUCTURE_SIGMAS or value <= 0.2:
@@ -80,7 +114,9 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     if not statistics.converged:
         found.append((Outcome.NOT_CONVERGED, Outcome.NOT_CONVERGED.value))
     found += [(Outcome.POOR_FIT, text) for text in _fit_quality(result)]
-    found += _structure(result)
+    exact = _exactness(result)
+    # Residuals that are rounding have a structure, and it means nothing.
+    found += [(None, exact)] if exact else _structure(result)
     if result.solved is not None and result.solved.ambiguous:
         found.append((Outcome.STARTS_DISAGREE, Outcome.STARTS_DISAGREE.value))
     for label, estimate in result.least_squares.items():
@@ -109,7 +145,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
         text = "interrupted before the first samples: there is no posterior"
         found.append((Outcome.INTERRUPTED, text))
     found += [(None, text) for text in _speed_limit(result)]
-    if statistics.n_effective < 0.5 * statistics.n:
+    if statistics.n_effective < 0.5 * statistics.n and not exact:
         text = (
             f"residuals of neighbouring rows are correlated: {statistics.n} rows count"
             f" as {statistics.n_effective:.0f} independent ones in every interval"

@@ -5,14 +5,15 @@ Brush models are spelled by the letters of their calibration factors, in this or
 linearly or exponentially with sliding speed, ``s`` static friction falling too.
 """
 
-from tirefit.models.base import AbstractTire, TireForces, TireInputs, forces
+from tirefit.models.base import AbstractTire, TireForces, TireInputs, forces, modelled
 from tirefit.models.brush import (
+    AnisotropicBrush,
     Brush,
     BrushAtPeak,
     mu_from_peak,
-    needs_speed,
     peak_from_mu,
 )
+from tirefit.models.combined import CombinedMagicFormula, LiuPeng
 from tirefit.models.friction import (
     Exponential,
     Friction,
@@ -20,29 +21,52 @@ from tirefit.models.friction import (
     LinearInSpeed,
     Stribeck,
 )
+from tirefit.models.load import LoadDependent
+from tirefit.models.lugre import LuGre, LuGreLumped
 from tirefit.models.magic_formula import MagicFormula
-from tirefit.models.pressure import Asymmetric, Parabolic, Quartic, Uniform
+from tirefit.models.pressure import (
+    Asymmetric,
+    Elliptic,
+    ForceAsymmetric,
+    LoadAsymmetric,
+    Parabolic,
+    Quartic,
+    Uniform,
+)
+from tirefit.models.relaxation import Relaxed
+from tirefit.models.tabulated import Tabulated
 
 __all__ = [
     "MODELS",
     "AbstractTire",
+    "AnisotropicBrush",
     "Asymmetric",
     "Brush",
     "BrushAtPeak",
+    "CombinedMagicFormula",
+    "Elliptic",
     "Exponential",
+    "ForceAsymmetric",
     "Friction",
     "Kinetic",
     "LinearInSpeed",
+    "LiuPeng",
+    "LoadAsymmetric",
+    "LoadDependent",
+    "LuGre",
+    "LuGreLumped",
     "MagicFormula",
     "Parabolic",
     "Quartic",
+    "Relaxed",
     "Stribeck",
+    "Tabulated",
     "TireForces",
     "TireInputs",
     "Uniform",
     "forces",
+    "modelled",
     "mu_from_peak",
-    "needs_speed",
     "peak_from_mu",
 ]
 
@@ -51,6 +75,7 @@ _PRESSURE = {
     ("brush", "d"): Asymmetric(),
     ("uniform", ""): Uniform(),
     ("quartic", ""): Quartic(),
+    ("elliptic", ""): Elliptic(),
 }
 _LEVEL = {"": (), "m": (Kinetic(),)}
 _SPEED = {
@@ -75,9 +100,29 @@ MODELS: dict[str, AbstractTire] = {
         for level in _LEVEL
         for speed in _SPEED
     },
+    **{
+        _spelled("brush-anisotropic", shape + level): AnisotropicBrush(
+            pressure=_PRESSURE["brush", shape], friction=Friction(_LEVEL[level])
+        )
+        for shape in ("", "d")
+        for level in _LEVEL
+    },
     "brush-m-peak": BrushAtPeak(),
     "brush-stribeck": Brush(friction=Friction((Stribeck(),))),
     "brush-stribeck-s": Brush(friction=Friction((Stribeck(static_too=True),))),
+    "brush-d-force": Brush(pressure=ForceAsymmetric()),
+    "brush-d-load": Brush(pressure=LoadAsymmetric()),
+    "brush-load": LoadDependent(),
+    "brush-load-d": LoadDependent(Brush(pressure=Asymmetric())),
+    "brush-load-m": LoadDependent(Brush(friction=Friction(_LEVEL["m"]))),
+    "brush-load-n": LoadDependent(Brush(friction=Friction(_SPEED["n"]))),
+    "brush-load-h": LoadDependent(Brush(friction=Friction(_SPEED["h"]))),
+    "brush-relaxation": Relaxed(),
+    "liu-peng": LiuPeng(),
+    "lugre": LuGre(),
+    "lugre-lumped": LuGreLumped(),
     "magic-formula": MagicFormula(),
+    "magic-formula-combined": CombinedMagicFormula(),
+    "magic-formula-relaxation": Relaxed(MagicFormula()),
 }
 """Model name -> model with default parameter values."""

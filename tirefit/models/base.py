@@ -1,6 +1,5 @@
 """Inputs and outputs of a tire model, and the one place that batches it."""
 
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -8,27 +7,31 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-__all__ = ["AbstractTire", "TireForces", "TireInputs", "forces"]
+__all__ = ["AbstractTire", "TireForces", "TireInputs", "forces", "modelled"]
 
 
 class TireInputs(NamedTuple):
     """One sample in the canonical convention of ``tirefit.slip`` (or a batch of them).
 
     ``sigma_x`` [-], ``alpha`` [rad], ``fz`` [N], ``v`` [m/s] forward speed of the
-    wheel centre. Speed matters only to speed-dependent friction.
+    wheel centre, ``gamma`` [rad] camber, ``pressure`` [Pa] of inflation (0: nominal),
+    ``time`` [s]. A model says in ``needs`` which of the last four change its force.
     """
 
     sigma_x: Float[Array, "*n"] | float = 0.0
     alpha: Float[Array, "*n"] | float = 0.0
     fz: Float[Array, "*n"] | float = 0.0
     v: Float[Array, "*n"] | float = 0.0
+    gamma: Float[Array, "*n"] | float = 0.0
+    pressure: Float[Array, "*n"] | float = 0.0
+    time: Float[Array, "*n"] | float = 0.0
 
 
 class TireForces(NamedTuple):
     """Forces [N] and aligning moment [N m] of one sample; None where not modelled."""
 
-    fx: Float[Array, "*n"]
-    fy: Float[Array, "*n"]
+    fx: Float[Array, "*n"] | None
+    fy: Float[Array, "*n"] | None
     mz: Float[Array, "*n"] | None
 
 
@@ -38,21 +41,55 @@ class AbstractTire(eqx.Module):
     def __call__(self, inputs: TireInputs) -> TireForces:
         raise NotImplementedError
 
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Inputs beyond slip and load that change the force: v, gamma, time, ..."""
+        return ()
 
-@partial(jax.jit, static_argnames=())
-def _batched(model: AbstractTire, inputs: TireInputs) -> TireForces:
-    return jax.vmap(lambda sample: model(sample))(inputs)
+    @property
+    def transient(self) -> bool:
+        """Whether the force depends on the slips before: ``felt`` does something."""
+        return False
+
+    def static_friction(self, fz):
+        """Static friction coefficient [-] at load fz [N]; None where there is none."""
+        del fz
+        return getattr(self, "mu", None)
+
+    def felt(self, inputs: TireInputs, run) -> TireInputs:
+        """Inputs as the contact patch feels them, rows in time order: arrays (n,).
+
+        A steady-state model feels them at once; a transient one lags behind them,
+        starting anew with each ``run`` (n,).
+        """
+        del run
+        return inputs
 
 
-def forces(model: AbstractTire, inputs: TireInputs) -> TireForces:
+def modelled(model: AbstractTire) -> tuple[str, ...]:
+    """Which of fx, fy, mz the model gives."""
+    found = jax.eval_shape(lambda: model(TireInputs()))
+    return tuple(name for name, value in found._asdict().items() if value is not None)
+
+
+@jax.jit
+def _batched(model: AbstractTire, inputs: TireInputs, run) -> TireForces:
+    felt = model.felt(inputs, run)
+    return jax.vmap(lambda sample: model(sample))(felt)
+
+
+def forces(model: AbstractTire, inputs: TireInputs, run=0) -> TireForces:
     """Forces of a batch of samples: the one ``vmap`` and ``jit``.
 
     Args:
         model: any registered tire model with its parameter values.
         inputs: scalars or arrays of shape ``(n,)``; scalars are broadcast.
+        run: run of each row, ``(n,)``, or one for all; a transient model starts anew
+            with each and takes the rows of a run in time order.
 
     Returns:
-        fx, fy [N] and mz [N m] of shape ``(n,)`` (``()`` if all inputs are scalars).
+        fx, fy [N] and mz [N m] of shape ``(n,)`` (``()`` if all inputs are scalars);
+        None where the model does not give it.
 
     Raises:
         ValueError: an input has more than one dimension.
@@ -62,5 +99,6 @@ def forces(model: AbstractTire, inputs: TireInputs) -> TireForces:
         raise ValueError("inputs must be scalars or one-dimensional arrays")
     shape = jnp.broadcast_shapes(*(array.shape for array in arrays))
     batch = TireInputs(*(jnp.broadcast_to(array, shape or (1,)) for array in arrays))
-    result = _batched(model, batch)
+    runs = jnp.broadcast_to(jnp.asarray(run, int), shape or (1,))
+    result = _batched(model, batch, runs)
     return result if shape else jax.tree.map(lambda array: array[0], result)

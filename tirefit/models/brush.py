@@ -10,26 +10,44 @@ S(12), (14), (29), (31)-(37) are all cases of this line, and the first moment of
 same integrand gives the aligning moment.
 """
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.friction import Friction, Kinetic
 from tirefit.models.pressure import AbstractPressure, Parabolic
 from tirefit.params import par
-from tirefit.slip import kappa_from_sigma
+from tirefit.slip import kappa_from_sigma, lateral_slip
 
-__all__ = ["Brush", "BrushAtPeak", "mu_from_peak", "needs_speed", "peak_from_mu"]
+__all__ = [
+    "AnisotropicBrush",
+    "Brush",
+    "BrushAtPeak",
+    "bristle_stiffness",
+    "friction_coefficient",
+    "half_contact_length",
+    "mu_from_peak",
+    "peak_from_mu",
+    "resultant",
+]
 
 
-def _stiffness():
+def bristle_stiffness():
+    """The field of c_p a^2."""
     return par(
         5e4, (1e-2, 1e9), "N", "bristle stiffness c_p a^2; C_x = 2 c_p a^2",
         "S(12)", r"c_p a^2", scale="log",
     )  # fmt: skip
 
 
-def _half_length():
+def friction_coefficient():
+    """The field of mu."""
+    return par(
+        1.0, (0.01, 5.0), "-", "static friction coefficient mu_s", "S(12)", r"\mu"
+    )
+
+
+def half_contact_length():
+    """The field of the half-length a of the contact patch."""
     return par(
         0.1, (1e-3, 1.0), "m", "half the contact length (aligning moment only)",
         "S(9)", "a", free=False, scale="log",
@@ -37,47 +55,93 @@ def _half_length():
 
 
 class Brush(AbstractTire):
-    """Brush model of pure slip with any pressure and friction law."""
+    """Brush model with any pressure and friction law, pure or combined slip.
 
-    cpa2: float = _stiffness()
-    mu: float = par(
-        1.0, (0.01, 5.0), "-", "static friction coefficient mu_s", "S(12)", r"\mu"
-    )
-    half_length: float = _half_length()
+    In combined slip every bristle deflects along the resultant physical slip (S §2.3,
+    "Combined slip"): the pure-slip force of its length, in its direction. The aligning
+    moment is that of the lateral forces about the centre of a patch that stays in the
+    wheel plane (rigid carcass); neglected is what the longitudinal force adds by acting
+    beside that plane, where the bristles are deflected sideways.
+    """
+
+    cpa2: float = bristle_stiffness()
+    mu: float = friction_coefficient()
+    half_length: float = half_contact_length()
     pressure: AbstractPressure = Parabolic()
     friction: Friction = Friction()
 
-    def pure(self, slip, fz, v_s):
-        """Force [N] and moment over half-length [N] of pure slip, any sign.
+    def pure(self, slip, fz, v_s, braking=1.0):
+        """Force [N] and moment over half-length [N] along the slip.
 
         Args:
-            slip: physical slip sigma [-].
+            slip: physical slip sigma [-], >= 0.
             fz: load [N]; no load, no force.
             v_s: sliding speed of the contact patch [m/s], >= 0.
+            braking: share of the slip that brakes [-]: 1 pure braking, -1 driving.
         """
         loaded = fz > 0
         load = jnp.where(loaded, fz, 1.0)
-        demand = self.cpa2 * jnp.abs(slip)
+        demand = self.cpa2 * slip
         # Friction that falls with speed may reach zero; the demand ratio must not.
         mu_s = jnp.maximum(self.friction.static(self.mu, v_s), 1e-6)
         mu_k = self.friction.kinetic(self.mu, v_s)
-        u = self.pressure.breakaway(demand / (mu_s * load))
+        rho = demand / (mu_s * load)
+        pressure = self.pressure.under(rho, braking, load)
+        u = pressure.breakaway(rho)
         sticking = 2 - u
-        force = mu_k * load * self.pressure.cdf(u) + demand * sticking**2 / 2
-        moment = mu_k * load * self.pressure.moment(u) + demand * (
+        force = mu_k * load * pressure.cdf(u) + demand * sticking**2 / 2
+        moment = mu_k * load * pressure.moment(u) + demand * (
             sticking**2 / 2 - sticking**3 / 3
         )
-        # where(slip < 0), not sign(slip): its zero at rest would kill the slope there.
-        direction = jnp.where(slip < 0, -1.0, 1.0) * loaded
-        return direction * force, direction * moment
+        return loaded * force, loaded * moment
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("v",) if self.friction.depends_on_speed else ()
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         tan_alpha = jnp.tan(inputs.alpha)
-        v_sx = jnp.abs(inputs.v * kappa_from_sigma(inputs.sigma_x))
-        v_sy = jnp.abs(inputs.v * tan_alpha)
-        fx, _ = self.pure(inputs.sigma_x, inputs.fz, v_sx)
-        fy, moment = self.pure(tan_alpha, inputs.fz, v_sy)
-        return TireForces(fx, fy, self.half_length * moment)
+        slip_x = inputs.sigma_x
+        slip_y = self.stiffness_ratio * lateral_slip(tan_alpha, inputs.sigma_x)
+        slip = resultant(slip_x, slip_y)
+        v_s = inputs.v * resultant(kappa_from_sigma(inputs.sigma_x), tan_alpha)
+        along, across = slip_x / slip, slip_y / slip
+        force, moment = self.pure(slip, inputs.fz, v_s, along)
+        return TireForces(
+            along * force, across * force, self.half_length * across * moment
+        )
+
+    @property
+    def stiffness_ratio(self):
+        """Lateral over longitudinal bristle stiffness [-]: one, the isotropic brush."""
+        return 1.0
+
+
+class AnisotropicBrush(Brush):
+    r"""Brush whose bristles are not as stiff sideways as along, O(12)-(20).
+
+    .. math::
+       \kappa_y = \frac{K_\beta}{K_s} \sigma_y, \quad
+       \kappa = \sqrt{\sigma_x^2 + \kappa_y^2}, \quad
+       F_x = F(\kappa) \frac{\sigma_x}{\kappa}, \quad
+       F_y = F(\kappa) \frac{\kappa_y}{\kappa}
+
+    The friction is isotropic. A sliding bristle keeps the direction in which it was
+    deflected, as O assumes; it really turns towards its sliding velocity, so that in
+    full sliding the force is too close to the stiffer axis: for a ratio of 1/2 and
+    equal slips by 18 degrees, a third of mu F_z.
+    """
+
+    stiffness_ratio: float = par(
+        0.7, (0.05, 20.0), "-", "lateral over longitudinal stiffness, K_beta / K_s",
+        "O(13)", r"K_\beta / K_s", scale="log",
+    )  # fmt: skip
+
+
+def resultant(x, y):
+    """Length of (x, y); not quite zero at rest, where its direction has no slope."""
+    square = jnp.asarray(x**2 + y**2)
+    return jnp.sqrt(square + (1e-60 if square.dtype == jnp.float64 else 1e-36))
 
 
 def mu_from_peak(mu_peak, m):
@@ -93,11 +157,11 @@ def peak_from_mu(mu, m):
 class BrushAtPeak(AbstractTire):
     """``brush-m`` with the peak F_max / F_z as its parameter, S(34) corrected."""
 
-    cpa2: float = _stiffness()
+    cpa2: float = bristle_stiffness()
     mu_peak: float = par(
         1.0, (0.01, 5.0), "-", "peak friction mu' = F_max / F_z", "S(33)", r"\mu'"
     )
-    half_length: float = _half_length()
+    half_length: float = half_contact_length()
     kinetic: Kinetic = Kinetic()
 
     def as_brush(self) -> Brush:
@@ -109,8 +173,3 @@ class BrushAtPeak(AbstractTire):
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         return self.as_brush()(inputs)
-
-
-def needs_speed(model: eqx.Module) -> bool:
-    """Whether the model's force depends on the forward speed."""
-    return isinstance(model, Brush) and model.friction.depends_on_speed

@@ -6,7 +6,17 @@ from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.params import par
 from tirefit.slip import kappa_from_sigma
 
-__all__ = ["MagicFormula"]
+__all__ = ["MagicFormula", "bent"]
+
+
+def bent(x, curvature):
+    r""":math:`\arctan\{x - E (x - \arctan x)\}`, the argument over C of all formulas.
+
+    Args:
+        x: B times the slip, any shape.
+        curvature: E; above one it is taken as one, where the curve would turn back.
+    """
+    return jnp.arctan(x - jnp.minimum(curvature, 1.0) * (x - jnp.arctan(x)))
 
 
 class MagicFormula(AbstractTire):
@@ -25,9 +35,7 @@ class MagicFormula(AbstractTire):
 
     def pure(self, x, fz):
         """Force [N] at slip x (kappa [-] or alpha [rad]) and load fz [N]."""
-        bx = self.B * x
-        angle = jnp.arctan(bx - self.E * (bx - jnp.arctan(bx)))
-        return self.D * fz * jnp.sin(self.C * angle)
+        return self.D * fz * jnp.sin(self.C * bent(self.B * x, self.E))
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         fx = self.pure(kappa_from_sigma(inputs.sigma_x), inputs.fz)

@@ -1,11 +1,13 @@
-"""The look of all figures: colours, sizes, title, footnote; no global state.
+"""The look of all figures: colours, sizes, title, footnote, files; no global state.
 
 Only matplotlib's object API is used: pyplot is slow to import and keeps figures in
 global lists.
 """
 
 import io
+import os
 import textwrap
+from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -23,6 +25,7 @@ __all__ = [
     "RED",
     "Picture",
     "frame",
+    "save_picture",
     "tidy",
 ]
 
@@ -89,3 +92,15 @@ def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:
     axes.tick_params(labelsize=size - 1, color=GREY, labelcolor=DARK, length=3)
     axes.set_xlabel(x_label, fontsize=size, color=DARK)
     axes.set_ylabel(y_label, fontsize=size, color=DARK)
+
+
+def save_picture(picture: Picture, path: Path) -> Path:
+    """Write a picture, PNG or SVG by the suffix, whole or not at all."""
+    temporary = path.with_name(f".{path.name}.part")
+    metadata = {"Date": None} if path.suffix == ".svg" else None
+    try:
+        picture.savefig(temporary, format=path.suffix[1:], metadata=metadata)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return path

@@ -9,8 +9,8 @@ from scipy.special import stdtrit
 from tirefit.compiled import compiled
 from tirefit.fitting.likelihood import CHANNEL_SLIP, predict
 from tirefit.fitting.result import FitResult
-from tirefit.models import TireInputs, needs_speed
-from tirefit.params import parameter_values, unconstrain
+from tirefit.models import TireInputs
+from tirefit.params import parameter_values, unconstrain, with_values
 from tirefit.report.numbers import plain_text
 from tirefit.slip import LOCKED, sigma_from_slip_ratio, slip_ratio_from_sigma
 
@@ -20,6 +20,7 @@ _MOST_GROUPS = 6
 _POINTS = 240
 _DRAWS = 400
 _NORMAL = 1.959963984540054
+_OTHER = {"sigma_x": "alpha", "alpha": "sigma_x"}
 _FORCE_LABEL = {
     "fx": ("longitudinal force $F_x$", "N", "$F_x / F_z$"),
     "fy": ("lateral force $F_y$", "N", "$F_y / F_z$"),
@@ -110,13 +111,13 @@ def _keys(result: FitResult, slip: str) -> list[tuple[str, np.ndarray]]:
     """(input, codes (n,)) of what separates the curves, at most six combinations."""
     problem = result.problem
     inputs, run = problem.rows.inputs, problem.used(problem.rows.run)
-    other = "alpha" if slip == "sigma_x" else "sigma_x"
+    other = _OTHER[slip]
     per_run = any(p.per_run for p in problem.layout.free)
     candidates = [("run", run)] if per_run else []
     for name in ("fz", other, "v"):
         values = problem.used(getattr(inputs, name))
         scale = 0.1 if name == other else float(np.median(np.abs(values)))
-        if name != "v" or needs_speed(problem.model):
+        if name != "v" or "v" in problem.model.needs:
             candidates.append((name, _levels(values, scale)))
     kept: list[tuple[str, np.ndarray]] = []
     for name, codes in candidates:
@@ -237,20 +238,60 @@ def _grid(problem, slip: str, axis: SlipAxis) -> np.ndarray:
     return np.linspace(low, high, _POINTS)
 
 
-def _curves(result: FitResult, channel: str, members, axis: SlipAxis, normalise):
+def _conditions(problem, members) -> list[dict[str, float]]:
+    """The inputs at which the curve of each group is drawn: medians of its rows."""
+    inputs = problem.rows.inputs._asdict()
+    return [
+        {k: float(np.median(problem.used(v)[rows])) for k, v in inputs.items()}
+        for _, rows in members
+    ]
+
+
+def _carried(result: FitResult, channel: str, members, keys, middle):
+    """Measured forces (n,) as they are at the other slip of their curve, and a note.
+
+    In combined slip no two rows have the same other slip, and the points would lie
+    beside every curve. They are moved by what the fit says the difference makes, if
+    that is more than the noise; ``middle`` then takes up a slip common to all groups.
+    """
+    problem = result.problem
+    inputs, run = problem.rows.inputs, problem.rows.run
+    observed = problem.used(problem.rows.observed[channel])
+    name = _OTHER[CHANNEL_SLIP[channel]]
+    own = np.asarray(getattr(inputs, name))
+    moved, target = own.copy(), np.median(problem.used(own))
+    if problem.used(own).min() <= 0 <= problem.used(own).max():
+        target = 0.0
+    grouped = name in dict(keys)
+    for (_, rows), at in zip(members, middle, strict=True):
+        moved[: problem.n][rows] = at[name] if grouped else target
+    target_inputs = inputs._replace(**{name: jnp.asarray(moved)})
+    if problem.model.transient:
+        # A time that stands still is a steady state, as that of the curves.
+        target_inputs = target_inputs._replace(time=jnp.zeros_like(inputs.time))
+    there, here = (
+        problem.used(_forces(problem.model, problem.layout, result.z, at, run, channel))
+        for at in (target_inputs, inputs)
+    )
+    shift, scale = there - here, problem.used(problem.rows.scale[channel])
+    if np.sqrt(np.mean((shift / scale) ** 2)) < 1:
+        return observed, ""
+    to = "to the steady state and" if problem.model.transient else "to"
+    if grouped:
+        return observed + shift, f"points moved along the fit {to} these slips"
+    for at in middle:
+        at[name] = float(target)
+    label = _level_label(name, np.full(1, target), ())
+    return observed + shift, f"points moved along the fit {to} {label}"
+
+
+def _curves(result: FitResult, channel, members, axis: SlipAxis, normalise, middle):
     """The fitted curve of every group, all groups evaluated in one call."""
     problem = result.problem
     slip = CHANNEL_SLIP[channel]
     shown = _grid(problem, slip, axis)
     grid = np.asarray(axis.canonical(shown), float)
     inputs, runs = problem.rows.inputs, problem.used(problem.rows.run)
-    middle = [
-        {
-            k: float(np.median(problem.used(v)[rows]))
-            for k, v in inputs._asdict().items()
-        }
-        for _, rows in members
-    ]
     columns = {
         name: np.concatenate(
             [grid if name == slip else np.full(len(grid), m[name]) for m in middle]
@@ -258,16 +299,14 @@ def _curves(result: FitResult, channel: str, members, axis: SlipAxis, normalise)
         for name in inputs._fields
     }
     run = [int(runs[rows][0]) for _, rows in members]
-    force, low, high = _band(
-        result, channel, TireInputs(**{k: jnp.asarray(v) for k, v in columns.items()}),
-        np.repeat(run, len(grid)),
-    )  # fmt: skip
+    inputs = TireInputs(**{k: jnp.asarray(v) for k, v in columns.items()})
+    force, low, high = _band(result, channel, inputs, np.repeat(run, len(grid)))
+    slope = _noisy_slope(result, channel, inputs, np.repeat(run, len(grid)), force)
     found = []
     for i, (label, rows) in enumerate(members):
         part = slice(i * len(grid), (i + 1) * len(grid))
         unit = middle[i]["fz"] if normalise else 1.0
-        noise = _noise(result, channel, rows, grid, force[part])
-        noise_half = _quantile(result) * noise
+        noise_half = _quantile(result) * _noise(result, channel, rows, slope[part])
         # Noise and parameter uncertainty are independent: half-widths add in square.
         below = np.hypot(force[part] - low[part], noise_half)
         above = np.hypot(high[part] - force[part], noise_half)
@@ -282,15 +321,32 @@ def _curves(result: FitResult, channel: str, members, axis: SlipAxis, normalise)
     return tuple(found)
 
 
-def _noise(result: FitResult, channel: str, rows, grid, force) -> np.ndarray:
+def _noisy_slip(result: FitResult, channel: str) -> str | None:
+    """The slip whose noise counts in a force; None if it is taken as exact."""
+    slip = next(c.slip for c in result.problem.channels if c.name == channel)
+    return slip if slip in result.problem.slip_noise else None
+
+
+def _noisy_slope(result: FitResult, channel: str, inputs: TireInputs, run, force):
+    """Slope of the force over its noisy slip, (rows,); zero where that is exact."""
+    name = _noisy_slip(result, channel)
+    if name is None:
+        return np.zeros(len(force))
+    slip, problem = getattr(inputs, name), result.problem
+    step = 1e-6 * (1 + jnp.abs(slip))
+    moved = inputs._replace(**{name: slip + step})
+    after = _forces(
+        problem.model, problem.layout, result.z, moved, jnp.asarray(run), channel
+    )
+    return (np.asarray(after) - force) / np.asarray(step)
+
+
+def _noise(result: FitResult, channel: str, rows, slope) -> np.ndarray:
     """Standard deviation of a measurement along a curve, slip noise included, (m,)."""
-    problem = result.problem
+    problem, name = result.problem, _noisy_slip(result, channel)
     scale = float(np.median(problem.used(problem.rows.scale[channel])[rows]))
-    slip_std = problem.slip_noise.get(CHANNEL_SLIP[channel])
-    if slip_std is None:
-        return np.full(len(grid), scale)
-    slope = np.gradient(force, grid)
-    return np.hypot(scale, slope * float(np.median(slip_std)))
+    std = 0.0 if name is None else float(np.median(problem.slip_noise[name]))
+    return np.hypot(scale, slope * std)
 
 
 def _limit_name(result: FitResult) -> str | None:
@@ -309,15 +365,19 @@ def _limit(result: FitResult, channel: str, run: int, fz: float) -> float | None
     name = _limit_name(result)
     if channel == "mz" or name is None or not _limit_known(result, name):
         return None
-    return _value(result, name, run) * fz
+    model = result.problem.model
+    values = {key: _value(result, key, run) for key in parameter_values(model)}
+    friction = with_values(model, values).static_friction(fz)
+    return float(values[name] if friction is None else friction) * fz
 
 
 def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
     """Measured points and fitted curves of one force over its slip.
 
     Points are grouped by run (where a parameter is per run), load, the other slip and,
-    where the friction depends on it, speed. Within a group whose load varies by more
-    than 10 % points and curves are forces over load.
+    where the friction depends on it, speed. Points of combined slip are moved along the
+    fit to the other slip of their curve; ``note`` says so. Within a group whose load
+    varies by more than 10 % points and curves are forces over load.
 
     Args:
         result: a fit with its problem.
@@ -327,15 +387,17 @@ def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
     channel = channel or problem.channels[0].name
     slip = CHANNEL_SLIP[channel]
     values = problem.used(getattr(problem.rows.inputs, slip))
-    force = problem.used(problem.rows.observed[channel])
     load = problem.used(problem.rows.inputs.fz)
     axis = slip_axis(slip, values)
-    members, note = _members(result, _keys(result, slip))
+    keys = _keys(result, slip)
+    members, note = _members(result, keys)
+    middle = _conditions(problem, members)
+    force, moved = _carried(result, channel, members, keys, middle)
     normalise = any(
         np.ptp(np.quantile(load[rows], [0.025, 0.975])) > 0.1 * np.median(load[rows])
         for _, rows in members
     )
-    curves = _curves(result, channel, members, axis, normalise)
+    curves = _curves(result, channel, members, axis, normalise, middle)
     if len(members) == 1:
         members = _by_run(problem, members)
     unit = load if normalise else np.ones_like(load)
@@ -348,7 +410,8 @@ def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
     return FitCurve(
         channel, f"{axis.label} [{axis.unit}]",
         f"{ratio} [{ratio_unit}]" if normalise else f"{name} [{force_unit}]",
-        groups, curves, _limit_label(result, channel, normalise), note,
+        groups, curves, _limit_label(result, channel, normalise),
+        "\n".join(filter(None, (note, moved))),
     )  # fmt: skip
 
 

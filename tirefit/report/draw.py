@@ -18,6 +18,7 @@ from tirefit.report.canvas import (
     ORANGE,
     Picture,
     frame,
+    save_picture,
     tidy,
 )
 from tirefit.report.curves import FitCurve, fit_curve
@@ -26,6 +27,7 @@ from tirefit.report.numbers import format_number
 from tirefit.report.residuals import Residuals, Scatter, residual_panels
 
 __all__ = [
+    "FIGURE_FILES",
     "draw_autocorrelation",
     "draw_fit",
     "draw_histogram",
@@ -36,6 +38,13 @@ __all__ = [
     "save_figures",
 ]
 
+
+FIGURE_FILES = tuple(
+    f"{name}{suffix}"
+    for name in ("fit", "residuals", "profile", "corner", "trace")
+    for suffix in (".png", ".svg")
+)
+"""Every file that :func:`save_figures` may write."""
 
 _LIGHT, _DENSE = 0.14, 0.40
 
@@ -114,7 +123,7 @@ def _legend(axes, curve: FitCurve, limit: str) -> None:
             handles[-1].set_label(limit.replace(": ", ":\n").replace(", ", ",\n"))
         axes.legend(
             handles=handles, fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0),
-            frameon=False, title=curve.note or None, title_fontsize=7.5,
+            frameon=False, title=_wrapped(curve.note) or None, title_fontsize=7.5,
         )  # fmt: skip
         return
     slip = curve.curves[0].slip
@@ -123,8 +132,12 @@ def _legend(axes, curve: FitCurve, limit: str) -> None:
         place = "upper right"
     axes.legend(
         handles=handles, fontsize=8, loc=place, frameon=True, framealpha=0.85,
-        edgecolor="none",
+        edgecolor="none", title=_wrapped(curve.note) or None, title_fontsize=8,
     )  # fmt: skip
+
+
+def _wrapped(note: str) -> str:
+    return "\n".join(part for line in note.splitlines() for part in wrap(line, 26))
 
 
 def fit_figure(result: FitResult) -> Picture:
@@ -233,18 +246,6 @@ def residual_figure(result: FitResult) -> Picture:
     return picture
 
 
-def _save(picture: Picture, path: Path) -> Path:
-    """Write a picture whole or not at all."""
-    temporary = path.with_name(f".{path.name}.part")
-    metadata = {"Date": None} if path.suffix == ".svg" else None
-    try:
-        picture.savefig(temporary, format=path.suffix[1:], metadata=metadata)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    return path
-
-
 def save_figures(
     result: FitResult, directory: str | os.PathLike, svg: bool = False
 ) -> list[Path]:
@@ -269,11 +270,9 @@ def save_figures(
     for name, figure in figures.items():
         picture = figure(result)
         for suffix in (".png", ".svg") if svg else (".png",):
-            written.append(_save(picture, directory / f"{name}{suffix}"))
+            written.append(save_picture(picture, directory / f"{name}{suffix}"))
     # Figures of an earlier fit would be taken for this one's.
-    for name in ("fit", "residuals", "profile", "corner", "trace"):
-        for suffix in (".png", ".svg"):
-            path = directory / f"{name}{suffix}"
-            if path not in written:
-                path.unlink(missing_ok=True)
+    for name in FIGURE_FILES:
+        if directory / name not in written:
+            (directory / name).unlink(missing_ok=True)
     return written

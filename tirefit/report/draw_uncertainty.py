@@ -71,25 +71,23 @@ def corner_figure(result: FitResult) -> Picture:
     count = len(corner.labels)
     picture, (bottom, top) = frame(result, min(2.2 + 1.15 * count, 10.5))
     height = picture.get_figheight()
-    bottom += 0.68 / height
     _corner_key(picture, corner, top)
-    top -= 0.5 / height if count == 1 else 0
-    wide, high = 0.84 / count, (top - bottom) / count
+    top -= (0.5 if count == 1 else 0.15) / height
+    grid = picture.add_gridspec(
+        count, count, left=0.11, right=0.98, bottom=bottom + 0.5 / height, top=top,
+        wspace=0.1, hspace=0.1,
+    )  # fmt: skip
     size = float(np.clip(10 - 0.5 * count, 5.5, 9))
     for i in range(count):
         for j in range(i + 1):
-            box = (0.14 + j * wide, top - (i + 1) * high, 0.9 * wide, 0.9 * high)
-            axes = picture.add_axes(box)
+            axes = picture.add_subplot(grid[i, j])
             if i == j:
                 draw_marginal(axes, corner, i)
             else:
                 draw_joint(axes, corner, i, j)
             _corner_labels(axes, corner, i, j, size)
-            # One line for all labels, however wide the numbers beside them are.
-            middle = (box[0] + box[2] / 2, 0.32 / height)
-            axes.xaxis.set_label_coords(*middle, transform=picture.transFigure)
-            middle = (0.04, box[1] + box[3] / 2)
-            axes.yaxis.set_label_coords(*middle, transform=picture.transFigure)
+    # One line for all labels, beside the widest of the numbers.
+    picture.align_labels()
     return picture
 
 
@@ -100,7 +98,11 @@ def _corner_labels(axes, corner: Corner, i: int, j: int, size: float) -> None:
         size,
     )  # fmt: skip
     axes.locator_params(axis="x", nbins=3)
-    axes.tick_params(axis="x", labelbottom=last, labelrotation=30, labelsize=size - 1.5)
+    # Many narrow panels: level numbers would run into each other.
+    angle = 0 if len(corner.labels) < 4 else 30
+    axes.tick_params(
+        axis="x", labelbottom=last, labelrotation=angle, labelsize=size - 1.5
+    )
     if i == j:
         axes.set_yticks([])
         if not last:

@@ -69,7 +69,8 @@ def fit_fragment(result: FitResult) -> str:
         )  # fmt: skip
     head = (
         f"<b>{html.escape(result.model)}</b> fitted to"
-        f" {html.escape(result.data['file'])}, {result.statistics.n} rows"
+        f" {html.escape(result.data['file'])}, {result.statistics.n} rows;"
+        f" {result.source}"
     )
     parts = (head, html_table(rows), _verdict(result), _figure(result))
     return f"<div>{''.join(parts)}</div>"
@@ -98,7 +99,7 @@ def data_fragment(data: TireData) -> str:
         head += f", {len(data.runs)} runs"
     rows = [("column", "in the file", "unit", "min", "median", "max")]
     rows += [_range_row(data, name) for name in data.columns]
-    notes = [*source.assumptions, *(str(problem) for problem in source.masked[:5])]
+    notes = [*source.notes, *(str(problem) for problem in source.masked[:5])]
     items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
     more = f'<ul style="margin:2px 0">{items}</ul>' if items else ""
     return f"<div>{head}{html_table(rows)}{more}</div>"

@@ -10,6 +10,8 @@ __all__ = [
     "plain_text",
 ]
 
+_MOST_DIGITS = 7
+"""No measurement has more, and the rest would be rounding."""
 _TOO_LARGE = 1e7
 _TOO_SMALL = 1e-4
 
@@ -50,6 +52,8 @@ def format_estimate(value: float, std: float | None) -> str:
         return "-"
     if not _usable(std):
         return format_number(value)
+    if std < abs(value) * 10.0 ** (1 - _MOST_DIGITS):
+        return f"{value:.{_MOST_DIGITS}g} ± {std:.2g}"
     size = max(abs(value), std)
     if size >= _TOO_LARGE or size < _TOO_SMALL:
         power = math.floor(math.log10(size))
@@ -69,7 +73,9 @@ def format_interval(ends, std: float | None = None) -> str:
     if not _usable(std) and len(known) == 2 and 0 < high - low < abs(high + low) / 8:
         std = (high - low) / 4
     largest = max(abs(end) for end in known)
-    if _usable(std) and _TOO_SMALL <= largest < _TOO_LARGE:
+    if _usable(std) and std < largest * 10.0 ** (1 - _MOST_DIGITS):
+        texts = [".." if e is None else f"{e:.{_MOST_DIGITS}g}" for e in ends]
+    elif _usable(std) and _TOO_SMALL <= largest < _TOO_LARGE:
         texts = [".." if end is None else _rounded(end, places_of(std)) for end in ends]
     else:
         texts = [".." if end is None else format_number(end) for end in ends]

@@ -4,6 +4,7 @@ import textwrap
 
 import numpy as np
 
+from tirefit.fitting.derived import derived_channel, quantities
 from tirefit.fitting.result import Estimate, FitResult
 from tirefit.report.numbers import format_estimate, format_interval, format_number
 
@@ -109,7 +110,7 @@ def _parameters(result: FitResult) -> list[str]:
                 format_interval(estimate.ci95, estimate.std), note_on(result, name),
             ]
         )  # fmt: skip
-    return ["", "PARAMETERS", *table(rows)]
+    return ["", f"PARAMETERS ({result.source})", *table(rows)]
 
 
 def _routes(result: FitResult) -> list[str]:
@@ -128,12 +129,17 @@ def _derived(result: FitResult) -> list[str]:
     at = f"F_z = {format_number(result.reference['fz'])} N"
     if result.reference.get("v"):
         at += f", v = {result.reference['v']:.3g} m/s"
-    rows = [["quantity", "value ± std", "unit", "95 % interval"]]
+    meanings = quantities(derived_channel(result.forces))
+    rows = [["quantity", "value ± std", "unit", "95 % interval", ""]]
     for name, estimate in result.derived.items():
-        text = value_text(estimate) if estimate.identified else "not defined"
-        ends = format_interval(estimate.ci95, estimate.std)
-        rows.append([name, text, estimate.unit, ends])
-    return ["", f"DERIVED (at {at})", *table(rows)]
+        known = np.isfinite(estimate.value)
+        rows.append(
+            [
+                name, value_text(estimate) if known else "not defined", estimate.unit,
+                format_interval(estimate.ci95, estimate.std), meanings[name][1],
+            ]
+        )  # fmt: skip
+    return ["", f"DERIVED (at {at}; {result.source})", *table(rows)]
 
 
 def _noise_text(result: FitResult) -> str:

@@ -1,0 +1,228 @@
+"""Plain methods on the same files, none of them tirefit's: what a diagnosis must beat.
+
+    python -m fits.withheld.baselines out/withheld
+
+``bic``: each listed effect fitted beside c and mu, the five nearest refitted by
+SciPy, the smallest BIC named. ``residual``: the effect whose shape, not projected,
+correlates best with what the plain brush leaves. Both know the textbook forms exactly.
+``ridge``: a smooth discrepancy over slip, load, speed and time, fitted without the
+highest load (or the largest slips): it names nothing, it closes. No label is opened.
+"""
+
+import argparse
+import csv
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import savgol_filter
+
+from fits.withheld.effects import EFFECTS
+from fits.withheld.library import (
+    STEP_TIMES,
+    Inputs,
+    base_fit,
+    directions,
+    predict,
+    shapes,
+)
+
+__all__ = ["by_bic", "by_residual", "main", "read_trial", "ridge"]
+
+REFITTED = 5
+ALARM = 3.5  # standard errors of a correlation, of some twenty tried
+LIMIT = 4.0  # of an amplitude, in typical ones
+
+
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    with path.open() as lines:
+        rows = list(csv.DictReader(lines))
+    return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
+
+
+def read_trial(path: Path, rig: dict) -> tuple[Inputs, np.ndarray]:
+    """Inputs and the forces (moment behind them) of a file, all rows."""
+    columns = read_columns(path)
+    force = "fx" if "fx" in columns else "fy"
+    slip = columns["sigma_x"] if force == "fx" else np.tan(columns["alpha"])
+    time, fz = columns["time"], columns["fz"]
+    gaps = np.diff(time) > 5 * np.median(np.diff(time))
+    run = columns.get("run", np.concatenate([[0], np.cumsum(gaps)]))
+    noise = rig.get("noise", {})
+    slip_std = noise.get("sigma_x", noise.get("alpha", 0.0))
+    slip, slip_std = smoothed(slip, run, slip_std)
+    moment = "mz" in columns
+    x = Inputs(
+        time, run, slip, fz, columns["v"], force,
+        (slip_std, noise.get(f"{force}_relative", 0.01) * fz,
+         noise.get("mz_relative", 0.001) * fz),
+        cross=np.tan(columns["alpha"]) if {"fx", "alpha"} <= columns.keys() else None,
+        gamma=columns.get("gamma"), temperature=columns.get("temperature"),
+        omega="omega" in columns, moment=moment,
+    )  # fmt: skip
+    observed = [columns[force], *([columns["mz"]] if moment else [])]
+    return x, np.concatenate(observed)
+
+
+def smoothed(slip: np.ndarray, run: np.ndarray, std: float) -> tuple[np.ndarray, float]:
+    """Slip of a sweep, seven points at a time where it moves slowly enough."""
+    if std == 0 or np.median(np.abs(np.diff(slip))) > 2 * std:
+        return slip, std
+    out = slip.copy()
+    for one in np.unique(run):
+        rows = np.flatnonzero(run == one)
+        if len(rows) >= 7:
+            out[rows] = savgol_filter(slip[rows], 7, 2)
+    return out, 0.58 * std
+
+
+def bounds_of(effect: str) -> tuple[float, float]:
+    """Of an amplitude, in typical ones."""
+    sign = EFFECTS[effect].sign
+    return (-LIMIT, LIMIT) if sign == 0 else (0.02, LIMIT)
+
+
+def by_bic(x: Inputs, observed: np.ndarray) -> dict:
+    """A diagnosis in the document's form, by BIC over none and every single effect."""
+    (c, mu), misses, std = base_fit(x, observed)
+    n, plain = len(misses), float(misses @ misses)
+    base = directions(x, c, mu) / std[:, None]
+    squares = {}
+    for effect, several in shapes(x, x.effects, c, mu).items():
+        for k, shape in enumerate(several):
+            columns = np.column_stack([base, shape / std])
+            scale = np.linalg.norm(columns, axis=0) + 1e-12
+            best = np.linalg.lstsq(columns / scale, misses, rcond=None)[0] / scale
+            rest = misses - columns @ best
+            squares[effect, k] = float(rest @ rest), best[2]
+    nearest = sorted(squares, key=lambda key: squares[key][0])[:REFITTED]
+    for effect, k in nearest:
+        low, high = bounds_of(effect)
+        start = [0, 0, float(np.clip(squares[effect, k][1], low + 0.01, high - 0.01))]
+        share = STEP_TIMES[k] if effect == "friction_step" else 0.5
+        size = EFFECTS[effect].typical * (EFFECTS[effect].sign or 1)
+
+        def rest(p, effect=effect, share=share, size=size):
+            ratio = np.exp(p[:2])
+            force = predict(x, effect, p[2] * size, c * ratio[0], mu * ratio[1], share)
+            return np.nan_to_num((observed - force) / std, nan=1e3)
+
+        found = least_squares(
+            rest, start, bounds=([-1, -1, low], [1, 1, high]), max_nfev=8,
+            loss="linear", diff_step=1e-4,
+        )  # fmt: skip
+        squares[effect, k] = 2 * found.cost, found.x[2]
+    criterion = {(): n * np.log(plain / n)}
+    for (effect, _), (total, _) in squares.items():
+        extra = 1 + (effect == "friction_step")
+        value = n * np.log(total / n) + extra * np.log(n)
+        criterion[effect,] = min(value, criterion.get((effect,), np.inf))
+    return document(criterion, -0.5)
+
+
+def by_residual(x: Inputs, observed: np.ndarray) -> dict:
+    """A diagnosis by the largest correlation of the residual with an effect's shape."""
+    (c, mu), misses, std = base_fit(x, observed)
+    n = len(misses)
+    strength = {(): ALARM**2}
+    for effect, several in shapes(x, x.effects, c, mu).items():
+        for shape in several:
+            column = shape / std
+            size = np.linalg.norm(column) * np.linalg.norm(misses) + 1e-12
+            found = n * float(column @ misses / size) ** 2
+            strength[effect,] = max(found, strength.get((effect,), 0.0))
+    return document(strength, 0.5)
+
+
+def document(values: dict, factor: float) -> dict:
+    """Verdict and candidates of weights exp(factor * value)."""
+    logs = {key: factor * value for key, value in values.items()}
+    top = max(logs.values())
+    weights = {key: np.exp(value - top) for key, value in logs.items()}
+    total = sum(weights.values())
+    ranked = sorted(logs, key=logs.get, reverse=True)
+    best = ranked[0]
+    return {
+        "verdict": {
+            "status": "named" if best else "none", "effects": list(best),
+            "probability": float(weights[best] / total), "also_possible": [],
+        },
+        "candidates": [
+            {
+                "effects": list(key), "probability": float(weights[key] / total),
+                "family": EFFECTS[key[0]].family,
+            }
+            for key in ranked if key
+        ][:10],
+    }  # fmt: skip
+
+
+def ridge(x: Inputs, observed: np.ndarray) -> dict[str, np.ndarray]:
+    """Base and extended force (n,) of a smooth discrepancy, and the rows left out."""
+    n = len(x.slip)
+    size = np.abs(x.slip)
+    highest = x.fz > 0.97 * x.fz.max()
+    if np.mean(highest) > 0.5 or "loads" not in x.properties:
+        highest = size > np.quantile(size, 2 / 3)
+    (c, mu), misses, std = base_fit(x, observed)
+    std, y, seen, fold = std[:n], misses[:n], ~highest, np.arange(n) % 5
+    base = observed[:n] - y * std
+    features = basis(x, c, mu) / (std / std.mean())[:, None]
+
+    def coefficients(rows, strength):
+        f = features[rows]
+        square = f.T @ f + strength * np.eye(f.shape[1])
+        return np.linalg.solve(square, f.T @ y[rows])
+
+    def missed(strength):
+        total = 0.0
+        for k in range(5):
+            test = seen & (fold == k)
+            found = coefficients(seen & (fold != k), strength)
+            total += np.sum((y[test] - features[test] @ found) ** 2)
+        return total
+
+    best = min(np.logspace(-2, 4, 7), key=missed)
+    extended = base + std * (features @ coefficients(seen, best))
+    return {"base": base, "extended": extended, "held": highest}
+
+
+def basis(x: Inputs, c: float, mu: float) -> np.ndarray:
+    """Bells over the share of full sliding, times load, speed and time, (n, p)."""
+    u = np.clip(c * x.slip / (1.5 * mu * x.fz), -2, 2)
+    centres = np.linspace(-2, 2, 13) if u.min() < -0.1 else np.linspace(0, 2, 9)
+    bells = np.exp(-(((u[:, None] - centres) / 0.3) ** 2) / 2)
+    others = [np.ones(len(u))]
+    for column in (x.fz, x.v, x.time):
+        spread = np.std(column)
+        if spread > 0:
+            others.append((column - column.mean()) / spread)
+    return np.hstack([bells * other[:, None] for other in others])
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description="Baselines on a folder of trials")
+    parser.add_argument("folder", type=Path)
+    given = parser.parse_args(arguments)
+    told = json.loads((given.folder / "leave_out.json").read_text())
+    answers: dict = {"bic": {}, "residual": {}}
+    closed = {}
+    for group in sorted((given.folder / "trials").iterdir()):
+        rig = tomllib.loads((group / "rig.toml").read_text())
+        for path in sorted(group.glob("*.csv")):
+            x, observed = read_trial(path, rig)
+            x = x.without(told[group.name])
+            answers["bic"][path.stem] = by_bic(x, observed)
+            answers["residual"][path.stem] = by_residual(x, observed)
+            found = ridge(x, observed)
+            closed |= {f"{path.stem}_{key}": value for key, value in found.items()}
+    for name, found in answers.items():
+        (given.folder / f"baseline_{name}.json").write_text(json.dumps(found))
+    np.savez_compressed(given.folder / "baseline_ridge.npz", **closed)
+    print(f"{len(answers['bic'])} files by bic, residual, ridge")
+
+
+if __name__ == "__main__":
+    main()

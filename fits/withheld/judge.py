@@ -1,0 +1,151 @@
+"""What one answer is worth against its label: pure functions of two documents."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fits.withheld.effects import EFFECTS, NOISE_EFFECTS, family_of
+
+__all__ = ["Outcome", "answer_of", "judge", "true_closure"]
+
+SURE = 0.9
+
+
+class Outcome(NamedTuple):
+    """One trial scored; None where the question does not arise."""
+
+    name: str
+    flagged: bool  # a gap in the mean is claimed
+    exact: bool
+    family: bool
+    top3: bool
+    top5: bool
+    exact_or_alias: bool
+    unknown: bool  # says that something not listed is there
+    right: bool  # the verdict as a whole, for calibration
+    family_right: bool
+    sure_wrong: bool
+    probability: float
+    family_probability: float
+    covered: bool  # truth among the candidates that make up 90 %
+    set_size: int
+    status: str
+    effects: tuple[str, ...]
+    also: tuple[str, ...]
+    claimed: float | None = None
+    claimed_ci: tuple | None = None
+    closed: float | None = None
+    resolvable: bool = False
+    holdout: float | None = None
+
+
+def families(effects, listed=None) -> frozenset:
+    """Families of ids; of an id not in the table, as the answer calls it."""
+    listed = listed or {}
+    return frozenset(
+        family_of(e) if e in EFFECTS or e in NOISE_EFFECTS else listed.get(e, e)
+        for e in effects
+    )
+
+
+class Answer(NamedTuple):
+    status: str
+    effects: tuple[str, ...]
+    mean: frozenset  # ids that change the mean: neither noise nor "unknown"
+    also: tuple[str, ...]
+    probability: float
+    ranked: list  # (frozenset of effects, probability), best first
+    names: dict  # families of ids that the table does not have
+
+
+def answer_of(result: dict) -> Answer:
+    verdict = result["verdict"]
+    effects = tuple(verdict["effects"])
+    mean = frozenset(e for e in effects if e not in (*NOISE_EFFECTS, "unknown"))
+    candidates = result.get("candidates", [])
+    ranked = [
+        (frozenset(c["effects"]), float(c["probability"] or 0)) for c in candidates
+    ]
+    names = {c["effects"][0]: c["family"] for c in candidates if len(c["effects"]) == 1}
+    return Answer(
+        verdict["status"], effects, mean, tuple(_ids(verdict["also_possible"])),
+        float(verdict["probability"] or 0.0), ranked, names,
+    )  # fmt: skip
+
+
+def _ids(alternatives) -> list[str]:
+    """Ids of the alternatives, each an id or a list of ids."""
+    return [e for a in alternatives for e in ([a] if isinstance(a, str) else a)]
+
+
+def _credible(ranked, level=0.9) -> list:
+    """The best candidates that together hold this probability, or all there are."""
+    held, out = 0.0, []
+    for effects, probability in ranked:
+        out.append(effects)
+        held += probability
+        if held >= level:
+            break
+    return out
+
+
+def _family_probability(answer: Answer) -> float:
+    """Probability of all candidates of the verdict's families, at least its own."""
+    mine = families(answer.mean, answer.names)
+    same = [p for e, p in answer.ranked if families(e, answer.names) == mine]
+    return min(max(sum(same), answer.probability), 1.0) if mine else answer.probability
+
+
+def judge(name: str, label: dict, result: dict) -> Outcome:
+    """Scores one diagnosis. The rules are those of README.md, "What counts"."""
+    a, truth = answer_of(result), frozenset(label["effects"])
+    unknown = a.status in ("unknown", "incomplete") or "unknown" in a.effects
+    flagged = a.status != "none" and (bool(a.mean) or unknown)
+    hidden = label["set"] in ("unlisted", "leave_out", "foreign")
+    exact = flagged and not hidden and bool(truth) and a.mean == truth
+    if label["set"] == "injected":  # the measured data has a gap of its own as well
+        exact = truth <= a.mean
+    kin = flagged and not hidden and bool(truth)
+    kin = kin and families(a.mean, a.names) == families(truth)
+    said = a.mean | frozenset(a.also)
+    alias = a.status == "cannot_tell" and bool(truth) and truth <= said
+    if hidden:
+        right = family_right = unknown
+    elif truth:
+        right, family_right = exact and not unknown, kin and not unknown
+    else:
+        right = family_right = not flagged
+    named = bool(a.mean) and a.status == "named"
+    best = [effects for effects, _ in a.ranked]
+    credible = _credible(a.ranked)
+    return Outcome(
+        name=name, flagged=flagged, exact=exact, family=kin,
+        top3=exact or truth in best[:3], top5=exact or truth in best[:5],
+        exact_or_alias=exact or alias, unknown=unknown, right=right,
+        family_right=family_right,
+        sure_wrong=named and a.probability > SURE and not right,
+        probability=a.probability, family_probability=_family_probability(a),
+        covered=truth in credible, set_size=len(credible), status=a.status,
+        effects=a.effects, also=a.also, **_gap(result),
+    )  # fmt: skip
+
+
+def _gap(result: dict) -> dict:
+    gap = result.get("gap", {})
+    interval = gap.get("closed_ci") or [None, None]
+    holdout = gap.get("holdout") or {}
+    return {
+        "claimed": gap.get("closed"),
+        "claimed_ci": None if None in interval else tuple(interval),
+        "resolvable": bool(gap.get("resolvable")),
+        "holdout": holdout.get("closed"),
+    }
+
+
+def true_closure(rows: dict, truth: dict, channel: str) -> float | None:
+    """1 - RMS(truth - extended) / RMS(truth - base) of a channel, masked rows out."""
+    base, extended = rows[f"base_{channel}"], rows[f"extended_{channel}"]
+    keep = (rows["masked"] == 0) & np.isfinite(base) & np.isfinite(extended)
+    before = np.sqrt(np.mean((truth[channel] - base)[keep] ** 2))
+    after = np.sqrt(np.mean((truth[channel] - extended)[keep] ** 2))
+    return float(1 - after / before) if before > 0 else None

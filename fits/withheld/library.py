@@ -1,0 +1,179 @@
+"""The listed effects as models of data: what the baselines fit and what can mimic.
+
+Textbook forms only, on the bristle patch of ``patch.py``.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from fits.withheld.effects import EFFECTS
+from fits.withheld.patch import World, forces, plain_brush
+
+__all__ = ["Inputs", "STEP_TIMES", "base_fit", "mimic_free", "predict", "spread"]
+
+STEP_TIMES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the stretch in which a road may change
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a file says of each row (n,), None where it does not.
+
+    ``slip`` is as logged; ``stds`` are of slip [-], of the force [N] (n,) and of the
+    moment [N m] (n,).
+    """
+
+    time: np.ndarray
+    run: np.ndarray
+    slip: np.ndarray
+    fz: np.ndarray
+    v: np.ndarray
+    force: str
+    stds: tuple
+    cross: np.ndarray | None = None
+    gamma: np.ndarray | None = None
+    temperature: np.ndarray | None = None
+    omega: bool = False
+    moment: bool = False
+    left_out: tuple[str, ...] = ()
+
+    def without(self, effects) -> "Inputs":
+        """The same data with these effects off the list."""
+        return replace(self, left_out=tuple(effects))
+
+    @property
+    def properties(self) -> set[str]:
+        """What effects may ask for (``needs``)."""
+        has = {
+            "loads": np.ptp(self.fz) > 0.3 * self.fz.mean(),
+            "signs": self.slip.min() < -0.02,
+            "sweeps": np.corrcoef(self.slip[1:], self.slip[:-1])[0, 1] > 0.8,
+            "knee": np.abs(self.slip).max() > 0.1,
+            "longitudinal": self.force == "fx",
+            "lateral": self.force == "fy",
+            "alpha": self.cross is not None,
+            "gamma": self.gamma is not None,
+            "temperature": self.temperature is not None,
+            "omega": self.omega,
+        }
+        return {name for name, holds in has.items() if holds}
+
+    @property
+    def effects(self) -> list[str]:
+        """Effects that these columns and this design can have."""
+        have = self.properties
+        return [
+            name
+            for name, effect in EFFECTS.items()
+            if effect.needs <= have and name not in self.left_out
+        ]
+
+
+class _Share:
+    """In place of a random generator: always this share of the range."""
+
+    def __init__(self, share: float):
+        self.share = share
+
+    def uniform(self, low, high):
+        return low + self.share * (high - low)
+
+
+def _true_slip(effect: str, slip: np.ndarray, amplitude: float) -> np.ndarray:
+    """The slip behind a logged one (the inverse of the form's ``logged``)."""
+    if effect == "slip_offset":
+        return slip - amplitude
+    if effect == "slip_definition":  # amplitude 1: kappa was logged as sigma
+        return slip / (1 - np.clip(amplitude * slip, -0.9, 0.9))
+    return slip
+
+
+def predict(x: Inputs, effect: str | None, amplitude, c, mu, share=0.5) -> np.ndarray:
+    """Force [N], with the moment behind it where measured: (n,) or (2n,)."""
+    slip = x.slip if effect is None else _true_slip(effect, x.slip, amplitude)
+    world = World(
+        x.time, x.run, slip, x.fz, x.v, x.force, c, mu, cross=x.cross, gamma=x.gamma,
+        temperature=x.temperature, moment=x.moment,
+    )  # fmt: skip
+    if effect is not None:
+        form = next(iter(EFFECTS[effect].forms.values()))
+        form(world, amplitude, _Share(share))
+    out = forces(world)
+    return np.concatenate([out[x.force], out["mz"]]) if x.moment else out[x.force]
+
+
+def spread(x: Inputs, c: float, mu: float) -> np.ndarray:
+    """Standard deviation of force (and moment), the noise of the slip within."""
+    slip_std, force_std, moment_std = x.stds
+    step = 1e-4
+    steep = [
+        (ahead - behind) / (2 * step)
+        for ahead, behind in zip(
+            plain_brush(x.slip + step, x.fz, c, mu),
+            plain_brush(x.slip - step, x.fz, c, mu),
+            strict=True,
+        )
+    ]
+    std = np.hypot(force_std, steep[0] * slip_std)
+    if not x.moment:
+        return std
+    return np.concatenate([std, np.hypot(moment_std, steep[1] * slip_std)])
+
+
+def base_fit(x: Inputs, observed: np.ndarray, c=5e4, mu=0.9, loss="linear"):
+    """Least squares of the plain brush: (c, mu), standardised misses, their std."""
+
+    def model(p):
+        force, moment = plain_brush(x.slip, x.fz, *np.exp(p))
+        return np.concatenate([force, moment]) if x.moment else force
+
+    start = np.log([c, mu])
+    for _ in range(2):
+        std = spread(x, *np.exp(start))
+        found = least_squares(
+            lambda p, std=std: (observed - model(p)) / std, start, loss=loss
+        )
+        start = found.x
+    return np.exp(start), (observed - model(start)) / std, std
+
+
+def directions(x: Inputs, c: float, mu: float) -> np.ndarray:
+    """Change of the plain brush with log c and log mu, (n, 2)."""
+    step = 1e-4
+    return np.column_stack(
+        [
+            (predict(x, None, 0, c * np.exp(step), mu)
+             - predict(x, None, 0, c * np.exp(-step), mu)),
+            (predict(x, None, 0, c, mu * np.exp(step))
+             - predict(x, None, 0, c, mu * np.exp(-step))),
+        ]
+    ) / (2 * step)  # fmt: skip
+
+
+def shapes(x: Inputs, effects, c: float, mu: float) -> dict[str, list[np.ndarray]]:
+    """What each effect of typical size does to the forces, unscaled."""
+    plain = predict(x, None, 0, c, mu)
+    return {
+        effect: [
+            predict(x, effect, EFFECTS[effect].typical, c, mu, share) - plain
+            for share in (STEP_TIMES if effect == "friction_step" else (0.5,))
+        ]
+        for effect in effects
+    }
+
+
+def mimic_free(x: Inputs, truth: np.ndarray) -> float:
+    """What no listed effect can imitate of a noise-free truth, in standard errors.
+
+    Each effect enters by its shape at typical size, freely scaled, beside c and mu.
+    """
+    (c, mu), misses, std = base_fit(x, truth)
+    base = directions(x, c, mu) / std[:, None]
+    rest = [np.linalg.norm(misses)]
+    for shape in (s for some in shapes(x, x.effects, c, mu).values() for s in some):
+        columns = np.column_stack([base, shape / std])
+        scale = np.linalg.norm(columns, axis=0) + 1e-12
+        best = np.linalg.lstsq(columns / scale, misses, rcond=None)[0]
+        rest.append(np.linalg.norm(misses - columns / scale @ best))
+    return round(float(min(rest)), 3)

@@ -1,0 +1,75 @@
+"""Runs ``tirefit diagnose`` over a folder of trials, one process for each rig.toml.
+
+    python -m fits.withheld.run out/withheld --jobs 2
+
+It opens the files and rig.toml of ``FOLDER/trials`` and ``FOLDER/leave_out.json``
+(which effects a group is diagnosed without), nothing else. The answers go to
+``FOLDER/answers/GROUP``.
+"""
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+__all__ = ["command", "main"]
+
+
+def command(group: Path, without: list[str], out: Path, *more: str) -> list[str]:
+    """The command line for all files of a group, which share their rig.toml."""
+    program = Path(sys.executable).with_name("tirefit")
+    files = sorted(str(path) for path in group.glob("*.csv"))
+    left_out = [word for effect in without for word in ("--without", effect)]
+    rig = str(group / "rig.toml")
+    return [
+        str(program), "diagnose", *files, "--model", "brush", "--rig", rig, *left_out,
+        "--out", str(out), *more,
+    ]  # fmt: skip
+
+
+def run_group(group: Path, without: list[str], out: Path, resume: bool) -> float:
+    """Seconds that one group took. Without ``resume`` old answers are removed."""
+    if not resume:
+        shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True, exist_ok=True)
+    begun = time.perf_counter()
+    with (out / "run.log").open("w") as log:
+        line = command(group, without, out, *(["--resume"] if resume else []))
+        done = subprocess.run(line, stdout=log, stderr=log, check=False)
+    spent = time.perf_counter() - begun
+    files = len(list(group.glob("*.csv")))
+    answered = len(list(out.glob("*.rows.csv")))
+    print(f"{group.name}: {answered} of {files} files, {spent:.0f} s, "
+          f"exit {done.returncode}", flush=True)  # fmt: skip
+    return spent
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description="Diagnose a folder of trials")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--jobs", type=int, default=1, help="groups at a time")
+    parser.add_argument("--resume", action="store_true", help="keep answers given")
+    given = parser.parse_args(arguments)
+    told = json.loads((given.folder / "leave_out.json").read_text())
+    groups = sorted((given.folder / "trials").iterdir())
+    answers = given.folder / "answers"
+    with ThreadPoolExecutor(given.jobs) as pool:
+        spent = sum(
+            pool.map(
+                lambda group: run_group(
+                    group, told[group.name], answers / group.name, given.resume
+                ),
+                groups,
+            )
+        )
+    files = sum(len(list(group.glob("*.csv"))) for group in groups)
+    ran = {"files": files, "jobs": given.jobs, "seconds_per_case": spent / files}
+    (answers / "run.json").write_text(json.dumps(ran))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,209 @@
+"""One trial: a tire, a design, an effect (or none, or several), and noise."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fits.withheld.designs import DESIGNS, make_world
+from fits.withheld.effects import EFFECTS, family_of
+from fits.withheld.injected import injected, raw
+from fits.withheld.measure import measure
+from fits.withheld.patch import World
+from fits.withheld.strange import FOREIGN, UNLISTED
+
+__all__ = ["DEVELOPMENT", "MIXTURE", "SETS", "Trial", "draw"]
+
+NULLS = {
+    "iid": [],
+    "ar1": ["noise_autocorrelated"],
+    "outliers": ["outliers"],
+    "heteroscedastic": ["noise_heteroscedastic"],
+    "misstated": [],
+    "slip_classical": ["slip_noise"],
+}
+DEVELOPMENT = tuple(name for name, design in DESIGNS.items() if not design.sealed)
+COLUMNS = {"omega", "alpha", "gamma", "temperature"}
+SPARE = 0.3  # share of trials with a column that nothing asks for
+TEXTBOOK = 0.4  # share of effects in their textbook form
+
+
+@dataclass
+class Trial:
+    """``truth`` holds noise-free forces, ``rig`` the text of an own rig.toml."""
+
+    columns: dict
+    label: dict
+    truth: dict = field(default_factory=dict)
+    rig: str = ""
+
+
+class Draw:
+    """The random choices of one trial."""
+
+    def __init__(self, generator, designs, noises, rows, sealed):
+        self.generator = generator
+        self.sealed = sealed
+        self.designs = designs
+        self.design = self.pick(designs)
+        self.noise = self.pick(noises)
+        self.n = int(generator.choice(rows))
+
+    def pick(self, choices) -> str:
+        return str(self.generator.choice(list(choices)))
+
+    def possible(self, design: str) -> list[str]:
+        """Effects that a design can have, whatever columns they need."""
+        have = DESIGNS[design].properties | COLUMNS
+        return [name for name, effect in EFFECTS.items() if effect.needs <= have]
+
+    def effect(self) -> str:
+        """Any effect of the designs alike, then a design that can have it."""
+        union = {e for design in self.designs for e in self.possible(design)}
+        effect = self.pick(sorted(union))
+        self.design = self.pick(d for d in self.designs if effect in self.possible(d))
+        return effect
+
+    def tire(self) -> World:
+        g = self.generator
+        c, mu = 5e4 * g.uniform(0.85, 1.15), 0.9 * g.uniform(0.9, 1.1)
+        return make_world(DESIGNS[self.design], self.n, c, mu, g)
+
+    def form(self, effect: str) -> str:
+        """The last form of an effect is drawn only when sealed."""
+        forms = list(EFFECTS[effect].forms)
+        others = forms[1:] if self.sealed else forms[1:-1]
+        if not others or self.generator.uniform() < TEXTBOOK:
+            return forms[0]
+        return self.pick(others)
+
+    def amplitude(self, effect: str) -> float:
+        about = EFFECTS[effect]
+        if effect == "slip_definition":
+            return 1.0
+        size = about.typical * np.exp(self.generator.uniform(np.log(0.5), np.log(2)))
+        return float(size * (about.sign or self.generator.choice([-1, 1])))
+
+    def extras(self, effects) -> set[str]:
+        """Columns that the effects need, and now and then one that nothing needs."""
+        needed = {need for effect in effects for need in EFFECTS[effect].needs}
+        plan = DESIGNS[self.design]
+        offered = ["temperature", "alpha" if plan.force == "fx" else "gamma"]
+        if plan.force == "fx" and "sweeps" in plan.properties:
+            offered.append("omega")
+        spare = {name for name in offered if self.generator.uniform() < SPARE}
+        return (needed & COLUMNS) | spare
+
+
+def trial(draw: Draw, world: World, law: str, effects=(), **label) -> Trial:
+    """A world measured, with its label."""
+    columns, truth, size = measure(
+        world, draw.noise, law, draw.extras(effects), draw.generator
+    )
+    free = size.pop("free")
+    label = {
+        "effects": list(effects), "families": [family_of(e) for e in effects],
+        "forms": [], "amplitudes": [], "noise_effects": [], "kind": "",
+        "leave_out": None, "design": draw.design, "noise": draw.noise, "n": draw.n,
+        "force": world.force, "sealed": draw.sealed, "c": world.c, "mu": world.mu,
+        **size, **label,
+    }  # fmt: skip
+    if label["set"] in ("unlisted", "leave_out", "foreign"):
+        gone = label["leave_out"]
+        label["mimic_free"] = free([e for e in EFFECTS if family_of(e) == gone])
+    return Trial(columns, label, truth)
+
+
+def with_effects(draw: Draw, effects: list[str], **label) -> Trial:
+    world = draw.tire()
+    forms, sizes = [], []
+    for effect in effects:
+        form, size = draw.form(effect), draw.amplitude(effect)
+        EFFECTS[effect].forms[form](world, size, draw.generator)
+        forms, sizes = [*forms, form], [*sizes, size]
+    return trial(draw, world, "iid", effects, forms=forms, amplitudes=sizes, **label)
+
+
+def single(draw: Draw) -> Trial:
+    return with_effects(draw, [draw.effect()], set="singles")
+
+
+def pair(draw: Draw) -> Trial:
+    first = draw.effect()
+    others = [e for e in draw.possible(draw.design) if family_of(e) != family_of(first)]
+    return with_effects(draw, [first, draw.pick(others)], set="pairs")
+
+
+def leave_out(draw: Draw) -> Trial:
+    effect = draw.effect()
+    return with_effects(draw, [effect], set="leave_out", leave_out=family_of(effect))
+
+
+def null(draw: Draw) -> Trial:
+    kind = draw.pick(NULLS)
+    if kind == "slip_classical":
+        draw.design, draw.noise = "A", "seed"
+    noise = NULLS[kind]
+    return trial(draw, draw.tire(), kind, set="null", kind=kind, noise_effects=noise)
+
+
+def strange(draw: Draw, kinds: dict, name: str) -> Trial:
+    kind = draw.pick(kinds)
+    size = draw.generator.uniform(0.02, 0.08) * draw.generator.choice([-1, 1])
+    world = draw.tire()
+    kinds[kind](world, size, draw.generator)
+    return trial(draw, world, "iid", set=name, kind=kind, amplitudes=[float(size)])
+
+
+def unlisted(draw: Draw) -> Trial:
+    return strange(draw, UNLISTED, "unlisted")
+
+
+def foreign(draw: Draw) -> Trial:
+    along = [d for d in draw.designs if DESIGNS[d].force == "fx" and d != "A"]
+    draw.design = draw.pick(along or ["G"])
+    return strange(draw, FOREIGN, "foreign")
+
+
+def into_data(draw: Draw) -> Trial:
+    columns, label, rig = injected(draw.generator)
+    return Trial(columns, label, rig=rig)
+
+
+def as_measured(which: int) -> Trial:
+    columns, label, rig = raw(which)
+    return Trial(columns, label, rig=rig)
+
+
+SETS = {
+    "singles": single,
+    "null": null,
+    "unlisted": unlisted,
+    "pairs": pair,
+    "leave_out": leave_out,
+    "foreign": foreign,
+    "injected": into_data,
+}
+
+MIXTURE = (
+    *("singles", "null", "unlisted") * 2, "singles", "null", "singles", "pairs",
+    "leave_out", "foreign", "injected",
+)  # fmt: skip
+"""Sets in turn when all are asked for."""
+
+
+def draw(seed, count, sets, designs, noises, rows, sealed) -> list[Trial]:
+    """``count`` trials, sets in turn, each from its own random stream; shuffled.
+
+    With the injected ones come the halves of the measured file as they are.
+    """
+    streams = np.random.SeedSequence(seed).spawn(count + 1)
+    open_to = designs or (list(DESIGNS) if sealed else list(DEVELOPMENT))
+    trials = [
+        SETS[sets[k % len(sets)]](
+            Draw(np.random.default_rng(stream), open_to, noises, rows, sealed)
+        )
+        for k, stream in enumerate(streams[:-1])
+    ]
+    trials += [as_measured(which) for which in (0, 1) if "injected" in sets]
+    order = np.random.default_rng(streams[-1]).permutation(len(trials))
+    return [trials[k] for k in order]

@@ -1,0 +1,273 @@
+"""``tirefit diagnose``: files in, documents, rows, figures and exit codes out."""
+
+import csv
+import html
+import json
+import shutil
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tirefit.cli.commands import app
+from tirefit.diagnosis import engine
+from tirefit.diagnosis.effects import EFFECTS
+from tirefit.results import DataError, Problem
+
+NOISE, OFFSET, POWER = 20.0, 0.006, -0.3
+LOADS = (2000.0, 4000.0, 6000.0)
+# A small library compiles and searches in a fraction of the time.
+KEPT = ("slip_offset", "force_offset", "load_friction", "pressure_asymmetry")
+WITHOUT = [
+    word for e in EFFECTS if e.id not in KEPT for word in ("--without", e.id)
+]  # fmt: skip
+READ = ["--convention", "iso-w", "--unit", "fx=kN", "--mask-bad-rows"]
+
+
+def write(path, offset=0.0, power=0.0, seed=0, rows=32, spoiled=()):
+    """Sweeps of both signs at three loads; driving positive, forces in kN."""
+    generator = np.random.default_rng(seed)
+    slip = np.tile(np.linspace(-0.2, 0.2, rows), len(LOADS))
+    fz = np.repeat(LOADS, rows)
+    mu = 0.9 * (fz / 4000) ** power
+    # S(12) written out: C s - (C s)^2/(3 mu F_z) + (C s)^3/(27 (mu F_z)^2)
+    x = np.minimum(np.abs(slip + offset) * 1e5 / (3 * mu * fz), 1.0)
+    force = np.sign(slip + offset) * mu * fz * (3 * x - 3 * x**2 + x**3)
+    force = force + NOISE * generator.standard_normal(len(slip))
+    lines = ["sigma_x,fx,fz"]
+    for k, (s, f, load) in enumerate(zip(slip, force, fz, strict=True)):
+        cell = "" if k in spoiled else f"{-f / 1000:.9g}"
+        lines.append(f"{-s:.9g},{cell},{load:g}")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def rows_of(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def column(rows, name):
+    return np.array([float(row[name] or "nan") for row in rows])
+
+
+@pytest.fixture(scope="module")
+def studied(tmp_path_factory):
+    """A folder with files diagnosed by one command, and what the command said."""
+    folder = tmp_path_factory.mktemp("diagnosed")
+    write(folder / "offset.csv", offset=OFFSET, seed=1, spoiled=(3, 40))
+    write(folder / "load.csv", power=POWER, seed=2)
+    (folder / "bad.csv").write_text("sigma_x,fx\n0.1,-2\n0.2,-3\n")
+    (folder / "rig.toml").write_text(f"[noise]\nfx = {NOISE}\n")
+    files = [str(folder / name) for name in ("offset.csv", "bad.csv", "load.csv")]
+    settings = ["--rig", str(folder / "rig.toml"), "--out", str(folder / "out")]
+    result = CliRunner().invoke(
+        app, ["diagnose", *files, *READ, *WITHOUT, *settings, "--figures"]
+    )
+    return folder, result
+
+
+@pytest.fixture
+def again(studied, run, tmp_path):
+    """Runs the command on a copy of that folder, its results included."""
+    for path in studied[0].iterdir():
+        copy = shutil.copytree if path.is_dir() else shutil.copy2
+        copy(path, tmp_path / path.name)
+    settings = [*READ, *WITHOUT, "--rig", "rig.toml", "--out", "out"]
+
+    def command(*arguments, exit_code=0):
+        return run("diagnose", *arguments, *settings, exit_code=exit_code)
+
+    return command
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """Names of the data that are diagnosed from now on; nothing is computed."""
+    names = []
+
+    def study(data, **settings):
+        names.append(data.name)
+        raise DataError(Problem("not now", "later"))
+
+    monkeypatch.setattr(engine, "diagnose", study)
+    return names
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_one_bad_file_does_not_stop_the_others(studied):
+    folder, result = studied
+    assert result.exit_code == 3, result.stderr
+    assert "bad.csv" in result.stderr and "fz" in result.stderr
+    assert "remedy" in result.stderr and "Traceback" not in result.stderr
+    assert "2 of 3 files diagnosed" in result.stdout
+    kinds = (".json", ".rows.csv", ".png", ".html")
+    names = {name + kind for name in ("offset", "load") for kind in kinds}
+    assert set(contents(folder / "out")) == names
+
+
+def test_the_summary_says_what_to_do(studied):
+    report = " ".join(studied[1].stdout.split())
+    assert "DIAGNOSIS of offset against brush" in report
+    assert "slip_offset (probability" in report
+    assert "check the rolling radius" in report
+    assert "load_friction (probability" in report and "fit brush-load" in report
+
+
+def test_the_document_is_of_the_schema(studied):
+    text = (studied[0] / "out" / "offset.json").read_text("utf-8")
+    document = json.loads(text)
+    assert "NaN" not in text and "Infinity" not in text
+    assert document["schema"] == "tirefit.diagnosis/1"
+    assert {
+        "schema", "data", "model", "n", "n_effective", "noise", "gap", "where",
+        "verdict", "candidates", "untestable", "resolution", "next_measurement", "seed",
+        "version",
+    } <= set(document)  # fmt: skip
+    assert document["n"] == 94 and document["noise"]["fx"] == NOISE
+    assert document["noise"]["source"] == "given"
+    assert document["data"]["convention"] == "iso-w"
+    verdict = document["verdict"]
+    assert set(verdict) == {"status", "effects", "probability", "also_possible"}
+    assert verdict["effects"] == ["slip_offset"] and verdict["status"] == "named"
+    assert document["gap"]["closed"] > 0.8
+    best = document["candidates"][0]
+    assert best["effects"] == ["slip_offset"]
+    amplitude = best["parameters"]["slip_offset: amplitude"]
+    assert abs(amplitude["value"] - OFFSET) < 4 * amplitude["std"] + 1e-4
+    untestable = {item["effect"] for item in document["untestable"]}
+    assert untestable == set()  # all that is left of the library can be seen here
+    assert document["settings"]["effects"] == [e.id for e in EFFECTS if e.id in KEPT]
+
+
+def test_rows_match_the_file_in_its_own_convention(studied):
+    folder, _ = studied
+    given, rows = (
+        rows_of(folder / name) for name in ("offset.csv", "out/offset.rows.csv")
+    )
+    assert list(rows[0]) == [
+        "base_fx", "extended_fx", "gap_fx", "gap_fx_std", "masked"
+    ]  # fmt: skip
+    assert len(rows) == len(given) == 96
+    masked = column(rows, "masked").astype(bool)
+    assert np.flatnonzero(masked).tolist() == [3, 40]
+    assert all(rows[k]["base_fx"] == rows[k]["gap_fx"] == "" for k in (3, 40))
+    fx, base, extended, gap, std = (
+        column(part, name)[~masked]
+        for part, name in (
+            (given, "fx"), (rows, "base_fx"), (rows, "extended_fx"), (rows, "gap_fx"),
+            (rows, "gap_fx_std"),
+        )
+    )  # fmt: skip
+    # kN, driving positive: the noise is 0.02 kN about the fit that knows the effect.
+    assert np.sqrt(np.mean((fx - extended) ** 2)) == pytest.approx(0.02, rel=0.2)
+    assert np.sqrt(np.mean((fx - base) ** 2)) > 0.06
+    np.testing.assert_allclose(gap, extended - base, atol=1e-9)
+    assert np.all(std > 0) and np.median(std) < 0.02
+
+
+def test_the_page_holds_the_document(studied):
+    folder, _ = studied
+    page = (folder / "out" / "load.html").read_text("utf-8")
+    record = html.unescape(page.split("<pre>")[1].split("</pre>")[0])
+    document = json.loads((folder / "out" / "load.json").read_text())
+    assert json.loads(record) == document
+    assert "Verdict: load_friction" in page and "://" not in page
+    probability = document["verdict"]["probability"]
+    assert f"(probability {probability:.2f})" in page
+    picture = (folder / "out" / "load.png").read_bytes()
+    assert picture.startswith(b"\x89PNG") and len(picture) > 30_000
+
+
+def test_resume_keeps_what_is_done(again, calls, tmp_path):
+    before = contents(tmp_path / "out")
+    again("offset.csv", "load.csv", "--resume", "--figures")
+    assert calls == [] and contents(tmp_path / "out") == before
+    write(tmp_path / "load.csv", power=POWER, seed=9)
+    again("offset.csv", "load.csv", "--resume", exit_code=3)
+    assert calls == ["load"]
+    assert contents(tmp_path / "out") == before  # the old one stays until the new one
+
+
+@pytest.mark.parametrize(
+    "change",
+    [["--seed", "7"], ["--model", "brush-m"], ["--constant", "v=20"], ["--figures"]],
+    ids=lambda change: change[0],
+)
+def test_resume_does_a_case_of_other_settings_again(again, calls, tmp_path, change):
+    (tmp_path / "out" / "load.png").unlink()
+    again("load.csv", "--resume")
+    assert calls == []
+    again("load.csv", "--resume", *change, exit_code=3)
+    assert calls == ["load"]
+
+
+def test_a_case_done_again_without_figures_has_none(again, tmp_path):
+    again("offset.csv", "--seed", "1")
+    kinds = {name for name in contents(tmp_path / "out") if name.startswith("offset")}
+    assert kinds == {"offset.json", "offset.rows.csv"}
+    assert json.loads((tmp_path / "out" / "offset.json").read_text())["seed"] == 1
+
+
+def test_data_not_used_check_the_closure(again, tmp_path):
+    for seed, name in ((11, "wet.csv"), (12, "dry.csv")):
+        write(tmp_path / name, power=POWER, seed=seed)
+    again("--holdout", "wet.csv", "dry.csv", "--seed", "0", "load.csv")
+    document = json.loads((tmp_path / "out" / "load.json").read_text())
+    held = document["gap"]["holdout"]
+    assert held["on"] == "wet, dry"
+    assert held["closed"] > 0.8 and held["resolvable"]
+    assert len(set(document["settings"]["holdout"])) == 2
+
+
+def test_nothing_is_half_written(again, tmp_path, monkeypatch):
+    before = contents(tmp_path / "out")
+
+    def full(result, path):
+        path.write_text("<html>")
+        raise OSError(28, "disk full")
+
+    monkeypatch.setattr("tirefit.report.diagnosis_html.write_page", full)
+    result = again("load.csv", "--figures", "--seed", "5", exit_code=2)
+    assert "disk full" in result.stderr
+    assert contents(tmp_path / "out") == before
+
+
+def test_files_of_one_stem_are_refused(run, tmp_path):
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        write(tmp_path / folder / "run.csv")
+    result = run("diagnose", "a/run.csv", "b/run.csv", "--out", "o", exit_code=2)
+    assert "several input files are named run" in result.stderr
+    assert "rename one" in result.stderr
+    assert not (tmp_path / "o").exists()
+
+
+WRONG = {
+    "model": (["--model", "brsh"], "did you mean"),
+    "effect": (["--without", "slip_ofset"], "known effects"),
+    "rig": (["--rig", "none.toml"], "none.toml"),
+    "convention": (["--convention", "iso"], "iso"),
+    "out": (["--out", "run.csv"], "run.csv: no folder for the results"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "said"), WRONG.values(), ids=WRONG)
+def test_wrong_use_is_exit_2_and_makes_nothing(run, tmp_path, arguments, said):
+    write(tmp_path / "run.csv")
+    result = run("diagnose", "run.csv", "--out", "o", *arguments, exit_code=2)
+    assert said in result.stderr and "Traceback" not in result.stderr
+    assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments", [["no.csv"], ["run.csv", "--holdout", "no.csv"]], ids=len
+)
+def test_data_that_cannot_be_read_make_nothing(run, tmp_path, arguments):
+    write(tmp_path / "run.csv")
+    result = run("diagnose", *arguments, "--out", "o", exit_code=3)
+    assert "no.csv" in result.stderr and "Traceback" not in result.stderr
+    assert not (tmp_path / "o").exists()

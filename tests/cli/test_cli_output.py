@@ -1,0 +1,195 @@
+"""Whole results or none, one process per directory, Ctrl-C, and bars on terminals."""
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+from test_cli_fit import FAST, content, write
+
+from tirefit.cli.commands import app
+from tirefit.cli.output import _interrupts_held, check_directories, claimed, staged
+from tirefit.results import UsageError
+
+ARGUMENTS = ("fit", "rig.csv", "--config", "fit.toml", "--no-posterior", "--out", "o")
+
+
+@pytest.fixture
+def rig(tmp_path):
+    (tmp_path / "fit.toml").write_text(FAST)
+    return write(tmp_path / "rig.csv")
+
+
+def files_of(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_the_second_process_is_refused(run, rig, tmp_path):
+    with claimed(tmp_path / "o"):
+        result = run(*ARGUMENTS, exit_code=2)
+        assert "o: another tirefit is writing" in result.stderr
+        assert "--out" in result.stderr
+        assert list((tmp_path / "o").iterdir()) == []
+    run(*ARGUMENTS)
+    assert (tmp_path / "o" / "fit.json").exists()
+
+
+def test_a_claim_ends_with_its_process(tmp_path):
+    program = (
+        "import os, sys\n"
+        "from pathlib import Path\n"
+        "from tirefit.cli.output import claimed\n"
+        "with claimed(Path(sys.argv[1])):\n"
+        "    os.kill(os.getpid(), 9)\n"
+    )
+    folder = tmp_path / "o"
+    done = subprocess.run([sys.executable, "-c", program, str(folder)])
+    assert done.returncode == -9 and folder.is_dir()
+    with claimed(folder):
+        pass
+    assert folder.is_dir()  # it was there before
+
+
+def test_a_claim_that_is_not_used_leaves_nothing(tmp_path):
+    with pytest.raises(ZeroDivisionError), claimed(tmp_path / "a" / "b"):
+        assert (tmp_path / "a" / "b").is_dir()
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "disk full", "x")])
+def test_a_failed_writing_leaves_the_earlier_result(
+    run, rig, tmp_path, monkeypatch, error
+):
+    run(*ARGUMENTS)
+    before = files_of(tmp_path / "o")
+
+    def stopped(result, directory, svg):
+        (directory / "fit.png").write_bytes(b"half")
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr("tirefit.report.draw.save_figures", stopped)
+        code = 130 if error is KeyboardInterrupt else 2
+        result = run(*ARGUMENTS, "--seed", "7", exit_code=code)
+    assert result.stderr == ("" if code == 130 else "error: o: disk full\n")
+    assert files_of(tmp_path / "o") == before
+
+
+def test_a_new_result_replaces_all_of_the_old_and_nothing_else(tmp_path):
+    for name in ("fit.json", "corner.png", "notes.txt", "chain.npz"):
+        (tmp_path / name).write_text("old")
+    (tmp_path / ".writing").mkdir()  # of a process that was killed
+    (tmp_path / ".writing" / "trace.png").write_text("torn")
+    with staged(tmp_path, known=["fit.json", "corner.png", "trace.png"]) as folder:
+        (folder / "fit.json").write_text("new")
+        assert (tmp_path / "fit.json").read_text() == "old"
+    kept = {"fit.json": b"new", "notes.txt": b"old", "chain.npz": b"old"}
+    assert files_of(tmp_path) == kept
+
+
+def test_ctrl_c_waits_while_files_are_moved():
+    steps = []
+    with pytest.raises(KeyboardInterrupt):
+        with _interrupts_held():
+            signal.raise_signal(signal.SIGINT)
+            steps.append("went on")
+        steps.append("not reached")
+    assert steps == ["went on"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_directories_that_cannot_be_written_are_all_named(tmp_path, monkeypatch):
+    file = tmp_path / "file"
+    file.write_text("")
+    with pytest.raises(UsageError) as caught:
+        check_directories([file, file / "below", tmp_path / "new" / "one"])
+    first, second = (str(problem) for problem in caught.value.problems)
+    assert "file: no folder for the results: it is a file" in first
+    assert f"{file} is a file" in second and "--out" in second
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may write everywhere
+    with pytest.raises(UsageError, match=f"write into the folder {tmp_path}"):
+        check_directories([tmp_path / "new" / "one"])
+
+
+PROGRAM = """
+import os, signal, sys
+
+class Finder:
+    def find_spec(self, name, *rest):
+        if name == {name!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Finder())
+if {ignored}:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+sys.argv = ["tirefit", *{arguments!r}]
+from tirefit.cli import main
+main()
+"""
+
+
+def ended(name, *arguments, ignored=False):
+    """The command in a process that is interrupted where it imports ``name``."""
+    program = PROGRAM.format(name=name, arguments=arguments, ignored=ignored)
+    return subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True
+    )
+
+
+@pytest.mark.parametrize("name", ["typer", "numpy.linalg", "jax._src.core"])
+def test_ctrl_c_during_the_imports(rig, name):
+    done = ended(name, "fit", str(rig))
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
+
+
+def test_ctrl_c_stays_ignored_in_the_background():
+    done = ended("typer", "version", ignored=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def on_terminal(monkeypatch, *arguments):
+    """Exit code of a command whose stderr is a terminal, and what it showed there."""
+    master, slave = pty.openpty()
+    shown = []
+
+    def listen():
+        try:
+            while chunk := os.read(master, 4096):
+                shown.append(chunk)
+        except OSError:  # the other end was closed
+            pass
+
+    listener = threading.Thread(target=listen)
+    listener.start()
+    with os.fdopen(slave, "w") as terminal, monkeypatch.context() as patch:
+        patch.setattr(sys, "stderr", terminal)
+        patch.setenv("TERM", "xterm")
+        code = app([str(item) for item in arguments], standalone_mode=False)
+    listener.join()
+    os.close(master)
+    return code, b"".join(shown).decode()
+
+
+def test_a_terminal_shows_files_and_bars(rig, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.csv").write_text("sigma_x,fx,fz\n")
+    arguments = ("fit", "rig.csv", "bad.csv", "--config", "fit.toml")
+    code, shown = on_terminal(monkeypatch, *arguments)
+    assert code == 3
+    first, second = shown.index("file 1 of 2: rig.csv"), shown.index("file 2 of 2: bad")
+    assert first < shown.index("posterior") < shown.index("steps, R-hat") < second
+    assert "━" in shown and "bad.csv: there are no data rows" in shown
+    assert shown.rindex("\x1b[?25h") > shown.rindex("\x1b[?25l")  # the cursor is back
+    printed = capsys.readouterr().out
+    assert "file 1 of 2" not in printed and "SUMMARY" in printed
+    assert content(tmp_path / "rig")["posterior"]["outcome"] == "converged"
+
+
+def test_nothing_is_shown_where_there_is_no_terminal(run, rig, tmp_path):
+    write(tmp_path / "wet.csv", mu=0.7, seed=2)
+    result = run("fit", rig, "wet.csv", "--config", "fit.toml", "--no-posterior")
+    assert result.stderr == ""

@@ -1,0 +1,141 @@
+"""``tirefit predict FILE.tir``."""
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "data" / "tir"
+MF52, MF61 = (
+    FOLDER / f"mfeval_julia/MagicFormula{number}_Parameters.tir" for number in (52, 61)
+)
+TRUCK = FOLDER / "chrono/335_65R22_5_G275MSA_60psi.tir"
+ISO = ("--convention", "iso-w", "--out", "out.csv")
+
+
+def points_of(tir, angles="raw"):
+    """Reference rows of a file, written as points; their forces."""
+    with open(FOLDER / "reference.csv") as file:
+        rows = [
+            row
+            for row in csv.DictReader(file)
+            if row["tir"].endswith(tir.name) and row["angles"] == angles
+        ]
+    names = ["kappa", "alpha", "gamma", "fz", "v", "p"]
+    lines = [",".join(row[name] for name in names) for row in rows]
+    Path("points.csv").write_text(
+        "\n".join(["kappa,alpha,gamma,fz,v,pressure", *lines]) + "\n"
+    )
+    return rows
+
+
+def predicted():
+    with open("out.csv") as file:
+        rows = list(csv.DictReader(file))
+    return {
+        key: np.array([float(row[key] or "nan") for row in rows]) for key in rows[0]
+    }
+
+
+def assert_reference(rows):
+    found = predicted()
+    assert list(found)[-3:] == ["fx", "fy", "mz"]
+    for name, share in (("fx", 2e-8), ("fy", 2e-8), ("mz", 2e-9)):
+        for row, value in zip(rows, found[name], strict=True):
+            if row[name]:
+                wanted = float(row[name])
+                least = share * float(row["fz"])
+                assert abs(value - wanted) <= 2e-6 * abs(wanted) + least
+
+
+@pytest.mark.parametrize(
+    ("path", "angles", "options"),
+    [(MF52, "raw", ()), (MF61, "raw", ()), (MF61, "star", ("--starred-angles",))],
+)
+def test_predictions_are_the_reference(run, path, angles, options):
+    rows = points_of(path, angles)
+    result = run("predict", path, "points.csv", *options, *ISO)
+    assert_reference(rows)
+    assert f"wrote out.csv: {len(rows)} rows, kappa, alpha, gamma" in result.stdout
+    assert re.search(r"Magic Formula (5\.2|6\.1), TYRESIDE", result.stdout)
+    if path == MF52:  # whose reference has no pressure
+        assert np.isnan(predicted()["pressure"]).all()
+
+
+def test_iso_w_is_the_convention_of_the_file(run):
+    rows = points_of(MF61)
+    result = run("predict", MF61, "points.csv", "--out", "out.csv")
+    assert "(convention iso-w)" in result.stdout
+    assert_reference(rows)
+
+
+def test_what_is_not_used_and_rows_outside_the_ranges_are_said(run):
+    rows = points_of(TRUCK)
+    driven = sum(float(row["kappa"]) > 0 for row in rows)
+    result = run("predict", TRUCK, "points.csv", *ISO)
+    assert "FE_METHOD" in result.stderr
+    said = f"{driven} of {len(rows)} rows outside KPUMIN = -0.8 to KPUMAX = 0"
+    assert driven > 2 and said in result.stderr
+
+
+def test_the_other_side_is_mirrored(run, tmp_path):
+    (tmp_path / "points.csv").write_text(
+        "kappa,alpha,gamma,fz\n0.1,0.05,0.02,5000\n0.1,-0.05,-0.02,5000\n"
+    )
+    run("predict", MF61, "points.csv", "--side", "right", *ISO)
+    right = predicted()
+    result = run("predict", MF61, "points.csv", "--side", "left", *ISO)
+    left = predicted()
+    assert "TYRESIDE RIGHT, mounted left" in result.stdout
+    np.testing.assert_allclose(left["fx"], right["fx"][::-1], rtol=1e-13)
+    np.testing.assert_allclose(left["fy"], -right["fy"][::-1], rtol=1e-13)
+    np.testing.assert_allclose(left["mz"], -right["mz"][::-1], rtol=1e-13)
+    assert abs(left["fy"] - right["fy"]).max() > 10
+    result = run("predict", MF52, "points.csv", "--side", "left", *ISO, exit_code=2)
+    assert "TYRESIDE is not stated" in result.stderr
+
+
+def test_coefficients_can_be_set(run, tmp_path):
+    (tmp_path / "points.csv").write_text("kappa,alpha,gamma,fz\n-0.5,0,0,5000\n")
+    run("predict", MF61, "points.csv", "--set", "LMUX=0.5", "--set", "PVX1=0", *ISO)
+    half = predicted()["fx"]
+    run("predict", MF61, "points.csv", "--set", "PVX1=0", *ISO)
+    assert 0.45 < half[0] / predicted()["fx"][0] < 0.55
+    result = run("predict", MF61, "points.csv", "--set", "PXX=1", *ISO, exit_code=2)
+    assert "no parameter 'PXX'" in result.stderr
+
+
+def test_bad_files_and_options(run, tmp_path):
+    points_of(MF61)
+    text = re.sub(r"(?m)^(FITTYP *= +)61", r"\g<1>99", MF61.read_text())
+    text = re.sub(r"(?m)^PDX1 .*\n", "", text)
+    Path("bad.tir").write_text(text)
+    result = run("predict", "bad.tir", "points.csv", *ISO, exit_code=3)
+    for word in (
+        "error",
+        "bad.tir",
+        "FITTYP = 99",
+        "PDX1 is missing",
+        "remedy: add it",
+    ):
+        assert word in result.stderr
+    assert not Path("out.csv").exists()
+    result = run("predict", "none.tir", "points.csv", *ISO, exit_code=3)
+    assert "none.tir: cannot read it" in result.stderr
+    result = run("predict", "brush", "points.csv", "--side", "left", *ISO, exit_code=2)
+    assert "--side" in result.stderr
+    Path("own.tir").write_text(MF61.read_text())
+    options = ("--convention", "iso-w", "--out", "own.tir")
+    result = run("predict", "own.tir", "points.csv", *options, exit_code=2)
+    assert "--out is an input file" in result.stderr
+    # The friction falls with the slip speed: the speed of every row is needed.
+    Path("slow.tir").write_text(
+        MF61.read_text().replace(
+            "[SCALING_COEFFICIENTS]", "[SCALING_COEFFICIENTS]\nLMUV = 0.1"
+        )
+    )
+    Path("points.csv").write_text("kappa,alpha,fz\n0.1,0.1,4000\n")
+    result = run("predict", "slow.tir", "points.csv", *ISO, exit_code=3)
+    assert "needs v (forward speed" in result.stderr

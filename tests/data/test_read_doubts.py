@@ -1,0 +1,259 @@
+"""Data that can be read, but probably mean something else: warnings with a remedy."""
+
+import numpy as np
+import pytest
+
+from tirefit.data.inspect import inspect
+from tirefit.data.read import read_frame
+from tirefit.data.table import join
+from tirefit.results import DataError
+
+RNG = np.random.default_rng(17)
+LOAD = 4000.0
+KAPPA = np.concatenate([np.linspace(-0.2, 0.3, 60), [0.5, 0.8]])
+
+
+def force(kappa):
+    """A tire that slides beyond kappa = 0.1, braking positive."""
+    return LOAD * np.tanh(12 * kappa / (1 - kappa))
+
+
+def frame(kappa, sign=1, header="kappa", **others):
+    columns = {header: sign * kappa, "fx": sign * force(kappa)}
+    return columns | {"fz": np.full(len(kappa), LOAD)} | others
+
+
+def speeds(kappa, noise=0.0):
+    """omega and v of a wheel of radius 0.3 m that slips by kappa, braking positive."""
+    v = RNG.uniform(8, 20, len(kappa))
+    omega = v * (1 - kappa) / 0.3
+    return {"omega": omega * (1 + noise * RNG.standard_normal(len(v))), "v": v}
+
+
+def warned(columns, **options):
+    return read_frame(columns, **options).source.warnings
+
+
+def test_undeclared_slips_of_both_signs_are_doubted():
+    (text,) = warned(frame(KAPPA))
+    assert text.startswith("no convention declared: read as braking, so negative")
+    assert "'kappa' (down to -0.2) is taken as driving" in text
+    assert "if positive slip means driving in this file" in text
+    assert "pass --convention iso-w or adapted-sae" in text
+    assert "--convention braking" in text
+
+
+@pytest.mark.parametrize("convention", ["braking", "iso-w", "adapted-sae"])
+def test_a_declared_convention_is_not_doubted(convention):
+    sign = 1 if convention == "braking" else -1
+    assert warned(frame(KAPPA, sign), convention=convention) == ()
+
+
+@pytest.mark.parametrize(
+    "kappa",
+    [np.linspace(*ends, 50) for ends in ((0, 0.4), (-8e-3, 0.4), (-2e-3, 2e-3))],
+    ids=["braking", "braking with noise about zero", "hardly any slip"],
+)  # fmt: skip
+def test_braking_slips_are_not_doubted(kappa):
+    assert warned(frame(kappa)) == ()
+
+
+def test_a_braking_test_in_driving_positive_signs_is_doubted():
+    # All slips and forces negative: as plausible a braking test as a driving one.
+    (text,) = warned(frame(np.linspace(0, 0.4, 50), sign=-1))
+    assert "'kappa' (down to -0.4) is taken as driving" in text
+
+
+@pytest.mark.parametrize(
+    ("equal", "conventions"), [(1, "adapted-sae;"), (-1, "iso-w;")]
+)
+def test_the_lateral_signs_narrow_the_conventions(equal, conventions):
+    alpha = np.linspace(-0.1, 0.1, len(KAPPA))
+    columns = frame(KAPPA) | {"alpha": alpha, "fy": equal * 3e4 * alpha}
+    if equal > 0:
+        (text,) = warned(columns)
+        assert f"pass --convention {conventions}" in text
+    else:  # what check_signs refuses, with the same remedy
+        with pytest.raises(DataError, match=f"fit --convention {conventions}"):
+            read_frame(columns)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_speeds_of_wheel_and_vehicle_decide(noise):
+    turning = speeds(KAPPA, noise)
+    assert warned(frame(KAPPA, **turning)) == ()
+    (text,) = warned(frame(KAPPA, sign=-1, **turning))
+    assert "but the wheel turns faster as it rises (omega / v)" in text
+    positive = np.linspace(0.01, 0.3, 40)  # driven wheels: slips of one sign
+    (text,) = warned(frame(-positive, sign=-1, **speeds(-positive, noise)))
+    assert "'kappa' is taken as braking, but the wheel turns faster" in text
+    (text,) = warned(frame(KAPPA, **turning), convention="iso-w")
+    assert "contradicts omega / v" in text and "signs of 'iso-w'" in text
+    assert warned(frame(KAPPA, sign=-1, **turning), convention="iso-w") == ()
+
+
+def test_speeds_that_say_nothing_do_not_decide():
+    columns = frame(KAPPA, omega=RNG.uniform(30, 60, len(KAPPA)), v=np.full(62, 15.0))
+    (text,) = warned(columns)
+    assert "omega" not in text
+    columns = frame(KAPPA, omega=np.zeros(62), v=np.zeros(62))
+    assert len(warned(columns)) == 1
+
+
+def test_a_locked_wheel_at_minus_one_is_evidence():
+    locked = np.append(KAPPA, [1.0, 1.0])
+    (text,) = warned(frame(locked[:-2], sign=-1))
+    assert "locks" not in text
+    columns = {
+        "kappa": -locked, "fx": -np.append(force(KAPPA), [LOAD, LOAD]),
+        "fz": np.full(64, LOAD),
+    }  # fmt: skip
+    (text,) = warned(columns)
+    assert "but -1 is where a wheel locks if driving is positive" in text
+
+
+@pytest.mark.parametrize(
+    ("header", "source"), [("LONGSLIP", "TYDEX"), ("SR", "Tire Test Consortium")]
+)
+def test_headers_of_driving_positive_files_are_evidence(header, source):
+    (text,) = warned(frame(KAPPA, sign=-1, header=header))
+    assert f"but in {source} files driving is positive" in text
+
+
+def test_a_slip_from_the_speeds_has_no_doubtful_sign():
+    columns = {"fx": force(KAPPA), "fz": np.full(62, LOAD), **speeds(KAPPA)}
+    assert warned(columns, rolling_radius=0.3) == ()
+
+
+# --- units --------------------------------------------------------------------
+
+BRAKING = {"convention": "braking"}
+
+
+@pytest.mark.parametrize(
+    ("factors", "remedy"),
+    [
+        ({"fx": 1e-3}, "'fx' reaches only 0.001 of the load: if 'fx' is in kN, pass"
+         " --unit fx=kN"),
+        ({"fz": 1e-3}, "'fx' reaches 1000 times the load: if 'fz' is in kN, pass"
+         " --unit fz=kN"),
+        ({"fz": 1e-1}, "'fx' reaches 10 times the load: check the units of fx and fz"),
+        ({"fx": 1e-6}, "check the units of fx and fz"),
+    ],
+)  # fmt: skip
+def test_implausible_forces_get_the_unit_that_would_mend_them(factors, remedy):
+    columns = frame(KAPPA)
+    columns |= {name: columns[name] * factor for name, factor in factors.items()}
+    (text,) = warned(columns, **BRAKING)
+    assert remedy in text
+    if "--unit" in remedy:
+        (name,) = factors
+        assert warned(columns, units={name: "kN"}, **BRAKING) == ()
+
+
+def test_a_lateral_force_in_kilonewton_is_seen_beside_a_right_one():
+    alpha = np.linspace(-0.1, 0.1, len(KAPPA))
+    columns = frame(KAPPA) | {"alpha": alpha, "Fy": 30 * alpha}
+    (text,) = warned(columns, **BRAKING)
+    assert "'Fy' reaches only 0.00075 of the load" in text and "--unit fy=kN" in text
+
+
+def test_a_constant_load_in_kilonewton():
+    columns = frame(KAPPA)
+    del columns["fz"]
+    (text,) = warned(columns, constants={"fz": 4.0}, **BRAKING)
+    assert "give --constant fz in N, not in kN" in text
+
+
+@pytest.mark.parametrize("largest", [1e-4, 5e-3])
+def test_low_utilisation_is_no_wrong_unit(largest):
+    kappa = np.linspace(-largest, largest, 50)
+    columns = frame(kappa) | {"fx": 0.4 * force(kappa)}
+    assert warned(columns, **BRAKING) == ()
+
+
+def test_a_few_strange_rows_are_no_wrong_unit():
+    columns = frame(np.linspace(-0.2, 0.3, 500))
+    columns["fx"][:3] *= 100
+    assert warned(columns, **BRAKING) == ()
+
+
+def test_a_side_force_at_no_slip_angle_is_no_wrong_unit():
+    noise = RNG.standard_normal(62)
+    columns = frame(KAPPA) | {"alpha": 1e-4 * noise, "fy": noise}
+    assert warned(columns, **BRAKING) == ()
+
+
+# --- where warnings go ----------------------------------------------------------
+
+
+def test_warnings_stand_in_the_inspection_and_in_the_notes():
+    data = read_frame(frame(KAPPA) | {"fx": force(KAPPA) / 1000})
+    report = inspect(data)
+    assert report.warnings == data.source.warnings and len(report.warnings) == 2
+    text = " ".join(report.text().split())
+    assert "warnings no convention declared" in text and "--unit fx=kN" in text
+    assert report.as_dict()["warnings"] == list(report.warnings)
+    first, second, *rest = data.source.notes
+    assert first.startswith("warning: no convention") and "fx=kN" in second
+    assert tuple(rest) == data.source.assumptions
+    quiet = inspect(read_frame(frame(KAPPA), **BRAKING))
+    assert quiet.warnings == () and "warnings" not in quiet.text()
+
+
+def test_joined_files_keep_their_warnings_by_name():
+    one = read_frame(frame(KAPPA), "one", **BRAKING)
+    two = read_frame(frame(KAPPA), "two")
+    (text,) = join([one, two]).source.warnings
+    assert text.startswith("two: no convention declared")
+
+
+# --- percent, zeros, masked rows ------------------------------------------------
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("largest", [0.03, 0.2])
+def test_percent_gets_no_other_remedy(largest, sign):
+    sigma = np.linspace(-largest, largest, 41)
+    columns = frame(sigma, sign, header="sigma_x")
+    columns["sigma_x"] = columns["sigma_x"] * 100
+    with pytest.raises(DataError) as caught:
+        read_frame(columns)
+    message = str(caught.value)
+    assert "--unit sigma_x=%" in message and "--convention" not in message
+    assert "signs" not in message
+    mended = read_frame(columns, units={"sigma_x": "%"})
+    np.testing.assert_allclose(mended["sigma_x"], sign * sigma)
+
+
+def test_a_mirrored_slip_gets_no_percent():
+    sigma = np.linspace(-0.5, 3, 50)  # hard braking, file driving positive
+    columns = {"sigma_x": -sigma, "fx": -force(sigma / (1 + sigma)),
+               "fz": np.full(50, LOAD)}  # fmt: skip
+    with pytest.raises(DataError) as caught:
+        read_frame(columns)
+    message = str(caught.value)
+    assert "--convention iso-w" in message and "%" not in message
+
+
+def test_a_force_of_zeros_is_not_read():
+    columns = frame(KAPPA) | {"alpha": KAPPA / 10, "fy": np.zeros(62)}
+    data = read_frame(columns, **BRAKING)
+    assert "fy" not in data and "fx" in data
+    said = "column 'fy' not used: it is zero in all rows"
+    assert said in data.source.assumptions
+    with pytest.raises(DataError, match="no force: .*; 'F' is zero in all rows"):
+        read_frame({"kappa": KAPPA, "F": 0 * KAPPA, "fz": 0 * KAPPA + LOAD},
+                   columns={"fx": "F"}, **BRAKING)  # fmt: skip
+    assert "fy" in read_frame(columns, forces=False, **BRAKING)
+
+
+def test_masked_rows_are_not_told_to_be_masked():
+    columns = frame(KAPPA)
+    columns["kappa"][3], columns["fz"][5] = 2.0, -1.0
+    with pytest.raises(DataError, match="mask bad rows with --mask-bad-rows"):
+        read_frame(columns)
+    masked = read_frame(columns, mask_bad_rows=True).source.masked
+    assert [problem.row for problem in masked] == [3, 5]
+    assert all("correct the row" in problem.remedy for problem in masked)
+    assert "--mask-bad-rows" not in "".join(map(str, masked))

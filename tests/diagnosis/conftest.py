@@ -1,0 +1,3 @@
+from conftest_diagnosis import diagnosed
+
+__all__ = ["diagnosed"]

@@ -1,0 +1,83 @@
+"""One rich synthetic record, and diagnoses of it: each compiles for seconds."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.rig import Rig
+
+FZ, SPEEDS = (2000.0, 4000.0, 6000.0), (6.0, 24.0)
+RIG = Rig(noise={"fx_relative": 0.01, "sigma_x": 0.001})
+
+
+def brush(slip, cpa2, mu, fz):
+    """S(12) as printed, any sign."""
+    u = np.minimum(2 * cpa2 * np.abs(slip) / (3 * mu * fz), 1.0)
+    return np.sign(slip) * mu * fz * (3 * u - 3 * u**2 + u**3)
+
+
+def record(change=None, seed=0, rows=40):
+    """Sweeps of both signs at three loads and two speeds; ``change`` sets the truth.
+
+    Args:
+        change: (slip, time, fz, v) -> force [N]; the plain brush if None.
+        rows: rows of each of the six sweeps.
+    """
+    generator = np.random.default_rng(seed)
+    blocks, start = [], 0.0
+    for fz in FZ:
+        for v in SPEEDS:
+            time = np.arange(rows) * 0.05
+            slip = 0.25 * np.sin(2 * np.pi * time / 2.0)
+            truth = change or (lambda s, t, fz, v: brush(s, 5e4, 0.9, fz))
+            force = truth(slip, time + start, fz, v)
+            blocks.append(
+                np.stack(
+                    [time + start, slip, force, 0 * time + fz, 0 * time + v], axis=1
+                )
+            )
+            start += rows * 0.05 + 2.0
+    time, slip, force, fz, v = np.concatenate(blocks).T
+    noisy = force + 0.01 * fz * generator.standard_normal(len(fz))
+    slip = slip + 0.001 * generator.standard_normal(len(fz))
+    return {"time": time, "sigma_x": slip, "fx": noisy, "fz": fz, "v": v}, force
+
+
+def lagging(slip, time, fz, v, length=0.5):
+    """Relaxation by integration of its equation, from rest."""
+
+    def slip_at(t):
+        return np.interp(t, time, slip)
+
+    found = solve_ivp(
+        lambda t, y: v / length * (slip_at(t) - y), (time[0], time[-1]), [slip[0]],
+        t_eval=time, max_step=0.005, rtol=1e-8,
+    )  # fmt: skip
+    return brush(found.y[0], 5e4, 0.9, fz)
+
+
+TRUTHS = {
+    "none": None,
+    "slip_offset": lambda s, t, fz, v: brush(s + 0.004, 5e4, 0.9, fz),
+    "load_friction": lambda s, t, fz, v: brush(s, 5e4, 0.9 * (fz / 4e3) ** -0.1, fz),
+    "relaxation_length": lagging,
+    "unknown": lambda s, t, fz, v: (
+        brush(s, 5e4, 0.9, fz) + 0.06 * fz * np.sin(75 * np.abs(s)) * (np.abs(s) > 0.04)
+    ),
+}
+
+
+@pytest.fixture(scope="session")
+def diagnosed():
+    """Diagnosis and noise-free truth by name of :data:`TRUTHS`."""
+    known = {}
+
+    def find(name):
+        if name not in known:
+            frame, force = record(TRUTHS[name], seed=len(name))
+            known[name] = (diagnose(read_frame(frame, name), rig=RIG), force)
+        return known[name]
+
+    return find

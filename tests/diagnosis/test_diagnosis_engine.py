@@ -1,0 +1,132 @@
+"""Diagnoses of known truth, made by formulas of their own."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest_diagnosis import RIG, TRUTHS, brush, record
+
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS
+from tirefit.diagnosis.engine import diagnose
+from tirefit.results import DataError, UsageError
+
+
+@pytest.mark.parametrize("name", [k for k in TRUTHS if k not in ("none", "unknown")])
+def test_names_the_effect_and_how_far_it_closes(diagnosed, name):
+    found, force = diagnosed(name)
+    assert found.effects == (name,)
+    assert found.verdict["probability"] > 0.6
+    rows, gap = found.rows["fx"], found["gap"]
+    before = np.sqrt(np.mean((force - rows["base"]) ** 2))
+    after = np.sqrt(np.mean((force - rows["extended"]) ** 2))
+    assert gap["rms"] == pytest.approx(before, rel=0.15)
+    assert gap["closed"] == pytest.approx(1 - after / before, abs=0.08)
+    assert gap["closed_ci"][0] <= gap["closed"] <= gap["closed_ci"][1]
+    located = np.sqrt(np.mean((rows["gap"] - (force - rows["base"])) ** 2))
+    assert located < 0.3 * before
+    assert gap["holdout"]["closed"] > 0.5
+
+
+def test_amplitudes_are_those_of_the_truth(diagnosed):
+    for name, key, truth in (
+        ("slip_offset", "slip_offset: amplitude", 0.004),
+        ("load_friction", "load_friction: power", -0.1),
+        ("relaxation_length", "relaxation_length: length", 0.5),
+    ):
+        found, _ = diagnosed(name)
+        value = found["candidates"][0]["parameters"][key]
+        assert abs(value["value"] - truth) < 4 * value["std"] + 0.02 * abs(truth)
+
+
+def test_no_gap_is_an_answer(diagnosed):
+    found, _ = diagnosed("none")
+    assert found.verdict["status"] == "none"
+    assert found.effects == ()
+    assert not found["gap"]["resolvable"]
+    assert found["gap"]["closed"] == 0.0
+    assert found["gap"]["p_value"] > 0.05
+    seen = found["resolution"]["smallest_effects"]
+    # What the record would have shown is well below what is usual.
+    assert 0 < seen["slip_offset"] < 0.003
+
+
+def test_an_unlisted_gap_is_unknown(diagnosed):
+    found, force = diagnosed("unknown")
+    assert found.verdict["status"] in ("unknown", "incomplete")
+    rows = found.rows["fx"]
+    # Whatever it is called, it is located.
+    missed = force - rows["base"]
+    assert np.corrcoef(missed, rows["gap"])[0, 1] > 0.8
+    if found.verdict["status"] == "unknown":
+        np.testing.assert_array_equal(rows["extended"], rows["base"])
+        assert found["gap"]["closed"] == 0.0
+
+
+def test_document_keeps_the_contract(diagnosed):
+    found, _ = diagnosed("slip_offset")
+    document = json.loads(found.to_json())
+    assert document["schema"] == "tirefit.diagnosis/1"
+    assert {
+        "schema", "data", "model", "n", "n_effective", "noise", "gap", "where",
+        "verdict", "candidates", "untestable", "resolution", "next_measurement", "seed",
+        "version",
+    } <= set(document)  # fmt: skip
+    assert {"fx", "sigma_x", "source", "flags"} <= set(document["noise"])
+    assert {"rms", "resolvable", "closed", "closed_ci", "remaining_rms", "holdout"} <= (
+        set(document["gap"])
+    )
+    for region in document["where"]:
+        assert {"covariate", "low", "high", "share", "p_value"} == set(region)
+    known = {effect.id for effect in EFFECTS} | set(NOISE_EFFECTS)
+    for candidate in document["candidates"]:
+        assert set(candidate["effects"]) <= known | {"unknown"}
+    total = sum(candidate["probability"] for candidate in document["candidates"])
+    assert total <= 1 + 1e-9
+    missing = {item["effect"] for item in document["untestable"]}
+    assert {"friction_temperature", "camber_thrust", "combined_slip"} <= missing
+
+
+def test_the_same_seed_gives_the_same_document():
+    frame, _ = record(TRUTHS["slip_offset"], seed=5)
+    first, second = (diagnose(read_frame(frame), rig=RIG, seed=3) for _ in range(2))
+    assert first.to_json() == second.to_json()
+
+
+def test_holdout_files_judge_the_closure(diagnosed):
+    def change(s, t, fz, v):
+        return brush(s + 0.004, 5e4, 0.9, fz)
+
+    frame, _ = record(change, seed=8)
+    other, _ = record(change, seed=9)
+    plain, _ = record(None, seed=10)
+    good = diagnose(read_frame(frame), rig=RIG, holdout=[read_frame(other, "b")])
+    assert good["gap"]["holdout"]["closed"] > 0.8
+    assert good["gap"]["holdout"]["on"] == "b"
+    bad = diagnose(read_frame(frame), rig=RIG, holdout=[read_frame(plain, "c")])
+    # Data without the effect are made worse by it, and that is said.
+    assert bad["gap"]["holdout"]["closed"] is None or (
+        bad["gap"]["holdout"]["closed"] < 0
+    )
+
+
+def test_outliers_and_correlated_noise_are_no_effect():
+    frame, _ = record(None, seed=11)
+    generator = np.random.default_rng(0)
+    frame["fx"] = frame["fx"].copy()
+    hit = generator.choice(len(frame["fx"]), 12, replace=False)
+    frame["fx"][hit] += 0.15 * frame["fz"][hit] * generator.choice([-1, 1], 12)
+    found = diagnose(read_frame(frame), rig=RIG)
+    assert found.effects in ((), ("outliers",))
+    assert "outliers" in found["noise"]["flags"]
+
+
+def test_bad_data_are_refused():
+    frame, _ = record(None)
+    with pytest.raises(DataError, match="fz"):
+        diagnose(read_frame({k: v for k, v in frame.items() if k != "fz"}), rig=RIG)
+    few = {k: v[:15] for k, v in frame.items()}
+    with pytest.raises(DataError, match="20 or more"):
+        diagnose(read_frame(few), rig=RIG)
+    with pytest.raises(UsageError, match="brushh"):
+        diagnose(read_frame(frame), "brushh", rig=RIG)

@@ -1,0 +1,292 @@
+"""The parts of the diagnosis, each against a route of its own."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest_diagnosis import RIG, record
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.base import fit_base
+from tirefit.diagnosis.basis import log_evidence_gain, orthogonal
+from tirefit.diagnosis.closure import closure_of
+from tirefit.diagnosis.effects import EFFECTS, Effect, atoms_of
+from tirefit.diagnosis.forecast import separability
+from tirefit.diagnosis.noise import judge_noise
+from tirefit.diagnosis.rates import segments, slip_rate
+from tirefit.diagnosis.rig import Rig, load_rig
+from tirefit.diagnosis.rows import prepare
+from tirefit.diagnosis.state import force_of_state, null_state
+from tirefit.diagnosis.where import regions
+from tirefit.models import Brush, TireInputs
+from tirefit.results import UsageError
+
+
+def test_null_state_is_the_base_model():
+    tire = Brush()
+    for slip in (-0.3, -0.02, 0.0, 1e-9, 0.05, 0.5):
+        inputs = TireInputs(slip, 0.0, 4000.0, 10.0)
+        ours = force_of_state(tire, None, null_state(), slip, 0.0, inputs)
+        np.testing.assert_allclose(ours[0], tire(inputs).fx, rtol=1e-12, atol=1e-9)
+
+
+def test_similarity_is_exact_for_a_brush():
+    state = null_state()._replace(stiffness=jnp.array(1.3), friction=jnp.array(0.8))
+    inputs = TireInputs(0.06, 0.0, 4000.0, 10.0)
+    ours = force_of_state(Brush(), None, state, 0.06, 0.0, inputs)[0]
+    scaled = Brush(cpa2=1.3 * 5e4, mu=0.8)(inputs).fx
+    np.testing.assert_allclose(ours, scaled, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("skew", "flat"), [(0.3, 0.0), (-0.2, 0.4), (0.5, 0.9)])
+def test_shape_against_the_patch(skew, flat):
+    """Pressure between S(24) and S(25), static above kinetic friction."""
+
+    def density(xi):
+        skewed = 0.75 * (1 - xi**2) * (1 + skew * xi)
+        return (1 - flat) * skewed + flat * 0.625 * (1 - xi**4)
+
+    c, mu, fz, excess, slip = 5e4, 1.0, 4000.0, 0.25, 0.05
+    edge = brentq(
+        lambda x: c * slip * (1 - x) - mu * (1 + excess) * fz * density(x), -1, 0.999
+    )
+    sliding = quad(lambda x: mu * fz * density(x), -1, edge)[0]
+    sticking = c * slip * (1 - edge) ** 2 / 2
+    state = null_state()._replace(
+        skew=jnp.array(skew), flat=jnp.array(flat), static=jnp.array(excess)
+    )
+    inputs = TireInputs(slip, 0.0, fz, 0.0)
+    ours = force_of_state(Brush(), None, state, slip, 0.0, inputs)[0]
+    np.testing.assert_allclose(ours, sliding + sticking, rtol=1e-9)
+
+
+def test_compliance_takes_up_slip():
+    share, fz = 0.02 / 4000.0, 4000.0
+    tire = Brush()
+
+    def excess(x):
+        return x + share * float(tire(TireInputs(x, 0.0, fz)).fx) - 0.06
+
+    inner = brentq(excess, 0, 0.06)
+    state = null_state()._replace(compliance=jnp.array(share))
+    inputs = TireInputs(0.06, 0.0, fz, 0.0)
+    ours = force_of_state(tire, None, state, 0.06, 0.0, inputs)[0]
+    right, rigid = (float(tire(TireInputs(x, 0.0, fz)).fx) for x in (inner, 0.06))
+    # The secant settles the change of the force to a twentieth of it.
+    assert rigid - right > 400
+    assert abs(ours - right) < 0.05 * (rigid - right)
+
+
+@pytest.fixture(scope="module")
+def base():
+    frame, _ = record(None, seed=2)
+    atoms = atoms_of(EFFECTS)
+    return fit_base(prepare(read_frame(frame), RIG, ("fx",)), "brush", atoms, RIG)
+
+
+def test_base_fit_is_the_truth(base):
+    values = base.layout.natural(base.z)
+    assert float(values["cpa2"]) == pytest.approx(5e4, rel=0.02)
+    assert float(values["mu"]) == pytest.approx(0.9, rel=0.01)
+    assert base.noise["fx"].flags == ()
+
+
+def test_every_null_amplitude_changes_nothing(base):
+    rows = base.design.rows
+    for atom in base.atoms:
+        changed = atom.change(null_state(), 0.0, rows)
+        for before, after in zip(null_state(), changed, strict=True):
+            after = np.broadcast_to(after, np.shape(after))
+            np.testing.assert_allclose(after, np.zeros_like(after) + before, atol=1e-8)
+
+
+def test_tangents_are_central_differences(base):
+    _, jacobian, tangent = base.linearised(base.z, np.zeros(len(base.atoms)))
+    scale = np.asarray(base.design.prior_scale)
+    n = base.prepared.n
+    spread = np.asarray(base.design.scale["fx"])[:n]
+
+    def force(z, amplitudes):
+        return base.forces(z, amplitudes)["fx"] / spread
+
+    silent = np.zeros(len(base.atoms))
+    for i in range(len(base.z)):
+        step = np.eye(len(base.z))[i] * 1e-5
+        slope = (force(base.z + step, silent) - force(base.z - step, silent)) / 2e-5
+        np.testing.assert_allclose(jacobian[:, i], slope, atol=1e-5 * abs(slope).max())
+    for k, atom in enumerate(base.atoms):
+        if k in base.finite:
+            continue
+        step = silent.copy()
+        step[k] = 1e-4 * scale[k]
+        if atom.effect.id == "relaxation_length":
+            continue  # no negative length: one-sided, tested by its own truth
+        slope = (force(base.z, step) - force(base.z, -step)) / 2e-4
+        size = max(np.abs(slope).max(), 1e-6)
+        np.testing.assert_allclose(
+            tangent[:, k], slope, atol=2e-3 * size, err_msg=atom.effect.id
+        )
+
+
+def test_relaxation_follows_the_equation(base):
+    """A ramp lags by length over its own slope, exactly."""
+    atom = next(a for a in base.atoms if a.effect.id == "relaxation_length")
+    count = 60
+    rows = base.design.rows._replace(
+        path=jnp.linspace(0, 0.3, count),
+        step=jnp.full(count, 0.5).at[0].set(jnp.inf),
+        order=jnp.arange(count), place=jnp.arange(count),
+    )  # fmt: skip
+    shift = atom.change(null_state(), 0.4, rows).shift
+    slope = 0.3 / (count - 1) / 0.5
+    way = 0.5 * np.arange(count)
+    np.testing.assert_allclose(
+        shift, -0.4 * slope * (1 - np.exp(-way / 0.4)), atol=1e-12
+    )
+
+
+def test_an_effect_of_ones_own_in_ten_lines():
+    from tirefit.diagnosis.engine import diagnose
+
+    def change(state, amplitude, rows):
+        ripple = jnp.sin(25 * rows.time)
+        return state._replace(friction=state.friction * (1 + amplitude * ripple))
+
+    mine = Effect(
+        "road_ripple", "friction x time", change, scale=0.1, unit="-",
+        formula="mu (1 + A sin 25 t)", needs=("time",),
+    )  # fmt: skip
+    frame, _ = record(None, seed=4)
+    time = frame["time"]
+    phase = (time - time.mean()) / np.ptp(time)
+    frame["fx"] = frame["fx"] * (1 + 0.1 * np.sin(25 * phase))
+    found = diagnose(read_frame(frame), rig=RIG, effects=(*EFFECTS, mine))
+    assert found.effects == ("road_ripple",)
+
+
+def test_slip_rate_of_a_noisy_sweep():
+    time = np.arange(400) * 0.01
+    truth = 0.2 * np.sin(2 * time)
+    noisy = truth + 0.002 * np.random.default_rng(0).standard_normal(400)
+    rate, turning, path, sweeps = slip_rate(noisy, time, np.zeros(400, int), None)
+    assert sweeps
+    inner = slice(25, -25)
+    assert np.std(rate[inner] - 0.4 * np.cos(2 * time)[inner]) < 0.06
+    assert np.std(path - truth) < 0.0012
+    clear = np.abs(0.4 * np.cos(2 * time)) > 0.15
+    side = np.sign(truth * np.cos(2 * time))
+    assert np.mean(np.sign(turning[clear]) == side[clear]) > 0.97
+    shuffled = np.random.default_rng(1).permutation(noisy)
+    assert not slip_rate(shuffled, time, np.zeros(400, int), None)[3]
+
+
+def test_segments_break_at_pauses_and_runs():
+    time = np.array([0.0, 0.1, 0.2, 5.0, 5.1, 0.0, 0.1])
+    run = np.array([0, 0, 0, 0, 0, 1, 1])
+    parts = segments(time, run)
+    assert [part.tolist() for part in parts] == [[0, 1, 2], [3, 4], [5, 6]]
+
+
+def test_closure_of_known_energies():
+    generator = np.random.default_rng(0)
+    n = 4000
+    noise = 10 * generator.standard_normal(n)
+    gap = 40 * np.sin(np.arange(n))
+    found = closure_of(
+        gap + noise, 0.2 * gap + noise, np.full(n, 100.0), (2, 3), np.zeros(n, int),
+        1.0, generator,
+    )  # fmt: skip
+    assert found.rms == pytest.approx(40 / np.sqrt(2), rel=0.02)
+    assert found.closed == pytest.approx(0.8, abs=0.02)
+    assert found.low < 0.8 < found.high
+    tiny = closure_of(
+        noise, noise, np.full(n, 100.0), (2, 3), np.zeros(n, int), 1.0, generator
+    )
+    assert tiny.closed is None and not tiny.resolvable
+
+
+def test_evidence_gain_of_gaussian_coefficients():
+    """Against the Gaussian integral over one coefficient, by quadrature."""
+    generator = np.random.default_rng(0)
+    column = generator.standard_normal(50)
+    column /= np.linalg.norm(column)
+    residual = generator.standard_normal(50) + 4 * column
+    against = np.ones((50, 1))
+    left, size = orthogonal(column[:, None], against)
+    gain = log_evidence_gain(left, size, residual)
+    lone = column - column.mean()
+
+    def likelihood(a, scale):
+        fit = np.sum((residual - a * lone) ** 2 - residual**2)
+        return np.exp(-0.5 * fit - 0.5 * (a / scale) ** 2) / scale / np.sqrt(2 * np.pi)
+
+    integrals = [
+        quad(likelihood, -60, 60, args=(s,), points=[4])[0] for s in (2, 6, 18, 50)
+    ]
+    np.testing.assert_allclose(gain, np.log(np.mean(integrals)), rtol=1e-6)
+
+
+def test_separability_of_known_directions():
+    columns = np.eye(4)[:, :2].copy()
+    assert separability(columns, 0, 1, 4.0, 4.0) == pytest.approx(0.99766, abs=1e-4)
+    columns[:, 1] = columns[:, 0]
+    assert separability(columns, 0, 1, 4.0, 4.0) == pytest.approx(0.5)
+
+
+def test_noise_is_found_under_a_gap():
+    generator = np.random.default_rng(0)
+    x = np.linspace(-1, 1, 1500)
+    fz = np.where(np.arange(1500) % 2, 2000.0, 6000.0)
+    basis = np.stack([x**k for k in range(6)], axis=1)
+    level = 0.01 * fz
+    residual = 300 * x**3 + level * generator.standard_normal(1500)
+    zero = np.zeros(1500)
+    found = judge_noise(
+        residual, zero, fz, None, basis, np.arange(1500.0), zero.astype(int)
+    )
+    np.testing.assert_allclose(found.std, level, rtol=0.1)
+    assert found.inflation == 1.0 and not found.outlier.any()
+    wrong = judge_noise(
+        residual, zero, fz, level / 2, basis, np.arange(1500.0), zero.astype(int)
+    )
+    assert "noise_misstated" in wrong.flags
+    np.testing.assert_allclose(wrong.std, level, rtol=0.1)
+    slow = np.empty(1500)
+    slow[0] = 0
+    for i in range(1, 1500):
+        slow[i] = 0.6 * slow[i - 1] + generator.standard_normal()
+    late = judge_noise(slow, zero, fz, None, basis, np.arange(1500.0), zero.astype(int))
+    assert late.inflation == pytest.approx(4.0, rel=0.3)
+
+
+def test_regions_hold_all_the_energy(base):
+    n = base.prepared.n
+    gap = np.where(base.prepared.inputs.fz == 6000, 100.0, 1.0)
+    residual, *_ = base.at_null
+    found = regions(base, residual[:n], gap, 1.0)
+    loads = [r for r in found if r.covariate == "fz"]
+    assert sum(r.share for r in loads) == pytest.approx(1.0)
+    assert max(loads, key=lambda r: r.share).low == 6000
+    assert all(r.p_value > 0.01 for r in found)  # there is no gap in these data
+
+
+def test_rig_file(tmp_path):
+    path = tmp_path / "rig.toml"
+    path.write_text(
+        "rolling_radius = 0.3\nfoo = 1\n[noise]\nfx_relative = 0.02\nsigma_x = 0.001\n"
+    )
+    rig = load_rig(path)
+    assert rig.rolling_radius == 0.3
+    assert rig.slip_noise("sigma_x") == 0.001 and rig.slip_noise("alpha") is None
+    np.testing.assert_allclose(rig.force_noise("fx", np.array([1e3, 2e3])), [20, 40])
+    assert rig.force_noise("mz", np.array([1e3])) is None
+    assert any("foo" in note for note in rig.notes)
+    path.write_text('rolling_radius = -1\nrun_order = "odd"\n[noise]\nfx = "a"\n')
+    with pytest.raises(UsageError) as caught:
+        load_rig(path)
+    assert len(caught.value.problems) == 3
+    assert all(str(path) in str(problem) for problem in caught.value.problems)
+    with pytest.raises(UsageError, match="check the path"):
+        load_rig(tmp_path / "none.toml")
+    assert load_rig(None) == Rig()

@@ -1,0 +1,204 @@
+"""Fits of a transient model, of one with a reference load, of one's own pressure."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recipes import GIVEN, brush_force, curve, solved, table
+
+import tirefit
+from tirefit.data.table import Source
+from tirefit.fitting.batch import fit_many
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.problem import build
+from tirefit.fitting.store import predict
+from tirefit.models import MODELS, Brush, Tabulated
+from tirefit.results import DataError, UsageError
+
+LENGTH, V, FZ, NOISE = 0.5, 10.0, 4000.0, 20.0
+TRUTH = {"cpa2": 6e4, "mu": 0.9}
+CONFIG = {"noise": {"fx": NOISE}, "solver": "gauss-newton"}
+
+
+def lagging(slip, time):
+    """Slip behind one relaxation length, by Heun's rule in steps of 20 microseconds."""
+    step = 2e-5
+    fine = np.arange(time[0], time[-1] + step, step)
+    inputs = np.interp(fine, time, slip)
+    felt = np.empty_like(fine)
+    felt[0] = slip[0]
+    rate = V / LENGTH
+    for i in range(1, len(fine)):
+        slope = rate * (inputs[i - 1] - felt[i - 1])
+        ahead = felt[i - 1] + step * slope
+        felt[i] = felt[i - 1] + step * (slope + rate * (inputs[i] - ahead)) / 2
+    return np.interp(time, fine, felt)
+
+
+def transient(n=150):
+    """Two runs of a slip that swings faster than the patch follows."""
+    rng = np.random.default_rng(4)
+    columns = []
+    for start, rate in ((0.0, 9.0), (7.0, 15.0)):
+        time = start + np.cumsum(rng.uniform(0.004, 0.016, n))
+        slip = 0.12 * np.sin(rate * time) + 0.04 * np.sin(3.1 * rate * time)
+        force = brush_force(lagging(slip, time), **TRUTH, fz=FZ)
+        columns.append([slip, force + NOISE * rng.standard_normal(n), time])
+    slip, force, time = np.concatenate(columns, axis=1)
+    even = np.ones(2 * n)
+    names = {"sigma_x": slip, "fx": force, "time": time, "v": V * even, "fz": FZ * even}
+    return table(names, "swing", np.repeat([0, 1], n), ("slow", "fast"))
+
+
+DATA = transient()
+
+
+@pytest.fixture(scope="module")
+def lagged():
+    return tirefit.fit(DATA, "brush-relaxation", config=CONFIG)
+
+
+def test_fit_recovers_the_relaxation_length(lagged):
+    assert lagged.verdict["status"] == "ok"
+    for name, truth in {**TRUTH, "relaxation_length": LENGTH}.items():
+        estimate = lagged.parameters[name]
+        assert abs(estimate.value - truth) < 3 * estimate.std < 0.02 * truth, name
+    assert 0.8 < lagged.statistics.chi2_dof < 1.2
+    # The padded rows are copies of the first one and end up in no result.
+    assert lagged.problem.n == 300 < len(lagged.problem.rows.weight)
+
+
+def test_steady_brush_misses_what_lags(lagged):
+    steady = solved(DATA, CONFIG)
+    assert steady.chi2_dof > 100 * lagged.statistics.chi2_dof
+
+
+def test_masked_rows_are_passed_over():
+    """Between two used rows the slip is taken as linear, whatever a masked row held."""
+    used = np.arange(len(DATA)) % 7 != 3
+    columns = dict(DATA.columns)
+    columns["sigma_x"] = np.where(used, columns["sigma_x"], np.nan)
+    gaps = replace(DATA, columns=columns).where(used)
+    found = solved(gaps, CONFIG, "brush-relaxation")
+    value = found.problem.layout.vector(found.z)[-1]
+    np.testing.assert_allclose(value, LENGTH, rtol=0.02)
+
+
+def test_prediction_follows_the_rows_in_time(lagged):
+    found = predict(lagged, DATA)
+    residual = found["fx"] - DATA["fx"]
+    np.testing.assert_allclose(np.std(residual), NOISE, rtol=0.15)
+    used = np.ones(len(DATA), bool)
+    used[40:43] = False
+    spoilt = DATA["sigma_x"].copy()
+    spoilt[40:43] = np.nan
+    masked = replace(DATA, columns={**DATA.columns, "sigma_x": spoilt}).where(used)
+    again = predict(lagged, masked)
+    assert np.isnan(again["fx"][40:43]).all()
+    np.testing.assert_allclose(again["fx"][used], found["fx"][used], atol=0.1 * FZ)
+    np.testing.assert_allclose(again["fx"][:40], found["fx"][:40], rtol=1e-12)
+    # By name, with the runs apart: the second starts anew.
+    values = {name: e.value for name, e in lagged.least_squares.items()}
+    by_name = predict("brush-relaxation", DATA, values)
+    np.testing.assert_allclose(by_name["fx"], found["fx"], rtol=1e-9, atol=1e-6)
+
+
+def line_numbers(data):
+    return replace(data, source=Source("swing.csv", line=np.arange(len(data)) + 2))
+
+
+def test_time_that_stands_still_names_the_row():
+    time = DATA["time"].copy()
+    time[20], time[200] = time[19], time[199] - 1
+    data = line_numbers(table({**DATA.columns, "time": time}, run=DATA.run,
+                              runs=DATA.runs))  # fmt: skip
+    for use in (
+        lambda: build(data, "brush-relaxation", parse_config(CONFIG)),
+        lambda: predict("brush-relaxation", data),
+    ):
+        with pytest.raises(DataError, match="is not after") as error:
+            use()
+        (problem,) = error.value.problems
+        assert (problem.file, problem.row, problem.column) == ("swing.csv", 22, "time")
+        assert "2 such rows" in problem.reason and "sort the rows" in problem.remedy
+
+
+def test_runs_that_alternate_are_refused():
+    run = (np.arange(len(DATA)) // 100) % 2
+    data = line_numbers(table(DATA.columns, run=run, runs=DATA.runs))
+    with pytest.raises(DataError, match="'slow' do not stand together") as error:
+        build(data, "brush-relaxation", parse_config(CONFIG))
+    assert error.value.problems[0].row == 202
+
+
+def test_time_and_speed_are_needed():
+    columns = {k: v for k, v in DATA.columns.items() if k not in ("time", "v")}
+    with pytest.raises(DataError) as error:
+        build(table(columns), "brush-relaxation", parse_config(CONFIG))
+    text = str(error.value)
+    assert "needs v " in text and "needs time " in text
+
+
+def test_history_with_holes_is_refused():
+    """All of it at once: limits of the slip, and its noise."""
+    config = {"noise": {"sigma_x": 0.01}, "data": {"slip_max": 0.1, "slip_min": -1.0}}
+    with pytest.raises(UsageError) as error:
+        build(DATA, "brush-relaxation", parse_config(config))
+    reasons = [problem.reason for problem in error.value.problems]
+    assert [reason.split()[0] for reason in reasons] == [
+        "data.slip_min", "data.slip_max", "noise.sigma_x:",
+    ]  # fmt: skip
+    noisy = table({**DATA.columns, "sigma_x_std": 0.01 + 0 * DATA["v"]})
+    with pytest.raises(UsageError, match="column 'sigma_x_std'.*cannot have noise"):
+        build(noisy, "brush-relaxation", parse_config({}))
+    with pytest.raises(UsageError, match="fit_many"):
+        fit_many("brush-relaxation", np.zeros((1, 9)), np.zeros((1, 9)), FZ)
+
+
+# Reference load
+
+
+def loads(n=120):
+    """Three loads; c_p a^2 grows with the load to the 0.8, friction falls with it."""
+    rng = np.random.default_rng(5)
+    fz = np.tile([2000.0, 3900.0, 6000.0], n // 3)
+    slip = rng.uniform(0, 0.2, n)
+    force = [
+        brush_force(s, 6e4 * (f / 3900) ** 0.8, 0.9 - 0.12 * (f / 3900 - 1), fz=f)
+        for s, f in zip(slip[:, None], fz, strict=True)
+    ]
+    noise = NOISE * rng.standard_normal(n)
+    return table({"sigma_x": slip, "fx": np.concatenate(force) + noise, "fz": fz})
+
+
+def test_reference_load_is_the_median_unless_given():
+    data = loads()
+    problem = build(data, "brush-load", parse_config(CONFIG))
+    assert problem.model.fz0 == 3900.0
+    assert any("fz0: 3900 N, the median" in note for note in problem.notes)
+    given = CONFIG | {"parameters": {"fz0": {"value": 5000.0}}}
+    problem = build(data, "brush-load", parse_config(given))
+    assert problem.model.fz0 == 5000.0
+    assert not any("fz0" in note for note in problem.notes)
+
+
+def test_fit_recovers_how_the_parameters_follow_the_load():
+    found = solved(loads(), CONFIG, "brush-load")
+    layout = found.problem.layout
+    values = dict(zip(layout.labels, layout.vector(found.z), strict=True))
+    truth = {"cpa2": 6e4, "mu": 0.9, "stiffness_power": 0.8, "mu_load": -0.12}
+    assert list(values) == list(truth)
+    np.testing.assert_allclose(list(values.values()), list(truth.values()), rtol=0.05)
+    np.testing.assert_allclose(found.chi2_dof, 1.0, atol=0.3)
+
+
+# A pressure of one's own
+
+
+def test_tabulated_pressure_is_fitted_by_a_name_of_its_own(monkeypatch):
+    """The table of the parabola in its place: the same estimate and covariance."""
+    law = Tabulated.from_function(lambda xi: 1 - xi**2)
+    monkeypatch.setitem(MODELS, "mine", Brush(pressure=law))
+    mine, plain = solved(curve(), GIVEN, "mine"), solved(curve(), GIVEN)
+    np.testing.assert_allclose(mine.z, plain.z, atol=1e-9)
+    np.testing.assert_allclose(mine.covariance, plain.covariance, rtol=1e-6)

@@ -1,0 +1,187 @@
+"""The steady LuGre tires against S(18) as printed and against the bristles' profile."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad_vec
+from scipy.optimize import brentq
+
+from tirefit.models import LuGre, LuGreLumped, TireInputs, forces
+from tirefit.models.lugre import patch_means
+from tirefit.params import specs
+
+TIRE = LuGre(sigma0=150.0, sigma1=0.08, sigma2=0.002, length=0.25, exponent=0.7)
+LOAD, SPEED = 4000.0, 20.0
+
+
+def level(v_s, tire=TIRE):
+    """S(17c)."""
+    decay = np.exp(-((v_s / tire.v_st) ** tire.exponent))
+    return tire.mu_c + (tire.mu_s - tire.mu_c) * decay
+
+
+def printed(sigma, v=SPEED, tire=TIRE):
+    """S(18) over F_z, as printed; sigma > 0."""
+    v_s = v * sigma / (1 + sigma)
+    g = level(v_s, tire)
+    demand = tire.sigma0 * tire.length * sigma / g
+    bracket = 1 + (1 - tire.sigma1 * v_s / g) / demand * (np.exp(-demand) - 1)
+    return g * bracket + tire.sigma2 * v_s
+
+
+def by_profile(sliding, rolling):
+    """Force over F_z (2,) by quadrature of S(17) over the steady patch."""
+    speed = np.hypot(*sliding)
+    yields = TIRE.sigma0 * speed / level(speed)
+
+    def per_length(place):
+        z = sliding / yields * -np.expm1(-yields * place / rolling)
+        return (
+            TIRE.sigma0 * z
+            + TIRE.sigma1 * (sliding - yields * z)
+            + TIRE.sigma2 * sliding
+        )
+
+    total, _ = quad_vec(per_length, 0, TIRE.length, epsabs=0, epsrel=1e-13)
+    return total / TIRE.length
+
+
+SLIPS = [1e-6, 1e-3, 0.02, 0.1, 0.6, 5.0, 100.0]
+
+
+@pytest.mark.parametrize("v", [0.3, 20.0, 60.0])
+def test_is_s18_as_printed(v):
+    sigma = np.array(SLIPS[2:])
+    found = forces(TIRE, TireInputs(sigma, 0.0, LOAD, v))
+    np.testing.assert_allclose(found.fx, LOAD * printed(sigma, v), rtol=1e-12)
+    np.testing.assert_array_equal(found.fy, 0.0)
+
+
+@pytest.mark.parametrize("slip_x", SLIPS + [-0.01, -0.5])
+@pytest.mark.parametrize("alpha", [0.0, 0.002, -0.3])
+def test_is_the_integral_over_the_profile(slip_x, alpha):
+    found = forces(TIRE, TireInputs(slip_x, alpha, LOAD, SPEED))
+    rolling = SPEED / (1 + slip_x)
+    expected = by_profile(np.array([SPEED - rolling, SPEED * np.tan(alpha)]), rolling)
+    force = np.array([found.fx, found.fy]) / LOAD
+    # v_x - Omega R_e has lost digits at the smallest slip.
+    np.testing.assert_allclose(force, expected, rtol=1e-9, atol=0)
+
+
+@pytest.mark.parametrize("slip", [1e-12, 1e-9, 1e-6, 1e-5])
+def test_small_slip_is_exact(slip):
+    """The first terms of S(18) about rest; as printed it has lost every digit."""
+    still = LuGre(sigma0=150.0, sigma1=0.0, sigma2=0.0, mu_c=0.9, mu_s=0.9)
+
+    def share(tire, slip):
+        return tire(TireInputs(slip, 0.0, 1.0, SPEED)).fx
+
+    stiffness = 150.0 * 0.2
+    demand = stiffness * slip / 0.9
+    expected = stiffness * slip * (1 / 2 - demand / 6 + demand**2 / 24)
+    expected -= stiffness * slip * demand**3 / 120
+    slope = stiffness * (1 / 2 - demand / 3 + demand**2 / 8 - demand**3 / 30)
+    softer = stiffness * slip * (1 / 6 - demand / 12 + demand**2 / 40) * demand / 0.9
+    tire = jax.tree.map(jnp.asarray, still)
+    by_tire, by_slip = jax.grad(share, (0, 1))(tire, jnp.asarray(slip))
+    np.testing.assert_allclose(share(still, slip), expected, rtol=1e-12)
+    np.testing.assert_allclose(by_slip, slope, rtol=1e-12)
+    np.testing.assert_allclose(by_tire.mu_s + by_tire.mu_c, softer, rtol=1e-10)
+    if slip == 1e-12:
+        assert abs(printed(slip, SPEED, still) / expected - 1) > 1e-3
+
+
+def test_patch_means_join_where_the_series_ends():
+    x = np.array([0.0, 1e-9, 0.3, np.nextafter(1, 0), 1.0, 1.1, 40.0, 1e8])
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    place, share = (nodes + 1) / 2, weights / 2
+    fine = x[:-1, None]
+    first = np.exp(-fine * place) @ share
+    second = (np.exp(-fine * place) * (1 - place)) @ share
+    slope = -(np.exp(-fine * place) * (1 - place) * place) @ share
+    found = patch_means(jnp.asarray(x))
+    np.testing.assert_allclose(found[0][:-1], first, rtol=1e-13)
+    np.testing.assert_allclose(found[1][:-1], second, rtol=1e-13)
+    np.testing.assert_allclose([found[0][-1], found[1][-1]], 1e-8, rtol=2e-8)
+    slopes = jax.vmap(jax.grad(lambda x: patch_means(x)[1]))(jnp.asarray(x))
+    np.testing.assert_allclose(slopes[:-1], slope, rtol=1e-12)
+
+
+def test_slope_at_rest_and_viscous_damping():
+    def force(slip):
+        return TIRE(TireInputs(slip, 0.0, LOAD, SPEED)).fx
+
+    expected = LOAD * (150.0 * 0.25 / 2 + (0.08 + 0.002) * SPEED)
+    np.testing.assert_allclose(jax.grad(force)(0.0), expected, rtol=1e-14)
+
+
+def test_stiff_bristles_are_the_lumped_tire():
+    stiff = LuGre(sigma0=9e5, sigma1=0.0, sigma2=0.004)
+    inputs = TireInputs(np.array([0.3, -0.4, 2.0]), np.array([0.0, 0.2, -0.4]), LOAD, 9)
+    rising, lumped = forces(stiff, inputs), forces(stiff.lumped, inputs)
+    np.testing.assert_allclose(rising.fx, lumped.fx, rtol=1e-4)
+    np.testing.assert_allclose(rising.fy, lumped.fy, rtol=1e-4, atol=1e-9)
+
+
+def test_lumped_is_the_rest_of_its_own_equation():
+    """The z that S(17a) holds still, put into S(17b)."""
+    slip_x, alpha = 0.3, -0.2
+    rolling = SPEED / (1 + slip_x)
+    sliding = np.array([SPEED - rolling, SPEED * np.tan(alpha)])
+    speed = np.hypot(*sliding)
+    held = brentq(
+        lambda z: speed - TIRE.sigma0 * speed / level(speed) * z, 0, 1, xtol=1e-15
+    )
+    force = LOAD * (TIRE.sigma0 * held + TIRE.sigma2 * speed) * sliding / speed
+    found = forces(TIRE.lumped, TireInputs(slip_x, alpha, LOAD, SPEED))
+    np.testing.assert_allclose([found.fx, found.fy], force, rtol=1e-12)
+
+
+def test_lumped_jumps_at_rest():
+    found = forces(TIRE.lumped, TireInputs(np.array([-1e-9, 0.0, 1e-9]), 0.0, LOAD, 1))
+    jump = LOAD * TIRE.mu_s
+    np.testing.assert_allclose(found.fx, [-jump, 0.0, jump], rtol=1e-5)
+
+
+def test_force_turns_with_the_sliding_velocity():
+    """Isotropic: the same resultant slip and tread speed give the same force."""
+    ahead = forces(TIRE, TireInputs(0.2, 0.0, LOAD, 12.0))
+    alpha = np.arctan(0.2)
+    sideways = forces(TIRE, TireInputs(0.0, alpha, LOAD, 10.0))
+    np.testing.assert_allclose(sideways.fy, ahead.fx, rtol=1e-13)
+
+
+def test_six_parameters_are_free():
+    free = [name for name, spec in specs(LuGre()).items() if spec.free]
+    assert sorted(free) == ["mu_c", "mu_s", "sigma0", "sigma1", "sigma2", "v_st"]
+    lumped = [name for name, spec in specs(LuGreLumped()).items() if spec.free]
+    assert sorted(lumped) == ["mu_c", "mu_s", "sigma2", "v_st"]
+
+
+def sensitivity(v):
+    """dF / d(log parameter) (n, p) of the free parameters and the length."""
+    free = [name for name, spec in specs(TIRE).items() if spec.free] + ["length"]
+    kappa, speed = (x.ravel() for x in np.meshgrid(np.linspace(0.01, 0.9, 60), v))
+    inputs = TireInputs(kappa / (1 - kappa), 0.0, 1.0, speed)
+    slopes = jax.jacfwd(lambda tire: forces(tire, inputs).fx)(
+        jax.tree.map(jnp.asarray, TIRE)
+    )
+    return free, np.stack(
+        [getattr(slopes, name) * getattr(TIRE, name) for name in free], axis=-1
+    )
+
+
+def test_length_shows_only_with_sigma0():
+    free, slopes = sensitivity([5.0, 15.0, 30.0])
+    np.testing.assert_allclose(
+        slopes[:, free.index("length")], slopes[:, free.index("sigma0")], atol=1e-14
+    )
+
+
+def test_speeds_tell_the_six_apart():
+    weakest = [
+        np.linalg.svd(sensitivity(v)[1][:, :-1])[1][-1]
+        for v in ([15.0] * 3, [5.0, 15.0, 30.0])
+    ]
+    assert 0 < weakest[0] * 20 < weakest[1]

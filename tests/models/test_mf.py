@@ -1,0 +1,413 @@
+"""The Magic Formula of .tir files: against other implementations and its own limits."""
+
+import csv
+from functools import cache, partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tirefit.data.tir import read_tir
+from tirefit.data.tir_keys import COEFFICIENTS, NEUTRAL
+from tirefit.models import TireForces, TireInputs, forces
+from tirefit.models.mf import MFTire, Mirrored, mf_tire
+from tirefit.params import parameter_values, specs, with_values
+from tirefit.slip import LOCKED
+
+FOLDER = Path(__file__).parents[1] / "data" / "tir"
+MF52, MF61, MF62 = (
+    f"mfeval_julia/MagicFormula{number}_Parameters.tir" for number in (52, 61, 62)
+)
+TRUCK = "chrono/335_65R22_5_G275MSA_70psi.tir"
+
+
+@cache
+def tire_of(name, starred=False):
+    tir = read_tir(FOLDER / name)
+    return mf_tire(tir.version, tir.numbers, starred=starred)
+
+
+def values_of(name):
+    return parameter_values(tire_of(name))
+
+
+def iso(tire, kappa=0.0, alpha=0.0, fz=None, gamma=0.0, v=16.6, pressure=0.0):
+    """fx, fy, mz in ISO-W axes, where driving slip is positive."""
+    fz = tire.nominal.FNOMIN if fz is None else fz
+    kappa = np.asarray(kappa, float)
+    given = (-kappa / (1 + kappa), alpha, fz, v, gamma, pressure)
+    shape = np.broadcast_shapes(*(np.shape(part) for part in given))
+    # Few sizes of batch, for each is compiled.
+    size = 256 if max(shape, default=1) <= 256 else 4096
+    rows = np.zeros((6, size))
+    for row, part in zip(rows, given, strict=True):
+        row[: max(shape, default=1)] = part
+    found = forces(tire, TireInputs(*rows))
+    return TireForces(
+        *(-np.asarray(part)[: max(shape, default=1)].reshape(shape) for part in found)
+    )
+
+
+def reference():
+    with open(FOLDER / "reference.csv") as file:
+        rows = list(csv.DictReader(file))
+    cases = {}
+    for row in rows:
+        cases.setdefault((row["tir"], row["angles"]), []).append(row)
+    return cases
+
+
+REFERENCE = reference()
+
+
+@pytest.mark.parametrize("case", REFERENCE, ids=" ".join)
+def test_forces_are_those_of_other_implementations(case):
+    rows = REFERENCE[case]
+    column = {
+        key: np.array([float(row[key] or "nan") for row in rows])
+        for key in ("kappa", "alpha", "gamma", "fz", "v", "p", "fx", "fy", "mz")
+    }
+    found = iso(
+        tire_of(case[0], case[1] == "star"), column["kappa"], column["alpha"],
+        column["fz"], column["gamma"], column["v"], np.nan_to_num(column["p"]),
+    )  # fmt: skip
+    compared = 0
+    for name, share in (("fx", 2e-8), ("fy", 2e-8), ("mz", 2e-9)):
+        given = np.isfinite(column[name])
+        compared += given.sum()
+        tolerance = 2e-6 * abs(column[name]) + share * column["fz"]
+        error = abs(getattr(found, name) - column[name])
+        assert (error[given] <= tolerance[given]).all(), (name, np.nanmax(error))
+    assert compared >= 2 * len(rows)
+
+
+def test_the_reference_covers_every_version_and_angle():
+    assert sum(map(len, REFERENCE.values())) == 475
+    assert {case[1] for case in REFERENCE} == {"raw", "star"}
+    versions = {read_tir(FOLDER / case[0]).version for case in REFERENCE}
+    assert versions == {"5.2", "6.1", "6.2"}
+
+
+EVERY = pytest.mark.parametrize("name", [MF52, MF61, TRUCK])
+
+
+@EVERY
+def test_slope_peak_and_shift_are_those_of_the_coefficients(name):
+    """At the nominal load K, D and S_V of the book are a few coefficients each."""
+    tire, c = tire_of(name), values_of(name)
+    fz = c["FNOMIN"]
+    offset = c["PHX1"]
+    step = 1e-6
+    ahead, behind = (iso(tire, -offset + side).fx for side in (step, -step))
+    np.testing.assert_allclose((ahead - behind) / (2 * step), c["PKX1"] * fz, rtol=1e-4)
+    np.testing.assert_allclose((ahead + behind) / 2, c["PVX1"] * fz, atol=0.02)
+    kappa = np.linspace(-0.95, -0.01, 4000)
+    largest = np.max(abs(iso(tire, kappa).fx - c["PVX1"] * fz))
+    np.testing.assert_allclose(largest, c["PDX1"] * fz, rtol=1e-3)
+    offset = c["PHY1"]
+    ahead, behind = (iso(tire, 0.0, -offset + side).fy for side in (step, -step))
+    slope = c["PKY1"] * fz * np.sin(c["PKY4"] * np.arctan(1 / c["PKY2"]))
+    np.testing.assert_allclose((ahead - behind) / (2 * step), slope, rtol=1e-4)
+    np.testing.assert_allclose((ahead + behind) / 2, c["PVY1"] * fz, atol=0.02)
+    alpha = np.linspace(-1.5, 1.5, 4000)
+    largest = np.max(iso(tire, 0.0, alpha).fy - c["PVY1"] * fz)
+    np.testing.assert_allclose(largest, abs(c["PDY1"]) * fz, rtol=1e-3)
+
+
+@EVERY
+def test_pure_slip_is_combined_slip_with_the_other_at_zero(name):
+    """At zero of the other slip no coefficient of combined slip has an effect."""
+    tire = tire_of(name)
+    combined = [key for key in specs(tire) if key[:2] in ("RB", "RC", "RE", "RH", "RV")]
+    assert len(combined) == 22
+    pure = with_values(tire, dict.fromkeys(combined, 0.0))
+    slip = np.linspace(-0.4, 0.4, 17)
+    for gamma in (0.0, 0.04):
+        along, across = (
+            iso(tire, slip, 0.0, gamma=gamma),
+            iso(tire, 0.0, slip, gamma=gamma),
+        )
+        np.testing.assert_allclose(
+            along.fx, iso(pure, slip, 0.0, gamma=gamma).fx, rtol=1e-13
+        )
+        np.testing.assert_allclose(
+            across.fy, iso(pure, 0.0, slip, gamma=gamma).fy, rtol=1e-13
+        )
+    if name != TRUCK:  # whose weighting functions are one
+        both = abs(iso(tire, slip, 0.2).fy) < abs(iso(pure, slip, 0.2).fy)
+        assert both[abs(slip) > 0.1].all()
+
+
+# Coefficients that a mirrored tire has with the other sign: conicity, ply steer.
+ODD = (
+    "PHY1 PHY2 PVY1 PVY2 PEY3 RHX1 RBY3 RVY1 RVY2 QBZ4 QDZ3 QDZ6 QDZ7 QEZ4 QHZ1 QHZ2"
+    " SSZ1"
+).split()
+
+
+@pytest.mark.parametrize("name", [MF52, MF61])
+@pytest.mark.parametrize("starred", [False, True])
+def test_the_other_side_is_the_tire_of_mirrored_coefficients(name, starred):
+    tire = tire_of(name, starred)
+    c = parameter_values(tire)
+    other = with_values(tire, {key: -c[key] for key in ODD})
+    generator = np.random.default_rng(5)
+    point = {
+        "kappa": generator.uniform(-0.4, 0.4, 200),
+        "alpha": generator.uniform(-0.3, 0.3, 200),
+        "gamma": generator.uniform(-0.1, 0.1, 200),
+        "fz": generator.uniform(1000, 9000, 200),
+        "pressure": generator.uniform(2e5, 3e5, 200),
+    }
+    sigma = -point["kappa"] / (1 + point["kappa"])
+    mirrored = forces(
+        Mirrored(tire),
+        TireInputs(
+            sigma, point["alpha"], point["fz"], 10.0, point["gamma"], point["pressure"]
+        ),
+    )
+    expected = iso(other, **point)
+    for got, wanted, least in zip(mirrored, expected, (1e-7, 1e-7, 1e-8), strict=True):
+        np.testing.assert_allclose(-got, wanted, rtol=1e-11, atol=least)
+    assert np.max(abs(iso(tire, **point).fy - expected.fy)) > 10
+
+
+def test_mf52_is_mf61_without_its_new_terms():
+    """The camber of 6.1 thrusts as that of 5.2 does if K_yc0 gamma is S_Vyc."""
+    c = values_of(MF52)
+    same = {key: value for key, value in c.items() if key != "PHY3"}
+    old = mf_tire("5.2", same)
+    new = mf_tire("6.1", same | {"PKY6": c["PVY3"], "PKY7": c["PVY4"]})
+    slip = np.linspace(-0.3, 0.3, 13)
+    for gamma in (0.0, 0.1, -0.2):
+        for pressure in (0.0, 3e5):
+            first = iso(old, slip, 0.5 * slip + 0.05, 6000.0, gamma, pressure=pressure)
+            second = iso(new, slip, 0.5 * slip + 0.05, 6000.0, gamma, pressure=pressure)
+            parts = zip(first, second, strict=True)
+            for one, other in list(parts)[: 3 if gamma == 0 else 2]:
+                np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-9)
+            assert gamma == 0 or not np.allclose(first.mz, second.mz, rtol=1e-3)
+    # What PHY3 adds is a shift of the slip angle.
+    shifted = iso(tire_of(MF52), 0.0, slip, 6000.0, 0.1).fy
+    np.testing.assert_allclose(
+        shifted, iso(old, 0.0, slip + 0.1 * c["PHY3"], 6000.0, 0.1).fy, rtol=1e-9
+    )
+
+
+def test_pressure_acts_on_stiffness_and_friction_as_stated():
+    tire, c = tire_of(MF61), values_of(MF61)
+    nominal, high = c["NOMPRES"], 1.2 * c["NOMPRES"]
+    dpi = (high - nominal) / nominal
+    slips = np.linspace(-0.3, 0.3, 7)
+    for one, other in zip(
+        iso(tire, slips, 0.1), iso(tire, slips, 0.1, pressure=nominal), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+    inflated = with_values(tire, {"INFLPRES": high})
+    for one, other in zip(
+        iso(inflated, slips, 0.1), iso(tire, slips, 0.1, pressure=high), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+    kappa = -c["PHX1"] + np.array([-1e-6, 1e-6])
+    slope = np.diff(iso(tire, kappa, pressure=high).fx) / np.diff(kappa)
+    expected = c["PKX1"] * c["FNOMIN"] * (1 + c["PPX1"] * dpi + c["PPX2"] * dpi**2)
+    np.testing.assert_allclose(slope, expected, rtol=1e-4)
+    peak = np.max(iso(tire, 0.0, -np.linspace(0, 1, 4000), pressure=high).fy)
+    mu = c["PDY1"] * (1 + c["PPY3"] * dpi + c["PPY4"] * dpi**2)
+    np.testing.assert_allclose(peak, (mu + c["PVY1"]) * c["FNOMIN"], rtol=1e-3)
+
+
+def moments(tire, **point):
+    """M_z of a cambered wheel without lateral force: the residual moment alone."""
+    return iso(with_values(tire, {"QDZ1": 0.0, "QDZ2": 0.0}), **point).mz
+
+
+def unshifted(tire, **point):
+    zero = ("PHX1", "PHX2", "PVX1", "PVX2", "PHY1", "PHY2", "PVY1", "PVY2")
+    return iso(with_values(tire, dict.fromkeys(zero, 0.0)), **point)
+
+
+def part(tire, key, channel, **point):
+    """What of a force or moment is there by the grace of one factor."""
+    without = iso(with_values(tire, {key: 0.0}), **point)
+    return getattr(iso(tire, **point), channel) - getattr(without, channel)
+
+
+SCALES = {
+    # factor: (what it scales linearly, the point of operation)
+    "LMUX": (lambda tire, **at: unshifted(tire, **at).fx, {"kappa": -1e5}),
+    "LKX": (lambda tire, **at: unshifted(tire, **at).fx, {"kappa": 1e-7}),
+    "LMUY": (lambda tire, **at: unshifted(tire, **at).fy, {"alpha": 1e8}),
+    "LKY": (lambda tire, **at: unshifted(tire, **at).fy, {"alpha": 1e-7}),
+    "LVX": (
+        lambda tire, **at: iso(with_values(tire, {"PDX1": 0.0, "PDX2": 0.0}), **at).fx,
+        {"fz": 5000.0},
+    ),
+    "LTR": (
+        lambda tire, **at: iso(tire, **at).mz - moments(tire, **at),
+        {"alpha": 0.05, "gamma": 0.03},
+    ),
+    "LVYKA": (partial(part, key="LVYKA", channel="fy"), {"kappa": 0.1, "alpha": 0.05}),
+    "LS": (
+        partial(part, key="LS", channel="mz"),
+        {"kappa": 0.1, "alpha": 0.05, "gamma": 0.05},
+    ),
+}
+
+
+@pytest.mark.parametrize("factor", SCALES)
+@pytest.mark.parametrize("name", [MF52, MF61])
+def test_scaling_factors_scale(name, factor):
+    measure, point = SCALES[factor]
+    tire = with_values(tire_of(name), {"SSZ1": 0.01})
+    once = measure(tire, **point)
+    twice = measure(with_values(tire, {factor: 2.0}), **point)
+    assert abs(once) > 1e-9
+    np.testing.assert_allclose(twice / once, 2.0, rtol=2e-4)
+
+
+def test_scaled_nominal_load_is_another_nominal_load():
+    tire, c = tire_of(MF61), values_of(MF61)
+    slip = np.linspace(-0.2, 0.2, 9)
+    scaled = iso(with_values(tire, {"LFZO": 1.25}), slip, 0.1, 5000.0, 0.03)
+    other = iso(
+        with_values(tire, {"FNOMIN": 1.25 * c["FNOMIN"]}), slip, 0.1, 5000.0, 0.03
+    )
+    np.testing.assert_allclose(scaled.fx, other.fx, rtol=1e-13)
+    np.testing.assert_allclose(scaled.fy, other.fy, rtol=1e-13)
+
+
+def test_slip_speed_lowers_the_friction():
+    tire = with_values(tire_of(MF61), {"LMUV": 0.3})
+    assert tire_of(MF61).needs == () and tire.needs == ("v",)
+    assert Mirrored(tire).needs == ("v",)
+    v, kappa, alpha = 25.0, -0.2, 0.1
+    v_s = v * np.hypot(kappa, np.tan(alpha))
+    factor = 1 / (1 + 0.3 * v_s / values_of(MF61)["LONGVL"])
+    lowered = with_values(tire_of(MF61), {"LMUX": factor, "LMUY": factor})
+    for one, other in zip(
+        iso(tire, kappa, alpha, v=v), iso(lowered, kappa, alpha), strict=True
+    ):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
+
+
+def test_vertical_shifts_fall_less_than_a_low_friction():
+    """(4.E8) with A_mu = 10, which 5.2 does not have."""
+    for name, expected in ((MF61, 10 * 0.1 / (1 + 9 * 0.1)), (MF52, 0.1)):
+        c = values_of(name)
+        tire = with_values(tire_of(name), {"LMUX": 0.1})
+        shift = iso(tire, -c["PHX1"]).fx / c["FNOMIN"]
+        np.testing.assert_allclose(shift, expected * c["PVX1"], rtol=1e-9)
+
+
+def test_weights_are_one_where_they_are_scaled_away():
+    tire = with_values(tire_of(MF61), {"LXAL": 0.0, "LYKA": 0.0, "LVYKA": 0.0})
+    slip = np.linspace(-0.2, 0.2, 9)
+    alone = iso(tire_of(MF61), slip).fx
+    np.testing.assert_allclose(iso(tire, slip, 0.15).fx, alone, rtol=1e-13)
+    alone = iso(tire_of(MF61), 0.0, slip).fy
+    np.testing.assert_allclose(iso(tire, 0.1, slip).fy, alone, rtol=1e-13)
+
+
+# Rest, hardly slipping, rolling on the edge of sliding, sideways, spinning, locked.
+SLIPS = [
+    (0.0, 0.0), (1e-12, -1e-12), (0.02, -0.02), (-0.3, 0.3), (0.0, np.pi / 2),
+    (0.0, -np.pi / 2), (5.0, 1.4), (-0.9, -1.4), (LOCKED, 0.0), (LOCKED, -0.7),
+]  # fmt: skip
+GRID = np.array(
+    [
+        (*slip, fz, v, gamma, pressure, 0.0)
+        for slip in SLIPS
+        for fz in (-10.0, 0.0, 1e-6, 4000.0, 1e5)
+        for v, gamma, pressure in ((0.0, 0.0, 0.0), (20.0, 0.05, 2.3e5), (9.0, -1.5, 0))
+    ]
+)
+
+
+def jacobian(tire, dtype=jnp.float64):
+    """Forces (n, 3), and their derivatives by every coefficient and input (3, n).
+
+    By reverse mode, whose zeros times infinity are what must not be; not compiled.
+    """
+    n = len(GRID)
+    each = jax.tree.map(lambda leaf: jnp.full(n, leaf, dtype), tire)
+    inputs = TireInputs(*jnp.asarray(GRID.T, dtype))
+
+    def stacked(tire, inputs):
+        return jnp.stack(tire(inputs), axis=-1)
+
+    with jax.disable_jit():
+        value, pull_back = jax.vjp(stacked, each, inputs)
+        ones = jnp.broadcast_to(jnp.eye(3, dtype=dtype)[:, None], (3, n, 3))
+        slopes = [jax.tree.leaves(pull_back(one)) for one in ones]
+    return np.asarray(value), [np.stack(parts) for parts in zip(*slopes, strict=True)]
+
+
+@pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
+@pytest.mark.parametrize(("name", "starred"), [(MF52, True), (MF61, False)])
+def test_values_and_gradients_are_finite_everywhere(name, starred, dtype):
+    tire = with_values(tire_of(name, starred), {"LMUV": 0.1})
+    value, slopes = jacobian(tire, dtype)
+    assert value.dtype == dtype and np.isfinite(value).all()
+    for key, leaf in zip([*specs(tire), *TireInputs._fields], slopes, strict=True):
+        bad = ~np.isfinite(leaf).all(axis=0)
+        assert not bad.any(), (key, GRID[bad][:3])
+    unloaded = GRID[:, 2] <= 0
+    np.testing.assert_array_equal(value[unloaded], 0.0)
+    assert (value[GRID[:, 2] == 4000.0] != 0).all()
+
+
+def test_float32_is_near():
+    exact, _ = jacobian(tire_of(MF61))
+    near, _ = jacobian(tire_of(MF61), jnp.float32)
+    # At alpha = pi/2 the trail is what the rounding of pi/2 makes of it.
+    ordinary = (abs(GRID[:, 1]) < 1.5) & (abs(GRID[:, 4]) < 1) & (GRID[:, 2] < 1e5)
+    error = abs(np.asarray(near, float) - exact)[ordinary]
+    assert (error <= 1e-3 * abs(GRID[ordinary, 2:3])).all()
+
+
+def test_gradient_is_the_slope():
+    tire = tire_of(MF61)
+    base = np.array([0.05, -0.06, 4500.0, 15.0, 0.03, 2.4e5, 0.0])
+
+    @jax.jit
+    def found(row):
+        return jnp.stack(tire(TireInputs(*row)))
+
+    slopes = jax.jacfwd(found)(jnp.asarray(base))
+    for place in (0, 1, 2, 4, 5):
+        step = np.zeros(7)
+        step[place] = 1e-6 * max(abs(base[place]), 0.1)
+        numeric = (found(base + step) - found(base - step)) / (2 * step[place])
+        np.testing.assert_allclose(slopes[:, place], numeric, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("keys", ["LMUX LMUY", "PCX1 PCY1", "PKY1", "PKY2 LKY"])
+def test_no_friction_shape_or_stiffness_is_finite(keys):
+    """They stand in denominators."""
+    value, slopes = jacobian(
+        with_values(tire_of(MF61), dict.fromkeys(keys.split(), 0.0))
+    )
+    assert np.isfinite(value).all()
+    assert all(np.isfinite(leaf).all() for leaf in slopes)
+
+
+def test_absent_coefficients_have_no_effect():
+    known = specs(MFTire())
+    assert set(known) == set(COEFFICIENTS)
+    essential = {
+        "PCX1", "PDX1", "PKX1", "PCY1", "PDY1", "PKY1", "PKY2", "QBZ1", "QCZ1"
+    }  # fmt: skip
+    for key, spec in known.items():
+        if key in essential or spec.unit != "-":
+            continue
+        neutral = NEUTRAL.get(key, 1.0 if key.startswith("L") else 0.0)
+        assert spec.default == neutral, key
+        assert spec.free != key.startswith("L")
+
+
+def test_unknown_versions_are_refused():
+    with pytest.raises(ValueError, match="7.0"):
+        mf_tire("7.0", {})

@@ -1,0 +1,321 @@
+"""Pressure laws that move, and laws made of a function or a table."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numeric_patch import integrate_patch
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from tirefit.models import (
+    MODELS,
+    Asymmetric,
+    Brush,
+    Elliptic,
+    ForceAsymmetric,
+    Friction,
+    Kinetic,
+    LoadAsymmetric,
+    Parabolic,
+    Quartic,
+    Tabulated,
+    TireInputs,
+    Uniform,
+    forces,
+)
+from tirefit.params import with_values
+from tirefit.results import UsageError
+
+C, MU, FZ = 5e4, 0.9, 4000.0
+
+LAWS = {
+    "parabolic": (Parabolic(), lambda xi: 1 - xi**2),
+    "uniform": (Uniform(), lambda xi: 3.0),
+    "quartic": (Quartic(), lambda xi: 1 - xi**4),
+    "elliptic": (Elliptic(), lambda xi: np.sqrt(1 - xi**2)),
+    **{
+        f"d = {d:.2g}": (Asymmetric(d), lambda xi, d=d: 7 * (1 - xi**2) * (1 + d * xi))
+        for d in (-1 / 3, -0.2, 0.4, 1.0)
+    },
+}
+EACH = pytest.mark.parametrize(("law", "density"), LAWS.values(), ids=LAWS)
+RHO = jnp.asarray(
+    np.concatenate([np.geomspace(1e-9, 0.1, 20), np.linspace(0.1, 4, 67)])
+)
+
+
+# Elliptic
+
+
+def test_elliptic_force_is_its_integral():
+    """S §4.1 by SciPy's quadrature, apart from any closed form of the patch."""
+    k = 2 / np.pi
+    for rho in (1e-3, 0.1, 0.5, 2.0, 50.0):
+        xi = brentq(lambda x, r=rho: k * np.sqrt((1 + x) / (1 - x)) - r, -1, 1 - 1e-12)
+        load, _ = quad(lambda phi: k * np.sin(phi) ** 2, 0, np.arccos(-xi))
+        share = 0.6 * load + rho * (1 - xi) ** 2 / 2
+        tire = Brush(C, MU, pressure=Elliptic(), friction=Friction((Kinetic(0.6),)))
+        force, _ = tire.pure(rho * MU * FZ / C, FZ, 0.0)
+        np.testing.assert_allclose(force, share * MU * FZ, rtol=1e-9)
+
+
+def test_elliptic_keeps_its_digits_and_slopes_at_both_ends():
+    law = Elliptic()
+    u = jnp.asarray([0.0, 1e-12, 1e-4, 1.0, 2 - 1e-9, 2.0])
+    # To leading order P = 4 sqrt(2) / (3 pi) u^(3/2).
+    leading = 4 * np.sqrt(2) / (3 * np.pi) * 1e-18
+    np.testing.assert_allclose(law.cdf(u)[1], leading, rtol=1e-11)
+    slopes = jax.vmap(jax.jacfwd(lambda u: jnp.stack(integrals(law, u))))(u).T
+    assert np.isfinite(slopes).all()
+    np.testing.assert_allclose(slopes[1], law.density(u), rtol=1e-12)
+    huge = jnp.asarray([1e18, 1e30], jnp.float32)
+    assert (law.breakaway(huge) == 2).all()
+    assert (jax.vmap(jax.grad(law.breakaway))(huge) == 0).all()
+
+
+# An asymmetry that moves
+
+
+def patch_force(d, slip):
+    """Braking force over static friction of the numeric patch, mu_k = mu_s."""
+    return integrate_patch("brush", d, C, MU, MU, FZ, slip).force / (MU * FZ)
+
+
+@jax.jit
+def moved_d(law, rho, braking):
+    return law.under(rho, braking, FZ).d
+
+
+@pytest.mark.parametrize("braking", [1.0, -1.0, 0.6, 0.0])
+@pytest.mark.parametrize(("d", "d_force"), [(0.1, -0.4), (0.5, 0.9), (0.0, -1.0)])
+def test_asymmetry_follows_the_brake_force(d, d_force, braking):
+    """d is where the line d + d_F F_x / (mu F_z) meets the force of the patch."""
+    law = ForceAsymmetric(d, d_force)
+    for slip in (1e-3, 0.02, 0.05, 0.09, 0.3):
+
+        def miss(at, slip=slip):
+            line = d + d_force * braking * patch_force(at, slip)
+            return at - np.clip(line, -1 / 3, 1)
+
+        expected = brentq(miss, -1 / 3, 1.0, xtol=1e-14)
+        found = moved_d(law, C * slip / (MU * FZ), braking)
+        np.testing.assert_allclose(found, expected, atol=1e-11)
+        assert -1 / 3 <= found <= 1
+
+
+def test_brake_force_moves_the_force_of_the_tire():
+    truth = {"cpa2": C, "mu": MU, "d": 0.2, "d_force": -0.4}
+    tire = with_values(MODELS["brush-d-force"], truth)
+    slip = np.array([0.03, 0.05, 0.08])
+    both = forces(tire, TireInputs(np.concatenate([slip, -slip]), 0.0, FZ))
+    braked, driven = np.split(np.abs(both.fx), 2)
+    still = forces(with_values(tire, {"d_force": 0.0}), TireInputs(slip, 0.0, FZ)).fx
+    # Pressure that moves back lets fewer bristles slide, one that moves on more.
+    assert (braked > still + 20).all() and (driven < still - 20).all()
+    for s, found in zip(slip, braked, strict=True):
+        at = brentq(lambda d, s=s: d - 0.2 + 0.4 * patch_force(d, s), -1 / 3, 1)
+        np.testing.assert_allclose(found, MU * FZ * patch_force(at, s), rtol=1e-11)
+    # A lateral force does not move it.
+    sideways = forces(tire, TireInputs(0.0, np.arctan(slip), FZ)).fy
+    plain = with_values(MODELS["brush-d"], {"cpa2": C, "mu": MU, "d": 0.2})
+    same = forces(plain, TireInputs(0.0, np.arctan(slip), FZ)).fy
+    np.testing.assert_allclose(sideways, same, rtol=1e-12)
+
+
+def test_slope_of_the_moving_asymmetry_is_the_central_difference():
+    @jax.jit
+    def moved(values):
+        rho, d, d_force = values
+        return ForceAsymmetric(d, d_force).under(rho, 0.8, FZ).d
+
+    at = jnp.asarray([0.7, 0.2, -0.5])
+    slope = jax.grad(moved)(at)
+    steps = 1e-5 * jnp.eye(3)
+    difference = [(moved(at + step) - moved(at - step)) / 2e-5 for step in steps]
+    np.testing.assert_allclose(slope, difference, rtol=1e-8)
+    np.testing.assert_allclose(jax.jvp(moved, (at,), (at,))[1], slope @ at, rtol=1e-12)
+
+
+def test_asymmetry_follows_the_load():
+    law = LoadAsymmetric(0.1, 0.5, 4000.0)
+    for fz, d in ((4000.0, 0.1), (5000.0, 0.225), (40.0, -1 / 3), (40000.0, 1.0)):
+        np.testing.assert_allclose(law.under(0.3, 1.0, fz).d, d, rtol=1e-12)
+    values = {"cpa2": C, "mu": MU, "d": 0.1, "d_load": 0.5, "fz0": 4000.0}
+    tire = with_values(MODELS["brush-d-load"], values)
+    plain = with_values(MODELS["brush-d"], {"cpa2": C, "mu": MU, "d": 0.225})
+    inputs = TireInputs(np.array([-0.05, 0.02, 0.2]), 0.03, 5000.0)
+    for mine, same in zip(forces(tire, inputs), forces(plain, inputs), strict=True):
+        np.testing.assert_allclose(mine, same, rtol=1e-12)
+
+
+# Functions and tables
+
+
+@jax.jit
+def outputs(law, rho):
+    """Force and moment over friction, each (n, 2), with their slopes over rho."""
+    tire = Brush(1.0, 1.0, pressure=law, friction=Friction((Kinetic(0.6),)))
+
+    def both(rho):
+        return jnp.stack(tire.pure(rho, 1.0, 0.0))
+
+    return jax.vmap(both)(rho), jax.vmap(jax.jacfwd(both))(rho)
+
+
+@jax.jit
+def points(law, rho):
+    """Breakaway points and their slopes over rho, forward and backward, each (n,)."""
+    both = jax.jacfwd(law.breakaway), jax.grad(law.breakaway)
+    return law.breakaway(rho), *(jax.vmap(slope)(rho) for slope in both)
+
+
+@jax.jit
+def integrals(law, u):
+    return law.density(u), law.cdf(u), law.moment(u)
+
+
+@EACH
+def test_function_agrees_with_the_closed_form(law, density):
+    made = Tabulated.from_function(density)
+    value, slope = outputs(law, RHO)
+    made_value, made_slope = outputs(made, RHO)
+    np.testing.assert_allclose(made_value, value, atol=1e-13)
+    np.testing.assert_allclose(made_slope, slope, atol=1e-12)
+    (u, forward, backward), (exact, slope, _) = points(made, RHO), points(law, RHO)
+    np.testing.assert_allclose(u, exact, rtol=1e-8, atol=1e-13)
+    np.testing.assert_allclose(backward, forward, rtol=1e-12)
+    inside = (u > 1e-6) & (u < 2 - 1e-6)
+    np.testing.assert_allclose(backward[inside], slope[inside], rtol=1e-8)
+    at = jnp.linspace(0.0, 2.0, 41)
+    for mine, part in zip(integrals(made, at), integrals(law, at), strict=True):
+        np.testing.assert_allclose(mine, part, atol=1e-13)
+
+
+def test_parameters_have_the_gradient_of_the_closed_form():
+    made = Tabulated.from_function(lambda xi: 1 - xi**4)
+
+    def force(values, law):
+        tire = with_values(Brush(pressure=law), {"cpa2": values[0], "mu": values[1]})
+        return tire(TireInputs(0.06, 0.03, values[2])).fx
+
+    at = jnp.asarray([C, MU, FZ])
+    both = jax.jit(lambda at, law: (jax.grad(force)(at, law), curvature(at, law)))
+    curvature = jax.jacfwd(jax.grad(force))
+    (slope, bend), (exact, exact_bend) = both(at, made), both(at, Quartic())
+    np.testing.assert_allclose(slope, exact, rtol=1e-11)
+    np.testing.assert_allclose(bend, exact_bend, rtol=1e-8, atol=1e-20)
+
+
+def trapezoid(xi):
+    """The static patch of S Fig. 1: even within, falling over the last fifth."""
+    return np.minimum(1.0, 5 * (1 - np.abs(xi)))
+
+
+KNOTS = np.array([-1.0, -0.8, 0.8, 1.0])
+
+
+def test_table_and_function_with_kinks_agree_with_quadrature():
+    table = Tabulated.from_table(KNOTS, trapezoid(KNOTS))
+    given = Tabulated.from_function(trapezoid, kinks=KNOTS[1:-1])
+    found = Tabulated.from_function(trapezoid)
+    for rho in (0.02, 0.2, 0.5, 1.2, 2.6, 2.8):
+        # p / (1 - xi) rises to 5 / 1.8 on the leading ramp, where it is level.
+        if rho >= 5 / 1.8:
+            xi = 1.0
+        else:
+            xi = brentq(
+                lambda x, r=rho: trapezoid(x) / 1.8 - r * (1 - x), -1, 0.8 + 1e-12
+            )
+        load, _ = quad(trapezoid, -1, xi, points=KNOTS[1:-1])
+        expected = 0.6 * load / 1.8 + rho * (1 - xi) ** 2 / 2
+        for law in (table, given, found):
+            force = outputs(law, jnp.full(1, rho))[0][0, 0]
+            np.testing.assert_allclose(force, expected, rtol=1e-11)
+
+
+def test_table_of_a_smooth_law_approaches_it():
+    """Chords of n intervals miss the curve by their sagitta, as 1 / n^2."""
+    missed = []
+    for n in (20, 40):
+        xi = np.linspace(-1, 1, n + 1)
+        table = Tabulated.from_table(xi, 1 - xi**2)
+        missed.append(np.abs(outputs(table, RHO)[0] - outputs(Parabolic(), RHO)[0]))
+    coarse, fine = (part.max() for part in missed)
+    assert coarse < 2e-3
+    np.testing.assert_allclose(coarse / fine, 4, rtol=0.2)
+
+
+def test_tabulated_law_is_a_model_like_any_other():
+    """Batched, compiled, in combined slip, and finite at the ends."""
+    xi = np.linspace(-1, 1, 9)
+    tire = Brush(C, MU, pressure=Tabulated.from_table(xi, 1 - xi**4))
+    slips = np.array([0.0, 1e-12, 0.05, 0.3, 1e6])
+    inputs = TireInputs(slips, 0.05, np.array([0.0, 4e3, 4e3, 4e3, 4e3]))
+    result = forces(tire, inputs)
+    assert np.isfinite(np.stack(result)).all()
+    np.testing.assert_allclose(np.hypot(result.fx, result.fy)[-1], MU * FZ, rtol=1e-9)
+    arrays = jax.tree.map(jnp.asarray, inputs)
+
+    def total(inputs):
+        return sum(jnp.sum(part) for part in forces(tire, inputs))
+
+    for leaf in jax.grad(total)(arrays):
+        assert np.isfinite(leaf).all()
+    with jax.enable_x64(False):
+        single = forces(tire, TireInputs(np.float32(slips), 0.05, np.float32(4e3)))
+    assert single.fx.dtype == np.float32
+    np.testing.assert_allclose(single.fx[1:], result.fx[1:], rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("density", "message"),
+    [
+        (lambda xi: xi, "negative at xi = -0.92"),
+        (lambda xi: np.where(xi > 0.5, np.nan, 1.0), "not finite at xi = 0"),
+        (lambda xi: 0.0, "nowhere positive"),
+        (lambda xi: (1 - xi**2) * (1 - 0.5 * xi), r"over \(1 - xi\) falls at xi = 0"),
+        (lambda xi: (1 - xi**2) ** 2, r"over \(1 - xi\) falls at xi = 0.3"),
+        (lambda xi: 1 + np.sin(1e9 * xi), "too many places"),
+    ],
+)
+def test_density_that_is_no_pressure_is_refused(density, message):
+    with pytest.raises(UsageError, match=message) as error:
+        Tabulated.from_function(density)
+    assert error.value.problems[0].remedy
+
+
+@pytest.mark.parametrize(
+    ("text", "problems"),
+    [
+        ("xi,density\n-1,0\n0,1\n1,x\n", [(4, "density", "'x' is no number")]),
+        ("x,p\n-1,0\n", [(2, "xi", "no number"), (2, "density", "no number")]),
+        ("xi,density\n-1,0\n0,-1\n0,1\n", [
+            (3, None, "negative"), (4, None, "not increase"), (None, None, "-1 to 0"),
+        ]),
+        ("xi,density\n-1,0\n", [(None, None, "no two columns")]),
+        ("xi,density\n-1,0\n0.5,1\n0.8,0.1\n1,0.1\n", [(None, None, "falls at xi")]),
+    ],
+)  # fmt: skip
+def test_wrong_table_names_file_row_and_column(tmp_path, text, problems):
+    file = tmp_path / "patch.csv"
+    file.write_text(text)
+    with pytest.raises(UsageError) as error:
+        Tabulated.from_csv(file)
+    assert len(error.value.problems) == len(problems)
+    for found, (row, column, reason) in zip(
+        error.value.problems, problems, strict=True
+    ):
+        assert (found.file, found.row, found.column) == (str(file), row, column)
+        assert reason in found.reason and found.remedy
+
+
+def test_table_from_a_file(tmp_path):
+    file = tmp_path / "patch.csv"
+    file.write_text("density, xi\n0.0, -1\n1.0, -0.8\n1.0, 0.8\n0.0, 1\n")
+    from_file, given = Tabulated.from_csv(file), Tabulated.from_table(
+        KNOTS, trapezoid(KNOTS)
+    )  # fmt: skip
+    np.testing.assert_allclose(from_file.load, given.load, atol=1e-15)
+    with pytest.raises(UsageError, match="cannot read it"):
+        Tabulated.from_csv(tmp_path / "missing.csv")

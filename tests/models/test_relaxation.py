@@ -1,0 +1,157 @@
+"""The slip that lags behind over a relaxation length."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from tirefit.models import MODELS, Brush, Relaxed, TireInputs, forces
+from tirefit.models.relaxation import lag
+from tirefit.params import with_values
+
+LENGTH, FZ = 0.4, 4000.0
+
+
+def manoeuvre(n=60, seed=0):
+    """Unevenly sampled slips in two runs, standing still for a while in the second."""
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.uniform(0.005, 0.03, n))
+    run = np.repeat([3, 1], [n // 2, n - n // 2])
+    time[n // 2 :] -= time[n // 2] - 0.02  # each run has its own clock
+    v = np.full(n, 8.0)
+    v[n // 2 + 10 : n // 2 + 15] = 0.0
+    v[:8] = -5.0
+    slip = 0.1 * np.sin(20 * time) + 0.02 * rng.standard_normal(n)
+    alpha = 0.3 * np.cos(15 * time)
+    zero = np.zeros(n)
+    return TireInputs(slip, alpha, zero + FZ, v, zero, zero, time), run
+
+
+def integrated(slip, travel, first):
+    """Slip felt at the end of each step, by a solver, from steady state at ``first``.
+
+    The slip is linear in the distance travelled; standing still, nothing is felt.
+    """
+    felt = slip.copy()
+    for i in range(1, len(slip)):
+        if i in first:
+            continue
+        ends = slip[i - 1], slip[i]
+        if travel[i] == 0:
+            felt[i] = felt[i - 1]
+            continue
+
+        def rate(x, y, i=i, ends=ends):
+            return (ends[0] + (ends[1] - ends[0]) * x / travel[i] - y) / LENGTH
+
+        span = (0.0, travel[i])
+        felt[i] = solve_ivp(rate, span, [felt[i - 1]], rtol=1e-11, atol=1e-14).y[0, -1]
+    return felt
+
+
+@pytest.fixture(scope="module")
+def felt():
+    inputs, run = manoeuvre()
+    arrays = jax.tree.map(jnp.asarray, inputs)
+    return inputs, run, Relaxed(Brush(), LENGTH).felt(arrays, jnp.asarray(run))
+
+
+def test_lag_is_the_solution_of_its_equation(felt):
+    inputs, _, result = felt
+    speed = np.abs(inputs.v)
+    travel = np.append(0, (speed[1:] + speed[:-1]) / 2 * np.diff(inputs.time))
+    slip = integrated(inputs.sigma_x, travel, {0, 30})
+    np.testing.assert_allclose(result.sigma_x, slip, atol=1e-11)
+    tangent = integrated(np.tan(inputs.alpha), travel, {0, 30})
+    np.testing.assert_allclose(np.tan(result.alpha), tangent, atol=1e-11)
+    assert np.abs(result.sigma_x - inputs.sigma_x).max() > 0.05
+    for name in ("fz", "v", "gamma", "pressure", "time"):
+        np.testing.assert_array_equal(getattr(result, name), getattr(inputs, name))
+
+
+def test_step_decays_over_the_relaxation_length():
+    """A step of slip is felt as 1 - exp(-distance / L), at any speed."""
+    for v in (2.0, 40.0):
+        distance = np.append(0.0, np.linspace(1e-9, 2.0, 41))
+        slip = np.append(0.0, np.full(41, 0.1))
+        inputs = TireInputs(slip, 0.0, FZ, v, time=distance / v)
+        tire = with_values(MODELS["brush-relaxation"], {"relaxation_length": LENGTH})
+        expected = 0.1 * -np.expm1(-distance / LENGTH)
+        steady = forces(tire.tire, TireInputs(expected, 0.0, FZ, v)).fx
+        np.testing.assert_allclose(
+            forces(tire, inputs).fx, steady, rtol=1e-6, atol=1e-4
+        )
+
+
+def test_ramp_lags_by_the_relaxation_length():
+    distance = jnp.linspace(0, 8, 81)
+    behind = lag(0.01 * distance, jnp.full(81, 0.1), LENGTH, jnp.arange(81) == 0)
+    np.testing.assert_allclose(behind[-1], -0.01 * LENGTH, rtol=1e-8)
+    assert behind[0] == 0 and (jnp.diff(behind) < 0).all()
+
+
+def test_each_run_starts_in_steady_state_and_order_of_runs_is_free(felt):
+    inputs, run, result = felt
+    starts = np.array([0, 30])
+    np.testing.assert_array_equal(result.sigma_x[starts], inputs.sigma_x[starts])
+    other = np.concatenate([np.arange(30, 60), np.arange(30)])
+    swapped = TireInputs(*(jnp.asarray(part[other]) for part in inputs))
+    again = Relaxed(Brush(), LENGTH).felt(swapped, jnp.asarray(run[other]))
+    np.testing.assert_allclose(again.sigma_x, result.sigma_x[other], atol=1e-14)
+
+
+def test_padding_at_the_end_disturbs_nothing(felt):
+    """Copies of the first row, as a fit pads its arrays with."""
+    inputs, run, result = felt
+    padded = [jnp.concatenate([part, jnp.repeat(part[:1], 4)]) for part in inputs]
+    codes = jnp.concatenate([run, np.repeat(run[:1], 4)])
+    longer = Relaxed(Brush(), LENGTH).felt(TireInputs(*padded), codes)
+    np.testing.assert_allclose(longer.sigma_x[:60], result.sigma_x, atol=1e-15)
+    np.testing.assert_array_equal(longer.sigma_x[60:], inputs.sigma_x[0])
+
+
+def test_rows_without_time_are_steady():
+    for name in ("brush", "magic-formula"):
+        inputs = TireInputs(np.linspace(-0.1, 0.2, 7), 0.05, FZ, 10.0)
+        lagging, steady = MODELS[f"{name}-relaxation"], MODELS[name]
+        for mine, same in zip(
+            forces(lagging, inputs), forces(steady, inputs), strict=True
+        ):
+            assert (mine is None) == (same is None)
+            if mine is not None:
+                np.testing.assert_allclose(mine, same, rtol=1e-13)
+        assert lagging.transient and not steady.transient
+        assert lagging.needs == ("v", "time")
+
+
+def test_runs_reach_the_forces():
+    inputs, run = manoeuvre()
+    tire = Relaxed(Brush(), LENGTH)
+    apart, joined = (
+        forces(tire, inputs, run),
+        forces(tire, inputs._replace(time=np.arange(60) * 0.02)),
+    )
+    second = TireInputs(*(part[30:] for part in inputs))
+    np.testing.assert_allclose(apart.fx[30:], forces(tire, second).fx, rtol=1e-9)
+    assert abs(joined.fx[30] - apart.fx[30]) > 1.0
+
+
+def test_gradients_are_finite_and_right():
+    inputs, run = manoeuvre()
+    arrays = jax.tree.map(jnp.asarray, inputs)
+
+    @jax.jit
+    def total(length, inputs):
+        tire = Relaxed(Brush(), length)
+        slips = tire.felt(inputs, jnp.asarray(run))
+        return jnp.sum(slips.sigma_x**2) + jnp.sum(slips.alpha**2)
+
+    slope, others = jax.jit(jax.grad(total, (0, 1)))(LENGTH, arrays)
+    assert all(np.isfinite(leaf).all() for leaf in others)
+    difference = (total(LENGTH + 1e-5, arrays) - total(LENGTH - 1e-5, arrays)) / 2e-5
+    np.testing.assert_allclose(slope, difference, rtol=1e-7)
+    forward = jax.jacfwd(total)(LENGTH, arrays)
+    np.testing.assert_allclose(forward, slope, rtol=1e-12)
+    per_row = jnp.full(60, LENGTH)  # a length per run reaches felt as one per row
+    np.testing.assert_allclose(total(per_row, arrays), total(LENGTH, arrays))

@@ -1,0 +1,645 @@
+"""The report of a diagnosis: arrays against known truth, the text, the page."""
+
+import base64
+import html
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from types import SimpleNamespace
+
+import matplotlib.image
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from tirefit.data.table import Source, TireData
+from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS
+from tirefit.diagnosis.result import Diagnosis
+from tirefit.models import MODELS
+from tirefit.report.canvas import Picture
+from tirefit.report.diagnosis_draw import (
+    draw_closure,
+    draw_comparison,
+    draw_evidence,
+    draw_where,
+    panel_pictures,
+    write_figure,
+)
+from tirefit.report.diagnosis_html import _verdict, diagnosis_page, write_page
+from tirefit.report.diagnosis_panels import (
+    closure_bars,
+    comparison,
+    evidence_bars,
+    mean_load,
+    where_map,
+)
+from tirefit.report.diagnosis_text import verdict_sentence
+from tirefit.report.diagnosis_words import (
+    _NEEDS,
+    WORDS,
+    needs_text,
+    p_text,
+    range_text,
+    share_text,
+    untestable_groups,
+)
+
+LOADS, SPEEDS, NOISE = (2000.0, 4000.0, 6000.0), (5.0, 20.0), 20.0
+NAME = 'drum <b>$1 & "x"'
+
+
+def rows_of(loads=LOADS, sweeps=60):
+    """Sweeps of both signs over loads and speeds, all of them twice: (n,) columns."""
+    # The quarter step keeps growing from shrinking slips apart.
+    phase = 2 * np.pi * (np.arange(sweeps) + 0.25) / sweeps
+    cases = [(fz, v) for fz in loads for v in SPEEDS] * 2
+    slip = np.tile(0.4 * np.sin(phase), len(cases))
+    fz, v = np.repeat(cases, sweeps, axis=0).T
+    return SimpleNamespace(slip=slip, fz=fz, v=v, time=0.05 * np.arange(len(slip)))
+
+
+def base_force(rows):
+    return 0.9 * rows.fz * np.tanh(rows.slip * 6e4 / (0.9 * rows.fz))
+
+
+def growing(rows):
+    return np.sign(np.gradient(np.abs(rows.slip)))
+
+
+GAPS = {
+    "fz": lambda r: -0.1 * base_force(r) * (r.fz == 6000),
+    "time": lambda r: 0.1 * base_force(r) * (r.time / r.time[-1] * 2 - 1),
+    "v": lambda r: 0.05 * base_force(r) * np.where(r.v > 10, 1, -1),
+    "direction": lambda r: 0.05 * base_force(r) * growing(r),
+    "offset": lambda r: np.full(len(r.slip), 100.0),
+}
+
+
+def candidate(effects, probability, closed=0.8):
+    parameters = {
+        f"{effect}: amplitude": {"value": 0.1234, "std": 0.0056, "unit": "-"}
+        for effect in effects
+    }
+    return {
+        "effects": effects, "family": "friction x load", "probability": probability,
+        "parameters": parameters, "z": 12.3, "z_given_rivals": 4.5, "closed": closed,
+        "closed_ci": [closed - 0.1, closed + 0.05],
+    }  # fmt: skip
+
+
+def document(channel="fx", **changes):
+    """A document of the schema; the numbers are arbitrary, and all different."""
+    held = {
+        "rms": 151.0, "resolvable": True, "closed": 0.7, "closed_ci": [0.6, 0.75],
+        "remaining_rms": 45.3, "on": "highest fz, left out of both fits",
+    }  # fmt: skip
+    gap = {
+        "rms": 125.0, "resolvable": True, "closed": 0.8, "closed_ci": [0.7, 0.85],
+        "remaining_rms": 25.0, "p_value": 0.001, "holdout": held,
+    }  # fmt: skip
+    where = [
+        {"covariate": "fz", "low": 6000.0, "high": 6000.0, "share": 0.81,
+         "p_value": 1e-30},
+        {"covariate": "fz", "low": 2000.0, "high": 2000.0, "share": 0.19,
+         "p_value": 0.21},
+        {"covariate": "direction", "low": -1.0, "high": -1.0, "share": 0.53,
+         "p_value": 0.013},
+        {"covariate": "direction", "low": 1.0, "high": 1.0, "share": 0.47,
+         "p_value": 0.013},
+        {"covariate": "slip_fraction", "low": 1e-5, "high": 1.17, "share": 0.97,
+         "p_value": 0.27},
+    ]  # fmt: skip
+    found = {
+        "schema": "tirefit.diagnosis/1",
+        "data": {"name": NAME, "path": f"runs/{NAME}.csv", "sha256": "ab12",
+                 "convention": "iso-w", "channels": [channel],
+                 "assumptions": ["column 'F<x>' read as fx in N"]},
+        "model": "brush", "n": 360, "n_effective": 287.0,
+        "noise": {channel: 19.7, "sigma_x": 0.00123, "source": "given",
+                  "flags": ["outliers"], "inflation": 1.25, "outliers": 2},
+        "gap": gap, "where": where,
+        "verdict": {"status": "named", "effects": ["load_friction"],
+                    "probability": 0.87, "also_possible": []},
+        "candidates": [
+            candidate(["load_friction"], 0.87),
+            candidate(["friction_drift", "load_friction"], 0.061),
+            candidate(["slip_offset"], 0.022, 0.31),
+        ],
+        "untestable": [
+            {"effect": "friction_temperature", "needs": ["temperature"]},
+            {"effect": "stiffness_temperature", "needs": ["temperature"]},
+            {"effect": "camber_thrust", "needs": ["gamma", "fy"]},
+        ],
+        "resolution": {
+            "smallest unlisted remainder that would have been seen": 6.3,
+            "smallest_effects": {"slip_offset": 0.00041, "channel_delay": 0.0021},
+        },
+        "next_measurement": [
+            {"add": "small slips (a tenth)", "separates": ["load_friction", "d"],
+             "p_now": 0.71, "p_after": 0.96}
+        ],
+        "base_parameters": {"cpa2": 51234.0, "mu": 0.912},
+        "settings": {"rig": {"noise": {"fx_relative": 0.01}, "rolling_radius": None,
+                             "notes": ["a note"]},
+                     "effects": ["load_friction", "slip_offset"], "holdout": []},
+        "seed": 3, "version": "0.1.0",
+    }  # fmt: skip
+    return found | changes
+
+
+def diagnosis(missing="fz", scatter=NOISE, rows=None, channel="fx", **changes):
+    """A diagnosis whose gap is known; the last row of the file is masked."""
+    rows = rows or rows_of()
+    generator = np.random.default_rng(1)
+    base, gap = base_force(rows), GAPS[missing](rows)
+    n = len(base)
+    observed = base + gap + scatter * generator.standard_normal(n)
+    parts = {
+        "base": base, "extended": base + gap, "gap": gap, "gap_std": 0 * base,
+    }  # fmt: skip
+    columns = {
+        "sigma_x": np.append(rows.slip, 9.0), "fz": np.append(rows.fz, 9e9),
+        "fx": np.append(observed, np.nan),
+    }  # fmt: skip
+    used = np.arange(n + 1) < n
+    table = TireData(NAME, columns, used, np.zeros(n + 1, int), ("",), Source())
+    curves = {
+        "slip": rows.slip, "slip_fraction": rows.slip * 3e4 / (1.35 * rows.fz),
+        "mode": "y" if channel == "fy" else "x", "run": np.zeros(n, int),
+        "observed": {channel: observed}, "thin": {channel: parts},
+        "has": ["loads", "speeds", "time", "sweeps"],
+        "inputs": SimpleNamespace(fz=rows.fz, v=rows.v, time=rows.time, gamma=0 * base),
+    }  # fmt: skip
+    full = {channel: {k: np.append(v, np.nan) for k, v in parts.items()}}
+    return Diagnosis(document(channel, **changes), full, table, curves)
+
+
+def judged(status, effects, probability=0.6, rivals=(), **changes):
+    verdict = {
+        "status": status, "effects": effects, "probability": probability,
+        "also_possible": list(rivals),
+    }  # fmt: skip
+    return diagnosis(verdict=verdict, **changes)
+
+
+@pytest.mark.parametrize("name", ["fz", "time", "v", "direction"])
+def test_the_map_is_drawn_over_what_carries_the_gap(name):
+    panel = where_map(diagnosis(name))
+    assert panel.covariate == name
+    rows = {"fz": 3, "v": 2, "time": 5, "direction": 2}
+    assert panel.mean.shape == (rows[name], len(panel.edges) - 1)
+    assert len(panel.labels) == rows[name]
+    assert panel.energy.sum() == pytest.approx(1.0)
+
+
+def test_loads_are_preferred_where_nothing_carries_more():
+    assert where_map(diagnosis("offset")).covariate == "fz"
+
+
+def test_the_map_holds_the_truth():
+    panel = where_map(diagnosis("fz"))
+    assert panel.labels == ("2000", "4000", "6000")
+    center = (panel.edges[:-1] + panel.edges[1:]) / 2
+    far = (np.abs(center) > 1.2) & np.isfinite(panel.mean[2])
+    assert far.sum() >= 4
+    # mu is 0.9, of which a tenth is missing: 9 % of F_z, against the slip.
+    np.testing.assert_allclose(panel.mean[2, far], -9 * np.sign(center[far]), atol=0.5)
+    assert np.all(panel.beyond[2, far])
+    quiet = panel.mean[:2][np.isfinite(panel.mean[:2])]
+    # Noise of 20 N on 2000 N and four rows a cell or more: 0.5 %.
+    assert np.max(np.abs(quiet)) < 2.0
+    assert panel.beyond[:2].sum() <= 1
+    assert panel.energy[:2].sum() == 0.0
+    assert not np.isfinite(panel.mean).all()  # a sweep does not reach every cell
+
+
+def test_no_share_is_drawn_of_a_gap_that_is_not_there():
+    content = document()
+    gap = content["gap"] | {"resolvable": False, "closed": None}
+    panel = where_map(diagnosis("offset", gap=gap))
+    assert not panel.energy.any()
+
+
+def test_correlated_rows_count_less():
+    noise = document()["noise"]
+    sure = where_map(diagnosis("offset"))
+    unsure = where_map(diagnosis("offset", noise=noise | {"inflation": 30.0}))
+    np.testing.assert_array_equal(sure.mean, unsure.mean)
+    assert unsure.beyond.sum() < sure.beyond.sum()
+
+
+def test_residuals_before_and_after_are_the_gap_and_nothing():
+    panel = comparison(diagnosis("offset", scatter=0.0))
+    np.testing.assert_allclose(panel.before, 100.0)
+    np.testing.assert_allclose(panel.after, 0.0, atol=1e-9)
+    assert panel.after_label == "load_friction"
+
+
+def test_curves_follow_both_fits_at_three_loads():
+    loads = (1000.0, 2000.0, 3000.0, 4000.0, 5000.0)
+    panel = comparison(diagnosis("offset", rows=rows_of(loads)))
+    assert [c.label for c in panel.curves] == [
+        f"$F_z$ = {n} N" for n in (1000, 3000, 5000)
+    ]
+    for curve, fz in zip(panel.curves, (1000, 3000, 5000), strict=True):
+        expected = 0.9 * fz * np.tanh(curve.center * 6e4 / (0.9 * fz))
+        # Where it is steep, a mean over a bin is not the force at the mean slip.
+        flat = np.abs(curve.center) > 0.05
+        assert flat.sum() >= 20
+        np.testing.assert_allclose(curve.base[flat], expected[flat], atol=0.01 * fz)
+        np.testing.assert_allclose(curve.extended - curve.base, 100.0)
+        np.testing.assert_allclose(curve.high - curve.low, 0.0, atol=1e-9)
+        assert len(curve.slip) == len(curve.force) == 240
+
+
+def test_what_depends_on_more_than_slip_shows_as_a_band():
+    curve = comparison(diagnosis("direction", scatter=0.0)).curves[2]
+    wide = np.abs(curve.center) > 0.15
+    # 5 % of 0.9 x 6000 N to both sides.
+    assert np.median((curve.high - curve.low)[wide]) == pytest.approx(540, rel=0.1)
+
+
+def test_an_unexplained_gap_is_drawn_as_located():
+    found = judged("unknown", ["unknown"])
+    parts = found.curves["thin"]["fx"]
+    parts["extended"] = parts["base"]
+    panel = comparison(found)
+    assert panel.after_label == "base + located gap"
+    assert np.max(panel.before) > 200 > 3 * NOISE > np.max(panel.after)
+
+
+def test_lateral_slips_are_angles():
+    panel = comparison(diagnosis(channel="fy"))
+    assert panel.channel == "fy" and panel.axis.unit == "deg"
+    largest = max(np.max(curve.slip) for curve in panel.curves)
+    assert largest == pytest.approx(np.degrees(np.arctan(0.4)), rel=1e-2)
+
+
+def test_bars_of_a_named_effect_add_up():
+    bars = evidence_bars(diagnosis())
+    assert [bar.kind for bar in bars] == [
+        "verdict",
+        "other",
+        "other",
+        "unknown",
+        "rest",
+    ]
+    assert bars[1].label == "friction_drift\n+ load_friction"
+    assert sum(bar.probability for bar in bars) == pytest.approx(1.0)
+    assert bars[-1].probability == pytest.approx(1 - 0.87 - 0.061 - 0.022)
+
+
+def test_bars_of_other_verdicts():
+    def kinds(found):
+        bars = evidence_bars(found)
+        assert sum(bar.probability for bar in bars) == pytest.approx(1.0)
+        return {bar.kind: bar for bar in bars}
+
+    none = kinds(judged("none", [], 0.03))
+    assert none["verdict"].label == "no gap"
+    assert none["verdict"].probability == 0.03
+    noise = kinds(judged("named", ["outliers"], 0.04))
+    assert noise["verdict"].label == "no gap"
+    unknown = candidate(["unknown"], 0.047, 0.0)
+    listed = [*document()["candidates"], unknown]
+    found = kinds(judged("unknown", ["unknown"], 0.047, candidates=listed))
+    assert found["verdict"].label == "not in the library"
+    assert found["verdict"].probability == 0.047
+    rivals = kinds(judged("cannot_tell", ["load_friction"], 0.87, ["slip_offset"]))
+    assert rivals["rival"].label == "slip_offset"
+    # "none" as a candidate of its own.
+    listed = [*document()["candidates"], candidate([], 0.011, 0.0)]
+    found = kinds(diagnosis(candidates=listed))
+    assert found["none"].probability == 0.011
+    assert found["rest"].probability == pytest.approx(0.036)
+
+
+def test_closure_bars_hold_energy_beside_amplitude():
+    here, held = closure_bars(diagnosis())
+    assert (here.before, here.after, here.closed) == (125.0, 25.0, 0.8)
+    # 25 of 125 N are a fifth, and a 25th of the energy.
+    assert here.energy == pytest.approx(1 - 25.0**2 / 125.0**2)
+    assert (here.low, here.high) == pytest.approx((125 * 0.15, 125 * 0.3))
+    assert held.label == "held out: highest fz, left out of both fits"
+    assert held.energy == pytest.approx(1 - 45.3**2 / 151.0**2)
+
+
+def test_nothing_is_said_to_close_where_nothing_can_be_said():
+    gap = document()["gap"] | {"holdout": None}
+    (none,) = closure_bars(judged("none", [], gap=gap))
+    assert none.closed is None and none.energy is None
+    (small,) = closure_bars(diagnosis(gap=gap | {"resolvable": False, "closed": None}))
+    assert small.closed is None
+
+
+def test_mean_load_is_of_the_rows_used():
+    assert mean_load(diagnosis()) == 4000.0
+
+
+def test_axes_show_the_arrays():
+    found = diagnosis()
+    figures = [Figure() for _ in range(4)]
+    panel, bars = where_map(found), evidence_bars(found)
+    draw_where(figures[0], panel)
+    lines = figures[0].axes[0].lines
+    assert len(lines) == panel.beyond.sum() > 0
+    mesh = figures[0].axes[0].collections[0].get_array()
+    np.testing.assert_array_equal(np.ma.getdata(mesh)[~mesh.mask], _finite(panel.mean))
+    draw_evidence(figures[1], bars)
+    widths = [patch.get_width() for patch in figures[1].axes[0].patches]
+    assert widths == [bar.probability for bar in bars]
+    curves = comparison(found)
+    draw_comparison(figures[2], curves)
+    top, bottom = figures[2].axes
+    np.testing.assert_array_equal(bottom.lines[1].get_ydata(), curves.after)
+    drawn = [line.get_ydata() for line in top.lines]
+    assert any(np.array_equal(y, curves.curves[0].extended) for y in drawn)
+    draw_closure(figures[3], closure_bars(found), mean_load(found))
+    axes = figures[3].axes[0]
+    assert [p.get_width() for p in axes.patches] == [125.0, 25.0, 151.0, 45.3]
+    share = axes.child_axes[0]
+    figures[3].draw_without_rendering()
+    # 40 N are 1 % of the mean load.
+    assert share.get_xlim()[1] == pytest.approx(axes.get_xlim()[1] / 40)
+    texts = [text.get_text() for text in axes.texts]
+    assert "closed 80 % [70 %, 85 %], 96 % of its energy" in texts[0]
+    assert "45.3 N" in texts[1]
+
+
+def _finite(values):
+    return values[np.isfinite(values)]
+
+
+def test_the_figure_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    path = tmp_path / "drum.png"
+    assert write_figure(diagnosis(), path) == path
+    picture = matplotlib.image.imread(path)
+    assert picture.shape[:2] == (1170, 1430)
+    assert picture[:, :, :3].std() > 0.05
+    before = path.read_bytes()
+
+    def broken(self, target, **kwargs):
+        target.write_bytes(b"half")
+        raise OSError(28, "disk full")
+
+    monkeypatch.setattr(Picture, "savefig", broken)
+    with pytest.raises(OSError, match="disk full"):
+        write_figure(diagnosis(), path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+STATUSES = {
+    "named": (("named", ["load_friction"]), "load_friction (probability 0.60)"),
+    "noise": (("named", ["outliers"]), "no gap beyond the noise (probability 0.60)"),
+    "none": (("none", []), "no gap beyond the noise (probability 0.60)"),
+    "incomplete": (
+        ("incomplete", ["load_friction"]),
+        "load_friction, and something no listed effect explains (probability 0.60)",
+    ),
+    "unknown": (("unknown", ["unknown"]), "a gap that no listed effect explains"),
+    "cannot_tell": (
+        ("cannot_tell", ["load_friction"], 0.6, ["friction_drift"]),
+        "load_friction (probability 0.60), or friction_drift: this data cannot tell",
+    ),
+}
+
+
+@pytest.mark.parametrize(("verdict", "sentence"), STATUSES.values(), ids=STATUSES)
+def test_every_verdict_has_its_sentence(verdict, sentence):
+    found = judged(*verdict)
+    assert verdict_sentence(found.content).startswith(sentence)
+    text, page = str(found), _verdict(found.content)
+    assert sentence in re.sub(r"\s+", " ", text)
+    assert html.escape(sentence) in page
+    # What can be done, for each effect that may be the one.
+    for effect in {*verdict[1], *(verdict[3] if len(verdict) > 3 else [])}:
+        for part in WORDS.get(effect, ()):
+            assert part in re.sub(r"\s+", " ", text)
+            assert html.escape(part) in page
+    named = verdict[0] != "none" and verdict[1][0] == "load_friction"
+    assert ("closed 80 %" in text) == named
+    assert ("WOULD HAVE BEEN SEEN" in text) == (not named)
+
+
+def test_the_text_is_one_screen_that_says_all():
+    text = str(diagnosis())
+    assert max(len(line) for line in text.splitlines()) <= 88
+    flat = re.sub(r"\s+", " ", text)
+    assert "amplitude = 0.1234 ± 0.0056" in flat
+    assert "125 N (3.1 % of mean F_z) rms beyond the noise" in flat
+    assert "on these rows: closed 80 % [70 %, 85 %], 96 % of its energy" in flat
+    assert "highest fz, left out of both fits: closed 70 % [60 %, 75 %], 91 %" in flat
+    assert "load F_z: 19 % at 2000 N, 81 % at 6000 N" in flat
+    assert "53 % at shrinking, 47 % at growing" in flat
+    assert "slip of full sliding" not in flat  # no region of it stands out
+    assert flat.index("load F_z") < flat.index("53 % at shrinking")
+    assert "measure small slips (a tenth): tells load_friction from d" in flat
+    assert "0.96 (now 0.71)" in flat
+    needs = "friction_temperature, stiffness_temperature: needs a temperature that"
+    assert needs in flat
+    assert "the file: iso-w" in flat
+
+
+def test_an_unresolved_gap_claims_nothing():
+    gap = document()["gap"] | {"resolvable": False, "closed": None, "holdout": None}
+    text = str(diagnosis(gap=gap))
+    assert "too small to say how much of it closes" in text
+    assert "closed" not in text.split("WHERE")[0]
+
+
+def test_words_cover_the_library_and_name_models_that_exist():
+    assert set(WORDS) == {effect.id for effect in EFFECTS} | set(NOISE_EFFECTS)
+    named = [
+        model
+        for words in WORDS.values()
+        for model in re.findall(
+            r"\b(?:brush-[\w-]+|magic-formula[\w-]*|quartic|elliptic)", words.remedy
+        )
+    ]
+    assert len(named) >= 12
+    assert set(named) <= set(MODELS)
+    needs = {need for effect in EFFECTS for need in (*effect.needs, *effect.channels)}
+    assert needs <= set(_NEEDS)
+
+
+def test_an_effect_of_the_users_own_goes_by_its_id():
+    found = judged("named", ["road_ripple"], candidates=[candidate(["road_ripple"], 1)])
+    assert "road_ripple (probability 0.60)" in str(found)
+    assert "road_ripple" in _verdict(found.content)
+    assert needs_text(["road camera", "omega"]) == "road camera, wheel speed omega"
+
+
+def test_small_texts():
+    def region(name, low, high):
+        return {"covariate": name, "low": low, "high": high}
+
+    assert range_text(region("fz", 6000.0, 6000.0)) == "6000 N"
+    assert range_text(region("slip_fraction", 1e-5, 1.17)) == "0 to 1.17"
+    assert range_text(region("time", 13.4851, 17.98)) == "13.5 to 18 s"
+    assert range_text(region("direction", -1.0, -1.0)) == "shrinking"
+    assert share_text(0.951, [0.8, 1.0]) == "95 % [80 %, 100 %]"
+    assert share_text(None) == "-"
+    assert share_text(0.5, [None, None]) == "50 %"
+    assert p_text(0.0) == "< 1e-12" and p_text(0.0134) == "0.013"
+    groups = untestable_groups(document()["untestable"])
+    assert groups[0][1] == "friction_temperature, stiffness_temperature"
+
+
+class Page(HTMLParser):
+    """Tags that balance, what the page would fetch, and its texts."""
+
+    VOID = {"meta", "img", "br"}
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.links, self.seen, self.texts = [], [], [], []
+        self.alternatives = []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.seen.append(tag)
+        if tag not in self.VOID:
+            self.open.append(tag)
+        for name, value in attributes:
+            if name in ("src", "href", "srcset", "action", "data", "poster"):
+                self.links.append(value)
+            if name == "alt":
+                self.alternatives.append(value)
+            assert not name.startswith("on")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+
+@pytest.fixture(scope="module")
+def page_text():
+    return diagnosis_page(diagnosis())
+
+
+def test_the_page_stands_alone(page_text):
+    text, page = page_text, Page(page_text)
+    assert not {"script", "link", "iframe", "object"} & set(page.seen)
+    assert "://" not in text and "url(" not in text and "@import" not in text
+    assert len(page.links) == page.seen.count("img") == 4
+    pictures = [
+        base64.b64decode(link.removeprefix("data:image/png;base64,"))
+        for link in page.links
+    ]
+    assert all(one.startswith(b"\x89PNG") for one in pictures)
+    assert len(set(pictures)) == 4 and all(page.alternatives)
+    assert "<b>$1" not in text and NAME in "".join(page.texts)
+    assert 'name="viewport"' in text
+
+
+def test_the_page_holds_the_numbers_of_the_record(page_text):
+    record = html.unescape(page_text.split("<pre>")[1].split("</pre>")[0])
+    assert json.loads(record) == json.loads(diagnosis().to_json())
+    shown = re.sub(r"<[^>]*>", " ", page_text.split("<pre>")[0])
+    for part in (
+        "0.870", "0.061", "0.1234 ± 0.0056", "12.3", "4.5", "80 % [70 %, 85 %]", "81 %",
+        "&lt; 1e-12", "0.21", "0.96", "0.71", "6.3 N", "0.00041", "0.0021 s", "19.7 N",
+        "0.00123", "outliers", "360 rows, 287", "ab12", "51234", "0.912", "seed 3",
+        "fx_relative = 0.01", "F&lt;x&gt;", "iso-w", "125 N", "45.3 N",
+    ):  # fmt: skip
+        assert part in shown, part
+
+
+def test_a_notebook_shows_the_diagnosis():
+    fragment = diagnosis()._repr_html_()
+    page = Page(fragment)
+    assert page.seen.count("img") == 1 and "html" not in page.seen
+    assert "load_friction (probability 0.87)" in "".join(page.texts)
+    assert "style" not in page.seen  # it would restyle the whole notebook
+
+
+def test_panels_stand_by_themselves():
+    pictures = panel_pictures(diagnosis())
+    assert list(pictures) == ["where", "which", "before and after", "how far"]
+
+
+BROWSER = next(
+    (
+        found
+        for name in ("chromium", "chromium-browser", "google-chrome", "chrome")
+        if (found := shutil.which(name))
+    ),
+    None,
+)
+in_browser = pytest.mark.skipif(
+    BROWSER is None, reason="needs Chromium: neither chromium nor google-chrome found"
+)
+
+
+def browse(page, folder, *options):
+    """What Chromium makes of a page, and every request that the page made."""
+    log = folder / "net.json"
+    done = subprocess.run(
+        [
+            BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
+            "--disable-background-networking", "--disable-component-update",
+            "--host-resolver-rules=MAP * ~NOTFOUND", f"--log-net-log={log}",
+            f"--user-data-dir={folder / 'profile'}", "--window-size=1200,900", *options,
+            page.as_uri(),
+        ],
+        capture_output=True, text=True, timeout=120, cwd=folder,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    record = json.loads(log.read_text())
+    start = record["constants"]["logEventTypes"]["URL_REQUEST_START_JOB"]
+    asked = [e.get("params", {}) for e in record["events"] if e["type"] == start]
+    # What the browser asks for by itself has no origin.
+    mine = [a for a in asked if a.get("initiator", "not an origin") != "not an origin"]
+    return done.stdout, [a["url"] for a in mine]
+
+
+@in_browser
+def test_chromium_shows_the_page_and_fetches_nothing(tmp_path):
+    page = tmp_path / "drum.html"
+    write_page(diagnosis(), page)
+    assert list(tmp_path.iterdir()) == [page]
+    document, asked = browse(page, tmp_path, "--dump-dom")
+    assert '<title>drum &lt;b&gt;$1 &amp; "x" against brush:' in document
+    assert "Verdict: load_friction (probability 0.87)" in document
+    assert asked == []
+    shot = tmp_path / "shot.png"
+    browse(page, tmp_path, f"--screenshot={shot}")
+    picture = matplotlib.image.imread(shot)
+    assert picture.shape[:2] == (900, 1200)
+    # The verdict and the first pictures are there: not a white page.
+    assert picture[:, :, :3].std() > 0.05
+
+
+@in_browser
+def test_a_page_that_fetched_would_be_seen(page_text, tmp_path):
+    page = tmp_path / "fetching.html"
+    page.write_text('<!DOCTYPE html><img src="http://tire.invalid/logo.png">')
+    _, asked = browse(page, tmp_path, "--dump-dom")
+    assert asked == ["http://tire.invalid/logo.png"]
+    # The page's own policy stops even that.
+    image = '<img src="http://tire.invalid/a.png">'
+    page.write_text(page_text.replace("<h1>", f"{image}<h1>"))
+    _, asked = browse(page, tmp_path, "--dump-dom")
+    assert asked == []
+
+
+@in_browser
+@pytest.mark.parametrize("wide", [False, True])
+def test_the_page_fits_a_phone(page_text, tmp_path, wide):
+    page = tmp_path / "drum.html"
+    policy = r'<meta http-equiv="Content-Security-Policy"[^>]*>'
+    text = re.sub(policy, "", page_text)
+    extra = '<div style="width:450px">too wide</div>' if wide else ""
+    script = "<script>document.title = document.body.scrollWidth</script>"
+    text = text.replace("<html", '<html style="width:390px"')
+    page.write_text(text.replace("</body>", f"{extra}{script}</body>"))
+    document, _ = browse(page, tmp_path, "--dump-dom")
+    width = int(re.search(r"<title>(\d+)", document)[1])
+    assert (width > 390) == wide

@@ -1,0 +1,237 @@
+"""The commands of ``tirefit``; each imports what it needs when it runs."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tirefit.cli.convert import convert
+from tirefit.cli.diagnose import ManyHoldouts, diagnose
+from tirefit.cli.fit import fit
+from tirefit.cli.options import (
+    DataOptions,
+    Files,
+    JsonOption,
+    complain,
+    error_text,
+    errors_to_exit,
+    named_path,
+    numbers,
+    read_config,
+    read_options,
+    say,
+    start_jax,
+    takes_data_options,
+    warn,
+)
+from tirefit.results import ExitCode, Problem, TirefitError, UsageError
+
+__all__ = ["app"]
+
+app = typer.Typer(
+    name="tirefit",
+    help="Fit tire models to measured force-slip data with honest uncertainty.",
+    epilog="Exit codes: 0 ok, 2 usage, 3 data, 4 not converged, 5 not identified"
+    " (with --strict).",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+OutFile = Annotated[
+    Path, typer.Option(metavar="FILE.csv", parser=named_path, help="CSV file to write")
+]
+
+
+class Axle(StrEnum):
+    rear = "rear"
+    front = "front"
+
+
+class Side(StrEnum):
+    left = "left"
+    right = "right"
+
+
+app.command()(fit)
+app.command()(convert)
+app.command(cls=ManyHoldouts)(diagnose)
+
+
+@app.command()
+def models(json: JsonOption = False) -> None:
+    """List the models: parameters, units, bounds, meaning, source equation."""
+    from tirefit.models import MODELS
+    from tirefit.report.model_tables import models_dict, models_table
+
+    if json:
+        from json import dumps
+
+        say(dumps(models_dict(MODELS), indent=1))
+    else:
+        say(models_table(MODELS))
+
+
+@app.command()
+@takes_data_options
+def inspect(files: Files, options: DataOptions, json: JsonOption = False) -> None:
+    """Say what a file holds, what was assumed, and which fits it supports."""
+    from json import dumps
+
+    from tirefit.data.inspect import inspect as look
+    from tirefit.data.read import read
+
+    with errors_to_exit():
+        how = read_options(options, read_config(options.config))
+        worst = ExitCode.OK
+        for file in files:
+            try:
+                found = look(read(file, **how))
+            except TirefitError as error:
+                if error.exit_code == ExitCode.USAGE:
+                    raise
+                complain(error_text(error))
+                worst = max(worst, error.exit_code)
+                continue
+            say(dumps(found.as_dict(), indent=1) if json else found.text())
+        raise typer.Exit(worst)
+
+
+@app.command()
+def derive(
+    files: Files,
+    vehicle: Annotated[
+        Path,
+        typer.Option(
+            metavar="VEHICLE.TOML",
+            parser=named_path,
+            help="vehicle.toml: mass, geometry, inertia",
+        ),
+    ],
+    out: OutFile,
+    axle: Annotated[Axle, typer.Option(help="which axle")] = Axle.rear,
+) -> None:
+    """Turn vehicle logs into axle slip angle and force (single-track dynamics)."""
+    from tirefit.data.derive import derive_files
+
+    with errors_to_exit():
+        written = derive_files(files, vehicle, out, axle=axle.value)
+        say(written.summary())
+
+
+@app.command()
+@takes_data_options
+def predict(
+    source: Annotated[str, typer.Argument(metavar="FIT.json|FILE.tir|MODEL")],
+    data: Annotated[Path, typer.Argument(metavar="DATA.csv")],
+    out: OutFile,
+    options: DataOptions,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="parameter of a named model"),
+    ] = None,
+    starred_angles: Annotated[
+        bool,
+        typer.Option(
+            "--starred-angles",
+            help="FILE.tir: tan(alpha) and sin(gamma) instead of the angles",
+        ),
+    ] = False,
+    side: Annotated[
+        Side | None,
+        typer.Option(help="FILE.tir: side of the vehicle; as TYRESIDE if not given"),
+    ] = None,
+) -> None:
+    """Forces of a fit or a model, row by row, in the data file's own convention."""
+    with errors_to_exit():
+        if source.lower().endswith(".tir"):
+            how = read_options(options, read_config(options.config))
+            _predict_tir(source, data, out, how, parameter, starred_angles, side)
+            return
+        if starred_angles or side:
+            reason = "--starred-angles and --side are of .tir files"
+            raise UsageError(Problem(reason, f"leave them out with {source}"))
+        is_file = source.endswith(".json") or Path(source).is_file()
+        how = read_options(options, read_config(options.config))
+        values = _checked_request(source, is_file, data, out, parameter)
+        start_jax()
+        from tirefit.data.read import read
+        from tirefit.data.write import prediction_table, write_csv
+        from tirefit.fitting.store import load_fit
+        from tirefit.fitting.store import predict as forces_of
+
+        fitted = load_fit(source) if is_file else source
+        if is_file and how["convention"] is None:
+            how["convention"] = fitted.content["data"]["convention"]
+        table = read(data, **how, forces=False)
+        warn(table)
+        found = prediction_table(table, forces_of(fitted, table, values))
+        write_csv(out, found)
+        if not is_file:
+            say(f"{source} with {_values_text(source, values)}")
+        _say_written(out, table, found)
+
+
+def _predict_tir(source, data, out, how, parameter, starred_angles, side) -> None:
+    """Forces of the tire of a ``.tir`` file, whose own convention is ISO-W."""
+    values = _checked_request(source, False, data, out, parameter)
+    from tirefit.data.tir import notes_on, read_tir
+
+    tir = read_tir(source)
+    start_jax()
+    from tirefit.data.read import read
+    from tirefit.data.write import prediction_table, write_csv
+    from tirefit.fitting.store import predict as forces_of
+    from tirefit.fitting.tir import rows_outside, tire_of
+
+    tire = tire_of(tir, starred=starred_angles, side=side and side.value)
+    how["convention"] = how["convention"] or "iso-w"
+    table = read(data, **how, forces=False)
+    warn(table)
+    for text in (*notes_on(tir), *rows_outside(tir, table)):
+        complain(f"warning: {source}: {text}")
+    found = prediction_table(table, forces_of(tire, table, values))
+    write_csv(out, found)
+    said = [f"{source}: Magic Formula {tir.version}", f"TYRESIDE {tir.side}"]
+    said += [f"mounted {side.value}"] if side else []
+    said += ["tan(alpha) and sin(gamma)" if starred_angles else "raw angles"]
+    said += [f"{key} = {value:g}" for key, value in values.items()]
+    say(", ".join(said))
+    _say_written(out, table, found)
+
+
+def _say_written(out, table, found) -> None:
+    convention_text = f"convention {table.source.convention}"
+    say(f"wrote {out}: {len(table)} rows, {', '.join(found)} ({convention_text})")
+
+
+def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:
+    """Values of ``--set``; raises UsageError with all that is wrong before the work."""
+    from tirefit.data.write import output_problems
+
+    problems = output_problems(out, inputs=[data, source])
+    values = numbers("--set", parameter, problems)
+    if is_file and values:
+        problems.append(Problem("--set with a fit.json", "use it with a model name"))
+    if problems:
+        raise UsageError(problems)
+    return values
+
+
+def _values_text(name: str, values: dict[str, float]) -> str:
+    """Every parameter value of a named model, so that defaults are seen."""
+    from tirefit.models import MODELS
+    from tirefit.params import parameter_values
+
+    everything = parameter_values(MODELS[name]) | values
+    marks = {key: "" if key in values else " (default)" for key in everything}
+    return ", ".join(f"{k} = {v:g}{marks[k]}" for k, v in everything.items())
+
+
+@app.command()
+def version() -> None:
+    """Print the version."""
+    from tirefit import __version__
+
+    say(__version__)

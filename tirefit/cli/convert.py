@@ -1,0 +1,219 @@
+"""``tirefit convert``: Magic Formula to brush parameters, and back to a ``.tir``."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tirefit.cli.fit import exit_code, fit_into, model_names
+from tirefit.cli.options import complain, errors_to_exit, named_path, say, start_jax
+from tirefit.cli.output import check_directories
+from tirefit.results import Problem, TirefitError, UsageError
+
+__all__ = ["convert"]
+
+_SLIPS = 61
+"""Slips of the grid, both ends included."""
+
+_SLIP_MAX = 0.3
+_SHARES_OF_NOMINAL = (0.5, 1.0, 1.5)
+
+
+class Force(StrEnum):
+    fx = "fx"
+    fy = "fy"
+
+
+def convert(
+    file: Annotated[
+        Path | None,
+        typer.Argument(metavar="[FILE.tir]", help="Magic Formula 5.2, 6.1 or 6.2"),
+    ] = None,
+    *,
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="FOLDER|FILE.tir",
+            parser=named_path,
+            help="folder of the fit; with --cpa2 the .tir file to write",
+        ),
+    ],
+    magic_formula: Annotated[
+        str | None,
+        typer.Option(metavar="B,C,D,E", help="this curve in place of a .tir file"),
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="brush model to fit; brush by default", autocompletion=model_names
+        ),
+    ] = None,
+    force: Annotated[
+        Force | None, typer.Option(help="force to convert; fx by default")
+    ] = None,
+    slip_max: Annotated[
+        float | None,
+        typer.Option(help=f"largest sigma_x or alpha [rad]; {_SLIP_MAX} by default"),
+    ] = None,
+    slip_min: Annotated[
+        float | None, typer.Option(help="the smallest; minus the largest by default")
+    ] = None,
+    loads: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N,N,...", help="loads [N]; 0.5, 1 and 1.5 FNOMIN by default"
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, max=2**32 - 1, help="of everything random")
+    ] = None,
+    cpa2: Annotated[
+        float | None, typer.Option(help="write a reduced .tir: c_p a^2 [N]")
+    ] = None,
+    mu: Annotated[float | None, typer.Option(help="its friction coefficient")] = None,
+    fz: Annotated[float | None, typer.Option(help="its nominal load [N]")] = None,
+    radius: Annotated[
+        float | None, typer.Option(help="its radius of the free tire [m]")
+    ] = None,
+) -> None:
+    """Brush parameters of a Magic Formula by a refit, or a .tir of brush parameters.
+
+    The error bars are of the systematic misfit over the stated slips and loads: the
+    curve has no noise.
+    """
+    brush = {"cpa2": cpa2, "mu": mu, "fz": fz, "radius": radius}
+    refit = {
+        "FILE.tir": file, "--magic-formula": magic_formula, "--model": model,
+        "--force": force, "--slip-max": slip_max, "--slip-min": slip_min,
+        "--loads": loads, "--seed": seed,
+    }  # fmt: skip
+    with errors_to_exit():
+        if any(value is not None for value in brush.values()):
+            _write_reduced(brush, [k for k, v in refit.items() if v is not None], out)
+            return
+        coefficients, slips, chosen = _checked(
+            file, magic_formula, slip_min, slip_max, loads, out
+        )
+        result = _refit(
+            file, coefficients, model or "brush", force or Force.fx, slips, chosen,
+            seed, out,
+        )  # fmt: skip
+        raise typer.Exit(exit_code(result))
+
+
+def _write_reduced(brush: dict, mixed: list[str], out: Path) -> None:
+    from tirefit.data.tir import reduced_tir, write_tir
+    from tirefit.data.write import output_problems
+
+    problems = output_problems(out)
+    if mixed:
+        reason = f"{', '.join(mixed)} with --cpa2, --mu, --fz, --radius"
+        remedy = "convert a Magic Formula, or write the .tir of a brush: one at a time"
+        problems.append(Problem(reason, remedy))
+    missing = [f"--{name}" for name, value in brush.items() if value is None]
+    if missing:
+        reason = f"a reduced .tir needs {', '.join(missing)} too"
+        problems.append(Problem(reason, "give all of --cpa2 --mu --fz --radius"))
+    try:
+        given = {name: 1.0 if value is None else value for name, value in brush.items()}
+        tir = reduced_tir(**given)
+    except TirefitError as error:
+        problems += error.problems
+    if problems:
+        raise UsageError(problems)
+    write_tir(tir, out)
+    slope, peak = 2 * given["cpa2"], given["mu"] * given["fz"]
+    say(
+        f"wrote {out}: Magic Formula {tir.version}, slope 2 c_p a^2 = {slope:g} N,"
+        f" largest force {peak:g} N at F_z = {given['fz']:g} N"
+    )
+
+
+def _checked(file, magic_formula, slip_min, slip_max, loads, out):
+    """(coefficients by name or None, slips (n,), loads or None); all that is wrong."""
+    import numpy as np
+
+    problems: list[Problem] = []
+    if (file is None) == (magic_formula is None):
+        reason = "no curve" if file is None else "FILE.tir and --magic-formula"
+        remedy = "give one FILE.tir, or --magic-formula B,C,D,E"
+        problems.append(Problem(reason, remedy))
+    coefficients = None
+    if magic_formula is not None:
+        values = _listed("--magic-formula", magic_formula, problems)
+        if values and len(values) != 4:
+            reason = f"--magic-formula {magic_formula!r}: {len(values)} numbers"
+            problems.append(Problem(reason, "give four: B,C,D,E"))
+        coefficients = dict(zip("BCDE", values, strict=False))
+        if loads is None:
+            remedy = "name them, as in --loads 2000,4000"
+            problems.append(Problem("--magic-formula has no nominal load", remedy))
+    chosen = None if loads is None else _listed("--loads", loads, problems)
+    if chosen and (min(chosen) <= 0 or len(set(chosen)) < len(chosen)):
+        problems.append(Problem(f"--loads {loads!r}", "positive loads [N], each once"))
+    high = _SLIP_MAX if slip_max is None else slip_max
+    low = -high if slip_min is None else slip_min
+    if not -1 < low < high < 1:
+        reason = f"slips from {low:g} to {high:g}"
+        problems.append(Problem(reason, "-1 < --slip-min < --slip-max < 1"))
+    try:
+        check_directories([out])
+    except UsageError as error:
+        problems += error.problems
+    if problems:
+        raise UsageError(problems)
+    return coefficients, np.linspace(low, high, _SLIPS), chosen
+
+
+def _listed(option: str, text: str, problems: list[Problem]) -> list[float]:
+    """Finite numbers between commas; what is wrong with them goes into ``problems``."""
+    try:
+        found = [float(part) for part in text.split(",")]
+        if all(abs(number) < float("inf") for number in found):
+            return found
+    except ValueError:
+        pass
+    problems.append(Problem(f"{option} {text!r}", "give numbers between commas"))
+    return []
+
+
+def _refit(file, coefficients, model, force, slips, loads, seed, out):
+    """The fit of the model to the curve, said, and saved in the folder."""
+    from tirefit.data.tir import notes_on, read_tir
+
+    tir = None if file is None else read_tir(file)
+    start_jax()
+    from tirefit.data.table import Source
+    from tirefit.fitting.config import FitConfig
+    from tirefit.fitting.convert import curve, misfit_by_load
+    from tirefit.fitting.likelihood import CHANNEL_SLIP
+    from tirefit.fitting.problem import find_model
+    from tirefit.fitting.tir import rows_outside, tire_of
+
+    find_model(model)
+    settings = FitConfig(model=model, force=[force.value], seed=seed or 0)
+    if tir is None:
+        tire, v, name = "magic-formula", None, "Magic Formula"
+        name += "".join(f", {key} = {value:g}" for key, value in coefficients.items())
+    else:
+        tire, name = tire_of(tir), f"{file}: Magic Formula {tir.version}"
+        v = tire.nominal.LONGVL
+        nominal = tire.nominal.FNOMIN
+        loads = loads or [share * nominal for share in _SHARES_OF_NOMINAL]
+    said = (
+        f"{name}: {force.value} at {len(slips)} slips, {CHANNEL_SLIP[force]} ="
+        f" {slips[0]:g} to {slips[-1]:g}, F_z ="
+        f" {', '.join(f'{load:g}' for load in loads)} N",
+        "the curve has no noise: the error bars are of the systematic misfit over these"
+        " slips and loads, whose rows count at their effective number",
+    )
+    source = Source(path=str(file or ""), assumptions=said)
+    data = curve(tire, force, slips, loads, values=coefficients, v=v, source=source)
+    for text in (*notes_on(tir), *rows_outside(tir, data)) if tir else ():
+        complain(f"warning: {file}: {text}")
+    result = fit_into(out, data, settings)
+    say("MISFIT")
+    for load, rmse in misfit_by_load(result).items():
+        say(f"  F_z {load:g} N: RMSE {rmse:.4g} N, {rmse / load:.2%} of F_z")
+    return result

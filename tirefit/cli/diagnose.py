@@ -1,0 +1,199 @@
+"""``tirefit diagnose``: where a model misses, which effect causes it, how far."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer.core import TyperCommand
+
+from tirefit.cli.options import (
+    DataOptions,
+    Files,
+    complain,
+    error_text,
+    errors_to_exit,
+    named_path,
+    progress_bar,
+    read_config,
+    read_options,
+    say,
+    start_jax,
+    takes_data_options,
+    warn,
+)
+from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.results import ExitCode, Problem, TirefitError, UsageError
+
+__all__ = ["ManyHoldouts", "diagnose"]
+
+
+class ManyHoldouts(TyperCommand):
+    """``--holdout A B C``: all file names up to the next option."""
+
+    def parse_args(self, ctx, args):
+        spread, after = [], False
+        for word in args:
+            if word.startswith("-"):
+                after = word == "--holdout"
+                if not after:
+                    spread.append(word)
+            elif after:
+                spread += ["--holdout", word]
+            else:
+                spread.append(word)
+        return super().parse_args(ctx, spread)
+
+
+def _names(files: list[Path]) -> list[str]:
+    names = [Path(file.name.removesuffix(".gz")).stem for file in files]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        reason = f"several input files are named {', '.join(twice)}"
+        remedy = "rename one: their results would overwrite each other"
+        raise UsageError(Problem(reason, remedy))
+    return names
+
+
+@takes_data_options
+def diagnose(
+    files: Files,
+    options: DataOptions,
+    out: Annotated[
+        Path,
+        typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
+    ],
+    model: Annotated[str, typer.Option(help="base model")] = "brush",
+    rig: Annotated[
+        Path | None,
+        typer.Option(metavar="RIG.TOML", help="what is known of the rig, noise too"),
+    ] = None,
+    holdout: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE...", help="data to check the closure on, not used"),
+    ] = None,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ID", help="leave this effect out of the library"),
+    ] = None,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="write NAME.png and NAME.html")
+    ] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="keep cases that are done")
+    ] = False,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**32 - 1, help="of everything random")
+    ] = 0,
+) -> None:
+    """Diagnose the gap between a model and data: where, which effect, how far."""
+    with errors_to_exit():
+        names = _names(files)
+        check_directories([out])
+        how = read_options(options, read_config(options.config))
+        start_jax()
+        settings = _settings(model, rig, without, how)
+        with claimed(out):
+            kept = [_read(path, how) for path in holdout or []]
+            worst = _all(files, names, out, settings, kept, how, figures, resume, seed)
+        raise typer.Exit(worst)
+
+
+def _read(path: Path, how: dict):
+    from tirefit.data.read import read
+
+    table = read(path, **how)
+    warn(table)
+    return table
+
+
+def _settings(model: str, rig: Path | None, without, how: dict) -> dict:
+    """Arguments of ``tirefit.diagnose`` that all files share."""
+    from tirefit.diagnosis.effects import EFFECTS
+    from tirefit.diagnosis.rig import load_rig
+    from tirefit.fitting.problem import find_model
+
+    find_model(model)
+    known = {effect.id for effect in EFFECTS}
+    wrong = [name for name in without or [] if name not in known]
+    if wrong:
+        remedy = f"known effects: {', '.join(sorted(known))}"
+        raise UsageError([Problem(f"--without {name}", remedy) for name in wrong])
+    found = load_rig(rig)
+    if how["rolling_radius"] is None and found.rolling_radius is not None:
+        how["rolling_radius"] = found.rolling_radius
+    effects = tuple(e for e in EFFECTS if e.id not in (without or []))
+    return {"model": model, "rig": found, "effects": effects}
+
+
+def _all(files, names, out, settings, kept, how, figures, resume, seed) -> ExitCode:
+    """Every file; one bad file does not stop the others."""
+    worst, done = ExitCode.OK, 0
+    with progress_bar("diagnose") as progress:
+        for number, (file, name) in enumerate(zip(files, names, strict=True)):
+            if progress is not None:
+                progress(number / len(files), f"{number + 1} of {len(files)}: {file}")
+            try:
+                _one(file, name, out, settings, kept, how, figures, resume, seed)
+            except TirefitError as error:
+                if error.exit_code == ExitCode.USAGE:
+                    raise
+                complain(error_text(error))
+                worst = error.exit_code
+                continue
+            done += 1
+    if len(files) > 1:
+        say(f"{done} of {len(files)} files diagnosed, results in {out}")
+    return worst
+
+
+def _one(file, name, out, settings, kept, how, figures, resume, seed) -> None:
+    from tirefit.diagnosis.engine import diagnose as study
+    from tirefit.diagnosis.store import save_diagnosis
+
+    table = _read(file, how)
+    written = [f"{name}.json", f"{name}.rows.csv"]
+    drawn = [f"{name}.png", f"{name}.html"]
+    expected = written + drawn if figures else written
+    if resume and all((out / one).exists() for one in expected):
+        if _is_done(out / f"{name}.json", table, settings, kept, seed):
+            return
+    found = study(table, holdout=kept, seed=seed, **settings)
+    with staged(out, written + drawn) as folder:
+        save_diagnosis(found, folder, name)
+        if figures:
+            from tirefit.report.diagnosis_draw import write_figure
+            from tirefit.report.diagnosis_html import write_page
+
+            write_figure(found, folder / f"{name}.png")
+            write_page(found, folder / f"{name}.html")
+    say(str(found))
+
+
+def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
+    """Whether the document there is of this file as read now, of these settings, this
+    seed and version."""
+    from importlib.metadata import version
+
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        data = content["data"]
+        there = [
+            data["sha256"], data["convention"], data["assumptions"], content["model"],
+            content["seed"], content["version"], content["settings"],
+        ]  # fmt: skip
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+    source, rig = table.source, settings["rig"]
+    asked = [
+        source.sha256, source.convention, [*source.assumptions, *rig.notes],
+        settings["model"], seed, version("tirefit"),
+        {
+            "rig": asdict(rig),
+            "effects": [effect.id for effect in settings["effects"]],
+            "holdout": [other.source.sha256 for other in kept],
+        },
+    ]  # fmt: skip
+    # As the document has it: tuples are lists there.
+    return there == json.loads(json.dumps(asked))

@@ -1,0 +1,132 @@
+"""Directories of results: one process at a time, and all of a result or none of it."""
+
+import os
+import shutil
+import signal
+import threading
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from tirefit.results import Problem, UsageError
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks: two processes are not kept apart
+    fcntl = None
+
+__all__ = ["check_directories", "claimed", "staged"]
+
+
+def check_directories(directories: Sequence[Path]) -> None:
+    """Raises UsageError for those that cannot be made or written to; before the work.
+
+    They are made later, with the folders above them.
+    """
+    problems = []
+    for directory in directories:
+        there = next(p for p in (directory, *directory.absolute().parents) if _is(p))
+        reason, remedy = "", "choose another folder with --out"
+        if not there.is_dir():
+            what = "it is" if there == directory else f"{there} is"
+            reason = f"no folder for the results: {what} a file"
+        elif not os.access(there, os.W_OK | os.X_OK):
+            reason = f"no permission to write into the folder {there.absolute()}"
+        if reason:
+            problems.append(Problem(reason, remedy, str(directory)))
+    if problems:
+        raise UsageError(problems)
+
+
+def _is(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # no permission to look
+        return False
+
+
+@contextmanager
+def claimed(directory: Path) -> Iterator[None]:
+    """Makes the directory and keeps other processes out of it until the block ends.
+
+    What was made is removed again if nothing came into it.
+
+    Raises:
+        UsageError: another process has claimed it.
+    """
+    made = [path for path in (directory, *directory.parents) if not path.exists()]
+    directory.mkdir(parents=True, exist_ok=True)
+    # A lock on the directory itself ends with the process, however that ends, and
+    # leaves no file behind.
+    handle = None if fcntl is None else os.open(directory, os.O_RDONLY)
+    try:
+        if handle is not None:
+            _lock(handle, directory)
+        yield
+    finally:
+        for path in made:
+            with suppress(OSError):  # not empty
+                path.rmdir()
+        if handle is not None:
+            os.close(handle)
+
+
+def _lock(handle: int, directory: Path) -> None:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise UsageError(
+            Problem(
+                "another tirefit is writing its results into this folder",
+                "wait until it has ended, or choose another folder with --out",
+                str(directory),
+            )
+        ) from None
+    except OSError:
+        pass  # a file system without locks
+
+
+@contextmanager
+def staged(directory: Path, known: Collection[str]) -> Iterator[Path]:
+    """A folder to write a result to; its files move to ``directory`` at the end.
+
+    If the block fails or is interrupted, ``directory`` holds what it held before.
+
+    Args:
+        directory: claimed by this process.
+        known: every file that a result may have: those of an earlier result that are
+            not written again are removed, as they would be taken for this one's.
+    """
+    folder = directory / ".writing"
+    shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed
+    folder.mkdir()
+    try:
+        yield folder
+        with _interrupts_held():
+            for name in known:
+                if not (folder / name).exists():
+                    (directory / name).unlink(missing_ok=True)
+            for path in folder.iterdir():
+                os.replace(path, directory / path.name)
+    except OSError as error:
+        # A temporary name would mean nothing to the user.
+        error.filename, error.filename2 = str(directory), None
+        raise
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl-C waits for the end of the block: it cannot come between two files."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread is interrupted
+        return
+    came = []
+    before = signal.signal(signal.SIGINT, lambda *_: came.append(True))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if came:
+        signal.raise_signal(signal.SIGINT)

@@ -1,0 +1,194 @@
+"""Whether the signs of the data fit the convention in which they were read."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tirefit.data.units import slip_from_sigma
+from tirefit.results import Problem
+from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
+
+__all__ = ["check_rolling_radius", "check_signs", "doubt_convention"]
+
+_LEAST_DRIVING = 0.01
+"""Driving slip that is more than the noise about zero of a braking test."""
+
+_DRIVING_POSITIVE = {
+    "LONGSLIP": "TYDEX",
+    "SR": "Tire Test Consortium",
+    "SL": "Tire Test Consortium",
+}
+"""Headers of a slip -> the files that have them, where driving is positive."""
+
+
+def check_signs(
+    columns: Mapping[str, np.ndarray],
+    headers: Mapping[str, str],
+    convention: str,
+    file: str,
+) -> list[Problem]:
+    """Slip and force oppose in canonical signs: their correlation must not be < 0.
+
+    Args:
+        columns: (n,) canonical columns, used rows only.
+        headers: the file's own name of each column.
+        convention: the one the file was read in.
+        file: named in the problems.
+    """
+    pairs = _pairs(columns)
+    wrong = [pair for pair in pairs if pair[3] < 0]
+    if not wrong:
+        return []
+    fitting = _fitting_conventions(pairs, convention)
+    problems = []
+    for field, slip, force, _ in wrong:
+        names = f"{headers.get(slip, slip)!r} and {headers.get(force, force)!r}"
+        reason = (
+            f"signs contradict the convention {convention!r}: {names} have"
+            f" {_relation(convention, field, force)} signs there, the data have not"
+        )
+        remedy = (
+            "if the sign of one column differs, put a minus before its unit:"
+            f" --unit {force}=-N, or {force}=-kN where it is in kN"
+        )
+        if fitting:
+            remedy = f"these signs fit --convention {' or '.join(fitting)}; {remedy}"
+        problems.append(Problem(reason, remedy, file, column=headers.get(force, force)))
+    return problems
+
+
+def _pairs(columns: Mapping[str, np.ndarray]) -> list[tuple[str, str, str, int]]:
+    """(field of a convention, slip, force, sign of their trend) of each pair there."""
+    pairs = []
+    if {"sigma_x", "fx"} <= columns.keys():
+        bounded = slip_ratio_from_sigma(columns["sigma_x"])
+        pairs.append(("slip", "sigma_x", "fx", _trend(bounded, columns["fx"], 0.005)))
+    if {"alpha", "fy"} <= columns.keys():
+        trend = _trend(columns["alpha"], columns["fy"], np.radians(0.5))
+        pairs.append(("alpha", "alpha", "fy", trend))
+    return pairs
+
+
+def _relation(convention: str, field: str, force: str) -> str:
+    signs = CONVENTIONS[convention]
+    return "equal" if getattr(signs, field) == getattr(signs, force) else "opposite"
+
+
+def _trend(x: np.ndarray, y: np.ndarray, least: float) -> int:
+    """Sign of a clear straight line through zero; 0 where there is none.
+
+    Clear: correlation beyond 0.25, t beyond 5, and x reaching ``least`` at all.
+    """
+    energy = np.sum(x * x) * np.sum(y * y)
+    if len(x) < 3 or energy == 0 or np.max(abs(x)) < least:
+        return 0
+    correlation = np.clip(np.sum(x * y) / np.sqrt(energy), -1, 1)
+    unexplained = max(1 - correlation**2, 1e-12)
+    t = correlation * np.sqrt((len(x) - 1) / unexplained)
+    return int(np.sign(correlation)) if abs(t) > 5 and abs(correlation) > 0.25 else 0
+
+
+def _fitting_conventions(pairs, convention: str) -> list[str]:
+    """Conventions in which every pair's trend, and the load, come out positive."""
+    read = CONVENTIONS[convention]
+    fitting = []
+    for name, other in CONVENTIONS.items():
+        trends = [
+            getattr(read, field)
+            * getattr(other, field)
+            * getattr(read, force)
+            * getattr(other, force)
+            * trend
+            for field, _, force, trend in pairs
+        ]
+        if other.fz == read.fz and all(trend >= 0 for trend in trends):
+            fitting.append(name)
+    return fitting
+
+
+def check_rolling_radius(
+    given: np.ndarray, computed: np.ndarray, header: str, file: str
+) -> list[Problem]:
+    """Physical slip of a column against (v - omega R) / (omega R), both (n,)."""
+    given, computed = slip_ratio_from_sigma(given), slip_ratio_from_sigma(computed)
+    limit = max(0.01, 0.2 * np.std(given))
+    apart = np.median(abs(given - computed))
+    if not apart > limit:
+        return []
+    remedy = "check the rolling radius, the slip definition (--slip) and the units"
+    if np.median(abs(-given - computed)) < limit:
+        remedy = "the slip has the opposite sign: declare the file's --convention"
+    reason = (
+        f"the slip contradicts (v - omega R)/(omega R): they differ by {apart:.3g}"
+        " in the median"
+    )
+    return [Problem(reason, remedy, file, column=header)]
+
+
+def doubt_convention(
+    columns: Mapping[str, np.ndarray],
+    headers: Mapping[str, str],
+    definition: str,
+    convention: str | None,
+) -> str | None:
+    """What speaks against the sign in which the slip was read; None if nothing does.
+
+    Forces turn around with the slip, so :func:`check_signs` cannot tell driving from
+    braking: a file read the wrong way round fits a mirrored tire without complaint.
+    Slips of one sign are taken as braking; driving slips are doubted unless the speeds
+    of wheel and vehicle confirm them, for omega / v falls as the braking slip rises.
+
+    Args:
+        columns: (n,) canonical columns, used rows only.
+        headers: the file's own name of each column.
+        definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
+        convention: the one declared; None where "braking" was assumed.
+    """
+    if "sigma_x" not in headers or "sigma_x" not in columns:
+        return None  # no slip column: computed from speeds, or none at all
+    turning = _turning(columns)
+    if convention is not None:
+        if turning <= 0:
+            return None
+        return (
+            f"the slip contradicts omega / v: the wheel turns slower where it is driven"
+            f" by the signs of {convention!r}; check --convention"
+        )
+    header = headers["sigma_x"]
+    slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))
+    low, high = np.percentile(slip, [1, 99])
+    has_driving = low < -_LEAST_DRIVING
+    if turning < 0 or not (turning or has_driving):
+        return None
+    taken = f"{header!r} is taken as braking"
+    if has_driving:
+        taken = f"negative {header!r} (down to {np.min(slip):.3g}) is taken as driving"
+    evidence = ""
+    if turning > 0:
+        evidence = ", but the wheel turns faster as it rises (omega / v)"
+    elif definition in ("kappa", "s") and low < -0.98 and high < 0.9:
+        evidence = ", but -1 is where a wheel locks if driving is positive"
+    elif header in _DRIVING_POSITIVE:
+        evidence = f", but in {_DRIVING_POSITIVE[header]} files driving is positive"
+    fitting = [
+        name
+        for name in _fitting_conventions(_pairs(columns), "braking")
+        if CONVENTIONS[name].slip < 0
+    ]
+    return (
+        f"no convention declared: read as braking, so {taken}{evidence}; if positive"
+        f" slip means driving in this file, pass --convention {' or '.join(fitting)};"
+        " if it means braking, --convention braking"
+    )
+
+
+def _turning(columns: Mapping[str, np.ndarray]) -> int:
+    """Sign of the trend of omega / v over the slip; 0 where there is none."""
+    if not {"omega", "v"} <= columns.keys():
+        return 0
+    moving = columns["v"] > 0
+    if not moving.any():
+        return 0
+    slip = slip_ratio_from_sigma(columns["sigma_x"][moving])
+    wheel = columns["omega"][moving] / columns["v"][moving]
+    return _trend(slip - slip.mean(), wheel - wheel.mean(), 0.005)

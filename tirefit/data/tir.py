@@ -1,0 +1,145 @@
+"""Tire property files (``.tir``): :func:`read_tir`, :func:`write_tir`.
+
+A file is kept as the text it is: sections, order, comments and keys that are not known
+here stay; only a value that is changed is written anew. Numbers are converted to SI on
+reading and back to the units of the file on writing.
+"""
+
+from pathlib import Path
+
+from tirefit.data.tir_check import notes_on, problems_of
+from tirefit.data.tir_file import TirFile, parsed, shortest
+from tirefit.data.write import write_text_atomic
+from tirefit.results import DataError, Problem, UsageError
+
+__all__ = ["TirFile", "notes_on", "parse_tir", "read_tir", "reduced_tir", "write_tir"]
+
+
+def parse_tir(text: str, path: str = "") -> TirFile:
+    """A ``.tir`` file from its text, checked.
+
+    Raises:
+        DataError: what cannot be understood, keys that are missing or contradict each
+            other, and what is not supported; all problems, each with key and remedy.
+    """
+    tir, problems = parsed(text, path)
+    problems += problems_of(tir)
+    if problems:
+        raise DataError(problems)
+    return tir
+
+
+def read_tir(path) -> TirFile:
+    """Reads a ``.tir`` file; see :func:`parse_tir` for what is refused.
+
+    Raises:
+        DataError: also where there is no such file.
+    """
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        reason = f"cannot read it: {error.strerror}"
+        raise DataError(Problem(reason, "give a .tir file", str(path))) from None
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    return parse_tir(text, str(path))
+
+
+def write_tir(tir: TirFile, path) -> None:
+    """Writes the file, whole or not at all."""
+    write_text_atomic(path, tir.text)
+
+
+_REDUCED = """\
+[MDI_HEADER]
+FILE_TYPE                = 'tir'
+FILE_VERSION             = 3.0
+FILE_FORMAT              = 'ASCII'
+$ Reduced: an isotropic brush tire of constant friction as a Magic Formula. At FNOMIN
+$ both pure slips have the slope 2 c_p a^2 at rest and tend to mu F_z without a peak
+$ before (C = 1); E follows the curve of the brush. Both stiffnesses are stationary
+$ there, for that of the brush is constant. Combined slip keeps to the friction circle.
+$ No aligning moment.
+[UNITS]
+LENGTH                   = 'meter'
+FORCE                    = 'newton'
+ANGLE                    = 'radians'
+MASS                     = 'kg'
+TIME                     = 'second'
+[MODEL]
+FITTYP                   = 61
+TYRESIDE                 = 'SYMMETRIC'
+[DIMENSION]
+UNLOADED_RADIUS          = {radius}          $Free tyre radius
+[VERTICAL]
+FNOMIN                   = {fz}          $Nominal wheel load
+[LONGITUDINAL_COEFFICIENTS]
+PCX1                     = 1          $Shape: no peak
+PDX1                     = {mu}          $mu
+PEX1                     = {curvature}          $Curvature of the brush
+PKX1                     = {stiffness}          $2 c_p a^2 / FNOMIN
+PKX3                     = -1          $Stiffness stationary at FNOMIN
+RBX1                     = {weight}          $2 c_p a^2 / (mu FNOMIN)
+RBX2                     = {weight}          $2 c_p a^2 / (mu FNOMIN)
+RCX1                     = 1          $Friction circle
+[LATERAL_COEFFICIENTS]
+PCY1                     = 1          $Shape: no peak
+PDY1                     = {mu}          $mu
+PEY1                     = {curvature}          $Curvature of the brush
+PKY1                     = -{stiffness}          $-2 c_p a^2 / FNOMIN
+PKY2                     = 1          $Stiffness stationary at FNOMIN
+RBY1                     = {weight}          $2 c_p a^2 / (mu FNOMIN)
+RBY2                     = {weight}          $2 c_p a^2 / (mu FNOMIN)
+RCY1                     = 1          $Friction circle
+[ALIGNING_COEFFICIENTS]
+QBZ1                     = 0          $No aligning moment
+QCZ1                     = 1
+QDZ1                     = 0
+"""
+
+_CURVATURE = -0.44
+"""E that follows the brush best where C = 1, see :func:`reduced_tir`."""
+
+
+def reduced_tir(cpa2: float, mu: float, fz: float, radius: float) -> TirFile:
+    r"""The smallest ``.tir`` file of a brush tire: c_p a^2 and mu.
+
+    PKX1 FNOMIN = 2 c_p a^2 and PDX1 = mu, and the same for F_y. The force of a brush of
+    constant friction rises to mu F_z and stays there, which is C = 1: any larger C has
+    a peak and falls behind it. E = -0.44 then leaves the smallest largest difference
+    between :math:`\sin\arctan\{x - E (x - \arctan x)\}` and the brush curve
+    :math:`x - x^2/3 + x^3/27`, x = 2 c_p a^2 sigma / (mu F_z): 4.6 % of mu F_z.
+
+    In combined slip the weighting functions of C = 1 and B = 2 c_p a^2 / (mu F_z) at
+    the other slip's rest turn :math:`x / \sqrt{1 + x^2}` (E = 0) exactly into
+    :math:`x_i / \sqrt{1 + x^2 + y^2}`: the isotropic tire.
+
+    Args:
+        cpa2: bristle stiffness c_p a^2 [N].
+        mu: friction coefficient [-].
+        fz: nominal load [N], at which they hold.
+        radius: radius of the free tire [m].
+
+    Raises:
+        UsageError: values that are not positive; all of them.
+    """
+    given = {"cpa2": cpa2, "mu": mu, "fz": fz, "radius": radius}
+    wrong = [name for name, value in given.items() if not 0 < value < float("inf")]
+    if wrong:
+        raise UsageError(
+            [
+                Problem(f"{name} = {given[name]:g} is not positive", "give it in SI")
+                for name in wrong
+            ]
+        )
+    text = _REDUCED.format(
+        radius=shortest(radius),
+        fz=shortest(fz),
+        mu=shortest(mu),
+        stiffness=shortest(2 * cpa2 / fz),
+        weight=shortest(2 * cpa2 / (mu * fz)),
+        curvature=shortest(_CURVATURE),
+    )
+    return parse_tir(text, "reduced.tir")

@@ -1,0 +1,133 @@
+"""What the keys of a ``.tir`` file are: section, unit, version, and which must be."""
+
+__all__ = [
+    "COEFFICIENTS",
+    "DIMENSIONS",
+    "FITTYP",
+    "FORMATS_REFUSED",
+    "LIMITS",
+    "NEUTRAL",
+    "NONZERO",
+    "ONLY_IN",
+    "POSITIVE",
+    "PRESSURE_TERMS",
+    "REQUIRED",
+    "SECTIONS",
+    "SIDES",
+    "UNITS",
+]
+
+FITTYP = {5: "5.2", 6: "5.2", 21: "5.2", 52: "5.2", 61: "6.1", 62: "6.2"}
+"""Value of FITTYP -> version of the Magic Formula whose equations are used."""
+
+FORMATS_REFUSED = {
+    "FIALA": "Fiala", "UA": "University of Arizona", "521": "Interpolation",
+    "PAC89": "Pacejka '89", "PAC94": "Pacejka '94", "PAC_MC": "motorcycle PAC MC",
+    "PAC-TIME": "PAC-TIME", "FTIRE": "FTire", "TMEASY": "TMeasy",
+}  # fmt: skip
+"""PROPERTY_FILE_FORMAT of other tire models -> the model."""
+
+SIDES = ("LEFT", "RIGHT", "SYMMETRIC", "UNKNOWN")
+
+COEFFICIENTS = {
+    "VERTICAL": "FNOMIN",
+    "DIMENSION": "UNLOADED_RADIUS",
+    "MODEL": "LONGVL",
+    "OPERATING_CONDITIONS": "NOMPRES INFLPRES",
+    "SCALING_COEFFICIENTS": "LFZO LMUV LCX LMUX LEX LKX LHX LVX LGAX LXAL LCY LMUY LEY"
+    " LKY LHY LVY LGAY LKYC LYKA LVYKA LTR LRES LGAZ LKZC LS",
+    "LONGITUDINAL_COEFFICIENTS": "PCX1 PDX1 PDX2 PDX3 PEX1 PEX2 PEX3 PEX4 PKX1 PKX2"
+    " PKX3 PHX1 PHX2 PVX1 PVX2 PPX1 PPX2 PPX3 PPX4 RBX1 RBX2 RBX3 RCX1 REX1 REX2 RHX1",
+    "LATERAL_COEFFICIENTS": "PCY1 PDY1 PDY2 PDY3 PEY1 PEY2 PEY3 PEY4 PEY5 PKY1 PKY2"
+    " PKY3 PKY4 PKY5 PKY6 PKY7 PHY1 PHY2 PHY3 PVY1 PVY2 PVY3 PVY4 PPY1 PPY2 PPY3 PPY4"
+    " PPY5 RBY1 RBY2 RBY3 RBY4 RCY1 REY1 REY2 RHY1 RHY2 RVY1 RVY2 RVY3 RVY4 RVY5 RVY6",
+    "ALIGNING_COEFFICIENTS": "QBZ1 QBZ2 QBZ3 QBZ4 QBZ5 QBZ9 QBZ10 QCZ1 QDZ1 QDZ2 QDZ3"
+    " QDZ4 QDZ6 QDZ7 QDZ8 QDZ9 QDZ10 QDZ11 QEZ1 QEZ2 QEZ3 QEZ4 QEZ5 QHZ1 QHZ2 QHZ3 QHZ4"
+    " PPZ1 PPZ2 SSZ1 SSZ2 SSZ3 SSZ4",
+}
+COEFFICIENTS = {
+    key: section for section, keys in COEFFICIENTS.items() for key in keys.split()
+}
+"""Key that the steady-state F_x, F_y and M_z use -> section it stands in."""
+
+SECTIONS = COEFFICIENTS | {"FITTYP": "MODEL", "TYRESIDE": "MODEL"}
+"""Key that can be added to a file -> section it goes to."""
+
+ONLY_IN = {
+    **dict.fromkeys("PHY3 LGAX LGAY LGAZ".split(), "5"),
+    **dict.fromkeys(
+        "PEY5 PKY4 PKY5 PKY6 PKY7 PPX1 PPX2 PPX3 PPX4 PPY1 PPY2 PPY3 PPY4 PPY5 PPZ1"
+        " PPZ2 RBX3 RBY4 QDZ10 QDZ11 LKYC LKZC LMUV".split(),
+        "6",
+    ),
+}
+"""Coefficient -> the one generation of the Magic Formula that has it."""
+
+NEUTRAL = {"PKY4": 2.0, "LMUV": 0.0}
+"""Values without effect, where they are not 0 of a coefficient, 1 of a factor L..."""
+
+PRESSURE_TERMS = [key for key in COEFFICIENTS if key.startswith("PP")]
+
+REQUIRED = {
+    "UNLOADED_RADIUS": "the free radius",
+    "FNOMIN": "the nominal load",
+    "PCX1": "the shape factor of F_x",
+    "PDX1": "the longitudinal friction",
+    "PKX1": "the slip stiffness over load",
+    "PCY1": "the shape factor of F_y",
+    "PDY1": "the lateral friction",
+    "PKY1": "the cornering stiffness over load (negative)",
+    "PKY2": "the load of the largest cornering stiffness",
+    "QBZ1": "the slope of the trail",
+    "QCZ1": "the shape factor of the trail",
+    "QDZ1": "the trail over the free radius (0: no moment by it)",
+}
+"""Key without which no force has a shape -> what it is."""
+
+POSITIVE = ("UNLOADED_RADIUS", "FNOMIN", "LONGVL", "NOMPRES", "INFLPRES", "LFZO")
+NONZERO = ("PCX1", "PDX1", "PCY1", "PDY1", "PKY2")
+
+LIMITS = {
+    "kappa": ("KPUMIN", "KPUMAX"),
+    "alpha": ("ALPMIN", "ALPMAX"),
+    "gamma": ("CAMMIN", "CAMMAX"),
+    "fz": ("FZMIN", "FZMAX"),
+    "pressure": ("PRESMIN", "PRESMAX"),
+}
+"""Input in ISO-W axes -> keys of the range in which the coefficients were found."""
+
+DIMENSIONS = {
+    **dict.fromkeys("UNLOADED_RADIUS WIDTH RIM_RADIUS RIM_WIDTH".split(), "length"),
+    **dict.fromkeys("FNOMIN FZMIN FZMAX".split(), "force"),
+    **dict.fromkeys("LONGVL VXLOW".split(), "speed"),
+    **dict.fromkeys("NOMPRES INFLPRES PRESMIN PRESMAX".split(), "pressure"),
+}
+"""Key -> dimension; the rest is dimensionless, in radians, or not used here."""
+
+_SPELLINGS = {
+    "LENGTH": {
+        1.0: "meter meters metre m", 1e-3: "millimeter mm", 1e-2: "centimeter cm",
+        1e3: "kilometer km", 0.0254: "inch in", 0.3048: "foot ft",
+    },
+    "FORCE": {
+        1.0: "newton newtons n", 1e3: "kilonewton knewton kn", 10.0: "dekanewton dan",
+        9.80665: "kilogram_force kg_force kgf",
+        4.4482216152605: "pound_force poundforce lbf",
+    },
+    "ANGLE": {1.0: "radians radian rad"},
+    "MASS": {
+        1.0: "kilogram kg", 1e-3: "gram g", 0.45359237: "pound_mass lbm lb",
+        14.59390293720636: "slug", 1e3: "megagram",
+    },
+    "TIME": {
+        1.0: "second seconds sec s", 1e-3: "millisecond msec ms", 60.0: "minute min",
+        3600.0: "hour h",
+    },
+    "PRESSURE": {1.0: "pascal pa", 1e3: "kilopascal kpa", 1e5: "bar"},
+}  # fmt: skip
+
+UNITS = {
+    quantity: {name: size for size, names in sizes.items() for name in names.split()}
+    for quantity, sizes in _SPELLINGS.items()
+}
+"""Key of [UNITS] -> spelling, in lower case, -> size in SI."""

@@ -1,0 +1,280 @@
+"""The base model fitted with its noise judged: where every diagnosis starts."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from tirefit.diagnosis.basis import generic_basis
+from tirefit.diagnosis.effects import Atom
+from tirefit.diagnosis.forward import (
+    Design,
+    Refit,
+    brush_of_base,
+    fill,
+    moments,
+    refit_all,
+    tangents,
+)
+from tirefit.diagnosis.noise import NoiseLevel, judge_noise
+from tirefit.diagnosis.rows import Prepared
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.inference import best_of, solve_starts
+from tirefit.fitting.problem import build, starting_points
+from tirefit.fitting.slip_noise import slip_density
+
+__all__ = ["Base", "fit_base", "on_rows", "with_noise_judged"]
+
+_NODES = {count: np.polynomial.hermite_e.hermegauss(count) for count in (3, 5, 7)}
+
+
+@dataclass(frozen=True)
+class Base:
+    """The base fit: model, layout and z; the design of every refit; the noise.
+
+    ``residual`` (m,), ``jacobian`` (m, p) and ``tangent`` (m, K) are whitened, over
+    the used rows of all channels; ``basis`` (m, b) likewise.
+    """
+
+    prepared: Prepared
+    atoms: tuple[Atom, ...]
+    model: object
+    layout: object
+    z: np.ndarray
+    refit: Refit
+    design: Design
+    noise: dict[str, NoiseLevel]
+    slip_noise: float
+    slip_fraction: np.ndarray
+    full_sliding: float
+    basis: np.ndarray
+
+    def cut(self, stacked) -> np.ndarray:
+        """Used rows of whitened values (channels x padded, ...)."""
+        stacked = np.asarray(stacked)
+        channels = len(self.prepared.channels)
+        parts = stacked.reshape(channels, -1, *stacked.shape[1:])
+        return parts[:, : self.prepared.n].reshape(-1, *stacked.shape[1:])
+
+    @property
+    def arguments(self) -> tuple:
+        return self.model, self.layout, self.atoms, self.prepared.mode
+
+    @cached_property
+    def finite(self) -> tuple[int, ...]:
+        """Atoms whose effect is linearised over a finite amplitude."""
+        return tuple(
+            k
+            for k, atom in enumerate(self.atoms)
+            if atom.effect.singular or atom.effect.center
+        )
+
+    @cached_property
+    def at_null(self):
+        """:meth:`linearised` at the base fit."""
+        return self.linearised(self.z, np.zeros(len(self.atoms)))
+
+    def linearised(self, z, amplitudes):
+        """(residual, jacobian, columns of the effects) of the used rows."""
+        found = tangents(*self.arguments, z, amplitudes, self.design, self.finite)
+        return tuple(self.cut(part) for part in found)
+
+    def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
+        """Mean force of every used row, by channel."""
+        mean, _ = moments(*self.arguments, z, amplitudes, self.design)
+        return {c: np.asarray(v)[: self.prepared.n] for c, v in mean.items()}
+
+
+def _first_fit(prepared: Prepared, name: str):
+    """(model, layout, z) by least squares with estimated noise, slip as measured."""
+    force = [c for c in prepared.channels if c != "mz"]
+    if "mz" in prepared.channels:
+        force.append("mz")
+    data = prepared.data
+    config = parse_config({"force": force, "noise": {"loss": "huber"}, "starts": 4})
+    problem = build(data, name, config)
+    rows = problem.rows
+    if prepared.mode != "xy":
+        # The base model does not know of the other slip: that is an effect.
+        quiet = "alpha" if prepared.mode == "x" else "sigma_x"
+        silent = np.zeros_like(np.asarray(rows.inputs.fz))
+        inputs = rows.inputs._replace(**{quiet: silent})
+        problem = replace(problem, rows=rows._replace(inputs=inputs))
+    starts = starting_points(problem, config.starts, 0)
+    solution = solve_starts(
+        problem.model, problem.layout, starts, problem.rows, problem.channels,
+        problem.loss, {}, "gauss-newton",
+    )  # fmt: skip
+    return problem.model, problem.layout, np.asarray(solution.z)[best_of(solution)]
+
+
+def _pad(array, size: int):
+    array = np.asarray(array, float)
+    return np.concatenate([array, np.repeat(array[:1], size - len(array), axis=0)])
+
+
+def _pad_rows(rows, size: int):
+    """Covariates of padding rows; in time they stand alone at the end."""
+    count = len(rows.fz)
+    padded = type(rows)(*(_pad(x, size) for x in rows))
+    last = np.arange(count, size)
+    return padded._replace(
+        order=np.concatenate([rows.order, last]).astype(int),
+        place=np.concatenate([rows.place, last]).astype(int),
+        step=np.concatenate([rows.step, np.full(size - count, np.inf)]),
+    )
+
+
+def _padded(n: int) -> int:
+    return max(256, 2 ** int(np.ceil(np.log2(n))))
+
+
+def _nodes(slip, std):
+    """Latent slips and their probabilities under the file's own slip density."""
+    if not np.any(std > 0):
+        return slip[:, None], np.ones((len(slip), 1))
+    # Enough nodes for the curvature of the force within the slip noise.
+    steep = float(np.median(std)) / max(float(np.quantile(np.abs(slip), 0.9)), 1e-9)
+    offset, mass = _NODES[3 if steep < 0.01 else 5 if steep < 0.05 else 7]
+    nodes = slip[:, None] + std[:, None] * offset
+    grid, density = slip_density(slip, np.maximum(std, 1e-9))
+    prior = np.interp(nodes, grid, density, left=0.0, right=0.0)
+    weight = mass * (prior + 1e-6 * density.max())
+    return nodes, weight / weight.sum(axis=1, keepdims=True)
+
+
+def _priors(prepared: Prepared, atoms, rig) -> tuple[np.ndarray, np.ndarray]:
+    scale = np.array([atom.effect.scale for atom in atoms])
+    center = np.array([atom.effect.center for atom in atoms]) / scale
+    for k, atom in enumerate(atoms):
+        if atom.effect.id == "slip_definition":
+            center[k] *= prepared.definition
+        if atom.effect.id == "wheel_inertia" and rig.wheel_inertia:
+            scale[k], center[k] = 0.3 * rig.wheel_inertia, 0.0
+    return scale, center
+
+
+def fit_base(prepared: Prepared, name: str, atoms, rig) -> Base:
+    """Fit the base model, judge the noise, and fit again under it."""
+    model, layout, z = _first_fit(prepared, name)
+    design = _design(prepared, atoms, rig)
+    fraction = _slip_fraction(prepared, model, layout, z, design)
+    base = Base(
+        prepared, atoms, model, layout, z, None, design, {},
+        float(np.median(prepared.slip_std)), *fraction, np.zeros((0, 0)),
+    )  # fmt: skip
+    silent = np.zeros(len(atoms))
+    base = with_noise_judged(base, rig, z, silent, outliers=False)
+    return replace(base, design=_with_force(base, silent))
+
+
+def with_noise_judged(base: Base, rig, z, amplitudes, outliers: bool = True) -> Base:
+    """The base refitted under the noise that the remainder of a fit shows.
+
+    Args:
+        z, amplitudes: the fit whose remainder is judged, smooth parts taken out.
+        outliers: whether rows far off are set aside; only a fit without a gross gap
+            can tell them.
+    """
+    noise = _noise(base, rig, z, amplitudes, outliers)
+    base = replace(base, noise=noise, design=_with_noise(base, noise))
+    refit = refit_all(
+        *base.arguments, *fill([(base.z, np.zeros(0))], [()], len(base.atoms), 1),
+        base.design, size=1,
+    )  # fmt: skip
+    base = replace(base, z=np.asarray(refit.z)[0], refit=refit)
+    return replace(base, basis=_whitened_basis(base))
+
+
+def on_rows(base: Base, prepared: Prepared, rig) -> Base:
+    """The same fit looked at on other rows: forces only, its noise does not carry."""
+    design = _design(prepared, base.atoms, rig)
+    other = replace(base, prepared=prepared, design=design)
+    return replace(other, design=_with_force(other, np.zeros(len(base.atoms))))
+
+
+def _design(prepared: Prepared, atoms, rig) -> Design:
+    size = _padded(prepared.n)
+    slips, weight = _nodes(prepared.slip, prepared.slip_std)
+    scale, center = _priors(prepared, atoms, rig)
+    fz, v = prepared.inputs.fz, prepared.inputs.v
+    keep = (np.arange(size) < prepared.n).astype(float)
+    return Design(
+        type(prepared.inputs)(*(_pad(part, size) for part in prepared.inputs)),
+        _pad(slips, size), _pad(weight, size), _pad(prepared.second, size),
+        {c: _pad(x, size) for c, x in prepared.observed.items()},
+        {c: np.full(size, 0.05 * np.std(x)) for c, x in prepared.observed.items()},
+        keep, _pad_rows(prepared.covariates, size),
+        scale, center, np.array([np.median(fz), np.median(v)]),
+    )  # fmt: skip
+
+
+def _slip_fraction(prepared: Prepared, model, layout, z, design):
+    """(slip over that of full sliding (n,), that slip at the median load).
+
+    Full sliding as of the brush with the base's slope and peak: 3 mu F_z / (2 c).
+    """
+    stiffness, mu = brush_of_base(model, layout, prepared.mode, z, design)
+    stiffness = np.asarray(stiffness)[: prepared.n]
+    full = 1.5 * float(mu) * prepared.inputs.fz / np.maximum(stiffness, 1e-9)
+    size = np.hypot(prepared.slip, prepared.second)
+    side = np.where(prepared.slip < 0, -1.0, 1.0)
+    return side * size / full, float(np.median(full))
+
+
+def _noise(base: Base, rig, z, amplitudes, outliers) -> dict[str, NoiseLevel]:
+    prepared = base.prepared
+    mean, spread = moments(*base.arguments, z, amplitudes, base.design)
+    found = {}
+    for channel in prepared.channels:
+        observed = prepared.observed[channel]
+        residual = observed - np.asarray(mean[channel])[: prepared.n]
+        std = f"{channel}_std"
+        fz = prepared.inputs.fz
+        given = (
+            prepared.data.usable(std)
+            if std in prepared.data
+            else rig.force_noise(channel, fz)
+        )
+        basis = generic_basis(prepared, base.slip_fraction, fz / np.mean(fz))
+        found[channel] = judge_noise(
+            residual, np.asarray(spread[channel])[: prepared.n], fz, given, basis,
+            prepared.time, prepared.run, outliers,
+        )  # fmt: skip
+    return found
+
+
+def _with_noise(base: Base, noise) -> Design:
+    size = len(base.design.keep)
+    inflation = max(level.inflation for level in noise.values())
+    scale = {
+        c: _pad(level.std * np.sqrt(inflation), size) for c, level in noise.items()
+    }
+    keep = (np.arange(size) < base.prepared.n).astype(float)
+    outlier = np.any([level.outlier for level in noise.values()], axis=0)
+    keep[: base.prepared.n] = ~outlier
+    return base.design._replace(scale=scale, keep=keep)
+
+
+def _with_force(base: Base, silent) -> Design:
+    """The base model's force over its peak, for the effects that follow it."""
+    channel = base.prepared.channels[0]
+    mean = base.forces(base.z, silent)[channel]
+    peak = np.max(np.abs(mean) / base.prepared.inputs.fz)
+    share = _pad(mean / (peak * base.prepared.inputs.fz), len(base.design.keep))
+    rows = base.design.rows._replace(force=share, usage=np.abs(share))
+    return base.design._replace(rows=rows)
+
+
+def _whitened_basis(base: Base) -> np.ndarray:
+    """Generic functions for each channel by itself, whitened: (m, b)."""
+    n, blocks = base.prepared.n, []
+    for k, channel in enumerate(base.prepared.channels):
+        typical = base.prepared.inputs.fz / np.asarray(base.design.scale[channel])[:n]
+        part = generic_basis(base.prepared, base.slip_fraction, typical)
+        part = part * base.design.keep[:n, None]
+        before = np.zeros((k * n, part.shape[1]))
+        after = np.zeros(((len(base.prepared.channels) - 1 - k) * n, part.shape[1]))
+        blocks.append(np.concatenate([before, part, after]))
+    basis = np.concatenate(blocks, axis=1)
+    return basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-12)

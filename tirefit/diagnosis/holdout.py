@@ -1,0 +1,107 @@
+"""The closure on data that the search did not use."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tirefit.diagnosis.base import Base, on_rows
+from tirefit.diagnosis.closure import closure_of
+from tirefit.diagnosis.forward import fill, refit_all
+from tirefit.diagnosis.rows import prepare
+
+__all__ = ["held_out"]
+
+
+def held_out(case, holdout: Sequence, rig, generator) -> dict | None:
+    """Closure on other files, or on a regime of this one: the figures of ``gap``.
+
+    Without other files the regime farthest out (highest load, else highest speed, else
+    largest slip, else the last third) is left out, both fits are repeated without it,
+    and judged on it. None where the verdict names nothing.
+    """
+    if case.verdict.status in ("none", "unknown"):
+        return None
+    if holdout:
+        return _on_files(case, holdout, rig, generator)
+    return _on_regime(case, generator)
+
+
+def _record(closure, what: str) -> dict:
+    return {
+        "rms": closure.rms, "resolvable": closure.resolvable, "closed": closure.closed,
+        "closed_ci": [closure.low, closure.high], "remaining_rms": closure.remaining,
+        "on": what,
+    }  # fmt: skip
+
+
+def _amplitudes(base: Base, hypothesis) -> np.ndarray:
+    from tirefit.diagnosis.engine import amplitudes_of
+
+    return amplitudes_of(base, hypothesis)
+
+
+def _on_files(case, holdout, rig, generator) -> dict:
+    base, chosen = case.base, case.verdict.chosen
+    null = case.weighed.best_of[()]
+    before, after, variance, run = [], [], [], []
+    main = base.prepared.channels[0]
+    for number, data in enumerate(holdout):
+        other = on_rows(base, prepare(data, rig, base.prepared.channels), rig)
+        observed = other.prepared.observed[main]
+        silent = np.zeros(len(base.atoms))
+        before.append(observed - other.forces(null.z, silent)[main])
+        amplitudes = _amplitudes(base, chosen)
+        after.append(observed - other.forces(chosen.z, amplitudes)[main])
+        scale = np.median(base.noise[main].std / base.prepared.inputs.fz)
+        variance.append((scale * other.prepared.inputs.fz) ** 2)
+        run.append(np.full(len(observed), number))
+    closure = closure_of(
+        np.concatenate(before), np.concatenate(after), np.concatenate(variance),
+        (0, 0), np.concatenate(run), base.noise[main].inflation, generator, False,
+    )  # fmt: skip
+    return _record(closure, ", ".join(data.name for data in holdout))
+
+
+def _regime(base: Base) -> tuple[np.ndarray, str]:
+    """Rows to leave out, and what they are."""
+    prepared = base.prepared
+    for name, values in (("fz", prepared.inputs.fz), ("v", prepared.inputs.v)):
+        need = {"fz": "loads", "v": "speeds"}[name]
+        if need in prepared.has:
+            top = values >= values.max() - 0.05 * np.ptp(values)
+            if 0.05 < top.mean() < 0.6:
+                return top, f"highest {name}"
+    size = np.abs(prepared.slip)
+    return size > np.quantile(size, 0.7), "largest slip"
+
+
+def _on_regime(case, generator) -> dict:
+    base, chosen = case.base, case.verdict.chosen
+    out, what = _regime(base)
+    keep = np.array(base.design.keep)
+    keep[: base.prepared.n] *= ~out
+    design = base.design._replace(keep=keep)
+    main = base.prepared.channels[0]
+    sign = np.array([atom.effect.sign for atom in base.atoms], float)
+
+    def refitted(z, amplitude, atoms, size):
+        arrays = fill([(z, amplitude)], [atoms], len(base.atoms), size, sign)
+        found = refit_all(*base.arguments, *arrays, design, size=size)
+        full = np.zeros(len(base.atoms) + 1)
+        scale = np.append(np.asarray(design.prior_scale), 0.0)
+        index = [*atoms, *[len(base.atoms)] * (size - len(atoms))]
+        np.add.at(full, index, np.asarray(found.amplitude)[0] * scale[index])
+        return base.forces(np.asarray(found.z)[0], full[:-1])[main][out]
+
+    null = case.weighed.best_of[()]
+    observed = base.prepared.observed[main][out]
+    size = 1 if len(chosen.atoms) == 1 else 3
+    before = observed - refitted(null.z, np.zeros(0), (), 1)
+    after = observed - refitted(chosen.z, chosen.amplitude, chosen.atoms, size)
+    noise = base.noise[main]
+    good = ~noise.outlier[out]
+    closure = closure_of(
+        before[good], after[good], (noise.std[out] ** 2)[good], (0, 0),
+        base.prepared.run[out][good], noise.inflation, generator, False,
+    )  # fmt: skip
+    return _record(closure, f"{what}, left out of both fits")

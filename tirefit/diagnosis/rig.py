@@ -1,0 +1,122 @@
+"""What is known of the rig or vehicle that measured: ``rig.toml``."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from tirefit.data.table import TireData
+from tirefit.results import Problem, UsageError
+
+__all__ = ["Rig", "load_rig"]
+
+_NUMBERS = ("rolling_radius", "wheel_inertia")
+_NOISE = (
+    "fx", "fy", "mz", "fx_relative", "fy_relative", "mz_relative", "sigma_x", "kappa",
+    "slip", "alpha", "force", "force_relative",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Knowledge of the rig; everything is optional.
+
+    ``noise`` holds standard deviations: of a force [N] or as a share of the load
+    (``fx_relative``), of the slip [-] or slip angle [rad]. ``commanded_slip`` names the
+    column of the slip that was asked for; ``run_order`` is "random" or "sequential".
+    """
+
+    rolling_radius: float | None = None
+    wheel_inertia: float | None = None
+    noise: Mapping[str, float] = field(default_factory=dict)
+    commanded_slip: str | None = None
+    run_order: str | None = None
+    notes: tuple[str, ...] = ()
+
+    def radius_for(self, data: TireData) -> float:
+        """Rolling radius [m]: given, or that of free rolling, or 0.3."""
+        if self.rolling_radius:
+            return self.rolling_radius
+        if "omega" in data and "v" in data and "sigma_x" in data:
+            omega, v = data.usable("omega"), data.usable("v")
+            turning = np.abs(omega) > 0.1
+            if turning.any():
+                radius = v / np.where(turning, omega, 1.0)
+                radius = radius / (1 + data.usable("sigma_x"))
+                return float(abs(np.median(radius[turning]))) or 0.3
+        return 0.3
+
+    def slip_noise(self, slip: str) -> float | None:
+        """Given standard deviation of a slip."""
+        names = ("alpha",) if slip == "alpha" else ("sigma_x", "kappa")
+        return next((self.noise[k] for k in (*names, "slip") if k in self.noise), None)
+
+    def force_noise(self, channel: str, fz) -> np.ndarray | None:
+        """Given standard deviation of a force, shape of ``fz``, or None."""
+        shared = () if channel == "mz" else ("force",)
+        for name in (channel, *shared):
+            if name in self.noise:
+                return np.full(len(fz), self.noise[name])
+            if f"{name}_relative" in self.noise:
+                return self.noise[f"{name}_relative"] * fz
+        return None
+
+
+def load_rig(path: str | Path | None) -> Rig:
+    """Read ``rig.toml``.
+
+    Raises:
+        UsageError: no such file, not TOML, or a value of the wrong kind; all at once.
+    """
+    if path is None:
+        return Rig()
+    try:
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        reason = f"cannot read it: {error.strerror}"
+        raise UsageError(Problem(reason, "check the path", str(path))) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        reason = f"not valid TOML: {error}"
+        raise UsageError(Problem(reason, "correct the file", str(path))) from None
+    return _checked(content, str(path))
+
+
+def _checked(content: dict, path: str) -> Rig:
+    problems, notes = [], []
+
+    def number(key, value):
+        good = isinstance(value, int | float) and not isinstance(value, bool)
+        if not good or not value > 0 or not np.isfinite(value):
+            reason = f"{key} = {value!r} is not a positive number"
+            problems.append(Problem(reason, "give an SI value", path))
+            return None
+        return float(value)
+
+    values = {k: number(k, content[k]) for k in _NUMBERS if k in content}
+    noise = content.get("noise", {})
+    if not isinstance(noise, dict):
+        reason = f"noise = {noise!r} is not a table"
+        problems.append(Problem(reason, "write [noise] with fx = ... [N]", path))
+        noise = {}
+    levels = {}
+    for key, value in noise.items():
+        if key in _NOISE:
+            levels[key] = number(f"noise.{key}", value)
+        else:
+            notes.append(f"noise.{key} of {path} is not used; known: {_NOISE}")
+    order = content.get("run_order")
+    if order not in (None, "random", "sequential"):
+        reason = f"run_order = {order!r}"
+        problems.append(Problem(reason, 'write "random" or "sequential"', path))
+    command = content.get("commanded_slip")
+    if command is not None and not isinstance(command, str):
+        reason = f"commanded_slip = {command!r} is not a column name"
+        problems.append(Problem(reason, "give the header of its column", path))
+    known = {*_NUMBERS, "noise", "run_order", "commanded_slip"}
+    notes += [f"{k} of {path} is not used" for k in content if k not in known]
+    if problems:
+        raise UsageError(problems)
+    return Rig(noise=levels, commanded_slip=command, run_order=order,
+               notes=tuple(notes), **values)  # fmt: skip

@@ -1,0 +1,188 @@
+"""Data as the diagnosis sees them: slips, covariates, and what could be seen at all."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tirefit.data.table import TireData
+from tirefit.diagnosis.rates import segments, slip_rate
+from tirefit.diagnosis.state import Covariates
+from tirefit.models import TireInputs
+from tirefit.results import DataError, Problem
+
+__all__ = ["Prepared", "prepare"]
+
+MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
+"""Slips that drive the forces -> forces that may be diagnosed."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """The used rows of one file, n of them.
+
+    ``slip`` (n,) is the primary slip [-]: sigma_x, or tan(alpha) for lateral data;
+    ``slip_std`` its noise; ``second`` (n,) is tan(alpha) where both drive. ``observed``
+    holds (n,) by channel. ``covariates`` lacks only ``force``, which the base fit
+    gives. ``has`` names what the data hold of the needs of the effects.
+    """
+
+    data: TireData
+    mode: str
+    channels: tuple[str, ...]
+    inputs: TireInputs
+    slip: np.ndarray
+    slip_std: np.ndarray
+    second: np.ndarray
+    observed: Mapping[str, np.ndarray]
+    covariates: Covariates
+    has: frozenset[str]
+    time: np.ndarray | None
+    run: np.ndarray
+    definition: float
+
+    @property
+    def n(self) -> int:
+        return len(self.slip)
+
+
+def _varies(values, share: float = 0.0) -> bool:
+    return bool(np.ptp(values) > max(share * np.mean(np.abs(values)), 1e-9))
+
+
+def _mode(data: TireData) -> str:
+    def drives(slip, force):
+        return slip in data and force in data and np.std(data.usable(slip)) > 1e-6
+
+    along, across = drives("sigma_x", "fx"), drives("alpha", "fy")
+    if along and across:
+        # One slip that hardly moves is a disturbance of the other, not a second sweep.
+        x, y = data.usable("sigma_x"), np.tan(data.usable("alpha"))
+        ratio = np.std(x) / np.std(y)
+        return "x" if ratio > 10 else "y" if ratio < 0.1 else "xy"
+    if not along and not across:
+        raise DataError(
+            Problem(
+                "no force with a slip that varies: a diagnosis needs fx with sigma_x"
+                " (or kappa, s), or fy with alpha",
+                "see `tirefit inspect`",
+                data.source.path or data.name,
+            )
+        )
+    return "x" if along else "y"
+
+
+def _column(data: TireData, name: str, default: float = 0.0) -> np.ndarray:
+    return data.usable(name) if name in data else np.full(data.n, default)
+
+
+def _centered(values, width: float) -> np.ndarray:
+    return (values - np.mean(values)) / width
+
+
+def prepare(data: TireData, rig, model) -> Prepared:
+    """Slips, channels and covariates of the used rows.
+
+    Raises:
+        DataError: no force with a slip that varies, or no load.
+    """
+    if "fz" not in data:
+        reason = "a diagnosis needs fz (load, N) for every row"
+        remedy = "name its column with --column fz=HEADER, or --constant fz=4000"
+        raise DataError(Problem(reason, remedy, data.source.path or data.name))
+    mode = _mode(data)
+    if data.n < 20:
+        reason = f"{data.n} usable rows: a diagnosis needs 20 or more"
+        raise DataError(
+            Problem(reason, "measure more points", data.source.path or data.name)
+        )
+    sigma, tan_alpha = _column(data, "sigma_x"), np.tan(_column(data, "alpha"))
+    slip = tan_alpha if mode == "y" else sigma
+    given = model
+    channels = tuple(c for c in MODES[mode] if c in data and c in given)
+    std = _slip_std(data, mode, rig)
+    fz, v = data.usable("fz"), _column(data, "v")
+    time = data.usable("time") if "time" in data else None
+    run = data.run[data.used]
+    rate, turning, path, sweeps = slip_rate(slip, time, run, std)
+    other = sigma if mode == "y" else tan_alpha * (1 + sigma)
+    other = np.zeros(data.n) if mode == "xy" else other
+    omega = _column(data, "omega")
+    spin = slip_rate(omega, time, run, None)[0] if "omega" in data else 0 * v
+    order, step = _way(time, run, v)
+    radius = rig.radius_for(data)
+    covariates = Covariates(
+        fz=fz / np.exp(np.mean(np.log(fz))),
+        v=v,
+        time=_centered(time, max(np.ptp(time), 1e-9)) if time is not None else 0 * v,
+        temperature=_centered(_column(data, "temperature"), 20.0),
+        gamma=_column(data, "gamma"),
+        rate=rate,
+        lag=rate / np.maximum(np.abs(v), 0.5),
+        turning=turning,
+        side=np.sign(slip),
+        other=other,
+        force=np.zeros(data.n),
+        usage=np.zeros(data.n),
+        spin=spin / radius,
+        load=np.full(data.n, np.mean(fz)),
+        path=path if sweeps else 0 * v,
+        step=step,
+        order=order,
+        place=np.argsort(order),
+        sliding=np.abs(v * (slip if mode == "y" else slip / (1 + slip))),
+    )
+    inputs = TireInputs(
+        np.zeros(data.n), np.zeros(data.n), fz, v, _column(data, "gamma"),
+        _column(data, "pressure"), _column(data, "time"),
+    )  # fmt: skip
+    return Prepared(
+        data, mode, channels, inputs, slip, std,
+        tan_alpha if mode == "xy" else np.zeros(data.n),
+        {c: data.usable(c) for c in channels}, covariates,
+        _holdings(data, mode, covariates, sweeps), time, run,
+        -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0,
+    )  # fmt: skip
+
+
+def _way(time, run, v) -> tuple[np.ndarray, np.ndarray]:
+    """Rows in time order, and the way from each to the next in that order [m].
+
+    Infinite at the first row of every sweep: a transient starts from rest there.
+    """
+    if time is None:
+        return np.arange(len(v)), np.full(len(v), np.inf)
+    parts = segments(time, run)
+    order, step = np.concatenate(parts), np.full(len(v), np.inf)
+    for part in parts:
+        speed = np.maximum(np.abs(v[part]), 0.05)
+        step[part[1:]] = np.diff(time[part]) * (speed[1:] + speed[:-1]) / 2
+    return order, step[order]
+
+
+def _slip_std(data: TireData, mode: str, rig) -> np.ndarray:
+    name = "alpha" if mode == "y" else "sigma_x"
+    if f"{name}_std" in data:
+        return np.nan_to_num(data.usable(f"{name}_std"))
+    return np.full(data.n, rig.slip_noise(name) or 0.0)
+
+
+def _holdings(data: TireData, mode: str, rows: Covariates, sweeps: bool) -> frozenset:
+    """Names of the needs of effects that this data meets."""
+    positive = np.mean(rows.side > 0)
+    found = {
+        "v": "v" in data and float(np.median(np.abs(rows.v))) > 0.1,
+        "speeds": "v" in data and _varies(rows.v, 0.2),
+        "loads": float(np.std(np.log(rows.fz))) > 0.03,
+        "time": "time" in data and _varies(rows.time),
+        "temperature": "temperature" in data and _varies(rows.temperature * 20, 0.0)
+        and float(np.std(rows.temperature)) > 0.02,
+        "gamma": "gamma" in data and float(np.std(rows.gamma)) > 1e-4,
+        "signs": 0.1 < positive < 0.9,
+        "sweeps": sweeps,
+        "omega": "omega" in data,
+        "other slip": float(np.std(rows.other)) > 1e-4
+        or float(np.max(np.abs(rows.other))) > 1e-3,
+        "mz": mode != "x" and "mz" in data,
+    }  # fmt: skip
+    return frozenset(name for name, here in found.items() if here)

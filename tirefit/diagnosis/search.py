@@ -1,0 +1,301 @@
+"""Which effects: screened in closed form, refitted one by one, weighed by evidence."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from tirefit.diagnosis.base import Base
+from tirefit.diagnosis.forward import MOST, fill, refit_all
+
+__all__ = ["Hypothesis", "Search", "search"]
+
+PRIOR_OF_SIZE = {0: 0.1, 1: 0.5, 2: 0.25, 3: 0.05}
+PRIOR_OF_UNKNOWN = 0.1
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of atoms, refitted: what it costs and explains.
+
+    ``log_evidence`` is relative to the base model alone; ``log_prior`` that of the
+    set. ``amplitude`` is in prior scales, ``covariance`` that of (z, amplitude).
+    """
+
+    atoms: tuple[int, ...]
+    effects: tuple[str, ...]
+    log_evidence: float
+    log_prior: float
+    z: np.ndarray
+    amplitude: np.ndarray
+    covariance: np.ndarray
+    chi2: float
+
+    @property
+    def log_weight(self) -> float:
+        return self.log_evidence + self.log_prior
+
+
+@dataclass
+class Search:
+    """Everything the search has found out about one file."""
+
+    base: Base
+    testable: tuple[int, ...]
+    score: dict[str, float]
+    hypotheses: list[Hypothesis] = field(default_factory=list)
+    projected: np.ndarray | None = None
+
+    @property
+    def best(self) -> Hypothesis:
+        return max(self.hypotheses, key=lambda h: h.log_weight)
+
+
+def _log_bayes(gram, score, center, sign, chosen) -> float:
+    """Log Bayes factor of Gaussian amplitudes on these columns, prior scale 1."""
+    k = list(chosen)
+    g, h, m = gram[np.ix_(k, k)], score[k], center[k]
+    shifted = h - g @ m
+    a = g + np.eye(len(k))
+    solved = np.linalg.solve(a, shifted)
+    value = h @ m - 0.5 * m @ g @ m + 0.5 * shifted @ solved
+    value -= 0.5 * np.linalg.slogdet(a)[1]
+    spread = np.sqrt(np.diag(np.linalg.inv(a)))
+    mean = m + solved
+    for j, s in enumerate(sign[k]):
+        if s:
+            value += np.log(2) + log_ndtr(s * mean[j] / spread[j])
+    return float(value)
+
+
+class _Searcher:
+    """One search: it remembers what was refitted."""
+
+    def __init__(self, base: Base, testable: Sequence[int]):
+        self.base, self.testable = base, tuple(testable)
+        effects = [atom.effect for atom in base.atoms]
+        self.sign = np.array([effect.sign for effect in effects], float)
+        self.center = np.asarray(base.design.prior_center)
+        self.ids = [effect.id for effect in effects]
+        self.singular = np.array([e.singular or e.center != 0 for e in effects], bool)
+        self.found: dict[tuple[int, ...], Hypothesis] = {}
+        families = {effects[k].family for k in self.testable}
+        self.forms = {
+            f: len({effects[k].id for k in self.testable if effects[k].family == f})
+            for f in families
+        }
+        self.variants = {
+            i: sum(1 for k in self.testable if self.ids[k] == i) for i in set(self.ids)
+        }
+        self._add_null()
+
+    def log_prior(self, atoms: tuple[int, ...]) -> float:
+        """Split evenly over families, then forms, then variants."""
+        total = np.log(PRIOR_OF_SIZE[len(atoms)])
+        for k in atoms:
+            family = self.base.atoms[k].effect.family
+            total -= np.log(len(self.forms) * self.forms[family])
+            total -= np.log(self.variants[self.ids[k]])
+        return float(total + np.log(np.prod(np.arange(1, len(atoms) + 1))))
+
+    def _add_null(self) -> None:
+        refit = self.base.refit
+        self.null_chi2 = float(refit.chi2[0])
+        self.null_log_det = float(refit.log_det[0])
+        z = np.asarray(refit.z)[0]
+        self.found[()] = Hypothesis(
+            (), (), 0.0, self.log_prior(()), z, np.zeros(0),
+            np.asarray(refit.covariance)[0][: len(z), : len(z)], self.null_chi2,
+        )  # fmt: skip
+
+    def columns(self, hypothesis: Hypothesis):
+        """(gram, score, projected columns (m, K)) around a refitted hypothesis."""
+        base = self.base
+        if hypothesis.atoms:
+            amplitudes = self.amplitudes_of(hypothesis)
+            residual, jacobian, use = base.linearised(hypothesis.z, amplitudes)
+        else:
+            residual, jacobian, use = base.at_null
+        unit, _ = np.linalg.qr(np.concatenate([jacobian, use[:, hypothesis.atoms]], 1))
+        left = use - unit @ (unit.T @ use)
+        r = residual - unit @ (unit.T @ residual)
+        return left.T @ left, left.T @ r, left
+
+    def amplitudes_of(self, hypothesis: Hypothesis) -> np.ndarray:
+        full = np.zeros(len(self.base.atoms))
+        scale = np.asarray(self.base.design.prior_scale)
+        for k, a in zip(hypothesis.atoms, hypothesis.amplitude, strict=True):
+            full[k] += a * scale[k]
+        return full
+
+    def refit(self, sets: Sequence[tuple[int, ...]], guesses: dict) -> None:
+        """Refit sets of atoms, two starts each where the sign is open."""
+        sets = [s for s in dict.fromkeys(sets) if s and s not in self.found]
+        self._refit([s for s in sets if len(s) == 1], guesses, 1)
+        self._refit([s for s in sets if len(s) > 1], guesses, 3)
+
+    def _refit(self, sets, guesses, size: int) -> None:
+        half = MOST // 2  # each set may have two starts
+        for begin in range(0, len(sets), half):
+            self._refit_some(sets[begin : begin + half], guesses, size)
+
+    def _refit_some(self, sets, guesses, size: int) -> None:
+        starts, index, owner = [], [], []
+        for number, atoms in enumerate(sets):
+            for z, amplitude in self._starts(atoms, guesses.get(atoms)):
+                starts.append((z, amplitude))
+                index.append(atoms)
+                owner.append(number)
+        found = refit_all(
+            *self.base.arguments,
+            *fill(starts, index, len(self.base.atoms), size, self.sign),
+            self.base.design, size=size,
+        )  # fmt: skip
+        found = type(found)(*(np.asarray(part)[: len(owner)] for part in found))
+        for number, atoms in enumerate(sets):
+            mine = [k for k, o in enumerate(owner) if o == number]
+            total = found.chi2[mine] + found.penalty[mine]
+            total = np.where(np.isfinite(total), total, np.inf)
+            self._record(
+                atoms, type(found)(*(p[mine[int(np.argmin(total))]] for p in found))
+            )
+
+    def estimate(self, atoms, guess, within: Hypothesis, value: float) -> None:
+        """Record a set too improbable to refit, from the linear step to it."""
+        if atoms in self.found:
+            return
+        p, size = len(within.z), len(atoms)
+        wide = np.eye(p + size)
+        wide[:p, :p] = within.covariance[:p, :p]
+        self.found[atoms] = Hypothesis(
+            atoms, tuple(self.ids[k] for k in atoms), within.log_evidence + value,
+            self.log_prior(atoms), *guess, wide, within.chi2,
+        )  # fmt: skip
+
+    def _starts(self, atoms, guess):
+        z = self.base.z
+        if guess is not None:
+            yield guess
+        else:
+            amplitude = np.where(
+                self.center[list(atoms)] != 0, self.center[list(atoms)], 1.0
+            )
+            yield z, amplitude
+        if guess is None or any(self.singular[k] for k in atoms):
+            sign = self.sign[list(atoms)]
+            center = self.center[list(atoms)]
+            other = np.where(center != 0, center, np.where(sign != 0, 0.3, -1.0))
+            yield z, other
+
+    def _record(self, atoms, refit) -> None:
+        if not np.isfinite(refit.chi2):
+            return
+        p, size = len(refit.z), len(atoms)
+        value = -0.5 * (refit.chi2 - self.null_chi2) - 0.5 * refit.penalty
+        value -= 0.5 * (refit.log_det - self.null_log_det)
+        amplitude, cov = (
+            refit.amplitude[:size],
+            refit.covariance[: p + size, : p + size],
+        )
+        spread = np.sqrt(np.maximum(np.diag(cov)[p:], 1e-12))
+        for k, a, s in zip(atoms, amplitude, spread, strict=True):
+            if self.sign[k]:
+                value += np.log(2) + log_ndtr(self.sign[k] * a / s)
+        self.found[atoms] = Hypothesis(
+            atoms, tuple(self.ids[k] for k in atoms), float(value),
+            self.log_prior(atoms), refit.z, amplitude, cov, float(refit.chi2),
+        )  # fmt: skip
+
+
+def _best_variants(searcher: _Searcher, gram, score, within=()):
+    """For each effect its best atom added to ``within``: [(log weight, atom)]."""
+    best: dict[str, tuple[float, int]] = {}
+    inside = {searcher.ids[k] for k in within}
+    for k in searcher.testable:
+        if searcher.ids[k] in inside or gram[k, k] < 1e-6:
+            continue
+        value = _log_bayes(gram, score, searcher.center, searcher.sign, (k,))
+        if value > best.get(searcher.ids[k], (-np.inf, 0))[0]:
+            best[searcher.ids[k]] = (value, k)
+    return sorted(best.values(), reverse=True)
+
+
+def _guess(searcher, gram, score, hypothesis: Hypothesis, k: int):
+    """Start of a refit: the step that the linear score suggests."""
+    shift = (score[k] - gram[k, k] * searcher.center[k]) / (gram[k, k] + 1)
+    first = searcher.center[k] + shift
+    if searcher.sign[k]:
+        first = searcher.sign[k] * max(searcher.sign[k] * first, 0.1)
+    amplitude = np.append(hypothesis.amplitude, np.clip(first, -4, 4))
+    order = np.argsort((*hypothesis.atoms, k))
+    return tuple(np.array((*hypothesis.atoms, k))[order].tolist()), (
+        hypothesis.z, amplitude[order]
+    )  # fmt: skip
+
+
+def search(base: Base, testable: Sequence[int]) -> Search:
+    """Screen and refit singles, then what each of the best still lacks."""
+    searcher = _Searcher(base, testable)
+    null = searcher.found[()]
+    gram, score, left = searcher.columns(null)
+    ranked = _best_variants(searcher, gram, score)
+    singles, guesses = [], {}
+    for rank, (value, k) in enumerate(ranked):
+        if rank < 6 or value > ranked[0][0] - 15 or searcher.singular[k]:
+            atoms, guess = _guess(searcher, gram, score, null, k)
+            singles.append(atoms)
+            guesses[atoms] = guess
+    searcher.refit(singles, guesses)
+    _extend(searcher, 1, beam=3, width=6)
+    _pairs_by_screen(searcher, gram, score, ranked)
+    _extend(searcher, 2, beam=2, width=4)
+    found = Search(
+        base, searcher.testable, _scores(searcher, gram, score),
+        list(searcher.found.values()), left,
+    )  # fmt: skip
+    return found
+
+
+def _pairs_by_screen(searcher, gram, score, ranked, count: int = 6) -> None:
+    """Pairs that only show together."""
+    atoms = [k for _, k in ranked]
+    values = []
+    for pair in combinations(sorted(atoms), 2):
+        value = _log_bayes(gram, score, searcher.center, searcher.sign, pair)
+        values.append((value, pair))
+    best = sorted(values, reverse=True)[:count]
+    searcher.refit([pair for _, pair in best], {})
+
+
+def _extend(searcher: _Searcher, size: int, beam: int, width: int) -> None:
+    """Add to the best sets of this size what their remainders point at."""
+    sets = [h for h in searcher.found.values() if len(h.atoms) == size]
+    sets = sorted(sets, key=lambda h: -h.log_weight)[:beam]
+    wanted, guesses = [], {}
+    top = max(h.log_weight for h in searcher.found.values())
+    for hypothesis in sets:
+        if hypothesis.log_weight < top - 30 and hypothesis is not sets[0]:
+            continue
+        gram, score, _ = searcher.columns(hypothesis)
+        for value, k in _best_variants(searcher, gram, score, hypothesis.atoms)[:width]:
+            atoms, guess = _guess(searcher, gram, score, hypothesis, k)
+            expected = hypothesis.log_evidence + value + searcher.log_prior(atoms)
+            if expected > top - 4.0:
+                wanted.append(atoms)
+                guesses.setdefault(atoms, guess)
+            else:
+                searcher.estimate(atoms, guess, hypothesis, value)
+    searcher.refit(wanted, guesses)
+
+
+def _scores(searcher: _Searcher, gram, score) -> dict[str, float]:
+    """z of each effect at the base fit: the largest of its variants."""
+    found: dict[str, float] = {}
+    for k in searcher.testable:
+        if gram[k, k] > 1e-9:
+            z = float(score[k] / np.sqrt(gram[k, k]))
+            if abs(z) > abs(found.get(searcher.ids[k], 0.0)):
+                found[searcher.ids[k]] = z
+    return found

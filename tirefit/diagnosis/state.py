@@ -1,0 +1,270 @@
+r"""What an unmodelled effect may change, and the force that follows: one formula.
+
+A base model is taken through the similarity of every friction-limited tire: stiffness
+times r and friction times g give :math:`F(\sigma) = g F_0(\sigma r / g)`, exact for a
+brush. What similarity cannot express (the shape of the pressure, friction that falls
+while sliding) is the difference of two brushes of the base model's own stiffness and
+friction, one with the effect and one without.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from tirefit.models import Asymmetric, Brush, Quartic, TireInputs
+from tirefit.models.pressure import AbstractPressure, Parabolic
+from tirefit.slip import kappa_from_sigma
+
+__all__ = ["FALLS", "Covariates", "State", "force_of_state", "null_state", "peak_ratio"]
+
+FALLS = ((1.0, 1.0), (4.0, 1.0), (4.0, 0.5), (15.0, 1.0), (30.0, 0.5))
+"""(v_st [m/s], exponent) of the exponential falls of friction that are tried, S(37)."""
+
+
+class Covariates(NamedTuple):
+    """What effects may depend on, one value per row (n,).
+
+    Zeros where the data lack a column. ``fz`` is the load over its geometric mean,
+    ``time`` runs from -1/2 to 1/2 over the record, ``temperature`` is in units of 20 K
+    about its mean. ``rate`` is the derivative of the smooth slip [1/s], ``lag`` that
+    rate over the speed [1/m]; ``turning`` is +1 while the slip grows in size and -1
+    while it shrinks; ``side`` is the sign of the slip. ``other`` is the slip that the
+    base model leaves out (lateral sigma_y for F_x), ``force`` the base model's force
+    over its peak, with its sign, ``usage`` its size, and ``spin`` d(omega)/dt over the
+    rolling radius [rad/(m s^2)]. ``load`` is the mean load [N].
+
+    ``path`` is the smooth slip, zero without sweeps; ``order`` the rows in time,
+    ``place`` each row's place there, and ``step`` [m] the way to each row in that
+    order from the one before, infinite at the start of a sweep. ``sliding`` [m/s] is
+    the sliding speed of the measured slip.
+    """
+
+    fz: Array
+    v: Array
+    time: Array
+    temperature: Array
+    gamma: Array
+    rate: Array
+    lag: Array
+    turning: Array
+    side: Array
+    other: Array
+    force: Array
+    usage: Array
+    spin: Array
+    load: Array
+    path: Array
+    step: Array
+    order: Array
+    place: Array
+    sliding: Array
+
+
+class State(NamedTuple):
+    """A tire and its measurement with all effects applied; arrays (n,) or scalars.
+
+    ``shift`` [-] is added to the slip, ``curvature`` w turns it into x / (1 - w x),
+    ``other`` is the slip across, ``compliance`` [1/N] takes slip per force.
+    ``stiffness`` and ``friction`` multiply; ``skew`` is d of S(24) and ``flat`` the
+    share of the quartic law S(25); ``static`` is the excess of static over kinetic
+    friction, 1/m - 1; ``loss`` [s/m] is n of S(35) over mu and ``fall`` (5,) is 1 - h
+    of S(37) for each of :data:`FALLS`. ``force`` [N] is added to the measured force,
+    ``moment`` [N m] to the moment.
+    """
+
+    shift: Array
+    curvature: Array
+    other: Array
+    compliance: Array
+    stiffness: Array
+    friction: Array
+    skew: Array
+    flat: Array
+    static: Array
+    loss: Array
+    fall: Array
+    force: Array
+    moment: Array
+
+
+def null_state() -> State:
+    """No effect at all."""
+    zero, one = jnp.zeros(()), jnp.ones(())
+    return State(
+        shift=zero, curvature=zero, other=zero, compliance=zero, stiffness=one,
+        friction=one, skew=zero, flat=zero, static=zero, loss=zero,
+        fall=jnp.zeros(len(FALLS)), force=zero, moment=zero,
+    )  # fmt: skip
+
+
+class _Shaped(AbstractPressure):
+    """Asymmetric pressure, partly flattened to the quartic law."""
+
+    skew: Array
+    flat: Array
+
+    def _mix(self, name: str, u):
+        skewed = getattr(Asymmetric(self.skew), name)(u)
+        return (1 - self.flat) * skewed + self.flat * getattr(Quartic(), name)(u)
+
+    def density(self, u):
+        return self._mix("density", u)
+
+    def cdf(self, u):
+        return self._mix("cdf", u)
+
+    def moment(self, u):
+        return self._mix("moment", u)
+
+    def breakaway(self, rho):
+        return _breakaway(rho, self.skew, self.flat)
+
+
+def _holding(u, skew, flat):
+    """Demand ratio at which a bristle at u lets go: limit over demand."""
+    skewed = 0.75 * u * (1 + skew * (u - 1))
+    return (1 - flat) * skewed + flat * 0.625 * u * (u * (u - 2) + 2)
+
+
+def _holding_slope(u, skew, flat):
+    skewed = 0.75 * (1 + skew * (2 * u - 1))
+    quartic = 0.625 * (u * (3 * u - 4) + 2)
+    return jnp.maximum((1 - flat) * skewed + flat * quartic, 0.05)
+
+
+@jax.custom_jvp
+def _breakaway(rho, skew, flat):
+    """u where limit and demand meet, by Newton's method; 2 beyond full sliding."""
+
+    def step(_, u):
+        excess = _holding(u, skew, flat) - rho
+        return jnp.clip(u - excess / _holding_slope(u, skew, flat), 0.0, 2.0)
+
+    u = jax.lax.fori_loop(0, 7, step, jnp.minimum(4 / 3 * rho, 2.0))
+    return jnp.where(_holding(2.0, skew, flat) <= rho, 2.0, u)
+
+
+@_breakaway.defjvp
+def _breakaway_slope(primals, tangents):
+    rho, skew, flat = primals
+    u = _breakaway(rho, skew, flat)
+    inside = u < 2.0
+    at = jnp.where(inside, u, 1.0)
+    skewed = 0.75 * at * (1 + skew * (at - 1))
+    d_skew = (1 - flat) * 0.75 * at * (at - 1)
+    d_flat = 0.625 * at * (at * (at - 2) + 2) - skewed
+    moved = tangents[0] - d_skew * tangents[1] - d_flat * tangents[2]
+    return u, jnp.where(inside, moved / _holding_slope(at, skew, flat), 0.0)
+
+
+class _Falling(eqx.Module):
+    """Static friction above the kinetic one, which falls with sliding speed."""
+
+    excess: Array
+    loss: Array
+    fall: Array
+
+    def static(self, mu, v_s):
+        del v_s
+        return mu * (1 + self.excess)
+
+    def kinetic(self, mu, v_s):
+        factor = 1 - self.loss * v_s
+        moving = v_s > 1e-9
+        safe = jnp.where(moving, v_s, 1.0)
+        for share, (v_st, exponent) in zip(self.fall, FALLS, strict=True):
+            lost = jnp.where(moving, 1 - jnp.exp(-((safe / v_st) ** exponent)), 0.0)
+            factor = factor - share * lost
+        return mu * jnp.maximum(factor, 1e-3)
+
+
+def peak_ratio(base, fz, v):
+    """Largest force over load of the base model at one load and speed."""
+    slips = jnp.geomspace(1e-3, 2.0, 60)
+
+    def force(slip):
+        found = base(TireInputs(sigma_x=slip, fz=fz, v=v))
+        if found.fx is None:
+            found = base(TireInputs(alpha=jnp.arctan(slip), fz=fz, v=v))
+            return found.fy
+        return found.fx
+
+    return jnp.max(jax.vmap(force)(slips)) / fz
+
+
+def _shape_change(state: State, stiffness, mu, arm, slip, fz, v_s, bare: bool):
+    """Force and moment of a brush with the effects, less those of one without."""
+    pressure = _Shaped(state.skew, state.flat)
+    friction = _Falling(state.static, state.loss, state.fall)
+    with_effect = Brush(stiffness, mu, arm, pressure, friction).pure(slip, fz, v_s)
+    if bare:
+        return with_effect
+    plain = Brush(stiffness, mu, arm, Parabolic()).pure(slip, fz, v_s)
+    return with_effect[0] - plain[0], with_effect[1] - plain[1]
+
+
+def _rigid(base, reference, state: State, slip_x, slip_y, inputs: TireInputs):
+    """(fx, fy, mz) at true slips, without compliance: one sample."""
+    ratio = state.stiffness / state.friction
+    along, across = slip_x * ratio, slip_y * ratio
+    size = jnp.sqrt(along**2 + across**2 + 1e-60)
+    v_s = inputs.v * jnp.abs(kappa_from_sigma(jnp.maximum(size, 0.0)))
+    g = state.friction
+    if reference is None:
+        bare = base
+        change, turn = _shape_change(
+            state, bare.cpa2, bare.mu, bare.half_length, size, inputs.fz, v_s, True
+        )
+        return (
+            g * along / size * change,
+            g * across / size * change,
+            g * bare.half_length * across / size * turn,
+        )
+    stiffness, mu, arm = reference
+    alpha = jnp.arctan(across / (1 + along))
+    found = base(inputs._replace(sigma_x=along, alpha=alpha))
+    change, turn = _shape_change(state, stiffness, mu, arm, size, inputs.fz, v_s, False)
+    fx = 0.0 if found.fx is None else found.fx
+    fy = 0.0 if found.fy is None else found.fy
+    mz = 0.0 if found.mz is None else found.mz
+    return (
+        g * (fx + along / size * change),
+        g * (fy + across / size * change),
+        g * (mz + arm * across / size * turn),
+    )
+
+
+def force_of_state(base, reference, state: State, slip_x, slip_y, inputs: TireInputs):
+    """(fx, fy, mz) of one sample [N, N, N m].
+
+    Args:
+        base: the base model with its parameter values.
+        reference: None where the base is the plain brush; else (c_p a^2 [N], mu,
+            half-length [m]) of the brush that carries changes of shape.
+        state: the effects at this sample (scalars; ``fall`` of shape (5,)).
+        slip_x, slip_y: true physical slips [-], before compliance.
+        inputs: load, speed and the other inputs of the base model.
+    """
+
+    # The patch sees the slip that the compliance leaves: x = slip - compliance F(x).
+    # One round of substitution, then the secant through both points.
+    def round(pair, _):
+        found = jnp.stack(_rigid(base, reference, state, *pair, inputs))
+        left = (
+            slip_x - state.compliance * found[0],
+            slip_y - state.compliance * found[1],
+        )
+        return left, found
+
+    start = (slip_x + 0.0 * state.compliance, slip_y + 0.0 * state.compliance)
+    _, (first, second) = jax.lax.scan(round, start, length=2)
+    along = (
+        slip_x * first[0] + slip_y * first[1],
+        slip_x * second[0] + slip_y * second[1],
+    )
+    loaded = jnp.abs(along[0]) > 1e-12
+    share = jnp.where(loaded, 1 - along[1] / jnp.where(loaded, along[0], 1.0), 0.0)
+    return tuple((second + share * first) / (1 + share))

@@ -1,0 +1,98 @@
+"""Where the gap lies: regions of slip, load, speed, time and direction."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtrc
+
+from tirefit.diagnosis.base import Base
+
+__all__ = ["Region", "regions"]
+
+_LEVELS = 6
+"""Settings with up to so many distinct values are regions of their own."""
+
+
+class Region(NamedTuple):
+    """One bin of one covariate: its share of the gap's energy, and the p-value of its
+    misfit, corrected for the number of regions (Benjamini-Yekutieli)."""
+
+    covariate: str
+    low: float
+    high: float
+    share: float
+    p_value: float
+
+
+def _edges(values) -> list[tuple[float, float]]:
+    distinct = np.unique(np.round(values, 6))
+    if len(distinct) <= _LEVELS:
+        return [(float(x), float(x)) for x in distinct]
+    cuts = np.unique(np.quantile(values, [0, 0.25, 0.5, 0.75, 1]))
+    return list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
+
+
+def _covariates(base: Base) -> dict[str, np.ndarray]:
+    prepared = base.prepared
+    rows = prepared.covariates
+    found = {"slip_fraction": np.abs(base.slip_fraction)}
+    if "loads" in prepared.has:
+        found["fz"] = prepared.inputs.fz
+    if "speeds" in prepared.has:
+        found["v"] = prepared.inputs.v
+    if "time" in prepared.has:
+        found["time"] = prepared.time
+    if "sweeps" in prepared.has:
+        found["direction"] = np.sign(rows.turning)
+    if "signs" in prepared.has:
+        found["sign"] = np.sign(prepared.slip)
+    for name in ("temperature", "gamma"):
+        if name in prepared.has:
+            found[name] = prepared.data.usable(name)
+    return found
+
+
+def regions(base: Base, residual, gap, inflation: float) -> list[Region]:
+    """Every region with its share and corrected p-value, largest evidence first.
+
+    Args:
+        residual: (n,) whitened residual of the base fit, inflation included.
+        gap: (n,) located gap [N].
+    """
+    energy = gap**2
+    total = max(float(energy.sum()), 1e-300)
+    found, raw = [], []
+    for name, values in _covariates(base).items():
+        for low, high in _edges(values):
+            width = 1e-6 * max(abs(high), 1.0)
+            inside = (values >= low - width) & (values <= high + width)
+            if inside.sum() < 8:
+                continue
+            # Sums of runs of eight neighbours: a smooth miss adds up, noise does not.
+            order = np.argsort(base.slip_fraction[inside], kind="stable")
+            part = residual[inside][order]
+            groups = np.array_split(part, max(len(part) // 8, 1))
+            statistic = sum(float(g.sum()) ** 2 / len(g) for g in groups)
+            # The rows' inflation is in the residual already; sums bring it back.
+            raw.append(float(chdtrc(len(groups), statistic)))
+            share = float(energy[inside].sum()) / total
+            found.append(Region(name, float(low), float(high), share, 1.0))
+    corrected = _corrected(np.array(raw))
+    found = [
+        r._replace(p_value=float(p)) for r, p in zip(found, corrected, strict=True)
+    ]
+    return sorted(found, key=lambda r: (r.p_value > 0.05, -r.share))
+
+
+def _corrected(p):
+    """Benjamini-Yekutieli adjusted p-values, valid under any dependence."""
+    if not len(p):
+        return p
+    order = np.argsort(p)
+    count = len(p)
+    factor = count * np.sum(1 / np.arange(1, count + 1))
+    adjusted = p[order] * factor / np.arange(1, count + 1)
+    adjusted = np.minimum.accumulate(adjusted[::-1])[::-1]
+    out = np.empty(count)
+    out[order] = np.minimum(adjusted, 1.0)
+    return out

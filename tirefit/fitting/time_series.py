@@ -1,0 +1,78 @@
+"""What a transient model asks of the data: rows that are a time series."""
+
+import numpy as np
+
+from tirefit.data.table import TireData
+from tirefit.fitting.config import FitConfig
+from tirefit.results import DataError, Problem, UsageError
+
+__all__ = ["check_time_series", "check_whole_series"]
+
+
+def _line(data: TireData, row: int) -> int | None:
+    return None if data.source.line is None else int(data.source.line[row])
+
+
+def check_time_series(data: TireData, name: str) -> None:
+    """Raises DataError unless the used rows of each run stand together, time rising.
+
+    Args:
+        data: with a time column.
+        name: of the transient model, for the message.
+    """
+    rows = np.flatnonzero(data.used)
+    run, time = data.run[rows], data["time"][rows]
+    file, column = data.source.path or data.name, data.source.columns.get("time")
+    same = run[1:] == run[:-1]
+    # A run begins once, where the run before it ended.
+    first = np.unique(run, return_index=True)[1]
+    again = ~same & ~np.isin(np.arange(1, len(run)), first)
+    problems = []
+    for wrong, reason in (
+        (again, "the rows of run {run!r} do not stand together"),
+        (same & ~(np.diff(time) > 0), "time {time:g} s is not after {before:g} s"),
+    ):
+        if not wrong.any():
+            continue
+        at = int(np.argmax(wrong)) + 1
+        text = reason.format(run=data.runs[run[at]], time=time[at], before=time[at - 1])
+        several = int(wrong.sum())
+        more = f" ({several} such rows)" if several > 1 else ""
+        problems.append(
+            Problem(
+                f"{text}{more}; {name} follows the slip through time",
+                "sort the rows by run and time, and name the runs by a column run",
+                file, _line(data, rows[at]), column or "time",
+            )
+        )  # fmt: skip
+    if problems:
+        raise DataError(problems)
+
+
+def check_whole_series(data: TireData, name: str, slips, config: FitConfig) -> None:
+    """Raises UsageError where settings or columns hide part of the slip's history.
+
+    Args:
+        data: the measured data.
+        name: of the transient model.
+        slips: slips that drive the fitted forces.
+        config: limits and noise of the slip.
+    """
+    problems = []
+    for key in ("slip_min", "slip_max"):
+        if getattr(config.data, key) is not None:
+            reason = f"data.{key} leaves out rows that {name} remembers"
+            remedy = f"leave {key} out, or fit the steady model"
+            problems.append(Problem(reason, remedy, config.source))
+    remedy = "fit the steady model, or leave the noise of the slip out"
+    for slip in slips:
+        reason = f"{name} follows the slip through time: it cannot have noise"
+        if getattr(config.noise, slip) is not None:
+            reason = f"noise.{slip}: {reason}"
+            problems.append(Problem(reason, remedy, config.source))
+        elif f"{slip}_std" in data:
+            file = data.source.path or data.name
+            column = data.source.columns.get(f"{slip}_std", f"{slip}_std")
+            problems.append(Problem(reason, remedy, file, column=column))
+    if problems:
+        raise UsageError(problems)

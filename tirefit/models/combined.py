@@ -1,0 +1,274 @@
+r"""Combined slip beyond one brush: S(21), scaled pure-slip curves, and O(12)-(22).
+
+The isotropic and the anisotropic brush are in ``tirefit.models.brush``. Here are
+
+* the quantities by which O controls the brakes: the friction in use :math:`\gamma` and
+  the slopes of the anisotropic brush, O(21) and O(22);
+* the extension of the brush by Liu and Peng, S(21);
+* the semi-empirical scaling of two pure-slip curves, S §2.3 "Combined slip".
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.models.base import AbstractTire, TireForces, TireInputs
+from tirefit.models.brush import (
+    Brush,
+    bristle_stiffness,
+    friction_coefficient,
+    resultant,
+)
+from tirefit.models.magic_formula import MagicFormula
+from tirefit.params import par, specs
+from tirefit.slip import lateral_slip
+
+__all__ = [
+    "CombinedMagicFormula",
+    "LiuPeng",
+    "braking_slope",
+    "force_slope",
+    "mu_rate",
+    "nominal_sliding_slip",
+    "scaled_to_combined",
+]
+
+
+def mu_rate(slip, stiffness, mu_fz):
+    r"""Friction in use :math:`\gamma = F / (\mu F_z)` of O(12)-(20), from 0 to 1.
+
+    Args:
+        slip: resultant :math:`\kappa = \sqrt{\kappa_x^2 + \kappa_y^2} \ge 0` [-], with
+            :math:`\kappa_y = (K_\beta / K_s) \sigma_y`.
+        stiffness: :math:`K_s = 2 c_p a^2` [N].
+        mu_fz: friction times load [N], > 0.
+    """
+    sliding = jnp.minimum(stiffness * slip / (3 * mu_fz), 1.0)
+    # 1 - (1 - sliding)^3 without its cancellation at small slip.
+    return sliding * (3 - sliding * (3 - sliding))
+
+
+def _sticking(rate):
+    """Share of the patch that sticks: Xi = (1 - gamma)^(1/3)."""
+    partly = rate < 1
+    return jnp.where(partly, jnp.cbrt(jnp.where(partly, 1 - rate, 1.0)), 0.0)
+
+
+def force_slope(rate, stiffness):
+    r""":math:`\partial F / \partial \kappa = K_s (1-\gamma)^{2/3}` [N], O(21).
+
+    It depends on the stiffness and the friction in use alone, not on the friction.
+
+    Args:
+        rate: friction in use :math:`\gamma` [-], 0 to 1.
+        stiffness: :math:`K_s` [N].
+    """
+    return stiffness * _sticking(rate) ** 2
+
+
+def braking_slope(rate, stiffness, direction):
+    r""":math:`\partial F_x / \partial \kappa_x` at fixed :math:`\kappa_y` [N], O(22).
+
+    .. math::
+       v_w k = K_s \left[\Xi^2 \cos^2\theta
+               + \frac{\gamma}{3 (1 - \Xi)} \sin^2\theta\right],
+       \quad \Xi = (1 - \gamma)^{1/3}
+
+    k [N s/m] is the extended braking stiffness at the wheel speed :math:`v_w` [m/s].
+
+    Args:
+        rate: friction in use :math:`\gamma` [-], 0 to 1.
+        stiffness: :math:`K_s` [N].
+        direction: :math:`\theta` of the force [rad], tan = kappa_y / kappa_x.
+    """
+    sticking = _sticking(rate)
+    # gamma / (1 - Xi) = 1 + Xi + Xi^2, which has no gap at gamma = 0.
+    across = (1 + sticking + sticking**2) / 3
+    cos, sin = jnp.cos(direction), jnp.sin(direction)
+    return stiffness * (sticking**2 * cos**2 + across * sin**2)
+
+
+class LiuPeng(AbstractTire):
+    r"""The brush of Liu and Peng for two slips, S(21) with its last term corrected.
+
+    .. math::
+       F_{x,y} = \frac{k_{x,y} \sigma_{x,y}}{\sqrt{(k_x\sigma_x)^2 + (k_y\sigma_y)^2}}
+           \left(3c\sigma - 3 \frac{(c\sigma)^2}{\mu F_z}
+                 + \frac{(c\sigma)^3}{(\mu F_z)^2}\right),
+       \quad \sigma = \sqrt{\sigma_x^2 + \sigma_y^2}
+
+    with :math:`3c = 2 c_p a^2`; :math:`\mu F_z` in full sliding. Only the ratio
+    :math:`k_y/k_x` matters, and only to the direction: c is one constant, so both pure
+    slips have the same curve, and between them the force at small slip is not linear in
+    the slips unless the ratio is one. A tire of two stiffnesses is an
+    ``AnisotropicBrush``. S gives no aligning moment.
+    """
+
+    cpa2: float = bristle_stiffness()
+    mu: float = friction_coefficient()
+    k_ratio: float = par(
+        0.7, (0.05, 20.0), "-", "turn of the force, k_y / k_x", "S(21)", "k_y / k_x",
+        scale="log",
+    )  # fmt: skip
+
+    def __call__(self, inputs: TireInputs) -> TireForces:
+        slip_x = inputs.sigma_x
+        slip_y = lateral_slip(jnp.tan(inputs.alpha), slip_x)
+        slip = resultant(slip_x, slip_y)
+        force, _ = Brush(self.cpa2, self.mu).pure(slip, inputs.fz, 0.0)
+        # Each length is that of its own slip at rest: both pure slopes are 2 c_p a^2.
+        along = slip_x / resultant(slip_x, self.k_ratio * slip_y)
+        across = slip_y / resultant(slip_x / self.k_ratio, slip_y)
+        return TireForces(along * force, across * force, None)
+
+
+_FASTEST_SPIN = 1 - 1e-6
+"""Driving slip -sigma up to which a curve is asked: it ends at 1, no travel at all."""
+
+_GRID = np.geomspace(1e-4, 3.0, 400)
+
+
+def nominal_sliding_slip(tire: AbstractTire, channel: str, inputs: TireInputs):
+    r"""Physical slip of full sliding of a pure-slip curve, :math:`3 F_{max} / C`.
+
+    C is the slope at rest. Of a brush with parabolic pressure and constant friction it
+    is the slip from which every bristle slides.
+
+    Args:
+        tire: a model of pure slip.
+        channel: ``fx``, braking, or ``fy``.
+        inputs: one sample; its load, speed, ... count, its slips do not.
+    """
+
+    def force(slip):
+        return getattr(_pure(tire, channel, inputs, slip), channel)
+
+    return 3 * jnp.max(jax.vmap(force)(jnp.asarray(_GRID))) / jax.grad(force)(0.0)
+
+
+def _pure(tire: AbstractTire, channel: str, inputs: TireInputs, slip) -> TireForces:
+    """Forces of a pure physical slip of either sign."""
+    zero = 0.0 * inputs.fz
+    if channel == "fx":
+        return tire(inputs._replace(sigma_x=slip, alpha=zero))
+    return tire(inputs._replace(sigma_x=zero, alpha=jnp.arctan(slip)))
+
+
+def scaled_to_combined(
+    along: AbstractTire, across: AbstractTire, inputs: TireInputs, sliding=None
+) -> TireForces:
+    r"""Combined slip of any two pure-slip models, after Gäfvert and Svendenius.
+
+    In a brush with parabolic pressure a share :math:`\psi` of the patch slides,
+
+    .. math:: \psi = \sqrt{(\sigma_x / \sigma^\circ_x)^2
+                           + (\sigma_y / \sigma^\circ_y)^2},
+
+    and of the pure-slip force at the same :math:`\psi` the part
+    :math:`A = 3 (1-\psi)^2 / (3 - 3\psi + \psi^2)` comes from bristles that stick, the
+    rest from those that slide. The first is turned towards the elastic deflection, the
+    second against the sliding velocity:
+
+    .. math::
+       F_x = \hat F_x(\sigma^\circ_x \psi) \left[A \frac{\sigma_x}{\sigma^\circ_x \psi}
+             + (1 - A) \frac{\sigma_x}{\sqrt{\sigma_x^2 + \sigma_y^2}}\right]
+
+    and likewise :math:`F_y` and :math:`M_z` with :math:`\hat F_y, \hat M_z`. In full
+    sliding the force lies on the ellipse of the two pure-slip forces. The curve of
+    braking gives way to that of driving, and left to right, with the cosine of the
+    direction of slip. The curves are to pass through zero at zero slip. Neglected in
+    :math:`M_z`: the longitudinal force acting beside the wheel plane.
+
+    Args:
+        along, across: models that give the pure-slip fx, and fy and mz; may be one.
+        inputs: one sample.
+        sliding: physical slips of full sliding :math:`\sigma^\circ_x, \sigma^\circ_y`;
+            from the curves (:func:`nominal_sliding_slip`) if None.
+
+    Returns:
+        Forces; mz is None where ``across`` has none.
+    """
+    if sliding is None:
+        sliding = (
+            nominal_sliding_slip(along, "fx", inputs),
+            nominal_sliding_slip(across, "fy", inputs),
+        )
+    limit_x, limit_y = sliding
+    slip_x = inputs.sigma_x
+    slip_y = lateral_slip(jnp.tan(inputs.alpha), slip_x)
+    psi = resultant(slip_x / limit_x, slip_y / limit_y)
+    slip = resultant(slip_x, slip_y)
+    share = jnp.minimum(psi, 1.0)
+    sticks = 3 * (1 - share) ** 2 / (3 - share * (3 - share))
+
+    def turned(slip_i, limit):
+        return sticks * slip_i / (limit * psi) + (1 - sticks) * slip_i / slip
+
+    forward = limit_x * psi
+    spin = jnp.minimum(forward, _FASTEST_SPIN)
+    x_curve = _both_sides(along, "fx", inputs, forward, -spin)
+    y_curve = _both_sides(across, "fy", inputs, limit_y * psi, -limit_y * psi)
+    side, turn = slip_y / slip, turned(slip_y, limit_y)
+    return TireForces(
+        turned(slip_x, limit_x) * _blend(slip_x / slip, x_curve.fx),
+        turn * _blend(side, y_curve.fy),
+        None if y_curve.mz is None else turn * _blend(side, y_curve.mz),
+    )
+
+
+def _both_sides(tire, channel, inputs: TireInputs, positive, negative) -> TireForces:
+    """Forces (2,) of two pure slips."""
+    slips = jnp.stack([positive, negative])
+    return jax.vmap(lambda slip: _pure(tire, channel, inputs, slip))(slips)
+
+
+def _blend(cosine, force):
+    """Size of a force (2,) of the two sides: of the first, the second, or between."""
+    return ((1 + cosine) * force[0] - (1 - cosine) * force[1]) / 2
+
+
+def _of_axis(name: str, axis: str, words: str):
+    """The parameter of the pure-slip Magic Formula, for one axis."""
+    spec = specs(MagicFormula())[name]
+    return par(
+        spec.default, spec.bounds, spec.unit, f"{spec.meaning}, {words}", spec.source,
+        f"{spec.symbol}_{axis}", free=spec.free, scale=spec.scale,
+    )  # fmt: skip
+
+
+def _sliding(axis: str, words: str):
+    return par(
+        1.0, (0.2, 5.0), "-",
+        f"slip of full sliding over its nominal 3/(BC), {words}", "S §2.3",
+        rf"\lambda_{axis}", free=False, scale="log",
+    )  # fmt: skip
+
+
+class CombinedMagicFormula(AbstractTire):
+    r"""Two pure-slip Magic Formulas scaled to combined slip: no parameter is added.
+
+    The slip of full sliding is :math:`3 F_{max} / C = 3 / (B C)` of each formula, which
+    ``sliding_x`` and ``sliding_y`` can stretch. No aligning moment.
+    """
+
+    Bx: float = _of_axis("B", "x", "longitudinal")
+    Cx: float = _of_axis("C", "x", "longitudinal")
+    Dx: float = _of_axis("D", "x", "longitudinal")
+    Ex: float = _of_axis("E", "x", "longitudinal")
+    By: float = _of_axis("B", "y", "lateral")
+    Cy: float = _of_axis("C", "y", "lateral")
+    Dy: float = _of_axis("D", "y", "lateral")
+    Ey: float = _of_axis("E", "y", "lateral")
+    sliding_x: float = _sliding("x", "longitudinal")
+    sliding_y: float = _sliding("y", "lateral")
+
+    def __call__(self, inputs: TireInputs) -> TireForces:
+        return scaled_to_combined(
+            MagicFormula(self.Bx, self.Cx, self.Dx, self.Ex),
+            MagicFormula(self.By, self.Cy, self.Dy, self.Ey),
+            inputs._replace(fz=jnp.maximum(inputs.fz, 0.0)),
+            (
+                self.sliding_x * 3 / (self.Bx * self.Cx),
+                self.sliding_y * 3 / (self.By * self.Cy),
+            ),
+        )

@@ -1,0 +1,143 @@
+r"""The LuGre tire in its steady states: S(18) over the patch, and that of S(17).
+
+A bristle that has rolled a distance :math:`\zeta` from the leading edge is deflected by
+:math:`z = \frac{g}{\sigma_0} (1 - e^{-\sigma_0 |\lambda| \zeta / g})` along the sliding
+velocity :math:`v_s`. The mean over the patch of length 2a of
+:math:`\sigma_0 z + \sigma_1 \dot z + \sigma_2 v_s` is S(18), written here without its
+cancellation at small slip:
+
+.. math:: F = F_z \lambda \, [\sigma_0 2a \, \varphi_2(x)
+              + (\sigma_1 \varphi_1(x) + \sigma_2) |\Omega R_e|],
+          \quad x = \sigma_0 2a |\lambda| / g(|v_s|)
+
+with :math:`\varphi_1 = (1 - e^{-x})/x` and :math:`\varphi_2 = (1 - \varphi_1)/x`. The
+bristle equation knows no direction, so in combined slip :math:`\lambda` is the vector
+of physical slips and :math:`v_s = \lambda |\Omega R_e|`. ``tirefit.sim.lugre`` has the
+dynamic forms.
+"""
+
+import functools
+import math
+
+import jax.numpy as jnp
+
+from tirefit.models.base import AbstractTire, TireForces, TireInputs
+from tirefit.models.brush import resultant
+from tirefit.models.friction import Stribeck
+from tirefit.params import par
+from tirefit.slip import lateral_slip
+
+__all__ = ["AbstractLuGre", "LuGre", "LuGreLumped", "patch_means"]
+
+# phi_2 = sum of (-x)^k / (k + 2)!, to the last digit for x < 1; highest power first.
+_SERIES = [(-1.0) ** k / math.factorial(k + 2) for k in reversed(range(18))]
+
+
+def patch_means(x):
+    r"""The functions :math:`\varphi_1, \varphi_2` of -x that average over the patch.
+
+    Args:
+        x: length of the patch over the distance in which a bristle gives way, >= 0.
+
+    Returns:
+        (1 - e^-x)/x, which is 1 at rest, and (e^-x - 1 + x)/x^2, which is 1/2: they
+        and their derivatives are exact to rounding for every x.
+    """
+    near = x < 1
+    small = jnp.where(near, x, 0.0)
+    large = jnp.where(near, 1.0, x)
+    second_near = functools.reduce(lambda total, c: total * small + c, _SERIES)
+    first_far = -jnp.expm1(-large) / large
+    first = jnp.where(near, 1 - small * second_near, first_far)
+    return first, jnp.where(near, second_near, (1 - first_far) / large)
+
+
+class AbstractLuGre(AbstractTire):
+    """What sliding is in both forms: the friction level g of S(17c) and sigma_2."""
+
+    mu_s: float = par(
+        1.2, (0.01, 5.0), "-", "level of g at rest (static friction)",
+        "S(17c)", r"\mu_s",
+    )  # fmt: skip
+    mu_c: float = par(
+        0.6, (0.01, 5.0), "-", "level of g at high sliding speed", "S(17c)", r"\mu_c"
+    )
+    v_st: float = par(
+        10.0, (0.1, 1000.0), "m/s", "sliding speed over which g falls",
+        "S(17c)", "v_{st}", scale="log",
+    )  # fmt: skip
+    exponent: float = par(
+        0.5, (0.1, 3.0), "-", "exponent of the fall of g with sliding speed",
+        "S(17c)", r"\varepsilon", free=False,
+    )  # fmt: skip
+    sigma2: float = par(
+        0.001, (0.0, 1.0), "s/m", "viscous friction over load", "S(17b)", r"\sigma_2"
+    )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("v",)
+
+    def level(self, v_s):
+        """g [-] at sliding speed v_s [m/s] >= 0, S(17c)."""
+        law = Stribeck(self.mu_c, self.v_st, self.exponent)
+        return law.apply(self.mu_s, v_s)
+
+
+def _motion(inputs: TireInputs):
+    """Physical slips [-], their length, the speed |Omega R_e| of the tread [m/s]."""
+    slip_x = inputs.sigma_x
+    slip_y = lateral_slip(jnp.tan(inputs.alpha), slip_x)
+    return slip_x, slip_y, resultant(slip_x, slip_y), inputs.v / (1 + slip_x)
+
+
+class LuGreLumped(AbstractLuGre):
+    r"""Steady state of the lumped LuGre S(17): :math:`F = F_z (g + \sigma_2 |v_s|)`.
+
+    Against the sliding velocity, and at its full height at the smallest slip: the
+    lumped form forgets that a bristle leaves the patch. Without slip, no force (the
+    lumped form then holds whatever force it had).
+    """
+
+    def __call__(self, inputs: TireInputs) -> TireForces:
+        slip_x, slip_y, slip, v_r = _motion(inputs)
+        v_s = slip * v_r
+        force = (inputs.fz > 0) * inputs.fz * (self.level(v_s) + self.sigma2 * v_s)
+        sliding = (slip_x != 0) | (slip_y != 0)
+        along = jnp.where(sliding, slip_x / slip, 0.0)
+        across = jnp.where(sliding, slip_y / slip, 0.0)
+        return TireForces(along * force, across * force, None)
+
+
+class LuGre(AbstractLuGre):
+    """Steady state of the distributed LuGre, S(18), pure or combined slip.
+
+    S(18) has sigma_0 and 2a only as their product, so the length is held. The other six
+    need data at several speeds: at one speed sigma_1 only steepens the rise, as sigma_0
+    does, and sigma_2 only lifts the tail, as mu_c and v_st do.
+    """
+
+    sigma0: float = par(
+        100.0, (0.1, 1e6), "1/m", "bristle stiffness over load", "S(17b)",
+        r"\sigma_0", scale="log",
+    )  # fmt: skip
+    sigma1: float = par(
+        0.1, (0.0, 10.0), "s/m", "bristle damping over load", "S(17b)", r"\sigma_1"
+    )
+    length: float = par(
+        0.2, (1e-3, 2.0), "m", "length 2a of the contact patch", "S(18)", "2a",
+        free=False, scale="log",
+    )  # fmt: skip
+
+    def __call__(self, inputs: TireInputs) -> TireForces:
+        slip_x, slip_y, slip, v_r = _motion(inputs)
+        stiffness = self.sigma0 * self.length
+        first, second = patch_means(stiffness * slip / self.level(slip * v_r))
+        damping = (self.sigma1 * first + self.sigma2) * v_r
+        per_slip = (inputs.fz > 0) * inputs.fz * (stiffness * second + damping)
+        return TireForces(slip_x * per_slip, slip_y * per_slip, None)
+
+    @property
+    def lumped(self) -> LuGreLumped:
+        """The steady lumped tire with the same parameters."""
+        return LuGreLumped(self.mu_s, self.mu_c, self.v_st, self.exponent, self.sigma2)

@@ -1,0 +1,11 @@
+"""The Magic Formula of ``.tir`` files: MF 5.2, 6.1 and 6.2.
+
+Equation numbers (4.E1 ...) are those of Pacejka, *Tire and Vehicle Dynamics*, 3rd ed.
+(2012), section 4.3.2, cited as P(4.E...); 5.2 follows the equation manual of MF-Tyre
+5.2. M_z of 6.1 follows Besselink, Schmeitz and Pacejka, *Vehicle System Dynamics* 48,
+supplement (2010) 337-352, where it differs from the book.
+"""
+
+from tirefit.models.mf.tire import MFTire, Mirrored, mf_tire
+
+__all__ = ["MFTire", "Mirrored", "mf_tire"]

@@ -1,0 +1,138 @@
+"""Fields of the coefficients, and the point of operation at which they are asked."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from tirefit.models.magic_formula import bent
+from tirefit.params import par
+
+__all__ = [
+    "Nominal",
+    "Point",
+    "Scaling",
+    "coefficient",
+    "cos_arctan",
+    "ratio",
+    "weighting",
+]
+
+_TINY = 1e-12
+
+
+class Point(NamedTuple):
+    """Where the formulas are evaluated, all in ISO-W axes.
+
+    ``kappa`` > 0 driving; ``alpha`` and ``gamma`` are alpha* and gamma* (the angles
+    themselves, or tan alpha and sin gamma), ``camber`` is the angle gamma; ``fz`` > 0;
+    ``dfz`` and ``dpi`` are the normalised changes of load and pressure (4.E2);
+    ``friction_*`` scales the friction, lambda*_mu (4.E7), and ``shift_*`` the vertical
+    shifts, lambda'_mu (4.E8).
+    ``camber_stiffness``: whether camber acts as in MF 6 (PKY6) or as in 5.2 (PHY3).
+    """
+
+    kappa: Any
+    alpha: Any
+    cos_alpha: Any
+    gamma: Any
+    camber: Any
+    fz: Any
+    dfz: Any
+    dpi: Any
+    friction_x: Any
+    friction_y: Any
+    shift_x: Any
+    shift_y: Any
+    camber_stiffness: bool
+
+
+def coefficient(symbol: str, meaning: str, equation: str, default: float = 0.0):
+    """The field of a dimensionless coefficient, zero (no effect) unless given."""
+    return par(default, (-1e6, 1e6), "-", meaning, f"P({equation})", symbol)
+
+
+def _scale(symbol: str, of: str, equation: str, default: float = 1.0):
+    """The field of a scaling factor: never estimated, since the coefficients are."""
+    return par(
+        default, (0.0, 1e3), "-", f"scales {of}", f"P({equation})",
+        rf"\lambda_{{{symbol}}}", free=False,
+    )  # fmt: skip
+
+
+class Nominal(eqx.Module):
+    """The tire and the state in which it was measured."""
+
+    FNOMIN: float = par(
+        4000.0, (1.0, 1e6), "N", "nominal wheel load", "P(4.E1)", "F_{z0}",
+        free=False, scale="log",
+    )  # fmt: skip
+    UNLOADED_RADIUS: float = par(
+        0.3, (1e-3, 1e2), "m", "radius of the free tire", "P(4.E42)", "R_0",
+        free=False, scale="log",
+    )  # fmt: skip
+    LONGVL: float = par(
+        16.7, (1e-3, 1e3), "m/s", "speed of the measurement", "P(4.E7)", "V_0",
+        free=False, scale="log",
+    )  # fmt: skip
+    NOMPRES: float = par(
+        2.2e5, (1e3, 1e8), "Pa", "nominal inflation pressure", "P(4.E2b)", "p_{i0}",
+        free=False, scale="log",
+    )  # fmt: skip
+    INFLPRES: float = par(
+        2.2e5, (1e3, 1e8), "Pa", "inflation pressure unless a sample has its own",
+        "P(4.E2b)", "p_i", free=False, scale="log",
+    )  # fmt: skip
+
+
+class Scaling(eqx.Module):
+    """Scaling factors of 5.2 and 6.x; those that a version lacks stay neutral."""
+
+    LFZO: float = _scale("Fz0", "the nominal load", "4.E1")
+    LMUV: float = _scale(r"\mu V", "the fall of friction with slip speed", "4.E7", 0.0)
+    LCX: float = _scale("Cx", "the shape factor of F_x", "4.E11")
+    LMUX: float = _scale(r"\mu x", "the friction of F_x", "4.E7")
+    LEX: float = _scale("Ex", "the curvature of F_x", "4.E14")
+    LKX: float = _scale(r"Kx\kappa", "the slip stiffness", "4.E15")
+    LHX: float = _scale("Hx", "the horizontal shift of F_x", "4.E17")
+    LVX: float = _scale("Vx", "the vertical shift of F_x", "4.E18")
+    LGAX: float = _scale(r"\gamma x", "the camber in F_x (5.2)", "4.E13")
+    LXAL: float = _scale(r"x\alpha", "the influence of alpha on F_x", "4.E54")
+    LCY: float = _scale("Cy", "the shape factor of F_y", "4.E21")
+    LMUY: float = _scale(r"\mu y", "the friction of F_y", "4.E7")
+    LEY: float = _scale("Ey", "the curvature of F_y", "4.E24")
+    LKY: float = _scale(r"Ky\alpha", "the cornering stiffness", "4.E25")
+    LHY: float = _scale("Hy", "the horizontal shift of F_y", "4.E27")
+    LVY: float = _scale("Vy", "the vertical shift of F_y", "4.E29")
+    LGAY: float = _scale(r"\gamma y", "the camber in F_y (5.2)", "4.E23")
+    LKYC: float = _scale(r"Ky\gamma", "the camber stiffness (6.x)", "4.E30")
+    LYKA: float = _scale(r"y\kappa", "the influence of kappa on F_y", "4.E62")
+    LVYKA: float = _scale(r"Vy\kappa", "the F_y that kappa induces", "4.E66")
+    LTR: float = _scale("t", "the pneumatic trail", "4.E42")
+    LRES: float = _scale("Mr", "the residual moment", "4.E47")
+    LGAZ: float = _scale(r"\gamma z", "the camber in M_z (5.2)", "4.E43")
+    LKZC: float = _scale(r"Kz\gamma", "the camber moment (6.x)", "4.E47")
+    LS: float = _scale("s", "the moment arm of F_x", "4.E76")
+
+
+def ratio(numerator, denominator):
+    """Quotient that stays finite, with its gradient, as the denominator passes zero."""
+    small = jnp.where(denominator < 0, -_TINY, _TINY)
+    return numerator / jnp.where(abs(denominator) < _TINY, small, denominator)
+
+
+def cos_arctan(x):
+    """cos(arctan x), without either."""
+    return 1 / jnp.sqrt(1 + x * x)
+
+
+def weighting(slip, shift, stiffness, shape, curvature):
+    r"""How one slip weakens the force of the other, (4.E51) and (4.E59).
+
+    .. math::
+       G = \frac{\cos[C \arctan\{B s - E (B s - \arctan B s)\}]}
+                {\cos[C \arctan\{B S_H - E (B S_H - \arctan B S_H)\}]},
+       \quad s = slip + S_H
+    """
+    weight = jnp.cos(shape * bent(stiffness * (slip + shift), curvature))
+    return ratio(weight, jnp.cos(shape * bent(stiffness * shift, curvature)))

@@ -1,0 +1,136 @@
+"""The whole tire: pure and combined slip of one sample."""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from tirefit.models.base import AbstractTire, TireForces, TireInputs
+from tirefit.models.brush import resultant
+from tirefit.models.mf.aligning import Aligning
+from tirefit.models.mf.fields import Nominal, Point, Scaling, cos_arctan, ratio
+from tirefit.models.mf.lateral import Lateral
+from tirefit.models.mf.longitudinal import Longitudinal
+from tirefit.params import specs, with_values
+from tirefit.slip import kappa_from_sigma
+
+__all__ = ["MFTire", "Mirrored", "mf_tire"]
+
+_DIGRESSION = 10.0
+"""A_mu of (4.E8): by it the vertical shifts fall less than a low friction."""
+
+
+class MFTire(AbstractTire):
+    """Magic Formula 5.2, 6.1 or 6.2 in steady state, without turn slip.
+
+    The equations of combined slip are used throughout; a pure slip is the other one at
+    zero. Every coefficient is a parameter under its name in a ``.tir`` file. 6.1 and
+    6.2 have the same F_x, F_y and M_z. Nothing is limited to the range in which the
+    coefficients were found.
+
+    ``starred``: the equations take tan(alpha) and sin(gamma), as in the book (4.E3,
+    4.E4), instead of the angles, as in MF-Tyre.
+    """
+
+    nominal: Nominal = Nominal()
+    scaling: Scaling = Scaling()
+    longitudinal: Longitudinal = Longitudinal()
+    lateral: Lateral = Lateral()
+    aligning: Aligning = Aligning()
+    version: str = eqx.field(static=True, default="6.1")
+    starred: bool = eqx.field(static=True, default=False)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ("v",) if self.scaling.LMUV != 0 else ()
+
+    def __call__(self, inputs: TireInputs) -> TireForces:
+        scale, nominal = self.scaling, self.nominal
+        at = self._point(inputs)
+        fz0 = nominal.FNOMIN * scale.LFZO
+        along, along_stiffness = self.longitudinal.pure(at, scale)
+        side = self.lateral.pure(at, scale, fz0)
+        side_weight = self.lateral.weight(at, scale)
+        load = jnp.where(inputs.fz > 0, at.fz, 0.0)
+        fx = load * self.longitudinal.weight(at, scale) * along
+        induced = self.lateral.induced(at, scale, side.mu)
+        fy = load * (side_weight * side.force + induced)
+        # The trail turns the lateral force that is not induced by kappa, (4.E74); in
+        # MF 6 that of an upright wheel.
+        upright = side
+        if at.camber_stiffness:
+            upright = self.lateral.pure(at._replace(gamma=0.0 * at.gamma), scale, fz0)
+        slip = ratio(along_stiffness, side.stiffness) * at.kappa
+        turned = load * side_weight * upright.force
+        mz = (
+            load * self.aligning.residual(at, scale, nominal, side, slip)
+            - self.aligning.trail(at, scale, nominal, slip) * turned
+            + self.aligning.arm(at, scale, nominal, fy) * fx
+        )
+        # From ISO-W to the canonical signs of tirefit.slip.
+        return TireForces(-fx, -fy, -mz)
+
+    def _point(self, inputs: TireInputs) -> Point:
+        """The operating point in ISO-W axes; no load is that of ``nominal``, safely."""
+        scale, nominal = self.scaling, self.nominal
+        is_52 = self.version == "5.2"
+        fz = jnp.where(inputs.fz > 0, inputs.fz, nominal.FNOMIN)
+        fz0 = nominal.FNOMIN * scale.LFZO
+        kappa = -kappa_from_sigma(inputs.sigma_x)
+        tan_alpha = jnp.tan(inputs.alpha)
+        own = inputs.pressure > 0
+        pressure = jnp.where(own, inputs.pressure, nominal.INFLPRES)
+        sliding = inputs.v * resultant(kappa, tan_alpha) / nominal.LONGVL
+        fall = 1 / (1 + scale.LMUV * sliding)
+        friction = (scale.LMUX * fall, scale.LMUY * fall)
+        digression = 1.0 if is_52 else _DIGRESSION
+        return Point(
+            kappa,
+            tan_alpha if self.starred else inputs.alpha,
+            cos_arctan(tan_alpha),
+            jnp.sin(inputs.gamma) if self.starred else inputs.gamma,
+            inputs.gamma,
+            fz,
+            (fz - fz0) / fz0,
+            (pressure - nominal.NOMPRES) / nominal.NOMPRES,
+            *friction,
+            *(digression * mu / (1 + (digression - 1) * mu) for mu in friction),
+            camber_stiffness=not is_52,
+        )
+
+
+class Mirrored(AbstractTire):
+    """A tire on the other side of the vehicle: mirrored in the plane of the wheel."""
+
+    tire: AbstractTire
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return self.tire.needs
+
+    def __call__(self, inputs: TireInputs) -> TireForces:
+        mirrored = inputs._replace(alpha=-inputs.alpha, gamma=-inputs.gamma)
+        fx, fy, mz = self.tire(mirrored)
+        return TireForces(fx, -fy, -mz)
+
+
+def mf_tire(
+    version: str, values: Mapping[str, float], *, starred: bool = False
+) -> MFTire:
+    """The tire of a set of coefficients.
+
+    Args:
+        version: "5.2", "6.1" or "6.2".
+        values: coefficients by their names in a ``.tir`` file, SI units; other names
+            are left aside, and a coefficient that is not there has no effect.
+        starred: see :class:`MFTire`.
+
+    Raises:
+        ValueError: the version is none of these.
+    """
+    if version not in ("5.2", "6.1", "6.2"):
+        raise ValueError(f"Magic Formula {version}: 5.2, 6.1 and 6.2 are known")
+    tire = MFTire(version=version, starred=starred)
+    if "NOMPRES" in values:
+        values = {"INFLPRES": values["NOMPRES"], **values}
+    return with_values(tire, {k: values[k] for k in specs(tire) if k in values})

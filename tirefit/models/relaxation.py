@@ -1,0 +1,107 @@
+r"""First-order lag of the slip, for time series: a transient tire of a steady one.
+
+The contact patch feels a slip :math:`\sigma'` that follows the slip of the wheel over a
+relaxation length L of travel,
+
+.. math:: \frac{d\sigma'}{dt} = \frac{|v|}{L} (\sigma - \sigma'),
+
+the longitudinal slip :math:`\sigma_x` and the lateral one :math:`\tan\alpha` alike.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tirefit.models.base import AbstractTire, TireForces, TireInputs
+from tirefit.models.brush import Brush
+from tirefit.params import par
+
+__all__ = ["Relaxed", "lag"]
+
+
+def _recursion(keep, add):
+    """All y_i = keep_i y_(i-1) + add_i from y = 0, (n,), by doubling the steps joined.
+
+    As ``jax.lax.associative_scan``, whose unrolled stages take minutes to compile into
+    a fit.
+    """
+    rows = jnp.arange(len(keep))
+
+    def join(k, joined):
+        keep, add = joined
+        before = rows - 2**k
+        known, before = before >= 0, jnp.maximum(before, 0)
+        return (
+            keep * jnp.where(known, keep[before], 0.0),
+            add + keep * jnp.where(known, add[before], 0.0),
+        )
+
+    stages = max(len(keep) - 1, 0).bit_length()
+    return jax.lax.fori_loop(0, stages, join, (keep, add))[1]
+
+
+def lag(slip: Float[Array, " n"], travel, length, starts) -> Float[Array, " n"]:
+    """Slip felt less slip of the wheel, row by row.
+
+    Exact for a slip that is linear in the distance travelled between two rows.
+
+    Args:
+        slip: slip of the wheel, rows in time order.
+        travel: distance from the row before [m], >= 0, shape (n,).
+        length: relaxation length [m], a scalar or (n,).
+        starts: (n,) bool; these rows start anew, in steady state.
+    """
+    share = jnp.where(starts, 0.0, travel) / length
+    moving = share > 0
+    safe = jnp.where(moving, share, 1.0)
+    # Mean over the step of what is left of a change made within it.
+    left = jnp.where(moving, -jnp.expm1(-safe) / safe, 1.0)
+    change = jnp.diff(slip, prepend=slip[:1])
+    keep = jnp.where(starts, 0.0, jnp.exp(-share))
+    add = jnp.where(starts, 0.0, -left * change)
+    return _recursion(keep, add)
+
+
+class Relaxed(AbstractTire):
+    """A steady tire behind a relaxation length.
+
+    ``__call__`` gives the steady force; ``felt`` the slips that a time series leads to.
+    A row that does not come after the one before it (another run, or a time that does
+    not advance) starts anew, in steady state.
+    """
+
+    tire: AbstractTire = Brush()
+    relaxation_length: float = par(
+        0.3, (1e-3, 20.0), "m", "travel over which the felt slip follows the slip",
+        "first-order lag", "L", scale="log",
+    )  # fmt: skip
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys((*self.tire.needs, "v", "time")))
+
+    @property
+    def transient(self) -> bool:
+        return True
+
+    def static_friction(self, fz):
+        return self.tire.static_friction(fz)
+
+    def felt(self, inputs: TireInputs, run) -> TireInputs:
+        step = jnp.diff(inputs.time, prepend=inputs.time[:1])
+        # The first row is one of them: it has no step.
+        starts = (step <= 0) | (jnp.diff(run, prepend=run[:1]) != 0)
+        speed = jnp.abs(inputs.v)
+        before = jnp.concatenate([speed[:1], speed[:-1]])
+        travel = jnp.where(starts, 0.0, (before + speed) / 2 * step)
+
+        def follow(slip):
+            return slip + lag(slip, travel, self.relaxation_length, starts)
+
+        return inputs._replace(
+            sigma_x=follow(inputs.sigma_x),
+            alpha=jnp.arctan(follow(jnp.tan(inputs.alpha))),
+        )
+
+    def __call__(self, inputs: TireInputs) -> TireForces:
+        return self.tire(inputs)

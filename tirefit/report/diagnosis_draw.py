@@ -1,0 +1,275 @@
+"""Arrays -> axes: where a gap lies, which effect causes it, how far it shrinks."""
+
+import textwrap
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from tirefit.diagnosis.result import Diagnosis
+from tirefit.report.canvas import (
+    BLUE,
+    COLORS,
+    DARK,
+    GREY,
+    ORANGE,
+    Picture,
+    save_picture,
+    tidy,
+)
+from tirefit.report.diagnosis_panels import (
+    Bar,
+    ClosureBar,
+    Comparison,
+    LoadCurve,
+    WhereMap,
+    closure_bars,
+    comparison,
+    evidence_bars,
+    mean_load,
+    where_map,
+)
+from tirefit.report.diagnosis_text import verdict_sentence
+from tirefit.report.diagnosis_words import share_text
+from tirefit.report.numbers import format_number, plain_text
+
+__all__ = [
+    "diagnosis_figure",
+    "draw_closure",
+    "draw_comparison",
+    "draw_evidence",
+    "draw_where",
+    "panel_pictures",
+    "write_figure",
+]
+
+_FORCE = {"fx": "$F_x$ [N]", "fy": "$F_y$ [N]", "mz": "$M_z$ [N m]"}
+_SIZE = (11.0, 9.0)
+_PANEL = (5.6, 4.4)
+_BAR = {
+    "verdict": BLUE, "rival": ORANGE, "other": GREY, "unknown": "#CC79A7",
+    "none": "#009E73", "rest": "#cccccc",
+}  # fmt: skip
+
+
+def draw_where(figure, panel: WhereMap) -> None:
+    """Mean residuals in cells, a dot where they are beyond the noise."""
+    axes = figure.subplots()
+    rows, columns = panel.mean.shape
+    reach = float(np.nanmax(np.abs(panel.mean), initial=1e-3))
+    colors = mpl.colormaps["RdBu_r"].with_extremes(bad="#eeeeee")
+    image = axes.pcolormesh(
+        panel.edges, np.arange(rows + 1) - 0.5, np.ma.masked_invalid(panel.mean),
+        cmap=colors, vmin=-reach, vmax=reach, edgecolors="white", linewidth=0.4,
+    )  # fmt: skip
+    axes.set_facecolor("#eeeeee")
+    center = (panel.edges[:-1] + panel.edges[1:]) / 2
+    for row, column in np.ndindex(panel.mean.shape):
+        dark = abs(panel.mean[row, column]) > 0.6 * reach
+        style = {"color": "white" if dark else DARK}
+        if panel.beyond[row, column]:
+            axes.plot(center[column], row - 0.2, marker="o", ms=3, **style)
+        if (share := panel.energy[row, column]) >= 0.03:
+            axes.text(
+                center[column], row + 0.15, f"{100 * share:.0f}", ha="center",
+                va="center", fontsize=7, **style,
+            )  # fmt: skip
+    tidy(axes, "slip / slip of full sliding")
+    axes.set_ylabel(panel.y_label, fontsize=8.5, color=DARK)
+    axes.set_yticks(range(rows), panel.labels)
+    bar = figure.colorbar(image, ax=axes, pad=0.02, aspect=30)
+    bar.ax.tick_params(labelsize=7.5, length=3)
+    bar.set_label("% of $F_z$", fontsize=8)
+    bar.outline.set_visible(False)
+    name = panel.channel.capitalize()
+    _title(
+        axes, f"Where: measured {name} minus base fit",
+        "dot: beyond the noise (5 % false); number: % of the gap's energy",
+    )  # fmt: skip
+
+
+def _title(axes, text: str, note: str = "") -> None:
+    axes.set_title(
+        plain_text(text), loc="left", fontsize=9.5, fontweight="bold", color=DARK,
+        pad=18 if note else 6,
+    )  # fmt: skip
+    if note:
+        axes.text(
+            0, 1.02, plain_text(note), transform=axes.transAxes, fontsize=7.5,
+            color=GREY, va="bottom",
+        )  # fmt: skip
+
+
+def draw_evidence(figure, bars: list[Bar]) -> None:
+    """Probabilities as bars, the verdict's in blue."""
+    axes = figure.subplots()
+    places = np.arange(len(bars))[::-1]
+    values = [bar.probability for bar in bars]
+    axes.barh(places, values, 0.7, color=[_BAR[bar.kind] for bar in bars])
+    for place, value in zip(places, values, strict=True):
+        text = f"{value:.2f}" if value >= 0.005 else "< 0.01"
+        inside = value > 0.85
+        axes.text(
+            value + (-0.01 if inside else 0.01), place, text, va="center",
+            ha="right" if inside else "left", fontsize=8,
+            color="white" if inside else DARK,
+        )  # fmt: skip
+    tidy(axes, "probability")
+    axes.set_yticks(places, [plain_text(bar.label) for bar in bars])
+    axes.set_xlim(0, 1)
+    _title(axes, "Which: explanations of the gap", "blue: the verdict")
+
+
+def draw_comparison(figure, panel: Comparison) -> None:
+    """Both fits over the data, above their residuals."""
+    top, bottom = figure.subplots(2, 1, height_ratios=(2.1, 1))
+    for i, curve in enumerate(panel.curves):
+        _draw_load(top, curve, COLORS[i % len(COLORS)])
+    axis = f"{panel.axis.label} [{panel.axis.unit}]"
+    tidy(top, axis, _FORCE[panel.channel])
+    handles = [
+        Line2D([], [], ls="none", marker="o", ms=3, color=COLORS[i], label=curve.label)
+        for i, curve in enumerate(panel.curves)
+    ]
+    handles += [
+        Line2D([], [], color=GREY, lw=1.2, ls=(0, (4, 2)), label="base"),
+        Line2D([], [], color=GREY, lw=1.4, label="after"),
+        Patch(color=GREY, alpha=0.3, lw=0, label="after: 80 % of rows"),
+    ]
+    top.legend(
+        handles=handles, fontsize=7, frameon=False, loc="upper left",
+        bbox_to_anchor=(1.0, 1.02),
+    )  # fmt: skip
+    _title(top, "Before and after", f"after: {panel.after_label}")
+    bottom.plot(
+        panel.center, panel.before, color=DARK, ls=(0, (4, 2)), marker="o", ms=2.5,
+        lw=1.2, label="base",
+    )  # fmt: skip
+    bottom.plot(
+        panel.center, panel.after, color=BLUE, marker="o", ms=2.5, lw=1.4, label="after"
+    )
+    bottom.set_ylim(bottom=0)
+    tidy(bottom, "slip / slip of full sliding", "rms residual [N]")
+    bottom.legend(
+        fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.05)
+    )
+
+
+def _draw_load(axes, curve: LoadCurve, color: str) -> None:
+    axes.plot(
+        curve.slip, curve.force, ls="none", marker="o", ms=1.8, markeredgewidth=0,
+        alpha=0.4, color=color, rasterized=True, zorder=2,
+    )  # fmt: skip
+    axes.fill_between(
+        curve.center, curve.low, curve.high, color=color, alpha=0.3, lw=0, zorder=1
+    )
+    axes.plot(
+        curve.center, curve.base, color=color, lw=1.2, ls=(0, (4, 2)), zorder=3
+    )  # fmt: skip
+    axes.plot(curve.center, curve.extended, color=color, lw=1.4, zorder=4)
+
+
+def draw_closure(figure, bars: list[ClosureBar], load: float) -> None:
+    """Gaps before and after [N] with their shares.
+
+    Args:
+        load: mean F_z [N] of the rows, for the scale in % of it.
+    """
+    axes = figure.subplots()
+    for k, bar in enumerate(bars):
+        place = 1.0 * (len(bars) - 1 - k)
+        axes.barh(place + 0.16, bar.before, 0.28, color=GREY)
+        known = bar.closed is not None
+        if known:
+            axes.barh(place - 0.16, bar.after, 0.28, color=BLUE)
+            axes.errorbar(
+                bar.after, place - 0.16, fmt="none", ecolor=DARK, elinewidth=1.2,
+                xerr=[[max(bar.after - bar.low, 0)], [max(bar.high - bar.after, 0)]],
+            )  # fmt: skip
+        axes.text(
+            0.01, place + 0.34, _closure_text(bar), fontsize=8, color=DARK, va="bottom",
+            transform=axes.get_yaxis_transform(),
+        )  # fmt: skip
+    tidy(axes, "gap beyond the noise, rms [N]")
+    reach = 1.12 * max(max(bar.before, bar.high or 0.0) for bar in bars)
+    axes.set_xlim(0, reach if reach > 0 else 1.0)
+    axes.set_ylim(min(len(bars), 2) - 2.45, len(bars) - 0.25)
+    axes.set_yticks([])
+    share = axes.secondary_xaxis(
+        -0.2, functions=(lambda x: 100 * x / load, lambda x: x * load / 100)
+    )
+    share.tick_params(labelsize=7.5, color=GREY, labelcolor=DARK, length=3)
+    share.set_xlabel("% of mean $F_z$", fontsize=8.5, color=DARK)
+    share.spines["bottom"].set_color(GREY)
+    _title(axes, "How far: the gap before and after", "grey: base; blue: after, 90 %")
+
+
+def _closure_text(bar: ClosureBar) -> str:
+    label = textwrap.shorten(bar.label, 60, placeholder=" …")
+    before, after = (format_number(x, 3) for x in (bar.before, bar.after))
+    if bar.closed is None:
+        return plain_text(f"{label}: {before} N, nothing to say of a share closed")
+    low, high = (1 - end / bar.before for end in (bar.high, bar.low))
+    return plain_text(
+        f"{label}: {before} N to {after} N\n"
+        f"closed {share_text(bar.closed, (low, high))}, {100 * bar.energy:.0f} %"
+        " of its energy"
+    )
+
+
+def _panels(result: Diagnosis) -> dict[str, Callable]:
+    """Name -> what draws that panel on a figure."""
+    return {
+        "where": partial(draw_where, panel=where_map(result)),
+        "which": partial(draw_evidence, bars=evidence_bars(result)),
+        "before and after": partial(draw_comparison, panel=comparison(result)),
+        "how far": partial(
+            draw_closure, bars=closure_bars(result), load=mean_load(result)
+        ),
+    }
+
+
+def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
+    """Each panel as a picture of its own: on a phone they stand below each other."""
+    found = {}
+    for name, draw in _panels(result).items():
+        found[name] = Picture(figsize=_PANEL, layout="constrained")
+        draw(found[name])
+    return found
+
+
+def diagnosis_figure(result: Diagnosis) -> Picture:
+    """All four panels, under the verdict."""
+    picture = Picture(figsize=_SIZE, layout="constrained")
+    head, body = picture.subfigures(2, 1, height_ratios=(0.065, 1))
+    cells = body.subfigures(2, 2).ravel()
+    for cell, draw in zip(cells, _panels(result).values(), strict=True):
+        draw(cell)
+    content, data = result.content, result["data"]
+    head.text(
+        0.01, 0.95, plain_text(f"{data['name']} against {content['model']}"),
+        va="top", fontsize=12, fontweight="bold", color=DARK,
+    )  # fmt: skip
+    sentence = textwrap.fill(
+        verdict_sentence(content), 150, max_lines=2, placeholder=" …"
+    )
+    head.text(0.01, 0.42, plain_text(sentence), va="top", fontsize=9, color=DARK)
+    head.text(
+        0.99, 0.95, f"tirefit {content['version']} · braking positive, SI · seed"
+        f" {content['seed']} · {format_number(content['n'])} rows",
+        va="top", ha="right", fontsize=7, color=GREY,
+    )  # fmt: skip
+    return picture
+
+
+def write_figure(result: Diagnosis, path) -> Path:
+    """Write the figure of a diagnosis, whole or not at all; its suffix says the kind.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    return save_picture(diagnosis_figure(result), Path(path))

@@ -1,0 +1,192 @@
+"""Settings files (``fit.toml``, ``vehicle.toml``), read and checked in one way.
+
+The sections of a file are subclasses of :class:`Section`. Neither ``"0.9"`` nor
+``true`` is a number. Everything wrong with a file is said at once, each problem with
+the file and its key.
+"""
+
+import copy
+import difflib
+import itertools
+import json
+import re
+import tomllib
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+import numpy as np
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+
+from tirefit.results import Problem, UsageError
+
+__all__ = ["Section", "parse_settings", "read_toml"]
+
+
+class Contradiction(ValueError):
+    """Keys of one section that do not go together."""
+
+    def __init__(self, problems: Iterable[Problem]):
+        self.problems = tuple(problems)
+        super().__init__("; ".join(problem.reason for problem in self.problems))
+
+
+class Section(BaseModel):
+    """One table of a settings file: known keys, exact types, finite numbers.
+
+    A field's ``description`` is the remedy where it is missing.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False
+    )
+
+    def contradictions(self) -> Iterable[Problem]:
+        """Keys that do not go together, each right by itself; none unless said."""
+        return ()
+
+    @model_validator(mode="after")
+    def _consistent(self):
+        problems = tuple(self.contradictions())
+        if problems:
+            raise Contradiction(problems)
+        return self
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _plain(cls, value):
+        """A scalar of NumPy, from Python, is as good as one of TOML."""
+        return value.item() if isinstance(value, np.generic) else value
+
+
+S = TypeVar("S", bound=Section)
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        UsageError: no such file, or not TOML.
+    """
+    try:
+        # Editors on Windows put a byte-order mark before the first key.
+        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        reason, remedy = f"cannot read it: {error.strerror}", "check the path"
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        reason, remedy = f"not valid TOML: {error}", "correct the file"
+    raise UsageError(Problem(reason, remedy, str(path)))
+
+
+def parse_settings(kind: type[S], content: dict, source: str) -> S:
+    """Check the content of a settings file.
+
+    Args:
+        kind: the section that is the whole file.
+        content: what :func:`read_toml` gave, or a dict of the same form.
+        source: where it came from, named by every problem.
+
+    Raises:
+        UsageError: unknown or missing keys, wrong types or values, contradictions;
+            every one of them.
+    """
+    try:
+        return kind.model_validate(content)
+    except ValidationError as error:
+        details = error.errors()
+    # A section is asked for contradictions only once its keys are right: look again
+    # without the wrong ones.
+    seen = [detail["loc"] for detail in details if detail["type"] == "value_error"]
+    wrong = [detail["loc"] for detail in details if detail["type"] != "value_error"]
+    try:
+        kind.model_validate(_without(content, wrong))
+    except ValidationError as error:
+        details += [
+            detail
+            for detail in error.errors()
+            if detail["type"] == "value_error" and detail["loc"] not in seen
+        ]
+    raise UsageError(
+        [
+            replace(problem, file=source)
+            for detail in details
+            for problem in _problems(kind, detail)
+        ]
+    )
+
+
+def _without(content: dict, locations: Iterable[tuple]) -> dict:
+    """The content less the keys at the locations; a list goes as a whole."""
+    rest = copy.deepcopy(content)
+    for location in locations:
+        path = [*itertools.takewhile(lambda part: isinstance(part, str), location)]
+        place = rest
+        for part in path[:-1]:
+            place = place.get(part) if isinstance(place, dict) else None
+        if path and isinstance(place, dict):
+            place.pop(path[-1], None)
+    return rest
+
+
+def _section_at(kind: type[Section], path: tuple[str, ...]) -> type[Section]:
+    """The section at ``path``, a name in a table of sections passed over."""
+    for part in path:
+        field = kind.model_fields.get(part)
+        if field is None:
+            continue
+        kinds = (field.annotation, *get_args(field.annotation))
+        kind = next(k for k in kinds if isinstance(k, type) and issubclass(k, Section))
+    return kind
+
+
+_REMEDIES = {
+    "bool_type": "write true or false, without quotes",
+    "dict_type": "give it keys of its own",
+    "float_type": "write a number, without quotes",
+    "int_type": "write a whole number, without quotes",
+    "string_type": "write it in quotes",
+}
+"""Kind of pydantic's error -> what to do about it."""
+
+
+def _problems(kind: type[Section], detail: Any) -> list[Problem]:
+    """One of pydantic's errors in the words of this project."""
+    path = tuple(part for part in detail["loc"] if isinstance(part, str))
+    key, error = ".".join(path), detail["type"]
+    if error == "value_error":
+        prefix = f"{key}: " if key else ""
+        found = detail["ctx"]["error"].problems
+        return [replace(p, reason=prefix + p.reason) for p in found]
+    if error == "missing":
+        field = _section_at(kind, path[:-1]).model_fields[path[-1]]
+        return [Problem(f"missing key {key!r}", field.description or "add it")]
+    if error == "extra_forbidden":
+        valid = list(_section_at(kind, path[:-1]).model_fields)
+        close = difflib.get_close_matches(path[-1], valid, 1)
+        hint = f"did you mean {close[0]!r}? " if close else ""
+        remedy = f"{hint}valid keys here: {', '.join(valid)}"
+        return [Problem(f"unknown key {key!r}", remedy)]
+    reason, remedy = _in_words(detail), _REMEDIES.get(error, "correct it")
+    if error == "model_type":
+        remedy = f"its keys: {', '.join(_section_at(kind, path).model_fields)}"
+    return [Problem(f"{key} = {_shown(detail['input'])}: {reason}", remedy)]
+
+
+def _in_words(detail: Any) -> str:
+    if detail["type"] in ("dict_type", "model_type"):
+        return "must be a table"
+    text = detail["msg"].replace(" after validation", "")
+    return re.sub("^(Input|List) should", "must", text)
+
+
+def _shown(value: Any) -> str:
+    """A value as the file has it, or how it begins."""
+    text = json.dumps(value, default=str, ensure_ascii=False)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,1 @@
+"""Simulation: tires, and what they carry, in time."""
