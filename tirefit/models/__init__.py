@@ -13,6 +13,7 @@ from tirefit.models.brush import (
     mu_from_peak,
     peak_from_mu,
 )
+from tirefit.models.carcass import BeamCarcass, ParabolicCarcass, ThreadCarcass
 from tirefit.models.combined import CombinedMagicFormula, LiuPeng
 from tirefit.models.friction import (
     Exponential,
@@ -41,6 +42,7 @@ __all__ = [
     "AbstractTire",
     "AnisotropicBrush",
     "Asymmetric",
+    "BeamCarcass",
     "Brush",
     "BrushAtPeak",
     "CombinedMagicFormula",
@@ -57,10 +59,12 @@ __all__ = [
     "LuGreLumped",
     "MagicFormula",
     "Parabolic",
+    "ParabolicCarcass",
     "Quartic",
     "Relaxed",
     "Stribeck",
     "Tabulated",
+    "ThreadCarcass",
     "TireForces",
     "TireInputs",
     "Uniform",
@@ -118,6 +122,9 @@ MODELS: dict[str, AbstractTire] = {
     "brush-load-n": LoadDependent(Brush(friction=Friction(_SPEED["n"]))),
     "brush-load-h": LoadDependent(Brush(friction=Friction(_SPEED["h"]))),
     "brush-relaxation": Relaxed(),
+    "carcass-beam": BeamCarcass(),
+    "carcass-parabola": ParabolicCarcass(),
+    "carcass-thread": ThreadCarcass(),
     "liu-peng": LiuPeng(),
     "lugre": LuGre(),
     "lugre-lumped": LuGreLumped(),
