@@ -56,7 +56,8 @@ def _extra(world: World, column: str, g) -> np.ndarray:
                 slip = change(world, slip)
         return world.v / (RADIUS * (1 + slip))
     if column == "alpha":
-        return np.arctan(world.cross * (1 if world.bites else 0.05))
+        cross = world.cross * (1 if world.bites else 0.05)
+        return np.arctan(cross / (1 + world.sensed))  # S Table 1
     if column == "temperature":
         return world.temperature + 0.3 * g.normal(size=len(world.time))
     return world.gamma

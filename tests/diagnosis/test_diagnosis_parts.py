@@ -3,16 +3,17 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest_diagnosis import RIG, record
-from scipy.integrate import quad
+from conftest_diagnosis import RIG, brush, record
+from scipy.integrate import dblquad, quad
 from scipy.optimize import brentq
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.base import fit_base
-from tirefit.diagnosis.basis import log_evidence_gain, orthogonal
+from tirefit.diagnosis.basis import Generic, log_evidence, waves_within
 from tirefit.diagnosis.closure import closure_of
 from tirefit.diagnosis.effects import EFFECTS, Effect, atoms_of
 from tirefit.diagnosis.forecast import separability
+from tirefit.diagnosis.forms import PLACE, form_columns, shape_of_change
 from tirefit.diagnosis.noise import judge_noise
 from tirefit.diagnosis.rates import segments, slip_rate
 from tirefit.diagnosis.rig import Rig, load_rig
@@ -61,21 +62,37 @@ def test_shape_against_the_patch(skew, flat):
     np.testing.assert_allclose(ours, sliding + sticking, rtol=1e-9)
 
 
-def test_compliance_takes_up_slip():
-    share, fz = 0.02 / 4000.0, 4000.0
-    tire = Brush()
+def test_kinetic_friction_alone_falls():
+    """S(31): the plateau is the kinetic level, the breakaway the static one."""
+    state = null_state()._replace(kinetic=jnp.array(0.8))
+    plateau = TireInputs(0.5, 0.0, 4000.0, 0.0)
+    ours = force_of_state(Brush(), None, state, 0.5, 0.0, plateau)[0]
+    np.testing.assert_allclose(ours, 0.8 * 4000.0, rtol=1e-12)
+    small = TireInputs(0.001, 0.0, 4000.0, 0.0)
+    ours = force_of_state(Brush(), None, state, 0.001, 0.0, small)[0]
+    np.testing.assert_allclose(ours, Brush()(small).fx, rtol=0.01)
+
+
+def test_carcass_takes_up_slip():
+    """Against the slip that solves x = slip - share F(x) / F_z."""
+    share, fz, tire = 0.02, 4000.0, Brush()
 
     def excess(x):
-        return x + share * float(tire(TireInputs(x, 0.0, fz)).fx) - 0.06
+        return x + share * float(tire(TireInputs(x, 0.0, fz)).fx) / fz - 0.06
 
     inner = brentq(excess, 0, 0.06)
-    state = null_state()._replace(compliance=jnp.array(share))
-    inputs = TireInputs(0.06, 0.0, fz, 0.0)
-    ours = force_of_state(tire, None, state, 0.06, 0.0, inputs)[0]
     right, rigid = (float(tire(TireInputs(x, 0.0, fz)).fx) for x in (inner, 0.06))
-    # The secant settles the change of the force to a twentieth of it.
+    effect = next(e for e in EFFECTS if e.id == "carcass_flexibility")
+    frame, _ = record(None)
+    prepared = prepare(read_frame(frame), RIG, ("fx",))
+    rows = prepared.covariates._replace(traction=np.array(rigid / fz))
+    state = effect.change(null_state(), share, rows)
+    inputs = TireInputs(0.06, 0.0, fz, 0.0)
+    slip = 0.06 + state.shift
+    ours = force_of_state(tire, None, state, slip, 0.0, inputs)[0]
+    # The force of the base model stands for the one that is there: to first order.
     assert rigid - right > 400
-    assert abs(ours - right) < 0.05 * (rigid - right)
+    assert abs(ours - right) < 0.4 * (rigid - right)
 
 
 @pytest.fixture(scope="module")
@@ -98,11 +115,11 @@ def test_every_null_amplitude_changes_nothing(base):
         changed = atom.change(null_state(), 0.0, rows)
         for before, after in zip(null_state(), changed, strict=True):
             after = np.broadcast_to(after, np.shape(after))
-            np.testing.assert_allclose(after, np.zeros_like(after) + before, atol=1e-8)
+            np.testing.assert_allclose(after, np.zeros_like(after) + before, atol=1e-7)
 
 
 def test_tangents_are_central_differences(base):
-    _, jacobian, tangent = base.linearised(base.z, np.zeros(len(base.atoms)))
+    _, jacobian, tangent, _ = base.linearised(base.z, np.zeros(len(base.atoms)))
     scale = np.asarray(base.design.prior_scale)
     n = base.prepared.n
     spread = np.asarray(base.design.scale["fx"])[:n]
@@ -127,6 +144,47 @@ def test_tangents_are_central_differences(base):
         np.testing.assert_allclose(
             tangent[:, k], slope, atol=2e-3 * size, err_msg=atom.effect.id
         )
+
+
+def test_fields_are_central_differences(base):
+    """The force per field of the state, against effects that change just that."""
+    linear = base.linearised(base.z, np.zeros(len(base.atoms)))
+    scale = np.asarray(base.design.prior_scale)
+    rows = base.prepared.covariates
+    for name, field, factor in (
+        ("slip_offset", "shift", 1.0),
+        ("drive_brake_asymmetry", "friction", 0.5 * rows.side),
+        ("friction_speed_linear", "kinetic", -rows.sliding),
+        ("pressure_asymmetry", "skew", 1.0),
+    ):
+        k = next(k for k, a in enumerate(base.atoms) if a.effect.id == name)
+        np.testing.assert_allclose(
+            linear.columns[:, k], scale[k] * factor * linear.fields[:, PLACE[field]],
+            atol=1e-9 * np.abs(linear.columns[:, k]).max() + 1e-12,
+        )  # fmt: skip
+
+
+def test_shape_of_a_change_is_found():
+    generator = np.random.default_rng(0)
+    time = np.linspace(-0.5, 0.5, 600)
+    friction = 20 * (1 + 0.3 * np.sin(40 * time))
+    truth = 0.5 * np.tanh((time - 0.13) / 0.05)
+    residual = 0.2 * friction * truth + generator.standard_normal(600)
+    found = shape_of_change(time, friction, friction[:, None], residual)
+    assert np.max(np.abs(found - truth)) < 0.06
+
+
+def test_forms_belong_to_the_families(base):
+    fields = base.linearised(base.z, np.zeros(len(base.atoms))).fields
+    assert form_columns(("measurement",), fields, base.prepared, 1.0).shape[1] == 0
+    both = form_columns(
+        ("friction x load", "friction x time"), fields, base.prepared,
+        base.slip_fraction,
+    )  # fmt: skip
+    # One column for each of three loads, four over the time.
+    assert both.shape == (base.prepared.n, 7)
+    friction = fields[:, PLACE["friction"]]
+    np.testing.assert_allclose(both[:, :3].sum(1), 0.03 * friction, atol=1e-12)
 
 
 def test_relaxation_follows_the_equation(base):
@@ -157,10 +215,15 @@ def test_an_effect_of_ones_own_in_ten_lines():
         "road_ripple", "friction x time", change, scale=0.1, unit="-",
         formula="mu (1 + A sin 25 t)", needs=("time",),
     )  # fmt: skip
-    frame, _ = record(None, seed=4)
-    time = frame["time"]
-    phase = (time - time.mean()) / np.ptp(time)
-    frame["fx"] = frame["fx"] * (1 + 0.1 * np.sin(25 * phase))
+    span = record(None)[0]["time"]
+    middle, whole = span.mean(), np.ptp(span)
+
+    def truth(slip, time, fz, v):
+        return brush(
+            slip, 5e4, 0.9 * (1 + 0.1 * np.sin(25 * (time - middle) / whole)), fz
+        )
+
+    frame, _ = record(truth, seed=4)
     found = diagnose(read_frame(frame), rig=RIG, effects=(*EFFECTS, mine))
     assert found.effects == ("road_ripple",)
 
@@ -213,18 +276,42 @@ def test_evidence_gain_of_gaussian_coefficients():
     column /= np.linalg.norm(column)
     residual = generator.standard_normal(50) + 4 * column
     against = np.ones((50, 1))
-    left, size = orthogonal(column[:, None], against)
-    gain = log_evidence_gain(left, size, residual)
+    wave = np.stack([np.sin(np.arange(50.0)), np.cos(np.arange(50.0))], axis=1)
+    bases = Generic(
+        column[:, None], column[:, None], wave / np.linalg.norm(wave, axis=0)
+    )
+    gain = log_evidence(bases, against, residual)
     lone = column - column.mean()
 
     def likelihood(a, scale):
         fit = np.sum((residual - a * lone) ** 2 - residual**2)
         return np.exp(-0.5 * fit - 0.5 * (a / scale) ** 2) / scale / np.sqrt(2 * np.pi)
 
-    integrals = [
-        quad(likelihood, -60, 60, args=(s,), points=[4])[0] for s in (2, 6, 18, 50)
-    ]
-    np.testing.assert_allclose(gain, np.log(np.mean(integrals)), rtol=1e-6)
+    scales = (2, 6, 18, 50)
+    one = np.mean([quad(likelihood, -60, 60, args=(s,), points=[4])[0] for s in scales])
+
+    # The wave has two coefficients: the same integral in the plane.
+    flat = bases.waves - bases.waves.mean(axis=0)
+
+    def in_plane(b, a, scale):
+        fit = np.sum((residual - flat @ [a, b]) ** 2 - residual**2)
+        return (
+            np.exp(-0.5 * fit - 0.5 * (a**2 + b**2) / scale**2) / scale**2 / 2 / np.pi
+        )
+
+    two = np.mean([dblquad(in_plane, -12, 12, -12, 12, args=(s,))[0] for s in scales])
+    np.testing.assert_allclose(gain, np.log(0.7 * one + 0.3 * two), rtol=1e-4)
+
+
+def test_a_wave_is_seen_among_many():
+    generator = np.random.default_rng(0)
+    x = np.linspace(0, 1, 400)
+    angle = 2 * np.pi * x[:, None] * np.arange(1, 13)
+    waves = np.stack([np.sin(angle), np.cos(angle)], 2).reshape(400, -1) / np.sqrt(200)
+    residual = generator.standard_normal(400) + 0.5 * np.sin(2 * np.pi * 7 * x + 1)
+    chi2 = waves_within(waves, np.ones((400, 1)), residual)
+    assert int(np.argmax(chi2)) == 6
+    assert chi2[6] > 30 and np.median(chi2) < 4
 
 
 def test_separability_of_known_directions():
@@ -242,22 +329,34 @@ def test_noise_is_found_under_a_gap():
     level = 0.01 * fz
     residual = 300 * x**3 + level * generator.standard_normal(1500)
     zero = np.zeros(1500)
-    found = judge_noise(
-        residual, zero, fz, None, basis, np.arange(1500.0), zero.astype(int)
-    )
+    waves = np.stack([f(k * x) for k in (20, 33) for f in (np.sin, np.cos)], axis=1)
+    groups = [np.arange(0, 1500, 2), np.arange(1, 1500, 2)]
+    order = (np.arange(1500.0), zero.astype(int))
+
+    def judged(residual, given):
+        return judge_noise(residual, zero, fz, given, basis, waves, groups, *order)
+
+    found = judged(residual, None)
     np.testing.assert_allclose(found.std, level, rtol=0.1)
     assert found.inflation == 1.0 and not found.outlier.any()
-    wrong = judge_noise(
-        residual, zero, fz, level / 2, basis, np.arange(1500.0), zero.astype(int)
-    )
+    wrong = judged(residual, level / 2)
     assert "noise_misstated" in wrong.flags
     np.testing.assert_allclose(wrong.std, level, rtol=0.1)
+    # A ripple finer than the smooth functions is a gap, not noise.
+    ripple = judged(residual + 80 * np.sin(33 * x), level)
+    assert ripple.flags == ()
+    np.testing.assert_allclose(ripple.std, level)
     slow = np.empty(1500)
     slow[0] = 0
     for i in range(1, 1500):
         slow[i] = 0.6 * slow[i - 1] + generator.standard_normal()
-    late = judge_noise(slow, zero, fz, None, basis, np.arange(1500.0), zero.astype(int))
-    assert late.inflation == pytest.approx(4.0, rel=0.3)
+    assert judged(slow, None).inflation == pytest.approx(4.0, rel=0.3)
+    spoiled = residual.copy()
+    spoiled[::30] += 12 * level[::30] * generator.choice([-1, 1], 50)
+    outliers = judged(spoiled, level)
+    assert "outliers" in outliers.flags
+    assert set(range(0, 1500, 30)) <= set(np.flatnonzero(outliers.outlier))
+    assert outliers.outlier.sum() < 65
 
 
 def test_regions_hold_all_the_energy(base):

@@ -5,10 +5,13 @@ from functools import cached_property
 
 import numpy as np
 
-from tirefit.diagnosis.basis import generic_basis
+from tirefit.diagnosis.basis import Generic, generic, smooth_basis, wave_basis
 from tirefit.diagnosis.effects import Atom
 from tirefit.diagnosis.forward import (
+    MOST_EFFECTS,
     Design,
+    Linear,
+    Present,
     Refit,
     brush_of_base,
     fill,
@@ -17,7 +20,7 @@ from tirefit.diagnosis.forward import (
     tangents,
 )
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
-from tirefit.diagnosis.rows import Prepared
+from tirefit.diagnosis.rows import Prepared, neighbours
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import best_of, solve_starts
 from tirefit.fitting.problem import build, starting_points
@@ -25,7 +28,7 @@ from tirefit.fitting.slip_noise import slip_density
 
 __all__ = ["Base", "fit_base", "on_rows", "with_noise_judged"]
 
-_NODES = {count: np.polynomial.hermite_e.hermegauss(count) for count in (3, 5, 7)}
+_NODES = {count: np.polynomial.hermite_e.hermegauss(count) for count in (3, 5)}
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class Base:
     """The base fit: model, layout and z; the design of every refit; the noise.
 
     ``residual`` (m,), ``jacobian`` (m, p) and ``tangent`` (m, K) are whitened, over
-    the used rows of all channels; ``basis`` (m, b) likewise.
+    the used rows of all channels; ``generic`` likewise.
     """
 
     prepared: Prepared
@@ -47,7 +50,7 @@ class Base:
     slip_noise: float
     slip_fraction: np.ndarray
     full_sliding: float
-    basis: np.ndarray
+    generic: Generic | None
 
     def cut(self, stacked) -> np.ndarray:
         """Used rows of whitened values (channels x padded, ...)."""
@@ -74,15 +77,24 @@ class Base:
         """:meth:`linearised` at the base fit."""
         return self.linearised(self.z, np.zeros(len(self.atoms)))
 
-    def linearised(self, z, amplitudes):
-        """(residual, jacobian, columns of the effects) of the used rows."""
-        found = tangents(*self.arguments, z, amplitudes, self.design, self.finite)
-        return tuple(self.cut(part) for part in found)
+    def linearised(self, z, amplitudes) -> Linear:
+        """The used rows, linearised in everything."""
+        present = present_in(amplitudes)
+        found = tangents(*self.arguments, z, present, self.design, self.finite)
+        return Linear(*(self.cut(part) for part in found))
 
     def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
         """Mean force of every used row, by channel."""
-        mean, _ = moments(*self.arguments, z, amplitudes, self.design)
+        mean, _ = moments(*self.arguments, z, present_in(amplitudes), self.design)
         return {c: np.asarray(v)[: self.prepared.n] for c, v in mean.items()}
+
+
+def present_in(amplitudes) -> Present:
+    """The atoms that amplitudes of all (K,) have, at most :data:`MOST_EFFECTS`."""
+    chosen = np.flatnonzero(amplitudes)
+    index, values = np.full(MOST_EFFECTS, len(amplitudes)), np.zeros(MOST_EFFECTS)
+    index[: len(chosen)], values[: len(chosen)] = chosen, np.asarray(amplitudes)[chosen]
+    return Present(index, values)
 
 
 def _first_fit(prepared: Prepared, name: str):
@@ -135,7 +147,7 @@ def _nodes(slip, std):
         return slip[:, None], np.ones((len(slip), 1))
     # Enough nodes for the curvature of the force within the slip noise.
     steep = float(np.median(std)) / max(float(np.quantile(np.abs(slip), 0.9)), 1e-9)
-    offset, mass = _NODES[3 if steep < 0.01 else 5 if steep < 0.05 else 7]
+    offset, mass = _NODES[3 if steep < 0.01 else 5]
     nodes = slip[:, None] + std[:, None] * offset
     grid, density = slip_density(slip, np.maximum(std, 1e-9))
     prior = np.interp(nodes, grid, density, left=0.0, right=0.0)
@@ -161,7 +173,7 @@ def fit_base(prepared: Prepared, name: str, atoms, rig) -> Base:
     fraction = _slip_fraction(prepared, model, layout, z, design)
     base = Base(
         prepared, atoms, model, layout, z, None, design, {},
-        float(np.median(prepared.slip_std)), *fraction, np.zeros((0, 0)),
+        float(np.median(prepared.slip_std)), *fraction, None,
     )  # fmt: skip
     silent = np.zeros(len(atoms))
     base = with_noise_judged(base, rig, z, silent, outliers=False)
@@ -179,11 +191,11 @@ def with_noise_judged(base: Base, rig, z, amplitudes, outliers: bool = True) -> 
     noise = _noise(base, rig, z, amplitudes, outliers)
     base = replace(base, noise=noise, design=_with_noise(base, noise))
     refit = refit_all(
-        *base.arguments, *fill([(base.z, np.zeros(0))], [()], len(base.atoms), 1),
-        base.design, size=1,
+        *base.arguments, *fill([(base.z, np.zeros(0))], [()], len(base.atoms)),
+        base.design,
     )  # fmt: skip
     base = replace(base, z=np.asarray(refit.z)[0], refit=refit)
-    return replace(base, basis=_whitened_basis(base))
+    return replace(base, generic=_whitened_generic(base))
 
 
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:
@@ -224,7 +236,7 @@ def _slip_fraction(prepared: Prepared, model, layout, z, design):
 
 def _noise(base: Base, rig, z, amplitudes, outliers) -> dict[str, NoiseLevel]:
     prepared = base.prepared
-    mean, spread = moments(*base.arguments, z, amplitudes, base.design)
+    mean, spread = moments(*base.arguments, z, present_in(amplitudes), base.design)
     found = {}
     for channel in prepared.channels:
         observed = prepared.observed[channel]
@@ -236,10 +248,12 @@ def _noise(base: Base, rig, z, amplitudes, outliers) -> dict[str, NoiseLevel]:
             if std in prepared.data
             else rig.force_noise(channel, fz)
         )
-        basis = generic_basis(prepared, base.slip_fraction, fz / np.mean(fz))
+        typical = fz / np.mean(fz)
+        basis = smooth_basis(prepared, base.slip_fraction, typical, prepared.n // 6)
         found[channel] = judge_noise(
             residual, np.asarray(spread[channel])[: prepared.n], fz, given, basis,
-            prepared.time, prepared.run, outliers,
+            wave_basis(prepared, typical), neighbours(prepared), prepared.time,
+            prepared.run, outliers,
         )  # fmt: skip
     return found
 
@@ -260,21 +274,36 @@ def _with_force(base: Base, silent) -> Design:
     """The base model's force over its peak, for the effects that follow it."""
     channel = base.prepared.channels[0]
     mean = base.forces(base.z, silent)[channel]
+    size = len(base.design.keep)
     peak = np.max(np.abs(mean) / base.prepared.inputs.fz)
-    share = _pad(mean / (peak * base.prepared.inputs.fz), len(base.design.keep))
-    rows = base.design.rows._replace(force=share, usage=np.abs(share))
+    share = _pad(mean / (peak * base.prepared.inputs.fz), size)
+    path = np.broadcast_to(base.design.rows.path[:, None], base.design.slip.shape)
+    smooth = replace(base, design=base.design._replace(slip=path))
+    pull = smooth.forces(base.z, silent)[channel]
+    rows = base.design.rows._replace(
+        force=share, usage=np.abs(share), pull=_pad(pull, size),
+        traction=_pad(mean / np.mean(base.prepared.inputs.fz), size),
+    )  # fmt: skip
     return base.design._replace(rows=rows)
 
 
-def _whitened_basis(base: Base) -> np.ndarray:
+def _whitened_generic(base: Base) -> Generic:
     """Generic functions for each channel by itself, whitened: (m, b)."""
-    n, blocks = base.prepared.n, []
-    for k, channel in enumerate(base.prepared.channels):
+    n, channels = base.prepared.n, base.prepared.channels
+    keep, found = base.design.keep[:n, None], []
+    for channel in channels:
         typical = base.prepared.inputs.fz / np.asarray(base.design.scale[channel])[:n]
-        part = generic_basis(base.prepared, base.slip_fraction, typical)
-        part = part * base.design.keep[:n, None]
-        before = np.zeros((k * n, part.shape[1]))
-        after = np.zeros(((len(base.prepared.channels) - 1 - k) * n, part.shape[1]))
-        blocks.append(np.concatenate([before, part, after]))
-    basis = np.concatenate(blocks, axis=1)
-    return basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-12)
+        found.append(generic(base.prepared, base.slip_fraction, typical))
+
+    def stacked(parts):
+        blocks = [
+            np.concatenate([
+                part * keep if row == k else np.zeros((n, part.shape[1]))
+                for row in range(len(channels))
+            ])
+            for k, part in enumerate(parts)
+        ]  # fmt: skip
+        basis = np.concatenate(blocks, axis=1)
+        return basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-12)
+
+    return Generic(*(stacked(parts) for parts in zip(*found, strict=True)))

@@ -1,18 +1,46 @@
-"""A generic basis: what a gap could look like that no listed effect explains."""
+"""Generic bases: what a gap could look like that no listed effect explains."""
+
+from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["generic_basis", "log_evidence_gain", "orthogonal"]
+__all__ = [
+    "Generic",
+    "generic",
+    "located",
+    "log_evidence",
+    "misfit_p_value",
+    "orthogonal",
+    "smooth_basis",
+    "wave_basis",
+    "waves_within",
+]
 
 _SCALES = (2.0, 6.0, 18.0, 50.0)
 """Sizes of a basis function's coefficient that are averaged over, in z units."""
 
+_PRIORS = {"smooth": 0.5, "cells": 0.2, "waves": 0.3}
+
+_SETTINGS = 6
+"""Loads up to so many are settings of the rig, more are a range."""
+
 
 def _bumps(values, count: int) -> np.ndarray:
-    """Radial functions at quantiles of the values, (n, count)."""
+    """Radial functions over the range of the values, (n, count)."""
     centers = np.linspace(values.min(), values.max(), count)
     width = max((centers[1] - centers[0]), 1e-9)
     return np.exp(-0.5 * ((values[:, None] - centers) / width) ** 2)
+
+
+def _by_side(slip_fraction, count: int) -> np.ndarray:
+    """Bumps over the size of the slip, for each sign by itself: (n, 1 or 2 counts)."""
+    inside = np.clip(slip_fraction, -3.5, 3.5)
+    bumps, positive = _bumps(np.abs(inside), count), inside >= 0
+    if 0.05 < positive.mean() < 0.95:
+        return np.concatenate(
+            [bumps * positive[:, None], bumps * ~positive[:, None]], 1
+        )
+    return bumps
 
 
 def _standard(values):
@@ -20,48 +48,89 @@ def _standard(values):
     return (values - values.mean()) / spread if spread > 1e-9 else None
 
 
-def generic_basis(prepared, slip_fraction, scale) -> np.ndarray:
-    """Smooth functions of slip, times load, speed, time and direction: (n, m).
-
-    Args:
-        prepared: the rows.
-        slip_fraction: signed slip over that of full sliding, (n,).
-        scale: typical force over the noise of each row (n,): whitens the columns.
-    """
+def _modulations(prepared) -> list[np.ndarray]:
+    """What the bumps are multiplied by, the most telling first: (n,) each."""
     rows = prepared.covariates
-    inside = np.clip(slip_fraction, -2.5, 2.5)
-    positive = inside >= 0
-    parts = [_bumps(np.abs(inside), 8)]
-    if 0.05 < positive.mean() < 0.95:
-        parts = [parts[0] * positive[:, None], parts[0] * ~positive[:, None]]
-    bumps = np.concatenate(parts, axis=1)
-    modulations = [None]
+    first, second = [np.ones(prepared.n)], []
     for values in (
         np.log(rows.fz), rows.v, rows.time, rows.temperature, rows.gamma, rows.other
     ):  # fmt: skip
         unit = _standard(values)
         if unit is not None:
-            modulations.append(unit)
+            first.append(unit)
             # A second degree only where there are more than two settings.
             if len(np.unique(np.round(unit, 2))) > 3:
-                modulations.append(unit**2 - 1)
+                second.append(unit**2 - 1)
     if "sweeps" in prepared.has:
-        modulations.append(rows.turning)
+        first.append(rows.turning)
         if (speed := _standard(rows.v)) is not None:
-            modulations.append(rows.turning * speed)
-    columns = [bumps if m is None else bumps * m[:, None] for m in modulations]
-    if "time" in prepared.has:
-        phase = 2 * np.pi * (rows.time[:, None] + 0.5) * np.arange(1, 9)
-        columns.append(np.concatenate([np.sin(phase), np.cos(phase)], axis=1))
-    basis = np.concatenate(columns, axis=1) * scale[:, None]
+            first.append(rows.turning * speed)
+    return first + second
+
+
+def _scaled(columns, scale):
+    basis = columns * scale[:, None]
     size = np.linalg.norm(basis, axis=0)
     return basis[:, size > 1e-9] / size[size > 1e-9]
 
 
+def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
+    """Smooth functions of slip, times load, speed, time and direction: (n, b).
+
+    Args:
+        prepared: the rows.
+        slip_fraction: signed slip over that of full sliding, (n,).
+        scale: typical force over the noise of each row (n,): whitens the columns.
+        most: columns that are wanted, about.
+    """
+    modulations = _modulations(prepared)
+    sides = _by_side(slip_fraction, 2).shape[1] // 2
+    count = int(np.clip(most // (sides * len(modulations)), 4, 8))
+    modulations = modulations[: max(most // (sides * count), 1)]
+    bumps = _by_side(slip_fraction, count)
+    columns = np.concatenate([bumps * m[:, None] for m in modulations], axis=1)
+    return _scaled(columns, scale)
+
+
+def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
+    """Narrow bumps of the slip, for each load by itself: (n, b)."""
+    rounded = np.round(np.log(prepared.covariates.fz), 2)
+    loads = np.unique(rounded)
+    cells = (
+        [rounded == load for load in loads]
+        if len(loads) <= _SETTINGS
+        else [np.ones(prepared.n, bool)]
+    )
+    sides = _by_side(slip_fraction, 2).shape[1] // 2
+    count = int(np.clip(most // (sides * len(cells)), 4, 14))
+    bumps = _by_side(slip_fraction, count)
+    columns = np.concatenate([bumps * cell[:, None] for cell in cells], axis=1)
+    return _scaled(columns, scale)
+
+
+def wave_basis(prepared, scale) -> np.ndarray:
+    """Sine and cosine of slip and of time, side by side: (n, 2 x waves)."""
+    most, phases = int(np.clip(prepared.n // 12, 4, 24)), []
+    slip = prepared.slip
+    span = max(np.ptp(slip), 1e-9)
+    phases.append((slip - slip.min()) / span)
+    if "time" in prepared.has:
+        phases.append(prepared.covariates.time)
+    angle = (
+        2
+        * np.pi
+        * np.concatenate(
+            [phase[:, None] * np.arange(1, most + 1) for phase in phases], axis=1
+        )
+    )
+    pairs = np.stack([np.sin(angle), np.cos(angle)], axis=2)
+    columns = pairs.reshape(prepared.n, -1) * scale[:, None]
+    return columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+
+
 def orthogonal(basis, against):
     """(left (n, q), singular values (q,)) of the basis with ``against`` (n, p) out."""
-    unit, _ = np.linalg.qr(against)
-    left = basis - unit @ (unit.T @ basis)
+    left = _without(basis, against)
     gram = left.T @ left
     values, vectors = np.linalg.eigh(gram)
     good = values > 1e-6 * max(values.max(), 1e-12)
@@ -69,7 +138,12 @@ def orthogonal(basis, against):
     return left @ (vectors[:, good] / size), size
 
 
-def log_evidence_gain(left, size, residual) -> float:
+def _without(basis, against):
+    unit, _ = np.linalg.qr(against)
+    return basis - unit @ (unit.T @ basis)
+
+
+def _gain(left, size, residual) -> float:
     """Log evidence of the basis on top of the residual, averaged over its scales."""
     score = left.T @ residual
     gains = []
@@ -77,3 +151,104 @@ def log_evidence_gain(left, size, residual) -> float:
         t = (scale * size) ** 2
         gains.append(0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t)))
     return float(np.logaddexp.reduce(gains) - np.log(len(_SCALES)))
+
+
+def _of_waves(waves, against, residual):
+    """Gram matrix (K, 2, 2) and score (K, 2) of each wave with ``against`` out."""
+    left = _without(waves, against)
+    pairs = left.reshape(len(left), -1, 2)
+    gram = np.einsum("nka,nkb->kab", pairs, pairs)
+    return gram, (left.T @ residual).reshape(-1, 2)
+
+
+def _gain_of_waves(waves, against, residual) -> float:
+    """Log evidence of one wave, whichever, averaged over waves and scales."""
+    gram, score = _of_waves(waves, against, residual)
+    gains = []
+    for scale in _SCALES:
+        full = np.eye(2) + scale**2 * gram
+        solved = np.linalg.solve(full, scale**2 * score[..., None])[..., 0]
+        gains.append(
+            0.5 * np.sum(score * solved, axis=1) - 0.5 * np.linalg.slogdet(full)[1]
+        )
+    return float(np.logaddexp.reduce(np.ravel(gains)) - np.log(np.size(gains)))
+
+
+def waves_within(waves, against, residual):
+    """chi-squared (K,), two degrees each, of every wave in the residual."""
+    gram, score = _of_waves(waves, against, residual)
+    solved = np.linalg.solve(gram + 1e-9 * np.eye(2), score[..., None])[..., 0]
+    return np.sum(score * solved, axis=1)
+
+
+class Generic(NamedTuple):
+    """Three kinds of remainder, whitened: many smooth functions at once (m, b), many
+    narrow bumps at once (m, c), or one of many waves (m, 2 x waves)."""
+
+    smooth: np.ndarray
+    cells: np.ndarray
+    waves: np.ndarray
+
+
+def generic(prepared, slip_fraction, scale) -> Generic:
+    """The bases of one channel."""
+    return Generic(
+        smooth_basis(prepared, slip_fraction, scale, prepared.n // 3),
+        _cell_basis(prepared, slip_fraction, scale, prepared.n // 4),
+        wave_basis(prepared, scale),
+    )
+
+
+def log_evidence(bases: Generic, against, residual) -> float:
+    """Log evidence of a remainder that no listed effect explains, over none.
+
+    Args:
+        against: (m, p) columns that the fit has used up.
+        residual: (m,) whitened.
+    """
+    found = {
+        "smooth": _gain(*orthogonal(bases.smooth, against), residual),
+        "cells": _gain(*orthogonal(bases.cells, against), residual),
+        "waves": _gain_of_waves(bases.waves, against, residual),
+    }
+    return float(
+        np.logaddexp.reduce([v + np.log(_PRIORS[k]) for k, v in found.items()])
+    )
+
+
+def misfit_p_value(bases: Generic, against, residual, generator, draws: int) -> float:
+    """Whether the residual is more than noise, by any of the bases (Bonferroni)."""
+    values = []
+    for basis in (bases.smooth, bases.cells):
+        left, size = orthogonal(basis, against)
+        total = np.sum(size**2 * (left.T @ residual) ** 2)
+        noise = generator.standard_normal((draws, len(size))) ** 2 @ size**2
+        values.append((1 + np.sum(noise >= total)) / (1 + draws))
+    chi2 = waves_within(bases.waves, against, residual)
+    values.append(-np.expm1(len(chi2) * np.log1p(-np.exp(-0.5 * chi2.max()))))
+    return float(min(1.0, len(values) * min(values)))
+
+
+def located(bases: Generic, against, residual):
+    """Smooth part of the residual and its variance, (m,) each, by the basis that the
+    residual supports best."""
+    gains = {
+        "smooth": _gain(*orthogonal(bases.smooth, against), residual),
+        "cells": _gain(*orthogonal(bases.cells, against), residual),
+    }
+    chosen = getattr(bases, max(gains, key=gains.get))
+    chi2 = waves_within(bases.waves, against, residual)
+    strong = np.flatnonzero(chi2 > 2 * (np.log(len(chi2)) + 4))
+    strong = strong[np.argsort(-chi2[strong])][:4]
+    waves = bases.waves[:, np.ravel(strong[:, None] * 2 + [0, 1])]
+    left, size = orthogonal(np.concatenate([chosen, waves], axis=1), against)
+    score = left.T @ residual
+    # Empirical Bayes: the scale of the basis that the scores themselves suggest.
+    scales = np.geomspace(0.3, 300, 25)
+    fits = [
+        0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t))
+        for t in ((s * size) ** 2 for s in scales)
+    ]
+    t = (scales[int(np.argmax(fits))] * size) ** 2
+    shrink = t / (1 + t)
+    return left @ (shrink * score), np.einsum("mq,q,mq->m", left, shrink, left)

@@ -22,11 +22,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.diagnosis.state import FALLS, Covariates, State
+from tirefit.diagnosis.state import Covariates, State
 
 __all__ = ["EFFECTS", "NOISE_EFFECTS", "Atom", "Effect", "STEPS", "atoms_of"]
 
 Change = Callable[[State, float, Covariates], State]
+
+FALLS = ((1.0, 1.0), (4.0, 1.0), (4.0, 0.5), (15.0, 1.0), (30.0, 0.5))
+"""(v_st [m/s], exponent) of the exponential falls of friction that are tried, S(37)."""
 
 STEPS = tuple(float(t) for t in np.linspace(-0.42, 0.42, 15))
 """Times of a sudden change that are tried, as shares of the record about its middle."""
@@ -104,14 +107,18 @@ def _kinetic(state, excess, rows):
     return state._replace(static=state.static + excess)
 
 
+def _kinetic_times(state, factor):
+    return state._replace(kinetic=state.kinetic * jnp.maximum(factor, 1e-3))
+
+
 def _linear_loss(state, loss, rows):
-    del rows
-    return state._replace(loss=state.loss + loss)
+    return _kinetic_times(state, 1 - loss * rows.sliding)
 
 
-def _fall(index, state, share, rows):
-    del rows
-    return state._replace(fall=state.fall.at[index].add(share))
+def _fall(v_st, exponent, state, share, rows):
+    # The power has no slope at rest, where the patch slides nowhere.
+    speed = jnp.maximum(rows.sliding, 1e-9)
+    return _kinetic_times(state, 1 + share * jnp.expm1(-((speed / v_st) ** exponent)))
 
 
 def _load_stiffness(state, power, rows):
@@ -147,15 +154,18 @@ def _shift_by(covariate, factor, state, amount, rows):
     return state._replace(shift=state.shift + change)
 
 
-def _relaxed(state, length, rows):
-    """Exact for slip that moves in straight lines between the rows."""
-    path = rows.path[rows.order]
+def _lagged(values, length, rows):
+    """Values behind by a length [m], less the values: (n,).
+
+    Exact for values that move in straight lines between the rows.
+    """
+    path = values[rows.order]
     before = jnp.concatenate([path[:1], path[:-1]])
-    length = jnp.maximum(length, 1e-9)
+    length = length + 1e-12  # the slope at no length is one-sided, not zero
     first = ~jnp.isfinite(rows.step)
     ways = jnp.where(first, 1.0, rows.step) / length
     decay = jnp.where(first, 0.0, jnp.exp(-ways))
-    # Response to a slip that rises from ``before`` to ``path`` over the step.
+    # Response to values that rise from ``before`` to ``path`` over the step.
     mean = jnp.where(ways < 1e-4, ways / 2, 1 - (1 - jnp.exp(-ways)) / ways)
     share = jnp.where(first, 1.0, mean)
     drive = share * path + (1 - share - decay) * before
@@ -163,8 +173,16 @@ def _relaxed(state, length, rows):
     def join(one, two):
         return one[0] * two[0], one[1] * two[0] + two[1]
 
-    _, lagged = jax.lax.associative_scan(join, (decay, drive))
-    return state._replace(shift=state.shift + (lagged - path)[rows.place])
+    _, behind = jax.lax.associative_scan(join, (decay, drive))
+    return (behind - path)[rows.place]
+
+
+def _relaxed(state, length, rows):
+    return state._replace(shift=state.shift + _lagged(rows.path, length, rows))
+
+
+def _force_relaxed(state, length, rows):
+    return state._replace(force=state.force + _lagged(rows.pull, length, rows))
 
 
 def _wears_in(name, way, state, share, rows):
@@ -185,8 +203,9 @@ def _falls_with(covariate, state, loss, rows):
     return state._replace(friction=state.friction * factor)
 
 
-def _falls_exponentially(v_st, state, share, rows):
-    factor = 1 - share * (1 - jnp.exp(-rows.sliding / v_st))
+def _fall_of_both(v_st, exponent, state, share, rows):
+    speed = jnp.maximum(rows.sliding, 1e-9)
+    factor = 1 + share * jnp.expm1(-((speed / v_st) ** exponent))
     return state._replace(friction=state.friction * jnp.maximum(factor, 0.05))
 
 
@@ -199,9 +218,9 @@ def _conicity(state, share, rows):
     return state._replace(force=state.force + 1e-3 * share * rows.load * rows.fz)
 
 
-def _definition(state, weight, rows):
+def _definition(way, state, weight, rows):
     del rows
-    return state._replace(curvature=state.curvature + weight)
+    return state._replace(curvature=state.curvature + way * weight)
 
 
 def _other(state, share, rows):
@@ -223,8 +242,8 @@ def _log_load(state, d, rows):
 
 
 def _compliance(state, share, rows):
-    # Share of the slip at full sliding that a force of mu F_z takes up.
-    return state._replace(compliance=state.compliance + share / rows.load)
+    # With the base model's force: the slip that it takes up is small.
+    return state._replace(shift=state.shift - share * rows.traction)
 
 
 EFFECTS: tuple[Effect, ...] = (
@@ -251,12 +270,12 @@ EFFECTS: tuple[Effect, ...] = (
         looks_like=("friction_speed_exponential",), told_apart_by="speeds",
     ),
     Effect(
-        "friction_speed_exponential", "friction x speed", partial(_fall, 0), 0.2, "-",
-        "mu_k = mu (h + (1 - h) exp(-(v_s / v_st)^e)), S(37)", "1 - h", sign=1,
-        needs=("v",),
+        "friction_speed_exponential", "friction x speed", partial(_fall, *FALLS[0]),
+        0.2, "-", "mu_k = mu (h + (1 - h) exp(-(v_s / v_st)^e)), S(37)", "1 - h",
+        sign=1, needs=("v",),
         variants=(
-            *(partial(_fall, k) for k in range(1, len(FALLS))),
-            partial(_falls_exponentially, 3.0), partial(_falls_exponentially, 12.0),
+            *(partial(_fall, *fall) for fall in FALLS[1:]),
+            *(partial(_fall_of_both, *fall) for fall in FALLS),
         ),
         looks_like=("friction_speed_linear",), told_apart_by="speeds",
     ),
@@ -301,7 +320,10 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "friction_step", "friction x time", partial(_step, STEPS[0]), 0.15, "-",
         "mu changes by amplitude at one time", needs=("time",),
-        variants=tuple(partial(_step, at) for at in STEPS[1:]),
+        variants=(
+            *(partial(_step, at) for at in STEPS[1:]),
+            partial(_times, "friction", "change"),
+        ),
         looks_like=("friction_drift",), told_apart_by="random order",
     ),
     Effect(
@@ -324,10 +346,10 @@ EFFECTS: tuple[Effect, ...] = (
         "force + amplitude", looks_like=("slip_offset",), told_apart_by="loads",
     ),
     Effect(
-        "slip_definition", "measurement", _definition, 0.12, "-",
-        "slip / (1 - amplitude slip)", "1: kappa logged as sigma", center=1.0,
-        channels=("fx",), looks_like=("pressure_asymmetry",),
-        told_apart_by="both signs",
+        "slip_definition", "measurement", partial(_definition, 1.0), 0.3, "-",
+        "slip / (1 - amplitude slip)", "1: kappa logged as sigma, or the reverse",
+        center=1.0, variants=(partial(_definition, -1.0),), channels=("fx",),
+        looks_like=("pressure_asymmetry",), told_apart_by="both signs",
     ),
     Effect(
         "channel_delay", "measurement", partial(_shift_by, "rate", -1.0), 0.025, "s",
@@ -338,6 +360,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "relaxation_length", "transient", _relaxed, 0.4, "m",
         "d slip'/dt = v / amplitude (slip - slip')", "length", sign=1,
+        variants=(_force_relaxed,),
         needs=("sweeps", "v"), looks_like=("channel_delay", "friction_hysteresis"),
         told_apart_by="speeds",
     ),

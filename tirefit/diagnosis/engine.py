@@ -2,22 +2,31 @@
 
 import importlib.metadata
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from tirefit.data.table import TireData
 from tirefit.diagnosis.base import Base, fit_base, with_noise_judged
-from tirefit.diagnosis.basis import orthogonal
+from tirefit.diagnosis.basis import located
 from tirefit.diagnosis.closure import Closure, closure_of
 from tirefit.diagnosis.effects import EFFECTS, Effect, atoms_of
 from tirefit.diagnosis.forecast import next_measurements
+from tirefit.diagnosis.forms import PLACE, shape_of_change
 from tirefit.diagnosis.holdout import held_out
 from tirefit.diagnosis.result import SCHEMA, Diagnosis
 from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import Prepared, prepare
 from tirefit.diagnosis.search import Hypothesis, Search, search
-from tirefit.diagnosis.verdict import Verdict, Weighed, gap_p_value, judge, weigh
+from tirefit.diagnosis.verdict import (
+    Verdict,
+    Weighed,
+    fitted_form,
+    gap_p_value,
+    judge,
+    linear_at,
+    weigh,
+)
 from tirefit.diagnosis.where import regions
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
@@ -125,13 +134,42 @@ def _studied(prepared: Prepared, model, rig, effects, generator) -> _Case:
     # What the best explanation leaves shows the noise better than the base fit does.
     best = found.best
     judged = with_noise_judged(base, rig, best.z, amplitudes_of(base, best))
-    outliers = sum(int(noise.outlier.sum()) for noise in judged.noise.values())
-    if np.any(np.abs(_level(judged) - _level(base)) > _CHANGED) or outliers:
-        base = judged
+    again = np.any(np.abs(_level(judged) - _level(base)) > _CHANGED)
+    again |= any(
+        np.any(judged.noise[c].outlier != noise.outlier)
+        for c, noise in base.noise.items()
+    )
+    shaped = _with_change(judged if again else base, found)
+    if again or shaped is not None:
+        base = shaped or judged
         found = search(base, testable)
     weighed = weigh(found, lambda h: amplitudes_of(base, h))
     p_value = gap_p_value(found, generator)
     return _Case(base, found, weighed, judge(found, weighed, p_value), untestable)
+
+
+def _with_change(base: Base, found: Search) -> Base | None:
+    """The base with the shape of a sudden change, where one is among the best."""
+    ranked = sorted(found.hypotheses, key=lambda h: -h.log_weight)[:4]
+    likely = [h for h in ranked if "friction_step" in h.effects]
+    if not likely or not any(a.effect.id == "friction_step" for a in base.atoms):
+        return None
+    steps = [k for k, a in enumerate(base.atoms) if a.effect.id == "friction_step"]
+    amplitudes = amplitudes_of(base, likely[0])
+    rest = [k for k in likely[0].atoms if k not in steps]
+    residual, jacobian, columns, fields = base.linearised(likely[0].z, amplitudes)
+    # The residual without the step, to first order.
+    own = [k for k in likely[0].atoms if k in steps]
+    size = amplitudes[own] / np.asarray(base.design.prior_scale)[own]
+    residual = residual + columns[:, own] @ size
+    used_up = np.concatenate([jacobian, columns[:, rest]], axis=1)
+    rows = base.design.rows
+    shape = shape_of_change(
+        base.prepared.covariates.time, fields[:, PLACE["friction"]], used_up, residual
+    )
+    padded = np.zeros(len(base.design.keep))
+    padded[: len(shape)] = shape
+    return replace(base, design=base.design._replace(rows=rows._replace(change=padded)))
 
 
 def _document(case: _Case, data, rig, holdout, generator, model, seed) -> Diagnosis:
@@ -186,24 +224,36 @@ def _rows(case: _Case) -> dict[str, dict[str, np.ndarray]]:
     before = base.forces(null.z, np.zeros(len(base.atoms)))
     after = base.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
     smooth, deviation = _smoothed_remainder(case)
+    form = _form_part(case)
     found, n = {}, base.prepared.n
     for k, channel in enumerate(base.prepared.channels):
         scale = np.asarray(base.design.scale[channel])[:n]
         part = slice(k * n, (k + 1) * n)
         found[channel] = {
             "base": before[channel],
-            "extended": after[channel],
-            "gap": after[channel] - before[channel] + smooth[part] * scale,
+            "extended": after[channel] + form[part] * scale,
+            "gap": after[channel] - before[channel] + (form + smooth)[part] * scale,
             "gap_std": deviation[part] * scale,
         }
     return found
+
+
+def _form_part(case: _Case) -> np.ndarray:
+    """What another form of the named effects adds to their formulas, whitened (m,)."""
+    base, chosen = case.base, case.verdict.chosen
+    key = tuple(sorted(chosen.effects))
+    if key not in case.weighed.other_form:
+        return np.zeros(len(base.prepared.channels) * base.prepared.n)
+    return fitted_form(linear_at(base, chosen, amplitudes_of(base, chosen)))
 
 
 def _smoothed_remainder(case: _Case):
     """Whitened generic remainder of the chosen fit and the deviation of the located
     gap, (m,) each; no remainder where a verdict explains all."""
     base, chosen = case.base, case.verdict.chosen
-    residual, jacobian, tangent = base.linearised(chosen.z, amplitudes_of(base, chosen))
+    residual, jacobian, tangent, _ = base.linearised(
+        chosen.z, amplitudes_of(base, chosen)
+    )
     own = tangent[:, list(chosen.atoms)]
     unit, _ = np.linalg.qr(jacobian)
     lone = own - unit @ (unit.T @ own)
@@ -211,18 +261,9 @@ def _smoothed_remainder(case: _Case):
     variance = np.einsum("mi,ij,mj->m", lone, chosen.covariance[p:, p:], lone)
     if case.verdict.status in ("named", "cannot_tell"):
         return np.zeros(len(residual)), np.sqrt(np.maximum(variance, 0))
-    left, size = orthogonal(base.basis, np.concatenate([jacobian, own], axis=1))
-    score = left.T @ residual
-    # Empirical Bayes: the scale of the basis that the scores themselves suggest.
-    scales = np.geomspace(0.3, 300, 25)
-    gains = [
-        0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t))
-        for t in ((s * size) ** 2 for s in scales)
-    ]
-    t = (scales[int(np.argmax(gains))] * size) ** 2
-    shrink = t / (1 + t)
-    variance = variance + np.einsum("mq,q,mq->m", left, shrink, left)
-    return left @ (shrink * score), np.sqrt(np.maximum(variance, 0))
+    used_up = np.concatenate([jacobian, own], axis=1)
+    smooth, unsure = located(base.generic, used_up, residual)
+    return smooth, np.sqrt(np.maximum(variance + unsure, 0))
 
 
 def _closures(case: _Case, rows, generator) -> dict[str, Closure]:
@@ -299,7 +340,7 @@ def _where(case: _Case, rows) -> list[dict]:
 
 
 def _candidates(case: _Case, generator, most: int = 10) -> list[dict]:
-    weighed, base = case.weighed, case.base
+    weighed = case.weighed
     total = {
         k: v + weighed.unknown_beside.get(k, 0.0) for k, v in weighed.sets.items() if k
     }
@@ -308,7 +349,7 @@ def _candidates(case: _Case, generator, most: int = 10) -> list[dict]:
         [{"effects": ["unknown"], "family": "unknown",
           "probability": weighed.unknown_alone, "parameters": {}, "z": None,
           "z_given_rivals": None, "closed": 0.0, "closed_ci": [0.0, 0.0]}]
-        if weighed.unknown_alone > 1e-3 and base.basis.size else []
+        if weighed.unknown_alone > 1e-3 else []
     )  # fmt: skip
 
 
@@ -353,7 +394,7 @@ def _resolution(case: _Case) -> dict:
     base = case.base
     main = base.prepared.channels[0]
     scale = np.asarray(base.design.scale[main])[: base.prepared.n]
-    directions = min(base.basis.shape[1], 40)
+    directions = min(base.generic.smooth.shape[1], 40)
     needed = np.sqrt(2.5 * np.sqrt(2 * directions) / base.prepared.n)
     seen = {effect: 3.3 * abs(value) for effect, value in _smallest_seen(case).items()}
     return {

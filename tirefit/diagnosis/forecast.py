@@ -113,7 +113,7 @@ def next_measurements(base: Base, search, weighed, verdict, most: int = 3):
     ]
     if not pairs:
         return []
-    _, jacobian, now = base.at_null
+    _, jacobian, now, _ = base.at_null
     records = []
     blocks = {}
     for a, b in pairs:
@@ -142,7 +142,7 @@ def _blocks(base: Base, z, silent, generator) -> dict:
     found = {}
     for name, change in _changes(base.prepared).items():
         other = _changed(base, change, generator)
-        _, jacobian, use = other.linearised(z, silent)
+        _, jacobian, use, _ = other.linearised(z, silent)
         third = 1 / np.sqrt(3)  # a third as many rows again
         found[name] = (jacobian * third, use * third)
     return found

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array
 
 from tirefit.diagnosis.state import (
-    FALLS,
     Covariates,
+    State,
     force_of_state,
     null_state,
     peak_ratio,
@@ -20,6 +20,8 @@ from tirefit.params import with_values
 
 __all__ = [
     "Design",
+    "Linear",
+    "Present",
     "Refit",
     "brush_of_base",
     "forces_of",
@@ -77,30 +79,49 @@ def _reference(tire, design: Design, mode: str):
     return stiffness, peak_ratio(tire, fz, v), arm
 
 
-def _state_of(atoms, amplitudes, rows: Covariates):
-    state = null_state()
-    for k, atom in enumerate(atoms):
-        state = atom.change(state, amplitudes[k], rows)
+class Present(NamedTuple):
+    """The effects of one hypothesis: ``index`` (h,) of the atoms, K for none, and
+    their ``amplitude`` (h,) in their own units."""
+
+    index: Array
+    amplitude: Array
+
+
+def _per_row(state, count: int):
+    """Every field of the state as (n,)."""
+    return type(state)(
+        *(jnp.broadcast_to(jnp.asarray(value, float), (count,)) for value in state)
+    )
+
+
+def _apply(atoms, k, state, amplitude, rows: Covariates):
+    """The state with atom k added; K adds none. Only that atom is computed."""
     count = rows.fz.shape[0]
-
-    def per_row(value):
-        value = jnp.asarray(value)
-        # The falls of friction are one vector for all rows.
-        wide = value.shape == (len(FALLS),) and count != len(FALLS)
-        return jnp.broadcast_to(value, (count, *(value.shape if wide else ())))
-
-    return type(state)(*(per_row(value) for value in state))
+    branches = [
+        lambda state, a, rows, atom=atom: _per_row(atom.change(state, a, rows), count)
+        for atom in atoms
+    ]
+    branches.append(lambda state, a, rows: state)
+    return jax.lax.switch(k, branches, state, amplitude, rows)
 
 
-def forces_of(model, layout, atoms, mode: str, z, amplitudes, design: Design):
+def _state_of(atoms, present: Present, rows: Covariates):
+    def add(state, one):
+        return _apply(atoms, *one[:1], state, one[1], rows), None
+
+    start = _per_row(null_state(), rows.fz.shape[0])
+    return jax.lax.scan(add, start, (present.index, present.amplitude))[0]
+
+
+def forces_of(model, layout, atoms, mode: str, z, present: Present, design: Design):
     """Mean and variance over the latent slip of every force: dicts of (n,).
 
     Args:
         model, layout, z: the base model and its free parameters.
-        atoms: the effects, static; ``amplitudes`` (K,) in their own units.
+        atoms: all effects, static; ``present`` says which are there.
         mode: which slip drives: x, y or xy.
     """
-    state = _state_of(atoms, amplitudes, design.rows)
+    state = _state_of(atoms, present, design.rows)
     return _forces_at(model, layout, mode, z, state, design)
 
 
@@ -144,9 +165,9 @@ def _whitened(mean, design: Design):
     )
 
 
-def residuals(model, layout, atoms, mode, z, amplitudes, design: Design):
+def residuals(model, layout, atoms, mode, z, present: Present, design: Design):
     """Whitened residuals of all channels, one after the other: (channels x n,)."""
-    mean, _ = forces_of(model, layout, atoms, mode, z, amplitudes, design)
+    mean, _ = forces_of(model, layout, atoms, mode, z, present, design)
     return _whitened(mean, design)
 
 
@@ -154,77 +175,89 @@ _STATIC = ("layout", "atoms", "mode")
 
 
 @partial(jax.jit, static_argnames=_STATIC)
-def moments(model, layout, atoms, mode, z, amplitudes, design: Design):
+def moments(model, layout, atoms, mode, z, present: Present, design: Design):
     """Compiled :func:`forces_of`."""
-    return forces_of(model, layout, atoms, mode, z, amplitudes, design)
+    return forces_of(model, layout, atoms, mode, z, present, design)
+
+
+class Linear(NamedTuple):
+    """A fit linearised, whitened; see :func:`tangents`."""
+
+    residual: Array
+    jacobian: Array
+    columns: Array
+    fields: Array
 
 
 @partial(jax.jit, static_argnames=(*_STATIC, "finite"))
-def tangents(model, layout, atoms, mode, z, amplitudes, design: Design, finite):
+def tangents(model, layout, atoms, mode, z, present, design: Design, finite):
     """Residual r (m,), J = d force / dz (m, p), T = d force / d amplitude in units of
-    prior scales (m, K), all whitened.
+    prior scales (m, K), and d force / d field of the state (m, F), all whitened.
 
     Args:
         finite: atoms whose column is a finite difference over one prior scale (or
             to the expected amplitude): their tangent vanishes or misleads.
     """
-    state = _state_of(atoms, amplitudes, design.rows)
+    state = _state_of(atoms, present, design.rows)
 
-    def at(z, state):
+    def flat_of(state):
+        return jnp.stack(state, axis=1)
+
+    def at(z, flat):
+        state = State(*(flat[:, k] for k in range(flat.shape[1])))
         mean, _ = _forces_at(model, layout, mode, z, state, design)
         return -_whitened(mean, design)
 
-    value = at(z, state)
-    jacobian = jax.lax.map(
-        lambda e: jax.jvp(lambda x: at(x, state), (z,), (e,))[1], jnp.eye(z.size)
-    )
-    effects = _through_state(at, z, state, atoms, amplitudes, design)
+    flat = flat_of(state)
+    # A row's force depends on its own state alone, so one tangent per field serves all
+    # atoms; what an atom does to the fields costs next to nothing.
+    directions = jnp.eye(z.size + flat.shape[1])
+    moved = jax.lax.map(
+        lambda e: jax.jvp(
+            at, (z, flat),
+            (e[: z.size], jnp.broadcast_to(e[z.size :], flat.shape)),
+        )[1],
+        directions,
+    )  # fmt: skip
+    fields = moved[z.size :].reshape(flat.shape[1], -1, flat.shape[0])
+
+    def flat_with(k, change):
+        return flat_of(_state_with(atoms, present, k, change, design.rows))
+
+    def of_atom(k):
+        scale = design.prior_scale[k]
+        return jax.jvp(lambda change: flat_with(k, change), (0.0,), (scale,))[1]
+
+    changes = jax.lax.map(of_atom, jnp.arange(len(atoms)))
+    effects = jnp.einsum("fcn,knf->kcn", fields, changes).reshape(len(atoms), -1)
+    # The last of these is the state as it is.
+    index = jnp.array([*finite, len(atoms)])
     sign = jnp.where(design.prior_center < 0, -1.0, 1.0)
-    size = sign * jnp.maximum(jnp.abs(design.prior_center), 1.0)
-
-    def secant(k):
-        move = jnp.zeros(amplitudes.size).at[k].set(size[k] * design.prior_scale[k])
-        moved = _state_of(atoms, amplitudes + move, design.rows)
-        return (at(z, moved) - value) / size[k]
-
+    size = jnp.append(sign * jnp.maximum(jnp.abs(design.prior_center), 1.0), 0.0)
+    scale = jnp.append(design.prior_scale, 0.0)
+    finite_values = jax.lax.map(
+        lambda k: at(z, flat_with(k, size[k] * scale[k])), index
+    )
+    value = finite_values[-1]
     if finite:
-        index = jnp.array(finite)
-        effects = effects.at[index].set(jax.lax.map(secant, index))
-    return -value, jacobian.T, effects.T
+        secants = (finite_values[:-1] - value[None]) / size[index[:-1], None]
+        effects = effects.at[index[:-1]].set(secants)
+    return Linear(-value, moved[: z.size].T, effects.T, moved[z.size :].T)
 
 
-def _through_state(at, z, state, atoms, amplitudes, design: Design):
-    """Tangents of the atoms by the chain rule over the fields of the state: (K, m).
+def _columns(function, x):
+    """Jacobian (m, p) by forward mode."""
+    return jax.vmap(
+        lambda e: jax.jvp(function, (x,), (e,))[1], out_axes=1
+    )(jnp.eye(x.size))  # fmt: skip
 
-    A row's force depends on its own state alone, so one tangent per field serves all
-    atoms; what an atom does to the fields costs next to nothing.
-    """
-    leaves, structure = jax.tree.flatten(state)
-    flat = jnp.concatenate([x.reshape(x.shape[0], -1) for x in leaves], axis=1)
-    sizes = [1 if x.ndim == 1 else x.shape[1] for x in leaves]
 
-    def from_flat(flat):
-        parts = jnp.split(flat, np.cumsum(sizes)[:-1].tolist(), axis=1)
-        shaped = [p.reshape(x.shape) for p, x in zip(parts, leaves, strict=True)]
-        return jax.tree.unflatten(structure, shaped)
-
-    def by_field(direction):
-        move = jnp.broadcast_to(direction, flat.shape)
-        return jax.jvp(lambda f: at(z, from_flat(f)), (flat,), (move,))[1]
-
-    fields = jax.lax.map(by_field, jnp.eye(flat.shape[1]))
-
-    def of_atom(direction):
-        def amounts(a):
-            parts = jax.tree.leaves(_state_of(atoms, a, design.rows))
-            return jnp.concatenate([x.reshape(x.shape[0], -1) for x in parts], axis=1)
-
-        return jax.jvp(amounts, (amplitudes,), (direction,))[1]
-
-    changes = jax.lax.map(of_atom, jnp.diag(design.prior_scale))
-    by_channel = fields.reshape(flat.shape[1], -1, flat.shape[0])
-    found = jnp.einsum("fcn,knf->kcn", by_channel, changes)
-    return found.reshape(amplitudes.size, -1)
+def _state_with(atoms, present: Present, k, change, rows: Covariates):
+    """The state with the amplitude of atom k moved by ``change`` from where it is."""
+    mine = present.index == k
+    others = present._replace(index=jnp.where(mine, len(atoms), present.index))
+    amplitude = jnp.sum(jnp.where(mine, present.amplitude, 0.0)) + change
+    return _apply(atoms, k, _state_of(atoms, others, rows), amplitude, rows)
 
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
@@ -246,16 +279,20 @@ class Refit(NamedTuple):
     penalty: Array
 
 
+MOST_EFFECTS = 3
+"""Effects of one hypothesis, at most."""
+
 MOST = 64
 """Hypotheses of one call of :func:`refit_all`."""
 
 
-def fill(starts, sets, atoms: int, size: int, sign=None):
+def fill(starts, sets, atoms: int, sign=None):
     """Starts (z, amplitudes) and sets of atoms as the arrays of :func:`refit_all`.
 
-    Sets smaller than ``size`` are filled with an effect that does nothing, and the
-    number of hypotheses, at most :data:`MOST`, up to one shape: one program.
+    Sets smaller than :data:`MOST_EFFECTS` are filled with an effect that does nothing,
+    and the number of hypotheses, at most :data:`MOST`, up to one shape: one program.
     """
+    size = MOST_EFFECTS
     sign = np.zeros(atoms) if sign is None else sign
     rows = [
         np.concatenate([z, amplitude, np.zeros(size - len(amplitude))])
@@ -270,11 +307,9 @@ def fill(starts, sets, atoms: int, size: int, sign=None):
     )  # fmt: skip
 
 
-@partial(jax.jit, static_argnames=(*_STATIC, "size"))
-def refit_all(
-    model, layout, atoms, mode, starts, index, signs, count, design, size: int
-):
-    """Refit hypotheses of ``size`` effects each, by damped Gauss-Newton.
+@partial(jax.jit, static_argnames=_STATIC)
+def refit_all(model, layout, atoms, mode, starts, index, signs, count, design):
+    """Refit hypotheses, by damped Gauss-Newton.
 
     Args:
         starts: (h, p + size): z and amplitudes in prior scales.
@@ -282,7 +317,7 @@ def refit_all(
         signs: (h, size): +1, -1 where only that sign is allowed, else 0.
         count: how many of the h hypotheses are wanted; the rest is skipped.
     """
-    atoms_count = design.prior_scale.size
+    size = index.shape[1]
     p = starts.shape[1] - size
     scale = jnp.append(design.prior_scale, 0.0)
     centers = jnp.append(design.prior_center, 0.0)
@@ -291,9 +326,8 @@ def refit_all(
         center = centers[index]
 
         def whole(x):
-            amplitudes = jnp.zeros(atoms_count + 1).at[index].add(x[p:] * scale[index])
-            amplitudes = amplitudes[:atoms_count]
-            misfit = residuals(model, layout, atoms, mode, x[:p], amplitudes, design)
+            present = Present(index, x[p:] * scale[index])
+            misfit = residuals(model, layout, atoms, mode, x[:p], present, design)
             return jnp.concatenate([misfit, x[p:] - center])
 
         def allowed(x):
@@ -308,49 +342,45 @@ def refit_all(
         here = one(starts[number], index[number], signs[number])
         return jax.tree.map(lambda all, x: all.at[number].set(x), found, here)
 
-    shapes = jax.eval_shape(one, starts[0], index[0], signs[0])
-    blank = jax.tree.map(
-        lambda x: jnp.full((starts.shape[0], *x.shape), jnp.nan), shapes
-    )
+    h, width = starts.shape
+    shapes = Refit((p,), (size,), (), (), (width, width), ())
+    blank = Refit(*(jnp.full((h, *shape), jnp.nan) for shape in shapes))
     return jax.lax.fori_loop(0, count, body, blank)
 
 
 def _linear(whole, x):
-    value = whole(x)
-    jacobian = jax.lax.map(lambda e: jax.jvp(whole, (x,), (e,))[1], jnp.eye(x.size))
-    return value, jacobian @ jacobian.T, jacobian @ value
+    value, jacobian = whole(x), _columns(whole, x)
+    return value, jacobian.T @ jacobian, jacobian.T @ value
 
 
-def _gauss_newton(whole, allowed, start, p: int, size: int, steps=25) -> Refit:
+def _gauss_newton(whole, allowed, start, p: int, size: int, steps=26) -> Refit:
     def body(carry):
-        x, cost, normal, gradient, damping, count, _ = carry
-        damped = normal + damping * jnp.diag(jnp.diagonal(normal) + 1e-9)
-        move = -jnp.linalg.solve(damped, gradient)
-        move = move * jnp.minimum(1.0, 3.0 / jnp.maximum(jnp.max(jnp.abs(move)), 1e-9))
-        new = allowed(x + move)
-        value, new_normal, new_gradient = _linear(whole, new)
+        x, trial, cost, penalty, normal, gradient, damping, count, _ = carry
+        value, new_normal, new_gradient = _linear(whole, trial)
         new_cost = value @ value
         better = new_cost < cost
         gain = jnp.where(better, cost - new_cost, jnp.inf)
-        done = (gain < 1e-3) | (damping > 1e6)
         keep = partial(jnp.where, better)
-        return (
-            keep(new, x), keep(new_cost, cost), keep(new_normal, normal),
-            keep(new_gradient, gradient),
-            jnp.clip(keep(damping / 10, damping * 10), 1e-9, 1e9), count + 1, done,
-        )  # fmt: skip
+        x, cost = keep(trial, x), keep(new_cost, cost)
+        penalty = keep(jnp.sum(value[value.size - size :] ** 2), penalty)
+        normal, gradient = keep(new_normal, normal), keep(new_gradient, gradient)
+        damping = jnp.clip(keep(damping / 10, damping * 10), 1e-9, 1e9)
+        damped = normal + damping * jnp.diag(jnp.diagonal(normal) + 1e-9)
+        move = -jnp.linalg.solve(damped, gradient)
+        move = move * jnp.minimum(1.0, 3.0 / jnp.maximum(jnp.max(jnp.abs(move)), 1e-9))
+        done = (gain < 1e-3) | (damping > 1e6)
+        trial = allowed(x + move)
+        return x, trial, cost, penalty, normal, gradient, damping, count + 1, done
 
-    value, normal, gradient = _linear(whole, start)
+    width = start.size
     first = (
-        start, value @ value, normal, gradient, jnp.array(1e-4), jnp.array(0),
-        jnp.array(False),
+        start, start, jnp.inf, jnp.inf, jnp.eye(width), jnp.zeros(width),
+        jnp.array(1e-3), jnp.array(0), jnp.array(False),
     )  # fmt: skip
-    x, cost, normal, *_ = jax.lax.while_loop(
+    x, _, cost, penalty, normal, *_ = jax.lax.while_loop(
         lambda c: ~c[-1] & (c[-2] < steps), body, first
     )
-    last = whole(x)
-    penalty = jnp.sum(last[last.size - size :] ** 2) if size else jnp.zeros(())
-    identity = jnp.eye(x.size)
+    identity = jnp.eye(width)
     return Refit(
         x[:p], x[p:], cost - penalty, jnp.linalg.slogdet(normal)[1],
         jnp.linalg.solve(normal + 1e-9 * identity, identity), penalty,

@@ -6,7 +6,7 @@ import numpy as np
 
 from tirefit.diagnosis.base import Base, on_rows
 from tirefit.diagnosis.closure import closure_of
-from tirefit.diagnosis.forward import fill, refit_all
+from tirefit.diagnosis.forward import MOST_EFFECTS, fill, refit_all
 from tirefit.diagnosis.rows import prepare
 
 __all__ = ["held_out"]
@@ -84,20 +84,19 @@ def _on_regime(case, generator) -> dict:
     main = base.prepared.channels[0]
     sign = np.array([atom.effect.sign for atom in base.atoms], float)
 
-    def refitted(z, amplitude, atoms, size):
-        arrays = fill([(z, amplitude)], [atoms], len(base.atoms), size, sign)
-        found = refit_all(*base.arguments, *arrays, design, size=size)
+    def refitted(z, amplitude, atoms):
+        arrays = fill([(z, amplitude)], [atoms], len(base.atoms), sign)
+        found = refit_all(*base.arguments, *arrays, design)
         full = np.zeros(len(base.atoms) + 1)
         scale = np.append(np.asarray(design.prior_scale), 0.0)
-        index = [*atoms, *[len(base.atoms)] * (size - len(atoms))]
+        index = [*atoms, *[len(base.atoms)] * (MOST_EFFECTS - len(atoms))]
         np.add.at(full, index, np.asarray(found.amplitude)[0] * scale[index])
         return base.forces(np.asarray(found.z)[0], full[:-1])[main][out]
 
     null = case.weighed.best_of[()]
     observed = base.prepared.observed[main][out]
-    size = 1 if len(chosen.atoms) == 1 else 3
-    before = observed - refitted(null.z, np.zeros(0), (), 1)
-    after = observed - refitted(chosen.z, chosen.amplitude, chosen.atoms, size)
+    before = observed - refitted(null.z, np.zeros(0), ())
+    after = observed - refitted(chosen.z, chosen.amplitude, chosen.atoms)
     noise = base.noise[main]
     good = ~noise.outlier[out]
     closure = closure_of(

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.diagnosis.basis import waves_within
 from tirefit.fitting.noise import autocorrelation_time
 
 __all__ = ["NoiseLevel", "judge_noise"]
@@ -21,7 +22,7 @@ class NoiseLevel(NamedTuple):
 
 
 def judge_noise(
-    residual, spread, fz, given, basis, time, run, outliers=True
+    residual, spread, fz, given, basis, waves, groups, time, run, refine=True
 ) -> NoiseLevel:
     """Noise of one channel.
 
@@ -31,35 +32,47 @@ def judge_noise(
         fz: (n,) load.
         given: (n,) stated standard deviation, or None.
         basis: (n, m) smooth functions that soak up any gap (unit columns, in N).
+        waves: (n, 2 x waves) of which the strong ones do so too.
+        groups: rows whose neighbours differ by noise alone: index arrays.
         time, run: order of the rows (time may be None).
-        outliers: whether rows far off are set aside.
+        refine: whether the rows set aside are judged by the smooth remainder as well;
+            only a fit without a gross gap can tell them.
     """
     base = given if given is not None else np.full(len(residual), 1.0)
     std = np.sqrt(base**2 + spread) if given is not None else base
-    keep = np.ones(len(residual), bool)
-    smooth = _Smooth(basis / std[:, None], keep)
+    level = residual / (std if given is not None else np.maximum(fz, 1e-9))
+    keep = ~_stray(level, groups)
+    smooth = _soaked(residual / std, basis / std[:, None], waves / std[:, None], keep)
     clean = smooth.remainder(residual / std)
-    for _ in range(3 if outliers else 0):
+    for _ in range(3 if refine else 0):
         level = clean
         if given is None:  # larger loads scatter more: no outliers for that
             law, _ = _variance_law(clean, spread, fz, keep, smooth.freedom)
             level = clean / law
         unit = 1.4826 * np.median(np.abs(level[keep]))
-        good = np.abs(level) < 4.5 * max(unit, 1e-12)
+        # Where some rows are far off, more are somewhat off.
+        far = 3.5 if np.count_nonzero(~keep) > 0.01 * len(keep) else 4.5
+        good = np.abs(level) < far * max(unit, 1e-12)
         if np.array_equal(good, keep):
             break
-        keep, smooth = good, _Smooth(basis / std[:, None], good)
+        keep = good
+        smooth = _Smooth(smooth.basis, good)
         clean = smooth.remainder(residual / std)
     dof = smooth.freedom
     flags, source = [], "given"
+    spare = 0.15 if np.count_nonzero(~keep) < 0.01 * len(keep) else 0.0
     ratio = float(np.sqrt(np.sum(clean[keep] ** 2) / max(dof, 1.0)))
+    # What neighbours differ by bounds the noise where a gap is finer than the basis.
+    local = _between_neighbours(residual / std, groups, keep)
     if given is None:
         std, hetero = _variance_law(clean * std, spread, fz, keep, dof)
         source = "differences"
+        if local < 0.8 * ratio:
+            std = std * local / ratio
         if hetero:
             flags.append("heteroscedastic")
-    elif ratio > 1 + max(0.15, 4 / np.sqrt(2 * dof)) or ratio < 0.6:
-        std, source = std * ratio, "estimated: the given level disagrees"
+    elif min(ratio, local) > 1 + max(spare, 4 / np.sqrt(2 * dof)) or ratio < 0.6:
+        std, source = std * min(ratio, local), "estimated: the given level disagrees"
         flags.append("noise_misstated")
     clean = clean * (base if given is None else 1.0)
     if given is not None and _uneven(clean, fz, keep):
@@ -72,6 +85,60 @@ def judge_noise(
     if inflation > 1.0:
         flags.append("autocorrelated")
     return NoiseLevel(std, inflation, ~keep, tuple(flags), source)
+
+
+_WINDOW = 7
+_STRAY = 5.0
+"""Deviations from its neighbours, in robust standard deviations, that set a row aside
+before anything is known of the gap."""
+
+
+def _stray(level, groups) -> np.ndarray:
+    """Rows far both from the median of their neighbours and from the line between the
+    two next to them, which a sharp curve is not: (n,) bool."""
+    off = np.zeros((2, len(level)))
+    for group in groups:
+        if len(group) >= _WINDOW:
+            values = level[group]
+            padded = np.pad(values, _WINDOW // 2, mode="reflect")
+            windows = np.lib.stride_tricks.sliding_window_view(padded, _WINDOW)
+            off[0, group] = values - np.median(windows, axis=1)
+            ends = np.pad(values, 1, mode="reflect")
+            off[1, group] = values - 0.5 * (ends[2:] + ends[:-2])
+    seen = np.any(off != 0, axis=0)
+    if not seen.any():
+        return seen
+    unit = 1.4826 * np.median(np.abs(off[:, seen]), axis=1, keepdims=True)
+    found = np.all(np.abs(off) > _STRAY * unit, axis=0) & seen
+    # A sharp edge of the force has few such rows, and is no outlier.
+    return found if found.sum() > max(3, 0.01 * len(level)) else np.zeros_like(found)
+
+
+def _between_neighbours(white, groups, keep) -> float:
+    """Standard deviation from second differences of neighbours; inf without any."""
+    squares, count = 0.0, 0
+    for group in groups:
+        rows = group[keep[group]]
+        if len(rows) > 2:
+            second = white[rows][1:-1] - 0.5 * (white[rows][2:] + white[rows][:-2])
+            squares, count = squares + float(second @ second) / 1.5, count + len(second)
+    return float(np.sqrt(squares / count)) if count > 0.3 * len(white) else np.inf
+
+
+def _soaked(white, basis, waves, keep, most: int = 3):
+    """Smooth functions and the few waves that clearly show, one after the other."""
+    smooth = _Smooth(basis, keep)
+    count = waves.shape[1] // 2
+    for _ in range(most):
+        clean = np.where(keep, smooth.remainder(white), 0.0)
+        chi2 = waves_within(waves * keep[:, None], smooth.basis * keep[:, None], clean)
+        unit = np.sum(clean**2) / smooth.freedom
+        best = int(np.argmax(chi2))
+        if chi2[best] / unit < 2 * (np.log(count) + 6):
+            break
+        wave = waves[:, 2 * best : 2 * best + 2]
+        smooth = _Smooth(np.concatenate([smooth.basis, wave], axis=1), keep)
+    return smooth
 
 
 class _Smooth:
@@ -130,7 +197,7 @@ def _correlation(white, time, run) -> float:
         sum(float(p @ p) for p in parts), 1e-300
     )
     # The smooth part taken out lowers the correlation slightly: no bias upwards.
-    if lag_one < 4.0 / np.sqrt(len(white)):
+    if lag_one < 2.5 / np.sqrt(len(white)):
         return 1.0
     first_order = (1 + lag_one) / max(1 - lag_one, 1e-3)
     return float(min(max(autocorrelation_time(parts), first_order), len(white) / 20))

@@ -11,7 +11,7 @@ from tirefit.diagnosis.state import Covariates
 from tirefit.models import TireInputs
 from tirefit.results import DataError, Problem
 
-__all__ = ["Prepared", "prepare"]
+__all__ = ["Prepared", "neighbours", "prepare"]
 
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that drive the forces -> forces that may be diagnosed."""
@@ -23,8 +23,8 @@ class Prepared:
 
     ``slip`` (n,) is the primary slip [-]: sigma_x, or tan(alpha) for lateral data;
     ``slip_std`` its noise; ``second`` (n,) is tan(alpha) where both drive. ``observed``
-    holds (n,) by channel. ``covariates`` lacks only ``force``, which the base fit
-    gives. ``has`` names what the data hold of the needs of the effects.
+    holds (n,) by channel. ``covariates`` lacks only what the base fit gives. ``has``
+    names what the data hold of the needs of the effects.
     """
 
     data: TireData
@@ -131,6 +131,9 @@ def prepare(data: TireData, rig, model) -> Prepared:
         order=order,
         place=np.argsort(order),
         sliding=np.abs(v * (slip if mode == "y" else slip / (1 + slip))),
+        change=np.zeros(data.n),
+        pull=np.zeros(data.n),
+        traction=np.zeros(data.n),
     )
     inputs = TireInputs(
         np.zeros(data.n), np.zeros(data.n), fz, v, _column(data, "gamma"),
@@ -186,3 +189,19 @@ def _holdings(data: TireData, mode: str, rows: Covariates, sweeps: bool) -> froz
         "mz": mode != "x" and "mz" in data,
     }  # fmt: skip
     return frozenset(name for name, here in found.items() if here)
+
+
+def neighbours(prepared: Prepared) -> list[np.ndarray]:
+    """Rows of like load, speed and direction in the order of their slip: index arrays.
+
+    What varies between neighbours there is noise, whatever the force does.
+    """
+    rows = prepared.covariates
+    settings = np.stack([
+        prepared.run, np.round(np.log(rows.fz) / 0.05),
+        np.round(np.log(np.maximum(np.abs(rows.v), 0.1)) / 0.1), np.sign(rows.turning),
+    ], axis=1)  # fmt: skip
+    _, cell = np.unique(settings, axis=0, return_inverse=True)
+    cell = np.ravel(cell)
+    order = np.lexsort((prepared.slip, cell))
+    return np.split(order, np.flatnonzero(np.diff(cell[order])) + 1)

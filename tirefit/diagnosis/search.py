@@ -12,7 +12,9 @@ from tirefit.diagnosis.forward import MOST, fill, refit_all
 
 __all__ = ["Hypothesis", "Search", "search"]
 
-PRIOR_OF_SIZE = {0: 0.1, 1: 0.5, 2: 0.25, 3: 0.05}
+PRIOR_OF_SIZE = {0: 0.4, 1: 0.4, 2: 0.1, 3: 0.015}
+PRIOR_OF_KIN = 0.1
+"""That two effects of one set are of one family, against two families."""
 PRIOR_OF_UNKNOWN = 0.1
 
 
@@ -98,6 +100,8 @@ class _Searcher:
             family = self.base.atoms[k].effect.family
             total -= np.log(len(self.forms) * self.forms[family])
             total -= np.log(self.variants[self.ids[k]])
+        families = {self.base.atoms[k].effect.family for k in atoms}
+        total += np.log(PRIOR_OF_KIN) * (len(atoms) - len(families))
         return float(total + np.log(np.prod(np.arange(1, len(atoms) + 1))))
 
     def _add_null(self) -> None:
@@ -115,9 +119,9 @@ class _Searcher:
         base = self.base
         if hypothesis.atoms:
             amplitudes = self.amplitudes_of(hypothesis)
-            residual, jacobian, use = base.linearised(hypothesis.z, amplitudes)
+            residual, jacobian, use, _ = base.linearised(hypothesis.z, amplitudes)
         else:
-            residual, jacobian, use = base.at_null
+            residual, jacobian, use, _ = base.at_null
         unit, _ = np.linalg.qr(np.concatenate([jacobian, use[:, hypothesis.atoms]], 1))
         left = use - unit @ (unit.T @ use)
         r = residual - unit @ (unit.T @ residual)
@@ -133,15 +137,11 @@ class _Searcher:
     def refit(self, sets: Sequence[tuple[int, ...]], guesses: dict) -> None:
         """Refit sets of atoms, two starts each where the sign is open."""
         sets = [s for s in dict.fromkeys(sets) if s and s not in self.found]
-        self._refit([s for s in sets if len(s) == 1], guesses, 1)
-        self._refit([s for s in sets if len(s) > 1], guesses, 3)
-
-    def _refit(self, sets, guesses, size: int) -> None:
         half = MOST // 2  # each set may have two starts
         for begin in range(0, len(sets), half):
-            self._refit_some(sets[begin : begin + half], guesses, size)
+            self._refit_some(sets[begin : begin + half], guesses)
 
-    def _refit_some(self, sets, guesses, size: int) -> None:
+    def _refit_some(self, sets, guesses) -> None:
         starts, index, owner = [], [], []
         for number, atoms in enumerate(sets):
             for z, amplitude in self._starts(atoms, guesses.get(atoms)):
@@ -150,8 +150,7 @@ class _Searcher:
                 owner.append(number)
         found = refit_all(
             *self.base.arguments,
-            *fill(starts, index, len(self.base.atoms), size, self.sign),
-            self.base.design, size=size,
+            *fill(starts, index, len(self.base.atoms), self.sign), self.base.design,
         )  # fmt: skip
         found = type(found)(*(np.asarray(part)[: len(owner)] for part in found))
         for number, atoms in enumerate(sets):
@@ -209,17 +208,21 @@ class _Searcher:
         )  # fmt: skip
 
 
+_LIKELY_VARIANTS = 3
+"""Variants of one effect that are refitted: those that the linear screen likes best."""
+
+
 def _best_variants(searcher: _Searcher, gram, score, within=()):
-    """For each effect its best atom added to ``within``: [(log weight, atom)]."""
-    best: dict[str, tuple[float, int]] = {}
+    """For each effect its best atoms added to ``within``, the best effect first:
+    [[(log weight, atom), ...], ...]."""
+    found: dict[str, list[tuple[float, int]]] = {}
     inside = {searcher.ids[k] for k in within}
     for k in searcher.testable:
         if searcher.ids[k] in inside or gram[k, k] < 1e-6:
             continue
         value = _log_bayes(gram, score, searcher.center, searcher.sign, (k,))
-        if value > best.get(searcher.ids[k], (-np.inf, 0))[0]:
-            best[searcher.ids[k]] = (value, k)
-    return sorted(best.values(), reverse=True)
+        found.setdefault(searcher.ids[k], []).append((value, k))
+    return sorted((sorted(v, reverse=True) for v in found.values()), reverse=True)
 
 
 def _guess(searcher, gram, score, hypothesis: Hypothesis, k: int):
@@ -242,14 +245,16 @@ def search(base: Base, testable: Sequence[int]) -> Search:
     gram, score, left = searcher.columns(null)
     ranked = _best_variants(searcher, gram, score)
     singles, guesses = [], {}
-    for rank, (value, k) in enumerate(ranked):
-        if rank < 6 or value > ranked[0][0] - 15 or searcher.singular[k]:
-            atoms, guess = _guess(searcher, gram, score, null, k)
-            singles.append(atoms)
-            guesses[atoms] = guess
+    for rank, variants in enumerate(ranked):
+        top, first = variants[0]
+        if rank < 6 or top > ranked[0][0][0] - 15 or searcher.singular[first]:
+            for _, k in variants[:_LIKELY_VARIANTS]:
+                atoms, guess = _guess(searcher, gram, score, null, k)
+                singles.append(atoms)
+                guesses[atoms] = guess
     searcher.refit(singles, guesses)
     _extend(searcher, 1, beam=3, width=6)
-    _pairs_by_screen(searcher, gram, score, ranked)
+    _pairs_by_screen(searcher, gram, score, [variants[0] for variants in ranked])
     _extend(searcher, 2, beam=2, width=4)
     found = Search(
         base, searcher.testable, _scores(searcher, gram, score),
@@ -279,7 +284,8 @@ def _extend(searcher: _Searcher, size: int, beam: int, width: int) -> None:
         if hypothesis.log_weight < top - 30 and hypothesis is not sets[0]:
             continue
         gram, score, _ = searcher.columns(hypothesis)
-        for value, k in _best_variants(searcher, gram, score, hypothesis.atoms)[:width]:
+        ranked = _best_variants(searcher, gram, score, hypothesis.atoms)
+        for value, k in [variants[0] for variants in ranked[:width]]:
             atoms, guess = _guess(searcher, gram, score, hypothesis, k)
             expected = hypothesis.log_evidence + value + searcher.log_prior(atoms)
             if expected > top - 4.0:

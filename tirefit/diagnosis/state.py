@@ -16,12 +16,8 @@ from jaxtyping import Array
 
 from tirefit.models import Asymmetric, Brush, Quartic, TireInputs
 from tirefit.models.pressure import AbstractPressure, Parabolic
-from tirefit.slip import kappa_from_sigma
 
-__all__ = ["FALLS", "Covariates", "State", "force_of_state", "null_state", "peak_ratio"]
-
-FALLS = ((1.0, 1.0), (4.0, 1.0), (4.0, 0.5), (15.0, 1.0), (30.0, 0.5))
-"""(v_st [m/s], exponent) of the exponential falls of friction that are tried, S(37)."""
+__all__ = ["Covariates", "State", "force_of_state", "null_state", "peak_ratio"]
 
 
 class Covariates(NamedTuple):
@@ -39,7 +35,10 @@ class Covariates(NamedTuple):
     ``path`` is the smooth slip, zero without sweeps; ``order`` the rows in time,
     ``place`` each row's place there, and ``step`` [m] the way to each row in that
     order from the one before, infinite at the start of a sweep. ``sliding`` [m/s] is
-    the sliding speed of the measured slip.
+    the sliding speed of the measured slip. ``change`` is the shape of a change in time,
+    from -1/2 to 1/2, that :func:`tirefit.diagnosis.forms.shape_of_change` has found,
+    ``pull`` [N] the force of the base model at the smooth slip, ``traction`` its force
+    over the mean load.
     """
 
     fz: Array
@@ -61,31 +60,31 @@ class Covariates(NamedTuple):
     order: Array
     place: Array
     sliding: Array
+    change: Array
+    pull: Array
+    traction: Array
 
 
 class State(NamedTuple):
     """A tire and its measurement with all effects applied; arrays (n,) or scalars.
 
     ``shift`` [-] is added to the slip, ``curvature`` w turns it into x / (1 - w x),
-    ``other`` is the slip across, ``compliance`` [1/N] takes slip per force.
-    ``stiffness`` and ``friction`` multiply; ``skew`` is d of S(24) and ``flat`` the
-    share of the quartic law S(25); ``static`` is the excess of static over kinetic
-    friction, 1/m - 1; ``loss`` [s/m] is n of S(35) over mu and ``fall`` (5,) is 1 - h
-    of S(37) for each of :data:`FALLS`. ``force`` [N] is added to the measured force,
-    ``moment`` [N m] to the moment.
+    ``other`` is the slip across. ``stiffness`` and ``friction`` multiply; ``skew`` is d
+    of S(24) and ``flat`` the share of the quartic law S(25); ``static`` is the excess
+    of static over kinetic friction, 1/m - 1, and ``kinetic`` multiplies the kinetic
+    one alone. ``force`` [N] is added to the measured force, ``moment`` [N m] to the
+    moment.
     """
 
     shift: Array
     curvature: Array
     other: Array
-    compliance: Array
     stiffness: Array
     friction: Array
     skew: Array
     flat: Array
     static: Array
-    loss: Array
-    fall: Array
+    kinetic: Array
     force: Array
     moment: Array
 
@@ -94,9 +93,8 @@ def null_state() -> State:
     """No effect at all."""
     zero, one = jnp.zeros(()), jnp.ones(())
     return State(
-        shift=zero, curvature=zero, other=zero, compliance=zero, stiffness=one,
-        friction=one, skew=zero, flat=zero, static=zero, loss=zero,
-        fall=jnp.zeros(len(FALLS)), force=zero, moment=zero,
+        shift=zero, curvature=zero, other=zero, stiffness=one, friction=one, skew=zero,
+        flat=zero, static=zero, kinetic=one, force=zero, moment=zero,
     )  # fmt: skip
 
 
@@ -160,25 +158,19 @@ def _breakaway_slope(primals, tangents):
     return u, jnp.where(inside, moved / _holding_slope(at, skew, flat), 0.0)
 
 
-class _Falling(eqx.Module):
-    """Static friction above the kinetic one, which falls with sliding speed."""
+class _TwoFrictions(eqx.Module):
+    """Static friction above the kinetic one, whatever the speed."""
 
     excess: Array
-    loss: Array
-    fall: Array
+    factor: Array
 
     def static(self, mu, v_s):
         del v_s
         return mu * (1 + self.excess)
 
     def kinetic(self, mu, v_s):
-        factor = 1 - self.loss * v_s
-        moving = v_s > 1e-9
-        safe = jnp.where(moving, v_s, 1.0)
-        for share, (v_st, exponent) in zip(self.fall, FALLS, strict=True):
-            lost = jnp.where(moving, 1 - jnp.exp(-((safe / v_st) ** exponent)), 0.0)
-            factor = factor - share * lost
-        return mu * jnp.maximum(factor, 1e-3)
+        del v_s
+        return mu * self.factor
 
 
 def peak_ratio(base, fz, v):
@@ -195,46 +187,15 @@ def peak_ratio(base, fz, v):
     return jnp.max(jax.vmap(force)(slips)) / fz
 
 
-def _shape_change(state: State, stiffness, mu, arm, slip, fz, v_s, bare: bool):
+def _shape_change(state: State, stiffness, mu, arm, slip, fz, bare: bool):
     """Force and moment of a brush with the effects, less those of one without."""
     pressure = _Shaped(state.skew, state.flat)
-    friction = _Falling(state.static, state.loss, state.fall)
-    with_effect = Brush(stiffness, mu, arm, pressure, friction).pure(slip, fz, v_s)
+    friction = _TwoFrictions(state.static, state.kinetic)
+    with_effect = Brush(stiffness, mu, arm, pressure, friction).pure(slip, fz, 0.0)
     if bare:
         return with_effect
-    plain = Brush(stiffness, mu, arm, Parabolic()).pure(slip, fz, v_s)
+    plain = Brush(stiffness, mu, arm, Parabolic()).pure(slip, fz, 0.0)
     return with_effect[0] - plain[0], with_effect[1] - plain[1]
-
-
-def _rigid(base, reference, state: State, slip_x, slip_y, inputs: TireInputs):
-    """(fx, fy, mz) at true slips, without compliance: one sample."""
-    ratio = state.stiffness / state.friction
-    along, across = slip_x * ratio, slip_y * ratio
-    size = jnp.sqrt(along**2 + across**2 + 1e-60)
-    v_s = inputs.v * jnp.abs(kappa_from_sigma(jnp.maximum(size, 0.0)))
-    g = state.friction
-    if reference is None:
-        bare = base
-        change, turn = _shape_change(
-            state, bare.cpa2, bare.mu, bare.half_length, size, inputs.fz, v_s, True
-        )
-        return (
-            g * along / size * change,
-            g * across / size * change,
-            g * bare.half_length * across / size * turn,
-        )
-    stiffness, mu, arm = reference
-    alpha = jnp.arctan(across / (1 + along))
-    found = base(inputs._replace(sigma_x=along, alpha=alpha))
-    change, turn = _shape_change(state, stiffness, mu, arm, size, inputs.fz, v_s, False)
-    fx = 0.0 if found.fx is None else found.fx
-    fy = 0.0 if found.fy is None else found.fy
-    mz = 0.0 if found.mz is None else found.mz
-    return (
-        g * (fx + along / size * change),
-        g * (fy + across / size * change),
-        g * (mz + arm * across / size * turn),
-    )
 
 
 def force_of_state(base, reference, state: State, slip_x, slip_y, inputs: TireInputs):
@@ -244,27 +205,33 @@ def force_of_state(base, reference, state: State, slip_x, slip_y, inputs: TireIn
         base: the base model with its parameter values.
         reference: None where the base is the plain brush; else (c_p a^2 [N], mu,
             half-length [m]) of the brush that carries changes of shape.
-        state: the effects at this sample (scalars; ``fall`` of shape (5,)).
-        slip_x, slip_y: true physical slips [-], before compliance.
+        state: the effects at this sample (scalars).
+        slip_x, slip_y: true physical slips [-].
         inputs: load, speed and the other inputs of the base model.
     """
-
-    # The patch sees the slip that the compliance leaves: x = slip - compliance F(x).
-    # One round of substitution, then the secant through both points.
-    def round(pair, _):
-        found = jnp.stack(_rigid(base, reference, state, *pair, inputs))
-        left = (
-            slip_x - state.compliance * found[0],
-            slip_y - state.compliance * found[1],
+    ratio = state.stiffness / state.friction
+    along, across = slip_x * ratio, slip_y * ratio
+    size = jnp.sqrt(along**2 + across**2 + 1e-60)
+    g = state.friction
+    if reference is None:
+        bare = base
+        change, turn = _shape_change(
+            state, bare.cpa2, bare.mu, bare.half_length, size, inputs.fz, True
         )
-        return left, found
-
-    start = (slip_x + 0.0 * state.compliance, slip_y + 0.0 * state.compliance)
-    _, (first, second) = jax.lax.scan(round, start, length=2)
-    along = (
-        slip_x * first[0] + slip_y * first[1],
-        slip_x * second[0] + slip_y * second[1],
+        return (
+            g * along / size * change,
+            g * across / size * change,
+            g * bare.half_length * across / size * turn,
+        )
+    stiffness, mu, arm = reference
+    alpha = jnp.arctan(across / (1 + along))
+    found = base(inputs._replace(sigma_x=along, alpha=alpha))
+    change, turn = _shape_change(state, stiffness, mu, arm, size, inputs.fz, False)
+    fx = 0.0 if found.fx is None else found.fx
+    fy = 0.0 if found.fy is None else found.fy
+    mz = 0.0 if found.mz is None else found.mz
+    return (
+        g * (fx + along / size * change),
+        g * (fy + across / size * change),
+        g * (mz + arm * across / size * turn),
     )
-    loaded = jnp.abs(along[0]) > 1e-12
-    share = jnp.where(loaded, 1 - along[1] / jnp.where(loaded, along[0], 1.0), 0.0)
-    return tuple((second + share * first) / (1 + share))

@@ -1,19 +1,38 @@
 """From the search to a verdict: is there a gap, which effects, how sure."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
-from tirefit.diagnosis.basis import log_evidence_gain, orthogonal
+from tirefit.diagnosis.basis import log_evidence, misfit_p_value, orthogonal
+from tirefit.diagnosis.forms import form_columns
+from tirefit.diagnosis.forward import MOST_EFFECTS
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis, Search
 
-__all__ = ["Verdict", "Weighed", "gap_p_value", "judge", "weigh"]
+__all__ = [
+    "Verdict",
+    "Weighed",
+    "fitted_form",
+    "gap_p_value",
+    "judge",
+    "linear_at",
+    "weigh",
+]
+
+PRIOR_OF_FORM = 0.4
+"""That a listed effect is there in another form than the formulas'."""
+
 
 SURE = 0.8
 """Probability from which an effect is named without alternatives."""
 
 _LEVEL = 0.05
+_HARDLY = 0.02
+"""Probability of nothing below which a gap stands though the score test misses it:
+effects without a slope at zero escape that test."""
+
 _DRAWS = 2000
 
 
@@ -32,12 +51,14 @@ class Verdict:
 @dataclass(frozen=True)
 class Weighed:
     """Probability of every set of effects; ``unknown`` is that of a gap that no listed
-    effect explains, alone or beside the set."""
+    effect explains, alone or beside the set; ``other_form`` are the sets whose effects
+    are there in a form of their own."""
 
     sets: dict[tuple[str, ...], float]
     best_of: dict[tuple[str, ...], Hypothesis]
     unknown_alone: float
     unknown_beside: dict[tuple[str, ...], float]
+    other_form: frozenset[tuple[str, ...]]
 
 
 def gap_p_value(search: Search, generator) -> float:
@@ -47,16 +68,13 @@ def gap_p_value(search: Search, generator) -> float:
     size = np.linalg.norm(left, axis=0)
     use = [k for k in search.testable if size[k] > 1e-6]
     z = left[:, use] / size[use]
-    residual, jacobian, _ = base.at_null
+    residual, jacobian, *_ = base.at_null
     observed = np.max(np.abs(z.T @ residual), initial=0.0)
     values, vectors = np.linalg.eigh(z.T @ z)
     root = vectors * np.sqrt(np.maximum(values, 0))
     draws = np.abs(root @ generator.standard_normal((len(use), _DRAWS))).max(0)
     p_score = (1 + np.sum(draws >= observed)) / (1 + _DRAWS)
-    basis, weight = orthogonal(base.basis, jacobian)
-    total = np.sum(weight**2 * (basis.T @ residual) ** 2)
-    noise = generator.standard_normal((_DRAWS, len(weight))) ** 2 @ weight**2
-    p_generic = (1 + np.sum(noise >= total)) / (1 + _DRAWS)
+    p_generic = misfit_p_value(base.generic, jacobian, residual, generator, _DRAWS)
     return float(min(1.0, 2 * min(p_score, p_generic)))
 
 
@@ -70,10 +88,17 @@ def weigh(search: Search, amplitudes_of) -> Weighed:
         if key not in best or hypothesis.log_weight > best[key].log_weight:
             best[key] = hypothesis
     total = {key: float(logsumexp(values)) for key, values in logs.items()}
+    beside, others = {}, set()
     ranked = sorted(total, key=total.get, reverse=True)
-    beside = {}
-    for key in {(), *ranked[:4]}:
-        gain = _remainder_gain(search, best[key], amplitudes_of(best[key]))
+    for key in dict.fromkeys([*ranked[:6], *_simplest(total, 8), ()]):
+        linear = linear_at(search.base, best[key], amplitudes_of(best[key]))
+        form = _form(search.base, best[key], linear)
+        if form is not None and len(key) < MOST_EFFECTS:
+            total[key] += np.logaddexp(np.log(1 - PRIOR_OF_FORM), form.gain)
+            if form.gain > np.log(1 - PRIOR_OF_FORM):
+                others.add(key)
+        used_up = linear.used_up if key not in others else form.used_up
+        gain = log_evidence(search.base.generic, used_up, linear.residual)
         beside[key] = total[key] + gain + np.log(PRIOR_OF_UNKNOWN)
     everything = logsumexp([*total.values(), *beside.values()])
     return Weighed(
@@ -81,25 +106,68 @@ def weigh(search: Search, amplitudes_of) -> Weighed:
         best,
         float(np.exp(beside[()] - everything)),
         {k: float(np.exp(v - everything)) for k, v in beside.items() if k},
+        frozenset(others),
     )
 
 
-def _remainder_gain(search: Search, hypothesis: Hypothesis, amplitudes) -> float:
-    base = search.base
-    residual, jacobian, tangent = (
+def _simplest(total, count: int):
+    """Single effects, the most probable first."""
+    singles = sorted((k for k in total if len(k) == 1), key=total.get, reverse=True)
+    return singles[:count]
+
+
+class LinearFit(NamedTuple):
+    """A refitted hypothesis: residual (m,), the columns that it used up (m, p), and
+    those of the other forms of its effects (m, k)."""
+
+    residual: np.ndarray
+    used_up: np.ndarray
+    forms: np.ndarray
+
+
+def linear_at(base, hypothesis: Hypothesis, amplitudes) -> LinearFit:
+    """Around a refitted hypothesis."""
+    residual, jacobian, columns, fields = (
         base.linearised(hypothesis.z, amplitudes) if hypothesis.atoms else base.at_null
     )
-    own = tangent[:, list(hypothesis.atoms)]
-    left, size = orthogonal(base.basis, np.concatenate([jacobian, own], axis=1))
-    return log_evidence_gain(left, size, residual)
+    own = columns[:, list(hypothesis.atoms)]
+    families = [base.atoms[k].effect.family for k in hypothesis.atoms]
+    forms = form_columns(families, fields, base.prepared, base.slip_fraction)
+    keep = np.tile(base.design.keep[: base.prepared.n], len(base.prepared.channels))
+    return LinearFit(
+        residual, np.concatenate([jacobian, own], axis=1), forms * keep[:, None]
+    )
+
+
+class _Other(NamedTuple):
+    gain: float
+    used_up: np.ndarray
+
+
+def _form(base, hypothesis: Hypothesis, linear: LinearFit) -> _Other | None:
+    """Log evidence of the other forms with their prior, and what is used up then."""
+    del base, hypothesis
+    if not linear.forms.shape[1]:
+        return None
+    left, size = orthogonal(linear.forms, linear.used_up)
+    score, t = left.T @ linear.residual, size**2
+    gain = 0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t)) + np.log(PRIOR_OF_FORM)
+    return _Other(float(gain), np.concatenate([linear.used_up, linear.forms], axis=1))
+
+
+def fitted_form(linear: LinearFit) -> np.ndarray:
+    """What the other forms add to the fit, whitened: (m,)."""
+    left, size = orthogonal(linear.forms, linear.used_up)
+    t = size**2
+    return left @ (left.T @ linear.residual * t / (1 + t))
 
 
 def judge(search: Search, weighed: Weighed, p_value: float) -> Verdict:
     """The verdict that the probabilities support."""
     null = weighed.best_of[()]
-    nothing = weighed.sets[()]
-    if p_value > _LEVEL or nothing > 0.5:
-        return Verdict("none", (), nothing, (), p_value, null)
+    nothing = _unresolved(weighed)
+    if nothing > 0.5 or (p_value > _LEVEL and nothing > _HARDLY):
+        return Verdict("none", (), weighed.sets[()], (), p_value, null)
     named = {k: v for k, v in weighed.sets.items() if k}
     together = {k: v + weighed.unknown_beside.get(k, 0.0) for k, v in named.items()}
     best = max(together, key=together.get, default=None)
@@ -116,6 +184,13 @@ def judge(search: Search, weighed: Weighed, p_value: float) -> Verdict:
     sure = named[best] >= SURE
     status = "named" if sure or not rivals else "cannot_tell"
     return Verdict(status, best, named[best], () if sure else rivals, p_value, chosen)
+
+
+def _unresolved(weighed: Weighed) -> float:
+    """Probability that nothing is there which these data could show."""
+    return float(
+        sum(p for k, p in weighed.sets.items() if weighed.best_of[k].log_evidence < 3)
+    )
 
 
 def _rivals(named, best) -> tuple[str, ...]:
