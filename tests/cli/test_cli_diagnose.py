@@ -3,6 +3,8 @@
 import csv
 import html
 import json
+import os
+import re
 import shutil
 
 import numpy as np
@@ -12,8 +14,10 @@ from typer.testing import CliRunner
 from tirefit.cli.commands import app
 from tirefit.diagnosis import engine
 from tirefit.diagnosis.effects import EFFECTS
+from tirefit.diagnosis.forecast import separability
 from tirefit.results import DataError, Problem
 
+DIAGNOSE = engine.diagnose
 NOISE, OFFSET, POWER = 20.0, 0.006, -0.3
 LOADS = (2000.0, 4000.0, 6000.0)
 # A small library compiles and searches in a fraction of the time.
@@ -24,20 +28,27 @@ WITHOUT = [
 READ = ["--convention", "iso-w", "--unit", "fx=kN", "--mask-bad-rows"]
 
 
-def write(path, offset=0.0, power=0.0, seed=0, rows=32, spoiled=()):
-    """Sweeps of both signs at three loads; driving positive, forces in kN."""
+def write(
+    path, offset=0.0, power=0.0, seed=0, rows=32, spoiled=(), low=-0.2, loads=LOADS,
+    logged=None,
+):  # fmt: skip
+    """Sweeps of both signs at three loads; driving positive, forces in kN.
+
+    ``logged`` gives what stands as slip beside the speeds of a wheel of 0.3 m.
+    """
     generator = np.random.default_rng(seed)
-    slip = np.tile(np.linspace(-0.2, 0.2, rows), len(LOADS))
-    fz = np.repeat(LOADS, rows)
+    slip = np.tile(np.linspace(low, 0.2, rows), len(loads))
+    fz = np.repeat(loads, rows)
     mu = 0.9 * (fz / 4000) ** power
     # S(12) written out: C s - (C s)^2/(3 mu F_z) + (C s)^3/(27 (mu F_z)^2)
     x = np.minimum(np.abs(slip + offset) * 1e5 / (3 * mu * fz), 1.0)
     force = np.sign(slip + offset) * mu * fz * (3 * x - 3 * x**2 + x**3)
     force = force + NOISE * generator.standard_normal(len(slip))
-    lines = ["sigma_x,fx,fz"]
+    lines = ["sigma_x,fx,fz" + (",v,omega" if logged else "")]
     for k, (s, f, load) in enumerate(zip(slip, force, fz, strict=True)):
         cell = "" if k in spoiled else f"{-f / 1000:.9g}"
-        lines.append(f"{-s:.9g},{cell},{load:g}")
+        speeds = f",15,{15 / (1 + s) / 0.3:.9g}" if logged else ""
+        lines.append(f"{-(logged(s) if logged else s):.9g},{cell},{load:g}{speeds}")
     path.write_text("\n".join(lines) + "\n")
     return path
 
@@ -57,9 +68,12 @@ def studied(tmp_path_factory):
     folder = tmp_path_factory.mktemp("diagnosed")
     write(folder / "offset.csv", offset=OFFSET, seed=1, spoiled=(3, 40))
     write(folder / "load.csv", power=POWER, seed=2)
+    write(folder / "one.csv", offset=0.002, seed=4, low=0.002, loads=LOADS[1:2])
     (folder / "bad.csv").write_text("sigma_x,fx\n0.1,-2\n0.2,-3\n")
     (folder / "rig.toml").write_text(f"[noise]\nfx = {NOISE}\n")
-    files = [str(folder / name) for name in ("offset.csv", "bad.csv", "load.csv")]
+    files = [
+        str(folder / name) for name in ("offset.csv", "bad.csv", "load.csv", "one.csv")
+    ]
     settings = ["--rig", str(folder / "rig.toml"), "--out", str(folder / "out")]
     result = CliRunner().invoke(
         app, ["diagnose", *files, *READ, *WITHOUT, *settings, "--figures"]
@@ -103,9 +117,9 @@ def test_one_bad_file_does_not_stop_the_others(studied):
     assert result.exit_code == 3, result.stderr
     assert "bad.csv" in result.stderr and "fz" in result.stderr
     assert "remedy" in result.stderr and "Traceback" not in result.stderr
-    assert "2 of 3 files diagnosed" in result.stdout
+    assert "3 of 4 files diagnosed" in result.stdout
     kinds = (".json", ".rows.csv", ".png", ".html")
-    names = {name + kind for name in ("offset", "load") for kind in kinds}
+    names = {name + kind for name in ("offset", "load", "one") for kind in kinds}
     assert set(contents(folder / "out")) == names
 
 
@@ -143,6 +157,51 @@ def test_the_document_is_of_the_schema(studied):
     assert document["settings"]["effects"] == [e.id for e in EFFECTS if e.id in KEPT]
 
 
+PARTS = {
+    "gap": {"rms", "resolvable", "closed", "closed_ci", "remaining_rms", "holdout"},
+    "where": {"covariate", "low", "high", "share", "p_value"},
+    "verdict": {"status", "effects", "probability", "also_possible"},
+    "candidates": {
+        "effects", "family", "probability", "parameters", "z", "z_given_rivals",
+        "closed", "closed_ci",
+    },
+    "untestable": {"effect", "needs"},
+    "next_measurement": {"add", "separates", "p_now", "p_after"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_every_part_of_the_document_has_its_keys(studied, part):
+    """Of the data that leave a question open: there all parts have something in."""
+    content = json.loads((studied[0] / "out" / "one.json").read_text())[part]
+    items = content if isinstance(content, list) else [content]
+    assert items and all(PARTS[part] <= set(item) for item in items)
+    if part == "gap":
+        assert PARTS[part] - {"holdout"} <= set(content["holdout"])
+
+
+def test_what_the_data_cannot_tell_is_said(studied):
+    """One load and one sign: a slip offset is a force offset, exactly."""
+    document = json.loads((studied[0] / "out" / "one.json").read_text())
+    verdict, best = document["verdict"], document["next_measurement"][0]
+    assert verdict["status"] == "cannot_tell"
+    assert {*verdict["effects"], *verdict["also_possible"]} == {
+        "slip_offset", "force_offset"
+    }  # fmt: skip
+    assert document["untestable"] == [{"effect": "load_friction", "needs": ["loads"]}]
+    assert set(best["separates"]) == {"slip_offset", "force_offset"}
+    assert best["p_now"] == pytest.approx(0.5, abs=0.01) and best["p_after"] > 0.95
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-9])
+def test_exact_confusions_are_a_toss_up(noise):
+    """Their correlation rounds to more than 1, whose root is not a number."""
+    direction = np.random.default_rng(0).standard_normal((200, 50))
+    for one in direction.T:
+        pair = np.column_stack([one, 0.1 * one + noise])
+        assert separability(pair, 0, 1, 1.0, 1.0) == pytest.approx(0.5, abs=1e-4)
+
+
 def test_rows_match_the_file_in_its_own_convention(studied):
     folder, _ = studied
     given, rows = (
@@ -162,6 +221,10 @@ def test_rows_match_the_file_in_its_own_convention(studied):
             (rows, "gap_fx_std"),
         )
     )  # fmt: skip
+    text = (folder / "out" / "offset.rows.csv").read_text("utf-8")
+    assert "#" not in text and len(text.splitlines()) == 97
+    sliding = abs(fx) > 1  # kN: far from zero, in the file's own signs
+    assert (np.sign(base[sliding]) == np.sign(fx[sliding])).all() and sliding.any()
     # kN, driving positive: the noise is 0.02 kN about the fit that knows the effect.
     assert np.sqrt(np.mean((fx - extended) ** 2)) == pytest.approx(0.02, rel=0.2)
     assert np.sqrt(np.mean((fx - base) ** 2)) > 0.06
@@ -182,8 +245,17 @@ def test_the_page_holds_the_document(studied):
     assert picture.startswith(b"\x89PNG") and len(picture) > 30_000
 
 
+def test_the_page_needs_nothing_else(studied):
+    """Its pictures are inside, and it loads no style, script or font."""
+    page = (studied[0] / "out" / "one.html").read_text("utf-8")
+    links = re.findall(r"""\b(?:src|href)=['"]?([^'" >]*)""", page)
+    assert links and all(link.startswith("data:image/png;base64,") for link in links)
+    assert not re.search(r"https?:|url\(|@import|<script|<link|<iframe", page)
+
+
 def test_resume_keeps_what_is_done(again, calls, tmp_path):
     before = contents(tmp_path / "out")
+    os.utime(tmp_path / "load.csv", (1e9, 1e9))  # copied or checked out anew
     again("offset.csv", "load.csv", "--resume", "--figures")
     assert calls == [] and contents(tmp_path / "out") == before
     write(tmp_path / "load.csv", power=POWER, seed=9)
@@ -194,14 +266,39 @@ def test_resume_keeps_what_is_done(again, calls, tmp_path):
 
 @pytest.mark.parametrize(
     "change",
-    [["--seed", "7"], ["--model", "brush-m"], ["--constant", "v=20"], ["--figures"]],
+    [
+        ["--seed", "7"], ["--model", "brush-m"], ["--constant", "v=20"], ["--figures"],
+        ["--without", "slip_offset"], ["--holdout", "offset.csv"],
+    ],
     ids=lambda change: change[0],
-)
+)  # fmt: skip
 def test_resume_does_a_case_of_other_settings_again(again, calls, tmp_path, change):
     (tmp_path / "out" / "load.png").unlink()
     again("load.csv", "--resume")
     assert calls == []
     again("load.csv", "--resume", *change, exit_code=3)
+    assert calls == ["load"]
+
+
+@pytest.mark.parametrize(
+    ("rig", "done"),
+    [
+        (f"[noise]\n# the same\nfx = {NOISE}\n", []),
+        ("[noise]\nfx = 21\n", ["load"]),
+        (f"wheel_inertia = 1\n[noise]\nfx = {NOISE}\n", ["load"]),
+    ],
+    ids=["comment", "noise", "inertia"],
+)
+def test_resume_follows_what_is_known_of_the_rig(again, calls, tmp_path, rig, done):
+    (tmp_path / "rig.toml").write_text(rig)
+    again("load.csv", "--resume", exit_code=3 if done else 0)
+    assert calls == done
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"schema": "tirefit.diagnosis/1"}'])
+def test_resume_does_a_spoiled_document_again(again, calls, tmp_path, text):
+    (tmp_path / "out" / "load.json").write_text(text)
+    again("load.csv", "--resume", exit_code=3)
     assert calls == ["load"]
 
 
@@ -236,11 +333,87 @@ def test_nothing_is_half_written(again, tmp_path, monkeypatch):
     assert contents(tmp_path / "out") == before
 
 
-def test_files_of_one_stem_are_refused(run, tmp_path):
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        write(tmp_path / folder / "run.csv")
-    result = run("diagnose", "a/run.csv", "b/run.csv", "--out", "o", exit_code=2)
+def test_a_first_result_is_not_half_written(again, tmp_path, monkeypatch):
+    """The rows are there when the document fails: neither may stay."""
+    shutil.copy(tmp_path / "load.csv", tmp_path / "new.csv")
+    before = contents(tmp_path / "out")
+
+    def full(path, text):
+        path.write_text(text[:10])
+        raise OSError(28, "disk full")
+
+    monkeypatch.setattr("tirefit.diagnosis.store.write_text_atomic", full)
+    again("new.csv", exit_code=2)
+    assert contents(tmp_path / "out") == before
+
+
+HEAVY = f"rolling_radius = 0.3\n[noise]\nfx = {NOISE}\n"
+LOGGED = {
+    "kappa": (lambda s: s / (1 + s), "if read as kappa: pass --slip kappa"),
+    "scale": (lambda s: 1.2 * s, "if divided by 1.2"),
+    "radius": (lambda s: 1.005 * (1 + s) - 1, "a rolling radius of 0.2985 m"),
+    "right": (lambda s: s, ""),
+    "rounded": (lambda s: round(s, 3), ""),
+}
+
+
+@pytest.mark.parametrize(("logged", "said"), LOGGED.values(), ids=LOGGED)
+def test_the_slip_is_checked_against_the_speeds(again, calls, tmp_path, logged, said):
+    (tmp_path / "rig.toml").write_text(HEAVY)
+    write(tmp_path / "run.csv", logged=logged)
+    text = " ".join(again("run.csv", exit_code=3).stderr.split())
+    assert calls == ["run"] and said in text
+    assert ("column 'sigma_x': the slip differs from (v - omega R)" in text) == bool(
+        said
+    )
+
+
+def test_a_slip_far_from_the_speeds_is_refused(again, calls, tmp_path):
+    (tmp_path / "rig.toml").write_text(HEAVY)
+    write(tmp_path / "run.csv", logged=lambda s: 2 * s)
+    text = again("run.csv", exit_code=3).stderr
+    assert "the slip contradicts (v - omega R)/(omega R)" in text and calls == []
+    assert "remedy: check the rolling radius" in text
+
+
+def test_a_doubtful_slip_stands_in_the_document(again, calls, monkeypatch, tmp_path):
+    """Also where nobody read the warning; a case with it counts as done."""
+    (tmp_path / "rig.toml").write_text(HEAVY)
+    write(tmp_path / "run.csv", logged=LOGGED["kappa"][0])
+    with monkeypatch.context() as patch:
+        patch.setattr(engine, "diagnose", DIAGNOSE)
+        again("run.csv")
+    document = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert "pass --slip kappa" in " ".join(document["data"]["assumptions"])
+    again("run.csv", "--resume")
+    assert calls == []
+
+
+def test_lateral_data_need_no_wheel_speed(run, calls, tmp_path):
+    """The rolling radius is known of the rig; it is no order to compute a slip."""
+    (tmp_path / "rig.toml").write_text("rolling_radius = 0.3\n")
+    rows = [f"{angle / 100},{100 * angle},4000" for angle in range(-9, 10)]
+    (tmp_path / "run.csv").write_text("\n".join(["alpha,fy,fz", *rows]))
+    run("diagnose", "run.csv", "--rig", "rig.toml", "--out", "out", exit_code=3)
+    assert calls == ["run"]
+
+
+def test_a_constant_slip_is_checked_too(run, calls, tmp_path):
+    """It has no column whose header a message could name."""
+    (tmp_path / "rig.toml").write_text("rolling_radius = 0.3\n")
+    rows = [f"{angle / 100},{100 * angle},4000,15,50.5" for angle in range(-9, 10)]
+    (tmp_path / "run.csv").write_text("\n".join(["alpha,fy,fz,v,omega", *rows]))
+    settings = ["--constant", "sigma_x=0", "--rig", "rig.toml", "--out", "out"]
+    result = run("diagnose", "run.csv", *settings, exit_code=3)
+    assert calls == ["run"] and "a rolling radius of 0.297 m" in result.stderr
+
+
+@pytest.mark.parametrize("two", [("a/run.csv", "b/run.csv"), ("run.csv", "run.txt")])
+def test_files_of_one_stem_are_refused(run, tmp_path, two):
+    for name in two:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        write(tmp_path / name)
+    result = run("diagnose", *two, "--out", "o", exit_code=2)
     assert "several input files are named run" in result.stderr
     assert "rename one" in result.stderr
     assert not (tmp_path / "o").exists()
@@ -250,6 +423,7 @@ WRONG = {
     "model": (["--model", "brsh"], "did you mean"),
     "effect": (["--without", "slip_ofset"], "known effects"),
     "rig": (["--rig", "none.toml"], "none.toml"),
+    "rig value": (["--rig", "rig.toml"], "wheel_inertia = -1 is not a positive number"),
     "convention": (["--convention", "iso"], "iso"),
     "out": (["--out", "run.csv"], "run.csv: no folder for the results"),
 }
@@ -258,8 +432,10 @@ WRONG = {
 @pytest.mark.parametrize(("arguments", "said"), WRONG.values(), ids=WRONG)
 def test_wrong_use_is_exit_2_and_makes_nothing(run, tmp_path, arguments, said):
     write(tmp_path / "run.csv")
+    (tmp_path / "rig.toml").write_text("wheel_inertia = -1\n")
     result = run("diagnose", "run.csv", "--out", "o", *arguments, exit_code=2)
     assert said in result.stderr and "Traceback" not in result.stderr
+    assert "remedy: " in result.stderr
     assert not (tmp_path / "o").exists()
 
 

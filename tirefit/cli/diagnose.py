@@ -187,7 +187,7 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
         return False
     source, rig = table.source, settings["rig"]
     asked = [
-        source.sha256, source.convention, [*source.assumptions, *rig.notes],
+        source.sha256, source.convention, [*source.notes, *rig.notes],
         settings["model"], seed, version("tirefit"),
         {
             "rig": asdict(rig),

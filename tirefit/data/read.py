@@ -118,6 +118,7 @@ class _Reading:
     idle: list[str] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
     assumptions: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
 
     @property
     def file(self) -> str:
@@ -148,7 +149,7 @@ def _checked(table: Table, options: Options) -> TireData:
     )
     definition = plan.slip or "sigma_x"
     _slip_to_sigma(reading, plan.slip)
-    _use_rolling_radius(reading)
+    _use_rolling_radius(reading, definition)
     _drop_idle_forces(reading)
     masked = _raise_or_mask(reading)
     source = Source(
@@ -286,14 +287,19 @@ def _say_limits(reading: _Reading, what: str) -> None:
         )
 
 
-def _use_rolling_radius(reading: _Reading) -> None:
+def _use_rolling_radius(reading: _Reading, definition: str) -> None:
     """Computes sigma_x = (v - omega R) / (omega R), or checks the slip column by it."""
     columns, radius = reading.columns, reading.options.rolling_radius
     if radius is None:
         return
     missing = [name for name in ("omega", "v") if name not in columns]
     if missing:
-        if "sigma_x" not in columns:
+        if "sigma_x" not in columns and "alpha" in columns:
+            without = " and ".join(missing)
+            reading.assumptions.append(
+                f"rolling radius not used: there is no {without}"
+            )
+        elif "sigma_x" not in columns:
             reason = f"--rolling-radius needs {' and '.join(missing)} to give a slip"
             remedy = "name them, as in --column omega=HEADER"
             reading.problems.append(Problem(reason, remedy, reading.file))
@@ -302,10 +308,18 @@ def _use_rolling_radius(reading: _Reading) -> None:
     if "sigma_x" in columns:
         good = ~reading.bad() & np.isfinite(sigma + columns["sigma_x"])
         if good.any():
-            reading.problems += signs.check_rolling_radius(
-                columns["sigma_x"][good], sigma[good], reading.headers["sigma_x"],
-                reading.file,
-            )  # fmt: skip
+            given = columns["sigma_x"][good]
+            header = reading.headers.get("sigma_x", "sigma_x")  # none of a constant
+            contradicted = signs.check_rolling_radius(
+                given, sigma[good], header, reading.file
+            )
+            reading.problems += contradicted
+            if not contradicted:
+                alpha = columns["alpha"][good] if "alpha" in columns else None
+                doubt = signs.doubt_rolling_radius(
+                    given, sigma[good], definition, alpha, radius
+                )
+                reading.doubts += [f"column {header!r}: {doubt}"] if doubt else []
         return
     header = reading.headers.get("omega", "omega")
     for rows, rule in (
@@ -383,4 +397,4 @@ def _warnings(reading: _Reading, definition: str) -> tuple[str, ...]:
     declared = reading.options.convention
     doubt = signs.doubt_convention(used, reading.headers, definition, declared)
     units = check.doubt_units(used, reading.headers)
-    return tuple(([doubt] if doubt else []) + units)
+    return tuple(([doubt] if doubt else []) + reading.doubts + units)

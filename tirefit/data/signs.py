@@ -4,14 +4,22 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tirefit.data.units import slip_from_sigma
+from tirefit.data.units import slip_from_sigma, slip_to_sigma
 from tirefit.results import Problem
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 
-__all__ = ["check_rolling_radius", "check_signs", "doubt_convention"]
+__all__ = [
+    "check_rolling_radius",
+    "check_signs",
+    "doubt_convention",
+    "doubt_rolling_radius",
+]
 
 _LEAST_DRIVING = 0.01
 """Driving slip that is more than the noise about zero of a braking test."""
+
+_SLIGHT = 0.002
+"""Difference of slips that the rounding of a rolling radius alone may give."""
 
 _DRIVING_POSITIVE = {
     "LONGSLIP": "TYDEX",
@@ -123,6 +131,58 @@ def check_rolling_radius(
         " in the median"
     )
     return [Problem(reason, remedy, file, column=header)]
+
+
+def doubt_rolling_radius(
+    given: np.ndarray,
+    computed: np.ndarray,
+    definition: str,
+    alpha: np.ndarray | None,
+    radius: float,
+) -> str | None:
+    """What a slip column near (v - omega R)/(omega R) seems to hold instead of it.
+
+    :func:`check_rolling_radius` lets pass what noise could be. A systematic difference
+    is none: another definition of slip, another scale or another radius explains it.
+
+    Args:
+        given: (n,) sigma_x of the slip column.
+        computed: (n,) sigma_x of the speeds.
+        definition: in which the slip column was read, a key of ``SLIP_DEFINITIONS``.
+        alpha: (n,) slip angle [rad], if there is one.
+        radius: R [m].
+
+    Returns:
+        A sentence; None where the two agree or no explanation takes most away.
+    """
+
+    def apart(one, other):
+        difference = slip_ratio_from_sigma(one) - slip_ratio_from_sigma(other)
+        return float(np.median(abs(difference)))
+
+    logged = slip_from_sigma(given, definition, alpha)
+    meant = slip_from_sigma(computed, definition, alpha)
+    explained = {}
+    for other in ("kappa", "sigma_x", "slip_ratio"):
+        if other != definition and (definition, other) != ("s", "kappa"):
+            text = f"it agrees if read as {other}: pass --slip {other}"
+            explained[text] = apart(slip_to_sigma(logged, other), computed)
+    clear = abs(meant) > max(np.median(abs(meant)), _SLIGHT)
+    if clear.any():
+        factor = np.median(logged[clear] / meant[clear])
+        text = f"it agrees if divided by {factor:.3g}: check its unit and scale"
+        mended = slip_to_sigma(logged / (factor or 1), definition, alpha)
+        explained[text] = apart(mended, computed)
+    ratio = np.median((1 + given) / (1 + computed))
+    text = f"a rolling radius of {radius / ratio:.4g} m would give it, not {radius:g} m"
+    explained[text] = apart(given, ratio * (1 + computed) - 1)
+    now, best = apart(given, computed), min(explained, key=explained.__getitem__)
+    if now <= _SLIGHT or explained[best] > now / 3:
+        return None
+    return (
+        f"the slip differs from (v - omega R)/(omega R) by {now:.2g} in the median;"
+        f" {best}"
+    )
 
 
 def doubt_convention(

@@ -143,14 +143,19 @@ def _studied(prepared: Prepared, model, rig, effects, generator) -> _Case:
     if again or shaped is not None:
         base = shaped or judged
         found = search(base, testable)
-    weighed = weigh(found, lambda h: amplitudes_of(base, h))
-    p_value = gap_p_value(found, generator)
-    return _Case(base, found, weighed, judge(found, weighed, p_value), untestable)
+
+    def amplitudes(hypothesis):
+        return amplitudes_of(base, hypothesis)
+
+    weighed = weigh(found, amplitudes)
+    verdict = judge(found, weighed, gap_p_value(found, generator), amplitudes)
+    return _Case(base, found, weighed, verdict, untestable)
 
 
 def _with_change(base: Base, found: Search) -> Base | None:
     """The base with the shape of a sudden change, where one is among the best."""
-    ranked = sorted(found.hypotheses, key=lambda h: -h.log_weight)[:4]
+    fitted = [h for h in found.hypotheses if h.refitted]
+    ranked = sorted(fitted, key=lambda h: -h.log_weight)[:4]
     likely = [h for h in ranked if "friction_step" in h.effects]
     if not likely or not any(a.effect.id == "friction_step" for a in base.atoms):
         return None
@@ -184,7 +189,7 @@ def _document(case: _Case, data, rig, holdout, generator, model, seed) -> Diagno
         "data": {
             "name": data.name, "path": data.source.path, "sha256": data.source.sha256,
             "convention": data.source.convention, "channels": list(prepared.channels),
-            "assumptions": [*data.source.assumptions, *rig.notes],
+            "assumptions": [*data.source.notes, *rig.notes],
         },
         "model": model,
         "n": data.n,

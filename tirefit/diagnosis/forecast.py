@@ -23,7 +23,9 @@ def separability(columns, a: int, b: int, size_a: float, size_b: float) -> float
     if min(energy) < 1e-9:
         return 0.5
     correlation = one @ two / np.sqrt(energy[0] * energy[1])
-    return float(ndtr(np.sqrt(min(energy) * (1 - abs(correlation)) / 2)))
+    # Exact confusions have a correlation of 1, and a rounding beyond it.
+    apart = max(1 - abs(correlation), 0.0)
+    return float(ndtr(np.sqrt(min(energy) * apart / 2)))
 
 
 def _changes(prepared: Prepared) -> dict[str, object]:

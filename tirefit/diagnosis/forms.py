@@ -63,6 +63,12 @@ def _moving(name: str):
     )
 
 
+def _of_rate(rows, u):
+    """Functions of how fast the slip grows or shrinks in size."""
+    rate = rows.rate * rows.side
+    return _bumps(np.clip(rate / max(np.mean(np.abs(rate)), 1e-12), -3, 3), 6)
+
+
 def _of_usage(rows, u):
     parts = [_bumps(rows.force, 4), _bumps(rows.usage, 3)]
     return np.concatenate(parts, axis=1)
@@ -84,7 +90,10 @@ FORMS: dict[str, tuple[_Form, ...]] = {  # fmt: skip
     "stiffness x temperature": (_Form("stiffness", 0.06, _of("temperature", 5)),),
     "friction x time": (_Form("friction", 0.02, _of("time", 4)),),
     "stiffness x time": (_Form("stiffness", 0.04, _of("time", 4)),),
-    "friction x direction": (_Form("friction", 0.02, _by_slip("turning")),),
+    "friction x direction": (
+        _Form("friction", 0.02, _by_slip("turning")),
+        _Form("friction", 0.02, _of_rate),
+    ),
     "friction x sign": (_Form("friction", 0.02, _by_slip("side")),),
     "pressure x force": (_Form("skew", 0.1, _of_usage),),
     "inputs": (_Form("friction", 0.03, _of("other", 5)),),

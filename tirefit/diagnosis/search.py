@@ -24,6 +24,7 @@ class Hypothesis:
 
     ``log_evidence`` is relative to the base model alone; ``log_prior`` that of the
     set. ``amplitude`` is in prior scales, ``covariance`` that of (z, amplitude).
+    ``refitted`` is False where the linear step showed that it is not worth it.
     """
 
     atoms: tuple[int, ...]
@@ -34,6 +35,7 @@ class Hypothesis:
     amplitude: np.ndarray
     covariance: np.ndarray
     chi2: float
+    refitted: bool = True
 
     @property
     def log_weight(self) -> float:
@@ -52,7 +54,8 @@ class Search:
 
     @property
     def best(self) -> Hypothesis:
-        return max(self.hypotheses, key=lambda h: h.log_weight)
+        fitted = [h for h in self.hypotheses if h.refitted]
+        return max(fitted, key=lambda h: h.log_weight)
 
 
 def _log_bayes(gram, score, center, sign, chosen) -> float:
@@ -170,7 +173,7 @@ class _Searcher:
         wide[:p, :p] = within.covariance[:p, :p]
         self.found[atoms] = Hypothesis(
             atoms, tuple(self.ids[k] for k in atoms), within.log_evidence + value,
-            self.log_prior(atoms), *guess, wide, within.chi2,
+            self.log_prior(atoms), *guess, wide, within.chi2, False,
         )  # fmt: skip
 
     def _starts(self, atoms, guess):

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from tirefit.diagnosis.basis import log_evidence, misfit_p_value, orthogonal
+from tirefit.diagnosis.forecast import separability
 from tirefit.diagnosis.forms import form_columns
 from tirefit.diagnosis.forward import MOST_EFFECTS
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis, Search
@@ -29,6 +30,10 @@ SURE = 0.8
 """Probability from which an effect is named without alternatives."""
 
 _LEVEL = 0.05
+_TOLD_APART = 0.75
+_ABSURD = 8.0
+"""Amplitude in prior scales beyond which an effect is no explanation."""
+
 _HARDLY = 0.02
 """Probability of nothing below which a gap stands though the score test misses it:
 effects without a slope at zero escape that test."""
@@ -85,12 +90,15 @@ def weigh(search: Search, amplitudes_of) -> Weighed:
     for hypothesis in search.hypotheses:
         key = tuple(sorted(hypothesis.effects))
         logs.setdefault(key, []).append(hypothesis.log_weight)
-        if key not in best or hypothesis.log_weight > best[key].log_weight:
+        rank = (hypothesis.refitted, hypothesis.log_weight)
+        if key not in best or rank > (best[key].refitted, best[key].log_weight):
             best[key] = hypothesis
     total = {key: float(logsumexp(values)) for key, values in logs.items()}
     beside, others = {}, set()
     ranked = sorted(total, key=total.get, reverse=True)
     for key in dict.fromkeys([*ranked[:6], *_simplest(total, 8), ()]):
+        if not best[key].refitted:
+            continue
         linear = linear_at(search.base, best[key], amplitudes_of(best[key]))
         form = _form(search.base, best[key], linear)
         if form is not None and len(key) < MOST_EFFECTS:
@@ -162,13 +170,13 @@ def fitted_form(linear: LinearFit) -> np.ndarray:
     return left @ (left.T @ linear.residual * t / (1 + t))
 
 
-def judge(search: Search, weighed: Weighed, p_value: float) -> Verdict:
+def judge(search: Search, weighed: Weighed, p_value: float, amplitudes_of) -> Verdict:
     """The verdict that the probabilities support."""
     null = weighed.best_of[()]
     nothing = _unresolved(weighed)
     if nothing > 0.5 or (p_value > _LEVEL and nothing > _HARDLY):
         return Verdict("none", (), weighed.sets[()], (), p_value, null)
-    named = {k: v for k, v in weighed.sets.items() if k}
+    named = {k: v for k, v in weighed.sets.items() if k and weighed.best_of[k].refitted}
     together = {k: v + weighed.unknown_beside.get(k, 0.0) for k, v in named.items()}
     best = max(together, key=together.get, default=None)
     if best is None or weighed.unknown_alone > together[best]:
@@ -180,10 +188,38 @@ def judge(search: Search, weighed: Weighed, p_value: float) -> Verdict:
         return Verdict(
             "incomplete", best, weighed.unknown_beside[best], (), p_value, chosen
         )
-    rivals = _rivals(named, best)
-    sure = named[best] >= SURE
+    alike = _aliases(search, chosen, amplitudes_of(chosen))
+    # Where only the prior decides, the data cannot tell.
+    rivals = tuple(dict.fromkeys((*alike, *_rivals(named, best))))
+    sure = named[best] >= SURE and not alike
     status = "named" if sure or not rivals else "cannot_tell"
     return Verdict(status, best, named[best], () if sure else rivals, p_value, chosen)
+
+
+def _aliases(search: Search, chosen: Hypothesis, amplitudes) -> tuple[str, ...]:
+    """Effects that do to these data what one of the chosen does, at a size that is not
+    absurd: the data would tell them apart less than three times in four."""
+    base = search.base
+    linear = base.linearised(chosen.z, amplitudes)
+    found: dict[str, float] = {}
+    for atom, amplitude in zip(chosen.atoms, chosen.amplitude, strict=True):
+        rest = [k for k in chosen.atoms if k != atom]
+        used_up = np.concatenate([linear.jacobian, linear.columns[:, rest]], axis=1)
+        unit, _ = np.linalg.qr(used_up)
+        left = linear.columns - unit @ (unit.T @ linear.columns)
+        norm = np.linalg.norm(left, axis=0)
+        size = abs(amplitude) * norm[atom]
+        if size < 1:  # at its bound, where it has no slope to compare
+            continue
+        for k in search.testable:
+            effect = base.atoms[k].effect
+            if effect.id in chosen.effects or norm[k] < 1e-6:
+                continue
+            needed = size / norm[k]
+            told_apart = separability(left, atom, k, abs(amplitude), needed)
+            if needed < _ABSURD and told_apart < _TOLD_APART:
+                found[effect.id] = min(told_apart, found.get(effect.id, 1.0))
+    return tuple(sorted(found, key=found.get))
 
 
 def _unresolved(weighed: Weighed) -> float:
