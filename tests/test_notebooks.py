@@ -11,7 +11,11 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "fits" / "notebooks").glob("*.ipynb"))
-DATA = Path("dart_rear_axle", "free_driving.csv")
+DATA = (
+    Path("dart_rear_axle", "free_driving.csv"),
+    Path("diagnosis_measured", "diagnosed.csv"),
+    Path("diagnosis_measured", "held_out.csv"),
+)
 NAMES = [path.stem for path in NOTEBOOKS]
 
 execute = runpy.run_path(str(ROOT / "fits" / "run_notebooks.py"))["execute"]
@@ -55,8 +59,12 @@ def rich(notebook, kind: str) -> list:
     return [content for content in found if content is not None]
 
 
-def test_there_are_two():
-    assert NAMES == ["brush_against_magic_formula", "explore_a_fit"]
+def test_there_are_three():
+    assert NAMES == [
+        "brush_against_magic_formula",
+        "diagnose_a_measured_case",
+        "explore_a_fit",
+    ]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=NAMES)
@@ -83,7 +91,7 @@ def test_runs_and_shows_the_same(path, compiled, tmp_path):
     place = tmp_path / "fits" / "notebooks" / path.name
     for source, target in (
         (path, place),
-        (ROOT / "fits" / DATA, tmp_path / "fits" / DATA),
+        *((ROOT / "fits" / data, tmp_path / "fits" / data) for data in DATA),
     ):
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(source, target)

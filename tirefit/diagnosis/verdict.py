@@ -90,8 +90,7 @@ def weigh(search: Search, amplitudes_of) -> Weighed:
     for hypothesis in search.hypotheses:
         key = tuple(sorted(hypothesis.effects))
         logs.setdefault(key, []).append(hypothesis.log_weight)
-        rank = (hypothesis.refitted, hypothesis.log_weight)
-        if key not in best or rank > (best[key].refitted, best[key].log_weight):
+        if key not in best or hypothesis.log_weight > best[key].log_weight:
             best[key] = hypothesis
     total = {key: float(logsumexp(values)) for key, values in logs.items()}
     beside, others = {}, set()
