@@ -19,6 +19,7 @@ def own_cache(tmp_path_factory):
     before = {name: getattr(jax.config, name) for name in names}
     with pytest.MonkeyPatch.context() as patch, jax.numpy_rank_promotion("allow"):
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        jax.config.update("jax_compilation_cache_dir", None)
         yield
     for name, value in before.items():
         jax.config.update(name, value)

@@ -1,5 +1,7 @@
 """The parts of the diagnosis, each against a route of its own."""
 
+from itertools import permutations
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from tirefit.diagnosis.noise import judge_noise
 from tirefit.diagnosis.rates import segments, slip_rate
 from tirefit.diagnosis.rig import Rig, load_rig
 from tirefit.diagnosis.rows import prepare
+from tirefit.diagnosis.shares import shapley
 from tirefit.diagnosis.state import force_of_state, null_state
 from tirefit.diagnosis.where import regions
 from tirefit.models import Brush, TireInputs
@@ -232,8 +235,9 @@ def test_slip_rate_of_a_noisy_sweep():
     time = np.arange(400) * 0.01
     truth = 0.2 * np.sin(2 * time)
     noisy = truth + 0.002 * np.random.default_rng(0).standard_normal(400)
-    rate, turning, path, sweeps = slip_rate(noisy, time, np.zeros(400, int), None)
+    rate, turning, path, sweeps, noise = slip_rate(noisy, time, np.zeros(400, int))
     assert sweeps
+    assert noise == pytest.approx(0.002, rel=0.1)
     inner = slice(25, -25)
     assert np.std(rate[inner] - 0.4 * np.cos(2 * time)[inner]) < 0.06
     assert np.std(path - truth) < 0.0012
@@ -241,7 +245,7 @@ def test_slip_rate_of_a_noisy_sweep():
     side = np.sign(truth * np.cos(2 * time))
     assert np.mean(np.sign(turning[clear]) == side[clear]) > 0.97
     shuffled = np.random.default_rng(1).permutation(noisy)
-    assert not slip_rate(shuffled, time, np.zeros(400, int), None)[3]
+    assert not slip_rate(shuffled, time, np.zeros(400, int)).found
 
 
 def test_segments_break_at_pauses_and_runs():
@@ -312,6 +316,20 @@ def test_a_wave_is_seen_among_many():
     chi2 = waves_within(waves, np.ones((400, 1)), residual)
     assert int(np.argmax(chi2)) == 6
     assert chi2[6] > 30 and np.median(chi2) < 4
+
+
+def test_shares_do_not_hang_on_the_order():
+    """Against the mean over all orders, one by one."""
+    worth = {(): 0.0, (1,): 2.0, (2,): 3.0, (3,): 0.0, (1, 2): 4.0, (1, 3): 2.5,
+             (2, 3): 3.0, (1, 2, 3): 5.0}  # fmt: skip
+    found = shapley((1, 2, 3), worth.__getitem__)
+    for player in (1, 2, 3):
+        gains = []
+        for order in permutations((1, 2, 3)):
+            before = tuple(sorted(order[: order.index(player)]))
+            gains.append(worth[tuple(sorted((*before, player)))] - worth[before])
+        assert found[player] == pytest.approx(np.mean(gains))
+    assert sum(found.values()) == pytest.approx(5.0)
 
 
 def test_separability_of_known_directions():

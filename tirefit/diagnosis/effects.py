@@ -214,6 +214,13 @@ def _force(state, offset, rows):
     return state._replace(force=state.force + 1e-3 * offset * rows.load)
 
 
+def _camber_force(state, share, rows):
+    # Cornering stiffness of ten loads per radian: the same amplitude for both forms.
+    return state._replace(
+        force=state.force + 10 * share * rows.gamma * rows.fz * rows.load
+    )
+
+
 def _conicity(state, share, rows):
     return state._replace(force=state.force + 1e-3 * share * rows.load * rows.fz)
 
@@ -378,7 +385,8 @@ EFFECTS: tuple[Effect, ...] = (
     Effect(
         "camber_thrust", "lateral inputs", partial(_shift_by, "gamma", 1.0), 0.15, "-",
         "slip angle + amplitude gamma", "camber stiffness / cornering stiffness",
-        needs=("gamma",), channels=("fy", "mz"), told_apart_by="opposite camber",
+        needs=("gamma",), channels=("fy", "mz"),
+        variants=(_camber_force,), told_apart_by="opposite camber",
     ),
     Effect(
         "conicity", "lateral inputs", _conicity, 25.0, "1e-3 F_z",

@@ -14,10 +14,12 @@ from tirefit.diagnosis.effects import EFFECTS, Effect, atoms_of
 from tirefit.diagnosis.forecast import next_measurements
 from tirefit.diagnosis.forms import PLACE, shape_of_change
 from tirefit.diagnosis.holdout import held_out
+from tirefit.diagnosis.noise import correlation
 from tirefit.diagnosis.result import SCHEMA, Diagnosis
 from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import Prepared, prepare
 from tirefit.diagnosis.search import Hypothesis, Search, search
+from tirefit.diagnosis.shares import closed_by_each
 from tirefit.diagnosis.verdict import (
     Verdict,
     Weighed,
@@ -205,7 +207,8 @@ def _document(case: _Case, data, rig, holdout, generator, model, seed) -> Diagno
         "untestable": case.untestable,
         "resolution": _resolution(case),
         "next_measurement": next_measurements(base, case.search, case.weighed, verdict),
-        "base_parameters": _base_parameters(base),
+        "base_parameters": _base_parameters(base, base.z),
+        "extended_parameters": _base_parameters(base, verdict.chosen.z),
         "settings": {"rig": asdict(rig), "effects": list(dict.fromkeys(
             atom.effect.id for atom in base.atoms
         )), "holdout": [other.source.sha256 for other in holdout]},
@@ -213,6 +216,8 @@ def _document(case: _Case, data, rig, holdout, generator, model, seed) -> Diagno
         "version": importlib.metadata.version("tirefit"),
     }  # fmt: skip
     content["gap"]["holdout"] = held_out(case, holdout, rig, generator)
+    named = verdict.status not in ("none", "unknown")
+    content["gap"]["shares"] = closed_by_each(base, verdict.chosen) if named else {}
     curves = {
         "slip": prepared.slip, "slip_fraction": base.slip_fraction,
         "mode": prepared.mode, "run": prepared.run, "scores": case.search.score,
@@ -309,6 +314,7 @@ def _noise_record(case: _Case) -> dict:
     sources = dict.fromkeys(n.source for n in base.noise.values())
     return record | {
         name: base.slip_noise,
+        f"{name}_source": base.prepared.slip_source,
         "source": "; ".join(sources),
         "flags": list(flags),
         "inflation": max(n.inflation for n in base.noise.values()),
@@ -362,6 +368,7 @@ def _candidate(case: _Case, key, probability: float, generator) -> dict:
     base, hypothesis = case.base, case.weighed.best_of[key]
     p, parameters = len(hypothesis.z), {}
     spread = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[p:], 0))
+    spread = spread * np.sqrt(_widening(case, hypothesis))
     scale = np.asarray(base.design.prior_scale)
     effects = [base.atoms[k].effect for k in hypothesis.atoms]
     for j, (k, effect) in enumerate(zip(hypothesis.atoms, effects, strict=True)):
@@ -394,6 +401,19 @@ def _candidate(case: _Case, key, probability: float, generator) -> dict:
     }
 
 
+def _widening(case: _Case, hypothesis: Hypothesis) -> float:
+    """Factor on the variance of amplitudes: what a hypothesis leaves is larger than
+    the noise, and neighbours in time agree, where it does not explain everything."""
+    base = case.base
+    prepared, n = base.prepared, base.prepared.n
+    residual = base.linearised(hypothesis.z, amplitudes_of(base, hypothesis)).residual
+    rows_each = max(
+        correlation(residual[k * n : (k + 1) * n], prepared.time, prepared.run)
+        for k in range(len(prepared.channels))
+    )
+    return max(float(np.mean(residual**2)), 1.0) * rows_each
+
+
 def _resolution(case: _Case) -> dict:
     """Generic remainder that would be seen four times in five, rms [N]."""
     base = case.base
@@ -421,8 +441,8 @@ def _smallest_seen(case: _Case) -> dict[str, float]:
     return found
 
 
-def _base_parameters(base: Base) -> dict[str, float]:
-    values = base.layout.natural(base.z)
+def _base_parameters(base: Base, z) -> dict[str, float]:
+    values = base.layout.natural(z)
     return {name: float(np.asarray(v).ravel()[0]) for name, v in values.items()}
 
 

@@ -39,7 +39,7 @@ def _changes(prepared: Prepared) -> dict[str, object]:
     options[f"{spread} (half and one and a half times)"] = {"fz": (0.5, 1.5)}
     if float(np.median(rows.v)) > 0.1:
         options["other speeds (half and twice)"] = {"v": (0.5, 2.0)}
-    if "time" in prepared.has:
+    if "time" in prepared.has and not prepared.random_order:
         options["the same points in random order"] = {"shuffle": True}
     options["small slips (a tenth)"] = {"slip": 0.1}
     del middle

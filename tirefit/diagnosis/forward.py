@@ -380,8 +380,9 @@ def _gauss_newton(whole, allowed, start, p: int, size: int, steps=26) -> Refit:
     x, _, cost, penalty, normal, *_ = jax.lax.while_loop(
         lambda c: ~c[-1] & (c[-2] < steps), body, first
     )
-    identity = jnp.eye(width)
+    # A parameter at its bound has no curvature; what is left of it cancels.
+    curvature = normal + 1e-9 * jnp.eye(width)
     return Refit(
-        x[:p], x[p:], cost - penalty, jnp.linalg.slogdet(normal)[1],
-        jnp.linalg.solve(normal + 1e-9 * identity, identity), penalty,
+        x[:p], x[p:], cost - penalty, jnp.linalg.slogdet(curvature)[1],
+        jnp.linalg.solve(curvature, jnp.eye(width)), penalty,
     )  # fmt: skip

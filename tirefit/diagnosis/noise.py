@@ -7,7 +7,7 @@ import numpy as np
 from tirefit.diagnosis.basis import waves_within
 from tirefit.fitting.noise import autocorrelation_time
 
-__all__ = ["NoiseLevel", "judge_noise"]
+__all__ = ["NoiseLevel", "correlation", "judge_noise"]
 
 
 class NoiseLevel(NamedTuple):
@@ -71,8 +71,10 @@ def judge_noise(
             std = std * local / ratio
         if hetero:
             flags.append("heteroscedastic")
-    elif min(ratio, local) > 1 + max(spare, 4 / np.sqrt(2 * dof)) or ratio < 0.6:
+    elif min(ratio, local) > 1 + max(spare, 4 / np.sqrt(2 * dof)):
         std, source = std * min(ratio, local), "estimated: the given level disagrees"
+        flags.append("noise_misstated")
+    elif ratio < 0.6:  # it may stand for errors that no row-by-row scatter shows
         flags.append("noise_misstated")
     clean = clean * (base if given is None else 1.0)
     if given is not None and _uneven(clean, fz, keep):
@@ -81,7 +83,7 @@ def judge_noise(
     if np.count_nonzero(~keep) > max(3.0, 5 * expected, 0.004 * len(residual)):
         flags.append("outliers")
     white = np.where(keep, clean, 0.0) / (std if given is None else 1.0)
-    inflation = _correlation(white, time, run)
+    inflation = correlation(white, time, run)
     if inflation > 1.0:
         flags.append("autocorrelated")
     return NoiseLevel(std, inflation, ~keep, tuple(flags), source)
@@ -189,7 +191,7 @@ def _uneven(white, fz, keep) -> bool:
     return abs(square @ x) / np.sqrt(2 * len(x)) > 4.0
 
 
-def _correlation(white, time, run) -> float:
+def correlation(white, time, run) -> float:
     """Rows per independent row, of the remainder in the order it was measured."""
     order = np.arange(len(white)) if time is None else np.lexsort((time, run))
     parts = [white[order][run[order] == code] for code in np.unique(run)]

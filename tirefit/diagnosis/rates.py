@@ -1,11 +1,14 @@
 """How fast the slip changes, from slips measured with noise."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.signal import savgol_filter
 
-__all__ = ["segments", "slip_rate"]
+__all__ = ["Sweeps", "segments", "slip_rate"]
 
 _WINDOWS = (5, 7, 11, 17, 25, 41)
+_NOISY = 17
 _GAP = 5.0
 """A pause of so many median intervals parts two segments of a run."""
 
@@ -30,29 +33,36 @@ def _smoothed(values, window: int):
     return smooth, slope, (values - smooth) / (1 - own)
 
 
-def slip_rate(slip, time, run, std):
+class Sweeps(NamedTuple):
+    """How a slip moves in time: ``rate`` (n,) [1/s]; ``turning`` (n,), +1 where it
+    grows in size, -1 where it shrinks; ``path`` (n,), the smooth slip; ``found``,
+    whether the rows are sweeps in time at all; ``noise``, what the measured slip
+    scatters about the path, 0 where it is not known."""
+
+    rate: np.ndarray
+    turning: np.ndarray
+    path: np.ndarray
+    found: bool
+    noise: float
+
+
+def slip_rate(slip, time, run) -> Sweeps:
     """Rate of change of the slip.
 
     Args:
         slip: (n,) measured values.
         time: (n,) [s], or None.
         run: (n,) run of each row.
-        std: (n,) noise of the slip, or None.
-
-    Returns:
-        (rate (n,) [1/s], turning (n,): +1 where the slip grows in size, -1 where it
-        shrinks, the smooth slip (n,), and whether the rows are sweeps in time at all).
     """
-    del std
     rate, turning, path = np.zeros(len(slip)), np.zeros(len(slip)), slip.copy()
     if time is None:
-        return rate, turning, path, False
+        return Sweeps(rate, turning, path, False, 0.0)
     parts = [part for part in segments(time, run) if len(part) >= _WINDOWS[0] + 2]
     if sum(len(part) for part in parts) < 0.5 * len(slip):
-        return rate, turning, path, False
+        return Sweeps(rate, turning, path, False, 0.0)
     window, left_out = _best_window(slip, parts)
     if left_out > 0.15 * np.var(slip):
-        return rate, turning, path, False
+        return Sweeps(rate, turning, path, False, 0.0)
     noise = np.sqrt(left_out)
     for part in parts:
         use = min(window, len(part) - 1 + len(part) % 2)
@@ -64,7 +74,10 @@ def slip_rate(slip, time, run, std):
         turning[part] = np.clip(
             np.sign(slip[part]) * slope / max(2 * unsure, 1e-12), -1, 1
         )
-    return rate, turning, path, True
+    # Left out, a row misses by its own noise and that of the local parabola. Where few
+    # neighbours predict best it is the curve that misses, not noise.
+    scatter = noise / np.sqrt(1 + 2.25 / window) if window >= _NOISY else 0.0
+    return Sweeps(rate, turning, path, True, scatter)
 
 
 def _best_window(slip, parts) -> tuple[int, float]:

@@ -116,6 +116,8 @@ def _checked(content: dict, path: str) -> Rig:
         problems.append(Problem(reason, "give the header of its column", path))
     known = {*_NUMBERS, "noise", "run_order", "commanded_slip"}
     notes += [f"{k} of {path} is not used" for k in content if k not in known]
+    if command is not None:
+        notes.append(f"commanded_slip of {path} is noted, not used")
     if problems:
         raise UsageError(problems)
     return Rig(noise=levels, commanded_slip=command, run_order=order,

@@ -16,6 +16,9 @@ __all__ = ["Prepared", "neighbours", "prepare"]
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that drive the forces -> forces that may be diagnosed."""
 
+_FAR = 10.0
+"""Slip beyond which a patch slides whatever the tire."""
+
 
 @dataclass(frozen=True)
 class Prepared:
@@ -40,6 +43,8 @@ class Prepared:
     time: np.ndarray | None
     run: np.ndarray
     definition: float
+    slip_source: str
+    random_order: bool
 
     @property
     def n(self) -> int:
@@ -57,7 +62,9 @@ def _mode(data: TireData) -> str:
     along, across = drives("sigma_x", "fx"), drives("alpha", "fy")
     if along and across:
         # One slip that hardly moves is a disturbance of the other, not a second sweep.
-        x, y = data.usable("sigma_x"), np.tan(data.usable("alpha"))
+        # A locked wheel and a slip angle of 90 degrees slip without limit.
+        x = np.clip(data.usable("sigma_x"), -_FAR, _FAR)
+        y = np.clip(np.tan(data.usable("alpha")), -_FAR, _FAR)
         ratio = np.std(x) / np.std(y)
         return "x" if ratio > 10 else "y" if ratio < 0.1 else "xy"
     if not along and not across:
@@ -100,15 +107,15 @@ def prepare(data: TireData, rig, model) -> Prepared:
     slip = tan_alpha if mode == "y" else sigma
     given = model
     channels = tuple(c for c in MODES[mode] if c in data and c in given)
-    std = _slip_std(data, mode, rig)
     fz, v = data.usable("fz"), _column(data, "v")
     time = data.usable("time") if "time" in data else None
     run = data.run[data.used]
-    rate, turning, path, sweeps = slip_rate(slip, time, run, std)
+    rate, turning, path, sweeps, scatter = slip_rate(slip, time, run)
+    std, source = _slip_std(data, mode, rig, scatter)
     other = sigma if mode == "y" else tan_alpha * (1 + sigma)
     other = np.zeros(data.n) if mode == "xy" else other
     omega = _column(data, "omega")
-    spin = slip_rate(omega, time, run, None)[0] if "omega" in data else 0 * v
+    spin = slip_rate(omega, time, run).rate if "omega" in data else 0 * v
     order, step = _way(time, run, v)
     radius = rig.radius_for(data)
     covariates = Covariates(
@@ -144,7 +151,8 @@ def prepare(data: TireData, rig, model) -> Prepared:
         tan_alpha if mode == "xy" else np.zeros(data.n),
         {c: data.usable(c) for c in channels}, covariates,
         _holdings(data, mode, covariates, sweeps), time, run,
-        -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0,
+        -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
+        rig.run_order == "random",
     )  # fmt: skip
 
 
@@ -163,11 +171,17 @@ def _way(time, run, v) -> tuple[np.ndarray, np.ndarray]:
     return order, step[order]
 
 
-def _slip_std(data: TireData, mode: str, rig) -> np.ndarray:
+def _slip_std(data: TireData, mode: str, rig, scatter: float):
+    """(noise of the slip (n,), where it comes from)."""
     name = "alpha" if mode == "y" else "sigma_x"
     if f"{name}_std" in data:
-        return np.nan_to_num(data.usable(f"{name}_std"))
-    return np.full(data.n, rig.slip_noise(name) or 0.0)
+        return np.nan_to_num(data.usable(f"{name}_std")), f"column {name}_std"
+    given = rig.slip_noise(name)
+    if given is not None:
+        return np.full(data.n, given), "given"
+    if scatter:
+        return np.full(data.n, scatter), "scatter about smooth sweeps"
+    return np.zeros(data.n), "none assumed"
 
 
 def _holdings(data: TireData, mode: str, rows: Covariates, sweeps: bool) -> frozenset:

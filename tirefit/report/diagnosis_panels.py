@@ -142,7 +142,7 @@ def _covariates(result: Diagnosis) -> dict[str, np.ndarray]:
             found[name] = np.asarray(getattr(inputs, name), float)
     if "sweeps" in has:
         time = np.asarray(inputs.time, float)
-        turning = slip_rate(curves["slip"], time, curves["run"], None)[1]
+        turning = slip_rate(curves["slip"], time, curves["run"]).turning
         found["direction"] = np.sign(turning)
     if "gamma" in has:
         found["gamma"] = np.asarray(inputs.gamma, float)

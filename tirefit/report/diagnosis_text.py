@@ -95,6 +95,10 @@ def gap_lines(result) -> list[str]:
             f" {100 * energy:.0f} % of its energy;"
             f" {size(here['rms'])} to {size(here['remaining_rms'])}"
         )
+    shares = gap.get("shares") or {}
+    if shares:
+        parts = (f"{name} {100 * share:.0f} %" for name, share in shares.items())
+        lines.append(f"of the energy closed, in any order: {', '.join(parts)}")
     return lines
 
 
