@@ -4,6 +4,7 @@ Every comparison alternates the two sides and quotes medians, so that a drifting
 machine hits both. Nothing here passes or fails.
 """
 
+import contextlib
 import subprocess
 import sys
 import tempfile
@@ -266,6 +267,42 @@ def posterior() -> None:
         say(label, *medians(pairs), "ESS/s", "higher")
 
 
+def diagnosis(cases: int = 8) -> None:
+    """A case of 900 rows, all effects with pairs and triples, warm and on one core;
+    the peer names single effects only, by BIC over refits with SciPy."""
+    import tomllib
+
+    import tirefit
+    from fits.withheld.baselines import by_bic, read_trial
+    from fits.withheld.generate import main as generate
+
+    with tempfile.TemporaryDirectory() as directory:
+        asked = f"--seed 1 --trials {cases} --set singles --design G --noise rig"
+        with contextlib.redirect_stdout(None):
+            generate([*asked.split(), "--rows", "900", "--out", directory])
+        groups = (Path(directory) / "trials").iterdir()
+        files = [file for group in groups for file in sorted(group.glob("*.csv"))]
+        rigs = [file.parent / "rig.toml" for file in files]
+        tables = [tirefit.read(file) for file in files]
+        known = [tirefit.load_rig(rig) for rig in rigs]
+        trials = [
+            read_trial(file, tomllib.loads(rig.read_text()))
+            for file, rig in zip(files, rigs, strict=True)
+        ]
+
+    def ours():
+        for table, rig in zip(tables, known, strict=True):
+            tirefit.diagnose(table, rig=rig)
+
+    def peer():
+        for trial in trials:
+            by_bic(*trial)
+
+    ours()
+    times = [(seconds(ours) / cases, seconds(peer) / cases) for _ in range(3)]
+    say("diagnose, 900 rows (peer: BIC, singles)", *medians(times), "s", "lower")
+
+
 def main() -> None:
     import jax
 
@@ -277,6 +314,7 @@ def main() -> None:
     magic_formula()
     brush_with_gradient()
     posterior()
+    diagnosis()
 
 
 if __name__ == "__main__":

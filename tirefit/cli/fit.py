@@ -2,7 +2,6 @@
 
 from enum import StrEnum
 from pathlib import Path
-from threading import Thread
 from typing import Annotated
 
 import typer
@@ -126,7 +125,6 @@ def fit(
             settings = settings.model_copy(update={"posterior": chosen})
         directories = _output_directories(files, out, joint)
         check_directories(directories)
-        Thread(target=_import_canvas, daemon=True).start()
         start_jax()
         from tirefit.fitting.problem import find_model
 
@@ -136,11 +134,6 @@ def fit(
             groups, directories, settings, how, posterior, resume, svg, strict
         )
         raise typer.Exit(worst)
-
-
-def _import_canvas() -> None:
-    """Matplotlib, needed at the end, while JAX is busy at the beginning."""
-    import matplotlib.backends.backend_agg  # noqa: F401
 
 
 def _forces(force: list[str] | None) -> list[str] | None:

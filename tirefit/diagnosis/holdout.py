@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tirefit.diagnosis.base import Base, on_rows
+from tirefit.diagnosis.case import amplitudes_of
 from tirefit.diagnosis.closure import closure_of
 from tirefit.diagnosis.forward import MOST_EFFECTS, fill, refit_all
 from tirefit.diagnosis.rows import prepare
@@ -34,12 +35,6 @@ def _record(closure, what: str) -> dict:
     }  # fmt: skip
 
 
-def _amplitudes(base: Base, hypothesis) -> np.ndarray:
-    from tirefit.diagnosis.engine import amplitudes_of
-
-    return amplitudes_of(base, hypothesis)
-
-
 def _on_files(case, holdout, rig, generator) -> dict:
     base, chosen = case.base, case.verdict.chosen
     null = case.weighed.best_of[()]
@@ -50,7 +45,7 @@ def _on_files(case, holdout, rig, generator) -> dict:
         observed = other.prepared.observed[main]
         silent = np.zeros(len(base.atoms))
         before.append(observed - other.forces(null.z, silent)[main])
-        amplitudes = _amplitudes(base, chosen)
+        amplitudes = amplitudes_of(base, chosen)
         after.append(observed - other.forces(chosen.z, amplitudes)[main])
         scale = np.median(base.noise[main].std / base.prepared.inputs.fz)
         variance.append((scale * other.prepared.inputs.fz) ** 2)

@@ -87,22 +87,25 @@ def _centered(values, width: float) -> np.ndarray:
     return (values - np.mean(values)) / width
 
 
+def _check(data: TireData) -> None:
+    file = data.source.path or data.name
+    if "fz" not in data:
+        reason = "a diagnosis needs fz (load, N) for every row"
+        remedy = "name its column with --column fz=HEADER, or --constant fz=4000"
+        raise DataError(Problem(reason, remedy, file))
+    if data.n < 20:
+        reason = f"{data.n} usable rows: a diagnosis needs 20 or more"
+        raise DataError(Problem(reason, "measure more points", file))
+
+
 def prepare(data: TireData, rig, model) -> Prepared:
     """Slips, channels and covariates of the used rows.
 
     Raises:
         DataError: no force with a slip that varies, or no load.
     """
-    if "fz" not in data:
-        reason = "a diagnosis needs fz (load, N) for every row"
-        remedy = "name its column with --column fz=HEADER, or --constant fz=4000"
-        raise DataError(Problem(reason, remedy, data.source.path or data.name))
+    _check(data)
     mode = _mode(data)
-    if data.n < 20:
-        reason = f"{data.n} usable rows: a diagnosis needs 20 or more"
-        raise DataError(
-            Problem(reason, "measure more points", data.source.path or data.name)
-        )
     sigma, tan_alpha = _column(data, "sigma_x"), np.tan(_column(data, "alpha"))
     slip = tan_alpha if mode == "y" else sigma
     given = model
