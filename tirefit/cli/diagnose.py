@@ -110,21 +110,14 @@ def _read(path: Path, how: dict):
 
 def _settings(model: str, rig: Path | None, without, how: dict) -> dict:
     """Arguments of ``tirefit.diagnose`` that all files share."""
-    from tirefit.diagnosis.effects import EFFECTS
     from tirefit.diagnosis.rig import load_rig
     from tirefit.fitting.problem import find_model
 
     find_model(model)
-    known = {effect.id for effect in EFFECTS}
-    wrong = [name for name in without or [] if name not in known]
-    if wrong:
-        remedy = f"known effects: {', '.join(sorted(known))}"
-        raise UsageError([Problem(f"--without {name}", remedy) for name in wrong])
     found = load_rig(rig)
     if how["rolling_radius"] is None and found.rolling_radius is not None:
         how["rolling_radius"] = found.rolling_radius
-    effects = tuple(e for e in EFFECTS if e.id not in (without or []))
-    return {"model": model, "rig": found, "effects": effects}
+    return {"model": model, "rig": found, "without": tuple(without or [])}
 
 
 def _all(files, names, out, settings, kept, how, figures, resume, seed) -> ExitCode:
@@ -176,6 +169,8 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
     seed and version."""
     from importlib.metadata import version
 
+    from tirefit.diagnosis.effects import EFFECTS
+
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         data = content["data"]
@@ -191,7 +186,7 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
         settings["model"], seed, version("tirefit"),
         {
             "rig": asdict(rig),
-            "effects": [effect.id for effect in settings["effects"]],
+            "effects": [e.id for e in EFFECTS if e.id not in settings["without"]],
             "holdout": [other.source.sha256 for other in kept],
         },
     ]  # fmt: skip

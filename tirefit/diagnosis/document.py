@@ -23,7 +23,9 @@ from tirefit.diagnosis.where import regions
 __all__ = ["document_of"]
 
 
-def document_of(case: Case, data, rig, holdout, generator, model, seed) -> Diagnosis:
+def document_of(
+    case: Case, data, rig, looked_for, holdout, generator, model, seed
+) -> Diagnosis:
     base, verdict = case.base, case.verdict
     prepared = base.prepared
     rows = _rows(case)
@@ -53,9 +55,10 @@ def document_of(case: Case, data, rig, holdout, generator, model, seed) -> Diagn
         "next_measurement": next_measurements(base, case.search, case.weighed, verdict),
         "base_parameters": _base_parameters(base, base.z),
         "extended_parameters": _base_parameters(base, verdict.chosen.z),
-        "settings": {"rig": asdict(rig), "effects": list(dict.fromkeys(
-            atom.effect.id for atom in base.atoms
-        )), "holdout": [other.source.sha256 for other in holdout]},
+        "settings": {
+            "rig": asdict(rig), "effects": looked_for,
+            "holdout": [other.source.sha256 for other in holdout],
+        },
         "seed": seed,
         "version": importlib.metadata.version("tirefit"),
     }  # fmt: skip

@@ -18,6 +18,7 @@ from tirefit.diagnosis.search import Search, search
 from tirefit.diagnosis.verdict import gap_p_value, judge, weigh
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
+from tirefit.results import Problem, UsageError
 
 __all__ = ["diagnose"]
 
@@ -34,6 +35,7 @@ def diagnose(
     *,
     rig: Rig | None = None,
     effects: Sequence[Effect] = EFFECTS,
+    without: Sequence[str] = (),
     holdout: Sequence[TireData] = (),
     seed: int = 0,
 ) -> Diagnosis:
@@ -45,20 +47,26 @@ def diagnose(
         model: name of the base model.
         rig: what is known of the rig (noise, rolling radius, wheel inertia).
         effects: the library to search; add your own to :data:`EFFECTS`.
+        without: ids of effects that are not looked for.
         holdout: data not used for the search, to check the closure on.
         seed: of the simulated null distributions and bootstraps.
 
     Raises:
-        UsageError: no such model.
+        UsageError: no such model, or no such effect to leave out.
         DataError: no force with a slip that varies, no load, or too few rows.
     """
     rig = rig or Rig()
+    known = {effect.id for effect in effects}
+    if unknown := sorted(set(without) - known):
+        remedy = f"known effects: {', '.join(sorted(known))}"
+        raise UsageError([Problem(f"without {name}", remedy) for name in unknown])
     base_model = find_model(model)
     generator = np.random.default_rng(seed)
     thin = _thinned(data)
     prepared = prepare(thin, rig, modelled(base_model))
-    case = _studied(prepared, model, rig, tuple(effects), generator)
-    return document_of(case, data, rig, holdout, generator, model, seed)
+    case = _studied(prepared, model, rig, tuple(effects), without, generator)
+    looked_for = [effect.id for effect in effects if effect.id not in without]
+    return document_of(case, data, rig, looked_for, holdout, generator, model, seed)
 
 
 def _thinned(data: TireData) -> TireData:
@@ -71,10 +79,12 @@ def _thinned(data: TireData) -> TireData:
     return data.where(chosen)
 
 
-def _testable(prepared: Prepared, atoms) -> tuple[list[int], list[dict]]:
+def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[dict]]:
     possible, missing = [], {}
     for k, atom in enumerate(atoms):
         effect = atom.effect
+        if effect.id in without:
+            continue
         lacks = [need for need in effect.needs if need not in prepared.has]
         if effect.channels and not set(effect.channels) & set(prepared.channels):
             lacks += list(effect.channels)
@@ -94,10 +104,10 @@ def _level(base: Base) -> np.ndarray:
     )
 
 
-def _studied(prepared: Prepared, model, rig, effects, generator) -> Case:
+def _studied(prepared: Prepared, model, rig, effects, without, generator) -> Case:
     atoms = atoms_of(effects)
     base = fit_base(prepared, model, atoms, rig)
-    testable, untestable = _testable(prepared, atoms)
+    testable, untestable = _testable(prepared, atoms, without)
     found = search(base, testable)
     # What the best explanation leaves shows the noise better than the base fit does.
     best = found.best

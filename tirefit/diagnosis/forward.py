@@ -141,19 +141,19 @@ def _forces_at(model, layout, mode: str, z, state, design: Design):
                 pair = (moved, second * (1 + moved))
             fx, fy, mz = force_of_state(tire, own, state, *pair, inputs)
             extra = (0.0, state.force) if mode == "y" else (state.force, 0.0)
-            return jnp.stack([fx + extra[0], fy + extra[1], mz + state.moment])
+            forces = {"fx": fx + extra[0], "fy": fy + extra[1], "mz": mz + state.moment}
+            return {c: forces[c] for c in design.observed}
 
         return jax.vmap(at)(slips)
 
     stiffness = jnp.zeros_like(design.second) if plain else reference[0]
     found = jax.vmap(row)(state, stiffness, design.slip, design.second, design.inputs)
-    mean = jnp.einsum("nqc,nq->nc", found, design.weight)
-    spread = jnp.einsum("nqc,nq->nc", (found - mean[:, None]) ** 2, design.weight)
-    order = ("fx", "fy", "mz")
-    return (
-        {c: mean[:, order.index(c)] for c in design.observed},
-        {c: spread[:, order.index(c)] for c in design.observed},
-    )
+    mean = {c: jnp.sum(f * design.weight, axis=1) for c, f in found.items()}
+    spread = {
+        c: jnp.sum((f - mean[c][:, None]) ** 2 * design.weight, axis=1)
+        for c, f in found.items()
+    }
+    return mean, spread
 
 
 def _whitened(mean, design: Design):
@@ -245,10 +245,10 @@ def tangents(model, layout, atoms, mode, z, present, design: Design, finite):
     return Linear(-value, moved[: z.size].T, effects.T, moved[z.size :].T)
 
 
-def _columns(function, x):
-    """Jacobian (m, p) by forward mode."""
+def _tangents_of(function, x):
+    """Value (m,) and transposed Jacobian (p, m), by forward mode."""
     return jax.vmap(
-        lambda e: jax.jvp(function, (x,), (e,))[1], out_axes=1
+        lambda e: jax.jvp(function, (x,), (e,)), out_axes=(None, 0)
     )(jnp.eye(x.size))  # fmt: skip
 
 
@@ -349,8 +349,10 @@ def refit_all(model, layout, atoms, mode, starts, index, signs, count, design):
 
 
 def _linear(whole, x):
-    value, jacobian = whole(x), _columns(whole, x)
-    return value, jacobian.T @ jacobian, jacobian.T @ value
+    value, rows = _tangents_of(whole, x)
+    # Else the compiler works every tangent out anew for each product.
+    value, rows = jax.lax.optimization_barrier((value, rows))
+    return value, rows @ rows.T, rows @ value
 
 
 def _gauss_newton(whole, allowed, start, p: int, size: int, steps=26) -> Refit:
