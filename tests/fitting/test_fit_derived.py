@@ -251,6 +251,24 @@ def test_a_tied_parameter_follows_its_estimate():
     assert found["d"] == Estimate(-0.1, 0.05, "-", (-0.2, -0.05))
 
 
+def test_a_parameter_tied_to_one_per_run_has_an_estimate_per_run():
+    tied = {"tied": "mu", "factor": -0.2}
+    config = {"parameters": {"d": tied, "mu": {"per_run": True}}}
+    data = curve(n=40)
+    runs = table(data.columns, run=np.repeat([0, 1], 20), runs=("dry", "wet"))
+    problem = build(runs, "brush-d", parse_config(config))
+    estimates = {
+        "cpa2": Estimate(5e4, 1.0, "N", (1.0, 2.0)),
+        "mu[dry]": Estimate(1.0, 0.25, "-", (0.5, 1.5)),
+        "mu[wet]": Estimate(0.5, None, "-", (0.25, 1.0), False),
+    }
+    assert set(estimates) == set(problem.layout.labels)
+    found = with_fixed(estimates, problem)
+    assert set(found) == {*estimates, "d[dry]", "d[wet]"}
+    assert found["d[dry]"] == Estimate(-0.2, 0.05, "-", (-1.5 * 0.2, -0.1))
+    assert found["d[wet]"] == Estimate(-0.1, None, "-", (-0.2, -0.05), False)
+
+
 def test_what_is_not_defined_has_no_number():
     slip = fit(curve(), "uniform", config=GIVEN).derived["slip_at_peak"]
     assert not slip.identified and np.isnan(slip.value)

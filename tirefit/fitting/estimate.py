@@ -13,6 +13,7 @@ from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, parse_config
 from tirefit.fitting.derived import derived_from_profile, reference_point
 from tirefit.fitting.inference import Profile, profile_all
+from tirefit.fitting.layout import Tie
 from tirefit.fitting.problem import FitProblem, build
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics, information
 from tirefit.fitting.solve import Solved, solve_problem
@@ -284,22 +285,28 @@ def with_fixed(estimates: dict[str, Estimate], problem: FitProblem):
     free = {p.name for p in problem.layout.free}
     ties = {tie.name: tie for tie in problem.layout.ties}
     for name, spec in specs(problem.model).items():
-        if name in free:
-            continue
-        if name in ties and ties[name].other in estimates:
-            tie, other = ties[name], estimates[ties[name].other]
-            ends = tuple(
-                None if end is None else tie.factor * end
-                for end in (other.ci95 if tie.factor > 0 else other.ci95[::-1])
-            )
-            everything[name] = Estimate(
-                tie.factor * other.value,
-                None if other.std is None else abs(tie.factor) * other.std,
-                spec.unit, ends, other.identified,
-            )  # fmt: skip
-        elif name not in ties and (spec.free or name != "half_length"):
+        if name in ties:
+            everything |= _tied(ties[name], spec.unit, estimates, problem.layout.runs)
+        elif name not in free and (spec.free or name != "half_length"):
             value = float(parameter_values(problem.model)[name])
             everything[name] = Estimate(
                 value, None, spec.unit, (None, None), fixed=True
             )
     return everything
+
+
+def _tied(tie: Tie, unit: str, estimates: dict[str, Estimate], runs: tuple[str, ...]):
+    """Estimates of a tied parameter by label: one per run where the other one is."""
+    found = {}
+    for end in ("", *(f"[{run}]" for run in runs)):
+        if f"{tie.other}{end}" in estimates:
+            other = estimates[f"{tie.other}{end}"]
+            ends = other.ci95 if tie.factor > 0 else other.ci95[::-1]
+            found[f"{tie.name}{end}"] = Estimate(
+                tie.factor * other.value,
+                None if other.std is None else abs(tie.factor) * other.std,
+                unit,
+                tuple(None if one is None else tie.factor * one for one in ends),
+                other.identified,
+            )
+    return found
