@@ -295,6 +295,33 @@ def test_resume_follows_what_is_known_of_the_rig(again, calls, tmp_path, rig, do
     assert calls == done
 
 
+@pytest.mark.parametrize(
+    ("content", "reason", "remedy"),
+    [
+        (None, "cannot read it: No such file or directory", "check the path"),
+        (b"[noise\n", "not valid TOML: ", "correct the file"),
+        (b"\xff", "not valid TOML: 'utf-8' codec", "correct the file"),
+    ],
+    ids=["none", "not TOML", "not UTF-8"],
+)
+def test_a_rig_that_cannot_be_read_is_exit_2(run, tmp_path, content, reason, remedy):
+    write(tmp_path / "run.csv")
+    if content is not None:
+        (tmp_path / "rig.toml").write_bytes(content)
+    options = ["--rig", "rig.toml", "--out", "o"]
+    said = run("diagnose", "run.csv", *options, exit_code=2).stderr
+    assert f"rig.toml: {reason}" in said and f"remedy: {remedy}" in said
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_rig_may_begin_with_a_byte_order_mark(again, calls, tmp_path):
+    """Editors on Windows write one; the rig is the same."""
+    rig = (tmp_path / "rig.toml").read_text()
+    (tmp_path / "rig.toml").write_text(rig, encoding="utf-8-sig")
+    again("load.csv", "--resume")
+    assert calls == []
+
+
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"schema": "tirefit.diagnosis/1"}'])
 def test_resume_does_a_spoiled_document_again(again, calls, tmp_path, text):
     (tmp_path / "out" / "load.json").write_text(text)

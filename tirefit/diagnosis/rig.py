@@ -1,6 +1,5 @@
 """What is known of the rig or vehicle that measured: ``rig.toml``."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 
 from tirefit.data.table import TireData
 from tirefit.results import Problem, UsageError
+from tirefit.settings import read_toml
 
 __all__ = ["Rig", "load_rig"]
 
@@ -72,15 +72,7 @@ def load_rig(path: str | Path | None) -> Rig:
     """
     if path is None:
         return Rig()
-    try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        reason = f"cannot read it: {error.strerror}"
-        raise UsageError(Problem(reason, "check the path", str(path))) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        reason = f"not valid TOML: {error}"
-        raise UsageError(Problem(reason, "correct the file", str(path))) from None
-    return _checked(content, str(path))
+    return _checked(read_toml(path), str(path))
 
 
 def _checked(content: dict, path: str) -> Rig:
