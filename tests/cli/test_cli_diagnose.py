@@ -336,6 +336,21 @@ def test_a_case_done_again_without_figures_has_none(again, tmp_path):
     assert json.loads((tmp_path / "out" / "offset.json").read_text())["seed"] == 1
 
 
+def test_figures_of_the_user_stay(again, tmp_path):
+    """Results beside the data, where the same names are the user's: also a second time,
+    when the folder holds a diagnosis."""
+    own = {"load.png": b"a photograph", "load.html": b"<p>notes</p>"}
+    shutil.rmtree(tmp_path / "out")
+    (tmp_path / "out").mkdir()
+    for name, content in own.items():
+        (tmp_path / "out" / name).write_bytes(content)
+    for seed in ("0", "1"):
+        again("load.csv", "--seed", seed)
+        found = contents(tmp_path / "out")
+        assert set(found) == {"load.json", "load.rows.csv", *own}
+        assert {name: found[name] for name in own} == own
+
+
 def test_data_not_used_check_the_closure(again, tmp_path):
     for seed, name in ((11, "wet.csv"), (12, "dry.csv")):
         write(tmp_path / name, power=POWER, seed=seed)

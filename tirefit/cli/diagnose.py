@@ -153,7 +153,8 @@ def _one(file, name, out, settings, kept, how, figures, resume, seed) -> None:
         if _is_done(out / f"{name}.json", table, settings, kept, seed):
             return
     found = study(table, holdout=kept, seed=seed, **settings)
-    with staged(out, written + drawn) as folder:
+    earlier = drawn if _is_page(out / f"{name}.html") else []
+    with staged(out, written + earlier) as folder:
         save_diagnosis(found, folder, name)
         if figures:
             from tirefit.report.diagnosis_draw import write_figure
@@ -162,6 +163,17 @@ def _one(file, name, out, settings, kept, how, figures, resume, seed) -> None:
             write_figure(found, folder / f"{name}.png")
             write_page(found, folder / f"{name}.html")
     say(str(found))
+
+
+def _is_page(path: Path) -> bool:
+    """Whether an earlier diagnosis drew this page, and the picture beside it: files of
+    the same names may be the user's own, as beside the data."""
+    from tirefit.diagnosis.result import SCHEMA
+
+    try:
+        return SCHEMA in path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
 
 
 def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:

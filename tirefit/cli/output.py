@@ -94,8 +94,8 @@ def staged(directory: Path, known: Collection[str]) -> Iterator[Path]:
 
     Args:
         directory: claimed by this process.
-        known: every file that a result may have: those of an earlier result that are
-            not written again are removed, as they would be taken for this one's.
+        known: files of an earlier result: those that are not written again are
+            removed, as they would be taken for this one's.
     """
     folder = directory / ".writing"
     shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed
