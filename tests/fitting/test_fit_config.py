@@ -316,6 +316,31 @@ def test_noise_columns_that_are_none_name_row_and_column():
     assert (slip.row, slip.column) == (2, "sigma_x_std")
 
 
+@pytest.mark.parametrize(
+    ("noise", "said"),
+    [
+        ({"fx": 7.5}, "noise of fx: column fx_std; noise.fx = 7.5 not used beside it"),
+        (
+            {"fx_relative": 0.25},
+            "noise of fx: column fx_std; noise.fx_relative = 0.25 not used beside it",
+        ),
+        (
+            {"sigma_x": 0.125},
+            "noise of sigma_x: column sigma_x_std; noise.sigma_x = 0.125 not used"
+            " beside it",
+        ),
+        ({"fy": 7.5}, "noise of fx: column fx_std"),
+    ],
+    ids=["force", "share of the load", "slip", "another force"],
+)
+def test_a_noise_column_goes_before_the_settings_and_says_so(noise, said):
+    stds = {"fx_std": np.full(20, STD), "sigma_x_std": np.full(20, 5e-4)}
+    problem = build(curve(n=20, extra=stds), "brush", parse_config({"noise": noise}))
+    assert said in problem.notes
+    np.testing.assert_array_equal(problem.used(problem.rows.scale["fx"]), STD)
+    np.testing.assert_array_equal(problem.slip_noise["sigma_x"], 5e-4)
+
+
 def test_locked_wheel_does_not_make_slip_noise_small():
     data = curve(n=20)
     slip = data["sigma_x"].copy()

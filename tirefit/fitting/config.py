@@ -92,7 +92,8 @@ class ParameterConfig(Section):
 
 class NoiseConfig(Section):
     """Standard deviations of the noise; what is left out is estimated or, for slip,
-    taken as none. ``<force>_relative`` is a fraction of the load."""
+    taken as none. ``<force>_relative`` is a fraction of the load. A column of the data
+    with the noise of every row, as ``fx_std``, goes before all of them."""
 
     fx: PositiveFloat | None = None
     fy: PositiveFloat | None = None

@@ -112,12 +112,21 @@ def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], 
     return (chosen,), [note]
 
 
+def _column_wins(name: str, noise: NoiseConfig) -> str:
+    """The sentence on noise from a column, with the settings that it overrules: the
+    column knows every row, they know one number."""
+    given = {key: getattr(noise, key, None) for key in (name, f"{name}_relative")}
+    overruled = [f"noise.{k} = {v:g}" for k, v in given.items() if v is not None]
+    rest = f"; {' and '.join(overruled)} not used beside it" if overruled else ""
+    return f"noise of {name}: column {name}_std{rest}"
+
+
 def _force_scale(data: TireData, name: str, noise: NoiseConfig):
     """(scale (n_used,), estimated?, sentence) of one force."""
     fz = data.usable("fz") if "fz" in data else None
     if f"{name}_std" in data:
         scale = data.usable(f"{name}_std")
-        return scale, False, f"noise of {name}: column {name}_std"
+        return scale, False, _column_wins(name, noise)
     absolute = getattr(noise, name, None)
     relative = getattr(noise, f"{name}_relative", None)
     if absolute is not None:
@@ -135,7 +144,7 @@ def _force_scale(data: TireData, name: str, noise: NoiseConfig):
 def _slip_scale(data: TireData, slip: str, noise: NoiseConfig):
     given = getattr(noise, slip)
     if f"{slip}_std" in data:
-        return data.usable(f"{slip}_std"), f"noise of {slip}: column {slip}_std"
+        return data.usable(f"{slip}_std"), _column_wins(slip, noise)
     if given is not None:
         return np.full(data.n, given), f"noise of {slip}: {given:g} given"
     return None, f"noise of {slip}: none assumed"
