@@ -450,6 +450,52 @@ def test_a_constant_slip_is_checked_too(run, calls, tmp_path):
     assert calls == ["run"] and "a rolling radius of 0.297 m" in result.stderr
 
 
+OF_A_FIT = """
+model = "brush-d"
+force = "fx"
+solver = "gauss-newton"
+starts = 2
+seed = 3
+[data]
+convention = "iso-w"
+slip_max = 0.1
+slip_min = -0.1
+[noise]
+fx = 20
+[parameters.mu]
+upper = 2
+[posterior]
+walkers = 8
+"""
+SETTINGS = {
+    "of a fit": (
+        OF_A_FIT,
+        "warning: fit.toml: model, force, solver, starts, seed, data.slip_max,"
+        " data.slip_min, noise.fx, parameters.mu, posterior.walkers: used by `tirefit"
+        " fit` alone, not by diagnose; give model by --model, seed by --seed, noise by"
+        " [noise] in --rig\n",
+    ),
+    "force": (
+        'force = "fx"\n',
+        "warning: fit.toml: force: used by `tirefit fit` alone, not by diagnose\n",
+    ),
+    "of reading": ('[data]\nconvention = "iso-w"\n[data.units]\nfx = "kN"\n', ""),
+    "as asked": ('model = "brush"\nseed = 0\n', ""),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), SETTINGS.values(), ids=SETTINGS)
+def test_settings_that_only_a_fit_uses_are_named(run, calls, tmp_path, text, said):
+    """Once, however many files there are."""
+    (tmp_path / "fit.toml").write_text(text)
+    files = [write(tmp_path / name).name for name in ("one.csv", "two.csv")]
+    options = ["--config", "fit.toml", *READ, "--out", "o"]
+    result = run("diagnose", *files, *options, exit_code=3)
+    assert calls == ["one", "two"]
+    warned = [line for line in result.stderr.splitlines(True) if "fit.toml" in line]
+    assert warned == ([said] if said else [])
+
+
 @pytest.mark.parametrize("two", [("a/run.csv", "b/run.csv"), ("run.csv", "run.txt")])
 def test_files_of_one_stem_are_refused(run, tmp_path, two):
     for name in two:

@@ -91,13 +91,46 @@ def diagnose(
     with errors_to_exit():
         names = _names(files)
         check_directories([out])
-        how = read_options(options, read_config(options.config))
+        config = read_config(options.config)
+        how = read_options(options, config)
+        if config is not None:
+            _warn_of_unused(config, how, {"model": model, "seed": seed})
         start_jax()
         settings = _settings(model, rig, without, how)
         with claimed(out):
             kept = [_read(path, how) for path in holdout or []]
             worst = _all(files, names, out, settings, kept, how, figures, resume, seed)
         raise typer.Exit(worst)
+
+
+_INSTEAD = {"model": "--model", "seed": "--seed", "noise": "[noise] in --rig"}
+"""Key or section of fit.toml -> where a diagnosis takes it from."""
+
+
+def _warn_of_unused(config, how: dict, asked: dict) -> None:
+    """One warning of the keys that only a fit uses; not of those that say what is
+    ``asked`` for anyway. ``how`` has the keys of ``[data]`` that reading uses."""
+    used = {f"data.{key}" for key in how}
+    used |= {key for key, value in asked.items() if getattr(config, key) == value}
+    unused = [key for key in _keys(config) if key not in used]
+    if not unused:
+        return
+    sections = dict.fromkeys(key.split(".")[0] for key in unused)
+    instead = [f"{k} by {_INSTEAD[k]}" for k in sections if k in _INSTEAD]
+    rest = f"; give {', '.join(instead)}" if instead else ""
+    text = f"{', '.join(unused)}: used by `tirefit fit` alone, not by diagnose{rest}"
+    complain(f"warning: {config.source}: {text}")
+
+
+def _keys(config) -> list[str]:
+    """What a configuration sets: ``force``, ``noise.fx``, ``parameters.mu``."""
+    keys = []
+    for name, value in config:
+        if name in config.model_fields_set:
+            inner = getattr(value, "model_fields_set", value)
+            section = isinstance(inner, dict | set)
+            keys += [f"{name}.{key}" for key in sorted(inner)] if section else [name]
+    return keys
 
 
 def _read(path: Path, how: dict):
