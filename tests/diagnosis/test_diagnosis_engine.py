@@ -121,6 +121,17 @@ def test_outliers_and_correlated_noise_are_no_effect():
     assert "outliers" in found["noise"]["flags"]
 
 
+def test_an_effect_left_out_is_not_named(diagnosed):
+    frame, _ = record(TRUTHS["slip_offset"], seed=3)
+    found = diagnose(read_frame(frame), rig=RIG, without=("slip_offset",))
+    every = {e for c in found["candidates"] for e in c["effects"]}
+    assert "slip_offset" not in every | set(found.effects)
+    assert "slip_offset" not in found["settings"]["effects"]
+    assert "slip_offset" in diagnosed("slip_offset")[0]["settings"]["effects"]
+    with pytest.raises(UsageError, match="no_such_effect"):
+        diagnose(read_frame(frame), without=("no_such_effect",))
+
+
 def test_bad_data_are_refused():
     frame, _ = record(None)
     with pytest.raises(DataError, match="fz"):

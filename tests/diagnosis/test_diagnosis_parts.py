@@ -1,5 +1,6 @@
 """The parts of the diagnosis, each against a route of its own."""
 
+from dataclasses import replace
 from itertools import permutations
 
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ from tirefit.diagnosis.effects import EFFECTS, Effect, atoms_of
 from tirefit.diagnosis.forecast import separability
 from tirefit.diagnosis.forms import PLACE, form_columns, shape_of_change
 from tirefit.diagnosis.noise import judge_noise
-from tirefit.diagnosis.rates import segments, slip_rate
+from tirefit.diagnosis.rates import AHEAD, segments, slip_rate
 from tirefit.diagnosis.rig import Rig, load_rig
 from tirefit.diagnosis.rows import prepare
 from tirefit.diagnosis.shares import shapley
@@ -140,8 +141,8 @@ def test_tangents_are_central_differences(base):
             continue
         step = silent.copy()
         step[k] = 1e-4 * scale[k]
-        if atom.effect.id == "relaxation_length":
-            continue  # no negative length: one-sided, tested by its own truth
+        if atom.effect.id in ("relaxation_length", "channel_delay"):
+            continue  # one-sided at zero, tested by their own truths
         slope = (force(base.z, step) - force(base.z, -step)) / 2e-4
         size = max(np.abs(slope).max(), 1e-6)
         np.testing.assert_allclose(
@@ -190,21 +191,57 @@ def test_forms_belong_to_the_families(base):
     np.testing.assert_allclose(both[:, :3].sum(1), 0.03 * friction, atol=1e-12)
 
 
-def test_relaxation_follows_the_equation(base):
-    """A ramp lags by length over its own slope, exactly."""
-    atom = next(a for a in base.atoms if a.effect.id == "relaxation_length")
-    count = 60
-    rows = base.design.rows._replace(
-        path=jnp.linspace(0, 0.3, count),
-        step=jnp.full(count, 0.5).at[0].set(jnp.inf),
-        order=jnp.arange(count), place=jnp.arange(count),
+def _history(base, values, interval, step):
+    """Covariates of 40 rows whose past is ``values(columns back)``."""
+    back = np.arange(40)[:, None] - np.arange(-AHEAD, 13)
+    past = jnp.asarray(values(back.astype(float)))
+    return base.design.rows._replace(
+        past=past, pull=1e3 * past, interval=jnp.full(40, interval),
+        step=jnp.full(40, step),
     )  # fmt: skip
-    shift = atom.change(null_state(), 0.4, rows).shift
-    slope = 0.3 / (count - 1) / 0.5
-    way = 0.5 * np.arange(count)
-    np.testing.assert_allclose(
-        shift, -0.4 * slope * (1 - np.exp(-way / 0.4)), atol=1e-12
-    )
+
+
+def _change(base, effect, variant, amplitude, rows):
+    atom = next(a for a in base.atoms if a.effect.id == effect and a.variant == variant)
+    return atom.change(null_state(), amplitude, rows)
+
+
+def test_relaxation_follows_the_equation(base):
+    """A ramp from rest lags by length over its own slope, exactly."""
+    rows = _history(base, lambda x: 0.01 * np.maximum(x, 0), 0.05, 0.5)
+    way = 0.5 * np.arange(40)
+    right = -0.4 * 0.01 / 0.5 * (1 - np.exp(-way / 0.4))
+    shift = _change(base, "relaxation_length", 0, 0.4, rows).shift
+    # Later rows know no more than what fits into their past.
+    np.testing.assert_allclose(shift[:12], right[:12], atol=1e-12)
+    np.testing.assert_allclose(shift[12:], right[12:], atol=1e-5)
+    force = _change(base, "relaxation_length", 1, 0.4, rows).force
+    np.testing.assert_allclose(force, 1e3 * shift, atol=1e-12)
+    # A filter lags over time what a carcass lags over way.
+    slow = _change(base, "channel_delay", 2, 0.04, rows).force
+    np.testing.assert_allclose(slow, 1e3 * shift, atol=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.03, 0.1225, -0.06])
+def test_a_delay_takes_the_slip_of_then(base, delay):
+    rows = _history(base, lambda x: np.abs(x - 20) / 100, 0.05, 0.5)
+    row = np.arange(40)
+    grid = np.arange(-20, 60)
+    then = np.interp(row - delay / 0.05, grid, np.abs(grid - 20) / 100)
+    right = then - np.abs(row - 20) / 100
+    found = _change(base, "channel_delay", 0, delay, rows)
+    np.testing.assert_allclose(found.shift, right, atol=1e-12)
+    found = _change(base, "channel_delay", 1, delay, rows)
+    np.testing.assert_allclose(found.force, 1e3 * right, atol=1e-9)
+
+
+def test_no_form_of_the_speed_at_one_speed(base):
+    """There any function of the sliding speed is one of the slip."""
+    fields = base.linearised(base.z, np.zeros(len(base.atoms))).fields
+    slow = replace(base.prepared, has=base.prepared.has - {"speeds"})
+    families = ["friction x speed"]
+    assert form_columns(families, fields, base.prepared, base.slip_fraction).size
+    assert not form_columns(families, fields, slow, base.slip_fraction).size
 
 
 def test_an_effect_of_ones_own_in_ten_lines():
@@ -235,17 +272,52 @@ def test_slip_rate_of_a_noisy_sweep():
     time = np.arange(400) * 0.01
     truth = 0.2 * np.sin(2 * time)
     noisy = truth + 0.002 * np.random.default_rng(0).standard_normal(400)
-    rate, turning, path, sweeps, noise = slip_rate(noisy, time, np.zeros(400, int))
-    assert sweeps
-    assert noise == pytest.approx(0.002, rel=0.1)
+    found = slip_rate(noisy, time, np.zeros(400, int))
+    assert found.found
+    assert found.noise == pytest.approx(0.002, rel=0.1)
     inner = slice(25, -25)
-    assert np.std(rate[inner] - 0.4 * np.cos(2 * time)[inner]) < 0.06
-    assert np.std(path - truth) < 0.0012
+    assert np.std(found.rate[inner] - 0.4 * np.cos(2 * time)[inner]) < 0.06
+    assert np.std(found.path - truth) < 0.0012
     clear = np.abs(0.4 * np.cos(2 * time)) > 0.15
     side = np.sign(truth * np.cos(2 * time))
-    assert np.mean(np.sign(turning[clear]) == side[clear]) > 0.97
+    assert np.mean(np.sign(found.turning[clear]) == side[clear]) > 0.97
     shuffled = np.random.default_rng(1).permutation(noisy)
     assert not slip_rate(shuffled, time, np.zeros(400, int)).found
+
+
+def test_turns_of_a_saw_tooth_stay_sharp():
+    """One-sided windows: no parabola runs across a turn of the slip."""
+    time = np.arange(240) * 0.01
+    truth = 0.1 * np.abs((time / 0.6) % 1 - 0.5) * 2
+    noisy = truth + 0.001 * np.random.default_rng(3).standard_normal(240)
+    found = slip_rate(noisy, time, np.zeros(240, int), noise=0.001)
+    slope = np.gradient(truth, time)
+    away = np.abs((time / 0.3) % 1 - 0.5) < 0.42
+    assert np.std(found.rate[away] - slope[away]) < 0.15 * np.abs(slope).max()
+    assert np.sqrt(np.mean((found.path - truth) ** 2)) < 0.001
+
+
+def test_the_past_does_not_know_the_noise_of_its_row():
+    """Else a delay and a lag that cancel would take the noise out of the slip."""
+    time = np.arange(600) * 0.01
+    truth = 0.1 * np.sin(3 * time)
+    own, known = np.zeros(17), 0.0
+    for seed in range(8):
+        noise = 0.002 * np.random.default_rng(seed).standard_normal(600)
+        found = slip_rate(truth + noise, time, np.zeros(600, int), noise=0.002)
+        past = found.past
+        assert past.interval == pytest.approx(0.0125)
+        error = past.path - past.of(truth)
+        assert np.sqrt(np.mean(error[30:-30] ** 2)) < 0.0015
+        own += noise @ error / (600 * 0.002**2) / 8
+        known += noise @ (found.path - truth) / (600 * 0.002**2) / 8
+    assert known > 0.1
+    # What is left comes from the choice of the windows.
+    assert np.abs(np.delete(own, AHEAD)).max() < 0.04
+    assert own[AHEAD] < 0.7 * known
+    # Before the record begins it rests.
+    np.testing.assert_allclose(past.of(time)[0, AHEAD:], 0.0)
+    np.testing.assert_allclose(past.of(time)[100, AHEAD + 4], 0.95)
 
 
 def test_segments_break_at_pauses_and_runs():

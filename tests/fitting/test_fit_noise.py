@@ -9,7 +9,7 @@ from tirefit.fitting.noise import (
     effective_inflation,
     robust_scale,
 )
-from tirefit.fitting.slip_noise import latent_nodes, slip_density
+from tirefit.fitting.slip_noise import latent_nodes, slip_density, slip_distribution
 
 
 def autoregressive(rho, n, seed):
@@ -112,6 +112,39 @@ def test_slip_density_recovers_a_known_density():
 def test_slip_density_of_narrow_slips_stays_finite():
     knots, density = slip_density(np.full(30, 0.1), np.full(30, 0.01))
     assert np.isfinite(knots).all() and np.isfinite(density).all()
+
+
+def test_a_slip_that_many_rows_have_is_found():
+    """Free rolling between pulses: a third of the rows at one slip."""
+    generator = np.random.default_rng(2)
+    true = np.where(generator.random(900) < 0.3, 0.011, generator.uniform(0, 0.15, 900))
+    std = np.full(900, 0.002)
+    slip = true + std * generator.standard_normal(900)
+    found = slip_distribution(slip, std)
+    assert len(found.standing) == 1
+    assert found.standing[0] == pytest.approx(0.011, abs=0.0004)
+    assert found.shares[0] == pytest.approx(0.3, abs=0.04)
+    total = np.trapezoid(found.density, found.knots) + found.shares.sum()
+    assert total == pytest.approx(1.0, abs=1e-9)
+    mean, spread = found.moments(slip, std)
+    # What is left of the slip does not hang on where it was measured, as it does raw.
+    near = np.abs(slip - 0.011) < 0.004
+    assert np.abs(np.corrcoef((true - slip)[near], slip[near])[0, 1]) > 0.6
+    assert np.abs(np.corrcoef((true - mean)[near], slip[near])[0, 1]) < 0.25
+    assert np.mean((true - mean) ** 2) < 0.9 * np.mean((true - slip) ** 2)
+    # Rows of one standing slip keep all of their noise: they share its place.
+    assert np.mean(spread[near] ** 2) == pytest.approx(0.002**2, rel=0.15)
+
+
+def test_no_slip_stands_out_of_an_even_spread():
+    generator = np.random.default_rng(5)
+    slip = generator.uniform(0, 0.3, 900) + 0.004 * generator.standard_normal(900)
+    std = np.full(900, 0.004)
+    found = slip_distribution(slip, std)
+    assert found.standing.size == 0
+    mean, spread = found.moments(slip, 0 * std)
+    np.testing.assert_array_equal(mean, slip)
+    np.testing.assert_array_equal(spread, 0.0)
 
 
 @pytest.mark.parametrize("steepness", [0.1, 5.0])

@@ -21,12 +21,13 @@ from tirefit.diagnosis.forward import (
 )
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
 from tirefit.diagnosis.rows import Prepared, neighbours
+from tirefit.diagnosis.state import Covariates
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import best_of, solve_starts
 from tirefit.fitting.problem import build, starting_points
-from tirefit.fitting.slip_noise import slip_density
+from tirefit.fitting.slip_noise import slip_distribution
 
-__all__ = ["Base", "fit_base", "on_rows", "with_noise_judged"]
+__all__ = ["Base", "at_measured_slip", "fit_base", "on_rows", "with_noise_judged"]
 
 _NODES = {count: np.polynomial.hermite_e.hermegauss(count) for count in (3, 5)}
 
@@ -125,18 +126,6 @@ def _pad(array, size: int):
     return np.concatenate([array, np.repeat(array[:1], size - len(array), axis=0)])
 
 
-def _pad_rows(rows, size: int):
-    """Covariates of padding rows; in time they stand alone at the end."""
-    count = len(rows.fz)
-    padded = type(rows)(*(_pad(x, size) for x in rows))
-    last = np.arange(count, size)
-    return padded._replace(
-        order=np.concatenate([rows.order, last]).astype(int),
-        place=np.concatenate([rows.place, last]).astype(int),
-        step=np.concatenate([rows.step, np.full(size - count, np.inf)]),
-    )
-
-
 def _padded(n: int) -> int:
     return max(256, 2 ** int(np.ceil(np.log2(n))))
 
@@ -148,11 +137,9 @@ def _nodes(slip, std):
     # Enough nodes for the curvature of the force within the slip noise.
     steep = float(np.median(std)) / max(float(np.quantile(np.abs(slip), 0.9)), 1e-9)
     offset, mass = _NODES[3 if steep < 0.01 else 5]
-    nodes = slip[:, None] + std[:, None] * offset
-    grid, density = slip_density(slip, np.maximum(std, 1e-9))
-    prior = np.interp(nodes, grid, density, left=0.0, right=0.0)
-    weight = mass * (prior + 1e-6 * density.max())
-    return nodes, weight / weight.sum(axis=1, keepdims=True)
+    mean, spread = slip_distribution(slip, np.maximum(std, 1e-9)).moments(slip, std)
+    nodes = mean[:, None] + spread[:, None] * offset
+    return nodes, np.tile(mass / mass.sum(), (len(slip), 1))
 
 
 def _priors(prepared: Prepared, atoms, rig) -> tuple[np.ndarray, np.ndarray]:
@@ -162,7 +149,8 @@ def _priors(prepared: Prepared, atoms, rig) -> tuple[np.ndarray, np.ndarray]:
         if atom.effect.id == "slip_definition":
             center[k] *= prepared.definition
         if atom.effect.id == "wheel_inertia" and rig.wheel_inertia:
-            scale[k], center[k] = 0.3 * rig.wheel_inertia, 0.0
+            # A force taken from the torque lacks all of it.
+            scale[k], center[k] = 0.3 * rig.wheel_inertia, 1 / 0.3
     return scale, center
 
 
@@ -198,6 +186,14 @@ def with_noise_judged(base: Base, rig, z, amplitudes, outliers: bool = True) -> 
     return replace(base, generic=_whitened_generic(base))
 
 
+def at_measured_slip(base: Base) -> Base:
+    """The same fit at the slips as they were measured, not as they are believed."""
+    nodes = base.design.slip.shape[1]
+    slips = np.repeat(base.prepared.slip[:, None], nodes, axis=1)
+    slips = _pad(slips, len(base.design.keep))
+    return replace(base, design=base.design._replace(slip=slips))
+
+
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:
     """The same fit looked at on other rows: forces only, its noise does not carry."""
     design = _design(prepared, base.atoms, rig)
@@ -216,7 +212,7 @@ def _design(prepared: Prepared, atoms, rig) -> Design:
         _pad(slips, size), _pad(weight, size), _pad(prepared.second, size),
         {c: _pad(x, size) for c, x in prepared.observed.items()},
         {c: np.full(size, 0.05 * np.std(x)) for c, x in prepared.observed.items()},
-        keep, _pad_rows(prepared.covariates, size),
+        keep, Covariates(*(_pad(x, size) for x in prepared.covariates)),
         scale, center, np.array([np.median(fz), np.median(v)]),
     )  # fmt: skip
 
@@ -277,14 +273,29 @@ def _with_force(base: Base, silent) -> Design:
     size = len(base.design.keep)
     peak = np.max(np.abs(mean) / base.prepared.inputs.fz)
     share = _pad(mean / (peak * base.prepared.inputs.fz), size)
-    path = np.broadcast_to(base.design.rows.path[:, None], base.design.slip.shape)
-    smooth = replace(base, design=base.design._replace(slip=path))
-    pull = smooth.forces(base.z, silent)[channel]
+    pull = _pull(base, silent)[channel]
     rows = base.design.rows._replace(
         force=share, usage=np.abs(share), pull=_pad(pull, size),
         traction=_pad(mean / np.mean(base.prepared.inputs.fz), size),
     )  # fmt: skip
     return base.design._replace(rows=rows)
+
+
+def _pull(base: Base, silent) -> dict[str, np.ndarray]:
+    """Forces of the base model at the past of every row: (n, k) by channel."""
+    past, inputs, design = base.prepared.past, base.prepared.inputs, base.design
+    if "sweeps" not in base.prepared.has:
+        return {c: np.zeros_like(past.path) for c in base.prepared.channels}
+    before = [past.of(part) for part in inputs]
+    alone, size = np.zeros_like(design.weight), len(design.keep)
+    alone[:, 0] = 1.0
+    columns = []
+    for k in range(past.path.shape[1]):
+        slip = np.repeat(_pad(past.path[:, [k]], size), alone.shape[1], axis=1)
+        there = type(inputs)(*(_pad(part[:, k], size) for part in before))
+        then = design._replace(slip=slip, weight=alone, inputs=there)
+        columns.append(replace(base, design=then).forces(base.z, silent))
+    return {c: np.stack([one[c] for one in columns], axis=1) for c in columns[0]}
 
 
 def _whitened_generic(base: Base) -> Generic:

@@ -6,7 +6,7 @@ from dataclasses import asdict
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.diagnosis.base import Base, on_rows
+from tirefit.diagnosis.base import Base, at_measured_slip, on_rows
 from tirefit.diagnosis.basis import located
 from tirefit.diagnosis.case import Case, amplitudes_of
 from tirefit.diagnosis.closure import Closure, closure_of
@@ -28,8 +28,8 @@ def document_of(
 ) -> Diagnosis:
     base, verdict = case.base, case.verdict
     prepared = base.prepared
-    rows = _rows(case)
-    closures = _closures(case, rows, generator)
+    rows = _rows(case, at_measured_slip(base))
+    closures = _closures(case, _rows(case, base), generator)
     main = prepared.channels[0]
     chosen = closures[main]
     content = {
@@ -74,12 +74,16 @@ def document_of(
     return Diagnosis(content, _all_rows(case, data, rig, rows), data, curves)
 
 
-def _rows(case: Case) -> dict[str, dict[str, np.ndarray]]:
-    """Base, extended, located gap and its deviation, canonical, used rows."""
+def _rows(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
+    """Base, extended, located gap and its deviation, canonical, used rows.
+
+    Args:
+        at: the base fit at the slips that the forces are wanted for.
+    """
     base, verdict = case.base, case.verdict
     null = case.weighed.best_of[()]
-    before = base.forces(null.z, np.zeros(len(base.atoms)))
-    after = base.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
+    before = at.forces(null.z, np.zeros(len(base.atoms)))
+    after = at.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
     smooth, deviation = _smoothed_remainder(case)
     form = _form_part(case)
     found, n = {}, base.prepared.n
@@ -313,6 +317,7 @@ def _on_everything(case: Case, data: TireData, rig, rows):
     interpolated in their order."""
     base, verdict = case.base, case.verdict
     whole = on_rows(base, prepare(data, rig, base.prepared.channels), rig)
+    whole = at_measured_slip(whole)
     null = case.weighed.best_of[()]
     before = whole.forces(null.z, np.zeros(len(base.atoms)))
     after = whole.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))

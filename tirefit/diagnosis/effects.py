@@ -22,6 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from tirefit.diagnosis.rates import AHEAD
 from tirefit.diagnosis.state import Covariates, State
 
 __all__ = ["EFFECTS", "NOISE_EFFECTS", "Atom", "Effect", "STEPS", "atoms_of"]
@@ -149,40 +150,70 @@ def _shift(state, offset, rows):
     return state._replace(shift=state.shift + offset)
 
 
-def _shift_by(covariate, factor, state, amount, rows):
-    change = factor * amount * getattr(rows, covariate)
-    return state._replace(shift=state.shift + change)
+def _shift_by(covariate, state, amount, rows):
+    return state._replace(shift=state.shift + amount * getattr(rows, covariate))
 
 
-def _lagged(values, length, rows):
-    """Values behind by a length [m], less the values: (n,).
+def _late(past, delay, rows):
+    """Values of a delay [s] ago, less the values: (n,) of (n, k).
 
-    Exact for values that move in straight lines between the rows.
+    Exact for values that move in straight lines from column to column.
     """
-    path = values[rows.order]
-    before = jnp.concatenate([path[:1], path[:-1]])
+    at = jnp.clip(AHEAD + delay / rows.interval, 0.0, past.shape[1] - 1.0)
+    low = jnp.clip(jnp.floor(at), 0, past.shape[1] - 2).astype(int)[:, None]
+    before = jnp.take_along_axis(past, low, axis=1)[:, 0]
+    after = jnp.take_along_axis(past, low + 1, axis=1)[:, 0]
+    return before + (at - low[:, 0]) * (after - before) - past[:, AHEAD]
+
+
+def _slip_late(state, delay, rows):
+    return state._replace(shift=state.shift + _late(rows.past, delay, rows))
+
+
+def _force_late(state, delay, rows):
+    return state._replace(force=state.force + _late(rows.pull, delay, rows))
+
+
+def _lagged(past, length, step):
+    """Values that follow over a length, less the values: (n,) of (n, k).
+
+    Exact for values that rest before their past and then move in straight lines from
+    column to column.
+
+    Args:
+        length: of the response, in the unit of ``step``.
+        step: (n,) from column to column.
+    """
     length = length + 1e-12  # the slope at no length is one-sided, not zero
-    first = ~jnp.isfinite(rows.step)
-    ways = jnp.where(first, 1.0, rows.step) / length
-    decay = jnp.where(first, 0.0, jnp.exp(-ways))
-    # Response to values that rise from ``before`` to ``path`` over the step.
-    mean = jnp.where(ways < 1e-4, ways / 2, 1 - (1 - jnp.exp(-ways)) / ways)
-    share = jnp.where(first, 1.0, mean)
-    drive = share * path + (1 - share - decay) * before
+    ways = step / length
+    decay = jnp.exp(-ways)
+    # Response to values that rise over the step.
+    share = jnp.where(ways < 1e-4, ways / 2, 1 - (1 - decay) / ways)
 
-    def join(one, two):
-        return one[0] * two[0], one[1] * two[0] + two[1]
+    def follow(carry, value):
+        behind, before = carry
+        behind = decay * behind + share * value + (1 - share - decay) * before
+        return (behind, value), None
 
-    _, behind = jax.lax.associative_scan(join, (decay, drive))
-    return (behind - path)[rows.place]
+    path = past[:, AHEAD:].T[::-1]
+    behind = jax.lax.scan(follow, (path[0], path[0]), path[1:])[0][0]
+    return behind - past[:, AHEAD]
+
+
+def _force_filtered(state, constant, rows):
+    """A low-pass filter of first order: its delay is its time constant [s]."""
+    behind = _lagged(rows.pull, constant, rows.interval)
+    return state._replace(force=state.force + behind)
 
 
 def _relaxed(state, length, rows):
-    return state._replace(shift=state.shift + _lagged(rows.path, length, rows))
+    behind = _lagged(rows.past, length, rows.step)
+    return state._replace(shift=state.shift + behind)
 
 
 def _force_relaxed(state, length, rows):
-    return state._replace(force=state.force + _lagged(rows.pull, length, rows))
+    behind = _lagged(rows.pull, length, rows.step)
+    return state._replace(force=state.force + behind)
 
 
 def _wears_in(name, way, state, share, rows):
@@ -235,7 +266,7 @@ def _other(state, share, rows):
 
 
 def _inertia(state, inertia, rows):
-    return state._replace(force=state.force + inertia * rows.spin)
+    return state._replace(force=state.force - inertia * rows.spin)
 
 
 def _skew_with(covariate, state, d, rows):
@@ -359,8 +390,9 @@ EFFECTS: tuple[Effect, ...] = (
         looks_like=("pressure_asymmetry",), told_apart_by="both signs",
     ),
     Effect(
-        "channel_delay", "measurement", partial(_shift_by, "rate", -1.0), 0.025, "s",
+        "channel_delay", "measurement", _slip_late, 0.025, "s",
         "force(t) belongs to slip(t - amplitude)", "delay", needs=("sweeps",),
+        variants=(_force_late, _force_filtered),
         looks_like=("relaxation_length", "friction_hysteresis"),
         told_apart_by="speeds",
     ),
@@ -373,7 +405,7 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "wheel_inertia", "measurement", _inertia, 1.0, "kg m^2",
-        "force + amplitude (d omega / dt) / r", "inertia", needs=("omega", "sweeps"),
+        "force - amplitude (d omega / dt) / r", "inertia", needs=("omega", "sweeps"),
         looks_like=("channel_delay", "relaxation_length", "friction_hysteresis"),
         told_apart_by="speeds",
     ),
@@ -383,7 +415,7 @@ EFFECTS: tuple[Effect, ...] = (
         needs=("other slip",), singular=True, told_apart_by="pure slip",
     ),
     Effect(
-        "camber_thrust", "lateral inputs", partial(_shift_by, "gamma", 1.0), 0.15, "-",
+        "camber_thrust", "lateral inputs", partial(_shift_by, "gamma"), 0.15, "-",
         "slip angle + amplitude gamma", "camber stiffness / cornering stiffness",
         needs=("gamma",), channels=("fy", "mz"),
         variants=(_camber_force,), told_apart_by="opposite camber",

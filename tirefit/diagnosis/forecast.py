@@ -53,12 +53,9 @@ def _changed(base: Base, change: dict, generator):
     size = len(design.keep)
     half = generator.random(size) < 0.5
     if change.get("flip"):
-        slip, rows = (
-            -slip,
-            rows._replace(
-                side=-rows.side, rate=-rows.rate, lag=-rows.lag, other=-rows.other
-            ),
-        )
+        turned = ("side", "rate", "lag", "other", "past", "pull", "force", "traction")
+        slip = -slip
+        rows = rows._replace(**{name: -getattr(rows, name) for name in turned})
     if "fz" in change:
         factor = np.where(half, *change["fz"])
         inputs = inputs._replace(fz=inputs.fz * factor)
@@ -66,12 +63,14 @@ def _changed(base: Base, change: dict, generator):
     if "v" in change:
         factor = np.where(half, *change["v"])
         inputs = inputs._replace(v=inputs.v * factor)
-        rows = rows._replace(v=rows.v * factor, lag=rows.lag / factor)
+        rows = rows._replace(
+            v=rows.v * factor, lag=rows.lag / factor, sliding=rows.sliding * factor,
+            step=rows.step * factor,
+        )  # fmt: skip
     if "slip" in change:
         slip = slip * change["slip"]
-        rows = rows._replace(
-            rate=rows.rate * change["slip"], lag=rows.lag * change["slip"]
-        )
+        less = ("rate", "lag", "past", "pull", "sliding")
+        rows = rows._replace(**{k: change["slip"] * getattr(rows, k) for k in less})
     if change.get("shuffle"):
         order = np.arange(size)
         order[:n] = generator.permutation(n)

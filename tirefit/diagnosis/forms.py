@@ -29,11 +29,14 @@ def _bumps(values, count: int) -> np.ndarray:
 
 class _Form(NamedTuple):
     """``field`` of the state that moves by ``size`` times smooth functions of what
-    ``shapes(rows, u)`` gives, (n, k); u is slip over that of full sliding, (n,)."""
+    ``shapes(rows, u)`` gives, (n, k); u is slip over that of full sliding, (n,).
+    ``needs`` is what the data must hold: at one speed any function of the sliding speed
+    is one of the slip, and would explain whatever there is."""
 
     field: str
     size: float
     shapes: Callable
+    needs: str = ""
 
 
 def _of(name: str, count: int):
@@ -80,8 +83,8 @@ FORMS: dict[str, tuple[_Form, ...]] = {  # fmt: skip
     "friction": _SHAPE,
     "structure": _SHAPE,
     "friction x speed": (
-        _Form("friction", 0.06, _of_sliding),
-        _Form("kinetic", 0.06, _of_sliding),
+        _Form("friction", 0.06, _of_sliding, "speeds"),
+        _Form("kinetic", 0.06, _of_sliding, "speeds"),
     ),
     "transient": (_Form("shift", 0.1, _moving("lag")),),
     "friction x load": (_Form("friction", 0.03, _of("fz", 4)),),
@@ -113,6 +116,8 @@ def form_columns(families, fields, prepared, slip_fraction) -> np.ndarray:
     found = [np.zeros((len(fields), 0))]
     forms = dict.fromkeys(f for name in families for f in FORMS.get(name, ()))
     for form in forms:
+        if form.needs and form.needs not in prepared.has:
+            continue
         shapes = form.size * form.shapes(rows, slip_fraction)
         found.append(
             fields[:, PLACE[form.field], None] * np.tile(shapes, (channels, 1))

@@ -1,14 +1,30 @@
-"""How fast the slip changes, from slips measured with noise."""
+"""The path of a slip in time, and how fast it changes, from slips with noise.
+
+Local parabolas of several widths, ahead of, around and behind each row, averaged by how
+probable each is: wide where the slip moves smoothly, one-sided where it turns sharply.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import savgol_filter
 
-__all__ = ["Sweeps", "segments", "slip_rate"]
+__all__ = ["AHEAD", "Past", "Sweeps", "segments", "slip_rate"]
 
 _WINDOWS = (5, 7, 11, 17, 25, 41)
 _NOISY = 17
+_REACH = _WINDOWS[-1] - 1
+
+AHEAD, _BEHIND = 4, 12
+"""Columns of the past that lie after and before its row."""
+
+_SPAN = 0.15
+"""Time [s] that the past reaches back, at least."""
+
+
+_WORTH = 0.7
+"""Log probability for each value that a parabola explains, against leaving the values
+as measured; on saw-tooth and sine sweeps the error claimed is the true one."""
+
 _GAP = 5.0
 """A pause of so many median intervals parts two segments of a run."""
 
@@ -23,69 +39,208 @@ def segments(time, run) -> list[np.ndarray]:
     return np.split(order, breaks)
 
 
-def _smoothed(values, window: int):
-    """Local parabolas: (smooth values, slope per row, leave-one-out residual)."""
-    smooth = savgol_filter(values, window, 2, mode="interp")
-    slope = savgol_filter(values, window, 2, deriv=1, mode="interp")
-    impulse = np.zeros(window)
-    impulse[window // 2] = 1.0
-    own = savgol_filter(impulse, window, 2)[window // 2]
-    return smooth, slope, (values - smooth) / (1 - own)
+class _Parabolas(NamedTuple):
+    """Every window of one width: ``rows`` (a, w, 3) of the fit, ``fit`` (a, 3, w) that
+    gives its coefficients, ``misfit`` (a,), the sum of squares, ``unit`` (a,) of time.
+    """
+
+    rows: np.ndarray
+    fit: np.ndarray
+    misfit: np.ndarray
+    unit: np.ndarray
+
+
+def _parabolas(values, time, window: int) -> _Parabolas:
+    view = np.lib.stride_tricks.sliding_window_view
+    x, t = view(values, window), view(time, window)
+    unit = np.maximum((t[:, -1] - t[:, 0]) / 2, 1e-12)
+    u = (t - t[:, [window // 2]]) / unit[:, None]
+    rows = np.stack([np.ones_like(u), u, u * u], axis=2)
+    normal = np.einsum("awi,awj->aij", rows, rows)
+    fit = np.linalg.solve(normal, np.swapaxes(rows, 1, 2))
+    coefficients = np.einsum("aiw,aw->ai", fit, x)
+    left = x - np.einsum("awi,ai->aw", rows, coefficients)
+    return _Parabolas(rows, fit, np.sum(left**2, axis=1), unit)
+
+
+def _left_out(values, time, window: int) -> np.ndarray:
+    """What each value misses the parabola through its neighbours by: (n,)."""
+    local, size = _parabolas(values, time, window), np.arange(len(values))
+    start = np.clip(size - window // 2, 0, len(values) - window)
+    weights = np.einsum("ni,niw->nw", local.rows[start, size - start], local.fit[start])
+    smooth = np.einsum("nw,nw->n", weights, values[start[:, None] + np.arange(window)])
+    return (values - smooth) / (1 - weights[size, size - start])
+
+
+class _Path(NamedTuple):
+    """``value`` and ``slope`` (n,) with the standard deviation of the slope, and
+    ``reach`` (n, 2 _REACH + 1): how much of the values around each value is made of."""
+
+    value: np.ndarray
+    slope: np.ndarray
+    slope_error: np.ndarray
+    reach: np.ndarray
+
+
+class _Mean:
+    """Mean and variance over linear estimates that are added one by one, by their log
+    probability (n,); ``reach`` (n, 2 _REACH + 1) are the weights of the mean."""
+
+    def __init__(self, about):
+        self.about, size = about, len(about)
+        self.top = np.full(size, -np.inf)
+        self.total, self.first, self.second = np.zeros((3, size))
+        self.reach = np.zeros((size, 2 * _REACH + 1))
+
+    def add(self, log, value, variance, place, weights) -> None:
+        top = np.maximum(self.top, log)
+        fade, share = np.exp(self.top - top), np.exp(log - top)
+        off = value - self.about
+        self.top = top
+        self.total = fade * self.total + share
+        self.first = fade * self.first + share * off
+        self.second = fade * self.second + share * (off**2 + variance)
+        self.reach *= fade[:, None]
+        self.reach[np.arange(len(log))[:, None], place] += share[:, None] * weights
+
+    def result(self):
+        """(mean, standard deviation, weights)."""
+        off = self.first / self.total
+        variance = np.maximum(self.second / self.total - off**2, 0.0)
+        return self.about + off, np.sqrt(variance), self.reach / self.total[:, None]
+
+
+def _averaged(values, time, noise: float) -> _Path:
+    """The path of one unbroken stretch, whose values scatter by ``noise``."""
+    size, row = len(values), np.arange(len(values))
+    path, rise = _Mean(values), _Mean(np.zeros(size))
+    for window in (w for w in _WINDOWS if w <= size):
+        local = _parabolas(values, time, window)
+        log = _WORTH * (window - 3) - 0.5 * local.misfit / noise**2
+        for first in (row - window // 2, row, row - window + 1):
+            start = np.clip(first, 0, size - window)
+            at, fit = local.rows[start, row - start], local.fit[start]
+            slope = np.stack([np.zeros(size), np.ones(size), 2 * at[:, 1]], axis=1)
+            slope = slope / local.unit[start, None]
+            place = (start - row)[:, None] + _REACH + np.arange(window)
+            around = values[start[:, None] + np.arange(window)]
+            for mean, form in ((path, at), (rise, slope)):
+                weights = np.einsum("ni,niw->nw", form, fit)
+                found = np.einsum("nw,nw->n", weights, around)
+                spread = noise**2 * np.sum(weights**2, axis=1)
+                mean.add(log[start], found, spread, place, weights)
+    value, _, reach = path.result()
+    return _Path(value, *rise.result()[:2], reach)
+
+
+class Past(NamedTuple):
+    """What was before each row, in steps of ``interval`` [s]: column :data:`AHEAD` is
+    the row itself, those before it come later, those after it earlier.
+
+    ``path`` (n, k) is the slip there as the other rows show it: a row's own noise moves
+    neither its own path nor that of its neighbours. Times beyond the sweep are held at
+    its end. ``rows``, ``others`` and ``share`` (n, k) say between which rows each time
+    falls.
+    """
+
+    path: np.ndarray
+    rows: np.ndarray
+    others: np.ndarray
+    share: np.ndarray
+    interval: float
+
+    def of(self, values) -> np.ndarray:
+        """Any values (n,) at these times: (n, k)."""
+        return (1 - self.share) * values[self.rows] + self.share * values[self.others]
+
+
+def _no_past(values) -> Past:
+    row = np.repeat(np.arange(len(values))[:, None], AHEAD + 1 + _BEHIND, axis=1)
+    return Past(np.zeros(row.shape), row, row.copy(), np.zeros(row.shape), 1.0)
+
+
+def _fill_past(past: Past, part, values, time, path: _Path) -> None:
+    """The past of the rows ``part`` of one unbroken stretch, written into ``past``."""
+    size, row = len(values), np.arange(len(values))[:, None]
+    age = past.interval * np.arange(-AHEAD, _BEHIND + 1)
+    when = np.clip(time[:, None] - age, time[0], time[-1])
+    low = np.clip(np.searchsorted(time, when, side="right") - 1, 0, size - 2)
+    share = (when - time[low]) / (time[low + 1] - time[low])
+
+    def own(at):
+        """How much of each row's own value is in the path at a row."""
+        far = np.abs(row - at) > _REACH
+        weight = path.reach[at, np.clip(row - at, -_REACH, _REACH) + _REACH]
+        return np.where(far, 0.0, weight)
+
+    alone = np.maximum(1 - path.reach[:, _REACH], 0.05)
+    noise = ((values - path.value) / alone)[:, None]
+    mean = (1 - share) * path.value[low] + share * path.value[low + 1]
+    past.path[part] = mean - ((1 - share) * own(low) + share * own(low + 1)) * noise
+    past.rows[part], past.others[part] = part[low], part[low + 1]
+    past.share[part] = share
 
 
 class Sweeps(NamedTuple):
     """How a slip moves in time: ``rate`` (n,) [1/s]; ``turning`` (n,), +1 where it
-    grows in size, -1 where it shrinks; ``path`` (n,), the smooth slip; ``found``,
-    whether the rows are sweeps in time at all; ``noise``, what the measured slip
-    scatters about the path, 0 where it is not known."""
+    grows in size, -1 where it shrinks; ``path`` (n,), the smooth slip; ``past``, what
+    it was before; ``found``, whether the rows are sweeps in time at all; ``noise``,
+    what the measured slip scatters about the path, 0 where it is not known."""
 
     rate: np.ndarray
     turning: np.ndarray
     path: np.ndarray
+    past: Past
     found: bool
     noise: float
 
 
-def slip_rate(slip, time, run) -> Sweeps:
+def slip_rate(slip, time, run, noise: float = 0.0) -> Sweeps:
     """Rate of change of the slip.
 
     Args:
         slip: (n,) measured values.
         time: (n,) [s], or None.
         run: (n,) run of each row.
+        noise: what is known of the scatter of the values; 0 is nothing.
     """
-    rate, turning, path = np.zeros(len(slip)), np.zeros(len(slip)), slip.copy()
+    count = len(slip)
+    none = _no_past(slip)
+    still = Sweeps(np.zeros(count), np.zeros(count), slip.copy(), none, False, 0.0)
     if time is None:
-        return Sweeps(rate, turning, path, False, 0.0)
+        return still
     parts = [part for part in segments(time, run) if len(part) >= _WINDOWS[0] + 2]
-    if sum(len(part) for part in parts) < 0.5 * len(slip):
-        return Sweeps(rate, turning, path, False, 0.0)
-    window, left_out = _best_window(slip, parts)
+    if sum(len(part) for part in parts) < 0.5 * count:
+        return still
+    window, left_out = _best_window(slip, time, parts)
     if left_out > 0.15 * np.var(slip):
-        return Sweeps(rate, turning, path, False, 0.0)
-    noise = np.sqrt(left_out)
-    for part in parts:
-        use = min(window, len(part) - 1 + len(part) % 2)
-        path[part], slope, _ = _smoothed(slip[part], use)
-        interval = np.median(np.diff(time[part]))
-        rate[part] = slope / interval
-        # Standard error of the slope of a parabola over the window.
-        unsure = noise * np.sqrt(12 / use**3)
-        turning[part] = np.clip(
-            np.sign(slip[part]) * slope / max(2 * unsure, 1e-12), -1, 1
-        )
+        return still
     # Left out, a row misses by its own noise and that of the local parabola. Where few
     # neighbours predict best it is the curve that misses, not noise.
-    scatter = noise / np.sqrt(1 + 2.25 / window) if window >= _NOISY else 0.0
-    return Sweeps(rate, turning, path, True, scatter)
+    seen = max(np.sqrt(left_out / (1 + 2.25 / window)), 1e-9 * np.std(slip))
+    scatter = seen if window >= _NOISY else 0.0
+    level = max(noise, scatter if scatter > 1.3 * noise else 0.0) or seen
+    usual = float(np.median(np.concatenate([np.diff(time[part]) for part in parts])))
+    past = none._replace(interval=max(usual, _SPAN / _BEHIND))
+    found = still._replace(found=True, noise=scatter, past=past)
+    past.path[:] = past.of(slip)
+    for part in parts:
+        path = _averaged(slip[part], time[part], level)
+        _fill_past(past, part, slip[part], time[part], path)
+        found.path[part], found.rate[part] = path.value, path.slope
+        certain = np.sign(slip[part]) * path.slope / (2 * path.slope_error)
+        found.turning[part] = np.clip(certain, -1, 1)
+    return found
 
 
-def _best_window(slip, parts) -> tuple[int, float]:
+def _best_window(slip, time, parts) -> tuple[int, float]:
     """Window with the smallest leave-one-out error, and that mean square."""
     best = (_WINDOWS[0], np.inf)
     for window in _WINDOWS:
         errors = [
-            _smoothed(slip[part], window)[2] for part in parts if len(part) > window
+            _left_out(slip[part], time[part], window)
+            for part in parts
+            if len(part) > window
         ]
         if not errors:
             break

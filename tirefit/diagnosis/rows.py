@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.diagnosis.rates import segments, slip_rate
+from tirefit.diagnosis.rates import Past, Sweeps, slip_rate
 from tirefit.diagnosis.state import Covariates
 from tirefit.models import TireInputs
 from tirefit.results import DataError, Problem
@@ -39,6 +39,7 @@ class Prepared:
     second: np.ndarray
     observed: Mapping[str, np.ndarray]
     covariates: Covariates
+    past: Past
     has: frozenset[str]
     time: np.ndarray | None
     run: np.ndarray
@@ -113,13 +114,13 @@ def prepare(data: TireData, rig, model) -> Prepared:
     fz, v = data.usable("fz"), _column(data, "v")
     time = data.usable("time") if "time" in data else None
     run = data.run[data.used]
-    rate, turning, path, sweeps, scatter = slip_rate(slip, time, run)
-    std, source = _slip_std(data, mode, rig, scatter)
+    sweeps = _sweeps(data, slip, mode, rig, time, run)
+    std, source = _slip_std(data, mode, rig, sweeps.noise)
     other = sigma if mode == "y" else tan_alpha * (1 + sigma)
     other = np.zeros(data.n) if mode == "xy" else other
     omega = _column(data, "omega")
     spin = slip_rate(omega, time, run).rate if "omega" in data else 0 * v
-    order, step = _way(time, run, v)
+    interval = np.full(data.n, sweeps.past.interval)
     radius = rig.radius_for(data)
     covariates = Covariates(
         fz=fz / np.exp(np.mean(np.log(fz))),
@@ -127,22 +128,21 @@ def prepare(data: TireData, rig, model) -> Prepared:
         time=_centered(time, max(np.ptp(time), 1e-9)) if time is not None else 0 * v,
         temperature=_centered(_column(data, "temperature"), 20.0),
         gamma=_column(data, "gamma"),
-        rate=rate,
-        lag=rate / np.maximum(np.abs(v), 0.5),
-        turning=turning,
+        rate=sweeps.rate,
+        lag=sweeps.rate / np.maximum(np.abs(v), 0.5),
+        turning=sweeps.turning,
         side=np.sign(slip),
         other=other,
         force=np.zeros(data.n),
         usage=np.zeros(data.n),
         spin=spin / radius,
         load=np.full(data.n, np.mean(fz)),
-        path=path if sweeps else 0 * v,
-        step=step,
-        order=order,
-        place=np.argsort(order),
+        past=sweeps.past.path,
+        pull=np.zeros_like(sweeps.past.path),
+        interval=interval,
+        step=interval * np.maximum(np.abs(v), 0.05),
         sliding=np.abs(v * (slip if mode == "y" else slip / (1 + slip))),
         change=np.zeros(data.n),
-        pull=np.zeros(data.n),
         traction=np.zeros(data.n),
     )
     inputs = TireInputs(
@@ -152,26 +152,17 @@ def prepare(data: TireData, rig, model) -> Prepared:
     return Prepared(
         data, mode, channels, inputs, slip, std,
         tan_alpha if mode == "xy" else np.zeros(data.n),
-        {c: data.usable(c) for c in channels}, covariates,
-        _holdings(data, mode, covariates, sweeps), time, run,
+        {c: data.usable(c) for c in channels}, covariates, sweeps.past,
+        _holdings(data, mode, covariates, sweeps.found), time, run,
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
         rig.run_order == "random",
     )  # fmt: skip
 
 
-def _way(time, run, v) -> tuple[np.ndarray, np.ndarray]:
-    """Rows in time order, and the way from each to the next in that order [m].
-
-    Infinite at the first row of every sweep: a transient starts from rest there.
-    """
-    if time is None:
-        return np.arange(len(v)), np.full(len(v), np.inf)
-    parts = segments(time, run)
-    order, step = np.concatenate(parts), np.full(len(v), np.inf)
-    for part in parts:
-        speed = np.maximum(np.abs(v[part]), 0.05)
-        step[part[1:]] = np.diff(time[part]) * (speed[1:] + speed[:-1]) / 2
-    return order, step[order]
+def _sweeps(data: TireData, slip, mode: str, rig, time, run) -> Sweeps:
+    """How the slip moves, by the noise that is stated for it."""
+    stated, _ = _slip_std(data, mode, rig, 0.0)
+    return slip_rate(slip, time, run, float(np.median(stated)))
 
 
 def _slip_std(data: TireData, mode: str, rig, scatter: float):

@@ -32,13 +32,13 @@ class Covariates(NamedTuple):
     over its peak, with its sign, ``usage`` its size, and ``spin`` d(omega)/dt over the
     rolling radius [rad/(m s^2)]. ``load`` is the mean load [N].
 
-    ``path`` is the smooth slip, zero without sweeps; ``order`` the rows in time,
-    ``place`` each row's place there, and ``step`` [m] the way to each row in that
-    order from the one before, infinite at the start of a sweep. ``sliding`` [m/s] is
-    the sliding speed of the measured slip. ``change`` is the shape of a change in time,
-    from -1/2 to 1/2, that :func:`tirefit.diagnosis.forms.shape_of_change` has found,
-    ``pull`` [N] the force of the base model at the smooth slip, ``traction`` its force
-    over the mean load.
+    ``past`` (n, k) is the smooth slip before, at and after each row, see
+    :class:`tirefit.diagnosis.rates.Past`, ``pull`` (n, k) [N] the force of the base
+    model there; both are zero without sweeps. From column to column it is ``interval``
+    [s] and ``step`` [m] back. ``sliding`` [m/s] is the sliding speed of the measured
+    slip. ``change`` is the shape of a change in time, from -1/2 to 1/2, that
+    :func:`tirefit.diagnosis.forms.shape_of_change` has found, ``traction`` the force
+    of the base model over the mean load.
     """
 
     fz: Array
@@ -55,13 +55,12 @@ class Covariates(NamedTuple):
     usage: Array
     spin: Array
     load: Array
-    path: Array
+    past: Array
+    pull: Array
+    interval: Array
     step: Array
-    order: Array
-    place: Array
     sliding: Array
     change: Array
-    pull: Array
     traction: Array
 
 

@@ -6,9 +6,11 @@ A flat prior instead biases the friction where slips crowd (S §5.1 noise: by 0.
 standard deviations; with the estimated distribution by less than 0.1).
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
-__all__ = ["latent_nodes", "slip_density"]
+__all__ = ["SlipDistribution", "latent_nodes", "slip_density", "slip_distribution"]
 
 _REACH = 4.0
 """Nodes span this many slip standard deviations on both sides of the measured slip."""
@@ -29,20 +31,147 @@ def slip_density(slip, std, hats: int = 20, iterations: int = 200):
         (grid, density): knots of a piecewise linear density, shape (hats + 2,), which
         is zero at the first and last and integrates to one.
     """
-    # Some thousands of slips give the distribution as well as all of them.
+    slip, std = _some(slip, std)
+    knots, spacing, hat = _hats(slip, std, hats)
+    weight = _weights(hat, np.full(hat.shape[1], 1 / hat.shape[1]), iterations)
+    return knots, np.concatenate([[0.0], weight / spacing, [0.0]])
+
+
+class SlipDistribution(NamedTuple):
+    """A piecewise linear density (``knots``, ``density``) and slips that many rows
+    have: ``standing`` (k,) with their ``shares`` (k,). All of it integrates to one."""
+
+    knots: np.ndarray
+    density: np.ndarray
+    standing: np.ndarray
+    shares: np.ndarray
+
+    def moments(self, slip, std):
+        """Mean and standard deviation (n,) of each latent slip, given the measured.
+
+        Rows of one standing slip share what its place is wrong by: each counts with
+        all of its own noise, so that their mean is as unsure as it is.
+        """
+        offset = np.linspace(-_REACH, _REACH, 41)
+        nodes = slip[:, None] + std[:, None] * offset
+        found = np.interp(nodes, self.knots, self.density, left=0.0, right=0.0)
+        found = (
+            (found + 1e-6 * self.density.max()) * _gauss(offset) * np.diff(offset)[0]
+        )
+        # A measured slip of no noise is what it is.
+        there = _standing_likelihood(slip, np.where(std > 0, std, 1.0), self.standing)
+        there = np.where(std[:, None] > 0, self.shares * there, 0.0)
+        total = found.sum(axis=1) + there.sum(axis=1)
+        weight = np.concatenate([found, there], axis=1) / total[:, None]
+        places = np.broadcast_to(self.standing, there.shape)
+        places = np.concatenate([nodes, places], axis=1) - slip[:, None]
+        mean = np.sum(weight * places, axis=1)
+        square = np.sum(weight * (places - mean[:, None]) ** 2, axis=1)
+        square = square + std**2 * there.sum(axis=1) / total
+        return slip + mean, np.sqrt(square)
+
+
+def slip_distribution(slip, std, most: int = 40, iterations: int = 60):
+    """Distribution of the true slips: a density, and the slips that rows stand at.
+
+    A wheel that rolls freely between two pulses of the brake, or a rig that steps
+    through set points, has many rows of one slip, which no smooth density can show.
+    They are added one by one, each where the likelihood rises most, while it rises by
+    more than a place, found by search, and a share are worth.
+
+    Args:
+        slip: measured slips, shape (n,).
+        std: their standard deviations, shape (n,).
+        most: standing slips, at most.
+        iterations: steps of expectation maximisation after each.
+    """
+    slip, std = _some(slip, std)
+    knots, spacing, columns = _hats(slip, std, 20)
+    hats = columns.shape[1]
+    weight = _weights(columns, np.full(hats, 1 / hats), 3 * iterations)
+    noise = float(np.median(std))
+    places = np.linspace(
+        slip.min(), slip.max(), int(np.clip(2 * np.ptp(slip) / noise, 2, 2000))
+    )
+    near = _standing_likelihood(slip, std, places)
+    standing, likely = np.zeros(0), _log_likelihood(columns, weight)
+    while len(standing) < most:
+        rise = np.mean(near / np.maximum(columns @ weight, 1e-300)[:, None], axis=0)
+        found = max(
+            (
+                _with_one_more(
+                    slip, std, columns, np.append(standing, place), weight, iterations
+                )
+                for place in places[_peaks(rise)]
+            ),
+            key=lambda one: _log_likelihood(*one[:2]),
+        )
+        now = _log_likelihood(*found[:2])
+        if now < likely + 1.2 * np.log(len(slip)):
+            break
+        columns, weight, standing = found
+        likely = now
+    density = np.concatenate([[0.0], weight[:hats] / spacing, [0.0]])
+    return SlipDistribution(knots, density, standing, weight[hats:])
+
+
+def _peaks(values, most: int = 4):
+    """Indices of the highest local maxima."""
+    padded = np.pad(values, 1, constant_values=-np.inf)
+    tops = (values >= padded[:-2]) & (values >= padded[2:])
+    tops = np.flatnonzero(tops)
+    return tops[np.argsort(-values[tops])][:most]
+
+
+def _with_one_more(slip, std, columns, standing, weight, iterations: int):
+    """(columns, weights, places) with one more standing slip, all places refined."""
+    smooth = columns[:, : columns.shape[1] - len(standing) + 1]
+    share, wider = np.append(0.95 * weight, 0.05), columns
+    for _ in range(3):
+        alone = _standing_likelihood(slip, std, standing)
+        wider = np.concatenate([smooth, alone], axis=1)
+        share = _weights(wider, share, iterations // 3)
+        mine = wider * share / np.maximum(wider @ share, 1e-300)[:, None]
+        mine = mine[:, smooth.shape[1] :] / std[:, None] ** 2
+        standing = mine.T @ slip / np.maximum(mine.sum(axis=0), 1e-300)
+    return wider, share, standing
+
+
+def _standing_likelihood(slip, std, places):
+    """Likelihood of each slip under each place, (n, k)."""
+    return _gauss((slip[:, None] - places) / std[:, None]) / std[:, None]
+
+
+def _log_likelihood(columns, weight) -> float:
+    return float(np.sum(np.log(np.maximum(columns @ weight, 1e-300))))
+
+
+def _gauss(x):
+    return np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi)
+
+
+def _some(slip, std):
+    """Some thousands of slips give the distribution as well as all of them."""
     every = max(len(slip) // 4000, 1)
-    slip, std = slip[::every], std[::every]
+    return slip[::every], std[::every]
+
+
+def _hats(slip, std, hats: int):
+    """(knots, spacing, likelihood of each slip under each hat (n, hats))."""
     width = max(float(np.ptp(slip)), float(np.median(std)))
     count = int(np.clip(width / max(float(np.median(std)), 1e-300), 3, hats))
     spacing = width / (count - 1)
     knots = slip.min() + spacing * np.arange(-1, count + 1)
-    hat = _hat_likelihood(slip, std, knots, spacing)
-    weight = np.full(count, 1 / count)
+    return knots, spacing, _hat_likelihood(slip, std, knots, spacing)
+
+
+def _weights(columns, weight, iterations: int):
+    """Weights of the parts by expectation maximisation."""
     for _ in range(iterations):
-        share = hat * weight
+        share = columns * weight
         share /= np.maximum(share.sum(1, keepdims=True), 1e-300)
         weight = share.mean(0)
-    return knots, np.concatenate([[0.0], weight / spacing, [0.0]])
+    return weight
 
 
 def _hat_likelihood(slip, std, knots, spacing):
