@@ -111,6 +111,8 @@ def judge(name: str, label: dict, result: dict) -> Outcome:
     alias = a.status == "cannot_tell" and bool(truth) and truth <= said
     if hidden:
         right = family_right = unknown
+    elif label["set"] == "injected":
+        right, family_right = exact, exact
     elif truth:
         right, family_right = exact and not unknown, kin and not unknown
     else:

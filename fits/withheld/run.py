@@ -9,6 +9,7 @@ It opens the files and rig.toml of ``FOLDER/trials`` and ``FOLDER/leave_out.json
 
 import argparse
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -37,9 +38,15 @@ def run_group(group: Path, without: list[str], out: Path, resume: bool) -> float
         shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True, exist_ok=True)
     begun = time.perf_counter()
+    # What one process compiled serves the others.
+    shared = {
+        "JAX_COMPILATION_CACHE_DIR": str(out.parent.absolute() / "compiled"),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
+    }
     with (out / "run.log").open("w") as log:
         line = command(group, without, out, *(["--resume"] if resume else []))
-        done = subprocess.run(line, stdout=log, stderr=log, check=False)
+        done = subprocess.run(line, stdout=log, stderr=log, check=False,
+                              env=shared | os.environ)  # fmt: skip
     spent = time.perf_counter() - begun
     files = len(list(group.glob("*.csv")))
     answered = len(list(out.glob("*.rows.csv")))

@@ -84,6 +84,16 @@ class Base:
         found = tangents(*self.arguments, z, present, self.design, self.finite)
         return Linear(*(self.cut(part) for part in found))
 
+    def residual(self, z, amplitudes) -> np.ndarray:
+        """Whitened residual of the used rows, zero for outliers: (m,)."""
+        keep = self.design.keep[: self.prepared.n]
+        parts = [
+            keep * (self.prepared.observed[c] - force)
+            / self.design.scale[c][: self.prepared.n]
+            for c, force in self.forces(z, amplitudes).items()
+        ]  # fmt: skip
+        return np.concatenate(parts)
+
     def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
         """Mean force of every used row, by channel."""
         mean, _ = moments(*self.arguments, z, present_in(amplitudes), self.design)
@@ -240,7 +250,7 @@ def _noise(base: Base, rig, z, amplitudes, outliers) -> dict[str, NoiseLevel]:
         std = f"{channel}_std"
         fz = prepared.inputs.fz
         given = (
-            prepared.data.usable(std)
+            prepared.column(std)
             if std in prepared.data
             else rig.force_noise(channel, fz)
         )
@@ -283,16 +293,16 @@ def _with_force(base: Base, silent) -> Design:
 
 def _pull(base: Base, silent) -> dict[str, np.ndarray]:
     """Forces of the base model at the past of every row: (n, k) by channel."""
-    past, inputs, design = base.prepared.past, base.prepared.inputs, base.design
+    past, design = base.prepared.covariates.past, base.design
     if "sweeps" not in base.prepared.has:
-        return {c: np.zeros_like(past.path) for c in base.prepared.channels}
-    before = [past.of(part) for part in inputs]
+        return {c: np.zeros_like(past) for c in base.prepared.channels}
     alone, size = np.zeros_like(design.weight), len(design.keep)
     alone[:, 0] = 1.0
     columns = []
-    for k in range(past.path.shape[1]):
-        slip = np.repeat(_pad(past.path[:, [k]], size), alone.shape[1], axis=1)
-        there = type(inputs)(*(_pad(part[:, k], size) for part in before))
+    for k in range(past.shape[1]):
+        slip = np.repeat(_pad(past[:, [k]], size), alone.shape[1], axis=1)
+        there = [_pad(part[:, k], size) for part in base.prepared.before]
+        there = type(design.inputs)(*there)
         then = design._replace(slip=slip, weight=alone, inputs=there)
         columns.append(replace(base, design=then).forces(base.z, silent))
     return {c: np.stack([one[c] for one in columns], axis=1) for c in columns[0]}

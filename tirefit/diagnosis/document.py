@@ -5,7 +5,6 @@ from dataclasses import asdict
 
 import numpy as np
 
-from tirefit.data.table import TireData
 from tirefit.diagnosis.base import Base, at_measured_slip, on_rows
 from tirefit.diagnosis.basis import located
 from tirefit.diagnosis.case import Case, amplitudes_of
@@ -14,7 +13,7 @@ from tirefit.diagnosis.forecast import next_measurements
 from tirefit.diagnosis.holdout import held_out
 from tirefit.diagnosis.noise import correlation
 from tirefit.diagnosis.result import SCHEMA, Diagnosis
-from tirefit.diagnosis.rows import prepare
+from tirefit.diagnosis.rows import Prepared
 from tirefit.diagnosis.search import Hypothesis
 from tirefit.diagnosis.shares import closed_by_each
 from tirefit.diagnosis.verdict import Verdict, fitted_form, linear_at
@@ -24,8 +23,10 @@ __all__ = ["document_of"]
 
 
 def document_of(
-    case: Case, data, rig, looked_for, holdout, generator, model, seed
+    case: Case, whole: Prepared, rig, looked_for, holdout, generator, model, seed
 ) -> Diagnosis:
+    """The verdict on the rows of ``case``, spread over all rows of ``whole``."""
+    data = whole.data
     base, verdict = case.base, case.verdict
     prepared = base.prepared
     rows = _rows(case, at_measured_slip(base))
@@ -71,7 +72,7 @@ def document_of(
         "observed": dict(prepared.observed), "has": sorted(prepared.has),
         "inputs": prepared.inputs, "thin": rows,
     }  # fmt: skip
-    return Diagnosis(content, _all_rows(case, data, rig, rows), data, curves)
+    return Diagnosis(content, _all_rows(case, whole, rig, rows), data, curves)
 
 
 def _rows(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
@@ -257,7 +258,7 @@ def _widening(case: Case, hypothesis: Hypothesis) -> float:
     the noise, and neighbours in time agree, where it does not explain everything."""
     base = case.base
     prepared, n = base.prepared, base.prepared.n
-    residual = base.linearised(hypothesis.z, amplitudes_of(base, hypothesis)).residual
+    residual = base.residual(hypothesis.z, amplitudes_of(base, hypothesis))
     rows_each = max(
         correlation(residual[k * n : (k + 1) * n], prepared.time, prepared.run)
         for k in range(len(prepared.channels))
@@ -297,12 +298,11 @@ def _base_parameters(base: Base, z) -> dict[str, float]:
     return {name: float(np.asarray(v).ravel()[0]) for name, v in values.items()}
 
 
-def _all_rows(case: Case, data: TireData, rig, rows):
+def _all_rows(case: Case, whole: Prepared, rig, rows):
     """The rows of the whole file, NaN where masked: {channel: {name: (n,)}}."""
-    base = case.base
-    if base.prepared.data is not data:
-        rows = _on_everything(case, data, rig, rows)
-    found = {}
+    data, found = whole.data, {}
+    if case.base.prepared.n < whole.n:
+        rows = _on_everything(case, whole, rig, rows)
     for channel, parts in rows.items():
         found[channel] = {}
         for name, values in parts.items():
@@ -312,17 +312,15 @@ def _all_rows(case: Case, data: TireData, rig, rows):
     return found
 
 
-def _on_everything(case: Case, data: TireData, rig, rows):
+def _on_everything(case: Case, prepared: Prepared, rig, rows):
     """Forces of both fits on every row; the located gap between the thinned rows is
     interpolated in their order."""
     base, verdict = case.base, case.verdict
-    whole = on_rows(base, prepare(data, rig, base.prepared.channels), rig)
-    whole = at_measured_slip(whole)
+    whole = at_measured_slip(on_rows(base, prepared, rig))
     null = case.weighed.best_of[()]
     before = whole.forces(null.z, np.zeros(len(base.atoms)))
     after = whole.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
-    kept = np.flatnonzero(base.prepared.data.used[data.used])
-    every, found = np.arange(data.n), {}
+    kept, every, found = base.prepared.kept, np.arange(prepared.n), {}
     for channel, parts in rows.items():
         rest = parts["gap"] - (parts["extended"] - parts["base"])
         gap = after[channel] - before[channel] + np.interp(every, kept, rest)

@@ -13,7 +13,7 @@ from tirefit.diagnosis.effects import EFFECTS, Effect, atoms_of
 from tirefit.diagnosis.forms import PLACE, shape_of_change
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rig import Rig
-from tirefit.diagnosis.rows import Prepared, prepare
+from tirefit.diagnosis.rows import Prepared, prepare, thinned
 from tirefit.diagnosis.search import Search, search
 from tirefit.diagnosis.verdict import gap_p_value, judge, weigh
 from tirefit.fitting.problem import find_model
@@ -62,21 +62,11 @@ def diagnose(
         raise UsageError([Problem(f"without {name}", remedy) for name in unknown])
     base_model = find_model(model)
     generator = np.random.default_rng(seed)
-    thin = _thinned(data)
-    prepared = prepare(thin, rig, modelled(base_model))
-    case = _studied(prepared, model, rig, tuple(effects), without, generator)
+    whole = prepare(data, rig, modelled(base_model))
+    some = thinned(whole, _MOST_ROWS)
+    case = _studied(some, model, rig, tuple(effects), without, generator)
     looked_for = [effect.id for effect in effects if effect.id not in without]
-    return document_of(case, data, rig, looked_for, holdout, generator, model, seed)
-
-
-def _thinned(data: TireData) -> TireData:
-    """The same data with at most :data:`_MOST_ROWS` rows used."""
-    if data.n <= _MOST_ROWS:
-        return data
-    rows = np.flatnonzero(data.used)
-    chosen = np.zeros(len(data), bool)
-    chosen[rows[np.linspace(0, len(rows) - 1, _MOST_ROWS).astype(int)]] = True
-    return data.where(chosen)
+    return document_of(case, whole, rig, looked_for, holdout, generator, model, seed)
 
 
 def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[dict]]:

@@ -1,17 +1,17 @@
 """Data as the diagnosis sees them: slips, covariates, and what could be seen at all."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.diagnosis.rates import Past, Sweeps, slip_rate
+from tirefit.diagnosis.rates import Sweeps, slip_rate
 from tirefit.diagnosis.state import Covariates
 from tirefit.models import TireInputs
 from tirefit.results import DataError, Problem
 
-__all__ = ["Prepared", "neighbours", "prepare"]
+__all__ = ["Prepared", "neighbours", "prepare", "thinned"]
 
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that drive the forces -> forces that may be diagnosed."""
@@ -27,7 +27,9 @@ class Prepared:
     ``slip`` (n,) is the primary slip [-]: sigma_x, or tan(alpha) for lateral data;
     ``slip_std`` its noise; ``second`` (n,) is tan(alpha) where both drive. ``observed``
     holds (n,) by channel. ``covariates`` lacks only what the base fit gives. ``has``
-    names what the data hold of the needs of the effects.
+    names what the data hold of the needs of the effects. ``before`` are the inputs in
+    the past of each row (n, k), ``kept`` (n,) which of the used rows of the data these
+    are.
     """
 
     data: TireData
@@ -39,17 +41,22 @@ class Prepared:
     second: np.ndarray
     observed: Mapping[str, np.ndarray]
     covariates: Covariates
-    past: Past
+    before: TireInputs
     has: frozenset[str]
     time: np.ndarray | None
     run: np.ndarray
     definition: float
     slip_source: str
     random_order: bool
+    kept: np.ndarray
 
     @property
     def n(self) -> int:
         return len(self.slip)
+
+    def column(self, name: str) -> np.ndarray:
+        """A column of the data, (n,)."""
+        return self.data.usable(name)[self.kept]
 
 
 def _varies(values, share: float = 0.0) -> bool:
@@ -152,10 +159,30 @@ def prepare(data: TireData, rig, model) -> Prepared:
     return Prepared(
         data, mode, channels, inputs, slip, std,
         tan_alpha if mode == "xy" else np.zeros(data.n),
-        {c: data.usable(c) for c in channels}, covariates, sweeps.past,
+        {c: data.usable(c) for c in channels}, covariates,
+        TireInputs(*(sweeps.past.of(part) for part in inputs)),
         _holdings(data, mode, covariates, sweeps.found), time, run,
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
-        rig.run_order == "random",
+        rig.run_order == "random", np.arange(data.n),
+    )  # fmt: skip
+
+
+def thinned(prepared: Prepared, most: int) -> Prepared:
+    """At most so many rows, evenly spread; what they know of their past stays."""
+    if prepared.n <= most:
+        return prepared
+    rows = np.linspace(0, prepared.n - 1, most).astype(int)
+
+    def some(parts):
+        return type(parts)(*(part[rows] for part in parts))
+
+    plain = ("slip", "slip_std", "second", "run", "kept")
+    return replace(
+        prepared, inputs=some(prepared.inputs), covariates=some(prepared.covariates),
+        before=some(prepared.before),
+        observed={c: x[rows] for c, x in prepared.observed.items()},
+        time=None if prepared.time is None else prepared.time[rows],
+        **{name: getattr(prepared, name)[rows] for name in plain},
     )  # fmt: skip
 
 

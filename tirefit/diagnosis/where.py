@@ -48,7 +48,7 @@ def _covariates(base: Base) -> dict[str, np.ndarray]:
         found["sign"] = np.sign(prepared.slip)
     for name in ("temperature", "gamma"):
         if name in prepared.has:
-            found[name] = prepared.data.usable(name)
+            found[name] = prepared.column(name)
     return found
 
 

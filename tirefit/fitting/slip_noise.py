@@ -97,17 +97,17 @@ def slip_distribution(slip, std, most: int = 40, iterations: int = 60):
     standing, likely = np.zeros(0), _log_likelihood(columns, weight)
     while len(standing) < most:
         rise = np.mean(near / np.maximum(columns @ weight, 1e-300)[:, None], axis=0)
-        found = max(
-            (
-                _with_one_more(
-                    slip, std, columns, np.append(standing, place), weight, iterations
-                )
-                for place in places[_peaks(rise)]
-            ),
-            key=lambda one: _log_likelihood(*one[:2]),
-        )
-        now = _log_likelihood(*found[:2])
-        if now < likely + 1.2 * np.log(len(slip)):
+        worth = 1.2 * np.log(len(slip))
+        tries = [
+            _with_one_more(
+                slip, std, columns, np.append(standing, places[k]), weight, iterations
+            )
+            for k in _peaks(rise)
+            if _first_gain(near[:, k], columns @ weight) > 0.2 * worth
+        ]
+        found = max(tries, key=lambda one: _log_likelihood(*one[:2]), default=None)
+        now = -np.inf if found is None else _log_likelihood(*found[:2])
+        if now < likely + worth:
             break
         columns, weight, standing = found
         likely = now
@@ -121,6 +121,14 @@ def _peaks(values, most: int = 4):
     tops = (values >= padded[:-2]) & (values >= padded[2:])
     tops = np.flatnonzero(tops)
     return tops[np.argsort(-values[tops])][:most]
+
+
+def _first_gain(alone, together) -> float:
+    """Log likelihood that a share of one more part adds, the others left as they are
+    to one another: less than what they add when they all move."""
+    ratio = alone / np.maximum(together, 1e-300) - 1
+    shares = np.array([0.003, 0.01, 0.03, 0.1, 0.3])[:, None]
+    return float(np.max(np.sum(np.log1p(shares * ratio), axis=1)))
 
 
 def _with_one_more(slip, std, columns, standing, weight, iterations: int):
