@@ -178,15 +178,18 @@ def test_shape_of_a_change_is_found():
     assert np.max(np.abs(found - truth)) < 0.06
 
 
-def test_forms_belong_to_the_families(base):
+def _forms(base, *families, without=()):
     fields = base.linearised(base.z, np.zeros(len(base.atoms))).fields
-    assert form_columns(("measurement",), fields, base.prepared, 1.0).shape[1] == 0
-    both = form_columns(
-        ("friction x load", "friction x time"), fields, base.prepared,
-        base.slip_fraction,
-    )  # fmt: skip
+    prepared = replace(base.prepared, has=base.prepared.has - set(without))
+    return form_columns(families, fields, prepared, base.slip_fraction)
+
+
+def test_forms_belong_to_the_families(base):
+    assert _forms(base, "measurement").shape[1] == 0
+    both = _forms(base, "friction x load", "friction x time")
     # One column for each of three loads, four over the time.
     assert both.shape == (base.prepared.n, 7)
+    fields = base.linearised(base.z, np.zeros(len(base.atoms))).fields
     friction = fields[:, PLACE["friction"]]
     np.testing.assert_allclose(both[:, :3].sum(1), 0.03 * friction, atol=1e-12)
 
@@ -237,11 +240,8 @@ def test_a_delay_takes_the_slip_of_then(base, delay):
 
 def test_no_form_of_the_speed_at_one_speed(base):
     """There any function of the sliding speed is one of the slip."""
-    fields = base.linearised(base.z, np.zeros(len(base.atoms))).fields
-    slow = replace(base.prepared, has=base.prepared.has - {"speeds"})
-    families = ["friction x speed"]
-    assert form_columns(families, fields, base.prepared, base.slip_fraction).size
-    assert not form_columns(families, fields, slow, base.slip_fraction).size
+    assert _forms(base, "friction x speed").size
+    assert not _forms(base, "friction x speed", without=["speeds"]).size
 
 
 def test_an_effect_of_ones_own_in_ten_lines():

@@ -50,7 +50,6 @@ class Base:
     noise: dict[str, NoiseLevel]
     slip_noise: float
     slip_fraction: np.ndarray
-    full_sliding: float
     generic: Generic | None
 
     def cut(self, stacked) -> np.ndarray:
@@ -110,10 +109,8 @@ def present_in(amplitudes) -> Present:
 
 def _first_fit(prepared: Prepared, name: str):
     """(model, layout, z) by least squares with estimated noise, slip as measured."""
-    force = [c for c in prepared.channels if c != "mz"]
-    if "mz" in prepared.channels:
-        force.append("mz")
     data = prepared.data
+    force = list(prepared.channels)
     config = parse_config({"force": force, "noise": {"loss": "huber"}, "starts": 4})
     problem = build(data, name, config)
     rows = problem.rows
@@ -171,7 +168,7 @@ def fit_base(prepared: Prepared, name: str, atoms, rig) -> Base:
     fraction = _slip_fraction(prepared, model, layout, z, design)
     base = Base(
         prepared, atoms, model, layout, z, None, design, {},
-        float(np.median(prepared.slip_std)), *fraction, None,
+        float(np.median(prepared.slip_std)), fraction, None,
     )  # fmt: skip
     silent = np.zeros(len(atoms))
     base = with_noise_judged(base, rig, z, silent, outliers=False)
@@ -228,38 +225,34 @@ def _design(prepared: Prepared, atoms, rig) -> Design:
 
 
 def _slip_fraction(prepared: Prepared, model, layout, z, design):
-    """(slip over that of full sliding (n,), that slip at the median load).
-
-    Full sliding as of the brush with the base's slope and peak: 3 mu F_z / (2 c).
-    """
+    """Slip over that of full sliding (n,), 3 mu F_z / (2 c) of the brush with the
+    base's slope and peak."""
     stiffness, mu = brush_of_base(model, layout, prepared.mode, z, design)
     stiffness = np.asarray(stiffness)[: prepared.n]
     full = 1.5 * float(mu) * prepared.inputs.fz / np.maximum(stiffness, 1e-9)
     size = np.hypot(prepared.slip, prepared.second)
     side = np.where(prepared.slip < 0, -1.0, 1.0)
-    return side * size / full, float(np.median(full))
+    return side * size / full
 
 
 def _noise(base: Base, rig, z, amplitudes, outliers) -> dict[str, NoiseLevel]:
     prepared = base.prepared
     mean, spread = moments(*base.arguments, z, present_in(amplitudes), base.design)
-    found = {}
+    fz = prepared.inputs.fz
+    typical = fz / np.mean(fz)
+    basis = smooth_basis(prepared, base.slip_fraction, typical, prepared.n // 6)
+    waves, groups, found = wave_basis(prepared, typical), neighbours(prepared), {}
     for channel in prepared.channels:
-        observed = prepared.observed[channel]
-        residual = observed - np.asarray(mean[channel])[: prepared.n]
+        residual = prepared.observed[channel] - np.asarray(mean[channel])[: prepared.n]
         std = f"{channel}_std"
-        fz = prepared.inputs.fz
         given = (
             prepared.column(std)
             if std in prepared.data
             else rig.force_noise(channel, fz)
         )
-        typical = fz / np.mean(fz)
-        basis = smooth_basis(prepared, base.slip_fraction, typical, prepared.n // 6)
         found[channel] = judge_noise(
             residual, np.asarray(spread[channel])[: prepared.n], fz, given, basis,
-            wave_basis(prepared, typical), neighbours(prepared), prepared.time,
-            prepared.run, outliers,
+            waves, groups, prepared.time, prepared.run, outliers,
         )  # fmt: skip
     return found
 

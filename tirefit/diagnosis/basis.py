@@ -6,6 +6,8 @@ import numpy as np
 
 __all__ = [
     "Generic",
+    "bumps",
+    "gain",
     "generic",
     "located",
     "log_evidence",
@@ -14,6 +16,7 @@ __all__ = [
     "smooth_basis",
     "wave_basis",
     "waves_within",
+    "without",
 ]
 
 _SCALES = (2.0, 6.0, 18.0, 50.0)
@@ -25,7 +28,7 @@ _SETTINGS = 6
 """Loads up to so many are settings of the rig, more are a range."""
 
 
-def _bumps(values, count: int) -> np.ndarray:
+def bumps(values, count: int) -> np.ndarray:
     """Radial functions over the range of the values, (n, count)."""
     centers = np.linspace(values.min(), values.max(), count)
     width = max((centers[1] - centers[0]), 1e-9)
@@ -35,12 +38,12 @@ def _bumps(values, count: int) -> np.ndarray:
 def _by_side(slip_fraction, count: int) -> np.ndarray:
     """Bumps over the size of the slip, for each sign by itself: (n, 1 or 2 counts)."""
     inside = np.clip(slip_fraction, -3.5, 3.5)
-    bumps, positive = _bumps(np.abs(inside), count), inside >= 0
+    found, positive = bumps(np.abs(inside), count), inside >= 0
     if 0.05 < positive.mean() < 0.95:
         return np.concatenate(
-            [bumps * positive[:, None], bumps * ~positive[:, None]], 1
+            [found * positive[:, None], found * ~positive[:, None]], 1
         )
-    return bumps
+    return found
 
 
 def _standard(values):
@@ -87,8 +90,8 @@ def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
     sides = _by_side(slip_fraction, 2).shape[1] // 2
     count = int(np.clip(most // (sides * len(modulations)), 4, 8))
     modulations = modulations[: max(most // (sides * count), 1)]
-    bumps = _by_side(slip_fraction, count)
-    columns = np.concatenate([bumps * m[:, None] for m in modulations], axis=1)
+    shapes = _by_side(slip_fraction, count)
+    columns = np.concatenate([shapes * m[:, None] for m in modulations], axis=1)
     return _scaled(columns, scale)
 
 
@@ -103,8 +106,8 @@ def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
     )
     sides = _by_side(slip_fraction, 2).shape[1] // 2
     count = int(np.clip(most // (sides * len(cells)), 4, 14))
-    bumps = _by_side(slip_fraction, count)
-    columns = np.concatenate([bumps * cell[:, None] for cell in cells], axis=1)
+    shapes = _by_side(slip_fraction, count)
+    columns = np.concatenate([shapes * cell[:, None] for cell in cells], axis=1)
     return _scaled(columns, scale)
 
 
@@ -130,7 +133,7 @@ def wave_basis(prepared, scale) -> np.ndarray:
 
 def orthogonal(basis, against):
     """(left (n, q), singular values (q,)) of the basis with ``against`` (n, p) out."""
-    left = _without(basis, against)
+    left = without(basis, against)
     gram = left.T @ left
     values, vectors = np.linalg.eigh(gram)
     good = values > 1e-6 * max(values.max(), 1e-12)
@@ -138,24 +141,32 @@ def orthogonal(basis, against):
     return left @ (vectors[:, good] / size), size
 
 
-def _without(basis, against):
+def without(basis, against):
+    """Columns, or one (m,), with those of ``against`` (m, p) taken out."""
     unit, _ = np.linalg.qr(against)
     return basis - unit @ (unit.T @ basis)
+
+
+def gain(score, size) -> float:
+    """Log evidence of coefficients of standard deviation ``size`` (q,), over none.
+
+    Args:
+        score: (q,) of orthonormal directions.
+    """
+    t = size**2
+    return float(0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t)))
 
 
 def _gain(left, size, residual) -> float:
     """Log evidence of the basis on top of the residual, averaged over its scales."""
     score = left.T @ residual
-    gains = []
-    for scale in _SCALES:
-        t = (scale * size) ** 2
-        gains.append(0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t)))
+    gains = [gain(score, scale * size) for scale in _SCALES]
     return float(np.logaddexp.reduce(gains) - np.log(len(_SCALES)))
 
 
 def _of_waves(waves, against, residual):
     """Gram matrix (K, 2, 2) and score (K, 2) of each wave with ``against`` out."""
-    left = _without(waves, against)
+    left = without(waves, against)
     pairs = left.reshape(len(left), -1, 2)
     gram = np.einsum("nka,nkb->kab", pairs, pairs)
     return gram, (left.T @ residual).reshape(-1, 2)
@@ -245,10 +256,7 @@ def located(bases: Generic, against, residual):
     score = left.T @ residual
     # Empirical Bayes: the scale of the basis that the scores themselves suggest.
     scales = np.geomspace(0.3, 300, 25)
-    fits = [
-        0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t))
-        for t in ((s * size) ** 2 for s in scales)
-    ]
+    fits = [gain(score, scale * size) for scale in scales]
     t = (scales[int(np.argmax(fits))] * size) ** 2
     shrink = t / (1 + t)
     return left @ (shrink * score), np.einsum("mq,q,mq->m", left, shrink, left)

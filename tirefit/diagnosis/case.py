@@ -2,13 +2,11 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from tirefit.diagnosis.base import Base
-from tirefit.diagnosis.search import Hypothesis, Search
+from tirefit.diagnosis.search import Search
 from tirefit.diagnosis.verdict import Verdict, Weighed
 
-__all__ = ["Case", "amplitudes_of"]
+__all__ = ["Case"]
 
 
 @dataclass(frozen=True)
@@ -20,12 +18,3 @@ class Case:
     weighed: Weighed
     verdict: Verdict
     untestable: list[dict]
-
-
-def amplitudes_of(base: Base, hypothesis: Hypothesis) -> np.ndarray:
-    """Amplitudes of all atoms (K,) in their own units."""
-    full = np.zeros(len(base.atoms))
-    scale = np.asarray(base.design.prior_scale)
-    for k, a in zip(hypothesis.atoms, hypothesis.amplitude, strict=True):
-        full[k] += a * scale[k]
-    return full

@@ -6,15 +6,15 @@ from dataclasses import asdict
 import numpy as np
 
 from tirefit.diagnosis.base import Base, at_measured_slip, on_rows
-from tirefit.diagnosis.basis import located
-from tirefit.diagnosis.case import Case, amplitudes_of
+from tirefit.diagnosis.basis import located, without
+from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.closure import Closure, closure_of
 from tirefit.diagnosis.forecast import next_measurements
 from tirefit.diagnosis.holdout import held_out
 from tirefit.diagnosis.noise import correlation
 from tirefit.diagnosis.result import SCHEMA, Diagnosis
 from tirefit.diagnosis.rows import Prepared
-from tirefit.diagnosis.search import Hypothesis
+from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.shares import closed_by_each
 from tirefit.diagnosis.verdict import Verdict, fitted_form, linear_at
 from tirefit.diagnosis.where import regions
@@ -106,7 +106,7 @@ def _form_part(case: Case) -> np.ndarray:
     key = tuple(sorted(chosen.effects))
     if key not in case.weighed.other_form:
         return np.zeros(len(base.prepared.channels) * base.prepared.n)
-    return fitted_form(linear_at(base, chosen, amplitudes_of(base, chosen)))
+    return fitted_form(linear_at(base, chosen))
 
 
 def _smoothed_remainder(case: Case):
@@ -117,8 +117,7 @@ def _smoothed_remainder(case: Case):
         chosen.z, amplitudes_of(base, chosen)
     )
     own = tangent[:, list(chosen.atoms)]
-    unit, _ = np.linalg.qr(jacobian)
-    lone = own - unit @ (unit.T @ own)
+    lone = without(own, jacobian)
     p = len(chosen.z)
     variance = np.einsum("mi,ij,mj->m", lone, chosen.covariance[p:, p:], lone)
     if case.verdict.status in ("named", "cannot_tell"):

@@ -116,10 +116,15 @@ def _linear_loss(state, loss, rows):
     return _kinetic_times(state, 1 - loss * rows.sliding)
 
 
-def _fall(v_st, exponent, state, share, rows):
+def _fallen(v_st, exponent, share, rows):
+    """1 - share (1 - exp(-(v_s / v_st)^exponent)), S(37)."""
     # The power has no slope at rest, where the patch slides nowhere.
     speed = jnp.maximum(rows.sliding, 1e-9)
-    return _kinetic_times(state, 1 + share * jnp.expm1(-((speed / v_st) ** exponent)))
+    return 1 + share * jnp.expm1(-((speed / v_st) ** exponent))
+
+
+def _fall(v_st, exponent, state, share, rows):
+    return _kinetic_times(state, _fallen(v_st, exponent, share, rows))
 
 
 def _load_stiffness(state, power, rows):
@@ -130,19 +135,21 @@ def _load_friction(state, power, rows):
     return state._replace(friction=state.friction * rows.fz**power)
 
 
+def _scaled(state, name, factor):
+    """Stiffness or friction times a factor, which stays positive."""
+    return state._replace(**{name: getattr(state, name) * jnp.maximum(factor, 0.05)})
+
+
 def _times(name, covariate, state, share, rows):
-    factor = jnp.maximum(1 + share * getattr(rows, covariate), 0.05)
-    return state._replace(**{name: getattr(state, name) * factor})
+    return _scaled(state, name, 1 + share * getattr(rows, covariate))
 
 
 def _step(at, state, share, rows):
-    factor = jnp.maximum(1 + share * jnp.where(rows.time > at, 0.5, -0.5), 0.05)
-    return state._replace(friction=state.friction * factor)
+    return _scaled(state, "friction", 1 + share * jnp.where(rows.time > at, 0.5, -0.5))
 
 
 def _half(name, state, share, rows):
-    factor = jnp.maximum(1 + 0.5 * share * getattr(rows, name), 0.05)
-    return state._replace(friction=state.friction * factor)
+    return _scaled(state, "friction", 1 + 0.5 * share * getattr(rows, name))
 
 
 def _shift(state, offset, rows):
@@ -219,25 +226,20 @@ def _force_relaxed(state, length, rows):
 def _wears_in(name, way, state, share, rows):
     """Change that is quick at first: 1 - exp(-t / way), about its middle."""
     late = 1 - jnp.exp(-(rows.time + 0.5) / way)
-    factor = jnp.maximum(1 + share * (late - 0.5), 0.05)
-    return state._replace(**{name: getattr(state, name) * factor})
+    return _scaled(state, name, 1 + share * (late - 0.5))
 
 
 def _linear_load(name, state, slope, rows):
-    factor = jnp.maximum(1 + slope * (rows.fz - 1), 0.05)
-    return state._replace(**{name: getattr(state, name) * factor})
+    return _scaled(state, name, 1 + slope * (rows.fz - 1))
 
 
 def _falls_with(covariate, state, loss, rows):
     """Static and kinetic friction alike fall with a speed."""
-    factor = jnp.maximum(1 - loss * getattr(rows, covariate), 0.05)
-    return state._replace(friction=state.friction * factor)
+    return _scaled(state, "friction", 1 - loss * getattr(rows, covariate))
 
 
 def _fall_of_both(v_st, exponent, state, share, rows):
-    speed = jnp.maximum(rows.sliding, 1e-9)
-    factor = 1 + share * jnp.expm1(-((speed / v_st) ** exponent))
-    return state._replace(friction=state.friction * jnp.maximum(factor, 0.05))
+    return _scaled(state, "friction", _fallen(v_st, exponent, share, rows))
 
 
 def _force(state, offset, rows):

@@ -7,14 +7,14 @@ import numpy as np
 
 from tirefit.data.table import TireData
 from tirefit.diagnosis.base import Base, fit_base, with_noise_judged
-from tirefit.diagnosis.case import Case, amplitudes_of
+from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.document import document_of
 from tirefit.diagnosis.effects import EFFECTS, Effect, atoms_of
 from tirefit.diagnosis.forms import PLACE, shape_of_change
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import Prepared, prepare, thinned
-from tirefit.diagnosis.search import Search, search
+from tirefit.diagnosis.search import Search, amplitudes_of, search
 from tirefit.diagnosis.verdict import gap_p_value, judge, weigh
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
@@ -112,11 +112,8 @@ def _studied(prepared: Prepared, model, rig, effects, without, generator) -> Cas
         base = shaped or judged
         found = search(base, testable)
 
-    def amplitudes(hypothesis):
-        return amplitudes_of(base, hypothesis)
-
-    weighed = weigh(found, amplitudes)
-    verdict = judge(found, weighed, gap_p_value(found, generator), amplitudes)
+    weighed = weigh(found)
+    verdict = judge(found, weighed, gap_p_value(found, generator))
     return Case(base, found, weighed, verdict, untestable)
 
 

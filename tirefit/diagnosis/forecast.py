@@ -6,6 +6,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from tirefit.diagnosis.base import Base
+from tirefit.diagnosis.basis import without
 from tirefit.diagnosis.rows import Prepared
 
 __all__ = ["next_measurements", "separability"]
@@ -30,11 +31,10 @@ def separability(columns, a: int, b: int, size_a: float, size_b: float) -> float
 
 def _changes(prepared: Prepared) -> dict[str, object]:
     """Further measurements: name -> the covariates and inputs that they change."""
-    rows, inputs = prepared.covariates, prepared.inputs
+    rows = prepared.covariates
     options = {"the same again": {}}
     if "signs" not in prepared.has:
         options["the opposite sign of slip"] = {"flip": True}
-    middle = float(np.median(inputs.fz))
     spread = "other loads" if "loads" in prepared.has else "two more loads"
     options[f"{spread} (half and one and a half times)"] = {"fz": (0.5, 1.5)}
     if float(np.median(rows.v)) > 0.1:
@@ -42,7 +42,6 @@ def _changes(prepared: Prepared) -> dict[str, object]:
     if "time" in prepared.has and not prepared.random_order:
         options["the same points in random order"] = {"shuffle": True}
     options["small slips (a tenth)"] = {"slip": 0.1}
-    del middle
     return options
 
 
@@ -152,6 +151,5 @@ def _blocks(base: Base, z, silent, generator) -> dict:
 def _told_apart(blocks, i: int, j: int, sizes) -> float:
     jacobian = np.concatenate([block[0] for block in blocks])
     columns = np.concatenate([block[1][:, [i, j]] for block in blocks])
-    unit, _ = np.linalg.qr(jacobian)
-    columns = columns - unit @ (unit.T @ columns)
+    columns = without(columns, jacobian)
     return separability(columns, 0, 1, max(sizes[i], 0.3), max(sizes[j], 0.3))

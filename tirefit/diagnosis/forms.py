@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.diagnosis.basis import bumps, without
 from tirefit.diagnosis.state import State
 
 __all__ = ["PLACE", "form_columns", "shape_of_change"]
@@ -22,9 +23,7 @@ def _bumps(values, count: int) -> np.ndarray:
     levels = np.unique(np.round(values, 3))
     if len(levels) <= _LEVELS:
         return (np.round(values, 3)[:, None] == levels).astype(float)
-    centers = np.linspace(values.min(), values.max(), count)
-    width = centers[1] - centers[0]
-    return np.exp(-0.5 * ((values[:, None] - centers) / width) ** 2)
+    return bumps(values, count)
 
 
 class _Form(NamedTuple):
@@ -72,11 +71,6 @@ def _of_rate(rows, u):
     return _bumps(np.clip(rate / max(np.mean(np.abs(rate)), 1e-12), -3, 3), 6)
 
 
-def _of_usage(rows, u):
-    parts = [_bumps(rows.force, 4), _bumps(rows.usage, 3)]
-    return np.concatenate(parts, axis=1)
-
-
 _SHAPE = (_Form("force", 0.01, _of_shape),)
 FORMS: dict[str, tuple[_Form, ...]] = {  # fmt: skip
     "pressure": _SHAPE,
@@ -98,7 +92,6 @@ FORMS: dict[str, tuple[_Form, ...]] = {  # fmt: skip
         _Form("friction", 0.02, _of_rate),
     ),
     "friction x sign": (_Form("friction", 0.02, _by_slip("side")),),
-    "pressure x force": (_Form("skew", 0.1, _of_usage),),
     "inputs": (_Form("friction", 0.03, _of("other", 5)),),
     "lateral inputs": (_Form("shift", 0.002, _of("gamma", 5)),),
 }
@@ -135,14 +128,13 @@ def shape_of_change(time, friction, used_up, residual) -> np.ndarray:
         residual: (m,) of it, the step left out.
     """
     repeats = len(friction) // len(time)
-    unit, _ = np.linalg.qr(used_up)
-    residual = residual - unit @ (unit.T @ residual)
+    residual = without(residual, used_up)
     best, best_gain = np.zeros(len(time)), 0.0
     for width in (0.004, 0.02, 0.05, 0.1):
         at = np.linspace(-0.46, 0.46, 93)
         shapes = 0.5 * np.tanh((time[:, None] - at) / width)
         columns = friction[:, None] * np.tile(shapes, (repeats, 1))
-        columns = columns - unit @ (unit.T @ columns)
+        columns = without(columns, used_up)
         size = np.sum(columns**2, axis=0)
         gain = (columns.T @ residual) ** 2 / np.maximum(size, 1e-9)
         if gain.max() > best_gain:

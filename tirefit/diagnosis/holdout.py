@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from tirefit.diagnosis.base import Base, on_rows
-from tirefit.diagnosis.case import amplitudes_of
 from tirefit.diagnosis.closure import closure_of
 from tirefit.diagnosis.forward import MOST_EFFECTS, fill, refit_all
 from tirefit.diagnosis.rows import prepare
+from tirefit.diagnosis.search import amplitudes_of
 
 __all__ = ["held_out"]
 

@@ -8,9 +8,10 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from tirefit.diagnosis.base import Base
+from tirefit.diagnosis.basis import without
 from tirefit.diagnosis.forward import MOST, fill, refit_all
 
-__all__ = ["Hypothesis", "Search", "search"]
+__all__ = ["Hypothesis", "Search", "amplitudes_of", "search"]
 
 PRIOR_OF_SIZE = {0: 0.4, 1: 0.4, 2: 0.1, 3: 0.015}
 PRIOR_OF_KIN = 0.1
@@ -40,6 +41,15 @@ class Hypothesis:
     @property
     def log_weight(self) -> float:
         return self.log_evidence + self.log_prior
+
+
+def amplitudes_of(base: Base, hypothesis: Hypothesis) -> np.ndarray:
+    """Amplitudes of all atoms (K,) in their own units."""
+    full = np.zeros(len(base.atoms))
+    scale = np.asarray(base.design.prior_scale)
+    for k, a in zip(hypothesis.atoms, hypothesis.amplitude, strict=True):
+        full[k] += a * scale[k]
+    return full
 
 
 @dataclass
@@ -121,21 +131,13 @@ class _Searcher:
         """(gram, score, projected columns (m, K)) around a refitted hypothesis."""
         base = self.base
         if hypothesis.atoms:
-            amplitudes = self.amplitudes_of(hypothesis)
+            amplitudes = amplitudes_of(base, hypothesis)
             residual, jacobian, use, _ = base.linearised(hypothesis.z, amplitudes)
         else:
             residual, jacobian, use, _ = base.at_null
-        unit, _ = np.linalg.qr(np.concatenate([jacobian, use[:, hypothesis.atoms]], 1))
-        left = use - unit @ (unit.T @ use)
-        r = residual - unit @ (unit.T @ residual)
-        return left.T @ left, left.T @ r, left
-
-    def amplitudes_of(self, hypothesis: Hypothesis) -> np.ndarray:
-        full = np.zeros(len(self.base.atoms))
-        scale = np.asarray(self.base.design.prior_scale)
-        for k, a in zip(hypothesis.atoms, hypothesis.amplitude, strict=True):
-            full[k] += a * scale[k]
-        return full
+        used_up = np.concatenate([jacobian, use[:, hypothesis.atoms]], 1)
+        left = without(use, used_up)
+        return left.T @ left, left.T @ without(residual, used_up), left
 
     def refit(self, sets: Sequence[tuple[int, ...]], guesses: dict) -> None:
         """Refit sets of atoms, two starts each where the sign is open."""

@@ -6,11 +6,22 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from tirefit.diagnosis.basis import log_evidence, misfit_p_value, orthogonal
+from tirefit.diagnosis.basis import (
+    gain,
+    log_evidence,
+    misfit_p_value,
+    orthogonal,
+    without,
+)
 from tirefit.diagnosis.forecast import separability
 from tirefit.diagnosis.forms import form_columns
 from tirefit.diagnosis.forward import MOST_EFFECTS
-from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis, Search
+from tirefit.diagnosis.search import (
+    PRIOR_OF_UNKNOWN,
+    Hypothesis,
+    Search,
+    amplitudes_of,
+)
 
 __all__ = [
     "Verdict",
@@ -57,13 +68,15 @@ class Verdict:
 class Weighed:
     """Probability of every set of effects; ``unknown`` is that of a gap that no listed
     effect explains, alone or beside the set; ``other_form`` are the sets whose effects
-    are there in a form of their own."""
+    are there in a form of their own, ``evidence`` the log evidence of each set over
+    none, in whatever form."""
 
     sets: dict[tuple[str, ...], float]
     best_of: dict[tuple[str, ...], Hypothesis]
     unknown_alone: float
     unknown_beside: dict[tuple[str, ...], float]
     other_form: frozenset[tuple[str, ...]]
+    evidence: dict[tuple[str, ...], float]
 
 
 def gap_p_value(search: Search, generator) -> float:
@@ -83,7 +96,7 @@ def gap_p_value(search: Search, generator) -> float:
     return float(min(1.0, 2 * min(p_score, p_generic)))
 
 
-def weigh(search: Search, amplitudes_of) -> Weighed:
+def weigh(search: Search) -> Weighed:
     """Posterior probabilities of all sets, with and without an unknown remainder."""
     logs: dict[tuple[str, ...], list[float]] = {}
     best: dict[tuple[str, ...], Hypothesis] = {}
@@ -93,20 +106,23 @@ def weigh(search: Search, amplitudes_of) -> Weighed:
         if key not in best or hypothesis.log_weight > best[key].log_weight:
             best[key] = hypothesis
     total = {key: float(logsumexp(values)) for key, values in logs.items()}
+    evidence = {key: hypothesis.log_evidence for key, hypothesis in best.items()}
     beside, others = {}, set()
     ranked = sorted(total, key=total.get, reverse=True)
     for key in dict.fromkeys([*ranked[:6], *_simplest(total, 8), ()]):
         if not best[key].refitted:
             continue
-        linear = linear_at(search.base, best[key], amplitudes_of(best[key]))
-        form = _form(search.base, best[key], linear)
+        linear = linear_at(search.base, best[key])
+        form = _form(linear)
         if form is not None and len(key) < MOST_EFFECTS:
-            total[key] += np.logaddexp(np.log(1 - PRIOR_OF_FORM), form.gain)
+            free = float(np.logaddexp(np.log(1 - PRIOR_OF_FORM), form.gain))
+            total[key] += free
+            evidence[key] += free
             if form.gain > np.log(1 - PRIOR_OF_FORM):
                 others.add(key)
         used_up = linear.used_up if key not in others else form.used_up
-        gain = log_evidence(search.base.generic, used_up, linear.residual)
-        beside[key] = total[key] + gain + np.log(PRIOR_OF_UNKNOWN)
+        more = log_evidence(search.base.generic, used_up, linear.residual)
+        beside[key] = total[key] + more + np.log(PRIOR_OF_UNKNOWN)
     everything = logsumexp([*total.values(), *beside.values()])
     return Weighed(
         {k: float(np.exp(v - everything)) for k, v in total.items()},
@@ -114,6 +130,7 @@ def weigh(search: Search, amplitudes_of) -> Weighed:
         float(np.exp(beside[()] - everything)),
         {k: float(np.exp(v - everything)) for k, v in beside.items() if k},
         frozenset(others),
+        evidence,
     )
 
 
@@ -132,10 +149,12 @@ class LinearFit(NamedTuple):
     forms: np.ndarray
 
 
-def linear_at(base, hypothesis: Hypothesis, amplitudes) -> LinearFit:
+def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
     """Around a refitted hypothesis."""
     residual, jacobian, columns, fields = (
-        base.linearised(hypothesis.z, amplitudes) if hypothesis.atoms else base.at_null
+        base.linearised(hypothesis.z, amplitudes_of(base, hypothesis))
+        if hypothesis.atoms
+        else base.at_null
     )
     own = columns[:, list(hypothesis.atoms)]
     families = [base.atoms[k].effect.family for k in hypothesis.atoms]
@@ -151,15 +170,13 @@ class _Other(NamedTuple):
     used_up: np.ndarray
 
 
-def _form(base, hypothesis: Hypothesis, linear: LinearFit) -> _Other | None:
+def _form(linear: LinearFit) -> _Other | None:
     """Log evidence of the other forms with their prior, and what is used up then."""
-    del base, hypothesis
     if not linear.forms.shape[1]:
         return None
     left, size = orthogonal(linear.forms, linear.used_up)
-    score, t = left.T @ linear.residual, size**2
-    gain = 0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t)) + np.log(PRIOR_OF_FORM)
-    return _Other(float(gain), np.concatenate([linear.used_up, linear.forms], axis=1))
+    found = gain(left.T @ linear.residual, size) + float(np.log(PRIOR_OF_FORM))
+    return _Other(found, np.concatenate([linear.used_up, linear.forms], axis=1))
 
 
 def fitted_form(linear: LinearFit) -> np.ndarray:
@@ -169,7 +186,7 @@ def fitted_form(linear: LinearFit) -> np.ndarray:
     return left @ (left.T @ linear.residual * t / (1 + t))
 
 
-def judge(search: Search, weighed: Weighed, p_value: float, amplitudes_of) -> Verdict:
+def judge(search: Search, weighed: Weighed, p_value: float) -> Verdict:
     """The verdict that the probabilities support."""
     null = weighed.best_of[()]
     nothing = _unresolved(weighed)
@@ -187,7 +204,7 @@ def judge(search: Search, weighed: Weighed, p_value: float, amplitudes_of) -> Ve
         return Verdict(
             "incomplete", best, weighed.unknown_beside[best], (), p_value, chosen
         )
-    alike = _aliases(search, chosen, amplitudes_of(chosen))
+    alike = _aliases(search, chosen)
     # Where only the prior decides, the data cannot tell.
     rivals = tuple(dict.fromkeys((*alike, *_rivals(named, best))))
     sure = named[best] >= SURE and not alike
@@ -195,17 +212,16 @@ def judge(search: Search, weighed: Weighed, p_value: float, amplitudes_of) -> Ve
     return Verdict(status, best, named[best], () if sure else rivals, p_value, chosen)
 
 
-def _aliases(search: Search, chosen: Hypothesis, amplitudes) -> tuple[str, ...]:
+def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:
     """Effects that do to these data what one of the chosen does, at a size that is not
     absurd: the data would tell them apart less than three times in four."""
     base = search.base
-    linear = base.linearised(chosen.z, amplitudes)
+    linear = base.linearised(chosen.z, amplitudes_of(base, chosen))
     found: dict[str, float] = {}
     for atom, amplitude in zip(chosen.atoms, chosen.amplitude, strict=True):
         rest = [k for k in chosen.atoms if k != atom]
         used_up = np.concatenate([linear.jacobian, linear.columns[:, rest]], axis=1)
-        unit, _ = np.linalg.qr(used_up)
-        left = linear.columns - unit @ (unit.T @ linear.columns)
+        left = without(linear.columns, used_up)
         norm = np.linalg.norm(left, axis=0)
         size = abs(amplitude) * norm[atom]
         if size < 1:  # at its bound, where it has no slope to compare
@@ -223,9 +239,7 @@ def _aliases(search: Search, chosen: Hypothesis, amplitudes) -> tuple[str, ...]:
 
 def _unresolved(weighed: Weighed) -> float:
     """Probability that nothing is there which these data could show."""
-    return float(
-        sum(p for k, p in weighed.sets.items() if weighed.best_of[k].log_evidence < 3)
-    )
+    return float(sum(p for k, p in weighed.sets.items() if weighed.evidence[k] < 3))
 
 
 def _rivals(named, best) -> tuple[str, ...]:
