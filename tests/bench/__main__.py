@@ -303,6 +303,52 @@ def diagnosis(cases: int = 8) -> None:
     say("diagnose, 900 rows (peer: BIC, singles)", *medians(times), "s", "lower")
 
 
+def diagnose_process(files, rig: Path, out: Path) -> float:
+    """Seconds of one cold process over files."""
+    line = [sys.executable, "-m", "tirefit", "diagnose", *map(str, files)]
+    line += ["--rig", str(rig), "--out", str(out)]
+    return seconds(lambda: subprocess.run(line, check=True, stdout=subprocess.DEVNULL))
+
+
+def diagnosis_of_many(cases: int = 120) -> None:
+    """Whole process, cold: files of 1,000 rows, all effects with pairs and triples."""
+    from fits.withheld.generate import main as generate
+
+    with tempfile.TemporaryDirectory() as directory:
+        asked = f"--seed 1 --trials {cases} --set singles --design E,G --noise rig"
+        with contextlib.redirect_stdout(None):
+            generate([*asked.split(), "--rows", "1000", "--out", directory])
+        files = sorted(Path(directory).glob("trials/*/*.csv"))
+        spent = diagnose_process(
+            files, files[0].parent / "rig.toml", Path(directory) / "out"
+        )
+    print(f"diagnose, {cases} cases of 1,000 rows: {spent:.0f} s", flush=True)
+
+
+def diagnosis_of_a_log(rows: int = 100_000) -> None:
+    """Whole process, cold: braking pulses at 100 Hz, friction that drifts by 10 %."""
+    import resource
+
+    from fits.withheld.designs import DESIGNS, make_world
+
+    generator = np.random.default_rng(0)
+    world = make_world(DESIGNS["V"], rows, 5e4, 0.9, generator)
+    mu = 0.9 * (1 + 0.1 * (np.arange(rows) / rows - 0.5))
+    noise = 0.01 * world.fz * generator.standard_normal(rows)
+    force = brush(world.slip, 5e4, mu, world.fz) + noise
+    slip = world.slip + 0.001 * generator.standard_normal(rows)
+    with tempfile.TemporaryDirectory() as directory:
+        file, rig = Path(directory) / "log.csv", Path(directory) / "rig.toml"
+        np.savetxt(
+            file, np.c_[world.time, slip, force, world.fz, world.v], delimiter=",",
+            header="time,sigma_x,fx,fz,v", comments="", fmt="%.8g",
+        )  # fmt: skip
+        rig.write_text("[noise]\nsigma_x = 0.001\nfx_relative = 0.01\n")
+        spent = diagnose_process([file], rig, Path(directory) / "out")
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20
+    print(f"diagnose, {rows} rows: {spent:.0f} s, {peak:.1f} GiB", flush=True)
+
+
 def main() -> None:
     import jax
 
@@ -315,6 +361,8 @@ def main() -> None:
     brush_with_gradient()
     posterior()
     diagnosis()
+    diagnosis_of_many()
+    diagnosis_of_a_log()
 
 
 if __name__ == "__main__":
