@@ -166,6 +166,9 @@ PARTS = {
         "closed", "closed_ci",
     },
     "untestable": {"effect", "needs"},
+    "forecast": {
+        "effect", "amplitude", "unit", "seen", "recognised", "taken_for",
+    },
     "next_measurement": {"add", "separates", "p_now", "p_after"},
 }  # fmt: skip
 

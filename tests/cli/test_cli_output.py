@@ -91,7 +91,15 @@ def test_a_new_result_replaces_all_of_the_old_and_nothing_else(tmp_path):
     assert files_of(tmp_path) == kept
 
 
-def test_ctrl_c_waits_while_files_are_moved():
+@pytest.fixture
+def interruptible():
+    """In the background of a shell interrupts are ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_ctrl_c_waits_while_files_are_moved(interruptible):
     steps = []
     with pytest.raises(KeyboardInterrupt):
         with _interrupts_held():
@@ -124,8 +132,9 @@ class Finder:
             os.kill(os.getpid(), signal.SIGINT)
 
 sys.meta_path.insert(0, Finder())
-if {ignored}:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+# In the background of a shell interrupts are ignored, by the children too.
+handler = signal.SIG_IGN if {ignored} else signal.default_int_handler
+signal.signal(signal.SIGINT, handler)
 sys.argv = ["tirefit", *{arguments!r}]
 from tirefit.cli import main
 main()

@@ -9,13 +9,18 @@ import pytest
 from conftest_diagnosis import RIG, brush, record
 from scipy.integrate import dblquad, quad
 from scipy.optimize import brentq
+from scipy.special import ndtr
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.base import fit_base
 from tirefit.diagnosis.basis import Generic, log_evidence, waves_within
 from tirefit.diagnosis.closure import closure_of
 from tirefit.diagnosis.effects import EFFECTS, Effect, atoms_of
-from tirefit.diagnosis.forecast import separability
+from tirefit.diagnosis.forecast import (
+    recognition,
+    scores_of_nothing,
+    separability,
+)
 from tirefit.diagnosis.forms import PLACE, form_columns, shape_of_change
 from tirefit.diagnosis.noise import judge_noise
 from tirefit.diagnosis.rates import AHEAD, segments, slip_rate
@@ -409,6 +414,35 @@ def test_separability_of_known_directions():
     assert separability(columns, 0, 1, 4.0, 4.0) == pytest.approx(0.99766, abs=1e-4)
     columns[:, 1] = columns[:, 0]
     assert separability(columns, 0, 1, 4.0, 4.0) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.8, 0.97])
+def test_recognition_of_one_of_two_directions(correlation):
+    """By the larger score of two: P = PQ + (1 - P)(1 - Q), P and Q the normal
+    probabilities of the roots of S = size^2 (1 -+ correlation) / 2."""
+    generator = np.random.default_rng(1)
+    other = np.sqrt(1 - correlation**2)
+    directions = np.array([[1.0, correlation], [0.0, other]])
+    noise = scores_of_nothing(directions, 40000, generator)
+    np.testing.assert_allclose(
+        np.cov(noise), [[1, correlation], [correlation, 1]], atol=0.03
+    )
+    size = 6.0
+    found = recognition(directions, ("a", "b"), 0, size, np.zeros(2), noise)
+    apart, along = ndtr(
+        np.sqrt([size**2 * (1 - correlation) / 2, size**2 * (1 + correlation) / 2])
+    )
+    right = apart * along + (1 - apart) * (1 - along)
+    assert found.seen > 0.999
+    assert found.recognised == pytest.approx(right, abs=0.01)
+    assert found.taken_for == ("b" if right < 0.9 else None)
+
+
+def test_nothing_is_seen_of_nothing():
+    directions, generator = np.eye(5), np.random.default_rng(2)
+    noise = scores_of_nothing(directions, 20000, generator)
+    found = recognition(directions, tuple("abcde"), 0, 0.0, np.zeros(5), noise)
+    assert found.seen == pytest.approx(0.05, abs=0.005)
 
 
 def test_noise_is_found_under_a_gap():

@@ -136,6 +136,12 @@ def document(channel="fx", **changes):
             "smallest unlisted remainder that would have been seen": 6.3,
             "smallest_effects": {"slip_offset": 0.00041, "channel_delay": 0.0021},
         },
+        "forecast": [
+            {"effect": "pressure_asymmetry", "amplitude": 0.24, "unit": "-",
+             "seen": 0.9, "recognised": 0.5, "taken_for": "carcass_flexibility"},
+            {"effect": "force_offset", "amplitude": 25.0, "unit": "1e-3 mean F_z",
+             "seen": 1.0, "recognised": 0.9, "taken_for": "slip_offset"},
+        ],
         "next_measurement": [
             {"add": "small slips (a tenth)", "separates": ["load_friction", "d"],
              "p_now": 0.71, "p_after": 0.96}
@@ -438,6 +444,11 @@ def test_the_text_is_one_screen_that_says_all():
     assert flat.index("load F_z") < flat.index("53 % at shrinking")
     assert "measure small slips (a tenth): tells load_friction from d" in flat
     assert "0.96 (now 0.71)" in flat
+    assert (
+        "pressure_asymmetry of 0.24: recognised with probability 0.50, else taken for"
+        " carcass_flexibility"
+    ) in flat
+    assert "force_offset of" not in flat  # these rows tell it
     needs = "friction_temperature, stiffness_temperature: needs a temperature that"
     assert needs in flat
     assert "the file: iso-w" in flat

@@ -9,7 +9,7 @@ from tirefit.diagnosis.base import Base, at_measured_slip, on_rows
 from tirefit.diagnosis.basis import located, without
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.closure import Closure, closure_of
-from tirefit.diagnosis.forecast import next_measurements
+from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
 from tirefit.diagnosis.noise import correlation
 from tirefit.diagnosis.result import SCHEMA, Diagnosis
@@ -53,6 +53,7 @@ def document_of(
         "candidates": _candidates(case, generator),
         "untestable": case.untestable,
         "resolution": _resolution(case),
+        "forecast": confusion(case.search),
         "next_measurement": next_measurements(base, case.search, case.weighed, verdict),
         "base_parameters": _base_parameters(base, base.z),
         "extended_parameters": _base_parameters(base, verdict.chosen.z),

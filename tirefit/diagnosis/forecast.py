@@ -1,6 +1,9 @@
 """Cannot tell, and the next measurement: forecasts from the geometry of the data."""
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
@@ -9,7 +12,14 @@ from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.basis import without
 from tirefit.diagnosis.rows import Prepared
 
-__all__ = ["next_measurements", "separability"]
+__all__ = [
+    "Recognition",
+    "confusion",
+    "next_measurements",
+    "recognition",
+    "scores_of_nothing",
+    "separability",
+]
 
 
 def separability(columns, a: int, b: int, size_a: float, size_b: float) -> float:
@@ -27,6 +37,82 @@ def separability(columns, a: int, b: int, size_a: float, size_b: float) -> float
     # Exact confusions have a correlation of 1, and a rounding beyond it.
     apart = max(1 - abs(correlation), 0.0)
     return float(ndtr(np.sqrt(min(energy) * apart / 2)))
+
+
+class Recognition(NamedTuple):
+    """Forecast probabilities that a gap would be ``seen`` at all, and that it would be
+    seen and ``recognised``; ``taken_for`` is what it is taken for else, None if it
+    hardly ever is."""
+
+    seen: float
+    recognised: float
+    taken_for: str | None
+
+
+def recognition(directions, names: Sequence[str], truth: int, size: float, sign, noise):
+    """What an effect would be taken for, by the largest score: :class:`Recognition`.
+
+    The scores of unit directions are z ~ N(size R[:, truth], R), R their correlation,
+    whatever the forces turn out to be (diagnosis by matched filters).
+
+    Args:
+        directions: (m, K) of length one, base parameters taken out.
+        names: what each of them stands for (K); variants share a name.
+        truth: which of them is there.
+        size: its amplitude in standard errors.
+        sign: (K,) +1 or -1 where only that sign is possible, else 0.
+        noise: (K, draws) scores of no gap, see :func:`scores_of_nothing`.
+    """
+
+    def ranked(z):
+        return np.where(sign[:, None] != 0, z * sign[:, None], np.abs(z))
+
+    # A gap is seen where nothing exceeds its score in 19 cases of 20.
+    limit = np.quantile(ranked(noise).max(axis=0), 0.95)
+    correlation = directions.T @ directions[:, truth]
+    score = ranked(noise + size * correlation[:, None])
+    seen = score.max(axis=0) > limit
+    top = Counter(names[k] for k in score.argmax(axis=0)[seen])
+    right = top.pop(names[truth], 0)
+    (other, often), *_ = top.most_common(1) or [(None, 0)]
+    count = noise.shape[1]
+    return Recognition(
+        float(seen.mean()), right / count, other if often > 0.05 * count else None
+    )
+
+
+def scores_of_nothing(directions, draws: int, generator) -> np.ndarray:
+    """Scores of unit directions in white noise: (K, draws)."""
+    values, vectors = np.linalg.eigh(directions.T @ directions)
+    root = vectors * np.sqrt(np.maximum(values, 0))
+    return root @ generator.standard_normal((directions.shape[1], draws))
+
+
+def confusion(search, draws: int = 2000) -> list[dict]:
+    """For every effect that can be tested, at its usual size: would these rows show it,
+    and what would it be taken for? From the rows' conditions, not from their forces."""
+    base, left = search.base, search.projected
+    length = np.linalg.norm(left, axis=0)
+    use = [k for k in search.testable if length[k] > 1e-6]
+    if not use:
+        return []
+    directions = left[:, use] / length[use]
+    effects = [base.atoms[k].effect for k in use]
+    names = [effect.id for effect in effects]
+    sign = np.array([effect.sign for effect in effects], float)
+    noise = scores_of_nothing(directions, draws, np.random.default_rng(0))
+    center, scale = base.design.prior_center, base.design.prior_scale
+    found = []
+    for name in dict.fromkeys(names):
+        first = names.index(name)
+        k, effect = use[first], effects[first]
+        usual = float(center[k]) or float(effect.sign or 1)
+        record = recognition(
+            directions, names, first, usual * length[k], sign, noise
+        )._asdict()
+        amplitude = {"amplitude": usual * float(scale[k]), "unit": effect.unit}
+        found.append({"effect": name} | amplitude | record)
+    return found
 
 
 def _changes(prepared: Prepared) -> dict[str, object]:

@@ -10,6 +10,7 @@ from tirefit.report.canvas import Picture
 from tirefit.report.diagnosis_draw import diagnosis_figure, panel_pictures
 from tirefit.report.diagnosis_text import (
     chosen_candidate,
+    confused_lines,
     gap_lines,
     noise_line,
     smallest_lines,
@@ -157,6 +158,8 @@ def _sections(result: Diagnosis) -> list[tuple[str, str]]:
         ("Where", _where(content)),
         ("Candidates", _candidates(content)),
     ]
+    if confused := confused_lines(content, most=25):
+        found.append(("Hard to tell on this data (forecast)", _items(confused)))
     if content["next_measurement"]:
         steps = [step_text(step) for step in content["next_measurement"]]
         found.append(("Next measurement", _items(steps)))

@@ -18,6 +18,7 @@ from tirefit.report.numbers import format_number
 
 __all__ = [
     "chosen_candidate",
+    "confused_lines",
     "diagnosis_text",
     "gap_lines",
     "noise_line",
@@ -138,6 +139,19 @@ def _candidates(content: Mapping, most: int = 5) -> list[str]:
     return lines or ["  none"]
 
 
+def confused_lines(content: Mapping, most: int = 6) -> list[str]:
+    """Effects that these rows would show and yet take for others, as sentences."""
+    found = [
+        f"{record['effect']} of {format_number(record['amplitude'], 2)}"
+        f" {'' if record['unit'] == '-' else record['unit']}".rstrip()
+        + f": recognised with probability {record['recognised']:.2f}, else taken for"
+        f" {record['taken_for']}"
+        for record in sorted(content["forecast"], key=lambda one: one["recognised"])
+        if record["taken_for"] and record["recognised"] < 0.75 * record["seen"]
+    ]
+    return found[:most]
+
+
 def step_text(step: Mapping) -> str:
     """A next measurement as a sentence."""
     return (
@@ -196,6 +210,8 @@ def diagnosis_text(result) -> str:
         "WHERE (shares of its energy)", *_where(content),
         "CANDIDATES", *_candidates(content),
     ]  # fmt: skip
+    if confused := confused_lines(content):
+        lines += ["HARD TO TELL HERE (forecast)", *(f"  {line}" for line in confused)]
     if content["next_measurement"]:
         steps = (f"  {step_text(step)}" for step in content["next_measurement"])
         lines += ["NEXT MEASUREMENT", *steps]
