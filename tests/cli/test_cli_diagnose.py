@@ -166,6 +166,7 @@ PARTS = {
         "closed", "closed_ci",
     },
     "untestable": {"effect", "needs"},
+    "map": {"parameter", "covariate", "log_evidence", "explains"},
     "forecast": {
         "effect", "amplitude", "unit", "seen", "recognised", "taken_for",
     },

@@ -127,6 +127,18 @@ def test_outliers_and_correlated_noise_are_no_effect():
     assert "outliers" in found["noise"]["flags"]
 
 
+def test_the_map_finds_the_parameter_and_what_it_varies_with(diagnosed):
+    found, _ = diagnosed("load_friction")
+    first, *others = found["map"]
+    assert (first["parameter"], first["covariate"]) == ("friction", "fz")
+    # No other quantity does as well: time comes near, the loads came one by one.
+    rest = max(c["log_evidence"] for c in others if c["covariate"] != "fz")
+    assert first["log_evidence"] > rest + 20
+    assert 0.5 < first["explains"] <= 1.0
+    best = max(cell["log_evidence"] for cell in diagnosed("none")[0]["map"])
+    assert best < 3
+
+
 def test_an_effect_left_out_is_not_named(diagnosed):
     frame, _ = record(TRUTHS["slip_offset"], seed=3)
     found = diagnose(read_frame(frame), rig=RIG, without=("slip_offset",))

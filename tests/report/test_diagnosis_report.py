@@ -136,6 +136,12 @@ def document(channel="fx", **changes):
             "smallest unlisted remainder that would have been seen": 6.3,
             "smallest_effects": {"slip_offset": 0.00041, "channel_delay": 0.0021},
         },
+        "map": [
+            {"parameter": "friction", "covariate": "fz", "log_evidence": 412.3,
+             "explains": 0.83},
+            {"parameter": "pressure", "covariate": "v", "log_evidence": 1.2,
+             "explains": 0.04},
+        ],
         "forecast": [
             {"effect": "pressure_asymmetry", "amplitude": 0.24, "unit": "-",
              "seen": 0.9, "recognised": 0.5, "taken_for": "carcass_flexibility"},
@@ -449,6 +455,10 @@ def test_the_text_is_one_screen_that_says_all():
         " carcass_flexibility"
     ) in flat
     assert "force_offset of" not in flat  # these rows tell it
+    assert (
+        "friction that varies with load F_z: log evidence 412, explains up to 83 %"
+    ) in flat
+    assert "pressure that varies" not in flat  # hardly any evidence
     needs = "friction_temperature, stiffness_temperature: needs a temperature that"
     assert needs in flat
     assert "the file: iso-w" in flat

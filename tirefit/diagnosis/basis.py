@@ -11,6 +11,7 @@ __all__ = [
     "generic",
     "located",
     "log_evidence",
+    "mean_gain",
     "misfit_p_value",
     "orthogonal",
     "smooth_basis",
@@ -157,11 +158,11 @@ def gain(score, size) -> float:
     return float(0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t)))
 
 
-def _gain(left, size, residual) -> float:
+def mean_gain(left, size, residual, scales=_SCALES) -> float:
     """Log evidence of the basis on top of the residual, averaged over its scales."""
     score = left.T @ residual
-    gains = [gain(score, scale * size) for scale in _SCALES]
-    return float(np.logaddexp.reduce(gains) - np.log(len(_SCALES)))
+    gains = [gain(score, scale * size) for scale in scales]
+    return float(np.logaddexp.reduce(gains) - np.log(len(scales)))
 
 
 def _of_waves(waves, against, residual):
@@ -218,8 +219,8 @@ def log_evidence(bases: Generic, against, residual) -> float:
         residual: (m,) whitened.
     """
     found = {
-        "smooth": _gain(*orthogonal(bases.smooth, against), residual),
-        "cells": _gain(*orthogonal(bases.cells, against), residual),
+        "smooth": mean_gain(*orthogonal(bases.smooth, against), residual),
+        "cells": mean_gain(*orthogonal(bases.cells, against), residual),
         "waves": _gain_of_waves(bases.waves, against, residual),
     }
     return float(
@@ -244,8 +245,8 @@ def located(bases: Generic, against, residual):
     """Smooth part of the residual and its variance, (m,) each, by the basis that the
     residual supports best."""
     gains = {
-        "smooth": _gain(*orthogonal(bases.smooth, against), residual),
-        "cells": _gain(*orthogonal(bases.cells, against), residual),
+        "smooth": mean_gain(*orthogonal(bases.smooth, against), residual),
+        "cells": mean_gain(*orthogonal(bases.cells, against), residual),
     }
     chosen = getattr(bases, max(gains, key=gains.get))
     chi2 = waves_within(bases.waves, against, residual)

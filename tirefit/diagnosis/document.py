@@ -17,7 +17,7 @@ from tirefit.diagnosis.rows import Prepared
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.shares import closed_by_each
 from tirefit.diagnosis.verdict import Verdict, fitted_form, linear_at
-from tirefit.diagnosis.where import regions
+from tirefit.diagnosis.where import parameter_map, regions
 
 __all__ = ["document_of"]
 
@@ -49,6 +49,7 @@ def document_of(
             c: _gap_record(v, verdict) for c, v in closures.items()
         }},
         "where": _where(case, rows),
+        "map": [cell._asdict() for cell in parameter_map(base)],
         "verdict": _verdict_record(case),
         "candidates": _candidates(case, generator),
         "untestable": case.untestable,

@@ -9,7 +9,7 @@ import numpy as np
 from tirefit.diagnosis.basis import bumps, without
 from tirefit.diagnosis.state import State
 
-__all__ = ["PLACE", "form_columns", "shape_of_change"]
+__all__ = ["PLACE", "form_columns", "functions_of", "shape_of_change"]
 
 
 PLACE = {name: k for k, name in enumerate(State._fields)}
@@ -18,7 +18,7 @@ PLACE = {name: k for k, name in enumerate(State._fields)}
 _LEVELS = 4
 
 
-def _bumps(values, count: int) -> np.ndarray:
+def functions_of(values, count: int) -> np.ndarray:
     """Smooth functions of a covariate, or one for each of its few levels: (n, k)."""
     levels = np.unique(np.round(values, 3))
     if len(levels) <= _LEVELS:
@@ -39,13 +39,13 @@ class _Form(NamedTuple):
 
 
 def _of(name: str, count: int):
-    return lambda rows, u: _bumps(getattr(rows, name), count)
+    return lambda rows, u: functions_of(getattr(rows, name), count)
 
 
 def _by_slip(sign: str, count: int = 4):
     """Functions of the size of the slip, times a sign of the rows."""
     return lambda rows, u: (
-        _bumps(np.minimum(np.abs(u), 3), count) * (getattr(rows, sign)[:, None])
+        functions_of(np.minimum(np.abs(u), 3), count) * (getattr(rows, sign)[:, None])
     )
 
 
@@ -55,20 +55,20 @@ def _of_shape(rows, u):
 
 
 def _of_sliding(rows, u):
-    return _bumps(np.sqrt(rows.sliding), 8)
+    return functions_of(np.sqrt(rows.sliding), 8)
 
 
 def _moving(name: str):
     """Rate of change of the slip as a covariate has it, freely over the slip."""
     return lambda rows, u: (
-        _bumps(np.minimum(np.abs(u), 3), 4) * (getattr(rows, name)[:, None])
+        functions_of(np.minimum(np.abs(u), 3), 4) * (getattr(rows, name)[:, None])
     )
 
 
 def _of_rate(rows, u):
     """Functions of how fast the slip grows or shrinks in size."""
     rate = rows.rate * rows.side
-    return _bumps(np.clip(rate / max(np.mean(np.abs(rate)), 1e-12), -3, 3), 6)
+    return functions_of(np.clip(rate / max(np.mean(np.abs(rate)), 1e-12), -3, 3), 6)
 
 
 _SHAPE = (_Form("force", 0.01, _of_shape),)

@@ -1,4 +1,5 @@
-"""Where the gap lies: regions of slip, load, speed, time and direction."""
+"""Where the gap lies: regions of slip, load, speed, time and direction, and which
+parameter of the tire would have to vary with which of them."""
 
 from typing import NamedTuple
 
@@ -6,8 +7,10 @@ import numpy as np
 from scipy.special import chdtrc
 
 from tirefit.diagnosis.base import Base
+from tirefit.diagnosis.basis import mean_gain, orthogonal
+from tirefit.diagnosis.forms import PLACE, functions_of
 
-__all__ = ["Region", "regions"]
+__all__ = ["Cell", "Region", "parameter_map", "regions"]
 
 _LEVELS = 6
 """Settings with up to so many distinct values are regions of their own."""
@@ -96,3 +99,48 @@ def _corrected(p):
     out = np.empty(count)
     out[order] = np.minimum(adjusted, 1.0)
     return out
+
+
+PARAMETERS = {
+    "stiffness": ("stiffness", 0.06), "friction": ("friction", 0.03),
+    "kinetic friction": ("kinetic", 0.06), "pressure": ("skew", 0.1),
+    "slip": ("shift", 0.002), "force": ("force", 0.01),
+}  # fmt: skip
+"""Field of the state and usual size of its change; that of the force is of the load."""
+
+_SIZES = (0.5, 2.0, 8.0)
+"""Multiples of the usual size that the evidence of a cell is averaged over."""
+
+
+class Cell(NamedTuple):
+    """One parameter as a free function of one covariate: its log evidence over the base
+    fit, and the share of the misfit's energy that it takes away at most."""
+
+    parameter: str
+    covariate: str
+    log_evidence: float
+    explains: float
+
+
+def parameter_map(base: Base) -> list[Cell]:
+    """Every parameter against every covariate that varies, the most telling first.
+
+    Cells overlap: a gap of one cause shows in all that can imitate it.
+    """
+    residual, jacobian, _, fields = base.at_null
+    load, channels = base.prepared.inputs.fz, len(base.prepared.channels)
+    misfit = max(float(residual @ residual), 1e-300)
+    found = []
+    for covariate, values in _covariates(base).items():
+        values = np.minimum(values, 3) if covariate == "slip_fraction" else values
+        shapes = functions_of(np.asarray(values, float), 6)
+        for parameter, (field, size) in PARAMETERS.items():
+            scaled = size * (load[:, None] if field == "force" else 1.0) * shapes
+            columns = fields[:, [PLACE[field]]] * np.tile(scaled, (channels, 1))
+            left, length = orthogonal(columns, jacobian)
+            evidence = mean_gain(left, length, residual, _SIZES)
+            shrink = (_SIZES[-1] * length) ** 2
+            shrink = shrink / (1 + shrink)
+            explained = float(np.sum(shrink * (left.T @ residual) ** 2)) / misfit
+            found.append(Cell(parameter, covariate, evidence, explained))
+    return sorted(found, key=lambda cell: -cell.log_evidence)

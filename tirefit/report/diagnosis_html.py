@@ -98,6 +98,19 @@ def _where(content: Mapping) -> str:
     return _table(rows) if len(rows) > 1 else "<p>no region has rows enough</p>"
 
 
+def _map(content: Mapping, most: int = 10) -> str:
+    rows = [("parameter", "varies with", "log evidence", "explains, at most")]
+    rows += [
+        (
+            cell["parameter"], covariate_text(cell["covariate"]),
+            format_number(cell["log_evidence"], 3), share_text(cell["explains"]),
+        )
+        for cell in content["map"][:most]
+        if cell["log_evidence"] > 0
+    ]  # fmt: skip
+    return _table(rows) if len(rows) > 1 else "<p>none would explain anything</p>"
+
+
 def _candidates(content: Mapping) -> str:
     rows = [
         ("effects", "family", "probability", "amplitude", "z", "z beside rivals",
@@ -156,6 +169,7 @@ def _sections(result: Diagnosis) -> list[tuple[str, str]]:
         ("Gap", _items(gap_lines(result))),
         ("", f'<div class="pictures">{pictures}</div>'),
         ("Where", _where(content)),
+        ("Which parameter would have to vary, freely", _map(content)),
         ("Candidates", _candidates(content)),
     ]
     if confused := confused_lines(content, most=25):

@@ -21,6 +21,7 @@ __all__ = [
     "confused_lines",
     "diagnosis_text",
     "gap_lines",
+    "map_lines",
     "noise_line",
     "smallest_lines",
     "step_text",
@@ -139,6 +140,17 @@ def _candidates(content: Mapping, most: int = 5) -> list[str]:
     return lines or ["  none"]
 
 
+def map_lines(content: Mapping, most: int = 3) -> list[str]:
+    """Parameters that would have to vary, as sentences; none where none stands out."""
+    return [
+        f"{cell['parameter']} that varies with {covariate_text(cell['covariate'])}:"
+        f" log evidence {cell['log_evidence']:.0f}, explains up to"
+        f" {100 * cell['explains']:.0f} % of the misfit"
+        for cell in content["map"][:most]
+        if cell["log_evidence"] > 3
+    ]
+
+
 def confused_lines(content: Mapping, most: int = 6) -> list[str]:
     """Effects that these rows would show and yet take for others, as sentences."""
     found = [
@@ -208,6 +220,7 @@ def diagnosis_text(result) -> str:
         "VERDICT", *_verdict(content),
         "GAP", *(f"  {line}" for line in gap_lines(result)),
         "WHERE (shares of its energy)", *_where(content),
+        *(f"  {line}" for line in map_lines(content)),
         "CANDIDATES", *_candidates(content),
     ]  # fmt: skip
     if confused := confused_lines(content):
