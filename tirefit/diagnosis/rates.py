@@ -83,16 +83,16 @@ class _Path(NamedTuple):
 
 
 class _Mean:
-    """Mean and variance over linear estimates that are added one by one, by their log
-    probability (n,); ``reach`` (n, 2 _REACH + 1) are the weights of the mean."""
+    """Mean and variance over estimates that are added one by one, by their log
+    probability (n,)."""
 
     def __init__(self, about):
         self.about, size = about, len(about)
         self.top = np.full(size, -np.inf)
         self.total, self.first, self.second = np.zeros((3, size))
-        self.reach = np.zeros((size, 2 * _REACH + 1))
 
-    def add(self, log, value, variance, place, weights) -> None:
+    def add(self, log, value, variance):
+        """What the sums so far fade by, and the share of this one: (n,) each."""
         top = np.maximum(self.top, log)
         fade, share = np.exp(self.top - top), np.exp(log - top)
         off = value - self.about
@@ -100,20 +100,20 @@ class _Mean:
         self.total = fade * self.total + share
         self.first = fade * self.first + share * off
         self.second = fade * self.second + share * (off**2 + variance)
-        self.reach *= fade[:, None]
-        self.reach[np.arange(len(log))[:, None], place] += share[:, None] * weights
+        return fade, share
 
     def result(self):
-        """(mean, standard deviation, weights)."""
+        """(mean, standard deviation)."""
         off = self.first / self.total
         variance = np.maximum(self.second / self.total - off**2, 0.0)
-        return self.about + off, np.sqrt(variance), self.reach / self.total[:, None]
+        return self.about + off, np.sqrt(variance)
 
 
 def _averaged(values, time, noise: float) -> _Path:
     """The path of one unbroken stretch, whose values scatter by ``noise``."""
     size, row = len(values), np.arange(len(values))
     path, rise = _Mean(values), _Mean(np.zeros(size))
+    reach = np.zeros((size, 2 * _REACH + 1))
     for window in (w for w in _WINDOWS if w <= size):
         local = _parabolas(values, time, window)
         log = _WORTH * (window - 3) - 0.5 * local.misfit / noise**2
@@ -124,13 +124,14 @@ def _averaged(values, time, noise: float) -> _Path:
             slope = slope / local.unit[start, None]
             place = (start - row)[:, None] + _REACH + np.arange(window)
             around = values[start[:, None] + np.arange(window)]
-            for mean, form in ((path, at), (rise, slope)):
+            for mean, form in ((rise, slope), (path, at)):
                 weights = np.einsum("ni,niw->nw", form, fit)
                 found = np.einsum("nw,nw->n", weights, around)
                 spread = noise**2 * np.sum(weights**2, axis=1)
-                mean.add(log[start], found, spread, place, weights)
-    value, _, reach = path.result()
-    return _Path(value, *rise.result()[:2], reach)
+                fade, share = mean.add(log[start], found, spread)
+            reach *= fade[:, None]
+            reach[row[:, None], place] += share[:, None] * weights
+    return _Path(path.result()[0], *rise.result(), reach / path.total[:, None])
 
 
 class Past(NamedTuple):

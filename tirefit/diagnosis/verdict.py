@@ -13,7 +13,7 @@ from tirefit.diagnosis.basis import (
     orthogonal,
     without,
 )
-from tirefit.diagnosis.forecast import separability
+from tirefit.diagnosis.forecast import scores_of_nothing, separability
 from tirefit.diagnosis.forms import form_columns
 from tirefit.diagnosis.forward import MOST_EFFECTS
 from tirefit.diagnosis.search import (
@@ -88,9 +88,7 @@ def gap_p_value(search: Search, generator) -> float:
     z = left[:, use] / size[use]
     residual, jacobian, *_ = base.at_null
     observed = np.max(np.abs(z.T @ residual), initial=0.0)
-    values, vectors = np.linalg.eigh(z.T @ z)
-    root = vectors * np.sqrt(np.maximum(values, 0))
-    draws = np.abs(root @ generator.standard_normal((len(use), _DRAWS))).max(0)
+    draws = np.abs(scores_of_nothing(z, _DRAWS, generator)).max(0)
     p_score = (1 + np.sum(draws >= observed)) / (1 + _DRAWS)
     p_generic = misfit_p_value(base.generic, jacobian, residual, generator, _DRAWS)
     return float(min(1.0, 2 * min(p_score, p_generic)))
