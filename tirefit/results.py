@@ -10,7 +10,14 @@ import enum
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["DataError", "ExitCode", "Outcome", "Problem", "TirefitError", "UsageError"]
+__all__ = [
+    "DataError",
+    "ExitCode",
+    "Outcome",
+    "InputProblem",
+    "TirefitError",
+    "UsageError",
+]
 
 
 class ExitCode(enum.IntEnum):
@@ -50,7 +57,7 @@ class Outcome(enum.Enum):
 
 
 @dataclass(frozen=True)
-class Problem:
+class InputProblem:
     """One problem with an input: where, why, and what to do about it.
 
     ``row`` counts lines of the file as an editor does (the header is line 1).
@@ -78,10 +85,10 @@ class TirefitError(Exception):
 
     exit_code = ExitCode.USAGE
 
-    def __init__(self, problems: Sequence[Problem] | Problem | str):
+    def __init__(self, problems: Sequence[InputProblem] | InputProblem | str):
         if isinstance(problems, str):
-            problems = Problem(problems)
-        if isinstance(problems, Problem):
+            problems = InputProblem(problems)
+        if isinstance(problems, InputProblem):
             problems = [problems]
         self.problems = tuple(problems)
         super().__init__("\n".join(str(problem) for problem in self.problems))

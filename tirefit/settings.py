@@ -25,7 +25,7 @@ from pydantic import (
     model_validator,
 )
 
-from tirefit.results import Problem, UsageError
+from tirefit.results import InputProblem, UsageError
 
 __all__ = ["Section", "parse_settings", "read_toml"]
 
@@ -33,7 +33,7 @@ __all__ = ["Section", "parse_settings", "read_toml"]
 class Contradiction(ValueError):
     """Keys of one section that do not go together."""
 
-    def __init__(self, problems: Iterable[Problem]):
+    def __init__(self, problems: Iterable[InputProblem]):
         self.problems = tuple(problems)
         super().__init__("; ".join(problem.reason for problem in self.problems))
 
@@ -48,7 +48,7 @@ class Section(BaseModel):
         extra="forbid", frozen=True, strict=True, allow_inf_nan=False
     )
 
-    def contradictions(self) -> Iterable[Problem]:
+    def contradictions(self) -> Iterable[InputProblem]:
         """Keys that do not go together, each right by itself; none unless said."""
         return ()
 
@@ -82,7 +82,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         reason, remedy = f"cannot read it: {error.strerror}", "check the path"
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         reason, remedy = f"not valid TOML: {error}", "correct the file"
-    raise UsageError(Problem(reason, remedy, str(path)))
+    raise UsageError(InputProblem(reason, remedy, str(path)))
 
 
 def parse_settings(kind: type[S], content: dict, source: str) -> S:
@@ -156,7 +156,7 @@ _REMEDIES = {
 """Kind of pydantic's error -> what to do about it."""
 
 
-def _problems(kind: type[Section], detail: Any) -> list[Problem]:
+def _problems(kind: type[Section], detail: Any) -> list[InputProblem]:
     """One of pydantic's errors in the words of this project."""
     path = tuple(part for part in detail["loc"] if isinstance(part, str))
     key, error = ".".join(path), detail["type"]
@@ -166,17 +166,17 @@ def _problems(kind: type[Section], detail: Any) -> list[Problem]:
         return [replace(p, reason=prefix + p.reason) for p in found]
     if error == "missing":
         field = _section_at(kind, path[:-1]).model_fields[path[-1]]
-        return [Problem(f"missing key {key!r}", field.description or "add it")]
+        return [InputProblem(f"missing key {key!r}", field.description or "add it")]
     if error == "extra_forbidden":
         valid = list(_section_at(kind, path[:-1]).model_fields)
         close = difflib.get_close_matches(path[-1], valid, 1)
         hint = f"did you mean {close[0]!r}? " if close else ""
         remedy = f"{hint}valid keys here: {', '.join(valid)}"
-        return [Problem(f"unknown key {key!r}", remedy)]
+        return [InputProblem(f"unknown key {key!r}", remedy)]
     reason, remedy = _in_words(detail), _REMEDIES.get(error, "correct it")
     if error == "model_type":
         remedy = f"its keys: {', '.join(_section_at(kind, path).model_fields)}"
-    return [Problem(f"{key} = {_shown(detail['input'])}: {reason}", remedy)]
+    return [InputProblem(f"{key} = {_shown(detail['input'])}: {reason}", remedy)]
 
 
 def _in_words(detail: Any) -> str:

@@ -15,7 +15,7 @@ from tirefit.cli.commands import app
 from tirefit.diagnosis import engine
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.forecast import separability
-from tirefit.results import DataError, Problem
+from tirefit.results import DataError, InputProblem
 
 DIAGNOSE = engine.diagnose
 NOISE, OFFSET, POWER = 20.0, 0.006, -0.3
@@ -102,7 +102,7 @@ def calls(monkeypatch):
 
     def study(data, **settings):
         names.append(data.name)
-        raise DataError(Problem("not now", "later"))
+        raise DataError(InputProblem("not now", "later"))
 
     monkeypatch.setattr(engine, "diagnose", study)
     return names

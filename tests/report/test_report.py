@@ -29,7 +29,7 @@ from tirefit.report.model_tables import models_dict, models_table
 from tirefit.report.numbers import format_estimate, format_interval, format_number
 from tirefit.report.residuals import autocorrelation
 from tirefit.report.text import fit_report, verdict_line
-from tirefit.results import Outcome, Problem, UsageError
+from tirefit.results import InputProblem, Outcome, UsageError
 
 TRUTH = {"cpa2": 5e4, "mu": 1.0, "m": 0.85}
 LOADS = (2000.0, 4000.0)
@@ -56,7 +56,7 @@ def synthetic(n: int = 120, noise: float = 30.0) -> TireData:
         path=f"data/{NAME}",
         columns={"fx": "Fx <N>"},
         assumptions=("speed 20 m/s: constant, given",),
-        masked=(Problem("load is not finite", row=5),),
+        masked=(InputProblem("load is not finite", row=5),),
     )
     return TireData(
         "sweep", columns, used, np.arange(n) % 2, ("first", "second"), source

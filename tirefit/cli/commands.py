@@ -25,7 +25,7 @@ from tirefit.cli.options import (
     takes_data_options,
     warn,
 )
-from tirefit.results import ExitCode, Problem, TirefitError, UsageError
+from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
 __all__ = ["app"]
 
@@ -151,7 +151,7 @@ def predict(
             return
         if starred_angles or side:
             reason = "--starred-angles and --side are of .tir files"
-            raise UsageError(Problem(reason, f"leave them out with {source}"))
+            raise UsageError(InputProblem(reason, f"leave them out with {source}"))
         is_file = source.endswith(".json") or Path(source).is_file()
         how = read_options(options, read_config(options.config))
         values = _checked_request(source, is_file, data, out, parameter)
@@ -213,7 +213,9 @@ def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:
     problems = output_problems(out, inputs=[data, source])
     values = numbers("--set", parameter, problems)
     if is_file and values:
-        problems.append(Problem("--set with a fit.json", "use it with a model name"))
+        problems.append(
+            InputProblem("--set with a fit.json", "use it with a model name")
+        )
     if problems:
         raise UsageError(problems)
     return values

@@ -9,7 +9,7 @@ import typer
 from tirefit.cli.fit import exit_code, fit_into, model_names
 from tirefit.cli.options import complain, errors_to_exit, named_path, say, start_jax
 from tirefit.cli.output import check_directories
-from tirefit.results import Problem, TirefitError, UsageError
+from tirefit.results import InputProblem, TirefitError, UsageError
 
 __all__ = ["convert"]
 
@@ -110,11 +110,11 @@ def _write_reduced(brush: dict, mixed: list[str], out: Path) -> None:
     if mixed:
         reason = f"{', '.join(mixed)} with --cpa2, --mu, --fz, --radius"
         remedy = "convert a Magic Formula, or write the .tir of a brush: one at a time"
-        problems.append(Problem(reason, remedy))
+        problems.append(InputProblem(reason, remedy))
     missing = [f"--{name}" for name, value in brush.items() if value is None]
     if missing:
         reason = f"a reduced .tir needs {', '.join(missing)} too"
-        problems.append(Problem(reason, "give all of --cpa2 --mu --fz --radius"))
+        problems.append(InputProblem(reason, "give all of --cpa2 --mu --fz --radius"))
     try:
         given = {name: 1.0 if value is None else value for name, value in brush.items()}
         tir = reduced_tir(**given)
@@ -134,29 +134,31 @@ def _checked(file, magic_formula, slip_min, slip_max, loads, out):
     """(coefficients by name or None, slips (n,), loads or None); all that is wrong."""
     import numpy as np
 
-    problems: list[Problem] = []
+    problems: list[InputProblem] = []
     if (file is None) == (magic_formula is None):
         reason = "no curve" if file is None else "FILE.tir and --magic-formula"
         remedy = "give one FILE.tir, or --magic-formula B,C,D,E"
-        problems.append(Problem(reason, remedy))
+        problems.append(InputProblem(reason, remedy))
     coefficients = None
     if magic_formula is not None:
         values = _listed("--magic-formula", magic_formula, problems)
         if values and len(values) != 4:
             reason = f"--magic-formula {magic_formula!r}: {len(values)} numbers"
-            problems.append(Problem(reason, "give four: B,C,D,E"))
+            problems.append(InputProblem(reason, "give four: B,C,D,E"))
         coefficients = dict(zip("BCDE", values, strict=False))
         if loads is None:
             remedy = "name them, as in --loads 2000,4000"
-            problems.append(Problem("--magic-formula has no nominal load", remedy))
+            problems.append(InputProblem("--magic-formula has no nominal load", remedy))
     chosen = None if loads is None else _listed("--loads", loads, problems)
     if chosen and (min(chosen) <= 0 or len(set(chosen)) < len(chosen)):
-        problems.append(Problem(f"--loads {loads!r}", "positive loads [N], each once"))
+        problems.append(
+            InputProblem(f"--loads {loads!r}", "positive loads [N], each once")
+        )
     high = _SLIP_MAX if slip_max is None else slip_max
     low = -high if slip_min is None else slip_min
     if not -1 < low < high < 1:
         reason = f"slips from {low:g} to {high:g}"
-        problems.append(Problem(reason, "-1 < --slip-min < --slip-max < 1"))
+        problems.append(InputProblem(reason, "-1 < --slip-min < --slip-max < 1"))
     try:
         check_directories([out])
     except UsageError as error:
@@ -166,7 +168,7 @@ def _checked(file, magic_formula, slip_min, slip_max, loads, out):
     return coefficients, np.linspace(low, high, _SLIPS), chosen
 
 
-def _listed(option: str, text: str, problems: list[Problem]) -> list[float]:
+def _listed(option: str, text: str, problems: list[InputProblem]) -> list[float]:
     """Finite numbers between commas; what is wrong with them goes into ``problems``."""
     try:
         found = [float(part) for part in text.split(",")]
@@ -174,7 +176,7 @@ def _listed(option: str, text: str, problems: list[Problem]) -> list[float]:
             return found
     except ValueError:
         pass
-    problems.append(Problem(f"{option} {text!r}", "give numbers between commas"))
+    problems.append(InputProblem(f"{option} {text!r}", "give numbers between commas"))
     return []
 
 

@@ -24,7 +24,7 @@ from tirefit.cli.options import (
     warn,
 )
 from tirefit.cli.output import check_directories, claimed, staged
-from tirefit.results import ExitCode, Problem, TirefitError, UsageError
+from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
 __all__ = ["ManyHoldouts", "diagnose"]
 
@@ -52,7 +52,7 @@ def _names(files: list[Path]) -> list[str]:
     if twice:
         reason = f"several input files are named {', '.join(twice)}"
         remedy = "rename one: their results would overwrite each other"
-        raise UsageError(Problem(reason, remedy))
+        raise UsageError(InputProblem(reason, remedy))
     return names
 
 

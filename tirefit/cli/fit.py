@@ -24,7 +24,7 @@ from tirefit.cli.options import (
 )
 from tirefit.cli.output import check_directories, claimed, staged
 from tirefit.names import MODEL_NAMES
-from tirefit.results import ExitCode, Outcome, Problem, TirefitError, UsageError
+from tirefit.results import ExitCode, InputProblem, Outcome, TirefitError, UsageError
 
 __all__ = ["exit_code", "fit", "fit_into", "model_names"]
 
@@ -49,7 +49,7 @@ def _output_directories(files: list[Path], out: Path | None, joint: bool) -> lis
     twice = sorted({stem for stem in stems if stems.count(stem) > 1})
     if twice and not joint:
         raise UsageError(
-            Problem(
+            InputProblem(
                 f"several input files are named {', '.join(twice)}: their results would"
                 " overwrite each other",
                 "rename a file, or fit them one by one with different --out",
@@ -139,7 +139,7 @@ def fit(
 def _forces(force: list[str] | None) -> list[str] | None:
     wrong = [name for name in force or [] if name not in ("fx", "fy", "mz")]
     if wrong:
-        raise UsageError(Problem(f"--force {wrong[0]!r}", "one of fx, fy, mz"))
+        raise UsageError(InputProblem(f"--force {wrong[0]!r}", "one of fx, fy, mz"))
     return force or None
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tirefit.results import ExitCode, Problem, TirefitError, UsageError
+from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
 __all__ = [
     "DataOptions",
@@ -118,23 +118,23 @@ def takes_data_options(command: Callable) -> Callable:
     return with_options
 
 
-def _pairs(option: str, items: list[str] | None, problems: list[Problem]):
+def _pairs(option: str, items: list[str] | None, problems: list[InputProblem]):
     pairs: dict[str, str] = {}
     for item in items or []:
         name, _, value = (part.strip() for part in item.partition("="))
         if not name or not value:
             remedy = f"write it as {option} NAME=VALUE"
-            problems.append(Problem(f"{option} {item!r}", remedy))
+            problems.append(InputProblem(f"{option} {item!r}", remedy))
         elif name in pairs:
             reason = f"{option} {name} is given twice: {pairs[name]!r} and {value!r}"
-            problems.append(Problem(reason, "give it once"))
+            problems.append(InputProblem(reason, "give it once"))
         else:
             pairs[name] = value
     return pairs
 
 
 def numbers(
-    option: str, items: list[str] | None, problems: list[Problem]
+    option: str, items: list[str] | None, problems: list[InputProblem]
 ) -> dict[str, float]:
     """Values of NAME=VALUE options; what is wrong with them goes into ``problems``."""
     found = {}
@@ -143,7 +143,7 @@ def numbers(
             found[name] = float(value)
         except ValueError:
             reason = f"{option} {name}={value}: not a number"
-            problems.append(Problem(reason, "give an SI value"))
+            problems.append(InputProblem(reason, "give an SI value"))
     return found
 
 
@@ -153,7 +153,7 @@ def read_options(given: DataOptions, config) -> dict[str, Any]:
     Raises:
         UsageError: pairs that are not pairs, or not of numbers; all of them.
     """
-    problems: list[Problem] = []
+    problems: list[InputProblem] = []
     pairs = {
         "columns": _pairs("--column", given.column, problems),
         "units": _pairs("--unit", given.unit, problems),

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from tirefit.results import Problem, UsageError
+from tirefit.results import InputProblem, UsageError
 
 try:
     import fcntl
@@ -33,7 +33,7 @@ def check_directories(directories: Sequence[Path]) -> None:
         elif not os.access(there, os.W_OK | os.X_OK):
             reason = f"no permission to write into the folder {there.absolute()}"
         if reason:
-            problems.append(Problem(reason, remedy, str(directory)))
+            problems.append(InputProblem(reason, remedy, str(directory)))
     if problems:
         raise UsageError(problems)
 
@@ -76,7 +76,7 @@ def _lock(handle: int, directory: Path) -> None:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise UsageError(
-            Problem(
+            InputProblem(
                 "another tirefit is writing its results into this folder",
                 "wait until it has ended, or choose another folder with --out",
                 str(directory),

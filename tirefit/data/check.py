@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.columns import is_number
-from tirefit.results import Problem
+from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
 
 __all__ = [
@@ -168,7 +168,7 @@ def _load_hint(text: str, convention: str) -> tuple[str, str]:
 
 def list_problems(
     faults: Sequence[BadRows], lines: np.ndarray, file: str
-) -> tuple[list[Problem], list[Problem]]:
+) -> tuple[list[InputProblem], list[InputProblem]]:
     """Problems of bad rows, the first few of a kind one by one, the rest summed up.
 
     Args:
@@ -189,25 +189,25 @@ def list_problems(
             remedy = remedy or "check the column's unit, sign and meaning"
             first = f"{fault.values[0]} in row {lines[fault.rows[0]]}"
             reason = f"{count} of {len(lines)} rows ({first}, ...): {rule}"
-            of_columns.append(Problem(reason, remedy, file, column=column))
+            of_columns.append(InputProblem(reason, remedy, file, column=column))
             continue
         for row, value in list(zip(fault.rows, fault.values, strict=True))[:SHOWN]:
             line = int(lines[row])
-            of_rows.append(Problem(f"{value} {rule}", remedy, file, line, column))
+            of_rows.append(InputProblem(f"{value} {rule}", remedy, file, line, column))
         if count > SHOWN:
             reason = f"and {count - SHOWN} more rows with the same fault: {rule}"
-            of_rows.append(Problem(reason, remedy, file, column=column))
+            of_rows.append(InputProblem(reason, remedy, file, column=column))
     return of_rows, of_columns
 
 
-def without_masking(problem: Problem) -> Problem:
+def without_masking(problem: InputProblem) -> InputProblem:
     """A problem of a row that is masked already: its remedy no longer says to."""
     return replace(problem, remedy=problem.remedy.replace(_OR_MASK, ""))
 
 
 def check_columns(
     columns, headers: Sequence[str], idle: Sequence[str], file: str, forces: bool = True
-) -> list[Problem]:
+) -> list[InputProblem]:
     """What every fit needs: a slip, a force if ``forces``, the load.
 
     ``columns`` are those there, ``headers`` the file's own; ``idle`` are the headers
@@ -222,20 +222,20 @@ def check_columns(
         if {"omega", "v"} <= set(columns):
             remedy = "give --rolling-radius R [m] to compute it from omega and v"
         reason = "no slip: one of sigma_x, kappa, s, slip_ratio, alpha is needed"
-        problems.append(Problem(reason, remedy, file))
+        problems.append(InputProblem(reason, remedy, file))
     if forces and not {"fx", "fy", "mz"} & set(columns):
         remedy = f"name one, as in --column fx=HEADER; columns found: {found}"
         reason = "no force: one of fx, fy, mz is needed"
         if idle:
             reason += f"; {' and '.join(map(repr, idle))} is zero in all rows"
-        problems.append(Problem(reason, remedy, file))
+        problems.append(InputProblem(reason, remedy, file))
     if "fz" not in columns:
         remedy = "name it with --column fz=HEADER, or give --constant fz=4000 [N]"
-        problems.append(Problem("no load: fz is needed", remedy, file))
+        problems.append(InputProblem("no load: fz is needed", remedy, file))
     return problems
 
 
-def check_variation(columns: Mapping[str, np.ndarray], file: str) -> list[Problem]:
+def check_variation(columns: Mapping[str, np.ndarray], file: str) -> list[InputProblem]:
     """A slip that never changes says nothing about a slip curve."""
     slips = [name for name in ("sigma_x", "alpha") if name in columns]
     spread = [np.ptp(columns[name]) if len(columns[name]) else 0.0 for name in slips]
@@ -243,7 +243,7 @@ def check_variation(columns: Mapping[str, np.ndarray], file: str) -> list[Proble
         return []
     value = ", ".join(f"{name} = {columns[name][0]:.6g}" for name in slips)
     remedy = "a fit needs rows at several slips: check that the right column is read"
-    return [Problem(f"constant slip ({value} in all used rows)", remedy, file)]
+    return [InputProblem(f"constant slip ({value} in all used rows)", remedy, file)]
 
 
 def doubt_units(

@@ -15,7 +15,7 @@ from tirefit.data.units import (
     known_unit,
     resolve_unit,
 )
-from tirefit.results import DataError, Problem, UsageError
+from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
 __all__ = [
@@ -91,18 +91,18 @@ class Options(NamedTuple):
         if radius is not None and not 0 < radius < float("inf"):
             reason = f"--rolling-radius {radius} is not a positive length"
             remedy = "give the effective rolling radius in metres"
-            problems.append(Problem(reason, remedy))
+            problems.append(InputProblem(reason, remedy))
         for name, value in self.constants.items():
             is_size = name in ("fz", "v", "pressure") or name.endswith("_std")
             if not abs(value) < float("inf") or (is_size and value <= 0):
                 kind = "a positive" if is_size else "a finite"
                 reason = f"--constant {name}={value:g} is not {kind} number"
-                problems.append(Problem(reason, "give it in SI units and signs"))
+                problems.append(InputProblem(reason, "give it in SI units and signs"))
         if problems:
             raise UsageError(problems)
 
 
-def _unknown(option: str, given, known) -> list[Problem]:
+def _unknown(option: str, given, known) -> list[InputProblem]:
     problems = []
     for value in given:
         if value is None or value in known:
@@ -110,7 +110,7 @@ def _unknown(option: str, given, known) -> list[Problem]:
         close = difflib.get_close_matches(str(value), known, n=1)
         remedy = f"did you mean {close[0]!r}? " if close else ""
         remedy += f"valid: {', '.join(known)}"
-        problems.append(Problem(f"{option}: {value!r} is not known", remedy))
+        problems.append(InputProblem(f"{option}: {value!r} is not known", remedy))
     return problems
 
 
@@ -141,7 +141,7 @@ class Plan:
 
     columns: dict[str, Column] = field(default_factory=dict)
     assumptions: list[str] = field(default_factory=list)
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[InputProblem] = field(default_factory=list)
     units_to_write: dict[str, str] = field(default_factory=dict)
     """Declared units of forces that the file lacks, yet to be predicted."""
 
@@ -245,7 +245,7 @@ def _declared(headers, options, plan, file) -> dict[str, int]:
             how = f"declared as {name} by {_DECLARED_BY['columns']}"
             reason = f"the file has no such column ({how})"
             remedy = f"{meant}columns found: {', '.join(map(repr, headers))}"
-        plan.problems.append(Problem(reason, remedy, file, column=header))
+        plan.problems.append(InputProblem(reason, remedy, file, column=header))
     _refuse_shared(found, headers, plan, file)
     return found
 
@@ -263,7 +263,7 @@ def _refuse_shared(found, headers, plan, file) -> None:
             reason = f"declared as {name} beside {others[0]}, which excludes it"
             remedy = f"give only one of --column {name}= and --column {others[0]}="
             header = headers[found[name]]
-            plan.problems.append(Problem(reason, remedy, file, column=header))
+            plan.problems.append(InputProblem(reason, remedy, file, column=header))
 
 
 def _inferred(headers, declared, plan, file) -> dict[str, int]:
@@ -283,7 +283,7 @@ def _inferred(headers, declared, plan, file) -> dict[str, int]:
         remedy = f'choose one: columns.{name} = "{headers[index]}" or --column {name}='
         if len({headers[index] for _, index in matches}) == 1:
             remedy = "rename or remove one of them in the file"
-        plan.problems.append(Problem(reason, remedy, file, column=headers[index]))
+        plan.problems.append(InputProblem(reason, remedy, file, column=headers[index]))
     # Of duplicates the first goes on, so that its cells are checked as well.
     return dict(matches[0] for matches in by_group.values())
 
@@ -305,7 +305,7 @@ def _check_slip_std(chosen, headers, plan, file) -> None:
         reason = f"read as {std}, but the slip column is {slip}"
         remedy = f"declare both by one definition, as with --column {slip}_std=HEADER"
         where = headers[chosen[std]]
-        plan.problems.append(Problem(reason, remedy, file, column=where))
+        plan.problems.append(InputProblem(reason, remedy, file, column=where))
 
 
 def _is_ttc(headers: Sequence[str]) -> bool:
@@ -381,7 +381,7 @@ def _check_all_used(options: Options, plan: Plan, file: str) -> None:
         if len(set(units.values())) > 1:
             listed = ", ".join(f"{name}={unit}" for name, unit in units.items())
             reason = f"two units of the slip column ({_DECLARED_BY['units']}): {listed}"
-            plan.problems.append(Problem(reason, "declare one of them", file))
+            plan.problems.append(InputProblem(reason, "declare one of them", file))
     declared = [("units", name) for name in options.units]
     declared += [("slip", options.slip)] if options.slip else []
     for option, name in declared:
@@ -394,4 +394,4 @@ def _check_all_used(options: Options, plan: Plan, file: str) -> None:
             how = f"declared by {_DECLARED_BY[option]}"
             reason = f"{how} for {name}, which the file does not have"
             remedy = f"remove it, or name the column with --column {name}=HEADER"
-            plan.problems.append(Problem(reason, remedy, file, column=name))
+            plan.problems.append(InputProblem(reason, remedy, file, column=name))

@@ -24,7 +24,7 @@ import numpy as np
 
 from tirefit.data.motion import Motion, Track, read_motion
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
-from tirefit.results import DataError, Problem, UsageError
+from tirefit.results import DataError, InputProblem, UsageError
 
 __all__ = ["DerivedFiles", "DerivedLog", "derive", "derive_files"]
 
@@ -121,10 +121,10 @@ def derive(path: str | Path, vehicle: Vehicle, axle: str = "rear") -> DerivedLog
     """
     path = Path(path)
     if axle not in ("rear", "front"):
-        raise UsageError(Problem(f"unknown axle {axle!r}", "say rear or front"))
+        raise UsageError(InputProblem(f"unknown axle {axle!r}", "say rear or front"))
     if axle == "front" and vehicle.steering is None:
         raise UsageError(
-            Problem(
+            InputProblem(
                 "the front slip angle needs the road wheel angle",
                 "name columns.steering and give [steering] in vehicle.toml, or derive"
                 " the rear axle, which needs neither",
@@ -135,7 +135,7 @@ def derive(path: str | Path, vehicle: Vehicle, axle: str = "rear") -> DerivedLog
     kept, dropped = _kept(motion, track, vehicle, axle)
     if not kept.any():
         raise DataError(
-            Problem(
+            InputProblem(
                 f"no sample is left of {len(kept)}: {_counts(dropped)}",
                 "check the units and [keep] of vehicle.toml",
                 str(path),
@@ -385,13 +385,15 @@ def _check_names(paths: Sequence[str | Path], out: Path) -> None:
 
     problems = output_problems(out, inputs=paths)
     if out.suffix != ".csv":
-        problems.append(Problem("the output is a CSV", "end it in .csv", str(out)))
+        problems.append(InputProblem("the output is a CSV", "end it in .csv", str(out)))
     names = [_run_name(Path(path)) for path in paths]
     if not names:
-        problems.append(Problem("no log given", "name at least one"))
+        problems.append(InputProblem("no log given", "name at least one"))
     for name in sorted({name for name in names if names.count(name) > 1}):
         problems.append(
-            Problem(f"two logs are named {name!r}", "rename one: the name is the run")
+            InputProblem(
+                f"two logs are named {name!r}", "rename one: the name is the run"
+            )
         )
     if problems:
         raise UsageError(problems)

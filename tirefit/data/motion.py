@@ -14,7 +14,7 @@ import numpy as np
 
 from tirefit.data.read import Table, read_table
 from tirefit.data.vehicle import POSE, Vehicle
-from tirefit.results import DataError, Problem
+from tirefit.results import DataError, InputProblem
 
 __all__ = ["Motion", "Track", "read_motion"]
 
@@ -99,31 +99,33 @@ def _read_columns(path: Path, vehicle: Vehicle) -> tuple[Table, dict[str, np.nda
         remedy = f"correct [columns] of vehicle.toml; the file has: {known}"
         raise DataError(
             [
-                Problem("the column is missing", remedy, table.file, column=name)
+                InputProblem("the column is missing", remedy, table.file, column=name)
                 for name in absent
             ]
         )
     if table.units_row is not None:
         raise DataError(
-            Problem(
+            InputProblem(
                 "there is a row of units below the header",
                 "remove it and state what is not SI in [units] of vehicle.toml",
                 table.file,
                 table.header_line + 1,
             )
         )
-    problems: list[Problem] = []
+    problems: list[InputProblem] = []
     columns = {name: _numbers(table, name, problems) for name in dict.fromkeys(wanted)}
     if problems:
         more = len(problems) - _MOST_PROBLEMS
         shown = problems[:_MOST_PROBLEMS]
         if more > 0:
-            shown.append(Problem(f"and {more} more cells like these", file=table.file))
+            shown.append(
+                InputProblem(f"and {more} more cells like these", file=table.file)
+            )
         raise DataError(shown)
     return table, columns
 
 
-def _numbers(table: Table, name: str, problems: list[Problem]) -> np.ndarray:
+def _numbers(table: Table, name: str, problems: list[InputProblem]) -> np.ndarray:
     """One column, (n,); a missing cell is NaN, text is a problem."""
     values = np.full(len(table.lines), np.nan)
     for index, cell in enumerate(table.cells[table.headers.index(name)]):
@@ -133,7 +135,7 @@ def _numbers(table: Table, name: str, problems: list[Problem]) -> np.ndarray:
             values[index] = float(cell)
         except ValueError:
             reason, line = f"{cell.strip()!r} is not a number", int(table.lines[index])
-            problems.append(Problem(reason, "correct it", table.file, line, name))
+            problems.append(InputProblem(reason, "correct it", table.file, line, name))
     return values
 
 
@@ -186,11 +188,13 @@ def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
     cutoff = vehicle.filter.cutoff
     needed = f"a log of at least {4 * cutoff:g} Hz for a cutoff of {cutoff:g} Hz"
     if len(steps) == 0:
-        raise DataError(Problem("holds fewer than two samples", f"give {needed}", file))
+        raise DataError(
+            InputProblem("holds fewer than two samples", f"give {needed}", file)
+        )
     period = float(np.median(steps))
     if period > 1 / (4 * cutoff):
         raise DataError(
-            Problem(
+            InputProblem(
                 f"is sampled at {1 / period:.3g} Hz only",
                 f"give {needed}, lower filter.cutoff, or check the unit of time",
                 file,

@@ -23,7 +23,7 @@ from tirefit.data.units import (
     slip_from_speeds,
     slip_to_sigma,
 )
-from tirefit.results import DataError, Problem
+from tirefit.results import DataError, InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
 
 __all__ = ["Table", "read", "read_frame", "read_table", "require"]
@@ -98,7 +98,7 @@ def require(data: TireData, columns: Sequence[str], why: str) -> None:
         if column == "sigma_x":
             remedy += " (also kappa, s), or give omega, v and --rolling-radius"
         reason = f"{why} needs {column} ({meaning}), which the data do not have"
-        problems.append(Problem(reason, remedy, data.source.path or data.name))
+        problems.append(InputProblem(reason, remedy, data.source.path or data.name))
     if problems:
         raise DataError(problems)
 
@@ -116,7 +116,7 @@ class _Reading:
     headers: dict[str, str] = field(default_factory=dict)
     faults: list[BadRows] = field(default_factory=list)
     idle: list[str] = field(default_factory=list)
-    problems: list[Problem] = field(default_factory=list)
+    problems: list[InputProblem] = field(default_factory=list)
     assumptions: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
 
@@ -238,7 +238,7 @@ def _constants(reading: _Reading) -> None:
             how = "by --constant or [data.constants]"
             reason = f"{name} = {value:g}, declared {how}, conflicts with this column"
             remedy = f"remove the constant: the file has {name}"
-            problem = Problem(reason, remedy, reading.file, column=header)
+            problem = InputProblem(reason, remedy, reading.file, column=header)
             reading.problems.append(problem)
             continue
         reading.columns[name] = np.full(len(reading.table.lines), float(value))
@@ -302,7 +302,7 @@ def _use_rolling_radius(reading: _Reading, definition: str) -> None:
         elif "sigma_x" not in columns:
             reason = f"--rolling-radius needs {' and '.join(missing)} to give a slip"
             remedy = "name them, as in --column omega=HEADER"
-            reading.problems.append(Problem(reason, remedy, reading.file))
+            reading.problems.append(InputProblem(reason, remedy, reading.file))
         return
     sigma = slip_from_speeds(columns["omega"], columns["v"], radius)
     if "sigma_x" in columns:
@@ -352,7 +352,7 @@ def _drop_idle_forces(reading: _Reading) -> None:
             reading.assumptions.append(sentence)
 
 
-def _raise_or_mask(reading: _Reading) -> tuple[Problem, ...]:
+def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
     """Raises DataError with all that stands; else the masked rows as problems."""
     of_rows, of_columns = check.list_problems(
         reading.faults, reading.table.lines, reading.file
@@ -375,7 +375,7 @@ def _raise_or_mask(reading: _Reading) -> tuple[Problem, ...]:
             )
         elif reading.options.mask_bad_rows:
             remedy = "see the rows' problems without --mask-bad-rows"
-            whole.append(Problem("no usable rows are left", remedy, reading.file))
+            whole.append(InputProblem("no usable rows are left", remedy, reading.file))
     if whole or (of_rows and not reading.options.mask_bad_rows):
         raise DataError([*whole, *of_rows])
     return tuple(check.without_masking(problem) for problem in of_rows)

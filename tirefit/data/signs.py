@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
-from tirefit.results import Problem
+from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 
 __all__ = [
@@ -34,7 +34,7 @@ def check_signs(
     headers: Mapping[str, str],
     convention: str,
     file: str,
-) -> list[Problem]:
+) -> list[InputProblem]:
     """Slip and force oppose in canonical signs: their correlation must not be < 0.
 
     Args:
@@ -61,7 +61,9 @@ def check_signs(
         )
         if fitting:
             remedy = f"these signs fit --convention {' or '.join(fitting)}; {remedy}"
-        problems.append(Problem(reason, remedy, file, column=headers.get(force, force)))
+        problems.append(
+            InputProblem(reason, remedy, file, column=headers.get(force, force))
+        )
     return problems
 
 
@@ -116,7 +118,7 @@ def _fitting_conventions(pairs, convention: str) -> list[str]:
 
 def check_rolling_radius(
     given: np.ndarray, computed: np.ndarray, header: str, file: str
-) -> list[Problem]:
+) -> list[InputProblem]:
     """Physical slip of a column against (v - omega R) / (omega R), both (n,)."""
     given, computed = slip_ratio_from_sigma(given), slip_ratio_from_sigma(computed)
     limit = max(0.01, 0.2 * np.std(given))
@@ -130,7 +132,7 @@ def check_rolling_radius(
         f"the slip contradicts (v - omega R)/(omega R): they differ by {apart:.3g}"
         " in the median"
     )
-    return [Problem(reason, remedy, file, column=header)]
+    return [InputProblem(reason, remedy, file, column=header)]
 
 
 def doubt_rolling_radius(

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from tirefit.display import Displayed
-from tirefit.results import DataError, Problem
+from tirefit.results import DataError, InputProblem
 
 __all__ = ["CANONICAL", "Source", "TireData", "join"]
 
@@ -47,7 +47,7 @@ class Source:
     units: Mapping[str, str] = field(default_factory=dict)
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    masked: tuple[Problem, ...] = ()
+    masked: tuple[InputProblem, ...] = ()
     line: np.ndarray | None = None
 
     @property
@@ -111,10 +111,12 @@ def join(tables: Sequence[TireData]) -> TireData:
         twin = names.setdefault(table.source.sha256, table.source.path or table.name)
         if table.source.sha256 and twin != (table.source.path or table.name):
             reason = f"the same content as {twin}: its rows would count twice"
-            raise DataError(Problem(reason, "give each file once", table.source.path))
+            raise DataError(
+                InputProblem(reason, "give each file once", table.source.path)
+            )
     paths = [table.source.path for table in tables if table.source.path]
     if len(set(paths)) < len(paths):
-        raise DataError(Problem("a file is given twice", "give each file once"))
+        raise DataError(InputProblem("a file is given twice", "give each file once"))
     shared = [c for c in tables[0].columns if all(c in table for table in tables)]
     runs, codes = [], []
     for table in tables:

@@ -18,7 +18,7 @@ import numpy as np
 from tirefit.data.check import BadRows
 from tirefit.data.columns import guess, is_number
 from tirefit.data.units import known_unit
-from tirefit.results import DataError, Problem
+from tirefit.results import DataError, InputProblem
 
 __all__ = ["Table", "read_table", "table_of_frame"]
 
@@ -67,7 +67,7 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataError:
-    return DataError(Problem(reason, remedy, str(path), row))
+    return DataError(InputProblem(reason, remedy, str(path), row))
 
 
 def _decode(raw: bytes, path: Path) -> tuple[str, list[str]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from tirefit.data.tir_check import notes_on, problems_of
 from tirefit.data.tir_file import TirFile, parsed, shortest
 from tirefit.data.write import write_text_atomic
-from tirefit.results import DataError, Problem, UsageError
+from tirefit.results import DataError, InputProblem, UsageError
 
 __all__ = ["TirFile", "notes_on", "parse_tir", "read_tir", "reduced_tir", "write_tir"]
 
@@ -39,7 +39,7 @@ def read_tir(path) -> TirFile:
         content = Path(path).read_bytes()
     except OSError as error:
         reason = f"cannot read it: {error.strerror}"
-        raise DataError(Problem(reason, "give a .tir file", str(path))) from None
+        raise DataError(InputProblem(reason, "give a .tir file", str(path))) from None
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -130,7 +130,9 @@ def reduced_tir(cpa2: float, mu: float, fz: float, radius: float) -> TirFile:
     if wrong:
         raise UsageError(
             [
-                Problem(f"{name} = {given[name]:g} is not positive", "give it in SI")
+                InputProblem(
+                    f"{name} = {given[name]:g} is not positive", "give it in SI"
+                )
                 for name in wrong
             ]
         )

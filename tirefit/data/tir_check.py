@@ -19,7 +19,7 @@ from tirefit.data.tir_keys import (
     SIDES,
     UNITS,
 )
-from tirefit.results import Problem
+from tirefit.results import InputProblem
 
 __all__ = ["notes_on", "problems_of"]
 
@@ -27,7 +27,7 @@ _PRESSURES = (1e4, 5e6)
 """Inflation pressures [Pa] of tires, from a kart's to an aircraft's."""
 
 
-def problems_of(tir: TirFile) -> list[Problem]:
+def problems_of(tir: TirFile) -> list[InputProblem]:
     """All that keeps the file from being evaluated, in the order of its lines."""
     found = [
         *_of_units(tir),
@@ -68,12 +68,14 @@ def notes_on(tir: TirFile) -> list[str]:
     return said
 
 
-def _problem(tir: TirFile, key: str, reason: str, remedy: str, section=None) -> Problem:
+def _problem(
+    tir: TirFile, key: str, reason: str, remedy: str, section=None
+) -> InputProblem:
     entry = tir.find(key, section)
-    return Problem(reason, remedy, tir.path, entry.row if entry else None)
+    return InputProblem(reason, remedy, tir.path, entry.row if entry else None)
 
 
-def _of_units(tir: TirFile) -> Iterator[Problem]:
+def _of_units(tir: TirFile) -> Iterator[InputProblem]:
     for quantity, sizes in UNITS.items():
         entry = tir.find(quantity, "UNITS")
         if entry is None or entry.text.lower() in sizes:
@@ -82,10 +84,10 @@ def _of_units(tir: TirFile) -> Iterator[Problem]:
         remedy = f"write the file with one of {', '.join(sizes)}"
         if quantity == "ANGLE":
             reason += ": coefficients such as PKY1 and PHY1 hold angles in radians"
-        yield Problem(reason, remedy, tir.path, entry.row)
+        yield InputProblem(reason, remedy, tir.path, entry.row)
 
 
-def _of_model(tir: TirFile) -> Iterator[Problem]:
+def _of_model(tir: TirFile) -> Iterator[InputProblem]:
     known = ", ".join(f"{number} (MF {name})" for number, name in FITTYP.items())
     entry = tir.find("FITTYP")
     if entry is None:
@@ -94,28 +96,28 @@ def _of_model(tir: TirFile) -> Iterator[Problem]:
         yield _problem(tir, "PROPERTY_FILE_FORMAT", reason, remedy)
     elif tir.numbers.get("FITTYP") not in FITTYP:
         reason = f"FITTYP = {entry.value} is not a supported version"
-        yield Problem(reason, f"supported: {known}", tir.path, entry.row)
+        yield InputProblem(reason, f"supported: {known}", tir.path, entry.row)
     entry = tir.find("PROPERTY_FILE_FORMAT")
     if entry and entry.text.upper() in FORMATS_REFUSED:
         model = FORMATS_REFUSED[entry.text.upper()]
         reason = f"PROPERTY_FILE_FORMAT = {entry.value}: the {model} model"
         remedy = "it is not supported; give a file of MF 5.2, 6.1 or 6.2"
-        yield Problem(reason, remedy, tir.path, entry.row)
+        yield InputProblem(reason, remedy, tir.path, entry.row)
     entry = tir.find("FILE_TYPE")
     if entry and entry.text.lower() != "tir":
         reason = f"FILE_TYPE = {entry.value}, not 'tir'"
-        yield Problem(reason, "give a tire property file", tir.path, entry.row)
+        yield InputProblem(reason, "give a tire property file", tir.path, entry.row)
     entry = tir.find("TYRESIDE")
     if entry and tir.side not in SIDES:
         reason = f"TYRESIDE = {entry.value} is not a side"
-        yield Problem(reason, f"one of {', '.join(SIDES)}", tir.path, entry.row)
+        yield InputProblem(reason, f"one of {', '.join(SIDES)}", tir.path, entry.row)
     if tir.numbers.get("USE_MODE", 0) < 0:
         reason = f"USE_MODE = {tir.numbers['USE_MODE']:g} mirrors the tire"
         remedy = "that is not supported: drop the minus and choose the side with --side"
         yield _problem(tir, "USE_MODE", reason, remedy)
 
 
-def _twice(tir: TirFile) -> Iterator[Problem]:
+def _twice(tir: TirFile) -> Iterator[InputProblem]:
     """Keys with two values; a coefficient must not have them even in two sections."""
     seen = {}
     for entry in tir.entries:
@@ -126,14 +128,14 @@ def _twice(tir: TirFile) -> Iterator[Problem]:
                 f"{entry.key} = {entry.value} contradicts {entry.key} = {first.value}"
                 f" in row {first.row}"
             )
-            yield Problem(reason, "remove one of them", tir.path, entry.row)
+            yield InputProblem(reason, "remove one of them", tir.path, entry.row)
 
 
 def _value(entry):
     return float(entry.value) if is_number(entry.value) else entry.text
 
 
-def _no_numbers(tir: TirFile) -> Iterator[Problem]:
+def _no_numbers(tir: TirFile) -> Iterator[InputProblem]:
     limits = {key for pair in LIMITS.values() for key in pair}
     wanted = {*COEFFICIENTS, *DIMENSIONS, *limits, "USE_MODE"}
     for entry in tir.entries:
@@ -145,28 +147,28 @@ def _no_numbers(tir: TirFile) -> Iterator[Problem]:
             remedy = "give a plain number, as in 1.5 or -2e-3"
             if entry.key not in REQUIRED:
                 remedy += ", or remove the line"
-            yield Problem(reason, remedy, tir.path, entry.row)
+            yield InputProblem(reason, remedy, tir.path, entry.row)
 
 
-def _missing(tir: TirFile) -> Iterator[Problem]:
+def _missing(tir: TirFile) -> Iterator[InputProblem]:
     there = {entry.key for entry in tir.entries}
     for key, meaning in REQUIRED.items():
         if key not in there:
             reason = f"{key} is missing: {meaning}"
-            yield Problem(reason, f"add it to [{COEFFICIENTS[key]}]", tir.path)
+            yield InputProblem(reason, f"add it to [{COEFFICIENTS[key]}]", tir.path)
     acting = [key for key in PRESSURE_TERMS if tir.numbers.get(key)]
     if acting and "NOMPRES" not in there:
         reason = (
             f"NOMPRES is missing: the nominal pressure, to which {acting[0]} refers"
         )
         remedy = f"add it to [OPERATING_CONDITIONS], or set {', '.join(acting)} to 0"
-        yield Problem(reason, remedy, tir.path)
+        yield InputProblem(reason, remedy, tir.path)
     if tir.numbers.get("LMUV") and "LONGVL" not in there:
         reason = "LONGVL is missing: LMUV refers to the nominal speed"
-        yield Problem(reason, "add it to [MODEL], or set LMUV to 0", tir.path)
+        yield InputProblem(reason, "add it to [MODEL], or set LMUV to 0", tir.path)
 
 
-def _of_values(tir: TirFile) -> Iterator[Problem]:
+def _of_values(tir: TirFile) -> Iterator[InputProblem]:
     numbers = tir.numbers
     for key in POSITIVE:
         if numbers.get(key, 1.0) <= 0:
@@ -185,7 +187,7 @@ def _of_values(tir: TirFile) -> Iterator[Problem]:
             yield _problem(tir, key, reason, remedy)
 
 
-def _of_limits(tir: TirFile) -> Iterator[Problem]:
+def _of_limits(tir: TirFile) -> Iterator[InputProblem]:
     for least, most in LIMITS.values():
         low, high = tir.numbers.get(least), tir.numbers.get(most)
         if low is not None and high is not None and low > high:
@@ -194,7 +196,7 @@ def _of_limits(tir: TirFile) -> Iterator[Problem]:
             yield _problem(tir, least, reason, remedy)
 
 
-def _of_version(tir: TirFile) -> Iterator[Problem]:
+def _of_version(tir: TirFile) -> Iterator[InputProblem]:
     """Coefficients that act in the other generation only: not to be passed over."""
     version = FITTYP.get(tir.numbers.get("FITTYP"), "")
     for key, generation in ONLY_IN.items():

@@ -8,7 +8,7 @@ from functools import cached_property
 
 from tirefit.data.columns import is_number
 from tirefit.data.tir_keys import DIMENSIONS, FITTYP, SECTIONS, UNITS
-from tirefit.results import Problem, UsageError
+from tirefit.results import InputProblem, UsageError
 
 __all__ = ["Entry", "TirFile", "parsed", "shortest"]
 
@@ -125,7 +125,7 @@ class TirFile:
                 new.setdefault(SECTIONS[key], []).append(f"{key:<24} = {written}")
             else:
                 reason = f"{key} is no key of the file and no coefficient"
-                problems.append(Problem(reason, "correct its name", self.path))
+                problems.append(InputProblem(reason, "correct its name", self.path))
         if problems:
             raise UsageError(problems)
         return parsed("".join(_with_new(lines, new)), self.path)[0]
@@ -156,7 +156,7 @@ def _with_new(lines: list[str], new: Mapping[str, list[str]]) -> Iterator[str]:
             yield added + end
 
 
-def parsed(text: str, path: str) -> tuple[TirFile, list[Problem]]:
+def parsed(text: str, path: str) -> tuple[TirFile, list[InputProblem]]:
     """The file as it is, unchecked, and the lines that cannot be understood."""
     lines = tuple(io.StringIO(text, newline=""))
     entries, problems, section = [], [], ""
@@ -169,5 +169,5 @@ def parsed(text: str, path: str) -> tuple[TirFile, list[Problem]]:
         elif not _COMMENT.match(line) and not _TABLE.match(line):
             reason = f"{line.strip()[:40]!r} is no section, KEY = VALUE or comment"
             remedy = "close its quotes or brackets, or begin the comment with $"
-            problems.append(Problem(reason, remedy, path, row))
+            problems.append(InputProblem(reason, remedy, path, row))
     return TirFile(path, lines, tuple(entries)), problems

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.results import DataError, Problem
+from tirefit.results import DataError, InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS, kappa_from_sigma
 
 __all__ = [
@@ -142,7 +142,7 @@ def resolve_unit(text: str, column: str) -> Unit:
     unit = known_unit(text) or _ask_pint(text, column, wanted)
     if unit.dimension != wanted:
         raise DataError(
-            Problem(
+            InputProblem(
                 f"unit {text!r} is a unit of {unit.dimension}, but {column} is of"
                 f" dimension {wanted}",
                 _unit_remedy(text, column, wanted),
@@ -173,9 +173,9 @@ def _ask_pint(text: str, column: str, dimension: str) -> Unit:
         )
     except pint.DimensionalityError as error:
         reason = f"unit {text!r} is not a unit of {dimension}, which {column} needs"
-        raise DataError(Problem(reason, remedy)) from error
+        raise DataError(InputProblem(reason, remedy)) from error
     except Exception as error:  # pint raises its own, tokenizer and syntax errors
-        raise DataError(Problem(f"unknown unit {text!r}", remedy)) from error
+        raise DataError(InputProblem(f"unknown unit {text!r}", remedy)) from error
     return Unit(dimension, one - zero, zero)
 
 

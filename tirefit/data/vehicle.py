@@ -29,7 +29,7 @@ from typing import Annotated
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
-from tirefit.results import Problem
+from tirefit.results import InputProblem
 from tirefit.settings import Section, parse_settings, read_toml
 
 __all__ = ["UNITS", "Columns", "Filter", "Keep", "Steering", "Vehicle", "load_vehicle"]
@@ -72,10 +72,10 @@ class Columns(Section):
     a_y: str | None = None
     steering: str | None = None
 
-    def contradictions(self) -> Iterator[Problem]:
+    def contradictions(self) -> Iterator[InputProblem]:
         given = [name for name in POSE + RATES if getattr(self, name) is not None]
         if set(given) not in (set(POSE), set(RATES)):
-            yield Problem(
+            yield InputProblem(
                 f"neither a pose log nor a log of rates: named are"
                 f" {', '.join(given) or 'none of their columns'}",
                 f"name {', '.join(POSE)} (a pose log) or {', '.join(RATES)} (rates)",
@@ -104,15 +104,15 @@ class Filter(Section):
     sample_rate: PositiveFloat = 100.0
     max_gap: PositiveFloat | None = None
 
-    def contradictions(self) -> Iterator[Problem]:
+    def contradictions(self) -> Iterator[InputProblem]:
         if self.sample_rate < 5 * self.cutoff:
-            yield Problem(
+            yield InputProblem(
                 f"sample_rate {self.sample_rate:g} Hz is below 5 x cutoff"
                 f" ({5 * self.cutoff:g} Hz): central differences would lose the band",
                 "raise sample_rate or lower cutoff",
             )
         if self.max_gap is not None and self.max_gap > 1 / self.cutoff:
-            yield Problem(
+            yield InputProblem(
                 f"max_gap {self.max_gap:g} s is above 1/cutoff ({1 / self.cutoff:g} s):"
                 " what happened in such a gap would be invented",
                 "lower max_gap or cutoff",
@@ -154,17 +154,17 @@ class Steering(Section):
     command: Annotated[list[float], Field(min_length=2)]
     angle: Annotated[list[float], Field(min_length=2)]
 
-    def contradictions(self) -> Iterator[Problem]:
+    def contradictions(self) -> Iterator[InputProblem]:
         if len(self.command) != len(self.angle):
-            yield Problem(
+            yield InputProblem(
                 f"command has {len(self.command)} points, angle {len(self.angle)}",
                 "give one angle for each command",
             )
         pairs = zip(self.command, self.command[1:], strict=False)
         if any(right <= left for left, right in pairs):
-            yield Problem("command does not increase", "list the points in order")
+            yield InputProblem("command does not increase", "list the points in order")
         if max(abs(angle) for angle in self.angle) >= math.pi / 2:
-            yield Problem("an angle is 90 deg or more", "give the angles in rad")
+            yield InputProblem("an angle is 90 deg or more", "give the angles in rad")
 
 
 _Arm = Annotated[
@@ -231,31 +231,33 @@ class Vehicle(Section):
             given.setdefault("wheelbase", given["l_f"] + given["l_r"])
         return given
 
-    def contradictions(self) -> Iterator[Problem]:
+    def contradictions(self) -> Iterator[InputProblem]:
         yield from self._geometry_problems()
         for name, unit in self.units.items():
             units = UNITS.get(name, {})
             if unit not in units:
                 what = f"units.{name} = {unit!r}" if units else f"units.{name}: {name}"
                 known = ", ".join(units or UNITS)
-                yield Problem(f"{what} is not one of {known}", "choose one of them")
+                yield InputProblem(
+                    f"{what} is not one of {known}", "choose one of them"
+                )
         if (self.steering is None) != (self.columns.steering is None):
-            yield Problem(
+            yield InputProblem(
                 "[steering] and columns.steering need each other",
                 "give both, or leave both out",
             )
         if self.yaw_offset and self.columns.motion == RATES:
-            yield Problem(
+            yield InputProblem(
                 "yaw_offset applies to a pose log only",
                 "leave it out: a log of rates has no yaw",
             )
 
-    def _geometry_problems(self) -> Iterator[Problem]:
+    def _geometry_problems(self) -> Iterator[InputProblem]:
         def differ(one, other):
             return abs(one - other) > _AXLE_TOLERANCE * abs(other)
 
         if differ(self.wheelbase, self.l_f + self.l_r):
-            yield Problem(
+            yield InputProblem(
                 f"wheelbase {self.wheelbase:g} m is not l_f + l_r ="
                 f" {self.l_f + self.l_r:g} m",
                 "correct one of them, or leave wheelbase out",
@@ -264,7 +266,7 @@ class Vehicle(Section):
             stated = getattr(self, name)
             implied = self.mass * arm / self.wheelbase
             if stated is not None and differ(stated, implied):
-                yield Problem(
+                yield InputProblem(
                     f"{name} {stated:g} kg contradicts mass, l_f and l_r, which give"
                     f" {implied:.4g} kg",
                     f"correct one of them, or leave {name} out",

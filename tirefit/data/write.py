@@ -17,7 +17,7 @@ from tirefit.data.units import (
     sign_of,
     slip_from_sigma,
 )
-from tirefit.results import Problem
+from tirefit.results import InputProblem
 
 __all__ = [
     "csv_text",
@@ -32,7 +32,7 @@ __all__ = [
 _PLOTTED = ("time", "sigma_x", "alpha", "gamma", "fz", "v", "pressure")
 
 
-def output_problems(path, inputs: Sequence = ()) -> list[Problem]:
+def output_problems(path, inputs: Sequence = ()) -> list[InputProblem]:
     """Why no file can be written at ``path``, asked before the work; none if it can.
 
     A file that is there will be replaced, unless it is one of ``inputs``.
@@ -54,7 +54,7 @@ def output_problems(path, inputs: Sequence = ()) -> list[Problem]:
         reason = f"no permission to write into the folder {folder.resolve()}"
     else:
         return []
-    return [Problem(reason, remedy, str(path))]
+    return [InputProblem(reason, remedy, str(path))]
 
 
 def write_text_atomic(path, text: str) -> None:

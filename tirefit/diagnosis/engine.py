@@ -18,7 +18,7 @@ from tirefit.diagnosis.search import Search, amplitudes_of, search
 from tirefit.diagnosis.verdict import gap_p_value, judge, weigh
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
-from tirefit.results import Problem, UsageError
+from tirefit.results import InputProblem, UsageError
 
 __all__ = ["diagnose"]
 
@@ -59,7 +59,7 @@ def diagnose(
     known = {effect.id for effect in effects}
     if unknown := sorted(set(without) - known):
         remedy = f"known effects: {', '.join(sorted(known))}"
-        raise UsageError([Problem(f"without {name}", remedy) for name in unknown])
+        raise UsageError([InputProblem(f"without {name}", remedy) for name in unknown])
     base_model = find_model(model)
     generator = np.random.default_rng(seed)
     whole = prepare(data, rig, modelled(base_model))

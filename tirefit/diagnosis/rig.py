@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.results import Problem, UsageError
+from tirefit.results import InputProblem, UsageError
 from tirefit.settings import read_toml
 
 __all__ = ["Rig", "load_rig"]
@@ -82,7 +82,7 @@ def _checked(content: dict, path: str) -> Rig:
         good = isinstance(value, int | float) and not isinstance(value, bool)
         if not good or not value > 0 or not np.isfinite(value):
             reason = f"{key} = {value!r} is not a positive number"
-            problems.append(Problem(reason, "give an SI value", path))
+            problems.append(InputProblem(reason, "give an SI value", path))
             return None
         return float(value)
 
@@ -90,7 +90,7 @@ def _checked(content: dict, path: str) -> Rig:
     noise = content.get("noise", {})
     if not isinstance(noise, dict):
         reason = f"noise = {noise!r} is not a table"
-        problems.append(Problem(reason, "write [noise] with fx = ... [N]", path))
+        problems.append(InputProblem(reason, "write [noise] with fx = ... [N]", path))
         noise = {}
     levels = {}
     for key, value in noise.items():
@@ -101,11 +101,11 @@ def _checked(content: dict, path: str) -> Rig:
     order = content.get("run_order")
     if order not in (None, "random", "sequential"):
         reason = f"run_order = {order!r}"
-        problems.append(Problem(reason, 'write "random" or "sequential"', path))
+        problems.append(InputProblem(reason, 'write "random" or "sequential"', path))
     command = content.get("commanded_slip")
     if command is not None and not isinstance(command, str):
         reason = f"commanded_slip = {command!r} is not a column name"
-        problems.append(Problem(reason, "give the header of its column", path))
+        problems.append(InputProblem(reason, "give the header of its column", path))
     known = {*_NUMBERS, "noise", "run_order", "commanded_slip"}
     notes += [f"{k} of {path} is not used" for k in content if k not in known]
     if command is not None:

@@ -9,7 +9,7 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.rates import Sweeps, slip_rate
 from tirefit.diagnosis.state import Covariates
 from tirefit.models import TireInputs
-from tirefit.results import DataError, Problem
+from tirefit.results import DataError, InputProblem
 
 __all__ = ["Prepared", "neighbours", "prepare", "thinned"]
 
@@ -77,7 +77,7 @@ def _mode(data: TireData) -> str:
         return "x" if ratio > 10 else "y" if ratio < 0.1 else "xy"
     if not along and not across:
         raise DataError(
-            Problem(
+            InputProblem(
                 "no force with a slip that varies: a diagnosis needs fx with sigma_x"
                 " (or kappa, s), or fy with alpha",
                 "see `tirefit inspect`",
@@ -100,10 +100,10 @@ def _check(data: TireData) -> None:
     if "fz" not in data:
         reason = "a diagnosis needs fz (load, N) for every row"
         remedy = "name its column with --column fz=HEADER, or --constant fz=4000"
-        raise DataError(Problem(reason, remedy, file))
+        raise DataError(InputProblem(reason, remedy, file))
     if data.n < 20:
         reason = f"{data.n} usable rows: a diagnosis needs 20 or more"
-        raise DataError(Problem(reason, "measure more points", file))
+        raise DataError(InputProblem(reason, "measure more points", file))
 
 
 def prepare(data: TireData, rig, model) -> Prepared:

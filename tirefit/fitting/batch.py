@@ -13,7 +13,7 @@ from tirefit.fitting.least_squares import damped_gauss_newton
 from tirefit.fitting.problem import find_model, guess_from_curve
 from tirefit.models import TireInputs
 from tirefit.params import specs, with_values
-from tirefit.results import Problem, UsageError
+from tirefit.results import InputProblem, UsageError
 
 __all__ = ["BatchFit", "fit_many"]
 
@@ -65,7 +65,7 @@ def fit_many(
     template = find_model(model)
     if template.transient:
         reason = f"{model} follows the slip through time, which fit_many does not have"
-        raise UsageError(Problem(reason, "fit each data set by tirefit.fit"))
+        raise UsageError(InputProblem(reason, "fit each data set by tirefit.fit"))
     layout = Layout(
         tuple(FreeParameter(k, s) for k, s in specs(template).items() if s.free)
     )

@@ -12,7 +12,7 @@ from pydantic import (
     PrivateAttr,
 )
 
-from tirefit.results import Problem
+from tirefit.results import InputProblem
 from tirefit.settings import Section, parse_settings, read_toml
 
 __all__ = [
@@ -28,11 +28,11 @@ __all__ = [
 Force = Literal["fx", "fy", "mz"]
 
 
-def _out_of_order(section, low: str, high: str, remedy: str) -> Iterator[Problem]:
+def _out_of_order(section, low: str, high: str, remedy: str) -> Iterator[InputProblem]:
     lower, upper = getattr(section, low), getattr(section, high)
     if None not in (lower, upper) and lower >= upper:
         reason = f"{low} = {lower:g} is not below {high} = {upper:g}"
-        yield Problem(reason, remedy)
+        yield InputProblem(reason, remedy)
 
 
 class Prior(Section):
@@ -63,17 +63,19 @@ class ParameterConfig(Section):
     tied: str | None = None
     factor: float = 1.0
 
-    def contradictions(self) -> Iterator[Problem]:
+    def contradictions(self) -> Iterator[InputProblem]:
         yield from self._idle_keys()
         if self.tied is None and self.factor != 1:
-            yield Problem("factor without tied", "name the other parameter by tied")
+            yield InputProblem(
+                "factor without tied", "name the other parameter by tied"
+            )
         if self.factor == 0:
             remedy = "hold it at zero by value = 0 and free = false"
-            yield Problem("factor = 0 ties it to nothing", remedy)
+            yield InputProblem("factor = 0 ties it to nothing", remedy)
         remedy = "leave room between them, or hold the parameter by free = false"
         yield from _out_of_order(self, "lower", "upper", remedy)
 
-    def _idle_keys(self) -> Iterator[Problem]:
+    def _idle_keys(self) -> Iterator[InputProblem]:
         """Keys that a tied or fixed parameter has no use for."""
         if self.tied is not None:
             rule, remedy = f"tied = {self.tied!r}", "only factor goes with tied"
@@ -85,7 +87,7 @@ class ParameterConfig(Section):
             return
         for key, field in ParameterConfig.model_fields.items():
             if key in idle and getattr(self, key) != field.default:
-                yield Problem(
+                yield InputProblem(
                     f"{key} contradicts {rule}", f"leave one of them out: {remedy}"
                 )
 
@@ -106,10 +108,10 @@ class NoiseConfig(Section):
     loss: Literal["squares", "huber", "soft-l1", "cauchy"] = "squares"
     effective_samples: Literal["estimate", "all"] = "estimate"
 
-    def contradictions(self) -> Iterator[Problem]:
+    def contradictions(self) -> Iterator[InputProblem]:
         for name in ("fx", "fy"):
             if None not in (getattr(self, name), getattr(self, f"{name}_relative")):
-                yield Problem(
+                yield InputProblem(
                     f"{name} contradicts {name}_relative",
                     "keep one: the standard deviation itself, or its share of the load",
                 )
@@ -128,7 +130,7 @@ class DataConfig(Section):
     slip_min: float | None = None
     slip_max: float | None = None
 
-    def contradictions(self) -> Iterator[Problem]:
+    def contradictions(self) -> Iterator[InputProblem]:
         yield from _out_of_order(
             self, "slip_min", "slip_max", "leave slips between them"
         )

@@ -22,7 +22,7 @@ from tirefit.params import (
     unconstrain,
     with_values,
 )
-from tirefit.results import Problem, UsageError
+from tirefit.results import InputProblem, UsageError
 
 __all__ = ["FreeParameter", "Layout", "Tie", "choose_layout"]
 
@@ -141,7 +141,7 @@ def choose_layout(
     known = specs(model)
     asked = {name: config.parameters.get(name, ParameterConfig()) for name in known}
     problems = [
-        Problem(
+        InputProblem(
             f"parameters.{name}: the model has no such parameter",
             f"it has {', '.join(known)}",
         )
@@ -165,7 +165,9 @@ def choose_layout(
     for name in known:
         problems += _misplaced(name, bounded[name], asked[name], name in free)
     if not free:
-        problems.append(Problem("no free parameter", "free one under [parameters]"))
+        problems.append(
+            InputProblem("no free parameter", "free one under [parameters]")
+        )
     if problems:
         raise UsageError([replace(p, file=config.source) for p in problems])
     tied = {tie.name for tie in ties}
@@ -204,7 +206,7 @@ def _bounded(name: str, spec: Spec, asked: ParameterConfig):
         f" model's {_interval(spec)}"
     )
     remedy = "choose lower and upper inside those of `tirefit models`"
-    return spec, [Problem(reason, remedy)]
+    return spec, [InputProblem(reason, remedy)]
 
 
 def _narrowed(tie: Tie, bounded: Mapping[str, Spec]):
@@ -223,7 +225,7 @@ def _narrowed(tie: Tie, bounded: Mapping[str, Spec]):
             f" {_interval(other)}"
         )
         remedy = f"change the factor, or the bounds of {tie.other}"
-        return other, [Problem(reason, remedy)], []
+        return other, [InputProblem(reason, remedy)], []
     said = (
         f"{tie.other} held to {_interval(narrow)}, so that {tie.name} = {product} stays"
         f" within {_interval(own)}"
@@ -231,7 +233,9 @@ def _narrowed(tie: Tie, bounded: Mapping[str, Spec]):
     return narrow, [], [said]
 
 
-def _wrong_tie(tie: Tie, ties: Sequence[Tie], free: Sequence[str], known) -> Problem:
+def _wrong_tie(
+    tie: Tie, ties: Sequence[Tie], free: Sequence[str], known
+) -> InputProblem:
     tied = {one.name: one.other for one in ties}
     key, reason = f"parameters.{tie.name}", f"tied to {tie.other!r}, which is not free"
     if tie.other == tie.name:
@@ -241,26 +245,26 @@ def _wrong_tie(tie: Tie, ties: Sequence[Tie], free: Sequence[str], known) -> Pro
     elif tie.other not in known:
         reason = f"tied to {tie.other!r}, which the model does not have"
     remedy = f"tie it to one of {', '.join(free)}" if free else "free a parameter"
-    return Problem(f"{key}: {reason}", remedy)
+    return InputProblem(f"{key}: {reason}", remedy)
 
 
 def _misplaced(
     name: str, spec: Spec, asked: ParameterConfig, free: bool
-) -> Iterator[Problem]:
+) -> Iterator[InputProblem]:
     """Values and priors outside the bounds, and what has no effect when it is fixed."""
     key, prior = f"parameters.{name}", asked.prior
     if asked.value is not None and not spec.lower <= asked.value <= spec.upper:
         reason = f"value {asked.value:g} outside its bounds {_interval(spec)}"
-        yield Problem(f"{key}: {reason}", "choose a value inside the bounds")
+        yield InputProblem(f"{key}: {reason}", "choose a value inside the bounds")
     if prior is not None and not spec.lower < prior.mean < spec.upper:
         reason = f"prior mean {prior.mean:g} outside its bounds {_interval(spec)}"
-        yield Problem(f"{key}: {reason}", "choose a mean inside the bounds")
+        yield InputProblem(f"{key}: {reason}", "choose a mean inside the bounds")
     if prior is not None:
         width = prior.mean if spec.scale == "log" else spec.upper - spec.lower
         if prior.std < 1e-9 * abs(width):
             reason = f"prior std {prior.std:g} leaves it no room in {_interval(spec)}"
             remedy = f"hold it by value = {prior.mean:g} and free = false"
-            yield Problem(f"{key}: {reason}", remedy)
+            yield InputProblem(f"{key}: {reason}", remedy)
     if free or asked.free is False or asked.tied is not None:
         return
     idle = [k for k in ("lower", "upper", "prior") if getattr(asked, k) is not None]
@@ -268,4 +272,4 @@ def _misplaced(
     remedy = "fit mz too" if name == "half_length" else f"set {key}.free = true"
     for setting in idle:
         reason = f"{setting} has no effect: this fit does not estimate {name}"
-        yield Problem(f"{key}: {reason}", f"{remedy}, or leave {setting} out")
+        yield InputProblem(f"{key}: {reason}", f"{remedy}, or leave {setting} out")

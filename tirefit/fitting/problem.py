@@ -16,7 +16,7 @@ from tirefit.fitting.slip_noise import latent_nodes, slip_density
 from tirefit.fitting.time_series import check_time_series, check_whole_series
 from tirefit.models import MODELS, AbstractTire, TireInputs, modelled
 from tirefit.params import parameter_values, specs
-from tirefit.results import DataError, Problem, UsageError
+from tirefit.results import DataError, InputProblem, UsageError
 
 __all__ = [
     "FitProblem",
@@ -80,7 +80,7 @@ def find_model(name: str) -> AbstractTire:
     close = difflib.get_close_matches(name, MODELS, 3)
     hint = f"did you mean {', '.join(close)}? " if close else ""
     raise UsageError(
-        Problem(f"unknown model {name!r}", f"{hint}`tirefit models` lists them")
+        InputProblem(f"unknown model {name!r}", f"{hint}`tirefit models` lists them")
     )
 
 
@@ -97,7 +97,7 @@ def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], 
     varied = [c for c in possible if np.ptp(data.usable(CHANNEL_SLIP[c])) > 1e-9]
     if not varied:
         raise DataError(
-            Problem(
+            InputProblem(
                 "no force with a slip that varies: a fit needs fx with sigma_x (or"
                 " kappa, s), or fy with alpha",
                 "see `tirefit inspect`",
@@ -174,15 +174,15 @@ def _noise_problems(data: TireData, forces, config: FitConfig):
         key = name if getattr(config.noise, name) is not None else f"{name}_relative"
         reason = f"noise.{key} = {getattr(config.noise, key):g} {beside}"
         remedy = f"give the true noise of {name}, or leave noise.{key} out"
-        of_settings.append(Problem(reason, remedy, config.source))
+        of_settings.append(InputProblem(reason, remedy, config.source))
     return of_columns, of_settings
 
 
-def _noise_column(data: TireData, column: str, wrong, beside: str) -> Problem:
+def _noise_column(data: TireData, column: str, wrong, beside: str) -> InputProblem:
     """``wrong`` indexes the used rows."""
     source, row = data.source, np.flatnonzero(data.used)[wrong[0]]
     rows = f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""
-    return Problem(
+    return InputProblem(
         f"{data[column][row]:.3g} {beside}{rows}",
         "correct the column or its unit, or leave it out",
         source.path or data.name,
@@ -211,7 +211,7 @@ def _check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
     if noise > 0.7 * spread:
         column = f"{slip}_std" if f"{slip}_std" in data else None
         raise DataError(
-            Problem(
+            InputProblem(
                 f"the noise of {slip} ({noise:.3g}) is as large as the spread of the"
                 f" measured slips (standard deviation {spread:.3g}): they say nothing"
                 " about where on the curve a row lies",
@@ -285,7 +285,7 @@ def _check_size(data: TireData, layout: Layout, channels, n_values: int) -> None
     unknowns = layout.size + sum(c.noise_estimated for c in channels)
     if n_values <= unknowns:
         raise DataError(
-            Problem(
+            InputProblem(
                 f"{n_values} measured values for {unknowns} unknowns"
                 f" ({', '.join(layout.labels)}"
                 + (" and the noise level)" if unknowns > layout.size else ")"),
@@ -361,7 +361,7 @@ def build(data: TireData, name: str, config: FitConfig) -> FitProblem:
 def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
     if "mz" in forces and "mz" not in modelled(model):
         raise UsageError(
-            Problem(f"{name} has no aligning moment", "fit fy, or a brush model")
+            InputProblem(f"{name} has no aligning moment", "fit fy, or a brush model")
         )
     require(data, ("fz", *model.needs), f"the model {name}")
     if model.transient:
@@ -378,7 +378,7 @@ def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
         if limits:
             reason += f" within {' and '.join(limits)} of {config.source}"
             remedy = "widen these limits"
-        raise DataError(Problem(reason, remedy, data.source.path or data.name))
+        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
 
 
 def _with_reference_load(data: TireData, model: AbstractTire, config: FitConfig):

@@ -18,7 +18,7 @@ from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.fitting.time_series import check_time_series
 from tirefit.models import AbstractTire, TireInputs
 from tirefit.params import parameter_values, specs, with_values
-from tirefit.results import DataError, Problem, UsageError
+from tirefit.results import DataError, InputProblem, UsageError
 
 __all__ = ["StoredFit", "load_fit", "predict", "save_fit", "write_posterior"]
 
@@ -47,7 +47,9 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
     """
 
     def refuse(reason: str) -> DataError:
-        return DataError(Problem(reason, "give a fit.json of `tirefit fit`", str(path)))
+        return DataError(
+            InputProblem(reason, "give a fit.json of `tirefit fit`", str(path))
+        )
 
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
@@ -92,7 +94,7 @@ def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
     unknown = [run for run in data.runs if run not in layout.runs]
     if unknown:
         raise DataError(
-            Problem(
+            InputProblem(
                 f"the fit has no parameters for the runs {', '.join(unknown)}",
                 f"it knows {', '.join(layout.runs)}",
                 data.source.path or data.name,
@@ -150,7 +152,7 @@ def predict(
     if not fitted:
         needs = " and ".join(CHANNEL_SLIP[channel] for channel in noise)
         raise DataError(
-            Problem(
+            InputProblem(
                 f"the fit is of {', '.join(noise)}: the data need {needs}",
                 "name the column with --column",
                 data.source.path or data.name,
@@ -203,13 +205,13 @@ def _of_model(
     for key, value in values.items():
         if key not in known:
             problems.append(
-                Problem(
+                InputProblem(
                     f"{name} has no parameter {key!r}", f"it has {', '.join(known)}"
                 )
             )
         elif not known[key].lower <= value <= known[key].upper:
             problems.append(
-                Problem(
+                InputProblem(
                     f"{key} = {value} is outside its bounds"
                     f" [{known[key].lower:.6g}, {known[key].upper:.6g}]",
                     "see `tirefit models`",

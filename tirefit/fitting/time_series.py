@@ -4,7 +4,7 @@ import numpy as np
 
 from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig
-from tirefit.results import DataError, Problem, UsageError
+from tirefit.results import DataError, InputProblem, UsageError
 
 __all__ = ["check_time_series", "check_whole_series"]
 
@@ -39,7 +39,7 @@ def check_time_series(data: TireData, name: str) -> None:
         several = int(wrong.sum())
         more = f" ({several} such rows)" if several > 1 else ""
         problems.append(
-            Problem(
+            InputProblem(
                 f"{text}{more}; {name} follows the slip through time",
                 "sort the rows by run and time, and name the runs by a column run",
                 file, _line(data, rows[at]), column or "time",
@@ -63,16 +63,16 @@ def check_whole_series(data: TireData, name: str, slips, config: FitConfig) -> N
         if getattr(config.data, key) is not None:
             reason = f"data.{key} leaves out rows that {name} remembers"
             remedy = f"leave {key} out, or fit the steady model"
-            problems.append(Problem(reason, remedy, config.source))
+            problems.append(InputProblem(reason, remedy, config.source))
     remedy = "fit the steady model, or leave the noise of the slip out"
     for slip in slips:
         reason = f"{name} follows the slip through time: it cannot have noise"
         if getattr(config.noise, slip) is not None:
             reason = f"noise.{slip}: {reason}"
-            problems.append(Problem(reason, remedy, config.source))
+            problems.append(InputProblem(reason, remedy, config.source))
         elif f"{slip}_std" in data:
             file = data.source.path or data.name
             column = data.source.columns.get(f"{slip}_std", f"{slip}_std")
-            problems.append(Problem(reason, remedy, file, column=column))
+            problems.append(InputProblem(reason, remedy, file, column=column))
     if problems:
         raise UsageError(problems)

@@ -7,7 +7,7 @@ from tirefit.data.tir import TirFile
 from tirefit.data.tir_keys import LIMITS
 from tirefit.models.base import AbstractTire
 from tirefit.models.mf import Mirrored, mf_tire
-from tirefit.results import Problem, UsageError
+from tirefit.results import InputProblem, UsageError
 from tirefit.slip import kappa_from_sigma
 
 __all__ = ["rows_outside", "tire_of"]
@@ -33,7 +33,7 @@ def tire_of(
     if tir.side == "UNKNOWN":
         reason = "TYRESIDE is not stated: it cannot be said whether to mirror the tire"
         remedy = "write TYRESIDE = 'LEFT' or 'RIGHT' into [MODEL], or leave out --side"
-        raise UsageError(Problem(reason, remedy, tir.path))
+        raise UsageError(InputProblem(reason, remedy, tir.path))
     return Mirrored(tire)
 
 

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from numpy.polynomial import chebyshev
 
 from tirefit.models.pressure import AbstractPressure
-from tirefit.results import Problem, UsageError
+from tirefit.results import InputProblem, UsageError
 
 __all__ = ["Tabulated"]
 
@@ -231,7 +231,9 @@ def _panels(density, edges: np.ndarray, file: str) -> list[_Panel]:
             found.append(_Panel(low, high, angles, values, series))
         elif len(found) + len(waiting) > _MOST_PANELS:
             reason = "the pressure density jumps or bends at too many places"
-            raise UsageError(Problem(reason, "give a table of it, or smooth it", file))
+            raise UsageError(
+                InputProblem(reason, "give a table of it, or smooth it", file)
+            )
         else:
             waiting += [(low + half, high), (low, low + half)]
     return found
@@ -248,7 +250,7 @@ def _valid(values, angles, file: str) -> np.ndarray:
             xi = -np.cos(angles[wrong][0])
             reason = f"the pressure density {what} at xi = {xi:.4g}"
             remedy = "give a finite density >= 0 over all xi from -1 to 1"
-            raise UsageError(Problem(reason, remedy, file))
+            raise UsageError(InputProblem(reason, remedy, file))
     return values
 
 
@@ -265,7 +267,7 @@ def _check_one_breakaway(panels: list[_Panel], file: str) -> None:
     if falls.any():
         xi = -np.cos(angles[falls][0])
         raise UsageError(
-            Problem(
+            InputProblem(
                 f"the pressure density over (1 - xi) falls at xi = {xi:.4g}: bristles"
                 " nearer to the leading edge slide first, and one breakaway point"
                 " does not describe the patch (as for d < -1/3 in S(24))",
@@ -291,7 +293,7 @@ def _law(cls, density, kinks: np.ndarray, file: str) -> Tabulated:
         load, moment = (chebyshev.chebval(1.0, x[-1]) for x in (loads, moments))
     if not load > 0:
         reason = "the pressure density is nowhere positive"
-        raise UsageError(Problem(reason, "give one that carries a load", file))
+        raise UsageError(InputProblem(reason, "give one that carries a load", file))
     _check_one_breakaway(panels, file)
     edges = np.array([panel.low for panel in panels] + [np.pi])
     series = np.array([panel.series for panel in panels])
@@ -317,11 +319,13 @@ def _check_points(xi: np.ndarray, density: np.ndarray, file: str) -> None:
     def add(reason, remedy, wrong=None):
         # The header is line 1 of a file.
         row = None if wrong is None or not file else int(np.argmax(wrong)) + 2
-        problems.append(Problem(reason, remedy, file, row))
+        problems.append(InputProblem(reason, remedy, file, row))
 
     if xi.ndim != 1 or xi.shape != density.shape or len(xi) < 2:
         reason = f"xi {xi.shape} and density {density.shape} are no two columns"
-        raise UsageError(Problem(reason, "give two columns of at least two rows", file))
+        raise UsageError(
+            InputProblem(reason, "give two columns of at least two rows", file)
+        )
     bad = ~(np.isfinite(xi) & np.isfinite(density))
     if bad.any():
         add("xi or density is not finite", "give a number in every row", bad)
@@ -345,7 +349,7 @@ def _read(path: Path) -> tuple[list[float], list[float]]:
             rows = list(csv.DictReader(file, skipinitialspace=True))
     except (OSError, UnicodeDecodeError) as error:
         reason = f"cannot read it: {error}"
-        raise UsageError(Problem(reason, "check the path", str(path))) from None
+        raise UsageError(InputProblem(reason, "check the path", str(path))) from None
     columns, problems = {"xi": [], "density": []}, []
     for row, record in enumerate(rows, start=2):
         for name, column in columns.items():
@@ -354,7 +358,7 @@ def _read(path: Path) -> tuple[list[float], list[float]]:
             except (KeyError, TypeError, ValueError):
                 reason = f"{record.get(name)!r} is no number"
                 remedy = "give numbers under the header xi,density"
-                problems.append(Problem(reason, remedy, str(path), row, name))
+                problems.append(InputProblem(reason, remedy, str(path), row, name))
     if problems:
         raise UsageError(problems)
     return columns["xi"], columns["density"]
