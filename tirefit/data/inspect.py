@@ -9,6 +9,7 @@ import numpy as np
 
 from tirefit.data.table import CANONICAL, TireData
 from tirefit.data.units import base_column
+from tirefit.files import json_safe
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 
 __all__ = ["ColumnSummary", "Inspection", "Level", "RunSummary", "Support", "inspect"]
@@ -93,7 +94,7 @@ class Inspection:
 
     def as_dict(self) -> dict:
         """Plain values only, fit for JSON: numbers that are not finite are None."""
-        return _plain(dataclasses.asdict(self))
+        return json_safe(dataclasses.asdict(self))
 
     def text(self) -> str:
         """A plain-text report of at most 80 columns."""
@@ -343,14 +344,3 @@ def _level_text(level: Level, unit: str) -> str:
     if level.max - level.min > _VARIES * abs(level.median):
         text += f" from {level.min * scale:.3g} to {level.max * scale:.3g}"
     return text
-
-
-def _plain(value):
-    """Tuples to lists and numbers that JSON cannot hold to None, at any depth."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
