@@ -57,18 +57,17 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
         # In the same directory, so that replacing is one step of the file system.
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
-        error.filename = str(path)
-        raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
     os.close(handle)
     try:
         yield Path(name)
         os.chmod(name, _mode(path))
         os.replace(name, path)
     except OSError as error:
-        if error.filename in (None, name):
-            # A temporary name would mean nothing to the user.
-            error.filename, error.filename2 = str(path), None
-        raise
+        if error.errno is None or error.filename not in (None, name):
+            raise
+        # A temporary name would mean nothing to the user.
+        raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         Path(name).unlink(missing_ok=True)
 
