@@ -11,7 +11,8 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # A room imports from lower floors and from itself. A new room needs a line here.
 FLOORS = {
     "results": 0,
-    "compiled": 0,
+    "files": 0,
+    "compiled": 1,
     "display": 0,
     "names": 0,
     "params": 1,

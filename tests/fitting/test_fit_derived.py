@@ -33,7 +33,7 @@ def derived(model, values, channel="fx"):
     return {name: float(value[0]) for name, value in found.items()}
 
 
-# Demand ratio of full sliding: S(11), S(30), O(4.13) of p = 5/8 (1 - xi^4).
+# Demand ratio of full sliding: S(11), S(30), and S(11) for S(25), p = 5/8 (1 - xi^4).
 @pytest.mark.parametrize(
     ("model", "extra", "rho"),
     [

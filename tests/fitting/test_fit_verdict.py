@@ -18,11 +18,13 @@ from recipes import (
     table,
 )
 
+from tirefit.data.read import read_frame
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.problem import build
 from tirefit.fitting.slip_noise import slip_density
 from tirefit.fitting.verdict import disagreements, judge
+from tirefit.report.text import fit_report
 from tirefit.results import DataError, Outcome, UsageError
 
 
@@ -64,6 +66,28 @@ def test_unidentified_parameter_is_named(vague):
     assert vague.verdict["status"] == "not identified" and not vague.identified
     assert any(s.startswith("mu is not identified") for s in vague.verdict["sentences"])
     assert vague.to_dict()["outcomes"][0] == "not_identified"
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.5])
+def test_a_slip_against_the_speeds_is_the_verdict(factor):
+    """However well the model fits: the slip of the file is not that of the wheel."""
+    table = curve(seed=4)
+    sigma, v = table["sigma_x"], np.full(len(table), 15.0)
+    columns = dict(table.columns) | {"v": v, "omega": v / (1 + sigma) / 0.3}
+    columns["sigma_x"] = factor * sigma
+    columns["fx"] = table["fx"]
+    data = read_frame(columns, convention="braking", rolling_radius=0.3)
+    result = fit(data, "brush-d", config=GIVEN)
+    report = " ".join(fit_report(result).split())
+    if factor == 1:
+        assert result.verdict["status"] == "ok" and "contradict" not in report
+        assert result.to_dict()["data"]["slip_check"]["contradicts"] is False
+        return
+    assert result.verdict["status"] == "doubtful slip"
+    assert result.to_dict()["outcomes"] == ["slip_contradicted"]
+    assert "VERDICT: doubtful slip: the slip contradicts (v - omega R)" in report
+    assert "it agrees if divided by 1.5" in report
+    assert "doubtful slip" in result._repr_html_()
 
 
 def test_estimate_at_its_bound_has_a_one_sided_interval():

@@ -178,7 +178,8 @@ def derive_files(
         UsageError: If the configuration, the axle or ``out`` is wrong, or two logs
             have one name.
     """
-    from tirefit.data.write import csv_text, write_texts
+    from tirefit.data.write import csv_text
+    from tirefit.files import write_texts
 
     out = Path(out)
     vehicle = load_vehicle(vehicle_toml)

@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.data.levels import levels
+
 __all__ = [
     "Generic",
     "bumps",
@@ -62,8 +64,8 @@ def _modulations(prepared) -> list[np.ndarray]:
         unit = _standard(values)
         if unit is not None:
             first.append(unit)
-            # A second degree only where there are more than two settings.
-            if len(np.unique(np.round(unit, 2))) > 3:
+            # Through three settings a second degree is any function of them.
+            if not levels(values).few(3):
                 second.append(unit**2 - 1)
     if "sweeps" in prepared.has:
         first.append(rows.turning)
@@ -98,11 +100,10 @@ def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
 
 def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
     """Narrow bumps of the slip, for each load by itself: (n, b)."""
-    rounded = np.round(np.log(prepared.covariates.fz), 2)
-    loads = np.unique(rounded)
+    loads = levels(prepared.covariates.fz)
     cells = (
-        [rounded == load for load in loads]
-        if len(loads) <= _SETTINGS
+        [loads.code == code for code in range(len(loads.center))]
+        if loads.few(_SETTINGS)
         else [np.ones(prepared.n, bool)]
     )
     sides = _by_side(slip_fraction, 2).shape[1] // 2

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.data.levels import levels
 from tirefit.diagnosis.basis import bumps, without
 from tirefit.diagnosis.state import State
 
@@ -20,9 +21,9 @@ _LEVELS = 4
 
 def functions_of(values, count: int) -> np.ndarray:
     """Smooth functions of a covariate, or one for each of its few levels: (n, k)."""
-    levels = np.unique(np.round(values, 3))
-    if len(levels) <= _LEVELS:
-        return (np.round(values, 3)[:, None] == levels).astype(float)
+    settings = levels(values)
+    if settings.few(_LEVELS):
+        return np.eye(len(settings.center))[settings.code]
     return bumps(values, count)
 
 

@@ -2,7 +2,7 @@
 
 import importlib.metadata
 import platform
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import jax
@@ -160,6 +160,7 @@ def _data_record(data: TireData, used: int) -> dict[str, Any]:
         "columns": dict(source.columns),
         "units": dict(source.units),
         "assumptions": list(source.notes),
+        "slip_check": None if source.slip_check is None else asdict(source.slip_check),
     }
 
 

@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from tirefit.files import replacing
 from tirefit.fitting.derived import derived_from_draws
 from tirefit.fitting.estimate import with_fixed
 from tirefit.fitting.hmc import hmc_chunk, hmc_start
@@ -219,14 +220,12 @@ def _identity(result: FitResult, sampler: str, seed: int, shape) -> str:
 
 
 def _save(path: Path, chain: Chain, identity: str) -> None:
-    temporary = path.with_name(f".{path.name}.part")
-    with open(temporary, "wb") as file:
+    with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez(
             file, samples=chain.samples, log_density=chain.log_density,
             accepted=chain.accepted, identity=identity,
             **{f"state_{key}": value for key, value in chain.state.items()},
         )  # fmt: skip
-    os.replace(temporary, path)
 
 
 def _load(path: Path, identity: str) -> Chain | None:

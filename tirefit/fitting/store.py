@@ -10,6 +10,7 @@ import numpy as np
 
 from tirefit.data.read import require
 from tirefit.data.table import TireData
+from tirefit.files import replacing, write_text_atomic
 from tirefit.fitting.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.predict import predict_forces
@@ -263,13 +264,8 @@ def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
     tree = xr.DataTree.from_dict(
         {"posterior": posterior, "observed_data": observed, "constant_data": constant}
     )
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.part")
-    try:
+    with replacing(path) as temporary:
         tree.to_netcdf(temporary, engine="h5netcdf")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _unit(result: FitResult, label: str) -> str:
@@ -278,8 +274,6 @@ def _unit(result: FitResult, label: str) -> str:
 
 def save_fit(result: FitResult, directory: str | os.PathLike) -> list[Path]:
     """Write ``fit.json`` and, where it was sampled, ``posterior.nc``; whole or not."""
-    from tirefit.data.write import write_text_atomic
-
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     written = []
