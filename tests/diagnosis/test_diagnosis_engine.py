@@ -78,7 +78,7 @@ def test_document_keeps_the_contract(diagnosed):
     )
     for region in document["where"]:
         assert {"covariate", "low", "high", "share", "p_value"} == set(region)
-    known = {effect.id for effect in EFFECTS} | set(NOISE_EFFECTS)
+    known = {effect.id for effect in EFFECTS} | {effect.id for effect in NOISE_EFFECTS}
     for candidate in document["candidates"]:
         assert set(candidate["effects"]) <= known | {"unknown"}
     total = sum(candidate["probability"] for candidate in document["candidates"])

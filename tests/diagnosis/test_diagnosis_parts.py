@@ -95,7 +95,7 @@ def test_carcass_takes_up_slip():
     frame, _ = record(None)
     prepared = prepare(read_frame(frame), RIG, ("fx",))
     rows = prepared.covariates._replace(traction=np.array(rigid / fz))
-    state = effect.change(null_state(), share, rows)
+    state = effect.change(null_state(), share, (), rows)
     inputs = TireInputs(0.06, 0.0, fz, 0.0)
     slip = 0.06 + state.shift
     ours = force_of_state(tire, None, state, slip, 0.0, inputs)[0]
@@ -184,9 +184,10 @@ def test_shape_of_a_change_is_found():
 
 
 def _forms(base, *families, without=()):
+    effects = [effect for effect in EFFECTS if effect.family in families]
     fields = base.linearised(base.z, np.zeros(len(base.atoms))).fields
     prepared = replace(base.prepared, has=base.prepared.has - set(without))
-    return form_columns(families, fields, prepared, base.slip_fraction)
+    return form_columns(effects, fields, prepared, base.slip_fraction)
 
 
 def test_forms_belong_to_the_families(base):
@@ -252,12 +253,12 @@ def test_no_form_of_the_speed_at_one_speed(base):
 def test_an_effect_of_ones_own_in_ten_lines():
     from tirefit.diagnosis.engine import diagnose
 
-    def change(state, amplitude, rows):
+    def change(state, amplitude, constants, rows):
         ripple = jnp.sin(25 * rows.time)
         return state._replace(friction=state.friction * (1 + amplitude * ripple))
 
     mine = Effect(
-        "road_ripple", "friction x time", change, scale=0.1, unit="-",
+        id="road_ripple", family="friction x time", change=change, scale=0.1, unit="-",
         formula="mu (1 + A sin 25 t)", needs=("time",),
     )  # fmt: skip
     span = record(None)[0]["time"]

@@ -66,11 +66,7 @@ class Base:
     @cached_property
     def finite(self) -> tuple[int, ...]:
         """Atoms whose effect is linearised over a finite amplitude."""
-        return tuple(
-            k
-            for k, atom in enumerate(self.atoms)
-            if atom.effect.singular or atom.effect.center
-        )
+        return tuple(k for k, atom in enumerate(self.atoms) if atom.effect.far)
 
     @cached_property
     def at_null(self):
@@ -150,15 +146,12 @@ def _nodes(slip, std):
 
 
 def _priors(prepared: Prepared, atoms, rig) -> tuple[np.ndarray, np.ndarray]:
-    scale = np.array([atom.effect.scale for atom in atoms])
-    center = np.array([atom.effect.center for atom in atoms]) / scale
-    for k, atom in enumerate(atoms):
-        if atom.effect.id == "slip_definition":
-            center[k] *= prepared.definition
-        if atom.effect.id == "wheel_inertia" and rig.wheel_inertia:
-            # A force taken from the torque lacks all of it.
-            scale[k], center[k] = 0.3 * rig.wheel_inertia, 1 / 0.3
-    return scale, center
+    priors = []
+    for atom in atoms:
+        prior, adapt = atom.prior, atom.effect.prior
+        priors.append(prior if adapt is None else adapt(prior, prepared, rig))
+    scale = np.array([prior.scale for prior in priors])
+    return scale, np.array([prior.center for prior in priors]) / scale
 
 
 def fit_base(prepared: Prepared, name: str, atoms, rig) -> Base:

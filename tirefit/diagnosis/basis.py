@@ -9,6 +9,7 @@ from tirefit.data.levels import levels
 __all__ = [
     "Generic",
     "bumps",
+    "functions_of",
     "gain",
     "generic",
     "located",
@@ -36,6 +37,18 @@ def bumps(values, count: int) -> np.ndarray:
     centers = np.linspace(values.min(), values.max(), count)
     width = max((centers[1] - centers[0]), 1e-9)
     return np.exp(-0.5 * ((values[:, None] - centers) / width) ** 2)
+
+
+_LEVELS = 4
+"""Values of a covariate up to which each has a coefficient of its own."""
+
+
+def functions_of(values, count: int) -> np.ndarray:
+    """Smooth functions of a covariate, or one for each of its few levels: (n, k)."""
+    settings = levels(values)
+    if settings.few(_LEVELS):
+        return np.eye(len(settings.center))[settings.code]
+    return bumps(values, count)
 
 
 def _by_side(slip_fraction, count: int) -> np.ndarray:

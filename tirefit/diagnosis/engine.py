@@ -121,10 +121,10 @@ def _with_change(base: Base, found: Search) -> Base | None:
     """The base with the shape of a sudden change, where one is among the best."""
     fitted = [h for h in found.hypotheses if h.refitted]
     ranked = sorted(fitted, key=lambda h: -h.log_weight)[:4]
-    likely = [h for h in ranked if "friction_step" in h.effects]
-    if not likely or not any(a.effect.id == "friction_step" for a in base.atoms):
+    steps = [k for k, atom in enumerate(base.atoms) if atom.effect.scans_time]
+    likely = [h for h in ranked if set(h.atoms) & set(steps)]
+    if not likely:
         return None
-    steps = [k for k, a in enumerate(base.atoms) if a.effect.id == "friction_step"]
     amplitudes = amplitudes_of(base, likely[0])
     rest = [k for k in likely[0].atoms if k not in steps]
     residual, jacobian, columns, fields = base.linearised(likely[0].z, amplitudes)

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["AHEAD", "Past", "Sweeps", "segments", "slip_rate"]
+__all__ = ["AHEAD", "BEHIND", "Past", "Sweeps", "segments", "slip_rate"]
 
 _WINDOWS = (5, 7, 11, 17, 25, 41)
 _NOISY = 17
 _REACH = _WINDOWS[-1] - 1
 
-AHEAD, _BEHIND = 4, 12
+AHEAD, BEHIND = 4, 12
 """Columns of the past that lie after and before its row."""
 
 _SPAN = 0.15
@@ -156,14 +156,14 @@ class Past(NamedTuple):
 
 
 def _no_past(values) -> Past:
-    row = np.repeat(np.arange(len(values))[:, None], AHEAD + 1 + _BEHIND, axis=1)
+    row = np.repeat(np.arange(len(values))[:, None], AHEAD + 1 + BEHIND, axis=1)
     return Past(np.zeros(row.shape), row, row.copy(), np.zeros(row.shape), 1.0)
 
 
 def _fill_past(past: Past, part, values, time, path: _Path) -> None:
     """The past of the rows ``part`` of one unbroken stretch, written into ``past``."""
     size, row = len(values), np.arange(len(values))[:, None]
-    age = past.interval * np.arange(-AHEAD, _BEHIND + 1)
+    age = past.interval * np.arange(-AHEAD, BEHIND + 1)
     when = np.clip(time[:, None] - age, time[0], time[-1])
     low = np.clip(np.searchsorted(time, when, side="right") - 1, 0, size - 2)
     share = (when - time[low]) / (time[low + 1] - time[low])
@@ -222,7 +222,7 @@ def slip_rate(slip, time, run, noise: float = 0.0) -> Sweeps:
     scatter = seen if window >= _NOISY else 0.0
     level = max(noise, scatter if scatter > 1.3 * noise else 0.0) or seen
     usual = float(np.median(np.concatenate([np.diff(time[part]) for part in parts])))
-    past = none._replace(interval=max(usual, _SPAN / _BEHIND))
+    past = none._replace(interval=max(usual, _SPAN / BEHIND))
     found = still._replace(found=True, noise=scatter, past=past)
     past.path[:] = past.of(slip)
     for part in parts:

@@ -94,7 +94,7 @@ class _Searcher:
         self.sign = np.array([effect.sign for effect in effects], float)
         self.center = np.asarray(base.design.prior_center)
         self.ids = [effect.id for effect in effects]
-        self.singular = np.array([e.singular or e.center != 0 for e in effects], bool)
+        self.singular = np.array([effect.far for effect in effects], bool)
         self.found: dict[tuple[int, ...], Hypothesis] = {}
         families = {effects[k].family for k in self.testable}
         self.forms = {

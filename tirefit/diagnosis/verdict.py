@@ -155,8 +155,8 @@ def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
         else base.at_null
     )
     own = columns[:, list(hypothesis.atoms)]
-    families = [base.atoms[k].effect.family for k in hypothesis.atoms]
-    forms = form_columns(families, fields, base.prepared, base.slip_fraction)
+    effects = [base.atoms[k].effect for k in hypothesis.atoms]
+    forms = form_columns(effects, fields, base.prepared, base.slip_fraction)
     keep = np.tile(base.design.keep[: base.prepared.n], len(base.prepared.channels))
     return LinearFit(
         residual, np.concatenate([jacobian, own], axis=1), forms * keep[:, None]

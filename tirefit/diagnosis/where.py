@@ -8,8 +8,8 @@ from scipy.special import chdtrc
 
 from tirefit.data.levels import levels
 from tirefit.diagnosis.base import Base
-from tirefit.diagnosis.basis import mean_gain, orthogonal
-from tirefit.diagnosis.forms import PLACE, functions_of
+from tirefit.diagnosis.basis import functions_of, mean_gain, orthogonal
+from tirefit.diagnosis.forms import PLACE
 
 __all__ = ["Cell", "Region", "parameter_map", "regions"]
 
