@@ -16,6 +16,7 @@ FLOORS = {
     "display": 0,
     "names": 0,
     "params": 1,
+    "precision": 1,
     "settings": 1,
     "slip": 1,
     "models": 2,

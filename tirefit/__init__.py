@@ -76,7 +76,8 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "fitting.batch": ["fit_many"],
         "fitting.estimate": ["fit"],
         "fitting.posterior": ["sample"],
-        "fitting.store": ["load_fit", "predict", "save_fit"],
+        "fitting.predict": ["predict"],
+        "fitting.store": ["load_fit", "save_fit"],
         "models": ["MODELS", "TireInputs", "forces"],
         "params": ["parameter_values", "with_values"],
         "report.plots": [

@@ -84,15 +84,13 @@ def holds(model, setting: Setting, data, estimated: bool, seed: int, posterior: 
     config = config_of(setting, estimated)
     solved = solve_problem(build(data, model, config), config)
     problem = solved.problem
-    arguments = (problem.rows, problem.channels, problem.loss, solved.rules)
     z_true = np.asarray(problem.layout.unconstrained(truth_of(model, setting)))
     size = len(z_true)
-    base = deviance(problem.model, problem.layout, jnp.asarray(solved.z), *arguments)
-    found, _ = _profile_points(
-        problem.model, problem.layout, jnp.arange(size), jnp.asarray(z_true),
-        jnp.tile(solved.z, (size, 1)), *arguments,
-    )  # fmt: skip
-    inside = np.asarray(found) - float(base) < solved.level
+    base = deviance(problem, jnp.asarray(solved.z))
+    least, _ = _profile_points(
+        problem, jnp.arange(size), jnp.asarray(z_true), jnp.tile(solved.z, (size, 1))
+    )
+    inside = np.asarray(least) - float(base) < solved.level
     if not posterior:
         return inside, np.full(size, np.nan)
     return inside, _posterior_holds(solved, z_true, seed)

@@ -158,8 +158,8 @@ def predict(
         start_jax()
         from tirefit.data.read import read
         from tirefit.data.write import prediction_table, write_csv
+        from tirefit.fitting.predict import predict as forces_of
         from tirefit.fitting.store import load_fit
-        from tirefit.fitting.store import predict as forces_of
 
         fitted = load_fit(source) if is_file else source
         if is_file and how["convention"] is None:
@@ -182,7 +182,7 @@ def _predict_tir(source, data, out, how, parameter, starred_angles, side) -> Non
     start_jax()
     from tirefit.data.read import read
     from tirefit.data.write import prediction_table, write_csv
-    from tirefit.fitting.store import predict as forces_of
+    from tirefit.fitting.predict import predict as forces_of
     from tirefit.fitting.tir import rows_outside, tire_of
 
     tire = tire_of(tir, starred=starred_angles, side=side and side.value)

@@ -80,9 +80,8 @@ class _Static:
     """The hashable part of a partial log density: its function and static options."""
 
     def __init__(self, density):
-        hashable = ("layout", "channels", "loss")
         self.function = density.func
-        self.options = tuple((k, density.keywords[k]) for k in hashable)
+        self.options = ()
 
     def __hash__(self):
         return hash((self.function, self.options))

@@ -26,9 +26,11 @@ from tirefit.fitting.derived import derived_from_draws
 from tirefit.fitting.estimate import with_fixed
 from tirefit.fitting.hmc import hmc_chunk, hmc_start
 from tirefit.fitting.inference import REACH, deviance
+from tirefit.fitting.likelihood import FitProblem
 from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
 from tirefit.fitting.solve import Solved
 from tirefit.fitting.verdict import judge
+from tirefit.precision import require_x64
 from tirefit.results import Outcome, UsageError
 
 __all__ = ["CHUNK", "SAMPLERS", "Chain", "sample", "split_rhat"]
@@ -54,12 +56,12 @@ class Chain(NamedTuple):
     state: dict[str, np.ndarray]
 
 
-@partial(jax.jit, static_argnames=("layout", "channels", "loss"))
-def _log_density(u, model, layout, center, root, rows, channels, loss, rules, base):
+@jax.jit
+def _log_density(u, problem: FitProblem, center, root, base):
     def one(u):
         z = center + root @ u
-        value = deviance(model, layout, z, rows, channels, loss, rules) - base
-        density = -value / 2 + layout.log_volume(z)
+        value = deviance(problem, z) - base
+        density = -value / 2 + problem.layout.log_volume(z)
         # NaN loses: a point where the model is undefined is never accepted.
         return jnp.where(jnp.isfinite(density), density, -jnp.inf)
 
@@ -78,14 +80,8 @@ def _density(solved: Solved) -> Callable[[np.ndarray], np.ndarray]:
     """u (walkers, p) -> log density (walkers,) of the whitened posterior."""
     problem = solved.problem
     center, root = _whitening(solved)
-    static = (problem.channels, problem.loss)
-    arguments = (problem.model, problem.layout)
-    base = deviance(*arguments, solved.z, problem.rows, *static, solved.rules)
-    return partial(
-        _log_density, model=problem.model, layout=problem.layout,
-        center=center, root=root, rows=problem.rows,
-        channels=problem.channels, loss=problem.loss, rules=solved.rules, base=base,
-    )  # fmt: skip
+    base = deviance(problem, solved.z)
+    return partial(_log_density, problem=problem, center=center, root=root, base=base)
 
 
 def _random_states(seed: int, count: int) -> list[tuple]:
@@ -291,8 +287,10 @@ def sample(
         progress: called with (share done, message).
 
     Raises:
-        UsageError: too few ensembles, odd walkers, or a checkpoint of another fit.
+        UsageError: too few ensembles, odd walkers, or a checkpoint of another fit; or
+            32-bit floats in use.
     """
+    require_x64("sampling")
     solved: Solved = result.solved
     size = solved.problem.layout.size
     walkers = walkers or max(_WALKERS, 2 * ((4 * size + 1) // 2))

@@ -7,8 +7,7 @@ from scipy.special import ndtri
 
 from tirefit.data.levels import levels
 from tirefit.data.table import TireData
-from tirefit.fitting.likelihood import CHANNEL_SLIP
-from tirefit.fitting.predict import row_moments
+from tirefit.fitting.likelihood import CHANNEL_SLIP, row_moments
 from tirefit.fitting.result import FitResult
 from tirefit.report.curves import slip_axis
 from tirefit.report.numbers import plain_text

@@ -177,7 +177,7 @@ def _by_run(result: FitResult) -> list[str]:
     problem = result.problem
     if problem is None or len(result.data["runs"]) < 2:
         return []
-    from tirefit.fitting.predict import row_moments
+    from tirefit.fitting.likelihood import row_moments
 
     name = result.forces[0]
     mean, _ = row_moments(problem, result.z)
