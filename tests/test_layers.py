@@ -34,6 +34,7 @@ OWNERS = {
     "optimistix": "fitting/least_squares.py",
     "jaxopt": "fitting/least_squares.py",
     "emcee": "fitting/posterior.py",
+    "blackjax": "fitting/nuts.py",
     "matplotlib": "report/",
     "corner": "report/",
     "diffrax": "sim/",

@@ -62,7 +62,7 @@ WRONG = {
     "unknown force": ({"force": "fq"}, "force = \"fq\": must be 'fx', 'f", "correct"),
     "one unknown force": ({"force": ["fx", "fq"]}, 'force = "fq": must be', "correct"),
     "no force": ({"force": []}, "force = []: must have at least 1 item", "correct"),
-    "unknown sampler": ({"posterior": {"sampler": "nuts"}}, "sampler", "correct"),
+    "unknown sampler": ({"posterior": {"sampler": "hmc"}}, "sampler", "correct"),
     "too few ensembles": ({"posterior": {"ensembles": 3}}, "ensembles", "correct"),
     "negative seed": ({"seed": -1}, "seed", "correct"),
 }  # fmt: skip

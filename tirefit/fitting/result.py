@@ -75,7 +75,13 @@ def information(
 
 @dataclass(frozen=True)
 class PosteriorSummary:
-    """What a sampler did; effective samples, R-hat and tau (in steps) by label."""
+    """What a sampler did; effective samples, R-hat and tau (in steps) by label.
+
+    Of ``importance`` there is no chain, no R-hat and no tau: ``steps`` are points that
+    were evaluated, and ``acceptance`` is the share of them that the draws are worth.
+    ``k_hat`` is the shape of its weights, of emcee that of the weights which were
+    refused before it; ``divergences`` are those of ``nuts``; ``note`` says the rest.
+    """
 
     sampler: str
     seed: int
@@ -88,6 +94,9 @@ class PosteriorSummary:
     tau: Mapping[str, float]
     acceptance: float
     outcome: Outcome
+    k_hat: float | None = None
+    divergences: int | None = None
+    note: str = ""
 
 
 @dataclass(frozen=True, repr=False)
