@@ -101,7 +101,7 @@ def _posterior_holds(solved, z_true, seed: int):
     """Weighted points, quick enough for thousands of data sets; where they are refused
     ensembles of emcee, as in a fit."""
     density, (center, root) = _density(solved), _whitening(solved)
-    weighted = draw_weighted(density, len(z_true), seed, 3000)
+    weighted = draw_weighted(density, center, root, seed, 3000)
     draws = weighted.draws
     if weighted.refused:
         begin, advance = SAMPLERS["emcee"]

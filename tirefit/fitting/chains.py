@@ -1,9 +1,10 @@
 """A chain under way: its samples, what the next chunk starts from, and its file.
 
-The file is our own and not emcee's HDF backend, which was tried: it opens the file at
-every step (MEASURED), leaves a torn file where the process is killed while it writes,
-keeps one ensemble per group and no NUTS. A whole file that replaces the one before
-loses at most the samples since, and those are drawn again bit by bit.
+The file is our own and not emcee's HDF backend, which was tried: that opens its file at
+every step, 3.1 ms of processor time against 0.18 ms of the step itself (64 walkers, two
+parameters), so that a default run would wait longer for it than for the model. It holds
+one ensemble per group, no identity of the fit and no NUTS. Ours replaces the whole file
+every few seconds: a kill loses the samples since, which are drawn again bit by bit.
 """
 
 import zipfile

@@ -1,17 +1,23 @@
-"""Importance sampling of the posterior: Student's t around the optimum, weighted.
+"""Importance sampling of the posterior: points around the optimum, weighted.
 
-Independent points of a multivariate Student's t in the whitened space, where a
-well-identified posterior is nearly a unit Gaussian, are weighted by posterior over
-proposal; the largest weights are smoothed by a generalized Pareto distribution, whose
-shape k-hat says whether the proposal covers the posterior at all (PSIS: Vehtari,
-Simpson, Gelman, Yao and Gabry, Journal of Machine Learning Research 25(72), 2024).
-One evaluation of the posterior per point, no chain, and nothing to tune.
+Nine in ten points come from a multivariate Student's t in the whitened space, where a
+well-identified posterior is nearly a unit Gaussian, and one in ten from all that the
+bounds allow. They are weighted by posterior over proposal; the largest weights are
+smoothed by a generalized Pareto distribution, whose shape k-hat says whether the
+proposal covers the posterior at all (PSIS: Vehtari, Simpson, Gelman, Yao and Gabry,
+Journal of Machine Learning Research 25(72), 2024). One evaluation of the posterior per
+point, no chain, and nothing to tune.
+
+Without the tenth a bulk far from the optimum is not seen: k-hat was 0.46 for a brush on
+``fits/cmu_wheel`` (smooth wheel, straight): its stiffness is 4 to 16 N around the best
+fit and above 1e6 N by the volume of its prior. With it, k-hat is 2.9.
 """
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import gammaln
 
 __all__ = ["LARGEST_K_HAT", "Weighted", "draw_weighted", "smoothed"]
 
@@ -19,6 +25,8 @@ LARGEST_K_HAT = 0.7
 """Above it weighted means do not converge at any practical size (Vehtari et al.)."""
 
 _DEGREES_OF_FREEDOM = 5.0
+_WIDE = 0.1
+"""Share of the points from anywhere within the bounds."""
 _BLOCK = 512
 _FEWEST = 4096
 """Points of the first round: k-hat of fewer is too noisy to refuse by."""
@@ -99,12 +107,29 @@ def _resampled(weights: np.ndarray, count: int, generator) -> np.ndarray:
     return generator.permutation(chosen)
 
 
-def _evaluated(density, points: int, size: int, generator):
+def _proposed(points: int, center, root, generator):
+    """Points (n, p) of the mixture and its log density (n,) at them.
+
+    The wide part is logistic in z: evenly within the bounds, or over their logarithms.
+    """
+    nu, size = _DEGREES_OF_FREEDOM, len(center)
+    wide = int(_WIDE * points)
+    normal = generator.standard_normal((points - wide, size))
+    near = normal / np.sqrt(generator.chisquare(nu, (points - wide, 1)) / nu)
+    far = generator.logistic(size=(wide, size)) - center
+    u = np.concatenate([near, np.linalg.solve(root, far.T).T])
+    peak = gammaln((nu + size) / 2) - gammaln(nu / 2) - size / 2 * np.log(nu * np.pi)
+    student = peak - (nu + size) / 2 * np.log1p(np.sum(u**2, axis=1) / nu)
+    z = np.abs(center + u @ root.T)
+    logistic = np.sum(-z - 2 * np.log1p(np.exp(-z)), axis=1)
+    logistic = logistic + np.linalg.slogdet(root)[1]
+    share = wide / points
+    return u, np.logaddexp(np.log1p(-share) + student, np.log(share) + logistic)
+
+
+def _evaluated(density, points: int, center, root, generator):
     """Points (n, p) of the proposal and their log weights (n,), in whole blocks."""
-    nu = _DEGREES_OF_FREEDOM
-    normal = generator.standard_normal((points, size))
-    u = normal / np.sqrt(generator.chisquare(nu, (points, 1)) / nu)
-    proposal = -(nu + size) / 2 * np.log1p(np.sum(u**2, axis=1) / nu)
+    u, proposal = _proposed(points, center, root, generator)
     # Handed over before any is waited for: the device never idles.
     parts = [density(block) for block in np.split(u, points // _BLOCK)]
     return u, np.concatenate([np.asarray(part) for part in parts]) - proposal
@@ -116,7 +141,8 @@ def _blocks(points: float) -> int:
 
 def draw_weighted(
     density: Callable[[np.ndarray], np.ndarray],
-    size: int,
+    center: np.ndarray,
+    root: np.ndarray,
     seed: int,
     target: int,
     progress: Callable[[float, str], None] | None = None,
@@ -126,19 +152,20 @@ def draw_weighted(
     Args:
         density: log posterior density (n,) of points (n, p) of the whitened space, up
             to a constant; -inf where there is none.
-        size: number of parameters p.
+        center, root: (p,) and (p, p); z = center + root u are coordinates in which the
+            bounds are at infinity.
         seed: the same seed draws the same samples.
         target: draws wanted; refused where they would take 50 times as many points.
         progress: called with (share done, message).
     """
     generator = np.random.default_rng(seed)
-    u, log_weights = np.empty((0, size)), np.empty(0)
+    u, log_weights = np.empty((0, len(center))), np.empty(0)
     weights, k_hat, effective = np.empty(0), np.inf, 0.0
     missing = _blocks(max(1.25 * target, _FEWEST))
     interrupted = False
     try:
         while missing > 0:
-            more, added = _evaluated(density, missing, size, generator)
+            more, added = _evaluated(density, missing, center, root, generator)
             u, log_weights = np.concatenate([u, more]), np.append(log_weights, added)
             weights, k_hat = smoothed(log_weights)
             effective = 1 / np.sum(weights**2)

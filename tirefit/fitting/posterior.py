@@ -250,8 +250,9 @@ def sample(
     shape = _shape(chained, solved.problem.layout.size, ensembles, walkers)
     density, weighted = _density(solved), None
     if sampler == "importance":
-        size = solved.problem.layout.size
-        weighted = draw_weighted(density, size, seed, effective_samples, progress)
+        weighted = draw_weighted(
+            density, *_whitening(solved), seed, effective_samples, progress
+        )
         if weighted.interrupted or not weighted.refused:
             return _of_weighted(result, weighted, seed)
     identity = identity_of(result, chained, seed, shape)
