@@ -12,6 +12,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = {
     "results": 0,
     "files": 0,
+    "padding": 0,
     "compiled": 1,
     "display": 0,
     "names": 0,

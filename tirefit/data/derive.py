@@ -372,8 +372,8 @@ def _version() -> str | None:
 
 
 def _counts(counts: Mapping[str, int]) -> str:
-    found = [f"{reason} {count}" for reason, count in counts.items() if count]
-    return ", ".join(found) or "none"
+    counted = [f"{reason} {count}" for reason, count in counts.items() if count]
+    return ", ".join(counted) or "none"
 
 
 def _run_name(path: Path) -> str:

@@ -16,6 +16,7 @@ from tirefit.fitting.likelihood import CHANNEL_SLIP, Channel, FitProblem, Rows, 
 from tirefit.fitting.slip_noise import slip_density
 from tirefit.fitting.time_series import check_time_series, check_whole_series
 from tirefit.models import MODELS, AbstractTire, TireInputs, modelled
+from tirefit.padding import pad_rows, padded_size
 from tirefit.params import parameter_values, specs
 from tirefit.results import DataError, InputProblem, UsageError
 
@@ -192,21 +193,10 @@ def _check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
         )
 
 
-def _padded_size(n: int) -> int:
-    """The next of 2^k and 1.5 * 2^k: few shapes to compile, at most 50 % padding."""
-    power = 2 ** int(np.floor(np.log2(max(n, 8))))
-    return next(size for size in (power, power * 3 // 2, power * 2) if size >= n)
-
-
-def _pad(array, size: int):
-    array = np.asarray(array)
-    return np.concatenate([array, np.repeat(array[:1], size - len(array))])
-
-
 def _inputs(data: TireData, size: int) -> TireInputs:
     def column(name):
         values = data.usable(name) if name in data else np.zeros(data.n)
-        return _pad(np.nan_to_num(values), size)
+        return pad_rows(np.nan_to_num(values), size)
 
     return TireInputs(*(column(name) for name in TireInputs._fields))
 
@@ -291,15 +281,15 @@ def build(data: TireData, name: str, config: FitConfig) -> FitTask:
     config, said = _with_reference_load(data, template, config)
     model, layout, narrowed = _settled(data, template, forces, config)
     notes += [*said, *narrowed]
-    size = _padded_size(data.n)
+    size = padded_size(data.n)
     observed, scale, channels = {}, {}, []
     slips = dict.fromkeys(CHANNEL_SLIP.values())
     noisy = [s for s in slips if _slip_scale(data, s, config.noise)[0] is not None]
     slip_of = slip_of_forces(data, template, forces, noisy)
     for force in forces:
         values, estimated, note = _force_scale(data, force, config.noise)
-        observed[force] = _pad(data.usable(force), size)
-        scale[force] = _pad(values, size)
+        observed[force] = pad_rows(data.usable(force), size)
+        scale[force] = pad_rows(values, size)
         channels.append(Channel(force, estimated, slip_of[force]))
         notes.append(note)
     _check_size(data, layout, channels, data.n * len(forces))
@@ -309,11 +299,11 @@ def build(data: TireData, name: str, config: FitConfig) -> FitTask:
         notes.append(note)
         if std is not None:
             _check_slip_noise(data, slip, std)
-            slip_std[slip] = _pad(std, size)
+            slip_std[slip] = pad_rows(std, size)
             densities[slip] = slip_density(data.usable(slip), std)
     rows = Rows(
         inputs=_inputs(data, size),
-        run=_pad(data.run[data.used], size).astype(int),
+        run=pad_rows(data.run[data.used], size).astype(int),
         weight=(np.arange(size) < data.n).astype(float),
         observed=observed,
         scale=scale,
