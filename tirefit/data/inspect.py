@@ -222,7 +222,7 @@ def _replicates(part: TireData) -> int:
     """Operating points measured at least twice.
 
     Points are told apart by the settings of each slip and of the load; a continuous
-    sweep has none, so it counts as one point and is not replicated.
+    sweep has none, so that nothing in it is replicated.
     """
     slips = [name for name in ("sigma_x", "alpha") if name in part]
     if not slips or part.n < 6:
@@ -231,9 +231,12 @@ def _replicates(part: TireData) -> int:
     for name in slips:
         values = part.usable(name)
         bounded = slip_ratio_from_sigma(values) if name == "sigma_x" else values
-        points.append(levels(bounded).code)
-    points.append(levels(part.usable("fz")).code)
-    _, counts = np.unique(np.stack(points), axis=1, return_counts=True)
+        points.append(levels(bounded))
+    if all(settings.is_swept for settings in points):
+        return 0
+    points.append(levels(part.usable("fz")))
+    codes = np.stack([settings.code for settings in points])
+    _, counts = np.unique(codes, axis=1, return_counts=True)
     return int(np.sum(counts >= 2)) if len(counts) >= 3 else 0
 
 
