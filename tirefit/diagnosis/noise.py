@@ -13,6 +13,10 @@ __all__ = ["NoiseLevel", "correlation", "judge_noise"]
 MAD = 1.4826
 """Standard deviation of a normal law over its median absolute deviation."""
 
+_FINEST = 1e-5
+"""Noise over the load, at least: a twentieth of what the best force transducers resolve
+(class 0.02). Forces that a formula gave have none, and would make any gap certain."""
+
 _OUTLIER, _OUTLIER_AMONG_MANY = 4.5, 3.5
 """Robust standard deviations that set a row aside: one in 1.5e5 of normal noise; one in
 2,000 where rows are far off anyway, for then more are somewhat off."""
@@ -120,6 +124,7 @@ def judge_noise(
         flags.append("noise_misstated")
     elif ratio < _OVERSTATED:
         flags.append("noise_misstated")
+    std = np.maximum(std, _FINEST * np.mean(fz))
     clean = clean * (base if given is None else 1.0)
     if given is not None and _uneven(clean, fz, keep):
         flags.append("heteroscedastic")
