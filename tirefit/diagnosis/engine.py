@@ -1,7 +1,6 @@
 """One file diagnosed: noise first, then where, which, how far, and what to measure."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -9,7 +8,7 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.base import Base, fit_base, with_noise_judged
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.document import document_of
-from tirefit.diagnosis.effects import EFFECTS, Effect, atoms_of
+from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.forms import PLACE, shape_of_change
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rig import Rig
@@ -25,6 +24,9 @@ __all__ = ["diagnose"]
 
 _CHANGED = 0.1
 """A change of the noise level, as a logarithm, after which the search starts anew."""
+
+_AMONG = 4
+"""Best hypotheses among which a sudden change must be for its shape to be fitted."""
 
 _MOST_ROWS = 6000
 """The search looks at so many rows, evenly spread; the last word is on all of them."""
@@ -98,9 +100,8 @@ def _level(base: Base) -> np.ndarray:
 
 
 def _studied(prepared: Prepared, model, rig, effects, without, generator) -> Case:
-    atoms = atoms_of(effects)
-    base = fit_base(prepared, model, atoms, rig)
-    testable, untestable = _testable(prepared, atoms, without)
+    base = fit_base(prepared, model, effects, rig)
+    testable, untestable = _testable(prepared, base.atoms, without)
     found = search(base, testable)
     # What the best explanation leaves shows the noise better than the base fit does.
     best = found.best
@@ -123,7 +124,7 @@ def _studied(prepared: Prepared, model, rig, effects, without, generator) -> Cas
 def _with_change(base: Base, found: Search) -> Base | None:
     """The base with the shape of a sudden change, where one is among the best."""
     fitted = [h for h in found.hypotheses if h.refitted]
-    ranked = sorted(fitted, key=lambda h: -h.log_weight)[:4]
+    ranked = sorted(fitted, key=lambda h: -h.log_weight)[:_AMONG]
     steps = [k for k, atom in enumerate(base.atoms) if atom.effect.scans_time]
     likely = [h for h in ranked if set(h.atoms) & set(steps)]
     if not likely:
@@ -142,4 +143,4 @@ def _with_change(base: Base, found: Search) -> Base | None:
     )
     padded = np.zeros(len(base.design.keep))
     padded[: len(shape)] = shape
-    return replace(base, design=base.design._replace(rows=rows._replace(change=padded)))
+    return base.on(base.design._replace(rows=rows._replace(change=padded)))
