@@ -92,7 +92,7 @@ def _linearise(residual: Residual, z: Float[Array, " p"]):
     values, rows, weights = jax.vmap(push, out_axes=(None, 0, None))(jnp.eye(z.size))
     # Else the compiler works every tangent out anew for each product.
     values, rows = jax.lax.optimization_barrier((values, rows))
-    weighted = rows * weights
+    weighted = rows * weights[None]
     return values @ values, weighted @ weighted.T, rows @ values
 
 
