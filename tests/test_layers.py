@@ -34,6 +34,7 @@ OWNERS = {
     "emcee": "fitting/posterior.py",
     "matplotlib": "report/",
     "corner": "report/",
+    "jinja2": "report/",
     "diffrax": "sim/",
     "typer": "cli/",
 }

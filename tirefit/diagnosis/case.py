@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from tirefit.diagnosis.base import Base
+from tirefit.diagnosis.records import Untestable
 from tirefit.diagnosis.search import Search
 from tirefit.diagnosis.verdict import Verdict, Weighed
 
@@ -17,4 +18,4 @@ class Case:
     search: Search
     weighed: Weighed
     verdict: Verdict
-    untestable: list[dict]
+    untestable: list[Untestable]

@@ -5,15 +5,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from tirefit.diagnosis.base import Base, on_rows
-from tirefit.diagnosis.closure import closure_of
+from tirefit.diagnosis.closure import Closure, closure_of
 from tirefit.diagnosis.forward import MOST_EFFECTS, fill, refit_all
+from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.rows import prepare
 from tirefit.diagnosis.search import amplitudes_of
 
 __all__ = ["held_out"]
 
 
-def held_out(case, holdout: Sequence, rig, generator) -> dict | None:
+def held_out(case, holdout: Sequence, rig, generator) -> HeldOut | None:
     """Closure on other files, or on a regime of this one: the figures of ``gap``.
 
     Without other files the regime farthest out (highest load, else highest speed, else
@@ -27,15 +28,14 @@ def held_out(case, holdout: Sequence, rig, generator) -> dict | None:
     return _on_regime(case, generator)
 
 
-def _record(closure, what: str) -> dict:
-    return {
-        "rms": closure.rms, "resolvable": closure.resolvable, "closed": closure.closed,
-        "closed_ci": [closure.low, closure.high], "remaining_rms": closure.remaining,
-        "on": what,
-    }  # fmt: skip
+def _record(closure: Closure, what: str) -> HeldOut:
+    return HeldOut(
+        rms=closure.rms, resolvable=closure.resolvable, closed=closure.closed,
+        closed_ci=(closure.low, closure.high), remaining_rms=closure.remaining, on=what,
+    )  # fmt: skip
 
 
-def _on_files(case, holdout, rig, generator) -> dict:
+def _on_files(case, holdout, rig, generator) -> HeldOut:
     base, chosen = case.base, case.verdict.chosen
     null = case.weighed.best_of[()]
     before, after, variance, run = [], [], [], []
@@ -70,7 +70,7 @@ def _regime(base: Base) -> tuple[np.ndarray, str]:
     return size > np.quantile(size, 0.7), "largest slip"
 
 
-def _on_regime(case, generator) -> dict:
+def _on_regime(case, generator) -> HeldOut:
     base, chosen = case.base, case.verdict.chosen
     out, what = _regime(base)
     keep = np.array(base.design.keep)
