@@ -35,6 +35,7 @@ from tirefit.diagnosis.records import (
 )
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rig import Rig
+from tirefit.diagnosis.slip_check import SlipCheck
 from tirefit.diagnosis.views import ShownRows, compared, residual_map
 from tirefit.models import MODELS
 from tirefit.report.canvas import Picture
@@ -175,7 +176,7 @@ def records(channel):
                 "small slips (a tenth)", ("load_friction", "d"), 0.71, 0.96
             ),
         ),
-        "next_measurement_reason": None,
+        "next_measurement_reason": None, "slip_check": None,
         "base_parameters": {"cpa2": 51234.0, "mu": 0.912},
         "extended_parameters": {"cpa2": 51235.0, "mu": 0.913},
         "settings": Settings(
@@ -501,6 +502,22 @@ def test_the_text_is_one_screen_that_says_all():
     needs = "friction_temperature, stiffness_temperature: needs a temperature that"
     assert needs in flat
     assert "the file: iso-w" in flat
+
+
+def test_a_slip_that_contradicts_the_wheel_speed_is_told():
+    check = SlipCheck(
+        read_as="sigma_x", fits="kappa", radius=0.305, rms=0.0123, scatter=0.001,
+        offset=0.0041, offset_std=0.0002, gain=1.0, told_apart=True,
+    )  # fmt: skip
+    found = diagnosis(slip_check=check)
+    sentence = (
+        "slip, read as sigma_x, against omega, v and a rolling radius of 0.305 m: 0.012"
+        " rms apart, offset 0.0041 ± 0.0002, follows kappa"
+    )
+    assert sentence in re.sub(r"\s+", " ", str(found))
+    assert sentence in diagnosis_page(found)
+    assert json.loads(found.to_json())["slip_check"]["fits"] == "kappa"
+    assert "rolling radius of" not in str(diagnosis())
 
 
 def test_an_unresolved_gap_claims_nothing():

@@ -250,7 +250,9 @@ def misfit_p_value(bases: Generic, against, residual, generator, draws: int) -> 
         noise = generator.standard_normal((draws, len(size))) ** 2 @ size**2
         values.append((1 + np.sum(noise >= total)) / (1 + draws))
     chi2 = waves_within(bases.waves, against, residual)
-    values.append(-np.expm1(len(chi2) * np.log1p(-np.exp(-0.5 * chi2.max()))))
+    # A residual without any wave has a chance of one, whose complement has no log.
+    chance = min(np.exp(-0.5 * chi2.max()), 1 - 1e-12)
+    values.append(-np.expm1(len(chi2) * np.log1p(-chance)))
     return float(min(1.0, len(values) * min(values)))
 
 

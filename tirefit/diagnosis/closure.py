@@ -7,6 +7,10 @@ import numpy as np
 __all__ = ["Closure", "closure_of"]
 
 _DRAWS = 400
+"""Bootstrap draws: twenty beyond either end of a 90 % interval."""
+
+_LEAST_BLOCK, _BLOCKS = 5, 60
+"""Rows of a block at least, and blocks of a record at most."""
 
 
 class Closure(NamedTuple):
@@ -62,7 +66,7 @@ def closure_of(
     remaining = float(np.sqrt(max(left, 0.0) + floor)) if gap > 0 else 0.0
     if not resolvable:
         return Closure(rms, remaining, None, None, None, False)
-    blocks = _blocks(run, int(max(2 * inflation, 5, n // 60)))
+    blocks = _blocks(run, int(max(2 * inflation, _LEAST_BLOCK, n // _BLOCKS)))
     sums = np.array([[*terms[rows].sum(axis=0), len(rows)] for rows in blocks])
     drawn = generator.multinomial(len(blocks), [1 / len(blocks)] * len(blocks), _DRAWS)
     totals = drawn @ sums

@@ -76,6 +76,7 @@ def document_of(
         forecast=tuple(confusion(case.search)),
         next_measurement=steps,
         next_measurement_reason=reason,
+        slip_check=case.slip_check,
         base_parameters=_base_parameters(base, base.z),
         extended_parameters=_base_parameters(base, verdict.chosen.z),
         settings=Settings(
@@ -225,7 +226,9 @@ def _verdict(case: Case) -> VerdictSummary:
 def _candidates(case: Case, generator, most: int = 10) -> tuple[Candidate, ...]:
     weighed = case.weighed
     total = {
-        k: v + weighed.unknown_beside.get(k, 0.0) for k, v in weighed.sets.items() if k
+        k: v + weighed.unknown_beside.get(k, 0.0)
+        for k, v in weighed.sets.items()
+        if k and weighed.best_of[k].refitted
     }
     ranked = sorted(total, key=total.get, reverse=True)[:most]
     listed = [_candidate(case, key, total[key], generator) for key in ranked]

@@ -1,7 +1,6 @@
 """One file diagnosed: noise first, then where, which, how far, and what to measure."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -9,7 +8,7 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.base import Base, fit_base, with_noise_judged
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.document import document_of
-from tirefit.diagnosis.effects import EFFECTS, Effect, atoms_of
+from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.forms import PLACE, shape_of_change
 from tirefit.diagnosis.records import Untestable
 from tirefit.diagnosis.result import Diagnosis
@@ -96,9 +95,8 @@ def _level(base: Base) -> np.ndarray:
 
 
 def _studied(prepared: Prepared, model, rig, effects, without, generator) -> Case:
-    atoms = atoms_of(effects)
-    base = fit_base(prepared, model, atoms, rig)
-    testable, untestable = _testable(prepared, atoms, without)
+    base = fit_base(prepared, model, effects, rig)
+    testable, untestable = _testable(prepared, base.atoms, without)
     found = search(base, testable)
     # What the best explanation leaves shows the noise better than the base fit does.
     best = found.best
@@ -140,4 +138,4 @@ def _with_change(base: Base, found: Search) -> Base | None:
     )
     padded = np.zeros(len(base.design.keep))
     padded[: len(shape)] = shape
-    return replace(base, design=base.design._replace(rows=rows._replace(change=padded)))
+    return base.on(base.design._replace(rows=rows._replace(change=padded)))

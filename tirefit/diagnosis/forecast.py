@@ -160,7 +160,7 @@ def _changed(base: Base, change: dict, generator):
         order = np.arange(size)
         order[:n] = generator.permutation(n)
         rows = rows._replace(time=rows.time[order], temperature=rows.temperature[order])
-    return replace(base, design=design._replace(inputs=inputs, rows=rows, slip=slip))
+    return base.on(design._replace(inputs=inputs, rows=rows, slip=slip))
 
 
 def _pairs(search, weighed, verdict) -> list[tuple[str, str]]:
@@ -274,7 +274,7 @@ class _Options:
         _, jacobian, columns, _ = base.at_null
         self.here = _Block(jacobian, columns)
         self.changes = _changes(base.prepared)
-        self.gives_moment = "mz" in modelled(base.model)
+        self.gives_moment = "mz" in modelled(base.fit.tire.model)
         self.known: dict[str, _Block] = {}
         self.generator = np.random.default_rng(0)
 
@@ -328,19 +328,17 @@ def _with_moment(base: Base, z) -> _Block:
     main, n = base.prepared.channels[0], base.prepared.n
     channels, silent = ("fy", "mz"), np.zeros(len(base.atoms))
     scale = np.asarray(base.design.scale[main])
-    lateral = replace(
-        base,
-        prepared=replace(base.prepared, mode="y", channels=channels),
-        design=base.design._replace(
-            observed=dict.fromkeys(channels, np.zeros_like(scale)),
-            scale={"fy": scale, "mz": scale},
-        ),
+    rows = replace(base.rows, mode="y", channels=channels)
+    tire = replace(base.fit.tire, mode="y")
+    design = base.design._replace(
+        observed=dict.fromkeys(channels, np.zeros_like(scale)),
+        scale={"fy": scale, "mz": scale},
     )
+    lateral = replace(base, rows=rows, fit=replace(base.fit, tire=tire, design=design))
     force = lateral.forces(z, silent)
     peaks = {c: max(float(np.max(np.abs(f))), 1e-9) for c, f in force.items()}
     scales = {"fy": scale, "mz": scale * peaks["mz"] / peaks["fy"]}
-    lateral = replace(lateral, design=lateral.design._replace(scale=scales))
-    block = _part_of(lateral, z)
+    block = _part_of(lateral.on(design._replace(scale=scales)), z)
     moment = np.zeros((2 * n, 1))
     moment[n:, 0] = np.sqrt(_PART) * force["mz"] / scales["mz"][:n]
     return block._replace(jacobian=np.concatenate([block.jacobian, moment], axis=1))

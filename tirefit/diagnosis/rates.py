@@ -25,6 +25,9 @@ _WORTH = 0.7
 """Log probability for each value that a parabola explains, against leaving the values
 as measured; on saw-tooth and sine sweeps the error claimed is the true one."""
 
+_FINEST = 1e-9
+"""Error of a slope over the largest slope, at least."""
+
 _GAP = 5.0
 """A pause of so many median intervals parts two segments of a run."""
 
@@ -229,7 +232,10 @@ def slip_rate(slip, time, run, noise: float = 0.0) -> Sweeps:
         path = _averaged(slip[part], time[part], level)
         _fill_past(past, part, slip[part], time[part], path)
         found.path[part], found.rate[part] = path.value, path.slope
-        certain = np.sign(slip[part]) * path.slope / (2 * path.slope_error)
+        # Slips that a formula gave have no error at all.
+        finest = _FINEST * max(float(np.max(np.abs(path.slope))), 1e-9)
+        error = np.maximum(path.slope_error, finest)
+        certain = np.sign(slip[part]) * path.slope / (2 * error)
         found.turning[part] = np.clip(certain, -1, 1)
     return found
 

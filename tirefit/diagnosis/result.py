@@ -24,6 +24,7 @@ from tirefit.diagnosis.records import (
     Untestable,
     VerdictSummary,
 )
+from tirefit.diagnosis.slip_check import SlipCheck
 from tirefit.diagnosis.views import Comparison, ResidualMap
 from tirefit.display import Displayed
 
@@ -39,11 +40,14 @@ class Diagnosis(Displayed):
     """One file diagnosed: the records of the document, in its order, then arrays.
 
     ``next_measurement`` is ranked, the largest gain first; where it is empty,
-    ``next_measurement_reason`` says why. ``rows`` holds (n,) arrays by channel of all
-    rows of the file, canonical, NaN where masked: ``base``, ``extended``, ``gap``,
-    ``gap_std``. ``table`` is the data, ``mean_load`` [N] that of its used rows;
-    ``residual_map`` and ``comparison`` are what the figures show; ``library`` holds
-    the effects that were looked for, a user's own among them.
+    ``next_measurement_reason`` says why. ``slip_check`` is the slip column against the
+    slip of the wheel speed, None where that is not known.
+
+    ``rows`` holds (n,) arrays by channel of all rows of the file, canonical, NaN where
+    masked: ``base``, ``extended``, ``gap``, ``gap_std``. ``table`` is the data,
+    ``mean_load`` [N] that of its used rows; ``residual_map`` and ``comparison`` are
+    what the figures show; ``library`` holds the effects that were looked for, a user's
+    own among them.
     """
 
     text_by: ClassVar[str] = "tirefit.report.diagnosis_text:diagnosis_text"
@@ -64,6 +68,7 @@ class Diagnosis(Displayed):
     forecast: tuple[Forecast, ...]
     next_measurement: tuple[NextMeasurement, ...]
     next_measurement_reason: str | None
+    slip_check: SlipCheck | None
     base_parameters: Mapping[str, float]
     extended_parameters: Mapping[str, float]
     settings: Settings

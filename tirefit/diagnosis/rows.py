@@ -7,6 +7,7 @@ import numpy as np
 
 from tirefit.data.table import TireData
 from tirefit.diagnosis.rates import Sweeps, slip_rate
+from tirefit.diagnosis.slip_check import SlipCheck, check_slip
 from tirefit.diagnosis.state import Covariates
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
@@ -15,6 +16,12 @@ __all__ = ["Prepared", "neighbours", "prepare", "thinned"]
 
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that drive the forces -> forces that may be diagnosed."""
+
+_ONE_SLIP = 10.0
+"""Ratio of the spreads of two slips from which one drives and the other disturbs."""
+
+_LEAST_ROWS = 20
+"""Rows that a diagnosis needs."""
 
 _FAR = 10.0
 """Slip beyond which a patch slides whatever the tire."""
@@ -29,7 +36,7 @@ class Prepared:
     holds (n,) by channel. ``covariates`` lacks only what the base fit gives. ``has``
     names what the data hold of the needs of the effects. ``before`` are the inputs in
     the past of each row (n, k), ``kept`` (n,) which of the used rows of the data these
-    are.
+    are. ``slip_check`` is the slip column against that of the wheel speed.
     """
 
     data: TireData
@@ -49,6 +56,7 @@ class Prepared:
     slip_source: str
     random_order: bool
     kept: np.ndarray
+    slip_check: SlipCheck | None
 
     @property
     def n(self) -> int:
@@ -74,7 +82,7 @@ def _mode(data: TireData) -> str:
         x = np.clip(data.usable("sigma_x"), -_FAR, _FAR)
         y = np.clip(np.tan(data.usable("alpha")), -_FAR, _FAR)
         ratio = np.std(x) / np.std(y)
-        return "x" if ratio > 10 else "y" if ratio < 0.1 else "xy"
+        return "x" if ratio > _ONE_SLIP else "y" if ratio < 1 / _ONE_SLIP else "xy"
     if not along and not across:
         raise DataError(
             InputProblem(
@@ -101,8 +109,8 @@ def _check(data: TireData) -> None:
         reason = "a diagnosis needs fz (load, N) for every row"
         remedy = "name its column with --column fz=HEADER, or --constant fz=4000"
         raise DataError(InputProblem(reason, remedy, file))
-    if data.n < 20:
-        reason = f"{data.n} usable rows: a diagnosis needs 20 or more"
+    if data.n < _LEAST_ROWS:
+        reason = f"{data.n} usable rows: a diagnosis needs {_LEAST_ROWS} or more"
         raise DataError(InputProblem(reason, "measure more points", file))
 
 
@@ -142,7 +150,7 @@ def prepare(data: TireData, rig, model) -> Prepared:
         other=other,
         force=np.zeros(data.n),
         usage=np.zeros(data.n),
-        spin=spin / radius,
+        spin=spin / radius if radius else 0 * v,
         load=np.full(data.n, np.mean(fz)),
         past=sweeps.past.path,
         pull=np.zeros_like(sweeps.past.path),
@@ -161,9 +169,10 @@ def prepare(data: TireData, rig, model) -> Prepared:
         tan_alpha if mode == "xy" else np.zeros(data.n),
         {c: data.usable(c) for c in channels}, covariates,
         TireInputs(*(sweeps.past.of(part) for part in inputs)),
-        _holdings(data, mode, covariates, sweeps.found), time, run,
+        _holdings(data, mode, covariates, sweeps.found, radius), time, run,
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
         rig.run_order == "random", np.arange(data.n),
+        check_slip(data, rig.rolling_radius),
     )  # fmt: skip
 
 
@@ -205,7 +214,7 @@ def _slip_std(data: TireData, mode: str, rig, scatter: float):
     return np.zeros(data.n), "none assumed"
 
 
-def _holdings(data: TireData, mode: str, rows: Covariates, sweeps: bool) -> frozenset:
+def _holdings(data: TireData, mode: str, rows, sweeps: bool, radius) -> frozenset:
     """Names of the needs of effects that this data meets."""
     positive = np.mean(rows.side > 0)
     found = {
@@ -219,6 +228,7 @@ def _holdings(data: TireData, mode: str, rows: Covariates, sweeps: bool) -> froz
         "signs": 0.1 < positive < 0.9,
         "sweeps": sweeps,
         "omega": "omega" in data,
+        "rolling_radius": radius is not None,
         "other slip": float(np.std(rows.other)) > 1e-4
         or float(np.max(np.abs(rows.other))) > 1e-3,
         "mz": mode != "x" and "mz" in data,

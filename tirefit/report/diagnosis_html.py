@@ -10,6 +10,7 @@ from tirefit.report.diagnosis_text import (
     confused_lines,
     gap_lines,
     noise_line,
+    slip_check_line,
     smallest_lines,
     step_lines,
     verdict_lines,
@@ -140,6 +141,7 @@ def diagnosis_page(result: Diagnosis) -> str:
         untestable=[("effects", "need"), *(pair[::-1] for pair in needs)],
         rows=f"{result.n} rows, {result.n_effective:.0f} of them independent;"
         f" {noise_line(result)}",
+        slip_check=slip_check_line(result),
         settings=_settings(result),
         record=result.to_json(),
     )

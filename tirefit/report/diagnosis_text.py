@@ -12,7 +12,7 @@ from tirefit.report.diagnosis_words import (
     untestable_groups,
     words_on,
 )
-from tirefit.report.numbers import format_number
+from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
     "confused_lines",
@@ -20,6 +20,7 @@ __all__ = [
     "gap_lines",
     "map_lines",
     "noise_line",
+    "slip_check_line",
     "smallest_lines",
     "step_lines",
     "verdict_lines",
@@ -188,6 +189,19 @@ def noise_line(result: Diagnosis) -> str:
     return f"{levels} ({noise.source}){flags}"
 
 
+def slip_check_line(result: Diagnosis) -> str | None:
+    """The slip column against that of the wheel speed; None where that is unknown."""
+    check = result.slip_check
+    if check is None:
+        return None
+    other = f", follows {check.fits}" if check.fits != check.read_as else ""
+    return (
+        f"slip, read as {check.read_as}, against omega, v and a rolling radius of"
+        f" {format_number(check.radius)} m: {format_number(check.rms, 2)} rms apart,"
+        f" offset {format_estimate(check.offset, check.offset_std)}{other}"
+    )
+
+
 def _wrapped(lines) -> list[str]:
     return [
         part
@@ -204,6 +218,7 @@ def diagnosis_text(result: Diagnosis) -> str:
         f"DIAGNOSIS of {result.data.name} against {result.model}",
         f"  {result.n} rows, {result.n_effective:.0f} of them independent;"
         f" noise {noise_line(result)}",
+        *([f"  {slip_check_line(result)}"] if result.slip_check else []),
         "VERDICT", f"  {verdict_sentence(result)}",
         *(f"  {line}" for line in verdict_lines(result)),
         "GAP", *(f"  {line}" for line in gap_lines(result)),

@@ -28,6 +28,7 @@ _NEEDS = {
     "time": "time",
     "v": "speed v",
     "omega": "wheel speed omega",
+    "rolling_radius": "rolling_radius in rig.toml, or v with omega",
     "temperature": "a temperature that varies",
     "gamma": "a camber gamma that varies",
     "other slip": "the other slip, not zero",

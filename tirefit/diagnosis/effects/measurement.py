@@ -3,8 +3,12 @@ worked out without the wheel's inertia; camber and conicity beside them."""
 
 from tirefit.diagnosis.effects.free_forms import SHIFT_BY_CAMBER
 from tirefit.diagnosis.effects.record import Effect
+from tirefit.diagnosis.slip_check import AGAINST, BESIDE, FOR
 
 __all__ = ["EFFECTS"]
+
+_FINE = 5e-4
+"""Standard error of an offset of the slip below which its absence says something."""
 
 
 def _shift(state, offset, constants, rows):
@@ -43,7 +47,44 @@ def _of_this_wheel(prior, prepared, rig):
     """A force taken from the torque lacks all of the inertia that is known."""
     del prepared
     known = rig.wheel_inertia
-    return prior._replace(scale=0.3 * known, center=known) if known else prior
+    if not known:
+        return prior
+    return prior._replace(
+        scale=0.3 * known, center=known, high=max(prior.high, 2 * known)
+    )
+
+
+def _definition_odds(prepared) -> float:
+    """Log odds by the slip of the wheel speed, which no error of it can bend."""
+    check = prepared.slip_check
+    if check is None:
+        return 0.0
+    if check.fits != check.read_as:
+        return FOR
+    return AGAINST if check.told_apart else 0.0
+
+
+def _seen_between_slips(prior, prepared, rig):
+    """An offset from the slip of the wheel speed is one that may have to be taken off,
+    whatever its size."""
+    del rig
+    check = prepared.slip_check
+    if check is None or not check.shifted:
+        return prior
+    size = max(prior.scale, abs(check.offset))
+    return prior._replace(
+        scale=size, low=min(prior.low, -2 * size), high=max(prior.high, 2 * size)
+    )
+
+
+def _offset_odds(prepared) -> float:
+    """Log odds by the slip of the wheel speed; the radius may be wrong as well."""
+    check = prepared.slip_check
+    if check is None or check.fits != check.read_as:
+        return 0.0
+    if check.shifted:
+        return BESIDE
+    return AGAINST if check.agrees and check.offset_std < _FINE else 0.0
 
 
 def _camber(state, share, constants, rows):
@@ -68,6 +109,8 @@ SLIP_OFFSET = Effect(
         " steering"
     ),
     bounds=((-0.08, 0.08),),
+    prior=_seen_between_slips,
+    odds=_offset_odds,
     looks_like=("force_offset",),
     told_apart_by="both signs",
 )
@@ -97,6 +140,7 @@ SLIP_DEFINITION = Effect(
     bounds=((-6.0, 6.0),),
     center=1.0,
     prior=_as_it_was_read,
+    odds=_definition_odds,
     channels=("fx",),
     variants=((1.0,), (-1.0,)),
     looks_like=("pressure_asymmetry",),
@@ -114,7 +158,7 @@ WHEEL_INERTIA = Effect(
     parameter="inertia",
     bounds=((-20.0, 20.0),),
     prior=_of_this_wheel,
-    needs=("omega", "sweeps"),
+    needs=("omega", "rolling_radius", "sweeps"),
     looks_like=("channel_delay", "relaxation_length", "friction_hysteresis"),
     told_apart_by="speeds",
 )

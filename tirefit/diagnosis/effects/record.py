@@ -53,6 +53,8 @@ class Effect:
         center: expected amplitude; not zero for mistakes of a known size.
         prior: (prior, prepared rows, rig) -> prior, where the data or the rig say more
             of the amplitude than ``scale``, ``center`` and ``bounds``.
+        odds: prepared rows -> what they add to the log odds of the effect before any
+            force is looked at.
         needs: columns or properties of the data without which it cannot be seen.
         channels: forces that it can change; empty is all.
         variants: the constants of each formula that is tried (other times, other
@@ -77,6 +79,7 @@ class Effect:
     bounds: tuple[tuple[float, float], ...] = ((-float("inf"), float("inf")),)
     center: float = 0.0
     prior: Callable[[Prior, object, object], Prior] | None = None
+    odds: Callable[[object], float] | None = None
     needs: tuple[str, ...] = ()
     channels: tuple[str, ...] = ()
     variants: tuple[tuple[float, ...], ...] = ((),)
