@@ -512,7 +512,7 @@ def test_a_slip_that_contradicts_the_wheel_speed_is_told():
     found = diagnosis(slip_check=check)
     sentence = (
         "slip, read as sigma_x, against omega, v and a rolling radius of 0.305 m: 0.012"
-        " rms apart, offset 0.0041 ± 0.0002, follows kappa"
+        " rms apart, offset 0.00410 ± 0.00020, follows kappa"
     )
     assert sentence in re.sub(r"\s+", " ", str(found))
     assert sentence in diagnosis_page(found)
