@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 __all__ = [
+    "RANK",
     "Generic",
     "bumps",
     "functions_of",
@@ -25,6 +26,24 @@ _SCALES = (2.0, 6.0, 18.0, 50.0)
 """Sizes of a basis function's coefficient that are averaged over, in z units."""
 
 _PRIORS = {"smooth": 0.5, "cells": 0.2, "waves": 0.3}
+"""What kind of remainder it is, where there is one."""
+
+RANK = 1e-6
+"""Squared length of a direction over that of the longest, below which it is none: what
+is left of columns that the fit has used up is rounding."""
+
+_ROWS_OF_A_WAVE, _WAVES = 12, (4, 24)
+"""Rows of the shortest wave, on average; fewest and most waves of a record."""
+
+_TO_DRAW = 4.0
+"""Log odds over the number of waves from which a wave is drawn: 55 to 1."""
+
+_MOST_WAVES = 4
+"""Waves that are drawn at once, at most."""
+
+_DRAWN_SCALES = np.geomspace(0.3, 300, 25)
+"""Scales of the located remainder, in z units: from below the noise to a thousand times
+that, a third apart."""
 
 _SETTINGS = 6
 """Loads up to so many are settings of the rig, more are a range."""
@@ -127,7 +146,7 @@ def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
 
 def wave_basis(prepared, scale) -> np.ndarray:
     """Sine and cosine of slip and of time, side by side: (n, 2 x waves)."""
-    most, phases = int(np.clip(prepared.n // 12, 4, 24)), []
+    most, phases = int(np.clip(prepared.n // _ROWS_OF_A_WAVE, *_WAVES)), []
     slip = prepared.slip
     span = max(np.ptp(slip), 1e-9)
     phases.append((slip - slip.min()) / span)
@@ -150,7 +169,7 @@ def orthogonal(basis, against):
     left = without(basis, against)
     gram = left.T @ left
     values, vectors = np.linalg.eigh(gram)
-    good = values > 1e-6 * max(values.max(), 1e-12)
+    good = values > RANK * max(values.max(), 1e-12)
     size = np.sqrt(values[good])
     return left @ (vectors[:, good] / size), size
 
@@ -265,14 +284,13 @@ def located(bases: Generic, against, residual):
     }
     chosen = getattr(bases, max(gains, key=gains.get))
     chi2 = waves_within(bases.waves, against, residual)
-    strong = np.flatnonzero(chi2 > 2 * (np.log(len(chi2)) + 4))
-    strong = strong[np.argsort(-chi2[strong])][:4]
+    strong = np.flatnonzero(chi2 > 2 * (np.log(len(chi2)) + _TO_DRAW))
+    strong = strong[np.argsort(-chi2[strong])][:_MOST_WAVES]
     waves = bases.waves[:, np.ravel(strong[:, None] * 2 + [0, 1])]
     left, size = orthogonal(np.concatenate([chosen, waves], axis=1), against)
     score = left.T @ residual
     # Empirical Bayes: the scale of the basis that the scores themselves suggest.
-    scales = np.geomspace(0.3, 300, 25)
-    fits = [gain(score, scale * size) for scale in scales]
-    t = (scales[int(np.argmax(fits))] * size) ** 2
+    fits = [gain(score, scale * size) for scale in _DRAWN_SCALES]
+    t = (_DRAWN_SCALES[int(np.argmax(fits))] * size) ** 2
     shrink = t / (1 + t)
     return left @ (shrink * score), np.einsum("mq,q,mq->m", left, shrink, left)

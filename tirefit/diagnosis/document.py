@@ -252,7 +252,8 @@ def _candidate(case: Case, key, probability: float, generator) -> Candidate:
     for j, (k, effect) in enumerate(zip(hypothesis.atoms, effects, strict=True)):
         parameters[f"{effect.id}: {effect.parameter}"] = Amplitude(
             value=float(hypothesis.amplitude[j] * scale[k]),
-            std=float(spread[j] * scale[k]),
+            # However badly it fits, no less is known of it than beforehand.
+            std=float(min(spread[j], 1.0) * scale[k]),
             unit=effect.unit,
         )
     closure = _closure_by(case, hypothesis, generator)

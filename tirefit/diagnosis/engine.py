@@ -25,6 +25,9 @@ __all__ = ["diagnose"]
 _CHANGED = 0.1
 """A change of the noise level, as a logarithm, after which the search starts anew."""
 
+_AMONG = 4
+"""Best hypotheses among which a sudden change must be for its shape to be fitted."""
+
 _MOST_ROWS = 6000
 """The search looks at so many rows, evenly spread; the last word is on all of them."""
 
@@ -119,7 +122,7 @@ def _studied(prepared: Prepared, model, rig, effects, without, generator) -> Cas
 def _with_change(base: Base, found: Search) -> Base | None:
     """The base with the shape of a sudden change, where one is among the best."""
     fitted = [h for h in found.hypotheses if h.refitted]
-    ranked = sorted(fitted, key=lambda h: -h.log_weight)[:4]
+    ranked = sorted(fitted, key=lambda h: -h.log_weight)[:_AMONG]
     steps = [k for k, atom in enumerate(base.atoms) if atom.effect.scans_time]
     likely = [h for h in ranked if set(h.atoms) & set(steps)]
     if not likely:

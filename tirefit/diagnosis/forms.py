@@ -13,6 +13,13 @@ PLACE = {name: k for k, name in enumerate(State._fields)}
 """Column of each field of the state in :class:`tirefit.diagnosis.forward.Linear`."""
 
 
+_WIDTHS = (0.004, 0.02, 0.05, 0.1)
+"""Widths of a change that are tried, as shares of the record: sudden to gradual."""
+
+_TIMES = np.linspace(-0.46, 0.46, 93)
+"""Its times, as shares of the record about its middle: a hundredth apart."""
+
+
 def form_columns(effects, fields, prepared, slip_fraction) -> np.ndarray:
     """Columns of the free forms of these effects, in units of their priors: (m, k).
 
@@ -46,9 +53,8 @@ def shape_of_change(time, friction, used_up, residual) -> np.ndarray:
     repeats = len(friction) // len(time)
     residual = without(residual, used_up)
     best, best_gain = np.zeros(len(time)), 0.0
-    for width in (0.004, 0.02, 0.05, 0.1):
-        at = np.linspace(-0.46, 0.46, 93)
-        shapes = 0.5 * np.tanh((time[:, None] - at) / width)
+    for width in _WIDTHS:
+        shapes = 0.5 * np.tanh((time[:, None] - _TIMES) / width)
         columns = friction[:, None] * np.tile(shapes, (repeats, 1))
         columns = without(columns, used_up)
         size = np.sum(columns**2, axis=0)

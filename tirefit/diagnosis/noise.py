@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.basis import waves_within
+from tirefit.diagnosis.basis import RANK, waves_within
 from tirefit.fitting.noise import autocorrelation_time
 
 __all__ = ["NoiseLevel", "correlation", "judge_noise"]
@@ -204,7 +204,7 @@ class _Smooth:
         self.basis, self.keep = basis, keep
         part = basis * keep[:, None]
         values, vectors = np.linalg.eigh(part.T @ part)
-        good = values > 1e-6 * values.max()
+        good = values > RANK * values.max()
         self.root = vectors[:, good] / np.sqrt(values[good])
         self.freedom = max(int(keep.sum()) - int(good.sum()), 1)
 

@@ -25,6 +25,12 @@ _WORTH = 0.7
 """Log probability for each value that a parabola explains, against leaving the values
 as measured; on saw-tooth and sine sweeps the error claimed is the true one."""
 
+_UNSTEADY = 0.15
+"""Share of the slip's variance that neighbours in time may leave open in a sweep."""
+
+_MORE = 1.3
+"""Scatter of the slip over the stated one from which it counts instead."""
+
 _FINEST = 1e-9
 """Error of a slope over the largest slope, at least."""
 
@@ -217,13 +223,13 @@ def slip_rate(slip, time, run, noise: float = 0.0) -> Sweeps:
     if sum(len(part) for part in parts) < 0.5 * count:
         return still
     window, left_out = _best_window(slip, time, parts)
-    if left_out > 0.15 * np.var(slip):
+    if left_out > _UNSTEADY * np.var(slip):
         return still
     # Left out, a row misses by its own noise and that of the local parabola. Where few
     # neighbours predict best it is the curve that misses, not noise.
     seen = max(np.sqrt(left_out / (1 + 2.25 / window)), 1e-9 * np.std(slip))
     scatter = seen if window >= _NOISY else 0.0
-    level = max(noise, scatter if scatter > 1.3 * noise else 0.0) or seen
+    level = max(noise, scatter if scatter > _MORE * noise else 0.0) or seen
     usual = float(np.median(np.concatenate([np.diff(time[part]) for part in parts])))
     past = none._replace(interval=max(usual, _SPAN / BEHIND))
     found = still._replace(found=True, noise=scatter, past=past)

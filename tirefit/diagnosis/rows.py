@@ -20,6 +20,19 @@ MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 _ONE_SLIP = 10.0
 """Ratio of the spreads of two slips from which one drives and the other disturbs."""
 
+_MOVES, _SPEEDS, _LOADS = 0.1, 0.2, 0.03
+"""Median speed [m/s] that counts as moving; range of the speeds over their mean, and
+standard deviation of log F_z, that count as several."""
+
+_BOTH_SIGNS = 0.1
+"""Share of the rows that each sign of slip must have."""
+
+_WARMS, _LEANS = 0.4, 1e-4
+"""Standard deviations of temperature [K] and camber [rad] that count as varying."""
+
+_OTHER_MOVES, _OTHER_STANDS = 1e-4, 1e-3
+"""Standard deviation and size of the other slip that count as there."""
+
 _LEAST_ROWS = 20
 """Rows that a diagnosis needs."""
 
@@ -218,19 +231,19 @@ def _holdings(data: TireData, mode: str, rows, sweeps: bool, radius) -> frozense
     """Names of the needs of effects that this data meets."""
     positive = np.mean(rows.side > 0)
     found = {
-        "v": "v" in data and float(np.median(np.abs(rows.v))) > 0.1,
-        "speeds": "v" in data and _varies(rows.v, 0.2),
-        "loads": float(np.std(np.log(rows.fz))) > 0.03,
+        "v": "v" in data and float(np.median(np.abs(rows.v))) > _MOVES,
+        "speeds": "v" in data and _varies(rows.v, _SPEEDS),
+        "loads": float(np.std(np.log(rows.fz))) > _LOADS,
         "time": "time" in data and _varies(rows.time),
         "temperature": "temperature" in data and _varies(rows.temperature * 20, 0.0)
-        and float(np.std(rows.temperature)) > 0.02,
-        "gamma": "gamma" in data and float(np.std(rows.gamma)) > 1e-4,
-        "signs": 0.1 < positive < 0.9,
+        and float(np.std(rows.temperature)) > _WARMS / 20,
+        "gamma": "gamma" in data and float(np.std(rows.gamma)) > _LEANS,
+        "signs": _BOTH_SIGNS < positive < 1 - _BOTH_SIGNS,
         "sweeps": sweeps,
         "omega": "omega" in data,
         "rolling_radius": radius is not None,
-        "other slip": float(np.std(rows.other)) > 1e-4
-        or float(np.max(np.abs(rows.other))) > 1e-3,
+        "other slip": float(np.std(rows.other)) > _OTHER_MOVES
+        or float(np.max(np.abs(rows.other))) > _OTHER_STANDS,
         "mz": mode != "x" and "mz" in data,
     }  # fmt: skip
     return frozenset(name for name, here in found.items() if here)
