@@ -148,7 +148,7 @@ def test_the_wheel_speed_names_the_definition_of_the_slip():
         for radius in (None, 0.32)
     )
     assert beside.effects == ("slip_definition",)
-    assert beside.verdict["probability"] >= alone.verdict["probability"]
+    assert beside.verdict.probability >= alone.verdict.probability
     assert beside.verdict["probability"] > 0.9
 
 
