@@ -151,15 +151,15 @@ def _members(result: FitResult, keys) -> tuple[list[tuple[str, np.ndarray]], str
     if len(combinations) > _MOST_GROUPS:
         chosen = np.linspace(0, len(combinations) - 1, _MOST_GROUPS).astype(int)
         note = f"{_MOST_GROUPS} of {len(combinations)} runs shown"
-    found = []
+    groups = []
     for code in chosen:
         rows = of_row.ravel() == code
         parts = [
             _level_label(name, problem.used(columns[name])[rows], problem.layout.runs)
             for name, _ in keys
         ]
-        found.append((", ".join(parts), rows))
-    return found, note
+        groups.append((", ".join(parts), rows))
+    return groups, note
 
 
 def _value(result: FitResult, name: str, run: int) -> float:
