@@ -26,8 +26,9 @@ from tirefit.diagnosis.rows import Prepared, neighbours
 from tirefit.diagnosis.state import Covariates
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import best_of, solve_starts
-from tirefit.fitting.problem import build, starting_points
+from tirefit.fitting.problem import build
 from tirefit.fitting.slip_noise import slip_distribution
+from tirefit.fitting.solve import starting_points
 
 __all__ = [
     "Base",
@@ -187,19 +188,16 @@ def _first_fit(prepared: Prepared, name: str):
     data = prepared.data
     force = list(prepared.channels)
     config = parse_config({"force": force, "noise": {"loss": "huber"}, "starts": 4})
-    problem = build(data, name, config)
-    rows = problem.rows
+    task = build(data, name, config)
+    problem = task.problem
     if prepared.mode != "xy":
         # The base model does not know of the other slip: that is an effect.
         quiet = "alpha" if prepared.mode == "x" else "sigma_x"
-        silent = np.zeros_like(np.asarray(rows.inputs.fz))
-        inputs = rows.inputs._replace(**{quiet: silent})
-        problem = replace(problem, rows=rows._replace(inputs=inputs))
-    starts = starting_points(problem, config.starts, 0)
-    solution = solve_starts(
-        problem.model, problem.layout, starts, problem.rows, problem.channels,
-        problem.loss, {}, "gauss-newton",
-    )  # fmt: skip
+        inputs = problem.rows.inputs
+        silent = np.zeros_like(np.asarray(inputs.fz))
+        problem = problem.with_rows(inputs=inputs._replace(**{quiet: silent}))
+    starts = starting_points(task, config.starts, 0)
+    solution = solve_starts(problem, starts, "gauss-newton")
     return problem.model, problem.layout, np.asarray(solution.z)[best_of(solution)]
 
 

@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.data.levels import levels
+
 __all__ = [
     "RANK",
     "Generic",
@@ -62,9 +64,9 @@ _LEVELS = 4
 
 def functions_of(values, count: int) -> np.ndarray:
     """Smooth functions of a covariate, or one for each of its few levels: (n, k)."""
-    levels = np.unique(np.round(values, 3))
-    if len(levels) <= _LEVELS:
-        return (np.round(values, 3)[:, None] == levels).astype(float)
+    settings = levels(values)
+    if settings.few(_LEVELS):
+        return np.eye(len(settings.center))[settings.code]
     return bumps(values, count)
 
 
@@ -94,8 +96,8 @@ def _modulations(prepared) -> list[np.ndarray]:
         unit = _standard(values)
         if unit is not None:
             first.append(unit)
-            # A second degree only where there are more than two settings.
-            if len(np.unique(np.round(unit, 2))) > 3:
+            # Through three settings a second degree is any function of them.
+            if not levels(values).few(3):
                 second.append(unit**2 - 1)
     if "sweeps" in prepared.has:
         first.append(rows.turning)
@@ -130,11 +132,10 @@ def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
 
 def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
     """Narrow bumps of the slip, for each load by itself: (n, b)."""
-    rounded = np.round(np.log(prepared.covariates.fz), 2)
-    loads = np.unique(rounded)
+    loads = levels(prepared.covariates.fz)
     cells = (
-        [rounded == load for load in loads]
-        if len(loads) <= _SETTINGS
+        [loads.code == code for code in range(len(loads.center))]
+        if loads.few(_SETTINGS)
         else [np.ones(prepared.n, bool)]
     )
     sides = _by_side(slip_fraction, 2).shape[1] // 2

@@ -18,6 +18,7 @@ from tirefit.diagnosis.search import Search, amplitudes_of, search
 from tirefit.diagnosis.verdict import gap_p_value, judge, weigh
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
+from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 
 __all__ = ["diagnose"]
@@ -55,9 +56,11 @@ def diagnose(
         seed: of the simulated null distributions and bootstraps.
 
     Raises:
-        UsageError: no such model, or no such effect to leave out.
+        UsageError: no such model, or no such effect to leave out; or 32-bit floats in
+            use.
         DataError: no force with a slip that varies, no load, or too few rows.
     """
+    require_x64("a diagnosis")
     rig = rig or Rig()
     known = {effect.id for effect in effects}
     if unknown := sorted(set(without) - known):

@@ -1,7 +1,5 @@
 """What a diagnosis found: :class:`Diagnosis`, as JSON, as rows, as text."""
 
-import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, ClassVar
@@ -27,6 +25,7 @@ from tirefit.diagnosis.records import (
 from tirefit.diagnosis.slip_check import SlipCheck
 from tirefit.diagnosis.views import Comparison, ResidualMap
 from tirefit.display import Displayed
+from tirefit.files import json_text
 
 __all__ = ["SCHEMA", "Diagnosis"]
 
@@ -88,8 +87,7 @@ class Diagnosis(Displayed):
 
     def to_json(self) -> str:
         """The document; not-a-number and infinite become null."""
-        content = {"schema": SCHEMA} | _mappings(self)
-        return json.dumps(_plain(content), indent=1, allow_nan=False) + "\n"
+        return json_text({"schema": SCHEMA} | _mappings(self))
 
 
 def _mappings(value: Any) -> Any:
@@ -105,20 +103,4 @@ def _mappings(value: Any) -> Any:
         return {key: _mappings(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_mappings(item) for item in value]
-    return value
-
-
-def _plain(value):
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.ndarray):
-        return [_plain(v) for v in value.tolist()]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
     return value

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtr
 
+from tirefit.data.levels import levels
 from tirefit.diagnosis.where import covariates_of
 from tirefit.slip import sigma_from_slip_ratio, slip_ratio_from_sigma
 
@@ -20,7 +21,7 @@ __all__ = [
 ]
 
 _LEVELS = 6
-"""Settings with up to so many distinct values are shown one by one."""
+"""Settings up to so many are shown one by one."""
 _BANDS = 5
 _FEWEST = 4
 """Rows of a cell of the map: fewer say nothing of their own scatter."""
@@ -126,10 +127,9 @@ def shown_rows(base, parts) -> ShownRows:
 
 def _levels(values) -> tuple[np.ndarray, np.ndarray]:
     """Codes (n,) of the levels of a covariate, and the levels (m, 2), from and to."""
-    distinct = np.unique(np.round(values, 6))
-    if len(distinct) <= _LEVELS:
-        codes = np.searchsorted(distinct, np.round(values, 6))
-        return codes, np.stack([distinct, distinct], axis=1)
+    settings = levels(values)
+    if settings.few(_LEVELS):
+        return settings.code, np.stack([settings.center, settings.center], axis=1)
     cuts = np.unique(np.quantile(values, np.linspace(0, 1, _BANDS + 1)))
     codes = np.clip(np.searchsorted(cuts, values, "right") - 1, 0, len(cuts) - 2)
     return codes, np.stack([cuts[:-1], cuts[1:]], axis=1)

@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import stdtrit
 
 from tirefit.compiled import compiled
-from tirefit.fitting.likelihood import predict
+from tirefit.fitting.inference import half_width_95
+from tirefit.fitting.likelihood import row_forces
 from tirefit.fitting.result import FitResult
 from tirefit.models import TireInputs
 from tirefit.params import unconstrain
@@ -16,7 +16,6 @@ from tirefit.params import unconstrain
 __all__ = ["Band", "fitted_force", "force_band"]
 
 _DRAWS = 400
-_NORMAL = 1.959963984540054
 
 
 class Band(NamedTuple):
@@ -33,7 +32,7 @@ class Band(NamedTuple):
 @compiled(static=("layout", "channel"))
 def _forces(model, layout, z, inputs, run, channel):
     """One channel at one z: small, so that a figure waits little for its compiler."""
-    return predict(model, layout, z, inputs, run)[channel]
+    return row_forces(model, layout, z, inputs, run)[channel]
 
 
 def fitted_force(result: FitResult, channel: str, inputs: TireInputs, run, z=None):
@@ -61,9 +60,7 @@ def _z_draws(result: FitResult) -> np.ndarray:
 
 def _quantile(result: FitResult) -> float:
     """Standard deviations to the end of a 95 % interval: Student's t where needed."""
-    if not any(c.noise_estimated for c in result.problem.channels):
-        return _NORMAL
-    return float(stdtrit(max(result.statistics.dof, 1.0), 0.975))
+    return half_width_95(result.problem.noise_estimated, result.statistics.dof)
 
 
 def _curve_band(result: FitResult, channel: str, inputs: TireInputs, run):

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from tirefit.data.levels import levels
 from tirefit.fitting.bands import fitted_force, force_band
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.result import FitResult
@@ -93,15 +94,13 @@ def slip_axis(name: str, values: np.ndarray) -> SlipAxis:
 
 
 def _levels(values: np.ndarray, scale: float) -> np.ndarray:
-    """Codes (n,) of the levels that values gather at; thirds where they spread."""
+    """Codes (n,) of the levels that values gather at; thirds where they are swept."""
     if not scale > 0 or np.ptp(values) <= 0.1 * scale:
         return np.zeros(len(values), int)
-    order = np.sort(values)
-    wide = np.flatnonzero(np.diff(order) > 0.08 * scale)
-    edges = (order[wide] + order[wide + 1]) / 2
-    if not 1 <= len(edges) < _MOST_GROUPS:
-        edges = np.quantile(values, [1 / 3, 2 / 3])
-    return np.searchsorted(edges, values)
+    settings = levels(values)
+    if settings.few(_MOST_GROUPS):
+        return settings.code
+    return np.searchsorted(np.quantile(values, [1 / 3, 2 / 3]), values)
 
 
 def _keys(result: FitResult, slip: str) -> list[tuple[str, np.ndarray]]:

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
-from tirefit.data.write import write_text_atomic
 from tirefit.diagnosis.result import SCHEMA, Diagnosis
+from tirefit.files import write_text_atomic
 from tirefit.report.canvas import Picture
 from tirefit.report.diagnosis_draw import diagnosis_figure, panel_pictures
 from tirefit.report.diagnosis_text import (
