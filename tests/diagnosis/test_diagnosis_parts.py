@@ -492,7 +492,7 @@ def test_regions_hold_all_the_energy(base):
     n = base.prepared.n
     gap = np.where(base.prepared.inputs.fz == 6000, 100.0, 1.0)
     residual, *_ = base.at_null
-    found = regions(base, residual[:n], gap, 1.0)
+    found = regions(base, residual[:n], gap)
     loads = [r for r in found if r.covariate == "fz"]
     assert sum(r.share for r in loads) == pytest.approx(1.0)
     assert max(loads, key=lambda r: r.share).low == 6000
