@@ -10,7 +10,9 @@ import os
 from importlib.metadata import version
 from pathlib import Path
 
+import jax
 import pytest
+from jaxtyping import install_import_hook
 
 ROOT = Path(__file__).parents[1]
 COMPILED = Path(
@@ -18,13 +20,24 @@ COMPILED = Path(
         "TIREFIT_TESTS_COMPILED", str(ROOT / "build" / f"tests-jax-{version('jax')}")
     )
 )
-# In the environment, and before JAX is imported: every process inherits it.
-os.environ |= {
-    "JAX_NUMPY_RANK_PROMOTION": "raise",
-    "JAX_COMPILATION_CACHE_DIR": str(COMPILED),
-    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-    "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+_SETTINGS = {
+    "jax_numpy_rank_promotion": "raise",
+    "jax_compilation_cache_dir": str(COMPILED),
+    "jax_persistent_cache_min_compile_time_secs": 0,
+    "jax_persistent_cache_min_entry_size_bytes": -1,
 }
+for _name, _value in _SETTINGS.items():
+    jax.config.update(_name, _value)
+    # The commands and kernels that tests start inherit it.
+    os.environ[_name.upper()] = str(_value)
+# These choose their precision themselves, which is tested.
+jax.config.update("jax_enable_x64", True)
+
+# Annotations are executed wherever every call keeps to them.
+install_import_hook(
+    [f"tirefit.{room}" for room in ("data", "models", "params", "sim", "slip")],
+    "shapes.checked",
+)
 
 _LARGEST = 2e9
 """Bytes from which on the cache is begun anew; one run writes a tenth of it."""
