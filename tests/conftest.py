@@ -47,7 +47,7 @@ _APART = ("test_fits.py", "test_notebooks.py")
 
 
 def pytest_configure(config):
-    """Begins the cache anew where it is large, or the last run was cut short.
+    """Begins the cache anew where it is large, or a run was cut short.
 
     JAX writes its entries in place, so an interrupted run may leave half an entry.
     """
@@ -56,15 +56,28 @@ def pytest_configure(config):
     COMPILED.mkdir(parents=True, exist_ok=True)
     entries = [path for path in COMPILED.iterdir() if path.is_file()]
     size = sum(path.stat().st_size for path in entries)
-    if COMPILED / "running" in entries or size > _LARGEST:
+    owners = [int(path.suffix[1:]) for path in entries if path.stem == "running"]
+    if size > _LARGEST or not all(map(_alive, owners)):
         for path in entries:
             path.unlink(missing_ok=True)
-    COMPILED.joinpath("running").touch()
+    _mark().touch()
 
 
 def pytest_unconfigure(config):
     if not hasattr(config, "workerinput"):
-        COMPILED.joinpath("running").unlink(missing_ok=True)
+        _mark().unlink(missing_ok=True)
+
+
+def _mark() -> Path:
+    return COMPILED / f"running.{os.getpid()}"
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except OSError:
+        return False
+    return True
 
 
 @pytest.hookimpl(trylast=True)
