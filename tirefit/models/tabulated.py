@@ -286,12 +286,12 @@ def _law(cls, density, kinks: np.ndarray, file: str) -> Tabulated:
     for panel in panels:
         per_angle = panel.values * np.sin(panel.angles)
         half = (panel.high - panel.low) / 2
-        for share, series, start in (
+        for share, integrals, start in (
             (per_angle, loads, load),
             (-np.cos(panel.angles) * per_angle, moments, moment),
         ):
-            series.append(chebyshev.chebint(_TO_SERIES @ share, scl=half, lbnd=-1))
-            series[-1][0] += start
+            integrals.append(chebyshev.chebint(_TO_SERIES @ share, scl=half, lbnd=-1))
+            integrals[-1][0] += start
         load, moment = (chebyshev.chebval(1.0, x[-1]) for x in (loads, moments))
     if not load > 0:
         reason = "the pressure density is nowhere positive"
