@@ -48,11 +48,11 @@ class Tabulated(AbstractPressure):
     demand ratio at which the bristle on each edge breaks away. None is a parameter.
     """
 
-    edges: Float[Array, " k1"]
-    series: Float[Array, "k t"]
-    load: Float[Array, "k t1"]
-    moments: Float[Array, "k t1"]
-    ratios: Float[Array, " k1"]
+    edges: Float[Array | np.ndarray, " k1"]
+    series: Float[Array | np.ndarray, "k t"]
+    load: Float[Array | np.ndarray, "k t1"]
+    moments: Float[Array | np.ndarray, "k t1"]
+    ratios: Float[Array | np.ndarray, " k1"]
 
     @classmethod
     def from_function(
