@@ -9,7 +9,6 @@ friction, one with the effect and one without.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
