@@ -18,6 +18,8 @@ from jupyter_client.kernelspec import KernelSpecManager
 from nbclient import NotebookClient
 from PIL import Image
 
+from tirefit.files import replacing
+
 NOTEBOOKS = Path(__file__).parent / "notebooks"
 
 _KERNEL = {"display_name": "Python 3 (ipykernel)", "language": "python"}
@@ -99,12 +101,8 @@ def _compact(picture: str) -> str:
 def main() -> None:
     for path in sorted(NOTEBOOKS.glob("*.ipynb")):
         notebook = execute(path)
-        temporary = path.with_name(f".{path.name}.part")
-        try:
+        with replacing(path) as temporary:
             nbformat.write(notebook, temporary)
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
         print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
 
 

@@ -8,6 +8,58 @@ data = tirefit.read("sweep.csv")
 fit = tirefit.sample(tirefit.fit(data, "brush-d"))
 print(fit)
 tirefit.plot_fit(fit)
+
+Sources
+-------
+S(n) and O(n) are equations, S §n sections and Figures, of the two sources:
+
+S
+    Svendenius, J., Wittenmark, B.: Review of Wheel Modeling and Friction Estimation.
+    Technical Report TFRT-7607, Department of Automatic Control, Lund Institute of
+    Technology, 2003. ISSN 0280-5316, ISRN LUTFD2/TFRT--7607--SE.
+O
+    Ono, E., Asano, K., Sugai, M., Ito, S., Yamamoto, M., Sawada, M., Yasui, Y.:
+    Estimation of automotive tire force characteristics using wheel velocity. 15th IFAC
+    World Congress, Barcelona, 2002; Control Engineering Practice 11 (2003) 1361-1370.
+
+``EQUATIONS.md`` of the repository has a line for each equation, and what is corrected
+in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
+
+- Benjamini, Y., Yekutieli, D.: The control of the false discovery rate in multiple
+  testing under dependency. Annals of Statistics 29 (2001) 1165-1188.
+- Berndt, E. K., Hall, B. H., Hall, R. E., Hausman, J. A.: Estimation and inference in
+  nonlinear structural models. Annals of Economic and Social Measurement 3 (1974)
+  653-665.
+- Besselink, I. J. M., Schmeitz, A. J. C., Pacejka, H. B.: An improved Magic
+  Formula/Swift tyre model that can handle inflation pressure changes. Vehicle System
+  Dynamics 48, supplement (2010) 337-352.
+- Canudas-de-Wit, C., Tsiotras, P., Velenis, E., Basset, M., Gissinger, G.: Dynamic
+  friction models for road/tire longitudinal interaction. Vehicle System Dynamics 39
+  (2003) 189-226. The LuGre tire of S(17) and S(18).
+- Foreman-Mackey, D., Hogg, D. W., Lang, D., Goodman, J.: emcee: The MCMC Hammer.
+  Publications of the Astronomical Society of the Pacific 125 (2013) 306-312.
+- Gäfvert, M., Svendenius, J.: A novel semi-empirical tire model for combined slips.
+  Vehicle System Dynamics 43 (2005) 351-384.
+- Hoffman, M. D., Gelman, A.: The No-U-Turn Sampler. Journal of Machine Learning
+  Research 15 (2014) 1593-1623.
+- Kitagawa, G.: Monte Carlo filter and smoother for non-Gaussian nonlinear state space
+  models. Journal of Computational and Graphical Statistics 5 (1996) 1-25.
+- Liu, C.-S., Peng, H.: Road friction coefficient estimation for vehicle path
+  prediction. Vehicle System Dynamics 25, supplement (1996) 413-425.
+- Neal, R. M.: MCMC using Hamiltonian dynamics. Handbook of Markov Chain Monte Carlo,
+  chapter 5. Chapman & Hall/CRC, 2011.
+- Pacejka, H. B.: Tire and Vehicle Dynamics, 3rd edition. Butterworth-Heinemann, 2012.
+- ter Braak, C. J. F.: A Markov chain Monte Carlo version of the genetic algorithm
+  Differential Evolution. Statistics and Computing 16 (2006) 239-249.
+- Vehtari, A., Gelman, A., Simpson, D., Carpenter, B., Bürkner, P.-C.:
+  Rank-normalization, folding, and localization: an improved R-hat for assessing
+  convergence of MCMC. Bayesian Analysis 16 (2021) 667-718.
+- Vehtari, A., Simpson, D., Gelman, A., Yao, Y., Gabry, J.: Pareto smoothed importance
+  sampling. Journal of Machine Learning Research 25 (2024) 72.
+- Venzon, D. J., Moolgavkar, S. H.: A method for computing profile-likelihood-based
+  confidence intervals. Applied Statistics 37 (1988) 87-94.
+- Zhang, J., Stephens, M. A.: A new and efficient estimation method for the generalized
+  Pareto distribution. Technometrics 51 (2009) 316-325.
 """
 
 import lazy_loader as _lazy
@@ -24,7 +76,8 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "fitting.batch": ["fit_many"],
         "fitting.estimate": ["fit"],
         "fitting.posterior": ["sample"],
-        "fitting.store": ["load_fit", "predict", "save_fit"],
+        "fitting.predict": ["predict"],
+        "fitting.store": ["load_fit", "save_fit"],
         "models": ["MODELS", "TireInputs", "forces"],
         "params": ["parameter_values", "with_values"],
         "report.plots": [

@@ -19,6 +19,8 @@ from typing import Any
 import jax
 import jax.export
 
+from tirefit.files import replacing
+
 __all__ = ["Compiled", "compiled", "keep_programs_in"]
 
 _directory: Path | None = None
@@ -95,9 +97,8 @@ def _write(path: Path, content: bytes) -> None:
     """Whole or not at all; a directory that cannot be written to is no error."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
+        with replacing(path) as temporary:
+            temporary.write_bytes(content)
     except OSError:
         pass
 

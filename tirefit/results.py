@@ -38,6 +38,10 @@ class Outcome(enum.Enum):
         "the least-squares solver did not converge: no start reached the tolerance"
         " within the step limit; give starting values in fit.toml or fix a parameter"
     )
+    SLIP_CONTRADICTED = (
+        "the slip column contradicts the speeds and the rolling radius: one of them is"
+        " wrong, and if it is the slip, every number of this fit is"
+    )
     STARTS_DISAGREE = (
         "the starts ended in different minima of the same depth: the estimate is not"
         " unique"

@@ -162,8 +162,8 @@ def _problems(kind: type[Section], detail: Any) -> list[InputProblem]:
     key, error = ".".join(path), detail["type"]
     if error == "value_error":
         prefix = f"{key}: " if key else ""
-        found = detail["ctx"]["error"].problems
-        return [replace(p, reason=prefix + p.reason) for p in found]
+        problems = detail["ctx"]["error"].problems
+        return [replace(p, reason=prefix + p.reason) for p in problems]
     if error == "missing":
         field = _section_at(kind, path[:-1]).model_fields[path[-1]]
         return [InputProblem(f"missing key {key!r}", field.description or "add it")]

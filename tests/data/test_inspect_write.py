@@ -14,8 +14,6 @@ from tirefit.data.write import (
     prediction_table,
     to_convention,
     write_csv,
-    write_text_atomic,
-    write_texts,
 )
 
 RNG = np.random.default_rng(11)
@@ -46,6 +44,15 @@ def test_inspect_counts_loads_runs_and_directions():
     assert not support(report, "speed-dependent friction").possible
     assert "less than 20% apart" in support(report, "speed-dependent friction").reason
     assert support(report, "fy from alpha").reason == "no fy and no alpha"
+
+
+def test_a_sweep_is_not_replicated_at_any_load():
+    slip = np.tile(RNG.uniform(-0.1, 0.1, 50), 3)
+    fz = np.repeat([2e3, 4e3, 6e3], 50) + RNG.normal(0, 20, 150)
+    kappa = slip + RNG.normal(0, 1e-3, 150)
+    (run,) = inspect(read_frame({"kappa": kappa, "fx": fz * kappa, "fz": fz})).runs
+    assert run.replicates == 0
+    assert [level.n for level in run.loads] == [50, 50, 50]
 
 
 def test_combined_slip_is_described_and_not_promised():
@@ -145,44 +152,6 @@ def test_csv_keeps_every_digit_and_leaves_nan_empty(tmp_path):
     write_csv(path, {"x, [N]": values, "run": ["a", 'b "c"', "d"], "n": [1, 2, 3]})
     expected = '"x, [N]",run,n\n0.30000000000000004,a,1\n,"b ""c""",2\n1e-300,d,3\n'
     assert path.read_bytes().decode() == expected
-
-
-def test_a_failed_write_leaves_the_old_file_alone(tmp_path, monkeypatch):
-    path = tmp_path / "a.csv"
-    path.write_text("old")
-    with pytest.raises(ValueError, match="shorter"):
-        write_csv(path, {"a": [1.0, 2.0], "b": [1.0]})
-
-    def fail(name, *_):
-        raise OSError(28, "disk full", name)
-
-    monkeypatch.setattr(os, "replace", fail)
-    with pytest.raises(OSError, match="disk full") as caught:
-        write_text_atomic(path, "new")
-    assert caught.value.filename == str(path)  # not the temporary one
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_write_keeps_the_permissions(tmp_path):
-    path = tmp_path / "a.txt"
-    path.write_text("old")
-    path.chmod(0o640)
-    write_text_atomic(path, "grün\n")
-    assert path.read_text(encoding="utf-8") == "grün\n"
-    assert path.stat().st_mode & 0o777 == 0o640
-
-
-def test_files_that_belong_together_are_written_together(tmp_path):
-    one, two = tmp_path / "one", tmp_path / "none" / "two"
-    one.write_text("old")
-    with pytest.raises(FileNotFoundError) as caught:
-        write_texts({one: "new", two: "new"})
-    assert caught.value.filename == str(two)
-    assert one.read_text() == "old" and list(tmp_path.iterdir()) == [one]
-    two.parent.mkdir()
-    write_texts({one: "new", two: "newer"})
-    assert (one.read_text(), two.read_text()) == ("new", "newer")
 
 
 def test_outputs_are_refused_before_the_work(tmp_path, monkeypatch):

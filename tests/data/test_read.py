@@ -282,6 +282,11 @@ def test_slip_from_wheel_speed_and_a_check_of_it():
     assert said(data, "with R = 0.3 m")
     agreeing = read_frame({"kappa": KAPPA, **speeds}, rolling_radius=radius * 1.001)
     np.testing.assert_allclose(agreeing["sigma_x"], data["sigma_x"])
+    check = agreeing.source.slip_check
+    assert not check.contradicts and not check.text
+    assert check.radius == pytest.approx(0.3003)
+    assert 0 < check.difference <= 1.001e-3
+    assert data.source.slip_check is None  # of the speeds alone there is one slip
     speeds["omega"] = np.where(KAPPA == KAPPA[-1], 0, omega)
     assert read_frame(speeds, rolling_radius=radius)["sigma_x"][-1] == slip.LOCKED
 

@@ -215,19 +215,6 @@ CASES = {
         table("alpha,fy,fz", SLIP, UP, LOAD), {"convention": "iso-w"},
         ["opposite signs there", "fit --convention braking or adapted-sae;"],
     ),
-    "slip against omega": (
-        table("kappa,omega,v,fx,fz", SLIP, [40] * 6, [12] * 6, UP, LOAD),
-        {"rolling_radius": 0.2},
-        ["column 'kappa'", "contradicts (v - omega R)", "rolling radius"],
-    ),
-    "slip mirrored": (
-        table(
-            "kappa,omega,v,fx,fz",
-            SLIP, [(1 + k) * 50 for k in SLIP], [10] * 6, UP, LOAD,
-        ),
-        {"rolling_radius": 0.2},
-        ["opposite sign", "--convention"],
-    ),
     "backwards": (
         table("omega,v,fx,fz", [50, -1, 49], [10, 10, 10], [0, 1, 2], [9] * 3),
         {"rolling_radius": 0.2}, ["row 3, column 'omega'", "turning backwards"],

@@ -125,6 +125,40 @@ def test_a_slip_from_the_speeds_has_no_doubtful_sign():
     assert warned(columns, rolling_radius=0.3) == ()
 
 
+LOGGED_WRONG = {
+    "speeds of another wheel": (
+        lambda kappa: kappa, {"omega": 40.0, "v": 12.0}, "check the rolling radius"
+    ),
+    "mirrored": (lambda kappa: -kappa, {}, "the opposite sign: declare the file's"),
+    "twice": (lambda kappa: 2 * kappa, {}, "it agrees if divided by 2:"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("logged", "others", "said"), LOGGED_WRONG.values(), ids=LOGGED_WRONG
+)
+def test_a_slip_against_the_speeds_is_read_and_said(logged, others, said):
+    kappa = np.linspace(-0.2, 0.3, 60)
+    turning = speeds(kappa) | {k: np.full(60, x) for k, x in others.items()}
+    columns = frame(kappa, **turning) | {"kappa": logged(kappa)}
+    # The force follows the logged slip, so that its signs alone are no contradiction.
+    columns["fx"] = force(columns["kappa"])
+    source = read_frame(columns, rolling_radius=0.3, **BRAKING).source
+    check = source.slip_check
+    rolled = _bounded(1 - turning["omega"] * 0.3 / turning["v"])
+    assert check.contradicts and check.radius == 0.3
+    apart = np.median(abs(_bounded(logged(kappa)) - rolled))
+    assert check.difference == pytest.approx(apart, rel=1e-6) and apart > 0.04
+    text = next(text for text in source.warnings if "contradicts (v" in text)
+    assert text == f"column 'kappa': {check.text}" and said in text
+    assert f"by {apart:.3g} in the median" in text
+
+
+def _bounded(kappa):
+    """Slip ratio of a kappa: kappa where the wheel brakes, sigma where it drives."""
+    return np.where(kappa > 0, kappa, kappa / (1 - kappa))
+
+
 # --- units --------------------------------------------------------------------
 
 BRAKING = {"convention": "braking"}

@@ -1,6 +1,7 @@
 """Diagnoses of known truth, made by formulas of their own."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -78,7 +79,7 @@ def test_document_keeps_the_contract(diagnosed):
     )
     for region in document["where"]:
         assert {"covariate", "low", "high", "share", "p_value"} == set(region)
-    known = {effect.id for effect in EFFECTS} | set(NOISE_EFFECTS)
+    known = {effect.id for effect in EFFECTS} | {effect.id for effect in NOISE_EFFECTS}
     for candidate in document["candidates"]:
         assert set(candidate["effects"]) <= known | {"unknown"}
     total = sum(candidate["probability"] for candidate in document["candidates"])
@@ -137,6 +138,20 @@ def test_the_map_finds_the_parameter_and_what_it_varies_with(diagnosed):
     assert 0.5 < first["explains"] <= 1.0
     best = max(cell["log_evidence"] for cell in diagnosed("none")[0]["map"])
     assert best < 3
+
+
+def test_the_wheel_speed_names_the_definition_of_the_slip():
+    """kappa logged as sigma: the speeds say so, and the forces agree."""
+    frame, _ = record(None, seed=12)
+    omega = frame["v"] / (0.32 * (1 + frame["sigma_x"]))
+    frame |= {"omega": omega, "sigma_x": frame["sigma_x"] / (1 + frame["sigma_x"])}
+    alone, beside = (
+        diagnose(read_frame(frame), rig=replace(RIG, rolling_radius=radius))
+        for radius in (None, 0.32)
+    )
+    assert beside.effects == ("slip_definition",)
+    assert beside.verdict["probability"] >= alone.verdict["probability"]
+    assert beside.verdict["probability"] > 0.9
 
 
 def test_an_effect_left_out_is_not_named(diagnosed):

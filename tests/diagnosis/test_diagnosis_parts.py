@@ -1,7 +1,9 @@
 """The parts of the diagnosis, each against a route of its own."""
 
-from dataclasses import replace
+import re
+from dataclasses import fields, replace
 from itertools import permutations
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,17 +13,20 @@ from scipy.integrate import dblquad, quad
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+import tirefit
 from tirefit.data.read import read_frame
+from tirefit.data.table import Source
 from tirefit.diagnosis.base import fit_base
 from tirefit.diagnosis.basis import Generic, log_evidence, waves_within
 from tirefit.diagnosis.closure import closure_of
-from tirefit.diagnosis.effects import EFFECTS, Effect, atoms_of
+from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, atoms_of
 from tirefit.diagnosis.forecast import (
     recognition,
     scores_of_nothing,
     separability,
 )
 from tirefit.diagnosis.forms import PLACE, form_columns, shape_of_change
+from tirefit.diagnosis.forward import MOST
 from tirefit.diagnosis.noise import judge_noise
 from tirefit.diagnosis.rates import AHEAD, segments, slip_rate
 from tirefit.diagnosis.rig import Rig, load_rig
@@ -95,7 +100,7 @@ def test_carcass_takes_up_slip():
     frame, _ = record(None)
     prepared = prepare(read_frame(frame), RIG, ("fx",))
     rows = prepared.covariates._replace(traction=np.array(rigid / fz))
-    state = effect.change(null_state(), share, rows)
+    state = effect.change(null_state(), share, (), rows)
     inputs = TireInputs(0.06, 0.0, fz, 0.0)
     slip = 0.06 + state.shift
     ours = force_of_state(tire, None, state, slip, 0.0, inputs)[0]
@@ -107,8 +112,7 @@ def test_carcass_takes_up_slip():
 @pytest.fixture(scope="module")
 def base():
     frame, _ = record(None, seed=2)
-    atoms = atoms_of(EFFECTS)
-    return fit_base(prepare(read_frame(frame), RIG, ("fx",)), "brush", atoms, RIG)
+    return fit_base(prepare(read_frame(frame), RIG, ("fx",)), "brush", EFFECTS, RIG)
 
 
 def test_base_fit_is_the_truth(base):
@@ -184,9 +188,10 @@ def test_shape_of_a_change_is_found():
 
 
 def _forms(base, *families, without=()):
+    effects = [effect for effect in EFFECTS if effect.family in families]
     fields = base.linearised(base.z, np.zeros(len(base.atoms))).fields
     prepared = replace(base.prepared, has=base.prepared.has - set(without))
-    return form_columns(families, fields, prepared, base.slip_fraction)
+    return form_columns(effects, fields, prepared, base.slip_fraction)
 
 
 def test_forms_belong_to_the_families(base):
@@ -252,12 +257,12 @@ def test_no_form_of_the_speed_at_one_speed(base):
 def test_an_effect_of_ones_own_in_ten_lines():
     from tirefit.diagnosis.engine import diagnose
 
-    def change(state, amplitude, rows):
+    def change(state, amplitude, constants, rows):
         ripple = jnp.sin(25 * rows.time)
         return state._replace(friction=state.friction * (1 + amplitude * ripple))
 
     mine = Effect(
-        "road_ripple", "friction x time", change, scale=0.1, unit="-",
+        id="road_ripple", family="friction x time", change=change, scale=0.1, unit="-",
         formula="mu (1 + A sin 25 t)", needs=("time",),
     )  # fmt: skip
     span = record(None)[0]["time"]
@@ -513,3 +518,100 @@ def test_rig_file(tmp_path):
     with pytest.raises(UsageError, match="check the path"):
         load_rig(tmp_path / "none.toml")
     assert load_rig(None) == Rig()
+
+
+@pytest.mark.parametrize("amount", [-3.0, -0.4e-3, -1e-300, 0.0, 1e-300, 0.02, 1e3])
+def test_a_filter_is_safe_for_any_input(base, amount):
+    """It may follow, it may stand still: it never leaves the range of its past."""
+    rows = _history(base, lambda x: np.abs(x - 20) / 100, 0.05, 0.5)
+    span = np.ptp(rows.past)
+    for effect, variants in (("channel_delay", 3), ("relaxation_length", 2)):
+        for variant in range(variants):
+            state = _change(base, effect, variant, amount, rows)
+            assert np.all(np.abs(state.shift) <= span * (1 + 1e-9))
+            assert np.all(np.abs(state.force) <= 1e3 * span * (1 + 1e-9))
+
+
+def test_no_effect_leaves_its_bounds(base):
+    """Whatever the start: a refit gives amplitudes that physics allows."""
+    scale, low, high = (getattr(base.design, n) for n in ("prior_scale", "low", "high"))
+    sets = [(k,) for k in range(len(base.atoms))]
+    for far in (-50.0, 50.0):
+        some = sets[:MOST] if far < 0 else sets[-MOST:]
+        every = base.refit([(base.z, [far])] * len(some), some)
+        for (k,), amplitude in zip(some, every.amplitude[:, 0], strict=True):
+            assert low[k] <= amplitude <= high[k], base.atoms[k].effect.id
+    for k, atom in enumerate(base.atoms):
+        assert atom.prior.low - 1e-12 <= low[k] * scale[k] < high[k] * scale[k]
+    filtered = next(
+        k
+        for k, a in enumerate(base.atoms)
+        if a.effect.id == "channel_delay" and a.variant == 2
+    )
+    assert low[filtered] == 0
+
+
+def _wheel(seed=0, radius=0.32):
+    """A record whose wheel speed is there, and its rig."""
+    frame, _ = record(None, seed=seed)
+    omega = frame["v"] / (radius * (1 + frame["sigma_x"]))
+    return frame | {"omega": omega}, replace(RIG, rolling_radius=radius)
+
+
+def test_a_slip_by_another_definition_shows_against_the_wheel_speed():
+    frame, rig = _wheel()
+    right = prepare(read_frame(frame), rig, ("fx",)).slip_check
+    assert right.agrees and right.told_apart and right.rms < 1e-12
+    wrong = frame | {"sigma_x": frame["sigma_x"] / (1 + frame["sigma_x"])}
+    found = prepare(read_frame(wrong), rig, ("fx",)).slip_check
+    assert (found.read_as, found.fits) == ("sigma_x", "kappa")
+    assert not found.agrees and found.rms > 0.01 > 100 * found.scatter
+    assert prepare(read_frame(frame), RIG, ("fx",)).slip_check is None
+
+
+def test_a_wrong_radius_shows_as_an_offset():
+    """1 + sigma is in proportion to 1 / R: 1 % of it is 0.0099 at no slip."""
+    frame, rig = _wheel()
+    data = read_frame(frame)
+    wrong = replace(rig, rolling_radius=1.01 * rig.rolling_radius)
+    found = prepare(data, wrong, ("fx",)).slip_check
+    # column = offset + gain computed, computed = (1 + column) / 1.01 - 1
+    assert found.offset == pytest.approx(0.01, abs=1e-9)
+    assert found.gain == pytest.approx(1.01, abs=1e-9)
+    assert found.fits == "sigma_x" and found.shifted and not found.agrees
+    noisy = frame | {
+        "omega": frame["omega"] + np.random.default_rng(1).normal(0, 0.02, len(data))
+    }
+    found = prepare(read_frame(noisy), wrong, ("fx",)).slip_check
+    assert found.offset == pytest.approx(0.01, abs=5 * found.offset_std)
+    # The prior of an offset follows what is seen, its odds say that it may be there.
+    effect = next(e for e in EFFECTS if e.id == "slip_offset")
+    prepared = prepare(data, wrong, ("fx",))
+    prior = effect.prior(atoms_of([effect])[0].prior, prepared, wrong)
+    assert prior.scale == pytest.approx(0.01, abs=1e-6)
+    assert effect.odds(prepared) > 0 > effect.odds(prepare(data, rig, ("fx",)))
+
+
+def test_a_radius_is_taken_from_the_speeds_or_not_at_all():
+    frame, rig = _wheel()
+    data = read_frame(frame)
+    assert RIG.radius_for(data) == pytest.approx(0.32, rel=1e-9)
+    assert "rolling_radius" in prepare(data, RIG, ("fx",)).has
+    bare = read_frame({k: v for k, v in frame.items() if k != "v"})
+    assert RIG.radius_for(bare) is None
+    assert "rolling_radius" not in prepare(bare, RIG, ("fx",)).has
+    assert rig.radius_for(bare) == 0.32
+
+
+def test_no_effect_is_known_by_its_id_elsewhere():
+    """What is special of an effect stands in its own record."""
+    package = Path(tirefit.__file__).parent
+    # Some are words of the input or a flag of the noise as well.
+    other = {field.name for kind in (Rig, Source) for field in fields(kind)}
+    other |= {effect.flag for effect in NOISE_EFFECTS}
+    ids = {effect.id for effect in (*EFFECTS, *NOISE_EFFECTS)} - other
+    assert len(ids) > 25
+    words = re.compile("[\"'](" + "|".join(ids) + ")[\"']")
+    for path in sorted(package.rglob("*.py")):
+        if "effects" not in path.relative_to(package).parts:
+            assert not words.findall(path.read_text()), path

@@ -18,6 +18,7 @@ import numpy as np
 from tirefit.data.table import TireData
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import fit
+from tirefit.fitting.importance import draw_weighted
 from tirefit.fitting.inference import _profile_points, deviance
 from tirefit.fitting.posterior import SAMPLERS, _density, _whitening
 from tirefit.fitting.problem import build
@@ -84,29 +85,30 @@ def holds(model, setting: Setting, data, estimated: bool, seed: int, posterior: 
     config = config_of(setting, estimated)
     solved = solve_problem(build(data, model, config), config)
     problem = solved.problem
-    arguments = (problem.rows, problem.channels, problem.loss, solved.rules)
     z_true = np.asarray(problem.layout.unconstrained(truth_of(model, setting)))
     size = len(z_true)
-    base = deviance(problem.model, problem.layout, jnp.asarray(solved.z), *arguments)
-    found, _ = _profile_points(
-        problem.model, problem.layout, jnp.arange(size), jnp.asarray(z_true),
-        jnp.tile(solved.z, (size, 1)), *arguments,
-    )  # fmt: skip
-    inside = np.asarray(found) - float(base) < solved.level
+    base = deviance(problem, jnp.asarray(solved.z))
+    least, _ = _profile_points(
+        problem, jnp.arange(size), jnp.asarray(z_true), jnp.tile(solved.z, (size, 1))
+    )
+    inside = np.asarray(least) - float(base) < solved.level
     if not posterior:
         return inside, np.full(size, np.nan)
     return inside, _posterior_holds(solved, z_true, seed)
 
 
 def _posterior_holds(solved, z_true, seed: int):
-    """32 chains of the gradient sampler, which agrees with the ensembles of emcee and
-    is quick enough for thousands of data sets."""
-    begin, advance = SAMPLERS["hmc"]
+    """Weighted points, quick enough for thousands of data sets; where they are refused
+    ensembles of emcee, as in a fit."""
     density, (center, root) = _density(solved), _whitening(solved)
-    state = begin(density, len(z_true), 4, 8, seed)
-    *_, state = advance(density, state, 60)
-    samples, *_ = advance(density, state, 60)
-    below = np.mean(center + samples @ root.T < z_true, axis=(0, 1, 2))
+    weighted = draw_weighted(density, center, root, seed, 3000)
+    draws = weighted.draws
+    if weighted.refused:
+        begin, advance = SAMPLERS["emcee"]
+        state = begin(density, len(z_true), 4, 32, seed)
+        *_, state = advance(density, state, 200)
+        draws = advance(density, state, 400)[0].reshape(-1, len(z_true))
+    below = np.mean(center + draws @ root.T < z_true, axis=0)
     return (below > 0.025) & (below < 0.975)
 
 

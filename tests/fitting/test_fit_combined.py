@@ -10,9 +10,9 @@ from tirefit.data.read import read
 from tirefit.fitting.combined_slip import slip_of_forces
 from tirefit.fitting.config import load_config, parse_config
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.likelihood import root_deviance
-from tirefit.fitting.predict import row_moments
-from tirefit.fitting.problem import build, with_scale
+from tirefit.fitting.likelihood import root_deviance, row_moments
+from tirefit.fitting.problem import build
+from tirefit.fitting.solve import with_scale
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 from tirefit.report.curves import fit_curve
@@ -114,7 +114,7 @@ def test_points_are_drawn_at_the_other_slip_of_their_curve(result, channel):
         assert np.mean(np.abs(residual) < 2 * NOISE[channel]) > 0.9
 
 
-def noisy_problem(model, noise, columns):
+def noisy_task(model, noise, columns):
     config = parse_config({"force": ["fx", "fy"], "noise": NOISE | noise})
     return build(table(columns), model, config)
 
@@ -122,17 +122,15 @@ def noisy_problem(model, noise, columns):
 def test_one_noisy_slip_is_shared_by_all_forces():
     """The block of a row is its marginal likelihood over the latent sigma_x."""
     tau, columns = 0.004, rows(n=40, seed=3, slip_std=0.004, loads=(FZ,))
-    problem = noisy_problem("brush-anisotropic", {"sigma_x": tau}, columns)
-    problem = with_scale(problem, {}, 1e5)
+    task = noisy_task("brush-anisotropic", {"sigma_x": tau}, columns)
+    problem = with_scale(task.problem, task.slip_density, {}, 1e5)
     assert {c.name: c.slip for c in problem.channels} == {
         "fx": "sigma_x", "fy": "sigma_x"
     }  # fmt: skip
     z = problem.layout.unconstrained(TRUTH)
-    blocks = root_deviance(
-        problem.model, problem.layout, z, problem.rows, problem.channels, "squares"
-    )
+    blocks = root_deviance(problem, z)
     assert list(blocks) == ["sigma_x"]
-    grid, density = problem.slip_density["sigma_x"]
+    grid, density = task.slip_density["sigma_x"]
     mean, _ = row_moments(problem, z)
     checked = 0
     for i in range(40):
@@ -157,7 +155,7 @@ def test_one_noisy_slip_is_shared_by_all_forces():
 def test_two_noisy_slips_in_combined_slip_are_refused():
     noise = {"sigma_x": 0.004, "alpha": 0.004}
     with pytest.raises(DataError, match="noise of both sigma_x and alpha") as error:
-        noisy_problem("brush-anisotropic", noise, rows(n=40))
+        noisy_task("brush-anisotropic", noise, rows(n=40))
     (problem,) = error.value.problems
     assert "combined slip" in problem.reason and "pure slip" in problem.remedy
     # Also where only one force is fitted: it depends on both.

@@ -62,7 +62,7 @@ WRONG = {
     "unknown force": ({"force": "fq"}, "force = \"fq\": must be 'fx', 'f", "correct"),
     "one unknown force": ({"force": ["fx", "fq"]}, 'force = "fq": must be', "correct"),
     "no force": ({"force": []}, "force = []: must have at least 1 item", "correct"),
-    "unknown sampler": ({"posterior": {"sampler": "nuts"}}, "sampler", "correct"),
+    "unknown sampler": ({"posterior": {"sampler": "hmc"}}, "sampler", "correct"),
     "too few ensembles": ({"posterior": {"ensembles": 3}}, "ensembles", "correct"),
     "negative seed": ({"seed": -1}, "seed", "correct"),
 }  # fmt: skip
@@ -335,8 +335,9 @@ def test_noise_columns_that_are_none_name_row_and_column():
 )
 def test_a_noise_column_goes_before_the_settings_and_says_so(noise, said):
     stds = {"fx_std": np.full(20, STD), "sigma_x_std": np.full(20, 5e-4)}
-    problem = build(curve(n=20, extra=stds), "brush", parse_config({"noise": noise}))
-    assert said in problem.notes
+    task = build(curve(n=20, extra=stds), "brush", parse_config({"noise": noise}))
+    problem = task.problem
+    assert said in task.notes
     np.testing.assert_array_equal(problem.used(problem.rows.scale["fx"]), STD)
     np.testing.assert_array_equal(problem.slip_noise["sigma_x"], 5e-4)
 
@@ -347,7 +348,7 @@ def test_locked_wheel_does_not_make_slip_noise_small():
     slip[:2] = 1e6
     std = np.where(slip > 1, 1e10, 5e-4)
     data = replace(data, columns={**data.columns, "sigma_x": slip, "sigma_x_std": std})
-    problem = build(data, "brush", FitConfig())
+    problem = build(data, "brush", FitConfig()).problem
     np.testing.assert_array_equal(problem.slip_noise["sigma_x"], std)
 
 

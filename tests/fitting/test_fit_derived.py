@@ -33,7 +33,7 @@ def derived(model, values, channel="fx"):
     return {name: float(value[0]) for name, value in found.items()}
 
 
-# Demand ratio of full sliding: S(11), S(30), O(4.13) of p = 5/8 (1 - xi^4).
+# Demand ratio of full sliding: S(11), S(30), and S(11) for S(25), p = 5/8 (1 - xi^4).
 @pytest.mark.parametrize(
     ("model", "extra", "rho"),
     [
@@ -206,10 +206,7 @@ def test_slope_of_the_deviance(name, request):
     end = end._replace(problem=problem)
 
     def total(z):
-        return deviance(
-            problem.model, problem.layout, z, problem.rows, problem.channels,
-            problem.loss, end.rules,
-        )  # fmt: skip
+        return deviance(problem, z)
 
     z = end.z + np.sqrt(np.diag(end.covariance)) * [0.7, -1.1]
     value, slope, _ = _bowl(end, z)
@@ -245,7 +242,7 @@ def test_least_squares_is_the_source_without_a_posterior(given):
 
 def test_a_tied_parameter_follows_its_estimate():
     config = {"parameters": {"d": {"tied": "mu", "factor": -0.2}}}
-    problem = build(curve(), "brush-d", parse_config(config))
+    problem = build(curve(), "brush-d", parse_config(config)).problem
     mu = Estimate(0.5, 0.25, "-", (0.25, 1.0))
     found = with_fixed({"cpa2": Estimate(5e4, 1.0, "N", (1.0, 2.0)), "mu": mu}, problem)
     assert found["d"] == Estimate(-0.1, 0.05, "-", (-0.2, -0.05))
@@ -256,7 +253,7 @@ def test_a_parameter_tied_to_one_per_run_has_an_estimate_per_run():
     config = {"parameters": {"d": tied, "mu": {"per_run": True}}}
     data = curve(n=40)
     runs = table(data.columns, run=np.repeat([0, 1], 20), runs=("dry", "wet"))
-    problem = build(runs, "brush-d", parse_config(config))
+    problem = build(runs, "brush-d", parse_config(config)).problem
     estimates = {
         "cpa2": Estimate(5e4, 1.0, "N", (1.0, 2.0)),
         "mu[dry]": Estimate(1.0, 0.25, "-", (0.5, 1.5)),

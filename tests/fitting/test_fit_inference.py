@@ -41,15 +41,8 @@ def squares(data, cpa2, mu, std=STD):
 
 
 def deviance_at(result, values):
-    solved = result.solved
-    problem = solved.problem
-    z = problem.layout.unconstrained(values)
-    return float(
-        deviance(
-            problem.model, problem.layout, z, problem.rows, problem.channels,
-            problem.loss, solved.rules,
-        )
-    )  # fmt: skip
+    problem = result.solved.problem
+    return float(deviance(problem, problem.layout.unconstrained(values)))
 
 
 OFF = {"cpa2": 4.98e4, "mu": 1.001}

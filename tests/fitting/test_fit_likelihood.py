@@ -7,9 +7,9 @@ from recipes import STD, TRUTH, brush_force, curve, solved, table
 from scipy.integrate import quad
 
 from tirefit.fitting.config import parse_config
-from tirefit.fitting.likelihood import LOSSES, root_deviance
-from tirefit.fitting.predict import row_moments
-from tirefit.fitting.problem import build, with_scale
+from tirefit.fitting.likelihood import LOSSES, root_deviance, row_moments
+from tirefit.fitting.problem import build
+from tirefit.fitting.solve import with_scale
 
 OFF = {"cpa2": 4.6e4, "mu": 0.97}
 SLOPE = 1e5
@@ -17,19 +17,17 @@ TAU = 0.004
 
 
 def small(n=11, loss="squares", tau=None):
-    """A problem of few rows, at parameters off the truth."""
+    """Data of few rows, their problem, and the densities of its noisy slips."""
     noise = {"fx": STD, "loss": loss} | ({"sigma_x": tau} if tau else {})
     data = curve(n=n, seed=8, slip_std=tau or 0.0)
-    problem = build(data, "brush", parse_config({"noise": noise}))
-    return data, with_scale(problem, {}, SLOPE)
+    task = build(data, "brush", parse_config({"noise": noise}))
+    laid_out = with_scale(task.problem, task.slip_density, {}, SLOPE)
+    return data, laid_out, task.slip_density
 
 
 def blocks(problem, values=OFF):
     z = problem.layout.unconstrained(values)
-    found = root_deviance(
-        problem.model, problem.layout, z, problem.rows, problem.channels, problem.loss
-    )
-    return {name: np.asarray(block) for name, block in found.items()}
+    return {k: np.asarray(block) for k, block in root_deviance(problem, z).items()}
 
 
 def whitened(data, values=OFF):
@@ -37,7 +35,7 @@ def whitened(data, values=OFF):
 
 
 def test_without_slip_noise_the_block_is_the_whitened_residual():
-    data, problem = small()
+    data, problem, _ = small()
     found = blocks(problem)
     assert list(found) == ["fx"] and found["fx"].shape == (12,)
     np.testing.assert_allclose(found["fx"][:11], whitened(data), rtol=1e-9)
@@ -57,7 +55,7 @@ def test_loss_is_its_formula(loss):
     r = np.array([0.0, 1e-9, 0.3, -1.3, 1.4, -8.0, 1e3])
     found = np.asarray(LOSSES[loss](jnp.asarray(r**2)))
     np.testing.assert_allclose(found, FORMULAS[loss](r), rtol=1e-9, atol=1e-15)
-    data, problem = small(loss=loss)
+    data, problem, _ = small(loss=loss)
     block = blocks(problem)["fx"][:11]
     residual = whitened(data)
     np.testing.assert_allclose(block**2, FORMULAS[loss](residual), rtol=1e-9)
@@ -84,10 +82,10 @@ def marginal_deviance(slip, force, tau, density):
 
 
 def test_slip_noise_block_is_the_marginal_likelihood():
-    data, problem = small(tau=TAU)
+    data, problem, densities = small(tau=TAU)
     found = blocks(problem)
     assert list(found) == ["sigma_x"]
-    density = problem.slip_density["sigma_x"]
+    density = densities["sigma_x"]
     checked = 0
     for i in range(11):
         slip, force = data["sigma_x"][i], data["fx"][i]
@@ -100,15 +98,15 @@ def test_slip_noise_block_is_the_marginal_likelihood():
 
 
 def test_vanishing_slip_noise_is_no_slip_noise():
-    data, problem = small(tau=1e-7)
+    data, problem, _ = small(tau=1e-7)
     found = blocks(problem)["sigma_x"][:11]
     np.testing.assert_allclose(found, np.abs(whitened(data)), rtol=1e-3, atol=2e-3)
 
 
 def test_moments_of_a_row_are_over_its_latent_slips():
-    data, problem = small(tau=TAU)
+    data, problem, densities = small(tau=TAU)
     mean, variance = row_moments(problem, problem.layout.unconstrained(TRUTH))
-    density = problem.slip_density["sigma_x"]
+    density = densities["sigma_x"]
     generator = np.random.default_rng(0)
     for i in range(3):
         draws = data["sigma_x"][i] + TAU * generator.standard_normal(400_000)

@@ -8,7 +8,8 @@ import pytest
 from recipes import FZ, STD, TRUTH, brush_force, curve, table
 
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.store import load_fit, predict, save_fit
+from tirefit.fitting.predict import predict
+from tirefit.fitting.store import load_fit, save_fit
 from tirefit.results import DataError, UsageError
 
 NEW = table({"sigma_x": np.linspace(-0.15, 0.2, 36), "fz": np.full(36, 3500.0)}, "new")

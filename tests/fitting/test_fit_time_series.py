@@ -10,8 +10,8 @@ import tirefit
 from tirefit.data.table import Source
 from tirefit.fitting.batch import fit_many
 from tirefit.fitting.config import parse_config
+from tirefit.fitting.predict import predict
 from tirefit.fitting.problem import build
-from tirefit.fitting.store import predict
 from tirefit.models import MODELS, Brush, Tabulated
 from tirefit.results import DataError, UsageError
 
@@ -173,13 +173,13 @@ def loads(n=120):
 
 def test_reference_load_is_the_median_unless_given():
     data = loads()
-    problem = build(data, "brush-load", parse_config(CONFIG))
-    assert problem.model.fz0 == 3900.0
-    assert any("fz0: 3900 N, the median" in note for note in problem.notes)
+    task = build(data, "brush-load", parse_config(CONFIG))
+    assert task.problem.model.fz0 == 3900.0
+    assert any("fz0: 3900 N, the median" in note for note in task.notes)
     given = CONFIG | {"parameters": {"fz0": {"value": 5000.0}}}
-    problem = build(data, "brush-load", parse_config(given))
-    assert problem.model.fz0 == 5000.0
-    assert not any("fz0" in note for note in problem.notes)
+    task = build(data, "brush-load", parse_config(given))
+    assert task.problem.model.fz0 == 5000.0
+    assert not any("fz0" in note for note in task.notes)
 
 
 def test_fit_recovers_how_the_parameters_follow_the_load():

@@ -38,12 +38,12 @@ from tirefit.report.diagnosis_panels import (
 from tirefit.report.diagnosis_text import verdict_sentence
 from tirefit.report.diagnosis_words import (
     _NEEDS,
-    WORDS,
     needs_text,
     p_text,
     range_text,
     share_text,
     untestable_groups,
+    words_on,
 )
 
 LOADS, SPEEDS, NOISE = (2000.0, 4000.0, 6000.0), (5.0, 20.0), 20.0
@@ -428,7 +428,7 @@ def test_every_verdict_has_its_sentence(verdict, sentence):
     assert html.escape(sentence) in page
     # What can be done, for each effect that may be the one.
     for effect in {*verdict[1], *(verdict[3] if len(verdict) > 3 else [])}:
-        for part in WORDS.get(effect, ()):
+        for part in filter(None, words_on(effect)):
             assert part in re.sub(r"\s+", " ", text)
             assert html.escape(part) in page
     named = verdict[0] != "none" and verdict[1][0] == "load_friction"
@@ -472,10 +472,11 @@ def test_an_unresolved_gap_claims_nothing():
 
 
 def test_words_cover_the_library_and_name_models_that_exist():
-    assert set(WORDS) == {effect.id for effect in EFFECTS} | set(NOISE_EFFECTS)
+    library = (*EFFECTS, *NOISE_EFFECTS)
+    assert all(effect.means and effect.remedy for effect in library)
     named = [
         model
-        for words in WORDS.values()
+        for words in library
         for model in re.findall(
             r"\b(?:brush-[\w-]+|magic-formula[\w-]*|quartic|elliptic)", words.remedy
         )

@@ -87,14 +87,14 @@ def inspect(files: Files, options: DataOptions, json: JsonOption = False) -> Non
         worst = ExitCode.OK
         for file in files:
             try:
-                found = look(read(file, **how))
+                inspection = look(read(file, **how))
             except TirefitError as error:
                 if error.exit_code == ExitCode.USAGE:
                     raise
                 complain(error_text(error))
                 worst = max(worst, error.exit_code)
                 continue
-            say(dumps(found.as_dict(), indent=1) if json else found.text())
+            say(dumps(inspection.as_dict(), indent=1) if json else inspection.text())
         raise typer.Exit(worst)
 
 
@@ -158,19 +158,19 @@ def predict(
         start_jax()
         from tirefit.data.read import read
         from tirefit.data.write import prediction_table, write_csv
+        from tirefit.fitting.predict import predict as forces_of
         from tirefit.fitting.store import load_fit
-        from tirefit.fitting.store import predict as forces_of
 
         fitted = load_fit(source) if is_file else source
         if is_file and how["convention"] is None:
             how["convention"] = fitted.content["data"]["convention"]
         table = read(data, **how, forces=False)
         warn(table)
-        found = prediction_table(table, forces_of(fitted, table, values))
-        write_csv(out, found)
+        columns = prediction_table(table, forces_of(fitted, table, values))
+        write_csv(out, columns)
         if not is_file:
             say(f"{source} with {_values_text(source, values)}")
-        _say_written(out, table, found)
+        _say_written(out, table, columns)
 
 
 def _predict_tir(source, data, out, how, parameter, starred_angles, side) -> None:
@@ -182,7 +182,7 @@ def _predict_tir(source, data, out, how, parameter, starred_angles, side) -> Non
     start_jax()
     from tirefit.data.read import read
     from tirefit.data.write import prediction_table, write_csv
-    from tirefit.fitting.store import predict as forces_of
+    from tirefit.fitting.predict import predict as forces_of
     from tirefit.fitting.tir import rows_outside, tire_of
 
     tire = tire_of(tir, starred=starred_angles, side=side and side.value)
@@ -191,19 +191,19 @@ def _predict_tir(source, data, out, how, parameter, starred_angles, side) -> Non
     warn(table)
     for text in (*notes_on(tir), *rows_outside(tir, table)):
         complain(f"warning: {source}: {text}")
-    found = prediction_table(table, forces_of(tire, table, values))
-    write_csv(out, found)
+    columns = prediction_table(table, forces_of(tire, table, values))
+    write_csv(out, columns)
     said = [f"{source}: Magic Formula {tir.version}", f"TYRESIDE {tir.side}"]
     said += [f"mounted {side.value}"] if side else []
     said += ["tan(alpha) and sin(gamma)" if starred_angles else "raw angles"]
     said += [f"{key} = {value:g}" for key, value in values.items()]
     say(", ".join(said))
-    _say_written(out, table, found)
+    _say_written(out, table, columns)
 
 
-def _say_written(out, table, found) -> None:
+def _say_written(out, table, columns) -> None:
     convention_text = f"convention {table.source.convention}"
-    say(f"wrote {out}: {len(table)} rows, {', '.join(found)} ({convention_text})")
+    say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} ({convention_text})")
 
 
 def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:

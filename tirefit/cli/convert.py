@@ -171,9 +171,9 @@ def _checked(file, magic_formula, slip_min, slip_max, loads, out):
 def _listed(option: str, text: str, problems: list[InputProblem]) -> list[float]:
     """Finite numbers between commas; what is wrong with them goes into ``problems``."""
     try:
-        found = [float(part) for part in text.split(",")]
-        if all(abs(number) < float("inf") for number in found):
-            return found
+        listed = [float(part) for part in text.split(",")]
+        if all(abs(number) < float("inf") for number in listed):
+            return listed
     except ValueError:
         pass
     problems.append(InputProblem(f"{option} {text!r}", "give numbers between commas"))

@@ -37,7 +37,8 @@ class Solver(StrEnum):
 
 class Sampler(StrEnum):
     emcee = "emcee"
-    hmc = "hmc"
+    nuts = "nuts"
+    importance = "importance"
 
 
 def model_names(incomplete: str) -> list[str]:

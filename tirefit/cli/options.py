@@ -137,14 +137,14 @@ def numbers(
     option: str, items: list[str] | None, problems: list[InputProblem]
 ) -> dict[str, float]:
     """Values of NAME=VALUE options; what is wrong with them goes into ``problems``."""
-    found = {}
+    value_of = {}
     for name, value in _pairs(option, items, problems).items():
         try:
-            found[name] = float(value)
+            value_of[name] = float(value)
         except ValueError:
             reason = f"{option} {name}={value}: not a number"
             problems.append(InputProblem(reason, "give an SI value"))
-    return found
+    return value_of
 
 
 def read_options(given: DataOptions, config) -> dict[str, Any]:

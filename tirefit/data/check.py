@@ -214,17 +214,17 @@ def check_columns(
     of forces that are zero throughout.
     """
     problems = []
-    found = ", ".join(repr(header) for header in headers)
+    header_list = ", ".join(repr(header) for header in headers)
     if len(headers) == 1:
-        found += " only; separate columns by comma, semicolon, tab or |"
+        header_list += " only; separate columns by comma, semicolon, tab or |"
     if "alpha" not in columns and not set(SLIP_DEFINITIONS) & set(columns):
-        remedy = f"name one, as in --column kappa=HEADER; columns found: {found}"
+        remedy = f"name one, as in --column kappa=HEADER; columns found: {header_list}"
         if {"omega", "v"} <= set(columns):
             remedy = "give --rolling-radius R [m] to compute it from omega and v"
         reason = "no slip: one of sigma_x, kappa, s, slip_ratio, alpha is needed"
         problems.append(InputProblem(reason, remedy, file))
     if forces and not {"fx", "fy", "mz"} & set(columns):
-        remedy = f"name one, as in --column fx=HEADER; columns found: {found}"
+        remedy = f"name one, as in --column fx=HEADER; columns found: {header_list}"
         reason = "no force: one of fx, fy, mz is needed"
         if idle:
             reason += f"; {' and '.join(map(repr, idle))} is zero in all rows"
@@ -333,8 +333,8 @@ def read_numbers(
         shown, kind = _fault_of(str(cells[row]))
         kinds.setdefault(kind, []).append((int(row), shown))
     faults = [
-        BadRows(header, *zip(*found, strict=True), kind)
-        for kind, found in kinds.items()
+        BadRows(header, *zip(*cells_there, strict=True), kind)
+        for kind, cells_there in kinds.items()
     ]
     return np.where(is_sane, values, np.nan), faults
 

@@ -225,14 +225,14 @@ def plan_columns(
 
 
 def _declared(headers, options, plan, file) -> dict[str, int]:
-    found = {}
+    place_of = {}
     folded = [header.casefold() for header in headers]
     for name, header in options.columns.items():
         wanted = header.strip()
         places = [i for i, h in enumerate(headers) if h == wanted]
         places = places or [i for i, h in enumerate(folded) if h == wanted.casefold()]
         if len(places) == 1:
-            found[name] = places[0]
+            place_of[name] = places[0]
             continue
         if not places and _is_predicted(name, options):
             plan.assumptions.append(f"column {header!r} ({name}) is not there")
@@ -246,23 +246,23 @@ def _declared(headers, options, plan, file) -> dict[str, int]:
             reason = f"the file has no such column ({how})"
             remedy = f"{meant}columns found: {', '.join(map(repr, headers))}"
         plan.problems.append(InputProblem(reason, remedy, file, column=header))
-    _refuse_shared(found, headers, plan, file)
-    return found
+    _refuse_shared(place_of, headers, plan, file)
+    return place_of
 
 
-def _refuse_shared(found, headers, plan, file) -> None:
+def _refuse_shared(place_of, headers, plan, file) -> None:
     """One header declared as two columns, or two slip columns declared, is a slip."""
-    names = list(found)
+    names = list(place_of)
     for place, name in enumerate(names):
         others = [
             other
             for other in names[:place]
-            if found[other] == found[name] or _group(other) == _group(name)
+            if place_of[other] == place_of[name] or _group(other) == _group(name)
         ]
         if others:
             reason = f"declared as {name} beside {others[0]}, which excludes it"
             remedy = f"give only one of --column {name}= and --column {others[0]}="
-            header = headers[found[name]]
+            header = headers[place_of[name]]
             plan.problems.append(InputProblem(reason, remedy, file, column=header))
 
 

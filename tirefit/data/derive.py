@@ -178,7 +178,8 @@ def derive_files(
         UsageError: If the configuration, the axle or ``out`` is wrong, or two logs
             have one name.
     """
-    from tirefit.data.write import csv_text, write_texts
+    from tirefit.data.write import csv_text
+    from tirefit.files import write_texts
 
     out = Path(out)
     vehicle = load_vehicle(vehicle_toml)
@@ -371,8 +372,8 @@ def _version() -> str | None:
 
 
 def _counts(counts: Mapping[str, int]) -> str:
-    found = [f"{reason} {count}" for reason, count in counts.items() if count]
-    return ", ".join(found) or "none"
+    counted = [f"{reason} {count}" for reason, count in counts.items() if count]
+    return ", ".join(counted) or "none"
 
 
 def _run_name(path: Path) -> str:

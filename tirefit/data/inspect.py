@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tirefit.data.levels import levels
 from tirefit.data.table import CANONICAL, TireData
 from tirefit.data.units import base_column
+from tirefit.files import json_safe
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 
 __all__ = ["ColumnSummary", "Inspection", "Level", "RunSummary", "Support", "inspect"]
@@ -93,7 +95,7 @@ class Inspection:
 
     def as_dict(self) -> dict:
         """Plain values only, fit for JSON: numbers that are not finite are None."""
-        return _plain(dataclasses.asdict(self))
+        return json_safe(dataclasses.asdict(self))
 
     def text(self) -> str:
         """A plain-text report of at most 80 columns."""
@@ -181,15 +183,15 @@ def _inspect_run(data: TireData, code: int) -> RunSummary:
     )
 
 
-def _levels(part: TireData, name: str, gap: float = 0.1) -> tuple[Level, ...]:
-    """Values sorted and cut where a step exceeds ``gap`` of the value before it."""
+def _levels(part: TireData, name: str) -> tuple[Level, ...]:
+    """What a column was set to; its whole range where it was swept."""
     if name not in part or not part.n:
         return ()
-    values = np.sort(part.usable(name))
-    cuts = np.flatnonzero(np.diff(values) > gap * np.abs(values[:-1])) + 1
+    here = levels(part.usable(name))
+    rows = np.bincount(here.code)
     return tuple(
-        Level(float(np.median(v)), float(v[0]), float(v[-1]), len(v))
-        for v in np.split(values, cuts)
+        Level(float(center), float(low), float(high), int(count))
+        for center, low, high, count in zip(*here[:3], rows, strict=True)
     )
 
 
@@ -219,8 +221,8 @@ def _sampling_rate(part: TireData) -> float | None:
 def _replicates(part: TireData) -> int:
     """Operating points measured at least twice.
 
-    Points are told apart by gaps of 1 % of each slip's range and by load level; a
-    continuous sweep has no gaps, so it counts as one point and is not replicated.
+    Points are told apart by the settings of each slip and of the load; a continuous
+    sweep has none, so that nothing in it is replicated.
     """
     slips = [name for name in ("sigma_x", "alpha") if name in part]
     if not slips or part.n < 6:
@@ -229,19 +231,13 @@ def _replicates(part: TireData) -> int:
     for name in slips:
         values = part.usable(name)
         bounded = slip_ratio_from_sigma(values) if name == "sigma_x" else values
-        points.append(_cluster(bounded, 0.01 * np.ptp(bounded)))
-    points.append(_cluster(np.log(part.usable("fz")), 0.1))
-    _, counts = np.unique(np.stack(points), axis=1, return_counts=True)
+        points.append(levels(bounded))
+    if all(settings.is_swept for settings in points):
+        return 0
+    points.append(levels(part.usable("fz")))
+    codes = np.stack([settings.code for settings in points])
+    _, counts = np.unique(codes, axis=1, return_counts=True)
     return int(np.sum(counts >= 2)) if len(counts) >= 3 else 0
-
-
-def _cluster(values: np.ndarray, gap: float) -> np.ndarray:
-    """Number (n,) of the group of each value; groups are more than ``gap`` apart."""
-    order = np.argsort(values)
-    steps = np.diff(values[order], prepend=values[order[:1]]) > gap
-    groups = np.empty(len(values), int)
-    groups[order] = np.cumsum(steps)
-    return groups
 
 
 def _supports(data: TireData) -> list[Support]:
@@ -324,14 +320,12 @@ def _run_lines(run: RunSummary) -> list[str]:
     if run.replicates:
         parts.append(f"{run.replicates} operating points replicated")
     lines = _wrap(f"{run.name}: {', '.join(parts)}")
-    for word, levels, unit in (
+    for word, held, unit in (
         ("loads", run.loads, "N"),
         ("speeds", run.speeds, "m/s"),
     ):
-        if levels:
-            lines += _wrap(
-                f"  {word}: {', '.join(_level_text(x, unit) for x in levels)}"
-            )
+        if held:
+            lines += _wrap(f"  {word}: {', '.join(_level_text(x, unit) for x in held)}")
     return lines
 
 
@@ -343,14 +337,3 @@ def _level_text(level: Level, unit: str) -> str:
     if level.max - level.min > _VARIES * abs(level.median):
         text += f" from {level.min * scale:.3g} to {level.max * scale:.3g}"
     return text
-
-
-def _plain(value):
-    """Tuples to lists and numbers that JSON cannot hold to None, at any depth."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

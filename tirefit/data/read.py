@@ -13,7 +13,7 @@ import numpy as np
 from tirefit.data import check, signs
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Options, Plan, plan_columns
-from tirefit.data.table import CANONICAL, Source, TireData
+from tirefit.data.table import CANONICAL, SlipCheck, Source, TireData
 from tirefit.data.text import Table, read_table, table_of_frame
 from tirefit.data.units import (
     SPINNING,
@@ -54,7 +54,8 @@ def read(
         constants: canonical columns that are constant over the file, SI and canonical
             signs, e.g. ``{"fz": 4000, "v": 20}``.
         rolling_radius: effective radius [m]; computes the slip from omega and v, or
-            checks the slip column against them.
+            checks the slip column against them (``source.slip_check``): a slip that
+            contradicts them is read, with a warning.
         mask_bad_rows: keep rows that break a rule, unused and listed in
             ``source.masked``, instead of raising.
         forces: False where forces are to be predicted: then no force column is
@@ -119,6 +120,7 @@ class _Reading:
     problems: list[InputProblem] = field(default_factory=list)
     assumptions: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
+    slip_check: SlipCheck | None = None
 
     @property
     def file(self) -> str:
@@ -163,6 +165,7 @@ def _checked(table: Table, options: Options) -> TireData:
         assumptions=tuple(_all_assumptions(reading)),
         warnings=_warnings(reading, definition),
         masked=masked,
+        slip_check=reading.slip_check,
         line=table.lines,
     )
     order = [n for c in CANONICAL for n in (c, f"{c}_std") if n in reading.columns]
@@ -288,7 +291,7 @@ def _say_limits(reading: _Reading, what: str) -> None:
 
 
 def _use_rolling_radius(reading: _Reading, definition: str) -> None:
-    """Computes sigma_x = (v - omega R) / (omega R), or checks the slip column by it."""
+    """Computes sigma_x = (v - omega R) / (omega R), or compares the slip column."""
     columns, radius = reading.columns, reading.options.rolling_radius
     if radius is None:
         return
@@ -310,16 +313,10 @@ def _use_rolling_radius(reading: _Reading, definition: str) -> None:
         if good.any():
             given = columns["sigma_x"][good]
             header = reading.headers.get("sigma_x", "sigma_x")  # none of a constant
-            contradicted = signs.check_rolling_radius(
-                given, sigma[good], header, reading.file
-            )
-            reading.problems += contradicted
-            if not contradicted:
-                alpha = columns["alpha"][good] if "alpha" in columns else None
-                doubt = signs.doubt_rolling_radius(
-                    given, sigma[good], definition, alpha, radius
-                )
-                reading.doubts += [f"column {header!r}: {doubt}"] if doubt else []
+            alpha = columns["alpha"][good] if "alpha" in columns else None
+            check = signs.check_slip(given, sigma[good], definition, alpha, radius)
+            reading.slip_check = check
+            reading.doubts += [f"column {header!r}: {check.text}"] if check.text else []
         return
     header = reading.headers.get("omega", "omega")
     for rows, rule in (

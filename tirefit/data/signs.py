@@ -4,15 +4,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from tirefit.data.table import SlipCheck
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 
 __all__ = [
-    "check_rolling_radius",
     "check_signs",
+    "check_slip",
     "doubt_convention",
-    "doubt_rolling_radius",
 ]
 
 _LEAST_DRIVING = 0.01
@@ -20,6 +20,10 @@ _LEAST_DRIVING = 0.01
 
 _SLIGHT = 0.002
 """Difference of slips that the rounding of a rolling radius alone may give."""
+
+_LIMIT = 0.01
+"""Difference of slip ratios, in the median, that noise and an offset of the slip may
+give; a fifth of the scatter of the slips where that is more."""
 
 _DRIVING_POSITIVE = {
     "LONGSLIP": "TYDEX",
@@ -116,36 +120,14 @@ def _fitting_conventions(pairs, convention: str) -> list[str]:
     return fitting
 
 
-def check_rolling_radius(
-    given: np.ndarray, computed: np.ndarray, header: str, file: str
-) -> list[InputProblem]:
-    """Physical slip of a column against (v - omega R) / (omega R), both (n,)."""
-    given, computed = slip_ratio_from_sigma(given), slip_ratio_from_sigma(computed)
-    limit = max(0.01, 0.2 * np.std(given))
-    apart = np.median(abs(given - computed))
-    if not apart > limit:
-        return []
-    remedy = "check the rolling radius, the slip definition (--slip) and the units"
-    if np.median(abs(-given - computed)) < limit:
-        remedy = "the slip has the opposite sign: declare the file's --convention"
-    reason = (
-        f"the slip contradicts (v - omega R)/(omega R): they differ by {apart:.3g}"
-        " in the median"
-    )
-    return [InputProblem(reason, remedy, file, column=header)]
-
-
-def doubt_rolling_radius(
+def check_slip(
     given: np.ndarray,
     computed: np.ndarray,
     definition: str,
     alpha: np.ndarray | None,
     radius: float,
-) -> str | None:
-    """What a slip column near (v - omega R)/(omega R) seems to hold instead of it.
-
-    :func:`check_rolling_radius` lets pass what noise could be. A systematic difference
-    is none: another definition of slip, another scale or another radius explains it.
+) -> SlipCheck:
+    """A slip column against (v - omega R) / (omega R): how far apart, and why.
 
     Args:
         given: (n,) sigma_x of the slip column.
@@ -153,9 +135,33 @@ def doubt_rolling_radius(
         definition: in which the slip column was read, a key of ``SLIP_DEFINITIONS``.
         alpha: (n,) slip angle [rad], if there is one.
         radius: R [m].
+    """
+    logged, rolled = slip_ratio_from_sigma(given), slip_ratio_from_sigma(computed)
+    difference = float(np.median(abs(logged - rolled)))
+    limit = max(_LIMIT, 0.2 * np.std(logged))
+    cause = _cause(given, computed, definition, alpha, radius)
+    if difference <= limit:
+        text = cause and (
+            f"the slip differs from (v - omega R)/(omega R) by {difference:.2g} in the"
+            f" median; {cause}"
+        )
+        return SlipCheck(radius, difference, False, text)
+    cause = cause or "check the rolling radius, the slip definition (--slip), the units"
+    if np.median(abs(-logged - rolled)) < limit:
+        cause = "it has the opposite sign: declare the file's --convention"
+    text = (
+        "the slip contradicts (v - omega R)/(omega R): they differ by"
+        f" {difference:.3g} in the median; {cause}"
+    )
+    return SlipCheck(radius, difference, True, text)
 
-    Returns:
-        A sentence; None where the two agree or no explanation takes most away.
+
+def _cause(given, computed, definition: str, alpha, radius: float) -> str:
+    """What a slip column seems to hold instead of the slip of the speeds.
+
+    A systematic difference is no noise: another definition of slip, another scale or
+    another radius explains it. Empty where the two agree or no explanation takes most
+    of the difference away. Arguments are those of :func:`check_slip`.
     """
 
     def apart(one, other):
@@ -180,11 +186,8 @@ def doubt_rolling_radius(
     explained[text] = apart(given, ratio * (1 + computed) - 1)
     now, best = apart(given, computed), min(explained, key=explained.__getitem__)
     if now <= _SLIGHT or explained[best] > now / 3:
-        return None
-    return (
-        f"the slip differs from (v - omega R)/(omega R) by {now:.2g} in the median;"
-        f" {best}"
-    )
+        return ""
+    return best
 
 
 def doubt_convention(

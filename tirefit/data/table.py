@@ -10,7 +10,7 @@ import numpy as np
 from tirefit.display import Displayed
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["CANONICAL", "Source", "TireData", "join"]
+__all__ = ["CANONICAL", "SlipCheck", "Source", "TireData", "join"]
 
 CANONICAL = {
     "time": ("s", "time"),
@@ -30,6 +30,23 @@ CANONICAL = {
 
 
 @dataclass(frozen=True)
+class SlipCheck:
+    """A slip column against the slip of the speeds, (v - omega R) / (omega R).
+
+    Attributes:
+        radius: the rolling radius R that was given [m].
+        difference: median size of the difference of the two, as slip ratios [-].
+        contradicts: whether that is more than noise of the slip could be.
+        text: what it may come from, for the user; empty where the two agree.
+    """
+
+    radius: float
+    difference: float
+    contradicts: bool
+    text: str = ""
+
+
+@dataclass(frozen=True)
 class Source:
     """Where data came from and what was assumed in reading them.
 
@@ -37,6 +54,7 @@ class Source:
     unit it was read in; ``slip_definition`` is the definition of the file's slip
     column (a key of ``slip.SLIP_DEFINITIONS``); ``line`` holds each row's line.
     ``warnings`` are sentences on what may mean something else than it was read as.
+    ``slip_check`` is there where a slip, omega, v and a rolling radius are.
     """
 
     path: str = ""
@@ -48,6 +66,7 @@ class Source:
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     masked: tuple[InputProblem, ...] = ()
+    slip_check: SlipCheck | None = None
     line: np.ndarray | None = None
 
     @property
@@ -134,8 +153,10 @@ def join(tables: Sequence[TireData]) -> TireData:
     digest = hashlib.sha256(
         "".join(t.source.sha256 for t in tables).encode()
     ).hexdigest()
+    checks = [t.source.slip_check for t in tables if t.source.slip_check is not None]
     source = replace(
         tables[0].source,
+        slip_check=max(checks, key=lambda check: check.difference, default=None),
         path=", ".join(table.source.path for table in tables),
         sha256=digest,
         assumptions=tuple(said),

@@ -167,7 +167,7 @@ def _split(lines, delimiter, start, path) -> tuple[list[list[str]], list[int]]:
 def _even_out(rows: list[list[str]], width: int, lines) -> tuple[np.ndarray, tuple]:
     """Makes all rows ``width`` long; those that were not are ragged and faulty."""
     ragged = np.zeros(len(rows), bool)
-    found = []
+    wrong_rows = []
     for index, row in enumerate(rows):
         if len(row) == width:
             continue
@@ -176,12 +176,12 @@ def _even_out(rows: list[list[str]], width: int, lines) -> tuple[np.ndarray, tup
             continue
         inside = sum(cell.count("\n") for cell in row)
         until = f" in rows {lines[index]} to {lines[index] + inside}" if inside else ""
-        found.append((index, f"{len(row)} fields{until}"))
+        wrong_rows.append((index, f"{len(row)} fields{until}"))
         ragged[index] = True
         rows[index] = ["nan"] * width
-    if not found:
+    if not wrong_rows:
         return ragged, ()
-    indices, shown = zip(*found, strict=True)
+    indices, shown = zip(*wrong_rows, strict=True)
     return ragged, (BadRows(None, indices, shown, f"where the header has {width}"),)
 
 

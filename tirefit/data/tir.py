@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tirefit.data.tir_check import notes_on, problems_of
 from tirefit.data.tir_file import TirFile, parsed, shortest
-from tirefit.data.write import write_text_atomic
+from tirefit.files import write_text_atomic
 from tirefit.results import DataError, InputProblem, UsageError
 
 __all__ = ["TirFile", "notes_on", "parse_tir", "read_tir", "reduced_tir", "write_tir"]

@@ -29,7 +29,7 @@ _PRESSURES = (1e4, 5e6)
 
 def problems_of(tir: TirFile) -> list[InputProblem]:
     """All that keeps the file from being evaluated, in the order of its lines."""
-    found = [
+    problems = [
         *_of_units(tir),
         *_of_model(tir),
         *_twice(tir),
@@ -39,7 +39,7 @@ def problems_of(tir: TirFile) -> list[InputProblem]:
         *_of_limits(tir),
         *_of_version(tir),
     ]
-    return sorted(found, key=lambda problem: problem.row or 0)
+    return sorted(problems, key=lambda problem: problem.row or 0)
 
 
 def notes_on(tir: TirFile) -> list[str]:

@@ -65,11 +65,11 @@ class TirFile:
     @cached_property
     def numbers(self) -> dict[str, float]:
         """Key -> number, in SI where the key has a dimension, else as it is written."""
-        found: dict[str, float] = {}
+        in_si: dict[str, float] = {}
         for entry in self.entries:
             if entry.section != "UNITS" and is_number(entry.value):
-                found.setdefault(entry.key, float(entry.value) * self._size(entry.key))
-        return found
+                in_si.setdefault(entry.key, float(entry.value) * self._size(entry.key))
+        return in_si
 
     @property
     def version(self) -> str:

@@ -3,7 +3,6 @@
 import csv
 import io
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from tirefit.data.units import (
     sign_of,
     slip_from_sigma,
 )
+from tirefit.files import write_text_atomic
 from tirefit.results import InputProblem
 
 __all__ = [
@@ -25,8 +25,6 @@ __all__ = [
     "prediction_table",
     "to_convention",
     "write_csv",
-    "write_text_atomic",
-    "write_texts",
 ]
 
 _PLOTTED = ("time", "sigma_x", "alpha", "gamma", "fz", "v", "pressure")
@@ -55,52 +53,6 @@ def output_problems(path, inputs: Sequence = ()) -> list[InputProblem]:
     else:
         return []
     return [InputProblem(reason, remedy, str(path))]
-
-
-def write_text_atomic(path, text: str) -> None:
-    """Writes text as UTF-8 so that ``path`` holds all of it or what it held before."""
-    write_texts({path: text})
-
-
-def write_texts(texts: Mapping[object, str]) -> None:
-    """As :func:`write_text_atomic`, for files that belong together.
-
-    Args:
-        texts: path to content; all is on the disk before the first file is replaced.
-
-    Raises:
-        OSError: naming the path that could not be written.
-    """
-    waiting: dict[str, Path] = {}
-    path = None
-    try:
-        for path, text in texts.items():
-            path = Path(path)
-            # In the same directory, so that replacing is one step of the file system.
-            handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-            waiting[name] = path
-            with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
-                file.write(text)
-            os.chmod(name, _mode(path))
-        for name, path in list(waiting.items()):
-            os.replace(name, path)
-            del waiting[name]
-    except OSError as error:
-        # A temporary name would mean nothing to the user.
-        error.filename, error.filename2 = str(path), None
-        raise
-    finally:
-        for name in waiting:
-            os.unlink(name)
-
-
-def _mode(path: Path) -> int:
-    """Permissions of the file to replace, or those that open() would give."""
-    if path.exists():
-        return path.stat().st_mode & 0o777
-    umask = os.umask(0)
-    os.umask(umask)
-    return 0o666 & ~umask
 
 
 def write_csv(path, columns: Mapping[str, object]) -> None:

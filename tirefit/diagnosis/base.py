@@ -1,12 +1,13 @@
 """The base model fitted with its noise judged: where every diagnosis starts."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from tirefit.diagnosis.basis import Generic, generic, smooth_basis, wave_basis
-from tirefit.diagnosis.effects import Atom
+from tirefit.diagnosis.effects import Atom, Effect, atoms_of
 from tirefit.diagnosis.forward import (
     MOST_EFFECTS,
     Design,
@@ -14,6 +15,7 @@ from tirefit.diagnosis.forward import (
     Present,
     Refit,
     brush_of_base,
+    count_atoms,
     fill,
     moments,
     refit_all,
@@ -24,79 +26,153 @@ from tirefit.diagnosis.rows import Prepared, neighbours
 from tirefit.diagnosis.state import Covariates
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import best_of, solve_starts
-from tirefit.fitting.problem import build, starting_points
+from tirefit.fitting.problem import build
 from tirefit.fitting.slip_noise import slip_distribution
+from tirefit.fitting.solve import starting_points
 
-__all__ = ["Base", "at_measured_slip", "fit_base", "on_rows", "with_noise_judged"]
+__all__ = [
+    "Base",
+    "Fit",
+    "Tire",
+    "at_measured_slip",
+    "fit_base",
+    "on_rows",
+    "with_noise_judged",
+]
 
 _NODES = {count: np.polynomial.hermite_e.hermegauss(count) for count in (3, 5)}
 
 
-@dataclass(frozen=True)
-class Base:
-    """The base fit: model, layout and z; the design of every refit; the noise.
+@dataclass(frozen=True, kw_only=True)
+class Tire:
+    """A base model with all effects: what can be looked at on any design.
 
-    ``residual`` (m,), ``jacobian`` (m, p) and ``tangent`` (m, K) are whitened, over
-    the used rows of all channels; ``generic`` likewise.
+    ``mode`` says which slip drives, ``layout`` where in z each parameter stands.
     """
 
-    prepared: Prepared
-    atoms: tuple[Atom, ...]
     model: object
     layout: object
-    z: np.ndarray
-    refit: Refit
-    design: Design
-    noise: dict[str, NoiseLevel]
-    slip_noise: float
-    slip_fraction: np.ndarray
-    generic: Generic | None
-
-    def cut(self, stacked) -> np.ndarray:
-        """Used rows of whitened values (channels x padded, ...)."""
-        stacked = np.asarray(stacked)
-        channels = len(self.prepared.channels)
-        parts = stacked.reshape(channels, -1, *stacked.shape[1:])
-        return parts[:, : self.prepared.n].reshape(-1, *stacked.shape[1:])
+    effects: tuple[Effect, ...]
+    mode: str
 
     @property
     def arguments(self) -> tuple:
-        return self.model, self.layout, self.atoms, self.prepared.mode
+        """The first arguments of the compiled functions."""
+        return self.model, self.layout, self.effects, self.mode
+
+    def moments(self, z, amplitudes, design: Design, n: int):
+        """Mean force and its variance over the slip of the first n rows, by channel."""
+        both = moments(*self.arguments, z, present_in(amplitudes), design)
+        return tuple({c: np.asarray(x)[:n] for c, x in part.items()} for part in both)
+
+    def refitted(self, z, design: Design) -> Refit:
+        """Its own parameters refitted, without effects, from z."""
+        none = fill([(z, np.zeros(0))], [()], count_atoms(self.effects))
+        return refit_all(*self.arguments, *none, design)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A tire fitted to a design without effects: parameters z, the refit (of one
+    hypothesis) that gave them, and the slip over that of full sliding (n,)."""
+
+    tire: Tire
+    design: Design
+    z: np.ndarray
+    refit: Refit
+    slip_fraction: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Base:
+    """Where a diagnosis starts: the rows, the base fit to them, and their noise by
+    channel. Whitened values are over the used rows of all channels, (m, ...)."""
+
+    rows: Prepared
+    fit: Fit
+    noise: Mapping[str, NoiseLevel]
+
+    @property
+    def prepared(self) -> Prepared:
+        return self.rows
+
+    @property
+    def design(self) -> Design:
+        return self.fit.design
+
+    @property
+    def layout(self):
+        return self.fit.tire.layout
+
+    @property
+    def z(self) -> np.ndarray:
+        return self.fit.z
+
+    @property
+    def slip_fraction(self) -> np.ndarray:
+        return self.fit.slip_fraction
+
+    @property
+    def slip_noise(self) -> float:
+        """Typical standard deviation of the slip."""
+        return float(np.median(self.rows.slip_std))
+
+    @cached_property
+    def atoms(self) -> tuple[Atom, ...]:
+        return atoms_of(self.fit.tire.effects)
 
     @cached_property
     def finite(self) -> tuple[int, ...]:
         """Atoms whose effect is linearised over a finite amplitude."""
-        return tuple(
-            k
-            for k, atom in enumerate(self.atoms)
-            if atom.effect.singular or atom.effect.center
-        )
+        return tuple(k for k, atom in enumerate(self.atoms) if atom.effect.far)
 
     @cached_property
-    def at_null(self):
+    def generic(self) -> Generic:
+        """Generic functions for each channel by itself, whitened: (m, b)."""
+        return _whitened_generic(self)
+
+    @cached_property
+    def at_null(self) -> Linear:
         """:meth:`linearised` at the base fit."""
         return self.linearised(self.z, np.zeros(len(self.atoms)))
+
+    def on(self, design: Design, rows: Prepared | None = None) -> "Base":
+        """The same fit looked at on another design, of other rows if given."""
+        fit = replace(self.fit, design=design)
+        return replace(self, fit=fit, rows=rows or self.rows)
+
+    def cut(self, stacked) -> np.ndarray:
+        """Used rows of whitened values (channels x padded, ...)."""
+        stacked = np.asarray(stacked)
+        parts = stacked.reshape(len(self.rows.channels), -1, *stacked.shape[1:])
+        return parts[:, : self.rows.n].reshape(-1, *stacked.shape[1:])
 
     def linearised(self, z, amplitudes) -> Linear:
         """The used rows, linearised in everything."""
         present = present_in(amplitudes)
-        found = tangents(*self.arguments, z, present, self.design, self.finite)
-        return Linear(*(self.cut(part) for part in found))
+        whole = tangents(*self.fit.tire.arguments, z, present, self.design, self.finite)
+        return Linear(*(self.cut(part) for part in whole))
+
+    def refit(self, starts, sets, design: Design | None = None) -> Refit:
+        """Hypotheses refitted: ``starts`` are (z, amplitudes in prior scales) of each
+        of the ``sets`` of atoms, at most :data:`MOST` of them."""
+        arrays = fill(starts, sets, len(self.atoms))
+        every = refit_all(*self.fit.tire.arguments, *arrays, design or self.design)
+        return Refit(*(np.asarray(part)[: len(sets)] for part in every))
 
     def residual(self, z, amplitudes) -> np.ndarray:
         """Whitened residual of the used rows, zero for outliers: (m,)."""
-        keep = self.design.keep[: self.prepared.n]
+        n = self.rows.n
         parts = [
-            keep * (self.prepared.observed[c] - force)
-            / self.design.scale[c][: self.prepared.n]
+            self.design.keep[:n] * (self.rows.observed[c] - force)
+            / self.design.scale[c][:n]
             for c, force in self.forces(z, amplitudes).items()
         ]  # fmt: skip
         return np.concatenate(parts)
 
     def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
         """Mean force of every used row, by channel."""
-        mean, _ = moments(*self.arguments, z, present_in(amplitudes), self.design)
-        return {c: np.asarray(v)[: self.prepared.n] for c, v in mean.items()}
+        return self.fit.tire.moments(z, amplitudes, self.design, self.rows.n)[0]
 
 
 def present_in(amplitudes) -> Present:
@@ -112,19 +188,16 @@ def _first_fit(prepared: Prepared, name: str):
     data = prepared.data
     force = list(prepared.channels)
     config = parse_config({"force": force, "noise": {"loss": "huber"}, "starts": 4})
-    problem = build(data, name, config)
-    rows = problem.rows
+    task = build(data, name, config)
+    problem = task.problem
     if prepared.mode != "xy":
         # The base model does not know of the other slip: that is an effect.
         quiet = "alpha" if prepared.mode == "x" else "sigma_x"
-        silent = np.zeros_like(np.asarray(rows.inputs.fz))
-        inputs = rows.inputs._replace(**{quiet: silent})
-        problem = replace(problem, rows=rows._replace(inputs=inputs))
-    starts = starting_points(problem, config.starts, 0)
-    solution = solve_starts(
-        problem.model, problem.layout, starts, problem.rows, problem.channels,
-        problem.loss, {}, "gauss-newton",
-    )  # fmt: skip
+        inputs = problem.rows.inputs
+        silent = np.zeros_like(np.asarray(inputs.fz))
+        problem = problem.with_rows(inputs=inputs._replace(**{quiet: silent}))
+    starts = starting_points(task, config.starts, 0)
+    solution = solve_starts(problem, starts, "gauss-newton")
     return problem.model, problem.layout, np.asarray(solution.z)[best_of(solution)]
 
 
@@ -149,30 +222,38 @@ def _nodes(slip, std):
     return nodes, np.tile(mass / mass.sum(), (len(slip), 1))
 
 
-def _priors(prepared: Prepared, atoms, rig) -> tuple[np.ndarray, np.ndarray]:
-    scale = np.array([atom.effect.scale for atom in atoms])
-    center = np.array([atom.effect.center for atom in atoms]) / scale
-    for k, atom in enumerate(atoms):
-        if atom.effect.id == "slip_definition":
-            center[k] *= prepared.definition
-        if atom.effect.id == "wheel_inertia" and rig.wheel_inertia:
-            # A force taken from the torque lacks all of it.
-            scale[k], center[k] = 0.3 * rig.wheel_inertia, 1 / 0.3
-    return scale, center
+def _priors(prepared: Prepared, effects, rig) -> dict[str, np.ndarray]:
+    """Of every atom: scale in its own unit; center, low and high in scales."""
+    priors = []
+    for atom in atoms_of(effects):
+        prior, adapt = atom.prior, atom.effect.prior
+        priors.append(prior if adapt is None else adapt(prior, prepared, rig))
+    scale, center, low, high = (np.array(part) for part in zip(*priors, strict=True))
+    return {
+        "prior_scale": scale, "prior_center": center / scale, "low": low / scale,
+        "high": high / scale,
+    }  # fmt: skip
 
 
-def fit_base(prepared: Prepared, name: str, atoms, rig) -> Base:
+def fit_base(prepared: Prepared, name: str, effects, rig) -> Base:
     """Fit the base model, judge the noise, and fit again under it."""
     model, layout, z = _first_fit(prepared, name)
-    design = _design(prepared, atoms, rig)
-    fraction = _slip_fraction(prepared, model, layout, z, design)
-    base = Base(
-        prepared, atoms, model, layout, z, None, design, {},
-        float(np.median(prepared.slip_std)), fraction, None,
-    )  # fmt: skip
-    silent = np.zeros(len(atoms))
-    base = with_noise_judged(base, rig, z, silent, outliers=False)
-    return replace(base, design=_with_force(base, silent))
+    tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
+    design = _design(prepared, effects, rig)
+    fraction = _slip_fraction(prepared, tire, z, design)
+    silent = np.zeros(count_atoms(effects))
+    noise = _noise(prepared, tire, design, fraction, rig, z, silent, False)
+    base = _under(noise, prepared, tire, design, fraction, z)
+    return base.on(_with_force(prepared, tire, base.design, base.z))
+
+
+def _under(noise, prepared, tire: Tire, design: Design, fraction, z) -> Base:
+    """The base refitted from z under a noise."""
+    design = _with_noise(prepared, design, noise)
+    refit = tire.refitted(z, design)
+    own = np.asarray(refit.z)[0]
+    fit = Fit(tire=tire, design=design, z=own, refit=refit, slip_fraction=fraction)
+    return Base(rows=prepared, fit=fit, noise=noise)
 
 
 def with_noise_judged(base: Base, rig, z, amplitudes, outliers: bool = True) -> Base:
@@ -183,51 +264,52 @@ def with_noise_judged(base: Base, rig, z, amplitudes, outliers: bool = True) -> 
         outliers: whether rows far off are set aside; only a fit without a gross gap
             can tell them.
     """
-    noise = _noise(base, rig, z, amplitudes, outliers)
-    base = replace(base, noise=noise, design=_with_noise(base, noise))
-    refit = refit_all(
-        *base.arguments, *fill([(base.z, np.zeros(0))], [()], len(base.atoms)),
-        base.design,
-    )  # fmt: skip
-    base = replace(base, z=np.asarray(refit.z)[0], refit=refit)
-    return replace(base, generic=_whitened_generic(base))
+    rows, tire, fraction = base.rows, base.fit.tire, base.slip_fraction
+    noise = _noise(rows, tire, base.design, fraction, rig, z, amplitudes, outliers)
+    return _under(noise, rows, tire, base.design, fraction, base.z)
 
 
 def at_measured_slip(base: Base) -> Base:
     """The same fit at the slips as they were measured, not as they are believed."""
     nodes = base.design.slip.shape[1]
-    slips = np.repeat(base.prepared.slip[:, None], nodes, axis=1)
-    slips = _pad(slips, len(base.design.keep))
-    return replace(base, design=base.design._replace(slip=slips))
+    slips = np.repeat(base.rows.slip[:, None], nodes, axis=1)
+    return base.on(base.design._replace(slip=_pad(slips, len(base.design.keep))))
 
 
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:
     """The same fit looked at on other rows: forces only, its noise does not carry."""
-    design = _design(prepared, base.atoms, rig)
-    other = replace(base, prepared=prepared, design=design)
-    return replace(other, design=_with_force(other, np.zeros(len(base.atoms))))
+    tire = base.fit.tire
+    design = _design(prepared, tire.effects, rig)
+    return base.on(_with_force(prepared, tire, design, base.z), prepared)
 
 
-def _design(prepared: Prepared, atoms, rig) -> Design:
+_FIRST_NOISE = 0.05
+"""Noise of a force as a share of its standard deviation, before it is judged; only the
+scale of the first forces' weights, which no verdict rests on."""
+
+
+def _design(prepared: Prepared, effects, rig) -> Design:
     size = _padded(prepared.n)
     slips, weight = _nodes(prepared.slip, prepared.slip_std)
-    scale, center = _priors(prepared, atoms, rig)
-    fz, v = prepared.inputs.fz, prepared.inputs.v
-    keep = (np.arange(size) < prepared.n).astype(float)
+    observed, fz, v = prepared.observed, prepared.inputs.fz, prepared.inputs.v
     return Design(
-        type(prepared.inputs)(*(_pad(part, size) for part in prepared.inputs)),
-        _pad(slips, size), _pad(weight, size), _pad(prepared.second, size),
-        {c: _pad(x, size) for c, x in prepared.observed.items()},
-        {c: np.full(size, 0.05 * np.std(x)) for c, x in prepared.observed.items()},
-        keep, Covariates(*(_pad(x, size) for x in prepared.covariates)),
-        scale, center, np.array([np.median(fz), np.median(v)]),
-    )  # fmt: skip
+        inputs=type(prepared.inputs)(*(_pad(x, size) for x in prepared.inputs)),
+        slip=_pad(slips, size),
+        weight=_pad(weight, size),
+        second=_pad(prepared.second, size),
+        observed={c: _pad(x, size) for c, x in observed.items()},
+        scale={c: np.full(size, _FIRST_NOISE * np.std(x)) for c, x in observed.items()},
+        keep=(np.arange(size) < prepared.n).astype(float),
+        rows=Covariates(*(_pad(x, size) for x in prepared.covariates)),
+        reference=np.array([np.median(fz), np.median(v)]),
+        **_priors(prepared, effects, rig),
+    )
 
 
-def _slip_fraction(prepared: Prepared, model, layout, z, design):
+def _slip_fraction(prepared: Prepared, tire: Tire, z, design):
     """Slip over that of full sliding (n,), 3 mu F_z / (2 c) of the brush with the
     base's slope and peak."""
-    stiffness, mu = brush_of_base(model, layout, prepared.mode, z, design)
+    stiffness, mu = brush_of_base(tire.model, tire.layout, tire.mode, z, design)
     stiffness = np.asarray(stiffness)[: prepared.n]
     full = 1.5 * float(mu) * prepared.inputs.fz / np.maximum(stiffness, 1e-9)
     size = np.hypot(prepared.slip, prepared.second)
@@ -235,79 +317,77 @@ def _slip_fraction(prepared: Prepared, model, layout, z, design):
     return side * size / full
 
 
-def _noise(base: Base, rig, z, amplitudes, outliers) -> dict[str, NoiseLevel]:
-    prepared = base.prepared
-    mean, spread = moments(*base.arguments, z, present_in(amplitudes), base.design)
+def _noise(
+    prepared, tire: Tire, design, fraction, rig, z, amplitudes, outliers
+) -> dict[str, NoiseLevel]:
+    mean, spread = tire.moments(z, amplitudes, design, prepared.n)
     fz = prepared.inputs.fz
     typical = fz / np.mean(fz)
-    basis = smooth_basis(prepared, base.slip_fraction, typical, prepared.n // 6)
-    waves, groups, found = wave_basis(prepared, typical), neighbours(prepared), {}
+    basis = smooth_basis(prepared, fraction, typical, prepared.n // 6)
+    waves, groups, levels = wave_basis(prepared, typical), neighbours(prepared), {}
     for channel in prepared.channels:
-        residual = prepared.observed[channel] - np.asarray(mean[channel])[: prepared.n]
         std = f"{channel}_std"
         given = (
             prepared.column(std)
             if std in prepared.data
             else rig.force_noise(channel, fz)
         )
-        found[channel] = judge_noise(
-            residual, np.asarray(spread[channel])[: prepared.n], fz, given, basis,
-            waves, groups, prepared.time, prepared.run, outliers,
+        levels[channel] = judge_noise(
+            prepared.observed[channel] - mean[channel], spread[channel], fz, given,
+            basis, waves, groups, prepared.time, prepared.run, outliers,
         )  # fmt: skip
-    return found
+    return levels
 
 
-def _with_noise(base: Base, noise) -> Design:
-    size = len(base.design.keep)
+def _with_noise(prepared: Prepared, design: Design, noise) -> Design:
+    size = len(design.keep)
     inflation = max(level.inflation for level in noise.values())
     scale = {
         c: _pad(level.std * np.sqrt(inflation), size) for c, level in noise.items()
     }
-    keep = (np.arange(size) < base.prepared.n).astype(float)
-    outlier = np.any([level.outlier for level in noise.values()], axis=0)
-    keep[: base.prepared.n] = ~outlier
-    return base.design._replace(scale=scale, keep=keep)
+    keep = (np.arange(size) < prepared.n).astype(float)
+    keep[: prepared.n] = ~np.any([level.outlier for level in noise.values()], axis=0)
+    return design._replace(scale=scale, keep=keep)
 
 
-def _with_force(base: Base, silent) -> Design:
+def _with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:
     """The base model's force over its peak, for the effects that follow it."""
-    channel = base.prepared.channels[0]
-    mean = base.forces(base.z, silent)[channel]
-    size = len(base.design.keep)
-    peak = np.max(np.abs(mean) / base.prepared.inputs.fz)
-    share = _pad(mean / (peak * base.prepared.inputs.fz), size)
-    pull = _pull(base, silent)[channel]
-    rows = base.design.rows._replace(
-        force=share, usage=np.abs(share), pull=_pad(pull, size),
-        traction=_pad(mean / np.mean(base.prepared.inputs.fz), size),
+    channel, fz = prepared.channels[0], prepared.inputs.fz
+    silent = np.zeros(count_atoms(tire.effects))
+    mean = tire.moments(z, silent, design, prepared.n)[0][channel]
+    size = len(design.keep)
+    share = _pad(mean / (np.max(np.abs(mean) / fz) * fz), size)
+    rows = design.rows._replace(
+        force=share, usage=np.abs(share), traction=_pad(mean / np.mean(fz), size),
+        pull=_pad(_pull(prepared, tire, design, z, silent)[channel], size),
     )  # fmt: skip
-    return base.design._replace(rows=rows)
+    return design._replace(rows=rows)
 
 
-def _pull(base: Base, silent) -> dict[str, np.ndarray]:
+def _pull(prepared, tire: Tire, design: Design, z, silent) -> dict[str, np.ndarray]:
     """Forces of the base model at the past of every row: (n, k) by channel."""
-    past, design = base.prepared.covariates.past, base.design
-    if "sweeps" not in base.prepared.has:
-        return {c: np.zeros_like(past) for c in base.prepared.channels}
+    past = prepared.covariates.past
+    if "sweeps" not in prepared.has:
+        return {c: np.zeros_like(past) for c in prepared.channels}
     alone, size = np.zeros_like(design.weight), len(design.keep)
     alone[:, 0] = 1.0
     columns = []
     for k in range(past.shape[1]):
         slip = np.repeat(_pad(past[:, [k]], size), alone.shape[1], axis=1)
-        there = [_pad(part[:, k], size) for part in base.prepared.before]
+        there = [_pad(part[:, k], size) for part in prepared.before]
         there = type(design.inputs)(*there)
         then = design._replace(slip=slip, weight=alone, inputs=there)
-        columns.append(replace(base, design=then).forces(base.z, silent))
+        columns.append(tire.moments(z, silent, then, prepared.n)[0])
     return {c: np.stack([one[c] for one in columns], axis=1) for c in columns[0]}
 
 
 def _whitened_generic(base: Base) -> Generic:
     """Generic functions for each channel by itself, whitened: (m, b)."""
-    n, channels = base.prepared.n, base.prepared.channels
-    keep, found = base.design.keep[:n, None], []
+    n, channels = base.rows.n, base.rows.channels
+    keep, bases = base.design.keep[:n, None], []
     for channel in channels:
-        typical = base.prepared.inputs.fz / np.asarray(base.design.scale[channel])[:n]
-        found.append(generic(base.prepared, base.slip_fraction, typical))
+        typical = base.rows.inputs.fz / np.asarray(base.design.scale[channel])[:n]
+        bases.append(generic(base.rows, base.slip_fraction, typical))
 
     def stacked(parts):
         blocks = [
@@ -320,4 +400,4 @@ def _whitened_generic(base: Base) -> Generic:
         basis = np.concatenate(blocks, axis=1)
         return basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-12)
 
-    return Generic(*(stacked(parts) for parts in zip(*found, strict=True)))
+    return Generic(*(stacked(parts) for parts in zip(*bases, strict=True)))

@@ -4,9 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.data.levels import levels
+
 __all__ = [
+    "RANK",
     "Generic",
     "bumps",
+    "functions_of",
     "gain",
     "generic",
     "located",
@@ -24,6 +28,24 @@ _SCALES = (2.0, 6.0, 18.0, 50.0)
 """Sizes of a basis function's coefficient that are averaged over, in z units."""
 
 _PRIORS = {"smooth": 0.5, "cells": 0.2, "waves": 0.3}
+"""What kind of remainder it is, where there is one."""
+
+RANK = 1e-6
+"""Squared length of a direction over that of the longest, below which it is none: what
+is left of columns that the fit has used up is rounding."""
+
+_ROWS_OF_A_WAVE, _WAVES = 12, (4, 24)
+"""Rows of the shortest wave, on average; fewest and most waves of a record."""
+
+_TO_DRAW = 4.0
+"""Log odds over the number of waves from which a wave is drawn: 55 to 1."""
+
+_MOST_WAVES = 4
+"""Waves that are drawn at once, at most."""
+
+_DRAWN_SCALES = np.geomspace(0.3, 300, 25)
+"""Scales of the located remainder, in z units: from below the noise to a thousand times
+that, a third apart."""
 
 _SETTINGS = 6
 """Loads up to so many are settings of the rig, more are a range."""
@@ -34,6 +56,18 @@ def bumps(values, count: int) -> np.ndarray:
     centers = np.linspace(values.min(), values.max(), count)
     width = max((centers[1] - centers[0]), 1e-9)
     return np.exp(-0.5 * ((values[:, None] - centers) / width) ** 2)
+
+
+_LEVELS = 4
+"""Values of a covariate up to which each has a coefficient of its own."""
+
+
+def functions_of(values, count: int) -> np.ndarray:
+    """Smooth functions of a covariate, or one for each of its few levels: (n, k)."""
+    settings = levels(values)
+    if settings.few(_LEVELS):
+        return np.eye(len(settings.center))[settings.code]
+    return bumps(values, count)
 
 
 def _by_side(slip_fraction, count: int) -> np.ndarray:
@@ -62,8 +96,8 @@ def _modulations(prepared) -> list[np.ndarray]:
         unit = _standard(values)
         if unit is not None:
             first.append(unit)
-            # A second degree only where there are more than two settings.
-            if len(np.unique(np.round(unit, 2))) > 3:
+            # Through three settings a second degree is any function of them.
+            if not levels(values).few(3):
                 second.append(unit**2 - 1)
     if "sweeps" in prepared.has:
         first.append(rows.turning)
@@ -98,11 +132,10 @@ def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
 
 def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
     """Narrow bumps of the slip, for each load by itself: (n, b)."""
-    rounded = np.round(np.log(prepared.covariates.fz), 2)
-    loads = np.unique(rounded)
+    loads = levels(prepared.covariates.fz)
     cells = (
-        [rounded == load for load in loads]
-        if len(loads) <= _SETTINGS
+        [loads.code == code for code in range(len(loads.center))]
+        if loads.few(_SETTINGS)
         else [np.ones(prepared.n, bool)]
     )
     sides = _by_side(slip_fraction, 2).shape[1] // 2
@@ -114,7 +147,7 @@ def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
 
 def wave_basis(prepared, scale) -> np.ndarray:
     """Sine and cosine of slip and of time, side by side: (n, 2 x waves)."""
-    most, phases = int(np.clip(prepared.n // 12, 4, 24)), []
+    most, phases = int(np.clip(prepared.n // _ROWS_OF_A_WAVE, *_WAVES)), []
     slip = prepared.slip
     span = max(np.ptp(slip), 1e-9)
     phases.append((slip - slip.min()) / span)
@@ -137,7 +170,7 @@ def orthogonal(basis, against):
     left = without(basis, against)
     gram = left.T @ left
     values, vectors = np.linalg.eigh(gram)
-    good = values > 1e-6 * max(values.max(), 1e-12)
+    good = values > RANK * max(values.max(), 1e-12)
     size = np.sqrt(values[good])
     return left @ (vectors[:, good] / size), size
 
@@ -237,7 +270,9 @@ def misfit_p_value(bases: Generic, against, residual, generator, draws: int) -> 
         noise = generator.standard_normal((draws, len(size))) ** 2 @ size**2
         values.append((1 + np.sum(noise >= total)) / (1 + draws))
     chi2 = waves_within(bases.waves, against, residual)
-    values.append(-np.expm1(len(chi2) * np.log1p(-np.exp(-0.5 * chi2.max()))))
+    # A residual without any wave has a chance of one, whose complement has no log.
+    chance = min(np.exp(-0.5 * chi2.max()), 1 - 1e-12)
+    values.append(-np.expm1(len(chi2) * np.log1p(-chance)))
     return float(min(1.0, len(values) * min(values)))
 
 
@@ -250,14 +285,13 @@ def located(bases: Generic, against, residual):
     }
     chosen = getattr(bases, max(gains, key=gains.get))
     chi2 = waves_within(bases.waves, against, residual)
-    strong = np.flatnonzero(chi2 > 2 * (np.log(len(chi2)) + 4))
-    strong = strong[np.argsort(-chi2[strong])][:4]
+    strong = np.flatnonzero(chi2 > 2 * (np.log(len(chi2)) + _TO_DRAW))
+    strong = strong[np.argsort(-chi2[strong])][:_MOST_WAVES]
     waves = bases.waves[:, np.ravel(strong[:, None] * 2 + [0, 1])]
     left, size = orthogonal(np.concatenate([chosen, waves], axis=1), against)
     score = left.T @ residual
     # Empirical Bayes: the scale of the basis that the scores themselves suggest.
-    scales = np.geomspace(0.3, 300, 25)
-    fits = [gain(score, scale * size) for scale in scales]
-    t = (scales[int(np.argmax(fits))] * size) ** 2
+    fits = [gain(score, scale * size) for scale in _DRAWN_SCALES]
+    t = (_DRAWN_SCALES[int(np.argmax(fits))] * size) ** 2
     shrink = t / (1 + t)
     return left @ (shrink * score), np.einsum("mq,q,mq->m", left, shrink, left)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.search import Search
+from tirefit.diagnosis.slip_check import SlipCheck
 from tirefit.diagnosis.verdict import Verdict, Weighed
 
 __all__ = ["Case"]
@@ -18,3 +19,8 @@ class Case:
     weighed: Weighed
     verdict: Verdict
     untestable: list[dict]
+
+    @property
+    def slip_check(self) -> SlipCheck | None:
+        """The slip column against the slip of the wheel speed, where that is known."""
+        return self.base.rows.slip_check

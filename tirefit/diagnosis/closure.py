@@ -7,6 +7,13 @@ import numpy as np
 __all__ = ["Closure", "closure_of"]
 
 _DRAWS = 400
+"""Bootstrap draws: twenty beyond either end of a 90 % interval."""
+
+_WORST = -1.0
+"""Closure that counts as the worst there is: the gap doubled."""
+
+_LEAST_BLOCK, _BLOCKS = 5, 60
+"""Rows of a block at least, and blocks of a record at most."""
 
 
 class Closure(NamedTuple):
@@ -14,7 +21,8 @@ class Closure(NamedTuple):
 
     ``rms`` [N] is the base gap beyond noise, ``remaining`` [N] what the extension
     leaves, ``closed`` = 1 - remaining / rms with its 90 % interval, None where the gap
-    is too small to say (below 3 sqrt(2 / n_effective) of the noise's energy).
+    is too small to say (below 3 sqrt(2 / n_effective) of the noise's energy). It ends
+    at -1, where the extension doubles the gap: beyond, a small gap sets its size.
     """
 
     rms: float
@@ -62,14 +70,15 @@ def closure_of(
     remaining = float(np.sqrt(max(left, 0.0) + floor)) if gap > 0 else 0.0
     if not resolvable:
         return Closure(rms, remaining, None, None, None, False)
-    blocks = _blocks(run, int(max(2 * inflation, 5, n // 60)))
+    blocks = _blocks(run, int(max(2 * inflation, _LEAST_BLOCK, n // _BLOCKS)))
     sums = np.array([[*terms[rows].sum(axis=0), len(rows)] for rows in blocks])
     drawn = generator.multinomial(len(blocks), [1 / len(blocks)] * len(blocks), _DRAWS)
     totals = drawn @ sums
     gaps, rests = _energies((totals[:, :3] / totals[:, 3:]).T, lost)
     good = gaps > 0
-    values = 1 - np.sqrt((np.maximum(rests, 0.0) + floor)[good] / gaps[good])
-    closed = 1 - remaining / rms
+    shares = np.sqrt((np.maximum(rests, 0.0) + floor)[good] / gaps[good])
+    values = np.maximum(1 - shares, _WORST)
+    closed = max(1 - remaining / rms, _WORST)
     low, high = np.quantile(values, [0.05, 0.95]) if good.any() else (closed, closed)
     return Closure(
         rms, remaining, closed, float(min(low, closed)), float(max(high, closed)), True

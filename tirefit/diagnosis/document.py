@@ -9,6 +9,7 @@ from tirefit.diagnosis.base import Base, at_measured_slip, on_rows
 from tirefit.diagnosis.basis import located, without
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.closure import Closure, closure_of
+from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
 from tirefit.diagnosis.noise import correlation
@@ -175,7 +176,7 @@ def _noise_record(case: Case) -> dict:
     }
 
 
-_NOISE_NAMES = {"autocorrelated": "noise_autocorrelated", "outliers": "outliers"}
+_NOISE_NAMES = {effect.flag: effect.id for effect in NOISE_EFFECTS if effect.flag}
 
 
 def _verdict_record(case: Case) -> dict:
@@ -227,7 +228,8 @@ def _candidate(case: Case, key, probability: float, generator) -> dict:
     for j, (k, effect) in enumerate(zip(hypothesis.atoms, effects, strict=True)):
         parameters[f"{effect.id}: {effect.parameter}"] = {
             "value": float(hypothesis.amplitude[j] * scale[k]),
-            "std": float(spread[j] * scale[k]),
+            # However badly it fits, no less is known of it than beforehand.
+            "std": float(min(spread[j], 1.0) * scale[k]),
             "unit": effect.unit,
         }
     null = case.weighed.best_of[()]

@@ -1,7 +1,6 @@
 """One file diagnosed: noise first, then where, which, how far, and what to measure."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -9,7 +8,7 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.base import Base, fit_base, with_noise_judged
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.document import document_of
-from tirefit.diagnosis.effects import EFFECTS, Effect, atoms_of
+from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.forms import PLACE, shape_of_change
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rig import Rig
@@ -18,12 +17,16 @@ from tirefit.diagnosis.search import Search, amplitudes_of, search
 from tirefit.diagnosis.verdict import gap_p_value, judge, weigh
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
+from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 
 __all__ = ["diagnose"]
 
 _CHANGED = 0.1
 """A change of the noise level, as a logarithm, after which the search starts anew."""
+
+_AMONG = 4
+"""Best hypotheses among which a sudden change must be for its shape to be fitted."""
 
 _MOST_ROWS = 6000
 """The search looks at so many rows, evenly spread; the last word is on all of them."""
@@ -52,9 +55,11 @@ def diagnose(
         seed: of the simulated null distributions and bootstraps.
 
     Raises:
-        UsageError: no such model, or no such effect to leave out.
+        UsageError: no such model, or no such effect to leave out; or 32-bit floats in
+            use.
         DataError: no force with a slip that varies, no load, or too few rows.
     """
+    require_x64("a diagnosis")
     rig = rig or Rig()
     known = {effect.id for effect in effects}
     if unknown := sorted(set(without) - known):
@@ -95,9 +100,8 @@ def _level(base: Base) -> np.ndarray:
 
 
 def _studied(prepared: Prepared, model, rig, effects, without, generator) -> Case:
-    atoms = atoms_of(effects)
-    base = fit_base(prepared, model, atoms, rig)
-    testable, untestable = _testable(prepared, atoms, without)
+    base = fit_base(prepared, model, effects, rig)
+    testable, untestable = _testable(prepared, base.atoms, without)
     found = search(base, testable)
     # What the best explanation leaves shows the noise better than the base fit does.
     best = found.best
@@ -120,11 +124,11 @@ def _studied(prepared: Prepared, model, rig, effects, without, generator) -> Cas
 def _with_change(base: Base, found: Search) -> Base | None:
     """The base with the shape of a sudden change, where one is among the best."""
     fitted = [h for h in found.hypotheses if h.refitted]
-    ranked = sorted(fitted, key=lambda h: -h.log_weight)[:4]
-    likely = [h for h in ranked if "friction_step" in h.effects]
-    if not likely or not any(a.effect.id == "friction_step" for a in base.atoms):
+    ranked = sorted(fitted, key=lambda h: -h.log_weight)[:_AMONG]
+    steps = [k for k, atom in enumerate(base.atoms) if atom.effect.scans_time]
+    likely = [h for h in ranked if set(h.atoms) & set(steps)]
+    if not likely:
         return None
-    steps = [k for k, a in enumerate(base.atoms) if a.effect.id == "friction_step"]
     amplitudes = amplitudes_of(base, likely[0])
     rest = [k for k in likely[0].atoms if k not in steps]
     residual, jacobian, columns, fields = base.linearised(likely[0].z, amplitudes)
@@ -139,4 +143,4 @@ def _with_change(base: Base, found: Search) -> Base | None:
     )
     padded = np.zeros(len(base.design.keep))
     padded[: len(shape)] = shape
-    return replace(base, design=base.design._replace(rows=rows._replace(change=padded)))
+    return base.on(base.design._replace(rows=rows._replace(change=padded)))

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -160,7 +159,7 @@ def _changed(base: Base, change: dict, generator):
         order = np.arange(size)
         order[:n] = generator.permutation(n)
         rows = rows._replace(time=rows.time[order], temperature=rows.temperature[order])
-    return replace(base, design=design._replace(inputs=inputs, rows=rows, slip=slip))
+    return base.on(design._replace(inputs=inputs, rows=rows, slip=slip))
 
 
 def _pairs(search, weighed, verdict) -> list[tuple[str, str]]:

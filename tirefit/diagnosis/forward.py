@@ -1,6 +1,6 @@
 """Forces of every row under the base model with effects, and their refits."""
 
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import jax
@@ -24,6 +24,7 @@ __all__ = [
     "Present",
     "Refit",
     "brush_of_base",
+    "count_atoms",
     "forces_of",
     "moments",
     "refit_all",
@@ -37,8 +38,9 @@ class Design(NamedTuple):
 
     ``slip`` and ``weight`` are the nodes of the latent slip and their probabilities,
     (n, q); ``observed`` and ``scale`` (n,) by channel; ``keep`` (n,) is 0 for padding
-    and outliers. ``prior_scale`` and ``prior_center`` (K,) belong to the amplitudes,
-    in their own units and in prior scales; ``reference`` is load, speed.
+    and outliers. Of the amplitudes (K,), ``prior_scale`` is in their own units,
+    ``prior_center``, ``low`` and ``high`` are in prior scales; ``reference`` is load
+    and speed.
     """
 
     inputs: TireInputs
@@ -51,6 +53,8 @@ class Design(NamedTuple):
     rows: Covariates
     prior_scale: Array
     prior_center: Array
+    low: Array
+    high: Array
     reference: Array
 
 
@@ -94,34 +98,61 @@ def _per_row(state, count: int):
     )
 
 
-def _apply(atoms, k, state, amplitude, rows: Covariates):
-    """The state with atom k added; K adds none. Only that atom is computed."""
+@lru_cache(maxsize=64)
+def _atoms(effects) -> tuple[np.ndarray, np.ndarray]:
+    """Which effect each atom is of (K + 1,), and its constants (K + 1, c), padded; the
+    last atom is of none."""
+    owner = [k for k, effect in enumerate(effects) for _ in effect.variants]
+    rows = [constants for effect in effects for constants in effect.variants]
+    table = np.zeros((len(rows) + 1, max(map(len, rows), default=0)))
+    for row, constants in zip(table, rows, strict=False):
+        row[: len(constants)] = constants
+    return np.array([*owner, len(effects)]), table
+
+
+def count_atoms(effects) -> int:
+    """Variants of all effects."""
+    return sum(len(effect.variants) for effect in effects)
+
+
+def _apply(effects, k, state, amplitude, rows: Covariates):
+    """The state with atom k added; K adds none. Only its effect is computed."""
     count = rows.fz.shape[0]
-    branches = [
-        lambda state, a, rows, atom=atom: _per_row(atom.change(state, a, rows), count)
-        for atom in atoms
-    ]
-    branches.append(lambda state, a, rows: state)
-    return jax.lax.switch(k, branches, state, amplitude, rows)
+    owner, table = _atoms(effects)
+
+    def branch(effect):
+        width = len(effect.variants[0])
+
+        def change(state, a, constants, rows):
+            return _per_row(effect.change(state, a, constants[:width], rows), count)
+
+        return change
+
+    branches = [branch(effect) for effect in effects]
+    branches.append(lambda state, a, constants, rows: state)
+    constants = jnp.asarray(table)[k]
+    return jax.lax.switch(
+        jnp.asarray(owner)[k], branches, state, amplitude, constants, rows
+    )
 
 
-def _state_of(atoms, present: Present, rows: Covariates):
+def _state_of(effects, present: Present, rows: Covariates):
     def add(state, one):
-        return _apply(atoms, *one[:1], state, one[1], rows), None
+        return _apply(effects, *one[:1], state, one[1], rows), None
 
     start = _per_row(null_state(), rows.fz.shape[0])
     return jax.lax.scan(add, start, (present.index, present.amplitude))[0]
 
 
-def forces_of(model, layout, atoms, mode: str, z, present: Present, design: Design):
+def forces_of(model, layout, effects, mode: str, z, present: Present, design: Design):
     """Mean and variance over the latent slip of every force: dicts of (n,).
 
     Args:
         model, layout, z: the base model and its free parameters.
-        atoms: all effects, static; ``present`` says which are there.
+        effects: all of them, static; ``present`` says which are there.
         mode: which slip drives: x, y or xy.
     """
-    state = _state_of(atoms, present, design.rows)
+    state = _state_of(effects, present, design.rows)
     return _forces_at(model, layout, mode, z, state, design)
 
 
@@ -165,19 +196,19 @@ def _whitened(mean, design: Design):
     )
 
 
-def residuals(model, layout, atoms, mode, z, present: Present, design: Design):
+def residuals(model, layout, effects, mode, z, present: Present, design: Design):
     """Whitened residuals of all channels, one after the other: (channels x n,)."""
-    mean, _ = forces_of(model, layout, atoms, mode, z, present, design)
+    mean, _ = forces_of(model, layout, effects, mode, z, present, design)
     return _whitened(mean, design)
 
 
-_STATIC = ("layout", "atoms", "mode")
+_STATIC = ("layout", "effects", "mode")
 
 
 @partial(jax.jit, static_argnames=_STATIC)
-def moments(model, layout, atoms, mode, z, present: Present, design: Design):
+def moments(model, layout, effects, mode, z, present: Present, design: Design):
     """Compiled :func:`forces_of`."""
-    return forces_of(model, layout, atoms, mode, z, present, design)
+    return forces_of(model, layout, effects, mode, z, present, design)
 
 
 class Linear(NamedTuple):
@@ -190,7 +221,7 @@ class Linear(NamedTuple):
 
 
 @partial(jax.jit, static_argnames=(*_STATIC, "finite"))
-def tangents(model, layout, atoms, mode, z, present, design: Design, finite):
+def tangents(model, layout, effects, mode, z, present, design: Design, finite):
     """Residual r (m,), J = d force / dz (m, p), T = d force / d amplitude in units of
     prior scales (m, K), and d force / d field of the state (m, F), all whitened.
 
@@ -198,7 +229,7 @@ def tangents(model, layout, atoms, mode, z, present, design: Design, finite):
         finite: atoms whose column is a finite difference over one prior scale (or
             to the expected amplitude): their tangent vanishes or misleads.
     """
-    state = _state_of(atoms, present, design.rows)
+    state = _state_of(effects, present, design.rows)
 
     def flat_of(state):
         return jnp.stack(state, axis=1)
@@ -221,17 +252,19 @@ def tangents(model, layout, atoms, mode, z, present, design: Design, finite):
     )  # fmt: skip
     fields = moved[z.size :].reshape(flat.shape[1], -1, flat.shape[0])
 
+    count = count_atoms(effects)
+
     def flat_with(k, change):
-        return flat_of(_state_with(atoms, present, k, change, design.rows))
+        return flat_of(_state_with(effects, present, k, change, design.rows))
 
     def of_atom(k):
         scale = design.prior_scale[k]
         return jax.jvp(lambda change: flat_with(k, change), (0.0,), (scale,))[1]
 
-    changes = jax.lax.map(of_atom, jnp.arange(len(atoms)))
-    effects = jnp.einsum("fcn,knf->kcn", fields, changes).reshape(len(atoms), -1)
+    changes = jax.lax.map(of_atom, jnp.arange(count))
+    columns = jnp.einsum("fcn,knf->kcn", fields, changes).reshape(count, -1)
     # The last of these is the state as it is.
-    index = jnp.array([*finite, len(atoms)])
+    index = jnp.array([*finite, count])
     sign = jnp.where(design.prior_center < 0, -1.0, 1.0)
     size = jnp.append(sign * jnp.maximum(jnp.abs(design.prior_center), 1.0), 0.0)
     scale = jnp.append(design.prior_scale, 0.0)
@@ -241,8 +274,8 @@ def tangents(model, layout, atoms, mode, z, present, design: Design, finite):
     value = finite_values[-1]
     if finite:
         secants = (finite_values[:-1] - value[None]) / size[index[:-1], None]
-        effects = effects.at[index[:-1]].set(secants)
-    return Linear(-value, moved[: z.size].T, effects.T, moved[z.size :].T)
+        columns = columns.at[index[:-1]].set(secants)
+    return Linear(-value, moved[: z.size].T, columns.T, moved[z.size :].T)
 
 
 def _tangents_of(function, x):
@@ -252,12 +285,12 @@ def _tangents_of(function, x):
     )(jnp.eye(x.size))  # fmt: skip
 
 
-def _state_with(atoms, present: Present, k, change, rows: Covariates):
+def _state_with(effects, present: Present, k, change, rows: Covariates):
     """The state with the amplitude of atom k moved by ``change`` from where it is."""
-    mine = present.index == k
-    others = present._replace(index=jnp.where(mine, len(atoms), present.index))
+    mine, none = present.index == k, count_atoms(effects)
+    others = present._replace(index=jnp.where(mine, none, present.index))
     amplitude = jnp.sum(jnp.where(mine, present.amplitude, 0.0)) + change
-    return _apply(atoms, k, _state_of(atoms, others, rows), amplitude, rows)
+    return _apply(effects, k, _state_of(effects, others, rows), amplitude, rows)
 
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
@@ -285,61 +318,57 @@ MOST_EFFECTS = 3
 MOST = 64
 """Hypotheses of one call of :func:`refit_all`."""
 
+_FARTHEST = 20.0
+"""Amplitudes, in prior scales, beyond which no refit goes."""
 
-def fill(starts, sets, atoms: int, sign=None):
+
+def fill(starts, sets, atoms: int):
     """Starts (z, amplitudes) and sets of atoms as the arrays of :func:`refit_all`.
 
     Sets smaller than :data:`MOST_EFFECTS` are filled with an effect that does nothing,
     and the number of hypotheses, at most :data:`MOST`, up to one shape: one program.
     """
     size = MOST_EFFECTS
-    sign = np.zeros(atoms) if sign is None else sign
     rows = [
         np.concatenate([z, amplitude, np.zeros(size - len(amplitude))])
         for z, amplitude in starts
     ]
     index = [(*chosen, *[atoms] * (size - len(chosen))) for chosen in sets]
-    signs = [[*sign[list(chosen)], *[0.0] * (size - len(chosen))] for chosen in sets]
     repeat = np.arange(MOST) % len(rows)
-    return (
-        np.array(rows)[repeat], np.array(index, int)[repeat], np.array(signs)[repeat],
-        len(rows),
-    )  # fmt: skip
+    return np.array(rows)[repeat], np.array(index, int)[repeat], len(rows)
 
 
 @partial(jax.jit, static_argnames=_STATIC)
-def refit_all(model, layout, atoms, mode, starts, index, signs, count, design):
+def refit_all(model, layout, effects, mode, starts, index, count, design):
     """Refit hypotheses, by damped Gauss-Newton.
 
     Args:
         starts: (h, p + size): z and amplitudes in prior scales.
         index: (h, size) of the atoms; K stands for none.
-        signs: (h, size): +1, -1 where only that sign is allowed, else 0.
         count: how many of the h hypotheses are wanted; the rest is skipped.
     """
     size = index.shape[1]
     p = starts.shape[1] - size
     scale = jnp.append(design.prior_scale, 0.0)
     centers = jnp.append(design.prior_center, 0.0)
+    lowest = jnp.maximum(jnp.append(design.low, -_FARTHEST), -_FARTHEST)
+    highest = jnp.minimum(jnp.append(design.high, _FARTHEST), _FARTHEST)
 
-    def one(start, index, signs):
-        center = centers[index]
+    def one(start, index):
+        center, low, high = centers[index], lowest[index], highest[index]
 
         def whole(x):
             present = Present(index, x[p:] * scale[index])
-            misfit = residuals(model, layout, atoms, mode, x[:p], present, design)
+            misfit = residuals(model, layout, effects, mode, x[:p], present, design)
             return jnp.concatenate([misfit, x[p:] - center])
 
         def allowed(x):
-            a = x[p:]
-            a = jnp.where(signs > 0, jnp.maximum(a, 0), a)
-            a = jnp.where(signs < 0, jnp.minimum(a, 0), a)
-            return jnp.concatenate([x[:p], jnp.clip(a, -20.0, 20.0)])
+            return jnp.concatenate([x[:p], jnp.clip(x[p:], low, high)])
 
-        return _gauss_newton(whole, allowed, start, p, size)
+        return _gauss_newton(whole, allowed, allowed(start), p, size)
 
     def body(number, found):
-        here = one(starts[number], index[number], signs[number])
+        here = one(starts[number], index[number])
         return jax.tree.map(lambda all, x: all.at[number].set(x), found, here)
 
     h, width = starts.shape

@@ -6,11 +6,19 @@ import numpy as np
 
 from tirefit.diagnosis.base import Base, on_rows
 from tirefit.diagnosis.closure import closure_of
-from tirefit.diagnosis.forward import MOST_EFFECTS, fill, refit_all
 from tirefit.diagnosis.rows import prepare
 from tirefit.diagnosis.search import amplitudes_of
 
 __all__ = ["held_out"]
+
+_TOP = 0.05
+"""Share of the range of loads or speeds that counts as its highest setting."""
+
+_LEAST, _MOST = 0.05, 0.6
+"""Share of the rows that a regime to be left out may hold."""
+
+_LARGEST = 0.7
+"""Quantile of the slip beyond which it is the regime, where no setting is."""
 
 
 def held_out(case, holdout: Sequence, rig, generator) -> dict | None:
@@ -63,11 +71,11 @@ def _regime(base: Base) -> tuple[np.ndarray, str]:
     for name, values in (("fz", prepared.inputs.fz), ("v", prepared.inputs.v)):
         need = {"fz": "loads", "v": "speeds"}[name]
         if need in prepared.has:
-            top = values >= values.max() - 0.05 * np.ptp(values)
-            if 0.05 < top.mean() < 0.6:
+            top = values >= values.max() - _TOP * np.ptp(values)
+            if _LEAST < top.mean() < _MOST:
                 return top, f"highest {name}"
     size = np.abs(prepared.slip)
-    return size > np.quantile(size, 0.7), "largest slip"
+    return size > np.quantile(size, _LARGEST), "largest slip"
 
 
 def _on_regime(case, generator) -> dict:
@@ -77,16 +85,15 @@ def _on_regime(case, generator) -> dict:
     keep[: base.prepared.n] *= ~out
     design = base.design._replace(keep=keep)
     main = base.prepared.channels[0]
-    sign = np.array([atom.effect.sign for atom in base.atoms], float)
 
     def refitted(z, amplitude, atoms):
-        arrays = fill([(z, amplitude)], [atoms], len(base.atoms), sign)
-        found = refit_all(*base.arguments, *arrays, design)
-        full = np.zeros(len(base.atoms) + 1)
-        scale = np.append(np.asarray(design.prior_scale), 0.0)
-        index = [*atoms, *[len(base.atoms)] * (MOST_EFFECTS - len(atoms))]
-        np.add.at(full, index, np.asarray(found.amplitude)[0] * scale[index])
-        return base.forces(np.asarray(found.z)[0], full[:-1])[main][out]
+        again, full = (
+            base.refit([(z, amplitude)], [atoms], design),
+            np.zeros(len(base.atoms)),
+        )
+        index = list(atoms)
+        full[index] = again.amplitude[0][: len(index)] * design.prior_scale[index]
+        return base.forces(again.z[0], full)[main][out]
 
     null = case.weighed.best_of[()]
     observed = base.prepared.observed[main][out]

@@ -4,10 +4,58 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.basis import waves_within
+from tirefit.diagnosis.basis import RANK, waves_within
 from tirefit.fitting.noise import autocorrelation_time
 
 __all__ = ["NoiseLevel", "correlation", "judge_noise"]
+
+
+MAD = 1.4826
+"""Standard deviation of a normal law over its median absolute deviation."""
+
+_FINEST = 1e-5
+"""Noise over the load, at least: a twentieth of what the best force transducers resolve
+(class 0.02). Forces that a formula gave have none, and would make any gap certain."""
+
+_OUTLIER, _OUTLIER_AMONG_MANY = 4.5, 3.5
+"""Robust standard deviations that set a row aside: one in 1.5e5 of normal noise; one in
+2,000 where rows are far off anyway, for then more are somewhat off."""
+
+_MANY = 0.01
+"""Share of rows set aside from which they are no chance and no sharp edge."""
+
+_LARGEST_CHANCE = 2e-5
+"""Share of rows of normal noise that :data:`_OUTLIER` sets aside, three times."""
+
+_FLAGGED = 0.004
+"""Share of rows set aside from which outliers are said."""
+
+_ROUNDS = 3
+"""Rounds of setting rows aside, at most; it ends where a round changes nothing."""
+
+_MISSTATED, _MISSTATED_SIGMAS = 0.15, 4.0
+"""Excess of the noise over the stated one that is let pass, and the standard errors of
+that excess, which counts where rows are far off."""
+
+_OVERSTATED = 0.6
+"""Share of the stated noise below which it is said to be misstated, and kept: it may
+stand for errors that no row-by-row scatter shows."""
+
+_FINER = 0.8
+"""Scatter between neighbours over that about the smooth functions, below which the gap
+is finer than those functions."""
+
+_STRONG_WAVE = 6.0
+"""Log odds over the number of waves from which one of them is no noise: 400 to 1."""
+
+_SPREAD_OF_LOAD = 0.05
+"""Standard deviation of log F_z above which noise is let grow with load."""
+
+_UNEVEN = 1.3
+"""Largest over smallest standard deviation from which noise is called uneven."""
+
+_CORRELATED = 2.5
+"""Standard errors of the correlation at lag one that count: one white record in 160."""
 
 
 class NoiseLevel(NamedTuple):
@@ -44,14 +92,14 @@ def judge_noise(
     keep = ~_stray(level, groups)
     smooth = _soaked(residual / std, basis / std[:, None], waves / std[:, None], keep)
     clean = smooth.remainder(residual / std)
-    for _ in range(3 if refine else 0):
+    for _ in range(_ROUNDS if refine else 0):
         level = clean
         if given is None:  # larger loads scatter more: no outliers for that
             law, _ = _variance_law(clean, spread, fz, keep, smooth.freedom)
             level = clean / law
-        unit = 1.4826 * np.median(np.abs(level[keep]))
-        # Where some rows are far off, more are somewhat off.
-        far = 3.5 if np.count_nonzero(~keep) > 0.01 * len(keep) else 4.5
+        unit = MAD * np.median(np.abs(level[keep]))
+        many = np.count_nonzero(~keep) > _MANY * len(keep)
+        far = _OUTLIER_AMONG_MANY if many else _OUTLIER
         good = np.abs(level) < far * max(unit, 1e-12)
         if np.array_equal(good, keep):
             break
@@ -60,27 +108,28 @@ def judge_noise(
         clean = smooth.remainder(residual / std)
     dof = smooth.freedom
     flags, source = [], "given"
-    spare = 0.15 if np.count_nonzero(~keep) < 0.01 * len(keep) else 0.0
+    spare = _MISSTATED if np.count_nonzero(~keep) < _MANY * len(keep) else 0.0
     ratio = float(np.sqrt(np.sum(clean[keep] ** 2) / max(dof, 1.0)))
     # What neighbours differ by bounds the noise where a gap is finer than the basis.
     local = _between_neighbours(residual / std, groups, keep)
     if given is None:
         std, hetero = _variance_law(clean * std, spread, fz, keep, dof)
         source = "differences"
-        if local < 0.8 * ratio:
+        if local < _FINER * ratio:
             std = std * local / ratio
         if hetero:
             flags.append("heteroscedastic")
-    elif min(ratio, local) > 1 + max(spare, 4 / np.sqrt(2 * dof)):
+    elif min(ratio, local) > 1 + max(spare, _MISSTATED_SIGMAS / np.sqrt(2 * dof)):
         std, source = std * min(ratio, local), "estimated: the given level disagrees"
         flags.append("noise_misstated")
-    elif ratio < 0.6:  # it may stand for errors that no row-by-row scatter shows
+    elif ratio < _OVERSTATED:
         flags.append("noise_misstated")
+    std = np.maximum(std, _FINEST * np.mean(fz))
     clean = clean * (base if given is None else 1.0)
     if given is not None and _uneven(clean, fz, keep):
         flags.append("heteroscedastic")
-    expected = 2e-5 * len(residual)
-    if np.count_nonzero(~keep) > max(3.0, 5 * expected, 0.004 * len(residual)):
+    expected = _LARGEST_CHANCE * len(residual)
+    if np.count_nonzero(~keep) > max(_FEW, 5 * expected, _FLAGGED * len(residual)):
         flags.append("outliers")
     white = np.where(keep, clean, 0.0) / (std if given is None else 1.0)
     inflation = correlation(white, time, run)
@@ -88,6 +137,9 @@ def judge_noise(
         flags.append("autocorrelated")
     return NoiseLevel(std, inflation, ~keep, tuple(flags), source)
 
+
+_FEW = 3
+"""Rows far off that an edge of the force may give."""
 
 _WINDOW = 7
 _STRAY = 5.0
@@ -110,10 +162,12 @@ def _stray(level, groups) -> np.ndarray:
     seen = np.any(off != 0, axis=0)
     if not seen.any():
         return seen
-    unit = 1.4826 * np.median(np.abs(off[:, seen]), axis=1, keepdims=True)
+    unit = MAD * np.median(np.abs(off[:, seen]), axis=1, keepdims=True)
     found = np.all(np.abs(off) > _STRAY * unit, axis=0) & seen
     # A sharp edge of the force has few such rows, and is no outlier.
-    return found if found.sum() > max(3, 0.01 * len(level)) else np.zeros_like(found)
+    return (
+        found if found.sum() > max(_FEW, _MANY * len(level)) else np.zeros_like(found)
+    )
 
 
 def _between_neighbours(white, groups, keep) -> float:
@@ -136,7 +190,7 @@ def _soaked(white, basis, waves, keep, most: int = 3):
         chi2 = waves_within(waves * keep[:, None], smooth.basis * keep[:, None], clean)
         unit = np.sum(clean**2) / smooth.freedom
         best = int(np.argmax(chi2))
-        if chi2[best] / unit < 2 * (np.log(count) + 6):
+        if chi2[best] / unit < 2 * (np.log(count) + _STRONG_WAVE):
             break
         wave = waves[:, 2 * best : 2 * best + 2]
         smooth = _Smooth(np.concatenate([smooth.basis, wave], axis=1), keep)
@@ -150,7 +204,7 @@ class _Smooth:
         self.basis, self.keep = basis, keep
         part = basis * keep[:, None]
         values, vectors = np.linalg.eigh(part.T @ part)
-        good = values > 1e-6 * values.max()
+        good = values > RANK * values.max()
         self.root = vectors[:, good] / np.sqrt(values[good])
         self.freedom = max(int(keep.sum()) - int(good.sum()), 1)
 
@@ -166,7 +220,7 @@ def _variance_law(clean, spread, fz, keep, dof):
 
     square = clean[keep] ** 2 * (keep.sum() / dof)
     shapes = [np.ones_like(fz)]
-    if np.std(np.log(fz)) > 0.05:
+    if np.std(np.log(fz)) > _SPREAD_OF_LOAD:
         shapes.append((fz / np.mean(fz)) ** 2)
     level = np.full(keep.sum(), square.mean())
     for _ in range(4):
@@ -177,7 +231,7 @@ def _variance_law(clean, spread, fz, keep, dof):
         level = variance[keep]
     total = np.mean(square / level)
     std = np.sqrt(variance * total)
-    return std, bool(np.max(std) > 1.3 * np.min(std))
+    return std, bool(np.max(std) > _UNEVEN * np.min(std))
 
 
 def _uneven(white, fz, keep) -> bool:
@@ -199,7 +253,7 @@ def correlation(white, time, run) -> float:
         sum(float(p @ p) for p in parts), 1e-300
     )
     # The smooth part taken out lowers the correlation slightly: no bias upwards.
-    if lag_one < 2.5 / np.sqrt(len(white)):
+    if lag_one < _CORRELATED / np.sqrt(len(white)):
         return 1.0
     first_order = (1 + lag_one) / max(1 - lag_one, 1e-3)
     return float(min(max(autocorrelation_time(parts), first_order), len(white) / 20))

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["AHEAD", "Past", "Sweeps", "segments", "slip_rate"]
+__all__ = ["AHEAD", "BEHIND", "Past", "Sweeps", "segments", "slip_rate"]
 
 _WINDOWS = (5, 7, 11, 17, 25, 41)
 _NOISY = 17
 _REACH = _WINDOWS[-1] - 1
 
-AHEAD, _BEHIND = 4, 12
+AHEAD, BEHIND = 4, 12
 """Columns of the past that lie after and before its row."""
 
 _SPAN = 0.15
@@ -24,6 +24,15 @@ _SPAN = 0.15
 _WORTH = 0.7
 """Log probability for each value that a parabola explains, against leaving the values
 as measured; on saw-tooth and sine sweeps the error claimed is the true one."""
+
+_UNSTEADY = 0.15
+"""Share of the slip's variance that neighbours in time may leave open in a sweep."""
+
+_MORE = 1.3
+"""Scatter of the slip over the stated one from which it counts instead."""
+
+_FINEST = 1e-9
+"""Error of a slope over the largest slope, at least."""
 
 _GAP = 5.0
 """A pause of so many median intervals parts two segments of a run."""
@@ -156,14 +165,14 @@ class Past(NamedTuple):
 
 
 def _no_past(values) -> Past:
-    row = np.repeat(np.arange(len(values))[:, None], AHEAD + 1 + _BEHIND, axis=1)
+    row = np.repeat(np.arange(len(values))[:, None], AHEAD + 1 + BEHIND, axis=1)
     return Past(np.zeros(row.shape), row, row.copy(), np.zeros(row.shape), 1.0)
 
 
 def _fill_past(past: Past, part, values, time, path: _Path) -> None:
     """The past of the rows ``part`` of one unbroken stretch, written into ``past``."""
     size, row = len(values), np.arange(len(values))[:, None]
-    age = past.interval * np.arange(-AHEAD, _BEHIND + 1)
+    age = past.interval * np.arange(-AHEAD, BEHIND + 1)
     when = np.clip(time[:, None] - age, time[0], time[-1])
     low = np.clip(np.searchsorted(time, when, side="right") - 1, 0, size - 2)
     share = (when - time[low]) / (time[low + 1] - time[low])
@@ -214,22 +223,25 @@ def slip_rate(slip, time, run, noise: float = 0.0) -> Sweeps:
     if sum(len(part) for part in parts) < 0.5 * count:
         return still
     window, left_out = _best_window(slip, time, parts)
-    if left_out > 0.15 * np.var(slip):
+    if left_out > _UNSTEADY * np.var(slip):
         return still
     # Left out, a row misses by its own noise and that of the local parabola. Where few
     # neighbours predict best it is the curve that misses, not noise.
     seen = max(np.sqrt(left_out / (1 + 2.25 / window)), 1e-9 * np.std(slip))
     scatter = seen if window >= _NOISY else 0.0
-    level = max(noise, scatter if scatter > 1.3 * noise else 0.0) or seen
+    level = max(noise, scatter if scatter > _MORE * noise else 0.0) or seen
     usual = float(np.median(np.concatenate([np.diff(time[part]) for part in parts])))
-    past = none._replace(interval=max(usual, _SPAN / _BEHIND))
+    past = none._replace(interval=max(usual, _SPAN / BEHIND))
     found = still._replace(found=True, noise=scatter, past=past)
     past.path[:] = past.of(slip)
     for part in parts:
         path = _averaged(slip[part], time[part], level)
         _fill_past(past, part, slip[part], time[part], path)
         found.path[part], found.rate[part] = path.value, path.slope
-        certain = np.sign(slip[part]) * path.slope / (2 * path.slope_error)
+        # Slips that a formula gave have no error at all.
+        finest = _FINEST * max(float(np.max(np.abs(path.slope))), 1e-9)
+        error = np.maximum(path.slope_error, finest)
+        certain = np.sign(slip[part]) * path.slope / (2 * error)
         found.turning[part] = np.clip(certain, -1, 1)
     return found
 

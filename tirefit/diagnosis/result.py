@@ -1,7 +1,5 @@
 """What a diagnosis found: :class:`Diagnosis`, as JSON, as rows, as text."""
 
-import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -9,6 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tirefit.display import Displayed
+from tirefit.files import json_text
 
 __all__ = ["SCHEMA", "Diagnosis"]
 
@@ -47,20 +46,4 @@ class Diagnosis(Displayed):
 
     def to_json(self) -> str:
         """The document; not-a-number and infinite become null."""
-        return json.dumps(_plain(self.content), indent=1, allow_nan=False) + "\n"
-
-
-def _plain(value):
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.ndarray):
-        return [_plain(v) for v in value.tolist()]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value
+        return json_text(self.content)

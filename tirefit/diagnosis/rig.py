@@ -18,6 +18,9 @@ _NOISE = (
     "slip", "alpha", "force", "force_relative",
 )  # fmt: skip
 
+_TURNING, _MOVING = 0.1, 0.1
+"""Wheel speed [rad/s] and speed [m/s] below which a wheel counts as standing."""
+
 
 @dataclass(frozen=True)
 class Rig:
@@ -35,18 +38,21 @@ class Rig:
     run_order: str | None = None
     notes: tuple[str, ...] = ()
 
-    def radius_for(self, data: TireData) -> float:
-        """Rolling radius [m]: given, or that of free rolling, or 0.3."""
+    def radius_for(self, data: TireData) -> float | None:
+        """Rolling radius [m]: given, or v / omega with the slip along taken out (which
+        lateral data need not hold); None where neither is known."""
         if self.rolling_radius:
             return self.rolling_radius
-        if "omega" in data and "v" in data and "sigma_x" in data:
-            omega, v = data.usable("omega"), data.usable("v")
-            turning = np.abs(omega) > 0.1
-            if turning.any():
-                radius = v / np.where(turning, omega, 1.0)
-                radius = radius / (1 + data.usable("sigma_x"))
-                return float(abs(np.median(radius[turning]))) or 0.3
-        return 0.3
+        if "omega" not in data or "v" not in data:
+            return None
+        omega, v = data.usable("omega"), data.usable("v")
+        slip = data.usable("sigma_x") if "sigma_x" in data else np.zeros(data.n)
+        # A wheel that stands, or a slip that has no bound, tells no radius.
+        turning = (np.abs(omega) > _TURNING) & (v > _MOVING) & (np.abs(slip) < 1)
+        if not turning.any():
+            return None
+        radius = v[turning] / (np.abs(omega[turning]) * (1 + slip[turning]))
+        return float(np.median(radius))
 
     def slip_noise(self, slip: str) -> float | None:
         """Given standard deviation of a slip."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from tirefit.data.table import TireData
 from tirefit.diagnosis.rates import Sweeps, slip_rate
+from tirefit.diagnosis.slip_check import SlipCheck, check_slip
 from tirefit.diagnosis.state import Covariates
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
@@ -15,6 +16,25 @@ __all__ = ["Prepared", "neighbours", "prepare", "thinned"]
 
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that drive the forces -> forces that may be diagnosed."""
+
+_ONE_SLIP = 10.0
+"""Ratio of the spreads of two slips from which one drives and the other disturbs."""
+
+_MOVES, _SPEEDS, _LOADS = 0.1, 0.2, 0.03
+"""Median speed [m/s] that counts as moving; range of the speeds over their mean, and
+standard deviation of log F_z, that count as several."""
+
+_BOTH_SIGNS = 0.1
+"""Share of the rows that each sign of slip must have."""
+
+_WARMS, _LEANS = 0.4, 1e-4
+"""Standard deviations of temperature [K] and camber [rad] that count as varying."""
+
+_OTHER_MOVES, _OTHER_STANDS = 1e-4, 1e-3
+"""Standard deviation and size of the other slip that count as there."""
+
+_LEAST_ROWS = 20
+"""Rows that a diagnosis needs."""
 
 _FAR = 10.0
 """Slip beyond which a patch slides whatever the tire."""
@@ -29,7 +49,7 @@ class Prepared:
     holds (n,) by channel. ``covariates`` lacks only what the base fit gives. ``has``
     names what the data hold of the needs of the effects. ``before`` are the inputs in
     the past of each row (n, k), ``kept`` (n,) which of the used rows of the data these
-    are.
+    are. ``slip_check`` is the slip column against that of the wheel speed.
     """
 
     data: TireData
@@ -49,6 +69,7 @@ class Prepared:
     slip_source: str
     random_order: bool
     kept: np.ndarray
+    slip_check: SlipCheck | None
 
     @property
     def n(self) -> int:
@@ -74,7 +95,7 @@ def _mode(data: TireData) -> str:
         x = np.clip(data.usable("sigma_x"), -_FAR, _FAR)
         y = np.clip(np.tan(data.usable("alpha")), -_FAR, _FAR)
         ratio = np.std(x) / np.std(y)
-        return "x" if ratio > 10 else "y" if ratio < 0.1 else "xy"
+        return "x" if ratio > _ONE_SLIP else "y" if ratio < 1 / _ONE_SLIP else "xy"
     if not along and not across:
         raise DataError(
             InputProblem(
@@ -101,8 +122,8 @@ def _check(data: TireData) -> None:
         reason = "a diagnosis needs fz (load, N) for every row"
         remedy = "name its column with --column fz=HEADER, or --constant fz=4000"
         raise DataError(InputProblem(reason, remedy, file))
-    if data.n < 20:
-        reason = f"{data.n} usable rows: a diagnosis needs 20 or more"
+    if data.n < _LEAST_ROWS:
+        reason = f"{data.n} usable rows: a diagnosis needs {_LEAST_ROWS} or more"
         raise DataError(InputProblem(reason, "measure more points", file))
 
 
@@ -142,7 +163,7 @@ def prepare(data: TireData, rig, model) -> Prepared:
         other=other,
         force=np.zeros(data.n),
         usage=np.zeros(data.n),
-        spin=spin / radius,
+        spin=spin / radius if radius else 0 * v,
         load=np.full(data.n, np.mean(fz)),
         past=sweeps.past.path,
         pull=np.zeros_like(sweeps.past.path),
@@ -161,9 +182,10 @@ def prepare(data: TireData, rig, model) -> Prepared:
         tan_alpha if mode == "xy" else np.zeros(data.n),
         {c: data.usable(c) for c in channels}, covariates,
         TireInputs(*(sweeps.past.of(part) for part in inputs)),
-        _holdings(data, mode, covariates, sweeps.found), time, run,
+        _holdings(data, mode, covariates, sweeps.found, radius), time, run,
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
         rig.run_order == "random", np.arange(data.n),
+        check_slip(data, rig.rolling_radius),
     )  # fmt: skip
 
 
@@ -205,22 +227,23 @@ def _slip_std(data: TireData, mode: str, rig, scatter: float):
     return np.zeros(data.n), "none assumed"
 
 
-def _holdings(data: TireData, mode: str, rows: Covariates, sweeps: bool) -> frozenset:
+def _holdings(data: TireData, mode: str, rows, sweeps: bool, radius) -> frozenset:
     """Names of the needs of effects that this data meets."""
     positive = np.mean(rows.side > 0)
     found = {
-        "v": "v" in data and float(np.median(np.abs(rows.v))) > 0.1,
-        "speeds": "v" in data and _varies(rows.v, 0.2),
-        "loads": float(np.std(np.log(rows.fz))) > 0.03,
+        "v": "v" in data and float(np.median(np.abs(rows.v))) > _MOVES,
+        "speeds": "v" in data and _varies(rows.v, _SPEEDS),
+        "loads": float(np.std(np.log(rows.fz))) > _LOADS,
         "time": "time" in data and _varies(rows.time),
         "temperature": "temperature" in data and _varies(rows.temperature * 20, 0.0)
-        and float(np.std(rows.temperature)) > 0.02,
-        "gamma": "gamma" in data and float(np.std(rows.gamma)) > 1e-4,
-        "signs": 0.1 < positive < 0.9,
+        and float(np.std(rows.temperature)) > _WARMS / 20,
+        "gamma": "gamma" in data and float(np.std(rows.gamma)) > _LEANS,
+        "signs": _BOTH_SIGNS < positive < 1 - _BOTH_SIGNS,
         "sweeps": sweeps,
         "omega": "omega" in data,
-        "other slip": float(np.std(rows.other)) > 1e-4
-        or float(np.max(np.abs(rows.other))) > 1e-3,
+        "rolling_radius": radius is not None,
+        "other slip": float(np.std(rows.other)) > _OTHER_MOVES
+        or float(np.max(np.abs(rows.other))) > _OTHER_STANDS,
         "mz": mode != "x" and "mz" in data,
     }  # fmt: skip
     return frozenset(name for name, here in found.items() if here)

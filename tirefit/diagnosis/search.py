@@ -9,14 +9,30 @@ from scipy.special import log_ndtr
 
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.basis import without
-from tirefit.diagnosis.forward import MOST, fill, refit_all
+from tirefit.diagnosis.forward import MOST
 
 __all__ = ["Hypothesis", "Search", "amplitudes_of", "search"]
 
 PRIOR_OF_SIZE = {0: 0.4, 1: 0.4, 2: 0.1, 3: 0.015}
+"""Probability of so many effects at once; nothing and one are as likely, and every
+further one is four to seven times rarer."""
+
 PRIOR_OF_KIN = 0.1
 """That two effects of one set are of one family, against two families."""
+
 PRIOR_OF_UNKNOWN = 0.1
+"""That something is there that no listed effect explains, beside any set."""
+
+_BEST_SINGLES, _WITHIN = 6, 15.0
+"""Single effects that are refitted: so many, and all within so much log evidence of the
+best by the linear screen, which may be wrong by some of it on a large gap."""
+
+_HOPELESS = 30.0
+"""Log weight below the best at which a set is not extended any more."""
+
+_WORTH_A_REFIT = 4.0
+"""Log weight below the best, by the linear step, at which a set is not refitted: less
+than a fiftieth of the best each."""
 
 
 @dataclass(frozen=True)
@@ -91,10 +107,13 @@ class _Searcher:
     def __init__(self, base: Base, testable: Sequence[int]):
         self.base, self.testable = base, tuple(testable)
         effects = [atom.effect for atom in base.atoms]
-        self.sign = np.array([effect.sign for effect in effects], float)
+        self.low, self.high = base.design.low, base.design.high
+        # One half of the prior is gone where only one sign is physical.
+        self.sign = np.where(self.low >= 0, 1.0, np.where(self.high <= 0, -1.0, 0.0))
         self.center = np.asarray(base.design.prior_center)
         self.ids = [effect.id for effect in effects]
-        self.singular = np.array([e.singular or e.center != 0 for e in effects], bool)
+        self.odds = [e.odds(base.rows) if e.odds else 0.0 for e in effects]
+        self.singular = np.array([effect.far for effect in effects], bool)
         self.found: dict[tuple[int, ...], Hypothesis] = {}
         families = {effects[k].family for k in self.testable}
         self.forms = {
@@ -112,13 +131,13 @@ class _Searcher:
         for k in atoms:
             family = self.base.atoms[k].effect.family
             total -= np.log(len(self.forms) * self.forms[family])
-            total -= np.log(self.variants[self.ids[k]])
+            total += self.odds[k] - np.log(self.variants[self.ids[k]])
         families = {self.base.atoms[k].effect.family for k in atoms}
         total += np.log(PRIOR_OF_KIN) * (len(atoms) - len(families))
         return float(total + np.log(np.prod(np.arange(1, len(atoms) + 1))))
 
     def _add_null(self) -> None:
-        refit = self.base.refit
+        refit = self.base.fit.refit
         self.null_chi2 = float(refit.chi2[0])
         self.null_log_det = float(refit.log_det[0])
         z = np.asarray(refit.z)[0]
@@ -132,11 +151,11 @@ class _Searcher:
         base = self.base
         if hypothesis.atoms:
             amplitudes = amplitudes_of(base, hypothesis)
-            residual, jacobian, use, _ = base.linearised(hypothesis.z, amplitudes)
+            residual, jacobian, columns, _ = base.linearised(hypothesis.z, amplitudes)
         else:
-            residual, jacobian, use, _ = base.at_null
-        used_up = np.concatenate([jacobian, use[:, hypothesis.atoms]], 1)
-        left = without(use, used_up)
+            residual, jacobian, columns, _ = base.at_null
+        used_up = np.concatenate([jacobian, columns[:, hypothesis.atoms]], 1)
+        left = without(columns, used_up)
         return left.T @ left, left.T @ without(residual, used_up), left
 
     def refit(self, sets: Sequence[tuple[int, ...]], guesses: dict) -> None:
@@ -153,18 +172,13 @@ class _Searcher:
                 starts.append((z, amplitude))
                 index.append(atoms)
                 owner.append(number)
-        found = refit_all(
-            *self.base.arguments,
-            *fill(starts, index, len(self.base.atoms), self.sign), self.base.design,
-        )  # fmt: skip
-        found = type(found)(*(np.asarray(part)[: len(owner)] for part in found))
+        every = self.base.refit(starts, index)
         for number, atoms in enumerate(sets):
             mine = [k for k, o in enumerate(owner) if o == number]
-            total = found.chi2[mine] + found.penalty[mine]
+            total = every.chi2[mine] + every.penalty[mine]
             total = np.where(np.isfinite(total), total, np.inf)
-            self._record(
-                atoms, type(found)(*(p[mine[int(np.argmin(total))]] for p in found))
-            )
+            best = mine[int(np.argmin(total))]
+            self._record(atoms, type(every)(*(part[best] for part in every)))
 
     def estimate(self, atoms, guess, within: Hypothesis, value: float) -> None:
         """Record a set too improbable to refit, from the linear step to it."""
@@ -178,20 +192,22 @@ class _Searcher:
             self.log_prior(atoms), *guess, wide, within.chi2, False,
         )  # fmt: skip
 
+    def within(self, atoms, amplitude) -> np.ndarray:
+        """Amplitudes of these atoms, in prior scales, where physics allows them."""
+        return np.clip(amplitude, self.low[list(atoms)], self.high[list(atoms)])
+
     def _starts(self, atoms, guess):
         z = self.base.z
         if guess is not None:
             yield guess
         else:
-            amplitude = np.where(
-                self.center[list(atoms)] != 0, self.center[list(atoms)], 1.0
-            )
-            yield z, amplitude
+            sign, center = self.sign[list(atoms)], self.center[list(atoms)]
+            first = np.where(sign != 0, sign, 1.0)
+            yield z, self.within(atoms, np.where(center != 0, center, first))
         if guess is None or any(self.singular[k] for k in atoms):
-            sign = self.sign[list(atoms)]
-            center = self.center[list(atoms)]
-            other = np.where(center != 0, center, np.where(sign != 0, 0.3, -1.0))
-            yield z, other
+            sign, center = self.sign[list(atoms)], self.center[list(atoms)]
+            other = np.where(sign != 0, _SMALL * sign, -1.0)
+            yield z, self.within(atoms, np.where(center != 0, center, other))
 
     def _record(self, atoms, refit) -> None:
         if not np.isfinite(refit.chi2):
@@ -213,6 +229,10 @@ class _Searcher:
         )  # fmt: skip
 
 
+_FAR, _SMALL, _TINY = 4.0, 0.3, 0.1
+"""Amplitudes in prior scales where refits start: farthest, second start and nearest to
+zero of an effect of one sign."""
+
 _LIKELY_VARIANTS = 3
 """Variants of one effect that are refitted: those that the linear screen likes best."""
 
@@ -233,10 +253,10 @@ def _best_variants(searcher: _Searcher, gram, score, within=()):
 def _guess(searcher, gram, score, hypothesis: Hypothesis, k: int):
     """Start of a refit: the step that the linear score suggests."""
     shift = (score[k] - gram[k, k] * searcher.center[k]) / (gram[k, k] + 1)
-    first = searcher.center[k] + shift
-    if searcher.sign[k]:
-        first = searcher.sign[k] * max(searcher.sign[k] * first, 0.1)
-    amplitude = np.append(hypothesis.amplitude, np.clip(first, -4, 4))
+    first = np.clip(searcher.center[k] + shift, -_FAR, _FAR)
+    if searcher.sign[k]:  # at zero itself it would stay
+        first = searcher.sign[k] * max(searcher.sign[k] * first, _TINY)
+    amplitude = np.append(hypothesis.amplitude, searcher.within((k,), first))
     order = np.argsort((*hypothesis.atoms, k))
     return tuple(np.array((*hypothesis.atoms, k))[order].tolist()), (
         hypothesis.z, amplitude[order]
@@ -252,7 +272,8 @@ def search(base: Base, testable: Sequence[int]) -> Search:
     singles, guesses = [], {}
     for rank, variants in enumerate(ranked):
         top, first = variants[0]
-        if rank < 6 or top > ranked[0][0][0] - 15 or searcher.singular[first]:
+        near = rank < _BEST_SINGLES or top > ranked[0][0][0] - _WITHIN
+        if near or searcher.singular[first]:
             for _, k in variants[:_LIKELY_VARIANTS]:
                 atoms, guess = _guess(searcher, gram, score, null, k)
                 singles.append(atoms)
@@ -261,11 +282,10 @@ def search(base: Base, testable: Sequence[int]) -> Search:
     _extend(searcher, 1, beam=3, width=6)
     _pairs_by_screen(searcher, gram, score, [variants[0] for variants in ranked])
     _extend(searcher, 2, beam=2, width=4)
-    found = Search(
+    return Search(
         base, searcher.testable, _scores(searcher, gram, score),
         list(searcher.found.values()), left,
     )  # fmt: skip
-    return found
 
 
 def _pairs_by_screen(searcher, gram, score, ranked, count: int = 6) -> None:
@@ -286,14 +306,14 @@ def _extend(searcher: _Searcher, size: int, beam: int, width: int) -> None:
     wanted, guesses = [], {}
     top = max(h.log_weight for h in searcher.found.values())
     for hypothesis in sets:
-        if hypothesis.log_weight < top - 30 and hypothesis is not sets[0]:
+        if hypothesis.log_weight < top - _HOPELESS and hypothesis is not sets[0]:
             continue
         gram, score, _ = searcher.columns(hypothesis)
         ranked = _best_variants(searcher, gram, score, hypothesis.atoms)
         for value, k in [variants[0] for variants in ranked[:width]]:
             atoms, guess = _guess(searcher, gram, score, hypothesis, k)
             expected = hypothesis.log_evidence + value + searcher.log_prior(atoms)
-            if expected > top - 4.0:
+            if expected > top - _WORTH_A_REFIT:
                 wanted.append(atoms)
                 guesses.setdefault(atoms, guess)
             else:

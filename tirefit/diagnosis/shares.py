@@ -4,10 +4,7 @@ from collections.abc import Callable
 from itertools import combinations
 from math import factorial
 
-import numpy as np
-
 from tirefit.diagnosis.base import Base
-from tirefit.diagnosis.forward import fill, refit_all
 from tirefit.diagnosis.search import Hypothesis
 
 __all__ = ["closed_by_each", "shapley"]
@@ -48,10 +45,8 @@ def closed_by_each(base: Base, chosen: Hypothesis) -> dict[str, float]:
     ]
     starts = [(chosen.z, chosen.amplitude[list(subset)]) for subset in sets]
     atoms = [tuple(chosen.atoms[k] for k in subset) for subset in sets]
-    sign = np.array([atom.effect.sign for atom in base.atoms], float)
-    arrays = fill(starts, atoms, len(base.atoms), sign)
-    found = np.asarray(refit_all(*base.arguments, *arrays, base.design).chi2)
-    chi2 = dict(zip(atoms, found[: len(sets)].tolist(), strict=True))
+    refitted = base.refit(starts, atoms)
+    chi2 = dict(zip(atoms, refitted.chi2.tolist(), strict=True))
     closed = chi2[()] - chi2[chosen.atoms]
     if not closed > 0:
         return {}

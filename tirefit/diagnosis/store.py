@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.data.write import to_convention, write_csv, write_text_atomic
+from tirefit.data.write import to_convention, write_csv
 from tirefit.diagnosis.result import Diagnosis
+from tirefit.files import write_text_atomic
 
 __all__ = ["rows_in_file_terms", "save_diagnosis"]
 

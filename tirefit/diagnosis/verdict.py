@@ -41,13 +41,23 @@ SURE = 0.8
 """Probability from which an effect is named without alternatives."""
 
 _LEVEL = 0.05
+"""Error of the first kind of the test for a gap."""
+
 _TOLD_APART = 0.75
+"""Forecast probability of telling two effects apart below which data cannot."""
+
+_RIVAL = 0.1
+"""Share of the best set's probability from which another set is a rival."""
+
 _ABSURD = 8.0
 """Amplitude in prior scales beyond which an effect is no explanation."""
 
 _HARDLY = 0.02
 """Probability of nothing below which a gap stands though the score test misses it:
 effects without a slope at zero escape that test."""
+
+_SHOWS = 3.0
+"""Log evidence over no gap from which a set of effects shows at all: 20 to 1."""
 
 _DRAWS = 2000
 
@@ -66,10 +76,11 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Weighed:
-    """Probability of every set of effects; ``unknown`` is that of a gap that no listed
-    effect explains, alone or beside the set; ``other_form`` are the sets whose effects
-    are there in a form of their own, ``evidence`` the log evidence of each set over
-    none, in whatever form."""
+    """Probability of every set of effects that was refitted; ``unknown`` is that of a
+    gap that no listed effect explains, alone or beside the set; ``other_form`` are the
+    sets whose effects are there in a form of their own, ``evidence`` the log evidence
+    of each set over none, in whatever form. ``hidden`` is the probability of sets too
+    improbable to be refitted, which these data could not show either."""
 
     sets: dict[tuple[str, ...], float]
     best_of: dict[tuple[str, ...], Hypothesis]
@@ -77,6 +88,7 @@ class Weighed:
     unknown_beside: dict[tuple[str, ...], float]
     other_form: frozenset[tuple[str, ...]]
     evidence: dict[tuple[str, ...], float]
+    hidden: float
 
 
 def gap_p_value(search: Search, generator) -> float:
@@ -98,7 +110,10 @@ def weigh(search: Search) -> Weighed:
     """Posterior probabilities of all sets, with and without an unknown remainder."""
     logs: dict[tuple[str, ...], list[float]] = {}
     best: dict[tuple[str, ...], Hypothesis] = {}
-    for hypothesis in search.hypotheses:
+    # An estimate is no fit of its set: its remainder is that of a smaller one.
+    fitted = [h for h in search.hypotheses if h.refitted]
+    guessed = [h for h in search.hypotheses if not h.refitted]
+    for hypothesis in fitted:
         key = tuple(sorted(hypothesis.effects))
         logs.setdefault(key, []).append(hypothesis.log_weight)
         if key not in best or hypothesis.log_weight > best[key].log_weight:
@@ -108,8 +123,6 @@ def weigh(search: Search) -> Weighed:
     beside, others = {}, set()
     ranked = sorted(total, key=total.get, reverse=True)
     for key in dict.fromkeys([*ranked[:6], *_simplest(total, 8), ()]):
-        if not best[key].refitted:
-            continue
         linear = linear_at(search.base, best[key])
         form = _form(linear)
         if form is not None and len(key) < MOST_EFFECTS:
@@ -121,14 +134,22 @@ def weigh(search: Search) -> Weighed:
         used_up = linear.used_up if key not in others else form.used_up
         more = log_evidence(search.base.generic, used_up, linear.residual)
         beside[key] = total[key] + more + np.log(PRIOR_OF_UNKNOWN)
-    everything = logsumexp([*total.values(), *beside.values()])
+    rest = [hypothesis.log_weight for hypothesis in guessed]
+    everything = logsumexp([*total.values(), *beside.values(), *rest])
+
+    def probabilities(logs):
+        return {k: float(np.exp(v - everything)) for k, v in logs.items()}
+
+    hidden = [h.log_weight for h in guessed if h.log_evidence < _SHOWS]
+    alone = beside.pop(())
     return Weighed(
-        {k: float(np.exp(v - everything)) for k, v in total.items()},
-        best,
-        float(np.exp(beside[()] - everything)),
-        {k: float(np.exp(v - everything)) for k, v in beside.items() if k},
-        frozenset(others),
-        evidence,
+        sets=probabilities(total),
+        best_of=best,
+        unknown_alone=float(np.exp(alone - everything)),
+        unknown_beside=probabilities(beside),
+        other_form=frozenset(others),
+        evidence=evidence,
+        hidden=float(np.sum(np.exp(np.array(hidden) - everything))),
     )
 
 
@@ -155,8 +176,8 @@ def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
         else base.at_null
     )
     own = columns[:, list(hypothesis.atoms)]
-    families = [base.atoms[k].effect.family for k in hypothesis.atoms]
-    forms = form_columns(families, fields, base.prepared, base.slip_fraction)
+    effects = [base.atoms[k].effect for k in hypothesis.atoms]
+    forms = form_columns(effects, fields, base.prepared, base.slip_fraction)
     keep = np.tile(base.design.keep[: base.prepared.n], len(base.prepared.channels))
     return LinearFit(
         residual, np.concatenate([jacobian, own], axis=1), forms * keep[:, None]
@@ -190,7 +211,7 @@ def judge(search: Search, weighed: Weighed, p_value: float) -> Verdict:
     nothing = _unresolved(weighed)
     if nothing > 0.5 or (p_value > _LEVEL and nothing > _HARDLY):
         return Verdict("none", (), weighed.sets[()], (), p_value, null)
-    named = {k: v for k, v in weighed.sets.items() if k and weighed.best_of[k].refitted}
+    named = {k: v for k, v in weighed.sets.items() if k}
     together = {k: v + weighed.unknown_beside.get(k, 0.0) for k, v in named.items()}
     best = max(together, key=together.get, default=None)
     if best is None or weighed.unknown_alone > together[best]:
@@ -222,7 +243,7 @@ def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:
         left = without(linear.columns, used_up)
         norm = np.linalg.norm(left, axis=0)
         size = abs(amplitude) * norm[atom]
-        if size < 1:  # at its bound, where it has no slope to compare
+        if size < 1:  # standard error: at its bound, where it has no slope to compare
             continue
         for k in search.testable:
             effect = base.atoms[k].effect
@@ -237,14 +258,15 @@ def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:
 
 def _unresolved(weighed: Weighed) -> float:
     """Probability that nothing is there which these data could show."""
-    return float(sum(p for k, p in weighed.sets.items() if weighed.evidence[k] < 3))
+    shown = (p for k, p in weighed.sets.items() if weighed.evidence[k] < _SHOWS)
+    return weighed.hidden + float(sum(shown))
 
 
 def _rivals(named, best) -> tuple[str, ...]:
     """Effects of other sets that are nearly as probable and no larger."""
     found: dict[str, float] = {}
     for key, probability in named.items():
-        if key == best or probability < 0.1 * named[best]:
+        if key == best or probability < _RIVAL * named[best]:
             continue
         for effect in set(key) - set(best):
             if len(key) <= len(best):

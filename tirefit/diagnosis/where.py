@@ -6,14 +6,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
+from tirefit.data.levels import levels
 from tirefit.diagnosis.base import Base
-from tirefit.diagnosis.basis import mean_gain, orthogonal
-from tirefit.diagnosis.forms import PLACE, functions_of
+from tirefit.diagnosis.basis import functions_of, mean_gain, orthogonal
+from tirefit.diagnosis.forms import PLACE
 
 __all__ = ["Cell", "Region", "parameter_map", "regions"]
 
 _LEVELS = 6
-"""Settings with up to so many distinct values are regions of their own."""
+"""Settings up to so many are regions of their own."""
 
 
 class Region(NamedTuple):
@@ -28,9 +29,9 @@ class Region(NamedTuple):
 
 
 def _edges(values) -> list[tuple[float, float]]:
-    distinct = np.unique(np.round(values, 6))
-    if len(distinct) <= _LEVELS:
-        return [(float(x), float(x)) for x in distinct]
+    settings = levels(values)
+    if settings.few(_LEVELS):
+        return list(zip(settings.low.tolist(), settings.high.tolist(), strict=True))
     cuts = np.unique(np.quantile(values, [0, 0.25, 0.5, 0.75, 1]))
     return list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
 

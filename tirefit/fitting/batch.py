@@ -13,6 +13,7 @@ from tirefit.fitting.least_squares import damped_gauss_newton
 from tirefit.fitting.problem import find_model, guess_from_curve
 from tirefit.models import TireInputs
 from tirefit.params import specs, with_values
+from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 
 __all__ = ["BatchFit", "fit_many"]
@@ -52,9 +53,10 @@ def fit_many(
         residuals show (independent, equal).
 
     Raises:
-        UsageError: unknown model, or a transient one.
+        UsageError: unknown model, or a transient one; or 32-bit floats in use.
         ValueError: shapes that do not match, or an unknown axis.
     """
+    require_x64("fit_many")
     slip, force = jnp.asarray(slip, float), jnp.asarray(force, float)
     if slip.ndim != 2 or slip.shape != force.shape:
         raise ValueError(

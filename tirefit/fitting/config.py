@@ -139,7 +139,7 @@ class DataConfig(Section):
 class PosteriorConfig(Section):
     """Sampling: which sampler, and how far."""
 
-    sampler: Literal["emcee", "hmc"] = "emcee"
+    sampler: Literal["emcee", "nuts", "importance"] = "emcee"
     ensembles: int = Field(default=4, ge=4)
     walkers: PositiveInt | None = None
     effective_samples: PositiveInt = 4000

@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from tirefit.data.table import Source, TireData
-from tirefit.fitting.likelihood import CHANNEL_SLIP
-from tirefit.fitting.predict import row_moments
+from tirefit.fitting.likelihood import CHANNEL_SLIP, row_moments
+from tirefit.fitting.predict import predict
 from tirefit.fitting.result import FitResult
-from tirefit.fitting.store import predict
 from tirefit.models import AbstractTire
 
 __all__ = ["curve", "misfit_by_load"]
@@ -43,7 +42,8 @@ def curve(
         len(loads) n rows.
 
     Raises:
-        UsageError: unknown model or parameter, or a value outside its bounds.
+        UsageError: unknown model or parameter, or a value outside its bounds; or
+            32-bit floats in use.
         DataError: the tire needs a speed.
     """
     columns = {
@@ -60,8 +60,7 @@ def curve(
         tuple(f"F_z {load:g} N" for load in loads),
         source or Source(),
     )
-    found = predict(tire, rows, values)[force]
-    return replace(rows, columns=columns | {force: found})
+    return replace(rows, columns=columns | {force: predict(tire, rows, values)[force]})
 
 
 def misfit_by_load(result: FitResult) -> dict[float, float]:

@@ -15,10 +15,9 @@ import numpy as np
 from scipy.special import expit, logit
 
 from tirefit.compiled import compiled
-from tirefit.fitting.inference import Profile, deviance, linearise
+from tirefit.fitting.inference import Profile, deviance, inflation, linearise
 from tirefit.fitting.layout import Layout
-from tirefit.fitting.likelihood import CHANNEL_SLIP
-from tirefit.fitting.problem import FitProblem
+from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.result import Estimate
 from tirefit.fitting.solve import Solved
 from tirefit.models import TireInputs
@@ -154,22 +153,16 @@ def _evaluator(problem: FitProblem, channel: str) -> Callable:
 def _bowl(solved: Solved, z):
     """Deviance at z, half its slope (p,), and half its curvature (p, p)."""
     problem = solved.problem
-    arguments = (
-        problem.model, problem.layout, z, problem.rows, problem.channels, problem.loss
-    )  # fmt: skip
-    at = linearise(*arguments)
+    at = linearise(problem, z)
     slope, curvature = np.zeros(len(z)), np.zeros((len(z), len(z)))
     for name, slopes in at.slopes.items():
         values, slopes = np.asarray(at.values[name]), np.asarray(slopes)
-        weight = 1.0
-        if name in solved.rules:
-            rule = solved.rules[name]
-            weight = 1 / rule.inflation
-            if rule.smallest > 0:
-                weight = rule.effective / (values @ values)
+        weight = 1 / inflation(problem, name)
+        if name in problem.rules and problem.rules[name].smallest > 0:
+            weight = problem.rules[name].effective / (values @ values)
         slope += weight * (values @ slopes)
         curvature += weight * (slopes.T @ slopes)
-    return float(deviance(*arguments, solved.rules)), slope, curvature
+    return float(deviance(problem, z)), slope, curvature
 
 
 def _slope_of(evaluate: Callable, name: str, z, std):

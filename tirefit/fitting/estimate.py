@@ -2,24 +2,23 @@
 
 import importlib.metadata
 import platform
-from dataclasses import replace
+from dataclasses import asdict
 from typing import Any
 
-import jax
 import numpy as np
-from scipy.special import stdtrit
 
 from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, parse_config
 from tirefit.fitting.derived import derived_from_profile, reference_point
-from tirefit.fitting.inference import Profile, profile_all
+from tirefit.fitting.inference import Profile, half_width_95, profile_all
 from tirefit.fitting.layout import Tie
-from tirefit.fitting.problem import FitProblem, build
+from tirefit.fitting.likelihood import FitProblem
+from tirefit.fitting.problem import FitTask, build
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics, information
 from tirefit.fitting.solve import Solved, solve_problem
 from tirefit.fitting.verdict import judge
 from tirefit.params import constrain, log_jacobian, parameter_values, specs
-from tirefit.results import UsageError
+from tirefit.precision import require_x64
 
 __all__ = ["fit", "with_fixed"]
 
@@ -43,9 +42,8 @@ def _not_identified(spec, low: float, high: float, profile: Profile) -> bool:
 def _profile_estimates(solved: Solved, profiles: list[Profile]):
     """Least-squares estimates with profile intervals, and covariance intervals."""
     estimates, by_covariance = {}, {}
-    any_estimated = any(c.noise_estimated for c in solved.problem.channels)
     dof = max(solved.n_effective - solved.problem.layout.size, 1.0)
-    quantile = float(stdtrit(dof, 0.975)) if any_estimated else 1.959963984540054
+    quantile = half_width_95(solved.problem.noise_estimated, dof)
     for i, (label, parameter) in enumerate(solved.problem.layout.elements):
         spec, z = parameter.spec, solved.z[i]
         value, slope = float(constrain(z, spec)), float(np.exp(log_jacobian(z, spec)))
@@ -107,7 +105,7 @@ def _statistics(solved: Solved) -> FitStatistics:
 def _minus_two_log_likelihood(solved: Solved) -> float:
     """Of all rows as if independent, at the noise scales in use."""
     problem, total = solved.problem, 0.0
-    for name in solved.rules:
+    for name in problem.rules:
         block = solved.at.values[name]
         for channel in problem.block_channels(name):
             scale = problem.used(problem.rows.scale[channel.name])
@@ -140,7 +138,7 @@ def _neighbours(ordered: np.ndarray) -> float:
 
 
 def _versions() -> dict[str, str]:
-    packages = ("jax", "optimistix", "jaxopt", "emcee", "numpy", "scipy")
+    packages = ("jax", "optimistix", "jaxopt", "emcee", "blackjax", "numpy", "scipy")
     return {"python": platform.python_version()} | {
         name: importlib.metadata.version(name) for name in packages
     }
@@ -160,6 +158,7 @@ def _data_record(data: TireData, used: int) -> dict[str, Any]:
         "columns": dict(source.columns),
         "units": dict(source.units),
         "assumptions": list(source.notes),
+        "slip_check": None if source.slip_check is None else asdict(source.slip_check),
     }
 
 
@@ -183,7 +182,9 @@ def _noise_record(solved: Solved) -> dict[str, Any]:
         }
     for slip, std in problem.slip_noise.items():
         record[slip] = {"median_std": float(np.median(std)), "source": "given"}
-    record["inflation"] = {k: float(rule.inflation) for k, rule in solved.rules.items()}
+    record["inflation"] = {
+        k: float(rule.inflation) for k, rule in problem.rules.items()
+    }
     return record
 
 
@@ -221,27 +222,20 @@ def fit(
         UsageError: unknown model, parameter or option; or 32-bit floats in use.
         DataError: the data lack a column that the model needs, or are too few.
     """
-    if not jax.config.jax_enable_x64:
-        raise UsageError(
-            "a fit needs 64-bit floats: jax.config.update('jax_enable_x64', True)"
-            " before the first array, or JAX_ENABLE_X64=1 in the environment"
-        )
+    require_x64("a fit")
     config = _config(config, solver=solver, seed=seed, model=model)
-    problem = build(data, config.model or "brush", config)
-    return _summarise(solve_problem(problem, config), data, config)
+    task = build(data, config.model or "brush", config)
+    return _summarise(task, solve_problem(task, config), data, config)
 
 
-def _summarise(solved: Solved, data: TireData, config: FitConfig) -> FitResult:
+def _summarise(task: FitTask, solved: Solved, data: TireData, config) -> FitResult:
     problem = solved.problem
-    profiles = profile_all(
-        problem.model, problem.layout, solved.z, solved.covariance, problem.rows,
-        problem.channels, problem.loss, solved.rules, solved.level,
-    )  # fmt: skip
+    profiles = profile_all(problem, solved.z, solved.covariance, solved.level)
     estimates, by_covariance = _profile_estimates(solved, profiles)
     std = np.sqrt(np.diag(solved.covariance))
     elements = problem.layout.elements
     result = FitResult(
-        model=problem.name,
+        model=task.name,
         forces=tuple(c.name for c in problem.channels),
         parameters=with_fixed(estimates, problem),
         least_squares=estimates,
@@ -251,7 +245,7 @@ def _summarise(solved: Solved, data: TireData, config: FitConfig) -> FitResult:
         },
         derived=derived_from_profile(solved, profiles, list(estimates.values())),
         statistics=_statistics(solved),
-        noise=_noise_record(solved) | {"notes": list(problem.notes)},
+        noise=_noise_record(solved) | {"notes": list(task.notes)},
         verdict={},
         outcomes=(),
         labels=problem.layout.labels,
@@ -273,9 +267,9 @@ def _summarise(solved: Solved, data: TireData, config: FitConfig) -> FitResult:
             for i, (label, parameter) in enumerate(elements)
         },
         problem=problem,
+        solved=solved,
         table=data,
     )
-    result = replace(result, solved=solved)
     return judge(result)
 
 

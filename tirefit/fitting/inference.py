@@ -9,78 +9,61 @@ Everything rests on one function of z, the *deviance* D(z) = -2 log L + 2 log L(
   D = n_eff log(S / S_min), which in a linear model gives exactly Student's t.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 
 from tirefit.compiled import compiled
-from tirefit.fitting.layout import Layout
 from tirefit.fitting.least_squares import Solution, damped_gauss_newton, solve
-from tirefit.fitting.likelihood import Rows, root_deviance
-from tirefit.fitting.predict import moments
+from tirefit.fitting.likelihood import FitProblem, moments, root_deviance
 
 __all__ = [
-    "Profile",
-    "Rule",
-    "best_of",
+    "REACH",
     "Linearised",
+    "Profile",
+    "best_of",
     "covariance",
     "deviance",
+    "half_width_95",
+    "inflation",
     "linearise",
     "profile_all",
+    "residuals",
     "solve_starts",
     "threshold",
 ]
-
-_CHI2_95 = 3.841458820694124
-"""95 % quantile of chi-squared with one degree of freedom."""
 
 REACH = 12.0
 """|z| at which a parameter has all but reached its bound (6e-6 of the range away)."""
 
 
-class Rule(NamedTuple):
-    """How one block of residuals enters the deviance.
-
-    ``inflation``: rows per independent row (times chi2/dof where applied);
-    ``effective``: effective number of rows; ``smallest``: sum of squares at the best
-    fit, zero where the noise was given.
-    """
-
-    inflation: Float[Array, ""] | float = 1.0
-    effective: Float[Array, ""] | float = 1.0
-    smallest: Float[Array, ""] | float = 0.0
-
-
-def _stacked(model, layout, z, rows, channels, loss, rules):
-    """All residuals and their scoring weights, see ``least_squares.Residual``."""
-    blocks = root_deviance(model, layout, z, rows, channels, loss)
+def residuals(
+    problem: FitProblem, z: Float[Array, " p"]
+) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+    """All residuals, priors last, and their scoring weights: of the rows, divided by
+    the root of their inflation. See ``least_squares.Residual``."""
     values, weights = [], []
-    for name, block in blocks.items():
-        inflation = rules[name].inflation if name in rules else 1.0
-        values.append(block / jnp.sqrt(inflation))
-        noisy = name in rows.nodes
+    for name, block in root_deviance(problem, z).items():
+        values.append(block / jnp.sqrt(problem.rules[name].inflation))
+        noisy = name in problem.rows.nodes
         weights.append(jax.lax.stop_gradient(block) if noisy else jnp.ones_like(block))
-    pulls = layout.prior_residual(z)
+    pulls = problem.layout.prior_residual(z)
     values.append(pulls)
     weights.append(jnp.ones_like(pulls))
     return jnp.concatenate(values), jnp.concatenate(weights)
 
 
-@compiled(static=("layout", "channels", "loss", "solver"))
+@compiled(static=("solver",))
 def solve_starts(
-    model, layout: Layout, starts, rows: Rows, channels, loss, rules, solver
+    problem: FitProblem, starts: Float[Array, "starts p"], solver: str
 ) -> Solution:
-    """Least squares from every start; rules of shape () by block name."""
-
-    def residual(z):
-        return _stacked(model, layout, z, rows, channels, loss, rules)
-
-    return solve(residual, starts, solver)
+    """Least squares from every start."""
+    return solve(partial(residuals, problem), starts, solver)
 
 
 def best_of(solution: Solution) -> int:
@@ -93,13 +76,12 @@ def best_of(solution: Solution) -> int:
     return best if settled[best] <= cost[lowest] * (1 + 1e-6) + 1e-12 else lowest
 
 
-@compiled(static=("layout", "channels", "loss"))
-def deviance(model, layout: Layout, z, rows: Rows, channels, loss, rules):
-    """-2 log likelihood at z relative to the best fit, priors included (scalar)."""
-    blocks = root_deviance(model, layout, z, rows, channels, loss)
-    total = jnp.sum(layout.prior_residual(z) ** 2)
-    for name, block in blocks.items():
-        rule = rules[name]
+@compiled()
+def deviance(problem: FitProblem, z: Float[Array, " p"]) -> Float[Array, ""]:
+    """-2 log likelihood at z relative to the best fit, priors included."""
+    total = jnp.sum(problem.layout.prior_residual(z) ** 2)
+    for name, block in root_deviance(problem, z).items():
+        rule = problem.rules[name]
         squares = jnp.sum(block**2)
         known = squares / rule.inflation
         safe = jnp.where(rule.smallest > 0, rule.smallest, 1.0)
@@ -126,59 +108,71 @@ jax.export.register_namedtuple_serialization(
 )
 
 
-@compiled(static=("layout", "channels", "loss"))
-def linearise(model, layout: Layout, z, rows: Rows, channels, loss) -> Linearised:
+@compiled()
+def linearise(problem: FitProblem, z: Float[Array, " p"]) -> Linearised:
     """All that the analysis of an estimate needs of the model, in one program."""
 
     def blocks(z):
-        found = root_deviance(model, layout, z, rows, channels, loss)
-        return found | {"prior": layout.prior_residual(z)}
+        return root_deviance(problem, z) | {"prior": problem.layout.prior_residual(z)}
 
-    mean, variance = moments(model, layout, z, rows, channels)
+    mean, variance = moments(problem, z)
     return Linearised(blocks(z), jax.jacfwd(blocks)(z), mean, variance)
 
 
-@compiled(static=("layout", "channels", "loss"))
-def _hessian(model, layout: Layout, z, rows: Rows, channels, loss, rules):
+@compiled()
+def _hessian(problem: FitProblem, z: Float[Array, " p"]) -> Float[Array, "p p"]:
     def half(z):
-        values, _ = _stacked(model, layout, z, rows, channels, loss, rules)
+        values, _ = residuals(problem, z)
         return values @ values / 2
 
     return jax.hessian(half)(z)
 
 
 def covariance(
-    model, layout: Layout, z, rows: Rows, channels, loss, rules, at: Linearised
-) -> np.ndarray:
-    """Covariance of z, shape (p, p): the inverse of the curvature of the deviance.
+    problem: FitProblem, z: Float[Array, " p"], at: Linearised
+) -> Float[np.ndarray, "p p"]:
+    """Covariance of z: the inverse of the curvature of the deviance.
 
     The Gauss-Newton curvature J'J; with slip noise the exact Hessian, because there
     the rows are no sum of squares. Directions without information get the variance of
     a parameter spread over its whole range.
     """
-    if rows.nodes:
-        information = _hessian(model, layout, z, rows, channels, loss, rules)
+    if problem.rows.nodes:
+        information = _hessian(problem, z)
     else:
         information = sum(
-            slope.T @ slope / (rules[name].inflation if name in rules else 1.0)
+            slope.T @ slope / inflation(problem, name)
             for name, slope in ((k, np.asarray(v)) for k, v in at.slopes.items())
         )
     values, vectors = np.linalg.eigh(np.asarray(information))
     return (vectors / np.maximum(values, 1 / REACH**2)) @ vectors.T
 
 
-@compiled(static=("layout", "channels", "loss"))
-def _profile_points(model, layout, index, values, starts, rows, channels, loss, rules):
-    """Deviance minimised over all but one element, at (m,) values of that element."""
+def inflation(problem: FitProblem, block: str) -> float:
+    """Inflation of a block of :class:`Linearised`; one for the priors."""
+    return problem.rules[block].inflation if block in problem.rules else 1.0
+
+
+@compiled()
+def _profile_points(problem: FitProblem, index, values, starts):
+    """Deviance minimised over all but one element.
+
+    Args:
+        index: the element that is held, of every point, shape (m,).
+        values: what it is held at, shape (m,).
+        starts: first z, shape (m, p).
+
+    Returns:
+        deviance (m,) and z (m, p).
+    """
 
     def one(index, value, start):
-        def residual(z):
-            z = z.at[index].set(value)
-            return _stacked(model, layout, z, rows, channels, loss, rules)
+        def held(z):
+            return residuals(problem, z.at[index].set(value))
 
-        end = damped_gauss_newton(residual, start, max_steps=60, tolerance=1e-7)
+        end = damped_gauss_newton(held, start, max_steps=60, tolerance=1e-7)
         z = end.z.at[index].set(value)
-        return deviance(model, layout, z, rows, channels, loss, rules), z
+        return deviance(problem, z), z
 
     return jax.lax.map(lambda a: one(*a), (index, values, starts))
 
@@ -198,12 +192,17 @@ class Profile(NamedTuple):
     open_high: bool
 
 
+def half_width_95(estimated: bool, dof: float) -> float:
+    """Standard deviations to either end of a 95 % interval: the normal distribution's
+    where the noise is given, Student's t where it is estimated."""
+    return float(stdtrit(max(dof, 1.0), 0.975) if estimated else ndtri(0.975))
+
+
 def threshold(estimated: bool, effective: float, parameters: int) -> float:
     """Deviance at the ends of a 95 % interval: chi-squared, or Student's t."""
-    if not estimated:
-        return _CHI2_95
     dof = max(effective - parameters, 1.0)
-    return float(effective * np.log1p(stdtrit(dof, 0.975) ** 2 / dof))
+    square = half_width_95(estimated, dof) ** 2
+    return float(effective * np.log1p(square / dof)) if estimated else square
 
 
 class _Side:
@@ -266,14 +265,16 @@ _ROUNDS = 16
 
 
 def profile_all(
-    model, layout: Layout, z, cov, rows: Rows, channels, loss, rules, level: float
+    problem: FitProblem,
+    z: Float[np.ndarray, " p"],
+    cov: Float[np.ndarray, "p p"],
+    level: float,
 ) -> list[Profile]:
     """Profile likelihood of every element of z, all sides searched together."""
-    z, cov = np.asarray(z), np.asarray(cov)
-    std = np.sqrt(np.diag(cov))
-    sides = [_Side(z[i], s, std[i], level) for i in range(layout.size) for s in (-1, 1)]
-    index = np.repeat(np.arange(layout.size), 2)
-    signs = np.tile([-1, 1], layout.size)
+    std, size = np.sqrt(np.diag(cov)), len(z)
+    sides = [_Side(z[i], s, std[i], level) for i in range(size) for s in (-1, 1)]
+    index = np.repeat(np.arange(size), 2)
+    signs = np.tile([-1, 1], size)
     # How the other elements follow, at first by the covariance, then as last found.
     follow = signs[:, None] * (cov[:, index] / np.diag(cov)[index]).T
     # The first round has distance zero: the deviance of the best fit itself.
@@ -282,20 +283,18 @@ def profile_all(
         finished = all(side.done for side in sides)
         starts = np.clip(z + follow * distance[:, None], -REACH, REACH)
         values = np.clip(z[index] + signs * distance, -REACH, REACH)
-        found, ends = _profile_points(
-            model, layout, index, values, starts, rows, channels, loss, rules
-        )
+        least, ends = _profile_points(problem, index, values, starts)
         if base is None:
-            base = float(np.min(found))
+            base = float(np.min(least))
         else:
-            found = np.nan_to_num(np.asarray(found) - base, nan=1e9, posinf=1e9)
+            rise = np.nan_to_num(np.asarray(least) - base, nan=1e9, posinf=1e9)
             follow = (np.asarray(ends) - z) / np.maximum(distance, 1e-9)[:, None]
-            for side, d, value in zip(sides, distance, found, strict=True):
+            for side, d, value in zip(sides, distance, rise, strict=True):
                 side.add(d, value)
         if finished:
             break
         distance = np.array([side.next_distance() for side in sides])
-    return [_joined(z[i], sides[2 * i], sides[2 * i + 1]) for i in range(layout.size)]
+    return [_joined(z[i], sides[2 * i], sides[2 * i + 1]) for i in range(size)]
 
 
 def _joined(center: float, low: _Side, high: _Side) -> Profile:

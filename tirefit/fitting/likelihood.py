@@ -1,9 +1,11 @@
-r"""From parameters to residuals whose sum of squares is -2 log likelihood.
+r"""The fit problem, and its residuals whose sum of squares is -2 log likelihood.
 
-Every solver, the profile and the samplers use the one function
-:func:`root_deviance`. Without slip noise its entries are the whitened residuals. With
-slip noise of standard deviation :math:`\tau` the true slip of a row is latent, and is
-integrated over the distribution that the slips of this file come from:
+A problem is one pytree, :class:`FitProblem`: every function of a fit is a function of
+it and of the unconstrained parameters z (p,). Every solver, the profile and the
+samplers use the one function :func:`root_deviance`. Without slip noise its entries are
+the whitened residuals. With slip noise of standard deviation :math:`\tau` the true slip
+of a row is latent, and is integrated over the distribution that the slips of this file
+come from:
 
 .. math::
    L_i = \int N(F_i \mid f(s), \sigma)\, N(s_i \mid s, \tau)\, g(s)\, ds
@@ -14,11 +16,14 @@ the absolute whitened residual in the limit of no slip noise, so Gauss-Newton st
 carry over.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tirefit.compiled import compiled
@@ -30,10 +35,16 @@ __all__ = [
     "CHANNEL_SLIP",
     "LOSSES",
     "Channel",
+    "FitProblem",
     "Rows",
+    "Rule",
+    "SlipNodes",
+    "moments",
     "noise_factor",
     "predict",
     "root_deviance",
+    "row_forces",
+    "row_moments",
 ]
 
 CHANNEL_SLIP = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
@@ -94,7 +105,8 @@ class Rows(NamedTuple):
     """The used rows of a data set, padded so that few shapes are ever compiled.
 
     ``weight`` (n,) is 0 for padding; ``observed`` and ``scale`` hold an array (n,) per
-    channel, ``nodes`` the latent slips by slip name where the slip has noise.
+    channel, ``slip_std`` the noise of each slip that has one, ``nodes`` its latent
+    values, by slip name, once they are laid out.
     """
 
     inputs: TireInputs
@@ -102,12 +114,89 @@ class Rows(NamedTuple):
     weight: Float[Array, " n"]
     observed: dict[str, Float[Array, " n"]]
     scale: dict[str, Float[Array, " n"]]
+    slip_std: dict[str, Float[Array, " n"]]
     nodes: dict[str, SlipNodes]
 
 
-def predict(
-    model: AbstractTire, layout: Layout, z, inputs: TireInputs, run
-) -> dict[str, Array]:
+class Rule(NamedTuple):
+    """How one block of residuals enters the deviance.
+
+    ``inflation``: rows per independent row (times chi2/dof where applied);
+    ``effective``: effective number of rows; ``smallest``: sum of squares at the best
+    fit, zero where the noise was given. The first values leave squares as they are.
+    """
+
+    inflation: Float[Array, ""] | float = 1.0
+    effective: Float[Array, ""] | float = 1.0
+    smallest: Float[Array, ""] | float = 0.0
+
+
+class FitProblem(eqx.Module):
+    """A fit ready to solve, as one pytree; its rows are on the device.
+
+    What is static names a program, so nothing of a single file is: neither the names
+    of its runs nor how many rows it has.
+    """
+
+    model: AbstractTire
+    rows: Rows
+    rules: dict[str, Rule]
+    """By block of residuals, see :meth:`block_of`; units until they are judged."""
+    layout: Layout = eqx.field(static=True)
+    channels: tuple[Channel, ...] = eqx.field(static=True)
+    loss: str = eqx.field(static=True)
+
+    @property
+    def n(self) -> int:
+        """Number of used rows, padding not counted."""
+        return int(np.count_nonzero(np.asarray(self.rows.weight)))
+
+    @property
+    def slip_name(self) -> str:
+        """The slip that drives the first fitted force."""
+        return CHANNEL_SLIP[self.channels[0].name]
+
+    @property
+    def slip_noise(self) -> dict[str, np.ndarray]:
+        """Standard deviation (n,) of each noisy slip, without padding."""
+        return {slip: self.used(std) for slip, std in self.rows.slip_std.items()}
+
+    @property
+    def noise_estimated(self) -> bool:
+        """Whether the noise scale of any channel is estimated."""
+        return any(channel.noise_estimated for channel in self.channels)
+
+    def block_of(self, channel: Channel) -> str:
+        """The block of residuals that a channel is in: its own, or that of its slip,
+        once latent slips are laid out."""
+        return channel.slip if channel.slip in self.rows.nodes else channel.name
+
+    def block_channels(self, block: str) -> tuple[Channel, ...]:
+        """The channels in one block."""
+        return tuple(c for c in self.channels if self.block_of(c) == block)
+
+    def used(self, array) -> np.ndarray:
+        """An array over padded rows without its padding, shape (n,)."""
+        return np.asarray(array)[: self.n]
+
+    def with_rules(self, rules: Mapping[str, Rule]) -> "FitProblem":
+        """The same problem with the rules that its residuals were judged by."""
+        return replace(self, rules=dict(rules))
+
+    def with_rows(self, **changes) -> "FitProblem":
+        """The same problem with other rows, which have not been judged."""
+        changed = replace(self, rows=jax.device_put(self.rows._replace(**changes)))
+        blocks = dict.fromkeys(changed.block_of(channel) for channel in self.channels)
+        return changed.with_rules({block: Rule() for block in blocks})
+
+
+def row_forces(
+    model: AbstractTire,
+    layout: Layout,
+    z: Float[Array, " p"],
+    inputs: TireInputs,
+    run: Int[Array, " n"],
+) -> dict[str, Float[Array, " n"] | None]:
     """Forces of every row, by channel, each of shape (n,).
 
     Args:
@@ -130,65 +219,100 @@ def predict(
     return jax.vmap(one, in_axes=(axes, 0))(rows, felt)
 
 
-def _node_squares(model, layout, z, rows, slip, names, loss):
-    """Sum over channels of the losses at each latent slip, (n, nodes)."""
+def predict(
+    problem: FitProblem, z: Float[Array, " p"], inputs: TireInputs | None = None
+) -> dict[str, Float[Array, " n"] | None]:
+    """Forces of a problem's rows by channel, at other inputs where they are given."""
+    inputs = problem.rows.inputs if inputs is None else inputs
+    return row_forces(problem.model, problem.layout, z, inputs, problem.rows.run)
+
+
+def _at_nodes(problem: FitProblem, z, slip: str) -> dict[str, Float[Array, "n q"]]:
+    """Forces at each latent slip, of the channels whose slip it is."""
+    rows = problem.rows
+    names = [c.name for c in problem.channels if c.slip == slip]
 
     def at(slips):
-        inputs = rows.inputs._replace(**{slip: slips})
-        predicted = predict(model, layout, z, inputs, rows.run)
-        return sum(
-            loss(((rows.observed[name] - predicted[name]) / rows.scale[name]) ** 2)
-            for name in names
-        )
+        forces = predict(problem, z, rows.inputs._replace(**{slip: slips}))
+        return {name: forces[name] for name in names}
 
     return jax.vmap(at, in_axes=1, out_axes=1)(rows.nodes[slip].slip)
 
 
-@compiled(static=("layout", "channels", "loss"))
-def root_deviance(model, layout: Layout, z, rows: Rows, channels, loss: str):
+@compiled()
+def root_deviance(
+    problem: FitProblem, z: Float[Array, " p"]
+) -> dict[str, Float[Array, " n"]]:
     """Residuals whose squares sum to -2 log likelihood, by block.
 
     Returns:
         dict of arrays (n,): one per channel, or one per slip name where that slip has
         noise (its channels share the latent slip). Padding rows are zero.
     """
-    function = LOSSES[loss]
+    rows, loss = problem.rows, LOSSES[problem.loss]
     blocks = {}
-    predicted = None
-    for slip in ("sigma_x", "alpha"):
-        names = [c.name for c in channels if c.slip == slip]
-        if names and slip in rows.nodes:
-            squares = _node_squares(model, layout, z, rows, slip, names, function)
-            log_weight = rows.nodes[slip].log_weight
-            log_most = jax.nn.logsumexp(log_weight, axis=1)
-            log_row = jax.nn.logsumexp(log_weight - squares / 2, axis=1)
-            # The floor keeps the slope of the root finite for a perfect row.
-            deviance = jnp.maximum(2 * (log_most - log_row), 1e-12)
-            blocks[slip] = rows.weight * jnp.sqrt(deviance)
-        elif names:
-            if predicted is None:
-                predicted = predict(model, layout, z, rows.inputs, rows.run)
-            for name in names:
-                residual = (rows.observed[name] - predicted[name]) / rows.scale[name]
-                blocks[name] = rows.weight * _signed_root(function, residual, loss)
+    for slip, nodes in rows.nodes.items():
+        squares = sum(
+            loss(((rows.observed[c][:, None] - force) / rows.scale[c][:, None]) ** 2)
+            for c, force in _at_nodes(problem, z, slip).items()
+        )
+        log_most = jax.nn.logsumexp(nodes.log_weight, axis=1)
+        log_row = jax.nn.logsumexp(nodes.log_weight - squares / 2, axis=1)
+        # The floor keeps the slope of the root finite for a perfect row.
+        row_deviance = jnp.maximum(2 * (log_most - log_row), 1e-12)
+        blocks[slip] = rows.weight * jnp.sqrt(row_deviance)
+    plain = [c.name for c in problem.channels if c.slip not in rows.nodes]
+    predicted = predict(problem, z) if plain else {}
+    for name in plain:
+        residual = (rows.observed[name] - predicted[name]) / rows.scale[name]
+        blocks[name] = rows.weight * _signed_root(loss, residual, problem.loss)
     return blocks
 
 
-@compiled(static=("layout", "channels", "loss"))
-def noise_factor(model, layout: Layout, z, rows: Rows, channels, loss: str):
+@compiled()
+def moments(problem: FitProblem, z: Float[Array, " p"]):
+    """Mean and variance of each fitted force given the measured slip, by channel (n,).
+
+    Where the slip has noise, both are over the latent slips of the row.
+    """
+    rows, mean, spread = problem.rows, {}, {}
+    for slip, nodes in rows.nodes.items():
+        weight = jax.nn.softmax(nodes.log_weight, axis=1)
+        for name, force in _at_nodes(problem, z, slip).items():
+            mean[name] = jnp.sum(weight * force, axis=1)
+            square = (force - mean[name][:, None]) ** 2
+            spread[name] = jnp.sum(weight * square, axis=1)
+    plain = [c.name for c in problem.channels if c.slip not in rows.nodes]
+    predicted = predict(problem, z) if plain else {}
+    mean |= {name: predicted[name] for name in plain}
+    names = [c.name for c in problem.channels]
+    variance = {name: rows.scale[name] ** 2 + spread.get(name, 0.0) for name in names}
+    return {name: mean[name] for name in names}, variance
+
+
+def row_moments(problem: FitProblem, z) -> tuple[dict, dict]:
+    """:func:`moments` of a problem's own rows, without padding."""
+    mean, variance = moments(problem, z)
+    return (
+        {name: problem.used(value) for name, value in mean.items()},
+        {name: problem.used(value) for name, value in variance.items()},
+    )
+
+
+@compiled()
+def noise_factor(problem: FitProblem, z: Float[Array, " p"]) -> Float[Array, ""]:
     """Factor on all force scales that maximises the likelihood of rows with noisy slip.
 
     There the size of the residuals does not give the noise: the slip's share depends
     on where each row lies. Newton's method on the logarithm of the factor.
     """
+    rows = problem.rows
 
     def objective(log_factor):
         scale = {k: v * jnp.exp(log_factor) for k, v in rows.scale.items()}
-        blocks = root_deviance(
-            model, layout, z, rows._replace(scale=scale), channels, loss
-        )
+        blocks = root_deviance(replace(problem, rows=rows._replace(scale=scale)), z)
         squares = sum(jnp.sum(block**2) for block in blocks.values())
-        return squares / 2 + jnp.sum(rows.weight) * len(channels) * log_factor
+        return squares / 2 + jnp.sum(rows.weight) * len(problem.channels) * log_factor
 
     def step(_, log_factor):
         slope = jax.grad(objective)(log_factor)

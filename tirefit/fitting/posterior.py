@@ -1,16 +1,15 @@
-"""Sampling the posterior: independent emcee ensembles until they agree.
+"""Sampling the posterior: chains until they agree, or weighted independent points.
 
 The only importer of emcee. Sampling happens in the whitened unconstrained space of the
 least-squares fit, where a well-identified posterior is nearly a unit Gaussian; the
 prior is flat within the bounds of the natural parameters, or what ``fit.toml`` gives.
 
-A run is a sequence of chunks of steps. After each chunk the random state is part of
+A chain is a sequence of chunks of steps. After each chunk the random state is part of
 the record, so an interrupted run that is resumed draws exactly the same samples as one
 that was not.
 """
 
 import os
-import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -21,44 +20,41 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from tirefit.fitting.chains import (
+    Chain,
+    extended,
+    identity_of,
+    load_chain,
+    save_chain,
+)
 from tirefit.fitting.derived import derived_from_draws
 from tirefit.fitting.estimate import with_fixed
-from tirefit.fitting.hmc import hmc_chunk, hmc_start
+from tirefit.fitting.importance import Weighted, draw_weighted
 from tirefit.fitting.inference import REACH, deviance
+from tirefit.fitting.likelihood import FitProblem
+from tirefit.fitting.nuts import nuts_chunk, nuts_start
 from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
 from tirefit.fitting.solve import Solved
 from tirefit.fitting.verdict import judge
+from tirefit.precision import require_x64
 from tirefit.results import Outcome, UsageError
 
-__all__ = ["CHUNK", "SAMPLERS", "Chain", "sample", "split_rhat"]
+__all__ = ["CHUNK", "SAMPLERS", "sample", "split_rhat"]
 
 CHUNK = 100
 """Steps between two checks of convergence."""
 
-_WALKERS = 64
+_WALKERS = {"emcee": 64, "nuts": 8}
 _RHAT = 1.01
 _STEPS_PER_TAU = 50
 
 
-class Chain(NamedTuple):
-    """Samples of all ensembles and what the next chunk starts from.
-
-    ``samples`` (ensembles, steps, walkers, p) and ``log_density`` (ensembles, steps,
-    walkers) are in the whitened space; ``state`` is the sampler's own record of arrays.
-    """
-
-    samples: np.ndarray
-    log_density: np.ndarray
-    accepted: float
-    state: dict[str, np.ndarray]
-
-
-@partial(jax.jit, static_argnames=("layout", "channels", "loss"))
-def _log_density(u, model, layout, center, root, rows, channels, loss, rules, base):
+@jax.jit
+def _log_density(u, problem: FitProblem, center, root, base):
     def one(u):
         z = center + root @ u
-        value = deviance(model, layout, z, rows, channels, loss, rules) - base
-        density = -value / 2 + layout.log_volume(z)
+        value = deviance(problem, z) - base
+        density = -value / 2 + problem.layout.log_volume(z)
         # NaN loses: a point where the model is undefined is never accepted.
         return jnp.where(jnp.isfinite(density), density, -jnp.inf)
 
@@ -77,14 +73,8 @@ def _density(solved: Solved) -> Callable[[np.ndarray], np.ndarray]:
     """u (walkers, p) -> log density (walkers,) of the whitened posterior."""
     problem = solved.problem
     center, root = _whitening(solved)
-    static = (problem.channels, problem.loss)
-    arguments = (problem.model, problem.layout)
-    base = deviance(*arguments, solved.z, problem.rows, *static, solved.rules)
-    return partial(
-        _log_density, model=problem.model, layout=problem.layout,
-        center=center, root=root, rows=problem.rows,
-        channels=problem.channels, loss=problem.loss, rules=solved.rules, base=base,
-    )  # fmt: skip
+    base = deviance(problem, solved.z)
+    return partial(_log_density, problem=problem, center=center, root=root, base=base)
 
 
 def _random_states(seed: int, count: int) -> list[tuple]:
@@ -156,9 +146,9 @@ def _emcee_chunk(density, state: dict, steps: int):
 
 SAMPLERS = {
     "emcee": (_emcee_start, _emcee_chunk),
-    "hmc": (hmc_start, hmc_chunk),
+    "nuts": (nuts_start, nuts_chunk),
 }
-"""Sampler name -> (start, chunk); every one fills the same :class:`Chain`."""
+"""Sampler of chains -> (start, chunk); every one fills the same :class:`Chain`."""
 
 
 def split_rhat(samples: np.ndarray) -> np.ndarray:
@@ -195,72 +185,22 @@ class _Health(NamedTuple):
     enough: bool
 
 
-def _health(samples: np.ndarray, target: int) -> _Health:
-    """Burn-in, autocorrelation, agreement and effective samples of a chain."""
+def _health(samples: np.ndarray, target: int, independent: bool = False) -> _Health:
+    """Burn-in, autocorrelation, agreement and effective samples of a chain.
+
+    ``independent``: the walkers know nothing of each other, and each must agree.
+    """
     steps = samples.shape[1]
     tau = _autocorrelation_times(samples[:, steps // 5 :])
     worst = float(tau.max())
     discarded = int(min(max(5 * worst, steps / 10), steps // 2)) if steps > 1 else 0
     kept = samples[:, discarded:]
-    rhat = split_rhat(kept)
+    alone = np.moveaxis(kept, 2, 1).reshape(-1, kept.shape[1], 1, kept.shape[3])
+    rhat = split_rhat(alone if independent else kept)
     ess = kept.shape[0] * kept.shape[1] * kept.shape[2] / tau
     long_enough = kept.shape[1] >= _STEPS_PER_TAU * worst
     enough = bool(long_enough and np.all(rhat < _RHAT) and np.all(ess >= target))
     return _Health(kept, discarded, tau, rhat, ess, enough)
-
-
-def _identity(result: FitResult, sampler: str, seed: int, shape) -> str:
-    parts = (
-        result.model, result.data["sha256"], str(result.data["used"]), sampler,
-        str(seed), str(shape), *result.labels, *(f"{value:.8g}" for value in result.z),
-        *(f"{value:.4g}" for value in np.diag(result.covariance)),
-    )  # fmt: skip
-    return "|".join(parts)
-
-
-def _save(path: Path, chain: Chain, identity: str) -> None:
-    temporary = path.with_name(f".{path.name}.part")
-    with open(temporary, "wb") as file:
-        np.savez(
-            file, samples=chain.samples, log_density=chain.log_density,
-            accepted=chain.accepted, identity=identity,
-            **{f"state_{key}": value for key, value in chain.state.items()},
-        )  # fmt: skip
-    os.replace(temporary, path)
-
-
-def _load(path: Path, identity: str) -> Chain | None:
-    if not path.exists():
-        return None
-    try:
-        opened = np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile):
-        raise UsageError(
-            f"{path} is not a chain that tirefit kept: remove it, or fit without"
-            " --resume"
-        ) from None
-    with opened as file:
-        if str(file["identity"]) != identity:
-            raise UsageError(
-                f"{path} holds the chain of another fit (other data, model, seed or"
-                " settings): resume with the same ones, or remove the file"
-            )
-        state = {k[6:]: file[k] for k in file.files if k.startswith("state_")}
-        return Chain(
-            file["samples"], file["log_density"], float(file["accepted"]), state
-        )
-
-
-def _extended(chain: Chain | None, samples, values, accepted, state) -> Chain:
-    if chain is None or chain.samples.shape[1] == 0:
-        return Chain(samples, values, accepted, state)
-    before, added = chain.samples.shape[1], samples.shape[1]
-    return Chain(
-        np.concatenate([chain.samples, samples], axis=1),
-        np.concatenate([chain.log_density, values], axis=1),
-        (before * chain.accepted + added * accepted) / (before + added),
-        state,
-    )
 
 
 def sample(
@@ -280,40 +220,66 @@ def sample(
 
     Args:
         result: a fit from this process (``tirefit.fit``).
-        sampler: ``emcee``, or ``hmc`` (gradients, inside JAX; far faster).
+        sampler: ``emcee``; ``nuts`` (gradients, for many parameters); ``importance``
+            (no chain: independent points, weighted; by far the fastest where the
+            posterior is compact), which hands over to emcee where its weights are not
+            to be trusted, and says so.
         ensembles: independent ensembles, at least 4.
-        walkers: walkers per ensemble, even; by default 64, more for many parameters.
+        walkers: walkers per ensemble. Of emcee even, by default 64, more for many
+            parameters; of nuts chains of their own, by default 8.
         effective_samples: stop once every parameter has as many, the chain is 50
             autocorrelation times long and split R-hat is below 1.01.
         max_steps: give up there, and say so.
         seed: of the sampling; the fit's own if None.
-        checkpoint: file that keeps the samples while they are drawn.
-        resume: continue from ``checkpoint`` if it is there.
+        checkpoint: file that keeps the chain while it is drawn.
+        resume: continue from ``checkpoint`` if it is there. Importance sampling has
+            nothing to continue: the seed alone draws the same samples again.
         progress: called with (share done, message).
 
     Raises:
-        UsageError: too few ensembles, odd walkers, or a checkpoint of another fit.
+        UsageError: an unknown sampler, too few ensembles, odd walkers, or a checkpoint
+            of another fit; or 32-bit floats in use.
     """
+    require_x64("sampling")
+    if sampler not in (*SAMPLERS, "importance"):
+        known = ", ".join((*SAMPLERS, "importance"))
+        raise UsageError(f"sampler {sampler!r}: one of {known}")
     solved: Solved = result.solved
-    size = solved.problem.layout.size
-    walkers = walkers or max(_WALKERS, 2 * ((4 * size + 1) // 2))
+    seed = result.seed if seed is None else seed
+    chained = "emcee" if sampler == "importance" else sampler
+    shape = _shape(chained, solved.problem.layout.size, ensembles, walkers)
+    density, weighted = _density(solved), None
+    if sampler == "importance":
+        weighted = draw_weighted(
+            density, *_whitening(solved), seed, effective_samples, progress
+        )
+        if weighted.interrupted or not weighted.refused:
+            return _of_weighted(result, weighted, seed)
+    identity = identity_of(result, chained, seed, shape)
+    path = None if checkpoint is None else Path(checkpoint)
+    chain = load_chain(path, identity) if resume and path is not None else None
+    chain, outcome = _draw(
+        density, chained, solved.problem.layout.size, shape, seed, chain,
+        effective_samples, max_steps, path, identity, progress,
+    )  # fmt: skip
+    if chain is None:
+        return judge(replace(result, interrupted=True))
+    return _of_chain(result, chain, outcome, chained, seed, effective_samples, weighted)
+
+
+def _shape(sampler: str, size: int, ensembles: int, walkers: int | None):
+    """(ensembles, walkers) of a run; UsageError where they cannot be sampled with."""
+    if sampler == "nuts":
+        if ensembles < 4:
+            raise UsageError(f"{ensembles} ensembles of chains: at least 4 are needed")
+        return ensembles, walkers or _WALKERS["nuts"]
+    walkers = walkers or max(_WALKERS[sampler], 2 * ((4 * size + 1) // 2))
     if ensembles < 4 or walkers % 2 or walkers < 2 * size + 2:
         raise UsageError(
             f"{ensembles} ensembles of {walkers} walkers: at least 4 ensembles and an"
             f" even number of walkers, at least {2 * size + 2}, are needed"
         )
-    seed = result.seed if seed is None else seed
-    shape = (ensembles, walkers)
-    identity = _identity(result, sampler, seed, shape)
-    path = None if checkpoint is None else Path(checkpoint)
-    chain = _load(path, identity) if resume and path is not None else None
-    chain, outcome = _draw(
-        _density(solved), SAMPLERS[sampler], size, shape, seed, chain,
-        effective_samples, max_steps, path, identity, progress,
-    )  # fmt: skip
-    if chain is None:
-        return judge(replace(result, interrupted=True))
-    return _with_posterior(result, chain, outcome, sampler, seed, effective_samples)
+    return ensembles, walkers
 
 
 def _draw(
@@ -332,14 +298,14 @@ def _draw(
     """Chunks until the chain is good, the limit is reached or the user interrupts."""
     import time
 
-    begin, advance = sampler
+    begin, advance = SAMPLERS[sampler]
     saved = time.monotonic()
     outcome = Outcome.CHAIN_TOO_SHORT
     try:
         state = begin(density, size, *shape, seed) if chain is None else chain.state
         while True:
             if chain is not None:
-                health = _health(chain.samples, target)
+                health = _health(chain.samples, target, sampler == "nuts")
                 if health.enough:
                     outcome = Outcome.CONVERGED
                     break
@@ -347,15 +313,15 @@ def _draw(
                     break
                 if progress is not None:
                     progress(*_share(chain, health, target))
-            chain = _extended(chain, *advance(density, state, CHUNK))
+            chain = extended(chain, *advance(density, state, CHUNK))
             state = chain.state
             if path is not None and time.monotonic() - saved > 5:
-                _save(path, chain, identity)
+                save_chain(path, chain, identity)
                 saved = time.monotonic()
     except KeyboardInterrupt:
         outcome = Outcome.INTERRUPTED
     if path is not None and chain is not None:
-        _save(path, chain, identity)
+        save_chain(path, chain, identity)
     return chain, outcome
 
 
@@ -366,21 +332,60 @@ def _share(chain: Chain, health: _Health, target: int) -> tuple[float, str]:
     return share, f"{steps} steps, R-hat {health.rhat.max():.3f}"
 
 
-def _with_posterior(
-    result: FitResult, chain: Chain, outcome: Outcome, sampler, seed, target
+def _of_chain(
+    result: FitResult, chain: Chain, outcome: Outcome, sampler, seed, target, weighted
 ) -> FitResult:
-    solved: Solved = result.solved
-    center, root = _whitening(solved)
-    health = _health(chain.samples, target)
+    """The posterior of a chain; ``weighted`` is what was refused before it, if any."""
+    health = _health(chain.samples, target, sampler == "nuts")
+    labels, notes = result.labels, []
+    divergences = chain.state.get("divergences")
+    if divergences:
+        notes.append(
+            f"{int(divergences)} divergent transitions: the posterior has corners that"
+            " the sampler could not enter; compare with --sampler emcee"
+        )
+    if weighted is not None:
+        notes.append(f"importance sampling refused ({weighted.refused}): emcee instead")
+    summary = PosteriorSummary(
+        sampler, seed, chain.samples.shape[0], chain.samples.shape[2],
+        chain.samples.shape[1], health.discarded,
+        dict(zip(labels, health.ess.tolist(), strict=True)),
+        dict(zip(labels, health.rhat.tolist(), strict=True)),
+        dict(zip(labels, health.tau.tolist(), strict=True)),
+        chain.accepted, outcome,
+        None if weighted is None else weighted.k_hat,
+        None if divergences is None else int(divergences), "; ".join(notes),
+    )  # fmt: skip
     # Nearly independent draws; parameters and derived quantities are of the same ones.
     thin = max(int(np.ceil(health.tau.max() / 2)), 1)
-    z = center + health.kept[:, ::thin] @ root.T
+    return _with_posterior(result, health.kept[:, ::thin], summary)
+
+
+def _of_weighted(result: FitResult, weighted: Weighted, seed: int) -> FitResult:
+    """The posterior of weighted points: one chain of independent draws."""
+    if weighted.refused:
+        return judge(replace(result, interrupted=True))
+    count = len(weighted.draws)
+    summary = PosteriorSummary(
+        "importance", seed, 1, 1, weighted.points, 0,
+        dict.fromkeys(result.labels, float(count)), {}, {}, count / weighted.points,
+        Outcome.INTERRUPTED if weighted.interrupted else Outcome.CONVERGED,
+        weighted.k_hat,
+    )  # fmt: skip
+    return _with_posterior(result, weighted.draws[None, :, None], summary)
+
+
+def _with_posterior(
+    result: FitResult, u: np.ndarray, summary: PosteriorSummary
+) -> FitResult:
+    """The fit with draws u (ensembles, steps, walkers, p) of the whitened space."""
+    solved: Solved = result.solved
+    center, root = _whitening(solved)
+    z = center + u @ root.T
     flat = z.reshape(-1, z.shape[-1])
-    natural = jax.jit(jax.vmap(solved.problem.layout.vector))
-    kept = np.asarray(natural(jnp.asarray(flat))).reshape(z.shape)
-    labels = result.labels
+    kept = solved.problem.layout.vector(flat.T).T.reshape(z.shape)
     estimates, ends = {}, {}
-    for i, label in enumerate(labels):
+    for i, label in enumerate(result.labels):
         draws = kept[..., i].ravel()
         low, high = (float(end) for end in np.quantile(draws, [0.025, 0.975]))
         least_squares = result.least_squares[label]
@@ -390,14 +395,6 @@ def _with_posterior(
             float(draws.std()) if least_squares.identified else None,
             least_squares.unit, (low, high), least_squares.identified,
         )  # fmt: skip
-    summary = PosteriorSummary(
-        sampler, seed, chain.samples.shape[0], chain.samples.shape[2],
-        chain.samples.shape[1], health.discarded,
-        dict(zip(labels, health.ess.tolist(), strict=True)),
-        dict(zip(labels, health.rhat.tolist(), strict=True)),
-        dict(zip(labels, health.tau.tolist(), strict=True)),
-        chain.accepted, outcome,
-    )  # fmt: skip
     return judge(
         replace(
             result,

@@ -1,63 +1,47 @@
 """Forces that a fit or a model predicts, row by row, with their spread."""
 
+from collections.abc import Mapping
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Int
 
 from tirefit.compiled import compiled
-from tirefit.fitting.likelihood import predict
+from tirefit.data.read import require
+from tirefit.data.table import TireData
+from tirefit.fitting.layout import Layout
+from tirefit.fitting.likelihood import CHANNEL_SLIP, row_forces
+from tirefit.fitting.problem import find_model
+from tirefit.fitting.result import FitResult
+from tirefit.fitting.store import StoredFit
+from tirefit.fitting.time_series import check_time_series
+from tirefit.models import AbstractTire, TireInputs, forces
+from tirefit.params import parameter_values, specs, with_values
+from tirefit.precision import require_x64
+from tirefit.results import DataError, InputProblem, UsageError
 
-__all__ = ["moments", "predict_forces", "row_moments"]
-
-
-@compiled(static=("layout", "channels"))
-def moments(model, layout, z, rows, channels):
-    """Mean and variance of each fitted force given the measured slip, by channel (n,).
-
-    Where the slip has noise, both are over the latent slips of the row.
-    """
-    mean, variance = {}, {}
-    plain = predict(model, layout, z, rows.inputs, rows.run)
-    for name, slip in ((channel.name, channel.slip) for channel in channels):
-        if slip not in rows.nodes:
-            mean[name], variance[name] = plain[name], rows.scale[name] ** 2
-            continue
-        nodes = rows.nodes[slip]
-        weight = jax.nn.softmax(nodes.log_weight, axis=1)
-
-        def at(slips, slip=slip, name=name):
-            inputs = rows.inputs._replace(**{slip: slips})
-            return predict(model, layout, z, inputs, rows.run)[name]
-
-        forces = jax.vmap(at, in_axes=1, out_axes=1)(nodes.slip)
-        mean[name] = jnp.sum(weight * forces, axis=1)
-        spread = jnp.sum(weight * (forces - mean[name][:, None]) ** 2, axis=1)
-        variance[name] = rows.scale[name] ** 2 + spread
-    return mean, variance
-
-
-def row_moments(problem, z) -> tuple[dict, dict]:
-    """:func:`moments` of a problem's own rows, without padding."""
-    mean, variance = moments(
-        problem.model, problem.layout, z, problem.rows, problem.channels
-    )
-    return (
-        {name: problem.used(value) for name, value in mean.items()},
-        {name: problem.used(value) for name, value in variance.items()},
-    )
+__all__ = ["predict", "predict_forces"]
 
 
 @compiled(static=("layout",))
 def _linearised(model, layout, z, covariance, inputs, run):
     def force(z):
-        found = predict(model, layout, z, inputs, run)
-        return {k: v for k, v in found.items() if v is not None}
+        each = row_forces(model, layout, z, inputs, run)
+        return {name: value for name, value in each.items() if value is not None}
 
     slope = jax.jacfwd(force)(z)
     return force(z), {k: jnp.sum(g @ covariance * g, axis=1) for k, g in slope.items()}
 
 
-def predict_forces(model, layout, z, covariance, inputs, run) -> tuple[dict, dict]:
+def predict_forces(
+    model: AbstractTire,
+    layout: Layout,
+    z: Float[Array, " p"],
+    covariance: Float[Array, "p p"],
+    inputs: TireInputs,
+    run: Int[Array, " n"],
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Forces and the variance that the parameters' uncertainty gives them.
 
     Args:
@@ -76,3 +60,149 @@ def predict_forces(model, layout, z, covariance, inputs, run) -> tuple[dict, dic
         {k: np.asarray(v) for k, v in force.items()},
         {k: np.asarray(v) for k, v in variance.items()},
     )
+
+
+def _inputs(data: TireData) -> TireInputs:
+    """The used rows: the slip of a masked one is no part of a time series."""
+    zeros = np.zeros(len(data))
+    columns = (data.columns.get(name, zeros) for name in TireInputs._fields)
+    return TireInputs(*(np.nan_to_num(c[data.used].astype(float)) for c in columns))
+
+
+def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
+    if not any(parameter.per_run for parameter in layout.free):
+        return data.run[data.used]
+    unknown = [run for run in data.runs if run not in layout.runs]
+    if unknown:
+        raise DataError(
+            InputProblem(
+                f"the fit has no parameters for the runs {', '.join(unknown)}",
+                f"it knows {', '.join(layout.runs)}",
+                data.source.path or data.name,
+            )
+        )
+    return np.array([layout.runs.index(run) for run in data.runs])[data.run[data.used]]
+
+
+def predict(
+    source: StoredFit | FitResult | AbstractTire | str,
+    data: TireData,
+    values: Mapping[str, float] | None = None,
+) -> dict[str, np.ndarray]:
+    """Forces row by row, canonical, with a predictive standard deviation for a fit.
+
+    Args:
+        source: a fit, a tire, or the name of a model.
+        data: rows with slip, load and, where the model needs it, speed.
+        values: parameter values of a tire or a named model; its own otherwise.
+
+    Returns:
+        (n,) arrays. Of a tire or a named model ``fx`` where the data have sigma_x,
+        ``fy`` and ``mz`` where they have alpha; of a fit the forces that it fitted,
+        each with a ``<force>_std``: parameter uncertainty and the noise of one
+        measurement. Masked rows are NaN.
+
+    Raises:
+        UsageError: unknown model or parameter, or a value outside its bounds; or
+            32-bit floats in use.
+        DataError: the data lack an input, or have runs the fit does not know.
+    """
+    require_x64("a prediction")
+    if isinstance(source, str):
+        return _of_model(find_model(source), source, data, values or {})
+    if isinstance(source, AbstractTire):
+        return _of_model(source, type(source).__name__, data, values or {})
+    if isinstance(source, FitResult):
+        problem = source.problem
+        tire, layout, name = problem.model, problem.layout, source.model
+        noise = {force: source.noise[force] for force in source.forces}
+        reference = source.reference
+    else:
+        tire, layout, name, noise = (
+            source.tire, source.layout, source.model, source.noise
+        )  # fmt: skip
+        reference = source.content["reference"]
+    require(data, ("fz", *tire.needs), f"the model {name}")
+    if tire.transient:
+        check_time_series(data, name)
+    force, variance = predict_forces(
+        tire, layout, source.z, source.covariance, _inputs(data),
+        _run_codes(data, layout),
+    )  # fmt: skip
+    force, variance = _all_rows(data, force), _all_rows(data, variance)
+    out = {}
+    fitted = [channel for channel in _channels(data, force) if channel in noise]
+    if not fitted:
+        needs = " and ".join(CHANNEL_SLIP[channel] for channel in noise)
+        raise DataError(
+            InputProblem(
+                f"the fit is of {', '.join(noise)}: the data need {needs}",
+                "name the column with --column",
+                data.source.path or data.name,
+            )
+        )
+    for channel in fitted:
+        out[channel] = force[channel]
+        noise_std = _noise_std(data, channel, noise.get(channel), reference)
+        out[f"{channel}_std"] = np.hypot(np.sqrt(variance[channel]), noise_std)
+    return _masked(data, out)
+
+
+def _noise_std(data: TireData, channel: str, record: Mapping | None, reference):
+    """Noise of one measurement: the rows' own where they state it, else the fit's."""
+    if f"{channel}_std" in data:
+        return data[f"{channel}_std"]
+    if record is None:
+        return 0.0
+    if record.get("proportional_to_load"):
+        return record["median_std"] * data["fz"] / reference["fz"]
+    return record["median_std"]
+
+
+def _channels(data: TireData, force: Mapping) -> list[str]:
+    return [
+        channel
+        for channel, slip in CHANNEL_SLIP.items()
+        if slip in data and force.get(channel) is not None
+    ]
+
+
+def _all_rows(data: TireData, out: Mapping) -> dict[str, np.ndarray]:
+    """Arrays over the used rows as arrays over all rows, NaN where masked."""
+    full = {name: np.full(len(data), np.nan) for name in out}
+    for name, values in out.items():
+        full[name][data.used] = values
+    return full
+
+
+def _masked(data: TireData, out: dict) -> dict[str, np.ndarray]:
+    return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
+
+
+def _of_model(
+    template: AbstractTire, name: str, data: TireData, values: Mapping[str, float]
+):
+    known, problems = specs(template), []
+    for key, value in values.items():
+        if key not in known:
+            problems.append(
+                InputProblem(
+                    f"{name} has no parameter {key!r}", f"it has {', '.join(known)}"
+                )
+            )
+        elif not known[key].lower <= value <= known[key].upper:
+            problems.append(
+                InputProblem(
+                    f"{key} = {value} is outside its bounds"
+                    f" [{known[key].lower:.6g}, {known[key].upper:.6g}]",
+                    "see `tirefit models`",
+                )
+            )
+    if problems:
+        raise UsageError(problems)
+    tire = with_values(template, parameter_values(template) | dict(values))
+    require(data, ("fz", *tire.needs), f"the model {name}")
+    if tire.transient:
+        check_time_series(data, name)
+    given = forces(tire, _inputs(data), data.run[data.used])._asdict()
+    return _all_rows(data, {c: given[c] for c in _channels(data, given)})

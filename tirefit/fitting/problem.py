@@ -2,8 +2,9 @@
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
+import jax
 import numpy as np
 
 from tirefit.data.read import require
@@ -11,62 +12,32 @@ from tirefit.data.table import TireData
 from tirefit.fitting.combined_slip import slip_of_forces
 from tirefit.fitting.config import FitConfig, NoiseConfig, ParameterConfig
 from tirefit.fitting.layout import Layout, choose_layout
-from tirefit.fitting.likelihood import CHANNEL_SLIP, Channel, Rows, SlipNodes
-from tirefit.fitting.slip_noise import latent_nodes, slip_density
+from tirefit.fitting.likelihood import CHANNEL_SLIP, Channel, FitProblem, Rows, Rule
+from tirefit.fitting.slip_noise import slip_density
 from tirefit.fitting.time_series import check_time_series, check_whole_series
 from tirefit.models import MODELS, AbstractTire, TireInputs, modelled
+from tirefit.padding import pad_rows, padded_size
 from tirefit.params import parameter_values, specs
 from tirefit.results import DataError, InputProblem, UsageError
 
-__all__ = [
-    "FitProblem",
-    "build",
-    "find_model",
-    "guess_from_curve",
-    "starting_points",
-    "with_scale",
-]
+__all__ = ["FitTask", "build", "find_model", "guess_from_curve"]
 
 
 @dataclass(frozen=True)
-class FitProblem:
-    """A fit ready to solve: static layout and channels, arrays in ``rows``.
+class FitTask:
+    """A problem and what only the host knows of it, which names no program.
 
-    ``guess`` holds a first value of every free parameter by name; ``slip_noise`` the
-    standard deviation (n,) of each noisy slip, ``slip_density`` the distribution of
-    its true values; ``time`` (n,) orders the rows; ``notes`` says what was assumed.
+    ``guess`` holds a first value of every free parameter by name; ``slip_density`` the
+    distribution (knots, density) of the true values of each noisy slip; ``time`` (n,)
+    orders the rows; ``notes`` says what was assumed.
     """
 
     name: str
-    model: AbstractTire
-    layout: Layout
-    channels: tuple[Channel, ...]
-    rows: Rows
-    n: int
-    loss: str
+    problem: FitProblem
     guess: Mapping[str, float]
-    slip_noise: Mapping[str, np.ndarray] = field(default_factory=dict)
-    slip_density: Mapping[str, tuple] = field(default_factory=dict)
-    time: np.ndarray | None = None
-    notes: tuple[str, ...] = ()
-
-    @property
-    def slip_name(self) -> str:
-        """The slip that drives the first fitted force."""
-        return CHANNEL_SLIP[self.channels[0].name]
-
-    def block_of(self, channel: Channel) -> str:
-        """The block of residuals that a channel is in: its own, or that of its slip,
-        once latent slips are laid out."""
-        return channel.slip if channel.slip in self.rows.nodes else channel.name
-
-    def block_channels(self, block: str) -> tuple[Channel, ...]:
-        """The channels in one block."""
-        return tuple(c for c in self.channels if self.block_of(c) == block)
-
-    def used(self, array) -> np.ndarray:
-        """An array over padded rows without its padding, shape (n,)."""
-        return np.asarray(array)[: self.n]
+    slip_density: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    time: np.ndarray | None
+    notes: tuple[str, ...]
 
 
 def find_model(name: str) -> AbstractTire:
@@ -222,21 +193,10 @@ def _check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
         )
 
 
-def _padded_size(n: int) -> int:
-    """The next of 2^k and 1.5 * 2^k: few shapes to compile, at most 50 % padding."""
-    power = 2 ** int(np.floor(np.log2(max(n, 8))))
-    return next(size for size in (power, power * 3 // 2, power * 2) if size >= n)
-
-
-def _pad(array, size: int):
-    array = np.asarray(array)
-    return np.concatenate([array, np.repeat(array[:1], size - len(array))])
-
-
 def _inputs(data: TireData, size: int) -> TireInputs:
     def column(name):
         values = data.usable(name) if name in data else np.zeros(data.n)
-        return _pad(np.nan_to_num(values), size)
+        return pad_rows(np.nan_to_num(values), size)
 
     return TireInputs(*(column(name) for name in TireInputs._fields))
 
@@ -306,7 +266,7 @@ def _limited(data: TireData, config: FitConfig, slip: str) -> TireData:
     return data.where(inside)
 
 
-def build(data: TireData, name: str, config: FitConfig) -> FitProblem:
+def build(data: TireData, name: str, config: FitConfig) -> FitTask:
     """Choose forces, noise, free parameters and a first guess.
 
     Raises:
@@ -321,41 +281,47 @@ def build(data: TireData, name: str, config: FitConfig) -> FitProblem:
     config, said = _with_reference_load(data, template, config)
     model, layout, narrowed = _settled(data, template, forces, config)
     notes += [*said, *narrowed]
-    size = _padded_size(data.n)
+    size = padded_size(data.n)
     observed, scale, channels = {}, {}, []
     slips = dict.fromkeys(CHANNEL_SLIP.values())
     noisy = [s for s in slips if _slip_scale(data, s, config.noise)[0] is not None]
     slip_of = slip_of_forces(data, template, forces, noisy)
     for force in forces:
         values, estimated, note = _force_scale(data, force, config.noise)
-        observed[force] = _pad(data.usable(force), size)
-        scale[force] = _pad(values, size)
+        observed[force] = pad_rows(data.usable(force), size)
+        scale[force] = pad_rows(values, size)
         channels.append(Channel(force, estimated, slip_of[force]))
         notes.append(note)
     _check_size(data, layout, channels, data.n * len(forces))
-    slip_noise, densities = {}, {}
+    slip_std, densities = {}, {}
     for slip in dict.fromkeys(slip_of.values()):
         std, note = _slip_scale(data, slip, config.noise)
         notes.append(note)
         if std is not None:
             _check_slip_noise(data, slip, std)
-            slip_noise[slip] = std
+            slip_std[slip] = pad_rows(std, size)
             densities[slip] = slip_density(data.usable(slip), std)
     rows = Rows(
-        _inputs(data, size),
-        _pad(data.run[data.used], size).astype(int),
-        (np.arange(size) < data.n).astype(float),
-        observed,
-        scale,
-        {},
+        inputs=_inputs(data, size),
+        run=pad_rows(data.run[data.used], size).astype(int),
+        weight=(np.arange(size) < data.n).astype(float),
+        observed=observed,
+        scale=scale,
+        slip_std=slip_std,
+        nodes={},
     )
-    time = data.usable("time") if "time" in data else None
     guess = _first_guess(model, data, forces, layout)
     guess |= {k: v.value for k, v in config.parameters.items() if v.value is not None}
-    return FitProblem(
-        name, model, layout, tuple(channels), rows, data.n, config.noise.loss,
-        guess, slip_noise, densities, time, tuple(notes),
-    )  # fmt: skip
+    problem = FitProblem(
+        model=model,
+        rows=jax.device_put(rows),
+        rules={force: Rule() for force in forces},
+        layout=layout,
+        channels=tuple(channels),
+        loss=config.noise.loss,
+    )
+    time = data.usable("time") if "time" in data else None
+    return FitTask(name, problem, guess, densities, time, tuple(notes))
 
 
 def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
@@ -390,45 +356,3 @@ def _with_reference_load(data: TireData, model: AbstractTire, config: FitConfig)
     given = config.parameters | {"fz0": asked.model_copy(update={"value": load})}
     said = f"reference load fz0: {load:g} N, the median (set parameters.fz0.value)"
     return config.model_copy(update={"parameters": given}), [said]
-
-
-def with_scale(problem: FitProblem, scale: Mapping[str, float], slope) -> FitProblem:
-    """The same problem with force scales multiplied and latent slips laid out for them.
-
-    Args:
-        scale: factor by channel.
-        slope: largest slope of force over slip [N], sets the number of nodes.
-    """
-    scales = {k: v * scale.get(k, 1.0) for k, v in problem.rows.scale.items()}
-    nodes = {}
-    for slip, std in problem.slip_noise.items():
-        forces = [c.name for c in problem.channels if c.slip == slip]
-        force_std = min(float(np.median(problem.used(scales[k]))) for k in forces)
-        steep = _bucket(slope * float(np.max(std)) / force_std)
-        values = problem.used(getattr(problem.rows.inputs, slip))
-        density = problem.slip_density[slip]
-        slips, log_weight = latent_nodes(values, std, density, steep)
-        size = len(problem.rows.weight)
-        repeat = size - problem.n
-        slips = np.concatenate([slips, np.repeat(slips[:1], repeat, 0)])
-        log_weight = np.concatenate([log_weight, np.repeat(log_weight[:1], repeat, 0)])
-        nodes[slip] = SlipNodes(slips, log_weight)
-    return replace(problem, rows=problem.rows._replace(scale=scales, nodes=nodes))
-
-
-def _bucket(steepness: float) -> float:
-    """Round up to a power of sqrt(2), so that few shapes are compiled."""
-    return float(2 ** (np.ceil(2 * np.log2(max(steepness, 1.0))) / 2))
-
-
-def starting_points(problem: FitProblem, count: int, seed: int):
-    """First guess and scattered starts around it, shape (count, size)."""
-    first = problem.layout.unconstrained(problem.guess)
-    generator = np.random.default_rng(seed)
-    scatter = generator.normal(size=(count - 1, problem.layout.size))
-    # The stiffness guess is good; on its log scale over 11 decades a step of 1 in z
-    # would be a factor of 500.
-    widths = np.array(
-        [0.1 if p.spec.scale == "log" else 1.0 for _, p in problem.layout.elements]
-    )
-    return np.concatenate([first[None], first + scatter * widths])

@@ -1,6 +1,5 @@
 """The record of a fit, and ``fit.json`` (schema ``tirefit.fit/1``)."""
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -9,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tirefit.display import Displayed
+from tirefit.files import json_safe, json_text
 from tirefit.results import Outcome
 
 __all__ = [
@@ -18,7 +18,6 @@ __all__ = [
     "FitStatistics",
     "PosteriorSummary",
     "information",
-    "json_safe",
 ]
 
 SCHEMA = "tirefit.fit/1"
@@ -76,7 +75,13 @@ def information(
 
 @dataclass(frozen=True)
 class PosteriorSummary:
-    """What a sampler did; effective samples, R-hat and tau (in steps) by label."""
+    """What a sampler did; effective samples, R-hat and tau (in steps) by label.
+
+    Of ``importance`` there is no chain, no R-hat and no tau: ``steps`` are points that
+    were evaluated, and ``acceptance`` is the share of them that the draws are worth.
+    ``k_hat`` is the shape of its weights, of emcee that of the weights which were
+    refused before it; ``divergences`` are those of ``nuts``; ``note`` says the rest.
+    """
 
     sampler: str
     seed: int
@@ -89,6 +94,9 @@ class PosteriorSummary:
     tau: Mapping[str, float]
     acceptance: float
     outcome: Outcome
+    k_hat: float | None = None
+    divergences: int | None = None
+    note: str = ""
 
 
 @dataclass(frozen=True, repr=False)
@@ -191,7 +199,7 @@ class FitResult(Displayed):
 
     def to_json(self) -> str:
         """Text of ``fit.json``."""
-        return json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
+        return json_text(self.to_dict())
 
 
 def _posterior_dict(summary: PosteriorSummary | None) -> dict | None:
@@ -225,22 +233,3 @@ def _layout_dict(problem) -> dict | None:
             if name not in {p.name for p in layout.free}
         },
     }
-
-
-def json_safe(value: Any) -> Any:
-    """The same content with arrays as lists and non-finite numbers as None."""
-    if isinstance(value, Mapping):
-        return {str(key): json_safe(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [json_safe(item) for item in value]
-    if isinstance(value, Outcome):
-        return value.name.lower()
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    if hasattr(value, "tolist"):
-        return json_safe(value.tolist())
-    return value

@@ -1,6 +1,6 @@
 """Solve a problem: multi-start least squares with its noise settled."""
 
-from dataclasses import replace
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
@@ -11,19 +11,25 @@ from tirefit.fitting.config import FitConfig
 from tirefit.fitting.inference import (
     REACH,
     Linearised,
-    Rule,
     best_of,
     covariance,
+    inflation,
     linearise,
     solve_starts,
     threshold,
 )
-from tirefit.fitting.likelihood import noise_factor
+from tirefit.fitting.likelihood import (
+    FitProblem,
+    Rule,
+    SlipNodes,
+    noise_factor,
+    row_moments,
+)
 from tirefit.fitting.noise import effective_inflation, robust_scale
-from tirefit.fitting.predict import row_moments
-from tirefit.fitting.problem import FitProblem, starting_points, with_scale
+from tirefit.fitting.problem import FitTask
+from tirefit.fitting.slip_noise import latent_nodes
 
-__all__ = ["Solved", "solve_problem"]
+__all__ = ["Solved", "solve_problem", "starting_points", "with_scale"]
 
 
 _SETTLED = 1e-3
@@ -35,7 +41,7 @@ _ONE_MINIMUM = 1e-5
 
 
 class Solved(NamedTuple):
-    """A problem with its noise settled: estimate, covariance, deviance rules.
+    """A problem with its noise settled and judged: estimate, covariance.
 
     ``at`` holds residuals, slopes and moments of the used rows at the estimate.
     """
@@ -44,7 +50,6 @@ class Solved(NamedTuple):
     at: Linearised
     z: np.ndarray
     covariance: np.ndarray
-    rules: dict[str, Rule]
     level: float
     converged: bool
     starts: int
@@ -54,29 +59,63 @@ class Solved(NamedTuple):
     n_effective: float
 
 
-def _unit_rules(problem: FitProblem) -> dict[str, Rule]:
-    """Before the noise is settled: squares as they are."""
-    names = (problem.block_of(channel) for channel in problem.channels)
-    return {name: Rule(1.0, 1.0, 0.0) for name in dict.fromkeys(names)}
+def starting_points(task: FitTask, count: int, seed: int) -> np.ndarray:
+    """First guess and scattered starts around it, shape (count, p)."""
+    layout = task.problem.layout
+    first = layout.unconstrained(task.guess)
+    generator = np.random.default_rng(seed)
+    scatter = generator.normal(size=(count - 1, layout.size))
+    # The stiffness guess is good; on its log scale over 11 decades a step of 1 in z
+    # would be a factor of 500.
+    widths = np.array(
+        [0.1 if p.spec.scale == "log" else 1.0 for _, p in layout.elements]
+    )
+    return np.concatenate([first[None], first + scatter * widths])
 
 
-def _solve(problem: FitProblem, starts, rules, solver: str):
-    solution = solve_starts(
-        problem.model, problem.layout, starts, problem.rows, problem.channels,
-        problem.loss, rules, solver,
-    )  # fmt: skip
-    return jax.tree.map(np.asarray, solution)
+def with_scale(
+    problem: FitProblem,
+    slip_density: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    factors: Mapping[str, float],
+    slope: float,
+) -> FitProblem:
+    """The same problem with force scales multiplied and latent slips laid out for them.
+
+    Args:
+        slip_density: distribution of the true values of each noisy slip.
+        factors: by channel; those not named keep their scale.
+        slope: largest slope of force over slip [N], sets the number of nodes.
+    """
+    rows, nodes = problem.rows, {}
+    scale = {k: np.asarray(v) * factors.get(k, 1.0) for k, v in rows.scale.items()}
+    for slip, std in rows.slip_std.items():
+        forces = [c.name for c in problem.channels if c.slip == slip]
+        force_std = min(float(np.median(problem.used(scale[k]))) for k in forces)
+        steep = _bucket(slope * float(np.max(std)) / force_std)
+        # A padded row is the first one again: it has nodes like any other.
+        values = np.asarray(getattr(rows.inputs, slip))
+        nodes[slip] = SlipNodes(
+            *latent_nodes(values, np.asarray(std), slip_density[slip], steep)
+        )
+    return problem.with_rows(scale=scale, nodes=nodes)
+
+
+def _bucket(steepness: float) -> float:
+    """Round up to a power of sqrt(2), so that few shapes are compiled."""
+    return float(2 ** (np.ceil(2 * np.log2(max(steepness, 1.0))) / 2))
+
+
+def _solve(problem: FitProblem, starts, solver: str):
+    return jax.tree.map(np.asarray, solve_starts(problem, starts, solver))
 
 
 def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
     """Factors that bring the estimated noise scales to the residuals' size."""
     estimated = [c.name for c in problem.channels if c.noise_estimated]
     if estimated and problem.rows.nodes:
-        factor = noise_factor(
-            problem.model, problem.layout, z, problem.rows,
-            problem.channels, problem.loss,
-        )  # fmt: skip
-        return {name: float(factor) for name in estimated}
+        return dict.fromkeys(estimated, float(noise_factor(problem, z)))
+    if not estimated:
+        return {}
     mean, _ = row_moments(problem, z)
     factors = {}
     for name in estimated:
@@ -91,36 +130,36 @@ def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
     return factors
 
 
-def _settle_noise(problem: FitProblem, z, solver: str):
+def _settle_noise(task: FitTask, z, solver: str):
     """Alternate estimates and noise scales until the scales rest."""
+    problem = task.problem
     slope = _largest_slope(problem, z) if problem.slip_noise else 0.0
-    problem = with_scale(problem, _scale_updates(problem, z), slope)
-    estimated = any(c.noise_estimated for c in problem.channels)
+    factors = _scale_updates(problem, z)
+    problem = with_scale(problem, task.slip_density, factors, slope)
     several = len(problem.channels) > 1 or problem.loss != "squares"
     several = several or any(p.prior for p in problem.layout.free)
-    rules = _unit_rules(problem)
     if problem.slip_noise:
-        rounds = 12 if estimated else 1
+        rounds = 12 if problem.noise_estimated else 1
     else:
-        rounds = 12 if estimated and several else 0
+        rounds = 12 if problem.noise_estimated and several else 0
     for _ in range(rounds):
-        z = _solve(problem, z[None], rules, "gauss-newton").z[0]
+        z = _solve(problem, z[None], "gauss-newton").z[0]
         factors = _scale_updates(problem, z)
         if all(abs(np.log(factor)) < 1e-3 for factor in factors.values()):
             break
-        problem = with_scale(problem, factors, slope)
+        problem = with_scale(problem, task.slip_density, factors, slope)
     if rounds:
-        z = _solve(problem, z[None], rules, solver).z[0]
+        z = _solve(problem, z[None], solver).z[0]
     return problem, z
 
 
 def _largest_slope(problem: FitProblem, z) -> float:
     """Steepest force over slip among the rows, from forces at nearby slips [N]."""
-    slip, rows = problem.channels[0].slip, problem.rows
-    step = 1e-4 * float(np.ptp(problem.used(getattr(rows.inputs, slip))))
-    moved = rows.inputs._replace(**{slip: getattr(rows.inputs, slip) + step})
-    before, _ = row_moments(problem, z)
-    after, _ = row_moments(replace(problem, rows=rows._replace(inputs=moved)), z)
+    slip, inputs = problem.channels[0].slip, problem.rows.inputs
+    values = np.asarray(getattr(inputs, slip))
+    step = 1e-4 * float(np.ptp(problem.used(values)))
+    moved = problem.with_rows(inputs=inputs._replace(**{slip: values + step}))
+    (before, _), (after, _) = row_moments(problem, z), row_moments(moved, z)
     names = [c.name for c in problem.channels if c.slip == slip and c.name != "mz"]
     changes = [np.abs(after[name] - before[name]) for name in names or ["mz"]]
     return float(np.max(changes)) / step
@@ -138,36 +177,36 @@ def _used(problem: FitProblem, at: Linearised) -> Linearised:
     return Linearised(*(cut(arrays) for arrays in at))
 
 
-def _rules(problem: FitProblem, at: Linearised, config: FitConfig):
-    """Deviance rules by block, chi2/dof where the noise was given, n_effective."""
+def _judged(problem: FitProblem, time, at: Linearised, config: FitConfig):
+    """The problem with its rules, chi2/dof where the noise was given, n_effective."""
     run = problem.used(problem.rows.run)
     rules, ratios, effective_total = {}, [], 0.0
     for name, values in at.values.items():
         if name == "prior":
             continue
         channels = problem.block_channels(name)
-        inflation = 1.0
+        rows_per_one = 1.0
         if config.noise.effective_samples == "estimate":
             scores = values[:, None] * at.slopes[name]
-            inflation = effective_inflation(scores, run, problem.time)
-        effective = problem.n / inflation
+            rows_per_one = effective_inflation(scores, run, time)
+        effective = problem.n / rows_per_one
         effective_total += effective
         estimated = any(c.noise_estimated for c in channels)
         if not estimated:
-            ratio, surprising = _surprise(problem, at, channels, inflation)
+            ratio, surprising = _surprise(problem, at, channels, rows_per_one)
             ratios.append(ratio)
             if surprising:
-                inflation *= ratio
+                rows_per_one *= ratio
         plain = (
             estimated and problem.loss == "squares" and name not in problem.slip_noise
         )
         smallest = float(values @ values) if plain else 0.0
-        rules[name] = Rule(inflation, effective, smallest)
+        rules[name] = Rule(rows_per_one, effective, smallest)
     chi2_dof = float(np.mean(ratios)) if ratios else None
-    return rules, chi2_dof, effective_total / len(rules)
+    return problem.with_rules(rules), chi2_dof, effective_total / len(rules)
 
 
-def _surprise(problem: FitProblem, at: Linearised, channels, inflation: float):
+def _surprise(problem: FitProblem, at: Linearised, channels, rows_per_one: float):
     """chi2/dof of channels whose noise was given, and whether it is too large for it.
 
     Slip noise counts as noise: the variance of each row is that given its slip.
@@ -178,12 +217,12 @@ def _surprise(problem: FitProblem, at: Linearised, channels, inflation: float):
         residual = residual - at.mean[channel.name]
         chi2 += float(np.sum(residual**2 / at.variance[channel.name]))
     dof = max(problem.n * len(channels) - problem.layout.size, 1.0)
-    effective = max(dof / inflation, 1.0)
+    effective = max(dof / rows_per_one, 1.0)
     ratio = chi2 / dof
     return ratio, ratio > 1 and chdtrc(effective, ratio * effective) < 1e-3
 
 
-def _still_to_gain(at: Linearised, z, cov, rules) -> float:
+def _still_to_gain(problem: FitProblem, at: Linearised, z, cov) -> float:
     """Deviance that one more Gauss-Newton step would gain, bounds aside.
 
     At a bound the bijection runs to infinity and no solver comes to rest, although
@@ -191,38 +230,33 @@ def _still_to_gain(at: Linearised, z, cov, rules) -> float:
     """
     free = np.abs(z) < 0.6 * REACH
     gradient = sum(
-        at.slopes[name].T @ values / (rules[name].inflation if name in rules else 1.0)
+        at.slopes[name].T @ values / inflation(problem, name)
         for name, values in at.values.items()
     )[free]
     information = np.linalg.inv(cov)[np.ix_(free, free)]
     return float(gradient @ np.linalg.solve(information, gradient))
 
 
-def solve_problem(problem: FitProblem, config: FitConfig) -> Solved:
+def solve_problem(task: FitTask, config: FitConfig) -> Solved:
     """Least squares with the noise settled, and the covariance of z."""
-    starts = starting_points(problem, config.starts, config.seed)
-    solution = _solve(problem, starts, _unit_rules(problem), config.solver)
+    starts = starting_points(task, config.starts, config.seed)
+    solution = _solve(task.problem, starts, config.solver)
     best = best_of(solution)
     z, converged = solution.z[best], bool(solution.converged[best])
     cost = np.where(np.isfinite(solution.cost), solution.cost, np.inf)
     near = cost <= cost[best] * (1 + 1e-6) + 1e-9
-    problem, z = _settle_noise(problem, z, config.solver)
-    arguments = (
-        problem.model, problem.layout, z, problem.rows, problem.channels, problem.loss
-    )  # fmt: skip
-    at = _used(problem, linearise(*arguments))
-    rules, chi2_dof, n_effective = _rules(problem, at, config)
-    cov = covariance(*arguments, rules, at)
+    problem, z = _settle_noise(task, z, config.solver)
+    at = _used(problem, linearise(problem, z))
+    problem, chi2_dof, n_effective = _judged(problem, task.time, at, config)
+    cov = covariance(problem, z, at)
     converged = bool(np.all(np.isfinite(z))) and (
-        converged or _still_to_gain(at, z, cov, rules) < _SETTLED
+        converged or _still_to_gain(problem, at, z, cov) < _SETTLED
     )
     # With exact data starts that agree to the solver's tolerance are one minimum.
     far = np.maximum(3 * np.sqrt(np.diag(cov)), _ONE_MINIMUM)
     ambiguous = bool(np.any(np.abs(solution.z[near] - solution.z[best]) > far))
-    any_estimated = any(c.noise_estimated for c in problem.channels)
-    level = threshold(any_estimated, n_effective, problem.layout.size)
+    level = threshold(problem.noise_estimated, n_effective, problem.layout.size)
     return Solved(
-        problem, at, z, cov, rules, level, converged,
-        config.starts, int(near.sum()), ambiguous, chi2_dof,
-        n_effective,
+        problem, at, z, cov, level, converged, config.starts, int(near.sum()),
+        ambiguous, chi2_dof, n_effective,
     )  # fmt: skip

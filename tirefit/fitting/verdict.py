@@ -108,11 +108,21 @@ def _structure(result: FitResult) -> list[tuple[Outcome | None, str]]:
     return [(Outcome.SYSTEMATIC_MISFIT if value > _SYSTEMATIC else None, text)]
 
 
+def _contradiction(result: FitResult) -> list[tuple[Outcome | None, str]]:
+    """Data that contradict themselves: no quality of the fit makes up for it."""
+    check = result.data.get("slip_check")
+    if check is None or not check["contradicts"]:
+        return []
+    outcome = Outcome.SLIP_CONTRADICTED
+    return [(outcome, f"{check['text']}; {outcome.value}")]
+
+
 def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """All there is to say, each with the outcome it stands for."""
     statistics, found = result.statistics, []
     if not statistics.converged:
         found.append((Outcome.NOT_CONVERGED, Outcome.NOT_CONVERGED.value))
+    found += _contradiction(result)
     found += [(Outcome.POOR_FIT, text) for text in _fit_quality(result)]
     exact = _exactness(result)
     # Residuals that are rounding have a structure, and it means nothing.
@@ -200,6 +210,7 @@ def _speed_limit(result: FitResult) -> list[str]:
 
 _STATUS = (
     (Outcome.NOT_CONVERGED, "not converged"),
+    (Outcome.SLIP_CONTRADICTED, "doubtful slip"),
     (Outcome.POOR_FIT, "poor fit"),
     (Outcome.STARTS_DISAGREE, "not unique"),
     (Outcome.NOT_IDENTIFIED, "not identified"),

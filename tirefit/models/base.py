@@ -68,8 +68,8 @@ class AbstractTire(eqx.Module):
 
 def modelled(model: AbstractTire) -> tuple[str, ...]:
     """Which of fx, fy, mz the model gives."""
-    found = jax.eval_shape(lambda: model(TireInputs()))
-    return tuple(name for name, value in found._asdict().items() if value is not None)
+    outputs = jax.eval_shape(lambda: model(TireInputs()))
+    return tuple(name for name, value in outputs._asdict().items() if value is not None)
 
 
 @jax.jit

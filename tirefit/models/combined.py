@@ -157,7 +157,7 @@ def _pure(tire: AbstractTire, channel: str, inputs: TireInputs, slip) -> TireFor
 def scaled_to_combined(
     along: AbstractTire, across: AbstractTire, inputs: TireInputs, sliding=None
 ) -> TireForces:
-    r"""Combined slip of any two pure-slip models, after Gäfvert and Svendenius.
+    r"""Combined slip of any two pure-slip models (Gäfvert & Svendenius 2005).
 
     In a brush with parabolic pressure a share :math:`\psi` of the patch slides,
 

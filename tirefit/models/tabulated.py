@@ -218,7 +218,7 @@ class _Panel(NamedTuple):
 
 def _panels(density, edges: np.ndarray, file: str) -> list[_Panel]:
     """Panels between the edges, halved until the density is resolved on each."""
-    found = []
+    panels = []
     waiting = list(zip(edges[:-1], edges[1:], strict=True))[::-1]
     while waiting:
         low, high = waiting.pop()
@@ -228,15 +228,15 @@ def _panels(density, edges: np.ndarray, file: str) -> list[_Panel]:
         series = _TO_SERIES @ values
         tail = np.abs(series[-3:]).max() * half * np.sin(angles).max()
         if tail <= _ROUNDING * np.abs(values).max() or half < _NARROWEST:
-            found.append(_Panel(low, high, angles, values, series))
-        elif len(found) + len(waiting) > _MOST_PANELS:
+            panels.append(_Panel(low, high, angles, values, series))
+        elif len(panels) + len(waiting) > _MOST_PANELS:
             reason = "the pressure density jumps or bends at too many places"
             raise UsageError(
                 InputProblem(reason, "give a table of it, or smooth it", file)
             )
         else:
             waiting += [(low + half, high), (low, low + half)]
-    return found
+    return panels
 
 
 def _valid(values, angles, file: str) -> np.ndarray:
@@ -284,12 +284,12 @@ def _law(cls, density, kinks: np.ndarray, file: str) -> Tabulated:
     for panel in panels:
         per_angle = panel.values * np.sin(panel.angles)
         half = (panel.high - panel.low) / 2
-        for share, found, start in (
+        for share, series, start in (
             (per_angle, loads, load),
             (-np.cos(panel.angles) * per_angle, moments, moment),
         ):
-            found.append(chebyshev.chebint(_TO_SERIES @ share, scl=half, lbnd=-1))
-            found[-1][0] += start
+            series.append(chebyshev.chebint(_TO_SERIES @ share, scl=half, lbnd=-1))
+            series[-1][0] += start
         load, moment = (chebyshev.chebval(1.0, x[-1]) for x in (loads, moments))
     if not load > 0:
         reason = "the pressure density is nowhere positive"

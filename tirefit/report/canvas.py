@@ -5,13 +5,13 @@ global lists.
 """
 
 import io
-import os
 import textwrap
 from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from tirefit.files import replacing
 from tirefit.fitting.result import FitResult
 from tirefit.report.numbers import plain_text
 from tirefit.report.text import verdict_line
@@ -96,11 +96,7 @@ def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:
 
 def save_picture(picture: Picture, path: Path) -> Path:
     """Write a picture, PNG or SVG by the suffix, whole or not at all."""
-    temporary = path.with_name(f".{path.name}.part")
     metadata = {"Date": None} if path.suffix == ".svg" else None
-    try:
+    with replacing(path) as temporary:
         picture.savefig(temporary, format=path.suffix[1:], metadata=metadata)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
     return path

@@ -4,10 +4,11 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import stdtrit
 
 from tirefit.compiled import compiled
-from tirefit.fitting.likelihood import CHANNEL_SLIP, predict
+from tirefit.data.levels import levels
+from tirefit.fitting.inference import half_width_95
+from tirefit.fitting.likelihood import CHANNEL_SLIP, row_forces
 from tirefit.fitting.result import FitResult
 from tirefit.models import TireInputs
 from tirefit.params import parameter_values, unconstrain, with_values
@@ -19,7 +20,6 @@ __all__ = ["Curve", "FitCurve", "Group", "SlipAxis", "fit_curve", "slip_axis"]
 _MOST_GROUPS = 6
 _POINTS = 240
 _DRAWS = 400
-_NORMAL = 1.959963984540054
 _OTHER = {"sigma_x": "alpha", "alpha": "sigma_x"}
 _FORCE_LABEL = {
     "fx": ("longitudinal force $F_x$", "N", "$F_x / F_z$"),
@@ -96,15 +96,13 @@ def slip_axis(name: str, values: np.ndarray) -> SlipAxis:
 
 
 def _levels(values: np.ndarray, scale: float) -> np.ndarray:
-    """Codes (n,) of the levels that values gather at; thirds where they spread."""
+    """Codes (n,) of the levels that values gather at; thirds where they are swept."""
     if not scale > 0 or np.ptp(values) <= 0.1 * scale:
         return np.zeros(len(values), int)
-    order = np.sort(values)
-    wide = np.flatnonzero(np.diff(order) > 0.08 * scale)
-    edges = (order[wide] + order[wide + 1]) / 2
-    if not 1 <= len(edges) < _MOST_GROUPS:
-        edges = np.quantile(values, [1 / 3, 2 / 3])
-    return np.searchsorted(edges, values)
+    settings = levels(values)
+    if settings.few(_MOST_GROUPS):
+        return settings.code
+    return np.searchsorted(np.quantile(values, [1 / 3, 2 / 3]), values)
 
 
 def _keys(result: FitResult, slip: str) -> list[tuple[str, np.ndarray]]:
@@ -180,7 +178,7 @@ def _value(result: FitResult, name: str, run: int) -> float:
 @compiled(static=("layout", "channel"))
 def _forces(model, layout, z, inputs, run, channel):
     """One channel at one z: small, so that a figure waits little for its compiler."""
-    return predict(model, layout, z, inputs, run)[channel]
+    return row_forces(model, layout, z, inputs, run)[channel]
 
 
 def _z_draws(result: FitResult) -> np.ndarray:
@@ -196,9 +194,7 @@ def _z_draws(result: FitResult) -> np.ndarray:
 
 def _quantile(result: FitResult) -> float:
     """Standard deviations to the end of a 95 % interval: Student's t where needed."""
-    if not any(c.noise_estimated for c in result.problem.channels):
-        return _NORMAL
-    return float(stdtrit(max(result.statistics.dof, 1.0), 0.975))
+    return half_width_95(result.problem.noise_estimated, result.statistics.dof)
 
 
 def _band(result: FitResult, channel: str, inputs: TireInputs, run):

@@ -4,8 +4,8 @@ import base64
 import html
 from collections.abc import Mapping, Sequence
 
-from tirefit.data.write import write_text_atomic
 from tirefit.diagnosis.result import Diagnosis
+from tirefit.files import write_text_atomic
 from tirefit.report.canvas import Picture
 from tirefit.report.diagnosis_draw import diagnosis_figure, panel_pictures
 from tirefit.report.diagnosis_text import (

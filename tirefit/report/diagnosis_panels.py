@@ -6,6 +6,7 @@ import numpy as np
 from scipy.special import stdtr
 from scipy.stats import false_discovery_control
 
+from tirefit.data.levels import levels
 from tirefit.diagnosis.rates import slip_rate
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.curves import SlipAxis, slip_axis
@@ -122,10 +123,9 @@ class ClosureBar(NamedTuple):
 
 def _levels(values) -> tuple[np.ndarray, tuple[str, ...]]:
     """Codes (n,) of the levels of a covariate, and their names."""
-    distinct = np.unique(np.round(values, 6))
-    if len(distinct) <= _LEVELS:
-        names = tuple(format_number(float(x)) for x in distinct)
-        return np.searchsorted(distinct, np.round(values, 6)), names
+    settings = levels(values)
+    if settings.few(_LEVELS):
+        return settings.code, tuple(format_number(float(x)) for x in settings.center)
     cuts = np.unique(np.quantile(values, np.linspace(0, 1, _BANDS + 1)))
     codes = np.clip(np.searchsorted(cuts, values, "right") - 1, 0, len(cuts) - 2)
     texts = [format_number(float(x), 3) for x in cuts]

@@ -2,15 +2,12 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 from tirefit.data.table import CANONICAL
-from tirefit.diagnosis.effects import NOISE_EFFECTS
+from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, effects_by_id
 from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
-    "WORDS",
-    "Words",
     "covariate_text",
     "names_an_effect",
     "needs_text",
@@ -23,106 +20,6 @@ __all__ = [
 ]
 
 
-class Words(NamedTuple):
-    """What an effect is, and what to do once it is named."""
-
-    means: str
-    remedy: str
-
-
-_SPLIT = "fit the two parts as runs of their own"
-_PER_RUN = "cut the record into runs and fit {} per run"
-
-WORDS: dict[str, Words] = {
-    "pressure_asymmetry": Words("the contact pressure is skewed", "fit brush-d"),
-    "pressure_flatness": Words(
-        "the contact pressure is flatter or sharper than a parabola",
-        "fit quartic or elliptic",
-    ),
-    "kinetic_friction": Words("friction falls once the bristles slide", "fit brush-m"),
-    "friction_speed_linear": Words(
-        "friction falls in proportion to the sliding speed", "fit brush-n"
-    ),
-    "friction_speed_exponential": Words(
-        "friction falls exponentially with the sliding speed", "fit brush-h"
-    ),
-    "load_stiffness": Words("stiffness is a power of the load", "fit brush-load"),
-    "load_friction": Words("friction is a power of the load", "fit brush-load"),
-    "friction_temperature": Words(
-        "friction changes with temperature", "fit mu for each range of temperature"
-    ),
-    "stiffness_temperature": Words(
-        "stiffness changes with temperature", "fit cpa2 for each range of temperature"
-    ),
-    "friction_drift": Words(
-        "friction changes slowly over the record", _PER_RUN.format("mu")
-    ),
-    "stiffness_drift": Words(
-        "stiffness changes slowly over the record", _PER_RUN.format("cpa2")
-    ),
-    "friction_step": Words(
-        "friction changes at one time", "cut the record there and fit mu per run"
-    ),
-    "friction_hysteresis": Words(
-        "friction differs between growing and shrinking slip", _SPLIT
-    ),
-    "drive_brake_asymmetry": Words(
-        "friction differs between the two signs of slip", _SPLIT
-    ),
-    "slip_offset": Words(
-        "the slip is off by a constant",
-        "add it to the slip; check the rolling radius, or the zero of heading or"
-        " steering",
-    ),
-    "force_offset": Words(
-        "the force is off by a constant",
-        "subtract it; check the zero of the force sensor",
-    ),
-    "slip_definition": Words(
-        "the slip follows another definition than it was read by",
-        "read its column by the other one: --column kappa=HEADER or sigma_x=HEADER",
-    ),
-    "channel_delay": Words(
-        "force and slip are shifted in time", "shift the force back by the delay"
-    ),
-    "relaxation_length": Words(
-        "the force lags the slip over a rolling distance", "fit brush-relaxation"
-    ),
-    "wheel_inertia": Words(
-        "the force lacks the torque that spins the wheel up",
-        "add J (d omega / dt) / r to the force",
-    ),
-    "combined_slip": Words(
-        "the other slip takes its part of the friction",
-        "fit brush-anisotropic or magic-formula-combined to both slips",
-    ),
-    "camber_thrust": Words(
-        "camber adds to the lateral force", "measure without camber, or correct for it"
-    ),
-    "conicity": Words(
-        "a lateral force in proportion to load stands at zero slip",
-        "measure again with the tire turned round, and take the mean",
-    ),
-    "pressure_shift_load": Words(
-        "the contact pressure shifts with force or load",
-        "fit brush-d-force or brush-d-load",
-    ),
-    "carcass_flexibility": Words(
-        "the carcass gives way with the force",
-        "use a carcass of tirefit.models.carcass; M_z tells it from skewed pressure",
-    ),
-    "outliers": Words("rows far off all others", "set [noise] loss = 'huber'"),
-    "noise_heteroscedastic": Words(
-        "noise that differs over the range", "give fx_std row by row"
-    ),
-    "noise_autocorrelated": Words(
-        "neighbouring rows share their noise",
-        "none needed: rows count at their effective number",
-    ),
-    "slip_noise": Words("the slip is measured with noise", "give sigma_x_std"),
-}
-"""Effect id -> words; effects of the user's own are called by their id alone."""
-
 _NEEDS = {
     "loads": "more than one load",
     "speeds": "more than one speed",
@@ -131,6 +28,7 @@ _NEEDS = {
     "time": "time",
     "v": "speed v",
     "omega": "wheel speed omega",
+    "rolling_radius": "rolling_radius in rig.toml, or v with omega",
     "temperature": "a temperature that varies",
     "gamma": "a camber gamma that varies",
     "other slip": "the other slip, not zero",
@@ -154,14 +52,20 @@ _NAMED_VALUES = {
 }
 
 
-def words_on(effect: str) -> Words:
-    """Words on an effect; empty for one that is not in the library."""
-    return WORDS.get(effect, Words("", ""))
+_NOISE = effects_by_id(NOISE_EFFECTS)
+_KNOWN = effects_by_id(EFFECTS) | _NOISE
+
+
+def words_on(effect: str) -> tuple[str, str]:
+    """What an effect means and what to do about it; empty for one that is not in the
+    library."""
+    record = _KNOWN.get(effect)
+    return (record.means, record.remedy) if record else ("", "")
 
 
 def names_an_effect(verdict: Mapping) -> bool:
     """Whether a verdict names effects on the mean force."""
-    effects = [e for e in verdict["effects"] if e not in NOISE_EFFECTS]
+    effects = [e for e in verdict["effects"] if e not in _NOISE]
     return bool(effects) and effects != ["unknown"]
 
 

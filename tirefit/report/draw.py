@@ -25,6 +25,7 @@ from tirefit.report.curves import FitCurve, fit_curve
 from tirefit.report.draw_uncertainty import corner_figure, profile_figure, trace_figure
 from tirefit.report.numbers import format_number
 from tirefit.report.residuals import Residuals, Scatter, residual_panels
+from tirefit.report.uncertainty import has_trace
 
 __all__ = [
     "FIGURE_FILES",
@@ -265,7 +266,9 @@ def save_figures(
     if result.profiles:
         figures["profile"] = profile_figure
     if result.chains is not None:
-        figures |= {"corner": corner_figure, "trace": trace_figure}
+        figures["corner"] = corner_figure
+        if has_trace(result):
+            figures["trace"] = trace_figure
     written = []
     for name, figure in figures.items():
         picture = figure(result)

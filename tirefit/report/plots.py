@@ -60,8 +60,11 @@ def plot_corner(result: FitResult):
 def plot_trace(result: FitResult):
     """Posterior draws in order, by ensemble; the Figure."""
     from tirefit.report import draw
+    from tirefit.report.uncertainty import has_trace
 
     _needs(result, "posterior: tirefit.sample(fit) adds it", result.chains is not None)
+    remedy = "chain: its posterior is of independent points (plot_corner draws it)"
+    _needs(result, remedy, has_trace(result))
     return draw.trace_figure(result)
 
 

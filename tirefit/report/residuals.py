@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
+from tirefit.data.levels import levels
 from tirefit.data.table import TireData
-from tirefit.fitting.likelihood import CHANNEL_SLIP
-from tirefit.fitting.predict import row_moments
+from tirefit.fitting.likelihood import CHANNEL_SLIP, row_moments
 from tirefit.fitting.result import FitResult
 from tirefit.report.curves import slip_axis
 from tirefit.report.numbers import plain_text
@@ -111,9 +111,9 @@ def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
 
 def _binned(x, residual, inflation: float):
     """Centers, means and half-widths of the means' 95 % intervals, each (k,)."""
-    values = np.unique(x)
-    if len(values) <= _BINS:
-        codes = np.searchsorted(values, x)
+    settings = levels(x)
+    if settings.few(_BINS):
+        codes = settings.code
     else:
         edges = np.unique(np.quantile(x, np.linspace(0, 1, _BINS + 1)[1:-1]))
         codes = np.searchsorted(edges, x)

@@ -5,7 +5,7 @@ import textwrap
 import numpy as np
 
 from tirefit.fitting.derived import derived_channel, quantities
-from tirefit.fitting.result import Estimate, FitResult
+from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
 from tirefit.report.numbers import format_estimate, format_interval, format_number
 
 __all__ = [
@@ -177,7 +177,7 @@ def _by_run(result: FitResult) -> list[str]:
     problem = result.problem
     if problem is None or len(result.data["runs"]) < 2:
         return []
-    from tirefit.fitting.predict import row_moments
+    from tirefit.fitting.likelihood import row_moments
 
     name = result.forces[0]
     mean, _ = row_moments(problem, result.z)
@@ -202,19 +202,40 @@ def _posterior(result: FitResult) -> list[str]:
         return []
     rows = [["parameter", "ESS", "R-hat", "τ [steps]"]]
     for label in result.labels:
-        if label in p.ess:
+        if label in p.rhat:
             rows.append(
                 [
                     _short(label), f"{p.ess[label]:.0f}", f"{p.rhat[label]:.4f}",
                     f"{p.tau[label]:.1f}",
                 ]
             )  # fmt: skip
-    head = (
-        f"{p.sampler}: {p.ensembles} ensembles × {p.walkers} walkers × {p.steps} steps"
+    said = [_posterior_head(p), p.note] if p.note else [_posterior_head(p)]
+    lines = [
+        line
+        for text in said
+        for line in textwrap.wrap(
+            text, WIDTH, initial_indent="  ", subsequent_indent="  "
+        )
+    ]
+    chains = table(rows, right=(1, 2, 3)) if p.rhat else []
+    return ["", "POSTERIOR", *lines, *chains]
+
+
+def _posterior_head(p: PosteriorSummary) -> str:
+    """One sentence on what the sampler did."""
+    if p.sampler == "importance":
+        draws = round(p.acceptance * p.steps)
+        return (
+            f"importance: {p.steps} points of Student's t, worth {draws} independent"
+            f" draws; Pareto k-hat {p.k_hat:.2f} (below 0.7: to be trusted); no chain,"
+            f" so no trace; seed {p.seed}"
+        )
+    many = "chains" if p.sampler == "nuts" else "walkers"
+    text = (
+        f"{p.sampler}: {p.ensembles} ensembles × {p.walkers} {many} × {p.steps} steps"
         f" ({p.discarded} discarded), acceptance {p.acceptance:.2f}, seed {p.seed}"
     )
-    lines = textwrap.wrap(head, WIDTH, initial_indent="  ", subsequent_indent="  ")
-    return ["", "POSTERIOR", *lines, *table(rows, right=(1, 2, 3))]
+    return text if p.divergences is None else f"{text}, {p.divergences} divergences"
 
 
 def _correlations(result: FitResult, above: float = 0.9) -> list[str]:

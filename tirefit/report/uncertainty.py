@@ -13,6 +13,7 @@ __all__ = [
     "ProfilePanel",
     "Trace",
     "corner_data",
+    "has_trace",
     "profile_data",
     "symbol",
     "trace_data",
@@ -156,6 +157,12 @@ def corner_data(result: FitResult) -> Corner:
         np.array([result.least_squares[label].value for label in labels]),
         tuple(result.least_squares[label].identified for label in labels), note,
     )  # fmt: skip
+
+
+def has_trace(result: FitResult) -> bool:
+    """Whether the posterior comes from a chain: weighted points have no order."""
+    chained = result.posterior is None or result.posterior.rhat
+    return result.chains is not None and bool(chained)
 
 
 def trace_data(result: FitResult) -> Trace:

@@ -1,0 +1,307 @@
+"""NUTS and importance sampling against known posteriors, ArviZ and emcee."""
+
+import arviz
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+from recipes import GIVEN, curve, table
+
+from tirefit.fitting.estimate import fit
+from tirefit.fitting.importance import draw_weighted, smoothed
+from tirefit.fitting.nuts import nuts_chunk, nuts_start
+from tirefit.fitting.posterior import _density, sample
+from tirefit.fitting.store import write_posterior
+from tirefit.report.draw import save_figures
+from tirefit.report.plots import plot_trace
+from tirefit.report.text import fit_report
+from tirefit.results import Outcome, UsageError
+
+
+@pytest.fixture(scope="module")
+def weighted(given):
+    return sample(given, sampler="importance", effective_samples=4000)
+
+
+def agree(one, other, std, ess):
+    """Means and spreads of draws (n, p) differ by less than four standard errors."""
+    error = np.abs(one.mean(axis=0) - other.mean(axis=0)) / std
+    assert np.all(error < 4 * np.sqrt(2 / ess)), error
+    spread = np.abs(one.std(axis=0) / other.std(axis=0) - 1)
+    assert np.all(spread < 4 / np.sqrt(ess)), spread
+
+
+def flat(result):
+    return result.walkers.reshape(-1, len(result.labels))
+
+
+def stds(result):
+    return np.array([result.least_squares[label].std for label in result.labels])
+
+
+@pytest.mark.parametrize("shape", [0.0, 0.2, 0.5, 0.9, 1.5])
+def test_smoothed_weights_are_those_of_arviz(shape):
+    generator = np.random.default_rng(0)
+    spread = generator.standard_exponential(5000)
+    log_weights = shape * spread if shape else -(spread**2)
+    weights, k_hat = smoothed(log_weights)
+    expected, k_expected = arviz.psislw(log_weights)
+    np.testing.assert_allclose(weights, np.exp(expected), rtol=1e-10)
+    assert k_hat == pytest.approx(float(k_expected), rel=1e-10)
+    assert weights.sum() == pytest.approx(1)
+
+
+def test_weights_with_too_few_or_no_points_are_not_trusted():
+    lonely = np.full(1000, -np.inf)
+    assert smoothed(lonely)[1] == np.inf
+    lonely[:3] = 0.0
+    weights, k_hat = smoothed(lonely)
+    assert k_hat == np.inf and weights[:3] == pytest.approx(1 / 3)
+
+
+def skewed(u):
+    """log density of a log-gamma of shape 8 in every coordinate: mean and variance
+    are digamma(8) and trigamma(8)."""
+    return jnp.sum(8 * u - jnp.exp(u), axis=-1)
+
+
+def narrow_and_far(u):
+    """Most of the probability where the proposal hardly ever looks."""
+    return -jnp.sum((u - 12.0) ** 2, axis=-1) / 2e-2
+
+
+def plain(size):
+    """A whitening that changes nothing."""
+    return np.zeros(size), np.eye(size)
+
+
+def heavy(u):
+    """Tails of |u|^-1.2, which neither part of the proposal covers."""
+    return -0.6 * jnp.sum(jnp.log1p(u**2), axis=-1)
+
+
+def test_weighted_draws_have_the_moments_of_the_target():
+    from scipy.special import polygamma
+
+    weighted = draw_weighted(lambda u: skewed(u + 2.0), *plain(3), 0, 40_000)
+    assert weighted.refused == "" and weighted.k_hat < 0.7
+    count = len(weighted.draws)
+    assert 40_000 <= count < weighted.points
+    mean, variance = polygamma(0, 8) - 2.0, polygamma(1, 8)
+    error = 4 * np.sqrt(variance / count)
+    assert np.all(np.abs(weighted.draws.mean(axis=0) - mean) < error)
+    np.testing.assert_allclose(
+        weighted.draws.var(axis=0), variance, rtol=4 * np.sqrt(3 / count)
+    )
+    # In random order: a thinned picture of them is a picture of all.
+    half = weighted.draws[: count // 2].mean(axis=0)
+    assert np.all(np.abs(half - mean) < np.sqrt(2) * error)
+
+
+def test_draws_are_worth_as_many_independent_ones():
+    def drawn(seed):
+        return draw_weighted(lambda u: skewed(u + 2.0), *plain(1), seed, 1000)
+
+    means = [drawn(seed).draws[:1000].mean() for seed in range(200)]
+    weighted = drawn(0)
+    independent = weighted.draws.std() / np.sqrt(1000)
+    # The spread of 200 means is known to 5 %.
+    assert np.std(means) < 1.2 * independent
+
+
+def test_weights_not_to_be_trusted_are_refused():
+    assert "k-hat" in draw_weighted(narrow_and_far, *plain(2), 0, 1000).refused
+    nowhere = draw_weighted(lambda u: np.full(len(u), -np.inf), *plain(2), 0, 1000)
+    assert "k-hat inf" in nowhere.refused
+    assert 0.7 < draw_weighted(heavy, *plain(2), 0, 1000).k_hat < np.inf
+    # 40 coordinates of half the spread: too few of the points count.
+    narrow = draw_weighted(lambda u: -2 * np.sum(u**2, axis=1), *plain(40), 0, 1000)
+    assert narrow.refused
+
+
+def test_a_bulk_far_from_the_optimum_is_seen():
+    """A narrow optimum, and 100 times its probability 40 of its spreads away."""
+
+    def two(u):
+        near = -jnp.sum(u**2, axis=-1) / 2
+        far = jnp.log(100.0 / 16) - jnp.sum((u - 40.0) ** 2, axis=-1) / 32
+        return jnp.logaddexp(near, far)
+
+    weighted = draw_weighted(two, np.zeros(2), np.eye(2) / 20, 0, 1000)
+    assert weighted.refused or np.mean(weighted.draws[:, 0] > 20) > 0.9
+
+
+def test_interrupted_points_are_kept():
+    calls, shares = [], []
+
+    def interrupted(u):
+        calls.append(len(u))
+        if sum(calls) > 5120:  # the first round of 1.25 x 4,000 points is complete
+            raise KeyboardInterrupt
+        return -2 * np.sum(u**2, axis=1)
+
+    weighted = draw_weighted(
+        interrupted, *plain(6), 0, 4000, lambda share, note: shares.append(share)
+    )
+    assert weighted.interrupted and weighted.refused == ""
+    assert weighted.points == 5120 and 100 < len(weighted.draws) < 4000
+    assert shares == [pytest.approx(len(weighted.draws) / 4000, abs=1e-3)]
+
+
+def test_importance_agrees_with_emcee(given, sampled, weighted):
+    summary = weighted.posterior
+    assert summary.sampler == "importance" and summary.outcome is Outcome.CONVERGED
+    assert summary.k_hat < 0.7 and summary.rhat == {} and summary.tau == {}
+    assert summary.note == "" and summary.divergences is None
+    assert len(flat(weighted)) == min(summary.ess.values()) >= 4000
+    agree(
+        flat(weighted), flat(sampled), stds(given), min(sampled.posterior.ess.values())
+    )
+    assert weighted.verdict["status"] == sampled.verdict["status"] == "ok"
+
+
+def test_importance_is_reproduced_by_its_seed_alone(given, weighted, tmp_path):
+    settings = {"sampler": "importance", "checkpoint": tmp_path / "chain.npz"}
+    again = sample(given, **settings, resume=True)
+    assert np.array_equal(again.walkers, weighted.walkers)
+    assert list(tmp_path.iterdir()) == []  # nothing to resume, nothing kept
+    other = sample(given, **settings, seed=1)
+    assert not np.array_equal(other.walkers[:, :, :50], weighted.walkers[:, :, :50])
+
+
+def test_refused_importance_falls_back_to_emcee_and_says_so(given, monkeypatch):
+    from tirefit.fitting import posterior
+
+    real = draw_weighted
+
+    def far(density, *arguments):
+        return real(heavy, *arguments)
+
+    monkeypatch.setattr(posterior, "draw_weighted", far)
+    result = sample(given, sampler="importance", effective_samples=500)
+    alone = sample(given, effective_samples=500)
+    assert np.array_equal(result.walkers, alone.walkers)
+    summary = result.posterior
+    assert summary.sampler == "emcee" and summary.k_hat > 0.7
+    assert "importance sampling refused (k-hat" in summary.note
+    assert "importance sampling refused (k-hat" in fit_report(result)
+    content = result.to_dict()["posterior"]
+    assert content["k_hat"] == summary.k_hat and content["note"] == summary.note
+
+
+def test_importance_interrupted_before_any_point_is_said(given, monkeypatch):
+    from tirefit.fitting import posterior
+
+    def interrupted(u):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(posterior, "_density", lambda solved: interrupted)
+    result = sample(given, sampler="importance")
+    assert Outcome.INTERRUPTED in result.outcomes and result.posterior is None
+
+
+def test_importance_has_no_trace_and_says_so(weighted, tmp_path):
+    written = {path.name for path in save_figures(weighted, tmp_path)}
+    assert "corner.png" in written and "trace.png" not in written
+    with pytest.raises(UsageError, match="no chain"):
+        plot_trace(weighted)
+    text = " ".join(fit_report(weighted).split())
+    assert "k-hat" in text and "no chain" in text and "R-hat" not in text
+
+
+def test_arviz_reads_weighted_draws(weighted, tmp_path):
+    path = tmp_path / "posterior.nc"
+    write_posterior(weighted, path)
+    with xr.open_datatree(path, engine="h5netcdf") as tree:
+        posterior = tree["posterior"].to_dataset().load()
+    assert posterior.attrs["sampler"] == "importance"
+    assert posterior.sizes["chain"] == 1
+    for label in weighted.labels:
+        ess = float(arviz.ess(posterior[label].values, method="mean"))
+        assert ess / weighted.posterior.ess[label] == pytest.approx(1, abs=0.15)
+
+
+def test_nuts_agrees_with_emcee(given, sampled):
+    result = sample(given, sampler="nuts", effective_samples=2000)
+    summary = result.posterior
+    assert summary.outcome is Outcome.CONVERGED and summary.divergences == 0
+    assert (summary.ensembles, summary.walkers) == (4, 8)
+    assert 0.6 < summary.acceptance < 0.95
+    fewer = min(sampled.posterior.ess.values())
+    agree(flat(result), flat(sampled), stds(given), fewer)
+    text = " ".join(fit_report(result).split())
+    assert "4 ensembles × 8 chains" in text and "0 divergences" in text
+
+
+def test_nuts_learns_a_mass():
+    """Spreads of 0.02 and 5 and a correlation, seen through no whitening at all."""
+    root = np.array([[0.02, 0.0], [4.0, 3.0]])
+    inverse = jnp.linalg.inv(root)
+
+    def density(u):
+        return -jnp.sum((u @ inverse.T) ** 2, axis=-1) / 2
+
+    state = nuts_start(density, 2, 4, 8, 0)
+    samples, values, accepted, state = nuts_chunk(density, state, 100)
+    *_, state = nuts_chunk(density, state, 100)
+    assert samples.shape == (4, 100, 8, 2) and values.shape == (4, 100, 8)
+    np.testing.assert_allclose(values, density(samples), rtol=1e-9)
+    assert 0.6 < accepted < 0.95 and state["divergences"] == 0
+    covariance = np.cov(samples.reshape(-1, 2).T)
+    np.testing.assert_allclose(covariance, root @ root.T, rtol=0.25)
+
+
+def test_nuts_counts_divergences():
+    """A funnel: its neck is narrower than any one step size reaches (Neal 2003)."""
+
+    def funnel(u):
+        neck = 3 * u[:, 0]
+        rest = jnp.sum(u[:, 1:] ** 2, axis=1) * jnp.exp(-neck)
+        return -(u[:, 0] ** 2 + rest + (u.shape[1] - 1) * neck) / 2
+
+    state = nuts_start(funnel, 6, 4, 8, 0)
+    *_, state = nuts_chunk(funnel, state, 100)
+    assert state["divergences"] > 0
+
+
+def runs_of(count: int):
+    """``count`` brushes whose stiffness and friction differ, one run each."""
+    generator = np.random.default_rng(4)
+    parts = [
+        curve({"cpa2": 5e4 * a, "mu": b}, n=60, seed=i, name=f"r{i}")
+        for i, (a, b) in enumerate(generator.uniform(0.8, 1.2, (count, 2)))
+    ]
+    columns = {
+        k: np.concatenate([p.columns[k] for p in parts])
+        for k in ("sigma_x", "fx", "fz")
+    }
+    names = tuple(f"r{i}" for i in range(count))
+    return table(columns, run=np.repeat(np.arange(count), 60), runs=names)
+
+
+def test_nuts_samples_many_parameters():
+    """Eight runs of their own stiffness and friction: 16 parameters, whose posterior
+    factors into runs, so that each interval is that of its own profile."""
+    each = {"per_run": True}
+    config = GIVEN | {"parameters": {"mu": each, "cpa2": each}}
+    result = fit(runs_of(8), "brush", config=config)
+    assert len(result.labels) == 16
+    drawn = sample(result, sampler="nuts", effective_samples=2000)
+    assert drawn.posterior.outcome is Outcome.CONVERGED
+    assert drawn.posterior.divergences == 0
+    for label in result.labels:
+        low, high = drawn.intervals["posterior"][label]
+        below, above = result.intervals["profile"][label]
+        assert abs(low - below) + abs(high - above) < 0.2 * (above - below), label
+
+
+def test_a_density_is_differentiable_and_batched(given):
+    """All that the samplers ask of a fit."""
+    density = _density(given.solved)
+    u = np.random.default_rng(0).standard_normal((5, 2))
+    values = density(u)
+    assert values.shape == (5,)
+    slope = jax.jacfwd(density)(u)
+    assert np.all(np.isfinite(slope))
+    assert np.count_nonzero(np.abs(slope) > 0) == 10  # each point its own

@@ -1,0 +1,94 @@
+"""Files are written whole or not at all; JSON holds nothing that it cannot say."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+from tirefit.data.write import write_csv
+from tirefit.files import (
+    json_safe,
+    json_text,
+    replacing,
+    write_text_atomic,
+    write_texts,
+)
+from tirefit.results import Outcome
+
+
+def test_json_holds_plain_finite_values():
+    content = {
+        "outcome": Outcome.AT_BOUND,
+        1: (np.float32(0.5), np.int64(3), np.bool_(True), True, "text", None),
+        "array": np.array([[1.0, np.nan], [np.inf, -2.0]]),
+        "scalar": np.array(7),
+        "infinite": [float("-inf"), {"deep": np.float64("nan")}],
+    }
+    plain = json.loads(json_text(content), parse_constant=pytest.fail)
+    assert plain == {
+        "outcome": "at_bound",
+        "1": [0.5, 3, True, True, "text", None],
+        "array": [[1.0, None], [None, -2.0]],
+        "scalar": 7,
+        "infinite": [None, {"deep": None}],
+    }
+    assert type(json_safe(np.bool_(True))) is bool and type(json_safe(True)) is bool
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_a_block_that_fails_leaves_the_old_file_alone(tmp_path, error):
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"old")
+    with pytest.raises(error), replacing(path) as temporary:
+        temporary.write_bytes(b"half")
+        raise error
+    assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]
+    with replacing(path) as temporary:
+        temporary.write_bytes(b"new")
+        assert path.read_bytes() == b"old" and temporary.parent == path.parent
+    assert path.read_bytes() == b"new" and list(tmp_path.iterdir()) == [path]
+
+
+def test_an_error_of_another_file_keeps_its_name(tmp_path):
+    with pytest.raises(OSError) as caught, replacing(tmp_path / "a"):
+        (tmp_path / "b" / "c").write_text("")
+    assert caught.value.filename == str(tmp_path / "b" / "c")
+
+
+def test_a_failed_write_leaves_the_old_file_alone(tmp_path, monkeypatch):
+    path = tmp_path / "a.csv"
+    path.write_text("old")
+    with pytest.raises(ValueError, match="shorter"):
+        write_csv(path, {"a": [1.0, 2.0], "b": [1.0]})
+
+    def fail(name, *_):
+        raise OSError(28, "disk full", name)
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(OSError, match="disk full") as caught:
+        write_text_atomic(path, "new")
+    assert caught.value.filename == str(path)  # not the temporary one
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_write_keeps_the_permissions(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    path.chmod(0o640)
+    write_text_atomic(path, "grün\n")
+    assert path.read_text(encoding="utf-8") == "grün\n"
+    assert path.stat().st_mode & 0o777 == 0o640
+
+
+def test_files_that_belong_together_are_written_together(tmp_path):
+    one, two = tmp_path / "one", tmp_path / "none" / "two"
+    one.write_text("old")
+    with pytest.raises(FileNotFoundError) as caught:
+        write_texts({one: "new", two: "new"})
+    assert caught.value.filename == str(two)
+    assert one.read_text() == "old" and list(tmp_path.iterdir()) == [one]
+    two.parent.mkdir()
+    write_texts({one: "new", two: "newer"})
+    assert (one.read_text(), two.read_text()) == ("new", "newer")

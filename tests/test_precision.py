@@ -1,0 +1,42 @@
+"""Every entry that estimates or predicts says that it needs 64-bit floats."""
+
+import jax
+import numpy as np
+import pytest
+
+import tirefit
+from tirefit.data.table import TireData
+from tirefit.fitting.convert import curve
+from tirefit.precision import require_x64
+from tirefit.results import UsageError
+
+SLIP = np.linspace(0.0, 0.2, 30)
+ROWS = TireData(
+    "rows",
+    {"sigma_x": SLIP, "fx": 1e5 * SLIP, "fz": np.full(30, 4000.0)},
+    np.ones(30, bool),
+    np.zeros(30, int),
+    ("run",),
+)
+ENTRIES = {
+    "fit": lambda: tirefit.fit(ROWS),
+    "fit_many": lambda: tirefit.fit_many("brush", SLIP[None], SLIP[None], 4000.0),
+    "sample": lambda: tirefit.sample(None),
+    "predict": lambda: tirefit.predict("brush", ROWS),
+    "curve": lambda: curve("brush", "fx", SLIP, [4000.0]),
+    "diagnose": lambda: tirefit.diagnose(ROWS),
+}
+
+
+@pytest.mark.parametrize("entry", list(ENTRIES))
+def test_32_bit_floats_are_refused_with_the_remedy(entry):
+    with jax.enable_x64(False), pytest.raises(UsageError) as caught:
+        ENTRIES[entry]()
+    (problem,) = caught.value.problems
+    assert "64-bit floats" in problem.reason
+    assert "jax.config.update('jax_enable_x64', True)" in problem.remedy
+    assert "JAX_ENABLE_X64=1" in problem.remedy
+
+
+def test_64_bit_floats_are_enough():
+    assert require_x64("anything") is None

@@ -1,0 +1,101 @@
+"""What a rig was set to: the levels that the values of a column gather at."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+__all__ = ["Levels", "levels"]
+
+_LEAST = 0.005
+"""Part of the range, and of the largest value, that counts as no gap at all: steps of
+a logger, drift of a controller. Settings are at least three times as far apart."""
+_WIDER = 3.0
+"""A gap parts two settings if it is so many times the next narrower gap, and so many
+times the scatter about the settings. Of 300 normal or uniform samples of 20 rows and
+more, none is split; settings are found whose standard deviation is a tenth of their
+distance."""
+_ROWS = 2
+"""Rows that a setting has at least: one alone is an outlier, or a point of a sweep."""
+
+
+class Levels(NamedTuple):
+    """Levels of a column in increasing order.
+
+    ``center``, ``low`` and ``high`` (k,) are the median and the ends of each level,
+    ``code`` (n,) numbers the level of each row. ``is_swept``: the values gather
+    nowhere, and the only level is their range.
+    """
+
+    center: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    code: np.ndarray
+    is_swept: bool
+
+    def few(self, most: int) -> bool:
+        """Whether these are settings, and at most so many."""
+        return not self.is_swept and len(self.center) <= most
+
+
+def levels(values) -> Levels:
+    """The settings that values gather at, told by gaps against the scatter about them.
+
+    The values are cut at their widest gaps, at as many as are each wider than the
+    scatter that is left within the parts and than the gaps that are not cut. A range
+    without such gaps is swept, unless it is too narrow to be more than one setting.
+
+    Args:
+        values: (n,) finite.
+    """
+    values = np.asarray(values, float)
+    if not len(values):
+        none = np.zeros(0)
+        return Levels(none, none, none, np.zeros(0, int), False)
+    order = np.argsort(values, kind="stable")
+    ordered = values[order]
+    least = _LEAST * max(ordered[-1] - ordered[0], np.max(np.abs(ordered)))
+    cuts = _without_outliers(_cuts(ordered, least), ordered)
+    parts = np.split(ordered, cuts)
+    code = np.empty(len(values), int)
+    code[order] = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    return Levels(
+        np.array([np.median(part) for part in parts]),
+        np.array([part[0] for part in parts]),
+        np.array([part[-1] for part in parts]),
+        code,
+        bool(len(parts) == 1 and ordered[-1] - ordered[0] > least),
+    )
+
+
+def _cuts(ordered: np.ndarray, least: float) -> np.ndarray:
+    """Where sorted values part into settings: the first index of all but the first."""
+    gaps = np.diff(ordered)
+    widest = np.argsort(-gaps, kind="stable")
+    width = np.append(gaps[widest], 0.0)
+    chosen = np.zeros(0, int)
+    for count in range(1, len(ordered) // _ROWS):
+        narrowest = width[count - 1]
+        if narrowest <= _WIDER * least:
+            break
+        if narrowest < _WIDER * width[count]:
+            continue
+        cuts = np.sort(widest[:count]) + 1
+        sizes = np.diff(np.concatenate([[0], cuts, [len(ordered)]]))
+        sums = np.add.reduceat(ordered, np.concatenate([[0], cuts]))
+        away = ordered - np.repeat(sums / sizes, sizes)
+        if narrowest >= _WIDER * np.sqrt(away @ away / (len(ordered) - count - 1)):
+            chosen = cuts
+    return chosen
+
+
+def _without_outliers(cuts: np.ndarray, ordered: np.ndarray) -> np.ndarray:
+    """The cuts less those that leave too few rows for a setting."""
+    while len(cuts):
+        sizes = np.diff(np.concatenate([[0], cuts, [len(ordered)]]))
+        lone = int(np.argmin(sizes))
+        if sizes[lone] >= _ROWS:
+            break
+        gaps = np.concatenate([[np.inf], ordered[cuts] - ordered[cuts - 1], [np.inf]])
+        # It joins the nearer of its neighbours.
+        cuts = np.delete(cuts, lone - 1 if gaps[lone] < gaps[lone + 1] else lone)
+    return cuts

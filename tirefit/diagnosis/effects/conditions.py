@@ -1,0 +1,303 @@
+"""Effects of the conditions: friction or stiffness that varies with speed, load,
+temperature, time, direction, side or the other slip."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.diagnosis.effects.free_forms import (
+    FRICTION_BY_DIRECTION,
+    FRICTION_BY_OTHER_SLIP,
+    FRICTION_BY_SIDE,
+    FRICTION_BY_SPEED,
+    over,
+)
+from tirefit.diagnosis.effects.record import Effect, blend
+
+__all__ = ["EFFECTS", "STEPS"]
+
+_FALLS = ((1.0, 1.0), (4.0, 1.0), (4.0, 0.5), (15.0, 1.0), (30.0, 0.5))
+"""(v_st [m/s], exponent) of the exponential falls of friction that are tried, S(37)."""
+
+STEPS = tuple(float(t) for t in np.linspace(-0.42, 0.42, 15))
+"""Times of a sudden change that are tried, as shares of the record about its middle."""
+
+_SHARE = (-1.9, 1.9)
+"""A friction or a stiffness that changes by a share between its ends stays positive at
+both where the share stays below two."""
+
+_WEAR = (0.12, 0.35)
+"""Ways of a change that is quick at first, as shares of the record."""
+
+
+def _scaled(state, name, factor):
+    """Stiffness, friction or kinetic friction times a factor, which stays positive."""
+    return state._replace(**{name: getattr(state, name) * jnp.maximum(factor, 0.05)})
+
+
+def _kinetic_times(state, factor):
+    return state._replace(kinetic=state.kinetic * jnp.maximum(factor, 1e-3))
+
+
+def _linear_loss(state, loss, constants, rows):
+    kinetic, sliding, rolling = constants
+    state = _kinetic_times(state, 1 - kinetic * loss * rows.sliding)
+    falls = sliding * rows.sliding + rolling * rows.v
+    return _scaled(state, "friction", 1 - loss * falls)
+
+
+def _fall(state, share, constants, rows):
+    """Factor 1 - share (1 - exp(-(v_s / v_st)^exponent)), S(37), on the kinetic
+    friction alone, or on both."""
+    v_st, exponent, both = constants
+    # The power has no slope at rest, where the patch slides nowhere.
+    speed = jnp.maximum(rows.sliding, 1e-9)
+    fall = share * jnp.expm1(-((speed / v_st) ** exponent))
+    state = _kinetic_times(state, 1 + (1 - both) * fall)
+    return _scaled(state, "friction", 1 + both * fall)
+
+
+def _with_load(name):
+    """A power of the load, or linear in it."""
+
+    def change(state, amplitude, constants, rows):
+        linear = jnp.maximum(1 + amplitude * (rows.fz - 1), 0.05)
+        factor = blend(constants, rows.fz**amplitude, linear)
+        return state._replace(**{name: getattr(state, name) * factor})
+
+    return change
+
+
+def _times(name, covariate):
+    def change(state, share, constants, rows):
+        del constants
+        return _scaled(state, name, 1 + share * getattr(rows, covariate))
+
+    return change
+
+
+def _drift(name):
+    """Even over the record, or quick at first: 1 - exp(-t / way), about its middle."""
+
+    def change(state, share, constants, rows):
+        even, way = constants
+        late = 0.5 - jnp.exp(-(rows.time + 0.5) / way)
+        return _scaled(
+            state, name, 1 + share * blend((even, 1 - even), rows.time, late)
+        )
+
+    return change
+
+
+def _step(state, share, constants, rows):
+    """At one time, or in the shape that was found."""
+    at, shaped = constants
+    sudden = jnp.where(rows.time > at, 0.5, -0.5)
+    shape = blend((1 - shaped, shaped), sudden, rows.change)
+    return _scaled(state, "friction", 1 + share * shape)
+
+
+def _half(covariate):
+    def change(state, share, constants, rows):
+        del constants
+        return _scaled(state, "friction", 1 + 0.5 * share * getattr(rows, covariate))
+
+    return change
+
+
+def _other(state, share, constants, rows):
+    del constants
+    return state._replace(other=state.other + share * rows.other)
+
+
+_SPLIT = "fit the two parts as runs of their own"
+_PER_RUN = "cut the record into runs and fit {} per run"
+_DRIFTS = ((1.0, 1.0), *((0.0, way) for way in _WEAR))
+
+
+def _drifting(name: str, parameter: str, scale: float, forms, looks_like):
+    symbol = {"friction": "mu", "stiffness": "c_p a^2"}[name]
+    return Effect(
+        id=f"{name}_drift",
+        family=f"{name} x time",
+        change=_drift(name),
+        scale=scale,
+        unit="per record",
+        formula=f"{symbol} (1 + amplitude t)",
+        means=f"{name} changes slowly over the record",
+        remedy=_PER_RUN.format(parameter),
+        bounds=(_SHARE,),
+        needs=("time",),
+        variants=_DRIFTS,
+        forms=forms,
+        looks_like=looks_like,
+        told_apart_by="random order",
+    )
+
+
+def _heated(name: str, parameter: str, scale: float, size: float):
+    symbol = {"friction": "mu", "stiffness": "c_p a^2"}[name]
+    return Effect(
+        id=f"{name}_temperature",
+        family=f"{name} x temperature",
+        change=_times(name, "temperature"),
+        scale=scale,
+        unit="per 20 K",
+        formula=f"{symbol} (1 + amplitude (T - T0) / 20 K)",
+        means=f"{name} changes with temperature",
+        remedy=f"fit {parameter} for each range of temperature",
+        bounds=(_SHARE,),
+        needs=("temperature",),
+        forms=over(name, size, "temperature", 5),
+        looks_like=(f"{name}_drift",),
+        told_apart_by="random order",
+    )
+
+
+def _loaded(name: str, scale: float, size: float, looks_like):
+    symbol = {"friction": "mu", "stiffness": "c_p a^2"}[name]
+    return Effect(
+        id=f"load_{name}",
+        family=f"{name} x load",
+        change=_with_load(name),
+        scale=scale,
+        unit="-",
+        formula=f"{symbol} (F_z / F_z0)^amplitude, S 2.1",
+        means=f"{name} is a power of the load",
+        remedy="fit brush-load",
+        parameter="power",
+        bounds=((-3.0, 3.0),),
+        needs=("loads",),
+        variants=((1.0, 0.0), (0.0, 1.0)),
+        forms=over(name, size, "fz", 4),
+        looks_like=looks_like,
+        told_apart_by="random order",
+    )
+
+
+_BY_TIME = over("friction", 0.02, "time", 4)
+
+SPEED_LINEAR = Effect(
+    id="friction_speed_linear",
+    family="friction x speed",
+    change=_linear_loss,
+    scale=0.012,
+    unit="s/m",
+    formula="mu_k = mu (1 - amplitude v_s), S(35)",
+    means="friction falls in proportion to the sliding speed",
+    remedy="fit brush-n",
+    parameter="n / mu",
+    bounds=((-0.24, 0.24),),
+    needs=("v",),
+    variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    forms=FRICTION_BY_SPEED,
+    looks_like=("friction_speed_exponential",),
+    told_apart_by="speeds",
+)
+SPEED_EXPONENTIAL = Effect(
+    id="friction_speed_exponential",
+    family="friction x speed",
+    change=_fall,
+    scale=0.2,
+    unit="-",
+    formula="mu_k = mu (h + (1 - h) exp(-(v_s / v_st)^e)), S(37)",
+    means="friction falls exponentially with the sliding speed",
+    remedy="fit brush-h",
+    parameter="1 - h",
+    bounds=((0.0, 1.0),),  # h is a share
+    needs=("v",),
+    variants=tuple((*fall, both) for both in (0.0, 1.0) for fall in _FALLS),
+    forms=FRICTION_BY_SPEED,
+    looks_like=("friction_speed_linear",),
+    told_apart_by="speeds",
+)
+STEP = Effect(
+    id="friction_step",
+    family="friction x time",
+    change=_step,
+    scale=0.15,
+    unit="-",
+    formula="mu changes by amplitude at one time",
+    means="friction changes at one time",
+    remedy="cut the record there and fit mu per run",
+    bounds=(_SHARE,),
+    needs=("time",),
+    variants=(*((at, 0.0) for at in STEPS), (0.0, 1.0)),
+    forms=_BY_TIME,
+    scans_time=True,
+    looks_like=("friction_drift",),
+    told_apart_by="random order",
+)
+HYSTERESIS = Effect(
+    id="friction_hysteresis",
+    family="friction x direction",
+    change=_half("turning"),
+    scale=0.06,
+    unit="-",
+    formula="mu differs by amplitude between growing and shrinking slip",
+    means="friction differs between growing and shrinking slip",
+    remedy=_SPLIT,
+    bounds=((-1.2, 1.2),),
+    needs=("sweeps",),
+    forms=FRICTION_BY_DIRECTION,
+    looks_like=("channel_delay", "relaxation_length"),
+    told_apart_by="two ramp rates",
+)
+ASYMMETRY = Effect(
+    id="drive_brake_asymmetry",
+    family="friction x sign",
+    change=_half("side"),
+    scale=0.12,
+    unit="-",
+    formula="mu differs by amplitude between the two signs of slip",
+    means="friction differs between the two signs of slip",
+    remedy=_SPLIT,
+    bounds=(_SHARE,),
+    needs=("signs",),
+    forms=FRICTION_BY_SIDE,
+    looks_like=("force_offset",),
+    told_apart_by="loads",
+)
+COMBINED = Effect(
+    id="combined_slip",
+    family="inputs",
+    change=_other,
+    scale=0.15,
+    unit="-",
+    formula="the other slip shares the friction",
+    means="the other slip takes its part of the friction",
+    remedy="fit brush-anisotropic or magic-formula-combined to both slips",
+    parameter="share",
+    bounds=((-3.0, 3.0),),
+    center=1.0,
+    needs=("other slip",),
+    forms=FRICTION_BY_OTHER_SLIP,
+    singular=True,
+    told_apart_by="pure slip",
+)
+
+EFFECTS = (
+    SPEED_LINEAR,
+    SPEED_EXPONENTIAL,
+    _loaded("stiffness", 0.5, 0.06, ("stiffness_drift",)),
+    _loaded("friction", 0.12, 0.03, ("friction_drift", "force_offset")),
+    _heated("friction", "mu", 0.12, 0.03),
+    _heated("stiffness", "cpa2", 0.15, 0.06),
+    _drifting(
+        "friction",
+        "mu",
+        0.12,
+        _BY_TIME,
+        ("load_friction", "friction_temperature", "friction_step"),
+    ),
+    _drifting(
+        "stiffness",
+        "cpa2",
+        0.18,
+        over("stiffness", 0.04, "time", 4),
+        ("load_stiffness", "stiffness_temperature"),
+    ),
+    STEP,
+    HYSTERESIS,
+    ASYMMETRY,
+    COMBINED,
+)

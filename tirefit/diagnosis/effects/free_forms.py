@@ -1,0 +1,82 @@
+"""Free forms of an effect: the same parameter varies with the same quantity, in a shape
+that no formula has."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.diagnosis.basis import functions_of
+
+__all__ = [
+    "Form",
+    "FRICTION_BY_DIRECTION",
+    "FRICTION_BY_OTHER_SLIP",
+    "FRICTION_BY_SIDE",
+    "FRICTION_BY_SPEED",
+    "SHAPE_OF_THE_CURVE",
+    "SHIFT_BY_CAMBER",
+    "SHIFT_BY_LAG",
+    "over",
+]
+
+
+class Form(NamedTuple):
+    """``field`` of the state that moves by ``size`` times smooth functions of what
+    ``shapes(rows, u)`` gives, (n, k); u is slip over that of full sliding, (n,).
+    ``needs`` is what the data must hold: at one speed any function of the sliding speed
+    is one of the slip, and would explain whatever there is."""
+
+    field: str
+    size: float
+    shapes: Callable
+    needs: str = ""
+
+
+def over(field: str, size: float, covariate: str, count: int) -> tuple[Form, ...]:
+    """A field as ``count`` smooth functions of one covariate."""
+
+    def shapes(rows, u):
+        return functions_of(getattr(rows, covariate), count)
+
+    return (Form(field, size, shapes),)
+
+
+def _by_slip(factor: str, count: int = 4):
+    """Functions of the size of the slip, times a covariate."""
+
+    def shapes(rows, u):
+        free = functions_of(np.minimum(np.abs(u), 3), count)
+        return free * getattr(rows, factor)[:, None]
+
+    return shapes
+
+
+def _of_shape(rows, u):
+    """Force over load as any odd function of the slip fraction."""
+    return _by_slip("side", 9)(rows, u) * (rows.fz * rows.load)[:, None]
+
+
+def _of_sliding(rows, u):
+    return functions_of(np.sqrt(rows.sliding), 8)
+
+
+def _of_rate(rows, u):
+    """Functions of how fast the slip grows or shrinks in size."""
+    rate = rows.rate * rows.side
+    return functions_of(np.clip(rate / max(np.mean(np.abs(rate)), 1e-12), -3, 3), 6)
+
+
+SHAPE_OF_THE_CURVE = (Form("force", 0.01, _of_shape),)
+FRICTION_BY_SPEED = (
+    Form("friction", 0.06, _of_sliding, "speeds"),
+    Form("kinetic", 0.06, _of_sliding, "speeds"),
+)
+SHIFT_BY_LAG = (Form("shift", 0.1, _by_slip("lag")),)
+FRICTION_BY_DIRECTION = (
+    Form("friction", 0.02, _by_slip("turning")),
+    Form("friction", 0.02, _of_rate),
+)
+FRICTION_BY_SIDE = (Form("friction", 0.02, _by_slip("side")),)
+FRICTION_BY_OTHER_SLIP = over("friction", 0.03, "other", 5)
+SHIFT_BY_CAMBER = over("shift", 0.002, "gamma", 5)

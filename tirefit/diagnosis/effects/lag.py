@@ -1,0 +1,118 @@
+"""Effects of the past: a channel that comes late, a force that needs a way to build."""
+
+import jax
+import jax.numpy as jnp
+
+from tirefit.diagnosis.effects.free_forms import SHIFT_BY_LAG
+from tirefit.diagnosis.effects.record import Effect
+from tirefit.diagnosis.rates import AHEAD, BEHIND
+
+__all__ = ["EFFECTS", "lagged"]
+
+_NO_LENGTH = 1e-12
+"""The slope at no length is one-sided, not zero [unit of the length]."""
+
+
+def _late(past, delay, rows):
+    """Values of a delay [s] ago, less the values: (n,) of (n, k).
+
+    Exact for values that move in straight lines from column to column.
+    """
+    at = jnp.clip(AHEAD + delay / rows.interval, 0.0, past.shape[1] - 1.0)
+    low = jnp.clip(jnp.floor(at), 0, past.shape[1] - 2).astype(int)[:, None]
+    before = jnp.take_along_axis(past, low, axis=1)[:, 0]
+    after = jnp.take_along_axis(past, low + 1, axis=1)[:, 0]
+    return before + (at - low[:, 0]) * (after - before) - past[:, AHEAD]
+
+
+def lagged(past, length, step):
+    """Values that follow over a length, less the values: (n,) of (n, k).
+
+    Exact for values that rest before their past and then move in straight lines from
+    column to column. A length below zero would foresee, and counts as none.
+
+    Args:
+        length: of the response, in the unit of ``step``.
+        step: (n,) from column to column.
+    """
+    # At a length of zero itself the slope is that of lengths above.
+    length = jnp.where(length < 0, 0.0, length) + _NO_LENGTH
+    ways = step / length
+    decay = jnp.exp(-ways)
+    # Response to values that rise over the step.
+    share = jnp.where(ways < 1e-4, ways / 2, 1 - (1 - decay) / ways)
+
+    def follow(carry, value):
+        behind, before = carry
+        behind = decay * behind + share * value + (1 - share - decay) * before
+        return (behind, value), None
+
+    path = past[:, AHEAD:].T[::-1]
+    behind = jax.lax.scan(follow, (path[0], path[0]), path[1:])[0][0]
+    return behind - past[:, AHEAD]
+
+
+def _delay(state, delay, constants, rows):
+    """Of the slip, of the force, or of the force through a filter of first order, whose
+    delay is its time constant [s]."""
+    slip, force, filtered = constants
+    smooth = lagged(rows.pull, filtered * delay, rows.interval)
+    return state._replace(
+        shift=state.shift + _late(rows.past, slip * delay, rows),
+        force=state.force + _late(rows.pull, force * delay, rows) + filtered * smooth,
+    )
+
+
+def _relax(state, length, constants, rows):
+    slip, force = constants
+    return state._replace(
+        shift=state.shift + slip * lagged(rows.past, length, rows.step),
+        force=state.force + force * lagged(rows.pull, length, rows.step),
+    )
+
+
+def _within_the_past(prior, prepared, rig):
+    """No row knows more of its past, or of what comes, than was taken along."""
+    del rig
+    interval = float(prepared.covariates.interval[0])
+    return prior._replace(
+        low=max(prior.low, -AHEAD * interval), high=min(prior.high, BEHIND * interval)
+    )
+
+
+DELAY = Effect(
+    id="channel_delay",
+    family="measurement",
+    change=_delay,
+    scale=0.025,
+    unit="s",
+    formula="force(t) belongs to slip(t - amplitude)",
+    means="force and slip are shifted in time",
+    remedy="shift the force back by the delay",
+    parameter="delay",
+    bounds=((-0.5, 0.5), (-0.5, 0.5), (0.0, 0.5)),
+    prior=_within_the_past,
+    needs=("sweeps",),
+    variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    looks_like=("relaxation_length", "friction_hysteresis"),
+    told_apart_by="speeds",
+)
+RELAXATION = Effect(
+    id="relaxation_length",
+    family="transient",
+    change=_relax,
+    scale=0.4,
+    unit="m",
+    formula="d slip'/dt = v / amplitude (slip - slip')",
+    means="the force lags the slip over a rolling distance",
+    remedy="fit brush-relaxation",
+    parameter="length",
+    bounds=((0.0, 8.0),),
+    needs=("sweeps", "v"),
+    variants=((1.0, 0.0), (0.0, 1.0)),
+    forms=SHIFT_BY_LAG,
+    looks_like=("channel_delay", "friction_hysteresis"),
+    told_apart_by="speeds",
+)
+
+EFFECTS = (DELAY, RELAXATION)

@@ -1,0 +1,207 @@
+"""Effects of the measurement: offsets, the definition of the slip, a force that was
+worked out without the wheel's inertia; camber and conicity beside them."""
+
+from tirefit.diagnosis.effects.free_forms import SHIFT_BY_CAMBER
+from tirefit.diagnosis.effects.record import Effect
+from tirefit.diagnosis.slip_check import AGAINST, BESIDE, FOR
+
+__all__ = ["EFFECTS"]
+
+_FINE = 5e-4
+"""Standard error of an offset of the slip below which its absence says something."""
+
+
+def _shift(state, offset, constants, rows):
+    del constants, rows
+    return state._replace(shift=state.shift + offset)
+
+
+def _force(state, offset, constants, rows):
+    # In thousandths of the typical load: the same prior for every tire.
+    del constants
+    return state._replace(force=state.force + 1e-3 * offset * rows.load)
+
+
+def _conicity(state, share, constants, rows):
+    del constants
+    return state._replace(force=state.force + 1e-3 * share * rows.load * rows.fz)
+
+
+def _definition(state, weight, constants, rows):
+    del rows
+    return state._replace(curvature=state.curvature + constants[0] * weight)
+
+
+def _as_it_was_read(prior, prepared, rig):
+    """Which way a slip would have to be converted depends on what it was read as."""
+    del rig
+    return prior._replace(center=prior.center * prepared.definition)
+
+
+def _inertia(state, inertia, constants, rows):
+    del constants
+    return state._replace(force=state.force - inertia * rows.spin)
+
+
+def _of_this_wheel(prior, prepared, rig):
+    """A force taken from the torque lacks all of the inertia that is known."""
+    del prepared
+    known = rig.wheel_inertia
+    if not known:
+        return prior
+    return prior._replace(
+        scale=0.3 * known, center=known, high=max(prior.high, 2 * known)
+    )
+
+
+def _definition_odds(prepared) -> float:
+    """Log odds by the slip of the wheel speed, which no error of it can bend."""
+    check = prepared.slip_check
+    if check is None:
+        return 0.0
+    if check.fits != check.read_as:
+        return FOR
+    return AGAINST if check.told_apart else 0.0
+
+
+def _seen_between_slips(prior, prepared, rig):
+    """An offset from the slip of the wheel speed is one that may have to be taken off,
+    whatever its size."""
+    del rig
+    check = prepared.slip_check
+    if check is None or not check.shifted:
+        return prior
+    size = max(prior.scale, abs(check.offset))
+    return prior._replace(
+        scale=size, low=min(prior.low, -2 * size), high=max(prior.high, 2 * size)
+    )
+
+
+def _offset_odds(prepared) -> float:
+    """Log odds by the slip of the wheel speed; the radius may be wrong as well."""
+    check = prepared.slip_check
+    if check is None or check.fits != check.read_as:
+        return 0.0
+    if check.shifted:
+        return BESIDE
+    return AGAINST if check.agrees and check.offset_std < _FINE else 0.0
+
+
+def _camber(state, share, constants, rows):
+    shift, force = constants
+    # Cornering stiffness of ten loads per radian: the same amplitude for both forms.
+    return state._replace(
+        shift=state.shift + shift * share * rows.gamma,
+        force=state.force + force * 10 * share * rows.gamma * rows.fz * rows.load,
+    )
+
+
+SLIP_OFFSET = Effect(
+    id="slip_offset",
+    family="measurement",
+    change=_shift,
+    scale=0.004,
+    unit="-",
+    formula="slip + amplitude",
+    means="the slip is off by a constant",
+    remedy=(
+        "add it to the slip; check the rolling radius, or the zero of heading or"
+        " steering"
+    ),
+    bounds=((-0.08, 0.08),),
+    prior=_seen_between_slips,
+    odds=_offset_odds,
+    looks_like=("force_offset",),
+    told_apart_by="both signs",
+)
+FORCE_OFFSET = Effect(
+    id="force_offset",
+    family="measurement",
+    change=_force,
+    scale=25.0,
+    unit="1e-3 mean F_z",
+    formula="force + amplitude",
+    means="the force is off by a constant",
+    remedy="subtract it; check the zero of the force sensor",
+    bounds=((-500.0, 500.0),),
+    looks_like=("slip_offset",),
+    told_apart_by="loads",
+)
+SLIP_DEFINITION = Effect(
+    id="slip_definition",
+    family="measurement",
+    change=_definition,
+    scale=0.3,
+    unit="-",
+    formula="slip / (1 - amplitude slip)",
+    means="the slip follows another definition than it was read by",
+    remedy="read its column by the other one: --column kappa=HEADER or sigma_x=HEADER",
+    parameter="1: kappa logged as sigma, or the reverse",
+    bounds=((-6.0, 6.0),),
+    center=1.0,
+    prior=_as_it_was_read,
+    odds=_definition_odds,
+    channels=("fx",),
+    variants=((1.0,), (-1.0,)),
+    looks_like=("pressure_asymmetry",),
+    told_apart_by="both signs",
+)
+WHEEL_INERTIA = Effect(
+    id="wheel_inertia",
+    family="measurement",
+    change=_inertia,
+    scale=1.0,
+    unit="kg m^2",
+    formula="force - amplitude (d omega / dt) / r",
+    means="the force lacks the torque that spins the wheel up",
+    remedy="add J (d omega / dt) / r to the force",
+    parameter="inertia",
+    bounds=((-20.0, 20.0),),
+    prior=_of_this_wheel,
+    needs=("omega", "rolling_radius", "sweeps"),
+    looks_like=("channel_delay", "relaxation_length", "friction_hysteresis"),
+    told_apart_by="speeds",
+)
+CAMBER_THRUST = Effect(
+    id="camber_thrust",
+    family="lateral inputs",
+    change=_camber,
+    scale=0.15,
+    unit="-",
+    formula="slip angle + amplitude gamma",
+    means="camber adds to the lateral force",
+    remedy="measure without camber, or correct for it",
+    parameter="camber stiffness / cornering stiffness",
+    bounds=((-3.0, 3.0),),
+    needs=("gamma",),
+    channels=("fy", "mz"),
+    variants=((1.0, 0.0), (0.0, 1.0)),
+    forms=SHIFT_BY_CAMBER,
+    told_apart_by="opposite camber",
+)
+CONICITY = Effect(
+    id="conicity",
+    family="lateral inputs",
+    change=_conicity,
+    scale=25.0,
+    unit="1e-3 F_z",
+    formula="F_y + amplitude F_z",
+    means="a lateral force in proportion to load stands at zero slip",
+    remedy="measure again with the tire turned round, and take the mean",
+    parameter="share",
+    bounds=((-500.0, 500.0),),
+    needs=("loads",),
+    channels=("fy", "mz"),
+    forms=SHIFT_BY_CAMBER,
+    looks_like=("force_offset", "slip_offset"),
+    told_apart_by="loads",
+)
+
+EFFECTS = (
+    SLIP_OFFSET,
+    FORCE_OFFSET,
+    SLIP_DEFINITION,
+    WHEEL_INERTIA,
+    CAMBER_THRUST,
+    CONICITY,
+)

@@ -1,0 +1,159 @@
+"""What an effect is: one record that carries everything of its own."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from jaxtyping import Array
+
+from tirefit.diagnosis.effects.free_forms import Form
+from tirefit.diagnosis.state import Covariates, State
+
+__all__ = [
+    "Atom",
+    "Change",
+    "Effect",
+    "NoiseEffect",
+    "Prior",
+    "atoms_of",
+    "blend",
+    "effects_by_id",
+]
+
+Change = Callable[[State, float, Array, Covariates], State]
+
+
+class Prior(NamedTuple):
+    """What is believed of one amplitude beforehand, in its own unit: a Gaussian of
+    ``scale`` about ``center`` within ``low`` and ``high``."""
+
+    scale: float
+    center: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect:
+    """One effect that a model may lack.
+
+    Attributes:
+        id: its name in every output.
+        family: which parameter varies with which quantity.
+        change: (state, amplitude, constants, covariates) -> state; amplitude 0
+            changes nothing.
+        scale: standard deviation of the amplitude that is expected beforehand.
+        unit: unit of the amplitude.
+        formula: what it does, for the report.
+        means: the same in words.
+        remedy: what to do once it is named.
+        parameter: what the amplitude is called.
+        bounds: amplitudes that physics allows, one pair for all variants or one for
+            each.
+        center: expected amplitude; not zero for mistakes of a known size.
+        prior: (prior, prepared rows, rig) -> prior, where the data or the rig say more
+            of the amplitude than ``scale``, ``center`` and ``bounds``.
+        odds: prepared rows -> what they add to the log odds of the effect before any
+            force is looked at.
+        needs: columns or properties of the data without which it cannot be seen.
+        channels: forces that it can change; empty is all.
+        variants: the constants of each formula that is tried (other times, other
+            speeds); all of one length.
+        forms: other shapes in which the same parameter may vary with the same quantity.
+        scans_time: its variants are the times of a sudden change; once one is likely
+            the shape of that change is fitted.
+        singular: its tangent at zero vanishes; it is always refitted.
+        looks_like: ids that it is easily taken for.
+        told_apart_by: what measurement separates it from them.
+    """
+
+    id: str
+    family: str
+    change: Change
+    scale: float
+    unit: str
+    formula: str
+    means: str = ""
+    remedy: str = ""
+    parameter: str = "amplitude"
+    bounds: tuple[tuple[float, float], ...] = ((-float("inf"), float("inf")),)
+    center: float = 0.0
+    prior: Callable[[Prior, object, object], Prior] | None = None
+    odds: Callable[[object], float] | None = None
+    needs: tuple[str, ...] = ()
+    channels: tuple[str, ...] = ()
+    variants: tuple[tuple[float, ...], ...] = ((),)
+    forms: tuple[Form, ...] = ()
+    scans_time: bool = False
+    singular: bool = False
+    looks_like: tuple[str, ...] = ()
+    told_apart_by: str = ""
+
+    @property
+    def sign(self) -> int:
+        """+1 or -1 where only that sign is physical for every variant, 0 otherwise."""
+        if all(low >= 0 for low, _ in self.bounds):
+            return 1
+        return -1 if all(high <= 0 for _, high in self.bounds) else 0
+
+    @property
+    def far(self) -> bool:
+        """Whether its tangent at zero says little: none, or expected elsewhere."""
+        return self.singular or self.center != 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseEffect:
+    """A law of the noise, not of the mean: named where no effect on the mean is.
+
+    Attributes:
+        id: its name in every output.
+        flag: of :class:`tirefit.diagnosis.noise.NoiseLevel`, on which it is named;
+            empty where it is reported as a figure only.
+        means, remedy: as for :class:`Effect`.
+    """
+
+    id: str
+    flag: str
+    means: str
+    remedy: str
+    family: str = "noise"
+
+
+@dataclass(frozen=True)
+class Atom:
+    """One variant of one effect: what the engine gives an amplitude."""
+
+    effect: Effect
+    variant: int = 0
+
+    @property
+    def constants(self) -> tuple[float, ...]:
+        return self.effect.variants[self.variant]
+
+    @property
+    def prior(self) -> Prior:
+        """As the record has it, before the data or the rig say more."""
+        effect = self.effect
+        pair = effect.bounds[self.variant if len(effect.bounds) > 1 else 0]
+        return Prior(effect.scale, effect.center, *pair)
+
+    def change(self, state: State, amplitude, rows: Covariates) -> State:
+        """The state with this variant added."""
+        return self.effect.change(state, amplitude, self.constants, rows)
+
+
+def atoms_of(effects: Sequence[Effect]) -> tuple[Atom, ...]:
+    """Every variant of every effect, in order."""
+    return tuple(Atom(e, k) for e in effects for k in range(len(e.variants)))
+
+
+def effects_by_id(effects: Sequence[Effect | NoiseEffect]) -> dict:
+    """Records by id."""
+    return {effect.id: effect for effect in effects}
+
+
+def blend(constants, *values):
+    """Values weighted by constants: a variant that picks one of them has a one there
+    and zeros elsewhere."""
+    return sum(c * value for c, value in zip(constants, values, strict=True))

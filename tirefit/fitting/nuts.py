@@ -1,0 +1,145 @@
+"""The No-U-Turn sampler of blackjax in the whitened space, every chain at once.
+
+The only importer of blackjax. Hoffman and Gelman (Journal of Machine Learning Research
+15, 2014): trajectories of the length that the posterior asks for, whose cost grows
+slowly with the number of parameters, where an ensemble's grows fast. Step size and mass
+come from steps that are not kept, pooled over all chains, and are then left alone.
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+__all__ = ["nuts_chunk", "nuts_start"]
+
+_ACCEPTANCE = 0.8
+_WARM_UP = 3
+"""Chunks that are not kept: the step size is learned in every one, the mass from the
+second half of all but the last."""
+_DOUBLINGS = 8
+"""A trajectory has at most 2^8 steps: far more than a whitened posterior needs."""
+_SHRINKAGE = 10.0
+"""Draws' worth of unit covariance in the mass: chains' own may be too few."""
+
+
+def nuts_start(density, size: int, ensembles: int, walkers: int, seed: int):
+    """First state of ``ensembles x walkers`` independent chains."""
+    key, first = jax.random.split(jax.random.key(seed))
+    # Wider than the posterior, so that R-hat can see chains that disagree.
+    position = 1.3 * np.asarray(jax.random.normal(first, (ensembles * walkers, size)))
+    for _ in range(20):
+        outside = ~np.isfinite(np.asarray(density(position)))
+        position = np.where(outside[:, None], position / 2, position)
+    return {
+        "position": position,
+        "key": np.asarray(jax.random.key_data(key)),
+        "step_size": np.array(0.5),
+        "covariance": np.eye(size),
+        "shape": np.array([ensembles, walkers]),
+        "stage": np.array(0),
+        "divergences": np.array(0),
+    }
+
+
+def _arrays(density: Callable) -> Callable:
+    """The density as a pytree of its arrays: one program serves every data set."""
+    if not isinstance(density, partial):
+        return density
+
+    def array(leaf):
+        return jnp.asarray(leaf) if isinstance(leaf, float | np.generic) else leaf
+
+    arguments = jax.tree.map(array, (density.args, density.keywords))
+    return jax.tree_util.Partial(density.func, *arguments[0], **arguments[1])
+
+
+@eqx.filter_jit
+def _scan(density, position, key, step_size, covariance, adapt, steps: int):
+    """(position, key, step size, positions, values, acceptance, divergences).
+
+    ``adapt`` is an array, so that warm-up and sampling are one program: its compilation
+    is most of a short run.
+    """
+    from blackjax.adaptation.step_size import dual_averaging_adaptation
+    from blackjax.mcmc import nuts
+
+    kernel = nuts.build_kernel()
+    begin, update, final = dual_averaging_adaptation(_ACCEPTANCE)
+
+    def one(u):
+        return density(u[None])[0]
+
+    def step(key, state, size):
+        return kernel(key, state, one, size, covariance, max_num_doublings=_DOUBLINGS)
+
+    def transition(carry, key):
+        states, averaging = carry
+        size = jnp.where(adapt, jnp.exp(averaging.log_step_size), step_size)
+        keys = jax.random.split(key, len(position))
+        states, info = jax.vmap(step, (0, 0, None))(keys, states, size)
+        rate = jnp.mean(info.acceptance_rate)
+        averaging = update(averaging, rate)
+        drawn = states.position, states.logdensity, rate, info.is_divergent
+        return (states, averaging), drawn
+
+    states = jax.vmap(lambda u: nuts.init(u, one))(position)
+    keys = jax.random.split(key, steps + 1)
+    (states, averaging), (positions, values, rates, divergent) = jax.lax.scan(
+        transition, (states, begin(step_size)), keys[1:]
+    )
+    size = jnp.where(adapt, final(averaging), step_size)
+    return (
+        states.position, keys[0], size, positions, values, rates.mean(),
+        divergent.sum(),
+    )  # fmt: skip
+
+
+def _advanced(density, state: dict, steps: int, adapt: bool):
+    """(state, positions (steps, chains, p), values (steps, chains), acceptance)."""
+    position, key, size, positions, values, rate, divergences = _scan(
+        _arrays(density), jnp.asarray(state["position"]),
+        jax.random.wrap_key_data(jnp.asarray(state["key"])),
+        jnp.asarray(state["step_size"]), jnp.asarray(state["covariance"]),
+        jnp.asarray(adapt), steps,
+    )  # fmt: skip
+    after = state | {
+        "position": np.asarray(position),
+        "key": np.asarray(jax.random.key_data(key)),
+        "step_size": np.asarray(size),
+    }
+    if not adapt:
+        after["divergences"] = state["divergences"] + np.asarray(divergences)
+    return after, np.asarray(positions), np.asarray(values), float(rate)
+
+
+def _warmed_up(density, state: dict, steps: int) -> dict:
+    """The state with step size and mass of its chains; its steps are not kept."""
+    while (stage := int(state["stage"])) < _WARM_UP:
+        state, positions, _, _ = _advanced(density, state, steps, adapt=True)
+        if stage < _WARM_UP - 1:
+            flat = positions[steps // 2 :].reshape(-1, positions.shape[-1])
+            share = len(flat) / (len(flat) + _SHRINKAGE)
+            learned = share * np.atleast_2d(np.cov(flat.T))
+            covariance = learned + (1 - share) * np.eye(len(learned))
+            state = state | {"covariance": covariance}
+        state = state | {"stage": np.array(stage + 1)}
+    return state
+
+
+def nuts_chunk(density, state: dict, steps: int):
+    """Advance every chain: (samples, log density, acceptance, state), as emcee's.
+
+    The state counts the divergent transitions among the samples; those of the warm-up,
+    which comes first and is not among the samples, say nothing.
+    """
+    state, positions, values, rate = _advanced(
+        density, _warmed_up(density, state, steps), steps, adapt=False
+    )
+    ensembles, walkers = (int(value) for value in state["shape"])
+    samples = positions.reshape(steps, ensembles, walkers, -1).swapaxes(0, 1)
+    log_density = values.reshape(steps, ensembles, walkers).swapaxes(0, 1)
+    return samples, log_density, rate, state
