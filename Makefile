@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: install demo test statistics notebooks bench withheld withheld-full lint clean
+.PHONY: install demo test statistics notebooks bench withheld withheld-full lint types clean
 
 install: $(STAMP)
 
@@ -44,6 +44,9 @@ withheld withheld-full: install
 
 lint: install
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .
+
+types: install
+	$(BIN)/mypy
 
 clean:
 	rm -rf $(VENV) out build dist

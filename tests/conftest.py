@@ -1,24 +1,99 @@
-"""Strict numerics for every test: 64-bit floats, no silent rank promotion."""
+"""What holds for every test: strict numerics, one compilation cache, an order of work.
+
+64-bit floats, no silent rank promotion, shapes checked where the package states them.
+Most of a test's time is compilation, so what one process compiled serves all others:
+the workers of xdist, the commands that tests start, the kernels of notebooks, and the
+next run. ``TIREFIT_TESTS_COMPILED`` names another directory for it.
+"""
 
 import os
-import shutil
-import tempfile
+from importlib.metadata import version
+from pathlib import Path
 
 import jax
+import pytest
+from jaxtyping import install_import_hook
 
+ROOT = Path(__file__).parents[1]
+COMPILED = Path(
+    os.environ.setdefault(
+        "TIREFIT_TESTS_COMPILED", str(ROOT / "build" / f"tests-jax-{version('jax')}")
+    )
+)
+_SETTINGS = {
+    "jax_numpy_rank_promotion": "raise",
+    "jax_compilation_cache_dir": str(COMPILED),
+    "jax_persistent_cache_min_compile_time_secs": 0,
+    "jax_persistent_cache_min_entry_size_bytes": -1,
+}
+for _name, _value in _SETTINGS.items():
+    jax.config.update(_name, _value)
+    # The commands and kernels that tests start inherit it.
+    os.environ[_name.upper()] = str(_value)
+# These choose their precision themselves, which is tested.
 jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_numpy_rank_promotion", "raise")
 
-# What one process compiled serves the others; made by the first, which the workers of
-# xdist inherit it from.
-_OWNER = "TIREFIT_TESTS_COMPILED" not in os.environ
-if _OWNER:
-    os.environ["TIREFIT_TESTS_COMPILED"] = tempfile.mkdtemp(prefix="tirefit-tests-")
-_COMPILED = os.environ["TIREFIT_TESTS_COMPILED"]
-jax.config.update("jax_compilation_cache_dir", _COMPILED)
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+# Annotations are executed wherever every call keeps to them.
+install_import_hook(
+    [f"tirefit.{room}" for room in ("data", "models", "params", "sim", "slip")],
+    "shapes.checked",
+)
+
+_LARGEST = 2e9
+"""Bytes from which on the cache is begun anew; one run writes a tenth of it."""
+
+_APART = ("test_fits.py", "test_notebooks.py")
+"""Files of a few long tests: begun first, each test a piece of work of its own."""
 
 
-def pytest_unconfigure():
-    if _OWNER:
-        shutil.rmtree(_COMPILED, ignore_errors=True)
+def pytest_configure(config):
+    """Begins the cache anew where it is large, or a run was cut short.
+
+    JAX writes its entries in place, so an interrupted run may leave half an entry.
+    """
+    if hasattr(config, "workerinput"):
+        return
+    COMPILED.mkdir(parents=True, exist_ok=True)
+    entries = [path for path in COMPILED.iterdir() if path.is_file()]
+    size = sum(path.stat().st_size for path in entries)
+    owners = [int(path.suffix[1:]) for path in entries if path.stem == "running"]
+    if size > _LARGEST or not all(map(_alive, owners)):
+        for path in entries:
+            path.unlink(missing_ok=True)
+    _mark().touch()
+
+
+def pytest_unconfigure(config):
+    if not hasattr(config, "workerinput"):
+        _mark().unlink(missing_ok=True)
+
+
+def _mark() -> Path:
+    return COMPILED / f"running.{os.getpid()}"
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except OSError:
+        return False
+    return True
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items):
+    items.sort(key=lambda item: item.path.name not in _APART)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Whole files to one worker, which then has their fixtures and programs."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.split("::")[0]
+            return nodeid if file.endswith(_APART) else file
+
+    config.option.loadscopereorder = False
+    return ByFile(config, log)

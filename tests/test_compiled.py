@@ -1,5 +1,7 @@
 """Programs kept on disk give the same numbers, and are really used."""
 
+import os
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -50,6 +52,30 @@ def test_other_sources_name_other_programs(directory, monkeypatch):
     monkeypatch.setattr(module, "_sources", lambda: b"edited")
     counted(traces)(np.ones(3), 1.0, 2)
     assert traces == [2, 2]
+
+
+def test_another_device_names_another_program(directory, monkeypatch):
+    traces = []
+    counted(traces)(np.ones(3), 1.0, 2)
+    monkeypatch.setattr(module, "_device", lambda: "gpu H200")
+    counted(traces)(np.ones(3), 1.0, 2)
+    assert traces == [2, 2] and len(list(directory.iterdir())) == 2
+
+
+def test_the_programs_used_least_recently_go(directory, monkeypatch):
+    monkeypatch.setattr(module, "_MOST_PROGRAMS", 2)
+    traces = []
+    for age, size in ((30, 1), (20, 2)):
+        counted(traces)(np.ones(size), 1.0, 2)
+        newest = max(directory.iterdir(), key=lambda path: path.stat().st_mtime)
+        os.utime(newest, (newest.stat().st_mtime - age,) * 2)
+    counted(traces)(np.ones(1), 1.0, 2)  # used again: now it is the newer one
+    counted(traces)(np.ones(3), 1.0, 2)
+    assert len(list(directory.iterdir())) == 2 and len(traces) == 3
+    counted(traces)(np.ones(1), 1.0, 2)
+    assert len(traces) == 3
+    counted(traces)(np.ones(2), 1.0, 2)
+    assert len(traces) == 4
 
 
 def test_a_torn_file_is_made_anew(directory):

@@ -38,6 +38,7 @@ OWNERS = {
     "blackjax": "fitting/nuts.py",
     "matplotlib": "report/",
     "corner": "report/",
+    "jinja2": "report/",
     "diffrax": "sim/",
     "typer": "cli/",
 }

@@ -1,12 +1,19 @@
 """Programs that outlive the process: ``jax.jit`` whose traced program is kept on disk.
 
 JAX's own cache keeps what XLA compiled, but a new process still traces every function
-in Python first, which takes longer than most fits. Here the traced program
-(``jax.export``) is kept too, named by everything it depends on: the sources of the
-package, the versions of its libraries, the static arguments, and the structure,
-shapes and types of the others. A file that cannot be read is made anew.
+in Python first. Here the traced program (``jax.export``) is kept too, named by
+everything it depends on: the sources of the package, the versions of its libraries, the
+platform and the kind of device, the static arguments, and the structure, shapes and
+types of the others. A file that cannot be read is made anew; the programs that were
+used least recently go.
+
+What it buys: a whole process ``tirefit fit --no-posterior`` of the simplest model (the
+brush, 400 rows, figures included), both caches warm, takes 2.4 s of processor time
+instead of 2.9 s with JAX's cache alone (medians of five alternating pairs on two shared
+cores); more where a model takes longer to trace.
 """
 
+import contextlib
 import hashlib
 import inspect
 import os
@@ -24,6 +31,9 @@ from tirefit.files import replacing
 __all__ = ["Compiled", "compiled", "keep_programs_in"]
 
 _directory: Path | None = None
+
+_MOST_PROGRAMS = 500
+"""Programs kept, at most: some 30 models at 10 to 20 programs of some 50 kB each."""
 
 # JAX promises no stability of this call between versions; the file names one version.
 _SAFE = [jax.export.DisabledSafetyCheck.custom_call("lapack_dormqr_ffi")]
@@ -44,6 +54,12 @@ def _sources() -> bytes:
     for library in ("jax", "jaxlib", "equinox", "optimistix", "jaxopt"):
         digest.update(version(library).encode())
     return digest.digest()
+
+
+def _device() -> str:
+    """The platform and the kind of device that programs are made for."""
+    device = jax.devices()[0]
+    return f"{device.platform} {device.device_kind}"
 
 
 class Compiled:
@@ -67,7 +83,7 @@ class Compiled:
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             return self._jitted(*args, **kwargs)
         shapes = [jax.typeof(leaf).str_short() for leaf in leaves]
-        description = f"{self.__qualname__} {static} {structure} {shapes}"
+        description = f"{_device()} {self.__qualname__} {static} {structure} {shapes}"
         key = hashlib.sha256(_sources() + description.encode()).hexdigest()
         if key not in self._programs:
             self._programs[key] = self._program(key, static, structure, leaves)
@@ -80,6 +96,7 @@ class Compiled:
         path = _directory / f"{self.__name__}-{key[:32]}.program"
         try:
             exported = jax.export.deserialize(bytearray(path.read_bytes()))
+            _touch(path)
         except Exception:
             # Absent, torn or of another JAX: trace it, and keep it for next time.
             try:
@@ -93,12 +110,32 @@ class Compiled:
         return jax.jit(exported.call)
 
 
+def _touch(path: Path) -> None:
+    """Mark a program as used now; a directory of someone else is no error."""
+    with contextlib.suppress(OSError):
+        os.utime(path)
+
+
+def _evict(directory: Path) -> None:
+    """Remove the programs used least recently, where there are too many."""
+
+    def used(path: Path) -> float:
+        with contextlib.suppress(OSError):  # another process may have removed it
+            return path.stat().st_mtime
+        return 0.0
+
+    programs = sorted(directory.glob("*.program"), key=used, reverse=True)
+    for path in programs[_MOST_PROGRAMS:]:
+        path.unlink(missing_ok=True)
+
+
 def _write(path: Path, content: bytes) -> None:
     """Whole or not at all; a directory that cannot be written to is no error."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as temporary:
             temporary.write_bytes(content)
+        _evict(path.parent)
     except OSError:
         pass
 

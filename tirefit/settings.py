@@ -127,7 +127,7 @@ def _without(content: dict, locations: Iterable[tuple]) -> dict:
     rest = copy.deepcopy(content)
     for location in locations:
         path = [*itertools.takewhile(lambda part: isinstance(part, str), location)]
-        place = rest
+        place: Any = rest
         for part in path[:-1]:
             place = place.get(part) if isinstance(place, dict) else None
         if path and isinstance(place, dict):

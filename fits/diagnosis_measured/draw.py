@@ -30,29 +30,29 @@ def wheel(name: str):
 
 def _confident_name(verdict) -> float:
     """Probability with which effects are named, 0 where none are."""
-    return 0.0 if verdict["status"] == "unknown" else verdict["probability"]
+    return 0.0 if verdict.status == "unknown" else verdict.probability
 
 
 def properties() -> dict:
     found = tirefit.diagnose(axle("diagnosed"), holdout=[axle("held_out")])
-    gap, best = found["gap"], found["candidates"][0]
-    held = gap["holdout"]
+    gap, best = found.gap, found.candidates[0]
+    held = gap.holdout
     values = {
-        "axle: status": found.verdict["status"],
+        "axle: status": found.verdict.status,
         "axle: effects": list(found.effects),
-        "axle: probability": found.verdict["probability"],
-        "axle: shift": best["parameters"]["slip_offset: amplitude"]["value"],
-        "axle: noise": found["noise"]["fy"],
-        "axle: gap": gap["rms"],
-        "axle: gap left": gap["remaining_rms"],
-        "axle: held-out gap": held["rms"],
-        "axle: held-out gap left": held["remaining_rms"],
-        "axle: held-out closed": held["closed"],
-        "axle: held-out closed, interval": held["closed_ci"],
+        "axle: probability": found.verdict.probability,
+        "axle: shift": best.parameters["slip_offset: amplitude"].value,
+        "axle: noise": found.noise.forces["fy"],
+        "axle: gap": gap.rms,
+        "axle: gap left": gap.remaining_rms,
+        "axle: held-out gap": held.rms,
+        "axle: held-out gap left": held.remaining_rms,
+        "axle: held-out closed": held.closed,
+        "axle: held-out closed, interval": list(held.closed_ci),
     }
     for name in ("smooth_wheel", "grouser_wheel"):
         verdict = tirefit.diagnose(wheel(name)).verdict
-        values[f"{name}: status"] = verdict["status"]
+        values[f"{name}: status"] = verdict.status
         values[f"{name}: probability of what is named"] = _confident_name(verdict)
     return values
 

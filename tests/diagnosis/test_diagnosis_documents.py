@@ -19,7 +19,7 @@ from tirefit.diagnosis.rig import Rig
 GAPS = ("none", "shift", "ripple", "late", "step", "kappa", "load", "half", "noise")
 OFTEN_NONE = {
     "closed", "closed_ci", "z", "z_given_rivals", "holdout", "taken_for", "settings",
-    "path", "sha256", "given", "slip_check",
+    "path", "sha256", "given", "slip_check", "next_measurement_reason",
 }  # fmt: skip
 """Keys that may have no value: too small a gap to say, nothing that it is taken for."""
 

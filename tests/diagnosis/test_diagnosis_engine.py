@@ -17,16 +17,16 @@ from tirefit.results import DataError, UsageError
 def test_names_the_effect_and_how_far_it_closes(diagnosed, name):
     found, force = diagnosed(name)
     assert found.effects == (name,)
-    assert found.verdict["probability"] > 0.6
-    rows, gap = found.rows["fx"], found["gap"]
+    assert found.verdict.probability > 0.6
+    rows, gap = found.rows["fx"], found.gap
     before = np.sqrt(np.mean((force - rows["base"]) ** 2))
     after = np.sqrt(np.mean((force - rows["extended"]) ** 2))
-    assert gap["rms"] == pytest.approx(before, rel=0.15)
-    assert gap["closed"] == pytest.approx(1 - after / before, abs=0.08)
-    assert gap["closed_ci"][0] <= gap["closed"] <= gap["closed_ci"][1]
+    assert gap.rms == pytest.approx(before, rel=0.15)
+    assert gap.closed == pytest.approx(1 - after / before, abs=0.08)
+    assert gap.closed_ci[0] <= gap.closed <= gap.closed_ci[1]
     located = np.sqrt(np.mean((rows["gap"] - (force - rows["base"])) ** 2))
     assert located < 0.3 * before
-    assert gap["holdout"]["closed"] > 0.5
+    assert gap.holdout.closed > 0.5
 
 
 def test_amplitudes_are_those_of_the_truth(diagnosed):
@@ -36,32 +36,32 @@ def test_amplitudes_are_those_of_the_truth(diagnosed):
         ("relaxation_length", "relaxation_length: length", 0.5),
     ):
         found, _ = diagnosed(name)
-        value = found["candidates"][0]["parameters"][key]
-        assert abs(value["value"] - truth) < 4 * value["std"] + 0.02 * abs(truth)
+        value = found.candidates[0].parameters[key]
+        assert abs(value.value - truth) < 4 * value.std + 0.02 * abs(truth)
 
 
 def test_no_gap_is_an_answer(diagnosed):
     found, _ = diagnosed("none")
-    assert found.verdict["status"] == "none"
+    assert found.verdict.status == "none"
     assert found.effects == ()
-    assert not found["gap"]["resolvable"]
-    assert found["gap"]["closed"] == 0.0
-    assert found["gap"]["p_value"] > 0.05
-    seen = found["resolution"]["smallest_effects"]
+    assert not found.gap.resolvable
+    assert found.gap.closed == 0.0
+    assert found.gap.p_value > 0.05
+    seen = found.resolution.smallest_effects
     # What the record would have shown is well below what is usual.
     assert 0 < seen["slip_offset"] < 0.003
 
 
 def test_an_unlisted_gap_is_unknown(diagnosed):
     found, force = diagnosed("unknown")
-    assert found.verdict["status"] in ("unknown", "incomplete")
+    assert found.verdict.status in ("unknown", "incomplete")
     rows = found.rows["fx"]
     # Whatever it is called, it is located.
     missed = force - rows["base"]
     assert np.corrcoef(missed, rows["gap"])[0, 1] > 0.8
-    if found.verdict["status"] == "unknown":
+    if found.verdict.status == "unknown":
         np.testing.assert_array_equal(rows["extended"], rows["base"])
-        assert found["gap"]["closed"] == 0.0
+        assert found.gap.closed == 0.0
 
 
 def test_document_keeps_the_contract(diagnosed):
@@ -108,13 +108,11 @@ def test_holdout_files_judge_the_closure(diagnosed):
     other, _ = record(change, seed=9)
     plain, _ = record(None, seed=10)
     good = diagnose(read_frame(frame), rig=RIG, holdout=[read_frame(other, "b")])
-    assert good["gap"]["holdout"]["closed"] > 0.8
-    assert good["gap"]["holdout"]["on"] == "b"
+    assert good.gap.holdout.closed > 0.8
+    assert good.gap.holdout.on == "b"
     bad = diagnose(read_frame(frame), rig=RIG, holdout=[read_frame(plain, "c")])
     # Data without the effect are made worse by it, and that is said.
-    assert bad["gap"]["holdout"]["closed"] is None or (
-        bad["gap"]["holdout"]["closed"] < 0
-    )
+    assert bad.gap.holdout.closed is None or (bad.gap.holdout.closed < 0)
 
 
 def test_outliers_and_correlated_noise_are_no_effect():
@@ -125,18 +123,18 @@ def test_outliers_and_correlated_noise_are_no_effect():
     frame["fx"][hit] += 0.15 * frame["fz"][hit] * generator.choice([-1, 1], 12)
     found = diagnose(read_frame(frame), rig=RIG)
     assert found.effects in ((), ("outliers",))
-    assert "outliers" in found["noise"]["flags"]
+    assert "outliers" in found.noise.flags
 
 
 def test_the_map_finds_the_parameter_and_what_it_varies_with(diagnosed):
     found, _ = diagnosed("load_friction")
-    first, *others = found["map"]
-    assert (first["parameter"], first["covariate"]) == ("friction", "fz")
+    first, *others = found.map
+    assert (first.parameter, first.covariate) == ("friction", "fz")
     # No other quantity does as well: time comes near, the loads came one by one.
-    rest = max(c["log_evidence"] for c in others if c["covariate"] != "fz")
-    assert first["log_evidence"] > rest + 20
-    assert 0.5 < first["explains"] <= 1.0
-    best = max(cell["log_evidence"] for cell in diagnosed("none")[0]["map"])
+    rest = max(c.log_evidence for c in others if c.covariate != "fz")
+    assert first.log_evidence > rest + 20
+    assert 0.5 < first.explains <= 1.0
+    best = max(cell.log_evidence for cell in diagnosed("none")[0].map)
     assert best < 3
 
 
@@ -150,17 +148,17 @@ def test_the_wheel_speed_names_the_definition_of_the_slip():
         for radius in (None, 0.32)
     )
     assert beside.effects == ("slip_definition",)
-    assert beside.verdict["probability"] >= alone.verdict["probability"]
-    assert beside.verdict["probability"] > 0.9
+    assert beside.verdict.probability >= alone.verdict.probability
+    assert beside.verdict.probability > 0.9
 
 
 def test_an_effect_left_out_is_not_named(diagnosed):
     frame, _ = record(TRUTHS["slip_offset"], seed=3)
     found = diagnose(read_frame(frame), rig=RIG, without=("slip_offset",))
-    every = {e for c in found["candidates"] for e in c["effects"]}
+    every = {e for c in found.candidates for e in c.effects}
     assert "slip_offset" not in every | set(found.effects)
-    assert "slip_offset" not in found["settings"]["effects"]
-    assert "slip_offset" in diagnosed("slip_offset")[0]["settings"]["effects"]
+    assert "slip_offset" not in found.settings.effects
+    assert "slip_offset" in diagnosed("slip_offset")[0].settings.effects
     with pytest.raises(UsageError, match="no_such_effect"):
         diagnose(read_frame(frame), without=("no_such_effect",))
 

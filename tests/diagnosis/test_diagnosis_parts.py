@@ -492,7 +492,7 @@ def test_regions_hold_all_the_energy(base):
     n = base.prepared.n
     gap = np.where(base.prepared.inputs.fz == 6000, 100.0, 1.0)
     residual, *_ = base.at_null
-    found = regions(base, residual[:n], gap, 1.0)
+    found = regions(base, residual[:n], gap)
     loads = [r for r in found if r.covariate == "fz"]
     assert sum(r.share for r in loads) == pytest.approx(1.0)
     assert max(loads, key=lambda r: r.share).low == 6000
@@ -615,3 +615,45 @@ def test_no_effect_is_known_by_its_id_elsewhere():
     for path in sorted(package.rglob("*.py")):
         if "effects" not in path.relative_to(package).parts:
             assert not words.findall(path.read_text()), path
+
+
+def _prior(effect, frame, rig, variant=0):
+    record_of = next(e for e in EFFECTS if e.id == effect)
+    prepared = prepare(frame, rig, ("fx",))
+    return record_of.prior(atoms_of([record_of])[variant].prior, prepared, rig)
+
+
+def test_the_data_and_the_rig_say_more_of_an_amplitude():
+    frame, _ = record(None)
+    data = read_frame(frame)
+    assert _prior("wheel_inertia", data, RIG) == (1.0, 0.0, -20.0, 20.0)
+    # A force worked out from the torque lacks all of a known inertia.
+    known = _prior("wheel_inertia", data, replace(RIG, wheel_inertia=30.0))
+    assert known == pytest.approx((9.0, 30.0, -20.0, 60.0))
+    # sigma_x may be a kappa: x / (1 - x); a kappa may be a sigma_x: x / (1 + x).
+    assert _prior("slip_definition", data, RIG).center == 1.0
+    logged = {k: v for k, v in frame.items() if k != "sigma_x"}
+    other = read_frame(logged | {"kappa": frame["sigma_x"]})
+    assert _prior("slip_definition", other, RIG).center == -1.0
+    # No delay beyond the past that the rows know; no filter that foresees.
+    interval = prepare(data, RIG, ("fx",)).covariates.interval[0]
+    late = _prior("channel_delay", data, RIG)
+    assert (late.low, late.high) == pytest.approx(
+        (-4 * interval, min(12 * interval, 0.5))
+    )
+    assert _prior("channel_delay", data, RIG, variant=2).low == 0.0
+
+
+def test_effects_of_one_family_share_their_free_forms():
+    """Else a step beside a drift would count the same columns twice."""
+    records = {effect.id: effect for effect in EFFECTS}
+    assert records["friction_step"].forms is records["friction_drift"].forms
+    shape = records["pressure_asymmetry"].forms
+    assert all(
+        records[name].forms is shape
+        for name in ("pressure_flatness", "kinetic_friction", "carcass_flexibility")
+    )
+    assert records["channel_delay"].forms == ()
+    for effect in EFFECTS:
+        assert {len(constants) for constants in effect.variants} in ({0}, {1}, {2}, {3})
+        assert len(effect.bounds) in (1, len(effect.variants))

@@ -147,10 +147,10 @@ def _settings(model: str, rig: Path | None, without, how: dict) -> dict:
     from tirefit.fitting.problem import find_model
 
     find_model(model)
-    found = load_rig(rig)
-    if how["rolling_radius"] is None and found.rolling_radius is not None:
-        how["rolling_radius"] = found.rolling_radius
-    return {"model": model, "rig": found, "without": tuple(without or [])}
+    known = load_rig(rig)
+    if how["rolling_radius"] is None and known.rolling_radius is not None:
+        how["rolling_radius"] = known.rolling_radius
+    return {"model": model, "rig": known, "without": tuple(without or [])}
 
 
 def _all(files, names, out, settings, kept, how, figures, resume, seed) -> ExitCode:
@@ -185,17 +185,17 @@ def _one(file, name, out, settings, kept, how, figures, resume, seed) -> None:
     if resume and all((out / one).exists() for one in expected):
         if _is_done(out / f"{name}.json", table, settings, kept, seed):
             return
-    found = study(table, holdout=kept, seed=seed, **settings)
+    result = study(table, holdout=kept, seed=seed, **settings)
     earlier = drawn if _is_page(out / f"{name}.html") else []
     with staged(out, written + earlier) as folder:
-        save_diagnosis(found, folder, name)
+        save_diagnosis(result, folder, name)
         if figures:
             from tirefit.report.diagnosis_draw import write_figure
             from tirefit.report.diagnosis_html import write_page
 
-            write_figure(found, folder / f"{name}.png")
-            write_page(found, folder / f"{name}.html")
-    say(str(found))
+            write_figure(result, folder / f"{name}.png")
+            write_page(result, folder / f"{name}.html")
+    say(str(result))
 
 
 def _is_page(path: Path) -> bool:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from tirefit.diagnosis.base import Base
+from tirefit.diagnosis.records import Untestable
 from tirefit.diagnosis.search import Search
 from tirefit.diagnosis.slip_check import SlipCheck
 from tirefit.diagnosis.verdict import Verdict, Weighed
@@ -18,7 +19,7 @@ class Case:
     search: Search
     weighed: Weighed
     verdict: Verdict
-    untestable: list[dict]
+    untestable: list[Untestable]
 
     @property
     def slip_check(self) -> SlipCheck | None:

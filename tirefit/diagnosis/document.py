@@ -1,7 +1,6 @@
 """What is said of one file: the document of a diagnosis and its rows."""
 
 import importlib.metadata
-from dataclasses import asdict
 
 import numpy as np
 
@@ -13,69 +12,86 @@ from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
 from tirefit.diagnosis.noise import correlation
-from tirefit.diagnosis.result import SCHEMA, Diagnosis
+from tirefit.diagnosis.records import (
+    Amplitude,
+    Candidate,
+    DataSummary,
+    Gap,
+    HeldOut,
+    NoiseSummary,
+    Resolution,
+    Settings,
+    Shrinkage,
+    VerdictSummary,
+)
+from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rows import Prepared
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.shares import closed_by_each
 from tirefit.diagnosis.verdict import Verdict, fitted_form, linear_at
+from tirefit.diagnosis.views import compared, residual_map, shown_rows
 from tirefit.diagnosis.where import parameter_map, regions
 
 __all__ = ["document_of"]
 
 
 def document_of(
-    case: Case, whole: Prepared, rig, looked_for, holdout, generator, model, seed
+    case: Case, whole: Prepared, rig, effects, holdout, generator, model, seed
 ) -> Diagnosis:
-    """The verdict on the rows of ``case``, spread over all rows of ``whole``."""
+    """The verdict on the rows of ``case``, spread over all rows of ``whole``.
+
+    Args:
+        effects: those that were looked for.
+        holdout: tables that the search did not use.
+    """
     data = whole.data
     base, verdict = case.base, case.verdict
     prepared = base.prepared
     rows = _rows(case, at_measured_slip(base))
-    closures = _closures(case, _rows(case, base), generator)
-    main = prepared.channels[0]
-    chosen = closures[main]
-    content = {
-        "schema": SCHEMA,
-        "data": {
-            "name": data.name, "path": data.source.path, "sha256": data.source.sha256,
-            "convention": data.source.convention, "channels": list(prepared.channels),
-            "assumptions": [*data.source.notes, *rig.notes],
-        },
-        "model": model,
-        "n": data.n,
-        "n_effective": prepared.n / max(n.inflation for n in base.noise.values()),
-        "noise": _noise_record(case),
-        "gap": _gap_record(chosen, verdict)
-        | {"p_value": verdict.p_value, "channels": {
-            c: _gap_record(v, verdict) for c, v in closures.items()
-        }},
-        "where": _where(case, rows),
-        "map": [cell._asdict() for cell in parameter_map(base)],
-        "verdict": _verdict_record(case),
-        "candidates": _candidates(case, generator),
-        "untestable": case.untestable,
-        "resolution": _resolution(case),
-        "forecast": confusion(case.search),
-        "next_measurement": next_measurements(base, case.search, case.weighed, verdict),
-        "base_parameters": _base_parameters(base, base.z),
-        "extended_parameters": _base_parameters(base, verdict.chosen.z),
-        "settings": {
-            "rig": asdict(rig), "effects": looked_for,
-            "holdout": [other.source.sha256 for other in holdout],
-        },
-        "seed": seed,
-        "version": importlib.metadata.version("tirefit"),
-    }  # fmt: skip
-    content["gap"]["holdout"] = held_out(case, holdout, rig, generator)
-    named = verdict.status not in ("none", "unknown")
-    content["gap"]["shares"] = closed_by_each(base, verdict.chosen) if named else {}
-    curves = {
-        "slip": prepared.slip, "slip_fraction": base.slip_fraction,
-        "mode": prepared.mode, "run": prepared.run, "scores": case.search.score,
-        "observed": dict(prepared.observed), "has": sorted(prepared.has),
-        "inputs": prepared.inputs, "thin": rows,
-    }  # fmt: skip
-    return Diagnosis(content, _all_rows(case, whole, rig, rows), data, curves)
+    # Everything random is drawn in this order: gap, candidates, held-out data.
+    gaps = _gaps(case, _rows(case, base), generator)
+    candidates = _candidates(case, generator)
+    gap = _gap(case, gaps, held_out(case, holdout, rig, generator))
+    said = _verdict(case)
+    steps, reason = next_measurements(base, case.search, case.weighed, verdict)
+    shown = shown_rows(base, rows[prepared.channels[0]])
+    noise = _noise(case)
+    return Diagnosis(
+        data=DataSummary(
+            name=data.name, path=data.source.path, sha256=data.source.sha256,
+            convention=data.source.convention, channels=prepared.channels,
+            assumptions=(*data.source.notes, *rig.notes),
+        ),
+        model=model,
+        n=data.n,
+        n_effective=prepared.n / noise.inflation,
+        noise=noise,
+        gap=gap,
+        where=tuple(regions(base, base.at_null[0][: prepared.n], shown.gap)),
+        map=tuple(parameter_map(base)),
+        verdict=said,
+        candidates=candidates,
+        untestable=tuple(case.untestable),
+        resolution=_resolution(case),
+        forecast=tuple(confusion(case.search)),
+        next_measurement=steps,
+        next_measurement_reason=reason,
+        slip_check=case.slip_check,
+        base_parameters=_base_parameters(base, base.z),
+        extended_parameters=_base_parameters(base, verdict.chosen.z),
+        settings=Settings(
+            rig=rig, effects=tuple(effect.id for effect in effects),
+            holdout=tuple(other.source.sha256 for other in holdout),
+        ),
+        seed=seed,
+        version=importlib.metadata.version("tirefit"),
+        rows=_all_rows(case, whole, rig, rows),
+        table=data,
+        mean_load=float(np.mean(data.usable("fz"))),
+        residual_map=residual_map(shown, noise.inflation, gap.resolvable),
+        comparison=compared(shown, said.names_an_effect),
+        library=tuple(effects),
+    )  # fmt: skip
 
 
 def _rows(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
@@ -90,17 +106,17 @@ def _rows(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
     after = at.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
     smooth, deviation = _smoothed_remainder(case)
     form = _form_part(case)
-    found, n = {}, base.prepared.n
+    forces, n = {}, base.prepared.n
     for k, channel in enumerate(base.prepared.channels):
         scale = np.asarray(base.design.scale[channel])[:n]
         part = slice(k * n, (k + 1) * n)
-        found[channel] = {
+        forces[channel] = {
             "base": before[channel],
             "extended": after[channel] + form[part] * scale,
             "gap": after[channel] - before[channel] + (form + smooth)[part] * scale,
             "gap_std": deviation[part] * scale,
         }
-    return found
+    return forces
 
 
 def _form_part(case: Case) -> np.ndarray:
@@ -130,95 +146,103 @@ def _smoothed_remainder(case: Case):
     return smooth, np.sqrt(np.maximum(variance + unsure, 0))
 
 
-def _closures(case: Case, rows, generator) -> dict[str, Closure]:
+def _gaps(case: Case, rows, generator) -> dict[str, Shrinkage]:
+    """How far the gap of each channel shrinks on the rows of the search."""
     base, verdict = case.base, case.verdict
-    found = {}
-    p = base.layout.size
+    gaps, p = {}, base.layout.size
     for channel, parts in rows.items():
         observed = base.prepared.observed[channel]
         noise = base.noise[channel]
         keep = ~noise.outlier
         extended = parts["base"] if verdict.status == "unknown" else parts["extended"]
-        found[channel] = closure_of(
+        closure = closure_of(
             (observed - parts["base"])[keep], (observed - extended)[keep],
             (noise.std**2)[keep], (p, p + len(verdict.chosen.atoms)),
             base.prepared.run[keep], noise.inflation, generator,
         )  # fmt: skip
-    return found
+        gaps[channel] = _shrinkage(closure, verdict)
+    return gaps
 
 
-def _gap_record(closure: Closure, verdict: Verdict) -> dict:
+def _shrinkage(closure: Closure, verdict: Verdict) -> Shrinkage:
     silent = verdict.status in ("none", "unknown")
     closed = 0.0 if silent else closure.closed
-    interval = [closure.low, closure.high]
-    return {
-        "rms": closure.rms,
-        "resolvable": closure.resolvable and verdict.status != "none",
-        "closed": closed if closed is None else float(np.clip(closed, 0.0, 1.0)),
-        "closed_ci": [0.0, 0.0] if silent else interval,
-        "remaining_rms": closure.rms if silent else closure.remaining,
-    }
+    return Shrinkage(
+        rms=closure.rms,
+        resolvable=closure.resolvable and verdict.status != "none",
+        closed=closed if closed is None else float(np.clip(closed, 0.0, 1.0)),
+        closed_ci=(0.0, 0.0) if silent else (closure.low, closure.high),
+        remaining_rms=closure.rms if silent else closure.remaining,
+    )
 
 
-def _noise_record(case: Case) -> dict:
-    base = case.base
-    flags = dict.fromkeys(f for n in base.noise.values() for f in n.flags)
-    record = {c: float(np.median(n.std)) for c, n in base.noise.items()}
-    name = "alpha" if base.prepared.mode == "y" else "sigma_x"
-    sources = dict.fromkeys(n.source for n in base.noise.values())
-    return record | {
-        name: base.slip_noise,
-        f"{name}_source": base.prepared.slip_source,
-        "source": "; ".join(sources),
-        "flags": list(flags),
-        "inflation": max(n.inflation for n in base.noise.values()),
-        "outliers": sum(int(n.outlier.sum()) for n in base.noise.values()),
-    }
+def _gap(case: Case, gaps: dict[str, Shrinkage], holdout: HeldOut | None) -> Gap:
+    base, verdict = case.base, case.verdict
+    named = verdict.status not in ("none", "unknown")
+    return Gap(
+        **vars(gaps[base.prepared.channels[0]]),
+        p_value=verdict.p_value,
+        channels=gaps,
+        holdout=holdout,
+        shares=closed_by_each(base, verdict.chosen) if named else {},
+    )
 
 
-_NOISE_NAMES = {effect.flag: effect.id for effect in NOISE_EFFECTS if effect.flag}
+def _noise(case: Case) -> NoiseSummary:
+    base, levels = case.base, case.base.noise
+    return NoiseSummary(
+        forces={c: float(np.median(level.std)) for c, level in levels.items()},
+        slip_name="alpha" if base.prepared.mode == "y" else "sigma_x",
+        slip=base.slip_noise,
+        slip_source=base.prepared.slip_source,
+        source="; ".join(dict.fromkeys(level.source for level in levels.values())),
+        flags=_noise_flags(case),
+        inflation=max(level.inflation for level in levels.values()),
+        outliers=sum(int(level.outlier.sum()) for level in levels.values()),
+    )
 
 
-def _verdict_record(case: Case) -> dict:
+def _noise_flags(case: Case) -> tuple[str, ...]:
+    levels = case.base.noise.values()
+    return tuple(dict.fromkeys(flag for level in levels for flag in level.flags))
+
+
+def _verdict(case: Case) -> VerdictSummary:
+    """The verdict; where no effect on the mean is found, what its noise shows."""
     verdict = case.verdict
-    status, effects = verdict.status, list(verdict.effects)
+    status, effects = verdict.status, verdict.effects
     if status == "none":
-        flags = [f for n in case.base.noise.values() for f in n.flags]
-        effects = list(
-            dict.fromkeys(_NOISE_NAMES[f] for f in flags if f in _NOISE_NAMES)
-        )
+        of_flag = {effect.flag: effect.id for effect in NOISE_EFFECTS if effect.flag}
+        effects = tuple(of_flag[f] for f in _noise_flags(case) if f in of_flag)
         status = "named" if effects else "none"
-    return {
-        "status": status,
-        "effects": effects,
-        "probability": verdict.probability,
-        "also_possible": list(verdict.also_possible),
-    }
+    return VerdictSummary(
+        status=status,
+        effects=effects,
+        probability=verdict.probability,
+        also_possible=verdict.also_possible,
+    )
 
 
-def _where(case: Case, rows) -> list[dict]:
-    base = case.base
-    residual, *_ = base.at_null
-    main = base.prepared.channels[0]
-    found = regions(base, residual[: base.prepared.n], rows[main]["gap"], 1.0)
-    return [region._asdict() for region in found]
-
-
-def _candidates(case: Case, generator, most: int = 10) -> list[dict]:
+def _candidates(case: Case, generator, most: int = 10) -> tuple[Candidate, ...]:
     weighed = case.weighed
     total = {
-        k: v + weighed.unknown_beside.get(k, 0.0) for k, v in weighed.sets.items() if k
+        k: v + weighed.unknown_beside.get(k, 0.0)
+        for k, v in weighed.sets.items()
+        if k and weighed.best_of[k].refitted
     }
     ranked = sorted(total, key=total.get, reverse=True)[:most]
-    return [_candidate(case, key, total[key], generator) for key in ranked] + (
-        [{"effects": ["unknown"], "family": "unknown",
-          "probability": weighed.unknown_alone, "parameters": {}, "z": None,
-          "z_given_rivals": None, "closed": 0.0, "closed_ci": [0.0, 0.0]}]
-        if weighed.unknown_alone > 1e-3 else []
-    )  # fmt: skip
+    listed = [_candidate(case, key, total[key], generator) for key in ranked]
+    if weighed.unknown_alone > 1e-3:
+        unknown = Candidate(
+            effects=("unknown",), family="unknown", parameters={}, z=None,
+            probability=weighed.unknown_alone, z_given_rivals=None, closed=0.0,
+            closed_ci=(0.0, 0.0),
+        )  # fmt: skip
+        listed.append(unknown)
+    return tuple(listed)
 
 
-def _candidate(case: Case, key, probability: float, generator) -> dict:
+def _candidate(case: Case, key, probability: float, generator) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
     p, parameters = len(hypothesis.z), {}
     spread = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[p:], 0))
@@ -226,34 +250,39 @@ def _candidate(case: Case, key, probability: float, generator) -> dict:
     scale = np.asarray(base.design.prior_scale)
     effects = [base.atoms[k].effect for k in hypothesis.atoms]
     for j, (k, effect) in enumerate(zip(hypothesis.atoms, effects, strict=True)):
-        parameters[f"{effect.id}: {effect.parameter}"] = {
-            "value": float(hypothesis.amplitude[j] * scale[k]),
+        parameters[f"{effect.id}: {effect.parameter}"] = Amplitude(
+            value=float(hypothesis.amplitude[j] * scale[k]),
             # However badly it fits, no less is known of it than beforehand.
-            "std": float(min(spread[j], 1.0) * scale[k]),
-            "unit": effect.unit,
-        }
-    null = case.weighed.best_of[()]
-    main = base.prepared.channels[0]
+            std=float(min(spread[j], 1.0) * scale[k]),
+            unit=effect.unit,
+        )
+    closure = _closure_by(case, hypothesis, generator)
+    ratio = hypothesis.amplitude / np.maximum(spread, 1e-12)
+    return Candidate(
+        effects=tuple(key),
+        family=" + ".join(dict.fromkeys(e.family for e in effects)),
+        probability=probability,
+        parameters=parameters,
+        z=max((case.search.score.get(e.id, 0.0) for e in effects), key=abs),
+        z_given_rivals=float(np.min(np.abs(ratio))),
+        closed=closure.closed,
+        closed_ci=(closure.low, closure.high),
+    )
+
+
+def _closure_by(case: Case, hypothesis: Hypothesis, generator) -> Closure:
+    """What a hypothesis closes of the first channel's gap."""
+    base, null = case.base, case.weighed.best_of[()]
+    main, p = base.prepared.channels[0], base.layout.size
     observed, noise = base.prepared.observed[main], base.noise[main]
     before = base.forces(null.z, np.zeros(len(base.atoms)))[main]
     after = base.forces(hypothesis.z, amplitudes_of(base, hypothesis))[main]
     keep = ~noise.outlier
-    closure = closure_of(
+    return closure_of(
         (observed - before)[keep], (observed - after)[keep], (noise.std**2)[keep],
-        (base.layout.size, base.layout.size + len(key)), base.prepared.run[keep],
-        noise.inflation, generator,
+        (p, p + len(hypothesis.atoms)), base.prepared.run[keep], noise.inflation,
+        generator,
     )  # fmt: skip
-    ratio = hypothesis.amplitude / np.maximum(spread, 1e-12)
-    return {
-        "effects": list(key),
-        "family": " + ".join(dict.fromkeys(e.family for e in effects)),
-        "probability": probability,
-        "parameters": parameters,
-        "z": max((case.search.score.get(e.id, 0.0) for e in effects), key=abs),
-        "z_given_rivals": float(np.min(np.abs(ratio))),
-        "closed": closure.closed,
-        "closed_ci": [closure.low, closure.high],
-    }
 
 
 def _widening(case: Case, hypothesis: Hypothesis) -> float:
@@ -269,7 +298,7 @@ def _widening(case: Case, hypothesis: Hypothesis) -> float:
     return max(float(np.mean(residual**2)), 1.0) * rows_each
 
 
-def _resolution(case: Case) -> dict:
+def _resolution(case: Case) -> Resolution:
     """Generic remainder that would be seen four times in five, rms [N]."""
     base = case.base
     main = base.prepared.channels[0]
@@ -277,23 +306,19 @@ def _resolution(case: Case) -> dict:
     directions = min(base.generic.smooth.shape[1], 40)
     needed = np.sqrt(2.5 * np.sqrt(2 * directions) / base.prepared.n)
     seen = {effect: 3.3 * abs(value) for effect, value in _smallest_seen(case).items()}
-    return {
-        "smallest unlisted remainder that would have been seen": float(
-            np.median(scale) * needed
-        ),
-        "smallest_effects": seen,
-    }
+    return Resolution(remainder=float(np.median(scale) * needed), smallest_effects=seen)
 
 
 def _smallest_seen(case: Case) -> dict[str, float]:
     """One standard deviation of each effect's amplitude on this data, own units."""
     base, left = case.base, case.search.projected
-    size, found = np.linalg.norm(left, axis=0), {}
+    size, smallest = np.linalg.norm(left, axis=0), {}
     for k in case.search.testable:
         effect = base.atoms[k].effect
-        if effect.id not in found and size[k] > 1e-6 and not effect.singular:
-            found[effect.id] = float(np.asarray(base.design.prior_scale)[k] / size[k])
-    return found
+        if effect.id not in smallest and size[k] > 1e-6 and not effect.singular:
+            scale = np.asarray(base.design.prior_scale)[k]
+            smallest[effect.id] = float(scale / size[k])
+    return smallest
 
 
 def _base_parameters(base: Base, z) -> dict[str, float]:
@@ -303,16 +328,16 @@ def _base_parameters(base: Base, z) -> dict[str, float]:
 
 def _all_rows(case: Case, whole: Prepared, rig, rows):
     """The rows of the whole file, NaN where masked: {channel: {name: (n,)}}."""
-    data, found = whole.data, {}
+    data, spread_out = whole.data, {}
     if case.base.prepared.n < whole.n:
         rows = _on_everything(case, whole, rig, rows)
     for channel, parts in rows.items():
-        found[channel] = {}
+        spread_out[channel] = {}
         for name, values in parts.items():
             full = np.full(len(data), np.nan)
             full[data.used] = values
-            found[channel][name] = full
-    return found
+            spread_out[channel][name] = full
+    return spread_out
 
 
 def _on_everything(case: Case, prepared: Prepared, rig, rows):
@@ -323,12 +348,12 @@ def _on_everything(case: Case, prepared: Prepared, rig, rows):
     null = case.weighed.best_of[()]
     before = whole.forces(null.z, np.zeros(len(base.atoms)))
     after = whole.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
-    kept, every, found = base.prepared.kept, np.arange(prepared.n), {}
+    kept, every, spread_out = base.prepared.kept, np.arange(prepared.n), {}
     for channel, parts in rows.items():
         rest = parts["gap"] - (parts["extended"] - parts["base"])
         gap = after[channel] - before[channel] + np.interp(every, kept, rest)
-        found[channel] = {
+        spread_out[channel] = {
             "base": before[channel], "extended": after[channel], "gap": gap,
             "gap_std": np.interp(every, kept, parts["gap_std"]),
         }  # fmt: skip
-    return found
+    return spread_out

@@ -10,6 +10,7 @@ from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.document import document_of
 from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.forms import PLACE, shape_of_change
+from tirefit.diagnosis.records import Untestable
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import Prepared, prepare, thinned
@@ -70,11 +71,11 @@ def diagnose(
     whole = prepare(data, rig, modelled(base_model))
     some = thinned(whole, _MOST_ROWS)
     case = _studied(some, model, rig, tuple(effects), without, generator)
-    looked_for = [effect.id for effect in effects if effect.id not in without]
+    looked_for = [effect for effect in effects if effect.id not in without]
     return document_of(case, whole, rig, looked_for, holdout, generator, model, seed)
 
 
-def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[dict]]:
+def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[Untestable]]:
     possible, missing = [], {}
     for k, atom in enumerate(atoms):
         effect = atom.effect
@@ -84,7 +85,7 @@ def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[dict]
         if effect.channels and not set(effect.channels) & set(prepared.channels):
             lacks += list(effect.channels)
         if lacks:
-            missing[effect.id] = {"effect": effect.id, "needs": lacks}
+            missing[effect.id] = Untestable(effect.id, tuple(lacks))
         else:
             possible.append(k)
     return possible, list(missing.values())

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,9 @@ from scipy.special import ndtr
 
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.basis import without
+from tirefit.diagnosis.records import Forecast, NextMeasurement
 from tirefit.diagnosis.rows import Prepared
+from tirefit.models import modelled
 
 __all__ = [
     "Recognition",
@@ -87,7 +90,7 @@ def scores_of_nothing(directions, draws: int, generator) -> np.ndarray:
     return root @ generator.standard_normal((directions.shape[1], draws))
 
 
-def confusion(search, draws: int = 2000) -> list[dict]:
+def confusion(search, draws: int = 2000) -> list[Forecast]:
     """For every effect that can be tested, at its usual size: would these rows show it,
     and what would it be taken for? From the rows' conditions, not from their forces."""
     base, left = search.base, search.projected
@@ -101,17 +104,15 @@ def confusion(search, draws: int = 2000) -> list[dict]:
     sign = np.array([effect.sign for effect in effects], float)
     noise = scores_of_nothing(directions, draws, np.random.default_rng(0))
     center, scale = base.design.prior_center, base.design.prior_scale
-    found = []
+    forecasts = []
     for name in dict.fromkeys(names):
         first = names.index(name)
         k, effect = use[first], effects[first]
         usual = float(center[k]) or float(effect.sign or 1)
-        record = recognition(
-            directions, names, first, usual * length[k], sign, noise
-        )._asdict()
-        amplitude = {"amplitude": usual * float(scale[k]), "unit": effect.unit}
-        found.append({"effect": name} | amplitude | record)
-    return found
+        chances = recognition(directions, names, first, usual * length[k], sign, noise)
+        amplitude = usual * float(scale[k])
+        forecasts.append(Forecast(name, amplitude, effect.unit, *chances))
+    return forecasts
 
 
 def _changes(prepared: Prepared) -> dict[str, object]:
@@ -167,74 +168,177 @@ def _pairs(search, weighed, verdict) -> list[tuple[str, str]]:
     ids = {atom.effect.id: atom.effect for atom in search.base.atoms}
     testable = {search.base.atoms[k].effect.id for k in search.testable}
     named = [e for e in verdict.effects if e in ids]
-    found = [(e, other) for e in named for other in verdict.also_possible]
+    pairs = [(e, other) for e in named for other in verdict.also_possible]
     for effect in named:
-        found += [(effect, o) for o in ids[effect].looks_like if o in testable]
+        pairs += [(effect, o) for o in ids[effect].looks_like if o in testable]
     ranked = sorted(
         (k for k in weighed.sets if len(k) == 1), key=weighed.sets.get, reverse=True
     )
-    found += [(ranked[0][0], k[0]) for k in ranked[1:3]]
-    unique = dict.fromkeys(pair for pair in found if pair[0] != pair[1])
+    pairs += [(ranked[0][0], k[0]) for k in ranked[1:3]]
+    unique = dict.fromkeys(pair for pair in pairs if pair[0] != pair[1])
     return list(unique)[:4]
 
 
-def next_measurements(base: Base, search, weighed, verdict, most: int = 3):
+def _singles(search, weighed) -> dict[str, tuple[int, float]]:
+    """The atom that stands for each testable effect, and its amplitude in prior scales:
+    that of the refit where the effect was refitted alone, else the usual one."""
+    center = np.asarray(search.base.design.prior_center)
+    singles: dict[str, tuple[int, float]] = {}
+    for k in search.testable:
+        usual = abs(float(center[k])) or 1.0
+        singles.setdefault(search.base.atoms[k].effect.id, (k, usual))
+    for hypothesis in weighed.best_of.values():
+        if len(hypothesis.atoms) == 1:
+            (k,), (amplitude,) = hypothesis.atoms, hypothesis.amplitude
+            singles[search.base.atoms[k].effect.id] = k, abs(float(amplitude))
+    return singles
+
+
+def next_measurements(
+    base: Base, search, weighed, verdict, most: int = 3
+) -> tuple[tuple[NextMeasurement, ...], str | None]:
     """Ranked additions that would separate what the data leave confused.
 
     Returns:
-        records {add, separates, p_now, p_after}, the largest gain first; empty where
-        every pair is told apart already (forecast 0.98 or more).
+        (additions, reason): the largest gain first; where there are none, the reason,
+        else None.
     """
-    null = weighed.best_of[()]
-    silent, generator = np.zeros(len(base.atoms)), np.random.default_rng(0)
-    index, sizes = {}, {}
-    for hypothesis in weighed.best_of.values():
-        for k, a in zip(hypothesis.atoms, hypothesis.amplitude, strict=True):
-            if len(hypothesis.atoms) == 1:
-                index[search.base.atoms[k].effect.id] = k
-                sizes[k] = abs(a)
+    singles = _singles(search, weighed)
     pairs = [
-        (a, b) for a, b in _pairs(search, weighed, verdict) if a in index and b in index
+        pair
+        for pair in _pairs(search, weighed, verdict)
+        if pair[0] in singles and pair[1] in singles
     ]
-    if not pairs:
-        return []
-    _, jacobian, now, _ = base.at_null
-    records = []
-    blocks = {}
+    options = _Options(base, weighed.best_of[()].z)
+    considered = []
     for a, b in pairs:
-        i, j = index[a], index[b]
-        before = _told_apart([(jacobian, now)], i, j, sizes)
-        if before > 0.98:
-            continue
-        if not blocks:
-            blocks = _blocks(base, null.z, silent, generator)
-        for name, block in blocks.items():
-            after = _told_apart([(jacobian, now), block], i, j, sizes)
-            records.append(
-                {"add": name, "separates": [a, b], "p_now": before, "p_after": after}
+        now = options.told_apart(singles[a], singles[b])
+        effects = [base.atoms[singles[name][0]].effect for name in (a, b)]
+        with_moment = "mz" not in base.prepared.has and "mz" in {
+            effect.told_apart_by for effect in effects
+        }
+        names = [] if now > _APART else options.names(with_moment)
+        considered += [
+            NextMeasurement(
+                name, (a, b), now, options.told_apart(singles[a], singles[b], name)
             )
-        effect = search.base.atoms[i].effect
-        if effect.told_apart_by == "mz" and "mz" not in base.prepared.has:
-            records.append(
-                {"add": "the aligning moment M_z on lateral runs",
-                 "separates": [a, b], "p_now": before, "p_after": 0.99}
-            )  # fmt: skip
-    useful = [r for r in records if r["p_after"] > r["p_now"] + 0.02]
-    return sorted(useful, key=lambda r: r["p_now"] - r["p_after"])[:most]
+            for name in names or [_AS_IT_IS]
+        ]
+    useful = [step for step in considered if step.p_after > step.p_now + _WORTHWHILE]
+    if useful:
+        return tuple(sorted(useful, key=lambda s: s.p_now - s.p_after)[:most]), None
+    return (), _reason(considered, verdict.status)
 
 
-def _blocks(base: Base, z, silent, generator) -> dict:
-    found = {}
-    for name, change in _changes(base.prepared).items():
-        other = _changed(base, change, generator)
-        _, jacobian, use, _ = other.linearised(z, silent)
-        third = 1 / np.sqrt(3)  # a third as many rows again
-        found[name] = (jacobian * third, use * third)
-    return found
+def _reason(considered: Sequence[NextMeasurement], status: str) -> str:
+    """Why no addition is worth while."""
+    if not considered:
+        return "there is only one effect that these rows can be tested for"
+    a, b = considered[0].separates
+    own = [step for step in considered if step.separates == (a, b)]
+    best, now = max(step.p_after for step in own), own[0].p_now
+    if now > _APART:
+        apart = f"rows like these tell {a} from {b} with probability {now:.2f}"
+        if status == "cannot_tell":
+            return f"{apart}: this time their noise does not, so repeat them"
+        return apart
+    return (
+        f"no addition that is known here would tell {a} from {b}: at best with"
+        f" probability {best:.2f} (now {now:.2f})"
+    )
 
 
-def _told_apart(blocks, i: int, j: int, sizes) -> float:
-    jacobian = np.concatenate([block[0] for block in blocks])
-    columns = np.concatenate([block[1][:, [i, j]] for block in blocks])
-    columns = without(columns, jacobian)
-    return separability(columns, 0, 1, max(sizes[i], 0.3), max(sizes[j], 0.3))
+_APART = 0.98
+"""Forecast probability from which two effects are told apart."""
+_WORTHWHILE = 0.02
+"""Rise of that probability from which an addition is worth its work."""
+_AS_IT_IS = "nothing"
+_MOMENT = "the aligning moment M_z on lateral runs"
+_PART = 1 / 3
+"""Rows of an addition, as a share of those that are there."""
+
+
+class _Block(NamedTuple):
+    """Whitened rows of one measurement: by the base parameters (m, p) and by the
+    amplitudes of the effects (m, K)."""
+
+    jacobian: np.ndarray
+    columns: np.ndarray
+
+
+class _Options:
+    """Further measurements, each simulated once and only if it is asked for."""
+
+    def __init__(self, base: Base, z):
+        self.base, self.z = base, z
+        _, jacobian, columns, _ = base.at_null
+        self.here = _Block(jacobian, columns)
+        self.changes = _changes(base.prepared)
+        self.gives_moment = "mz" in modelled(base.fit.tire.model)
+        self.known: dict[str, _Block] = {}
+        self.generator = np.random.default_rng(0)
+
+    def names(self, with_moment: bool) -> list[str]:
+        moment = [_MOMENT] if with_moment and self.gives_moment else []
+        return [*self.changes, *moment]
+
+    def _block(self, name: str) -> _Block:
+        if not self.known:
+            # All at once: each draws from the same generator.
+            for option, change in self.changes.items():
+                other = _changed(self.base, change, self.generator)
+                self.known[option] = _part_of(other, self.z)
+        if name == _MOMENT and name not in self.known:
+            self.known[name] = _with_moment(self.base, self.z)
+        return self.known[name]
+
+    def told_apart(self, one, two, name: str = _AS_IT_IS) -> float:
+        """Forecast probability of telling two effects apart, with an addition.
+
+        Args:
+            one, two: (atom, amplitude in prior scales) of the effects.
+        """
+        blocks = [self.here] + ([] if name == _AS_IT_IS else [self._block(name)])
+        # What an addition has of parameters of its own is unknown in it alone.
+        width = max(block.jacobian.shape[1] for block in blocks)
+        jacobian = np.concatenate(
+            [
+                np.pad(b.jacobian, ((0, 0), (0, width - b.jacobian.shape[1])))
+                for b in blocks
+            ]
+        )
+        (i, size), (j, other) = one, two
+        columns = np.concatenate([block.columns[:, [i, j]] for block in blocks])
+        left = without(columns, jacobian)
+        return separability(left, 0, 1, max(size, 0.3), max(other, 0.3))
+
+
+def _part_of(base: Base, z) -> _Block:
+    """A measurement under the conditions of ``base``, of a third as many rows."""
+    _, jacobian, columns, _ = base.linearised(z, np.zeros(len(base.atoms)))
+    return _Block(jacobian * np.sqrt(_PART), columns * np.sqrt(_PART))
+
+
+def _with_moment(base: Base, z) -> _Block:
+    """Lateral runs at the slips and loads of these rows, with F_y and M_z measured.
+
+    Noise of F_y as that of the force here; M_z is as noisy beside its own peak as F_y
+    is beside its. The contact length, by which all of M_z is multiplied, is unknown.
+    """
+    main, n = base.prepared.channels[0], base.prepared.n
+    channels, silent = ("fy", "mz"), np.zeros(len(base.atoms))
+    scale = np.asarray(base.design.scale[main])
+    rows = replace(base.rows, mode="y", channels=channels)
+    tire = replace(base.fit.tire, mode="y")
+    design = base.design._replace(
+        observed=dict.fromkeys(channels, np.zeros_like(scale)),
+        scale={"fy": scale, "mz": scale},
+    )
+    lateral = replace(base, rows=rows, fit=replace(base.fit, tire=tire, design=design))
+    force = lateral.forces(z, silent)
+    peaks = {c: max(float(np.max(np.abs(f))), 1e-9) for c, f in force.items()}
+    scales = {"fy": scale, "mz": scale * peaks["mz"] / peaks["fy"]}
+    block = _part_of(lateral.on(design._replace(scale=scales)), z)
+    moment = np.zeros((2 * n, 1))
+    moment[n:, 0] = np.sqrt(_PART) * force["mz"] / scales["mz"][:n]
+    return block._replace(jacobian=np.concatenate([block.jacobian, moment], axis=1))

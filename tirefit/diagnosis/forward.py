@@ -15,6 +15,7 @@ from tirefit.diagnosis.state import (
     null_state,
     peak_ratio,
 )
+from tirefit.fitting.least_squares import damped_gauss_newton
 from tirefit.models import Brush, Parabolic, TireInputs
 from tirefit.params import with_values
 
@@ -278,13 +279,6 @@ def tangents(model, layout, effects, mode, z, present, design: Design, finite):
     return Linear(-value, moved[: z.size].T, columns.T, moved[z.size :].T)
 
 
-def _tangents_of(function, x):
-    """Value (m,) and transposed Jacobian (p, m), by forward mode."""
-    return jax.vmap(
-        lambda e: jax.jvp(function, (x,), (e,)), out_axes=(None, 0)
-    )(jnp.eye(x.size))  # fmt: skip
-
-
 def _state_with(effects, present: Present, k, change, rows: Covariates):
     """The state with the amplitude of atom k moved by ``change`` from where it is."""
     mine, none = present.index == k, count_atoms(effects)
@@ -314,6 +308,11 @@ class Refit(NamedTuple):
 
 MOST_EFFECTS = 3
 """Effects of one hypothesis, at most."""
+
+_REFIT_STEPS = 26
+_REFIT_TOLERANCE = 1e-3
+"""Chi-squared that one more step of a refit could still gain: evidence is counted in
+whole units."""
 
 MOST = 64
 """Hypotheses of one call of :func:`refit_all`."""
@@ -355,17 +354,20 @@ def refit_all(model, layout, effects, mode, starts, index, count, design):
     highest = jnp.minimum(jnp.append(design.high, _FARTHEST), _FARTHEST)
 
     def one(start, index):
-        center, low, high = centers[index], lowest[index], highest[index]
+        low, high = lowest[index], highest[index]
+
+        def pull(amplitude):
+            return amplitude - centers[index]
 
         def whole(x):
             present = Present(index, x[p:] * scale[index])
             misfit = residuals(model, layout, effects, mode, x[:p], present, design)
-            return jnp.concatenate([misfit, x[p:] - center])
+            return jnp.concatenate([misfit, pull(x[p:])])
 
         def allowed(x):
             return jnp.concatenate([x[:p], jnp.clip(x[p:], low, high)])
 
-        return _gauss_newton(whole, allowed, allowed(start), p, size)
+        return _refit(whole, pull, allowed, allowed(start), p)
 
     def body(number, found):
         here = one(starts[number], index[number])
@@ -377,43 +379,22 @@ def refit_all(model, layout, effects, mode, starts, index, count, design):
     return jax.lax.fori_loop(0, count, body, blank)
 
 
-def _linear(whole, x):
-    value, rows = _tangents_of(whole, x)
-    # Else the compiler works every tangent out anew for each product.
-    value, rows = jax.lax.optimization_barrier((value, rows))
-    return value, rows @ rows.T, rows @ value
+def _refit(whole, pull, allowed, start, p: int) -> Refit:
+    """One hypothesis; ``pull`` (size,) of the amplitudes' prior is part of it."""
 
+    def residual(x):
+        values = whole(x)
+        return values, jnp.ones_like(values)
 
-def _gauss_newton(whole, allowed, start, p: int, size: int, steps=26) -> Refit:
-    def body(carry):
-        x, trial, cost, penalty, normal, gradient, damping, count, _ = carry
-        value, new_normal, new_gradient = _linear(whole, trial)
-        new_cost = value @ value
-        better = new_cost < cost
-        gain = jnp.where(better, cost - new_cost, jnp.inf)
-        keep = partial(jnp.where, better)
-        x, cost = keep(trial, x), keep(new_cost, cost)
-        penalty = keep(jnp.sum(value[value.size - size :] ** 2), penalty)
-        normal, gradient = keep(new_normal, normal), keep(new_gradient, gradient)
-        damping = jnp.clip(keep(damping / 10, damping * 10), 1e-9, 1e9)
-        damped = normal + damping * jnp.diag(jnp.diagonal(normal) + 1e-9)
-        move = -jnp.linalg.solve(damped, gradient)
-        move = move * jnp.minimum(1.0, 3.0 / jnp.maximum(jnp.max(jnp.abs(move)), 1e-9))
-        done = (gain < 1e-3) | (damping > 1e6)
-        trial = allowed(x + move)
-        return x, trial, cost, penalty, normal, gradient, damping, count + 1, done
-
-    width = start.size
-    first = (
-        start, start, jnp.inf, jnp.inf, jnp.eye(width), jnp.zeros(width),
-        jnp.array(1e-3), jnp.array(0), jnp.array(False),
+    end = damped_gauss_newton(
+        residual, start, allowed=allowed, max_steps=_REFIT_STEPS,
+        relative=0.0, absolute=_REFIT_TOLERANCE,
     )  # fmt: skip
-    x, _, cost, penalty, normal, *_ = jax.lax.while_loop(
-        lambda c: ~c[-1] & (c[-2] < steps), body, first
-    )
+    penalty = jnp.sum(pull(end.z[p:]) ** 2)
     # A parameter at its bound has no curvature; what is left of it cancels.
-    curvature = normal + 1e-9 * jnp.eye(width)
+    identity = jnp.eye(start.size)
+    curvature = end.normal + 1e-9 * identity
     return Refit(
-        x[:p], x[p:], cost - penalty, jnp.linalg.slogdet(curvature)[1],
-        jnp.linalg.solve(curvature, jnp.eye(width)), penalty,
+        end.z[:p], end.z[p:], end.cost - penalty, jnp.linalg.slogdet(curvature)[1],
+        jnp.linalg.solve(curvature, identity), penalty,
     )  # fmt: skip

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tirefit.diagnosis.base import Base, on_rows
-from tirefit.diagnosis.closure import closure_of
+from tirefit.diagnosis.closure import Closure, closure_of
+from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.rows import prepare
 from tirefit.diagnosis.search import amplitudes_of
 
@@ -21,7 +22,7 @@ _LARGEST = 0.7
 """Quantile of the slip beyond which it is the regime, where no setting is."""
 
 
-def held_out(case, holdout: Sequence, rig, generator) -> dict | None:
+def held_out(case, holdout: Sequence, rig, generator) -> HeldOut | None:
     """Closure on other files, or on a regime of this one: the figures of ``gap``.
 
     Without other files the regime farthest out (highest load, else highest speed, else
@@ -35,15 +36,14 @@ def held_out(case, holdout: Sequence, rig, generator) -> dict | None:
     return _on_regime(case, generator)
 
 
-def _record(closure, what: str) -> dict:
-    return {
-        "rms": closure.rms, "resolvable": closure.resolvable, "closed": closure.closed,
-        "closed_ci": [closure.low, closure.high], "remaining_rms": closure.remaining,
-        "on": what,
-    }  # fmt: skip
+def _record(closure: Closure, what: str) -> HeldOut:
+    return HeldOut(
+        rms=closure.rms, resolvable=closure.resolvable, closed=closure.closed,
+        closed_ci=(closure.low, closure.high), remaining_rms=closure.remaining, on=what,
+    )  # fmt: skip
 
 
-def _on_files(case, holdout, rig, generator) -> dict:
+def _on_files(case, holdout, rig, generator) -> HeldOut:
     base, chosen = case.base, case.verdict.chosen
     null = case.weighed.best_of[()]
     before, after, variance, run = [], [], [], []
@@ -78,7 +78,7 @@ def _regime(base: Base) -> tuple[np.ndarray, str]:
     return size > np.quantile(size, _LARGEST), "largest slip"
 
 
-def _on_regime(case, generator) -> dict:
+def _on_regime(case, generator) -> HeldOut:
     base, chosen = case.base, case.verdict.chosen
     out, what = _regime(base)
     keep = np.array(base.design.keep)

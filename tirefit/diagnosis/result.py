@@ -1,11 +1,29 @@
 """What a diagnosis found: :class:`Diagnosis`, as JSON, as rows, as text."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
+from tirefit.data.table import TireData
+from tirefit.diagnosis.effects import Effect
+from tirefit.diagnosis.records import (
+    Candidate,
+    Cell,
+    DataSummary,
+    Forecast,
+    Gap,
+    NextMeasurement,
+    NoiseSummary,
+    Region,
+    Resolution,
+    Settings,
+    Untestable,
+    VerdictSummary,
+)
+from tirefit.diagnosis.slip_check import SlipCheck
+from tirefit.diagnosis.views import Comparison, ResidualMap
 from tirefit.display import Displayed
 from tirefit.files import json_text
 
@@ -13,37 +31,76 @@ __all__ = ["SCHEMA", "Diagnosis"]
 
 SCHEMA = "tirefit.diagnosis/1"
 
+_NOT_WRITTEN = {"written": False}
 
-@dataclass(frozen=True, repr=False)
+
+@dataclass(frozen=True, repr=False, kw_only=True)
 class Diagnosis(Displayed):
-    """One file diagnosed.
+    """One file diagnosed: the records of the document, in its order, then arrays.
 
-    ``content`` is the JSON document of the schema; ``rows`` holds (n,) arrays by
-    channel of all rows of the file, canonical, NaN where masked: ``base``,
-    ``extended``, ``gap``, ``gap_std``. ``table`` is the data, ``curves`` what the
-    figures need beyond them.
+    ``next_measurement`` is ranked, the largest gain first; where it is empty,
+    ``next_measurement_reason`` says why. ``slip_check`` is the slip column against the
+    slip of the wheel speed, None where that is not known.
+
+    ``rows`` holds (n,) arrays by channel of all rows of the file, canonical, NaN where
+    masked: ``base``, ``extended``, ``gap``, ``gap_std``. ``table`` is the data,
+    ``mean_load`` [N] that of its used rows; ``residual_map`` and ``comparison`` are
+    what the figures show; ``library`` holds the effects that were looked for, a user's
+    own among them.
     """
 
     text_by: ClassVar[str] = "tirefit.report.diagnosis_text:diagnosis_text"
     html_by: ClassVar[str] = "tirefit.report.diagnosis_html:diagnosis_fragment"
 
-    content: Mapping[str, Any]
-    rows: Mapping[str, Mapping[str, np.ndarray]]
-    table: Any
-    curves: Mapping[str, Any] = field(default_factory=dict)
-
-    def __getitem__(self, key: str) -> Any:
-        return self.content[key]
-
-    @property
-    def verdict(self) -> Mapping[str, Any]:
-        return self.content["verdict"]
+    data: DataSummary
+    model: str
+    n: int
+    n_effective: float
+    noise: NoiseSummary
+    gap: Gap
+    where: tuple[Region, ...]
+    map: tuple[Cell, ...]
+    verdict: VerdictSummary
+    candidates: tuple[Candidate, ...]
+    untestable: tuple[Untestable, ...]
+    resolution: Resolution
+    forecast: tuple[Forecast, ...]
+    next_measurement: tuple[NextMeasurement, ...]
+    next_measurement_reason: str | None
+    slip_check: SlipCheck | None
+    base_parameters: Mapping[str, float]
+    extended_parameters: Mapping[str, float]
+    settings: Settings
+    seed: int
+    version: str
+    rows: Mapping[str, Mapping[str, np.ndarray]] = field(metadata=_NOT_WRITTEN)
+    table: TireData = field(metadata=_NOT_WRITTEN)
+    mean_load: float = field(metadata=_NOT_WRITTEN)
+    residual_map: ResidualMap = field(metadata=_NOT_WRITTEN)
+    comparison: Comparison = field(metadata=_NOT_WRITTEN)
+    library: tuple[Effect, ...] = field(metadata=_NOT_WRITTEN)
 
     @property
     def effects(self) -> tuple[str, ...]:
         """Ids of the verdict: empty for none, ``("unknown",)`` for not listed."""
-        return tuple(self.verdict["effects"])
+        return self.verdict.effects
 
     def to_json(self) -> str:
         """The document; not-a-number and infinite become null."""
-        return json_text(self.content)
+        return json_text({"schema": SCHEMA} | _mappings(self))
+
+
+def _mappings(value: Any) -> Any:
+    """Records at any depth as mappings: keys are the names of their fields."""
+    if hasattr(value, "as_json"):
+        return _mappings(value.as_json())
+    if is_dataclass(value):
+        written = (f.name for f in fields(value) if f.metadata.get("written", True))
+        return {name: _mappings(getattr(value, name)) for name in written}
+    if hasattr(value, "_asdict"):
+        return _mappings(value._asdict())
+    if isinstance(value, Mapping):
+        return {key: _mappings(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_mappings(item) for item in value]
+    return value

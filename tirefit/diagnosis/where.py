@@ -1,8 +1,6 @@
 """Where the gap lies: regions of slip, load, speed, time and direction, and which
 parameter of the tire would have to vary with which of them."""
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.special import chdtrc
 
@@ -10,22 +8,12 @@ from tirefit.data.levels import levels
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.basis import functions_of, mean_gain, orthogonal
 from tirefit.diagnosis.forms import PLACE
+from tirefit.diagnosis.records import Cell, Region
 
-__all__ = ["Cell", "Region", "parameter_map", "regions"]
+__all__ = ["covariates_of", "parameter_map", "regions"]
 
 _LEVELS = 6
 """Settings up to so many are regions of their own."""
-
-
-class Region(NamedTuple):
-    """One bin of one covariate: its share of the gap's energy, and the p-value of its
-    misfit, corrected for the number of regions (Benjamini-Yekutieli)."""
-
-    covariate: str
-    low: float
-    high: float
-    share: float
-    p_value: float
 
 
 def _edges(values) -> list[tuple[float, float]]:
@@ -36,37 +24,40 @@ def _edges(values) -> list[tuple[float, float]]:
     return list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
 
 
-def _covariates(base: Base) -> dict[str, np.ndarray]:
+def covariates_of(base: Base) -> dict[str, np.ndarray]:
+    """Covariates that vary, and the slip fraction: (n,) each."""
     prepared = base.prepared
     rows = prepared.covariates
-    found = {"slip_fraction": np.abs(base.slip_fraction)}
+    values = {"slip_fraction": np.abs(base.slip_fraction)}
     if "loads" in prepared.has:
-        found["fz"] = prepared.inputs.fz
+        values["fz"] = prepared.inputs.fz
     if "speeds" in prepared.has:
-        found["v"] = prepared.inputs.v
+        values["v"] = prepared.inputs.v
     if "time" in prepared.has:
-        found["time"] = prepared.time
+        values["time"] = prepared.time
     if "sweeps" in prepared.has:
-        found["direction"] = np.sign(rows.turning)
+        values["direction"] = np.sign(rows.turning)
     if "signs" in prepared.has:
-        found["sign"] = np.sign(prepared.slip)
+        values["sign"] = np.sign(prepared.slip)
     for name in ("temperature", "gamma"):
         if name in prepared.has:
-            found[name] = prepared.column(name)
-    return found
+            values[name] = prepared.column(name)
+    return values
 
 
-def regions(base: Base, residual, gap, inflation: float) -> list[Region]:
+def regions(base: Base, residual, gap) -> list[Region]:
     """Every region with its share and corrected p-value, largest evidence first.
 
     Args:
         residual: (n,) whitened residual of the base fit, inflation included.
         gap: (n,) located gap [N].
     """
+    from scipy.stats import false_discovery_control  # slow to import
+
     energy = gap**2
     total = max(float(energy.sum()), 1e-300)
-    found, raw = [], []
-    for name, values in _covariates(base).items():
+    bins, raw = [], []
+    for name, values in covariates_of(base).items():
         for low, high in _edges(values):
             width = 1e-6 * max(abs(high), 1.0)
             inside = (values >= low - width) & (values <= high + width)
@@ -80,26 +71,13 @@ def regions(base: Base, residual, gap, inflation: float) -> list[Region]:
             # The rows' inflation is in the residual already; sums bring it back.
             raw.append(float(chdtrc(len(groups), statistic)))
             share = float(energy[inside].sum()) / total
-            found.append(Region(name, float(low), float(high), share, 1.0))
-    corrected = _corrected(np.array(raw))
-    found = [
-        r._replace(p_value=float(p)) for r, p in zip(found, corrected, strict=True)
-    ]
-    return sorted(found, key=lambda r: (r.p_value > 0.05, -r.share))
-
-
-def _corrected(p):
-    """Benjamini-Yekutieli adjusted p-values, valid under any dependence."""
-    if not len(p):
-        return p
-    order = np.argsort(p)
-    count = len(p)
-    factor = count * np.sum(1 / np.arange(1, count + 1))
-    adjusted = p[order] * factor / np.arange(1, count + 1)
-    adjusted = np.minimum.accumulate(adjusted[::-1])[::-1]
-    out = np.empty(count)
-    out[order] = np.minimum(adjusted, 1.0)
-    return out
+            bins.append(Region(name, float(low), float(high), share, 1.0))
+    if not bins:
+        return []
+    # By Benjamini and Yekutieli: the bins of several covariates share their rows.
+    corrected = false_discovery_control(raw, method="by").tolist()
+    judged = [r._replace(p_value=p) for r, p in zip(bins, corrected, strict=True)]
+    return sorted(judged, key=lambda region: (region.p_value > 0.05, -region.share))
 
 
 PARAMETERS = {
@@ -113,16 +91,6 @@ _SIZES = (0.5, 2.0, 8.0)
 """Multiples of the usual size that the evidence of a cell is averaged over."""
 
 
-class Cell(NamedTuple):
-    """One parameter as a free function of one covariate: its log evidence over the base
-    fit, and the share of the misfit's energy that it takes away at most."""
-
-    parameter: str
-    covariate: str
-    log_evidence: float
-    explains: float
-
-
 def parameter_map(base: Base) -> list[Cell]:
     """Every parameter against every covariate that varies, the most telling first.
 
@@ -131,8 +99,8 @@ def parameter_map(base: Base) -> list[Cell]:
     residual, jacobian, _, fields = base.at_null
     load, channels = base.prepared.inputs.fz, len(base.prepared.channels)
     misfit = max(float(residual @ residual), 1e-300)
-    found = []
-    for covariate, values in _covariates(base).items():
+    cells = []
+    for covariate, values in covariates_of(base).items():
         values = np.minimum(values, 3) if covariate == "slip_fraction" else values
         shapes = functions_of(np.asarray(values, float), 6)
         for parameter, (field, size) in PARAMETERS.items():
@@ -143,5 +111,5 @@ def parameter_map(base: Base) -> list[Cell]:
             shrink = (_SIZES[-1] * length) ** 2
             shrink = shrink / (1 + shrink)
             explained = float(np.sum(shrink * (left.T @ residual) ** 2)) / misfit
-            found.append(Cell(parameter, covariate, evidence, explained))
-    return sorted(found, key=lambda cell: -cell.log_evidence)
+            cells.append(Cell(parameter, covariate, evidence, explained))
+    return sorted(cells, key=lambda cell: -cell.log_evidence)

@@ -98,10 +98,9 @@ def _solve_all(template, layout, slip, force, fz, v, axis, batch):
             return values, jnp.ones_like(values)
 
         end = damped_gauss_newton(residual, _guess(template, layout, *data))
-        jacobian = jax.jacfwd(lambda z: residual(z)[0])(end.z)
         noise = end.cost / (slip.size - layout.size)
         slope = jax.jacfwd(layout.vector)(end.z)
-        cov = slope @ jnp.linalg.inv(jacobian.T @ jacobian) @ slope.T * noise
+        cov = slope @ jnp.linalg.inv(end.normal) @ slope.T * noise
         return layout.vector(end.z), jnp.sqrt(jnp.diagonal(cov)), end.converged
 
     return jax.lax.map(one, (slip, force, fz, v), batch_size=batch)

@@ -160,7 +160,7 @@ class FitConfig(Section):
     force: (
         Annotated[list[Force], Field(min_length=1), BeforeValidator(_listed)] | None
     ) = None
-    solver: Literal["optimistix", "jaxopt", "gauss-newton"] = "optimistix"
+    solver: Literal["optimistix", "jaxopt", "gauss-newton"] = "gauss-newton"
     starts: PositiveInt = 8
     seed: int = Field(default=0, ge=0, lt=2**32)
     data: DataConfig = DataConfig()

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import expit, logit
 
 from tirefit.compiled import compiled
-from tirefit.fitting.inference import Profile, deviance, inflation, linearise
+from tirefit.fitting.inference import Profile, deviance_at, inflation, linearise
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.result import Estimate
@@ -74,30 +74,38 @@ def _curve(model, values, channel: str, fz, v):
     return force
 
 
-def _peak(force):
-    """(slip, force) of the first largest force: a grid, then where the slope ends.
+def _start_and_peak(force):
+    """Slope at zero slip, and (slip, force) of the first largest force: a grid, then
+    where the slope ends.
 
     A plateau is flat to the third order where it begins, so values alone would give
-    its slip to 1e-4; the sign of the slope gives it to rounding.
+    its slip to 1e-4; the sign of the slope gives it to rounding. The force stands in
+    the program twice, at the grid and in the loop: it is what takes time to compile.
     """
+
+    def with_slope(slip):
+        return jax.jvp(force, (slip,), (jnp.ones_like(slip),))
+
     grid = jnp.concatenate([jnp.zeros(1), jnp.geomspace(1e-5, _LARGEST_SLIP, 200)])
-    values = jax.vmap(force)(grid)
+    values, slopes = jax.vmap(with_slope)(grid)
     first = jnp.argmax(values >= values.max() * (1 - 1e-12))
-    low = grid[jnp.maximum(first - 1, 0)]
-    high = grid[jnp.minimum(first + 1, len(grid) - 1)]
-    slope = jax.grad(force)
+    end = jnp.minimum(first + 1, len(grid) - 1)
     # Thrice the rounding of a slope of zero: 7e-8 of the slip of full sliding.
-    least = 5e-16 * slope(0.0)
+    least = 5e-16 * slopes[0]
 
     def halve(_, ends):
-        low, high = ends
+        low, high, value = ends
         middle = (low + high) / 2
-        rising = slope(middle) > least
-        return jnp.where(rising, middle, low), jnp.where(rising, high, middle)
+        there, slope = with_slope(middle)
+        rising = slope > least
+        low, high = jnp.where(rising, middle, low), jnp.where(rising, high, middle)
+        return low, high, jnp.where(rising, value, there)
 
-    _, slip = jax.lax.fori_loop(0, 50, halve, (low, high))
+    _, slip, peak = jax.lax.fori_loop(
+        0, 50, halve, (grid[jnp.maximum(first - 1, 0)], grid[end], values[end])
+    )
     # A force that still rises at the largest slip has no peak.
-    return jnp.where(slip < 0.999 * _LARGEST_SLIP, slip, jnp.nan), force(slip)
+    return slopes[0], jnp.where(slip < 0.999 * _LARGEST_SLIP, slip, jnp.nan), peak
 
 
 @compiled(static=("layout", "channel", "run"))
@@ -122,9 +130,9 @@ def derived_values(model, layout: Layout, z, channel, fz, v, run: int = 0):
             for name, value in layout.natural(z).items()
         }
         force = _curve(model, values, channel, fz, v)
-        slip, peak = _peak(force)
+        slope, slip, peak = _start_and_peak(force)
         found = {
-            next(iter(quantities(channel))): jax.grad(force)(0.0),
+            next(iter(quantities(channel))): slope,
             "F_max": peak,
             "F_max_over_fz": peak / fz,
             "slip_at_peak": slip,
@@ -162,7 +170,7 @@ def _bowl(solved: Solved, z):
             weight = problem.rules[name].effective / (values @ values)
         slope += weight * (values @ slopes)
         curvature += weight * (slopes.T @ slopes)
-    return float(deviance(problem, z)), slope, curvature
+    return deviance_at(problem, at), slope, curvature
 
 
 def _slope_of(evaluate: Callable, name: str, z, std):
@@ -174,6 +182,9 @@ def _slope_of(evaluate: Callable, name: str, z, std):
 
 
 _NEXT_TO_BOUND = 1e-9
+
+_LONGEST_SHARE = 0.3
+"""Share of an element's range that one step may cross."""
 
 
 def _step(slope, pull, curvature, room: float, share):
@@ -224,6 +235,8 @@ def _extreme(solved: Solved, quantity: Callable, sign: int) -> float:
             break
         if length < 1e-6 * level and abs(total - base - level) < 1e-2 * level:
             return float(value)
+        # Next to a bound the deviance may have no curvature to hold a step back.
+        step *= min(1.0, _LONGEST_SHARE / max(np.max(np.abs(step)), 1e-300))
         damping = damping / 2 if length > before else min(1.0, 1.5 * damping)
         before, start = length, share
         # Never far outside the region: beyond it lie other valleys.

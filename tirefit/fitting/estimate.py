@@ -212,7 +212,7 @@ def fit(
         data: measured data from ``tirefit.read``.
         model: a name of ``tirefit.MODELS``; ``brush`` if nowhere given.
         config: content of ``fit.toml`` as a dict or a ``FitConfig``.
-        solver: ``optimistix`` or ``jaxopt``.
+        solver: ``gauss-newton``, or ``optimistix`` or ``jaxopt`` as a second opinion.
         seed: of the scattered starts and of all sampling.
 
     Returns:

@@ -15,23 +15,31 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 from scipy.special import ndtri, stdtrit
 
 from tirefit.compiled import compiled
 from tirefit.fitting.least_squares import Solution, damped_gauss_newton, solve
-from tirefit.fitting.likelihood import FitProblem, moments, root_deviance
+from tirefit.fitting.likelihood import (
+    FitProblem,
+    Rule,
+    blocks_and_moments,
+    root_deviance,
+)
 
 __all__ = [
     "REACH",
     "Linearised",
+    "Minima",
     "Profile",
     "best_of",
     "covariance",
     "deviance",
+    "deviance_at",
     "half_width_95",
     "inflation",
     "linearise",
+    "minima",
     "profile_all",
     "residuals",
     "solve_starts",
@@ -58,12 +66,89 @@ def residuals(
     return jnp.concatenate(values), jnp.concatenate(weights)
 
 
+def _within_reach(z: Float[Array, " p"]) -> Float[Array, " p"]:
+    """At a bound the bijection runs to infinity, and nothing is left to gain there."""
+    return jnp.clip(z, -REACH, REACH)
+
+
+class Minima(NamedTuple):
+    """Ends of several searches, in order: see :class:`least_squares.Solution`."""
+
+    z: Float[Array, "m p"]
+    cost: Float[Array, " m"]
+    deviance: Float[Array, " m"]
+    converged: Bool[Array, " m"]
+    steps: Int[Array, " m"]
+
+
+jax.export.register_namedtuple_serialization(Minima, serialized_name="tirefit.Minima")
+
+
+@compiled()
+def _minima(problem: FitProblem, starts, index, values, count) -> Minima:
+    """:func:`minima` of the first ``count`` of m searches; the others are not done."""
+
+    def one(k, ends):
+        def held(z):
+            return z.at[index[k]].set(values[k], mode="drop")
+
+        end = damped_gauss_newton(
+            lambda z: residuals(problem, held(z)), starts[k], allowed=_within_reach
+        )
+        z = held(end.z)
+        here = Minima(z, end.cost, deviance(problem, z), end.converged, end.steps)
+        return jax.tree.map(lambda all, new: all.at[k].set(new), ends, here)
+
+    m, nowhere = len(starts), jnp.full(len(starts), jnp.nan)
+    nothing = Minima(
+        jnp.full_like(starts, jnp.nan), nowhere, nowhere, jnp.zeros(m, bool),
+        jnp.zeros(m, int),
+    )  # fmt: skip
+    return jax.lax.fori_loop(0, count, one, nothing)
+
+
+def minima(
+    problem: FitProblem,
+    starts: Float[np.ndarray, "m p"],
+    index: Int[np.ndarray, " m"] | None = None,
+    values: Float[np.ndarray, " m"] | None = None,
+) -> Minima:
+    """Least squares from several starts, one element of each held where it is asked.
+
+    The starts of a fit, its rounds of noise and its profiles are this one program.
+
+    Args:
+        starts: first z of every search.
+        index: element that a search holds; None holds none.
+        values: what it is held at.
+    """
+    count, size = np.shape(starts)
+    index = np.full(count, size) if index is None else index
+    values = np.zeros(count) if values is None else values
+    room, parts = max(8, 2 * size), []
+    for first in range(0, count, room):
+        rows = np.arange(first, min(first + room, count))
+        filled = np.resize(rows, room)
+        ends = _minima(
+            problem, np.asarray(starts)[filled], np.asarray(index)[filled],
+            np.asarray(values)[filled], len(rows),
+        )  # fmt: skip
+        parts.append(jax.tree.map(lambda a, n=len(rows): np.asarray(a)[:n], ends))
+    return jax.tree.map(lambda *all: np.concatenate(all), *parts)
+
+
 @compiled(static=("solver",))
-def solve_starts(
-    problem: FitProblem, starts: Float[Array, "starts p"], solver: str
-) -> Solution:
-    """Least squares from every start."""
+def _library_minima(problem: FitProblem, starts, solver: str) -> Solution:
     return solve(partial(residuals, problem), starts, solver)
+
+
+def solve_starts(
+    problem: FitProblem, starts: Float[np.ndarray, "m p"], solver: str
+) -> Minima | Solution:
+    """Least squares from every start, by the named solver."""
+    if solver == "gauss-newton":
+        return minima(problem, starts)
+    return jax.tree.map(np.asarray, _library_minima(problem, starts, solver))
 
 
 def best_of(solution: Solution) -> int:
@@ -76,17 +161,20 @@ def best_of(solution: Solution) -> int:
     return best if settled[best] <= cost[lowest] * (1 + 1e-6) + 1e-12 else lowest
 
 
+def _of_squares(rule: Rule, squares, library):
+    """Deviance of a block from the sum of its squares."""
+    known = squares / rule.inflation
+    safe = library.where(rule.smallest > 0, rule.smallest, 1.0)
+    estimated = rule.effective * library.log(squares / safe)
+    return library.where(rule.smallest > 0, estimated, known)
+
+
 @compiled()
 def deviance(problem: FitProblem, z: Float[Array, " p"]) -> Float[Array, ""]:
     """-2 log likelihood at z relative to the best fit, priors included."""
     total = jnp.sum(problem.layout.prior_residual(z) ** 2)
     for name, block in root_deviance(problem, z).items():
-        rule = problem.rules[name]
-        squares = jnp.sum(block**2)
-        known = squares / rule.inflation
-        safe = jnp.where(rule.smallest > 0, rule.smallest, 1.0)
-        estimated = rule.effective * jnp.log(squares / safe)
-        total = total + jnp.where(rule.smallest > 0, estimated, known)
+        total = total + _of_squares(problem.rules[name], jnp.sum(block**2), jnp)
     return total
 
 
@@ -112,11 +200,27 @@ jax.export.register_namedtuple_serialization(
 def linearise(problem: FitProblem, z: Float[Array, " p"]) -> Linearised:
     """All that the analysis of an estimate needs of the model, in one program."""
 
-    def blocks(z):
-        return root_deviance(problem, z) | {"prior": problem.layout.prior_residual(z)}
+    def everything(z):
+        values, mean, variance = blocks_and_moments(problem, z)
+        return values | {"prior": problem.layout.prior_residual(z)}, (mean, variance)
 
-    mean, variance = moments(problem, z)
-    return Linearised(blocks(z), jax.jacfwd(blocks)(z), mean, variance)
+    def push(direction):
+        return jax.jvp(everything, (z,), (direction,), has_aux=True)
+
+    # One pass of forward tangents: the model stands in the program once.
+    values, slopes, (mean, variance) = jax.vmap(push, out_axes=(None, -1, None))(
+        jnp.eye(z.size)
+    )
+    return Linearised(values, slopes, mean, variance)
+
+
+def deviance_at(problem: FitProblem, at: Linearised) -> float:
+    """:func:`deviance` where the problem is linearised, on the host."""
+    squares = {name: float(np.sum(np.square(v))) for name, v in at.values.items()}
+    return squares["prior"] + sum(
+        float(_of_squares(rule, squares[name], np))
+        for name, rule in problem.rules.items()
+    )
 
 
 @compiled()
@@ -151,30 +255,6 @@ def covariance(
 def inflation(problem: FitProblem, block: str) -> float:
     """Inflation of a block of :class:`Linearised`; one for the priors."""
     return problem.rules[block].inflation if block in problem.rules else 1.0
-
-
-@compiled()
-def _profile_points(problem: FitProblem, index, values, starts):
-    """Deviance minimised over all but one element.
-
-    Args:
-        index: the element that is held, of every point, shape (m,).
-        values: what it is held at, shape (m,).
-        starts: first z, shape (m, p).
-
-    Returns:
-        deviance (m,) and z (m, p).
-    """
-
-    def one(index, value, start):
-        def held(z):
-            return residuals(problem, z.at[index].set(value))
-
-        end = damped_gauss_newton(held, start, max_steps=60, tolerance=1e-7)
-        z = end.z.at[index].set(value)
-        return deviance(problem, z), z
-
-    return jax.lax.map(lambda a: one(*a), (index, values, starts))
 
 
 class Profile(NamedTuple):
@@ -227,12 +307,14 @@ class _Side:
             d for d, r in zip(self.distances, self.roots, strict=True) if r > self.goal
         ]
         if above:
-            guess = np.interp(self.goal, *self._rising())
-            inner = max(d for d in self.distances if d < min(above))
-            # Interpolation that creeps along one end is pushed into the bracket.
-            return float(
-                np.clip(guess, inner + 0.05 * (min(above) - inner), min(above))
-            )
+            outer = min(above)
+            inner = max(d for d in self.distances if d < outer)
+            # Interpolation that creeps along one end, where the root is all but
+            # straight (next to a bound), is helped by every other step in the middle.
+            last, before = (root > self.goal for root in self.roots[:-3:-1])
+            if last == before:
+                return (inner + outer) / 2
+            return float(np.interp(self.goal, *self._rising()))
         far, root = self.distances[-1], max(self.roots[-1], 1e-3)
         return float(min(far * np.clip(1.02 * self.goal / root, 1.2, 4.0), self.reach))
 
@@ -283,12 +365,12 @@ def profile_all(
         finished = all(side.done for side in sides)
         starts = np.clip(z + follow * distance[:, None], -REACH, REACH)
         values = np.clip(z[index] + signs * distance, -REACH, REACH)
-        least, ends = _profile_points(problem, index, values, starts)
+        ends = minima(problem, starts, index, values)
         if base is None:
-            base = float(np.min(least))
+            base = float(np.min(ends.deviance))
         else:
-            rise = np.nan_to_num(np.asarray(least) - base, nan=1e9, posinf=1e9)
-            follow = (np.asarray(ends) - z) / np.maximum(distance, 1e-9)[:, None]
+            rise = np.nan_to_num(ends.deviance - base, nan=1e9, posinf=1e9)
+            follow = (ends.z - z) / np.maximum(distance, 1e-9)[:, None]
             for side, d, value in zip(sides, distance, rise, strict=True):
                 side.add(d, value)
         if finished:

@@ -1,10 +1,8 @@
-"""Least squares: optimistix, jaxopt as a second opinion, and a batched Gauss-Newton.
+"""Least squares: one Gauss-Newton, with optimistix and jaxopt as second opinions.
 
 The only importer of optimistix and jaxopt. All three minimise the sum of squares of a
-residual function from several starts and return the same record. optimistix's
-Levenberg-Marquardt factorises the Jacobian; ``damped_gauss_newton`` works on the
-normal equations of a handful of parameters, which is several times faster in batches
-(profiles, many data sets).
+residual function and return the same record; :func:`damped_gauss_newton` also serves
+the profiles, the batches of fits and the refits of a diagnosis.
 """
 
 import warnings
@@ -17,9 +15,9 @@ import jax.export
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-__all__ = ["SOLVERS", "Solution", "damped_gauss_newton", "solve"]
+__all__ = ["SOLVERS", "Minimum", "Solution", "damped_gauss_newton", "solve"]
 
-_TOLERANCE = 1e-8
+_TOLERANCE = 1e-9
 _MAX_STEPS = 200
 
 
@@ -47,77 +45,119 @@ Hausman 1974).
 """
 
 
+class Minimum(NamedTuple):
+    """End of :func:`damped_gauss_newton`: z (p,), its sum of squares, and the normal
+    matrix (p, p) there, half the curvature of the sum of squares."""
+
+    z: Float[Array, " p"]
+    cost: Float[Array, ""]
+    normal: Float[Array, "p p"]
+    converged: Bool[Array, ""]
+    steps: Int[Array, ""]
+
+
 class _State(NamedTuple):
-    z: Array
-    cost: Array
-    normal: Array
-    gradient: Array
-    damping: Array
-    step: Array
-    done: Array
+    best: Minimum
+    gradient: Float[Array, " p"]
+    trial: Float[Array, " p"]
+    damping: Float[Array, ""]
+    done: Bool[Array, ""]
 
 
-def _linearise(residual: Residual, z):
-    """Cost, curvature and gradient from one pass of forward tangents."""
-    values, push, weights = jax.linearize(residual, z, has_aux=True)
-    jacobian = jax.vmap(push)(jnp.eye(z.size))
-    weighted = jacobian * weights[None]
-    return values @ values, weighted @ weighted.T, jacobian @ values
+_FIRST_DAMPING = 1e-3
+"""Share of the diagonal added to the normal matrix, before the first trial."""
+
+_DAMPING_FACTOR = 10.0
+"""By which the damping falls after a better trial, and rises after a worse one."""
+
+_LEAST_DAMPING = 1e-9
+"""Below it a step is undamped to rounding; it also keeps a singular matrix solvable."""
+
+_STUCK = 1e9
+"""Damping at which steps are too small to change anything: the search ends."""
+
+_LONGEST_STEP = 3.0
+"""In z a parameter crosses its whole range within ten; longer steps are wild."""
+
+_NO_CURVATURE = 1e-9
+"""Added to the diagonal: an element that no row informs about stays where it is."""
+
+
+def _linearise(residual: Residual, z: Float[Array, " p"]):
+    """Cost, normal matrix and gradient from one pass of forward tangents."""
+
+    def push(direction):
+        return jax.jvp(residual, (z,), (direction,), has_aux=True)
+
+    values, rows, weights = jax.vmap(push, out_axes=(None, 0, None))(jnp.eye(z.size))
+    # Else the compiler works every tangent out anew for each product.
+    values, rows = jax.lax.optimization_barrier((values, rows))
+    weighted = rows * weights[None]
+    return values @ values, weighted @ weighted.T, rows @ values
+
+
+def _anywhere(z: Float[Array, " p"]) -> Float[Array, " p"]:
+    return z
 
 
 def damped_gauss_newton(
-    residual: Residual, start, max_steps: int = _MAX_STEPS, tolerance=_TOLERANCE
-) -> Solution:
-    """Levenberg-Marquardt on the normal equations, for few parameters in batches.
+    residual: Residual,
+    start: Float[Array, " p"],
+    *,
+    allowed: Callable = _anywhere,
+    max_steps: int = _MAX_STEPS,
+    relative: float = _TOLERANCE,
+    absolute: float = _TOLERANCE**2,
+) -> Minimum:
+    """Levenberg-Marquardt on the normal equations of a handful of parameters.
+
+    Beside optimistix's Levenberg-Marquardt, which factorises the Jacobian, because it
+    is faster here at the same minimum. 512 fits of 400 rows, processor time per fit on
+    two shared cores, median costs equal to eight digits for the brush: under vmap (64
+    at once) 34 us against 282 us for the brush and 0.83 ms against 5.7 ms for the
+    Magic Formula; one after the other 53 against 211 us and 0.28 against 0.55 ms. It
+    takes 5 to 6 steps against 14 to 15, and half as long to compile (0.8 to 1.5 s
+    against 1.4 to 3.1 s).
 
     Args:
         residual: residuals and scoring weights; p up to about ten.
-        start: first z, shape (p,).
-        max_steps: limit of trial steps.
-        tolerance: share of the cost that one undamped step could still gain; below it
-            the search ends.
+        start: first z.
+        allowed: takes a trial z to the nearest one that may be tried.
+        max_steps: limit of trials, the start included.
+        relative, absolute: the search ends where one undamped step could change the
+            cost by no more than ``relative * cost + absolute``.
 
-    A trial step is accepted only if its cost is lower, so NaN loses.
+    A trial is accepted only if its cost is lower, so NaN loses. The residuals stand in
+    the loop once, the start being the first trial: half the program to compile.
     """
 
-    def gain(normal, gradient):
-        scale = jnp.maximum(jnp.diagonal(normal), 1e-12)
-        move = jnp.linalg.solve(normal + 1e-9 * jnp.diag(scale), gradient)
-        return gradient @ move
-
-    def small(cost, normal, gradient):
-        return gain(normal, gradient) <= tolerance * (cost + tolerance)
-
-    def trial(state: _State) -> _State:
-        scale = jnp.maximum(jnp.diagonal(state.normal), 1e-12)
-        damped = state.normal + state.damping * jnp.diag(scale)
-        move = -jnp.linalg.solve(damped, state.gradient)
-        # In z a parameter crosses its whole range within ten; longer steps are wild.
-        move = move * jnp.minimum(1.0, 3.0 / jnp.maximum(jnp.max(jnp.abs(move)), 1e-12))
-        z = state.z + move
-        cost, normal, gradient = _linearise(residual, z)
-        keep = partial(jnp.where, cost < state.cost)
-        new = _State(
-            keep(z, state.z),
-            keep(cost, state.cost),
-            keep(normal, state.normal),
-            keep(gradient, state.gradient),
-            keep(state.damping / 8, state.damping * 8),
-            state.step + 1,
-            state.done,
-        )
-        stuck = new.damping > 1e10
-        return new._replace(done=small(new.cost, new.normal, new.gradient) | stuck)
+    def step(state: _State) -> _State:
+        best = state.best
+        cost, normal, gradient = _linearise(residual, state.trial)
+        keep = partial(jnp.where, cost < best.cost)
+        z, cost = keep(state.trial, best.z), keep(cost, best.cost)
+        normal, gradient = keep(normal, best.normal), keep(gradient, state.gradient)
+        damping = keep(state.damping / _DAMPING_FACTOR, state.damping * _DAMPING_FACTOR)
+        damping = jnp.maximum(damping, _LEAST_DAMPING)
+        scale = jnp.diag(jnp.diagonal(normal) + _NO_CURVATURE)
+        whole = -jnp.linalg.solve(normal + _LEAST_DAMPING * scale, gradient)
+        whole = allowed(z + whole) - z
+        change = whole @ (2 * gradient + normal @ whole)
+        settled = jnp.abs(change) <= relative * cost + absolute
+        move = -jnp.linalg.solve(normal + damping * scale, gradient)
+        longest = jnp.maximum(jnp.max(jnp.abs(move)), _LONGEST_STEP)
+        trial = allowed(z + move * (_LONGEST_STEP / longest))
+        done = settled | (damping > _STUCK)
+        best = Minimum(z, cost, normal, done & jnp.isfinite(cost), best.steps + 1)
+        return _State(best, gradient, trial, damping, done)
 
     def going(state: _State):
-        return ~state.done & (state.step < max_steps)
+        return ~state.done & (state.best.steps < max_steps)
 
-    cost, normal, gradient = _linearise(residual, start)
-    state = _State(
-        start, cost, normal, gradient, jnp.array(1e-4), jnp.array(0), jnp.array(False)
-    )
-    end = jax.lax.while_loop(going, trial, state)
-    return Solution(end.z, end.cost, end.done & jnp.isfinite(end.cost), end.step)
+    size, no = start.size, jnp.array(False)
+    nothing = Minimum(start, jnp.array(jnp.inf), jnp.eye(size), no, jnp.array(0))
+    first = _State(nothing, jnp.zeros(size), start, jnp.array(_FIRST_DAMPING), no)
+    return jax.lax.while_loop(going, step, first).best
 
 
 def _ordinary(residual: Residual, start) -> Callable:
@@ -144,7 +184,7 @@ def _optimistix(residual: Residual, start) -> Solution:
     import optimistix as optx
 
     ordinary = _ordinary(residual, start)
-    solver = optx.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE)
+    solver = optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8)
     solution = optx.least_squares(
         lambda z, _: ordinary(z), solver, start, max_steps=_MAX_STEPS, throw=False
     )
@@ -180,10 +220,15 @@ def _jaxopt(residual: Residual, start) -> Solution:
     return Solution(z, cost, converged, state.iter_num)
 
 
+def _gauss_newton(residual: Residual, start) -> Solution:
+    end = damped_gauss_newton(residual, start)
+    return Solution(end.z, end.cost, end.converged, end.steps)
+
+
 SOLVERS = {
+    "gauss-newton": _gauss_newton,
     "optimistix": _optimistix,
     "jaxopt": _jaxopt,
-    "gauss-newton": damped_gauss_newton,
 }
 """Solver name -> (residual, start) -> Solution; each can be vmapped over starts."""
 

@@ -39,6 +39,7 @@ __all__ = [
     "Rows",
     "Rule",
     "SlipNodes",
+    "blocks_and_moments",
     "moments",
     "noise_factor",
     "predict",
@@ -239,6 +240,55 @@ def _at_nodes(problem: FitProblem, z, slip: str) -> dict[str, Float[Array, "n q"
     return jax.vmap(at, in_axes=1, out_axes=1)(rows.nodes[slip].slip)
 
 
+def _channel_forces(problem: FitProblem, z: Float[Array, " p"]) -> dict[str, Array]:
+    """Forces by channel: (n,), or (n, q) at its latent slips where those are laid
+    out."""
+    nodes = problem.rows.nodes
+    plain = [c.name for c in problem.channels if c.slip not in nodes]
+    predicted = predict(problem, z) if plain else {}
+    forces = {name: predicted[name] for name in plain}
+    for slip in nodes:
+        forces |= _at_nodes(problem, z, slip)
+    return forces
+
+
+def _blocks(problem: FitProblem, forces) -> dict[str, Float[Array, " n"]]:
+    """:func:`root_deviance` of known forces."""
+    rows, loss = problem.rows, LOSSES[problem.loss]
+    blocks, squares = {}, {}
+    for channel in problem.channels:
+        name, block = channel.name, problem.block_of(channel)
+        observed, scale = rows.observed[name], rows.scale[name]
+        if block == name:
+            residual = (observed - forces[name]) / scale
+            blocks[name] = rows.weight * _signed_root(loss, residual, problem.loss)
+        else:
+            residual = (observed[:, None] - forces[name]) / scale[:, None]
+            squares[block] = squares.get(block, 0.0) + loss(residual**2)
+    for slip, square in squares.items():
+        log_weight = rows.nodes[slip].log_weight
+        log_most = jax.nn.logsumexp(log_weight, axis=1)
+        log_row = jax.nn.logsumexp(log_weight - square / 2, axis=1)
+        # The floor keeps the slope of the root finite for a perfect row.
+        row_deviance = jnp.maximum(2 * (log_most - log_row), 1e-12)
+        blocks[slip] = rows.weight * jnp.sqrt(row_deviance)
+    return blocks
+
+
+def _moments(problem: FitProblem, forces):
+    """:func:`moments` of known forces."""
+    rows, mean, variance = problem.rows, {}, {}
+    for channel in problem.channels:
+        name, force = channel.name, forces[channel.name]
+        mean[name], variance[name] = force, rows.scale[name] ** 2
+        if channel.slip in rows.nodes:
+            weight = jax.nn.softmax(rows.nodes[channel.slip].log_weight, axis=1)
+            mean[name] = jnp.sum(weight * force, axis=1)
+            spread = jnp.sum(weight * (force - mean[name][:, None]) ** 2, axis=1)
+            variance[name] = variance[name] + spread
+    return mean, variance
+
+
 @compiled()
 def root_deviance(
     problem: FitProblem, z: Float[Array, " p"]
@@ -249,24 +299,7 @@ def root_deviance(
         dict of arrays (n,): one per channel, or one per slip name where that slip has
         noise (its channels share the latent slip). Padding rows are zero.
     """
-    rows, loss = problem.rows, LOSSES[problem.loss]
-    blocks = {}
-    for slip, nodes in rows.nodes.items():
-        squares = sum(
-            loss(((rows.observed[c][:, None] - force) / rows.scale[c][:, None]) ** 2)
-            for c, force in _at_nodes(problem, z, slip).items()
-        )
-        log_most = jax.nn.logsumexp(nodes.log_weight, axis=1)
-        log_row = jax.nn.logsumexp(nodes.log_weight - squares / 2, axis=1)
-        # The floor keeps the slope of the root finite for a perfect row.
-        row_deviance = jnp.maximum(2 * (log_most - log_row), 1e-12)
-        blocks[slip] = rows.weight * jnp.sqrt(row_deviance)
-    plain = [c.name for c in problem.channels if c.slip not in rows.nodes]
-    predicted = predict(problem, z) if plain else {}
-    for name in plain:
-        residual = (rows.observed[name] - predicted[name]) / rows.scale[name]
-        blocks[name] = rows.weight * _signed_root(loss, residual, problem.loss)
-    return blocks
+    return _blocks(problem, _channel_forces(problem, z))
 
 
 @compiled()
@@ -275,19 +308,13 @@ def moments(problem: FitProblem, z: Float[Array, " p"]):
 
     Where the slip has noise, both are over the latent slips of the row.
     """
-    rows, mean, spread = problem.rows, {}, {}
-    for slip, nodes in rows.nodes.items():
-        weight = jax.nn.softmax(nodes.log_weight, axis=1)
-        for name, force in _at_nodes(problem, z, slip).items():
-            mean[name] = jnp.sum(weight * force, axis=1)
-            square = (force - mean[name][:, None]) ** 2
-            spread[name] = jnp.sum(weight * square, axis=1)
-    plain = [c.name for c in problem.channels if c.slip not in rows.nodes]
-    predicted = predict(problem, z) if plain else {}
-    mean |= {name: predicted[name] for name in plain}
-    names = [c.name for c in problem.channels]
-    variance = {name: rows.scale[name] ** 2 + spread.get(name, 0.0) for name in names}
-    return {name: mean[name] for name in names}, variance
+    return _moments(problem, _channel_forces(problem, z))
+
+
+def blocks_and_moments(problem: FitProblem, z: Float[Array, " p"]):
+    """:func:`root_deviance`, and the two of :func:`moments`, of one evaluation."""
+    forces = _channel_forces(problem, z)
+    return _blocks(problem, forces), *_moments(problem, forces)
 
 
 def row_moments(problem: FitProblem, z) -> tuple[dict, dict]:

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from scipy.special import chdtrc
 
@@ -105,10 +104,6 @@ def _bucket(steepness: float) -> float:
     return float(2 ** (np.ceil(2 * np.log2(max(steepness, 1.0))) / 2))
 
 
-def _solve(problem: FitProblem, starts, solver: str):
-    return jax.tree.map(np.asarray, solve_starts(problem, starts, solver))
-
-
 def _scale_updates(problem: FitProblem, z) -> dict[str, float]:
     """Factors that bring the estimated noise scales to the residuals' size."""
     estimated = [c.name for c in problem.channels if c.noise_estimated]
@@ -143,13 +138,13 @@ def _settle_noise(task: FitTask, z, solver: str):
     else:
         rounds = 12 if problem.noise_estimated and several else 0
     for _ in range(rounds):
-        z = _solve(problem, z[None], "gauss-newton").z[0]
+        z = solve_starts(problem, z[None], "gauss-newton").z[0]
         factors = _scale_updates(problem, z)
         if all(abs(np.log(factor)) < 1e-3 for factor in factors.values()):
             break
         problem = with_scale(problem, task.slip_density, factors, slope)
     if rounds:
-        z = _solve(problem, z[None], solver).z[0]
+        z = solve_starts(problem, z[None], solver).z[0]
     return problem, z
 
 
@@ -240,7 +235,7 @@ def _still_to_gain(problem: FitProblem, at: Linearised, z, cov) -> float:
 def solve_problem(task: FitTask, config: FitConfig) -> Solved:
     """Least squares with the noise settled, and the covariance of z."""
     starts = starting_points(task, config.starts, config.seed)
-    solution = _solve(task.problem, starts, config.solver)
+    solution = solve_starts(task.problem, starts, config.solver)
     best = best_of(solution)
     z, converged = solution.z[best], bool(solution.converged[best])
     cost = np.where(np.isfinite(solution.cost), solution.cost, np.inf)

@@ -16,7 +16,6 @@ of physical slips and :math:`v_s = \lambda |\Omega R_e|`. ``tirefit.sim.lugre`` 
 dynamic forms.
 """
 
-import functools
 import math
 
 import jax.numpy as jnp
@@ -46,7 +45,9 @@ def patch_means(x):
     near = x < 1
     small = jnp.where(near, x, 0.0)
     large = jnp.where(near, 1.0, x)
-    second_near = functools.reduce(lambda total, c: total * small + c, _SERIES)
+    second_near = jnp.zeros_like(small)
+    for factor in _SERIES:
+        second_near = second_near * small + factor
     first_far = -jnp.expm1(-large) / large
     first = jnp.where(near, 1 - small * second_near, first_far)
     return first, jnp.where(near, second_near, (1 - first_far) / large)

@@ -88,7 +88,8 @@ class Relaxed(AbstractTire):
         return self.tire.static_friction(fz)
 
     def felt(self, inputs: TireInputs, run) -> TireInputs:
-        step = jnp.diff(inputs.time, prepend=inputs.time[:1])
+        time = jnp.asarray(inputs.time)
+        step = jnp.diff(time, prepend=time[:1])
         # The first row is one of them: it has no step.
         starts = (step <= 0) | (jnp.diff(run, prepend=run[:1]) != 0)
         speed = jnp.abs(inputs.v)

@@ -280,7 +280,9 @@ def _check_one_breakaway(panels: list[_Panel], file: str) -> None:
 def _law(cls, density, kinks: np.ndarray, file: str) -> Tabulated:
     edges = np.unique(np.concatenate([np.linspace(0, np.pi, 9), kinks]))
     panels = _panels(density, edges, file)
-    loads, moments, load, moment = [], [], 0.0, 0.0
+    loads: list[np.ndarray] = []
+    moments: list[np.ndarray] = []
+    load, moment = 0.0, 0.0
     for panel in panels:
         per_angle = panel.values * np.sin(panel.angles)
         half = (panel.high - panel.low) / 2
@@ -350,7 +352,8 @@ def _read(path: Path) -> tuple[list[float], list[float]]:
     except (OSError, UnicodeDecodeError) as error:
         reason = f"cannot read it: {error}"
         raise UsageError(InputProblem(reason, "check the path", str(path))) from None
-    columns, problems = {"xi": [], "density": []}, []
+    columns: dict[str, list[float]] = {"xi": [], "density": []}
+    problems = []
     for row, record in enumerate(rows, start=2):
         for name, column in columns.items():
             try:

@@ -112,11 +112,11 @@ def coefficients(tire: Brush, fz, v=0.0, order: int = 5) -> Float[Array, "k ..."
     if not laws and type(tire.pressure) in (Parabolic, Asymmetric):
         d = getattr(tire.pressure, "d", 0.0)
         return asymmetric_coefficients(tire.cpa2, mu_fz, d, order)
-    linear = len(laws) == 1 and isinstance(laws[0], LinearInSpeed)
-    if linear and type(tire.pressure) is Parabolic:
-        loss = laws[0].n * v / tire.mu
+    law = laws[0] if len(laws) == 1 else None
+    if isinstance(law, LinearInSpeed) and type(tire.pressure) is Parabolic:
+        loss = law.n * v / tire.mu
         return speed_coefficients(
-            tire.cpa2, mu_fz, loss, order, static_too=laws[0].static_too
+            tire.cpa2, mu_fz, loss, order, static_too=law.static_too
         )
     raise ValueError(
         "no Taylor form of this brush: S(38) has constant friction and the asymmetric"

@@ -5,13 +5,12 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.compiled import compiled
 from tirefit.data.levels import levels
-from tirefit.fitting.inference import half_width_95
-from tirefit.fitting.likelihood import CHANNEL_SLIP, row_forces
+from tirefit.fitting.bands import fitted_force, force_band
+from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.result import FitResult
 from tirefit.models import TireInputs
-from tirefit.params import parameter_values, unconstrain, with_values
+from tirefit.params import parameter_values, with_values
 from tirefit.report.numbers import plain_text
 from tirefit.slip import LOCKED, sigma_from_slip_ratio, slip_ratio_from_sigma
 
@@ -19,7 +18,6 @@ __all__ = ["Curve", "FitCurve", "Group", "SlipAxis", "fit_curve", "slip_axis"]
 
 _MOST_GROUPS = 6
 _POINTS = 240
-_DRAWS = 400
 _OTHER = {"sigma_x": "alpha", "alpha": "sigma_x"}
 _FORCE_LABEL = {
     "fx": ("longitudinal force $F_x$", "N", "$F_x / F_z$"),
@@ -152,15 +150,15 @@ def _members(result: FitResult, keys) -> tuple[list[tuple[str, np.ndarray]], str
     if len(combinations) > _MOST_GROUPS:
         chosen = np.linspace(0, len(combinations) - 1, _MOST_GROUPS).astype(int)
         note = f"{_MOST_GROUPS} of {len(combinations)} runs shown"
-    found = []
+    groups = []
     for code in chosen:
         rows = of_row.ravel() == code
         parts = [
             _level_label(name, problem.used(columns[name])[rows], problem.layout.runs)
             for name, _ in keys
         ]
-        found.append((", ".join(parts), rows))
-    return found, note
+        groups.append((", ".join(parts), rows))
+    return groups, note
 
 
 def _value(result: FitResult, name: str, run: int) -> float:
@@ -173,54 +171,6 @@ def _value(result: FitResult, name: str, run: int) -> float:
         if label in result.least_squares:
             return result.least_squares[label].value
     return float(parameter_values(problem.model)[name])
-
-
-@compiled(static=("layout", "channel"))
-def _forces(model, layout, z, inputs, run, channel):
-    """One channel at one z: small, so that a figure waits little for its compiler."""
-    return row_forces(model, layout, z, inputs, run)[channel]
-
-
-def _z_draws(result: FitResult) -> np.ndarray:
-    """Some posterior draws in the unconstrained space, (at most 400, p)."""
-    flat = np.asarray(result.chains).reshape(-1, len(result.labels))
-    flat = flat[np.linspace(0, len(flat) - 1, min(_DRAWS, len(flat))).astype(int)]
-    columns = [
-        np.asarray(unconstrain(jnp.asarray(flat[:, i]), parameter.spec))
-        for i, (_, parameter) in enumerate(result.problem.layout.elements)
-    ]
-    return np.stack(columns, axis=1)
-
-
-def _quantile(result: FitResult) -> float:
-    """Standard deviations to the end of a 95 % interval: Student's t where needed."""
-    return half_width_95(result.problem.noise_estimated, result.statistics.dof)
-
-
-def _band(result: FitResult, channel: str, inputs: TireInputs, run):
-    """(force, low, high) of the fitted curve, each (rows,).
-
-    The band holds the posterior's draws where there are any, else it is linearised in
-    z around the estimate, with the slopes from central differences.
-    """
-    problem, run = result.problem, jnp.asarray(run)
-
-    def at(z):
-        z = jnp.asarray(z)
-        return np.asarray(
-            _forces(problem.model, problem.layout, z, inputs, run, channel)
-        )
-
-    force = at(result.z)
-    if result.chains is not None:
-        draws = np.array([at(z) for z in _z_draws(result)])
-        return force, *np.quantile(draws, [0.025, 0.975], axis=0)
-    steps = np.diag(1e-4 * np.minimum(np.sqrt(np.diag(result.covariance)), 1.0))
-    slope = np.array([at(result.z + step) - at(result.z - step) for step in steps])
-    slope /= 2 * np.diag(steps)[:, None]
-    variance = np.einsum("in,ij,jn->n", slope, result.covariance, slope)
-    half = _quantile(result) * np.sqrt(np.maximum(variance, 0))
-    return force, force - half, force + half
 
 
 def _grid(problem, slip: str, axis: SlipAxis) -> np.ndarray:
@@ -266,7 +216,7 @@ def _carried(result: FitResult, channel: str, members, keys, middle):
         # A time that stands still is a steady state, as that of the curves.
         target_inputs = target_inputs._replace(time=jnp.zeros_like(inputs.time))
     there, here = (
-        problem.used(_forces(problem.model, problem.layout, result.z, at, run, channel))
+        problem.used(fitted_force(result, channel, at, run))
         for at in (target_inputs, inputs)
     )
     shift, scale = there - here, problem.used(problem.rows.scale[channel])
@@ -296,53 +246,19 @@ def _curves(result: FitResult, channel, members, axis: SlipAxis, normalise, midd
     }
     run = [int(runs[rows][0]) for _, rows in members]
     inputs = TireInputs(**{k: jnp.asarray(v) for k, v in columns.items()})
-    force, low, high = _band(result, channel, inputs, np.repeat(run, len(grid)))
-    slope = _noisy_slope(result, channel, inputs, np.repeat(run, len(grid)), force)
-    found = []
-    for i, (label, rows) in enumerate(members):
-        part = slice(i * len(grid), (i + 1) * len(grid))
-        unit = middle[i]["fz"] if normalise else 1.0
-        noise_half = _quantile(result) * _noise(result, channel, rows, slope[part])
-        # Noise and parameter uncertainty are independent: half-widths add in square.
-        below = np.hypot(force[part] - low[part], noise_half)
-        above = np.hypot(high[part] - force[part], noise_half)
-        limit = _limit(result, channel, run[i], middle[i]["fz"])
-        found.append(
-            Curve(
-                label, shown, force[part] / unit, low[part] / unit, high[part] / unit,
-                (force[part] - below) / unit, (force[part] + above) / unit,
-                None if limit is None else limit / unit,
-            )
-        )  # fmt: skip
-    return tuple(found)
-
-
-def _noisy_slip(result: FitResult, channel: str) -> str | None:
-    """The slip whose noise counts in a force; None if it is taken as exact."""
-    slip = next(c.slip for c in result.problem.channels if c.name == channel)
-    return slip if slip in result.problem.slip_noise else None
-
-
-def _noisy_slope(result: FitResult, channel: str, inputs: TireInputs, run, force):
-    """Slope of the force over its noisy slip, (rows,); zero where that is exact."""
-    name = _noisy_slip(result, channel)
-    if name is None:
-        return np.zeros(len(force))
-    slip, problem = getattr(inputs, name), result.problem
-    step = 1e-6 * (1 + jnp.abs(slip))
-    moved = inputs._replace(**{name: slip + step})
-    after = _forces(
-        problem.model, problem.layout, result.z, moved, jnp.asarray(run), channel
+    scale = problem.used(problem.rows.scale[channel])
+    noise = [float(np.median(scale[rows])) for _, rows in members]
+    band = force_band(
+        result, channel, inputs, np.repeat(run, len(grid)), np.repeat(noise, len(grid))
     )
-    return (np.asarray(after) - force) / np.asarray(step)
-
-
-def _noise(result: FitResult, channel: str, rows, slope) -> np.ndarray:
-    """Standard deviation of a measurement along a curve, slip noise included, (m,)."""
-    problem, name = result.problem, _noisy_slip(result, channel)
-    scale = float(np.median(problem.used(problem.rows.scale[channel])[rows]))
-    std = 0.0 if name is None else float(np.median(problem.slip_noise[name]))
-    return np.hypot(scale, slope * std)
+    curves = []
+    for i, (label, _) in enumerate(members):
+        unit = middle[i]["fz"] if normalise else 1.0
+        part = (x[i * len(grid) : (i + 1) * len(grid)] / unit for x in band)
+        limit = _limit(result, channel, run[i], middle[i]["fz"])
+        limit = None if limit is None else limit / unit
+        curves.append(Curve(label, shown, *part, limit))
+    return tuple(curves)
 
 
 def _limit_name(result: FitResult) -> str | None:

@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from tirefit.diagnosis.result import Diagnosis
+from tirefit.diagnosis.views import Comparison, LoadCurve, ResidualMap
 from tirefit.report.canvas import (
     BLUE,
     COLORS,
@@ -21,17 +22,16 @@ from tirefit.report.canvas import (
     save_picture,
     tidy,
 )
+from tirefit.report.curves import SlipAxis, slip_axis
 from tirefit.report.diagnosis_panels import (
     Bar,
     ClosureBar,
-    Comparison,
-    LoadCurve,
-    WhereMap,
+    after_label,
     closure_bars,
-    comparison,
+    covariate_label,
     evidence_bars,
-    mean_load,
-    where_map,
+    level_labels,
+    load_label,
 )
 from tirefit.report.diagnosis_text import verdict_sentence
 from tirefit.report.diagnosis_words import share_text
@@ -56,7 +56,7 @@ _BAR = {
 }  # fmt: skip
 
 
-def draw_where(figure, panel: WhereMap) -> None:
+def draw_where(figure, panel: ResidualMap) -> None:
     """Mean residuals in cells, a dot where they are beyond the noise."""
     axes = figure.subplots()
     rows, columns = panel.mean.shape
@@ -79,8 +79,8 @@ def draw_where(figure, panel: WhereMap) -> None:
                 va="center", fontsize=7, **style,
             )  # fmt: skip
     tidy(axes, "slip / slip of full sliding")
-    axes.set_ylabel(panel.y_label, fontsize=8.5, color=DARK)
-    axes.set_yticks(range(rows), panel.labels)
+    axes.set_ylabel(covariate_label(panel), fontsize=8.5, color=DARK)
+    axes.set_yticks(range(rows), level_labels(panel))
     bar = figure.colorbar(image, ax=axes, pad=0.02, aspect=30)
     bar.ax.tick_params(labelsize=7.5, length=3)
     bar.set_label("% of $F_z$", fontsize=8)
@@ -124,16 +124,23 @@ def draw_evidence(figure, bars: list[Bar]) -> None:
     _title(axes, "Which: explanations of the gap", "blue: the verdict")
 
 
-def draw_comparison(figure, panel: Comparison) -> None:
-    """Both fits over the data, above their residuals."""
+def draw_comparison(figure, panel: Comparison, after: str) -> None:
+    """Both fits over the data, above their residuals.
+
+    Args:
+        after: what the second fit is called.
+    """
     top, bottom = figure.subplots(2, 1, height_ratios=(2.1, 1))
+    slips = np.concatenate([curve.slip for curve in panel.curves])
+    axis = slip_axis(panel.slip_name, slips)
     for i, curve in enumerate(panel.curves):
-        _draw_load(top, curve, COLORS[i % len(COLORS)])
-    axis = f"{panel.axis.label} [{panel.axis.unit}]"
-    tidy(top, axis, _FORCE[panel.channel])
+        _draw_load(top, curve, axis, COLORS[i % len(COLORS)])
+    tidy(top, f"{axis.label} [{axis.unit}]", _FORCE[panel.channel])
     handles = [
-        Line2D([], [], ls="none", marker="o", ms=3, color=COLORS[i], label=curve.label)
-        for i, curve in enumerate(panel.curves)
+        Line2D(
+            [], [], ls="none", marker="o", ms=3, color=color, label=load_label(curve)
+        )
+        for curve, color in zip(panel.curves, COLORS, strict=False)
     ]
     handles += [
         Line2D([], [], color=GREY, lw=1.2, ls=(0, (4, 2)), label="base"),
@@ -144,7 +151,7 @@ def draw_comparison(figure, panel: Comparison) -> None:
         handles=handles, fontsize=7, frameon=False, loc="upper left",
         bbox_to_anchor=(1.0, 1.02),
     )  # fmt: skip
-    _title(top, "Before and after", f"after: {panel.after_label}")
+    _title(top, "Before and after", f"after: {after}")
     bottom.plot(
         panel.center, panel.before, color=DARK, ls=(0, (4, 2)), marker="o", ms=2.5,
         lw=1.2, label="base",
@@ -159,18 +166,17 @@ def draw_comparison(figure, panel: Comparison) -> None:
     )
 
 
-def _draw_load(axes, curve: LoadCurve, color: str) -> None:
+def _draw_load(axes, curve: LoadCurve, axis: SlipAxis, color: str) -> None:
+    center = axis.shown(curve.center)
     axes.plot(
-        curve.slip, curve.force, ls="none", marker="o", ms=1.8, markeredgewidth=0,
-        alpha=0.4, color=color, rasterized=True, zorder=2,
+        axis.shown(curve.slip), curve.force, ls="none", marker="o", ms=1.8,
+        markeredgewidth=0, alpha=0.4, color=color, rasterized=True, zorder=2,
     )  # fmt: skip
     axes.fill_between(
-        curve.center, curve.low, curve.high, color=color, alpha=0.3, lw=0, zorder=1
+        center, curve.low, curve.high, color=color, alpha=0.3, lw=0, zorder=1
     )
-    axes.plot(
-        curve.center, curve.base, color=color, lw=1.2, ls=(0, (4, 2)), zorder=3
-    )  # fmt: skip
-    axes.plot(curve.center, curve.extended, color=color, lw=1.4, zorder=4)
+    axes.plot(center, curve.base, color=color, lw=1.2, ls=(0, (4, 2)), zorder=3)
+    axes.plot(center, curve.extended, color=color, lw=1.4, zorder=4)
 
 
 def draw_closure(figure, bars: list[ClosureBar], load: float) -> None:
@@ -224,22 +230,24 @@ def _closure_text(bar: ClosureBar) -> str:
 def _panels(result: Diagnosis) -> dict[str, Callable]:
     """Name -> what draws that panel on a figure."""
     return {
-        "where": partial(draw_where, panel=where_map(result)),
+        "where": partial(draw_where, panel=result.residual_map),
         "which": partial(draw_evidence, bars=evidence_bars(result)),
-        "before and after": partial(draw_comparison, panel=comparison(result)),
+        "before and after": partial(
+            draw_comparison, panel=result.comparison, after=after_label(result)
+        ),
         "how far": partial(
-            draw_closure, bars=closure_bars(result), load=mean_load(result)
+            draw_closure, bars=closure_bars(result), load=result.mean_load
         ),
     }
 
 
 def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
     """Each panel as a picture of its own: on a phone they stand below each other."""
-    found = {}
+    pictures = {}
     for name, draw in _panels(result).items():
-        found[name] = Picture(figsize=_PANEL, layout="constrained")
-        draw(found[name])
-    return found
+        pictures[name] = Picture(figsize=_PANEL, layout="constrained")
+        draw(pictures[name])
+    return pictures
 
 
 def diagnosis_figure(result: Diagnosis) -> Picture:
@@ -249,18 +257,17 @@ def diagnosis_figure(result: Diagnosis) -> Picture:
     cells = body.subfigures(2, 2).ravel()
     for cell, draw in zip(cells, _panels(result).values(), strict=True):
         draw(cell)
-    content, data = result.content, result["data"]
     head.text(
-        0.01, 0.95, plain_text(f"{data['name']} against {content['model']}"),
+        0.01, 0.95, plain_text(f"{result.data.name} against {result.model}"),
         va="top", fontsize=12, fontweight="bold", color=DARK,
     )  # fmt: skip
     sentence = textwrap.fill(
-        verdict_sentence(content), 150, max_lines=2, placeholder=" …"
+        verdict_sentence(result), 150, max_lines=2, placeholder=" …"
     )
     head.text(0.01, 0.42, plain_text(sentence), va="top", fontsize=9, color=DARK)
     head.text(
-        0.99, 0.95, f"tirefit {content['version']} · braking positive, SI · seed"
-        f" {content['seed']} · {format_number(content['n'])} rows",
+        0.99, 0.95, f"tirefit {result.version} · braking positive, SI · seed"
+        f" {result.seed} · {format_number(result.n)} rows",
         va="top", ha="right", fontsize=7, color=GREY,
     )  # fmt: skip
     return picture

@@ -1,15 +1,15 @@
 """Effects, covariates and needs of a diagnosis in words, and what to do about them."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from tirefit.data.table import CANONICAL
-from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, effects_by_id
+from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
+from tirefit.diagnosis.records import Candidate, Region, Untestable
 from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
     "covariate_text",
-    "names_an_effect",
     "needs_text",
     "p_text",
     "parameter_text",
@@ -52,21 +52,15 @@ _NAMED_VALUES = {
 }
 
 
-_NOISE = effects_by_id(NOISE_EFFECTS)
-_KNOWN = effects_by_id(EFFECTS) | _NOISE
+def words_on(effect: str, library: Sequence[Effect] = ()) -> tuple[str, str]:
+    """What an effect means and what to do about it; empty where nobody says.
 
-
-def words_on(effect: str) -> tuple[str, str]:
-    """What an effect means and what to do about it; empty for one that is not in the
-    library."""
-    record = _KNOWN.get(effect)
+    Args:
+        effect: its id.
+        library: effects that were looked for, a user's own among them.
+    """
+    record = effects_by_id((*EFFECTS, *NOISE_EFFECTS, *library)).get(effect)
     return (record.means, record.remedy) if record else ("", "")
-
-
-def names_an_effect(verdict: Mapping) -> bool:
-    """Whether a verdict names effects on the mean force."""
-    effects = [e for e in verdict["effects"] if e not in _NOISE]
-    return bool(effects) and effects != ["unknown"]
 
 
 def needs_text(needs: Sequence[str]) -> str:
@@ -74,11 +68,11 @@ def needs_text(needs: Sequence[str]) -> str:
     return ", ".join(_NEEDS.get(need, need) for need in needs)
 
 
-def untestable_groups(untestable: Sequence[Mapping]) -> list[tuple[str, str]]:
+def untestable_groups(untestable: Sequence[Untestable]) -> list[tuple[str, str]]:
     """(what is needed, effects that need it), both in words."""
     groups: dict[str, list[str]] = {}
     for item in untestable:
-        groups.setdefault(needs_text(item["needs"]), []).append(item["effect"])
+        groups.setdefault(needs_text(item.needs), []).append(item.effect)
     return [(needs, ", ".join(effects)) for needs, effects in groups.items()]
 
 
@@ -87,9 +81,9 @@ def covariate_text(name: str) -> str:
     return _COVARIATES.get(name, name)
 
 
-def range_text(region: Mapping) -> str:
+def range_text(region: Region) -> str:
     """Where a region of ``where`` lies: one value, or from - to, with its unit."""
-    name, low, high = region["covariate"], region["low"], region["high"]
+    name, low, high = region.covariate, region.low, region.high
     if name in _NAMED_VALUES:
         return _NAMED_VALUES[name][round(low)]
     unit = CANONICAL.get(name, ("", ""))[0]
@@ -104,16 +98,16 @@ def _end(value: float, largest: float) -> str:
     return format_number(0.0 if abs(value) < 5e-4 * abs(largest) else value, 3)
 
 
-def parameter_text(candidate: Mapping) -> str:
+def parameter_text(candidate: Candidate) -> str:
     """Amplitudes of a candidate: ``name = value ± std unit``, named by effect where
     there are several."""
-    several = len(candidate["parameters"]) > 1
+    several = len(candidate.parameters) > 1
     parts = []
-    for name, found in candidate["parameters"].items():
+    for name, amplitude in candidate.parameters.items():
         effect, _, parameter = name.partition(": ")
-        unit = "" if found["unit"] in ("", "-") else f" {found['unit']}"
+        unit = "" if amplitude.unit in ("", "-") else f" {amplitude.unit}"
         label = f"{effect}: {parameter}" if several else parameter
-        value = format_estimate(found["value"], found["std"])
+        value = format_estimate(amplitude.value, amplitude.std)
         parts.append(f"{label} = {value}{unit}")
     return "; ".join(parts)
 

@@ -67,6 +67,9 @@ def draw_joint(axes, corner: Corner, i: int, j: int) -> None:
 
 def corner_figure(result: FitResult) -> Picture:
     """Every parameter, and every pair of them."""
+    # Not by the corner library (2.3 was tried): its turned numbers run into labels and
+    # footnote, its lines of the estimate cover the regions, a column that is constant
+    # is refused, and it imports pyplot, with 2 s and figures in global lists.
     corner = corner_data(result)
     count = len(corner.labels)
     picture, (bottom, top) = frame(result, min(2.2 + 1.15 * count, 10.5))

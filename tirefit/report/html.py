@@ -1,9 +1,10 @@
 """Fits and data as self-contained fragments of HTML for notebooks."""
 
 import base64
-import html
-from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
 
+import jinja2
 import numpy as np
 
 from tirefit.data.table import CANONICAL, TireData
@@ -11,36 +12,29 @@ from tirefit.fitting.result import FitResult
 from tirefit.report.numbers import format_interval, format_number
 from tirefit.report.text import note_on, value_text, verdict_line
 
-__all__ = ["data_fragment", "fit_fragment", "html_table"]
+__all__ = ["data_fragment", "fit_fragment", "png_text", "rendered"]
 
-# Colours that hold on white and on black: the text's own, and translucent lines.
-_CELL = "padding:2px 10px;text-align:left;border-bottom:1px solid rgba(128,128,128,.3)"
-_TABLE = "border-collapse:collapse;margin:4px 0;color:inherit;background:transparent"
 _MARK = {True: "#009E73", False: "#D55E00"}
 
 
-def html_table(rows: Sequence[Sequence[str]]) -> str:
-    """A small table; the first row is its header. Every cell is escaped."""
-    lines = []
-    for i, row in enumerate(rows):
-        tag = "th" if i == 0 else "td"
-        cells = "".join(
-            f'<{tag} style="{_CELL}">{html.escape(str(cell))}</{tag}>' for cell in row
-        )
-        lines.append(f'<tr style="background:transparent">{cells}</tr>')
-    return f'<table style="{_TABLE}">{"".join(lines)}</table>'
+@cache
+def _templates() -> jinja2.Environment:
+    """The templates of this room. Every value is escaped, and each must be there."""
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True, keep_trailing_newline=False,
+    )  # fmt: skip
 
 
-def _verdict(result: FitResult) -> str:
-    ok = result.verdict.get("status") == "ok"
-    sentences = result.verdict.get("sentences", [])
-    rest = sentences if ok else sentences[1:]
-    items = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in rest)
-    more = f'<ul style="margin:2px 0">{items}</ul>' if items else ""
-    return (
-        f'<div style="border-left:4px solid {_MARK[ok]};padding:2px 8px;margin:4px 0">'
-        f"<b>Verdict</b> {html.escape(verdict_line(result))}{more}</div>"
-    )
+def rendered(template: str, **values) -> str:
+    """A template of ``tirefit/report/templates`` with its values put in, escaped."""
+    return _templates().get_template(template).render(values)
+
+
+def png_text(picture) -> str:
+    """A picture as the text of a data URL."""
+    return base64.b64encode(picture._repr_png_()).decode("ascii")
 
 
 def _figure(result: FitResult) -> str:
@@ -50,11 +44,7 @@ def _figure(result: FitResult) -> str:
 
     picture = fit_figure(result)
     picture.set_dpi(90)
-    text = base64.b64encode(picture._repr_png_()).decode("ascii")
-    return (
-        f'<img alt="measured points and fitted curve" style="max-width:100%;'
-        f'border-radius:4px" src="data:image/png;base64,{text}">'
-    )
+    return png_text(picture)
 
 
 def fit_fragment(result: FitResult) -> str:
@@ -67,13 +57,20 @@ def fit_fragment(result: FitResult) -> str:
                 format_interval(estimate.ci95, estimate.std), note_on(result, name),
             )
         )  # fmt: skip
-    head = (
-        f"<b>{html.escape(result.model)}</b> fitted to"
-        f" {html.escape(result.data['file'])}, {result.statistics.n} rows;"
-        f" {result.source}"
+    ok = result.verdict.get("status") == "ok"
+    sentences = result.verdict.get("sentences", [])
+    return rendered(
+        "fit_fragment.html",
+        model=result.model,
+        file=result.data["file"],
+        n=result.statistics.n,
+        source=result.source,
+        rows=rows,
+        color=_MARK[ok],
+        verdict=verdict_line(result),
+        sentences=sentences if ok else sentences[1:],
+        png=_figure(result),
     )
-    parts = (head, html_table(rows), _verdict(result), _figure(result))
-    return f"<div>{''.join(parts)}</div>"
 
 
 def _range_row(data: TireData, name: str) -> tuple[str, ...]:
@@ -90,16 +87,18 @@ def _range_row(data: TireData, name: str) -> tuple[str, ...]:
 
 def data_fragment(data: TireData) -> str:
     """Columns with their ranges over the used rows, and what was assumed."""
-    source = data.source
-    masked = len(data) - data.n
-    head = f"<b>{html.escape(source.path or data.name)}</b>: {data.n} rows"
+    source, masked = data.source, len(data) - data.n
+    used = f"{data.n} rows"
     if masked:
-        head += f" ({masked} more masked)"
+        used += f" ({masked} more masked)"
     if len(data.runs) > 1:
-        head += f", {len(data.runs)} runs"
+        used += f", {len(data.runs)} runs"
     rows = [("column", "in the file", "unit", "min", "median", "max")]
     rows += [_range_row(data, name) for name in data.columns]
-    notes = [*source.notes, *(str(problem) for problem in source.masked[:5])]
-    items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
-    more = f'<ul style="margin:2px 0">{items}</ul>' if items else ""
-    return f"<div>{head}{html_table(rows)}{more}</div>"
+    return rendered(
+        "data_fragment.html",
+        name=source.path or data.name,
+        rows_used=used,
+        rows=rows,
+        notes=[*source.notes, *(str(problem) for problem in source.masked[:5])],
+    )

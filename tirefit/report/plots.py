@@ -1,6 +1,5 @@
 """Figures and comparisons for notebooks and scripts."""
 
-import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -92,10 +91,9 @@ class Comparison:
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
     def _repr_html_(self) -> str:
-        from tirefit.report.html import html_table
+        from tirefit.report.html import rendered
 
-        notes = "".join(f"<div>{html.escape(note)}</div>" for note in self.notes)
-        return html_table(self.rows) + notes
+        return rendered("table_fragment.html", rows=self.rows, notes=self.notes)
 
 
 def _comparable(results: Sequence[FitResult]) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
@@ -82,8 +83,12 @@ class MFTire(AbstractTire):
         pressure = jnp.where(own, inputs.pressure, nominal.INFLPRES)
         sliding = inputs.v * resultant(kappa, tan_alpha) / nominal.LONGVL
         fall = 1 / (1 + scale.LMUV * sliding)
-        friction = (scale.LMUX * fall, scale.LMUY * fall)
+        friction_x, friction_y = scale.LMUX * fall, scale.LMUY * fall
         digression = 1.0 if is_52 else _DIGRESSION
+
+        def shift(friction):
+            return digression * friction / (1 + (digression - 1) * friction)
+
         return Point(
             kappa,
             tan_alpha if self.starred else inputs.alpha,
@@ -93,8 +98,10 @@ class MFTire(AbstractTire):
             fz,
             (fz - fz0) / fz0,
             (pressure - nominal.NOMPRES) / nominal.NOMPRES,
-            *friction,
-            *(digression * mu / (1 + (digression - 1) * mu) for mu in friction),
+            friction_x,
+            friction_y,
+            shift(friction_x),
+            shift(friction_y),
             camber_stiffness=not is_52,
         )
 
@@ -110,8 +117,10 @@ class Mirrored(AbstractTire):
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         mirrored = inputs._replace(alpha=-inputs.alpha, gamma=-inputs.gamma)
-        fx, fy, mz = self.tire(mirrored)
-        return TireForces(fx, -fy, -mz)
+        forces = self.tire(mirrored)
+        # None, where the tire gives no such force, stays None.
+        fy, mz = jax.tree.map(jnp.negative, (forces.fy, forces.mz))
+        return TireForces(forces.fx, fy, mz)
 
 
 def mf_tire(

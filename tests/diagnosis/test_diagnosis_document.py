@@ -1,0 +1,215 @@
+"""The document of a diagnosis: its keys, and that it always says what to measure."""
+
+import json
+from dataclasses import fields, is_dataclass, replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from conftest_diagnosis import TRUTHS, brush, record
+
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.effects import EFFECTS
+from tirefit.diagnosis.engine import _studied, diagnose
+from tirefit.diagnosis.forecast import _MOMENT, _with_moment, next_measurements
+from tirefit.diagnosis.result import Diagnosis
+from tirefit.diagnosis.rig import Rig
+from tirefit.diagnosis.rows import prepare
+from tirefit.models import Asymmetric, Brush, TireInputs
+
+GAP = ["rms", "resolvable", "closed", "closed_ci", "remaining_rms"]
+KEYS = {
+    "": [
+        "schema", "data", "model", "n", "n_effective", "noise", "gap", "where", "map",
+        "verdict", "candidates", "untestable", "resolution", "forecast",
+        "next_measurement", "next_measurement_reason", "slip_check", "base_parameters",
+        "extended_parameters", "settings", "seed", "version",
+    ],
+    "data": ["name", "path", "sha256", "convention", "channels", "assumptions"],
+    "noise": [
+        "fx", "sigma_x", "sigma_x_source", "source", "flags", "inflation", "outliers"
+    ],
+    "gap": [*GAP, "p_value", "channels", "holdout", "shares"],
+    "gap channels fx": GAP,
+    "gap holdout": [*GAP, "on"],
+    "where 0": ["covariate", "low", "high", "share", "p_value"],
+    "map 0": ["parameter", "covariate", "log_evidence", "explains"],
+    "verdict": ["status", "effects", "probability", "also_possible"],
+    "candidates 0": [
+        "effects", "family", "probability", "parameters", "z", "z_given_rivals",
+        "closed", "closed_ci",
+    ],
+    "candidates 0 parameters": ["slip_offset: amplitude"],
+    "candidates 0 parameters slip_offset: amplitude": ["value", "std", "unit"],
+    "untestable 0": ["effect", "needs"],
+    "resolution": [
+        "smallest unlisted remainder that would have been seen", "smallest_effects"
+    ],
+    "forecast 0": [
+        "effect", "amplitude", "unit", "seen", "recognised", "taken_for"
+    ],
+    "settings": ["rig", "effects", "holdout"],
+}  # fmt: skip
+"""Path to a record of ``NAME.json`` -> its keys, in order."""
+
+
+def at(document, path):
+    """What stands at a path, whose steps are separated by a space before the last."""
+    steps = path.split(" ", 3) if path else []
+    for step in steps:
+        document = document[int(step) if step.isdigit() else step]
+    return document
+
+
+@pytest.mark.parametrize("path", KEYS)
+def test_keys_of_the_document_stay(diagnosed, path):
+    document = json.loads(diagnosed("slip_offset")[0].to_json())
+    assert list(at(document, path)) == KEYS[path]
+
+
+def test_every_record_is_written_as_it_is_read(diagnosed):
+    found, _ = diagnosed("slip_offset")
+    document = json.loads(found.to_json())
+    assert document["verdict"]["probability"] == found.verdict.probability
+    assert document["gap"]["holdout"]["closed"] == found.gap.holdout.closed
+    assert document["where"][2]["share"] == found.where[2].share
+    assert [c["effects"] for c in document["candidates"]] == [
+        list(c.effects) for c in found.candidates
+    ]
+    written = {f.name for f in fields(Diagnosis) if f.metadata.get("written", True)}
+    assert written | {"schema"} == set(document)
+    assert all(not isinstance(getattr(found, name), dict) or name.endswith("parameters")
+               for name in written)  # fmt: skip
+    assert is_dataclass(found.gap)
+    lost = replace(found, n_effective=np.float64("nan"), seed=np.int64(3))
+    assert json.loads(lost.to_json())["n_effective"] is None
+
+
+def sweep(loads, slips, seed=0, channel="fx", noise=0.01):
+    """A brush with skewed forces on one sweep a load: a frame without time."""
+    generator = np.random.default_rng(seed)
+    slip, fz = np.tile(slips, len(loads)), np.repeat(loads, len(slips))
+    force = brush(slip + 0.004, 5e4, 0.9, fz)
+    force = force + noise * fz * generator.standard_normal(len(fz))
+    column = {"alpha": np.arctan(slip)} if channel == "fy" else {"sigma_x": slip}
+    return {**column, channel: force, "fz": fz}
+
+
+def rich():
+    return record(TRUTHS["slip_offset"], seed=3)[0]
+
+
+DESIGNS = {
+    "one load, one sign": lambda: sweep([4e3], np.linspace(0.004, 0.2, 120)),
+    "two loads, both signs": lambda: sweep([2e3, 5e3], np.linspace(-0.2, 0.2, 60)),
+    "lateral, no M_z": lambda: sweep(
+        [2e3, 5e3], np.linspace(-0.2, 0.2, 60), channel="fy"
+    ),
+    "sweeps at three loads and two speeds": rich,
+}
+
+
+@pytest.fixture(scope="module")
+def studied():
+    """The search on the rows of a design."""
+    known = {}
+
+    def study(design):
+        if design not in known:
+            data = read_frame(DESIGNS[design](), design)
+            rows = prepare(data, Rig(), ("fx", "fy", "mz"))
+            generator = np.random.default_rng(0)
+            known[design] = _studied(rows, "brush", Rig(), EFFECTS, (), generator)
+        return known[design]
+
+    return study
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+def test_what_cannot_be_told_has_a_next_measurement_or_a_reason(studied, design):
+    """Pairs of effects, as if the verdict could not tell them."""
+    case = studied(design)
+    ids = dict.fromkeys(case.base.atoms[k].effect.id for k in case.search.testable)
+    told, alone = 0, 0
+    pairs = list(combinations(ids, 2))[::7]
+    for one, other in pairs:
+        verdict = replace(
+            case.verdict, status="cannot_tell", effects=(one,), also_possible=(other,)
+        )
+        steps, reason = next_measurements(case.base, case.search, case.weighed, verdict)
+        assert (reason is None) == bool(steps)
+        for step in steps:
+            assert 0 <= step.p_now < step.p_after <= 1
+            assert set(step.separates) <= set(ids)
+        told += bool(steps)
+        alone += reason is not None and one in reason and other in reason
+    assert told + alone == len(pairs) > 2
+    assert told > 0
+
+
+def test_one_load_and_one_sign_ask_for_the_other_sign_or_load():
+    data = read_frame(sweep([4e3], np.linspace(0.004, 0.2, 120)), "one sign")
+    found = diagnose(data, rig=Rig(noise={"fx_relative": 0.01}))
+    assert found.verdict.status == "cannot_tell"
+    assert {"slip_offset", "force_offset"} <= {
+        *found.effects, *found.verdict.also_possible
+    }  # fmt: skip
+    first = found.next_measurement[0]
+    assert set(first.separates) == {"slip_offset", "force_offset"}
+    assert first.p_now < 0.6 and first.p_after > 0.9
+    adds = {step.add for step in found.next_measurement}
+    assert any("opposite sign" in add or "more loads" in add for add in adds)
+
+
+def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
+    """Tangents of M_z by the pressure's skewness, against the model's own M_z."""
+    base = studied("lateral, no M_z").base
+    block = _with_moment(base, base.z)
+    n = base.prepared.n
+    (k,) = (i for i, a in enumerate(base.atoms) if a.effect.id == "pressure_asymmetry")
+    values = base.layout.natural(base.z)
+    slips, loads = base.prepared.slip, base.prepared.inputs.fz
+
+    def moment(d):
+        tire = Brush(
+            cpa2=float(values["cpa2"]), mu=float(values["mu"]), pressure=Asymmetric(d)
+        )
+        return np.array(
+            [
+                float(tire(TireInputs(0.0, np.arctan(slip), fz, 10.0)).mz)
+                for slip, fz in zip(slips, loads, strict=True)
+            ]
+        )  # fmt: skip
+
+    slope = (moment(1e-4) - moment(-1e-4)) / 2e-4
+    ours = block.columns[n : 2 * n, k]
+    # Each load has noise of its own: the ratio is one number a load.
+    for fz in (2e3, 5e3):
+        rows = loads == fz
+        ratio = ours[rows] @ slope[rows] / (slope[rows] @ slope[rows])
+        assert ratio > 0
+        np.testing.assert_allclose(
+            ours[rows], ratio * slope[rows], atol=2e-3 * np.abs(ours).max()
+        )
+
+
+def test_the_moment_is_forecast_by_the_rows_not_promised(studied):
+    case = studied("lateral, no M_z")
+    verdict = replace(
+        case.verdict, status="cannot_tell", effects=("pressure_asymmetry",),
+        also_possible=("carcass_flexibility",),
+    )  # fmt: skip
+
+    def chances(base):
+        search = replace(case.search, base=base)
+        steps, _ = next_measurements(base, search, case.weighed, verdict, most=99)
+        return {
+            step.separates[1]: step.p_after for step in steps if step.add == _MOMENT
+        }
+
+    sure = chances(case.base)["carcass_flexibility"]
+    scale = {c: 4 * v for c, v in case.base.design.scale.items()}
+    noisy = case.base.on(case.base.design._replace(scale=scale))
+    unsure = chances(noisy).get("carcass_flexibility", 0.5)
+    assert 0.5 <= unsure < sure <= 1
+    assert sure != 0.99

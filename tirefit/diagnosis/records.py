@@ -1,0 +1,230 @@
+"""What a diagnosis says, as records; their fields are the keys of ``NAME.json``.
+
+Forces in N, moments in N m, slips without unit, angles in rad; ids of effects are those
+of :data:`tirefit.diagnosis.effects.EFFECTS`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from tirefit.diagnosis.effects import NOISE_EFFECTS
+from tirefit.diagnosis.rig import Rig
+
+__all__ = [
+    "Amplitude",
+    "Candidate",
+    "Cell",
+    "DataSummary",
+    "Forecast",
+    "Gap",
+    "HeldOut",
+    "NextMeasurement",
+    "NoiseSummary",
+    "Region",
+    "Resolution",
+    "Settings",
+    "Shrinkage",
+    "Untestable",
+    "VerdictSummary",
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataSummary:
+    """The file: its name, where it lies, how it was read."""
+
+    name: str
+    path: str
+    sha256: str
+    convention: str
+    channels: tuple[str, ...]
+    assumptions: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseSummary:
+    """Noise of the forces (median over the rows) and of the slip, standard deviations.
+
+    ``flags`` say what is wrong with the noise, ``inflation`` how many rows count as one
+    that is independent, ``outliers`` how many rows were set aside.
+    """
+
+    forces: Mapping[str, float]
+    slip_name: str
+    slip: float
+    slip_source: str
+    source: str
+    flags: tuple[str, ...]
+    inflation: float
+    outliers: int
+
+    def as_json(self) -> Mapping:
+        """Each level under the name of its column."""
+        return {
+            **self.forces, self.slip_name: self.slip,
+            f"{self.slip_name}_source": self.slip_source, "source": self.source,
+            "flags": self.flags, "inflation": self.inflation,
+            "outliers": self.outliers,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shrinkage:
+    """A gap beyond the noise, rms, and how far it shrinks.
+
+    ``closed`` = 1 - remaining_rms / rms with its 90 % interval, None where the gap is
+    not ``resolvable``.
+    """
+
+    rms: float
+    resolvable: bool
+    closed: float | None
+    closed_ci: tuple[float | None, float | None]
+    remaining_rms: float
+
+    @property
+    def energy_closed(self) -> float | None:
+        """Share of the gap's energy that is closed."""
+        return None if self.closed is None else 1 - (1 - self.closed) ** 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOut(Shrinkage):
+    """The gap on data not used; ``on`` says which."""
+
+    on: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gap(Shrinkage):
+    """The gap of the first channel on the file's own rows, and of every channel.
+
+    ``p_value`` is that of no gap at all, ``shares`` are those of several effects in the
+    energy closed (Shapley).
+    """
+
+    p_value: float
+    channels: Mapping[str, Shrinkage]
+    holdout: HeldOut | None
+    shares: Mapping[str, float] = field(default_factory=dict)
+
+
+class Region(NamedTuple):
+    """One bin of one covariate: its share of the gap's energy, and the p-value of its
+    misfit, corrected for the number of regions (Benjamini-Yekutieli)."""
+
+    covariate: str
+    low: float
+    high: float
+    share: float
+    p_value: float
+
+
+class Cell(NamedTuple):
+    """One parameter as a free function of one covariate: its log evidence over the base
+    fit, and the share of the misfit's energy that it takes away at most."""
+
+    parameter: str
+    covariate: str
+    log_evidence: float
+    explains: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerdictSummary:
+    """What is said: none, named, incomplete, unknown or cannot_tell; of which effects,
+    with which probability of exactly this set; what this data cannot tell from it."""
+
+    status: str
+    effects: tuple[str, ...]
+    probability: float
+    also_possible: tuple[str, ...]
+
+    @property
+    def names_an_effect(self) -> bool:
+        """Whether effects on the mean force are named, not of the noise alone."""
+        of_noise = {effect.id for effect in NOISE_EFFECTS}
+        on_mean = [e for e in self.effects if e not in of_noise]
+        return bool(on_mean) and on_mean != ["unknown"]
+
+
+class Amplitude(NamedTuple):
+    """Amplitude of an effect with its standard error, in its own unit."""
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A set of effects that may explain the gap.
+
+    ``parameters`` are keyed ``effect: parameter``; ``z`` is the score at the base fit,
+    ``z_given_rivals`` the smallest amplitude over its error beside the others of the
+    set; both None for what is not in the library.
+    """
+
+    effects: tuple[str, ...]
+    family: str
+    probability: float
+    parameters: Mapping[str, Amplitude]
+    z: float | None
+    z_given_rivals: float | None
+    closed: float | None
+    closed_ci: tuple[float | None, float | None]
+
+
+class Untestable(NamedTuple):
+    """An effect that this data cannot show, and what it needs for that."""
+
+    effect: str
+    needs: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Resolution:
+    """What would have been seen: the smallest unlisted remainder, rms, and amplitudes
+    of effects."""
+
+    remainder: float
+    smallest_effects: Mapping[str, float]
+
+    REMAINDER = "smallest unlisted remainder that would have been seen"
+
+    def as_json(self) -> Mapping:
+        return {
+            self.REMAINDER: self.remainder, "smallest_effects": self.smallest_effects
+        }  # fmt: skip
+
+
+class Forecast(NamedTuple):
+    """An effect of its usual size on these rows: the probabilities that it is seen, and
+    seen and recognised, and what it is taken for else (None: hardly ever anything)."""
+
+    effect: str
+    amplitude: float
+    unit: str
+    seen: float
+    recognised: float
+    taken_for: str | None
+
+
+class NextMeasurement(NamedTuple):
+    """What to add, the two effects that it separates, and the probabilities to tell
+    them apart without and with it."""
+
+    add: str
+    separates: tuple[str, str]
+    p_now: float
+    p_after: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What was known and asked for: rig, ids looked for, files held out (sha256)."""
+
+    rig: Rig
+    effects: tuple[str, ...]
+    holdout: tuple[str, ...]

@@ -1,0 +1,117 @@
+"""The fitted curve at any inputs, with the 95 % bands of the curve and of a
+measurement."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.compiled import compiled
+from tirefit.fitting.inference import half_width_95
+from tirefit.fitting.likelihood import row_forces
+from tirefit.fitting.result import FitResult
+from tirefit.models import TireInputs
+from tirefit.params import unconstrain
+
+__all__ = ["Band", "fitted_force", "force_band"]
+
+_DRAWS = 400
+
+
+class Band(NamedTuple):
+    """A fitted force (m,), the ends of its 95 % band (m,), and those of the band that
+    holds 95 % of measurements."""
+
+    force: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    noise_low: np.ndarray
+    noise_high: np.ndarray
+
+
+@compiled(static=("layout", "channel"))
+def _forces(model, layout, z, inputs, run, channel):
+    """One channel at one z: small, so that a figure waits little for its compiler."""
+    return row_forces(model, layout, z, inputs, run)[channel]
+
+
+def fitted_force(result: FitResult, channel: str, inputs: TireInputs, run, z=None):
+    """One force (m,) of a fit at inputs of its own.
+
+    Args:
+        inputs: (m,) each; ``run`` (m,) the run that each belongs to.
+        z: unconstrained parameters; the estimate if None.
+    """
+    problem, z = result.problem, jnp.asarray(result.z if z is None else z)
+    run = jnp.asarray(run)
+    return np.asarray(_forces(problem.model, problem.layout, z, inputs, run, channel))
+
+
+def _z_draws(result: FitResult) -> np.ndarray:
+    """Some posterior draws in the unconstrained space, (at most 400, p)."""
+    flat = np.asarray(result.chains).reshape(-1, len(result.labels))
+    flat = flat[np.linspace(0, len(flat) - 1, min(_DRAWS, len(flat))).astype(int)]
+    columns = [
+        np.asarray(unconstrain(jnp.asarray(flat[:, i]), parameter.spec))
+        for i, (_, parameter) in enumerate(result.problem.layout.elements)
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _quantile(result: FitResult) -> float:
+    """Standard deviations to the end of a 95 % interval: Student's t where needed."""
+    return half_width_95(result.problem.noise_estimated, result.statistics.dof)
+
+
+def _curve_band(result: FitResult, channel: str, inputs: TireInputs, run):
+    """(force, low, high) of the fitted curve, each (m,).
+
+    The band holds the posterior's draws where there are any, else it is linearised in
+    z around the estimate, with the slopes from central differences.
+    """
+
+    def at(z):
+        return fitted_force(result, channel, inputs, run, z)
+
+    force = at(result.z)
+    if result.chains is not None:
+        draws = np.array([at(z) for z in _z_draws(result)])
+        return force, *np.quantile(draws, [0.025, 0.975], axis=0)
+    steps = np.diag(1e-4 * np.minimum(np.sqrt(np.diag(result.covariance)), 1.0))
+    slope = np.array([at(result.z + step) - at(result.z - step) for step in steps])
+    slope /= 2 * np.diag(steps)[:, None]
+    variance = np.einsum("in,ij,jn->n", slope, result.covariance, slope)
+    half = _quantile(result) * np.sqrt(np.maximum(variance, 0))
+    return force, force - half, force + half
+
+
+def _slip_part(result: FitResult, channel: str, inputs: TireInputs, run, force):
+    """What noise of the slip adds to that of a force, (m,); zero where it is exact."""
+    problem = result.problem
+    name = next(c.slip for c in problem.channels if c.name == channel)
+    if name not in problem.slip_noise:
+        return np.zeros(len(force))
+    slip = getattr(inputs, name)
+    step = 1e-6 * (1 + jnp.abs(slip))
+    moved = inputs._replace(**{name: slip + step})
+    after = fitted_force(result, channel, moved, run)
+    slope = (after - force) / np.asarray(step)
+    return slope * float(np.median(problem.slip_noise[name]))
+
+
+def force_band(
+    result: FitResult, channel: str, inputs: TireInputs, run, noise: np.ndarray
+) -> Band:
+    """The fitted curve at inputs of its own, with its bands.
+
+    Args:
+        inputs: (m,) each; ``run`` (m,) the run that each belongs to.
+        noise: (m,) standard deviation of the force as measured there, without that of
+            the slip.
+    """
+    force, low, high = _curve_band(result, channel, inputs, run)
+    std = np.hypot(noise, _slip_part(result, channel, inputs, run, force))
+    half = _quantile(result) * std
+    # Noise and parameter uncertainty are independent: half-widths add in square.
+    below, above = np.hypot(force - low, half), np.hypot(high - force, half)
+    return Band(force, low, high, force - below, force + above)
