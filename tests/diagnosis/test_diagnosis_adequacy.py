@@ -42,9 +42,9 @@ def fitted(values):
 def test_noise_passes_as_often_as_it_should():
     generator = np.random.default_rng(1)
     found = [
-        judged(fitted(generator.standard_normal(ROWS)), k)._asdict() for k in range(120)
+        judged(fitted(generator.standard_normal(ROWS)), k)._asdict() for k in range(60)
     ]
-    low, high = binom.ppf([0.001, 0.999], 120, 0.2)
+    low, high = binom.ppf([0.001, 0.999], 60, 0.2)
     for name in ("time", "slip_order", "line", "pure_error", "local", "held_out"):
         small = sum(one[name] <= 0.2 for one in found)
         assert low <= small <= high, (name, small)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-__all__ = ["Adequacy", "adequacy", "refused"]
+__all__ = ["UNTESTED", "Adequacy", "adequacy", "refused"]
 
 DRAWS = 999
 """Simulated residuals: the smallest p-value is one in a thousand."""
@@ -53,6 +53,9 @@ class Adequacy(NamedTuple):
     passed: bool
 
 
+UNTESTED = Adequacy(None, None, None, None, None, None, passed=True)
+"""Of a verdict whose remainder was not looked at yet."""
+
 Statistic = Callable[[np.ndarray], np.ndarray]
 """(n, draws) residuals -> (draws,): the larger, the more structure."""
 
@@ -64,7 +67,7 @@ def refused(adequacy: Adequacy) -> list[str]:
         for name, p in adequacy._asdict().items()
         if name != "passed" and p is not None and p < LEVEL
     }
-    return sorted(values, key=values.get)
+    return sorted(values, key=lambda name: values[name])
 
 
 def _unit(parts: np.ndarray) -> np.ndarray:

@@ -119,6 +119,7 @@ def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing
     prepared, n = base.prepared, base.prepared.n
     amplitudes = amplitudes_of(base, hypothesis)
     linear = base.linearised(hypothesis.z, amplitudes)
+    residual = np.asarray(linear.residual)
     keep = np.asarray(base.design.keep[:n]) > 0
     index = np.cumsum(keep) - 1
 
@@ -134,7 +135,7 @@ def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing
         part = np.arange(k * n, (k + 1) * n)[keep]
         each.append(
             adequacy(
-                linear.residual[part], used_up[part], in_time, in_slip, groups,
+                residual[part], used_up[part], in_time, in_slip, groups,
                 generator, base.noise[channel].inflation > 1,
             )
         )  # fmt: skip

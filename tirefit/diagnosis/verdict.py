@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from tirefit.diagnosis.adequacy import Adequacy
+from tirefit.diagnosis.adequacy import UNTESTED, Adequacy
 from tirefit.diagnosis.basis import (
     gain,
     log_evidence,
@@ -74,7 +74,7 @@ class Verdict:
     also_possible: tuple[str, ...]
     p_value: float
     chosen: Hypothesis
-    adequacy: Adequacy | None = None
+    adequacy: Adequacy = UNTESTED
 
 
 @dataclass(frozen=True)
