@@ -1,6 +1,7 @@
 """What is said of one file: the document of a diagnosis and its rows."""
 
 import importlib.metadata
+from dataclasses import replace
 
 import numpy as np
 
@@ -8,10 +9,10 @@ from tirefit.diagnosis.base import Base, at_measured_slip, on_rows
 from tirefit.diagnosis.basis import located, without
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.closure import Closure, closure_of
+from tirefit.diagnosis.conclusion import bound_by
 from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
-from tirefit.diagnosis.noise import correlation
 from tirefit.diagnosis.records import (
     Amplitude,
     Candidate,
@@ -28,6 +29,7 @@ from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rows import Prepared
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.shares import closed_by_each
+from tirefit.diagnosis.standing import widening
 from tirefit.diagnosis.verdict import Verdict, fitted_form, linear_at
 from tirefit.diagnosis.views import compared, residual_map, shown_rows
 from tirefit.diagnosis.where import parameter_map, regions
@@ -51,7 +53,13 @@ def document_of(
     # Everything random is drawn in this order: gap, candidates, held-out data.
     gaps = _gaps(case, _rows(case, base), generator)
     candidates = _candidates(case, generator)
-    gap = _gap(case, gaps, held_out(case, holdout, rig, generator))
+    held = held_out(case, holdout, rig, generator)
+    closed = gaps[prepared.channels[0]].closed
+    bound = bound_by(verdict, case.weighed, closed, held)
+    if bound.status != verdict.status:
+        case = replace(case, verdict=bound)
+        return document_of(case, whole, rig, effects, holdout, generator, model, seed)
+    gap = _gap(case, gaps, held)
     said = _verdict(case)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown = shown_rows(base, rows[prepared.channels[0]])
@@ -220,6 +228,7 @@ def _verdict(case: Case) -> VerdictSummary:
         effects=effects,
         probability=verdict.probability,
         also_possible=verdict.also_possible,
+        adequacy=verdict.adequacy,
     )
 
 
@@ -246,7 +255,7 @@ def _candidate(case: Case, key, probability: float, generator) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
     p, parameters = len(hypothesis.z), {}
     spread = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[p:], 0))
-    spread = spread * np.sqrt(_widening(case, hypothesis))
+    spread = spread * np.sqrt(widening(case.base, hypothesis))
     scale = np.asarray(base.design.prior_scale)
     effects = [base.atoms[k].effect for k in hypothesis.atoms]
     for j, (k, effect) in enumerate(zip(hypothesis.atoms, effects, strict=True)):
@@ -283,19 +292,6 @@ def _closure_by(case: Case, hypothesis: Hypothesis, generator) -> Closure:
         (p, p + len(hypothesis.atoms)), base.prepared.run[keep], noise.inflation,
         generator,
     )  # fmt: skip
-
-
-def _widening(case: Case, hypothesis: Hypothesis) -> float:
-    """Factor on the variance of amplitudes: what a hypothesis leaves is larger than
-    the noise, and neighbours in time agree, where it does not explain everything."""
-    base = case.base
-    prepared, n = base.prepared, base.prepared.n
-    residual = base.residual(hypothesis.z, amplitudes_of(base, hypothesis))
-    rows_each = max(
-        correlation(residual[k * n : (k + 1) * n], prepared.time, prepared.run)
-        for k in range(len(prepared.channels))
-    )
-    return max(float(np.mean(residual**2)), 1.0) * rows_each
 
 
 def _resolution(case: Case) -> Resolution:

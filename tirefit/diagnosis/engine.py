@@ -7,6 +7,7 @@ import numpy as np
 from tirefit.data.table import TireData
 from tirefit.diagnosis.base import Base, fit_base, with_noise_judged
 from tirefit.diagnosis.case import Case
+from tirefit.diagnosis.conclusion import concluded
 from tirefit.diagnosis.document import document_of
 from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.forms import PLACE, shape_of_change
@@ -119,6 +120,7 @@ def _studied(prepared: Prepared, model, rig, effects, without, generator) -> Cas
 
     weighed = weigh(found)
     verdict = judge(found, weighed, gap_p_value(found, generator))
+    verdict = concluded(verdict, found, weighed, generator)
     return Case(base, found, weighed, verdict, untestable)
 
 

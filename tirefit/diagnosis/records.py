@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.rig import Rig
 
@@ -134,12 +135,14 @@ class Cell(NamedTuple):
 @dataclass(frozen=True, kw_only=True)
 class VerdictSummary:
     """What is said: none, named, incomplete, unknown or cannot_tell; of which effects,
-    with which probability of exactly this set; what this data cannot tell from it."""
+    with which probability of exactly this set; what this data cannot tell from it; the
+    tests of what it leaves."""
 
     status: str
     effects: tuple[str, ...]
     probability: float
     also_possible: tuple[str, ...]
+    adequacy: Adequacy
 
     @property
     def names_an_effect(self) -> bool:

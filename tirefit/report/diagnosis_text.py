@@ -2,6 +2,7 @@
 
 import textwrap
 
+from tirefit.diagnosis.adequacy import refused
 from tirefit.diagnosis.records import Region, Shrinkage
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_words import (
@@ -15,6 +16,7 @@ from tirefit.report.diagnosis_words import (
 from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
+    "adequacy_line",
     "confused_lines",
     "diagnosis_text",
     "gap_lines",
@@ -51,7 +53,7 @@ def verdict_sentence(result: Diagnosis) -> str:
 
 
 def verdict_lines(result: Diagnosis) -> list[str]:
-    """Amplitudes of what is named, then each effect with what to do about it."""
+    """Amplitudes of what is named, each effect and what to do about it, what is left."""
     verdict, lines = result.verdict, []
     same = (c for c in result.candidates if c.effects == verdict.effects)
     if verdict.names_an_effect and (chosen := next(same, None)) is not None:
@@ -60,7 +62,35 @@ def verdict_lines(result: Diagnosis) -> list[str]:
         means, remedy = words_on(effect, result.library)
         if means:
             lines.append(f"{effect}: {means}; {remedy}")
-    return lines
+    left = adequacy_line(result)
+    return [*lines, left] if left else lines
+
+
+_LEFT = {
+    "time": "rows next to one another in time miss alike",
+    "slip_order": "rows next to one another in slip miss alike",
+    "line": "a wave stands out",
+    "pure_error": "it scatters more than repeats do",
+    "local": "one region is missed",
+    "held_out": "a load, speed, sign, time or range of slip left out is not predicted",
+}
+
+
+def adequacy_line(result: Diagnosis) -> str:
+    """What the named effects leave, as one sentence; empty where nothing was tested."""
+    adequacy, verdict = result.verdict.adequacy, result.verdict
+    values = adequacy._asdict()
+    tested = [name for name in _LEFT if values[name] is not None]
+    if not tested:
+        return ""
+    what = (
+        "what the named effects leave" if verdict.names_an_effect else "the remainder"
+    )
+    failed = refused(adequacy)
+    if not failed:
+        return f"{what} looks random in {len(tested)} tests"
+    parts = (f"{_LEFT[name]} (p {values[name]:.2g})" for name in failed)
+    return f"{what} has structure: {'; '.join(parts)}"
 
 
 def gap_lines(result: Diagnosis) -> list[str]:
