@@ -15,9 +15,10 @@ import numpy as np
 from scipy.special import expit, logit
 
 from tirefit.compiled import compiled
-from tirefit.fitting.inference import Profile, deviance_at, inflation, linearise
+from tirefit.fitting.inference import deviance_at, inflation, linearise
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
+from tirefit.fitting.profile import Profile
 from tirefit.fitting.result import Estimate
 from tirefit.fitting.solve import Solved
 from tirefit.models import TireInputs
