@@ -149,7 +149,7 @@ def solve_starts(
     return jax.tree.map(np.asarray, _library_minima(problem, starts, solver))
 
 
-def best_of(solution: Solution) -> int:
+def best_of(solution: Minima | Solution) -> int:
     """Index of the lowest finite cost, converged starts preferred."""
     cost = np.where(np.isfinite(solution.cost), solution.cost, np.inf)
     settled = np.where(solution.converged, cost, np.inf)
@@ -250,7 +250,7 @@ def covariance(
     return (vectors / np.maximum(values, 1 / REACH**2)) @ vectors.T
 
 
-def inflation(problem: FitProblem, block: str) -> float:
+def inflation(problem: FitProblem, block: str) -> Array | float:
     """Inflation of a block of :class:`Linearised`; one for the priors."""
     return problem.rules[block].inflation if block in problem.rules else 1.0
 

@@ -7,8 +7,7 @@ the profiles, the batches of fits and the refits of a diagnosis.
 
 import warnings
 from collections.abc import Callable
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.export
@@ -176,7 +175,10 @@ def damped_gauss_newton(
         best = state.best
         cost, normal, gradient = _linearise(residual, state.trial)
         better, share = cost < best.cost, (best.cost - cost) / state.promised
-        keep = partial(jnp.where, better)
+
+        def keep(new: Array, old: Array) -> Array:
+            return jnp.where(better, new, old)
+
         z, cost = keep(state.trial, best.z), keep(cost, best.cost)
         normal, gradient = keep(normal, best.normal), keep(gradient, state.gradient)
         # The start, which nothing promised, is a share of infinity.
@@ -184,12 +186,12 @@ def damped_gauss_newton(
         fair = better & (share > _FAIR)
         damping = state.damping * jnp.where(fair, eased, _STIFFEN)
         damping = jnp.maximum(damping, _LEAST_DAMPING)
-        after = partial(_after_step, z, normal, gradient, allowed=allowed)
-        whole = after(_LEAST_DAMPING, longest=jnp.inf)
+        ahead = z, normal, gradient
+        whole = _after_step(*ahead, _LEAST_DAMPING, allowed, jnp.inf)
         settled = jnp.abs(_gain(whole - z, normal, gradient)) <= (
             relative * cost + absolute
         )
-        trial = after(damping, longest=_LONGEST_STEP)
+        trial = _after_step(*ahead, damping, allowed, _LONGEST_STEP)
         promised = _gain(trial - z, normal, gradient)
         done = settled | (damping > _STUCK)
         best = Minimum(z, cost, normal, done & jnp.isfinite(cost), best.steps + 1)
@@ -229,15 +231,17 @@ def _optimistix(residual: Residual, start) -> Solution:
     import optimistix as optx
 
     ordinary = _ordinary(residual, start)
-    solver = optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8)
-    solution = optx.least_squares(
+    solver: optx.LevenbergMarquardt[Array, Array, Any] = optx.LevenbergMarquardt(
+        rtol=1e-8, atol=1e-8
+    )
+    solution: optx.Solution[Array, Any] = optx.least_squares(
         lambda z, _: ordinary(z), solver, start, max_steps=_MAX_STEPS, throw=False
     )
     values, _ = residual(solution.value)
     return Solution(
         solution.value,
         values @ values,
-        solution.result == optx.RESULTS.successful,
+        jnp.asarray(solution.result == optx.RESULTS.successful),
         solution.stats["num_steps"],
     )
 

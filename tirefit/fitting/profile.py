@@ -134,8 +134,8 @@ def profile_all(
                 problem, sides, ends, base, distance, inner, index, values
             )
             rise = np.nan_to_num(ends.deviance - base, nan=1e9, posinf=1e9)
-            follow = (ends.z - z) / np.maximum(distance, 1e-9)[:, None]
-            inner = np.where((rise < level)[:, None], ends.z, inner)
+            follow = (np.asarray(ends.z) - z) / np.maximum(distance, 1e-9)[:, None]
+            inner = np.where((rise < level)[:, None], np.asarray(ends.z), inner)
             for side, d, value in zip(sides, distance, rise, strict=True):
                 side.add(d, value)
         if finished:
