@@ -139,6 +139,13 @@ def prepare(data: TireData, rig, model) -> Prepared:
     slip = tan_alpha if mode == "y" else sigma
     given = model
     channels = tuple(c for c in MODES[mode] if c in data and c in given)
+    if not channels:
+        reason = f"no force that {' or '.join(MODES[mode])} could be compared with"
+        remedy = (
+            f"its slip varies, and the model gives {', '.join(given) or 'no force'}"
+        )
+        file = data.source.path or data.name
+        raise DataError(InputProblem(reason, remedy, file))
     fz, v = data.usable("fz"), _column(data, "v")
     time = data.usable("time") if "time" in data else None
     run = data.run[data.used]
