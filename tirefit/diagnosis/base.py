@@ -101,7 +101,7 @@ class Base:
 
     @property
     def as_given(self) -> np.ndarray:
-        """Parameters z of the gap's beginning: those of the simulator, else the fit's."""
+        """Parameters z that the gap starts from: the simulator's, else the fit's."""
         return self.z if self.simulator is None else self.simulator.z
 
     @property

@@ -38,10 +38,10 @@ __all__ = [
 
 _FARTHEST_OFF = 0.2
 """Share of the simulated force (rms) that the tire which stands in for a simulator may
-miss. Its slopes share out the gap, and a tire that is off by a fifth of the force is off
-by as much in its slopes: parts of the budget then err by a fifth of themselves. The gap
-is no yardstick: a simulator near the truth has a small one, and slopes are needed then
-as ever."""
+miss. Its slopes share out the gap, and a tire that is off by a fifth of the force is
+off by as much in its slopes: parts of the budget then err by a fifth of themselves. The
+gap is no yardstick: a simulator near the truth has a small one, and its slopes are
+needed then as ever."""
 
 _SCALING = {"x": ("LMUX", "LKX"), "y": ("LMUY", "LKY")}
 """Scaling factors of a Magic Formula tire's friction and stiffness, by slip."""
@@ -60,9 +60,9 @@ class Given:
     """A simulator that was given.
 
     ``kind`` is columns, model, fit or tir; ``source`` its name or file, ``sha256`` of
-    the file. ``tire`` is None where only its forces are known; else ``values`` are its
-    parameters, or ``layout`` and ``z`` those of a fit. ``forces`` gives canonical forces
-    (n,) of the rows of data, None where they stand in the data's own columns.
+    the file. ``tire`` is None where only its forces are known; ``layout`` and ``z`` are
+    those of a fit. ``forces`` gives canonical forces (n,) of the rows of data, None
+    where they stand in the data's own columns.
     """
 
     kind: str
