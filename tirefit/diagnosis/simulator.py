@@ -62,7 +62,8 @@ class Given:
     ``kind`` is columns, model, fit or tir; ``source`` its name or file, ``sha256`` of
     the file. ``tire`` is None where only its forces are known; ``layout`` and ``z`` are
     those of a fit. ``forces`` gives canonical forces (n,) of the rows of data, None
-    where they stand in the data's own columns.
+    where they stand in the data's own columns. ``convention`` is that which its file is
+    in, data beside it too unless they say otherwise.
     """
 
     kind: str
@@ -71,6 +72,7 @@ class Given:
     tire: AbstractTire | None = None
     layout: Layout | None = None
     z: np.ndarray | None = None
+    convention: str | None = None
     forces: Callable[[TireData], Mapping[str, np.ndarray]] | None = None
 
     def channels(self, data: TireData, modelled: Sequence[str]) -> tuple[str, ...]:
@@ -288,12 +290,14 @@ def _at_file(text: str, values: dict[str, float]) -> Given:
         _check_values(tire, text, values)
         tire = with_values(tire, values)
         said = "".join(f", {name} = {value:g}" for name, value in values.items())
-        return _of_tire(tire, "tir", f"{text}{said}", _digest(text))
+        given = _of_tire(tire, "tir", f"{text}{said}", _digest(text))
+        return replace(given, convention="iso-w")
     if values:
         reason, remedy = "--set with a fit.json", "use it with the name of a model"
         raise UsageError(InputProblem(reason, remedy))
     fit = load_fit(text)
-    return _of_fit(fit, fit.tire, fit.layout, fit.z, text, _digest(text))
+    given = _of_fit(fit, fit.tire, fit.layout, fit.z, text, _digest(text))
+    return replace(given, convention=fit.content["data"]["convention"])
 
 
 def _digest(path: str) -> str:
