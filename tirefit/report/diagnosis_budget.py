@@ -135,7 +135,7 @@ def waterfall_steps(result: Diagnosis) -> list[Step]:
         low, high = part.closed_ci
         text = (
             f"{format_number(part.rms, 3)} N, {100 * part.share:.0f} %"
-            f" [{100 * low:.0f}, {100 * high:.0f}] of its square"
+            f" [{100 * low:.0f}, {100 * high:.0f}] of the energy"
         )
         label = _LABELS.get(part.part, part.part.replace("_", " "))
         ends = (float(whole * np.sqrt(end)) for end in (left, rest))
