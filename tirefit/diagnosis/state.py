@@ -9,12 +9,12 @@ friction, one with the effect and one without.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from tirefit.models import Asymmetric, Brush, Quartic, TireInputs
+from tirefit.models.friction import Friction
 from tirefit.models.pressure import AbstractPressure, Parabolic
 
 __all__ = ["Covariates", "State", "force_of_state", "null_state", "peak_ratio"]
@@ -157,11 +157,11 @@ def _breakaway_slope(primals, tangents):
     return u, jnp.where(inside, moved / _holding_slope(at, skew, flat), 0.0)
 
 
-class _TwoFrictions(eqx.Module):
+class _TwoFrictions(Friction):
     """Static friction above the kinetic one, whatever the speed."""
 
-    excess: Array
-    factor: Array
+    excess: Array | float = 0.0
+    factor: Array | float = 1.0
 
     def static(self, mu, v_s):
         del v_s
@@ -189,7 +189,7 @@ def peak_ratio(base, fz, v):
 def _shape_change(state: State, stiffness, mu, arm, slip, fz, bare: bool):
     """Force and moment of a brush with the effects, less those of one without."""
     pressure = _Shaped(state.skew, state.flat)
-    friction = _TwoFrictions(state.static, state.kinetic)
+    friction = _TwoFrictions(excess=state.static, factor=state.kinetic)
     with_effect = Brush(stiffness, mu, arm, pressure, friction).pure(slip, fz, 0.0)
     if bare:
         return with_effect
