@@ -27,9 +27,11 @@ from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_fol
 from tirefit.diagnosis.state import Covariates
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import best_of, solve_starts
+from tirefit.fitting.layout import Layout
 from tirefit.fitting.problem import build
 from tirefit.fitting.slip_noise import slip_distribution
 from tirefit.fitting.solve import starting_points
+from tirefit.models import AbstractTire
 from tirefit.padding import pad_rows, padded_size
 
 __all__ = [
@@ -55,8 +57,8 @@ class Tire:
     ``mode`` says which slip drives, ``layout`` where in z each parameter stands.
     """
 
-    model: object
-    layout: object
+    model: AbstractTire
+    layout: Layout
     effects: tuple[Effect, ...]
     mode: str
 
@@ -415,8 +417,8 @@ def _pull(prepared, tire: Tire, design: Design, z, silent) -> dict[str, np.ndarr
     columns = []
     for k in range(past.shape[1]):
         slip = np.repeat(pad_rows(past[:, [k]], size), alone.shape[1], axis=1)
-        there = [pad_rows(part[:, k], size) for part in prepared.before]
-        there = type(design.inputs)(*there)
+        earlier = (pad_rows(part[:, k], size) for part in prepared.before)
+        there = type(design.inputs)(*earlier)
         # A simulator's past beyond its tire is not known.
         then = design._replace(
             slip=slip, weight=alone, inputs=there,

@@ -11,13 +11,24 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from tirefit.models import Asymmetric, Brush, Quartic, TireInputs
 from tirefit.models.friction import Friction
 from tirefit.models.pressure import AbstractPressure, Parabolic
 
-__all__ = ["Covariates", "State", "force_of_state", "null_state", "peak_ratio"]
+__all__ = [
+    "Covariates",
+    "State",
+    "Values",
+    "force_of_state",
+    "null_state",
+    "peak_ratio",
+]
+
+Values = Array | np.ndarray
+"""Of a record that programs take and give: NumPy's on the host, JAX's within one."""
 
 
 class Covariates(NamedTuple):
@@ -41,27 +52,27 @@ class Covariates(NamedTuple):
     of the base model over the mean load.
     """
 
-    fz: Array
-    v: Array
-    time: Array
-    temperature: Array
-    gamma: Array
-    rate: Array
-    lag: Array
-    turning: Array
-    side: Array
-    other: Array
-    force: Array
-    usage: Array
-    spin: Array
-    load: Array
-    past: Array
-    pull: Array
-    interval: Array
-    step: Array
-    sliding: Array
-    change: Array
-    traction: Array
+    fz: Values
+    v: Values
+    time: Values
+    temperature: Values
+    gamma: Values
+    rate: Values
+    lag: Values
+    turning: Values
+    side: Values
+    other: Values
+    force: Values
+    usage: Values
+    spin: Values
+    load: Values
+    past: Values
+    pull: Values
+    interval: Values
+    step: Values
+    sliding: Values
+    change: Values
+    traction: Values
 
 
 class State(NamedTuple):
@@ -104,7 +115,9 @@ class _Shaped(AbstractPressure):
     flat: Array
 
     def _mix(self, name: str, u):
-        skewed = getattr(Asymmetric(self.skew), name)(u)
+        # A number to its users; here of a hypothesis, within a program.
+        leaning = Asymmetric(self.skew)  # type: ignore[arg-type]
+        skewed = getattr(leaning, name)(u)
         return (1 - self.flat) * skewed + self.flat * getattr(Quartic(), name)(u)
 
     def density(self, u):

@@ -148,7 +148,7 @@ def draw_comparison(figure, panel: Comparison, after: str) -> None:
     for i, curve in enumerate(panel.curves):
         _draw_load(top, curve, axis, COLORS[i % len(COLORS)])
     tidy(top, f"{axis.label} [{axis.unit}]", _FORCE[panel.channel])
-    handles = [
+    handles: list[Line2D | Patch] = [
         Line2D(
             [], [], ls="none", marker="o", ms=3, color=color, label=load_label(curve)
         )
@@ -201,8 +201,7 @@ def draw_closure(figure, bars: list[ClosureBar], load: float) -> None:
     for k, bar in enumerate(bars):
         place = 1.0 * (len(bars) - 1 - k)
         axes.barh(place + 0.16, bar.before, 0.28, color=GREY)
-        known = bar.closed is not None
-        if known:
+        if bar.low is not None and bar.high is not None:
             axes.barh(place - 0.16, bar.after, 0.28, color=BLUE)
             axes.errorbar(
                 bar.after, place - 0.16, fmt="none", ecolor=DARK, elinewidth=1.2,
@@ -229,7 +228,7 @@ def draw_closure(figure, bars: list[ClosureBar], load: float) -> None:
 def _closure_text(bar: ClosureBar) -> str:
     label = textwrap.shorten(bar.label, 60, placeholder=" …")
     before, after = (format_number(x, 3) for x in (bar.before, bar.after))
-    if bar.closed is None:
+    if bar.low is None or bar.high is None or bar.energy is None:
         return plain_text(f"{label}: {before} N, nothing to say of a share closed")
     low, high = (1 - end / bar.before for end in (bar.high, bar.low))
     return plain_text(
@@ -305,7 +304,8 @@ def diagnosis_figure(result: Diagnosis) -> Picture:
     width, height = _SIZE
     picture = Picture(figsize=(width, height * (1 + low)), layout="constrained")
     heights = (0.065, 1, low) if low else (0.065, 1)
-    head, body, *foot = picture.subfigures(len(heights), 1, height_ratios=heights)
+    parts = picture.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)
+    head, body, *foot = parts.ravel()
     cells = [*body.subfigures(2, 2).ravel(), *foot]
     for cell, draw in zip(cells, panels.values(), strict=True):
         draw(cell)

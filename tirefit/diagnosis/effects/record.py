@@ -20,7 +20,7 @@ __all__ = [
     "effects_by_id",
 ]
 
-Change = Callable[[State, float, Array, Covariates], State]
+Change = Callable[[State, float, Array | tuple[float, ...], Covariates], State]
 
 
 class Prior(NamedTuple):
