@@ -218,9 +218,9 @@ def test_parts_of_blocks_are_means_over_whole_blocks():
 
 
 def test_what_cannot_be_a_simulator_is_refused(frame):
-    with pytest.raises(DataError, match="no force of the simulator.*--beside"):
+    with pytest.raises(DataError, match="(?s)no force of the simulator.*--beside"):
         studied(frame, True)
-    with pytest.raises(DataError, match="does not follow it.*--model"):
+    with pytest.raises(DataError, match="(?s)does not follow it.*--model"):
         studied(frame, 3000 * np.cos(40 * frame["sigma_x"]))
     with pytest.raises(UsageError, match="one value for each of 180 rows"):
         studied(frame, np.zeros(3))
