@@ -191,6 +191,22 @@ def test_what_the_simulator_has_beyond_its_tire_stays_in():
     assert again.budget == found.budget
 
 
+def test_a_lateral_simulator_by_its_force():
+    frame, truth = rows(offset=0.0, seed=4)
+    alpha, fz = np.arctan(frame["sigma_x"]), frame["fz"]
+    lateral = {"alpha": alpha, "fy": frame["fx"], "fz": fz}
+    sim = brush(frame["sigma_x"], 0.9 * TRUE["cpa2"], TRUE["mu"], fz)
+    rig = Rig(noise={"fy": NOISE})
+    found = diagnose(read_frame(lateral, "y"), sim=sim, rig=rig, effects=LIBRARY)
+    cpa2 = found.verdict.parameters["cpa2"]
+    assert cpa2.simulated == pytest.approx(0.9 * TRUE["cpa2"], rel=0.01)
+    assert cpa2.differs and abs(cpa2.measured - TRUE["cpa2"]) < 3 * cpa2.std
+    assert found.verdict.status == "none"
+    before = np.sqrt(np.mean((truth - sim) ** 2))
+    assert found.gap.rms == pytest.approx(before, rel=0.1)
+    assert {"sim_fy", "tuned_fy"} <= set(rows_in_file_terms(found))
+
+
 def test_the_tire_that_stands_in_is_fitted_to_the_simulation(frame):
     data = read_frame(frame | {"fx_sim": 2 * frame["fx"]}, "a")
     std = replace(data, columns={**data.columns, "fx_std": 0 * data["fx"] + 1})
