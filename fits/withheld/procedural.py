@@ -99,8 +99,8 @@ PARAMETERS: dict[str, Callable] = {
     "force": _force,
     "slip": _slip,
 }
-"""(world, change) of a change of about one: 35 % of the stiffness, 15 % of the friction,
-5 % of the largest force, 0.006 of the slip."""
+"""(world, change) of a change of about one: 35 % of the stiffness, 15 % of the
+friction, 5 % of the largest force, 0.006 of the slip."""
 
 # What a textbook varies with what: there a threshold or one smooth bend is a form of
 # something listed, and only shapes that go up and down are strange.

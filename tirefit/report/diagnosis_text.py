@@ -5,6 +5,7 @@ import textwrap
 from tirefit.diagnosis.adequacy import refused
 from tirefit.diagnosis.records import Region, Shrinkage
 from tirefit.diagnosis.result import Diagnosis
+from tirefit.report.diagnosis_budget import budget_lines, change_texts
 from tirefit.report.diagnosis_words import (
     covariate_text,
     parameter_text,
@@ -34,9 +35,22 @@ _LEVEL = 0.05
 
 
 def verdict_sentence(result: Diagnosis) -> str:
-    """The verdict as one sentence."""
-    verdict = result.verdict
-    probability = f"probability {verdict.probability:.2f}"
+    """The verdict as one sentence; of a simulator, its parameters first."""
+    changes = change_texts(result)
+    if not changes:
+        return _sentence_on_effects(result)
+    said = f"{' and '.join(changes)} in the simulator"
+    if result.verdict.status == "none":
+        return f"{said}, and nothing else ({_probability(result)})"
+    return f"{said}; {_sentence_on_effects(result)}"
+
+
+def _probability(result: Diagnosis) -> str:
+    return f"probability {result.verdict.probability:.2f}"
+
+
+def _sentence_on_effects(result: Diagnosis) -> str:
+    verdict, probability = result.verdict, _probability(result)
     effects = " + ".join(verdict.effects)
     status = verdict.status
     if status == "none" or (status == "named" and not verdict.names_an_effect):
@@ -53,7 +67,7 @@ def verdict_sentence(result: Diagnosis) -> str:
 
 
 def verdict_lines(result: Diagnosis) -> list[str]:
-    """Amplitudes of what is named, each effect and what to do about it, what is left."""
+    """Amplitudes of what is named, each effect in words, and what they leave."""
     verdict, lines = result.verdict, []
     same = (c for c in result.candidates if c.effects == verdict.effects)
     if verdict.names_an_effect and (chosen := next(same, None)) is not None:
@@ -104,7 +118,7 @@ def gap_lines(result: Diagnosis) -> list[str]:
     lines = [f"{size(gap.rms)} rms beyond the noise"]
     if not gap.resolvable:
         return [f"{lines[0]}: too small to say how much of it closes"]
-    if not result.verdict.names_an_effect:
+    if not (result.verdict.names_an_effect or result.simulator):
         return lines
     places: list[tuple[Shrinkage, str]] = [(gap, "on these rows")]
     if gap.holdout is not None:
@@ -253,6 +267,8 @@ def diagnosis_text(result: Diagnosis) -> str:
         *([f"  {slip_check_line(result)}"] if result.slip_check else []),
         "VERDICT", f"  {verdict_sentence(result)}",
         *(f"  {line}" for line in verdict_lines(result)),
+        *(["BUDGET"] if result.simulator else []),
+        *(f"  {line}" for line in budget_lines(result)),
         "GAP", *(f"  {line}" for line in gap_lines(result)),
         "WHERE (shares of its energy)", *_where(result),
         *(f"  {line}" for line in map_lines(result)),
