@@ -19,7 +19,7 @@ from tirefit.data.table import Source
 from tirefit.diagnosis.base import fit_base
 from tirefit.diagnosis.basis import Generic, log_evidence, waves_within
 from tirefit.diagnosis.closure import closure_of
-from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, atoms_of
+from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, atoms_of
 from tirefit.diagnosis.forecast import (
     recognition,
     scores_of_nothing,
@@ -254,17 +254,11 @@ def test_no_form_of_the_speed_at_one_speed(base):
     assert not _forms(base, "friction x speed", without=["speeds"]).size
 
 
-def test_an_effect_of_ones_own_in_ten_lines():
-    from tirefit.diagnosis.engine import diagnose
-
-    def change(state, amplitude, constants, rows):
-        ripple = jnp.sin(25 * rows.time)
-        return state._replace(friction=state.friction * (1 + amplitude * ripple))
-
-    mine = Effect(
-        id="road_ripple", family="friction x time", change=change, scale=0.1, unit="-",
-        formula="mu (1 + A sin 25 t)", needs=("time",),
-    )  # fmt: skip
+def test_an_effect_of_ones_own_as_in_the_readme(tmp_path, monkeypatch, capsys):
+    """Its lines run as printed, and find a ripple that is there."""
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    (printed,) = (block for block in blocks if "mine = Effect(" in block)
     span = record(None)[0]["time"]
     middle, whole = span.mean(), np.ptp(span)
 
@@ -274,8 +268,14 @@ def test_an_effect_of_ones_own_in_ten_lines():
         )
 
     frame, _ = record(truth, seed=4)
-    found = diagnose(read_frame(frame), rig=RIG, effects=(*EFFECTS, mine))
-    assert found.effects == ("road_ripple",)
+    known = "".join(f"{name} = {value}\n" for name, value in RIG.noise.items())
+    (tmp_path / "rig.toml").write_text(f"[noise]\n{known}", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert load_rig("rig.toml").noise == RIG.noise
+    exec(printed, {"tirefit": tirefit, "data": read_frame(frame)})
+    text = re.sub(r"\s+", " ", capsys.readouterr().out)
+    assert "VERDICT road_ripple (probability" in text
+    assert "road_ripple: the road has waves; measure on another road" in text
 
 
 def test_slip_rate_of_a_noisy_sweep():

@@ -21,9 +21,9 @@ __all__ = [
 
 _MOST = 12
 _BINS = 36
-_FAR = 4.0
+_FAR = 6.0
 """Reach of an axis from the median, in distances to the end of the central 68.27 % on
-that side: 4 standard deviations of a Gaussian, beyond its draws. A bulk that is rare
+that side: 6 standard deviations of a Gaussian, beyond its draws. A bulk that is rare
 and far away does not stretch the axis; the note of the figure counts it."""
 _TRACE_POINTS = 600
 
