@@ -269,7 +269,7 @@ def draw_waterfall(figure, steps: list[Step]) -> None:
 
 def _panels(result: Diagnosis) -> dict[str, Callable]:
     """Name -> what draws that panel on a figure."""
-    panels = {
+    panels: dict[str, Callable] = {
         "where": partial(
             draw_where,
             panel=result.residual_map,
