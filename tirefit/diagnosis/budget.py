@@ -103,7 +103,7 @@ def _missed(
         fits |= {s: (start, a) for s, a in zip(sets, stuck.amplitude, strict=True)}
     scale, missed = np.asarray(base.design.prior_scale), {}
     for subset, (z, amplitude) in fits.items():
-        index = [k for k in subset if isinstance(k, int)]
+        index = [k for k in subset if not isinstance(k, str)]
         full = np.zeros(len(base.atoms))
         full[index] = amplitude[: len(index)] * scale[index]
         missed[subset] = observed - base.forces(z, full)[main]
