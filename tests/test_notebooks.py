@@ -15,6 +15,8 @@ DATA = (
     Path("dart_rear_axle", "free_driving.csv"),
     Path("diagnosis_measured", "diagnosed.csv"),
     Path("diagnosis_measured", "held_out.csv"),
+    Path("dart_simulator", "circles.csv"),
+    Path("dart_simulator", "free_driving.csv"),
 )
 NAMES = [path.stem for path in NOTEBOOKS]
 
@@ -53,10 +55,11 @@ def rich(notebook, kind: str) -> list:
     return [content for content in found if content is not None]
 
 
-def test_there_are_three():
+def test_there_are_four():
     assert NAMES == [
         "brush_against_magic_formula",
         "diagnose_a_measured_case",
+        "diagnose_a_simulator",
         "explore_a_fit",
     ]
 

@@ -120,7 +120,7 @@ def test_the_gap_is_that_of_the_simulator_as_given(frame, as_given):
     columns = rows_in_file_terms(as_given)
     assert {"sim_fx", "tuned_fx", "base_fx", "extended_fx"} <= set(columns)
     assert as_given.simulator.kind == "model"
-    assert as_given.simulator.surrogate["of_force"] < 1e-9
+    assert as_given.simulator.surrogate.of_force < 1e-9
 
 
 def test_a_form_that_is_fitted_has_no_parameters_to_blame(frame):
@@ -185,7 +185,7 @@ def test_what_the_simulator_has_beyond_its_tire_stays_in():
     assert found.verdict.status == "none"
     assert parts_of(found)["parameters"].share > 0.85
     # The tire misses the bump, as far as its own parameters do not take it up.
-    assert 0.3 * size < found.simulator.surrogate["rms"] < size
+    assert 0.3 * size < found.simulator.surrogate.rms < size
     # The same by the column, in the data's own terms.
     again = studied(frame | {"fx_sim": sim}, True)
     assert again.budget == found.budget

@@ -33,6 +33,7 @@ from tirefit.diagnosis.records import (
     Resolution,
     Settings,
     SimulatorSummary,
+    Surrogate,
     Untestable,
     VerdictSummary,
 )
@@ -446,7 +447,7 @@ CHANGES = {
 SIMULATED = {
     "simulator": SimulatorSummary(
         "columns", "columns", None,
-        {"model": "brush", "rms": 75.0, "of_force": 0.019, "of_gap": 0.23},
+        Surrogate(model="brush", rms=75.0, of_force=0.019, of_gap=0.23),
     ),
     "budget": BUDGET, "meanings": {"E": "curvature factor"},
 }  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.closure import block_means
-from tirefit.diagnosis.records import Change, Part, SimulatorSummary
+from tirefit.diagnosis.records import Change, Part, SimulatorSummary, Surrogate
 from tirefit.diagnosis.search import Hypothesis
 from tirefit.diagnosis.shares import shapley
 
@@ -82,7 +82,9 @@ def _energies(means):
     return means
 
 
-def _missed(base: Base, chosen: Hypothesis, main: str) -> dict[tuple, np.ndarray]:
+def _missed(
+    base: Base, chosen: Hypothesis, main: str
+) -> dict[tuple[int | str, ...], np.ndarray]:
     """Residual (n,) [N] where only a subset of the players is allowed; every subset is
     refitted, with the simulator's parameters held unless they are among it."""
     atoms, observed = chosen.atoms, base.rows.observed[main]
@@ -90,7 +92,8 @@ def _missed(base: Base, chosen: Hypothesis, main: str) -> dict[tuple, np.ndarray
     place = {atom: k for k, atom in enumerate(atoms)}
     guess = {s: chosen.amplitude[[place[atom] for atom in s]] for s in sets}
     free = base.refit([(chosen.z, guess[s]) for s in sets], sets)
-    fits = dict(zip(sets, zip(free.z, free.amplitude, strict=True), strict=True))
+    fits: dict[tuple[int | str, ...], tuple[np.ndarray, np.ndarray]] = {}
+    fits |= zip(sets, zip(free.z, free.amplitude, strict=True), strict=True)
     fits[atoms] = chosen.z, chosen.amplitude
     if base.simulator is not None:
         held = base.design._replace(hold=np.array(_HELD))
@@ -100,7 +103,7 @@ def _missed(base: Base, chosen: Hypothesis, main: str) -> dict[tuple, np.ndarray
         fits |= {s: (start, a) for s, a in zip(sets, stuck.amplitude, strict=True)}
     scale, missed = np.asarray(base.design.prior_scale), {}
     for subset, (z, amplitude) in fits.items():
-        index = [k for k in subset if k != PARAMETERS]
+        index = [k for k in subset if not isinstance(k, str)]
         full = np.zeros(len(base.atoms))
         full[index] = amplitude[: len(index)] * scale[index]
         missed[subset] = observed - base.forces(z, full)[main]
@@ -143,8 +146,8 @@ def simulator_summary(base: Base, model: str, gap: float) -> SimulatorSummary | 
     given, main, n = base.simulator.given, base.rows.channels[0], base.rows.n
     off = float(np.sqrt(np.mean(base.design.offset[main][:n] ** 2)))
     size = float(np.sqrt(np.mean(base.rows.column(f"{main}_sim") ** 2)))
-    followed = {
-        "model": model, "rms": off, "of_force": off / max(size, 1e-300),
-        "of_gap": off / max(gap, 1e-300),
-    }  # fmt: skip
+    followed = Surrogate(
+        model=model, rms=off, of_force=off / max(size, 1e-300),
+        of_gap=off / max(gap, 1e-300),
+    )  # fmt: skip
     return SimulatorSummary(given.kind, given.source, given.sha256, followed)

@@ -29,6 +29,7 @@ __all__ = [
     "Settings",
     "Shrinkage",
     "SimulatorSummary",
+    "Surrogate",
     "Untestable",
     "VerdictSummary",
 ]
@@ -184,18 +185,23 @@ class Part(NamedTuple):
     closed_ci: tuple[float, float]
 
 
-class SimulatorSummary(NamedTuple):
-    """A simulator that was diagnosed as it is.
+class Surrogate(NamedTuple):
+    """The tire that stands in for a simulator: rms [N] of what it misses of the
+    simulated force, first channel, and that as a share of the force and of the gap."""
 
-    ``kind`` is columns, model, fit or tir, ``surrogate`` the tire that stands in for
-    it: the rms [N] of what it misses of the simulated force, first channel, as a share
-    of that force and of the gap.
-    """
+    model: str
+    rms: float
+    of_force: float
+    of_gap: float
+
+
+class SimulatorSummary(NamedTuple):
+    """A simulator that was diagnosed; ``kind`` is columns, model, fit or tir."""
 
     kind: str
     source: str
     sha256: str | None
-    surrogate: Mapping[str, float | str]
+    surrogate: Surrogate
 
 
 class Amplitude(NamedTuple):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tirefit.data.table import SIMULATED, TireData
+from tirefit.data.table import CANONICAL, SIMULATED, TireData
 from tirefit.data.tir import read_tir
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.layout import FreeParameter, Layout, choose_layout
@@ -116,6 +116,7 @@ class Given:
     def tire_for(self, prepared) -> tuple[AbstractTire, Layout, np.ndarray]:
         """Its tire, which parameters of it may be adapted, and their values as z."""
         tire = self.tire
+        assert tire is not None, "only its forces are known: no tire to adapt"
         if self.layout is not None:
             return tire, self.layout, np.asarray(self.z)
         values = parameter_values(tire)
@@ -175,7 +176,8 @@ def check_followed(prepared, missed: Mapping[str, np.ndarray], name: str) -> Non
             raise DataError(
                 InputProblem(
                     f"the tire that stands in for the simulator does not follow it: it"
-                    f" misses {channel}_sim by {off:.3g} rms,"
+                    f" misses {channel}_sim by {off:.3g}"
+                    f" {CANONICAL[channel][0]} rms,"
                     f" {100 * off / max(size, 1e-300):.0f} % of it"
                     f" ({100 * _FARTHEST_OFF:.0f} % at most)",
                     f"choose a base model nearer to the simulator than {name} with"

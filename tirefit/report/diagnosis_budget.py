@@ -102,12 +102,12 @@ def budget_lines(result: Diagnosis) -> list[str]:
         simulated = format_number(change.simulated)
         lines.append(f"{name}: simulated {simulated}, measured {measured}: {verdict}")
     followed = result.simulator.surrogate
-    if followed["of_force"] > 1e-6:
+    if followed.of_force > 1e-6:
         lines.append(
-            f"{followed['model']}, which stands in for the simulator, misses"
-            f" {format_number(followed['rms'], 3)} N of it,"
-            f" {format_number(100 * followed['of_force'], 2)} % of its force and"
-            f" {format_number(100 * followed['of_gap'], 2)} % of the gap"
+            f"{followed.model}, which stands in for the simulator, misses"
+            f" {format_number(followed.rms, 3)} N of it,"
+            f" {format_number(100 * followed.of_force, 2)} % of its force and"
+            f" {format_number(100 * followed.of_gap, 2)} % of the gap"
         )
     return lines
 
@@ -138,7 +138,7 @@ def waterfall_steps(result: Diagnosis) -> list[Step]:
             f" [{100 * low:.0f}, {100 * high:.0f}] of the energy"
         )
         label = _LABELS.get(part.part, part.part.replace("_", " "))
-        ends = (float(whole * np.sqrt(end)) for end in (left, rest))
-        steps.append(Step(label, *ends, kind, text))
+        before, after = (float(whole * np.sqrt(end)) for end in (left, rest))
+        steps.append(Step(label, before, after, kind, text))
         left = rest
     return steps

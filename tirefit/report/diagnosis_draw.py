@@ -254,7 +254,7 @@ def draw_waterfall(figure, steps: list[Step]) -> None:
             at + (0 if room else -0.012 * whole if inside else 0.012 * whole), place,
             plain_text(step.text), va="center", fontsize=8,
             ha="right" if inside and not room else "left",
-            color="white" if room and step.kind == "whole" else DARK,
+            color="white" if room and step.kind in ("whole", "effect") else DARK,
         )  # fmt: skip
     for place, step in zip(places[1:-1], steps[1:-1], strict=True):
         axes.plot([step.after] * 2, [place - 0.69, place + 0.31], color=GREY, lw=0.8)
@@ -269,7 +269,7 @@ def draw_waterfall(figure, steps: list[Step]) -> None:
 
 def _panels(result: Diagnosis) -> dict[str, Callable]:
     """Name -> what draws that panel on a figure."""
-    panels = {
+    panels: dict[str, Callable] = {
         "where": partial(
             draw_where,
             panel=result.residual_map,

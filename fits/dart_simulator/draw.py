@@ -1,0 +1,67 @@
+"""The figure, and what is asserted of the diagnosis.
+
+``python -m fits.dart_simulator.draw`` writes ``waterfall.png`` beside this file.
+"""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import tirefit
+from tirefit.report.canvas import Picture
+from tirefit.report.diagnosis_budget import waterfall_steps
+from tirefit.report.diagnosis_draw import draw_waterfall
+
+jax.config.update("jax_enable_x64", True)
+HERE = Path(__file__).parent
+
+
+def diagnosed():
+    """Free driving against the fit of the other days' circles, as it is."""
+    circles, driving = (
+        tirefit.read(HERE / f"{name}.csv", convention="braking")
+        for name in ("circles", "free_driving")
+    )
+    simulator = tirefit.fit(circles, "brush")
+    # F_y is mass times acceleration here: there is no force sensor to have a zero.
+    return tirefit.diagnose(driving, sim=simulator, without=["force_offset"])
+
+
+def properties() -> dict:
+    found = diagnosed()
+    parts = {part.part: part for part in found.budget}
+    changes = found.verdict.parameters
+    fy = found.table["fy"]
+    values = {
+        "effects": list(found.effects),
+        "sum of the shares": sum(part.share for part in found.budget),
+        "noise and what has no name": float(
+            np.hypot(parts["noise"].rms, parts["unexplained"].rms)
+        ),
+    }
+    for name in ("sim", "tuned"):
+        missed = fy - found.rows["fy"][name]
+        values[f"rms of measured less {name}"] = float(np.sqrt(np.nanmean(missed**2)))
+    for name, change in changes.items():
+        values[f"{name}: simulated"] = change.simulated
+        values[f"{name}: measured"] = change.measured
+        values[f"{name}: interval"] = [
+            change.measured - 2 * change.std, change.measured + 2 * change.std
+        ]  # fmt: skip
+        values[f"{name}: differs"] = change.differs
+    for name in ("parameters", "slip_offset"):
+        values[f"share of {name}"] = parts[name].share if name in parts else 0.0
+    return values
+
+
+def main() -> None:
+    picture = Picture(figsize=(7.0, 3.0), layout="constrained")
+    draw_waterfall(picture, waterfall_steps(diagnosed()))
+    picture.savefig(HERE / "waterfall.png")
+
+
+if __name__ == "__main__":
+    main()
+    for name, value in properties().items():
+        print(f"{name:50s} {value}")
