@@ -224,10 +224,7 @@ def _nodes(slip, std):
 
 def _priors(prepared: Prepared, effects, rig) -> dict[str, np.ndarray]:
     """Of every atom: scale in its own unit; center, low and high in scales."""
-    priors = []
-    for atom in atoms_of(effects):
-        prior, adapt = atom.prior, atom.effect.prior
-        priors.append(prior if adapt is None else adapt(prior, prepared, rig))
+    priors = [atom.prior(prepared, rig) for atom in atoms_of(effects)]
     scale, center, low, high = (np.array(part) for part in zip(*priors, strict=True))
     return {
         "prior_scale": scale, "prior_center": center / scale, "low": low / scale,

@@ -18,8 +18,8 @@ _NOISE = (
     "slip", "alpha", "force", "force_relative",
 )  # fmt: skip
 
-_TURNING, _MOVING = 0.1, 0.1
-"""Wheel speed [rad/s] and speed [m/s] below which a wheel counts as standing."""
+_STANDS = 0.02
+"""Share of the usual wheel speed or speed below which a wheel counts as standing."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,8 @@ class Rig:
         omega, v = data.usable("omega"), data.usable("v")
         slip = data.usable("sigma_x") if "sigma_x" in data else np.zeros(data.n)
         # A wheel that stands, or a slip that has no bound, tells no radius.
-        turning = (np.abs(omega) > _TURNING) & (v > _MOVING) & (np.abs(slip) < 1)
+        turning = np.abs(omega) > _STANDS * np.median(np.abs(omega))
+        turning &= (v > _STANDS * np.median(np.abs(v))) & (np.abs(slip) < 1)
         if not turning.any():
             return None
         radius = v[turning] / (np.abs(omega[turning]) * (1 + slip[turning]))
