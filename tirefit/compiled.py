@@ -68,6 +68,7 @@ class Compiled:
     def __init__(self, function: Callable, static: tuple[str, ...]):
         update_wrapper(self, function)
         self._function, self._static = function, static
+        self._name, self._qualname = function.__name__, function.__qualname__
         self._signature = inspect.signature(function)
         self._jitted = jax.jit(function, static_argnames=static)
         self._programs: dict[str, Callable] = {}
@@ -83,17 +84,17 @@ class Compiled:
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             return self._jitted(*args, **kwargs)
         shapes = [jax.typeof(leaf).str_short() for leaf in leaves]
-        description = f"{_device()} {self.__qualname__} {static} {structure} {shapes}"
+        description = f"{_device()} {self._qualname} {static} {structure} {shapes}"
         key = hashlib.sha256(_sources() + description.encode()).hexdigest()
         if key not in self._programs:
-            self._programs[key] = self._program(key, static, structure, leaves)
+            path = _directory / f"{self._name}-{key[:32]}.program"
+            self._programs[key] = self._program(path, static, structure, leaves)
         return self._programs[key](leaves)
 
-    def _program(self, key: str, static: dict, structure, leaves: list) -> Callable:
+    def _program(self, path: Path, static: dict, structure, leaves: list) -> Callable:
         def flat(leaves):
             return self._function(**jax.tree.unflatten(structure, leaves), **static)
 
-        path = _directory / f"{self.__name__}-{key[:32]}.program"
         try:
             exported = jax.export.deserialize(bytearray(path.read_bytes()))
             _touch(path)
@@ -103,7 +104,7 @@ class Compiled:
                 exported = jax.export.export(jax.jit(flat), disabled_checks=_SAFE)(
                     leaves
                 )
-                _write(path, exported.serialize())
+                _write(path, bytes(exported.serialize()))
             except (ValueError, NotImplementedError):
                 # A program that cannot be written down still runs.
                 return jax.jit(flat)

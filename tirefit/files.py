@@ -97,6 +97,6 @@ def write_texts(texts: Mapping[Any, str]) -> None:
     """
     with ExitStack() as waiting:
         # The last one that is entered is the first one to be replaced.
-        for path, text in reversed(texts.items()):
+        for path, text in reversed(list(texts.items())):
             temporary = waiting.enter_context(replacing(path))
             temporary.write_text(text, encoding="utf-8", newline="")

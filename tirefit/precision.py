@@ -4,7 +4,7 @@ A sum of squares of some thousand rows differs between two good estimates in the
 digit. Models alone evaluate in either precision.
 """
 
-import jax
+import jax.numpy as jnp
 
 from tirefit.results import InputProblem, UsageError
 
@@ -20,7 +20,7 @@ def require_x64(task: str) -> None:
     Raises:
         UsageError: 32-bit floats are in use.
     """
-    if not jax.config.jax_enable_x64:
+    if jnp.result_type(float) != jnp.float64:
         raise UsageError(
             InputProblem(
                 f"{task} needs 64-bit floats, and JAX computes in 32 bits",

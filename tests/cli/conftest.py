@@ -17,7 +17,7 @@ def own_cache(tmp_path_factory):
         "jax_persistent_cache_min_entry_size_bytes",
     )
     before = {name: getattr(jax.config, name) for name in names}
-    with pytest.MonkeyPatch.context() as patch, jax.numpy_rank_promotion("allow"):
+    with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         jax.config.update("jax_compilation_cache_dir", None)
         yield

@@ -1,18 +1,10 @@
 """Fits that several files share: few models and one size, so little is compiled."""
 
-import jax
 import pytest
 from recipes import ESTIMATED, GIVEN, STD, VAGUE_NOISE, curve
 
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.posterior import sample
-
-
-@pytest.fixture(scope="package", autouse=True)
-def rank_promotion():
-    """The fitting room broadcasts as NumPy does."""
-    with jax.numpy_rank_promotion("allow"):
-        yield
 
 
 @pytest.fixture(scope="package")

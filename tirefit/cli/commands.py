@@ -162,7 +162,7 @@ def predict(
         from tirefit.fitting.store import load_fit
 
         fitted = load_fit(source) if is_file else source
-        if is_file and how["convention"] is None:
+        if not isinstance(fitted, str) and how["convention"] is None:
             how["convention"] = fitted.content["data"]["convention"]
         table = read(data, **how, forces=False)
         warn(table)

@@ -191,17 +191,20 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out):
     from tirefit.fitting.convert import curve, misfit_by_load
     from tirefit.fitting.likelihood import CHANNEL_SLIP
     from tirefit.fitting.problem import find_model
-    from tirefit.fitting.tir import rows_outside, tire_of
+    from tirefit.fitting.tir import rows_outside
+    from tirefit.models import AbstractTire
+    from tirefit.models.mf import mf_tire
 
     find_model(model)
     settings = FitConfig(model=model, force=[force.value], seed=seed or 0)
     if tir is None:
-        tire, v, name = "magic-formula", None, "Magic Formula"
+        tire: AbstractTire | str = "magic-formula"
+        v, name = None, "Magic Formula"
         name += "".join(f", {key} = {value:g}" for key, value in coefficients.items())
     else:
-        tire, name = tire_of(tir), f"{file}: Magic Formula {tir.version}"
-        v = tire.nominal.LONGVL
-        nominal = tire.nominal.FNOMIN
+        described = mf_tire(tir.version, tir.numbers)
+        tire, name = described, f"{file}: Magic Formula {tir.version}"
+        v, nominal = described.nominal.LONGVL, described.nominal.FNOMIN
         loads = loads or [share * nominal for share in _SHARES_OF_NOMINAL]
     said = (
         f"{name}: {force.value} at {len(slips)} slips, {CHANNEL_SLIP[force]} ="

@@ -148,7 +148,8 @@ def _fit_all(
     groups, directories, settings, how, posterior, resume, svg, strict
 ) -> ExitCode:
     """Every group of files; one bad file does not stop the others."""
-    codes, rows = [], []
+    codes: list[ExitCode] = []
+    rows = []
     for i, (group, directory) in enumerate(zip(groups, directories, strict=True)):
         if len(groups) > 1 and has_terminal():
             complain(f"file {i + 1} of {len(groups)}: {group[0]}")

@@ -114,7 +114,9 @@ def takes_data_options(command: Callable) -> Callable:
         for parameter in signature.parameters.values()
         if parameter.name != "options"
     ]
-    with_options.__signature__ = signature.replace(parameters=[*own, *ours])
+    whole = signature.replace(parameters=[*own, *ours])
+    # What inspect.signature looks for first, on any function.
+    with_options.__signature__ = whole  # type: ignore[attr-defined]
     return with_options
 
 
@@ -180,7 +182,9 @@ def start_jax() -> None:
     from tirefit.compiled import keep_programs_in
 
     jax.config.update("jax_enable_x64", True)
-    if jax.config.jax_compilation_cache_dir is None:
+    # JAX declares its options to no type checker.
+    chosen = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    if chosen is None:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         cache = Path(base) / "tirefit"
         jax.config.update("jax_compilation_cache_dir", str(cache))

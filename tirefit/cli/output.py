@@ -7,9 +7,11 @@ import threading
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import ModuleType
 
 from tirefit.results import InputProblem, UsageError
 
+fcntl: ModuleType | None
 try:
     import fcntl
 except ImportError:  # Windows has no such locks: two processes are not kept apart
@@ -72,6 +74,7 @@ def claimed(directory: Path) -> Iterator[None]:
 
 
 def _lock(handle: int, directory: Path) -> None:
+    assert fcntl is not None  # else there is no handle
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

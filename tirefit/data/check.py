@@ -49,7 +49,7 @@ class BadRows(NamedTuple):
     """
 
     column: str | None
-    rows: Sequence[int]
+    rows: Sequence[int] | np.ndarray
     values: Sequence[str]
     rule: str
     remedy: str = _CORRECT
@@ -333,8 +333,8 @@ def read_numbers(
         shown, kind = _fault_of(str(cells[row]))
         kinds.setdefault(kind, []).append((int(row), shown))
     faults = [
-        BadRows(header, *zip(*cells_there, strict=True), kind)
-        for kind, cells_there in kinds.items()
+        BadRows(header, [row for row, _ in there], [text for _, text in there], kind)
+        for kind, there in kinds.items()
     ]
     return np.where(is_sane, values, np.nan), faults
 

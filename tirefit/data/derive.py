@@ -184,7 +184,8 @@ def derive_files(
     out = Path(out)
     vehicle = load_vehicle(vehicle_toml)
     _check_names(paths, out)
-    logs, problems = [], []
+    logs: list[DerivedLog] = []
+    problems: list[InputProblem] = []
     for path in paths:
         try:
             logs.append(derive(path, vehicle, axle))
@@ -213,6 +214,7 @@ def _axle(motion: Motion, vehicle: Vehicle, axle: str) -> dict[str, np.ndarray]:
         arm, other, steer = -vehicle.l_r, vehicle.l_f, 0.0
         lateral = vehicle.mass * other * motion.a_y - inertial
     else:
+        assert vehicle.steering is not None  # :func:`derive` refused it without
         arm, other = vehicle.l_f, vehicle.l_r
         steer = np.interp(
             motion.command, vehicle.steering.command, vehicle.steering.angle
@@ -252,6 +254,7 @@ def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
         name = f"near |a_y| above {keep.a_y_max:g} m/s2"
         reasons[name] = until > np.searchsorted(glitches, motion.time - reach)
     if axle == "front":
+        assert vehicle.steering is not None  # :func:`derive` refused it without
         command = vehicle.steering.command
         reasons["steering command outside the map"] = (motion.command < command[0]) | (
             motion.command > command[-1]

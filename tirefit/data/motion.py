@@ -104,6 +104,7 @@ def _read_columns(path: Path, vehicle: Vehicle) -> tuple[Table, dict[str, np.nda
             ]
         )
     if table.units_row is not None:
+        assert table.header_line is not None  # units stand below a header
         raise DataError(
             InputProblem(
                 "there is a row of units below the header",
@@ -147,13 +148,13 @@ def _track(path: Path, vehicle: Vehicle) -> Track:
     table, columns = _read_columns(path, vehicle)
     names = vehicle.columns
     time = columns[names.time] * vehicle.factor("time")
-    signals = [
+    measured = [
         columns[getattr(names, quantity)] * vehicle.factor(quantity)
         for quantity in names.motion
     ]
     if names.steering:
-        signals.append(columns[names.steering])
-    signals = np.column_stack(signals)
+        measured.append(columns[names.steering])
+    signals = np.column_stack(measured)
     active = np.ones(len(time), bool)
     if vehicle.keep.active:
         active = columns[vehicle.keep.active] == vehicle.keep.active_value
@@ -217,6 +218,9 @@ def _later(time: np.ndarray, period: float) -> np.ndarray:
 
 # --- motion ---------------------------------------------------------------------
 
+_Rates = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""v_x, v_y, a_x, a_y, r, r' of the centre of gravity, (n,) each."""
+
 
 def _motion(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
     """Motion on one uniform grid that leaves out the gaps, and their number."""
@@ -231,13 +235,13 @@ def _motion(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
         grid = np.arange(first, last + 1) / rate
         signals = _filtered(time, track.signals[rows], grid, vehicle)
         if signals is None:
-            unknown = [np.full(len(grid), np.nan)] * 7
-            parts.append(Motion(grid, *unknown, settled=np.zeros(len(grid), bool)))
+            nan, never = np.full(len(grid), np.nan), np.zeros(len(grid), bool)
+            parts.append(Motion(grid, nan, nan, nan, nan, nan, nan, nan, never))
             continue
         inside = (grid >= time[0] + margin) & (grid <= time[-1] - margin)
         command = signals[:, -1] if vehicle.steering else np.zeros(len(grid))
         rates = convert(signals, vehicle)
-        parts.append(Motion(grid, *rates, command=command, settled=inside))
+        parts.append(Motion(grid, *rates, command, inside))
     fields = Motion.__dataclass_fields__
     joined = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in fields
@@ -262,7 +266,7 @@ def _filtered(time, signals, grid, vehicle: Vehicle) -> np.ndarray | None:
     return sosfiltfilt(sections, uniform, axis=0, padlen=padding)
 
 
-def _from_pose(signals: np.ndarray, vehicle: Vehicle) -> tuple[np.ndarray, ...]:
+def _from_pose(signals: np.ndarray, vehicle: Vehicle) -> _Rates:
     """v_x, v_y, a_x, a_y, r, r' of the centre of gravity from x, y, yaw; (n,) each."""
     rate = vehicle.filter.sample_rate
     x, y, yaw = signals[:, :3].T
@@ -273,7 +277,7 @@ def _from_pose(signals: np.ndarray, vehicle: Vehicle) -> tuple[np.ndarray, ...]:
     acceleration = np.gradient(velocity, 1 / rate, axis=1)
     yaw_rate = np.gradient(yaw, 1 / rate)
 
-    def body(world):
+    def body(world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return cos * world[0] + sin * world[1], cos * world[1] - sin * world[0]
 
     return (
@@ -284,7 +288,7 @@ def _from_pose(signals: np.ndarray, vehicle: Vehicle) -> tuple[np.ndarray, ...]:
     )
 
 
-def _from_rates(signals: np.ndarray, vehicle: Vehicle) -> tuple[np.ndarray, ...]:
+def _from_rates(signals: np.ndarray, vehicle: Vehicle) -> _Rates:
     """As :func:`_from_pose`, from v_x, v_y, yaw rate, a_y at the tracked point."""
     rate = vehicle.filter.sample_rate
     v_x, v_y, yaw_rate, a_y = signals[:, :4].T

@@ -125,7 +125,7 @@ def join(tables: Sequence[TireData]) -> TireData:
 
     A file that holds several runs keeps them, named ``file:run``.
     """
-    names = {}
+    names: dict[str, str] = {}
     for table in tables:
         twin = names.setdefault(table.source.sha256, table.source.path or table.name)
         if table.source.sha256 and twin != (table.source.path or table.name):
@@ -137,7 +137,8 @@ def join(tables: Sequence[TireData]) -> TireData:
     if len(set(paths)) < len(paths):
         raise DataError(InputProblem("a file is given twice", "give each file once"))
     shared = [c for c in tables[0].columns if all(c in table for table in tables)]
-    runs, codes = [], []
+    runs: list[str] = []
+    codes = []
     for table in tables:
         codes.append(table.run + len(runs))
         several = len(table.runs) > 1

@@ -234,7 +234,7 @@ def _find_header(lines, searched, declared) -> tuple[int, str]:
     best = {}
     for index in searched:
         widths = {delimiter: split(index, delimiter) for delimiter in _DELIMITERS}
-        best[index] = max(_DELIMITERS, key=widths.get)
+        best[index] = max(_DELIMITERS, key=widths.__getitem__)
         if widths[best[index]][0] < 2:
             continue
         if split(first, best[index])[1] < widths[best[index]][1]:

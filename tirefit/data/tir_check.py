@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from tirefit.data.columns import is_number
-from tirefit.data.tir_file import TirFile
+from tirefit.data.tir_file import Entry, TirFile
 from tirefit.data.tir_keys import (
     COEFFICIENTS,
     DIMENSIONS,
@@ -119,7 +119,7 @@ def _of_model(tir: TirFile) -> Iterator[InputProblem]:
 
 def _twice(tir: TirFile) -> Iterator[InputProblem]:
     """Keys with two values; a coefficient must not have them even in two sections."""
-    seen = {}
+    seen: dict[tuple[str | None, str], Entry] = {}
     for entry in tir.entries:
         anywhere = entry.key in COEFFICIENTS and entry.section != "UNITS"
         first = seen.setdefault((None if anywhere else entry.section, entry.key), entry)
@@ -198,7 +198,7 @@ def _of_limits(tir: TirFile) -> Iterator[InputProblem]:
 
 def _of_version(tir: TirFile) -> Iterator[InputProblem]:
     """Coefficients that act in the other generation only: not to be passed over."""
-    version = FITTYP.get(tir.numbers.get("FITTYP"), "")
+    version = FITTYP.get(tir.numbers.get("FITTYP", 0), "")
     for key, generation in ONLY_IN.items():
         value = tir.numbers.get(key)
         neutral = NEUTRAL.get(key, 1.0 if key.startswith("L") else 0.0)

@@ -17,7 +17,14 @@ __all__ = [
     "UNITS",
 ]
 
-FITTYP = {5: "5.2", 6: "5.2", 21: "5.2", 52: "5.2", 61: "6.1", 62: "6.2"}
+FITTYP: dict[float, str] = {
+    5: "5.2",
+    6: "5.2",
+    21: "5.2",
+    52: "5.2",
+    61: "6.1",
+    62: "6.2",
+}
 """Value of FITTYP -> version of the Magic Formula whose equations are used."""
 
 FORMATS_REFUSED = {

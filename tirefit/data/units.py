@@ -166,7 +166,7 @@ def _ask_pint(text: str, column: str, dimension: str) -> Unit:
     remedy = _unit_remedy(text, column, dimension)
     target = {"-": "", "N m": "N*m"}.get(_SI[dimension], _SI[dimension])
     try:
-        registry = pint.UnitRegistry(on_redefinition="ignore")
+        registry: pint.UnitRegistry = pint.UnitRegistry(on_redefinition="ignore")
         unit = registry.Unit(text)
         zero, one = (
             registry.Quantity(x, unit).to(target).magnitude for x in (0.0, 1.0)

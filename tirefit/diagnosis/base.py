@@ -22,13 +22,16 @@ from tirefit.diagnosis.forward import (
     tangents,
 )
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
-from tirefit.diagnosis.rows import Prepared, neighbours
+from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
 from tirefit.diagnosis.state import Covariates
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import best_of, solve_starts
+from tirefit.fitting.layout import Layout
 from tirefit.fitting.problem import build
 from tirefit.fitting.slip_noise import slip_distribution
 from tirefit.fitting.solve import starting_points
+from tirefit.models import AbstractTire
+from tirefit.padding import pad_rows, padded_size
 
 __all__ = [
     "Base",
@@ -40,6 +43,9 @@ __all__ = [
     "with_noise_judged",
 ]
 
+_LEAST_ROWS = 256
+"""Rows that a diagnosis is compiled for, at least: small files share one program."""
+
 _NODES = {count: np.polynomial.hermite_e.hermegauss(count) for count in (3, 5)}
 
 
@@ -50,8 +56,8 @@ class Tire:
     ``mode`` says which slip drives, ``layout`` where in z each parameter stands.
     """
 
-    model: object
-    layout: object
+    model: AbstractTire
+    layout: Layout
     effects: tuple[Effect, ...]
     mode: str
 
@@ -201,15 +207,6 @@ def _first_fit(prepared: Prepared, name: str):
     return problem.model, problem.layout, np.asarray(solution.z)[best_of(solution)]
 
 
-def _pad(array, size: int):
-    array = np.asarray(array, float)
-    return np.concatenate([array, np.repeat(array[:1], size - len(array), axis=0)])
-
-
-def _padded(n: int) -> int:
-    return max(256, 2 ** int(np.ceil(np.log2(n))))
-
-
 def _nodes(slip, std):
     """Latent slips and their probabilities under the file's own slip density."""
     if not np.any(std > 0):
@@ -270,12 +267,12 @@ def at_measured_slip(base: Base) -> Base:
     """The same fit at the slips as they were measured, not as they are believed."""
     nodes = base.design.slip.shape[1]
     slips = np.repeat(base.rows.slip[:, None], nodes, axis=1)
-    return base.on(base.design._replace(slip=_pad(slips, len(base.design.keep))))
+    return base.on(base.design._replace(slip=pad_rows(slips, len(base.design.keep))))
 
 
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:
     """The same fit looked at on other rows: forces only, its noise does not carry."""
-    tire = base.fit.tire
+    tire, prepared = base.fit.tire, on_scale_of(prepared, base.rows)
     design = _design(prepared, tire.effects, rig)
     return base.on(_with_force(prepared, tire, design, base.z), prepared)
 
@@ -286,18 +283,18 @@ scale of the first forces' weights, which no verdict rests on."""
 
 
 def _design(prepared: Prepared, effects, rig) -> Design:
-    size = _padded(prepared.n)
+    size = padded_size(prepared.n, _LEAST_ROWS)
     slips, weight = _nodes(prepared.slip, prepared.slip_std)
     observed, fz, v = prepared.observed, prepared.inputs.fz, prepared.inputs.v
     return Design(
-        inputs=type(prepared.inputs)(*(_pad(x, size) for x in prepared.inputs)),
-        slip=_pad(slips, size),
-        weight=_pad(weight, size),
-        second=_pad(prepared.second, size),
-        observed={c: _pad(x, size) for c, x in observed.items()},
+        inputs=type(prepared.inputs)(*(pad_rows(x, size) for x in prepared.inputs)),
+        slip=pad_rows(slips, size),
+        weight=pad_rows(weight, size),
+        second=pad_rows(prepared.second, size),
+        observed={c: pad_rows(x, size) for c, x in observed.items()},
         scale={c: np.full(size, _FIRST_NOISE * np.std(x)) for c, x in observed.items()},
         keep=(np.arange(size) < prepared.n).astype(float),
-        rows=Covariates(*(_pad(x, size) for x in prepared.covariates)),
+        rows=Covariates(*(pad_rows(x, size) for x in prepared.covariates)),
         reference=np.array([np.median(fz), np.median(v)]),
         **_priors(prepared, effects, rig),
     )
@@ -340,7 +337,7 @@ def _with_noise(prepared: Prepared, design: Design, noise) -> Design:
     size = len(design.keep)
     inflation = max(level.inflation for level in noise.values())
     scale = {
-        c: _pad(level.std * np.sqrt(inflation), size) for c, level in noise.items()
+        c: pad_rows(level.std * np.sqrt(inflation), size) for c, level in noise.items()
     }
     keep = (np.arange(size) < prepared.n).astype(float)
     keep[: prepared.n] = ~np.any([level.outlier for level in noise.values()], axis=0)
@@ -353,10 +350,11 @@ def _with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:
     silent = np.zeros(count_atoms(tire.effects))
     mean = tire.moments(z, silent, design, prepared.n)[0][channel]
     size = len(design.keep)
-    share = _pad(mean / (np.max(np.abs(mean) / fz) * fz), size)
+    share = pad_rows(mean / (np.max(np.abs(mean) / fz) * fz), size)
     rows = design.rows._replace(
-        force=share, usage=np.abs(share), traction=_pad(mean / np.mean(fz), size),
-        pull=_pad(_pull(prepared, tire, design, z, silent)[channel], size),
+        force=share, usage=np.abs(share),
+        traction=pad_rows(mean / prepared.covariates.load, size),
+        pull=pad_rows(_pull(prepared, tire, design, z, silent)[channel], size),
     )  # fmt: skip
     return design._replace(rows=rows)
 
@@ -370,9 +368,9 @@ def _pull(prepared, tire: Tire, design: Design, z, silent) -> dict[str, np.ndarr
     alone[:, 0] = 1.0
     columns = []
     for k in range(past.shape[1]):
-        slip = np.repeat(_pad(past[:, [k]], size), alone.shape[1], axis=1)
-        there = [_pad(part[:, k], size) for part in prepared.before]
-        there = type(design.inputs)(*there)
+        slip = np.repeat(pad_rows(past[:, [k]], size), alone.shape[1], axis=1)
+        earlier = (pad_rows(part[:, k], size) for part in prepared.before)
+        there = type(design.inputs)(*earlier)
         then = design._replace(slip=slip, weight=alone, inputs=there)
         columns.append(tire.moments(z, silent, then, prepared.n)[0])
     return {c: np.stack([one[c] for one in columns], axis=1) for c in columns[0]}

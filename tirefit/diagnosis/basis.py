@@ -165,7 +165,7 @@ def wave_basis(prepared, scale) -> np.ndarray:
     return columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
 
 
-def orthogonal(basis, against):
+def orthogonal(basis, against) -> tuple[np.ndarray, np.ndarray]:
     """(left (n, q), singular values (q,)) of the basis with ``against`` (n, p) out."""
     left = without(basis, against)
     gram = left.T @ left
@@ -283,7 +283,7 @@ def located(bases: Generic, against, residual):
         "smooth": mean_gain(*orthogonal(bases.smooth, against), residual),
         "cells": mean_gain(*orthogonal(bases.cells, against), residual),
     }
-    chosen = getattr(bases, max(gains, key=gains.get))
+    chosen = getattr(bases, max(gains, key=lambda name: gains[name]))
     chi2 = waves_within(bases.waves, against, residual)
     strong = np.flatnonzero(chi2 > 2 * (np.log(len(chi2)) + _TO_DRAW))
     strong = strong[np.argsort(-chi2[strong])][:_MOST_WAVES]

@@ -230,7 +230,7 @@ def _candidates(case: Case, generator, most: int = 10) -> tuple[Candidate, ...]:
         for k, v in weighed.sets.items()
         if k and weighed.best_of[k].refitted
     }
-    ranked = sorted(total, key=total.get, reverse=True)[:most]
+    ranked = sorted(total, key=lambda key: total[key], reverse=True)[:most]
     listed = [_candidate(case, key, total[key], generator) for key in ranked]
     if weighed.unknown_alone > 1e-3:
         unknown = Candidate(
@@ -328,7 +328,8 @@ def _base_parameters(base: Base, z) -> dict[str, float]:
 
 def _all_rows(case: Case, whole: Prepared, rig, rows):
     """The rows of the whole file, NaN where masked: {channel: {name: (n,)}}."""
-    data, spread_out = whole.data, {}
+    data = whole.data
+    spread_out: dict[str, dict[str, np.ndarray]] = {}
     if case.base.prepared.n < whole.n:
         rows = _on_everything(case, whole, rig, rows)
     for channel, parts in rows.items():

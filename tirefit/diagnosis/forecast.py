@@ -115,10 +115,10 @@ def confusion(search, draws: int = 2000) -> list[Forecast]:
     return forecasts
 
 
-def _changes(prepared: Prepared) -> dict[str, object]:
+def _changes(prepared: Prepared) -> dict[str, dict]:
     """Further measurements: name -> the covariates and inputs that they change."""
     rows = prepared.covariates
-    options = {"the same again": {}}
+    options: dict[str, dict] = {"the same again": {}}
     if "signs" not in prepared.has:
         options["the opposite sign of slip"] = {"flip": True}
     spread = "other loads" if "loads" in prepared.has else "two more loads"
@@ -272,7 +272,7 @@ class _Options:
     def __init__(self, base: Base, z):
         self.base, self.z = base, z
         _, jacobian, columns, _ = base.at_null
-        self.here = _Block(jacobian, columns)
+        self.here = _Block(np.asarray(jacobian), np.asarray(columns))
         self.changes = _changes(base.prepared)
         self.gives_moment = "mz" in modelled(base.fit.tire.model)
         self.known: dict[str, _Block] = {}

@@ -1,16 +1,17 @@
 """Forces of every row under the base model with effects, and their refits."""
 
+from collections.abc import Mapping
 from functools import lru_cache, partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from tirefit.diagnosis.state import (
     Covariates,
     State,
+    Values,
     force_of_state,
     null_state,
     peak_ratio,
@@ -45,18 +46,18 @@ class Design(NamedTuple):
     """
 
     inputs: TireInputs
-    slip: Array
-    weight: Array
-    second: Array
-    observed: dict[str, Array]
-    scale: dict[str, Array]
-    keep: Array
+    slip: Values
+    weight: Values
+    second: Values
+    observed: Mapping[str, Values]
+    scale: Mapping[str, Values]
+    keep: Values
     rows: Covariates
-    prior_scale: Array
-    prior_center: Array
-    low: Array
-    high: Array
-    reference: Array
+    prior_scale: Values
+    prior_center: Values
+    low: Values
+    high: Values
+    reference: Values
 
 
 def _is_plain(model) -> bool:
@@ -85,11 +86,11 @@ def _reference(tire, design: Design, mode: str):
 
 
 class Present(NamedTuple):
-    """The effects of one hypothesis: ``index`` (h,) of the atoms, K for none, and
-    their ``amplitude`` (h,) in their own units."""
+    """The effects of one hypothesis: ``atom`` (h,) their numbers, K for none, and
+    ``amplitude`` (h,) in their own units."""
 
-    index: Array
-    amplitude: Array
+    atom: Values
+    amplitude: Values
 
 
 def _per_row(state, count: int):
@@ -139,10 +140,11 @@ def _apply(effects, k, state, amplitude, rows: Covariates):
 
 def _state_of(effects, present: Present, rows: Covariates):
     def add(state, one):
-        return _apply(effects, *one[:1], state, one[1], rows), None
+        atom, amplitude = one
+        return _apply(effects, atom, state, amplitude, rows), None
 
     start = _per_row(null_state(), rows.fz.shape[0])
-    return jax.lax.scan(add, start, (present.index, present.amplitude))[0]
+    return jax.lax.scan(add, start, (present.atom, present.amplitude))[0]
 
 
 def forces_of(model, layout, effects, mode: str, z, present: Present, design: Design):
@@ -163,7 +165,7 @@ def _forces_at(model, layout, mode: str, z, state, design: Design):
     reference = None if plain else _reference(tire, design, mode)
 
     def row(state, stiffness, slips, second, inputs):
-        own = None if plain else (stiffness, *reference[1:])
+        own = None if reference is None else (stiffness, *reference[1:])
 
         def at(slip):
             moved = slip + state.shift
@@ -178,7 +180,8 @@ def _forces_at(model, layout, mode: str, z, state, design: Design):
 
         return jax.vmap(at)(slips)
 
-    stiffness = jnp.zeros_like(design.second) if plain else reference[0]
+    none = jnp.zeros_like(design.second)
+    stiffness = none if reference is None else reference[0]
     found = jax.vmap(row)(state, stiffness, design.slip, design.second, design.inputs)
     mean = {c: jnp.sum(f * design.weight, axis=1) for c, f in found.items()}
     spread = {
@@ -215,10 +218,10 @@ def moments(model, layout, effects, mode, z, present: Present, design: Design):
 class Linear(NamedTuple):
     """A fit linearised, whitened; see :func:`tangents`."""
 
-    residual: Array
-    jacobian: Array
-    columns: Array
-    fields: Array
+    residual: Values
+    jacobian: Values
+    columns: Values
+    fields: Values
 
 
 @partial(jax.jit, static_argnames=(*_STATIC, "finite"))
@@ -281,8 +284,8 @@ def tangents(model, layout, effects, mode, z, present, design: Design, finite):
 
 def _state_with(effects, present: Present, k, change, rows: Covariates):
     """The state with the amplitude of atom k moved by ``change`` from where it is."""
-    mine, none = present.index == k, count_atoms(effects)
-    others = present._replace(index=jnp.where(mine, none, present.index))
+    mine, none = present.atom == k, count_atoms(effects)
+    others = present._replace(atom=jnp.where(mine, none, present.atom))
     amplitude = jnp.sum(jnp.where(mine, present.amplitude, 0.0)) + change
     return _apply(effects, k, _state_of(effects, others, rows), amplitude, rows)
 
@@ -298,12 +301,12 @@ class Refit(NamedTuple):
     """One hypothesis refitted: parameters, sum of squares, log determinant of the
     curvature, covariance of (z, amplitudes in prior scales)."""
 
-    z: Array
-    amplitude: Array
-    chi2: Array
-    log_det: Array
-    covariance: Array
-    penalty: Array
+    z: Values
+    amplitude: Values
+    chi2: Values
+    log_det: Values
+    covariance: Values
+    penalty: Values
 
 
 MOST_EFFECTS = 3
@@ -374,7 +377,7 @@ def refit_all(model, layout, effects, mode, starts, index, count, design):
         return jax.tree.map(lambda all, x: all.at[number].set(x), found, here)
 
     h, width = starts.shape
-    shapes = Refit((p,), (size,), (), (), (width, width), ())
+    shapes = ((p,), (size,), (), (), (width, width), ())
     blank = Refit(*(jnp.full((h, *shape), jnp.nan) for shape in shapes))
     return jax.lax.fori_loop(0, count, body, blank)
 

@@ -71,6 +71,7 @@ def _regime(base: Base) -> tuple[np.ndarray, str]:
     for name, values in (("fz", prepared.inputs.fz), ("v", prepared.inputs.v)):
         need = {"fz": "loads", "v": "speeds"}[name]
         if need in prepared.has:
+            values = np.asarray(values)
             top = values >= values.max() - _TOP * np.ptp(values)
             if _LEAST < top.mean() < _MOST:
                 return top, f"highest {name}"

@@ -112,7 +112,7 @@ class _Mean:
         self.second = fade * self.second + share * (off**2 + variance)
         return fade, share
 
-    def result(self):
+    def result(self) -> tuple[np.ndarray, np.ndarray]:
         """(mean, standard deviation)."""
         off = self.first / self.total
         variance = np.maximum(self.second / self.total - off**2, 0.0)

@@ -13,7 +13,7 @@ from tirefit.diagnosis.state import Covariates
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["Prepared", "neighbours", "prepare", "thinned"]
+__all__ = ["Prepared", "neighbours", "on_scale_of", "prepare", "thinned"]
 
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that drive the forces -> forces that may be diagnosed."""
@@ -200,7 +200,8 @@ def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Cova
     run = data.run[data.used]
     spin = slip_rate(omega, time, run).rate if "omega" in data else zero
     interval = np.full(data.n, sweeps.past.interval)
-    pace = np.maximum(np.abs(v), max(_STANDS * np.median(np.abs(v)), 1e-12))
+    usual = float(np.median(np.abs(v)))
+    pace = np.maximum(np.abs(v), _STANDS * usual if usual else 1.0)
     way = sweeps.rate / pace
     sliding = v * (size if mode == "y" else size / (1 + _column(data, "sigma_x")))
     sliding = np.abs(sliding)
@@ -228,6 +229,7 @@ def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Cova
         pace=pace,
         sliding=sliding,
         brisk=np.full(data.n, max(largest(sliding), 1e-12)),
+        cruise=np.full(data.n, np.exp(np.mean(np.log(pace)))),
         rise=np.full(data.n, half_force_slip(size, force / fz)),
         peak=np.full(data.n, largest(force / fz)),
         work=_work_of_sliding(np.abs(force) * sliding, data, time, run),
@@ -264,6 +266,20 @@ def _work_of_sliding(power, data: TireData, time, run) -> np.ndarray:
             warmth = left * warmth + heated[row]
             work[row, column] = warmth
     return np.stack([_over_range(column) for column in work.T], axis=1)
+
+
+def on_scale_of(prepared: Prepared, fitted: Prepared) -> Prepared:
+    """The same rows with the typical values of those that were fitted: an amplitude
+    found there means the same here."""
+    here, there = prepared.covariates, fitted.covariates
+    typical = ("load", "brisk", "cruise", "rise", "peak")
+    constants = {name: np.full(prepared.n, getattr(there, name)[0]) for name in typical}
+    return replace(
+        prepared,
+        covariates=here._replace(
+            fz=prepared.inputs.fz * (there.fz[0] / fitted.inputs.fz[0]), **constants
+        ),
+    )
 
 
 def thinned(prepared: Prepared, most: int) -> Prepared:

@@ -1,7 +1,7 @@
 """Which effects: screened in closed form, refitted one by one, weighed by evidence."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -75,8 +75,8 @@ class Search:
     base: Base
     testable: tuple[int, ...]
     score: dict[str, float]
-    hypotheses: list[Hypothesis] = field(default_factory=list)
-    projected: np.ndarray | None = None
+    hypotheses: list[Hypothesis]
+    projected: np.ndarray
 
     @property
     def best(self) -> Hypothesis:
@@ -185,11 +185,12 @@ class _Searcher:
         if atoms in self.found:
             return
         p, size = len(within.z), len(atoms)
+        z, amplitude = guess
         wide = np.eye(p + size)
         wide[:p, :p] = within.covariance[:p, :p]
         self.found[atoms] = Hypothesis(
             atoms, tuple(self.ids[k] for k in atoms), within.log_evidence + value,
-            self.log_prior(atoms), *guess, wide, within.chi2, False,
+            self.log_prior(atoms), z, amplitude, wide, within.chi2, False,
         )  # fmt: skip
 
     def within(self, atoms, amplitude) -> np.ndarray:
@@ -303,7 +304,8 @@ def _extend(searcher: _Searcher, size: int, beam: int, width: int) -> None:
     """Add to the best sets of this size what their remainders point at."""
     sets = [h for h in searcher.found.values() if len(h.atoms) == size]
     sets = sorted(sets, key=lambda h: -h.log_weight)[:beam]
-    wanted, guesses = [], {}
+    wanted: list[tuple[int, ...]] = []
+    guesses: dict[tuple[int, ...], tuple] = {}
     top = max(h.log_weight for h in searcher.found.values())
     for hypothesis in sets:
         if hypothesis.log_weight < top - _HOPELESS and hypothesis is not sets[0]:

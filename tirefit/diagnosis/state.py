@@ -9,15 +9,26 @@ friction, one with the effect and one without.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from tirefit.models import Asymmetric, Brush, Quartic, TireInputs
+from tirefit.models.friction import Friction
 from tirefit.models.pressure import AbstractPressure, Parabolic
 
-__all__ = ["Covariates", "State", "force_of_state", "null_state", "peak_ratio"]
+__all__ = [
+    "Covariates",
+    "State",
+    "Values",
+    "force_of_state",
+    "null_state",
+    "peak_ratio",
+]
+
+Values = Array | np.ndarray
+"""Of a record that programs take and give: NumPy's on the host, JAX's within one."""
 
 
 class Covariates(NamedTuple):
@@ -38,47 +49,49 @@ class Covariates(NamedTuple):
     :class:`tirefit.diagnosis.rates.Past`, ``pull`` (n, k) [N] the force of the base
     model there; both are zero without sweeps. From column to column it is ``interval``
     [s] and ``step`` [m] back. ``pace`` [m/s] is the speed, a share of the usual one at
-    least; ``sliding`` [m/s] the sliding speed of the measured slip and ``brisk`` its
-    typical largest value. ``rise`` is the slip at half of the largest force, ``peak``
-    that force over the load. ``work`` (n, 3) is the work of sliding so far, from -1/2
-    to 1/2 over the record: all of it, and what is left of it after a cooling of a fifth
-    and of a twentieth of the record. ``across`` [N] is the measured force across,
-    ``yaw`` [1/m] yaw rate over speed, ``ahead`` the acceleration ahead over its range.
+    least, ``cruise`` [m/s] its geometric mean; ``sliding`` [m/s] is the sliding speed
+    of the measured slip, ``brisk`` [m/s] its typical largest value. ``rise`` is the
+    slip at half of the largest force, ``peak`` that force over the load. ``work``
+    (n, 3) is the work of sliding so far, over its range about its mean: all of it, and
+    what is left of it after a cooling of a fifth and of a twentieth of the record.
+    ``across`` [N] is the measured force across, ``yaw`` [1/m] yaw rate over speed,
+    ``ahead`` the acceleration ahead over its range.
     ``change`` is the shape of a change in time, from -1/2 to 1/2, that
     :func:`tirefit.diagnosis.forms.shape_of_change` has found, ``traction`` the force
     of the base model over the mean load.
     """
 
-    fz: Array
-    v: Array
-    time: Array
-    temperature: Array
-    inflation: Array
-    gamma: Array
-    rate: Array
-    lag: Array
-    turning: Array
-    side: Array
-    other: Array
-    force: Array
-    usage: Array
-    spin: Array
-    load: Array
-    past: Array
-    pull: Array
-    interval: Array
-    step: Array
-    pace: Array
-    sliding: Array
-    brisk: Array
-    rise: Array
-    peak: Array
-    work: Array
-    across: Array
-    yaw: Array
-    ahead: Array
-    change: Array
-    traction: Array
+    fz: Values
+    v: Values
+    time: Values
+    temperature: Values
+    inflation: Values
+    gamma: Values
+    rate: Values
+    lag: Values
+    turning: Values
+    side: Values
+    other: Values
+    force: Values
+    usage: Values
+    spin: Values
+    load: Values
+    past: Values
+    pull: Values
+    interval: Values
+    step: Values
+    pace: Values
+    sliding: Values
+    brisk: Values
+    cruise: Values
+    rise: Values
+    peak: Values
+    work: Values
+    across: Values
+    yaw: Values
+    ahead: Values
+    change: Values
+    traction: Values
 
 
 class State(NamedTuple):
@@ -121,7 +134,9 @@ class _Shaped(AbstractPressure):
     flat: Array
 
     def _mix(self, name: str, u):
-        skewed = getattr(Asymmetric(self.skew), name)(u)
+        # A number to its users; here of a hypothesis, within a program.
+        leaning = Asymmetric(self.skew)  # type: ignore[arg-type]
+        skewed = getattr(leaning, name)(u)
         return (1 - self.flat) * skewed + self.flat * getattr(Quartic(), name)(u)
 
     def density(self, u):
@@ -174,11 +189,11 @@ def _breakaway_slope(primals, tangents):
     return u, jnp.where(inside, moved / _holding_slope(at, skew, flat), 0.0)
 
 
-class _TwoFrictions(eqx.Module):
+class _TwoFrictions(Friction):
     """Static friction above the kinetic one, whatever the speed."""
 
-    excess: Array
-    factor: Array
+    excess: Array | float = 0.0
+    factor: Array | float = 1.0
 
     def static(self, mu, v_s):
         del v_s
@@ -206,7 +221,7 @@ def peak_ratio(base, fz, v):
 def _shape_change(state: State, stiffness, mu, arm, slip, fz, bare: bool):
     """Force and moment of a brush with the effects, less those of one without."""
     pressure = _Shaped(state.skew, state.flat)
-    friction = _TwoFrictions(state.static, state.kinetic)
+    friction = _TwoFrictions(excess=state.static, factor=state.kinetic)
     with_effect = Brush(stiffness, mu, arm, pressure, friction).pure(slip, fz, 0.0)
     if bare:
         return with_effect

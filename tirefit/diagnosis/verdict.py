@@ -121,7 +121,7 @@ def weigh(search: Search) -> Weighed:
     total = {key: float(logsumexp(values)) for key, values in logs.items()}
     evidence = {key: hypothesis.log_evidence for key, hypothesis in best.items()}
     beside, others = {}, set()
-    ranked = sorted(total, key=total.get, reverse=True)
+    ranked = sorted(total, key=lambda key: total[key], reverse=True)
     for key in dict.fromkeys([*ranked[:6], *_simplest(total, 8), ()]):
         linear = linear_at(search.base, best[key])
         form = _form(linear)
@@ -131,7 +131,9 @@ def weigh(search: Search) -> Weighed:
             evidence[key] += free
             if form.gain > np.log(1 - PRIOR_OF_FORM):
                 others.add(key)
-        used_up = linear.used_up if key not in others else form.used_up
+        used_up = linear.used_up
+        if form is not None and key in others:
+            used_up = form.used_up
         more = log_evidence(search.base.generic, used_up, linear.residual)
         beside[key] = total[key] + more + np.log(PRIOR_OF_UNKNOWN)
     rest = [hypothesis.log_weight for hypothesis in guessed]
@@ -213,7 +215,7 @@ def judge(search: Search, weighed: Weighed, p_value: float) -> Verdict:
         return Verdict("none", (), weighed.sets[()], (), p_value, null)
     named = {k: v for k, v in weighed.sets.items() if k}
     together = {k: v + weighed.unknown_beside.get(k, 0.0) for k, v in named.items()}
-    best = max(together, key=together.get, default=None)
+    best = max(together, key=lambda key: together[key], default=None)
     if best is None or weighed.unknown_alone > together[best]:
         return Verdict(
             "unknown", ("unknown",), weighed.unknown_alone, (), p_value, null
@@ -253,7 +255,7 @@ def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:
             told_apart = separability(left, atom, k, abs(amplitude), needed)
             if needed < _ABSURD and told_apart < _TOLD_APART:
                 found[effect.id] = min(told_apart, found.get(effect.id, 1.0))
-    return tuple(sorted(found, key=found.get))
+    return tuple(sorted(found, key=lambda effect: found[effect]))
 
 
 def _unresolved(weighed: Weighed) -> float:
@@ -271,4 +273,4 @@ def _rivals(named, best) -> tuple[str, ...]:
         for effect in set(key) - set(best):
             if len(key) <= len(best):
                 found[effect] = max(found.get(effect, 0.0), probability)
-    return tuple(sorted(found, key=found.get, reverse=True))
+    return tuple(sorted(found, key=lambda effect: found[effect], reverse=True))

@@ -201,13 +201,14 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
     most, grid = -np.inf, None
     for covariate, values in (rows.covariates or {"fz": rows.load}).items():
         option = _grid(rows, covariate, values)
-        energy = _energy_seen(option.cell, option.size, residual)
-        if grid is None or energy > most + 0.05 * abs(most):
-            most, grid = energy, option
+        seen = _energy_seen(option.cell, option.size, residual)
+        if grid is None or seen > most + 0.05 * abs(most):
+            most, grid = seen, option
+    assert grid is not None  # there is a covariate, or else the load
     count, mean, std = _cells(grid.cell, grid.size, residual)
     there = count >= _FEWEST
-    energy = np.bincount(grid.cell, rows.gap**2, grid.size)
-    energy = energy * resolvable / max(float(energy.sum()), 1e-300)
+    square = np.bincount(grid.cell, rows.gap**2, grid.size)
+    energy = square * resolvable / max(float(square.sum()), 1e-300)
     return ResidualMap(
         rows.channel, grid.covariate, grid.levels, grid.edges,
         np.where(there, mean, np.nan).reshape(grid.shape),

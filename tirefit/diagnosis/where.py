@@ -97,7 +97,7 @@ def parameter_map(base: Base) -> list[Cell]:
     Cells overlap: a gap of one cause shows in all that can imitate it.
     """
     residual, jacobian, _, fields = base.at_null
-    load, channels = base.prepared.inputs.fz, len(base.prepared.channels)
+    load, channels = np.asarray(base.prepared.inputs.fz), len(base.prepared.channels)
     misfit = max(float(residual @ residual), 1e-300)
     cells = []
     for covariate, values in covariates_of(base).items():

@@ -9,7 +9,7 @@ every few seconds: a kill loses the samples since, which are drawn again bit by 
 
 import zipfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,11 +45,11 @@ def identity_of(result: FitResult, sampler: str, seed: int, shape) -> str:
 
 def save_chain(path: Path, chain: Chain, identity: str) -> None:
     """Write the chain, whole or not at all."""
+    state: dict[str, Any] = {f"state_{k}": value for k, value in chain.state.items()}
     with replacing(path) as temporary, open(temporary, "wb") as file:
         np.savez(
             file, samples=chain.samples, log_density=chain.log_density,
-            accepted=chain.accepted, identity=identity,
-            **{f"state_{key}": value for key, value in chain.state.items()},
+            accepted=chain.accepted, identity=identity, **state,
         )  # fmt: skip
 
 

@@ -63,4 +63,7 @@ def _couples(model: AbstractTire) -> bool:
     along = model(TireInputs(0.1, 0.0, 4000.0, 10.0))
     across = model(TireInputs(0.0, 0.1, 4000.0, 10.0))
     pairs = ((both.fx, along.fx), (both.fy, across.fy))
-    return any(a is not None and abs(a - b) > 1e-6 * abs(b) for a, b in pairs)
+    return any(
+        a is not None and b is not None and bool(abs(a - b) > 1e-6 * abs(b))
+        for a, b in pairs
+    )

@@ -254,7 +254,11 @@ def _extreme(solved: Solved, quantity: Callable, sign: int) -> float:
 def _ends(*values: float) -> tuple[float | None, float | None]:
     """The smallest and the largest; None where an end is not known."""
     low, high = sorted(values) if np.all(np.isfinite(values)) else values
-    return tuple(float(end) if np.isfinite(end) else None for end in (low, high))
+    return _known(low), _known(high)
+
+
+def _known(end: float) -> float | None:
+    return float(end) if np.isfinite(end) else None
 
 
 def _says_something(ci95) -> bool:
@@ -266,9 +270,11 @@ def _says_something(ci95) -> bool:
 def _with_ratio(found: dict[str, Estimate], names, fz: float) -> dict[str, Estimate]:
     """The estimates in order, with that of the peak over the load."""
     peak = found["F_max"]
+    low, high = peak.ci95
     found["F_max_over_fz"] = replace(
         peak, value=peak.value / fz, std=None if peak.std is None else peak.std / fz,
-        unit="-", ci95=tuple(None if end is None else end / fz for end in peak.ci95),
+        unit="-",
+        ci95=(None if low is None else low / fz, None if high is None else high / fz),
     )  # fmt: skip
     return {name: found[name] for name in names if name in found}
 
@@ -313,7 +319,7 @@ def derived_from_profile(
             found[name] = Estimate(value, None, unit, (None, None), fixed=True)
         else:
             ends = mapped[name][1][:, involved[0]] if len(involved) == 1 else None
-            known = [estimates[i] for i in involved]
+            known = [estimates[int(i)] for i in involved]
             found[name] = _estimate(solved, evaluate, name, unit, known, ends)
     return _with_ratio(found, units, reference_point(problem)["fz"])
 
@@ -333,9 +339,8 @@ def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Es
     else:
         ci95 = _ends(*(_extreme(solved, quantity, sign) for sign in (-1, 1)))
         identified = _says_something(ci95)
-    if not identified or any(one.std is None for one in known):
-        std = None
-    return Estimate(float(value), std, unit, ci95, identified)
+    sure = identified and all(one.std is not None for one in known)
+    return Estimate(float(value), std if sure else None, unit, ci95, identified)
 
 
 _BLOCK = 4096
@@ -352,9 +357,9 @@ def derived_from_draws(
         least_squares: the same at the least-squares estimate, which says what the data
             identify.
     """
-    if not least_squares:
-        return {}
     channel = derived_channel([c.name for c in problem.channels])
+    if channel is None or not least_squares:
+        return {}
     evaluate = _evaluator(problem, channel)
     # Blocks of one size: one program, however many draws there are.
     count, blocks = len(z_draws), -(-len(z_draws) // _BLOCK)

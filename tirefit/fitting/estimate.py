@@ -295,12 +295,14 @@ def _tied(tie: Tie, unit: str, estimates: dict[str, Estimate], runs: tuple[str, 
     for end in ("", *(f"[{run}]" for run in runs)):
         if f"{tie.other}{end}" in estimates:
             other = estimates[f"{tie.other}{end}"]
-            ends = other.ci95 if tie.factor > 0 else other.ci95[::-1]
+            low, high = (
+                None if end is None else tie.factor * end for end in other.ci95
+            )
             found[f"{tie.name}{end}"] = Estimate(
                 tie.factor * other.value,
                 None if other.std is None else abs(tie.factor) * other.std,
                 unit,
-                tuple(None if one is None else tie.factor * one for one in ends),
+                (low, high) if tie.factor > 0 else (high, low),
                 other.identified,
             )
     return found

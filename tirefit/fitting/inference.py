@@ -151,7 +151,7 @@ def solve_starts(
     return jax.tree.map(np.asarray, _library_minima(problem, starts, solver))
 
 
-def best_of(solution: Solution) -> int:
+def best_of(solution: Minima | Solution) -> int:
     """Index of the lowest finite cost, converged starts preferred."""
     cost = np.where(np.isfinite(solution.cost), solution.cost, np.inf)
     settled = np.where(solution.converged, cost, np.inf)
@@ -252,7 +252,7 @@ def covariance(
     return (vectors / np.maximum(values, 1 / REACH**2)) @ vectors.T
 
 
-def inflation(problem: FitProblem, block: str) -> float:
+def inflation(problem: FitProblem, block: str) -> Array | float:
     """Inflation of a block of :class:`Linearised`; one for the priors."""
     return problem.rules[block].inflation if block in problem.rules else 1.0
 
@@ -370,7 +370,7 @@ def profile_all(
             base = float(np.min(ends.deviance))
         else:
             rise = np.nan_to_num(ends.deviance - base, nan=1e9, posinf=1e9)
-            follow = (ends.z - z) / np.maximum(distance, 1e-9)[:, None]
+            follow = (np.asarray(ends.z) - z) / np.maximum(distance, 1e-9)[:, None]
             for side, d, value in zip(sides, distance, rise, strict=True):
                 side.add(d, value)
         if finished:

@@ -187,7 +187,7 @@ def _is_free(spec: Spec, name: str, asked: ParameterConfig, forces) -> bool:
 
 
 def _free_parameter(name: str, spec: Spec, asked: ParameterConfig, runs: int):
-    prior = asked.prior and (asked.prior.mean, asked.prior.std)
+    prior = None if asked.prior is None else (asked.prior.mean, asked.prior.std)
     return FreeParameter(name, spec, asked.per_run and runs > 1, prior)
 
 

@@ -7,8 +7,7 @@ the profiles, the batches of fits and the refits of a diagnosis.
 
 import warnings
 from collections.abc import Callable
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.export
@@ -134,7 +133,11 @@ def damped_gauss_newton(
     def step(state: _State) -> _State:
         best = state.best
         cost, normal, gradient = _linearise(residual, state.trial)
-        keep = partial(jnp.where, cost < best.cost)
+        better = cost < best.cost
+
+        def keep(new: Array, old: Array) -> Array:
+            return jnp.where(better, new, old)
+
         z, cost = keep(state.trial, best.z), keep(cost, best.cost)
         normal, gradient = keep(normal, best.normal), keep(gradient, state.gradient)
         damping = keep(state.damping / _DAMPING_FACTOR, state.damping * _DAMPING_FACTOR)
@@ -184,15 +187,17 @@ def _optimistix(residual: Residual, start) -> Solution:
     import optimistix as optx
 
     ordinary = _ordinary(residual, start)
-    solver = optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8)
-    solution = optx.least_squares(
+    solver: optx.LevenbergMarquardt[Array, Array, Any] = optx.LevenbergMarquardt(
+        rtol=1e-8, atol=1e-8
+    )
+    solution: optx.Solution[Array, Any] = optx.least_squares(
         lambda z, _: ordinary(z), solver, start, max_steps=_MAX_STEPS, throw=False
     )
     values, _ = residual(solution.value)
     return Solution(
         solution.value,
         values @ values,
-        solution.result == optx.RESULTS.successful,
+        jnp.asarray(solution.result == optx.RESULTS.successful),
         solution.stats["num_steps"],
     )
 

@@ -246,7 +246,8 @@ def _channel_forces(problem: FitProblem, z: Float[Array, " p"]) -> dict[str, Arr
     nodes = problem.rows.nodes
     plain = [c.name for c in problem.channels if c.slip not in nodes]
     predicted = predict(problem, z) if plain else {}
-    forces = {name: predicted[name] for name in plain}
+    # Only what the model gives is ever a channel.
+    forces = {k: v for k, v in predicted.items() if k in plain and v is not None}
     for slip in nodes:
         forces |= _at_nodes(problem, z, slip)
     return forces
@@ -255,7 +256,8 @@ def _channel_forces(problem: FitProblem, z: Float[Array, " p"]) -> dict[str, Arr
 def _blocks(problem: FitProblem, forces) -> dict[str, Float[Array, " n"]]:
     """:func:`root_deviance` of known forces."""
     rows, loss = problem.rows, LOSSES[problem.loss]
-    blocks, squares = {}, {}
+    blocks: dict[str, Array] = {}
+    squares: dict[str, Array] = {}
     for channel in problem.channels:
         name, block = channel.name, problem.block_of(channel)
         observed, scale = rows.observed[name], rows.scale[name]

@@ -81,9 +81,14 @@ def _random_states(seed: int, count: int) -> list[tuple]:
     """Full generator states: emcee silently ignores an integer seed."""
     children = np.random.SeedSequence(seed).spawn(count)
     return [
-        np.random.RandomState(np.random.MT19937(child)).get_state()
-        for child in children
+        _state_of(np.random.RandomState(np.random.MT19937(child))) for child in children
     ]
+
+
+def _state_of(generator: np.random.RandomState) -> tuple:
+    state = generator.get_state(legacy=True)
+    assert isinstance(state, tuple)  # as ``legacy`` asks for
+    return state
 
 
 def _pack(state: tuple) -> np.ndarray:
@@ -107,7 +112,7 @@ def _emcee_start(density, size: int, ensembles: int, walkers: int, seed: int):
         halves = [np.asarray(density(half)) for half in np.split(start, 2)]
         coordinates.append(start)
         values.append(np.concatenate(halves))
-        packed.append(_pack(generator.get_state()))
+        packed.append(_pack(_state_of(generator)))
     return {
         "coordinates": np.array(coordinates),
         "values": np.array(values),
@@ -144,7 +149,7 @@ def _emcee_chunk(density, state: dict, steps: int):
     return samples, values, accepted, after
 
 
-SAMPLERS = {
+SAMPLERS: dict[str, tuple[Callable, Callable]] = {
     "emcee": (_emcee_start, _emcee_chunk),
     "nuts": (nuts_start, nuts_chunk),
 }
@@ -384,7 +389,8 @@ def _with_posterior(
     z = center + u @ root.T
     flat = z.reshape(-1, z.shape[-1])
     kept = solved.problem.layout.vector(flat.T).T.reshape(z.shape)
-    estimates, ends = {}, {}
+    estimates: dict[str, Estimate] = {}
+    ends: dict[str, tuple[float | None, float | None]] = {}
     for i, label in enumerate(result.labels):
         draws = kept[..., i].ravel()
         low, high = (float(end) for end in np.quantile(draws, [0.025, 0.975]))

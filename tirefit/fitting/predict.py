@@ -37,10 +37,10 @@ def _linearised(model, layout, z, covariance, inputs, run):
 def predict_forces(
     model: AbstractTire,
     layout: Layout,
-    z: Float[Array, " p"],
-    covariance: Float[Array, "p p"],
+    z: Float[Array | np.ndarray, " p"],
+    covariance: Float[Array | np.ndarray, "p p"],
     inputs: TireInputs,
-    run: Int[Array, " n"],
+    run: Int[Array | np.ndarray, " n"],
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Forces and the variance that the parameters' uncertainty gives them.
 
@@ -112,6 +112,7 @@ def predict(
         return _of_model(find_model(source), source, data, values or {})
     if isinstance(source, AbstractTire):
         return _of_model(source, type(source).__name__, data, values or {})
+    noise: Mapping[str, Mapping]
     if isinstance(source, FitResult):
         problem = source.problem
         tire, layout, name = problem.model, problem.layout, source.model

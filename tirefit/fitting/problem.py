@@ -4,8 +4,9 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from tirefit.data.read import require
 from tirefit.data.table import TireData
@@ -94,7 +95,6 @@ def _column_wins(name: str, noise: NoiseConfig) -> str:
 
 def _force_scale(data: TireData, name: str, noise: NoiseConfig):
     """(scale (n_used,), estimated?, sentence) of one force."""
-    fz = data.usable("fz") if "fz" in data else None
     if f"{name}_std" in data:
         scale = data.usable(f"{name}_std")
         return scale, False, _column_wins(name, noise)
@@ -103,10 +103,15 @@ def _force_scale(data: TireData, name: str, noise: NoiseConfig):
     if absolute is not None:
         return np.full(data.n, absolute), False, f"noise of {name}: {absolute:g} given"
     if relative is not None:
-        return relative * fz, False, f"noise of {name}: {relative:g} fz given"
+        return (
+            relative * data.usable("fz"),
+            False,
+            f"noise of {name}: {relative:g} fz given",
+        )
     observed = data.usable(name)
     size = 0.05 * float(np.sqrt(np.mean(observed**2))) or 1.0
     if noise.proportional_to_load:
+        fz = data.usable("fz")
         shape = fz / np.mean(fz)
         return size * shape, True, f"noise of {name}: estimated, proportional to load"
     return np.full(data.n, size), True, f"noise of {name}: estimated from the residuals"
@@ -193,10 +198,15 @@ def _check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
         )
 
 
+def _put(values: np.ndarray, size: int) -> Array:
+    """Rows padded, on the device."""
+    return jnp.asarray(pad_rows(values, size))
+
+
 def _inputs(data: TireData, size: int) -> TireInputs:
     def column(name):
         values = data.usable(name) if name in data else np.zeros(data.n)
-        return pad_rows(np.nan_to_num(values), size)
+        return _put(np.nan_to_num(values), size)
 
     return TireInputs(*(column(name) for name in TireInputs._fields))
 
@@ -288,8 +298,8 @@ def build(data: TireData, name: str, config: FitConfig) -> FitTask:
     slip_of = slip_of_forces(data, template, forces, noisy)
     for force in forces:
         values, estimated, note = _force_scale(data, force, config.noise)
-        observed[force] = pad_rows(data.usable(force), size)
-        scale[force] = pad_rows(values, size)
+        observed[force] = _put(data.usable(force), size)
+        scale[force] = _put(values, size)
         channels.append(Channel(force, estimated, slip_of[force]))
         notes.append(note)
     _check_size(data, layout, channels, data.n * len(forces))
@@ -299,12 +309,12 @@ def build(data: TireData, name: str, config: FitConfig) -> FitTask:
         notes.append(note)
         if std is not None:
             _check_slip_noise(data, slip, std)
-            slip_std[slip] = pad_rows(std, size)
+            slip_std[slip] = _put(std, size)
             densities[slip] = slip_density(data.usable(slip), std)
     rows = Rows(
         inputs=_inputs(data, size),
-        run=pad_rows(data.run[data.used], size).astype(int),
-        weight=(np.arange(size) < data.n).astype(float),
+        run=_put(data.run[data.used].astype(int), size),
+        weight=jnp.asarray((np.arange(size) < data.n).astype(float)),
         observed=observed,
         scale=scale,
         slip_std=slip_std,
@@ -314,7 +324,7 @@ def build(data: TireData, name: str, config: FitConfig) -> FitTask:
     guess |= {k: v.value for k, v in config.parameters.items() if v.value is not None}
     problem = FitProblem(
         model=model,
-        rows=jax.device_put(rows),
+        rows=rows,
         rules={force: Rule() for force in forces},
         layout=layout,
         channels=tuple(channels),

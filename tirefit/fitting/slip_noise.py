@@ -105,11 +105,13 @@ def slip_distribution(slip, std, most: int = 40, iterations: int = 60):
             for k in _peaks(rise)
             if _first_gain(near[:, k], columns @ weight) > 0.2 * worth
         ]
-        found = max(tries, key=lambda one: _log_likelihood(*one[:2]), default=None)
-        now = -np.inf if found is None else _log_likelihood(*found[:2])
+        best = max(tries, key=lambda one: _log_likelihood(*one[:2]), default=None)
+        if best is None:
+            break
+        now = _log_likelihood(*best[:2])
         if now < likely + worth:
             break
-        columns, weight, standing = found
+        columns, weight, standing = best
         likely = now
     density = np.concatenate([[0.0], weight[:hats] / spacing, [0.0]])
     return SlipDistribution(knots, density, standing, weight[hats:])

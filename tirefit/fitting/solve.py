@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtrc
 
@@ -153,7 +154,8 @@ def _largest_slope(problem: FitProblem, z) -> float:
     slip, inputs = problem.channels[0].slip, problem.rows.inputs
     values = np.asarray(getattr(inputs, slip))
     step = 1e-4 * float(np.ptp(problem.used(values)))
-    moved = problem.with_rows(inputs=inputs._replace(**{slip: values + step}))
+    there = inputs._replace(**{slip: jnp.asarray(values + step)})
+    moved = problem.with_rows(inputs=there)
     (before, _), (after, _) = row_moments(problem, z), row_moments(moved, z)
     names = [c.name for c in problem.channels if c.slip == slip and c.name != "mz"]
     changes = [np.abs(after[name] - before[name]) for name in names or ["mz"]]
@@ -224,10 +226,11 @@ def _still_to_gain(problem: FitProblem, at: Linearised, z, cov) -> float:
     nothing is left to gain in any other direction.
     """
     free = np.abs(z) < 0.6 * REACH
-    gradient = sum(
+    blocks = [
         at.slopes[name].T @ values / inflation(problem, name)
         for name, values in at.values.items()
-    )[free]
+    ]
+    gradient = np.sum(blocks, axis=0)[free]
     information = np.linalg.inv(cov)[np.ix_(free, free)]
     return float(gradient @ np.linalg.solve(information, gradient))
 

@@ -86,6 +86,7 @@ def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
     import xarray as xr
 
     summary, draws = result.posterior, result.walkers
+    assert summary is not None and draws is not None  # both of a fit that was sampled
     ensembles, walkers, steps, _ = draws.shape
     coords = {"chain": np.arange(ensembles * walkers), "draw": np.arange(steps)}
     flat = draws.reshape(ensembles * walkers, steps, -1)

@@ -27,23 +27,23 @@ def disagreements(result: FitResult) -> dict[str, str]:
     a parameter that is not identified has no interval to agree on, and rounding makes
     none.
     """
-    found = {}
+    found: dict[str, str] = {}
     if _exactness(result):
         return found
     for label, (low, high) in result.intervals["profile"].items():
-        if not result.least_squares[label].identified:
+        if not result.least_squares[label].identified or low is None or high is None:
             continue
         half = (high - low) / 2
         if not half > 0:
             continue
         for route in ("covariance", "posterior"):
-            ends = result.intervals.get(route, {}).get(label)
-            if ends is None or None in ends:
+            first, last = result.intervals.get(route, {}).get(label, (None, None))
+            if first is None or last is None:
                 continue
-            worst = max(abs(ends[0] - low), abs(ends[1] - high)) / half
+            worst = max(abs(first - low), abs(last - high)) / half
             if worst > 0.3:
                 text = (
-                    f"{route} interval [{ends[0]:.5g}, {ends[1]:.5g}] against the"
+                    f"{route} interval [{first:.5g}, {last:.5g}] against the"
                     f" profile's [{low:.5g}, {high:.5g}]"
                 )
                 found[label] = f"{found[label]}; {text}" if label in found else text
@@ -119,7 +119,8 @@ def _contradiction(result: FitResult) -> list[tuple[Outcome | None, str]]:
 
 def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """All there is to say, each with the outcome it stands for."""
-    statistics, found = result.statistics, []
+    statistics = result.statistics
+    found: list[tuple[Outcome | None, str]] = []
     if not statistics.converged:
         found.append((Outcome.NOT_CONVERGED, Outcome.NOT_CONVERGED.value))
     found += _contradiction(result)

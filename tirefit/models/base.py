@@ -5,6 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 __all__ = ["AbstractTire", "TireForces", "TireInputs", "forces", "modelled"]
@@ -18,13 +19,13 @@ class TireInputs(NamedTuple):
     ``time`` [s]. A model says in ``needs`` which of the last four change its force.
     """
 
-    sigma_x: Float[Array, "*n"] | float = 0.0
-    alpha: Float[Array, "*n"] | float = 0.0
-    fz: Float[Array, "*n"] | float = 0.0
-    v: Float[Array, "*n"] | float = 0.0
-    gamma: Float[Array, "*n"] | float = 0.0
-    pressure: Float[Array, "*n"] | float = 0.0
-    time: Float[Array, "*n"] | float = 0.0
+    sigma_x: Float[Array | np.ndarray, "*n"] | float = 0.0
+    alpha: Float[Array | np.ndarray, "*n"] | float = 0.0
+    fz: Float[Array | np.ndarray, "*n"] | float = 0.0
+    v: Float[Array | np.ndarray, "*n"] | float = 0.0
+    gamma: Float[Array | np.ndarray, "*n"] | float = 0.0
+    pressure: Float[Array | np.ndarray, "*n"] | float = 0.0
+    time: Float[Array | np.ndarray, "*n"] | float = 0.0
 
 
 class TireForces(NamedTuple):

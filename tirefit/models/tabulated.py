@@ -48,11 +48,11 @@ class Tabulated(AbstractPressure):
     demand ratio at which the bristle on each edge breaks away. None is a parameter.
     """
 
-    edges: Float[Array, " k1"]
-    series: Float[Array, "k t"]
-    load: Float[Array, "k t1"]
-    moments: Float[Array, "k t1"]
-    ratios: Float[Array, " k1"]
+    edges: Float[Array | np.ndarray, " k1"]
+    series: Float[Array | np.ndarray, "k t"]
+    load: Float[Array | np.ndarray, "k t1"]
+    moments: Float[Array | np.ndarray, "k t1"]
+    ratios: Float[Array | np.ndarray, " k1"]
 
     @classmethod
     def from_function(
@@ -286,12 +286,12 @@ def _law(cls, density, kinks: np.ndarray, file: str) -> Tabulated:
     for panel in panels:
         per_angle = panel.values * np.sin(panel.angles)
         half = (panel.high - panel.low) / 2
-        for share, series, start in (
+        for share, integrals, start in (
             (per_angle, loads, load),
             (-np.cos(panel.angles) * per_angle, moments, moment),
         ):
-            series.append(chebyshev.chebint(_TO_SERIES @ share, scl=half, lbnd=-1))
-            series[-1][0] += start
+            integrals.append(chebyshev.chebint(_TO_SERIES @ share, scl=half, lbnd=-1))
+            integrals[-1][0] += start
         load, moment = (chebyshev.chebval(1.0, x[-1]) for x in (loads, moments))
     if not load > 0:
         reason = "the pressure density is nowhere positive"

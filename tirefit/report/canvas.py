@@ -7,6 +7,7 @@ global lists.
 import io
 import textwrap
 from pathlib import Path
+from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -43,7 +44,8 @@ class Picture(Figure):
     """A figure that shows itself in a notebook, whatever backend is active there."""
 
     def __init__(self, *args, **kwargs):
-        super().__init__(*args, **{"dpi": DPI, "facecolor": "white"} | kwargs)
+        settings: dict[str, Any] = {"dpi": DPI, "facecolor": "white"} | kwargs
+        super().__init__(*args, **settings)
         FigureCanvasAgg(self)
 
     def _repr_png_(self) -> bytes:

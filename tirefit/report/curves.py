@@ -1,12 +1,13 @@
 """The fitted curve and its bands, as arrays."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from tirefit.data.levels import levels
-from tirefit.fitting.bands import fitted_force, force_band
+from tirefit.fitting.bands import Band, fitted_force, force_band
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.result import FitResult
 from tirefit.models import TireInputs
@@ -36,8 +37,8 @@ class SlipAxis(NamedTuple):
 
     label: str
     unit: str
-    shown: object
-    canonical: object
+    shown: Callable[[np.ndarray], np.ndarray]
+    canonical: Callable[[np.ndarray], np.ndarray]
 
 
 class Group(NamedTuple):
@@ -146,7 +147,7 @@ def _members(result: FitResult, keys) -> tuple[list[tuple[str, np.ndarray]], str
         return [("measured", np.ones(problem.n, bool))], ""
     stack = np.stack([codes for _, codes in keys], axis=1)
     combinations, of_row = np.unique(stack, axis=0, return_inverse=True)
-    chosen, note = range(len(combinations)), ""
+    chosen, note = np.arange(len(combinations)), ""
     if len(combinations) > _MOST_GROUPS:
         chosen = np.linspace(0, len(combinations) - 1, _MOST_GROUPS).astype(int)
         note = f"{_MOST_GROUPS} of {len(combinations)} runs shown"
@@ -254,7 +255,7 @@ def _curves(result: FitResult, channel, members, axis: SlipAxis, normalise, midd
     curves = []
     for i, (label, _) in enumerate(members):
         unit = middle[i]["fz"] if normalise else 1.0
-        part = (x[i * len(grid) : (i + 1) * len(grid)] / unit for x in band)
+        part = Band(*(x[i * len(grid) : (i + 1) * len(grid)] / unit for x in band))
         limit = _limit(result, channel, run[i], middle[i]["fz"])
         limit = None if limit is None else limit / unit
         curves.append(Curve(label, shown, *part, limit))

@@ -136,7 +136,7 @@ def draw_comparison(figure, panel: Comparison, after: str) -> None:
     for i, curve in enumerate(panel.curves):
         _draw_load(top, curve, axis, COLORS[i % len(COLORS)])
     tidy(top, f"{axis.label} [{axis.unit}]", _FORCE[panel.channel])
-    handles = [
+    handles: list[Line2D | Patch] = [
         Line2D(
             [], [], ls="none", marker="o", ms=3, color=color, label=load_label(curve)
         )
@@ -189,8 +189,7 @@ def draw_closure(figure, bars: list[ClosureBar], load: float) -> None:
     for k, bar in enumerate(bars):
         place = 1.0 * (len(bars) - 1 - k)
         axes.barh(place + 0.16, bar.before, 0.28, color=GREY)
-        known = bar.closed is not None
-        if known:
+        if bar.low is not None and bar.high is not None:
             axes.barh(place - 0.16, bar.after, 0.28, color=BLUE)
             axes.errorbar(
                 bar.after, place - 0.16, fmt="none", ecolor=DARK, elinewidth=1.2,
@@ -217,7 +216,7 @@ def draw_closure(figure, bars: list[ClosureBar], load: float) -> None:
 def _closure_text(bar: ClosureBar) -> str:
     label = textwrap.shorten(bar.label, 60, placeholder=" …")
     before, after = (format_number(x, 3) for x in (bar.before, bar.after))
-    if bar.closed is None:
+    if bar.low is None or bar.high is None or bar.energy is None:
         return plain_text(f"{label}: {before} N, nothing to say of a share closed")
     low, high = (1 - end / bar.before for end in (bar.high, bar.low))
     return plain_text(
@@ -253,7 +252,8 @@ def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
 def diagnosis_figure(result: Diagnosis) -> Picture:
     """All four panels, under the verdict."""
     picture = Picture(figsize=_SIZE, layout="constrained")
-    head, body = picture.subfigures(2, 1, height_ratios=(0.065, 1))
+    parts = picture.subfigures(2, 1, squeeze=False, height_ratios=(0.065, 1))
+    head, body = parts.ravel()
     cells = body.subfigures(2, 2).ravel()
     for cell, draw in zip(cells, _panels(result).values(), strict=True):
         draw(cell)

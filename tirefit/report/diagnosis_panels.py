@@ -117,12 +117,13 @@ def evidence_bars(result: Diagnosis, most: int = 7) -> list[Bar]:
 
 
 def _closure_bar(label: str, gap: Shrinkage, says: bool) -> ClosureBar:
-    if gap.closed is None or not says:
-        return ClosureBar(label, gap.rms, gap.remaining_rms, *[None] * 4)
-    ends = [gap.rms * (1 - share) for share in reversed(gap.closed_ci)]
+    low, high = gap.closed_ci
+    if gap.closed is None or low is None or high is None or not says:
+        return ClosureBar(label, gap.rms, gap.remaining_rms, None, None, None, None)
     return ClosureBar(
-        label, gap.rms, gap.remaining_rms, *ends, gap.closed, gap.energy_closed
-    )
+        label, gap.rms, gap.remaining_rms, gap.rms * (1 - high), gap.rms * (1 - low),
+        gap.closed, gap.energy_closed,
+    )  # fmt: skip
 
 
 def closure_bars(result: Diagnosis) -> list[ClosureBar]:

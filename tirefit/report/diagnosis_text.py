@@ -2,7 +2,7 @@
 
 import textwrap
 
-from tirefit.diagnosis.records import Region
+from tirefit.diagnosis.records import Region, Shrinkage
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_words import (
     covariate_text,
@@ -76,16 +76,17 @@ def gap_lines(result: Diagnosis) -> list[str]:
         return [f"{lines[0]}: too small to say how much of it closes"]
     if not result.verdict.names_an_effect:
         return lines
-    places = [(gap, "on these rows")]
+    places: list[tuple[Shrinkage, str]] = [(gap, "on these rows")]
     if gap.holdout is not None:
         places.append((gap.holdout, f"on {gap.holdout.on}"))
     for here, where in places:
-        if here.closed is None:
+        energy = here.energy_closed
+        if here.closed is None or energy is None:
             lines.append(f"{where}: {size(here.rms)}, too small to say")
             continue
         lines.append(
             f"{where}: closed {share_text(here.closed, here.closed_ci)},"
-            f" {100 * here.energy_closed:.0f} % of its energy;"
+            f" {100 * energy:.0f} % of its energy;"
             f" {size(here.rms)} to {size(here.remaining_rms)}"
         )
     if gap.shares:
@@ -156,8 +157,9 @@ def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
 
 def step_lines(result: Diagnosis) -> list[str]:
     """Next measurements as sentences; where none helps and the verdict is open, why."""
-    if not result.next_measurement and result.verdict.status == "cannot_tell":
-        return [result.next_measurement_reason]
+    why, silent = result.next_measurement_reason, not result.next_measurement
+    if why is not None and silent and result.verdict.status == "cannot_tell":
+        return [why]
     return [
         f"measure {step.add}: tells {step.separates[0]} from {step.separates[1]} with"
         f" probability {step.p_after:.2f} (now {step.p_now:.2f})"

@@ -1,6 +1,7 @@
 """Arrays -> axes: the fitted curve and the residuals; and the files of all figures."""
 
 import os
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from textwrap import wrap
@@ -103,7 +104,7 @@ def _draw_limits(axes, curve: FitCurve, single: bool) -> str:
 
 def _legend(axes, curve: FitCurve, limit: str) -> None:
     """Groups by colour, then line and bands; beside the axes, or in an empty corner."""
-    handles = [
+    handles: list[Line2D | Patch] = [
         Line2D([], [], ls="none", marker="o", ms=4, color=_color(i), label=group.label)
         for i, group in enumerate(curve.groups)
     ]
@@ -118,7 +119,7 @@ def _legend(axes, curve: FitCurve, limit: str) -> None:
         handles.append(Line2D([], [], color=GREY, lw=0.9, ls=style, label=limit))
     if len(curve.groups) > 1:
         for handle in handles[: len(curve.groups)]:
-            text = wrap(handle.get_label(), 24, max_lines=3, placeholder=" …")
+            text = wrap(str(handle.get_label()), 24, max_lines=3, placeholder=" …")
             handle.set_label("\n".join(text))
         if limit:
             handles[-1].set_label(limit.replace(": ", ":\n").replace(", ", ",\n"))
@@ -206,6 +207,8 @@ def draw_quantiles(axes, residuals: Residuals) -> None:
 
 def draw_autocorrelation(axes, residuals: Residuals) -> None:
     """Autocorrelation over lags in rows, with the 95 % range of independent rows."""
+    assert residuals.lags is not None  # else there is nothing to draw
+    assert residuals.correlation is not None
     limit = residuals.limit
     axes.axhspan(-limit, limit, color=GREY, alpha=0.25, lw=0)
     axes.axhline(0, color=DARK, lw=0.7)
@@ -224,10 +227,12 @@ def residual_figure(result: FitResult) -> Picture:
     data = residual_panels(result)
     first, *others = result.forces
     name = first if others else ""
-    jobs = [(partial(draw_scatter, force=name), panel) for panel in data.scatters]
+    scatter = partial(draw_scatter, force=name)
+    jobs: list[tuple[Callable, Scatter | Residuals]]
+    jobs = [(scatter, panel) for panel in data.scatters]
     for force in others:
-        panel = residual_panels(result, force).scatters[0]
-        jobs.insert(1, (partial(draw_scatter, force=force), panel))
+        further = residual_panels(result, force).scatters[0]
+        jobs.insert(1, (partial(draw_scatter, force=force), further))
     jobs += [(draw_histogram, data), (draw_quantiles, data)]
     if data.lags is not None:
         jobs.append((draw_autocorrelation, data))

@@ -149,7 +149,7 @@ def draw_trace(left, right, trace: Trace, i: int) -> None:
     right.set_xlim(0, 1.1)
     right.set_xticks([])
     right.tick_params(labelleft=False)
-    if trace.rhat is not None:
+    if trace.rhat is not None and trace.ess is not None:
         right.set_title(
             f"R-hat {trace.rhat[i]:.3f}, ESS {trace.ess[i]:.0f}",
             fontsize=7, color=DARK, pad=2,

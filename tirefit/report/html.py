@@ -93,6 +93,7 @@ def data_fragment(data: TireData) -> str:
         used += f" ({masked} more masked)"
     if len(data.runs) > 1:
         used += f", {len(data.runs)} runs"
+    rows: list[tuple[str, ...]]
     rows = [("column", "in the file", "unit", "min", "median", "max")]
     rows += [_range_row(data, name) for name in data.columns]
     return rendered(

@@ -1,6 +1,7 @@
 """Numbers for readers: as many digits as their uncertainty allows."""
 
 import math
+from typing import TypeGuard
 
 __all__ = [
     "format_estimate",
@@ -32,7 +33,7 @@ def _rounded(value: float, places: int) -> str:
     return f"{round(value, places):.{max(places, 0)}f}"
 
 
-def _usable(std: float | None) -> bool:
+def _usable(std: float | None) -> TypeGuard[float]:
     return std is not None and math.isfinite(std) and std > 0
 
 
@@ -70,8 +71,8 @@ def format_interval(ends, std: float | None = None) -> str:
     if low is None and high is None:
         return "-"
     known = [end for end in ends if end is not None]
-    if not _usable(std) and len(known) == 2 and 0 < high - low < abs(high + low) / 8:
-        std = (high - low) / 4
+    if not _usable(std) and low is not None and high is not None:
+        std = (high - low) / 4 if 0 < high - low < abs(high + low) / 8 else std
     largest = max(abs(end) for end in known)
     if _usable(std) and std < largest * 10.0 ** (1 - _MOST_DIGITS):
         texts = [".." if e is None else f"{e:.{_MOST_DIGITS}g}" for e in ends]

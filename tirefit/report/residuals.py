@@ -109,7 +109,7 @@ def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
     }
 
 
-def _binned(x, residual, inflation: float):
+def _binned(x, residual, inflation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centers, means and half-widths of the means' 95 % intervals, each (k,)."""
     settings = levels(x)
     if settings.few(_BINS):

@@ -124,12 +124,13 @@ def _routes(result: FitResult) -> list[str]:
 
 
 def _derived(result: FitResult) -> list[str]:
-    if not result.derived:
+    channel = derived_channel(result.forces)
+    if channel is None or not result.derived:
         return []
     at = f"F_z = {format_number(result.reference['fz'])} N"
     if result.reference.get("v"):
         at += f", v = {result.reference['v']:.3g} m/s"
-    meanings = quantities(derived_channel(result.forces))
+    meanings = quantities(channel)
     rows = [["quantity", "value ± std", "unit", "95 % interval", ""]]
     for name, estimate in result.derived.items():
         known = np.isfinite(estimate.value)

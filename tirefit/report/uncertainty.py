@@ -76,7 +76,7 @@ class ProfilePanel(NamedTuple):
     parabola: np.ndarray
     level: float
     best: float
-    interval: tuple[float, float]
+    interval: tuple[float | None, float | None]
     edges: np.ndarray | None
     density: np.ndarray | None
     identified: bool
@@ -124,7 +124,8 @@ def _enclosing(density: np.ndarray, shares: tuple[float, float]) -> tuple[float,
     """Densities whose contours enclose these shares, decreasing shares, increasing."""
     order = np.sort(density.ravel())[::-1]
     share = np.cumsum(order) / order.sum()
-    return tuple(float(order[np.searchsorted(share, s)]) for s in shares)
+    outer, inner = (float(order[np.searchsorted(share, s)]) for s in shares)
+    return outer, inner
 
 
 def _flat(result: FitResult) -> np.ndarray:
@@ -223,6 +224,7 @@ def _profile_panel(result: FitResult, label: str, profile) -> ProfilePanel:
     logarithmic = bool(spec is not None and spec.scale == "log" and wide)
     value, deviance = _dense(value[rows], deviance[rows], estimate.value, logarithmic)
     low, high = result.intervals["covariance"][label]
+    assert low is not None and high is not None  # it is never open
     # At a bound the covariance interval has no width, and its parabola is a line up.
     half = max((high - low) / 2, 1e-9 * max(abs(low), abs(high), 1e-300))
     parabola = level * ((value - (low + high) / 2) / half) ** 2

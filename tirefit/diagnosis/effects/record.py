@@ -21,7 +21,7 @@ __all__ = [
     "seldom",
 ]
 
-Change = Callable[[State, float, Array, Covariates], State]
+Change = Callable[[State, float, Array | tuple[float, ...], Covariates], State]
 
 
 class Prior(NamedTuple):

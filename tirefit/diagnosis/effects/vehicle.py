@@ -20,7 +20,7 @@ def _slip_load(state, share, constants, rows):
 
 def _slip_speed(state, share, constants, rows):
     """A radius that grows with the speed, or with its square."""
-    square = rows.v**2 / jnp.mean(jnp.abs(rows.v))
+    square = rows.v**2 / rows.cruise
     return state._replace(shift=state.shift + share * blend(constants, rows.v, square))
 
 
@@ -30,7 +30,7 @@ def _speed_zero(state, zero, constants, rows):
 
 
 def _drag(state, share, constants, rows):
-    ratio = rows.v / jnp.mean(jnp.abs(rows.v))
+    ratio = rows.v / rows.cruise
     with_speed = blend(constants, ratio - 1, ratio**2 - 1)
     return state._replace(force=state.force + 1e-3 * share * rows.load * with_speed)
 

@@ -39,8 +39,7 @@ def _worked(name):
 
 def _rolled(state, power, constants, rows):
     del constants
-    speed = rows.pace / jnp.exp(jnp.mean(jnp.log(rows.pace)))
-    return _factor(state, "stiffness", speed**power)
+    return _factor(state, "stiffness", (rows.pace / rows.cruise) ** power)
 
 
 def _with_pressure(name: str, size: float, form: float):
