@@ -10,6 +10,7 @@ from tirefit.diagnosis.rates import Sweeps, segments, slip_rate
 from tirefit.diagnosis.sizes import Sizes, half_force_slip, largest, sizes_of
 from tirefit.diagnosis.slip_check import SlipCheck, check_slip
 from tirefit.diagnosis.state import Covariates
+from tirefit.fitting.slip_noise import speed_of, std_with_speed
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
 
@@ -312,7 +313,9 @@ def _slip_std(data: TireData, mode: str, rig, scatter: float):
     name = "alpha" if mode == "y" else "sigma_x"
     if f"{name}_std" in data:
         return np.nan_to_num(data.usable(f"{name}_std")), f"column {name}_std"
-    given = rig.slip_noise(name)
+    given, of_speed = rig.slip_noise(name), rig.slip_noise_speed(name)
+    if of_speed is not None:
+        return std_with_speed(given or 0.0, of_speed, speed_of(data)), "given"
     if given is not None:
         return np.full(data.n, given), "given"
     if scatter:

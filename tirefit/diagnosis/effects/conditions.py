@@ -6,6 +6,7 @@ import numpy as np
 
 from tirefit.diagnosis.effects.free_forms import (
     FRICTION_BY_DIRECTION,
+    FRICTION_BY_LOAD,
     FRICTION_BY_OTHER_SLIP,
     FRICTION_BY_SIDE,
     FRICTION_BY_SPEED,
@@ -162,7 +163,7 @@ def _heated(name: str, parameter: str, scale: float, size: float):
     )
 
 
-def _loaded(name: str, scale: float, size: float, looks_like):
+def _loaded(name: str, scale: float, forms, looks_like):
     symbol = {"friction": "mu", "stiffness": "c_p a^2"}[name]
     return Effect(
         id=f"load_{name}",
@@ -177,7 +178,7 @@ def _loaded(name: str, scale: float, size: float, looks_like):
         bounds=((-3.0, 3.0),),
         needs=("loads",),
         variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-        forms=over(name, size, "fz", 4),
+        forms=forms,
         looks_like=looks_like,
         told_apart_by="random order",
     )
@@ -290,8 +291,8 @@ COMBINED = Effect(
 EFFECTS = (
     SPEED_LINEAR,
     SPEED_EXPONENTIAL,
-    _loaded("stiffness", 0.5, 0.06, ("stiffness_drift",)),
-    _loaded("friction", 0.12, 0.03, ("friction_drift", "force_offset")),
+    _loaded("stiffness", 0.5, over("stiffness", 0.06, "fz", 4), ("stiffness_drift",)),
+    _loaded("friction", 0.12, FRICTION_BY_LOAD, ("friction_drift", "force_offset")),
     _heated("friction", "mu", 0.15, 0.03),
     _heated("stiffness", "cpa2", 0.2, 0.06),
     _drifting(

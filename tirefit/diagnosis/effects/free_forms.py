@@ -11,12 +11,14 @@ from tirefit.diagnosis.basis import functions_of
 __all__ = [
     "Form",
     "FRICTION_BY_DIRECTION",
+    "FRICTION_BY_LOAD",
     "FRICTION_BY_OTHER_SLIP",
     "FRICTION_BY_SIDE",
     "FRICTION_BY_SPEED",
     "SHAPE_OF_THE_CURVE",
     "SHIFT_BY_CAMBER",
     "SHIFT_BY_LAG",
+    "SHIFT_BY_SPEED",
     "over",
     "rise",
     "weight",
@@ -94,5 +96,7 @@ FRICTION_BY_DIRECTION = (
     Form("friction", 0.02, _of_rate),
 )
 FRICTION_BY_SIDE = (Form("friction", 0.02, _by_slip("side")),)
+FRICTION_BY_LOAD = over("friction", 0.03, "fz", 4)
+SHIFT_BY_SPEED = over("shift", 0.1, "v", 4, rise)
 FRICTION_BY_OTHER_SLIP = over("friction", 0.03, "other", 5)
 SHIFT_BY_CAMBER = over("shift", 0.1, "gamma", 5, rise)

@@ -2,7 +2,12 @@
 
 import jax.numpy as jnp
 
-from tirefit.diagnosis.effects.free_forms import over, rise, weight
+from tirefit.diagnosis.effects.free_forms import (
+    FRICTION_BY_LOAD,
+    over,
+    rise,
+    weight,
+)
 from tirefit.diagnosis.effects.record import Effect, blend, seldom
 
 __all__ = ["EFFECTS"]
@@ -117,7 +122,7 @@ LOAD_OFFSET = Effect(
     bounds=((-400.0, 400.0),),
     odds=seldom,
     needs=("loads",),
-    forms=over("friction", 0.03, "fz", 4),
+    forms=FRICTION_BY_LOAD,
     looks_like=("load_friction", "load_stiffness"),
     told_apart_by="loads",
 )

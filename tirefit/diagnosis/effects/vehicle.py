@@ -4,7 +4,12 @@ where the tire is."""
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.diagnosis.effects.free_forms import over, rise, weight
+from tirefit.diagnosis.effects.free_forms import (
+    SHIFT_BY_SPEED,
+    over,
+    rise,
+    weight,
+)
 from tirefit.diagnosis.effects.record import Effect, blend, seldom
 
 __all__ = ["EFFECTS"]
@@ -91,7 +96,7 @@ SLIP_SPEED = Effect(
     odds=_one_speed_of_the_slip,
     needs=("speeds",),
     variants=((1.0, 0.0), (0.0, 1.0)),
-    forms=over("shift", 0.1, "v", 4, rise),
+    forms=SHIFT_BY_SPEED,
     looks_like=("speed_zero", "speed_drag"),
     told_apart_by="both signs",
 )
@@ -109,7 +114,7 @@ SPEED_ZERO = Effect(
     bounds=((-6.0, 6.0),),
     odds=_one_speed_of_the_slip,
     needs=("speeds",),
-    forms=over("shift", 0.1, "v", 4, rise),
+    forms=SHIFT_BY_SPEED,
     looks_like=("slip_offset_speed", "speed_drag"),
     told_apart_by="both signs",
 )
