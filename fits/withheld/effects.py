@@ -128,7 +128,7 @@ EFFECTS = {
         forms_rig.load_leaks_more),
     "load_offset": _effect(
         "friction x load", 0.06, 0, "loads knee",
-        forms_rig.load_zero, forms_rig.load_zero_wanders,
+        forms_rig.load_zero, forms_rig.load_zero_bent,
         forms_rig.load_zero_and_gain),
     "force_crosstalk": _effect(
         "force x force", 0.03, 0, "across",

@@ -75,9 +75,9 @@ def load_zero(world, a, _):
     world.load = world.fz + a * NOMINAL_LOAD
 
 
-def load_zero_wanders(world, a, _):
-    wave = 1 + 0.2 * np.cos(2 * np.pi * _elapsed(world))
-    world.load = world.fz + a * NOMINAL_LOAD * wave
+def load_zero_bent(world, a, _):
+    """The zero shrinks as the cell is loaded."""
+    world.load = world.fz + a * NOMINAL_LOAD * (1.3 - 0.3 * world.fz / NOMINAL_LOAD)
 
 
 def load_zero_and_gain(world, a, _):
