@@ -51,6 +51,8 @@ in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
 - Pacejka, H. B.: Tire and Vehicle Dynamics, 3rd edition. Butterworth-Heinemann, 2012.
 - ter Braak, C. J. F.: A Markov chain Monte Carlo version of the genetic algorithm
   Differential Evolution. Statistics and Computing 16 (2006) 239-249.
+- Sellke, T., Bayarri, M. J., Berger, J. O.: Calibration of p values for testing precise
+  null hypotheses. The American Statistician 55 (2001) 62-71.
 - Vehtari, A., Gelman, A., Simpson, D., Carpenter, B., Bürkner, P.-C.:
   Rank-normalization, folding, and localization: an improved R-hat for assessing
   convergence of MCMC. Bayesian Analysis 16 (2021) 667-718.

@@ -9,6 +9,7 @@ from fits.withheld.effects import EFFECTS, family_of
 from fits.withheld.injected import injected, raw
 from fits.withheld.measure import measure
 from fits.withheld.patch import World
+from fits.withheld.procedural import procedural
 from fits.withheld.strange import FOREIGN, UNLISTED
 
 __all__ = ["DEVELOPMENT", "MIXTURE", "SETS", "Trial", "draw"]
@@ -107,7 +108,7 @@ def trial(draw: Draw, world: World, law: str, effects=(), **label) -> Trial:
         "force": world.force, "sealed": draw.sealed, "c": world.c, "mu": world.mu,
         **size, **label,
     }  # fmt: skip
-    if label["set"] in ("unlisted", "leave_out", "foreign"):
+    if label["set"] in ("unlisted", "leave_out", "foreign", "procedural"):
         gone = label["leave_out"]
         label["mimic_free"] = free([e for e in EFFECTS if family_of(e) == gone])
     return Trial(columns, label, truth)
@@ -158,6 +159,15 @@ def unlisted(draw: Draw) -> Trial:
     return strange(draw, UNLISTED, "unlisted")
 
 
+def by_chance(draw: Draw) -> Trial:
+    size = draw.generator.uniform(0.4, 1.6)
+    world = draw.tire()
+    kind = procedural(world, size, draw.generator)
+    return trial(
+        draw, world, "iid", set="procedural", kind=kind, amplitudes=[float(size)]
+    )
+
+
 def foreign(draw: Draw) -> Trial:
     along = [d for d in draw.designs if DESIGNS[d].force == "fx" and d != "A"]
     draw.design = draw.pick(along or ["G"])
@@ -181,6 +191,7 @@ SETS = {
     "pairs": pair,
     "leave_out": leave_out,
     "foreign": foreign,
+    "procedural": by_chance,
     "injected": into_data,
 }
 

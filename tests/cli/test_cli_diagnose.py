@@ -135,17 +135,17 @@ def test_the_document_is_of_the_schema(studied):
     text = (studied[0] / "out" / "offset.json").read_text("utf-8")
     document = json.loads(text)
     assert "NaN" not in text and "Infinity" not in text
-    assert document["schema"] == "tirefit.diagnosis/1"
+    assert document["schema"] == "tirefit.diagnosis/2"
     assert {
         "schema", "data", "model", "n", "n_effective", "noise", "gap", "where",
-        "verdict", "candidates", "untestable", "resolution", "next_measurement", "seed",
-        "version",
+        "budget", "simulator", "verdict", "candidates", "untestable", "resolution",
+        "next_measurement", "seed", "version",
     } <= set(document)  # fmt: skip
     assert document["n"] == 94 and document["noise"]["fx"] == NOISE
     assert document["noise"]["source"] == "given"
     assert document["data"]["convention"] == "iso-w"
     verdict = document["verdict"]
-    assert set(verdict) == {"status", "effects", "probability", "also_possible"}
+    assert set(verdict) == PARTS["verdict"] and verdict["parameters"] == {}
     assert verdict["effects"] == ["slip_offset"] and verdict["status"] == "named"
     assert document["gap"]["closed"] > 0.8
     best = document["candidates"][0]
@@ -160,7 +160,9 @@ def test_the_document_is_of_the_schema(studied):
 PARTS = {
     "gap": {"rms", "resolvable", "closed", "closed_ci", "remaining_rms", "holdout"},
     "where": {"covariate", "low", "high", "share", "p_value"},
-    "verdict": {"status", "effects", "probability", "also_possible"},
+    "verdict": {
+        "status", "effects", "probability", "also_possible", "parameters",
+    },
     "candidates": {
         "effects", "family", "probability", "parameters", "z", "z_given_rivals",
         "closed", "closed_ci",
@@ -326,7 +328,7 @@ def test_a_rig_may_begin_with_a_byte_order_mark(again, calls, tmp_path):
     assert calls == []
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"schema": "tirefit.diagnosis/1"}'])
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"schema": "tirefit.diagnosis/2"}'])
 def test_resume_does_a_spoiled_document_again(again, calls, tmp_path, text):
     (tmp_path / "out" / "load.json").write_text(text)
     again("load.csv", "--resume", exit_code=3)
@@ -512,7 +514,69 @@ def test_files_of_one_stem_are_refused(run, tmp_path, two):
     assert not (tmp_path / "o").exists()
 
 
+AS_IT_IS = ["--set", "cpa2=50000", "--set", "mu=0.99"]
+
+
+def test_a_simulator_is_its_parameters_or_its_forces(run, tmp_path):
+    """Friction a tenth too high, told by name, and by forces that stand in the file."""
+    path = write(tmp_path / "offset.csv", offset=OFFSET, seed=1, spoiled=(3, 40))
+    (tmp_path / "rig.toml").write_text(f"[noise]\nfx = {NOISE}\n")
+    options = [*READ, *WITHOUT, "--rig", "rig.toml"]
+    run("diagnose", "offset.csv", *AS_IT_IS, *options, "--figures", "--out", "o")
+    beside = [*READ, "--beside", "--out", "beside.csv"]
+    run("predict", "brush", "offset.csv", *AS_IT_IS, *beside)
+    there, own = rows_of(tmp_path / "beside.csv"), rows_of(path)
+    assert list(there[0]) == [*own[0], "fx_sim"]
+    for name in own[0]:
+        # What was masked says nothing, and stays masked.
+        kept = np.isfinite(column(there, "fx"))
+        assert kept.sum() == len(own) - 2
+        wanted, here = column(own, name)[kept], column(there, name)[kept]
+        np.testing.assert_allclose(here, wanted, rtol=1e-9)
+    run("diagnose", "beside.csv", "--sim", *options, "--out", "o")
+    given, forces = (
+        json.loads((tmp_path / "o" / f"{name}.json").read_text())
+        for name in ("offset", "beside")
+    )
+    for document in (given, forces):
+        mu = document["verdict"]["parameters"]["mu"]
+        assert mu["differs"] and abs(mu["measured"] - 0.9) < 3 * mu["std"]
+        assert document["verdict"]["effects"] == ["slip_offset"]
+        parts = [part["part"] for part in document["budget"]]
+        assert parts == ["parameters", "slip_offset", "unexplained", "noise"]
+    assert given["model"] == "brush, cpa2 = 50000, mu = 0.99"
+    assert (given["simulator"]["kind"], forces["simulator"]["kind"]) == (
+        "model", "columns"
+    )  # fmt: skip
+    assert forces["gap"]["rms"] == pytest.approx(given["gap"]["rms"], rel=1e-6)
+    row = rows_of(tmp_path / "o" / "beside.rows.csv")[20]
+    assert float(row["sim_fx"]) == pytest.approx(float(there[20]["fx_sim"]), rel=1e-6)
+    assert row["base_fx"] == row["sim_fx"] != row["tuned_fx"] != row["extended_fx"]
+
+
+def test_resume_knows_the_simulator(run, tmp_path, monkeypatch):
+    write(tmp_path / "load.csv", seed=2)
+    options = [*READ, *WITHOUT, "--out", "o"]
+    run("diagnose", "load.csv", *AS_IT_IS, *options)
+    studied_again = []
+
+    def study(data, **settings):
+        studied_again.append(data.name)
+        raise DataError(InputProblem("not now", "later"))
+
+    monkeypatch.setattr(engine, "diagnose", study)
+    run("diagnose", "load.csv", *AS_IT_IS, *options, "--resume")
+    assert studied_again == []
+    other = ["--set", "cpa2=50000", "--set", "mu=0.95"]
+    for base in (other, ["--sim"], []):
+        run("diagnose", "load.csv", *base, *options, "--resume", exit_code=3)
+    assert studied_again == ["load"] * 3
+
+
 WRONG = {
+    "sim and set": (["--sim", "--set", "mu=0.9"], "--sim with --set"),
+    "sim and file": (["--sim", "--model", "a.tir"], "--sim with --model a.tir"),
+    "no such parameter": (["--set", "nu=1"], "no parameter 'nu'"),
     "model": (["--model", "brsh"], "did you mean"),
     "effect": (["--without", "slip_ofset"], "known effects"),
     "rig": (["--rig", "none.toml"], "none.toml"),

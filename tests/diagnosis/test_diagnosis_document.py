@@ -34,7 +34,10 @@ KEYS = {
     "gap holdout": [*GAP, "on"],
     "where 0": ["covariate", "low", "high", "share", "p_value"],
     "map 0": ["parameter", "covariate", "log_evidence", "explains"],
-    "verdict": ["status", "effects", "probability", "also_possible"],
+    "verdict": ["status", "effects", "probability", "also_possible", "adequacy"],
+    "verdict adequacy": [
+        "time", "slip_order", "line", "pure_error", "local", "held_out", "passed"
+    ],
     "candidates 0": [
         "effects", "family", "probability", "parameters", "z", "z_given_rivals",
         "closed", "closed_ci",

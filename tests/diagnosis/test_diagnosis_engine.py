@@ -67,11 +67,11 @@ def test_an_unlisted_gap_is_unknown(diagnosed):
 def test_document_keeps_the_contract(diagnosed):
     found, _ = diagnosed("slip_offset")
     document = json.loads(found.to_json())
-    assert document["schema"] == "tirefit.diagnosis/1"
+    assert document["schema"] == "tirefit.diagnosis/2"
     assert {
         "schema", "data", "model", "n", "n_effective", "noise", "gap", "where",
-        "verdict", "candidates", "untestable", "resolution", "next_measurement", "seed",
-        "version",
+        "budget", "simulator", "verdict", "candidates", "untestable", "resolution",
+        "next_measurement", "seed", "version",
     } <= set(document)  # fmt: skip
     assert {"fx", "sigma_x", "source", "flags"} <= set(document["noise"])
     assert {"rms", "resolvable", "closed", "closed_ci", "remaining_rms", "holdout"} <= (

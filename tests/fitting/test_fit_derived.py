@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from recipes import FZ, GIVEN, STD, TRUTH, brush_force, curve, table
 from scipy.optimize import brentq, least_squares, minimize_scalar
+from scipy.stats import norm
 
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.derived import (
@@ -229,7 +230,8 @@ def test_posterior_quantities_are_of_the_posterior_draws(sampled):
         low, median, high = np.quantile(draws, [0.025, 0.5, 0.975])
         np.testing.assert_allclose(found.value, median, rtol=1e-7)
         np.testing.assert_allclose(found.ci95, (low, high), rtol=1e-7)
-        np.testing.assert_allclose(found.std, draws.std(), rtol=1e-6)
+        ends = np.quantile(draws, norm.cdf([-1, 1]))
+        np.testing.assert_allclose(found.std, np.ptp(ends) / 2, rtol=1e-6)
     assert sampled.parameters["mu"].value == np.median(mu)
     assert sampled.source == "posterior median and central 95 %"
     assert sampled.to_dict()["source"] == sampled.source

@@ -10,6 +10,7 @@ from recipes import GIVEN, STD, curve
 
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.posterior import CHUNK, sample, split_rhat
+from tirefit.fitting.result import Estimate
 from tirefit.fitting.store import write_posterior
 from tirefit.results import Outcome, UsageError
 
@@ -41,6 +42,17 @@ def test_correlation_of_the_draws_is_that_of_the_fit(given, sampled):
     np.testing.assert_allclose(
         np.corrcoef(draws.T)[0, 1], given.correlation[0, 1], atol=0.15
     )
+
+
+def test_a_rare_part_far_away_is_no_part_of_the_std():
+    draws = np.random.default_rng(0).normal(10.0, 2.0, 100_000)
+    plain = Estimate.of_draws(draws, "N", True)
+    # Of a normal's quantile at one sigma the standard error is 1.52 sigma / sqrt(m).
+    assert abs(plain.std - 2.0) < 4 * 1.52 * 2.0 / np.sqrt(2 * len(draws))
+    draws[:1000] = 1e7
+    far = Estimate.of_draws(draws, "N", True)
+    assert abs(far.std - 2.0) < 0.05 < 1e5 < draws.std()
+    assert Estimate.of_draws(draws, "N", False).std is None
 
 
 def synthetic_chains(shift=0.0):

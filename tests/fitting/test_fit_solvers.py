@@ -112,3 +112,24 @@ def test_a_step_limit_is_reported():
     whole = damped_gauss_newton(residual, start)
     assert bool(whole.converged)
     np.testing.assert_allclose(whole.z, 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("start", [(0.0, 0.0), (3.0, -2.0), (-5.0, 6.0), (1.0, 11.9)])
+def test_beside_a_bound_the_others_still_arrive(start):
+    """b = 1 / (1 + e^-z) would be 1.5, were it free; a follows at its bound of 1."""
+    x = np.linspace(0.1, 1.0, 40)
+    y = 2.0 * x + 1.5 * x**2 + 0.01 * np.sin(40 * x)
+    a = x @ (y - x**2) / (x @ x)  # by the normal equation with b = 1
+
+    def residual(z):
+        return 100 * (z[0] * x + x**2 / (1 + jnp.exp(-z[1])) - y), jnp.ones(40)
+
+    end = damped_gauss_newton(
+        residual, jnp.array(start), allowed=lambda z: jnp.clip(z, -12.0, 12.0)
+    )
+    assert bool(end.converged) and end.steps < 40
+    assert end.z[1] > 7
+    np.testing.assert_allclose(end.z[0], a, atol=2e-3)
+    np.testing.assert_allclose(
+        end.cost, 1e4 * np.sum((a * x + x**2 - y) ** 2), rtol=1e-3
+    )

@@ -21,15 +21,18 @@ from tirefit.diagnosis.records import (
     Amplitude,
     Candidate,
     Cell,
+    Change,
     DataSummary,
     Forecast,
     Gap,
     HeldOut,
     NextMeasurement,
     NoiseSummary,
+    Part,
     Region,
     Resolution,
     Settings,
+    SimulatorSummary,
     Untestable,
     VerdictSummary,
 )
@@ -39,10 +42,17 @@ from tirefit.diagnosis.slip_check import SlipCheck
 from tirefit.diagnosis.views import ShownRows, compared, residual_map
 from tirefit.models import MODELS
 from tirefit.report.canvas import Picture
+from tirefit.report.diagnosis_budget import (
+    budget_lines,
+    budget_sentence,
+    waterfall_steps,
+)
 from tirefit.report.diagnosis_draw import (
+    diagnosis_figure,
     draw_closure,
     draw_comparison,
     draw_evidence,
+    draw_waterfall,
     draw_where,
     panel_pictures,
     write_figure,
@@ -143,8 +153,9 @@ def records(channel):
             name=NAME, path=f"runs/{NAME}.csv", sha256="ab12", convention="iso-w",
             channels=(channel,), assumptions=("column 'F<x>' read as fx in N",),
         ),
-        "model": "brush", "n": 360, "n_effective": 287.0, "noise": noise_of(channel),
-        "gap": GAP,
+        "model": "brush", "simulator": None, "n": 360, "n_effective": 287.0,
+        "noise": noise_of(channel),
+        "gap": GAP, "budget": (), "meanings": {},
         "where": (
             Region("fz", 6000.0, 6000.0, 0.81, 1e-30),
             Region("fz", 2000.0, 2000.0, 0.19, 0.21),
@@ -418,6 +429,100 @@ def test_axes_show_the_arrays():
     texts = [text.get_text() for text in axes.texts]
     assert "closed 80 % [70 %, 85 %], 96 % of its energy" in texts[0]
     assert "45.3 N" in texts[1]
+
+
+BUDGET = (
+    # 400, 160, 80 and 120 N in squares of 460 N and a bit: 3-4-5 twice over.
+    Part("parameters", 400.0, 160000 / 206400, (0.7, 0.8)),
+    Part("slip_offset", 160.0, 25600 / 206400, (0.1, 0.2)),
+    Part("unexplained", 80.0, 6400 / 206400, (0.01, 0.05)),
+    Part("noise", 120.0, 14400 / 206400, (0.06, 0.08)),
+)
+CHANGES = {
+    "mu": Change(0.981, 0.9, 0.009, True),
+    "cpa2": Change(5e4, 5.1e4, 900.0, False),
+    "E": Change(-0.5, 0.1, 0.02, True),
+}
+SIMULATED = {
+    "simulator": SimulatorSummary(
+        "columns", "columns", None,
+        {"model": "brush", "rms": 75.0, "of_force": 0.019, "of_gap": 0.23},
+    ),
+    "budget": BUDGET, "meanings": {"E": "curvature factor"},
+}  # fmt: skip
+
+
+def simulated(status="named", effects=("slip_offset",), changes=CHANGES):
+    verdict = VerdictSummary(
+        status=status, effects=tuple(effects), probability=0.9, also_possible=(),
+        parameters=changes,
+    )  # fmt: skip
+    return diagnosis(verdict=verdict, **SIMULATED)
+
+
+def test_a_simulators_error_is_told_part_by_part():
+    found = simulated()
+    # The surest change first: E is 30 standard errors off, mu nine.
+    assert budget_sentence(found) == (
+        "of 454 N (rms; the parts add in squares), 400 N is curvature factor"
+        " 0.600 ± 0.020 too low and friction 9.0 ± 1.0 % too high in the simulator,"
+        " 160 N is a slip offset that it does not have, 80 N has no name, 120 N is"
+        " noise"
+    )
+    lines = budget_lines(found)
+    assert "cpa2: simulated 50000, measured 51000 ± 900: agrees" in lines
+    assert "misses 75 N of it, 1.9 % of its force and 23 % of the gap" in lines[-1]
+    assert budget_lines(diagnosis()) == []
+    calm = simulated(changes={"cpa2": CHANGES["cpa2"]})
+    assert "400 N is parameters, none of them surely wrong" in budget_sentence(calm)
+
+
+@pytest.mark.parametrize(
+    ("status", "effects", "sentence"),
+    [
+        ("none", (), "friction 9.0 ± 1.0 % too high in the simulator, and nothing"),
+        (
+            "named", ("slip_offset",),
+            "friction 9.0 ± 1.0 % too high in the simulator; slip_offset (probability",
+        ),
+    ],
+)  # fmt: skip
+def test_the_verdict_on_a_simulator_begins_with_its_parameters(
+    status, effects, sentence
+):
+    found = simulated(status, effects, {"mu": CHANGES["mu"]})
+    assert verdict_sentence(found).startswith(sentence)
+    assert after_label(simulated()) == "parameters + slip_offset"
+
+
+def test_the_waterfall_ends_at_the_noise():
+    steps = waterfall_steps(simulated())
+    assert [step.kind for step in steps] == [
+        "whole", "parameters", "effect", "unexplained", "noise",
+    ]  # fmt: skip
+    whole = np.sqrt(206400)
+    left = [whole, np.sqrt(46400), np.sqrt(20800), 120.0]
+    np.testing.assert_allclose([step.before for step in steps[1:]], left)
+    np.testing.assert_allclose([step.after for step in steps[1:]], [*left[1:], 0])
+    assert steps[0].before == pytest.approx(whole)
+    figure = Figure()
+    draw_waterfall(figure, steps)
+    bars = figure.axes[0].patches
+    ends = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in bars]
+    np.testing.assert_allclose(ends[2], (left[2], left[1]))
+    texts = [text.get_text() for text in figure.axes[0].texts]
+    assert texts[2] == "160 N, 12 % [10, 20] of the energy"
+
+
+def test_the_budget_stands_in_figure_and_page():
+    found = simulated()
+    assert len(panel_pictures(found)) == 5 and len(panel_pictures(diagnosis())) == 4
+    tall, low = (diagnosis_figure(one).get_figheight() for one in (found, diagnosis()))
+    assert tall > 1.2 * low
+    page = diagnosis_page(found)
+    assert "Budget of the simulator" in page and "400 N is curvature" in page
+    assert "simulator as given, brush" in page
+    assert "Budget of the simulator" not in diagnosis_page(diagnosis())
 
 
 def _finite(values):

@@ -423,6 +423,18 @@ def test_corner_and_trace_of_any_size_with_a_constant_column(plain, size):
     assert len(draw_uncertainty.trace_figure(result).axes) == 2 * shown
 
 
+def test_a_rare_part_far_away_does_not_stretch_the_corner(plain):
+    draws = np.random.default_rng(1).normal(40.0, 2.0, (4, 5000, 2))
+    whole = corner_data(with_chains(renamed(plain, 2), draws))
+    draws[0, :400, 0] = 1e7
+    corner = corner_data(with_chains(renamed(plain, 2), draws))
+    # Within the reach of the draws of a Gaussian nothing is cut off.
+    np.testing.assert_allclose(whole.edges[:, [0, -1]] - 40, [[-6.2, 6.2]] * 2, atol=1)
+    np.testing.assert_allclose(corner.edges[0], whole.edges[0], atol=2.5)
+    # 2 % far away, 0.2 % by the ends of the other axis, 0.1 % by the lower of this.
+    assert whole.note == "" and "2.3 % of the draws lie beyond" in corner.note
+
+
 @pytest.mark.parametrize("size", [1, 3, 7])
 def test_corner_labels_stand_beside_their_numbers(plain, size):
     scale = 10.0 ** np.resize([0, 4, -3], size)

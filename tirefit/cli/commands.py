@@ -142,12 +142,22 @@ def predict(
         Side | None,
         typer.Option(help="FILE.tir: side of the vehicle; as TYRESIDE if not given"),
     ] = None,
+    beside: Annotated[
+        bool,
+        typer.Option(
+            "--beside",
+            help="write DATA's columns with these forces beside them as fx_sim, ...,"
+            " for `tirefit diagnose --sim`",
+        ),
+    ] = False,
 ) -> None:
     """Forces of a fit or a model, row by row, in the data file's own convention."""
     with errors_to_exit():
         if source.lower().endswith(".tir"):
             how = read_options(options, read_config(options.config))
-            _predict_tir(source, data, out, how, parameter, starred_angles, side)
+            _predict_tir(
+                source, data, out, how, parameter, starred_angles, side, beside
+            )
             return
         if starred_angles or side:
             reason = "--starred-angles and --side are of .tir files"
@@ -157,7 +167,7 @@ def predict(
         values = _checked_request(source, is_file, data, out, parameter)
         start_jax()
         from tirefit.data.read import read
-        from tirefit.data.write import prediction_table, write_csv
+        from tirefit.data.write import write_csv
         from tirefit.fitting.predict import predict as forces_of
         from tirefit.fitting.store import load_fit
 
@@ -166,14 +176,23 @@ def predict(
             how["convention"] = fitted.content["data"]["convention"]
         table = read(data, **how, forces=False)
         warn(table)
-        columns = prediction_table(table, forces_of(fitted, table, values))
+        columns = _predicted(table, forces_of(fitted, table, values), beside)
         write_csv(out, columns)
         if not is_file:
             say(f"{source} with {_values_text(source, values)}")
         _say_written(out, table, columns)
 
 
-def _predict_tir(source, data, out, how, parameter, starred_angles, side) -> None:
+def _predicted(table, forces, beside: bool) -> dict:
+    """Columns to write, in the file's own terms."""
+    from tirefit.data.write import prediction_table, simulated_table
+
+    return (simulated_table if beside else prediction_table)(table, forces)
+
+
+def _predict_tir(
+    source, data, out, how, parameter, starred_angles, side, beside
+) -> None:
     """Forces of the tire of a ``.tir`` file, whose own convention is ISO-W."""
     values = _checked_request(source, False, data, out, parameter)
     from tirefit.data.tir import notes_on, read_tir
@@ -181,7 +200,7 @@ def _predict_tir(source, data, out, how, parameter, starred_angles, side) -> Non
     tir = read_tir(source)
     start_jax()
     from tirefit.data.read import read
-    from tirefit.data.write import prediction_table, write_csv
+    from tirefit.data.write import write_csv
     from tirefit.fitting.predict import predict as forces_of
     from tirefit.fitting.tir import rows_outside, tire_of
 
@@ -191,7 +210,7 @@ def _predict_tir(source, data, out, how, parameter, starred_angles, side) -> Non
     warn(table)
     for text in (*notes_on(tir), *rows_outside(tir, table)):
         complain(f"warning: {source}: {text}")
-    columns = prediction_table(table, forces_of(tire, table, values))
+    columns = _predicted(table, forces_of(tire, table, values), beside)
     write_csv(out, columns)
     said = [f"{source}: Magic Formula {tir.version}", f"TYRESIDE {tir.side}"]
     said += [f"mounted {side.value}"] if side else []

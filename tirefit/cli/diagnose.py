@@ -15,6 +15,7 @@ from tirefit.cli.options import (
     error_text,
     errors_to_exit,
     named_path,
+    numbers,
     progress_bar,
     read_config,
     read_options,
@@ -64,7 +65,26 @@ def diagnose(
         Path,
         typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
     ],
-    model: Annotated[str, typer.Option(help="base model")] = "brush",
+    model: Annotated[
+        str,
+        typer.Option(
+            metavar="MODEL|FIT.json|FILE.tir",
+            help="base model; a file is a simulator that is taken as it is",
+        ),
+    ] = "brush",
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="NAME=VALUE", help="take MODEL as it is, with this value"
+        ),
+    ] = None,
+    sim: Annotated[
+        bool,
+        typer.Option(
+            "--sim",
+            help="the simulator's forces stand in FILE: fx_sim, fy_sim, mz_sim",
+        ),
+    ] = False,
     rig: Annotated[
         Path | None,
         typer.Option(metavar="RIG.TOML", help="what is known of the rig, noise too"),
@@ -97,6 +117,7 @@ def diagnose(
             _warn_of_unused(config, how, {"model": model, "seed": seed})
         start_jax()
         settings = _settings(model, rig, without, how)
+        settings |= _simulator(model, parameter, sim, how)
         with claimed(out):
             kept = [_read(path, how) for path in holdout or []]
             worst = _all(files, names, out, settings, kept, how, figures, resume, seed)
@@ -146,11 +167,42 @@ def _settings(model: str, rig: Path | None, without, how: dict) -> dict:
     from tirefit.diagnosis.rig import load_rig
     from tirefit.fitting.problem import find_model
 
-    find_model(model)
+    if not _is_file(model):
+        find_model(model)
     known = load_rig(rig)
     if how["rolling_radius"] is None and known.rolling_radius is not None:
         how["rolling_radius"] = known.rolling_radius
     return {"model": model, "rig": known, "without": tuple(without or [])}
+
+
+def _is_file(model: str) -> bool:
+    return model.lower().endswith((".json", ".tir"))
+
+
+def _simulator(model: str, parameter, sim: bool, how: dict) -> dict:
+    """Arguments of ``tirefit.diagnose`` for a simulator that is taken as it is.
+
+    None where a form is fitted. Of a file, the data are in its convention unless they
+    are said to be in another.
+    """
+    problems: list[InputProblem] = []
+    values = numbers("--set", parameter, problems)
+    if sim and (values or _is_file(model)):
+        reason = f"--sim with {'--set' if values else f'--model {model}'}"
+        remedy = "with --sim, --model names the form that stands in for the simulator"
+        problems.append(InputProblem(reason, remedy))
+    if problems:
+        raise UsageError(problems)
+    if sim:
+        return {"sim": True}
+    if not values and not _is_file(model):
+        return {}
+    from tirefit.diagnosis.simulator import simulator_at
+
+    given = simulator_at(model, values)
+    if how["convention"] is None:
+        how["convention"] = given.convention
+    return {"model": "brush", "sim": given}
 
 
 def _all(files, names, out, settings, kept, how, figures, resume, seed) -> ExitCode:
@@ -209,6 +261,13 @@ def _is_page(path: Path) -> bool:
         return False
 
 
+def _base_of(content: dict) -> list:
+    """Model and simulator of a document."""
+    there = content["simulator"]
+    keys = ("kind", "source", "sha256")
+    return [content["model"], there and [there[key] for key in keys]]
+
+
 def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
     """Whether the document there is of this file as read now, of these settings, this
     seed and version."""
@@ -220,15 +279,19 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
         content = json.loads(path.read_text(encoding="utf-8"))
         data = content["data"]
         there = [
-            data["sha256"], data["convention"], data["assumptions"], content["model"],
-            content["seed"], content["version"], content["settings"],
+            data["sha256"], data["convention"], data["assumptions"],
+            *_base_of(content), content["seed"], content["version"],
+            content["settings"],
         ]  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError):
         return False
-    source, rig = table.source, settings["rig"]
+    source, rig, given = table.source, settings["rig"], settings.get("sim")
+    base = [settings["model"], given and ["columns", "columns", None]]
+    if given not in (None, True):
+        base = [given.source, [given.kind, given.source, given.sha256]]
     asked = [
         source.sha256, source.convention, [*source.notes, *rig.notes],
-        settings["model"], seed, version("tirefit"),
+        *base, seed, version("tirefit"),
         {
             "rig": asdict(rig),
             "effects": [e.id for e in EFFECTS if e.id not in settings["without"]],

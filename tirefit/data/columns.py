@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from tirefit.data.table import CANONICAL
+from tirefit.data.table import CANONICAL, SIMULATED
 from tirefit.data.units import (
     MEANING_OF_SLIP,
     Unit,
@@ -52,6 +52,7 @@ _TTC_UNITS = {"V": "km/h", "SA": "deg", "IA": "deg", "P": "kPa", "TSTC": "degC"}
 _TTC_MARKS = {"ET", "IA", "RL", "RE", "TSTC", "AMBTMP", "NFX", "NFY"}
 
 _STD_WORDS = {"std", "sd", "stdev", "stddev"}
+_SIM_WORDS = {"sim", "simulated"}
 _BRACKETED = re.compile(r"^(.*?)\s*[\[({<]([^\])}>]*)[\])}>]\s*$")
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
 _SEPARATORS = r"[\s_/,:.\-]+"
@@ -78,7 +79,7 @@ class Options(NamedTuple):
     def check(self) -> None:
         """Raises UsageError with every option whose value is not a known one."""
         named = [*CANONICAL, *(key for key in SLIP_DEFINITIONS if key != "sigma_x")]
-        readable = [*named, "run", *(f"{name}_std" for name in named)]
+        readable = [*named, "run", *(f"{name}_std" for name in named), *SIMULATED]
         constant = [name for name in readable if base_column(name) in CANONICAL]
         problems = [
             *_unknown("--column", self.columns, readable),
@@ -152,12 +153,14 @@ class Plan:
 
 
 def guess(header: str) -> Guess | None:
-    """Name and unit that a header states, or None: ``Fx_std_N`` is fx_std in N."""
+    """Name and unit that a header states, or None: ``Fx_std_N`` is fx_std in N, and
+    ``Fx_sim`` a simulator's fx."""
     bracketed = _BRACKETED.match(header)
     text, unit = bracketed.groups() if bracketed else (header, None)
     words = [word for word in re.split(_SEPARATORS, text.strip()) if word]
     is_std = any(word.casefold() in _STD_WORDS for word in words)
-    words = [word for word in words if word.casefold() not in _STD_WORDS]
+    is_sim = any(word.casefold() in _SIM_WORDS for word in words)
+    words = [w for w in words if w.casefold() not in _STD_WORDS | _SIM_WORDS]
     for count in range(len(words), 0, -1):
         name = _ALIASES.get("".join(words[:count]).casefold())
         suffix = "/".join(words[count:])
@@ -166,6 +169,9 @@ def guess(header: str) -> Guess | None:
         stated = unit if unit is not None else suffix or None
         if name == "run" and (is_std or stated is not None):
             return None
+        if is_sim:
+            name = f"{name}_sim"
+            return None if is_std or name not in SIMULATED else Guess(name, stated)
         return Guess(f"{name}_std" if is_std else name, stated)
     return None
 
@@ -331,12 +337,13 @@ def _unit_of(name, index, headers, units_row, options, chosen) -> tuple[str, str
         return units_row[index].strip().strip("[](){}"), " (units row)"
     if _is_ttc(headers) and headers[index] in _TTC_UNITS:
         return _TTC_UNITS[headers[index]], " (as in Tire Test Consortium files)"
-    if name.endswith("_std"):
-        group = _group(name).removesuffix("_std")
+    if name.endswith("_std") or name in SIMULATED:
+        group = _group(name).removesuffix("_std").removesuffix("_sim")
         owner = next((n for n in chosen if _group(n) == group), None)
         if owner is not None:
             unit = _unit_of(owner, chosen[owner], headers, units_row, options, chosen)
-            return unit[0].removeprefix("-") or "-", f" (the unit of {owner})"
+            text = unit[0] if name in SIMULATED else unit[0].removeprefix("-") or "-"
+            return text, f" (the unit of {owner})"
     canonical = CANONICAL.get(base_column(name), ("-", ""))[0]
     return canonical, "" if headers[index] == name else " (no unit stated)"
 

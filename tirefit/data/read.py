@@ -168,7 +168,8 @@ def _checked(table: Table, options: Options) -> TireData:
         slip_check=reading.slip_check,
         line=table.lines,
     )
-    order = [n for c in CANONICAL for n in (c, f"{c}_std") if n in reading.columns]
+    beside = (f"{c}{end}" for c in CANONICAL for end in ("", "_std", "_sim"))
+    order = [name for name in beside if name in reading.columns]
     ordered = {name: reading.columns[name] for name in order}
     return TireData(table.name, ordered, ~reading.bad(), run, runs, source)
 

@@ -10,7 +10,7 @@ import numpy as np
 from tirefit.display import Displayed
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["CANONICAL", "SlipCheck", "Source", "TireData", "join"]
+__all__ = ["CANONICAL", "SIMULATED", "SlipCheck", "Source", "TireData", "join"]
 
 CANONICAL = {
     "time": ("s", "time"),
@@ -26,7 +26,11 @@ CANONICAL = {
     "pressure": ("Pa", "inflation pressure"),
     "temperature": ("degC", "tire temperature"),
 }
-"""Canonical column -> (unit, meaning); each may have a ``<column>_std`` beside it."""
+"""Canonical column -> (unit, meaning); each may have a ``<column>_std`` beside it, each
+force and moment of the tire what a simulator says of it, as ``<column>_sim``."""
+
+SIMULATED = ("fx_sim", "fy_sim", "mz_sim")
+"""Columns of a simulator's forces for the same rows."""
 
 
 @dataclass(frozen=True)

@@ -109,8 +109,9 @@ _SPELLING = str.maketrans({"°": "deg", "·": "", "⋅": "", "*": "", " ": "", "
 
 
 def base_column(column: str) -> str:
-    """The column a ``<column>_std`` belongs to; other names unchanged."""
-    return column.removesuffix("_std")
+    """The column that a ``<column>_std`` or ``<column>_sim`` belongs to; other names
+    unchanged."""
+    return column.removesuffix("_std").removesuffix("_sim")
 
 
 def dimension_of(column: str) -> str:
@@ -183,7 +184,7 @@ def sign_of(convention: str, column: str) -> int:
     """Sign that turns a file's value into the canonical one (a std has none)."""
     if column.endswith("_std"):
         return 1
-    field = "slip" if column in SLIP_DEFINITIONS else column
+    field = "slip" if column in SLIP_DEFINITIONS else base_column(column)
     return getattr(CONVENTIONS[convention], field, 1)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tirefit.data.table import TireData
+from tirefit.data.table import SIMULATED, TireData
 from tirefit.data.units import (
     base_column,
     resolve_unit,
@@ -23,6 +23,7 @@ __all__ = [
     "csv_text",
     "output_problems",
     "prediction_table",
+    "simulated_table",
     "to_convention",
     "write_csv",
 ]
@@ -137,9 +138,37 @@ def prediction_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
         as far as the data have them, then the forces.
     """
     named = [name for name in _PLOTTED if name in data]
-    inputs = to_convention(data, {name: data[name] for name in named})
+    return _own_columns(data, named) | to_convention(data, forces)
+
+
+def simulated_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
+    """All columns of the data that were read, and a simulator's forces beside them, in
+    the file's own terms: what ``tirefit diagnose --sim`` reads.
+
+    Args:
+        data: the rows that were predicted; forces of an earlier simulator are left out.
+        forces: (n,) canonical forces; ``<force>_std`` is left out.
+    """
+    columns = {f"{c}_sim": force for c, force in forces.items()}
+    columns = {c: force for c, force in columns.items() if c in SIMULATED}
+    own = [name for name in data.columns if name not in SIMULATED]
+    return _own_columns(data, own) | {
+        name: _in_unit_of_its_force(data, name, force)
+        for name, force in columns.items()
+    }
+
+
+def _in_unit_of_its_force(data: TireData, name: str, force) -> np.ndarray:
+    channel = name.removesuffix("_sim")
+    (values,) = to_convention(data, {channel: force}).values()
+    return values
+
+
+def _own_columns(data: TireData, names: Sequence[str]) -> dict:
+    """Columns in the file's own terms, the runs where there are several."""
+    inputs = to_convention(data, {name: data[name] for name in names})
     # 12 digits: 0.1 that went to sigma_x and back is 0.1 again, as the file has it.
     table = {k: [float(f"{v:.12g}") for v in values] for k, values in inputs.items()}
     if len(data.runs) > 1:
         table = {"run": [data.runs[code] for code in data.run]} | table
-    return table | to_convention(data, forces)
+    return table

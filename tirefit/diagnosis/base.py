@@ -23,6 +23,7 @@ from tirefit.diagnosis.forward import (
 )
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
 from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
+from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
 from tirefit.diagnosis.state import Covariates
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import best_of, solve_starts
@@ -92,11 +93,18 @@ class Fit:
 @dataclass(frozen=True, kw_only=True)
 class Base:
     """Where a diagnosis starts: the rows, the base fit to them, and their noise by
-    channel. Whitened values are over the used rows of all channels, (m, ...)."""
+    channel. Whitened values are over the used rows of all channels, (m, ...). Where
+    there is a ``simulator``, the fit is of its parameters to the data."""
 
     rows: Prepared
     fit: Fit
     noise: Mapping[str, NoiseLevel]
+    simulator: Simulated | None = None
+
+    @property
+    def as_given(self) -> np.ndarray:
+        """Parameters z that the gap starts from: the simulator's, else the fit's."""
+        return self.z if self.simulator is None else self.simulator.z
 
     @property
     def prepared(self) -> Prepared:
@@ -189,9 +197,8 @@ def present_in(amplitudes) -> Present:
     return Present(index, values)
 
 
-def _first_fit(prepared: Prepared, name: str):
+def _first_fit(prepared: Prepared, name: str, data):
     """(model, layout, z) by least squares with estimated noise, slip as measured."""
-    data = prepared.data
     force = list(prepared.channels)
     config = parse_config({"force": force, "noise": {"loss": "huber"}, "starts": 4})
     task = build(data, name, config)
@@ -229,25 +236,57 @@ def _priors(prepared: Prepared, effects, rig) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def fit_base(prepared: Prepared, name: str, effects, rig) -> Base:
-    """Fit the base model, judge the noise, and fit again under it."""
-    model, layout, z = _first_fit(prepared, name)
+def fit_base(
+    prepared: Prepared, name: str, effects, rig, given: Given | None = None
+) -> Base:
+    """Fit the base model, judge the noise, and fit again under it.
+
+    Args:
+        given: a simulator, whose forces stand in the data: the base is it, and what is
+            fitted are its parameters; without a tire of its own the model ``name``
+            stands in for it.
+
+    Raises:
+        DataError: the model does not follow the simulator.
+    """
+    if given is None:
+        model, layout, z = _first_fit(prepared, name, prepared.data)
+    elif given.tire is None:
+        simulated = as_measured(prepared.data, prepared.channels)
+        model, layout, z = _first_fit(prepared, name, simulated)
+    else:
+        model, layout, z = given.tire_for(prepared)
     tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
-    design = _design(prepared, effects, rig)
+    design, simulator = _design(prepared, effects, rig), None
+    if given is not None:
+        simulator = Simulated(given=given, z=z)
+        design, missed = _with_offset(prepared, tire, design, z)
+        check_followed(prepared, missed, name)
+        z = np.asarray(tire.refitted(z, design).z)[0]
     fraction = _slip_fraction(prepared, tire, z, design)
     silent = np.zeros(count_atoms(effects))
     noise = _noise(prepared, tire, design, fraction, rig, z, silent, False)
-    base = _under(noise, prepared, tire, design, fraction, z)
+    base = _under(noise, prepared, tire, design, fraction, z, simulator)
     return base.on(_with_force(prepared, tire, base.design, base.z))
 
 
-def _under(noise, prepared, tire: Tire, design: Design, fraction, z) -> Base:
+def _with_offset(prepared: Prepared, tire: Tire, design: Design, z):
+    """The design with what a simulator says beyond its tire at the measured slips, and
+    that by channel (n,)."""
+    size, silent = len(design.keep), np.zeros(count_atoms(tire.effects))
+    own = tire.moments(z, silent, _measured(design, prepared), prepared.n)[0]
+    missed = {c: prepared.column(f"{c}_sim") - own[c] for c in prepared.channels}
+    offset = {c: pad_rows(values, size) for c, values in missed.items()}
+    return design._replace(offset=offset), missed
+
+
+def _under(noise, prepared, tire: Tire, design: Design, fraction, z, simulator) -> Base:
     """The base refitted from z under a noise."""
     design = _with_noise(prepared, design, noise)
     refit = tire.refitted(z, design)
     own = np.asarray(refit.z)[0]
     fit = Fit(tire=tire, design=design, z=own, refit=refit, slip_fraction=fraction)
-    return Base(rows=prepared, fit=fit, noise=noise)
+    return Base(rows=prepared, fit=fit, noise=noise, simulator=simulator)
 
 
 def with_noise_judged(base: Base, rig, z, amplitudes, outliers: bool = True) -> Base:
@@ -260,20 +299,25 @@ def with_noise_judged(base: Base, rig, z, amplitudes, outliers: bool = True) -> 
     """
     rows, tire, fraction = base.rows, base.fit.tire, base.slip_fraction
     noise = _noise(rows, tire, base.design, fraction, rig, z, amplitudes, outliers)
-    return _under(noise, rows, tire, base.design, fraction, base.z)
+    return _under(noise, rows, tire, base.design, fraction, base.z, base.simulator)
 
 
 def at_measured_slip(base: Base) -> Base:
     """The same fit at the slips as they were measured, not as they are believed."""
-    nodes = base.design.slip.shape[1]
-    slips = np.repeat(base.rows.slip[:, None], nodes, axis=1)
-    return base.on(base.design._replace(slip=pad_rows(slips, len(base.design.keep))))
+    return base.on(_measured(base.design, base.rows))
+
+
+def _measured(design: Design, prepared: Prepared) -> Design:
+    slips = np.repeat(prepared.slip[:, None], design.slip.shape[1], axis=1)
+    return design._replace(slip=pad_rows(slips, len(design.keep)))
 
 
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:
     """The same fit looked at on other rows: forces only, its noise does not carry."""
     tire, prepared = base.fit.tire, on_scale_of(prepared, base.rows)
     design = _design(prepared, tire.effects, rig)
+    if base.simulator is not None:
+        design, _ = _with_offset(prepared, tire, design, base.simulator.z)
     return base.on(_with_force(prepared, tire, design, base.z), prepared)
 
 
@@ -293,7 +337,9 @@ def _design(prepared: Prepared, effects, rig) -> Design:
         second=pad_rows(prepared.second, size),
         observed={c: pad_rows(x, size) for c, x in observed.items()},
         scale={c: np.full(size, _FIRST_NOISE * np.std(x)) for c, x in observed.items()},
+        offset={c: np.zeros(size) for c in observed},
         keep=(np.arange(size) < prepared.n).astype(float),
+        hold=np.zeros(()),
         rows=Covariates(*(pad_rows(x, size) for x in prepared.covariates)),
         reference=np.array([np.median(fz), np.median(v)]),
         **_priors(prepared, effects, rig),
@@ -371,7 +417,11 @@ def _pull(prepared, tire: Tire, design: Design, z, silent) -> dict[str, np.ndarr
         slip = np.repeat(pad_rows(past[:, [k]], size), alone.shape[1], axis=1)
         earlier = (pad_rows(part[:, k], size) for part in prepared.before)
         there = type(design.inputs)(*earlier)
-        then = design._replace(slip=slip, weight=alone, inputs=there)
+        # A simulator's past beyond its tire is not known.
+        then = design._replace(
+            slip=slip, weight=alone, inputs=there,
+            offset={c: np.zeros(size) for c in design.offset},
+        )  # fmt: skip
         columns.append(tire.moments(z, silent, then, prepared.n)[0])
     return {c: np.stack([one[c] for one in columns], axis=1) for c in columns[0]}
 

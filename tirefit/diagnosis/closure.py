@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Closure", "closure_of"]
+__all__ = ["Closure", "block_means", "closure_of"]
 
 _DRAWS = 400
 """Bootstrap draws: twenty beyond either end of a 90 % interval."""
@@ -70,11 +70,7 @@ def closure_of(
     remaining = float(np.sqrt(max(left, 0.0) + floor)) if gap > 0 else 0.0
     if not resolvable:
         return Closure(rms, remaining, None, None, None, False)
-    blocks = _blocks(run, int(max(2 * inflation, _LEAST_BLOCK, n // _BLOCKS)))
-    sums = np.array([[*terms[rows].sum(axis=0), len(rows)] for rows in blocks])
-    drawn = generator.multinomial(len(blocks), [1 / len(blocks)] * len(blocks), _DRAWS)
-    totals = drawn @ sums
-    gaps, rests = _energies((totals[:, :3] / totals[:, 3:]).T, lost)
+    gaps, rests = _energies(block_means(terms, run, inflation, generator).T, lost)
     good = gaps > 0
     shares = np.sqrt((np.maximum(rests, 0.0) + floor)[good] / gaps[good])
     values = np.maximum(1 - shares, _WORST)
@@ -83,6 +79,16 @@ def closure_of(
     return Closure(
         rms, remaining, closed, float(min(low, closed)), float(max(high, closed)), True
     )
+
+
+def block_means(terms, run, inflation, generator) -> np.ndarray:
+    """Means of terms (n, k) over rows drawn anew in blocks: (draws, k)."""
+    length = int(max(2 * inflation, _LEAST_BLOCK, len(terms) // _BLOCKS))
+    blocks = _blocks(run, length)
+    sums = np.array([[*terms[rows].sum(axis=0), len(rows)] for rows in blocks])
+    drawn = generator.multinomial(len(blocks), [1 / len(blocks)] * len(blocks), _DRAWS)
+    totals = drawn @ sums
+    return totals[:, :-1] / totals[:, -1:]
 
 
 def _blocks(run, length: int) -> list[np.ndarray]:

@@ -1,17 +1,19 @@
 """What is said of one file: the document of a diagnosis and its rows."""
 
 import importlib.metadata
+from dataclasses import replace
 
 import numpy as np
 
 from tirefit.diagnosis.base import Base, at_measured_slip, on_rows
 from tirefit.diagnosis.basis import located, without
+from tirefit.diagnosis.budget import budget_of, parameter_changes, simulator_summary
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.closure import Closure, closure_of
+from tirefit.diagnosis.conclusion import bound_by
 from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
-from tirefit.diagnosis.noise import correlation
 from tirefit.diagnosis.records import (
     Amplitude,
     Candidate,
@@ -28,6 +30,7 @@ from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rows import Prepared
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.shares import closed_by_each
+from tirefit.diagnosis.standing import widening
 from tirefit.diagnosis.verdict import Verdict, fitted_form, linear_at
 from tirefit.diagnosis.views import compared, residual_map, shown_rows
 from tirefit.diagnosis.where import parameter_map, regions
@@ -48,13 +51,21 @@ def document_of(
     base, verdict = case.base, case.verdict
     prepared = base.prepared
     rows = _rows(case, at_measured_slip(base))
-    # Everything random is drawn in this order: gap, candidates, held-out data.
-    gaps = _gaps(case, _rows(case, base), generator)
+    # Everything random is drawn in this order: gap, candidates, held-out data, budget.
+    believed, main = _rows(case, base), prepared.channels[0]
+    gaps = _gaps(case, believed, generator)
     candidates = _candidates(case, generator)
-    gap = _gap(case, gaps, held_out(case, holdout, rig, generator))
+    held = held_out(case, holdout, rig, generator)
+    bound = bound_by(verdict, case.weighed, gaps[main].closed, held)
+    if bound.status != verdict.status:
+        case = replace(case, verdict=bound)
+        return document_of(case, whole, rig, effects, holdout, generator, model, seed)
+    gap = _gap(case, gaps, held)
+    budget = budget_of(case, believed[main]["extended"], generator)
     said = _verdict(case)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
-    shown = shown_rows(base, rows[prepared.channels[0]])
+    shown = shown_rows(base, rows[main])
+    missed = base.residual(base.as_given, np.zeros(len(base.atoms)))
     noise = _noise(case)
     return Diagnosis(
         data=DataSummary(
@@ -63,11 +74,13 @@ def document_of(
             assumptions=(*data.source.notes, *rig.notes),
         ),
         model=model,
+        simulator=simulator_summary(base, model, gap.rms),
         n=data.n,
         n_effective=prepared.n / noise.inflation,
         noise=noise,
         gap=gap,
-        where=tuple(regions(base, base.at_null[0][: prepared.n], shown.gap)),
+        budget=budget,
+        where=tuple(regions(base, missed[: prepared.n], shown.gap)),
         map=tuple(parameter_map(base)),
         verdict=said,
         candidates=candidates,
@@ -77,7 +90,7 @@ def document_of(
         next_measurement=steps,
         next_measurement_reason=reason,
         slip_check=case.slip_check,
-        base_parameters=_base_parameters(base, base.z),
+        base_parameters=_base_parameters(base, base.as_given),
         extended_parameters=_base_parameters(base, verdict.chosen.z),
         settings=Settings(
             rig=rig, effects=tuple(effect.id for effect in effects),
@@ -89,8 +102,9 @@ def document_of(
         table=data,
         mean_load=float(np.mean(data.usable("fz"))),
         residual_map=residual_map(shown, noise.inflation, gap.resolvable),
-        comparison=compared(shown, said.names_an_effect),
+        comparison=compared(shown, said.names_an_effect or _tuned_alone(case)),
         library=tuple(effects),
+        meanings={p.name: p.spec.meaning for p in base.layout.free},
     )  # fmt: skip
 
 
@@ -101,8 +115,9 @@ def _rows(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
         at: the base fit at the slips that the forces are wanted for.
     """
     base, verdict = case.base, case.verdict
-    null = case.weighed.best_of[()]
-    before = at.forces(null.z, np.zeros(len(base.atoms)))
+    silent = np.zeros(len(base.atoms))
+    before = at.forces(base.as_given, silent)
+    tuned = at.forces(base.z, silent) if base.simulator else {}
     after = at.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
     smooth, deviation = _smoothed_remainder(case)
     form = _form_part(case)
@@ -116,6 +131,8 @@ def _rows(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
             "gap": after[channel] - before[channel] + (form + smooth)[part] * scale,
             "gap_std": deviation[part] * scale,
         }
+        if base.simulator:
+            forces[channel] |= {"sim": before[channel], "tuned": tuned[channel]}
     return forces
 
 
@@ -139,6 +156,9 @@ def _smoothed_remainder(case: Case):
     lone = without(own, jacobian)
     p = len(chosen.z)
     variance = np.einsum("mi,ij,mj->m", lone, chosen.covariance[p:, p:], lone)
+    if base.simulator:  # its gap has the parameters in it
+        moved = np.concatenate([jacobian, own], axis=1)
+        variance = np.einsum("mi,ij,mj->m", moved, chosen.covariance, moved)
     if case.verdict.status in ("named", "cannot_tell"):
         return np.zeros(len(residual)), np.sqrt(np.maximum(variance, 0))
     used_up = np.concatenate([jacobian, own], axis=1)
@@ -150,26 +170,30 @@ def _gaps(case: Case, rows, generator) -> dict[str, Shrinkage]:
     """How far the gap of each channel shrinks on the rows of the search."""
     base, verdict = case.base, case.verdict
     gaps, p = {}, base.layout.size
+    free = 0 if base.simulator else p
     for channel, parts in rows.items():
         observed = base.prepared.observed[channel]
         noise = base.noise[channel]
         keep = ~noise.outlier
-        extended = parts["base"] if verdict.status == "unknown" else parts["extended"]
+        silent = verdict.status == "unknown" and not base.simulator
+        extended = parts["base"] if silent else parts["extended"]
         closure = closure_of(
             (observed - parts["base"])[keep], (observed - extended)[keep],
-            (noise.std**2)[keep], (p, p + len(verdict.chosen.atoms)),
+            (noise.std**2)[keep], (free, p + len(verdict.chosen.atoms)),
             base.prepared.run[keep], noise.inflation, generator,
         )  # fmt: skip
-        gaps[channel] = _shrinkage(closure, verdict)
+        gaps[channel] = _shrinkage(closure, verdict, base)
     return gaps
 
 
-def _shrinkage(closure: Closure, verdict: Verdict) -> Shrinkage:
-    silent = verdict.status in ("none", "unknown")
+def _shrinkage(closure: Closure, verdict: Verdict, base: Base) -> Shrinkage:
+    # The parameters of a simulator close a part whatever the verdict on effects is.
+    silent = verdict.status in ("none", "unknown") and not base.simulator
     closed = 0.0 if silent else closure.closed
     return Shrinkage(
         rms=closure.rms,
-        resolvable=closure.resolvable and verdict.status != "none",
+        resolvable=closure.resolvable
+        and (verdict.status != "none" or base.simulator is not None),
         closed=closed if closed is None else float(np.clip(closed, 0.0, 1.0)),
         closed_ci=(0.0, 0.0) if silent else (closure.low, closure.high),
         remaining_rms=closure.rms if silent else closure.remaining,
@@ -220,7 +244,14 @@ def _verdict(case: Case) -> VerdictSummary:
         effects=effects,
         probability=verdict.probability,
         also_possible=verdict.also_possible,
+        adequacy=verdict.adequacy,
+        parameters=parameter_changes(case, widening(case.base, verdict.chosen)),
     )
+
+
+def _tuned_alone(case: Case) -> bool:
+    """Whether a simulator's parameters explain all that there is."""
+    return case.base.simulator is not None and case.verdict.status == "none"
 
 
 def _candidates(case: Case, generator, most: int = 10) -> tuple[Candidate, ...]:
@@ -246,7 +277,7 @@ def _candidate(case: Case, key, probability: float, generator) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
     p, parameters = len(hypothesis.z), {}
     spread = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[p:], 0))
-    spread = spread * np.sqrt(_widening(case, hypothesis))
+    spread = spread * np.sqrt(widening(case.base, hypothesis))
     scale = np.asarray(base.design.prior_scale)
     effects = [base.atoms[k].effect for k in hypothesis.atoms]
     for j, (k, effect) in enumerate(zip(hypothesis.atoms, effects, strict=True)):
@@ -272,30 +303,17 @@ def _candidate(case: Case, key, probability: float, generator) -> Candidate:
 
 def _closure_by(case: Case, hypothesis: Hypothesis, generator) -> Closure:
     """What a hypothesis closes of the first channel's gap."""
-    base, null = case.base, case.weighed.best_of[()]
-    main, p = base.prepared.channels[0], base.layout.size
+    base, main = case.base, case.base.prepared.channels[0]
+    p, free = base.layout.size, 0 if case.base.simulator else case.base.layout.size
     observed, noise = base.prepared.observed[main], base.noise[main]
-    before = base.forces(null.z, np.zeros(len(base.atoms)))[main]
+    before = base.forces(base.as_given, np.zeros(len(base.atoms)))[main]
     after = base.forces(hypothesis.z, amplitudes_of(base, hypothesis))[main]
     keep = ~noise.outlier
     return closure_of(
         (observed - before)[keep], (observed - after)[keep], (noise.std**2)[keep],
-        (p, p + len(hypothesis.atoms)), base.prepared.run[keep], noise.inflation,
+        (free, p + len(hypothesis.atoms)), base.prepared.run[keep], noise.inflation,
         generator,
     )  # fmt: skip
-
-
-def _widening(case: Case, hypothesis: Hypothesis) -> float:
-    """Factor on the variance of amplitudes: what a hypothesis leaves is larger than
-    the noise, and neighbours in time agree, where it does not explain everything."""
-    base = case.base
-    prepared, n = base.prepared, base.prepared.n
-    residual = base.residual(hypothesis.z, amplitudes_of(base, hypothesis))
-    rows_each = max(
-        correlation(residual[k * n : (k + 1) * n], prepared.time, prepared.run)
-        for k in range(len(prepared.channels))
-    )
-    return max(float(np.mean(residual**2)), 1.0) * rows_each
 
 
 def _resolution(case: Case) -> Resolution:
@@ -346,8 +364,8 @@ def _on_everything(case: Case, prepared: Prepared, rig, rows):
     interpolated in their order."""
     base, verdict = case.base, case.verdict
     whole = at_measured_slip(on_rows(base, prepared, rig))
-    null = case.weighed.best_of[()]
-    before = whole.forces(null.z, np.zeros(len(base.atoms)))
+    silent = np.zeros(len(base.atoms))
+    before = whole.forces(base.as_given, silent)
     after = whole.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
     kept, every, spread_out = base.prepared.kept, np.arange(prepared.n), {}
     for channel, parts in rows.items():
@@ -357,4 +375,7 @@ def _on_everything(case: Case, prepared: Prepared, rig, rows):
             "base": before[channel], "extended": after[channel], "gap": gap,
             "gap_std": np.interp(every, kept, parts["gap_std"]),
         }  # fmt: skip
+        if base.simulator:
+            tuned = whole.forces(base.z, silent)[channel]
+            spread_out[channel] |= {"sim": before[channel], "tuned": tuned}
     return spread_out

@@ -1,12 +1,14 @@
 """One file diagnosed: noise first, then where, which, how far, and what to measure."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from tirefit.data.table import TireData
 from tirefit.diagnosis.base import Base, fit_base, with_noise_judged
 from tirefit.diagnosis.case import Case
+from tirefit.diagnosis.conclusion import concluded
 from tirefit.diagnosis.document import document_of
 from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.forms import PLACE, shape_of_change
@@ -15,6 +17,7 @@ from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import Prepared, prepare, thinned
 from tirefit.diagnosis.search import Search, amplitudes_of, search
+from tirefit.diagnosis.simulator import Given, given_simulator
 from tirefit.diagnosis.verdict import gap_p_value, judge, weigh
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
@@ -37,6 +40,7 @@ def diagnose(
     data: TireData,
     model: str = "brush",
     *,
+    sim: Any = None,
     rig: Rig | None = None,
     effects: Sequence[Effect] = EFFECTS,
     without: Sequence[str] = (),
@@ -49,6 +53,11 @@ def diagnose(
     Args:
         data: measured rows; see ``tirefit.read``.
         model: name of the base model.
+        sim: a simulator to take as it is, in the place of a fit of ``model``: a tire
+            model with its values, a fit, a ``fit.json`` or ``.tir`` file, True for the
+            data's columns ``fx_sim``, ``fy_sim``, ``mz_sim``, or arrays (n,) of all
+            rows by channel, in canonical signs. Where only its forces are known,
+            ``model``, fitted to them, stands in for what a hypothesis changes.
         rig: what is known of the rig (noise, rolling radius, wheel inertia).
         effects: the library to search; add your own to :data:`EFFECTS`.
         without: ids of effects that are not looked for.
@@ -58,7 +67,8 @@ def diagnose(
     Raises:
         UsageError: no such model, or no such effect to leave out; or 32-bit floats in
             use.
-        DataError: no force with a slip that varies, no load, or too few rows.
+        DataError: no force with a slip that varies, no load, too few rows, no
+            simulated forces, or a model that does not follow them.
     """
     require_x64("a diagnosis")
     rig = rig or Rig()
@@ -68,11 +78,17 @@ def diagnose(
         raise UsageError([InputProblem(f"without {name}", remedy) for name in unknown])
     base_model = find_model(model)
     generator = np.random.default_rng(seed)
-    whole = prepare(data, rig, modelled(base_model))
+    given, gives = None, modelled(base_model)
+    if sim is not None:
+        given = given_simulator(sim, data)
+        data, holdout = given.beside(data), [given.beside(x, True) for x in holdout]
+        gives = given.channels(data, gives)
+    whole = prepare(data, rig, gives)
     some = thinned(whole, _MOST_ROWS)
-    case = _studied(some, model, rig, tuple(effects), without, generator)
+    case = _studied(some, model, rig, tuple(effects), without, generator, given)
     looked_for = [effect for effect in effects if effect.id not in without]
-    return document_of(case, whole, rig, looked_for, holdout, generator, model, seed)
+    name = model if given is None or given.tire is None else given.source
+    return document_of(case, whole, rig, looked_for, holdout, generator, name, seed)
 
 
 def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[Untestable]]:
@@ -100,8 +116,10 @@ def _level(base: Base) -> np.ndarray:
     )
 
 
-def _studied(prepared: Prepared, model, rig, effects, without, generator) -> Case:
-    base = fit_base(prepared, model, effects, rig)
+def _studied(
+    prepared: Prepared, model, rig, effects, without, generator, given: Given | None
+) -> Case:
+    base = fit_base(prepared, model, effects, rig, given)
     testable, untestable = _testable(prepared, base.atoms, without)
     found = search(base, testable)
     # What the best explanation leaves shows the noise better than the base fit does.
@@ -119,6 +137,7 @@ def _studied(prepared: Prepared, model, rig, effects, without, generator) -> Cas
 
     weighed = weigh(found)
     verdict = judge(found, weighed, gap_p_value(found, generator))
+    verdict = concluded(verdict, found, weighed, generator)
     return Case(base, found, weighed, verdict, untestable)
 
 

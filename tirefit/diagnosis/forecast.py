@@ -332,6 +332,7 @@ def _with_moment(base: Base, z) -> _Block:
     tire = replace(base.fit.tire, mode="y")
     design = base.design._replace(
         observed=dict.fromkeys(channels, np.zeros_like(scale)),
+        offset=dict.fromkeys(channels, np.zeros_like(scale)),
         scale={"fy": scale, "mz": scale},
     )
     lateral = replace(base, rows=rows, fit=replace(base.fit, tire=tire, design=design))

@@ -39,10 +39,12 @@ class Design(NamedTuple):
     """Everything a refit needs, as arrays, padded to few shapes.
 
     ``slip`` and ``weight`` are the nodes of the latent slip and their probabilities,
-    (n, q); ``observed`` and ``scale`` (n,) by channel; ``keep`` (n,) is 0 for padding
-    and outliers. Of the amplitudes (K,), ``prior_scale`` is in their own units,
-    ``prior_center``, ``low`` and ``high`` are in prior scales; ``reference`` is load
-    and speed.
+    (n, q); ``observed`` and ``scale`` (n,) by channel; ``offset`` (n,) by channel is
+    what a simulator says beyond the tire that stands in for it, zero for a form that
+    was fitted; ``keep`` (n,) is 0 for padding and outliers. ``hold`` is the stiffness
+    that keeps a refit's z where it starts, 0 where it is free. Of the amplitudes (K,),
+    ``prior_scale`` is in their own units, ``prior_center``, ``low`` and ``high`` are in
+    prior scales; ``reference`` is load and speed.
     """
 
     inputs: TireInputs
@@ -51,7 +53,9 @@ class Design(NamedTuple):
     second: Values
     observed: Mapping[str, Values]
     scale: Mapping[str, Values]
+    offset: Mapping[str, Values]
     keep: Values
+    hold: Values
     rows: Covariates
     prior_scale: Values
     prior_center: Values
@@ -188,7 +192,7 @@ def _forces_at(model, layout, mode: str, z, state, design: Design):
         c: jnp.sum((f - mean[c][:, None]) ** 2 * design.weight, axis=1)
         for c, f in found.items()
     }
-    return mean, spread
+    return {c: force + design.offset[c] for c, force in mean.items()}, spread
 
 
 def _whitened(mean, design: Design):
@@ -365,7 +369,8 @@ def refit_all(model, layout, effects, mode, starts, index, count, design):
         def whole(x):
             present = Present(index, x[p:] * scale[index])
             misfit = residuals(model, layout, effects, mode, x[:p], present, design)
-            return jnp.concatenate([misfit, pull(x[p:])])
+            held = design.hold * (x[:p] - start[:p])
+            return jnp.concatenate([misfit, pull(x[p:]), held])
 
         def allowed(x):
             return jnp.concatenate([x[:p], jnp.clip(x[p:], low, high)])

@@ -27,9 +27,10 @@ def held_out(case, holdout: Sequence, rig, generator) -> HeldOut | None:
 
     Without other files the regime farthest out (highest load, else highest speed, else
     largest slip, else the last third) is left out, both fits are repeated without it,
-    and judged on it. None where the verdict names nothing.
+    and judged on it; a simulator stays as it was given. None where the verdict names
+    nothing, unless a simulator's parameters may close a part.
     """
-    if case.verdict.status in ("none", "unknown"):
+    if case.verdict.status in ("none", "unknown") and not case.base.simulator:
         return None
     if holdout:
         return _on_files(case, holdout, rig, generator)
@@ -45,14 +46,13 @@ def _record(closure: Closure, what: str) -> HeldOut:
 
 def _on_files(case, holdout, rig, generator) -> HeldOut:
     base, chosen = case.base, case.verdict.chosen
-    null = case.weighed.best_of[()]
     before, after, variance, run = [], [], [], []
     main = base.prepared.channels[0]
     for number, data in enumerate(holdout):
         other = on_rows(base, prepare(data, rig, base.prepared.channels), rig)
         observed = other.prepared.observed[main]
         silent = np.zeros(len(base.atoms))
-        before.append(observed - other.forces(null.z, silent)[main])
+        before.append(observed - other.forces(base.as_given, silent)[main])
         amplitudes = amplitudes_of(base, chosen)
         after.append(observed - other.forces(chosen.z, amplitudes)[main])
         scale = np.median(base.noise[main].std / base.prepared.inputs.fz)
@@ -98,7 +98,10 @@ def _on_regime(case, generator) -> HeldOut:
 
     null = case.weighed.best_of[()]
     observed = base.prepared.observed[main][out]
+    silent = np.zeros(len(base.atoms))
     before = observed - refitted(null.z, np.zeros(0), ())
+    if base.simulator:
+        before = observed - base.forces(base.as_given, silent)[main][out]
     after = observed - refitted(chosen.z, chosen.amplitude, chosen.atoms)
     noise = base.noise[main]
     good = ~noise.outlier[out]

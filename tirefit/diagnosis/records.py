@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.rig import Rig
 
@@ -15,16 +16,19 @@ __all__ = [
     "Amplitude",
     "Candidate",
     "Cell",
+    "Change",
     "DataSummary",
     "Forecast",
     "Gap",
     "HeldOut",
     "NextMeasurement",
     "NoiseSummary",
+    "Part",
     "Region",
     "Resolution",
     "Settings",
     "Shrinkage",
+    "SimulatorSummary",
     "Untestable",
     "VerdictSummary",
 ]
@@ -134,12 +138,19 @@ class Cell(NamedTuple):
 @dataclass(frozen=True, kw_only=True)
 class VerdictSummary:
     """What is said: none, named, incomplete, unknown or cannot_tell; of which effects,
-    with which probability of exactly this set; what this data cannot tell from it."""
+    with which probability of exactly this set; what this data cannot tell from it; the
+    tests of what it leaves.
+
+    ``parameters`` are those of a simulator that was given: none of a form that was
+    fitted.
+    """
 
     status: str
     effects: tuple[str, ...]
     probability: float
     also_possible: tuple[str, ...]
+    adequacy: Adequacy
+    parameters: Mapping[str, "Change"] = field(default_factory=dict)
 
     @property
     def names_an_effect(self) -> bool:
@@ -147,6 +158,44 @@ class VerdictSummary:
         of_noise = {effect.id for effect in NOISE_EFFECTS}
         on_mean = [e for e in self.effects if e not in of_noise]
         return bool(on_mean) and on_mean != ["unknown"]
+
+
+class Change(NamedTuple):
+    """A parameter as simulated and as measured, with the standard error of the latter;
+    ``differs`` where the two are more than two standard errors apart."""
+
+    simulated: float
+    measured: float
+    std: float
+    differs: bool
+
+
+class Part(NamedTuple):
+    """A part of the distance from a base to the measurement of the first channel.
+
+    ``part`` is parameters, the id of an effect, unexplained or noise; ``share`` is that
+    of the energy (mean square), with its 90 % interval, ``rms`` [N] its root. Effects
+    that need each other may have a negative share: their rms is 0.
+    """
+
+    part: str
+    rms: float
+    share: float
+    closed_ci: tuple[float, float]
+
+
+class SimulatorSummary(NamedTuple):
+    """A simulator that was diagnosed as it is.
+
+    ``kind`` is columns, model, fit or tir, ``surrogate`` the tire that stands in for
+    it: the rms [N] of what it misses of the simulated force, first channel, as a share
+    of that force and of the gap.
+    """
+
+    kind: str
+    source: str
+    sha256: str | None
+    surrogate: Mapping[str, float | str]
 
 
 class Amplitude(NamedTuple):

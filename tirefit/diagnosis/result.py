@@ -16,9 +16,11 @@ from tirefit.diagnosis.records import (
     Gap,
     NextMeasurement,
     NoiseSummary,
+    Part,
     Region,
     Resolution,
     Settings,
+    SimulatorSummary,
     Untestable,
     VerdictSummary,
 )
@@ -29,7 +31,7 @@ from tirefit.files import json_text
 
 __all__ = ["SCHEMA", "Diagnosis"]
 
-SCHEMA = "tirefit.diagnosis/1"
+SCHEMA = "tirefit.diagnosis/2"
 
 _NOT_WRITTEN = {"written": False}
 
@@ -43,7 +45,9 @@ class Diagnosis(Displayed):
     slip of the wheel speed, None where that is not known.
 
     ``rows`` holds (n,) arrays by channel of all rows of the file, canonical, NaN where
-    masked: ``base``, ``extended``, ``gap``, ``gap_std``. ``table`` is the data,
+    masked: ``base``, ``extended``, ``gap``, ``gap_std``; for a simulator ``base`` is it
+    as given, also under ``sim``, and ``tuned`` its parameters adapted. ``simulator`` is
+    None where a form was fitted; ``meanings`` of its parameters. ``table`` is the data,
     ``mean_load`` [N] that of its used rows; ``residual_map`` and ``comparison`` are
     what the figures show; ``library`` holds the effects that were looked for, a user's
     own among them.
@@ -54,10 +58,12 @@ class Diagnosis(Displayed):
 
     data: DataSummary
     model: str
+    simulator: SimulatorSummary | None
     n: int
     n_effective: float
     noise: NoiseSummary
     gap: Gap
+    budget: tuple[Part, ...]
     where: tuple[Region, ...]
     map: tuple[Cell, ...]
     verdict: VerdictSummary
@@ -79,6 +85,7 @@ class Diagnosis(Displayed):
     residual_map: ResidualMap = field(metadata=_NOT_WRITTEN)
     comparison: Comparison = field(metadata=_NOT_WRITTEN)
     library: tuple[Effect, ...] = field(metadata=_NOT_WRITTEN)
+    meanings: Mapping[str, str] = field(metadata=_NOT_WRITTEN)
 
     @property
     def effects(self) -> tuple[str, ...]:

@@ -148,6 +148,17 @@ def _check(data: TireData) -> None:
         raise DataError(InputProblem(reason, "measure more points", file))
 
 
+def _channels(data: TireData, mode: str, given) -> tuple[str, ...]:
+    """Measured forces of the slip that varies that a model gives."""
+    channels = tuple(c for c in MODES[mode] if c in data and c in given)
+    if not channels:
+        reason = f"{' or '.join(MODES[mode])}, whose slip varies, is not simulated"
+        remedy = f"the model gives {', '.join(given) or 'no force'}: choose another"
+        file = data.source.path or data.name
+        raise DataError(InputProblem(reason, remedy, file))
+    return channels
+
+
 def prepare(data: TireData, rig, model) -> Prepared:
     """Slips, channels and covariates of the used rows.
 
@@ -159,7 +170,7 @@ def prepare(data: TireData, rig, model) -> Prepared:
     sigma, tan_alpha = _column(data, "sigma_x"), np.tan(_column(data, "alpha"))
     slip = tan_alpha if mode == "y" else sigma
     second = tan_alpha if mode == "xy" else np.zeros(data.n)
-    channels = tuple(c for c in MODES[mode] if c in data and c in model)
+    channels = _channels(data, mode, model)
     time = data.usable("time") if "time" in data else None
     run = data.run[data.used]
     sweeps = _sweeps(data, slip, mode, rig, time, run)

@@ -18,7 +18,9 @@ def rows_in_file_terms(result: Diagnosis) -> dict[str, np.ndarray]:
     out: dict[str, np.ndarray] = {}
     for channel, parts in result.rows.items():
         header = data.source.columns.get(channel, channel)
-        for name in ("base", "extended", "gap"):
+        for name in ("sim", "tuned", "base", "extended", "gap"):
+            if name not in parts:  # only a simulator is as given, and tuned
+                continue
             # A difference of forces converts as a force: units have no offset here.
             column = to_convention(data, {channel: parts[name]})[header]
             out[f"{name}_{channel}"] = column

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
+from tirefit.diagnosis.adequacy import UNTESTED, Adequacy
 from tirefit.diagnosis.basis import (
     gain,
     log_evidence,
@@ -64,7 +65,8 @@ _DRAWS = 2000
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is said: status, effects, the probability of exactly this set."""
+    """What is said: status, effects, the probability of exactly this set; the tests of
+    what it leaves, once they are made."""
 
     status: str
     effects: tuple[str, ...]
@@ -72,6 +74,7 @@ class Verdict:
     also_possible: tuple[str, ...]
     p_value: float
     chosen: Hypothesis
+    adequacy: Adequacy = UNTESTED
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,10 @@ import numpy as np
 from scipy.special import expit, logit
 
 from tirefit.compiled import compiled
-from tirefit.fitting.inference import Profile, deviance_at, inflation, linearise
+from tirefit.fitting.inference import deviance_at, inflation, linearise
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
+from tirefit.fitting.profile import Profile
 from tirefit.fitting.result import Estimate
 from tirefit.fitting.solve import Solved
 from tirefit.models import TireInputs
@@ -344,7 +345,6 @@ def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Es
 
 
 _BLOCK = 4096
-_CENTRAL = (0.025, 0.5, 0.975)
 
 
 def derived_from_draws(
@@ -377,7 +377,4 @@ def _of_draws(draws: np.ndarray, least_squares: Estimate) -> Estimate:
     unit, defined = least_squares.unit, np.isfinite(draws)
     if np.mean(defined) <= 0.975:
         return Estimate(float("nan"), None, unit, (None, None), identified=False)
-    low, median, high = (float(v) for v in np.quantile(draws[defined], _CENTRAL))
-    identified = least_squares.identified
-    std = float(draws[defined].std()) if identified else None
-    return Estimate(median, std, unit, (low, high), identified)
+    return Estimate.of_draws(draws[defined], unit, least_squares.identified)

@@ -10,10 +10,11 @@ import numpy as np
 from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, parse_config
 from tirefit.fitting.derived import derived_from_profile, reference_point
-from tirefit.fitting.inference import Profile, half_width_95, profile_all
+from tirefit.fitting.inference import half_width_95
 from tirefit.fitting.layout import Tie
 from tirefit.fitting.likelihood import FitProblem
 from tirefit.fitting.problem import FitTask, build
+from tirefit.fitting.profile import Profile, profile_all
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics, information
 from tirefit.fitting.solve import Solved, solve_problem
 from tirefit.fitting.verdict import judge

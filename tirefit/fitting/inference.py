@@ -1,4 +1,4 @@
-r"""Covariance and profile likelihood around a least-squares estimate.
+r"""Least squares, covariance and the level of an interval, of one problem.
 
 Everything rests on one function of z, the *deviance* D(z) = -2 log L + 2 log L(best):
 
@@ -31,7 +31,6 @@ __all__ = [
     "REACH",
     "Linearised",
     "Minima",
-    "Profile",
     "best_of",
     "covariance",
     "deviance",
@@ -40,7 +39,6 @@ __all__ = [
     "inflation",
     "linearise",
     "minima",
-    "profile_all",
     "residuals",
     "solve_starts",
     "threshold",
@@ -257,21 +255,6 @@ def inflation(problem: FitProblem, block: str) -> Array | float:
     return problem.rules[block].inflation if block in problem.rules else 1.0
 
 
-class Profile(NamedTuple):
-    """Profile of one element of z: points (m,), their deviance, and the 95 % interval.
-
-    ``open_low`` / ``open_high``: the deviance does not reach the threshold before the
-    bound, so the data do not limit the parameter on that side.
-    """
-
-    z: np.ndarray
-    deviance: np.ndarray
-    low: float
-    high: float
-    open_low: bool
-    open_high: bool
-
-
 def half_width_95(estimated: bool, dof: float) -> float:
     """Standard deviations to either end of a 95 % interval: the normal distribution's
     where the noise is given, Student's t where it is estimated."""
@@ -283,107 +266,3 @@ def threshold(estimated: bool, effective: float, parameters: int) -> float:
     dof = max(effective - parameters, 1.0)
     square = half_width_95(estimated, dof) ** 2
     return float(effective * np.log1p(square / dof)) if estimated else square
-
-
-class _Side:
-    """One side of a profile: the search for the distance where the deviance, whose
-    root is nearly straight, reaches the level."""
-
-    def __init__(self, center: float, sign: int, std: float, level: float):
-        self.center, self.sign, self.goal = center, sign, np.sqrt(level)
-        self.reach = max(REACH - sign * center, 1e-3)
-        self.distances, self.roots = [0.0], [0.0]
-        self.std = min(std, self.reach / 3)
-        self.done = False
-
-    def next_distance(self) -> float:
-        count = len(self.distances) - 1
-        if count < 2:
-            return min((0.8, 1.5)[count] * self.std, self.reach)
-        if self.done:
-            # One point beyond the interval, for the eye.
-            return min(1.3 * self.end, self.reach)
-        above = [
-            d for d, r in zip(self.distances, self.roots, strict=True) if r > self.goal
-        ]
-        if above:
-            outer = min(above)
-            inner = max(d for d in self.distances if d < outer)
-            # Interpolation that creeps along one end, where the root is all but
-            # straight (next to a bound), is helped by every other step in the middle.
-            last, before = (root > self.goal for root in self.roots[:-3:-1])
-            if last == before:
-                return (inner + outer) / 2
-            return float(np.interp(self.goal, *self._rising()))
-        far, root = self.distances[-1], max(self.roots[-1], 1e-3)
-        return float(min(far * np.clip(1.02 * self.goal / root, 1.2, 4.0), self.reach))
-
-    def _rising(self) -> tuple[np.ndarray, np.ndarray]:
-        order = np.argsort(self.distances)
-        distances = np.array(self.distances)[order]
-        return np.maximum.accumulate(np.array(self.roots)[order]), distances
-
-    def add(self, distance: float, deviance: float) -> None:
-        self.distances.append(distance)
-        self.roots.append(float(np.sqrt(max(deviance, 0.0))))
-        close = abs(self.roots[-1] - self.goal) < 3e-3 * self.goal
-        exhausted = distance >= self.reach and self.roots[-1] <= self.goal
-        self.done = self.done or close or exhausted
-
-    @property
-    def open(self) -> bool:
-        return max(self.roots) < self.goal * (1 - 3e-3)
-
-    @property
-    def end(self) -> float:
-        """Distance of the crossing, or the reach where there is none."""
-        if self.open:
-            return self.reach
-        roots, distances = self._rising()
-        return float(np.interp(self.goal, roots, distances))
-
-
-_ROUNDS = 16
-
-
-def profile_all(
-    problem: FitProblem,
-    z: Float[np.ndarray, " p"],
-    cov: Float[np.ndarray, "p p"],
-    level: float,
-) -> list[Profile]:
-    """Profile likelihood of every element of z, all sides searched together."""
-    std, size = np.sqrt(np.diag(cov)), len(z)
-    sides = [_Side(z[i], s, std[i], level) for i in range(size) for s in (-1, 1)]
-    index = np.repeat(np.arange(size), 2)
-    signs = np.tile([-1, 1], size)
-    # How the other elements follow, at first by the covariance, then as last found.
-    follow = signs[:, None] * (cov[:, index] / np.diag(cov)[index]).T
-    # The first round has distance zero: the deviance of the best fit itself.
-    base, distance = None, np.zeros(len(sides))
-    for _ in range(_ROUNDS):
-        finished = all(side.done for side in sides)
-        starts = np.clip(z + follow * distance[:, None], -REACH, REACH)
-        values = np.clip(z[index] + signs * distance, -REACH, REACH)
-        ends = minima(problem, starts, index, values)
-        if base is None:
-            base = float(np.min(ends.deviance))
-        else:
-            rise = np.nan_to_num(ends.deviance - base, nan=1e9, posinf=1e9)
-            follow = (np.asarray(ends.z) - z) / np.maximum(distance, 1e-9)[:, None]
-            for side, d, value in zip(sides, distance, rise, strict=True):
-                side.add(d, value)
-        if finished:
-            break
-        distance = np.array([side.next_distance() for side in sides])
-    return [_joined(z[i], sides[2 * i], sides[2 * i + 1]) for i in range(size)]
-
-
-def _joined(center: float, low: _Side, high: _Side) -> Profile:
-    distances = np.concatenate([-np.array(low.distances), np.array(high.distances[1:])])
-    roots = np.concatenate([low.roots, high.roots[1:]])
-    order = np.argsort(distances)
-    return Profile(
-        center + distances[order], roots[order] ** 2, center - low.end,
-        center + high.end, low.open, high.open,
-    )  # fmt: skip

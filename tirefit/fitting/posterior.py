@@ -393,14 +393,9 @@ def _with_posterior(
     ends: dict[str, tuple[float | None, float | None]] = {}
     for i, label in enumerate(result.labels):
         draws = kept[..., i].ravel()
-        low, high = (float(end) for end in np.quantile(draws, [0.025, 0.975]))
-        least_squares = result.least_squares[label]
-        ends[label] = (low, high)
-        estimates[label] = Estimate(
-            float(np.median(draws)),
-            float(draws.std()) if least_squares.identified else None,
-            least_squares.unit, (low, high), least_squares.identified,
-        )  # fmt: skip
+        known = result.least_squares[label]
+        estimates[label] = Estimate.of_draws(draws, known.unit, known.identified)
+        ends[label] = estimates[label].ci95
     return judge(
         replace(
             result,

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -22,12 +22,16 @@ __all__ = [
 
 SCHEMA = "tirefit.fit/1"
 
+_BELOW_MINUS_ONE = math.erfc(1 / math.sqrt(2)) / 2
+"""Share of a Gaussian below its mean less one standard deviation."""
+
 
 @dataclass(frozen=True)
 class Estimate:
     """A number with its uncertainty: value, standard deviation, 95 % interval, unit.
 
-    ``std`` and the ends of ``ci95`` are None where the data do not give them.
+    ``std`` and the ends of ``ci95`` are None where the data do not give them; of a
+    posterior ``std`` is half of its central 68.27 %.
     """
 
     value: float
@@ -36,6 +40,18 @@ class Estimate:
     ci95: tuple[float | None, float | None]
     identified: bool = True
     fixed: bool = False
+
+    @classmethod
+    def of_draws(cls, draws: np.ndarray, unit: str, identified: bool) -> Self:
+        """Median and central 95 % of draws (m,) of a posterior, finite ones.
+
+        ``std`` is half the central 68.27 %: the standard deviation of a Gaussian, and
+        the width of the bulk where a rare part far away would decide the moment.
+        """
+        shares = (0.025, _BELOW_MINUS_ONE, 0.5, 1 - _BELOW_MINUS_ONE, 0.975)
+        low, left, median, right, high = np.quantile(draws, shares).tolist()
+        std = (right - left) / 2 if identified else None
+        return cls(median, std, unit, (low, high), identified)
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,9 @@ class Tabulated(AbstractPressure):
 
     @classmethod
     def from_function(
-        cls, density: Callable[[np.ndarray], np.ndarray], kinks: Sequence[float] = ()
+        cls,
+        density: Callable[[np.ndarray], np.ndarray],
+        kinks: Sequence[float] | np.ndarray = (),
     ) -> "Tabulated":
         """The law of a density over xi = x/a, +1 the leading edge.
 

@@ -23,6 +23,7 @@ from tirefit.report.canvas import (
     tidy,
 )
 from tirefit.report.curves import SlipAxis, slip_axis
+from tirefit.report.diagnosis_budget import Step, waterfall_steps
 from tirefit.report.diagnosis_panels import (
     Bar,
     ClosureBar,
@@ -42,6 +43,7 @@ __all__ = [
     "draw_closure",
     "draw_comparison",
     "draw_evidence",
+    "draw_waterfall",
     "draw_where",
     "panel_pictures",
     "write_figure",
@@ -56,8 +58,18 @@ _BAR = {
 }  # fmt: skip
 
 
-def draw_where(figure, panel: ResidualMap) -> None:
-    """Mean residuals in cells, a dot where they are beyond the noise."""
+_STEP = {
+    "whole": GREY, "parameters": ORANGE, "effect": BLUE, "unexplained": "#CC79A7",
+    "noise": "#bbbbbb",
+}  # fmt: skip
+
+
+def draw_where(figure, panel: ResidualMap, base: str = "base fit") -> None:
+    """Mean residuals in cells, a dot where they are beyond the noise.
+
+    Args:
+        base: what the residuals are of.
+    """
     axes = figure.subplots()
     rows, columns = panel.mean.shape
     reach = float(np.nanmax(np.abs(panel.mean), initial=1e-3))
@@ -87,7 +99,7 @@ def draw_where(figure, panel: ResidualMap) -> None:
     bar.outline.set_visible(False)
     name = panel.channel.capitalize()
     _title(
-        axes, f"Where: measured {name} minus base fit",
+        axes, f"Where: measured {name} minus {base}",
         "dot: beyond the noise (5 % false); number: % of the gap's energy",
     )  # fmt: skip
 
@@ -226,10 +238,43 @@ def _closure_text(bar: ClosureBar) -> str:
     )
 
 
+def draw_waterfall(figure, steps: list[Step]) -> None:
+    """From a simulator's error down to the noise, in N rms of what is left."""
+    axes = figure.subplots()
+    places = np.arange(len(steps))[::-1]
+    whole = steps[0].before
+    for place, step in zip(places, steps, strict=True):
+        left, right = sorted((step.before, step.after))
+        axes.barh(place, right - left, 0.62, left=left, color=_STEP[step.kind])
+        # Beside the bar, on the side with room for it.
+        inside = right > 0.6 * whole
+        room = right - left > 0.45 * whole
+        at = left + 0.012 * whole if room else left if inside else right
+        axes.text(
+            at + (0 if room else -0.012 * whole if inside else 0.012 * whole), place,
+            plain_text(step.text), va="center", fontsize=8,
+            ha="right" if inside and not room else "left",
+            color="white" if room and step.kind == "whole" else DARK,
+        )  # fmt: skip
+    for place, step in zip(places[1:-1], steps[1:-1], strict=True):
+        axes.plot([step.after] * 2, [place - 0.69, place + 0.31], color=GREY, lw=0.8)
+    tidy(axes, "left of the error, rms [N]")
+    axes.set_yticks(places, [plain_text(step.label) for step in steps])
+    axes.set_xlim(0, 1.02 * whole)
+    _title(
+        axes, "Budget: from the simulator's error to the noise",
+        "the parts add in squares; [90 % interval]",
+    )  # fmt: skip
+
+
 def _panels(result: Diagnosis) -> dict[str, Callable]:
     """Name -> what draws that panel on a figure."""
-    return {
-        "where": partial(draw_where, panel=result.residual_map),
+    panels = {
+        "where": partial(
+            draw_where,
+            panel=result.residual_map,
+            base="simulator" if result.simulator else "base fit",
+        ),  # fmt: skip
         "which": partial(draw_evidence, bars=evidence_bars(result)),
         "before and after": partial(
             draw_comparison, panel=result.comparison, after=after_label(result)
@@ -238,6 +283,9 @@ def _panels(result: Diagnosis) -> dict[str, Callable]:
             draw_closure, bars=closure_bars(result), load=result.mean_load
         ),
     }
+    if result.simulator is not None:
+        panels["budget"] = partial(draw_waterfall, steps=waterfall_steps(result))
+    return panels
 
 
 def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
@@ -250,12 +298,16 @@ def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
 
 
 def diagnosis_figure(result: Diagnosis) -> Picture:
-    """All four panels, under the verdict."""
-    picture = Picture(figsize=_SIZE, layout="constrained")
-    parts = picture.subfigures(2, 1, squeeze=False, height_ratios=(0.065, 1))
-    head, body = parts.ravel()
-    cells = body.subfigures(2, 2).ravel()
-    for cell, draw in zip(cells, _panels(result).values(), strict=True):
+    """All four panels, under the verdict; below them the budget of a simulator."""
+    panels = _panels(result)
+    low = 0.36 if "budget" in panels else 0.0
+    width, height = _SIZE
+    picture = Picture(figsize=(width, height * (1 + low)), layout="constrained")
+    heights = (0.065, 1, low) if low else (0.065, 1)
+    parts = picture.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)
+    head, body, *foot = parts.ravel()
+    cells = [*body.subfigures(2, 2).ravel(), *foot]
+    for cell, draw in zip(cells, panels.values(), strict=True):
         draw(cell)
     head.text(
         0.01, 0.95, plain_text(f"{result.data.name} against {result.model}"),

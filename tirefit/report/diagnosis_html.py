@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from tirefit.diagnosis.result import SCHEMA, Diagnosis
 from tirefit.files import write_text_atomic
 from tirefit.report.canvas import Picture
+from tirefit.report.diagnosis_budget import budget_lines
 from tirefit.report.diagnosis_draw import diagnosis_figure, panel_pictures
 from tirefit.report.diagnosis_text import (
     confused_lines,
@@ -34,6 +35,7 @@ _ALTERNATIVES = {
     "where": "Map of measured minus fitted force over slip and another quantity",
     "which": "Probability of each explanation as bars",
     "before and after": "Force over slip and residuals, of the base fit and after it",
+    "budget": "Waterfall from the simulator's error, part by part, to the noise",
     "how far": "Size of the gap before and after, on the rows and on held-out data",
 }
 
@@ -97,7 +99,8 @@ def _candidates(result: Diagnosis) -> list[tuple[str, ...]]:
 
 def _base(result: Diagnosis) -> str:
     parts = (f"{k} = {format_number(v)}" for k, v in result.base_parameters.items())
-    return f"base fit, {result.model}: {', '.join(parts)}"
+    what = "simulator as given" if result.simulator else "base fit"
+    return f"{what}, {result.model}: {', '.join(parts)}"
 
 
 def _settings(result: Diagnosis) -> list[str]:
@@ -127,6 +130,7 @@ def diagnosis_page(result: Diagnosis) -> str:
         "diagnosis_page.html",
         title=f"{result.data.name} against {result.model}",
         verdict=_verdict(result),
+        budget=budget_lines(result),
         gap=gap_lines(result),
         pictures=[
             _image(picture, _ALTERNATIVES[name])
@@ -164,7 +168,7 @@ def diagnosis_fragment(result: Diagnosis) -> str:
         "diagnosis_fragment.html",
         title=f"{result.data.name} against {result.model}, {result.n} rows",
         verdict=_verdict(result),
-        gap=gap_lines(result),
+        gap=[*budget_lines(result), *gap_lines(result)],
         candidates=_candidates(result) if result.verdict.names_an_effect else [],
         picture=_image(picture, "; ".join(_ALTERNATIVES.values())),
     )

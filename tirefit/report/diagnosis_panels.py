@@ -77,8 +77,10 @@ def load_label(curve: LoadCurve) -> str:
 
 def after_label(result: Diagnosis) -> str:
     """What the curves after stand for."""
-    named = result.comparison.named
-    return " + ".join(result.effects) if named else "base + located gap"
+    if not result.comparison.named:
+        return "base + located gap"
+    named = result.effects if result.verdict.names_an_effect else ()
+    return " + ".join((*(["parameters"] if result.simulator else []), *named))
 
 
 def _kind(effects: tuple[str, ...], verdict: VerdictSummary) -> str:
@@ -128,7 +130,8 @@ def _closure_bar(label: str, gap: Shrinkage, says: bool) -> ClosureBar:
 
 def closure_bars(result: Diagnosis) -> list[ClosureBar]:
     """The rows of the file, then the data not used, where there are any."""
-    gap, says = result.gap, result.verdict.names_an_effect
+    gap = result.gap
+    says = result.verdict.names_an_effect or result.simulator is not None
     bars = [_closure_bar("these rows", gap, says)]
     if gap.holdout is not None:
         bars.append(_closure_bar(f"held out: {gap.holdout.on}", gap.holdout, says))

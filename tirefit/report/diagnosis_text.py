@@ -2,8 +2,10 @@
 
 import textwrap
 
+from tirefit.diagnosis.adequacy import refused
 from tirefit.diagnosis.records import Region, Shrinkage
 from tirefit.diagnosis.result import Diagnosis
+from tirefit.report.diagnosis_budget import budget_lines, change_texts
 from tirefit.report.diagnosis_words import (
     covariate_text,
     parameter_text,
@@ -15,6 +17,7 @@ from tirefit.report.diagnosis_words import (
 from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
+    "adequacy_line",
     "confused_lines",
     "diagnosis_text",
     "gap_lines",
@@ -32,9 +35,22 @@ _LEVEL = 0.05
 
 
 def verdict_sentence(result: Diagnosis) -> str:
-    """The verdict as one sentence."""
-    verdict = result.verdict
-    probability = f"probability {verdict.probability:.2f}"
+    """The verdict as one sentence; of a simulator, its parameters first."""
+    changes = change_texts(result)
+    if not changes:
+        return _sentence_on_effects(result)
+    said = f"{' and '.join(changes)} in the simulator"
+    if result.verdict.status == "none":
+        return f"{said}, and nothing else ({_probability(result)})"
+    return f"{said}; {_sentence_on_effects(result)}"
+
+
+def _probability(result: Diagnosis) -> str:
+    return f"probability {result.verdict.probability:.2f}"
+
+
+def _sentence_on_effects(result: Diagnosis) -> str:
+    verdict, probability = result.verdict, _probability(result)
     effects = " + ".join(verdict.effects)
     status = verdict.status
     if status == "none" or (status == "named" and not verdict.names_an_effect):
@@ -51,7 +67,7 @@ def verdict_sentence(result: Diagnosis) -> str:
 
 
 def verdict_lines(result: Diagnosis) -> list[str]:
-    """Amplitudes of what is named, then each effect with what to do about it."""
+    """Amplitudes of what is named, each effect in words, and what they leave."""
     verdict, lines = result.verdict, []
     same = (c for c in result.candidates if c.effects == verdict.effects)
     if verdict.names_an_effect and (chosen := next(same, None)) is not None:
@@ -60,7 +76,35 @@ def verdict_lines(result: Diagnosis) -> list[str]:
         means, remedy = words_on(effect, result.library)
         if means:
             lines.append(f"{effect}: {means}; {remedy}")
-    return lines
+    left = adequacy_line(result)
+    return [*lines, left] if left else lines
+
+
+_LEFT = {
+    "time": "rows next to one another in time miss alike",
+    "slip_order": "rows next to one another in slip miss alike",
+    "line": "a wave stands out",
+    "pure_error": "it scatters more than repeats do",
+    "local": "one region is missed",
+    "held_out": "a load, speed, sign, time or range of slip left out is not predicted",
+}
+
+
+def adequacy_line(result: Diagnosis) -> str:
+    """What the named effects leave, as one sentence; empty where nothing was tested."""
+    adequacy, verdict = result.verdict.adequacy, result.verdict
+    values = adequacy._asdict()
+    tested = [name for name in _LEFT if values[name] is not None]
+    if not tested:
+        return ""
+    what = (
+        "what the named effects leave" if verdict.names_an_effect else "the remainder"
+    )
+    failed = refused(adequacy)
+    if not failed:
+        return f"{what} looks random in {len(tested)} tests"
+    parts = (f"{_LEFT[name]} (p {values[name]:.2g})" for name in failed)
+    return f"{what} has structure: {'; '.join(parts)}"
 
 
 def gap_lines(result: Diagnosis) -> list[str]:
@@ -74,7 +118,7 @@ def gap_lines(result: Diagnosis) -> list[str]:
     lines = [f"{size(gap.rms)} rms beyond the noise"]
     if not gap.resolvable:
         return [f"{lines[0]}: too small to say how much of it closes"]
-    if not result.verdict.names_an_effect:
+    if not (result.verdict.names_an_effect or result.simulator):
         return lines
     places: list[tuple[Shrinkage, str]] = [(gap, "on these rows")]
     if gap.holdout is not None:
@@ -223,6 +267,8 @@ def diagnosis_text(result: Diagnosis) -> str:
         *([f"  {slip_check_line(result)}"] if result.slip_check else []),
         "VERDICT", f"  {verdict_sentence(result)}",
         *(f"  {line}" for line in verdict_lines(result)),
+        *(["BUDGET"] if result.simulator else []),
+        *(f"  {line}" for line in budget_lines(result)),
         "GAP", *(f"  {line}" for line in gap_lines(result)),
         "WHERE (shares of its energy)", *_where(result),
         *(f"  {line}" for line in map_lines(result)),

@@ -21,6 +21,10 @@ __all__ = [
 
 _MOST = 12
 _BINS = 36
+_FAR = 4.0
+"""Reach of an axis from the median, in distances to the end of the central 68.27 % on
+that side: 4 standard deviations of a Gaussian, beyond its draws. A bulk that is rare
+and far away does not stretch the axis; the note of the figure counts it."""
 _TRACE_POINTS = 600
 
 
@@ -100,8 +104,11 @@ def symbol(result: FitResult, label: str) -> str:
 
 
 def _edges(draws: np.ndarray) -> np.ndarray:
-    """Bin edges (bins + 1,) over 99.8 % of the draws, never of zero width."""
-    low, high = np.quantile(draws, [0.001, 0.999])
+    """Bin edges (bins + 1,) over 99.8 % of the draws at most, never of zero width."""
+    shares = [0.001, 0.15866, 0.5, 0.84134, 0.999]
+    low, left, median, right, high = np.quantile(draws, shares)
+    low = max(low, median - _FAR * (median - left))
+    high = min(high, median + _FAR * (right - median))
     size = max(abs(low), abs(high)) or 1.0
     if high - low < 1e-6 * size:
         low, high = low - 0.01 * size, high + 0.01 * size
@@ -137,8 +144,12 @@ def corner_data(result: FitResult) -> Corner:
     """Marginal and pairwise posterior densities of at most twelve parameters."""
     flat, labels = _flat(result)[:, :_MOST], result.labels[:_MOST]
     left_out = len(result.labels) - len(labels)
-    note = f"{_MOST} of {len(result.labels)} parameters shown" if left_out else ""
+    notes = [f"{_MOST} of {len(result.labels)} parameters shown"] if left_out else []
     edges = np.array([_edges(column) for column in flat.T])
+    beyond = np.any((flat < edges[:, 0]) | (flat > edges[:, -1]), axis=1).mean()
+    # The outermost 0.2 % of each parameter are never drawn.
+    if beyond > 0.002 * (len(labels) + 1):
+        notes.append(f"{100 * beyond:.1f} % of the draws lie beyond the axes")
     density = np.array(
         [
             _peaked(_smooth(np.histogram(column, e)[0].astype(float)))
@@ -156,7 +167,8 @@ def corner_data(result: FitResult) -> Corner:
         tuple(symbol(result, label) for label in labels), edges, density, joint, levels,
         np.stack([low, high], axis=1), median,
         np.array([result.least_squares[label].value for label in labels]),
-        tuple(result.least_squares[label].identified for label in labels), note,
+        tuple(result.least_squares[label].identified for label in labels),
+        "; ".join(notes),
     )  # fmt: skip
 
 

@@ -140,7 +140,7 @@ class Response(NamedTuple):
 def simulate(
     tire: LuGre,
     bristles: Bristles,
-    time: Float[Array, " t"],
+    time: Float[Array | np.ndarray, " t"],
     motion: Contact,
     *,
     initial: Float[Array, "n 2"] | None = None,

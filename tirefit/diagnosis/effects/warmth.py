@@ -3,7 +3,7 @@ thermometer."""
 
 import jax.numpy as jnp
 
-from tirefit.diagnosis.effects.free_forms import over
+from tirefit.diagnosis.effects.free_forms import Form, over
 from tirefit.diagnosis.effects.record import Effect, seldom
 
 __all__ = ["EFFECTS"]
@@ -74,6 +74,7 @@ def _with_work(name: str, size: float):
         odds=seldom,
         needs=("work", "v"),
         variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        forms=(Form(name, size, lambda rows, u: rows.work),),
         looks_like=(f"{name}_drift", f"{name}_temperature"),
         told_apart_by="random order",
     )

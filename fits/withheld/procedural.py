@@ -1,0 +1,142 @@
+"""Strangers made by chance: some function of some quantity acts on some parameter.
+
+A list of strangers is soon known by heart. Here the quantity, the parameter and the
+shape are drawn, and the shape has kinks, steps, waves or one place, so that no formula
+of a list draws it: a shape that only rises or falls is left to the quantities by which
+no textbook varies a tire.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from fits.withheld.patch import World
+
+__all__ = ["PARAMETERS", "QUANTITIES", "SHAPES", "procedural"]
+
+
+def _spread(values: np.ndarray) -> np.ndarray:
+    """0 to 1 over the rows."""
+    return (values - values.min()) / max(np.ptp(values), 1e-12)
+
+
+def _distance(world: World) -> np.ndarray:
+    steps = np.diff(world.time, prepend=world.time[0])
+    return np.cumsum(world.v * np.minimum(steps, 5 * np.median(steps)))
+
+
+def _share(world: World) -> np.ndarray:
+    """Friction used by a rigid brush, 0 to 1."""
+    full = 1.5 * world.mu * world.fz / world.c
+    return 1 - (1 - np.minimum(np.abs(world.slip) / full, 1)) ** 3
+
+
+QUANTITIES: dict[str, Callable[[World], np.ndarray]] = {
+    "slip": lambda w: np.abs(w.slip),
+    "signed slip": lambda w: w.slip,
+    "used friction": _share,
+    "load": lambda w: w.fz,
+    "speed": lambda w: w.v,
+    "time": lambda w: w.time,
+    "distance": _distance,
+}
+"""What the change depends on; a design has those that vary in it."""
+
+
+def _smooth(u, g):
+    """A sum of three waves."""
+    wave = g.uniform(0.5, 2.5, 3)
+    phase, weight = g.uniform(0, 2 * np.pi, 3), g.normal(size=3)
+    return np.sin(2 * np.pi * u[:, None] * wave + phase) @ weight
+
+
+def _kinked(u, g):
+    knots = np.sort(np.concatenate([[0, 1], g.uniform(0.15, 0.85, 2)]))
+    return np.interp(u, knots, np.cumsum(g.choice([-1, 1]) * np.array([0, 1, -1.6, 1])))
+
+
+def _threshold(u, g):
+    return np.where(u > g.uniform(0.3, 0.7), 1.0, 0.0)
+
+
+def _periodic(u, g):
+    return np.sin(2 * np.pi * u * g.uniform(3, 12) + g.uniform(0, 6))
+
+
+def _local(u, g):
+    return np.exp(-(((u - g.uniform(0.2, 0.8)) / g.uniform(0.04, 0.12)) ** 2) / 2)
+
+
+SHAPES: dict[str, Callable] = {
+    "smooth": _smooth,
+    "kinked": _kinked,
+    "threshold": _threshold,
+    "periodic": _periodic,
+    "local": _local,
+}
+"""(values from 0 to 1, generator) -> shape, of any scale."""
+
+
+def _stiffness(world, change):
+    world.stiffness = world.stiffness * np.maximum(1 + 0.35 * change, 0.2)
+
+
+def _friction(world, change):
+    world.scale_friction(np.maximum(1 + 0.15 * change, 0.2))
+
+
+def _force(world, change):
+    world.after.append(lambda w, force: force + 0.05 * w.mu * w.fz * change)
+
+
+def _slip(world, change):
+    world.slip = world.slip + 0.006 * change
+
+
+PARAMETERS: dict[str, Callable] = {
+    "stiffness": _stiffness,
+    "friction": _friction,
+    "force": _force,
+    "slip": _slip,
+}
+"""(world, change) of a change of about one: 35 % of the stiffness, 15 % of the
+friction, 5 % of the largest force, 0.006 of the slip."""
+
+# What a textbook varies with what: there a threshold or one smooth bend is a form of
+# something listed, and only shapes that go up and down are strange.
+_KNOWN = {
+    ("friction", "load"), ("stiffness", "load"), ("friction", "speed"),
+    ("friction", "time"), ("stiffness", "time"), ("friction", "signed slip"),
+    ("force", "slip"), ("force", "used friction"), ("slip", "used friction"),
+    ("friction", "slip"), ("friction", "used friction"), ("stiffness", "slip"),
+    ("stiffness", "used friction"), ("slip", "slip"), ("force", "signed slip"),
+    ("slip", "signed slip"), ("friction", "distance"), ("stiffness", "distance"),
+    ("force", "load"), ("slip", "load"), ("force", "time"), ("slip", "time"),
+}  # fmt: skip
+_UP_AND_DOWN = ("kinked", "periodic", "local")
+
+
+def procedural(world: World, size: float, g) -> str:
+    """Change the world by a stranger; says which.
+
+    Args:
+        size: of the change, 1 as in :data:`PARAMETERS`.
+    """
+    varies = [name for name, q in QUANTITIES.items() if len(np.unique(q(world))) > 8]
+    quantity = str(g.choice(varies))
+    parameter = str(g.choice(list(PARAMETERS)))
+    known = (parameter, quantity) in _KNOWN
+    shape = str(g.choice(list(_UP_AND_DOWN if known else SHAPES)))
+    change = SHAPES[shape](_spread(QUANTITIES[quantity](world)), g)
+    change = change - np.median(change)
+    change = change / max(np.abs(change).max(), 1e-9)
+    second = ""
+    several = [name for name in varies if name != quantity]
+    if several and g.uniform() < 0.3:
+        second = str(g.choice(several))
+        gate = _spread(QUANTITIES[second](world)) > g.uniform(0.3, 0.6)
+        change = change * gate
+    if parameter == "force" and quantity in ("slip", "used friction"):
+        change = change * np.sign(world.slip)
+    PARAMETERS[parameter](world, size * change)
+    return f"{parameter} by {shape} of {quantity}" + (second and f", gated by {second}")

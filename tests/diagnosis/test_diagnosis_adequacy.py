@@ -1,0 +1,115 @@
+"""The tests of adequacy: right under noise, each sharp where it should be."""
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from tirefit.diagnosis.adequacy import LEVEL, _left_out, adequacy, refused
+
+ROWS = 240
+TIME = np.arange(ROWS)
+SLIP = 0.25 * np.sin(2 * np.pi * TIME / 60)
+LOADS = np.repeat([2.0, 4.0, 6.0], ROWS // 3)
+COLUMNS = np.stack([SLIP, SLIP**3, LOADS * SLIP, np.ones(ROWS)], axis=1)
+
+
+def settings():
+    """Rows of each load and direction in the order of slip."""
+    turning = np.sign(np.gradient(SLIP))
+    code = LOADS * 10 + turning
+    order = np.lexsort((SLIP, code))
+    return np.split(order, np.flatnonzero(np.diff(code[order])) + 1)
+
+
+def groups():
+    order = np.argsort(SLIP, kind="stable")
+    return [order[LOADS[order] == load] for load in (2.0, 4.0, 6.0)]
+
+
+def judged(residual, seed=0, memory=False, columns=COLUMNS):
+    return adequacy(
+        residual, columns, [TIME], settings(), groups(),
+        np.random.default_rng(seed), memory,
+    )  # fmt: skip
+
+
+def fitted(values):
+    """What the columns leave of the values."""
+    unit, _ = np.linalg.qr(COLUMNS)
+    return values - unit @ (unit.T @ values)
+
+
+def test_noise_passes_as_often_as_it_should():
+    generator = np.random.default_rng(1)
+    found = [
+        judged(fitted(generator.standard_normal(ROWS)), k)._asdict() for k in range(60)
+    ]
+    low, high = binom.ppf([0.001, 0.999], 60, 0.2)
+    for name in ("time", "slip_order", "line", "pure_error", "local", "held_out"):
+        small = sum(one[name] <= 0.2 for one in found)
+        assert low <= small <= high, (name, small)
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 300.0])
+def test_a_wrong_noise_level_is_no_finding(size):
+    noise = fitted(np.random.default_rng(2).standard_normal(ROWS))
+    assert judged(noise) == judged(size * noise)
+
+
+def test_noise_with_a_memory_is_granted_only_where_it_was_judged_so():
+    generator, noise = np.random.default_rng(3), np.zeros(ROWS)
+    for k in range(1, ROWS):
+        noise[k] = 0.6 * noise[k - 1] + generator.standard_normal()
+    assert judged(fitted(noise), memory=True).time > 0.02
+    assert judged(fitted(noise), memory=False).time < LEVEL
+
+
+STRUCTURES = {
+    "time": 1.2 * (TIME > ROWS // 2),
+    "slip_order": 1.4 * np.sin(40 * SLIP),
+    "line": 0.9 * np.sin(2 * np.pi * TIME / 5),
+    "local": 3.0 * np.exp(-(((SLIP - 0.1) / 0.02) ** 2) / 2) * (LOADS == 4.0),
+    "held_out": 2.0 * np.abs(SLIP) / 0.25 * (LOADS == 6.0),
+}
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_each_sees_its_own_structure(name):
+    noise = np.random.default_rng(4).standard_normal(ROWS)
+    result = judged(fitted(noise + STRUCTURES[name]))
+    assert getattr(result, name) < LEVEL, result
+    assert not result.passed
+    assert name in refused(result)
+
+
+def test_what_was_fitted_is_no_structure():
+    noise = np.random.default_rng(5).standard_normal(ROWS)
+    result = judged(fitted(noise + COLUMNS @ [30.0, -200.0, 4.0, 7.0]))
+    assert result.passed
+    assert result == judged(fitted(noise))
+
+
+def test_prediction_without_a_group_is_that_of_a_fit_without_it():
+    unit, _ = np.linalg.qr(COLUMNS)
+    values = np.random.default_rng(6).standard_normal((ROWS, 3))
+    group = groups()[1]
+    rest = np.setdiff1d(TIME, group)
+    refit, *_ = np.linalg.lstsq(COLUMNS[rest], values[rest], rcond=None)
+    left = values - unit @ (unit.T @ values)
+    np.testing.assert_allclose(
+        _left_out(group, unit)(left), values[group] - COLUMNS[group] @ refit, atol=1e-9
+    )
+
+
+def test_a_group_that_the_fit_rests_on_is_not_predicted():
+    columns = np.column_stack([COLUMNS, LOADS == 4.0])
+    unit, _ = np.linalg.qr(columns)
+    assert _left_out(groups()[1], unit) is None
+
+
+def test_rows_without_time_and_settings_have_no_such_tests():
+    noise = np.random.default_rng(7).standard_normal(ROWS)
+    alone = [np.array([k]) for k in range(ROWS)]
+    result = adequacy(noise, COLUMNS, None, alone, [], np.random.default_rng(0))
+    assert result.time is None and result.pure_error is None
+    assert result.held_out is None and result.local is None

@@ -1,0 +1,96 @@
+"""What may be said of the most probable set: its standing binds the verdict."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest_diagnosis import RIG, brush, record
+from scipy.optimize import minimize_scalar
+
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.adequacy import UNTESTED
+from tirefit.diagnosis.conclusion import bound_by, probability_of_rest
+from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.records import HeldOut
+from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN
+from tirefit.diagnosis.verdict import Verdict
+
+
+def test_probability_of_a_rest_is_that_of_the_best_alternative():
+    """The largest Bayes factor of densities a p^(a-1), 0 < a <= 1, against the uniform
+    (Sellke, Bayarri and Berger 2001), found by search."""
+    for p in (0.3, 0.05, 0.005, 1e-4):
+        best = minimize_scalar(
+            lambda a, p=p: -a * p ** (a - 1), bounds=(1e-6, 1), method="bounded",
+            options={"xatol": 1e-10},
+        )  # fmt: skip
+        odds = -best.fun * PRIOR_OF_UNKNOWN / (1 - PRIOR_OF_UNKNOWN)
+        assert probability_of_rest(p) == pytest.approx(odds / (1 + odds), rel=1e-6)
+    assert probability_of_rest(1.0) == PRIOR_OF_UNKNOWN
+
+
+NOTHING = SimpleNamespace(unknown_alone=0.2, best_of={(): "no effect"})
+
+
+def held(closed, resolvable=True):
+    return HeldOut(
+        rms=9.0, resolvable=resolvable, closed=closed, closed_ci=(closed, closed),
+        remaining_rms=1.0, on="highest load",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("status", "closed", "on_others", "then"),
+    [
+        ("named", 0.9, held(0.85), "named"),
+        ("named", 0.97, held(0.27), "incomplete"),
+        ("named", 0.09, held(-0.13), "unknown"),
+        ("incomplete", 0.5, held(-0.01), "unknown"),
+        ("cannot_tell", 0.9, held(0.2), "incomplete"),
+        ("named", 0.9, held(-1.0, resolvable=False), "named"),
+        ("named", 0.9, None, "named"),
+        ("none", None, None, "none"),
+    ],
+)
+def test_rows_left_out_bind_the_verdict(status, closed, on_others, then):
+    verdict = Verdict(status, ("load_friction",), 0.9, (), 0.0, "fit", UNTESTED)
+    bound = bound_by(verdict, NOTHING, closed, on_others)
+    assert bound.status == then
+    if then == "unknown":
+        assert bound.effects == ("unknown",) and bound.chosen == "no effect"
+
+
+@pytest.mark.parametrize("name", ["slip_offset", "load_friction", "none"])
+def test_what_explains_everything_passes(diagnosed, name):
+    found, _ = diagnosed(name)
+    assert found.verdict.adequacy.passed
+    assert found.verdict.status in ("named", "cannot_tell", "none")
+
+
+def test_a_ripple_is_left_and_said(diagnosed):
+    found, _ = diagnosed("unknown")
+    assert not found.verdict.adequacy.passed
+    assert found.verdict.status in ("unknown", "incomplete")
+    assert "has structure" in str(found)
+
+
+def test_a_name_has_an_error_bar_below_half_its_value(diagnosed):
+    for name in ("slip_offset", "load_friction", "relaxation_length"):
+        found, _ = diagnosed(name)
+        chosen = next(c for c in found.candidates if c.effects == found.verdict.effects)
+        for amplitude in chosen.parameters.values():
+            assert amplitude.std < 0.5 * abs(amplitude.value)
+
+
+def test_what_only_resembles_listed_effects_is_not_named():
+    """Friction with a sharp peak at one load: load and pressure effects draw most of
+    it, and leave the peak."""
+
+    def truth(slip, time, fz, v):
+        extra = 0.12 * np.exp(-(((np.abs(slip) - 0.1) / 0.02) ** 2) / 2)
+        return brush(slip, 5e4, 0.9, fz) + np.sign(slip) * fz * extra * (fz > 5000)
+
+    columns, _ = record(truth, seed=11)
+    found = diagnose(read_frame(columns, "peak", convention="braking"), rig=RIG)
+    assert found.verdict.status in ("unknown", "incomplete")
+    assert not found.verdict.adequacy.passed

@@ -1,0 +1,269 @@
+"""What a good engineer would still see in the residual plots of an explanation.
+
+Every statistic is compared with its values for noise that went through the same fit, on
+these very rows: no table of critical values, no assumption on the design. Residuals
+are whitened; only their shape is judged, so a noise level that is off by a factor is no
+finding here. Noise with a short memory is granted: the null has the correlation that
+the residual has between neighbours in time.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+__all__ = ["UNTESTED", "Adequacy", "adequacy", "refused"]
+
+DRAWS = 999
+"""Simulated residuals: the smallest p-value is one in a thousand."""
+
+_WIDEST = 4.0
+"""Residuals are cut at so many standard deviations: one stray row is no structure."""
+
+_RUNS = (2, 4, 8, 16, 32, 64, 128)
+"""Neighbours whose residuals are added up: a smooth miss adds up, noise does not."""
+
+_LOCAL = (6, 12, 24)
+"""Rows of a local block: what sits in one region shows there first."""
+
+_LEFT_OUT = 12
+"""Rows of a group that is left out, at least; blocks of its prediction error are half
+as long."""
+
+_UNSUPPORTED = 0.02
+"""A direction of the fit of which so little remains without a group rests on it alone:
+nothing can be predicted there."""
+
+LEVEL = 0.005
+"""A p-value below which a remainder is said to be there: one right answer in 200 fails
+each test. Of the six, 3 % of right answers fail one or more, for they go together."""
+
+
+class Adequacy(NamedTuple):
+    """p-value of what an explanation leaves, by test; None where the rows have no such
+    order. ``passed`` is False where one of them is below :data:`LEVEL`."""
+
+    time: float | None
+    slip_order: float | None
+    line: float | None
+    pure_error: float | None
+    local: float | None
+    held_out: float | None
+    passed: bool
+
+
+UNTESTED = Adequacy(None, None, None, None, None, None, passed=True)
+"""Of a verdict whose remainder was not looked at yet."""
+
+Statistic = Callable[[np.ndarray], np.ndarray]
+"""(n, draws) residuals -> (draws,): the larger, the more structure."""
+
+
+def refused(adequacy: Adequacy) -> list[str]:
+    """Names of the tests that are failed, the smallest p-value first."""
+    values = {
+        name: p
+        for name, p in adequacy._asdict().items()
+        if name != "passed" and p is not None and p < LEVEL
+    }
+    return sorted(values, key=lambda name: values[name])
+
+
+def _unit(parts: np.ndarray) -> np.ndarray:
+    """Columns of mean square one, cut at :data:`_WIDEST`."""
+    size = np.sqrt(np.mean(parts**2, axis=0))
+    scaled = np.clip(parts / np.maximum(size, 1e-300), -_WIDEST, _WIDEST)
+    return scaled / np.maximum(np.sqrt(np.mean(scaled**2, axis=0)), 1e-300)
+
+
+def _sums(parts: np.ndarray, length: int) -> np.ndarray:
+    """Sums of so many consecutive rows, from one to the next: (blocks, draws)."""
+    whole = len(parts) // length * length
+    return parts[:whole].reshape(-1, length, parts.shape[1]).sum(axis=1)
+
+
+def _largest(values: Sequence[np.ndarray]) -> np.ndarray:
+    """Largest of several statistics (draws,), each in units of its own scatter."""
+    stacked = np.array(values)
+    center = np.median(stacked, axis=1, keepdims=True)
+    spread = stacked.std(axis=1, keepdims=True)
+    return np.max((stacked - center) / np.maximum(spread, 1e-12), axis=0)
+
+
+def _persistence(stretches: Sequence[np.ndarray]) -> Statistic:
+    """Mean square of sums of neighbours over that of independent rows, at the length
+    where it stands out most. ``stretches`` are rows in order: index arrays."""
+
+    def statistic(parts):
+        values = []
+        for length in _RUNS:
+            blocks = [_sums(parts[s], length) for s in stretches if len(s) >= length]
+            if sum(len(b) for b in blocks) >= 4:
+                values.append(np.mean(np.concatenate(blocks) ** 2, axis=0) / length)
+        return _largest(values)
+
+    return statistic
+
+
+def _lines(stretches: Sequence[np.ndarray]) -> Statistic:
+    """Largest line of the periodogram over its median, of the rows in order."""
+    order = np.concatenate(stretches)
+
+    def statistic(parts):
+        power = np.abs(np.fft.rfft(parts[order], axis=0)[1:]) ** 2
+        return power.max(axis=0) / np.median(power, axis=0)
+
+    return statistic
+
+
+def _pure_error(stretches: Sequence[np.ndarray]) -> Statistic:
+    """Mean square over half that of differences of neighbours."""
+    pairs = np.concatenate([np.stack([s[:-1], s[1:]], axis=1) for s in stretches])
+
+    def statistic(parts):
+        steps = np.mean((parts[pairs[:, 1]] - parts[pairs[:, 0]]) ** 2, axis=0)
+        return np.mean(parts**2, axis=0) / np.maximum(steps / 2, 1e-12)
+
+    return statistic
+
+
+def _local(stretches: Sequence[np.ndarray]) -> Statistic:
+    """Largest mean of a block of neighbours in its own standard errors."""
+
+    def statistic(parts):
+        values = []
+        for length in _LOCAL:
+            for shift in (0, length // 2):
+                means = [
+                    np.abs(_sums(parts[s[shift:]], length))
+                    for s in stretches
+                    if len(s) - shift >= length
+                ]
+                if means:
+                    values.append(np.concatenate(means).max(axis=0) / np.sqrt(length))
+        return _largest(values)
+
+    return statistic
+
+
+def _left_out(group: np.ndarray, unit: np.ndarray) -> Callable | None:
+    """Errors of predicting a group from the fit to all other rows: a function of all
+    residuals, or None where the fit rests on the group.
+
+    Exact for a linear fit: e_G without G = (1 - H_GG)^-1 e_G, H = ``unit`` unit^T.
+    """
+    here = unit[group]
+    rest = np.eye(here.shape[1]) - here.T @ here
+    values, vectors = np.linalg.eigh(rest)
+    if values.min() < _UNSUPPORTED:
+        return None
+    back = here @ (vectors / values) @ vectors.T
+
+    def predicted(parts):
+        return parts[group] + back @ (here.T @ parts[group])
+
+    return predicted
+
+
+def _regimes(groups: Sequence[np.ndarray], unit: np.ndarray) -> Statistic | None:
+    """Mean square of summed prediction errors of the group that is predicted worst.
+
+    Args:
+        groups: rows to leave out together, each in the order of the slip.
+        unit: (n, p) orthonormal columns of the fit.
+    """
+    predictions = [(len(g), _left_out(g, unit)) for g in groups if len(g) >= _LEFT_OUT]
+    able = [(size, found) for size, found in predictions if found is not None]
+    if not able:
+        return None
+
+    def statistic(parts):
+        values = []
+        for size, predicted in able:
+            length = max(_LEFT_OUT // 2, size // 12)
+            values.append(np.mean(_sums(predicted(parts), length) ** 2, axis=0))
+        return _largest(values)
+
+    return statistic
+
+
+def _memory(residual: np.ndarray, stretches: Sequence[np.ndarray]) -> float:
+    """Correlation of neighbours in time that a noise of short memory would need: what
+    their differences say, which a smooth remainder hardly moves."""
+    steps, lag_two, count = 0.0, 0.0, 0
+    for rows in stretches:
+        x = residual[rows]
+        if len(x) > 4:
+            steps += float(np.sum(np.diff(x) ** 2))
+            lag_two += float(np.sum((x[2:] - x[:-2]) ** 2))
+            count += len(x)
+    if not count or steps <= 0:
+        return 0.0
+    # Of a first-order process: E (x_t - x_t-2)^2 / E (x_t - x_t-1)^2 = 1 + phi.
+    return float(np.clip(lag_two / steps - 1.0, 0.0, 0.97))
+
+
+def _noise(n: int, memory: float, stretches, generator) -> np.ndarray:
+    """Draws (n, DRAWS) of unit noise with a memory along the stretches."""
+    white = generator.standard_normal((n, DRAWS))
+    if memory < 2 / np.sqrt(n):
+        return white
+    coloured = np.array(white)
+    for rows in stretches:
+        start = white[rows[0]] * memory
+        coloured[rows] = lfilter(
+            [np.sqrt(1 - memory**2)], [1.0, -memory], white[rows], axis=0,
+            zi=start[None],
+        )[0]  # fmt: skip
+    return coloured
+
+
+def adequacy(
+    residual: np.ndarray,
+    used_up: np.ndarray,
+    in_time: Sequence[np.ndarray] | None,
+    in_slip: Sequence[np.ndarray],
+    groups: Sequence[np.ndarray],
+    generator: np.random.Generator,
+    memory: bool = False,
+) -> Adequacy:
+    """Tests of one channel's residual.
+
+    Args:
+        residual: (n,) whitened, of the explanation that is judged.
+        used_up: (n, p) whitened columns of everything that was fitted.
+        in_time: rows of each unbroken stretch in the order of time (index arrays);
+            None where the time is not known.
+        in_slip: rows of each setting (load, speed, direction) in the order of slip.
+        groups: regimes to leave out in turn: rows in the order of slip.
+        generator: of the simulated residuals.
+        memory: whether the noise was judged to have a memory.
+    """
+    unit, _ = np.linalg.qr(used_up)
+    settings = [s for s in in_slip if len(s) >= 3]
+    phi = _memory(residual, in_time) if memory and in_time is not None else 0.0
+    noise = _noise(len(residual), phi, in_time, generator)
+    draws = noise - unit @ (unit.T @ noise)
+    together = _unit(np.concatenate([residual[:, None], draws], axis=1))
+
+    def p_value(statistic: Statistic | None) -> float | None:
+        if statistic is None:
+            return None
+        values = statistic(together)
+        return float(np.mean(values >= values[0]))
+
+    ordered = [np.arange(0)] if in_time is None else in_time
+    timed = in_time is not None and max(len(s) for s in ordered) >= 4 * _RUNS[1]
+    dense = sum(len(s) for s in settings) >= 0.5 * len(residual)
+    tests = {
+        "time": _persistence(ordered) if timed else None,
+        "slip_order": _persistence([np.concatenate(in_slip)]) if dense else None,
+        "line": _lines(ordered if timed else in_slip),
+        "pure_error": _pure_error(settings) if dense else None,
+        "local": _local(settings) if dense else None,
+        "held_out": _regimes(groups, unit),
+    }
+    values = {name: p_value(statistic) for name, statistic in tests.items()}
+    passed = all(p is None or p >= LEVEL for p in values.values())
+    return Adequacy(**values, passed=passed)

@@ -1,0 +1,150 @@
+"""What the distance from a base to the measurement is made of: a simulator's own
+parameters, effects, what nobody names, and the noise. The parts add in squares."""
+
+from collections.abc import Mapping
+from itertools import combinations
+
+import numpy as np
+
+from tirefit.diagnosis.base import Base
+from tirefit.diagnosis.case import Case
+from tirefit.diagnosis.closure import block_means
+from tirefit.diagnosis.records import Change, Part, SimulatorSummary
+from tirefit.diagnosis.search import Hypothesis
+from tirefit.diagnosis.shares import shapley
+
+__all__ = ["budget_of", "parameter_changes", "simulator_summary"]
+
+PARAMETERS = "parameters"
+
+_HELD = 1e4
+"""Stiffness that holds parameters z: they would move by 1e-8 of the force that pulls at
+them, in standard deviations of the noise."""
+
+_DIFFERS = 2.0
+"""Standard errors from which a parameter of the simulator is said to be wrong."""
+
+_MOST_LOST = 0.5
+"""Share of the noise's energy that the fitted parameters take up, at most."""
+
+
+def budget_of(case: Case, extended, generator) -> tuple[Part, ...]:
+    """Parts of the energy of the first channel: parameters (of a simulator), each named
+    effect, unexplained, noise; their shares add to one.
+
+    Args:
+        extended: force (n,) of the verdict, in whatever form of its effects.
+    """
+    base, chosen = case.base, case.verdict.chosen
+    main = base.rows.channels[0]
+    noise, keep = base.noise[main], ~base.noise[main].outlier
+    observed = base.rows.observed[main]
+    missed = _missed(base, chosen, main)
+    players = ((PARAMETERS,) if base.simulator else ()) + chosen.atoms
+    whole = missed[()] ** 2
+    parts = shapley(players, lambda subset: whole - missed[subset] ** 2)
+    rest = (observed - extended) ** 2
+    if chosen.atoms:
+        # Another form than the formulas' belongs to the effects that have it.
+        form = (missed[players] ** 2 - rest) / len(chosen.atoms)
+        for atom in chosen.atoms:
+            parts[atom] = parts[atom] + form
+    used_up = len(chosen.z) + len(chosen.atoms)
+    lost = min(used_up * noise.inflation / base.rows.n, _MOST_LOST)
+    rows = [*parts.values(), rest, (1 - lost) * noise.std**2, whole]
+    terms = np.stack(rows, axis=1)[keep]
+    run = base.rows.run[keep]
+    drawn = _energies(block_means(terms, run, noise.inflation, generator))
+    energy = _energies(terms.mean(axis=0))
+    low, high = np.quantile(drawn[..., :-1] / drawn[..., -1:], [0.05, 0.95], axis=0)
+    names = [p if p == PARAMETERS else base.atoms[p].effect.id for p in parts]
+    return tuple(
+        Part(
+            part=name,
+            rms=float(np.sqrt(max(value, 0.0))),
+            share=float(value / energy[-1]),
+            closed_ci=(float(ends[0]), float(ends[1])),
+        )
+        for name, value, ends in zip(
+            [*names, "unexplained", "noise"], energy[:-1],
+            zip(low, high, strict=True), strict=True,
+        )
+    )  # fmt: skip
+
+
+def _energies(means):
+    """(..., parts + 3), of the parts, of what is left, of the noise and of the whole ->
+    the same with what is left beyond the noise, and the noise that is left."""
+    means = np.array(means)
+    left, noise = means[..., -3].copy(), means[..., -2].copy()
+    means[..., -3] = np.maximum(left - noise, 0.0)
+    means[..., -2] = np.minimum(left, noise)
+    return means
+
+
+def _missed(base: Base, chosen: Hypothesis, main: str) -> dict[tuple, np.ndarray]:
+    """Residual (n,) [N] where only a subset of the players is allowed; every subset is
+    refitted, with the simulator's parameters held unless they are among it."""
+    atoms, observed = chosen.atoms, base.rows.observed[main]
+    sets = [s for size in range(len(atoms) + 1) for s in combinations(atoms, size)]
+    place = {atom: k for k, atom in enumerate(atoms)}
+    guess = {s: chosen.amplitude[[place[atom] for atom in s]] for s in sets}
+    free = base.refit([(chosen.z, guess[s]) for s in sets], sets)
+    fits = dict(zip(sets, zip(free.z, free.amplitude, strict=True), strict=True))
+    fits[atoms] = chosen.z, chosen.amplitude
+    if base.simulator is not None:
+        held = base.design._replace(hold=np.array(_HELD))
+        start = base.simulator.z
+        stuck = base.refit([(start, guess[s]) for s in sets], sets, held)
+        fits = {(PARAMETERS, *s): fit for s, fit in fits.items()}
+        fits |= {s: (start, a) for s, a in zip(sets, stuck.amplitude, strict=True)}
+    scale, missed = np.asarray(base.design.prior_scale), {}
+    for subset, (z, amplitude) in fits.items():
+        index = [k for k in subset if k != PARAMETERS]
+        full = np.zeros(len(base.atoms))
+        full[index] = amplitude[: len(index)] * scale[index]
+        missed[subset] = observed - base.forces(z, full)[main]
+    return missed
+
+
+def parameter_changes(case: Case, widening: float) -> Mapping[str, Change]:
+    """The simulator's parameters as given, and as the data have them beside the effects
+    of the verdict; empty where a form was fitted.
+
+    Args:
+        widening: factor on variances, as for amplitudes.
+    """
+    base, chosen = case.base, case.verdict.chosen
+    if base.simulator is None:
+        return {}
+    layout, z = base.layout, np.asarray(chosen.z)
+    p, step, changes = len(z), 1e-5, {}
+    spread = np.sqrt(np.maximum(np.diag(chosen.covariance)[:p], 0) * widening)
+    slope = (layout.vector(z + step) - layout.vector(z - step)) / (2 * step)
+    given, measured = layout.vector(base.simulator.z), layout.vector(z)
+    for k, name in enumerate(layout.labels):
+        std = float(abs(slope[k]) * spread[k])
+        change = float(measured[k] - given[k])
+        changes[name] = Change(
+            float(given[k]), float(measured[k]), std, abs(change) > _DIFFERS * std
+        )
+    return changes
+
+
+def simulator_summary(base: Base, model: str, gap: float) -> SimulatorSummary | None:
+    """What was given, and how well its tire follows it.
+
+    Args:
+        model: name of what stands in for it.
+        gap: the whole gap, rms [N].
+    """
+    if base.simulator is None:
+        return None
+    given, main, n = base.simulator.given, base.rows.channels[0], base.rows.n
+    off = float(np.sqrt(np.mean(base.design.offset[main][:n] ** 2)))
+    size = float(np.sqrt(np.mean(base.rows.column(f"{main}_sim") ** 2)))
+    followed = {
+        "model": model, "rms": off, "of_force": off / max(size, 1e-300),
+        "of_gap": off / max(gap, 1e-300),
+    }  # fmt: skip
+    return SimulatorSummary(given.kind, given.source, given.sha256, followed)

@@ -1,0 +1,319 @@
+"""Somebody's simulator as it is: its forces beside the measured ones, and the tire that
+stands in for it where a hypothesis changes it.
+
+A hypothesis predicts the simulator's force + tire(changed) - tire(as simulated):
+whatever the simulator has that the tire lacks stays in.
+"""
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tirefit.data.table import SIMULATED, TireData
+from tirefit.data.tir import read_tir
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.layout import FreeParameter, Layout, choose_layout
+from tirefit.fitting.predict import predict
+from tirefit.fitting.problem import find_model
+from tirefit.fitting.result import FitResult
+from tirefit.fitting.store import StoredFit, load_fit
+from tirefit.fitting.tir import tire_of
+from tirefit.models import AbstractTire
+from tirefit.models import modelled as forces_modelled
+from tirefit.params import parameter_values, specs, with_values
+from tirefit.results import DataError, InputProblem, UsageError
+
+__all__ = [
+    "Given",
+    "Simulated",
+    "as_measured",
+    "check_followed",
+    "given_simulator",
+    "simulator_at",
+]
+
+_FARTHEST_OFF = 0.2
+"""Share of the simulated force (rms) that the tire which stands in for a simulator may
+miss. Its slopes share out the gap, and a tire that is off by a fifth of the force is
+off by as much in its slopes: parts of the budget then err by a fifth of themselves. The
+gap is no yardstick: a simulator near the truth has a small one, and its slopes are
+needed then as ever."""
+
+_SCALING = {"x": ("LMUX", "LKX"), "y": ("LMUY", "LKY")}
+"""Scaling factors of a Magic Formula tire's friction and stiffness, by slip."""
+
+_MEANINGS = {
+    "LMUX": "friction (longitudinal)", "LKX": "slip stiffness",
+    "LMUY": "friction (lateral)", "LKY": "cornering stiffness",
+}  # fmt: skip
+
+_FACTOR = (0.02, 50.0)
+"""Bounds of a scaling factor that is adapted."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """A simulator that was given.
+
+    ``kind`` is columns, model, fit or tir; ``source`` its name or file, ``sha256`` of
+    the file. ``tire`` is None where only its forces are known; ``layout`` and ``z`` are
+    those of a fit. ``forces`` gives canonical forces (n,) of the rows of data, None
+    where they stand in the data's own columns. ``convention`` is that which its file is
+    in, data beside it too unless they say otherwise.
+    """
+
+    kind: str
+    source: str
+    sha256: str | None = None
+    tire: AbstractTire | None = None
+    layout: Layout | None = None
+    z: np.ndarray | None = None
+    convention: str | None = None
+    forces: Callable[[TireData], Mapping[str, np.ndarray]] | None = None
+
+    def channels(self, data: TireData, modelled: Sequence[str]) -> tuple[str, ...]:
+        """Forces that it gives, and its tire too: ``modelled`` where it has none.
+
+        Args:
+            data: of :meth:`beside`.
+        """
+        if self.tire is not None:
+            modelled = forces_modelled(self.tire)
+        return tuple(c for c in modelled if f"{c}_sim" in data)
+
+    def beside(self, data: TireData, other: bool = False) -> TireData:
+        """The data with the simulator's forces as their columns ``fx_sim``, ...; rows
+        that it says nothing of are masked.
+
+        Args:
+            other: whether these are not the data that it was given for: arrays then
+                say nothing, and the data's own columns are taken.
+
+        Raises:
+            DataError: no simulated force beside a measured one; the data lack an input
+                of the simulator.
+        """
+        columns = dict(data.columns)
+        if self.forces is not None and not (other and self.tire is None):
+            columns = {k: v for k, v in columns.items() if k not in SIMULATED}
+            columns |= {f"{c}_sim": force for c, force in self.forces(data).items()}
+        there = [name for name in SIMULATED if name in columns]
+        if not [name for name in there if name.removesuffix("_sim") in data]:
+            reason = "no force of the simulator (fx_sim, fy_sim) beside a measured one"
+            remedy = (
+                "write its force for every row into a column fx_sim or fy_sim, in the"
+                " unit and sign of fx or fy; `tirefit predict ... --beside` does so"
+            )
+            path = data.source.path or data.name
+            raise DataError(InputProblem(reason, remedy, path))
+        known = np.all([np.isfinite(columns[name]) for name in there], axis=0)
+        return replace(data, columns=columns).where(known)
+
+    def tire_for(self, prepared) -> tuple[AbstractTire, Layout, np.ndarray]:
+        """Its tire, which parameters of it may be adapted, and their values as z."""
+        tire = self.tire
+        if self.layout is not None:
+            return tire, self.layout, np.asarray(self.z)
+        values = parameter_values(tire)
+        if "LMUX" in values:
+            layout = _scaling_layout(tire, prepared.mode)
+            return tire, layout, layout.unconstrained(values)
+        held = {name: {"value": float(value)} for name, value in values.items()}
+        config = parse_config({"parameters": held})
+        tire, layout, _ = choose_layout(tire, config, ("run",), prepared.channels)
+        return tire, layout, layout.unconstrained(values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulated:
+    """A simulator in a diagnosis: parameters z of its tire as given."""
+
+    given: Given
+    z: np.ndarray
+
+
+def _scaling_layout(tire: AbstractTire, mode: str) -> Layout:
+    """The scaling factors of friction and stiffness as parameters."""
+    known = specs(tire)
+    low, high = _FACTOR
+    return Layout(
+        tuple(
+            FreeParameter(
+                name,
+                known[name]._replace(
+                    lower=low, upper=high, scale="log", meaning=_MEANINGS[name]
+                ),
+            )
+            for slip in mode
+            for name in _SCALING[slip]
+        )
+    )
+
+
+def as_measured(data: TireData, channels: Sequence[str]) -> TireData:
+    """The data with the simulated forces in the place of the measured ones."""
+    dropped = {f"{c}_std" for c in channels}
+    columns = {k: v for k, v in data.columns.items() if k not in dropped}
+    return replace(data, columns=columns | {c: data[f"{c}_sim"] for c in channels})
+
+
+def check_followed(prepared, missed: Mapping[str, np.ndarray], name: str) -> None:
+    """Raises DataError where the tire misses the simulated forces by too much.
+
+    Args:
+        missed: simulated force less that of the tire, (n,) by channel.
+        name: of the model that stands in.
+    """
+    for channel, values in missed.items():
+        off, size = _rms(values), _rms(prepared.column(f"{channel}_sim"))
+        if off > _FARTHEST_OFF * size:
+            data = prepared.data
+            raise DataError(
+                InputProblem(
+                    f"the tire that stands in for the simulator does not follow it: it"
+                    f" misses {channel}_sim by {off:.3g} rms,"
+                    f" {100 * off / max(size, 1e-300):.0f} % of it"
+                    f" ({100 * _FARTHEST_OFF:.0f} % at most)",
+                    f"choose a base model nearer to the simulator than {name} with"
+                    f" --model, and check sign, unit and row order of {channel}_sim",
+                    data.source.path or data.name,
+                )
+            )
+
+
+def _rms(values) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def given_simulator(sim: Any, data: TireData) -> Given:
+    """The simulator that an argument of :func:`tirefit.diagnose` means.
+
+    Args:
+        sim: True for the data's columns ``fx_sim``, ...; an array (n,) of the force
+            that the data measure, or arrays by channel, canonical; a tire model, a fit,
+            or what :func:`simulator_at` gives.
+
+    Raises:
+        UsageError: none of these, or arrays of another length.
+    """
+    if isinstance(sim, Given):
+        return sim
+    if sim is True:
+        return Given(kind="columns", source="columns")
+    if isinstance(sim, FitResult):
+        problem = sim.problem
+        return _of_fit(sim, problem.model, problem.layout, sim.z, sim.model)
+    if isinstance(sim, StoredFit):
+        return _of_fit(sim, sim.tire, sim.layout, sim.z, sim.model)
+    if isinstance(sim, AbstractTire):
+        return _of_tire(sim, "model", type(sim).__name__)
+    if isinstance(sim, str):
+        return simulator_at(sim)
+    return _of_arrays(sim, data)
+
+
+def _of_arrays(sim, data: TireData) -> Given:
+    if not isinstance(sim, Mapping):
+        measured = [c for c in ("fx", "fy") if c in data]
+        if len(measured) != 1:
+            reason = f"one array, and {' and '.join(measured) or 'no force'} measured"
+            remedy = "give arrays by name: sim={'fx': ..., 'fy': ...}"
+            raise UsageError(InputProblem(reason, remedy))
+        sim = {measured[0]: sim}
+    arrays = {}
+    for name, values in sim.items():
+        channel = name.removesuffix("_sim")
+        array = np.asarray(values, float)
+        if f"{channel}_sim" not in SIMULATED or array.shape != (len(data),):
+            reason = f"sim: {name} of shape {array.shape}"
+            remedy = f"give fx, fy or mz with one value for each of {len(data)} rows"
+            raise UsageError(InputProblem(reason, remedy))
+        arrays[channel] = array
+    return Given(kind="columns", source="arrays", forces=lambda _: arrays)
+
+
+def _of_fit(fit, tire, layout, z, source, sha256=None) -> Given:
+    if any(parameter.per_run for parameter in layout.free):
+        reason = f"{source}: a fit with parameters of each run is no one simulator"
+        remedy = "write its forces beside the data (`tirefit predict --beside`), --sim"
+        raise UsageError(InputProblem(reason, remedy))
+
+    def forces(data):
+        return _forces_alone(predict(fit, data))
+
+    return Given(
+        kind="fit", source=source, sha256=sha256, tire=tire, layout=layout,
+        z=np.asarray(z), forces=forces,
+    )  # fmt: skip
+
+
+def _of_tire(tire, kind: str, source: str, sha256=None) -> Given:
+    def forces(data):
+        return _forces_alone(predict(tire, data))
+
+    return Given(kind=kind, source=source, sha256=sha256, tire=tire, forces=forces)
+
+
+def _forces_alone(predicted: Mapping) -> dict[str, np.ndarray]:
+    return {c: v for c, v in predicted.items() if f"{c}_sim" in SIMULATED}
+
+
+def simulator_at(text: str, values: Mapping[str, float] | None = None) -> Given:
+    """The simulator that a name or a file means.
+
+    Args:
+        text: a ``fit.json``, a ``.tir`` file, or the name of a model.
+        values: parameter values of a named model or of a ``.tir`` file.
+
+    Raises:
+        UsageError: no such model or parameter, or values for a fit.
+        DataError: the file cannot be read.
+    """
+    values = dict(values or {})
+    if text.endswith(".json") or text.lower().endswith(".tir"):
+        return _at_file(text, values)
+    template = find_model(text)
+    _check_values(template, text, values)
+    said = "".join(f", {name} = {value:g}" for name, value in values.items())
+    tire = with_values(template, parameter_values(template) | values)
+    return _of_tire(tire, "model", f"{text}{said}")
+
+
+def _at_file(text: str, values: dict[str, float]) -> Given:
+    if not text.endswith(".json"):
+        tir = read_tir(text)
+        tire = tire_of(tir)
+        _check_values(tire, text, values)
+        tire = with_values(tire, values)
+        said = "".join(f", {name} = {value:g}" for name, value in values.items())
+        given = _of_tire(tire, "tir", f"{text}{said}", _digest(text))
+        return replace(given, convention="iso-w")
+    if values:
+        reason, remedy = "--set with a fit.json", "use it with the name of a model"
+        raise UsageError(InputProblem(reason, remedy))
+    fit = load_fit(text)
+    given = _of_fit(fit, fit.tire, fit.layout, fit.z, text, _digest(text))
+    return replace(given, convention=fit.content["data"]["convention"])
+
+
+def _digest(path: str) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def _check_values(tire, name: str, values: Mapping[str, float]) -> None:
+    known = specs(tire)
+    problems = []
+    for key, value in values.items():
+        if key not in known:
+            reason = f"{name} has no parameter {key!r}"
+            problems.append(InputProblem(reason, f"it has {', '.join(known)}"))
+        elif not known[key].lower <= value <= known[key].upper:
+            low, high = known[key].bounds
+            reason = f"{key} = {value:g} is outside its bounds [{low:.6g}, {high:.6g}]"
+            problems.append(InputProblem(reason, "see `tirefit models`"))
+    if problems:
+        raise UsageError(problems)
