@@ -19,14 +19,16 @@ _ALL_BUT = 0.95
 
 
 def _slip_load(state, share, constants, rows):
-    del constants
-    return state._replace(shift=state.shift + share * (rows.fz - 1))
+    """About the usual load, or from none on."""
+    return state._replace(shift=state.shift + share * (rows.fz - constants[0]))
 
 
 def _slip_speed(state, share, constants, rows):
-    """A radius that grows with the speed, or with its square."""
-    square = rows.v**2 / rows.cruise
-    return state._replace(shift=state.shift + share * blend(constants, rows.v, square))
+    """A radius that grows with the speed, or with its square; zero at rest, or at the
+    usual speed."""
+    even, square, about = constants
+    grown = blend((even, square), rows.v, rows.v**2 / rows.cruise)
+    return state._replace(shift=state.shift + share * (grown - about * rows.cruise))
 
 
 def _speed_zero(state, zero, constants, rows):
@@ -36,8 +38,8 @@ def _speed_zero(state, zero, constants, rows):
 
 def _drag(state, share, constants, rows):
     ratio = rows.v / rows.cruise
-    with_speed = blend(constants, ratio - 1, ratio**2 - 1)
-    return state._replace(force=state.force + 1e-3 * share * rows.load * with_speed)
+    drag = share * blend(constants, ratio, ratio**2)
+    return state._replace(force=state.force + 1e-3 * rows.load * drag)
 
 
 def _ellipse(state, share, constants, rows):
@@ -79,6 +81,7 @@ SLIP_LOAD = Effect(
     odds=seldom,
     needs=("loads",),
     forms=over("shift", 0.1, "fz", 4, rise),
+    variants=((1.0,), (0.0,)),
     looks_like=("load_crosstalk", "conicity", "load_stiffness"),
     told_apart_by="both signs",
 )
@@ -95,7 +98,12 @@ SLIP_SPEED = Effect(
     bounds=((-6.0, 6.0),),
     odds=_one_speed_of_the_slip,
     needs=("speeds",),
-    variants=((1.0, 0.0), (0.0, 1.0)),
+    variants=(
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (1.0, 0.0, 1.0),
+        (0.0, 1.0, 1.0),
+    ),
     forms=SHIFT_BY_SPEED,
     looks_like=("speed_zero", "speed_drag"),
     told_apart_by="both signs",
@@ -124,7 +132,7 @@ SPEED_DRAG = Effect(
     change=_drag,
     scale=25.0,
     unit="1e-3 mean F_z",
-    formula="force + amplitude (v / v0 - 1), or (v^2 / v0^2 - 1)",
+    formula="force + amplitude v / v0, or amplitude (v / v0)^2",
     means="a force that follows the speed is taken for one of the tire: drag, bearings",
     remedy="coast down and subtract what is measured then",
     bounds=((-500.0, 500.0),),
