@@ -1,5 +1,7 @@
 """The library of effects: on any scale, in closed form, found in their own truths."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -227,3 +229,34 @@ def test_a_drift_of_the_slip_zero_is_no_friction():
     state = _changed("slip_zero_drift", 0.01, rows)
     np.testing.assert_allclose(state.shift, 0.01 * jnp.asarray(rows.time), atol=1e-12)
     assert float(state.friction) == float(state.stiffness) == 1.0
+
+
+def _lateral(seed=8):
+    """Sweeps of the slip angle with a yaw rate and an acceleration of their own."""
+    frame, _ = record(None, seed=seed)
+    time = frame["time"]
+    motion = {"yaw_rate": 0.8 * np.sin(1.7 * time), "a_x": 3 * np.sin(0.9 * time)}
+    slip, fz, v = frame["sigma_x"], frame["fz"], frame["v"]
+    noise = 0.01 * fz * np.random.default_rng(seed).standard_normal(len(fz))
+    return {"time": time, "alpha": np.arctan(slip), "fz": fz, "v": v}, motion, noise
+
+
+@pytest.mark.parametrize("effect", ["tracked_point", "load_transfer"])
+def test_effects_of_a_vehicle_are_named(effect):
+    """A slip angle of a point 0.15 m off the axle; a load that moves with a_x."""
+    frame, motion, noise = _lateral()
+    slip, fz = np.tan(frame["alpha"]), frame["fz"]
+    if effect == "tracked_point":
+        slip = slip + 0.15 * motion["yaw_rate"] / frame["v"]
+        force = brush(slip, 5e4, 0.9, fz)
+    else:
+        force = brush(slip, 5e4, 0.9, fz * (1 + 0.05 * motion["a_x"] / 3))
+    data = read_frame(frame | {"fy": force + noise})
+    data = replace(data, columns={**data.columns, **motion})
+    rig = Rig(noise={"fy_relative": 0.01, "alpha": 0.001})
+    found = diagnose(data, rig=rig)
+    assert found.effects == (effect,)
+    (size,) = found.candidates[0].parameters.values()
+    # 5 % of the load to either side is a tenth over the range of the acceleration.
+    right = {"tracked_point": 0.15, "load_transfer": 0.1}[effect]
+    assert abs(size.value - right) < 4 * size.std
