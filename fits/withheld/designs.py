@@ -34,6 +34,7 @@ class Design(NamedTuple):
         """What effects may ask for (``needs``), columns apart."""
         return {
             *({"loads"} if len(self.loads) > 1 else ()),
+            *({"speeds"} if len(self.speeds) > 1 else ()),
             *({"signs"} if self.lowest < 0 else ()),
             *({"sweeps"} if self.order != "random" else ()),
             *({"knee"} if self.highest > 0.1 else ()),
@@ -136,4 +137,8 @@ def make_world(design: Design, n: int, c: float, mu: float, generator) -> World:
     swing = np.sin(2 * np.pi * (3.3 * elapsed + generator.uniform()))
     world.gamma = 0.05 * swing + 0.02 * generator.choice([-1, 1])
     world.cross = 0.05 * np.abs(np.cos(np.pi * (2.3 * elapsed + generator.uniform())))
+    # Four fillings, and a force across that comes and goes: no chance in either.
+    filling = np.floor(4 * ((2.6 * elapsed + 0.2) % 1))
+    world.inflation = 2.2e5 * (0.8 + 0.4 / 3 * filling)
+    world.across = 0.5 * mu * fz * np.sin(2 * np.pi * 4.7 * elapsed + 1)
     return world

@@ -7,7 +7,7 @@ The first form is the textbook one; the last is kept for sealed trials. A form t
 from collections.abc import Callable
 from typing import NamedTuple
 
-from fits.withheld import forms
+from fits.withheld import forms, forms_rig
 
 __all__ = ["EFFECTS", "Effect", "NOISE_EFFECTS", "family_of"]
 
@@ -114,6 +114,68 @@ EFFECTS = {
     "carcass_flexibility": _effect(
         "structure", 0.01, 1, "knee",
         forms.carcass_bow, forms.carcass_slip),
+    "slip_zero_drift": _effect(
+        "slip x time", 0.006, 0, "",
+        forms_rig.slip_zero_creeps, forms_rig.slip_zero_settles,
+        forms_rig.slip_zero_turns),
+    "force_zero_drift": _effect(
+        "force x time", 0.03, 0, "",
+        forms_rig.force_zero_creeps, forms_rig.force_zero_settles,
+        forms_rig.force_zero_root),
+    "load_crosstalk": _effect(
+        "force x load", 0.02, 0, "loads longitudinal",
+        forms_rig.load_leaks, forms_rig.load_leaks_evenly,
+        forms_rig.load_leaks_more),
+    "load_offset": _effect(
+        "friction x load", 0.06, 0, "loads knee",
+        forms_rig.load_zero, forms_rig.load_zero_bent,
+        forms_rig.load_zero_and_gain),
+    "force_crosstalk": _effect(
+        "force x force", 0.03, 0, "across",
+        forms_rig.across_leaks, forms_rig.across_leaks_bent),
+    "force_hysteresis": _effect(
+        "force x direction", 0.015, 0, "sweeps",
+        forms_rig.dry_friction, forms_rig.dry_friction_smooth,
+        forms_rig.dry_friction_grows),
+    "slip_offset_load": _effect(
+        "slip x load", 0.006, 0, "loads",
+        forms_rig.slip_follows_load, forms_rig.radius_under_load,
+        forms_rig.radius_root_of_load),
+    "slip_offset_speed": _effect(
+        "slip x speed", 0.004, 0, "speeds",
+        forms_rig.slip_follows_speed, forms_rig.radius_by_spinning,
+        forms_rig.radius_saturating),
+    "speed_zero": _effect(
+        "slip x speed", 0.04, 0, "speeds",
+        forms_rig.speed_is_off, forms_rig.speed_is_off_of_wheel,
+        forms_rig.speed_is_off_when_slow),
+    "speed_drag": _effect(
+        "force x speed", 0.02, 1, "speeds longitudinal",
+        forms_rig.drag_of_bearings, forms_rig.drag_of_air, forms_rig.drag_of_both),
+    "friction_ellipse": _effect(
+        "friction x force", 1.0, 1, "across knee",
+        forms_rig.friction_ellipse, forms_rig.friction_ellipse_of_force,
+        forms_rig.friction_superellipse),
+    "friction_pressure": _effect(
+        "friction x inflation", 0.1, 0, "pressure knee",
+        forms_rig.friction_inflated, forms_rig.friction_inflated_power,
+        forms_rig.friction_inflated_bell),
+    "stiffness_pressure": _effect(
+        "stiffness x inflation", 0.15, 0, "pressure",
+        forms_rig.stiffness_inflated, forms_rig.stiffness_inflated_power,
+        forms_rig.stiffness_inflated_saturating),
+    "friction_warming": _effect(
+        "friction x work", 0.12, 0, "sweeps knee",
+        forms_rig.friction_worked, forms_rig.friction_worked_cooling,
+        forms_rig.friction_worked_exponential),
+    "stiffness_warming": _effect(
+        "stiffness x work", 0.2, 0, "sweeps",
+        forms_rig.stiffness_worked, forms_rig.stiffness_worked_cooling,
+        forms_rig.stiffness_worked_exponential),
+    "stiffness_speed": _effect(
+        "stiffness x speed", 0.12, 0, "speeds",
+        forms_rig.stiffness_rolled, forms_rig.stiffness_rolled_evenly,
+        forms_rig.stiffness_rolled_logarithm),
 }  # fmt: skip
 
 

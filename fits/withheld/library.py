@@ -34,6 +34,8 @@ class Inputs:
     cross: np.ndarray | None = None
     gamma: np.ndarray | None = None
     temperature: np.ndarray | None = None
+    inflation: np.ndarray | None = None
+    across: np.ndarray | None = None
     omega: bool = False
     moment: bool = False
     left_out: tuple[str, ...] = ()
@@ -47,6 +49,7 @@ class Inputs:
         """What effects may ask for (``needs``)."""
         has = {
             "loads": np.ptp(self.fz) > 0.3 * self.fz.mean(),
+            "speeds": np.ptp(self.v) > 0.3 * self.v.mean(),
             "signs": self.slip.min() < -0.02,
             "sweeps": np.corrcoef(self.slip[1:], self.slip[:-1])[0, 1] > 0.8,
             "knee": np.abs(self.slip).max() > 0.1,
@@ -55,6 +58,8 @@ class Inputs:
             "alpha": self.cross is not None,
             "gamma": self.gamma is not None,
             "temperature": self.temperature is not None,
+            "pressure": self.inflation is not None,
+            "across": self.across is not None,
             "omega": self.omega,
         }
         return {name for name, holds in has.items() if holds}
@@ -80,6 +85,18 @@ class _Share:
         return low + self.share * (high - low)
 
 
+_UNDONE = ("slip_offset", "slip_definition")
+"""Effects on the logged slip whose inverse is written out."""
+
+
+def _slip_behind(world: World) -> np.ndarray:
+    """The slip that was logged as this one, to first order of the changes."""
+    slip = world.slip
+    for change in world.logged:
+        slip = change(world, slip)
+    return 2 * world.slip - slip
+
+
 def _true_slip(effect: str, slip: np.ndarray, amplitude: float) -> np.ndarray:
     """The slip behind a logged one (the inverse of the form's ``logged``)."""
     if effect == "slip_offset":
@@ -94,11 +111,14 @@ def predict(x: Inputs, effect: str | None, amplitude, c, mu, share=0.5) -> np.nd
     slip = x.slip if effect is None else _true_slip(effect, x.slip, amplitude)
     world = World(
         x.time, x.run, slip, x.fz, x.v, x.force, c, mu, cross=x.cross, gamma=x.gamma,
-        temperature=x.temperature, moment=x.moment,
+        temperature=x.temperature, inflation=x.inflation, across=x.across,
+        moment=x.moment,
     )  # fmt: skip
     if effect is not None:
         form = next(iter(EFFECTS[effect].forms.values()))
         form(world, amplitude, _Share(share))
+        if effect not in _UNDONE:
+            world.slip = _slip_behind(world)
     out = forces(world)
     return np.concatenate([out[x.force], out["mz"]]) if x.moment else out[x.force]
 

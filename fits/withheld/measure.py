@@ -31,7 +31,9 @@ def measure(world: World, noise: str, law: str, extras: set[str], g) -> tuple:
             wrong = disturbed(law, n, clean[channel], g)
             columns[channel] = clean[channel] + level * fz * wrong
     columns |= {"fz": fz, "v": world.v}
-    columns |= {key: _extra(world, key, g) for key in sorted(extras)}
+    across = "fy" if name == "fx" else "fx"
+    for key in sorted(extras):
+        columns[across if key == "across" else key] = _extra(world, key, g)
     # The truth at the slip as measured, so that noise of the slip is no gap.
     plain = plain_brush(logged, fz, world.c, world.mu)
     moved = plain_brush(measured, fz, world.c, world.mu)
@@ -58,6 +60,10 @@ def _extra(world: World, column: str, g) -> np.ndarray:
     if column == "alpha":
         cross = world.cross * (1 if world.bites else 0.05)
         return np.arctan(cross / (1 + world.sensed))  # S Table 1
+    if column == "pressure":
+        return world.inflation
+    if column == "across":
+        return world.across + 0.01 * world.fz * g.normal(size=len(world.time))
     if column == "temperature":
         return world.temperature + 0.3 * g.normal(size=len(world.time))
     return world.gamma
@@ -72,6 +78,8 @@ def _gap(world, clean, logged, noise, extras) -> dict:
         cross=world.cross if "alpha" in extras else None,
         gamma=world.gamma if "gamma" in extras else None,
         temperature=world.temperature if "temperature" in extras else None,
+        inflation=world.inflation if "pressure" in extras else None,
+        across=world.across if "across" in extras else None,
         omega="omega" in extras, moment=world.moment,
     )  # fmt: skip
     parts = [clean[world.force], *([clean["mz"]] if world.moment else [])]

@@ -31,8 +31,10 @@ class World:
     (tan alpha). ``stiffness`` is c_p a^2 [N]; ``mu_s`` holds a bristle, ``mu_k``
     slides. ``carcass`` is (compliance [1/N], "slip" or "bow"), ``weakening`` the length
     over which friction falls from mu_s to mu_k behind the breakaway point (of
-    half-lengths). ``slip`` is what the patch feels, ``sensed`` what a faultless sensor
-    reads. Changes, all of (world, values): ``after`` of the force, ``late`` of force
+    half-lengths). ``fz`` is the load as measured, ``load`` what the patch carries;
+    ``inflation`` [Pa] and ``across`` [N], the other force, are columns. ``slip`` is
+    what the patch feels, ``sensed`` what a faultless sensor reads. Changes, all of
+    (world, values): ``after`` of the force, ``late`` of force
     and moment, ``logged`` of the slip.
     """
 
@@ -48,6 +50,9 @@ class World:
     gamma: np.ndarray | None = None
     temperature: np.ndarray | None = None
     moment: bool = False
+    inflation: np.ndarray | None = None
+    across: np.ndarray | None = None
+    load: np.ndarray = field(default=None)
     sensed: np.ndarray = field(default=None)
     stiffness: np.ndarray = field(default=None)
     mu_s: np.ndarray = field(default=None)
@@ -63,6 +68,7 @@ class World:
 
     def __post_init__(self):
         ones = np.ones(len(self.slip))
+        self.load = self.fz if self.load is None else self.load
         self.sensed = self.slip if self.sensed is None else self.sensed
         self.stiffness = self.c * ones if self.stiffness is None else self.stiffness
         self.mu_s = self.mu * ones if self.mu_s is None else self.mu_s
@@ -98,7 +104,7 @@ def _sum(world: World, slip: np.ndarray, used: np.ndarray, bow: np.ndarray):
     demand = world.stiffness[:, None] * (
         slip[:, None] * (1 - xi) - bow[:, None] * (1 - xi**2)
     )
-    carried = world.fz[:, None] * density
+    carried = world.load[:, None] * density
     excess = demand - world.mu_s[:, None] * carried
     sliding = excess > 0
     first = np.where(sliding.any(axis=1), sliding.argmax(axis=1), BRISTLES)
@@ -128,7 +134,7 @@ def _steady(world: World) -> tuple[np.ndarray, np.ndarray]:
     force, moment = _sum(world, size, none, none)
     implicit = world.carcass or world.pressure.__name__.startswith("shifting")
     for _ in range(FIXED_POINT_STEPS if implicit else 0):
-        used = direction * force / (world.mu_s * world.fz)
+        used = direction * force / (world.mu_s * world.load)
         slip, bow = size, none
         if world.carcass:
             compliance, kind = world.carcass

@@ -23,7 +23,7 @@ NULLS = {
     "slip_classical": ["slip_noise"],
 }
 DEVELOPMENT = tuple(name for name, design in DESIGNS.items() if not design.sealed)
-COLUMNS = {"omega", "alpha", "gamma", "temperature"}
+COLUMNS = {"omega", "alpha", "gamma", "temperature", "pressure", "across"}
 SPARE = 0.3  # share of trials with a column that nothing asks for
 TEXTBOOK = 0.4  # share of effects in their textbook form
 

@@ -11,7 +11,16 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from fits import formulas
-from fits.withheld import effects, generate, injected, library, patch, strange, trials
+from fits.withheld import (
+    effects,
+    forms_rig,
+    generate,
+    injected,
+    library,
+    patch,
+    strange,
+    trials,
+)
 from fits.withheld.designs import DESIGNS, make_world
 from fits.withheld.effects import EFFECTS
 from fits.withheld.patch import World
@@ -231,6 +240,44 @@ def test_lugre_is_the_sum_of_its_bristles():
         assert force == pytest.approx(4000 * stress[0] / length, rel=1e-6)
 
 
+def test_a_load_cell_with_a_zero_is_a_brush_under_another_load():
+    found = changed(steady(SLIPS, 3000.0), "load_offset", "load_zero", 0.06)["fx"]
+    right = formulas.brush(SLIPS, 3240.0, 15.0, C, MU)
+    assert found == pytest.approx(right, abs=3)
+
+
+def test_the_force_across_leaves_what_an_ellipse_leaves():
+    world = steady(SLIPS, across=np.full(len(SLIPS), 0.6 * MU * 4000))
+    found = changed(world, "friction_ellipse", "friction_ellipse", 1.0)["fx"]
+    assert found == pytest.approx(
+        formulas.brush(SLIPS, 4000.0, 15.0, C, 0.8 * MU), abs=4
+    )
+
+
+def test_a_speed_that_is_off_is_so_in_the_slip_of_the_wheel_speed():
+    """(v + a) / (omega R) - 1, by the speeds themselves."""
+    world, zero = steady(SLIPS, v=8.0), 0.05
+    EFFECTS["speed_zero"].forms["speed_is_off_of_wheel"](world, zero, NOTHING)
+    rim = world.v / (1 + SLIPS)
+    logged = world.logged[0](world, SLIPS)
+    assert logged == pytest.approx((world.v + zero) / rim - 1, rel=1e-12)
+
+
+def test_the_work_of_sliding_is_that_of_the_closed_form():
+    """A ramp of the slip at full sliding: power, and so work, in closed form."""
+    world = sweep()
+    world.slip = world.slip + 0.2  # beyond full sliding, at 0.108
+    found = forms_rig._work(world, None)
+    slip = world.slip
+    # v s / (1 + s) integrated over time, s = 0.2 + 0.05 t.
+    right = (slip - np.log1p(slip)) - (slip[0] - np.log1p(slip[0]))
+    right = (right - right.mean()) / np.ptp(right)
+    assert found == pytest.approx(right, abs=2e-3)
+    # What cools as fast as it is heated grows ever slower.
+    faded = np.diff(forms_rig._work(world, 0.25))
+    assert faded[-1] < 0.5 * faded[1] and np.diff(found)[-1] > np.diff(found)[1]
+
+
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_every_form_changes_the_force_or_the_slip(effect):
     about = EFFECTS[effect]
@@ -357,7 +404,7 @@ def test_files_hold_no_label(tmp_path):
     words = {*EFFECTS, *effects.NOISE_EFFECTS, "effect", "label", "ripple"}
     words -= {"wheel_inertia"}  # a property of every rig
     known = {"time", "sigma_x", "alpha", "fx", "fy", "mz", "fz", "v", "omega", "gamma",
-             "temperature", "run"}  # fmt: skip
+             "temperature", "pressure", "run"}  # fmt: skip
     for path in files:
         text = path.read_text()
         assert not words & set(re.findall(r"[a-z_]+", text))

@@ -22,7 +22,7 @@ from tirefit.diagnosis.forward import (
     tangents,
 )
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
-from tirefit.diagnosis.rows import Prepared, neighbours
+from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
 from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
 from tirefit.diagnosis.state import Covariates
 from tirefit.fitting.config import parse_config
@@ -228,10 +228,7 @@ def _nodes(slip, std):
 
 def _priors(prepared: Prepared, effects, rig) -> dict[str, np.ndarray]:
     """Of every atom: scale in its own unit; center, low and high in scales."""
-    priors = []
-    for atom in atoms_of(effects):
-        prior, adapt = atom.prior, atom.effect.prior
-        priors.append(prior if adapt is None else adapt(prior, prepared, rig))
+    priors = [atom.prior(prepared, rig) for atom in atoms_of(effects)]
     scale, center, low, high = (np.array(part) for part in zip(*priors, strict=True))
     return {
         "prior_scale": scale, "prior_center": center / scale, "low": low / scale,
@@ -317,7 +314,7 @@ def _measured(design: Design, prepared: Prepared) -> Design:
 
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:
     """The same fit looked at on other rows: forces only, its noise does not carry."""
-    tire = base.fit.tire
+    tire, prepared = base.fit.tire, on_scale_of(prepared, base.rows)
     design = _design(prepared, tire.effects, rig)
     if base.simulator is not None:
         design, _ = _with_offset(prepared, tire, design, base.simulator.z)
@@ -401,7 +398,8 @@ def _with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:
     size = len(design.keep)
     share = pad_rows(mean / (np.max(np.abs(mean) / fz) * fz), size)
     rows = design.rows._replace(
-        force=share, usage=np.abs(share), traction=pad_rows(mean / np.mean(fz), size),
+        force=share, usage=np.abs(share),
+        traction=pad_rows(mean / prepared.covariates.load, size),
         pull=pad_rows(_pull(prepared, tire, design, z, silent)[channel], size),
     )  # fmt: skip
     return design._replace(rows=rows)

@@ -17,8 +17,9 @@ _REACH = _WINDOWS[-1] - 1
 AHEAD, BEHIND = 4, 12
 """Columns of the past that lie after and before its row."""
 
-_SPAN = 0.15
-"""Time [s] that the past reaches back, at least."""
+_SPAN = 0.45
+"""How far the past reaches back, at least: in times that the slip takes for a change of
+its standard deviation."""
 
 
 _WORTH = 0.7
@@ -230,17 +231,19 @@ def slip_rate(slip, time, run, noise: float = 0.0) -> Sweeps:
     seen = max(np.sqrt(left_out / (1 + 2.25 / window)), 1e-9 * np.std(slip))
     scatter = seen if window >= _NOISY else 0.0
     level = max(noise, scatter if scatter > _MORE * noise else 0.0) or seen
+    paths = [_averaged(slip[part], time[part], level) for part in parts]
     usual = float(np.median(np.concatenate([np.diff(time[part]) for part in parts])))
-    past = none._replace(interval=max(usual, _SPAN / BEHIND))
+    rate = np.sqrt(np.mean(np.concatenate([path.slope for path in paths]) ** 2))
+    period = float(np.std(slip) / rate) if rate > 0 else 0.0
+    past = none._replace(interval=max(usual, _SPAN * period / BEHIND))
     found = still._replace(found=True, noise=scatter, past=past)
     past.path[:] = past.of(slip)
-    for part in parts:
-        path = _averaged(slip[part], time[part], level)
+    for part, path in zip(parts, paths, strict=True):
         _fill_past(past, part, slip[part], time[part], path)
         found.path[part], found.rate[part] = path.value, path.slope
         # Slips that a formula gave have no error at all.
-        finest = _FINEST * max(float(np.max(np.abs(path.slope))), 1e-9)
-        error = np.maximum(path.slope_error, finest)
+        finest = _FINEST * float(np.max(np.abs(path.slope)))
+        error = np.maximum(path.slope_error, max(finest, 1e-300))
         certain = np.sign(slip[part]) * path.slope / (2 * error)
         found.turning[part] = np.clip(certain, -1, 1)
     return found

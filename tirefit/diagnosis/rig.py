@@ -15,11 +15,12 @@ __all__ = ["Rig", "load_rig"]
 _NUMBERS = ("rolling_radius", "wheel_inertia")
 _NOISE = (
     "fx", "fy", "mz", "fx_relative", "fy_relative", "mz_relative", "sigma_x", "kappa",
-    "slip", "alpha", "force", "force_relative",
+    "slip", "alpha", "force", "force_relative", "sigma_x_speed", "kappa_speed",
+    "slip_speed", "alpha_speed",
 )  # fmt: skip
 
-_TURNING, _MOVING = 0.1, 0.1
-"""Wheel speed [rad/s] and speed [m/s] below which a wheel counts as standing."""
+_STANDS = 0.02
+"""Share of the usual wheel speed or speed below which a wheel counts as standing."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +28,10 @@ class Rig:
     """Knowledge of the rig; everything is optional.
 
     ``noise`` holds standard deviations: of a force [N] or as a share of the load
-    (``fx_relative``), of the slip [-] or slip angle [rad]. ``commanded_slip`` names the
-    column of the slip that was asked for; ``run_order`` is "random" or "sequential".
+    (``fx_relative``), of the slip [-] or slip angle [rad], of a speed across the patch
+    [m/s] (``sigma_x_speed``), which is a slip of as much over v. ``commanded_slip``
+    names the column of the slip that was asked for; ``run_order`` is "random" or
+    "sequential".
     """
 
     rolling_radius: float | None = None
@@ -48,7 +51,8 @@ class Rig:
         omega, v = data.usable("omega"), data.usable("v")
         slip = data.usable("sigma_x") if "sigma_x" in data else np.zeros(data.n)
         # A wheel that stands, or a slip that has no bound, tells no radius.
-        turning = (np.abs(omega) > _TURNING) & (v > _MOVING) & (np.abs(slip) < 1)
+        turning = np.abs(omega) > _STANDS * np.median(np.abs(omega))
+        turning &= (v > _STANDS * np.median(np.abs(v))) & (np.abs(slip) < 1)
         if not turning.any():
             return None
         radius = v[turning] / (np.abs(omega[turning]) * (1 + slip[turning]))
@@ -56,8 +60,17 @@ class Rig:
 
     def slip_noise(self, slip: str) -> float | None:
         """Given standard deviation of a slip."""
+        return self._of_slip(slip, "")
+
+    def slip_noise_speed(self, slip: str) -> float | None:
+        """Given standard deviation of the speed that a slip is worked out from [m/s]:
+        of positions or wheel speeds, whose slip is the worse the slower."""
+        return self._of_slip(slip, "_speed")
+
+    def _of_slip(self, slip: str, kind: str) -> float | None:
         names = ("alpha",) if slip == "alpha" else ("sigma_x", "kappa")
-        return next((self.noise[k] for k in (*names, "slip") if k in self.noise), None)
+        keys = (f"{name}{kind}" for name in (*names, "slip"))
+        return next((self.noise[k] for k in keys if k in self.noise), None)
 
     def force_noise(self, channel: str, fz) -> np.ndarray | None:
         """Given standard deviation of a force, shape of ``fz``, or None."""

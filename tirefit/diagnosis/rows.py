@@ -6,13 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.diagnosis.rates import Sweeps, slip_rate
+from tirefit.diagnosis.rates import Sweeps, segments, slip_rate
+from tirefit.diagnosis.sizes import Sizes, half_force_slip, largest, sizes_of
 from tirefit.diagnosis.slip_check import SlipCheck, check_slip
 from tirefit.diagnosis.state import Covariates
+from tirefit.fitting.slip_noise import speed_of, std_with_speed
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["Prepared", "neighbours", "prepare", "thinned"]
+__all__ = ["Prepared", "neighbours", "on_scale_of", "prepare", "thinned"]
 
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that drive the forces -> forces that may be diagnosed."""
@@ -20,9 +22,19 @@ MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 _ONE_SLIP = 10.0
 """Ratio of the spreads of two slips from which one drives and the other disturbs."""
 
-_MOVES, _SPEEDS, _LOADS = 0.1, 0.2, 0.03
-"""Median speed [m/s] that counts as moving; range of the speeds over their mean, and
-standard deviation of log F_z, that count as several."""
+_SPEEDS, _LOADS, _PRESSURES = 0.2, 0.03, 0.02
+"""Range of the speeds over their mean, standard deviation of log F_z, and range of the
+pressures over their mean, that count as several."""
+
+_STANDS = 0.03
+"""Share of the usual speed below which a tire counts as standing: a slip of so little
+way is no slip of a rolling tire."""
+
+_BESIDE = 0.02
+"""Spread of the force across over that of the force, from which it may disturb it."""
+
+_COOLINGS = (None, 0.2, 0.05)
+"""How long the warmth of sliding lasts, in shares of the record; None is for good."""
 
 _BOTH_SIGNS = 0.1
 """Share of the rows that each sign of slip must have."""
@@ -49,7 +61,8 @@ class Prepared:
     holds (n,) by channel. ``covariates`` lacks only what the base fit gives. ``has``
     names what the data hold of the needs of the effects. ``before`` are the inputs in
     the past of each row (n, k), ``kept`` (n,) which of the used rows of the data these
-    are. ``slip_check`` is the slip column against that of the wheel speed.
+    are. ``slip_check`` is the slip column against that of the wheel speed, ``sizes``
+    what large means in this file.
     """
 
     data: TireData
@@ -70,6 +83,7 @@ class Prepared:
     random_order: bool
     kept: np.ndarray
     slip_check: SlipCheck | None
+    sizes: Sizes
 
     @property
     def n(self) -> int:
@@ -108,12 +122,19 @@ def _mode(data: TireData) -> str:
     return "x" if along else "y"
 
 
-def _column(data: TireData, name: str, default: float = 0.0) -> np.ndarray:
-    return data.usable(name) if name in data else np.full(data.n, default)
+def _column(data: TireData, name: str) -> np.ndarray:
+    return data.usable(name) if name in data else np.zeros(data.n)
 
 
 def _centered(values, width: float) -> np.ndarray:
     return (values - np.mean(values)) / width
+
+
+def _over_range(values) -> np.ndarray:
+    """About their mean, over their range; zero where nothing varies."""
+    span = np.ptp(values)
+    varies = span > 1e-9 * np.max(np.abs(values))
+    return _centered(values, span) if varies else np.zeros(len(values))
 
 
 def _check(data: TireData) -> None:
@@ -148,55 +169,129 @@ def prepare(data: TireData, rig, model) -> Prepared:
     mode = _mode(data)
     sigma, tan_alpha = _column(data, "sigma_x"), np.tan(_column(data, "alpha"))
     slip = tan_alpha if mode == "y" else sigma
+    second = tan_alpha if mode == "xy" else np.zeros(data.n)
     channels = _channels(data, mode, model)
-    fz, v = data.usable("fz"), _column(data, "v")
     time = data.usable("time") if "time" in data else None
     run = data.run[data.used]
     sweeps = _sweeps(data, slip, mode, rig, time, run)
     std, source = _slip_std(data, mode, rig, sweeps.noise)
     other = sigma if mode == "y" else tan_alpha * (1 + sigma)
     other = np.zeros(data.n) if mode == "xy" else other
-    omega = _column(data, "omega")
-    spin = slip_rate(omega, time, run).rate if "omega" in data else 0 * v
-    interval = np.full(data.n, sweeps.past.interval)
     radius = rig.radius_for(data)
-    covariates = Covariates(
-        fz=fz / np.exp(np.mean(np.log(fz))),
-        v=v,
-        time=_centered(time, max(np.ptp(time), 1e-9)) if time is not None else 0 * v,
-        temperature=_centered(_column(data, "temperature"), 20.0),
-        gamma=_column(data, "gamma"),
-        rate=sweeps.rate,
-        lag=sweeps.rate / np.maximum(np.abs(v), 0.5),
-        turning=sweeps.turning,
-        side=np.sign(slip),
-        other=other,
-        force=np.zeros(data.n),
-        usage=np.zeros(data.n),
-        spin=spin / radius if radius else 0 * v,
-        load=np.full(data.n, np.mean(fz)),
-        past=sweeps.past.path,
-        pull=np.zeros_like(sweeps.past.path),
-        interval=interval,
-        step=interval * np.maximum(np.abs(v), 0.05),
-        sliding=np.abs(v * (slip if mode == "y" else slip / (1 + slip))),
-        change=np.zeros(data.n),
-        traction=np.zeros(data.n),
-    )
+    covariates = _covariates(data, mode, sweeps, np.hypot(slip, second), radius)
+    covariates = covariates._replace(side=np.sign(slip), other=other)
+    fz = data.usable("fz")
     inputs = TireInputs(
-        np.zeros(data.n), np.zeros(data.n), fz, v, _column(data, "gamma"),
+        np.zeros(data.n), np.zeros(data.n), fz, covariates.v, _column(data, "gamma"),
         _column(data, "pressure"), _column(data, "time"),
     )  # fmt: skip
     return Prepared(
-        data, mode, channels, inputs, slip, std,
-        tan_alpha if mode == "xy" else np.zeros(data.n),
+        data, mode, channels, inputs, slip, std, second,
         {c: data.usable(c) for c in channels}, covariates,
         TireInputs(*(sweeps.past.of(part) for part in inputs)),
         _holdings(data, mode, covariates, sweeps.found, radius), time, run,
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
         rig.run_order == "random", np.arange(data.n),
         check_slip(data, rig.rolling_radius),
+        sizes_of(covariates, slip, float(np.mean(fz)), radius),
     )  # fmt: skip
+
+
+def _force_of(data: TireData, mode: str) -> np.ndarray:
+    """The force that the slip drives, its size where both slips do: (n,)."""
+    if mode == "xy":
+        return np.hypot(_column(data, "fx"), _column(data, "fy"))
+    return _column(data, f"f{mode}")
+
+
+def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Covariates:
+    """What the columns give of the covariates; ``size`` (n,) is that of the slip."""
+    fz, v, zero = data.usable("fz"), _column(data, "v"), np.zeros(data.n)
+    time = _column(data, "time")
+    force, omega = _force_of(data, mode), _column(data, "omega")
+    run = data.run[data.used]
+    spin = slip_rate(omega, time, run).rate if "omega" in data else zero
+    interval = np.full(data.n, sweeps.past.interval)
+    usual = float(np.median(np.abs(v)))
+    pace = np.maximum(np.abs(v), _STANDS * usual if usual else 1.0)
+    way = sweeps.rate / pace
+    sliding = v * (size if mode == "y" else size / (1 + _column(data, "sigma_x")))
+    sliding = np.abs(sliding)
+    across = {"x": "fy", "y": "fx"}.get(mode, "")
+    return Covariates(
+        fz=fz / np.exp(np.mean(np.log(fz))),
+        v=v,
+        time=_over_range(time),
+        temperature=_centered(_column(data, "temperature"), 20.0),
+        inflation=_over_range(_column(data, "pressure")),
+        gamma=_column(data, "gamma"),
+        rate=sweeps.rate,
+        lag=way * np.std(size) / max(np.sqrt(np.mean(way**2)), 1e-12),
+        turning=sweeps.turning,
+        side=zero,
+        other=zero,
+        force=zero,
+        usage=zero,
+        spin=spin / radius if radius else zero,
+        load=np.full(data.n, np.mean(fz)),
+        past=sweeps.past.path,
+        pull=np.zeros_like(sweeps.past.path),
+        interval=interval,
+        step=interval * pace,
+        pace=pace,
+        sliding=sliding,
+        brisk=np.full(data.n, max(largest(sliding), 1e-12)),
+        cruise=np.full(data.n, np.exp(np.mean(np.log(pace)))),
+        rise=np.full(data.n, half_force_slip(size, force / fz)),
+        peak=np.full(data.n, largest(force / fz)),
+        work=_work_of_sliding(np.abs(force) * sliding, data, time, run),
+        across=_column(data, across),
+        yaw=_column(data, "yaw_rate") / pace,
+        ahead=_over_range(_column(data, "a_x")),
+        change=zero,
+        traction=zero,
+    )
+
+
+def _work_of_sliding(power, data: TireData, time, run) -> np.ndarray:
+    """Work so far under each cooling, over its range about its mean: (n, coolings).
+
+    Args:
+        power: (n,) force times sliding speed.
+        time: (n,); a pause cools, and heats nothing.
+    """
+    work = np.zeros((data.n, len(_COOLINGS)))
+    span = np.ptp(time)
+    if span <= 0:
+        return work
+    parts = segments(time, run)
+    heated = np.zeros(data.n)
+    for part in parts:
+        mean = 0.5 * (power[part][1:] + power[part][:-1])
+        heated[part[1:]] = mean * np.diff(time[part])
+    order = np.lexsort((time, run))
+    step = np.maximum(np.diff(time[order], prepend=time[order][0]), 0.0)
+    for column, cooling in enumerate(_COOLINGS):
+        keep = np.ones(data.n) if cooling is None else np.exp(-step / (cooling * span))
+        warmth = 0.0
+        for row, left in zip(order.tolist(), keep.tolist(), strict=True):
+            warmth = left * warmth + heated[row]
+            work[row, column] = warmth
+    return np.stack([_over_range(column) for column in work.T], axis=1)
+
+
+def on_scale_of(prepared: Prepared, fitted: Prepared) -> Prepared:
+    """The same rows with the typical values of those that were fitted: an amplitude
+    found there means the same here."""
+    here, there = prepared.covariates, fitted.covariates
+    typical = ("load", "brisk", "cruise", "rise", "peak")
+    constants = {name: np.full(prepared.n, getattr(there, name)[0]) for name in typical}
+    return replace(
+        prepared,
+        covariates=here._replace(
+            fz=prepared.inputs.fz * (there.fz[0] / fitted.inputs.fz[0]), **constants
+        ),
+    )
 
 
 def thinned(prepared: Prepared, most: int) -> Prepared:
@@ -229,7 +324,9 @@ def _slip_std(data: TireData, mode: str, rig, scatter: float):
     name = "alpha" if mode == "y" else "sigma_x"
     if f"{name}_std" in data:
         return np.nan_to_num(data.usable(f"{name}_std")), f"column {name}_std"
-    given = rig.slip_noise(name)
+    given, of_speed = rig.slip_noise(name), rig.slip_noise_speed(name)
+    if of_speed is not None:
+        return std_with_speed(given or 0.0, of_speed, speed_of(data)), "given"
     if given is not None:
         return np.full(data.n, given), "given"
     if scatter:
@@ -241,12 +338,14 @@ def _holdings(data: TireData, mode: str, rows, sweeps: bool, radius) -> frozense
     """Names of the needs of effects that this data meets."""
     positive = np.mean(rows.side > 0)
     found = {
-        "v": "v" in data and float(np.median(np.abs(rows.v))) > _MOVES,
+        "v": "v" in data and float(np.median(np.abs(rows.v))) > 0,
         "speeds": "v" in data and _varies(rows.v, _SPEEDS),
         "loads": float(np.std(np.log(rows.fz))) > _LOADS,
         "time": "time" in data and _varies(rows.time),
         "temperature": "temperature" in data and _varies(rows.temperature * 20, 0.0)
         and float(np.std(rows.temperature)) > _WARMS / 20,
+        "pressure": "pressure" in data
+        and _varies(_column(data, "pressure"), _PRESSURES),
         "gamma": "gamma" in data and float(np.std(rows.gamma)) > _LEANS,
         "signs": _BOTH_SIGNS < positive < 1 - _BOTH_SIGNS,
         "sweeps": sweeps,
@@ -255,6 +354,10 @@ def _holdings(data: TireData, mode: str, rows, sweeps: bool, radius) -> frozense
         "other slip": float(np.std(rows.other)) > _OTHER_MOVES
         or float(np.max(np.abs(rows.other))) > _OTHER_STANDS,
         "mz": mode != "x" and "mz" in data,
+        "other force": np.std(rows.across) > _BESIDE * np.std(_force_of(data, mode)),
+        "yaw_rate": "yaw_rate" in data and np.std(rows.yaw) > 0,
+        "a_x": "a_x" in data and np.any(rows.ahead != 0),
+        "work": np.any(rows.work) and np.any(rows.time),
     }  # fmt: skip
     return frozenset(name for name, here in found.items() if here)
 
@@ -267,7 +370,7 @@ def neighbours(prepared: Prepared) -> list[np.ndarray]:
     rows = prepared.covariates
     settings = np.stack([
         prepared.run, np.round(np.log(rows.fz) / 0.05),
-        np.round(np.log(np.maximum(np.abs(rows.v), 0.1)) / 0.1), np.sign(rows.turning),
+        np.round(np.log(rows.pace) / 0.1), np.sign(rows.turning),
     ], axis=1)  # fmt: skip
     _, cell = np.unique(settings, axis=0, return_inverse=True)
     cell = np.ravel(cell)

@@ -36,18 +36,27 @@ class Covariates(NamedTuple):
 
     Zeros where the data lack a column. ``fz`` is the load over its geometric mean,
     ``time`` runs from -1/2 to 1/2 over the record, ``temperature`` is in units of 20 K
-    about its mean. ``rate`` is the derivative of the smooth slip [1/s], ``lag`` that
-    rate over the speed [1/m]; ``turning`` is +1 while the slip grows in size and -1
-    while it shrinks; ``side`` is the sign of the slip. ``other`` is the slip that the
-    base model leaves out (lateral sigma_y for F_x), ``force`` the base model's force
-    over its peak, with its sign, ``usage`` its size, and ``spin`` d(omega)/dt over the
-    rolling radius [rad/(m s^2)]. ``load`` is the mean load [N].
+    about its mean, ``inflation`` the pressure from -1/2 to 1/2 over its range.
+    ``rate`` is the derivative of the smooth slip [1/s], ``lag`` its change with the way
+    over the usual one, times the spread of the slip [-]; ``turning`` is +1 while the
+    slip grows in size and -1 while it shrinks; ``side`` is the sign of the slip.
+    ``other`` is the slip that the base model leaves out (lateral sigma_y for F_x),
+    ``force`` the base model's force over its peak, with its sign, ``usage`` its size,
+    and ``spin`` d(omega)/dt over the rolling radius [rad/(m s^2)]. ``load`` is the mean
+    load [N].
 
     ``past`` (n, k) is the smooth slip before, at and after each row, see
     :class:`tirefit.diagnosis.rates.Past`, ``pull`` (n, k) [N] the force of the base
     model there; both are zero without sweeps. From column to column it is ``interval``
-    [s] and ``step`` [m] back. ``sliding`` [m/s] is the sliding speed of the measured
-    slip. ``change`` is the shape of a change in time, from -1/2 to 1/2, that
+    [s] and ``step`` [m] back. ``pace`` [m/s] is the speed, a share of the usual one at
+    least, ``cruise`` [m/s] its geometric mean; ``sliding`` [m/s] is the sliding speed
+    of the measured slip, ``brisk`` [m/s] its typical largest value. ``rise`` is the
+    slip at half of the largest force, ``peak`` that force over the load. ``work``
+    (n, 3) is the work of sliding so far, over its range about its mean: all of it, and
+    what is left of it after a cooling of a fifth and of a twentieth of the record.
+    ``across`` [N] is the measured force across, ``yaw`` [1/m] yaw rate over speed,
+    ``ahead`` the acceleration ahead over its range.
+    ``change`` is the shape of a change in time, from -1/2 to 1/2, that
     :func:`tirefit.diagnosis.forms.shape_of_change` has found, ``traction`` the force
     of the base model over the mean load.
     """
@@ -56,6 +65,7 @@ class Covariates(NamedTuple):
     v: Values
     time: Values
     temperature: Values
+    inflation: Values
     gamma: Values
     rate: Values
     lag: Values
@@ -70,7 +80,16 @@ class Covariates(NamedTuple):
     pull: Values
     interval: Values
     step: Values
+    pace: Values
     sliding: Values
+    brisk: Values
+    cruise: Values
+    rise: Values
+    peak: Values
+    work: Values
+    across: Values
+    yaw: Values
+    ahead: Values
     change: Values
     traction: Values
 

@@ -94,8 +94,9 @@ class ParameterConfig(Section):
 
 class NoiseConfig(Section):
     """Standard deviations of the noise; what is left out is estimated or, for slip,
-    taken as none. ``<force>_relative`` is a fraction of the load. A column of the data
-    with the noise of every row, as ``fx_std``, goes before all of them."""
+    taken as none. ``<force>_relative`` is a fraction of the load, ``<slip>_speed``
+    [m/s] the noise of a speed across the patch, which is a slip of as much over v. A
+    column of the data with the noise of every row, as ``fx_std``, goes before all."""
 
     fx: PositiveFloat | None = None
     fy: PositiveFloat | None = None
@@ -104,6 +105,8 @@ class NoiseConfig(Section):
     fy_relative: PositiveFloat | None = None
     sigma_x: PositiveFloat | None = None
     alpha: PositiveFloat | None = None
+    sigma_x_speed: PositiveFloat | None = None
+    alpha_speed: PositiveFloat | None = None
     proportional_to_load: bool = False
     loss: Literal["squares", "huber", "soft-l1", "cauchy"] = "squares"
     effective_samples: Literal["estimate", "all"] = "estimate"

@@ -14,7 +14,7 @@ from tirefit.fitting.combined_slip import slip_of_forces
 from tirefit.fitting.config import FitConfig, NoiseConfig, ParameterConfig
 from tirefit.fitting.layout import Layout, choose_layout
 from tirefit.fitting.likelihood import CHANNEL_SLIP, Channel, FitProblem, Rows, Rule
-from tirefit.fitting.slip_noise import slip_density
+from tirefit.fitting.slip_noise import slip_density, speed_of, std_with_speed
 from tirefit.fitting.time_series import check_time_series, check_whole_series
 from tirefit.models import MODELS, AbstractTire, TireInputs, modelled
 from tirefit.padding import pad_rows, padded_size
@@ -87,7 +87,8 @@ def _chosen_forces(data: TireData, config: FitConfig) -> tuple[tuple[str, ...], 
 def _column_wins(name: str, noise: NoiseConfig) -> str:
     """The sentence on noise from a column, with the settings that it overrules: the
     column knows every row, they know one number."""
-    given = {key: getattr(noise, key, None) for key in (name, f"{name}_relative")}
+    keys = (name, f"{name}_relative", f"{name}_speed")
+    given = {key: getattr(noise, key, None) for key in keys}
     overruled = [f"noise.{k} = {v:g}" for k, v in given.items() if v is not None]
     rest = f"; {' and '.join(overruled)} not used beside it" if overruled else ""
     return f"noise of {name}: column {name}_std{rest}"
@@ -118,9 +119,13 @@ def _force_scale(data: TireData, name: str, noise: NoiseConfig):
 
 
 def _slip_scale(data: TireData, slip: str, noise: NoiseConfig):
-    given = getattr(noise, slip)
+    given, of_speed = getattr(noise, slip), getattr(noise, f"{slip}_speed")
     if f"{slip}_std" in data:
         return data.usable(f"{slip}_std"), _column_wins(slip, noise)
+    if of_speed is not None:
+        std = std_with_speed(given or 0.0, of_speed, speed_of(data))
+        beside = f" and {given:g}" if given is not None else ""
+        return std, f"noise of {slip}: {of_speed:g} m/s over v{beside} given"
     if given is not None:
         return np.full(data.n, given), f"noise of {slip}: {given:g} given"
     return None, f"noise of {slip}: none assumed"
@@ -147,7 +152,8 @@ def _noise_problems(data: TireData, forces, config: FitConfig):
         if f"{name}_std" in data:
             of_columns.append(_noise_column(data, f"{name}_std", wrong, beside))
             continue
-        key = name if getattr(config.noise, name) is not None else f"{name}_relative"
+        keys = (name, f"{name}_relative", f"{name}_speed")
+        key = next(k for k in keys if getattr(config.noise, k, None) is not None)
         reason = f"noise.{key} = {getattr(config.noise, key):g} {beside}"
         remedy = f"give the true noise of {name}, or leave noise.{key} out"
         of_settings.append(InputProblem(reason, remedy, config.source))

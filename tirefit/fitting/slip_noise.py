@@ -10,10 +10,50 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["SlipDistribution", "latent_nodes", "slip_density", "slip_distribution"]
+from tirefit.data.table import TireData
+from tirefit.results import DataError, InputProblem
+
+__all__ = [
+    "SlipDistribution",
+    "latent_nodes",
+    "slip_density",
+    "slip_distribution",
+    "speed_of",
+    "std_with_speed",
+]
 
 _REACH = 4.0
 """Nodes span this many slip standard deviations on both sides of the measured slip."""
+
+
+_STANDS = 0.03
+"""Share of the usual speed below which a wheel stands: its slip is as unsure as there,
+not without limit."""
+
+
+def speed_of(data: TireData) -> np.ndarray:
+    """Speeds (n_used,) [m/s], for a slip noise that is stated as one of a speed.
+
+    Raises:
+        DataError: no column v.
+    """
+    if "v" in data:
+        return data.usable("v")
+    reason = "the noise of the slip is stated as one of a speed, and v is not there"
+    remedy = "name its column with --column v=HEADER, or --constant v=10"
+    raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+
+
+def std_with_speed(plain: float, of_speed: float, v) -> np.ndarray:
+    """Noise of slips that come from positions or wheel speeds: (n,).
+
+    Args:
+        plain: standard deviation at any speed [-].
+        of_speed: that of the speed across the patch [m/s].
+        v: (n,) speeds [m/s].
+    """
+    size = np.abs(v)
+    return np.hypot(plain, of_speed / np.maximum(size, _STANDS * np.median(size)))
 
 
 def slip_density(slip, std, hats: int = 20, iterations: int = 200):

@@ -17,7 +17,15 @@ fits, tests and ranks them all. A user's own effect is one more record::
     tirefit.diagnose(data, effects=EFFECTS + (mine,))
 """
 
-from tirefit.diagnosis.effects import conditions, lag, measurement, patch
+from tirefit.diagnosis.effects import (
+    conditions,
+    lag,
+    measurement,
+    patch,
+    sensors,
+    vehicle,
+    warmth,
+)
 from tirefit.diagnosis.effects.free_forms import Form
 from tirefit.diagnosis.effects.noise import NOISE_EFFECTS
 from tirefit.diagnosis.effects.record import (
@@ -46,4 +54,7 @@ EFFECTS: tuple[Effect, ...] = (
     *conditions.EFFECTS,
     *measurement.EFFECTS,
     *lag.EFFECTS,
+    *sensors.EFFECTS,
+    *vehicle.EFFECTS,
+    *warmth.EFFECTS,
 )

@@ -6,6 +6,7 @@ import numpy as np
 
 from tirefit.diagnosis.effects.free_forms import (
     FRICTION_BY_DIRECTION,
+    FRICTION_BY_LOAD,
     FRICTION_BY_OTHER_SLIP,
     FRICTION_BY_SIDE,
     FRICTION_BY_SPEED,
@@ -15,8 +16,12 @@ from tirefit.diagnosis.effects.record import Effect, blend
 
 __all__ = ["EFFECTS", "STEPS"]
 
-_FALLS = ((1.0, 1.0), (4.0, 1.0), (4.0, 0.5), (15.0, 1.0), (30.0, 0.5))
-"""(v_st [m/s], exponent) of the exponential falls of friction that are tried, S(37)."""
+_FALLS = ((0.15, 1.0), (0.6, 1.0), (0.6, 0.5), (2.0, 1.0), (4.0, 0.5))
+"""(v_st over the largest sliding speed of the file, exponent) of the exponential falls
+of friction that are tried, S(37)."""
+
+_LOGARITHM = (0.1, 0.0)
+"""The same for a fall by the logarithm of 1 + v_s / v_st; no exponent says so."""
 
 STEPS = tuple(float(t) for t in np.linspace(-0.42, 0.42, 15))
 """Times of a sudden change that are tried, as shares of the record about its middle."""
@@ -46,22 +51,26 @@ def _linear_loss(state, loss, constants, rows):
 
 
 def _fall(state, share, constants, rows):
-    """Factor 1 - share (1 - exp(-(v_s / v_st)^exponent)), S(37), on the kinetic
-    friction alone, or on both."""
+    """Factor 1 - share (1 - exp(-(v_s / v_st)^exponent)), S(37), or by the logarithm,
+    on the kinetic friction alone, or on both. A share below zero is a rise."""
     v_st, exponent, both = constants
     # The power has no slope at rest, where the patch slides nowhere.
-    speed = jnp.maximum(rows.sliding, 1e-9)
-    fall = share * jnp.expm1(-((speed / v_st) ** exponent))
-    state = _kinetic_times(state, 1 + (1 - both) * fall)
-    return _scaled(state, "friction", 1 + both * fall)
+    speed = jnp.maximum(rows.sliding / rows.brisk, 1e-9) / v_st
+    decay = -jnp.expm1(-(speed ** jnp.where(exponent > 0, exponent, 1.0)))
+    # As much at the largest sliding speed of the file as the share says.
+    slow = jnp.log1p(speed) / jnp.log1p(1 / v_st)
+    fall = share * jnp.where(exponent > 0, decay, slow)
+    state = _kinetic_times(state, 1 - (1 - both) * fall)
+    return _scaled(state, "friction", 1 - both * fall)
 
 
 def _with_load(name):
-    """A power of the load, or linear in it."""
+    """A power of the load, linear in it or in its logarithm."""
 
     def change(state, amplitude, constants, rows):
         linear = jnp.maximum(1 + amplitude * (rows.fz - 1), 0.05)
-        factor = blend(constants, rows.fz**amplitude, linear)
+        slow = jnp.maximum(1 + amplitude * jnp.log(rows.fz), 0.05)
+        factor = blend(constants, rows.fz**amplitude, linear, slow)
         return state._replace(**{name: getattr(state, name) * factor})
 
     return change
@@ -146,6 +155,7 @@ def _heated(name: str, parameter: str, scale: float, size: float):
         means=f"{name} changes with temperature",
         remedy=f"fit {parameter} for each range of temperature",
         bounds=(_SHARE,),
+        per=("temperature",),
         needs=("temperature",),
         forms=over(name, size, "temperature", 5),
         looks_like=(f"{name}_drift",),
@@ -153,7 +163,7 @@ def _heated(name: str, parameter: str, scale: float, size: float):
     )
 
 
-def _loaded(name: str, scale: float, size: float, looks_like):
+def _loaded(name: str, scale: float, forms, looks_like):
     symbol = {"friction": "mu", "stiffness": "c_p a^2"}[name]
     return Effect(
         id=f"load_{name}",
@@ -167,8 +177,8 @@ def _loaded(name: str, scale: float, size: float, looks_like):
         parameter="power",
         bounds=((-3.0, 3.0),),
         needs=("loads",),
-        variants=((1.0, 0.0), (0.0, 1.0)),
-        forms=over(name, size, "fz", 4),
+        variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        forms=forms,
         looks_like=looks_like,
         told_apart_by="random order",
     )
@@ -180,13 +190,14 @@ SPEED_LINEAR = Effect(
     id="friction_speed_linear",
     family="friction x speed",
     change=_linear_loss,
-    scale=0.012,
+    scale=0.1,
+    per=("sliding", "sliding", "rolling"),
     unit="s/m",
     formula="mu_k = mu (1 - amplitude v_s), S(35)",
-    means="friction falls in proportion to the sliding speed",
+    means="friction changes in proportion to the sliding speed",
     remedy="fit brush-n",
     parameter="n / mu",
-    bounds=((-0.24, 0.24),),
+    bounds=((-2.0, 2.0),),
     needs=("v",),
     variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
     forms=FRICTION_BY_SPEED,
@@ -200,12 +211,14 @@ SPEED_EXPONENTIAL = Effect(
     scale=0.2,
     unit="-",
     formula="mu_k = mu (h + (1 - h) exp(-(v_s / v_st)^e)), S(37)",
-    means="friction falls exponentially with the sliding speed",
+    means="friction changes with the sliding speed, most of it at low speeds",
     remedy="fit brush-h",
     parameter="1 - h",
-    bounds=((0.0, 1.0),),  # h is a share
+    bounds=((-1.0, 1.0),),  # rubber that slides slowly grips the more, the faster
     needs=("v",),
-    variants=tuple((*fall, both) for both in (0.0, 1.0) for fall in _FALLS),
+    variants=tuple(
+        (*fall, both) for both in (0.0, 1.0) for fall in (*_FALLS, _LOGARITHM)
+    ),
     forms=FRICTION_BY_SPEED,
     looks_like=("friction_speed_linear",),
     told_apart_by="speeds",
@@ -278,10 +291,10 @@ COMBINED = Effect(
 EFFECTS = (
     SPEED_LINEAR,
     SPEED_EXPONENTIAL,
-    _loaded("stiffness", 0.5, 0.06, ("stiffness_drift",)),
-    _loaded("friction", 0.12, 0.03, ("friction_drift", "force_offset")),
-    _heated("friction", "mu", 0.12, 0.03),
-    _heated("stiffness", "cpa2", 0.15, 0.06),
+    _loaded("stiffness", 0.5, over("stiffness", 0.06, "fz", 4), ("stiffness_drift",)),
+    _loaded("friction", 0.12, FRICTION_BY_LOAD, ("friction_drift", "force_offset")),
+    _heated("friction", "mu", 0.15, 0.03),
+    _heated("stiffness", "cpa2", 0.2, 0.06),
     _drifting(
         "friction",
         "mu",

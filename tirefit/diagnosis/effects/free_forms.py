@@ -11,13 +11,17 @@ from tirefit.diagnosis.basis import functions_of
 __all__ = [
     "Form",
     "FRICTION_BY_DIRECTION",
+    "FRICTION_BY_LOAD",
     "FRICTION_BY_OTHER_SLIP",
     "FRICTION_BY_SIDE",
     "FRICTION_BY_SPEED",
     "SHAPE_OF_THE_CURVE",
     "SHIFT_BY_CAMBER",
     "SHIFT_BY_LAG",
+    "SHIFT_BY_SPEED",
     "over",
+    "rise",
+    "weight",
 ]
 
 
@@ -33,13 +37,27 @@ class Form(NamedTuple):
     needs: str = ""
 
 
-def over(field: str, size: float, covariate: str, count: int) -> tuple[Form, ...]:
-    """A field as ``count`` smooth functions of one covariate."""
+def over(
+    field: str, size: float, covariate: str, count: int, times: Callable | None = None
+) -> tuple[Form, ...]:
+    """A field as ``count`` smooth functions of one covariate, in units of
+    ``times(rows)`` (n,) where they are given."""
 
     def shapes(rows, u):
-        return functions_of(getattr(rows, covariate), count)
+        free = functions_of(getattr(rows, covariate), count)
+        return free if times is None else free * times(rows)[:, None]
 
     return (Form(field, size, shapes),)
+
+
+def rise(rows):
+    """Slip at half of the largest force, (n,): the unit of a shift of the slip."""
+    return rows.rise
+
+
+def weight(rows):
+    """Mean load [N], (n,): the unit of a force."""
+    return rows.load
 
 
 def _by_slip(factor: str, count: int = 4):
@@ -72,11 +90,13 @@ FRICTION_BY_SPEED = (
     Form("friction", 0.06, _of_sliding, "speeds"),
     Form("kinetic", 0.06, _of_sliding, "speeds"),
 )
-SHIFT_BY_LAG = (Form("shift", 0.1, _by_slip("lag")),)
+SHIFT_BY_LAG = (Form("shift", 0.04, _by_slip("lag")),)
 FRICTION_BY_DIRECTION = (
     Form("friction", 0.02, _by_slip("turning")),
     Form("friction", 0.02, _of_rate),
 )
 FRICTION_BY_SIDE = (Form("friction", 0.02, _by_slip("side")),)
+FRICTION_BY_LOAD = over("friction", 0.03, "fz", 4)
+SHIFT_BY_SPEED = over("shift", 0.1, "v", 4, rise)
 FRICTION_BY_OTHER_SLIP = over("friction", 0.03, "other", 5)
-SHIFT_BY_CAMBER = over("shift", 0.002, "gamma", 5)
+SHIFT_BY_CAMBER = over("shift", 0.1, "gamma", 5, rise)

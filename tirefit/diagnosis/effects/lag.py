@@ -10,7 +10,7 @@ from tirefit.diagnosis.rates import AHEAD, BEHIND
 __all__ = ["EFFECTS", "lagged"]
 
 _NO_LENGTH = 1e-12
-"""The slope at no length is one-sided, not zero [unit of the length]."""
+"""Share of a step that counts as no length: the slope there is one-sided, not zero."""
 
 
 def _late(past, delay, rows):
@@ -36,7 +36,7 @@ def lagged(past, length, step):
         step: (n,) from column to column.
     """
     # At a length of zero itself the slope is that of lengths above.
-    length = jnp.where(length < 0, 0.0, length) + _NO_LENGTH
+    length = jnp.where(length < 0, 0.0, length) + _NO_LENGTH * step
     ways = step / length
     decay = jnp.exp(-ways)
     # Response to values that rise over the step.
@@ -84,13 +84,14 @@ DELAY = Effect(
     id="channel_delay",
     family="measurement",
     change=_delay,
-    scale=0.025,
+    scale=0.15,
+    per=("period",),
     unit="s",
     formula="force(t) belongs to slip(t - amplitude)",
     means="force and slip are shifted in time",
     remedy="shift the force back by the delay",
     parameter="delay",
-    bounds=((-0.5, 0.5), (-0.5, 0.5), (0.0, 0.5)),
+    bounds=((-3.0, 3.0), (-3.0, 3.0), (0.0, 3.0)),
     prior=_within_the_past,
     needs=("sweeps",),
     variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
@@ -101,13 +102,14 @@ RELAXATION = Effect(
     id="relaxation_length",
     family="transient",
     change=_relax,
-    scale=0.4,
+    scale=0.15,
+    per=("way",),
     unit="m",
     formula="d slip'/dt = v / amplitude (slip - slip')",
     means="the force lags the slip over a rolling distance",
     remedy="fit brush-relaxation",
     parameter="length",
-    bounds=((0.0, 8.0),),
+    bounds=((0.0, 3.0),),
     needs=("sweeps", "v"),
     variants=((1.0, 0.0), (0.0, 1.0)),
     forms=SHIFT_BY_LAG,

@@ -18,6 +18,7 @@ __all__ = [
     "atoms_of",
     "blend",
     "effects_by_id",
+    "seldom",
 ]
 
 Change = Callable[[State, float, Array | tuple[float, ...], Covariates], State]
@@ -32,6 +33,10 @@ class Prior(NamedTuple):
     low: float
     high: float
 
+    def times(self, size: float) -> "Prior":
+        """The same in shares of a size of the file."""
+        return Prior(*(size * part for part in self))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
@@ -43,6 +48,9 @@ class Effect:
         change: (state, amplitude, constants, covariates) -> state; amplitude 0
             changes nothing.
         scale: standard deviation of the amplitude that is expected beforehand.
+        per: field of :class:`tirefit.diagnosis.sizes.Sizes` in shares of which
+            ``scale``, ``center`` and ``bounds`` are: one for all variants or one for
+            each.
         unit: unit of the amplitude.
         formula: what it does, for the report.
         means: the same in words.
@@ -76,6 +84,7 @@ class Effect:
     means: str = ""
     remedy: str = ""
     parameter: str = "amplitude"
+    per: tuple[str, ...] = ("plain",)
     bounds: tuple[tuple[float, float], ...] = ((-float("inf"), float("inf")),)
     center: float = 0.0
     prior: Callable[[Prior, object, object], Prior] | None = None
@@ -131,12 +140,14 @@ class Atom:
     def constants(self) -> tuple[float, ...]:
         return self.effect.variants[self.variant]
 
-    @property
-    def prior(self) -> Prior:
-        """As the record has it, before the data or the rig say more."""
+    def prior(self, prepared, rig) -> Prior:
+        """On the scale of the file, with what the data and the rig say beyond that."""
         effect = self.effect
         pair = effect.bounds[self.variant if len(effect.bounds) > 1 else 0]
-        return Prior(effect.scale, effect.center, *pair)
+        per = effect.per[self.variant if len(effect.per) > 1 else 0]
+        size = getattr(prepared.sizes, per)
+        prior = Prior(effect.scale, effect.center, *pair).times(size)
+        return prior if effect.prior is None else effect.prior(prior, prepared, rig)
 
     def change(self, state: State, amplitude, rows: Covariates) -> State:
         """The state with this variant added."""
@@ -157,3 +168,13 @@ def blend(constants, *values):
     """Values weighted by constants: a variant that picks one of them has a one there
     and zeros elsewhere."""
     return sum(c * value for c, value in zip(constants, values, strict=True))
+
+
+_SELDOM = -1.0
+"""Log odds of an effect that is met a third as often as those of every tire."""
+
+
+def seldom(prepared) -> float:
+    """Log odds, whatever the data, of an effect that most files do not have."""
+    del prepared
+    return _SELDOM

@@ -1,0 +1,262 @@
+"""The library of effects: on any scale, in closed form, found in their own truths."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest_diagnosis import RIG, brush, record
+
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.effects import EFFECTS, atoms_of
+from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.rig import Rig, load_rig
+from tirefit.diagnosis.rows import on_scale_of, prepare
+from tirefit.diagnosis.sizes import half_force_slip
+from tirefit.diagnosis.state import force_of_state, null_state
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.problem import build
+from tirefit.models import Brush, TireInputs
+from tirefit.results import DataError
+
+BY_ID = {effect.id: effect for effect in EFFECTS}
+MODEL_CAR = {"force": 1e-3, "length": 0.1, "time": 0.3}
+SECOND = {"force": 30.0, "length": 2.0, "time": 1.0}
+
+
+def at_size(frame, force, length, time):
+    """The same tire in other units, or another size of it."""
+    return frame | {
+        "time": frame["time"] * time,
+        "v": frame["v"] * length / time,
+        **{name: frame[name] * force for name in ("fx", "fz")},
+    }
+
+
+def prepared_of(frame, rig=RIG):
+    return prepare(read_frame(frame), rig, ("fx",))
+
+
+def test_a_prior_follows_the_size_of_the_tire():
+    """In shares of the file the expected change is the same: units cancel."""
+    frame, _ = record(None, seed=1)
+    units = {"s/m": -1.0, "m/s": 1.0, "s": 0.0, "m": 0.0}
+    plain = prepared_of(frame)
+    for size in (MODEL_CAR, SECOND):
+        other = prepared_of(at_size(frame, **size))
+        speed = size["length"] / size["time"]
+        factor = {unit: speed**power for unit, power in units.items()}
+        factor |= {"s": size["time"], "m": size["length"]}
+        for atom in atoms_of(EFFECTS):
+            if not set(atom.effect.needs) <= plain.has:
+                continue
+            expected = np.array(atom.prior(plain, RIG)) * factor.get(
+                atom.effect.unit, 1.0
+            )
+            np.testing.assert_allclose(
+                atom.prior(other, RIG), expected, rtol=1e-6, err_msg=atom.effect.id
+            )
+
+
+def _of_the_sliding_speed(slip, time, fz, v):
+    return brush(slip, 5e4, 0.9 * (1 - 0.025 * np.abs(v * slip / (1 + slip))), fz)
+
+
+def _with_an_offset(slip, time, fz, v):
+    return brush(slip + 0.004, 5e4, 0.9, fz)
+
+
+@pytest.mark.parametrize(
+    ("truth", "effect"),
+    [
+        (_of_the_sliding_speed, "friction_speed_linear"),
+        (_with_an_offset, "slip_offset"),
+    ],
+)
+def test_the_verdict_is_the_same_at_any_size(truth, effect):
+    frame, _ = record(truth, seed=3)
+    first = diagnose(read_frame(frame), rig=RIG)
+    assert first.effects == (effect,) and first.verdict.status == "named"
+    for size in (MODEL_CAR, SECOND):
+        found = diagnose(read_frame(at_size(frame, **size)), rig=RIG)
+        assert found.verdict.status == first.verdict.status
+        assert found.effects == first.effects
+        assert found.verdict.probability == pytest.approx(
+            first.verdict.probability, abs=0.01
+        )
+        for one, other in zip(first.candidates[:2], found.candidates[:2], strict=True):
+            assert one.effects == other.effects
+
+
+def test_friction_may_rise_with_the_sliding_speed():
+    """Rubber at the speeds of a model car, by the logarithm of the sliding speed."""
+
+    def truth(slip, time, fz, v):
+        sliding = np.abs(v * slip / (1 + slip))
+        return brush(slip, 5e4, 0.8 * (1 + 0.08 * np.log1p(sliding / 0.5)), fz)
+
+    frame, _ = record(truth, seed=5)
+    found = diagnose(read_frame(at_size(frame, **MODEL_CAR)), rig=RIG)
+    assert found.effects[0].startswith("friction_speed")
+    (rise,) = found.candidates[0].parameters.values()
+    assert rise.value < -3 * rise.std
+
+
+def test_slip_at_half_of_the_force():
+    """1 - (1 - u)^3 = 1/2 of the brush, u of the slip of full sliding."""
+    slip = np.linspace(-0.3, 0.3, 4001)
+    full = 1.5 * 0.9 * 4000 / 5e4
+    right = (1 - 0.5 ** (1 / 3)) * full
+    noise = 0.02 * np.random.default_rng(0).standard_normal(len(slip))
+    found = half_force_slip(slip, brush(slip, 5e4, 0.9, 4000.0) / 4000 + noise)
+    assert found == pytest.approx(right, rel=0.1)
+    # Too few rows on the way up: the middle of what was driven.
+    assert half_force_slip([0.1, 0.2, 0.3], np.ones(3)) == pytest.approx(0.2)
+
+
+def _changed(effect, amplitude, rows, variant=0):
+    return atoms_of([BY_ID[effect]])[variant].change(null_state(), amplitude, rows)
+
+
+def _rows(**given):
+    return prepared_of(record(None)[0]).covariates._replace(**given)
+
+
+def test_a_load_off_by_a_constant_is_another_load():
+    rows = _rows(fz=np.array([0.5, 1.0, 1.5]))
+    friction = _changed("load_offset", 60.0, rows).friction
+    # Friction at the load of reference stays: it is the base model's to fit.
+    for load, factor in zip(4000 * rows.fz, friction, strict=True):
+        state = null_state()._replace(friction=factor * (1 + 0.06))
+        ours = force_of_state(
+            Brush(), None, state, 0.06, 0.0, TireInputs(0.06, 0.0, load)
+        )[0]
+        right = float(Brush()(TireInputs(0.06, 0.0, load + 240.0)).fx)
+        assert float(ours) == pytest.approx(right, rel=5e-3)
+
+
+def test_the_force_across_takes_its_part_of_the_friction():
+    rows = _rows(across=np.array([0.0, 1800.0, -3600.0]), peak=0.9, fz=1.0, load=4000.0)
+    found = _changed("friction_ellipse", 1.0, rows).friction
+    np.testing.assert_allclose(found, [1.0, np.sqrt(0.75), np.sqrt(0.05)], rtol=1e-9)
+
+
+def test_the_work_of_sliding_is_its_integral():
+    """At a constant slip work grows as time does; a cooling tire ends warm and even."""
+    time = np.linspace(0.0, 40.0, 401)
+    frame = {
+        "time": time,
+        "sigma_x": 0.2 + 0.01 * np.sin(9 * time),
+        "fx": np.full(401, 3000.0),
+        "fz": np.full(401, 4000.0),
+        "v": np.full(401, 10.0),
+    }
+    work = prepared_of(frame).covariates.work
+    np.testing.assert_allclose(np.ptp(work, axis=0), 1.0)
+    np.testing.assert_allclose(work.mean(axis=0), 0.0, atol=1e-12)
+    even = np.polyfit(time, work[:, 0], 1)
+    assert np.std(work[:, 0] - np.polyval(even, time)) < 0.01
+    # 1 - exp(-t / cooling), cooling a fifth of the record.
+    warm = -np.expm1(-time / 8.0)
+    assert np.corrcoef(warm, work[:, 1])[0, 1] > 0.999
+    paused = frame | {"time": time + 100.0 * (time > 20)}
+    cold = prepared_of(paused).covariates.work
+    assert cold[202, 2] < 0.1 + cold[:, 2].min() < cold[200, 2]
+
+
+def test_constants_of_an_effect_are_those_of_the_rows_fitted():
+    frame, _ = record(None, seed=1)
+    fitted = prepared_of(frame)
+    other = prepared_of(frame | {"fz": 2 * frame["fz"], "v": 3 * frame["v"]})
+    here = on_scale_of(other, fitted).covariates
+    np.testing.assert_allclose(here.fz, 2 * fitted.covariates.fz)
+    np.testing.assert_allclose(here.load, fitted.covariates.load)
+    np.testing.assert_allclose(here.brisk, fitted.covariates.brisk)
+    again = on_scale_of(fitted, fitted).covariates
+    for mine, same in zip(fitted.covariates, again, strict=True):
+        np.testing.assert_allclose(mine, same)
+
+
+TRUTHS = {
+    "slip_zero_drift": lambda s, t, fz, v: brush(
+        s - 0.012 * (t / t.max() - 0.5), 5e4, 0.9, fz
+    ),
+    "load_crosstalk": lambda s, t, fz, v: brush(s, 5e4, 0.9, fz) + 0.03 * fz,
+    "speed_zero": lambda s, t, fz, v: brush(s + 0.08 / v, 5e4, 0.9, fz),
+    "stiffness_speed": lambda s, t, fz, v: brush(s, 5e4 * (v / 12) ** 0.2, 0.9, fz),
+}
+
+
+@pytest.mark.parametrize("effect", ["load_crosstalk", "speed_zero", "stiffness_speed"])
+def test_effects_of_rigs_are_named(effect):
+    frame, _ = record(TRUTHS[effect], seed=6)
+    assert diagnose(read_frame(frame), rig=RIG).effects == (effect,)
+
+
+def test_every_effect_says_what_it_means_and_what_to_do():
+    for effect in EFFECTS:
+        assert effect.means and effect.remedy and effect.formula
+        assert effect.told_apart_by or effect.id == "relaxation_length"
+        assert set(effect.looks_like) <= set(BY_ID), effect.id
+        assert len(effect.per) in (1, len(effect.variants))
+    assert len(EFFECTS) >= 25 + 12
+
+
+def test_noise_of_a_speed_falls_with_the_speed(tmp_path):
+    path = tmp_path / "rig.toml"
+    path.write_text("[noise]\nfx = 40\nsigma_x = 0.003\nsigma_x_speed = 0.01\n")
+    rig = load_rig(path)
+    assert rig.slip_noise_speed("sigma_x") == 0.01
+    assert rig.slip_noise_speed("alpha") is None
+    frame, _ = record(None)
+    prepared = prepared_of(frame, rig)
+    right = np.sqrt(0.003**2 + (0.01 / frame["v"]) ** 2)
+    np.testing.assert_allclose(prepared.slip_std, right)
+    only = prepared_of(frame, Rig(noise={"sigma_x_speed": 0.01}))
+    np.testing.assert_allclose(only.slip_std, 0.01 / frame["v"])
+    bare = {name: frame[name] for name in frame if name != "v"}
+    with pytest.raises(DataError, match="v is not there"):
+        prepared_of(bare, rig)
+    # The same words in fit.toml, the same noise.
+    noise = {"sigma_x": 0.003, "sigma_x_speed": 0.01}
+    problem = build(read_frame(frame), "brush", parse_config({"noise": noise})).problem
+    np.testing.assert_allclose(problem.slip_noise["sigma_x"], right)
+
+
+def test_a_drift_of_the_slip_zero_is_no_friction():
+    """Half a per cent of slip over the record shifts; nothing multiplies."""
+    rows = _rows()
+    state = _changed("slip_zero_drift", 0.01, rows)
+    np.testing.assert_allclose(state.shift, 0.01 * jnp.asarray(rows.time), atol=1e-12)
+    assert float(state.friction) == float(state.stiffness) == 1.0
+
+
+def _lateral(seed=8):
+    """Sweeps of the slip angle with a yaw rate and an acceleration of their own."""
+    frame, _ = record(None, seed=seed)
+    time = frame["time"]
+    motion = {"yaw_rate": 0.8 * np.sin(1.7 * time), "a_x": 3 * np.sin(0.9 * time)}
+    slip, fz, v = frame["sigma_x"], frame["fz"], frame["v"]
+    noise = 0.01 * fz * np.random.default_rng(seed).standard_normal(len(fz))
+    return {"time": time, "alpha": np.arctan(slip), "fz": fz, "v": v}, motion, noise
+
+
+@pytest.mark.parametrize("effect", ["tracked_point", "load_transfer"])
+def test_effects_of_a_vehicle_are_named(effect):
+    """A slip angle of a point 0.15 m off the axle; a load that moves with a_x."""
+    frame, motion, noise = _lateral()
+    slip, fz = np.tan(frame["alpha"]), frame["fz"]
+    if effect == "tracked_point":
+        slip = slip + 0.15 * motion["yaw_rate"] / frame["v"]
+        force = brush(slip, 5e4, 0.9, fz)
+    else:
+        force = brush(slip, 5e4, 0.9, fz * (1 + 0.05 * motion["a_x"] / 3))
+    data = read_frame(frame | {"fy": force + noise})
+    data = replace(data, columns={**data.columns, **motion})
+    rig = Rig(noise={"fy_relative": 0.01, "alpha": 0.001})
+    found = diagnose(data, rig=rig)
+    assert found.effects == (effect,)
+    (size,) = found.candidates[0].parameters.values()
+    # 5 % of the load to either side is a tenth over the range of the acceleration.
+    right = {"tracked_point": 0.15, "load_transfer": 0.1}[effect]
+    assert abs(size.value - right) < 4 * size.std

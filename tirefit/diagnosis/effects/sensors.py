@@ -1,0 +1,169 @@
+"""Effects of sensors and rigs: zeros that move, channels that leak into one another."""
+
+import jax.numpy as jnp
+
+from tirefit.diagnosis.effects.free_forms import (
+    FRICTION_BY_LOAD,
+    over,
+    rise,
+    weight,
+)
+from tirefit.diagnosis.effects.record import Effect, blend, seldom
+
+__all__ = ["EFFECTS"]
+
+_WARMING = 0.2
+"""Way of a zero that settles as its amplifier warms up, as a share of the record."""
+
+
+def _settled(rows, constants):
+    """Even over the record, or quick at first; about its middle."""
+    late = 0.5 - jnp.exp(-(rows.time + 0.5) / _WARMING)
+    return blend(constants, rows.time, late)
+
+
+def _slip_drift(state, drift, constants, rows):
+    return state._replace(shift=state.shift + drift * _settled(rows, constants))
+
+
+def _force_drift(state, drift, constants, rows):
+    moved = 1e-3 * drift * rows.load * _settled(rows, constants)
+    return state._replace(force=state.force + moved)
+
+
+def _load_crosstalk(state, share, constants, rows):
+    del constants
+    return state._replace(force=state.force + 1e-3 * share * rows.load * rows.fz)
+
+
+def _load_offset(state, offset, constants, rows):
+    # A brush under another load is one of another friction: exact where the stiffness
+    # does not follow the load.
+    del constants
+    factor = jnp.maximum(1 + 1e-3 * offset * (1 / rows.fz - 1), 0.05)
+    return state._replace(friction=state.friction * factor)
+
+
+def _force_crosstalk(state, share, constants, rows):
+    del constants
+    return state._replace(force=state.force + share * rows.across)
+
+
+def _force_hysteresis(state, size, constants, rows):
+    plain, grown = constants
+    way = rows.turning * rows.side * (plain + grown * rows.usage)
+    return state._replace(force=state.force + 1e-3 * size * rows.load * way)
+
+
+SLIP_ZERO_DRIFT = Effect(
+    id="slip_zero_drift",
+    family="slip x time",
+    change=_slip_drift,
+    scale=0.3,
+    per=("slip",),
+    unit="- per record",
+    formula="slip + amplitude t",
+    means="the zero of the slip moves over the record",
+    remedy="zero heading, steering or wheel speed between runs, and cut runs shorter",
+    parameter="drift",
+    bounds=((-6.0, 6.0),),
+    odds=seldom,
+    needs=("time",),
+    variants=((1.0, 0.0), (0.0, 1.0)),
+    forms=over("shift", 0.1, "time", 4, rise),
+    looks_like=("force_zero_drift", "stiffness_drift", "friction_drift"),
+    told_apart_by="both signs",
+)
+FORCE_ZERO_DRIFT = Effect(
+    id="force_zero_drift",
+    family="force x time",
+    change=_force_drift,
+    scale=35.0,
+    unit="1e-3 mean F_z per record",
+    formula="force + amplitude t; zero drift of strain gauges, Hoffmann 1989",
+    means="the zero of the force sensor moves over the record",
+    remedy="tare between runs; subtract the zeros before and after, shared by time",
+    parameter="drift",
+    bounds=((-700.0, 700.0),),
+    odds=seldom,
+    needs=("time",),
+    variants=((1.0, 0.0), (0.0, 1.0)),
+    forms=over("force", 0.01, "time", 4, weight),
+    looks_like=("slip_zero_drift", "friction_drift"),
+    told_apart_by="both signs",
+)
+LOAD_CROSSTALK = Effect(
+    id="load_crosstalk",
+    family="force x load",
+    change=_load_crosstalk,
+    scale=25.0,
+    unit="1e-3 F_z",
+    formula="F_x + amplitude F_z; crosstalk of a balance, or rolling resistance",
+    means="a force in proportion to load stands at zero slip",
+    remedy="calibrate the crosstalk of F_z; subtract the rolling resistance",
+    parameter="share",
+    bounds=((-500.0, 500.0),),
+    odds=seldom,
+    needs=("loads",),
+    channels=("fx",),
+    forms=over("force", 0.01, "fz", 4, weight),
+    looks_like=("force_offset", "slip_offset"),
+    told_apart_by="both signs",
+)
+LOAD_OFFSET = Effect(
+    id="load_offset",
+    family="friction x load",
+    change=_load_offset,
+    scale=60.0,
+    unit="1e-3 mean F_z",
+    formula="F_z + amplitude",
+    means="the load is off by a constant",
+    remedy="check the zero of the load cell, and the mass of rim and hub",
+    bounds=((-400.0, 400.0),),
+    odds=seldom,
+    needs=("loads",),
+    forms=FRICTION_BY_LOAD,
+    looks_like=("load_friction", "load_stiffness"),
+    told_apart_by="loads",
+)
+FORCE_CROSSTALK = Effect(
+    id="force_crosstalk",
+    family="force x force",
+    change=_force_crosstalk,
+    scale=0.04,
+    unit="-",
+    formula="force + amplitude (force across); crosstalk of a balance",
+    means="the force across leaks into the force",
+    remedy="calibrate the balance with pure forces, and check that it stands square",
+    parameter="share",
+    bounds=((-0.8, 0.8),),
+    odds=seldom,
+    needs=("other force",),
+    looks_like=("combined_slip", "friction_ellipse"),
+    told_apart_by="pure slip",
+)
+FORCE_HYSTERESIS = Effect(
+    id="force_hysteresis",
+    family="force x direction",
+    change=_force_hysteresis,
+    scale=20.0,
+    unit="1e-3 mean F_z",
+    formula="force + amplitude sign(d slip / dt): dry friction in the rig",
+    means="the force sensor reads otherwise on the way up than on the way down",
+    remedy="grease or unload the guides of the sensor; take the mean of both ways",
+    bounds=((-400.0, 400.0),),
+    odds=seldom,
+    needs=("sweeps",),
+    variants=((1.0, 0.0), (0.0, 1.0)),
+    looks_like=("friction_hysteresis", "channel_delay", "relaxation_length"),
+    told_apart_by="two ramp rates",
+)
+
+EFFECTS = (
+    SLIP_ZERO_DRIFT,
+    FORCE_ZERO_DRIFT,
+    LOAD_CROSSTALK,
+    LOAD_OFFSET,
+    FORCE_CROSSTALK,
+    FORCE_HYSTERESIS,
+)

@@ -1,0 +1,206 @@
+"""Effects of the vehicle: radii that change, speeds with a zero, what is not measured
+where the tire is."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.diagnosis.effects.free_forms import (
+    SHIFT_BY_SPEED,
+    over,
+    rise,
+    weight,
+)
+from tirefit.diagnosis.effects.record import Effect, blend, seldom
+
+__all__ = ["EFFECTS"]
+
+_ALL_BUT = 0.95
+"""Share of the friction that a force across takes at most."""
+
+
+def _slip_load(state, share, constants, rows):
+    """About the usual load, or from none on."""
+    return state._replace(shift=state.shift + share * (rows.fz - constants[0]))
+
+
+def _slip_speed(state, share, constants, rows):
+    """A radius that grows with the speed, or with its square; zero at rest, or at the
+    usual speed."""
+    even, square, about = constants
+    grown = blend((even, square), rows.v, rows.v**2 / rows.cruise)
+    return state._replace(shift=state.shift + share * (grown - about * rows.cruise))
+
+
+def _speed_zero(state, zero, constants, rows):
+    del constants
+    return state._replace(shift=state.shift + zero / rows.pace)
+
+
+def _drag(state, share, constants, rows):
+    ratio = rows.v / rows.cruise
+    drag = share * blend(constants, ratio, ratio**2)
+    return state._replace(force=state.force + 1e-3 * rows.load * drag)
+
+
+def _ellipse(state, share, constants, rows):
+    del constants
+    used = rows.across / (rows.peak * rows.fz * rows.load)
+    left = jnp.sqrt(1 - jnp.clip(share * used**2, -3.0, _ALL_BUT))
+    return state._replace(friction=state.friction * left)
+
+
+def _tracked_point(state, lever, constants, rows):
+    del constants
+    return state._replace(shift=state.shift + lever * rows.yaw)
+
+
+def _load_transfer(state, share, constants, rows):
+    del constants
+    factor = jnp.maximum(1 + share * rows.ahead, 0.05)
+    return state._replace(friction=state.friction * factor)
+
+
+def _one_speed_of_the_slip(prepared) -> float:
+    """A slip that follows the speed is hardly told from one of the force."""
+    speed, slip = prepared.covariates.v, np.abs(prepared.slip)
+    alike = abs(np.corrcoef(speed, slip)[0, 1]) if np.ptp(speed) > 0 else 0.0
+    return seldom(prepared) - 2 * float(alike > 0.9)
+
+
+SLIP_LOAD = Effect(
+    id="slip_offset_load",
+    family="slip x load",
+    change=_slip_load,
+    scale=0.2,
+    per=("slip",),
+    unit="-",
+    formula="slip + amplitude (F_z / F_z0 - 1); effective rolling radius, Pacejka 1.2",
+    means="the zero of the slip moves with load",
+    remedy="take the rolling radius (steering zero) as a function of load",
+    bounds=((-4.0, 4.0),),
+    odds=seldom,
+    needs=("loads",),
+    forms=over("shift", 0.1, "fz", 4, rise),
+    variants=((1.0,), (0.0,)),
+    looks_like=("load_crosstalk", "conicity", "load_stiffness"),
+    told_apart_by="both signs",
+)
+SLIP_SPEED = Effect(
+    id="slip_offset_speed",
+    family="slip x speed",
+    change=_slip_speed,
+    scale=0.3,
+    per=("growth",),
+    unit="s/m",
+    formula="slip + amplitude v: a tire that grows with its speed",
+    means="the zero of the slip moves with speed",
+    remedy="take the rolling radius as a function of speed",
+    bounds=((-6.0, 6.0),),
+    odds=_one_speed_of_the_slip,
+    needs=("speeds",),
+    variants=(
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (1.0, 0.0, 1.0),
+        (0.0, 1.0, 1.0),
+    ),
+    forms=SHIFT_BY_SPEED,
+    looks_like=("speed_zero", "speed_drag"),
+    told_apart_by="both signs",
+)
+SPEED_ZERO = Effect(
+    id="speed_zero",
+    family="slip x speed",
+    change=_speed_zero,
+    scale=0.3,
+    per=("inverse_speed",),
+    unit="m/s",
+    formula="slip + amplitude / v",
+    means="a speed is off by a constant, so that the slip is at low speed",
+    remedy="check the zeros of the speed sensors at rest (ahead, across, of the wheel)",
+    parameter="zero",
+    bounds=((-6.0, 6.0),),
+    odds=_one_speed_of_the_slip,
+    needs=("speeds",),
+    forms=SHIFT_BY_SPEED,
+    looks_like=("slip_offset_speed", "speed_drag"),
+    told_apart_by="both signs",
+)
+SPEED_DRAG = Effect(
+    id="speed_drag",
+    family="force x speed",
+    change=_drag,
+    scale=25.0,
+    unit="1e-3 mean F_z",
+    formula="force + amplitude v / v0, or amplitude (v / v0)^2",
+    means="a force that follows the speed is taken for one of the tire: drag, bearings",
+    remedy="coast down and subtract what is measured then",
+    bounds=((-500.0, 500.0),),
+    odds=_one_speed_of_the_slip,
+    needs=("speeds",),
+    channels=("fx",),
+    variants=((1.0, 0.0), (0.0, 1.0)),
+    forms=over("force", 0.01, "v", 4, weight),
+    looks_like=("slip_offset_speed", "speed_zero"),
+    told_apart_by="both signs",
+)
+ELLIPSE = Effect(
+    id="friction_ellipse",
+    family="friction x force",
+    change=_ellipse,
+    scale=0.3,
+    unit="-",
+    formula="mu sqrt(1 - amplitude (F_across / (mu F_z))^2)",
+    means="the force across (drive, brake or cornering) takes its part of the friction",
+    remedy="fit a combined model to both forces, or leave rows with a force across out",
+    parameter="share",
+    bounds=((0.0, 6.0),),
+    center=1.0,
+    needs=("other force",),
+    forms=over("friction", 0.03, "across", 5),
+    looks_like=("combined_slip", "force_crosstalk"),
+    told_apart_by="pure slip",
+)
+TRACKED_POINT = Effect(
+    id="tracked_point",
+    family="slip x yaw",
+    change=_tracked_point,
+    scale=0.3,
+    per=("lever",),
+    unit="m",
+    formula="slip angle + amplitude (yaw rate) / v",
+    means="the slip angle is that of another point than the axle",
+    remedy="move the tracked point by the amplitude along the vehicle",
+    parameter="distance",
+    bounds=((-6.0, 6.0),),
+    needs=("yaw_rate", "v"),
+    channels=("fy", "mz"),
+    looks_like=("slip_offset", "carcass_flexibility"),
+    told_apart_by="speeds",
+)
+LOAD_TRANSFER = Effect(
+    id="load_transfer",
+    family="friction x acceleration",
+    change=_load_transfer,
+    scale=0.15,
+    unit="over the range of the file",
+    formula="F_z (1 + amplitude a_x): m h a_x / (F_z wheelbase)",
+    means="the load moves between the axles with the acceleration, and fz does not",
+    remedy="add m h a_x / wheelbase to fz",
+    parameter="share",
+    bounds=((-1.9, 1.9),),
+    needs=("a_x",),
+    forms=over("friction", 0.03, "ahead", 4),
+    looks_like=("drive_brake_asymmetry", "friction_ellipse"),
+    told_apart_by="loads",
+)
+
+EFFECTS = (
+    SLIP_LOAD,
+    SLIP_SPEED,
+    SPEED_ZERO,
+    SPEED_DRAG,
+    ELLIPSE,
+    TRACKED_POINT,
+    LOAD_TRANSFER,
+)

@@ -1,0 +1,107 @@
+"""Effects of the condition of the tire: inflation, speed, warmth without a
+thermometer."""
+
+import jax.numpy as jnp
+
+from tirefit.diagnosis.effects.free_forms import Form, over
+from tirefit.diagnosis.effects.record import Effect, seldom
+
+__all__ = ["EFFECTS"]
+
+_SHARE = (-1.9, 1.9)
+"""A share between the ends of a range below two keeps a factor positive at both."""
+
+_SYMBOLS = {"friction": "mu", "stiffness": "c_p a^2"}
+_FITTED = {"friction": "mu", "stiffness": "cpa2"}
+
+
+def _factor(state, name, factor):
+    factor = jnp.maximum(factor, 0.05)
+    return state._replace(**{name: getattr(state, name) * factor})
+
+
+def _inflated(name):
+    def change(state, share, constants, rows):
+        del constants
+        return _factor(state, name, 1 + share * rows.inflation)
+
+    return change
+
+
+def _worked(name):
+    """With the work of sliding so far, under one of its coolings."""
+
+    def change(state, share, constants, rows):
+        return _factor(state, name, 1 + share * rows.work @ jnp.asarray(constants))
+
+    return change
+
+
+def _rolled(state, power, constants, rows):
+    del constants
+    return _factor(state, "stiffness", (rows.pace / rows.cruise) ** power)
+
+
+def _with_pressure(name: str, size: float, form: float):
+    return Effect(
+        id=f"{name}_pressure",
+        family=f"{name} x inflation",
+        change=_inflated(name),
+        scale=size,
+        unit="over the range of the file",
+        formula=f"{_SYMBOLS[name]} (1 + amplitude (p - p0) / range), Besselink 2010",
+        means=f"{name} changes with the inflation pressure",
+        remedy=f"fit {_FITTED[name]} for each pressure",
+        bounds=(_SHARE,),
+        needs=("pressure",),
+        forms=over(name, form, "inflation", 4),
+        looks_like=(f"{name}_drift", f"{name}_temperature"),
+        told_apart_by="random order",
+    )
+
+
+def _with_work(name: str, size: float):
+    return Effect(
+        id=f"{name}_warming",
+        family=f"{name} x work",
+        change=_worked(name),
+        scale=size,
+        unit="over the range of the file",
+        formula=f"{_SYMBOLS[name]} (1 + amplitude W), dW/dt = |F| v_s - W / cooling",
+        means=f"{name} follows the work of sliding: the tire warms up, or wears",
+        remedy="measure its temperature; warm the tire up first and pause between runs",
+        bounds=(_SHARE,),
+        odds=seldom,
+        needs=("work", "v"),
+        variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        forms=(Form(name, size, lambda rows, u: rows.work),),
+        looks_like=(f"{name}_drift", f"{name}_temperature"),
+        told_apart_by="random order",
+    )
+
+
+STIFFNESS_SPEED = Effect(
+    id="stiffness_speed",
+    family="stiffness x speed",
+    change=_rolled,
+    scale=0.12,
+    unit="-",
+    formula="c_p a^2 (v / v0)^amplitude",
+    means="stiffness is a power of the speed: rubber and belt stiffen",
+    remedy="fit cpa2 for each speed",
+    parameter="power",
+    bounds=((-1.5, 1.5),),
+    odds=seldom,
+    needs=("speeds",),
+    forms=over("stiffness", 0.05, "v", 4),
+    looks_like=("relaxation_length", "stiffness_drift"),
+    told_apart_by="speeds",
+)
+
+EFFECTS = (
+    _with_pressure("friction", 0.12, 0.03),
+    _with_pressure("stiffness", 0.2, 0.06),
+    _with_work("friction", 0.15),
+    _with_work("stiffness", 0.2),
+    STIFFNESS_SPEED,
+)
