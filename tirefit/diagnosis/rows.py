@@ -286,12 +286,9 @@ def on_scale_of(prepared: Prepared, fitted: Prepared) -> Prepared:
     here, there = prepared.covariates, fitted.covariates
     typical = ("load", "brisk", "cruise", "rise", "peak")
     constants = {name: np.full(prepared.n, getattr(there, name)[0]) for name in typical}
-    return replace(
-        prepared,
-        covariates=here._replace(
-            fz=prepared.inputs.fz * (there.fz[0] / fitted.inputs.fz[0]), **constants
-        ),
-    )
+    first = np.asarray(fitted.inputs.fz)[0]
+    load = np.asarray(prepared.inputs.fz) * (there.fz[0] / first)
+    return replace(prepared, covariates=here._replace(fz=load, **constants))
 
 
 def thinned(prepared: Prepared, most: int) -> Prepared:
