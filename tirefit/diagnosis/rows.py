@@ -286,11 +286,9 @@ def on_scale_of(prepared: Prepared, fitted: Prepared) -> Prepared:
     here, there = prepared.covariates, fitted.covariates
     typical = ("load", "brisk", "cruise", "rise", "peak")
     constants = {name: np.full(prepared.n, getattr(there, name)[0]) for name in typical}
+    usual = np.asarray(fitted.inputs.fz)[0] / there.fz[0]
     return replace(
-        prepared,
-        covariates=here._replace(
-            fz=prepared.inputs.fz * (there.fz[0] / fitted.inputs.fz[0]), **constants
-        ),
+        prepared, covariates=here._replace(fz=prepared.inputs.fz / usual, **constants)
     )
 
 
