@@ -20,8 +20,9 @@ from tirefit.models import Asymmetric, Brush, TireInputs
 GAP = ["rms", "resolvable", "closed", "closed_ci", "remaining_rms"]
 KEYS = {
     "": [
-        "schema", "data", "model", "n", "n_effective", "noise", "gap", "where", "map",
-        "verdict", "candidates", "untestable", "resolution", "forecast",
+        "schema", "data", "model", "simulator", "n", "n_effective", "noise", "gap",
+        "budget", "where", "map", "verdict", "candidates", "untestable", "resolution",
+        "forecast",
         "next_measurement", "next_measurement_reason", "slip_check", "base_parameters",
         "extended_parameters", "settings", "seed", "version",
     ],
@@ -34,7 +35,10 @@ KEYS = {
     "gap holdout": [*GAP, "on"],
     "where 0": ["covariate", "low", "high", "share", "p_value"],
     "map 0": ["parameter", "covariate", "log_evidence", "explains"],
-    "verdict": ["status", "effects", "probability", "also_possible", "adequacy"],
+    "budget 0": ["part", "rms", "share", "closed_ci"],
+    "verdict": [
+        "status", "effects", "probability", "also_possible", "adequacy", "parameters"
+    ],
     "verdict adequacy": [
         "time", "slip_order", "line", "pure_error", "local", "held_out", "passed"
     ],

@@ -10,6 +10,7 @@ from conftest_diagnosis import brush
 from scipy.optimize import least_squares
 
 from tirefit.data.read import read_frame
+from tirefit.diagnosis.budget import _energies
 from tirefit.diagnosis.closure import block_means
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
@@ -231,6 +232,16 @@ def test_parts_of_blocks_are_means_over_whole_blocks():
     # Two blocks of fifty rows each: only three means can be drawn.
     assert set(np.unique(drawn[:, 0])) == {1.0, 2.0, 3.0}
     np.testing.assert_array_equal(drawn[:, 1], 1.0)
+
+
+def test_a_part_that_makes_matters_worse_counts_nothing():
+    # Two parts, what is left, noise, whole: closed are 6 of 10.
+    means = np.array([[7.0, -1.0, 4.0, 1.0, 10.0], [2.0, 4.0, 4.0, 5.0, 10.0]])
+    wanted = [[6.0, 0.0, 3.0, 1.0, 10.0], [2.0, 4.0, 0.0, 4.0, 10.0]]
+    np.testing.assert_allclose(_energies(means), wanted)
+    # Nothing closed anything: all is left, even where the fit is worse than none.
+    worse = _energies(np.array([-2.0, -1.0, 13.0, 1.0, 10.0]))
+    np.testing.assert_allclose(worse, [0.0, 0.0, 9.0, 1.0, 10.0])
 
 
 def test_what_cannot_be_a_simulator_is_refused(frame):

@@ -61,7 +61,7 @@ def budget_of(case: Case, extended, generator) -> tuple[Part, ...]:
     return tuple(
         Part(
             part=name,
-            rms=float(np.sqrt(max(value, 0.0))),
+            rms=float(np.sqrt(value)),
             share=float(value / energy[-1]),
             closed_ci=(float(ends[0]), float(ends[1])),
         )
@@ -73,13 +73,21 @@ def budget_of(case: Case, extended, generator) -> tuple[Part, ...]:
 
 
 def _energies(means):
-    """(..., parts + 3), of the parts, of what is left, of the noise and of the whole ->
-    the same with what is left beyond the noise, and the noise that is left."""
-    means = np.array(means)
-    left, noise = means[..., -3].copy(), means[..., -2].copy()
-    means[..., -3] = np.maximum(left - noise, 0.0)
-    means[..., -2] = np.minimum(left, noise)
-    return means
+    """Means (..., parts + 3) of the parts, of what is left, of the noise and of the
+    whole -> the same, none below zero, with what is left beyond the noise and the noise
+    that is left: all but the last add to the last.
+
+    A part that makes matters worse, as where it serves another channel, counts nothing;
+    the others share what was closed.
+    """
+    parts = np.maximum(means[..., :-3], 0.0)
+    left, noise, whole = (means[..., k] for k in (-3, -2, -1))
+    total = np.sum(parts, axis=-1)
+    left = np.where(total > 0, np.minimum(left, whole), whole)
+    parts = parts * ((whole - left) / np.where(total > 0, total, 1.0))[..., None]
+    noise = np.minimum(left, noise)
+    rest = np.stack([left - noise, noise, whole], axis=-1)
+    return np.concatenate([parts, rest], axis=-1)
 
 
 def _missed(

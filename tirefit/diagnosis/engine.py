@@ -117,7 +117,13 @@ def _level(base: Base) -> np.ndarray:
 
 
 def _studied(
-    prepared: Prepared, model, rig, effects, without, generator, given: Given | None
+    prepared: Prepared,
+    model,
+    rig,
+    effects,
+    without,
+    generator,
+    given: Given | None = None,
 ) -> Case:
     base = fit_base(prepared, model, effects, rig, given)
     testable, untestable = _testable(prepared, base.atoms, without)

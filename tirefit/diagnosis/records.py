@@ -175,8 +175,8 @@ class Part(NamedTuple):
     """A part of the distance from a base to the measurement of the first channel.
 
     ``part`` is parameters, the id of an effect, unexplained or noise; ``share`` is that
-    of the energy (mean square), with its 90 % interval, ``rms`` [N] its root. Effects
-    that need each other may have a negative share: their rms is 0.
+    of the energy (mean square), with its 90 % interval, ``rms`` [N] its root; the
+    shares add to one.
     """
 
     part: str
