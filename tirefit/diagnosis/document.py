@@ -56,7 +56,12 @@ def document_of(
     gaps = _gaps(case, believed, generator)
     candidates = _candidates(case, generator)
     held = held_out(case, holdout, rig, generator)
-    bound = bound_by(verdict, case.weighed, gaps[main].closed, held)
+    # A simulator is not refitted for its own side of the comparison: on a regime left
+    # out, its parameters' extrapolation would be held against the effects.
+    is_fair = base.simulator is None or bool(holdout)
+    bound = bound_by(
+        verdict, case.weighed, gaps[main].closed, held if is_fair else None
+    )
     if bound.status != verdict.status:
         case = replace(case, verdict=bound)
         return document_of(case, whole, rig, effects, holdout, generator, model, seed)
