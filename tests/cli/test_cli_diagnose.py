@@ -161,7 +161,7 @@ PARTS = {
     "gap": {"rms", "resolvable", "closed", "closed_ci", "remaining_rms", "holdout"},
     "where": {"covariate", "low", "high", "share", "p_value"},
     "verdict": {
-        "status", "effects", "probability", "also_possible", "parameters",
+        "status", "effects", "probability", "also_possible", "adequacy", "parameters",
     },
     "candidates": {
         "effects", "family", "probability", "parameters", "z", "z_given_rivals",

@@ -20,7 +20,7 @@ GAPS = ("none", "shift", "ripple", "late", "step", "kappa", "load", "half", "noi
 OFTEN_NONE = {
     "closed", "closed_ci", "z", "z_given_rivals", "holdout", "taken_for", "settings",
     "path", "sha256", "given", "slip_check", "next_measurement_reason",
-    "simulator",
+    "simulator", "adequacy",
 }  # fmt: skip
 """Keys that may have no value: too small a gap to say, nothing that it is taken for."""
 

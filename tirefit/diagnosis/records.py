@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from tirefit.diagnosis.adequacy import Adequacy
+from tirefit.diagnosis.adequacy import UNTESTED, Adequacy
 from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.rig import Rig
 
@@ -150,7 +150,7 @@ class VerdictSummary:
     effects: tuple[str, ...]
     probability: float
     also_possible: tuple[str, ...]
-    adequacy: Adequacy
+    adequacy: Adequacy = UNTESTED
     parameters: Mapping[str, "Change"] = field(default_factory=dict)
 
     @property
