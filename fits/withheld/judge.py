@@ -101,7 +101,7 @@ def judge(name: str, label: dict, result: dict) -> Outcome:
     a, truth = answer_of(result), frozenset(label["effects"])
     unknown = a.status in ("unknown", "incomplete") or "unknown" in a.effects
     flagged = a.status != "none" and (bool(a.mean) or unknown)
-    hidden = label["set"] in ("unlisted", "leave_out", "foreign")
+    hidden = label["set"] in ("unlisted", "leave_out", "foreign", "procedural")
     exact = flagged and not hidden and bool(truth) and a.mean == truth
     if label["set"] == "injected":  # the measured data has a gap of its own as well
         exact = truth <= a.mean

@@ -97,6 +97,13 @@ def summary(labels: dict, outcomes: dict[str, Outcome]) -> dict:
         "exact or said so (cannot_tell)": share(o.exact_or_alias for o in singles),
         "unlisted called unknown or incomplete": share(o.unknown for o in unlisted),
         "unlisted named at > .9": share(o.sure_wrong for o in unlisted),
+        "procedural called unknown or incomplete": share(
+            o.unknown for o in of("procedural")
+        ),
+        "procedural, mimic-free >= 5, flagged": share(
+            o.unknown for o in of("procedural") if labels[o.name]["mimic_free"] >= 5
+        ),
+        "procedural named at > .9": share(o.sure_wrong for o in of("procedural")),
         "family left out, flagged": share(o.unknown for o in of("leave_out")),
         "family left out, named at > .9": share(o.sure_wrong for o in of("leave_out")),
         "foreign truth, flagged": share(o.unknown for o in of("foreign")),

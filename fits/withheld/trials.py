@@ -197,7 +197,7 @@ SETS = {
 
 MIXTURE = (
     *("singles", "null", "unlisted") * 2, "singles", "null", "singles", "pairs",
-    "leave_out", "foreign", "injected",
+    "leave_out", "foreign", "injected", "procedural", "procedural",
 )  # fmt: skip
 """Sets in turn when all are asked for."""
 
