@@ -56,12 +56,7 @@ def document_of(
     gaps = _gaps(case, believed, generator)
     candidates = _candidates(case, generator)
     held = held_out(case, holdout, rig, generator)
-    # A simulator is not refitted for its own side of the comparison: on a regime left
-    # out, its parameters' extrapolation would be held against the effects.
-    is_fair = base.simulator is None or bool(holdout)
-    bound = bound_by(
-        verdict, case.weighed, gaps[main].closed, held if is_fair else None
-    )
+    bound = _bound(case, gaps[main].closed, held, bool(holdout))
     if bound.status != verdict.status:
         case = replace(case, verdict=bound)
         return document_of(case, whole, rig, effects, holdout, generator, model, seed)
@@ -111,6 +106,16 @@ def document_of(
         library=tuple(effects),
         meanings={p.name: p.spec.meaning for p in base.layout.free},
     )  # fmt: skip
+
+
+def _bound(case: Case, closed: float | None, held: HeldOut | None, on_files: bool):
+    """The verdict that the figures on rows left out allow.
+
+    A simulator is not refitted for its own side of the comparison: on a regime left
+    out, its parameters' extrapolation would be held against the effects.
+    """
+    is_fair = case.base.simulator is None or on_files
+    return bound_by(case.verdict, case.weighed, closed, held if is_fair else None)
 
 
 def _rows(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
