@@ -45,7 +45,7 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
 def read_trial(path: Path, rig: dict) -> tuple[Inputs, np.ndarray]:
     """Inputs and the forces (moment behind them) of a file, all rows."""
     columns = read_columns(path)
-    force = "fx" if "fx" in columns else "fy"
+    force = "fx" if "sigma_x" in columns else "fy"
     slip = columns["sigma_x"] if force == "fx" else np.tan(columns["alpha"])
     time, fz = columns["time"], columns["fz"]
     gaps = np.diff(time) > 5 * np.median(np.diff(time))
