@@ -133,7 +133,8 @@ def draw_evidence(figure, bars: list[Bar]) -> None:
     tidy(axes, "probability")
     axes.set_yticks(places, [plain_text(bar.label) for bar in bars])
     axes.set_xlim(0, 1)
-    _title(axes, "Which: explanations of the gap", "blue: the verdict")
+    note = "by evidence, before what they leave is tested; blue: the verdict"
+    _title(axes, "Which: explanations of the gap", note)
 
 
 def draw_comparison(figure, panel: Comparison, after: str) -> None:
