@@ -11,6 +11,7 @@ import csv
 import tempfile
 from pathlib import Path
 
+from fits.diagnosis_measured.make_data import thinned
 from tirefit import derive_files
 
 HERE = Path(__file__).parent
@@ -32,21 +33,7 @@ def main() -> None:
             derive_files(logs, vehicle / "vehicle.toml", whole)
             with whole.open() as file:
                 rows = list(csv.DictReader(file))
-        (HERE / f"{name}.csv").write_text("\n".join(_lines(rows)) + "\n")
-
-
-def _lines(rows: list[dict]) -> list[str]:
-    lines = [",".join(rows[0])]
-    for run in dict.fromkeys(row["run"] for row in rows):
-        for row in [row for row in rows if row["run"] == run][::EVERY]:
-            numbers = [
-                f"{float(row['time']):.2f}", f"{float(row['alpha']):.5f}",
-                f"{float(row['fy']):.4f}", f"{float(row['fz']):.4f}",
-                f"{float(row['v']):.4f}",
-            ]  # fmt: skip
-            short = run.removeprefix("car_1_Datarecording_")
-            lines.append(",".join([*numbers, short]))
-    return lines
+        (HERE / f"{name}.csv").write_text("\n".join(thinned(rows, EVERY)) + "\n")
 
 
 if __name__ == "__main__":

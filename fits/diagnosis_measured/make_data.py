@@ -19,6 +19,21 @@ EVERY = 20
 """Rows of 0.01 s from one written row to the next."""
 
 
+def thinned(rows: list[dict], every: int) -> list[str]:
+    """Lines of a CSV file: the header, then every so many rows of each run."""
+    lines = [",".join(rows[0])]
+    for run in dict.fromkeys(row["run"] for row in rows):
+        for row in [row for row in rows if row["run"] == run][::every]:
+            numbers = [
+                f"{float(row['time']):.2f}", f"{float(row['alpha']):.5f}",
+                f"{float(row['fy']):.4f}", f"{float(row['fz']):.4f}",
+                f"{float(row['v']):.4f}",
+            ]  # fmt: skip
+            short = run.removeprefix("car_1_Datarecording_")
+            lines.append(",".join([*numbers, short]))
+    return lines
+
+
 def main() -> None:
     logs = sorted(LOGS.glob("*/*.csv.gz"), key=lambda log: log.name)
     for name, some in (("diagnosed", logs[:3]), ("held_out", logs[3:])):
@@ -27,17 +42,7 @@ def main() -> None:
             derive_files(some, LOGS / "vehicle.toml", whole)
             with whole.open() as file:
                 rows = list(csv.DictReader(file))
-        lines = [",".join(rows[0])]
-        for run in dict.fromkeys(row["run"] for row in rows):
-            for row in [row for row in rows if row["run"] == run][::EVERY]:
-                numbers = [
-                    f"{float(row['time']):.2f}", f"{float(row['alpha']):.5f}",
-                    f"{float(row['fy']):.4f}", f"{float(row['fz']):.4f}",
-                    f"{float(row['v']):.4f}",
-                ]  # fmt: skip
-                short = run.removeprefix("car_1_Datarecording_")
-                lines.append(",".join([*numbers, short]))
-        (HERE / f"{name}.csv").write_text("\n".join(lines) + "\n")
+        (HERE / f"{name}.csv").write_text("\n".join(thinned(rows, EVERY)) + "\n")
 
 
 if __name__ == "__main__":

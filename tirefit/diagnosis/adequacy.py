@@ -36,8 +36,8 @@ _UNSUPPORTED = 0.02
 nothing can be predicted there."""
 
 LEVEL = 0.005
-"""A p-value below which a remainder is said to be there: one right answer in 200 fails
-each test. Of the six, 3 % of right answers fail one or more, for they go together."""
+"""A p-value below which a remainder is said to be there: noise fails each test once in
+200 files, and one of the six in 34 files at most."""
 
 
 class Adequacy(NamedTuple):
