@@ -3,14 +3,15 @@ measurement."""
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.compiled import compiled
 from tirefit.fitting.inference import half_width_95
-from tirefit.fitting.likelihood import row_forces
+from tirefit.fitting.likelihood import FitProblem, moments
 from tirefit.fitting.result import FitResult
 from tirefit.models import TireInputs
+from tirefit.padding import pad_rows, padded_size
 from tirefit.params import unconstrain
 
 __all__ = ["Band", "fitted_force", "force_band"]
@@ -29,22 +30,39 @@ class Band(NamedTuple):
     noise_high: np.ndarray
 
 
-@compiled(static=("layout", "channel"))
-def _forces(model, layout, z, inputs, run, channel):
-    """One channel at one z: small, so that a figure waits little for its compiler."""
-    return row_forces(model, layout, z, inputs, run)[channel]
+def _elsewhere(problem: FitProblem, inputs: TireInputs, run) -> list[FitProblem]:
+    """The problem at inputs (m,) of its own, the slip there exact, in blocks of as many
+    rows as it has: a figure waits for no program that the fit has not compiled.
+
+    A transient tire takes them as one series.
+    """
+    room, count = len(problem.rows.weight), len(run)
+    if problem.model.transient:
+        room = max(room, padded_size(count))
+    rows = jax.tree.map(lambda a: pad_rows(a, room), problem.rows._replace(nodes={}))
+
+    def block(first: int) -> FitProblem:
+        there, of_run = jax.tree.map(
+            lambda a: pad_rows(a[first : first + room], room), (inputs, run)
+        )
+        return problem.with_rows(**rows._replace(inputs=there, run=of_run)._asdict())
+
+    return [block(first) for first in range(0, count, room)]
 
 
-def fitted_force(result: FitResult, channel: str, inputs: TireInputs, run, z=None):
+def _force_at(blocks: list[FitProblem], channel: str, z) -> np.ndarray:
+    return np.concatenate([moments(block, z)[0][channel] for block in blocks])
+
+
+def fitted_force(result: FitResult, channel: str, inputs: TireInputs, run):
     """One force (m,) of a fit at inputs of its own.
 
     Args:
+        channel: one that was fitted.
         inputs: (m,) each; ``run`` (m,) the run that each belongs to.
-        z: unconstrained parameters; the estimate if None.
     """
-    problem, z = result.problem, jnp.asarray(result.z if z is None else z)
-    run = jnp.asarray(run)
-    return np.asarray(_forces(problem.model, problem.layout, z, inputs, run, channel))
+    blocks = _elsewhere(result.problem, inputs, run)
+    return _force_at(blocks, channel, result.z)[: len(run)]
 
 
 def _z_draws(result: FitResult) -> np.ndarray:
@@ -70,8 +88,10 @@ def _curve_band(result: FitResult, channel: str, inputs: TireInputs, run):
     z around the estimate, with the slopes from central differences.
     """
 
+    blocks = _elsewhere(result.problem, inputs, run)
+
     def at(z):
-        return fitted_force(result, channel, inputs, run, z)
+        return _force_at(blocks, channel, z)[: len(run)]
 
     force = at(result.z)
     if result.chains is not None:

@@ -109,7 +109,7 @@ def _start_and_peak(force):
     return slopes[0], jnp.where(slip < 0.999 * _LARGEST_SLIP, slip, jnp.nan), peak
 
 
-@compiled(static=("layout", "channel", "run"))
+@compiled(static=("layout", "channel", "run"), brief=True)
 def derived_values(model, layout: Layout, z, channel, fz, v, run: int = 0):
     """Derived quantities of a batch of parameter vectors.
 

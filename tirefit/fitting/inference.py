@@ -194,7 +194,7 @@ jax.export.register_namedtuple_serialization(
 )
 
 
-@compiled()
+@compiled(brief=True)
 def linearise(problem: FitProblem, z: Float[Array, " p"]) -> Linearised:
     """All that the analysis of an estimate needs of the model, in one program."""
 
@@ -221,7 +221,7 @@ def deviance_at(problem: FitProblem, at: Linearised) -> float:
     )
 
 
-@compiled()
+@compiled(brief=True)
 def _hessian(problem: FitProblem, z: Float[Array, " p"]) -> Float[Array, "p p"]:
     def half(z):
         values, _ = residuals(problem, z)

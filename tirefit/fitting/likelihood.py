@@ -304,7 +304,7 @@ def root_deviance(
     return _blocks(problem, _channel_forces(problem, z))
 
 
-@compiled()
+@compiled(brief=True)
 def moments(problem: FitProblem, z: Float[Array, " p"]):
     """Mean and variance of each fitted force given the measured slip, by channel (n,).
 
@@ -328,7 +328,7 @@ def row_moments(problem: FitProblem, z) -> tuple[dict, dict]:
     )
 
 
-@compiled()
+@compiled(brief=True)
 def noise_factor(problem: FitProblem, z: Float[Array, " p"]) -> Float[Array, ""]:
     """Factor on all force scales that maximises the likelihood of rows with noisy slip.
 

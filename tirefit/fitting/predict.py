@@ -24,7 +24,7 @@ from tirefit.results import DataError, InputProblem, UsageError
 __all__ = ["predict", "predict_forces"]
 
 
-@compiled(static=("layout",))
+@compiled(static=("layout",), brief=True)
 def _linearised(model, layout, z, covariance, inputs, run):
     def force(z):
         each = row_forces(model, layout, z, inputs, run)

@@ -92,31 +92,45 @@ class AbstractCarcass(AbstractTire):
             pressure: how the load is spread.
         """
 
-    def breakaway(self, rho, pressure: AbstractPressure):
-        """u in [0, 2] where the bristle that sticks needs just what the road gives."""
-
-        def excess(u, tire, rho, pressure):
-            return tire.patch(u, rho, pressure).stress - pressure.density(u)
-
-        held = jax.lax.stop_gradient((self, rho, pressure))
+    def _ends(self, rho, pressure: AbstractPressure):
+        """u in [0, 2] on either side of the breakaway point, 3e-8 apart, without
+        slopes: the bristle there needs just what the road gives."""
+        tire, rho, pressure = jax.lax.stop_gradient((self, rho, pressure))
 
         def halve(_, ends):
             low, high = ends
             middle = (low + high) / 2
-            slides = excess(middle, *held) > 0
+            stress = tire.patch(middle, rho, pressure).stress
+            slides = stress > pressure.density(middle)
             return jnp.where(slides, middle, low), jnp.where(slides, high, middle)
 
-        rest = jnp.zeros_like(held[1])
-        low, high = jax.lax.fori_loop(0, 26, halve, (rest, rest + 2))
-        # One Newton step, of which the slope is that of the implicit function.
-        u = (low + high) / 2
-        value, slope = jax.jvp(
-            lambda u: excess(u, self, rho, pressure), (u,), (jnp.ones_like(u),)
-        )
-        slope = jax.lax.stop_gradient(slope)
-        partly = (low > 0) & (high < 2) & (slope < 0)
-        u = u - value / jnp.where(partly, slope, 1.0)
-        return jnp.where(partly, u, jnp.where(low > 0, 2.0, 0.0))
+        rest = jnp.zeros_like(rho)
+        return jax.lax.fori_loop(0, 26, halve, (rest, rest + 2))
+
+    def settled(self, rho, pressure: AbstractPressure) -> Patch:
+        """The patch that slides behind its breakaway point, at demand rho."""
+        low, high = self._ends(rho, pressure)
+        end = jnp.where(low > 0, 2.0, 0.0)
+
+        def excess_and_patch(u):
+            patch = self.patch(u, rho, pressure)
+            return patch.stress - pressure.density(u), patch
+
+        def newton(_, state):
+            # The slope is that of the implicit function.
+            u, _ = state
+            value, slope, patch = jax.jvp(
+                excess_and_patch, (u,), (jnp.ones_like(u),), has_aux=True
+            )
+            slope = jax.lax.stop_gradient(slope)
+            partly = (low > 0) & (high < 2) & (slope < 0)
+            u = u - value / jnp.where(partly, slope, 1.0)
+            return jnp.where(partly, u, end), patch
+
+        # One step, then the patch that it leads to. As a loop, because what compiling
+        # takes grows with how often the patch stands in the program.
+        nothing = Patch(*(jnp.zeros_like(low) for _ in Patch._fields))
+        return jax.lax.fori_loop(0, 2, newton, ((low + high) / 2, nothing))[1]
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         slip_y = lateral_slip(jnp.tan(inputs.alpha), inputs.sigma_x)
@@ -125,7 +139,7 @@ class AbstractCarcass(AbstractTire):
         limit = self.mu * jnp.where(loaded, inputs.fz, 1.0)
         rho = self.cpa2 * slip / limit
         pressure = self.pressure.under(rho, 0.0, inputs.fz)
-        patch = self.patch(self.breakaway(rho, pressure), rho, pressure)
+        patch = self.settled(rho, pressure)
         scale = loaded * limit * (slip_y / slip)
         return TireForces(
             None, scale * patch.force, self.half_length * scale * patch.moment
