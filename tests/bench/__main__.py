@@ -1,5 +1,8 @@
 """Speed against the peers, as ratios measured in the same run: ``make bench``.
 
+``python -m tests.bench`` runs all, and says how long each took; with the names of
+entries (``brush_with_gradient posterior``), those.
+
 Every comparison alternates the two sides and quotes medians, so that a drifting
 machine hits both. Nothing here passes or fails.
 """
@@ -136,8 +139,10 @@ TRANSCENDENTAL = 20
 """Operations that a sine, arctangent or root stands for."""
 
 
-def evaluations(name: str, compiled, arrays, peer, pairs: int = 7) -> None:
+def evaluations(name: str, compiled, arrays, peer, cost=None, pairs: int = 7) -> None:
     """A million evaluations: compiled program against NumPy, whose results agree.
+
+    ``cost`` is that of a program without a loop, of which the compiler counts one pass.
 
     Then the share of what the machine allows: of the bandwidth by the bytes of inputs
     and results, each touched once; of the arithmetic by what the compiler counts.
@@ -153,7 +158,7 @@ def evaluations(name: str, compiled, arrays, peer, pairs: int = 7) -> None:
     mine, other = medians([(seconds(ours), seconds(peer)) for _ in range(pairs)])
     say(name, mine * 1e3, other * 1e3, "ms", "lower")
     moved = sum(part.nbytes for part in (*arrays, *found)) / mine
-    cost = compiled.cost_analysis()
+    cost = cost or compiled.cost_analysis()
     count = cost["flops"] + TRANSCENDENTAL * cost.get("transcendentals", 0)
     limit, peak = bandwidth(), flops_peak()
     print(
@@ -197,8 +202,13 @@ def magic_formula() -> None:
     evaluations("10^6 MF 6.1, combined slip", compiled, arrays, peer)
 
 
-def brush_with_gradient() -> None:
-    """Force of the brush and its derivatives by c_p a^2 and mu."""
+def brush_with_gradient(block: int = 8_000) -> None:
+    """Force of the brush and its derivatives by c_p a^2 and mu, in blocks of rows.
+
+    Whole, the derivatives keep six intermediates of every row, 48 MB. Nearly all of
+    the time (26 of 31 ms) the kernel then spends on handing out those pages anew at
+    each call; a block's stay in the cache.
+    """
     import jax
 
     from tirefit.models import Brush, TireInputs
@@ -214,8 +224,14 @@ def brush_with_gradient() -> None:
         slope = jax.jacfwd(force)(values)
         return force(values), slope[0], slope[1]
 
+    def in_blocks(*rows):
+        blocks = tuple(row.reshape(-1, block) for row in rows)
+        found = jax.lax.map(lambda part: jax.vmap(one)(*part), blocks)
+        return tuple(part.reshape(-1) for part in found)
+
     arrays = [jax.numpy.asarray(slip), jax.numpy.asarray(fz)]
-    compiled = jax.jit(jax.vmap(one)).lower(*arrays).compile()
+    compiled = jax.jit(in_blocks).lower(*arrays).compile()
+    whole = jax.jit(jax.vmap(one)).lower(*arrays).compile()
 
     def peer(cpa2=5e4, mu=1.0):
         """S(12) and its derivatives by hand."""
@@ -223,7 +239,8 @@ def brush_with_gradient() -> None:
         force = mu * fz * x * (3 - x * (3 - x))
         return force, 2 * slip * (1 - x) ** 2, fz * x**2 * (3 - 2 * x)
 
-    evaluations("10^6 brush with gradients", compiled, arrays, peer)
+    cost = whole.cost_analysis()
+    evaluations("10^6 brush with gradients", compiled, arrays, peer, cost)
 
 
 def posterior() -> None:
@@ -350,21 +367,23 @@ def diagnosis_of_a_log(rows: int = 100_000) -> None:
     print(f"diagnose, {rows} rows: {spent:.0f} s, {peak:.1f} GiB", flush=True)
 
 
-def main() -> None:
+ENTRIES = (
+    help_text, cold_fit, batch, magic_formula, brush_with_gradient, posterior,
+    diagnosis, diagnosis_of_many, diagnosis_of_a_log,
+)  # fmt: skip
+
+
+def main(asked: list[str]) -> None:
     import jax
 
+    known = {entry.__name__: entry for entry in ENTRIES}
+    if unknown := [name for name in asked if name not in known]:
+        raise SystemExit(f"no entry {', '.join(unknown)}; there are {', '.join(known)}")
     jax.config.update("jax_enable_x64", True)
     print(f"{'':46s} {'tirefit':>10s} {'peer':>10s}")
-    help_text()
-    cold_fit()
-    batch()
-    magic_formula()
-    brush_with_gradient()
-    posterior()
-    diagnosis()
-    diagnosis_of_many()
-    diagnosis_of_a_log()
+    for name in asked or known:
+        print(f"  ({name}: {seconds(known[name]):.0f} s)", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])
