@@ -89,6 +89,19 @@ def test_a_torn_file_is_made_anew(directory):
     assert len(file.read_bytes()) > 50
 
 
+def test_a_brief_program_is_compiled_plainly(directory, monkeypatch):
+    def doubled(x):
+        return 2 * x
+
+    x = np.arange(3.0)
+    np.testing.assert_array_equal(compiled(brief=True)(doubled)(x), 2 * x)
+    # Only a program that is told of the options can refuse them.
+    monkeypatch.setattr(module, "_PLAINLY", {"xla_no_such_option": True})
+    np.testing.assert_array_equal(compiled()(doubled)(x), 2 * x)
+    with pytest.raises(RuntimeError, match="xla_no_such_option"):
+        compiled(brief=True)(doubled)(x)
+
+
 def test_inside_a_trace_it_is_an_ordinary_function(directory):
     function = counted([])
     slope = jax.grad(lambda x: jnp.sum(function(x, 1.0, 3)["value"]))(jnp.array([2.0]))
