@@ -8,11 +8,12 @@ from recipes import GIVEN, brush_force, curve, solved, table
 
 import tirefit
 from tirefit.data.table import Source
+from tirefit.fitting.bands import fitted_force
 from tirefit.fitting.batch import fit_many
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.predict import predict
 from tirefit.fitting.problem import build
-from tirefit.models import MODELS, Brush, Tabulated
+from tirefit.models import MODELS, Brush, Tabulated, TireInputs
 from tirefit.results import DataError, UsageError
 
 LENGTH, V, FZ, NOISE = 0.5, 10.0, 4000.0, 20.0
@@ -101,6 +102,16 @@ def test_prediction_follows_the_rows_in_time(lagged):
     values = {name: e.value for name, e in lagged.least_squares.items()}
     by_name = predict("brush-relaxation", DATA, values)
     np.testing.assert_allclose(by_name["fx"], found["fx"], rtol=1e-9, atol=1e-6)
+
+
+def test_a_longer_series_than_was_fitted_is_not_cut(lagged):
+    """Thrice the rows in a row: the time goes back, and each time starts anew."""
+    inputs, run = lagged.problem.rows.inputs, lagged.problem.rows.run
+    thrice = [np.tile(lagged.problem.used(column), 3) for column in (*inputs, run)]
+    force = fitted_force(lagged, "fx", TireInputs(*thrice[:-1]), thrice[-1])
+    assert len(force) > 2 * len(run)
+    expected = np.tile(predict(lagged, DATA)["fx"], 3)
+    np.testing.assert_allclose(force, expected, rtol=1e-9, atol=1e-6)
 
 
 def line_numbers(data):
