@@ -5,7 +5,7 @@ level of the interval; the posterior's central interval holds it where the poste
 probability below the truth lies between 2.5 and 97.5 %. Both are computed with the
 functions that make the intervals of a fit. Run as a script:
 
-    python tests/fit/coverage.py brush-d rig 1600
+    python tests/fitting/coverage.py brush-d rig 1600
 """
 
 import sys

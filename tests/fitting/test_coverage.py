@@ -9,14 +9,28 @@ import pytest
 from coverage import SETTINGS, coverage, holds_or_says, synthetic
 from scipy.stats import binom
 
+from tirefit.fitting import solve
+
 MODELS = ["brush", "brush-d", "brush-m", "brush-n", "brush-h"]
 FEW, MANY = 200, 1600
 
+ROWS = 120
+"""Of a data set in the suite: half the time of 400, and further from the many rows at
+which every interval is right."""
 
-@pytest.mark.parametrize("setting", ["rig", "seed"])
+
+@pytest.fixture(autouse=True)
+def one_program(monkeypatch):
+    """As many latent slips for all data sets of both settings, which need up to 2.6:
+    else chance decides which of them need programs of their own."""
+    exact, most = solve._bucket, 2**1.5
+    monkeypatch.setattr(solve, "_bucket", lambda steep: max(exact(steep), most))
+
+
 @pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("setting", ["rig", "seed"])
 def test_profile_intervals_cover(model, setting):
-    inside, _ = coverage(model, setting, FEW)
+    inside, _ = coverage(model, setting, FEW, rows=ROWS)
     low, high = binom.ppf([0.0005, 0.9995], FEW, 0.95) / FEW
     assert all(low <= share <= high for share in inside.values()), inside
 
