@@ -116,9 +116,9 @@ DESIGNS = {
 }
 
 
-ALMOST_NO_NOISE = {"sigma_x": 1e-4, "alpha": 1e-4}
-"""Of the slips: little, and the compiled programs of all tests with noise of the slip
-serve."""
+ALMOST_NO_NOISE = {"sigma_x": 1e-6, "alpha": 1e-6}
+"""Of the slips: the compiled programs of the tests whose slips are noisy serve here
+too."""
 
 
 @pytest.fixture(scope="module")
