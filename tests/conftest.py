@@ -53,6 +53,10 @@ _LARGEST = 2e9
 _APART = ("test_fits.py", "test_notebooks.py")
 """Files of a few long tests: begun first, each test a piece of work of its own."""
 
+_TOGETHER = ("tests/cli/", "tests/diagnosis/")
+"""Folders whose files share long fixtures and traced programs: one piece of work each,
+else both workers make them."""
+
 
 def pytest_configure(config):
     """Begins the cache anew where it is large, or a run was cut short.
@@ -101,7 +105,9 @@ def pytest_xdist_make_scheduler(config, log):
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = nodeid.split("::")[0]
-            return nodeid if file.endswith(_APART) else file
+            if file.endswith(_APART):
+                return nodeid
+            return next((f for f in _TOGETHER if file.startswith(f)), file)
 
     config.option.loadscopereorder = False
     return ByFile(config, log)

@@ -116,17 +116,23 @@ DESIGNS = {
 }
 
 
+ALMOST_NO_NOISE = {"sigma_x": 1e-6, "alpha": 1e-6}
+"""Of the slips: the compiled programs of the tests whose slips are noisy serve here
+too."""
+
+
 @pytest.fixture(scope="module")
 def studied():
     """The search on the rows of a design."""
+    rig = Rig(noise=ALMOST_NO_NOISE)
     known = {}
 
     def study(design):
         if design not in known:
             data = read_frame(DESIGNS[design](), design)
-            rows = prepare(data, Rig(), ("fx", "fy", "mz"))
+            rows = prepare(data, rig, ("fx", "fy", "mz"))
             generator = np.random.default_rng(0)
-            known[design] = _studied(rows, "brush", Rig(), EFFECTS, (), generator)
+            known[design] = _studied(rows, "brush", rig, EFFECTS, (), generator)
         return known[design]
 
     return study
@@ -156,7 +162,7 @@ def test_what_cannot_be_told_has_a_next_measurement_or_a_reason(studied, design)
 
 def test_one_load_and_one_sign_ask_for_the_other_sign_or_load():
     data = read_frame(sweep([4e3], np.linspace(0.004, 0.2, 120)), "one sign")
-    found = diagnose(data, rig=Rig(noise={"fx_relative": 0.01}))
+    found = diagnose(data, rig=Rig(noise={"fx_relative": 0.01, **ALMOST_NO_NOISE}))
     assert found.verdict.status == "cannot_tell"
     assert {"slip_offset", "force_offset"} <= {
         *found.effects, *found.verdict.also_possible

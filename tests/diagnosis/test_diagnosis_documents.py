@@ -1,7 +1,9 @@
 """Whatever the file: no warning, and no number that nobody can mean.
 
 Files of a small generator of its own, over designs, sizes, gaps, noise and what is
-stated of it. A handful runs with the suite, two hundred with ``-m statistics``.
+stated of it. A handful runs with the suite, two hundred with ``-m statistics``: all of
+the handful have a little noise of the slip, known or found, so that two programs that
+other tests compile as well, of F_x and of F_y, serve them all.
 """
 
 import json
@@ -143,13 +145,17 @@ def _check(seed):
             assert np.max(np.abs(values)) < limit, (seed, channel, name)
 
 
-@pytest.mark.parametrize("seed", range(6))
+A_HANDFUL = {4: "noise", 33: "kappa", 47: "order", 55: "late", 74: "step", 81: "half"}
+"""What each has beside others; 47, 55 and 74 are lateral, 47 has no time."""
+
+
+@pytest.mark.parametrize("seed", A_HANDFUL, ids=A_HANDFUL.get)
 def test_a_document_means_something(seed):
     _check(seed)
 
 
 @pytest.mark.statistics
-@pytest.mark.parametrize("seed", range(6, 206))
+@pytest.mark.parametrize("seed", sorted(set(range(206)) - set(A_HANDFUL)))
 def test_every_document_means_something(seed):
     _check(seed)
 

@@ -201,7 +201,7 @@ def _first_fit(prepared: Prepared, name: str, data):
     """(model, layout, z) by least squares with estimated noise, slip as measured."""
     force = list(prepared.channels)
     config = parse_config({"force": force, "noise": {"loss": "huber"}, "starts": 4})
-    task = build(data, name, config)
+    task = build(data, name, config, _LEAST_ROWS)
     problem = task.problem
     if prepared.mode != "xy":
         # The base model does not know of the other slip: that is an effect.

@@ -282,8 +282,11 @@ def _limited(data: TireData, config: FitConfig, slip: str) -> TireData:
     return data.where(inside)
 
 
-def build(data: TireData, name: str, config: FitConfig) -> FitTask:
+def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> FitTask:
     """Choose forces, noise, free parameters and a first guess.
+
+    Args:
+        least_rows: rows to pad to, at least, so that small files share one program.
 
     Raises:
         UsageError: unknown model or parameter, impossible bounds, ties or noise.
@@ -297,7 +300,7 @@ def build(data: TireData, name: str, config: FitConfig) -> FitTask:
     config, said = _with_reference_load(data, template, config)
     model, layout, narrowed = _settled(data, template, forces, config)
     notes += [*said, *narrowed]
-    size = padded_size(data.n)
+    size = padded_size(data.n, least_rows)
     observed, scale, channels = {}, {}, []
     slips = dict.fromkeys(CHANNEL_SLIP.values())
     noisy = [s for s in slips if _slip_scale(data, s, config.noise)[0] is not None]
