@@ -174,7 +174,7 @@ def _regimes(groups: Sequence[np.ndarray], unit: np.ndarray) -> Statistic | None
         unit: (n, p) orthonormal columns of the fit.
     """
     predictions = [(len(g), _left_out(g, unit)) for g in groups if len(g) >= _LEFT_OUT]
-    able = [(size, found) for size, found in predictions if found is not None]
+    able = [(size, predict) for size, predict in predictions if predict is not None]
     if not able:
         return None
 

@@ -73,12 +73,12 @@ def functions_of(values, count: int) -> np.ndarray:
 def _by_side(slip_fraction, count: int) -> np.ndarray:
     """Bumps over the size of the slip, for each sign by itself: (n, 1 or 2 counts)."""
     inside = np.clip(slip_fraction, -3.5, 3.5)
-    found, positive = bumps(np.abs(inside), count), inside >= 0
+    shapes, positive = bumps(np.abs(inside), count), inside >= 0
     if 0.05 < positive.mean() < 0.95:
         return np.concatenate(
-            [found * positive[:, None], found * ~positive[:, None]], 1
+            [shapes * positive[:, None], shapes * ~positive[:, None]], 1
         )
-    return found
+    return shapes
 
 
 def _standard(values):
@@ -251,13 +251,13 @@ def log_evidence(bases: Generic, against, residual) -> float:
         against: (m, p) columns that the fit has used up.
         residual: (m,) whitened.
     """
-    found = {
+    by_kind = {
         "smooth": mean_gain(*orthogonal(bases.smooth, against), residual),
         "cells": mean_gain(*orthogonal(bases.cells, against), residual),
         "waves": _gain_of_waves(bases.waves, against, residual),
     }
     return float(
-        np.logaddexp.reduce([v + np.log(_PRIORS[k]) for k, v in found.items()])
+        np.logaddexp.reduce([v + np.log(_PRIORS[k]) for k, v in by_kind.items()])
     )
 
 

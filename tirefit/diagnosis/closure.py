@@ -92,8 +92,8 @@ def block_means(terms, run, inflation, generator) -> np.ndarray:
 
 
 def _blocks(run, length: int) -> list[np.ndarray]:
-    found = []
+    blocks = []
     for code in np.unique(run):
         rows = np.flatnonzero(run == code)
-        found += np.array_split(rows, max(len(rows) // length, 1))
-    return found
+        blocks += np.array_split(rows, max(len(rows) // length, 1))
+    return blocks

@@ -186,11 +186,13 @@ def _forces_at(model, layout, mode: str, z, state, design: Design):
 
     none = jnp.zeros_like(design.second)
     stiffness = none if reference is None else reference[0]
-    found = jax.vmap(row)(state, stiffness, design.slip, design.second, design.inputs)
-    mean = {c: jnp.sum(f * design.weight, axis=1) for c, f in found.items()}
+    at_nodes = jax.vmap(row)(
+        state, stiffness, design.slip, design.second, design.inputs
+    )
+    mean = {c: jnp.sum(f * design.weight, axis=1) for c, f in at_nodes.items()}
     spread = {
         c: jnp.sum((f - mean[c][:, None]) ** 2 * design.weight, axis=1)
-        for c, f in found.items()
+        for c, f in at_nodes.items()
     }
     return {c: force + design.offset[c] for c, force in mean.items()}, spread
 
@@ -377,9 +379,9 @@ def refit_all(model, layout, effects, mode, starts, index, count, design):
 
         return _refit(whole, pull, allowed, allowed(start), p)
 
-    def body(number, found):
+    def body(number, refits):
         here = one(starts[number], index[number])
-        return jax.tree.map(lambda all, x: all.at[number].set(x), found, here)
+        return jax.tree.map(lambda all, x: all.at[number].set(x), refits, here)
 
     h, width = starts.shape
     shapes = ((p,), (size,), (), (), (width, width), ())

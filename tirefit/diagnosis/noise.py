@@ -163,10 +163,10 @@ def _stray(level, groups) -> np.ndarray:
     if not seen.any():
         return seen
     unit = MAD * np.median(np.abs(off[:, seen]), axis=1, keepdims=True)
-    found = np.all(np.abs(off) > _STRAY * unit, axis=0) & seen
+    stray = np.all(np.abs(off) > _STRAY * unit, axis=0) & seen
     # A sharp edge of the force has few such rows, and is no outlier.
     return (
-        found if found.sum() > max(_FEW, _MANY * len(level)) else np.zeros_like(found)
+        stray if stray.sum() > max(_FEW, _MANY * len(level)) else np.zeros_like(stray)
     )
 
 

@@ -136,9 +136,9 @@ def _averaged(values, time, noise: float) -> _Path:
             around = values[start[:, None] + np.arange(window)]
             for mean, form in ((rise, slope), (path, at)):
                 weights = np.einsum("ni,niw->nw", form, fit)
-                found = np.einsum("nw,nw->n", weights, around)
+                estimated = np.einsum("nw,nw->n", weights, around)
                 spread = noise**2 * np.sum(weights**2, axis=1)
-                fade, share = mean.add(log[start], found, spread)
+                fade, share = mean.add(log[start], estimated, spread)
             reach *= fade[:, None]
             reach[row[:, None], place] += share[:, None] * weights
     return _Path(path.result()[0], *rise.result(), reach / path.total[:, None])
@@ -195,14 +195,14 @@ def _fill_past(past: Past, part, values, time, path: _Path) -> None:
 class Sweeps(NamedTuple):
     """How a slip moves in time: ``rate`` (n,) [1/s]; ``turning`` (n,), +1 where it
     grows in size, -1 where it shrinks; ``path`` (n,), the smooth slip; ``past``, what
-    it was before; ``found``, whether the rows are sweeps in time at all; ``noise``,
+    it was before; ``present``, whether the rows are sweeps in time at all; ``noise``,
     what the measured slip scatters about the path, 0 where it is not known."""
 
     rate: np.ndarray
     turning: np.ndarray
     path: np.ndarray
     past: Past
-    found: bool
+    present: bool
     noise: float
 
 
@@ -236,17 +236,17 @@ def slip_rate(slip, time, run, noise: float = 0.0) -> Sweeps:
     rate = np.sqrt(np.mean(np.concatenate([path.slope for path in paths]) ** 2))
     period = float(np.std(slip) / rate) if rate > 0 else 0.0
     past = none._replace(interval=max(usual, _SPAN * period / BEHIND))
-    found = still._replace(found=True, noise=scatter, past=past)
+    sweeps = still._replace(present=True, noise=scatter, past=past)
     past.path[:] = past.of(slip)
     for part, path in zip(parts, paths, strict=True):
         _fill_past(past, part, slip[part], time[part], path)
-        found.path[part], found.rate[part] = path.value, path.slope
+        sweeps.path[part], sweeps.rate[part] = path.value, path.slope
         # Slips that a formula gave have no error at all.
         finest = _FINEST * float(np.max(np.abs(path.slope)))
         error = np.maximum(path.slope_error, max(finest, 1e-300))
         certain = np.sign(slip[part]) * path.slope / (2 * error)
-        found.turning[part] = np.clip(certain, -1, 1)
-    return found
+        sweeps.turning[part] = np.clip(certain, -1, 1)
+    return sweeps
 
 
 def _best_window(slip, time, parts) -> tuple[int, float]:

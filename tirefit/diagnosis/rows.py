@@ -189,7 +189,7 @@ def prepare(data: TireData, rig, model) -> Prepared:
         data, mode, channels, inputs, slip, std, second,
         {c: data.usable(c) for c in channels}, covariates,
         TireInputs(*(sweeps.past.of(part) for part in inputs)),
-        _holdings(data, mode, covariates, sweeps.found, radius), time, run,
+        _holdings(data, mode, covariates, sweeps.present, radius), time, run,
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
         rig.run_order == "random", np.arange(data.n),
         check_slip(data, rig.rolling_radius),
@@ -334,7 +334,7 @@ def _slip_std(data: TireData, mode: str, rig, scatter: float):
 def _holdings(data: TireData, mode: str, rows, sweeps: bool, radius) -> frozenset:
     """Names of the needs of effects that this data meets."""
     positive = np.mean(rows.side > 0)
-    found = {
+    met = {
         "v": "v" in data and float(np.median(np.abs(rows.v))) > 0,
         "speeds": "v" in data and _varies(rows.v, _SPEEDS),
         "loads": float(np.std(np.log(rows.fz))) > _LOADS,
@@ -356,7 +356,7 @@ def _holdings(data: TireData, mode: str, rows, sweeps: bool, radius) -> frozense
         "a_x": "a_x" in data and np.any(rows.ahead != 0),
         "work": np.any(rows.work) and np.any(rows.time),
     }  # fmt: skip
-    return frozenset(name for name, here in found.items() if here)
+    return frozenset(name for name, here in met.items() if here)
 
 
 def neighbours(prepared: Prepared) -> list[np.ndarray]:

@@ -241,14 +241,14 @@ _LIKELY_VARIANTS = 3
 def _best_variants(searcher: _Searcher, gram, score, within=()):
     """For each effect its best atoms added to ``within``, the best effect first:
     [[(log weight, atom), ...], ...]."""
-    found: dict[str, list[tuple[float, int]]] = {}
+    variants: dict[str, list[tuple[float, int]]] = {}
     inside = {searcher.ids[k] for k in within}
     for k in searcher.testable:
         if searcher.ids[k] in inside or gram[k, k] < 1e-6:
             continue
         value = _log_bayes(gram, score, searcher.center, searcher.sign, (k,))
-        found.setdefault(searcher.ids[k], []).append((value, k))
-    return sorted((sorted(v, reverse=True) for v in found.values()), reverse=True)
+        variants.setdefault(searcher.ids[k], []).append((value, k))
+    return sorted((sorted(v, reverse=True) for v in variants.values()), reverse=True)
 
 
 def _guess(searcher, gram, score, hypothesis: Hypothesis, k: int):
@@ -325,10 +325,10 @@ def _extend(searcher: _Searcher, size: int, beam: int, width: int) -> None:
 
 def _scores(searcher: _Searcher, gram, score) -> dict[str, float]:
     """z of each effect at the base fit: the largest of its variants."""
-    found: dict[str, float] = {}
+    largest: dict[str, float] = {}
     for k in searcher.testable:
         if gram[k, k] > 1e-9:
             z = float(score[k] / np.sqrt(gram[k, k]))
-            if abs(z) > abs(found.get(searcher.ids[k], 0.0)):
-                found[searcher.ids[k]] = z
-    return found
+            if abs(z) > abs(largest.get(searcher.ids[k], 0.0)):
+                largest[searcher.ids[k]] = z
+    return largest

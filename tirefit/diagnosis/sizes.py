@@ -61,8 +61,8 @@ def half_force_slip(slip, share) -> float:
     size, share = np.abs(slip), np.abs(share)
     top = largest(share)
     half = (share > 0.4 * top) & (share < 0.6 * top)
-    found = np.median(size[half] if half.sum() >= _LEAST else size)
-    return float(max(found, 1e-9 + 1e-3 * largest(size)))
+    middle = np.median(size[half] if half.sum() >= _LEAST else size)
+    return float(max(middle, 1e-9 + 1e-3 * largest(size)))
 
 
 def _one_over(size: float) -> float:

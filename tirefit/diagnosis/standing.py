@@ -70,11 +70,11 @@ def regimes(prepared: Prepared) -> list[np.ndarray]:
             add(third == number)
 
     def settings(values):
-        found = levels(values)
-        if not found.few(_SETTINGS):
+        distinct = levels(values)
+        if not distinct.few(_SETTINGS):
             thirds(values)
-        for code in range(len(found.center) if found.few(_SETTINGS) else 0):
-            add(found.code == code)
+        for code in range(len(distinct.center) if distinct.few(_SETTINGS) else 0):
+            add(distinct.code == code)
 
     if "loads" in has:
         settings(rows.fz)

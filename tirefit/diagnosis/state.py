@@ -209,11 +209,11 @@ def peak_ratio(base, fz, v):
     slips = jnp.geomspace(1e-3, 2.0, 60)
 
     def force(slip):
-        found = base(TireInputs(sigma_x=slip, fz=fz, v=v))
-        if found.fx is None:
-            found = base(TireInputs(alpha=jnp.arctan(slip), fz=fz, v=v))
-            return found.fy
-        return found.fx
+        forces = base(TireInputs(sigma_x=slip, fz=fz, v=v))
+        if forces.fx is None:
+            forces = base(TireInputs(alpha=jnp.arctan(slip), fz=fz, v=v))
+            return forces.fy
+        return forces.fx
 
     return jnp.max(jax.vmap(force)(slips)) / fz
 
@@ -256,11 +256,11 @@ def force_of_state(base, reference, state: State, slip_x, slip_y, inputs: TireIn
         )
     stiffness, mu, arm = reference
     alpha = jnp.arctan(across / (1 + along))
-    found = base(inputs._replace(sigma_x=along, alpha=alpha))
+    forces = base(inputs._replace(sigma_x=along, alpha=alpha))
     change, turn = _shape_change(state, stiffness, mu, arm, size, inputs.fz, False)
-    fx = 0.0 if found.fx is None else found.fx
-    fy = 0.0 if found.fy is None else found.fy
-    mz = 0.0 if found.mz is None else found.mz
+    fx = 0.0 if forces.fx is None else forces.fx
+    fy = 0.0 if forces.fy is None else forces.fy
+    mz = 0.0 if forces.mz is None else forces.mz
     return (
         g * (fx + along / size * change),
         g * (fy + across / size * change),

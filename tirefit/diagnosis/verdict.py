@@ -199,8 +199,8 @@ def _form(linear: LinearFit) -> _Other | None:
     if not linear.forms.shape[1]:
         return None
     left, size = orthogonal(linear.forms, linear.used_up)
-    found = gain(left.T @ linear.residual, size) + float(np.log(PRIOR_OF_FORM))
-    return _Other(found, np.concatenate([linear.used_up, linear.forms], axis=1))
+    evidence = gain(left.T @ linear.residual, size) + float(np.log(PRIOR_OF_FORM))
+    return _Other(evidence, np.concatenate([linear.used_up, linear.forms], axis=1))
 
 
 def fitted_form(linear: LinearFit) -> np.ndarray:
@@ -241,7 +241,7 @@ def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:
     absurd: the data would tell them apart less than three times in four."""
     base = search.base
     linear = base.linearised(chosen.z, amplitudes_of(base, chosen))
-    found: dict[str, float] = {}
+    alike: dict[str, float] = {}
     for atom, amplitude in zip(chosen.atoms, chosen.amplitude, strict=True):
         rest = [k for k in chosen.atoms if k != atom]
         used_up = np.concatenate([linear.jacobian, linear.columns[:, rest]], axis=1)
@@ -257,8 +257,8 @@ def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:
             needed = size / norm[k]
             told_apart = separability(left, atom, k, abs(amplitude), needed)
             if needed < _ABSURD and told_apart < _TOLD_APART:
-                found[effect.id] = min(told_apart, found.get(effect.id, 1.0))
-    return tuple(sorted(found, key=lambda effect: found[effect]))
+                alike[effect.id] = min(told_apart, alike.get(effect.id, 1.0))
+    return tuple(sorted(alike, key=lambda effect: alike[effect]))
 
 
 def _unresolved(weighed: Weighed) -> float:
@@ -269,11 +269,11 @@ def _unresolved(weighed: Weighed) -> float:
 
 def _rivals(named, best) -> tuple[str, ...]:
     """Effects of other sets that are nearly as probable and no larger."""
-    found: dict[str, float] = {}
+    rivals: dict[str, float] = {}
     for key, probability in named.items():
         if key == best or probability < _RIVAL * named[best]:
             continue
         for effect in set(key) - set(best):
             if len(key) <= len(best):
-                found[effect] = max(found.get(effect, 0.0), probability)
-    return tuple(sorted(found, key=lambda effect: found[effect], reverse=True))
+                rivals[effect] = max(rivals.get(effect, 0.0), probability)
+    return tuple(sorted(rivals, key=lambda effect: rivals[effect], reverse=True))

@@ -112,6 +112,8 @@ def _guess(template, layout, slip, force, fz, v):
     small = jnp.abs(slip) <= 0.2 * jnp.max(jnp.abs(slip))
     stiffness = jnp.sum(small * slip * force) / jnp.sum(small * slip**2)
     peak = jnp.max(jnp.abs(force) / fz)
-    found = guess_from_curve(stiffness, peak, jnp.mean(fz))
+    guessed = guess_from_curve(stiffness, peak, jnp.mean(fz))
     known = {p.name: jnp.asarray(p.spec.default, float) for p in layout.free}
-    return layout.unconstrained(known | {k: x for k, x in found.items() if k in known})
+    return layout.unconstrained(
+        known | {k: x for k, x in guessed.items() if k in known}
+    )

@@ -87,11 +87,11 @@ def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
     """Input -> (label, values as drawn (n,)) of every input that varies."""
     problem = result.problem
     inputs = problem.rows.inputs
-    found = {}
+    shown = {}
     for name in dict.fromkeys((slip, "sigma_x", "alpha")):
         values = problem.used(getattr(inputs, name))
         axis = slip_axis(name, values)
-        found[name] = (f"{axis.label} [{axis.unit}]", axis.shown(values))
+        shown[name] = (f"{axis.label} [{axis.unit}]", axis.shown(values))
     columns = {"fz": problem.used(inputs.fz), "v": problem.used(inputs.v)}
     rows = _fitted_rows(problem, result.table)
     if rows is not None:
@@ -100,10 +100,10 @@ def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
     for name in _LABEL:
         if name in columns:
             label, unit = _LABEL[name]
-            found[name] = (f"{label} [{unit}]", columns[name] * _SHOWN.get(name, 1.0))
+            shown[name] = (f"{label} [{unit}]", columns[name] * _SHOWN.get(name, 1.0))
     return {
         name: (label, values)
-        for name, (label, values) in found.items()
+        for name, (label, values) in shown.items()
         if np.all(np.isfinite(values))
         and np.ptp(values) > 1e-6 * max(np.max(np.abs(values)), 1e-9)
     }
