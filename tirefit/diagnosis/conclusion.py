@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from tirefit.diagnosis.adequacy import Adequacy
+from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Search
 from tirefit.diagnosis.standing import Standing, standing
@@ -193,7 +194,7 @@ def _with_more(weighed: Weighed, key: tuple[str, ...], rest: float) -> float:
 def _beside(weighed: Weighed, key) -> float:
     """Probability of a remainder beside a set, given the set."""
     more = weighed.unknown_beside.get(key, 0.0)
-    return more / max(more + weighed.sets[key], 1e-300)
+    return more / max(more + weighed.sets[key], NONZERO)
 
 
 def _unknown(verdict: Verdict, weighed: Weighed, adequacy: Adequacy) -> Verdict:

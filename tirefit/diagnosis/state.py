@@ -152,8 +152,21 @@ class _Shaped(AbstractPressure):
         return _breakaway(rho, self.skew, self.flat)
 
 
+_NEWTON, _LEAST_SLOPE = 7, 0.05
+"""Newton's steps from the breakaway of the parabola, and the least slope that one
+divides by: they leave 3e-5 of the demand at the most, over all d and shares that the
+effects allow."""
+
+_PEAKS = (1e-3, 2.0, 60)
+"""Slips at which the largest force is looked for: from, to and how many, 14 % apart."""
+
+_AT_REST = 1e-60
+"""Square of a slip that keeps its size differentiable at zero."""
+
+
 def _holding(u, skew, flat):
-    """Demand ratio at which a bristle at u lets go: limit over demand."""
+    """Demand ratio at which a bristle at u lets go, limit over demand: the pressures
+    S(24) and S(25) from the edge to u, over u."""
     skewed = 0.75 * u * (1 + skew * (u - 1))
     return (1 - flat) * skewed + flat * 0.625 * u * (u * (u - 2) + 2)
 
@@ -161,7 +174,7 @@ def _holding(u, skew, flat):
 def _holding_slope(u, skew, flat):
     skewed = 0.75 * (1 + skew * (2 * u - 1))
     quartic = 0.625 * (u * (3 * u - 4) + 2)
-    return jnp.maximum((1 - flat) * skewed + flat * quartic, 0.05)
+    return jnp.maximum((1 - flat) * skewed + flat * quartic, _LEAST_SLOPE)
 
 
 @jax.custom_jvp
@@ -172,7 +185,8 @@ def _breakaway(rho, skew, flat):
         excess = _holding(u, skew, flat) - rho
         return jnp.clip(u - excess / _holding_slope(u, skew, flat), 0.0, 2.0)
 
-    u = jax.lax.fori_loop(0, 7, step, jnp.minimum(4 / 3 * rho, 2.0))
+    # 4 / 3 rho is the breakaway of the parabola.
+    u = jax.lax.fori_loop(0, _NEWTON, step, jnp.minimum(4 / 3 * rho, 2.0))
     return jnp.where(_holding(2.0, skew, flat) <= rho, 2.0, u)
 
 
@@ -206,7 +220,7 @@ class _TwoFrictions(Friction):
 
 def peak_ratio(base, fz, v):
     """Largest force over load of the base model at one load and speed."""
-    slips = jnp.geomspace(1e-3, 2.0, 60)
+    slips = jnp.geomspace(*_PEAKS)
 
     def force(slip):
         forces = base(TireInputs(sigma_x=slip, fz=fz, v=v))
@@ -242,7 +256,7 @@ def force_of_state(base, reference, state: State, slip_x, slip_y, inputs: TireIn
     """
     ratio = state.stiffness / state.friction
     along, across = slip_x * ratio, slip_y * ratio
-    size = jnp.sqrt(along**2 + across**2 + 1e-60)
+    size = jnp.sqrt(along**2 + across**2 + _AT_REST)
     g = state.friction
     if reference is None:
         bare = base

@@ -14,9 +14,10 @@ from tirefit.diagnosis.basis import (
     orthogonal,
     without,
 )
-from tirefit.diagnosis.forecast import scores_of_nothing, separability
+from tirefit.diagnosis.forecast import DRAWS, scores_of_nothing, separability
 from tirefit.diagnosis.forms import form_columns
 from tirefit.diagnosis.forward import MOST_EFFECTS
+from tirefit.diagnosis.negligible import UNSEEN
 from tirefit.diagnosis.search import (
     PRIOR_OF_UNKNOWN,
     Hypothesis,
@@ -60,7 +61,9 @@ effects without a slope at zero escape that test."""
 _SHOWS = 3.0
 """Log evidence over no gap from which a set of effects shows at all: 20 to 1."""
 
-_DRAWS = 2000
+_FREED, _SINGLES = 6, 8
+"""Sets, and sets of one effect, the most probable of each, that are weighed with other
+forms and a remainder too."""
 
 
 @dataclass(frozen=True)
@@ -99,13 +102,13 @@ def gap_p_value(search: Search, generator) -> float:
     against simulated noise; the smaller of both, doubled."""
     base, left = search.base, search.projected
     size = np.linalg.norm(left, axis=0)
-    use = [k for k in search.testable if size[k] > 1e-6]
+    use = [k for k in search.testable if size[k] > UNSEEN]
     z = left[:, use] / size[use]
     residual, jacobian, *_ = base.at_null
     observed = np.max(np.abs(z.T @ residual), initial=0.0)
-    draws = np.abs(scores_of_nothing(z, _DRAWS, generator)).max(0)
-    p_score = (1 + np.sum(draws >= observed)) / (1 + _DRAWS)
-    p_generic = misfit_p_value(base.generic, jacobian, residual, generator, _DRAWS)
+    draws = np.abs(scores_of_nothing(z, DRAWS, generator)).max(0)
+    p_score = (1 + np.sum(draws >= observed)) / (1 + DRAWS)
+    p_generic = misfit_p_value(base.generic, jacobian, residual, generator, DRAWS)
     return float(min(1.0, 2 * min(p_score, p_generic)))
 
 
@@ -125,7 +128,7 @@ def weigh(search: Search) -> Weighed:
     evidence = {key: hypothesis.log_evidence for key, hypothesis in best.items()}
     beside, others = {}, set()
     ranked = sorted(total, key=lambda key: total[key], reverse=True)
-    for key in dict.fromkeys([*ranked[:6], *_simplest(total, 8), ()]):
+    for key in dict.fromkeys([*ranked[:_FREED], *_simplest(total, _SINGLES), ()]):
         linear = linear_at(search.base, best[key])
         form = _form(linear)
         if form is not None and len(key) < MOST_EFFECTS:
@@ -252,7 +255,7 @@ def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:
             continue
         for k in search.testable:
             effect = base.atoms[k].effect
-            if effect.id in chosen.effects or norm[k] < 1e-6:
+            if effect.id in chosen.effects or norm[k] < UNSEEN:
                 continue
             needed = size / norm[k]
             told_apart = separability(left, atom, k, abs(amplitude), needed)
