@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import nnls
 
 from tirefit.diagnosis.basis import RANK, waves_within
 from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
@@ -243,8 +244,6 @@ class _Smooth:
 
 def _variance_law(clean, spread, fz, keep, dof):
     """sqrt(a^2 + b^2 F_z^2 + slip noise's share), by non-negative least squares."""
-    from scipy.optimize import nnls
-
     square = clean[keep] ** 2 * (keep.sum() / dof)
     shapes = [np.ones_like(fz)]
     if np.std(np.log(fz)) > _SPREAD_OF_LOAD:

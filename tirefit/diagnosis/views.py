@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtr
+from scipy.stats import false_discovery_control
 
 from tirefit.data.levels import levels
 from tirefit.diagnosis.basis import FEW_SETTINGS
@@ -227,8 +228,6 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
 
 def _beyond(count, mean, std, there, inflation: float) -> np.ndarray:
     """Cells (size,) whose mean is not noise."""
-    from scipy.stats import false_discovery_control  # slow to import
-
     independent = np.maximum(count / inflation, 1.0)
     t = mean * np.sqrt(independent) / np.maximum(std, ROUNDING)
     p = 2 * stdtr(np.maximum(independent - 1, 1.0), -np.abs(t))

@@ -3,6 +3,7 @@ parameter of the tire would have to vary with which of them."""
 
 import numpy as np
 from scipy.special import chdtrc
+from scipy.stats import false_discovery_control
 
 from tirefit.data.levels import levels
 from tirefit.diagnosis.base import Base
@@ -72,8 +73,6 @@ def regions(base: Base, residual, gap) -> list[Region]:
         residual: (n,) whitened residual of the base fit, inflation included.
         gap: (n,) located gap [N].
     """
-    from scipy.stats import false_discovery_control  # slow to import
-
     energy = gap**2
     total = max(float(energy.sum()), NONZERO)
     bins, raw = [], []

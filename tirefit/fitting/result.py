@@ -9,6 +9,7 @@ import numpy as np
 
 from tirefit.display import Displayed
 from tirefit.files import json_safe, json_text
+from tirefit.params import parameter_values
 from tirefit.results import Outcome
 
 __all__ = [
@@ -228,8 +229,6 @@ def _layout_dict(problem) -> dict | None:
     """All that ``predict`` needs to rebuild the model from ``fit.json``."""
     if problem is None:
         return None
-    from tirefit.params import parameter_values
-
     layout = problem.layout
     return {
         "free": [
