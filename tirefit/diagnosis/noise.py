@@ -8,13 +8,10 @@ from scipy.optimize import nnls
 from tirefit.diagnosis.basis import RANK, waves_within
 from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
 from tirefit.diagnosis.rows import LOADS
-from tirefit.fitting.noise import autocorrelation_time
+from tirefit.fitting.noise import MAD, autocorrelation_time
 
 __all__ = ["NoiseLevel", "correlation", "judge_noise"]
 
-
-MAD = 1.4826
-"""Standard deviation of a normal law over its median absolute deviation."""
 
 _FINEST = 1e-5
 """Noise over the load, at least: a twentieth of what the best force transducers resolve

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import stdtr
 from scipy.stats import false_discovery_control
 
-from tirefit.data.levels import levels
+from tirefit.data.levels import cells, levels
 from tirefit.diagnosis.basis import FEW_SETTINGS
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 from tirefit.diagnosis.where import LEVEL, covariates_of
@@ -144,17 +144,9 @@ def _levels(values) -> tuple[np.ndarray, np.ndarray]:
     return codes, np.stack([cuts[:-1], cuts[1:]], axis=1)
 
 
-def _cells(codes, size: int, values):
-    """Count, mean and sample standard deviation of each cell, (size,) each."""
-    count = np.bincount(codes, minlength=size)
-    mean = np.bincount(codes, values, size) / np.maximum(count, 1)
-    rest = np.bincount(codes, (values - mean[codes]) ** 2, size)
-    return count, mean, np.sqrt(rest / np.maximum(count - 1, 1))
-
-
 def _energy_seen(codes, size: int, values) -> float:
     """Energy of the cells' means beyond that of their noise."""
-    count, mean, std = _cells(codes, size, values)
+    count, mean, std = cells(codes, size, values)
     there = count >= _FEWEST
     return float(np.sum((count * mean**2 - std**2)[there]))
 
@@ -214,7 +206,7 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
         if grid is None or seen > most + _BETTER * abs(most):
             most, grid = seen, option
     assert grid is not None  # there is a covariate, or else the load
-    count, mean, std = _cells(grid.cell, grid.size, residual)
+    count, mean, std = cells(grid.cell, grid.size, residual)
     there = count >= _FEWEST
     square = np.bincount(grid.cell, rows.gap**2, grid.size)
     energy = square * resolvable / max(float(square.sum()), NONZERO)
