@@ -14,9 +14,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 __all__ = [
     "Spec",
+    "Values",
     "constrain",
     "log_jacobian",
     "par",
@@ -27,6 +29,9 @@ __all__ = [
 ]
 
 Model = TypeVar("Model", bound=eqx.Module)
+
+Values = Array | np.ndarray
+"""Of what programs take and give: NumPy's on the host, JAX's within a program."""
 
 
 class Spec(NamedTuple):

@@ -1,7 +1,5 @@
 """Residuals by groups and in order, and densities of draws, against other routes."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -70,16 +68,11 @@ def test_means_by_groups():
 def test_order_is_that_of_time_within_the_runs():
     run, time = np.repeat([0, 1], 40), np.tile(np.arange(40), 2)
     residual = np.sin(0.3 * np.arange(80)) + run
-    shuffled = np.random.default_rng(3).permutation(80)
-    result = SimpleNamespace(
-        problem=SimpleNamespace(
-            rows=SimpleNamespace(run=run[shuffled]), used=lambda x: x
-        ),
-        statistics=SimpleNamespace(n=80, n_effective=80.0),
-    )
-    at = ordered_correlation(result, residual[shuffled], time[shuffled])
-    np.testing.assert_allclose(at, autocorrelation([residual[:40], residual[40:]])[:11])
-    assert ordered_correlation(result, residual[shuffled], None) is None
+    mixed = np.random.default_rng(3).permutation(80)
+    expected = autocorrelation([residual[:40], residual[40:]])[:11]
+    shown = ordered_correlation(residual[mixed], run[mixed], time[mixed])
+    np.testing.assert_allclose(shown, expected)
+    np.testing.assert_allclose(ordered_correlation(residual, run, None), expected)
 
 
 def test_density_of_gaussian_draws():

@@ -12,14 +12,13 @@ from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.state import (
     Covariates,
     State,
-    Values,
     force_of_state,
     null_state,
     peak_ratio,
 )
 from tirefit.fitting.least_squares import damped_gauss_newton
 from tirefit.models import Brush, Parabolic, TireInputs
-from tirefit.params import with_values
+from tirefit.params import Values, with_values
 
 __all__ = [
     "Design",

@@ -11,24 +11,20 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 
 from tirefit.models import Asymmetric, Brush, Quartic, TireInputs
 from tirefit.models.friction import Friction
 from tirefit.models.pressure import AbstractPressure, Parabolic
+from tirefit.params import Values
 
 __all__ = [
     "Covariates",
     "State",
-    "Values",
     "force_of_state",
     "null_state",
     "peak_ratio",
 ]
-
-Values = Array | np.ndarray
-"""Of a record that programs take and give: NumPy's on the host, JAX's within one."""
 
 
 class Covariates(NamedTuple):

@@ -19,8 +19,6 @@ _HALF_95 = 1.96
 """Standard errors to the end of a 95 % interval of a normal law."""
 _LAGS = 40
 """Lags, at most, and those of a quarter of the longest run."""
-_INDEPENDENT = 0.9
-"""Effective share of the rows from which their order, of the file alone, is moot."""
 
 
 class Means(NamedTuple):
@@ -67,18 +65,15 @@ def means_by(codes, x, residual, inflation: float) -> Means:
     return Means(cells(codes, size, x)[1], mean, half)
 
 
-def ordered_correlation(result: FitResult, residual, time) -> np.ndarray | None:
-    """Autocorrelation at lags 0, 1, ... in the order of time, or of the file, runs
-    pooled; None where it is moot.
+def ordered_correlation(residual, run, time) -> np.ndarray:
+    """Autocorrelation at lags 0, 1, ... in the order of time, runs pooled.
 
     Args:
         residual: (n,) standardised.
-        time: (n,), or None where it is not known.
+        run: (n,) number of the run of each row.
+        time: (n,), or None where the order is that of the file.
     """
-    problem, statistics = result.problem, result.statistics
-    if time is None and statistics.n_effective > _INDEPENDENT * statistics.n:
-        return None
-    run, parts = problem.used(problem.rows.run), []
+    parts = []
     for code in np.unique(run):
         rows = np.flatnonzero(run == code)
         if time is not None:

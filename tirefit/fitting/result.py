@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -43,7 +43,7 @@ class Estimate:
     fixed: bool = False
 
     @classmethod
-    def of_draws(cls, draws: np.ndarray, unit: str, identified: bool) -> Self:
+    def of_draws(cls, draws: np.ndarray, unit: str, identified: bool) -> "Estimate":
         """Median and central 95 % of draws (m,) of a posterior, finite ones.
 
         ``std`` is half the central 68.27 %: the standard deviation of a Gaussian, and

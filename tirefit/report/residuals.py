@@ -19,6 +19,8 @@ from tirefit.report.numbers import plain_text
 
 __all__ = ["Residuals", "Scatter", "residual_panels"]
 
+_INDEPENDENT = 0.9
+"""Effective share of the rows from which their order in the file is moot."""
 _MOST_RUNS = 30
 """Runs that have a panel of their own, at most."""
 _LABEL = {
@@ -107,6 +109,15 @@ def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
     }
 
 
+def _in_order(result: FitResult, residual, inputs) -> np.ndarray | None:
+    """Autocorrelation in the order of time, or of the file; None where it is moot."""
+    problem, statistics = result.problem, result.statistics
+    time = inputs["time"][1] if "time" in inputs else None
+    if time is None and statistics.n_effective > _INDEPENDENT * statistics.n:
+        return None
+    return ordered_correlation(residual, problem.used(problem.rows.run), time)
+
+
 def _runs(result: FitResult, residual, inflation: float) -> list[Scatter]:
     problem = result.problem
     codes, position = np.unique(problem.used(problem.rows.run), return_inverse=True)
@@ -135,8 +146,7 @@ def residual_panels(result: FitResult, channel: str | None = None) -> Residuals:
         Scatter(label, x, residual, *means_over(x, residual, inflation), ())
         for label, x in inputs.values()
     ]
-    time = inputs["time"][1] if "time" in inputs else None
-    correlation = ordered_correlation(result, residual, time)
+    correlation = _in_order(result, residual, inputs)
     lags = None if correlation is None else np.arange(len(correlation))
     reach = max(4.0, float(np.max(np.abs(residual))))
     count = int(np.clip(1.2 * np.sqrt(problem.n), 8, 40))
