@@ -14,7 +14,14 @@ from tirefit.diagnosis.effects.free_forms import (
     ONE_WAY,
     over,
 )
-from tirefit.diagnosis.effects.record import LEAST_FACTOR, SHARE, Effect, blend, scaled
+from tirefit.diagnosis.effects.record import (
+    LEAST_FACTOR,
+    SHARE,
+    SYMBOLS,
+    Effect,
+    blend,
+    scaled,
+)
 from tirefit.diagnosis.negligible import FLAT
 
 __all__ = ["EFFECTS", "STEPS"]
@@ -123,14 +130,13 @@ _DRIFTS = ((1.0, 1.0), *((0.0, way) for way in _WEAR))
 
 
 def _drifting(name: str, parameter: str, scale: float, forms, looks_like):
-    symbol = {"friction": "mu", "stiffness": "c_p a^2"}[name]
     return Effect(
         id=f"{name}_drift",
         family=f"{name} x time",
         change=_drift(name),
         scale=scale,
         unit="per record",
-        formula=f"{symbol} (1 + amplitude t)",
+        formula=f"{SYMBOLS[name]} (1 + amplitude t)",
         means=f"{name} changes slowly over the record",
         remedy=_PER_RUN.format(parameter),
         bounds=(SHARE,),
@@ -143,14 +149,13 @@ def _drifting(name: str, parameter: str, scale: float, forms, looks_like):
 
 
 def _heated(name: str, parameter: str, scale: float, size: float):
-    symbol = {"friction": "mu", "stiffness": "c_p a^2"}[name]
     return Effect(
         id=f"{name}_temperature",
         family=f"{name} x temperature",
         change=_times(name, "temperature"),
         scale=scale,
         unit="per 20 K",
-        formula=f"{symbol} (1 + amplitude (T - T0) / 20 K)",
+        formula=f"{SYMBOLS[name]} (1 + amplitude (T - T0) / 20 K)",
         means=f"{name} changes with temperature",
         remedy=f"fit {parameter} for each range of temperature",
         bounds=(SHARE,),
@@ -163,14 +168,13 @@ def _heated(name: str, parameter: str, scale: float, size: float):
 
 
 def _loaded(name: str, scale: float, forms, looks_like):
-    symbol = {"friction": "mu", "stiffness": "c_p a^2"}[name]
     return Effect(
         id=f"load_{name}",
         family=f"{name} x load",
         change=_with_load(name),
         scale=scale,
         unit="-",
-        formula=f"{symbol} (F_z / F_z0)^amplitude, S 2.1",
+        formula=f"{SYMBOLS[name]} (F_z / F_z0)^amplitude, S 2.1",
         means=f"{name} is a power of the load",
         remedy="fit brush-load",
         parameter="power",

@@ -14,6 +14,7 @@ __all__ = [
     "LEAST_FACTOR",
     "PER_MILLE",
     "SHARE",
+    "SYMBOLS",
     "Atom",
     "Change",
     "Effect",
@@ -37,6 +38,9 @@ line would cross zero at amplitudes that a search tries."""
 SHARE = (-1.9, 1.9)
 """A friction or a stiffness that changes by a share between its ends stays positive at
 both where the share stays below two."""
+
+SYMBOLS = {"friction": "mu", "stiffness": "c_p a^2"}
+"""Field of the state that is multiplied -> what formulas call it."""
 
 Change = Callable[[State, float, Array | tuple[float, ...], Covariates], State]
 

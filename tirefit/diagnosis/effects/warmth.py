@@ -4,11 +4,10 @@ thermometer."""
 import jax.numpy as jnp
 
 from tirefit.diagnosis.effects.free_forms import ONE_WAY, Form, over
-from tirefit.diagnosis.effects.record import SHARE, Effect, scaled, seldom
+from tirefit.diagnosis.effects.record import SHARE, SYMBOLS, Effect, scaled, seldom
 
 __all__ = ["EFFECTS"]
 
-_SYMBOLS = {"friction": "mu", "stiffness": "c_p a^2"}
 _FITTED = {"friction": "mu", "stiffness": "cpa2"}
 
 
@@ -41,7 +40,7 @@ def _with_pressure(name: str, size: float, form: float):
         change=_inflated(name),
         scale=size,
         unit="over the range of the file",
-        formula=f"{_SYMBOLS[name]} (1 + amplitude (p - p0) / range), Besselink 2010",
+        formula=f"{SYMBOLS[name]} (1 + amplitude (p - p0) / range), Besselink 2010",
         means=f"{name} changes with the inflation pressure",
         remedy=f"fit {_FITTED[name]} for each pressure",
         bounds=(SHARE,),
@@ -59,7 +58,7 @@ def _with_work(name: str, size: float):
         change=_worked(name),
         scale=size,
         unit="over the range of the file",
-        formula=f"{_SYMBOLS[name]} (1 + amplitude W), dW/dt = |F| v_s - W / cooling",
+        formula=f"{SYMBOLS[name]} (1 + amplitude W), dW/dt = |F| v_s - W / cooling",
         means=f"{name} follows the work of sliding: the tire warms up, or wears",
         remedy="measure its temperature; warm the tire up first and pause between runs",
         bounds=(SHARE,),
