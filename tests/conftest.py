@@ -43,7 +43,10 @@ jax.config.update("jax_enable_x64", True)
 
 # Annotations are executed wherever every call keeps to them.
 install_import_hook(
-    [f"tirefit.{room}" for room in ("data", "models", "params", "sim", "slip")],
+    [
+        f"tirefit.{room}"
+        for room in ("data", "diagnosis", "fitting", "models", "params", "sim", "slip")
+    ],
     "shapes.checked",
 )
 

@@ -5,7 +5,6 @@ samples, but for a bulk far away that emcee misses and quadrature confirms; wher
 may not it says so, and the posterior is emcee's own.
 """
 
-import jax
 import numpy as np
 import pytest
 from fits_support import CASES, derive_all, load, run_fit
@@ -25,12 +24,6 @@ UNSEEN_BY_EMCEE = {
 }
 FITS = [(case, fit) for case in CASES for fit in load(case).get("fit", [])]
 IDS = [f"{case.name}: {fit['name']}" for case, fit in FITS]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def rank_promotion():
-    with jax.numpy_rank_promotion("allow"):
-        yield
 
 
 def share_below(draws, ends):

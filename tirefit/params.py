@@ -14,9 +14,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 __all__ = [
     "Spec",
+    "Values",
     "constrain",
     "log_jacobian",
     "par",
@@ -27,6 +29,9 @@ __all__ = [
 ]
 
 Model = TypeVar("Model", bound=eqx.Module)
+
+Values = Array | np.ndarray
+"""Of what programs take and give: NumPy's on the host, JAX's within a program."""
 
 
 class Spec(NamedTuple):
@@ -95,24 +100,24 @@ def _parts(value: Any) -> tuple[eqx.Module, ...]:
 
 def specs(model: eqx.Module) -> dict[str, Spec]:
     """Parameter name -> :class:`Spec`, in the order of the fields, parts included."""
-    found: dict[str, Spec] = {}
+    declared: dict[str, Spec] = {}
     for field, value in _fields(model):
         if "spec" in field.metadata:
-            found[field.name] = field.metadata["spec"]
+            declared[field.name] = field.metadata["spec"]
         for part in _parts(value):
-            found.update(specs(part))
-    return found
+            declared.update(specs(part))
+    return declared
 
 
 def parameter_values(model: eqx.Module) -> dict[str, Any]:
     """Parameter name -> value, in the order of :func:`specs`."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for field, value in _fields(model):
         if "spec" in field.metadata:
-            found[field.name] = value
+            values[field.name] = value
         for part in _parts(value):
-            found.update(parameter_values(part))
-    return found
+            values.update(parameter_values(part))
+    return values
 
 
 def with_values(model: Model, values: Mapping[str, Any]) -> Model:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tirefit.data.levels import levels
+from tirefit.data.levels import cells, levels
 
 LOADS = [222.0, 445.0, 667.0, 890.0, 1112.0]
 ANGLES = [-6.0, -3.0, 0.0, 3.0, 6.0]
@@ -78,3 +78,11 @@ def test_one_wrong_row_is_no_setting():
 def test_few_counts_settings():
     found = levels(np.repeat(LOADS, 3))
     assert found.few(5) and not found.few(4)
+
+
+def test_cells_hold_count_mean_and_deviation():
+    codes, values = np.array([3, 0, 3, 3, 1]), np.array([1.0, 5.0, 2.0, 6.0, 7.0])
+    count, mean, std = cells(codes, 5, values)
+    assert count.tolist() == [1, 1, 0, 3, 0]
+    assert mean.tolist() == [5, 7, 0, 3, 0]
+    assert std == pytest.approx([0, 0, 0, np.std([1, 2, 6], ddof=1), 0])

@@ -1,7 +1,5 @@
 """What may be said of the most probable set: its standing binds the verdict."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from conftest_diagnosis import RIG, brush, record
@@ -12,8 +10,8 @@ from tirefit.diagnosis.adequacy import UNTESTED
 from tirefit.diagnosis.conclusion import bound_by, probability_of_rest
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.records import HeldOut
-from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN
-from tirefit.diagnosis.verdict import Verdict
+from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis
+from tirefit.diagnosis.verdict import Verdict, Weighed
 
 
 def test_probability_of_a_rest_is_that_of_the_best_alternative():
@@ -29,7 +27,14 @@ def test_probability_of_a_rest_is_that_of_the_best_alternative():
     assert probability_of_rest(1.0) == PRIOR_OF_UNKNOWN
 
 
-NOTHING = SimpleNamespace(unknown_alone=0.2, best_of={(): "no effect"})
+NO_EFFECT, ONE_EFFECT = (
+    Hypothesis((), effects, 0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros((0, 0)), 0.0)
+    for effects in ((), ("load_friction",))
+)
+NOTHING = Weighed(
+    sets={}, best_of={(): NO_EFFECT}, unknown_alone=0.2, unknown_beside={},
+    other_form=frozenset(), evidence={}, hidden=0.0,
+)  # fmt: skip
 
 
 def held(closed, resolvable=True):
@@ -53,11 +58,11 @@ def held(closed, resolvable=True):
     ],
 )
 def test_rows_left_out_bind_the_verdict(status, closed, on_others, then):
-    verdict = Verdict(status, ("load_friction",), 0.9, (), 0.0, "fit", UNTESTED)
+    verdict = Verdict(status, ("load_friction",), 0.9, (), 0.0, ONE_EFFECT, UNTESTED)
     bound = bound_by(verdict, NOTHING, closed, on_others)
     assert bound.status == then
     if then == "unknown":
-        assert bound.effects == ("unknown",) and bound.chosen == "no effect"
+        assert bound.effects == ("unknown",) and bound.chosen is NO_EFFECT
 
 
 @pytest.mark.parametrize("name", ["slip_offset", "load_friction", "none"])

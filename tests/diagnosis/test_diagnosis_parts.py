@@ -287,7 +287,7 @@ def test_slip_rate_of_a_noisy_sweep():
     truth = 0.2 * np.sin(2 * time)
     noisy = truth + 0.002 * np.random.default_rng(0).standard_normal(400)
     found = slip_rate(noisy, time, np.zeros(400, int))
-    assert found.found
+    assert found.present
     assert found.noise == pytest.approx(0.002, rel=0.1)
     inner = slice(25, -25)
     assert np.std(found.rate[inner] - 0.4 * np.cos(2 * time)[inner]) < 0.06
@@ -296,7 +296,7 @@ def test_slip_rate_of_a_noisy_sweep():
     side = np.sign(truth * np.cos(2 * time))
     assert np.mean(np.sign(found.turning[clear]) == side[clear]) > 0.97
     shuffled = np.random.default_rng(1).permutation(noisy)
-    assert not slip_rate(shuffled, time, np.zeros(400, int)).found
+    assert not slip_rate(shuffled, time, np.zeros(400, int)).present
 
 
 def test_turns_of_a_saw_tooth_stay_sharp():

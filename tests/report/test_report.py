@@ -27,7 +27,6 @@ from tirefit.report.figures import (
 )
 from tirefit.report.model_tables import models_dict, models_table
 from tirefit.report.numbers import format_estimate, format_interval, format_number
-from tirefit.report.residuals import autocorrelation
 from tirefit.report.text import fit_report, verdict_line
 from tirefit.results import InputProblem, Outcome, UsageError
 
@@ -61,12 +60,6 @@ def synthetic(n: int = 120, noise: float = 30.0) -> TireData:
     return TireData(
         "sweep", columns, used, np.arange(n) % 2, ("first", "second"), source
     )
-
-
-@pytest.fixture(scope="module", autouse=True)
-def rank_promotion():
-    with jax.numpy_rank_promotion("allow"):
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -221,12 +214,6 @@ def test_residuals_of_a_fit_limited_in_slip_still_know_the_time():
     time = next(panel for panel in panels if panel.label.startswith("time"))
     rows = limited.table.used & (limited.table["sigma_x"] <= 0.1)
     np.testing.assert_allclose(time.x, limited.table["time"][rows])
-
-
-def test_autocorrelation_of_a_known_series():
-    np.testing.assert_allclose(
-        autocorrelation([np.array([1.0, -1.0] * 8)], 2), [1.0, -15 / 16, 14 / 16]
-    )
 
 
 def test_corner_levels_enclose_their_shares(sampled):

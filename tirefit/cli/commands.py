@@ -1,11 +1,13 @@
 """The commands of ``tirefit``; each imports what it needs when it runs."""
 
 from enum import StrEnum
+from json import dumps
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from tirefit import __version__
 from tirefit.cli.convert import convert
 from tirefit.cli.diagnose import ManyHoldouts, diagnose
 from tirefit.cli.fit import fit
@@ -66,8 +68,6 @@ def models(json: JsonOption = False) -> None:
     from tirefit.report.model_tables import models_dict, models_table
 
     if json:
-        from json import dumps
-
         say(dumps(models_dict(MODELS), indent=1))
     else:
         say(models_table(MODELS))
@@ -77,8 +77,6 @@ def models(json: JsonOption = False) -> None:
 @takes_data_options
 def inspect(files: Files, options: DataOptions, json: JsonOption = False) -> None:
     """Say what a file holds, what was assumed, and which fits it supports."""
-    from json import dumps
-
     from tirefit.data.inspect import inspect as look
     from tirefit.data.read import read
 
@@ -253,6 +251,4 @@ def _values_text(name: str, values: dict[str, float]) -> str:
 @app.command()
 def version() -> None:
     """Print the version."""
-    from tirefit import __version__
-
     say(__version__)

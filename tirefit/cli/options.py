@@ -239,6 +239,7 @@ def progress_bar(title: str) -> Iterator[Any]:
     if not has_terminal():
         yield None
         return
+    # Slow to import, and for a terminal alone.
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 

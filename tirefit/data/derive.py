@@ -17,6 +17,7 @@ the result: neighbouring samples are correlated, n samples are not n facts.
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from textwrap import wrap
 
@@ -24,6 +25,8 @@ import numpy as np
 
 from tirefit.data.motion import Motion, Track, read_motion
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
+from tirefit.data.write import csv_text, output_problems
+from tirefit.files import write_texts
 from tirefit.results import DataError, InputProblem, UsageError
 
 __all__ = ["DerivedFiles", "DerivedLog", "derive", "derive_files"]
@@ -178,9 +181,6 @@ def derive_files(
         UsageError: If the configuration, the axle or ``out`` is wrong, or two logs
             have one name.
     """
-    from tirefit.data.write import csv_text
-    from tirefit.files import write_texts
-
     out = Path(out)
     vehicle = load_vehicle(vehicle_toml)
     _check_names(paths, out)
@@ -366,8 +366,6 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
 
 
 def _version() -> str | None:
-    from importlib.metadata import PackageNotFoundError, version
-
     try:
         return version("tirefit")
     except PackageNotFoundError:  # run from the sources, not installed
@@ -385,8 +383,6 @@ def _run_name(path: Path) -> str:
 
 def _check_names(paths: Sequence[str | Path], out: Path) -> None:
     """Raise UsageError unless ``out`` can be a CSV and every log has its own name."""
-    from tirefit.data.write import output_problems
-
     problems = output_problems(out, inputs=paths)
     if out.suffix != ".csv":
         problems.append(InputProblem("the output is a CSV", "end it in .csv", str(out)))

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Levels", "levels"]
+__all__ = ["Levels", "cells", "levels"]
 
 _LEAST = 0.005
 """Part of the range, and of the largest value, that counts as no gap at all: steps of
@@ -99,3 +99,21 @@ def _without_outliers(cuts: np.ndarray, ordered: np.ndarray) -> np.ndarray:
         # It joins the nearer of its neighbours.
         cuts = np.delete(cuts, lone - 1 if gaps[lone] < gaps[lone + 1] else lone)
     return cuts
+
+
+def cells(codes, size: int, values) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Count, mean and sample standard deviation of the values in each cell.
+
+    Args:
+        codes: (n,) from 0, the cell of each value.
+        size: number of cells.
+        values: (n,).
+
+    Returns:
+        (size,) each; the mean of an empty cell is zero, and so is the deviation of one
+        with a single value.
+    """
+    count = np.bincount(codes, minlength=size)
+    mean = np.bincount(codes, values, size) / np.maximum(count, 1)
+    rest = np.bincount(codes, (values - mean[codes]) ** 2, size)
+    return count, mean, np.sqrt(rest / np.maximum(count - 1, 1))

@@ -251,6 +251,7 @@ def _motion(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
 
 def _filtered(time, signals, grid, vehicle: Vehicle) -> np.ndarray | None:
     """Signals (n, k) on the grid, low-passed without phase; None if too short."""
+    # Slow to import, and no other reader needs them.
     from scipy.interpolate import CubicSpline
     from scipy.signal import butter, sosfiltfilt
 

@@ -162,7 +162,7 @@ def _unit_remedy(text: str, column: str, dimension: str) -> str:
 
 def _ask_pint(text: str, column: str, dimension: str) -> Unit:
     """A unit outside the table as an affine map to SI, found by converting 0 and 1."""
-    import pint
+    import pint  # slow to import, and for units outside the table alone
 
     remedy = _unit_remedy(text, column, dimension)
     target = {"-": "", "N m": "N*m"}.get(_SI[dimension], _SI[dimension])

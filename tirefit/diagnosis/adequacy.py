@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
+from tirefit.diagnosis.negligible import NONZERO, ROUNDING
+
 __all__ = ["UNTESTED", "Adequacy", "adequacy", "refused"]
 
 DRAWS = 999
@@ -30,6 +32,22 @@ _LOCAL = (6, 12, 24)
 _LEFT_OUT = 12
 """Rows of a group that is left out, at least; blocks of its prediction error are half
 as long."""
+
+_BLOCKS_LEFT_OUT = 12
+"""Blocks of the prediction error of a large group, at most."""
+
+_FEWEST_SUMS = 4
+"""Sums of neighbours whose mean square says something."""
+
+_WITH_NEIGHBOURS = 3
+"""Rows of a setting from which one has a neighbour on either side."""
+
+_SHORTEST = 4
+"""Rows of a stretch beyond which most have a second one before them."""
+
+_LONGEST_MEMORY = 0.97
+"""Correlation of neighbours that noise is granted, at most: it fades over 33 rows, and
+a longer memory is a drift."""
 
 _UNSUPPORTED = 0.02
 """A direction of the fit of which so little remains without a group rests on it alone:
@@ -73,8 +91,8 @@ def refused(adequacy: Adequacy) -> list[str]:
 def _unit(parts: np.ndarray) -> np.ndarray:
     """Columns of mean square one, cut at :data:`_WIDEST`."""
     size = np.sqrt(np.mean(parts**2, axis=0))
-    scaled = np.clip(parts / np.maximum(size, 1e-300), -_WIDEST, _WIDEST)
-    return scaled / np.maximum(np.sqrt(np.mean(scaled**2, axis=0)), 1e-300)
+    scaled = np.clip(parts / np.maximum(size, NONZERO), -_WIDEST, _WIDEST)
+    return scaled / np.maximum(np.sqrt(np.mean(scaled**2, axis=0)), NONZERO)
 
 
 def _sums(parts: np.ndarray, length: int) -> np.ndarray:
@@ -88,7 +106,7 @@ def _largest(values: Sequence[np.ndarray]) -> np.ndarray:
     stacked = np.array(values)
     center = np.median(stacked, axis=1, keepdims=True)
     spread = stacked.std(axis=1, keepdims=True)
-    return np.max((stacked - center) / np.maximum(spread, 1e-12), axis=0)
+    return np.max((stacked - center) / np.maximum(spread, ROUNDING), axis=0)
 
 
 def _persistence(stretches: Sequence[np.ndarray]) -> Statistic:
@@ -99,7 +117,7 @@ def _persistence(stretches: Sequence[np.ndarray]) -> Statistic:
         values = []
         for length in _RUNS:
             blocks = [_sums(parts[s], length) for s in stretches if len(s) >= length]
-            if sum(len(b) for b in blocks) >= 4:
+            if sum(len(b) for b in blocks) >= _FEWEST_SUMS:
                 values.append(np.mean(np.concatenate(blocks) ** 2, axis=0) / length)
         return _largest(values)
 
@@ -123,7 +141,7 @@ def _pure_error(stretches: Sequence[np.ndarray]) -> Statistic:
 
     def statistic(parts):
         steps = np.mean((parts[pairs[:, 1]] - parts[pairs[:, 0]]) ** 2, axis=0)
-        return np.mean(parts**2, axis=0) / np.maximum(steps / 2, 1e-12)
+        return np.mean(parts**2, axis=0) / np.maximum(steps / 2, ROUNDING)
 
     return statistic
 
@@ -174,14 +192,14 @@ def _regimes(groups: Sequence[np.ndarray], unit: np.ndarray) -> Statistic | None
         unit: (n, p) orthonormal columns of the fit.
     """
     predictions = [(len(g), _left_out(g, unit)) for g in groups if len(g) >= _LEFT_OUT]
-    able = [(size, found) for size, found in predictions if found is not None]
+    able = [(size, predict) for size, predict in predictions if predict is not None]
     if not able:
         return None
 
     def statistic(parts):
         values = []
         for size, predicted in able:
-            length = max(_LEFT_OUT // 2, size // 12)
+            length = max(_LEFT_OUT // 2, size // _BLOCKS_LEFT_OUT)
             values.append(np.mean(_sums(predicted(parts), length) ** 2, axis=0))
         return _largest(values)
 
@@ -194,14 +212,14 @@ def _memory(residual: np.ndarray, stretches: Sequence[np.ndarray]) -> float:
     steps, lag_two, count = 0.0, 0.0, 0
     for rows in stretches:
         x = residual[rows]
-        if len(x) > 4:
+        if len(x) > _SHORTEST:
             steps += float(np.sum(np.diff(x) ** 2))
             lag_two += float(np.sum((x[2:] - x[:-2]) ** 2))
             count += len(x)
     if not count or steps <= 0:
         return 0.0
     # Of a first-order process: E (x_t - x_t-2)^2 / E (x_t - x_t-1)^2 = 1 + phi.
-    return float(np.clip(lag_two / steps - 1.0, 0.0, 0.97))
+    return float(np.clip(lag_two / steps - 1.0, 0.0, _LONGEST_MEMORY))
 
 
 def _noise(n: int, memory: float, stretches, generator) -> np.ndarray:
@@ -241,7 +259,7 @@ def adequacy(
         memory: whether the noise was judged to have a memory.
     """
     unit, _ = np.linalg.qr(used_up)
-    settings = [s for s in in_slip if len(s) >= 3]
+    settings = [s for s in in_slip if len(s) >= _WITH_NEIGHBOURS]
     phi = _memory(residual, in_time) if memory and in_time is not None else 0.0
     noise = _noise(len(residual), phi, in_time, generator)
     draws = noise - unit @ (unit.T @ noise)
@@ -254,7 +272,9 @@ def adequacy(
         return float(np.mean(values >= values[0]))
 
     ordered = [np.arange(0)] if in_time is None else in_time
-    timed = in_time is not None and max(len(s) for s in ordered) >= 4 * _RUNS[1]
+    timed = (
+        in_time is not None and max(len(s) for s in ordered) >= _FEWEST_SUMS * _RUNS[1]
+    )
     dense = sum(len(s) for s in settings) >= 0.5 * len(residual)
     tests = {
         "time": _persistence(ordered) if timed else None,

@@ -21,15 +21,16 @@ from tirefit.diagnosis.forward import (
     refit_all,
     tangents,
 )
+from tirefit.diagnosis.negligible import FLAT, ROUNDING
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
 from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
 from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
+from tirefit.diagnosis.slip_nodes import slip_nodes
 from tirefit.diagnosis.state import Covariates
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import best_of, solve_starts
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.problem import build
-from tirefit.fitting.slip_noise import slip_distribution
 from tirefit.fitting.solve import starting_points
 from tirefit.models import AbstractTire
 from tirefit.padding import pad_rows, padded_size
@@ -47,7 +48,13 @@ __all__ = [
 _LEAST_ROWS = 256
 """Rows that a diagnosis is compiled for, at least: small files share one program."""
 
-_NODES = {count: np.polynomial.hermite_e.hermegauss(count) for count in (3, 5)}
+_STARTS = 4
+"""Starts of the first fit, whose error the refit under the noise takes away: half of
+those of a fit that is an end in itself."""
+
+_ROWS_OF_A_FUNCTION = 6
+"""Rows for each smooth function that may soak up a gap before the noise is judged:
+five in six are left to judge it by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,7 +207,9 @@ def present_in(amplitudes) -> Present:
 def _first_fit(prepared: Prepared, name: str, data):
     """(model, layout, z) by least squares with estimated noise, slip as measured."""
     force = list(prepared.channels)
-    config = parse_config({"force": force, "noise": {"loss": "huber"}, "starts": 4})
+    config = parse_config(
+        {"force": force, "noise": {"loss": "huber"}, "starts": _STARTS}
+    )
     task = build(data, name, config, _LEAST_ROWS)
     problem = task.problem
     if prepared.mode != "xy":
@@ -212,18 +221,6 @@ def _first_fit(prepared: Prepared, name: str, data):
     starts = starting_points(task, config.starts, 0)
     solution = solve_starts(problem, starts, "gauss-newton")
     return problem.model, problem.layout, np.asarray(solution.z)[best_of(solution)]
-
-
-def _nodes(slip, std):
-    """Latent slips and their probabilities under the file's own slip density."""
-    if not np.any(std > 0):
-        return slip[:, None], np.ones((len(slip), 1))
-    # Enough nodes for the curvature of the force within the slip noise.
-    steep = float(np.median(std)) / max(float(np.quantile(np.abs(slip), 0.9)), 1e-9)
-    offset, mass = _NODES[3 if steep < 0.01 else 5]
-    mean, spread = slip_distribution(slip, np.maximum(std, 1e-9)).moments(slip, std)
-    nodes = mean[:, None] + spread[:, None] * offset
-    return nodes, np.tile(mass / mass.sum(), (len(slip), 1))
 
 
 def _priors(prepared: Prepared, effects, rig) -> dict[str, np.ndarray]:
@@ -328,7 +325,7 @@ scale of the first forces' weights, which no verdict rests on."""
 
 def _design(prepared: Prepared, effects, rig) -> Design:
     size = padded_size(prepared.n, _LEAST_ROWS)
-    slips, weight = _nodes(prepared.slip, prepared.slip_std)
+    slips, weight = slip_nodes(prepared.slip, prepared.slip_std)
     observed, fz, v = prepared.observed, prepared.inputs.fz, prepared.inputs.v
     return Design(
         inputs=type(prepared.inputs)(*(pad_rows(x, size) for x in prepared.inputs)),
@@ -351,7 +348,7 @@ def _slip_fraction(prepared: Prepared, tire: Tire, z, design):
     base's slope and peak."""
     stiffness, mu = brush_of_base(tire.model, tire.layout, tire.mode, z, design)
     stiffness = np.asarray(stiffness)[: prepared.n]
-    full = 1.5 * float(mu) * prepared.inputs.fz / np.maximum(stiffness, 1e-9)
+    full = 1.5 * float(mu) * prepared.inputs.fz / np.maximum(stiffness, FLAT)
     size = np.hypot(prepared.slip, prepared.second)
     side = np.where(prepared.slip < 0, -1.0, 1.0)
     return side * size / full
@@ -363,7 +360,7 @@ def _noise(
     mean, spread = tire.moments(z, amplitudes, design, prepared.n)
     fz = prepared.inputs.fz
     typical = fz / np.mean(fz)
-    basis = smooth_basis(prepared, fraction, typical, prepared.n // 6)
+    basis = smooth_basis(prepared, fraction, typical, prepared.n // _ROWS_OF_A_FUNCTION)
     waves, groups, levels = wave_basis(prepared, typical), neighbours(prepared), {}
     for channel in prepared.channels:
         std = f"{channel}_std"
@@ -443,6 +440,6 @@ def _whitened_generic(base: Base) -> Generic:
             for k, part in enumerate(parts)
         ]  # fmt: skip
         basis = np.concatenate(blocks, axis=1)
-        return basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-12)
+        return basis / np.maximum(np.linalg.norm(basis, axis=0), ROUNDING)
 
     return Generic(*(stacked(parts) for parts in zip(*bases, strict=True)))

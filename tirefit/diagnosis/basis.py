@@ -5,8 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.levels import levels
+from tirefit.diagnosis.negligible import FLAT, ROUNDING
 
 __all__ = [
+    "FEW_SETTINGS",
+    "FULL_SLIDING",
     "RANK",
     "Generic",
     "bumps",
@@ -47,14 +50,34 @@ _DRAWN_SCALES = np.geomspace(0.3, 300, 25)
 """Scales of the located remainder, in z units: from below the noise to a thousand times
 that, a third apart."""
 
-_SETTINGS = 6
-"""Loads up to so many are settings of the rig, more are a range."""
+FEW_SETTINGS = 6
+"""Levels of a covariate up to so many are settings of the rig, each looked at by
+itself; more are a range."""
+
+FULL_SLIDING = 3.0
+"""Slip over that of full sliding beyond which nothing more depends on it."""
+
+_FARTHEST = 3.5
+"""The same where functions of it stand on both sides of that."""
+
+_OF_EITHER_SIGN = 0.05
+"""Share of the rows that each sign of the slip has, to have functions of its own."""
+
+_OF_A_PARABOLA = 3
+"""Settings through which a parabola is any function of them."""
+
+_BUMPS, _NARROW_BUMPS = (4, 8), (4, 14)
+"""Fewest and most functions of the slip, for each sign: the finest are half and a
+quarter as wide as the slip of full sliding."""
+
+_ROWS_OF_A_FUNCTION, _ROWS_OF_A_CELL = 3, 4
+"""Rows for each function of a generic basis, at least."""
 
 
 def bumps(values, count: int) -> np.ndarray:
     """Radial functions over the range of the values, (n, count)."""
     centers = np.linspace(values.min(), values.max(), count)
-    width = max((centers[1] - centers[0]), 1e-9)
+    width = max((centers[1] - centers[0]), FLAT)
     return np.exp(-0.5 * ((values[:, None] - centers) / width) ** 2)
 
 
@@ -72,18 +95,18 @@ def functions_of(values, count: int) -> np.ndarray:
 
 def _by_side(slip_fraction, count: int) -> np.ndarray:
     """Bumps over the size of the slip, for each sign by itself: (n, 1 or 2 counts)."""
-    inside = np.clip(slip_fraction, -3.5, 3.5)
-    found, positive = bumps(np.abs(inside), count), inside >= 0
-    if 0.05 < positive.mean() < 0.95:
+    inside = np.clip(slip_fraction, -_FARTHEST, _FARTHEST)
+    shapes, positive = bumps(np.abs(inside), count), inside >= 0
+    if _OF_EITHER_SIGN < positive.mean() < 1 - _OF_EITHER_SIGN:
         return np.concatenate(
-            [found * positive[:, None], found * ~positive[:, None]], 1
+            [shapes * positive[:, None], shapes * ~positive[:, None]], 1
         )
-    return found
+    return shapes
 
 
 def _standard(values):
     spread = np.std(values)
-    return (values - values.mean()) / spread if spread > 1e-9 else None
+    return (values - values.mean()) / spread if spread > FLAT else None
 
 
 def _modulations(prepared) -> list[np.ndarray]:
@@ -97,7 +120,7 @@ def _modulations(prepared) -> list[np.ndarray]:
         if unit is not None:
             first.append(unit)
             # Through three settings a second degree is any function of them.
-            if not levels(values).few(3):
+            if not levels(values).few(_OF_A_PARABOLA):
                 second.append(unit**2 - 1)
     if "sweeps" in prepared.has:
         first.append(rows.turning)
@@ -109,7 +132,7 @@ def _modulations(prepared) -> list[np.ndarray]:
 def _scaled(columns, scale):
     basis = columns * scale[:, None]
     size = np.linalg.norm(basis, axis=0)
-    return basis[:, size > 1e-9] / size[size > 1e-9]
+    return basis[:, size > FLAT] / size[size > FLAT]
 
 
 def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
@@ -123,7 +146,7 @@ def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
     """
     modulations = _modulations(prepared)
     sides = _by_side(slip_fraction, 2).shape[1] // 2
-    count = int(np.clip(most // (sides * len(modulations)), 4, 8))
+    count = int(np.clip(most // (sides * len(modulations)), *_BUMPS))
     modulations = modulations[: max(most // (sides * count), 1)]
     shapes = _by_side(slip_fraction, count)
     columns = np.concatenate([shapes * m[:, None] for m in modulations], axis=1)
@@ -135,11 +158,11 @@ def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
     loads = levels(prepared.covariates.fz)
     cells = (
         [loads.code == code for code in range(len(loads.center))]
-        if loads.few(_SETTINGS)
+        if loads.few(FEW_SETTINGS)
         else [np.ones(prepared.n, bool)]
     )
     sides = _by_side(slip_fraction, 2).shape[1] // 2
-    count = int(np.clip(most // (sides * len(cells)), 4, 14))
+    count = int(np.clip(most // (sides * len(cells)), *_NARROW_BUMPS))
     shapes = _by_side(slip_fraction, count)
     columns = np.concatenate([shapes * cell[:, None] for cell in cells], axis=1)
     return _scaled(columns, scale)
@@ -149,7 +172,7 @@ def wave_basis(prepared, scale) -> np.ndarray:
     """Sine and cosine of slip and of time, side by side: (n, 2 x waves)."""
     most, phases = int(np.clip(prepared.n // _ROWS_OF_A_WAVE, *_WAVES)), []
     slip = prepared.slip
-    span = max(np.ptp(slip), 1e-9)
+    span = max(np.ptp(slip), FLAT)
     phases.append((slip - slip.min()) / span)
     if "time" in prepared.has:
         phases.append(prepared.covariates.time)
@@ -162,7 +185,7 @@ def wave_basis(prepared, scale) -> np.ndarray:
     )
     pairs = np.stack([np.sin(angle), np.cos(angle)], axis=2)
     columns = pairs.reshape(prepared.n, -1) * scale[:, None]
-    return columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+    return columns / np.maximum(np.linalg.norm(columns, axis=0), ROUNDING)
 
 
 def orthogonal(basis, against) -> tuple[np.ndarray, np.ndarray]:
@@ -170,7 +193,7 @@ def orthogonal(basis, against) -> tuple[np.ndarray, np.ndarray]:
     left = without(basis, against)
     gram = left.T @ left
     values, vectors = np.linalg.eigh(gram)
-    good = values > RANK * max(values.max(), 1e-12)
+    good = values > RANK * max(values.max(), ROUNDING)
     size = np.sqrt(values[good])
     return left @ (vectors[:, good] / size), size
 
@@ -222,7 +245,7 @@ def _gain_of_waves(waves, against, residual) -> float:
 def waves_within(waves, against, residual):
     """chi-squared (K,), two degrees each, of every wave in the residual."""
     gram, score = _of_waves(waves, against, residual)
-    solved = np.linalg.solve(gram + 1e-9 * np.eye(2), score[..., None])[..., 0]
+    solved = np.linalg.solve(gram + FLAT * np.eye(2), score[..., None])[..., 0]
     return np.sum(score * solved, axis=1)
 
 
@@ -238,8 +261,8 @@ class Generic(NamedTuple):
 def generic(prepared, slip_fraction, scale) -> Generic:
     """The bases of one channel."""
     return Generic(
-        smooth_basis(prepared, slip_fraction, scale, prepared.n // 3),
-        _cell_basis(prepared, slip_fraction, scale, prepared.n // 4),
+        smooth_basis(prepared, slip_fraction, scale, prepared.n // _ROWS_OF_A_FUNCTION),
+        _cell_basis(prepared, slip_fraction, scale, prepared.n // _ROWS_OF_A_CELL),
         wave_basis(prepared, scale),
     )
 
@@ -251,13 +274,13 @@ def log_evidence(bases: Generic, against, residual) -> float:
         against: (m, p) columns that the fit has used up.
         residual: (m,) whitened.
     """
-    found = {
+    by_kind = {
         "smooth": mean_gain(*orthogonal(bases.smooth, against), residual),
         "cells": mean_gain(*orthogonal(bases.cells, against), residual),
         "waves": _gain_of_waves(bases.waves, against, residual),
     }
     return float(
-        np.logaddexp.reduce([v + np.log(_PRIORS[k]) for k, v in found.items()])
+        np.logaddexp.reduce([v + np.log(_PRIORS[k]) for k, v in by_kind.items()])
     )
 
 
@@ -271,7 +294,7 @@ def misfit_p_value(bases: Generic, against, residual, generator, draws: int) -> 
         values.append((1 + np.sum(noise >= total)) / (1 + draws))
     chi2 = waves_within(bases.waves, against, residual)
     # A residual without any wave has a chance of one, whose complement has no log.
-    chance = min(np.exp(-0.5 * chi2.max()), 1 - 1e-12)
+    chance = min(np.exp(-0.5 * chi2.max()), 1 - ROUNDING)
     values.append(-np.expm1(len(chi2) * np.log1p(-chance)))
     return float(min(1.0, len(values) * min(values)))
 

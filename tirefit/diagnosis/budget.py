@@ -8,7 +8,8 @@ import numpy as np
 
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.case import Case
-from tirefit.diagnosis.closure import block_means
+from tirefit.diagnosis.closure import INTERVAL, block_means
+from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.records import Change, Part, SimulatorSummary, Surrogate
 from tirefit.diagnosis.search import Hypothesis
 from tirefit.diagnosis.shares import shapley
@@ -23,6 +24,12 @@ them, in standard deviations of the noise."""
 
 _DIFFERS = 2.0
 """Standard errors from which a parameter of the simulator is said to be wrong."""
+
+_BESIDE = 3
+"""Terms beside the parts: what is left, the noise and the whole."""
+
+_STEP = 1e-5
+"""Step of z of a central difference: its error is 1e-10, and rounding adds 1e-11."""
 
 _MOST_LOST = 0.5
 """Share of the noise's energy that the fitted parameters take up, at most."""
@@ -56,7 +63,7 @@ def budget_of(case: Case, extended, generator) -> tuple[Part, ...]:
     run = base.rows.run[keep]
     drawn = _energies(block_means(terms, run, noise.inflation, generator))
     energy = _energies(terms.mean(axis=0))
-    low, high = np.quantile(drawn[..., :-1] / drawn[..., -1:], [0.05, 0.95], axis=0)
+    low, high = np.quantile(drawn[..., :-1] / drawn[..., -1:], INTERVAL, axis=0)
     names = [p if p == PARAMETERS else base.atoms[p].effect.id for p in parts]
     return tuple(
         Part(
@@ -80,8 +87,8 @@ def _energies(means):
     A part that makes matters worse, as where it serves another channel, counts nothing;
     the others share what was closed.
     """
-    parts = np.maximum(means[..., :-3], 0.0)
-    left, noise, whole = (means[..., k] for k in (-3, -2, -1))
+    parts = np.maximum(means[..., :-_BESIDE], 0.0)
+    left, noise, whole = np.moveaxis(means[..., -_BESIDE:], -1, 0)
     total = np.sum(parts, axis=-1)
     left = np.where(total > 0, np.minimum(left, whole), whole)
     parts = parts * ((whole - left) / np.where(total > 0, total, 1.0))[..., None]
@@ -129,7 +136,7 @@ def parameter_changes(case: Case, widening: float) -> Mapping[str, Change]:
     if base.simulator is None:
         return {}
     layout, z = base.layout, np.asarray(chosen.z)
-    p, step, changes = len(z), 1e-5, {}
+    p, step, changes = len(z), _STEP, {}
     spread = np.sqrt(np.maximum(np.diag(chosen.covariance)[:p], 0) * widening)
     slope = (layout.vector(z + step) - layout.vector(z - step)) / (2 * step)
     given, measured = layout.vector(base.simulator.z), layout.vector(z)
@@ -155,7 +162,7 @@ def simulator_summary(base: Base, model: str, gap: float) -> SimulatorSummary | 
     off = float(np.sqrt(np.mean(base.design.offset[main][:n] ** 2)))
     size = float(np.sqrt(np.mean(base.rows.column(f"{main}_sim") ** 2)))
     followed = Surrogate(
-        model=model, rms=off, of_force=off / max(size, 1e-300),
-        of_gap=off / max(gap, 1e-300),
+        model=model, rms=off, of_force=off / max(size, NONZERO),
+        of_gap=off / max(gap, NONZERO),
     )  # fmt: skip
     return SimulatorSummary(given.kind, given.source, given.sha256, followed)

@@ -4,10 +4,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Closure", "block_means", "closure_of"]
+__all__ = ["INTERVAL", "Closure", "block_means", "closure_of"]
 
 _DRAWS = 400
 """Bootstrap draws: twenty beyond either end of a 90 % interval."""
+
+INTERVAL = (0.05, 0.95)
+"""Quantiles at the ends of a 90 % interval."""
+
+_RESOLVED = 3.0
+"""Standard deviations of the energy of noise from which a gap is resolved."""
 
 _WORST = -1.0
 """Closure that counts as the worst there is: the gap doubled."""
@@ -63,7 +69,7 @@ def closure_of(
     gap, left = _energies(terms.mean(axis=0), lost)
     noise = float(np.mean(variance))
     effective = max(n / inflation, 2.0)
-    resolvable = bool(gap >= 3 * np.sqrt(2 / effective) * noise)
+    resolvable = bool(gap >= _RESOLVED * np.sqrt(2 / effective) * noise)
     # Even the right extension misses by the uncertainty of its parameters.
     floor = noise * lost[1]
     rms = float(np.sqrt(max(gap, 0.0)))
@@ -75,7 +81,7 @@ def closure_of(
     shares = np.sqrt((np.maximum(rests, 0.0) + floor)[good] / gaps[good])
     values = np.maximum(1 - shares, _WORST)
     closed = max(1 - remaining / rms, _WORST)
-    low, high = np.quantile(values, [0.05, 0.95]) if good.any() else (closed, closed)
+    low, high = np.quantile(values, INTERVAL) if good.any() else (closed, closed)
     return Closure(
         rms, remaining, closed, float(min(low, closed)), float(max(high, closed)), True
     )
@@ -92,8 +98,8 @@ def block_means(terms, run, inflation, generator) -> np.ndarray:
 
 
 def _blocks(run, length: int) -> list[np.ndarray]:
-    found = []
+    blocks = []
     for code in np.unique(run):
         rows = np.flatnonzero(run == code)
-        found += np.array_split(rows, max(len(rows) // length, 1))
-    return found
+        blocks += np.array_split(rows, max(len(rows) // length, 1))
+    return blocks

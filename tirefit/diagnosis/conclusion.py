@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from tirefit.diagnosis.adequacy import Adequacy
+from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Search
 from tirefit.diagnosis.standing import Standing, standing
@@ -142,24 +143,24 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
     judge = _Judge(search, weighed, generator)
     key = tuple(sorted(verdict.chosen.effects))
     if verdict.status in ("none", "unknown"):
-        found = judge.of(()).adequacy
-        verdict = replace(verdict, adequacy=found)
+        adequacy = judge.of(()).adequacy
+        verdict = replace(verdict, adequacy=adequacy)
         # Stricter than for a name: six tests, and a false alarm is the worse error.
-        if verdict.status == "none" and _smallest(found) < _FLAGGED:
-            return _unknown(verdict, weighed, found)
+        if verdict.status == "none" and _smallest(adequacy) < _FLAGGED:
+            return _unknown(verdict, weighed, adequacy)
         return verdict
     kept = judge.firm(key, _KNOWN)
     if kept != key:
         key = judge.best_within(kept)
     if not key or judge.imitates(key):
         return _unknown(verdict, weighed, judge.of(()).adequacy)
-    found = judge.of(key).adequacy
+    adequacy = judge.of(key).adequacy
     complete = judge.mended(key)
-    if verdict.status != "incomplete" and found.passed and complete == key:
+    if verdict.status != "incomplete" and adequacy.passed and complete == key:
         if key == tuple(sorted(verdict.effects)):
-            return replace(verdict, adequacy=found)
+            return replace(verdict, adequacy=adequacy)
         return replace(
-            verdict, effects=key, probability=weighed.sets[key], adequacy=found,
+            verdict, effects=key, probability=weighed.sets[key], adequacy=adequacy,
             chosen=weighed.best_of[key], status="cannot_tell",
             also_possible=tuple(e for e in verdict.effects if e not in key),
         )  # fmt: skip
@@ -173,12 +174,12 @@ def _incomplete(verdict: Verdict, judge: _Judge, key: tuple[str, ...]) -> Verdic
     key = key if firm == key else judge.best_within(firm)
     if not key:
         return _unknown(verdict, weighed, judge.of(()).adequacy)
-    found = judge.of(key).adequacy
-    rest = max(probability_of_rest(_smallest(found)), _beside(weighed, key))
+    adequacy = judge.of(key).adequacy
+    rest = max(probability_of_rest(_smallest(adequacy)), _beside(weighed, key))
     return replace(
         verdict, status="incomplete", effects=key, also_possible=(),
         probability=_with_more(weighed, key, rest), chosen=weighed.best_of[key],
-        adequacy=found,
+        adequacy=adequacy,
     )  # fmt: skip
 
 
@@ -193,16 +194,16 @@ def _with_more(weighed: Weighed, key: tuple[str, ...], rest: float) -> float:
 def _beside(weighed: Weighed, key) -> float:
     """Probability of a remainder beside a set, given the set."""
     more = weighed.unknown_beside.get(key, 0.0)
-    return more / max(more + weighed.sets[key], 1e-300)
+    return more / max(more + weighed.sets[key], NONZERO)
 
 
-def _unknown(verdict: Verdict, weighed: Weighed, found: Adequacy) -> Verdict:
+def _unknown(verdict: Verdict, weighed: Weighed, adequacy: Adequacy) -> Verdict:
     """A gap that nothing listed explains: no set of the library may be named."""
-    rest = probability_of_rest(_smallest(found))
+    rest = probability_of_rest(_smallest(adequacy))
     return replace(
         verdict, status="unknown", effects=("unknown",), also_possible=(),
         probability=max(rest, weighed.unknown_alone), chosen=weighed.best_of[()],
-        adequacy=found,
+        adequacy=adequacy,
     )  # fmt: skip
 
 

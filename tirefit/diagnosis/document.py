@@ -14,6 +14,7 @@ from tirefit.diagnosis.conclusion import bound_by
 from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
+from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.records import (
     Amplitude,
     Candidate,
@@ -36,6 +37,21 @@ from tirefit.diagnosis.views import compared, residual_map, shown_rows
 from tirefit.diagnosis.where import parameter_map, regions
 
 __all__ = ["document_of"]
+
+_LISTED, _MENTIONED = 10, 1e-3
+"""Candidates that are listed, at most; probability from which the unknown is one."""
+
+_SEEN = 3.3
+"""Standard errors of an amplitude that is seen four times in five: 0.84 beyond 2.46,
+which noise exceeds once in 72 files."""
+
+_SEEN_ENERGY = 2.5
+"""The same of the energy of a generic remainder, in standard deviations of that of the
+noise: 0.84 beyond 1.65, which noise exceeds once in 20 files."""
+
+_DIRECTIONS = 40
+"""Smooth directions that share the noise's energy, at most: a remainder of a force over
+slip has no more."""
 
 
 def document_of(
@@ -264,7 +280,7 @@ def _tuned_alone(case: Case) -> bool:
     return case.base.simulator is not None and case.verdict.status == "none"
 
 
-def _candidates(case: Case, generator, most: int = 10) -> tuple[Candidate, ...]:
+def _candidates(case: Case, generator, most: int = _LISTED) -> tuple[Candidate, ...]:
     weighed = case.weighed
     total = {
         k: v + weighed.unknown_beside.get(k, 0.0)
@@ -273,7 +289,7 @@ def _candidates(case: Case, generator, most: int = 10) -> tuple[Candidate, ...]:
     }
     ranked = sorted(total, key=lambda key: total[key], reverse=True)[:most]
     listed = [_candidate(case, key, total[key], generator) for key in ranked]
-    if weighed.unknown_alone > 1e-3:
+    if weighed.unknown_alone > _MENTIONED:
         unknown = Candidate(
             effects=("unknown",), family="unknown", parameters={}, z=None,
             probability=weighed.unknown_alone, z_given_rivals=None, closed=0.0,
@@ -298,7 +314,7 @@ def _candidate(case: Case, key, probability: float, generator) -> Candidate:
             unit=effect.unit,
         )
     closure = _closure_by(case, hypothesis, generator)
-    ratio = hypothesis.amplitude / np.maximum(spread, 1e-12)
+    ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
     return Candidate(
         effects=tuple(key),
         family=" + ".join(dict.fromkeys(e.family for e in effects)),
@@ -331,9 +347,11 @@ def _resolution(case: Case) -> Resolution:
     base = case.base
     main = base.prepared.channels[0]
     scale = np.asarray(base.design.scale[main])[: base.prepared.n]
-    directions = min(base.generic.smooth.shape[1], 40)
-    needed = np.sqrt(2.5 * np.sqrt(2 * directions) / base.prepared.n)
-    seen = {effect: 3.3 * abs(value) for effect, value in _smallest_seen(case).items()}
+    directions = min(base.generic.smooth.shape[1], _DIRECTIONS)
+    needed = np.sqrt(_SEEN_ENERGY * np.sqrt(2 * directions) / base.prepared.n)
+    seen = {
+        effect: _SEEN * abs(value) for effect, value in _smallest_seen(case).items()
+    }
     return Resolution(remainder=float(np.median(scale) * needed), smallest_effects=seen)
 
 
@@ -343,7 +361,7 @@ def _smallest_seen(case: Case) -> dict[str, float]:
     size, smallest = np.linalg.norm(left, axis=0), {}
     for k in case.search.testable:
         effect = base.atoms[k].effect
-        if effect.id not in smallest and size[k] > 1e-6 and not effect.singular:
+        if effect.id not in smallest and size[k] > UNSEEN and not effect.singular:
             scale = np.asarray(base.design.prior_scale)[k]
             smallest[effect.id] = float(scale / size[k])
     return smallest

@@ -127,29 +127,29 @@ def _studied(
 ) -> Case:
     base = fit_base(prepared, model, effects, rig, given)
     testable, untestable = _testable(prepared, base.atoms, without)
-    found = search(base, testable)
+    searched = search(base, testable)
     # What the best explanation leaves shows the noise better than the base fit does.
-    best = found.best
+    best = searched.best
     judged = with_noise_judged(base, rig, best.z, amplitudes_of(base, best))
     again = np.any(np.abs(_level(judged) - _level(base)) > _CHANGED)
     again |= any(
         np.any(judged.noise[c].outlier != noise.outlier)
         for c, noise in base.noise.items()
     )
-    shaped = _with_change(judged if again else base, found)
+    shaped = _with_change(judged if again else base, searched)
     if again or shaped is not None:
         base = shaped or judged
-        found = search(base, testable)
+        searched = search(base, testable)
 
-    weighed = weigh(found)
-    verdict = judge(found, weighed, gap_p_value(found, generator))
-    verdict = concluded(verdict, found, weighed, generator)
-    return Case(base, found, weighed, verdict, untestable)
+    weighed = weigh(searched)
+    verdict = judge(searched, weighed, gap_p_value(searched, generator))
+    verdict = concluded(verdict, searched, weighed, generator)
+    return Case(base, searched, weighed, verdict, untestable)
 
 
-def _with_change(base: Base, found: Search) -> Base | None:
+def _with_change(base: Base, searched: Search) -> Base | None:
     """The base with the shape of a sudden change, where one is among the best."""
-    fitted = [h for h in found.hypotheses if h.refitted]
+    fitted = [h for h in searched.hypotheses if h.refitted]
     ranked = sorted(fitted, key=lambda h: -h.log_weight)[:_AMONG]
     steps = [k for k, atom in enumerate(base.atoms) if atom.effect.scans_time]
     likely = [h for h in ranked if set(h.atoms) & set(steps)]

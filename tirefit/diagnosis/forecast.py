@@ -10,6 +10,7 @@ from scipy.special import ndtr
 
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.basis import without
+from tirefit.diagnosis.negligible import FLAT, UNSEEN
 from tirefit.diagnosis.records import Forecast, NextMeasurement
 from tirefit.diagnosis.rows import Prepared
 from tirefit.models import modelled
@@ -23,6 +24,27 @@ __all__ = [
     "separability",
 ]
 
+DRAWS = 2000
+"""Draws of noise: a chance of 5 % is known to half a percent."""
+
+_FALSE, _HARDLY_EVER = 0.05, 0.05
+"""Share of files without a gap whose largest score passes for one; share of files in
+which an effect is taken for another one that is not worth saying."""
+
+_LOADS, _SPEEDS, _SMALL = (0.5, 1.5), (0.5, 2.0), 0.1
+"""Conditions of further measurements, over those of the file."""
+
+_MOVES = 0.1
+"""Usual speed [m/s] from which other speeds can be asked for."""
+
+_RANKED, _PAIRS, _ADDITIONS = 3, 4, 3
+"""Single effects that are compared beside those named, pairs that additions are judged
+by, and additions that are named, at most: what a page holds."""
+
+_LEAST_SIZE = 0.3
+"""Amplitude in prior scales that two effects are told apart at, at least: a refit that
+ended near zero says nothing of how large the effect may be."""
+
 
 def separability(columns, a: int, b: int, size_a: float, size_b: float) -> float:
     """Forecast probability of telling effect a from b, by the larger |z|.
@@ -33,7 +55,7 @@ def separability(columns, a: int, b: int, size_a: float, size_b: float) -> float
     """
     one, two = columns[:, a] * size_a, columns[:, b] * size_b
     energy = (one @ one, two @ two)
-    if min(energy) < 1e-9:
+    if min(energy) < FLAT:
         return 0.5
     correlation = one @ two / np.sqrt(energy[0] * energy[1])
     # Exact confusions have a correlation of 1, and a rounding beyond it.
@@ -69,8 +91,7 @@ def recognition(directions, names: Sequence[str], truth: int, size: float, sign,
     def ranked(z):
         return np.where(sign[:, None] != 0, z * sign[:, None], np.abs(z))
 
-    # A gap is seen where nothing exceeds its score in 19 cases of 20.
-    limit = np.quantile(ranked(noise).max(axis=0), 0.95)
+    limit = np.quantile(ranked(noise).max(axis=0), 1 - _FALSE)
     correlation = directions.T @ directions[:, truth]
     score = ranked(noise + size * correlation[:, None])
     seen = score.max(axis=0) > limit
@@ -79,7 +100,9 @@ def recognition(directions, names: Sequence[str], truth: int, size: float, sign,
     (other, often), *_ = top.most_common(1) or [(None, 0)]
     count = noise.shape[1]
     return Recognition(
-        float(seen.mean()), right / count, other if often > 0.05 * count else None
+        float(seen.mean()),
+        right / count,
+        other if often > _HARDLY_EVER * count else None,
     )
 
 
@@ -90,12 +113,12 @@ def scores_of_nothing(directions, draws: int, generator) -> np.ndarray:
     return root @ generator.standard_normal((directions.shape[1], draws))
 
 
-def confusion(search, draws: int = 2000) -> list[Forecast]:
+def confusion(search, draws: int = DRAWS) -> list[Forecast]:
     """For every effect that can be tested, at its usual size: would these rows show it,
     and what would it be taken for? From the rows' conditions, not from their forces."""
     base, left = search.base, search.projected
     length = np.linalg.norm(left, axis=0)
-    use = [k for k in search.testable if length[k] > 1e-6]
+    use = [k for k in search.testable if length[k] > UNSEEN]
     if not use:
         return []
     directions = left[:, use] / length[use]
@@ -122,12 +145,12 @@ def _changes(prepared: Prepared) -> dict[str, dict]:
     if "signs" not in prepared.has:
         options["the opposite sign of slip"] = {"flip": True}
     spread = "other loads" if "loads" in prepared.has else "two more loads"
-    options[f"{spread} (half and one and a half times)"] = {"fz": (0.5, 1.5)}
-    if float(np.median(rows.v)) > 0.1:
-        options["other speeds (half and twice)"] = {"v": (0.5, 2.0)}
+    options[f"{spread} (half and one and a half times)"] = {"fz": _LOADS}
+    if float(np.median(rows.v)) > _MOVES:
+        options["other speeds (half and twice)"] = {"v": _SPEEDS}
     if "time" in prepared.has and not prepared.random_order:
         options["the same points in random order"] = {"shuffle": True}
-    options["small slips (a tenth)"] = {"slip": 0.1}
+    options["small slips (a tenth)"] = {"slip": _SMALL}
     return options
 
 
@@ -174,9 +197,9 @@ def _pairs(search, weighed, verdict) -> list[tuple[str, str]]:
     ranked = sorted(
         (k for k in weighed.sets if len(k) == 1), key=weighed.sets.get, reverse=True
     )
-    pairs += [(ranked[0][0], k[0]) for k in ranked[1:3]]
+    pairs += [(ranked[0][0], k[0]) for k in ranked[1:_RANKED]]
     unique = dict.fromkeys(pair for pair in pairs if pair[0] != pair[1])
-    return list(unique)[:4]
+    return list(unique)[:_PAIRS]
 
 
 def _singles(search, weighed) -> dict[str, tuple[int, float]]:
@@ -195,7 +218,7 @@ def _singles(search, weighed) -> dict[str, tuple[int, float]]:
 
 
 def next_measurements(
-    base: Base, search, weighed, verdict, most: int = 3
+    base: Base, search, weighed, verdict, most: int = _ADDITIONS
 ) -> tuple[tuple[NextMeasurement, ...], str | None]:
     """Ranked additions that would separate what the data leave confused.
 
@@ -310,7 +333,7 @@ class _Options:
         (i, size), (j, other) = one, two
         columns = np.concatenate([block.columns[:, [i, j]] for block in blocks])
         left = without(columns, jacobian)
-        return separability(left, 0, 1, max(size, 0.3), max(other, 0.3))
+        return separability(left, 0, 1, max(size, _LEAST_SIZE), max(other, _LEAST_SIZE))
 
 
 def _part_of(base: Base, z) -> _Block:
@@ -337,7 +360,7 @@ def _with_moment(base: Base, z) -> _Block:
     )
     lateral = replace(base, rows=rows, fit=replace(base.fit, tire=tire, design=design))
     force = lateral.forces(z, silent)
-    peaks = {c: max(float(np.max(np.abs(f))), 1e-9) for c, f in force.items()}
+    peaks = {c: max(float(np.max(np.abs(f))), FLAT) for c, f in force.items()}
     scales = {"fy": scale, "mz": scale * peaks["mz"] / peaks["fy"]}
     block = _part_of(lateral.on(design._replace(scale=scales)), z)
     moment = np.zeros((2 * n, 1))

@@ -4,6 +4,7 @@ a shape that no formula has."""
 import numpy as np
 
 from tirefit.diagnosis.basis import without
+from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.state import State
 
 __all__ = ["PLACE", "form_columns", "shape_of_change"]
@@ -58,7 +59,7 @@ def shape_of_change(time, friction, used_up, residual) -> np.ndarray:
         columns = friction[:, None] * np.tile(shapes, (repeats, 1))
         columns = without(columns, used_up)
         size = np.sum(columns**2, axis=0)
-        gain = (columns.T @ residual) ** 2 / np.maximum(size, 1e-9)
+        gain = (columns.T @ residual) ** 2 / np.maximum(size, FLAT)
         if gain.max() > best_gain:
             best, best_gain = shapes[:, int(np.argmax(gain))], gain.max()
     return best

@@ -8,17 +8,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.state import (
     Covariates,
     State,
-    Values,
     force_of_state,
     null_state,
     peak_ratio,
 )
 from tirefit.fitting.least_squares import damped_gauss_newton
 from tirefit.models import Brush, Parabolic, TireInputs
-from tirefit.params import with_values
+from tirefit.params import Values, with_values
 
 __all__ = [
     "Design",
@@ -64,6 +64,20 @@ class Design(NamedTuple):
     reference: Values
 
 
+_AT_ZERO = 1e-6
+"""Slip [-] at which stiffness is taken: at zero itself some laws have half a slope."""
+
+_HALF_LENGTH = 0.1
+"""Half-length of the patch [m] of models that state none, as of a car's tire: it scales
+what a change of shape does to the aligning moment, and nothing else."""
+
+_LEAST_DIVISOR = 0.05
+"""x / (1 - w x) has a pole at slips of 1 / w; it grows no more than twentyfold."""
+
+_LIBRARIES = 64
+"""Libraries of effects whose arrays are kept, at most."""
+
+
 def _is_plain(model) -> bool:
     return (
         type(model) is Brush
@@ -82,10 +96,10 @@ def _reference(tire, design: Design, mode: str):
         return getattr(tire(sample._replace(**where)), name)
 
     def slope(sample):
-        return jax.jvp(lambda s: force(s, sample), (1e-6,), (1.0,))[1]
+        return jax.jvp(lambda s: force(s, sample), (_AT_ZERO,), (1.0,))[1]
 
     stiffness = jax.vmap(slope)(design.inputs) / 2
-    arm = getattr(tire, "half_length", 0.1)
+    arm = getattr(tire, "half_length", _HALF_LENGTH)
     return stiffness, peak_ratio(tire, fz, v), arm
 
 
@@ -104,7 +118,7 @@ def _per_row(state, count: int):
     )
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=_LIBRARIES)
 def _atoms(effects) -> tuple[np.ndarray, np.ndarray]:
     """Which effect each atom is of (K + 1,), and its constants (K + 1, c), padded; the
     last atom is of none."""
@@ -173,7 +187,7 @@ def _forces_at(model, layout, mode: str, z, state, design: Design):
 
         def at(slip):
             moved = slip + state.shift
-            moved = moved / jnp.maximum(1 - state.curvature * moved, 0.05)
+            moved = moved / jnp.maximum(1 - state.curvature * moved, _LEAST_DIVISOR)
             pair = (state.other, moved) if mode == "y" else (moved, state.other)
             if mode == "xy":
                 pair = (moved, second * (1 + moved))
@@ -186,11 +200,13 @@ def _forces_at(model, layout, mode: str, z, state, design: Design):
 
     none = jnp.zeros_like(design.second)
     stiffness = none if reference is None else reference[0]
-    found = jax.vmap(row)(state, stiffness, design.slip, design.second, design.inputs)
-    mean = {c: jnp.sum(f * design.weight, axis=1) for c, f in found.items()}
+    at_nodes = jax.vmap(row)(
+        state, stiffness, design.slip, design.second, design.inputs
+    )
+    mean = {c: jnp.sum(f * design.weight, axis=1) for c, f in at_nodes.items()}
     spread = {
         c: jnp.sum((f - mean[c][:, None]) ** 2 * design.weight, axis=1)
-        for c, f in found.items()
+        for c, f in at_nodes.items()
     }
     return {c: force + design.offset[c] for c, force in mean.items()}, spread
 
@@ -317,6 +333,7 @@ MOST_EFFECTS = 3
 """Effects of one hypothesis, at most."""
 
 _REFIT_STEPS = 26
+"""Steps of a refit, at most."""
 _REFIT_TOLERANCE = 1e-3
 """Chi-squared that one more step of a refit could still gain: evidence is counted in
 whole units."""
@@ -377,9 +394,9 @@ def refit_all(model, layout, effects, mode, starts, index, count, design):
 
         return _refit(whole, pull, allowed, allowed(start), p)
 
-    def body(number, found):
+    def body(number, refits):
         here = one(starts[number], index[number])
-        return jax.tree.map(lambda all, x: all.at[number].set(x), found, here)
+        return jax.tree.map(lambda all, x: all.at[number].set(x), refits, here)
 
     h, width = starts.shape
     shapes = ((p,), (size,), (), (), (width, width), ())
@@ -401,7 +418,7 @@ def _refit(whole, pull, allowed, start, p: int) -> Refit:
     penalty = jnp.sum(pull(end.z[p:]) ** 2)
     # A parameter at its bound has no curvature; what is left of it cancels.
     identity = jnp.eye(start.size)
-    curvature = end.normal + 1e-9 * identity
+    curvature = end.normal + FLAT * identity
     return Refit(
         end.z[:p], end.z[p:], end.cost - penalty, jnp.linalg.slogdet(curvature)[1],
         jnp.linalg.solve(curvature, identity), penalty,

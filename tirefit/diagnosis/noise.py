@@ -3,15 +3,15 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import nnls
 
 from tirefit.diagnosis.basis import RANK, waves_within
-from tirefit.fitting.noise import autocorrelation_time
+from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
+from tirefit.diagnosis.rows import LOADS
+from tirefit.fitting.noise import MAD, autocorrelation_time
 
 __all__ = ["NoiseLevel", "correlation", "judge_noise"]
 
-
-MAD = 1.4826
-"""Standard deviation of a normal law over its median absolute deviation."""
 
 _FINEST = 1e-5
 """Noise over the load, at least: a twentieth of what the best force transducers resolve
@@ -23,9 +23,6 @@ _OUTLIER, _OUTLIER_AMONG_MANY = 4.5, 3.5
 
 _MANY = 0.01
 """Share of rows set aside from which they are no chance and no sharp edge."""
-
-_LARGEST_CHANCE = 2e-5
-"""Share of rows of normal noise that :data:`_OUTLIER` sets aside, three times."""
 
 _FLAGGED = 0.004
 """Share of rows set aside from which outliers are said."""
@@ -53,6 +50,29 @@ _SPREAD_OF_LOAD = 0.05
 
 _UNEVEN = 1.3
 """Largest over smallest standard deviation from which noise is called uneven."""
+
+_SECOND = 1.5
+"""Variance of a row less the mean of its two neighbours, over that of the noise."""
+
+_NEIGHBOURED = 0.3
+"""Share of the rows that have such neighbours, from which they speak for all."""
+
+_WAVES = 3
+"""Waves that are taken out of the noise, at most."""
+
+_LAW_ROUNDS = 4
+"""Rounds of weighting by the law of the variance itself."""
+
+_LEAST_VARIANCE = 1e-3
+"""Variance of a row over the mean one, at least: no row decides alone."""
+
+_FOLLOWS = 4.0
+"""Standard errors of the score of a variance that follows the load: one normal noise
+in 15,000."""
+
+_LONGEST, _FACTS = 1e-3, 20
+"""One less the correlation of neighbours, and independent rows of a record, at least:
+a longer memory cannot be told from a gap."""
 
 _CORRELATED = 2.5
 """Standard errors of the correlation at lag one that count: one white record in 160."""
@@ -88,7 +108,7 @@ def judge_noise(
     """
     base = given if given is not None else np.full(len(residual), 1.0)
     std = np.sqrt(base**2 + spread) if given is not None else base
-    level = residual / (std if given is not None else np.maximum(fz, 1e-9))
+    level = residual / (std if given is not None else np.maximum(fz, FLAT))
     keep = ~_stray(level, groups)
     smooth = _soaked(residual / std, basis / std[:, None], waves / std[:, None], keep)
     clean = smooth.remainder(residual / std)
@@ -100,7 +120,7 @@ def judge_noise(
         unit = MAD * np.median(np.abs(level[keep]))
         many = np.count_nonzero(~keep) > _MANY * len(keep)
         far = _OUTLIER_AMONG_MANY if many else _OUTLIER
-        good = np.abs(level) < far * max(unit, 1e-12)
+        good = np.abs(level) < far * max(unit, ROUNDING)
         if np.array_equal(good, keep):
             break
         keep = good
@@ -128,8 +148,7 @@ def judge_noise(
     clean = clean * (base if given is None else 1.0)
     if given is not None and _uneven(clean, fz, keep):
         flags.append("heteroscedastic")
-    expected = _LARGEST_CHANCE * len(residual)
-    if np.count_nonzero(~keep) > max(_FEW, 5 * expected, _FLAGGED * len(residual)):
+    if np.count_nonzero(~keep) > max(_FEW, _FLAGGED * len(residual)):
         flags.append("outliers")
     white = np.where(keep, clean, 0.0) / (std if given is None else 1.0)
     inflation = correlation(white, time, run)
@@ -142,6 +161,7 @@ _FEW = 3
 """Rows far off that an edge of the force may give."""
 
 _WINDOW = 7
+"""Neighbours of a row whose median an outlier does not move, nor do two."""
 _STRAY = 5.0
 """Deviations from its neighbours, in robust standard deviations, that set a row aside
 before anything is known of the gap."""
@@ -163,10 +183,10 @@ def _stray(level, groups) -> np.ndarray:
     if not seen.any():
         return seen
     unit = MAD * np.median(np.abs(off[:, seen]), axis=1, keepdims=True)
-    found = np.all(np.abs(off) > _STRAY * unit, axis=0) & seen
+    stray = np.all(np.abs(off) > _STRAY * unit, axis=0) & seen
     # A sharp edge of the force has few such rows, and is no outlier.
     return (
-        found if found.sum() > max(_FEW, _MANY * len(level)) else np.zeros_like(found)
+        stray if stray.sum() > max(_FEW, _MANY * len(level)) else np.zeros_like(stray)
     )
 
 
@@ -177,11 +197,16 @@ def _between_neighbours(white, groups, keep) -> float:
         rows = group[keep[group]]
         if len(rows) > 2:
             second = white[rows][1:-1] - 0.5 * (white[rows][2:] + white[rows][:-2])
-            squares, count = squares + float(second @ second) / 1.5, count + len(second)
-    return float(np.sqrt(squares / count)) if count > 0.3 * len(white) else np.inf
+            squares, count = (
+                squares + float(second @ second) / _SECOND,
+                count + len(second),
+            )
+    return (
+        float(np.sqrt(squares / count)) if count > _NEIGHBOURED * len(white) else np.inf
+    )
 
 
-def _soaked(white, basis, waves, keep, most: int = 3):
+def _soaked(white, basis, waves, keep, most: int = _WAVES):
     """Smooth functions and the few waves that clearly show, one after the other."""
     smooth = _Smooth(basis, keep)
     count = waves.shape[1] // 2
@@ -216,18 +241,16 @@ class _Smooth:
 
 def _variance_law(clean, spread, fz, keep, dof):
     """sqrt(a^2 + b^2 F_z^2 + slip noise's share), by non-negative least squares."""
-    from scipy.optimize import nnls
-
     square = clean[keep] ** 2 * (keep.sum() / dof)
     shapes = [np.ones_like(fz)]
     if np.std(np.log(fz)) > _SPREAD_OF_LOAD:
         shapes.append((fz / np.mean(fz)) ** 2)
     level = np.full(keep.sum(), square.mean())
-    for _ in range(4):
+    for _ in range(_LAW_ROUNDS):
         columns = np.stack([s[keep] / level for s in shapes], axis=1)
         part, _ = nnls(columns, np.maximum(square - spread[keep], 0) / level)
         variance = sum(c * s for c, s in zip(part, shapes, strict=True)) + spread
-        variance = np.maximum(variance, 1e-3 * square.mean())
+        variance = np.maximum(variance, _LEAST_VARIANCE * square.mean())
         level = variance[keep]
     total = np.mean(square / level)
     std = np.sqrt(variance * total)
@@ -235,14 +258,14 @@ def _variance_law(clean, spread, fz, keep, dof):
 
 
 def _uneven(white, fz, keep) -> bool:
-    """Whether the squares follow the load (score test of the variance, 0.1 %)."""
+    """Whether the squares follow the load (score test of the variance)."""
     x = np.log(fz[keep])
-    if np.std(x) < 0.03:
+    if np.std(x) < LOADS:
         return False
     square = white[keep] ** 2
     square = square / square.mean() - 1
     x = (x - x.mean()) / np.std(x)
-    return abs(square @ x) / np.sqrt(2 * len(x)) > 4.0
+    return abs(square @ x) / np.sqrt(2 * len(x)) > _FOLLOWS
 
 
 def correlation(white, time, run) -> float:
@@ -250,10 +273,12 @@ def correlation(white, time, run) -> float:
     order = np.arange(len(white)) if time is None else np.lexsort((time, run))
     parts = [white[order][run[order] == code] for code in np.unique(run)]
     lag_one = sum(float(p[1:] @ p[:-1]) for p in parts) / max(
-        sum(float(p @ p) for p in parts), 1e-300
+        sum(float(p @ p) for p in parts), NONZERO
     )
     # The smooth part taken out lowers the correlation slightly: no bias upwards.
     if lag_one < _CORRELATED / np.sqrt(len(white)):
         return 1.0
-    first_order = (1 + lag_one) / max(1 - lag_one, 1e-3)
-    return float(min(max(autocorrelation_time(parts), first_order), len(white) / 20))
+    first_order = (1 + lag_one) / max(1 - lag_one, _LONGEST)
+    return float(
+        min(max(autocorrelation_time(parts), first_order), len(white) / _FACTS)
+    )

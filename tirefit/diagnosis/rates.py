@@ -8,10 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
+
 __all__ = ["AHEAD", "BEHIND", "Past", "Sweeps", "segments", "slip_rate"]
 
 _WINDOWS = (5, 7, 11, 17, 25, 41)
+"""Rows of the local parabolas: each half as wide again as the one before."""
+_COEFFICIENTS = 3
+"""Of a parabola."""
 _NOISY = 17
+"""Width from which, where it predicts best, neighbours differ by noise."""
+_ALONE = 0.05
+"""Share of its path that is not a row's own value, at least."""
 _REACH = _WINDOWS[-1] - 1
 
 AHEAD, BEHIND = 4, 12
@@ -63,7 +71,7 @@ class _Parabolas(NamedTuple):
 def _parabolas(values, time, window: int) -> _Parabolas:
     view = np.lib.stride_tricks.sliding_window_view
     x, t = view(values, window), view(time, window)
-    unit = np.maximum((t[:, -1] - t[:, 0]) / 2, 1e-12)
+    unit = np.maximum((t[:, -1] - t[:, 0]) / 2, ROUNDING)
     u = (t - t[:, [window // 2]]) / unit[:, None]
     rows = np.stack([np.ones_like(u), u, u * u], axis=2)
     normal = np.einsum("awi,awj->aij", rows, rows)
@@ -126,7 +134,7 @@ def _averaged(values, time, noise: float) -> _Path:
     reach = np.zeros((size, 2 * _REACH + 1))
     for window in (w for w in _WINDOWS if w <= size):
         local = _parabolas(values, time, window)
-        log = _WORTH * (window - 3) - 0.5 * local.misfit / noise**2
+        log = _WORTH * (window - _COEFFICIENTS) - 0.5 * local.misfit / noise**2
         for first in (row - window // 2, row, row - window + 1):
             start = np.clip(first, 0, size - window)
             at, fit = local.rows[start, row - start], local.fit[start]
@@ -136,9 +144,9 @@ def _averaged(values, time, noise: float) -> _Path:
             around = values[start[:, None] + np.arange(window)]
             for mean, form in ((rise, slope), (path, at)):
                 weights = np.einsum("ni,niw->nw", form, fit)
-                found = np.einsum("nw,nw->n", weights, around)
+                estimated = np.einsum("nw,nw->n", weights, around)
                 spread = noise**2 * np.sum(weights**2, axis=1)
-                fade, share = mean.add(log[start], found, spread)
+                fade, share = mean.add(log[start], estimated, spread)
             reach *= fade[:, None]
             reach[row[:, None], place] += share[:, None] * weights
     return _Path(path.result()[0], *rise.result(), reach / path.total[:, None])
@@ -184,7 +192,7 @@ def _fill_past(past: Past, part, values, time, path: _Path) -> None:
         weight = path.reach[at, np.clip(row - at, -_REACH, _REACH) + _REACH]
         return np.where(far, 0.0, weight)
 
-    alone = np.maximum(1 - path.reach[:, _REACH], 0.05)
+    alone = np.maximum(1 - path.reach[:, _REACH], _ALONE)
     noise = ((values - path.value) / alone)[:, None]
     mean = (1 - share) * path.value[low] + share * path.value[low + 1]
     past.path[part] = mean - ((1 - share) * own(low) + share * own(low + 1)) * noise
@@ -195,14 +203,14 @@ def _fill_past(past: Past, part, values, time, path: _Path) -> None:
 class Sweeps(NamedTuple):
     """How a slip moves in time: ``rate`` (n,) [1/s]; ``turning`` (n,), +1 where it
     grows in size, -1 where it shrinks; ``path`` (n,), the smooth slip; ``past``, what
-    it was before; ``found``, whether the rows are sweeps in time at all; ``noise``,
+    it was before; ``present``, whether the rows are sweeps in time at all; ``noise``,
     what the measured slip scatters about the path, 0 where it is not known."""
 
     rate: np.ndarray
     turning: np.ndarray
     path: np.ndarray
     past: Past
-    found: bool
+    present: bool
     noise: float
 
 
@@ -226,9 +234,10 @@ def slip_rate(slip, time, run, noise: float = 0.0) -> Sweeps:
     window, left_out = _best_window(slip, time, parts)
     if left_out > _UNSTEADY * np.var(slip):
         return still
-    # Left out, a row misses by its own noise and that of the local parabola. Where few
-    # neighbours predict best it is the curve that misses, not noise.
-    seen = max(np.sqrt(left_out / (1 + 2.25 / window)), 1e-9 * np.std(slip))
+    # Left out, a row misses by its own noise and that of the local parabola, which has
+    # 9 / (4 w) of the variance at its middle. Where few neighbours predict best it is
+    # the curve that misses, not noise.
+    seen = max(np.sqrt(left_out / (1 + 9 / (4 * window))), FLAT * np.std(slip))
     scatter = seen if window >= _NOISY else 0.0
     level = max(noise, scatter if scatter > _MORE * noise else 0.0) or seen
     paths = [_averaged(slip[part], time[part], level) for part in parts]
@@ -236,17 +245,17 @@ def slip_rate(slip, time, run, noise: float = 0.0) -> Sweeps:
     rate = np.sqrt(np.mean(np.concatenate([path.slope for path in paths]) ** 2))
     period = float(np.std(slip) / rate) if rate > 0 else 0.0
     past = none._replace(interval=max(usual, _SPAN * period / BEHIND))
-    found = still._replace(found=True, noise=scatter, past=past)
+    sweeps = still._replace(present=True, noise=scatter, past=past)
     past.path[:] = past.of(slip)
     for part, path in zip(parts, paths, strict=True):
         _fill_past(past, part, slip[part], time[part], path)
-        found.path[part], found.rate[part] = path.value, path.slope
+        sweeps.path[part], sweeps.rate[part] = path.value, path.slope
         # Slips that a formula gave have no error at all.
         finest = _FINEST * float(np.max(np.abs(path.slope)))
-        error = np.maximum(path.slope_error, max(finest, 1e-300))
+        error = np.maximum(path.slope_error, max(finest, NONZERO))
         certain = np.sign(slip[part]) * path.slope / (2 * error)
-        found.turning[part] = np.clip(certain, -1, 1)
-    return found
+        sweeps.turning[part] = np.clip(certain, -1, 1)
+    return sweeps
 
 
 def _best_window(slip, time, parts) -> tuple[int, float]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tirefit.data.table import TireData
+from tirefit.diagnosis.negligible import FLAT, ROUNDING
 from tirefit.diagnosis.rates import Sweeps, segments, slip_rate
 from tirefit.diagnosis.sizes import Sizes, half_force_slip, largest, sizes_of
 from tirefit.diagnosis.slip_check import SlipCheck, check_slip
@@ -14,7 +15,7 @@ from tirefit.fitting.slip_noise import speed_of, std_with_speed
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["Prepared", "neighbours", "on_scale_of", "prepare", "thinned"]
+__all__ = ["LOADS", "Prepared", "neighbours", "on_scale_of", "prepare", "thinned"]
 
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that drive the forces -> forces that may be diagnosed."""
@@ -22,9 +23,19 @@ MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 _ONE_SLIP = 10.0
 """Ratio of the spreads of two slips from which one drives and the other disturbs."""
 
-_SPEEDS, _LOADS, _PRESSURES = 0.2, 0.03, 0.02
+_SPEEDS, LOADS, _PRESSURES = 0.2, 0.03, 0.02
 """Range of the speeds over their mean, standard deviation of log F_z, and range of the
 pressures over their mean, that count as several."""
+
+_DRIVES = 1e-6
+"""Standard deviation of a slip from which it drives: less is one value."""
+
+_WARMER = 20.0
+"""Unit of the temperature [K]: a tire that warms up rises by one or two of them."""
+
+_LIKE_LOADS, _LIKE_SPEEDS = 0.05, 0.1
+"""Steps of log F_z and log v within which rows are neighbours: what a rig holds a load
+and a driver a speed to."""
 
 _STANDS = 0.03
 """Share of the usual speed below which a tire counts as standing: a slip of so little
@@ -95,12 +106,12 @@ class Prepared:
 
 
 def _varies(values, share: float = 0.0) -> bool:
-    return bool(np.ptp(values) > max(share * np.mean(np.abs(values)), 1e-9))
+    return bool(np.ptp(values) > max(share * np.mean(np.abs(values)), FLAT))
 
 
 def _mode(data: TireData) -> str:
     def drives(slip, force):
-        return slip in data and force in data and np.std(data.usable(slip)) > 1e-6
+        return slip in data and force in data and np.std(data.usable(slip)) > _DRIVES
 
     along, across = drives("sigma_x", "fx"), drives("alpha", "fy")
     if along and across:
@@ -133,7 +144,7 @@ def _centered(values, width: float) -> np.ndarray:
 def _over_range(values) -> np.ndarray:
     """About their mean, over their range; zero where nothing varies."""
     span = np.ptp(values)
-    varies = span > 1e-9 * np.max(np.abs(values))
+    varies = span > FLAT * np.max(np.abs(values))
     return _centered(values, span) if varies else np.zeros(len(values))
 
 
@@ -189,7 +200,7 @@ def prepare(data: TireData, rig, model) -> Prepared:
         data, mode, channels, inputs, slip, std, second,
         {c: data.usable(c) for c in channels}, covariates,
         TireInputs(*(sweeps.past.of(part) for part in inputs)),
-        _holdings(data, mode, covariates, sweeps.found, radius), time, run,
+        _holdings(data, mode, covariates, sweeps.present, radius), time, run,
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
         rig.run_order == "random", np.arange(data.n),
         check_slip(data, rig.rolling_radius),
@@ -222,11 +233,11 @@ def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Cova
         fz=fz / np.exp(np.mean(np.log(fz))),
         v=v,
         time=_over_range(time),
-        temperature=_centered(_column(data, "temperature"), 20.0),
+        temperature=_centered(_column(data, "temperature"), _WARMER),
         inflation=_over_range(_column(data, "pressure")),
         gamma=_column(data, "gamma"),
         rate=sweeps.rate,
-        lag=way * np.std(size) / max(np.sqrt(np.mean(way**2)), 1e-12),
+        lag=way * np.std(size) / max(np.sqrt(np.mean(way**2)), ROUNDING),
         turning=sweeps.turning,
         side=zero,
         other=zero,
@@ -240,7 +251,7 @@ def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Cova
         step=interval * pace,
         pace=pace,
         sliding=sliding,
-        brisk=np.full(data.n, max(largest(sliding), 1e-12)),
+        brisk=np.full(data.n, max(largest(sliding), ROUNDING)),
         cruise=np.full(data.n, np.exp(np.mean(np.log(pace)))),
         rise=np.full(data.n, half_force_slip(size, force / fz)),
         peak=np.full(data.n, largest(force / fz)),
@@ -334,13 +345,13 @@ def _slip_std(data: TireData, mode: str, rig, scatter: float):
 def _holdings(data: TireData, mode: str, rows, sweeps: bool, radius) -> frozenset:
     """Names of the needs of effects that this data meets."""
     positive = np.mean(rows.side > 0)
-    found = {
+    met = {
         "v": "v" in data and float(np.median(np.abs(rows.v))) > 0,
         "speeds": "v" in data and _varies(rows.v, _SPEEDS),
-        "loads": float(np.std(np.log(rows.fz))) > _LOADS,
+        "loads": float(np.std(np.log(rows.fz))) > LOADS,
         "time": "time" in data and _varies(rows.time),
-        "temperature": "temperature" in data and _varies(rows.temperature * 20, 0.0)
-        and float(np.std(rows.temperature)) > _WARMS / 20,
+        "temperature": "temperature" in data and _varies(rows.temperature * _WARMER)
+        and float(np.std(rows.temperature)) > _WARMS / _WARMER,
         "pressure": "pressure" in data
         and _varies(_column(data, "pressure"), _PRESSURES),
         "gamma": "gamma" in data and float(np.std(rows.gamma)) > _LEANS,
@@ -356,7 +367,7 @@ def _holdings(data: TireData, mode: str, rows, sweeps: bool, radius) -> frozense
         "a_x": "a_x" in data and np.any(rows.ahead != 0),
         "work": np.any(rows.work) and np.any(rows.time),
     }  # fmt: skip
-    return frozenset(name for name, here in found.items() if here)
+    return frozenset(name for name, here in met.items() if here)
 
 
 def neighbours(prepared: Prepared) -> list[np.ndarray]:
@@ -366,8 +377,8 @@ def neighbours(prepared: Prepared) -> list[np.ndarray]:
     """
     rows = prepared.covariates
     settings = np.stack([
-        prepared.run, np.round(np.log(rows.fz) / 0.05),
-        np.round(np.log(rows.pace) / 0.1), np.sign(rows.turning),
+        prepared.run, np.round(np.log(rows.fz) / _LIKE_LOADS),
+        np.round(np.log(rows.pace) / _LIKE_SPEEDS), np.sign(rows.turning),
     ], axis=1)  # fmt: skip
     _, cell = np.unique(settings, axis=0, return_inverse=True)
     cell = np.ravel(cell)

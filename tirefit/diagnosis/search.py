@@ -10,6 +10,7 @@ from scipy.special import log_ndtr
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.basis import without
 from tirefit.diagnosis.forward import MOST
+from tirefit.diagnosis.negligible import ROUNDING
 
 __all__ = ["Hypothesis", "Search", "amplitudes_of", "search"]
 
@@ -26,6 +27,14 @@ PRIOR_OF_UNKNOWN = 0.1
 _BEST_SINGLES, _WITHIN = 6, 15.0
 """Single effects that are refitted: so many, and all within so much log evidence of the
 best by the linear screen, which may be wrong by some of it on a large gap."""
+
+_PAIRS, _BEYOND_ONE, _BEYOND_TWO = 6, (3, 6), (2, 4)
+"""Pairs of the linear screen that are refitted; sets of one and of two effects that are
+extended, and effects that are tried beside each: what is less likely rarely wins."""
+
+_UNSEEN = 1e-6
+"""Squared length of a direction of whitened rows below which an effect of the usual
+size changes them all by a thousandth of a standard error together."""
 
 _HOPELESS = 30.0
 """Log weight below the best at which a set is not extended any more."""
@@ -220,7 +229,7 @@ class _Searcher:
             refit.amplitude[:size],
             refit.covariance[: p + size, : p + size],
         )
-        spread = np.sqrt(np.maximum(np.diag(cov)[p:], 1e-12))
+        spread = np.sqrt(np.maximum(np.diag(cov)[p:], ROUNDING))
         for k, a, s in zip(atoms, amplitude, spread, strict=True):
             if self.sign[k]:
                 value += np.log(2) + log_ndtr(self.sign[k] * a / s)
@@ -241,14 +250,14 @@ _LIKELY_VARIANTS = 3
 def _best_variants(searcher: _Searcher, gram, score, within=()):
     """For each effect its best atoms added to ``within``, the best effect first:
     [[(log weight, atom), ...], ...]."""
-    found: dict[str, list[tuple[float, int]]] = {}
+    variants: dict[str, list[tuple[float, int]]] = {}
     inside = {searcher.ids[k] for k in within}
     for k in searcher.testable:
-        if searcher.ids[k] in inside or gram[k, k] < 1e-6:
+        if searcher.ids[k] in inside or gram[k, k] < _UNSEEN:
             continue
         value = _log_bayes(gram, score, searcher.center, searcher.sign, (k,))
-        found.setdefault(searcher.ids[k], []).append((value, k))
-    return sorted((sorted(v, reverse=True) for v in found.values()), reverse=True)
+        variants.setdefault(searcher.ids[k], []).append((value, k))
+    return sorted((sorted(v, reverse=True) for v in variants.values()), reverse=True)
 
 
 def _guess(searcher, gram, score, hypothesis: Hypothesis, k: int):
@@ -280,16 +289,16 @@ def search(base: Base, testable: Sequence[int]) -> Search:
                 singles.append(atoms)
                 guesses[atoms] = guess
     searcher.refit(singles, guesses)
-    _extend(searcher, 1, beam=3, width=6)
+    _extend(searcher, 1, *_BEYOND_ONE)
     _pairs_by_screen(searcher, gram, score, [variants[0] for variants in ranked])
-    _extend(searcher, 2, beam=2, width=4)
+    _extend(searcher, 2, *_BEYOND_TWO)
     return Search(
         base, searcher.testable, _scores(searcher, gram, score),
         list(searcher.found.values()), left,
     )  # fmt: skip
 
 
-def _pairs_by_screen(searcher, gram, score, ranked, count: int = 6) -> None:
+def _pairs_by_screen(searcher, gram, score, ranked, count: int = _PAIRS) -> None:
     """Pairs that only show together."""
     atoms = [k for _, k in ranked]
     values = []
@@ -325,10 +334,10 @@ def _extend(searcher: _Searcher, size: int, beam: int, width: int) -> None:
 
 def _scores(searcher: _Searcher, gram, score) -> dict[str, float]:
     """z of each effect at the base fit: the largest of its variants."""
-    found: dict[str, float] = {}
+    largest: dict[str, float] = {}
     for k in searcher.testable:
-        if gram[k, k] > 1e-9:
+        if gram[k, k] > _UNSEEN:
             z = float(score[k] / np.sqrt(gram[k, k]))
-            if abs(z) > abs(found.get(searcher.ids[k], 0.0)):
-                found[searcher.ids[k]] = z
-    return found
+            if abs(z) > abs(largest.get(searcher.ids[k], 0.0)):
+                largest[searcher.ids[k]] = z
+    return largest

@@ -15,6 +15,7 @@ import numpy as np
 
 from tirefit.data.table import CANONICAL, SIMULATED, TireData
 from tirefit.data.tir import read_tir
+from tirefit.diagnosis.negligible import NONZERO
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.layout import FreeParameter, Layout, choose_layout
 from tirefit.fitting.predict import predict
@@ -178,7 +179,7 @@ def check_followed(prepared, missed: Mapping[str, np.ndarray], name: str) -> Non
                     f"the tire that stands in for the simulator does not follow it: it"
                     f" misses {channel}_sim by {off:.3g}"
                     f" {CANONICAL[channel][0]} rms,"
-                    f" {100 * off / max(size, 1e-300):.0f} % of it"
+                    f" {100 * off / max(size, NONZERO):.0f} % of it"
                     f" ({100 * _FARTHEST_OFF:.0f} % at most)",
                     f"choose a base model nearer to the simulator than {name} with"
                     f" --model, and check sign, unit and row order of {channel}_sim",

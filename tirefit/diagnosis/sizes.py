@@ -9,8 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.diagnosis.negligible import FLAT, ROUNDING
+
 __all__ = ["Sizes", "half_force_slip", "largest", "sizes_of"]
 
+_HALF = (0.4, 0.6)
+"""Share of the largest force that is about half of it."""
+_LEAST_RISE = 1e-3
+"""Slip at half of the largest force, over the largest slip, at least."""
 _LEAST = 5
 """Rows around half of the largest force from which its slip is taken."""
 
@@ -60,14 +66,14 @@ def half_force_slip(slip, share) -> float:
     """
     size, share = np.abs(slip), np.abs(share)
     top = largest(share)
-    half = (share > 0.4 * top) & (share < 0.6 * top)
-    found = np.median(size[half] if half.sum() >= _LEAST else size)
-    return float(max(found, 1e-9 + 1e-3 * largest(size)))
+    half = (share > _HALF[0] * top) & (share < _HALF[1] * top)
+    middle = np.median(size[half] if half.sum() >= _LEAST else size)
+    return float(max(middle, FLAT + _LEAST_RISE * largest(size)))
 
 
 def _one_over(size: float) -> float:
     """What a change of one over this range amounts to; 1 where nothing varies."""
-    return 1 / size if size > 1e-12 else 1.0
+    return 1 / size if size > ROUNDING else 1.0
 
 
 def sizes_of(rows, slip, mean_load: float, radius: float | None) -> Sizes:

@@ -26,6 +26,9 @@ _LARGEST = 3.0
 """Slip beyond which the wheel hardly turns and its speed says little."""
 
 _LEAST_ROWS = 10
+"""Rows from which the scatter about a line says something."""
+_WRITTEN = 1e-6
+"""Slip as files write it: nothing is known better."""
 _BETTER = 0.7
 """Share of the scatter that another definition must leave at most, to be the one: on
 slips of 0.25 it leaves a tenth and less; noise of the slip hides it below 0.03."""
@@ -88,8 +91,7 @@ def _line(computed, logged) -> _Line:
     left = logged - columns @ (offset, gain)
     scatter = np.sqrt(np.sum(left**2) / (len(left) - 2))
     inverse = np.linalg.inv(columns.T @ columns)
-    # Nothing is known better than the column is written.
-    error = max(scatter * np.sqrt(inverse[0, 0]), 1e-6)
+    error = max(scatter * np.sqrt(inverse[0, 0]), _WRITTEN)
     return _Line(float(scatter), float(offset), float(error), float(gain))
 
 
@@ -109,7 +111,7 @@ def check_slip(data: TireData, radius: float | None) -> SlipCheck | None:
     computed = slip_from_speeds(omega, v, radius)
     good = (np.abs(computed) < _LARGEST) & (np.abs(sigma) < _LARGEST) & (omega > 0)
     good &= computed > -1 + 1 / (1 + _LARGEST)
-    if good.sum() < _LEAST_ROWS or np.ptp(computed[good]) < 1e-6:
+    if good.sum() < _LEAST_ROWS or np.ptp(computed[good]) < _WRITTEN:
         return None
     alpha = data.usable("alpha")[good] if "alpha" in data else None
     read_as = data.source.slip_definition

@@ -12,16 +12,14 @@ import numpy as np
 from tirefit.data.levels import levels
 from tirefit.diagnosis.adequacy import Adequacy, adequacy
 from tirefit.diagnosis.base import Base
-from tirefit.diagnosis.basis import without
+from tirefit.diagnosis.basis import FEW_SETTINGS, without
+from tirefit.diagnosis.negligible import ROUNDING
 from tirefit.diagnosis.noise import correlation
 from tirefit.diagnosis.rates import segments
 from tirefit.diagnosis.rows import Prepared, neighbours
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 
 __all__ = ["Standing", "regimes", "standing", "widening"]
-
-_SETTINGS = 6
-"""Levels up to so many are regimes of their own, more are thirds of the range."""
 
 
 class Standing(NamedTuple):
@@ -70,11 +68,11 @@ def regimes(prepared: Prepared) -> list[np.ndarray]:
             add(third == number)
 
     def settings(values):
-        found = levels(values)
-        if not found.few(_SETTINGS):
+        distinct = levels(values)
+        if not distinct.few(FEW_SETTINGS):
             thirds(values)
-        for code in range(len(found.center) if found.few(_SETTINGS) else 0):
-            add(found.code == code)
+        for code in range(len(distinct.center) if distinct.few(FEW_SETTINGS) else 0):
+            add(distinct.code == code)
 
     if "loads" in has:
         settings(rows.fz)
@@ -147,6 +145,8 @@ def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing
     together = float(np.sum(parts.sum(axis=1) ** 2))
     return Standing(
         _worst(each),
-        tuple(float(a) for a in np.abs(hypothesis.amplitude) / np.maximum(std, 1e-12)),
-        float(np.sum(parts**2)) / max(together, 1e-12) if parts.size else 1.0,
+        tuple(
+            float(a) for a in np.abs(hypothesis.amplitude) / np.maximum(std, ROUNDING)
+        ),
+        float(np.sum(parts**2)) / max(together, ROUNDING) if parts.size else 1.0,
     )

@@ -11,24 +11,20 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 
 from tirefit.models import Asymmetric, Brush, Quartic, TireInputs
 from tirefit.models.friction import Friction
 from tirefit.models.pressure import AbstractPressure, Parabolic
+from tirefit.params import Values
 
 __all__ = [
     "Covariates",
     "State",
-    "Values",
     "force_of_state",
     "null_state",
     "peak_ratio",
 ]
-
-Values = Array | np.ndarray
-"""Of a record that programs take and give: NumPy's on the host, JAX's within one."""
 
 
 class Covariates(NamedTuple):
@@ -152,8 +148,21 @@ class _Shaped(AbstractPressure):
         return _breakaway(rho, self.skew, self.flat)
 
 
+_NEWTON, _LEAST_SLOPE = 7, 0.05
+"""Newton's steps from the breakaway of the parabola, and the least slope that one
+divides by: they leave 3e-5 of the demand at the most, over all d and shares that the
+effects allow."""
+
+_PEAKS = (1e-3, 2.0, 60)
+"""Slips at which the largest force is looked for: from, to and how many, 14 % apart."""
+
+_AT_REST = 1e-60
+"""Square of a slip that keeps its size differentiable at zero."""
+
+
 def _holding(u, skew, flat):
-    """Demand ratio at which a bristle at u lets go: limit over demand."""
+    """Demand ratio at which a bristle at u lets go, limit over demand: the pressures
+    S(24) and S(25) from the edge to u, over u."""
     skewed = 0.75 * u * (1 + skew * (u - 1))
     return (1 - flat) * skewed + flat * 0.625 * u * (u * (u - 2) + 2)
 
@@ -161,7 +170,7 @@ def _holding(u, skew, flat):
 def _holding_slope(u, skew, flat):
     skewed = 0.75 * (1 + skew * (2 * u - 1))
     quartic = 0.625 * (u * (3 * u - 4) + 2)
-    return jnp.maximum((1 - flat) * skewed + flat * quartic, 0.05)
+    return jnp.maximum((1 - flat) * skewed + flat * quartic, _LEAST_SLOPE)
 
 
 @jax.custom_jvp
@@ -172,7 +181,8 @@ def _breakaway(rho, skew, flat):
         excess = _holding(u, skew, flat) - rho
         return jnp.clip(u - excess / _holding_slope(u, skew, flat), 0.0, 2.0)
 
-    u = jax.lax.fori_loop(0, 7, step, jnp.minimum(4 / 3 * rho, 2.0))
+    # 4 / 3 rho is the breakaway of the parabola.
+    u = jax.lax.fori_loop(0, _NEWTON, step, jnp.minimum(4 / 3 * rho, 2.0))
     return jnp.where(_holding(2.0, skew, flat) <= rho, 2.0, u)
 
 
@@ -206,14 +216,14 @@ class _TwoFrictions(Friction):
 
 def peak_ratio(base, fz, v):
     """Largest force over load of the base model at one load and speed."""
-    slips = jnp.geomspace(1e-3, 2.0, 60)
+    slips = jnp.geomspace(*_PEAKS)
 
     def force(slip):
-        found = base(TireInputs(sigma_x=slip, fz=fz, v=v))
-        if found.fx is None:
-            found = base(TireInputs(alpha=jnp.arctan(slip), fz=fz, v=v))
-            return found.fy
-        return found.fx
+        forces = base(TireInputs(sigma_x=slip, fz=fz, v=v))
+        if forces.fx is None:
+            forces = base(TireInputs(alpha=jnp.arctan(slip), fz=fz, v=v))
+            return forces.fy
+        return forces.fx
 
     return jnp.max(jax.vmap(force)(slips)) / fz
 
@@ -242,7 +252,7 @@ def force_of_state(base, reference, state: State, slip_x, slip_y, inputs: TireIn
     """
     ratio = state.stiffness / state.friction
     along, across = slip_x * ratio, slip_y * ratio
-    size = jnp.sqrt(along**2 + across**2 + 1e-60)
+    size = jnp.sqrt(along**2 + across**2 + _AT_REST)
     g = state.friction
     if reference is None:
         bare = base
@@ -256,11 +266,11 @@ def force_of_state(base, reference, state: State, slip_x, slip_y, inputs: TireIn
         )
     stiffness, mu, arm = reference
     alpha = jnp.arctan(across / (1 + along))
-    found = base(inputs._replace(sigma_x=along, alpha=alpha))
+    forces = base(inputs._replace(sigma_x=along, alpha=alpha))
     change, turn = _shape_change(state, stiffness, mu, arm, size, inputs.fz, False)
-    fx = 0.0 if found.fx is None else found.fx
-    fy = 0.0 if found.fy is None else found.fy
-    mz = 0.0 if found.mz is None else found.mz
+    fx = 0.0 if forces.fx is None else forces.fx
+    fy = 0.0 if forces.fy is None else forces.fy
+    mz = 0.0 if forces.mz is None else forces.mz
     return (
         g * (fx + along / size * change),
         g * (fy + across / size * change),

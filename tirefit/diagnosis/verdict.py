@@ -14,9 +14,10 @@ from tirefit.diagnosis.basis import (
     orthogonal,
     without,
 )
-from tirefit.diagnosis.forecast import scores_of_nothing, separability
+from tirefit.diagnosis.forecast import DRAWS, scores_of_nothing, separability
 from tirefit.diagnosis.forms import form_columns
 from tirefit.diagnosis.forward import MOST_EFFECTS
+from tirefit.diagnosis.negligible import UNSEEN
 from tirefit.diagnosis.search import (
     PRIOR_OF_UNKNOWN,
     Hypothesis,
@@ -60,7 +61,9 @@ effects without a slope at zero escape that test."""
 _SHOWS = 3.0
 """Log evidence over no gap from which a set of effects shows at all: 20 to 1."""
 
-_DRAWS = 2000
+_FREED, _SINGLES = 6, 8
+"""Sets, and sets of one effect, the most probable of each, that are weighed with other
+forms and a remainder too."""
 
 
 @dataclass(frozen=True)
@@ -99,13 +102,13 @@ def gap_p_value(search: Search, generator) -> float:
     against simulated noise; the smaller of both, doubled."""
     base, left = search.base, search.projected
     size = np.linalg.norm(left, axis=0)
-    use = [k for k in search.testable if size[k] > 1e-6]
+    use = [k for k in search.testable if size[k] > UNSEEN]
     z = left[:, use] / size[use]
     residual, jacobian, *_ = base.at_null
     observed = np.max(np.abs(z.T @ residual), initial=0.0)
-    draws = np.abs(scores_of_nothing(z, _DRAWS, generator)).max(0)
-    p_score = (1 + np.sum(draws >= observed)) / (1 + _DRAWS)
-    p_generic = misfit_p_value(base.generic, jacobian, residual, generator, _DRAWS)
+    draws = np.abs(scores_of_nothing(z, DRAWS, generator)).max(0)
+    p_score = (1 + np.sum(draws >= observed)) / (1 + DRAWS)
+    p_generic = misfit_p_value(base.generic, jacobian, residual, generator, DRAWS)
     return float(min(1.0, 2 * min(p_score, p_generic)))
 
 
@@ -125,7 +128,7 @@ def weigh(search: Search) -> Weighed:
     evidence = {key: hypothesis.log_evidence for key, hypothesis in best.items()}
     beside, others = {}, set()
     ranked = sorted(total, key=lambda key: total[key], reverse=True)
-    for key in dict.fromkeys([*ranked[:6], *_simplest(total, 8), ()]):
+    for key in dict.fromkeys([*ranked[:_FREED], *_simplest(total, _SINGLES), ()]):
         linear = linear_at(search.base, best[key])
         form = _form(linear)
         if form is not None and len(key) < MOST_EFFECTS:
@@ -199,8 +202,8 @@ def _form(linear: LinearFit) -> _Other | None:
     if not linear.forms.shape[1]:
         return None
     left, size = orthogonal(linear.forms, linear.used_up)
-    found = gain(left.T @ linear.residual, size) + float(np.log(PRIOR_OF_FORM))
-    return _Other(found, np.concatenate([linear.used_up, linear.forms], axis=1))
+    evidence = gain(left.T @ linear.residual, size) + float(np.log(PRIOR_OF_FORM))
+    return _Other(evidence, np.concatenate([linear.used_up, linear.forms], axis=1))
 
 
 def fitted_form(linear: LinearFit) -> np.ndarray:
@@ -241,7 +244,7 @@ def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:
     absurd: the data would tell them apart less than three times in four."""
     base = search.base
     linear = base.linearised(chosen.z, amplitudes_of(base, chosen))
-    found: dict[str, float] = {}
+    alike: dict[str, float] = {}
     for atom, amplitude in zip(chosen.atoms, chosen.amplitude, strict=True):
         rest = [k for k in chosen.atoms if k != atom]
         used_up = np.concatenate([linear.jacobian, linear.columns[:, rest]], axis=1)
@@ -252,13 +255,13 @@ def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:
             continue
         for k in search.testable:
             effect = base.atoms[k].effect
-            if effect.id in chosen.effects or norm[k] < 1e-6:
+            if effect.id in chosen.effects or norm[k] < UNSEEN:
                 continue
             needed = size / norm[k]
             told_apart = separability(left, atom, k, abs(amplitude), needed)
             if needed < _ABSURD and told_apart < _TOLD_APART:
-                found[effect.id] = min(told_apart, found.get(effect.id, 1.0))
-    return tuple(sorted(found, key=lambda effect: found[effect]))
+                alike[effect.id] = min(told_apart, alike.get(effect.id, 1.0))
+    return tuple(sorted(alike, key=lambda effect: alike[effect]))
 
 
 def _unresolved(weighed: Weighed) -> float:
@@ -269,11 +272,11 @@ def _unresolved(weighed: Weighed) -> float:
 
 def _rivals(named, best) -> tuple[str, ...]:
     """Effects of other sets that are nearly as probable and no larger."""
-    found: dict[str, float] = {}
+    rivals: dict[str, float] = {}
     for key, probability in named.items():
         if key == best or probability < _RIVAL * named[best]:
             continue
         for effect in set(key) - set(best):
             if len(key) <= len(best):
-                found[effect] = max(found.get(effect, 0.0), probability)
-    return tuple(sorted(found, key=lambda effect: found[effect], reverse=True))
+                rivals[effect] = max(rivals.get(effect, 0.0), probability)
+    return tuple(sorted(rivals, key=lambda effect: rivals[effect], reverse=True))

@@ -5,9 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtr
+from scipy.stats import false_discovery_control
 
-from tirefit.data.levels import levels
-from tirefit.diagnosis.where import covariates_of
+from tirefit.data.levels import cells, levels
+from tirefit.diagnosis.basis import FEW_SETTINGS
+from tirefit.diagnosis.negligible import NONZERO, ROUNDING
+from tirefit.diagnosis.where import LEVEL, covariates_of
 from tirefit.slip import sigma_from_slip_ratio, slip_ratio_from_sigma
 
 __all__ = [
@@ -20,9 +23,14 @@ __all__ = [
     "shown_rows",
 ]
 
-_LEVELS = 6
-"""Settings up to so many are shown one by one."""
 _BANDS = 5
+"""Bands of a covariate that is swept."""
+_BINS, _IN_A_BIN = (4, 14), 8
+"""Bins of the slip, fewest and most, and rows of a bin of a map on average."""
+_FINE, _TENTHS = 8, (0.1, 0.9)
+"""Bins of a curve at least, and rows of one; quantiles that hold 80 % of its rows."""
+_BETTER = 0.05
+"""Share of its energy by which another map must show more than that over the load."""
 _FEWEST = 4
 """Rows of a cell of the map: fewer say nothing of their own scatter."""
 _FARTHEST = 4.0
@@ -30,6 +38,7 @@ _FARTHEST = 4.0
 _SHOWN_OVER = ("fz", "v", "time", "direction", "gamma")
 """Covariates that the map is drawn over, the usual one first."""
 _POINTS, _CURVES, _STEPS = 300, 3, 60
+"""Points and curves that a figure shows, and bins of a curve, at most."""
 
 
 class ShownRows(NamedTuple):
@@ -128,24 +137,16 @@ def shown_rows(base, parts) -> ShownRows:
 def _levels(values) -> tuple[np.ndarray, np.ndarray]:
     """Codes (n,) of the levels of a covariate, and the levels (m, 2), from and to."""
     settings = levels(values)
-    if settings.few(_LEVELS):
+    if settings.few(FEW_SETTINGS):
         return settings.code, np.stack([settings.center, settings.center], axis=1)
     cuts = np.unique(np.quantile(values, np.linspace(0, 1, _BANDS + 1)))
     codes = np.clip(np.searchsorted(cuts, values, "right") - 1, 0, len(cuts) - 2)
     return codes, np.stack([cuts[:-1], cuts[1:]], axis=1)
 
 
-def _cells(codes, size: int, values):
-    """Count, mean and sample standard deviation of each cell, (size,) each."""
-    count = np.bincount(codes, minlength=size)
-    mean = np.bincount(codes, values, size) / np.maximum(count, 1)
-    rest = np.bincount(codes, (values - mean[codes]) ** 2, size)
-    return count, mean, np.sqrt(rest / np.maximum(count - 1, 1))
-
-
 def _energy_seen(codes, size: int, values) -> float:
     """Energy of the cells' means beyond that of their noise."""
-    count, mean, std = _cells(codes, size, values)
+    count, mean, std = cells(codes, size, values)
     there = count >= _FEWEST
     return float(np.sum((count * mean**2 - std**2)[there]))
 
@@ -157,7 +158,7 @@ def _wide(edges) -> np.ndarray:
 
 def _slip_edges(fraction, rows: int) -> np.ndarray:
     # An odd number leaves zero slip, where noise flips the sign, within one cell.
-    steps = int(np.clip(len(fraction) // (8 * rows), 4, 14)) | 1
+    steps = int(np.clip(len(fraction) // (_IN_A_BIN * rows), *_BINS)) | 1
     inside = np.clip(fraction, -_FARTHEST, _FARTHEST)
     return _wide(np.unique(np.quantile(inside, np.linspace(0, 1, steps + 1))))
 
@@ -202,13 +203,13 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
     for covariate, values in (rows.covariates or {"fz": rows.load}).items():
         option = _grid(rows, covariate, values)
         seen = _energy_seen(option.cell, option.size, residual)
-        if grid is None or seen > most + 0.05 * abs(most):
+        if grid is None or seen > most + _BETTER * abs(most):
             most, grid = seen, option
     assert grid is not None  # there is a covariate, or else the load
-    count, mean, std = _cells(grid.cell, grid.size, residual)
+    count, mean, std = cells(grid.cell, grid.size, residual)
     there = count >= _FEWEST
     square = np.bincount(grid.cell, rows.gap**2, grid.size)
-    energy = square * resolvable / max(float(square.sum()), 1e-300)
+    energy = square * resolvable / max(float(square.sum()), NONZERO)
     return ResidualMap(
         rows.channel, grid.covariate, grid.levels, grid.edges,
         np.where(there, mean, np.nan).reshape(grid.shape),
@@ -219,14 +220,12 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
 
 def _beyond(count, mean, std, there, inflation: float) -> np.ndarray:
     """Cells (size,) whose mean is not noise."""
-    from scipy.stats import false_discovery_control  # slow to import
-
     independent = np.maximum(count / inflation, 1.0)
-    t = mean * np.sqrt(independent) / np.maximum(std, 1e-12)
+    t = mean * np.sqrt(independent) / np.maximum(std, ROUNDING)
     p = 2 * stdtr(np.maximum(independent - 1, 1.0), -np.abs(t))
     beyond = np.zeros(len(mean), bool)
     if there.any():
-        beyond[there] = false_discovery_control(p[there]) < 0.05
+        beyond[there] = false_discovery_control(p[there]) < LEVEL
     return beyond
 
 
@@ -244,13 +243,13 @@ def _load_curve(load, slip, force, base, extended) -> LoadCurve:
     # A wheel that nearly locks has slips without bound: bins are those of its ratio.
     unbounded = np.max(np.abs(slip), initial=0.0) > 1.0
     place = slip_ratio_from_sigma(slip) if unbounded else slip
-    steps = int(np.clip(len(slip) // 8, 8, _STEPS))
+    steps = int(np.clip(len(slip) // _FINE, _FINE, _STEPS))
     edges = _wide(np.unique(np.quantile(place, np.linspace(0, 1, steps + 1))))
     codes, there, center, (before, after) = _binned(place, edges, base, extended)
     # Within a bin the force rises with slip: only what the extension adds is spread.
     change = extended - base
     low, high = np.array(
-        [np.quantile(change[codes == k], [0.1, 0.9]) for k in np.flatnonzero(there)]
+        [np.quantile(change[codes == k], _TENTHS) for k in np.flatnonzero(there)]
     ).T
     points = np.unique(np.linspace(0, len(slip) - 1, _POINTS).astype(int))
     return LoadCurve(

@@ -3,24 +3,45 @@ parameter of the tire would have to vary with which of them."""
 
 import numpy as np
 from scipy.special import chdtrc
+from scipy.stats import false_discovery_control
 
 from tirefit.data.levels import levels
 from tirefit.diagnosis.base import Base
-from tirefit.diagnosis.basis import functions_of, mean_gain, orthogonal
+from tirefit.diagnosis.basis import (
+    FEW_SETTINGS,
+    FULL_SLIDING,
+    functions_of,
+    mean_gain,
+    orthogonal,
+)
 from tirefit.diagnosis.forms import PLACE
+from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.records import Cell, Region
 
-__all__ = ["covariates_of", "parameter_map", "regions"]
+__all__ = ["LEVEL", "covariates_of", "parameter_map", "regions"]
 
-_LEVELS = 6
-"""Settings up to so many are regions of their own."""
+LEVEL = 0.05
+"""False discoveries among the regions, or the cells of a map, that are said to hold
+more than noise."""
+
+_QUARTERS = np.linspace(0, 1, 5)
+"""Parts of a covariate that is swept: its quarters."""
+
+_NEIGHBOURS = 8
+"""Rows of a run whose misses are added up: a smooth miss adds up, noise does not."""
+
+_EDGE = 1e-6
+"""Width of an edge over its value: a value on the edge belongs to both regions."""
+
+_FUNCTIONS = 6
+"""Smooth functions of a covariate that a parameter may follow."""
 
 
 def _edges(values) -> list[tuple[float, float]]:
     settings = levels(values)
-    if settings.few(_LEVELS):
+    if settings.few(FEW_SETTINGS):
         return list(zip(settings.low.tolist(), settings.high.tolist(), strict=True))
-    cuts = np.unique(np.quantile(values, [0, 0.25, 0.5, 0.75, 1]))
+    cuts = np.unique(np.quantile(values, _QUARTERS))
     return list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
 
 
@@ -52,21 +73,18 @@ def regions(base: Base, residual, gap) -> list[Region]:
         residual: (n,) whitened residual of the base fit, inflation included.
         gap: (n,) located gap [N].
     """
-    from scipy.stats import false_discovery_control  # slow to import
-
     energy = gap**2
-    total = max(float(energy.sum()), 1e-300)
+    total = max(float(energy.sum()), NONZERO)
     bins, raw = [], []
     for name, values in covariates_of(base).items():
         for low, high in _edges(values):
-            width = 1e-6 * max(abs(high), 1.0)
+            width = _EDGE * max(abs(high), 1.0)
             inside = (values >= low - width) & (values <= high + width)
-            if inside.sum() < 8:
+            if inside.sum() < _NEIGHBOURS:
                 continue
-            # Sums of runs of eight neighbours: a smooth miss adds up, noise does not.
             order = np.argsort(base.slip_fraction[inside], kind="stable")
             part = residual[inside][order]
-            groups = np.array_split(part, max(len(part) // 8, 1))
+            groups = np.array_split(part, max(len(part) // _NEIGHBOURS, 1))
             statistic = sum(float(g.sum()) ** 2 / len(g) for g in groups)
             # The rows' inflation is in the residual already; sums bring it back.
             raw.append(float(chdtrc(len(groups), statistic)))
@@ -77,7 +95,7 @@ def regions(base: Base, residual, gap) -> list[Region]:
     # By Benjamini and Yekutieli: the bins of several covariates share their rows.
     corrected = false_discovery_control(raw, method="by").tolist()
     judged = [r._replace(p_value=p) for r, p in zip(bins, corrected, strict=True)]
-    return sorted(judged, key=lambda region: (region.p_value > 0.05, -region.share))
+    return sorted(judged, key=lambda region: (region.p_value > LEVEL, -region.share))
 
 
 PARAMETERS = {
@@ -98,11 +116,13 @@ def parameter_map(base: Base) -> list[Cell]:
     """
     residual, jacobian, _, fields = base.at_null
     load, channels = np.asarray(base.prepared.inputs.fz), len(base.prepared.channels)
-    misfit = max(float(residual @ residual), 1e-300)
+    misfit = max(float(residual @ residual), NONZERO)
     cells = []
     for covariate, values in covariates_of(base).items():
-        values = np.minimum(values, 3) if covariate == "slip_fraction" else values
-        shapes = functions_of(np.asarray(values, float), 6)
+        values = (
+            np.minimum(values, FULL_SLIDING) if covariate == "slip_fraction" else values
+        )
+        shapes = functions_of(np.asarray(values, float), _FUNCTIONS)
         for parameter, (field, size) in PARAMETERS.items():
             scaled = size * (load[:, None] if field == "force" else 1.0) * shapes
             columns = fields[:, [PLACE[field]]] * np.tile(scaled, (channels, 1))

@@ -6,13 +6,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from tirefit.fitting.layout import FreeParameter, Layout
 from tirefit.fitting.least_squares import damped_gauss_newton
 from tirefit.fitting.problem import find_model, guess_from_curve
 from tirefit.models import TireInputs
-from tirefit.params import specs, with_values
+from tirefit.params import Values, specs, with_values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 
@@ -30,10 +30,10 @@ class BatchFit(NamedTuple):
 
 def fit_many(
     model: str,
-    slip: Float[Array, "b n"],
-    force: Float[Array, "b n"],
-    fz: Float[Array, "b n"] | float,
-    v: Float[Array, "b n"] | float = 0.0,
+    slip: Float[Values, "b n"],
+    force: Float[Values, "b n"],
+    fz: Float[Values, "b n"] | float,
+    v: Float[Values, "b n"] | float = 0.0,
     *,
     axis: str = "fx",
     batch: int = 64,
@@ -112,6 +112,8 @@ def _guess(template, layout, slip, force, fz, v):
     small = jnp.abs(slip) <= 0.2 * jnp.max(jnp.abs(slip))
     stiffness = jnp.sum(small * slip * force) / jnp.sum(small * slip**2)
     peak = jnp.max(jnp.abs(force) / fz)
-    found = guess_from_curve(stiffness, peak, jnp.mean(fz))
+    guessed = guess_from_curve(stiffness, peak, jnp.mean(fz))
     known = {p.name: jnp.asarray(p.spec.default, float) for p in layout.free}
-    return layout.unconstrained(known | {k: x for k, x in found.items() if k in known})
+    return layout.unconstrained(
+        known | {k: x for k, x in guessed.items() if k in known}
+    )

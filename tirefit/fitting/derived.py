@@ -132,7 +132,7 @@ def derived_values(model, layout: Layout, z, channel, fz, v, run: int = 0):
         }
         force = _curve(model, values, channel, fz, v)
         slope, slip, peak = _start_and_peak(force)
-        found = {
+        derived = {
             next(iter(quantities(channel))): slope,
             "F_max": peak,
             "F_max_over_fz": peak / fz,
@@ -140,8 +140,8 @@ def derived_values(model, layout: Layout, z, channel, fz, v, run: int = 0):
         }
         mu = with_values(model, values).static_friction(fz)
         if mu is not None:
-            found["mu_fz"] = mu * fz
-        return found
+            derived["mu_fz"] = mu * fz
+        return derived
 
     return jax.lax.map(one, z, batch_size=64)
 
@@ -151,10 +151,10 @@ def _evaluator(problem: FitProblem, channel: str) -> Callable:
     at = reference_point(problem)
 
     def evaluate(z):
-        found = derived_values(
+        derived = derived_values(
             problem.model, problem.layout, z, channel, at["fz"], at["v"]
         )
-        return {k: np.asarray(found[k]) for k in quantities(channel) if k in found}
+        return {k: np.asarray(derived[k]) for k in quantities(channel) if k in derived}
 
     return evaluate
 
@@ -268,16 +268,16 @@ def _says_something(ci95) -> bool:
     return low is not None and high is not None and 0 < low and high <= 3 * low
 
 
-def _with_ratio(found: dict[str, Estimate], names, fz: float) -> dict[str, Estimate]:
+def _with_ratio(derived: dict[str, Estimate], names, fz: float) -> dict[str, Estimate]:
     """The estimates in order, with that of the peak over the load."""
-    peak = found["F_max"]
+    peak = derived["F_max"]
     low, high = peak.ci95
-    found["F_max_over_fz"] = replace(
+    derived["F_max_over_fz"] = replace(
         peak, value=peak.value / fz, std=None if peak.std is None else peak.std / fz,
         unit="-",
         ci95=(None if low is None else low / fz, None if high is None else high / fz),
     )  # fmt: skip
-    return {name: found[name] for name in names if name in found}
+    return {name: derived[name] for name in names if name in derived}
 
 
 def _moved(evaluate: Callable, z, low, high):
@@ -307,7 +307,7 @@ def derived_from_profile(
     mapped = _moved(evaluate, z, low, high)
     # Ends at rounding level would hide which elements a quantity depends on.
     apart = _moved(evaluate, z, np.minimum(low, z - 0.01), np.maximum(high, z + 0.01))
-    found = {}
+    derived = {}
     for name, (value, moved) in apart.items():
         if name == "F_max_over_fz":
             continue
@@ -315,14 +315,14 @@ def derived_from_profile(
         same = np.abs(moved - value) <= 1e-7 * abs(value)
         involved = np.flatnonzero(~same.all(axis=0))
         if not np.isfinite(value):
-            found[name] = Estimate(value, None, unit, (None, None), identified=False)
+            derived[name] = Estimate(value, None, unit, (None, None), identified=False)
         elif len(involved) == 0:
-            found[name] = Estimate(value, None, unit, (None, None), fixed=True)
+            derived[name] = Estimate(value, None, unit, (None, None), fixed=True)
         else:
             ends = mapped[name][1][:, involved[0]] if len(involved) == 1 else None
             known = [estimates[int(i)] for i in involved]
-            found[name] = _estimate(solved, evaluate, name, unit, known, ends)
-    return _with_ratio(found, units, reference_point(problem)["fz"])
+            derived[name] = _estimate(solved, evaluate, name, unit, known, ends)
+    return _with_ratio(derived, units, reference_point(problem)["fz"])
 
 
 def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Estimate:

@@ -292,18 +292,18 @@ def with_fixed(estimates: dict[str, Estimate], problem: FitProblem):
 
 def _tied(tie: Tie, unit: str, estimates: dict[str, Estimate], runs: tuple[str, ...]):
     """Estimates of a tied parameter by label: one per run where the other one is."""
-    found = {}
+    tied = {}
     for end in ("", *(f"[{run}]" for run in runs)):
         if f"{tie.other}{end}" in estimates:
             other = estimates[f"{tie.other}{end}"]
             low, high = (
                 None if end is None else tie.factor * end for end in other.ci95
             )
-            found[f"{tie.name}{end}"] = Estimate(
+            tied[f"{tie.name}{end}"] = Estimate(
                 tie.factor * other.value,
                 None if other.std is None else abs(tie.factor) * other.std,
                 unit,
                 (low, high) if tie.factor > 0 else (high, low),
                 other.identified,
             )
-    return found
+    return tied

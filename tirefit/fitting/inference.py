@@ -26,6 +26,7 @@ from tirefit.fitting.likelihood import (
     blocks_and_moments,
     root_deviance,
 )
+from tirefit.params import Values
 
 __all__ = [
     "REACH",
@@ -49,7 +50,7 @@ REACH = 12.0
 
 
 def residuals(
-    problem: FitProblem, z: Float[Array, " p"]
+    problem: FitProblem, z: Float[Values, " p"]
 ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
     """All residuals, priors last, and their scoring weights: of the rows, divided by
     the root of their inflation. See ``least_squares.Residual``."""
@@ -64,7 +65,7 @@ def residuals(
     return jnp.concatenate(values), jnp.concatenate(weights)
 
 
-def _within_reach(z: Float[Array, " p"]) -> Float[Array, " p"]:
+def _within_reach(z: Float[Values, " p"]) -> Float[Array, " p"]:
     """At a bound the bijection runs to infinity, and nothing is left to gain there."""
     return jnp.clip(z, -REACH, REACH)
 
@@ -168,7 +169,7 @@ def _of_squares(rule: Rule, squares, library):
 
 
 @compiled()
-def deviance(problem: FitProblem, z: Float[Array, " p"]) -> Float[Array, ""]:
+def deviance(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""]:
     """-2 log likelihood at z relative to the best fit, priors included."""
     total = jnp.sum(problem.layout.prior_residual(z) ** 2)
     for name, block in root_deviance(problem, z).items():
@@ -195,7 +196,7 @@ jax.export.register_namedtuple_serialization(
 
 
 @compiled(brief=True)
-def linearise(problem: FitProblem, z: Float[Array, " p"]) -> Linearised:
+def linearise(problem: FitProblem, z: Float[Values, " p"]) -> Linearised:
     """All that the analysis of an estimate needs of the model, in one program."""
 
     def everything(z):
@@ -222,7 +223,7 @@ def deviance_at(problem: FitProblem, at: Linearised) -> float:
 
 
 @compiled(brief=True)
-def _hessian(problem: FitProblem, z: Float[Array, " p"]) -> Float[Array, "p p"]:
+def _hessian(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, "p p"]:
     def half(z):
         values, _ = residuals(problem, z)
         return values @ values / 2
@@ -231,7 +232,7 @@ def _hessian(problem: FitProblem, z: Float[Array, " p"]) -> Float[Array, "p p"]:
 
 
 def covariance(
-    problem: FitProblem, z: Float[Array, " p"], at: Linearised
+    problem: FitProblem, z: Float[Values, " p"], at: Linearised
 ) -> Float[np.ndarray, "p p"]:
     """Covariance of z: the inverse of the curvature of the deviance.
 

@@ -64,13 +64,15 @@ class Layout:
     @property
     def elements(self) -> tuple[tuple[str, FreeParameter], ...]:
         """(label, parameter) of every element of z, in order."""
-        found = []
+        elements = []
         for parameter in self.free:
             if parameter.per_run:
-                found += [(f"{parameter.name}[{run}]", parameter) for run in self.runs]
+                elements += [
+                    (f"{parameter.name}[{run}]", parameter) for run in self.runs
+                ]
             else:
-                found.append((parameter.name, parameter))
-        return tuple(found)
+                elements.append((parameter.name, parameter))
+        return tuple(elements)
 
     @property
     def size(self) -> int:
@@ -97,12 +99,12 @@ class Layout:
 
     def unconstrained(self, values: Mapping[str, float]):
         """z of the given natural values, by parameter name or by label."""
-        found = [
+        coordinates = [
             unconstrain(values[label if label in values else p.name], p.spec)
             for label, p in self.elements
         ]
-        traced = any(isinstance(value, jax.Array) for value in found)
-        return jnp.stack(found) if traced else np.array(found, float)
+        traced = any(isinstance(value, jax.Array) for value in coordinates)
+        return jnp.stack(coordinates) if traced else np.array(coordinates, float)
 
     def log_volume(self, z):
         """log |d natural / d z|: the prior flat in the bounds, in coordinates z."""
@@ -152,13 +154,13 @@ def choose_layout(
     free = [n for n in known if _is_free(known[n], n, asked[n], forces)]
     bounded, notes = {}, []
     for name in known:
-        bounded[name], found = _bounded(name, known[name], asked[name])
-        problems += found
+        bounded[name], wrong = _bounded(name, known[name], asked[name])
+        problems += wrong
     for tie in ties:
         if tie.other in free:
-            spec, found, said = _narrowed(tie, bounded)
+            spec, wrong, said = _narrowed(tie, bounded)
             bounded[tie.other] = spec
-            problems += found
+            problems += wrong
             notes += said
         else:
             problems.append(_wrong_tie(tie, ties, free, known))
@@ -176,8 +178,8 @@ def choose_layout(
         for name, spec in known.items()
         if name not in free and name not in tied
     }
-    found = tuple(_free_parameter(n, bounded[n], asked[n], len(runs)) for n in free)
-    return with_values(model, fixed), Layout(found, tuple(ties), runs), notes
+    unknowns = tuple(_free_parameter(n, bounded[n], asked[n], len(runs)) for n in free)
+    return with_values(model, fixed), Layout(unknowns, tuple(ties), runs), notes
 
 
 def _is_free(spec: Spec, name: str, asked: ParameterConfig, forces) -> bool:

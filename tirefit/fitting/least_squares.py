@@ -228,7 +228,7 @@ def _ordinary(residual: Residual, start) -> Callable:
 
 
 def _optimistix(residual: Residual, start) -> Solution:
-    import optimistix as optx
+    import optimistix as optx  # slow to import, and for this solver alone
 
     ordinary = _ordinary(residual, start)
     solver: optx.LevenbergMarquardt[Array, Array, Any] = optx.LevenbergMarquardt(

@@ -29,7 +29,7 @@ from jaxtyping import Array, Float, Int
 from tirefit.compiled import compiled
 from tirefit.fitting.layout import Layout
 from tirefit.models import AbstractTire, TireInputs
-from tirefit.params import with_values
+from tirefit.params import Values, with_values
 
 __all__ = [
     "CHANNEL_SLIP",
@@ -194,9 +194,9 @@ class FitProblem(eqx.Module):
 def row_forces(
     model: AbstractTire,
     layout: Layout,
-    z: Float[Array, " p"],
+    z: Float[Values, " p"],
     inputs: TireInputs,
-    run: Int[Array, " n"],
+    run: Int[Values, " n"],
 ) -> dict[str, Float[Array, " n"] | None]:
     """Forces of every row, by channel, each of shape (n,).
 
@@ -221,7 +221,7 @@ def row_forces(
 
 
 def predict(
-    problem: FitProblem, z: Float[Array, " p"], inputs: TireInputs | None = None
+    problem: FitProblem, z: Float[Values, " p"], inputs: TireInputs | None = None
 ) -> dict[str, Float[Array, " n"] | None]:
     """Forces of a problem's rows by channel, at other inputs where they are given."""
     inputs = problem.rows.inputs if inputs is None else inputs
@@ -240,7 +240,7 @@ def _at_nodes(problem: FitProblem, z, slip: str) -> dict[str, Float[Array, "n q"
     return jax.vmap(at, in_axes=1, out_axes=1)(rows.nodes[slip].slip)
 
 
-def _channel_forces(problem: FitProblem, z: Float[Array, " p"]) -> dict[str, Array]:
+def _channel_forces(problem: FitProblem, z: Float[Values, " p"]) -> dict[str, Array]:
     """Forces by channel: (n,), or (n, q) at its latent slips where those are laid
     out."""
     nodes = problem.rows.nodes
@@ -293,7 +293,7 @@ def _moments(problem: FitProblem, forces):
 
 @compiled()
 def root_deviance(
-    problem: FitProblem, z: Float[Array, " p"]
+    problem: FitProblem, z: Float[Values, " p"]
 ) -> dict[str, Float[Array, " n"]]:
     """Residuals whose squares sum to -2 log likelihood, by block.
 
@@ -305,7 +305,7 @@ def root_deviance(
 
 
 @compiled(brief=True)
-def moments(problem: FitProblem, z: Float[Array, " p"]):
+def moments(problem: FitProblem, z: Float[Values, " p"]):
     """Mean and variance of each fitted force given the measured slip, by channel (n,).
 
     Where the slip has noise, both are over the latent slips of the row.
@@ -313,7 +313,7 @@ def moments(problem: FitProblem, z: Float[Array, " p"]):
     return _moments(problem, _channel_forces(problem, z))
 
 
-def blocks_and_moments(problem: FitProblem, z: Float[Array, " p"]):
+def blocks_and_moments(problem: FitProblem, z: Float[Values, " p"]):
     """:func:`root_deviance`, and the two of :func:`moments`, of one evaluation."""
     forces = _channel_forces(problem, z)
     return _blocks(problem, forces), *_moments(problem, forces)
@@ -329,7 +329,7 @@ def row_moments(problem: FitProblem, z) -> tuple[dict, dict]:
 
 
 @compiled(brief=True)
-def noise_factor(problem: FitProblem, z: Float[Array, " p"]) -> Float[Array, ""]:
+def noise_factor(problem: FitProblem, z: Float[Values, " p"]) -> Float[Array, ""]:
     """Factor on all force scales that maximises the likelihood of rows with noisy slip.
 
     There the size of the residuals does not give the noise: the slip's share depends

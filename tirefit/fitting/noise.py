@@ -3,11 +3,38 @@
 import numpy as np
 from scipy.special import chdtrc
 
-__all__ = ["autocorrelation_time", "effective_inflation", "robust_scale"]
+__all__ = [
+    "MAD",
+    "autocorrelation",
+    "autocorrelation_time",
+    "effective_inflation",
+    "robust_scale",
+]
 
+
+MAD = 1.4826
+"""Standard deviation of a normal law over its median absolute deviation."""
 
 _LEAST_RUNS = 4
 """With fewer runs their scatter says nothing."""
+
+
+def autocorrelation(residuals: list[np.ndarray]) -> np.ndarray:
+    """Autocorrelation at lags 0, 1, ..., runs pooled: (rows of the longest run,).
+
+    Args:
+        residuals: one array (n_run,) per run, in order; where all are zero the
+            correlation is that of lag zero alone, (1,).
+    """
+    total = sum(float(part @ part) for part in residuals)
+    if total <= 0:
+        return np.ones(1)
+    correlation = np.zeros(max(len(part) for part in residuals))
+    for part in residuals:
+        size = 2 ** int(np.ceil(np.log2(2 * len(part))))
+        spectrum = np.abs(np.fft.rfft(part, size)) ** 2
+        correlation[: len(part)] += np.fft.irfft(spectrum, size)[: len(part)]
+    return correlation / total
 
 
 def autocorrelation_time(residuals: list[np.ndarray]) -> float:
@@ -21,17 +48,11 @@ def autocorrelation_time(residuals: list[np.ndarray]) -> float:
         residuals: one array (n_run,) per run, in the order they were measured.
     """
     parts = [part - 0.0 for part in residuals if len(part) > 2]
-    total = sum(float(part @ part) for part in parts)
     count = sum(len(part) for part in parts)
-    if not parts or total <= 0:
+    correlation = autocorrelation(parts)
+    longest = len(correlation)
+    if longest < 2:
         return 1.0
-    longest = max(len(part) for part in parts)
-    correlation = np.zeros(longest)
-    for part in parts:
-        size = 2 ** int(np.ceil(np.log2(2 * len(part))))
-        spectrum = np.abs(np.fft.rfft(part, size)) ** 2
-        correlation[: len(part)] += np.fft.irfft(spectrum, size)[: len(part)]
-    correlation /= total
     if correlation[1] < 3.3 / np.sqrt(count):
         return 1.0
     time = 1.0
@@ -89,4 +110,4 @@ def _inflation(parts: list[np.ndarray]) -> float:
 
 def robust_scale(residual) -> float:
     """Standard deviation from the median absolute deviation, shape (n,) -> scalar."""
-    return float(1.4826 * np.median(np.abs(residual - np.median(residual))))
+    return float(MAD * np.median(np.abs(residual - np.median(residual))))

@@ -64,6 +64,7 @@ def _scan(density, position, key, step_size, covariance, adapt, steps: int):
     ``adapt`` is an array, so that warm-up and sampling are one program: its compilation
     is most of a short run.
     """
+    # Slow to import, and for NUTS alone.
     from blackjax.adaptation.step_size import dual_averaging_adaptation
     from blackjax.mcmc import nuts
 

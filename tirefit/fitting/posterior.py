@@ -10,6 +10,7 @@ that was not.
 """
 
 import os
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -122,7 +123,7 @@ def _emcee_start(density, size: int, ensembles: int, walkers: int, seed: int):
 
 def _emcee_chunk(density, state: dict, steps: int):
     """Advance every ensemble by ``steps``: (samples, log density, accepted, state)."""
-    import emcee
+    import emcee  # only where it samples: importance and NUTS do not need it
 
     ensembles, walkers, size = state["coordinates"].shape
     # Differential evolution, with full jumps between modes one time in ten (ter Braak
@@ -301,8 +302,6 @@ def _draw(
     progress,
 ) -> tuple[Chain | None, Outcome]:
     """Chunks until the chain is good, the limit is reached or the user interrupts."""
-    import time
-
     begin, advance = SAMPLERS[sampler]
     saved = time.monotonic()
     outcome = Outcome.CHAIN_TOO_SHORT

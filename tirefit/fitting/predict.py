@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from tirefit.compiled import compiled
 from tirefit.data.read import require
@@ -17,7 +17,7 @@ from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit
 from tirefit.fitting.time_series import check_time_series
 from tirefit.models import AbstractTire, TireInputs, forces
-from tirefit.params import parameter_values, specs, with_values
+from tirefit.params import Values, parameter_values, specs, with_values
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem, UsageError
 
@@ -37,10 +37,10 @@ def _linearised(model, layout, z, covariance, inputs, run):
 def predict_forces(
     model: AbstractTire,
     layout: Layout,
-    z: Float[Array | np.ndarray, " p"],
-    covariance: Float[Array | np.ndarray, "p p"],
+    z: Float[Values, " p"],
+    covariance: Float[Values, "p p"],
     inputs: TireInputs,
-    run: Int[Array | np.ndarray, " n"],
+    run: Int[Values, " n"],
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Forces and the variance that the parameters' uncertainty gives them.
 

@@ -232,8 +232,8 @@ def _first_guess(model, data: TireData, forces, layout: Layout) -> dict[str, flo
     load = float(np.median(fz))
     stiffness = max(1.2 * stiffness, peak * load / max(size.max(), 1e-6))
     peak = min(max(1.03 * peak, 0.02), 4.0)
-    found = guess_from_curve(stiffness, peak, load)
-    return {name: found.get(name, value) for name, value in guess.items()}
+    of_curve = guess_from_curve(stiffness, peak, load)
+    return {name: of_curve.get(name, value) for name, value in guess.items()}
 
 
 def guess_from_curve(stiffness, peak, load) -> dict:

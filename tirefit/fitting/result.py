@@ -3,12 +3,13 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
 from tirefit.display import Displayed
 from tirefit.files import json_safe, json_text
+from tirefit.params import parameter_values
 from tirefit.results import Outcome
 
 __all__ = [
@@ -42,7 +43,7 @@ class Estimate:
     fixed: bool = False
 
     @classmethod
-    def of_draws(cls, draws: np.ndarray, unit: str, identified: bool) -> Self:
+    def of_draws(cls, draws: np.ndarray, unit: str, identified: bool) -> "Estimate":
         """Median and central 95 % of draws (m,) of a posterior, finite ones.
 
         ``std`` is half the central 68.27 %: the standard deviation of a Gaussian, and
@@ -228,8 +229,6 @@ def _layout_dict(problem) -> dict | None:
     """All that ``predict`` needs to rebuild the model from ``fit.json``."""
     if problem is None:
         return None
-    from tirefit.params import parameter_values
-
     layout = problem.layout
     return {
         "free": [

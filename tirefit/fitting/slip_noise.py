@@ -94,15 +94,15 @@ class SlipDistribution(NamedTuple):
         """
         offset = np.linspace(-_REACH, _REACH, 41)
         nodes = slip[:, None] + std[:, None] * offset
-        found = np.interp(nodes, self.knots, self.density, left=0.0, right=0.0)
-        found = (
-            (found + 1e-6 * self.density.max()) * _gauss(offset) * np.diff(offset)[0]
+        moving = np.interp(nodes, self.knots, self.density, left=0.0, right=0.0)
+        moving = (
+            (moving + 1e-6 * self.density.max()) * _gauss(offset) * np.diff(offset)[0]
         )
         # A measured slip of no noise is what it is.
         there = _standing_likelihood(slip, np.where(std > 0, std, 1.0), self.standing)
         there = np.where(std[:, None] > 0, self.shares * there, 0.0)
-        total = found.sum(axis=1) + there.sum(axis=1)
-        weight = np.concatenate([found, there], axis=1) / total[:, None]
+        total = moving.sum(axis=1) + there.sum(axis=1)
+        weight = np.concatenate([moving, there], axis=1) / total[:, None]
         places = np.broadcast_to(self.standing, there.shape)
         places = np.concatenate([nodes, places], axis=1) - slip[:, None]
         mean = np.sum(weight * places, axis=1)

@@ -83,7 +83,7 @@ def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
     Every walker is a chain, so that tools which assume independent draws within a
     chain do not mistake walkers for draws. Written to a temporary name, then renamed.
     """
-    import xarray as xr
+    import xarray as xr  # slow to import, and for posteriors alone
 
     summary, draws = result.posterior, result.walkers
     assert summary is not None and draws is not None  # both of a fit that was sampled

@@ -27,9 +27,9 @@ def disagreements(result: FitResult) -> dict[str, str]:
     a parameter that is not identified has no interval to agree on, and rounding makes
     none.
     """
-    found: dict[str, str] = {}
+    apart: dict[str, str] = {}
     if _exactness(result):
-        return found
+        return apart
     for label, (low, high) in result.intervals["profile"].items():
         if not result.least_squares[label].identified or low is None or high is None:
             continue
@@ -46,16 +46,16 @@ def disagreements(result: FitResult) -> dict[str, str]:
                     f"{route} interval [{first:.5g}, {last:.5g}] against the"
                     f" profile's [{low:.5g}, {high:.5g}]"
                 )
-                found[label] = f"{found[label]}; {text}" if label in found else text
-    return found
+                apart[label] = f"{apart[label]}; {text}" if label in apart else text
+    return apart
 
 
 def _fit_quality(result: FitResult) -> list[str]:
     """Sentences on a model that does not describe the data; none if it does."""
-    statistics, found = result.statistics, []
+    statistics, sentences = result.statistics, []
     chi2 = statistics.chi2_dof
     if chi2 is not None and chi2 > _POOR_CHI2:
-        found.append(
+        sentences.append(
             f"the model does not describe these data: chi2/dof = {chi2:.3g}, the"
             f" residuals are {np.sqrt(chi2):.2g} times the given noise; the intervals"
             " are widened by that factor, and still assume that the model is right"
@@ -63,11 +63,11 @@ def _fit_quality(result: FitResult) -> list[str]:
     # Where the noise is known, a small share may be all that it leaves.
     if chi2 is None and statistics.r2 < _POOR_R2:
         share = 100 * max(statistics.r2, 0)
-        found.append(
+        sentences.append(
             f"the model does not describe these data: it explains {share:.0f} % of the"
             f" variance of {result.forces[0]}"
         )
-    return found
+    return sentences
 
 
 def _misfit(result: FitResult) -> float:
@@ -120,16 +120,16 @@ def _contradiction(result: FitResult) -> list[tuple[Outcome | None, str]]:
 def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """All there is to say, each with the outcome it stands for."""
     statistics = result.statistics
-    found: list[tuple[Outcome | None, str]] = []
+    findings: list[tuple[Outcome | None, str]] = []
     if not statistics.converged:
-        found.append((Outcome.NOT_CONVERGED, Outcome.NOT_CONVERGED.value))
-    found += _contradiction(result)
-    found += [(Outcome.POOR_FIT, text) for text in _fit_quality(result)]
+        findings.append((Outcome.NOT_CONVERGED, Outcome.NOT_CONVERGED.value))
+    findings += _contradiction(result)
+    findings += [(Outcome.POOR_FIT, text) for text in _fit_quality(result)]
     exact = _exactness(result)
     # Residuals that are rounding have a structure, and it means nothing.
-    found += [(None, exact)] if exact else _structure(result)
+    findings += [(None, exact)] if exact else _structure(result)
     if result.solved is not None and result.solved.ambiguous:
-        found.append((Outcome.STARTS_DISAGREE, Outcome.STARTS_DISAGREE.value))
+        findings.append((Outcome.STARTS_DISAGREE, Outcome.STARTS_DISAGREE.value))
     for label, estimate in result.least_squares.items():
         if not estimate.identified:
             low, high = estimate.ci95
@@ -142,27 +142,27 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
                     f"; the best fit stopped at the bound {estimate.value:.4g}: check"
                     " the units, or widen the bound"
                 )
-            found.append((Outcome.NOT_IDENTIFIED, text))
+            findings.append((Outcome.NOT_IDENTIFIED, text))
     at_bound = [
         label for label in statistics.at_bound if result.least_squares[label].identified
     ]
     if at_bound:
         text = f"at its bound: {', '.join(at_bound)}; the interval is one-sided"
-        found.append((Outcome.AT_BOUND, text))
+        findings.append((Outcome.AT_BOUND, text))
     summary = result.posterior
     if summary is not None and summary.outcome is not Outcome.CONVERGED:
-        found.append((summary.outcome, summary.outcome.value))
+        findings.append((summary.outcome, summary.outcome.value))
     if result.interrupted:
         text = "interrupted before the first samples: there is no posterior"
-        found.append((Outcome.INTERRUPTED, text))
-    found += [(None, text) for text in _speed_limit(result)]
+        findings.append((Outcome.INTERRUPTED, text))
+    findings += [(None, text) for text in _speed_limit(result)]
     if statistics.n_effective < 0.5 * statistics.n and not exact:
         text = (
             f"residuals of neighbouring rows are correlated: {statistics.n} rows count"
             f" as {statistics.n_effective:.0f} independent ones in every interval"
         )
-        found.append((None, text))
-    return found
+        findings.append((None, text))
+    return findings
 
 
 def judge(result: FitResult) -> FitResult:

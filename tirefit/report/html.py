@@ -40,7 +40,7 @@ def png_text(picture) -> str:
 def _figure(result: FitResult) -> str:
     if result.problem is None:
         return ""
-    from tirefit.report.draw import fit_figure
+    from tirefit.report.draw import fit_figure  # Matplotlib, for a fit with its data
 
     picture = fit_figure(result)
     picture.set_dpi(90)

@@ -23,8 +23,10 @@ def _spelled(name: str, models: Mapping[str, AbstractTire]) -> str:
 
 
 def _parameters(model: AbstractTire) -> str:
-    found = specs(model)
-    return ", ".join(name if spec.free else f"({name})" for name, spec in found.items())
+    declared = specs(model)
+    return ", ".join(
+        name if spec.free else f"({name})" for name, spec in declared.items()
+    )
 
 
 def _about(model: AbstractTire) -> str:
@@ -54,13 +56,13 @@ def _folded(rows: list[list[str]]) -> list[str]:
     heads = [row[:-1] for row in rows]
     lines = table([[*head, ""] for head in heads])
     indent = max(len(line) for line in lines) + 2
-    found = []
+    folded = []
     texts = [rows[0][-1], "-" * len(rows[0][-1]), *(row[-1] for row in rows[1:])]
     for line, text in zip(lines, texts, strict=True):
         parts = textwrap.wrap(text, WIDTH - indent) or [""]
-        found.append((line.ljust(indent) + parts[0]).rstrip())
-        found += [" " * indent + part for part in parts[1:]]
-    return found
+        folded.append((line.ljust(indent) + parts[0]).rstrip())
+        folded += [" " * indent + part for part in parts[1:]]
+    return folded
 
 
 def models_table(models: Mapping[str, AbstractTire]) -> str:

@@ -4,8 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tirefit.fitting.result import FitResult, information
+from tirefit.report import draw
+from tirefit.report.html import rendered
 from tirefit.report.numbers import format_number
 from tirefit.report.text import table, value_text
+from tirefit.report.uncertainty import has_trace
 from tirefit.results import UsageError
 
 __all__ = [
@@ -31,8 +34,6 @@ def plot_fit(result: FitResult, ax=None):
         result: a fit from this process.
         ax: axes to draw the first force on, of a figure of your own.
     """
-    from tirefit.report import draw
-
     _needs(result, "data in memory (fit again to draw it)", result.problem is not None)
     if ax is None:
         return draw.fit_figure(result)
@@ -42,25 +43,18 @@ def plot_fit(result: FitResult, ax=None):
 
 def plot_residuals(result: FitResult):
     """Residuals against every input, their distribution and order; the Figure."""
-    from tirefit.report import draw
-
     _needs(result, "data in memory (fit again to draw it)", result.problem is not None)
     return draw.residual_figure(result)
 
 
 def plot_corner(result: FitResult):
     """Posterior of every parameter and every pair; the Figure."""
-    from tirefit.report import draw
-
     _needs(result, "posterior: tirefit.sample(fit) adds it", result.chains is not None)
     return draw.corner_figure(result)
 
 
 def plot_trace(result: FitResult):
     """Posterior draws in order, by ensemble; the Figure."""
-    from tirefit.report import draw
-    from tirefit.report.uncertainty import has_trace
-
     _needs(result, "posterior: tirefit.sample(fit) adds it", result.chains is not None)
     remedy = "chain: its posterior is of independent points (plot_corner draws it)"
     _needs(result, remedy, has_trace(result))
@@ -69,8 +63,6 @@ def plot_trace(result: FitResult):
 
 def plot_profile(result: FitResult):
     """Profile likelihood, covariance and posterior of every parameter; the Figure."""
-    from tirefit.report import draw
-
     _needs(result, "profile likelihood", bool(result.profiles))
     return draw.profile_figure(result)
 
@@ -91,8 +83,6 @@ class Comparison:
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
     def _repr_html_(self) -> str:
-        from tirefit.report.html import rendered
-
         return rendered("table_fragment.html", rows=self.rows, notes=self.notes)
 
 

@@ -5,16 +5,24 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from tirefit.data.levels import levels
 from tirefit.data.table import TireData
-from tirefit.fitting.likelihood import CHANNEL_SLIP, row_moments
+from tirefit.fitting.likelihood import CHANNEL_SLIP
+from tirefit.fitting.residuals import (
+    means_by,
+    means_over,
+    ordered_correlation,
+    standardised,
+)
 from tirefit.fitting.result import FitResult
 from tirefit.report.curves import slip_axis
 from tirefit.report.numbers import plain_text
 
-__all__ = ["Residuals", "Scatter", "autocorrelation", "residual_panels", "standardised"]
+__all__ = ["Residuals", "Scatter", "residual_panels"]
 
-_BINS = 12
+_INDEPENDENT = 0.9
+"""Effective share of the rows from which their order in the file is moot."""
+_MOST_RUNS = 30
+"""Runs that have a panel of their own, at most."""
 _LABEL = {
     "fz": ("load $F_z$", "N"),
     "v": ("speed $v$", "m/s"),
@@ -61,14 +69,6 @@ class Residuals(NamedTuple):
     limit: float
 
 
-def standardised(result: FitResult, channel: str) -> np.ndarray:
-    """(observed - fitted) / standard deviation of a measurement, (n,)."""
-    problem = result.problem
-    mean, variance = row_moments(problem, result.z)
-    observed = problem.used(problem.rows.observed[channel])
-    return (observed - mean[channel]) / np.sqrt(variance[channel])
-
-
 def _fitted_rows(problem, data: TireData | None) -> np.ndarray | None:
     """The rows (len(data),) bool of the table that the fit used, None if unknown.
 
@@ -87,11 +87,11 @@ def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
     """Input -> (label, values as drawn (n,)) of every input that varies."""
     problem = result.problem
     inputs = problem.rows.inputs
-    found = {}
+    shown = {}
     for name in dict.fromkeys((slip, "sigma_x", "alpha")):
         values = problem.used(getattr(inputs, name))
         axis = slip_axis(name, values)
-        found[name] = (f"{axis.label} [{axis.unit}]", axis.shown(values))
+        shown[name] = (f"{axis.label} [{axis.unit}]", axis.shown(values))
     columns = {"fz": problem.used(inputs.fz), "v": problem.used(inputs.v)}
     rows = _fitted_rows(problem, result.table)
     if rows is not None:
@@ -100,85 +100,34 @@ def _inputs(result: FitResult, slip: str) -> dict[str, tuple[str, np.ndarray]]:
     for name in _LABEL:
         if name in columns:
             label, unit = _LABEL[name]
-            found[name] = (f"{label} [{unit}]", columns[name] * _SHOWN.get(name, 1.0))
+            shown[name] = (f"{label} [{unit}]", columns[name] * _SHOWN.get(name, 1.0))
     return {
         name: (label, values)
-        for name, (label, values) in found.items()
+        for name, (label, values) in shown.items()
         if np.all(np.isfinite(values))
         and np.ptp(values) > 1e-6 * max(np.max(np.abs(values)), 1e-9)
     }
 
 
-def _binned(x, residual, inflation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centers, means and half-widths of the means' 95 % intervals, each (k,)."""
-    settings = levels(x)
-    if settings.few(_BINS):
-        codes = settings.code
-    else:
-        edges = np.unique(np.quantile(x, np.linspace(0, 1, _BINS + 1)[1:-1]))
-        codes = np.searchsorted(edges, x)
-    count = np.bincount(codes)
-    kept = count >= 3
-    if not np.any(kept):
-        return np.zeros(0), np.zeros(0), np.zeros(0)
-    count = np.maximum(count, 1)
-    center = np.bincount(codes, x) / count
-    mean = np.bincount(codes, residual) / count
-    square = np.bincount(codes, residual**2) / count - mean**2
-    half = 1.96 * np.sqrt(inflation * np.maximum(square, 0) / np.maximum(count - 1, 1))
-    return center[kept], mean[kept], half[kept]
-
-
-def autocorrelation(parts: list[np.ndarray], most: int = 40) -> np.ndarray:
-    """Autocorrelation at lags 0, 1, ... of residuals in order, runs pooled."""
-    longest = max((len(part) for part in parts), default=0)
-    power = sum(float(part @ part) for part in parts)
-    lags = range(max(min(most, longest // 4) + 1, 1))
-    if power <= 0:
-        return np.ones(1)
-    return np.array(
-        [sum(float(p[lag:] @ p[: len(p) - lag]) for p in parts) / power for lag in lags]
-    )
-
-
-def _order(result: FitResult, residual, inputs):
+def _in_order(result: FitResult, residual, inputs) -> np.ndarray | None:
     """Autocorrelation in the order of time, or of the file; None where it is moot."""
-    problem = result.problem
-    statistics = result.statistics
-    time = inputs.get("time")
-    if time is None and statistics.n_effective > 0.9 * statistics.n:
-        return None, None
-    run, parts = problem.used(problem.rows.run), []
-    for code in np.unique(run):
-        part = residual[run == code]
-        if time is not None:
-            part = part[np.argsort(time[1][run == code], kind="stable")]
-        parts.append(part)
-    correlation = autocorrelation(parts)
-    return np.arange(len(correlation)), correlation
+    problem, statistics = result.problem, result.statistics
+    time = inputs["time"][1] if "time" in inputs else None
+    if time is None and statistics.n_effective > _INDEPENDENT * statistics.n:
+        return None
+    return ordered_correlation(residual, problem.used(problem.rows.run), time)
 
 
 def _runs(result: FitResult, residual, inflation: float) -> list[Scatter]:
     problem = result.problem
-    run = problem.used(problem.rows.run).astype(float)
-    codes = np.unique(run)
-    if not 1 < len(codes) <= 30:
+    codes, position = np.unique(problem.used(problem.rows.run), return_inverse=True)
+    if not 1 < len(codes) <= _MOST_RUNS:
         return []
-    position = np.searchsorted(codes, run).astype(float)
-    spread = np.random.default_rng(0).uniform(-0.25, 0.25, len(run))
-    center, mean, half = [], [], []
-    for i in range(len(codes)):
-        part = residual[position == i]
-        center.append(float(i))
-        mean.append(part.mean())
-        half.append(1.96 * part.std() * np.sqrt(inflation / max(len(part) - 1, 1)))
+    # Beside one another, so that points of one run do not hide each other.
+    spread = np.random.default_rng(0).uniform(-0.25, 0.25, len(position))
+    means = means_by(position, position, residual, inflation)
     names = tuple(plain_text(problem.layout.runs[int(code)]) for code in codes)
-    return [
-        Scatter(
-            "run", position + spread, residual, np.array(center), np.array(mean),
-            np.array(half), names,
-        )
-    ]  # fmt: skip
+    return [Scatter("run", position + spread, residual, *means, names)]
 
 
 def residual_panels(result: FitResult, channel: str | None = None) -> Residuals:
@@ -194,10 +143,11 @@ def residual_panels(result: FitResult, channel: str | None = None) -> Residuals:
     inflation = max(result.statistics.n / max(result.statistics.n_effective, 1), 1.0)
     inputs = _inputs(result, CHANNEL_SLIP[channel])
     scatters = [
-        Scatter(label, x, residual, *_binned(x, residual, inflation), ())
+        Scatter(label, x, residual, *means_over(x, residual, inflation), ())
         for label, x in inputs.values()
     ]
-    lags, correlation = _order(result, residual, inputs)
+    correlation = _in_order(result, residual, inputs)
+    lags = None if correlation is None else np.arange(len(correlation))
     reach = max(4.0, float(np.max(np.abs(residual))))
     count = int(np.clip(1.2 * np.sqrt(problem.n), 8, 40))
     density, edges = np.histogram(

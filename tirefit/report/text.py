@@ -5,6 +5,7 @@ import textwrap
 import numpy as np
 
 from tirefit.fitting.derived import derived_channel, quantities
+from tirefit.fitting.likelihood import row_moments
 from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
 from tirefit.report.numbers import format_estimate, format_interval, format_number
 
@@ -178,8 +179,6 @@ def _by_run(result: FitResult) -> list[str]:
     problem = result.problem
     if problem is None or len(result.data["runs"]) < 2:
         return []
-    from tirefit.fitting.likelihood import row_moments
-
     name = result.forces[0]
     mean, _ = row_moments(problem, result.z)
     residual = problem.used(problem.rows.observed[name]) - mean[name]

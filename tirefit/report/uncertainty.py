@@ -4,6 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.fitting.marginals import (
+    bin_edges,
+    dense_profile,
+    enclosing,
+    joint_density,
+    marginal_density,
+    near_level,
+)
 from tirefit.fitting.result import FitResult
 from tirefit.params import Spec
 from tirefit.report.numbers import plain_text
@@ -20,11 +28,6 @@ __all__ = [
 ]
 
 _MOST = 12
-_BINS = 36
-_FAR = 6.0
-"""Reach of an axis from the median, in distances to the end of the central 68.27 % on
-that side: 6 standard deviations of a Gaussian, beyond its draws. A bulk that is rare
-and far away does not stretch the axis; the note of the figure counts it."""
 _TRACE_POINTS = 600
 
 
@@ -103,38 +106,6 @@ def symbol(result: FitResult, label: str) -> str:
     return f"{name}{where} [{result.least_squares[label].unit}]"
 
 
-def _edges(draws: np.ndarray) -> np.ndarray:
-    """Bin edges (bins + 1,) over 99.8 % of the draws at most, never of zero width."""
-    shares = [0.001, 0.15866, 0.5, 0.84134, 0.999]
-    low, left, median, right, high = np.quantile(draws, shares)
-    low = max(low, median - _FAR * (median - left))
-    high = min(high, median + _FAR * (right - median))
-    size = max(abs(low), abs(high)) or 1.0
-    if high - low < 1e-6 * size:
-        low, high = low - 0.01 * size, high + 0.01 * size
-    return np.linspace(low, high, _BINS + 1)
-
-
-def _smooth(counts: np.ndarray) -> np.ndarray:
-    """Counts convolved with a narrow binomial kernel along every axis."""
-    kernel = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
-    for axis in range(counts.ndim):
-        counts = np.apply_along_axis(np.convolve, axis, counts, kernel, "same")
-    return counts
-
-
-def _peaked(counts: np.ndarray) -> np.ndarray:
-    return counts / max(float(counts.max()), 1e-300)
-
-
-def _enclosing(density: np.ndarray, shares: tuple[float, float]) -> tuple[float, float]:
-    """Densities whose contours enclose these shares, decreasing shares, increasing."""
-    order = np.sort(density.ravel())[::-1]
-    share = np.cumsum(order) / order.sum()
-    outer, inner = (float(order[np.searchsorted(share, s)]) for s in shares)
-    return outer, inner
-
-
 def _flat(result: FitResult) -> np.ndarray:
     flat = np.asarray(result.chains, float).reshape(-1, len(result.labels))
     return flat[np.all(np.isfinite(flat), axis=1)]
@@ -145,23 +116,20 @@ def corner_data(result: FitResult) -> Corner:
     flat, labels = _flat(result)[:, :_MOST], result.labels[:_MOST]
     left_out = len(result.labels) - len(labels)
     notes = [f"{_MOST} of {len(result.labels)} parameters shown"] if left_out else []
-    edges = np.array([_edges(column) for column in flat.T])
+    edges = np.array([bin_edges(column) for column in flat.T])
     beyond = np.any((flat < edges[:, 0]) | (flat > edges[:, -1]), axis=1).mean()
     # The outermost 0.2 % of each parameter are never drawn.
     if beyond > 0.002 * (len(labels) + 1):
         notes.append(f"{100 * beyond:.1f} % of the draws lie beyond the axes")
     density = np.array(
-        [
-            _peaked(_smooth(np.histogram(column, e)[0].astype(float)))
-            for column, e in zip(flat.T, edges, strict=True)
-        ]
+        [marginal_density(column, e) for column, e in zip(flat.T, edges, strict=True)]
     )
     joint, levels = {}, {}
     for i in range(len(labels)):
         for j in range(i):
-            counts, _, _ = np.histogram2d(flat[:, i], flat[:, j], (edges[i], edges[j]))
-            joint[i, j] = _smooth(counts)
-            levels[i, j] = _enclosing(joint[i, j], (0.95, 0.5))
+            pair = edges[i], edges[j]
+            joint[i, j] = joint_density(flat[:, i], flat[:, j], pair)
+            levels[i, j] = enclosing(joint[i, j], (0.95, 0.5))
     low, median, high = np.quantile(flat, [0.025, 0.5, 0.975], axis=0)
     return Corner(
         tuple(symbol(result, label) for label in labels), edges, density, joint, levels,
@@ -184,13 +152,10 @@ def trace_data(result: FitResult) -> Trace:
     labels = result.labels[:_MOST]
     length = chains.shape[1]
     chosen = np.linspace(0, length - 1, min(_TRACE_POINTS, length)).astype(int)
-    edges = np.array([_edges(column) for column in _flat(result)[:, :_MOST].T])
+    edges = np.array([bin_edges(column) for column in _flat(result)[:, :_MOST].T])
     density = np.array(
         [
-            [
-                _peaked(_smooth(np.histogram(ensemble[:, i], edges[i])[0] * 1.0))
-                for i in range(len(labels))
-            ]
+            [marginal_density(ensemble[:, i], edges[i]) for i in range(len(labels))]
             for ensemble in chains
         ]
     )
@@ -209,32 +174,17 @@ def trace_data(result: FitResult) -> Trace:
     )  # fmt: skip
 
 
-def _visible(value, deviance, level: float) -> np.ndarray:
-    """The points (m,) bool worth drawing: up to some way above the level."""
-    near = np.flatnonzero(deviance <= 2.5 * level)
-    rows = np.zeros(len(value), bool)
-    rows[max(near[0] - 1, 0) : near[-1] + 2] = True
-    return rows & np.isfinite(deviance)
-
-
-def _dense(value, deviance, best: float, logarithmic: bool):
-    """The profile on a dense grid, by its signed root: straight for a parabola."""
-    value, first = np.unique(value, return_index=True)
-    root = np.sign(value - best) * np.sqrt(np.maximum(deviance[first], 0.0))
-    space = np.geomspace if logarithmic else np.linspace
-    grid = np.clip(space(value[0], value[-1], 300), value[0], value[-1])
-    return grid, np.interp(grid, value, root) ** 2
-
-
 def _profile_panel(result: FitResult, label: str, profile) -> ProfilePanel:
     estimate = result.least_squares[label]
     value, deviance = np.asarray(profile["value"]), np.asarray(profile["deviance"])
     level = float(profile["level"])
-    rows = _visible(value, deviance, level)
+    rows = near_level(deviance, level)
     spec = _spec(result, label)
     wide = value[rows][-1] > 20 * value[rows][0]
     logarithmic = bool(spec is not None and spec.scale == "log" and wide)
-    value, deviance = _dense(value[rows], deviance[rows], estimate.value, logarithmic)
+    value, deviance = dense_profile(
+        value[rows], deviance[rows], estimate.value, logarithmic
+    )
     low, high = result.intervals["covariance"][label]
     assert low is not None and high is not None  # it is never open
     # At a bound the covariance interval has no width, and its parabola is a line up.
@@ -243,8 +193,8 @@ def _profile_panel(result: FitResult, label: str, profile) -> ProfilePanel:
     edges = density = None
     if result.chains is not None:
         draws = _flat(result)[:, result.labels.index(label)]
-        edges = _edges(draws)
-        density = _peaked(_smooth(np.histogram(draws, edges)[0].astype(float)))
+        edges = bin_edges(draws)
+        density = marginal_density(draws, edges)
     return ProfilePanel(
         symbol(result, label), value, deviance, parabola, level, estimate.value,
         result.intervals["profile"][label], edges, density, estimate.identified,

@@ -5,14 +5,24 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.diagnosis.effects.free_forms import (
+    BOTH_WAYS,
     FRICTION_BY_DIRECTION,
     FRICTION_BY_LOAD,
     FRICTION_BY_OTHER_SLIP,
     FRICTION_BY_SIDE,
     FRICTION_BY_SPEED,
+    ONE_WAY,
     over,
 )
-from tirefit.diagnosis.effects.record import Effect, blend
+from tirefit.diagnosis.effects.record import (
+    LEAST_FACTOR,
+    SHARE,
+    SYMBOLS,
+    Effect,
+    blend,
+    scaled,
+)
+from tirefit.diagnosis.negligible import FLAT
 
 __all__ = ["EFFECTS", "STEPS"]
 
@@ -26,28 +36,26 @@ _LOGARITHM = (0.1, 0.0)
 STEPS = tuple(float(t) for t in np.linspace(-0.42, 0.42, 15))
 """Times of a sudden change that are tried, as shares of the record about its middle."""
 
-_SHARE = (-1.9, 1.9)
-"""A friction or a stiffness that changes by a share between its ends stays positive at
-both where the share stays below two."""
-
 _WEAR = (0.12, 0.35)
 """Ways of a change that is quick at first, as shares of the record."""
 
 
-def _scaled(state, name, factor):
-    """Stiffness, friction or kinetic friction times a factor, which stays positive."""
-    return state._replace(**{name: getattr(state, name) * jnp.maximum(factor, 0.05)})
+_POWERS = (-3.0, 3.0)
+"""Powers of the load that stiffness or friction may follow: tires have -0.3 to 1."""
+
+_LEAST_KINETIC = 1e-3
+"""Kinetic friction over its usual value, at least: it may fall to nearly nothing."""
 
 
 def _kinetic_times(state, factor):
-    return state._replace(kinetic=state.kinetic * jnp.maximum(factor, 1e-3))
+    return state._replace(kinetic=state.kinetic * jnp.maximum(factor, _LEAST_KINETIC))
 
 
 def _linear_loss(state, loss, constants, rows):
     kinetic, sliding, rolling = constants
     state = _kinetic_times(state, 1 - kinetic * loss * rows.sliding)
     falls = sliding * rows.sliding + rolling * rows.v
-    return _scaled(state, "friction", 1 - loss * falls)
+    return scaled(state, "friction", 1 - loss * falls)
 
 
 def _fall(state, share, constants, rows):
@@ -55,21 +63,21 @@ def _fall(state, share, constants, rows):
     on the kinetic friction alone, or on both. A share below zero is a rise."""
     v_st, exponent, both = constants
     # The power has no slope at rest, where the patch slides nowhere.
-    speed = jnp.maximum(rows.sliding / rows.brisk, 1e-9) / v_st
+    speed = jnp.maximum(rows.sliding / rows.brisk, FLAT) / v_st
     decay = -jnp.expm1(-(speed ** jnp.where(exponent > 0, exponent, 1.0)))
     # As much at the largest sliding speed of the file as the share says.
     slow = jnp.log1p(speed) / jnp.log1p(1 / v_st)
     fall = share * jnp.where(exponent > 0, decay, slow)
     state = _kinetic_times(state, 1 - (1 - both) * fall)
-    return _scaled(state, "friction", 1 - both * fall)
+    return scaled(state, "friction", 1 - both * fall)
 
 
 def _with_load(name):
     """A power of the load, linear in it or in its logarithm."""
 
     def change(state, amplitude, constants, rows):
-        linear = jnp.maximum(1 + amplitude * (rows.fz - 1), 0.05)
-        slow = jnp.maximum(1 + amplitude * jnp.log(rows.fz), 0.05)
+        linear = jnp.maximum(1 + amplitude * (rows.fz - 1), LEAST_FACTOR)
+        slow = jnp.maximum(1 + amplitude * jnp.log(rows.fz), LEAST_FACTOR)
         factor = blend(constants, rows.fz**amplitude, linear, slow)
         return state._replace(**{name: getattr(state, name) * factor})
 
@@ -79,7 +87,7 @@ def _with_load(name):
 def _times(name, covariate):
     def change(state, share, constants, rows):
         del constants
-        return _scaled(state, name, 1 + share * getattr(rows, covariate))
+        return scaled(state, name, 1 + share * getattr(rows, covariate))
 
     return change
 
@@ -90,9 +98,7 @@ def _drift(name):
     def change(state, share, constants, rows):
         even, way = constants
         late = 0.5 - jnp.exp(-(rows.time + 0.5) / way)
-        return _scaled(
-            state, name, 1 + share * blend((even, 1 - even), rows.time, late)
-        )
+        return scaled(state, name, 1 + share * blend((even, 1 - even), rows.time, late))
 
     return change
 
@@ -102,13 +108,13 @@ def _step(state, share, constants, rows):
     at, shaped = constants
     sudden = jnp.where(rows.time > at, 0.5, -0.5)
     shape = blend((1 - shaped, shaped), sudden, rows.change)
-    return _scaled(state, "friction", 1 + share * shape)
+    return scaled(state, "friction", 1 + share * shape)
 
 
 def _half(covariate):
     def change(state, share, constants, rows):
         del constants
-        return _scaled(state, "friction", 1 + 0.5 * share * getattr(rows, covariate))
+        return scaled(state, "friction", 1 + 0.5 * share * getattr(rows, covariate))
 
     return change
 
@@ -124,17 +130,16 @@ _DRIFTS = ((1.0, 1.0), *((0.0, way) for way in _WEAR))
 
 
 def _drifting(name: str, parameter: str, scale: float, forms, looks_like):
-    symbol = {"friction": "mu", "stiffness": "c_p a^2"}[name]
     return Effect(
         id=f"{name}_drift",
         family=f"{name} x time",
         change=_drift(name),
         scale=scale,
         unit="per record",
-        formula=f"{symbol} (1 + amplitude t)",
+        formula=f"{SYMBOLS[name]} (1 + amplitude t)",
         means=f"{name} changes slowly over the record",
         remedy=_PER_RUN.format(parameter),
-        bounds=(_SHARE,),
+        bounds=(SHARE,),
         needs=("time",),
         variants=_DRIFTS,
         forms=forms,
@@ -144,38 +149,36 @@ def _drifting(name: str, parameter: str, scale: float, forms, looks_like):
 
 
 def _heated(name: str, parameter: str, scale: float, size: float):
-    symbol = {"friction": "mu", "stiffness": "c_p a^2"}[name]
     return Effect(
         id=f"{name}_temperature",
         family=f"{name} x temperature",
         change=_times(name, "temperature"),
         scale=scale,
         unit="per 20 K",
-        formula=f"{symbol} (1 + amplitude (T - T0) / 20 K)",
+        formula=f"{SYMBOLS[name]} (1 + amplitude (T - T0) / 20 K)",
         means=f"{name} changes with temperature",
         remedy=f"fit {parameter} for each range of temperature",
-        bounds=(_SHARE,),
+        bounds=(SHARE,),
         per=("temperature",),
         needs=("temperature",),
-        forms=over(name, size, "temperature", 5),
+        forms=over(name, size, "temperature", BOTH_WAYS),
         looks_like=(f"{name}_drift",),
         told_apart_by="random order",
     )
 
 
 def _loaded(name: str, scale: float, forms, looks_like):
-    symbol = {"friction": "mu", "stiffness": "c_p a^2"}[name]
     return Effect(
         id=f"load_{name}",
         family=f"{name} x load",
         change=_with_load(name),
         scale=scale,
         unit="-",
-        formula=f"{symbol} (F_z / F_z0)^amplitude, S 2.1",
+        formula=f"{SYMBOLS[name]} (F_z / F_z0)^amplitude, S 2.1",
         means=f"{name} is a power of the load",
         remedy="fit brush-load",
         parameter="power",
-        bounds=((-3.0, 3.0),),
+        bounds=(_POWERS,),
         needs=("loads",),
         variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
         forms=forms,
@@ -184,7 +187,7 @@ def _loaded(name: str, scale: float, forms, looks_like):
     )
 
 
-_BY_TIME = over("friction", 0.02, "time", 4)
+_BY_TIME = over("friction", 0.02, "time", ONE_WAY)
 
 SPEED_LINEAR = Effect(
     id="friction_speed_linear",
@@ -232,7 +235,7 @@ STEP = Effect(
     formula="mu changes by amplitude at one time",
     means="friction changes at one time",
     remedy="cut the record there and fit mu per run",
-    bounds=(_SHARE,),
+    bounds=(SHARE,),
     needs=("time",),
     variants=(*((at, 0.0) for at in STEPS), (0.0, 1.0)),
     forms=_BY_TIME,
@@ -264,7 +267,7 @@ ASYMMETRY = Effect(
     formula="mu differs by amplitude between the two signs of slip",
     means="friction differs between the two signs of slip",
     remedy=_SPLIT,
-    bounds=(_SHARE,),
+    bounds=(SHARE,),
     needs=("signs",),
     forms=FRICTION_BY_SIDE,
     looks_like=("force_offset",),
@@ -291,7 +294,9 @@ COMBINED = Effect(
 EFFECTS = (
     SPEED_LINEAR,
     SPEED_EXPONENTIAL,
-    _loaded("stiffness", 0.5, over("stiffness", 0.06, "fz", 4), ("stiffness_drift",)),
+    _loaded(
+        "stiffness", 0.5, over("stiffness", 0.06, "fz", ONE_WAY), ("stiffness_drift",)
+    ),
     _loaded("friction", 0.12, FRICTION_BY_LOAD, ("friction_drift", "force_offset")),
     _heated("friction", "mu", 0.15, 0.03),
     _heated("stiffness", "cpa2", 0.2, 0.06),
@@ -306,7 +311,7 @@ EFFECTS = (
         "stiffness",
         "cpa2",
         0.18,
-        over("stiffness", 0.04, "time", 4),
+        over("stiffness", 0.04, "time", ONE_WAY),
         ("load_stiffness", "stiffness_temperature"),
     ),
     STEP,

@@ -6,15 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.basis import functions_of
+from tirefit.diagnosis.basis import FULL_SLIDING, functions_of
+from tirefit.diagnosis.negligible import ROUNDING
 
 __all__ = [
+    "BOTH_WAYS",
     "Form",
     "FRICTION_BY_DIRECTION",
     "FRICTION_BY_LOAD",
     "FRICTION_BY_OTHER_SLIP",
     "FRICTION_BY_SIDE",
     "FRICTION_BY_SPEED",
+    "ONE_WAY",
     "SHAPE_OF_THE_CURVE",
     "SHIFT_BY_CAMBER",
     "SHIFT_BY_LAG",
@@ -24,12 +27,24 @@ __all__ = [
     "weight",
 ]
 
+ONE_WAY, BOTH_WAYS = 4, 5
+"""Smooth functions of a covariate, few enough to follow no noise; an odd number has one
+at the middle, for a covariate that has two sides."""
+
+_OF_THE_CURVE, _OF_SPEED, _OF_RATE = 9, 8, 6
+"""The same of the whole curve of force over slip and of friction over sliding speed,
+which rise and fall within a part of the range, and of the rate of the slip."""
+
+_QUICKEST = 3.0
+"""Rates over the usual one that count as this one: a jump."""
+
 
 class Form(NamedTuple):
     """``field`` of the state that moves by ``size`` times smooth functions of what
     ``shapes(rows, u)`` gives, (n, k); u is slip over that of full sliding, (n,).
     ``needs`` is what the data must hold: at one speed any function of the sliding speed
-    is one of the slip, and would explain whatever there is."""
+    is one of the slip, and would explain whatever there is. A form may add an eighth to
+    a half of what the formula beside it may."""
 
     field: str
     size: float
@@ -60,11 +75,11 @@ def weight(rows):
     return rows.load
 
 
-def _by_slip(factor: str, count: int = 4):
+def _by_slip(factor: str, count: int = ONE_WAY):
     """Functions of the size of the slip, times a covariate."""
 
     def shapes(rows, u):
-        free = functions_of(np.minimum(np.abs(u), 3), count)
+        free = functions_of(np.minimum(np.abs(u), FULL_SLIDING), count)
         return free * getattr(rows, factor)[:, None]
 
     return shapes
@@ -72,17 +87,18 @@ def _by_slip(factor: str, count: int = 4):
 
 def _of_shape(rows, u):
     """Force over load as any odd function of the slip fraction."""
-    return _by_slip("side", 9)(rows, u) * (rows.fz * rows.load)[:, None]
+    return _by_slip("side", _OF_THE_CURVE)(rows, u) * (rows.fz * rows.load)[:, None]
 
 
 def _of_sliding(rows, u):
-    return functions_of(np.sqrt(rows.sliding), 8)
+    return functions_of(np.sqrt(rows.sliding), _OF_SPEED)
 
 
 def _of_rate(rows, u):
     """Functions of how fast the slip grows or shrinks in size."""
     rate = rows.rate * rows.side
-    return functions_of(np.clip(rate / max(np.mean(np.abs(rate)), 1e-12), -3, 3), 6)
+    usual = max(np.mean(np.abs(rate)), ROUNDING)
+    return functions_of(np.clip(rate / usual, -_QUICKEST, _QUICKEST), _OF_RATE)
 
 
 SHAPE_OF_THE_CURVE = (Form("force", 0.01, _of_shape),)
@@ -96,7 +112,7 @@ FRICTION_BY_DIRECTION = (
     Form("friction", 0.02, _of_rate),
 )
 FRICTION_BY_SIDE = (Form("friction", 0.02, _by_slip("side")),)
-FRICTION_BY_LOAD = over("friction", 0.03, "fz", 4)
-SHIFT_BY_SPEED = over("shift", 0.1, "v", 4, rise)
-FRICTION_BY_OTHER_SLIP = over("friction", 0.03, "other", 5)
-SHIFT_BY_CAMBER = over("shift", 0.1, "gamma", 5, rise)
+FRICTION_BY_LOAD = over("friction", 0.03, "fz", ONE_WAY)
+SHIFT_BY_SPEED = over("shift", 0.1, "v", ONE_WAY, rise)
+FRICTION_BY_OTHER_SLIP = over("friction", 0.03, "other", BOTH_WAYS)
+SHIFT_BY_CAMBER = over("shift", 0.1, "gamma", BOTH_WAYS, rise)

@@ -12,6 +12,10 @@ __all__ = ["EFFECTS", "lagged"]
 _NO_LENGTH = 1e-12
 """Share of a step that counts as no length: the slope there is one-sided, not zero."""
 
+_FEW_WAYS = 1e-4
+"""Steps over the length below which the response is the first term of its series: its
+second is a third of this times it, and the closed form loses digits."""
+
 
 def _late(past, delay, rows):
     """Values of a delay [s] ago, less the values: (n,) of (n, k).
@@ -40,7 +44,7 @@ def lagged(past, length, step):
     ways = step / length
     decay = jnp.exp(-ways)
     # Response to values that rise over the step.
-    share = jnp.where(ways < 1e-4, ways / 2, 1 - (1 - decay) / ways)
+    share = jnp.where(ways < _FEW_WAYS, ways / 2, 1 - (1 - decay) / ways)
 
     def follow(carry, value):
         behind, before = carry

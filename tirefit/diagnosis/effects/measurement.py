@@ -2,13 +2,20 @@
 worked out without the wheel's inertia; camber and conicity beside them."""
 
 from tirefit.diagnosis.effects.free_forms import SHIFT_BY_CAMBER
-from tirefit.diagnosis.effects.record import Effect
+from tirefit.diagnosis.effects.record import PER_MILLE, Effect
 from tirefit.diagnosis.slip_check import AGAINST, BESIDE, FOR
 
 __all__ = ["EFFECTS"]
 
 _FINE = 5e-4
 """Standard error of an offset of the slip below which its absence says something."""
+
+_INERTIA_STATED = 0.3
+"""Standard deviation of a stated inertia over it: hub, disc and shaft turn too."""
+
+_CORNERING = 10.0
+"""Cornering stiffness over load [1/rad] that is usual: the same amplitude for both
+forms of camber thrust."""
 
 
 def _shift(state, offset, constants, rows):
@@ -19,12 +26,12 @@ def _shift(state, offset, constants, rows):
 def _force(state, offset, constants, rows):
     # In thousandths of the typical load: the same prior for every tire.
     del constants
-    return state._replace(force=state.force + 1e-3 * offset * rows.load)
+    return state._replace(force=state.force + PER_MILLE * offset * rows.load)
 
 
 def _conicity(state, share, constants, rows):
     del constants
-    return state._replace(force=state.force + 1e-3 * share * rows.load * rows.fz)
+    return state._replace(force=state.force + PER_MILLE * share * rows.load * rows.fz)
 
 
 def _definition(state, weight, constants, rows):
@@ -50,7 +57,7 @@ def _of_this_wheel(prior, prepared, rig):
     if not known:
         return prior
     return prior._replace(
-        scale=0.3 * known, center=known, high=max(prior.high, 2 * known)
+        scale=_INERTIA_STATED * known, center=known, high=max(prior.high, 2 * known)
     )
 
 
@@ -89,10 +96,10 @@ def _offset_odds(prepared) -> float:
 
 def _camber(state, share, constants, rows):
     shift, force = constants
-    # Cornering stiffness of ten loads per radian: the same amplitude for both forms.
     return state._replace(
         shift=state.shift + shift * share * rows.gamma,
-        force=state.force + force * 10 * share * rows.gamma * rows.fz * rows.load,
+        force=state.force
+        + force * _CORNERING * share * rows.gamma * rows.fz * rows.load,
     )
 
 

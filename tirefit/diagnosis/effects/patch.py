@@ -10,6 +10,10 @@ __all__ = ["EFFECTS"]
 _SKEWS = (-0.32, 0.95)
 """d of S(24) between which the pressure and its slope at the edge keep their signs."""
 
+_FLATNESSES = (-0.6, 1.0)
+"""Share of the quartic law S(25): from a pressure whose middle is a tenth higher than
+that of the parabola, to the law itself."""
+
 
 def _skewed(state, change):
     return state._replace(skew=jnp.clip(state.skew + change, *_SKEWS))
@@ -27,7 +31,7 @@ def _skew_with(state, d, constants, rows):
 
 def _flatness(state, share, constants, rows):
     del constants, rows
-    return state._replace(flat=jnp.clip(state.flat + share, -0.6, 1.0))
+    return state._replace(flat=jnp.clip(state.flat + share, *_FLATNESSES))
 
 
 def _kinetic(state, excess, constants, rows):
@@ -66,7 +70,7 @@ PRESSURE_FLATNESS = Effect(
     means="the contact pressure is flatter or sharper than a parabola",
     remedy="fit quartic or elliptic",
     parameter="share",
-    bounds=((-0.6, 1.0),),
+    bounds=(_FLATNESSES,),
     forms=SHAPE_OF_THE_CURVE,
     looks_like=("pressure_asymmetry", "carcass_flexibility"),
     told_apart_by="mz",

@@ -4,12 +4,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from tirefit.diagnosis.effects.free_forms import Form
 from tirefit.diagnosis.state import Covariates, State
 
 __all__ = [
+    "LEAST_FACTOR",
+    "PER_MILLE",
+    "SHARE",
+    "SYMBOLS",
     "Atom",
     "Change",
     "Effect",
@@ -18,8 +23,24 @@ __all__ = [
     "atoms_of",
     "blend",
     "effects_by_id",
+    "scaled",
     "seldom",
 ]
+
+PER_MILLE = 1e-3
+"""Amplitudes of a force are in thousandths of the typical load: one prior for every
+tire."""
+
+LEAST_FACTOR = 0.05
+"""Friction or stiffness over its usual value, at least: a law that falls in a straight
+line would cross zero at amplitudes that a search tries."""
+
+SHARE = (-1.9, 1.9)
+"""A friction or a stiffness that changes by a share between its ends stays positive at
+both where the share stays below two."""
+
+SYMBOLS = {"friction": "mu", "stiffness": "c_p a^2"}
+"""Field of the state that is multiplied -> what formulas call it."""
 
 Change = Callable[[State, float, Array | tuple[float, ...], Covariates], State]
 
@@ -47,7 +68,9 @@ class Effect:
         family: which parameter varies with which quantity.
         change: (state, amplitude, constants, covariates) -> state; amplitude 0
             changes nothing.
-        scale: standard deviation of the amplitude that is expected beforehand.
+        scale: standard deviation of the amplitude that is expected beforehand, a
+            judgement: twice as wide lowers the log evidence of an effect that is there
+            for sure by log 2, where 3 and more decide.
         per: field of :class:`tirefit.diagnosis.sizes.Sizes` in shares of which
             ``scale``, ``center`` and ``bounds`` are: one for all variants or one for
             each.
@@ -57,7 +80,7 @@ class Effect:
         remedy: what to do once it is named.
         parameter: what the amplitude is called.
         bounds: amplitudes that physics allows, one pair for all variants or one for
-            each.
+            each; twenty scales or so where it allows any.
         center: expected amplitude; not zero for mistakes of a known size.
         prior: (prior, prepared rows, rig) -> prior, where the data or the rig say more
             of the amplitude than ``scale``, ``center`` and ``bounds``.
@@ -168,6 +191,12 @@ def blend(constants, *values):
     """Values weighted by constants: a variant that picks one of them has a one there
     and zeros elsewhere."""
     return sum(c * value for c, value in zip(constants, values, strict=True))
+
+
+def scaled(state: State, name: str, factor) -> State:
+    """A field of the state times a factor, which stays positive."""
+    factor = jnp.maximum(factor, LEAST_FACTOR)
+    return state._replace(**{name: getattr(state, name) * factor})
 
 
 _SELDOM = -1.0

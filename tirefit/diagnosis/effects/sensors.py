@@ -4,11 +4,12 @@ import jax.numpy as jnp
 
 from tirefit.diagnosis.effects.free_forms import (
     FRICTION_BY_LOAD,
+    ONE_WAY,
     over,
     rise,
     weight,
 )
-from tirefit.diagnosis.effects.record import Effect, blend, seldom
+from tirefit.diagnosis.effects.record import PER_MILLE, Effect, blend, scaled, seldom
 
 __all__ = ["EFFECTS"]
 
@@ -27,21 +28,21 @@ def _slip_drift(state, drift, constants, rows):
 
 
 def _force_drift(state, drift, constants, rows):
-    moved = 1e-3 * drift * rows.load * _settled(rows, constants)
+    moved = PER_MILLE * drift * rows.load * _settled(rows, constants)
     return state._replace(force=state.force + moved)
 
 
 def _load_crosstalk(state, share, constants, rows):
     del constants
-    return state._replace(force=state.force + 1e-3 * share * rows.load * rows.fz)
+    return state._replace(force=state.force + PER_MILLE * share * rows.load * rows.fz)
 
 
 def _load_offset(state, offset, constants, rows):
     # A brush under another load is one of another friction: exact where the stiffness
     # does not follow the load.
     del constants
-    factor = jnp.maximum(1 + 1e-3 * offset * (1 / rows.fz - 1), 0.05)
-    return state._replace(friction=state.friction * factor)
+    factor = 1 + PER_MILLE * offset * (1 / rows.fz - 1)
+    return scaled(state, "friction", factor)
 
 
 def _force_crosstalk(state, share, constants, rows):
@@ -52,7 +53,7 @@ def _force_crosstalk(state, share, constants, rows):
 def _force_hysteresis(state, size, constants, rows):
     plain, grown = constants
     way = rows.turning * rows.side * (plain + grown * rows.usage)
-    return state._replace(force=state.force + 1e-3 * size * rows.load * way)
+    return state._replace(force=state.force + PER_MILLE * size * rows.load * way)
 
 
 SLIP_ZERO_DRIFT = Effect(
@@ -70,7 +71,7 @@ SLIP_ZERO_DRIFT = Effect(
     odds=seldom,
     needs=("time",),
     variants=((1.0, 0.0), (0.0, 1.0)),
-    forms=over("shift", 0.1, "time", 4, rise),
+    forms=over("shift", 0.1, "time", ONE_WAY, rise),
     looks_like=("force_zero_drift", "stiffness_drift", "friction_drift"),
     told_apart_by="both signs",
 )
@@ -88,7 +89,7 @@ FORCE_ZERO_DRIFT = Effect(
     odds=seldom,
     needs=("time",),
     variants=((1.0, 0.0), (0.0, 1.0)),
-    forms=over("force", 0.01, "time", 4, weight),
+    forms=over("force", 0.01, "time", ONE_WAY, weight),
     looks_like=("slip_zero_drift", "friction_drift"),
     told_apart_by="both signs",
 )
@@ -106,7 +107,7 @@ LOAD_CROSSTALK = Effect(
     odds=seldom,
     needs=("loads",),
     channels=("fx",),
-    forms=over("force", 0.01, "fz", 4, weight),
+    forms=over("force", 0.01, "fz", ONE_WAY, weight),
     looks_like=("force_offset", "slip_offset"),
     told_apart_by="both signs",
 )

@@ -5,17 +5,22 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.diagnosis.effects.free_forms import (
+    ONE_WAY,
     SHIFT_BY_SPEED,
     over,
     rise,
     weight,
 )
-from tirefit.diagnosis.effects.record import Effect, blend, seldom
+from tirefit.diagnosis.effects.record import PER_MILLE, Effect, blend, scaled, seldom
 
 __all__ = ["EFFECTS"]
 
 _ALL_BUT = 0.95
 """Share of the friction that a force across takes at most."""
+_DOUBLED = -3.0
+"""The same of what it adds: the friction is doubled at most."""
+_ALIKE = 0.9
+"""Correlation of speed and slip from which one is hardly told from the other."""
 
 
 def _slip_load(state, share, constants, rows):
@@ -39,13 +44,13 @@ def _speed_zero(state, zero, constants, rows):
 def _drag(state, share, constants, rows):
     ratio = rows.v / rows.cruise
     drag = share * blend(constants, ratio, ratio**2)
-    return state._replace(force=state.force + 1e-3 * rows.load * drag)
+    return state._replace(force=state.force + PER_MILLE * rows.load * drag)
 
 
 def _ellipse(state, share, constants, rows):
     del constants
     used = rows.across / (rows.peak * rows.fz * rows.load)
-    left = jnp.sqrt(1 - jnp.clip(share * used**2, -3.0, _ALL_BUT))
+    left = jnp.sqrt(1 - jnp.clip(share * used**2, _DOUBLED, _ALL_BUT))
     return state._replace(friction=state.friction * left)
 
 
@@ -56,15 +61,14 @@ def _tracked_point(state, lever, constants, rows):
 
 def _load_transfer(state, share, constants, rows):
     del constants
-    factor = jnp.maximum(1 + share * rows.ahead, 0.05)
-    return state._replace(friction=state.friction * factor)
+    return scaled(state, "friction", 1 + share * rows.ahead)
 
 
 def _one_speed_of_the_slip(prepared) -> float:
     """A slip that follows the speed is hardly told from one of the force."""
     speed, slip = prepared.covariates.v, np.abs(prepared.slip)
     alike = abs(np.corrcoef(speed, slip)[0, 1]) if np.ptp(speed) > 0 else 0.0
-    return seldom(prepared) - 2 * float(alike > 0.9)
+    return seldom(prepared) - 2 * float(alike > _ALIKE)
 
 
 SLIP_LOAD = Effect(
@@ -80,7 +84,7 @@ SLIP_LOAD = Effect(
     bounds=((-4.0, 4.0),),
     odds=seldom,
     needs=("loads",),
-    forms=over("shift", 0.1, "fz", 4, rise),
+    forms=over("shift", 0.1, "fz", ONE_WAY, rise),
     variants=((1.0,), (0.0,)),
     looks_like=("load_crosstalk", "conicity", "load_stiffness"),
     told_apart_by="both signs",

@@ -3,27 +3,18 @@ thermometer."""
 
 import jax.numpy as jnp
 
-from tirefit.diagnosis.effects.free_forms import Form, over
-from tirefit.diagnosis.effects.record import Effect, seldom
+from tirefit.diagnosis.effects.free_forms import ONE_WAY, Form, over
+from tirefit.diagnosis.effects.record import SHARE, SYMBOLS, Effect, scaled, seldom
 
 __all__ = ["EFFECTS"]
 
-_SHARE = (-1.9, 1.9)
-"""A share between the ends of a range below two keeps a factor positive at both."""
-
-_SYMBOLS = {"friction": "mu", "stiffness": "c_p a^2"}
 _FITTED = {"friction": "mu", "stiffness": "cpa2"}
-
-
-def _factor(state, name, factor):
-    factor = jnp.maximum(factor, 0.05)
-    return state._replace(**{name: getattr(state, name) * factor})
 
 
 def _inflated(name):
     def change(state, share, constants, rows):
         del constants
-        return _factor(state, name, 1 + share * rows.inflation)
+        return scaled(state, name, 1 + share * rows.inflation)
 
     return change
 
@@ -32,14 +23,14 @@ def _worked(name):
     """With the work of sliding so far, under one of its coolings."""
 
     def change(state, share, constants, rows):
-        return _factor(state, name, 1 + share * rows.work @ jnp.asarray(constants))
+        return scaled(state, name, 1 + share * rows.work @ jnp.asarray(constants))
 
     return change
 
 
 def _rolled(state, power, constants, rows):
     del constants
-    return _factor(state, "stiffness", (rows.pace / rows.cruise) ** power)
+    return scaled(state, "stiffness", (rows.pace / rows.cruise) ** power)
 
 
 def _with_pressure(name: str, size: float, form: float):
@@ -49,12 +40,12 @@ def _with_pressure(name: str, size: float, form: float):
         change=_inflated(name),
         scale=size,
         unit="over the range of the file",
-        formula=f"{_SYMBOLS[name]} (1 + amplitude (p - p0) / range), Besselink 2010",
+        formula=f"{SYMBOLS[name]} (1 + amplitude (p - p0) / range), Besselink 2010",
         means=f"{name} changes with the inflation pressure",
         remedy=f"fit {_FITTED[name]} for each pressure",
-        bounds=(_SHARE,),
+        bounds=(SHARE,),
         needs=("pressure",),
-        forms=over(name, form, "inflation", 4),
+        forms=over(name, form, "inflation", ONE_WAY),
         looks_like=(f"{name}_drift", f"{name}_temperature"),
         told_apart_by="random order",
     )
@@ -67,10 +58,10 @@ def _with_work(name: str, size: float):
         change=_worked(name),
         scale=size,
         unit="over the range of the file",
-        formula=f"{_SYMBOLS[name]} (1 + amplitude W), dW/dt = |F| v_s - W / cooling",
+        formula=f"{SYMBOLS[name]} (1 + amplitude W), dW/dt = |F| v_s - W / cooling",
         means=f"{name} follows the work of sliding: the tire warms up, or wears",
         remedy="measure its temperature; warm the tire up first and pause between runs",
-        bounds=(_SHARE,),
+        bounds=(SHARE,),
         odds=seldom,
         needs=("work", "v"),
         variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
@@ -93,7 +84,7 @@ STIFFNESS_SPEED = Effect(
     bounds=((-1.5, 1.5),),
     odds=seldom,
     needs=("speeds",),
-    forms=over("stiffness", 0.05, "v", 4),
+    forms=over("stiffness", 0.05, "v", ONE_WAY),
     looks_like=("relaxation_length", "stiffness_drift"),
     told_apart_by="speeds",
 )

@@ -1,0 +1,83 @@
+"""Standardised residuals of a fit: their means over an input, and their order."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.data.levels import cells, levels
+from tirefit.fitting.likelihood import row_moments
+from tirefit.fitting.noise import autocorrelation
+from tirefit.fitting.result import FitResult
+
+__all__ = ["Means", "means_by", "means_over", "ordered_correlation", "standardised"]
+
+_BINS = 12
+"""Settings up to so many have a mean each; more are bins of as many rows each."""
+_FEWEST = 3
+"""Rows of a bin from which its scatter gives its mean an error."""
+_HALF_95 = 1.96
+"""Standard errors to the end of a 95 % interval of a normal law."""
+_LAGS = 40
+"""Lags, at most, and those of a quarter of the longest run."""
+
+
+class Means(NamedTuple):
+    """Means over bins: ``center`` of the input and ``mean`` of the residuals, with the
+    half-width ``half`` of the mean's 95 % interval, (k,) each."""
+
+    center: np.ndarray
+    mean: np.ndarray
+    half: np.ndarray
+
+
+def standardised(result: FitResult, channel: str) -> np.ndarray:
+    """(observed - fitted) / standard deviation of a measurement, (n,)."""
+    problem = result.problem
+    mean, variance = row_moments(problem, result.z)
+    observed = problem.used(problem.rows.observed[channel])
+    return (observed - mean[channel]) / np.sqrt(variance[channel])
+
+
+def means_over(x, residual, inflation: float) -> Means:
+    """Means at the settings of an input, or over bins of it, of three rows and more.
+
+    Args:
+        x: (n,) input.
+        residual: (n,) standardised.
+        inflation: rows per independent row.
+    """
+    settings = levels(x)
+    if settings.few(_BINS):
+        codes = settings.code
+    else:
+        edges = np.unique(np.quantile(x, np.linspace(0, 1, _BINS + 1)[1:-1]))
+        codes = np.searchsorted(edges, x)
+    means = means_by(codes, x, residual, inflation)
+    kept = np.bincount(codes) >= _FEWEST
+    return Means(*(part[kept] for part in means))
+
+
+def means_by(codes, x, residual, inflation: float) -> Means:
+    """Means of each group of rows; ``codes`` (n,) number the groups from 0."""
+    size = int(np.max(codes)) + 1
+    count, mean, std = cells(codes, size, residual)
+    half = _HALF_95 * std * np.sqrt(inflation / np.maximum(count, 1))
+    return Means(cells(codes, size, x)[1], mean, half)
+
+
+def ordered_correlation(residual, run, time) -> np.ndarray:
+    """Autocorrelation at lags 0, 1, ... in the order of time, runs pooled.
+
+    Args:
+        residual: (n,) standardised.
+        run: (n,) number of the run of each row.
+        time: (n,), or None where the order is that of the file.
+    """
+    parts = []
+    for code in np.unique(run):
+        rows = np.flatnonzero(run == code)
+        if time is not None:
+            rows = rows[np.argsort(time[rows], kind="stable")]
+        parts.append(residual[rows])
+    correlation = autocorrelation(parts)
+    return correlation[: max(min(_LAGS, len(correlation) // 4) + 1, 1)]
