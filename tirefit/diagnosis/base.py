@@ -21,7 +21,9 @@ from tirefit.diagnosis.forward import (
     refit_all,
     tangents,
 )
+from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
+from tirefit.diagnosis.patterns import PARAMETERS, patterns
 from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
 from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
 from tirefit.diagnosis.state import Covariates
@@ -442,7 +444,12 @@ def _whitened_generic(base: Base) -> Generic:
             ])
             for k, part in enumerate(parts)
         ]  # fmt: skip
-        basis = np.concatenate(blocks, axis=1)
-        return basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-12)
+        return np.concatenate(blocks, axis=1)
 
-    return Generic(*(stacked(parts) for parts in zip(*bases, strict=True)))
+    fields = base.at_null.fields
+    found = patterns(
+        base.rows, base.slip_fraction,
+        {name: fields[:, PLACE[field]] for name, (field, _) in PARAMETERS.items()},
+    )  # fmt: skip
+    wide = (stacked(parts) for parts in zip(*(one[:3] for one in bases), strict=True))
+    return Generic(*wide, found)

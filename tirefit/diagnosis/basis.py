@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.levels import levels
+from tirefit.diagnosis.patterns import Patterns, patterns_gain
 
 __all__ = [
     "RANK",
@@ -27,7 +28,7 @@ __all__ = [
 _SCALES = (2.0, 6.0, 18.0, 50.0)
 """Sizes of a basis function's coefficient that are averaged over, in z units."""
 
-_PRIORS = {"smooth": 0.5, "cells": 0.2, "waves": 0.3}
+_PRIORS = {"smooth": 0.4, "cells": 0.15, "waves": 0.2, "patterns": 0.25}
 """What kind of remainder it is, where there is one."""
 
 RANK = 1e-6
@@ -106,10 +107,21 @@ def _modulations(prepared) -> list[np.ndarray]:
     return first + second
 
 
+_TAIL = 1e-8
+"""Squared length of a direction over that of the longest that a basis may lose."""
+
+
 def _scaled(columns, scale):
+    """Whitened, of unit length, and as few as say the same: random coefficients of
+    equal spread on the columns given and on those returned draw the same functions."""
     basis = columns * scale[:, None]
     size = np.linalg.norm(basis, axis=0)
-    return basis[:, size > 1e-9] / size[size > 1e-9]
+    basis = basis[:, size > 1e-9] / size[size > 1e-9]
+    if not basis.shape[1]:
+        return basis
+    # Smooth functions overlap: of hundreds, a fraction is independent.
+    values, vectors = np.linalg.eigh(basis.T @ basis)
+    return basis @ vectors[:, values > _TAIL * values.max()]
 
 
 def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
@@ -227,12 +239,13 @@ def waves_within(waves, against, residual):
 
 
 class Generic(NamedTuple):
-    """Three kinds of remainder, whitened: many smooth functions at once (m, b), many
-    narrow bumps at once (m, c), or one of many waves (m, 2 x waves)."""
+    """Kinds of remainder, whitened: many smooth functions at once (m, b), many narrow
+    bumps at once (m, c), one of many waves (m, 2 x waves), or one of many patterns."""
 
     smooth: np.ndarray
     cells: np.ndarray
     waves: np.ndarray
+    patterns: Patterns | None = None
 
 
 def generic(prepared, slip_fraction, scale) -> Generic:
@@ -256,6 +269,8 @@ def log_evidence(bases: Generic, against, residual) -> float:
         "cells": mean_gain(*orthogonal(bases.cells, against), residual),
         "waves": _gain_of_waves(bases.waves, against, residual),
     }
+    if bases.patterns is not None:
+        found["patterns"] = patterns_gain(bases.patterns, against, residual)
     return float(
         np.logaddexp.reduce([v + np.log(_PRIORS[k]) for k, v in found.items()])
     )
