@@ -8,6 +8,7 @@ import numpy as np
 
 from tirefit.diagnosis.basis import Generic, generic, smooth_basis, wave_basis
 from tirefit.diagnosis.effects import Atom, Effect, atoms_of
+from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.forward import (
     MOST_EFFECTS,
     Design,
@@ -21,7 +22,6 @@ from tirefit.diagnosis.forward import (
     refit_all,
     tangents,
 )
-from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
 from tirefit.diagnosis.patterns import PARAMETERS, patterns
 from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of

@@ -1,5 +1,6 @@
 """Generic bases: what a gap could look like that no listed effect explains."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -13,11 +14,12 @@ __all__ = [
     "bumps",
     "functions_of",
     "gain",
+    "gains",
     "generic",
     "located",
-    "log_evidence",
     "mean_gain",
     "misfit_p_value",
+    "of_any_kind",
     "orthogonal",
     "smooth_basis",
     "wave_basis",
@@ -257,23 +259,27 @@ def generic(prepared, slip_fraction, scale) -> Generic:
     )
 
 
-def log_evidence(bases: Generic, against, residual) -> float:
-    """Log evidence of a remainder that no listed effect explains, over none.
+def gains(bases: Generic, against, residual) -> dict[str, float]:
+    """Log evidence of each kind of remainder that no listed effect explains, over none.
 
     Args:
         against: (m, p) columns that the fit has used up.
         residual: (m,) whitened.
     """
-    found = {
+    kinds = {
         "smooth": mean_gain(*orthogonal(bases.smooth, against), residual),
         "cells": mean_gain(*orthogonal(bases.cells, against), residual),
         "waves": _gain_of_waves(bases.waves, against, residual),
     }
     if bases.patterns is not None:
-        found["patterns"] = patterns_gain(bases.patterns, against, residual)
-    return float(
-        np.logaddexp.reduce([v + np.log(_PRIORS[k]) for k, v in found.items()])
-    )
+        kinds["patterns"] = patterns_gain(bases.patterns, against, residual)
+    return kinds
+
+
+def of_any_kind(kinds: Mapping[str, float]) -> float:
+    """Log evidence of a remainder of whichever kind, from :func:`gains`."""
+    each = [value + np.log(_PRIORS[kind]) for kind, value in kinds.items()]
+    return float(np.logaddexp.reduce(each))
 
 
 def misfit_p_value(bases: Generic, against, residual, generator, draws: int) -> float:

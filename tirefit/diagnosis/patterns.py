@@ -70,11 +70,21 @@ class Patterns(NamedTuple):
 
 
 class Look(NamedTuple):
-    """A pattern found in a remainder: ``size`` in its own unit (a share of stiffness or
-    friction, slip, a share of the load), how probable it is among all patterns, and
-    the share of the remainder's energy that it takes away."""
+    """What a remainder looks like: ``parameter`` (stiffness, friction, slip or force)
+    changes with ``covariate`` by ``shape``: kink, threshold, local or wave.
 
-    pattern: Pattern
+    ``at`` is its place, of a wave its period, ``width`` the standard width of a local
+    one, in units of the covariate; ``size`` that of the change: a share of stiffness or
+    friction, a slip, or a force as a share of the load. ``probability`` is that of any
+    pattern of this parameter and covariate among all patterns, ``explains`` the share
+    of the remainder's mean square that this one takes away.
+    """
+
+    parameter: str
+    covariate: str
+    shape: str
+    at: float
+    width: float
     size: float
     probability: float
     explains: float
@@ -243,7 +253,7 @@ def looks(found: Patterns, against, residual, most: int = 3) -> list[Look]:
         usual = PARAMETERS[found.of[best].parameter][1]
         listed.append(
             Look(
-                found.of[best],
+                *found.of[best],
                 float(score[best] / length[best]) * usual,
                 float(share[members].sum()),
                 float(score[best] ** 2 / length[best]) / energy,

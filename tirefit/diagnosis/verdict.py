@@ -9,8 +9,9 @@ from scipy.special import logsumexp
 from tirefit.diagnosis.adequacy import UNTESTED, Adequacy
 from tirefit.diagnosis.basis import (
     gain,
-    log_evidence,
+    gains,
     misfit_p_value,
+    of_any_kind,
     orthogonal,
     without,
 )
@@ -25,12 +26,14 @@ from tirefit.diagnosis.search import (
 )
 
 __all__ = [
+    "LinearFit",
     "Verdict",
     "Weighed",
     "fitted_form",
     "gap_p_value",
     "judge",
     "linear_at",
+    "named",
     "weigh",
 ]
 
@@ -49,6 +52,10 @@ _TOLD_APART = 0.75
 
 _RIVAL = 0.1
 """Share of the best set's probability from which another set is a rival."""
+
+_KIN = 0.008
+"""The same for an effect of the same family: where a law of friction that flattens out
+was called by the wrong one of two formulas, the right one had .01 to .4 of it."""
 
 _ABSURD = 8.0
 """Amplitude in prior scales beyond which an effect is no explanation."""
@@ -83,7 +90,9 @@ class Weighed:
     gap that no listed effect explains, alone or beside the set; ``other_form`` are the
     sets whose effects are there in a form of their own, ``evidence`` the log evidence
     of each set over none, in whatever form. ``hidden`` is the probability of sets too
-    improbable to be refitted, which these data could not show either."""
+    improbable to be refitted, which these data could not show either; ``gains`` the log
+    evidence of each kind of remainder beside a set, see
+    :func:`tirefit.diagnosis.basis.gains`."""
 
     sets: dict[tuple[str, ...], float]
     best_of: dict[tuple[str, ...], Hypothesis]
@@ -92,6 +101,16 @@ class Weighed:
     other_form: frozenset[tuple[str, ...]]
     evidence: dict[tuple[str, ...], float]
     hidden: float
+    gains: dict[tuple[str, ...], dict[str, float]]
+
+    @property
+    def best(self) -> tuple[str, ...]:
+        """The most probable set of effects, if all that is there is listed."""
+        return max((k for k in self.sets if k), key=lambda k: self.sets[k], default=())
+
+    def among_listed(self, key) -> float:
+        """Probability of a set, if all that is there is listed."""
+        return self.sets[key] / max(sum(self.sets.values()), 1e-300)
 
 
 def gap_p_value(search: Search, generator) -> float:
@@ -123,7 +142,7 @@ def weigh(search: Search) -> Weighed:
             best[key] = hypothesis
     total = {key: float(logsumexp(values)) for key, values in logs.items()}
     evidence = {key: hypothesis.log_evidence for key, hypothesis in best.items()}
-    beside, others = {}, set()
+    beside, others, remainder = {}, set(), {}
     ranked = sorted(total, key=lambda key: total[key], reverse=True)
     for key in dict.fromkeys([*ranked[:6], *_simplest(total, 8), ()]):
         linear = linear_at(search.base, best[key])
@@ -137,7 +156,8 @@ def weigh(search: Search) -> Weighed:
         used_up = linear.used_up
         if form is not None and key in others:
             used_up = form.used_up
-        more = log_evidence(search.base.generic, used_up, linear.residual)
+        remainder[key] = gains(search.base.generic, used_up, linear.residual)
+        more = of_any_kind(remainder[key])
         beside[key] = total[key] + more + np.log(PRIOR_OF_UNKNOWN)
     rest = [hypothesis.log_weight for hypothesis in guessed]
     everything = logsumexp([*total.values(), *beside.values(), *rest])
@@ -155,6 +175,7 @@ def weigh(search: Search) -> Weighed:
         other_form=frozenset(others),
         evidence=evidence,
         hidden=float(np.sum(np.exp(np.array(hidden) - everything))),
+        gains=remainder,
     )
 
 
@@ -216,24 +237,38 @@ def judge(search: Search, weighed: Weighed, p_value: float) -> Verdict:
     nothing = _unresolved(weighed)
     if nothing > 0.5 or (p_value > _LEVEL and nothing > _HARDLY):
         return Verdict("none", (), weighed.sets[()], (), p_value, null)
-    named = {k: v for k, v in weighed.sets.items() if k}
-    together = {k: v + weighed.unknown_beside.get(k, 0.0) for k, v in named.items()}
-    best = max(together, key=lambda key: together[key], default=None)
-    if best is None or weighed.unknown_alone > together[best]:
+    best = weighed.best
+    if not best:
         return Verdict(
             "unknown", ("unknown",), weighed.unknown_alone, (), p_value, null
         )
-    chosen = weighed.best_of[best]
-    if weighed.unknown_beside.get(best, 0.0) > named[best]:
-        return Verdict(
-            "incomplete", best, weighed.unknown_beside[best], (), p_value, chosen
-        )
-    alike = _aliases(search, chosen)
+    return named(search, weighed, best, p_value)
+
+
+def named(search: Search, weighed: Weighed, key, p_value: float) -> Verdict:
+    """A set of effects named, with what these data cannot tell from it."""
+    chosen = weighed.best_of[key]
+    alike = (*_aliases(search, chosen), *_kin(search, weighed, key))
     # Where only the prior decides, the data cannot tell.
-    rivals = tuple(dict.fromkeys((*alike, *_rivals(named, best))))
-    sure = named[best] >= SURE and not alike
+    others = {k: v for k, v in weighed.sets.items() if k}
+    rivals = tuple(dict.fromkeys((*alike, *_rivals(others, key))))
+    probability = weighed.among_listed(key)
+    sure = probability >= SURE and not alike
     status = "named" if sure or not rivals else "cannot_tell"
-    return Verdict(status, best, named[best], () if sure else rivals, p_value, chosen)
+    return Verdict(status, key, probability, () if sure else rivals, p_value, chosen)
+
+
+def _kin(search: Search, weighed: Weighed, key) -> tuple[str, ...]:
+    """Effects of the family of one of the set that explain in its place nearly as well:
+    formulas of one law differ by less than a tire does from any of them."""
+    family = {a.effect.id: a.effect.family for a in search.base.atoms}
+    found = []
+    for other, probability in weighed.sets.items():
+        if len(other) == len(key) and probability > _KIN * weighed.sets[key]:
+            new, old = set(other) - set(key), set(key) - set(other)
+            if len(new) == 1 and family[min(new)] == family[min(old)]:
+                found.append(min(new))
+    return tuple(found)
 
 
 def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:
