@@ -168,6 +168,19 @@ def by_chance(draw: Draw) -> Trial:
     )
 
 
+def beside(draw: Draw) -> Trial:
+    """A listed effect and a stranger at once."""
+    effect = draw.effect()
+    form, size = draw.form(effect), draw.amplitude(effect)
+    world = draw.tire()
+    EFFECTS[effect].forms[form](world, size, draw.generator)
+    kind = procedural(world, draw.generator.uniform(0.4, 1.6), draw.generator)
+    return trial(
+        draw, world, "iid", [effect], forms=[form], amplitudes=[size], kind=kind,
+        set="beside",
+    )  # fmt: skip
+
+
 def foreign(draw: Draw) -> Trial:
     along = [d for d in draw.designs if DESIGNS[d].force == "fx" and d != "A"]
     draw.design = draw.pick(along or ["G"])
@@ -192,6 +205,7 @@ SETS = {
     "leave_out": leave_out,
     "foreign": foreign,
     "procedural": by_chance,
+    "beside": beside,
     "injected": into_data,
 }
 

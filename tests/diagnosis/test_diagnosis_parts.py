@@ -17,7 +17,7 @@ import tirefit
 from tirefit.data.read import read_frame
 from tirefit.data.table import Source
 from tirefit.diagnosis.base import fit_base
-from tirefit.diagnosis.basis import Generic, log_evidence, waves_within
+from tirefit.diagnosis.basis import Generic, gains, of_any_kind, waves_within
 from tirefit.diagnosis.closure import closure_of
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, atoms_of
 from tirefit.diagnosis.forecast import (
@@ -28,6 +28,7 @@ from tirefit.diagnosis.forecast import (
 from tirefit.diagnosis.forms import PLACE, form_columns, shape_of_change
 from tirefit.diagnosis.forward import MOST
 from tirefit.diagnosis.noise import judge_noise
+from tirefit.diagnosis.patterns import Pattern, Patterns
 from tirefit.diagnosis.rates import AHEAD, segments, slip_rate
 from tirefit.diagnosis.rig import Rig, load_rig
 from tirefit.diagnosis.rows import prepare
@@ -368,10 +369,14 @@ def test_evidence_gain_of_gaussian_coefficients():
     residual = generator.standard_normal(50) + 4 * column
     against = np.ones((50, 1))
     wave = np.stack([np.sin(np.arange(50.0)), np.cos(np.arange(50.0))], axis=1)
+    narrow = Patterns(
+        10 * column[:, None].astype(np.float32), np.zeros(1),
+        [Pattern("force", "time", "local", 0.0, 1.0)],
+    )  # fmt: skip
     bases = Generic(
-        column[:, None], column[:, None], wave / np.linalg.norm(wave, axis=0)
+        column[:, None], column[:, None], wave / np.linalg.norm(wave, axis=0), narrow
     )
-    gain = log_evidence(bases, against, residual)
+    kinds = gains(bases, against, residual)
     lone = column - column.mean()
 
     def likelihood(a, scale):
@@ -391,7 +396,11 @@ def test_evidence_gain_of_gaussian_coefficients():
         )
 
     two = np.mean([dblquad(in_plane, -12, 12, -12, 12, args=(s,))[0] for s in scales])
-    np.testing.assert_allclose(gain, np.log(0.7 * one + 0.3 * two), rtol=1e-4)
+    np.testing.assert_allclose(kinds["smooth"], np.log(one), rtol=1e-4)
+    np.testing.assert_allclose(kinds["cells"], np.log(one), rtol=1e-4)
+    np.testing.assert_allclose(kinds["waves"], np.log(two), rtol=1e-4)
+    assert min(kinds.values()) < of_any_kind(kinds) < max(kinds.values())
+    assert of_any_kind(dict.fromkeys(kinds, 3.0)) == pytest.approx(3.0)
 
 
 def test_a_wave_is_seen_among_many():

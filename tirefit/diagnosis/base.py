@@ -6,8 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
-from tirefit.diagnosis.basis import Generic, generic, smooth_basis, wave_basis
+from tirefit.diagnosis.basis import Generic, smooth_basis, wave_basis, wide_bases
 from tirefit.diagnosis.effects import Atom, Effect, atoms_of
+from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.forward import (
     MOST_EFFECTS,
     Design,
@@ -21,8 +22,9 @@ from tirefit.diagnosis.forward import (
     refit_all,
     tangents,
 )
-from tirefit.diagnosis.negligible import FLAT, ROUNDING
+from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
+from tirefit.diagnosis.patterns import PARAMETERS, patterns
 from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
 from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
 from tirefit.diagnosis.slip_nodes import slip_nodes
@@ -429,7 +431,7 @@ def _whitened_generic(base: Base) -> Generic:
     keep, bases = base.design.keep[:n, None], []
     for channel in channels:
         typical = base.rows.inputs.fz / np.asarray(base.design.scale[channel])[:n]
-        bases.append(generic(base.rows, base.slip_fraction, typical))
+        bases.append(wide_bases(base.rows, base.slip_fraction, typical))
 
     def stacked(parts):
         blocks = [
@@ -439,7 +441,10 @@ def _whitened_generic(base: Base) -> Generic:
             ])
             for k, part in enumerate(parts)
         ]  # fmt: skip
-        basis = np.concatenate(blocks, axis=1)
-        return basis / np.maximum(np.linalg.norm(basis, axis=0), ROUNDING)
+        return np.concatenate(blocks, axis=1)
 
-    return Generic(*(stacked(parts) for parts in zip(*bases, strict=True)))
+    fields = np.asarray(base.at_null.fields)
+    by_name = {name: fields[:, PLACE[field]] for name, (field, _) in PARAMETERS.items()}
+    smooth, cells, waves = (stacked(parts) for parts in zip(*bases, strict=True))
+    narrow = patterns(base.rows, base.slip_fraction, by_name)
+    return Generic(smooth, cells, waves, narrow)

@@ -1,11 +1,13 @@
 """Generic bases: what a gap could look like that no listed effect explains."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.data.levels import levels
 from tirefit.diagnosis.negligible import FLAT, ROUNDING
+from tirefit.diagnosis.patterns import Patterns, patterns_gain
 
 __all__ = [
     "FEW_SETTINGS",
@@ -15,22 +17,23 @@ __all__ = [
     "bumps",
     "functions_of",
     "gain",
-    "generic",
+    "gains",
     "located",
-    "log_evidence",
     "mean_gain",
     "misfit_p_value",
+    "of_any_kind",
     "orthogonal",
     "smooth_basis",
     "wave_basis",
     "waves_within",
+    "wide_bases",
     "without",
 ]
 
 _SCALES = (2.0, 6.0, 18.0, 50.0)
 """Sizes of a basis function's coefficient that are averaged over, in z units."""
 
-_PRIORS = {"smooth": 0.5, "cells": 0.2, "waves": 0.3}
+_PRIORS = {"smooth": 0.4, "cells": 0.15, "waves": 0.2, "patterns": 0.25}
 """What kind of remainder it is, where there is one."""
 
 RANK = 1e-6
@@ -38,7 +41,9 @@ RANK = 1e-6
 is left of columns that the fit has used up is rounding."""
 
 _ROWS_OF_A_WAVE, _WAVES = 12, (4, 24)
-"""Rows of the shortest wave, on average; fewest and most waves of a record."""
+_ROWS_IN_TIME, _WAVES_IN_TIME = 5, (4, 96)
+"""Rows of the shortest wave, on average; fewest and most waves of a record, over the
+slip and in time: a wheel turns often."""
 
 _TO_DRAW = 4.0
 """Log odds over the number of waves from which a wave is drawn: 55 to 1."""
@@ -129,10 +134,21 @@ def _modulations(prepared) -> list[np.ndarray]:
     return first + second
 
 
+_TAIL = 1e-8
+"""Squared length of a direction over that of the longest that a basis may lose."""
+
+
 def _scaled(columns, scale):
+    """Whitened, of unit length, and as few as say the same: random coefficients of
+    equal spread on the columns given and on those returned draw the same functions."""
     basis = columns * scale[:, None]
     size = np.linalg.norm(basis, axis=0)
-    return basis[:, size > FLAT] / size[size > FLAT]
+    basis = basis[:, size > FLAT] / size[size > FLAT]
+    if not basis.shape[1]:
+        return basis
+    # Smooth functions overlap: of hundreds, a fraction is independent.
+    values, vectors = np.linalg.eigh(basis.T @ basis)
+    return basis @ vectors[:, values > _TAIL * values.max()]
 
 
 def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
@@ -170,19 +186,15 @@ def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
 
 def wave_basis(prepared, scale) -> np.ndarray:
     """Sine and cosine of slip and of time, side by side: (n, 2 x waves)."""
-    most, phases = int(np.clip(prepared.n // _ROWS_OF_A_WAVE, *_WAVES)), []
     slip = prepared.slip
     span = max(np.ptp(slip), FLAT)
-    phases.append((slip - slip.min()) / span)
+    most = int(np.clip(prepared.n // _ROWS_OF_A_WAVE, *_WAVES))
+    turns = [(slip - slip.min())[:, None] / span * np.arange(1, most + 1)]
     if "time" in prepared.has:
-        phases.append(prepared.covariates.time)
-    angle = (
-        2
-        * np.pi
-        * np.concatenate(
-            [phase[:, None] * np.arange(1, most + 1) for phase in phases], axis=1
-        )
-    )
+        most = int(np.clip(prepared.n // _ROWS_IN_TIME, *_WAVES_IN_TIME))
+        # Halves: between two whole numbers of waves a third of the energy is lost.
+        turns.append(prepared.covariates.time[:, None] * np.arange(1, most + 0.1, 0.5))
+    angle = 2 * np.pi * np.concatenate(turns, axis=1)
     pairs = np.stack([np.sin(angle), np.cos(angle)], axis=2)
     columns = pairs.reshape(prepared.n, -1) * scale[:, None]
     return columns / np.maximum(np.linalg.norm(columns, axis=0), ROUNDING)
@@ -250,38 +262,43 @@ def waves_within(waves, against, residual):
 
 
 class Generic(NamedTuple):
-    """Three kinds of remainder, whitened: many smooth functions at once (m, b), many
-    narrow bumps at once (m, c), or one of many waves (m, 2 x waves)."""
+    """Kinds of remainder, whitened: many smooth functions at once (m, b), many narrow
+    bumps at once (m, c), one of many waves (m, 2 x waves), or one of many patterns."""
 
     smooth: np.ndarray
     cells: np.ndarray
     waves: np.ndarray
+    patterns: Patterns
 
 
-def generic(prepared, slip_fraction, scale) -> Generic:
-    """The bases of one channel."""
-    return Generic(
+def wide_bases(prepared, slip_fraction, scale) -> tuple[np.ndarray, ...]:
+    """Smooth functions, cells and waves of one channel."""
+    return (
         smooth_basis(prepared, slip_fraction, scale, prepared.n // _ROWS_OF_A_FUNCTION),
         _cell_basis(prepared, slip_fraction, scale, prepared.n // _ROWS_OF_A_CELL),
         wave_basis(prepared, scale),
     )
 
 
-def log_evidence(bases: Generic, against, residual) -> float:
-    """Log evidence of a remainder that no listed effect explains, over none.
+def gains(bases: Generic, against, residual) -> dict[str, float]:
+    """Log evidence of each kind of remainder that no listed effect explains, over none.
 
     Args:
         against: (m, p) columns that the fit has used up.
         residual: (m,) whitened.
     """
-    by_kind = {
+    return {
         "smooth": mean_gain(*orthogonal(bases.smooth, against), residual),
         "cells": mean_gain(*orthogonal(bases.cells, against), residual),
         "waves": _gain_of_waves(bases.waves, against, residual),
+        "patterns": patterns_gain(bases.patterns, against, residual),
     }
-    return float(
-        np.logaddexp.reduce([v + np.log(_PRIORS[k]) for k, v in by_kind.items()])
-    )
+
+
+def of_any_kind(kinds: Mapping[str, float]) -> float:
+    """Log evidence of a remainder of whichever kind, from :func:`gains`."""
+    each = [value + np.log(_PRIORS[kind]) for kind, value in kinds.items()]
+    return float(np.logaddexp.reduce(each))
 
 
 def misfit_p_value(bases: Generic, against, residual, generator, draws: int) -> float:

@@ -1,9 +1,9 @@
 """From the most probable set to what may be said of it.
 
 The evidence ranks what a library holds; here the first of that ranking is held against
-what it leaves. A name is given where nothing is left that residual plots would show,
-every effect is known better than to half its size, and no effect is there only to undo
-or to mend another.
+what it leaves. A name is given where trials of known cause say that nothing else is
+there, every effect is known better than to half its size, and no effect is there only
+to undo another.
 """
 
 from dataclasses import replace
@@ -11,17 +11,31 @@ from dataclasses import replace
 import numpy as np
 
 from tirefit.diagnosis.adequacy import Adequacy
-from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.base import Base
+from tirefit.diagnosis.basis import gains
+from tirefit.diagnosis.calibrated import (
+    clues_of_effect,
+    clues_of_rest,
+    probability_beside,
+    probability_of_more,
+)
+from tirefit.diagnosis.patterns import Look, looks
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Search
 from tirefit.diagnosis.standing import Standing, standing
-from tirefit.diagnosis.verdict import Verdict, Weighed, linear_at
+from tirefit.diagnosis.verdict import LinearFit, Verdict, Weighed, linear_at, named
 
-__all__ = ["bound_by", "concluded", "probability_of_rest"]
+__all__ = ["Judge", "bound_by", "concluded", "look_of_rest", "probability_of_rest"]
 
 _KNOWN = 2.0
 """Standard errors from which an effect may be named at all: an error bar of half the
 value."""
+
+_EVEN = 0.5
+"""Probability of something unlisted from which it is said."""
+
+_SHOWN = 0.05
+"""Probability of a pattern from which it is told."""
 
 _FIRM = 3.0
 """Standard errors from which an effect stands beside a remainder that is not known."""
@@ -30,9 +44,9 @@ _CANCELS = 4.0
 """Energy of the effects of a set one by one over that of all together: from here on
 one is there to undo the other. The 18 visible pairs of one development set reach 2."""
 
-_MENDS = (0.05, 30.0)
-"""Share of a set's log evidence, and log evidence, below which its weakest effect only
-mends what the others miss."""
+_EARNED = 1 / 3
+"""Probability from which an effect is named beside something that is not listed. Trials
+hold a listed effect beside a stranger in one of five; who measures, more often."""
 
 _EDGE = 1e-3
 """Distance from its bound, in prior scales, at which an effect rests on it."""
@@ -69,7 +83,7 @@ def _smallest(adequacy: Adequacy) -> float:
     return min(1.0, len(values) * min(values)) if values else 1.0
 
 
-class _Judge:
+class Judge:
     """The standings of the sets of one search, each worked out once."""
 
     def __init__(self, search: Search, weighed: Weighed, generator):
@@ -78,15 +92,27 @@ class _Judge:
 
     def of(self, key: tuple[str, ...]) -> Standing:
         if key not in self.known:
-            hypothesis = self.weighed.best_of[key]
-            linear = linear_at(self.search.base, hypothesis)
-            used_up = linear.used_up
-            if key in self.weighed.other_form:
-                used_up = np.concatenate([used_up, linear.forms], axis=1)
             self.known[key] = standing(
-                self.search.base, hypothesis, used_up, self.generator
-            )
+                self.search.base, self.weighed.best_of[key], self._linear(key).used_up,
+                self.generator,
+            )  # fmt: skip
         return self.known[key]
+
+    def _linear(self, key) -> LinearFit:
+        """Around a set; its other forms are used up too where it has them."""
+        linear = linear_at(self.search.base, self.weighed.best_of[key])
+        if key not in self.weighed.other_form:
+            return linear
+        whole = np.concatenate([linear.used_up, linear.forms], axis=1)
+        return linear._replace(used_up=whole)
+
+    def gains(self, key) -> dict[str, float]:
+        """Log evidence of each kind of remainder beside a set."""
+        if key not in self.weighed.gains:
+            linear = self._linear(key)
+            generic = self.search.base.generic
+            self.weighed.gains[key] = gains(generic, linear.used_up, linear.residual)
+        return self.weighed.gains[key]
 
     def errors(self, key) -> dict[str, float]:
         """Amplitude over its error, by effect."""
@@ -103,23 +129,32 @@ class _Judge:
         sets = [k for k in self.weighed.sets if k and set(k) <= set(allowed)]
         return max(sets, key=lambda k: self.weighed.sets[k], default=())
 
-    def mended(self, key) -> tuple[str, ...]:
-        """The set without an effect that only mends what the others miss, if there is
-        one; else the set."""
-        if len(key) < 2:
-            return key
+    def clues(self, key) -> dict[str, float]:
+        """What tells that a set is not all that there is."""
+        weighed, standing = self.weighed, self.of(key)
+        return clues_of_rest(
+            standing.adequacy, self.gains(key), weighed.evidence[key],
+            max(self.parts(key).values(), default=None), standing.errors,
+            standing.cancels, self.search.base.rows.n,
+        )  # fmt: skip
+
+    def parts(self, key) -> dict[str, float]:
+        """Log evidence of a set of several without each of its effects, where that was
+        refitted."""
+        smaller = {out: tuple(e for e in key if e != out) for out in key}
         evidence = self.weighed.evidence
-        parts = {
-            rest: evidence[rest]
-            for rest in (tuple(e for e in key if e != out) for out in key)
-            if rest in evidence
-        }
-        if not parts:
-            return key
-        rest = max(parts, key=lambda k: parts[k])
-        added = evidence[key] - parts[rest]
-        share, least = _MENDS
-        return rest if added < min(least, share * evidence[key]) else key
+        return {e: evidence[k] for e, k in smaller.items() if k and k in evidence}
+
+    def clues_by_effect(self, key) -> dict[str, dict[str, float]]:
+        """What tells of each effect of a set that it is there, whatever else is."""
+        weighed, rest, without = self.weighed, self.clues(key), self.parts(key)
+        return {
+            effect: clues_of_effect(
+                rest, error, weighed.evidence.get((effect,)),
+                without.get(effect, 0.0), weighed.evidence[key],
+            )
+            for effect, error in self.errors(key).items()
+        }  # fmt: skip
 
     def imitates(self, key) -> bool:
         """Whether a set of several looks like a drawing of something else."""
@@ -137,73 +172,77 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
     """The verdict that the best set's standing allows.
 
     Args:
-        verdict: what the probabilities support.
+        verdict: nothing, or the most probable set.
         generator: of simulated residuals.
     """
-    judge = _Judge(search, weighed, generator)
-    key = tuple(sorted(verdict.chosen.effects))
+    judge = Judge(search, weighed, generator)
     if verdict.status in ("none", "unknown"):
-        adequacy = judge.of(()).adequacy
-        verdict = replace(verdict, adequacy=adequacy)
+        left = judge.of(()).adequacy
+        verdict = replace(verdict, adequacy=left)
         # Stricter than for a name: six tests, and a false alarm is the worse error.
-        if verdict.status == "none" and _smallest(adequacy) < _FLAGGED:
-            return _unknown(verdict, weighed, adequacy)
+        if verdict.status == "none" and _smallest(left) < _FLAGGED:
+            return _unknown(
+                verdict, weighed, left, probability_of_rest(_smallest(left))
+            )
         return verdict
+    key = verdict.effects
     kept = judge.firm(key, _KNOWN)
     if kept != key:
         key = judge.best_within(kept)
-    if not key or judge.imitates(key):
-        return _unknown(verdict, weighed, judge.of(()).adequacy)
-    adequacy = judge.of(key).adequacy
-    complete = judge.mended(key)
-    if verdict.status != "incomplete" and adequacy.passed and complete == key:
-        if key == tuple(sorted(verdict.effects)):
-            return replace(verdict, adequacy=adequacy)
+        if not key:
+            return _nothing_stands(verdict, judge)
+        less = named(search, weighed, key, verdict.p_value)
+        dropped = tuple(e for e in verdict.effects if e not in key)
+        also = tuple(dict.fromkeys((*dropped, *less.also_possible)))
+        verdict = replace(less, status="cannot_tell", also_possible=also)
+    more = probability_of_more(judge.clues(key))
+    if judge.imitates(key):
+        more = max(more, _EVEN)
+    if more < _EVEN:
+        passed = judge.of(key).adequacy._replace(passed=True)
+        sure = verdict.probability * (1 - more)
+        return replace(verdict, probability=sure, adequacy=passed)
+    return _incomplete(verdict, judge, key, more)
+
+
+def _nothing_stands(verdict: Verdict, judge: Judge) -> Verdict:
+    """The gap shows, and no effect is known well enough to be its name."""
+    weighed, left = judge.weighed, judge.of(()).adequacy
+    rest = max(probability_of_rest(_smallest(left)), weighed.unknown_alone)
+    if left.passed and weighed.unknown_alone < _EVEN:
         return replace(
-            verdict, effects=key, probability=weighed.sets[key], adequacy=adequacy,
-            chosen=weighed.best_of[key], status="cannot_tell",
-            also_possible=tuple(e for e in verdict.effects if e not in key),
+            verdict, status="none", effects=(), also_possible=(), adequacy=left,
+            probability=1 - rest, chosen=weighed.best_of[()],
         )  # fmt: skip
-    return _incomplete(verdict, judge, complete)
+    return _unknown(verdict, weighed, left, rest)
 
 
-def _incomplete(verdict: Verdict, judge: _Judge, key: tuple[str, ...]) -> Verdict:
-    """What stands beside a remainder, whatever that is."""
+def _incomplete(verdict: Verdict, judge: Judge, key, more: float) -> Verdict:
+    """What stands beside something unlisted, whose probability is ``more``."""
     weighed = judge.weighed
-    firm = judge.firm(key, _FIRM)
-    key = key if firm == key else judge.best_within(firm)
-    if not key:
-        return _unknown(verdict, weighed, judge.of(()).adequacy)
-    adequacy = judge.of(key).adequacy
-    rest = max(probability_of_rest(_smallest(adequacy)), _beside(weighed, key))
+    chances = {e: probability_beside(c) for e, c in judge.clues_by_effect(key).items()}
+    earned = judge.best_within([e for e in key if chances[e] >= _EARNED])
+    if not earned or judge.imitates(earned) or judge.firm(earned, _FIRM) != earned:
+        alone = more * np.prod([1 - chance for chance in chances.values()])
+        left = judge.of(()).adequacy
+        return _unknown(verdict, weighed, left, float(alone))
+    exactly = [chances[e] if e in earned else 1 - chances[e] for e in key]
+    left = judge.of(earned).adequacy._replace(passed=False)
     return replace(
-        verdict, status="incomplete", effects=key, also_possible=(),
-        probability=_with_more(weighed, key, rest), chosen=weighed.best_of[key],
-        adequacy=adequacy,
+        verdict, status="incomplete", effects=earned, also_possible=(),
+        probability=float(more * np.prod(exactly)), chosen=weighed.best_of[earned],
+        adequacy=left,
     )  # fmt: skip
 
 
-def _with_more(weighed: Weighed, key: tuple[str, ...], rest: float) -> float:
-    """Probability that these effects are there and something else is: of every larger
-    set, and of this one with a remainder, whose probability is ``rest``."""
-    total = {k: v + weighed.unknown_beside.get(k, 0.0) for k, v in weighed.sets.items()}
-    larger = sum(v for k, v in total.items() if set(key) < set(k))
-    return float(min(larger + rest * total[key], 1.0))
-
-
-def _beside(weighed: Weighed, key) -> float:
-    """Probability of a remainder beside a set, given the set."""
-    more = weighed.unknown_beside.get(key, 0.0)
-    return more / max(more + weighed.sets[key], NONZERO)
-
-
-def _unknown(verdict: Verdict, weighed: Weighed, adequacy: Adequacy) -> Verdict:
+def _unknown(
+    verdict: Verdict, weighed: Weighed, left: Adequacy, probability: float
+) -> Verdict:
     """A gap that nothing listed explains: no set of the library may be named."""
-    rest = probability_of_rest(_smallest(adequacy))
     return replace(
         verdict, status="unknown", effects=("unknown",), also_possible=(),
-        probability=max(rest, weighed.unknown_alone), chosen=weighed.best_of[()],
-        adequacy=adequacy,
+        probability=probability, chosen=weighed.best_of[()],
+        adequacy=left._replace(passed=False),
     )  # fmt: skip
 
 
@@ -222,7 +261,19 @@ def bound_by(
     if held is None or held.closed is None or not held.resolvable:
         return verdict
     if held.closed <= _WORSE:
-        return _unknown(verdict, weighed, verdict.adequacy)
+        return _unknown(
+            verdict, weighed, verdict.adequacy, max(_EVEN, 1 - verdict.probability)
+        )
     if closed and held.closed < _FALLS_SHORT * closed:
-        return replace(verdict, status="incomplete", also_possible=())
+        left = verdict.adequacy._replace(passed=False)
+        return replace(verdict, status="incomplete", also_possible=(), adequacy=left)
     return verdict
+
+
+def look_of_rest(verdict: Verdict, base: Base) -> tuple[Look, ...]:
+    """What is left beside the effects of an unknown or incomplete verdict."""
+    if verdict.status not in ("unknown", "incomplete"):
+        return ()
+    linear = linear_at(base, verdict.chosen)
+    found = looks(base.generic.patterns, linear.used_up, linear.residual)
+    return tuple(look for look in found if look.probability > _SHOWN)

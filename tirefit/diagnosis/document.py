@@ -10,7 +10,7 @@ from tirefit.diagnosis.basis import located, without
 from tirefit.diagnosis.budget import budget_of, parameter_changes, simulator_summary
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.closure import Closure, closure_of
-from tirefit.diagnosis.conclusion import bound_by
+from tirefit.diagnosis.conclusion import bound_by, look_of_rest
 from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
@@ -271,6 +271,7 @@ def _verdict(case: Case) -> VerdictSummary:
         probability=verdict.probability,
         also_possible=verdict.also_possible,
         adequacy=verdict.adequacy,
+        looks_like=look_of_rest(verdict, case.base),
         parameters=parameter_changes(case, widening(case.base, verdict.chosen)),
     )
 

@@ -24,7 +24,7 @@ from tirefit.models import modelled
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["diagnose"]
+__all__ = ["diagnose", "studied"]
 
 _CHANGED = 0.1
 """A change of the noise level, as a logarithm, after which the search starts anew."""
@@ -85,7 +85,7 @@ def diagnose(
         gives = given.channels(data, gives)
     whole = prepare(data, rig, gives)
     some = thinned(whole, _MOST_ROWS)
-    case = _studied(some, model, rig, tuple(effects), without, generator, given)
+    case = studied(some, model, rig, tuple(effects), without, generator, given)
     looked_for = [effect for effect in effects if effect.id not in without]
     name = model if given is None or given.tire is None else given.source
     return document_of(case, whole, rig, looked_for, holdout, generator, name, seed)
@@ -116,15 +116,16 @@ def _level(base: Base) -> np.ndarray:
     )
 
 
-def _studied(
+def studied(
     prepared: Prepared,
-    model,
-    rig,
-    effects,
-    without,
-    generator,
+    model: str,
+    rig: Rig,
+    effects: tuple[Effect, ...],
+    without: Sequence[str],
+    generator: np.random.Generator,
     given: Given | None = None,
 ) -> Case:
+    """Noise, search and verdict of prepared rows; arguments as in :func:`diagnose`."""
     base = fit_base(prepared, model, effects, rig, given)
     testable, untestable = _testable(prepared, base.atoms, without)
     searched = search(base, testable)

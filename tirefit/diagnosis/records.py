@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from tirefit.diagnosis.adequacy import UNTESTED, Adequacy
 from tirefit.diagnosis.effects import NOISE_EFFECTS
+from tirefit.diagnosis.patterns import Look
 from tirefit.diagnosis.rig import Rig
 
 __all__ = [
@@ -140,7 +141,8 @@ class Cell(NamedTuple):
 class VerdictSummary:
     """What is said: none, named, incomplete, unknown or cannot_tell; of which effects,
     with which probability of exactly this set; what this data cannot tell from it; the
-    tests of what it leaves.
+    tests of what it leaves; what that looks like, the most probable first, where it is
+    something unlisted.
 
     ``parameters`` are those of a simulator that was given: none of a form that was
     fitted.
@@ -151,6 +153,7 @@ class VerdictSummary:
     probability: float
     also_possible: tuple[str, ...]
     adequacy: Adequacy = UNTESTED
+    looks_like: tuple[Look, ...] = ()
     parameters: Mapping[str, "Change"] = field(default_factory=dict)
 
     @property

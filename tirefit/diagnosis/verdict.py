@@ -9,15 +9,16 @@ from scipy.special import logsumexp
 from tirefit.diagnosis.adequacy import UNTESTED, Adequacy
 from tirefit.diagnosis.basis import (
     gain,
-    log_evidence,
+    gains,
     misfit_p_value,
+    of_any_kind,
     orthogonal,
     without,
 )
 from tirefit.diagnosis.forecast import DRAWS, scores_of_nothing, separability
 from tirefit.diagnosis.forms import form_columns
 from tirefit.diagnosis.forward import MOST_EFFECTS
-from tirefit.diagnosis.negligible import UNSEEN
+from tirefit.diagnosis.negligible import NONZERO, UNSEEN
 from tirefit.diagnosis.search import (
     PRIOR_OF_UNKNOWN,
     Hypothesis,
@@ -26,12 +27,14 @@ from tirefit.diagnosis.search import (
 )
 
 __all__ = [
+    "LinearFit",
     "Verdict",
     "Weighed",
     "fitted_form",
     "gap_p_value",
     "judge",
     "linear_at",
+    "named",
     "weigh",
 ]
 
@@ -50,6 +53,13 @@ _TOLD_APART = 0.75
 
 _RIVAL = 0.1
 """Share of the best set's probability from which another set is a rival."""
+
+_KIN = 0.008
+"""The same for an effect of the same family: where a law of friction that flattens out
+was called by the wrong one of two formulas, the right one had .01 to .4 of it."""
+
+_DISTANT_KIN = 0.03
+"""The same for one of another family that acts on the same parameter of the tire."""
 
 _ABSURD = 8.0
 """Amplitude in prior scales beyond which an effect is no explanation."""
@@ -86,7 +96,9 @@ class Weighed:
     gap that no listed effect explains, alone or beside the set; ``other_form`` are the
     sets whose effects are there in a form of their own, ``evidence`` the log evidence
     of each set over none, in whatever form. ``hidden`` is the probability of sets too
-    improbable to be refitted, which these data could not show either."""
+    improbable to be refitted, which these data could not show either; ``gains`` the log
+    evidence of each kind of remainder beside a set, see
+    :func:`tirefit.diagnosis.basis.gains`."""
 
     sets: dict[tuple[str, ...], float]
     best_of: dict[tuple[str, ...], Hypothesis]
@@ -95,6 +107,16 @@ class Weighed:
     other_form: frozenset[tuple[str, ...]]
     evidence: dict[tuple[str, ...], float]
     hidden: float
+    gains: dict[tuple[str, ...], dict[str, float]]
+
+    @property
+    def best(self) -> tuple[str, ...]:
+        """The most probable set of effects, if all that is there is listed."""
+        return max((k for k in self.sets if k), key=lambda k: self.sets[k], default=())
+
+    def among_listed(self, key) -> float:
+        """Probability of a set, if all that is there is listed."""
+        return self.sets[key] / max(sum(self.sets.values()), NONZERO)
 
 
 def gap_p_value(search: Search, generator) -> float:
@@ -126,7 +148,7 @@ def weigh(search: Search) -> Weighed:
             best[key] = hypothesis
     total = {key: float(logsumexp(values)) for key, values in logs.items()}
     evidence = {key: hypothesis.log_evidence for key, hypothesis in best.items()}
-    beside, others = {}, set()
+    beside, others, remainder = {}, set(), {}
     ranked = sorted(total, key=lambda key: total[key], reverse=True)
     for key in dict.fromkeys([*ranked[:_FREED], *_simplest(total, _SINGLES), ()]):
         linear = linear_at(search.base, best[key])
@@ -140,7 +162,8 @@ def weigh(search: Search) -> Weighed:
         used_up = linear.used_up
         if form is not None and key in others:
             used_up = form.used_up
-        more = log_evidence(search.base.generic, used_up, linear.residual)
+        remainder[key] = gains(search.base.generic, used_up, linear.residual)
+        more = of_any_kind(remainder[key])
         beside[key] = total[key] + more + np.log(PRIOR_OF_UNKNOWN)
     rest = [hypothesis.log_weight for hypothesis in guessed]
     everything = logsumexp([*total.values(), *beside.values(), *rest])
@@ -158,6 +181,7 @@ def weigh(search: Search) -> Weighed:
         other_form=frozenset(others),
         evidence=evidence,
         hidden=float(np.sum(np.exp(np.array(hidden) - everything))),
+        gains=remainder,
     )
 
 
@@ -219,24 +243,43 @@ def judge(search: Search, weighed: Weighed, p_value: float) -> Verdict:
     nothing = _unresolved(weighed)
     if nothing > 0.5 or (p_value > _LEVEL and nothing > _HARDLY):
         return Verdict("none", (), weighed.sets[()], (), p_value, null)
-    named = {k: v for k, v in weighed.sets.items() if k}
-    together = {k: v + weighed.unknown_beside.get(k, 0.0) for k, v in named.items()}
-    best = max(together, key=lambda key: together[key], default=None)
-    if best is None or weighed.unknown_alone > together[best]:
+    best = weighed.best
+    if not best:
         return Verdict(
             "unknown", ("unknown",), weighed.unknown_alone, (), p_value, null
         )
-    chosen = weighed.best_of[best]
-    if weighed.unknown_beside.get(best, 0.0) > named[best]:
-        return Verdict(
-            "incomplete", best, weighed.unknown_beside[best], (), p_value, chosen
-        )
-    alike = _aliases(search, chosen)
+    return named(search, weighed, best, p_value)
+
+
+def named(search: Search, weighed: Weighed, key, p_value: float) -> Verdict:
+    """A set of effects named, with what these data cannot tell from it."""
+    chosen = weighed.best_of[key]
+    alike = (*_aliases(search, chosen), *_kin(search, weighed, key))
     # Where only the prior decides, the data cannot tell.
-    rivals = tuple(dict.fromkeys((*alike, *_rivals(named, best))))
-    sure = named[best] >= SURE and not alike
+    others = {k: v for k, v in weighed.sets.items() if k}
+    rivals = tuple(dict.fromkeys((*alike, *_rivals(others, key))))
+    probability = weighed.among_listed(key)
+    sure = probability >= SURE and not alike
     status = "named" if sure or not rivals else "cannot_tell"
-    return Verdict(status, best, named[best], () if sure else rivals, p_value, chosen)
+    return Verdict(status, key, probability, () if sure else rivals, p_value, chosen)
+
+
+def _kin(search: Search, weighed: Weighed, key) -> tuple[str, ...]:
+    """Effects on what one of the set acts on that explain in its place nearly as well:
+    formulas of one law differ by less than a tire does from any of them."""
+    family = {a.effect.id: a.effect.family for a in search.base.atoms}
+    kin = []
+    for other, probability in weighed.sets.items():
+        new, old = set(other) - set(key), set(key) - set(other)
+        if len(new) != 1 or len(old) != 1:
+            continue
+        mine, its = family[min(old)], family[min(new)]
+        # "friction x speed" and "friction x time" are kin, two of one family closer.
+        near = _KIN if mine == its else _DISTANT_KIN
+        if mine.split(" ")[0] == its.split(" ")[0]:
+            if probability > near * weighed.sets[key]:
+                kin.append(min(new))
+    return tuple(kin)
 
 
 def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_lines, change_texts
 from tirefit.report.diagnosis_words import (
     covariate_text,
+    look_text,
     parameter_text,
     range_text,
     share_text,
@@ -21,6 +22,7 @@ __all__ = [
     "confused_lines",
     "diagnosis_text",
     "gap_lines",
+    "look_lines",
     "map_lines",
     "noise_line",
     "slip_check_line",
@@ -77,7 +79,16 @@ def verdict_lines(result: Diagnosis) -> list[str]:
         if means:
             lines.append(f"{effect}: {means}; {remedy}")
     left = adequacy_line(result)
-    return [*lines, left] if left else lines
+    return [*lines, *([left] if left else []), *look_lines(result)]
+
+
+def look_lines(result: Diagnosis) -> list[str]:
+    """What an unlisted remainder looks like, as sentences."""
+    return [
+        f"it looks like {look_text(look)} (probability {look.probability:.2f} among"
+        f" simple shapes; takes {100 * look.explains:.0f} % of its mean square away)"
+        for look in result.verdict.looks_like
+    ]
 
 
 _LEFT = {

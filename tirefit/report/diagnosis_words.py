@@ -5,11 +5,13 @@ from collections.abc import Sequence
 
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
+from tirefit.diagnosis.patterns import Look
 from tirefit.diagnosis.records import Candidate, Region, Untestable
 from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
     "covariate_text",
+    "look_text",
     "needs_text",
     "p_text",
     "parameter_text",
@@ -50,6 +52,16 @@ _COVARIATES = {
     "sign": "sign of the slip",
     "temperature": "temperature",
     "gamma": "camber gamma",
+    "used_friction": "share of friction used",
+    "slip": "signed slip / slip of full sliding",
+    "distance": "distance travelled",
+    "pressure": "inflation pressure",
+}
+_SHAPES = {
+    "wave": "goes up and down with {covariate}, with a period of {at}",
+    "threshold": "steps at a {covariate} of {at}",
+    "kink": "bends at a {covariate} of {at}",
+    "local": "differs about a {covariate} of {at}",
 }
 _NAMED_VALUES = {
     "direction": {-1.0: "shrinking", 0.0: "steady", 1.0: "growing"},
@@ -96,6 +108,24 @@ def range_text(region: Region) -> str:
     if low == high:
         return f"{format_number(low)}{tail}"
     return f"{_end(low, high)} to {_end(high, high)}{tail}"
+
+
+def look_text(look: Look) -> str:
+    """What a remainder looks like: ``friction that steps at a time of 60 s: -7 %``."""
+    unit = {"distance": "m"}.get(
+        look.covariate, CANONICAL.get(look.covariate, ("", ""))[0]
+    )
+    covariate = covariate_text(look.covariate)
+    if look.covariate == "slip":
+        unit = ""
+    at = format_number(look.at, 3) + (f" {unit}" if unit not in ("", "-") else "")
+    size = f"{format_number(100 * look.size, 2)} %"
+    if look.parameter == "force":
+        size += " of F_z"
+    if look.parameter == "slip":
+        size = format_number(look.size, 2)
+    how = _SHAPES[look.shape].format(covariate=covariate, at=at)
+    return f"{look.parameter} that {how}: {size}"
 
 
 def _end(value: float, largest: float) -> str:

@@ -1,0 +1,74 @@
+"""Teaches the two probabilities of ``tirefit/diagnosis/calibrated.py``.
+
+    python -m fits.calibration --out out/calibration --jobs 2
+
+Draws trials of known cause with the generator of ``fits/withheld`` (development seeds,
+never the designs and forms of the sealed ones), examines each, keeps the clues in
+``OUT/clues-*.jsonl`` (a second run goes on where the first was stopped), and writes
+``tirefit/diagnosis/calibration.json``: centre, spread and weight of every clue, and how
+well both probabilities do on families and strangers that they were not taught.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from fits.calibration.train import taught
+from fits.withheld.generate import write_all
+from fits.withheld.trials import draw
+
+SEEDS = {
+    401: ("singles", "null", "unlisted", "singles", "null", "procedural", "pairs",
+          "foreign", "leave_out"),
+    402: ("singles", "pairs", "leave_out", "procedural", "beside", "unlisted",
+          "singles", "injected", "beside", "foreign", "procedural"),
+    403: ("leave_out", "beside", "singles", "procedural", "injected", "leave_out",
+          "pairs", "beside", "foreign", "unlisted", "singles", "procedural"),
+}  # fmt: skip
+"""Development seed -> sets of trials in turn."""
+
+PLACE = Path(__file__).parents[2] / "tirefit/diagnosis/calibration.json"
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--trials", type=int, default=400, help="of each seed")
+    parser.add_argument("--jobs", type=int, default=1)
+    given = parser.parse_args(arguments)
+    for seed, sets in SEEDS.items():
+        folder = given.out / str(seed)
+        if not (folder / "labels.json").exists():
+            trials = draw(
+                seed, given.trials, sets, [], ("rig", "seed"), (200, 900), False
+            )
+            write_all(trials, folder)
+    shards = [
+        subprocess.Popen(
+            [
+                sys.executable,
+                "-m",
+                "fits.calibration.collect",
+                str(given.out),
+                f"{number}/{given.jobs}",
+            ]
+        )  # fmt: skip
+        for number in range(given.jobs)
+    ]
+    if any(shard.wait() for shard in shards):
+        sys.exit("not all trials could be examined: see above, and start again")
+    records = [
+        json.loads(line)
+        for path in sorted(given.out.glob("clues-*.jsonl"))
+        for line in path.read_text().splitlines()
+    ]
+    numbers = taught(sorted(records, key=lambda record: record["trial"]))
+    numbers["made by"] = f"python -m fits.calibration --trials {given.trials}"
+    PLACE.write_text(json.dumps(numbers, indent=1) + "\n")
+    print(json.dumps({k: numbers[k]["checked"] for k in ("more", "beside")}, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,180 @@
+"""What a stranger looks like, and the probabilities that trials taught."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest_diagnosis import RIG, brush, record
+from scipy.integrate import quad
+from scipy.special import expit
+
+from fits.calibration.train import STRANGE, taught
+from tirefit.data.read import read_frame
+from tirefit.diagnosis import calibrated
+from tirefit.diagnosis.adequacy import Adequacy
+from tirefit.diagnosis.basis import _scaled
+from tirefit.diagnosis.calibrated import (
+    clues_of_effect,
+    clues_of_rest,
+    probability_beside,
+    probability_of_more,
+)
+from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.patterns import Pattern, Patterns, looks, patterns_gain
+
+WAVE = 0.7
+
+
+def middle(slip, time, fz, v):
+    return brush(slip, 5e4, 0.9 * (1 - 0.1 * (fz == 4000.0)), fz)
+
+
+def waving(slip, time, fz, v):
+    return brush(slip, 5e4, 0.9, fz) + 0.06 * fz * np.sin(2 * np.pi * time / WAVE)
+
+
+def of_columns(columns):
+    """Patterns of these columns, all as likely."""
+    names = [Pattern("force", "time", "local", k, 1) for k in range(columns.shape[1])]
+    return Patterns(columns, np.full(len(names), -np.log(len(names))), names)
+
+
+def test_evidence_of_a_pattern_is_the_integral_over_its_size():
+    generator = np.random.default_rng(0)
+    columns = generator.standard_normal((60, 2)).astype(np.float32)
+    columns[:, 1] = 0
+    against = np.ones((60, 1))
+    residual = generator.standard_normal(60) + 0.7 * columns[:, 0]
+    residual -= residual.mean()
+    lone = columns[:, 0].astype(float) - columns[:, 0].mean()
+
+    def likelihood(a, scale):
+        fit = np.sum((residual - a * lone) ** 2 - residual**2)
+        return np.exp(-0.5 * fit - 0.5 * (a / scale) ** 2) / scale / np.sqrt(2 * np.pi)
+
+    one = np.mean(
+        [quad(likelihood, -20, 20, args=(s,), points=[0.7])[0] for s in (0.5, 2, 8)]
+    )
+    # The other one is empty: it has the evidence of nothing.
+    gain = patterns_gain(of_columns(columns), against, residual)
+    assert gain == pytest.approx(np.log((one + 1) / 2), rel=1e-4)
+
+
+def test_a_pattern_that_the_fit_uses_up_is_none():
+    generator = np.random.default_rng(1)
+    used = generator.standard_normal((80, 3))
+    columns = (used @ generator.standard_normal((3, 1))).astype(np.float32)
+    residual = generator.standard_normal(80)
+    assert looks(of_columns(columns), used, residual) == []
+
+
+def test_fewer_columns_draw_the_same_functions():
+    generator = np.random.default_rng(2)
+    x = np.linspace(0, 1, 90)
+    wide = np.exp(-0.5 * ((x[:, None] - np.linspace(0, 1, 60)) / 0.2) ** 2)
+    scale = generator.uniform(0.5, 2, 90)
+    few = _scaled(wide, scale)
+    unit = wide * scale[:, None] / np.linalg.norm(wide * scale[:, None], axis=0)
+    assert few.shape[1] < 20
+    np.testing.assert_allclose(few @ few.T, unit @ unit.T, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def strange():
+    """Diagnoses of two strangers."""
+
+    def of(truth):
+        columns, _ = record(truth, seed=5)
+        data = read_frame(columns, "stranger", convention="braking")
+        return diagnose(data, rig=RIG)
+
+    return {"wave": of(waving), "middle": of(middle)}
+
+
+def test_a_wave_in_time_is_told_with_its_period(strange):
+    verdict = strange["wave"].verdict
+    assert verdict.status in ("unknown", "incomplete")
+    first = verdict.looks_like[0]
+    assert (first.parameter, first.covariate, first.shape) == ("force", "time", "wave")
+    assert first.at == pytest.approx(WAVE, rel=0.1)
+    assert abs(first.size) == pytest.approx(0.06, rel=0.25)
+    assert first.explains > 0.5
+    assert "goes up and down with time" in str(strange["wave"])
+
+
+def test_what_is_told_stands_in_the_document(strange):
+    verdict = json.loads(strange["wave"].to_json())["verdict"]
+    assert set(verdict["looks_like"][0]) == {
+        "parameter", "covariate", "shape", "at", "width", "size", "probability",
+        "explains",
+    }  # fmt: skip
+
+
+def test_one_load_that_differs_is_found_by_size(strange):
+    verdict = strange["middle"].verdict
+    assert verdict.status in ("unknown", "incomplete")
+    first = verdict.looks_like[0]
+    assert (first.parameter, first.covariate) == ("friction", "fz")
+    assert (first.shape, first.at) == ("local", pytest.approx(4000.0))
+    assert first.size == pytest.approx(-0.1, abs=0.02)
+
+
+def test_who_names_everything_shows_no_look(diagnosed):
+    found, _ = diagnosed("slip_offset")
+    assert found.verdict.looks_like == ()
+
+
+PASSED = Adequacy(0.5, 0.4, 0.6, 0.3, 0.7, 0.5, passed=True)
+FAILED = Adequacy(0.001, 0.001, 0.5, 0.001, 0.001, 0.001, passed=False)
+NOTHING = {"smooth": -20.0, "cells": -12.0, "waves": -1.0, "patterns": -0.5}
+MUCH = {"smooth": 200.0, "cells": 150.0, "waves": 60.0, "patterns": 180.0}
+
+
+def rest(adequacy=PASSED, gains=NOTHING, errors=(20.0,), parts=None, evidence=200.0):
+    return clues_of_rest(adequacy, gains, evidence, parts, errors, 1.0, 900)
+
+
+def test_probability_of_more_follows_the_clues():
+    clean = probability_of_more(rest())
+    assert clean < 0.1
+    assert probability_of_more(rest(adequacy=FAILED)) > 2 * clean
+    assert probability_of_more(rest(FAILED, MUCH)) > 0.9
+    # Known hardly better than its error, an effect is likelier something else.
+    assert probability_of_more(rest(errors=(3.0,))) > clean
+
+
+def test_probability_of_an_effect_follows_the_clues():
+    beside = rest(FAILED, MUCH)
+    strong = probability_beside(clues_of_effect(beside, 40.0, 190.0, 0.0, 200.0))
+    weak = probability_beside(clues_of_effect(beside, 3.0, 10.0, 195.0, 200.0))
+    assert strong > 0.4 > 0.1 > weak
+
+
+def test_the_numbers_shipped_are_those_of_a_checked_regression():
+    numbers = calibrated._numbers()
+    for which in ("more", "beside"):
+        checked = numbers[which]["checked"]
+        assert checked["cases"] > 500
+        assert checked["calibration error"] < 0.05
+        assert sum(count for *_, count in checked["reliability"]) == checked["cases"]
+    assert numbers["more"]["clues"].keys() == rest().keys()
+
+
+def test_a_regression_finds_the_odds_that_drew_its_cases():
+    generator = np.random.default_rng(3)
+    records = []
+    for number in range(3000):
+        x, y = generator.standard_normal(2)
+        strange = generator.uniform() < expit(1.5 * x - 0.5)
+        records.append({
+            "set": STRANGE[0] if strange else "singles", "kind": f"k{number % 20}",
+            "families": [], "effects": ["a"] if generator.uniform() < expit(y) else [],
+            "more": {"x": x, "y": y}, "beside": {"a": {"y": y}},
+        })  # fmt: skip
+    numbers = taught(records)
+    weights = {k: w / s for k, (_, s, w) in numbers["more"]["clues"].items()}
+    assert weights["x"] == pytest.approx(1.5, abs=0.15)
+    assert weights["y"] == pytest.approx(0.0, abs=0.15)
+    assert numbers["more"]["checked"]["calibration error"] < 0.03
+    _, spread, weight = numbers["beside"]["clues"]["y"]
+    assert weight / spread == pytest.approx(1.0, abs=0.2)
