@@ -47,6 +47,9 @@ __all__ = [
 _LEAST_ROWS = 256
 """Rows that a diagnosis is compiled for, at least: small files share one program."""
 
+_LINEARISED = 24
+"""Linearised fits that are kept for as long as their base: 10 MB each at most."""
+
 _NODES = {count: np.polynomial.hermite_e.hermegauss(count) for count in (3, 5)}
 
 
@@ -161,10 +164,24 @@ class Base:
         parts = stacked.reshape(len(self.rows.channels), -1, *stacked.shape[1:])
         return parts[:, : self.rows.n].reshape(-1, *stacked.shape[1:])
 
+    @cached_property
+    def _linear_at(self) -> dict[tuple[bytes, bytes], Linear]:
+        """What was linearised last, by the fit: a verdict comes back to its best."""
+        return {}
+
     def linearised(self, z, amplitudes) -> Linear:
         """The used rows, linearised in everything."""
-        present = present_in(amplitudes)
-        whole = tangents(*self.fit.tire.arguments, z, present, self.design, self.finite)
+        known = self._linear_at
+        key = np.asarray(z).tobytes(), np.asarray(amplitudes).tobytes()
+        if key not in known:
+            if len(known) == _LINEARISED:
+                known.pop(next(iter(known)))
+            known[key] = self._linearise(z, amplitudes)
+        return known[key]
+
+    def _linearise(self, z, amplitudes) -> Linear:
+        present, tire = present_in(amplitudes), self.fit.tire
+        whole = tangents(*tire.arguments, z, present, self.design, self.finite)
         return Linear(*(self.cut(part) for part in whole))
 
     def refit(self, starts, sets, design: Design | None = None) -> Refit:
