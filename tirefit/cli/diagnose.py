@@ -2,7 +2,7 @@
 
 import json
 import pickle
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import closing, redirect_stderr, redirect_stdout
 from dataclasses import asdict, dataclass
 from functools import cache, partial
@@ -268,7 +268,7 @@ def _all(files, names, task: _Task, jobs: int) -> ExitCode:
     return worst
 
 
-def _outcomes(pieces, task: _Task, jobs: int) -> Iterator[_Outcome]:
+def _outcomes(pieces, task: _Task, jobs: int) -> Generator[_Outcome, None, None]:
     """Of every file (file, name), in order."""
     if jobs == 1:
         for piece in pieces:

@@ -3,7 +3,7 @@
 import os
 import signal
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
@@ -80,7 +80,7 @@ class _Worker:
             self.process.join()
 
 
-def shared(work: Callable, pieces: Sequence, jobs: int) -> Iterator[Any]:
+def shared(work: Callable, pieces: Sequence, jobs: int) -> Generator[Any, None, None]:
     """``work(piece)`` of every piece, in order, by so many processes.
 
     A process that ends before its time costs the piece that it worked at,

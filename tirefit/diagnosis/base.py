@@ -9,15 +9,14 @@ import numpy as np
 from tirefit.diagnosis.basis import Generic, generic, smooth_basis, wave_basis
 from tirefit.diagnosis.effects import Atom, Effect, atoms_of
 from tirefit.diagnosis.forward import (
-    MOST_EFFECTS,
     Design,
     Linear,
-    Present,
     Refit,
     brush_of_base,
     count_atoms,
     fill,
     moments,
+    present_in,
     refit_all,
     tangents,
 )
@@ -176,13 +175,10 @@ class Base:
         if key not in known:
             if len(known) == _LINEARISED:
                 known.pop(next(iter(known)))
-            known[key] = self._linearise(z, amplitudes)
+            point = z, present_in(amplitudes), self.design, self.finite
+            whole = tangents(*self.fit.tire.arguments, *point)
+            known[key] = Linear(*(self.cut(part) for part in whole))
         return known[key]
-
-    def _linearise(self, z, amplitudes) -> Linear:
-        present, tire = present_in(amplitudes), self.fit.tire
-        whole = tangents(*tire.arguments, z, present, self.design, self.finite)
-        return Linear(*(self.cut(part) for part in whole))
 
     def refit(self, starts, sets, design: Design | None = None) -> Refit:
         """Hypotheses refitted: ``starts`` are (z, amplitudes in prior scales) of each
@@ -204,14 +200,6 @@ class Base:
     def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
         """Mean force of every used row, by channel."""
         return self.fit.tire.moments(z, amplitudes, self.design, self.rows.n)[0]
-
-
-def present_in(amplitudes) -> Present:
-    """The atoms that amplitudes of all (K,) have, at most :data:`MOST_EFFECTS`."""
-    chosen = np.flatnonzero(amplitudes)
-    index, values = np.full(MOST_EFFECTS, len(amplitudes)), np.zeros(MOST_EFFECTS)
-    index[: len(chosen)], values[: len(chosen)] = chosen, np.asarray(amplitudes)[chosen]
-    return Present(index, values)
 
 
 def _first_fit(prepared: Prepared, name: str, data):

@@ -29,6 +29,7 @@ __all__ = [
     "count_atoms",
     "forces_of",
     "moments",
+    "present_in",
     "refit_all",
     "residuals",
     "tangents",
@@ -321,6 +322,15 @@ class Refit(NamedTuple):
 
 MOST_EFFECTS = 3
 """Effects of one hypothesis, at most."""
+
+
+def present_in(amplitudes) -> Present:
+    """The atoms that amplitudes of all (K,) have, at most :data:`MOST_EFFECTS`."""
+    chosen = np.flatnonzero(amplitudes)
+    index, values = np.full(MOST_EFFECTS, len(amplitudes)), np.zeros(MOST_EFFECTS)
+    index[: len(chosen)], values[: len(chosen)] = chosen, np.asarray(amplitudes)[chosen]
+    return Present(index, values)
+
 
 _REFIT_STEPS = 26
 _REFIT_TOLERANCE = 1e-3
