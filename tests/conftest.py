@@ -11,6 +11,10 @@ import os
 from importlib.metadata import version
 from pathlib import Path
 
+# Two workers have the cores: a second thread of linear algebra would only spin while it
+# waits. The libraries read it when NumPy is first imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import jax
 import pytest
 from jaxtyping import install_import_hook

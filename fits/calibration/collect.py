@@ -42,13 +42,16 @@ def clues_of(path: Path, without: list[str], seed: int = 0) -> dict:
 
 
 def main(out: Path, shard: str) -> None:
-    """Goes on after the last trial kept."""
+    """The trials that nobody has kept yet."""
     number, of = (int(part) for part in shard.split("/"))
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_compilation_cache_dir", str(out.absolute() / "compiled"))
     kept = out / f"clues-{number}-of-{of}.jsonl"
-    lines = kept.read_text().splitlines() if kept.exists() else []
-    done = {json.loads(line)["trial"] for line in lines}
+    done = {
+        json.loads(line)["trial"]
+        for path in out.glob("clues-*.jsonl")
+        for line in path.read_text().splitlines()
+    }
     for folder in sorted(out.iterdir()):
         if not (folder / "labels.json").exists():
             continue

@@ -123,6 +123,25 @@ def test_one_bad_file_does_not_stop_the_others(studied):
     assert set(contents(folder / "out")) == names
 
 
+def test_several_processes_answer_as_one_does(studied, again, tmp_path):
+    """Files, words, order and exit code; and they know what is done."""
+    folder, plain = studied
+    shutil.rmtree(tmp_path / "out")
+    # Where they were read from stands in the documents.
+    files = [folder / f"{name}.csv" for name in ("offset", "bad", "load", "one")]
+    result = again(*files, "--figures", "--jobs", "2", exit_code=3)
+    assert contents(tmp_path / "out") == contents(folder / "out")
+    assert result.stdout == plain.stdout.replace(str(folder / "out"), "out")
+    assert result.stderr == plain.stderr
+
+    def written():
+        return {p.name: p.stat().st_mtime_ns for p in (tmp_path / "out").iterdir()}
+
+    before = written()
+    again(*files, "--figures", "--jobs", "2", "--resume", exit_code=3)
+    assert written() == before
+
+
 def test_the_summary_says_what_to_do(studied):
     report = " ".join(studied[1].stdout.split())
     assert "DIAGNOSIS of offset against brush" in report

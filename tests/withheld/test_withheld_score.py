@@ -1,6 +1,8 @@
 """Judge, scorer and baselines of fits/withheld on answers of known worth."""
 
 import json
+import signal
+import sys
 import tomllib
 
 import numpy as np
@@ -256,6 +258,15 @@ def test_command_of_a_group(tmp_path):
     left_out = [b for a, b in zip(words, words[1:], strict=False) if a == "--without"]
     assert left_out == ["slip_offset", "conicity"]
     assert not any("label" in word or "truth" in word for word in words)
+
+
+def test_a_command_runs_in_this_process(capsys):
+    before, answer = list(sys.argv), signal.getsignal(signal.SIGINT)
+    try:
+        assert run._in_this_process(["tirefit", "diagnose", "--jobs", "none"]) == 2
+    finally:
+        signal.signal(signal.SIGINT, answer)
+    assert "--jobs" in capsys.readouterr().err and sys.argv == before
 
 
 def as_inputs(world):

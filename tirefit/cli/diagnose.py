@@ -1,13 +1,19 @@
 """``tirefit diagnose``: where a model misses, which effect causes it, how far."""
 
 import json
-from dataclasses import asdict
+import pickle
+from collections.abc import Generator
+from contextlib import closing, redirect_stderr, redirect_stdout
+from dataclasses import asdict, dataclass
+from functools import cache, partial
+from io import StringIO
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 from typer.core import TyperCommand
 
+from tirefit.cli.jobs import Ended, shared
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -25,7 +31,13 @@ from tirefit.cli.options import (
     warn,
 )
 from tirefit.cli.output import check_directories, claimed, staged
-from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
+from tirefit.results import (
+    DataError,
+    ExitCode,
+    InputProblem,
+    TirefitError,
+    UsageError,
+)
 
 __all__ = ["ManyHoldouts", "diagnose"]
 
@@ -103,6 +115,9 @@ def diagnose(
     resume: Annotated[
         bool, typer.Option("--resume", help="keep cases that are done")
     ] = False,
+    jobs: Annotated[
+        int, typer.Option(min=1, metavar="N", help="processes that share the files")
+    ] = 1,
     seed: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="of everything random")
     ] = 0,
@@ -120,7 +135,8 @@ def diagnose(
         settings |= _simulator(model, parameter, sim, how)
         with claimed(out):
             kept = [_read(path, how) for path in holdout or []]
-            worst = _all(files, names, out, settings, kept, how, figures, resume, seed)
+            task = _Task(out, settings, kept, how, figures, resume, seed)
+            worst = _all(files, names, task, min(jobs, len(files)))
         raise typer.Exit(worst)
 
 
@@ -205,41 +221,118 @@ def _simulator(model: str, parameter, sim: bool, how: dict) -> dict:
     return {"model": "brush", "sim": given}
 
 
-def _all(files, names, out, settings, kept, how, figures, resume, seed) -> ExitCode:
+@dataclass(frozen=True)
+class _Task:
+    """What all files share: the folder of the results, arguments of
+    ``tirefit.diagnose`` and of ``tirefit.read``, tables held out, and the options."""
+
+    out: Path
+    settings: dict
+    kept: list
+    how: dict
+    figures: bool
+    resume: bool
+    seed: int
+
+
+class _Outcome(NamedTuple):
+    """One file: its exit code, whether that ends the command, and, where another
+    process worked at it, what it said and complained of."""
+
+    code: ExitCode
+    last: bool = False
+    said: str = ""
+    complained: str = ""
+
+
+def _all(files, names, task: _Task, jobs: int) -> ExitCode:
     """Every file; one bad file does not stop the others."""
     worst, done = ExitCode.OK, 0
-    with progress_bar("diagnose") as progress:
-        for number, (file, name) in enumerate(zip(files, names, strict=True)):
+    pieces = list(zip(files, names, strict=True))
+    with (
+        progress_bar("diagnose") as progress,
+        closing(_outcomes(pieces, task, jobs)) as outcomes,
+    ):
+        for number, file in enumerate(files):
             if progress is not None:
                 progress(number / len(files), f"{number + 1} of {len(files)}: {file}")
-            try:
-                _one(file, name, out, settings, kept, how, figures, resume, seed)
-            except TirefitError as error:
-                if error.exit_code == ExitCode.USAGE:
-                    raise
-                complain(error_text(error))
-                worst = error.exit_code
-                continue
-            done += 1
+            outcome = next(outcomes)
+            typer.echo(outcome.said, nl=False)
+            typer.echo(outcome.complained, nl=False, err=True)
+            if outcome.last:
+                raise typer.Exit(outcome.code)
+            worst = outcome.code if outcome.code != ExitCode.OK else worst
+            done += outcome.code == ExitCode.OK
     if len(files) > 1:
-        say(f"{done} of {len(files)} files diagnosed, results in {out}")
+        say(f"{done} of {len(files)} files diagnosed, results in {task.out}")
     return worst
 
 
-def _one(file, name, out, settings, kept, how, figures, resume, seed) -> None:
+def _outcomes(pieces, task: _Task, jobs: int) -> Generator[_Outcome, None, None]:
+    """Of every file (file, name), in order."""
+    if jobs == 1:
+        for piece in pieces:
+            yield _Outcome(_attempt(piece, task))
+        return
+    # As bytes: JAX's arrays are of 64 bits only once it has been told.
+    work = partial(_apart, pickle.dumps(task))
+    with closing(shared(work, pieces, jobs)) as results:
+        for (file, _), result in zip(pieces, results, strict=True):
+            yield _gone(file, result) if isinstance(result, Ended) else result
+
+
+def _gone(file: Path, ended: Ended) -> _Outcome:
+    reason = f"the process that worked at it ended with code {ended.exit_code}"
+    remedy = "where memory is short, give fewer --jobs; then --resume"
+    problem = InputProblem(reason, remedy, str(file))
+    return _Outcome(ExitCode.DATA, complained=error_text(DataError(problem)) + "\n")
+
+
+def _attempt(piece: tuple[Path, str], task: _Task) -> ExitCode:
+    """One file; its error is told, unless it is that of the command."""
+    try:
+        _one(*piece, task)
+    except TirefitError as error:
+        if error.exit_code == ExitCode.USAGE:
+            raise
+        complain(error_text(error))
+        return error.exit_code
+    return ExitCode.OK
+
+
+def _apart(packed: bytes, piece: tuple[Path, str]) -> _Outcome:
+    """One file in another process, which keeps silent."""
+    said, complained, last = StringIO(), StringIO(), False
+    with redirect_stdout(said), redirect_stderr(complained):
+        try:
+            with errors_to_exit():
+                code = _attempt(piece, _unpacked(packed))
+        except typer.Exit as end:
+            code, last = ExitCode(end.exit_code), True
+    return _Outcome(code, last, said.getvalue(), complained.getvalue())
+
+
+@cache
+def _unpacked(packed: bytes) -> _Task:
+    start_jax()
+    return pickle.loads(packed)
+
+
+def _one(file: Path, name: str, task: _Task) -> None:
     from tirefit.diagnosis.engine import diagnose as study
     from tirefit.diagnosis.store import save_diagnosis
 
-    table = _read(file, how)
+    out, seed, kept, figures = task.out, task.seed, task.kept, task.figures
+    table = _read(file, task.how)
     written = [f"{name}.json", f"{name}.rows.csv"]
     drawn = [f"{name}.png", f"{name}.html"]
     expected = written + drawn if figures else written
-    if resume and all((out / one).exists() for one in expected):
-        if _is_done(out / f"{name}.json", table, settings, kept, seed):
+    if task.resume and all((out / one).exists() for one in expected):
+        if _is_done(out / f"{name}.json", table, task.settings, kept, seed):
             return
-    result = study(table, holdout=kept, seed=seed, **settings)
+    result = study(table, holdout=kept, seed=seed, **task.settings)
     earlier = drawn if _is_page(out / f"{name}.html") else []
-    with staged(out, written + earlier) as folder:
+    with staged(out, written + earlier, f".{name}") as folder:
         save_diagnosis(result, folder, name)
         if figures:
             from tirefit.report.diagnosis_draw import write_figure

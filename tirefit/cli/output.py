@@ -64,6 +64,8 @@ def claimed(directory: Path) -> Iterator[None]:
     try:
         if handle is not None:
             _lock(handle, directory)
+        for left in directory.glob(f"{_WRITING}*"):  # of a process that was killed
+            shutil.rmtree(left, ignore_errors=True)
         yield
     finally:
         for path in made:
@@ -89,18 +91,23 @@ def _lock(handle: int, directory: Path) -> None:
         pass  # a file system without locks
 
 
+_WRITING = ".writing"
+"""How the folder begins that a result is written to, before it is whole."""
+
+
 @contextmanager
-def staged(directory: Path, known: Collection[str]) -> Iterator[Path]:
+def staged(directory: Path, known: Collection[str], apart: str = "") -> Iterator[Path]:
     """A folder to write a result to; its files move to ``directory`` at the end.
 
     If the block fails or is interrupted, ``directory`` holds what it held before.
 
     Args:
-        directory: claimed by this process.
+        directory: claimed by this process, or by the one that shares its work.
         known: files of an earlier result: those that are not written again are
             removed, as they would be taken for this one's.
+        apart: end of the folder's name, where processes write at the same time.
     """
-    folder = directory / ".writing"
+    folder = directory / f"{_WRITING}{apart}"
     shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed
     folder.mkdir()
     try:

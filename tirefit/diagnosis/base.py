@@ -10,15 +10,14 @@ from tirefit.diagnosis.basis import Generic, smooth_basis, wave_basis, wide_base
 from tirefit.diagnosis.effects import Atom, Effect, atoms_of
 from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.forward import (
-    MOST_EFFECTS,
     Design,
     Linear,
-    Present,
     Refit,
     brush_of_base,
     count_atoms,
     fill,
     moments,
+    present_in,
     refit_all,
     tangents,
 )
@@ -57,6 +56,9 @@ those of a fit that is an end in itself."""
 _ROWS_OF_A_FUNCTION = 6
 """Rows for each smooth function that may soak up a gap before the noise is judged:
 five in six are left to judge it by."""
+
+_LINEARISED = 24
+"""Linearised fits that are kept for as long as their base: 10 MB each at most."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,11 +172,22 @@ class Base:
         parts = stacked.reshape(len(self.rows.channels), -1, *stacked.shape[1:])
         return parts[:, : self.rows.n].reshape(-1, *stacked.shape[1:])
 
+    @cached_property
+    def _linear_at(self) -> dict[tuple[bytes, bytes], Linear]:
+        """What was linearised last, by the fit: a verdict comes back to its best."""
+        return {}
+
     def linearised(self, z, amplitudes) -> Linear:
         """The used rows, linearised in everything."""
-        present = present_in(amplitudes)
-        whole = tangents(*self.fit.tire.arguments, z, present, self.design, self.finite)
-        return Linear(*(self.cut(part) for part in whole))
+        known = self._linear_at
+        key = np.asarray(z).tobytes(), np.asarray(amplitudes).tobytes()
+        if key not in known:
+            if len(known) == _LINEARISED:
+                known.pop(next(iter(known)))
+            point = z, present_in(amplitudes), self.design, self.finite
+            whole = tangents(*self.fit.tire.arguments, *point)
+            known[key] = Linear(*(self.cut(part) for part in whole))
+        return known[key]
 
     def refit(self, starts, sets, design: Design | None = None) -> Refit:
         """Hypotheses refitted: ``starts`` are (z, amplitudes in prior scales) of each
@@ -196,14 +209,6 @@ class Base:
     def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
         """Mean force of every used row, by channel."""
         return self.fit.tire.moments(z, amplitudes, self.design, self.rows.n)[0]
-
-
-def present_in(amplitudes) -> Present:
-    """The atoms that amplitudes of all (K,) have, at most :data:`MOST_EFFECTS`."""
-    chosen = np.flatnonzero(amplitudes)
-    index, values = np.full(MOST_EFFECTS, len(amplitudes)), np.zeros(MOST_EFFECTS)
-    index[: len(chosen)], values[: len(chosen)] = chosen, np.asarray(amplitudes)[chosen]
-    return Present(index, values)
 
 
 def _first_fit(prepared: Prepared, name: str, data):

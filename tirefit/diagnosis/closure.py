@@ -91,10 +91,11 @@ def block_means(terms, run, inflation, generator) -> np.ndarray:
     """Means of terms (n, k) over rows drawn anew in blocks: (draws, k)."""
     length = int(max(2 * inflation, _LEAST_BLOCK, len(terms) // _BLOCKS))
     blocks = _blocks(run, length)
-    sums = np.array([[*terms[rows].sum(axis=0), len(rows)] for rows in blocks])
+    sizes = np.array([len(rows) for rows in blocks])
+    begins = np.cumsum(sizes) - sizes
+    sums = np.add.reduceat(terms[np.concatenate(blocks)], begins, axis=0)
     drawn = generator.multinomial(len(blocks), [1 / len(blocks)] * len(blocks), _DRAWS)
-    totals = drawn @ sums
-    return totals[:, :-1] / totals[:, -1:]
+    return drawn @ sums / (drawn @ sizes)[:, None]
 
 
 def _blocks(run, length: int) -> list[np.ndarray]:

@@ -1,6 +1,7 @@
 """One file diagnosed: noise first, then where, which, how far, and what to measure."""
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -76,9 +77,8 @@ def diagnose(
     if unknown := sorted(set(without) - known):
         remedy = f"known effects: {', '.join(sorted(known))}"
         raise UsageError([InputProblem(f"without {name}", remedy) for name in unknown])
-    base_model = find_model(model)
+    given, gives = None, _forces_of(model)
     generator = np.random.default_rng(seed)
-    given, gives = None, modelled(base_model)
     if sim is not None:
         given = given_simulator(sim, data)
         data, holdout = given.beside(data), [given.beside(x, True) for x in holdout]
@@ -89,6 +89,12 @@ def diagnose(
     looked_for = [effect for effect in effects if effect.id not in without]
     name = model if given is None or given.tire is None else given.source
     return document_of(case, whole, rig, looked_for, holdout, generator, name, seed)
+
+
+@cache
+def _forces_of(model: str) -> tuple[str, ...]:
+    """Which of fx, fy, mz the registered model gives."""
+    return modelled(find_model(model))
 
 
 def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[Untestable]]:

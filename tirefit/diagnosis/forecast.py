@@ -1,8 +1,8 @@
 """Cannot tell, and the next measurement: forecasts from the geometry of the data."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -95,15 +95,15 @@ def recognition(directions, names: Sequence[str], truth: int, size: float, sign,
     correlation = directions.T @ directions[:, truth]
     score = ranked(noise + size * correlation[:, None])
     seen = score.max(axis=0) > limit
-    top = Counter(names[k] for k in score.argmax(axis=0)[seen])
-    right = top.pop(names[truth], 0)
-    (other, often), *_ = top.most_common(1) or [(None, 0)]
-    count = noise.shape[1]
+    codes = {name: code for code, name in enumerate(dict.fromkeys(names))}
+    largest = np.array([codes[name] for name in names])[score.argmax(axis=0)[seen]]
+    often, own = np.bincount(largest, minlength=len(codes)), codes[names[truth]]
+    right, often[own] = int(often[own]), 0
+    count, other = noise.shape[1], int(np.argmax(often))
     return Recognition(
-        float(seen.mean()),
-        right / count,
-        other if often > _HARDLY_EVER * count else None,
-    )
+        float(seen.mean()), right / count,
+        tuple(codes)[other] if often[other] > _HARDLY_EVER * count else None,
+    )  # fmt: skip
 
 
 def scores_of_nothing(directions, draws: int, generator) -> np.ndarray:
@@ -297,9 +297,13 @@ class _Options:
         _, jacobian, columns, _ = base.at_null
         self.here = _Block(np.asarray(jacobian), np.asarray(columns))
         self.changes = _changes(base.prepared)
-        self.gives_moment = "mz" in modelled(base.fit.tire.model)
         self.known: dict[str, _Block] = {}
         self.generator = np.random.default_rng(0)
+
+    @cached_property
+    def gives_moment(self) -> bool:
+        """Whether the base model has an aligning moment."""
+        return "mz" in modelled(self.base.fit.tire.model)
 
     def names(self, with_moment: bool) -> list[str]:
         moment = [_MOMENT] if with_moment and self.gives_moment else []

@@ -29,6 +29,7 @@ __all__ = [
     "count_atoms",
     "forces_of",
     "moments",
+    "present_in",
     "refit_all",
     "residuals",
     "tangents",
@@ -253,17 +254,37 @@ def tangents(model, layout, effects, mode, z, present, design: Design, finite):
         finite: atoms whose column is a finite difference over one prior scale (or
             to the expected amplitude): their tangent vanishes or misleads.
     """
-    state = _state_of(effects, present, design.rows)
+    count = count_atoms(effects)
+    sign = jnp.where(design.prior_center < 0, -1.0, 1.0)
+    size = jnp.append(sign * jnp.maximum(jnp.abs(design.prior_center), 1.0), 0.0)
+    scale = jnp.append(design.prior_scale, 0.0)
+    # A secant asks for its far end, a tangent for the slope here; all in one loop, as
+    # the changes of all effects are most of what is compiled.
+    far = jnp.zeros(count + 1).at[jnp.array(finite, int)].set(1.0)
 
-    def flat_of(state):
-        return jnp.stack(state, axis=1)
+    states = _states_without(effects, present, design.rows)
+
+    def with_atom(k):
+        mine = present.atom == k
+        gone = jnp.where(jnp.any(mine), jnp.argmax(mine), mine.size)
+        others = jax.tree.map(lambda field: field[gone], states)
+        own = jnp.sum(jnp.where(mine, present.amplitude, 0.0))
+
+        def flat_at(change):
+            state = _apply(effects, k, others, own + change, design.rows)
+            return jnp.stack(state, axis=1)
+
+        return jax.jvp(flat_at, (far[k] * size[k] * scale[k],), (scale[k],))
+
+    # The last of these is the state as it is.
+    flats, changes = jax.lax.map(with_atom, jnp.arange(count + 1))
+    flat = flats[-1]
 
     def at(z, flat):
         state = State(*(flat[:, k] for k in range(flat.shape[1])))
         mean, _ = _forces_at(model, layout, mode, z, state, design)
         return -_whitened(mean, design)
 
-    flat = flat_of(state)
     # A row's force depends on its own state alone, so one tangent per field serves all
     # atoms; what an atom does to the fields costs next to nothing.
     directions = jnp.eye(z.size + flat.shape[1])
@@ -275,39 +296,25 @@ def tangents(model, layout, effects, mode, z, present, design: Design, finite):
         directions,
     )  # fmt: skip
     fields = moved[z.size :].reshape(flat.shape[1], -1, flat.shape[0])
-
-    count = count_atoms(effects)
-
-    def flat_with(k, change):
-        return flat_of(_state_with(effects, present, k, change, design.rows))
-
-    def of_atom(k):
-        scale = design.prior_scale[k]
-        return jax.jvp(lambda change: flat_with(k, change), (0.0,), (scale,))[1]
-
-    changes = jax.lax.map(of_atom, jnp.arange(count))
-    columns = jnp.einsum("fcn,knf->kcn", fields, changes).reshape(count, -1)
-    # The last of these is the state as it is.
+    columns = jnp.einsum("fcn,knf->kcn", fields, changes[:-1]).reshape(count, -1)
     index = jnp.array([*finite, count])
-    sign = jnp.where(design.prior_center < 0, -1.0, 1.0)
-    size = jnp.append(sign * jnp.maximum(jnp.abs(design.prior_center), 1.0), 0.0)
-    scale = jnp.append(design.prior_scale, 0.0)
-    finite_values = jax.lax.map(
-        lambda k: at(z, flat_with(k, size[k] * scale[k])), index
-    )
-    value = finite_values[-1]
+    ends = jax.lax.map(lambda k: at(z, flats[k]), index)
+    value = ends[-1]
     if finite:
-        secants = (finite_values[:-1] - value[None]) / size[index[:-1], None]
+        secants = (ends[:-1] - value[None]) / size[index[:-1], None]
         columns = columns.at[index[:-1]].set(secants)
     return Linear(-value, moved[: z.size].T, columns.T, moved[z.size :].T)
 
 
-def _state_with(effects, present: Present, k, change, rows: Covariates):
-    """The state with the amplitude of atom k moved by ``change`` from where it is."""
-    mine, none = present.atom == k, count_atoms(effects)
-    others = present._replace(atom=jnp.where(mine, none, present.atom))
-    amplitude = jnp.sum(jnp.where(mine, present.amplitude, 0.0)) + change
-    return _apply(effects, k, _state_of(effects, others, rows), amplitude, rows)
+def _states_without(effects, present: Present, rows: Covariates) -> State:
+    """Fields (h + 1, n): the state without each of the h atoms, and with all."""
+    numbers = jnp.arange(present.atom.size)
+
+    def without(gone):
+        atom = jnp.where(numbers == gone, count_atoms(effects), present.atom)
+        return _state_of(effects, present._replace(atom=atom), rows)
+
+    return jax.lax.map(without, jnp.arange(numbers.size + 1))
 
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
@@ -331,6 +338,15 @@ class Refit(NamedTuple):
 
 MOST_EFFECTS = 3
 """Effects of one hypothesis, at most."""
+
+
+def present_in(amplitudes) -> Present:
+    """The atoms that amplitudes of all (K,) have, at most :data:`MOST_EFFECTS`."""
+    chosen = np.flatnonzero(amplitudes)
+    index, values = np.full(MOST_EFFECTS, len(amplitudes)), np.zeros(MOST_EFFECTS)
+    index[: len(chosen)], values[: len(chosen)] = chosen, np.asarray(amplitudes)[chosen]
+    return Present(index, values)
+
 
 _REFIT_STEPS = 26
 """Steps of a refit, at most."""

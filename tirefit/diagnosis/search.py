@@ -93,21 +93,22 @@ class Search:
         return max(fitted, key=lambda h: h.log_weight)
 
 
-def _log_bayes(gram, score, center, sign, chosen) -> float:
-    """Log Bayes factor of Gaussian amplitudes on these columns, prior scale 1."""
-    k = list(chosen)
-    g, h, m = gram[np.ix_(k, k)], score[k], center[k]
-    shifted = h - g @ m
-    a = g + np.eye(len(k))
-    solved = np.linalg.solve(a, shifted)
-    value = h @ m - 0.5 * m @ g @ m + 0.5 * shifted @ solved
+def _log_bayes(gram, score, center, sign, sets) -> np.ndarray:
+    """Log Bayes factors (s,) of Gaussian amplitudes, prior scale 1, on the columns of
+    each of the sets (s, k), all of one size."""
+    sets = np.asarray(sets)
+    own = np.arange(sets.shape[1])
+    g, m = gram[sets[:, :, None], sets[:, None, :]], center[sets]
+    gm = np.einsum("sij,sj->si", g, m)
+    shifted = score[sets] - gm
+    a = g + np.eye(len(own))
+    # Solved, not by the inverse: like effects leave few digits of that.
+    solved = np.linalg.solve(a, shifted[:, :, None])[:, :, 0]
+    value = np.sum((score[sets] - 0.5 * gm) * m + 0.5 * shifted * solved, axis=1)
     value -= 0.5 * np.linalg.slogdet(a)[1]
-    spread = np.sqrt(np.diag(np.linalg.inv(a)))
-    mean = m + solved
-    for j, s in enumerate(sign[k]):
-        if s:
-            value += np.log(2) + log_ndtr(s * mean[j] / spread[j])
-    return float(value)
+    z = (m + solved) / np.sqrt(np.linalg.inv(a)[:, own, own])
+    one_sided = np.log(2) + log_ndtr(sign[sets] * z)
+    return value + np.sum(np.where(sign[sets] != 0, one_sided, 0.0), axis=1)
 
 
 class _Searcher:
@@ -166,6 +167,13 @@ class _Searcher:
         used_up = np.concatenate([jacobian, columns[:, hypothesis.atoms]], 1)
         left = without(columns, used_up)
         return left.T @ left, left.T @ without(residual, used_up), left
+
+    def screened(self, gram, score, sets) -> list[float]:
+        """Log Bayes factor of each of the sets, all of one size, in closed form."""
+        if not sets:
+            return []
+        values = _log_bayes(gram, score, self.center, self.sign, sets)
+        return values.tolist()
 
     def refit(self, sets: Sequence[tuple[int, ...]], guesses: dict) -> None:
         """Refit sets of atoms, two starts each where the sign is open."""
@@ -252,10 +260,13 @@ def _best_variants(searcher: _Searcher, gram, score, within=()):
     [[(log weight, atom), ...], ...]."""
     variants: dict[str, list[tuple[float, int]]] = {}
     inside = {searcher.ids[k] for k in within}
-    for k in searcher.testable:
-        if searcher.ids[k] in inside or gram[k, k] < _UNSEEN:
-            continue
-        value = _log_bayes(gram, score, searcher.center, searcher.sign, (k,))
+    open_to = [
+        k
+        for k in searcher.testable
+        if searcher.ids[k] not in inside and gram[k, k] >= _UNSEEN
+    ]
+    for value, k in zip(searcher.screened(gram, score, [(k,) for k in open_to]),
+                        open_to, strict=True):  # fmt: skip
         variants.setdefault(searcher.ids[k], []).append((value, k))
     return sorted((sorted(v, reverse=True) for v in variants.values()), reverse=True)
 
@@ -301,10 +312,8 @@ def search(base: Base, testable: Sequence[int]) -> Search:
 def _pairs_by_screen(searcher, gram, score, ranked, count: int = _PAIRS) -> None:
     """Pairs that only show together."""
     atoms = [k for _, k in ranked]
-    values = []
-    for pair in combinations(sorted(atoms), 2):
-        value = _log_bayes(gram, score, searcher.center, searcher.sign, pair)
-        values.append((value, pair))
+    pairs = list(combinations(sorted(atoms), 2))
+    values = zip(searcher.screened(gram, score, pairs), pairs, strict=True)
     best = sorted(values, reverse=True)[:count]
     searcher.refit([pair for _, pair in best], {})
 

@@ -218,9 +218,8 @@ def _hats(slip, std, hats: int):
 def _weights(columns, weight, iterations: int):
     """Weights of the parts by expectation maximisation."""
     for _ in range(iterations):
-        share = columns * weight
-        share /= np.maximum(share.sum(1, keepdims=True), 1e-300)
-        weight = share.mean(0)
+        together = np.maximum(columns @ weight, 1e-300)
+        weight = weight * (1 / together @ columns) / len(columns)
     return weight
 
 
