@@ -402,6 +402,9 @@ def _with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:
         traction=pad_rows(mean / prepared.covariates.load, size),
         pull=pad_rows(_pull(prepared, tire, design, z, silent)[channel], size),
     )  # fmt: skip
+    if prepared.derived is not None:
+        # The acceleration is the force itself: what would explain it is not measured.
+        rows = rows._replace(lean=pad_rows(-mean / fz, size))
     return design._replace(rows=rows)
 
 

@@ -12,6 +12,7 @@ from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.closure import Closure, closure_of
 from tirefit.diagnosis.conclusion import bound_by
 from tirefit.diagnosis.effects import NOISE_EFFECTS
+from tirefit.diagnosis.effects.known import said_of_motion
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
 from tirefit.diagnosis.records import (
@@ -72,6 +73,7 @@ def document_of(
             name=data.name, path=data.source.path, sha256=data.source.sha256,
             convention=data.source.convention, channels=prepared.channels,
             assumptions=(*data.source.notes, *rig.notes),
+            motion=said_of_motion(base, rig),
         ),
         model=model,
         simulator=simulator_summary(base, model, gap.rms),

@@ -265,6 +265,7 @@ def diagnosis_text(result: Diagnosis) -> str:
         f"  {result.n} rows, {result.n_effective:.0f} of them independent;"
         f" noise {noise_line(result)}",
         *([f"  {slip_check_line(result)}"] if result.slip_check else []),
+        *(f"  {said}" for said in result.data.motion),
         "VERDICT", f"  {verdict_sentence(result)}",
         *(f"  {line}" for line in verdict_lines(result)),
         *(["BUDGET"] if result.simulator else []),

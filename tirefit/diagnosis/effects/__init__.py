@@ -18,6 +18,7 @@ fits, tests and ranks them all. A user's own effect is one more record::
 """
 
 from tirefit.diagnosis.effects import (
+    chassis,
     conditions,
     lag,
     measurement,
@@ -57,4 +58,5 @@ EFFECTS: tuple[Effect, ...] = (
     *sensors.EFFECTS,
     *vehicle.EFFECTS,
     *warmth.EFFECTS,
+    *chassis.EFFECTS,
 )
