@@ -82,7 +82,7 @@ def speed_rate(time):
 def steer(time):
     """Road wheel angle [rad]: turns of both sides, one side more."""
     swing = np.sin(1.1 * time) + 0.7 * np.sin(2.3 * time + 1) + 0.4 * np.sin(5.1 * time)
-    return 0.012 + 0.035 * (0.5 + 0.5 * np.sin(0.13 * time)) * swing
+    return 0.012 + 0.05 * (0.5 + 0.5 * np.sin(0.13 * time)) * swing
 
 
 def _angles(time, v_y, yaw_rate):
@@ -158,10 +158,10 @@ FAULTS = {
     "yaw_inertia": (Car(logged_inertia=1.5), "rear", False),
     "floor_slope": (Car(slope=0.02), "rear", False),
     "tracked_point": (Car(ahead=0.05), "rear", False),
-    "toe": (Car(height=0.55, with_load=(1.0, 0.0), toe=0.02), "rear", True),
-    "lateral_load_transfer": (Car(height=0.6, with_load=(0.6, -0.25)), "rear", True),
-    "unlike_tires": (Car(height=0.55, unlike=0.15), "rear", True),
+    "toe": (Car(height=0.55, with_load=(1.0, 0.0), toe=0.006), "rear", True),
+    "lateral_load_transfer": (Car(height=0.75, with_load=(0.6, -0.35)), "rear", True),
+    "unlike_tires": (Car(height=0.55, with_load=(1.0, 0.0), unlike=0.12), "rear", True),
     "load_transfer": (Car(height=0.6, logged_load=False), "rear", True),
     "steering_gain": (Car(logged_steer=1.15), "front", True),
 }
-"""Effect -> a car that has it, the axle that shows it, whether the force is measured."""
+"""Effect -> a car that has it, the axle that shows it, whether force is measured."""

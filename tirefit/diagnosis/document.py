@@ -29,6 +29,7 @@ from tirefit.diagnosis.records import (
 )
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rows import Prepared
+from tirefit.diagnosis.runs import offsets_of_runs
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.shares import closed_by_each
 from tirefit.diagnosis.standing import widening
@@ -92,6 +93,7 @@ def document_of(
         next_measurement=steps,
         next_measurement_reason=reason,
         slip_check=case.slip_check,
+        runs=offsets_of_runs(base, verdict.chosen),
         base_parameters=_base_parameters(base, base.as_given),
         extended_parameters=_base_parameters(base, verdict.chosen.z),
         settings=Settings(

@@ -47,8 +47,8 @@ def _record(closure: Closure, what: str) -> HeldOut:
 def _on_files(case, holdout, rig, generator) -> HeldOut:
     base, chosen = case.base, case.verdict.chosen
     before, after, variance, run = [], [], [], []
-    main = base.prepared.channels[0]
-    for number, data in enumerate(holdout):
+    main, runs = base.prepared.channels[0], 0
+    for data in holdout:
         other = on_rows(base, prepare(data, rig, base.prepared.channels), rig)
         observed = other.prepared.observed[main]
         silent = np.zeros(len(base.atoms))
@@ -57,7 +57,8 @@ def _on_files(case, holdout, rig, generator) -> HeldOut:
         after.append(observed - other.forces(chosen.z, amplitudes)[main])
         scale = np.median(base.noise[main].std / base.prepared.inputs.fz)
         variance.append((scale * other.prepared.inputs.fz) ** 2)
-        run.append(np.full(len(observed), number))
+        run.append(other.prepared.run + runs)
+        runs += len(data.runs)
     closure = closure_of(
         np.concatenate(before), np.concatenate(after), np.concatenate(variance),
         (0, 0), np.concatenate(run), base.noise[main].inflation, generator, False,

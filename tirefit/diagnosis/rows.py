@@ -13,6 +13,7 @@ from tirefit.diagnosis.motion import (
     seen_in_motion,
 )
 from tirefit.diagnosis.rates import Sweeps, segments, slip_rate
+from tirefit.diagnosis.runs import shown_runs
 from tirefit.diagnosis.sizes import Sizes, half_force_slip, largest, sizes_of
 from tirefit.diagnosis.slip_check import SlipCheck, check_slip
 from tirefit.diagnosis.state import Covariates
@@ -260,6 +261,8 @@ def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Cova
         yaw=_column(data, "yaw_rate") / pace,
         ahead=_over_range(_column(data, "a_x")),
         **motion_of(data),
+        run_slip=zero,
+        run_force=zero,
         change=zero,
         traction=zero,
     )
@@ -370,6 +373,7 @@ def _holdings(data: TireData, mode: str, rows, sweeps: bool, radius) -> frozense
         "yaw_rate": "yaw_rate" in data and np.std(rows.yaw) > 0,
         "a_x": "a_x" in data and np.any(rows.ahead != 0),
         "work": np.any(rows.work) and np.any(rows.time),
+        "runs": len(shown_runs(data.run[data.used], data.runs)) > 1,
     }  # fmt: skip
     return frozenset(name for name, here in found.items() if here)
 

@@ -58,7 +58,8 @@ class Covariates(NamedTuple):
     ``ahead`` the acceleration ahead over its range, ``swing`` [rad/s^2] the yaw
     acceleration, ``heading`` and ``steering`` [rad] as measured, ``lean`` the lateral
     acceleration over that of gravity; of a force that was derived from it, what the
-    base model's force would make of it.
+    base model's force would make of it. ``run_slip`` and ``run_force`` are how the runs
+    differ in one or the other, of unit rms.
     ``change`` is the shape of a change in time, from -1/2 to 1/2, that
     :func:`tirefit.diagnosis.forms.shape_of_change` has found, ``traction`` the force
     of the base model over the mean load.
@@ -97,6 +98,8 @@ class Covariates(NamedTuple):
     heading: Values
     lean: Values
     steering: Values
+    run_slip: Values
+    run_force: Values
     change: Values
     traction: Values
 

@@ -8,6 +8,7 @@ from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_lines, change_texts
 from tirefit.report.diagnosis_words import (
     covariate_text,
+    p_text,
     parameter_text,
     range_text,
     share_text,
@@ -23,6 +24,7 @@ __all__ = [
     "gap_lines",
     "map_lines",
     "noise_line",
+    "run_lines",
     "slip_check_line",
     "smallest_lines",
     "step_lines",
@@ -235,6 +237,21 @@ def noise_line(result: Diagnosis) -> str:
     return f"{levels} ({noise.source}){flags}"
 
 
+def run_lines(result: Diagnosis) -> list[str]:
+    """How far the runs of the file differ, one line for each kind of offset."""
+    lines = []
+    for kind, runs in result.runs.items():
+        unit = "" if runs.unit == "-" else f" {runs.unit}"
+        low, high = (format_number(end, 2) for end in runs.spread_ci)
+        own = (f"{k} {format_estimate(*v)}" for k, v in runs.values.items())
+        lines.append(
+            f"{kind}: {format_estimate(runs.common, runs.std)}{unit} for all, spread"
+            f" between runs {format_number(runs.spread, 2)}{unit} [{low}, {high}]"
+            f" (p {p_text(runs.p_value)} of none); shrunk: {', '.join(own)}"
+        )
+    return lines
+
+
 def slip_check_line(result: Diagnosis) -> str | None:
     """The slip column against that of the wheel speed; None where that is unknown."""
     check = result.slip_check
@@ -271,6 +288,8 @@ def diagnosis_text(result: Diagnosis) -> str:
         *(["BUDGET"] if result.simulator else []),
         *(f"  {line}" for line in budget_lines(result)),
         "GAP", *(f"  {line}" for line in gap_lines(result)),
+        *(["RUNS (an offset of its own for each)"] if result.runs else []),
+        *(f"  {line}" for line in run_lines(result)),
         "WHERE (shares of its energy)", *_where(result),
         *(f"  {line}" for line in map_lines(result)),
         "CANDIDATES", *_candidates(result),

@@ -23,6 +23,7 @@ from tirefit.diagnosis.effects import (
     lag,
     measurement,
     patch,
+    per_run,
     sensors,
     vehicle,
     warmth,
@@ -59,4 +60,5 @@ EFFECTS: tuple[Effect, ...] = (
     *vehicle.EFFECTS,
     *warmth.EFFECTS,
     *chassis.EFFECTS,
+    *per_run.EFFECTS,
 )
