@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 import tirefit
+from tirefit.data.derive import derive
 from tirefit.data.motion import read_motion
 from tirefit.data.vehicle import load_vehicle
 
@@ -20,8 +21,10 @@ jax.config.update("jax_enable_x64", True)
 HERE = Path(__file__).parent
 LOGS = HERE.parent / "dart_jetracer"
 AT_REST = 0.02  # m/s
-ALIKE = {"alpha": 1e-3, "v": 0.03, "alpha_rate": 0.02, "yaw_rate": 0.05}
-"""Differences up to which two rows are one state: rad, m/s, rad/s, rad/s."""
+ALIKE = {"alpha": 1e-3, "v": 0.03, "alpha_rate": 0.02}
+"""Differences up to which two rows are one state of a tire: rad, m/s, rad/s."""
+TURNING = ALIKE | {"yaw_rate": 0.05}
+"""The same with the yaw rate [rad/s], which no tire knows of."""
 APART = 5.0  # s, from which they are two measurements of it
 
 
@@ -86,28 +89,40 @@ def tracker_noise() -> dict[str, float]:
     }  # fmt: skip
 
 
-def repeats(data) -> dict[str, float]:
-    """Scatter of fy [N] between two measurements of one state, of one log and of two."""
-    columns = np.stack([data.usable(name) / size for name, size in ALIKE.items()])
-    time, run, force = (data.usable("time"), data.run[data.used], data.usable("fy"))
+def repeats(alike=ALIKE, every: int = 10) -> dict[str, float]:
+    """Scatter of fy [N] between two measurements of one state, by how many logs; each
+    log counts alike. What the state leaves of fy, by its slope, is taken off."""
+    vehicle = load_vehicle(LOGS / "vehicle.toml")
+    logs = [derive(path, vehicle) for path in sorted(LOGS.glob("*/*.csv.gz"))]
+    names = (*alike, "time", "fy")
+    table = [np.stack([log.columns[n][::every] for n in names]) for log in logs]
+    run = np.repeat(np.arange(len(logs)), [part.shape[1] for part in table])
+    *state, time, force = np.concatenate(table, axis=1)
+    state = np.stack([x / size for x, size in zip(state, alike.values(), strict=True)])
     off = {"one log": [], "two logs": []}
     for k in range(len(time)):
-        alike = np.all(np.abs(columns[:, k + 1 :] - columns[:, [k]]) < 1, axis=0)
-        rows = k + 1 + np.flatnonzero(alike)
+        step = state[:, k + 1 :] - state[:, [k]]
+        rows = k + 1 + np.flatnonzero(np.all(np.abs(step) < 1, axis=0))
         same = run[rows] == run[k]
         later = same & (np.abs(time[rows] - time[k]) > APART)
-        off["one log"].append(force[rows[later]] - force[k])
-        off["two logs"].append(force[rows[~same]] - force[k])
-    return {
-        name: float(np.sqrt(np.mean(np.concatenate(d) ** 2) / 2))
-        for name, d in off.items()
-    } | {f"pairs of {name}": len(np.concatenate(d)) for name, d in off.items()}
+        for name, some in (("one log", rows[later]), ("two logs", rows[~same])):
+            moved = state[:, some] - state[:, [k]]
+            off[name].append(np.vstack([moved, force[some] - force[k]]))
+    scatter = {}
+    for name, parts in off.items():
+        *moved, differs = np.concatenate(parts, axis=1)
+        slope = np.linalg.lstsq(np.stack(moved, axis=1), differs)[0]
+        rest = differs - np.stack(moved, axis=1) @ slope
+        scatter[name] = float(np.sqrt(np.mean(rest**2) / 2))
+        scatter[f"pairs of {name}"] = len(differs)
+    return scatter
 
 
 def main() -> None:
     data = tirefit.read(HERE / "six_logs.csv", convention="braking")
     print(tracker_noise())
-    print(repeats(data))
+    print(repeats())
+    print(repeats(TURNING))
     closed = np.array([line["closed"] or 0.0 for line in left_out(data)])
     reach = stdtrit(len(closed) - 1, 0.95) * closed.std(ddof=1) / len(closed) ** 0.5
     print(f"closed: {closed.mean():.3f} +- {reach:.3f} (90 %, t of {len(closed)} logs)")

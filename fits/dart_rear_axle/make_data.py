@@ -46,7 +46,7 @@ def main() -> None:
         full = derive_files(logs, HERE / "vehicle.toml", Path(folder, "all.csv")).data
         with full.open() as file:
             rows = list(csv.DictReader(file))
-    lines = [",".join(rows[0])]
+    lines = ["time,alpha,fy,fz,v,run"]
     for run in dict.fromkeys(row["run"] for row in rows):
         for row in [row for row in rows if row["run"] == run][::5]:
             numbers = [
