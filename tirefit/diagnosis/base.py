@@ -23,7 +23,7 @@ from tirefit.diagnosis.forward import (
 )
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
 from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
-from tirefit.diagnosis.runs import KINDS, pattern_of_runs
+from tirefit.diagnosis.runs import with_runs
 from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
 from tirefit.diagnosis.state import Covariates
 from tirefit.fitting.config import parse_config
@@ -268,18 +268,7 @@ def fit_base(
     silent = np.zeros(count_atoms(effects))
     noise = _noise(prepared, tire, design, fraction, rig, z, silent, False)
     base = _under(noise, prepared, tire, design, fraction, z, simulator)
-    return _with_runs(base.on(_with_force(prepared, tire, base.design, base.z)))
-
-
-def _with_runs(base: Base) -> Base:
-    """The same with how its runs differ, where there are several."""
-    if "runs" not in base.rows.has:
-        return base
-    size, rows = len(base.design.keep), base.design.rows
-    slip, force = (pad_rows(pattern_of_runs(base, kind), size) for kind in KINDS)
-    return base.on(base.design._replace(
-        rows=rows._replace(run_slip=slip, run_force=force)
-    ))  # fmt: skip
+    return with_runs(base.on(_with_force(prepared, tire, base.design, base.z)))
 
 
 def _with_offset(prepared: Prepared, tire: Tire, design: Design, z):

@@ -68,13 +68,12 @@ def document_of(
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown = shown_rows(base, rows[main])
     missed = base.residual(base.as_given, np.zeros(len(base.atoms)))
-    noise = _noise(case)
+    noise, motion = _noise(case), said_of_motion(base, rig)
     return Diagnosis(
         data=DataSummary(
             name=data.name, path=data.source.path, sha256=data.source.sha256,
             convention=data.source.convention, channels=prepared.channels,
-            assumptions=(*data.source.notes, *rig.notes),
-            motion=said_of_motion(base, rig),
+            assumptions=(*data.source.notes, *rig.notes), motion=motion,
         ),
         model=model,
         simulator=simulator_summary(base, model, gap.rms),

@@ -8,6 +8,7 @@ from scipy.special import chdtrc
 
 from tirefit.diagnosis.basis import without
 from tirefit.diagnosis.forms import PLACE
+from tirefit.padding import pad_rows
 
 __all__ = [
     "KINDS",
@@ -18,6 +19,7 @@ __all__ = [
     "pattern_of_runs",
     "shown_runs",
     "shrunk",
+    "with_runs",
 ]
 
 KINDS = {"slip_offset": "shift", "force_offset": "force"}
@@ -200,3 +202,13 @@ def pattern_of_runs(base, kind: str) -> np.ndarray:
     pattern -= pattern.mean()
     size = np.sqrt(np.mean(pattern**2))
     return pattern / size if size > 0 else pattern
+
+
+def with_runs(base):
+    """The same base with how its runs differ, where there are several."""
+    if "runs" not in base.rows.has:
+        return base
+    size, rows = len(base.design.keep), base.design.rows
+    slip, force = (pad_rows(pattern_of_runs(base, kind), size) for kind in KINDS)
+    rows = rows._replace(run_slip=slip, run_force=force)
+    return base.on(base.design._replace(rows=rows))
