@@ -274,7 +274,9 @@ def _candidates(case: Case, generator, most: int = 10) -> tuple[Candidate, ...]:
         for k, v in weighed.sets.items()
         if k and weighed.best_of[k].refitted
     }
-    ranked = sorted(total, key=lambda key: total[key], reverse=True)[:most]
+    said = tuple(sorted(case.verdict.chosen.effects))
+    ranked = sorted(total, key=lambda key: (key == said, total[key]), reverse=True)
+    ranked = ranked[:most]
     listed = [_candidate(case, key, total[key], generator) for key in ranked]
     if weighed.unknown_alone > 1e-3:
         unknown = Candidate(

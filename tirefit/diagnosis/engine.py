@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from tirefit.data.table import TireData
+from tirefit.diagnosis.across_runs import held_across_runs
 from tirefit.diagnosis.base import Base, fit_base, with_noise_judged
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.conclusion import concluded
@@ -144,6 +145,7 @@ def _studied(
     weighed = weigh(found)
     verdict = judge(found, weighed, gap_p_value(found, generator))
     verdict = concluded(verdict, found, weighed, generator)
+    verdict, weighed = held_across_runs(verdict, found, weighed, generator)
     return Case(base, found, weighed, verdict, untestable)
 
 
