@@ -152,7 +152,7 @@ def test_a_relaxation_of_ten_milliseconds_is_named_from_thinned_rows():
     )
     assert found.effects == ("relaxation_length",)
     (length,) = found.candidates[0].parameters.values()
-    assert length.value == pytest.approx(0.02, rel=0.03)
+    assert length.value == pytest.approx(0.02, rel=0.05)
     blind = {name: x for name, x in frame.items() if name != "alpha_rate"}
     needs = diagnose(
         read_frame(blind), rig=RIG, effects=[KNOWN[name] for name in kept]
@@ -219,7 +219,9 @@ def test_runs_with_offsets_of_their_own_are_told_with_their_spread():
     assert np.all(np.abs(own[:, 0] - offsets) < 4 * own[:, 1])
     assert told.spread == pytest.approx(np.std(offsets, ddof=1), rel=0.2)
     assert told.p_value < 1e-6
-    assert "slip_offset: 0.0" in str(found) and "r4 -0.00" in str(found)
+    said = str(found)
+    assert "RUNS (an offset of its own for each)" in said
+    assert "spread between runs 0.00" in said and "shrunk: r0 0.00" in said
     # One zero for all is one, and no spread.
     same = diagnose(read_frame(of_runs([0.004] * 5)), rig=rig, effects=effects)
     assert same.effects == ("slip_offset",)
