@@ -5,6 +5,7 @@ import pytest
 from conftest_diagnosis import brush
 from scipy.stats import t
 
+from fits.dart_rear_axle import logs_left_out
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.across_runs import chosen_across_runs
 from tirefit.diagnosis.effects import EFFECTS, effects_by_id
@@ -68,3 +69,18 @@ def test_what_one_run_alone_shows_does_not_name_an_effect():
     assert held.on == "each of 5 runs, left out of both fits in turn"
     assert 0.1 < held.closed < 0.9
     assert held.closed_ci[0] < held.closed < held.closed_ci[1]
+
+
+def test_the_floor_under_the_axle_is_that_of_its_readme():
+    """Repeats of one state on logs of one day and another, and the tracker's noise."""
+    tire, turning = (
+        logs_left_out.repeats(),
+        logs_left_out.repeats(logs_left_out.TURNING),
+    )
+    assert tire["one log"] == pytest.approx(0.09, abs=0.005)
+    assert tire["two logs"] == pytest.approx(0.20, abs=0.01)
+    assert tire["pairs of two logs"] == 133
+    assert turning["one log"] == pytest.approx(0.03, abs=0.005)
+    noise = logs_left_out.tracker_noise()
+    assert noise["alpha"] == pytest.approx(4e-5, rel=0.1)
+    assert noise["fy"] == pytest.approx(8e-4, rel=0.1)

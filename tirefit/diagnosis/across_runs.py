@@ -26,6 +26,9 @@ _FEWEST = 3
 _LEVEL = 0.95
 """Quantile of Student's t up to which a set is no worse than the best."""
 
+_CARRIES = 0.8
+"""Probability of predicting another run better than none, from which a set is named."""
+
 _OF_ONE_RUN = tuple(f"{kind}_run" for kind in KINDS)
 """Effects that nothing outside their run can show."""
 
@@ -66,7 +69,8 @@ def losses_left_out(base: Base, candidates: list[Hypothesis]) -> np.ndarray:
 
 def chosen_across_runs(names: list[tuple[str, ...]], losses) -> Carried:
     """The smallest set that is not worse than the best beyond what so many runs differ
-    by: Breiman's rule (1984, 3.4) with Student's t at 5 %.
+    by: Breiman's rule (1984, 3.4) with Student's t at 5 %. None where even that is
+    hardly likely to predict another run better than no effect does.
 
     Args:
         names: sets of effects, () for none.
@@ -79,15 +83,20 @@ def chosen_across_runs(names: list[tuple[str, ...]], losses) -> Carried:
         behind = losses - losses[:, [reference]]
         return behind.mean(axis=0), behind.std(axis=0, ddof=1) / np.sqrt(count)
 
-    mean, error = over(int(np.argmin(losses.mean(axis=0))))
-    alike = np.flatnonzero(mean <= stdtrit(count - 1, _LEVEL) * error)
+    none = names.index(())
+    some = [k for k in range(len(names)) if k != none]
+    if not some:
+        return Carried((), (), 1.0)
+    mean, error = over(some[int(np.argmin(losses[:, some].mean(axis=0)))])
+    alike = [k for k in some if mean[k] <= stdtrit(count - 1, _LEVEL) * error[k]]
     size = min(len(names[k]) for k in alike)
     smallest = [k for k in alike if len(names[k]) == size]
     smallest.sort(key=lambda k: losses[:, k].mean())
     first, *others = smallest
     gained, error = over(first)
-    none = names.index(())
     sure = stdtr(count - 1, gained[none] / max(error[none], 1e-300))
+    if sure < _CARRIES:
+        return Carried((), (), float(1 - sure))
     return Carried(names[first], tuple(names[k] for k in others), float(sure))
 
 
