@@ -22,24 +22,27 @@ def test_the_smallest_set_that_is_as_good_as_the_best_carries_over():
         [9.0, 1.0, 8.0, 0.2], [9.5, 1.2, 9.4, 1.3], [8.0, 0.9, 8.1, 1.0],
         [9.0, 1.1, 9.2, 1.2],
     ])  # fmt: skip
-    found = chosen_across_runs(NAMES, losses)
+    found = chosen_across_runs(NAMES, losses, np.zeros(4))
     assert found.effects == ("a",) and found.also == ()
     gained = losses[:, 0] - losses[:, 1]
     score = gained.mean() / (gained.std(ddof=1) / 2)
     assert found.probability == pytest.approx(t.cdf(score, 3))
     # Twice as good on every run is better, however few there are.
     losses[:, 3] = losses[:, 1] / 2
-    assert chosen_across_runs(NAMES, losses).effects == ("a", "b")
+    assert chosen_across_runs(NAMES, losses, np.zeros(4)).effects == ("a", "b")
     # One that gains on one run and loses on the next is none.
     losses[:, 1] = losses[:, 0] + np.array([-8.0, 9.0, -7.0, 7.0])
     losses[:, 2:] = losses[:, [1]] + 0.1
-    assert chosen_across_runs(NAMES, losses).effects == ()
+    assert chosen_across_runs(NAMES, losses, np.zeros(4)).effects == ()
 
 
 def test_what_two_sets_do_alike_is_said():
     losses = np.array([[9.0, 1.0, 1.1, 2.0], [8.0, 1.1, 1.0, 2.0], [9.0, 1.0, 1.0, 2]])
-    found = chosen_across_runs(NAMES, losses)
+    found = chosen_across_runs(NAMES, losses, np.zeros(4))
     assert {found.effects, *found.also} == {("a",), ("b",)}
+    # Then the usual goes before the rare.
+    rare = chosen_across_runs(NAMES, losses, np.array([0.0, -1.0, 0.0, 0.0]))
+    assert rare.effects == ("b",) and rare.also == (("a",),)
 
 
 def test_what_one_run_alone_shows_does_not_name_an_effect():

@@ -67,7 +67,7 @@ def losses_left_out(base: Base, candidates: list[Hypothesis]) -> np.ndarray:
     return np.array(losses)
 
 
-def chosen_across_runs(names: list[tuple[str, ...]], losses) -> Carried:
+def chosen_across_runs(names: list[tuple[str, ...]], losses, priors) -> Carried:
     """The smallest set that is not worse than the best beyond what so many runs differ
     by: Breiman's rule (1984, 3.4) with Student's t at 5 %. None where even that is
     hardly likely to predict another run better than no effect does.
@@ -75,6 +75,8 @@ def chosen_across_runs(names: list[tuple[str, ...]], losses) -> Carried:
     Args:
         names: sets of effects, () for none.
         losses: (R, sets) on each run left out; runs count alike.
+        priors: (sets,) log odds that choose between sets which the runs cannot tell
+            apart; of those that are alike, the smaller loss.
     """
     count = len(losses)
 
@@ -91,7 +93,7 @@ def chosen_across_runs(names: list[tuple[str, ...]], losses) -> Carried:
     alike = [k for k in some if mean[k] <= stdtrit(count - 1, _LEVEL) * error[k]]
     size = min(len(names[k]) for k in alike)
     smallest = [k for k in alike if len(names[k]) == size]
-    smallest.sort(key=lambda k: losses[:, k].mean())
+    smallest.sort(key=lambda k: (-priors[k], losses[:, k].mean()))
     first, *others = smallest
     gained, error = over(first)
     sure = stdtr(count - 1, gained[none] / max(error[none], 1e-300))
@@ -135,7 +137,9 @@ def held_across_runs(
         return verdict, weighed
     candidates = _candidates(search, weighed, verdict)
     losses = losses_left_out(base, list(candidates.values()))
-    carried = chosen_across_runs(list(candidates), losses)
+    # The usual before the rare; not by how many forms its family has.
+    priors = [_odds(search, hypothesis) for hypothesis in candidates.values()]
+    carried = chosen_across_runs(list(candidates), losses, priors)
     key = tuple(sorted(carried.effects))
     if key == tuple(sorted(verdict.effects)):
         return verdict, weighed
@@ -159,9 +163,16 @@ def held_across_runs(
     chosen = replace(
         verdict, status=status, effects=key, chosen=hypothesis, adequacy=found,
         probability=carried.probability,
-        also_possible=tuple(sorted(rivals)) if found.passed else (),
+        also_possible=tuple(sorted(rivals)),
     )  # fmt: skip
     return chosen, weighed
+
+
+def _odds(search: Search, hypothesis: Hypothesis) -> float:
+    """Log odds of a set's effects before any force is looked at."""
+    rows, atoms = search.base.rows, search.base.atoms
+    effects = [atoms[k].effect for k in hypothesis.atoms]
+    return float(sum(e.odds(rows) for e in effects if e.odds is not None))
 
 
 def _fitted(base: Base, hypothesis: Hypothesis) -> Hypothesis:

@@ -61,7 +61,10 @@ def _sentence_on_effects(result: Diagnosis) -> str:
     if status == "named":
         return f"{effects} ({probability})"
     if status == "incomplete":
-        return f"{effects}, and something no listed effect explains ({probability})"
+        rivals = ", ".join(verdict.also_possible)
+        among = f" (or {rivals}: these runs cannot tell)" if rivals else ""
+        rest = "something no listed effect explains"
+        return f"{effects}{among}, and {rest} ({probability})"
     if status == "cannot_tell":
         rivals = ", ".join(verdict.also_possible)
         return f"{effects} ({probability}), or {rivals}: this data cannot tell"
