@@ -20,8 +20,9 @@ from tirefit.diagnosis.verdict import Verdict, Weighed, linear_at
 
 __all__ = ["Carried", "chosen_across_runs", "held_across_runs", "losses_left_out"]
 
-_FEWEST = 3
-"""Runs from which leaving them out in turn says something."""
+_FEWEST = 4
+"""Runs from which leaving them out in turn says something: of three, two are left to
+fit, and Student's t of two degrees of freedom hardly tells any set from none."""
 
 _LEVEL = 0.95
 """Quantile of Student's t up to which a set is no worse than the best."""
@@ -123,7 +124,7 @@ def held_across_runs(
     verdict: Verdict, search: Search, weighed: Weighed, generator
 ) -> tuple[Verdict, Weighed]:
     """The verdict that the runs allow, each left out in turn, with its set among those
-    that were weighed. Unchanged for fewer than three runs, and where nothing is named.
+    that were weighed. Unchanged for fewer than four runs, and where nothing is named.
 
     Args:
         generator: of simulated residuals.

@@ -19,7 +19,7 @@ _TOP = 0.05
 _LEAST, _MOST = 0.05, 0.6
 """Share of the rows that a regime to be left out may hold."""
 
-_FEWEST = 3
+_FEWEST = 4
 """Runs from which they are left out in turn."""
 
 _LARGEST = 0.7
@@ -29,7 +29,7 @@ _LARGEST = 0.7
 def held_out(case, holdout: Sequence, rig, generator) -> HeldOut | None:
     """Closure on other files, or on a regime of this one: the figures of ``gap``.
 
-    Without other files each run is left out in turn, where there are three or more and
+    Without other files each run is left out in turn, where there are four or more and
     the verdict holds for all of them. Else the regime farthest out (highest load, else
     highest speed, else largest slip, else the last third) is left out, both fits are
     repeated without it, and judged on it; a simulator stays as it was given. None where
