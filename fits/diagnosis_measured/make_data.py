@@ -21,7 +21,7 @@ EVERY = 20
 
 def thinned(rows: list[dict], every: int) -> list[str]:
     """Lines of a CSV file: the header, then every so many rows of each run."""
-    lines = [",".join(rows[0])]
+    lines = ["time,alpha,fy,fz,v,run"]
     for run in dict.fromkeys(row["run"] for row in rows):
         for row in [row for row in rows if row["run"] == run][::every]:
             numbers = [

@@ -150,6 +150,39 @@ def test_log_of_rates_gives_the_true_slip_angle_and_force(tmp_path):
     np.testing.assert_allclose(log.columns["v"], true.v_x, atol=1e-3)
 
 
+def test_a_log_carries_the_motion_that_effects_of_a_vehicle_need(tmp_path):
+    columns = pose_log(noise=0.0)
+    columns["command"] = steer(columns["t"]) / -0.4
+    text = CAR + POSE + 'steering = "command"\n' + KEEP
+    text += "[steering]\ncommand = [-1, 1]\nangle = [0.4, -0.4]\n"
+    path = write_log(tmp_path / "a.csv", columns)
+    log = derive(path, vehicle(tmp_path, text))
+    time = log.columns["time"] + columns["t"][0]
+    true, late = truth(time), truth(time + 0.005)
+    early = truth(time - 0.005)
+    right = {
+        "alpha_rate": (late.alpha_rear - early.alpha_rear) / 0.01,
+        "a_x": true.a_x, "a_y": true.a_y, "yaw_rate": true.yaw_rate,
+        "yaw_acceleration": true.yaw_acceleration, "heading": true.yaw,
+        "x": true.x, "y": true.y, "steering": steer(time),
+    }  # fmt: skip
+    for name, values in right.items():
+        error = np.abs(log.columns[name] - values).max()
+        assert error < 0.01 * np.ptp(values), name
+
+
+def test_a_rate_does_not_reach_across_a_gap(tmp_path):
+    columns = pose_log(noise=0.0)
+    columns = {name: np.delete(x, slice(900, 1100)) for name, x in columns.items()}
+    path = write_log(tmp_path / "a.csv", columns)
+    log = derive(path, pose_vehicle(tmp_path))
+    assert log.gaps == 1
+    time = log.columns["time"] + columns["t"][0]
+    late, early = truth(time + 0.005), truth(time - 0.005)
+    right = (late.alpha_rear - early.alpha_rear) / 0.01
+    np.testing.assert_allclose(log.columns["alpha_rate"], right, atol=2e-3)
+
+
 def test_front_axle_with_a_steering_map(tmp_path):
     columns = pose_log()
     columns["command"] = steer(columns["t"]) / -0.4
@@ -320,12 +353,23 @@ def test_files_are_written_with_a_run_each_and_a_companion(tmp_path):
     assert data.runs == ("one", "two")
     both = np.concatenate([log.columns["alpha"] for log in done.logs])
     np.testing.assert_allclose(data["alpha"], both, rtol=1e-12)
+    moved = {"a_x", "a_y", "yaw_rate", "yaw_acceleration", "heading", "x", "y"}
+    for name in (*moved, "alpha_rate"):
+        both = np.concatenate([log.columns[name] for log in done.logs])
+        np.testing.assert_allclose(data[name], both, rtol=1e-12)
+    assert "steering" not in data
+    rates = toml_file(tmp_path)
+    rates.write_text(CAR + RATES + KEEP)
+    log = write_log(tmp_path / "rates.csv", rates_log())
+    again = read(derive_files([log], rates, tmp_path / "again.csv").data)
+    assert moved - set(again.columns) == {"heading", "x", "y"}
     companion = json.loads((tmp_path / "axle.derive.json").read_text())
     assert done.metadata == tmp_path / "axle.derive.json"
     assert [run["run"] for run in companion["runs"]] == ["one", "two"]
     assert companion["vehicle"]["mass"] == MASS
     assert any("bandwidth 4.01 Hz" in said
                for said in companion["runs"][0]["assumptions"])  # fmt: skip
+    assert companion["runs"][0]["warnings"] == []
     assert "one: " in done.summary() and "axle.csv" in done.summary()
 
 

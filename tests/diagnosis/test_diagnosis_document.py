@@ -23,10 +23,12 @@ KEYS = {
         "schema", "data", "model", "simulator", "n", "n_effective", "noise", "gap",
         "budget", "where", "map", "verdict", "candidates", "untestable", "resolution",
         "forecast",
-        "next_measurement", "next_measurement_reason", "slip_check", "base_parameters",
-        "extended_parameters", "settings", "seed", "version",
+        "next_measurement", "next_measurement_reason", "slip_check", "runs",
+        "base_parameters", "extended_parameters", "settings", "seed", "version",
     ],
-    "data": ["name", "path", "sha256", "convention", "channels", "assumptions"],
+    "data": [
+        "name", "path", "sha256", "convention", "channels", "assumptions", "motion"
+    ],
     "noise": [
         "fx", "sigma_x", "sigma_x_source", "source", "flags", "inflation", "outliers"
     ],
@@ -85,8 +87,8 @@ def test_every_record_is_written_as_it_is_read(diagnosed):
     ]
     written = {f.name for f in fields(Diagnosis) if f.metadata.get("written", True)}
     assert written | {"schema"} == set(document)
-    assert all(not isinstance(getattr(found, name), dict) or name.endswith("parameters")
-               for name in written)  # fmt: skip
+    assert all(not isinstance(getattr(found, name), dict) or name == "runs"
+               or name.endswith("parameters") for name in written)  # fmt: skip
     assert is_dataclass(found.gap)
     lost = replace(found, n_effective=np.float64("nan"), seed=np.int64(3))
     assert json.loads(lost.to_json())["n_effective"] is None

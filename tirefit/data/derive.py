@@ -23,6 +23,7 @@ from textwrap import wrap
 
 import numpy as np
 
+from tirefit.data.doubts import doubts
 from tirefit.data.motion import Motion, Track, read_motion
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
@@ -47,8 +48,10 @@ class DerivedLog:
         name: The log's name without its endings; it becomes the run.
         columns: Arrays (n,) of the kept samples: time [s from the first sample],
             alpha [rad], fy, fz [N] with the canonical signs, v [m/s, forward at the
-            axle], yaw_rate [rad/s, left positive], a_y [m/s2, left positive, at the
-            centre of gravity].
+            axle], alpha_rate [rad/s] at the full sample rate, and the motion of the
+            centre of gravity by ISO 8855: a_x, a_y [m/s2], yaw_rate [rad/s],
+            yaw_acceleration [rad/s2]; heading [rad], x, y [m] of a log of poses;
+            steering [rad], the road wheel angle, where the map is given.
         rows: Rows in the file.
         dropped_rows: Reason -> rows of the file that were not used.
         samples: Samples on the uniform grid.
@@ -57,6 +60,7 @@ class DerivedLog:
         gaps: Number of gaps that were not interpolated.
         bandwidth: Frequency [Hz] at which the filter's gain is -3 dB.
         heading: Sentence on the heading offset: applied, assumed none, left over.
+        warnings: Sentences on what in the columns is hardly the tire's.
         assumptions: Sentences: the bandwidth and everything that was assumed.
         source: Path, sha256 and epoch (the log's time [s] at time 0).
     """
@@ -70,6 +74,7 @@ class DerivedLog:
     gaps: int
     bandwidth: float
     heading: str
+    warnings: tuple[str, ...]
     assumptions: tuple[str, ...]
     source: Mapping[str, str | float]
 
@@ -88,8 +93,15 @@ class DerivedLog:
                 f"    alpha {alpha.min():+.4f} to {alpha.max():+.4f} rad,"
                 f" fy {force.min():+.4g} to {force.max():+.4g} N,"
                 f" bandwidth {self.bandwidth:.3g} Hz (-3 dB)",
-                *wrap(
-                    self.heading, 80, initial_indent=" " * 4, subsequent_indent=" " * 6
+                *(
+                    line
+                    for said in (
+                        self.heading,
+                        *(f"warning: {w}" for w in self.warnings),
+                    )
+                    for line in wrap(
+                        said, 80, initial_indent=" " * 4, subsequent_indent=" " * 6
+                    )
                 ),
             ]
         )
@@ -144,6 +156,7 @@ def derive(path: str | Path, vehicle: Vehicle, axle: str = "rear") -> DerivedLog
                 str(path),
             )
         )
+    warnings = doubts(columns, motion, kept, vehicle)
     columns = {name: values[kept] for name, values in columns.items()}
     return DerivedLog(
         name=_run_name(path),
@@ -155,6 +168,7 @@ def derive(path: str | Path, vehicle: Vehicle, axle: str = "rear") -> DerivedLog
         gaps=gaps,
         bandwidth=vehicle.filter.bandwidth,
         heading=_heading(vehicle, axle, columns["alpha"], columns["fy"]),
+        warnings=warnings,
         assumptions=_assumptions(track, vehicle, axle),
         source={"path": path.name, "sha256": track.sha256, "epoch": track.epoch},
     )
@@ -195,7 +209,7 @@ def derive_files(
         raise DataError(problems)
     columns = {
         name: np.concatenate([log.columns[name] for log in logs])
-        for name in ("time", "alpha", "fy", "fz", "v")
+        for name in logs[0].columns
     }
     columns["run"] = np.repeat([log.name for log in logs], [len(log) for log in logs])
     metadata = out.with_name(f"{out.stem}.derive.json")
@@ -211,14 +225,11 @@ def _axle(motion: Motion, vehicle: Vehicle, axle: str) -> dict[str, np.ndarray]:
     """The result's columns at every grid sample, (n,) each."""
     inertial = motion.yaw_acceleration * vehicle.yaw_inertia
     if axle == "rear":
-        arm, other, steer = -vehicle.l_r, vehicle.l_f, 0.0
+        arm, other, steer = -vehicle.l_r, vehicle.l_f, np.zeros(len(motion.time))
         lateral = vehicle.mass * other * motion.a_y - inertial
     else:
-        assert vehicle.steering is not None  # :func:`derive` refused it without
         arm, other = vehicle.l_f, vehicle.l_r
-        steer = np.interp(
-            motion.command, vehicle.steering.command, vehicle.steering.angle
-        )
+        steer = _road_wheel(motion, vehicle)
         lateral = vehicle.mass * other * motion.a_y + inertial
     wheelbase = vehicle.l_f + vehicle.l_r
     load = np.full(len(motion.time), vehicle.mass * vehicle.gravity * other / wheelbase)
@@ -226,15 +237,27 @@ def _axle(motion: Motion, vehicle: Vehicle, axle: str) -> dict[str, np.ndarray]:
         transfer = vehicle.mass * motion.a_x * vehicle.h_cg / wheelbase
         load = load + transfer if axle == "rear" else load - transfer
     sideways = motion.v_y + arm * motion.yaw_rate
-    return {
+    alpha = np.arctan2(sideways, motion.v_x) - steer
+    columns = {
         "time": motion.time,
-        "alpha": np.arctan2(sideways, motion.v_x) - steer,
+        "alpha": alpha,
         "fy": -lateral / wheelbase / np.cos(steer),
         "fz": load,
         "v": motion.v_x * np.cos(steer) + sideways * np.sin(steer),
-        "yaw_rate": motion.yaw_rate,
-        "a_y": motion.a_y,
+        "alpha_rate": motion.rate_of(alpha),
     }
+    names = ["a_x", "a_y", "yaw_rate", "yaw_acceleration"]
+    names += ["heading", "x", "y"] if vehicle.columns.motion == POSE else []
+    columns |= {name: getattr(motion, name) for name in names}
+    if vehicle.steering is not None:
+        columns["steering"] = _road_wheel(motion, vehicle)
+    return columns
+
+
+def _road_wheel(motion: Motion, vehicle: Vehicle) -> np.ndarray:
+    """Road wheel angle [rad] by the map, left positive: (n,)."""
+    assert vehicle.steering is not None  # :func:`derive` refused it without
+    return np.interp(motion.command, vehicle.steering.command, vehicle.steering.angle)
 
 
 def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
@@ -358,6 +381,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
                 "dropped_samples": dict(log.dropped_samples),
                 "gaps": log.gaps,
                 "heading": log.heading,
+                "warnings": list(log.warnings),
                 "assumptions": list(log.assumptions),
             }
             for log in logs

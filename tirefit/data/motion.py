@@ -55,8 +55,11 @@ class Track:
 class Motion:
     """Motion of the centre of gravity on the grid, (n,) each, SI, ISO 8855 axes.
 
-    ``command`` is the steering command (0 without one); ``settled`` (n,) bool is False
-    where an edge or a gap is too near, there the others may be NaN.
+    ``heading`` [rad, not wrapped], ``x`` and ``y`` [m] over the floor are NaN of a log
+    of rates; ``command`` is the steering command (0 without one); ``part`` (n,) int
+    counts the stretches between gaps, ``within`` (n,) [s] is the time to the nearer end
+    of the sample's own; ``settled`` (n,) bool is False where an edge or a gap is too
+    near, there the others may be NaN.
     """
 
     time: np.ndarray
@@ -66,8 +69,23 @@ class Motion:
     a_y: np.ndarray
     yaw_rate: np.ndarray
     yaw_acceleration: np.ndarray
+    heading: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
     command: np.ndarray
+    part: np.ndarray
+    within: np.ndarray
     settled: np.ndarray
+
+    def rate_of(self, values: np.ndarray) -> np.ndarray:
+        """Time derivative (n,) of values (n,), by central differences within each
+        stretch; NaN in one of a single sample."""
+        rate = np.full(len(values), np.nan)
+        for number in np.unique(self.part):
+            rows = self.part == number
+            if rows.sum() > 1:
+                rate[rows] = np.gradient(values[rows], self.time[rows])
+        return rate
 
 
 def read_motion(path: str | Path, vehicle: Vehicle) -> tuple[Track, Motion, int]:
@@ -218,8 +236,13 @@ def _later(time: np.ndarray, period: float) -> np.ndarray:
 
 # --- motion ---------------------------------------------------------------------
 
-_Rates = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""v_x, v_y, a_x, a_y, r, r' of the centre of gravity, (n,) each."""
+_Rates = tuple[np.ndarray, ...]
+"""v_x, v_y, a_x, a_y, r, r', heading, x, y of the centre of gravity, (n,) each."""
+
+
+def _stretch(*fields) -> Motion:
+    """From the fields in their order."""
+    return Motion(**dict(zip(Motion.__dataclass_fields__, fields, strict=True)))
 
 
 def _motion(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
@@ -229,19 +252,21 @@ def _motion(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
     margin = vehicle.margin
     convert = _from_pose if vehicle.columns.motion == POSE else _from_rates
     parts = []
-    for rows in np.split(np.arange(len(track.time)), splits):
+    for number, rows in enumerate(np.split(np.arange(len(track.time)), splits)):
         time = track.time[rows]
         first, last = math.ceil(time[0] * rate), math.floor(time[-1] * rate)
         grid = np.arange(first, last + 1) / rate
         signals = _filtered(time, track.signals[rows], grid, vehicle)
+        part = np.full(len(grid), number)
+        within = np.minimum(grid - time[0], time[-1] - grid)
+        inside = (grid >= time[0] + margin) & (grid <= time[-1] - margin)
         if signals is None:
             nan, never = np.full(len(grid), np.nan), np.zeros(len(grid), bool)
-            parts.append(Motion(grid, nan, nan, nan, nan, nan, nan, nan, never))
+            parts.append(_stretch(grid, *[nan] * 10, part, within, never))
             continue
-        inside = (grid >= time[0] + margin) & (grid <= time[-1] - margin)
         command = signals[:, -1] if vehicle.steering else np.zeros(len(grid))
         rates = convert(signals, vehicle)
-        parts.append(Motion(grid, *rates, command, inside))
+        parts.append(_stretch(grid, *rates, command, part, within, inside))
     fields = Motion.__dataclass_fields__
     joined = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in fields
@@ -268,7 +293,7 @@ def _filtered(time, signals, grid, vehicle: Vehicle) -> np.ndarray | None:
 
 
 def _from_pose(signals: np.ndarray, vehicle: Vehicle) -> _Rates:
-    """v_x, v_y, a_x, a_y, r, r' of the centre of gravity from x, y, yaw; (n,) each."""
+    """:data:`_Rates` from x, y, yaw."""
     rate = vehicle.filter.sample_rate
     x, y, yaw = signals[:, :3].T
     cos, sin = np.cos(yaw), np.sin(yaw)
@@ -286,6 +311,8 @@ def _from_pose(signals: np.ndarray, vehicle: Vehicle) -> _Rates:
         *body(acceleration),
         yaw_rate,
         np.gradient(yaw_rate, 1 / rate),
+        yaw,
+        *position,
     )
 
 
@@ -303,4 +330,5 @@ def _from_rates(signals: np.ndarray, vehicle: Vehicle) -> _Rates:
         a_y + yaw_acceleration * ahead - yaw_rate**2 * left,
         yaw_rate,
         yaw_acceleration,
+        *[np.full(len(v_x), np.nan)] * 3,
     )

@@ -25,9 +25,21 @@ CANONICAL = {
     "gamma": ("rad", "camber angle"),
     "pressure": ("Pa", "inflation pressure"),
     "temperature": ("degC", "tire temperature"),
+    "alpha_rate": ("rad/s", "rate of the slip angle, at the full sample rate"),
+    "a_x": ("m/s2", "acceleration of the vehicle, forward"),
+    "a_y": ("m/s2", "acceleration of the vehicle, to the left"),
+    "yaw_rate": ("rad/s", "yaw rate, to the left"),
+    "yaw_acceleration": ("rad/s2", "yaw acceleration, to the left"),
+    "heading": ("rad", "heading over the floor, counter-clockwise"),
+    "x": ("m", "position of the centre of gravity on the floor"),
+    "y": ("m", "position of the centre of gravity, to the left of x"),
+    "steering": ("rad", "road wheel angle, to the left"),
 }
 """Canonical column -> (unit, meaning); each may have a ``<column>_std`` beside it, each
-force and moment of the tire what a simulator says of it, as ``<column>_sim``."""
+force and moment of the tire what a simulator says of it, as ``<column>_sim``.
+
+The motion of a vehicle, from ``a_x`` on, has the axes of ISO 8855 (x forward, y left,
+yaw counter-clockwise) in every convention, for the conventions are those of a tire."""
 
 SIMULATED = ("fx_sim", "fy_sim", "mz_sim")
 """Columns of a simulator's forces for the same rows."""

@@ -25,6 +25,7 @@ from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
 from tirefit.diagnosis.patterns import PARAMETERS, patterns
 from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
+from tirefit.diagnosis.runs import with_runs
 from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
 from tirefit.diagnosis.slip_nodes import slip_nodes
 from tirefit.diagnosis.state import Covariates
@@ -271,7 +272,7 @@ def fit_base(
     silent = np.zeros(count_atoms(effects))
     noise = _noise(prepared, tire, design, fraction, rig, z, silent, False)
     base = _under(noise, prepared, tire, design, fraction, z, simulator)
-    return base.on(_with_force(prepared, tire, base.design, base.z))
+    return with_runs(base.on(_with_force(prepared, tire, base.design, base.z)))
 
 
 def _with_offset(prepared: Prepared, tire: Tire, design: Design, z):
@@ -406,6 +407,9 @@ def _with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:
         traction=pad_rows(mean / prepared.covariates.load, size),
         pull=pad_rows(_pull(prepared, tire, design, z, silent)[channel], size),
     )  # fmt: skip
+    if prepared.derived is not None:
+        # The acceleration is the force itself: what would explain it is not measured.
+        rows = rows._replace(lean=pad_rows(-mean / fz, size))
     return design._replace(rows=rows)
 
 

@@ -8,7 +8,12 @@ import numpy as np
 
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.case import Case
-from tirefit.diagnosis.closure import INTERVAL, block_means
+from tirefit.diagnosis.closure import (
+    INTERVAL,
+    block_means,
+    of_so_few_runs,
+    without_each,
+)
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.records import Change, Part, SimulatorSummary, Surrogate
 from tirefit.diagnosis.search import Hypothesis
@@ -64,6 +69,11 @@ def budget_of(case: Case, extended, generator) -> tuple[Part, ...]:
     drawn = _energies(block_means(terms, run, noise.inflation, generator))
     energy = _energies(terms.mean(axis=0))
     low, high = np.quantile(drawn[..., :-1] / drawn[..., -1:], INTERVAL, axis=0)
+    one_less = _energies(without_each(terms, run))
+    if len(one_less):
+        shares = one_less[..., :-1] / one_less[..., -1:]
+        low, high = of_so_few_runs(energy[:-1] / energy[-1], low, high, shares)
+        low = np.maximum(low, 0.0)
     names = [p if p == PARAMETERS else base.atoms[p].effect.id for p in parts]
     return tuple(
         Part(

@@ -3,8 +3,16 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import stdtrit
 
-__all__ = ["INTERVAL", "Closure", "block_means", "closure_of"]
+__all__ = [
+    "INTERVAL",
+    "Closure",
+    "block_means",
+    "closure_of",
+    "of_so_few_runs",
+    "without_each",
+]
 
 _DRAWS = 400
 """Bootstrap draws: twenty beyond either end of a 90 % interval."""
@@ -28,7 +36,8 @@ class Closure(NamedTuple):
     ``rms`` [N] is the base gap beyond noise, ``remaining`` [N] what the extension
     leaves, ``closed`` = 1 - remaining / rms with its 90 % interval, None where the gap
     is too small to say (below 3 sqrt(2 / n_effective) of the noise's energy). It ends
-    at -1, where the extension doubles the gap: beyond, a small gap sets its size.
+    at -1, where the extension doubles the gap: beyond, a small gap sets its size. Of
+    several runs it is no narrower than their differences allow.
     """
 
     rms: float
@@ -82,6 +91,11 @@ def closure_of(
     values = np.maximum(1 - shares, _WORST)
     closed = max(1 - remaining / rms, _WORST)
     low, high = np.quantile(values, INTERVAL) if good.any() else (closed, closed)
+    one_less = without_each(terms, run)
+    if len(one_less):
+        fewer, rest = _energies(one_less.T, lost)
+        share = np.sqrt((np.maximum(rest, 0.0) + floor) / np.maximum(fewer, gap * 1e-6))
+        low, high = of_so_few_runs(closed, low, high, np.maximum(1 - share, _WORST))
     return Closure(
         rms, remaining, closed, float(min(low, closed)), float(max(high, closed)), True
     )
@@ -96,6 +110,32 @@ def block_means(terms, run, inflation, generator) -> np.ndarray:
     sums = np.add.reduceat(terms[np.concatenate(blocks)], begins, axis=0)
     drawn = generator.multinomial(len(blocks), [1 / len(blocks)] * len(blocks), _DRAWS)
     return drawn @ sums / (drawn @ sizes)[:, None]
+
+
+def without_each(terms, run) -> np.ndarray:
+    """Means of terms (n, k) with each run left out: (R, k); none of a single run."""
+    codes = np.unique(run)
+    if len(codes) < 2:
+        return np.zeros((0, terms.shape[1]))
+    sums = np.array([terms[run == code].sum(axis=0) for code in codes])
+    counts = np.array([np.sum(run == code) for code in codes])
+    return (sums.sum(axis=0) - sums) / (counts.sum() - counts)[:, None]
+
+
+def of_so_few_runs(value, low, high, one_less):
+    """An interval of 90 % that knows how few runs there are: at least the jackknife's
+    over the runs, by Student's t of one degree of freedom less than there are runs.
+
+    Args:
+        value, low, high: figures and their intervals from blocks of rows, (...).
+        one_less: (R, ...) figures with each run left out.
+    """
+    count = len(one_less)
+    off = one_less - one_less.mean(axis=0)
+    error = np.sqrt((count - 1) / count * np.sum(off**2, axis=0))
+    reach = float(stdtrit(count - 1, 0.95)) * error
+    low = np.maximum(np.minimum(low, value - reach), _WORST)
+    return low, np.minimum(np.maximum(high, value + reach), 1.0)
 
 
 def _blocks(run, length: int) -> list[np.ndarray]:

@@ -12,6 +12,7 @@ from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.closure import Closure, closure_of
 from tirefit.diagnosis.conclusion import bound_by, look_of_rest
 from tirefit.diagnosis.effects import NOISE_EFFECTS
+from tirefit.diagnosis.effects.known import said_of_motion
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
@@ -29,6 +30,7 @@ from tirefit.diagnosis.records import (
 )
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rows import Prepared
+from tirefit.diagnosis.runs import offsets_of_runs
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.shares import closed_by_each
 from tirefit.diagnosis.standing import widening
@@ -82,12 +84,12 @@ def document_of(
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown = shown_rows(base, rows[main])
     missed = base.residual(base.as_given, np.zeros(len(base.atoms)))
-    noise = _noise(case)
+    noise, motion = _noise(case), said_of_motion(base, rig)
     return Diagnosis(
         data=DataSummary(
             name=data.name, path=data.source.path, sha256=data.source.sha256,
             convention=data.source.convention, channels=prepared.channels,
-            assumptions=(*data.source.notes, *rig.notes),
+            assumptions=(*data.source.notes, *rig.notes), motion=motion,
         ),
         model=model,
         simulator=simulator_summary(base, model, gap.rms),
@@ -106,6 +108,7 @@ def document_of(
         next_measurement=steps,
         next_measurement_reason=reason,
         slip_check=case.slip_check,
+        runs=offsets_of_runs(base, verdict.chosen),
         base_parameters=_base_parameters(base, base.as_given),
         extended_parameters=_base_parameters(base, verdict.chosen.z),
         settings=Settings(
@@ -288,7 +291,9 @@ def _candidates(case: Case, generator, most: int = _LISTED) -> tuple[Candidate, 
         for k, v in weighed.sets.items()
         if k and weighed.best_of[k].refitted
     }
-    ranked = sorted(total, key=lambda key: total[key], reverse=True)[:most]
+    said = tuple(sorted(case.verdict.chosen.effects))
+    ranked = sorted(total, key=lambda key: (key == said, total[key]), reverse=True)
+    ranked = ranked[:most]
     listed = [_candidate(case, key, total[key], generator) for key in ranked]
     if weighed.unknown_alone > _MENTIONED:
         unknown = Candidate(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from tirefit.data.table import TireData
+from tirefit.diagnosis.across_runs import held_across_runs
 from tirefit.diagnosis.base import Base, fit_base, with_noise_judged
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.conclusion import concluded
@@ -151,6 +152,7 @@ def studied(
     weighed = weigh(searched)
     verdict = judge(searched, weighed, gap_p_value(searched, generator))
     verdict = concluded(verdict, searched, weighed, generator)
+    verdict, weighed = held_across_runs(verdict, searched, weighed, generator)
     return Case(base, searched, weighed, verdict, untestable)
 
 

@@ -8,6 +8,7 @@ from tirefit.diagnosis.base import Base, on_rows
 from tirefit.diagnosis.closure import Closure, closure_of
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.rows import prepare
+from tirefit.diagnosis.runs import KINDS, shown_runs
 from tirefit.diagnosis.search import amplitudes_of
 
 __all__ = ["held_out"]
@@ -18,6 +19,9 @@ _TOP = 0.05
 _LEAST, _MOST = 0.05, 0.6
 """Share of the rows that a regime to be left out may hold."""
 
+_FEWEST = 4
+"""Runs from which they are left out in turn."""
+
 _LARGEST = 0.7
 """Quantile of the slip beyond which it is the regime, where no setting is."""
 
@@ -25,15 +29,21 @@ _LARGEST = 0.7
 def held_out(case, holdout: Sequence, rig, generator) -> HeldOut | None:
     """Closure on other files, or on a regime of this one: the figures of ``gap``.
 
-    Without other files the regime farthest out (highest load, else highest speed, else
-    largest slip, else the last third) is left out, both fits are repeated without it,
-    and judged on it; a simulator stays as it was given. None where the verdict names
-    nothing, unless a simulator's parameters may close a part.
+    Without other files each run is left out in turn, where there are four or more and
+    the verdict holds for all of them. Else the regime farthest out (highest load, else
+    highest speed, else largest slip, else the last third) is left out, both fits are
+    repeated without it, and judged on it; a simulator stays as it was given. None where
+    the verdict names nothing, unless a simulator's parameters may close a part.
     """
     if case.verdict.status in ("none", "unknown") and not case.base.simulator:
         return None
     if holdout:
         return _on_files(case, holdout, rig, generator)
+    prepared = case.base.prepared
+    codes = shown_runs(prepared.run, prepared.data.runs)
+    own = {f"{kind}_run" for kind in KINDS} & set(case.verdict.effects)
+    if len(codes) >= _FEWEST and not own:
+        return _on_runs(case, codes, generator)
     return _on_regime(case, generator)
 
 
@@ -47,8 +57,8 @@ def _record(closure: Closure, what: str) -> HeldOut:
 def _on_files(case, holdout, rig, generator) -> HeldOut:
     base, chosen = case.base, case.verdict.chosen
     before, after, variance, run = [], [], [], []
-    main = base.prepared.channels[0]
-    for number, data in enumerate(holdout):
+    main, runs = base.prepared.channels[0], 0
+    for data in holdout:
         other = on_rows(base, prepare(data, rig, base.prepared.channels), rig)
         observed = other.prepared.observed[main]
         silent = np.zeros(len(base.atoms))
@@ -57,7 +67,8 @@ def _on_files(case, holdout, rig, generator) -> HeldOut:
         after.append(observed - other.forces(chosen.z, amplitudes)[main])
         scale = np.median(base.noise[main].std / base.prepared.inputs.fz)
         variance.append((scale * other.prepared.inputs.fz) ** 2)
-        run.append(np.full(len(observed), number))
+        run.append(other.prepared.run + runs)
+        runs += len(data.runs)
     closure = closure_of(
         np.concatenate(before), np.concatenate(after), np.concatenate(variance),
         (0, 0), np.concatenate(run), base.noise[main].inflation, generator, False,
@@ -80,33 +91,54 @@ def _regime(base: Base) -> tuple[np.ndarray, str]:
 
 
 def _on_regime(case, generator) -> HeldOut:
+    out, what = _regime(case.base)
+    before, after = _both_without(case, out)
+    return _judged(
+        case, before, after, out, f"{what}, left out of both fits", generator
+    )
+
+
+def _on_runs(case, codes, generator) -> HeldOut:
+    """Each run in turn, predicted by fits to the others."""
+    base, run = case.base, case.base.prepared.run
+    before, after = np.full((2, base.prepared.n), np.nan)
+    for code in codes:
+        out = run == code
+        before[out], after[out] = _both_without(case, out)
+    every = np.isin(run, codes)
+    what = f"each of {len(codes)} runs, left out of both fits in turn"
+    return _judged(case, before[every], after[every], every, what, generator)
+
+
+def _both_without(case, out) -> tuple[np.ndarray, np.ndarray]:
+    """What the base and the verdict miss of the rows ``out`` (n,) bool, both refitted
+    without them; a simulator stays as it was given."""
     base, chosen = case.base, case.verdict.chosen
-    out, what = _regime(base)
     keep = np.array(base.design.keep)
     keep[: base.prepared.n] *= ~out
     design = base.design._replace(keep=keep)
-    main = base.prepared.channels[0]
+    main, silent = base.prepared.channels[0], np.zeros(len(base.atoms))
 
     def refitted(z, amplitude, atoms):
-        again, full = (
-            base.refit([(z, amplitude)], [atoms], design),
-            np.zeros(len(base.atoms)),
-        )
+        again, full = base.refit([(z, amplitude)], [atoms], design), silent.copy()
         index = list(atoms)
         full[index] = again.amplitude[0][: len(index)] * design.prior_scale[index]
         return base.forces(again.z[0], full)[main][out]
 
     null = case.weighed.best_of[()]
     observed = base.prepared.observed[main][out]
-    silent = np.zeros(len(base.atoms))
     before = observed - refitted(null.z, np.zeros(0), ())
     if base.simulator:
         before = observed - base.forces(base.as_given, silent)[main][out]
-    after = observed - refitted(chosen.z, chosen.amplitude, chosen.atoms)
-    noise = base.noise[main]
+    return before, observed - refitted(chosen.z, chosen.amplitude, chosen.atoms)
+
+
+def _judged(case, before, after, out, what: str, generator) -> HeldOut:
+    base = case.base
+    noise = base.noise[base.prepared.channels[0]]
     good = ~noise.outlier[out]
     closure = closure_of(
         before[good], after[good], (noise.std[out] ** 2)[good], (0, 0),
         base.prepared.run[out][good], noise.inflation, generator, False,
     )  # fmt: skip
-    return _record(closure, f"{what}, left out of both fits")
+    return _record(closure, what)

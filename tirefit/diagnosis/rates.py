@@ -40,6 +40,9 @@ _UNSTEADY = 0.15
 _MORE = 1.3
 """Scatter of the slip over the stated one from which it counts instead."""
 
+_SURE = 0.05
+"""Share of the usual rate from which a measured one has a sign."""
+
 _FINEST = 1e-9
 """Error of a slope over the largest slope, at least."""
 
@@ -178,13 +181,20 @@ def _no_past(values) -> Past:
     return Past(np.zeros(row.shape), row, row.copy(), np.zeros(row.shape), 1.0)
 
 
-def _fill_past(past: Past, part, values, time, path: _Path) -> None:
-    """The past of the rows ``part`` of one unbroken stretch, written into ``past``."""
-    size, row = len(values), np.arange(len(values))[:, None]
+def _places(past: Past, part, time):
+    """Row numbers (n, 1), and between which rows (n, k) of the stretch the times of the
+    past fall: after ``low``, by so much of a step."""
+    size = len(part)
     age = past.interval * np.arange(-AHEAD, BEHIND + 1)
     when = np.clip(time[:, None] - age, time[0], time[-1])
     low = np.clip(np.searchsorted(time, when, side="right") - 1, 0, size - 2)
     share = (when - time[low]) / (time[low + 1] - time[low])
+    return np.arange(size)[:, None], low, share
+
+
+def _fill_past(past: Past, part, values, time, path: _Path) -> None:
+    """The past of the rows ``part`` of one unbroken stretch, written into ``past``."""
+    row, low, share = _places(past, part, time)
 
     def own(at):
         """How much of each row's own value is in the path at a row."""
@@ -214,7 +224,7 @@ class Sweeps(NamedTuple):
     noise: float
 
 
-def slip_rate(slip, time, run, noise: float = 0.0) -> Sweeps:
+def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     """Rate of change of the slip.
 
     Args:
@@ -222,6 +232,8 @@ def slip_rate(slip, time, run, noise: float = 0.0) -> Sweeps:
         time: (n,) [s], or None.
         run: (n,) run of each row.
         noise: what is known of the scatter of the values; 0 is nothing.
+        rate: (n,) [1/s] as it was measured between rows that are too far apart to show
+            it, or None.
     """
     count = len(slip)
     none = _no_past(slip)
@@ -231,6 +243,8 @@ def slip_rate(slip, time, run, noise: float = 0.0) -> Sweeps:
     parts = [part for part in segments(time, run) if len(part) >= _WINDOWS[0] + 2]
     if sum(len(part) for part in parts) < 0.5 * count:
         return still
+    if rate is not None and np.any(rate):
+        return _by_its_rate(slip, time, rate, parts, still)
     window, left_out = _best_window(slip, time, parts)
     if left_out > _UNSTEADY * np.var(slip):
         return still
@@ -256,6 +270,30 @@ def slip_rate(slip, time, run, noise: float = 0.0) -> Sweeps:
         certain = np.sign(slip[part]) * path.slope / (2 * error)
         sweeps.turning[part] = np.clip(certain, -1, 1)
     return sweeps
+
+
+def _by_its_rate(slip, time, rate, parts, still: Sweeps) -> Sweeps:
+    """Cubics through values and rates, as finely as the rate moves the slip: a past
+    that lies between the rows."""
+    usual = float(np.sqrt(np.mean(rate**2)))
+    past = still.past._replace(interval=_SPAN * float(np.std(slip)) / usual / BEHIND)
+    found = still._replace(present=True, rate=rate, past=past)
+    past.path[:] = past.of(slip)
+    for part in parts:
+        _, low, share = _places(past, part, time[part])
+        step = time[part][low + 1] - time[part][low]
+        first, last = (slip[part][at] for at in (low, low + 1))
+        out, back = (step * rate[part][at] for at in (low, low + 1))
+        rest = share - 1
+        past.path[part] = (
+            first + share**2 * (3 - 2 * share) * (last - first)
+            + share * rest**2 * out + share**2 * rest * back
+        )  # fmt: skip
+        past.rows[part], past.others[part] = part[low], part[low + 1]
+        past.share[part] = share
+    sure = np.sign(slip) * rate / (2 * _SURE * usual)
+    found.turning[:] = np.clip(sure, -1, 1)
+    return found
 
 
 def _best_window(slip, time, parts) -> tuple[int, float]:

@@ -38,7 +38,8 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class DataSummary:
-    """The file: its name, where it lies, how it was read."""
+    """The file: its name, where it lies, how it was read; ``motion`` says what follows
+    where the force was derived from the motion of a vehicle."""
 
     name: str
     path: str
@@ -46,6 +47,7 @@ class DataSummary:
     convention: str
     channels: tuple[str, ...]
     assumptions: tuple[str, ...]
+    motion: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,6 +24,7 @@ from tirefit.diagnosis.records import (
     Untestable,
     VerdictSummary,
 )
+from tirefit.diagnosis.runs import RunOffsets
 from tirefit.diagnosis.slip_check import SlipCheck
 from tirefit.diagnosis.views import Comparison, ResidualMap
 from tirefit.display import Displayed
@@ -42,7 +43,8 @@ class Diagnosis(Displayed):
 
     ``next_measurement`` is ranked, the largest gain first; where it is empty,
     ``next_measurement_reason`` says why. ``slip_check`` is the slip column against the
-    slip of the wheel speed, None where that is not known.
+    slip of the wheel speed, None where that is not known. ``runs`` says how far the
+    runs differ, by kind of offset; empty for a single run.
 
     ``rows`` holds (n,) arrays by channel of all rows of the file, canonical, NaN where
     masked: ``base``, ``extended``, ``gap``, ``gap_std``; for a simulator ``base`` is it
@@ -74,6 +76,7 @@ class Diagnosis(Displayed):
     next_measurement: tuple[NextMeasurement, ...]
     next_measurement_reason: str | None
     slip_check: SlipCheck | None
+    runs: Mapping[str, RunOffsets] = field(default_factory=dict)
     base_parameters: Mapping[str, float]
     extended_parameters: Mapping[str, float]
     settings: Settings

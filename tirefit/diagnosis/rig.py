@@ -19,6 +19,8 @@ _NOISE = (
     "slip_speed", "alpha_speed",
 )  # fmt: skip
 
+_VEHICLE = ("position", "clock", "yaw_inertia")
+
 _STANDS = 0.02
 """Share of the usual wheel speed or speed below which a wheel counts as standing."""
 
@@ -27,6 +29,8 @@ _STANDS = 0.02
 class Rig:
     """Knowledge of the rig; everything is optional.
 
+    ``vehicle`` holds standard errors of what a log is derived with: ``position`` [m] of
+    the tracked point, ``clock`` [s] between channels, ``yaw_inertia`` as a share of it.
     ``noise`` holds standard deviations: of a force [N] or as a share of the load
     (``fx_relative``), of the slip [-] or slip angle [rad], of a speed across the patch
     [m/s] (``sigma_x_speed``), which is a slip of as much over v. ``commanded_slip``
@@ -37,6 +41,7 @@ class Rig:
     rolling_radius: float | None = None
     wheel_inertia: float | None = None
     noise: Mapping[str, float] = field(default_factory=dict)
+    vehicle: Mapping[str, float] = field(default_factory=dict)
     commanded_slip: str | None = None
     run_order: str | None = None
     notes: tuple[str, ...] = ()
@@ -95,7 +100,8 @@ def load_rig(path: str | Path | None) -> Rig:
 
 
 def _checked(content: dict, path: str) -> Rig:
-    problems, notes = [], []
+    problems: list[InputProblem] = []
+    notes: list[str] = []
 
     def number(key, value):
         good = isinstance(value, int | float) and not isinstance(value, bool)
@@ -106,17 +112,21 @@ def _checked(content: dict, path: str) -> Rig:
         return float(value)
 
     values = {k: number(k, content[k]) for k in _NUMBERS if k in content}
-    noise = content.get("noise", {})
-    if not isinstance(noise, dict):
-        reason = f"noise = {noise!r} is not a table"
-        problems.append(InputProblem(reason, "write [noise] with fx = ... [N]", path))
-        noise = {}
-    levels = {}
-    for key, value in noise.items():
-        if key in _NOISE:
-            levels[key] = number(f"noise.{key}", value)
-        else:
-            notes.append(f"noise.{key} of {path} is not used; known: {_NOISE}")
+
+    def table(section, keys, example):
+        given = content.get(section, {})
+        if not isinstance(given, dict):
+            reason = f"{section} = {given!r} is not a table"
+            problems.append(InputProblem(reason, f"write {example}", path))
+            return {}
+        unused = [key for key in given if key not in keys]
+        notes.extend(
+            f"{section}.{k} of {path} is not used; known: {keys}" for k in unused
+        )
+        return {k: number(f"{section}.{k}", v) for k, v in given.items() if k in keys}
+
+    levels = table("noise", _NOISE, "[noise] with fx = ... [N]")
+    vehicle = table("vehicle", _VEHICLE, "[vehicle] with position = ... [m]")
     order = content.get("run_order")
     if order not in (None, "random", "sequential"):
         reason = f"run_order = {order!r}"
@@ -125,11 +135,11 @@ def _checked(content: dict, path: str) -> Rig:
     if command is not None and not isinstance(command, str):
         reason = f"commanded_slip = {command!r} is not a column name"
         problems.append(InputProblem(reason, "give the header of its column", path))
-    known = {*_NUMBERS, "noise", "run_order", "commanded_slip"}
+    known = {*_NUMBERS, "noise", "vehicle", "run_order", "commanded_slip"}
     notes += [f"{k} of {path} is not used" for k in content if k not in known]
     if command is not None:
         notes.append(f"commanded_slip of {path} is noted, not used")
     if problems:
         raise UsageError(problems)
-    return Rig(noise=levels, commanded_slip=command, run_order=order,
+    return Rig(noise=levels, vehicle=vehicle, commanded_slip=command, run_order=order,
                notes=tuple(notes), **values)  # fmt: skip

@@ -6,8 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tirefit.data.table import TireData
+from tirefit.diagnosis.motion import (
+    Derived,
+    derived_from,
+    motion_of,
+    seen_in_motion,
+)
 from tirefit.diagnosis.negligible import FLAT, ROUNDING
 from tirefit.diagnosis.rates import Sweeps, segments, slip_rate
+from tirefit.diagnosis.runs import shown_runs
 from tirefit.diagnosis.sizes import Sizes, half_force_slip, largest, sizes_of
 from tirefit.diagnosis.slip_check import SlipCheck, check_slip
 from tirefit.diagnosis.state import Covariates
@@ -73,7 +80,8 @@ class Prepared:
     names what the data hold of the needs of the effects. ``before`` are the inputs in
     the past of each row (n, k), ``kept`` (n,) which of the used rows of the data these
     are. ``slip_check`` is the slip column against that of the wheel speed, ``sizes``
-    what large means in this file.
+    what large means in this file, ``derived`` how the force follows from the motion of
+    a vehicle, None where it was measured.
     """
 
     data: TireData
@@ -95,6 +103,7 @@ class Prepared:
     kept: np.ndarray
     slip_check: SlipCheck | None
     sizes: Sizes
+    derived: Derived | None
 
     @property
     def n(self) -> int:
@@ -191,7 +200,10 @@ def prepare(data: TireData, rig, model) -> Prepared:
     radius = rig.radius_for(data)
     covariates = _covariates(data, mode, sweeps, np.hypot(slip, second), radius)
     covariates = covariates._replace(side=np.sign(slip), other=other)
-    fz = data.usable("fz")
+    fz, derived = data.usable("fz"), derived_from(data, channels[0])
+    has = _holdings(data, mode, covariates, sweeps.present, radius)
+    seen = seen_in_motion(data, derived).items()
+    has |= {name for name, here in seen if here}
     inputs = TireInputs(
         np.zeros(data.n), np.zeros(data.n), fz, covariates.v, _column(data, "gamma"),
         _column(data, "pressure"), _column(data, "time"),
@@ -200,11 +212,11 @@ def prepare(data: TireData, rig, model) -> Prepared:
         data, mode, channels, inputs, slip, std, second,
         {c: data.usable(c) for c in channels}, covariates,
         TireInputs(*(sweeps.past.of(part) for part in inputs)),
-        _holdings(data, mode, covariates, sweeps.present, radius), time, run,
+        has, time, run,
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
         rig.run_order == "random", np.arange(data.n),
         check_slip(data, rig.rolling_radius),
-        sizes_of(covariates, slip, float(np.mean(fz)), radius),
+        sizes_of(covariates, slip, float(np.mean(fz)), radius), derived,
     )  # fmt: skip
 
 
@@ -259,6 +271,9 @@ def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Cova
         across=_column(data, across),
         yaw=_column(data, "yaw_rate") / pace,
         ahead=_over_range(_column(data, "a_x")),
+        **motion_of(data),
+        run_slip=zero,
+        run_force=zero,
         change=zero,
         traction=zero,
     )
@@ -324,7 +339,10 @@ def thinned(prepared: Prepared, most: int) -> Prepared:
 def _sweeps(data: TireData, slip, mode: str, rig, time, run) -> Sweeps:
     """How the slip moves, by the noise that is stated for it."""
     stated, _ = _slip_std(data, mode, rig, 0.0)
-    return slip_rate(slip, time, run, float(np.median(stated)))
+    rate = None
+    if mode == "y" and "alpha_rate" in data:
+        rate = data.usable("alpha_rate") * (1 + slip**2)
+    return slip_rate(slip, time, run, float(np.median(stated)), rate)
 
 
 def _slip_std(data: TireData, mode: str, rig, scatter: float):
@@ -366,6 +384,7 @@ def _holdings(data: TireData, mode: str, rows, sweeps: bool, radius) -> frozense
         "yaw_rate": "yaw_rate" in data and np.std(rows.yaw) > 0,
         "a_x": "a_x" in data and np.any(rows.ahead != 0),
         "work": np.any(rows.work) and np.any(rows.time),
+        "runs": len(shown_runs(data.run[data.used], data.runs)) > 1,
     }  # fmt: skip
     return frozenset(name for name, here in met.items() if here)
 

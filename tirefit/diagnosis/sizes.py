@@ -36,7 +36,8 @@ class Sizes(NamedTuple):
     ``way`` [m] are how long and how far the slip takes for a change of its standard
     deviation; ``temperature`` is over the range in units of 20 K; ``lever`` [m] moves
     the slip by ``slip`` at the usual yaw rate over speed; ``inertia`` [kg m^2] is that
-    of the mass that the tire carries, at its rolling radius.
+    of the mass that the tire carries, at its rolling radius; ``swing`` [kg m] changes
+    the force by the load at the usual yaw acceleration.
     """
 
     plain: float = 1.0
@@ -50,6 +51,7 @@ class Sizes(NamedTuple):
     temperature: float = 1.0
     lever: float = 1.0
     inertia: float = 1.0
+    swing: float = 1.0
 
 
 def largest(values) -> float:
@@ -100,4 +102,5 @@ def sizes_of(rows, slip, mean_load: float, radius: float | None) -> Sizes:
         temperature=_one_over(float(np.ptp(rows.temperature))),
         lever=float(rows.rise[0]) * _one_over(float(np.std(rows.yaw))),
         inertia=mass * radius**2 if radius else 1.0,
+        swing=mean_load * _one_over(float(np.std(rows.swing))),
     )

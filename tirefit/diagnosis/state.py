@@ -51,7 +51,11 @@ class Covariates(NamedTuple):
     (n, 3) is the work of sliding so far, over its range about its mean: all of it, and
     what is left of it after a cooling of a fifth and of a twentieth of the record.
     ``across`` [N] is the measured force across, ``yaw`` [1/m] yaw rate over speed,
-    ``ahead`` the acceleration ahead over its range.
+    ``ahead`` the acceleration ahead over its range, ``swing`` [rad/s^2] the yaw
+    acceleration, ``heading`` and ``steering`` [rad] as measured, ``lean`` the lateral
+    acceleration over that of gravity; of a force that was derived from it, what the
+    base model's force would make of it. ``run_slip`` and ``run_force`` are how the runs
+    differ in one or the other, of unit rms.
     ``change`` is the shape of a change in time, from -1/2 to 1/2, that
     :func:`tirefit.diagnosis.forms.shape_of_change` has found, ``traction`` the force
     of the base model over the mean load.
@@ -86,6 +90,12 @@ class Covariates(NamedTuple):
     across: Values
     yaw: Values
     ahead: Values
+    swing: Values
+    heading: Values
+    lean: Values
+    steering: Values
+    run_slip: Values
+    run_force: Values
     change: Values
     traction: Values
 

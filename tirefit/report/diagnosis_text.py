@@ -9,6 +9,7 @@ from tirefit.report.diagnosis_budget import budget_lines, change_texts
 from tirefit.report.diagnosis_words import (
     covariate_text,
     look_text,
+    p_text,
     parameter_text,
     range_text,
     share_text,
@@ -25,6 +26,7 @@ __all__ = [
     "look_lines",
     "map_lines",
     "noise_line",
+    "run_lines",
     "slip_check_line",
     "smallest_lines",
     "step_lines",
@@ -61,7 +63,10 @@ def _sentence_on_effects(result: Diagnosis) -> str:
     if status == "named":
         return f"{effects} ({probability})"
     if status == "incomplete":
-        return f"{effects}, and something no listed effect explains ({probability})"
+        rivals = ", ".join(verdict.also_possible)
+        among = f" (or {rivals}: these runs cannot tell)" if rivals else ""
+        rest = "something no listed effect explains"
+        return f"{effects}{among}, and {rest} ({probability})"
     if status == "cannot_tell":
         rivals = ", ".join(verdict.also_possible)
         return f"{effects} ({probability}), or {rivals}: this data cannot tell"
@@ -246,6 +251,21 @@ def noise_line(result: Diagnosis) -> str:
     return f"{levels} ({noise.source}){flags}"
 
 
+def run_lines(result: Diagnosis) -> list[str]:
+    """How far the runs of the file differ, one line for each kind of offset."""
+    lines = []
+    for kind, runs in result.runs.items():
+        unit = "" if runs.unit == "-" else f" {runs.unit}"
+        low, high = (format_number(end, 2) for end in runs.spread_ci)
+        own = (f"{k} {format_estimate(*v)}" for k, v in runs.values.items())
+        lines.append(
+            f"{kind}: {format_estimate(runs.common, runs.std)}{unit} for all, spread"
+            f" between runs {format_number(runs.spread, 2)}{unit} [{low}, {high}]"
+            f" (p {p_text(runs.p_value)} of none); shrunk: {', '.join(own)}"
+        )
+    return lines
+
+
 def slip_check_line(result: Diagnosis) -> str | None:
     """The slip column against that of the wheel speed; None where that is unknown."""
     check = result.slip_check
@@ -276,11 +296,14 @@ def diagnosis_text(result: Diagnosis) -> str:
         f"  {result.n} rows, {result.n_effective:.0f} of them independent;"
         f" noise {noise_line(result)}",
         *([f"  {slip_check_line(result)}"] if result.slip_check else []),
+        *(f"  {said}" for said in result.data.motion),
         "VERDICT", f"  {verdict_sentence(result)}",
         *(f"  {line}" for line in verdict_lines(result)),
         *(["BUDGET"] if result.simulator else []),
         *(f"  {line}" for line in budget_lines(result)),
         "GAP", *(f"  {line}" for line in gap_lines(result)),
+        *(["RUNS (an offset of its own for each)"] if result.runs else []),
+        *(f"  {line}" for line in run_lines(result)),
         "WHERE (shares of its energy)", *_where(result),
         *(f"  {line}" for line in map_lines(result)),
         "CANDIDATES", *_candidates(result),

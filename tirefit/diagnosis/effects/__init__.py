@@ -18,10 +18,12 @@ fits, tests and ranks them all. A user's own effect is one more record::
 """
 
 from tirefit.diagnosis.effects import (
+    chassis,
     conditions,
     lag,
     measurement,
     patch,
+    per_run,
     sensors,
     vehicle,
     warmth,
@@ -57,4 +59,6 @@ EFFECTS: tuple[Effect, ...] = (
     *sensors.EFFECTS,
     *vehicle.EFFECTS,
     *warmth.EFFECTS,
+    *chassis.EFFECTS,
+    *per_run.EFFECTS,
 )

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from tirefit.diagnosis.effects.free_forms import SHIFT_BY_LAG
+from tirefit.diagnosis.effects.known import of_a_known_clock
 from tirefit.diagnosis.effects.record import Effect
 from tirefit.diagnosis.rates import AHEAD, BEHIND
 
@@ -77,7 +78,7 @@ def _relax(state, length, constants, rows):
 
 def _within_the_past(prior, prepared, rig):
     """No row knows more of its past, or of what comes, than was taken along."""
-    del rig
+    prior = of_a_known_clock(prior, prepared, rig)
     interval = float(prepared.covariates.interval[0])
     return prior._replace(
         low=max(prior.low, -AHEAD * interval), high=min(prior.high, BEHIND * interval)

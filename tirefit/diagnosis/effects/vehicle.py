@@ -11,6 +11,7 @@ from tirefit.diagnosis.effects.free_forms import (
     rise,
     weight,
 )
+from tirefit.diagnosis.effects.known import of_a_known_height, of_a_known_position
 from tirefit.diagnosis.effects.record import PER_MILLE, Effect, blend, scaled, seldom
 
 __all__ = ["EFFECTS"]
@@ -177,6 +178,7 @@ TRACKED_POINT = Effect(
     remedy="move the tracked point by the amplitude along the vehicle",
     parameter="distance",
     bounds=((-6.0, 6.0),),
+    prior=of_a_known_position,
     needs=("yaw_rate", "v"),
     channels=("fy", "mz"),
     looks_like=("slip_offset", "carcass_flexibility"),
@@ -193,6 +195,7 @@ LOAD_TRANSFER = Effect(
     remedy="add m h a_x / wheelbase to fz",
     parameter="share",
     bounds=((-1.9, 1.9),),
+    prior=of_a_known_height,
     needs=("a_x",),
     forms=over("friction", 0.03, "ahead", 4),
     looks_like=("drive_brake_asymmetry", "friction_ellipse"),

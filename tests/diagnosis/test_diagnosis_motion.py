@@ -1,0 +1,269 @@
+"""A vehicle's log: forces derived from the motion, rates, runs that differ."""
+
+import numpy as np
+import pytest
+from conftest_diagnosis import brush
+from scipy.stats import norm, t
+
+from fits.withheld.car import FAULTS, Car, drive
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.closure import closure_of, of_so_few_runs, without_each
+from tirefit.diagnosis.effects import EFFECTS, atoms_of, effects_by_id
+from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.motion import derived_from
+from tirefit.diagnosis.rates import AHEAD, slip_rate
+from tirefit.diagnosis.rig import Rig, load_rig
+from tirefit.diagnosis.rows import prepare
+from tirefit.diagnosis.runs import shrunk
+from tirefit.results import UsageError
+
+KNOWN = effects_by_id(EFFECTS)
+RIG = Rig(noise={"fy_relative": 0.005, "alpha": 5e-4})
+MASS_REAR, ARM = 1400 * 1.2 / 2.6, 2300 / (1400 * 1.2)
+
+
+@pytest.fixture(scope="module")
+def driven():
+    return drive(Car())
+
+
+def prior(effect, frame, rig=RIG):
+    prepared = prepare(read_frame(frame), rig, ("fy",))
+    return atoms_of([KNOWN[effect]])[0].prior(prepared, rig)
+
+
+# --- a force that follows from the motion -----------------------------------------
+
+
+def test_a_derived_force_is_known_by_its_channels(driven):
+    found = derived_from(read_frame(driven), "fy")
+    assert found.mass == pytest.approx(MASS_REAR) and not found.steered
+    assert found.arm == pytest.approx(ARM)
+    front = derived_from(read_frame(drive(Car(), "front")), "fy")
+    assert front.steered and front.mass == pytest.approx(1400 * 1.4 / 2.6)
+    # A transducer has a noise of its own, however good it is.
+    noisy = driven["fy"] * (1 + 0.005 * np.sin(np.arange(700)))
+    assert derived_from(read_frame(driven | {"fy": noisy}), "fy") is None
+    without = {name: x for name, x in driven.items() if name != "a_y"}
+    assert derived_from(read_frame(without), "fy") is None
+    assert derived_from(read_frame(driven), "mz") is None
+
+
+def test_priors_of_a_derived_force_are_those_of_a_known_vehicle(driven):
+    measured = drive(Car(), measured=True)
+    assert prior("tracked_point", driven).scale == pytest.approx(0.03 * ARM)
+    assert prior("tracked_point", measured).scale > 5 * 0.03 * ARM
+    assert prior("channel_delay", driven).scale == pytest.approx(0.005)
+    assert prior("channel_delay", measured).scale > 0.01
+    inertia = prior("yaw_inertia", driven)
+    assert inertia.scale == pytest.approx(0.3 * 2300 / 2.6)
+    assert inertia.low == pytest.approx(-6 * inertia.scale)
+    # What is stated counts, of a measured force as well.
+    rig = Rig(vehicle={"position": 0.002, "clock": 0.001, "yaw_inertia": 0.05})
+    for frame in (driven, measured):
+        assert prior("tracked_point", frame, rig).scale == pytest.approx(0.002)
+        assert prior("channel_delay", frame, rig).scale == pytest.approx(0.001)
+    assert prior("yaw_inertia", driven, rig).scale == pytest.approx(0.05 * 2300 / 2.6)
+    lifted = prior("load_transfer", driven)
+    assert lifted.scale <= 0.4 * np.ptp(driven["a_x"]) / 9.8
+
+
+def test_what_is_known_of_a_vehicle_is_read_and_checked(tmp_path):
+    path = tmp_path / "rig.toml"
+    path.write_text("[vehicle]\nposition = 0.002\nclock = 1e-3\ncolour = 3\n")
+    rig = load_rig(path)
+    assert rig.vehicle == {"position": 0.002, "clock": 1e-3}
+    assert any("vehicle.colour" in note for note in rig.notes)
+    path.write_text("[vehicle]\nposition = -1\n")
+    with pytest.raises(UsageError, match="vehicle.position"):
+        load_rig(path)
+    path.write_text("vehicle = 3\n")
+    with pytest.raises(UsageError, match="is not a table"):
+        load_rig(path)
+
+
+def test_the_acceleration_of_a_derived_force_explains_nothing(driven):
+    """What would explain the force is that of the model, not the force itself."""
+    effects = [KNOWN["slip_offset"], KNOWN["toe"], KNOWN["yaw_inertia"]]
+    found = diagnose(read_frame(driven), rig=RIG, effects=effects)
+    said = " ".join(found.data.motion)
+    assert "fy was derived from a_y (646.2 kg of it)" in said
+    assert "no tire at all" in said and "41 mm, 5 ms, 30 % of the yaw inertia" in said
+    assert said.split(";")[0] in " ".join(str(found).split())
+    measured = drive(Car(), measured=True)
+    assert not diagnose(read_frame(measured), rig=RIG, effects=effects).data.motion
+    assert found.verdict.status == "none"
+
+
+@pytest.mark.parametrize("effect", FAULTS)
+def test_what_is_wrong_with_a_car_is_named(effect):
+    """Four wheels, integrated: no formula of the library is among them."""
+    # A path of some curvature at some speed has one road wheel angle: a yaw rate over
+    # speed and a lateral acceleration together are that angle, but for its lead.
+    without = ("toe",) if effect == "steering_gain" else ()
+    data = read_frame(drive(*FAULTS[effect]))
+    found = diagnose(data, rig=RIG, without=without)
+    assert effect in (*found.effects, *found.verdict.also_possible)
+    assert found.verdict.status != "unknown"
+
+
+# --- rates ------------------------------------------------------------------------
+
+
+def test_a_measured_rate_shows_a_past_between_the_rows():
+    """Rows 0.2 s apart of a slip at 1 Hz; the past 20 ms back, by its formula."""
+    time = np.arange(0.0, 20.0, 0.2)
+    slip, rate = np.sin(2 * np.pi * time), 2 * np.pi * np.cos(2 * np.pi * time)
+    run = np.zeros(len(time), int)
+    found = slip_rate(slip, time, run, 0.0, rate)
+    assert found.present and found.past.interval < 0.02
+    np.testing.assert_array_equal(found.rate, rate)
+    age = found.past.interval * np.arange(1, 4)
+    inside = slice(3, -3)
+    right = np.sin(2 * np.pi * (time[inside, None] - age))
+    past = found.past.path[inside, AHEAD + 1 : AHEAD + 4]
+    np.testing.assert_allclose(past, right, atol=0.01)
+    blind = slip_rate(slip, time, run)
+    assert not blind.present or blind.past.interval >= 0.2
+    grows = np.sign(slip) * np.sign(rate)
+    sure = np.abs(rate) > 2
+    np.testing.assert_array_equal(np.sign(found.turning)[sure], grows[sure])
+
+
+def test_a_relaxation_of_ten_milliseconds_is_named_from_thinned_rows():
+    time, slip, rate, late = np.arange(0.0, 100.0, 0.2), 0.0, 0.0, 0.0
+    for size, turn, phase in ((0.05, 5.3, 0.0), (0.04, 13.1, 1.0)):
+        angle, behind = turn * time + phase, turn * 0.01
+        slip = slip + size * np.sin(angle)
+        rate = rate + size * turn * np.cos(angle)
+        # First order: behind by atan(omega tau), smaller by its cosine.
+        lag = np.arctan(behind)
+        late = late + size * np.cos(lag) * np.sin(angle - lag)
+    generator, count = np.random.default_rng(0), len(time)
+    frame = {
+        "time": time,
+        "alpha": np.arctan(slip),
+        "alpha_rate": rate / (1 + slip**2),
+        "fy": brush(late, 40.0, 0.9, 7.0) + 0.03 * generator.normal(size=count),
+        "fz": np.full(count, 7.0),
+        "v": np.full(count, 2.0),
+    }
+    kept = ("slip_offset", "relaxation_length", "pressure_asymmetry")
+    found = diagnose(
+        read_frame(frame),
+        rig=Rig(noise={"fy": 0.03, "alpha": 1e-5}),
+        effects=[KNOWN[name] for name in kept],
+    )
+    assert found.effects == ("relaxation_length",)
+    (length,) = found.candidates[0].parameters.values()
+    assert length.value == pytest.approx(0.02, rel=0.05)
+    blind = {name: x for name, x in frame.items() if name != "alpha_rate"}
+    needs = diagnose(
+        read_frame(blind), rig=RIG, effects=[KNOWN[name] for name in kept]
+    ).untestable
+    assert [lacking.effect for lacking in needs] == ["relaxation_length"]
+
+
+# --- runs -------------------------------------------------------------------------
+
+
+def test_values_of_runs_shrink_to_a_common_one():
+    """Two limits in closed form, and the mean of many in between."""
+    values = np.array([1.0, 2.0, 6.0])
+    sure = shrunk(values, 1e-12 * np.eye(3))
+    np.testing.assert_allclose(sure.values, values, rtol=1e-3)
+    assert sure.common == pytest.approx(3.0)
+    # Restricted likelihood: the sample's standard deviation.
+    assert sure.spread == pytest.approx(np.std(values, ddof=1), rel=0.01)
+    assert sure.std == pytest.approx(sure.spread / np.sqrt(3), rel=0.01)
+    assert sure.spread_ci[0] < sure.spread < sure.spread_ci[1]
+    noise = shrunk(values, 100 * np.eye(3))
+    assert noise.spread == 0.0 and noise.spread_ci[0] == 0.0
+    np.testing.assert_allclose(noise.values, 3.0)
+    np.testing.assert_allclose(noise.errors, 10 / np.sqrt(3), rtol=1e-6)
+    assert noise.p_value == pytest.approx(0.93, abs=0.01)  # chi2 = 14 / 100 of 2
+
+
+def test_shrunk_values_are_nearer_and_their_errors_true():
+    generator, off, raw, inside = np.random.default_rng(1), [], [], []
+    for _ in range(300):
+        truth = 2 + 0.5 * generator.standard_normal(8)
+        seen = truth + 0.5 * generator.standard_normal(8)
+        found = shrunk(seen, 0.25 * np.eye(8))
+        off.append(np.mean((found.values - truth) ** 2))
+        raw.append(np.mean((seen - truth) ** 2))
+        inside.append(np.abs(found.values - truth) < norm.ppf(0.95) * found.errors)
+    assert np.mean(off) < 0.75 * np.mean(raw)
+    assert 0.8 < np.mean(inside) < 0.95
+
+
+def of_runs(offsets, seed=0):
+    """Free driving of both sides in runs of their own zero of the slip angle."""
+    generator, blocks = np.random.default_rng(seed), []
+    for number, offset in enumerate(offsets):
+        time = np.arange(120) * 0.1
+        slip = 0.15 * np.sin(0.9 * time + number)
+        force = brush(slip + offset, 5e4, 0.9, 4000.0)
+        force = force + 20 * generator.standard_normal(120)
+        blocks.append([time + 20 * number, np.arctan(slip), force, 0 * time + number])
+    time, alpha, fy, run = np.concatenate(blocks, axis=1)
+    run = np.array([f"r{k:.0f}" for k in run])
+    return {"time": time, "alpha": alpha, "fy": fy, "fz": 0 * time + 4000, "run": run}
+
+
+def test_runs_with_offsets_of_their_own_are_told_with_their_spread():
+    offsets = np.array([0.004, -0.003, 0.006, -0.002, -0.005])
+    kept = ("slip_offset", "force_offset", "slip_offset_run", "load_stiffness")
+    effects = [KNOWN[name] for name in kept]
+    rig = Rig(noise={"fy": 20.0, "alpha": 1e-4})
+    found = diagnose(read_frame(of_runs(offsets)), rig=rig, effects=effects)
+    assert found.effects == ("slip_offset_run",)
+    told = found.runs["slip_offset"]
+    own = np.array([told.values[f"r{k}"] for k in range(5)])
+    assert np.all(np.abs(own[:, 0] - offsets) < 4 * own[:, 1])
+    assert told.spread == pytest.approx(np.std(offsets, ddof=1), rel=0.2)
+    assert told.p_value < 1e-6
+    said = str(found)
+    assert "RUNS (an offset of its own for each)" in said
+    assert "spread between runs 0.00" in said and "shrunk: r0 0.00" in said
+    # One zero for all is one, and no spread.
+    same = diagnose(read_frame(of_runs([0.004] * 5)), rig=rig, effects=effects)
+    assert same.effects == ("slip_offset",)
+    assert same.runs["slip_offset"].p_value > 0.01
+    assert same.runs["slip_offset"].common == pytest.approx(0.004, abs=5e-4)
+    lone = {k: x for k, x in of_runs([0.0]).items() if k != "run"}
+    alone = diagnose(read_frame(lone), rig=rig, effects=effects)
+    assert not alone.runs
+    assert "slip_offset_run" in {lacking.effect for lacking in alone.untestable}
+
+
+def test_an_interval_of_closure_knows_that_three_logs_are_three():
+    generator = np.random.default_rng(0)
+    run = np.repeat([0, 1, 2], 400)
+    before = generator.normal(size=1200) + 5.0
+    left = np.repeat([0.2, 2.0, 4.0], 400)
+    after = generator.normal(size=1200) + left
+
+    def width(codes):
+        found = closure_of(
+            before, after, np.ones(1200), (0, 0), codes, 1.0, generator, False
+        )
+        return found.high - found.low
+
+    assert width(run) > 5 * width(np.zeros(1200, int))
+    # Alike, three logs tell as much as their rows.
+    after = generator.normal(size=1200) + 1.0
+    assert width(run) < 4 * width(np.zeros(1200, int))
+
+
+def test_an_interval_of_few_runs_is_that_of_students_t():
+    terms = np.array([[1.0], [1.0], [2.0], [2.0], [6.0], [6.0]])
+    run = np.array([0, 0, 1, 1, 2, 2])
+    one_less = without_each(terms, run)
+    np.testing.assert_allclose(one_less[:, 0], [4.0, 3.5, 1.5])
+    low, high = of_so_few_runs(0.0, -0.01, 0.01, one_less[:, 0] / 100)
+    # The jackknife of a mean is its standard error.
+    error = np.std([1.0, 2.0, 6.0], ddof=1) / np.sqrt(3) / 100
+    assert high == pytest.approx(t.ppf(0.95, 2) * error) and low == -high
+    assert of_so_few_runs(0.0, -0.5, 0.5, one_less[:, 0] / 100) == (-0.5, 0.5)
+    assert len(without_each(terms, np.zeros(6, int))) == 0

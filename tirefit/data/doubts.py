@@ -1,0 +1,180 @@
+"""What in a derived log is hardly the tire's: filter edges, a band that is cut, waves
+that come once per so much of the road."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.data.motion import Motion
+from tirefit.data.vehicle import Vehicle
+
+__all__ = ["Wave", "doubts", "repeats_with_distance"]
+
+_CUT, _MUCH_CUT = 0.7, 0.05
+"""Share of the bandwidth above which the filter takes part of what is there, and the
+share of a column's variance from which that is said."""
+
+_LONGEST = 2.0
+"""Longest wave that is looked for, in wheelbases: wheels of cars turn once in 0.6 to 1,
+of model cars in 1 to 1.5; a slalom is longer."""
+
+_TURNS = 16
+"""Waves of the longest kind in a window: wavelengths are told apart to 1 / 16."""
+
+_WINDOWS = 4
+"""Windows that a log must have, at least."""
+
+_CHANCE = 1e-4
+"""Probability that the highest of all peaks is chance, below which it is said."""
+
+_AROUND, _BESIDE = 8, 2
+"""Wave numbers to either side that the background is taken from, less the nearest."""
+
+_SHOWN_IN = {"alpha": ("mrad", 1e3), "fy": ("N", 1.0)}
+"""Column -> unit of a wave's size, and its factor."""
+
+
+class Wave(NamedTuple):
+    """A wave that comes once in ``length`` [m] of the road, of so much ``size`` (half
+    of its height), by chance with probability ``p_value``."""
+
+    length: float
+    size: float
+    p_value: float
+
+
+def doubts(columns, motion: Motion, kept, vehicle: Vehicle) -> tuple[str, ...]:
+    """Sentences on what a tire model should not be fitted to; none where all is well.
+
+    Args:
+        columns: :attr:`tirefit.data.derive.DerivedLog.columns` of every grid sample.
+        kept: (n,) bool, the samples that will be written.
+    """
+    stretches = _stretches(motion, kept)
+    way = [_way(columns["v"][rows], motion.time[rows]) for rows in stretches]
+    return (
+        *_at_edges(motion, kept, vehicle),
+        *_cut_by_filter(columns, stretches, vehicle),
+        *_repeating(columns, stretches, way, vehicle),
+    )
+
+
+def _stretches(motion: Motion, kept) -> list[np.ndarray]:
+    """Kept samples without a break: index arrays."""
+    rows = np.flatnonzero(kept)
+    breaks = (np.diff(rows) > 1) | (np.diff(motion.part[rows]) != 0)
+    return np.split(rows, np.flatnonzero(breaks) + 1)
+
+
+def _way(v, time) -> np.ndarray:
+    """Distance travelled [m], (n,)."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(time))])
+
+
+def _at_edges(motion: Motion, kept, vehicle: Vehicle) -> list[str]:
+    reach = vehicle.filter.settling
+    inside = np.count_nonzero(kept & (motion.within < reach * (1 - 1e-9)))
+    if not inside:
+        return []
+    return [
+        f"{inside} samples lie within {reach:.2g} s of an edge or a gap, where the"
+        " filter has not settled: raise keep.margin, or leave it out"
+    ]
+
+
+def _cut_by_filter(columns, stretches, vehicle: Vehicle) -> list[str]:
+    """Columns that hold much just below the bandwidth, and so more beyond it."""
+    from scipy.signal import welch
+
+    band, said = vehicle.filter.bandwidth, []
+    window = int(10 * vehicle.filter.sample_rate / band)
+    long = [rows for rows in stretches if len(rows) >= window]
+    rate, every = vehicle.filter.sample_rate, np.concatenate(stretches)
+    for name in ("alpha", "fy") if long else ():
+        power, frequency = np.zeros(window // 2 + 1), np.zeros(window // 2 + 1)
+        for rows in long:
+            frequency, density = welch(columns[name][rows], rate, nperseg=window)
+            power = power + len(rows) / sum(map(len, long)) * density
+        beyond = frequency > _CUT * band
+        cut = float(np.sum(power[beyond]) * (frequency[1] - frequency[0]))
+        share = cut / float(np.var(columns[name][every]))
+        if share > _MUCH_CUT:
+            said.append(
+                f"{100 * share:.0f} % of the variance of {name} lies above"
+                f" {_CUT * band:.2g} Hz, where the filter ({band:.3g} Hz) cuts: raise"
+                " filter.cutoff, or take it for noise"
+            )
+    return said
+
+
+def _repeating(columns, stretches, way, vehicle: Vehicle) -> list[str]:
+    said = []
+    speed = np.concatenate([columns["v"][rows] for rows in stretches])
+    shortest = float(np.median(speed)) / vehicle.filter.bandwidth
+    longest = _LONGEST * vehicle.wheelbase
+    steady = np.std(speed) < 0.03 * np.mean(speed)
+    for name, (unit, factor) in _SHOWN_IN.items():
+        parts = [columns[name][rows] for rows in stretches]
+        wave = repeats_with_distance(parts, way, shortest, longest)
+        if wave is None:
+            continue
+        as_well = ", or in time: the speed hardly varies" if steady else ""
+        said.append(
+            f"{name} repeats every {wave.length:.3g} m of the road (a wave of"
+            f" {factor * wave.size:.2g} {unit}, p {wave.p_value:.0e}){as_well}: a wheel"
+            f" of {1e3 * wave.length / (2 * np.pi):.3g} mm turns once in that; look for"
+            " run-out, imbalance or a worn patch"
+        )
+    return said
+
+
+def repeats_with_distance(values, way, shortest: float, longest: float) -> Wave | None:
+    """The wave that stands out most among those of its neighbourhood, if any does.
+
+    Mean periodograms over the distance, without overlap; a peak is held against a
+    parabola through the logarithms around it (Welch 1967).
+
+    Args:
+        values: (n,) of each unbroken stretch.
+        way: distance travelled [m], (n,) likewise.
+        shortest, longest: waves to look for [m].
+    """
+    from scipy.signal import periodogram
+    from scipy.special import digamma, gammaincc, polygamma
+
+    if not shortest < longest:
+        return None
+    step, count = shortest / 6, int(_TURNS * longest / (shortest / 6))
+    windows = []
+    for part, distance in zip(values, way, strict=True):
+        even = np.interp(np.arange(0.0, distance[-1], step), distance, part)
+        full = len(even) // count * count
+        windows += list(even[:full].reshape(-1, count))
+    if len(windows) < _WINDOWS:
+        return None
+    number, power = periodogram(
+        np.array(windows), 1 / step, window="hann", detrend="linear", axis=1
+    )
+    power, k = power.mean(axis=0), len(windows)
+    places = np.flatnonzero((number >= 1 / longest) & (number <= 1 / shortest))
+    best = None
+    for at in places:
+        first, last = max(int(at) - _AROUND, 1), int(at) + _AROUND + 1
+        around = np.arange(first, min(last, len(number)))
+        around = around[np.abs(around - at) > _BESIDE]
+        place = np.log(number[around] / number[at])
+        rows = np.stack([np.ones(len(place)), place, place**2], axis=1)
+        log = np.log(power[around]) - digamma(k) + np.log(k)
+        level = np.linalg.lstsq(rows, log)[0][0]
+        # The background is known to this much only: a higher one is as likely.
+        unsure = np.linalg.inv(rows.T @ rows)[0, 0] * polygamma(1, k)
+        ratio = power[at] / np.exp(level + 2 * np.sqrt(unsure))
+        p_value = float(gammaincc(k, k * ratio)) * len(places)
+        if best is None or p_value < best[0]:
+            best = p_value, at, np.exp(level)
+    if best is None or best[0] > _CHANCE:
+        return None
+    p_value, at, level = best
+    near = slice(max(at - 1, 0), at + 2)
+    energy = np.sum(np.maximum(power[near] - level, 0.0)) * (number[1] - number[0])
+    return Wave(1 / float(number[at]), float(np.sqrt(2 * energy)), p_value)

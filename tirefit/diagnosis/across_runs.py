@@ -1,0 +1,193 @@
+"""What carries over to a run that was left out: where a file holds several logs, its
+effects are chosen by that.
+
+Logs of one vehicle differ more than their rows do, and effects together draw the
+differences of those that are there. What another log is predicted by is no drawing.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import stdtr, stdtrit
+
+from tirefit.diagnosis.base import Base
+from tirefit.diagnosis.forward import MOST
+from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.runs import KINDS, shown_runs
+from tirefit.diagnosis.search import Hypothesis, Search
+from tirefit.diagnosis.standing import standing
+from tirefit.diagnosis.verdict import Verdict, Weighed, linear_at
+
+__all__ = ["Carried", "chosen_across_runs", "held_across_runs", "losses_left_out"]
+
+_FEWEST = 4
+"""Runs from which leaving them out in turn says something: of three, two are left to
+fit, and Student's t of two degrees of freedom hardly tells any set from none."""
+
+_LEVEL = 0.95
+"""Quantile of Student's t up to which a set is no worse than the best."""
+
+_CARRIES = 0.8
+"""Probability of predicting another run better than none, from which a set is named."""
+
+_OF_ONE_RUN = tuple(f"{kind}_run" for kind in KINDS)
+"""Effects that nothing outside their run can show."""
+
+
+class Carried(NamedTuple):
+    """The set of effects that carries over, and the others of its size that the runs
+    cannot tell from it; ``()`` where none helps. ``probability`` is that of its
+    predicting another run better than none, by Student's t over the runs."""
+
+    effects: tuple[str, ...]
+    also: tuple[tuple[str, ...], ...]
+    probability: float
+
+
+def losses_left_out(base: Base, candidates: list[Hypothesis]) -> np.ndarray:
+    """Mean square of what each candidate misses on each run when fitted to the others
+    [N^2], first channel: (R, candidates), at most :data:`MOST` of them."""
+    rows, main = base.rows, base.rows.channels[0]
+    observed, losses = rows.observed[main], []
+    sets = [h.atoms for h in candidates]
+    starts = [(h.z, h.amplitude) for h in candidates]
+    scale = np.asarray(base.design.prior_scale)
+    for code in shown_runs(rows.run, rows.data.runs):
+        out = rows.run == code
+        keep = np.array(base.design.keep)
+        good = out & (keep[: rows.n] > 0)
+        keep[: rows.n] *= ~out
+        found = base.refit(starts, sets, base.design._replace(keep=keep))
+        each = []
+        for k, atoms in enumerate(sets):
+            amplitudes = np.zeros(len(base.atoms))
+            amplitudes[list(atoms)] = found.amplitude[k][: len(atoms)]
+            missed = observed - base.forces(found.z[k], amplitudes * scale)[main]
+            each.append(np.mean(missed[good] ** 2))
+        losses.append(each)
+    return np.array(losses)
+
+
+def chosen_across_runs(names: list[tuple[str, ...]], losses, priors) -> Carried:
+    """The smallest set that is not worse than the best beyond what so many runs differ
+    by: Breiman's rule (1984, 3.4) with Student's t at 5 %. None where even that is
+    hardly likely to predict another run better than no effect does.
+
+    Args:
+        names: sets of effects, () for none.
+        losses: (R, sets) on each run left out; runs count alike.
+        priors: (sets,) log odds that choose between sets which the runs cannot tell
+            apart; of those that are alike, the smaller loss.
+    """
+    count = len(losses)
+
+    def over(reference):
+        """Mean and standard error of each loss less that of one set."""
+        behind = losses - losses[:, [reference]]
+        return behind.mean(axis=0), behind.std(axis=0, ddof=1) / np.sqrt(count)
+
+    none = names.index(())
+    some = [k for k in range(len(names)) if k != none]
+    if not some:
+        return Carried((), (), 1.0)
+    mean, error = over(some[int(np.argmin(losses[:, some].mean(axis=0)))])
+    alike = [k for k in some if mean[k] <= stdtrit(count - 1, _LEVEL) * error[k]]
+    size = min(len(names[k]) for k in alike)
+    smallest = [k for k in alike if len(names[k]) == size]
+    smallest.sort(key=lambda k: (-priors[k], losses[:, k].mean()))
+    first, *others = smallest
+    gained, error = over(first)
+    sure = stdtr(count - 1, gained[none] / max(error[none], NONZERO))
+    if sure < _CARRIES:
+        return Carried((), (), float(1 - sure))
+    return Carried(names[first], tuple(names[k] for k in others), float(sure))
+
+
+def _candidates(search: Search, weighed: Weighed, verdict: Verdict):
+    """None, the verdict's own set, every effect by itself, the most probable others."""
+    singles: dict[tuple[str, ...], Hypothesis] = {}
+    for hypothesis in search.hypotheses:
+        key = hypothesis.effects
+        if len(key) == 1 and (
+            key not in singles or hypothesis.log_weight > singles[key].log_weight
+        ):
+            singles[key] = hypothesis
+    ranked = sorted(weighed.sets, key=lambda k: weighed.sets[k], reverse=True)
+    key = tuple(sorted(verdict.chosen.effects))
+    wanted = {(): weighed.best_of[()], key: verdict.chosen} | singles
+    wanted |= {k: weighed.best_of[k] for k in ranked if k not in wanted}
+    usable = {k: h for k, h in wanted.items() if not set(k) & set(_OF_ONE_RUN)}
+    return dict(list(usable.items())[:MOST])
+
+
+def held_across_runs(
+    verdict: Verdict, search: Search, weighed: Weighed, generator
+) -> tuple[Verdict, Weighed]:
+    """The verdict that the runs allow, each left out in turn, with its set among those
+    that were weighed. Unchanged for fewer than four runs, and where nothing is named.
+
+    Args:
+        generator: of simulated residuals.
+    """
+    base = search.base
+    runs = shown_runs(base.rows.run, base.rows.data.runs)
+    named = verdict.status in ("named", "cannot_tell", "incomplete")
+    if len(runs) < _FEWEST or not named or base.simulator is not None:
+        return verdict, weighed
+    if set(verdict.effects) & set(_OF_ONE_RUN):
+        return verdict, weighed
+    candidates = _candidates(search, weighed, verdict)
+    losses = losses_left_out(base, list(candidates.values()))
+    # The usual before the rare; not by how many forms its family has.
+    priors = [_odds(search, hypothesis) for hypothesis in candidates.values()]
+    carried = chosen_across_runs(list(candidates), losses, priors)
+    key = tuple(sorted(carried.effects))
+    if key == tuple(sorted(verdict.effects)):
+        return verdict, weighed
+    if not key:
+        unknown = replace(
+            verdict, status="unknown", effects=("unknown",), also_possible=(),
+            chosen=weighed.best_of[()],
+            adequacy=verdict.adequacy._replace(passed=False),
+        )  # fmt: skip
+        return unknown, weighed
+    hypothesis = _fitted(base, candidates[carried.effects])
+    weighed = replace(
+        weighed, best_of=weighed.best_of | {key: hypothesis},
+        sets={key: 0.0} | weighed.sets,
+    )  # fmt: skip
+    used_up = linear_at(base, hypothesis).used_up
+    found = standing(base, hypothesis, used_up, generator).adequacy
+    rivals = {e for other in carried.also for e in other} - set(key)
+    status = "incomplete"
+    if found.passed:
+        status = "cannot_tell" if rivals else "named"
+    chosen = replace(
+        verdict, status=status, effects=key, chosen=hypothesis, adequacy=found,
+        probability=carried.probability,
+        also_possible=tuple(sorted(rivals)),
+    )  # fmt: skip
+    return chosen, weighed
+
+
+def _odds(search: Search, hypothesis: Hypothesis) -> float:
+    """Log odds of a set's effects before any force is looked at."""
+    rows, atoms = search.base.rows, search.base.atoms
+    effects = [atoms[k].effect for k in hypothesis.atoms]
+    return float(sum(e.odds(rows) for e in effects if e.odds is not None))
+
+
+def _fitted(base: Base, hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis refitted to all rows, where the search had not."""
+    if hypothesis.refitted:
+        return hypothesis
+    start = [(hypothesis.z, hypothesis.amplitude)]
+    found, size = base.refit(start, [hypothesis.atoms]), len(hypothesis.atoms)
+    p = len(found.z[0])
+    return replace(
+        hypothesis, z=np.asarray(found.z[0]), refitted=True,
+        amplitude=np.asarray(found.amplitude[0][:size]),
+        covariance=np.asarray(found.covariance[0][: p + size, : p + size]),
+        chi2=float(found.chi2[0]),
+    )  # fmt: skip

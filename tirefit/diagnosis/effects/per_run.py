@@ -1,0 +1,67 @@
+"""Offsets that every run has of its own: each is set up anew."""
+
+import numpy as np
+
+from tirefit.diagnosis.effects.record import Effect, seldom
+from tirefit.diagnosis.runs import shown_runs
+
+__all__ = ["EFFECTS"]
+
+
+def _slip(state, spread, constants, rows):
+    del constants
+    return state._replace(shift=state.shift + spread * rows.run_slip)
+
+
+def _force(state, spread, constants, rows):
+    del constants
+    moved = 1e-3 * spread * rows.load * rows.run_force
+    return state._replace(force=state.force + moved)
+
+
+def _one_each(prepared) -> float:
+    """One amplitude stands for a pattern that has a number for every run: each further
+    one costs what a parameter costs by BIC."""
+    count = len(shown_runs(prepared.run, prepared.data.runs))
+    further = max(count - 2, 0)
+    return seldom(prepared) - 0.5 * further * np.log(prepared.n / max(count, 1))
+
+
+SLIP_OFFSET_RUN = Effect(
+    id="slip_offset_run",
+    family="slip x run",
+    change=_slip,
+    scale=0.1,
+    per=("slip",),
+    unit="-",
+    formula="slip + offset of the run, spread by amplitude: a random effect",
+    means="the zero of the slip differs from run to run",
+    remedy=(
+        "zero heading, steering or wheel speed before every run; fit the runs with an"
+        " offset each"
+    ),
+    parameter="spread",
+    bounds=((0.0, 4.0),),
+    odds=_one_each,
+    needs=("runs",),
+    looks_like=("slip_offset", "slip_zero_drift", "force_offset_run"),
+    told_apart_by="both signs",
+)
+FORCE_OFFSET_RUN = Effect(
+    id="force_offset_run",
+    family="force x run",
+    change=_force,
+    scale=15.0,
+    unit="1e-3 mean F_z",
+    formula="force + offset of the run, spread by amplitude: a random effect",
+    means="the zero of the force differs from run to run",
+    remedy="tare before every run; fit the runs with an offset each",
+    parameter="spread",
+    bounds=((0.0, 300.0),),
+    odds=_one_each,
+    needs=("runs",),
+    looks_like=("force_offset", "force_zero_drift", "slip_offset_run"),
+    told_apart_by="loads",
+)
+
+EFFECTS = (SLIP_OFFSET_RUN, FORCE_OFFSET_RUN)
