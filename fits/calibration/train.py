@@ -10,6 +10,9 @@ __all__ = ["STRANGE", "taught"]
 STRANGE = ("unlisted", "leave_out", "foreign", "procedural", "beside")
 """Sets of trials with something that the library does not have."""
 
+SAID = 0.5
+"""Probability of something unlisted from which effects are asked for beside it."""
+
 RIDGE = 3.0
 FOLDS = 8
 
@@ -89,22 +92,34 @@ def _regression(names: Sequence[str], clues, truth, groups) -> dict:
     }  # fmt: skip
 
 
+def _table(records, which) -> np.ndarray:
+    return np.array([list(r[which].values()) for r in records], float)
+
+
+def _strange(records) -> np.ndarray:
+    return np.array([r["set"] in STRANGE for r in records], float)
+
+
 def taught(records: Sequence[dict]) -> dict:
     """Both regressions from the clues of trials (see ``collect``).
 
-    A trial of a measured file is left out of the first: what it holds is not known. A
-    foreign tire is left out of the second: its friction may well fall with the speed.
+    The second is asked where the first says that something unlisted is there, so that
+    is where it is taught, wrongly said or not. A trial of a measured file is left out of
+    the first: what it holds is not known. A foreign tire is left out of the second: its
+    friction may well fall with the speed.
     """
     seen = [r for r in records if r["more"]]
     first = [r for r in seen if r["set"] not in ("injected", "raw", "null")]
     more = _regression(
-        list(first[0]["more"]), [list(r["more"].values()) for r in first],
-        [r["set"] in STRANGE for r in first], [_group(r) for r in first],
+        list(first[0]["more"]), _table(first, "more"), _strange(first),
+        [_group(r) for r in first],
     )  # fmt: skip
+    fit = _fitted(_table(first, "more"), _strange(first))
+    said = _predicted(fit, _table(seen, "more")) >= SAID
     pairs = [
         (r, effect, clues)
-        for r in seen
-        if r["set"] in (*STRANGE, "injected") and r["set"] != "foreign"
+        for r, so in zip(seen, said, strict=True)
+        if so and r["set"] not in ("foreign", "raw", "null")
         for effect, clues in r["beside"].items()
     ]
     beside = _regression(
