@@ -261,12 +261,15 @@ def bound_by(
     if held is None or held.closed is None or not held.resolvable:
         return verdict
     if held.closed <= _WORSE:
-        return _unknown(
-            verdict, weighed, verdict.adequacy, max(_EVEN, 1 - verdict.probability)
-        )
+        probability = max(_EVEN, 1 - verdict.probability)
+        bound = _unknown(verdict, weighed, verdict.adequacy, probability)
+        return replace(bound, fails_elsewhere=True)
     if closed and held.closed < _FALLS_SHORT * closed:
         left = verdict.adequacy._replace(passed=False)
-        return replace(verdict, status="incomplete", also_possible=(), adequacy=left)
+        return replace(
+            verdict, status="incomplete", also_possible=(), adequacy=left,
+            fails_elsewhere=True,
+        )  # fmt: skip
     return verdict
 
 

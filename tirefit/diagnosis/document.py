@@ -7,13 +7,14 @@ import numpy as np
 
 from tirefit.diagnosis.base import Base, at_measured_slip, on_rows
 from tirefit.diagnosis.basis import located, without
-from tirefit.diagnosis.budget import budget_of, parameter_changes, simulator_summary
+from tirefit.diagnosis.budget import budgets_of, parameter_changes, simulator_summary
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.closure import Closure, closure_of
 from tirefit.diagnosis.conclusion import bound_by, look_of_rest
 from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
+from tirefit.diagnosis.look_curve import look_curve
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.records import (
     Amplitude,
@@ -22,6 +23,7 @@ from tirefit.diagnosis.records import (
     Gap,
     HeldOut,
     NoiseSummary,
+    Region,
     Resolution,
     Settings,
     Shrinkage,
@@ -77,11 +79,10 @@ def document_of(
         case = replace(case, verdict=bound)
         return document_of(case, whole, rig, effects, holdout, generator, model, seed)
     gap = _gap(case, gaps, held)
-    budget = budget_of(case, believed[main]["extended"], generator)
+    budgets = budgets_of(case, believed, generator)
     said = _verdict(case)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown = shown_rows(base, rows[main])
-    missed = base.residual(base.as_given, np.zeros(len(base.atoms)))
     noise = _noise(case)
     return Diagnosis(
         data=DataSummary(
@@ -95,8 +96,9 @@ def document_of(
         n_effective=prepared.n / noise.inflation,
         noise=noise,
         gap=gap,
-        budget=budget,
-        where=tuple(regions(base, missed[: prepared.n], shown.gap)),
+        budget=budgets[main],
+        budgets=budgets,
+        where=_where(base, shown.gap),
         map=tuple(parameter_map(base)),
         verdict=said,
         candidates=candidates,
@@ -119,9 +121,15 @@ def document_of(
         mean_load=float(np.mean(data.usable("fz"))),
         residual_map=residual_map(shown, noise.inflation, gap.resolvable),
         comparison=compared(shown, said.names_an_effect or _tuned_alone(case)),
+        look=look_curve(verdict, base, next(iter(said.looks_like), None)),
         library=tuple(effects),
         meanings={p.name: p.spec.meaning for p in base.layout.free},
     )  # fmt: skip
+
+
+def _where(base: Base, gap) -> tuple[Region, ...]:
+    missed = base.residual(base.as_given, np.zeros(len(base.atoms)))
+    return tuple(regions(base, missed[: base.prepared.n], gap))
 
 
 def _bound(case: Case, closed: float | None, held: HeldOut | None, on_files: bool):
@@ -273,6 +281,7 @@ def _verdict(case: Case) -> VerdictSummary:
         adequacy=verdict.adequacy,
         looks_like=look_of_rest(verdict, case.base),
         parameters=parameter_changes(case, widening(case.base, verdict.chosen)),
+        fails_elsewhere=verdict.fails_elsewhere,
     )
 
 
