@@ -21,8 +21,8 @@ GAP = ["rms", "resolvable", "closed", "closed_ci", "remaining_rms"]
 KEYS = {
     "": [
         "schema", "data", "model", "simulator", "n", "n_effective", "noise", "gap",
-        "budget", "where", "map", "verdict", "candidates", "untestable", "resolution",
-        "forecast",
+        "budget", "budgets", "where", "map", "verdict", "candidates", "untestable",
+        "resolution", "forecast",
         "next_measurement", "next_measurement_reason", "slip_check", "base_parameters",
         "extended_parameters", "settings", "seed", "version",
     ],
@@ -35,6 +35,8 @@ KEYS = {
     "gap holdout": [*GAP, "on"],
     "where 0": ["covariate", "low", "high", "share", "p_value"],
     "map 0": ["parameter", "covariate", "log_evidence", "explains"],
+    "budgets": ["fx"],
+    "budgets fx 0": ["part", "rms", "share", "closed_ci"],
     "budget 0": ["part", "rms", "share", "closed_ci"],
     "verdict": [
         "status", "effects", "probability", "also_possible", "adequacy", "parameters"
@@ -85,7 +87,8 @@ def test_every_record_is_written_as_it_is_read(diagnosed):
     ]
     written = {f.name for f in fields(Diagnosis) if f.metadata.get("written", True)}
     assert written | {"schema"} == set(document)
-    assert all(not isinstance(getattr(found, name), dict) or name.endswith("parameters")
+    free = ("parameters", "budgets")  # keyed by what the file and the model have
+    assert all(not isinstance(getattr(found, name), dict) or name.endswith(free)
                for name in written)  # fmt: skip
     assert is_dataclass(found.gap)
     lost = replace(found, n_effective=np.float64("nan"), seed=np.int64(3))
