@@ -10,7 +10,7 @@ from conftest_diagnosis import TRUTHS, brush, record
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.engine import _studied, diagnose
+from tirefit.diagnosis import engine
 from tirefit.diagnosis.forecast import _MOMENT, _with_moment, next_measurements
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rig import Rig
@@ -39,7 +39,8 @@ KEYS = {
     "budgets fx 0": ["part", "rms", "share", "closed_ci"],
     "budget 0": ["part", "rms", "share", "closed_ci"],
     "verdict": [
-        "status", "effects", "probability", "also_possible", "adequacy", "parameters"
+        "status", "effects", "probability", "also_possible", "adequacy", "looks_like",
+        "parameters",
     ],
     "verdict adequacy": [
         "time", "slip_order", "line", "pure_error", "local", "held_out", "passed"
@@ -135,7 +136,7 @@ def studied():
             data = read_frame(DESIGNS[design](), design)
             rows = prepare(data, rig, ("fx", "fy", "mz"))
             generator = np.random.default_rng(0)
-            known[design] = _studied(rows, "brush", rig, EFFECTS, (), generator)
+            known[design] = engine.studied(rows, "brush", rig, EFFECTS, (), generator)
         return known[design]
 
     return study
@@ -165,7 +166,9 @@ def test_what_cannot_be_told_has_a_next_measurement_or_a_reason(studied, design)
 
 def test_one_load_and_one_sign_ask_for_the_other_sign_or_load():
     data = read_frame(sweep([4e3], np.linspace(0.004, 0.2, 120)), "one sign")
-    found = diagnose(data, rig=Rig(noise={"fx_relative": 0.01, **ALMOST_NO_NOISE}))
+    found = engine.diagnose(
+        data, rig=Rig(noise={"fx_relative": 0.01, **ALMOST_NO_NOISE})
+    )
     assert found.verdict.status == "cannot_tell"
     assert {"slip_offset", "force_offset"} <= {
         *found.effects, *found.verdict.also_possible
