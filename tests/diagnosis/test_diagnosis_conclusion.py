@@ -33,7 +33,7 @@ NO_EFFECT, ONE_EFFECT = (
 )
 NOTHING = Weighed(
     sets={}, best_of={(): NO_EFFECT}, unknown_alone=0.2, unknown_beside={},
-    other_form=frozenset(), evidence={}, hidden=0.0,
+    other_form=frozenset(), evidence={}, hidden=0.0, gains={},
 )  # fmt: skip
 
 

@@ -9,8 +9,8 @@ import pytest
 from conftest_diagnosis import TRUTHS, brush, record
 
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis import engine
+from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.forecast import _MOMENT, _with_moment, next_measurements
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rig import Rig
