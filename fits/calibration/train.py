@@ -103,9 +103,9 @@ def _strange(records) -> np.ndarray:
 def taught(records: Sequence[dict]) -> dict:
     """Both regressions from the clues of trials (see ``collect``).
 
-    The second is asked where the first says that something unlisted is there, so that
-    is where it is taught, wrongly said or not. A trial of a measured file is left out of
-    the first: what it holds is not known. A foreign tire is left out of the second: its
+    The second is asked where the first says that something unlisted is there, so it is
+    taught there, wrongly said or not. A trial of a measured file is left out of the
+    first: what it holds is not known. A foreign tire is left out of the second: its
     friction may well fall with the speed.
     """
     seen = [r for r in records if r["more"]]

@@ -180,7 +180,8 @@ PARTS = {
     "gap": {"rms", "resolvable", "closed", "closed_ci", "remaining_rms", "holdout"},
     "where": {"covariate", "low", "high", "share", "p_value"},
     "verdict": {
-        "status", "effects", "probability", "also_possible", "adequacy", "parameters",
+        "status", "effects", "probability", "also_possible", "adequacy", "looks_like",
+        "parameters",
     },
     "candidates": {
         "effects", "family", "probability", "parameters", "z", "z_given_rivals",

@@ -61,6 +61,8 @@ def test_rows_left_out_bind_the_verdict(status, closed, on_others, then):
     verdict = Verdict(status, ("load_friction",), 0.9, (), 0.0, ONE_EFFECT, UNTESTED)
     bound = bound_by(verdict, NOTHING, closed, on_others)
     assert bound.status == then
+    # Who reads the verdict must be told that these rows decided it.
+    assert bound.fails_elsewhere == (then != status)
     if then == "unknown":
         assert bound.effects == ("unknown",) and bound.chosen is NO_EFFECT
 

@@ -9,8 +9,8 @@ import pytest
 from conftest_diagnosis import TRUTHS, brush, record
 
 from tirefit.data.read import read_frame
+from tirefit.diagnosis import engine
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.engine import _studied, diagnose
 from tirefit.diagnosis.forecast import _MOMENT, _with_moment, next_measurements
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rig import Rig
@@ -21,10 +21,10 @@ GAP = ["rms", "resolvable", "closed", "closed_ci", "remaining_rms"]
 KEYS = {
     "": [
         "schema", "data", "model", "simulator", "n", "n_effective", "noise", "gap",
-        "budget", "where", "map", "verdict", "candidates", "untestable", "resolution",
-        "forecast",
-        "next_measurement", "next_measurement_reason", "slip_check", "runs",
-        "base_parameters", "extended_parameters", "settings", "seed", "version",
+        "budget", "budgets", "where", "map", "verdict", "candidates", "untestable",
+        "resolution", "forecast", "next_measurement", "next_measurement_reason",
+        "slip_check", "runs", "base_parameters", "extended_parameters", "settings",
+        "seed", "version",
     ],
     "data": [
         "name", "path", "sha256", "convention", "channels", "assumptions", "motion"
@@ -37,9 +37,12 @@ KEYS = {
     "gap holdout": [*GAP, "on"],
     "where 0": ["covariate", "low", "high", "share", "p_value"],
     "map 0": ["parameter", "covariate", "log_evidence", "explains"],
+    "budgets": ["fx"],
+    "budgets fx 0": ["part", "rms", "share", "closed_ci"],
     "budget 0": ["part", "rms", "share", "closed_ci"],
     "verdict": [
-        "status", "effects", "probability", "also_possible", "adequacy", "parameters"
+        "status", "effects", "probability", "also_possible", "adequacy", "looks_like",
+        "parameters",
     ],
     "verdict adequacy": [
         "time", "slip_order", "line", "pure_error", "local", "held_out", "passed"
@@ -87,8 +90,10 @@ def test_every_record_is_written_as_it_is_read(diagnosed):
     ]
     written = {f.name for f in fields(Diagnosis) if f.metadata.get("written", True)}
     assert written | {"schema"} == set(document)
-    assert all(not isinstance(getattr(found, name), dict) or name == "runs"
-               or name.endswith("parameters") for name in written)  # fmt: skip
+    # Keyed by what the file and the model have.
+    free = ("parameters", "budgets", "runs")
+    assert all(not isinstance(getattr(found, name), dict) or name.endswith(free)
+               for name in written)  # fmt: skip
     assert is_dataclass(found.gap)
     lost = replace(found, n_effective=np.float64("nan"), seed=np.int64(3))
     assert json.loads(lost.to_json())["n_effective"] is None
@@ -134,7 +139,7 @@ def studied():
             data = read_frame(DESIGNS[design](), design)
             rows = prepare(data, rig, ("fx", "fy", "mz"))
             generator = np.random.default_rng(0)
-            known[design] = _studied(rows, "brush", rig, EFFECTS, (), generator)
+            known[design] = engine.studied(rows, "brush", rig, EFFECTS, (), generator)
         return known[design]
 
     return study
@@ -164,7 +169,9 @@ def test_what_cannot_be_told_has_a_next_measurement_or_a_reason(studied, design)
 
 def test_one_load_and_one_sign_ask_for_the_other_sign_or_load():
     data = read_frame(sweep([4e3], np.linspace(0.004, 0.2, 120)), "one sign")
-    found = diagnose(data, rig=Rig(noise={"fx_relative": 0.01, **ALMOST_NO_NOISE}))
+    found = engine.diagnose(
+        data, rig=Rig(noise={"fx_relative": 0.01, **ALMOST_NO_NOISE})
+    )
     assert found.verdict.status == "cannot_tell"
     assert {"slip_offset", "force_offset"} <= {
         *found.effects, *found.verdict.also_possible

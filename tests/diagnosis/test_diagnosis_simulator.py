@@ -1,5 +1,6 @@
 """Simulators diagnosed as they are, of known error."""
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -206,6 +207,39 @@ def test_a_lateral_simulator_by_its_force():
     before = np.sqrt(np.mean((truth - sim) ** 2))
     assert found.gap.rms == pytest.approx(before, rel=0.1)
     assert {"sim_fy", "tuned_fy"} <= set(rows_in_file_terms(found))
+
+
+def test_every_channel_of_a_simulator_has_its_budget():
+    """Friction too high: of the moment an error of its own, in its own unit."""
+    generator, slip = np.random.default_rng(7), np.tile(np.linspace(-0.2, 0.2, 60), 3)
+    fz, alpha = np.repeat((2000.0, 4000.0, 6000.0), 60), np.arctan(slip)
+    inputs = read_frame({"alpha": alpha, "fy": fz, "mz": fz, "fz": fz}, "in")
+    truth, sim = (
+        predict(simulator_at("brush", {**TRUE, "mu": mu}).tire, inputs)
+        for mu in (TRUE["mu"], TOO_HIGH * TRUE["mu"])
+    )
+    noise = {"fy": NOISE, "mz": 2.0}
+    frame = {"alpha": alpha, "fz": fz} | {
+        c: truth[c] + std * generator.standard_normal(180) for c, std in noise.items()
+    }
+    found = diagnose(
+        read_frame(frame, "y"), sim={c: sim[c] for c in noise}, rig=Rig(noise=noise),
+        effects=LIBRARY,
+    )  # fmt: skip
+    assert list(found.budgets) == ["fy", "mz"] and found.budget == found.budgets["fy"]
+    for channel, std in noise.items():
+        parts = {part.part: part for part in found.budgets[channel]}
+        assert sum(part.share for part in parts.values()) == pytest.approx(1.0)
+        error = np.mean((frame[channel] - sim[channel]) ** 2)
+        energy = sum(part.rms**2 for part in parts.values())
+        assert energy == pytest.approx(error, rel=1e-6)
+        assert parts["noise"].rms == pytest.approx(std, rel=0.15)
+        # What the right friction takes away, worked out without the diagnosis.
+        closed = error - np.mean((frame[channel] - truth[channel]) ** 2)
+        assert parts["parameters"].rms ** 2 == pytest.approx(closed, rel=0.05)
+    document = json.loads(found.to_json())
+    assert document["budget"] == document["budgets"]["fy"]
+    assert document["budgets"]["mz"][0]["part"] == "parameters"
 
 
 def test_the_tire_that_stands_in_is_fitted_to_the_simulation(frame):

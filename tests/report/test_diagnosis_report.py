@@ -14,9 +14,13 @@ import matplotlib.image
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from tirefit.data.table import Source, TireData
+from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect
+from tirefit.diagnosis.look_curve import LookCurve
+from tirefit.diagnosis.patterns import Look
 from tirefit.diagnosis.records import (
     Amplitude,
     Candidate,
@@ -45,7 +49,7 @@ from tirefit.models import MODELS
 from tirefit.report.canvas import Picture
 from tirefit.report.diagnosis_budget import (
     budget_lines,
-    budget_sentence,
+    budget_sentences,
     waterfall_steps,
 )
 from tirefit.report.diagnosis_draw import (
@@ -59,6 +63,7 @@ from tirefit.report.diagnosis_draw import (
     write_figure,
 )
 from tirefit.report.diagnosis_html import diagnosis_page, write_page
+from tirefit.report.diagnosis_look import draw_look, look_title
 from tirefit.report.diagnosis_panels import (
     after_label,
     closure_bars,
@@ -156,7 +161,8 @@ def records(channel):
         ),
         "model": "brush", "simulator": None, "n": 360, "n_effective": 287.0,
         "noise": noise_of(channel),
-        "gap": GAP, "budget": (), "meanings": {},
+        "gap": GAP, "budget": (), "budgets": {channel: ()}, "meanings": {},
+        "look": None,
         "where": (
             Region("fz", 6000.0, 6000.0, 0.81, 1e-30),
             Region("fz", 2000.0, 2000.0, 0.19, 0.21),
@@ -449,33 +455,42 @@ SIMULATED = {
         "columns", "columns", None,
         Surrogate(model="brush", rms=75.0, of_force=0.019, of_gap=0.23),
     ),
-    "budget": BUDGET, "meanings": {"E": "curvature factor"},
+    "budget": BUDGET, "budgets": {"fx": BUDGET},
+    "meanings": {"E": "curvature factor"},
 }  # fmt: skip
 
 
-def simulated(status="named", effects=("slip_offset",), changes=CHANGES):
+MOMENT = (
+    # 6, 8 and 24 N m: 26 in all.
+    Part("parameters", 24.0, 576 / 676, (0.8, 0.9)),
+    Part("unexplained", 6.0, 36 / 676, (0.02, 0.08)),
+    Part("noise", 8.0, 64 / 676, (0.08, 0.1)),
+)
+
+
+def simulated(status="named", effects=("slip_offset",), changes=CHANGES, **others):
     verdict = VerdictSummary(
         status=status, effects=tuple(effects), probability=0.9, also_possible=(),
         parameters=changes,
     )  # fmt: skip
-    return diagnosis(verdict=verdict, **SIMULATED)
+    return diagnosis(verdict=verdict, **SIMULATED | others)
 
 
 def test_a_simulators_error_is_told_part_by_part():
     found = simulated()
     # The surest change first: E is 30 standard errors off, mu nine.
-    assert budget_sentence(found) == (
+    assert budget_sentences(found) == [
         "of 454 N (rms; the parts add in squares), 400 N is curvature factor"
         " 0.600 ± 0.020 too low and friction 9.0 ± 1.0 % too high in the simulator,"
         " 160 N is a slip offset that it does not have, 80 N has no name, 120 N is"
         " noise"
-    )
+    ]
     lines = budget_lines(found)
     assert "cpa2: simulated 50000, measured 51000 ± 900: agrees" in lines
     assert "misses 75 N of it, 1.9 % of its force and 23 % of the gap" in lines[-1]
     assert budget_lines(diagnosis()) == []
     calm = simulated(changes={"cpa2": CHANGES["cpa2"]})
-    assert "400 N is parameters, none of them surely wrong" in budget_sentence(calm)
+    assert "400 N is parameters, none of them surely wrong" in budget_sentences(calm)[0]
 
 
 @pytest.mark.parametrize(
@@ -524,6 +539,205 @@ def test_the_budget_stands_in_figure_and_page():
     assert "Budget of the simulator" in page and "400 N is curvature" in page
     assert "simulator as given, brush" in page
     assert "Budget of the simulator" not in diagnosis_page(diagnosis())
+
+
+def texts_of(figure):
+    """Everything that a figure says, at any depth."""
+    return [text.get_text() for text in figure.findobj(Text)]
+
+
+def test_every_channel_has_a_budget_in_its_unit():
+    found = simulated(budgets={"fy": BUDGET, "mz": MOMENT})
+    force, moment = budget_sentences(found)
+    assert force.startswith("of 454 N of F_y (rms; the parts add in squares), 400 N is")
+    assert moment.startswith("of 26 N m of M_z (rms; the parts add in squares), 24 N m")
+    assert moment.endswith("6 N m has no name, 8 N m is noise")
+    assert moment in re.sub(r"\s+", " ", str(found))
+    assert moment in html.unescape(diagnosis_page(found))
+    steps = waterfall_steps(found, "mz")
+    np.testing.assert_allclose([step.before for step in steps], [26, 26, 10, 8])
+    assert steps[1].text.startswith("24 N m, 85 %")
+    assert waterfall_steps(found) == waterfall_steps(found, "fy")
+    pictures = panel_pictures(found)
+    assert list(pictures)[4:] == ["budget of F_y", "budget of M_z"]
+    labels = [axes.get_xlabel() for axes in pictures["budget of M_z"].axes]
+    assert labels == ["left of the error, rms [N m]"]
+    assert "Budget of M_z: from the simulator" in " ".join(
+        texts_of(pictures["budget of M_z"])
+    ).replace("\\", "")
+    assert "of M_z" in "".join(Page(diagnosis_page(found)).alternatives)
+
+
+def test_forces_are_diagnosed_not_the_tire_that_stands_in():
+    """Of a simulator known by its forces; one that is a tire goes by its name."""
+    found, small = simulated(), "brush stands in for the simulator"
+    tire = found.simulator._replace(kind="model")
+    own, fitted = simulated(simulator=tire), diagnosis()
+    for one, title in (
+        (found, f"{NAME} against the simulator's own forces"),
+        (own, f"{NAME} against brush"),
+        (fitted, f"{NAME} against brush"),
+    ):
+        drawn = "".join(texts_of(diagnosis_figure(one))).replace("\\", "")
+        page, fragment = (
+            html.unescape(text) for text in (diagnosis_page(one), one._repr_html_())
+        )
+        text = re.sub(r"\s+", " ", str(one))
+        for where in (drawn, page, fragment, text):
+            assert title in where
+        for where in (drawn, page.split("<pre>")[0]):
+            assert (small in where) == (one is found)
+
+
+LOOK = Look("friction", "fz", "threshold", 5000.0, 0.0, -0.049, 0.97, 0.8)
+STEP = LookCurve(
+    LOOK, np.array([2e3, 4e3, 6e3]), np.array([0.025, 0.024, -0.024]),
+    np.array([0.002, 0.001, 0.003]), np.array([2e3, 4e3, 6e3]),
+    np.array([0.0245, 0.0245, -0.0245]), -0.049, is_mirrored=False, is_folded=False,
+    at_settings=True,
+)  # fmt: skip
+
+
+def looking(panel, status="unknown"):
+    """A verdict whose remainder has a shape."""
+    effects = {"unknown": "unknown", "incomplete": "load_friction"}[status]
+    verdict = VerdictSummary(
+        status=status, effects=(effects,), probability=0.8, also_possible=(),
+        looks_like=(panel.look,),
+    )  # fmt: skip
+    return diagnosis(verdict=verdict, look=panel)
+
+
+SHAPES = {
+    "threshold": (STEP, "friction steps at a load F_z of 5000 N by -4.9 %"),
+    "setting": (
+        STEP._replace(look=LOOK._replace(shape="local", at=4e3)),
+        "friction differs at a load F_z of 4000 N by -4.9 %",
+    ),
+    "local": (
+        STEP._replace(
+            look=Look("stiffness", "v", "local", 12.0, 2.0, 0.2, 1, 1), size=0.2,
+            at_settings=False,
+        ),
+        "stiffness differs about a speed v of 12 m/s by 20 %",
+    ),
+    "wave": (
+        STEP._replace(
+            look=Look("force", "time", "wave", 0.7, 0.0, -0.06, 1, 1), size=0.061,
+            is_folded=True, at_settings=False,
+        ),
+        "force goes up and down with time, period 0.7 s, by ± 6.1 % of F_z",
+    ),
+    "kink": (
+        STEP._replace(
+            look=Look("slip", "slip_fraction", "kink", 1.2, 0, 0.004, 1, 1), size=0.002,
+            is_mirrored=True, at_settings=False,
+        ),
+        "slip bends at a slip / slip of full sliding of 1.2, by 0.002 from there",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("panel", "said"), SHAPES.values(), ids=SHAPES)
+def test_what_is_left_is_drawn(panel, said):
+    assert look_title(panel).startswith(f"What is left: {said}")
+    figure = Figure()
+    draw_look(figure, panel, "the base fit")
+    (axes,) = figure.axes
+    title = axes.get_title(loc="left").replace("\n", " ").replace("\\", "")
+    assert title == look_title(panel)
+    scale = 1 if panel.look.parameter == "slip" else 100
+    points = axes.containers[0].lines[0]
+    np.testing.assert_allclose(points.get_ydata(), scale * panel.change)
+    (bars,) = axes.containers[0].lines[2]
+    ends = np.array([np.ptp(one[:, 1]) for one in bars.get_segments()])
+    np.testing.assert_allclose(ends, 2 * scale * panel.std)
+    assert "on top of the base fit" in " ".join(texts_of(figure))
+    if panel.at_settings:
+        (levels,) = (one.get_segments() for one in axes.collections if one is not bars)
+        drawn = [one[0, 1] for one in levels]
+    else:
+        drawn = axes.lines[1].get_ydata()
+    np.testing.assert_allclose(drawn, scale * panel.shape)
+
+
+def test_axes_say_what_changes_and_whether_a_wave_is_folded():
+    labels = {}
+    for name, (panel, _) in SHAPES.items():
+        figure = Figure()
+        draw_look(figure, panel, "x")
+        labels[name] = (figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel())
+    assert labels["wave"] == (
+        "time, folded over the period of 0.7 s [s]", "added force [% of $F_z$]"
+    )  # fmt: skip
+    assert labels["threshold"] == ("load F_z [N]", "change of friction [%]")
+    assert labels["kink"][1] == "added slip, in its own direction [-]"
+
+
+def test_what_is_left_stands_in_figure_and_page():
+    plain = diagnosis_figure(diagnosis()).get_figheight()
+    found, beside = looking(STEP), looking(STEP, "incomplete")
+    assert list(panel_pictures(found))[4:] == ["what is left"]
+    assert diagnosis_figure(found).get_figheight() > 1.2 * plain
+    page = Page(diagnosis_page(found))
+    assert len(page.links) == 5
+    assert any("What the verdict leaves" in one for one in page.alternatives)
+    said = [
+        " ".join(texts_of(panel_pictures(one)["what is left"]))
+        for one in (found, beside)
+    ]
+    assert "on top of the base fit" in said[0] and "load" in said[1]
+    # It is drawn, not written into the document.
+    assert "look" not in json.loads(found.to_json())
+
+
+def test_candidates_are_said_to_be_ranked_before_the_tests():
+    said = "by evidence, before what they leave was tested"
+    found = diagnosis()
+    assert f"CANDIDATES ({said})" in str(found)
+    short = said.replace(",", "")
+    for page in (diagnosis_page(found), found._repr_html_()):
+        assert short in page.replace(",", "")
+
+
+PASSES = Adequacy(0.5, 0.4, 0.6, 0.3, 0.7, 0.5, passed=False)
+
+
+def test_an_incomplete_verdict_says_that_rows_left_out_decided():
+    verdict = VerdictSummary(
+        status="incomplete", effects=("load_friction",), probability=0.7,
+        also_possible=(), adequacy=PASSES,
+    )  # fmt: skip
+    held = replace(HELD, closed=0.3)
+    gap = replace(GAP, holdout=held)
+    decided = diagnosis(verdict=replace(verdict, fails_elsewhere=True), gap=gap)
+    other = diagnosis(verdict=verdict, gap=gap)
+    why = (
+        "because rows left out (highest fz, left out of both fits) are predicted far"
+        " worse than the rows fitted: closed 30 % there, 80 % here"
+    )
+    for text in (re.sub(r"\s+", " ", str(decided)), diagnosis_page(decided)):
+        assert why in text and "looks random" not in text
+    assert "because rows left out" not in str(other)
+    assert "looks random in 6 tests" in str(other)
+    # What the tests refuse is told beside it.
+    failing = replace(verdict, adequacy=PASSES._replace(time=0.001))
+    both = str(diagnosis(verdict=replace(failing, fails_elsewhere=True), gap=gap))
+    both = re.sub(r"\s+", " ", both)
+    assert (
+        "the named effects leave has structure" in both
+        and "because rows left out" in both
+    )
+
+
+def test_an_unknown_that_rows_left_out_decided_says_so():
+    verdict = VerdictSummary(
+        status="unknown", effects=("unknown",), probability=0.7, also_possible=(),
+        adequacy=PASSES, fails_elsewhere=True,
+    )  # fmt: skip
+    text = re.sub(r"\s+", " ", str(diagnosis(verdict=verdict)))
+    assert "do not predict the rows left out (highest fz" in text
+    assert "none is named" in text and "looks random" not in text
 
 
 def _finite(values):
@@ -655,8 +869,9 @@ def test_an_effect_of_the_users_own_goes_by_its_id():
     assert "road_ripple (probability 0.60)" in str(found)
     assert "road_ripple" in diagnosis_page(found)
     mine = Effect(
-        id="road_ripple", family="friction x time", change=None, scale=0.1, unit="-",
-        formula="", means="the road has waves", remedy="measure elsewhere",
+        id="road_ripple", family="friction x time", change=lambda state, *_: state,
+        scale=0.1, unit="-", formula="", means="the road has waves",
+        remedy="measure elsewhere",
     )  # fmt: skip
     verdict = found.verdict
     known = diagnosis(verdict=verdict, library=(*EFFECTS, mine))

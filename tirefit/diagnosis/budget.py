@@ -19,7 +19,7 @@ from tirefit.diagnosis.records import Change, Part, SimulatorSummary, Surrogate
 from tirefit.diagnosis.search import Hypothesis
 from tirefit.diagnosis.shares import shapley
 
-__all__ = ["budget_of", "parameter_changes", "simulator_summary"]
+__all__ = ["budgets_of", "parameter_changes", "simulator_summary"]
 
 PARAMETERS = "parameters"
 
@@ -40,18 +40,25 @@ _MOST_LOST = 0.5
 """Share of the noise's energy that the fitted parameters take up, at most."""
 
 
-def budget_of(case: Case, extended, generator) -> tuple[Part, ...]:
-    """Parts of the energy of the first channel: parameters (of a simulator), each named
+def budgets_of(case: Case, rows, generator) -> dict[str, tuple[Part, ...]]:
+    """Parts of the energy of every channel: parameters (of a simulator), each named
     effect, unexplained, noise; their shares add to one.
 
     Args:
-        extended: force (n,) of the verdict, in whatever form of its effects.
+        rows: by channel ``extended`` (n,), the force of the verdict, in whatever form
+            of its effects.
     """
+    missed = _missed(case.base, case.verdict.chosen)
+    return {
+        channel: _budget(case, channel, missed[channel], parts["extended"], generator)
+        for channel, parts in rows.items()
+    }
+
+
+def _budget(case: Case, channel: str, missed, extended, generator) -> tuple[Part, ...]:
     base, chosen = case.base, case.verdict.chosen
-    main = base.rows.channels[0]
-    noise, keep = base.noise[main], ~base.noise[main].outlier
-    observed = base.rows.observed[main]
-    missed = _missed(base, chosen, main)
+    noise, keep = base.noise[channel], ~base.noise[channel].outlier
+    observed = base.rows.observed[channel]
     players = ((PARAMETERS,) if base.simulator else ()) + chosen.atoms
     whole = missed[()] ** 2
     parts = shapley(players, lambda subset: whole - missed[subset] ** 2)
@@ -108,11 +115,12 @@ def _energies(means):
 
 
 def _missed(
-    base: Base, chosen: Hypothesis, main: str
-) -> dict[tuple[int | str, ...], np.ndarray]:
-    """Residual (n,) [N] where only a subset of the players is allowed; every subset is
-    refitted, with the simulator's parameters held unless they are among it."""
-    atoms, observed = chosen.atoms, base.rows.observed[main]
+    base: Base, chosen: Hypothesis
+) -> dict[str, dict[tuple[int | str, ...], np.ndarray]]:
+    """Residual (n,) of every channel where only a subset of the players is allowed;
+    every subset is refitted, with the simulator's parameters held unless they are among
+    it."""
+    atoms, observed = chosen.atoms, base.rows.observed
     sets = [s for size in range(len(atoms) + 1) for s in combinations(atoms, size)]
     place = {atom: k for k, atom in enumerate(atoms)}
     guess = {s: chosen.amplitude[[place[atom] for atom in s]] for s in sets}
@@ -126,12 +134,14 @@ def _missed(
         stuck = base.refit([(start, guess[s]) for s in sets], sets, held)
         fits = {(PARAMETERS, *s): fit for s, fit in fits.items()}
         fits |= {s: (start, a) for s, a in zip(sets, stuck.amplitude, strict=True)}
-    scale, missed = np.asarray(base.design.prior_scale), {}
+    scale = np.asarray(base.design.prior_scale)
+    missed: dict[str, dict] = {channel: {} for channel in base.rows.channels}
     for subset, (z, amplitude) in fits.items():
         index = [k for k in subset if not isinstance(k, str)]
         full = np.zeros(len(base.atoms))
         full[index] = amplitude[: len(index)] * scale[index]
-        missed[subset] = observed - base.forces(z, full)[main]
+        for channel, force in base.forces(z, full).items():
+            missed[channel][subset] = observed[channel] - force
     return missed
 
 

@@ -31,6 +31,9 @@ _KNOWN = 2.0
 """Standard errors from which an effect may be named at all: an error bar of half the
 value."""
 
+_PERHAPS = 0.2
+"""The same from which an effect that is not named is said to be possible."""
+
 _EVEN = 0.5
 """Probability of something unlisted from which it is said."""
 
@@ -225,7 +228,9 @@ def _incomplete(verdict: Verdict, judge: Judge, key, more: float) -> Verdict:
     if not earned or judge.imitates(earned) or judge.firm(earned, _FIRM) != earned:
         alone = more * np.prod([1 - chance for chance in chances.values()])
         left = judge.of(()).adequacy
-        return _unknown(verdict, weighed, left, float(alone))
+        unknown = _unknown(verdict, weighed, left, float(alone))
+        perhaps = tuple(e for e in key if chances[e] >= _PERHAPS)
+        return replace(unknown, also_possible=perhaps)
     exactly = [chances[e] if e in earned else 1 - chances[e] for e in key]
     left = judge.of(earned).adequacy._replace(passed=False)
     return replace(
@@ -261,12 +266,15 @@ def bound_by(
     if held is None or held.closed is None or not held.resolvable:
         return verdict
     if held.closed <= _WORSE:
-        return _unknown(
-            verdict, weighed, verdict.adequacy, max(_EVEN, 1 - verdict.probability)
-        )
+        probability = max(_EVEN, 1 - verdict.probability)
+        bound = _unknown(verdict, weighed, verdict.adequacy, probability)
+        return replace(bound, fails_elsewhere=True)
     if closed and held.closed < _FALLS_SHORT * closed:
         left = verdict.adequacy._replace(passed=False)
-        return replace(verdict, status="incomplete", also_possible=(), adequacy=left)
+        return replace(
+            verdict, status="incomplete", also_possible=(), adequacy=left,
+            fails_elsewhere=True,
+        )  # fmt: skip
     return verdict
 
 

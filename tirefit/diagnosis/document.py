@@ -7,7 +7,7 @@ import numpy as np
 
 from tirefit.diagnosis.base import Base, at_measured_slip, on_rows
 from tirefit.diagnosis.basis import located, without
-from tirefit.diagnosis.budget import budget_of, parameter_changes, simulator_summary
+from tirefit.diagnosis.budget import budgets_of, parameter_changes, simulator_summary
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.closure import Closure, closure_of
 from tirefit.diagnosis.conclusion import bound_by, look_of_rest
@@ -15,6 +15,7 @@ from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.effects.known import said_of_motion
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
+from tirefit.diagnosis.look_curve import look_curve
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.records import (
     Amplitude,
@@ -23,6 +24,7 @@ from tirefit.diagnosis.records import (
     Gap,
     HeldOut,
     NoiseSummary,
+    Region,
     Resolution,
     Settings,
     Shrinkage,
@@ -79,11 +81,10 @@ def document_of(
         case = replace(case, verdict=bound)
         return document_of(case, whole, rig, effects, holdout, generator, model, seed)
     gap = _gap(case, gaps, held)
-    budget = budget_of(case, believed[main]["extended"], generator)
+    budgets = budgets_of(case, believed, generator)
     said = _verdict(case)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown = shown_rows(base, rows[main])
-    missed = base.residual(base.as_given, np.zeros(len(base.atoms)))
     noise, motion = _noise(case), said_of_motion(base, rig)
     return Diagnosis(
         data=DataSummary(
@@ -97,8 +98,9 @@ def document_of(
         n_effective=prepared.n / noise.inflation,
         noise=noise,
         gap=gap,
-        budget=budget,
-        where=tuple(regions(base, missed[: prepared.n], shown.gap)),
+        budget=budgets[main],
+        budgets=budgets,
+        where=_where(base, shown.gap),
         map=tuple(parameter_map(base)),
         verdict=said,
         candidates=candidates,
@@ -122,9 +124,15 @@ def document_of(
         mean_load=float(np.mean(data.usable("fz"))),
         residual_map=residual_map(shown, noise.inflation, gap.resolvable),
         comparison=compared(shown, said.names_an_effect or _tuned_alone(case)),
+        look=look_curve(verdict, base, next(iter(said.looks_like), None)),
         library=tuple(effects),
         meanings={p.name: p.spec.meaning for p in base.layout.free},
     )  # fmt: skip
+
+
+def _where(base: Base, gap) -> tuple[Region, ...]:
+    missed = base.residual(base.as_given, np.zeros(len(base.atoms)))
+    return tuple(regions(base, missed[: base.prepared.n], gap))
 
 
 def _bound(case: Case, closed: float | None, held: HeldOut | None, on_files: bool):
@@ -276,6 +284,7 @@ def _verdict(case: Case) -> VerdictSummary:
         adequacy=verdict.adequacy,
         looks_like=look_of_rest(verdict, case.base),
         parameters=parameter_changes(case, widening(case.base, verdict.chosen)),
+        fails_elsewhere=verdict.fails_elsewhere,
     )
 
 

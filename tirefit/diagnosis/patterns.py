@@ -12,11 +12,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.data.levels import levels
+from tirefit.data.levels import Levels, levels
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rates import segments
 
-__all__ = ["Look", "Pattern", "Patterns", "looks", "patterns", "patterns_gain"]
+__all__ = [
+    "PARAMETERS",
+    "Look",
+    "Pattern",
+    "Patterns",
+    "is_mirrored",
+    "looks",
+    "patterns",
+    "patterns_gain",
+    "quantities",
+    "settings_of",
+]
 
 PARAMETERS = {
     "stiffness": ("stiffness", 0.06), "friction": ("friction", 0.03),
@@ -134,14 +145,27 @@ def quantities(prepared, slip_fraction) -> dict[str, np.ndarray]:
     return values
 
 
+def settings_of(covariate: str, values) -> Levels | None:
+    """The few settings that a rig has of a covariate; None where it has a range."""
+    settings = levels(values)
+    is_set = covariate in _SET_BY_RIG and settings.few(_SETTINGS)
+    return settings if is_set else None
+
+
+def is_mirrored(parameter: str, covariate: str) -> bool:
+    """Whether driving mirrors braking: the change is in the direction of the slip."""
+    of_size = covariate in ("slip_fraction", "used_friction")
+    return of_size and parameter in ("force", "slip")
+
+
 def _shapes(
-    values, n: int, waves, set_by_rig: bool
+    values, n: int, waves, settings: Levels | None
 ) -> list[tuple[str, float, float, np.ndarray]]:
-    """(shape, place, width, function of the rows (n,)) over one quantity."""
+    """(shape, place, width, function of the rows (n,)) over one quantity, of which the
+    rig may have few ``settings``."""
     low, span = values.min(), max(np.ptp(values), NONZERO)
     share = (values - low) / span
-    settings = levels(values)
-    if set_by_rig and settings.few(_SETTINGS):
+    if settings is not None:
         centers = np.asarray(settings.center)
         order = np.sort(centers)
         between = 0.5 * (order[1:] + order[:-1])
@@ -189,8 +213,9 @@ def patterns(prepared, slip_fraction, fields: dict[str, np.ndarray]) -> Patterns
     blocks, prior, names = [], [], []
     for covariate, values in quantities(prepared, slip_fraction).items():
         waves = _WAVES.get(covariate, _FEW_WAVES)
-        by_rig = covariate in _SET_BY_RIG
-        shapes = _shapes(np.asarray(values, float), prepared.n, waves, by_rig)
+        values = np.asarray(values, float)
+        settings = settings_of(covariate, values)
+        shapes = _shapes(values, prepared.n, waves, settings)
         if not shapes:
             continue
         stacked = np.stack([shape for *_, shape in shapes], axis=1)
@@ -199,10 +224,8 @@ def patterns(prepared, slip_fraction, fields: dict[str, np.ndarray]) -> Patterns
             weight = np.full(prepared.n, usual)
             if parameter == "force":
                 weight = weight * load
-            if parameter in ("force", "slip") and covariate in (
-                "slip_fraction", "used_friction",
-            ):  # fmt: skip
-                weight = weight * side  # driving mirrors braking
+            if is_mirrored(parameter, covariate):
+                weight = weight * side
             column = fields[parameter][:, None] * np.tile(
                 weight[:, None] * stacked, (channels, 1)
             )

@@ -147,7 +147,8 @@ class VerdictSummary:
     something unlisted.
 
     ``parameters`` are those of a simulator that was given: none of a form that was
-    fitted.
+    fitted. ``fails_elsewhere``: the status is what it is because rows left out are not
+    predicted as the rows fitted are.
     """
 
     status: str
@@ -157,6 +158,7 @@ class VerdictSummary:
     adequacy: Adequacy = UNTESTED
     looks_like: tuple[Look, ...] = ()
     parameters: Mapping[str, "Change"] = field(default_factory=dict)
+    fails_elsewhere: bool = field(default=False, metadata={"written": False})
 
     @property
     def names_an_effect(self) -> bool:
@@ -177,11 +179,11 @@ class Change(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A part of the distance from a base to the measurement of the first channel.
+    """A part of the distance from a base to the measurement of a channel.
 
     ``part`` is parameters, the id of an effect, unexplained or noise; ``share`` is that
-    of the energy (mean square), with its 90 % interval, ``rms`` [N] its root; the
-    shares add to one.
+    of the energy (mean square), with its 90 % interval, ``rms`` its root, in the unit
+    of the channel; the shares add to one.
     """
 
     part: str

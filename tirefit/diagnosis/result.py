@@ -8,6 +8,7 @@ import numpy as np
 
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects import Effect
+from tirefit.diagnosis.look_curve import LookCurve
 from tirefit.diagnosis.records import (
     Candidate,
     Cell,
@@ -41,6 +42,7 @@ _NOT_WRITTEN = {"written": False}
 class Diagnosis(Displayed):
     """One file diagnosed: the records of the document, in its order, then arrays.
 
+    ``budget`` is that of the first channel, ``budgets`` those of all.
     ``next_measurement`` is ranked, the largest gain first; where it is empty,
     ``next_measurement_reason`` says why. ``slip_check`` is the slip column against the
     slip of the wheel speed, None where that is not known. ``runs`` says how far the
@@ -50,9 +52,9 @@ class Diagnosis(Displayed):
     masked: ``base``, ``extended``, ``gap``, ``gap_std``; for a simulator ``base`` is it
     as given, also under ``sim``, and ``tuned`` its parameters adapted. ``simulator`` is
     None where a form was fitted; ``meanings`` of its parameters. ``table`` is the data,
-    ``mean_load`` [N] that of its used rows; ``residual_map`` and ``comparison`` are
-    what the figures show; ``library`` holds the effects that were looked for, a user's
-    own among them.
+    ``mean_load`` [N] that of its used rows; ``residual_map``, ``comparison`` and
+    ``look`` are what the figures show, the last None where nothing unlisted shows a
+    shape; ``library`` holds the effects that were looked for, a user's own among them.
     """
 
     text_by: ClassVar[str] = "tirefit.report.diagnosis_text:diagnosis_text"
@@ -66,6 +68,7 @@ class Diagnosis(Displayed):
     noise: NoiseSummary
     gap: Gap
     budget: tuple[Part, ...]
+    budgets: Mapping[str, tuple[Part, ...]]
     where: tuple[Region, ...]
     map: tuple[Cell, ...]
     verdict: VerdictSummary
@@ -87,6 +90,7 @@ class Diagnosis(Displayed):
     mean_load: float = field(metadata=_NOT_WRITTEN)
     residual_map: ResidualMap = field(metadata=_NOT_WRITTEN)
     comparison: Comparison = field(metadata=_NOT_WRITTEN)
+    look: LookCurve | None = field(metadata=_NOT_WRITTEN)
     library: tuple[Effect, ...] = field(metadata=_NOT_WRITTEN)
     meanings: Mapping[str, str] = field(metadata=_NOT_WRITTEN)
 

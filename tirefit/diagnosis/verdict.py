@@ -79,7 +79,7 @@ forms and a remainder too."""
 @dataclass(frozen=True)
 class Verdict:
     """What is said: status, effects, the probability of exactly this set; the tests of
-    what it leaves, once they are made."""
+    what it leaves, once they are made; whether rows left out decided the status."""
 
     status: str
     effects: tuple[str, ...]
@@ -88,6 +88,7 @@ class Verdict:
     p_value: float
     chosen: Hypothesis
     adequacy: Adequacy = UNTESTED
+    fails_elsewhere: bool = False
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ __all__ = [
     "RED",
     "Picture",
     "frame",
+    "panel_title",
     "save_picture",
     "tidy",
 ]
@@ -94,6 +95,19 @@ def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:
     axes.tick_params(labelsize=size - 1, color=GREY, labelcolor=DARK, length=3)
     axes.set_xlabel(x_label, fontsize=size, color=DARK)
     axes.set_ylabel(y_label, fontsize=size, color=DARK)
+
+
+def panel_title(axes, text: str, note: str = "") -> None:
+    """Title of one panel, its message, and what the reader must know in small print."""
+    axes.set_title(
+        plain_text(text), loc="left", fontsize=9.5, fontweight="bold", color=DARK,
+        pad=18 if note else 6,
+    )  # fmt: skip
+    if note:
+        axes.text(
+            0, 1.02, plain_text(note), transform=axes.transAxes, fontsize=7.5,
+            color=GREY, va="bottom",
+        )  # fmt: skip
 
 
 def save_picture(picture: Picture, path: Path) -> Path:

@@ -1,5 +1,6 @@
 """The budget of a simulator's error: in words, and as the steps of a waterfall."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,10 +10,12 @@ from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
+    "CHANNEL_UNITS",
     "Step",
     "budget_lines",
-    "budget_sentence",
+    "budget_sentences",
     "change_texts",
+    "channel_name",
     "waterfall_steps",
 ]
 
@@ -24,8 +27,12 @@ _SHORT = {"mu": "friction", "cpa2": "stiffness", "mu_peak": "peak friction"}
 """Parameters whose meaning in the tables is longer than a sentence can carry."""
 
 
+CHANNEL_UNITS = {"fx": "N", "fy": "N", "mz": "N m"}
+
+
 class Step(NamedTuple):
-    """One bar of the waterfall, in N rms of what is left: from ``before`` to ``after``.
+    """One bar of the waterfall, rms of what is left in the channel's unit: from
+    ``before`` to ``after``.
 
     ``kind`` is whole, parameters, effect, unexplained or noise; ``text`` says the part
     by itself.
@@ -76,26 +83,39 @@ def _words(result: Diagnosis, part: Part) -> str:
     return f"is {article} {name} that it does not have"
 
 
-def _whole(result: Diagnosis) -> float:
-    """Error of the simulator, noise and all, rms [N]."""
-    sure = max(result.budget, key=lambda part: part.share)
+def channel_name(channel: str) -> str:
+    """``F_x``, ``F_y`` or ``M_z``."""
+    return f"{channel[0].upper()}_{channel[1:]}"
+
+
+def _whole(parts: Sequence[Part]) -> float:
+    """Error of the simulator, noise and all, rms."""
+    sure = max(parts, key=lambda part: part.share)
     return sure.rms / np.sqrt(sure.share)
 
 
-def budget_sentence(result: Diagnosis) -> str:
-    """The error of a simulator and its parts as one sentence."""
-    parts = [part for part in result.budget if part.share >= _SEEN]
-    clauses = (f"{format_number(p.rms, 3)} N {_words(result, p)}" for p in parts)
-    whole = format_number(_whole(result), 3)
-    return f"of {whole} N (rms; the parts add in squares), {', '.join(clauses)}"
+def _sentence(result: Diagnosis, channel: str) -> str:
+    unit, whole = CHANNEL_UNITS[channel], _whole(result.budgets[channel])
+    parts = [part for part in result.budgets[channel] if part.share >= _SEEN]
+    clauses = (f"{format_number(p.rms, 3)} {unit} {_words(result, p)}" for p in parts)
+    of_what = f" of {channel_name(channel)}" if len(result.budgets) > 1 else ""
+    return (
+        f"of {format_number(whole, 3)} {unit}{of_what} (rms; the parts add in squares),"
+        f" {', '.join(clauses)}"
+    )
+
+
+def budget_sentences(result: Diagnosis) -> list[str]:
+    """The error of a simulator and its parts, one sentence a channel."""
+    return [_sentence(result, channel) for channel in result.budgets]
 
 
 def budget_lines(result: Diagnosis) -> list[str]:
-    """The sentence, each parameter, and how well the tire follows the simulator; none
+    """The sentences, each parameter, and how well the tire follows the simulator; none
     where a form was fitted."""
     if result.simulator is None:
         return []
-    lines = [budget_sentence(result)]
+    lines = budget_sentences(result)
     for name, change in result.verdict.parameters.items():
         measured = format_estimate(change.measured, change.std)
         verdict = "differs" if change.differs else "agrees"
@@ -117,24 +137,23 @@ _LABELS = {
 }  # fmt: skip
 
 
-def waterfall_steps(result: Diagnosis) -> list[Step]:
+def waterfall_steps(result: Diagnosis, channel: str | None = None) -> list[Step]:
     """From the simulator's error down to the noise, each part from what is left before
-    it to what is left after it."""
-    whole = _whole(result)
-    left, steps = (
-        1.0,
-        [
-            Step(
-                "simulator's error", whole, 0.0, "whole", f"{format_number(whole, 3)} N"
-            )
-        ],
-    )
-    for part in result.budget:
+    it to what is left after it.
+
+    Args:
+        channel: the first if None.
+    """
+    channel = channel or next(iter(result.budgets))
+    unit, whole = CHANNEL_UNITS[channel], _whole(result.budgets[channel])
+    said = f"{format_number(whole, 3)} {unit}"
+    left, steps = 1.0, [Step("simulator's error", whole, 0.0, "whole", said)]
+    for part in result.budgets[channel]:
         rest = max(left - part.share, 0.0) if part.part != "noise" else 0.0
         kind = part.part if part.part in _LABELS else "effect"
         low, high = part.closed_ci
         text = (
-            f"{format_number(part.rms, 3)} N, {100 * part.share:.0f} %"
+            f"{format_number(part.rms, 3)} {unit}, {100 * part.share:.0f} %"
             f" [{100 * low:.0f}, {100 * high:.0f}] of the energy"
         )
         label = _LABELS.get(part.part, part.part.replace("_", " "))

@@ -19,11 +19,18 @@ from tirefit.report.canvas import (
     GREY,
     ORANGE,
     Picture,
+    panel_title,
     save_picture,
     tidy,
 )
 from tirefit.report.curves import SlipAxis, slip_axis
-from tirefit.report.diagnosis_budget import Step, waterfall_steps
+from tirefit.report.diagnosis_budget import (
+    CHANNEL_UNITS,
+    Step,
+    channel_name,
+    waterfall_steps,
+)
+from tirefit.report.diagnosis_look import draw_look
 from tirefit.report.diagnosis_panels import (
     Bar,
     ClosureBar,
@@ -34,7 +41,7 @@ from tirefit.report.diagnosis_panels import (
     level_labels,
     load_label,
 )
-from tirefit.report.diagnosis_text import verdict_sentence
+from tirefit.report.diagnosis_text import stand_in, subject, verdict_sentence
 from tirefit.report.diagnosis_words import share_text
 from tirefit.report.numbers import format_number, plain_text
 
@@ -45,6 +52,7 @@ __all__ = [
     "draw_evidence",
     "draw_waterfall",
     "draw_where",
+    "panel_names",
     "panel_pictures",
     "write_figure",
 ]
@@ -52,6 +60,8 @@ __all__ = [
 _FORCE = {"fx": "$F_x$ [N]", "fy": "$F_y$ [N]", "mz": "$M_z$ [N m]"}
 _SIZE = (11.0, 9.0)
 _PANEL = (5.6, 4.4)
+_SQUARE, _FOOT = 4, 0.36
+"""Panels that stand two by two; height of one below them, of that of these."""
 _BAR = {
     "verdict": BLUE, "rival": ORANGE, "other": GREY, "unknown": "#CC79A7",
     "none": "#009E73", "rest": "#cccccc",
@@ -98,22 +108,10 @@ def draw_where(figure, panel: ResidualMap, base: str = "base fit") -> None:
     bar.set_label("% of $F_z$", fontsize=8)
     bar.outline.set_visible(False)
     name = panel.channel.capitalize()
-    _title(
+    panel_title(
         axes, f"Where: measured {name} minus {base}",
         "dot: beyond the noise (5 % false); number: % of the gap's energy",
     )  # fmt: skip
-
-
-def _title(axes, text: str, note: str = "") -> None:
-    axes.set_title(
-        plain_text(text), loc="left", fontsize=9.5, fontweight="bold", color=DARK,
-        pad=18 if note else 6,
-    )  # fmt: skip
-    if note:
-        axes.text(
-            0, 1.02, plain_text(note), transform=axes.transAxes, fontsize=7.5,
-            color=GREY, va="bottom",
-        )  # fmt: skip
 
 
 def draw_evidence(figure, bars: list[Bar]) -> None:
@@ -134,7 +132,7 @@ def draw_evidence(figure, bars: list[Bar]) -> None:
     axes.set_yticks(places, [plain_text(bar.label) for bar in bars])
     axes.set_xlim(0, 1)
     note = "by evidence, before what they leave is tested; blue: the verdict"
-    _title(axes, "Which: explanations of the gap", note)
+    panel_title(axes, "Which: explanations of the gap", note)
 
 
 def draw_comparison(figure, panel: Comparison, after: str) -> None:
@@ -164,7 +162,7 @@ def draw_comparison(figure, panel: Comparison, after: str) -> None:
         handles=handles, fontsize=7, frameon=False, loc="upper left",
         bbox_to_anchor=(1.0, 1.02),
     )  # fmt: skip
-    _title(top, "Before and after", f"after: {after}")
+    panel_title(top, "Before and after", f"after: {after}")
     bottom.plot(
         panel.center, panel.before, color=DARK, ls=(0, (4, 2)), marker="o", ms=2.5,
         lw=1.2, label="base",
@@ -223,7 +221,9 @@ def draw_closure(figure, bars: list[ClosureBar], load: float) -> None:
     share.tick_params(labelsize=7.5, color=GREY, labelcolor=DARK, length=3)
     share.set_xlabel("% of mean $F_z$", fontsize=8.5, color=DARK)
     share.spines["bottom"].set_color(GREY)
-    _title(axes, "How far: the gap before and after", "grey: base; blue: after, 90 %")
+    panel_title(
+        axes, "How far: the gap before and after", "grey: base; blue: after, 90 %"
+    )
 
 
 def _closure_text(bar: ClosureBar) -> str:
@@ -239,8 +239,15 @@ def _closure_text(bar: ClosureBar) -> str:
     )
 
 
-def draw_waterfall(figure, steps: list[Step]) -> None:
-    """From a simulator's error down to the noise, in N rms of what is left."""
+def draw_waterfall(
+    figure, steps: list[Step], unit: str = "N", channel: str = ""
+) -> None:
+    """From a simulator's error down to the noise, rms of what is left.
+
+    Args:
+        unit: of the steps.
+        channel: name of what is simulated, where there are several.
+    """
     axes = figure.subplots()
     places = np.arange(len(steps))[::-1]
     whole = steps[0].before
@@ -259,11 +266,13 @@ def draw_waterfall(figure, steps: list[Step]) -> None:
         )  # fmt: skip
     for place, step in zip(places[1:-1], steps[1:-1], strict=True):
         axes.plot([step.after] * 2, [place - 0.69, place + 0.31], color=GREY, lw=0.8)
-    tidy(axes, "left of the error, rms [N]")
+    tidy(axes, f"left of the error, rms [{unit}]")
     axes.set_yticks(places, [plain_text(step.label) for step in steps])
     axes.set_xlim(0, 1.02 * whole)
-    _title(
-        axes, "Budget: from the simulator's error to the noise",
+    panel_title(
+        axes,
+        f"Budget{f' of {channel}' * bool(channel)}: from the simulator's error to the"
+        " noise",
         "the parts add in squares; [90 % interval]",
     )  # fmt: skip
 
@@ -284,9 +293,30 @@ def _panels(result: Diagnosis) -> dict[str, Callable]:
             draw_closure, bars=closure_bars(result), load=result.mean_load
         ),
     }
-    if result.simulator is not None:
-        panels["budget"] = partial(draw_waterfall, steps=waterfall_steps(result))
-    return panels
+    if result.look is not None:
+        beside = after_label(result) if result.comparison.named else "the base fit"
+        panels["what is left"] = partial(draw_look, panel=result.look, beside=beside)
+    return panels | _budgets(result)
+
+
+def _budgets(result: Diagnosis) -> dict[str, Callable]:
+    if result.simulator is None:
+        return {}
+    several = len(result.budgets) > 1
+    return {
+        f"budget of {channel_name(channel)}" if several else "budget": partial(
+            draw_waterfall,
+            steps=waterfall_steps(result, channel),
+            unit=CHANNEL_UNITS[channel],
+            channel=channel_name(channel) if several else "",
+        )
+        for channel in result.budgets
+    }
+
+
+def panel_names(result: Diagnosis) -> tuple[str, ...]:
+    """What is drawn, in order."""
+    return tuple(_panels(result))
 
 
 def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
@@ -299,28 +329,30 @@ def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
 
 
 def diagnosis_figure(result: Diagnosis) -> Picture:
-    """All four panels, under the verdict; below them the budget of a simulator."""
+    """All four panels, under the verdict; below them what is left, where it has a
+    shape, and the budget of a simulator, channel by channel."""
     panels = _panels(result)
-    low = 0.36 if "budget" in panels else 0.0
+    feet = (_FOOT,) * (len(panels) - _SQUARE)
     width, height = _SIZE
-    picture = Picture(figsize=(width, height * (1 + low)), layout="constrained")
-    heights = (0.065, 1, low) if low else (0.065, 1)
+    picture = Picture(figsize=(width, height * (1 + sum(feet))), layout="constrained")
+    heights = (0.065, 1, *feet)
     parts = picture.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)
     head, body, *foot = parts.ravel()
     cells = [*body.subfigures(2, 2).ravel(), *foot]
     for cell, draw in zip(cells, panels.values(), strict=True):
         draw(cell)
     head.text(
-        0.01, 0.95, plain_text(f"{result.data.name} against {result.model}"),
+        0.01, 0.95, plain_text(subject(result)),
         va="top", fontsize=12, fontweight="bold", color=DARK,
     )  # fmt: skip
+    small = f"\n{stand_in(result)}" if stand_in(result) else ""
     sentence = textwrap.fill(
         verdict_sentence(result), 150, max_lines=2, placeholder=" …"
     )
     head.text(0.01, 0.42, plain_text(sentence), va="top", fontsize=9, color=DARK)
     head.text(
         0.99, 0.95, f"tirefit {result.version} · braking positive, SI · seed"
-        f" {result.seed} · {format_number(result.n)} rows",
+        f" {result.seed} · {format_number(result.n)} rows{small}",
         va="top", ha="right", fontsize=7, color=GREY,
     )  # fmt: skip
     return picture

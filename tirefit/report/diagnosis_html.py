@@ -6,14 +6,20 @@ from tirefit.diagnosis.result import SCHEMA, Diagnosis
 from tirefit.files import write_text_atomic
 from tirefit.report.canvas import Picture
 from tirefit.report.diagnosis_budget import budget_lines
-from tirefit.report.diagnosis_draw import diagnosis_figure, panel_pictures
+from tirefit.report.diagnosis_draw import (
+    diagnosis_figure,
+    panel_names,
+    panel_pictures,
+)
 from tirefit.report.diagnosis_text import (
     confused_lines,
     gap_lines,
     noise_line,
     slip_check_line,
     smallest_lines,
+    stand_in,
     step_lines,
+    subject,
     verdict_lines,
     verdict_sentence,
 )
@@ -35,6 +41,8 @@ _ALTERNATIVES = {
     "where": "Map of measured minus fitted force over slip and another quantity",
     "which": "Probability of each explanation as bars",
     "before and after": "Force over slip and residuals, of the base fit and after it",
+    "what is left": "What the verdict leaves: change of a parameter over what it"
+    " depends on, and the fitted shape",
     "budget": "Waterfall from the simulator's error, part by part, to the noise",
     "how far": "Size of the gap before and after, on the rows and on held-out data",
 }
@@ -42,6 +50,12 @@ _ALTERNATIVES = {
 
 def _image(picture: Picture, alternative: str) -> Mapping[str, str]:
     return {"png": png_text(picture), "alternative": alternative}
+
+
+def _alternative(name: str) -> str:
+    """Of a panel by name; that of a channel goes by what comes before ``of``."""
+    kind, of_channel, channel = name.partition(" of ")
+    return _ALTERNATIVES[kind] + (f", of {channel}" if of_channel else "")
 
 
 def _verdict(result: Diagnosis) -> Mapping:
@@ -129,12 +143,13 @@ def diagnosis_page(result: Diagnosis) -> str:
     needs = untestable_groups(result.untestable)
     return rendered(
         "diagnosis_page.html",
-        title=f"{result.data.name} against {result.model}",
+        title=subject(result),
+        stand_in=stand_in(result),
         verdict=_verdict(result),
         budget=budget_lines(result),
         gap=gap_lines(result),
         pictures=[
-            _image(picture, _ALTERNATIVES[name])
+            _image(picture, _alternative(name))
             for name, picture in panel_pictures(result).items()
         ],
         where=_where(result),
@@ -167,9 +182,9 @@ def diagnosis_fragment(result: Diagnosis) -> str:
     picture.set_dpi(90)
     return rendered(
         "diagnosis_fragment.html",
-        title=f"{result.data.name} against {result.model}, {result.n} rows",
+        title=f"{subject(result)}, {result.n} rows",
         verdict=_verdict(result),
         gap=[*budget_lines(result), *gap_lines(result)],
         candidates=_candidates(result) if result.verdict.names_an_effect else [],
-        picture=_image(picture, "; ".join(_ALTERNATIVES.values())),
+        picture=_image(picture, "; ".join(map(_alternative, panel_names(result)))),
     )

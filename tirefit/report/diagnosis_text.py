@@ -29,13 +29,29 @@ __all__ = [
     "run_lines",
     "slip_check_line",
     "smallest_lines",
+    "stand_in",
     "step_lines",
+    "subject",
     "verdict_lines",
     "verdict_sentence",
 ]
 
 _WIDTH = 88
 _LEVEL = 0.05
+
+
+def subject(result: Diagnosis) -> str:
+    """Which file is held against what: a model, or a simulator's own forces."""
+    is_forces = result.simulator is not None and result.simulator.kind == "columns"
+    against = "the simulator's own forces" if is_forces else result.model
+    return f"{result.data.name} against {against}"
+
+
+def stand_in(result: Diagnosis) -> str:
+    """The tire that stands in where only a simulator's forces are known; else empty."""
+    if result.simulator is None or result.simulator.kind != "columns":
+        return ""
+    return f"{result.simulator.surrogate.model} stands in for the simulator"
 
 
 def verdict_sentence(result: Diagnosis) -> str:
@@ -70,7 +86,10 @@ def _sentence_on_effects(result: Diagnosis) -> str:
     if status == "cannot_tell":
         rivals = ", ".join(verdict.also_possible)
         return f"{effects} ({probability}), or {rivals}: this data cannot tell"
-    return f"a gap that no listed effect explains ({probability})"
+    said = f"a gap that no listed effect explains ({probability})"
+    if verdict.also_possible:
+        said += f", or {', '.join(verdict.also_possible)}: this data cannot tell"
+    return said
 
 
 def verdict_lines(result: Diagnosis) -> list[str]:
@@ -83,8 +102,27 @@ def verdict_lines(result: Diagnosis) -> list[str]:
         means, remedy = words_on(effect, result.library)
         if means:
             lines.append(f"{effect}: {means}; {remedy}")
-    left = adequacy_line(result)
-    return [*lines, *([left] if left else []), *look_lines(result)]
+    left = (elsewhere_line(result), adequacy_line(result))
+    return [*lines, *filter(None, left), *look_lines(result)]
+
+
+def elsewhere_line(result: Diagnosis) -> str:
+    """Why there is something more, where rows left out tell; empty where they do
+    not."""
+    verdict, gap = result.verdict, result.gap
+    if not verdict.fails_elsewhere:
+        return ""
+    on = f" ({gap.holdout.on})" if gap.holdout is not None else ""
+    if verdict.status == "unknown" or gap.holdout is None:
+        return (
+            "the listed effects that fit these rows best do not predict the rows left"
+            f" out{on}: none is named"
+        )
+    return (
+        f"something more is said to be there because rows left out{on} are predicted"
+        f" far worse than the rows fitted: closed {share_text(gap.holdout.closed)}"
+        f" there, {share_text(gap.closed)} here"
+    )
 
 
 def look_lines(result: Diagnosis) -> list[str]:
@@ -117,6 +155,8 @@ def adequacy_line(result: Diagnosis) -> str:
         "what the named effects leave" if verdict.names_an_effect else "the remainder"
     )
     failed = refused(adequacy)
+    if not failed and verdict.fails_elsewhere:
+        return ""  # not randomness here, but rows left out decided
     if not failed:
         return f"{what} looks random in {len(tested)} tests"
     parts = (f"{_LEFT[name]} (p {values[name]:.2g})" for name in failed)
@@ -292,7 +332,7 @@ def _wrapped(lines) -> list[str]:
 def diagnosis_text(result: Diagnosis) -> str:
     """The report of one file."""
     lines = [
-        f"DIAGNOSIS of {result.data.name} against {result.model}",
+        f"DIAGNOSIS of {subject(result)}",
         f"  {result.n} rows, {result.n_effective:.0f} of them independent;"
         f" noise {noise_line(result)}",
         *([f"  {slip_check_line(result)}"] if result.slip_check else []),
@@ -306,7 +346,8 @@ def diagnosis_text(result: Diagnosis) -> str:
         *(f"  {line}" for line in run_lines(result)),
         "WHERE (shares of its energy)", *_where(result),
         *(f"  {line}" for line in map_lines(result)),
-        "CANDIDATES", *_candidates(result),
+        "CANDIDATES (by evidence, before what they leave was tested)",
+        *_candidates(result),
     ]  # fmt: skip
     if confused := confused_lines(result):
         lines += ["HARD TO TELL HERE (forecast)", *(f"  {line}" for line in confused)]

@@ -11,6 +11,9 @@ from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
     "covariate_text",
+    "covariate_unit",
+    "look_place",
+    "look_size",
     "look_text",
     "needs_text",
     "p_text",
@@ -116,22 +119,33 @@ def range_text(region: Region) -> str:
     return f"{_end(low, high)} to {_end(high, high)}{tail}"
 
 
+def covariate_unit(name: str) -> str:
+    """Unit of what a pattern depends on; empty where it has none."""
+    # The slip of a pattern is that over the slip of full sliding.
+    units = {"distance": "m", "slip": ""}
+    unit = units.get(name, CANONICAL.get(name, ("", ""))[0])
+    return "" if unit == "-" else unit
+
+
+def look_place(look: Look) -> str:
+    """Where a pattern is, of a wave its period: ``60 s``."""
+    unit = covariate_unit(look.covariate)
+    return f"{format_number(look.at, 3)} {unit}".rstrip()
+
+
+def look_size(parameter: str, size: float) -> str:
+    """A change of a parameter: ``-7 %``, ``5 % of F_z``, or a slip."""
+    if parameter == "slip":
+        return format_number(size, 2)
+    tail = " of F_z" if parameter == "force" else ""
+    return f"{format_number(100 * size, 2)} %{tail}"
+
+
 def look_text(look: Look) -> str:
     """What a remainder looks like: ``friction that steps at a time of 60 s: -7 %``."""
-    unit = {"distance": "m"}.get(
-        look.covariate, CANONICAL.get(look.covariate, ("", ""))[0]
-    )
     covariate = covariate_text(look.covariate)
-    if look.covariate == "slip":
-        unit = ""
-    at = format_number(look.at, 3) + (f" {unit}" if unit not in ("", "-") else "")
-    size = f"{format_number(100 * look.size, 2)} %"
-    if look.parameter == "force":
-        size += " of F_z"
-    if look.parameter == "slip":
-        size = format_number(look.size, 2)
-    how = _SHAPES[look.shape].format(covariate=covariate, at=at)
-    return f"{look.parameter} that {how}: {size}"
+    how = _SHAPES[look.shape].format(covariate=covariate, at=look_place(look))
+    return f"{look.parameter} that {how}: {look_size(look.parameter, look.size)}"
 
 
 def _end(value: float, largest: float) -> str:
