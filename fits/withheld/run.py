@@ -2,9 +2,10 @@
 
     python -m fits.withheld.run out/withheld --jobs 2
 
-It opens the files and rig.toml of ``FOLDER/trials`` and ``FOLDER/leave_out.json``
-(which effects a group is diagnosed without), nothing else. The answers go to
-``FOLDER/answers/GROUP``.
+It opens the files and rig.toml of ``FOLDER/trials``, ``FOLDER/leave_out.json`` (which
+effects a group is diagnosed without) and ``FOLDER/simulators.json`` (which groups hold
+a simulator's forces, and are diagnosed with ``--sim``), nothing else. The answers go
+to ``FOLDER/answers/GROUP``.
 """
 
 import argparse
@@ -17,7 +18,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-__all__ = ["command", "main"]
+__all__ = ["command", "main", "simulated"]
 
 
 def command(group: Path, without: list[str], out: Path, *more: str) -> list[str]:
@@ -32,9 +33,15 @@ def command(group: Path, without: list[str], out: Path, *more: str) -> list[str]
     ]  # fmt: skip
 
 
-def run_group(group: Path, without: list[str], out: Path, resume: bool) -> float:
-    """Seconds that one group took. Without ``resume`` old answers are removed."""
-    if not resume:
+def simulated(folder: Path) -> dict[str, bool]:
+    """Whether a group's files hold a simulator's forces; folders of old say nothing."""
+    told = folder / "simulators.json"
+    return json.loads(told.read_text()) if told.exists() else {}
+
+
+def run_group(group: Path, without: list[str], out: Path, *more: str) -> float:
+    """Seconds that one group took. Without ``--resume`` old answers are removed."""
+    if "--resume" not in more:
         shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True, exist_ok=True)
     begun = time.perf_counter()
@@ -44,7 +51,7 @@ def run_group(group: Path, without: list[str], out: Path, resume: bool) -> float
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
     }
     with (out / "run.log").open("w") as log:
-        line = command(group, without, out, *(["--resume"] if resume else []))
+        line = command(group, without, out, *more)
         done = subprocess.run(line, stdout=log, stderr=log, check=False,
                               env=shared | os.environ)  # fmt: skip
     spent = time.perf_counter() - begun
@@ -62,14 +69,20 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--resume", action="store_true", help="keep answers given")
     given = parser.parse_args(arguments)
     told = json.loads((given.folder / "leave_out.json").read_text())
+    beside = simulated(given.folder)
+    keep = ["--resume"] if given.resume else []
     groups = sorted((given.folder / "trials").iterdir())
     answers = given.folder / "answers"
     with ThreadPoolExecutor(given.jobs) as pool:
         spent = sum(
             pool.map(
                 lambda group: run_group(
-                    group, told[group.name], answers / group.name, given.resume
-                ),
+                    group,
+                    told[group.name],
+                    answers / group.name,
+                    *keep,
+                    *(["--sim"] if beside.get(group.name) else []),
+                ),  # fmt: skip
                 groups,
             )
         )
