@@ -66,7 +66,7 @@ def features(x: Inputs, observed: np.ndarray) -> np.ndarray:
     u = np.clip(c * x.slip / (1.5 * mu * x.fz), -2, 2)
     along = e * sign  # towards more force
     growing = np.gradient(np.abs(x.slip)) > 0
-    out = _means(e, np.minimum((2.5 * (u + 2)).astype(int), 9), 10)
+    out = _means(e, np.minimum((5 * (u + 2)).astype(int), 19), 20)
     for chosen in (along, e):
         for values, parts in ((x.fz, 4), (x.v, 4), (x.time, 10)):
             out += _means(chosen, _parts(values, parts), parts)
