@@ -49,7 +49,7 @@ def draw_reliability(methods: Mapping[str, Sequence[Bin]], path: Path) -> None:
         layout="constrained",
     )  # fmt: skip
     above.plot([0, 1], [0, 1], color="0.6", linewidth=1, zorder=0)
-    above.annotate("as often right as said", (0.3, 0.3), rotation=45, color="0.45",
+    above.annotate("as often right as said", (0.02, 0.02), rotation=45, color="0.45",
                    rotation_mode="anchor", transform_rotates_text=True, fontsize=8,
                    xytext=(0, 4), textcoords="offset points")  # fmt: skip
     colours = ["C0", "0.35", "C1", "C2", "C4", "C5"]
@@ -72,6 +72,6 @@ def draw_reliability(methods: Mapping[str, Sequence[Bin]], path: Path) -> None:
         xlabel="probability of the verdict", ylabel="verdicts", xlim=(-0.03, 1.03)
     )
     below.margins(y=0.3)
-    above.legend(loc="upper left", frameon=False)
+    figure.legend(loc="outside upper center", ncols=3, frameon=False)
     figure.savefig(path, dpi=130)
     plt.close(figure)
