@@ -98,7 +98,8 @@ def _simulators(s: Scored) -> list[Check]:
 
 
 def _closure(s: Scored) -> list[Check]:
-    told = s.that(lambda x, o: o.claimed is not None and o.closed is not None)
+    # Who names nothing claims nothing, and is right about it: that is no evidence.
+    told = s.that(lambda x, o: o.claimed and o.closed is not None)
     off = [abs(o.claimed - o.closed) for o in told]
     return [
         check(9, "closure, claimed against true, median", 0.02, True,

@@ -72,6 +72,14 @@ def draw_reliability(methods: Mapping[str, Sequence[Bin]], path: Path) -> None:
         xlabel="probability of the verdict", ylabel="verdicts", xlim=(-0.03, 1.03)
     )
     below.margins(y=0.3)
-    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    handles, names = above.get_legend_handles_labels()
+    order = sorted(range(len(names)), key=lambda k: list(methods).index(names[k]))
+    figure.legend(
+        [handles[k] for k in order],
+        [names[k] for k in order],
+        loc="outside upper center",
+        ncols=3,
+        frameon=False,
+    )
     figure.savefig(path, dpi=130)
     plt.close(figure)

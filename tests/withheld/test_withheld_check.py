@@ -69,6 +69,23 @@ def test_goals_are_of_the_gap_over_the_noise():
     assert found["pairs exact"].verdict == "not measured"
 
 
+def test_who_claims_nothing_is_no_evidence_of_closure():
+    outcomes = {
+        name: judge(name, label("null"), said("none"))._replace(
+            claimed=claimed, closed=closed
+        )
+        for name, claimed, closed in (
+            ("a", 0.0, 0.0),
+            ("b", 0.8, 0.7),
+            ("c", None, None),
+        )
+    }
+    found = {
+        c.requirement: c for c in goals(dict.fromkeys("abc", label("null")), outcomes)
+    }
+    assert found["closure, claimed against true, median"].found == "0.100 (1)"
+
+
 def test_beside_a_stranger_only_what_is_there_may_be_named():
     truth = label("beside", "slip_offset")
     for answer, right in (
