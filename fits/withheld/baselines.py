@@ -5,6 +5,9 @@
 ``bic``: each listed effect fitted beside c and mu, the five nearest refitted by
 SciPy, the smallest BIC named. ``residual``: the effect whose shape, not projected,
 correlates best with what the plain brush leaves. Both know the textbook forms exactly.
+``bic_checked`` says "unknown" where what the best of BIC leaves fails a runs test or a
+test of local means (``lack_of_fit.py``). ``forest`` (with ``--forest FEATURES.npz``): a
+random forest on features of the residual (``forest.py``).
 ``ridge``: a smooth discrepancy over slip, load, speed and time, fitted without the
 highest load (or the largest slips): it names nothing, it closes. No label is opened.
 """
@@ -20,6 +23,8 @@ from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
 from fits.withheld.effects import EFFECTS
+from fits.withheld.forest import by_forest, trained
+from fits.withheld.lack_of_fit import lack_of_fit
 from fits.withheld.library import (
     STEP_TIMES,
     Inputs,
@@ -29,9 +34,18 @@ from fits.withheld.library import (
     shapes,
 )
 
-__all__ = ["by_bic", "by_residual", "main", "read_trial", "ridge"]
+__all__ = [
+    "by_bic",
+    "by_residual",
+    "checked",
+    "from_columns",
+    "main",
+    "read_trial",
+    "ridge",
+]
 
 REFITTED = 5
+ALARM_OF_FIT = 0.01  # p-value of lack of fit
 ALARM = 3.5  # standard errors of a correlation, of some twenty tried
 LIMIT = 4.0  # of an amplitude, in typical ones
 
@@ -44,7 +58,11 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
 
 def read_trial(path: Path, rig: dict) -> tuple[Inputs, np.ndarray]:
     """Inputs and the forces (moment behind them) of a file, all rows."""
-    columns = read_columns(path)
+    return from_columns(read_columns(path), rig)
+
+
+def from_columns(columns: dict, rig: dict) -> tuple[Inputs, np.ndarray]:
+    """The same of columns."""
     force = "fx" if "sigma_x" in columns else "fy"
     slip = columns["sigma_x"] if force == "fx" else np.tan(columns["alpha"])
     time, fz = columns["time"], columns["fz"]
@@ -60,6 +78,8 @@ def read_trial(path: Path, rig: dict) -> tuple[Inputs, np.ndarray]:
          noise.get("mz_relative", 0.001) * fz),
         cross=np.tan(columns["alpha"]) if {"fx", "alpha"} <= columns.keys() else None,
         gamma=columns.get("gamma"), temperature=columns.get("temperature"),
+        inflation=columns.get("pressure"),
+        across=columns.get("fy" if force == "fx" else "fx"),
         omega="omega" in columns, moment=moment,
     )  # fmt: skip
     observed = [columns[force], *([columns["mz"]] if moment else [])]
@@ -86,10 +106,25 @@ def bounds_of(effect: str) -> tuple[float, float]:
 
 def by_bic(x: Inputs, observed: np.ndarray) -> dict:
     """A diagnosis in the document's form, by BIC over none and every single effect."""
+    return _bic(x, observed)[0]
+
+
+def checked(x: Inputs, observed: np.ndarray) -> tuple[dict, dict]:
+    """The diagnosis by BIC, and the same with a check of what its best leaves."""
+    plain, left = _bic(x, observed)
+    p = lack_of_fit(x, left)
+    if p > ALARM_OF_FIT:
+        return plain, plain
+    unknown = {"status": "unknown", "effects": ["unknown"], "probability": 1 - p}
+    return plain, plain | {"verdict": plain["verdict"] | unknown}
+
+
+def _bic(x: Inputs, observed: np.ndarray) -> tuple[dict, np.ndarray]:
+    """The diagnosis, and what the best model leaves (n,), standardised."""
     (c, mu), misses, std = base_fit(x, observed)
     n, plain = len(misses), float(misses @ misses)
     base = directions(x, c, mu) / std[:, None]
-    squares = {}
+    squares, left = {}, {(): misses}
     for effect, several in shapes(x, x.effects, c, mu).items():
         for k, shape in enumerate(several):
             columns = np.column_stack([base, shape / std])
@@ -97,6 +132,7 @@ def by_bic(x: Inputs, observed: np.ndarray) -> dict:
             best = np.linalg.lstsq(columns / scale, misses, rcond=None)[0] / scale
             rest = misses - columns @ best
             squares[effect, k] = float(rest @ rest), best[2]
+            left[effect, k] = rest
     nearest = sorted(squares, key=lambda key: squares[key][0])[:REFITTED]
     for effect, k in nearest:
         low, high = bounds_of(effect)
@@ -114,12 +150,15 @@ def by_bic(x: Inputs, observed: np.ndarray) -> dict:
             loss="linear", diff_step=1e-4,
         )  # fmt: skip
         squares[effect, k] = 2 * found.cost, found.x[2]
-    criterion = {(): n * np.log(plain / n)}
-    for (effect, _), (total, _) in squares.items():
+        left[effect, k] = found.fun
+    criterion, rests = {(): n * np.log(plain / n)}, {(): misses}
+    for (effect, k), (total, _) in squares.items():
         extra = 1 + (effect == "friction_step")
         value = n * np.log(total / n) + extra * np.log(n)
-        criterion[effect,] = min(value, criterion.get((effect,), np.inf))
-    return document(criterion, -0.5)
+        if value < criterion.get((effect,), np.inf):
+            criterion[effect,], rests[effect,] = value, left[effect, k]
+    best = min(criterion, key=criterion.get)
+    return document(criterion, -0.5), rests[best][: len(x.slip)]
 
 
 def by_residual(x: Inputs, observed: np.ndarray) -> dict:
@@ -205,23 +244,30 @@ def basis(x: Inputs, c: float, mu: float) -> np.ndarray:
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Baselines on a folder of trials")
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--forest", type=Path, help="features of fits.withheld.forest")
     given = parser.parse_args(arguments)
+    forest = trained(given.forest)
     told = json.loads((given.folder / "leave_out.json").read_text())
-    answers: dict = {"bic": {}, "residual": {}}
+    names = ["bic", "bic_checked", "residual", *(["forest"] if forest else [])]
+    answers: dict = {name: {} for name in names}
     closed = {}
     for group in sorted((given.folder / "trials").iterdir()):
         rig = tomllib.loads((group / "rig.toml").read_text())
         for path in sorted(group.glob("*.csv")):
             x, observed = read_trial(path, rig)
             x = x.without(told[group.name])
-            answers["bic"][path.stem] = by_bic(x, observed)
+            plain, careful = checked(x, observed)
+            answers["bic"][path.stem] = plain
+            answers["bic_checked"][path.stem] = careful
+            if forest:
+                answers["forest"][path.stem] = by_forest(forest, x, observed)
             answers["residual"][path.stem] = by_residual(x, observed)
             found = ridge(x, observed)
             closed |= {f"{path.stem}_{key}": value for key, value in found.items()}
     for name, found in answers.items():
         (given.folder / f"baseline_{name}.json").write_text(json.dumps(found))
     np.savez_compressed(given.folder / "baseline_ridge.npz", **closed)
-    print(f"{len(answers['bic'])} files by bic, residual, ridge")
+    print(f"{len(answers['bic'])} files by {', '.join(names)}, ridge")
 
 
 if __name__ == "__main__":

@@ -282,12 +282,8 @@ def force_zero(world, a, _):
 
 def force_tare(world, a, _):
     """The zero wanders by a fifth around its mean, slowly."""
-    world.after.append(
-        lambda w, force: (
-            force
-            + a * NOMINAL_LOAD * (1 + 0.2 * np.cos(np.pi * (w.time / w.time.max())))
-        )
-    )
+    wander = 1 + 0.2 * np.cos(np.pi * (world.time / world.time.max()))
+    world.after.append(lambda w, force: force + a * NOMINAL_LOAD * wander)
 
 
 def practical_slip(world, a, _):

@@ -5,7 +5,8 @@
 
 Writes ``OUT/trials/GROUP/tNNNN.csv`` with its ``rig.toml`` (no label in either), and
 beside them ``OUT/labels.json``, ``OUT/truth.npz`` and ``OUT/labels.sha256``.
-``OUT/leave_out.json`` says which effects each group is diagnosed without, if any.
+``OUT/leave_out.json`` says which effects each group is diagnosed without, if any, and
+``OUT/simulators.json`` which groups hold the forces of a simulator.
 """
 
 import argparse
@@ -64,13 +65,15 @@ def write_all(trials: list[Trial], out: Path) -> str:
     Trials that the folder holds already are removed.
     """
     shutil.rmtree(out / "trials", ignore_errors=True)
-    labels, truth, rigs, told = {}, {}, {}, {}
+    labels, truth, rigs, told, simulated = {}, {}, {}, {}, {}
     for number, trial in enumerate(trials):
         name = f"t{number:04d}"
         text = trial.rig or rig_text(trial)
-        key = (text, trial.label["leave_out"])
+        beside = any(column.endswith("_sim") for column in trial.columns)
+        key = (text, trial.label["leave_out"], beside)
         group = rigs.setdefault(key, f"rig{len(rigs):02d}")
         told[group] = [e for e in EFFECTS if family_of(e) == trial.label["leave_out"]]
+        simulated[group] = beside
         folder = out / "trials" / group
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "rig.toml").write_text(text)
@@ -80,6 +83,7 @@ def write_all(trials: list[Trial], out: Path) -> str:
     text = json.dumps(labels, indent=1, sort_keys=True)
     (out / "labels.json").write_text(text)
     (out / "leave_out.json").write_text(json.dumps(told, indent=1))
+    (out / "simulators.json").write_text(json.dumps(simulated, indent=1))
     np.savez_compressed(out / "truth.npz", **truth)
     digest = hashlib.sha256(text.encode()).hexdigest()
     (out / "labels.sha256").write_text(f"{digest}  labels.json\n")

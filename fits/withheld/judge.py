@@ -6,9 +6,16 @@ import numpy as np
 
 from fits.withheld.effects import EFFECTS, NOISE_EFFECTS, family_of
 
-__all__ = ["Outcome", "answer_of", "judge", "true_closure"]
+__all__ = ["Outcome", "answer_of", "judge", "kind_of", "true_closure"]
 
 SURE = 0.9
+INTERVAL = 1.645  # standard errors on both sides of 90 %
+HIDDEN = ("unlisted", "leave_out", "foreign", "procedural", "beside")
+
+
+def kind_of(label: dict) -> str:
+    """The set that a trial is judged as: beside a simulator, that of what it holds."""
+    return label.get("of", label["set"])
 
 
 class Outcome(NamedTuple):
@@ -37,6 +44,8 @@ class Outcome(NamedTuple):
     closed: float | None = None
     resolvable: bool = False
     holdout: float | None = None
+    within: tuple[bool, ...] = ()  # 90 % intervals of a simulator's parameters
+    shares_off: tuple[float, ...] = ()  # of the budget's parts
 
 
 def families(effects, listed=None) -> frozenset:
@@ -101,7 +110,7 @@ def judge(name: str, label: dict, result: dict) -> Outcome:
     a, truth = answer_of(result), frozenset(label["effects"])
     unknown = a.status in ("unknown", "incomplete") or "unknown" in a.effects
     flagged = a.status != "none" and (bool(a.mean) or unknown)
-    hidden = label["set"] in ("unlisted", "leave_out", "foreign", "procedural")
+    hidden = kind_of(label) in HIDDEN
     exact = flagged and not hidden and bool(truth) and a.mean == truth
     if label["set"] == "injected":  # the measured data has a gap of its own as well
         exact = truth <= a.mean
@@ -111,6 +120,8 @@ def judge(name: str, label: dict, result: dict) -> Outcome:
     alias = a.status == "cannot_tell" and bool(truth) and truth <= said
     if hidden:
         right = family_right = unknown
+        if label["set"] == "beside":  # what it names must be there
+            right = family_right = unknown and a.mean <= truth
     elif label["set"] == "injected":
         right, family_right = exact, exact
     elif truth:
@@ -128,8 +139,31 @@ def judge(name: str, label: dict, result: dict) -> Outcome:
         sure_wrong=named and a.probability > SURE and not right,
         probability=a.probability, family_probability=_family_probability(a),
         covered=truth in credible, set_size=len(credible), status=a.status,
-        effects=a.effects, also=a.also, **_gap(result),
+        effects=a.effects, also=a.also, **_gap(result), **_simulator(label, result),
     )  # fmt: skip
+
+
+def _simulator(label: dict, result: dict) -> dict:
+    """Whether the intervals of the parameters hold the truth, and how far the shares
+    of the budget are from the true ones: parameters, effects, what has no name.
+
+    A share that stands at an effect which is not there is nobody's.
+    """
+    if label["set"] != "simulators":
+        return {}
+    said = result["verdict"].get("parameters") or {}
+    within = tuple(
+        abs(said[name]["measured"] - about["true"]) <= INTERVAL * said[name]["std"]
+        for name, about in label["parameters"].items()
+        if about["scored"] and name in said
+    )
+    shares = {part["part"]: part["share"] for part in result.get("budget", [])}
+    if not shares:
+        return {"within": within}
+    shares["effects"] = sum(shares.get(e, 0.0) for e in label["effects"])
+    parts = ["parameters", "unexplained", *(["effects"] if label["effects"] else [])]
+    off = tuple(abs(shares.get(p, 0.0) - label["budget"][p]) for p in parts)
+    return {"within": within, "shares_off": off}
 
 
 def _gap(result: dict) -> dict:

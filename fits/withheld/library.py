@@ -11,7 +11,8 @@ from scipy.optimize import least_squares
 from fits.withheld.effects import EFFECTS
 from fits.withheld.patch import World, forces, plain_brush
 
-__all__ = ["Inputs", "STEP_TIMES", "base_fit", "mimic_free", "predict", "spread"]
+__all__ = ["Inputs", "STEP_TIMES", "base_fit", "mimic_free", "predict", "shapes",
+           "spread"]  # fmt: skip
 
 STEP_TIMES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the stretch in which a road may change
 
@@ -106,18 +107,27 @@ def _true_slip(effect: str, slip: np.ndarray, amplitude: float) -> np.ndarray:
     return slip
 
 
-def predict(x: Inputs, effect: str | None, amplitude, c, mu, share=0.5) -> np.ndarray:
-    """Force [N], with the moment behind it where measured: (n,) or (2n,)."""
-    slip = x.slip if effect is None else _true_slip(effect, x.slip, amplitude)
+def predict(
+    x: Inputs, effect: str | None, amplitude, c, mu, share=0.5, form: str = ""
+) -> np.ndarray:
+    """Force [N], with the moment behind it where measured: (n,) or (2n,).
+
+    ``form`` is the textbook one where none is said; ``share`` stands for its random
+    draws, of their range.
+    """
+    textbook = next(iter(EFFECTS[effect].forms)) if effect else ""
+    form, undone = form or textbook, ()
+    if form == textbook:
+        undone = _UNDONE
+    slip = _true_slip(effect, x.slip, amplitude) if effect in undone else x.slip
     world = World(
         x.time, x.run, slip, x.fz, x.v, x.force, c, mu, cross=x.cross, gamma=x.gamma,
         temperature=x.temperature, inflation=x.inflation, across=x.across,
         moment=x.moment,
     )  # fmt: skip
     if effect is not None:
-        form = next(iter(EFFECTS[effect].forms.values()))
-        form(world, amplitude, _Share(share))
-        if effect not in _UNDONE:
+        EFFECTS[effect].forms[form](world, amplitude, _Share(share))
+        if effect not in undone:
             world.slip = _slip_behind(world)
     out = forces(world)
     return np.concatenate([out[x.force], out["mz"]]) if x.moment else out[x.force]

@@ -6,7 +6,7 @@ from fits.withheld.forms import slip_radius
 from fits.withheld.library import Inputs, base_fit, mimic_free
 from fits.withheld.patch import World, forces, plain_brush
 
-__all__ = ["NOISE", "measure"]
+__all__ = ["NOISE", "logged_slip", "measure"]
 
 RADIUS = 0.3  # m, as every rig.toml says
 NOISE = {"rig": (0.001, 0.01, 0.001), "seed": (0.2e-4**0.5, 0.2e-2**0.5, 0.004)}
@@ -70,7 +70,8 @@ def _extra(world: World, column: str, g) -> np.ndarray:
 
 
 def _gap(world, clean, logged, noise, extras) -> dict:
-    """Gap of the best plain brush: sqrt(lambda) in standard errors, rms [N]."""
+    """Gap of the best plain brush: sqrt(lambda) in standard errors, rms [N], and rms
+    in standard deviations of the noise (that of the slip within)."""
     slip_std, share, moment = NOISE[noise]
     x = Inputs(
         world.time, world.run, logged, world.fz, world.v, world.force,
@@ -87,6 +88,7 @@ def _gap(world, clean, logged, noise, extras) -> dict:
     n = len(logged)
     return {
         "root_lambda": round(float(np.linalg.norm(misses)), 3),
+        "gap_over_noise": round(float(np.sqrt(np.mean(misses**2))), 4),
         "gap_rms": round(float(np.sqrt(np.mean((misses * std)[:n] ** 2))), 3),
         "base_fit": [round(float(value), 4) for value in best],
         "free": lambda gone: mimic_free(x.without(gone), np.concatenate(parts)),

@@ -2,9 +2,10 @@
 
     python -m fits.withheld.run out/withheld --jobs 2
 
-It opens the files and rig.toml of ``FOLDER/trials`` and ``FOLDER/leave_out.json``
-(which effects a group is diagnosed without), nothing else. The answers go to
-``FOLDER/answers/GROUP``.
+It opens the files and rig.toml of ``FOLDER/trials``, ``FOLDER/leave_out.json`` (which
+effects a group is diagnosed without) and ``FOLDER/simulators.json`` (which groups hold
+a simulator's forces, and are diagnosed with ``--sim``), nothing else. The answers go
+to ``FOLDER/answers/GROUP``.
 
 The commands run in ``--jobs`` processes that each go on to the next group: what a
 process has traced and compiled serves it to the end, and the others by JAX's cache. One
@@ -23,7 +24,7 @@ from importlib.metadata import entry_points
 from multiprocessing import get_context
 from pathlib import Path
 
-__all__ = ["command", "main"]
+__all__ = ["command", "main", "simulated"]
 
 
 def command(group: Path, without: list[str], out: Path, *more: str) -> list[str]:
@@ -62,13 +63,19 @@ def _begin(compiled: str) -> None:
         os.environ.setdefault(name, value)
 
 
-def run_group(group: Path, without: list[str], out: Path, resume: bool) -> float:
-    """Seconds that one group took. Without ``resume`` old answers are removed."""
-    if not resume:
+def simulated(folder: Path) -> dict[str, bool]:
+    """Whether a group's files hold a simulator's forces; folders of old say nothing."""
+    told = folder / "simulators.json"
+    return json.loads(told.read_text()) if told.exists() else {}
+
+
+def run_group(group: Path, without: list[str], out: Path, *more: str) -> float:
+    """Seconds that one group took. Without ``--resume`` old answers are removed."""
+    if "--resume" not in more:
         shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True, exist_ok=True)
     begun = time.perf_counter()
-    line = command(group, without, out, *(["--resume"] if resume else []))
+    line = command(group, without, out, *more)
     with (
         (out / "run.log").open("w") as log,
         redirect_stdout(log),
@@ -90,6 +97,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--resume", action="store_true", help="keep answers given")
     given = parser.parse_args(arguments)
     told = json.loads((given.folder / "leave_out.json").read_text())
+    beside = simulated(given.folder)
+    keep = ["--resume"] if given.resume else []
     groups = list((given.folder / "trials").iterdir())
     # The largest first, so that the processes end at about the same time.
     groups = sorted(groups, key=lambda group: (-len(list(group.iterdir())), group))
@@ -99,7 +108,12 @@ def main(arguments: list[str] | None = None) -> None:
     with ProcessPoolExecutor(given.jobs, apart, _begin, (compiled,)) as pool:
         waiting = [
             pool.submit(
-                run_group, group, told[group.name], answers / group.name, given.resume
+                run_group,
+                group,
+                told[group.name],
+                answers / group.name,
+                *keep,
+                *(["--sim"] if beside.get(group.name) else []),
             )
             for group in groups
         ]

@@ -2,7 +2,8 @@
 
     python -m fits.withheld.score out/withheld --answers out/withheld/answers
 
-Prints the tables (Markdown); ``score.md`` and ``score.json`` go beside the labels.
+Prints the tables (Markdown); ``score.md``, ``score.json`` and ``reliability.png`` go
+beside the labels. ``--bound 40`` adds what was possible, on so many trials.
 """
 
 import argparse
@@ -13,7 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
+from fits.withheld.bound import bound_rows
+from fits.withheld.goals import goals
 from fits.withheld.judge import Outcome, judge, true_closure
+from fits.withheld.reliability import draw_reliability, reliability
 from fits.withheld.thresholds import (
     brier,
     check_all,
@@ -107,6 +111,10 @@ def summary(labels: dict, outcomes: dict[str, Outcome]) -> dict:
         "family left out, flagged": share(o.unknown for o in of("leave_out")),
         "family left out, named at > .9": share(o.sure_wrong for o in of("leave_out")),
         "foreign truth, flagged": share(o.unknown for o in of("foreign")),
+        "beside a listed one: said, and only it named": share(
+            o.right for o in of("beside")
+        ),
+        "beside, named at > .9": share(o.sure_wrong for o in of("beside")),
         "injected, named": share(o.exact for o in telling(labels, outcomes)),
         "confident and wrong, listed": share(o.sure_wrong for o in [*singles, *pairs]),
         "pairs exact": share(o.exact for o in pairs),
@@ -114,7 +122,34 @@ def summary(labels: dict, outcomes: dict[str, Outcome]) -> dict:
         "calibration error": (expected_calibration_error(everything), len(everything)),
         "Brier score": (brier(everything), len(everything)),
     }
-    return out | closure_numbers(everything, large)
+    return out | simulator_numbers(of) | closure_numbers(everything, large)
+
+
+def simulator_numbers(of) -> dict:
+    """Beside a simulator: the verdict by what the trial holds, the parameters, and the
+    error of the budget's shares; ``of(sets, **label)`` selects outcomes."""
+    every = of("simulators")
+    alone = of("simulators", of="null")
+    named = of("simulators", of="singles")
+    strangers = of("simulators", of="procedural")
+    worst = [max(o.shares_off) for o in every if o.shares_off]
+    parts = [part for o in every for part in o.shares_off]
+    return {
+        "simulator, no effect: false alarm": share(o.flagged for o in alone),
+        "simulator, one effect: exact": share(o.exact for o in named),
+        "simulator, one effect: exact or said so": share(
+            o.exact_or_alias for o in named
+        ),
+        "simulator, stranger: flagged": share(o.unknown for o in strangers),
+        "simulator, intervals hold the parameter": share(
+            inside for o in every for inside in o.within
+        ),
+        "simulator, no effect: intervals hold": share(
+            inside for o in alone for inside in o.within
+        ),
+        "simulator, median error of a share": (_median(parts), len(parts)),
+        "simulator, median of a trial's worst share": (_median(worst), len(worst)),
+    }
 
 
 def closure_numbers(outcomes: list[Outcome], large: list[Outcome]) -> dict:
@@ -200,21 +235,56 @@ def confusions(labels, outcomes) -> list[list[str]]:
             for key, found in ranked[:25]]  # fmt: skip
 
 
-def tables(labels: dict, outcomes: dict, summaries: dict, seconds=None) -> str:
-    """All tables in Markdown; ``summaries``: method -> its numbers, tirefit first."""
+def by_kind(labels, outcomes) -> list[list[str]]:
+    """Strangers by kind: trials, flagged, surely misnamed."""
+    groups: dict = {}
+    for name, o in outcomes.items():
+        label = labels[name]
+        if label["set"] in ("unlisted", "foreign", "procedural", "beside"):
+            kind = label["kind"].split(" of ")[0]
+            groups.setdefault(f"{label['set']}: {kind}", []).append(o)
+    return [
+        [kind, str(len(of)), f"{np.mean([o.unknown for o in of]):.2f}",
+         f"{np.mean([o.sure_wrong for o in of]):.2f}"]
+        for kind, of in sorted(groups.items())
+    ]  # fmt: skip
+
+
+def tables(
+    labels: dict, outcomes: dict, summaries: dict, seconds=None, bound=()
+) -> str:
+    """All tables in Markdown; ``summaries``: method -> its numbers, tirefit first;
+    ``bound``: rows of what was possible, if it was asked for."""
     keys = {key: None for found in summaries.values() for key in found}
     rows = [
         [key, *(shown(found.get(key, (None, 0))) for found in summaries.values())]
         for key in keys
     ]
     columns = ["n", "detected", "top-1", "family", "top-3", "or said so", "sure, wrong"]
-    checks = [
-        [str(c.number), c.requirement, c.limit, c.found, c.verdict]
-        for c in check_all(labels, outcomes, seconds)
-    ]
+    asked, wanted = (
+        [[str(c.number), c.requirement, c.limit, c.found, c.verdict] for c in checks]
+        for checks in (check_all(labels, outcomes, seconds), goals(labels, outcomes))
+    )
+    told = [o for name, o in outcomes.items() if labels[name]["set"] != "raw"]
+    tenths = [
+        [f"{b.probability:.2f}", f"{b.right:.2f}", f"{b.low:.2f}-{b.high:.2f}",
+         str(b.count)]
+        for b in reliability(told)
+    ]  # fmt: skip
+    seen = ["possible, sqrt(lambda) >= 5", "answered, the same"]
+    possible = {
+        "What was possible: exact evidence with the generator's own forms": table(
+            ["", "n", "possible", "answered", *seen], bound)
+    } if bound else {}  # fmt: skip
     parts = {
         "Results: share (number of trials)": table(["", *summaries], rows),
-        "Thresholds": table(["#", "requirement", "pass", "found", ""], checks),
+        "Goals": table(["#", "goal", "pass", "found", ""], wanted),
+        "Thresholds": table(["#", "requirement", "pass", "found", ""], asked),
+        **possible,
+        "Reliability (reliability.png)": table(
+            ["probability", "share right", "90 % of it", "n"], tenths),
+        "Strangers by kind": table(
+            ["kind", "n", "flagged", "sure, wrong"], by_kind(labels, outcomes)),
         "By effect": table(
             ["effect", *columns], cells(labels, outcomes, lambda x: x["effects"][0])),
         "By form": table(
@@ -235,6 +305,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Score answers against sealed labels")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--answers", type=Path)
+    parser.add_argument(
+        "--bound", type=int, default=0, help="trials to say what was possible of"
+    )
     given = parser.parse_args(arguments)
     answers = given.answers or given.folder / "answers"
     labels = opened(given.folder)
@@ -242,6 +315,8 @@ def main(arguments: list[str] | None = None) -> None:
     if not outcomes:
         raise SystemExit(f"no answers in {answers}: run fits.withheld.run first")
     summaries = {"tirefit": summary(labels, outcomes)}
+    known = [name for name in outcomes if labels[name]["set"] != "raw"]
+    diagrams = {"tirefit": reliability([outcomes[name] for name in known])}
     for path in sorted(given.folder.glob("baseline_*.json")):
         found = json.loads(path.read_text())
         judged = {
@@ -249,11 +324,15 @@ def main(arguments: list[str] | None = None) -> None:
             for name in outcomes
             if name in found
         }
-        summaries[path.stem.removeprefix("baseline_")] = summary(labels, judged)
+        method = path.stem.removeprefix("baseline_")
+        summaries[method] = summary(labels, judged)
+        diagrams[method] = reliability([judged[k] for k in known if k in judged])
     summaries["ridge"] = discrepancy_numbers(given.folder, labels, outcomes)
     ran = answers / "run.json"
     seconds = json.loads(ran.read_text())["seconds_per_case"] if ran.exists() else None
-    text = tables(labels, outcomes, summaries, seconds)
+    draw_reliability(diagrams, given.folder / "reliability.png")
+    bound = bound_rows(given.folder, labels, outcomes, given.bound)
+    text = tables(labels, outcomes, summaries, seconds, bound)
     if missing:
         text = (
             f"{len(missing)} trials without an answer: {', '.join(missing)}\n\n{text}"
@@ -264,6 +343,8 @@ def main(arguments: list[str] | None = None) -> None:
         "seconds_per_case": seconds,
         "methods": summaries,
         "thresholds": [c._asdict() for c in check_all(labels, outcomes, seconds)],
+        "goals": [c._asdict() for c in goals(labels, outcomes)],
+        "bound": bound,
         "trials": {name: o._asdict() for name, o in outcomes.items()},
     }
     (given.folder / "score.json").write_text(json.dumps(document, indent=1))

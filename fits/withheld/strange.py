@@ -2,9 +2,11 @@
 
 import numpy as np
 
+from fits.withheld.designs import Design
 from fits.withheld.patch import World
+from fits.withheld.strange_rig import NEEDS, RIG_KINDS
 
-__all__ = ["FOREIGN", "UNLISTED"]
+__all__ = ["FOREIGN", "SEALED", "UNLISTED", "suits"]
 
 
 def _add(world: World, change) -> None:
@@ -75,5 +77,15 @@ def lugre(world, _, g):
     world.after.append(replace)
 
 
-UNLISTED = {"ripple": ripple, "periodic": periodic, "bump": bump, "gated": gated}
+UNLISTED = {
+    "ripple": ripple, "periodic": periodic, "bump": bump, "gated": gated, **RIG_KINDS,
+}  # fmt: skip
+SEALED = ("dead_zone", "joints", "amplifier_limit", "uneven_lag", "gated_cross")
+"""Kinds that no development ever sees."""
+
 FOREIGN = {"magic_formula": magic_formula, "lugre": lugre}
+
+
+def suits(kind: str, design: Design) -> bool:
+    """Whether a kind of stranger shows in a design at all."""
+    return NEEDS.get(kind, frozenset()) <= design.properties

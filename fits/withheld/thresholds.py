@@ -9,7 +9,9 @@ from fits.withheld.effects import EFFECTS
 
 __all__ = [
     "Check",
+    "Scored",
     "brier",
+    "check",
     "check_all",
     "expected_calibration_error",
     "share",
@@ -84,7 +86,7 @@ def _claims(outcomes, family):
     return np.array(p, float), np.array(right, float)
 
 
-class _Scored:
+class Scored:
     """Selections of the outcomes by their labels."""
 
     def __init__(self, labels: dict, outcomes: dict):
@@ -101,7 +103,7 @@ class _Scored:
         return [o for label, o in self.pairs if condition(label, o)]
 
 
-def _check(number, requirement, limit: float, upper: bool, found: tuple) -> Check:
+def check(number, requirement, limit: float, upper: bool, found: tuple) -> Check:
     value, count = found
     sign = "<=" if upper else ">="
     if value is None or count == 0:
@@ -113,20 +115,25 @@ def _check(number, requirement, limit: float, upper: bool, found: tuple) -> Chec
     )
 
 
+def _new(label: dict) -> bool:
+    """Sets that the goals alone speak of (``goals.py``)."""
+    return label["set"] in ("simulators", "beside")
+
+
 def check_all(labels: dict, outcomes: dict, seconds: float | None) -> list[Check]:
     """Every requirement that the trials can answer; n stands behind each number."""
-    s = _Scored(labels, outcomes)
+    s = Scored(labels, {k: o for k, o in outcomes.items() if not _new(labels[k])})
     checks = [
         *_alarms(s), *_singles(s), *_independent(s), *_calibration(s), *_hidden(s),
         *_pairs(s), *_closure(s), *_confounded(s),
-        _check(18, "injected into measured data: named", 0.80, False,
+        check(18, "injected into measured data: named", 0.80, False,
                share(o.exact for o in telling(labels, outcomes))),
-        _check(19, "seconds a case", 3.0, True, (seconds, len(outcomes))),
+        check(19, "seconds a case", 3.0, True, (seconds, len(outcomes))),
     ]  # fmt: skip
     return sorted(checks, key=lambda check: check.number)
 
 
-def _alarms(s: _Scored) -> list[Check]:
+def _alarms(s: Scored) -> list[Check]:
     def alarms(*kinds):
         return share(
             o.flagged
@@ -135,42 +142,42 @@ def _alarms(s: _Scored) -> list[Check]:
 
     large = s.that(lambda x, o: x["set"] == "singles" and x["root_lambda"] >= 5)
     return [
-        _check(1, "false alarm, iid", 0.07, True, alarms("iid")),
-        _check(1, "false alarm, stressed noise", 0.08, True, alarms(*STRESS)),
-        _check(1, "false alarm, slip noise, slip to .05", 0.10, True,
+        check(1, "false alarm, iid", 0.07, True, alarms("iid")),
+        check(1, "false alarm, stressed noise", 0.08, True, alarms(*STRESS)),
+        check(1, "false alarm, slip noise, slip to .05", 0.10, True,
                alarms("slip_classical")),
-        _check(2, "detection, sqrt(lambda) >= 5", 0.95, False,
+        check(2, "detection, sqrt(lambda) >= 5", 0.95, False,
                share(o.flagged for o in large)),
     ]  # fmt: skip
 
 
-def _singles(s: _Scored) -> list[Check]:
+def _singles(s: Scored) -> list[Check]:
     sure = [o for o in s.where("singles") if o.probability >= 0.9 and o.flagged]
     out = [
-        _check(3, "top-1 where said at >= .9", 0.95, False,
+        check(3, "top-1 where said at >= .9", 0.95, False,
                share(o.exact for o in sure)),
-        _check(3, "family where said at >= .9", 0.97, False,
+        check(3, "family where said at >= .9", 0.97, False,
                share(o.family for o in sure)),
-        _check(5, "confident and wrong, listed effects", 0.02, True,
+        check(5, "confident and wrong, listed effects", 0.02, True,
                share(o.sure_wrong for o in s.where("singles"))),
     ]  # fmt: skip
     for noise, first, third in (("rig", 0.96, 0.99), ("seed", 0.89, 0.97)):
         rich = s.where("singles", design="G", noise=noise, n=900)
         out += [
-            _check(4, f"design G, {noise}, 900 rows: top-1", first, False,
+            check(4, f"design G, {noise}, 900 rows: top-1", first, False,
                    share(o.exact for o in rich)),
-            _check(4, f"design G, {noise}, 900 rows: top-3", third, False,
+            check(4, f"design G, {noise}, 900 rows: top-3", third, False,
                    share(o.top3 for o in rich)),
         ]  # fmt: skip
     named = [o for o in s.where("singles") if o.exact]
     out.append(
-        _check(12, "right, yet called incomplete", 0.03, True,
+        check(12, "right, yet called incomplete", 0.03, True,
                share(o.unknown for o in named))
     )  # fmt: skip
     return out
 
 
-def _independent(s: _Scored) -> list[Check]:
+def _independent(s: Scored) -> list[Check]:
     def other(label):
         if label["set"] != "singles" or label["design"] != "G":
             return False
@@ -178,38 +185,38 @@ def _independent(s: _Scored) -> list[Check]:
 
     found = s.that(lambda x, o: other(x))
     out = [
-        _check(6, "other forms, design G: confident and wrong", 0.03, True,
+        check(6, "other forms, design G: confident and wrong", 0.03, True,
                share(o.sure_wrong for o in found)),
     ]  # fmt: skip
     for noise, limit in (("rig", 0.94), ("seed", 0.88)):
         of = s.that(lambda x, o, noise=noise: other(x) and x["noise"] == noise)
         out.append(
-            _check(6, f"other forms, design G, {noise}: family", limit, False,
+            check(6, f"other forms, design G, {noise}: family", limit, False,
                    share(o.family for o in of))
         )  # fmt: skip
     return out
 
 
-def _calibration(s: _Scored) -> list[Check]:
+def _calibration(s: Scored) -> list[Check]:
     listed = s.where("singles", "null", "pairs")
     rich = s.where("singles", design="G")
     sizes = [o.set_size for o in rich]
     mean_size = float(np.mean(sizes)) if sizes else None
     out = [
-        _check(7, "calibration error of families", 0.05, True,
+        check(7, "calibration error of families", 0.05, True,
                (expected_calibration_error(listed, family=True), len(listed))),
-        _check(8, "90 % set holds the truth, design G", 0.88, False,
+        check(8, "90 % set holds the truth, design G", 0.88, False,
                share(o.covered for o in rich)),
-        _check(8, "mean size of the 90 % set, design G", 3.0, True,
+        check(8, "mean size of the 90 % set, design G", 3.0, True,
                (mean_size, len(sizes))),
     ]  # fmt: skip
     for noise, limit in (("rig", 0.10), ("seed", 0.25)):
         of = s.where("singles", "null", "pairs", noise=noise)
-        out.append(_check(7, f"Brier, {noise}", limit, True, (brier(of), len(of))))
+        out.append(check(7, f"Brier, {noise}", limit, True, (brier(of), len(of))))
     return out
 
 
-def _hidden(s: _Scored) -> list[Check]:
+def _hidden(s: Scored) -> list[Check]:
     def free(low, high):
         return s.that(
             lambda x, o: x["set"] == "leave_out" and low <= x["mimic_free"] < high
@@ -217,34 +224,34 @@ def _hidden(s: _Scored) -> list[Check]:
 
     seen = s.that(lambda x, o: x["set"] == "unlisted" and x["mimic_free"] >= 10)
     return [
-        _check(10, "family left out, mimic-free >= 10: flagged", 0.95, False,
+        check(10, "family left out, mimic-free >= 10: flagged", 0.95, False,
                share(o.unknown for o in free(10, np.inf))),
-        _check(10, "family left out, mimic-free 5-10: flagged", 0.70, False,
+        check(10, "family left out, mimic-free 5-10: flagged", 0.70, False,
                share(o.unknown for o in free(5, 10))),
-        _check(10, "family left out, mimic-free >= 10: confident and wrong", 0.03, True,
+        check(10, "family left out, mimic-free >= 10: confident and wrong", 0.03, True,
                share(o.sure_wrong for o in free(10, np.inf))),
-        _check(11, "unlisted, mimic-free >= 10: flagged", 0.85, False,
+        check(11, "unlisted, mimic-free >= 10: flagged", 0.85, False,
                share(o.unknown for o in seen)),
-        _check(11, "unlisted, mimic-free >= 10: named at > .9", 0.05, True,
+        check(11, "unlisted, mimic-free >= 10: named at > .9", 0.05, True,
                share(o.sure_wrong for o in seen)),
     ]  # fmt: skip
 
 
-def _pairs(s: _Scored) -> list[Check]:
+def _pairs(s: Scored) -> list[Check]:
     out = [
-        _check(13, "pairs in the top 5", 0.95, False,
+        check(13, "pairs in the top 5", 0.95, False,
                share(o.top5 for o in s.where("pairs", design="G"))),
     ]  # fmt: skip
     for noise, limit in (("rig", 0.90), ("seed", 0.68)):
         found = s.where("pairs", design="G", noise=noise)
         out.append(
-            _check(13, f"pairs exact, design G, {noise}", limit, False,
+            check(13, f"pairs exact, design G, {noise}", limit, False,
                    share(o.exact for o in found))
         )  # fmt: skip
     return out
 
 
-def _closure(s: _Scored) -> list[Check]:
+def _closure(s: Scored) -> list[Check]:
     told = s.that(lambda x, o: o.claimed_ci is not None and o.closed is not None)
     held = [o.claimed_ci[0] <= o.closed <= o.claimed_ci[1] for o in told]
     kept = s.that(lambda x, o: o.holdout is not None and x["set"] == "singles")
@@ -257,17 +264,17 @@ def _closure(s: _Scored) -> list[Check]:
         )
     )
     return [
-        _check(14, "held-out closure of energy, named rightly, median", 0.95, False,
+        check(14, "held-out closure of energy, named rightly, median", 0.95, False,
                (float(np.median(energy)) if energy else None, len(energy))),
-        _check(14, "held out, worse than the base", 0.03, True,
+        check(14, "held out, worse than the base", 0.03, True,
                share(o.holdout < 0 for o in kept)),
-        _check(15, "closure interval holds the true closure", 0.85, False, share(held)),
-        _check(15, "refused where half the least gap to be told", 1.0, False,
+        check(15, "closure interval holds the true closure", 0.85, False, share(held)),
+        check(15, "refused where half the least gap to be told", 1.0, False,
                share(not o.resolvable for o in small)),
     ]  # fmt: skip
 
 
-def _confounded(s: _Scored) -> list[Check]:
+def _confounded(s: Scored) -> list[Check]:
     """One load, one sign: naming both, or saying that it cannot tell."""
 
     def asks(label, outcome):
@@ -284,7 +291,5 @@ def _confounded(s: _Scored) -> list[Check]:
 
     found = [says(label, o) for label, o in s.pairs if asks(label, o)]
     return [
-        _check(
-            16, "one load, one sign: exact confusion said", 0.95, False, share(found)
-        )
+        check(16, "one load, one sign: exact confusion said", 0.95, False, share(found))
     ]

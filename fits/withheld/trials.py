@@ -1,6 +1,8 @@
 """One trial: a tire, a design, an effect (or none, or several), and noise."""
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,7 +12,8 @@ from fits.withheld.injected import injected, raw
 from fits.withheld.measure import measure
 from fits.withheld.patch import World
 from fits.withheld.procedural import procedural
-from fits.withheld.strange import FOREIGN, UNLISTED
+from fits.withheld.simulators import at_other_values, with_simulator
+from fits.withheld.strange import FOREIGN, SEALED, UNLISTED, suits
 
 __all__ = ["DEVELOPMENT", "MIXTURE", "SETS", "Trial", "draw"]
 
@@ -24,18 +27,24 @@ NULLS = {
 }
 DEVELOPMENT = tuple(name for name, design in DESIGNS.items() if not design.sealed)
 COLUMNS = {"omega", "alpha", "gamma", "temperature", "pressure", "across"}
+HIDDEN = ("unlisted", "leave_out", "foreign", "procedural", "beside")
 SPARE = 0.3  # share of trials with a column that nothing asks for
 TEXTBOOK = 0.4  # share of effects in their textbook form
 
 
 @dataclass
 class Trial:
-    """``truth`` holds noise-free forces, ``rig`` the text of an own rig.toml."""
+    """``truth`` holds noise-free forces, ``rig`` the text of an own rig.toml.
+
+    ``again(c, mu, factor)``: the same world, unmeasured, with other parameters and so
+    many times the effects; None where there is no such thing.
+    """
 
     columns: dict
     label: dict
     truth: dict = field(default_factory=dict)
     rig: str = ""
+    again: Callable | None = None
 
 
 class Draw:
@@ -108,7 +117,7 @@ def trial(draw: Draw, world: World, law: str, effects=(), **label) -> Trial:
         "force": world.force, "sealed": draw.sealed, "c": world.c, "mu": world.mu,
         **size, **label,
     }  # fmt: skip
-    if label["set"] in ("unlisted", "leave_out", "foreign", "procedural"):
+    if label["set"] in HIDDEN:
         gone = label["leave_out"]
         label["mimic_free"] = free([e for e in EFFECTS if family_of(e) == gone])
     return Trial(columns, label, truth)
@@ -116,12 +125,16 @@ def trial(draw: Draw, world: World, law: str, effects=(), **label) -> Trial:
 
 def with_effects(draw: Draw, effects: list[str], **label) -> Trial:
     world = draw.tire()
-    forms, sizes = [], []
+    plain = deepcopy(world)
+    forms, sizes, changes = [], [], []
     for effect in effects:
         form, size = draw.form(effect), draw.amplitude(effect)
-        EFFECTS[effect].forms[form](world, size, draw.generator)
+        change = EFFECTS[effect].forms[form]
+        changes.append((change, size, deepcopy(draw.generator)))
+        change(world, size, draw.generator)
         forms, sizes = [*forms, form], [*sizes, size]
-    return trial(draw, world, "iid", effects, forms=forms, amplitudes=sizes, **label)
+    made = trial(draw, world, "iid", effects, forms=forms, amplitudes=sizes, **label)
+    return replace(made, again=at_other_values(plain, changes))
 
 
 def single(draw: Draw) -> Trial:
@@ -148,7 +161,12 @@ def null(draw: Draw) -> Trial:
 
 
 def strange(draw: Draw, kinds: dict, name: str) -> Trial:
-    kind = draw.pick(kinds)
+    """A stranger of a list, any kind alike, in a design in which it shows."""
+    open_to = [k for k in kinds if draw.sealed or k not in SEALED]
+    fit = {k: [d for d in draw.designs if suits(k, DESIGNS[d])] for k in open_to}
+    kind = draw.pick(k for k in open_to if fit[k])
+    if draw.design not in fit[kind]:
+        draw.design = draw.pick(fit[kind])
     size = draw.generator.uniform(0.02, 0.08) * draw.generator.choice([-1, 1])
     world = draw.tire()
     kinds[kind](world, size, draw.generator)
@@ -187,6 +205,12 @@ def foreign(draw: Draw) -> Trial:
     return strange(draw, FOREIGN, "foreign")
 
 
+def simulator(draw: Draw) -> Trial:
+    """A measurement as in another set, beside a simulator with wrong parameters."""
+    kinds = (single, single, null, by_chance)
+    return with_simulator(kinds[draw.generator.integers(len(kinds))](draw), draw)
+
+
 def into_data(draw: Draw) -> Trial:
     columns, label, rig = injected(draw.generator)
     return Trial(columns, label, rig=rig)
@@ -206,14 +230,17 @@ SETS = {
     "foreign": foreign,
     "procedural": by_chance,
     "beside": beside,
+    "simulators": simulator,
     "injected": into_data,
 }
 
 MIXTURE = (
-    *("singles", "null", "unlisted") * 2, "singles", "null", "singles", "pairs",
-    "leave_out", "foreign", "injected", "procedural", "procedural",
+    *("singles", "simulators", "null", "unlisted", "procedural") * 2,
+    *("singles", "simulators", "null") * 2,
+    "singles", "simulators", "foreign", "leave_out", "pairs", "simulators", "beside",
+    "injected",
 )  # fmt: skip
-"""Sets in turn when all are asked for."""
+"""Sets in turn when all are asked for: a quarter simulators, more strangers."""
 
 
 def draw(seed, count, sets, designs, noises, rows, sealed) -> list[Trial]:

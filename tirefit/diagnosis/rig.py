@@ -10,7 +10,7 @@ from tirefit.data.table import TireData
 from tirefit.results import InputProblem, UsageError
 from tirefit.settings import read_toml
 
-__all__ = ["Rig", "load_rig"]
+__all__ = ["VEHICLE", "Rig", "load_rig"]
 
 _NUMBERS = ("rolling_radius", "wheel_inertia")
 _NOISE = (
@@ -19,7 +19,8 @@ _NOISE = (
     "slip_speed", "alpha_speed",
 )  # fmt: skip
 
-_VEHICLE = ("position", "clock", "yaw_inertia")
+VEHICLE = ("position", "clock", "yaw_inertia")
+"""What may be stated of a vehicle: keys of ``[vehicle]``."""
 
 _STANDS = 0.02
 """Share of the usual wheel speed or speed below which a wheel counts as standing."""
@@ -126,7 +127,7 @@ def _checked(content: dict, path: str) -> Rig:
         return {k: number(f"{section}.{k}", v) for k, v in given.items() if k in keys}
 
     levels = table("noise", _NOISE, "[noise] with fx = ... [N]")
-    vehicle = table("vehicle", _VEHICLE, "[vehicle] with position = ... [m]")
+    vehicle = table("vehicle", VEHICLE, "[vehicle] with position = ... [m]")
     order = content.get("run_order")
     if order not in (None, "random", "sequential"):
         reason = f"run_order = {order!r}"

@@ -1,0 +1,118 @@
+"""The goals of the widened check, beside the thresholds: limit, found, pass or not."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from fits.withheld.judge import kind_of
+from fits.withheld.thresholds import (
+    Check,
+    Scored,
+    brier,
+    check,
+    expected_calibration_error,
+    share,
+    telling,
+)
+
+__all__ = ["STRONG", "WEAK", "goals"]
+
+STRONG = (0.8, np.inf)
+WEAK = (0.15, 0.5)
+"""Rms of the gap that the best plain brush leaves, over the noise (the label's
+``gap_over_noise``)."""
+
+
+def _between(s: Scored, bounds: tuple[float, float], *kinds: str) -> list:
+    """Outcomes of sets, with a gap of this size."""
+    low, high = bounds
+    return s.that(lambda x, o: x["set"] in kinds and low <= x["gap_over_noise"] <= high)
+
+
+def _said(outcomes: Iterable) -> tuple:
+    return share(o.exact_or_alias for o in outcomes)
+
+
+def _hidden(s: Scored) -> list[Check]:
+    out, strangers = [], ("unlisted", "procedural")
+    for size, bounds, limit in (
+        ("gap >= 0.8 of the noise", STRONG, 0.92),
+        ("gap 0.15-0.5 of the noise", WEAK, 0.75),
+    ):
+        of = _between(s, bounds, *strangers)
+        out += [
+            check(1, f"not listed, {size}: flagged", limit, False,
+                  share(o.unknown for o in of)),
+            check(1, f"not listed, {size}: surely misnamed", 0.03, True,
+                  share(o.sure_wrong for o in of)),
+        ]  # fmt: skip
+    return out
+
+
+def _listed(s: Scored) -> list[Check]:
+    strong, weak = (_between(s, bounds, "singles") for bounds in (STRONG, WEAK))
+    pairs = s.where("pairs")
+    return [
+        check(2, "listed, strong: exact", 0.95, False, share(o.exact for o in strong)),
+        check(2, "listed, weak: exact", 0.90, False, share(o.exact for o in weak)),
+        check(3, "exact or said so, strong", 0.97, False, _said(strong)),
+        check(3, "exact or said so, weak", 0.97, False, _said(weak)),
+        check(3, "exact or said so, pairs", 0.95, False, _said(pairs)),
+        check(4, "pairs exact", 0.85, False, share(o.exact for o in pairs)),
+    ]
+
+
+def _others(s: Scored, labels: dict, outcomes: dict) -> list[Check]:
+    alarms = s.that(lambda x, o: kind_of(x) == "null")
+    # What the measured data lack beside an injected change is known to nobody.
+    known = s.that(lambda x, o: x["set"] != "raw")
+    return [
+        check(5, "false alarms", 0.04, True, share(o.flagged for o in alarms)),
+        check(6, "family left out: flagged", 0.85, False,
+              share(o.unknown for o in s.where("leave_out"))),
+        check(6, "foreign tire: flagged", 0.85, False,
+              share(o.unknown for o in s.where("foreign"))),
+        check(6, "injected into measured data: named", 0.80, False,
+              share(o.exact for o in telling(labels, outcomes))),
+        check(7, "calibration error", 0.05, True,
+              (expected_calibration_error(known), len(known))),
+        check(7, "Brier score", 0.08, True, (brier(known), len(known))),
+    ]  # fmt: skip
+
+
+def _quantile(values: list[float], level: float) -> tuple[float | None, int]:
+    return (float(np.quantile(values, level)) if values else None), len(values)
+
+
+def _simulators(s: Scored) -> list[Check]:
+    beside = s.where("simulators")
+    held = share(inside for o in beside for inside in o.within)
+    off = [part for o in beside for part in o.shares_off]
+    return [
+        check(8, "simulator: 90 % intervals hold the true parameter", 0.85, False,
+              held),
+        check(8, "simulator: the same, no more than", 0.95, True, held),
+        check(8, "simulator: shares of the budget, median error of a part", 0.05, True,
+              _quantile(off, 0.5)),
+    ]  # fmt: skip
+
+
+def _closure(s: Scored) -> list[Check]:
+    # Who names nothing claims nothing, and is right about it: that is no evidence.
+    told = s.that(lambda x, o: o.claimed and o.closed is not None)
+    off = [abs(o.claimed - o.closed) for o in told]
+    return [
+        check(9, "closure, claimed against true, median", 0.02, True,
+              _quantile(off, 0.5)),
+        check(9, "closure, claimed against true, 90 %", 0.06, True,
+              _quantile(off, 0.9)),
+    ]  # fmt: skip
+
+
+def goals(labels: dict, outcomes: dict) -> list[Check]:
+    """Every goal that the trials can answer; n stands behind each number."""
+    s = Scored(labels, outcomes)
+    return [
+        *_hidden(s), *_listed(s), *_others(s, labels, outcomes), *_simulators(s),
+        *_closure(s),
+    ]  # fmt: skip

@@ -1,0 +1,328 @@
+"""What stands beside the thresholds: goals, reliability, strangers, forest, bound."""
+
+import builtins
+from collections import Counter
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from fits.withheld import baselines, bound, forest, lack_of_fit, library, patch, trials
+from fits.withheld.designs import DESIGNS, make_world
+from fits.withheld.goals import goals
+from fits.withheld.judge import judge
+from fits.withheld.reliability import draw_reliability, reliability
+from fits.withheld.strange import FOREIGN, SEALED, UNLISTED, suits
+
+C, MU = 5e4, 0.9
+
+
+def label(kind, *effects, **given):
+    return {
+        "effects": list(effects), "families": [], "set": kind, "kind": "iid",
+        "design": "G", "noise": "rig", "n": 900, "force": "fx", "forms": ["-"],
+        "root_lambda": 20.0, "gap_over_noise": 1.0, "leave_out": None, **given,
+    }  # fmt: skip
+
+
+def said(status, *effects, p=0.95, also=()):
+    verdict = {"status": status, "effects": list(effects), "probability": p,
+               "also_possible": list(also)}  # fmt: skip
+    return {"verdict": verdict, "candidates": []}
+
+
+def table(*trials_and_answers):
+    labels = {str(k): mark for k, (mark, _) in enumerate(trials_and_answers)}
+    outcomes = {
+        name: judge(name, mark, answer)
+        for (name, mark), (_, answer) in zip(
+            labels.items(), trials_and_answers, strict=True
+        )
+    }
+    return {c.requirement: c for c in goals(labels, outcomes)}
+
+
+# --- goals ------------------------------------------------------------------
+
+
+def test_goals_are_of_the_gap_over_the_noise():
+    found = table(
+        (label("unlisted", gap_over_noise=0.9), said("unknown", "unknown")),
+        (label("procedural", gap_over_noise=0.9), said("named", "slip_offset")),
+        (label("unlisted", gap_over_noise=0.6), said("named", "slip_offset")),
+        (label("unlisted", gap_over_noise=0.3), said("incomplete", "slip_offset")),
+        (
+            label("singles", "slip_offset", gap_over_noise=0.3),
+            said("named", "conicity"),
+        ),
+        (label("singles", "slip_offset"), said("named", "slip_offset")),
+    )
+    strong, weak = (
+        "not listed, gap >= 0.8 of the noise",
+        "not listed, gap 0.15-0.5 of the",
+    )
+    assert found[f"{strong}: flagged"].found == "0.500 (2)"
+    assert found[f"{strong}: surely misnamed"].found == "0.500 (2)"
+    assert found[f"{weak} noise: flagged"].verdict == "pass"
+    assert found["listed, strong: exact"].found == "1.000 (1)"
+    assert found["listed, weak: exact"].verdict == "FAIL"
+    assert found["pairs exact"].verdict == "not measured"
+
+
+def test_who_claims_nothing_is_no_evidence_of_closure():
+    outcomes = {
+        name: judge(name, label("null"), said("none"))._replace(
+            claimed=claimed, closed=closed
+        )
+        for name, claimed, closed in (
+            ("a", 0.0, 0.0),
+            ("b", 0.8, 0.7),
+            ("c", None, None),
+        )
+    }
+    found = {
+        c.requirement: c for c in goals(dict.fromkeys("abc", label("null")), outcomes)
+    }
+    assert found["closure, claimed against true, median"].found == "0.100 (1)"
+
+
+def test_beside_a_stranger_only_what_is_there_may_be_named():
+    truth = label("beside", "slip_offset")
+    for answer, right in (
+        (said("incomplete", "slip_offset"), True),
+        (said("unknown", "unknown"), True),
+        (said("incomplete", "slip_offset", "conicity"), False),
+        (said("named", "slip_offset"), False),
+    ):
+        outcome = judge("t", truth, answer)
+        assert outcome.right == right
+        assert not outcome.exact
+
+
+# --- reliability ------------------------------------------------------------
+
+
+def test_reliability_by_hand():
+    right = judge("t", label("null"), said("none", p=0.95))
+    wrong = judge("t", label("null"), said("named", "conicity", p=0.95))
+    rare = judge("t", label("null"), said("named", "conicity", p=0.25))
+    low, high = reliability([right] * 8 + [wrong] * 2 + [rare] * 5)
+    assert (low.probability, low.right, low.low, low.count) == (0.25, 0, 0, 5)
+    # None of five: above it at 5 %, (1 - high)^5 = 0.05.
+    assert (1 - low.high) ** 5 == pytest.approx(0.05)
+    assert (high.right, high.count) == (0.8, 10)
+    # Exact tables: 8 of 10 at 90 %, 0.493 to 0.963.
+    assert (high.low, high.high) == pytest.approx((0.493, 0.963), abs=1e-3)
+
+
+def test_the_diagram_is_drawn(tmp_path):
+    right = judge("t", label("null"), said("none", p=0.95))
+    draw_reliability({"tirefit": reliability([right] * 9)}, tmp_path / "r.png")
+    assert np.ptp(imread(tmp_path / "r.png")) > 0.5
+
+
+# --- mixture and strangers --------------------------------------------------
+
+
+def test_shares_of_the_sets():
+    count, all_sets = Counter(trials.MIXTURE), len(trials.MIXTURE)
+    strangers = sum(count[s] for s in trials.HIDDEN)
+    assert count["simulators"] / all_sets == pytest.approx(0.25, abs=0.01)
+    assert strangers / all_sets >= 0.25
+    assert set(count) == set(trials.SETS)
+
+
+def test_at_least_ten_kinds_of_strangers():
+    assert len(UNLISTED) >= 10
+    assert set(SEALED) < set(UNLISTED)
+    for kind in UNLISTED:
+        assert any(suits(kind, d) for d in DESIGNS.values() if not d.sealed)
+
+
+@pytest.mark.parametrize("kind", [*UNLISTED, *FOREIGN])
+def test_every_stranger_shows(kind):
+    design = next(d for d in (DESIGNS["G"], DESIGNS["H"]) if suits(kind, d))
+    g = np.random.default_rng(4)
+    world = make_world(design, 450, C, MU, g)
+    plain = patch.forces(world)["fx"]
+    {**UNLISTED, **FOREIGN}[kind](world, 0.05, g)
+    found, slip = patch.forces(world)["fx"], world.sensed
+    for change in world.logged:
+        slip = change(world, slip)
+    off = found - plain + patch.plain_brush(slip, world.fz, C, MU)[0] - plain
+    assert np.all(np.isfinite(found))
+    # Between 0.2 % and a quarter of the friction force, rms.
+    assert 0.002 < np.sqrt(np.mean((off / (MU * world.fz)) ** 2)) < 0.25
+
+
+def test_development_draws_no_sealed_stranger():
+    made = trials.draw(521, 60, ["unlisted"], None, ["rig"], [200], False)
+    kinds = {trial.label["kind"] for trial in made}
+    assert not kinds & set(SEALED)
+    assert len(kinds) >= 7
+    for trial in made:
+        assert suits(trial.label["kind"], DESIGNS[trial.label["design"]])
+
+
+def test_an_amplifier_cuts_and_play_takes_up_slip():
+    world = make_world(DESIGNS["G"], 450, C, MU, np.random.default_rng(4))
+    plain = patch.forces(world)["fx"]
+    UNLISTED["amplifier_limit"](world, 0.05, None)
+    cut = patch.forces(world)["fx"]
+    assert np.abs(cut).max() == pytest.approx(0.8 * np.abs(plain).max())
+    world = make_world(DESIGNS["G"], 450, C, MU, np.random.default_rng(4))
+    UNLISTED["dead_zone"](world, 0.04, None)
+    small = np.abs(world.sensed) < 0.006
+    assert small.any() and np.all(patch.forces(world)["fx"][small] == 0)
+
+
+def test_hysteresis_after_a_turn_fades():
+    world = make_world(DESIGNS["G"], 900, C, MU, np.random.default_rng(4))
+    plain = patch.forces(world)["fx"]
+    UNLISTED["after_turn"](world, 0.05, np.random.default_rng(1))
+    off = np.abs(patch.forces(world)["fx"] - plain) / (MU * world.fz)
+    first = np.flatnonzero(world.run == 0)
+    turn = first[np.argmax(world.slip[first])]
+    assert off[turn + 1] > 0.08
+    assert off[turn + 20] < 0.5 * off[turn + 1]
+
+
+def test_the_gap_over_the_noise_is_that_of_a_known_offset():
+    """A force zero is no part of a brush that sees one sign: its rms over the noise."""
+    made = trials.draw(522, 12, ["singles"], ["F"], ["rig"], [900], False)
+    for trial in made:
+        mark = trial.label
+        assert mark["gap_over_noise"] == pytest.approx(
+            mark["root_lambda"] / np.sqrt(mark["n"]), rel=1e-2, abs=1e-3
+        )
+
+
+# --- baselines --------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """Inputs and forces of a plain brush in sweeps, and the same beside a ripple."""
+    g = np.random.default_rng(8)
+    world = make_world(DESIGNS["G"], 450, C, MU, g)
+    x = library.Inputs(
+        world.time, world.run, world.slip, world.fz, world.v, "fx",
+        (0.001, 0.01 * world.fz, 0.001 * world.fz),
+    )  # fmt: skip
+    noise = library.spread(x, C, MU) * g.normal(size=450)
+    base = library.predict(x, None, 0, C, MU)
+    return x, base + noise, 0.05 * MU * world.fz * np.sin(40 * world.slip)
+
+
+def test_lack_of_fit_sees_a_wave_and_is_fair_to_noise():
+    g = np.random.default_rng(9)
+    noise = g.normal(size=(400, 200))
+    for test in (lack_of_fit.runs, lack_of_fit.local_means):
+        alarms = np.mean([test(row) < 0.05 for row in noise])
+        assert alarms == pytest.approx(0.05, abs=0.035)
+        assert test(np.sin(np.arange(200) / 6) + 0.5 * noise[0]) < 1e-4
+    assert lack_of_fit.runs(np.zeros(20)) == 1.0
+    assert lack_of_fit.local_means(np.ones(5)) == 1.0
+
+
+def test_bic_with_a_check_says_unknown_of_a_ripple(plain):
+    x, observed, ripple = plain
+    as_before, careful = baselines.checked(x, observed)
+    assert careful["verdict"] == as_before["verdict"]
+    named, unknown = baselines.checked(x, observed + ripple)
+    assert named["verdict"]["status"] != "unknown"
+    assert unknown["verdict"]["effects"] == ["unknown"]
+    assert unknown["candidates"] == named["candidates"]
+
+
+def test_features_have_one_length_and_answer_to_the_gap(plain):
+    x, observed, ripple = plain
+    found = forest.features(x, observed)
+    made = trials.draw(523, 8, forest.SETS, None, ["rig"], [200], False)
+    for trial in made:
+        assert trial.label["set"] in forest.SETS
+        xs, forces = baselines.from_columns(trial.columns, {})
+        assert forest.features(xs, forces).shape == found.shape
+        assert np.all(np.isfinite(forest.features(xs, forces)))
+    assert np.abs(forest.features(x, observed + ripple) - found).max() > 5
+
+
+def test_the_forest_learns_and_leaves_out(plain):
+    pytest.importorskip("sklearn")
+    x, observed, ripple = plain
+    g = np.random.default_rng(10)
+    table, classes = [], []
+    tilt = 0.05 * MU * x.fz * np.sign(x.slip)
+    for _ in range(12):
+        noise = 0.01 * x.fz * g.normal(size=450)
+        for name, gap in (
+            ("none", 0), ("drive_brake_asymmetry", np.abs(tilt)), ("unknown", ripple),
+        ):  # fmt: skip
+            table.append(forest.features(x, observed + noise + gap))
+            classes.append(name)
+    taught = forest.taught(np.array(table), classes)
+    answer = forest.by_forest(taught, x, observed + np.abs(tilt))
+    assert answer["verdict"]["effects"] == ["drive_brake_asymmetry"]
+    assert answer["verdict"]["status"] == "named"
+    assert forest.by_forest(taught, x, observed)["verdict"]["status"] == "none"
+    without = forest.by_forest(
+        taught, x.without(["drive_brake_asymmetry"]), observed + np.abs(tilt)
+    )
+    assert without["verdict"]["effects"] != ["drive_brake_asymmetry"]
+
+
+def test_no_forest_without_its_package(monkeypatch, capsys, tmp_path):
+    there = builtins.__import__
+
+    def missing(name, *rest, **more):
+        if name.startswith("sklearn"):
+            raise ImportError(name)
+        return there(name, *rest, **more)
+
+    monkeypatch.setattr(builtins, "__import__", missing)
+    assert forest.taught(np.zeros((2, 3)), ["none", "unknown"]) is None
+    assert "no scikit-learn" in capsys.readouterr().out
+    assert forest.trained(tmp_path / "none.npz") is None
+    assert "no features" in capsys.readouterr().out
+
+
+def test_classes():
+    assert forest.class_of(label("null")) == "none"
+    assert forest.class_of(label("foreign")) == "unknown"
+    assert forest.class_of(label("singles", "conicity")) == "conicity"
+
+
+# --- bound ------------------------------------------------------------------
+
+
+def test_the_bound_names_another_form_as_its_effect():
+    """Load friction by a square of the logarithm, in noise: no form of the textbook."""
+    g = np.random.default_rng(11)
+    world = make_world(DESIGNS["F"], 200, C, MU, g)
+    x = library.Inputs(
+        world.time, world.run, world.slip, world.fz, world.v, "fx",
+        (0.001, 0.01 * world.fz, 0.001 * world.fz),
+        left_out=tuple(e for e in trials.EFFECTS if e not in
+                       ("load_friction", "force_offset", "slip_offset")),
+    )  # fmt: skip
+    truth = library.predict(
+        x, "load_friction", -0.15, C, MU, form="friction_log_square"
+    )
+    noise = library.spread(x, C, MU) * g.normal(size=200)
+    assert bound.named_by_evidence(x, truth + noise, "load_friction") == "load_friction"
+    plain = library.predict(x, None, 0, C, MU)
+    assert bound.named_by_evidence(x, plain + noise, "load_friction") == ""
+
+
+def test_evidence_counts_the_amplitude_once():
+    """Of pure noise a hypothesis gains at most half a square and pays its range."""
+    g = np.random.default_rng(12)
+    world = make_world(DESIGNS["F"], 200, C, MU, g)
+    x = library.Inputs(
+        world.time, world.run, world.slip, world.fz, world.v, "fx",
+        (0.0, 0.01 * world.fz, 0.001 * world.fz),
+    ).without([e for e in trials.EFFECTS if e != "force_offset"])  # fmt: skip
+    plain = library.predict(x, None, 0, C, MU)
+    found = bound.evidence(x, plain + 0.01 * world.fz * g.normal(size=200))
+    # Half its typical size, 40 N, is some 14 standard errors of 200 rows away.
+    assert found["force_offset",] < found[()] - 30

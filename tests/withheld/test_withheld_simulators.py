@@ -1,0 +1,217 @@
+"""Simulators with wrong parameters beside a measurement: files, truth and score."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fits.withheld import generate, run, trials
+from fits.withheld.goals import goals
+from fits.withheld.judge import judge, kind_of
+from fits.withheld.patch import plain_brush
+
+
+def drawn(seed, count, designs=("F", "G"), rows=200):
+    return trials.draw(seed, count, ["simulators"], designs, ["rig"], [rows], False)
+
+
+@pytest.fixture(scope="module")
+def beside():
+    return drawn(511, 16)
+
+
+def test_parameters_are_off_by_a_twentieth_to_a_quarter(beside):
+    off = np.array(
+        [
+            about["simulated"] / about["true"] - 1
+            for trial in beside
+            for about in trial.label["parameters"].values()
+        ]
+    )
+    assert np.all((np.abs(off) >= 0.05) & (np.abs(off) <= 0.25))
+    assert np.any(off > 0) and np.any(off < 0)
+
+
+def test_the_simulated_force_is_a_brush_at_the_slip_as_logged(beside):
+    for trial in beside:
+        said, x = trial.label["parameters"], trial.columns
+        wanted = plain_brush(
+            x["sigma_x"], x["fz"], said["cpa2"]["simulated"], said["mu"]["simulated"]
+        )[0]
+        assert x["fx_sim"] == pytest.approx(wanted)
+
+
+def test_a_lateral_simulator_gives_the_moment_too():
+    (trial,) = drawn(512, 1, ("H",))
+    assert {"fy_sim", "mz_sim"} <= trial.columns.keys()
+
+
+def test_the_budget_adds_up_to_the_measured_distance(beside):
+    for trial in beside:
+        shares = trial.label["budget"]
+        assert sum(shares.values()) == pytest.approx(1, abs=1e-4)
+        assert min(shares.values()) >= 0
+        distance = np.mean((trial.columns["fx"] - trial.columns["fx_sim"]) ** 2)
+        noise = np.mean((trial.columns["fx"] - trial.truth["fx"]) ** 2)
+        # Apart from what noise and gap share by chance.
+        assert shares["noise"] == pytest.approx(noise / distance, rel=0.35)
+
+
+def test_parameters_alone_are_all_where_nothing_else_is(beside):
+    alone = [t for t in beside if t.label["of"] == "null"]
+    assert alone
+    for trial in alone:
+        shares = trial.label["budget"]
+        assert shares["effects"] == 0
+        assert shares["unexplained"] < 1e-3
+        assert shares["parameters"] == pytest.approx(1 - shares["noise"], abs=1e-3)
+
+
+def test_a_stranger_has_no_name_in_the_budget(beside):
+    strange = [t for t in beside if t.label["of"] == "procedural"]
+    assert strange
+    for trial in strange:
+        label = trial.label
+        assert label["budget"]["effects"] == 0
+        assert label["mimic_free"] > 0
+        rest = label["gap_rms"] ** 2
+        noise = np.mean((trial.columns["fx"] - trial.truth["fx"]) ** 2)
+        wanted = rest / noise
+        found = label["budget"]["unexplained"] / label["budget"]["noise"]
+        # gap_rms is of the same fit at the slip without its noise.
+        assert found == pytest.approx(wanted, rel=0.3)
+
+
+def test_shares_are_those_of_shapley_where_both_are_known():
+    """A force zero: what closes is known in closed form of both orders."""
+    draw = trials.Draw(np.random.default_rng(3), ["F"], ["rig"], [400], False)
+    world = draw.tire()
+    size = 0.05
+    change = trials.EFFECTS["force_offset"].forms["force_zero"]
+    again = trials.at_other_values(world, [(change, size, None)])
+    made = trials.trial(
+        draw, again(world.c, world.mu, 1.0), "iid", ["force_offset"],
+        forms=["force_zero"], amplitudes=[size], set="singles",
+    )  # fmt: skip
+    made = trials.replace(made, again=again)
+    found = trials.with_simulator(made, draw)
+    x, truth = found.columns, found.truth["fx"]
+    off = truth - x["fx_sim"]
+    nothing = np.mean(off**2)
+    # The zero alone closes the mean, apart from the weights of the noise.
+    alone = np.mean((off - np.mean(off)) ** 2)
+    shares = found.label["budget"]
+    total = nothing + np.mean((x["fx"] - truth) ** 2)
+    tuned = 2 * shares["effects"] * total - (nothing - alone)
+    wanted = (nothing - tuned + alone) / 2 / total
+    assert shares["parameters"] == pytest.approx(wanted, abs=0.02)
+    # What the brush leaves of a zero of 200 N: it takes up some, and never adds to it.
+    assert 0.3 < tuned / (size * 4000) ** 2 < 1.05
+
+
+def answered(trial, status="named", off=0.0, wrong=0.0, std=1.0):
+    label = trial.label
+    effects = label["effects"] if status == "named" else []
+    shares = label["budget"]
+    parts = [{"part": p, "share": shares[p] + wrong} for p in
+             ("parameters", "unexplained", "noise")]  # fmt: skip
+    parts += [{"part": e, "share": shares["effects"] + wrong} for e in effects]
+    return {
+        "verdict": {
+            "status": status, "effects": effects, "probability": 0.9,
+            "also_possible": [],
+            "parameters": {
+                name: {"measured": about["true"] + off * std, "std": std}
+                for name, about in label["parameters"].items()
+            },
+        },
+        "candidates": [], "budget": parts,
+    }  # fmt: skip
+
+
+def test_intervals_and_shares_by_hand(beside):
+    trial = next(t for t in beside if t.label["of"] == "null")
+    inside = judge("t", trial.label, answered(trial, "none", 1.64, 0.03))
+    outside = judge("t", trial.label, answered(trial, "none", -1.65))
+    assert inside.within == (True, True) and outside.within == (False, False)
+    assert inside.shares_off == pytest.approx((0.03, 0.03))
+    assert inside.right and not inside.flagged  # parameters are no effect
+
+
+def test_a_share_that_stands_at_another_effect_is_nobodys(beside):
+    trial = next(t for t in beside if t.label["of"] == "singles")
+    said = answered(trial)
+    right = judge("t", trial.label, said)
+    assert right.exact and max(right.shares_off) == pytest.approx(0)
+    said["budget"][-1]["part"] = "conicity"
+    wrong = judge("t", trial.label, said)
+    assert wrong.shares_off[-1] == pytest.approx(trial.label["budget"]["effects"])
+
+
+def test_what_an_effect_scales_is_not_scored():
+    made = drawn(513, 30)
+    for trial in made:
+        if trial.label["of"] != "singles":
+            continue
+        scales = {f.split(" x ")[0] for f in trial.label["families"]}
+        said = trial.label["parameters"]
+        if "friction" in scales:
+            assert not said["mu"]["scored"]
+        if "stiffness" in scales:
+            assert not said["cpa2"]["scored"] and said["mu"]["scored"]
+        if scales == {"measurement"}:
+            assert said["mu"]["scored"] and said["cpa2"]["scored"]
+
+
+def test_goals_of_simulators(beside):
+    labels = {str(k): t.label for k, t in enumerate(beside)}
+
+    def found(**given):
+        outcomes = {
+            name: judge(name, t.label, answered(t, _right_status(t), **given))
+            for (name, t) in zip(labels, beside, strict=True)
+        }
+        return {c.requirement: c.verdict for c in goals(labels, outcomes)}
+
+    hold = "simulator: 90 % intervals hold the true parameter"
+    shares = "simulator: shares of the budget, median error of a part"
+    good, bad = found(), found(off=3.0, wrong=0.2)
+    assert (good[hold], bad[hold]) == ("pass", "FAIL")
+    assert (good[shares], bad[shares]) == ("pass", "FAIL")
+    assert good["simulator: the same, no more than"] == "FAIL"  # all of them: too wide
+    assert good["false alarms"] == "pass"
+
+
+def _right_status(trial):
+    return {"singles": "named", "null": "none", "procedural": "unknown"}[
+        kind_of(trial.label)
+    ]
+
+
+def test_files_of_simulators_are_told_apart(beside, tmp_path):
+    plain = trials.draw(514, 4, ["null"], ["F"], ["rig"], [200], False)
+    generate.write_all([*beside[:3], *plain], tmp_path)
+    told = run.simulated(tmp_path)
+    assert set(told.values()) == {False, True}
+    for name, beside_one in told.items():
+        for path in (tmp_path / "trials" / name).glob("*.csv"):
+            assert ("_sim" in path.read_text().split("\n", 1)[0]) == beside_one
+    labels = json.loads((tmp_path / "labels.json").read_text())
+    for label in labels.values():
+        group = label["file"].split("/")[0]
+        assert told[group] == (label["set"] == "simulators")
+
+
+def test_run_asks_for_the_simulator_only_there(tmp_path, monkeypatch):
+    lines = []
+    monkeypatch.setattr(
+        run.subprocess, "run",
+        lambda line, **_: lines.append(line) or type("D", (), {"returncode": 0}),
+    )  # fmt: skip
+    for group, text in (("rig00", "time,fx,fx_sim\n"), ("rig01", "time,fx\n")):
+        (tmp_path / "trials" / group).mkdir(parents=True)
+        (tmp_path / "trials" / group / "t.csv").write_text(text)
+    (tmp_path / "leave_out.json").write_text('{"rig00": [], "rig01": []}')
+    (tmp_path / "simulators.json").write_text('{"rig00": true, "rig01": false}')
+    run.main([str(tmp_path)])
+    assert ["--sim" in line for line in lines] == [True, False]
