@@ -132,7 +132,7 @@ def repeats_with_distance(values, way, shortest: float, longest: float) -> Wave 
     """The wave that stands out most among those of its neighbourhood, if any does.
 
     Mean periodograms over the distance, without overlap; a peak is held against a
-    parabola through the logarithms around it (Welch 1967).
+    parabola through the logarithms around it (Welch's method).
 
     Args:
         values: (n,) of each unbroken stretch.

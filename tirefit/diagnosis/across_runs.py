@@ -125,15 +125,14 @@ def held_across_runs(
     verdict: Verdict, search: Search, weighed: Weighed, generator
 ) -> tuple[Verdict, Weighed]:
     """The verdict that the runs allow, each left out in turn, with its set among those
-    that were weighed. Unchanged for fewer than four runs, and where nothing is named.
+    that were weighed. Unchanged for fewer than four runs, and where there is no gap.
 
     Args:
         generator: of simulated residuals.
     """
     base = search.base
     runs = shown_runs(base.rows.run, base.rows.data.runs)
-    named = verdict.status in ("named", "cannot_tell", "incomplete")
-    if len(runs) < _FEWEST or not named or base.simulator is not None:
+    if len(runs) < _FEWEST or verdict.status == "none" or base.simulator is not None:
         return verdict, weighed
     if set(verdict.effects) & set(_OF_ONE_RUN):
         return verdict, weighed

@@ -6,9 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from tirefit.diagnosis.basis import Generic, smooth_basis, wave_basis, wide_bases
+from tirefit.diagnosis.basis import Generic, smooth_basis, wave_basis
 from tirefit.diagnosis.effects import Atom, Effect, atoms_of
-from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.forward import (
     Design,
     Linear,
@@ -23,7 +22,7 @@ from tirefit.diagnosis.forward import (
 )
 from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
-from tirefit.diagnosis.patterns import PARAMETERS, patterns
+from tirefit.diagnosis.remainder import whitened_generic
 from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
 from tirefit.diagnosis.runs import with_runs
 from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
@@ -155,7 +154,8 @@ class Base:
     @cached_property
     def generic(self) -> Generic:
         """Generic functions for each channel by itself, whitened: (m, b)."""
-        return _whitened_generic(self)
+        fields = np.asarray(self.at_null.fields)
+        return whitened_generic(self.rows, self.design, self.slip_fraction, fields)
 
     @cached_property
     def at_null(self) -> Linear:
@@ -432,28 +432,3 @@ def _pull(prepared, tire: Tire, design: Design, z, silent) -> dict[str, np.ndarr
         )  # fmt: skip
         columns.append(tire.moments(z, silent, then, prepared.n)[0])
     return {c: np.stack([one[c] for one in columns], axis=1) for c in columns[0]}
-
-
-def _whitened_generic(base: Base) -> Generic:
-    """Generic functions for each channel by itself, whitened: (m, b)."""
-    n, channels = base.rows.n, base.rows.channels
-    keep, bases = base.design.keep[:n, None], []
-    for channel in channels:
-        typical = base.rows.inputs.fz / np.asarray(base.design.scale[channel])[:n]
-        bases.append(wide_bases(base.rows, base.slip_fraction, typical))
-
-    def stacked(parts):
-        blocks = [
-            np.concatenate([
-                part * keep if row == k else np.zeros((n, part.shape[1]))
-                for row in range(len(channels))
-            ])
-            for k, part in enumerate(parts)
-        ]  # fmt: skip
-        return np.concatenate(blocks, axis=1)
-
-    fields = np.asarray(base.at_null.fields)
-    by_name = {name: fields[:, PLACE[field]] for name, (field, _) in PARAMETERS.items()}
-    smooth, cells, waves = (stacked(parts) for parts in zip(*bases, strict=True))
-    narrow = patterns(base.rows, base.slip_fraction, by_name)
-    return Generic(smooth, cells, waves, narrow)

@@ -67,8 +67,7 @@ def document_of(
         effects: those that were looked for.
         holdout: tables that the search did not use.
     """
-    data = whole.data
-    base, verdict = case.base, case.verdict
+    data, base, verdict = whole.data, case.base, case.verdict
     prepared = base.prepared
     rows = _rows(case, at_measured_slip(base))
     # Everything random is drawn in this order: gap, candidates, held-out data, budget.
