@@ -1,5 +1,7 @@
 """What may be said of the most probable set: its standing binds the verdict."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest_diagnosis import RIG, brush, record
@@ -7,7 +9,12 @@ from scipy.optimize import minimize_scalar
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.adequacy import UNTESTED
-from tirefit.diagnosis.conclusion import bound_by, probability_of_rest
+from tirefit.diagnosis.conclusion import (
+    bound_by,
+    chance_of_unknown,
+    chances,
+    probability_of_rest,
+)
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis
@@ -101,3 +108,28 @@ def test_what_only_resembles_listed_effects_is_not_named():
     found = diagnose(read_frame(columns, "peak", convention="braking"), rig=RIG)
     assert found.verdict.status in ("unknown", "incomplete")
     assert not found.verdict.adequacy.passed
+
+
+def test_chances_agree_with_the_verdict():
+    """What the verdict leaves is shared out by evidence among the listed."""
+    a, b = ("load_friction",), ("slip_offset",)
+    fits = {(): NO_EFFECT, a: ONE_EFFECT, b: replace(ONE_EFFECT, effects=b)}
+    weighed = Weighed(
+        sets={(): 0.1, a: 0.6, b: 0.2}, best_of=fits, unknown_alone=0.1,
+        unknown_beside={}, other_form=frozenset(), evidence={}, hidden=0.0, gains={},
+    )  # fmt: skip
+
+    def of(status, effects, probability):
+        verdict = Verdict(status, effects, probability, (), 0.0, ONE_EFFECT, UNTESTED)
+        return chances(verdict, weighed), chance_of_unknown(verdict, weighed)
+
+    shared, unknown = of("named", a, 0.5)
+    assert shared[a] == pytest.approx(0.5) and unknown == 0
+    assert shared[b] == pytest.approx(0.5 / 3)
+    shared, unknown = of("unknown", ("unknown",), 0.8)
+    assert unknown == 0.8
+    assert shared[a] == pytest.approx(0.2 * 0.6 / 0.9)
+    shared, unknown = of("incomplete", a, 0.7)
+    assert shared[a] == 0.7 and shared[b] == pytest.approx(0.3 * 0.2 / 0.9)
+    shared, unknown = of("none", (), 0.9)
+    assert unknown == 0.1 and shared[a] == pytest.approx(0.6 / 0.9)

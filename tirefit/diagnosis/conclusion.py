@@ -25,7 +25,15 @@ from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Search
 from tirefit.diagnosis.standing import Standing, standing
 from tirefit.diagnosis.verdict import LinearFit, Verdict, Weighed, linear_at, named
 
-__all__ = ["Judge", "bound_by", "concluded", "look_of_rest", "probability_of_rest"]
+__all__ = [
+    "Judge",
+    "bound_by",
+    "chance_of_unknown",
+    "chances",
+    "concluded",
+    "look_of_rest",
+    "probability_of_rest",
+]
 
 _KNOWN = 2.0
 """Standard errors from which an effect may be named at all: an error bar of half the
@@ -276,6 +284,33 @@ def bound_by(
             fails_elsewhere=True,
         )  # fmt: skip
     return verdict
+
+
+def chances(verdict: Verdict, weighed: Weighed) -> dict[tuple[str, ...], float]:
+    """Probability of each refitted set to be all that is there, in agreement with the
+    verdict: what is left for the others is shared out by their evidence."""
+    listed = {
+        k: weighed.among_listed(k)
+        for k in weighed.sets
+        if k and weighed.best_of[k].refitted
+    }
+    key = tuple(sorted(verdict.effects))
+    if verdict.status == "none":
+        return listed
+    if verdict.status in ("named", "cannot_tell") and listed.get(key):
+        scale = min(verdict.probability / listed[key], 1.0)
+        return {k: scale * v for k, v in listed.items()}
+    rest = 1 - verdict.probability
+    return {k: rest * v for k, v in listed.items()} | (
+        {key: verdict.probability} if key in listed else {}
+    )
+
+
+def chance_of_unknown(verdict: Verdict, weighed: Weighed) -> float:
+    """Probability that what is there is not listed at all."""
+    if verdict.status == "unknown":
+        return verdict.probability
+    return weighed.unknown_alone if verdict.status == "none" else 0.0
 
 
 def look_of_rest(verdict: Verdict, base: Base) -> tuple[Look, ...]:

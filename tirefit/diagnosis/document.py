@@ -10,7 +10,12 @@ from tirefit.diagnosis.basis import located, without
 from tirefit.diagnosis.budget import budgets_of, parameter_changes, simulator_summary
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.closure import Closure, closure_of
-from tirefit.diagnosis.conclusion import bound_by, look_of_rest
+from tirefit.diagnosis.conclusion import (
+    bound_by,
+    chance_of_unknown,
+    chances,
+    look_of_rest,
+)
 from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.effects.known import said_of_motion
 from tirefit.diagnosis.forecast import confusion, next_measurements
@@ -294,19 +299,15 @@ def _tuned_alone(case: Case) -> bool:
 
 def _candidates(case: Case, generator, most: int = _LISTED) -> tuple[Candidate, ...]:
     weighed = case.weighed
-    total = {
-        k: v + weighed.unknown_beside.get(k, 0.0)
-        for k, v in weighed.sets.items()
-        if k and weighed.best_of[k].refitted
-    }
+    total = chances(case.verdict, weighed)
     said = tuple(sorted(case.verdict.chosen.effects))
     ranked = sorted(total, key=lambda key: (key == said, total[key]), reverse=True)
     ranked = ranked[:most]
     listed = [_candidate(case, key, total[key], generator) for key in ranked]
-    if weighed.unknown_alone > _MENTIONED:
+    if (alone := chance_of_unknown(case.verdict, weighed)) > _MENTIONED:
         unknown = Candidate(
             effects=("unknown",), family="unknown", parameters={}, z=None,
-            probability=weighed.unknown_alone, z_given_rivals=None, closed=0.0,
+            probability=alone, z_given_rivals=None, closed=0.0,
             closed_ci=(0.0, 0.0),
         )  # fmt: skip
         listed.append(unknown)
