@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from tirefit.diagnosis.basis import without
+from tirefit.diagnosis.effects.per_run import OFFSETS
 from tirefit.diagnosis.forms import PLACE
 from tirefit.padding import pad_rows
 
@@ -22,7 +23,7 @@ __all__ = [
     "with_runs",
 ]
 
-KINDS = {"slip_offset": "shift", "force_offset": "force"}
+KINDS = {effect: of.field for effect, of in OFFSETS.items()}
 """Effect whose amplitude may be each run's own -> the field of the state it moves."""
 
 _LEAST_ROWS = 20
@@ -164,10 +165,10 @@ def estimates(base, kind: str, hypothesis=None):
 
 def _already(base, kind: str, amplitudes: Mapping[str, float]) -> np.ndarray:
     """The offset of every row that a hypothesis has of this kind: (n,)."""
-    pattern = "run_slip" if kind == "slip_offset" else "run_force"
-    own = np.asarray(getattr(base.design.rows, pattern))[: base.rows.n]
+    offset = OFFSETS[kind]
+    own = np.asarray(getattr(base.design.rows, offset.pattern))[: base.rows.n]
     there = amplitudes.get(kind, 0.0) + amplitudes.get(f"{kind}_run", 0.0) * own
-    if kind == "force_offset":
+    if offset.of_load:
         there = there * 1e-3 * base.rows.covariates.load
     return np.broadcast_to(there, base.rows.n)
 
@@ -184,7 +185,7 @@ def offsets_of_runs(base, hypothesis) -> dict[str, RunOffsets]:
         names = [base.rows.data.runs[code] for code in codes]
         own = zip(law.values.tolist(), law.errors.tolist(), strict=True)
         found[kind] = RunOffsets(
-            "-" if kind == "slip_offset" else "N", law.common, law.std, law.spread,
+            OFFSETS[kind].unit, law.common, law.std, law.spread,
             law.spread_ci, law.p_value, dict(zip(names, own, strict=True)),
         )  # fmt: skip
     return found
@@ -209,6 +210,9 @@ def with_runs(base):
     if "runs" not in base.rows.has:
         return base
     size, rows = len(base.design.keep), base.design.rows
-    slip, force = (pad_rows(pattern_of_runs(base, kind), size) for kind in KINDS)
-    rows = rows._replace(run_slip=slip, run_force=force)
+    patterns = {
+        offset.pattern: pad_rows(pattern_of_runs(base, kind), size)
+        for kind, offset in OFFSETS.items()
+    }
+    rows = rows._replace(**patterns)
     return base.on(base.design._replace(rows=rows))

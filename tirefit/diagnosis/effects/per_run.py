@@ -1,11 +1,31 @@
 """Offsets that every run has of its own: each is set up anew."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from tirefit.diagnosis.effects.record import Effect, seldom
 from tirefit.diagnosis.runs import shown_runs
 
-__all__ = ["EFFECTS"]
+__all__ = ["EFFECTS", "OFFSETS", "Offset"]
+
+
+class Offset(NamedTuple):
+    """An offset that each run may have of its own: the ``field`` of the state that it
+    moves, the covariate with the ``pattern`` of the runs, its unit, and whether its
+    amplitude is in thousandths of the mean load."""
+
+    field: str
+    pattern: str
+    unit: str
+    of_load: bool
+
+
+OFFSETS = {
+    "slip_offset": Offset("shift", "run_slip", "-", False),
+    "force_offset": Offset("force", "run_force", "N", True),
+}
+"""Effect for all runs -> its offsets of single runs."""
 
 
 def _slip(state, spread, constants, rows):
