@@ -14,7 +14,8 @@ from scipy.special import stdtr, stdtrit
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.forward import MOST
 from tirefit.diagnosis.negligible import NONZERO
-from tirefit.diagnosis.runs import KINDS, shown_runs
+from tirefit.diagnosis.run_codes import shown_runs
+from tirefit.diagnosis.runs import KINDS
 from tirefit.diagnosis.search import Hypothesis, Search
 from tirefit.diagnosis.standing import standing
 from tirefit.diagnosis.verdict import Verdict, Weighed, linear_at

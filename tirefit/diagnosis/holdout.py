@@ -8,7 +8,8 @@ from tirefit.diagnosis.base import Base, on_rows
 from tirefit.diagnosis.closure import Closure, closure_of
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.rows import prepare
-from tirefit.diagnosis.runs import KINDS, shown_runs
+from tirefit.diagnosis.run_codes import shown_runs
+from tirefit.diagnosis.runs import KINDS
 from tirefit.diagnosis.search import amplitudes_of
 
 __all__ = ["held_out"]

@@ -14,7 +14,7 @@ from tirefit.diagnosis.motion import (
 )
 from tirefit.diagnosis.negligible import FLAT, ROUNDING
 from tirefit.diagnosis.rates import Sweeps, segments, slip_rate
-from tirefit.diagnosis.runs import shown_runs
+from tirefit.diagnosis.run_codes import shown_runs
 from tirefit.diagnosis.sizes import Sizes, half_force_slip, largest, sizes_of
 from tirefit.diagnosis.slip_check import SlipCheck, check_slip
 from tirefit.diagnosis.state import Covariates

@@ -9,6 +9,7 @@ from scipy.special import chdtrc
 from tirefit.diagnosis.basis import without
 from tirefit.diagnosis.effects.per_run import OFFSETS
 from tirefit.diagnosis.forms import PLACE
+from tirefit.diagnosis.run_codes import shown_runs
 from tirefit.padding import pad_rows
 
 __all__ = [
@@ -18,16 +19,12 @@ __all__ = [
     "estimates",
     "offsets_of_runs",
     "pattern_of_runs",
-    "shown_runs",
     "shrunk",
     "with_runs",
 ]
 
 KINDS = {effect: of.field for effect, of in OFFSETS.items()}
 """Effect whose amplitude may be each run's own -> the field of the state it moves."""
-
-_LEAST_ROWS = 20
-"""Rows of a run from which it has an offset of its own."""
 
 _STEPS = 400
 """Spreads that are tried, from none to three times the range of the runs."""
@@ -66,16 +63,6 @@ class RunOffsets(NamedTuple):
     spread_ci: tuple[float, float]
     p_value: float
     values: Mapping[str, tuple[float, float]]
-
-
-def shown_runs(run, names) -> list[int]:
-    """Codes of the runs that are long enough to have an offset of their own.
-
-    Args:
-        run: (n,) codes.
-        names: of all runs.
-    """
-    return [k for k in range(len(names)) if np.sum(run == k) >= _LEAST_ROWS]
 
 
 def shrunk(values, covariance) -> Shrunk:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.diagnosis.effects.record import Effect, seldom
-from tirefit.diagnosis.runs import shown_runs
+from tirefit.diagnosis.run_codes import shown_runs
 
 __all__ = ["EFFECTS", "OFFSETS", "Offset"]
 
