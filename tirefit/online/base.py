@@ -122,9 +122,7 @@ class Method(NamedTuple):
 
 def samples_averaged():
     """Field of the number of samples that are averaged before a step."""
-    return par(
-        10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n"
-    )
+    return par(10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n")
 
 
 class AbstractEstimator(eqx.Module):
@@ -185,9 +183,7 @@ def force_noise():
 
 def slip_noise():
     """Field of the standard deviation of the slip, S section 5.1."""
-    return par(
-        0.00447, (0.0, 1.0), "-", "std of the slip", "S §5.1", r"\sigma_\lambda"
-    )
+    return par(0.00447, (0.0, 1.0), "-", "std of the slip", "S §5.1", r"\sigma_\lambda")
 
 
 def excitation():

@@ -1,6 +1,7 @@
 """Online estimates over a log that is there whole: :func:`estimate`."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -92,9 +93,13 @@ def estimate(
         _, rows = run(estimator, columns)
         done[name] = MethodEstimates(
             name, estimator.method.parameters, rows.value, rows.std, rows.flag,
-            rows.surprise, {k: float(v) for k, v in parameter_values(estimator).items()},
+            rows.surprise, _numbers(parameter_values(estimator)),
         )  # fmt: skip
     return _estimates(data, columns, done, seed)
+
+
+def _numbers(values: Mapping[str, Any]) -> dict[str, float]:
+    return {name: float(value) for name, value in values.items()}
 
 
 def _usual_load(data: TireData, columns: Mapping[str, np.ndarray]) -> float:

@@ -17,9 +17,17 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from tirefit.online.base import AbstractEstimator, Estimate, Flag, Sample, flag_of
-from tirefit.online.base import excitation, force_noise, nominal_friction
-from tirefit.online.base import nominal_stiffness
+from tirefit.online.base import (
+    AbstractEstimator,
+    Estimate,
+    Flag,
+    Sample,
+    excitation,
+    flag_of,
+    force_noise,
+    nominal_friction,
+    nominal_stiffness,
+)
 from tirefit.params import par
 
 __all__ = ["RESOLVED", "AbstractRegression", "Regressors", "regressors"]
@@ -86,7 +94,9 @@ class AbstractRegression(AbstractEstimator):
         """
         return x.u0 < self.least_use, x.y < _SLIDING * theta0 * x.u0
 
-    def estimate(self, theta0, theta1, v00, v01, v11, idle, slides, surprise) -> Estimate:
+    def estimate(
+        self, theta0, theta1, v00, v01, v11, idle, slides, surprise
+    ) -> Estimate:
         """mu and c_p a^2 by S(47)-(48), their stds by the delta method.
 
         Args:

@@ -68,8 +68,8 @@ class MethodEstimates:
 class Estimates(Displayed):
     """Online estimates of one or more methods over one log.
 
-    ``time`` (n,) [s]; ``use`` (n,): force over load; ``data``: name, file, sha256, rows,
-    convention, assumptions of the log.
+    ``time`` (n,) [s]; ``use`` (n,): force over load; ``data``: name, file, sha256,
+    rows, convention, assumptions of the log.
     """
 
     html_by: ClassVar[str] = "tirefit.report.estimates:estimates_html"

@@ -1,8 +1,7 @@
 r"""Recursive least squares with forgetting on the brush, S(50)-(51).
 
-The cubic term goes to the output with the estimate before, S(50):
-:math:`y' = y - \theta_2 u_2` with :math:`\theta_2 = \theta_1^2 / \theta_0`, which leaves
-a linear regression. Done once for each sample, as printed, the terms that were moved
+The cubic term goes to the output with the estimate before, S(50): with
+:math:`y' = y - \theta_2 u_2`, :math:`\theta_2 = \theta_1^2 / \theta_0`, is left a linear regression. Done once for each sample, as printed, the terms that were moved
 with the first, poor estimates stay in its memory. Here y and :math:`u_2` are regressed
 apart, with one gain: of coefficients :math:`\varphi` and :math:`\psi` the estimate is
 :math:`\theta = \varphi - \theta_2 \psi`, all samples moved with the newest
@@ -150,7 +149,9 @@ class Rls(AbstractRegression):
 
         def spread(a0, a1, b0, b1):
             """Covariance of two rows of M^-1 times its determinant."""
-            return scale * (a0 * b0 * s.p00 + (a0 * b1 + a1 * b0) * s.p01 + a1 * b1 * s.p11)
+            return scale * (
+                a0 * b0 * s.p00 + (a0 * b1 + a1 * b0) * s.p01 + a1 * b1 * s.p11
+            )
 
         one, two = (m11, -m01), (-m10, m00)
         return self.estimate(

@@ -3,8 +3,8 @@
 Whatever the method, a sample passes the same guard first. What is missing, out of
 order, without load, of a locked wheel or at standstill does not reach the method: it
 holds its state, whose covariance grows by the time that passes, and the row is flagged.
-What is usable is averaged over a few samples before the method steps, since noise of the
-slip does not average out of a curve: S section 5.1's, taken sample by sample, makes mu
+What is usable is averaged over a few samples before the method steps, as noise of slip
+does not average out of a curve: S section 5.1's, taken sample by sample, makes mu
 a fifth too small.
 A state that is not finite is thrown away and begun anew, flagged too. A cumulative sum
 of the surprises (Page's test, as S section 3.1 has it) detects changes and has the
@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tirefit.compiled import compiled
-from tirefit.online.base import AbstractEstimator, Estimate, Flag, choose, flag_of
+from tirefit.online.base import AbstractEstimator, Estimate, Flag, choose, code, flag_of
 from tirefit.padding import padded_size
 
 __all__ = ["GUARDED", "Guarded", "Stream", "guarded_step", "run", "start"]
@@ -74,7 +74,7 @@ def start(estimator: AbstractEstimator) -> Guarded:
     """The state before the first sample."""
     none, zero = jnp.full((), jnp.nan), jnp.zeros(())
     sums = dict.fromkeys(estimator.method.inputs, zero)
-    flag = jnp.zeros((), int)
+    flag = jnp.asarray(code(Flag.LITTLE_EXCITATION))
     return Guarded(estimator.init(), none, none, sums, zero, flag, zero, zero, none)
 
 
@@ -157,9 +157,9 @@ def _unusable(estimator, sample, back) -> Int[Array, ""]:
         reasons.append((sample["sigma_x"] > LOCKED_SLIP, Flag.LOCKED))
     if "omega" in sample:
         reasons.append((sample["omega"] <= 0, Flag.LOCKED))
-    code = flag_of(*reasons)
+    reason = flag_of(*reasons)
     # At standstill there is no slip to be missed, and no wheel that is locked.
-    return jnp.where(standing & ~back, flag_of((standing, Flag.STANDSTILL)), code)
+    return jnp.where(standing & ~back, flag_of((standing, Flag.STANDSTILL)), reason)
 
 
 def _cusum(state: Guarded, surprise):

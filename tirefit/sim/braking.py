@@ -3,7 +3,7 @@ r"""A wheel that is braked in saw-teeth, S section 5.1.
 A wheel of inertia J rolls at the speed v of a vehicle; the torque T of its brake is
 turned into a force of the road by the slip that it makes:
 
-.. math:: J \dot\Omega = R F_x(\sigma, F_z) - T, \qquad \sigma = (v - \Omega R)/(\Omega R)
+.. math:: J \dot\Omega = R F_x(\sigma, F_z) - T, \quad \sigma = (v - \Omega R)/(\Omega R)
 
 which diffrax integrates. The torque rises linearly over each tooth to a share of what
 the road could hold, and falls at once. The tire is the Magic Formula of the source, or
@@ -21,7 +21,15 @@ import numpy as np
 
 from tirefit.models import MagicFormula
 
-__all__ = ["LOAD", "PEAK", "STIFFNESS", "Braking", "SimulatedLog", "simulate_braking", "source_tire"]
+__all__ = [
+    "LOAD",
+    "PEAK",
+    "STIFFNESS",
+    "Braking",
+    "SimulatedLog",
+    "simulate_braking",
+    "source_tire",
+]
 
 _SLOWEST = 0.01
 """Wheel speed over that of free rolling below which a wheel is locked: the slip is 99,
@@ -34,7 +42,7 @@ _SHAPE = 1.22
 
 
 def source_tire(peak: float = PEAK) -> MagicFormula:
-    """The tire of S section 5: a Magic Formula S(40) whose coefficients are not printed.
+    """The tire of S section 5, a Magic Formula S(40); its coefficients are not printed.
 
     D is the peak and B C D F_z = C_x; of the pairs (C, E) with 60 % of the peak at a
     slip kappa of 4 %, as S section 5.4 has it, the one whose peak comes first.
