@@ -55,6 +55,7 @@ class Flag(enum.Enum):
     GAP = "samples missing before this one"
     CHANGED = "change detected"
     NO_LOAD = "no load"
+    IMPLAUSIBLE = "force beyond five times the load"
     LOCKED = "wheel locked"
     STANDSTILL = "standstill"
     MISSING = "sample missing"

@@ -72,7 +72,7 @@ class Mit(AbstractRegression):
             s.v01 - k0 * h1 - k1 * h0 + k0 * k1 * spread,
             s.v11 - 2 * k1 * h1 + k1 * k1 * spread,
         )
-        idle, slides = self.beyond(x, s.theta0)
+        idle, slides = self.beyond(x, s.theta0, count)
         after = choose(idle | slides, state, updated)
         surprise = jnp.where(idle | slides, jnp.nan, error / jnp.sqrt(spread))
         return after, self.estimate(*after, idle, slides, surprise)

@@ -86,13 +86,16 @@ class AbstractRegression(AbstractEstimator):
     def regressors(self, sample: Sample) -> Regressors:
         return regressors(sample, self.cpa2, self.mu, self.d)
 
-    def beyond(self, x: Regressors, theta0):
+    def beyond(self, x: Regressors, theta0, count):
         """Whether a sample is too close to zero slip, and whether the tire slides.
 
         Full sliding begins where the force is a third of that of a tire that does not
-        slide at all, S(13), whatever the friction; the polynomial goes wild behind it.
+        slide at all, S(13), whatever the friction; the polynomial goes wild behind it. Three standard
+        deviations aside, or noise would choose the samples.
         """
-        return x.u0 < self.least_use, x.y < _SLIDING * theta0 * x.u0
+        noise = 3 * self.force_noise / jnp.sqrt(count)
+        slides = x.y < _SLIDING * theta0 * x.u0 - noise
+        return x.u0 < self.least_use, slides
 
     def estimate(
         self, theta0, theta1, v00, v01, v11, idle, slides, surprise

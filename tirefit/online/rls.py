@@ -1,9 +1,10 @@
 r"""Recursive least squares with forgetting on the brush, S(50)-(51).
 
-The cubic term goes to the output with the estimate before, S(50): with
-:math:`y' = y - \theta_2 u_2`, :math:`\theta_2 = \theta_1^2 / \theta_0`, is left a linear regression. Done once for each sample, as printed, the terms that were moved
-with the first, poor estimates stay in its memory. Here y and :math:`u_2` are regressed
-apart, with one gain: of coefficients :math:`\varphi` and :math:`\psi` the estimate is
+The cubic term goes to the output with the estimate before, S(50), which leaves a linear
+regression: :math:`y' = y - \theta_2 u_2` with :math:`\theta_2 = \theta_1^2 / \theta_0`.
+Done once for each sample, as printed, the terms that were moved with the first, poor
+estimates stay in its memory. Here y and :math:`u_2` are regressed apart, with one gain:
+of coefficients :math:`\varphi` and :math:`\psi` the estimate is
 :math:`\theta = \varphi - \theta_2 \psi`, all samples moved with the newest
 :math:`\theta_2`. Where :math:`\theta_2` stands still, both are the same.
 
@@ -101,7 +102,7 @@ class Rls(AbstractRegression):
             forget * s.squares + square,
             forget * s.weight + 1,
         )  # fmt: skip
-        idle, slides = self.beyond(x, s.theta0)
+        idle, slides = self.beyond(x, s.theta0, count)
         unused = idle | slides
         surprise = error / jnp.sqrt(s.squares / s.weight * (1 / count + spread))
         after = choose(unused, state, updated)

@@ -37,6 +37,8 @@ STANDSTILL = 0.5
 """Speed [m/s] below which wheel speeds give no slip: 1 % of slip is 5 mm/s."""
 LOCKED_SLIP = 5.0
 """Physical slip of a wheel that turns at a sixth of its free speed, and locks."""
+_IMPLAUSIBLE = 5.0
+"""Force over load that no tire has: a wrong unit, or a spike."""
 _GAP = 3.0
 """Usual intervals after which samples are taken to be missing."""
 _USUAL = 0.1
@@ -75,7 +77,13 @@ def start(estimator: AbstractEstimator) -> Guarded:
     none, zero = jnp.full((), jnp.nan), jnp.zeros(())
     sums = dict.fromkeys(estimator.method.inputs, zero)
     flag = jnp.asarray(code(Flag.LITTLE_EXCITATION))
-    return Guarded(estimator.init(), none, none, sums, zero, flag, zero, zero, none)
+    began = (estimator.init(), none, none, sums, zero, flag, zero, zero, none)
+    return _strong(Guarded(*began))
+
+
+def _strong(tree):
+    """The same arrays with types of their own: weak ones would be compiled again."""
+    return jax.tree.map(lambda x: jnp.asarray(x, x.dtype), tree)
 
 
 def guarded_step(
@@ -128,7 +136,8 @@ def guarded_step(
         fall,
         jnp.asarray(sample.get("run", jnp.nan), float),
     )
-    return after, estimate._replace(flag=jnp.maximum(estimate.flag, events))
+    flag = jnp.maximum(estimate.flag, events)
+    return _strong(after), estimate._replace(flag=flag)
 
 
 def _gathered(state: Guarded, sample, usable, gap):
@@ -152,6 +161,9 @@ def _unusable(estimator, sample, back) -> Int[Array, ""]:
     reasons = [(missing, Flag.MISSING), (back, Flag.TIME_BACK)]
     if "fz" in sample:
         reasons.append((sample["fz"] <= 0, Flag.NO_LOAD))
+        if "fx" in sample:
+            beyond = jnp.abs(sample["fx"]) > _IMPLAUSIBLE * jnp.abs(sample["fz"])
+            reasons.append((beyond, Flag.IMPLAUSIBLE))
     standing = jnp.abs(sample["v"]) < STANDSTILL if "v" in sample else False
     if "sigma_x" in sample:
         reasons.append((sample["sigma_x"] > LOCKED_SLIP, Flag.LOCKED))

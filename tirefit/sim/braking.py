@@ -3,7 +3,8 @@ r"""A wheel that is braked in saw-teeth, S section 5.1.
 A wheel of inertia J rolls at the speed v of a vehicle; the torque T of its brake is
 turned into a force of the road by the slip that it makes:
 
-.. math:: J \dot\Omega = R F_x(\sigma, F_z) - T, \quad \sigma = (v - \Omega R)/(\Omega R)
+.. math:: J \dot\Omega = R F_x(\sigma, F_z) - T, \quad
+    \sigma = (v - \Omega R)/(\Omega R)
 
 which diffrax integrates. The torque rises linearly over each tooth to a share of what
 the road could hold, and falls at once. The tire is the Magic Formula of the source, or
