@@ -90,8 +90,8 @@ class AbstractRegression(AbstractEstimator):
         """Whether a sample is too close to zero slip, and whether the tire slides.
 
         Full sliding begins where the force is a third of that of a tire that does not
-        slide at all, S(13), whatever the friction; the polynomial goes wild behind it. Three standard
-        deviations aside, or noise would choose the samples.
+        slide at all, S(13), whatever the friction; the polynomial goes wild behind it.
+        Three standard deviations aside, or noise would choose the samples.
         """
         noise = 3 * self.force_noise / jnp.sqrt(count)
         slides = x.y < _SLIDING * theta0 * x.u0 - noise
