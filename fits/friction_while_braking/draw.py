@@ -102,7 +102,7 @@ def main() -> None:
         below.set_ylim(0.2, 1.8)
         tidy(below, "time [s]", "$\\mu$ [–]" if amplitude == AMPLITUDES[0] else "")
     axes[1, 2].legend(fontsize=7, frameon=False, ncols=2)
-    picture.savefig(HERE / "friction.png")
+    picture.savefig(HERE / "friction.png", dpi=85)
 
 
 if __name__ == "__main__":
