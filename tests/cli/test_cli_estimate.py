@@ -96,7 +96,7 @@ def test_bad_rows_are_said_flagged_and_survived(run, tmp_path, log):
 )
 def test_mistakes_are_named_with_a_remedy(run, tmp_path, arguments, code, said):
     (tmp_path / "log.csv").write_text(
-        "time,sigma_x,fx,fz\n0,.01,4e3,27e3\n1,.02,8e3,27e3\n"
+        "time,sigma_x,fx,fz\n0,.01,4e3,3e4\n1,.02,8e3,3e4\n"
     )
     (tmp_path / "bare.csv").write_text("sigma_x,fx,fz\n.01,4e3,27e3\n.02,8e3,27e3\n")
     result = run("estimate", *arguments, exit_code=code)
