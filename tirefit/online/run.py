@@ -31,7 +31,7 @@ GUARDED = ("time", "run", "v", "omega")
 
 _CHUNK = 16
 """Samples of an inner scan: XLA makes one kernel of a loop over buffers that small,
-and five times as many samples a second of it (measured: chunks of 8 to 32)."""
+and several times as many samples a second of it (measured: chunks of 4 to 32)."""
 
 STANDSTILL = 0.5
 """Speed [m/s] below which wheel speeds give no slip: 1 % of slip is 5 mm/s."""
