@@ -14,6 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tirefit.params import par
@@ -85,10 +86,10 @@ class Estimate(NamedTuple):
     the sample's prediction over its standard deviation [-], NaN where none was made.
     """
 
-    value: Float[Array, "*n p"]
-    std: Float[Array, "*n p"]
-    flag: Int[Array, "*n"]
-    surprise: Float[Array, "*n"]
+    value: Float[Array | np.ndarray, "*n p"]
+    std: Float[Array | np.ndarray, "*n p"]
+    flag: Int[Array | np.ndarray, "*n"]
+    surprise: Float[Array | np.ndarray, "*n"]
 
 
 class Parameter(NamedTuple):

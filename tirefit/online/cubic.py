@@ -95,9 +95,9 @@ class Cubic(AbstractEstimator):
         mu, slope = jax.value_and_grad(friction_by_cubic, argnums=(0, 1, 2))(
             fx, sigma, cpa2, fz
         )
-        stds = (self.force_noise * fz, self.slip_noise, self.cpa2_std * cpa2)
         share = 1 / jnp.sqrt(sample["count"])
-        stds = (share * stds[0], share * stds[1], stds[2])
+        noises = (share * self.force_noise * fz, share * self.slip_noise)
+        stds = (*noises, self.cpa2_std * cpa2)
         std = jnp.sqrt(sum((g * s) ** 2 for g, s in zip(slope, stds, strict=True)))
         idle = 2 * cpa2 * sigma < self.least_use * fz
         usable = jnp.isfinite(mu) & jnp.isfinite(std) & (mu > 0) & ~idle

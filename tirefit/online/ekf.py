@@ -7,7 +7,7 @@ local slope. What the errors of prediction exceed their stated standard deviatio
 the standard deviations that are given.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -82,7 +82,8 @@ class Ekf(AbstractEstimator):
 
     def force(self, x, sigma, fz):
         """Force [N] of the brush at a state (2,) of logarithms, S(29)."""
-        tire = Brush(jnp.exp(x[0]), jnp.exp(x[1]), pressure=Asymmetric(self.d))
+        cpa2, mu = cast(tuple[float, float], (jnp.exp(x[0]), jnp.exp(x[1])))
+        tire = Brush(cpa2, mu, pressure=Asymmetric(self.d))
         return tire.pure(sigma, fz, 0.0)[0]
 
     def step(self, state: EkfState, sample: Sample) -> tuple[EkfState, Estimate]:

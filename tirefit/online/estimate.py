@@ -91,9 +91,10 @@ def estimate(
     for name in names:
         estimator = estimator_of(name, load, chosen[name])
         _, rows = run(estimator, columns)
+        value, std, flag, surprise = map(np.asarray, rows)
         done[name] = MethodEstimates(
-            name, estimator.method.parameters, rows.value, rows.std, rows.flag,
-            rows.surprise, _numbers(parameter_values(estimator)),
+            name, estimator.method.parameters, value, std, flag, surprise,
+            _numbers(parameter_values(estimator)),
         )  # fmt: skip
     return _estimates(data, columns, done, seed)
 

@@ -73,7 +73,7 @@ class Mit(AbstractRegression):
             s.v11 - 2 * k1 * h1 + k1 * k1 * spread,
         )
         idle, slides = self.beyond(x, s.theta0, count)
-        after = choose(idle | slides, state, updated)
+        after: MitState = choose(idle | slides, state, updated)
         surprise = jnp.where(idle | slides, jnp.nan, error / jnp.sqrt(spread))
         return after, self.estimate(*after, idle, slides, surprise)
 

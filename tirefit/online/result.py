@@ -140,7 +140,7 @@ def changes(time: np.ndarray, method: MethodEstimates) -> list[Change]:
     ends = [*(alarms[1:] - 1), len(time) - 1][: len(alarms)]
     there = []
     for alarm, end in zip(alarms, ends, strict=True):
-        early = max(alarm - _SETTLE, 0)
+        early = max(int(alarm) - _SETTLE, 0)
         for k, parameter in enumerate(method.parameters):
             before, after = method.value[early, k], method.value[end, k]
             spread = np.hypot(method.std[early, k], method.std[end, k])

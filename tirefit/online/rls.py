@@ -15,6 +15,7 @@ does not change it is some sqrt(2) too wide with forgetting, as it allows for a 
 
 from typing import ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -111,8 +112,12 @@ class Rls(AbstractRegression):
 
     def hold(self, state: RlsState, dt, steps) -> tuple[RlsState, Estimate]:
         del dt
-        growth = self.forgetting ** (-steps)
-        p = self._forgotten(state.p00, state.p01, state.p11, growth)
+        p = (state.p00, state.p01, state.p11)
+        p = jax.lax.cond(
+            steps > 0,
+            lambda: self._forgotten(*p, self.forgetting ** (-steps)),
+            lambda: p,
+        )
         held = state._replace(p00=p[0], p01=p[1], p11=p[2])
         return held, self._estimate(held, False, False, jnp.nan)
 
@@ -133,7 +138,7 @@ class Rls(AbstractRegression):
         noise = self.force_noise * self.force_noise
         return self.prior0 * self.prior0 / noise, self.prior1 * self.prior1 / noise
 
-    def _forgotten(self, p00, p01, p11, growth):
+    def _forgotten(self, p00, p01, p11, growth) -> tuple[Array, Array, Array]:
         """P grown, but not beyond what was known at first: no wind-up."""
         first0, first1 = self._prior()
         room = jnp.minimum(first0 / p00, first1 / p11)

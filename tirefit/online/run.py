@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tirefit.compiled import compiled
-from tirefit.online.base import AbstractEstimator, Estimate, Flag, choose, code, flag_of
+from tirefit.online.base import AbstractEstimator, Estimate, Flag, code, flag_of
 from tirefit.padding import padded_size
 
 __all__ = ["GUARDED", "Guarded", "Stream", "guarded_step", "run", "start"]
@@ -30,8 +30,9 @@ GUARDED = ("time", "run", "v", "omega")
 """Columns that the guard looks at where a log has them, beside the method's own."""
 
 _CHUNK = 16
-"""Samples of an inner scan: XLA makes one kernel of a loop over buffers that small,
-and several times as many samples a second of it (measured: chunks of 4 to 32)."""
+"""Samples of an inner scan. XLA runs the kernels of a loop one after another only while
+none of its arrays has more than 512 bytes, here two columns of 32; beyond, it schedules
+each, and the same program makes 0.3e6 samples a second instead of 1.5e6."""
 
 STANDSTILL = 0.5
 """Speed [m/s] below which wheel speeds give no slip: 1 % of slip is 5 mm/s."""
@@ -57,15 +58,15 @@ class Guarded(NamedTuple):
     """State of a run: the method's own, and what the guard remembers.
 
     ``time`` [s] of the last sample that had one; ``interval`` [s], the usual one;
-    ``sums`` of the inputs over the ``count`` samples since the last step, ``flag`` of
-    that step; ``rise``, ``fall``: the two cumulative sums; ``run``: code of the run.
+    ``sums`` of the inputs over the ``gathered`` samples since the last step, ``flag``
+    of that step; ``rise``, ``fall``: the two cumulative sums; ``run``: code of it.
     """
 
     inner: Any
     time: Float[Array, ""]
     interval: Float[Array, ""]
     sums: dict[str, Float[Array, ""]]
-    count: Float[Array, ""]
+    gathered: Float[Array, ""]
     flag: Int[Array, ""]
     rise: Float[Array, ""]
     fall: Float[Array, ""]
@@ -83,7 +84,7 @@ def start(estimator: AbstractEstimator) -> Guarded:
 
 def _strong(tree):
     """The same arrays with types of their own: weak ones would be compiled again."""
-    return jax.tree.map(lambda x: jnp.asarray(x, x.dtype), tree)
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x)), tree)
 
 
 def guarded_step(
@@ -99,7 +100,7 @@ def guarded_step(
     """
     began = start(estimator)
     if "run" in sample:
-        state = choose(sample["run"] != state.run, began, state)
+        state = _either(sample["run"] != state.run, began, state)
     now = jnp.asarray(sample["time"], float)
     passed = jnp.where(jnp.isnan(state.time) | jnp.isnan(now), 0.0, now - state.time)
     back = (passed <= 0) & ~jnp.isnan(state.time) & ~jnp.isnan(now)
@@ -113,45 +114,62 @@ def guarded_step(
     waited, waiting = estimator.hold(state.inner, dt, lost)
     sums, count = _gathered(state, sample, usable, gap)
     due = usable & (count >= estimator.average)
-    mean = {name: total / jnp.maximum(count, 1.0) for name, total in sums.items()}
-    moved, estimate = estimator.step(waited, {**mean, "count": count})
+    broken = ~_all_finite(waited, began.inner)
+    kept = state._replace(inner=waited, sums=sums, gathered=count)
     waiting = waiting._replace(flag=jnp.where(usable, state.flag, unusable))
-    inner, estimate = choose(due, (moved, estimate), (waited, waiting))
-    sums, count = choose(due, (began.sums, began.count), (sums, count))
-
-    rise, fall, alarm = _cusum(state, estimate.surprise)
-    inner = choose(alarm, estimator.open(inner), inner)
-    finite = _all_finite(inner, began.inner)
-    events = flag_of(
-        (usable & gap, Flag.GAP), (alarm, Flag.CHANGED), (~finite, Flag.RESET)
+    # A branch, not a selection: nine of ten samples only add to a mean, and XLA works
+    # out what several selections share anew for every one of them.
+    kept, estimate, alarm, broken = jax.lax.cond(
+        due | broken,
+        lambda: _stepped(estimator, kept, began),
+        lambda: _strong((kept, waiting, *jnp.zeros(2, bool))),
     )
-    after = Guarded(
-        choose(finite, inner, began.inner),
-        jnp.where(jnp.isnan(now), state.time, now),
-        _usual_interval(state.interval, dt, steps),
-        sums,
-        count,
-        jnp.where(due, estimate.flag, state.flag),
-        rise,
-        fall,
-        jnp.asarray(sample.get("run", jnp.nan), float),
+    events = flag_of(
+        (usable & gap, Flag.GAP), (alarm, Flag.CHANGED), (broken, Flag.RESET)
+    )
+    after = kept._replace(
+        time=jnp.where(jnp.isnan(now), state.time, now),
+        interval=_usual_interval(state.interval, dt, steps),
+        run=jnp.asarray(sample.get("run", state.run), float),
     )
     flag = jnp.maximum(estimate.flag, events)
     return _strong(after), estimate._replace(flag=flag)
+
+
+def _stepped(estimator, state: Guarded, began: Guarded):
+    """The state and the estimate after a step on the mean of the gathered samples,
+    whether a change was detected, and whether the state was begun anew."""
+    count = jnp.maximum(state.gathered, 1.0)
+    mean = {name: total / count for name, total in state.sums.items()}
+    moved, estimate = estimator.step(state.inner, {**mean, "count": count})
+    rise, fall, alarm = _cusum(state, estimate.surprise)
+    moved = _either(alarm, estimator.open(moved), moved)
+    finite = _all_finite(moved, began.inner)
+    after = state._replace(
+        inner=_either(finite, moved, began.inner), sums=began.sums,
+        gathered=began.gathered,
+        flag=estimate.flag, rise=rise, fall=fall,
+    )  # fmt: skip
+    return _strong((after, estimate, alarm, ~finite))
+
+
+def _either(condition, yes, no):
+    """``choose`` by a branch: neither is worked out for nothing."""
+    return jax.lax.cond(condition, lambda: _strong(yes), lambda: _strong(no))
 
 
 def _gathered(state: Guarded, sample, usable, gap):
     """Sums and count with this sample; begun anew with it after a gap or a jump."""
     jump = gap
     if "sigma_x" in state.sums:
-        mean = state.sums["sigma_x"] / jnp.maximum(state.count, 1.0)
-        jump |= (state.count > 0) & (jnp.abs(sample["sigma_x"] - mean) > _JUMP)
+        mean = state.sums["sigma_x"] / jnp.maximum(state.gathered, 1.0)
+        jump |= (state.gathered > 0) & (jnp.abs(sample["sigma_x"] - mean) > _JUMP)
     kept = jnp.where(usable & jump, 0.0, 1.0)
     sums = {
         name: kept * total + jnp.where(usable, sample[name], 0.0)
         for name, total in state.sums.items()
     }
-    return sums, kept * state.count + jnp.where(usable, 1.0, 0.0)
+    return sums, kept * state.gathered + jnp.where(usable, 1.0, 0.0)
 
 
 def _unusable(estimator, sample, back) -> Int[Array, ""]:
@@ -162,8 +180,8 @@ def _unusable(estimator, sample, back) -> Int[Array, ""]:
     if "fz" in sample:
         reasons.append((sample["fz"] <= 0, Flag.NO_LOAD))
         if "fx" in sample:
-            beyond = jnp.abs(sample["fx"]) > _IMPLAUSIBLE * jnp.abs(sample["fz"])
-            reasons.append((beyond, Flag.IMPLAUSIBLE))
+            beyond = jnp.abs(sample["fx"]) > _IMPLAUSIBLE * sample["fz"]
+            reasons.append((beyond & (sample["fz"] > 0), Flag.IMPLAUSIBLE))
     standing = jnp.abs(sample["v"]) < STANDSTILL if "v" in sample else False
     if "sigma_x" in sample:
         reasons.append((sample["sigma_x"] > LOCKED_SLIP, Flag.LOCKED))
@@ -232,10 +250,14 @@ def run(
     Returns:
         the state after the last row, and the estimates of all rows (n, ...), NumPy.
     """
-    state = start(estimator) if state is None else state
     names = dict.fromkeys((*GUARDED, *estimator.method.inputs))
     columns = {name: np.asarray(log[name], float) for name in names if name in log}
     n = len(columns["time"])
+    if state is None:
+        state = start(estimator)
+        if "run" in columns and n and np.all(columns["run"] == columns["run"][0]):
+            # One run from the start on: looking out for another costs a third more.
+            state = state._replace(run=jnp.asarray(columns.pop("run")[0]))
     size = padded_size(n, 1024)
     # Rows without time and run change nothing, whatever the method.
     padded = {
