@@ -26,5 +26,17 @@ def log(
     seen = slip + slip_noise * random.normal(size=n)
     return {
         "time": time, "sigma_x": seen, "fx": force, "fz": np.full(n, LOAD),
-        "v": np.full(n, 20.0), "omega": 40 / (1 + seen),
+        "v": np.full(n, 20.0), "omega": 40 / (1 + seen), **side(slip, friction, random),
+        "brake_pressure": brush(slip, CPA2, friction) / 0.04,
+    }  # fmt: skip
+
+
+def side(slip, mu, random):
+    """Lateral force and moment at tan(alpha) = slip, S section 3.6 as printed."""
+    theta = np.minimum(2 * CPA2 * slip / (3 * LOAD), mu)
+    force = LOAD * theta / mu**2 * (3 * mu**2 - 3 * mu * theta + theta**2)
+    moment = -LOAD * 0.1 * theta / mu**3 * (mu - theta) ** 3
+    noise = random.normal(size=(2, len(slip)))
+    return {
+        "fy": force + 0.01 * LOAD * noise[0], "mz": moment + 5e-5 * LOAD * noise[1],
     }  # fmt: skip

@@ -25,6 +25,7 @@ CANONICAL = {
     "gamma": ("rad", "camber angle"),
     "pressure": ("Pa", "inflation pressure"),
     "temperature": ("degC", "tire temperature"),
+    "brake_pressure": ("Pa", "pressure of the brake of this wheel"),
 }
 """Canonical column -> (unit, meaning); each may have a ``<column>_std`` beside it, each
 force and moment of the tire what a simulator says of it, as ``<column>_sim``."""

@@ -103,6 +103,12 @@ class Parameter(NamedTuple):
 PARAMETERS = {
     "mu": Parameter("-", r"\mu", "friction coefficient"),
     "cpa2": Parameter("N", r"c_p a^2", "bristle stiffness; C_x = 2 c_p a^2"),
+    "slip_slope": Parameter("-", "k", "slope of force over load by slip, near zero"),
+    "slip_offset": Parameter("-", r"\delta", "slip without force"),
+    "radius_std": Parameter("-", "r", "relative std of the rolling radius"),
+    "road": Parameter("-", "road", "1 asphalt, 2 gravel, 3 snow, 4 ice"),
+    "alpha": Parameter("rad", r"\alpha", "slip angle"),
+    "used": Parameter("-", r"\mu_u", "friction used, over friction"),
 }
 """Every parameter that a method estimates, under one name and in one unit."""
 

@@ -8,13 +8,16 @@ from tirefit.online.cubic import Cubic
 from tirefit.online.ekf import Ekf
 from tirefit.online.mit import Mit
 from tirefit.online.rls import Rls
+from tirefit.online.slip_slope import SlipSlope, SlipSlopeBraking
+from tirefit.online.tire_sensor import TireSensor
 from tirefit.params import specs, with_values
 from tirefit.results import InputProblem, UsageError
 
 __all__ = ["METHODS", "STIFFNESS_OF_LOAD", "estimator_of", "methods_named"]
 
 METHODS: dict[str, type[AbstractEstimator]] = {
-    kind.method.name: kind for kind in (Rls, Mit, Ekf, Cubic)
+    kind.method.name: kind
+    for kind in (Rls, Mit, Ekf, Cubic, SlipSlope, SlipSlopeBraking, TireSensor)
 }
 """Method name -> its record."""
 

@@ -179,8 +179,8 @@ def _unusable(estimator, sample, back) -> Int[Array, ""]:
     reasons = [(missing, Flag.MISSING), (back, Flag.TIME_BACK)]
     if "fz" in sample:
         reasons.append((sample["fz"] <= 0, Flag.NO_LOAD))
-        if "fx" in sample:
-            beyond = jnp.abs(sample["fx"]) > _IMPLAUSIBLE * sample["fz"]
+        for force in {"fx", "fy"} & set(estimator.method.inputs):
+            beyond = jnp.abs(sample[force]) > _IMPLAUSIBLE * sample["fz"]
             reasons.append((beyond & (sample["fz"] > 0), Flag.IMPLAUSIBLE))
     standing = jnp.abs(sample["v"]) < STANDSTILL if "v" in sample else False
     if "sigma_x" in sample:
