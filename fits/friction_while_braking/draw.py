@@ -1,9 +1,12 @@
-"""S Figures 21-23, and what is asserted of them.
+"""S Figures 21-24 and 26, and what is asserted of them.
 
-``python -m fits.friction_while_braking.draw`` writes the figure beside this file. The
-logs are tirefit's simulation of S section 5.1, the estimates ``tirefit.estimate``.
+``python -m fits.friction_while_braking.draw`` writes the figures beside this file and
+prints the numbers; ``... .draw spread`` prints the standard errors that the tolerances
+of expected.toml come from. The logs are tirefit's simulation of S section 5.1, the
+estimates ``tirefit.estimate``.
 """
 
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -11,8 +14,15 @@ import jax
 import numpy as np
 
 import tirefit
-from fits.friction_while_braking.reference import AMPLITUDES, reference
+from fits.friction_while_braking.reference import (
+    AMPLITUDES,
+    ASYMMETRIES,
+    LESS,
+    reference,
+)
 from tirefit.data.read import read_frame
+from tirefit.online.base import Flag, code
+from tirefit.online.result import changes
 from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
 from tirefit.sim.braking import Braking, simulate_braking
 
@@ -25,7 +35,26 @@ SOURCE = {
     # P0 = diag(2, 10) 1e-10 F_z^2 = prior^2 / noise^2.
     "rls.prior0": 0.0171, "rls.prior1": 0.0382,
 }  # fmt: skip
-"""S section 5.3 as it is: every sample, the near-zero force too, and its P0."""
+"""S section 5.3: every sample and the near-zero force too, its P0, lambda, theta_0."""
+TOOTH = 2.0
+PEAK = 0.98
+
+
+@cache
+def second_tire(amplitude: float, seed: int = 0):
+    """RLS on the tire with less friction, braked with the same torque."""
+    share = amplitude * PEAK / LESS
+    how = Braking(amplitude=share, teeth=TEETH, friction=LESS, seed=seed)
+    data = read_frame(simulate_braking(how).columns, "braking", mask_bad_rows=True)
+    return tirefit.estimate(data, "rls")
+
+
+@cache
+def two_terms(d: float, seed: int = 0):
+    """RLS with two terms and an asymmetry, at 60 % of the peak (S Figure 26)."""
+    how = Braking(amplitude=0.6, teeth=TEETH, seed=seed)
+    data = read_frame(simulate_braking(how).columns, "braking", mask_bad_rows=True)
+    return tirefit.estimate(data, "rls", {"third": 0.0, "d": d})
 
 
 @cache
@@ -39,41 +68,98 @@ def estimates(amplitude: float, seed: int = 0, drop: float | None = None):
     return log, ours, tirefit.estimate(data, "rls", SOURCE)
 
 
+def finals(seeds=SEEDS) -> dict[str, list[float]]:
+    """Last estimates by name, one of each seed."""
+    ends: dict[str, list[float]] = {}
+
+    def put(key, value):
+        ends.setdefault(key, []).append(float(value))
+
+    for seed in seeds:
+        for amplitude in AMPLITUDES:
+            name = f"{100 * amplitude:.0f} %"
+            _, ours, source = estimates(amplitude, seed)
+            for method in ("rls", "ekf"):
+                for parameter in ("mu", "cpa2"):
+                    value = ours[method][parameter][-1]
+                    put(f"{name}: {method} {parameter}", value)
+                    target = reference_of(f"{name}: {parameter}")
+                    std = ours[method].std_of(parameter)[-1]
+                    put(f"{name}: {method} {parameter}, pull", (value - target) / std)
+            put(f"{name}: rls mu, settings of S", source["rls"]["mu"][-1])
+            other = second_tire(amplitude, seed)["rls"]["mu"][-1]
+            put(f"{name}: rls mu, second tire", other)
+        for d in ASYMMETRIES:
+            put(
+                f"60 %: rls mu, two terms, d = {d:g}",
+                two_terms(d, seed)["rls"]["mu"][-1],
+            )
+    return ends
+
+
+@cache
+def reference_of(name: str) -> float:
+    return reference()[name]
+
+
 def properties() -> dict[str, float]:
     """Numbers read off the estimates, by name; expected.toml says what they are."""
     numbers = {}
+    for key, ends in finals().items():
+        if key.endswith(", pull"):
+            numbers[f"{key[:-6]}, rms pull"] = np.sqrt(np.mean(np.square(ends)))
+        else:
+            numbers[key] = np.mean(ends)
     for amplitude in AMPLITUDES:
         name = f"{100 * amplitude:.0f} %"
-        runs = [estimates(amplitude, seed) for seed in SEEDS]
-        numbers[f"{name}: largest sigma"] = runs[0][0].truth["sigma_x"].max()
-        best = reference()
-        for method in ("rls", "ekf"):
-            for parameter in ("mu", "cpa2"):
-                ends = [
-                    (ours[method][parameter][-1], ours[method].std_of(parameter)[-1])
-                    for _, ours, _ in runs
-                ]
-                target = best[f"{name}: {parameter}"]
-                pulls = [(value - target) / std for value, std in ends]
-                key = f"{name}: {method} {parameter}"
-                numbers[key] = np.mean([value for value, _ in ends])
-                numbers[f"{key}, rms pull"] = np.sqrt(np.mean(np.square(pulls)))
-        printed = [source["rls"]["mu"][-1] for _, _, source in runs]
-        numbers[f"{name}: rls mu, settings of S"] = np.mean(printed)
-    alarms = [
-        change.time
-        for seed in SEEDS
-        for change in _changes(estimates(0.6, seed, 0.6)[1])
+        numbers[f"{name}: largest sigma"] = (
+            estimates(amplitude)[0].truth["sigma_x"].max()
+        )
+    pulls = [value for key, value in numbers.items() if key.endswith("rms pull")]
+    numbers["largest rms pull"] = max(pulls)
+    return {key: float(value) for key, value in (numbers | start() | drops()).items()}
+
+
+def start() -> dict[str, float]:
+    """What is irregular at the start, at 75 % of the peak."""
+    _, ours, source = estimates(0.75)
+    early = ours.time < 2 * TOOTH
+    target = reference_of("75 %: mu")
+    supported = ours["rls"].flag == 0
+    pulls = [
+        abs(run["rls"]["mu"] - target) / run["rls"].std_of("mu")
+        for run in (ours, source)
     ]
-    numbers["drop: changes of mu found"] = len(alarms)
-    numbers["drop: mean delay"] = np.mean(alarms) - TEETH
-    return {key: float(value) for key, value in numbers.items()}
+    return {
+        "75 %: share of the first second that is flagged": np.mean(
+            ours["rls"].flag[ours.time < 1] > 0
+        ),
+        "75 %: largest pull of rls mu where not flagged": pulls[0][supported].max(),
+        "75 %: largest pull in two teeth, settings of S": np.nanmax(pulls[1][early]),
+    }
 
 
-def _changes(ours):
-    from tirefit.online.result import changes
+def drops() -> dict[str, float]:
+    """Detections by ekf of a drop to 0.6 half way through five logs."""
+    found, alarms = [], 0
+    for seed in SEEDS:
+        ours = estimates(0.6, seed, 0.6)[1]
+        found += [c for c in changes(ours.time, ours["ekf"]) if c.parameter == "mu"]
+        early = ours.time < TEETH
+        alarms += np.count_nonzero(ours["ekf"].flag[early] == code(Flag.CHANGED))
+    return {
+        "drop: changes of mu found": len(found),
+        "drop: mean delay": np.mean([c.time for c in found]) - TEETH,
+        "drop: largest delay": np.max([c.time for c in found]) - TEETH,
+        "drop: alarms before it": alarms,
+    }
 
-    return [c for c in changes(ours.time, ours["ekf"]) if c.parameter == "mu"]
+
+def spread() -> None:
+    """Means over 20 other seeds, and the standard error of the mean of five."""
+    for key, ends in finals(range(100, 120)).items():
+        error = np.std(ends, ddof=1) / np.sqrt(len(SEEDS))
+        print(f"{key:40s} {np.mean(ends):.5g} {error:.2g} {error / np.mean(ends):.2%}")
 
 
 def main() -> None:
@@ -87,7 +173,7 @@ def main() -> None:
         above.set_title(f"{100 * amplitude:.0f} % of the peak", fontsize=9)
         tidy(above, "", "$F_x / F_z$ [–]" if amplitude == AMPLITUDES[0] else "")
         target = reference()[f"{100 * amplitude:.0f} %: mu"]
-        below.axhline(0.98, color=DARK, linewidth=0.8, linestyle="--", label="peak")
+        below.axhline(PEAK, color=DARK, linewidth=0.8, linestyle="--", label="peak")
         below.axhline(target, color=DARK, linewidth=0.8, linestyle=":", label="brush")
         for color, name in zip(COLORS, ours.methods, strict=False):
             mu, std = ours[name]["mu"], ours[name].std_of("mu")
@@ -102,10 +188,39 @@ def main() -> None:
         below.set_ylim(0.2, 1.8)
         tidy(below, "time [s]", "$\\mu$ [–]" if amplitude == AMPLITUDES[0] else "")
     axes[1, 2].legend(fontsize=7, frameon=False, ncols=2)
-    picture.savefig(HERE / "friction.png", dpi=85)
+    picture.savefig(HERE / "friction.png", dpi=70)
 
 
-if __name__ == "__main__":
+def draw_tires() -> None:
+    """S Figure 24, two tires, and 26, two terms with three asymmetries."""
+    picture = Picture(figsize=(8.2, 2.7), layout="constrained")
+    left, middle, right = picture.subplots(1, 3, sharex=True, sharey=True)
+    for axes, amplitude in ((left, 0.5), (middle, 0.75)):
+        _, ours, _ = estimates(amplitude)
+        other = second_tire(amplitude)
+        for color, run, name in (
+            (COLORS[0], ours, "0.98"),
+            (COLORS[1], other, "0.875"),
+        ):
+            axes.plot(run.time, run["rls"]["mu"], color=color, label=f"peak {name}")
+        axes.set_title(f"rls, {100 * amplitude:.0f} % of the first peak", fontsize=9)
+        tidy(axes, "time [s]", "$\\mu$ [–]" if axes is left else "")
+    for color, d in zip(COLORS, ASYMMETRIES, strict=False):
+        ours = two_terms(d)
+        right.plot(ours.time, ours["rls"]["mu"], color=color, label=f"d = {d:g}")
+    right.axhline(PEAK, color=DARK, linewidth=0.8, linestyle="--")
+    right.set_title("rls, two terms, 60 %", fontsize=9)
+    right.set_ylim(0.4, 1.6)
+    tidy(right, "time [s]", "")
+    for axes in (left, right):
+        axes.legend(fontsize=7, frameon=False)
+    picture.savefig(HERE / "tires_and_asymmetry.png", dpi=70)
+
+
+if __name__ == "__main__" and "spread" in sys.argv:
+    spread()
+elif __name__ == "__main__":
     main()
+    draw_tires()
     for name, value in properties().items():
         print(f"{name:35s} {value:.5g}")

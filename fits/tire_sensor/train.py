@@ -1,8 +1,9 @@
 """The weights of ``tire-sensor``: ``python -m fits.tire_sensor.train``.
 
 The network learns this library's brush: friction even from 0.1 to 1.2, used friction
-even from 0.05 to 1, force and moment by ``Brush.pure``. SciPy's L-BFGS on all points at
-once, from fixed first weights: the same on every run of one machine.
+even from 0.05 to 1 and, as many again, the sliding share even, or the slip angle would
+be poor near full sliding; force and moment by ``Brush.pure``. SciPy's L-BFGS on all
+points at once, from fixed first weights: the same on every run of one machine.
 """
 
 import json
@@ -28,11 +29,11 @@ STEPS = 3000
 
 def training_points():
     """y, m, theta, used (n,) of the brush of the library at unit load and length."""
-    mu, used = np.meshgrid(
-        np.linspace(LEAST_FRICTION, MOST_FRICTION, 45), np.linspace(0.05, 1, 60)
-    )
-    mu, used = mu.ravel(), used.ravel()
-    theta = mu * (1 - np.cbrt(1 - used))
+    by_use = 1 - np.cbrt(1 - np.linspace(0.05, 1, 30))
+    sliding = np.r_[by_use, np.linspace(by_use[0], 1, 40)]
+    mu, sliding = np.meshgrid(np.linspace(LEAST_FRICTION, MOST_FRICTION, 45), sliding)
+    mu, sliding = mu.ravel(), sliding.ravel()
+    theta, used = mu * sliding, 1 - (1 - sliding) ** 3
     # theta = 2 c sigma / (3 F_z); with c = 1.5 and F_z = 1 it is the slip.
     force, moment = jax.vmap(lambda t, m: Brush(1.5, m).pure(t, 1.0, 0.0))(theta, mu)
     y, m = np.asarray(force), -np.asarray(moment)

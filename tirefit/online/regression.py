@@ -49,7 +49,7 @@ class Regressors(NamedTuple):
     u2: Float[Array, ""]
 
 
-def regressors(sample: Sample, cpa2, mu, d) -> Regressors:
+def regressors(sample: Sample, cpa2, mu, d, third=1.0) -> Regressors:
     """S(43)-(46), corrected, of a sample; slip and force are odd, so both are folded.
 
     Args:
@@ -57,12 +57,13 @@ def regressors(sample: Sample, cpa2, mu, d) -> Regressors:
         cpa2: expected bristle stiffness [N].
         mu: expected friction [-].
         d: asymmetry of the pressure, in [-1/3, 1).
+        third: share of the third term that is kept; 0 leaves two, S section 5.4.
     """
     side = jnp.where(sample["sigma_x"] < 0, -1.0, 1.0)
     q = 1 / (1 - d)
     u0 = 2 * cpa2 * side * sample["sigma_x"] / sample["fz"]
     u1 = -q / (3 * mu) * u0 * u0
-    u2 = (1 + 3 * d) * q * q * q / (27 * mu * mu) * u0 * u0 * u0
+    u2 = third * (1 + 3 * d) * q * q * q / (27 * mu * mu) * u0 * u0 * u0
     return Regressors(side * sample["fx"] / sample["fz"], u0, u1, u2)
 
 
@@ -80,11 +81,15 @@ class AbstractRegression(AbstractEstimator):
     prior1: float = par(
         0.8, (1e-6, 100.0), "-", "std of the first theta_1", "S §5.3", r"\sigma_1"
     )
+    third: float = par(
+        1.0, (0.0, 1.0), "-", "share of the cubic term that is kept; 0: two terms",
+        "S §5.4", "c_3",
+    )  # fmt: skip
     force_noise: float = force_noise()
     least_use: float = excitation()
 
     def regressors(self, sample: Sample) -> Regressors:
-        return regressors(sample, self.cpa2, self.mu, self.d)
+        return regressors(sample, self.cpa2, self.mu, self.d, self.third)
 
     def beyond(self, x: Regressors, theta0, count):
         """Whether a sample is too close to zero slip, and whether the tire slides.

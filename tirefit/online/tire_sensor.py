@@ -38,7 +38,7 @@ from tirefit.params import par
 
 __all__ = [
     "LEAST_FORCE", "LEAST_FRICTION", "MOST_FRICTION", "SCALE", "WEIGHTS", "TireSensor",
-    "gough", "network", "seen",
+    "gough", "network", "seen", "trained",
 ]  # fmt: skip
 
 WEIGHTS = Path(__file__).with_name("tire_sensor.json")
@@ -78,7 +78,8 @@ def network(weights, y, m):
 
 
 @cache
-def _trained() -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+def trained() -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """The layers that come with the package."""
     layers = json.loads(WEIGHTS.read_text())["layers"]
     return tuple((np.array(k["matrix"]), np.array(k["offset"])) for k in layers)
 
@@ -133,7 +134,7 @@ class TireSensor(AbstractEstimator):
         "S §3.6", r"\sigma_M", scale="log",
     )  # fmt: skip
     own_error: float = par(
-        0.01, (0.0, 1.0), "-", "std of the network's own errors of used friction",
+        0.01, (0.0, 1.0), "-", "std of the network's own error of mu_u and theta / y",
         "S §3.6", r"\sigma_n",
     )  # fmt: skip
 
@@ -154,7 +155,7 @@ class TireSensor(AbstractEstimator):
         stiffness = 2 * self.cpa2 / (3 * sample["fz"])
         value = self._outputs(x, stiffness)
         slope = jax.jacfwd(self._outputs)(x, stiffness)
-        own = self.own_error * jnp.stack([value[0] / value[2], jnp.zeros(()), 1.0])
+        own = self.own_error * jnp.stack([value[0] / value[2], x[0] / stiffness, 1.0])
         std = jnp.sqrt(((slope * stds[None, :]) ** 2).sum(1) + own**2)
         value = value * jnp.stack([1.0, side, 1.0])
         # Far outside there is nothing to say; near the edge it is said with a flag.
@@ -169,7 +170,7 @@ class TireSensor(AbstractEstimator):
 
     def _outputs(self, x, stiffness):
         """mu, slip angle [rad] and used friction of one point (2,)."""
-        theta, used = network(_trained(), x[0], x[1])
+        theta, used = network(trained(), x[0], x[1])
         return jnp.stack([x[0] / used, jnp.arctan(theta / stiffness), used])
 
     def _estimate(self, state: TireSensorState, outside) -> Estimate:
