@@ -38,6 +38,7 @@ def test_estimates_of_a_simulated_log(run, tmp_path, log):
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["schema"] == "tirefit.estimate/1"
     ekf = summary["methods"]["ekf"]
+    assert ekf["model"] == "brush"
     final = ekf["final"]["mu"]
     assert final["unit"] == "-" and final["value"] == float(rows[-1]["ekf_mu"])
     # Up to the truth's 0.5, less what a brush makes of a Magic Formula near its peak.

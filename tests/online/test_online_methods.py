@@ -59,9 +59,13 @@ def batch(data, average, prior, noise, cubic):
     return theta, np.linalg.inv(a.T @ a)
 
 
-# From d = -1/3 the cubic term is zero: the regression is linear, and both are exact.
-@pytest.mark.parametrize(("d", "cubic", "within"), [(-1 / 3, 0, 1e-9), (0.0, 1, 2e-3)])
-@pytest.mark.parametrize("average", [1, 10])
+# At d = -1/3 the cubic term is zero: the regression is linear, and both are exact. Else
+# the last theta_2 is that of one step before: 7e-5 off after 1,900 steps, 1.1e-3 after
+# 190 (a thirtieth of the standard deviation), 2e-5 after 1,900 of ten samples.
+@pytest.mark.parametrize(
+    ("d", "cubic", "average", "within"),
+    [(-1 / 3, 0, 1, 1e-9), (-1 / 3, 0, 10, 1e-9), (0, 1, 1, 1e-4), (0, 1, 10, 1.5e-3)],
+)
 def test_rls_without_forgetting_is_batch_least_squares(d, cubic, within, average):
     data = log(n=2000, largest=0.04)
     # The jump ends an average early, as it is to: keep to whole ones.
@@ -124,14 +128,14 @@ def test_the_slope_of_the_mit_rule_is_that_of_its_prediction():
 
 def test_the_claimed_spread_of_the_mit_rule_is_the_spread_of_many():
     settings = KNOWN | {"force_noise": 0.03, "start0": 1.0, "start1": 1.0}
-    settings |= {"prior0": 1e-6, "prior1": 1e-6, "gain0": 0.05, "gain1": 0.2}
+    settings |= {"prior0": 1e-6, "prior1": 1e-6}
     estimator = estimator_of("mit", LOAD, settings)
     ends = [run(estimator, log(n=1000, seed=seed))[0].inner for seed in range(60)]
     for name, variance in (("theta0", "v00"), ("theta1", "v11")):
         spread = np.std([float(getattr(end, name)) for end in ends])
         claimed = np.sqrt(float(getattr(ends[0], variance)))
-        # 60 runs know a standard deviation to 9 %.
-        assert abs(spread / claimed - 1) < 0.3
+        # 60 runs know a standard deviation to 9 %; these are 4 % off.
+        assert abs(spread / claimed - 1) < 0.25
 
 
 def test_a_kalman_step_is_conditioning_of_a_gaussian(monkeypatch):

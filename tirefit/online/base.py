@@ -117,7 +117,8 @@ class Method(NamedTuple):
     """What a method is, for ``tirefit methods`` and for checks before the work.
 
     ``inputs``: canonical columns beyond time; ``parameters``: keys of
-    :data:`PARAMETERS`; ``valid``: the use of friction at which it can be believed.
+    :data:`PARAMETERS`; ``valid``: the use of friction at which it can be believed;
+    ``model``: the tire that it takes for true.
     """
 
     name: str
@@ -126,6 +127,7 @@ class Method(NamedTuple):
     parameters: tuple[str, ...]
     valid: str
     source: str
+    model: str = "brush"
 
 
 def samples_averaged():

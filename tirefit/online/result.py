@@ -8,6 +8,7 @@ import numpy as np
 
 from tirefit.display import Displayed
 from tirefit.online.base import FLAGS, PARAMETERS, Flag, code
+from tirefit.online.methods import METHODS
 
 __all__ = ["SCHEMA", "Change", "Estimates", "MethodEstimates", "changes"]
 
@@ -101,7 +102,6 @@ class Estimates(Displayed):
             "schema": SCHEMA,
             "version": self.version,
             "seed": self.seed,
-            "model": "brush",
             "convention": "braking, SI",
             "units": {
                 parameter: PARAMETERS[parameter].unit
@@ -119,6 +119,7 @@ class Estimates(Displayed):
                         }
                         for parameter in method.parameters
                     },
+                    "model": METHODS[name].method.model,
                     "supported": bool(method.flag[-1] == 0),
                     "flags": method.counts(),
                     "changes": [vars(change) for change in changes(self.time, method)],

@@ -76,6 +76,7 @@ class SlipSlope(AbstractEstimator):
         "slip-slope", "slope and offset of the slip by Kalman filter; road",
         ("sigma_x", "fx", "fz"), ("slip_slope", "slip_offset", "radius_std", "road"),
         "up to 30 % of the load; says nothing of the peak by itself", "S §3.1",
+        "straight line",
     )  # fmt: skip
 
     slope: float = par(
@@ -214,7 +215,7 @@ class SlipSlopeBraking(SlipSlope):
         "slip-slope-braking", "slip-slope from braking, force by brake pressure",
         ("sigma_x", "brake_pressure", "fz"),
         ("slip_slope", "slip_offset", "radius_std", "road"),
-        "braking with up to 50 % of the load", "S §3.1",
+        "braking with up to 50 % of the load", "S §3.1", "straight line",
     )  # fmt: skip
 
     most_use: float = par(
