@@ -80,6 +80,8 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "fitting.posterior": ["sample"],
         "fitting.predict": ["predict"],
         "fitting.store": ["load_fit", "save_fit"],
+        "online.estimate": ["estimate"],
+        "online.methods": ["METHODS"],
         "models": ["MODELS", "TireInputs", "forces"],
         "params": ["parameter_values", "with_values"],
         "report.plots": [

@@ -405,7 +405,49 @@ def diagnosis_of_a_log(rows: int = 100_000) -> None:
     )  # fmt: skip
 
 
-ENTRIES = (help_text, cold_fit, batch, magic_formula, brush_with_gradient, posterior)
+def online(rows: int = 200_000) -> None:
+    """Recursive least squares over a log, one core, and one streamed step; the peer is
+    the same regression with forgetting as a loop in NumPy, without guard or flags."""
+    from tirefit.online.methods import estimator_of
+    from tirefit.online.run import Stream, run
+
+    generator = np.random.default_rng(0)
+    clock = np.arange(rows) / 100
+    slip = 0.04 * (clock % 2) / 2
+    force = brush(slip, 2.5e5, 0.9, 27e3) + 800 * generator.standard_normal(rows)
+    log = {"time": clock, "sigma_x": slip, "fx": force, "fz": np.full(rows, 27e3)}
+    estimator = estimator_of("rls", 27e3)
+    few = rows // 20
+
+    def peer():
+        theta, p = np.array([0.8, 0.8]), np.diag([80.0, 320.0])
+        for k in range(few):
+            u0 = 5e5 * slip[k] / 27e3
+            u = np.array([u0, -u0 * u0 / 2.94])
+            y = force[k] / 27e3 - theta[1] ** 2 / theta[0] * u0**3 / 25.93
+            gain = p @ u / (0.999 + u @ p @ u)
+            theta = theta + gain * (y - u @ theta)
+            p = (p - np.outer(gain, u @ p)) / 0.999
+
+    run(estimator, log)
+    before = time.process_time()
+    run(estimator, log)
+    spent = time.process_time() - before
+    pairs = [(seconds(run, estimator, log), seconds(peer)) for _ in range(5)]
+    times = [(rows / ours, few / other) for ours, other in pairs]
+    say("rls in a scan (peer: loop in NumPy)", *medians(times), "samples/s", "higher")
+    print(f"  {rows / spent:.3g} samples a second of processor time")
+    stream = Stream(estimator)
+    sample = {name: column[5] for name, column in log.items()}
+    stream.push(sample)
+    ours = median(seconds(stream.push, sample) for _ in range(2000))
+    other = median(pair[1] for pair in pairs) / few
+    say("rls, one streamed step", ours * 1e6, other * 1e6, "us", "lower")
+
+
+ENTRIES = (
+    help_text, cold_fit, batch, magic_formula, brush_with_gradient, posterior, online,
+)  # fmt: skip
 
 OF_DIAGNOSIS = (diagnosis, diagnosis_of_many, diagnosis_of_a_log)
 """In a process of their own, with one thread of OpenBLAS, as the command line has: the

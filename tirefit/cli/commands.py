@@ -10,6 +10,7 @@ import typer
 from tirefit import __version__
 from tirefit.cli.convert import convert
 from tirefit.cli.diagnose import ManyHoldouts, diagnose
+from tirefit.cli.estimate import estimate
 from tirefit.cli.fit import fit
 from tirefit.cli.options import (
     DataOptions,
@@ -27,6 +28,7 @@ from tirefit.cli.options import (
     takes_data_options,
     warn,
 )
+from tirefit.cli.simulate import app as simulate
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
 __all__ = ["app"]
@@ -59,6 +61,8 @@ class Side(StrEnum):
 app.command()(fit)
 app.command()(convert)
 app.command(cls=ManyHoldouts)(diagnose)
+app.command()(estimate)
+app.add_typer(simulate, name="simulate")
 
 
 @app.command()
@@ -71,6 +75,20 @@ def models(json: JsonOption = False) -> None:
         say(dumps(models_dict(MODELS), indent=1))
     else:
         say(models_table(MODELS))
+
+
+@app.command()
+def methods(json: JsonOption = False) -> None:
+    """List the online methods: inputs, estimates, valid use of friction, source."""
+    from tirefit.online.methods import METHODS
+    from tirefit.report.method_tables import methods_dict, methods_table
+
+    if json:
+        from json import dumps
+
+        say(dumps(methods_dict(METHODS), indent=1))
+    else:
+        say(methods_table(METHODS))
 
 
 @app.command()

@@ -43,6 +43,7 @@ _NAMES = {
     "v": "v vx speed velocity forwardspeed forwardvelocity",
     "gamma": "gamma γ ia camber camberangle inclination inclinationangle",
     "pressure": "pressure p inflationpressure tirepressure tyrepressure",
+    "brake_pressure": "brakepressure",
     "temperature": "temperature temp tstc tiretemperature tyretemperature",
     "alpha_rate": "alpharate sliprate slipanglerate",
     "a_x": "ax accelx accelerationx longacc longitudinalacceleration",

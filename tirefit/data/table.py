@@ -25,6 +25,7 @@ CANONICAL = {
     "gamma": ("rad", "camber angle"),
     "pressure": ("Pa", "inflation pressure"),
     "temperature": ("degC", "tire temperature"),
+    "brake_pressure": ("Pa", "pressure of the brake of this wheel"),
     "alpha_rate": ("rad/s", "rate of the slip angle, at the full sample rate"),
     "a_x": ("m/s2", "acceleration of the vehicle, forward"),
     "a_y": ("m/s2", "acceleration of the vehicle, to the left"),

@@ -68,7 +68,7 @@ _SI = {
 _DIMENSION = {
     "time": "time", "alpha": "angle", "gamma": "angle", "omega": "angular speed",
     "fx": "force", "fy": "force", "fz": "force", "mz": "moment", "v": "speed",
-    "pressure": "pressure", "temperature": "temperature",
+    "pressure": "pressure", "brake_pressure": "pressure", "temperature": "temperature",
     "alpha_rate": "angular speed", "a_x": "acceleration", "a_y": "acceleration",
     "yaw_rate": "angular speed", "yaw_acceleration": "angular acceleration",
     "heading": "angle", "x": "length", "y": "length", "steering": "angle",

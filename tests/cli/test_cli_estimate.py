@@ -1,0 +1,130 @@
+"""``simulate``, ``estimate`` and ``methods`` on the command line."""
+
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tirefit.cli.commands import app
+from tirefit.online.methods import METHODS
+
+NAMES = "rls,ekf"
+LOG = ("simulate", "braking", "--out", "log.csv", "--teeth", "4", "--seed", "3")
+
+
+def rows_of(text):
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+@pytest.fixture
+def log(run, tmp_path):
+    said = run(*LOG, "--truth", "truth.csv", "--drop", "4=0.5").stdout
+    assert "800 rows" in said and "seed 3" in said
+    return tmp_path / "log.csv"
+
+
+def test_estimates_of_a_simulated_log(run, tmp_path, log):
+    said = run("estimate", log, "--method", NAMES, "--out", "out").stdout
+    assert "ONLINE ESTIMATES" in said
+    rows = rows_of((tmp_path / "out" / "estimates.csv").read_text())
+    assert len(rows) == 800
+    assert list(rows[0]) == [
+        "time", "rls_mu", "rls_mu_std", "rls_cpa2", "rls_cpa2_std", "rls_flag",
+        "ekf_mu", "ekf_mu_std", "ekf_cpa2", "ekf_cpa2_std", "ekf_flag",
+    ]  # fmt: skip
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["schema"] == "tirefit.estimate/1"
+    ekf = summary["methods"]["ekf"]
+    assert ekf["model"] == "brush"
+    final = ekf["final"]["mu"]
+    assert final["unit"] == "-" and final["value"] == float(rows[-1]["ekf_mu"])
+    # Up to the truth's 0.5, less what a brush makes of a Magic Formula near its peak.
+    assert 0.4 < final["value"] < 0.52
+    change = next(c for c in ekf["changes"] if c["parameter"] == "mu")
+    assert 4 < change["time"] < 6 and change["after"] < 0.55 < change["before"]
+    flagged = sum(row["ekf_flag"] != "" for row in rows)
+    assert flagged == sum(ekf["flags"].values()) > 0
+    assert (tmp_path / "out" / "estimates.png").read_bytes().startswith(b"\x89PNG")
+    truth = rows_of((tmp_path / "truth.csv").read_text())
+    assert {row["mu"] for row in truth} == {"0.98", "0.5"}
+
+
+def test_rows_as_they_come_give_the_rows_of_the_file(run, tmp_path, log):
+    run("estimate", log, "--method", NAMES, "--out", "out")
+    lines = log.read_text().splitlines(keepends=True)[:200]
+    text = "".join(lines)
+    result = CliRunner().invoke(
+        app, ["estimate", "-", "--follow", "--method", NAMES], input=text
+    )
+    assert result.exit_code == 0, result.stderr
+    streamed = rows_of(result.stdout)
+    whole = rows_of((tmp_path / "out" / "estimates.csv").read_text())[:199]
+    assert [r["rls_flag"] for r in streamed] == [r["rls_flag"] for r in whole]
+    for key in ("time", "rls_mu", "ekf_cpa2_std"):
+        one, other = ([float(r[key]) for r in rows] for rows in (streamed, whole))
+        np.testing.assert_allclose(one, other, rtol=1e-9)
+
+
+def test_bad_rows_are_said_flagged_and_survived(run, tmp_path, log):
+    lines = log.read_text().splitlines()
+    lines[50] = lines[50].replace(lines[50].split(",")[2], "broken")
+    log.write_text("\n".join(lines) + "\n")
+    result = run("estimate", log, "--out", "out")
+    assert "row 51, column 'fx'" in result.stderr
+    rows = rows_of((tmp_path / "out" / "estimates.csv").read_text())
+    assert [r["rls_flag"] for r in rows].index("sample missing") == 49
+    followed = CliRunner().invoke(
+        app, ["estimate", "-", "--follow"], input="\n".join(lines[:60]) + "\n"
+    )
+    assert rows_of(followed.stdout)[49]["rls_flag"] == "sample missing"
+    assert "row 51" in followed.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (("log.csv", "--method", "rsl", "--out", "o"), 2, "did you mean 'rls'"),
+        (("log.csv",), 2, "name one with --out"),
+        (("-", "--out", "o"), 2, "add --follow"),
+        (("log.csv", "--out", "o", "--set", "ekf.mu=1"), 2, "'ekf' is not asked for"),
+        (("log.csv", "--out", "o", "--set", "mu=9"), 2, "out of range"),
+        (("none.csv", "--out", "o"), 3, "does not exist"),
+        (("bare.csv", "--out", "o"), 3, "needs time"),
+    ],
+)
+def test_mistakes_are_named_with_a_remedy(run, tmp_path, arguments, code, said):
+    (tmp_path / "log.csv").write_text(
+        "time,sigma_x,fx,fz\n0,.01,4e3,3e4\n1,.02,8e3,3e4\n"
+    )
+    (tmp_path / "bare.csv").write_text("sigma_x,fx,fz\n.01,4e3,27e3\n.02,8e3,27e3\n")
+    result = run("estimate", *arguments, exit_code=code)
+    assert said in result.stderr
+    assert not (tmp_path / "o").exists()
+
+
+def test_simulated_rig_sweeps_and_mistakes(run, tmp_path):
+    run("simulate", "rig", "--out", "r.csv", "--set", "mu=0.8", "--load", "3000")
+    rows = rows_of((tmp_path / "r.csv").read_text())
+    assert len(rows) == 100 and {r["fz"] for r in rows} == {"3000.0"}
+    for arguments, said in (
+        (("rig", "--set", "nu=1"), "no such parameter"),
+        (("rig", "--load", "-5"), "out of range"),
+        (("braking", "--drop", "soon"), "TIME=FRICTION"),
+        (("braking", "--truth", "x.csv"), "--truth is --out"),
+    ):
+        result = run("simulate", *arguments, "--out", "x.csv", exit_code=2)
+        assert said in result.stderr
+
+
+def test_methods_lists_all(run):
+    text = run("methods").stdout
+    assert max(map(len, text.splitlines())) <= 88
+    listed = json.loads(run("methods", "--json").stdout)
+    assert list(listed) == list(METHODS)
+    for name, method in listed.items():
+        assert f"{name}: {method['meaning']}" in text.replace("\n   ", "")
+        assert method["source"] and method["valid"] and "time" in method["inputs"]
+        assert all(p["unit"] for p in method["parameters"].values())

@@ -1,0 +1,139 @@
+"""``tirefit estimate``: friction while driving, from a log or rows as they come."""
+
+import csv
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tirefit.cli.options import (
+    DataOptions,
+    complain,
+    errors_to_exit,
+    named_path,
+    numbers,
+    read_config,
+    read_options,
+    say,
+    start_jax,
+    takes_data_options,
+    warn,
+)
+from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.results import InputProblem, UsageError
+
+__all__ = ["estimate"]
+
+FILES = ("estimates.csv", "summary.json", "estimates.png")
+
+
+@takes_data_options
+def estimate(
+    log: Annotated[
+        str, typer.Argument(metavar="LOG.csv|-", help="a log in time order, or -")
+    ],
+    options: DataOptions,
+    method: Annotated[
+        str,
+        typer.Option(metavar="NAME[,NAME...]", help="methods of `tirefit methods`"),
+    ] = "rls",
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
+    ] = None,
+    follow: Annotated[
+        bool,
+        typer.Option("--follow", help="LOG is -: rows on standard input as they come"),
+    ] = False,
+    setting: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="[METHOD.]NAME=VALUE", help="setting of the methods"
+        ),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**32 - 1, help="of everything random")
+    ] = 0,
+) -> None:
+    """Estimate friction while driving: row by row, with uncertainty and flags."""
+    with errors_to_exit():
+        values = _checked(log, out, follow, setting)
+        from tirefit.online.estimate import settings_by_method
+        from tirefit.online.methods import methods_named
+
+        names = methods_named(method)
+        chosen = settings_by_method(values, names)
+        how = read_options(options, read_config(options.config))
+        start_jax()
+        if follow:
+            _follow(names, chosen, how)
+            return
+        assert out is not None  # checked
+        with claimed(out):
+            _whole(Path(log), names, values, how, out, seed)
+
+
+def _checked(log, out, follow, setting) -> dict[str, float]:
+    """Settings; raises UsageError with all that is wrong before the work."""
+    problems: list[InputProblem] = []
+    values = numbers("--set", setting, problems)
+    if follow and log != "-":
+        reason = f"--follow with the file {log}"
+        problems.append(InputProblem(reason, "give - and rows on standard input"))
+    if log == "-" and not follow:
+        problems.append(InputProblem("- without --follow", "add --follow"))
+    if follow and out is not None:
+        reason = "--follow with --out"
+        problems.append(InputProblem(reason, "its rows go to standard output"))
+    if not follow and out is None:
+        reason = "no folder for the results"
+        problems.append(InputProblem(reason, "name one with --out"))
+    if problems:
+        raise UsageError(problems)
+    if out is not None:
+        check_directories([out])
+    return values
+
+
+def _whole(log: Path, names, values, how, out: Path, seed: int) -> None:
+    from tirefit.data.read import read
+    from tirefit.data.write import write_csv
+    from tirefit.files import json_text, write_text_atomic
+    from tirefit.online.estimate import estimate as estimate_log
+    from tirefit.report.canvas import save_picture
+    from tirefit.report.estimates import estimates_figure
+
+    # A log is never whole: a row that cannot be used is flagged, not refused.
+    table = read(log, **(how | {"mask_bad_rows": True}))
+    warn(table)
+    for problem in table.source.masked:
+        complain(f"warning: {problem}")
+    result = estimate_log(table, names, values, seed=seed)
+    with staged(out, FILES) as folder:
+        write_csv(folder / FILES[0], result.columns())
+        write_text_atomic(folder / FILES[1], json_text(result.to_dict()))
+        save_picture(estimates_figure(result), folder / FILES[2])
+    say(str(result))
+    say("wrote " + ", ".join(str(out / name) for name in FILES))
+
+
+def _follow(names, chosen, how) -> None:
+    """Estimates as CSV rows, one for every row that comes, at once."""
+    from tirefit.data.stream import RowReader
+    from tirefit.online.stream import Streams
+
+    how = {key: value for key, value in how.items() if key != "mask_bad_rows"}
+    rows = RowReader(sys.stdin, **how)
+    for text in rows.assumptions:
+        complain(text)
+    streams = Streams(names, chosen, rows.columns)
+    table = csv.writer(sys.stdout, lineterminator="\n")
+    table.writerow(streams.header)
+    sys.stdout.flush()
+    for row in rows:
+        if rows.bad is not None:
+            line, reason = rows.bad
+            complain(f"warning: row {line}: {reason}")
+        table.writerow(streams.push(row))
+        sys.stdout.flush()

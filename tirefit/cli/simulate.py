@@ -1,0 +1,167 @@
+"""``tirefit simulate``: logs of braking and sweeps of a rig, with a known truth."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tirefit.cli.options import errors_to_exit, named_path, numbers, say, start_jax
+from tirefit.results import InputProblem, UsageError
+
+__all__ = ["app"]
+
+app = typer.Typer(
+    help="Simulate logs and rig sweeps that fit and estimate read.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+Out = Annotated[
+    Path, typer.Option(metavar="FILE.csv", parser=named_path, help="CSV file to write")
+]
+Truth = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.csv", parser=named_path, help="CSV of the truth, without noise"
+    ),
+]
+Seed = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="of the noise")]
+
+
+@app.command()
+def braking(
+    out: Out,
+    truth: Truth = None,
+    amplitude: Annotated[
+        float, typer.Option(help="largest torque, as share of the tire's peak")
+    ] = 0.75,
+    teeth: Annotated[int, typer.Option(min=1, help="saw-teeth of the torque")] = 5,
+    period: Annotated[float, typer.Option(min=0.1, help="of a saw-tooth [s]")] = 2.0,
+    rate: Annotated[float, typer.Option(min=1.0, help="rows a second")] = 100.0,
+    speed: Annotated[float, typer.Option(min=1.0, help="of the vehicle [m/s]")] = 20.0,
+    load: Annotated[float, typer.Option(min=1.0, help="of the wheel [N]")] = 27e3,
+    friction: Annotated[float, typer.Option(min=0.05, help="peak force / load")] = 0.98,
+    drop: Annotated[
+        str | None,
+        typer.Option(metavar="TIME=FRICTION", help="another friction from a time on"),
+    ] = None,
+    slip_variance: Annotated[
+        float, typer.Option(min=0.0, help="of the noise on the slip")
+    ] = 0.2e-4,
+    force_variance: Annotated[
+        float, typer.Option(min=0.0, help="of the noise on the force, over load^2")
+    ] = 0.2e-2,
+    seed: Seed = 0,
+) -> None:
+    """A wheel braked in saw-teeth, S section 5.1: a log in time order."""
+    with errors_to_exit():
+        change = _drop(drop)
+        _check(out, truth, [("--amplitude", amplitude, 0.0, 2.0)])
+        start_jax()
+        from tirefit.sim.braking import Braking, simulate_braking
+
+        how = Braking(
+            amplitude=amplitude, teeth=teeth, period=period, rate=rate, v=speed,
+            fz=load, friction=friction, drop=change, slip_variance=slip_variance,
+            force_variance=force_variance, seed=seed,
+        )  # fmt: skip
+        _write(simulate_braking(how), out, truth, seed)
+
+
+@app.command()
+def rig(
+    out: Out,
+    truth: Truth = None,
+    model: Annotated[str, typer.Option(help="model of `tirefit models`")] = "brush",
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model"),
+    ] = None,
+    load: Annotated[
+        list[float] | None, typer.Option(help="[N], may be repeated")
+    ] = None,
+    speed: Annotated[
+        list[float] | None, typer.Option(help="[m/s], may be repeated")
+    ] = None,
+    largest: Annotated[float, typer.Option(help="last slip, or angle [rad]")] = 0.2,
+    points: Annotated[int, typer.Option(min=2, help="rows of a sweep")] = 100,
+    lateral: Annotated[bool, typer.Option("--lateral", help="sweep alpha")] = False,
+    slip_std: Annotated[float, typer.Option(min=0.0, help="noise of the slip")] = 0.0,
+    force_std: Annotated[
+        float, typer.Option(min=0.0, help="noise of the force, over the load")
+    ] = 0.01,
+    seed: Seed = 0,
+) -> None:
+    """Sweeps of slip on a test rig, of any model: one after the other."""
+    with errors_to_exit():
+        problems: list[InputProblem] = []
+        values = numbers("--set", parameter, problems)
+        if problems:
+            raise UsageError(problems)
+        loads, speeds = load or [4000.0], speed or [20.0]
+        limits = [("--load", x, 0.0, 1e9) for x in loads]
+        limits += [("--speed", x, 0.0, 1e3) for x in speeds]
+        _check(out, truth, [*limits, ("--largest", largest, 0.0, 1.5)])
+        start_jax()
+        from tirefit.fitting.problem import find_model
+        from tirefit.params import specs
+        from tirefit.sim.rig import simulate_rig
+
+        known = specs(find_model(model))
+        for name in values:
+            if name not in known:
+                reason = f"--set {name}: {model} has no such parameter"
+                raise UsageError(InputProblem(reason, f"it has {', '.join(known)}"))
+        made = simulate_rig(
+            model, values, loads=loads, speeds=speeds, largest=largest, points=points,
+            lateral=lateral, slip_std=slip_std, force_std=force_std, seed=seed,
+        )  # fmt: skip
+        _write(made, out, truth, seed)
+
+
+def _drop(text: str | None) -> tuple[float, float] | None:
+    """Time and friction of ``TIME=FRICTION``."""
+    if text is None:
+        return None
+    try:
+        time, friction = map(float, text.split("="))
+    except ValueError:
+        reason = f"--drop {text!r} is not TIME=FRICTION"
+        raise UsageError(InputProblem(reason, "as in --drop 5=0.4")) from None
+    if not (time > 0 and 0.05 <= friction <= 5):
+        reason = f"--drop {text!r} is out of range"
+        raise UsageError(InputProblem(reason, "a time > 0 s, a friction 0.05 to 5"))
+    return time, friction
+
+
+def _check(out: Path, truth: Path | None, limits) -> None:
+    """Raises UsageError with all that is wrong with files and numbers."""
+    from tirefit.data.write import output_problems
+
+    problems = output_problems(out)
+    if truth is not None:
+        problems += output_problems(truth)
+        if truth.absolute() == out.absolute():
+            problems.append(InputProblem("--truth is --out", "give it another name"))
+    for option, value, low, high in limits:
+        if not low < value <= high:
+            reason = f"{option} {value:g} is out of range"
+            problems.append(InputProblem(reason, f"above {low:g}, up to {high:g}"))
+    if problems:
+        raise UsageError(problems)
+
+
+def _write(made, out: Path, truth: Path | None, seed: int) -> None:
+    from tirefit.data.write import csv_text
+    from tirefit.files import write_texts
+
+    texts = {out: csv_text(made.columns)}
+    if truth is not None:
+        texts[truth] = csv_text(made.truth)
+    write_texts(texts)
+    rows = len(made.columns["time"])
+    columns = ", ".join(made.columns)
+    say(f"wrote {out}: {rows} rows, {columns} (braking positive, SI), seed {seed}")
+    if truth is not None:
+        say(f"wrote {truth}: the same without noise, {', '.join(made.truth)}")

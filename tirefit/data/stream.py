@@ -1,0 +1,99 @@
+"""Rows that come one by one: text in, canonical numbers out, nothing is kept.
+
+Columns, units and signs are found from the header as for a file. A cell that is not a
+number is no error here but a missing value: a vehicle that drives does not stop for it.
+"""
+
+import csv
+from collections.abc import Iterator
+from typing import TextIO
+
+import numpy as np
+
+from tirefit.data.columns import Options, is_number, plan_columns
+from tirefit.data.units import sign_of, slip_from_speeds, slip_to_sigma
+from tirefit.results import DataError, InputProblem
+from tirefit.slip import SLIP_DEFINITIONS
+
+__all__ = ["RowReader"]
+
+
+class RowReader:
+    """Reads a CSV stream whose first line is the header.
+
+    ``assumptions``: what was assumed of the columns; ``bad``: (line, reason) of the
+    last row, None where it was whole.
+
+    Raises:
+        UsageError: an option has an unknown name or value.
+        DataError: there is no header, or it cannot be understood; all problems.
+    """
+
+    def __init__(self, lines: TextIO, name: str = "standard input", **how):
+        self._options = Options(
+            how.get("columns") or {}, how.get("units") or {}, how.get("convention"),
+            how.get("slip"), how.get("constants") or {}, how.get("rolling_radius"),
+            True, True,
+        )  # fmt: skip
+        self._options.check()
+        # Not by iterating over the file itself, which would read ahead.
+        self._rows = csv.reader(iter(lines.readline, ""), skipinitialspace=True)
+        header = [cell.strip() for cell in next(self._rows, [])]
+        if not header or all(is_number(cell) for cell in header):
+            reason = "the first line is no header"
+            remedy = "begin with a line such as time,sigma_x,fx,fz"
+            raise DataError(InputProblem(reason, remedy, name, 1))
+        plan = plan_columns(header, None, self._options, name)
+        if plan.problems:
+            raise DataError(plan.problems)
+        self._plan, self._width = plan, len(header)
+        self.assumptions = tuple(plan.assumptions)
+        self.bad: tuple[int, str] | None = None
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Canonical columns that every row has."""
+        names = [n for n in self._plan.columns if n not in (*SLIP_DEFINITIONS, "run")]
+        there = {*names, *self._options.constants}
+        if self._plan.slip or self._derives(there):
+            names.append("sigma_x")
+        return tuple(dict.fromkeys((*names, *self._options.constants)))
+
+    def _derives(self, there) -> bool:
+        return self._options.rolling_radius is not None and {"v", "omega"} <= set(there)
+
+    def __iter__(self) -> Iterator[dict[str, float]]:
+        for cells in self._rows:
+            if cells:
+                yield self._row(cells)
+
+    def _row(self, cells: list[str]) -> dict[str, float]:
+        """Canonical values of one row; NaN for what is not a number."""
+        line, self.bad = self._rows.line_num, None
+        row = dict(self._options.constants)
+        convention = self._options.convention or "braking"
+        for name, column in self._plan.columns.items():
+            if name == "run" or column.unit is None:
+                continue
+            text = cells[column.index].strip() if column.index < len(cells) else ""
+            value = float(text) if is_number(text) else np.nan
+            if np.isnan(value):
+                self.bad = line, f"column {column.header!r}: {text!r} is not a number"
+            is_std = name.endswith("_std")
+            row[name] = sign_of(convention, name) * column.unit.to_si(value, is_std)
+        if len(cells) != self._width:
+            self.bad = line, f"{len(cells)} fields where the header has {self._width}"
+        return self._with_sigma(row)
+
+    def _with_sigma(self, row: dict[str, float]) -> dict[str, float]:
+        definition, radius = self._plan.slip, self._options.rolling_radius
+        if definition is not None:
+            slip, alpha = np.array([row.pop(definition)]), row.get("alpha")
+            angles = None if alpha is None else np.array([alpha])
+            with np.errstate(all="ignore"):
+                row["sigma_x"] = float(slip_to_sigma(slip, definition, angles)[0])
+        elif self._derives(row):
+            speeds = np.array([row["omega"]]), np.array([row["v"]])
+            with np.errstate(all="ignore"):
+                row["sigma_x"] = float(slip_from_speeds(*speeds, radius)[0])
+        return row

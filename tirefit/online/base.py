@@ -1,0 +1,204 @@
+"""What an online estimator is: a record with ``init``, ``step``, ``hold``, ``open``.
+
+A step sees one sample and costs the same whenever it comes, so that the same record
+runs over a log (:mod:`tirefit.online.run`, one scan) and on a vehicle, sample by
+sample. It may take every sample as usable: what is missing, locked, standing or out of
+order the runner keeps from it, and has it ``hold`` instead. A further method is one
+file with one such record, and its line in :data:`tirefit.online.methods.METHODS`.
+"""
+
+import enum
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from tirefit.params import par
+
+__all__ = [
+    "FLAGS",
+    "PARAMETERS",
+    "AbstractEstimator",
+    "Estimate",
+    "Flag",
+    "Method",
+    "Parameter",
+    "Sample",
+    "choose",
+    "code",
+    "excitation",
+    "flag_of",
+    "force_noise",
+    "nominal_friction",
+    "nominal_stiffness",
+    "slip_noise",
+]
+
+Sample = Mapping[str, Float[Array, ""]]
+"""A method's inputs, by canonical column; each the mean of ``count`` samples, another
+key: noise of ``std`` in each is std / sqrt(count) here."""
+
+
+class Flag(enum.Enum):
+    """Why an estimate is not supported by the sample of its row; the value is the text.
+
+    Where several hold, the one that stands last here is said.
+    """
+
+    OK = ""
+    LOW_USE = "friction used too little for mu"
+    OUT_OF_RANGE = "outside the valid range of the method"
+    LITTLE_EXCITATION = "little excitation"
+    GAP = "samples missing before this one"
+    CHANGED = "change detected"
+    NO_LOAD = "no load"
+    IMPLAUSIBLE = "force beyond five times the load"
+    LOCKED = "wheel locked"
+    STANDSTILL = "standstill"
+    MISSING = "sample missing"
+    TIME_BACK = "time went back"
+    RESET = "not finite: started anew"
+
+
+FLAGS = tuple(Flag)
+
+
+def code(flag: Flag) -> int:
+    """The number that stands for a flag in arrays; larger ones overrule smaller."""
+    return FLAGS.index(flag)
+
+
+def flag_of(*reasons: tuple[Any, Flag]) -> Int[Array, ""]:
+    """The flag that overrules the others, of those whose condition (bool) holds."""
+    codes = [jnp.where(holds, code(flag), 0) for holds, flag in reasons]
+    return jnp.max(jnp.stack(codes))
+
+
+class Estimate(NamedTuple):
+    """What is known after one sample (scan: after each).
+
+    ``value`` (p,) of the method's parameters in SI units, NaN where there is none yet;
+    ``std`` (p,) of each; ``flag``: code of a :class:`Flag`; ``surprise``: the error of
+    the sample's prediction over its standard deviation [-], NaN where none was made.
+    """
+
+    value: Float[Array | np.ndarray, "*n p"]
+    std: Float[Array | np.ndarray, "*n p"]
+    flag: Int[Array | np.ndarray, "*n"]
+    surprise: Float[Array | np.ndarray, "*n"]
+
+
+class Parameter(NamedTuple):
+    """Something that a method estimates: unit, symbol for figures, meaning."""
+
+    unit: str
+    symbol: str
+    meaning: str
+
+
+PARAMETERS = {
+    "mu": Parameter("-", r"\mu", "friction coefficient"),
+    "cpa2": Parameter("N", r"c_p a^2", "bristle stiffness; C_x = 2 c_p a^2"),
+    "slip_slope": Parameter("-", "k", "slope of force over load by slip, near zero"),
+    "slip_offset": Parameter("-", r"\delta", "slip without force"),
+    "radius_std": Parameter("-", "r", "relative std of the rolling radius"),
+    "road": Parameter("-", "road", "1 asphalt, 2 gravel, 3 snow, 4 ice"),
+    "alpha": Parameter("rad", r"\alpha", "slip angle"),
+    "used": Parameter("-", r"\mu_u", "friction used, over friction"),
+}
+"""Every parameter that a method estimates, under one name and in one unit."""
+
+
+class Method(NamedTuple):
+    """What a method is, for ``tirefit methods`` and for checks before the work.
+
+    ``inputs``: canonical columns beyond time; ``parameters``: keys of
+    :data:`PARAMETERS`; ``valid``: the use of friction at which it can be believed;
+    ``model``: the tire that it takes for true.
+    """
+
+    name: str
+    meaning: str
+    inputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    valid: str
+    source: str
+    model: str = "brush"
+
+
+def samples_averaged():
+    """Field of the number of samples that are averaged before a step."""
+    return par(10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n")
+
+
+class AbstractEstimator(eqx.Module):
+    """One online method; its fields are its settings, made by ``tirefit.params.par``.
+
+    A state is a pytree of scalars or small arrays whose shapes never change.
+    """
+
+    method: ClassVar[Method]
+
+    average: float = samples_averaged()
+
+    def init(self) -> Any:
+        """The state before the first sample."""
+        raise NotImplementedError
+
+    def step(self, state: Any, sample: Sample) -> tuple[Any, Estimate]:
+        """The state and the estimate after a usable sample."""
+        raise NotImplementedError
+
+    def hold(self, state: Any, dt, steps) -> tuple[Any, Estimate]:
+        """The same after ``dt`` [s] since the row before; ``steps`` samples were lost.
+
+        Called at every row, before a step if there is one.
+        """
+        raise NotImplementedError
+
+    def open(self, state: Any) -> Any:
+        """The state made ready to move: a change was detected, the past counts less."""
+        return state
+
+
+def choose(condition, yes, no):
+    """Either of two pytrees of equal structure, leaf by leaf."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
+
+
+def nominal_stiffness():
+    """Field of the stiffness that is expected; of the load where it is not given."""
+    return par(
+        2.5e5, (1e-2, 1e9), "N", "expected c_p a^2; 9.26 times the load if not given",
+        "S(47)", r"c_{p0} a^2", scale="log",
+    )  # fmt: skip
+
+
+def nominal_friction():
+    """Field of the friction that is expected."""
+    return par(0.98, (0.01, 5.0), "-", "expected friction", "S(48)", r"\mu_0")
+
+
+def force_noise():
+    """Field of the standard deviation of the force over the load, S section 5.1."""
+    return par(
+        0.0447, (1e-5, 1.0), "-", "std of the force over the load", "S §5.1",
+        r"\sigma_F", scale="log",
+    )  # fmt: skip
+
+
+def slip_noise():
+    """Field of the standard deviation of the slip, S section 5.1."""
+    return par(0.00447, (0.0, 1.0), "-", "std of the slip", "S §5.1", r"\sigma_\lambda")
+
+
+def excitation():
+    """Field of the least excitation with which a sample is used."""
+    return par(
+        0.1, (0.0, 1.0), "-", "least expected force over load of a sample that is used",
+        "S §5.3", "u_{min}",
+    )  # fmt: skip

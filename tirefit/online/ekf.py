@@ -1,0 +1,138 @@
+r"""An extended Kalman filter on stiffness and friction through the brush model.
+
+The state is :math:`x = (\ln c_p a^2, \ln \mu)`, a random walk, so that both stay
+positive; the measurement is the force of the whole brush S(29), full sliding included,
+linearised by automatic differentiation. Noise of the slip counts as force noise of the
+local slope. What the errors of prediction exceed their stated standard deviation widens
+the standard deviations that are given.
+"""
+
+from typing import ClassVar, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tirefit.models import Asymmetric, Brush
+from tirefit.online.base import (
+    AbstractEstimator,
+    Estimate,
+    Flag,
+    Method,
+    Sample,
+    choose,
+    excitation,
+    flag_of,
+    force_noise,
+    nominal_friction,
+    nominal_stiffness,
+    slip_noise,
+)
+from tirefit.online.regression import RESOLVED
+from tirefit.params import par
+
+__all__ = ["Ekf", "EkfState"]
+
+_MEMORY = 0.98
+"""Weight of the mean square of the surprises a step before: some 50 steps."""
+_FARTHEST = 1.0
+"""Largest step of a logarithm a sample: the slope holds no farther."""
+
+
+class EkfState(NamedTuple):
+    """Logarithms of c_p a^2 [N] and mu, their covariance, mean square surprise."""
+
+    x: Float[Array, "2"]
+    covariance: Float[Array, "2 2"]
+    misfit: Float[Array, ""]
+
+
+class Ekf(AbstractEstimator):
+    """Extended Kalman filter of stiffness and friction through the brush."""
+
+    method: ClassVar[Method] = Method(
+        "ekf", "extended Kalman filter through the brush model",
+        ("sigma_x", "fx", "fz"), ("mu", "cpa2"),
+        "35 to 100 % of the friction, sliding included; below, mu is flagged",
+        "S(29), Kalman filter",
+    )  # fmt: skip
+
+    cpa2: float = nominal_stiffness()
+    mu: float = nominal_friction()
+    d: float = par(0.0, (-0.33, 0.99), "-", "asymmetry of the pressure", "S(29)", "d")
+    prior_cpa2: float = par(
+        0.4, (1e-4, 3.0), "-", "relative std of the expected c_p a^2", "", r"\sigma_c"
+    )
+    prior_mu: float = par(
+        0.5, (1e-4, 3.0), "-", "relative std of the expected mu", "", r"\sigma_\mu"
+    )
+    drift_cpa2: float = par(
+        0.005, (0.0, 1.0), "1/sqrt(s)", "relative random walk of c_p a^2", "", "q_c"
+    )
+    drift_mu: float = par(
+        0.02, (0.0, 1.0), "1/sqrt(s)", "relative random walk of mu", "", r"q_\mu"
+    )
+    force_noise: float = force_noise()
+    slip_noise: float = slip_noise()
+    least_use: float = excitation()
+
+    def init(self) -> EkfState:
+        mean = jnp.log(jnp.stack([jnp.asarray(v, float) for v in (self.cpa2, self.mu)]))
+        return EkfState(mean, self._prior(), jnp.ones(()))
+
+    def force(self, x, sigma, fz):
+        """Force [N] of the brush at a state (2,) of logarithms, S(29)."""
+        cpa2, mu = cast(tuple[float, float], (jnp.exp(x[0]), jnp.exp(x[1])))
+        tire = Brush(cpa2, mu, pressure=Asymmetric(self.d))
+        return tire.pure(sigma, fz, 0.0)[0]
+
+    def step(self, state: EkfState, sample: Sample) -> tuple[EkfState, Estimate]:
+        before, count = state, sample["count"]
+        sigma, fz = jnp.abs(sample["sigma_x"]), sample["fz"]
+        fx = jnp.where(sample["sigma_x"] < 0, -1.0, 1.0) * sample["fx"]
+        predicted = self.force(before.x, sigma, fz)
+        by_state, by_slip = jax.jacfwd(self.force, argnums=(0, 1))(before.x, sigma, fz)
+        noise = (self.force_noise * fz) ** 2 + (self.slip_noise * by_slip) ** 2
+        noise = noise / count
+        error = fx - predicted
+        lever = before.covariance @ by_state
+        spread = by_state @ lever + noise
+        surprise = error / jnp.sqrt(spread)
+        change = jnp.clip(lever * error / spread, -_FARTHEST, _FARTHEST)
+        updated = EkfState(
+            before.x + change,
+            before.covariance - jnp.outer(lever, lever) / spread,
+            _MEMORY * state.misfit + (1 - _MEMORY) * surprise * surprise,
+        )
+        idle = 2 * self.cpa2 * sigma < self.least_use * fz
+        after = choose(idle, before, updated)
+        return after, self._estimate(after, idle, jnp.where(idle, jnp.nan, surprise))
+
+    def hold(self, state: EkfState, dt, steps) -> tuple[EkfState, Estimate]:
+        del steps
+        held = self._walked(state, dt)
+        return held, self._estimate(held, False, jnp.nan)
+
+    def open(self, state: EkfState) -> EkfState:
+        """What was known of each is taken back, with what it said of the other."""
+        widest = jnp.maximum(jnp.diag(state.covariance), jnp.diag(self._prior()))
+        return state._replace(covariance=jnp.diag(widest))
+
+    def _prior(self):
+        std = jnp.stack([jnp.asarray(self.prior_cpa2), jnp.asarray(self.prior_mu)])
+        return jnp.diag(std.astype(float) ** 2)
+
+    def _walked(self, state: EkfState, dt) -> EkfState:
+        rate = jnp.stack([jnp.asarray(self.drift_cpa2), jnp.asarray(self.drift_mu)])
+        return state._replace(
+            covariance=state.covariance + jnp.diag(rate.astype(float) ** 2) * dt
+        )
+
+    def _estimate(self, state: EkfState, idle, surprise) -> Estimate:
+        widened = jnp.sqrt(jnp.maximum(state.misfit, 1.0))
+        relative = (widened * jnp.sqrt(jnp.diag(state.covariance)))[::-1]
+        value = jnp.exp(state.x)[::-1]
+        flag = flag_of(
+            (~(relative[0] < RESOLVED), Flag.LOW_USE), (idle, Flag.LITTLE_EXCITATION)
+        )
+        return Estimate(value, value * relative, flag, surprise)

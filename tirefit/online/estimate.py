@@ -1,0 +1,128 @@
+"""Online estimates over a log that is there whole: :func:`estimate`."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from tirefit.data.read import require
+from tirefit.data.table import TireData
+from tirefit.online.methods import METHODS, estimator_of, methods_named
+from tirefit.online.result import Estimates, MethodEstimates
+from tirefit.online.run import run
+from tirefit.params import parameter_values
+from tirefit.precision import require_x64
+from tirefit.results import DataError, InputProblem, UsageError
+
+__all__ = ["estimate", "log_columns", "settings_by_method"]
+
+
+def settings_by_method(
+    settings: Mapping[str, float], names: Sequence[str]
+) -> dict[str, dict[str, float]]:
+    """``{"rls.d": 0.1, "mu": 0.9}`` -> settings of each method.
+
+    A name without a method goes to all methods that have it.
+
+    Raises:
+        UsageError: a method that is not asked for, or a name that no method has.
+    """
+    chosen: dict[str, dict[str, float]] = {name: {} for name in names}
+    problems = []
+    for key, value in settings.items():
+        owner, dot, setting = key.rpartition(".")
+        if dot and owner not in chosen:
+            reason = f"setting {key!r}: method {owner!r} is not asked for"
+            problems.append(InputProblem(reason, f"asked for: {', '.join(names)}"))
+            continue
+        takers = [owner] if dot else [n for n in names if hasattr(METHODS[n](), key)]
+        if not takers:
+            reason = f"setting {key!r}: none of {', '.join(names)} has it"
+            problems.append(InputProblem(reason, "tirefit methods lists the settings"))
+        for name in takers:
+            chosen[name][setting] = value
+    if problems:
+        raise UsageError(problems)
+    return chosen
+
+
+def log_columns(data: TireData) -> dict[str, np.ndarray]:
+    """Columns (n,) for the estimators: all rows, the values of bad ones missing.
+
+    Time and speeds stay even in a bad row: they tell a standstill from a lost sample.
+    """
+    kept = ("time", "v", "omega")
+    columns = {
+        name: values if name in kept else np.where(data.used, values, np.nan)
+        for name, values in data.columns.items()
+    }
+    # A row whose other values are bad must not pass for a good one without them.
+    return {**columns, "run": data.run.astype(float)}
+
+
+def estimate(
+    data: TireData,
+    methods: str | Sequence[str] = "rls",
+    settings: Mapping[str, float] | None = None,
+    *,
+    seed: int = 0,
+) -> Estimates:
+    """Friction and stiffness as they could have been known while driving.
+
+    Args:
+        data: a log in time order, as ``tirefit.read(file, mask_bad_rows=True)`` gives
+            it; a new run starts every method anew.
+        methods: names of ``tirefit methods``, one by one or with commas.
+        settings: values of the methods' settings by ``METHOD.NAME`` or ``NAME``.
+        seed: of everything random; none of rls, mit, ekf and cubic has any.
+
+    Raises:
+        UsageError: an unknown method or setting; 32-bit floats.
+        DataError: a column that a method needs is missing, or no row is usable.
+    """
+    require_x64("an online estimate")
+    names = methods_named(methods)
+    chosen = settings_by_method(settings or {}, names)
+    for name in names:
+        require(data, ("time", *METHODS[name].method.inputs), f"method {name!r}")
+    columns = log_columns(data)
+    load = _usual_load(data, columns)
+    done = {}
+    for name in names:
+        estimator = estimator_of(name, load, chosen[name])
+        _, rows = run(estimator, columns)
+        value, std, flag, surprise = map(np.asarray, rows)
+        done[name] = MethodEstimates(
+            name, estimator.method.parameters, value, std, flag, surprise,
+            _numbers(parameter_values(estimator)),
+        )  # fmt: skip
+    return _estimates(data, columns, done, seed)
+
+
+def _numbers(values: Mapping[str, Any]) -> dict[str, float]:
+    return {name: float(value) for name, value in values.items()}
+
+
+def _usual_load(data: TireData, columns: Mapping[str, np.ndarray]) -> float:
+    """The first load [N] that is there: a stream knows no other."""
+    loads = columns.get("fz", np.ones(1))
+    there = loads[np.isfinite(loads) & (loads > 0)]
+    if not len(there):
+        reason = "no row can be used: none has a load"
+        raise DataError(InputProblem(reason, "check fz", data.source.path or data.name))
+    return float(there[0])
+
+
+def _estimates(data, columns, done, seed) -> Estimates:
+    from tirefit import __version__
+
+    source = data.source
+    about = {
+        "name": data.name, "file": source.path, "sha256": source.sha256,
+        "rows": len(data), "used": data.n, "runs": list(data.runs),
+        "convention": source.convention, "assumptions": list(source.notes),
+    }  # fmt: skip
+    use = None
+    if "fx" in columns and "fz" in columns:
+        use = columns["fx"] / columns["fz"]
+    return Estimates(columns["time"], use, done, about, seed, __version__)

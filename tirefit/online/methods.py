@@ -1,0 +1,86 @@
+"""The online methods by name: one visible dict."""
+
+import difflib
+from collections.abc import Mapping, Sequence
+
+from tirefit.online.base import AbstractEstimator
+from tirefit.online.cubic import Cubic
+from tirefit.online.ekf import Ekf
+from tirefit.online.mit import Mit
+from tirefit.online.rls import Rls
+from tirefit.online.slip_slope import SlipSlope, SlipSlopeBraking
+from tirefit.online.tire_sensor import TireSensor
+from tirefit.params import specs, with_values
+from tirefit.results import InputProblem, UsageError
+
+__all__ = ["METHODS", "STIFFNESS_OF_LOAD", "estimator_of", "methods_named"]
+
+METHODS: dict[str, type[AbstractEstimator]] = {
+    kind.method.name: kind
+    for kind in (Rls, Mit, Ekf, Cubic, SlipSlope, SlipSlopeBraking, TireSensor)
+}
+"""Method name -> its record."""
+
+STIFFNESS_OF_LOAD = 250 / 27
+"""c_p a^2 over the load [-] that is expected where nothing is said: the truck tire of
+S section 5 (C_x = 5e5 N at 27 kN); a car's tire has some 8 to 15."""
+
+
+def methods_named(names: str | Sequence[str]) -> tuple[str, ...]:
+    """Names of methods, given as one text with commas or one by one.
+
+    Raises:
+        UsageError: no name, a name twice, or one that is not known.
+    """
+    listed = names.split(",") if isinstance(names, str) else list(names)
+    asked = [name.strip() for name in listed if name.strip()]
+    problems = []
+    if not asked:
+        problems.append(InputProblem("no method given", f"choose of {_known()}"))
+    for name in dict.fromkeys(asked):
+        if asked.count(name) > 1:
+            problems.append(InputProblem(f"method {name!r} is given twice", "once"))
+        if name not in METHODS:
+            close = difflib.get_close_matches(name, METHODS, n=1)
+            meant = f"did you mean {close[0]!r}? " if close else ""
+            reason = f"there is no method {name!r}"
+            problems.append(InputProblem(reason, f"{meant}known: {_known()}"))
+    if problems:
+        raise UsageError(problems)
+    return tuple(asked)
+
+
+def _known() -> str:
+    return ", ".join(METHODS)
+
+
+def estimator_of(
+    name: str, load: float, settings: Mapping[str, float] | None = None
+) -> AbstractEstimator:
+    """The record of a method, ready to run.
+
+    Args:
+        name: a key of :data:`METHODS`.
+        load: usual load [N], which gives the expected stiffness where none is set.
+        settings: values of the method's own fields.
+
+    Raises:
+        UsageError: a setting that the method does not have, or outside its bounds.
+    """
+    template = METHODS[name]()
+    known, values = specs(template), dict(settings or {})
+    problems = []
+    for key, value in values.items():
+        if key not in known:
+            reason = f"method {name!r} has no setting {key!r}"
+            problems.append(InputProblem(reason, f"it has {', '.join(known)}"))
+        elif not known[key].lower <= value <= known[key].upper:
+            low, high = known[key].bounds
+            reason = f"{name}.{key} = {value:g} is out of range"
+            remedy = f"{known[key].meaning}: {low:g} to {high:g} {known[key].unit}"
+            problems.append(InputProblem(reason, remedy))
+    if problems:
+        raise UsageError(problems)
+    if "cpa2" in known:
+        values.setdefault("cpa2", STIFFNESS_OF_LOAD * float(load))
+    return with_values(template, {key: float(value) for key, value in values.items()})

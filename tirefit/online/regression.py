@@ -1,0 +1,131 @@
+r"""The brush as a regression for online estimation, S(41)-(49) with their errata.
+
+With :math:`q = 1/(1-d)` and the expected :math:`C_{x0} = 2 c_{p0} a^2, \mu_0` the force
+over the load is :math:`y = \theta_0 u_0 + \theta_1 u_1 + (\theta_1^2 / \theta_0) u_2`,
+
+.. math::
+   u_0 = \frac{C_{x0} \sigma}{F_z}, \quad u_1 = -\frac{u_0^2}{3 \mu_0} q, \quad
+   u_2 = \frac{u_0^3}{27 \mu_0^2} (1 + 3 d) q^3, \quad
+   C_x = \theta_0 C_{x0}, \quad \mu = \frac{\theta_0^2}{\theta_1} \mu_0
+
+All of them are dimensionless, where S(44)-(46) as printed are forces: gains for those,
+S section 5.3, are to be multiplied by F_z^2.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tirefit.online.base import (
+    AbstractEstimator,
+    Estimate,
+    Flag,
+    Sample,
+    excitation,
+    flag_of,
+    force_noise,
+    nominal_friction,
+    nominal_stiffness,
+)
+from tirefit.params import par
+
+__all__ = ["RESOLVED", "AbstractRegression", "Regressors", "regressors"]
+
+RESOLVED = 0.15
+"""Relative standard deviation from which on mu is not resolved: asphalt, gravel and
+snow are some 0.2 to 0.3 apart, two of these standard deviations."""
+
+_SLIDING = 0.37
+"""Force over that without sliding, with nine tenths of the patch sliding."""
+
+
+class Regressors(NamedTuple):
+    """Output y and regressors of one sample [-], braking or driving alike."""
+
+    y: Float[Array, ""]
+    u0: Float[Array, ""]
+    u1: Float[Array, ""]
+    u2: Float[Array, ""]
+
+
+def regressors(sample: Sample, cpa2, mu, d, third=1.0) -> Regressors:
+    """S(43)-(46), corrected, of a sample; slip and force are odd, so both are folded.
+
+    Args:
+        sample: with ``sigma_x`` [-], ``fx``, ``fz`` [N].
+        cpa2: expected bristle stiffness [N].
+        mu: expected friction [-].
+        d: asymmetry of the pressure, in [-1/3, 1).
+        third: share of the third term that is kept; 0 leaves two, S section 5.4.
+    """
+    side = jnp.where(sample["sigma_x"] < 0, -1.0, 1.0)
+    q = 1 / (1 - d)
+    u0 = 2 * cpa2 * side * sample["sigma_x"] / sample["fz"]
+    u1 = -q / (3 * mu) * u0 * u0
+    u2 = third * (1 + 3 * d) * q * q * q / (27 * mu * mu) * u0 * u0 * u0
+    return Regressors(side * sample["fx"] / sample["fz"], u0, u1, u2)
+
+
+class AbstractRegression(AbstractEstimator):
+    """Settings and derived parameters that estimators on theta share."""
+
+    cpa2: float = nominal_stiffness()
+    mu: float = nominal_friction()
+    d: float = par(0.0, (-1 / 3, 0.99), "-", "asymmetry of the pressure", "S(41)", "d")
+    start0: float = par(0.8, (0.01, 100.0), "-", "first theta_0", "S §5.3", r"\theta_0")
+    start1: float = par(0.8, (0.0, 100.0), "-", "first theta_1", "S §5.3", r"\theta_1")
+    prior0: float = par(
+        0.4, (1e-6, 100.0), "-", "std of the first theta_0", "S §5.3", r"\sigma_0"
+    )
+    prior1: float = par(
+        0.8, (1e-6, 100.0), "-", "std of the first theta_1", "S §5.3", r"\sigma_1"
+    )
+    third: float = par(
+        1.0, (0.0, 1.0), "-", "share of the cubic term that is kept; 0: two terms",
+        "S §5.4", "c_3",
+    )  # fmt: skip
+    force_noise: float = force_noise()
+    least_use: float = excitation()
+
+    def regressors(self, sample: Sample) -> Regressors:
+        return regressors(sample, self.cpa2, self.mu, self.d, self.third)
+
+    def beyond(self, x: Regressors, theta0, count):
+        """Whether a sample is too close to zero slip, and whether the tire slides.
+
+        Full sliding begins where the force is a third of that of a tire that does not
+        slide at all, S(13), whatever the friction; the polynomial goes wild behind it.
+        Three standard deviations aside, or noise would choose the samples.
+        """
+        noise = 3 * self.force_noise / jnp.sqrt(count)
+        slides = x.y < _SLIDING * theta0 * x.u0 - noise
+        return x.u0 < self.least_use, slides
+
+    def estimate(
+        self, theta0, theta1, v00, v01, v11, idle, slides, surprise
+    ) -> Estimate:
+        """mu and c_p a^2 by S(47)-(48), their stds by the delta method.
+
+        Args:
+            theta0, theta1: estimates [-]; theta_1 that is not positive gives no mu.
+            v00, v01, v11: their covariance.
+            idle, slides: of :meth:`beyond`.
+            surprise: of the sample.
+        """
+        curved = theta1 > 0
+        safe = jnp.where(curved, theta1, 1.0)
+        mu = jnp.where(curved, theta0 * theta0 / safe * self.mu, jnp.nan)
+        a, b = 2 / theta0, -1 / safe
+        mu_std = mu * jnp.sqrt(a * a * v00 + 2 * a * b * v01 + b * b * v11)
+        flag = flag_of(
+            (~(mu_std < RESOLVED * mu), Flag.LOW_USE),
+            (slides, Flag.OUT_OF_RANGE),
+            (idle, Flag.LITTLE_EXCITATION),
+        )
+        return Estimate(
+            jnp.stack([mu, theta0 * self.cpa2]),
+            jnp.stack([mu_std, jnp.sqrt(v00) * self.cpa2]),
+            flag,
+            surprise,
+        )

@@ -1,0 +1,151 @@
+"""What ``tirefit estimate`` has to say: every row, the end, the flags, the changes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from tirefit.display import Displayed
+from tirefit.online.base import FLAGS, PARAMETERS, Flag, code
+from tirefit.online.methods import METHODS
+
+__all__ = ["SCHEMA", "Change", "Estimates", "MethodEstimates", "changes"]
+
+SCHEMA = "tirefit.estimate/1"
+
+_FAR = 3.0
+"""Standard deviations of a move that make of a detection a change that is reported."""
+_SETTLE = 20
+"""Rows before an alarm from which a change may already have moved the estimate."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A parameter that a detected change moved, and the time [s] of the detection."""
+
+    time: float
+    parameter: str
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class MethodEstimates:
+    """One method over a log: ``value`` and ``std`` (n, p), ``flag`` (n,) codes,
+    ``surprise`` (n,) [-]; ``settings``: the values of its fields."""
+
+    name: str
+    parameters: tuple[str, ...]
+    value: np.ndarray
+    std: np.ndarray
+    flag: np.ndarray
+    surprise: np.ndarray
+    settings: Mapping[str, float]
+
+    def __getitem__(self, parameter: str) -> np.ndarray:
+        """Estimates (n,) of one parameter."""
+        return self.value[:, self.parameters.index(parameter)]
+
+    def std_of(self, parameter: str) -> np.ndarray:
+        """Standard deviations (n,) of one parameter."""
+        return self.std[:, self.parameters.index(parameter)]
+
+    @property
+    def reasons(self) -> list[str]:
+        """The flag of each row as text, empty where all is well."""
+        return [FLAGS[k].value for k in self.flag]
+
+    def counts(self) -> dict[str, int]:
+        """Reason -> rows flagged with it, in the order of severity."""
+        return {
+            flag.value: int(rows)
+            for flag in FLAGS[1:]
+            if (rows := np.count_nonzero(self.flag == code(flag)))
+        }
+
+
+@dataclass(frozen=True, repr=False)
+class Estimates(Displayed):
+    """Online estimates of one or more methods over one log.
+
+    ``time`` (n,) [s]; ``use`` (n,): force over load; ``data``: name, file, sha256,
+    rows, convention, assumptions of the log.
+    """
+
+    html_by: ClassVar[str] = "tirefit.report.estimates:estimates_html"
+    text_by: ClassVar[str | None] = "tirefit.report.estimates:estimates_text"
+
+    time: np.ndarray
+    use: np.ndarray | None
+    methods: Mapping[str, MethodEstimates]
+    data: Mapping[str, Any]
+    seed: int
+    version: str
+
+    def __getitem__(self, name: str) -> MethodEstimates:
+        return self.methods[name]
+
+    def columns(self) -> dict[str, Any]:
+        """``estimates.csv``: the header of each column -> (n,) values."""
+        table: dict[str, Any] = {"time": self.time}
+        for name, method in self.methods.items():
+            for parameter in method.parameters:
+                table[f"{name}_{parameter}"] = method[parameter]
+                table[f"{name}_{parameter}_std"] = method.std_of(parameter)
+            table[f"{name}_flag"] = method.reasons
+        return table
+
+    def to_dict(self) -> dict[str, Any]:
+        """``summary.json``."""
+        return {
+            "schema": SCHEMA,
+            "version": self.version,
+            "seed": self.seed,
+            "convention": "braking, SI",
+            "units": {
+                parameter: PARAMETERS[parameter].unit
+                for method in self.methods.values()
+                for parameter in method.parameters
+            },
+            "data": dict(self.data),
+            "methods": {
+                name: {
+                    "final": {
+                        parameter: {
+                            "value": method[parameter][-1],
+                            "std": method.std_of(parameter)[-1],
+                            "unit": PARAMETERS[parameter].unit,
+                        }
+                        for parameter in method.parameters
+                    },
+                    "model": METHODS[name].method.model,
+                    "supported": bool(method.flag[-1] == 0),
+                    "flags": method.counts(),
+                    "changes": [vars(change) for change in changes(self.time, method)],
+                    "settings": dict(method.settings),
+                }
+                for name, method in self.methods.items()
+            },
+        }
+
+
+def changes(time: np.ndarray, method: MethodEstimates) -> list[Change]:
+    """Parameters that a detected change moved for good, by time.
+
+    Before is the estimate shortly before the detection, after the one at the next
+    detection or the end; a detection that moves nothing by three standard deviations
+    (of both together) was a false alarm and is a flag alone.
+    """
+    alarms = np.flatnonzero(method.flag == code(Flag.CHANGED))
+    ends = [*(alarms[1:] - 1), len(time) - 1][: len(alarms)]
+    there = []
+    for alarm, end in zip(alarms, ends, strict=True):
+        early = max(int(alarm) - _SETTLE, 0)
+        for k, parameter in enumerate(method.parameters):
+            before, after = method.value[early, k], method.value[end, k]
+            spread = np.hypot(method.std[early, k], method.std[end, k])
+            if abs(after - before) > _FAR * spread:
+                moved = (time[alarm], before, after)
+                there.append(Change(float(moved[0]), parameter, *map(float, moved[1:])))
+    return there

@@ -1,0 +1,294 @@
+"""Running an estimator: over a whole log by one scan, or sample by sample.
+
+Whatever the method, a sample passes the same guard first. What is missing, out of
+order, without load, of a locked wheel or at standstill does not reach the method: it
+holds its state, whose covariance grows by the time that passes, and the row is flagged.
+What is usable is averaged over a few samples before the method steps, as noise of slip
+does not average out of a curve: S section 5.1's, taken sample by sample, makes mu
+a fifth too small.
+A state that is not finite is thrown away and begun anew, flagged too. A cumulative sum
+of the surprises (Page's test, as S section 3.1 has it) detects changes and has the
+method open up for them.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from tirefit.compiled import compiled
+from tirefit.online.base import AbstractEstimator, Estimate, Flag, code, flag_of
+from tirefit.padding import padded_size
+
+__all__ = ["GUARDED", "Guarded", "Stream", "guarded_step", "run", "start"]
+
+GUARDED = ("time", "run", "v", "omega")
+"""Columns that the guard looks at where a log has them, beside the method's own."""
+
+_CHUNK = 16
+"""Samples of an inner scan. XLA runs the kernels of a loop one after another only while
+none of its arrays is larger than some 512 bytes (measured: two columns of 32 rows are
+fast, of 64 are not); beyond, it schedules each, at half the samples a second."""
+
+STANDSTILL = 0.5
+"""Speed [m/s] below which wheel speeds give no slip: 1 % of slip is 5 mm/s."""
+LOCKED_SLIP = 5.0
+"""Physical slip of a wheel that turns at a sixth of its free speed, and locks."""
+_IMPLAUSIBLE = 5.0
+"""Force over load that no tire has: a wrong unit, or a spike."""
+_GAP = 3.0
+"""Usual intervals after which samples are taken to be missing."""
+_USUAL = 0.1
+"""Weight of a new interval in the usual one."""
+_JUMP = 0.02
+"""Slips that far apart are not averaged: the mean of their forces lies off the curve by
+F'' 0.02^2 / 8, 1 % of the load for the tire of S section 5."""
+CUSUM_DRIFT, CUSUM_ALARM = 0.5, 12.0
+"""Page's test detects a shift of one standard deviation in some 24 steps, and of
+Gaussian noise raises about one false alarm in 5e5 (Siegmund's approximation)."""
+_MOST_SURPRISING = 4.0
+"""A single sample counts no more than this in it: no outlier alone is a change."""
+
+
+class Guarded(NamedTuple):
+    """State of a run: the method's own, and what the guard remembers.
+
+    ``time`` [s] of the last sample that had one; ``interval`` [s], the usual one;
+    ``sums`` of the inputs over the ``gathered`` samples since the last step, ``flag``
+    of that step; ``rise``, ``fall``: the two cumulative sums; ``run``: code of it.
+    """
+
+    inner: Any
+    time: Float[Array, ""]
+    interval: Float[Array, ""]
+    sums: dict[str, Float[Array, ""]]
+    gathered: Float[Array, ""]
+    flag: Int[Array, ""]
+    rise: Float[Array, ""]
+    fall: Float[Array, ""]
+    run: Float[Array, ""]
+
+
+def start(estimator: AbstractEstimator) -> Guarded:
+    """The state before the first sample."""
+    none, zero = jnp.full((), jnp.nan), jnp.zeros(())
+    sums = dict.fromkeys(estimator.method.inputs, zero)
+    flag = jnp.asarray(code(Flag.LITTLE_EXCITATION))
+    began = (estimator.init(), none, none, sums, zero, flag, zero, zero, none)
+    return _strong(Guarded(*began))
+
+
+def _strong(tree):
+    """The same arrays with types of their own: weak ones would be compiled again."""
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x)), tree)
+
+
+def guarded_step(
+    estimator: AbstractEstimator, state: Guarded, sample: Mapping[str, Any]
+) -> tuple[Guarded, Estimate]:
+    """One sample: what the scan and the stream both do.
+
+    Args:
+        estimator: any of :data:`tirefit.online.methods.METHODS`.
+        state: of :func:`start` or of the sample before.
+        sample: canonical column -> value, the method's inputs, ``time``, and those of
+            :data:`GUARDED` that are known; NaN for what is missing.
+    """
+    began = start(estimator)
+    if "run" in sample:
+        state = _either(sample["run"] != state.run, began, state)
+    now = jnp.asarray(sample["time"], float)
+    passed = jnp.where(jnp.isnan(state.time) | jnp.isnan(now), 0.0, now - state.time)
+    back = (passed <= 0) & ~jnp.isnan(state.time) & ~jnp.isnan(now)
+    dt = jnp.maximum(passed, 0.0)
+    known = ~jnp.isnan(state.interval)
+    steps = jnp.where(known, dt / jnp.where(known, state.interval, 1.0), 1.0)
+    unusable = _unusable(estimator, sample, back)
+    usable, gap = unusable == 0, steps > _GAP
+
+    lost = jnp.where(usable, jnp.where(gap, steps - 1, 0.0), steps)
+    waited, waiting = estimator.hold(state.inner, dt, lost)
+    sums, count = _gathered(state, sample, usable, gap)
+    due = usable & (count >= estimator.average)
+    broken = ~_all_finite(waited, began.inner)
+    kept = state._replace(inner=waited, sums=sums, gathered=count)
+    waiting = waiting._replace(flag=jnp.where(usable, state.flag, unusable))
+    # A branch, not a selection: nine of ten samples only add to a mean, and XLA works
+    # out what several selections share anew for every one of them.
+    kept, estimate, alarm, broken = jax.lax.cond(
+        due | broken,
+        lambda: _stepped(estimator, kept, began),
+        lambda: _strong((kept, waiting, *jnp.zeros(2, bool))),
+    )
+    events = flag_of(
+        (usable & gap, Flag.GAP), (alarm, Flag.CHANGED), (broken, Flag.RESET)
+    )
+    after = kept._replace(
+        time=jnp.where(jnp.isnan(now), state.time, now),
+        interval=_usual_interval(state.interval, dt, steps),
+        run=jnp.asarray(sample.get("run", state.run), float),
+    )
+    flag = jnp.maximum(estimate.flag, events)
+    return _strong(after), estimate._replace(flag=flag)
+
+
+def _stepped(estimator, state: Guarded, began: Guarded):
+    """The state and the estimate after a step on the mean of the gathered samples,
+    whether a change was detected, and whether the state was begun anew."""
+    count = jnp.maximum(state.gathered, 1.0)
+    mean = {name: total / count for name, total in state.sums.items()}
+    moved, estimate = estimator.step(state.inner, {**mean, "count": count})
+    rise, fall, alarm = _cusum(state, estimate.surprise)
+    moved = _either(alarm, estimator.open(moved), moved)
+    finite = _all_finite(moved, began.inner)
+    after = state._replace(
+        inner=_either(finite, moved, began.inner), sums=began.sums,
+        gathered=began.gathered,
+        flag=estimate.flag, rise=rise, fall=fall,
+    )  # fmt: skip
+    return _strong((after, estimate, alarm, ~finite))
+
+
+def _either(condition, yes, no):
+    """``choose`` by a branch: neither is worked out for nothing."""
+    return jax.lax.cond(condition, lambda: _strong(yes), lambda: _strong(no))
+
+
+def _gathered(state: Guarded, sample, usable, gap):
+    """Sums and count with this sample; begun anew with it after a gap or a jump."""
+    jump = gap
+    if "sigma_x" in state.sums:
+        mean = state.sums["sigma_x"] / jnp.maximum(state.gathered, 1.0)
+        jump |= (state.gathered > 0) & (jnp.abs(sample["sigma_x"] - mean) > _JUMP)
+    kept = jnp.where(usable & jump, 0.0, 1.0)
+    sums = {
+        name: kept * total + jnp.where(usable, sample[name], 0.0)
+        for name, total in state.sums.items()
+    }
+    return sums, kept * state.gathered + jnp.where(usable, 1.0, 0.0)
+
+
+def _unusable(estimator, sample, back) -> Int[Array, ""]:
+    """Code of the reason why a sample is kept from the method; 0 if it is not."""
+    inputs = [sample[name] for name in estimator.method.inputs]
+    missing = ~jnp.isfinite(sum(inputs)) | jnp.isnan(sample["time"])
+    reasons = [(missing, Flag.MISSING), (back, Flag.TIME_BACK)]
+    if "fz" in sample:
+        reasons.append((sample["fz"] <= 0, Flag.NO_LOAD))
+        for force in sorted({"fx", "fy"} & set(estimator.method.inputs)):
+            beyond = jnp.abs(sample[force]) > _IMPLAUSIBLE * sample["fz"]
+            reasons.append((beyond & (sample["fz"] > 0), Flag.IMPLAUSIBLE))
+    standing = jnp.abs(sample["v"]) < STANDSTILL if "v" in sample else False
+    if "sigma_x" in sample:
+        reasons.append((sample["sigma_x"] > LOCKED_SLIP, Flag.LOCKED))
+    if "omega" in sample:
+        reasons.append((sample["omega"] <= 0, Flag.LOCKED))
+    reason = flag_of(*reasons)
+    # At standstill there is no slip to be missed, and no wheel that is locked.
+    return jnp.where(standing & ~back, flag_of((standing, Flag.STANDSTILL)), reason)
+
+
+def _cusum(state: Guarded, surprise):
+    """Page's two-sided test on the surprises; both sums start again at an alarm."""
+    there = jnp.isfinite(surprise)
+    z = jnp.clip(jnp.where(there, surprise, 0.0), -_MOST_SURPRISING, _MOST_SURPRISING)
+    drift = jnp.where(there, CUSUM_DRIFT, 0.0)
+    rise = jnp.maximum(state.rise + z - drift, 0.0)
+    fall = jnp.maximum(state.fall - z - drift, 0.0)
+    alarm = jnp.maximum(rise, fall) > CUSUM_ALARM
+    return jnp.where(alarm, 0.0, rise), jnp.where(alarm, 0.0, fall), alarm
+
+
+def _usual_interval(usual, dt, steps):
+    """The interval between samples, dropped ones left out."""
+    regular = (dt > 0) & (steps <= _GAP)
+    learned = jnp.where(jnp.isnan(usual), dt, usual + _USUAL * (dt - usual))
+    return jnp.where(regular, learned, usual)
+
+
+def _all_finite(inner, began):
+    """Whether a state has nothing but numbers, save where it begins with none."""
+    leaves = zip(jax.tree.leaves(inner), jax.tree.leaves(began), strict=True)
+    return jnp.all(
+        jnp.stack([jnp.all(jnp.isfinite(a) | jnp.isnan(b)) for a, b in leaves])
+    )
+
+
+@compiled()
+def _scan(estimator, state, log):
+    """Scans columns (m, _CHUNK); leaves of the state and plain arrays (m _CHUNK, ...).
+
+    One scan over chunks, each a scan: the same steps in the same order as one.
+    """
+
+    def step(state, sample):
+        return guarded_step(estimator, state, sample)
+
+    state, estimates = jax.lax.scan(
+        lambda state, chunk: jax.lax.scan(step, state, chunk), state, log
+    )
+    flat = [part.reshape(-1, *part.shape[2:]) for part in estimates]
+    return jax.tree.leaves(state), flat
+
+
+def run(
+    estimator: AbstractEstimator,
+    log: Mapping[str, Float[Array | np.ndarray, " n"]],
+    state: Guarded | None = None,
+) -> tuple[Guarded, Estimate]:
+    """An estimator over a whole log.
+
+    Args:
+        estimator: any of :data:`tirefit.online.methods.METHODS`.
+        log: canonical columns (n,), as for :func:`guarded_step`; others are ignored.
+        state: to go on from; that of :func:`start` if None.
+
+    Returns:
+        the state after the last row, and the estimates of all rows (n, ...), NumPy.
+    """
+    names = dict.fromkeys((*GUARDED, *estimator.method.inputs))
+    columns = {name: np.asarray(log[name], float) for name in names if name in log}
+    n = len(columns["time"])
+    if state is None:
+        state = start(estimator)
+        if "run" in columns and n and np.all(columns["run"] == columns["run"][0]):
+            # One run from the start on: looking out for another costs a third more.
+            state = state._replace(run=jnp.asarray(columns.pop("run")[0]))
+    size = padded_size(n, 1024)
+    # Rows without time and run change nothing, whatever the method.
+    padded = {
+        name: np.concatenate([column, np.full(size - n, _padding(name, column))])
+        for name, column in columns.items()
+    }
+    chunks = {name: column.reshape(-1, _CHUNK) for name, column in padded.items()}
+    leaves, parts = _scan(estimator, state, chunks)
+    after = jax.tree.unflatten(jax.tree.structure(state), leaves)
+    return after, Estimate(*(np.asarray(part)[:n] for part in parts))
+
+
+def _padding(name: str, column: np.ndarray) -> float:
+    return column[-1] if name == "run" and len(column) else np.nan
+
+
+class Stream:
+    """An estimator that takes samples as they come; compiled once.
+
+    stream = Stream(estimator_of("rls", 27e3))
+    estimate = stream.push({"time": 0.0, "sigma_x": 0.01, "fx": 4e3, "fz": 27e3})
+    """
+
+    def __init__(self, estimator: AbstractEstimator):
+        self.estimator = estimator
+        self.state = start(estimator)
+        self._step = eqx.filter_jit(guarded_step)
+
+    def push(self, sample: Mapping[str, float]) -> Estimate:
+        """The estimate after one more sample, whose columns are always the same."""
+        names = dict.fromkeys((*GUARDED, *self.estimator.method.inputs))
+        row = {k: np.asarray(sample[k], float) for k in names if k in sample}
+        self.state, estimate = self._step(self.estimator, self.state, row)
+        return estimate

@@ -1,0 +1,244 @@
+r"""Slope of the slip curve near zero slip and the road that it tells of, S section 3.1.
+
+The regression is :math:`s = (F/F_z) / k + \delta`, the force over the load so that the
+slope k [-] is of no load, with :math:`x = (1/k, \delta)` as a random walk. The
+runner's cumulative sum detects quick changes, and ``open`` raises the covariance of
+1/k for them. Noise of the force, which is a regressor here, draws 1/k to zero by the
+share that it has of the force's variance; averaging before a step makes that small.
+
+What the rolling radius varies by shows as noise of the slip: to first order
+:math:`\delta s = -\delta R / R`. Its variance is that of the errors of prediction less
+that of slip and force noise. The road follows by :func:`road_of`.
+"""
+
+from typing import ClassVar, NamedTuple
+
+import jax.numpy as jnp
+from jax.scipy.stats import norm
+from jaxtyping import Array, Float
+
+from tirefit.online.base import (
+    AbstractEstimator,
+    Estimate,
+    Flag,
+    Method,
+    Sample,
+    choose,
+    flag_of,
+    force_noise,
+    slip_noise,
+)
+from tirefit.online.regression import RESOLVED
+from tirefit.params import par
+
+__all__ = ["ROADS", "SlipSlope", "SlipSlopeBraking", "road_of"]
+
+ROADS = ("asphalt", "gravel", "snow", "ice")
+"""The four of S section 3.1; estimates number them from 1, by falling friction."""
+
+STIFF, SOFT = 0.75, 0.45
+"""Slopes over that of asphalt between asphalt, snow and ice on a smooth road."""
+_MEMORY = 0.98
+"""Weight of the mean square error a step before: some 50 steps."""
+_STEPS = 1 / (1 - _MEMORY)
+
+
+def road_of(relative, rough) -> Float[Array, ""]:
+    """Number of the road in :data:`ROADS`, from 1.
+
+    Args:
+        relative: slope over that of asphalt [-].
+        rough: whether the rolling radius varies more than on a smooth road.
+
+    Returns:
+        of a smooth road asphalt from 0.75 on, snow from 0.45, else ice; of a rough one
+        gravel from 0.45 on, else snow: ice is never rough.
+    """
+    smooth = jnp.where(relative >= STIFF, 1.0, jnp.where(relative >= SOFT, 3.0, 4.0))
+    return jnp.where(rough, jnp.where(relative >= SOFT, 2.0, 3.0), smooth)
+
+
+class SlipSlopeState(NamedTuple):
+    """1/k and the offset [-], their covariance, mean square error of one sample."""
+
+    inverse: Float[Array, ""]
+    offset: Float[Array, ""]
+    p00: Float[Array, ""]
+    p01: Float[Array, ""]
+    p11: Float[Array, ""]
+    square: Float[Array, ""]
+
+
+class SlipSlope(AbstractEstimator):
+    """Kalman filter of the slope at low slip, the slip offset and the road."""
+
+    method: ClassVar[Method] = Method(
+        "slip-slope", "slope and offset of the slip by Kalman filter; road",
+        ("sigma_x", "fx", "fz"), ("slip_slope", "slip_offset", "radius_std", "road"),
+        "up to 30 % of the load; says nothing of the peak by itself", "S §3.1",
+        "straight line",
+    )  # fmt: skip
+
+    slope: float = par(
+        18.5, (0.5, 500.0), "-", "slope of the tire on asphalt, to be calibrated",
+        "S §3.1", "k_0", scale="log",
+    )  # fmt: skip
+    prior_slope: float = par(
+        0.5, (1e-4, 5.0), "-", "relative std of the first 1/k", "S §3.1", r"\sigma_k"
+    )
+    prior_offset: float = par(
+        0.005, (0.0, 0.5), "-", "std of the first offset", "S §3.1", r"\sigma_\delta"
+    )
+    drift_slope: float = par(
+        0.005, (0.0, 1.0), "1/sqrt(s)", "relative random walk of 1/k", "S §3.1", "q_k"
+    )
+    drift_offset: float = par(
+        1e-5, (0.0, 1.0), "1/sqrt(s)", "random walk of the offset", "S §3.1",
+        r"q_\delta",
+    )  # fmt: skip
+    most_use: float = par(
+        0.3, (0.01, 2.0), "-", "largest force over load of a sample that is used",
+        "S §3.1", "u_{max}",
+    )  # fmt: skip
+    rough: float = par(
+        0.003, (0.0, 1.0), "-", "relative std of the rolling radius of a rough road",
+        "S §3.1", "r_g",
+    )  # fmt: skip
+    force_noise: float = force_noise()
+    slip_noise: float = slip_noise()
+
+    def init(self) -> SlipSlopeState:
+        inverse = 1 / self.slope
+        values = (
+            inverse, 0.0, (self.prior_slope * inverse) ** 2, 0.0,
+            self.prior_offset**2, self._noise(inverse),
+        )  # fmt: skip
+        return SlipSlopeState(*(jnp.asarray(value, float) for value in values))
+
+    def use(self, sample: Sample):
+        """Force over load [-] of a sample."""
+        return sample["fx"] / sample["fz"]
+
+    def applies(self, use):
+        """Whether a sample of that force over load belongs to the straight part."""
+        return jnp.abs(use) <= self.most_use
+
+    def gain_std(self) -> float:
+        """Relative std of the force's own gain, which no sample tells of."""
+        return 0.0
+
+    def step(
+        self, state: SlipSlopeState, sample: Sample
+    ) -> tuple[SlipSlopeState, Estimate]:
+        s, use, count = state, self.use(sample), sample["count"]
+        noise = jnp.maximum(s.square, self._noise(s.inverse)) / count
+        error = sample["sigma_x"] - use * s.inverse - s.offset
+        h0, h1 = s.p00 * use + s.p01, s.p01 * use + s.p11
+        spread = use * h0 + h1 + noise
+        updated = SlipSlopeState(
+            s.inverse + h0 * error / spread,
+            s.offset + h1 * error / spread,
+            s.p00 - h0 * h0 / spread,
+            s.p01 - h0 * h1 / spread,
+            s.p11 - h1 * h1 / spread,
+            _MEMORY * s.square + (1 - _MEMORY) * count * error * error * noise / spread,
+        )
+        unused = ~self.applies(use)
+        after: SlipSlopeState = choose(unused, state, updated)
+        surprise = jnp.where(unused, jnp.nan, error / jnp.sqrt(spread))
+        return after, self._estimate(after, unused, surprise)
+
+    def hold(self, state: SlipSlopeState, dt, steps) -> tuple[SlipSlopeState, Estimate]:
+        del steps
+        held = state._replace(
+            p00=state.p00 + (self.drift_slope / self.slope) ** 2 * dt,
+            p11=state.p11 + self.drift_offset**2 * dt,
+        )
+        return held, self._estimate(held, False, jnp.nan)
+
+    def open(self, state: SlipSlopeState) -> SlipSlopeState:
+        """The slope is another, the wheel's radius is not."""
+        first = (self.prior_slope / self.slope) ** 2
+        return state._replace(p00=jnp.maximum(state.p00, first), p01=0 * state.p01)
+
+    def _noise(self, inverse):
+        """Variance of the error of one sample on a smooth road."""
+        return self.slip_noise**2 + (self.force_noise * inverse) ** 2
+
+    def _estimate(self, s: SlipSlopeState, unused, surprise) -> Estimate:
+        sane = s.inverse > 0
+        inverse = jnp.where(sane, s.inverse, 1.0)
+        slope = jnp.where(sane, 1 / inverse, jnp.nan)
+        relative = jnp.hypot(jnp.sqrt(s.p00) / inverse, self.gain_std())
+        variance = jnp.maximum(s.square - self._noise(inverse), 0.0)
+        variance_std = s.square * jnp.sqrt(2 / _STEPS)
+        radius = jnp.sqrt(variance)
+        # Of a root: by the slope away from zero, by the root of the spread at it.
+        radius_std = variance_std / jnp.maximum(2 * radius, jnp.sqrt(variance_std))
+        road, road_std = self._road(slope, slope * relative, variance, variance_std)
+        resolved = relative < RESOLVED
+        nothing = jnp.where(resolved, 0.0, jnp.nan)
+        flag = flag_of((unused, Flag.OUT_OF_RANGE), (~resolved, Flag.LITTLE_EXCITATION))
+        return Estimate(
+            jnp.stack([slope, s.offset, radius, road + nothing]),
+            jnp.stack([slope * relative, jnp.sqrt(s.p11), radius_std, road_std]),
+            flag,
+            surprise,
+        )
+
+    def _road(self, slope, slope_std, variance, variance_std):
+        """The road's number and the standard deviation of that number."""
+        number = road_of(slope / self.slope, variance > self.rough**2)
+        above = [
+            norm.sf((limit * self.slope - slope) / slope_std) for limit in (STIFF, SOFT)
+        ]
+        rough = norm.sf((self.rough**2 - variance) / variance_std)
+        chances = (
+            (1 - rough) * above[0],
+            rough * above[1],
+            (1 - rough) * (above[1] - above[0]) + rough * (1 - above[1]),
+            (1 - rough) * (1 - above[1]),
+        )
+        square = sum(p * (k - number) ** 2 for k, p in enumerate(chances, start=1))
+        return number, jnp.sqrt(square)
+
+
+class SlipSlopeBraking(SlipSlope):
+    """The same while braking only, with the force from the pressure of the brake.
+
+    S section 3.1, last paragraph. The wheel's inertia is left out of the balance
+    F = gain p: J dOmega/dt / R is 40 N in the saw-teeth of S section 5.1, of 20 kN.
+    An error of the gain is one of the slope; its std is added to that of the slope.
+    """
+
+    method: ClassVar[Method] = Method(
+        "slip-slope-braking", "slip-slope from braking, force by brake pressure",
+        ("sigma_x", "brake_pressure", "fz"),
+        ("slip_slope", "slip_offset", "radius_std", "road"),
+        "braking with up to 50 % of the load", "S §3.1", "straight line",
+    )  # fmt: skip
+
+    most_use: float = par(
+        0.5, (0.01, 2.0), "-", "largest force over load of a sample that is used",
+        "S §3.1", "u_{max}",
+    )  # fmt: skip
+    gain: float = par(
+        0.04, (1e-7, 10.0), "N/Pa", "brake force over brake pressure", "S §3.1", "g_b",
+        scale="log",
+    )  # fmt: skip
+    gain_spread: float = par(
+        0.1, (0.0, 1.0), "-", "relative std of the brake's gain", "S §3.1", r"\sigma_g"
+    )
+    least_use: float = par(
+        0.05, (0.0, 1.0), "-", "least force over load that counts as braking",
+        "S §3.1", "u_{min}",
+    )  # fmt: skip
+
+    def use(self, sample: Sample):
+        return self.gain * sample["brake_pressure"] / sample["fz"]
+
+    def applies(self, use):
+        return (use >= self.least_use) & (use <= self.most_use)
+
+    def gain_std(self) -> float:
+        return self.gain_spread

@@ -1,0 +1,181 @@
+r"""The tire as a sensor, S section 3.6: a small network from lateral force and aligning
+moment to slip angle and used friction, without any measurement of slip.
+
+The brush S(12) makes of :math:`\theta = 2 c_p a^2 \tan\alpha / (3 F_z)` and
+:math:`\mu` the force :math:`y = F_y / F_z` and the moment :math:`m = -M_z / (a F_z)`.
+Over these the network gives :math:`(\theta, \mu_u)` for a tire of any stiffness, load
+and length. Its weights, ``tire_sensor.json``, come with the package, so that every
+process and every machine has the same; ``python -m fits.tire_sensor.train`` makes them
+again from this library's brush.
+
+It has seen friction from 0.1 to 1.2 and no force below 3 % of the load; what the noise
+cannot have brought in from there is flagged.
+"""
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tirefit.online.base import (
+    AbstractEstimator,
+    Estimate,
+    Flag,
+    Method,
+    Sample,
+    choose,
+    flag_of,
+    force_noise,
+    nominal_stiffness,
+)
+from tirefit.online.regression import RESOLVED
+from tirefit.params import par
+
+__all__ = [
+    "LEAST_FORCE", "LEAST_FRICTION", "MOST_FRICTION", "SCALE", "WEIGHTS", "TireSensor",
+    "gough", "network", "seen", "trained",
+]  # fmt: skip
+
+WEIGHTS = Path(__file__).with_name("tire_sensor.json")
+LEAST_FRICTION, MOST_FRICTION, LEAST_FORCE = 0.1, 1.2, 0.03
+"""What the network was trained on: friction [-] and least force over load."""
+SCALE = (1.2, 0.13)
+"""Largest force and moment of it; the network sees both over these."""
+_STDS = 3.0
+"""Standard deviations outside before an input is flagged."""
+
+
+def gough(sliding, mu):
+    """Force over load y and moment -M_z/(a F_z) m of a brush, S section 3.6.
+
+    Args:
+        sliding: theta over mu [-], 0 to 1: the share of the patch that slides.
+        mu: friction [-].
+    """
+    stuck = 1 - sliding
+    return mu * (1 - stuck**3), mu * sliding * stuck**3
+
+
+def network(weights, y, m):
+    """theta [-] and used friction [-] of one point of the Gough plot.
+
+    Args:
+        weights: (matrix, offsets) of each layer.
+        y, m: force and moment as in :func:`gough`, both >= 0.
+    """
+    x = jnp.stack([y / SCALE[0], m / SCALE[1]])
+    for matrix, offset in weights[:-1]:
+        x = jnp.tanh(matrix @ x + offset)
+    matrix, offset = weights[-1]
+    x = matrix @ x + offset
+    # theta is a third of the force at least, and force of the sliding tire at most.
+    return y * (1 / 3 + jax.nn.sigmoid(x[0]) * 2 / 3), jax.nn.sigmoid(x[1])
+
+
+@cache
+def trained() -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """The layers that come with the package."""
+    layers = json.loads(WEIGHTS.read_text())["layers"]
+    return tuple((np.array(k["matrix"]), np.array(k["offset"])) for k in layers)
+
+
+def seen(y, m, y_std=0.0, m_std=0.0):
+    """Whether a point of the Gough plot can lie among those of the training.
+
+    Args:
+        y, m: force and moment as in :func:`gough`.
+        y_std, m_std: their standard deviations; three of them are allowed for.
+    """
+    y_room, m_room = _STDS * y_std, _STDS * m_std
+
+    def moment(force, mu):
+        inside = jnp.clip(force / mu, 0.0, 1.0)
+        return gough(1 - jnp.cbrt(1 - inside), mu)[1]
+
+    most = moment(y + y_room, MOST_FRICTION)
+    most = jnp.maximum(most, moment(y - y_room, MOST_FRICTION)) + m_room
+    peak = MOST_FRICTION * 27 / 256  # at a quarter sliding
+    around = jnp.abs(y - MOST_FRICTION * 37 / 64) <= y_room
+    most = jnp.where(around, peak + m_room, most)
+    least = moment(jnp.maximum(y - y_room, 0.0), LEAST_FRICTION)
+    least = jnp.minimum(least, moment(y + y_room, LEAST_FRICTION)) - m_room
+    force_fits = (y + y_room >= LEAST_FORCE) & (y - y_room <= MOST_FRICTION)
+    return force_fits & (m <= most) & (m >= least)
+
+
+class TireSensorState(NamedTuple):
+    """The last estimates (3,) that a sample gave, and their standard deviations."""
+
+    value: Float[Array, "3"]
+    std: Float[Array, "3"]
+
+
+class TireSensor(AbstractEstimator):
+    """Slip angle and friction of every sample by itself, from force and moment."""
+
+    method: ClassVar[Method] = Method(
+        "tire-sensor", "network from lateral force and aligning moment",
+        ("fy", "fz", "mz"), ("mu", "alpha", "used"),
+        "50 to 100 % of the friction; below, mu is flagged", "S §3.6",
+    )  # fmt: skip
+
+    cpa2: float = nominal_stiffness()
+    half_length: float = par(
+        0.1, (1e-3, 1.0), "m", "half the contact length", "S §3.6", "a"
+    )
+    force_noise: float = force_noise()
+    moment_noise: float = par(
+        0.005, (1e-6, 1.0), "-", "std of the moment over load and half-length",
+        "S §3.6", r"\sigma_M", scale="log",
+    )  # fmt: skip
+    own_error: float = par(
+        0.01, (0.0, 1.0), "-", "std of the network's own error of mu_u and theta / y",
+        "S §3.6", r"\sigma_n",
+    )  # fmt: skip
+
+    def init(self) -> TireSensorState:
+        return TireSensorState(jnp.full(3, jnp.nan), jnp.full(3, jnp.nan))
+
+    def step(
+        self, state: TireSensorState, sample: Sample
+    ) -> tuple[TireSensorState, Estimate]:
+        side = jnp.where(sample["fy"] < 0, -1.0, 1.0)
+        y = side * sample["fy"] / sample["fz"]
+        m = -side * sample["mz"] / (sample["fz"] * self.half_length)
+        share = 1 / jnp.sqrt(sample["count"])
+        stds = jnp.stack([share * self.force_noise, share * self.moment_noise])
+        inside = seen(y, m, *stds)
+        # Noise carries a sliding tire below zero moment.
+        x = jnp.stack([jnp.maximum(y, LEAST_FORCE), jnp.maximum(m, 0.0)])
+        stiffness = 2 * self.cpa2 / (3 * sample["fz"])
+        value = self._outputs(x, stiffness)
+        slope = jax.jacfwd(self._outputs)(x, stiffness)
+        own = self.own_error * jnp.stack([value[0] / value[2], x[0] / stiffness, 1.0])
+        std = jnp.sqrt(((slope * stds[None, :]) ** 2).sum(1) + own**2)
+        value = value * jnp.stack([1.0, side, 1.0])
+        # Far outside there is nothing to say; near the edge it is said with a flag.
+        after: TireSensorState = choose(inside, TireSensorState(value, std), state)
+        return after, self._estimate(after, ~inside)
+
+    def hold(
+        self, state: TireSensorState, dt, steps
+    ) -> tuple[TireSensorState, Estimate]:
+        del dt, steps
+        return state, self._estimate(state, False)
+
+    def _outputs(self, x, stiffness):
+        """mu, slip angle [rad] and used friction of one point (2,)."""
+        theta, used = network(trained(), x[0], x[1])
+        return jnp.stack([x[0] / used, jnp.arctan(theta / stiffness), used])
+
+    def _estimate(self, state: TireSensorState, outside) -> Estimate:
+        flag = flag_of(
+            (~(state.std[0] < RESOLVED * state.value[0]), Flag.LOW_USE),
+            (outside, Flag.OUT_OF_RANGE),
+        )
+        return Estimate(state.value, state.std, flag, jnp.full((), jnp.nan))

@@ -1,0 +1,162 @@
+"""Online estimates as text and as a figure."""
+
+import numpy as np
+
+from tirefit.online.base import PARAMETERS, Flag, code
+from tirefit.online.result import Estimates, changes
+from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
+from tirefit.report.html import png_text, rendered
+from tirefit.report.numbers import format_estimate, format_number, plain_text
+from tirefit.report.text import table
+
+__all__ = ["estimates_figure", "estimates_html", "estimates_text", "shaded_spans"]
+
+_ROOM = 0.15
+"""Of the range of the estimates, beside it."""
+
+
+def _cells(result: Estimates) -> list[list[str]]:
+    rows = [["method", "parameter", "at the end", "unit", "supported", "flagged rows"]]
+    for name, method in result.methods.items():
+        flagged = int(np.count_nonzero(method.flag))
+        last = method.reasons[-1] or "yes"
+        for parameter in method.parameters:
+            value, std = method[parameter][-1], method.std_of(parameter)[-1]
+            rows.append(
+                [
+                    name, parameter, format_estimate(value, std),
+                    PARAMETERS[parameter].unit, last,
+                    f"{flagged} of {len(method.flag)}",
+                ]
+            )  # fmt: skip
+    return rows
+
+
+def _notes(result: Estimates) -> list[str]:
+    notes = []
+    for name, method in result.methods.items():
+        counted = [f"{rows} {reason}" for reason, rows in method.counts().items()]
+        notes += [f"{name}: {', '.join(counted)}"] if counted else []
+        notes += [
+            f"{name}: change at {format_number(c.time)} s: {c.parameter} from"
+            f" {format_number(c.before)} to {format_number(c.after)}"
+            for c in changes(result.time, method)
+        ]
+    return notes
+
+
+def estimates_text(result: Estimates) -> str:
+    """Estimates at the end of the log, flags and changes; for the terminal."""
+    head = f"ONLINE ESTIMATES of {result.data['name']}, {result.data['rows']} rows"
+    notes = [f"  {note}" for note in _notes(result)]
+    return "\n".join([head, *table(_cells(result), right=(2,)), *notes])
+
+
+def estimates_html(result: Estimates) -> str:
+    """The same as a fragment of HTML, with the figure; for notebooks."""
+    fragment = rendered(
+        "table_fragment.html", rows=_cells(result), notes=_notes(result)
+    )
+    source = f"data:image/png;base64,{png_text(estimates_figure(result))}"
+    return f'{fragment}\n<img alt="online estimates" src="{source}">'
+
+
+def shaded_spans(time: np.ndarray, flag: np.ndarray) -> list[tuple[float, float]]:
+    """Spans [s] in which rows are flagged; a lone detection of a change is none.
+
+    Args:
+        time: (n,) [s], in order; flag: (n,) codes.
+    """
+    bad = (flag > 0) & (flag != code(Flag.CHANGED)) & np.isfinite(time)
+    edges = np.flatnonzero(np.diff(np.r_[False, bad, False].astype(int)))
+    last = len(time) - 1
+    return [
+        (float(time[begin]), float(time[min(end, last)]))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True)
+    ]
+
+
+def _limits(result: Estimates, parameter: str) -> tuple[float, float] | None:
+    """Range of the supported estimates of a parameter, with room; of all, if none."""
+    values = []
+    for method in result.methods.values():
+        if parameter in method.parameters:
+            series, good = method[parameter], method.flag == 0
+            values.append(series[good] if good.any() else series)
+    known = np.concatenate(values)
+    known = known[np.isfinite(known)]
+    if not len(known):
+        return None
+    low, high = np.percentile(known, [0.5, 99.5])
+    room = _ROOM * max(high - low, 0.2 * abs(high))
+    return max(low - room, 0.0), high + room
+
+
+def _draw(axes, result: Estimates, parameter: str) -> None:
+    """One parameter by all methods that estimate it: line, band, flagged rows."""
+    for color, (name, method) in zip(COLORS, result.methods.items(), strict=False):
+        if parameter not in method.parameters:
+            continue
+        value, std = method[parameter], method.std_of(parameter)
+        axes.plot(result.time, value, color=color, linewidth=1.1, label=name)
+        axes.fill_between(
+            result.time, value - std, value + std, color=color, alpha=0.2, linewidth=0
+        )
+        for change in changes(result.time, method):
+            if change.parameter == parameter:
+                axes.axvline(change.time, color=color, linewidth=0.8, linestyle=":")
+    limits = _limits(result, parameter)
+    if limits is not None:
+        axes.set_ylim(*limits)
+    unit = PARAMETERS[parameter].unit
+    label = f"${PARAMETERS[parameter].symbol}$ [{'–' if unit == '-' else unit}]"
+    tidy(axes, "", label)
+
+
+def _shade(axes, result: Estimates) -> None:
+    """A strip of flags for every method along the foot of an axes."""
+    height = 0.03
+    for k, (color, method) in enumerate(
+        zip(COLORS, result.methods.values(), strict=False)
+    ):
+        for begin, end in shaded_spans(result.time, method.flag):
+            low = k * height
+            axes.axvspan(begin, end, low, low + height, color=color, linewidth=0)
+    common = np.min(np.stack([m.flag for m in result.methods.values()]), axis=0)
+    for begin, end in shaded_spans(result.time, common):
+        axes.axvspan(begin, end, color=GREY, alpha=0.15, linewidth=0)
+
+
+def estimates_figure(result: Estimates) -> Picture:
+    """The methods over each other: each parameter, and the friction used below.
+
+    Bands are one standard deviation; grey spans are flagged by every method, the strips
+    at the foot by the method of their colour.
+    """
+    parameters = list(
+        dict.fromkeys(p for m in result.methods.values() for p in m.parameters)
+    )
+    panels = len(parameters) + (result.use is not None)
+    picture = Picture(figsize=(7.0, 0.7 + 1.9 * panels), layout="constrained")
+    all_axes = picture.subplots(panels, 1, sharex=True, squeeze=False)[:, 0]
+    for axes, parameter in zip(all_axes, parameters, strict=False):
+        _draw(axes, result, parameter)
+        _shade(axes, result)
+    if result.use is not None:
+        all_axes[-1].plot(result.time, result.use, color=DARK, linewidth=0.5)
+        tidy(all_axes[-1], "", "used: $F_x / F_z$ [–]")
+        known = result.use[np.isfinite(result.use)]
+        if len(known):
+            all_axes[-1].set_ylim(min(known.min(), 0.0), 1.1 * known.max())
+    all_axes[-1].set_xlabel("time [s]", fontsize=8.5, color=DARK)
+    all_axes[0].legend(fontsize=7.5, frameon=False, loc="upper right", ncols=5)
+    picture.suptitle(
+        plain_text(f"online estimates of {result.data['name']}"), fontsize=10,
+        color=DARK,
+    )  # fmt: skip
+    picture.supxlabel(
+        f"tirefit {result.version} · braking positive, SI · band: one standard"
+        " deviation · grey and strips: flagged rows",
+        fontsize=6.5, color=GREY,
+    )  # fmt: skip
+    return picture
