@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from tirefit.data.table import CANONICAL, SIMULATED
+from tirefit.data.table import CANONICAL, SIMULATED, WHEELS
 from tirefit.data.units import (
     MEANING_OF_SLIP,
     Unit,
@@ -44,9 +44,25 @@ _NAMES = {
     "gamma": "gamma γ ia camber camberangle inclination inclinationangle",
     "pressure": "pressure p inflationpressure tirepressure tyrepressure",
     "temperature": "temperature temp tstc tiretemperature tyretemperature",
+    "alpha_rate": "alpharate sliprate slipanglerate",
+    "a_x": "ax accelx accelerationx longacc longitudinalacceleration",
+    "a_y": "ay accely accelerationy latacc lateralacceleration",
+    "yaw_rate": "yawrate yawvelocity",
+    "yaw_acceleration": "yawacceleration yawaccel",
+    "heading": "heading yaw yawangle",
+    "x": "x xposition positionx",
+    "y": "y yposition positiony",
+    "steering": "steering steer roadwheelangle",
+    "roll_rate": "rollrate",
+    "offset": "offset crosstrack lateraloffset",
+    "road_heading": "roadheading",
+    **{f"{kind}_{w}": f"{kind}{w}" for kind in ("omega", "torque") for w in WHEELS},
     "run": "run runid runno runnumber",
 }
 _ALIASES = {alias: name for name, names in _NAMES.items() for alias in names.split()}
+
+_OF_A_POSE = ("x", "y")
+"""Headers that mean a position only where there is a heading as well."""
 
 _TTC_UNITS = {"V": "km/h", "SA": "deg", "IA": "deg", "P": "kPa", "TSTC": "degC"}
 _TTC_MARKS = {"ET", "IA", "RL", "RE", "TSTC", "AMBTMP", "NFX", "NFY"}
@@ -75,6 +91,7 @@ class Options(NamedTuple):
     rolling_radius: float | None
     mask_bad_rows: bool
     forces: bool
+    curve: bool = True
 
     def check(self) -> None:
         """Raises UsageError with every option whose value is not a known one."""
@@ -279,6 +296,9 @@ def _inferred(headers, declared, plan, file) -> dict[str, int]:
         guessed = None if index in declared.values() else guess(header)
         if guessed and _group(guessed.name) not in taken:
             by_group.setdefault(_group(guessed.name), []).append((guessed.name, index))
+    if "heading" not in {*by_group, *taken}:
+        for name in _OF_A_POSE:
+            by_group.pop(name, None)
     for matches in by_group.values():
         if len(matches) < 2:
             continue

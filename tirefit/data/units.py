@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.data.table import WHEELS
 from tirefit.results import DataError, InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS, kappa_from_sigma
 
@@ -61,13 +62,20 @@ class Unit(NamedTuple):
 _SI = {
     "time": "s", "ratio": "-", "angle": "rad", "angular speed": "rad/s",
     "force": "N", "moment": "N m", "speed": "m/s", "pressure": "Pa",
-    "temperature": "degC",
+    "temperature": "degC", "acceleration": "m/s2", "angular acceleration": "rad/s2",
+    "length": "m",
 }  # fmt: skip
 
 _DIMENSION = {
     "time": "time", "alpha": "angle", "gamma": "angle", "omega": "angular speed",
     "fx": "force", "fy": "force", "fz": "force", "mz": "moment", "v": "speed",
     "pressure": "pressure", "temperature": "temperature",
+    "alpha_rate": "angular speed", "a_x": "acceleration", "a_y": "acceleration",
+    "yaw_rate": "angular speed", "yaw_acceleration": "angular acceleration",
+    "heading": "angle", "x": "length", "y": "length", "steering": "angle",
+    "roll_rate": "angular speed", "offset": "length", "road_heading": "angle",
+    **{f"omega_{wheel}": "angular speed" for wheel in WHEELS},
+    **{f"torque_{wheel}": "moment" for wheel in WHEELS},
     **dict.fromkeys(SLIP_DEFINITIONS, "ratio"),
 }  # fmt: skip
 
@@ -91,6 +99,10 @@ _FACTORS = {
               "mph": 0.44704, "mm/s": 1e-3, "mmps": 1e-3, "cm/s": 1e-2, "ft/s": 0.3048},
     "pressure": {"Pa": 1, "hPa": 100, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 100,
                  "psi": 6894.757293168361},
+    "acceleration": {"m/s2": 1, "m/s^2": 1, "m/s²": 1, "g": 9.80665, "mm/s2": 1e-3},
+    "angular acceleration": {"rad/s2": 1, "rad/s^2": 1, "rad/s²": 1,
+                             "deg/s2": np.pi / 180, "deg/s^2": np.pi / 180},
+    "length": {"m": 1, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048},
 }  # fmt: skip
 
 _KNOWN = {

@@ -51,6 +51,7 @@ class Flag(enum.Enum):
     OK = ""
     LOW_USE = "friction used too little for mu"
     OUT_OF_RANGE = "outside the valid range of the method"
+    SETTLING = "filter settles"
     LITTLE_EXCITATION = "little excitation"
     GAP = "samples missing before this one"
     CHANGED = "change detected"
@@ -102,6 +103,8 @@ class Parameter(NamedTuple):
 PARAMETERS = {
     "mu": Parameter("-", r"\mu", "friction coefficient"),
     "cpa2": Parameter("N", r"c_p a^2", "bristle stiffness; C_x = 2 c_p a^2"),
+    "C_f": Parameter("N/rad", "C_f", "cornering stiffness of the front axle"),
+    "C_r": Parameter("N/rad", "C_r", "cornering stiffness of the rear axle"),
 }
 """Every parameter that a method estimates, under one name and in one unit."""
 
