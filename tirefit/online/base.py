@@ -52,6 +52,7 @@ class Flag(enum.Enum):
     LOW_USE = "friction used too little for mu"
     OUT_OF_RANGE = "outside the valid range of the method"
     SETTLING = "filter settles"
+    NEAR_LIMIT = "force near its limit"
     LITTLE_EXCITATION = "little excitation"
     GAP = "samples missing before this one"
     CHANGED = "change detected"
@@ -105,6 +106,10 @@ PARAMETERS = {
     "cpa2": Parameter("N", r"c_p a^2", "bristle stiffness; C_x = 2 c_p a^2"),
     "C_f": Parameter("N/rad", "C_f", "cornering stiffness of the front axle"),
     "C_r": Parameter("N/rad", "C_r", "cornering stiffness of the rear axle"),
+    "F_xf": Parameter("N", "F_{xf}", "braking force of the front axle, observed"),
+    "F_xf_rls": Parameter("N", "F_{xf}", "the same by least squares"),
+    "used": Parameter("-", r"F / (\mu F_z)", "friction used by the front axle"),
+    "tlc": Parameter("s", "t_{lc}", "time to lane crossing, none if it is not left"),
 }
 """Every parameter that a method estimates, under one name and in one unit."""
 

@@ -7,6 +7,7 @@ from tirefit.online.base import AbstractEstimator
 from tirefit.online.cubic import Cubic
 from tirefit.online.ekf import Ekf
 from tirefit.online.mit import Mit
+from tirefit.online.path import Path
 from tirefit.online.position import Position
 from tirefit.online.rls import Rls
 from tirefit.params import specs, with_values
@@ -15,7 +16,7 @@ from tirefit.results import InputProblem, UsageError
 __all__ = ["METHODS", "STIFFNESS_OF_LOAD", "estimator_of", "methods_named"]
 
 METHODS: dict[str, type[AbstractEstimator]] = {
-    kind.method.name: kind for kind in (Rls, Mit, Ekf, Cubic, Position)
+    kind.method.name: kind for kind in (Rls, Mit, Ekf, Cubic, Position, Path)
 }
 """Method name -> its record."""
 

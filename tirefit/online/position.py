@@ -11,14 +11,18 @@ road :math:`\psi_d` and the yaw rate r follow the force and slip angle of the fr
 with every signal passed through :math:`b^2 (s + b)^{-2}`, which gives its derivatives
 without a difference being taken. The brush is linear in
 :math:`\Theta = [C, C^2/\mu, C^3/\mu^2]` over
-:math:`\Phi = [|\tan\alpha|, -|\tan\alpha|^2/(3F_z), |\tan\alpha|^3/(27F_z^2)]`; force and
-:math:`\Phi`, with their signs, pass the source's filter :math:`(s + a)^{-2}`. One filter
-before :math:`\Phi` alone would have to be as slow as a, and the brush of a filtered
-slip is not the filtered brush: at a = 3/s and a use of 60 % mu came out 60 % too large.
+:math:`\Phi = [|\tan\alpha|, -|\tan\alpha|^2/(3F_z), |\tan\alpha|^3/(27F_z^2)]`; force
+and :math:`\Phi`, with their signs, pass the source's filter :math:`(s + a)^{-2}`. One
+filter before :math:`\Phi` alone would have to be as slow as a, and the brush of a
+filtered slip is not the filtered brush: at a = 3/s and a use of 60 % mu came out 60 %
+too large.
 
 The adaptive law, which the source leaves to its reference [7], is here least squares
-with forgetting, on :math:`\ln C` and :math:`1/\mu`: the third part of
-:math:`\Theta` is then what it has to be.
+with forgetting on :math:`\ln C` and :math:`1/\mu`, so that the third part of
+:math:`\Theta` is what it has to be. The products of the regressors are all that it
+needs of the past: each step goes towards the least squares of all samples, however far
+the start was off. (A filter that linearises once a sample was not: it took a road of
+0.3 for one of 0.5.)
 """
 
 from typing import ClassVar, NamedTuple
@@ -49,6 +53,9 @@ _LEAST_INVERSE = 0.1
 _SLIDING = 0.37
 """Force over that without sliding, with nine tenths of the patch sliding; S(49) as a
 polynomial goes wild behind it."""
+_EXPECTED = (0.0, 1.0)
+_KEPT = 0.02
+"""Share of what was seen that is kept at a change."""
 _STIFFEST = 2.0
 """Of that expected; no estimate beyond it may say that a tire slides."""
 
@@ -87,21 +94,20 @@ def _moved(before: Filtered, u, dt, a, anew) -> Filtered:
 
 
 class LawState(NamedTuple):
-    """C over that expected, as logarithm, and the expected mu over mu; their covariance
-    over the variance of the noise, and the errors' weighted squares."""
+    """C over that expected, as logarithm, and the expected mu over mu; the products of
+    u_0, u_1, u_2 and y, summed with forgetting, and how many they are."""
 
     x: Float[Array, "2"]
-    spread: Float[Array, "2 2"]
-    squares: Float[Array, ""]
+    products: Float[Array, "4 4"]
     weight: Float[Array, ""]
 
 
-def predicted_share(x, u0, u1, u2):
-    """Force over load [-], S(49), by a :class:`LawState`'s x (2,); it is nearly linear
-    in 1/mu, but not at all in mu where that falls to a third."""
+def coefficients(x):
+    """theta (3,) of a :class:`LawState`'s x (2,); the third follows from the others."""
     theta0 = jnp.exp(x[0])
-    curved = theta0 * x[1]
-    return theta0 * (u0 + curved * u1 + curved * curved * u2)
+    return theta0 * jnp.stack(
+        [jnp.ones_like(x[1]), theta0 * x[1], (theta0 * x[1]) ** 2]
+    )
 
 
 class PositionState(NamedTuple):
@@ -143,7 +149,7 @@ class Position(AbstractVehicleMethod):
         0.999, (0.5, 1.0), "-", "forgetting factor per sample", "S §3.3", r"\lambda"
     )
     model_error: float = par(
-        0.01, (0.0, 0.5), "-", "relative error of the force that stays over a drive",
+        0.015, (0.0, 0.5), "-", "relative error of the force that stays over a drive",
         "", r"\epsilon",
     )  # fmt: skip
     force_noise: float = par(
@@ -161,9 +167,7 @@ class Position(AbstractVehicleMethod):
         zero = jnp.zeros(())
         # As after a gap: the first sample starts the filter.
         waited = jnp.full((), 2 * _LONGEST) / self.bandwidth
-        noise = self.force_noise * self.force_noise
-        weight = jnp.full((), _SAMPLES_OF_NOISE)
-        law = LawState(jnp.array([0.0, 1.0]), self._prior(), weight * noise, weight)
+        law = LawState(jnp.array(_EXPECTED), jnp.zeros((4, 4)), zero)
         return PositionState(of_signals, of_regression, waited, zero, zero, law)
 
     def step(self, state: PositionState, sample: Sample):
@@ -184,13 +188,12 @@ class Position(AbstractVehicleMethod):
         return after, self._estimate(after, flag, surprise)
 
     def hold(self, state: PositionState, dt, steps):
-        law = state.law._replace(spread=self._forgotten(state.law.spread, steps))
+        law = self._forgotten(state.law, self.forgetting**steps)
         held = state._replace(waited=state.waited + dt, law=law)
         return held, self._estimate(held, 0, jnp.nan)
 
     def open(self, state: PositionState) -> PositionState:
-        law = state.law._replace(spread=jnp.maximum(state.law.spread, self._prior()))
-        law = law._replace(spread=jnp.diag(jnp.diag(law.spread)))
+        law = self._forgotten(state.law, _KEPT)
         return state._replace(law=law, peak=jnp.zeros_like(state.peak))
 
     def force_and_slip(self, filtered: Filtered, v):
@@ -223,41 +226,60 @@ class Position(AbstractVehicleMethod):
         u = jnp.stack([sample["offset"], aside, road, *rest])
         return _moved(before, u, state.waited, self.signal_bandwidth, anew)
 
+    def _forgotten(self, law: LawState, share) -> LawState:
+        """What was seen counts by that share."""
+        products, weight = share * law.products, share * law.weight
+        return law._replace(products=products, weight=weight)
+
     def _adapted(self, law: LawState, terms: Regressors):
         """The law with one more sample, the flag of why not to take it, surprise."""
         side = jnp.where(terms.u0 < 0, -1.0, 1.0)
         y, *u = (side * term for term in terms)
-        slope = jax.jacfwd(predicted_share)(law.x, *u)
-        error = y - predicted_share(law.x, *u)
-        spread = self._forgotten(law.spread, 1.0)
-        total = 1 + slope @ spread @ slope
-        gain = spread @ slope / total
-        change = jnp.clip(gain * error, -_FARTHEST, _FARTHEST)
-        # Joseph's form, which rounding cannot make indefinite.
-        kept = jnp.eye(2) - jnp.outer(gain, slope)
-        x = law.x + change
-        moved = LawState(
-            x.at[1].set(jnp.maximum(x[1], _LEAST_INVERSE)),
-            kept @ spread @ kept.T + jnp.outer(gain, gain),
-            self.forgetting * law.squares + error * error / total,
-            self.forgetting * law.weight + 1,
-        )
-        noise = jnp.sqrt(law.squares / law.weight)
+        row = jnp.stack([*u, y])
+        products = self.forgetting * law.products + jnp.outer(row, row)
+        moved = LawState(law.x, products, self.forgetting * law.weight + 1)
+        covariance, noise = self.uncertainty(law)
+        slope = jax.jacfwd(coefficients)(law.x).T @ row[:3]
+        error = y - coefficients(law.x) @ row[:3]
+        surprise = error / jnp.sqrt(noise * noise + slope @ covariance @ slope)
+        for _ in range(2):
+            moved = moved._replace(x=self._closer(moved))
         steepest = jnp.minimum(jnp.exp(law.x[0]), _STIFFEST)
         flag = flag_of(
             (y < _SLIDING * steepest * u[0] - 3 * noise, Flag.OUT_OF_RANGE),
             (u[0] < self.least_use, Flag.LITTLE_EXCITATION),
         )
-        return moved, flag, error / noise / jnp.sqrt(total)
+        return moved, flag, surprise
 
-    def _prior(self):
-        std = jnp.stack([jnp.asarray(self.prior_stiffness), jnp.asarray(self.prior_mu)])
-        return jnp.diag((std / self.force_noise) ** 2)
+    def _noise(self, law: LawState):
+        """Std [-] of the force over the load, stated and seen."""
+        theta = jnp.append(-coefficients(law.x), 1.0)
+        seen = jnp.maximum(theta @ law.products @ theta, 0.0)
+        stated = _SAMPLES_OF_NOISE * self.force_noise**2
+        return jnp.sqrt((stated + seen) / (_SAMPLES_OF_NOISE + law.weight))
 
-    def _forgotten(self, spread, steps):
-        """Grown, but not beyond what was known at first."""
-        room = jnp.min(jnp.diag(self._prior()) / jnp.diag(spread))
-        return spread * jnp.clip(room, 1.0, self.forgetting ** (-steps))
+    def _information(self, law: LawState, noise):
+        slope = jax.jacfwd(coefficients)(law.x)
+        prior = jnp.stack(
+            [jnp.asarray(self.prior_stiffness), jnp.asarray(self.prior_mu)]
+        )
+        gathered = slope.T @ law.products[:3, :3] @ slope / noise**2
+        return gathered + jnp.diag(1 / prior**2), slope, prior
+
+    def uncertainty(self, law: LawState):
+        """Covariance (2, 2) of x, and the noise [-]."""
+        noise = self._noise(law)
+        return jnp.linalg.inv(self._information(law, noise)[0]), noise
+
+    def _closer(self, law: LawState):
+        """x after one step of Gauss and Newton on all samples and the prior."""
+        noise = self._noise(law)
+        information, slope, prior = self._information(law, noise)
+        left = law.products[:3, 3] - law.products[:3, :3] @ coefficients(law.x)
+        pull = slope.T @ left / noise**2 + (jnp.array(_EXPECTED) - law.x) / prior**2
+        change = jnp.linalg.solve(information, pull)
+        x = law.x + jnp.clip(change, -_FARTHEST, _FARTHEST)
+        return x.at[1].set(jnp.maximum(x[1], _LEAST_INVERSE))
 
     def _estimate(self, state: PositionState, flag, surprise) -> Estimate:
         """mu and C_f.
@@ -269,11 +291,11 @@ class Position(AbstractVehicleMethod):
         law = state.law
         stiffness = self.stiffness_f * self.loads[0] * jnp.exp(law.x[0])
         mu = self.mu / law.x[1]
-        noise = jnp.sqrt(law.squares / law.weight)
-        of_noise = noise * jnp.sqrt(jnp.diag(law.spread))[::-1]
+        covariance, _ = self.uncertainty(law)
+        of_noise = jnp.sqrt(jnp.diag(covariance))[::-1]
         of_noise = of_noise / jnp.stack([law.x[1], jnp.ones(())])
         bent = jnp.minimum(self.model_error * 3 * mu / state.peak, self.prior_mu)
-        drawn = law.spread[0, 1] / law.spread[1, 1] * law.x[1] * bent
+        drawn = covariance[0, 1] / covariance[1, 1] * law.x[1] * bent
         lasting = jnp.stack([bent, jnp.hypot(self.model_error, drawn)])
         relative = jnp.hypot(of_noise, lasting)
         value = jnp.stack([mu, stiffness])
