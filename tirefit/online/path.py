@@ -45,6 +45,8 @@ __all__ = ["Path", "PathState"]
 
 _LONGEST = 0.5
 """Time [s] without samples after which the motion starts anew."""
+_USUAL = 0.02
+"""Time [s] between samples for which the noise of the forces is stated."""
 _FARTHEST = 0.1
 """Largest step of the logarithm of mu a sample."""
 _FIRST = (0.5, 0.5, 0.05, 0.1)
@@ -53,7 +55,8 @@ _FIRST = (0.5, 0.5, 0.05, 0.1)
 
 class PathState(NamedTuple):
     """Bicycle's states and ln of C_f, C_r over those expected, their covariance; front
-    force; ln mu and its variance; the last inputs, and the time [s] since then."""
+    force; ln mu and its variance; friction used; rates of the forces [N/s] by the two
+    estimators; the last inputs, and the time [s] since then."""
 
     z: Float[Array, "6"]
     covariance: Float[Array, "6 6"]
@@ -62,7 +65,7 @@ class PathState(NamedTuple):
     log_mu: Float[Array, ""]
     mu_variance: Float[Array, ""]
     used: Float[Array, ""]
-    tlc: Float[Array, "2"]
+    rates: Float[Array, "2"]
     inputs: dict[str, Float[Array, ""]]
     waited: Float[Array, ""]
 
@@ -72,7 +75,7 @@ class Path(AbstractVehicleMethod):
 
     method: ClassVar[Method] = Method(
         "path", "bicycle along the lane, friction at combined slip, lane crossing",
-        ("offset", "heading", "road_heading", "yaw_rate", "a_y", "steering", "v",
+        ("offset", "heading", "road_heading", "yaw_rate", "a_x", "a_y", "steering", "v",
          *(f"{kind}_{wheel}" for kind in ("omega", "torque") for wheel in WHEELS
            if wheel in ("fl", "fr"))),
         ("mu", "C_f", "C_r", "F_xf", "F_xf_rls", "used", "tlc"),
@@ -98,7 +101,7 @@ class Path(AbstractVehicleMethod):
         0.2, (1e-6, 100.0), "m/s2/sqrt(Hz)", "unknown lateral acceleration", "", "q_y"
     )
     force_noise: float = par(
-        0.1, (1e-4, 1.0), "-", "std of a sample's force over the load, tire included",
+        0.15, (1e-4, 1.0), "-", "std of a sample's force over the load, tire included",
         "", r"\sigma_F",
     )  # fmt: skip
     gps_std: float = par(0.02, (1e-5, 10.0), "m", "noise of offset", "", r"\sigma_y")
@@ -108,7 +111,7 @@ class Path(AbstractVehicleMethod):
     gyro_std: float = par(0.002, (1e-6, 1.0), "rad/s", "of yaw rate", "", r"\sigma_r")
     omega_std: float = par(0.05, (1e-5, 10.0), "rad/s", "of omega", "", r"\sigma_w")
     torque_std: float = par(10.0, (0.0, 1e5), "N m", "of torques", "", r"\sigma_T")
-    pole: float = par(15.0, (0.1, 1e3), "1/s", "of the observer", "S §3.8", "p")
+    pole: float = par(40.0, (0.1, 1e3), "1/s", "of the observer", "S §3.8", "p")
     memory: float = par(0.1, (1e-3, 10.0), "s", "of the RLS", "S §3.8", r"\tau")
     lane: float = par(
         0.9, (0.05, 20.0), "m", "offset at which the lane is left", "S §3.8", "y_l"
@@ -122,7 +125,7 @@ class Path(AbstractVehicleMethod):
         return PathState(
             jnp.zeros(6), self._first(), Observer(zero, zero),
             WheelRls(zero, zero, self._widest()), jnp.log(jnp.asarray(self.mu, float)),
-            jnp.asarray(self.prior_mu**2, float), none, jnp.full(2, jnp.nan), inputs,
+            jnp.asarray(self.prior_mu**2, float), none, jnp.zeros(2), inputs,
             jnp.full((), 2 * _LONGEST),
         )  # fmt: skip
 
@@ -154,11 +157,14 @@ class Path(AbstractVehicleMethod):
             rls=wheel_rls_step(state.rls, *wheel, self.memory, self.omega_std),
         )
         moved = self._corrected(self._predicted(moved, dt, bend), sample)
+        rise = moved.observer.force - state.observer.force
+        steps = jnp.stack([rise, moved.rls.force - state.rls.force])
+        moved = moved._replace(rates=steps / jnp.maximum(dt, 1e-3))
         state = choose(anew, began, moved)
         state, surprise = self._with_friction(state, sample, omega)
         tlc = self._crossing(state, sample, bend)
         kept = {name: sample[name] for name in state.inputs}
-        state = state._replace(inputs=kept, waited=jnp.zeros(()), tlc=tlc)
+        state = state._replace(inputs=kept, waited=jnp.zeros(()))
         return state, self._estimate(state, tlc, jnp.where(anew, jnp.nan, surprise))
 
     def _first(self):
@@ -235,7 +241,7 @@ class Path(AbstractVehicleMethod):
     def _with_friction(self, state: PathState, sample: Sample, omega):
         """ln mu after one sample of the front axle's forces, S(21)."""
         v, force = sample["v"], 2 * state.observer.force
-        load = self.loads[0] + self.height / self.base * force
+        load = self.loads[0] - self.height / self.base * self.mass * sample["a_x"]
         across = self.mass * sample["a_y"] * self.l_r / self.base
         sigma = clipped(omega, v, self.radius)
         v_y = state.z[1] - v * state.z[2]
@@ -277,11 +283,21 @@ class Path(AbstractVehicleMethod):
         mu, mu_std = jnp.exp(state.log_mu), jnp.sqrt(state.mu_variance)
         stiffness = self.stiffness(state.z)
         spread = jnp.sqrt(jnp.diag(state.covariance))[4:]
-        noise = (self.omega_std, self.torque_std, 0.02, self.radius, self.wheel_inertia)
+        noise = (
+            self.omega_std,
+            self.torque_std,
+            _USUAL,
+            self.radius,
+            self.wheel_inertia,
+        )
         # Two wheels of independent noise, whose mean is observed.
         observed = jnp.sqrt(2.0) * observer_std(*noise, self.pole)
+        # Both follow a force that rises late, by a time that is known.
+        late = 2 * jnp.abs(state.rates) * jnp.stack([2 / self.pole, self.memory])
         forces = 2 * jnp.stack([state.observer.force, state.rls.force])
-        fitted = jnp.sqrt(2 * state.rls.spread)
+        of_torque = self.torque_std**2 * _USUAL / self.memory / self.radius**2
+        fitted = jnp.sqrt(2 * state.rls.spread + of_torque)
+        observed, fitted = jnp.hypot(jnp.stack([observed, fitted]), late)
         value = jnp.stack([mu, *stiffness, *forces, state.used, tlc[0]])
         std = jnp.stack(
             [mu * mu_std, *(stiffness * spread), observed, fitted,
