@@ -4,12 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from logs import CPA2, LOAD, brush, log
+from logs import CPA2, LOAD, OF_A_WHEEL, brush, log
 
 from tirefit.online.base import FLAGS, Flag, code
 from tirefit.online.cubic import friction_by_cubic
 from tirefit.online.ekf import Ekf
-from tirefit.online.methods import METHODS, estimator_of, methods_named
+from tirefit.online.methods import estimator_of, methods_named
 from tirefit.online.regression import regressors
 from tirefit.online.run import run
 from tirefit.params import with_values
@@ -233,7 +233,7 @@ def test_a_drop_of_friction_is_detected_and_followed(name):
         assert abs(value - 0.5) < 3 * std
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", OF_A_WHEEL)
 def test_little_use_of_friction_is_said(name):
     _, estimate = run(estimator_of(name, LOAD), log(n=1000, largest=0.008))
     assert FLAGS[estimate.flag[-1]] is Flag.LOW_USE

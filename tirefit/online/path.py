@@ -233,7 +233,7 @@ class Path(AbstractVehicleMethod):
         spread = rows @ state.covariance @ rows.T + jnp.diag(stds**2)
         gain = jnp.linalg.solve(spread, rows @ state.covariance).T
         kept = jnp.eye(6) - gain @ rows
-        covariance = kept @ state.covariance @ kept.T + (gain * stds**2) @ gain.T
+        covariance = kept @ state.covariance @ kept.T + gain @ jnp.diag(stds**2) @ gain.T
         return state._replace(
             z=state.z + gain @ (seen - rows @ state.z), covariance=covariance
         )

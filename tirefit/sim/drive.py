@@ -65,7 +65,8 @@ class Drive:
 
     Attributes:
         duration: [s]; rate: rows a second; v: speed [m/s] that the driver keeps.
-        bend: largest lateral acceleration of the road over mu g of the first road.
+        bend: largest lateral acceleration of the road over mu g of the first road; the
+            driver holds up to some 0.75, less with brakes, of the least friction.
         bend_period: [s] of the road's curvature.
         brake: largest deceleration asked for over mu g, in saw-teeth of half the time.
         brake_period: [s].
