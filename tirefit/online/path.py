@@ -80,7 +80,7 @@ class Path(AbstractVehicleMethod):
            if wheel in ("fl", "fr"))),
         ("mu", "C_f", "C_r", "F_xf", "F_xf_rls", "used", "tlc"),
         "40 to 100 % of the friction; C_f, C_r and tlc of a linear tire, below 50 %",
-        "S §3.8, S(21), S(22)",
+        "S §3.8",
     )  # fmt: skip
 
     radius: float = par(0.3, (0.01, 2.0), "m", "rolling radius", "", "R")
@@ -233,7 +233,9 @@ class Path(AbstractVehicleMethod):
         spread = rows @ state.covariance @ rows.T + jnp.diag(stds**2)
         gain = jnp.linalg.solve(spread, rows @ state.covariance).T
         kept = jnp.eye(6) - gain @ rows
-        covariance = kept @ state.covariance @ kept.T + gain @ jnp.diag(stds**2) @ gain.T
+        covariance = (
+            kept @ state.covariance @ kept.T + gain @ jnp.diag(stds**2) @ gain.T
+        )
         return state._replace(
             z=state.z + gain @ (seen - rows @ state.z), covariance=covariance
         )
