@@ -1,7 +1,5 @@
 """Logs of a vehicle: columns, units and signs; no slip, force or load is asked for."""
 
-import io
-
 import numpy as np
 import pytest
 
@@ -40,10 +38,12 @@ def test_a_log_of_a_vehicle_is_read_in_its_units_and_iso_axes():
         read_frame(frame())
 
 
-def test_rows_as_they_come_have_the_same_columns():
+def test_rows_as_they_come_have_the_same_columns(tmp_path):
     text = ",".join(LOG) + "\n0,90,10,0.1,80,0.5,0,1\n"
-    reader = RowReader(io.StringIO(text))
-    row = next(iter(reader))
+    (tmp_path / "rows.csv").write_text(text)
+    with open(tmp_path / "rows.csv") as rows:
+        reader = RowReader(rows)
+        row = next(iter(reader))
     assert row["yaw_rate"] == pytest.approx(np.pi / 2) and row["torque_rr"] == 500
     assert {"offset", "omega_fl", "heading"} <= set(reader.columns)
 
