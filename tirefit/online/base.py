@@ -108,6 +108,9 @@ PARAMETERS = {
     "C_r": Parameter("N/rad", "C_r", "cornering stiffness of the rear axle"),
     "F_xf": Parameter("N", "F_{xf}", "braking force of the front axle, observed"),
     "F_xf_rls": Parameter("N", "F_{xf}", "the same by least squares"),
+    "F_x": Parameter("N", "F_x", "braking force of all tires"),
+    "F_yf": Parameter("N", "F_{yf}", "lateral force of the front axle"),
+    "F_yr": Parameter("N", "F_{yr}", "lateral force of the rear axle"),
     "used": Parameter("-", r"F / (\mu F_z)", "friction used by the front axle"),
     "tlc": Parameter("s", "t_{lc}", "time to lane crossing, none if it is not left"),
 }

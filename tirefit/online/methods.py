@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from tirefit.online.base import AbstractEstimator
 from tirefit.online.cubic import Cubic
 from tirefit.online.ekf import Ekf
+from tirefit.online.force_filter import ForceFilter
 from tirefit.online.mit import Mit
 from tirefit.online.path import Path
 from tirefit.online.position import Position
@@ -16,7 +17,8 @@ from tirefit.results import InputProblem, UsageError
 __all__ = ["METHODS", "STIFFNESS_OF_LOAD", "estimator_of", "methods_named"]
 
 METHODS: dict[str, type[AbstractEstimator]] = {
-    kind.method.name: kind for kind in (Rls, Mit, Ekf, Cubic, Position, Path)
+    kind.method.name: kind
+    for kind in (Rls, Mit, Ekf, Cubic, Position, Path, ForceFilter)
 }
 """Method name -> its record."""
 
