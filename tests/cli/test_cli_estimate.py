@@ -128,3 +128,25 @@ def test_methods_lists_all(run):
         assert f"{name}: {method['meaning']}" in text.replace("\n   ", "")
         assert method["source"] and method["valid"] and "time" in method["inputs"]
         assert all(p["unit"] for p in method["parameters"].values())
+
+
+def test_a_drive_is_simulated_read_and_estimated(run, tmp_path):
+    options = ("--duration", "6", "--bend", "0.5", "--seed", "2")
+    said = run("simulate", "drive", "--out", "d.csv", "--truth", "t.csv", *options)
+    assert "300 rows" in said.stdout and "omega_rr" in said.stdout
+    lines = (tmp_path / "d.csv").read_text().splitlines()
+    lines[200] = lines[200].replace(lines[200].split(",")[2], "", 1)
+    (tmp_path / "d.csv").write_text("\n".join(lines) + "\n")
+    run("estimate", "d.csv", "--method", "position,path", "--out", "o")
+    rows = rows_of((tmp_path / "o" / "estimates.csv").read_text())
+    assert len(rows) == 300 and rows[199]["position_flag"] == "sample missing"
+    assert float(rows[-1]["path_C_f"]) > 0 and rows[-1]["path_tlc_std"] != "0.0"
+    summary = json.loads((tmp_path / "o" / "summary.json").read_text())
+    assert summary["units"]["tlc"] == "s"
+    truth = rows_of((tmp_path / "t.csv").read_text())
+    assert {row["mu"] for row in truth} == {"0.9"}
+    # What a method needs is asked for by its name, not by what a fit needs.
+    result = run("estimate", "d.csv", "--out", "p", exit_code=3)
+    assert "method 'rls' needs sigma_x" in result.stderr
+    result = run("simulate", "drive", "--bend", "2", "--out", "e.csv", exit_code=2)
+    assert "--bend 2 is out of range" in result.stderr

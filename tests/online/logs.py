@@ -1,6 +1,16 @@
-"""Logs of a brush tire that is braked in saw-teeth, in NumPy alone."""
+"""Logs of a brush tire that is braked in saw-teeth, made by NumPy alone."""
 
 import numpy as np
+
+from tirefit.online.methods import METHODS
+
+OF_A_WHEEL = [
+    name
+    for name, kind in METHODS.items()
+    if set(kind.method.inputs)
+    <= {"sigma_x", "fx", "fz", "fy", "mz", "v", "omega", "brake_pressure"}
+]
+"""Methods that these logs suit."""
 
 LOAD = 27e3
 CPA2 = 2.4e5

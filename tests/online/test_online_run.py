@@ -3,14 +3,14 @@
 import jax
 import numpy as np
 import pytest
-from logs import CPA2, LOAD, log
+from logs import CPA2, LOAD, OF_A_WHEEL, log
 
 from tirefit.online.base import FLAGS, Flag, code
 from tirefit.online.methods import METHODS, estimator_of
 from tirefit.online.run import Stream, guarded_step, run, start
 from tirefit.params import with_values
 
-every_method = pytest.mark.parametrize("name", METHODS)
+every_method = pytest.mark.parametrize("name", OF_A_WHEEL)
 TRUTH = {"mu": 0.9, "cpa2": CPA2}
 WITHOUT_MEMORY = ("cubic", "tire-sensor")
 

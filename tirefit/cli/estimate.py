@@ -105,7 +105,7 @@ def _whole(log: Path, names, values, how, out: Path, seed: int) -> None:
     from tirefit.report.estimates import estimates_figure
 
     # A log is never whole: a row that cannot be used is flagged, not refused.
-    table = read(log, **(how | {"mask_bad_rows": True}))
+    table = read(log, **(how | {"mask_bad_rows": True, "curve": False}))
     warn(table)
     for problem in table.source.masked:
         complain(f"warning: {problem}")

@@ -70,6 +70,54 @@ def braking(
 
 
 @app.command()
+def drive(
+    out: Out,
+    truth: Truth = None,
+    duration: Annotated[float, typer.Option(help="of the drive [s]")] = 30.0,
+    rate: Annotated[float, typer.Option(min=1.0, help="rows a second")] = 50.0,
+    speed: Annotated[float, typer.Option(help="that is kept [m/s]")] = 25.0,
+    bend: Annotated[
+        float, typer.Option(help="largest lateral acceleration of the road, over mu g")
+    ] = 0.6,
+    bend_period: Annotated[float, typer.Option(help="of the bends [s]")] = 5.0,
+    brake: Annotated[
+        float, typer.Option(help="largest deceleration asked for, over mu g")
+    ] = 0.0,
+    brake_period: Annotated[float, typer.Option(help="of a braking [s]")] = 4.0,
+    friction: Annotated[float, typer.Option(min=0.05, help="of the road")] = 0.9,
+    drop: Annotated[
+        str | None,
+        typer.Option(metavar="TIME=FRICTION", help="another friction from a time on"),
+    ] = None,
+    gps_std: Annotated[
+        float, typer.Option(min=0.0, help="noise of positions [m]")
+    ] = 0.02,
+    gyro_std: Annotated[
+        float, typer.Option(min=0.0, help="noise of yaw and roll rate [rad/s]")
+    ] = 0.002,
+    seed: Seed = 0,
+) -> None:
+    """A car on a winding road, braked now and then: a log of its sensors."""
+    with errors_to_exit():
+        change = _drop(drop)
+        limits = [
+            ("--duration", duration, 0.1, 1e4), ("--speed", speed, 1.0, 100.0),
+            ("--bend", bend, -1e-9, 1.0), ("--bend-period", bend_period, 0.5, 1e3),
+            ("--brake", brake, -1e-9, 2.0), ("--brake-period", brake_period, 0.5, 1e3),
+        ]  # fmt: skip
+        _check(out, truth, limits)
+        start_jax()
+        from tirefit.sim.drive import Drive, simulate_drive
+
+        how = Drive(
+            duration=duration, rate=rate, v=speed, bend=bend, bend_period=bend_period,
+            brake=brake, brake_period=brake_period, friction=friction, drop=change,
+            gps_std=gps_std, gyro_std=gyro_std, seed=seed,
+        )  # fmt: skip
+        _write(simulate_drive(how), out, truth, seed)
+
+
+@app.command()
 def rig(
     out: Out,
     truth: Truth = None,

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from tirefit.data.table import CANONICAL, SIMULATED
+from tirefit.data.table import CANONICAL, SIMULATED, WHEELS
 from tirefit.data.units import (
     MEANING_OF_SLIP,
     Unit,
@@ -54,6 +54,10 @@ _NAMES = {
     "x": "x xposition positionx",
     "y": "y yposition positiony",
     "steering": "steering steer roadwheelangle",
+    "roll_rate": "rollrate",
+    "offset": "offset crosstrack lateraloffset",
+    "road_heading": "roadheading",
+    **{f"{kind}_{w}": f"{kind}{w}" for kind in ("omega", "torque") for w in WHEELS},
     "run": "run runid runno runnumber",
 }
 _ALIASES = {alias: name for name, names in _NAMES.items() for alias in names.split()}
@@ -88,6 +92,7 @@ class Options(NamedTuple):
     rolling_radius: float | None
     mask_bad_rows: bool
     forces: bool
+    curve: bool = True
 
     def check(self) -> None:
         """Raises UsageError with every option whose value is not a known one."""

@@ -40,6 +40,7 @@ def read(
     rolling_radius: float | None = None,
     mask_bad_rows: bool = False,
     forces: bool = True,
+    curve: bool = True,
 ) -> TireData:
     """Reads a text file (CSV and its kin, also .gz) into canonical, checked data.
 
@@ -61,6 +62,8 @@ def read(
         forces: False where forces are to be predicted: then no force column is
             needed and one operating point is enough, and a unit declared for a force
             that the file does not have is kept for writing it.
+        curve: False for a log of a vehicle, which need not hold slip, force and load
+            nor vary in them: who uses it asks for its columns (:func:`require`).
 
     Raises:
         UsageError: an option has an unknown name or value.
@@ -68,7 +71,7 @@ def read(
     """
     options = Options(
         columns or {}, units or {}, convention, slip, constants or {},
-        rolling_radius, mask_bad_rows, forces,
+        rolling_radius, mask_bad_rows, forces, curve,
     )  # fmt: skip
     options.check()
     return _checked(read_table(Path(path), options.columns.values()), options)
@@ -339,7 +342,8 @@ def _use_rolling_radius(reading: _Reading, definition: str) -> None:
 def _drop_idle_forces(reading: _Reading) -> None:
     """A force that is zero throughout was not measured: nothing can be fitted to it."""
     good = ~reading.bad()
-    if not reading.options.forces or not good.any():
+    options = reading.options
+    if not options.forces or not options.curve or not good.any():
         return
     for name in ("fx", "fy", "mz"):
         if name in reading.columns and not np.any(reading.columns[name][good]):
@@ -359,15 +363,17 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
     named = {_canonical(name) for name, c in plan if c.header not in reading.idle}
     there = named | set(reading.columns)
     whole = reading.problems + of_columns
-    forces = reading.options.forces
-    whole += check.check_columns(
-        there, reading.table.headers, reading.idle, reading.file, forces
-    )
+    forces, curve = reading.options.forces, reading.options.curve
+    if curve:
+        whole += check.check_columns(
+            there, reading.table.headers, reading.idle, reading.file, forces
+        )
     good = ~reading.bad()
     if not whole:
         used = {name: values[good] for name, values in reading.columns.items()}
         if good.any():
-            whole += check.check_variation(used, reading.file) if forces else []
+            varied = forces and curve
+            whole += check.check_variation(used, reading.file) if varied else []
             whole += signs.check_signs(
                 used, reading.headers, reading.convention, reading.file
             )

@@ -10,7 +10,23 @@ import numpy as np
 from tirefit.display import Displayed
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["CANONICAL", "SIMULATED", "SlipCheck", "Source", "TireData", "join"]
+__all__ = [
+    "CANONICAL",
+    "SIMULATED",
+    "WHEELS",
+    "SlipCheck",
+    "Source",
+    "TireData",
+    "join",
+]
+
+WHEELS = {
+    "fl": "front left",
+    "fr": "front right",
+    "rl": "rear left",
+    "rr": "rear right",
+}
+"""Endings of the columns that each wheel of a vehicle has."""
 
 CANONICAL = {
     "time": ("s", "time"),
@@ -35,6 +51,14 @@ CANONICAL = {
     "x": ("m", "position of the centre of gravity on the floor"),
     "y": ("m", "position of the centre of gravity, to the left of x"),
     "steering": ("rad", "road wheel angle, to the left"),
+    "roll_rate": ("rad/s", "roll rate, to the right"),
+    "offset": ("m", "distance from the centre line of the lane, to the left"),
+    "road_heading": ("rad", "heading of the road there, counter-clockwise"),
+    **{f"omega_{w}": ("rad/s", f"wheel speed, {text}") for w, text in WHEELS.items()},
+    **{
+        f"torque_{w}": ("N m", f"brake less drive torque, {text}")
+        for w, text in WHEELS.items()
+    },
 }
 """Canonical column -> (unit, meaning); each may have a ``<column>_std`` beside it, each
 force and moment of the tire what a simulator says of it, as ``<column>_sim``.

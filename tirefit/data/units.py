@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.data.table import WHEELS
 from tirefit.results import DataError, InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS, kappa_from_sigma
 
@@ -72,6 +73,9 @@ _DIMENSION = {
     "alpha_rate": "angular speed", "a_x": "acceleration", "a_y": "acceleration",
     "yaw_rate": "angular speed", "yaw_acceleration": "angular acceleration",
     "heading": "angle", "x": "length", "y": "length", "steering": "angle",
+    "roll_rate": "angular speed", "offset": "length", "road_heading": "angle",
+    **{f"omega_{wheel}": "angular speed" for wheel in WHEELS},
+    **{f"torque_{wheel}": "moment" for wheel in WHEELS},
     **dict.fromkeys(SLIP_DEFINITIONS, "ratio"),
 }  # fmt: skip
 

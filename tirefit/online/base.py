@@ -52,6 +52,8 @@ class Flag(enum.Enum):
     OK = ""
     LOW_USE = "friction used too little for mu"
     OUT_OF_RANGE = "outside the valid range of the method"
+    SETTLING = "filter settles"
+    NEAR_LIMIT = "force near its limit"
     LITTLE_EXCITATION = "little excitation"
     GAP = "samples missing before this one"
     CHANGED = "change detected"
@@ -109,6 +111,14 @@ PARAMETERS = {
     "road": Parameter("-", "road", "1 asphalt, 2 gravel, 3 snow, 4 ice"),
     "alpha": Parameter("rad", r"\alpha", "slip angle"),
     "used": Parameter("-", r"\mu_u", "friction used, over friction"),
+    "C_f": Parameter("N/rad", "C_f", "cornering stiffness of the front axle"),
+    "C_r": Parameter("N/rad", "C_r", "cornering stiffness of the rear axle"),
+    "F_xf": Parameter("N", "F_{xf}", "braking force of the front axle, observed"),
+    "F_xf_rls": Parameter("N", "F_{xf}", "the same by least squares"),
+    "F_x": Parameter("N", "F_x", "braking force of all tires"),
+    "F_yf": Parameter("N", "F_{yf}", "lateral force of the front axle"),
+    "F_yr": Parameter("N", "F_{yr}", "lateral force of the rear axle"),
+    "tlc": Parameter("s", "t_{lc}", "time to lane crossing, none if it is not left"),
 }
 """Every parameter that a method estimates, under one name and in one unit."""
 

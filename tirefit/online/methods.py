@@ -6,7 +6,10 @@ from collections.abc import Mapping, Sequence
 from tirefit.online.base import AbstractEstimator
 from tirefit.online.cubic import Cubic
 from tirefit.online.ekf import Ekf
+from tirefit.online.force_filter import ForceFilter
 from tirefit.online.mit import Mit
+from tirefit.online.path import Path
+from tirefit.online.position import Position
 from tirefit.online.rls import Rls
 from tirefit.online.slip_slope import SlipSlope, SlipSlopeBraking
 from tirefit.online.tire_sensor import TireSensor
@@ -17,7 +20,18 @@ __all__ = ["METHODS", "STIFFNESS_OF_LOAD", "estimator_of", "methods_named"]
 
 METHODS: dict[str, type[AbstractEstimator]] = {
     kind.method.name: kind
-    for kind in (Rls, Mit, Ekf, Cubic, SlipSlope, SlipSlopeBraking, TireSensor)
+    for kind in (
+        Rls,
+        Mit,
+        Ekf,
+        Cubic,
+        SlipSlope,
+        SlipSlopeBraking,
+        TireSensor,
+        Position,
+        Path,
+        ForceFilter,
+    )  # fmt: skip
 }
 """Method name -> its record."""
 

@@ -1,0 +1,245 @@
+r"""Tire forces of a four-wheel vehicle, then friction by hypotheses, S §3.2 (Ray).
+
+An extended Kalman-Bucy filter, discretised, on the states of the vehicle and the forces
+
+.. math:: x = [v_x, v_y, r, p, \omega_{fl..rr}, F_{x,fl..rr}, F_{y,f}, F_{y,r}],
+
+the forces as random walks, with :math:`y = [r, \omega_{fl..rr}, a_x, a_y, p]` and the
+speed, without which :math:`v_x` would only be integrated. Then every :math:`\mu_j` of
+a grid is a hypothesis: the brush gives the forces of the estimated slips, and what they
+miss of the estimated ones weighs it by the filter's covariance; their mean is mu. The
+errors of one time constant of the forces are one error, not many.
+"""
+
+from typing import ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tirefit.data.table import WHEELS
+from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of
+from tirefit.online.regression import RESOLVED
+from tirefit.online.vehicle import (
+    AbstractVehicleMethod,
+    axle_angles,
+    brush_share,
+    clipped,
+)
+from tirefit.params import par
+
+__all__ = ["HYPOTHESES", "ForceFilter", "ForceState"]
+
+HYPOTHESES = tuple(0.05 * k for k in range(2, 27))
+"""Friction 0.1 to 1.3 [-]; each is as likely at first."""
+_LONGEST = 0.5
+"""Time [s] without samples after which the motion starts anew."""
+_STATES, _FORCES = 8, 6
+_TORQUES = tuple(f"torque_{wheel}" for wheel in WHEELS)
+_OMEGAS = tuple(f"omega_{wheel}" for wheel in WHEELS)
+_SEEN = ("yaw_rate", *_OMEGAS, "a_x", "a_y", "roll_rate", "v")
+
+
+class ForceState(NamedTuple):
+    """States and forces, their covariance; ln of the hypotheses' weights; the last
+    torques and steering angle, and the time [s] since then."""
+
+    x: Float[Array, "14"]
+    covariance: Float[Array, "14 14"]
+    log_weight: Float[Array, " j"]
+    inputs: Float[Array, "5"]
+    waited: Float[Array, ""]
+
+
+class ForceFilter(AbstractVehicleMethod):
+    """All tire forces, and friction by Bayesian selection."""
+
+    method: ClassVar[Method] = Method(
+        "force-filter", "Kalman-Bucy filter of tire forces, friction hypotheses",
+        (*_SEEN, "steering", *_TORQUES),
+        ("mu", "F_x", "F_yf", "F_yr"),
+        "40 to 100 % of the friction; below, mu is flagged", "S §3.2",
+    )  # fmt: skip
+
+    track: float = par(1.5, (0.05, 5.0), "m", "track", "", "t")
+    height: float = par(0.5, (0.0, 5.0), "m", "height of the CG", "", "h")
+    radius: float = par(0.3, (0.01, 2.0), "m", "rolling radius", "", "R")
+    wheel_inertia: float = par(1.2, (1e-6, 1e3), "kg m2", "of one wheel", "", "J")
+    force_drift: float = par(
+        0.5, (1e-4, 100.0), "1/sqrt(s)", "random walk of the forces, over the load",
+        "S §3.2", "q_F",
+    )  # fmt: skip
+    speed_drift: float = par(
+        0.02, (0.0, 10.0), "m/s/sqrt(s)", "unknown acceleration", "S §3.2", "q_v"
+    )
+    gyro_std: float = par(0.002, (1e-6, 1.0), "rad/s", "of yaw rate", "", r"\sigma_r")
+    omega_std: float = par(0.05, (1e-5, 10.0), "rad/s", "of omega", "", r"\sigma_w")
+    acceleration_std: float = par(
+        0.05, (1e-4, 10.0), "m/s2", "of a_x and a_y", "", r"\sigma_a"
+    )
+    v_std: float = par(0.03, (1e-4, 10.0), "m/s", "of v", "", r"\sigma_v")
+    tire_error: float = par(
+        0.03, (1e-4, 1.0), "-", "error of the tire model, over the load", "S §3.2",
+        r"\epsilon",
+    )  # fmt: skip
+    correlation: float = par(
+        0.5, (1e-3, 100.0), "s", "time in which errors are one", "S §3.2", r"\tau"
+    )
+    memory: float = par(
+        10.0, (0.1, 1e4), "s", "in which hypotheses become equal again", "", "t_m"
+    )
+
+    def init(self) -> ForceState:
+        flat = jnp.full(len(HYPOTHESES), -jnp.log(float(len(HYPOTHESES))))
+        n = _STATES + _FORCES
+        return ForceState(
+            jnp.zeros(n).at[0].set(1.0), self._first(), flat, jnp.zeros(5),
+            jnp.full((), 2 * _LONGEST),
+        )  # fmt: skip
+
+    def hold(self, state: ForceState, dt, steps):
+        del steps
+        keep = jnp.exp(-dt / self.memory)
+        mixed = keep * jnp.exp(state.log_weight) + (1 - keep) / len(HYPOTHESES)
+        held = state._replace(waited=state.waited + dt, log_weight=jnp.log(mixed))
+        return held, self._estimate(held, jnp.nan)
+
+    def open(self, state: ForceState) -> ForceState:
+        return state._replace(log_weight=self.init().log_weight)
+
+    def step(self, state: ForceState, sample: Sample):
+        dt, anew = jnp.minimum(state.waited, _LONGEST), state.waited > _LONGEST
+        inputs = jnp.stack([*(sample[name] for name in _TORQUES), sample["steering"]])
+        seen = jnp.stack([sample[name] for name in _SEEN])
+        began = self.init()._replace(
+            x=self._from(sample), log_weight=state.log_weight, inputs=inputs
+        )
+        moved = self._predicted(state._replace(inputs=(state.inputs + inputs) / 2), dt)
+        moved, _ = self.corrected(moved._replace(inputs=inputs), seen)
+        state = choose(anew, began, moved)._replace(waited=jnp.zeros(()))
+        log_weight, surprise = self._weighed(state, dt)
+        surprise = jnp.where(anew, jnp.nan, surprise)
+        after = state._replace(log_weight=jnp.where(anew, state.log_weight, log_weight))
+        return after, self._estimate(after, surprise)
+
+    def _first(self):
+        load = self.mass * 9.81
+        stds = [0.1, 0.02, 0.05, 0.1, *[0.5] * 4]
+        forces = [0.1 * load] * 4 + [0.3 * load] * 2
+        return jnp.diag(jnp.stack([jnp.asarray(s, float) for s in stds + forces]) ** 2)
+
+    def _from(self, sample: Sample):
+        zero = jnp.zeros(())
+        motion = [sample["v"], zero, sample["yaw_rate"], sample["roll_rate"]]
+        wheels = [sample[name] for name in _OMEGAS]
+        side = self.mass * sample["a_y"] / self.base
+        forces = [sample[name] / self.radius for name in _TORQUES]
+        return jnp.stack([*motion, *wheels, *forces, side * self.l_r, side * self.l_f])
+
+    def pushed(self, x, steering):
+        """Accelerations a_x, a_y [m/s2] and yaw acceleration [rad/s2] of the forces."""
+        along, front, rear = x[8:12], x[12], x[13]
+        cos, sin = jnp.cos(steering), jnp.sin(steering)
+        braked = along[0] + along[1]
+        left = front * cos - braked * sin
+        ahead = -braked * cos - front * sin - along[2] - along[3]
+        twist = (along[1] - along[0]) * cos + along[3] - along[2]
+        turned = self.l_f * left - self.l_r * rear + self.track / 2 * twist
+        return ahead / self.mass, (left + rear) / self.mass, turned / self.yaw_inertia
+
+    def rates(self, x, inputs):
+        """Time derivative (14,) of the states; forces and roll rate walk at random."""
+        a_x, a_y, turned = self.pushed(x, inputs[4])
+        spun = (self.radius * x[8:12] - inputs[:4]) / self.wheel_inertia
+        motion = [a_x + x[1] * x[2], a_y - x[0] * x[2], turned, jnp.zeros(())]
+        return jnp.concatenate([jnp.stack(motion), spun, jnp.zeros(_FORCES)])
+
+    def seen(self, x, inputs):
+        """The measurements (9,) of a state: y of S, and the speed."""
+        a_x, a_y, _ = self.pushed(x, inputs[4])
+        return jnp.stack([x[2], *x[4:8], a_x, a_y, x[3], x[0]])
+
+    def _noise(self):
+        """Variances (9,) of the measurements."""
+        stds = [self.gyro_std, *[self.omega_std] * 4, *[self.acceleration_std] * 2]
+        stds += [self.gyro_std, self.v_std]
+        return jnp.stack([jnp.asarray(s, float) for s in stds]) ** 2
+
+    def _predicted(self, state: ForceState, dt) -> ForceState:
+        def ahead(x):
+            half = x + dt / 2 * self.rates(x, state.inputs)
+            return x + dt * self.rates(half, state.inputs)
+
+        slope = jax.jacfwd(ahead)(state.x)
+        load = self.force_drift * self.mass * 9.81
+        q = [self.speed_drift] * 2 + [0.01, 1.0] + [0.1] * 4
+        q += [load / 4] * 4 + [0.15 * load] * 2
+        grown = jnp.diag(jnp.stack([jnp.asarray(s, float) for s in q]) ** 2)
+        covariance = slope @ state.covariance @ slope.T + dt * grown
+        return state._replace(x=ahead(state.x), covariance=covariance)
+
+    def corrected(self, state: ForceState, seen):
+        """The state by measurements (9,), and what they miss of the predicted ones."""
+        slope = jax.jacfwd(self.seen)(state.x, state.inputs)
+        error = seen - self.seen(state.x, state.inputs)
+        noise = jnp.diag(self._noise())
+        spread = slope @ state.covariance @ slope.T + noise
+        gain = jnp.linalg.solve(spread, slope @ state.covariance).T
+        kept = jnp.eye(_STATES + _FORCES) - gain @ slope
+        covariance = kept @ state.covariance @ kept.T + gain @ noise @ gain.T
+        return state._replace(x=state.x + gain @ error, covariance=covariance), error
+
+    def modelled(self, x, inputs, mu):
+        """Forces (6,) [N] of the brush at the slips of a state, for one friction."""
+        v_x = jnp.maximum(x[0], 0.5)
+        front, rear = axle_angles(v_x, x[1], x[2], inputs[4], self.l_f, self.l_r)
+        side = self.track / 2 * x[2] * jnp.array([-1.0, 1.0, -1.0, 1.0])
+        sigma = clipped(x[4:8], v_x + side, self.radius)
+        a_x, a_y, _ = self.pushed(x, inputs[4])
+        forward = -self.mass * self.height * a_x / self.base
+        aside = self.mass * self.height * a_y / self.track / 4
+        loads = self.loads
+        axles = jnp.stack([loads[0] + forward, loads[1] - forward]) / 2
+        across = 2 * aside * jnp.array([-0.5, 0.5, -0.5, 0.5])
+        load = jnp.maximum(jnp.repeat(axles, 2) + across, 1.0)
+        stiffness = jnp.stack(
+            [jnp.asarray(self.stiffness_f), jnp.asarray(self.stiffness_r)]
+        )
+        angles = jnp.repeat(jnp.stack([front, rear]), 2)
+        share = brush_share(sigma, angles, jnp.repeat(stiffness, 2), mu)
+        y = load * share.y
+        return jnp.concatenate([load * share.x, jnp.stack([y[0] + y[1], y[2] + y[3]])])
+
+    def _weighed(self, state: ForceState, dt):
+        """ln of the weights after one sample, and the surprise of the expected mu."""
+        load = self.mass * 9.81
+        model = self.tire_error * load * jnp.array([0.25] * 4 + [0.5] * 2)
+
+        def log_likelihood(mu):
+            def missed(x):
+                return x[_STATES:] - self.modelled(x, state.inputs, mu)
+
+            error, slope = missed(state.x), jax.jacfwd(missed)(state.x)
+            spread = slope @ state.covariance @ slope.T + jnp.diag(model**2)
+            root = jnp.linalg.cholesky(spread)
+            z = jax.scipy.linalg.solve_triangular(root, error, lower=True)
+            return -0.5 * z @ z - jnp.sum(jnp.log(jnp.diag(root)))
+
+        grid = jnp.array(HYPOTHESES)
+        share = jnp.minimum(dt / self.correlation, 1.0)
+        fresh = share * jax.vmap(log_likelihood)(grid)
+        total = state.log_weight + fresh
+        return total - jax.scipy.special.logsumexp(total), jnp.nan
+
+    def _estimate(self, state: ForceState, surprise) -> Estimate:
+        grid, weight = jnp.array(HYPOTHESES), jnp.exp(state.log_weight)
+        mu = weight @ grid
+        # Between hypotheses there is nothing: a step of the grid is uniform.
+        step = HYPOTHESES[1] - HYPOTHESES[0]
+        mu_std = jnp.sqrt(weight @ (grid - mu) ** 2 + step * step / 12)
+        rows = jnp.zeros((3, _STATES + _FORCES)).at[0, 8:12].set(1.0)
+        rows = rows.at[1, 12].set(1.0).at[2, 13].set(1.0)
+        stds = jnp.sqrt(jnp.diag(rows @ state.covariance @ rows.T))
+        value = jnp.concatenate([mu[None], rows @ state.x])
+        flag = flag_of((~(mu_std < RESOLVED * mu), Flag.LOW_USE))
+        return Estimate(value, jnp.concatenate([mu_std[None], stds]), flag, surprise)

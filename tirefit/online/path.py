@@ -1,0 +1,312 @@
+r"""Path prediction with the friction in use, S section 3.8 (Liu and Peng).
+
+Four parts, each after the source:
+
+* the braking force of the front wheels from their speed and torque, by least squares
+  and by an adaptive observer (:mod:`tirefit.online.wheel_force`);
+* friction from S(21): the brush on the resultant slip, whose force along and across is
+  compared with that force and with :math:`m a_y l_r / (l_f + l_r)`;
+* the bicycle S(22), whose :math:`C_f, C_r` are corrected by what the driven path has
+  over the predicted one: an extended Kalman filter on its states and on
+  :math:`\ln C_f, \ln C_r`;
+* the time to lane crossing with steering and bend held, its standard deviation from the
+  covariance of that filter; 95 % lie within 1.96 of it.
+
+Where the front axle uses more of the friction than ``warn`` the row is flagged.
+"""
+
+from typing import ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tirefit.data.table import WHEELS
+from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of
+from tirefit.online.bicycle import bicycle, lane_crossing
+from tirefit.online.regression import RESOLVED
+from tirefit.online.vehicle import (
+    AbstractVehicleMethod,
+    axle_angles,
+    brush_share,
+    clipped,
+    wrapped,
+)
+from tirefit.online.wheel_force import (
+    Observer,
+    WheelRls,
+    observer_std,
+    observer_step,
+    wheel_rls_step,
+)
+from tirefit.params import par
+
+__all__ = ["Path", "PathState"]
+
+_LONGEST = 0.5
+"""Time [s] without samples after which the motion starts anew."""
+_USUAL = 0.02
+"""Time [s] between samples for which the noise of the forces is stated."""
+_FARTHEST = 0.1
+"""Largest step of the logarithm of mu a sample."""
+_FIRST = (0.5, 0.5, 0.05, 0.1)
+"""Std of the first y [m], dy/dt [m/s], heading [rad] and yaw rate [rad/s]."""
+
+
+class PathState(NamedTuple):
+    """Bicycle's states and ln of C_f, C_r over those expected, their covariance; front
+    force; ln mu and its variance; friction used; rates of the forces [N/s] by the two
+    estimators; the last inputs, and the time [s] since then."""
+
+    z: Float[Array, "6"]
+    covariance: Float[Array, "6 6"]
+    observer: Observer
+    rls: WheelRls
+    log_mu: Float[Array, ""]
+    mu_variance: Float[Array, ""]
+    used: Float[Array, ""]
+    rates: Float[Array, "2"]
+    inputs: dict[str, Float[Array, ""]]
+    waited: Float[Array, ""]
+
+
+class Path(AbstractVehicleMethod):
+    """Friction, cornering stiffness and the time to lane crossing."""
+
+    method: ClassVar[Method] = Method(
+        "path", "bicycle along the lane, friction at combined slip, lane crossing",
+        ("offset", "heading", "road_heading", "yaw_rate", "a_x", "a_y", "steering", "v",
+         *(f"{kind}_{wheel}" for kind in ("omega", "torque") for wheel in WHEELS
+           if wheel in ("fl", "fr"))),
+        ("mu", "C_f", "C_r", "F_xf", "F_xf_rls", "used", "tlc"),
+        "40 to 100 % of the friction; C_f, C_r and tlc of a linear tire, below 50 %",
+        "S §3.8",
+    )  # fmt: skip
+
+    radius: float = par(0.3, (0.01, 2.0), "m", "rolling radius", "", "R")
+    wheel_inertia: float = par(1.2, (1e-6, 1e3), "kg m2", "of one wheel", "", "J")
+    height: float = par(0.5, (0.0, 5.0), "m", "height of the CG", "", "h")
+    mu: float = par(0.9, (0.01, 5.0), "-", "expected friction", "S(21)", r"\mu_0")
+    prior_mu: float = par(0.5, (1e-3, 3.0), "-", "relative std of it", "", r"\sigma")
+    drift_mu: float = par(
+        0.05, (0.0, 1.0), "1/sqrt(s)", "relative random walk of mu", "", r"q_\mu"
+    )
+    drift_stiffness: float = par(
+        0.03, (0.0, 1.0), "1/sqrt(s)", "relative random walk of C_f, C_r", "", "q_C"
+    )
+    prior_stiffness: float = par(
+        0.3, (1e-3, 3.0), "-", "relative std of the expected C_f, C_r", "", r"\sigma_C"
+    )
+    disturbance: float = par(
+        0.2, (1e-6, 100.0), "m/s2/sqrt(Hz)", "unknown lateral acceleration", "", "q_y"
+    )
+    force_noise: float = par(
+        0.15, (1e-4, 1.0), "-", "std of a sample's force over the load, tire included",
+        "", r"\sigma_F",
+    )  # fmt: skip
+    gps_std: float = par(0.02, (1e-5, 10.0), "m", "noise of offset", "", r"\sigma_y")
+    heading_std: float = par(
+        0.002, (1e-6, 1.0), "rad", "noise of heading", "", r"\sigma_\psi"
+    )
+    gyro_std: float = par(0.002, (1e-6, 1.0), "rad/s", "of yaw rate", "", r"\sigma_r")
+    omega_std: float = par(0.05, (1e-5, 10.0), "rad/s", "of omega", "", r"\sigma_w")
+    torque_std: float = par(10.0, (0.0, 1e5), "N m", "of torques", "", r"\sigma_T")
+    pole: float = par(40.0, (0.1, 1e3), "1/s", "of the observer", "S §3.8", "p")
+    memory: float = par(0.1, (1e-3, 10.0), "s", "of the RLS", "S §3.8", r"\tau")
+    lane: float = par(
+        0.9, (0.05, 20.0), "m", "offset at which the lane is left", "S §3.8", "y_l"
+    )
+    horizon: float = par(4.0, (0.2, 20.0), "s", "looked ahead", "S §3.8", "t_h")
+    warn: float = par(0.85, (0.1, 1.0), "-", "used friction warned of", "S §3.8", "w")
+
+    def init(self) -> PathState:
+        zero, none = jnp.zeros(()), jnp.full((), jnp.nan)
+        inputs = dict.fromkeys(("steering", "v", "road_heading"), zero)
+        return PathState(
+            jnp.zeros(6), self._first(), Observer(zero, zero),
+            WheelRls(zero, zero, self._widest()), jnp.log(jnp.asarray(self.mu, float)),
+            jnp.asarray(self.prior_mu**2, float), none, jnp.zeros(2), inputs,
+            jnp.full((), 2 * _LONGEST),
+        )  # fmt: skip
+
+    def hold(self, state: PathState, dt, steps):
+        del steps
+        variance = jnp.minimum(
+            state.mu_variance + self.drift_mu**2 * dt, self.prior_mu**2
+        )
+        held = state._replace(waited=state.waited + dt, mu_variance=variance)
+        # Of where the lane is left nothing is said between the samples.
+        return held, self._estimate(held, jnp.full(2, jnp.nan), jnp.nan)
+
+    def open(self, state: PathState) -> PathState:
+        return state._replace(
+            mu_variance=jnp.full_like(state.mu_variance, self.prior_mu**2)
+        )
+
+    def step(self, state: PathState, sample: Sample):
+        dt = jnp.minimum(state.waited, _LONGEST)
+        anew = state.waited > _LONGEST
+        omega = (sample["omega_fl"] + sample["omega_fr"]) / 2
+        torque = (sample["torque_fl"] + sample["torque_fr"]) / 2
+        turned = wrapped(sample["road_heading"] - state.inputs["road_heading"])
+        bend = jnp.where(anew, 0.0, turned / jnp.maximum(dt, 1e-3))
+        began = self._begun(state, sample, omega, torque)
+        wheel = (omega, torque, dt, self.radius, self.wheel_inertia)
+        moved = state._replace(
+            observer=observer_step(state.observer, *wheel, self.pole),
+            rls=wheel_rls_step(state.rls, *wheel, self.memory, self.omega_std),
+        )
+        moved = self._corrected(self._predicted(moved, dt, bend), sample)
+        rise = moved.observer.force - state.observer.force
+        steps = jnp.stack([rise, moved.rls.force - state.rls.force])
+        moved = moved._replace(rates=steps / jnp.maximum(dt, 1e-3))
+        state = choose(anew, began, moved)
+        state, surprise = self._with_friction(state, sample, omega)
+        tlc = self._crossing(state, sample, bend)
+        kept = {name: sample[name] for name in state.inputs}
+        state = state._replace(inputs=kept, waited=jnp.zeros(()))
+        return state, self._estimate(state, tlc, jnp.where(anew, jnp.nan, surprise))
+
+    def _first(self):
+        std = jnp.array([*_FIRST, 0.0, 0.0]).at[4:].set(self.prior_stiffness)
+        return jnp.diag(std**2)
+
+    def _widest(self):
+        return jnp.asarray(self.mass * 9.81, float) ** 2
+
+    def _begun(self, state: PathState, sample: Sample, omega, torque) -> PathState:
+        """The motion from one sample alone; what is known of the tires stays."""
+        aside = wrapped(sample["heading"] - sample["road_heading"])
+        motion = [sample["offset"], sample["v"] * aside, aside, sample["yaw_rate"]]
+        first = self._first()
+        covariance = first.at[4:, 4:].set(state.covariance[4:, 4:])
+        force = torque / self.radius
+        return state._replace(
+            z=jnp.concatenate([jnp.stack(motion), state.z[4:]]),
+            covariance=covariance,
+            observer=Observer(omega, force),
+            rls=WheelRls(omega, force, self._widest()),
+        )
+
+    def stiffness(self, z):
+        """C_f and C_r [N/rad] of the axles, of a state's z (6,)."""
+        loads = self.loads
+        expected = jnp.stack([self.stiffness_f * loads[0], self.stiffness_r * loads[1]])
+        return expected * jnp.exp(z[4:])
+
+    def _lane_rates(self, z, steering, v, bend):
+        """A (4, 4) and what the inputs add (4,) of the bicycle with z's stiffness."""
+        c_f, c_r = self.stiffness(z)
+        a, steered, bent = bicycle(
+            c_f, c_r, self.mass, self.yaw_inertia, self.l_f, self.l_r, v
+        )
+        return a, steered * steering + bent * bend
+
+    def _predicted(self, state: PathState, dt, bend) -> PathState:
+        steering, v = state.inputs["steering"], jnp.maximum(state.inputs["v"], 0.5)
+
+        def ahead(z):
+            a, drive = self._lane_rates(z, steering, v, bend)
+            half = z[:4] + dt / 2 * (a @ z[:4] + drive)
+            return z.at[:4].add(dt * (a @ half + drive))
+
+        slope = jax.jacfwd(ahead)(state.z)
+        q, c = self.disturbance**2, self.drift_stiffness**2
+        turning = q * (self.mass * self.l_f / self.yaw_inertia) ** 2
+        noise = dt * jnp.diag(
+            jnp.stack([jnp.asarray(x, float) for x in (0.0, q, 0.0, turning, c, c)])
+        )
+        covariance = slope @ state.covariance @ slope.T + noise
+        return state._replace(z=ahead(state.z), covariance=covariance)
+
+    def _corrected(self, state: PathState, sample: Sample) -> PathState:
+        """The driven path against the predicted one."""
+        aside = wrapped(sample["heading"] - sample["road_heading"])
+        seen = jnp.stack([sample["offset"], aside, sample["yaw_rate"]])
+        rows = jnp.eye(6)[jnp.array([0, 2, 3])]
+        stds = jnp.stack(
+            [
+                jnp.asarray(s, float)
+                for s in (self.gps_std, self.heading_std, self.gyro_std)
+            ]
+        )
+        spread = rows @ state.covariance @ rows.T + jnp.diag(stds**2)
+        gain = jnp.linalg.solve(spread, rows @ state.covariance).T
+        kept = jnp.eye(6) - gain @ rows
+        covariance = (
+            kept @ state.covariance @ kept.T + gain @ jnp.diag(stds**2) @ gain.T
+        )
+        return state._replace(
+            z=state.z + gain @ (seen - rows @ state.z), covariance=covariance
+        )
+
+    def _with_friction(self, state: PathState, sample: Sample, omega):
+        """ln mu after one sample of the front axle's forces, S(21)."""
+        v, force = sample["v"], 2 * state.observer.force
+        load = self.loads[0] - self.height / self.base * self.mass * sample["a_x"]
+        across = self.mass * sample["a_y"] * self.l_r / self.base
+        sigma = clipped(omega, v, self.radius)
+        v_y = state.z[1] - v * state.z[2]
+        angle, _ = axle_angles(
+            v, v_y, state.z[3], sample["steering"], self.l_f, self.l_r
+        )
+
+        def shares(log_mu):
+            return jnp.stack(
+                brush_share(sigma, angle, self.stiffness_f, jnp.exp(log_mu))
+            )
+
+        error = jnp.stack([force, across]) / load - shares(state.log_mu)
+        slope = jax.jacfwd(shares)(state.log_mu)
+        noise = self.force_noise**2
+        held = state.mu_variance
+        size = slope @ slope
+        change = held * (slope @ error) / (held * size + noise)
+        change = jnp.clip(change, -_FARTHEST, _FARTHEST)
+        log_mu = state.log_mu + change
+        used = jnp.hypot(force, across) / (jnp.exp(log_mu) * load)
+        after = state._replace(
+            log_mu=log_mu, mu_variance=held * noise / (held * size + noise), used=used
+        )
+        along = slope @ error / jnp.sqrt(size * (noise + held * size) + 1e-20)
+        return after, along
+
+    def _crossing(self, state: PathState, sample: Sample, bend):
+        """Time to lane crossing [s] and its standard deviation."""
+
+        def time(z):
+            a, drive = self._lane_rates(z, sample["steering"], sample["v"], bend)
+            return lane_crossing(z[:4], a, drive, self.lane, self.horizon)
+
+        value, slope = jax.value_and_grad(time)(state.z)
+        return jnp.stack([value, jnp.sqrt(slope @ state.covariance @ slope)])
+
+    def _estimate(self, state: PathState, tlc, surprise) -> Estimate:
+        mu, mu_std = jnp.exp(state.log_mu), jnp.sqrt(state.mu_variance)
+        stiffness = self.stiffness(state.z)
+        spread = jnp.sqrt(jnp.diag(state.covariance))[4:]
+        noise = (
+            self.omega_std,
+            self.torque_std,
+            _USUAL,
+            self.radius,
+            self.wheel_inertia,
+        )
+        # Two wheels of independent noise, whose mean is observed.
+        observed = jnp.sqrt(2.0) * observer_std(*noise, self.pole)
+        # Both follow a force that rises late, by a time that is known.
+        late = 2 * jnp.abs(state.rates) * jnp.stack([2 / self.pole, self.memory])
+        forces = 2 * jnp.stack([state.observer.force, state.rls.force])
+        of_torque = self.torque_std**2 * _USUAL / self.memory / self.radius**2
+        fitted = jnp.sqrt(2 * state.rls.spread + of_torque)
+        observed, fitted = jnp.hypot(jnp.stack([observed, fitted]), late)
+        value = jnp.stack([mu, *stiffness, *forces, state.used, tlc[0]])
+        std = jnp.stack(
+            [mu * mu_std, *(stiffness * spread), observed, fitted,
+             state.used * mu_std, tlc[1]]
+        )  # fmt: skip
+        flag = flag_of(
+            (mu_std > RESOLVED, Flag.LOW_USE),
+            (state.used > self.warn, Flag.NEAR_LIMIT),
+        )
+        return Estimate(value, std, flag, surprise)

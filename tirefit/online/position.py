@@ -1,0 +1,303 @@
+r"""Lateral friction from the position on the road, S section 3.3 (Hahn), corrected.
+
+Of the distance :math:`e_y` from the centre line, the heading :math:`\psi`, that of the
+road :math:`\psi_d` and the yaw rate r follow the force and slip angle of the front axle
+
+.. math::
+   F_f = \frac{m l_r}{l_f + l_r} \left(\ddot e_y + V \dot\psi_d
+         + \frac{I_z}{m l_r} \dot r\right), \quad
+   \alpha_f = \delta_f - \arctan \frac{\dot e_y - (\psi - \psi_d) V + l_f r}{V}
+
+with every signal passed through :math:`b^2 (s + b)^{-2}`, which gives its derivatives
+without a difference being taken. The brush is linear in
+:math:`\Theta = [C, C^2/\mu, C^3/\mu^2]` over
+:math:`\Phi = [|\tan\alpha|, -|\tan\alpha|^2/(3F_z), |\tan\alpha|^3/(27F_z^2)]`; force
+and :math:`\Phi`, with their signs, pass the source's filter :math:`(s + a)^{-2}`. One
+filter before :math:`\Phi` alone would have to be as slow as a, and the brush of a
+filtered slip is not the filtered brush: at a = 3/s and a use of 60 % mu came out 60 %
+too large.
+
+The adaptive law, which the source leaves to its reference [7], is here least squares
+with forgetting on :math:`\ln C` and :math:`1/\mu`, so that the third part of
+:math:`\Theta` is what it has to be. The products of the regressors are all that it
+needs of the past: each step goes towards the least squares of all samples, however far
+the start was off. (A filter that linearises once a sample was not: it took a road of
+0.3 for one of 0.5.)
+"""
+
+from typing import ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tirefit.online.base import Estimate, Flag, Method, Sample, choose, code, flag_of
+from tirefit.online.regression import RESOLVED, Regressors, regressors
+from tirefit.online.vehicle import AbstractVehicleMethod, wrapped
+from tirefit.params import par
+
+__all__ = ["Filtered", "Position", "PositionState", "filtered_step"]
+
+_SIGNALS = ("offset", "aside", "road_heading", "yaw_rate", "steering")
+"""What is filtered first; aside: heading less that of the road."""
+_SETTLED = 8.0
+"""Filter times 1/a after a start: the filter has forgotten all but 0.3 % of it."""
+_LONGEST = 1.0
+"""Filter times between samples from which the filter starts anew."""
+_SAMPLES_OF_NOISE = 20.0
+"""Samples for which the stated noise counts beside the errors that are seen."""
+_FARTHEST = 0.5
+"""Largest step a sample: the slope holds no farther."""
+_LEAST_INVERSE = 0.1
+"""Least of the expected mu over mu: ten times the friction is none."""
+_SLIDING = 0.37
+"""Force over that without sliding, with nine tenths of the patch sliding; S(49) as a
+polynomial goes wild behind it."""
+_EXPECTED = (0.0, 1.0)
+_KEPT = 0.02
+"""Share of what was seen that is kept at a change."""
+_STIFFEST = 2.0
+"""Of that expected; no estimate beyond it may say that a tire slides."""
+
+
+class Filtered(NamedTuple):
+    """Signals (k,) of the last sample, u, and u/(s+a), u/(s+a)^2 of them."""
+
+    u: Float[Array, " k"]
+    once: Float[Array, " k"]
+    twice: Float[Array, " k"]
+
+    def value(self, a):
+        """a^2/(s+a)^2 of the signals."""
+        return a * a * self.twice
+
+    def rate(self, a):
+        """The same of their first derivatives."""
+        return a * a * (self.once - a * self.twice)
+
+    def acceleration(self, a):
+        """The same of their second derivatives."""
+        return a * a * (self.u - 2 * a * self.once + a * a * self.twice)
+
+
+def filtered_step(state: Filtered, u, dt, a) -> Filtered:
+    """The filter after ``dt`` [s], by the trapezoidal (Tustin) rule; a in 1/s."""
+    keep, take = (2 - a * dt) / (2 + a * dt), dt / (2 + a * dt)
+    once = keep * state.once + take * (u + state.u)
+    return Filtered(u, once, keep * state.twice + take * (once + state.once))
+
+
+def _moved(before: Filtered, u, dt, a, anew) -> Filtered:
+    """One step, or a filter begun anew: settled on the signals."""
+    settled = Filtered(u, u / a, u / (a * a))
+    return choose(anew, settled, filtered_step(before, u, dt, a))
+
+
+class LawState(NamedTuple):
+    """C over that expected, as logarithm, and the expected mu over mu; the products of
+    u_0, u_1, u_2 and y, summed with forgetting, and how many they are."""
+
+    x: Float[Array, "2"]
+    products: Float[Array, "4 4"]
+    weight: Float[Array, ""]
+
+
+def coefficients(x):
+    """theta (3,) of a :class:`LawState`'s x (2,); the third follows from the others."""
+    theta0 = jnp.exp(x[0])
+    return theta0 * jnp.stack(
+        [jnp.ones_like(x[1]), theta0 * x[1], (theta0 * x[1]) ** 2]
+    )
+
+
+class PositionState(NamedTuple):
+    """The filters of the signals and of the regression, the time [s] since their last
+    sample and since they began, the largest u_0 [-] of late, the law's own state."""
+
+    signals: Filtered
+    regression: Filtered
+    waited: Float[Array, ""]
+    age: Float[Array, ""]
+    peak: Float[Array, ""]
+    law: LawState
+
+
+class Position(AbstractVehicleMethod):
+    """Friction and cornering stiffness of the front axle, from positions."""
+
+    method: ClassVar[Method] = Method(
+        "position", "front axle's brush from position on the road and yaw rate",
+        ("offset", "heading", "road_heading", "yaw_rate", "steering", "v"),
+        ("mu", "C_f"),
+        "40 to 90 % of the friction, in bends; below, mu is flagged", "S §3.3",
+    )  # fmt: skip
+
+    prior_stiffness: float = par(
+        0.3, (1e-4, 3.0), "-", "relative std of the expected stiffness", "", r"\sigma_C"
+    )
+    prior_mu: float = par(
+        1.0, (1e-4, 10.0), "-", "std of the expected mu over mu", "", r"\sigma_\mu"
+    )
+    mu: float = par(0.9, (0.01, 5.0), "-", "expected friction", "S §3.3", r"\mu_0")
+    bandwidth: float = par(
+        3.0, (0.1, 100.0), "1/s", "a of the filter (s+a)^-2", "S §3.3", "a"
+    )
+    signal_bandwidth: float = par(
+        10.0, (0.1, 1e3), "1/s", "b of the filter of the signals", "S §3.3", "b"
+    )
+    forgetting: float = par(
+        0.999, (0.5, 1.0), "-", "forgetting factor per sample", "S §3.3", r"\lambda"
+    )
+    model_error: float = par(
+        0.015, (0.0, 0.5), "-", "relative error of the force that stays over a drive",
+        "", r"\epsilon",
+    )  # fmt: skip
+    force_noise: float = par(
+        0.05, (1e-5, 1.0), "-", "std of the filtered force over the load", "S §3.3",
+        r"\sigma_F", scale="log",
+    )  # fmt: skip
+    least_use: float = par(
+        0.1, (0.0, 1.0), "-", "least expected force over load of a sample that is used",
+        "S §3.3", "u_{min}",
+    )  # fmt: skip
+
+    def init(self) -> PositionState:
+        of_signals = Filtered(*[jnp.zeros(len(_SIGNALS))] * 3)
+        of_regression = Filtered(*[jnp.zeros(len(Regressors._fields))] * 3)
+        zero = jnp.zeros(())
+        # As after a gap: the first sample starts the filter.
+        waited = jnp.full((), 2 * _LONGEST) / self.bandwidth
+        law = LawState(jnp.array(_EXPECTED), jnp.zeros((4, 4)), zero)
+        return PositionState(of_signals, of_regression, waited, zero, zero, law)
+
+    def step(self, state: PositionState, sample: Sample):
+        a, dt = self.bandwidth, state.waited
+        anew = a * dt > _LONGEST
+        signals = self._signals(state, sample, anew)
+        terms = jnp.stack(self._terms(*self.force_and_slip(signals, sample["v"])))
+        regression = _moved(state.regression, terms, dt, a, anew)
+        age = jnp.where(anew, 0.0, state.age + dt)
+        filtered = Regressors(*regression.value(a))
+        settled = a * age > _SETTLED
+        moved, flag, surprise = self._adapted(state.law, filtered)
+        law = choose(settled & (flag == 0), moved, state.law)
+        surprise = jnp.where(settled & (flag == 0), surprise, jnp.nan)
+        flag = jnp.where(settled, flag, code(Flag.SETTLING))
+        peak = jnp.maximum(self.forgetting * state.peak, settled * abs(filtered.u0))
+        after = PositionState(signals, regression, jnp.zeros(()), age, peak, law)
+        return after, self._estimate(after, flag, surprise)
+
+    def hold(self, state: PositionState, dt, steps):
+        law = self._forgotten(state.law, self.forgetting**steps)
+        held = state._replace(waited=state.waited + dt, law=law)
+        return held, self._estimate(held, 0, jnp.nan)
+
+    def open(self, state: PositionState) -> PositionState:
+        law = self._forgotten(state.law, _KEPT)
+        return state._replace(law=law, peak=jnp.zeros_like(state.peak))
+
+    def force_and_slip(self, filtered: Filtered, v):
+        """Force [N] of the front axle and tangent [-] of its slip angle, by the signals
+        in the order of ``offset``, heading less that of the road, ``road_heading``,
+        ``yaw_rate``, ``steering``."""
+        a = self.signal_bandwidth
+        value, rate = filtered.value(a), filtered.rate(a)
+        offset, aside, road, yaw, steering = range(len(_SIGNALS))
+        lateral = filtered.acceleration(a)[offset] + v * rate[road]
+        force = self.l_r * self.mass * lateral + self.yaw_inertia * rate[yaw]
+        across = rate[offset] - value[aside] * v + self.l_f * value[yaw]
+        angle = value[steering] - jnp.arctan(across / v)
+        return force / self.base, jnp.tan(angle)
+
+    def _terms(self, force, slip) -> Regressors:
+        """The terms of S(49) [-] with the sign of the slip."""
+        load, _ = self.loads
+        sample = {"sigma_x": slip, "fx": force, "fz": load}
+        folded = regressors(sample, self.stiffness_f * load / 2, self.mu, 0.0)
+        side = jnp.where(slip < 0, -1.0, 1.0)
+        return Regressors(*(side * term for term in folded))
+
+    def _signals(self, state: PositionState, sample: Sample, anew) -> Filtered:
+        """The filter of the signals with this sample."""
+        before = state.signals
+        road = before.u[2] + wrapped(sample["road_heading"] - before.u[2])
+        aside = wrapped(sample["heading"] - sample["road_heading"])
+        rest = [sample[name] for name in ("yaw_rate", "steering")]
+        u = jnp.stack([sample["offset"], aside, road, *rest])
+        return _moved(before, u, state.waited, self.signal_bandwidth, anew)
+
+    def _forgotten(self, law: LawState, share) -> LawState:
+        """What was seen counts by that share."""
+        products, weight = share * law.products, share * law.weight
+        return law._replace(products=products, weight=weight)
+
+    def _adapted(self, law: LawState, terms: Regressors):
+        """The law with one more sample, the flag of why not to take it, surprise."""
+        side = jnp.where(terms.u0 < 0, -1.0, 1.0)
+        y, *u = (side * term for term in terms)
+        row = jnp.stack([*u, y])
+        products = self.forgetting * law.products + jnp.outer(row, row)
+        moved = LawState(law.x, products, self.forgetting * law.weight + 1)
+        covariance, noise = self.uncertainty(law)
+        slope = jax.jacfwd(coefficients)(law.x).T @ row[:3]
+        error = y - coefficients(law.x) @ row[:3]
+        surprise = error / jnp.sqrt(noise * noise + slope @ covariance @ slope)
+        for _ in range(2):
+            moved = moved._replace(x=self._closer(moved))
+        steepest = jnp.minimum(jnp.exp(law.x[0]), _STIFFEST)
+        flag = flag_of(
+            (y < _SLIDING * steepest * u[0] - 3 * noise, Flag.OUT_OF_RANGE),
+            (u[0] < self.least_use, Flag.LITTLE_EXCITATION),
+        )
+        return moved, flag, surprise
+
+    def _noise(self, law: LawState):
+        """Std [-] of the force over the load, stated and seen."""
+        theta = jnp.append(-coefficients(law.x), 1.0)
+        seen = jnp.maximum(theta @ law.products @ theta, 0.0)
+        stated = _SAMPLES_OF_NOISE * self.force_noise**2
+        return jnp.sqrt((stated + seen) / (_SAMPLES_OF_NOISE + law.weight))
+
+    def _information(self, law: LawState, noise):
+        slope = jax.jacfwd(coefficients)(law.x)
+        prior = jnp.stack(
+            [jnp.asarray(self.prior_stiffness), jnp.asarray(self.prior_mu)]
+        )
+        gathered = slope.T @ law.products[:3, :3] @ slope / noise**2
+        return gathered + jnp.diag(1 / prior**2), slope, prior
+
+    def uncertainty(self, law: LawState):
+        """Covariance (2, 2) of x, and the noise [-]."""
+        noise = self._noise(law)
+        return jnp.linalg.inv(self._information(law, noise)[0]), noise
+
+    def _closer(self, law: LawState):
+        """x after one step of Gauss and Newton on all samples and the prior."""
+        noise = self._noise(law)
+        information, slope, prior = self._information(law, noise)
+        left = law.products[:3, 3] - law.products[:3, :3] @ coefficients(law.x)
+        pull = slope.T @ left / noise**2 + (jnp.array(_EXPECTED) - law.x) / prior**2
+        change = jnp.linalg.solve(information, pull)
+        x = law.x + jnp.clip(change, -_FARTHEST, _FARTHEST)
+        return x.at[1].set(jnp.maximum(x[1], _LEAST_INVERSE))
+
+    def _estimate(self, state: PositionState, flag, surprise) -> Estimate:
+        """mu and C_f.
+
+        An error of the force that does not average out bends the curve as a wrong
+        friction does: what u_0 brings is to be told from :math:`u_0^2 / (3 \\mu)`. The
+        stiffness goes with it as far as the two are correlated.
+        """
+        law = state.law
+        stiffness = self.stiffness_f * self.loads[0] * jnp.exp(law.x[0])
+        mu = self.mu / law.x[1]
+        covariance, _ = self.uncertainty(law)
+        of_noise = jnp.sqrt(jnp.diag(covariance))[::-1]
+        of_noise = of_noise / jnp.stack([law.x[1], jnp.ones(())])
+        bent = jnp.minimum(self.model_error * 3 * mu / state.peak, self.prior_mu)
+        drawn = covariance[0, 1] / covariance[1, 1] * law.x[1] * bent
+        lasting = jnp.stack([bent, jnp.hypot(self.model_error, drawn)])
+        relative = jnp.hypot(of_noise, lasting)
+        value = jnp.stack([mu, stiffness])
+        flag = jnp.maximum(flag_of((~(relative[0] < RESOLVED), Flag.LOW_USE)), flag)
+        return Estimate(value, value * relative, flag, surprise)

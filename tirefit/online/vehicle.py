@@ -1,0 +1,108 @@
+r"""What the methods that watch a whole vehicle share: its data, slips and loads.
+
+Axes of ISO 8855 (x forward, y left); tire forces in the signs of the package: braking
+positive, and to the left for a positive slip angle,
+:math:`\alpha_f = \delta - \arctan((v_y + l_f r)/v_x)`.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from tirefit.online.base import AbstractEstimator
+from tirefit.params import par
+
+__all__ = [
+    "GRAVITY",
+    "AbstractVehicleMethod",
+    "axle_angles",
+    "brush_share",
+    "clipped",
+    "wrapped",
+]
+
+GRAVITY = 9.81
+
+
+class AbstractVehicleMethod(AbstractEstimator):
+    """A method on the motion of a vehicle; the defaults are those of a mid-size car.
+
+    Samples are not averaged first: the motion between them is what such methods use.
+    """
+
+    average: float = 1.0
+    mass: float = par(1500.0, (0.1, 1e5), "kg", "mass of the vehicle", "", "m")
+    yaw_inertia: float = par(2500.0, (1e-4, 1e6), "kg m2", "yaw inertia", "", "I_z")
+    l_f: float = par(1.2, (0.01, 10.0), "m", "front axle ahead of the CG", "", "l_f")
+    l_r: float = par(1.4, (0.01, 10.0), "m", "rear axle behind the CG", "", "l_r")
+    stiffness_f: float = par(
+        11.0, (0.5, 100.0), "1/rad", "stiffness 2 c_p a^2 over load, front tires", "",
+        "C_f / F_z",
+    )  # fmt: skip
+    stiffness_r: float = par(
+        13.0, (0.5, 100.0), "1/rad", "stiffness 2 c_p a^2 over load, rear tires", "",
+        "C_r / F_z",
+    )  # fmt: skip
+
+    @property
+    def base(self):
+        """Wheelbase [m]."""
+        return self.l_f + self.l_r
+
+    @property
+    def loads(self):
+        """Loads [N] of the front and the rear axle at rest."""
+        weight = self.mass * GRAVITY / self.base
+        return weight * self.l_r, weight * self.l_f
+
+
+def axle_angles(v_x, v_y, yaw_rate, steering, l_f, l_r):
+    """Slip angles [rad] of the front and the rear axle, positive for a force left.
+
+    Args:
+        v_x, v_y: velocity [m/s] of the CG, v_x > 0.
+        yaw_rate: [rad/s]; steering: road wheel angle [rad].
+        l_f, l_r: axles before and behind the CG [m].
+    """
+    front = steering - jnp.arctan((v_y + l_f * yaw_rate) / v_x)
+    return front, -jnp.arctan((v_y - l_r * yaw_rate) / v_x)
+
+
+class Shares(NamedTuple):
+    """Forces of a tire over its load [-]: braking, and to the left."""
+
+    x: Any
+    y: Any
+
+
+def brush_share(sigma_x, alpha, stiffness, mu) -> Shares:
+    """Forces over the load of an isotropic brush, S(12) on the resultant slip.
+
+    With a stiffness that follows the load all tires of an axle with equal slips act as
+    one tire under the load of the axle.
+
+    Args:
+        sigma_x: physical slip [-] > -1; alpha: slip angle [rad].
+        stiffness: 2 c_p a^2 over the load [-]; mu: friction [-].
+    """
+    sigma_y = jnp.tan(alpha) * (1 + sigma_x)
+    # Not quite zero at rest, where its direction has no slope.
+    slip = jnp.sqrt(sigma_x * sigma_x + sigma_y * sigma_y + 1e-20)
+    sliding = jnp.minimum(stiffness * slip / (3 * mu), 1.0)
+    force = mu * sliding * (3 - sliding * (3 - sliding))
+    return Shares(force * sigma_x / slip, force * sigma_y / slip)
+
+
+def clipped(omega, v, radius, slowest=0.01):
+    """Physical slip [-] of a wheel, that of one that nearly locks at most 99.
+
+    Args:
+        omega: wheel speed [rad/s]; v: speed of its centre [m/s] > 0; radius [m].
+    """
+    turning = jnp.maximum(omega * radius / v, slowest)
+    return 1 / turning - 1
+
+
+def wrapped(angle):
+    """The same angle [rad] in [-pi, pi)."""
+    return (angle + jnp.pi) % (2 * jnp.pi) - jnp.pi

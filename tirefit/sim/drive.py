@@ -1,0 +1,312 @@
+r"""A car on a winding road, braked now and then: what its sensors would say.
+
+Four brush tires under loads that move with roll and pitch, a driver who keeps the lane,
+and a road whose curvature is a sine of time. With braking forces :math:`F_x` positive
+and :math:`F_y` to the left, in the axes of the car and the wheels' own,
+
+.. math::
+   m (\dot v_x - v_y r) &= X, \quad m (\dot v_y + v_x r) = Y, \quad
+   I_z \dot r = N, \quad J \dot\omega_i = R F_{x,i} - T_i \\
+   I_\varphi \dot p &= -k \varphi - c p + h Y, \quad
+   \dot e_y = v_x \sin\psi_e + v_y \cos\psi_e, \quad \dot\psi_e = r - \dot\psi_d
+
+which diffrax integrates. The stiffness of a tire follows its load.
+"""
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.data.table import WHEELS
+from tirefit.online.vehicle import GRAVITY, axle_angles, brush_share, clipped
+from tirefit.sim.braking import SimulatedLog
+
+__all__ = ["Car", "Drive", "simulate_drive"]
+
+_SLOWEST = 0.01
+"""Wheel speed over that of free rolling below which a brake only holds a wheel."""
+_LEAST_LOAD = 1.0
+_PREVIEW = 15.0
+"""Distance [m] at which the driver looks at the lane."""
+_LEAD = 0.15
+"""Time [s] by which the driver turns in before a bend, as the car follows that late."""
+_FRONT_BRAKES = 0.6
+_PITCH_TIME = 0.1
+"""Time [s] in which the loads of the axles follow the deceleration."""
+
+
+@dataclass(frozen=True)
+class Car:
+    """A mid-size car; stiffness: 2 c_p a^2 over load of a tire, front and rear."""
+
+    mass: float = 1500.0
+    yaw_inertia: float = 2500.0
+    l_f: float = 1.2
+    l_r: float = 1.4
+    track: float = 1.5
+    height: float = 0.5
+    radius: float = 0.3
+    wheel_inertia: float = 1.2
+    roll_inertia: float = 500.0
+    roll_stiffness: float = 8e4
+    roll_damping: float = 5e3
+    stiffness_f: float = 11.0
+    stiffness_r: float = 13.0
+
+
+@dataclass(frozen=True)
+class Drive:
+    """How it is driven and measured.
+
+    Attributes:
+        duration: [s]; rate: rows a second; v: speed [m/s] that the driver keeps.
+        bend: largest lateral acceleration of the road over mu g of the first road; the
+            driver holds up to some 0.75, less with brakes, of the least friction.
+        bend_period: [s] of the road's curvature.
+        brake: largest deceleration asked for over mu g, in saw-teeth of half the time.
+        brake_period: [s].
+        friction: mu; drop: (time [s], friction from then on), or None.
+        gps_std: noise of positions [m]; v_std: of the speed [m/s].
+        heading_std: [rad]; gyro_std: of yaw and roll rate [rad/s].
+        acceleration_std: [m/s2]; omega_std: of wheel speeds [rad/s].
+        torque_std: [N m]; seed: of the noise.
+    """
+
+    duration: float = 30.0
+    rate: float = 50.0
+    v: float = 25.0
+    bend: float = 0.6
+    bend_period: float = 5.0
+    brake: float = 0.0
+    brake_period: float = 4.0
+    friction: float = 0.9
+    drop: tuple[float, float] | None = None
+    gps_std: float = 0.02
+    v_std: float = 0.03
+    heading_std: float = 0.002
+    gyro_std: float = 0.002
+    acceleration_std: float = 0.05
+    omega_std: float = 0.05
+    torque_std: float = 10.0
+    seed: int = 0
+
+
+class _State(NamedTuple):
+    """Of the ODE; ``lag``: deceleration that the loads have followed [m/s2]."""
+
+    v_x: jax.Array
+    v_y: jax.Array
+    yaw_rate: jax.Array
+    omega: jax.Array
+    roll: jax.Array
+    roll_rate: jax.Array
+    lag: jax.Array
+    offset: jax.Array
+    heading: jax.Array
+    road_heading: jax.Array
+    x: jax.Array
+    y: jax.Array
+
+
+class _Numbers(NamedTuple):
+    """Traced numbers of a drive: (car's and drive's by name), mu before and after."""
+
+    car: dict[str, jax.Array]
+    how: dict[str, jax.Array]
+    mu: tuple[jax.Array, jax.Array]
+    change: jax.Array
+
+
+def _mu(numbers: _Numbers, t):
+    return jnp.where(t < numbers.change, *numbers.mu)
+
+
+def _road_rate(numbers: _Numbers, t, v_x):
+    """Yaw rate [rad/s] of the road under the car: curvature times speed."""
+    how, grip = numbers.how, numbers.mu[0] * GRAVITY
+    curvature = how["bend"] * grip / how["v"] ** 2
+    return v_x * curvature * jnp.sin(2 * jnp.pi * t / how["bend_period"])
+
+
+def _steering(numbers: _Numbers, t, s: _State):
+    """Road wheel angle [rad] of a driver who looks ahead along the lane."""
+    car = numbers.car
+    base = car["l_f"] + car["l_r"]
+    curvature = _road_rate(numbers, t + _LEAD, s.v_x) / s.v_x
+    course = s.heading + s.v_y / s.v_x - s.road_heading
+    aside = s.offset + _PREVIEW * course
+    softer = 1 / car["stiffness_f"] - 1 / car["stiffness_r"]
+    understeer = softer * s.v_x**2 * curvature / GRAVITY
+    return base * curvature + understeer - 2 * base / _PREVIEW**2 * aside
+
+
+def _torques(numbers: _Numbers, t, s: _State):
+    """Brake less drive torque (4,) [N m]: saw-teeth, and the speed regained by rear
+    wheel drive in between."""
+    car, how = numbers.car, numbers.how
+    phase = (t % how["brake_period"]) / how["brake_period"]
+    braking = (phase < 0.5) & (how["brake"] > 0)
+    grip = numbers.mu[0] * GRAVITY
+    asked = 2 * phase * how["brake"] * grip
+    rear = 1 - _FRONT_BRAKES
+    share = jnp.array([_FRONT_BRAKES, _FRONT_BRAKES, rear, rear]) / 2
+    wanted = jnp.clip(0.5 * (how["v"] - s.v_x), -0.1 * grip, 0.2 * grip)
+    driven = -wanted * jnp.array([0.0, 0.0, 0.5, 0.5])
+    full = car["mass"] * car["radius"]
+    return full * jnp.where(braking, asked * share, driven)
+
+
+def _loads(car, s: _State):
+    """Loads (4,) [N] of the wheels, moved by roll and deceleration."""
+    base = car["l_f"] + car["l_r"]
+    weight = car["mass"] * GRAVITY / base
+    forward = car["mass"] * car["height"] * s.lag / base
+    front, rear = weight * car["l_r"] + forward, weight * car["l_f"] - forward
+    # A roll to the right, of a force to the left, loads the wheels on the right.
+    moment = car["roll_stiffness"] * s.roll + car["roll_damping"] * s.roll_rate
+    shift = moment / car["track"] * jnp.array([-0.5, 0.5, -0.5, 0.5])
+    loads = jnp.stack([front, front, rear, rear]) / 2 + shift
+    return jnp.maximum(loads, _LEAST_LOAD)
+
+
+def _tires(numbers: _Numbers, t, s: _State):
+    """Steering, slips (4,), angles (2,), loads (4,), forces along and across (4,)."""
+    car = numbers.car
+    steering = _steering(numbers, t, s)
+    angles = jnp.stack(
+        axle_angles(s.v_x, s.v_y, s.yaw_rate, steering, car["l_f"], car["l_r"])
+    )
+    side = car["track"] / 2 * s.yaw_rate * jnp.array([-1.0, 1.0, -1.0, 1.0])
+    sigma = clipped(s.omega, s.v_x + side, car["radius"], _SLOWEST)
+    stiffness = jnp.repeat(jnp.stack([car["stiffness_f"], car["stiffness_r"]]), 2)
+    share = brush_share(sigma, jnp.repeat(angles, 2), stiffness, _mu(numbers, t))
+    loads = _loads(car, s)
+    return steering, sigma, angles, loads, loads * share.x, loads * share.y
+
+
+def _pushed(numbers: _Numbers, steering, along, across):
+    """Force [N] on the car forward and to the left, and the yaw moment [N m]."""
+    car = numbers.car
+    turn = jnp.array([1.0, 1.0, 0.0, 0.0]) * steering
+    cos, sin = jnp.cos(turn), jnp.sin(turn)
+    ahead, left = -along * cos - across * sin, across * cos - along * sin
+    arm = jnp.stack([car["l_f"], car["l_f"], -car["l_r"], -car["l_r"]])
+    side = car["track"] / 2 * jnp.array([1.0, -1.0, 1.0, -1.0])
+    return jnp.sum(ahead), jnp.sum(left), jnp.sum(arm * left - side * ahead)
+
+
+def _rate(t, s: _State, numbers: _Numbers) -> _State:
+    car = numbers.car
+    steering, _, _, _, along, across = _tires(numbers, t, s)
+    forward, left, moment = _pushed(numbers, steering, along, across)
+    torque = _torques(numbers, t, s)
+    spun = car["radius"] * along - torque
+    holds = (s.omega * car["radius"] <= _SLOWEST * s.v_x) & (spun < 0)
+    askew = s.heading - s.road_heading
+    sin, cos = jnp.sin(askew), jnp.cos(askew)
+    roll = car["height"] * left - car["roll_stiffness"] * s.roll
+    return _State(
+        v_x=forward / car["mass"] + s.v_y * s.yaw_rate,
+        v_y=left / car["mass"] - s.v_x * s.yaw_rate,
+        yaw_rate=moment / car["yaw_inertia"],
+        omega=jnp.where(holds, 0.0, spun / car["wheel_inertia"]),
+        roll=s.roll_rate,
+        roll_rate=(roll - car["roll_damping"] * s.roll_rate) / car["roll_inertia"],
+        lag=(-forward / car["mass"] - s.lag) / _PITCH_TIME,
+        offset=s.v_x * sin + s.v_y * cos,
+        heading=s.yaw_rate,
+        road_heading=_road_rate(numbers, t, s.v_x),
+        x=s.v_x * jnp.cos(s.heading) - s.v_y * jnp.sin(s.heading),
+        y=s.v_x * jnp.sin(s.heading) + s.v_y * jnp.cos(s.heading),
+    )
+
+
+@eqx.filter_jit
+def _integrate(numbers: _Numbers, time) -> _State:
+    """States (n, ...) at the times."""
+    v = numbers.how["v"]
+    zero = jnp.zeros(())
+    rolling = jnp.full(4, v / numbers.car["radius"])
+    still = dict.fromkeys(_State._fields, zero)
+    start = _State(**still | {"v_x": v, "omega": rolling})
+    controller = diffrax.PIDController(rtol=1e-7, atol=1e-8, dtmax=0.02)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(_rate), diffrax.Tsit5(), time[0], time[-1], None, start,
+        numbers, saveat=diffrax.SaveAt(ts=time), stepsize_controller=controller,
+        max_steps=2**20,
+    )  # fmt: skip
+    return solution.ys
+
+
+@eqx.filter_jit
+def _measured(numbers: _Numbers, time, states: _State) -> dict[str, jax.Array]:
+    """What follows from the states (n, ...) at the times."""
+
+    def one(t, s):
+        steering, sigma, angles, loads, along, across = _tires(numbers, t, s)
+        forward, left, _ = _pushed(numbers, steering, along, across)
+        wheels = {"omega": s.omega, "torque": _torques(numbers, t, s)}
+        wheels |= {"sigma_x": sigma, "fx": along, "fz": loads}
+        each = {
+            f"{kind}_{wheel}": values[k]
+            for kind, values in wheels.items()
+            for k, wheel in enumerate(WHEELS)
+        }
+        return each | {
+            "time": t, "v": s.v_x, "v_y": s.v_y, "yaw_rate": s.yaw_rate,
+            "roll_rate": s.roll_rate, "a_x": forward / numbers.car["mass"],
+            "a_y": left / numbers.car["mass"], "steering": steering,
+            "offset": s.offset, "heading": s.heading, "road_heading": s.road_heading,
+            "x": s.x, "y": s.y, "alpha_f": angles[0], "alpha_r": angles[1],
+            "fy_f": across[0] + across[1], "fy_r": across[2] + across[3],
+            "mu": _mu(numbers, t),
+        }  # fmt: skip
+
+    return jax.vmap(one)(time, states)
+
+
+def _noise_stds(how: Drive) -> dict[str, float]:
+    """Measured column -> standard deviation of its noise."""
+    stds = dict.fromkeys(("offset", "x", "y"), how.gps_std)
+    stds |= {"heading": how.heading_std, "v": how.v_std}
+    stds |= dict.fromkeys(("yaw_rate", "roll_rate"), how.gyro_std)
+    stds |= dict.fromkeys(("a_x", "a_y"), how.acceleration_std)
+    for wheel in WHEELS:
+        stds |= {f"omega_{wheel}": how.omega_std, f"torque_{wheel}": how.torque_std}
+    return stds | {"time": 0.0, "steering": 0.0, "road_heading": 0.0}
+
+
+def _values(record) -> dict[str, jax.Array]:
+    kept = {f.name: getattr(record, f.name) for f in fields(record)}
+    return {k: jnp.asarray(float(v)) for k, v in kept.items() if k != "drop"}
+
+
+def simulate_drive(how: Drive | None = None, car: Car | None = None) -> SimulatedLog:
+    """A log of a drive.
+
+    Returns:
+        measured columns (canonical: time, steering, road_heading without noise, offset,
+        heading, v, x, y, yaw_rate, roll_rate, a_x, a_y, omega and torque of the
+        wheels); the truth has those without noise, v_y, the slips, slip angles, loads
+        and forces of the tires, and mu.
+    """
+    how, car = Drive() if how is None else how, Car() if car is None else car
+    n = round(how.duration * how.rate)
+    time = jnp.arange(n) / how.rate
+    change, after = (np.inf, how.friction) if how.drop is None else how.drop
+    mu = (jnp.asarray(how.friction), jnp.asarray(after))
+    numbers = _Numbers(_values(car), _values(how), mu, jnp.asarray(change))
+    states = _integrate(numbers, time)
+    truth = {k: np.asarray(v) for k, v in _measured(numbers, time, states).items()}
+    random = np.random.default_rng(how.seed)
+    stds = _noise_stds(how)
+    order = ("time", *(name for name in stds if name != "time"))
+    columns = {name: truth[name] for name in order}
+    for name in order:
+        columns[name] = truth[name] + stds[name] * random.standard_normal(n)
+    return SimulatedLog(columns, {"time": truth.pop("time"), **truth})
