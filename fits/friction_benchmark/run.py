@@ -67,7 +67,8 @@ def run_all(
 
 def _lines(name: str, logs: Sequence[Log], found: Sequence[Trace]) -> list[dict]:
     scored = [
-        (log.scenario, score(log, trace)) for log, trace in zip(logs, found, strict=True)
+        (log.scenario, score(log, trace))
+        for log, trace in zip(logs, found, strict=True)
     ]
     uses = [use for use in USES if any(s.use == use for s, _ in scored)]
     return [
@@ -77,7 +78,10 @@ def _lines(name: str, logs: Sequence[Log], found: Sequence[Trace]) -> list[dict]
 
 
 def _skipped(name: str, reason: str) -> dict:
-    return dict.fromkeys(COLUMNS, "") | {"estimator": name, "note": f"skipped: {reason}"}
+    return dict.fromkeys(COLUMNS, "") | {
+        "estimator": name,
+        "note": f"skipped: {reason}",
+    }
 
 
 def _of_peer(name: str, estimate: Callable, logs: Sequence[Log]) -> list[dict]:

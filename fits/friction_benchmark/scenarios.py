@@ -132,4 +132,3 @@ def _write(path: Path, columns: dict[str, np.ndarray]) -> None:
     values = np.stack(list(columns.values()), axis=1)
     header = ",".join(columns)
     np.savetxt(path, values, "%.7g", ",", header=header, comments="")
-

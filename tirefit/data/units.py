@@ -67,7 +67,7 @@ _SI = {
 _DIMENSION = {
     "time": "time", "alpha": "angle", "gamma": "angle", "omega": "angular speed",
     "fx": "force", "fy": "force", "fz": "force", "mz": "moment", "v": "speed",
-    "pressure": "pressure", "temperature": "temperature",
+    "pressure": "pressure", "temperature": "temperature", "torque": "moment",
     **dict.fromkeys(SLIP_DEFINITIONS, "ratio"),
 }  # fmt: skip
 
