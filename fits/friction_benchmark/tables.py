@@ -67,7 +67,7 @@ def _read(path: Path) -> list[dict[str, str]]:
 
 
 def publish(results: Path, into: Path) -> str:
-    """table.csv, table.md, measured.csv, detectors.csv and trade_off.png in a folder."""
+    """table.csv, table.md, measured.csv, detectors.csv, trade_off.png in a folder."""
     into.mkdir(parents=True, exist_ok=True)
     scores, measured = _read(results / "scores.csv"), _read(results / "measured.csv")
     run = [line for line in scores if not line["note"]]
