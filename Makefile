@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: install demo test statistics notebooks bench withheld withheld-full lint types clean
+.PHONY: install demo test statistics notebooks bench withheld withheld-full friction-benchmark lint types clean
 
 install: $(STAMP)
 
@@ -45,6 +45,10 @@ withheld withheld-full: install
 	$(BIN)/python -m fits.withheld.forest --out out/forest.npz
 	$(BIN)/python -m fits.withheld.baselines out/$@ --forest out/forest.npz
 	$(BIN)/python -m fits.withheld.score out/$@ --bound 60
+
+# Friction estimators on the same logs; see fits/friction_benchmark.
+friction-benchmark: install
+	$(BIN)/python -m fits.friction_benchmark all --out out/$@ --into fits/friction_benchmark
 
 lint: install
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .

@@ -41,6 +41,7 @@ _NAMES = {
     "mz": "mz momentz aligningmoment aligningtorque selfaligningmoment"
     " selfaligningtorque",
     "v": "v vx speed velocity forwardspeed forwardvelocity",
+    "torque": "torque braketorque brakingtorque",
     "gamma": "gamma γ ia camber camberangle inclination inclinationangle",
     "pressure": "pressure p inflationpressure tirepressure tyrepressure",
     "brake_pressure": "brakepressure",

@@ -38,6 +38,7 @@ CANONICAL = {
     "fz": ("N", "load"),
     "mz": ("N m", "aligning moment"),
     "v": ("m/s", "forward speed of the wheel centre"),
+    "torque": ("N m", "torque of the brake on the wheel, braking positive"),
     "gamma": ("rad", "camber angle"),
     "pressure": ("Pa", "inflation pressure"),
     "temperature": ("degC", "tire temperature"),

@@ -70,6 +70,7 @@ _DIMENSION = {
     "time": "time", "alpha": "angle", "gamma": "angle", "omega": "angular speed",
     "fx": "force", "fy": "force", "fz": "force", "mz": "moment", "v": "speed",
     "pressure": "pressure", "brake_pressure": "pressure", "temperature": "temperature",
+    "torque": "moment",
     "alpha_rate": "angular speed", "a_x": "acceleration", "a_y": "acceleration",
     "yaw_rate": "angular speed", "yaw_acceleration": "angular acceleration",
     "heading": "angle", "x": "length", "y": "length", "steering": "angle",

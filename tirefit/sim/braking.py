@@ -107,8 +107,8 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
     """A log of braking with saw-tooth torque.
 
     Returns:
-        measured columns time, sigma_x, fx, fz, v, omega; the truth has those without
-        noise, ``mu`` (the peak) and ``cpa2`` (half the slope at rest).
+        measured columns time, sigma_x, fx, fz, v, omega, torque; the truth has those
+        without noise, ``mu`` (the peak) and ``cpa2`` (half the slope at rest).
     """
     how = Braking() if how is None else how
     n = round(how.teeth * how.period * how.rate)
@@ -125,7 +125,10 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
     force = np.where(
         time < change, *(np.asarray(tire.pure(kappa, how.fz)) for tire in tires)
     )
-    steady = {"fz": np.full(n, how.fz), "v": np.full(n, how.v)}
+    steady = {
+        "fz": np.full(n, how.fz), "v": np.full(n, how.v),
+        "torque": full * (time % how.period) / how.period,
+    }  # fmt: skip
     cpa2 = np.full(n, STIFFNESS / LOAD * how.fz / 2)
     truth = {"time": time, "sigma_x": sigma, "fx": force, **steady, "omega": omega}
     random = np.random.default_rng(how.seed)

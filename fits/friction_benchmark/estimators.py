@@ -1,0 +1,85 @@
+"""tirefit's methods on the logs of the benchmark, all that are registered."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fits.friction_benchmark.metrics import Trace
+from fits.friction_benchmark.scenarios import Log
+from tirefit.online.base import Flag, code
+from tirefit.online.methods import METHODS, estimator_of
+from tirefit.online.run import run
+from tirefit.params import parameter_values, with_values
+
+__all__ = ["Answer", "lacking", "surprises", "traces"]
+
+
+class Answer(NamedTuple):
+    """Of one log: the trace, and (time, surprise) of the steps that had one (k, 2)."""
+
+    trace: Trace
+    surprise: np.ndarray
+
+
+def lacking(name: str, columns) -> str:
+    """Why a method cannot run on a log; empty if it can."""
+    method = METHODS[name].method
+    missing = [c for c in ("time", *method.inputs) if c not in columns]
+    if missing:
+        return f"the log has no {', '.join(missing)}"
+    return "" if "mu" in method.parameters else "it does not estimate mu"
+
+
+def _closed(name: str, load: float):
+    """The method, deaf to alarms: it does not open up, so its surprises are those of
+    before the first alarm at any threshold."""
+    kind: Any = METHODS[name]
+
+    class Closed(kind):
+        def open(self, state):
+            return state
+
+    values = parameter_values(estimator_of(name, load))
+    return with_values(Closed(), {k: float(v) for k, v in values.items()})
+
+
+def traces(
+    name: str, logs: Sequence[Log], settings=None, *, deaf=False
+) -> list[Answer]:
+    """One method over logs, each from its start.
+
+    Args:
+        name: a key of ``METHODS``.
+        logs: which have the method's inputs, of one load.
+        settings: of the method.
+        deaf: to its own alarms.
+    """
+    columns = set.intersection(*(set(log.columns) for log in logs))
+    joined = {
+        key: np.concatenate([log.columns[key] for log in logs])
+        for key in sorted(columns)
+    }
+    sizes = [len(log.columns["time"]) for log in logs]
+    joined["run"] = np.repeat(np.arange(len(logs), dtype=float), sizes)
+    load = float(joined["fz"][0]) if "fz" in joined else 1.0
+    estimator = _closed(name, load) if deaf else estimator_of(name, load, settings)
+    _, rows = run(estimator, joined)
+    k = estimator.method.parameters.index("mu")
+    whole = Trace(
+        joined["time"], rows.value[:, k], rows.std[:, k], rows.flag == 0,
+        rows.flag == code(Flag.CHANGED),
+    )  # fmt: skip
+    ends = np.cumsum(sizes)
+    answers = []
+    for begin, end in zip(ends - sizes, ends, strict=True):
+        part = slice(begin, end)
+        made = np.isfinite(rows.surprise[part])
+        pairs = np.c_[joined["time"][part], rows.surprise[part]][made]
+        answers.append(Answer(Trace(*(column[part] for column in whole)), pairs))
+    return answers
+
+
+def surprises(name: str, logs: Sequence[Log]) -> list[np.ndarray]:
+    """(time, surprise) (k, 2) of each log, of the method deaf to its alarms."""
+    return [answer.surprise for answer in traces(name, logs, deaf=True)]

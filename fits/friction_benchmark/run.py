@@ -1,0 +1,156 @@
+"""Every estimator over every log: the lines of the tables."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fits.friction_benchmark.estimators import lacking, surprises, traces
+from fits.friction_benchmark.metrics import Trace, detection
+from fits.friction_benchmark.page import DETECTORS
+from fits.friction_benchmark.peers import PEERS
+from fits.friction_benchmark.scenarios import (
+    DROPS,
+    USES,
+    Log,
+    read_columns,
+    read_index,
+    read_log,
+)
+from fits.friction_benchmark.scoring import COLUMNS, detections_of, pooled, score
+from tirefit.online.methods import METHODS
+
+__all__ = ["run_all"]
+
+SURPRISED = ("rls", "ekf")
+"""Methods whose surprises the detectors of changes are tried on."""
+
+
+def run_all(
+    folder: Path,
+    *,
+    names: Sequence[str] = (),
+    peers: bool = True,
+    foreign: Path | None = None,
+) -> dict[str, list[dict]]:
+    """Tables by name, as lists of lines.
+
+    Args:
+        folder: of the logs.
+        names: of tirefit's methods; all if none.
+        peers: also other libraries; those that are not installed get a line saying so.
+        foreign: folder of others' traces, NAME/LOG.csv.
+    """
+    logs = [read_log(folder, scenario) for scenario in read_index(folder)]
+    lines = []
+    for name in names or METHODS:
+        usable = [log for log in logs if not lacking(name, log.columns)]
+        reasons = {lacking(name, log.columns) for log in logs} - {""}
+        if usable:
+            answers = traces(name, usable)
+            found = [answer.trace for answer in answers]
+            lines += _lines(f"tirefit {name}", usable, found)
+        else:
+            lines.append(_skipped(f"tirefit {name}", "; ".join(sorted(reasons))))
+        print(f"{name}: {len(usable)} logs", flush=True)
+    for name, estimate in PEERS.items() if peers else ():
+        lines += _of_peer(name, estimate, logs)
+    lines += _of_others(foreign, logs) if foreign else []
+    tables = {"scores": lines}
+    tried = [n for n in SURPRISED if n in (names or METHODS)]
+    if tried:
+        tables["detectors"] = _detectors(tried, logs, peers)
+    from fits.friction_benchmark.measured import measured_lines
+
+    return tables | {"measured": measured_lines(names or METHODS, peers)}
+
+
+def _lines(name: str, logs: Sequence[Log], found: Sequence[Trace]) -> list[dict]:
+    scored = [
+        (log.scenario, score(log, trace))
+        for log, trace in zip(logs, found, strict=True)
+    ]
+    uses = [use for use in USES if any(s.use == use for s, _ in scored)]
+    return [
+        pooled(name, use, [pair for pair in scored if pair[0].use == use])
+        for use in uses
+    ]
+
+
+def _skipped(name: str, reason: str) -> dict:
+    return dict.fromkeys(COLUMNS, "") | {
+        "estimator": name,
+        "note": f"skipped: {reason}",
+    }
+
+
+def _of_peer(name: str, estimate: Callable, logs: Sequence[Log]) -> list[dict]:
+    try:
+        found = [estimate(log.columns) for log in logs]
+    except ImportError as missing:
+        return [_skipped(name, f"{missing.name} is not installed")]
+    print(f"{name}: {len(logs)} logs", flush=True)
+    return _lines(name, logs, found)
+
+
+def _of_others(folder: Path, logs: Sequence[Log]) -> list[dict]:
+    lines = []
+    for one in sorted(path for path in folder.iterdir() if path.is_dir()):
+        there = [log for log in logs if (one / f"{log.scenario.name}.csv").exists()]
+        if there:
+            found = [_foreign(one / f"{log.scenario.name}.csv", log) for log in there]
+            lines += _lines(one.name, there, found)
+    return lines
+
+
+def _foreign(path: Path, log: Log) -> Trace:
+    """A trace from a file; its rows are those of the log."""
+    columns = read_columns(path)
+    missing = [name for name in Trace._fields if name not in columns]
+    if missing or len(columns["time"]) != len(log.columns["time"]):
+        rows = len(log.columns["time"])
+        raise ValueError(f"{path}: {missing or 'rows'} missing; {rows} rows are needed")
+    values = [columns[name] for name in Trace._fields]
+    return Trace(*values[:3], *(value == 1 for value in values[3:]))
+
+
+def _detectors(
+    names: Sequence[str], logs: Sequence[Log], peers: bool
+) -> list[dict[str, float | str]]:
+    """Every detector at every threshold on the surprises of every method."""
+    lines: list[dict[str, float | str]] = []
+    for name in names:
+        series = surprises(name, logs)
+        for detector, (detect, thresholds) in DETECTORS.items():
+            if detector != "page (tirefit)" and not peers:
+                continue
+            for threshold in thresholds:
+                try:
+                    times = [s[detect(s[:, 1], threshold), 0] for s in series]
+                except ImportError as missing:
+                    print(f"{detector}: {missing.name} is not installed")
+                    break
+                lines += _at(detector, name, threshold, logs, times)
+        print(f"detectors on {name}", flush=True)
+    return lines
+
+
+def _at(detector, name, threshold, logs, times):
+    head = {"detector": detector, "surprise_of": name, "threshold": threshold}
+    for use in USES:
+        kept = [
+            (log.scenario, detection(when, log.scenario.drop, log.scenario.duration))
+            for log, when in zip(logs, times, strict=True)
+            if log.scenario.use == use
+        ]
+        if not kept:
+            continue
+        hours = sum(one.seconds for _, one in kept) / 3600
+        line = head | {"use": use}
+        for after in DROPS:
+            delays = [one.delay for s, one in kept if s.after == after]
+            share, delay = detections_of(delays) if delays else (np.nan, np.nan)
+            percent = f"{100 * after:.0f}"
+            line |= {f"found_{percent}": share, f"delay_{percent}": delay}
+        false = sum(one.false for _, one in kept)
+        yield line | {"false_per_hour": false / hours, "hours": hours}

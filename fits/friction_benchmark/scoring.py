@@ -1,0 +1,105 @@
+"""Scores of one log, and of all logs of a use of friction together."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from fits.friction_benchmark.metrics import (
+    SETTLE,
+    Trace,
+    accuracy,
+    crossings,
+    detection,
+)
+from fits.friction_benchmark.scenarios import DROPS, Log, Scenario
+
+__all__ = ["BEFORE", "COLUMNS", "detections_of", "pooled", "score"]
+
+BEFORE = 0.98
+"""Friction before a drop, and where there is none."""
+MIDWAY = 0.79
+"""Level of the simplest warning: midway from 0.98 to 0.60."""
+AFTER = 8.0
+"""Seconds after a drop from which an estimate should have followed it."""
+
+COLUMNS = (
+    "estimator", "use", "bias", "std", "covered", "supported", "bias_after",
+    "covered_after",
+    *(f"{key}_{100 * after:.0f}" for after in DROPS for key in ("found", "delay")),
+    "false_per_hour",
+    *(f"below_{key}" for key in ("found", "delay", "false_per_hour")),
+    "hours", "note",
+)  # fmt: skip
+"""Columns of table.csv; README.md says what they are."""
+
+
+def score(log: Log, trace: Trace) -> dict[str, float]:
+    """What one estimator made of one log, as numbers."""
+    scenario, truth = log.scenario, log.truth["mu"]
+    steady = np.isnan(scenario.drop)
+    begin = SETTLE if steady else scenario.drop + AFTER
+    error = accuracy(trace, truth, begin)
+    alarm = detection(trace.time[trace.alarm], scenario.drop, scenario.duration)
+    # Of a drop to 0.8 the level does not tell.
+    level = detection(crossings(trace, MIDWAY), scenario.drop, scenario.duration)
+    return {
+        **error._asdict(),
+        "delay": alarm.delay,
+        "false": alarm.false,
+        "seconds": alarm.seconds,
+        "below_delay": level.delay,
+        "below_false": level.false,
+    }
+
+
+def _mean(rows: Iterable[Mapping[str, float]], key: str) -> float:
+    values = np.array([row[key] for row in rows], float)
+    return float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
+
+
+def detections_of(delays: Sequence[float]) -> tuple[float, float]:
+    """Share of drops that were found, median delay [s] of those."""
+    found = np.isfinite(delays)
+    median = float(np.median(np.asarray(delays)[found])) if found.any() else np.nan
+    return float(np.mean(found)), median
+
+
+def pooled(
+    name: str, use: float, scored: Sequence[tuple[Scenario, dict[str, float]]]
+) -> dict[str, float | str]:
+    """One line of the table: an estimator at one use of friction.
+
+    Logs count by their length; drops one by one.
+    """
+    steady = [row for scenario, row in scored if np.isnan(scenario.drop)]
+    by_drop = {
+        after: [row for scenario, row in scored if scenario.after == after]
+        for after in DROPS
+    }
+    deep = by_drop[DROPS[0]]
+    bias = _mean(steady, "bias")
+    spread = [row["std"] ** 2 + (row["bias"] - bias) ** 2 for row in steady]
+    finite = np.isfinite(spread)
+    hours = sum(row["seconds"] for _, row in scored) / 3600
+    line: dict[str, float | str] = {
+        "estimator": name, "use": use, "bias": bias,
+        "std": float(np.sqrt(np.mean(np.array(spread)[finite]))) if any(finite)
+        else np.nan,
+        "covered": _mean(steady, "covered"), "supported": _mean(steady, "supported"),
+        "bias_after": _mean(deep, "bias"), "covered_after": _mean(deep, "covered"),
+    }  # fmt: skip
+    for after, rows in by_drop.items():
+        share, delay = detections_of([row["delay"] for row in rows])
+        line |= {f"found_{100 * after:.0f}": share, f"delay_{100 * after:.0f}": delay}
+    share, delay = detections_of([row["below_delay"] for row in deep])
+    # Before a drop to 0.8 too, friction is 0.98: only after it does the level mislead.
+    high = [row for scenario, row in scored if scenario.after != DROPS[1]]
+    exposed = sum(row["seconds"] for row in high) / 3600
+    return line | {
+        "false_per_hour": sum(row["false"] for _, row in scored) / hours,
+        "below_found": share,
+        "below_delay": delay,
+        "below_false_per_hour": sum(row["below_false"] for row in high) / exposed,
+        "hours": hours,
+        "note": "",
+    }
