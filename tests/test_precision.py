@@ -7,6 +7,7 @@ import pytest
 import tirefit
 from tirefit.data.table import TireData
 from tirefit.fitting.convert import curve
+from tirefit.fitting.result import FitResult
 from tirefit.precision import require_x64
 from tirefit.results import UsageError
 
@@ -21,7 +22,7 @@ ROWS = TireData(
 ENTRIES = {
     "fit": lambda: tirefit.fit(ROWS),
     "fit_many": lambda: tirefit.fit_many("brush", SLIP[None], SLIP[None], 4000.0),
-    "sample": lambda: tirefit.sample(None),
+    "sample": lambda: tirefit.sample(object.__new__(FitResult)),
     "predict": lambda: tirefit.predict("brush", ROWS),
     "curve": lambda: curve("brush", "fx", SLIP, [4000.0]),
     "diagnose": lambda: tirefit.diagnose(ROWS),

@@ -24,7 +24,7 @@ from importlib.metadata import entry_points
 from multiprocessing import get_context
 from pathlib import Path
 
-__all__ = ["command", "main", "simulated"]
+__all__ = ["command", "main", "more_words", "simulated"]
 
 
 def command(group: Path, without: list[str], out: Path, *more: str) -> list[str]:
@@ -69,6 +69,15 @@ def simulated(folder: Path) -> dict[str, bool]:
     return json.loads(told.read_text()) if told.exists() else {}
 
 
+def more_words(folder: Path, resume: bool) -> dict[str, list[str]]:
+    """Options of the command for each group."""
+    beside, keep = simulated(folder), ["--resume"] if resume else []
+    return {
+        group.name: [*keep, *(["--sim"] if beside.get(group.name) else [])]
+        for group in (folder / "trials").iterdir()
+    }
+
+
 def run_group(group: Path, without: list[str], out: Path, *more: str) -> float:
     """Seconds that one group took. Without ``--resume`` old answers are removed."""
     if "--resume" not in more:
@@ -97,8 +106,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--resume", action="store_true", help="keep answers given")
     given = parser.parse_args(arguments)
     told = json.loads((given.folder / "leave_out.json").read_text())
-    beside = simulated(given.folder)
-    keep = ["--resume"] if given.resume else []
+    more = more_words(given.folder, given.resume)
     groups = list((given.folder / "trials").iterdir())
     # The largest first, so that the processes end at about the same time.
     groups = sorted(groups, key=lambda group: (-len(list(group.iterdir())), group))
@@ -112,8 +120,7 @@ def main(arguments: list[str] | None = None) -> None:
                 group,
                 told[group.name],
                 answers / group.name,
-                *keep,
-                *(["--sim"] if beside.get(group.name) else []),
+                *more[group.name],
             )
             for group in groups
         ]

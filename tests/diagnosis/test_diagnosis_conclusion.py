@@ -120,7 +120,10 @@ def test_chances_agree_with_the_verdict():
     )  # fmt: skip
 
     def of(status, effects, probability):
-        verdict = Verdict(status, effects, probability, (), 0.0, ONE_EFFECT, UNTESTED)
+        more = 0.8 if status in ("unknown", "incomplete") else 0.0
+        verdict = Verdict(
+            status, effects, probability, (), 0.0, ONE_EFFECT, UNTESTED, unlisted=more
+        )
         return chances(verdict, weighed), chance_of_unknown(verdict, weighed)
 
     shared, unknown = of("named", a, 0.5)
@@ -130,6 +133,6 @@ def test_chances_agree_with_the_verdict():
     assert unknown == 0.8
     assert shared[a] == pytest.approx(0.2 * 0.6 / 0.9)
     shared, unknown = of("incomplete", a, 0.7)
-    assert shared[a] == 0.7 and shared[b] == pytest.approx(0.3 * 0.2 / 0.9)
+    assert shared[a] == 0.7 and shared[b] == pytest.approx(0.2 * 0.2 / 0.9)
     shared, unknown = of("none", (), 0.9)
     assert unknown == 0.1 and shared[a] == pytest.approx(0.6 / 0.9)

@@ -95,7 +95,17 @@ def test_the_acceleration_of_a_derived_force_explains_nothing(driven):
     assert found.verdict.status == "none"
 
 
-@pytest.mark.parametrize("effect", FAULTS)
+OFTEN = ("tracked_point", "yaw_inertia", "floor_slope")
+"""Faults of every run of the suite; the others take as long and are run on request."""
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        e if e in OFTEN else pytest.param(e, marks=pytest.mark.statistics)
+        for e in FAULTS
+    ],
+)
 def test_what_is_wrong_with_a_car_is_named(effect):
     """Four wheels, integrated: no formula of the library is among them."""
     # A path of some curvature at some speed has one road wheel angle: a yaw rate over

@@ -629,7 +629,8 @@ def test_no_effect_is_known_by_its_id_elsewhere():
     assert len(ids) > 25
     words = re.compile("[\"'](" + "|".join(ids) + ")[\"']")
     for path in sorted(package.rglob("*.py")):
-        if "effects" not in path.relative_to(package).parts:
+        # An online estimator has parameters of its own, of the same names.
+        if not {"effects", "online"} & set(path.relative_to(package).parts):
             assert not words.findall(path.read_text()), path
 
 

@@ -202,16 +202,12 @@ def test_files_of_simulators_are_told_apart(beside, tmp_path):
         assert told[group] == (label["set"] == "simulators")
 
 
-def test_run_asks_for_the_simulator_only_there(tmp_path, monkeypatch):
-    lines = []
-    monkeypatch.setattr(
-        run.subprocess, "run",
-        lambda line, **_: lines.append(line) or type("D", (), {"returncode": 0}),
-    )  # fmt: skip
-    for group, text in (("rig00", "time,fx,fx_sim\n"), ("rig01", "time,fx\n")):
+def test_run_asks_for_the_simulator_only_there(tmp_path):
+    for group in ("rig00", "rig01"):
         (tmp_path / "trials" / group).mkdir(parents=True)
-        (tmp_path / "trials" / group / "t.csv").write_text(text)
-    (tmp_path / "leave_out.json").write_text('{"rig00": [], "rig01": []}')
     (tmp_path / "simulators.json").write_text('{"rig00": true, "rig01": false}')
-    run.main([str(tmp_path)])
-    assert ["--sim" in line for line in lines] == [True, False]
+    words = run.more_words(tmp_path, resume=False)
+    assert words == {"rig00": ["--sim"], "rig01": []}
+    assert run.more_words(tmp_path, resume=True)["rig01"] == ["--resume"]
+    line = run.command(tmp_path / "trials/rig00", ["a"], tmp_path / "out", "--sim")
+    assert line[-1] == "--sim" and "--without" in line

@@ -230,7 +230,7 @@ def _nothing_stands(verdict: Verdict, judge: Judge) -> Verdict:
 
 def _incomplete(verdict: Verdict, judge: Judge, key, more: float) -> Verdict:
     """What stands beside something unlisted, whose probability is ``more``."""
-    weighed = judge.weighed
+    weighed, verdict = judge.weighed, replace(verdict, unlisted=more)
     chances = {e: probability_beside(c) for e, c in judge.clues_by_effect(key).items()}
     earned = judge.best_within([e for e in key if chances[e] >= _EARNED])
     if not earned or judge.imitates(earned) or judge.firm(earned, _FIRM) != earned:
@@ -256,6 +256,7 @@ def _unknown(
         verdict, status="unknown", effects=("unknown",), also_possible=(),
         probability=probability, chosen=weighed.best_of[()],
         adequacy=left._replace(passed=False),
+        unlisted=max(verdict.unlisted, probability),
     )  # fmt: skip
 
 
@@ -300,10 +301,8 @@ def chances(verdict: Verdict, weighed: Weighed) -> dict[tuple[str, ...], float]:
     if verdict.status in ("named", "cannot_tell") and listed.get(key):
         scale = min(verdict.probability / listed[key], 1.0)
         return {k: scale * v for k, v in listed.items()}
-    rest = 1 - verdict.probability
-    return {k: rest * v for k, v in listed.items()} | (
-        {key: verdict.probability} if key in listed else {}
-    )
+    shared = {k: (1 - verdict.unlisted) * v for k, v in listed.items()}
+    return shared | ({key: verdict.probability} if key in listed else {})
 
 
 def chance_of_unknown(verdict: Verdict, weighed: Weighed) -> float:

@@ -79,7 +79,8 @@ forms and a remainder too."""
 @dataclass(frozen=True)
 class Verdict:
     """What is said: status, effects, the probability of exactly this set; the tests of
-    what it leaves, once they are made; whether rows left out decided the status."""
+    what it leaves, once they are made; whether rows left out decided the status; the
+    probability of something ``unlisted``, where it was asked for."""
 
     status: str
     effects: tuple[str, ...]
@@ -89,6 +90,7 @@ class Verdict:
     chosen: Hypothesis
     adequacy: Adequacy = UNTESTED
     fails_elsewhere: bool = False
+    unlisted: float = 0.0
 
 
 @dataclass(frozen=True)
