@@ -16,9 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from tirefit.results import InputProblem, UsageError
+
 __all__ = [
     "Spec",
     "Values",
+    "check_values",
     "constrain",
     "log_jacobian",
     "par",
@@ -118,6 +121,37 @@ def parameter_values(model: eqx.Module) -> dict[str, Any]:
         for part in _parts(value):
             values.update(parameter_values(part))
     return values
+
+
+def check_values(
+    model: eqx.Module,
+    owner: str,
+    values: Mapping[str, float],
+    *,
+    noun: str = "parameter",
+    remedy: str = "see `tirefit models`",
+) -> None:
+    """Whether a user's values are of this model and within its bounds.
+
+    Args:
+        owner: what the messages call the model.
+        noun: what they call its fields.
+        remedy: for a value outside its bounds.
+
+    Raises:
+        UsageError: naming every value that is not.
+    """
+    known, problems = specs(model), []
+    for key, value in values.items():
+        if key not in known:
+            reason = f"{owner} has no {noun} {key!r}"
+            problems.append(InputProblem(reason, f"it has {', '.join(known)}"))
+        elif not known[key].lower <= value <= known[key].upper:
+            low, high = known[key].bounds
+            reason = f"{key} = {value:g} is outside its bounds [{low:.6g}, {high:.6g}]"
+            problems.append(InputProblem(reason, remedy))
+    if problems:
+        raise UsageError(problems)
 
 
 def with_values(model: Model, values: Mapping[str, Any]) -> Model:

@@ -4,7 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Levels", "cells", "levels"]
+__all__ = ["FEW_SETTINGS", "Levels", "cells", "levels"]
+
+FEW_SETTINGS = 6
+"""Levels of a column up to so many are settings of the rig, each looked at by itself;
+more are a range."""
 
 _LEAST = 0.005
 """Part of the range, and of the largest value, that counts as no gap at all: steps of
@@ -32,7 +36,7 @@ class Levels(NamedTuple):
     code: np.ndarray
     is_swept: bool
 
-    def few(self, most: int) -> bool:
+    def few(self, most: int = FEW_SETTINGS) -> bool:
         """Whether these are settings, and at most so many."""
         return not self.is_swept and len(self.center) <= most
 

@@ -12,13 +12,13 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from tirefit.diagnosis.base import Base
+from tirefit.diagnosis.conclusion import Judge, unknown
 from tirefit.diagnosis.forward import MOST
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.run_codes import shown_runs
 from tirefit.diagnosis.runs import KINDS
 from tirefit.diagnosis.search import Hypothesis, Search
-from tirefit.diagnosis.standing import standing
-from tirefit.diagnosis.verdict import Verdict, Weighed, linear_at
+from tirefit.diagnosis.verdict import Verdict, Weighed
 
 __all__ = ["Carried", "chosen_across_runs", "held_across_runs", "losses_left_out"]
 
@@ -59,12 +59,12 @@ def losses_left_out(base: Base, candidates: list[Hypothesis]) -> np.ndarray:
         keep = np.array(base.design.keep)
         good = out & (keep[: rows.n] > 0)
         keep[: rows.n] *= ~out
-        found = base.refit(starts, sets, base.design._replace(keep=keep))
+        refitted = base.refit(starts, sets, base.design._replace(keep=keep))
         each = []
         for k, atoms in enumerate(sets):
             amplitudes = np.zeros(len(base.atoms))
-            amplitudes[list(atoms)] = found.amplitude[k][: len(atoms)]
-            missed = observed - base.forces(found.z[k], amplitudes * scale)[main]
+            amplitudes[list(atoms)] = refitted.amplitude[k][: len(atoms)]
+            missed = observed - base.forces(refitted.z[k], amplitudes * scale)[main]
             each.append(np.mean(missed[good] ** 2))
         losses.append(each)
     return np.array(losses)
@@ -146,25 +146,20 @@ def held_across_runs(
     if key == tuple(sorted(verdict.effects)):
         return verdict, weighed
     if not key:
-        unknown = replace(
-            verdict, status="unknown", effects=("unknown",), also_possible=(),
-            chosen=weighed.best_of[()],
-            adequacy=verdict.adequacy._replace(passed=False),
-        )  # fmt: skip
-        return unknown, weighed
+        nothing = unknown(verdict, weighed, verdict.adequacy, carried.probability)
+        return nothing, weighed
     hypothesis = _fitted(base, candidates[carried.effects])
     weighed = replace(
         weighed, best_of=weighed.best_of | {key: hypothesis},
         sets={key: 0.0} | weighed.sets,
     )  # fmt: skip
-    used_up = linear_at(base, hypothesis).used_up
-    found = standing(base, hypothesis, used_up, generator).adequacy
+    left = Judge(search, weighed, generator).of(key).adequacy
     rivals = {e for other in carried.also for e in other} - set(key)
     status = "incomplete"
-    if found.passed:
+    if left.passed:
         status = "cannot_tell" if rivals else "named"
     chosen = replace(
-        verdict, status=status, effects=key, chosen=hypothesis, adequacy=found,
+        verdict, status=status, effects=key, chosen=hypothesis, adequacy=left,
         probability=carried.probability,
         also_possible=tuple(sorted(rivals)),
     )  # fmt: skip
@@ -183,11 +178,11 @@ def _fitted(base: Base, hypothesis: Hypothesis) -> Hypothesis:
     if hypothesis.refitted:
         return hypothesis
     start = [(hypothesis.z, hypothesis.amplitude)]
-    found, size = base.refit(start, [hypothesis.atoms]), len(hypothesis.atoms)
-    p = len(found.z[0])
+    fit, size = base.refit(start, [hypothesis.atoms]), len(hypothesis.atoms)
+    p = len(fit.z[0])
     return replace(
-        hypothesis, z=np.asarray(found.z[0]), refitted=True,
-        amplitude=np.asarray(found.amplitude[0][:size]),
-        covariance=np.asarray(found.covariance[0][: p + size, : p + size]),
-        chi2=float(found.chi2[0]),
+        hypothesis, z=np.asarray(fit.z[0]), refitted=True,
+        amplitude=np.asarray(fit.amplitude[0][:size]),
+        covariance=np.asarray(fit.covariance[0][: p + size, : p + size]),
+        chi2=float(fit.chi2[0]),
     )  # fmt: skip

@@ -10,7 +10,6 @@ from tirefit.diagnosis.negligible import FLAT, ROUNDING
 from tirefit.diagnosis.patterns import Patterns, patterns_gain
 
 __all__ = [
-    "FEW_SETTINGS",
     "FULL_SLIDING",
     "RANK",
     "Generic",
@@ -54,10 +53,6 @@ _MOST_WAVES = 4
 _DRAWN_SCALES = np.geomspace(0.3, 300, 25)
 """Scales of the located remainder, in z units: from below the noise to a thousand times
 that, a third apart."""
-
-FEW_SETTINGS = 6
-"""Levels of a covariate up to so many are settings of the rig, each looked at by
-itself; more are a range."""
 
 FULL_SLIDING = 3.0
 """Slip over that of full sliding beyond which nothing more depends on it."""
@@ -174,7 +169,7 @@ def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
     loads = levels(prepared.covariates.fz)
     cells = (
         [loads.code == code for code in range(len(loads.center))]
-        if loads.few(FEW_SETTINGS)
+        if loads.few()
         else [np.ones(prepared.n, bool)]
     )
     sides = _by_side(slip_fraction, 2).shape[1] // 2

@@ -33,14 +33,12 @@ __all__ = [
     "concluded",
     "look_of_rest",
     "probability_of_rest",
+    "unknown",
 ]
 
 _KNOWN = 2.0
 """Standard errors from which an effect may be named at all: an error bar of half the
 value."""
-
-_PERHAPS = 0.2
-"""The same from which an effect that is not named is said to be possible."""
 
 _EVEN = 0.5
 """Probability of something unlisted from which it is said."""
@@ -58,6 +56,9 @@ one is there to undo the other. The 18 visible pairs of one development set reac
 _EARNED = 1 / 3
 """Probability from which an effect is named beside something that is not listed. Trials
 hold a listed effect beside a stranger in one of five; who measures, more often."""
+
+_PERHAPS = 0.2
+"""The same from which an effect that is not named is said to be possible."""
 
 _EDGE = 1e-3
 """Distance from its bound, in prior scales, at which an effect rests on it."""
@@ -94,6 +95,12 @@ def _smallest(adequacy: Adequacy) -> float:
     return min(1.0, len(values) * min(values)) if values else 1.0
 
 
+def _linear(base: Base, weighed: Weighed, key) -> LinearFit:
+    """Around a set; its other forms are used up too where it has them."""
+    linear = linear_at(base, weighed.best_of[key])
+    return linear.in_other_form() if key in weighed.other_form else linear
+
+
 class Judge:
     """The standings of the sets of one search, each worked out once."""
 
@@ -103,26 +110,19 @@ class Judge:
 
     def of(self, key: tuple[str, ...]) -> Standing:
         if key not in self.known:
+            base, weighed = self.search.base, self.weighed
+            linear = _linear(base, weighed, key)
             self.known[key] = standing(
-                self.search.base, self.weighed.best_of[key], self._linear(key).used_up,
-                self.generator,
-            )  # fmt: skip
+                base, weighed.best_of[key], linear.used_up, self.generator
+            )
+            if key not in weighed.gains:
+                left = gains(base.generic, linear.used_up, linear.residual)
+                weighed.gains[key] = left
         return self.known[key]
-
-    def _linear(self, key) -> LinearFit:
-        """Around a set; its other forms are used up too where it has them."""
-        linear = linear_at(self.search.base, self.weighed.best_of[key])
-        if key not in self.weighed.other_form:
-            return linear
-        whole = np.concatenate([linear.used_up, linear.forms], axis=1)
-        return linear._replace(used_up=whole)
 
     def gains(self, key) -> dict[str, float]:
         """Log evidence of each kind of remainder beside a set."""
-        if key not in self.weighed.gains:
-            linear = self._linear(key)
-            generic = self.search.base.generic
-            self.weighed.gains[key] = gains(generic, linear.used_up, linear.residual)
+        self.of(key)
         return self.weighed.gains[key]
 
     def errors(self, key) -> dict[str, float]:
@@ -192,9 +192,7 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
         verdict = replace(verdict, adequacy=left)
         # Stricter than for a name: six tests, and a false alarm is the worse error.
         if verdict.status == "none" and _smallest(left) < _FLAGGED:
-            return _unknown(
-                verdict, weighed, left, probability_of_rest(_smallest(left))
-            )
+            return unknown(verdict, weighed, left, probability_of_rest(_smallest(left)))
         return verdict
     key = verdict.effects
     kept = judge.firm(key, _KNOWN)
@@ -225,7 +223,7 @@ def _nothing_stands(verdict: Verdict, judge: Judge) -> Verdict:
             verdict, status="none", effects=(), also_possible=(), adequacy=left,
             probability=1 - rest, chosen=weighed.best_of[()],
         )  # fmt: skip
-    return _unknown(verdict, weighed, left, rest)
+    return unknown(verdict, weighed, left, rest)
 
 
 def _incomplete(verdict: Verdict, judge: Judge, key, more: float) -> Verdict:
@@ -236,9 +234,9 @@ def _incomplete(verdict: Verdict, judge: Judge, key, more: float) -> Verdict:
     if not earned or judge.imitates(earned) or judge.firm(earned, _FIRM) != earned:
         alone = more * np.prod([1 - chance for chance in chances.values()])
         left = judge.of(()).adequacy
-        unknown = _unknown(verdict, weighed, left, float(alone))
+        nothing = unknown(verdict, weighed, left, float(alone))
         perhaps = tuple(e for e in key if chances[e] >= _PERHAPS)
-        return replace(unknown, also_possible=perhaps)
+        return replace(nothing, also_possible=perhaps)
     exactly = [chances[e] if e in earned else 1 - chances[e] for e in key]
     left = judge.of(earned).adequacy._replace(passed=False)
     return replace(
@@ -248,7 +246,7 @@ def _incomplete(verdict: Verdict, judge: Judge, key, more: float) -> Verdict:
     )  # fmt: skip
 
 
-def _unknown(
+def unknown(
     verdict: Verdict, weighed: Weighed, left: Adequacy, probability: float
 ) -> Verdict:
     """A gap that nothing listed explains: no set of the library may be named."""
@@ -276,7 +274,7 @@ def bound_by(
         return verdict
     if held.closed <= _WORSE:
         probability = max(_EVEN, 1 - verdict.probability)
-        bound = _unknown(verdict, weighed, verdict.adequacy, probability)
+        bound = unknown(verdict, weighed, verdict.adequacy, probability)
         return replace(bound, fails_elsewhere=True)
     if closed and held.closed < _FALLS_SHORT * closed:
         left = verdict.adequacy._replace(passed=False)
@@ -312,10 +310,11 @@ def chance_of_unknown(verdict: Verdict, weighed: Weighed) -> float:
     return weighed.unknown_alone if verdict.status == "none" else 0.0
 
 
-def look_of_rest(verdict: Verdict, base: Base) -> tuple[Look, ...]:
+def look_of_rest(verdict: Verdict, base: Base, weighed: Weighed) -> tuple[Look, ...]:
     """What is left beside the effects of an unknown or incomplete verdict."""
     if verdict.status not in ("unknown", "incomplete"):
         return ()
-    linear = linear_at(base, verdict.chosen)
-    found = looks(base.generic.patterns, linear.used_up, linear.residual)
-    return tuple(look for look in found if look.probability > _SHOWN)
+    key = tuple(sorted(verdict.chosen.effects))
+    linear = _linear(base, weighed, key)
+    alike = looks(base.generic.patterns, linear.used_up, linear.residual)
+    return tuple(look for look in alike if look.probability > _SHOWN)

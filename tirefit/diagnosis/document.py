@@ -286,7 +286,7 @@ def _verdict(case: Case) -> VerdictSummary:
         probability=verdict.probability,
         also_possible=verdict.also_possible,
         adequacy=verdict.adequacy,
-        looks_like=look_of_rest(verdict, case.base),
+        looks_like=look_of_rest(verdict, case.base, case.weighed),
         parameters=parameter_changes(case, widening(case.base, verdict.chosen)),
         fails_elsewhere=verdict.fails_elsewhere,
     )

@@ -18,6 +18,7 @@ from tirefit.diagnosis.rates import segments
 
 __all__ = [
     "PARAMETERS",
+    "USUAL_SIZES",
     "Look",
     "Pattern",
     "Patterns",
@@ -36,15 +37,12 @@ PARAMETERS = {
 """What changes: its field of the state, and the usual size of its change; that of the
 force is of the load."""
 
-_SCALES = (0.5, 2.0, 8.0)
+USUAL_SIZES = (0.5, 2.0, 8.0)
 """Multiples of the usual size that the evidence is averaged over."""
 
-_SETTINGS = 6
-"""Values of a quantity up to which it is a setting of the rig: then only thresholds
-between them and single settings are patterns."""
-
 _SET_BY_RIG = ("fz", "v", "temperature", "gamma", "pressure")
-"""Quantities that may have such settings; what moves by itself has gaps at most."""
+"""Quantities that may have few settings: then only thresholds between them and single
+settings are patterns. What moves by itself has gaps at most."""
 
 _KINKS = np.linspace(0.125, 0.875, 7)
 _STEPS = np.linspace(0.1, 0.9, 17)
@@ -148,7 +146,7 @@ def quantities(prepared, slip_fraction) -> dict[str, np.ndarray]:
 def settings_of(covariate: str, values) -> Levels | None:
     """The few settings that a rig has of a covariate; None where it has a range."""
     settings = levels(values)
-    is_set = covariate in _SET_BY_RIG and settings.few(_SETTINGS)
+    is_set = covariate in _SET_BY_RIG and settings.few()
     return settings if is_set else None
 
 
@@ -176,23 +174,23 @@ def _shapes(
             if order[0] < c < order[-1]
         ]
         return steps + inner
-    found = [
+    listed = [
         ("kink", k, 0.0, np.maximum(share - k, 0.0)) for k in _KINKS
     ] + [("threshold", k, 0.0, (share > k) - 0.5) for k in _STEPS]  # fmt: skip
-    found = [one for one in found if _both_sides(share > one[1])]
+    listed = [one for one in listed if _both_sides(share > one[1])]
     for width, places in _PLACES.items():
         for k in places:
             near = np.abs(share - k) < width
             if near.mean() > _EACH_SIDE:
                 shape = np.exp(-0.5 * ((share - k) / width) ** 2)
-                found.append(("local", k, width, shape))
+                listed.append(("local", k, width, shape))
     for count in waves[waves * _ROWS_OF_A_WAVE < n]:
         for phase in _PHASES:
             shape = np.sin(2 * np.pi * count * share + phase)
-            found.append(("wave", 1 / count, 0.0, shape))
+            listed.append(("wave", 1 / count, 0.0, shape))
     return [
         (name, at * span if name == "wave" else low + at * span, width * span, shape)
-        for name, at, width, shape in found
+        for name, at, width, shape in listed
     ]
 
 
@@ -237,61 +235,61 @@ def patterns(prepared, slip_fraction, fields: dict[str, np.ndarray]) -> Patterns
     return Patterns(np.concatenate(blocks, axis=1), log_prior, names)
 
 
-def _scores(found: Patterns, against, residual):
+def _scores(among: Patterns, against, residual):
     """Squared length (k,) of every pattern with ``against`` (m, p) out, and its product
     with the residual (k,); both zero where hardly anything is left of it."""
     unit, _ = np.linalg.qr(against)
     left = residual - unit @ (unit.T @ residual)
-    whole = np.einsum("mk,mk->k", found.columns, found.columns)
-    used = np.sum((unit.astype(np.float32).T @ found.columns) ** 2, axis=0)
+    whole = np.einsum("mk,mk->k", among.columns, among.columns)
+    used = np.sum((unit.astype(np.float32).T @ among.columns) ** 2, axis=0)
     length = np.where(
         whole - used > np.maximum(_LEFT * whole, _LEAST), whole - used, 0.0
     )
-    score = left.astype(np.float32) @ found.columns
+    score = left.astype(np.float32) @ among.columns
     return length.astype(float), np.where(length > 0, score, 0.0).astype(float)
 
 
 def _gains(length, score) -> np.ndarray:
     """Log evidence of each pattern over none (k,), averaged over its size."""
     each = []
-    for scale in _SCALES:
+    for scale in USUAL_SIZES:
         t = scale**2 * length
         each.append(0.5 * (scale**2 * score**2 / (1 + t) - np.log1p(t)))
-    return np.logaddexp.reduce(each, axis=0) - np.log(len(_SCALES))
+    return np.logaddexp.reduce(each, axis=0) - np.log(len(USUAL_SIZES))
 
 
-def patterns_gain(found: Patterns, against, residual) -> float:
+def patterns_gain(among: Patterns, against, residual) -> float:
     """Log evidence of one pattern, whichever, over none.
 
     Args:
         against: (m, p) columns that the fit has used up.
         residual: (m,) whitened.
     """
-    gains = _gains(*_scores(found, against, residual))
-    return float(np.logaddexp.reduce(gains + found.log_prior))
+    gains = _gains(*_scores(among, against, residual))
+    return float(np.logaddexp.reduce(gains + among.log_prior))
 
 
-def looks(found: Patterns, against, residual, most: int = 3) -> list[Look]:
+def looks(among: Patterns, against, residual, most: int = 3) -> list[Look]:
     """The patterns that a remainder looks like, the most probable of each parameter and
     quantity; the probability is of all patterns of that parameter and quantity."""
-    length, score = _scores(found, against, residual)
-    weight = _gains(length, score) + found.log_prior
+    length, score = _scores(among, against, residual)
+    weight = _gains(length, score) + among.log_prior
     if np.logaddexp.reduce(weight) < _SHOWS:
         return []
     share = np.exp(weight - np.logaddexp.reduce(weight))
     energy = max(float(residual @ residual), NONZERO)
     groups: dict[tuple[str, str], list[int]] = {}
-    for k, one in enumerate(found.of):
+    for k, one in enumerate(among.of):
         groups.setdefault((one.parameter, one.covariate), []).append(k)
     listed = []
     for members in groups.values():
         best = max(members, key=lambda k: weight[k])
         if length[best] <= 0:
             continue
-        usual = PARAMETERS[found.of[best].parameter][1]
+        usual = PARAMETERS[among.of[best].parameter][1]
         listed.append(
             Look(
-                *found.of[best],
+                *among.of[best],
                 float(score[best] / length[best]) * usual,
                 float(share[members].sum()),
                 float(score[best] ** 2 / length[best]) / energy,

@@ -277,7 +277,7 @@ def _by_its_rate(slip, time, rate, parts, still: Sweeps) -> Sweeps:
     that lies between the rows."""
     usual = float(np.sqrt(np.mean(rate**2)))
     past = still.past._replace(interval=_SPAN * float(np.std(slip)) / usual / BEHIND)
-    found = still._replace(present=True, rate=rate, past=past)
+    moving = still._replace(present=True, rate=rate, past=past)
     past.path[:] = past.of(slip)
     for part in parts:
         _, low, share = _places(past, part, time[part])
@@ -292,8 +292,8 @@ def _by_its_rate(slip, time, rate, parts, still: Sweeps) -> Sweeps:
         past.rows[part], past.others[part] = part[low], part[low + 1]
         past.share[part] = share
     sure = np.sign(slip) * rate / (2 * _SURE * usual)
-    found.turning[:] = np.clip(sure, -1, 1)
-    return found
+    moving.turning[:] = np.clip(sure, -1, 1)
+    return moving
 
 
 def _best_window(slip, time, parts) -> tuple[int, float]:

@@ -162,7 +162,7 @@ def _already(base, kind: str, amplitudes: Mapping[str, float]) -> np.ndarray:
 
 def offsets_of_runs(base, hypothesis) -> dict[str, RunOffsets]:
     """How the runs differ beside a hypothesis, by kind; empty for a single run."""
-    found = {}
+    offsets = {}
     for kind in KINDS:
         seen = estimates(base, kind, hypothesis)
         if seen is None:
@@ -171,11 +171,11 @@ def offsets_of_runs(base, hypothesis) -> dict[str, RunOffsets]:
         law = shrunk(values, covariance)
         names = [base.rows.data.runs[code] for code in codes]
         own = zip(law.values.tolist(), law.errors.tolist(), strict=True)
-        found[kind] = RunOffsets(
+        offsets[kind] = RunOffsets(
             OFFSETS[kind].unit, law.common, law.std, law.spread,
             law.spread_ci, law.p_value, dict(zip(names, own, strict=True)),
         )  # fmt: skip
-    return found
+    return offsets
 
 
 def pattern_of_runs(base, kind: str) -> np.ndarray:

@@ -124,7 +124,7 @@ class _Searcher:
         self.ids = [effect.id for effect in effects]
         self.odds = [e.odds(base.rows) if e.odds else 0.0 for e in effects]
         self.singular = np.array([effect.far for effect in effects], bool)
-        self.found: dict[tuple[int, ...], Hypothesis] = {}
+        self.tried: dict[tuple[int, ...], Hypothesis] = {}
         families = {effects[k].family for k in self.testable}
         self.forms = {
             f: len({effects[k].id for k in self.testable if effects[k].family == f})
@@ -151,7 +151,7 @@ class _Searcher:
         self.null_chi2 = float(refit.chi2[0])
         self.null_log_det = float(refit.log_det[0])
         z = np.asarray(refit.z)[0]
-        self.found[()] = Hypothesis(
+        self.tried[()] = Hypothesis(
             (), (), 0.0, self.log_prior(()), z, np.zeros(0),
             np.asarray(refit.covariance)[0][: len(z), : len(z)], self.null_chi2,
         )  # fmt: skip
@@ -177,7 +177,7 @@ class _Searcher:
 
     def refit(self, sets: Sequence[tuple[int, ...]], guesses: dict) -> None:
         """Refit sets of atoms, two starts each where the sign is open."""
-        sets = [s for s in dict.fromkeys(sets) if s and s not in self.found]
+        sets = [s for s in dict.fromkeys(sets) if s and s not in self.tried]
         half = MOST // 2  # each set may have two starts
         for begin in range(0, len(sets), half):
             self._refit_some(sets[begin : begin + half], guesses)
@@ -199,13 +199,13 @@ class _Searcher:
 
     def estimate(self, atoms, guess, within: Hypothesis, value: float) -> None:
         """Record a set too improbable to refit, from the linear step to it."""
-        if atoms in self.found:
+        if atoms in self.tried:
             return
         p, size = len(within.z), len(atoms)
         z, amplitude = guess
         wide = np.eye(p + size)
         wide[:p, :p] = within.covariance[:p, :p]
-        self.found[atoms] = Hypothesis(
+        self.tried[atoms] = Hypothesis(
             atoms, tuple(self.ids[k] for k in atoms), within.log_evidence + value,
             self.log_prior(atoms), z, amplitude, wide, within.chi2, False,
         )  # fmt: skip
@@ -241,7 +241,7 @@ class _Searcher:
         for k, a, s in zip(atoms, amplitude, spread, strict=True):
             if self.sign[k]:
                 value += np.log(2) + log_ndtr(self.sign[k] * a / s)
-        self.found[atoms] = Hypothesis(
+        self.tried[atoms] = Hypothesis(
             atoms, tuple(self.ids[k] for k in atoms), float(value),
             self.log_prior(atoms), refit.z, amplitude, cov, float(refit.chi2),
         )  # fmt: skip
@@ -287,7 +287,7 @@ def _guess(searcher, gram, score, hypothesis: Hypothesis, k: int):
 def search(base: Base, testable: Sequence[int]) -> Search:
     """Screen and refit singles, then what each of the best still lacks."""
     searcher = _Searcher(base, testable)
-    null = searcher.found[()]
+    null = searcher.tried[()]
     gram, score, left = searcher.columns(null)
     ranked = _best_variants(searcher, gram, score)
     singles, guesses = [], {}
@@ -305,7 +305,7 @@ def search(base: Base, testable: Sequence[int]) -> Search:
     _extend(searcher, 2, *_BEYOND_TWO)
     return Search(
         base, searcher.testable, _scores(searcher, gram, score),
-        list(searcher.found.values()), left,
+        list(searcher.tried.values()), left,
     )  # fmt: skip
 
 
@@ -320,11 +320,11 @@ def _pairs_by_screen(searcher, gram, score, ranked, count: int = _PAIRS) -> None
 
 def _extend(searcher: _Searcher, size: int, beam: int, width: int) -> None:
     """Add to the best sets of this size what their remainders point at."""
-    sets = [h for h in searcher.found.values() if len(h.atoms) == size]
+    sets = [h for h in searcher.tried.values() if len(h.atoms) == size]
     sets = sorted(sets, key=lambda h: -h.log_weight)[:beam]
     wanted: list[tuple[int, ...]] = []
     guesses: dict[tuple[int, ...], tuple] = {}
-    top = max(h.log_weight for h in searcher.found.values())
+    top = max(h.log_weight for h in searcher.tried.values())
     for hypothesis in sets:
         if hypothesis.log_weight < top - _HOPELESS and hypothesis is not sets[0]:
             continue

@@ -25,7 +25,7 @@ from tirefit.fitting.store import StoredFit, load_fit
 from tirefit.fitting.tir import tire_of
 from tirefit.models import AbstractTire
 from tirefit.models import modelled as forces_modelled
-from tirefit.params import parameter_values, specs, with_values
+from tirefit.params import check_values, parameter_values, specs, with_values
 from tirefit.results import DataError, InputProblem, UsageError
 
 __all__ = [
@@ -280,7 +280,7 @@ def simulator_at(text: str, values: Mapping[str, float] | None = None) -> Given:
     if text.endswith(".json") or text.lower().endswith(".tir"):
         return _at_file(text, values)
     template = find_model(text)
-    _check_values(template, text, values)
+    check_values(template, text, values)
     said = "".join(f", {name} = {value:g}" for name, value in values.items())
     tire = with_values(template, parameter_values(template) | values)
     return _of_tire(tire, "model", f"{text}{said}")
@@ -290,7 +290,7 @@ def _at_file(text: str, values: dict[str, float]) -> Given:
     if not text.endswith(".json"):
         tir = read_tir(text)
         tire = tire_of(tir)
-        _check_values(tire, text, values)
+        check_values(tire, text, values)
         tire = with_values(tire, values)
         said = "".join(f", {name} = {value:g}" for name, value in values.items())
         given = _of_tire(tire, "tir", f"{text}{said}", _digest(text))
@@ -305,18 +305,3 @@ def _at_file(text: str, values: dict[str, float]) -> Given:
 
 def _digest(path: str) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-
-
-def _check_values(tire, name: str, values: Mapping[str, float]) -> None:
-    known = specs(tire)
-    problems = []
-    for key, value in values.items():
-        if key not in known:
-            reason = f"{name} has no parameter {key!r}"
-            problems.append(InputProblem(reason, f"it has {', '.join(known)}"))
-        elif not known[key].lower <= value <= known[key].upper:
-            low, high = known[key].bounds
-            reason = f"{key} = {value:g} is outside its bounds [{low:.6g}, {high:.6g}]"
-            problems.append(InputProblem(reason, "see `tirefit models`"))
-    if problems:
-        raise UsageError(problems)

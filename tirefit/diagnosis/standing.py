@@ -12,7 +12,7 @@ import numpy as np
 from tirefit.data.levels import levels
 from tirefit.diagnosis.adequacy import Adequacy, adequacy
 from tirefit.diagnosis.base import Base
-from tirefit.diagnosis.basis import FEW_SETTINGS, without
+from tirefit.diagnosis.basis import without
 from tirefit.diagnosis.negligible import ROUNDING
 from tirefit.diagnosis.noise import correlation
 from tirefit.diagnosis.rates import segments
@@ -69,9 +69,9 @@ def regimes(prepared: Prepared) -> list[np.ndarray]:
 
     def settings(values):
         distinct = levels(values)
-        if not distinct.few(FEW_SETTINGS):
+        if not distinct.few():
             thirds(values)
-        for code in range(len(distinct.center) if distinct.few(FEW_SETTINGS) else 0):
+        for code in range(len(distinct.center) if distinct.few() else 0):
             add(distinct.code == code)
 
     if "loads" in has:

@@ -155,17 +155,14 @@ def weigh(search: Search) -> Weighed:
     ranked = sorted(total, key=lambda key: total[key], reverse=True)
     for key in dict.fromkeys([*ranked[:_FREED], *_simplest(total, _SINGLES), ()]):
         linear = linear_at(search.base, best[key])
-        form = _form(linear)
-        if form is not None and len(key) < MOST_EFFECTS:
-            free = float(np.logaddexp(np.log(1 - PRIOR_OF_FORM), form.gain))
-            total[key] += free
-            evidence[key] += free
-            if form.gain > np.log(1 - PRIOR_OF_FORM):
+        if linear.forms.shape[1] and len(key) < MOST_EFFECTS:
+            formula, form = float(np.log(1 - PRIOR_OF_FORM)), _gain_of_form(linear)
+            total[key] += float(np.logaddexp(formula, form))
+            evidence[key] += float(np.logaddexp(formula, form))
+            if form > formula:
                 others.add(key)
-        used_up = linear.used_up
-        if form is not None and key in others:
-            used_up = form.used_up
-        remainder[key] = gains(search.base.generic, used_up, linear.residual)
+                linear = linear.in_other_form()
+        remainder[key] = gains(search.base.generic, linear.used_up, linear.residual)
         more = of_any_kind(remainder[key])
         beside[key] = total[key] + more + np.log(PRIOR_OF_UNKNOWN)
     rest = [hypothesis.log_weight for hypothesis in guessed]
@@ -202,6 +199,11 @@ class LinearFit(NamedTuple):
     used_up: np.ndarray
     forms: np.ndarray
 
+    def in_other_form(self) -> "LinearFit":
+        """The same where the effects are there in another form: that is used up too."""
+        whole = np.concatenate([self.used_up, self.forms], axis=1)
+        return self._replace(used_up=whole)
+
 
 def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
     """Around a refitted hypothesis."""
@@ -219,18 +221,10 @@ def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
     )
 
 
-class _Other(NamedTuple):
-    gain: float
-    used_up: np.ndarray
-
-
-def _form(linear: LinearFit) -> _Other | None:
-    """Log evidence of the other forms with their prior, and what is used up then."""
-    if not linear.forms.shape[1]:
-        return None
+def _gain_of_form(linear: LinearFit) -> float:
+    """Log evidence of the other forms over the formulas, with their prior."""
     left, size = orthogonal(linear.forms, linear.used_up)
-    evidence = gain(left.T @ linear.residual, size) + float(np.log(PRIOR_OF_FORM))
-    return _Other(evidence, np.concatenate([linear.used_up, linear.forms], axis=1))
+    return gain(left.T @ linear.residual, size) + float(np.log(PRIOR_OF_FORM))
 
 
 def fitted_form(linear: LinearFit) -> np.ndarray:

@@ -8,7 +8,6 @@ from scipy.special import stdtr
 from scipy.stats import false_discovery_control
 
 from tirefit.data.levels import cells, levels
-from tirefit.diagnosis.basis import FEW_SETTINGS
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 from tirefit.diagnosis.where import LEVEL, covariates_of
 from tirefit.slip import sigma_from_slip_ratio, slip_ratio_from_sigma
@@ -137,7 +136,7 @@ def shown_rows(base, parts) -> ShownRows:
 def _levels(values) -> tuple[np.ndarray, np.ndarray]:
     """Codes (n,) of the levels of a covariate, and the levels (m, 2), from and to."""
     settings = levels(values)
-    if settings.few(FEW_SETTINGS):
+    if settings.few():
         return settings.code, np.stack([settings.center, settings.center], axis=1)
     cuts = np.unique(np.quantile(values, np.linspace(0, 1, _BANDS + 1)))
     codes = np.clip(np.searchsorted(cuts, values, "right") - 1, 0, len(cuts) - 2)

@@ -8,7 +8,6 @@ from scipy.stats import false_discovery_control
 from tirefit.data.levels import levels
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.basis import (
-    FEW_SETTINGS,
     FULL_SLIDING,
     functions_of,
     mean_gain,
@@ -16,6 +15,7 @@ from tirefit.diagnosis.basis import (
 )
 from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.patterns import PARAMETERS, USUAL_SIZES
 from tirefit.diagnosis.records import Cell, Region
 
 __all__ = ["LEVEL", "covariates_of", "parameter_map", "regions"]
@@ -39,7 +39,7 @@ _FUNCTIONS = 6
 
 def _edges(values) -> list[tuple[float, float]]:
     settings = levels(values)
-    if settings.few(FEW_SETTINGS):
+    if settings.few():
         return list(zip(settings.low.tolist(), settings.high.tolist(), strict=True))
     cuts = np.unique(np.quantile(values, _QUARTERS))
     return list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
@@ -98,15 +98,11 @@ def regions(base: Base, residual, gap) -> list[Region]:
     return sorted(judged, key=lambda region: (region.p_value > LEVEL, -region.share))
 
 
-PARAMETERS = {
-    "stiffness": ("stiffness", 0.06), "friction": ("friction", 0.03),
-    "kinetic friction": ("kinetic", 0.06), "pressure": ("skew", 0.1),
-    "slip": ("shift", 0.002), "force": ("force", 0.01),
-}  # fmt: skip
-"""Field of the state and usual size of its change; that of the force is of the load."""
-
-_SIZES = (0.5, 2.0, 8.0)
-"""Multiples of the usual size that the evidence of a cell is averaged over."""
+_MAPPED = PARAMETERS | {
+    "kinetic friction": ("kinetic", 0.06),
+    "pressure": ("skew", 0.1),
+}
+"""What may vary: its field of the state, and the usual size of its change."""
 
 
 def parameter_map(base: Base) -> list[Cell]:
@@ -123,12 +119,12 @@ def parameter_map(base: Base) -> list[Cell]:
             np.minimum(values, FULL_SLIDING) if covariate == "slip_fraction" else values
         )
         shapes = functions_of(np.asarray(values, float), _FUNCTIONS)
-        for parameter, (field, size) in PARAMETERS.items():
+        for parameter, (field, size) in _MAPPED.items():
             scaled = size * (load[:, None] if field == "force" else 1.0) * shapes
             columns = fields[:, [PLACE[field]]] * np.tile(scaled, (channels, 1))
             left, length = orthogonal(columns, jacobian)
-            evidence = mean_gain(left, length, residual, _SIZES)
-            shrink = (_SIZES[-1] * length) ** 2
+            evidence = mean_gain(left, length, residual, USUAL_SIZES)
+            shrink = (USUAL_SIZES[-1] * length) ** 2
             shrink = shrink / (1 + shrink)
             explained = float(np.sum(shrink * (left.T @ residual) ** 2)) / misfit
             cells.append(Cell(parameter, covariate, evidence, explained))

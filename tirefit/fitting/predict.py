@@ -17,9 +17,9 @@ from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit
 from tirefit.fitting.time_series import check_time_series
 from tirefit.models import AbstractTire, TireInputs, forces
-from tirefit.params import Values, parameter_values, specs, with_values
+from tirefit.params import Values, check_values, parameter_values, with_values
 from tirefit.precision import require_x64
-from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.results import DataError, InputProblem
 
 __all__ = ["predict", "predict_forces"]
 
@@ -183,24 +183,7 @@ def _masked(data: TireData, out: dict) -> dict[str, np.ndarray]:
 def _of_model(
     template: AbstractTire, name: str, data: TireData, values: Mapping[str, float]
 ):
-    known, problems = specs(template), []
-    for key, value in values.items():
-        if key not in known:
-            problems.append(
-                InputProblem(
-                    f"{name} has no parameter {key!r}", f"it has {', '.join(known)}"
-                )
-            )
-        elif not known[key].lower <= value <= known[key].upper:
-            problems.append(
-                InputProblem(
-                    f"{key} = {value} is outside its bounds"
-                    f" [{known[key].lower:.6g}, {known[key].upper:.6g}]",
-                    "see `tirefit models`",
-                )
-            )
-    if problems:
-        raise UsageError(problems)
+    check_values(template, name, values)
     tire = with_values(template, parameter_values(template) | dict(values))
     require(data, ("fz", *tire.needs), f"the model {name}")
     if tire.transient:
