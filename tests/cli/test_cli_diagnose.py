@@ -283,7 +283,8 @@ def test_the_page_needs_nothing_else(studied):
 def test_resume_keeps_what_is_done(again, calls, tmp_path):
     before = contents(tmp_path / "out")
     os.utime(tmp_path / "load.csv", (1e9, 1e9))  # copied or checked out anew
-    again("offset.csv", "load.csv", "--resume", "--figures")
+    said = again("offset.csv", "load.csv", "--resume", "--figures").stdout
+    assert "offset.csv: done before" in said and "load.csv: done before" in said
     assert calls == [] and contents(tmp_path / "out") == before
     write(tmp_path / "load.csv", power=POWER, seed=9)
     again("offset.csv", "load.csv", "--resume", exit_code=3)
@@ -295,7 +296,7 @@ def test_resume_keeps_what_is_done(again, calls, tmp_path):
     "change",
     [
         ["--seed", "7"], ["--model", "brush-m"], ["--constant", "v=20"], ["--figures"],
-        ["--without", "slip_offset"], ["--holdout", "offset.csv"],
+        ["--without", "slip_offset"], ["--holdout", "offset.csv"], ["--force", "fx"],
     ],
     ids=lambda change: change[0],
 )  # fmt: skip
@@ -601,7 +602,7 @@ WRONG = {
     "model": (["--model", "brsh"], "did you mean"),
     "effect": (["--without", "slip_ofset"], "known effects"),
     "rig": (["--rig", "none.toml"], "none.toml"),
-    "rig value": (["--rig", "rig.toml"], "wheel_inertia = -1 is not a positive number"),
+    "rig value": (["--rig", "rig.toml"], "wheel_inertia = -1: must be greater than or equal to"),
     "convention": (["--convention", "iso"], "iso"),
     "out": (["--out", "run.csv"], "run.csv: no folder for the results"),
 }

@@ -21,6 +21,7 @@ __all__ = [
     "complain",
     "error_text",
     "errors_to_exit",
+    "forces_named",
     "has_terminal",
     "named_path",
     "numbers",
@@ -147,6 +148,18 @@ def numbers(
             reason = f"{option} {name}={value}: not a number"
             problems.append(InputProblem(reason, "give an SI value"))
     return value_of
+
+
+def forces_named(force: list[str] | None) -> list[str] | None:
+    """The forces of ``--force``; None where it is not given.
+
+    Raises:
+        UsageError: of something that is no force.
+    """
+    wrong = [name for name in force or [] if name not in ("fx", "fy", "mz")]
+    if wrong:
+        raise UsageError(InputProblem(f"--force {wrong[0]!r}", "one of fx, fy, mz"))
+    return force or None
 
 
 def read_options(given: DataOptions, config) -> dict[str, Any]:

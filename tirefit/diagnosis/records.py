@@ -285,8 +285,10 @@ class NextMeasurement(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What was known and asked for: rig, ids looked for, files held out (sha256)."""
+    """What was known and asked for: rig, ids looked for, files held out (sha256), and
+    the forces that matter, None for all."""
 
     rig: Rig
     effects: tuple[str, ...]
     holdout: tuple[str, ...]
+    forces: tuple[str, ...] | None = None
