@@ -499,15 +499,12 @@ walkers = 8
 SETTINGS = {
     "of a fit": (
         OF_A_FIT,
-        "warning: fit.toml: model, force, solver, starts, seed, data.slip_max,"
+        "warning: fit.toml: model, solver, starts, seed, data.slip_max,"
         " data.slip_min, noise.fx, parameters.mu, posterior.walkers: used by `tirefit"
         " fit` alone, not by diagnose; give model by --model, seed by --seed, noise by"
         " [noise] in --rig\n",
     ),
-    "force": (
-        'force = "fx"\n',
-        "warning: fit.toml: force: used by `tirefit fit` alone, not by diagnose\n",
-    ),
+    "force": ('force = "fx"\n', ""),
     "of reading": ('[data]\nconvention = "iso-w"\n[data.units]\nfx = "kN"\n', ""),
     "as asked": ('model = "brush"\nseed = 0\n', ""),
 }
@@ -602,7 +599,10 @@ WRONG = {
     "model": (["--model", "brsh"], "did you mean"),
     "effect": (["--without", "slip_ofset"], "known effects"),
     "rig": (["--rig", "none.toml"], "none.toml"),
-    "rig value": (["--rig", "rig.toml"], "wheel_inertia = -1: must be greater than or equal to"),
+    "rig value": (
+        ["--rig", "rig.toml"],
+        "wheel_inertia = -1: must be greater",
+    ),
     "convention": (["--convention", "iso"], "iso"),
     "out": (["--out", "run.csv"], "run.csv: no folder for the results"),
 }

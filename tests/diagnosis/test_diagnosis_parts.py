@@ -34,7 +34,7 @@ from tirefit.diagnosis.rig import VEHICLE, Rig, load_rig
 from tirefit.diagnosis.rows import prepare
 from tirefit.diagnosis.shares import shapley
 from tirefit.diagnosis.state import force_of_state, null_state
-from tirefit.diagnosis.where import regions
+from tirefit.diagnosis.where import regions, spots
 from tirefit.models import Brush, TireInputs
 from tirefit.results import UsageError
 
@@ -511,6 +511,22 @@ def test_regions_hold_all_the_energy(base):
     assert sum(r.share for r in loads) == pytest.approx(1.0)
     assert max(loads, key=lambda r: r.share).low == 6000
     assert all(r.p_value > 0.01 for r in found)  # there is no gap in these data
+
+
+def test_the_first_seconds_are_a_spot(base):
+    """A miss of five standard errors in one row of forty, in no quarter remarkable."""
+    n, residual = base.prepared.n, np.zeros(base.prepared.n)
+    time = np.asarray(base.prepared.time)
+    first = np.argsort(time)[: n // 40]
+    residual[first] = 5.0
+    gap = 100.0 * residual + 1.0
+    told = spots(base, residual, gap)
+    assert told[0].covariate == "time" and told[0].p_value < 1e-6
+    assert told[0].low == time.min() and told[0].rows < 0.07 and told[0].share > 0.9
+    noise = np.random.default_rng(3).standard_normal(n)
+    assert spots(base, noise, np.abs(noise)) == ()
+    # Spread evenly, a gap is nowhere denser.
+    assert spots(base, np.full(n, 5.0), np.full(n, 100.0)) == ()
 
 
 def test_rig_file(tmp_path):

@@ -29,7 +29,6 @@ from tirefit.diagnosis.records import (
     Gap,
     HeldOut,
     NoiseSummary,
-    Region,
     Resolution,
     Shrinkage,
     VerdictSummary,
@@ -42,7 +41,7 @@ from tirefit.diagnosis.shares import closed_by_each
 from tirefit.diagnosis.standing import widening
 from tirefit.diagnosis.verdict import Verdict, fitted_form, linear_at
 from tirefit.diagnosis.views import compared, residual_map, shown_rows
-from tirefit.diagnosis.where import parameter_map, regions
+from tirefit.diagnosis.where import parameter_map, regions, spots
 
 __all__ = ["document_of"]
 
@@ -106,7 +105,8 @@ def document_of(
         gap=gap,
         budget=budgets[main],
         budgets=budgets,
-        where=_where(base, shown.gap),
+        where=tuple(regions(base, _missed(base), shown.gap)),
+        spots=spots(base, _missed(base), shown.gap),
         map=tuple(parameter_map(base)),
         verdict=said,
         candidates=candidates,
@@ -133,9 +133,10 @@ def document_of(
     )  # fmt: skip
 
 
-def _where(base: Base, gap) -> tuple[Region, ...]:
-    missed = base.residual(base.as_given, np.zeros(len(base.atoms)))
-    return tuple(regions(base, missed[: base.prepared.n], gap))
+def _missed(base: Base) -> np.ndarray:
+    """Whitened residual of the first channel, (n,)."""
+    whole = base.residual(base.as_given, np.zeros(len(base.atoms)))
+    return whole[: base.prepared.n]
 
 
 def _bound(case: Case, closed: float | None, held: HeldOut | None, on_files: bool):

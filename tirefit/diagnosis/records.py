@@ -28,6 +28,7 @@ __all__ = [
     "Region",
     "Resolution",
     "Settings",
+    "Spot",
     "Shrinkage",
     "SimulatorSummary",
     "Surrogate",
@@ -116,6 +117,18 @@ class Gap(Shrinkage):
     channels: Mapping[str, Shrinkage]
     holdout: HeldOut | None
     shares: Mapping[str, float] = field(default_factory=dict)
+
+
+class Spot(NamedTuple):
+    """A short stretch of a covariate that holds far more of the gap than its share of
+    the rows; the p-value is corrected as that of a :class:`Region`."""
+
+    covariate: str
+    low: float
+    high: float
+    rows: float
+    share: float
+    p_value: float
 
 
 class Region(NamedTuple):
