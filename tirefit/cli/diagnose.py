@@ -262,8 +262,7 @@ def _all(files, names, task: _Task, jobs: int) -> ExitCode:
         closing(_outcomes(pieces, task, jobs)) as outcomes,
     ):
         for number, file in enumerate(files):
-            if progress is not None:
-                progress(number / len(files), f"{number + 1} of {len(files)}: {file}")
+            progress(number / len(files), f"{number + 1} of {len(files)}: {file}")
             outcome = next(outcomes)
             typer.echo(outcome.said, nl=False)
             typer.echo(outcome.complained, nl=False, err=True)

@@ -187,11 +187,23 @@ def fit_into(directory, data, settings, posterior=False, resume=False, svg=False
     with claimed(directory):
         result = fit_data(data, config=settings)
         if posterior:
+            # Whatever becomes of the sampling; a posterior to go on with stays.
+            if not (resume and (directory / "fit.json").exists()):
+                _save(result, directory, svg)
+                say(_first_words(result, directory))
             result = _sampled(result, directory, settings, resume)
         written = _save(result, directory, svg)
     say(str(result))
     say("wrote " + ", ".join(str(path) for path in written))
     return result
+
+
+def _first_words(result, directory: Path) -> str:
+    """Of the least squares, which are there before the posterior is."""
+    from tirefit.report.text import parameter_lines
+
+    said = f"written to {directory}; now the posterior is sampled\n"
+    return "\n".join([*parameter_lines(result)[1:], said])
 
 
 def _save(result, directory: Path, svg: bool) -> list[Path]:
