@@ -11,12 +11,12 @@ from scipy.stats import norm
 
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.derived import (
-    _bowl,
     derived_channel,
     derived_values,
     quantities,
 )
 from tirefit.fitting.estimate import fit, with_fixed
+from tirefit.fitting.extremes import _bowl
 from tirefit.fitting.inference import deviance
 from tirefit.fitting.layout import FreeParameter, Layout
 from tirefit.fitting.problem import build
@@ -193,7 +193,46 @@ def test_peak_beside_a_parameter_at_its_bound():
         (0.97 * found.value, 1.03 * found.value),
     )  # fmt: skip
     np.testing.assert_allclose(found.ci95, ends, atol=0.02 * np.ptp(ends))
-    assert result.least_squares["m"].std is None and found.std is None
+    assert result.least_squares["m"].std is None
+    np.testing.assert_allclose(found.std, np.ptp(found.ci95) / 3.92, rtol=1e-3)
+
+
+def test_slope_of_a_redundant_form_against_brute_force():
+    """A Magic Formula short of its peak: one of its parameters is not known at all, the
+    slope is, to 2 %."""
+    slip, generator = np.linspace(0.002, 0.06, 80), np.random.default_rng(3)
+
+    def magic(b, c, d, e):
+        x = b * slip / (1 + slip)  # of kappa
+        return FZ * d * np.sin(c * np.arctan(x - e * (x - np.arctan(x))))
+
+    force = magic(12.0, 1.5, 0.9, 0.3) + STD * generator.standard_normal(80)
+    data = {"sigma_x": slip, "fx": force, "fz": np.full(80, FZ)}
+    result = fit(table(data), "magic-formula", config=GIVEN)
+    unknown = [one for one in result.least_squares.values() if one.std is None]
+    assert unknown
+    found = result.derived["C_x"]
+    assert found.identified and found.std < 0.02 * found.value
+
+    known = specs(MODELS["magic-formula"])
+    low, high = np.array([known[name].bounds for name in "CDE"]).T
+
+    def misfit(t):
+        def residual(x):
+            c, d, e = x
+            return (force - magic(t / (FZ * c * d), c, d, e)) / STD
+
+        starts = ([1.5, 0.9, 0.3], [0.7, 1.5, -1.0], [2.0, 0.8, 0.5])
+        return min(
+            2 * least_squares(residual, x, bounds=(low, high), xtol=1e-12).cost
+            for x in starts
+        )
+
+    best = min(misfit(t) for t in np.linspace(*found.ci95, 9))
+    for end, sign in zip(found.ci95, (-1, 1), strict=True):
+        # At the end the deviance is that of 95 %; a little beyond it is more.
+        assert misfit(end) - best == pytest.approx(3.841, abs=0.1)
+        assert misfit(end + 0.1 * sign * found.std) - best > 3.841
 
 
 @pytest.mark.parametrize("name", ["estimated", "given", "prior"])

@@ -12,10 +12,9 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import expit, logit
 
 from tirefit.compiled import compiled
-from tirefit.fitting.inference import deviance_at, inflation, linearise
+from tirefit.fitting.extremes import extreme
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.profile import Profile
@@ -181,97 +180,12 @@ def _evaluator(problem: FitProblem, channel: str) -> Callable:
     return evaluate
 
 
-def _bowl(solved: Solved, z):
-    """Deviance at z, half its slope (p,), and half its curvature (p, p)."""
-    problem = solved.problem
-    at = linearise(problem, z)
-    slope, curvature = np.zeros(len(z)), np.zeros((len(z), len(z)))
-    for name, slopes in at.slopes.items():
-        values, slopes = np.asarray(at.values[name]), np.asarray(slopes)
-        weight = 1 / inflation(problem, name)
-        if name in problem.rules and problem.rules[name].smallest > 0:
-            weight = problem.rules[name].effective / (values @ values)
-        slope += weight * (values @ slopes)
-        curvature += weight * (slopes.T @ slopes)
-    return deviance_at(problem, at), slope, curvature
-
-
 def _slope_of(evaluate: Callable, name: str, z, std):
     """A quantity at z and its slope (p,), by central differences."""
     steps = np.diag(np.clip(1e-2 * std, 1e-4, 1e-2))
     values = evaluate(np.concatenate([z[None], z + steps, z - steps]))[name]
     up, down = np.split(values[1:], 2)
     return values[0], (up - down) / (2 * np.diag(steps))
-
-
-_NEXT_TO_BOUND = 1e-9
-
-_LONGEST_SHARE = 0.3
-"""Share of an element's range that one step may cross."""
-
-
-def _step(slope, pull, curvature, room: float, share):
-    """The step (p,) of :func:`_extreme` from shares at (p,).
-
-    An element at its bound that would go on is held there.
-    """
-    free, step = np.ones(len(share), bool), np.zeros(len(share))
-    for _ in range(2):
-        inverse = np.linalg.pinv(curvature[np.ix_(free, free)], hermitian=True)
-        left = room + slope[free] @ inverse @ slope[free]
-        reach = pull[free] @ inverse @ pull[free]
-        size = np.sqrt(max(left, 0.0) / max(reach, 1e-300))
-        step[free] = inverse @ (size * pull - slope)[free]
-        free = _inside(share + step) != share
-        step[~free] = 0.0
-    return step
-
-
-def _inside(share):
-    return np.clip(share, _NEXT_TO_BOUND, 1 - _NEXT_TO_BOUND)
-
-
-def _extreme(solved: Solved, quantity: Callable, sign: int) -> float:
-    """Largest (sign 1) or smallest (-1) value of a quantity within the 95 % region.
-
-    Venzon and Moolgavkar's iteration (Applied Statistics 37, 1988) for a function of
-    the parameters: where the deviance is a parabola and the quantity straight, one
-    step is exact. Taken in shares of each element's range, where a bound is a place
-    and not infinity. NaN where it does not settle.
-    """
-    level, fixed = solved.level, np.linalg.inv(solved.covariance)
-    share = _inside(expit(solved.z))
-    here = _bowl(solved, logit(share))
-    base, before, damping = here[0], np.inf, 1.0
-    for _ in range(60):
-        total, slope, curvature = here
-        scale = share * (1 - share)
-        value, pull = quantity(logit(share))
-        # Rows with slip noise are no squares: their curvature is the estimate's.
-        curvature = fixed if solved.problem.rows.nodes else curvature
-        step = _step(
-            slope / scale, sign * pull / scale, curvature / np.outer(scale, scale),
-            level - total + base, share,
-        )  # fmt: skip
-        length = float((step / scale) @ curvature @ (step / scale))
-        if not np.isfinite(length):
-            break
-        if length < 1e-6 * level and abs(total - base - level) < 1e-2 * level:
-            return float(value)
-        # Next to a bound the deviance may have no curvature to hold a step back.
-        step *= min(1.0, _LONGEST_SHARE / max(np.max(np.abs(step)), 1e-300))
-        damping = damping / 2 if length > before else min(1.0, 1.5 * damping)
-        before, start = length, share
-        # Never far outside the region: beyond it lie other valleys.
-        while damping > 1e-4:
-            share = _inside(start + damping * step)
-            here = _bowl(solved, logit(share))
-            if here[0] - base < 2 * level:
-                break
-            damping /= 2
-        else:
-            break
-    return float("nan")
 
 
 def _ends(*values: float) -> tuple[float | None, float | None]:
@@ -360,10 +274,13 @@ def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Es
         half = np.sqrt(solved.level) * std
         ci95, identified = _ends(value - half, value + half), True
     else:
-        ci95 = _ends(*(_extreme(solved, quantity, sign) for sign in (-1, 1)))
+        ci95 = _ends(*(extreme(solved, quantity, sign) for sign in (-1, 1)))
         identified = _says_something(ci95)
-    sure = identified and all(one.std is not None for one in known)
-    return Estimate(float(value), std if sure else None, unit, ci95, identified)
+    low, high = ci95
+    if low is not None and high is not None and any(one.std is None for one in known):
+        # The covariance says nothing of it: the profile's own width does.
+        std = (high - low) / (2 * float(np.sqrt(solved.level)))
+    return Estimate(float(value), std if identified else None, unit, ci95, identified)
 
 
 _BLOCK = 4096

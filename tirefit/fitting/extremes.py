@@ -1,0 +1,217 @@
+"""Largest and smallest value of a quantity within the 95 % region of a fit."""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.special import expit, logit
+
+from tirefit.fitting.inference import deviance_at, inflation, linearise
+from tirefit.fitting.solve import Solved
+
+__all__ = ["extreme"]
+
+
+def _bowl(solved: Solved, z):
+    """Deviance at z, half its slope (p,), and half its curvature (p, p)."""
+    problem = solved.problem
+    at = linearise(problem, z)
+    slope, curvature = np.zeros(len(z)), np.zeros((len(z), len(z)))
+    for name, slopes in at.slopes.items():
+        values, slopes = np.asarray(at.values[name]), np.asarray(slopes)
+        weight = 1 / inflation(problem, name)
+        if name in problem.rules and problem.rules[name].smallest > 0:
+            weight = problem.rules[name].effective / (values @ values)
+        slope += weight * (values @ slopes)
+        curvature += weight * (slopes.T @ slopes)
+    return deviance_at(problem, at), slope, curvature
+
+
+_NEXT_TO_BOUND = 1e-9
+
+_LONGEST_SHARE = 0.3
+"""Share of an element's range that one step may cross."""
+
+
+def _step(slope, pull, curvature, room: float, share):
+    """The step (p,) of :func:`_stepped` from shares at (p,).
+
+    An element at its bound that would go on is held there.
+    """
+    free, step = np.ones(len(share), bool), np.zeros(len(share))
+    for _ in range(2):
+        inverse = np.linalg.pinv(curvature[np.ix_(free, free)], hermitian=True)
+        left = room + slope[free] @ inverse @ slope[free]
+        reach = pull[free] @ inverse @ pull[free]
+        size = np.sqrt(max(left, 0.0) / max(reach, 1e-300))
+        step[free] = inverse @ (size * pull - slope)[free]
+        free = _inside(share + step) != share
+        step[~free] = 0.0
+    return step
+
+
+def _inside(share):
+    return np.clip(share, _NEXT_TO_BOUND, 1 - _NEXT_TO_BOUND)
+
+
+def _stepped(solved: Solved, quantity: Callable, sign: int) -> float:
+    """Largest (sign 1) or smallest (-1) value of a quantity within the 95 % region.
+
+    Venzon and Moolgavkar's iteration (Applied Statistics 37, 1988) for a function of
+    the parameters: where the deviance is a parabola and the quantity straight, one
+    step is exact. Taken in shares of each element's range, where a bound is a place
+    and not infinity. NaN where it does not settle.
+    """
+    level, fixed = solved.level, np.linalg.inv(solved.covariance)
+    share = _inside(expit(solved.z))
+    here = _bowl(solved, logit(share))
+    base, before, damping = here[0], np.inf, 1.0
+    for _ in range(60):
+        total, slope, curvature = here
+        scale = share * (1 - share)
+        value, pull = quantity(logit(share))
+        # Rows with slip noise are no squares: their curvature is the estimate's.
+        curvature = fixed if solved.problem.rows.nodes else curvature
+        step = _step(
+            slope / scale, sign * pull / scale, curvature / np.outer(scale, scale),
+            level - total + base, share,
+        )  # fmt: skip
+        length = float((step / scale) @ curvature @ (step / scale))
+        if not np.isfinite(length):
+            break
+        if length < 1e-6 * level and abs(total - base - level) < 1e-2 * level:
+            return float(value)
+        # Next to a bound the deviance may have no curvature to hold a step back.
+        step *= min(1.0, _LONGEST_SHARE / max(np.max(np.abs(step)), 1e-300))
+        damping = damping / 2 if length > before else min(1.0, 1.5 * damping)
+        before, start = length, share
+        # Never far outside the region: beyond it lie other valleys.
+        while damping > 1e-4:
+            share = _inside(start + damping * step)
+            here = _bowl(solved, logit(share))
+            if here[0] - base < 2 * level:
+                break
+            damping /= 2
+        else:
+            break
+    return float("nan")
+
+
+_STRIDES = 30
+"""Steps of a walk, each twice as long as the one before, from a third of a standard
+error: more than any quantity can go."""
+
+_ENDLESS = 1e3
+"""Times the estimate from which a quantity has no end."""
+
+_NARROWED_ENDS = 12
+_ON_LEVEL = 2e-3
+"""Distance from the level, in standard errors, that counts as there."""
+
+_ROUNDS = 100
+_FLATTEST = 1e-9
+"""Curvature, and damping of it, below which a direction is flat."""
+
+_SETTLED = 1e-7
+"""Change of the deviance, in shares of the level, from which a place has settled."""
+
+
+def _settled(solved: Solved, quantity: Callable, share, target: float, spread: float):
+    """Where deviance + ((quantity - target) / spread)^2 is least: a place of least
+    deviance for whatever value the quantity has there. (share, value, deviance), by
+    Levenberg's damping (1944), in shares of each element's range."""
+
+    def at(share):
+        z, scale = logit(share), share * (1 - share)
+        total, slope, curvature = _bowl(solved, z)
+        value, pull = quantity(z)
+        miss, pull = (value - target) / spread, pull / spread
+        return (
+            total + miss**2, (slope + miss * pull) / scale,
+            (curvature + np.outer(pull, pull)) / np.outer(scale, scale), value, total,
+        )  # fmt: skip
+
+    here, damping = at(share), 1e-3
+    for _ in range(_ROUNDS):
+        height, slope, curvature, *_ = here
+        trial = _damped(share, slope, curvature, damping)
+        there = at(trial)
+        if not there[0] < height:
+            damping *= 10
+            if damping > 1e8:
+                break
+            continue
+        share, here, damping = trial, there, max(damping / 5, _FLATTEST)
+        if height - here[0] < _SETTLED * solved.level:
+            break
+    return share, here[3], here[4]
+
+
+def _damped(share, slope, curvature, damping: float):
+    """The next shares; elements that would leave their range are held at its end."""
+    free, trial = np.ones(len(share), bool), share.copy()
+    for _ in range(len(share)):
+        part = curvature[np.ix_(free, free)]
+        # Where nothing depends on an element, it stays where it is.
+        size = np.sqrt(np.maximum(np.diag(part), _FLATTEST))
+        part = part / np.outer(size, size) + damping * np.eye(len(size))
+        trial[free] = share[free] - np.linalg.solve(part, slope[free] / size) / size
+        out = free & (_inside(trial) != trial)
+        if not out.any():
+            break
+        trial[out], free = _inside(trial[out]), free & ~out
+        # What the held ones contribute by the way they still have.
+        slope = slope + curvature[:, out] @ (trial[out] - share[out])
+        if not free.any():
+            break
+    return trial
+
+
+def _walked(solved: Solved, quantity: Callable, sign: int) -> float:
+    """The same as :func:`_stepped`, along the places of least deviance for each value
+    of the quantity: slower, and sure where a valley of the deviance is bent, as that of
+    a redundant form is. NaN where the quantity goes on without end."""
+    base = _bowl(solved, solved.z)[0]
+    first, pull = quantity(solved.z)
+    std = float(np.sqrt(pull @ solved.covariance @ pull))
+    spread = float(np.clip(std, 1e-3 * abs(first), 0.1 * abs(first)))
+
+    def reached(share, target):
+        """Where it settles, the value there, and how far above the level it is, which
+        is straight in the target where the deviance is a parabola."""
+        share, value, total = _settled(solved, quantity, share, target, spread)
+        return share, value, np.sqrt(max(total - base, 0.0)) - np.sqrt(solved.level)
+
+    share, value, below = _inside(expit(solved.z)), first, -float(np.sqrt(solved.level))
+    inside, stride = float(first), 0.3 * spread
+    for _ in range(_STRIDES):
+        outside = inside + sign * stride
+        there, farther, above = reached(share, outside)
+        if above > 0:
+            break
+        if not abs(farther) < _ENDLESS * abs(first):
+            return float("nan")
+        share, value, inside, below, stride = there, farther, outside, above, 2 * stride
+    else:
+        return float("nan")
+    for _ in range(_NARROWED_ENDS):
+        part = np.clip(below / (below - above), 0.1, 0.9)
+        middle = inside + part * (outside - inside)
+        there, between, height = reached(share, middle)
+        if height > 0:
+            outside, above = middle, height
+        else:
+            share, value, inside, below = there, between, middle, height
+        if abs(height) < _ON_LEVEL:
+            return float(between)
+    return float(value)
+
+
+def extreme(solved: Solved, quantity: Callable, sign: int) -> float:
+    """Largest (sign 1) or smallest (-1) value of a quantity over all parameters whose
+    deviance stays below the level; NaN where there is none.
+
+    Args:
+        quantity: z (p,) -> its value, and its slope (p,).
+    """
+    quick = _stepped(solved, quantity, sign)
+    return quick if np.isfinite(quick) else _walked(solved, quantity, sign)
