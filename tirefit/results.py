@@ -7,6 +7,7 @@ problem found, each with its place, reason and remedy.
 """
 
 import enum
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ __all__ = [
     "InputProblem",
     "TirefitError",
     "UsageError",
+    "in_python",
 ]
 
 
@@ -84,8 +86,41 @@ class InputProblem:
         return f"{text}\n    remedy: {self.remedy}" if self.remedy else text
 
 
+_PAIRS = {"column": "columns", "unit": "units", "constant": "constants"}
+_OPTION = re.compile(
+    r"--(?P<pair>column|unit|constant) (?P<key>\w+)=(?P<given>[^\s,;)]*)"
+    r"|--(?P<flag>mask-bad-rows|resume|beside)"
+    r"|--(?P<name>convention|slip|rolling-radius|side|model|sampler) (?P<value>[\w.-]+)"
+)
+
+
+def in_python(text: str) -> str:
+    """Options of the command line in a text as the arguments of the same meaning."""
+
+    def argument(found: re.Match) -> str:
+        if found["pair"]:
+            value = found["given"] or "..."
+            quoted = value if _is_number(value) else f"'{value}'"
+            return f"{_PAIRS[found['pair']]}={{'{found['key']}': {quoted}}}"
+        if found["flag"]:
+            return f"{found['flag'].replace('-', '_')}=True"
+        name, value = found["name"].replace("-", "_"), found["value"]
+        bare = name == "rolling_radius" or _is_number(value)
+        return f"{name}={value}" if bare else f"{name}='{value}'"
+
+    return _OPTION.sub(argument, text)
+
+
+def _is_number(text: str) -> bool:
+    return text.replace(".", "", 1).replace("-", "", 1).isdigit()
+
+
 class TirefitError(Exception):
-    """Base of the errors a user can cause; holds all problems at once."""
+    """Base of the errors a user can cause; holds all problems at once.
+
+    Its own text is for who called a function: it names arguments where a problem names
+    options of the command line.
+    """
 
     exit_code = ExitCode.USAGE
 
@@ -95,7 +130,7 @@ class TirefitError(Exception):
         if isinstance(problems, InputProblem):
             problems = [problems]
         self.problems = tuple(problems)
-        super().__init__("\n".join(str(problem) for problem in self.problems))
+        super().__init__(in_python("\n".join(map(str, self.problems))))
 
 
 class DataError(TirefitError):

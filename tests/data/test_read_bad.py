@@ -278,7 +278,7 @@ def test_bad_data_names_place_reason_and_remedy(tmp_path, content, options, expe
     path = write(tmp_path, content)
     with pytest.raises(DataError) as caught:
         read(path, **options)
-    message = str(caught.value)
+    message = "\n".join(map(str, caught.value.problems))
     for fragment in expected:
         assert fragment in message
     assert caught.value.exit_code == 3
@@ -305,7 +305,7 @@ def test_unknown_options_are_usage_errors(tmp_path, options, expected):
         read(write(tmp_path, WELL), **options)
     assert caught.value.exit_code == 2
     for fragment in expected:
-        assert fragment in str(caught.value)
+        assert fragment in "\n".join(map(str, caught.value.problems))
 
 
 def test_a_missing_file_is_named_with_its_neighbour(tmp_path):
@@ -358,7 +358,7 @@ def test_require_names_what_a_model_needs(tmp_path):
     require(data, ["sigma_x", "fx"], "the brush model")
     with pytest.raises(DataError) as caught:
         require(data, ["v", "alpha"], "the model")
-    message = str(caught.value)
+    message = "\n".join(map(str, caught.value.problems))
     assert "the model needs v (forward speed" in message
     assert "--constant v=VALUE [m/s]" in message
     assert "needs alpha (slip angle)" in message

@@ -301,7 +301,7 @@ def test_a_part_that_makes_matters_worse_counts_nothing():
 
 
 def test_what_cannot_be_a_simulator_is_refused(frame):
-    with pytest.raises(DataError, match="(?s)no force of the simulator.*--beside"):
+    with pytest.raises(DataError, match="(?s)no force of the simulator.*beside=True"):
         studied(frame, True)
     with pytest.raises(DataError, match="(?s)does not follow it.*--model"):
         studied(frame, 3000 * np.cos(40 * frame["sigma_x"]))

@@ -4,9 +4,11 @@ import dataclasses
 import math
 import textwrap
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from tirefit.data.accept import as_data
 from tirefit.data.levels import levels
 from tirefit.data.table import CANONICAL, TireData
 from tirefit.data.units import base_column
@@ -129,8 +131,13 @@ class Inspection:
         return "\n".join(lines)
 
 
-def inspect(data: TireData) -> Inspection:
-    """Summarises data: ranges, runs, loads, speeds, and which fits they support."""
+def inspect(data: Any) -> Inspection:
+    """Summarises data: ranges, runs, loads, speeds, and which fits they support.
+
+    Args:
+        data: what ``tirefit.read`` gave, or a path, a frame, a mapping of arrays.
+    """
+    data = as_data(data)
     source = data.source
     return Inspection(
         file=source.path or data.name,

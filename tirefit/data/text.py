@@ -186,12 +186,13 @@ def _even_out(rows: list[list[str]], width: int, lines) -> tuple[np.ndarray, tup
 
 
 def table_of_frame(frame, name: str) -> Table:
-    """A table of a DataFrame or a mapping of arrays; rows are counted from 0."""
-    headers = [str(header) for header in frame]
+    """A table of a frame or a mapping of arrays; rows are counted from 0."""
+    names = list(getattr(frame, "columns", frame))
+    headers = [str(header) for header in names]
     if hasattr(frame, "iloc"):
         values = [frame.iloc[:, i].to_numpy() for i in range(len(headers))]
     else:
-        values = [np.asarray(frame[header]) for header in frame]
+        values = [np.asarray(frame[name]) for name in names]
     lengths = {value.shape for value in values}
     if not values or len(lengths) > 1 or values[0].ndim != 1 or not len(values[0]):
         shapes = ", ".join(

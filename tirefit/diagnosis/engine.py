@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tirefit.data.accept import as_data
 from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.diagnosis.across_runs import held_across_runs
@@ -40,7 +41,7 @@ _MOST_ROWS = 6000
 
 
 def diagnose(
-    data: TireData,
+    data: Any,
     model: str = "brush",
     *,
     sim: Any = None,
@@ -48,14 +49,15 @@ def diagnose(
     forces: Sequence[str] | None = None,
     effects: Sequence[Effect] = EFFECTS,
     without: Sequence[str] = (),
-    holdout: Sequence[TireData] = (),
+    holdout: Sequence = (),
     seed: int = 0,
 ) -> Diagnosis:
     """Where a model misses the data, which unmodelled effect causes it, how far the
     gap shrinks once it is added.
 
     Args:
-        data: measured rows; see ``tirefit.read``.
+        data: what ``tirefit.read`` gave, or anything that it reads with its defaults: a
+            path, a frame, a mapping of column to (n,) array.
         model: name of the base model.
         sim: a simulator to take as it is, in the place of a fit of ``model``: a tire
             model with its values, a fit, a ``fit.json`` or ``.tir`` file, True for the
@@ -66,7 +68,8 @@ def diagnose(
         forces: of fx, fy, mz, those that matter; None for all that were measured.
         effects: the library to search; add your own to :data:`EFFECTS`.
         without: ids of effects that are not looked for.
-        holdout: data not used for the search, to check the closure on.
+        holdout: data of the same kinds, not used for the search, to check the closure
+            on.
         seed: of the simulated null distributions and bootstraps.
 
     Raises:
@@ -76,6 +79,7 @@ def diagnose(
             simulated forces, or a model that does not follow them.
     """
     require_x64("a diagnosis")
+    data, holdout = as_data(data), [as_data(other) for other in holdout]
     rig = rig or Rig()
     known = {effect.id for effect in effects}
     if unknown := sorted(set(without) - known):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tirefit.data.accept import as_data
 from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, parse_config
 from tirefit.fitting.derived import derived_from_profile, reference_point
@@ -200,7 +201,7 @@ def _config(config: FitConfig | dict | None, **changes) -> FitConfig:
 
 
 def fit(
-    data: TireData,
+    data: Any,
     model: str | None = None,
     *,
     config: FitConfig | dict | None = None,
@@ -210,7 +211,8 @@ def fit(
     """Fit a tire model by least squares, with covariance and profile intervals.
 
     Args:
-        data: measured data from ``tirefit.read``.
+        data: what ``tirefit.read`` gave, or anything that it reads with its defaults: a
+            path, a frame, a mapping of column to (n,) array.
         model: a name of ``tirefit.MODELS``; ``brush`` if nowhere given.
         config: content of ``fit.toml`` as a dict or a ``FitConfig``.
         solver: ``gauss-newton``, or ``optimistix`` or ``jaxopt`` as a second opinion.
@@ -224,6 +226,7 @@ def fit(
         DataError: the data lack a column that the model needs, or are too few.
     """
     require_x64("a fit")
+    data = as_data(data)
     config = _config(config, solver=solver, seed=seed, model=model)
     task = build(data, config.model or "brush", config)
     return _summarise(task, solve_problem(task, config), data, config)

@@ -1,6 +1,7 @@
 """Forces that a fit or a model predicts, row by row, with their spread."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tirefit.compiled import compiled
+from tirefit.data.accept import as_data
 from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.fitting.layout import Layout
@@ -86,14 +88,15 @@ def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
 
 def predict(
     source: StoredFit | FitResult | AbstractTire | str,
-    data: TireData,
+    data: Any,
     values: Mapping[str, float] | None = None,
 ) -> dict[str, np.ndarray]:
     """Forces row by row, canonical, with a predictive standard deviation for a fit.
 
     Args:
         source: a fit, a tire, or the name of a model.
-        data: rows with slip, load and, where the model needs it, speed.
+        data: rows with slip, load and, where the model needs it, speed: what
+            ``tirefit.read`` gave, or a path, a frame, a mapping of column to array.
         values: parameter values of a tire or a named model; its own otherwise.
 
     Returns:
@@ -108,6 +111,7 @@ def predict(
         DataError: the data lack an input, or have runs the fit does not know.
     """
     require_x64("a prediction")
+    data = as_data(data, forces=False)
     if isinstance(source, str):
         return _of_model(find_model(source), source, data, values or {})
     if isinstance(source, AbstractTire):

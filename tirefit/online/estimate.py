@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from tirefit.data.accept import as_data
 from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.online.methods import METHODS, estimator_of, methods_named
@@ -61,7 +62,7 @@ def log_columns(data: TireData) -> dict[str, np.ndarray]:
 
 
 def estimate(
-    data: TireData,
+    data: Any,
     methods: str | Sequence[str] = "rls",
     settings: Mapping[str, float] | None = None,
     *,
@@ -71,7 +72,8 @@ def estimate(
 
     Args:
         data: a log in time order, as ``tirefit.read(file, mask_bad_rows=True)`` gives
-            it; a new run starts every method anew.
+            it, or a path, a frame, a mapping of column to array; a new run starts every
+            method anew.
         methods: names of ``tirefit methods``, one by one or with commas.
         settings: values of the methods' settings by ``METHOD.NAME`` or ``NAME``.
         seed: of everything random; none of rls, mit, ekf and cubic has any.
@@ -81,6 +83,7 @@ def estimate(
         DataError: a column that a method needs is missing, or no row is usable.
     """
     require_x64("an online estimate")
+    data = as_data(data, mask_bad_rows=True, curve=False)
     names = methods_named(methods)
     chosen = settings_by_method(settings or {}, names)
     for name in names:

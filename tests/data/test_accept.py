@@ -1,0 +1,84 @@
+"""Every door of the package takes data as a user has them."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import tirefit
+from tirefit.data.accept import as_data
+from tirefit.results import DataError, InputProblem, UsageError, in_python
+
+SLIP = np.linspace(0.002, 0.12, 40)
+COLUMNS = {"sigma_x": SLIP, "fx": 3500 * np.tanh(20 * SLIP), "fz": np.full(40, 4e3)}
+
+
+class Frame:
+    """What polars and others have in common: names, and a column by its name;
+    iterating gives columns."""
+
+    columns = tuple(COLUMNS)
+
+    def __getitem__(self, name):
+        return COLUMNS[name]
+
+    def __iter__(self):
+        return iter(COLUMNS.values())
+
+
+@pytest.fixture(params=["table", "path", "text", "pandas", "frame", "mapping"])
+def given(request, tmp_path):
+    """The same data in every kind."""
+    frame, path = pd.DataFrame(COLUMNS), tmp_path / "rig.csv"
+    frame.to_csv(path, index=False, float_format="%.17g")
+    return {
+        "table": tirefit.read(path), "path": path, "text": str(path), "pandas": frame,
+        "frame": Frame(), "mapping": COLUMNS,
+    }[request.param]  # fmt: skip
+
+
+def test_the_same_data_in_every_kind(given):
+    data = as_data(given)
+    for name, values in COLUMNS.items():
+        np.testing.assert_array_equal(data[name], values)
+
+
+def test_a_fit_and_what_it_predicts(given):
+    result = tirefit.fit(given)
+    assert result.parameters["mu"].value == pytest.approx(0.875, rel=0.1)
+    predicted = tirefit.predict(result, given)["fx"]
+    np.testing.assert_allclose(predicted, COLUMNS["fx"], atol=200)
+    assert tirefit.inspect(given).rows == 40
+
+
+def test_only_what_an_input_needs_is_asked_for():
+    inputs = {name: COLUMNS[name] for name in ("sigma_x", "fz")}
+    assert tirefit.predict("brush", inputs)["fx"].shape == (40,)
+    log = COLUMNS | {"time": np.arange(40) / 100}
+    assert set(tirefit.estimate(log, "rls").methods) == {"rls"}
+    with pytest.raises(DataError, match="no load: fz is needed"):
+        tirefit.fit({name: COLUMNS[name] for name in ("sigma_x", "fx")})
+
+
+def test_anything_else_is_refused():
+    with pytest.raises(UsageError, match="data of type int: give what"):
+        tirefit.fit(3)
+
+
+@pytest.mark.parametrize(
+    ("option", "argument"),
+    [
+        ("--column fz=HEADER, or", "columns={'fz': 'HEADER'}, or"),
+        ("give --constant fz=4000 [N]", "give constants={'fz': 4000} [N]"),
+        ("pass --unit fx=-N", "pass units={'fx': '-N'}"),
+        ("one of --column fx= and", "one of columns={'fx': '...'} and"),
+        ("--convention iso-w or sae", "convention='iso-w' or sae"),
+        ("give --rolling-radius R [m]", "give rolling_radius=R [m]"),
+        ("without --mask-bad-rows", "without mask_bad_rows=True"),
+        ("a - b -- c --other d", "a - b -- c --other d"),
+    ],
+)
+def test_an_error_names_arguments_where_a_function_was_called(option, argument):
+    """The problem itself keeps the words of the command line."""
+    assert in_python(option) == argument
+    error = DataError(InputProblem("it fails", option))
+    assert argument in str(error) and option in str(error.problems[0])

@@ -1,0 +1,36 @@
+"""Data however a user has them: read already, a file, a frame or arrays."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tirefit.data.read import read, read_frame
+from tirefit.data.table import TireData
+from tirefit.results import UsageError
+
+__all__ = ["as_data"]
+
+
+def as_data(data: Any, **how: Any) -> TireData:
+    """The data, read with the defaults where they are not read yet.
+
+    Args:
+        data: what ``tirefit.read`` gave, the path of a file, a frame (pandas, polars or
+            any with ``columns``), or a mapping of name to (n,) array.
+        how: arguments of ``tirefit.read``, of data that are not read yet.
+
+    Raises:
+        UsageError: something else.
+        DataError: as ``tirefit.read``.
+    """
+    if isinstance(data, TireData):
+        return data
+    if isinstance(data, str | os.PathLike):
+        return read(Path(data), **how)
+    if isinstance(data, Mapping) or hasattr(data, "columns"):
+        return read_frame(data, **how)
+    raise UsageError(
+        f"data of type {type(data).__name__}: give what `tirefit.read` returns, a path,"
+        " a frame, or a mapping of column to array"
+    )
