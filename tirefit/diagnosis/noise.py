@@ -6,6 +6,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from tirefit.diagnosis.basis import RANK, waves_within
+from tirefit.diagnosis.memory import Memory, memory_of
 from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
 from tirefit.diagnosis.rows import LOADS
 from tirefit.fitting.noise import MAD, autocorrelation_time
@@ -79,10 +80,11 @@ _CORRELATED = 2.5
 
 
 class NoiseLevel(NamedTuple):
-    """Standard deviation (n,) of one force, rows per independent row, outliers (n,)
-    bool, flags, and where the level came from."""
+    """Standard deviation (n,) of one force, its memory, rows per independent row,
+    outliers (n,) bool, flags, and where the level came from."""
 
     std: np.ndarray
+    memory: Memory
     inflation: float
     outlier: np.ndarray
     flags: tuple[str, ...]
@@ -151,10 +153,15 @@ def judge_noise(
     if np.count_nonzero(~keep) > max(_FEW, _FLAGGED * len(residual)):
         flags.append("outliers")
     white = np.where(keep, clean, 0.0) / (std if given is None else 1.0)
-    inflation = correlation(white, time, run)
-    if inflation > 1.0:
+    scale = std if given is None else np.ones_like(std)
+    unit, _ = np.linalg.qr(smooth.columns / scale[:, None])
+    memory = memory_of(white, unit, _in_order(time, run))
+    inflation = 1.0
+    if memory.share:
+        inflation = max(memory.rows_each, correlation(white, time, run))
+        inflation = min(inflation, len(white) / _FACTS)
         flags.append("autocorrelated")
-    return NoiseLevel(std, inflation, ~keep, tuple(flags), source)
+    return NoiseLevel(std, memory, inflation, ~keep, tuple(flags), source)
 
 
 _FEW = 3
@@ -233,6 +240,11 @@ class _Smooth:
         self.root = vectors[:, good] / np.sqrt(values[good])
         self.freedom = max(int(keep.sum()) - int(good.sum()), 1)
 
+    @property
+    def columns(self) -> np.ndarray:
+        """Orthonormal on the rows that are kept, zero on the others: (n, q)."""
+        return (self.basis * self.keep[:, None]) @ self.root
+
     def remainder(self, residual):
         """Residual less its smooth part, (n,)."""
         score = self.root.T @ (self.basis.T @ (residual * self.keep))
@@ -268,10 +280,15 @@ def _uneven(white, fz, keep) -> bool:
     return abs(square @ x) / np.sqrt(2 * len(x)) > _FOLLOWS
 
 
+def _in_order(time, run) -> list[np.ndarray]:
+    """Rows of each run in the order they were measured: index arrays."""
+    order = np.arange(len(run)) if time is None else np.lexsort((time, run))
+    return [order[run[order] == code] for code in np.unique(run)]
+
+
 def correlation(white, time, run) -> float:
     """Rows per independent row, of the remainder in the order it was measured."""
-    order = np.arange(len(white)) if time is None else np.lexsort((time, run))
-    parts = [white[order][run[order] == code] for code in np.unique(run)]
+    parts = [white[rows] for rows in _in_order(time, run)]
     lag_one = sum(float(p[1:] @ p[:-1]) for p in parts) / max(
         sum(float(p @ p) for p in parts), NONZERO
     )
