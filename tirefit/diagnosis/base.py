@@ -378,8 +378,8 @@ def _noise(
             else rig.force_noise(channel, fz)
         )
         levels[channel] = judge_noise(
-            prepared.observed[channel] - mean[channel], spread[channel], fz, given,
-            basis, waves, groups, prepared.time, prepared.run, outliers,
+            prepared.observed[channel] - mean[channel], spread[channel], fz,
+            mean[channel], given, basis, waves, groups, prepared.time, prepared.run, outliers,
         )  # fmt: skip
     return levels
 

@@ -92,14 +92,14 @@ class NoiseLevel(NamedTuple):
 
 
 def judge_noise(
-    residual, spread, fz, given, basis, waves, groups, time, run, refine=True
+    residual, spread, fz, force, given, basis, waves, groups, time, run, refine=True
 ) -> NoiseLevel:
     """Noise of one channel.
 
     Args:
         residual: (n,) [N] of the base fit.
         spread: (n,) variance that the slip noise gives [N^2].
-        fz: (n,) load.
+        fz, force: (n,) load, and force of the fit.
         given: (n,) stated standard deviation, or None.
         basis: (n, m) smooth functions that soak up any gap (unit columns, in N).
         waves: (n, 2 x waves) of which the strong ones do so too.
@@ -116,9 +116,11 @@ def judge_noise(
     clean = smooth.remainder(residual / std)
     for _ in range(_ROUNDS if refine else 0):
         level = clean
-        if given is None:  # larger loads scatter more: no outliers for that
-            law, _ = _variance_law(clean, spread, fz, keep, smooth.freedom)
-            level = clean / law
+        used = _follows(clean, np.abs(force), keep)
+        if given is None or used:  # larger forces scatter more: no outliers for that
+            shapes = _shapes(clean, fz, force, keep)
+            own = spread if given is None else np.zeros_like(std)
+            level = clean / _variance_law(clean, own, shapes, keep, smooth.freedom)
         unit = MAD * np.median(np.abs(level[keep]))
         many = np.count_nonzero(~keep) > _MANY * len(keep)
         far = _OUTLIER_AMONG_MANY if many else _OUTLIER
@@ -129,31 +131,39 @@ def judge_noise(
         smooth = _Smooth(smooth.basis, good)
         clean = smooth.remainder(residual / std)
     dof = smooth.freedom
-    flags, source = [], "given"
+    flags, source, law = [], "given", np.ones_like(std)
     spare = _MISSTATED if np.count_nonzero(~keep) < _MANY * len(keep) else 0.0
     ratio = float(np.sqrt(np.sum(clean[keep] ** 2) / max(dof, 1.0)))
     # What neighbours differ by bounds the noise where a gap is finer than the basis.
     local = _between_neighbours(residual / std, groups, keep)
     if given is None:
-        std, hetero = _variance_law(clean * std, spread, fz, keep, dof)
+        shapes = _shapes(clean, fz, force, keep)
+        std = _variance_law(clean * std, spread, shapes, keep, dof)
         source = "differences"
         if local < _FINER * ratio:
             std = std * local / ratio
-        if hetero:
+        if np.max(std) > _UNEVEN * np.min(std):
             flags.append("heteroscedastic")
+    elif _follows(clean, np.abs(force), keep):
+        shapes = _shapes(clean, fz, force, keep)
+        law = _variance_law(clean, np.zeros_like(std), shapes, keep, dof)
+        std, source = std * law, "estimated: the given level disagrees"
+        if local < _FINER * ratio:
+            std = std * local / ratio
+        flags.append("heteroscedastic")
     elif min(ratio, local) > 1 + max(spare, _MISSTATED_SIGMAS / np.sqrt(2 * dof)):
         std, source = std * min(ratio, local), "estimated: the given level disagrees"
         flags.append("noise_misstated")
     elif ratio < _OVERSTATED:
         flags.append("noise_misstated")
     std = np.maximum(std, _FINEST * np.mean(fz))
-    clean = clean * (base if given is None else 1.0)
-    if given is not None and _uneven(clean, fz, keep):
-        flags.append("heteroscedastic")
+    if given is not None and "heteroscedastic" not in flags:
+        if np.std(np.log(fz)) > LOADS and _follows(clean, np.log(fz), keep):
+            flags.append("heteroscedastic")
     if np.count_nonzero(~keep) > max(_FEW, _FLAGGED * len(residual)):
         flags.append("outliers")
-    white = np.where(keep, clean, 0.0) / (std if given is None else 1.0)
-    scale = std if given is None else np.ones_like(std)
+    scale = std if given is None else law
+    white = np.where(keep, clean, 0.0) / scale
     unit, _ = np.linalg.qr(smooth.columns / scale[:, None])
     memory = memory_of(white, unit, _in_order(time, run))
     inflation = 1.0
@@ -251,12 +261,18 @@ class _Smooth:
         return residual - self.basis @ (self.root @ score)
 
 
-def _variance_law(clean, spread, fz, keep, dof):
-    """sqrt(a^2 + b^2 F_z^2 + slip noise's share), by non-negative least squares."""
-    square = clean[keep] ** 2 * (keep.sum() / dof)
-    shapes = [np.ones_like(fz)]
+def _shapes(clean, fz, force, keep) -> list[np.ndarray]:
+    """What the variance is made of: a part of its own, one that grows with the load
+    where that varies, and parts that grow with the force where they clearly do."""
+    shapes, used = [np.ones_like(fz)], np.abs(force) / np.max(np.abs(force))
     if np.std(np.log(fz)) > _SPREAD_OF_LOAD:
         shapes.append((fz / np.mean(fz)) ** 2)
+    return [*shapes, used, used**2] if _follows(clean, used, keep) else shapes
+
+
+def _variance_law(clean, spread, shapes, keep, dof) -> np.ndarray:
+    """sqrt of the shapes and the slip noise's share, by non-negative least squares."""
+    square = clean[keep] ** 2 * (keep.sum() / dof)
     level = np.full(keep.sum(), square.mean())
     for _ in range(_LAW_ROUNDS):
         columns = np.stack([s[keep] / level for s in shapes], axis=1)
@@ -264,17 +280,15 @@ def _variance_law(clean, spread, fz, keep, dof):
         variance = sum(c * s for c, s in zip(part, shapes, strict=True)) + spread
         variance = np.maximum(variance, _LEAST_VARIANCE * square.mean())
         level = variance[keep]
-    total = np.mean(square / level)
-    std = np.sqrt(variance * total)
-    return std, bool(np.max(std) > _UNEVEN * np.min(std))
+    return np.sqrt(variance * np.mean(square / level))
 
 
-def _uneven(white, fz, keep) -> bool:
-    """Whether the squares follow the load (score test of the variance)."""
-    x = np.log(fz[keep])
-    if np.std(x) < LOADS:
+def _follows(clean, values, keep) -> bool:
+    """Whether the squares follow the values (score test of the variance)."""
+    x = values[keep]
+    if np.ptp(x) < ROUNDING * np.max(np.abs(x)):
         return False
-    square = white[keep] ** 2
+    square = clean[keep] ** 2
     square = square / square.mean() - 1
     x = (x - x.mean()) / np.std(x)
     return abs(square @ x) / np.sqrt(2 * len(x)) > _FOLLOWS
