@@ -224,6 +224,7 @@ class Null(NamedTuple):
 
 def null(
     used_up: np.ndarray,
+    doubt: np.ndarray,
     parts: Sequence[np.ndarray],
     sizes: Sequence[float],
     memories: Sequence[Memory],
@@ -234,6 +235,8 @@ def null(
 
     Args:
         used_up: (m, p) whitened columns of everything that was fitted.
+        doubt: (m, k) directions in which the rows may be off together, by independent
+            unit normal numbers, beside the noise.
         parts: rows of each channel among the m: index arrays.
         sizes, memories: standard deviation of the noise of each channel, its memory.
         in_time: rows of a channel, in each unbroken stretch in the order of time
@@ -244,6 +247,7 @@ def null(
     noise = np.empty((len(used_up), DRAWS))
     for part, size, memory in zip(parts, sizes, memories, strict=True):
         noise[part] = size * _noise(len(part), memory, in_time, generator)
+    noise += doubt @ generator.standard_normal((doubt.shape[1], DRAWS))
     return Null(noise - unit @ (unit.T @ noise), unit)
 
 

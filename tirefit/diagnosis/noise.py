@@ -116,11 +116,13 @@ def judge_noise(
     clean = smooth.remainder(residual / std)
     for _ in range(_ROUNDS if refine else 0):
         level = clean
-        used = _follows(clean, np.abs(force), keep)
+        used = _growth(clean, np.abs(force), keep) > _FOLLOWS
         if given is None or used:  # larger forces scatter more: no outliers for that
-            shapes = _shapes(clean, fz, force, keep)
-            own = spread if given is None else np.zeros_like(std)
-            level = clean / _variance_law(clean, own, shapes, keep, smooth.freedom)
+            shapes = _shapes(clean, fz, force, base, keep)
+            law = _variance_law(
+                clean * std, spread, shapes, keep, smooth.freedom, given is not None
+            )
+            level = clean * std / law
         unit = MAD * np.median(np.abs(level[keep]))
         many = np.count_nonzero(~keep) > _MANY * len(keep)
         far = _OUTLIER_AMONG_MANY if many else _OUTLIER
@@ -137,16 +139,16 @@ def judge_noise(
     # What neighbours differ by bounds the noise where a gap is finer than the basis.
     local = _between_neighbours(residual / std, groups, keep)
     if given is None:
-        shapes = _shapes(clean, fz, force, keep)
+        shapes = _shapes(clean, fz, force, base, keep)
         std = _variance_law(clean * std, spread, shapes, keep, dof)
         source = "differences"
         if local < _FINER * ratio:
             std = std * local / ratio
         if np.max(std) > _UNEVEN * np.min(std):
             flags.append("heteroscedastic")
-    elif _follows(clean, np.abs(force), keep):
-        shapes = _shapes(clean, fz, force, keep)
-        law = _variance_law(clean, np.zeros_like(std), shapes, keep, dof)
+    elif _growth(clean, np.abs(force), keep) > _FOLLOWS:
+        shapes = _shapes(clean, fz, force, base, keep)
+        law = _variance_law(clean * std, spread, shapes, keep, dof, True) / std
         std, source = std * law, "estimated: the given level disagrees"
         if local < _FINER * ratio:
             std = std * local / ratio
@@ -158,7 +160,10 @@ def judge_noise(
         flags.append("noise_misstated")
     std = np.maximum(std, _FINEST * np.mean(fz))
     if given is not None and "heteroscedastic" not in flags:
-        if np.std(np.log(fz)) > LOADS and _follows(clean, np.log(fz), keep):
+        if (
+            np.std(np.log(fz)) > LOADS
+            and abs(_growth(clean, np.log(fz), keep)) > _FOLLOWS
+        ):
             flags.append("heteroscedastic")
     if np.count_nonzero(~keep) > max(_FEW, _FLAGGED * len(residual)):
         flags.append("outliers")
@@ -261,37 +266,48 @@ class _Smooth:
         return residual - self.basis @ (self.root @ score)
 
 
-def _shapes(clean, fz, force, keep) -> list[np.ndarray]:
-    """What the variance is made of: a part of its own, one that grows with the load
-    where that varies, and parts that grow with the force where they clearly do."""
-    shapes, used = [np.ones_like(fz)], np.abs(force) / np.max(np.abs(force))
+def _shapes(clean, fz, force, base, keep) -> list[np.ndarray]:
+    """What the variance of the force is made of: a part of its own (``base``, its
+    standard deviation), one that grows with the load where that varies, and parts that
+    grow with the force where they clearly do."""
+    used = np.abs(force) / np.max(np.abs(force))
+    shares = [np.ones_like(fz)]
     if np.std(np.log(fz)) > _SPREAD_OF_LOAD:
-        shapes.append((fz / np.mean(fz)) ** 2)
-    return [*shapes, used, used**2] if _follows(clean, used, keep) else shapes
+        shares.append((fz / np.mean(fz)) ** 2)
+    if _growth(clean, used, keep) > _FOLLOWS:
+        shares += [used, used**2]
+    return [base**2 * share for share in shares]
 
 
-def _variance_law(clean, spread, shapes, keep, dof) -> np.ndarray:
-    """sqrt of the shapes and the slip noise's share, by non-negative least squares."""
+def _variance_law(clean, spread, shapes, keep, dof, stated=False) -> np.ndarray:
+    """sqrt of the shapes and the slip noise's share, by non-negative least squares.
+
+    Args:
+        stated: whether the slip noise's share holds as it is; else all of the variance
+            is scaled to that of the rows, as the share may be too large.
+    """
     square = clean[keep] ** 2 * (keep.sum() / dof)
     level = np.full(keep.sum(), square.mean())
+    own = square - spread[keep]
+    own = own if stated else np.maximum(own, 0)
     for _ in range(_LAW_ROUNDS):
         columns = np.stack([s[keep] / level for s in shapes], axis=1)
-        part, _ = nnls(columns, np.maximum(square - spread[keep], 0) / level)
+        part, _ = nnls(columns, own / level)
         variance = sum(c * s for c, s in zip(part, shapes, strict=True)) + spread
         variance = np.maximum(variance, _LEAST_VARIANCE * square.mean())
         level = variance[keep]
-    return np.sqrt(variance * np.mean(square / level))
+    return np.sqrt(variance * (1.0 if stated else np.mean(square / level)))
 
 
-def _follows(clean, values, keep) -> bool:
-    """Whether the squares follow the values (score test of the variance)."""
+def _growth(clean, values, keep) -> float:
+    """How the squares follow the values, in standard errors (score of the variance)."""
     x = values[keep]
     if np.ptp(x) < ROUNDING * np.max(np.abs(x)):
-        return False
+        return 0.0
     square = clean[keep] ** 2
     square = square / square.mean() - 1
     x = (x - x.mean()) / np.std(x)
-    return abs(square @ x) / np.sqrt(2 * len(x)) > _FOLLOWS
+    return float(square @ x) / np.sqrt(2 * len(x))
 
 
 def _in_order(time, run) -> list[np.ndarray]:

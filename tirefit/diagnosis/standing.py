@@ -106,6 +106,13 @@ def _worst(each: list[Adequacy]) -> Adequacy:
     )
 
 
+def _misled(base: Base, linear, atoms: list[int]) -> np.ndarray:
+    """Standard deviation of amplitudes (h,) from the doubt of the slips."""
+    own = without(linear.columns[:, atoms], linear.jacobian)
+    moved = np.linalg.solve(own.T @ own + np.eye(len(atoms)), own.T @ base.doubt)
+    return np.sqrt(np.sum(moved**2, axis=1))
+
+
 def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing:
     """What a refitted set has earned.
 
@@ -131,8 +138,9 @@ def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing
     in_slip, groups = kept(neighbours(prepared)), kept(regimes(prepared))
     rows = [np.flatnonzero(keep) + k * n for k in range(len(prepared.channels))]
     stacked = np.split(np.arange(len(rows) * keep.sum()), len(rows))
+    kept_rows = np.concatenate(rows)
     of_noise = null(
-        used_up[np.concatenate(rows)], stacked,
+        used_up[kept_rows], base.doubt[kept_rows], stacked,
         [float(np.sqrt(np.mean(residual[part] ** 2))) for part in rows],
         [base.noise[channel].memory for channel in prepared.channels],
         in_time, generator,
@@ -146,8 +154,11 @@ def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing
     ]  # fmt: skip
     p = len(hypothesis.z)
     std = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[p:], 0))
-    std = std * np.sqrt(widening(base, hypothesis))
-    own = without(linear.columns[:, list(hypothesis.atoms)], linear.jacobian)
+    atoms = list(hypothesis.atoms)
+    std = np.hypot(
+        std * np.sqrt(widening(base, hypothesis)), _misled(base, linear, atoms)
+    )
+    own = without(linear.columns[:, atoms], linear.jacobian)
     parts = own * hypothesis.amplitude
     together = float(np.sum(parts.sum(axis=1) ** 2))
     return Standing(

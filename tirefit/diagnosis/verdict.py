@@ -131,7 +131,10 @@ def gap_p_value(search: Search, generator) -> float:
     z = left[:, use] / size[use]
     residual, jacobian, *_ = base.at_null
     observed = np.max(np.abs(z.T @ residual), initial=0.0)
-    draws = np.abs(scores_of_nothing(z, DRAWS, generator)).max(0)
+    draws = scores_of_nothing(z, DRAWS, generator)
+    doubt = z.T @ base.doubt
+    draws = draws + doubt @ generator.standard_normal((doubt.shape[1], DRAWS))
+    draws = np.abs(draws).max(0)
     p_score = (1 + np.sum(draws >= observed)) / (1 + DRAWS)
     p_generic = misfit_p_value(base.generic, jacobian, residual, generator, DRAWS)
     return float(min(1.0, 2 * min(p_score, p_generic)))
