@@ -145,6 +145,22 @@ def _missed(
     return missed
 
 
+def _spread(case: Case, widening: float) -> np.ndarray:
+    """Standard deviations (p,) of the parameters beside the verdict's effects: that of
+    its own fit, and how far they are in the other sets that these data leave possible,
+    each by its probability; see :func:`parameter_changes`."""
+    chosen, weighed = case.verdict.chosen, case.weighed
+    z = np.asarray(chosen.z)
+    own = np.maximum(np.diag(chosen.covariance)[: len(z)], 0) * widening
+    shares = np.array([weighed.among_listed(key) for key in weighed.sets])
+    each = [weighed.best_of[key] for key in weighed.sets]
+    off = np.array([
+        np.maximum(np.diag(h.covariance)[: len(z)], 0) * widening + (h.z - z) ** 2
+        for h in each
+    ])  # fmt: skip
+    return np.sqrt(np.maximum(own, shares @ off))
+
+
 def parameter_changes(case: Case, widening: float) -> Mapping[str, Change]:
     """The simulator's parameters as given, and as the data have them beside the effects
     of the verdict; empty where a form was fitted.
@@ -156,8 +172,8 @@ def parameter_changes(case: Case, widening: float) -> Mapping[str, Change]:
     if base.simulator is None:
         return {}
     layout, z = base.layout, np.asarray(chosen.z)
-    p, step, changes = len(z), _STEP, {}
-    spread = np.sqrt(np.maximum(np.diag(chosen.covariance)[:p], 0) * widening)
+    step, changes = _STEP, {}
+    spread = _spread(case, widening)
     slope = (layout.vector(z + step) - layout.vector(z - step)) / (2 * step)
     given, measured = layout.vector(base.simulator.z), layout.vector(z)
     for k, name in enumerate(layout.labels):

@@ -16,19 +16,6 @@ from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 
 __all__ = ["FORGETFUL", "Memory", "memory_of"]
 
-_CORRELATED = 2.5
-"""Standard errors of the correlation at lag one that count: one white record in 160."""
-
-_FADES = (0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95)
-"""Correlations of neighbours that are tried: the longest fades over 20 rows, and a
-longer memory is a drift."""
-
-_SHARES = (0.3, 0.5, 0.7, 1.0)
-"""Shares of the variance that are tried."""
-
-_SHORTEST = 3
-"""Rows of a stretch, at least."""
-
 
 class Memory(NamedTuple):
     """Noise of which a ``share`` of the variance is a first-order process in time, with
@@ -45,6 +32,20 @@ class Memory(NamedTuple):
 
 FORGETFUL = Memory(0.0, 0.0)
 """Of independent rows."""
+
+
+_CORRELATED = 2.5
+"""Standard errors of the correlation at lag one that count: one white record in 160."""
+
+_SHORT = tuple(
+    Memory(f, s) for f in (0.2, 0.35, 0.5, 0.65) for s in (0.3, 0.5, 0.7, 1.0)
+)
+_LONG = tuple(Memory(f, 1.0) for f in (0.8, 0.9, 0.95))
+"""Memories that are tried. A long one has no independent noise beside it: a filter's. A
+slow part beside independent noise is a drift, which is no noise."""
+
+_SHORTEST = 3
+"""Rows of a stretch, at least."""
 
 
 def _lag_one(white, unit, stretches) -> float:
@@ -111,5 +112,5 @@ def memory_of(white, unit, stretches: Sequence[np.ndarray]) -> Memory:
     if _lag_one(white, unit, stretches) < _CORRELATED / np.sqrt(len(white)):
         return FORGETFUL
     both = np.concatenate([unit, white[:, None]], axis=1)
-    tried = [FORGETFUL, *(Memory(f, s) for f in _FADES for s in _SHARES)]
+    tried = (FORGETFUL, *_SHORT, *_LONG)
     return max(tried, key=lambda memory: _likelihood(both, memory, stretches))

@@ -116,13 +116,10 @@ def judge_noise(
     clean = smooth.remainder(residual / std)
     for _ in range(_ROUNDS if refine else 0):
         level = clean
-        used = _growth(clean, np.abs(force), keep) > _FOLLOWS
-        if given is None or used:  # larger forces scatter more: no outliers for that
-            shapes = _shapes(clean, fz, force, base, keep)
-            law = _variance_law(
-                clean * std, spread, shapes, keep, smooth.freedom, given is not None
-            )
-            level = clean * std / law
+        rest = _Rest(clean, smooth.freedom, keep, base, std)
+        grows = rest.grows_with(np.abs(force)) > _FOLLOWS
+        if given is None or grows:  # larger forces scatter more: no outliers for that
+            level = clean * std / rest.law(spread, fz, force, given is not None)
         unit = MAD * np.median(np.abs(level[keep]))
         many = np.count_nonzero(~keep) > _MANY * len(keep)
         far = _OUTLIER_AMONG_MANY if many else _OUTLIER
@@ -132,51 +129,76 @@ def judge_noise(
         keep = good
         smooth = _Smooth(smooth.basis, good)
         clean = smooth.remainder(residual / std)
-    dof = smooth.freedom
-    flags, source, law = [], "given", np.ones_like(std)
-    spare = _MISSTATED if np.count_nonzero(~keep) < _MANY * len(keep) else 0.0
-    ratio = float(np.sqrt(np.sum(clean[keep] ** 2) / max(dof, 1.0)))
-    # What neighbours differ by bounds the noise where a gap is finer than the basis.
+    rest = _Rest(clean, smooth.freedom, keep, base, std)
     local = _between_neighbours(residual / std, groups, keep)
-    if given is None:
-        shapes = _shapes(clean, fz, force, base, keep)
-        std = _variance_law(clean * std, spread, shapes, keep, dof)
-        source = "differences"
-        if local < _FINER * ratio:
-            std = std * local / ratio
-        if np.max(std) > _UNEVEN * np.min(std):
-            flags.append("heteroscedastic")
-    elif _growth(clean, np.abs(force), keep) > _FOLLOWS:
-        shapes = _shapes(clean, fz, force, base, keep)
-        law = _variance_law(clean * std, spread, shapes, keep, dof, True) / std
-        std, source = std * law, "estimated: the given level disagrees"
-        if local < _FINER * ratio:
-            std = std * local / ratio
-        flags.append("heteroscedastic")
-    elif min(ratio, local) > 1 + max(spare, _MISSTATED_SIGMAS / np.sqrt(2 * dof)):
-        std, source = std * min(ratio, local), "estimated: the given level disagrees"
-        flags.append("noise_misstated")
-    elif ratio < _OVERSTATED:
-        flags.append("noise_misstated")
-    std = np.maximum(std, _FINEST * np.mean(fz))
-    if given is not None and "heteroscedastic" not in flags:
-        if (
-            np.std(np.log(fz)) > LOADS
-            and abs(_growth(clean, np.log(fz), keep)) > _FOLLOWS
-        ):
-            flags.append("heteroscedastic")
+    level, flags, source = _levelled(rest, local, spread, fz, force, given is not None)
     if np.count_nonzero(~keep) > max(_FEW, _FLAGGED * len(residual)):
         flags.append("outliers")
-    scale = std if given is None else law
+    scale = level / std
     white = np.where(keep, clean, 0.0) / scale
     unit, _ = np.linalg.qr(smooth.columns / scale[:, None])
-    memory = memory_of(white, unit, _in_order(time, run))
-    inflation = 1.0
+    memory, inflation = memory_of(white, unit, _in_order(time, run)), 1.0
     if memory.share:
         inflation = max(memory.rows_each, correlation(white, time, run))
         inflation = min(inflation, len(white) / _FACTS)
         flags.append("autocorrelated")
-    return NoiseLevel(std, memory, inflation, ~keep, tuple(flags), source)
+    return NoiseLevel(level, memory, inflation, ~keep, tuple(flags), source)
+
+
+class _Rest(NamedTuple):
+    """What smooth functions leave: ``clean`` (n,) over ``std`` (n,), its degrees of
+    freedom, the rows that count, and ``base`` (n,), ``std`` without the slip noise."""
+
+    clean: np.ndarray
+    freedom: int
+    keep: np.ndarray
+    base: np.ndarray
+    std: np.ndarray
+
+    def law(self, spread, fz, force, stated: bool) -> np.ndarray:
+        """Standard deviation (n,) by load and force; see :func:`_variance_law`."""
+        shapes = _shapes(self.clean, fz, force, self.base, self.keep)
+        values = self.clean * self.std
+        return _variance_law(values, spread, shapes, self.keep, self.freedom, stated)
+
+    def grows_with(self, values) -> float:
+        """How the squares follow the values (n,): see :func:`_growth`."""
+        return _growth(self.clean, values, self.keep)
+
+
+def _levelled(rest: _Rest, local: float, spread, fz, force, stated: bool):
+    """(standard deviation (n,), flags, source) of a noise.
+
+    Args:
+        local: standard deviation between neighbours, which bounds the noise where a
+            gap is finer than the smooth functions.
+        stated: whether a level was given.
+    """
+    std, dof, flags, source = rest.std, rest.freedom, [], "given"
+    many = np.count_nonzero(~rest.keep) >= _MANY * len(rest.keep)
+    ratio = float(np.sqrt(np.sum(rest.clean[rest.keep] ** 2) / max(dof, 1.0)))
+    grows = stated and rest.grows_with(np.abs(force)) > _FOLLOWS
+    if grows or not stated:
+        std = rest.law(spread, fz, force, stated)
+        source = "estimated: the given level disagrees" if stated else "differences"
+        if local < _FINER * ratio:
+            std = std * local / ratio
+        if grows or np.max(std) > _UNEVEN * np.min(std):
+            flags.append("heteroscedastic")
+    else:
+        spare = 0.0 if many else _MISSTATED
+        if min(ratio, local) > 1 + max(spare, _MISSTATED_SIGMAS / np.sqrt(2 * dof)):
+            std, source = (
+                std * min(ratio, local),
+                "estimated: the given level disagrees",
+            )
+            flags.append("noise_misstated")
+        elif ratio < _OVERSTATED:
+            flags.append("noise_misstated")
+        loads = np.std(np.log(fz)) > LOADS
+        if loads and abs(rest.grows_with(np.log(fz))) > _FOLLOWS:
+            flags.append("heteroscedastic")
+    return np.maximum(std, _FINEST * np.mean(fz)), flags, source
 
 
 _FEW = 3
