@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from itertools import combinations
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.case import Case
@@ -145,20 +146,35 @@ def _missed(
     return missed
 
 
+_HELD_WITHIN = 0.9
+"""Probability that an interval of a parameter holds."""
+
+_HALVINGS = 40
+"""Steps of bisection to its end: of any width, one in 1e12 is left."""
+
+
 def _spread(case: Case, widening: float) -> np.ndarray:
-    """Standard deviations (p,) of the parameters beside the verdict's effects: that of
-    its own fit, and how far they are in the other sets that these data leave possible,
-    each by its probability; see :func:`parameter_changes`."""
+    """Standard deviations (p,) of the parameters beside the verdict's effects, of which
+    1.645 hold nine tenths: of the errors of the fits of all sets that these data leave
+    possible, each by its probability. Where they leave the verdict alone, its own.
+
+    Args:
+        widening: see :func:`parameter_changes`.
+    """
     chosen, weighed = case.verdict.chosen, case.weighed
     z = np.asarray(chosen.z)
-    own = np.maximum(np.diag(chosen.covariance)[: len(z)], 0) * widening
-    shares = np.array([weighed.among_listed(key) for key in weighed.sets])
     each = [weighed.best_of[key] for key in weighed.sets]
-    off = np.array([
-        np.maximum(np.diag(h.covariance)[: len(z)], 0) * widening + (h.z - z) ** 2
-        for h in each
-    ])  # fmt: skip
-    return np.sqrt(np.maximum(own, shares @ off))
+    shares = np.array([weighed.among_listed(key) for key in weighed.sets])
+    off = np.array([h.z for h in each]) - z
+    variance = np.array([np.diag(h.covariance)[: len(z)] for h in [chosen, *each]])
+    own, *std = np.sqrt(np.maximum(variance, NONZERO) * widening)
+    low, high = np.zeros(len(z)), np.max(np.abs(off) + 8 * np.array(std), axis=0)
+    for _ in range(_HALVINGS):
+        reach = (low + high) / 2
+        inside = ndtr((reach - off) / std) - ndtr((-reach - off) / std)
+        enough = shares @ inside > _HELD_WITHIN
+        low, high = np.where(enough, low, reach), np.where(enough, reach, high)
+    return np.maximum(own, high / float(ndtri((1 + _HELD_WITHIN) / 2)))
 
 
 def parameter_changes(case: Case, widening: float) -> Mapping[str, Change]:
