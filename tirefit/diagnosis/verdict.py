@@ -35,6 +35,7 @@ __all__ = [
     "judge",
     "linear_at",
     "named",
+    "nothing_shown",
     "weigh",
 ]
 
@@ -240,7 +241,7 @@ def fitted_form(linear: LinearFit) -> np.ndarray:
 def judge(search: Search, weighed: Weighed, p_value: float) -> Verdict:
     """The verdict that the probabilities support."""
     null = weighed.best_of[()]
-    nothing = _unresolved(weighed)
+    nothing = nothing_shown(weighed)
     if nothing > 0.5 or (p_value > _LEVEL and nothing > _HARDLY):
         return Verdict("none", (), weighed.sets[()], (), p_value, null)
     best = weighed.best
@@ -307,7 +308,7 @@ def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:
     return tuple(sorted(alike, key=lambda effect: alike[effect]))
 
 
-def _unresolved(weighed: Weighed) -> float:
+def nothing_shown(weighed: Weighed) -> float:
     """Probability that nothing is there which these data could show."""
     shown = (p for k, p in weighed.sets.items() if weighed.evidence[k] < _SHOWS)
     return weighed.hidden + float(sum(shown))
