@@ -150,7 +150,9 @@ _REMEDIES = {
     "bool_type": "write true or false, without quotes",
     "dict_type": "give it keys of its own",
     "float_type": "write a number, without quotes",
+    "greater_than_equal": "give it in SI units",
     "int_type": "write a whole number, without quotes",
+    "less_than_equal": "give it in SI units",
     "string_type": "write it in quotes",
 }
 """Kind of pydantic's error -> what to do about it."""

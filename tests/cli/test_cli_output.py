@@ -10,6 +10,7 @@ import threading
 import pytest
 from test_cli_fit import FAST, content, write
 
+from tirefit.cli import options
 from tirefit.cli.commands import app
 from tirefit.cli.output import _interrupts_held, check_directories, claimed, staged
 from tirefit.results import UsageError
@@ -108,6 +109,7 @@ def test_ctrl_c_waits_while_files_are_moved(interruptible):
         steps.append("not reached")
     assert steps == ["went on"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
 def test_directories_that_cannot_be_written_are_all_named(tmp_path, monkeypatch):
@@ -129,7 +131,7 @@ import os, signal, sys
 class Finder:
     def find_spec(self, name, *rest):
         if name == {name!r}:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.{signal})
 
 sys.meta_path.insert(0, Finder())
 # In the background of a shell interrupts are ignored, by the children too.
@@ -141,9 +143,9 @@ main()
 """
 
 
-def ended(name, *arguments, ignored=False):
+def ended(name, *arguments, ignored=False, by="SIGINT"):
     """The command in a process that is interrupted where it imports ``name``."""
-    program = PROGRAM.format(name=name, arguments=arguments, ignored=ignored)
+    program = PROGRAM.format(name=name, arguments=arguments, ignored=ignored, signal=by)
     return subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True
     )
@@ -152,7 +154,15 @@ def ended(name, *arguments, ignored=False):
 @pytest.mark.parametrize("name", ["typer", "numpy.linalg", "jax._src.core"])
 def test_ctrl_c_during_the_imports(rig, name):
     done = ended(name, "fit", str(rig))
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
+    said = "interrupted: files written before are whole\n"
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", said)
+
+
+def test_a_request_to_end_is_as_ctrl_c(rig):
+    """Of a scheduler, say: SIGTERM, in the background of a shell too."""
+    done = ended("jax._src.core", "fit", str(rig), by="SIGTERM", ignored=True)
+    assert done.returncode == 130 and done.stderr.startswith("interrupted: ")
+    assert "Traceback" not in done.stderr
 
 
 def test_ctrl_c_stays_ignored_in_the_background():
@@ -202,3 +212,19 @@ def test_nothing_is_shown_where_there_is_no_terminal(run, rig, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
     result = run("fit", rig, "wet.csv", "--config", "fit.toml", "--no-posterior")
     assert result.stderr == ""
+
+
+def test_progress_without_a_terminal_is_lines(monkeypatch, capsys):
+    """One soon, with how long it will take, then now and then; none at the start."""
+    now = [100.0]
+    monkeypatch.setattr(options.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(options, "has_terminal", lambda: False)
+    with options.progress_bar("posterior") as progress:
+        progress(0.0, "nothing yet")
+        for second in range(1, 25):
+            now[0] = 100.0 + second
+            progress(second / 40, f"step {second}")
+    assert capsys.readouterr().err.splitlines() == [
+        "posterior: 12 %, step 5, about 35 s left",
+        "posterior: 38 %, step 15, about 25 s left",
+    ]

@@ -70,15 +70,19 @@ def test_priors_of_a_derived_force_are_those_of_a_known_vehicle(driven):
 
 def test_what_is_known_of_a_vehicle_is_read_and_checked(tmp_path):
     path = tmp_path / "rig.toml"
-    path.write_text("[vehicle]\nposition = 0.002\nclock = 1e-3\ncolour = 3\n")
+    path.write_text("[vehicle]\nposition = 0.002\nclock = 1e-3\n")
     rig = load_rig(path)
     assert rig.vehicle == {"position": 0.002, "clock": 1e-3}
-    assert any("vehicle.colour" in note for note in rig.notes)
+    path.write_text("[vehicle]\ncolour = 3\n")
+    assert any("vehicle.colour" in note for note in load_rig(path).notes)
+    path.write_text("[vehicle]\npositoin = 3\n")
+    with pytest.raises(UsageError, match="did you mean 'position'"):
+        load_rig(path)
     path.write_text("[vehicle]\nposition = -1\n")
     with pytest.raises(UsageError, match="vehicle.position"):
         load_rig(path)
     path.write_text("vehicle = 3\n")
-    with pytest.raises(UsageError, match="is not a table"):
+    with pytest.raises(UsageError, match="must be a table"):
         load_rig(path)
 
 

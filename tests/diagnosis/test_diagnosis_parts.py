@@ -34,7 +34,7 @@ from tirefit.diagnosis.rig import VEHICLE, Rig, load_rig
 from tirefit.diagnosis.rows import prepare
 from tirefit.diagnosis.shares import shapley
 from tirefit.diagnosis.state import force_of_state, null_state
-from tirefit.diagnosis.where import regions
+from tirefit.diagnosis.where import regions, spots
 from tirefit.models import Brush, TireInputs
 from tirefit.results import UsageError
 
@@ -515,21 +515,44 @@ def test_regions_hold_all_the_energy(base):
     assert all(r.p_value > 0.01 for r in found)  # there is no gap in these data
 
 
+def test_the_first_seconds_are_a_spot(base):
+    """A miss of five standard errors in one row of forty, in no quarter remarkable."""
+    n, residual = base.prepared.n, np.zeros(base.prepared.n)
+    time = np.asarray(base.prepared.time)
+    first = np.argsort(time)[: n // 40]
+    residual[first] = 5.0
+    gap = 100.0 * residual + 1.0
+    told = spots(base, residual, gap)
+    assert told[0].covariate == "time" and told[0].p_value < 1e-6
+    assert told[0].low == time.min() and told[0].rows < 0.07 and told[0].share > 0.9
+    noise = np.random.default_rng(3).standard_normal(n)
+    assert spots(base, noise, np.abs(noise)) == ()
+    # Spread evenly, a gap is nowhere denser.
+    assert spots(base, np.full(n, 5.0), np.full(n, 100.0)) == ()
+
+
 def test_rig_file(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text(
-        "rolling_radius = 0.3\nfoo = 1\n[noise]\nfx_relative = 0.02\nsigma_x = 0.001\n"
+        'rolling_radius = 0.3\nfoo = 1\ncommanded_slip = "s"\n[noise]\n'
+        "fx_relative = 0.02\nsigma_x = 1e-3\n"
     )
     rig = load_rig(path)
     assert rig.rolling_radius == 0.3
     assert rig.slip_noise("sigma_x") == 0.001 and rig.slip_noise("alpha") is None
     np.testing.assert_allclose(rig.force_noise("fx", np.array([1e3, 2e3])), [20, 40])
     assert rig.force_noise("mz", np.array([1e3])) is None
-    assert any("foo" in note for note in rig.notes)
-    path.write_text('rolling_radius = -1\nrun_order = "odd"\n[noise]\nfx = "a"\n')
+    for said in ("foo", "commanded_slip"):
+        assert any(f"{said} of" in note for note in rig.notes)
+    path.write_text(
+        'rolling_radius = -1\nrun_order = "odd"\nwheel_inertai = 1\n'
+        '[noise]\nfx = "a"\nfy = 1e308\nsigma = 0.01\n'
+    )
     with pytest.raises(UsageError) as caught:
         load_rig(path)
-    assert len(caught.value.problems) == 3
+    assert len(caught.value.problems) == 6
+    assert "did you mean 'wheel_inertia'?" in str(caught.value)
+    assert "did you mean 'sigma_x'?" in str(caught.value)
     assert all(str(path) in str(problem) for problem in caught.value.problems)
     with pytest.raises(UsageError, match="check the path"):
         load_rig(tmp_path / "none.toml")

@@ -242,6 +242,28 @@ def test_every_channel_of_a_simulator_has_its_budget():
     assert document["budgets"]["mz"][0]["part"] == "parameters"
 
 
+def test_a_force_that_nobody_cares_for_takes_no_part():
+    """A moment with a gap of its own, left out: as if it had not been measured."""
+    generator, slip = np.random.default_rng(8), np.tile(np.linspace(-0.2, 0.2, 40), 2)
+    fz, alpha = np.repeat((2000.0, 4000.0), 40), np.arctan(slip)
+    inputs = read_frame({"alpha": alpha, "fy": fz, "mz": fz, "fz": fz}, "in")
+    truth = predict(simulator_at("brush", TRUE).tire, inputs)
+    frame = {
+        "alpha": alpha, "fz": fz,
+        "fy": truth["fy"] + NOISE * generator.standard_normal(80),
+    }  # fmt: skip
+    odd = {"mz": truth["mz"] + 0.02 * fz}
+    settings = {"rig": Rig(noise={"fy": NOISE, "mz": 2.0}), "effects": LIBRARY}
+    cared = diagnose(read_frame(frame | odd, "y"), forces=["fy"], **settings)
+    without = diagnose(read_frame(frame, "y"), **settings)
+    assert cared.data.channels == ("fy",) and cared.settings.forces == ("fy",)
+    assert cared.verdict == without.verdict and cared.gap == without.gap
+    with pytest.raises(UsageError, match="gives no mx"):
+        diagnose(read_frame(frame, "y"), forces=["mx"], **settings)
+    with pytest.raises(DataError, match="needs mz"):
+        diagnose(read_frame(frame, "y"), forces=["mz"], **settings)
+
+
 def test_the_tire_that_stands_in_is_fitted_to_the_simulation(frame):
     data = read_frame(frame | {"fx_sim": 2 * frame["fx"]}, "a")
     std = replace(data, columns={**data.columns, "fx_std": 0 * data["fx"] + 1})

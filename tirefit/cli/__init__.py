@@ -11,7 +11,8 @@ __all__ = ["main"]
 
 
 def main() -> None:
-    """Entry point of the ``tirefit`` command; Ctrl-C ends it with exit code 130."""
+    """Entry point of the ``tirefit`` command; Ctrl-C, or a request to end (SIGTERM),
+    ends it with exit code 130."""
     came = []
 
     def interrupt(*_):
@@ -25,6 +26,7 @@ def main() -> None:
     # A shell that starts a job in the background has it ignore Ctrl-C: leave that be.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
+    signal.signal(signal.SIGTERM, interrupt)
     try:
         # Imported here, so that Ctrl-C is answered during the imports as well.
         from tirefit.cli.commands import app
@@ -34,6 +36,7 @@ def main() -> None:
         # Some libraries turn an interrupt during their import into another error.
         if not came or (isinstance(end, SystemExit) and end.code != 130):
             raise
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        print("interrupted", file=sys.stderr)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+        print("interrupted: files written before are whole", file=sys.stderr)
         sys.exit(130)

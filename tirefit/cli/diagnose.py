@@ -20,6 +20,7 @@ from tirefit.cli.options import (
     complain,
     error_text,
     errors_to_exit,
+    forces_named,
     named_path,
     numbers,
     progress_bar,
@@ -97,6 +98,10 @@ def diagnose(
             help="the simulator's forces stand in FILE: fx_sim, fy_sim, mz_sim",
         ),
     ] = False,
+    force: Annotated[
+        list[str] | None,
+        typer.Option(help="force that matters: fx, fy, mz (repeat; all if not given)"),
+    ] = None,
     rig: Annotated[
         Path | None,
         typer.Option(metavar="RIG.TOML", help="what is known of the rig, noise too"),
@@ -129,9 +134,12 @@ def diagnose(
         config = read_config(options.config)
         how = read_options(options, config)
         if config is not None:
-            _warn_of_unused(config, how, {"model": model, "seed": seed})
+            force = force or config.force
+            asked = {"model": model, "seed": seed, "force": force}
+            _warn_of_unused(config, how, asked)
         start_jax()
         settings = _settings(model, rig, without, how)
+        settings["forces"] = forces_named(force)
         settings |= _simulator(model, parameter, sim, how)
         with claimed(out):
             kept = [_read(path, how) for path in holdout or []]
@@ -254,8 +262,7 @@ def _all(files, names, task: _Task, jobs: int) -> ExitCode:
         closing(_outcomes(pieces, task, jobs)) as outcomes,
     ):
         for number, file in enumerate(files):
-            if progress is not None:
-                progress(number / len(files), f"{number + 1} of {len(files)}: {file}")
+            progress(number / len(files), f"{number + 1} of {len(files)}: {file}")
             outcome = next(outcomes)
             typer.echo(outcome.said, nl=False)
             typer.echo(outcome.complained, nl=False, err=True)
@@ -329,6 +336,7 @@ def _one(file: Path, name: str, task: _Task) -> None:
     expected = written + drawn if figures else written
     if task.resume and all((out / one).exists() for one in expected):
         if _is_done(out / f"{name}.json", table, task.settings, kept, seed):
+            say(f"{file}: done before, kept: {out / name}.json")
             return
     result = study(table, holdout=kept, seed=seed, **task.settings)
     earlier = drawn if _is_page(out / f"{name}.html") else []
@@ -389,6 +397,7 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
             "rig": asdict(rig),
             "effects": [e.id for e in EFFECTS if e.id not in settings["without"]],
             "holdout": [other.source.sha256 for other in kept],
+            "forces": settings["forces"],
         },
     ]  # fmt: skip
     # As the document has it: tuples are lists there.

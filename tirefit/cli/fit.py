@@ -12,6 +12,7 @@ from tirefit.cli.options import (
     complain,
     error_text,
     errors_to_exit,
+    forces_named,
     has_terminal,
     named_path,
     progress_bar,
@@ -115,7 +116,7 @@ def fit(
         base = read_config(options.config) or FitConfig()
         how = read_options(options, base)
         changes = {
-            "model": model, "seed": seed, "force": _forces(force),
+            "model": model, "seed": seed, "force": forces_named(force),
             "solver": solver.value if solver else None,
         }  # fmt: skip
         settings = base.model_copy(
@@ -135,13 +136,6 @@ def fit(
             groups, directories, settings, how, posterior, resume, svg, strict
         )
         raise typer.Exit(worst)
-
-
-def _forces(force: list[str] | None) -> list[str] | None:
-    wrong = [name for name in force or [] if name not in ("fx", "fy", "mz")]
-    if wrong:
-        raise UsageError(InputProblem(f"--force {wrong[0]!r}", "one of fx, fy, mz"))
-    return force or None
 
 
 def _fit_all(
@@ -193,11 +187,23 @@ def fit_into(directory, data, settings, posterior=False, resume=False, svg=False
     with claimed(directory):
         result = fit_data(data, config=settings)
         if posterior:
+            # Whatever becomes of the sampling; a posterior to go on with stays.
+            if not (resume and (directory / "fit.json").exists()):
+                _save(result, directory, svg)
+                say(_first_words(result, directory))
             result = _sampled(result, directory, settings, resume)
         written = _save(result, directory, svg)
     say(str(result))
     say("wrote " + ", ".join(str(path) for path in written))
     return result
+
+
+def _first_words(result, directory: Path) -> str:
+    """Of the least squares, which are there before the posterior is."""
+    from tirefit.report.text import parameter_lines
+
+    said = f"written to {directory}; now the posterior is sampled\n"
+    return "\n".join([*parameter_lines(result)[1:], said])
 
 
 def _save(result, directory: Path, svg: bool) -> list[Path]:

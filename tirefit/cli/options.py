@@ -3,6 +3,7 @@
 import inspect
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
@@ -21,6 +22,7 @@ __all__ = [
     "complain",
     "error_text",
     "errors_to_exit",
+    "forces_named",
     "has_terminal",
     "named_path",
     "numbers",
@@ -149,6 +151,22 @@ def numbers(
     return value_of
 
 
+def forces_named(force: list[str] | None) -> list[str] | None:
+    """The forces of ``--force``; None where it is not given.
+
+    Raises:
+        UsageError: of something that is no force.
+    """
+    wrong = [name for name in force or [] if name not in ("fx", "fy", "mz")]
+    if wrong:
+        raise UsageError(InputProblem(f"--force {wrong[0]!r}", "one of fx, fy, mz"))
+    return force or None
+
+
+_SOON, _NOW_AND_THEN = 5.0, 10.0
+"""Seconds until the first line of progress without a terminal, and between others."""
+
+
 def read_options(given: DataOptions, config) -> dict[str, Any]:
     """Arguments of ``tirefit.read``: the command line's, laid over those of fit.toml.
 
@@ -233,11 +251,39 @@ def has_terminal() -> bool:
     return sys.stderr.isatty()
 
 
+class _Clock:
+    """How long it will take, from how long its share took."""
+
+    def __init__(self):
+        self.begun = self.told = time.monotonic()
+        self.silence = _SOON
+
+    def left(self, share: float) -> str:
+        if not share:
+            return ""
+        seconds = (time.monotonic() - self.begun) * (1 - share) / share
+        amount, unit = (seconds, "s") if seconds < 100 else (seconds / 60, "min")
+        return f", about {amount:.2g} {unit} left"
+
+    def is_time(self) -> bool:
+        """Whether to say something where there is no bar: soon, then now and then."""
+        if time.monotonic() - self.told < self.silence:
+            return False
+        self.told, self.silence = time.monotonic(), _NOW_AND_THEN
+        return True
+
+
 @contextmanager
 def progress_bar(title: str) -> Iterator[Any]:
-    """A bar on the terminal; None, and silence, where there is none."""
+    """A bar on the terminal; a line now and then where there is none."""
+    clock = _Clock()
     if not has_terminal():
-        yield None
+
+        def tell(share, note):
+            if share and clock.is_time():
+                complain(f"{title}: {100 * share:.0f} %, {note}{clock.left(share)}")
+
+        yield tell
         return
     # Slow to import, and for a terminal alone.
     from rich.console import Console
@@ -250,7 +296,9 @@ def progress_bar(title: str) -> Iterator[Any]:
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(title, total=1.0, note="")
-        yield lambda share, note: bar.update(task, completed=share, note=note)
+        yield lambda share, note: bar.update(
+            task, completed=share, note=note + clock.left(share)
+        )
 
 
 def read_config(path: Path | None):

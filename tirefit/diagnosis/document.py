@@ -29,9 +29,7 @@ from tirefit.diagnosis.records import (
     Gap,
     HeldOut,
     NoiseSummary,
-    Region,
     Resolution,
-    Settings,
     Shrinkage,
     VerdictSummary,
 )
@@ -43,7 +41,7 @@ from tirefit.diagnosis.shares import closed_by_each
 from tirefit.diagnosis.standing import widening
 from tirefit.diagnosis.verdict import Verdict, fitted_form, linear_at
 from tirefit.diagnosis.views import compared, residual_map, shown_rows
-from tirefit.diagnosis.where import parameter_map, regions
+from tirefit.diagnosis.where import parameter_map, regions, spots
 
 __all__ = ["document_of"]
 
@@ -64,15 +62,16 @@ slip has no more."""
 
 
 def document_of(
-    case: Case, whole: Prepared, rig, effects, holdout, generator, model, seed
+    case: Case, whole: Prepared, settings, library, holdout, generator, model, seed
 ) -> Diagnosis:
     """The verdict on the rows of ``case``, spread over all rows of ``whole``.
 
     Args:
-        effects: those that were looked for.
+        settings: :class:`~tirefit.diagnosis.records.Settings`.
+        library: effects that were looked for.
         holdout: tables that the search did not use.
     """
-    data, base, verdict = whole.data, case.base, case.verdict
+    data, base, verdict, rig = whole.data, case.base, case.verdict, settings.rig
     prepared = base.prepared
     rows = _rows(case, at_measured_slip(base))
     # Everything random is drawn in this order: gap, candidates, held-out data, budget.
@@ -83,7 +82,9 @@ def document_of(
     bound = _bound(case, gaps[main].closed, held, bool(holdout))
     if bound.status != verdict.status:
         case = replace(case, verdict=bound)
-        return document_of(case, whole, rig, effects, holdout, generator, model, seed)
+        return document_of(
+            case, whole, settings, library, holdout, generator, model, seed
+        )
     gap = _gap(case, gaps, held)
     budgets = budgets_of(case, believed, generator)
     said = _verdict(case)
@@ -104,7 +105,8 @@ def document_of(
         gap=gap,
         budget=budgets[main],
         budgets=budgets,
-        where=_where(base, shown.gap),
+        where=tuple(regions(base, _missed(base), shown.gap)),
+        spots=spots(base, _missed(base), shown.gap),
         map=tuple(parameter_map(base)),
         verdict=said,
         candidates=candidates,
@@ -117,10 +119,7 @@ def document_of(
         runs=offsets_of_runs(base, verdict.chosen),
         base_parameters=_base_parameters(base, base.as_given),
         extended_parameters=_base_parameters(base, verdict.chosen.z),
-        settings=Settings(
-            rig=rig, effects=tuple(effect.id for effect in effects),
-            holdout=tuple(other.source.sha256 for other in holdout),
-        ),
+        settings=settings,
         seed=seed,
         version=importlib.metadata.version("tirefit"),
         rows=_all_rows(case, whole, rig, rows),
@@ -129,14 +128,15 @@ def document_of(
         residual_map=residual_map(shown, noise.inflation, gap.resolvable),
         comparison=compared(shown, said.names_an_effect or _tuned_alone(case)),
         look=look_curve(verdict, base, next(iter(said.looks_like), None)),
-        library=tuple(effects),
+        library=library,
         meanings={p.name: p.spec.meaning for p in base.layout.free},
     )  # fmt: skip
 
 
-def _where(base: Base, gap) -> tuple[Region, ...]:
-    missed = base.residual(base.as_given, np.zeros(len(base.atoms)))
-    return tuple(regions(base, missed[: base.prepared.n], gap))
+def _missed(base: Base) -> np.ndarray:
+    """Whitened residual of the first channel, (n,)."""
+    whole = base.residual(base.as_given, np.zeros(len(base.atoms)))
+    return whole[: base.prepared.n]
 
 
 def _bound(case: Case, closed: float | None, held: HeldOut | None, on_files: bool):

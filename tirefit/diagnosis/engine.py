@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.diagnosis.across_runs import held_across_runs
 from tirefit.diagnosis.base import Base, fit_base, with_noise_judged
@@ -14,7 +15,7 @@ from tirefit.diagnosis.conclusion import concluded
 from tirefit.diagnosis.document import document_of
 from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.forms import PLACE, shape_of_change
-from tirefit.diagnosis.records import Untestable
+from tirefit.diagnosis.records import Settings, Untestable
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import Prepared, prepare, thinned
@@ -44,6 +45,7 @@ def diagnose(
     *,
     sim: Any = None,
     rig: Rig | None = None,
+    forces: Sequence[str] | None = None,
     effects: Sequence[Effect] = EFFECTS,
     without: Sequence[str] = (),
     holdout: Sequence[TireData] = (),
@@ -61,14 +63,15 @@ def diagnose(
             rows by channel, in canonical signs. Where only its forces are known,
             ``model``, fitted to them, stands in for what a hypothesis changes.
         rig: what is known of the rig (noise, rolling radius, wheel inertia).
+        forces: of fx, fy, mz, those that matter; None for all that were measured.
         effects: the library to search; add your own to :data:`EFFECTS`.
         without: ids of effects that are not looked for.
         holdout: data not used for the search, to check the closure on.
         seed: of the simulated null distributions and bootstraps.
 
     Raises:
-        UsageError: no such model, or no such effect to leave out; or 32-bit floats in
-            use.
+        UsageError: no such model, no such force, or no such effect to leave out; or
+            32-bit floats in use.
         DataError: no force with a slip that varies, no load, too few rows, no
             simulated forces, or a model that does not follow them.
     """
@@ -84,12 +87,33 @@ def diagnose(
         given = given_simulator(sim, data)
         data, holdout = given.beside(data), [given.beside(x, True) for x in holdout]
         gives = given.channels(data, gives)
+    if forces is not None:
+        gives = _asked_for(tuple(forces), data, gives)
     whole = prepare(data, rig, gives)
     some = thinned(whole, _MOST_ROWS)
     case = studied(some, model, rig, tuple(effects), without, generator, given)
-    looked_for = [effect for effect in effects if effect.id not in without]
+    library = tuple(effect for effect in effects if effect.id not in without)
+    settings = Settings(
+        rig=rig,
+        effects=tuple(effect.id for effect in library),
+        holdout=tuple(other.source.sha256 for other in holdout),
+        forces=None if forces is None else tuple(forces),
+    )
     name = model if given is None or given.tire is None else given.source
-    return document_of(case, whole, rig, looked_for, holdout, generator, name, seed)
+    return document_of(case, whole, settings, library, holdout, generator, name, seed)
+
+
+def _asked_for(forces: tuple[str, ...], data: TireData, gives) -> tuple[str, ...]:
+    """Of what the model gives, the forces that are asked for."""
+    problems = [
+        InputProblem(f"the model gives no {name}", f"it gives {', '.join(gives)}")
+        for name in forces
+        if name not in gives
+    ]
+    if problems:
+        raise UsageError(problems)
+    require(data, forces, "a diagnosis of them")
+    return tuple(name for name in gives if name in forces)
 
 
 @cache

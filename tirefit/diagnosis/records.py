@@ -28,6 +28,7 @@ __all__ = [
     "Region",
     "Resolution",
     "Settings",
+    "Spot",
     "Shrinkage",
     "SimulatorSummary",
     "Surrogate",
@@ -116,6 +117,18 @@ class Gap(Shrinkage):
     channels: Mapping[str, Shrinkage]
     holdout: HeldOut | None
     shares: Mapping[str, float] = field(default_factory=dict)
+
+
+class Spot(NamedTuple):
+    """A short stretch of a covariate that holds far more of the gap than its share of
+    the rows; the p-value is corrected as that of a :class:`Region`."""
+
+    covariate: str
+    low: float
+    high: float
+    rows: float
+    share: float
+    p_value: float
 
 
 class Region(NamedTuple):
@@ -285,8 +298,10 @@ class NextMeasurement(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What was known and asked for: rig, ids looked for, files held out (sha256)."""
+    """What was known and asked for: rig, ids looked for, files held out (sha256), and
+    the forces that matter, None for all."""
 
     rig: Rig
     effects: tuple[str, ...]
     holdout: tuple[str, ...]
+    forces: tuple[str, ...] | None = None

@@ -22,6 +22,7 @@ from tirefit.diagnosis.records import (
     Resolution,
     Settings,
     SimulatorSummary,
+    Spot,
     Untestable,
     VerdictSummary,
 )
@@ -46,7 +47,8 @@ class Diagnosis(Displayed):
     ``next_measurement`` is ranked, the largest gain first; where it is empty,
     ``next_measurement_reason`` says why. ``slip_check`` is the slip column against the
     slip of the wheel speed, None where that is not known. ``runs`` says how far the
-    runs differ, by kind of offset; empty for a single run.
+    runs differ, by kind of offset; empty for a single run. ``spots`` are short
+    stretches within the regions of ``where``.
 
     ``rows`` holds (n,) arrays by channel of all rows of the file, canonical, NaN where
     masked: ``base``, ``extended``, ``gap``, ``gap_std``; for a simulator ``base`` is it
@@ -70,6 +72,7 @@ class Diagnosis(Displayed):
     budget: tuple[Part, ...]
     budgets: Mapping[str, tuple[Part, ...]]
     where: tuple[Region, ...]
+    spots: tuple[Spot, ...] = ()
     map: tuple[Cell, ...]
     verdict: VerdictSummary
     candidates: tuple[Candidate, ...]

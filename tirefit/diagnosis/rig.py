@@ -1,26 +1,71 @@
 """What is known of the rig or vehicle that measured: ``rig.toml``."""
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from tirefit.data.table import TireData
-from tirefit.results import InputProblem, UsageError
-from tirefit.settings import read_toml
+from tirefit.settings import Section, parse_settings, read_toml
 
 __all__ = ["VEHICLE", "Rig", "load_rig"]
 
-_NUMBERS = ("rolling_radius", "wheel_inertia")
-_NOISE = (
-    "fx", "fy", "mz", "fx_relative", "fy_relative", "mz_relative", "sigma_x", "kappa",
-    "slip", "alpha", "force", "force_relative", "sigma_x_speed", "kappa_speed",
-    "slip_speed", "alpha_speed",
-)  # fmt: skip
 
-VEHICLE = ("position", "clock", "yaw_inertia")
+# Optional numbers, within what anybody measures.
+_Force = Annotated[float | None, Field(ge=1e-9, le=1e7)]  # N, or N m
+_Share = Annotated[float | None, Field(ge=1e-9, le=1e2)]
+_Slip = Annotated[float | None, Field(ge=1e-12, le=10)]
+_Speed = Annotated[float | None, Field(ge=1e-9, le=1e3)]  # m/s
+_Length = Annotated[float | None, Field(ge=1e-9, le=1e2)]  # m
+_Time = Annotated[float | None, Field(ge=1e-9, le=1e2)]  # s
+_Inertia = Annotated[float | None, Field(ge=1e-9, le=1e6)]  # kg m2
+
+
+class _Noise(Section):
+    fx: _Force = None
+    fy: _Force = None
+    mz: _Force = None
+    force: _Force = None
+    fx_relative: _Share = None
+    fy_relative: _Share = None
+    mz_relative: _Share = None
+    force_relative: _Share = None
+    sigma_x: _Slip = None
+    kappa: _Slip = None
+    slip: _Slip = None
+    alpha: _Slip = None
+    sigma_x_speed: _Speed = None
+    kappa_speed: _Speed = None
+    slip_speed: _Speed = None
+    alpha_speed: _Speed = None
+
+
+class _Vehicle(Section):
+    position: _Length = None
+    clock: _Time = None
+    yaw_inertia: _Share = None
+
+
+_TABLES: dict[str, type[Section]] = {"noise": _Noise, "vehicle": _Vehicle}
+
+VEHICLE = tuple(_Vehicle.model_fields)
 """What may be stated of a vehicle: keys of ``[vehicle]``."""
+
+
+class _RigFile(Section):
+    """``rig.toml`` as it is written."""
+
+    rolling_radius: _Length = None
+    wheel_inertia: _Inertia = None
+    noise: _Noise = _Noise()
+    vehicle: _Vehicle = _Vehicle()
+    commanded_slip: str | None = None
+    run_order: Literal["random", "sequential"] | None = None
+
 
 _STANDS = 0.02
 """Share of the usual wheel speed or speed below which a wheel counts as standing."""
@@ -90,57 +135,32 @@ class Rig:
 
 
 def load_rig(path: str | Path | None) -> Rig:
-    """Read ``rig.toml``.
+    """Read ``rig.toml``; what it says of other things is noted and left.
 
     Raises:
-        UsageError: no such file, not TOML, or a value of the wrong kind; all at once.
+        UsageError: no such file, not TOML, a key that is nearly one of its keys, a
+            value of the wrong kind or that nobody measures; all at once.
     """
     if path is None:
         return Rig()
-    return _checked(read_toml(path), str(path))
-
-
-def _checked(content: dict, path: str) -> Rig:
-    problems: list[InputProblem] = []
-    notes: list[str] = []
-
-    def number(key, value):
-        good = isinstance(value, int | float) and not isinstance(value, bool)
-        if not good or not value > 0 or not np.isfinite(value):
-            reason = f"{key} = {value!r} is not a positive number"
-            problems.append(InputProblem(reason, "give an SI value", path))
-            return None
-        return float(value)
-
-    values = {k: number(k, content[k]) for k in _NUMBERS if k in content}
-
-    def table(section, keys, example):
-        given = content.get(section, {})
-        if not isinstance(given, dict):
-            reason = f"{section} = {given!r} is not a table"
-            problems.append(InputProblem(reason, f"write {example}", path))
-            return {}
-        unused = [key for key in given if key not in keys]
-        notes.extend(
-            f"{section}.{k} of {path} is not used; known: {keys}" for k in unused
-        )
-        return {k: number(f"{section}.{k}", v) for k, v in given.items() if k in keys}
-
-    levels = table("noise", _NOISE, "[noise] with fx = ... [N]")
-    vehicle = table("vehicle", VEHICLE, "[vehicle] with position = ... [m]")
-    order = content.get("run_order")
-    if order not in (None, "random", "sequential"):
-        reason = f"run_order = {order!r}"
-        problems.append(InputProblem(reason, 'write "random" or "sequential"', path))
-    command = content.get("commanded_slip")
-    if command is not None and not isinstance(command, str):
-        reason = f"commanded_slip = {command!r} is not a column name"
-        problems.append(InputProblem(reason, "give the header of its column", path))
-    known = {*_NUMBERS, "noise", "vehicle", "run_order", "commanded_slip"}
-    notes += [f"{k} of {path} is not used" for k in content if k not in known]
-    if command is not None:
+    content, others = _of_others(read_toml(path), _RigFile)
+    stated = parse_settings(_RigFile, content, str(path))
+    notes = [f"{key} of {path} is not used" for key in others]
+    if stated.commanded_slip is not None:
         notes.append(f"commanded_slip of {path} is noted, not used")
-    if problems:
-        raise UsageError(problems)
-    return Rig(noise=levels, vehicle=vehicle, commanded_slip=command, run_order=order,
-               notes=tuple(notes), **values)  # fmt: skip
+    return Rig(**stated.model_dump(exclude_none=True), notes=tuple(notes))
+
+
+def _of_others(content: dict, kind: type[Section]) -> tuple[dict, list[str]]:
+    """The content without keys that resemble none of a section's, and those keys: a
+    description of a rig may serve other programs too."""
+    kept, others = {}, []
+    for key, value in content.items():
+        if not difflib.get_close_matches(key, kind.model_fields, 1):
+            others.append(key)
+            continue
+        kept[key] = value
+        if isinstance(value, dict) and key in _TABLES:
+            kept[key], inner = _of_others(value, _TABLES[key])
+            others += [f"{key}.{name}" for name in inner]
+    return kept, others

@@ -16,9 +16,9 @@ from tirefit.diagnosis.basis import (
 from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.patterns import PARAMETERS, USUAL_SIZES
-from tirefit.diagnosis.records import Cell, Region
+from tirefit.diagnosis.records import Cell, Region, Spot
 
-__all__ = ["LEVEL", "covariates_of", "parameter_map", "regions"]
+__all__ = ["LEVEL", "covariates_of", "parameter_map", "regions", "spots"]
 
 LEVEL = 0.05
 """False discoveries among the regions, or the cells of a map, that are said to hold
@@ -29,6 +29,15 @@ _QUARTERS = np.linspace(0, 1, 5)
 
 _NEIGHBOURS = 8
 """Rows of a run whose misses are added up: a smooth miss adds up, noise does not."""
+
+_STRETCHES = (8, 16, 32, 64)
+"""Parts of the rows that a spot is looked for among, each overlapping the next by half;
+quarters are regions."""
+
+_DENSE = 4.0
+"""Share of the gap over that of the rows from which a stretch is a spot."""
+
+_MOST_SPOTS = 4
 
 _EDGE = 1e-6
 """Width of an edge over its value: a value on the edge belongs to both regions."""
@@ -66,6 +75,15 @@ def covariates_of(base: Base) -> dict[str, np.ndarray]:
     return values
 
 
+def _chance(residual, slip_fraction) -> float:
+    """p-value of whitened misses (k,): of neighbours over the slip, added up."""
+    part = residual[np.argsort(slip_fraction, kind="stable")]
+    groups = np.array_split(part, max(len(part) // _NEIGHBOURS, 1))
+    statistic = sum(float(g.sum()) ** 2 / len(g) for g in groups)
+    # The rows' inflation is in the residual already; sums bring it back.
+    return float(chdtrc(len(groups), statistic))
+
+
 def regions(base: Base, residual, gap) -> list[Region]:
     """Every region with its share and corrected p-value, largest evidence first.
 
@@ -82,12 +100,7 @@ def regions(base: Base, residual, gap) -> list[Region]:
             inside = (values >= low - width) & (values <= high + width)
             if inside.sum() < _NEIGHBOURS:
                 continue
-            order = np.argsort(base.slip_fraction[inside], kind="stable")
-            part = residual[inside][order]
-            groups = np.array_split(part, max(len(part) // _NEIGHBOURS, 1))
-            statistic = sum(float(g.sum()) ** 2 / len(g) for g in groups)
-            # The rows' inflation is in the residual already; sums bring it back.
-            raw.append(float(chdtrc(len(groups), statistic)))
+            raw.append(_chance(residual[inside], base.slip_fraction[inside]))
             share = float(energy[inside].sum()) / total
             bins.append(Region(name, float(low), float(high), share, 1.0))
     if not bins:
@@ -96,6 +109,49 @@ def regions(base: Base, residual, gap) -> list[Region]:
     corrected = false_discovery_control(raw, method="by").tolist()
     judged = [r._replace(p_value=p) for r, p in zip(bins, corrected, strict=True)]
     return sorted(judged, key=lambda region: (region.p_value > LEVEL, -region.share))
+
+
+def spots(base: Base, residual, gap) -> tuple[Spot, ...]:
+    """Short stretches of what was swept that hold far more of the gap than their share
+    of the rows, the densest first, none within another; see :func:`regions`."""
+    energy = gap**2
+    total, n = max(float(energy.sum()), NONZERO), len(gap)
+    stretches: list[Spot] = []
+    for name, values in covariates_of(base).items():
+        # Pauses between sweeps part the time; a setting has no stretches.
+        if name != "time" and levels(values).few():
+            continue
+        order = np.argsort(values, kind="stable")
+        for count in _STRETCHES:
+            width = n // count
+            if width < _NEIGHBOURS:
+                break
+            for start in range(0, n - width + 1, width // 2):
+                rows = order[start : start + width]
+                chance = _chance(residual[rows], base.slip_fraction[rows])
+                low, high = float(values[rows[0]]), float(values[rows[-1]])
+                share = float(energy[rows].sum()) / total
+                stretches.append(Spot(name, low, high, width / n, share, chance))
+    if not stretches:
+        return ()
+    corrected = false_discovery_control([s.p_value for s in stretches], method="by")
+    dense = [
+        spot._replace(p_value=float(p))
+        for spot, p in zip(stretches, corrected, strict=True)
+        if p <= LEVEL and spot.share >= _DENSE * spot.rows
+    ]
+    dense.sort(key=lambda spot: -spot.share / spot.rows)
+    chosen: list[Spot] = []
+    for spot in dense:
+        if not any(_overlap(spot, other) for other in chosen):
+            chosen.append(spot)
+    return tuple(chosen[:_MOST_SPOTS])
+
+
+def _overlap(one: Spot, other: Spot) -> bool:
+    if one.covariate != other.covariate:
+        return False
+    return one.low <= other.high and other.low <= one.high
 
 
 _MAPPED = PARAMETERS | {

@@ -34,6 +34,12 @@ __all__ = [
 ]
 
 _LARGEST_SLIP = 3.0
+_AT_ONCE = 8
+_GRID = np.append(0.0, np.geomspace(1e-5, _LARGEST_SLIP, 199))
+"""Slips among which the peak is looked for, a whole number of times so many at once."""
+
+_NARROWED = 16
+"""Rounds that narrow it to 1e-15 of the distance of two of them."""
 
 
 def derived_channel(forces: Sequence[str]) -> str | None:
@@ -80,33 +86,49 @@ def _start_and_peak(force):
     where the slope ends.
 
     A plateau is flat to the third order where it begins, so values alone would give
-    its slip to 1e-4; the sign of the slope gives it to rounding. The force stands in
-    the program twice, at the grid and in the loop: it is what takes time to compile.
+    its slip to 1e-4; the sign of the slope gives it to rounding. One loop serves both,
+    a few slips at a time: the force is what takes time to compile, and stands in the
+    program once.
     """
 
     def with_slope(slip):
         return jax.jvp(force, (slip,), (jnp.ones_like(slip),))
 
-    grid = jnp.concatenate([jnp.zeros(1), jnp.geomspace(1e-5, _LARGEST_SLIP, 200)])
-    values, slopes = jax.vmap(with_slope)(grid)
-    first = jnp.argmax(values >= values.max() * (1 - 1e-12))
-    end = jnp.minimum(first + 1, len(grid) - 1)
-    # Thrice the rounding of a slope of zero: 7e-8 of the slip of full sliding.
-    least = 5e-16 * slopes[0]
+    grid, last = jnp.asarray(_GRID), len(_GRID) - 1
+    rounds = len(_GRID) // _AT_ONCE
+    parts = jnp.arange(1, _AT_ONCE + 1) / (_AT_ONCE + 1)
 
-    def halve(_, ends):
-        low, high, value = ends
-        middle = (low + high) / 2
-        there, slope = with_slope(middle)
-        rising = slope > least
-        low, high = jnp.where(rising, middle, low), jnp.where(rising, high, middle)
-        return low, high, jnp.where(rising, value, there)
+    def look(k, state):
+        values, start, (low, high, value) = state
+        tabled = jax.lax.dynamic_slice(grid, (k * _AT_ONCE,), (_AT_ONCE,))
+        slips = jnp.where(k < rounds, tabled, low + parts * (high - low))
+        there, slopes = jax.vmap(with_slope)(slips)
+        start = jnp.where(k == 0, slopes[0], start)
+        values = jnp.where(
+            k < rounds,
+            jax.lax.dynamic_update_slice(values, there, (k * _AT_ONCE,)),
+            values,
+        )
+        first = jnp.argmax(values >= values.max() * (1 - 1e-12))
+        end = jnp.minimum(first + 1, last)
+        around = grid[jnp.maximum(first - 1, 0)], grid[end], values[end]
+        # Thrice the rounding of a slope of zero: 7e-8 of the slip of full sliding.
+        falls = jnp.append(slopes <= 5e-16 * start, True)
+        ends = jnp.argmax(falls)
+        lows, highs = jnp.append(low, slips), jnp.append(slips, high)
+        narrowed = lows[ends], highs[ends], jnp.append(there, value)[ends]
+        bracket = jax.tree.map(
+            lambda a, b: jnp.where(k < rounds, a, b), around, narrowed
+        )
+        return values, start, bracket
 
-    _, slip, peak = jax.lax.fori_loop(
-        0, 50, halve, (grid[jnp.maximum(first - 1, 0)], grid[end], values[end])
-    )
+    nothing = jnp.zeros(())
+    _, start, (_, slip, peak) = jax.lax.fori_loop(
+        0, rounds + _NARROWED, look,
+        (jnp.full(len(_GRID), -jnp.inf), nothing, (nothing, nothing, nothing)),
+    )  # fmt: skip
     # A force that still rises at the largest slip has no peak.
-    return slopes[0], jnp.where(slip < 0.999 * _LARGEST_SLIP, slip, jnp.nan), peak
+    return start, jnp.where(slip < 0.999 * _LARGEST_SLIP, slip, jnp.nan), peak
 
 
 @compiled(static=("layout", "channel", "run"), brief=True)

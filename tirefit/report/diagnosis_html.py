@@ -17,6 +17,7 @@ from tirefit.report.diagnosis_text import (
     noise_line,
     slip_check_line,
     smallest_lines,
+    spot_lines,
     stand_in,
     step_lines,
     subject,
@@ -153,6 +154,7 @@ def diagnosis_page(result: Diagnosis) -> str:
             for name, picture in panel_pictures(result).items()
         ],
         where=_where(result),
+        spots=spot_lines(result),
         map=_map(result),
         candidates=_candidates(result),
         confused=confused_lines(result, most=25),

@@ -29,6 +29,7 @@ __all__ = [
     "run_lines",
     "slip_check_line",
     "smallest_lines",
+    "spot_lines",
     "stand_in",
     "step_lines",
     "subject",
@@ -213,7 +214,17 @@ def _where(result: Diagnosis, most: int = 4) -> list[str]:
         spread_lines.append((spread, f"  {covariate_text(name)}: {', '.join(parts)}"))
     spread_lines.sort(key=lambda pair: -pair[0])
     lines = [line for _, line in spread_lines[:most]]
+    lines += [f"  {line}" for line in spot_lines(result)]
     return lines or ["  no region stands out at a false-discovery rate of 5 %"]
+
+
+def spot_lines(result: Diagnosis) -> list[str]:
+    """Short stretches that hold much of the gap, a line each."""
+    return [
+        f"in one place: {covariate_text(spot.covariate)} {range_text(spot)}:"
+        f" {share_text(spot.share)} in {share_text(spot.rows)} of the rows"
+        for spot in result.spots
+    ]
 
 
 def _candidates(result: Diagnosis, most: int = 5) -> list[str]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
 from tirefit.diagnosis.patterns import Look
-from tirefit.diagnosis.records import Candidate, Region, Untestable
+from tirefit.diagnosis.records import Candidate, Region, Spot, Untestable
 from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
@@ -107,8 +107,8 @@ def covariate_text(name: str) -> str:
     return _COVARIATES.get(name, name)
 
 
-def range_text(region: Region) -> str:
-    """Where a region of ``where`` lies: one value, or from - to, with its unit."""
+def range_text(region: Region | Spot) -> str:
+    """Where a region, or a spot, lies: one value, or from - to, with its unit."""
     name, low, high = region.covariate, region.low, region.high
     if name in _NAMED_VALUES:
         return _NAMED_VALUES[name][round(low)]

@@ -14,6 +14,7 @@ __all__ = [
     "fit_report",
     "format_estimate",
     "note_on",
+    "parameter_lines",
     "table",
     "value_text",
     "verdict_line",
@@ -102,7 +103,8 @@ def _header(result: FitResult) -> list[str]:
     return lines + _wrapped("solver", f"{result.solver}, seed {result.seed}")
 
 
-def _parameters(result: FitResult) -> list[str]:
+def parameter_lines(result: FitResult) -> list[str]:
+    """The table of the parameters, after an empty line."""
     rows = [["parameter", "value ± std", "unit", "95 % interval", ""]]
     for name, estimate in result.parameters.items():
         rows.append(
@@ -283,7 +285,7 @@ def _verdict(result: FitResult) -> list[str]:
 def fit_report(result: FitResult) -> str:
     """Everything a reader needs of one fit; the verdict stands last."""
     parts = (
-        _header, _parameters, _routes, _derived, _quality, _by_run, _posterior,
+        _header, parameter_lines, _routes, _derived, _quality, _by_run, _posterior,
         _correlations, _verdict,
     )  # fmt: skip
     return "\n".join(line for part in parts for line in part(result)) + "\n"
