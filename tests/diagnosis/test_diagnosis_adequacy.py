@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from tirefit.diagnosis.adequacy import LEVEL, _left_out, adequacy, refused
+from tirefit.diagnosis.adequacy import (
+    LEVEL,
+    Null,
+    _left_out,
+    adequacy,
+    null,
+    refused,
+)
+from tirefit.diagnosis.memory import FORGETFUL, Memory
 
 ROWS = 240
 TIME = np.arange(ROWS)
@@ -26,11 +34,14 @@ def groups():
     return [order[LOADS[order] == load] for load in (2.0, 4.0, 6.0)]
 
 
-def judged(residual, seed=0, memory=False, columns=COLUMNS):
-    return adequacy(
-        residual, columns, [TIME], settings(), groups(),
-        np.random.default_rng(seed), memory,
-    )  # fmt: skip
+NOTHING = np.zeros((ROWS, 0))
+
+
+def judged(residual, seed=0, memory=FORGETFUL, doubt=NOTHING):
+    of_noise = null(
+        COLUMNS, doubt, [TIME], [1.0], [memory], [TIME], np.random.default_rng(seed)
+    )
+    return adequacy(residual, of_noise, [TIME], settings(), groups())
 
 
 def fitted(values):
@@ -60,8 +71,46 @@ def test_noise_with_a_memory_is_granted_only_where_it_was_judged_so():
     generator, noise = np.random.default_rng(3), np.zeros(ROWS)
     for k in range(1, ROWS):
         noise[k] = 0.6 * noise[k - 1] + generator.standard_normal()
-    assert judged(fitted(noise), memory=True).time > 0.02
-    assert judged(fitted(noise), memory=False).time < LEVEL
+    assert judged(fitted(noise), memory=Memory(0.6, 1.0)).time > 0.02
+    assert judged(fitted(noise)).time < LEVEL
+
+
+def test_noise_with_a_memory_is_as_long_as_it_says():
+    """Lag by lag, the share that has a memory fades by its own factor."""
+    part = Memory(0.7, 0.4)
+    rows, generator = 400, np.random.default_rng(8)
+    of_noise = null(
+        np.ones((rows, 1)), np.zeros((rows, 0)), [np.arange(rows)], [2.0], [part],
+        [np.arange(rows)], generator,
+    )  # fmt: skip
+    drawn = of_noise.draws
+    for lag in (1, 3):
+        together = np.mean(drawn[lag:] * drawn[:-lag]) / 4.0
+        assert together == pytest.approx(0.4 * 0.7**lag, abs=0.02)
+    assert np.mean(drawn**2) == pytest.approx(4.0, rel=0.02)
+
+
+def test_channels_that_share_a_parameter_are_fitted_together():
+    """What noise of one channel does to the other's residual is in its null."""
+    rows = np.arange(50)
+    shared = np.concatenate([np.ones(50), 0.1 * np.ones(50)])[:, None]
+    parts = [rows, rows + 50]
+    of_noise = null(
+        shared, np.zeros((100, 0)), parts, [1.0, 1.0], [FORGETFUL, FORGETFUL], None,
+        np.random.default_rng(9),
+    )  # fmt: skip
+    # (1 - H) has 1 - 0.01 / 1.01 / 50 in the weak channel: its mean is nearly free.
+    mean = of_noise.draws[50:].mean(axis=0)
+    assert np.var(mean) == pytest.approx((1 - 0.01 / 1.01) / 50, rel=0.15)
+    assert np.var(of_noise.draws[:50].mean(axis=0)) < 0.02 / 50
+
+
+def test_what_is_in_doubt_is_no_finding():
+    off = np.sin(40 * SLIP)
+    noise = np.random.default_rng(4).standard_normal(ROWS)
+    residual = fitted(noise + 1.4 * off)
+    assert judged(residual).slip_order < LEVEL
+    assert judged(residual, doubt=1.4 * off[:, None]).slip_order > 0.05
 
 
 STRUCTURES = {
@@ -110,6 +159,7 @@ def test_a_group_that_the_fit_rests_on_is_not_predicted():
 def test_rows_without_time_and_settings_have_no_such_tests():
     noise = np.random.default_rng(7).standard_normal(ROWS)
     alone = [np.array([k]) for k in range(ROWS)]
-    result = adequacy(noise, COLUMNS, None, alone, [], np.random.default_rng(0))
+    draws = np.random.default_rng(0).standard_normal((ROWS, 99))
+    result = adequacy(noise, Null(draws, COLUMNS), None, alone, [])
     assert result.time is None and result.pure_error is None
     assert result.held_out is None and result.local is None

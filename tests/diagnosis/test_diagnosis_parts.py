@@ -476,8 +476,10 @@ def test_noise_is_found_under_a_gap():
     groups = [np.arange(0, 1500, 2), np.arange(1, 1500, 2)]
     order = (np.arange(1500.0), zero.astype(int))
 
-    def judged(residual, given):
-        return judge_noise(residual, zero, fz, given, basis, waves, groups, *order)
+    def judged(residual, given, force=zero + 1.0):
+        return judge_noise(
+            residual, zero, fz, force, given, basis, waves, groups, *order
+        )
 
     found = judged(residual, None)
     np.testing.assert_allclose(found.std, level, rtol=0.1)

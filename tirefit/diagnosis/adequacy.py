@@ -3,8 +3,7 @@
 Every statistic is compared with its values for noise that went through the same fit, on
 these very rows: no table of critical values, no assumption on the design. Residuals
 are whitened; only their shape is judged, so a noise level that is off by a factor is no
-finding here. Noise with a short memory is granted: the null has the correlation that
-the residual has between neighbours in time.
+finding here. Noise with a memory is granted as far as it was judged to have one.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
+from tirefit.diagnosis.memory import Memory
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 
-__all__ = ["UNTESTED", "Adequacy", "adequacy", "refused"]
+__all__ = ["UNTESTED", "Adequacy", "Null", "adequacy", "null", "refused"]
 
 DRAWS = 999
 """Simulated residuals: the smallest p-value is one in a thousand."""
@@ -41,13 +41,6 @@ _FEWEST_SUMS = 4
 
 _WITH_NEIGHBOURS = 3
 """Rows of a setting from which one has a neighbour on either side."""
-
-_SHORTEST = 4
-"""Rows of a stretch beyond which most have a second one before them."""
-
-_LONGEST_MEMORY = 0.97
-"""Correlation of neighbours that noise is granted, at most: it fades over 33 rows, and
-a longer memory is a drift."""
 
 _UNSUPPORTED = 0.02
 """A direction of the fit of which so little remains without a group rests on it alone:
@@ -206,64 +199,76 @@ def _regimes(groups: Sequence[np.ndarray], unit: np.ndarray) -> Statistic | None
     return statistic
 
 
-def _memory(residual: np.ndarray, stretches: Sequence[np.ndarray]) -> float:
-    """Correlation of neighbours in time that a noise of short memory would need: what
-    their differences say, which a smooth remainder hardly moves."""
-    steps, lag_two, count = 0.0, 0.0, 0
-    for rows in stretches:
-        x = residual[rows]
-        if len(x) > _SHORTEST:
-            steps += float(np.sum(np.diff(x) ** 2))
-            lag_two += float(np.sum((x[2:] - x[:-2]) ** 2))
-            count += len(x)
-    if not count or steps <= 0:
-        return 0.0
-    # Of a first-order process: E (x_t - x_t-2)^2 / E (x_t - x_t-1)^2 = 1 + phi.
-    return float(np.clip(lag_two / steps - 1.0, 0.0, _LONGEST_MEMORY))
-
-
-def _noise(n: int, memory: float, stretches, generator) -> np.ndarray:
-    """Draws (n, DRAWS) of unit noise with a memory along the stretches."""
+def _noise(n: int, memory: Memory, stretches, generator) -> np.ndarray:
+    """Draws (n, DRAWS) of unit noise, part of it with a memory along the stretches."""
     white = generator.standard_normal((n, DRAWS))
-    if memory < 2 / np.sqrt(n):
+    if not memory.share or stretches is None:
         return white
-    coloured = np.array(white)
+    fade, coloured = memory.fade, generator.standard_normal((n, DRAWS))
     for rows in stretches:
-        start = white[rows[0]] * memory
+        start = coloured[rows[0]] * fade
         coloured[rows] = lfilter(
-            [np.sqrt(1 - memory**2)], [1.0, -memory], white[rows], axis=0,
+            [np.sqrt(1 - fade**2)], [1.0, -fade], coloured[rows], axis=0,
             zi=start[None],
         )[0]  # fmt: skip
-    return coloured
+    return np.sqrt(1 - memory.share) * white + np.sqrt(memory.share) * coloured
+
+
+class Null(NamedTuple):
+    """Noise that went through a fit of all channels together: ``draws`` (m, DRAWS),
+    and the orthonormal columns ``unit`` (m, p) of the fit."""
+
+    draws: np.ndarray
+    unit: np.ndarray
+
+
+def null(
+    used_up: np.ndarray,
+    doubt: np.ndarray,
+    parts: Sequence[np.ndarray],
+    sizes: Sequence[float],
+    memories: Sequence[Memory],
+    in_time: Sequence[np.ndarray] | None,
+    generator: np.random.Generator,
+) -> Null:
+    """What the fit leaves of noise alone.
+
+    Args:
+        used_up: (m, p) whitened columns of everything that was fitted.
+        doubt: (m, k) directions in which the rows may be off together, by independent
+            unit normal numbers, beside the noise.
+        parts: rows of each channel among the m: index arrays.
+        sizes, memories: standard deviation of the noise of each channel, its memory.
+        in_time: rows of a channel, in each unbroken stretch in the order of time
+            (index arrays); None where the time is not known.
+        generator: of the noise.
+    """
+    unit, _ = np.linalg.qr(used_up)
+    noise = np.empty((len(used_up), DRAWS))
+    for part, size, memory in zip(parts, sizes, memories, strict=True):
+        noise[part] = size * _noise(len(part), memory, in_time, generator)
+    noise += doubt @ generator.standard_normal((doubt.shape[1], DRAWS))
+    return Null(noise - unit @ (unit.T @ noise), unit)
 
 
 def adequacy(
     residual: np.ndarray,
-    used_up: np.ndarray,
+    of_noise: Null,
     in_time: Sequence[np.ndarray] | None,
     in_slip: Sequence[np.ndarray],
     groups: Sequence[np.ndarray],
-    generator: np.random.Generator,
-    memory: bool = False,
 ) -> Adequacy:
     """Tests of one channel's residual.
 
     Args:
         residual: (n,) whitened, of the explanation that is judged.
-        used_up: (n, p) whitened columns of everything that was fitted.
-        in_time: rows of each unbroken stretch in the order of time (index arrays);
-            None where the time is not known.
+        of_noise: what :func:`null` says of these n rows.
+        in_time: see :func:`null`.
         in_slip: rows of each setting (load, speed, direction) in the order of slip.
         groups: regimes to leave out in turn: rows in the order of slip.
-        generator: of the simulated residuals.
-        memory: whether the noise was judged to have a memory.
     """
-    unit, _ = np.linalg.qr(used_up)
     settings = [s for s in in_slip if len(s) >= _WITH_NEIGHBOURS]
-    phi = _memory(residual, in_time) if memory and in_time is not None else 0.0
-    noise = _noise(len(residual), phi, in_time, generator)
-    draws = noise - unit @ (unit.T @ noise)
-    together = _unit(np.concatenate([residual[:, None], draws], axis=1))
+    together = _unit(np.concatenate([residual[:, None], of_noise.draws], axis=1))
 
     def p_value(statistic: Statistic | None) -> float | None:
         if statistic is None:
@@ -282,7 +287,7 @@ def adequacy(
         "line": _lines(ordered if timed else in_slip),
         "pure_error": _pure_error(settings) if dense else None,
         "local": _local(settings) if dense else None,
-        "held_out": _regimes(groups, unit),
+        "held_out": _regimes(groups, of_noise.unit),
     }
     values = {name: p_value(statistic) for name, statistic in tests.items()}
     passed = all(p is None or p >= LEVEL for p in values.values())

@@ -8,6 +8,7 @@ import numpy as np
 
 from tirefit.diagnosis.basis import Generic, smooth_basis, wave_basis
 from tirefit.diagnosis.effects import Atom, Effect, atoms_of
+from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.forward import (
     Design,
     Linear,
@@ -22,11 +23,12 @@ from tirefit.diagnosis.forward import (
 )
 from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
+from tirefit.diagnosis.rates import AHEAD
 from tirefit.diagnosis.remainder import whitened_generic
 from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
 from tirefit.diagnosis.runs import with_runs
 from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
-from tirefit.diagnosis.slip_nodes import slip_nodes
+from tirefit.diagnosis.slip_nodes import slip_doubt, slip_nodes
 from tirefit.diagnosis.state import Covariates
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import best_of, solve_starts
@@ -156,6 +158,16 @@ class Base:
         """Generic functions for each channel by itself, whitened: (m, b)."""
         fields = np.asarray(self.at_null.fields)
         return whitened_generic(self.rows, self.design, self.slip_fraction, fields)
+
+    @cached_property
+    def doubt(self) -> np.ndarray:
+        """What the residual may be off by as the true slips are not known, beside the
+        noise of each row: columns (m, k) times independent unit normal numbers."""
+        rows = self.rows
+        path = rows.covariates.past[:, AHEAD] if "sweeps" in rows.has else None
+        off = slip_doubt(rows.slip, rows.slip_std, path)
+        steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
+        return steep[:, None] * np.tile(off, (len(self.rows.channels), 1))
 
     @cached_property
     def at_null(self) -> Linear:
@@ -378,8 +390,9 @@ def _noise(
             else rig.force_noise(channel, fz)
         )
         levels[channel] = judge_noise(
-            prepared.observed[channel] - mean[channel], spread[channel], fz, given,
-            basis, waves, groups, prepared.time, prepared.run, outliers,
+            prepared.observed[channel] - mean[channel], spread[channel], fz,
+            mean[channel], given, basis, waves, groups, prepared.time, prepared.run,
+            outliers,
         )  # fmt: skip
     return levels
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from itertools import combinations
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.case import Case
@@ -16,7 +17,7 @@ from tirefit.diagnosis.closure import (
 )
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.records import Change, Part, SimulatorSummary, Surrogate
-from tirefit.diagnosis.search import Hypothesis
+from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.shares import shapley
 
 __all__ = ["budgets_of", "parameter_changes", "simulator_summary"]
@@ -145,6 +146,61 @@ def _missed(
     return missed
 
 
+_HELD_WITHIN = 0.9
+"""Probability that an interval of a parameter holds."""
+
+_FARTHEST = 8.0
+"""Standard deviations within which a normal part lies."""
+
+_HALVINGS = 40
+"""Steps of bisection to its end: of any width, one in 1e12 is left."""
+
+
+def _misled(base: Base, chosen: Hypothesis) -> np.ndarray:
+    """Variance of the parameters (p,) as the true slips are not known."""
+    linear = base.linearised(chosen.z, amplitudes_of(base, chosen))
+    columns = [linear.jacobian, linear.columns[:, list(chosen.atoms)]]
+    fitted = np.concatenate(columns, axis=1)
+    moved = np.linalg.lstsq(fitted, base.doubt, rcond=None)[0]
+    return np.sum(moved[: len(chosen.z)] ** 2, axis=1)
+
+
+def _of_mixture(shares, off, std) -> np.ndarray:
+    """Standard deviations (p,) of which 1.645 about zero hold nine tenths of a mixture.
+
+    Args:
+        shares: (s,) probabilities of its normal parts.
+        off, std: (s, p) their means and standard deviations.
+    """
+    low, high = np.zeros(off.shape[1]), np.max(np.abs(off) + _FARTHEST * std, axis=0)
+    for _ in range(_HALVINGS):
+        reach = (low + high) / 2
+        inside = ndtr((reach - off) / std) - ndtr((-reach - off) / std)
+        enough = shares @ inside > _HELD_WITHIN
+        low, high = np.where(enough, low, reach), np.where(enough, reach, high)
+    return high / float(ndtri((1 + _HELD_WITHIN) / 2))
+
+
+def _spread(case: Case, widening: float) -> np.ndarray:
+    """Standard deviations (p,) of the parameters beside the verdict's effects, of which
+    1.645 hold nine tenths: of the errors of the fits of all sets that these data leave
+    possible, each by its probability. Where they leave the verdict alone, its own.
+    The slips are as unsure as their density and their phase; see ``Base.doubt``.
+
+    Args:
+        widening: see :func:`parameter_changes`.
+    """
+    chosen, weighed = case.verdict.chosen, case.weighed
+    z = np.asarray(chosen.z)
+    each = [weighed.best_of[key] for key in weighed.sets]
+    shares = np.array([weighed.among_listed(key) for key in weighed.sets])
+    off = np.array([h.z for h in each]) - z
+    variance = np.array([np.diag(h.covariance)[: len(z)] for h in [chosen, *each]])
+    variance = np.maximum(variance, NONZERO) * widening + _misled(case.base, chosen)
+    own, std = np.sqrt(variance[0]), np.sqrt(variance[1:])
+    return np.maximum(own, _of_mixture(shares, off, std))
+
+
 def parameter_changes(case: Case, widening: float) -> Mapping[str, Change]:
     """The simulator's parameters as given, and as the data have them beside the effects
     of the verdict; empty where a form was fitted.
@@ -156,8 +212,8 @@ def parameter_changes(case: Case, widening: float) -> Mapping[str, Change]:
     if base.simulator is None:
         return {}
     layout, z = base.layout, np.asarray(chosen.z)
-    p, step, changes = len(z), _STEP, {}
-    spread = np.sqrt(np.maximum(np.diag(chosen.covariance)[:p], 0) * widening)
+    step, changes = _STEP, {}
+    spread = _spread(case, widening)
     slope = (layout.vector(z + step) - layout.vector(z - step)) / (2 * step)
     given, measured = layout.vector(base.simulator.z), layout.vector(z)
     for k, name in enumerate(layout.labels):

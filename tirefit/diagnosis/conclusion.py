@@ -23,7 +23,14 @@ from tirefit.diagnosis.patterns import Look, looks
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Search
 from tirefit.diagnosis.standing import Standing, standing
-from tirefit.diagnosis.verdict import LinearFit, Verdict, Weighed, linear_at, named
+from tirefit.diagnosis.verdict import (
+    LinearFit,
+    Verdict,
+    Weighed,
+    linear_at,
+    named,
+    nothing_shown,
+)
 
 __all__ = [
     "Judge",
@@ -207,6 +214,9 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
     more = probability_of_more(judge.clues(key))
     if judge.imitates(key):
         more = max(more, _EVEN)
+    if more < _EVEN and nothing_shown(weighed) > weighed.sets[key]:
+        # Named, it would be a false alarm more often than the name of what is there.
+        return _nothing_stands(verdict, judge)
     if more < _EVEN:
         passed = judge.of(key).adequacy._replace(passed=True)
         sure = verdict.probability * (1 - more)

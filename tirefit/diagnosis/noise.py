@@ -6,6 +6,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from tirefit.diagnosis.basis import RANK, waves_within
+from tirefit.diagnosis.memory import Memory, memory_of
 from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
 from tirefit.diagnosis.rows import LOADS
 from tirefit.fitting.noise import MAD, autocorrelation_time
@@ -79,10 +80,11 @@ _CORRELATED = 2.5
 
 
 class NoiseLevel(NamedTuple):
-    """Standard deviation (n,) of one force, rows per independent row, outliers (n,)
-    bool, flags, and where the level came from."""
+    """Standard deviation (n,) of one force, its memory, rows per independent row,
+    outliers (n,) bool, flags, and where the level came from."""
 
     std: np.ndarray
+    memory: Memory
     inflation: float
     outlier: np.ndarray
     flags: tuple[str, ...]
@@ -90,14 +92,14 @@ class NoiseLevel(NamedTuple):
 
 
 def judge_noise(
-    residual, spread, fz, given, basis, waves, groups, time, run, refine=True
+    residual, spread, fz, force, given, basis, waves, groups, time, run, refine=True
 ) -> NoiseLevel:
     """Noise of one channel.
 
     Args:
         residual: (n,) [N] of the base fit.
         spread: (n,) variance that the slip noise gives [N^2].
-        fz: (n,) load.
+        fz, force: (n,) load, and force of the fit.
         given: (n,) stated standard deviation, or None.
         basis: (n, m) smooth functions that soak up any gap (unit columns, in N).
         waves: (n, 2 x waves) of which the strong ones do so too.
@@ -114,9 +116,10 @@ def judge_noise(
     clean = smooth.remainder(residual / std)
     for _ in range(_ROUNDS if refine else 0):
         level = clean
-        if given is None:  # larger loads scatter more: no outliers for that
-            law, _ = _variance_law(clean, spread, fz, keep, smooth.freedom)
-            level = clean / law
+        rest = _Rest(clean, smooth.freedom, keep, base, std)
+        grows = rest.grows_with(np.abs(force)) > _FOLLOWS
+        if given is None or grows:  # larger forces scatter more: no outliers for that
+            level = clean * std / rest.law(spread, fz, force, given is not None)
         unit = MAD * np.median(np.abs(level[keep]))
         many = np.count_nonzero(~keep) > _MANY * len(keep)
         far = _OUTLIER_AMONG_MANY if many else _OUTLIER
@@ -126,35 +129,76 @@ def judge_noise(
         keep = good
         smooth = _Smooth(smooth.basis, good)
         clean = smooth.remainder(residual / std)
-    dof = smooth.freedom
-    flags, source = [], "given"
-    spare = _MISSTATED if np.count_nonzero(~keep) < _MANY * len(keep) else 0.0
-    ratio = float(np.sqrt(np.sum(clean[keep] ** 2) / max(dof, 1.0)))
-    # What neighbours differ by bounds the noise where a gap is finer than the basis.
+    rest = _Rest(clean, smooth.freedom, keep, base, std)
     local = _between_neighbours(residual / std, groups, keep)
-    if given is None:
-        std, hetero = _variance_law(clean * std, spread, fz, keep, dof)
-        source = "differences"
-        if local < _FINER * ratio:
-            std = std * local / ratio
-        if hetero:
-            flags.append("heteroscedastic")
-    elif min(ratio, local) > 1 + max(spare, _MISSTATED_SIGMAS / np.sqrt(2 * dof)):
-        std, source = std * min(ratio, local), "estimated: the given level disagrees"
-        flags.append("noise_misstated")
-    elif ratio < _OVERSTATED:
-        flags.append("noise_misstated")
-    std = np.maximum(std, _FINEST * np.mean(fz))
-    clean = clean * (base if given is None else 1.0)
-    if given is not None and _uneven(clean, fz, keep):
-        flags.append("heteroscedastic")
+    level, flags, source = _levelled(rest, local, spread, fz, force, given is not None)
     if np.count_nonzero(~keep) > max(_FEW, _FLAGGED * len(residual)):
         flags.append("outliers")
-    white = np.where(keep, clean, 0.0) / (std if given is None else 1.0)
-    inflation = correlation(white, time, run)
-    if inflation > 1.0:
+    scale = level / std
+    white = np.where(keep, clean, 0.0) / scale
+    unit, _ = np.linalg.qr(smooth.columns / scale[:, None])
+    memory, inflation = memory_of(white, unit, _in_order(time, run)), 1.0
+    if memory.share:
+        inflation = max(memory.rows_each, correlation(white, time, run))
+        inflation = min(inflation, len(white) / _FACTS)
         flags.append("autocorrelated")
-    return NoiseLevel(std, inflation, ~keep, tuple(flags), source)
+    return NoiseLevel(level, memory, inflation, ~keep, tuple(flags), source)
+
+
+class _Rest(NamedTuple):
+    """What smooth functions leave: ``clean`` (n,) over ``std`` (n,), its degrees of
+    freedom, the rows that count, and ``base`` (n,), ``std`` without the slip noise."""
+
+    clean: np.ndarray
+    freedom: int
+    keep: np.ndarray
+    base: np.ndarray
+    std: np.ndarray
+
+    def law(self, spread, fz, force, stated: bool) -> np.ndarray:
+        """Standard deviation (n,) by load and force; see :func:`_variance_law`."""
+        shapes = _shapes(self.clean, fz, force, self.base, self.keep)
+        values = self.clean * self.std
+        return _variance_law(values, spread, shapes, self.keep, self.freedom, stated)
+
+    def grows_with(self, values) -> float:
+        """How the squares follow the values (n,): see :func:`_growth`."""
+        return _growth(self.clean, values, self.keep)
+
+
+def _levelled(rest: _Rest, local: float, spread, fz, force, stated: bool):
+    """(standard deviation (n,), flags, source) of a noise.
+
+    Args:
+        local: standard deviation between neighbours, which bounds the noise where a
+            gap is finer than the smooth functions.
+        stated: whether a level was given.
+    """
+    std, dof, flags, source = rest.std, rest.freedom, [], "given"
+    many = np.count_nonzero(~rest.keep) >= _MANY * len(rest.keep)
+    ratio = float(np.sqrt(np.sum(rest.clean[rest.keep] ** 2) / max(dof, 1.0)))
+    grows = stated and rest.grows_with(np.abs(force)) > _FOLLOWS
+    if grows or not stated:
+        std = rest.law(spread, fz, force, stated)
+        source = "estimated: the given level disagrees" if stated else "differences"
+        if local < _FINER * ratio:
+            std = std * local / ratio
+        if grows or np.max(std) > _UNEVEN * np.min(std):
+            flags.append("heteroscedastic")
+    else:
+        spare = 0.0 if many else _MISSTATED
+        if min(ratio, local) > 1 + max(spare, _MISSTATED_SIGMAS / np.sqrt(2 * dof)):
+            std, source = (
+                std * min(ratio, local),
+                "estimated: the given level disagrees",
+            )
+            flags.append("noise_misstated")
+        elif ratio < _OVERSTATED:
+            flags.append("noise_misstated")
+        loads = np.std(np.log(fz)) > LOADS
+        if loads and abs(rest.grows_with(np.log(fz))) > _FOLLOWS:
+            flags.append("heteroscedastic")
+    return np.maximum(std, _FINEST * np.mean(fz)), flags, source
 
 
 _FEW = 3
@@ -233,45 +277,70 @@ class _Smooth:
         self.root = vectors[:, good] / np.sqrt(values[good])
         self.freedom = max(int(keep.sum()) - int(good.sum()), 1)
 
+    @property
+    def columns(self) -> np.ndarray:
+        """Orthonormal on the rows that are kept, zero on the others: (n, q)."""
+        return (self.basis * self.keep[:, None]) @ self.root
+
     def remainder(self, residual):
         """Residual less its smooth part, (n,)."""
         score = self.root.T @ (self.basis.T @ (residual * self.keep))
         return residual - self.basis @ (self.root @ score)
 
 
-def _variance_law(clean, spread, fz, keep, dof):
-    """sqrt(a^2 + b^2 F_z^2 + slip noise's share), by non-negative least squares."""
-    square = clean[keep] ** 2 * (keep.sum() / dof)
-    shapes = [np.ones_like(fz)]
+def _shapes(clean, fz, force, base, keep) -> list[np.ndarray]:
+    """What the variance of the force is made of: a part of its own (``base``, its
+    standard deviation), one that grows with the load where that varies, and parts that
+    grow with the force where they clearly do."""
+    used = np.abs(force) / np.max(np.abs(force))
+    shares = [np.ones_like(fz)]
     if np.std(np.log(fz)) > _SPREAD_OF_LOAD:
-        shapes.append((fz / np.mean(fz)) ** 2)
+        shares.append((fz / np.mean(fz)) ** 2)
+    if _growth(clean, used, keep) > _FOLLOWS:
+        shares += [used, used**2]
+    return [base**2 * share for share in shares]
+
+
+def _variance_law(clean, spread, shapes, keep, dof, stated=False) -> np.ndarray:
+    """sqrt of the shapes and the slip noise's share, by non-negative least squares.
+
+    Args:
+        stated: whether the slip noise's share holds as it is; else all of the variance
+            is scaled to that of the rows, as the share may be too large.
+    """
+    square = clean[keep] ** 2 * (keep.sum() / dof)
     level = np.full(keep.sum(), square.mean())
+    own = square - spread[keep]
+    own = own if stated else np.maximum(own, 0)
     for _ in range(_LAW_ROUNDS):
         columns = np.stack([s[keep] / level for s in shapes], axis=1)
-        part, _ = nnls(columns, np.maximum(square - spread[keep], 0) / level)
+        part, _ = nnls(columns, own / level)
         variance = sum(c * s for c, s in zip(part, shapes, strict=True)) + spread
         variance = np.maximum(variance, _LEAST_VARIANCE * square.mean())
         level = variance[keep]
-    total = np.mean(square / level)
-    std = np.sqrt(variance * total)
-    return std, bool(np.max(std) > _UNEVEN * np.min(std))
+    return np.sqrt(variance * (1.0 if stated else np.mean(square / level)))
 
 
-def _uneven(white, fz, keep) -> bool:
-    """Whether the squares follow the load (score test of the variance)."""
-    x = np.log(fz[keep])
-    if np.std(x) < LOADS:
-        return False
-    square = white[keep] ** 2
+def _growth(clean, values, keep) -> float:
+    """How the squares follow the values, in standard errors (score of the variance)."""
+    x = values[keep]
+    if np.ptp(x) < ROUNDING * np.max(np.abs(x)):
+        return 0.0
+    square = clean[keep] ** 2
     square = square / square.mean() - 1
     x = (x - x.mean()) / np.std(x)
-    return abs(square @ x) / np.sqrt(2 * len(x)) > _FOLLOWS
+    return float(square @ x) / np.sqrt(2 * len(x))
+
+
+def _in_order(time, run) -> list[np.ndarray]:
+    """Rows of each run in the order they were measured: index arrays."""
+    order = np.arange(len(run)) if time is None else np.lexsort((time, run))
+    return [order[run[order] == code] for code in np.unique(run)]
 
 
 def correlation(white, time, run) -> float:
     """Rows per independent row, of the remainder in the order it was measured."""
-    order = np.arange(len(white)) if time is None else np.lexsort((time, run))
-    parts = [white[order][run[order] == code] for code in np.unique(run)]
+    parts = [white[rows] for rows in _in_order(time, run)]
     lag_one = sum(float(p[1:] @ p[:-1]) for p in parts) / max(
         sum(float(p @ p) for p in parts), NONZERO
     )

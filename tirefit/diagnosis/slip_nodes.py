@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from tirefit.diagnosis.negligible import FLAT
-from tirefit.fitting.slip_noise import slip_distribution
+from tirefit.diagnosis.negligible import FLAT, NONZERO
+from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
 
-__all__ = ["slip_nodes"]
+__all__ = ["slip_doubt", "slip_nodes"]
 
 _COUNTS = (3, 5)
 """Gauss-Hermite nodes of the slip noise: exact for a force that is a polynomial of
@@ -14,6 +14,14 @@ _STEEP, _LARGE = 0.01, 0.9
 """Noise of the slip over a large slip from which the force bends within it, and the
 quantile of the slips that is large."""
 _NODES = {count: np.polynomial.hermite_e.hermegauss(count) for count in _COUNTS}
+
+_WITHIN = np.linspace(-4.0, 4.0, 41)
+"""Slips that a measured one may stand for, in standard deviations of its noise."""
+
+
+def _steep(slip, std) -> bool:
+    large = max(float(np.quantile(np.abs(slip), _LARGE)), FLAT)
+    return float(np.median(std)) > _STEEP * large
 
 
 def slip_nodes(slip, std):
@@ -26,8 +34,76 @@ def slip_nodes(slip, std):
     if not np.any(std > 0):
         return slip[:, None], np.ones((len(slip), 1))
     # Enough nodes for the curvature of the force within the slip noise.
-    steep = float(np.median(std)) / max(float(np.quantile(np.abs(slip), _LARGE)), FLAT)
-    offset, mass = _NODES[_COUNTS[0] if steep < _STEEP else _COUNTS[1]]
+    offset, mass = _NODES[_COUNTS[int(_steep(slip, std))]]
     mean, spread = slip_distribution(slip, np.maximum(std, FLAT)).moments(slip, std)
     nodes = mean[:, None] + spread[:, None] * offset
     return nodes, np.tile(mass / mass.sum(), (len(slip), 1))
+
+
+def slip_doubt(slip, std, path=None) -> np.ndarray:
+    """How far the latent slips may be off together: columns (n, k), of which
+    independent unit normal numbers make the error of the slips.
+
+    Their density is estimated from the same noisy slips, which counts where the noise
+    is not small beside them. And it is one for all rows: where the slip moves steadily
+    in time, all rows of one phase are off to the same side.
+
+    Args:
+        path: (n,) slips as their neighbours in time show them, None where they do not.
+    """
+    if not np.any(std > 0):
+        return np.zeros((len(slip), 0))
+    std = np.maximum(std, FLAT)
+    steep = _steep(slip, std)
+    if not steep and path is None:
+        return np.zeros((len(slip), 0))
+    law = slip_distribution(slip, std)
+    columns = [_of_density(law, slip, std)] if steep else []
+    if path is not None:
+        columns.append(_of_phase(law, path, std)[:, None])
+    return np.concatenate(columns, axis=1)
+
+
+def _of_phase(law: SlipDistribution, path, std) -> np.ndarray:
+    """Mean of what is believed of a row at ``path`` less the path itself: (n,)."""
+    offset, mass = _NODES[_COUNTS[1]]
+    believed = [law.moments(path + std * e, std)[0] for e in offset]
+    return np.array(believed).T @ (mass / mass.sum()) - path
+
+
+def _of_density(law: SlipDistribution, slip, std) -> np.ndarray:
+    """Error of the latent slips by that of the density's weights w, which add up to
+    one: maximum likelihood with a weak prior (each about as large as all on average).
+    """
+    likely, first = _parts(law, slip, std)
+    weight = law.density[1:-1] * np.diff(law.knots)[0]
+    weight = np.concatenate([weight, law.shares])
+    together = np.maximum(likely @ weight, NONZERO)[:, None]
+    mean = first @ weight / together[:, 0]
+    moved = (first - mean[:, None] * likely) / together
+    # Directions in which the weights still add up to one.
+    free = np.linalg.svd(np.ones((1, len(weight))))[2][1:].T
+    score = likely / together @ free
+    normal = score.T @ score + len(weight) ** 2 * np.eye(free.shape[1])
+    root = np.linalg.cholesky(np.linalg.inv(normal))
+    return moved @ free @ root
+
+
+def _parts(law: SlipDistribution, slip, std):
+    """Of each part of the density, by row: its likelihood, and that times the slip it
+    stands for, less the measured one: (n, parts) both."""
+    nodes = slip[:, None] + std[:, None] * _WITHIN
+    step = np.diff(law.knots)[0]
+    bell = np.exp(-0.5 * _WITHIN**2) / np.sqrt(2 * np.pi) * np.diff(_WITHIN)[0]
+    hats = [
+        np.maximum(1 - np.abs(nodes - knot) / step, 0) / step * bell
+        for knot in law.knots[1:-1]
+    ]
+    off = std[:, None] * _WITHIN
+    likely = [hat.sum(axis=1) for hat in hats]
+    first = [(hat * off).sum(axis=1) for hat in hats]
+    for place in law.standing:
+        there = np.exp(-0.5 * ((slip - place) / std) ** 2) / (std * np.sqrt(2 * np.pi))
+        likely.append(there)
+        first.append(there * (place - slip))
+    return np.stack(likely, axis=1), np.stack(first, axis=1)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.levels import levels
-from tirefit.diagnosis.adequacy import Adequacy, adequacy
+from tirefit.diagnosis.adequacy import Adequacy, Null, adequacy, null
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.basis import without
 from tirefit.diagnosis.negligible import ROUNDING
@@ -106,6 +106,13 @@ def _worst(each: list[Adequacy]) -> Adequacy:
     )
 
 
+def _misled(base: Base, linear, atoms: list[int]) -> np.ndarray:
+    """Standard deviation of amplitudes (h,) from the doubt of the slips."""
+    own = without(linear.columns[:, atoms], linear.jacobian)
+    moved = np.linalg.solve(own.T @ own + np.eye(len(atoms)), own.T @ base.doubt)
+    return np.sqrt(np.sum(moved**2, axis=1))
+
+
 def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing:
     """What a refitted set has earned.
 
@@ -128,19 +135,30 @@ def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing
     in_time = (
         None if prepared.time is None else kept(segments(prepared.time, prepared.run))
     )
-    in_slip, groups, each = kept(neighbours(prepared)), kept(regimes(prepared)), []
-    for k, channel in enumerate(prepared.channels):
-        part = np.arange(k * n, (k + 1) * n)[keep]
-        each.append(
-            adequacy(
-                residual[part], used_up[part], in_time, in_slip, groups,
-                generator, base.noise[channel].inflation > 1,
-            )
-        )  # fmt: skip
+    in_slip, groups = kept(neighbours(prepared)), kept(regimes(prepared))
+    rows = [np.flatnonzero(keep) + k * n for k in range(len(prepared.channels))]
+    stacked = np.split(np.arange(len(rows) * keep.sum()), len(rows))
+    kept_rows = np.concatenate(rows)
+    of_noise = null(
+        used_up[kept_rows], base.doubt[kept_rows], stacked,
+        [float(np.sqrt(np.mean(residual[part] ** 2))) for part in rows],
+        [base.noise[channel].memory for channel in prepared.channels],
+        in_time, generator,
+    )  # fmt: skip
+    each = [
+        adequacy(
+            residual[part], Null(of_noise.draws[own], of_noise.unit[own]),
+            in_time, in_slip, groups,
+        )
+        for part, own in zip(rows, stacked, strict=True)
+    ]  # fmt: skip
     p = len(hypothesis.z)
     std = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[p:], 0))
-    std = std * np.sqrt(widening(base, hypothesis))
-    own = without(linear.columns[:, list(hypothesis.atoms)], linear.jacobian)
+    atoms = list(hypothesis.atoms)
+    std = np.hypot(
+        std * np.sqrt(widening(base, hypothesis)), _misled(base, linear, atoms)
+    )
+    own = without(linear.columns[:, atoms], linear.jacobian)
     parts = own * hypothesis.amplitude
     together = float(np.sum(parts.sum(axis=1) ** 2))
     return Standing(

@@ -35,6 +35,7 @@ __all__ = [
     "judge",
     "linear_at",
     "named",
+    "nothing_shown",
     "weigh",
 ]
 
@@ -131,7 +132,10 @@ def gap_p_value(search: Search, generator) -> float:
     z = left[:, use] / size[use]
     residual, jacobian, *_ = base.at_null
     observed = np.max(np.abs(z.T @ residual), initial=0.0)
-    draws = np.abs(scores_of_nothing(z, DRAWS, generator)).max(0)
+    draws = scores_of_nothing(z, DRAWS, generator)
+    doubt = z.T @ base.doubt
+    draws = draws + doubt @ generator.standard_normal((doubt.shape[1], DRAWS))
+    draws = np.abs(draws).max(0)
     p_score = (1 + np.sum(draws >= observed)) / (1 + DRAWS)
     p_generic = misfit_p_value(base.generic, jacobian, residual, generator, DRAWS)
     return float(min(1.0, 2 * min(p_score, p_generic)))
@@ -237,7 +241,7 @@ def fitted_form(linear: LinearFit) -> np.ndarray:
 def judge(search: Search, weighed: Weighed, p_value: float) -> Verdict:
     """The verdict that the probabilities support."""
     null = weighed.best_of[()]
-    nothing = _unresolved(weighed)
+    nothing = nothing_shown(weighed)
     if nothing > 0.5 or (p_value > _LEVEL and nothing > _HARDLY):
         return Verdict("none", (), weighed.sets[()], (), p_value, null)
     best = weighed.best
@@ -304,7 +308,7 @@ def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:
     return tuple(sorted(alike, key=lambda effect: alike[effect]))
 
 
-def _unresolved(weighed: Weighed) -> float:
+def nothing_shown(weighed: Weighed) -> float:
     """Probability that nothing is there which these data could show."""
     shown = (p for k, p in weighed.sets.items() if weighed.evidence[k] < _SHOWS)
     return weighed.hidden + float(sum(shown))

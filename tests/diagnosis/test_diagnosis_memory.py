@@ -1,0 +1,64 @@
+"""The memory of a noise, smooth functions taken out of it or not."""
+
+import numpy as np
+import pytest
+
+from tirefit.diagnosis.memory import FORGETFUL, Memory, memory_of
+
+ROWS = 1200
+TIME = np.linspace(0, 1, ROWS)
+
+
+def smooth(count):
+    """Orthonormal waves, slow ones first: (ROWS, count)."""
+    turns = np.arange(1, count // 2 + 1) * 2 * np.pi
+    angle = TIME[:, None] * turns
+    both = np.concatenate([np.sin(angle), np.cos(angle)], axis=1)
+    return np.linalg.qr(both)[0]
+
+
+def noise(memory, seed):
+    generator = np.random.default_rng(seed)
+    slow, x = np.empty(ROWS), generator.standard_normal()
+    for row in range(ROWS):
+        slow[row] = x
+        new = generator.standard_normal()
+        x = memory.fade * x + np.sqrt(1 - memory.fade**2) * new
+    white = generator.standard_normal(ROWS)
+    return np.sqrt(memory.share) * slow + np.sqrt(1 - memory.share) * white
+
+
+def judged(values, unit, stretches=(np.arange(ROWS),)):
+    return memory_of(values - unit @ (unit.T @ values), unit, stretches)
+
+
+@pytest.mark.parametrize("count", [4, 200])
+def test_independent_rows_have_none(count):
+    unit = smooth(count)
+    found = [judged(noise(FORGETFUL, seed), unit) for seed in range(20)]
+    assert sum(memory.share > 0 for memory in found) <= 2
+
+
+@pytest.mark.parametrize("count", [4, 200])
+@pytest.mark.parametrize("memory", [Memory(0.5, 1.0), Memory(0.65, 0.7)])
+def test_a_memory_is_seen_whatever_was_taken_out(memory, count):
+    found = [judged(noise(memory, seed), smooth(count)) for seed in range(8)]
+    # The correlation at lag one is known best; fade and share trade against it.
+    lag_one = np.mean([one.fade * one.share for one in found])
+    assert lag_one == pytest.approx(memory.fade * memory.share, abs=0.08)
+    each = np.median([one.rows_each for one in found])
+    assert each == pytest.approx(memory.rows_each, rel=0.35)
+
+
+def test_nothing_is_remembered_across_a_break():
+    values = np.repeat(np.random.default_rng(3).standard_normal(ROWS // 2), 2)
+    pairs = list(np.arange(ROWS).reshape(-1, 2))
+    assert judged(values, smooth(4)).share > 0
+    assert judged(values, smooth(4), pairs) == FORGETFUL
+
+
+def test_rows_of_a_memory():
+    """Variance of the mean of many rows over that of independent ones."""
+    memory = Memory(0.6, 0.5)
+    means = [noise(memory, seed).mean() for seed in range(300)]
+    assert np.var(means) * ROWS == pytest.approx(memory.rows_each, rel=0.25)

@@ -1,0 +1,48 @@
+"""Noise that grows with the force, whatever the rig states of it."""
+
+import numpy as np
+import pytest
+
+from tirefit.diagnosis.noise import judge_noise
+
+ROWS = 900
+SLIP = np.random.default_rng(0).uniform(0, 1, ROWS)
+FORCE = 4000 * np.minimum(3 * SLIP, 1.0)
+LOAD = np.full(ROWS, 4000.0)
+SPREAD = (20.0 * (SLIP < 1 / 3)) ** 2
+GROWING = 40 * (0.4 + 1.6 * FORCE / 4000)
+
+
+def judged(std, given=40.0, seed=1):
+    generator = np.random.default_rng(seed)
+    residual = np.hypot(std, np.sqrt(SPREAD)) * generator.standard_normal(ROWS)
+    basis = np.stack([SLIP**k for k in range(5)], axis=1)
+    waves = np.stack([f(40 * SLIP) for f in (np.sin, np.cos)], axis=1)
+    zero = np.zeros(ROWS, int)
+    order = [np.argsort(SLIP)]
+    level = None if given is None else np.full(ROWS, given)
+    return judge_noise(
+        residual, SPREAD, LOAD, FORCE, level, basis, waves, order,
+        np.arange(float(ROWS)), zero,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("given", [40.0, None])
+def test_noise_that_grows_with_the_force_is_weighed_so(given):
+    noise = judged(GROWING, given)
+    assert "heteroscedastic" in noise.flags
+    true = np.hypot(GROWING, np.sqrt(SPREAD))
+    for part in (FORCE < 1300, (FORCE > 1300) & (FORCE < 3900), FORCE == 4000):
+        assert np.median(noise.std[part] / true[part]) == pytest.approx(1, abs=0.25)
+
+
+def test_even_noise_keeps_the_level_that_was_stated():
+    noise = judged(np.full(ROWS, 40.0))
+    assert noise.flags == () and noise.source == "given"
+    np.testing.assert_allclose(noise.std, np.sqrt(40.0**2 + SPREAD))
+
+
+def test_noise_that_falls_with_the_force_is_no_law():
+    """A slip noise that was overstated looks so: the level stays."""
+    noise = judged(np.full(ROWS, 40.0) * (1 - 0.6 * FORCE / 4000))
+    assert noise.source == "given"

@@ -1,0 +1,55 @@
+"""What is not known of the true slips, against repeated measurements of known ones."""
+
+import numpy as np
+import pytest
+
+from tirefit.diagnosis.slip_nodes import slip_doubt, slip_nodes
+
+ROWS, STD = 300, 0.0045
+
+
+def believed(slip):
+    nodes, weight = slip_nodes(slip, np.full(ROWS, STD))
+    return np.sum(nodes * weight, axis=1)
+
+
+def test_no_noise_no_doubt():
+    slip = np.linspace(0, 0.05, ROWS)
+    assert slip_doubt(slip, np.zeros(ROWS)).shape == (ROWS, 0)
+    # A large slip beside its noise has no bend within it.
+    assert slip_doubt(100 * slip, np.full(ROWS, STD)).shape == (ROWS, 0)
+
+
+def test_the_density_is_as_unsure_as_measuring_again_says():
+    """Over files of one density, what is believed of a measured slip scatters as the
+    columns say, within the range and at its ends."""
+    places = np.array([-0.003, 0.002, 0.01, 0.025, 0.04, 0.05])
+    beliefs, stated = [], []
+    for seed in range(40):
+        generator = np.random.default_rng(seed)
+        true = generator.uniform(0, 0.05, ROWS)
+        slip = true + STD * generator.standard_normal(ROWS)
+        slip[: len(places)] = places
+        beliefs.append(believed(slip)[: len(places)])
+        columns = slip_doubt(slip, np.full(ROWS, STD))[: len(places)]
+        stated.append(np.sum(columns**2, axis=1))
+    scatter = np.std(beliefs, axis=0)
+    said = np.sqrt(np.mean(stated, axis=0))
+    assert np.all(said < 0.6 * STD)
+    # Expectation maximisation that ends early scatters less than its likelihood says.
+    assert np.all(said > 0.7 * scatter)
+    assert np.all(said < 4 * scatter)
+
+
+def test_rows_that_stand_are_off_together():
+    """Nine rows in ten roll freely; the rest rises to a slip within the noise, where
+    they are believed to stand, all of them too low."""
+    path = np.where(np.arange(ROWS) % 10 == 0, 1.2 * STD, 0.0)
+    path[-20:] = np.linspace(0.02, 0.1, 20)
+    slip = path + STD * np.random.default_rng(1).standard_normal(ROWS)
+    std = np.full(ROWS, STD)
+    phase = slip_doubt(slip, std, path)[:, -1]
+    rising = path == 1.2 * STD
+    missed = (believed(slip) - path)[rising].mean()
+    assert missed < -0.3 * STD
+    assert phase[rising].mean() == pytest.approx(missed, abs=0.35 * STD)

@@ -1,0 +1,116 @@
+"""The memory of a noise: what of it neighbours in time share, and for how long.
+
+Smooth functions are taken out of a residual before its noise is judged, and take slow
+noise with them: the correlation of what they leave is too small, below zero for noise
+without any memory. Both answers here count what was taken.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.signal import lfilter
+
+from tirefit.diagnosis.negligible import NONZERO, ROUNDING
+
+__all__ = ["FORGETFUL", "Memory", "memory_of"]
+
+
+class Memory(NamedTuple):
+    """Noise of which a ``share`` of the variance is a first-order process in time, with
+    the correlation ``fade`` of neighbours, and the rest is independent."""
+
+    fade: float
+    share: float
+
+    @property
+    def rows_each(self) -> float:
+        """Rows that count as one."""
+        return 1 + 2 * self.share * self.fade / (1 - self.fade)
+
+
+FORGETFUL = Memory(0.0, 0.0)
+"""Of independent rows."""
+
+
+_CORRELATED = 2.5
+"""Standard errors of the correlation at lag one that count: one white record in 160."""
+
+_SHORT = tuple(
+    Memory(f, s) for f in (0.2, 0.35, 0.5, 0.65) for s in (0.3, 0.5, 0.7, 1.0)
+)
+_LONG = tuple(Memory(f, 1.0) for f in (0.8, 0.9, 0.95))
+"""Memories that are tried. A long one has no independent noise beside it: a filter's. A
+slow part beside independent noise is a drift, which is no noise."""
+
+_SHORTEST = 3
+"""Rows of a stretch, at least."""
+
+
+def _lag_one(white, unit, stretches) -> float:
+    """Correlation of neighbours, what the smooth functions took of it put back."""
+    rows, q = unit.shape
+    variance = float(white @ white) / max(rows - q, 1)
+    together = sum(float(white[s][1:] @ white[s][:-1]) for s in stretches)
+    taken = sum(float(np.sum(unit[s][1:] * unit[s][:-1])) for s in stretches)
+    return (together + variance * taken) / max(variance * rows, NONZERO)
+
+
+def _innovations(columns, memory: Memory, stretches):
+    """What is new in each row of the columns (n, k), of unit variance, and the log of
+    the factor that this took, summed over the rows.
+
+    A first-order process beside independent noise is one with a moving average: its
+    coefficient from the two covariances of x_t - fade x_t-1.
+    """
+    fade, share = memory
+    start = (1 - share) * (1 + fade**2) + share * (1 - fade**2)
+    next_to = -fade * (1 - share)
+    ratio = next_to / start
+    mix = 2 * ratio / (1 + np.sqrt(1 - 4 * ratio**2))
+    variance = start / (1 + mix**2)
+    out, scaled = np.empty_like(columns), 0
+    for rows in stretches:
+        x = columns[rows]
+        new = x[1:] - fade * x[:-1]
+        new, _ = lfilter([1.0], [1.0, mix], new, axis=0, zi=-mix * variance * x[:1])
+        out[rows] = np.concatenate([x[:1], new / np.sqrt(variance)])
+        scaled += len(rows) - 1
+    return out, 0.5 * scaled * float(np.log(variance))
+
+
+def _likelihood(both, memory: Memory, stretches) -> float:
+    """Restricted log likelihood of the residual, the last of the columns, given those
+    of the smooth functions before it; its variance maximised."""
+    new, log_factor = _innovations(both, memory, stretches)
+    smooth, residual = new[:, :-1], new[:, -1]
+    gram = smooth.T @ smooth + ROUNDING * np.eye(smooth.shape[1])
+    factor = cho_factor(gram)
+    score = smooth.T @ residual
+    left = float(residual @ residual - score @ cho_solve(factor, score))
+    freedom = len(both) - smooth.shape[1]
+    half_log_det = float(np.sum(np.log(np.diag(factor[0]))))
+    return -0.5 * freedom * np.log(max(left, NONZERO)) - half_log_det - log_factor
+
+
+def memory_of(white, unit, stretches: Sequence[np.ndarray]) -> Memory:
+    """Memory of a noise, none where the correlation of neighbours is that of chance.
+
+    Args:
+        white: (n,) residual, smooth functions taken out, zero for rows set aside.
+        unit: (n, q) those functions, orthonormal.
+        stretches: rows in the order of time (index arrays), which share no row.
+    """
+    stretches = [rows for rows in stretches if len(rows) >= _SHORTEST]
+    if not stretches:
+        return FORGETFUL
+    order = np.concatenate(stretches)
+    ends = np.cumsum([len(rows) for rows in stretches])[:-1]
+    stretches = np.split(np.arange(len(order)), ends)
+    white, unit = white[order], unit[order]
+    if _lag_one(white, unit, stretches) < _CORRELATED / np.sqrt(len(white)):
+        return FORGETFUL
+    both = np.concatenate([unit, white[:, None]], axis=1)
+    tried = (FORGETFUL, *_SHORT, *_LONG)
+    return max(tried, key=lambda memory: _likelihood(both, memory, stretches))
