@@ -74,7 +74,8 @@ def test_the_lateral_signs_narrow_the_conventions(equal, conventions):
         (text,) = warned(columns)
         assert f"pass --convention {conventions}" in text
     else:  # what check_signs refuses, with the same remedy
-        with pytest.raises(DataError, match=f"fit convention='{conventions.rstrip(';')}'"):
+        said = f"fit convention='{conventions.rstrip(';')}'"
+        with pytest.raises(DataError, match=said):
             read_frame(columns)
 
 

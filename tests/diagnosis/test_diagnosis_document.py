@@ -21,7 +21,8 @@ GAP = ["rms", "resolvable", "closed", "closed_ci", "remaining_rms"]
 KEYS = {
     "": [
         "schema", "data", "model", "simulator", "n", "n_effective", "noise", "gap",
-        "budget", "budgets", "where", "map", "verdict", "candidates", "untestable",
+        "budget", "budgets", "where", "spots", "map", "verdict", "candidates",
+        "untestable",
         "resolution", "forecast", "next_measurement", "next_measurement_reason",
         "slip_check", "runs", "base_parameters", "extended_parameters", "settings",
         "seed", "version",
@@ -60,7 +61,7 @@ KEYS = {
     "forecast 0": [
         "effect", "amplitude", "unit", "seen", "recognised", "taken_for"
     ],
-    "settings": ["rig", "effects", "holdout"],
+    "settings": ["rig", "effects", "holdout", "forces"],
 }  # fmt: skip
 """Path to a record of ``NAME.json`` -> its keys, in order."""
 
