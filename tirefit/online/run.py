@@ -124,7 +124,9 @@ def guarded_step(
     due = usable & (count >= estimator.average)
     broken = ~_all_finite(waited, began.inner)
     kept = state._replace(inner=waited, sums=sums, gathered=count)
-    waiting = waiting._replace(flag=jnp.where(usable, state.flag, unusable))
+    # What the last step said holds until the next, unless time has made it worse.
+    told = jnp.where(usable, jnp.maximum(state.flag, waiting.flag), unusable)
+    waiting = waiting._replace(flag=told)
     # A branch, not a selection: nine of ten samples only add to a mean, and XLA works
     # out what several selections share anew for every one of them.
     kept, estimate, alarm, broken = jax.lax.cond(
