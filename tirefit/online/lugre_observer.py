@@ -65,7 +65,7 @@ from tirefit.results import InputProblem
 
 __all__ = ["LuGreObserver", "ObserverState", "peak_share", "weights_of_v"]
 
-_SUBSTEPS = 8
+_SUBSTEPS = 4
 _LONGEST = 0.5
 """Time [s] without samples after which the motion starts anew."""
 _JUMP = 0.03
@@ -112,7 +112,7 @@ class ObserverState(NamedTuple):
     """``x`` (7,): z [m], omega [rad/s] and p [-] of the observer, then the last omega,
     v, fz and torque; ``covariance`` (7, 7) of their errors; ``waited`` [s] since then,
     ``smooth`` [s] since the torque jumped until then; ``sum`` of the ``count`` latest
-    surprises."""
+    surprises; ``peak`` (2,): mu and its slope by theta, there."""
 
     x: Float[Array, "7"]
     covariance: Float[Array, "7 7"]
@@ -120,6 +120,7 @@ class ObserverState(NamedTuple):
     smooth: Float[Array, ""]
     sum: Float[Array, ""]
     count: Float[Array, ""]
+    peak: Float[Array, "2"]
 
 
 class LuGreObserver(AbstractEstimator):
@@ -183,7 +184,8 @@ class LuGreObserver(AbstractEstimator):
     def init(self) -> ObserverState:
         x = jnp.zeros(7).at[2].set(1 / self.theta)
         long, none = jnp.full((), 2 * _LONGEST), jnp.zeros(())
-        return ObserverState(x, self._first(), long, long, none, none)
+        peak = self._peak(self.theta, 20.0)
+        return ObserverState(x, self._first(), long, long, none, none, peak)
 
     def hold(self, state: ObserverState, dt, steps):
         del steps
@@ -222,6 +224,8 @@ class LuGreObserver(AbstractEstimator):
         moved, told = _summed(held, surprise)
         moved = moved._replace(x=x, covariance=spread[:7, :7])
         after = choose(anew, began, moved)
+        peak = self._peak(1 / after.x[2], jnp.maximum(jnp.abs(u[1]), 0.5))
+        after = after._replace(peak=peak)
         return after, self._estimate(after, jnp.where(anew, jnp.nan, told))
 
     def course(self, u, p) -> Course:
@@ -282,6 +286,16 @@ class LuGreObserver(AbstractEstimator):
         into, noise_into = jax.jacfwd(flat, argnums=(0, 1))(x, u)
         return after[:7], after[7], into, noise_into
 
+    def _peak(self, theta, v):
+        """mu at a speed [m/s], and its slope by theta."""
+        return jnp.stack(
+            jax.jvp(
+                lambda t: peak_share(self.tire, t, v),
+                (jnp.asarray(theta, float),),
+                (jnp.ones(()),),
+            )
+        )
+
     def _locked(self, u):
         return u[1] > (1 + LOCKED_SLIP) * self.radius * u[0]
 
@@ -304,12 +318,9 @@ class LuGreObserver(AbstractEstimator):
 
     def _estimate(self, state: ObserverState, surprise) -> Estimate:
         x, p = state.x, state.x[2]
-        theta, v = 1 / p, jnp.maximum(jnp.abs(x[4]), 0.5)
+        theta = 1 / p
         theta_std = theta * theta * jnp.sqrt(state.covariance[2, 2])
-        mu, slope = jax.jvp(
-            lambda t: peak_share(self.tire, t, v), (theta,), (jnp.ones(()),)
-        )
-        mu_std = slope * theta_std
+        mu, mu_std = state.peak[0], state.peak[1] * theta_std
         share = self.share(x[0], p, self.course(x[3:], p))
         flag = flag_of(
             (~(mu_std < RESOLVED * mu), Flag.LOW_USE),
