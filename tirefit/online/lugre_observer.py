@@ -335,13 +335,14 @@ class LuGreObserver(AbstractEstimator):
 def _summed(state: ObserverState, surprise):
     """The state with one more surprise; the standardised sum of ten, else NaN.
 
-    Noise of an input enters the intervals before and after it: their errors correlate
-    by up to a half, and the variance of the sum of n is up to 2 n.
+    Noise of an input enters the intervals before and after it: their errors correlate,
+    by a quarter with slip noise of S section 5.1, and the variance of a sum of n is
+    1.5 n then.
     """
     count = state.count + 1
     total = state.sum + jnp.clip(surprise, -4.0, 4.0)
     full = count >= _SUMMED
-    told = jnp.where(full, total / jnp.sqrt(2 * count), jnp.nan)
+    told = jnp.where(full, total / jnp.sqrt(1.5 * count), jnp.nan)
     kept = state._replace(
         sum=jnp.where(full, 0.0, total), count=jnp.where(full, 0.0, count)
     )
