@@ -119,7 +119,7 @@ def _whole(log: Path, names, values, how, out: Path, seed: int) -> None:
 
 def _say_masked(table) -> None:
     """One row of each kind that cannot be used, and how many there are in all."""
-    first = {}
+    first: dict[tuple[str | None, str], InputProblem] = {}
     for problem in table.source.masked:
         if problem.row is not None:
             first.setdefault((problem.column, problem.remedy), problem)

@@ -96,7 +96,7 @@ def peak_share(tire: LuGre, theta, v):
     )  # fmt: skip
     one = jnp.ones(len(_SLIPS))
     at = TireInputs(sigma_x=jnp.asarray(_SLIPS), fz=one, v=v * one)
-    return jnp.max(other(at).fx)
+    return jnp.max(jnp.asarray(other(at).fx))
 
 
 class Course(NamedTuple):
@@ -111,15 +111,15 @@ class Course(NamedTuple):
 class ObserverState(NamedTuple):
     """``x`` (7,): z [m], omega [rad/s] and p [-] of the observer, then the last omega,
     v, fz and torque; ``covariance`` (7, 7) of their errors; ``waited`` [s] since then,
-    ``smooth`` [s] since the torque jumped until then; ``sum`` of the ``count`` latest
-    surprises; ``peak`` (2,): mu and its slope by theta, there."""
+    ``smooth`` [s] since the torque jumped until then; ``sum`` of the ``summed``
+    latest surprises; ``peak`` (2,): mu and its slope by theta, there."""
 
     x: Float[Array, "7"]
     covariance: Float[Array, "7 7"]
     waited: Float[Array, ""]
     smooth: Float[Array, ""]
     sum: Float[Array, ""]
-    count: Float[Array, ""]
+    summed: Float[Array, ""]
     peak: Float[Array, "2"]
 
 
@@ -339,12 +339,12 @@ def _summed(state: ObserverState, surprise):
     by a quarter with slip noise of S section 5.1, and the variance of a sum of n is
     1.5 n then.
     """
-    count = state.count + 1
+    count = state.summed + 1
     total = state.sum + jnp.clip(surprise, -4.0, 4.0)
     full = count >= _SUMMED
     told = jnp.where(full, total / jnp.sqrt(1.5 * count), jnp.nan)
     kept = state._replace(
-        sum=jnp.where(full, 0.0, total), count=jnp.where(full, 0.0, count)
+        sum=jnp.where(full, 0.0, total), summed=jnp.where(full, 0.0, count)
     )
     return kept, told
 

@@ -175,7 +175,7 @@ def _source_wheel(how: Braking, friction, full: float, change: float, time):
 
 def _lugre_wheel(how: Braking, friction, full: float, change: float, time):
     """The same and the deflection on a LuGre tire; its slope at rest depends on v."""
-    tires = tuple(lugre_tire(peak, how.v) for peak in friction)
+    tires = lugre_tire(friction[0], how.v), lugre_tire(friction[1], how.v)
     numbers = WheelNumbers(
         full, how.period, how.radius, how.inertia, how.v, how.fz, change, 1 / how.rate
     )
