@@ -7,6 +7,8 @@ from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
 __all__ = ["draw"]
 
 _MARKS = ("o", "s", "^", "D")
+STYLES = {"ekf": "-", "rls": ":"}
+"""Lines by the method whose surprises are watched."""
 
 
 def draw(lines: list[dict[str, str]], path: Path) -> None:
@@ -22,7 +24,7 @@ def draw(lines: list[dict[str, str]], path: Path) -> None:
     for axes, use in zip(panels, uses, strict=True):
         here = [line for line in lines if float(line["use"]) == use]
         for k, detector in enumerate(dict.fromkeys(one["detector"] for one in here)):
-            for method, style in (("ekf", "-"), ("rls", ":")):
+            for method, style in STYLES.items():
                 rows = [
                     line for line in here
                     if (line["detector"], line["surprise_of"]) == (detector, method)
@@ -49,5 +51,8 @@ def draw(lines: list[dict[str, str]], path: Path) -> None:
         axes.set_title(f"{100 * use:.0f} % of the peak", fontsize=9)
         tidy(axes, "false alarms an hour", "delay [s]" if use == uses[0] else "")
         axes.grid(color=GREY, linewidth=0.3)
+    for method, style in STYLES.items():
+        label = f"on surprises of {method}"
+        panels[-1].plot([], [], style, color=DARK, linewidth=0.8, label=label)
     panels[-1].legend(fontsize=7, frameon=False)
     picture.savefig(path, dpi=85)

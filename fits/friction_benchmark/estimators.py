@@ -1,18 +1,24 @@
 """tirefit's methods on the logs of the benchmark, all that are registered."""
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from fits.friction_benchmark.metrics import Trace
 from fits.friction_benchmark.scenarios import Log
+from tirefit.models import LuGre, TireInputs
 from tirefit.online.base import Flag, code
 from tirefit.online.methods import METHODS, estimator_of
 from tirefit.online.run import run
 from tirefit.params import parameter_values, with_values
+from tirefit.sim.braking import LOAD, STIFFNESS, source_tire
 
-__all__ = ["Answer", "lacking", "surprises", "traces"]
+__all__ = [
+    "Answer", "lacking", "matched_lugre", "settings_of", "surprises", "traces",
+]  # fmt: skip
 
 
 class Answer(NamedTuple):
@@ -22,13 +28,39 @@ class Answer(NamedTuple):
     surprise: np.ndarray
 
 
+@cache
+def matched_lugre() -> dict[str, float]:
+    """The steady LuGre tire closest to the braked wheel's tire: S section 3.4 has all
+    its parameters matched before theta is observed."""
+    kappa = np.geomspace(0.001, 0.5, 100)  # beyond the peak: it tells g's fall
+    sigma, one = kappa / (1 - kappa), np.ones(100)
+    curve = np.asarray(source_tire().pure(kappa, LOAD)) / LOAD
+    names = ("sigma0", "mu_s", "mu_c")
+
+    def missed(logs):
+        values = dict(zip(names, np.exp(logs), strict=True))
+        tire = with_values(LuGre(), values)
+        at = TireInputs(sigma_x=sigma, fz=one, v=20 * one)
+        return np.asarray(tire(at).fx) - curve
+
+    best = least_squares(missed, np.log([150.0, 1.2, 0.6]))
+    return dict(zip(names, np.exp(best.x).tolist(), strict=True))
+
+
+def settings_of(name: str, kind: str) -> dict[str, float]:
+    """What a method is told of a log beforehand, beyond its defaults."""
+    if name == "lugre-observer":
+        return matched_lugre()
+    return {"slope": STIFFNESS / LOAD} if kind == "braking" and "slip" in name else {}
+
+
 def lacking(name: str, columns) -> str:
     """Why a method cannot run on a log; empty if it can."""
     method = METHODS[name].method
     missing = [c for c in ("time", *method.inputs) if c not in columns]
     if missing:
         return f"the log has no {', '.join(missing)}"
-    return "" if "mu" in method.parameters else "it does not estimate mu"
+    return ""
 
 
 def _closed(name: str, load: float):
@@ -65,11 +97,12 @@ def traces(
     load = float(joined["fz"][0]) if "fz" in joined else 1.0
     estimator = _closed(name, load) if deaf else estimator_of(name, load, settings)
     _, rows = run(estimator, joined)
-    k = estimator.method.parameters.index("mu")
-    whole = Trace(
-        joined["time"], rows.value[:, k], rows.std[:, k], rows.flag == 0,
-        rows.flag == code(Flag.CHANGED),
-    )  # fmt: skip
+    mu = std = np.full(len(joined["time"]), np.nan)
+    if "mu" in estimator.method.parameters:
+        k = estimator.method.parameters.index("mu")
+        mu, std = rows.value[:, k], rows.std[:, k]
+    supported, alarm = rows.flag == 0, rows.flag == code(Flag.CHANGED)
+    whole = Trace(joined["time"], mu, std, supported, alarm)
     ends = np.cumsum(sizes)
     answers = []
     for begin, end in zip(ends - sizes, ends, strict=True):

@@ -15,6 +15,7 @@ from fits.friction_benchmark.estimators import lacking, traces
 from fits.friction_benchmark.metrics import Trace, accuracy
 from fits.friction_benchmark.peers import PEERS
 from fits.friction_benchmark.scenarios import Log, Scenario
+from tirefit.online.methods import METHODS
 
 __all__ = ["LOGS", "measured_lines"]
 
@@ -36,6 +37,8 @@ def measured_lines(names: Sequence[str], peers: bool) -> list[dict]:
         logs = _logs(title, data, fitted.value)
         for name in names:
             reason = lacking(name, logs[0].columns)
+            if not reason and "mu" not in METHODS[name].method.parameters:
+                reason = "it does not estimate mu"
             if reason:
                 head = {"log": title, "estimator": f"tirefit {name}"}
                 lines.append(_empty(head, f"skipped: {reason}"))

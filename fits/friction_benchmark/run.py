@@ -1,23 +1,30 @@
 """Every estimator over every log: the lines of the tables."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 
-from fits.friction_benchmark.estimators import lacking, surprises, traces
+from fits.friction_benchmark.estimators import lacking, settings_of, surprises, traces
 from fits.friction_benchmark.metrics import Trace, detection
 from fits.friction_benchmark.page import DETECTORS
 from fits.friction_benchmark.peers import PEERS
 from fits.friction_benchmark.scenarios import (
     DROPS,
-    USES,
+    KINDS,
     Log,
     read_columns,
     read_index,
     read_log,
 )
-from fits.friction_benchmark.scoring import COLUMNS, detections_of, pooled, score
+from fits.friction_benchmark.scoring import (
+    COLUMNS,
+    closest_brush,
+    detections_of,
+    pooled,
+    score,
+)
 from tirefit.online.methods import METHODS
 
 __all__ = ["run_all"]
@@ -42,39 +49,50 @@ def run_all(
         foreign: folder of others' traces, NAME/LOG.csv.
     """
     logs = [read_log(folder, scenario) for scenario in read_index(folder)]
+    by_kind = {k: [one for one in logs if one.scenario.kind == k] for k in KINDS}
     lines = []
     for name in names or METHODS:
-        usable = [log for log in logs if not lacking(name, log.columns)]
-        reasons = {lacking(name, log.columns) for log in logs} - {""}
-        if usable:
-            answers = traces(name, usable)
-            found = [answer.trace for answer in answers]
-            lines += _lines(f"tirefit {name}", usable, found)
-        else:
-            lines.append(_skipped(f"tirefit {name}", "; ".join(sorted(reasons))))
-        print(f"{name}: {len(usable)} logs", flush=True)
+        lines += _of_method(name, by_kind)
     for name, estimate in PEERS.items() if peers else ():
-        lines += _of_peer(name, estimate, logs)
+        lines += _of_peer(name, estimate, by_kind["braking"])
     lines += _of_others(foreign, logs) if foreign else []
     tables = {"scores": lines}
     tried = [n for n in SURPRISED if n in (names or METHODS)]
     if tried:
-        tables["detectors"] = _detectors(tried, logs, peers)
+        tables["detectors"] = _detectors(tried, by_kind["braking"], peers)
     from fits.friction_benchmark.measured import measured_lines
 
     return tables | {"measured": measured_lines(names or METHODS, peers)}
 
 
+def _of_method(name: str, by_kind: Mapping[str, Sequence[Log]]) -> list[dict]:
+    """Lines of a method on every kind of log that has its inputs."""
+    lines, reasons = [], []
+    for kind, logs in by_kind.items():
+        reason = lacking(name, logs[0].columns) if logs else "no logs"
+        if reason:
+            reasons.append(reason)
+            continue
+        began = perf_counter()
+        answers = traces(name, logs, settings_of(name, kind))
+        lines += _lines(f"tirefit {name}", logs, [answer.trace for answer in answers])
+        print(f"{name}: {len(logs)} logs, {perf_counter() - began:.1f} s", flush=True)
+    return lines or [_skipped(f"tirefit {name}", "; ".join(dict.fromkeys(reasons)))]
+
+
 def _lines(name: str, logs: Sequence[Log], found: Sequence[Trace]) -> list[dict]:
-    scored = [
-        (log.scenario, score(log, trace))
-        for log, trace in zip(logs, found, strict=True)
-    ]
-    uses = [use for use in USES if any(s.use == use for s, _ in scored)]
-    return [
-        pooled(name, use, [pair for pair in scored if pair[0].use == use])
-        for use in uses
-    ]
+    """A line for every kind of log and use of friction among logs."""
+    groups: dict[tuple[str, float], list[tuple[Log, Trace]]] = {}
+    for log, trace in zip(logs, found, strict=True):
+        key = (log.scenario.kind, log.scenario.use)
+        groups.setdefault(key, []).append((log, trace))
+    lines = []
+    for (kind, use), pairs in sorted(groups.items()):
+        scored = [(log.scenario, score(log, trace)) for log, trace in pairs]
+        steady = [log for log, _ in pairs if np.isnan(log.scenario.drop)]
+        nearest = closest_brush(steady[0]) if steady else np.nan
+        lines.append(pooled(name, kind, use, scored, nearest))
+    return lines
 
 
 def _skipped(name: str, reason: str) -> dict:
@@ -137,7 +155,7 @@ def _detectors(
 
 def _at(detector, name, threshold, logs, times):
     head = {"detector": detector, "surprise_of": name, "threshold": threshold}
-    for use in USES:
+    for use in KINDS["braking"][1]:
         kept = [
             (log.scenario, detection(when, log.scenario.drop, log.scenario.duration))
             for log, when in zip(logs, times, strict=True)

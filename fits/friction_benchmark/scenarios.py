@@ -2,7 +2,7 @@
 
 A log is two CSV files of canonical columns, NAME.csv (what was measured) and
 NAME.truth.csv, and a line in index.csv. The kinds are the keys of ``KINDS``: a further
-one (a whole vehicle, say) is a function that makes logs from a :class:`Scenario`.
+one is a function that makes logs from a :class:`Scenario`, and its uses of friction.
 """
 
 import csv
@@ -11,14 +11,25 @@ from pathlib import Path
 
 import numpy as np
 
-from tirefit.sim.braking import Braking, SimulatedLog, simulate_braking
+from fits.formulas import brush
+from tirefit.sim.braking import (
+    LOAD,
+    PEAK,
+    STIFFNESS,
+    Braking,
+    SimulatedLog,
+    simulate_braking,
+)
+from tirefit.sim.drive import Drive, simulate_drive
 
-USES = (0.5, 0.6, 0.75)
-"""Largest brake torque over that of the peak: low, medium and high use of friction."""
 DROPS = (0.6, 0.8)
 """Friction after a drop from 0.98: to wet, and to a little less."""
 TOOTH = 2.0
 """Period [s] of the saw-tooth."""
+BEND = 5.0
+"""Period [s] of the bends of a drive."""
+HALF_LENGTH = 0.1
+"""Of the contact patch [m], where the aligning moment is measured."""
 TRUE = ("time", "mu", "cpa2", "sigma_x", "fx")
 
 
@@ -52,36 +63,83 @@ def scenarios(hours: float = 0.5, drops: int = 10) -> list[Scenario]:
         drops: logs with a drop, for each use and each size of drop.
     """
     listed = []
-    minutes = 60 * hours / 3
-    for use in USES:
-        percent = f"braking_{100 * use:.0f}"
-        for seed in range(3):
-            name = f"{percent}_steady_{seed}"
-            listed.append(Scenario(name, "braking", use, seed, 60 * minutes))
-        for after in DROPS:
-            for k in range(drops):
-                # Anywhere within a tooth: what is not braked cannot be noticed.
-                when = 20 + TOOTH * (k + 0.5) / drops
-                name = f"{percent}_drop_{100 * after:.0f}_{k}"
-                seed = 1000 + 100 * DROPS.index(after) + k
-                listed.append(Scenario(name, "braking", use, seed, 40, when, after))
+    duration = round(60 * hours / 3 * 60 / TOOTH) * TOOTH
+    for kind, (_, uses, period) in KINDS.items():
+        for use in uses:
+            percent = f"{kind}_{100 * use:.0f}"
+            for seed in range(3):
+                name = f"{percent}_steady_{seed}"
+                listed.append(Scenario(name, kind, use, seed, duration))
+            for after in DROPS:
+                for k in range(drops):
+                    # Anywhere within a tooth: what is not used cannot be noticed.
+                    when = 20 + period * (k + 0.5) / drops
+                    name = f"{percent}_drop_{100 * after:.0f}_{k}"
+                    seed = 1000 + 100 * DROPS.index(after) + k
+                    listed.append(Scenario(name, kind, use, seed, 40, when, after))
     return listed
 
 
+def _drop(scenario: Scenario) -> tuple[float, float] | None:
+    steady = np.isnan(scenario.drop)
+    return None if steady else (scenario.drop, scenario.after)
+
+
 def _braking(scenario: Scenario) -> SimulatedLog:
-    drop = None if np.isnan(scenario.drop) else (scenario.drop, scenario.after)
     teeth = round(scenario.duration / TOOTH)
+    drop = _drop(scenario)
     how = Braking(scenario.use, teeth, TOOTH, seed=scenario.seed, drop=drop)
     return simulate_braking(how)
 
 
-KINDS = {"braking": _braking}
-"""Kind of log -> what makes one."""
+def _drive(scenario: Scenario) -> SimulatedLog:
+    how = Drive(
+        duration=scenario.duration, bend=scenario.use, bend_period=BEND, friction=PEAK,
+        drop=_drop(scenario), seed=scenario.seed,
+    )  # fmt: skip
+    return simulate_drive(how)
+
+
+def _cornering(scenario: Scenario) -> SimulatedLog:
+    """A tire that is steered in saw-teeth, a brush: lateral force and moment."""
+    n = round(100 * scenario.duration)
+    time, random = np.arange(n) / 100, np.random.default_rng(scenario.seed)
+    mu = np.full(n, PEAK)
+    if not np.isnan(scenario.drop):
+        mu[time >= scenario.drop] = scenario.after
+    cpa2 = STIFFNESS / 2
+    largest = 3 * PEAK * LOAD * (1 - (1 - scenario.use) ** (1 / 3)) / (2 * cpa2)
+    slip = largest * (time % TOOTH) / TOOTH
+    fy = brush(slip, LOAD, 20.0, cpa2, mu)
+    sliding = np.minimum(2 * cpa2 * slip / (3 * mu * LOAD), 1.0)
+    # S section 3.6: M_z = -F_z a mu theta (1 - theta)^3.
+    mz = -LOAD * HALF_LENGTH * mu * sliding * (1 - sliding) ** 3
+    one = np.ones(n)
+    truth = {
+        "time": time, "alpha": np.arctan(slip), "fy": fy, "mz": mz, "fz": LOAD * one,
+        "v": 20.0 * one,
+    }  # fmt: skip
+    noise = random.standard_normal((2, n))
+    columns = truth | {
+        "fy": fy + 0.0447 * LOAD * noise[0],
+        "mz": mz + 0.005 * HALF_LENGTH * LOAD * noise[1],
+    }
+    return SimulatedLog(columns, truth | {"mu": mu})
+
+
+KINDS = {
+    "braking": (_braking, (0.5, 0.6, 0.75), TOOTH),
+    "cornering": (_cornering, (0.5, 0.6, 0.75), TOOTH),
+    "drive": (_drive, (0.25, 0.35, 0.45), BEND),
+}
+"""Kind of log -> what makes one, its low, medium and high use of friction, and the
+period [s] after which the use repeats. The use is that of the first friction; a car
+cannot be kept on a road of 0.6 beyond 0.45 of 0.98."""
 
 
 def make(scenario: Scenario) -> Log:
     """The log of a scenario."""
-    made = KINDS[scenario.kind](scenario)
+    made = KINDS[scenario.kind][0](scenario)
     truth = {name: made.truth[name] for name in TRUE if name in made.truth}
     return Log(scenario, dict(made.columns), truth)
 
@@ -124,11 +182,18 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
         header = file.readline().strip().split(",")
         if "" in header:
             raise ValueError(f"{path}: a column without a name")
-        cells = np.genfromtxt(file, delimiter=",", ndmin=2)
+        begin = file.tell()
+        try:
+            cells = np.loadtxt(file, delimiter=",", ndmin=2)
+        except ValueError:  # an empty cell, which only the slow reader knows
+            file.seek(begin)
+            cells = np.genfromtxt(file, delimiter=",", ndmin=2)
     return dict(zip(header, cells.T, strict=True))
 
 
 def _write(path: Path, columns: dict[str, np.ndarray]) -> None:
     values = np.stack(list(columns.values()), axis=1)
     header = ",".join(columns)
-    np.savetxt(path, values, "%.7g", ",", header=header, comments="")
+    row = ",".join(["%.7g"] * values.shape[1])
+    lines = [row % tuple(cells) for cells in values.tolist()]
+    path.write_text("\n".join([header, *lines]) + "\n")

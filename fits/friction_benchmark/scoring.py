@@ -3,7 +3,9 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from scipy.optimize import least_squares
 
+from fits.formulas import brush
 from fits.friction_benchmark.metrics import (
     SETTLE,
     Trace,
@@ -13,7 +15,7 @@ from fits.friction_benchmark.metrics import (
 )
 from fits.friction_benchmark.scenarios import DROPS, Log, Scenario
 
-__all__ = ["BEFORE", "COLUMNS", "detections_of", "pooled", "score"]
+__all__ = ["BEFORE", "COLUMNS", "closest_brush", "detections_of", "pooled", "score"]
 
 BEFORE = 0.98
 """Friction before a drop, and where there is none."""
@@ -23,7 +25,8 @@ AFTER = 8.0
 """Seconds after a drop from which an estimate should have followed it."""
 
 COLUMNS = (
-    "estimator", "use", "bias", "std", "covered", "supported", "bias_after",
+    "estimator", "log", "use", "bias", "bias_brush", "std", "covered", "supported",
+    "bias_after",
     "covered_after",
     *(f"{key}_{100 * after:.0f}" for after in DROPS for key in ("found", "delay")),
     "false_per_hour",
@@ -64,12 +67,33 @@ def detections_of(delays: Sequence[float]) -> tuple[float, float]:
     return float(np.mean(found)), median
 
 
+def closest_brush(log: Log) -> float:
+    """Friction of the brush that comes closest to the true forces of a steady log, in
+    the rows in which the force is at least a tenth of the load; NaN where it is not of
+    a tire along its heading, and so of a brush."""
+    if not {"sigma_x", "fx"} <= log.truth.keys():
+        return np.nan
+    fz = log.columns["fz"]
+    kept = np.flatnonzero(log.truth["fx"] > 0.1 * fz)[::20]
+    sigma, share = log.truth["sigma_x"][kept], (log.truth["fx"] / fz)[kept]
+
+    def missed(x):
+        return brush(sigma, 1.0, 20.0, *x) - share
+
+    return float(least_squares(missed, [9.0, 0.9], x_scale=[10, 1]).x[1])
+
+
 def pooled(
-    name: str, use: float, scored: Sequence[tuple[Scenario, dict[str, float]]]
+    name: str,
+    kind: str,
+    use: float,
+    scored: Sequence[tuple[Scenario, dict[str, float]]],
+    brush_mu: float,
 ) -> dict[str, float | str]:
     """One line of the table: an estimator at one use of friction.
 
-    Logs count by their length; drops one by one.
+    Logs count by their length; drops one by one. ``brush_mu``: what the closest brush
+    has, NaN where the truth is one.
     """
     steady = [row for scenario, row in scored if np.isnan(scenario.drop)]
     by_drop = {
@@ -82,7 +106,8 @@ def pooled(
     finite = np.isfinite(spread)
     hours = sum(row["seconds"] for _, row in scored) / 3600
     line: dict[str, float | str] = {
-        "estimator": name, "use": use, "bias": bias,
+        "estimator": name, "log": kind, "use": use, "bias": bias,
+        "bias_brush": bias + BEFORE - brush_mu,
         "std": float(np.sqrt(np.mean(np.array(spread)[finite]))) if any(finite)
         else np.nan,
         "covered": _mean(steady, "covered"), "supported": _mean(steady, "supported"),

@@ -7,14 +7,16 @@ from pathlib import Path
 __all__ = ["markdown", "publish"]
 
 _SCORES = {
-    "estimator": "estimator", "use": "use", "bias": "bias", "std": "std",
+    "estimator": "estimator", "log": "log", "use": "use", "bias": "bias",
+    "bias_brush": "bias against the closest brush", "std": "std",
     "covered": "95 % interval holds the truth", "supported": "rows supported",
     "bias_after": "bias after a drop", "covered_after": "interval after a drop",
     "note": "",
 }  # fmt: skip
 _CHANGES = {
-    "estimator": "estimator", "use": "use", "found_60": "drop to 0.6 found",
-    "delay_60": "delay [s]", "found_80": "drop to 0.8 found", "delay_80": "delay [s]",
+    "estimator": "estimator", "log": "log", "use": "use",
+    "found_60": "drop to 0.6 found", "delay_60": "delay [s]",
+    "found_80": "drop to 0.8 found", "delay_80": "delay [s]",
     "false_per_hour": "false alarms an hour",
     "below_found": "below 0.79 after a drop to 0.6",
     "below_delay": "delay [s]",

@@ -128,6 +128,51 @@ def test_methods_lists_all(run):
         assert f"{name}: {method['meaning']}" in text.replace("\n   ", "")
         assert method["source"] and method["valid"] and "time" in method["inputs"]
         assert all(p["unit"] for p in method["parameters"].values())
+    rows = {line.split()[0]: line for line in text.splitlines() if line.strip()}
+    assert "0.98" in rows["mu"]
+    for name, method in listed.items():
+        # The row of a setting, or that of the method's own, has its bounds.
+        for key, (default, low, high, *_) in (
+            (k, s.values()) for k, s in method["settings"].items()
+        ):
+            row = rows.get(f"{name}.{key}", rows[key])
+            bounds = row[row.index("[") + 1 : row.index("]")].split(", ")
+            assert [float(b) for b in bounds] == pytest.approx([low, high], rel=1e-2)
+            assert float(row[row.index("]") + 1 :].split()[0]) == pytest.approx(
+                default, rel=1e-2
+            )
+
+
+def test_a_wheel_that_locks_is_flagged_as_locked(run, tmp_path):
+    run("simulate", "braking", "--out", "log.csv", "--drop", "5=0.4")
+    names = "rls,slip-slope-braking,lugre-observer"
+    result = run("estimate", "log.csv", "--method", names, "--out", "out")
+    # One line for what cannot be used, one for how much of it there is.
+    assert result.stderr.count("warning") == 2
+    assert "of 1000 rows cannot be used" in result.stderr
+    flags = json.loads((tmp_path / "out" / "summary.json").read_text())["methods"]
+    for name in names.split(","):
+        assert flags[name]["flags"]["wheel locked"] > 100
+        assert flags[name]["flags"]["sample missing"] < 20
+
+
+def test_a_lugre_wheel_is_simulated_and_observed(run, tmp_path):
+    run("simulate", "braking", "--out", "l.csv", "--tire", "lugre", "--friction", "0.8")
+    run("estimate", "l.csv", "--method", "lugre-observer", "--out", "out")
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    final = summary["methods"]["lugre-observer"]["final"]
+    assert abs(final["mu"]["value"] - 0.8) < 3 * final["mu"]["std"] < 0.15
+    result = run(
+        "simulate", "braking", "--out", "m.csv", "--tire", "brush", exit_code=2
+    )
+    assert "magic-formula or lugre" in result.stderr
+    for setting, said in (
+        ("gain=0.5", "l1 <= sigma0/sigma1"), ("theta=9", "theta at first: 0.05 to 4\n"),
+    ):  # fmt: skip
+        arguments = ("--method", "lugre-observer", "--set", setting, "--out", "o")
+        assert said in run("estimate", "l.csv", *arguments, exit_code=2).stderr
+    arguments = ("--method", "lugre-observer", "--set", "sigma0=90", "--out", "o")
+    run("estimate", "l.csv", *arguments)  # a setting of the tire within the method
 
 
 def test_a_drive_is_simulated_read_and_estimated(run, tmp_path):

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from fits.friction_benchmark.__main__ import main
+from fits.friction_benchmark.estimators import matched_lugre
 from fits.friction_benchmark.metrics import Trace, accuracy, crossings, detection
 from fits.friction_benchmark.page import page_test
+from fits.friction_benchmark.scenarios import KINDS, Scenario, make
+from fits.friction_benchmark.scoring import closest_brush
+from fits.friction_while_braking.reference import reference
+from tirefit.models import Brush, LuGre, TireInputs
+from tirefit.sim.braking import LOAD, STIFFNESS, source_tire
 
 
 def trace(mu, std=0.1, supported=True):
@@ -55,6 +61,34 @@ def test_page_finds_a_shift_when_arithmetic_says():
     assert page_test([0.0] * 50 + [2.0] * 12, 12.0) == [58]
 
 
+@pytest.mark.parametrize("use", [0.6, 0.75])
+def test_the_closest_brush_is_that_of_the_other_route(use):
+    # There from rows that are even in force, here from those of the log.
+    log = make(Scenario("one", "braking", use, 0, 10.0))
+    assert abs(closest_brush(log) - reference()[f"{100 * use:.0f} %: mu"]) < 0.005
+    assert np.isnan(closest_brush(make(Scenario("one", "cornering", use, 0, 10.0))))
+
+
+def test_a_cornering_log_is_of_the_brush():
+    log = make(Scenario("one", "cornering", 0.75, 3, 4.0, 2.0, 0.6))
+    truth = log.truth
+    assert set(np.unique(truth["mu"])) == {0.98, 0.6}
+    noise = log.columns["fy"] / LOAD
+    tire = Brush(STIFFNESS / 2, truth["mu"])
+    at = TireInputs(alpha=log.columns["alpha"], fz=LOAD, v=20.0)
+    force = np.asarray(tire(at).fy) / LOAD
+    assert abs(np.std(noise - force) / 0.0447 - 1) < 0.15
+    assert abs(force[truth["mu"] > 0.9].max() / 0.98 - 0.75) < 0.01
+
+
+def test_the_matched_lugre_tire_lies_on_the_curve():
+    kappa = np.linspace(0.005, 0.3, 40)
+    at = TireInputs(sigma_x=kappa / (1 - kappa), fz=np.ones(40), v=np.full(40, 20.0))
+    share = np.asarray(LuGre(**matched_lugre())(at).fx)
+    curve = np.asarray(source_tire().pure(kappa, LOAD)) / LOAD
+    assert np.max(np.abs(share - curve)) < 0.05
+
+
 @pytest.fixture(scope="module")
 def benchmark(tmp_path_factory):
     out = tmp_path_factory.mktemp("benchmark")
@@ -71,7 +105,13 @@ def benchmark(tmp_path_factory):
             out / "others" / "truth" / name, np.stack(columns, 1), delimiter=",",
             header="time,mu,mu_std,supported,alarm", comments="",
         )  # fmt: skip
-    others = ["--traces", str(out / "others"), "--no-peers", "--method", "ekf,cubic"]
+    others = [
+        "--traces",
+        str(out / "others"),
+        "--no-peers",
+        "--method",
+        "ekf,cubic,path",
+    ]
     main(["run", *small, *others])
     main(["table", *small])
     return out
@@ -84,18 +124,21 @@ def lines(out):
 
 def test_the_truth_scores_perfectly(benchmark):
     scored = [line for line in lines(benchmark) if line["estimator"] == "truth"]
-    assert [line["use"] for line in scored] == ["0.5", "0.6", "0.75"]
+    assert [(line["log"], float(line["use"])) for line in scored] == [
+        (kind, use) for kind, (_, uses, _) in KINDS.items() for use in uses
+    ]
     for line in scored:
         assert float(line["bias"]) == float(line["std"]) == 0
         assert float(line["covered"]) == float(line["supported"]) == 1
         assert float(line["found_60"]) == float(line["found_80"]) == 1
-        assert 0 <= float(line["delay_60"]) <= 0.01
+        assert 0 <= float(line["delay_60"]) <= 0.02  # one row of a drive
         assert float(line["false_per_hour"]) == 0
 
 
 def test_a_small_benchmark_has_a_line_for_every_method_and_use(benchmark):
     names = [line["estimator"] for line in lines(benchmark)]
-    assert names == [*["tirefit ekf"] * 3, *["tirefit cubic"] * 3, *["truth"] * 3]
+    expected = [*["tirefit ekf"] * 3, *["tirefit cubic"] * 3, *["tirefit path"] * 3]
+    assert names == [*expected, *["truth"] * 9]
     text = (benchmark / "table.md").read_text()
     assert "skipped: no time" in text  # sand
     assert (benchmark / "trade_off.png").stat().st_size > 1000

@@ -67,7 +67,7 @@ def test_the_hypotheses_are_weighed_by_bayes_rule():
     covariance = jnp.diag(jnp.array([0.0] * 8 + [100.0**2] * 6))
     state = kind.init()._replace(x=x, covariance=covariance, inputs=inputs)
     # The loads follow the forces; by differences.
-    log_weight, _ = kind._weighed(state, 0.5)
+    log_weight, surprise = kind._weighed(state, 0.5)
     model = np.array([0.25] * 4 + [0.5] * 2) * 0.03 * 1500 * 9.81
     logs = []
     for mu in HYPOTHESES:
@@ -79,6 +79,13 @@ def test_the_hypotheses_are_weighed_by_bayes_rule():
         spread = slope @ slope.T * 100.0**2 + np.diag(model**2)
         missed = np.array(x[8:] - kind.modelled(x, inputs, mu))
         logs.append(multivariate_normal(np.zeros(6), spread).logpdf(missed))
+        if abs(mu - np.mean(HYPOTHESES)) < 1e-9:  # as expected by equal weights
+            steps = [kind.modelled(x, inputs, mu + s) for s in (1e-5, -1e-5)]
+            along = np.linalg.solve(spread, np.array(steps[1] - steps[0]) / 2e-5)
+            way = along @ spread @ along
+            np.testing.assert_allclose(
+                surprise, along @ missed / max(way**0.5, 1), rtol=1e-3
+            )
     weights = np.exp(logs - np.max(logs))
     np.testing.assert_allclose(
         np.exp(log_weight), weights / weights.sum(), rtol=1e-3, atol=1e-9
@@ -96,6 +103,19 @@ def test_the_truth_lies_within_the_stated_spread():
     assert np.all(end.std[-1, 1:] < 500)
     mu = (end.value[late, 0] - 0.9) / end.std[late, 0]
     assert np.sqrt(np.mean(mu**2)) < 2 and end.std[-1, 0] < 0.2
+
+
+def test_a_drop_of_friction_is_detected_and_steady_friction_is_not():
+    how = {"bend": 0.45, "duration": 60.0}
+    for after in (0.6, 0.55):
+        log = drive(**how, drop=(40.0, after))
+        end = estimated("force-filter", log.columns)
+        alarms = log.columns["time"][end.flag == code(Flag.CHANGED)]
+        assert len(alarms) and 40.0 < alarms[0] < 44.0
+        assert abs(end.value[-1, 0] - after) < 2 * end.std[-1, 0] < 0.25
+    for seed in range(3):
+        end = estimated("force-filter", drive(**how, seed=seed).columns)
+        assert not np.any(end.flag == code(Flag.CHANGED))
 
 
 def test_lost_rows_are_flagged_and_survived():

@@ -5,7 +5,16 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import tirefit
-from tirefit.sim.braking import LOAD, PEAK, Braking, simulate_braking, source_tire
+from tirefit.models import LuGre, TireInputs
+from tirefit.sim.braking import (
+    BRAKE_GAIN,
+    LOAD,
+    PEAK,
+    Braking,
+    simulate_braking,
+    source_tire,
+)
+from tirefit.sim.lugre_wheel import lugre_tire
 from tirefit.sim.rig import simulate_rig
 
 
@@ -55,6 +64,42 @@ def test_a_wheel_locks_on_ice_and_comes_back():
     assert set(np.unique(log.truth["mu"])) == {0.2, 0.98}
     # At 7.9 s the brake asks for more than ice holds; at 6.4 s for less.
     assert sigma[np.isclose(time, 6.4)] < 0.1
+
+
+def test_a_lugre_wheel_keeps_the_balance_and_its_steady_force():
+    how = Braking(tire="lugre", teeth=1, rate=1000, friction=0.7, amplitude=0.7)
+    truth = simulate_braking(how).truth
+    slope = np.gradient(truth["omega"], truth["time"])
+    balance = how.radius * truth["fx"] - truth["torque"]
+    start, end = 100, -5  # the bristles have come in, the tooth is not over
+    np.testing.assert_allclose(
+        how.inertia * slope[start:end], balance[start:end], atol=1e-3 * 0.5 * LOAD
+    )
+    # Two seconds are slow for bristles that pass the patch in 10 ms.
+    tire = lugre_tire(0.7, how.v)
+    at = TireInputs(
+        sigma_x=truth["sigma_x"], fz=np.full(2000, LOAD), v=np.full(2000, 20.0)
+    )
+    steady = np.asarray(tire(at).fx)
+    np.testing.assert_allclose(truth["fx"][200:], steady[200:], rtol=0.02)
+    at_rest = TireInputs(sigma_x=1e-6, fz=LOAD, v=20.0)
+    np.testing.assert_allclose(tire(at_rest).fx, 2e-6 * truth["cpa2"][0], rtol=1e-4)
+
+
+def test_the_lugre_tire_has_the_peak_asked_for():
+    slip = np.linspace(0.005, 3, 4000)
+    for peak, v in ((0.98, 20.0), (0.3, 8.0)):
+        at = TireInputs(sigma_x=slip, fz=np.ones(4000), v=np.full(4000, v))
+        tire = lugre_tire(peak, v)
+        assert abs(float(np.max(np.asarray(tire(at).fx))) - peak) < 1e-3
+        assert tire.mu_s / tire.mu_c == LuGre().mu_s / LuGre().mu_c
+    with pytest.raises(ValueError, match="no tire 'brush'"):
+        simulate_braking(Braking(tire="brush"))
+
+
+def test_the_pressure_of_the_brake_makes_its_torque():
+    log = simulate_braking(Braking(teeth=1)).columns
+    np.testing.assert_allclose(log["brake_pressure"] * BRAKE_GAIN * 0.5, log["torque"])
 
 
 @pytest.mark.parametrize("lateral", [False, True])

@@ -107,8 +107,7 @@ def _whole(log: Path, names, values, how, out: Path, seed: int) -> None:
     # A log is never whole: a row that cannot be used is flagged, not refused.
     table = read(log, **(how | {"mask_bad_rows": True, "curve": False}))
     warn(table)
-    for problem in table.source.masked:
-        complain(f"warning: {problem}")
+    _say_masked(table)
     result = estimate_log(table, names, values, seed=seed)
     with staged(out, FILES) as folder:
         write_csv(folder / FILES[0], result.columns())
@@ -116,6 +115,19 @@ def _whole(log: Path, names, values, how, out: Path, seed: int) -> None:
         save_picture(estimates_figure(result), folder / FILES[2])
     say(str(result))
     say("wrote " + ", ".join(str(out / name) for name in FILES))
+
+
+def _say_masked(table) -> None:
+    """One row of each kind that cannot be used, and how many there are in all."""
+    first: dict[tuple[str | None, str], InputProblem] = {}
+    for problem in table.source.masked:
+        if problem.row is not None:
+            first.setdefault((problem.column, problem.remedy), problem)
+    for problem in first.values():
+        complain(f"warning: {problem}")
+    if unused := len(table) - table.n:
+        rows = f"{unused} of {len(table)} rows cannot be used"
+        complain(f"warning: {table.source.path}: {rows}; their estimates are flagged")
 
 
 def _follow(names, chosen, how) -> None:

@@ -42,6 +42,7 @@ def braking(
     speed: Annotated[float, typer.Option(min=1.0, help="of the vehicle [m/s]")] = 20.0,
     load: Annotated[float, typer.Option(min=1.0, help="of the wheel [N]")] = 27e3,
     friction: Annotated[float, typer.Option(min=0.05, help="peak force / load")] = 0.98,
+    tire: Annotated[str, typer.Option(help="magic-formula or lugre")] = "magic-formula",
     drop: Annotated[
         str | None,
         typer.Option(metavar="TIME=FRICTION", help="another friction from a time on"),
@@ -58,13 +59,16 @@ def braking(
     with errors_to_exit():
         change = _drop(drop)
         _check(out, truth, [("--amplitude", amplitude, 0.0, 2.0)])
+        if tire not in ("magic-formula", "lugre"):
+            reason = f"--tire {tire!r} is not known"
+            raise UsageError(InputProblem(reason, "magic-formula or lugre"))
         start_jax()
         from tirefit.sim.braking import Braking, simulate_braking
 
         how = Braking(
             amplitude=amplitude, teeth=teeth, period=period, rate=rate, v=speed,
-            fz=load, friction=friction, drop=change, slip_variance=slip_variance,
-            force_variance=force_variance, seed=seed,
+            fz=load, friction=friction, tire=tire, drop=change, seed=seed,
+            slip_variance=slip_variance, force_variance=force_variance,
         )  # fmt: skip
         _write(simulate_braking(how), out, truth, seed)
 

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tirefit.params import par
+from tirefit.results import InputProblem
 
 __all__ = [
     "FLAGS",
@@ -104,6 +105,7 @@ class Parameter(NamedTuple):
 
 PARAMETERS = {
     "mu": Parameter("-", r"\mu", "friction coefficient"),
+    "theta": Parameter("-", r"\theta", "friction level over that of the tire"),
     "cpa2": Parameter("N", r"c_p a^2", "bristle stiffness; C_x = 2 c_p a^2"),
     "slip_slope": Parameter("-", "k", "slope of force over load by slip, near zero"),
     "slip_offset": Parameter("-", r"\delta", "slip without force"),
@@ -154,6 +156,10 @@ class AbstractEstimator(eqx.Module):
     method: ClassVar[Method]
 
     average: float = samples_averaged()
+
+    def problems(self) -> list[InputProblem]:
+        """Why the method refuses its settings, each within its bounds; none if not."""
+        return []
 
     def init(self) -> Any:
         """The state before the first sample."""

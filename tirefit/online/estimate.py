@@ -11,7 +11,7 @@ from tirefit.data.table import TireData
 from tirefit.online.methods import METHODS, estimator_of, methods_named
 from tirefit.online.result import Estimates, MethodEstimates
 from tirefit.online.run import run
-from tirefit.params import parameter_values
+from tirefit.params import parameter_values, specs
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem, UsageError
 
@@ -36,7 +36,7 @@ def settings_by_method(
             reason = f"setting {key!r}: method {owner!r} is not asked for"
             problems.append(InputProblem(reason, f"asked for: {', '.join(names)}"))
             continue
-        takers = [owner] if dot else [n for n in names if hasattr(METHODS[n](), key)]
+        takers = [owner] if dot else [n for n in names if key in specs(METHODS[n]())]
         if not takers:
             reason = f"setting {key!r}: none of {', '.join(names)} has it"
             problems.append(InputProblem(reason, "tirefit methods lists the settings"))

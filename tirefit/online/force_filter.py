@@ -9,6 +9,10 @@ speed, without which :math:`v_x` would only be integrated. Then every :math:`\mu
 a grid is a hypothesis: the brush gives the forces of the estimated slips, and what they
 miss of the estimated ones weighs it by the filter's covariance; their mean is mu. The
 errors of one time constant of the forces are one error, not many.
+
+The surprise, for the detection of changes, is what the forces miss of those of the
+expected mu, along the direction in which another mu would move them. Stated errors of
+model and forces are larger than most that come, so it is measured by those of late.
 """
 
 from typing import ClassVar, NamedTuple
@@ -34,6 +38,8 @@ HYPOTHESES = tuple(0.05 * k for k in range(2, 27))
 """Friction 0.1 to 1.3 [-]; each is as likely at first."""
 _LONGEST = 0.5
 """Time [s] without samples after which the motion starts anew."""
+_MEMORY, _LEAST_SQUARE = 0.9, 0.02
+"""Weight of the mean square surprise before, and the least that is taken for it."""
 _STATES, _FORCES = 8, 6
 _TORQUES = tuple(f"torque_{wheel}" for wheel in WHEELS)
 _OMEGAS = tuple(f"omega_{wheel}" for wheel in WHEELS)
@@ -42,13 +48,18 @@ _SEEN = ("yaw_rate", *_OMEGAS, "a_x", "a_y", "roll_rate", "v")
 
 class ForceState(NamedTuple):
     """States and forces, their covariance; ln of the hypotheses' weights; the last
-    torques and steering angle, and the time [s] since then."""
+    torques and steering angle, and the time [s] since then; the sum of ``seconds`` [s]
+    of surprises, times dt, that are still to be told, and the mean square of those told
+    of late."""
 
     x: Float[Array, "14"]
     covariance: Float[Array, "14 14"]
     log_weight: Float[Array, " j"]
     inputs: Float[Array, "5"]
     waited: Float[Array, ""]
+    surprises: Float[Array, ""]
+    seconds: Float[Array, ""]
+    square: Float[Array, ""]
 
 
 class ForceFilter(AbstractVehicleMethod):
@@ -94,7 +105,7 @@ class ForceFilter(AbstractVehicleMethod):
         n = _STATES + _FORCES
         return ForceState(
             jnp.zeros(n).at[0].set(1.0), self._first(), flat, jnp.zeros(5),
-            jnp.full((), 2 * _LONGEST),
+            jnp.full((), 2 * _LONGEST), jnp.zeros(()), jnp.zeros(()), jnp.ones(()),
         )  # fmt: skip
 
     def hold(self, state: ForceState, dt, steps):
@@ -118,9 +129,22 @@ class ForceFilter(AbstractVehicleMethod):
         moved, _ = self.corrected(moved._replace(inputs=inputs), seen)
         state = choose(anew, began, moved)._replace(waited=jnp.zeros(()))
         log_weight, surprise = self._weighed(state, dt)
-        surprise = jnp.where(anew, jnp.nan, surprise)
-        after = state._replace(log_weight=jnp.where(anew, state.log_weight, log_weight))
-        return after, self._estimate(after, surprise)
+        # One surprise a time constant, the mean: those within it are one.
+        total, seconds = state.surprises + dt * surprise, state.seconds + dt
+        due = (seconds >= self.correlation) & ~anew
+        mean = total / jnp.maximum(seconds, 1e-9)
+        # One that is surprising by itself raises the scale little.
+        grown = jnp.minimum(mean * mean, 4 * state.square) - state.square
+        square = state.square + (1 - _MEMORY) * grown
+        weighed = state._replace(
+            log_weight=log_weight,
+            surprises=jnp.where(due, 0.0, total),
+            seconds=jnp.where(due, 0.0, seconds),
+            square=jnp.where(due, square, state.square),
+        )
+        told = mean / jnp.sqrt(jnp.maximum(state.square, _LEAST_SQUARE))
+        after = choose(anew, state, weighed)
+        return after, self._estimate(after, jnp.where(due, told, jnp.nan))
 
     def _first(self):
         load = self.mass * 9.81
@@ -215,21 +239,31 @@ class ForceFilter(AbstractVehicleMethod):
         load = self.mass * 9.81
         model = self.tire_error * load * jnp.array([0.25] * 4 + [0.5] * 2)
 
-        def log_likelihood(mu):
-            def missed(x):
-                return x[_STATES:] - self.modelled(x, state.inputs, mu)
+        def missed(x, mu):
+            return x[_STATES:] - self.modelled(x, state.inputs, mu)
 
-            error, slope = missed(state.x), jax.jacfwd(missed)(state.x)
+        def whitened(mu):
+            """Forces that mu misses as Gaussians of variance one, and their root."""
+            error, slope = missed(state.x, mu), jax.jacfwd(missed)(state.x, mu)
             spread = slope @ state.covariance @ slope.T + jnp.diag(model**2)
             root = jnp.linalg.cholesky(spread)
-            z = jax.scipy.linalg.solve_triangular(root, error, lower=True)
+            return jax.scipy.linalg.solve_triangular(root, error, lower=True), root
+
+        def log_likelihood(mu):
+            z, root = whitened(mu)
             return -0.5 * z @ z - jnp.sum(jnp.log(jnp.diag(root)))
 
         grid = jnp.array(HYPOTHESES)
         share = jnp.minimum(dt / self.correlation, 1.0)
         fresh = share * jax.vmap(log_likelihood)(grid)
         total = state.log_weight + fresh
-        return total - jax.scipy.special.logsumexp(total), jnp.nan
+        expected = jnp.exp(state.log_weight) @ grid
+        z, root = whitened(expected)
+        by_mu = jax.jacfwd(missed, argnums=1)(state.x, expected)
+        way = jax.scipy.linalg.solve_triangular(root, by_mu, lower=True)
+        # Less than a standard deviation for a change by one is no direction.
+        surprise = way @ z / jnp.maximum(jnp.sqrt(way @ way), 1.0)
+        return total - jax.scipy.special.logsumexp(total), surprise
 
     def _estimate(self, state: ForceState, surprise) -> Estimate:
         grid, weight = jnp.array(HYPOTHESES), jnp.exp(state.log_weight)

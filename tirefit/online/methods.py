@@ -7,6 +7,7 @@ from tirefit.online.base import AbstractEstimator
 from tirefit.online.cubic import Cubic
 from tirefit.online.ekf import Ekf
 from tirefit.online.force_filter import ForceFilter
+from tirefit.online.lugre_observer import LuGreObserver
 from tirefit.online.mit import Mit
 from tirefit.online.path import Path
 from tirefit.online.position import Position
@@ -31,7 +32,8 @@ METHODS: dict[str, type[AbstractEstimator]] = {
         Position,
         Path,
         ForceFilter,
-    )  # fmt: skip
+        LuGreObserver,
+    )
 }
 """Method name -> its record."""
 
@@ -79,7 +81,8 @@ def estimator_of(
         settings: values of the method's own fields.
 
     Raises:
-        UsageError: a setting that the method does not have, or outside its bounds.
+        UsageError: a setting that the method does not have, or outside its bounds;
+            settings that the method refuses together.
     """
     template = METHODS[name]()
     known, values = specs(template), dict(settings or {})
@@ -91,10 +94,14 @@ def estimator_of(
         elif not known[key].lower <= value <= known[key].upper:
             low, high = known[key].bounds
             reason = f"{name}.{key} = {value:g} is out of range"
-            remedy = f"{known[key].meaning}: {low:g} to {high:g} {known[key].unit}"
+            unit = "" if known[key].unit == "-" else f" {known[key].unit}"
+            remedy = f"{known[key].meaning}: {low:g} to {high:g}{unit}"
             problems.append(InputProblem(reason, remedy))
     if problems:
         raise UsageError(problems)
     if "cpa2" in known:
         values.setdefault("cpa2", STIFFNESS_OF_LOAD * float(load))
-    return with_values(template, {key: float(value) for key, value in values.items()})
+    made = with_values(template, {key: float(value) for key, value in values.items()})
+    if problems := made.problems():
+        raise UsageError(problems)
+    return made

@@ -24,7 +24,15 @@ from tirefit.compiled import compiled
 from tirefit.online.base import AbstractEstimator, Estimate, Flag, code, flag_of
 from tirefit.padding import padded_size
 
-__all__ = ["GUARDED", "Guarded", "Stream", "guarded_step", "run", "start"]
+__all__ = [
+    "GUARDED",
+    "LOCKED_SLIP",
+    "Guarded",
+    "Stream",
+    "guarded_step",
+    "run",
+    "start",
+]
 
 GUARDED = ("time", "run", "v", "omega")
 """Columns that the guard looks at where a log has them, beside the method's own."""
@@ -116,7 +124,9 @@ def guarded_step(
     due = usable & (count >= estimator.average)
     broken = ~_all_finite(waited, began.inner)
     kept = state._replace(inner=waited, sums=sums, gathered=count)
-    waiting = waiting._replace(flag=jnp.where(usable, state.flag, unusable))
+    # What the last step said holds until the next, unless time has made it worse.
+    told = jnp.where(usable, jnp.maximum(state.flag, waiting.flag), unusable)
+    waiting = waiting._replace(flag=told)
     # A branch, not a selection: nine of ten samples only add to a mean, and XLA works
     # out what several selections share anew for every one of them.
     kept, estimate, alarm, broken = jax.lax.cond(
@@ -183,12 +193,13 @@ def _unusable(estimator, sample, back) -> Int[Array, ""]:
             beyond = jnp.abs(sample[force]) > _IMPLAUSIBLE * sample["fz"]
             reasons.append((beyond & (sample["fz"] > 0), Flag.IMPLAUSIBLE))
     standing = jnp.abs(sample["v"]) < STANDSTILL if "v" in sample else False
-    if "sigma_x" in sample:
-        reasons.append((sample["sigma_x"] > LOCKED_SLIP, Flag.LOCKED))
+    locked = sample["sigma_x"] > LOCKED_SLIP if "sigma_x" in sample else False
     if "omega" in sample:
-        reasons.append((sample["omega"] <= 0, Flag.LOCKED))
+        locked |= sample["omega"] <= 0
     reason = flag_of(*reasons)
-    # At standstill there is no slip to be missed, and no wheel that is locked.
+    # Of a wheel that is locked nothing is missed: its force is not of the slip. At
+    # standstill there is no slip to be missed, and no wheel that is locked.
+    reason = jnp.where(locked & ~back, flag_of((locked, Flag.LOCKED)), reason)
     return jnp.where(standing & ~back, flag_of((standing, Flag.STANDSTILL)), reason)
 
 

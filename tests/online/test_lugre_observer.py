@@ -1,0 +1,198 @@
+"""The LuGre observer, S section 3.4: its stability, and truths of a simulated wheel."""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tirefit.models import LuGre
+from tirefit.online.base import FLAGS, Flag, code
+from tirefit.online.lugre_observer import LuGreObserver, peak_share, weights_of_v
+from tirefit.online.methods import estimator_of
+from tirefit.online.run import Stream, run
+from tirefit.params import with_values
+from tirefit.results import UsageError
+from tirefit.sim.braking import Braking, simulate_braking
+from tirefit.sim.lugre_wheel import WheelNumbers, averaged, lugre_wheel
+
+LOAD, RADIUS, INERTIA, V = 27e3, 0.5, 15.0, 20.0
+
+
+@cache
+def wheel(theta, rate=2000):
+    """Columns of one noise-free tooth on the very tire of the observer, and z [m]."""
+    time = np.arange(2 * rate) / rate
+    tire = LuGre(mu_s=1.2 * theta, mu_c=0.6 * theta)
+    full = 0.7 * RADIUS * float(peak_share(LuGre(), theta, V)) * LOAD
+    numbers = WheelNumbers(full, 2.0, RADIUS, INERTIA, V, LOAD, np.inf, 1 / rate)
+    omega, _, z = lugre_wheel(numbers, (tire, tire), averaged(2.0), time, 1)
+    one = np.ones(len(time))
+    columns = {
+        "time": time, "omega": omega, "v": V * one, "fz": LOAD * one,
+        "torque": full * time / 2,
+    }  # fmt: skip
+    return columns, z
+
+
+@cache
+def log(mu, seed=0, teeth=6, **how):
+    """A noisy log of the wheel on the bristles of the whole patch."""
+    return simulate_braking(
+        Braking(tire="lugre", friction=mu, teeth=teeth, seed=seed, **dict(how))
+    )
+
+
+def path_of(observer, columns, start, dt):
+    """Wheel speed, deflection and p of the observer at the samples, from a start."""
+    names = observer.method.inputs
+    inputs = jnp.asarray(np.stack([columns[name] for name in names], 1))
+    x, path = jnp.concatenate([jnp.asarray(start), inputs[0]]), [start]
+    moved = jax.jit(lambda x, u: observer.moved(x, u, dt)[0])
+    for u in inputs[1:]:
+        x = moved(x, u)
+        path.append(np.asarray(x[:3]))
+    return np.stack(path).T
+
+
+def v_along(observer, theta, path, columns, z, rho):
+    """V of the module's text along a path; the tests' own arithmetic."""
+    z_hat, omega, p = path
+    b = RADIUS * LOAD / INERTIA
+    e_omega, e_z, e_p = columns["omega"] - omega, z - z_hat, 1 / theta - p
+    eta = e_omega - b * 0.1 * e_z
+    gamma = observer.adaptation / b**2
+    return (e_omega**2 + rho * eta**2 + e_p**2 / gamma) / 2
+
+
+@pytest.mark.parametrize("theta", [1.0, 0.4])
+@pytest.mark.parametrize("wrong", [0.5, 2.0])
+def test_v_falls_along_a_path_without_noise(theta, wrong):
+    columns, z = wheel(theta)
+    # Of little friction there is little to be seen: quicker, lest it take ten teeth.
+    settings = {"kappa": 2.0, "adaptation": 1e6 / theta**4}
+    observer = with_values(LuGreObserver(), settings)
+    low, high, margin = weights_of_v(observer)
+    assert low < high and margin > 0
+    start = np.array([2e-4, columns["omega"][0] + 0.3, 1 / (wrong * theta)])
+    path = path_of(observer, columns, start, 1 / 2000)
+    v = v_along(observer, theta, path, columns, z, 1.1 * low)
+    # What the steps of 1/16000 s are off by may raise it a little where it is small.
+    assert np.all(np.diff(v) <= 1e-5 * v[0])
+    assert v[-1] < 1e-3 * v[0]
+    assert abs(1 / path[2][-1] / theta - 1) < 0.02
+
+
+def test_v_falls_at_once_or_rises_as_the_condition_says():
+    # The wheel speed is off and z by as much as makes eta zero: V' = -(m + c + pa) e^2.
+    columns, z = wheel(1.0)
+    b = RADIUS * LOAD / INERTIA
+    start = np.array([z[0] - 0.1 / (b * 0.1), columns["omega"][0] - 0.1, 1.0])
+    grown = {}
+    for gain in (1.0, 0.5):
+        observer = with_values(LuGreObserver(), {"kappa": 2.0, "gain": gain})
+        path = path_of(observer, columns, start, 1 / 2000)
+        v = v_along(observer, 1.0, path, columns, z, 1.0)
+        grown[gain] = v[1] / v[0]
+    assert grown[1.0] < 1 < grown[0.5]
+
+
+def test_gains_that_are_not_stable_are_refused():
+    for gain in (0.5, 0.98):
+        with pytest.raises(UsageError, match="l1 <= sigma0/sigma1"):
+            estimator_of("lugre-observer", LOAD, {"gain": gain})
+    with pytest.raises(UsageError, match="no weight rho makes V fall"):
+        estimator_of("lugre-observer", LOAD, {"gain": 5.0})
+    assert estimator_of("lugre-observer", LOAD, {"sigma1": 1.0}).problems() == []
+
+
+def test_the_weights_are_those_of_a_definite_form():
+    # Where l1 = tau + c the least weight has a closed form; else by eigenvalues.
+    observer = with_values(LuGreObserver(), {"kappa": 2.0, "gain": 1.02})
+    low, high, _ = weights_of_v(observer)
+    tau, worst = 1000.0, []
+    for v in np.linspace(2, 60, 8):
+        for slip in np.linspace(0, 0.99, 9):
+            c = 2.0 * v * (1 - slip) / 0.2
+            x = 100 * v * slip / float(LuGre().level(v * slip))
+            m = 0.02 * (tau + c)
+            for rho in (1.001 * low, 0.999 * high):
+                off = (tau - x + rho * m) / 2
+                form = [[m + c + x, off], [off, rho * (tau + c)]]
+                worst.append(np.linalg.eigvalsh(form)[0])
+    assert min(worst) > 0
+
+
+@pytest.mark.parametrize("mu", [0.95, 0.6, 0.4])
+@pytest.mark.parametrize("theta", [0.5, 2.0])
+def test_friction_is_found_from_wrong_starts(mu, theta):
+    data = log(mu, teeth=10).columns
+    _, estimate = run(estimator_of("lugre-observer", LOAD, {"theta": theta}), data)
+    value, std = estimate.value[-1], estimate.std[-1]
+    assert abs(value[0] - mu) < 3 * std[0] < 0.2 * mu
+    np.testing.assert_allclose(value[0], peak_share(LuGre(), value[1], V), rtol=1e-9)
+
+
+def test_the_truth_lies_within_the_stated_spread():
+    estimator = estimator_of("lugre-observer", LOAD)
+    ends = [run(estimator, log(0.8, seed=seed).columns)[1] for seed in range(12)]
+    pulls = [(end.value[-1, 0] - 0.8) / end.std[-1, 0] for end in ends]
+    # The random walk allows for changes that do not come; 12 runs leave 0.2 open.
+    assert 0.2 < np.sqrt(np.mean(np.square(pulls))) < 1.5
+    assert ends[0].std[-1, 0] < 0.08
+
+
+def test_a_drop_of_friction_is_detected_and_followed():
+    data = log(0.95, teeth=12, drop=(12.5, 0.5)).columns  # the wheel locks
+    _, estimate = run(estimator_of("lugre-observer", LOAD), data)
+    alarms = data["time"][estimate.flag == code(Flag.CHANGED)]
+    assert len(alarms) and 12.5 < alarms[0] < 14
+    held = estimate.flag == code(Flag.LOCKED)
+    assert np.all(data["sigma_x"][held] > 5) and np.count_nonzero(held) > 100
+    late = data["time"] > 15
+    assert np.all(np.abs(estimate.value[late, 0] - 0.5) < 0.05)
+
+
+def test_it_says_when_little_force_tells_little():
+    data = log(0.95, amplitude=0.08).columns
+    _, estimate = run(estimator_of("lugre-observer", LOAD), data)
+    assert set(estimate.flag) <= {code(Flag.LITTLE_EXCITATION), code(Flag.LOW_USE)}
+    assert np.all(np.abs(estimate.value[:, 1] - 1) < 0.05)  # and does not wander
+    assert estimate.std[-1, 1] > 0.45
+    braked = run(estimator_of("lugre-observer", LOAD), log(0.95, amplitude=0.3).columns)
+    assert FLAGS[braked[1].flag[150]] is Flag.LOW_USE
+
+
+def test_scan_is_step_by_step_and_bad_rows_are_survived():
+    data = {k: v.copy() for k, v in log(0.8).columns.items()}
+    data["torque"][300:320] = np.nan
+    data["omega"][500:520] = 0.0
+    data["v"][700:720] = 0.2
+    data["omega"][850] *= 3.0
+    data["time"][1000:] -= 3.0
+    data["fz"][1100] = -1.0
+    estimator = estimator_of("lugre-observer", LOAD)
+    _, scanned = run(estimator, data)
+    stream = Stream(estimator)
+    rows = [{k: v[i] for k, v in data.items()} for i in range(1200)]
+    streamed = [stream.push(row) for row in rows]
+    for part in ("value", "std", "flag"):
+        each = np.stack([getattr(one, part) for one in streamed])
+        np.testing.assert_allclose(getattr(scanned, part), each, rtol=1e-9)
+    for rows, flag in (
+        (np.r_[300:320], Flag.MISSING), (np.r_[500:520], Flag.LOCKED),
+        (np.r_[700:720], Flag.STANDSTILL), ([1000], Flag.TIME_BACK),
+        ([1100], Flag.NO_LOAD),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(np.flatnonzero(scanned.flag == code(flag)), rows)
+    assert abs(scanned.value[-1, 0] - 0.8) < 3 * scanned.std[-1, 0] < 0.3
+
+
+def test_it_never_diverges_whatever_the_steps():
+    data = {k: v[::25].copy() for k, v in log(0.8, teeth=12).columns.items()}
+    for settings in ({"sigma1": 1e-3}, {"adaptation": 1e12}, {"sigma0": 1e5}):
+        _, estimate = run(estimator_of("lugre-observer", LOAD, settings), data)
+        assert np.isfinite(estimate.value).all()
+        assert np.all((estimate.value[:, 1] >= 0.05) & (estimate.value[:, 1] <= 4.0))
+        assert not np.any(estimate.flag == code(Flag.RESET))

@@ -1,0 +1,379 @@
+r"""An observer of the friction by the LuGre tire from the wheel's speed, S section 3.4.
+
+The level of friction is :math:`\theta g`, and :math:`p = 1/\theta` is what is adapted.
+Of the patch the observer knows the mean deflection, which the tread carries out at the
+rate c:
+
+.. math::
+   \dot z &= v_s - p a z - c z, \quad a = \sigma_0 |v_s| / g(|v_s|),
+       \quad c = \kappa |\omega R| / L \\
+   J \dot\omega &= R F_z [\sigma_0 z + \sigma_1 (v_s - p a z) + \sigma_2 v_s] - T
+
+:math:`\sigma_1` damps the bristles as they travel. With
+:math:`b = R F_z / J, \tau = \sigma_0/\sigma_1` and the errors
+:math:`e_x = x - \hat x` the observer is
+
+.. math::
+   \dot{\hat z} &= v_s - \hat p a \hat z - c \hat z, \quad
+   \dot{\hat\omega} = (R \hat F - T)/J + l_1 e_\omega, \quad
+   \dot{\hat p} = -\gamma b \sigma_1 a \hat z e_\omega
+
+Of :math:`V = (e_\omega^2 + \varrho \eta^2 + e_p^2/\gamma)/2` with
+:math:`\eta = e_\omega - b \sigma_1 e_z` the terms with e_p cancel, at constant load and
+friction, and with :math:`m = l_1 - \tau - c`
+
+.. math:: -\dot V = (m + c + pa) e_\omega^2 + (\tau - pa + \varrho m) e_\omega \eta
+    + \varrho (\tau + c) \eta^2
+
+which is positive, whatever the slip, only if :math:`l_1 > \tau`; at :math:`m = 0` for
+every :math:`\varrho > (\tau - pa)^2 / 4 (c + pa)(\tau + c)`. Gains for which no
+:math:`\varrho` serves all slips and speeds are refused. Steps are implicit, so that the
+fast bristles do not have the sampling make it diverge.
+
+That takes c for known. Unless ``kappa`` is given, it is that of the patch at the
+present :math:`\hat p`, :math:`\kappa = \varphi_1(x)/\varphi_2(x)` at
+:math:`x = \hat p a L/|\omega R|`, 2 at rest and 1 in full sliding, with which the mean
+has the steady force of S(18); it then depends on what is adapted, at most a third as
+much as pa does.
+
+V says that the error vanishes, not how large noise leaves it: the covariance of the
+observer's own error, by the slopes of its step, does.
+"""
+
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tirefit.models import LuGre, TireInputs
+from tirefit.models.lugre import patch_means
+from tirefit.online.base import (
+    AbstractEstimator,
+    Estimate,
+    Flag,
+    Method,
+    Sample,
+    choose,
+    flag_of,
+)
+from tirefit.online.regression import RESOLVED
+from tirefit.online.run import LOCKED_SLIP
+from tirefit.params import par
+from tirefit.results import InputProblem
+
+__all__ = ["LuGreObserver", "ObserverState", "peak_share", "weights_of_v"]
+
+_SUBSTEPS = 4
+_LONGEST = 0.5
+"""Time [s] without samples after which the motion starts anew."""
+_JUMP = 0.03
+"""Jump of the torque over R F_z between samples after which the motion starts anew."""
+_SUMMED = 10.0
+"""Surprises that are told as one."""
+_SPUN = 0.015
+"""Time [s] after which a wheel follows a torque that jumped: three times J v / R^2 C_x
+of the wheel of S section 5."""
+_LEAST, _MOST = 0.05, 4.0
+"""theta is kept between them."""
+_SLIPS = np.geomspace(0.01, 3.0, 64)
+"""Where the peak of the steady force is looked for: a step of 9 %, on a flat peak."""
+_SPEEDS, _SLIDING = np.geomspace(2.0, 60.0, 12), np.r_[0.0, np.geomspace(1e-4, 1, 40)]
+"""Speeds [m/s] and slips v_s/v at which the gains must be stable."""
+
+
+def peak_share(tire: LuGre, theta, v):
+    """Largest steady force over the load [-] of S(18) with theta g, at a speed [m/s].
+
+    Args:
+        tire: with theta one; theta: factor of g.
+    """
+    level = theta * jnp.stack([jnp.asarray(tire.mu_s), jnp.asarray(tire.mu_c)])
+    other = LuGre(
+        level[0], level[1], tire.v_st, tire.exponent, tire.sigma2, tire.sigma0,
+        tire.sigma1, tire.length,
+    )  # fmt: skip
+    one = jnp.ones(len(_SLIPS))
+    at = TireInputs(sigma_x=jnp.asarray(_SLIPS), fz=one, v=v * one)
+    return jnp.max(jnp.asarray(other(at).fx))
+
+
+class Course(NamedTuple):
+    """Quantities of the observer's equations at one instant, see the module."""
+
+    v_s: Any
+    a: Any
+    c: Any
+    b: Any
+
+
+class ObserverState(NamedTuple):
+    """``x`` (7,): z [m], omega [rad/s] and p [-] of the observer, then the last omega,
+    v, fz and torque; ``covariance`` (7, 7) of their errors; ``waited`` [s] since then,
+    ``smooth`` [s] since the torque jumped until then; ``sum`` of the ``summed``
+    latest surprises; ``peak`` (2,): mu and its slope by theta, there."""
+
+    x: Float[Array, "7"]
+    covariance: Float[Array, "7 7"]
+    waited: Float[Array, ""]
+    smooth: Float[Array, ""]
+    sum: Float[Array, ""]
+    summed: Float[Array, ""]
+    peak: Float[Array, "2"]
+
+
+class LuGreObserver(AbstractEstimator):
+    """Lyapunov observer of the level of friction of a LuGre tire."""
+
+    method: ClassVar[Method] = Method(
+        "lugre-observer", "Lyapunov observer of LuGre's friction from wheel speed",
+        ("omega", "v", "fz", "torque"), ("mu", "theta"),
+        "40 to 100 % of the friction; below, mu is flagged", "S §3.4", "lugre",
+    )  # fmt: skip
+
+    average: float = 1.0
+    tire: LuGre = LuGre()
+    radius: float = par(0.5, (0.01, 2.0), "m", "effective rolling radius", "", "R")
+    inertia: float = par(15.0, (1e-6, 1e3), "kg m2", "of the wheel", "", "J")
+    kappa: float = par(
+        0.0, (0.0, 4.0), "-", "rate of leaving the patch, over omega R/L; 0: S(18)'s",
+        "S §3.4", r"\kappa",
+    )  # fmt: skip
+    gain: float = par(
+        1.0, (0.01, 100.0), "-", "correction of omega, l1 over sigma0/sigma1 + c",
+        "S §3.4", "l_1",
+    )  # fmt: skip
+    adaptation: float = par(
+        1e6, (0.0, 1e12), "1/s2", "speed of adaptation, gamma b^2", "S §3.4", r"\gamma",
+        scale="log",
+    )  # fmt: skip
+    theta: float = par(1.0, (_LEAST, _MOST), "-", "theta at first", "S §3.4", r"\theta")
+    prior_theta: float = par(
+        0.5, (1e-3, 3.0), "-", "relative std of theta at first", "", r"\sigma_\theta"
+    )
+    drift_theta: float = par(
+        0.02, (0.0, 1.0), "1/sqrt(s)", "relative random walk of theta", "", r"q_\theta"
+    )
+    least_use: float = par(
+        0.1, (0.0, 1.0), "-", "least force over load at which theta is adapted",
+        "S §5.3", "u_{min}",
+    )  # fmt: skip
+    omega_std: float = par(0.18, (1e-6, 10.0), "rad/s", "of omega", "", r"\sigma_w")
+    v_std: float = par(0.03, (0.0, 10.0), "m/s", "of v", "", r"\sigma_v")
+    load_std: float = par(0.02, (0.0, 1.0), "-", "of fz, over fz", "", r"\sigma_z")
+    torque_std: float = par(
+        0.01, (0.0, 1.0), "-", "of the torque, over fz R", "", r"\sigma_T"
+    )
+
+    def problems(self) -> list[InputProblem]:
+        """Why the gains are refused, if they are; see the module for the conditions."""
+        low, high, margin = weights_of_v(self)
+        if margin <= 0:
+            reason = f"lugre-observer.gain = {self.gain:g}: l1 <= sigma0/sigma1, and V"
+            remedy = "may grow; 1 makes l1 = sigma0/sigma1 + c, which is stable"
+            return [InputProblem(reason, remedy)]
+        if not low < high:
+            reason = (
+                f"lugre-observer.gain = {self.gain:g}: no weight rho makes V fall at"
+                f" all slips (above {low:.3g} at one, below {high:.3g} at another)"
+            )
+            return [InputProblem(reason, "1 is stable whatever the tire")]
+        return []
+
+    def init(self) -> ObserverState:
+        x = jnp.zeros(7).at[2].set(1 / self.theta)
+        long, none = jnp.full((), 2 * _LONGEST), jnp.zeros(())
+        peak = self._peak(self.theta, 20.0)
+        return ObserverState(x, self._first(), long, long, none, none, peak)
+
+    def hold(self, state: ObserverState, dt, steps):
+        del steps
+        # Time that passes loosens p; where the sample is used, its step goes on.
+        walked = (self.drift_theta * state.x[2]) ** 2 * dt
+        held = state._replace(
+            covariance=state.covariance.at[2, 2].add(walked), waited=state.waited + dt
+        )
+        return held, self._estimate(held, jnp.nan)
+
+    def open(self, state: ObserverState) -> ObserverState:
+        """What was known of theta is taken back."""
+        p = jnp.maximum(state.covariance[2, 2], (self.prior_theta * state.x[2]) ** 2)
+        kept = state.covariance.at[2, :].set(0.0).at[:, 2].set(0.0)
+        return state._replace(covariance=kept.at[2, 2].set(p))
+
+    def step(self, state: ObserverState, sample: Sample):
+        u = jnp.stack([sample[name] for name in self.method.inputs])
+        # Of a torque that jumps it is not known when it did, nor how the speed of the
+        # wheel came to where it is; the brake of a locked wheel only holds it.
+        jump = jnp.abs(u[3] - state.x[6]) > _JUMP * self.radius * jnp.abs(u[2])
+        jump |= self._locked(u)
+        smooth = jnp.where(jump, 0.0, jnp.minimum(state.smooth + state.waited, 1e3))
+        anew = (state.waited > _LONGEST) | (smooth < _SPUN)
+        dt = jnp.clip(state.waited, 1e-6, _LONGEST)
+        x, error, into, noise_into = self._slopes(state.x, u, dt)
+        noise = jnp.diag(self._noise(u))
+        spread = into @ state.covariance @ into.T + noise_into @ noise @ noise_into.T
+        surprise = error / jnp.sqrt(spread[7, 7])
+        # A surprise counts no more than four standard deviations: no spike moves theta.
+        trust = jnp.minimum(1.0, 4.0 / jnp.maximum(jnp.abs(surprise), 1e-9))
+        x = x.at[2].set(state.x[2] + trust * (x[2] - state.x[2]))
+        first = self._first().at[2, 2].set(state.covariance[2, 2])
+        held = state._replace(waited=jnp.zeros(()), smooth=smooth)
+        began = held._replace(x=self._at_rest(u, state.x[2]), covariance=first)
+        moved, told = _summed(held, surprise)
+        moved = moved._replace(x=x, covariance=spread[:7, :7])
+        after = choose(anew, began, moved)
+        peak = self._peak(1 / after.x[2], jnp.maximum(jnp.abs(u[1]), 0.5))
+        after = after._replace(peak=peak)
+        return after, self._estimate(after, jnp.where(anew, jnp.nan, told))
+
+    def course(self, u, p) -> Course:
+        """Coefficients at inputs (4,) omega, v, fz, torque, and p for the patch."""
+        omega, v, fz, _ = u
+        v_s = v - omega * self.radius
+        speed = jnp.abs(v_s)
+        a = self.tire.sigma0 * speed / self.tire.level(speed)
+        through = jnp.maximum(jnp.abs(omega) * self.radius, 1e-6) / self.tire.length
+        first, second = patch_means(p * a / through)
+        c = jnp.where(self.kappa > 0, self.kappa, first / second) * through
+        return Course(v_s, a, c, self.radius * fz / self.inertia)
+
+    def share(self, z, p, now: Course):
+        """Force over load [-] of a mean deflection z [m]."""
+        tire, give = self.tire, now.v_s - p * now.a * z
+        return tire.sigma0 * z + tire.sigma1 * give + tire.sigma2 * now.v_s
+
+    def correction(self, now: Course):
+        """l_1 [1/s]."""
+        return self.gain * (self.tire.sigma0 / self.tire.sigma1 + now.c)
+
+    def moved(self, x, u, dt):
+        """One interval of dt [s], in which the inputs became u (4,).
+
+        Returns:
+            x (7,) at its end, and the mean acceleration [rad/s2] of the measured wheel
+            speed that the observer's force does not explain.
+        """
+        h, missed = dt / _SUBSTEPS, (u[0] - x[3]) / dt
+        z, omega, p = x[0], x[1], x[2]
+        for k in range(1, _SUBSTEPS + 1):
+            there = x[3:] + (u - x[3:]) * (k / _SUBSTEPS)
+            now = self.course(there, x[2])
+            z = (z + h * now.v_s) / (1 + h * (p * now.a + now.c))
+            share = self.share(z, p, now)
+            pushed = now.b * share - there[3] / self.inertia
+            missed = missed - pushed / _SUBSTEPS
+            # Backward Euler of omega and p at once, solved: with e_omega left, p turns
+            # by h phi e_omega, and by what p turns the force changes.
+            idle = jnp.abs(share) < self.least_use
+            gamma = jnp.where(idle, 0.0, self.adaptation / now.b**2)
+            phi = now.b * self.tire.sigma1 * now.a * z
+            lead = self.correction(now)
+            off = there[0] - omega - h * pushed
+            off = off / (1 + h * lead + h * h * gamma * phi * phi)
+            omega = there[0] - off
+            p = jnp.clip(p - h * gamma * phi * off, 1 / _MOST, 1 / _LEAST)
+        return jnp.concatenate([jnp.stack([z, omega, p]), u]), missed
+
+    def _slopes(self, x, u, dt):
+        """``moved``, and the slopes of (x, missed) (8, 7) by x and (8, 4) by u."""
+
+        def flat(x, u):
+            return jnp.concatenate([(out := self.moved(x, u, dt))[0], out[1][None]])
+
+        after = flat(x, u)
+        into, noise_into = jax.jacfwd(flat, argnums=(0, 1))(x, u)
+        return after[:7], after[7], into, noise_into
+
+    def _peak(self, theta, v):
+        """mu at a speed [m/s], and its slope by theta."""
+        return jnp.stack(
+            jax.jvp(
+                lambda t: peak_share(self.tire, t, v),
+                (jnp.asarray(theta, float),),
+                (jnp.ones(()),),
+            )
+        )
+
+    def _locked(self, u):
+        return u[1] > (1 + LOCKED_SLIP) * self.radius * u[0]
+
+    def _noise(self, u):
+        """Variances (4,) of the inputs."""
+        fz = jnp.maximum(u[2], 0.0)
+        stds = [self.omega_std, self.v_std, self.load_std * fz]
+        stds.append(self.torque_std * fz * self.radius)
+        return jnp.stack([jnp.asarray(std, float) for std in stds]) ** 2
+
+    def _first(self):
+        stds = [0.001, self.omega_std, self.prior_theta / self.theta] + [0.0] * 4
+        return jnp.diag(jnp.stack([jnp.asarray(std, float) for std in stds]) ** 2)
+
+    def _at_rest(self, u, p):
+        """x (7,) with the bristles in their steady state at the inputs."""
+        now = self.course(u, p)
+        z = now.v_s / jnp.maximum(p * now.a + now.c, 1e-3)
+        return jnp.concatenate([jnp.stack([z, u[0], p]), u])
+
+    def _estimate(self, state: ObserverState, surprise) -> Estimate:
+        x, p = state.x, state.x[2]
+        theta = 1 / p
+        theta_std = theta * theta * jnp.sqrt(state.covariance[2, 2])
+        mu, mu_std = state.peak[0], state.peak[1] * theta_std
+        share = self.share(x[0], p, self.course(x[3:], p))
+        flag = flag_of(
+            (~(mu_std < RESOLVED * mu), Flag.LOW_USE),
+            ((theta <= _LEAST) | (theta >= _MOST), Flag.OUT_OF_RANGE),
+            (jnp.abs(share) < self.least_use, Flag.LITTLE_EXCITATION),
+            (self._locked(x[3:]), Flag.LOCKED),
+        )
+        value, std = jnp.stack([mu, theta]), jnp.stack([mu_std, theta_std])
+        return Estimate(value, std, flag, surprise)
+
+
+def _summed(state: ObserverState, surprise):
+    """The state with one more surprise; the standardised sum of ten, else NaN.
+
+    Noise of an input enters the intervals before and after it: their errors correlate,
+    by a quarter with slip noise of S section 5.1, and the variance of a sum of n is
+    1.5 n then.
+    """
+    count = state.summed + 1
+    total = state.sum + jnp.clip(surprise, -4.0, 4.0)
+    full = count >= _SUMMED
+    told = jnp.where(full, total / jnp.sqrt(1.5 * count), jnp.nan)
+    kept = state._replace(
+        sum=jnp.where(full, 0.0, total), summed=jnp.where(full, 0.0, count)
+    )
+    return kept, told
+
+
+def weights_of_v(observer: LuGreObserver) -> tuple[float, float, float]:
+    """Weights rho for which V falls at every slip, speed and theta, and a margin.
+
+    Returns:
+        rho is to lie above the first and below the second number; the third is the
+        least l1 - sigma0/sigma1 + p a, which must be positive, over sigma0/sigma1.
+    """
+    tire = observer.tire
+    tau = float(tire.sigma0 / tire.sigma1)
+    v, slip = np.meshgrid(_SPEEDS, _SLIDING)
+    level = np.asarray(tire.level(v * slip))
+    kappas = np.array([observer.kappa] if observer.kappa > 0 else [1.0, 2.0])
+    c = kappas[:, None, None] * v * (1 - slip) / tire.length
+    low, high, margin = 0.0, np.inf, np.inf
+    m = (observer.gain - 1) * (tau + c)
+    for p in (1 / _MOST, 1.0, 1 / _LEAST):
+        x = p * tire.sigma0 * v * slip / level
+        margin = min(margin, np.min(m + c + x) / tau)
+        # (tau - x + rho m)^2 < 4 rho (m + c + x)(tau + c), solved for rho.
+        half = 2 * (m + c + x) * (tau + c) - m * (tau - x)
+        inner = half**2 - (m * (tau - x)) ** 2
+        if np.any(half <= 0) or np.any(inner < 0):
+            low, high = np.inf, 0.0
+            continue
+        low = max(low, np.max((tau - x) ** 2 / (half + np.sqrt(inner))))
+        with np.errstate(divide="ignore"):
+            high = min(high, np.min((half + np.sqrt(inner)) / m**2))
+    return float(low), float(high), float(margin)
