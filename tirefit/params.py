@@ -129,14 +129,14 @@ def check_values(
     values: Mapping[str, float],
     *,
     noun: str = "parameter",
-    remedy: str = "see `tirefit models`",
+    listed_by: str = "tirefit models",
 ) -> None:
     """Whether a user's values are of this model and within its bounds.
 
     Args:
         owner: what the messages call the model.
         noun: what they call its fields.
-        remedy: for a value outside its bounds.
+        listed_by: the command that lists them with their bounds.
 
     Raises:
         UsageError: naming every value that is not.
@@ -149,6 +149,7 @@ def check_values(
         elif not known[key].lower <= value <= known[key].upper:
             low, high = known[key].bounds
             reason = f"{key} = {value:g} is outside its bounds [{low:.6g}, {high:.6g}]"
+            remedy = f"{known[key].meaning}; see `{listed_by}`"
             problems.append(InputProblem(reason, remedy))
     if problems:
         raise UsageError(problems)

@@ -14,7 +14,7 @@ from tirefit.online.position import Position
 from tirefit.online.rls import Rls
 from tirefit.online.slip_slope import SlipSlope, SlipSlopeBraking
 from tirefit.online.tire_sensor import TireSensor
-from tirefit.params import specs, with_values
+from tirefit.params import check_values, specs, with_values
 from tirefit.results import InputProblem, UsageError
 
 __all__ = ["METHODS", "STIFFNESS_OF_LOAD", "estimator_of", "methods_named"]
@@ -86,19 +86,13 @@ def estimator_of(
     """
     template = METHODS[name]()
     known, values = specs(template), dict(settings or {})
-    problems = []
-    for key, value in values.items():
-        if key not in known:
-            reason = f"method {name!r} has no setting {key!r}"
-            problems.append(InputProblem(reason, f"it has {', '.join(known)}"))
-        elif not known[key].lower <= value <= known[key].upper:
-            low, high = known[key].bounds
-            reason = f"{name}.{key} = {value:g} is out of range"
-            unit = "" if known[key].unit == "-" else f" {known[key].unit}"
-            remedy = f"{known[key].meaning}: {low:g} to {high:g}{unit}"
-            problems.append(InputProblem(reason, remedy))
-    if problems:
-        raise UsageError(problems)
+    check_values(
+        template,
+        f"method {name!r}",
+        values,
+        noun="setting",
+        listed_by="tirefit methods",
+    )
     if "cpa2" in known:
         values.setdefault("cpa2", STIFFNESS_OF_LOAD * float(load))
     made = with_values(template, {key: float(value) for key, value in values.items()})
