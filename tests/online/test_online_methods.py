@@ -251,5 +251,5 @@ def test_names_and_settings_that_are_not_there():
         methods_named("rls,rls")
     with pytest.raises(UsageError, match="no setting 'lambda'"):
         estimator_of("rls", LOAD, {"lambda": 1.0})
-    with pytest.raises(UsageError, match="out of range"):
+    with pytest.raises(UsageError, match="outside its bounds"):
         estimator_of("rls", LOAD, {"forgetting": 1.1})
