@@ -1,8 +1,10 @@
 """The simulated drive, against another integrator and against balances."""
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
+from tirefit.results import UsageError
 from tirefit.sim.drive import Car, Drive, simulate_drive
 
 CAR = Car()
@@ -101,3 +103,9 @@ def test_wheels_lock_on_a_slippery_road_and_the_rest_is_finite():
     assert set(truth["mu"]) == {0.9, 0.2}
     assert truth["sigma_x_fl"].max() > 90 and truth["sigma_x_fl"][40] < 0.2
     assert all(np.isfinite(values).all() for values in truth.values())
+
+
+def test_a_car_that_spins_is_an_error_with_a_remedy():
+    how = Drive(duration=8.0, bend=1.2, brake=1.2, drop=(2.0, 0.3))
+    with pytest.raises(UsageError, match="(?s)the car spins.*remedy: ask for less"):
+        simulate_drive(how)

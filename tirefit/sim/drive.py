@@ -24,6 +24,7 @@ import numpy as np
 
 from tirefit.data.table import WHEELS
 from tirefit.online.vehicle import GRAVITY, axle_angles, brush_share, clipped
+from tirefit.results import InputProblem, UsageError
 from tirefit.sim.braking import SimulatedLog
 
 __all__ = ["Car", "Drive", "simulate_drive"]
@@ -227,8 +228,8 @@ def _rate(t, s: _State, numbers: _Numbers) -> _State:
 
 
 @eqx.filter_jit
-def _integrate(numbers: _Numbers, time) -> _State:
-    """States (n, ...) at the times."""
+def _integrate(numbers: _Numbers, time):
+    """States (n, ...) at the times, and whether they are there."""
     v = numbers.how["v"]
     zero = jnp.zeros(())
     rolling = jnp.full(4, v / numbers.car["radius"])
@@ -238,9 +239,9 @@ def _integrate(numbers: _Numbers, time) -> _State:
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_rate), diffrax.Tsit5(), time[0], time[-1], None, start,
         numbers, saveat=diffrax.SaveAt(ts=time), stepsize_controller=controller,
-        max_steps=2**20,
+        max_steps=4096 + 16 * len(time), throw=False,
     )  # fmt: skip
-    return solution.ys
+    return solution.ys, diffrax.is_successful(solution.result)
 
 
 @eqx.filter_jit
@@ -294,6 +295,9 @@ def simulate_drive(how: Drive | None = None, car: Car | None = None) -> Simulate
         heading, v, x, y, yaw_rate, roll_rate, a_x, a_y, omega and torque of the
         wheels); the truth has those without noise, v_y, the slips, slip angles, loads
         and forces of the tires, and mu.
+
+    Raises:
+        UsageError: the car spins.
     """
     how, car = Drive() if how is None else how, Car() if car is None else car
     n = round(how.duration * how.rate)
@@ -301,7 +305,15 @@ def simulate_drive(how: Drive | None = None, car: Car | None = None) -> Simulate
     change, after = (np.inf, how.friction) if how.drop is None else how.drop
     mu = (jnp.asarray(how.friction), jnp.asarray(after))
     numbers = _Numbers(_values(car), _values(how), mu, jnp.asarray(change))
-    states = _integrate(numbers, time)
+    states, followed = _integrate(numbers, time)
+    if not followed:
+        raise UsageError(
+            InputProblem(
+                "the drive cannot be followed: braking and bends together ask for more"
+                " than the grip, and the car spins",
+                "ask for less lateral acceleration or braking, or more friction",
+            )
+        )
     truth = {k: np.asarray(v) for k, v in _measured(numbers, time, states).items()}
     random = np.random.default_rng(how.seed)
     stds = _noise_stds(how)
