@@ -155,7 +155,11 @@ CASES = {
         WELL.replace("fz", "fz,sigma_x_std").replace("4000", "4000,0.1"), {},
         ["column 'sigma_x_std'", "but the slip column is kappa"],
     ),
-    "spaces": ("kappa fx fz\n1 2 3\n", {}, ["'kappa fx fz' only; separate columns by"]),
+    "spaces": ("kappa fx fz\n1 2\n", {}, ["'kappa fx fz' only; separate columns by"]),
+    "spaces, ragged": (
+        "kappa fx fz\n0.1 2 3\n0.2 2 3\n0.3 2\n", {},
+        ["row 4: 2 fields where the header has 3"],
+    ),
     "strange names": ("Zeit;Kraft\ns;t\n1;2\n", {}, ["columns found: 'Zeit', 'Kraft'"]),
     "no such header": (
         WELL, {"columns": {"fx": "fxx"}}, ["column 'fxx'", "no such", "mean 'fx'"]

@@ -216,7 +216,7 @@ def check_columns(
     problems = []
     header_list = ", ".join(repr(header) for header in headers)
     if len(headers) == 1:
-        header_list += " only; separate columns by comma, semicolon, tab or |"
+        header_list += " only; separate columns by comma, semicolon, tab, | or spaces"
     if "alpha" not in columns and not set(SLIP_DEFINITIONS) & set(columns):
         remedy = f"name one, as in --column kappa=HEADER; columns found: {header_list}"
         if {"omega", "v"} <= set(columns):

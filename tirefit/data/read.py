@@ -15,6 +15,7 @@ from tirefit.data.check import BadRows
 from tirefit.data.columns import Options, Plan, plan_columns
 from tirefit.data.table import CANONICAL, SlipCheck, Source, TireData
 from tirefit.data.text import Table, read_table, table_of_frame
+from tirefit.data.ttc import recognised
 from tirefit.data.units import (
     SPINNING,
     base_column,
@@ -139,8 +140,11 @@ class _Reading:
 
 def _checked(table: Table, options: Options) -> TireData:
     """The whole way from a table of cells to data; raises all problems at once."""
-    plan = plan_columns(table.headers, table.units_row, options, table.file)
-    convention = options.convention or "braking"
+    table = recognised(table)
+    plan = plan_columns(
+        table.headers, table.units_row, options, table.file, table.layout
+    )
+    convention = options.convention or table.layout.convention or "braking"
     reading = _Reading(table, options, plan, convention)
     reading.problems = [
         replace(problem, row=table.header_line) for problem in plan.problems
@@ -387,7 +391,7 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
 
 def _all_assumptions(reading: _Reading) -> list[str]:
     said = [*reading.table.notes, *reading.plan.assumptions]
-    if reading.options.convention is None:
+    if not (reading.options.convention or reading.table.layout.convention):
         meaning = CONVENTIONS["braking"].description
         said.append(f"no sign convention declared: 'braking' assumed: {meaning}")
     return said + reading.assumptions
@@ -398,7 +402,7 @@ def _warnings(reading: _Reading, definition: str) -> tuple[str, ...]:
     if not good.any():
         return ()
     used = {name: values[good] for name, values in reading.columns.items()}
-    declared = reading.options.convention
+    declared = reading.options.convention or reading.table.layout.convention
     doubt = signs.doubt_convention(used, reading.headers, definition, declared)
     units = check.doubt_units(used, reading.headers)
     return tuple(([doubt] if doubt else []) + reading.doubts + units)

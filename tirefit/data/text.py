@@ -10,21 +10,26 @@ import itertools
 import re
 import zlib
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from tirefit.data.check import BadRows
 from tirefit.data.columns import guess, is_number
+from tirefit.data.table import Layout
 from tirefit.data.units import known_unit
+from tirefit.data.white import header_above_numbers, tabbed
 from tirefit.results import DataError, InputProblem
 
 __all__ = ["Table", "read_table", "table_of_frame"]
 
 _DELIMITERS = "\t;|,"
 _END = "\0"
-_SEARCHED = 10
+_SEARCHED = 60
+"""Lines with content in which the header must stand."""
+_LONGEST = 10
+"""Lines that a header with quoted line ends may take."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,7 @@ class Table:
     sha256: str = ""
     notes: tuple[str, ...] = ()
     faults: tuple[BadRows, ...] = ()
+    layout: Layout = field(default_factory=Layout)
 
 
 def _read_bytes(path: Path) -> bytes:
@@ -117,7 +123,10 @@ def read_table(path: Path, declared: Collection[str]) -> Table:
     searched = list(itertools.islice(content, _SEARCHED))
     if not searched:
         raise _refusal("the file is empty", "give a header line and data rows", path)
-    start, delimiter = _find_header(lines, searched, declared)
+    start, delimiter, words = _find_header(lines, searched, declared)
+    if words:
+        notes.append("columns separated by white space")
+        lines[start:] = tabbed(lines[start:], words)
     if start != searched[0]:
         notes.append(f"lines before the header in line {start + 1} skipped")
     rows, numbers = _split(lines[start:], delimiter, start, path)
@@ -211,24 +220,26 @@ def table_of_frame(frame, name: str) -> Table:
     return Table(name, name, headers, cells, np.arange(n), np.zeros(n, bool))
 
 
-def _find_header(lines, searched, declared) -> tuple[int, str]:
-    """Index of the header line and the delimiter.
+def _find_header(lines, searched, declared) -> tuple[int, str, list[str]]:
+    """Index of the header line, the delimiter, and the words that white space parts.
 
     Some systems write a title first: the header is the first of the searched lines
-    with two recognised columns, or else simply the first.
+    with two recognised columns, or else simply the first. Where no delimiter gives
+    columns, and white space gives those of the rows of numbers, that parts them.
     """
     declared = {header.strip().casefold() for header in declared}
 
+    def is_known(name: str) -> bool:
+        return name.casefold() in declared or guess(name) is not None
+
     def split(index: int, delimiter: str) -> tuple[int, int]:
         """Recognised columns of a line, which quotes may extend, and all of them."""
-        some = lines[index : index + _SEARCHED]
+        some = lines[index : index + _LONGEST]
         try:
             names = next(csv.reader(some, delimiter=delimiter, skipinitialspace=True))
         except csv.Error:  # too long for one cell
             return 0, 0
-        names = [name.strip() for name in names]
-        known = [name.casefold() in declared or guess(name) for name in names]
-        return sum(map(bool, known)), len(names)
+        return sum(is_known(name.strip()) for name in names), len(names)
 
     first = searched[0]
     best = {}
@@ -237,10 +248,21 @@ def _find_header(lines, searched, declared) -> tuple[int, str]:
         best[index] = max(_DELIMITERS, key=widths.__getitem__)
         if widths[best[index]][0] < 2:
             continue
-        if split(first, best[index])[1] < widths[best[index]][1]:
-            return index, best[index]
-        break
-    return first, best[first]  # as wide as the header found: not a title
+        is_title = split(first, best[index])[1] < widths[best[index]][1]
+        header = index if is_title else first
+        words = _spaced_under_tabs(lines, header, best[header], is_known)
+        return header, best[header], words
+    below = header_above_numbers(lines, searched, is_known)
+    if below and (below[0] != first or split(first, best[first])[1] == 1):
+        return below[0], "\t", below[1]
+    return first, best[first], []
+
+
+def _spaced_under_tabs(lines, header, delimiter, is_known) -> list[str]:
+    """Words of a header with tabs where the rows below have none; else none."""
+    tabs = any("\t" in line for line in lines[header + 1 : header + _LONGEST])
+    below = header_above_numbers(lines, [header], is_known)
+    return below[1] if delimiter == "\t" and below and not tabs else []
 
 
 def _is_units_row(row: list[str], width: int) -> bool:
