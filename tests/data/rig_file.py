@@ -66,3 +66,61 @@ def ttc(columns, imperial=False):
         else:
             frame[header] = _SAE.get(name, 1) * columns[name] / scale[name]
     return frame
+
+
+TYDEX_CHANNELS = [  # name, comment, unit, column, factor, offset, physical offset
+    ("MEASNUMB", "Measurement point No.", "-", None, 1, 0, 0),
+    ("RUNTIME", "Running time", "s", "time", 0.001, 0, 0),
+    ("LONGVEL", "Longitudinal velocity", "km/h", "v", 1, 0, 0),
+    ("WHROTSPD", "Wheel rotation speed", "1/min", "omega", 1, 0, 0),
+    ("SLIPANGL", "Slip angle", "deg", "alpha", 0.5, 0, 1),
+    ("FX", "Longitudinal force", "N", "fx", 1, 0, 0),
+    ("FYW", "Lateral force", "kN", "fy", 0.001, 4, 0),
+    ("FZW", "Vertical force", "N", "fz", 1, 0, 0),
+    ("MZW", "Aligning torque", "Nm", "mz", 1, 0, 0),
+    ("TYRETEMP", "Temperature of the tread", "deg C", "temperature", 1, 0, 0),
+]
+_ISO = {"fx": -1, "fy": -1, "mz": -1}
+_TYDEX_UNITS = {
+    "v": 1 / 3.6, "omega": 2 * np.pi / 60, "alpha": DEG, "fy": 1e3,
+}  # fmt: skip
+
+
+def tydex(columns, per_line=8, missing=()):
+    """Lines of a TYDEX 1.3 file: camber and pressure are constants of it.
+
+    ``missing`` are (row, channel) whose value is not available.
+    """
+    rule = "!---------!-----------------------------!---------!---------!---------!"
+    lines = [
+        "!# Id: a demonstration", "**HEADER", rule,
+        f"{'RELEASE':<10}{'Release of TYDEX-Format':<40}{'1.3':<10}",
+        f"{'SUPPLIER':<10}{'Data supplier':<40}{'DEMO':<10}", "",
+        "**COMMENTS", rule, "! Key     ! Comment", "! New tyre used", "",
+        "**CONSTANTS", rule,
+        f"{'MANUFACT':<10}{'Manufacturer of the tyre':<40}{'NOTAVAIL':<10}",
+        f"{'NOMWIDTH':<10}{'Nominal section width':<30}{'mm':<10}{'225':<10}",
+        f"{'INFLPRES':<10}{'Inflation pressure':<30}{'bar':<10}{'0.83':<10}",
+        f"{'INCLANGL':<10}{'Inclination angle':<30}{'deg':<10}{'3.0':<10}",
+        f"{'FZW':<10}{'Nominal vertical force':<30}{'N':<10}{'700':<10}", "",
+        "**MEASURCHANNELS", rule,
+    ]  # fmt: skip
+    raw = []
+    for name, comment, unit, column, factor, before, after in TYDEX_CHANNELS:
+        given = "".join(f"{number:<10g}" for number in (factor, before, after))
+        lines.append(f"{name:<10}{comment:<30}{unit:<10}{given}".rstrip())
+        if column is None:
+            raw.append(np.arange(len(columns["time"]), dtype=float))
+            continue
+        value = _ISO.get(column, 1) * columns[column] / _TYDEX_UNITS.get(column, 1)
+        raw.append((value - after) / factor - before)
+    lines += ["", "**MEASURDATA"]
+    names = [channel[0] for channel in TYDEX_CHANNELS]
+    for row, values in enumerate(zip(*raw, strict=True)):
+        texts = [
+            "NOTAVAIL" if (row, name) in missing else f"{value:.6g}"
+            for name, value in zip(names, values, strict=True)
+        ]
+        for at in range(0, len(texts), per_line):
+            lines.append("".join(f"{text:<10}" for text in texts[at : at + per_line]))
+    return [*lines, "", "**END"]

@@ -350,6 +350,8 @@ def _fault_of(cell: str) -> tuple[str, str]:
         return shown, f"is infinite (beyond {_LARGEST:g})"
     if word == "nan":
         return text, "is not a number"
+    if word in ("notavail", "n/a", "na", "null", "none"):
+        return f"{text}:", "the value is not available"
     if "," in text and is_number(text.replace(",", "")):
         return repr(shown), "has a comma: write 4000.5, without group separators"
     return repr(shown), "is text where a number is needed"

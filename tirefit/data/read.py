@@ -13,8 +13,9 @@ import numpy as np
 from tirefit.data import check, signs
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Options, Plan, plan_columns
+from tirefit.data.kinds import read_table
 from tirefit.data.table import CANONICAL, SlipCheck, Source, TireData
-from tirefit.data.text import Table, read_table, table_of_frame
+from tirefit.data.text import Table, table_of_frame
 from tirefit.data.ttc import recognised
 from tirefit.data.units import (
     SPINNING,
@@ -43,7 +44,11 @@ def read(
     forces: bool = True,
     curve: bool = True,
 ) -> TireData:
-    """Reads a text file (CSV and its kin, also .gz) into canonical, checked data.
+    """Reads a file of measurements into canonical, checked data.
+
+    Text (CSV and its kin, columns that white space parts, TYDEX, Tire Test Consortium),
+    MATLAB, Parquet, Arrow and Excel, each also gzipped, are told apart by what is in
+    the file, whatever its ending.
 
     Args:
         path: the file.

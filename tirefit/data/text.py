@@ -4,7 +4,6 @@ import codecs
 import csv
 import difflib
 import gzip
-import hashlib
 import io
 import itertools
 import re
@@ -22,7 +21,16 @@ from tirefit.data.units import known_unit
 from tirefit.data.white import header_above_numbers, tabbed
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["Table", "read_table", "table_of_frame"]
+__all__ = [
+    "Table",
+    "decoded",
+    "gunzipped",
+    "read_bytes",
+    "stem_of",
+    "table_of_frame",
+    "table_of_rows",
+    "table_of_text",
+]
 
 _DELIMITERS = "\t;|,"
 _END = "\0"
@@ -55,7 +63,8 @@ class Table:
     layout: Layout = field(default_factory=Layout)
 
 
-def _read_bytes(path: Path) -> bytes:
+def read_bytes(path: Path) -> bytes:
+    """Bytes of a file; a DataError with its neighbour's name where there is none."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -76,14 +85,19 @@ def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataErro
     return DataError(InputProblem(reason, remedy, str(path), row))
 
 
-def _decode(raw: bytes, path: Path) -> tuple[str, list[str]]:
-    """Text of the file, gunzipped, and what was assumed of its encoding."""
-    if raw.startswith(b"\x1f\x8b"):
-        try:
-            raw = gzip.decompress(raw)
-        except (OSError, EOFError, zlib.error) as error:
-            reason = f"the gzip file is damaged: {error}"
-            raise _refusal(reason, "copy or compress it again", path) from error
+def gunzipped(raw: bytes, path: Path) -> bytes:
+    """The bytes themselves, or those that a gzip file holds."""
+    if not raw.startswith(b"\x1f\x8b"):
+        return raw
+    try:
+        return gzip.decompress(raw)
+    except (OSError, EOFError, zlib.error) as error:
+        reason = f"the gzip file is damaged: {error}"
+        raise _refusal(reason, "copy or compress it again", path) from error
+
+
+def decoded(raw: bytes, path: Path) -> tuple[str, list[str]]:
+    """Text of the file, and what was assumed of its encoding."""
     export = "give a text file: CSV, semicolon- or tab-separated, or such as .gz"
     if raw.startswith(b"PK\x03\x04"):
         reason = "not a text file but a zip archive or spreadsheet"
@@ -111,10 +125,10 @@ def _decode(raw: bytes, path: Path) -> tuple[str, list[str]]:
     return text, notes
 
 
-def read_table(path: Path, declared: Collection[str]) -> Table:
-    """Reads a text file into cells; ``declared`` headers help to find the header."""
-    raw = _read_bytes(path)
-    text, notes = _decode(raw, path)
+def table_of_text(
+    text: str, path: Path, digest: str, declared: Collection[str], notes: list[str]
+) -> Table:
+    """Cells of a text; ``declared`` headers help to find the header."""
     lines = [
         "\n" if line.lstrip().startswith("#") or not line.strip() else line
         for line in io.StringIO(text, newline="")
@@ -130,12 +144,24 @@ def read_table(path: Path, declared: Collection[str]) -> Table:
     if start != searched[0]:
         notes.append(f"lines before the header in line {start + 1} skipped")
     rows, numbers = _split(lines[start:], delimiter, start, path)
+    return table_of_rows(rows, numbers, path, digest, notes, delimiter)
+
+
+def table_of_rows(
+    rows: list[list[str]],
+    numbers: list[int],
+    path: Path,
+    digest: str,
+    notes: list[str],
+    delimiter: str = "",
+) -> Table:
+    """A table of rows of cells, the header first, and the line of each in the file."""
     headers = [re.sub(r"\s*[\r\n]\s*", " ", cell.strip()) for cell in rows[0]]
-    rows, numbers = rows[1:], numbers[1:]
+    header_line, rows, numbers = numbers[0], rows[1:], numbers[1:]
     if all(is_number(cell) for cell in headers):
         reason = "the first line holds numbers, not column names"
         remedy = "add a header line such as kappa,fx,fz, without a # before it"
-        raise _refusal(reason, remedy, path, start + 1)
+        raise _refusal(reason, remedy, path, header_line)
     units_row = None
     if rows and _is_units_row(rows[0], len(headers)):
         notes.append(f"row {numbers[0]} read as units")
@@ -144,12 +170,16 @@ def read_table(path: Path, declared: Collection[str]) -> Table:
         reason = "there are no data rows below the header"
         raise _refusal(reason, "give at least as many rows as parameters", path)
     ragged, faults = _even_out(rows, len(headers), numbers)
-    stem = path.name.removesuffix(".gz")
     return Table(
-        str(path), Path(stem).stem, headers, list(zip(*rows, strict=True)),
-        np.array(numbers), ragged, start + 1, delimiter, units_row,
-        hashlib.sha256(raw).hexdigest(), tuple(notes), faults,
+        str(path), stem_of(path), headers, list(zip(*rows, strict=True)),
+        np.array(numbers), ragged, header_line, delimiter, units_row,
+        digest, tuple(notes), faults,
     )  # fmt: skip
+
+
+def stem_of(path: Path) -> str:
+    """Name of the data of a file: that of the file without its endings."""
+    return Path(path.name.removesuffix(".gz")).stem
 
 
 def _split(lines, delimiter, start, path) -> tuple[list[list[str]], list[int]]:
