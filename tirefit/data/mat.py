@@ -73,11 +73,11 @@ def channels_of_mat(
         reason = f"the MATLAB file cannot be read: {error}"
         remedy = "save it again, or as version 7: save('file.mat', ..., '-v7')"
         raise DataError(InputProblem(reason, remedy, file)) from error
-    place, found = _best(contents, file, is_known)
+    place, channels = _best(contents, file, is_known)
     version = "7.3" if is_hdf5 else "5"
     where = f", struct {place!r}" if place else ""
-    notes = (f"read as a MATLAB file of version {version}{where}", *found.notes)
-    return found._replace(units=_stated(contents) | found.units, notes=notes)
+    notes = (f"read as a MATLAB file of version {version}{where}", *channels.notes)
+    return channels._replace(units=_stated(contents) | channels.units, notes=notes)
 
 
 # --- the two formats, as plain values ----------------------------------------------

@@ -384,8 +384,9 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
             varied = forces and curve
             whole += check.check_variation(used, reading.file) if varied else []
             whole += signs.check_signs(
-                used, reading.headers, reading.convention, reading.file
-            )
+                used, reading.headers, reading.convention, reading.file,
+                reading.plan.slip or "sigma_x",
+            )  # fmt: skip
         elif reading.options.mask_bad_rows:
             remedy = "see the rows' problems without --mask-bad-rows"
             whole.append(InputProblem("no usable rows are left", remedy, reading.file))
@@ -409,5 +410,11 @@ def _warnings(reading: _Reading, definition: str) -> tuple[str, ...]:
     used = {name: values[good] for name, values in reading.columns.items()}
     declared = reading.options.convention or reading.table.layout.convention
     doubt = signs.doubt_convention(used, reading.headers, definition, declared)
+    doubts = [doubt] if doubt else []
+    plan = reading.plan.columns.values()
+    doubts += signs.doubt_signs(
+        used, reading.headers, definition, reading.convention, declared is not None,
+        {column.name: column.unit_text for column in plan},
+    )  # fmt: skip
     units = check.doubt_units(used, reading.headers)
-    return tuple(([doubt] if doubt else []) + reading.doubts + units)
+    return tuple(doubts + reading.doubts + units)
