@@ -94,6 +94,9 @@ NUMBERS = [f"{k}   {40000 * k:.1f} 4000.5" for k in KAPPA]
         [f"key{i}: {i}" for i in range(40)] + ["kappa fx fz", *NUMBERS],
         ["practical slip  long. force  wheel load", *NUMBERS],
         ['"kappa" "fx" "fz"', *NUMBERS],
+        ["# made by a script", "# kappa fx fz", *NUMBERS],
+        ["% kappa fx fz", "", *NUMBERS],
+        ["kappa fx fz", *(row.replace(".", ",") for row in NUMBERS)],
     ],
 )
 def test_white_space_parts_columns(tmp_path, lines):
@@ -107,6 +110,20 @@ def test_white_space_parts_columns(tmp_path, lines):
     np.testing.assert_array_equal(data["fz"], 4000.5)
     assert said(data, "columns separated by white space")
     assert data.source.line[-1] == len(lines)
+
+
+@pytest.mark.parametrize("between", [",", "; ", "\t"])
+def test_a_header_in_a_comment_is_read(tmp_path, between):
+    columns = np.stack([KAPPA, 4e4 * KAPPA, np.full(7, 4e3)], axis=1)
+    path = tmp_path / "a.csv"
+    names = between.join(["kappa", "fx", "fz"])
+    np.savetxt(path, columns, delimiter=between, header=f"a test\n{names}")
+    data = read(path)
+    np.testing.assert_allclose(data["fx"], 4e4 * KAPPA)
+    assert said(data, "header read from the comment in line 2")
+    path.write_text(path.read_text().replace("kappa", "Schlupf").replace("f", "K"))
+    with pytest.raises(DataError, match="numbers, not column names"):
+        read(path)
 
 
 def test_a_title_of_known_words_is_no_header(tmp_path):

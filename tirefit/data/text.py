@@ -18,7 +18,7 @@ from tirefit.data.check import BadRows
 from tirefit.data.columns import guess, is_number
 from tirefit.data.table import Layout
 from tirefit.data.units import known_unit
-from tirefit.data.white import header_above_numbers, tabbed
+from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.results import DataError, InputProblem
 
 __all__ = [
@@ -129,10 +129,14 @@ def table_of_text(
     text: str, path: Path, digest: str, declared: Collection[str], notes: list[str]
 ) -> Table:
     """Cells of a text; ``declared`` headers help to find the header."""
+    raw = list(io.StringIO(text, newline=""))
     lines = [
         "\n" if line.lstrip().startswith("#") or not line.strip() else line
-        for line in io.StringIO(text, newline="")
+        for line in raw
     ]
+    if header := commented_header(raw, lambda name: guess(name) is not None):
+        lines[: header[0] + 1] = ["\n"] * header[0] + [header[1]]
+        notes.append(f"header read from the comment in line {header[0] + 1}")
     content = (i for i, line in enumerate(lines) if line != "\n")
     searched = list(itertools.islice(content, _SEARCHED))
     if not searched:

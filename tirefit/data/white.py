@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from tirefit.data.columns import is_number
 from tirefit.data.units import known_unit
 
-__all__ = ["Header", "header_above_numbers", "tabbed"]
+__all__ = ["Header", "commented_header", "header_above_numbers", "tabbed"]
 
 _BELOW = 3
 """Lines below a header in which the first row of numbers must stand: units, a rule."""
@@ -49,9 +49,46 @@ def _numbers_below(lines: Sequence[str], index: int) -> int:
     content = (line for line in lines[index + 1 :] if line.strip())
     for line in itertools.islice(content, _BELOW):
         words = line.split()
-        if all(is_number(word) or word.casefold() == "nan" for word in words):
+        if all(map(_is_cell, words)):
             return len(words)
     return 0
+
+
+def _is_cell(word: str) -> bool:
+    """Whether a word is a number, with a point or a comma, or the lack of one."""
+    return is_number(word.replace(",", ".", 1)) or word.casefold() == "nan"
+
+
+def commented_header(
+    lines: Sequence[str], is_known: Callable[[str], bool]
+) -> tuple[int, str] | None:
+    """The header of a file whose header is a comment, as NumPy and MATLAB write it.
+
+    Args:
+        lines: of the file.
+        is_known: whether a word is a column's name.
+
+    Returns:
+        Index of the last comment above the first line of numbers that has as many
+        cells as it, two of them known, and its text without the mark; or None.
+    """
+    first = next((i for i, line in enumerate(lines) if not _is_comment(line)), 0)
+    for split in (*(re.compile(mark).split for mark in ",;\t"), _words):
+        width = len(split(lines[first].strip())) if lines else 0
+        if width < 2 or not all(_is_cell(c.strip()) for c in split(lines[first])):
+            continue
+        for index in range(first - 1, -1, -1):
+            text = lines[index].strip().lstrip("#%").strip()
+            cells = [cell.strip() for cell in split(text)]
+            if len(cells) != width or any(map(is_number, cells)):
+                continue
+            if sum(map(is_known, cells)) >= 2:
+                return index, text + "\n"
+    return None
+
+
+def _is_comment(line: str) -> bool:
+    return not line.strip() or line.lstrip()[0] in "#%"
 
 
 def tabbed(lines: Sequence[str], header: list[str]) -> list[str]:
