@@ -373,13 +373,24 @@ def test_a_missing_library_is_an_error_with_the_line_that_installs_it(
 
 
 @pytest.mark.parametrize(
+    ("start", "module"),
+    [(b"MDF     4.10", "asammdf"), (b"\x89MCAP0\r\n", "rosbags.highlevel"),
+     (b"SQLite format 3\x00", "rosbags.highlevel")],
+)  # fmt: skip
+def test_logs_need_an_extra_of_their_own(tmp_path, monkeypatch, start, module):
+    path = tmp_path / "a.csv"
+    path.write_bytes(start + bytes(200))
+    monkeypatch.setitem(sys.modules, module, None)
+    message = refusal(path)
+    library = module.split(".")[0]
+    assert f"pip install 'tirefit[logs]' (or: pip install {library})" in message
+
+
+@pytest.mark.parametrize(
     ("start", "kind"),
     [
-        (b"MDF     4.10", "measurement file of MDF"),
-        (b"\x89MCAP0\r\n", "log of MCAP"),
         (b"\xd0\xcf\x11\xe0\xa1\xb1", "before 2007"),
         (b"TDSm", "LabVIEW"),
-        (b"SQLite format 3\x00", "ROS 2 bag"),
         (b"\x89HDF\r\n\x1a\n", "HDF5 file that is not MATLAB's"),
     ],
 )

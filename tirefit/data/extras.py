@@ -7,12 +7,9 @@ from tirefit.results import DataError, InputProblem
 
 __all__ = ["extra"]
 
-_EXTRA = "files"
-"""The optional dependency, ``tirefit[files]``, that all of them are in."""
 
-
-def extra(module: str, kind: str, file: str) -> ModuleType:
-    """The module that reads ``kind`` of files.
+def extra(module: str, kind: str, file: str, group: str = "files") -> ModuleType:
+    """The module that reads ``kind`` of files, of the extra ``tirefit[group]``.
 
     Raises:
         DataError: it is not installed; says how to.
@@ -22,5 +19,5 @@ def extra(module: str, kind: str, file: str) -> ModuleType:
     except ImportError as error:
         library = module.split(".")[0]
         reason = f"reading {kind} needs {library}, which is not installed"
-        remedy = f"pip install 'tirefit[{_EXTRA}]' (or: pip install {library})"
+        remedy = f"pip install 'tirefit[{group}]' (or: pip install {library})"
         raise DataError(InputProblem(reason, remedy, file)) from error

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tirefit.data import tables, tydex
+from tirefit.data import logs, tables, tydex
 from tirefit.data.columns import guess
 from tirefit.data.mat import Channels, channels_of_mat, is_mat
 from tirefit.data.table import Layout
@@ -26,11 +26,7 @@ __all__ = ["read_table"]
 _AS_TEXT = "export it as CSV, or save it as Parquet or as a MATLAB file"
 _UNREADABLE = {
     b"\xd0\xcf\x11\xe0": ("an Excel file of before 2007 (.xls)", "save it as .xlsx"),
-    b"MDF     ": ("a measurement file of MDF (.mf4, .mdf)", _AS_TEXT),
     b"TDSm": ("a measurement file of LabVIEW (.tdms)", _AS_TEXT),
-    b"\x89MCAP0": ("a log of MCAP (ROS 2)", _AS_TEXT),
-    b"#ROSBAG": ("a bag of ROS 1", _AS_TEXT),
-    b"SQLite format 3": ("a database of SQLite (such as a ROS 2 bag)", _AS_TEXT),
     b"FEA1": ("a Feather file of version 1", "write it as Parquet or as Feather 2"),
     b"\x89HDF\r\n": ("an HDF5 file that is not MATLAB's", _AS_TEXT),
 }
@@ -44,16 +40,25 @@ def read_table(path: Path, declared: Collection[str]) -> Table:
         DataError: the file is not there, damaged, of no known kind, or holds no table;
             says where, why and what to do.
     """
+    is_known = _knower(declared)
+    if (path / "metadata.yaml").is_file():  # the folder of a ROS 2 bag
+        channels = logs.channels_of_bag(path, b"", is_known)
+        return _of_channels(channels, path, _digest(path), "stated in the file")
     raw = read_bytes(path)
     content, file = gunzipped(raw, path), str(path)
     for start, (kind, remedy) in _UNREADABLE.items():
         if content.startswith(start):
             reason = f"this is {kind}, which is not read"
             raise DataError(InputProblem(reason, remedy, file))
-    is_known = _knower(declared)
     digest = hashlib.sha256(raw).hexdigest()
     if is_mat(content):
         channels = channels_of_mat(content, file, is_known)
+        return _of_channels(channels, path, digest, "stated in the file")
+    if logs.is_mdf(content):
+        channels = logs.channels_of_mdf(path, content, is_known)
+        return _of_channels(channels, path, digest, "stated in the file")
+    if logs.bag_suffix(content):
+        channels = logs.channels_of_bag(path, content, is_known)
         return _of_channels(channels, path, digest, "stated in the file")
     if tables.is_arrow(content):
         channels = tables.channels_of_arrow(content, file)
@@ -65,6 +70,14 @@ def read_table(path: Path, declared: Collection[str]) -> Table:
     if tydex.is_tydex(text):
         return tydex.table_of_tydex(text, path, digest, notes)
     return table_of_text(text, path, digest, declared, notes)
+
+
+def _digest(folder: Path) -> str:
+    """SHA-256 of the files of a folder, in the order of their names."""
+    digest = hashlib.sha256()
+    for inside in sorted(folder.iterdir()):
+        digest.update(read_bytes(inside))
+    return digest.hexdigest()
 
 
 def _knower(declared: Collection[str]) -> Callable[[str], bool]:

@@ -73,7 +73,11 @@ def commented_header(
         cells as it, two of them known, and its text without the mark; or None.
     """
     first = next((i for i, line in enumerate(lines) if not _is_comment(line)), 0)
-    for split in (*(re.compile(mark).split for mark in ",;\t"), _words):
+    splits: list[Callable[[str], list[str]]] = [
+        *(re.compile(mark).split for mark in ",;\t"),
+        _words,
+    ]
+    for split in splits:
         width = len(split(lines[first].strip())) if lines else 0
         if width < 2 or not all(_is_cell(c.strip()) for c in split(lines[first])):
             continue
