@@ -45,6 +45,8 @@ def test_a_file_of_tydex_is_read_by_its_content(tmp_path, name, per_line):
         "columns not read: 'MEASNUMB'",
     ):
         assert said(data, sentence), sentence
+    (warning,) = data.source.warnings
+    assert "measurement offset of FYW was added before the factor" in warning
 
 
 def test_values_that_touch_are_told_by_their_columns(tmp_path):

@@ -155,6 +155,7 @@ def _checked(table: Table, options: Options) -> TireData:
         replace(problem, row=table.header_line) for problem in plan.problems
     ]
     reading.faults += table.faults
+    reading.doubts += table.doubts
     run, runs = _runs(reading)
     _numbers_to_si(reading)
     _constants(reading)

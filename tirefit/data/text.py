@@ -45,7 +45,8 @@ class Table:
     """Cells of a file or frame before their meaning is known.
 
     ``cells`` holds per column n strings or an (n,) number array; ``ragged`` (n,) bool
-    marks rows without the header's number of fields, ``lines`` (n,) their lines.
+    marks rows without the header's number of fields, ``lines`` (n,) their lines;
+    ``notes`` say what was assumed, ``doubts`` what may mean something else.
     """
 
     file: str
@@ -61,6 +62,7 @@ class Table:
     notes: tuple[str, ...] = ()
     faults: tuple[BadRows, ...] = ()
     layout: Layout = field(default_factory=Layout)
+    doubts: tuple[str, ...] = ()
 
 
 def read_bytes(path: Path) -> bytes:

@@ -102,6 +102,7 @@ def table_of_tydex(text: str, path: Path, digest: str, notes: list[str]) -> Tabl
         units_row=[entry.unit for entry in (*channels, *constants)],
         sha256=digest, notes=tuple(notes), faults=faults,
         layout=Layout(meant, "unit of the channel", "iso-w"),
+        doubts=_doubts(channels, conversions),
     )  # fmt: skip
 
 
@@ -162,6 +163,22 @@ def _entry(number: int, line: str) -> _Entry | None:
 
 def _is_unit(text: str) -> bool:
     return text in ("", "-") or known_unit(text) is not None or len(text.split()) == 1
+
+
+def _doubts(channels, conversions) -> tuple[str, ...]:
+    """Writers of TYDEX differ in what a measurement offset is, so that it is said."""
+    names = [
+        channel.name
+        for channel, conversion in zip(channels, conversions, strict=True)
+        if conversion.measured_offset
+    ]
+    if not names:
+        return ()
+    listed = ", ".join(names)
+    return (
+        f"the measurement offset of {listed} was added before the factor: hold one"
+        " value against the rig's own report, for some files have it subtracted",
+    )
 
 
 class _Conversion(NamedTuple):
