@@ -230,6 +230,9 @@ CASES = {
     "empty": ("", {}, ["the file is empty"]),
     "only comments": ("# a\n\n", {}, ["the file is empty"]),
     "no rows": (HEADER, {}, ["no data rows"]),
+    "no header between spaces": (
+        "0.1 2 3\n0.2 3 3\n", {}, ["row 1", "numbers, not column names"]
+    ),
     "no header": (GOOD, {}, ["row 1", "numbers, not column names", "header"]),
     "binary": (b"\x89PNG\r\n\x1a\n\x00\x00", {}, ["not a text file"]),
     "zeros": (b"kappa,fx,fz\n0.1,\x001,2\n", {}, ["row 2: not a text file"]),

@@ -164,7 +164,7 @@ def table_of_rows(
     """A table of rows of cells, the header first, and the line of each in the file."""
     headers = [re.sub(r"\s*[\r\n]\s*", " ", cell.strip()) for cell in rows[0]]
     header_line, rows, numbers = numbers[0], rows[1:], numbers[1:]
-    if all(is_number(cell) for cell in headers):
+    if all(is_number(word) for cell in headers for word in cell.split() or [cell]):
         reason = "the first line holds numbers, not column names"
         remedy = "add a header line such as kappa,fx,fz, without a # before it"
         raise _refusal(reason, remedy, path, header_line)
