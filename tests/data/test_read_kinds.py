@@ -3,6 +3,7 @@
 import gzip
 import struct
 import sys
+import zipfile
 
 import h5py
 import numpy as np
@@ -330,6 +331,30 @@ def test_the_sheet_with_columns_is_read(tmp_path, rows, fragment, name):
     np.testing.assert_array_equal(data["fx"], PLAIN["fx"])
     assert said(data, fragment)
     assert data.source.line[-1] == len(rows)
+
+
+def test_cells_beyond_the_stated_size_of_a_sheet_are_read(tmp_path):
+    save_excel(tmp_path / "made.xlsx", {"one": SHEET})
+    path = tmp_path / "a.xlsx"
+    with zipfile.ZipFile(tmp_path / "made.xlsx") as made:
+        with zipfile.ZipFile(path, "w") as stated:
+            for name in made.namelist():
+                content = made.read(name)
+                stated.writestr(name, content.replace(b'ref="A1:C8"', b'ref="A1:A1"'))
+                assert name[-10:] != "sheet1.xml" or b'ref="A1:C8"' in content
+    assert read(path).n == len(KAPPA)
+
+
+@pytest.mark.parametrize("save", [save_parquet, save_arrow])
+def test_a_file_without_rows_or_cut_short_is_refused(tmp_path, save):
+    pytest.importorskip("pyarrow")
+    path = tmp_path / "a.parquet"
+    empty = {"kappa": [], "day": np.array([], "datetime64[ns]")}
+    save(path, arrow_table(empty))
+    assert "no data rows" in refusal(path)
+    save(path, arrow_table(PLAIN))
+    path.write_bytes(path.read_bytes()[:-100])
+    assert "file cannot be read" in refusal(path)
 
 
 def test_a_workbook_is_refused_where_it_cannot_be_told_what_is_meant(tmp_path):

@@ -70,6 +70,8 @@ def _columns(table, types) -> tuple[dict[str, Any], list[str], list[str]]:
     """Columns by name, those of no numbers or texts as they are told, and notes."""
     columns: dict[str, Any] = {}
     left, notes = [], []
+    numbers = types.is_boolean, types.is_integer, types.is_floating, types.is_decimal
+    texts = types.is_string, types.is_large_string, types.is_string_view
     for name, column in zip(table.column_names, table.columns, strict=True):
         kind = column.type
         if types.is_dictionary(kind):
@@ -77,20 +79,17 @@ def _columns(table, types) -> tuple[dict[str, Any], list[str], list[str]]:
             kind = kind.value_type
         if name in columns:
             left.append(f"{name!r} (again)")
-        elif (
-            types.is_boolean(kind) or types.is_integer(kind) or types.is_floating(kind)
-        ):
+        elif any(is_kind(kind) for is_kind in numbers):
             columns[name] = column.cast("double").to_numpy().astype(float)
-        elif types.is_decimal(kind):
-            columns[name] = column.cast("double").to_numpy().astype(float)
-        elif types.is_timestamp(kind) or types.is_duration(kind):
-            ticks = column.to_numpy().astype("datetime64[ns]" if
-                types.is_timestamp(kind) else "timedelta64[ns]")  # fmt: skip
-            first = ticks[0] if types.is_timestamp(kind) else ticks[:0].dtype.type(0)
-            columns[name] = (ticks - first) / np.timedelta64(1, "s")
-            if types.is_timestamp(kind):
-                notes.append(f"column {name!r} in seconds from its first, {first}")
-        elif types.is_string(kind) or types.is_large_string(kind):
+        elif types.is_duration(kind):
+            ticks = column.to_numpy().astype("timedelta64[ns]")
+            columns[name] = ticks / np.timedelta64(1, "s")
+        elif types.is_timestamp(kind):
+            stamps = column.to_numpy().astype("datetime64[ns]")
+            first = min(stamps[~np.isnat(stamps)], default=np.datetime64("1970", "ns"))
+            columns[name] = (stamps - first) / np.timedelta64(1, "s")
+            notes.append(f"column {name!r} in seconds from its first, {first}")
+        elif any(is_kind(kind) for is_kind in texts):
             columns[name] = [
                 "" if text is None else text for text in column.to_pylist()
             ]
@@ -161,6 +160,7 @@ def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -
 def _rows(sheet) -> list[tuple[int, list[str]]]:
     """Rows with content as (number in the sheet, texts), all of one length."""
     rows = []
+    sheet.reset_dimensions()  # some writers state fewer cells than there are
     for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
         texts = [_text(cell) for cell in row]
         if any(texts):
