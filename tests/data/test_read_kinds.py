@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from rig_file import IMPERIAL_UNITS, METRIC_UNITS, truth, ttc
 from scipy.io import savemat
+from scipy.sparse import csc_array
 
 from tirefit.data.read import read
 from tirefit.results import DataError
@@ -156,6 +157,17 @@ def test_columns_of_matlab_are_found(tmp_path, version, variables, fragment):
     np.testing.assert_array_equal(data["fx"], PLAIN["fx"])
     np.testing.assert_allclose(data["sigma_x"], KAPPA / (1 - KAPPA))
     assert said(data, fragment)
+
+
+def test_what_else_a_matlab_file_holds_is_named(tmp_path):
+    others = {"sparse": csc_array(np.eye(3)), "cells": np.array([[1.0, "a"]], object),
+              "complex": np.ones((7, 1)) * 1j, "empty": np.empty((0, 0)),
+              "structs": np.array([{"a": 1.0}, {"a": 2.0}], object)}  # fmt: skip
+    savemat(tmp_path / "run.mat", column(PLAIN) | others, do_compression=True)
+    data = read(tmp_path / "run.mat")
+    for name in others:
+        assert said(data, f"'{name}' ("), name
+    np.testing.assert_array_equal(data["fx"], PLAIN["fx"])
 
 
 @pytest.mark.parametrize("version", SAVE)

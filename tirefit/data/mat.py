@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tirefit.data.extras import extra
+from tirefit.data.mat_sound import check_sound
 from tirefit.results import DataError, InputProblem
 
 __all__ = ["Channels", "channels_of_mat", "is_mat"]
@@ -86,6 +87,7 @@ def channels_of_mat(
 def _of_v5(content: bytes) -> dict[str, Any]:
     from scipy.io import loadmat
 
+    check_sound(content)
     with warnings.catch_warnings():  # of objects, which are refused by name below
         warnings.simplefilter("ignore")
         raw = loadmat(io.BytesIO(content), chars_as_strings=True)
@@ -274,6 +276,8 @@ def _described(value) -> str:
         return f"MATLAB {value.kind}"
     if isinstance(value, np.ndarray):
         return " x ".join(map(str, value.shape))
+    if hasattr(value, "nnz"):
+        return "sparse matrix"
     return "text" if _is_text(value) else f"{type(value).__name__} of {len(value)}"
 
 

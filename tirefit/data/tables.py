@@ -52,15 +52,17 @@ def channels_of_arrow(content: bytes, file: str) -> Channels:
             table = extra("pyarrow.parquet", "", file).read_table(io.BytesIO(content))
         else:
             table = extra("pyarrow.ipc", "", file).open_file(content).read_all()
+        table.validate(full=True)
         columns, left, notes = _columns(table, pyarrow.types)
-    except (pyarrow.ArrowException, OSError) as error:
+        units = {
+            field.name: field.metadata[key].decode()
+            for field in table.schema
+            for key in _UNIT_KEYS
+            if key in (field.metadata or {})
+        }
+    except Exception as error:  # pyarrow raises many kinds on damaged files
         reason = f"the {kind} file cannot be read: {error}"
         raise DataError(InputProblem(reason, "write it again", file)) from error
-    units = {}
-    for field in table.schema:
-        for key in _UNIT_KEYS:
-            if key in (field.metadata or {}):
-                units[field.name] = field.metadata[key].decode()
     if left:
         notes.append(f"columns not read: {', '.join(left)}")
     return Channels(columns, units, (f"read as a file of {kind}", *notes))
