@@ -120,6 +120,7 @@ def test_a_log_of_mdf_is_derived_as_its_text_is(tmp_path):
     from_text = derive(write_log(tmp_path / "log.csv", columns), settings)
     time = columns.pop("t")
     pose = {name: (values, "m") for name, values in columns.items()}
+    pose["psi"] = (columns["psi"], "rad")
     save_mdf(tmp_path / "log.mf4", [(time, {"t": (time, "s")} | pose)])
     from_mdf = derive(tmp_path / "log.mf4", settings)
     for name, values in from_text.columns.items():

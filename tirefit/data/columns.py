@@ -65,9 +65,6 @@ _ALIASES = {alias: name for name, names in _NAMES.items() for alias in names.spl
 
 _NO_LAYOUT = Layout()
 
-_OF_A_POSE = ("x", "y")
-"""Headers that mean a position only where there is a heading as well."""
-
 _STD_WORDS = {"std", "sd", "stdev", "stddev"}
 _SIM_WORDS = {"sim", "simulated"}
 _BRACKETED = re.compile(r"^(.*?)\s*[\[({<]([^\])}>]*)[\])}>]\s*$")
@@ -237,11 +234,14 @@ def plan_columns(
     _drop_lonely_std(declared | inferred, inferred, headers, plan)
     chosen = declared | inferred
     _check_slip_std(chosen, headers, plan, file)
+    stated = {
+        index: (text.strip().strip("[](){}"), f" ({layout.units_from})")
+        for index, text in enumerate(units_row or ())
+        if text.strip()
+    }
     for name, index in chosen.items():
         named = options.slip if options.slip and _group(name) == "slip" else name
-        unit_text, how = _unit_of(
-            name, index, headers, units_row, options, chosen, layout.units_from
-        )
+        unit_text, how = _unit_of(name, index, headers, stated, options, chosen)
         column = Column(named, headers[index], index, unit_text)
         plan.columns[named] = _with_unit(column, plan, file)
         _say(column, name in declared, how, plan)
@@ -302,8 +302,8 @@ def _inferred(headers, declared, plan, file, names) -> dict[str, int]:
         if guessed and _group(guessed.name) not in taken:
             by_group.setdefault(_group(guessed.name), []).append((guessed.name, index))
     if "heading" not in {*by_group, *taken}:
-        for name in _OF_A_POSE:
-            by_group.pop(name, None)
+        # They mean a position only where there is a heading as well.
+        by_group = {n: at for n, at in by_group.items() if n not in ("x", "y")}
     for matches in by_group.values():
         if len(matches) < 2:
             continue
@@ -345,9 +345,7 @@ def _check_slip_std(chosen, headers, plan, file) -> None:
         plan.problems.append(InputProblem(reason, remedy, file, column=where))
 
 
-def _unit_of(
-    name, index, headers, units_row, options, chosen, units_from
-) -> tuple[str, str]:
+def _unit_of(name, index, headers, stated, options, chosen) -> tuple[str, str]:
     """Unit text of a column and, where it was not stated, how it was found."""
     if name == "run":
         return "", ""
@@ -360,15 +358,13 @@ def _unit_of(
         return declared, f" (declared; the header says {in_header!r})" if other else ""
     if in_header is not None:
         return in_header, ""
-    if units_row is not None and units_row[index].strip():
-        return units_row[index].strip().strip("[](){}"), f" ({units_from})"
+    if index in stated:
+        return stated[index]
     if name.endswith("_std") or name in SIMULATED:
         group = _group(name).removesuffix("_std").removesuffix("_sim")
         owner = next((n for n in chosen if _group(n) == group), None)
         if owner is not None:
-            unit = _unit_of(
-                owner, chosen[owner], headers, units_row, options, chosen, units_from
-            )
+            unit = _unit_of(owner, chosen[owner], headers, stated, options, chosen)
             text = unit[0] if name in SIMULATED else unit[0].removeprefix("-") or "-"
             return text, f" (the unit of {owner})"
     canonical = CANONICAL.get(base_column(name), ("-", ""))[0]
