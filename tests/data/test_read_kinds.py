@@ -257,8 +257,7 @@ def save_arrow(path, table):
 
 
 def arrow_table(columns, units=()):
-    import pyarrow
-
+    pyarrow = pytest.importorskip("pyarrow")
     units = dict(units)
     arrays = [pyarrow.array(values) for values in columns.values()]
     fields = [

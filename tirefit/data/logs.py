@@ -5,6 +5,7 @@ are asked for, or known, most; others are interpolated to it, but for gaps and b
 their ends, where they are NaN. A column ``time`` [s] counts from its first sample.
 """
 
+import logging
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -67,6 +68,8 @@ def channels_of_mdf(
         DataError: asammdf is missing, or the file is damaged or empty.
     """
     asammdf = extra("asammdf", "MDF files", str(path), "logs")
+    # What it logs of a damaged file is said once, by the error below.
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL + 1)
     signals: dict[str, Signal] = {}
     left = []
     try:
