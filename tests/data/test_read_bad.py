@@ -155,7 +155,11 @@ CASES = {
         WELL.replace("fz", "fz,sigma_x_std").replace("4000", "4000,0.1"), {},
         ["column 'sigma_x_std'", "but the slip column is kappa"],
     ),
-    "spaces": ("kappa fx fz\n1 2 3\n", {}, ["'kappa fx fz' only; separate columns by"]),
+    "spaces": ("kappa fx fz\n1 2\n", {}, ["'kappa fx fz' only; separate columns by"]),
+    "spaces, ragged": (
+        "kappa fx fz\n0.1 2 3\n0.2 2 3\n0.3 2\n", {},
+        ["row 4: 2 fields where the header has 3"],
+    ),
     "strange names": ("Zeit;Kraft\ns;t\n1;2\n", {}, ["columns found: 'Zeit', 'Kraft'"]),
     "no such header": (
         WELL, {"columns": {"fx": "fxx"}}, ["column 'fxx'", "no such", "mean 'fx'"]
@@ -226,6 +230,9 @@ CASES = {
     "empty": ("", {}, ["the file is empty"]),
     "only comments": ("# a\n\n", {}, ["the file is empty"]),
     "no rows": (HEADER, {}, ["no data rows"]),
+    "no header between spaces": (
+        "0.1 2 3\n0.2 3 3\n", {}, ["row 1", "numbers, not column names"]
+    ),
     "no header": (GOOD, {}, ["row 1", "numbers, not column names", "header"]),
     "binary": (b"\x89PNG\r\n\x1a\n\x00\x00", {}, ["not a text file"]),
     "zeros": (b"kappa,fx,fz\n0.1,\x001,2\n", {}, ["row 2: not a text file"]),

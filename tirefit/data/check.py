@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.columns import is_number
+from tirefit.data.evidence import evidence_of, fitting_conventions
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
 
@@ -123,8 +124,8 @@ def range_faults(
         if not len(rows):
             continue
         text, remedy = rule.rule, rule.remedy
-        if rule.column == "fz" and np.all(values[np.isfinite(values)] <= 0):
-            text, remedy = _load_hint(text, convention)
+        if rule.column == "fz" and np.nanmedian(values) < 0:
+            text, remedy = _load_hint(text, columns, convention)
         if rule.column == "sigma_x" and not _looks_like_percent(values):
             text, remedy = _MIRRORED
         raw = [f"{value:.6g}" for value in shown[rule.column][rows]]
@@ -156,10 +157,14 @@ def _rules_for(columns: Mapping[str, np.ndarray]) -> list[Rule]:
     return [rule for rule in _RULES if rule.column in columns] + stds
 
 
-def _load_hint(text: str, convention: str) -> tuple[str, str]:
+def _load_hint(text: str, columns, convention: str) -> tuple[str, str]:
     sign = CONVENTIONS[convention].fz
     look = "SAE (z down: loads are negative)" if sign > 0 else "z up (loads positive)"
-    fitting = [name for name, other in CONVENTIONS.items() if other.fz != sign]
+    finite = np.all([np.isfinite(values) for values in columns.values()], axis=0)
+    sides = {n: columns[n][finite] for n in ("alpha", "fy", "mz") if n in columns}
+    evidence = evidence_of(sides)
+    fitting = fitting_conventions(evidence, convention, load=-1)
+    fitting = fitting or [n for n, other in CONVENTIONS.items() if other.fz != sign]
     return (
         f"{text}; the file looks like {look}, but is read as {convention!r}",
         f"declare the convention: --convention {' or '.join(fitting)}",
@@ -216,7 +221,7 @@ def check_columns(
     problems = []
     header_list = ", ".join(repr(header) for header in headers)
     if len(headers) == 1:
-        header_list += " only; separate columns by comma, semicolon, tab or |"
+        header_list += " only; separate columns by comma, semicolon, tab, | or spaces"
     if "alpha" not in columns and not set(SLIP_DEFINITIONS) & set(columns):
         remedy = f"name one, as in --column kappa=HEADER; columns found: {header_list}"
         if {"omega", "v"} <= set(columns):
@@ -350,6 +355,8 @@ def _fault_of(cell: str) -> tuple[str, str]:
         return shown, f"is infinite (beyond {_LARGEST:g})"
     if word == "nan":
         return text, "is not a number"
+    if word in ("notavail", "n/a", "na", "null", "none"):
+        return f"{text}:", "the value is not available"
     if "," in text and is_number(text.replace(",", "")):
         return repr(shown), "has a comma: write 4000.5, without group separators"
     return repr(shown), "is text where a number is needed"

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from tirefit.data.table import CANONICAL, SIMULATED, WHEELS
+from tirefit.data.table import CANONICAL, SIMULATED, WHEELS, Layout
 from tirefit.data.units import (
     MEANING_OF_SLIP,
     Unit,
@@ -63,11 +63,7 @@ _NAMES = {
 }
 _ALIASES = {alias: name for name, names in _NAMES.items() for alias in names.split()}
 
-_OF_A_POSE = ("x", "y")
-"""Headers that mean a position only where there is a heading as well."""
-
-_TTC_UNITS = {"V": "km/h", "SA": "deg", "IA": "deg", "P": "kPa", "TSTC": "degC"}
-_TTC_MARKS = {"ET", "IA", "RL", "RE", "TSTC", "AMBTMP", "NFX", "NFY"}
+_NO_LAYOUT = Layout()
 
 _STD_WORDS = {"std", "sd", "stdev", "stddev"}
 _SIM_WORDS = {"sim", "simulated"}
@@ -218,6 +214,7 @@ def plan_columns(
     units_row: Sequence[str] | None,
     options: Options,
     file: str,
+    layout: Layout = _NO_LAYOUT,
 ) -> Plan:
     """Decides which columns to read, as what and in which unit.
 
@@ -226,19 +223,25 @@ def plan_columns(
         units_row: the unit of each column from a row under the header, if there.
         options: what the user declared.
         file: named in the problems.
+        layout: what the kind of file says of its columns; their headers say the rest.
 
     Returns:
         The plan, with every problem found in it and every inference as a sentence.
     """
     plan = Plan()
     declared = _declared(headers, options, plan, file)
-    inferred = _inferred(headers, declared, plan, file)
+    inferred = _inferred(headers, declared, plan, file, layout.names)
     _drop_lonely_std(declared | inferred, inferred, headers, plan)
     chosen = declared | inferred
     _check_slip_std(chosen, headers, plan, file)
+    stated = {
+        index: (text.strip().strip("[](){}"), f" ({layout.units_from})")
+        for index, text in enumerate(units_row or ())
+        if text.strip()
+    }
     for name, index in chosen.items():
         named = options.slip if options.slip and _group(name) == "slip" else name
-        unit_text, how = _unit_of(name, index, headers, units_row, options, chosen)
+        unit_text, how = _unit_of(name, index, headers, stated, options, chosen)
         column = Column(named, headers[index], index, unit_text)
         plan.columns[named] = _with_unit(column, plan, file)
         _say(column, name in declared, how, plan)
@@ -291,16 +294,16 @@ def _refuse_shared(place_of, headers, plan, file) -> None:
             plan.problems.append(InputProblem(reason, remedy, file, column=header))
 
 
-def _inferred(headers, declared, plan, file) -> dict[str, int]:
+def _inferred(headers, declared, plan, file, names) -> dict[str, int]:
     taken = {_group(name) for name in declared}
     by_group: dict[str, list[tuple[str, int]]] = {}
     for index, header in enumerate(headers):
-        guessed = None if index in declared.values() else guess(header)
+        guessed = None if index in declared.values() else _meant(header, names)
         if guessed and _group(guessed.name) not in taken:
             by_group.setdefault(_group(guessed.name), []).append((guessed.name, index))
     if "heading" not in {*by_group, *taken}:
-        for name in _OF_A_POSE:
-            by_group.pop(name, None)
+        # They mean a position only where there is a heading as well.
+        by_group = {n: at for n, at in by_group.items() if n not in ("x", "y")}
     for matches in by_group.values():
         if len(matches) < 2:
             continue
@@ -314,6 +317,12 @@ def _inferred(headers, declared, plan, file) -> dict[str, int]:
         plan.problems.append(InputProblem(reason, remedy, file, column=headers[index]))
     # Of duplicates the first goes on, so that its cells are checked as well.
     return dict(matches[0] for matches in by_group.values())
+
+
+def _meant(header: str, names: Mapping[str, str]) -> Guess | None:
+    """What a header means in a layout that names some, else what it says itself."""
+    name = names.get(header)
+    return guess(header) if name is None else (Guess(name, None) if name else None)
 
 
 def _drop_lonely_std(chosen, inferred, headers, plan) -> None:
@@ -336,13 +345,7 @@ def _check_slip_std(chosen, headers, plan, file) -> None:
         plan.problems.append(InputProblem(reason, remedy, file, column=where))
 
 
-def _is_ttc(headers: Sequence[str]) -> bool:
-    """Whether the headers are those of the Tire Test Consortium (Calspan)."""
-    names = set(headers)
-    return "FZ" in names and bool(names & {"SA", "SR"}) and bool(names & _TTC_MARKS)
-
-
-def _unit_of(name, index, headers, units_row, options, chosen) -> tuple[str, str]:
+def _unit_of(name, index, headers, stated, options, chosen) -> tuple[str, str]:
     """Unit text of a column and, where it was not stated, how it was found."""
     if name == "run":
         return "", ""
@@ -355,15 +358,13 @@ def _unit_of(name, index, headers, units_row, options, chosen) -> tuple[str, str
         return declared, f" (declared; the header says {in_header!r})" if other else ""
     if in_header is not None:
         return in_header, ""
-    if units_row is not None and units_row[index].strip():
-        return units_row[index].strip().strip("[](){}"), " (units row)"
-    if _is_ttc(headers) and headers[index] in _TTC_UNITS:
-        return _TTC_UNITS[headers[index]], " (as in Tire Test Consortium files)"
+    if index in stated:
+        return stated[index]
     if name.endswith("_std") or name in SIMULATED:
         group = _group(name).removesuffix("_std").removesuffix("_sim")
         owner = next((n for n in chosen if _group(n) == group), None)
         if owner is not None:
-            unit = _unit_of(owner, chosen[owner], headers, units_row, options, chosen)
+            unit = _unit_of(owner, chosen[owner], headers, stated, options, chosen)
             text = unit[0] if name in SIMULATED else unit[0].removeprefix("-") or "-"
             return text, f" (the unit of {owner})"
     canonical = CANONICAL.get(base_column(name), ("-", ""))[0]

@@ -7,7 +7,7 @@ x forward, y left, yaw counter-clockwise.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -121,6 +121,9 @@ def _read_columns(path: Path, vehicle: Vehicle) -> tuple[Table, dict[str, np.nda
                 for name in absent
             ]
         )
+    if table.units_row is not None and table.header_line is None:
+        note = "units stated in the file are not used: those of vehicle.toml are"
+        table = replace(table, units_row=None, notes=(*table.notes, note))
     if table.units_row is not None:
         assert table.header_line is not None  # units stand below a header
         raise DataError(
@@ -147,7 +150,10 @@ def _read_columns(path: Path, vehicle: Vehicle) -> tuple[Table, dict[str, np.nda
 def _numbers(table: Table, name: str, problems: list[InputProblem]) -> np.ndarray:
     """One column, (n,); a missing cell is NaN, text is a problem."""
     values = np.full(len(table.lines), np.nan)
-    for index, cell in enumerate(table.cells[table.headers.index(name)]):
+    cells = table.cells[table.headers.index(name)]
+    if isinstance(cells, np.ndarray):  # of a file that has numbers, not text
+        return cells.astype(float)
+    for index, cell in enumerate(cells):
         if cell.strip().lower() in _MISSING:
             continue
         try:

@@ -13,8 +13,10 @@ import numpy as np
 from tirefit.data import check, signs
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Options, Plan, plan_columns
+from tirefit.data.kinds import read_table
 from tirefit.data.table import CANONICAL, SlipCheck, Source, TireData
-from tirefit.data.text import Table, read_table, table_of_frame
+from tirefit.data.text import Table, table_of_frame
+from tirefit.data.ttc import recognised
 from tirefit.data.units import (
     SPINNING,
     base_column,
@@ -42,7 +44,11 @@ def read(
     forces: bool = True,
     curve: bool = True,
 ) -> TireData:
-    """Reads a text file (CSV and its kin, also .gz) into canonical, checked data.
+    """Reads a file of measurements into canonical, checked data.
+
+    Text (CSV and its kin, columns that white space parts, TYDEX, Tire Test Consortium),
+    MATLAB, Parquet, Arrow and Excel, each also gzipped, are told apart by what is in
+    the file, whatever its ending.
 
     Args:
         path: the file.
@@ -139,13 +145,17 @@ class _Reading:
 
 def _checked(table: Table, options: Options) -> TireData:
     """The whole way from a table of cells to data; raises all problems at once."""
-    plan = plan_columns(table.headers, table.units_row, options, table.file)
-    convention = options.convention or "braking"
+    table = recognised(table)
+    plan = plan_columns(
+        table.headers, table.units_row, options, table.file, table.layout
+    )
+    convention = options.convention or table.layout.convention or "braking"
     reading = _Reading(table, options, plan, convention)
     reading.problems = [
         replace(problem, row=table.header_line) for problem in plan.problems
     ]
     reading.faults += table.faults
+    reading.doubts += table.doubts
     run, runs = _runs(reading)
     _numbers_to_si(reading)
     _constants(reading)
@@ -375,8 +385,9 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
             varied = forces and curve
             whole += check.check_variation(used, reading.file) if varied else []
             whole += signs.check_signs(
-                used, reading.headers, reading.convention, reading.file
-            )
+                used, reading.headers, reading.convention, reading.file,
+                reading.plan.slip or "sigma_x",
+            )  # fmt: skip
         elif reading.options.mask_bad_rows:
             remedy = "see the rows' problems without --mask-bad-rows"
             whole.append(InputProblem("no usable rows are left", remedy, reading.file))
@@ -387,7 +398,7 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
 
 def _all_assumptions(reading: _Reading) -> list[str]:
     said = [*reading.table.notes, *reading.plan.assumptions]
-    if reading.options.convention is None:
+    if not (reading.options.convention or reading.table.layout.convention):
         meaning = CONVENTIONS["braking"].description
         said.append(f"no sign convention declared: 'braking' assumed: {meaning}")
     return said + reading.assumptions
@@ -398,7 +409,13 @@ def _warnings(reading: _Reading, definition: str) -> tuple[str, ...]:
     if not good.any():
         return ()
     used = {name: values[good] for name, values in reading.columns.items()}
-    declared = reading.options.convention
+    declared = reading.options.convention or reading.table.layout.convention
     doubt = signs.doubt_convention(used, reading.headers, definition, declared)
+    doubts = [doubt] if doubt else []
+    plan = reading.plan.columns.values()
+    doubts += signs.doubt_signs(
+        used, reading.headers, definition, reading.convention, declared is not None,
+        {column.name: column.unit_text for column in plan},
+    )  # fmt: skip
     units = check.doubt_units(used, reading.headers)
-    return tuple(([doubt] if doubt else []) + reading.doubts + units)
+    return tuple(doubts + reading.doubts + units)

@@ -4,6 +4,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from tirefit.data.evidence import Evidence, evidence_of
+from tirefit.data.evidence import fitting_conventions as _fitting
+from tirefit.data.evidence import turning as turning_of
 from tirefit.data.table import SlipCheck
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
 from tirefit.results import InputProblem
@@ -13,7 +16,14 @@ __all__ = [
     "check_signs",
     "check_slip",
     "doubt_convention",
+    "doubt_signs",
 ]
+
+_REFUSED = (("sigma_x", "fx"), ("alpha", "fy"))
+"""Pairs whose signs are wrong beyond doubt where they go the other way."""
+
+_TURNED = {"mz": "Nm", "gamma": "deg"}
+"""Columns whose sign alone differs in many files -> a unit to turn it by."""
 
 _LEAST_DRIVING = 0.01
 """Driving slip that is more than the noise about zero of a braking test."""
@@ -38,6 +48,7 @@ def check_signs(
     headers: Mapping[str, str],
     convention: str,
     file: str,
+    definition: str = "sigma_x",
 ) -> list[InputProblem]:
     """Slip and force oppose in canonical signs: their correlation must not be < 0.
 
@@ -46,14 +57,16 @@ def check_signs(
         headers: the file's own name of each column.
         convention: the one the file was read in.
         file: named in the problems.
+        definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
     """
-    pairs = _pairs(columns)
-    wrong = [pair for pair in pairs if pair[3] < 0]
+    evidence = evidence_of(columns, definition)
+    wrong = [item for item in evidence if item.trend < 0 and item.columns in _REFUSED]
     if not wrong:
         return []
-    fitting = _fitting_conventions(pairs, convention)
+    fitting = _fitting(evidence, convention)
     problems = []
-    for field, slip, force, _ in wrong:
+    for item in wrong:
+        (field, _), (slip, force) = item.fields, item.columns
         names = f"{headers.get(slip, slip)!r} and {headers.get(force, force)!r}"
         reason = (
             f"signs contradict the convention {convention!r}: {names} have"
@@ -71,53 +84,9 @@ def check_signs(
     return problems
 
 
-def _pairs(columns: Mapping[str, np.ndarray]) -> list[tuple[str, str, str, int]]:
-    """(field of a convention, slip, force, sign of their trend) of each pair there."""
-    pairs = []
-    if {"sigma_x", "fx"} <= columns.keys():
-        bounded = slip_ratio_from_sigma(columns["sigma_x"])
-        pairs.append(("slip", "sigma_x", "fx", _trend(bounded, columns["fx"], 0.005)))
-    if {"alpha", "fy"} <= columns.keys():
-        trend = _trend(columns["alpha"], columns["fy"], np.radians(0.5))
-        pairs.append(("alpha", "alpha", "fy", trend))
-    return pairs
-
-
 def _relation(convention: str, field: str, force: str) -> str:
     signs = CONVENTIONS[convention]
     return "equal" if getattr(signs, field) == getattr(signs, force) else "opposite"
-
-
-def _trend(x: np.ndarray, y: np.ndarray, least: float) -> int:
-    """Sign of a clear straight line through zero; 0 where there is none.
-
-    Clear: correlation beyond 0.25, t beyond 5, and x reaching ``least`` at all.
-    """
-    energy = np.sum(x * x) * np.sum(y * y)
-    if len(x) < 3 or energy == 0 or np.max(abs(x)) < least:
-        return 0
-    correlation = np.clip(np.sum(x * y) / np.sqrt(energy), -1, 1)
-    unexplained = max(1 - correlation**2, 1e-12)
-    t = correlation * np.sqrt((len(x) - 1) / unexplained)
-    return int(np.sign(correlation)) if abs(t) > 5 and abs(correlation) > 0.25 else 0
-
-
-def _fitting_conventions(pairs, convention: str) -> list[str]:
-    """Conventions in which every pair's trend, and the load, come out positive."""
-    read = CONVENTIONS[convention]
-    fitting = []
-    for name, other in CONVENTIONS.items():
-        trends = [
-            getattr(read, field)
-            * getattr(other, field)
-            * getattr(read, force)
-            * getattr(other, force)
-            * trend
-            for field, _, force, trend in pairs
-        ]
-        if other.fz == read.fz and all(trend >= 0 for trend in trends):
-            fitting.append(name)
-    return fitting
 
 
 def check_slip(
@@ -211,13 +180,17 @@ def doubt_convention(
     """
     if "sigma_x" not in headers or "sigma_x" not in columns:
         return None  # no slip column: computed from speeds, or none at all
-    turning = _turning(columns)
+    turning = turning_of(columns)
+    pairs = evidence_of(columns, definition)
     if convention is not None:
         if turning <= 0:
             return None
+        fitting = _fitting(pairs, convention)
+        remedy = f"these signs fit --convention {' or '.join(fitting)}"
         return (
             f"the slip contradicts omega / v: the wheel turns slower where it is driven"
-            f" by the signs of {convention!r}; check --convention"
+            f" by the signs of {convention!r}; "
+            + (remedy if fitting else "check --convention")
         )
     header = headers["sigma_x"]
     slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))
@@ -228,32 +201,76 @@ def doubt_convention(
     taken = f"{header!r} is taken as braking"
     if has_driving:
         taken = f"negative {header!r} (down to {np.min(slip):.3g}) is taken as driving"
-    evidence = ""
+    reason = ""
     if turning > 0:
-        evidence = ", but the wheel turns faster as it rises (omega / v)"
+        reason = ", but the wheel turns faster as it rises (omega / v)"
     elif definition in ("kappa", "s") and low < -0.98 and high < 0.9:
-        evidence = ", but -1 is where a wheel locks if driving is positive"
+        reason = ", but -1 is where a wheel locks if driving is positive"
     elif header in _DRIVING_POSITIVE:
-        evidence = f", but in {_DRIVING_POSITIVE[header]} files driving is positive"
-    fitting = [
-        name
-        for name in _fitting_conventions(_pairs(columns), "braking")
-        if CONVENTIONS[name].slip < 0
-    ]
+        reason = f", but in {_DRIVING_POSITIVE[header]} files driving is positive"
+    forces = [item for item in pairs if item.columns in _REFUSED]
+    either = _fitting(pairs, "braking"), _fitting(forces, "braking")
+    driving = [[n for n in names if CONVENTIONS[n].slip < 0] for names in either]
+    fitting = driving[0] or driving[1]
     return (
-        f"no convention declared: read as braking, so {taken}{evidence}; if positive"
+        f"no convention declared: read as braking, so {taken}{reason}; if positive"
         f" slip means driving in this file, pass --convention {' or '.join(fitting)};"
         " if it means braking, --convention braking"
     )
 
 
-def _turning(columns: Mapping[str, np.ndarray]) -> int:
-    """Sign of the trend of omega / v over the slip; 0 where there is none."""
-    if not {"omega", "v"} <= columns.keys():
-        return 0
-    moving = columns["v"] > 0
-    if not moving.any():
-        return 0
-    slip = slip_ratio_from_sigma(columns["sigma_x"][moving])
-    wheel = columns["omega"][moving] / columns["v"][moving]
-    return _trend(slip - slip.mean(), wheel - wheel.mean(), 0.005)
+def doubt_signs(
+    columns: Mapping[str, np.ndarray],
+    headers: Mapping[str, str],
+    definition: str,
+    convention: str,
+    is_declared: bool,
+    units: Mapping[str, str],
+) -> list[str]:
+    """What else speaks against the signs: moment, camber, brakes, the locked wheel.
+
+    Args:
+        columns: (n,) canonical columns, used rows only.
+        headers: the file's own name of each column.
+        definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
+        convention: the one the file was read in.
+        is_declared: whether the user, or the file's layout, declared it; where not,
+            :func:`doubt_convention` says what the slip alone can tell.
+        units: the unit in which each column was read.
+    """
+    evidence = evidence_of(columns, definition)
+    said = []
+    for item in evidence:
+        of_slip = item.fields == ("slip",)
+        told = item.columns in _REFUSED or item.columns[0] == "omega"
+        if item.trend >= 0 or told or (of_slip and not is_declared):
+            continue
+        names = dict.fromkeys(repr(headers.get(c, c)) for c in item.columns)
+        assumed = "" if is_declared else ", which were assumed"
+        said.append(
+            f"{' and '.join(names)}: {item.rule}, but not by the signs of"
+            f" {convention!r}{assumed}: {_remedy(item, evidence, convention, units)}"
+        )
+    return said
+
+
+def _remedy(
+    item: Evidence, evidence: list[Evidence], convention: str, units: Mapping[str, str]
+) -> str:
+    """The declaration that would fit, or that turns the one column."""
+    ways = []
+    fitting = _fitting(evidence, convention)
+    if fitting:
+        ways.append(f"these signs fit --convention {' or '.join(fitting)}")
+    elif turned := _fitting(evidence, convention, load=-1):
+        both = " or ".join(turned)
+        ways.append(
+            f"if the sign of F_z was turned: --convention {both}"
+            f" --unit fz=-{units.get('fz', 'N')}"
+        )
+    ways += [
+        f"if the sign of {name} alone differs: --unit {name}=-{units.get(name, unit)}"
+        for name, unit in _TURNED.items()
+        if name in item.columns
+    ]
+    return "; ".join(ways) or "check --convention"

@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from tirefit.results import DataError, InputProblem
 __all__ = [
     "CANONICAL",
     "SIMULATED",
+    "Layout",
     "WHEELS",
     "SlipCheck",
     "Source",
@@ -66,6 +67,20 @@ force and moment of the tire what a simulator says of it, as ``<column>_sim``.
 
 The motion of a vehicle, from ``a_x`` on, has the axes of ISO 8855 (x forward, y left,
 yaw counter-clockwise) in every convention, for the conventions are those of a tire."""
+
+
+class Layout(NamedTuple):
+    """What a known layout of files says of its columns beside their headers.
+
+    ``names`` maps a header to a canonical column (or slip definition), to "" where it
+    is not to be read; ``units_from`` says where the units stand; ``convention`` is that
+    of the signs, a key of ``slip.CONVENTIONS``, None where the layout has none.
+    """
+
+    names: Mapping[str, str] = {}
+    units_from: str = "units row"
+    convention: str | None = None
+
 
 SIMULATED = ("fx_sim", "fy_sim", "mz_sim")
 """Columns of a simulator's forces for the same rows."""

@@ -4,27 +4,40 @@ import codecs
 import csv
 import difflib
 import gzip
-import hashlib
 import io
 import itertools
 import re
 import zlib
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from tirefit.data.check import BadRows
 from tirefit.data.columns import guess, is_number
+from tirefit.data.table import Layout
 from tirefit.data.units import known_unit
+from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["Table", "read_table", "table_of_frame"]
+__all__ = [
+    "Table",
+    "decoded",
+    "gunzipped",
+    "read_bytes",
+    "stem_of",
+    "table_of_frame",
+    "table_of_rows",
+    "table_of_text",
+]
 
 _DELIMITERS = "\t;|,"
 _END = "\0"
-_SEARCHED = 10
+_SEARCHED = 60
+"""Lines with content in which the header must stand."""
+_LONGEST = 10
+"""Lines that a header with quoted line ends may take."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +45,8 @@ class Table:
     """Cells of a file or frame before their meaning is known.
 
     ``cells`` holds per column n strings or an (n,) number array; ``ragged`` (n,) bool
-    marks rows without the header's number of fields, ``lines`` (n,) their lines.
+    marks rows without the header's number of fields, ``lines`` (n,) their lines;
+    ``notes`` say what was assumed, ``doubts`` what may mean something else.
     """
 
     file: str
@@ -47,9 +61,12 @@ class Table:
     sha256: str = ""
     notes: tuple[str, ...] = ()
     faults: tuple[BadRows, ...] = ()
+    layout: Layout = field(default_factory=Layout)
+    doubts: tuple[str, ...] = ()
 
 
-def _read_bytes(path: Path) -> bytes:
+def read_bytes(path: Path) -> bytes:
+    """Bytes of a file; a DataError with its neighbour's name where there is none."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -70,14 +87,19 @@ def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataErro
     return DataError(InputProblem(reason, remedy, str(path), row))
 
 
-def _decode(raw: bytes, path: Path) -> tuple[str, list[str]]:
-    """Text of the file, gunzipped, and what was assumed of its encoding."""
-    if raw.startswith(b"\x1f\x8b"):
-        try:
-            raw = gzip.decompress(raw)
-        except (OSError, EOFError, zlib.error) as error:
-            reason = f"the gzip file is damaged: {error}"
-            raise _refusal(reason, "copy or compress it again", path) from error
+def gunzipped(raw: bytes, path: Path) -> bytes:
+    """The bytes themselves, or those that a gzip file holds."""
+    if not raw.startswith(b"\x1f\x8b"):
+        return raw
+    try:
+        return gzip.decompress(raw)
+    except (OSError, EOFError, zlib.error) as error:
+        reason = f"the gzip file is damaged: {error}"
+        raise _refusal(reason, "copy or compress it again", path) from error
+
+
+def decoded(raw: bytes, path: Path) -> tuple[str, list[str]]:
+    """Text of the file, and what was assumed of its encoding."""
     export = "give a text file: CSV, semicolon- or tab-separated, or such as .gz"
     if raw.startswith(b"PK\x03\x04"):
         reason = "not a text file but a zip archive or spreadsheet"
@@ -105,28 +127,47 @@ def _decode(raw: bytes, path: Path) -> tuple[str, list[str]]:
     return text, notes
 
 
-def read_table(path: Path, declared: Collection[str]) -> Table:
-    """Reads a text file into cells; ``declared`` headers help to find the header."""
-    raw = _read_bytes(path)
-    text, notes = _decode(raw, path)
+def table_of_text(
+    text: str, path: Path, digest: str, declared: Collection[str], notes: list[str]
+) -> Table:
+    """Cells of a text; ``declared`` headers help to find the header."""
+    raw = list(io.StringIO(text, newline=""))
     lines = [
         "\n" if line.lstrip().startswith("#") or not line.strip() else line
-        for line in io.StringIO(text, newline="")
+        for line in raw
     ]
+    if header := commented_header(raw, lambda name: guess(name) is not None):
+        lines[: header[0] + 1] = ["\n"] * header[0] + [header[1]]
+        notes.append(f"header read from the comment in line {header[0] + 1}")
     content = (i for i, line in enumerate(lines) if line != "\n")
     searched = list(itertools.islice(content, _SEARCHED))
     if not searched:
         raise _refusal("the file is empty", "give a header line and data rows", path)
-    start, delimiter = _find_header(lines, searched, declared)
+    start, delimiter, words = _find_header(lines, searched, declared)
+    if words:
+        notes.append("columns separated by white space")
+        lines[start:] = tabbed(lines[start:], words)
     if start != searched[0]:
         notes.append(f"lines before the header in line {start + 1} skipped")
     rows, numbers = _split(lines[start:], delimiter, start, path)
+    return table_of_rows(rows, numbers, path, digest, notes, delimiter)
+
+
+def table_of_rows(
+    rows: list[list[str]],
+    numbers: list[int],
+    path: Path,
+    digest: str,
+    notes: list[str],
+    delimiter: str = "",
+) -> Table:
+    """A table of rows of cells, the header first, and the line of each in the file."""
     headers = [re.sub(r"\s*[\r\n]\s*", " ", cell.strip()) for cell in rows[0]]
-    rows, numbers = rows[1:], numbers[1:]
-    if all(is_number(cell) for cell in headers):
+    header_line, rows, numbers = numbers[0], rows[1:], numbers[1:]
+    if all(is_number(word) for cell in headers for word in cell.split() or [cell]):
         reason = "the first line holds numbers, not column names"
         remedy = "add a header line such as kappa,fx,fz, without a # before it"
-        raise _refusal(reason, remedy, path, start + 1)
+        raise _refusal(reason, remedy, path, header_line)
     units_row = None
     if rows and _is_units_row(rows[0], len(headers)):
         notes.append(f"row {numbers[0]} read as units")
@@ -135,12 +176,16 @@ def read_table(path: Path, declared: Collection[str]) -> Table:
         reason = "there are no data rows below the header"
         raise _refusal(reason, "give at least as many rows as parameters", path)
     ragged, faults = _even_out(rows, len(headers), numbers)
-    stem = path.name.removesuffix(".gz")
     return Table(
-        str(path), Path(stem).stem, headers, list(zip(*rows, strict=True)),
-        np.array(numbers), ragged, start + 1, delimiter, units_row,
-        hashlib.sha256(raw).hexdigest(), tuple(notes), faults,
+        str(path), stem_of(path), headers, list(zip(*rows, strict=True)),
+        np.array(numbers), ragged, header_line, delimiter, units_row,
+        digest, tuple(notes), faults,
     )  # fmt: skip
+
+
+def stem_of(path: Path) -> str:
+    """Name of the data of a file: that of the file without its endings."""
+    return Path(path.name.removesuffix(".gz")).stem
 
 
 def _split(lines, delimiter, start, path) -> tuple[list[list[str]], list[int]]:
@@ -212,24 +257,26 @@ def table_of_frame(frame, name: str) -> Table:
     return Table(name, name, headers, cells, np.arange(n), np.zeros(n, bool))
 
 
-def _find_header(lines, searched, declared) -> tuple[int, str]:
-    """Index of the header line and the delimiter.
+def _find_header(lines, searched, declared) -> tuple[int, str, list[str]]:
+    """Index of the header line, the delimiter, and the words that white space parts.
 
     Some systems write a title first: the header is the first of the searched lines
-    with two recognised columns, or else simply the first.
+    with two recognised columns, or else simply the first. Where no delimiter gives
+    columns, and white space gives those of the rows of numbers, that parts them.
     """
     declared = {header.strip().casefold() for header in declared}
 
+    def is_known(name: str) -> bool:
+        return name.casefold() in declared or guess(name) is not None
+
     def split(index: int, delimiter: str) -> tuple[int, int]:
         """Recognised columns of a line, which quotes may extend, and all of them."""
-        some = lines[index : index + _SEARCHED]
+        some = lines[index : index + _LONGEST]
         try:
             names = next(csv.reader(some, delimiter=delimiter, skipinitialspace=True))
         except csv.Error:  # too long for one cell
             return 0, 0
-        names = [name.strip() for name in names]
-        known = [name.casefold() in declared or guess(name) for name in names]
-        return sum(map(bool, known)), len(names)
+        return sum(is_known(name.strip()) for name in names), len(names)
 
     first = searched[0]
     best = {}
@@ -238,10 +285,21 @@ def _find_header(lines, searched, declared) -> tuple[int, str]:
         best[index] = max(_DELIMITERS, key=widths.__getitem__)
         if widths[best[index]][0] < 2:
             continue
-        if split(first, best[index])[1] < widths[best[index]][1]:
-            return index, best[index]
-        break
-    return first, best[first]  # as wide as the header found: not a title
+        is_title = split(first, best[index])[1] < widths[best[index]][1]
+        header = index if is_title else first
+        words = _spaced_under_tabs(lines, header, best[header], is_known)
+        return header, best[header], words
+    below = header_above_numbers(lines, searched, is_known)
+    if below and (below[0] != first or split(first, best[first])[1] == 1):
+        return below[0], "\t", below[1]
+    return first, best[first], []
+
+
+def _spaced_under_tabs(lines, header, delimiter, is_known) -> list[str]:
+    """Words of a header with tabs where the rows below have none; else none."""
+    tabs = any("\t" in line for line in lines[header + 1 : header + _LONGEST])
+    below = header_above_numbers(lines, [header], is_known)
+    return below[1] if delimiter == "\t" and below and not tabs else []
 
 
 def _is_units_row(row: list[str], width: int) -> bool:

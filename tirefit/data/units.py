@@ -92,10 +92,11 @@ _FACTORS = {
     "angular speed": {"rad/s": 1, "radps": 1, "rads": 1, "1/s": 1, "deg/s": np.pi / 180,
                       "degps": np.pi / 180, "rpm": _TURN / 60, "1/min": _TURN / 60,
                       "rev/min": _TURN / 60, "rev/s": _TURN, "Hz": _TURN},
-    "force": {"N": 1, "kN": 1e3, "daN": 10, "lbf": 4.4482216152605, "kgf": 9.80665},
+    "force": {"N": 1, "kN": 1e3, "daN": 10, "kgf": 9.80665,
+              **dict.fromkeys(("lbf", "lb", "lbs"), 4.4482216152605)},
     "moment": {"Nm": 1, "N-m": 1, "kNm": 1e3, "Nmm": 1e-3,
-               "lbfft": 1.3558179483314004, "ftlbf": 1.3558179483314004,
-               "ft-lb": 1.3558179483314004},
+               **dict.fromkeys(("lbfft", "ftlbf", "ft-lb", "ft-lbs", "ft-lbf", "lb-ft"),
+                               1.3558179483314004), "in-lb": 0.11298482902761668},
     "speed": {"m/s": 1, "mps": 1, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "kph": 1 / 3.6,
               "mph": 0.44704, "mm/s": 1e-3, "mmps": 1e-3, "cm/s": 1e-2, "ft/s": 0.3048},
     "pressure": {"Pa": 1, "hPa": 100, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 100,
@@ -118,7 +119,9 @@ _KNOWN = {
 # MPa is left out: reading mPa as MPa would be wrong by a factor of 1e9.
 _ANY_CASE = {name.casefold(): unit for name, unit in _KNOWN.items() if name != "MPa"}
 
-_SPELLING = str.maketrans({"°": "deg", "·": "", "⋅": "", "*": "", " ": "", "\xa0": ""})
+_SPELLING = str.maketrans(
+    {"°": "deg", "·": "", "⋅": "", "*": "", " ": "", "_": "", "\xa0": ""}
+)
 
 
 def base_column(column: str) -> str:

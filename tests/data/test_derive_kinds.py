@@ -1,0 +1,19 @@
+"""`derive` takes a log of any kind that is read, as it takes the same log as text."""
+
+import numpy as np
+from scipy.io import savemat
+from test_motion import pose_log, pose_vehicle, write_log
+
+from tirefit.data.derive import derive
+
+
+def test_a_log_of_matlab_gives_what_its_text_does(tmp_path):
+    columns = pose_log()
+    settings = pose_vehicle(tmp_path)
+    from_text = derive(write_log(tmp_path / "log.csv", columns), settings)
+    units = {"t": "s", "x": "m", "y": "m", "psi": "rad"}
+    log = {name: np.asarray(values)[:, None] for name, values in columns.items()}
+    savemat(tmp_path / "log.mat", {"log": log | {"units": units}})
+    from_matlab = derive(tmp_path / "log.mat", settings)
+    for name, values in from_text.columns.items():
+        np.testing.assert_allclose(from_matlab.columns[name], values, rtol=1e-9)

@@ -1,0 +1,81 @@
+"""Files of every kind, damaged at random: read, or refused with place and remedy."""
+
+import warnings
+
+import numpy as np
+import pytest
+from rig_file import METRIC_UNITS, truth, ttc, tydex
+from test_read_kinds import (
+    SHEET,
+    arrow_table,
+    consortium,
+    save_5,
+    save_73,
+    save_arrow,
+    save_excel,
+    save_parquet,
+)
+
+from tirefit.data.read import read
+from tirefit.results import DataError
+
+
+def save_text(path):
+    frame = ttc(truth(40))
+    rows = [" ".join(f"{v:.6g}" for v in row) for row in zip(*frame.values(), strict=1)]
+    path.write_text(
+        "\n".join(["title", " ".join(frame), " ".join(METRIC_UNITS), *rows])
+    )
+
+
+def save_tydex(path):
+    path.write_text("\n".join(tydex(truth(40))))
+
+
+MADE = {
+    "text": save_text,
+    "TYDEX": save_tydex,
+    "MATLAB 5": lambda path: save_5(path, consortium()),
+    "MATLAB 7.3": lambda path: save_73(path, consortium()),
+    "Parquet": lambda path: save_parquet(path, arrow_table(ttc(truth(40)))),
+    "Arrow": lambda path: save_arrow(path, arrow_table(ttc(truth(40)))),
+    "Excel": lambda path: save_excel(path, {"one": SHEET, "two": [["a", 1]]}),
+}
+
+
+def damaged(content, rng):
+    """The bytes with a few of them changed, cut out, doubled or at the end missing."""
+    content = bytearray(content)
+    for _ in range(rng.integers(1, 6)):
+        at, length = rng.integers(len(content)), int(rng.integers(1, 40))
+        match rng.integers(4):
+            case 0:
+                content[at] = rng.integers(256)
+            case 1:
+                del content[at : at + length]
+            case 2:
+                content[at:at] = content[at : at + length]
+            case 3:
+                del content[max(at, 20) :]
+        content = content or bytearray(b"x")
+    return bytes(content)
+
+
+@pytest.mark.parametrize("kind", MADE)
+def test_damaged_files_are_read_or_refused(tmp_path, kind):
+    rng = np.random.default_rng(list(MADE).index(kind))
+    MADE[kind](tmp_path / "whole")
+    content = (tmp_path / "whole").read_bytes()
+    path = tmp_path / "damaged"
+    outcomes = set()
+    for _ in range(30):
+        path.write_bytes(damaged(content, rng))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of the libraries, on what they met
+            try:
+                read(path)
+                outcomes.add("read")
+            except DataError as error:
+                assert all(p.file and p.reason for p in error.problems)
+                outcomes.add("refused")
+    assert "refused" in outcomes

@@ -1,0 +1,151 @@
+"""Signs are checked against the data: who declares them wrongly is told what fits."""
+
+import numpy as np
+import pytest
+
+from tirefit.data.evidence import evidence_of
+from tirefit.data.read import read_frame
+from tirefit.results import DataError
+from tirefit.slip import CONVENTIONS
+
+DEG, G = np.pi / 180, 9.81
+N = 240
+
+
+def canonical(**left_out):
+    """Sweeps of slip and of angle at two cambers, of a tire that pulls as it must."""
+    rng = np.random.default_rng(11)
+    row = np.arange(N)
+    angle = row < N // 2
+    alpha = np.where(angle, 6 * np.sin(row / 7), 0.0) * DEG
+    sigma = np.where(angle, 0.0, 0.12 * np.sin(row / 9))
+    gamma = np.where(row // 30 % 2, 4.0, 0.0) * DEG
+    load, speed = 4000.0, 20.0
+    lateral = 1.0 * np.sin(1.4 * np.arctan(12 * alpha)) + 0.7 * gamma
+    fy = load * lateral + rng.normal(0, 30, N)
+    fx = 1.1 * load * np.sin(1.5 * np.arctan(14 * sigma)) + rng.normal(0, 30, N)
+    columns = {
+        "sigma_x": sigma, "alpha": alpha, "gamma": gamma, "fx": fx, "fy": fy,
+        "fz": np.full(N, load), "mz": -0.03 * fy * np.exp(-((alpha / 0.06) ** 2)),
+        "v": np.full(N, speed), "omega": speed / (0.3 * (1 + sigma)),
+    }  # fmt: skip
+    return {name: values for name, values in columns.items() if name not in left_out}
+
+
+def in_signs(columns, convention):
+    """Canonical columns in the signs of a convention, as a file has them."""
+    signs = CONVENTIONS[convention]._asdict() | {
+        "sigma_x": CONVENTIONS[convention].slip
+    }
+    return {name: signs.get(name, 1) * values for name, values in columns.items()}
+
+
+def told(frame, **options):
+    """What is said against the signs: the errors, or else the warnings."""
+    try:
+        return "\n".join(read_frame(frame, **options).source.warnings)
+    except DataError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_signs_that_are_declared_as_they_are_are_not_doubted(convention):
+    frame = in_signs(canonical(), convention)
+    data = read_frame(frame, convention=convention)
+    assert data.source.warnings == ()
+    np.testing.assert_allclose(data["sigma_x"], canonical()["sigma_x"])
+    for item in evidence_of(data.columns, "sigma_x"):
+        assert item.trend == 1, item
+
+
+@pytest.mark.parametrize("declared", CONVENTIONS)
+@pytest.mark.parametrize("true", CONVENTIONS)
+def test_a_wrong_declaration_is_told_with_the_one_that_fits(true, declared):
+    if true == declared:
+        return
+    message = told(in_signs(canonical(), true), convention=declared)
+    assert f"--convention {true}" in message or f"or {true}" in message
+    lateral = {"braking", "adapted-sae"}
+    if {true, declared} & {"iso-w"}:  # its side force is told from theirs
+        others = lateral - {true} if true == "iso-w" else {"iso-w"}
+        for other in others:
+            assert f"--convention {other}" not in message.replace(repr(other), "")
+
+
+def test_camber_tells_a_turned_load():
+    # SAE data whose loads were made positive look like ISO's but for the camber.
+    frame = in_signs(canonical(), "sae")
+    frame["fz"] = -frame["fz"]
+    message = told(frame, convention="iso-w")
+    assert "'gamma' and 'fy': a tire pushes to the side that it leans to" in message
+    assert "--convention sae --unit fz=-N" in message
+    assert told(frame, convention="sae", units={"fz": "-N"}) == ""
+
+
+@pytest.mark.parametrize(
+    ("column", "unit", "rule"),
+    [
+        ("gamma", "rad", "a tire pushes to the side that it leans to"),
+        ("mz", "N m", "the aligning moment turns a slightly slipping wheel back"),
+    ],
+)
+def test_one_turned_column_gets_the_unit_that_turns_it(column, unit, rule):
+    frame = in_signs(canonical(), "adapted-sae")
+    frame[column] = -frame[column]
+    message = told(frame, convention="adapted-sae")
+    assert rule in message
+    assert f"if the sign of {column} alone differs: --unit {column}=-{unit}" in message
+    assert told(frame, convention="adapted-sae", units={column: f"-{unit}"}) == ""
+
+
+BRAKES = {
+    "brake_pressure": (lambda c: np.clip(c["fx"], 0, None) * 1e3, "the harder the"),
+    "a_x": (lambda c: -c["fx"] / 400, "a force that brakes slows the vehicle"),
+}
+
+
+@pytest.mark.parametrize("column", BRAKES)
+def test_driving_is_told_from_braking_by_what_the_vehicle_does(column):
+    columns = canonical(omega=0, v=0)
+    make, rule = BRAKES[column]
+    measured = {column: make(columns)}
+    right = in_signs(columns, "iso-w") | measured
+    assert told(right, convention="iso-w") == ""
+    wrong = columns | {"fy": -columns["fy"], "mz": -columns["mz"]} | measured
+    message = told(wrong, convention="iso-w")
+    assert rule in message and "by the signs of 'iso-w'" in message
+    undeclared = in_signs(columns, "adapted-sae") | measured
+    message = told(undeclared)
+    assert rule in message and "which were assumed" in message
+    assert "these signs fit --convention adapted-sae" in message
+
+
+def test_a_wheel_locks_where_it_is_braked():
+    kappa = np.linspace(0, 1, 60)
+    frame = {"kappa": kappa, "fx": 4000 * np.tanh(20 * kappa), "fz": np.full(60, 4e3)}
+    assert told(frame, convention="braking") == ""
+    message = told(frame, convention="adapted-sae")
+    assert "a slip of 1 is where a wheel locks, braked" in message
+    assert "these signs fit --convention braking" in message
+
+
+@pytest.mark.parametrize("bad", [0, 20])
+def test_loads_of_the_other_sign_name_the_convention_that_fits(bad):
+    frame = in_signs(canonical(), "iso-w")
+    frame["fz"][:bad] = -1.0  # a rig that unloads the tire
+    message = told(frame, convention="sae")
+    assert "looks like z up" in message
+    assert "declare the convention: --convention iso-w" in message
+    assert "braking" not in message.split("declare the convention")[1]
+
+
+def test_noise_says_nothing_of_signs():
+    rng = np.random.default_rng(5)
+    columns = {
+        "alpha": rng.normal(0, 0.03, 400), "fy": rng.normal(0, 900, 400),
+        "fz": np.full(400, 4e3), "mz": rng.normal(0, 30, 400),
+        "gamma": rng.normal(0, 0.05, 400), "sigma_x": rng.normal(0, 0.01, 400),
+        "fx": rng.normal(0, 900, 400), "a_x": rng.normal(0, 3, 400),
+        "omega": rng.uniform(50, 60, 400), "v": np.full(400, 15.0),
+    }  # fmt: skip
+    assert [item.trend for item in evidence_of(columns)] == [0] * 7

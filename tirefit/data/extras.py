@@ -1,0 +1,23 @@
+"""Libraries that only some kinds of files need, asked for when such a file comes."""
+
+import importlib
+from types import ModuleType
+
+from tirefit.results import DataError, InputProblem
+
+__all__ = ["extra"]
+
+
+def extra(module: str, kind: str, file: str, group: str = "files") -> ModuleType:
+    """The module that reads ``kind`` of files, of the extra ``tirefit[group]``.
+
+    Raises:
+        DataError: it is not installed; says how to.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        library = module.split(".")[0]
+        reason = f"reading {kind} needs {library}, which is not installed"
+        remedy = f"pip install 'tirefit[{group}]' (or: pip install {library})"
+        raise DataError(InputProblem(reason, remedy, file)) from error

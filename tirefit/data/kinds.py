@@ -1,0 +1,107 @@
+"""One :func:`read_table` for all kinds of files, told apart by what is in them."""
+
+import hashlib
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+import numpy as np
+
+from tirefit.data import logs, tables, tydex
+from tirefit.data.columns import guess
+from tirefit.data.mat import Channels, channels_of_mat, is_mat
+from tirefit.data.table import Layout
+from tirefit.data.text import (
+    Table,
+    decoded,
+    gunzipped,
+    read_bytes,
+    stem_of,
+    table_of_rows,
+    table_of_text,
+)
+from tirefit.results import DataError, InputProblem
+
+__all__ = ["read_table"]
+
+_AS_TEXT = "export it as CSV, or save it as Parquet or as a MATLAB file"
+_UNREADABLE = {
+    b"\xd0\xcf\x11\xe0": ("an Excel file of before 2007 (.xls)", "save it as .xlsx"),
+    b"TDSm": ("a measurement file of LabVIEW (.tdms)", _AS_TEXT),
+    b"FEA1": ("a Feather file of version 1", "write it as Parquet or as Feather 2"),
+    b"\x89HDF\r\n": ("an HDF5 file that is not MATLAB's", _AS_TEXT),
+}
+"""First bytes of known files that are not read -> what they are, and the remedy."""
+
+
+def read_table(path: Path, declared: Collection[str]) -> Table:
+    """Reads a file of any kind into cells; ``declared`` headers help to find columns.
+
+    Raises:
+        DataError: the file is not there, damaged, of no known kind, or holds no table;
+            says where, why and what to do.
+    """
+    is_known = _knower(declared)
+    if (path / "metadata.yaml").is_file():  # the folder of a ROS 2 bag
+        channels = logs.channels_of_bag(path, b"", is_known)
+        return _of_channels(channels, path, _digest(path), "stated in the file")
+    raw = read_bytes(path)
+    content, file = gunzipped(raw, path), str(path)
+    for start, (kind, remedy) in _UNREADABLE.items():
+        if content.startswith(start):
+            reason = f"this is {kind}, which is not read"
+            raise DataError(InputProblem(reason, remedy, file))
+    digest = hashlib.sha256(raw).hexdigest()
+    if is_mat(content):
+        channels = channels_of_mat(content, file, is_known)
+        return _of_channels(channels, path, digest, "stated in the file")
+    if logs.is_mdf(content):
+        channels = logs.channels_of_mdf(path, content, is_known)
+        return _of_channels(channels, path, digest, "stated in the file")
+    if logs.bag_suffix(content):
+        channels = logs.channels_of_bag(path, content, is_known)
+        return _of_channels(channels, path, digest, "stated in the file")
+    if tables.is_arrow(content):
+        channels = tables.channels_of_arrow(content, file)
+        return _of_channels(channels, path, digest, "metadata of the column")
+    if tables.is_excel(content):
+        sheet = tables.sheet_of_excel(content, file, is_known)
+        return table_of_rows(sheet.rows, sheet.numbers, path, digest, list(sheet.notes))
+    text, notes = decoded(content, path)
+    if tydex.is_tydex(text):
+        return tydex.table_of_tydex(text, path, digest, notes)
+    return table_of_text(text, path, digest, declared, notes)
+
+
+def _digest(folder: Path) -> str:
+    """SHA-256 of the files of a folder, in the order of their names."""
+    digest = hashlib.sha256()
+    for inside in sorted(folder.iterdir()):
+        digest.update(read_bytes(inside))
+    return digest.hexdigest()
+
+
+def _knower(declared: Collection[str]) -> Callable[[str], bool]:
+    folded = {header.strip().casefold() for header in declared}
+
+    def is_known(name: str) -> bool:
+        return name.strip().casefold() in folded or guess(name) is not None
+
+    return is_known
+
+
+def _of_channels(channels: Channels, path: Path, digest: str, units_from: str) -> Table:
+    """A table of columns without lines; rows are counted from 1."""
+    headers = list(channels.columns)
+    cells = list(channels.columns.values())
+    n = len(cells[0]) if cells else 0
+    if not n:
+        reason = "the file has no columns" if not cells else "there are no data rows"
+        remedy = "give at least as many rows as parameters"
+        raise DataError(InputProblem(reason, remedy, str(path)))
+    units = [channels.units.get(header, "") for header in headers]
+    return Table(
+        str(path), stem_of(path), headers, cells,
+        np.arange(1, n + 1), np.zeros(n, bool),
+        units_row=units if any(units) else None, sha256=digest, notes=channels.notes,
+        layout=Layout(units_from=units_from),
+    )  # fmt: skip

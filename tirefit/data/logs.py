@@ -1,0 +1,253 @@
+"""Logs of vehicles as tables: MDF by asammdf, MCAP and ROS bags by rosbags.
+
+Their channels have clocks of their own. The table has the clock of the channels that
+are asked for, or known, most; others are interpolated to it, but for gaps and beyond
+their ends, where they are NaN. A column ``time`` [s] counts from its first sample.
+"""
+
+import logging
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tirefit.data.extras import extra
+from tirefit.data.mat import Channels
+from tirefit.results import DataError, InputProblem
+
+__all__ = [
+    "Signal",
+    "bag_suffix",
+    "channels_of_bag",
+    "channels_of_mdf",
+    "is_mdf",
+    "on_one_clock",
+]
+
+_BAGS = {b"\x89MCAP0": ".mcap", b"SQLite format 3": ".db3", b"#ROSBAG": ".bag"}
+_LARGEST_MESSAGE = 4096
+"""Bytes of a message beyond which it is an image or a cloud, and not read."""
+_LONGEST_ARRAY = 16
+_GAP = 5.0
+"""Distance of two samples, in periods of their channel, that is not interpolated."""
+
+
+class Signal(NamedTuple):
+    """A channel on its own clock: (n,) times [s] and values, and its unit."""
+
+    time: np.ndarray
+    values: np.ndarray
+    unit: str = ""
+
+
+def is_mdf(content: bytes) -> bool:
+    """Whether these are the bytes of a finished MDF file (.mf4, .mdf)."""
+    return content.startswith(b"MDF     ")
+
+
+def bag_suffix(content: bytes) -> str:
+    """The ending that these bytes should have: that of MCAP or a ROS bag, else ""."""
+    fits = (end for start, end in _BAGS.items() if content.startswith(start))
+    return next(fits, "")
+
+
+def channels_of_mdf(
+    path: Path, content: bytes, is_known: Callable[[str], bool]
+) -> Channels:
+    """The numeric channels of an MDF file on one clock, conversions applied.
+
+    Args:
+        path: of the file.
+        content: its bytes.
+        is_known: whether a name is a column's.
+
+    Raises:
+        DataError: asammdf is missing, or the file is damaged or empty.
+    """
+    asammdf = extra("asammdf", "MDF files", str(path), "logs")
+    # What it logs of a damaged file is said once, by the error below.
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL + 1)
+    signals: dict[str, Signal] = {}
+    left = []
+    try:
+        with warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
+            warnings.simplefilter("ignore")
+            copy = Path(folder) / "log.mf4"  # asammdf maps the file that it reads
+            copy.write_bytes(content)
+            with asammdf.MDF(copy) as mdf:
+                for channel in mdf.iter_channels():
+                    values = np.asarray(channel.samples)
+                    if values.ndim != 1 or values.dtype.kind not in "fiub":
+                        left.append(f"{channel.name!r} (no numbers)")
+                    elif channel.name in signals:
+                        left.append(f"{channel.name!r} (again)")
+                    elif len(values):
+                        time = np.array(channel.timestamps, float)
+                        signal = Signal(time, values.astype(float), channel.unit or "")
+                        signals[channel.name] = signal
+    except Exception as error:  # asammdf raises many kinds on damaged files
+        raise _damaged("MDF file", path, error) from error
+    channels = on_one_clock(signals, is_known, str(path))
+    notes = ["read as a log of MDF", *channels.notes]
+    if left:
+        notes.append(f"channels not read: {', '.join(left)}")
+    return channels._replace(notes=tuple(notes))
+
+
+def channels_of_bag(
+    path: Path, content: bytes, is_known: Callable[[str], bool]
+) -> Channels:
+    """The numeric fields of the messages of a bag on one clock, as ``/topic.field``.
+
+    Args:
+        path: of the file, or of the folder of a ROS 2 bag.
+        content: its bytes; none of a folder.
+        is_known: whether a name is a column's.
+
+    A topic's clock is that of its headers' stamps, where it has them, else that of the
+    recording. Of an orientation there is the ``yaw`` as well [rad].
+
+    Raises:
+        DataError: rosbags is missing, or the bag is damaged or empty.
+    """
+    highlevel = extra("rosbags.highlevel", "MCAP and ROS bags", str(path), "logs")
+    typesys = extra("rosbags.typesys", "MCAP and ROS bags", str(path), "logs")
+    store = typesys.get_typestore(typesys.Stores.LATEST)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            place = path
+            if content:
+                place = Path(folder) / f"log{bag_suffix(content)}"
+                place.write_bytes(content)
+            with highlevel.AnyReader([place], default_typestore=store) as reader:
+                signals, left = _signals_of(reader)
+    except Exception as error:  # rosbags raises many kinds on damaged files
+        raise _damaged("bag", path, error) from error
+    channels = on_one_clock(signals, is_known, str(path))
+    notes = ["read as a bag of ROS messages", *channels.notes]
+    if left:
+        notes.append(f"topics not read: {', '.join(left)}")
+    return channels._replace(notes=tuple(notes))
+
+
+def _damaged(kind: str, path: Path, error: Exception) -> DataError:
+    reason = f"the {kind} cannot be read: {type(error).__name__}: {error}"
+    remedy = "close the recording properly, or export it as CSV"
+    return DataError(InputProblem(reason, remedy, str(path)))
+
+
+def _signals_of(reader) -> tuple[dict[str, Signal], list[str]]:
+    """Fields of all topics, and the topics that have no numbers, with the reason."""
+    signals: dict[str, Signal] = {}
+    left = []
+    for topic in sorted(reader.topics):
+        connections = [c for c in reader.connections if c.topic == topic]
+        recorded: list[float] = []
+        stamped: list[float] = []
+        rows: list[dict[str, float]] = []
+        for connection, nanoseconds, raw in reader.messages(connections=connections):
+            if len(raw) > _LARGEST_MESSAGE:
+                left.append(f"{topic!r} (messages of {len(raw)} bytes)")
+                break
+            message = reader.deserialize(raw, connection.msgtype)
+            recorded.append(nanoseconds / 1e9)
+            stamped.append(_stamp(message))
+            rows.append(dict(_fields(message)))
+        else:
+            names = list(dict.fromkeys(name for row in rows for name in row))
+            if not names:
+                left.append(f"{topic!r} (no numbers)")
+            time = np.array(stamped if min(stamped, default=0) > 0 else recorded)
+            for name in names:
+                values = np.array([row.get(name, np.nan) for row in rows])
+                signals[f"{topic}.{name}"] = Signal(time, values)
+    return signals, left
+
+
+def _stamp(message) -> float:
+    """Time of a message's own header [s]; 0 without one."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    if stamp is None:
+        return 0.0
+    return stamp.sec + stamp.nanosec / 1e9
+
+
+def _fields(message, place: str = "") -> Iterator[tuple[str, float]]:
+    """Numbers of a message by the path to each; short arrays by their index."""
+    for name in getattr(message, "__dataclass_fields__", {}):
+        value: Any = getattr(message, name)
+        path = f"{place}.{name}" if place else name
+        if isinstance(value, bool | int | float | np.number):
+            yield path, float(value)
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+            if value.size <= _LONGEST_ARRAY:
+                flat = enumerate(value.reshape(-1))
+                yield from ((f"{path}[{i}]", float(one)) for i, one in flat)
+        elif hasattr(value, "__dataclass_fields__") and name != "stamp":
+            yield from _fields(value, path)
+            if {"x", "y", "z", "w"} <= set(value.__dataclass_fields__):
+                yield f"{path}.yaw", _yaw(value)
+
+
+def _yaw(q) -> float:
+    """Heading of a unit quaternion [rad]."""
+    turned = 2 * (q.w * q.z + q.x * q.y)
+    return float(np.arctan2(turned, 1 - 2 * (q.y * q.y + q.z * q.z)))
+
+
+def on_one_clock(
+    signals: dict[str, Signal], is_known: Callable[[str], bool], file: str
+) -> Channels:
+    """Signals as columns on the clock that the most known of them have.
+
+    Args:
+        signals: by name.
+        is_known: whether a name is a column's.
+        file: named in the problems.
+
+    Raises:
+        DataError: there are none.
+    """
+    if not signals:
+        reason, remedy = "the log holds no channels of numbers", "record some"
+        raise DataError(InputProblem(reason, remedy, file))
+    clocks: dict[bytes, float] = {}
+    for name, signal in signals.items():
+        weight = 1 + 1000 * is_known(name) + 1e-9 * len(signal.time)
+        key = signal.time.tobytes()
+        clocks[key] = clocks.get(key, 0.0) + weight
+    best = max(clocks, key=clocks.__getitem__)
+    base = np.frombuffer(best, float)
+    columns = {"time": base - base[0]}
+    units = {"time": "s"}
+    moved = []
+    for name, signal in signals.items():
+        if name == "time":
+            continue
+        is_base = signal.time.tobytes() == best
+        columns[name] = signal.values if is_base else _moved(signal, base)
+        units[name] = signal.unit
+        moved += [] if is_base else [repr(name)]
+    notes = [f"time counts from {base[0]:.9g} s of the log"]
+    if moved:
+        notes.append(
+            f"interpolated to the clock of the others, no further than {_GAP:g} of"
+            f" their own samples apart: {', '.join(moved)}"
+        )
+    return Channels(columns, {n: text for n, text in units.items() if text}, (*notes,))
+
+
+def _moved(signal: Signal, base: np.ndarray) -> np.ndarray:
+    """Values at the times ``base`` (n,), NaN beyond the ends and within gaps."""
+    order = np.argsort(signal.time, kind="stable")
+    time, values = signal.time[order], signal.values[order]
+    moved = np.interp(base, time, values, left=np.nan, right=np.nan)
+    if len(time) < 2:
+        return np.where(base == time[0], moved, np.nan)
+    steps = np.diff(time)
+    after = np.clip(np.searchsorted(time, base), 1, len(time) - 1)
+    in_gap = steps[after - 1] > _GAP * np.median(steps)
+    return np.where(in_gap & ~np.isin(base, time), np.nan, moved)

@@ -1,0 +1,186 @@
+"""Parquet, Arrow and Excel files as columns and rows of cells."""
+
+import datetime
+import io
+import zipfile
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tirefit.data.extras import extra
+from tirefit.data.mat import Channels
+from tirefit.results import DataError, InputProblem
+
+__all__ = ["Sheet", "channels_of_arrow", "is_arrow", "is_excel", "sheet_of_excel"]
+
+_PARQUET, _ARROW = b"PAR1", b"ARROW1"
+_UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
+_SEARCHED = 60
+"""Rows of a sheet in which the header must stand."""
+
+
+class Sheet(NamedTuple):
+    """Rows of a sheet from its header on, as texts, and the number of each in it."""
+
+    rows: list[list[str]]
+    numbers: list[int]
+    notes: tuple[str, ...]
+
+
+# --- Parquet and Arrow --------------------------------------------------------------
+
+
+def is_arrow(content: bytes) -> bool:
+    """Whether these are the bytes of a Parquet or an Arrow (Feather 2) file."""
+    return content.startswith((_PARQUET, _ARROW))
+
+
+def channels_of_arrow(content: bytes, file: str) -> Channels:
+    """The columns of a Parquet or Arrow file; units from each field's metadata.
+
+    A missing value of numbers is NaN, of texts an empty one.
+
+    Raises:
+        DataError: pyarrow is missing, or the file is damaged.
+    """
+    is_parquet = content.startswith(_PARQUET)
+    kind = "Parquet" if is_parquet else "Arrow"
+    pyarrow = extra("pyarrow", f"{kind} files", file)
+    try:
+        if is_parquet:
+            table = extra("pyarrow.parquet", "", file).read_table(io.BytesIO(content))
+        else:
+            table = extra("pyarrow.ipc", "", file).open_file(content).read_all()
+        table.validate(full=True)
+        columns, left, notes = _columns(table, pyarrow.types)
+        units = {
+            field.name: field.metadata[key].decode()
+            for field in table.schema
+            for key in _UNIT_KEYS
+            if key in (field.metadata or {})
+        }
+    except Exception as error:  # pyarrow raises many kinds on damaged files
+        reason = f"the {kind} file cannot be read: {error}"
+        raise DataError(InputProblem(reason, "write it again", file)) from error
+    if left:
+        notes.append(f"columns not read: {', '.join(left)}")
+    return Channels(columns, units, (f"read as a file of {kind}", *notes))
+
+
+def _columns(table, types) -> tuple[dict[str, Any], list[str], list[str]]:
+    """Columns by name, those of no numbers or texts as they are told, and notes."""
+    columns: dict[str, Any] = {}
+    left, notes = [], []
+    numbers = types.is_boolean, types.is_integer, types.is_floating, types.is_decimal
+    texts = types.is_string, types.is_large_string, types.is_string_view
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        kind = column.type
+        if types.is_dictionary(kind):
+            column = column.cast(kind.value_type)
+            kind = kind.value_type
+        if name in columns:
+            left.append(f"{name!r} (again)")
+        elif any(is_kind(kind) for is_kind in numbers):
+            columns[name] = column.cast("double").to_numpy().astype(float)
+        elif types.is_duration(kind):
+            ticks = column.to_numpy().astype("timedelta64[ns]")
+            columns[name] = ticks / np.timedelta64(1, "s")
+        elif types.is_timestamp(kind):
+            stamps = column.to_numpy().astype("datetime64[ns]")
+            first = min(stamps[~np.isnat(stamps)], default=np.datetime64("1970", "ns"))
+            columns[name] = (stamps - first) / np.timedelta64(1, "s")
+            notes.append(f"column {name!r} in seconds from its first, {first}")
+        elif any(is_kind(kind) for is_kind in texts):
+            columns[name] = [
+                "" if text is None else text for text in column.to_pylist()
+            ]
+        else:
+            left.append(f"{name!r} ({kind})")
+    return columns, left, notes
+
+
+# --- Excel --------------------------------------------------------------------------
+
+
+def is_excel(content: bytes) -> bool:
+    """Whether these are the bytes of an Excel workbook (.xlsx, .xlsm)."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            return "xl/workbook.xml" in archive.namelist()
+    except (zipfile.BadZipFile, OSError, ValueError):
+        return False
+
+
+def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -> Sheet:
+    """The one sheet that has a header of at least two known columns.
+
+    Args:
+        content: bytes of the file.
+        file: named in the problems.
+        is_known: whether a cell is a column's name.
+
+    Raises:
+        DataError: openpyxl is missing, the file is damaged, or several sheets or none
+            hold columns.
+    """
+    openpyxl = extra("openpyxl", "Excel files", file)
+    try:
+        book = openpyxl.load_workbook(
+            io.BytesIO(content), read_only=True, data_only=True
+        )
+        sheets = {sheet.title: _rows(sheet) for sheet in book.worksheets}
+        book.close()
+    except Exception as error:  # openpyxl raises many kinds on damaged files
+        reason = f"the Excel file cannot be read: {error}"
+        raise DataError(InputProblem(reason, "save it again", file)) from error
+    filled = {title: rows for title, rows in sheets.items() if rows}
+    if not filled:
+        raise DataError(
+            InputProblem("the workbook is empty", "give a header and rows", file)
+        )
+    headers = {title: _header(rows, is_known) for title, rows in filled.items()}
+    known = [title for title, (_, count) in headers.items() if count >= 2]
+    if len(known) > 1:
+        reason = f"several sheets hold columns: {', '.join(map(repr, known))}"
+        remedy = "save each as a workbook of its own, or as CSV"
+        raise DataError(InputProblem(reason, remedy, file))
+    title = known[0] if known else next(iter(filled))
+    start = headers[title][0]
+    notes = [f"read from the sheet {title!r}"]
+    if start:
+        notes.append(f"rows before the header in row {filled[title][start][0]} skipped")
+    others = [other for other in sheets if other != title]
+    if others:
+        notes.append(f"sheets not read: {', '.join(map(repr, others))}")
+    numbers, cells = zip(*filled[title][start:], strict=True)
+    width = max((i + 1 for i, cell in enumerate(cells[0]) if cell), default=0)
+    rows = [[*row[:width], *(cell for cell in row[width:] if cell)] for row in cells]
+    return Sheet(rows, list(numbers), tuple(notes))
+
+
+def _rows(sheet) -> list[tuple[int, list[str]]]:
+    """Rows with content as (number in the sheet, texts), all of one length."""
+    rows = []
+    sheet.reset_dimensions()  # some writers state fewer cells than there are
+    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+        texts = [_text(cell) for cell in row]
+        if any(texts):
+            rows.append((number, texts))
+    width = max((len(texts) for _, texts in rows), default=0)
+    return [(number, texts + [""] * (width - len(texts))) for number, texts in rows]
+
+
+def _text(cell) -> str:
+    if cell is None:
+        return ""
+    if isinstance(cell, datetime.timedelta):
+        return repr(cell.total_seconds())
+    return repr(cell) if isinstance(cell, float) else str(cell).strip()
+
+
+def _header(rows, is_known) -> tuple[int, int]:
+    """Index of the row with the most known names (the first of them), and how many."""
+    counts = [sum(map(is_known, texts)) for _, texts in rows[:_SEARCHED]]
+    best = max(counts)
+    return (counts.index(best), best) if best >= 2 else (0, best)

@@ -1,0 +1,90 @@
+"""Files of the FSAE Tire Test Consortium (Calspan), told by their layout alone.
+
+Columns ``ET V N SA IA RL RE P FX FY FZ MX MZ ...``, text or MATLAB, in metric or in
+imperial units, in the signs of SAE J670: z down, so that F_z is negative.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tirefit.data.check import read_numbers
+from tirefit.data.table import Layout
+from tirefit.data.text import Table
+
+__all__ = ["recognised"]
+
+_MARKS = {"ET", "IA", "RL", "RE", "TSTC", "AMBTMP", "NFX", "NFY"}
+_SLIPS = {"SA", "SL", "SR"}
+
+_METRIC = {
+    "ET": "s", "V": "km/h", "N": "rpm", "SA": "deg", "IA": "deg", "P": "kPa",
+    "FX": "N", "FY": "N", "FZ": "N", "MZ": "N m", "TSTC": "degC", "SL": "-", "SR": "-",
+}  # fmt: skip
+_IMPERIAL = _METRIC | {
+    "V": "mph", "P": "psi", "FX": "lbf", "FY": "lbf", "FZ": "lbf", "MZ": "ft-lb",
+    "TSTC": "degF",
+}  # fmt: skip
+
+_MOST_PSI = 35.0
+"""Pressure that is psi below and kPa above: racing tires are run at 8 to 14 psi."""
+
+
+def recognised(table: Table) -> Table:
+    """The table with what its layout says: signs, meanings and, unless stated, units.
+
+    A table of another layout comes back as it is. Signs are SAE's where F_z is
+    negative; a file that was converted to z up is told by its slip angle and force.
+    """
+    names = set(table.headers)
+    if not ("FZ" in names and names & _SLIPS and names & _MARKS):
+        return table
+    convention, reason = _convention(table)
+    notes = [f"laid out as Tire Test Consortium files are: {reason}"]
+    meant = {"N": "omega"}
+    if {"SL", "SR"} <= names:
+        meant |= {"SL": "kappa", "SR": ""}
+        notes.append(
+            "slip from 'SL', which is 0 where FX is; 'SR' is of another radius"
+        )
+    elif "SL" in names:
+        meant |= {"SL": "kappa"}
+    units, units_from = table.units_row, table.layout.units_from
+    if units is None:
+        pressure = _median(table, "P")
+        is_imperial = pressure is not None and pressure < _MOST_PSI
+        by = _IMPERIAL if is_imperial else _METRIC
+        units = [by.get(header, "") for header in table.headers]
+        units_from = "as in Tire Test Consortium files"
+        if pressure is not None:
+            system = "psi: imperial" if is_imperial else "kPa: metric"
+            notes.append(f"no units stated: P of {pressure:.4g} is {system} units")
+    layout = Layout(meant, units_from, convention)
+    return replace(table, layout=layout, units_row=units, notes=(*table.notes, *notes))
+
+
+def _convention(table: Table) -> tuple[str, str]:
+    """The convention of the signs, and the sentence that says why."""
+    load = _median(table, "FZ")
+    if load is None or load < 0:
+        return "sae", "signs read as 'sae', as FZ is negative"
+    turned = "FZ is positive, so that the file was converted"
+    slip, force = _numbers(table, "SA"), _numbers(table, "FY")
+    usable = np.isfinite(slip + force) if len(slip) and len(force) else []
+    if np.any(usable) and np.sum(slip[usable] * force[usable]) > 0:
+        return "adapted-sae", f"{turned}: signs read as 'adapted-sae', by SA and FY"
+    return "iso-w", f"{turned}: signs read as 'iso-w'"
+
+
+def _numbers(table: Table, header: str) -> np.ndarray:
+    """A column (n,), NaN where there is no number; (0,) without such a column."""
+    if header not in table.headers:
+        return np.empty(0)
+    cells = table.cells[table.headers.index(header)]
+    return read_numbers(cells, header, table.ragged)[0]
+
+
+def _median(table: Table, header: str) -> float | None:
+    values = _numbers(table, header)
+    values = values[np.isfinite(values)]
+    return float(np.median(values)) if len(values) else None

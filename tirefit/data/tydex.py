@@ -1,0 +1,316 @@
+"""TYDEX 1.x files of measurements as tables.
+
+Source: H.-J. Unrau, J. Zamow, TYDEX-Format, Description and Reference Manual, Release
+1.3, 1997: keywords begin with ``**``, comments with ``!``; a line of **CONSTANTS and of
+**MEASURCHANNELS has a name (columns 1-10), a comment (11-40) and a unit (41-50), then
+a constant's value, or a channel's conversion factor, measurement offset and physical
+offset (10 columns each); **MEASURDATA holds 10 columns for each value, lines of 80.
+
+Longitudinal slip, forces and moments are those of the axes W and H (ISO 8855).
+"""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.data.check import BadRows
+from tirefit.data.columns import is_number
+from tirefit.data.table import Layout
+from tirefit.data.text import Table, stem_of
+from tirefit.data.units import known_unit
+from tirefit.results import DataError, InputProblem
+
+__all__ = ["is_tydex", "table_of_tydex"]
+
+_KEYWORD = re.compile(r"^\s*\*\*\s*([A-Za-z]+)", re.MULTILINE)
+_NAMES = {
+    "FX": "fx", "FXW": "fx", "FXH": "fx", "FYW": "fy", "FYH": "fy", "FZW": "fz",
+    "FZH": "fz", "MZW": "mz", "MZH": "mz", "LONGSLIP": "kappa", "SLIPANGL": "alpha",
+    "INCLANGL": "gamma", "LONGVEL": "v", "TRAJVELW": "v", "TRAJVELH": "v",
+    "WHROTSPD": "omega", "INFLPRES": "pressure", "RUNTIME": "time", "TIME": "time",
+    "TYRETEMP": "temperature",
+}  # fmt: skip
+"""Parameters of TYDEX -> columns; of two that mean one, the first of these is read."""
+
+_RULE = re.compile(r"!\s*(-|Key\b)", re.IGNORECASE)
+"""A line that rules or heads a section, as many files have them."""
+
+_MISSING = {"NOTAVAIL", "NOT_AVAIL", "N/A", "NA", "NAN"}
+_WIDTH = 10
+_SEARCHED = 50
+"""Lines of data that all have too few values where a record takes several."""
+
+
+class _Entry(NamedTuple):
+    """A line of a section: a parameter with its unit and its numbers or text."""
+
+    name: str
+    unit: str
+    values: tuple[str, ...]
+    line: int
+
+
+def is_tydex(text: str) -> bool:
+    """Whether a text has the keywords of a TYDEX file of measurements or its header."""
+    keywords = {match[1].upper() for match in _KEYWORD.finditer(text[:100_000])}
+    return "MEASURCHANNELS" in keywords or {"HEADER", "CONSTANTS"} <= keywords
+
+
+def table_of_tydex(text: str, path: Path, digest: str, notes: list[str]) -> Table:
+    """Channels, and the constants that no channel has, as a table in their units.
+
+    Args:
+        text: of the file.
+        path: of the file, named in the problems.
+        digest: its SHA-256.
+        notes: what was assumed so far.
+
+    Raises:
+        DataError: a section is missing, or a channel's line makes no sense.
+    """
+    sections = _sections(text)
+    file = str(path)
+    for keyword in ("MEASURCHANNELS", "MEASURDATA"):
+        if not sections.get(keyword):
+            reason = f"the TYDEX file has no **{keyword}"
+            remedy = "give a file of measurements: tire models are read from .tir files"
+            raise DataError(InputProblem(reason, remedy, file))
+    channels = _entries(sections["MEASURCHANNELS"], file)
+    conversions = [_conversion(channel, file) for channel in channels]
+    rows, lines, faults = _records(sections["MEASURDATA"], len(channels))
+    if not rows:
+        reason, remedy = "there are no data rows below **MEASURDATA", "give some"
+        raise DataError(InputProblem(reason, remedy, file))
+    columns = list(zip(*rows, strict=True))
+    cells = [
+        _converted(column, conversion)
+        for column, conversion in zip(columns, conversions, strict=True)
+    ]
+    constants, unread = _constants(sections.get("CONSTANTS", []), channels)
+    meant = _meant([channel.name for channel in channels], constants)
+    ragged = np.zeros(len(rows), bool)
+    ragged[[row for fault in faults for row in fault.rows]] = True
+    notes = [*notes, *_said(sections, channels, conversions, constants, unread, meant)]
+    return Table(
+        file, stem_of(path),
+        [entry.name for entry in (*channels, *constants)],
+        cells + [np.full(len(rows), float(c.values[0])) for c in constants],
+        np.array(lines), ragged, channels[0].line,
+        units_row=[entry.unit for entry in (*channels, *constants)],
+        sha256=digest, notes=tuple(notes), faults=faults,
+        layout=Layout(meant, "unit of the channel", "iso-w"),
+        doubts=_doubts(channels, conversions),
+    )  # fmt: skip
+
+
+# --- sections and their lines -------------------------------------------------------
+
+
+def _sections(text: str) -> dict[str, list[tuple[int, str]]]:
+    """Keyword -> lines with content as (number, text); comments in **COMMENTS only."""
+    sections: dict[str, list[tuple[int, str]]] = {}
+    current = None
+    for number, line in enumerate(text.splitlines(), 1):
+        keyword = _KEYWORD.match(line)
+        if keyword:
+            current = sections.setdefault(keyword[1].upper(), [])
+        elif current is not None and line.strip():
+            if line.lstrip()[0] != "!":
+                current.append((number, line))
+            elif current is sections.get("COMMENTS") and not _RULE.search(line):
+                current.append((number, line.lstrip(" !")))
+    return sections
+
+
+def _entries(lines, file: str) -> list[_Entry]:
+    entries: list[_Entry] = []
+    for line, text in lines:
+        entry = _entry(line, text)
+        if entry is None:
+            reason = f"this is no channel of TYDEX: {text.strip()!r}"
+            remedy = "give name, comment, unit and conversion factor in columns of 10"
+            raise DataError(InputProblem(reason, remedy, file, line))
+        if entry.name in [other.name for other in entries]:
+            reason, remedy = f"the channel {entry.name} is there twice", "rename one"
+            raise DataError(InputProblem(reason, remedy, file, line, entry.name))
+        entries.append(entry)
+    return entries
+
+
+def _entry(number: int, line: str) -> _Entry | None:
+    """A channel's line by its columns, or by its words where they do not stand so."""
+    line = line.expandtabs(_WIDTH).rstrip()
+    unit = line[40:50].strip()
+    fields = [line[at : at + _WIDTH].strip() for at in (50, 60, 70)]
+    given = [field for field in fields if field]
+    is_name = len(line[:10].split()) == 1 and len(line) > 50
+    if is_name and fields[0] and all(map(is_number, given)) and _is_unit(unit):
+        return _Entry(line[:10].strip(), unit, tuple(fields), number)
+    words = line.split()
+    numbers: list[str] = []
+    while len(words) > 1 and len(numbers) < 3 and is_number(words[-1]):
+        numbers.insert(0, words.pop())
+    if len(words) < 2:
+        return _Entry(words[0], "", tuple(numbers), number) if numbers else None
+    unit = words[-1] if words[-1] == "-" or known_unit(words[-1]) else ""
+    if len(words) > 2 and known_unit("".join(words[-2:])):
+        unit = "".join(words[-2:])
+    return _Entry(words[0], unit, tuple(numbers), number)
+
+
+def _is_unit(text: str) -> bool:
+    return text in ("", "-") or known_unit(text) is not None or len(text.split()) == 1
+
+
+def _doubts(channels, conversions) -> tuple[str, ...]:
+    """Writers of TYDEX differ in what a measurement offset is, so that it is said."""
+    names = [
+        channel.name
+        for channel, conversion in zip(channels, conversions, strict=True)
+        if conversion.measured_offset
+    ]
+    if not names:
+        return ()
+    listed = ", ".join(names)
+    return (
+        f"the measurement offset of {listed} was added before the factor: hold one"
+        " value against the rig's own report, for some files have it subtracted",
+    )
+
+
+class _Conversion(NamedTuple):
+    factor: float
+    measured_offset: float
+    physical_offset: float
+
+
+def _conversion(channel: _Entry, file: str) -> _Conversion:
+    texts = [*channel.values, "", "", ""]
+    factor = float(texts[0] or 1)
+    if factor == 0:
+        reason = f"the conversion factor of {channel.name} is 0"
+        remedy = "give the factor that turns its values into its unit"
+        problem = InputProblem(reason, remedy, file, channel.line, channel.name)
+        raise DataError(problem)
+    return _Conversion(factor, float(texts[1] or 0), float(texts[2] or 0))
+
+
+def _records(lines, width: int) -> tuple[list[list[str]], list[int], tuple]:
+    """Rows of ``width`` texts, which may go on over lines, the line that each begins
+    in, and the rows that have another number of values."""
+    rows: list[list[str]] = []
+    numbers, wrong = [], []
+    goes_on = all(len(_words(line, width)) < width for _, line in lines[:_SEARCHED])
+    words: list[str] = []
+    for number, line in lines:
+        if not words:
+            numbers.append(number)
+        words = [*words, *_words(line, width - len(words))]
+        if len(words) < width and goes_on:
+            continue
+        if len(words) != width:
+            wrong.append((len(rows), f"{len(words)} values"))
+            words = ["nan"] * width
+        rows.append(words)
+        words = []
+    if words:
+        wrong.append((len(rows), f"{len(words)} values"))
+        rows.append(["nan"] * width)
+    if not wrong:
+        return rows, numbers, ()
+    indices, shown = zip(*wrong, strict=True)
+    fault = BadRows(None, indices, shown, f"where there are {width} channels")
+    return rows, numbers, (fault,)
+
+
+def _words(line: str, missing: int) -> list[str]:
+    """Values of a line: words, or columns of 10 where values touch each other."""
+    words = line.split()
+    text = line.rstrip().expandtabs(_WIDTH)
+    columns = [text[at : at + _WIDTH].strip() for at in range(0, len(text), _WIDTH)]
+    touching = len(words) < len(columns) <= missing and all(
+        is_number(column) or column.upper() in _MISSING for column in columns
+    )
+    return columns if touching else words
+
+
+def _converted(texts, conversion: _Conversion) -> np.ndarray | list[str]:
+    """Values in the channel's unit; as texts where one of them is no number."""
+    factor, before, after = conversion
+    try:
+        return factor * (np.array(texts, float) + before) + after
+    except ValueError:
+        return [
+            repr(factor * (float(text) + before) + after) if is_number(text) else text
+            for text in texts
+        ]
+
+
+# --- what of it is read -------------------------------------------------------------
+
+
+def _constants(lines, channels) -> tuple[list[_Entry], list[str]]:
+    """Constants that are columns which no channel is, and the names of the others."""
+    there = {_NAMES.get(channel.name, channel.name) for channel in channels}
+    kept: list[_Entry] = []
+    unread = []
+    for number, line in lines:
+        entry = _entry(number, line)
+        column = None if entry is None else _NAMES.get(entry.name)
+        if entry is None or not column or column in there or not entry.values:
+            unread.append(line.split()[0])
+            continue
+        there.add(column)
+        kept.append(entry._replace(values=entry.values[:1]))
+    return kept, unread
+
+
+def _meant(names, constants) -> dict[str, str]:
+    """Parameter -> column; "" where another parameter of the file means the same."""
+    meant: dict[str, str] = {}
+    for name, column in _NAMES.items():
+        if name in names:
+            meant[name] = "" if column in meant.values() else column
+    meant |= {entry.name: _NAMES[entry.name] for entry in constants}
+    return meant
+
+
+def _said(sections, channels, conversions, constants, unread, meant) -> Iterator[str]:
+    header = {
+        line.split()[0].upper(): line[40:].strip() or line.split()[-1]
+        for _, line in sections.get("HEADER", [])
+    }
+    release = header.get("RELEASE", "of no stated release")
+    yield (
+        f"TYDEX {release}: signs read as 'iso-w' (ISO 8855), slip positive in driving"
+    )
+    for key in ("SUPPLIER", "MEASID", "DATE"):
+        if header.get(key):
+            yield f"{key} = {header[key]}"
+    for _, line in sections.get("COMMENTS", []):
+        yield f"comment: {line.strip()}"
+    for channel, (factor, before, after) in zip(channels, conversions, strict=True):
+        if (factor, before, after) != (1, 0, 0):
+            value = f"(value + {before:g})" if before else "value"
+            yield (
+                f"{channel.name} = {factor:g} * {value}"
+                + (f" + {after:g}" if after else "")
+                + (f" [{channel.unit}]" if channel.unit else "")
+            )
+    for entry in constants:
+        yield f"{entry.name} = {entry.values[0]} {entry.unit} in all rows (**CONSTANTS)"
+    for name, column in meant.items():
+        if not column:
+            yield f"channel {name} not read: another means the same"
+        elif name.endswith("H"):
+            yield f"{name} is of the axes H, at the wheel centre: read as of the road"
+    if unread:
+        yield f"constants not read: {', '.join(unread)}"
+    others = set(sections) - {
+        "HEADER", "COMMENTS", "CONSTANTS", "MEASURCHANNELS", "MEASURDATA", "END",
+    }  # fmt: skip
+    if others:
+        yield f"sections not read: {', '.join(sorted(others))}"
