@@ -239,7 +239,7 @@ def _integrate(numbers: _Numbers, time):
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_rate), diffrax.Tsit5(), time[0], time[-1], None, start,
         numbers, saveat=diffrax.SaveAt(ts=time), stepsize_controller=controller,
-        max_steps=4096 + 16 * len(time), throw=False,
+        max_steps=2**17, throw=False,
     )  # fmt: skip
     return solution.ys, diffrax.is_successful(solution.result)
 
