@@ -105,7 +105,7 @@ def test_wheels_lock_on_a_slippery_road_and_the_rest_is_finite():
     assert all(np.isfinite(values).all() for values in truth.values())
 
 
-def test_a_car_that_spins_is_an_error_with_a_remedy():
-    how = Drive(duration=8.0, bend=1.2, brake=1.2, drop=(2.0, 0.3))
-    with pytest.raises(UsageError, match="(?s)the car spins.*remedy: ask for less"):
-        simulate_drive(how)
+def test_a_drive_that_cannot_be_followed_is_an_error_with_a_remedy():
+    said = "(?s)in 300 steps: a car spins.*remedy: ask for less"
+    with pytest.raises(UsageError, match=said):
+        simulate_drive(Drive(duration=8.0, bend=1.2, brake=1.2), max_steps=300)

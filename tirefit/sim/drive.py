@@ -228,7 +228,7 @@ def _rate(t, s: _State, numbers: _Numbers) -> _State:
 
 
 @eqx.filter_jit
-def _integrate(numbers: _Numbers, time):
+def _integrate(numbers: _Numbers, time, max_steps: int):
     """States (n, ...) at the times, and whether they are there."""
     v = numbers.how["v"]
     zero = jnp.zeros(())
@@ -239,7 +239,7 @@ def _integrate(numbers: _Numbers, time):
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_rate), diffrax.Tsit5(), time[0], time[-1], None, start,
         numbers, saveat=diffrax.SaveAt(ts=time), stepsize_controller=controller,
-        max_steps=2**17, throw=False,
+        max_steps=max_steps, throw=False,
     )  # fmt: skip
     return solution.ys, diffrax.is_successful(solution.result)
 
@@ -287,8 +287,13 @@ def _values(record) -> dict[str, jax.Array]:
     return {k: jnp.asarray(float(v)) for k, v in kept.items() if k != "drop"}
 
 
-def simulate_drive(how: Drive | None = None, car: Car | None = None) -> SimulatedLog:
+def simulate_drive(
+    how: Drive | None = None, car: Car | None = None, max_steps: int = 2**20
+) -> SimulatedLog:
     """A log of a drive.
+
+    Args:
+        max_steps: of the integration; a car that spins would take any number.
 
     Returns:
         measured columns (canonical: time, steering, road_heading without noise, offset,
@@ -297,7 +302,7 @@ def simulate_drive(how: Drive | None = None, car: Car | None = None) -> Simulate
         and forces of the tires, and mu.
 
     Raises:
-        UsageError: the car spins.
+        UsageError: more steps than that.
     """
     how, car = Drive() if how is None else how, Car() if car is None else car
     n = round(how.duration * how.rate)
@@ -305,12 +310,12 @@ def simulate_drive(how: Drive | None = None, car: Car | None = None) -> Simulate
     change, after = (np.inf, how.friction) if how.drop is None else how.drop
     mu = (jnp.asarray(how.friction), jnp.asarray(after))
     numbers = _Numbers(_values(car), _values(how), mu, jnp.asarray(change))
-    states, followed = _integrate(numbers, time)
+    states, followed = _integrate(numbers, time, max_steps)
     if not followed:
         raise UsageError(
             InputProblem(
-                "the drive cannot be followed: braking and bends together ask for more"
-                " than the grip, and the car spins",
+                f"the drive cannot be followed in {max_steps} steps: a car spins where"
+                " braking and bends together ask for more than the grip",
                 "ask for less lateral acceleration or braking, or more friction",
             )
         )
