@@ -21,6 +21,7 @@ from tirefit.cli.options import (
     errors_to_exit,
     named_path,
     numbers,
+    pairs,
     read_config,
     read_options,
     say,
@@ -127,12 +128,29 @@ def derive(
     ],
     out: OutFile,
     axle: Annotated[Axle, typer.Option(help="which axle")] = Axle.rear,
+    unit: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=UNIT",
+            help="unit of a quantity of the log, e.g. v_x=km/h; -rad/s has the other"
+            " sign",
+        ),
+    ] = None,
+    believe: Annotated[
+        bool,
+        typer.Option(
+            "--believe", help="only warn of channels that contradict each other"
+        ),
+    ] = False,
 ) -> None:
     """Turn vehicle logs into axle slip angle and force (single-track dynamics)."""
     from tirefit.data.derive import derive_files
 
     with errors_to_exit():
-        written = derive_files(files, vehicle, out, axle=axle.value)
+        units = pairs("--unit", unit)
+        written = derive_files(
+            files, vehicle, out, axle=axle.value, units=units, believe=believe
+        )
         say(written.summary())
 
 

@@ -24,6 +24,7 @@ __all__ = [
     "has_terminal",
     "named_path",
     "numbers",
+    "pairs",
     "progress_bar",
     "read_config",
     "read_options",
@@ -135,6 +136,19 @@ def _pairs(option: str, items: list[str] | None, problems: list[InputProblem]):
     return pairs
 
 
+def pairs(option: str, items: list[str] | None) -> dict[str, str]:
+    """NAME=VALUE options.
+
+    Raises:
+        UsageError: some are not pairs; all of them.
+    """
+    problems: list[InputProblem] = []
+    given = _pairs(option, items, problems)
+    if problems:
+        raise UsageError(problems)
+    return given
+
+
 def numbers(
     option: str, items: list[str] | None, problems: list[InputProblem]
 ) -> dict[str, float]:
@@ -156,7 +170,7 @@ def read_options(given: DataOptions, config) -> dict[str, Any]:
         UsageError: pairs that are not pairs, or not of numbers; all of them.
     """
     problems: list[InputProblem] = []
-    pairs = {
+    named = {
         "columns": _pairs("--column", given.column, problems),
         "units": _pairs("--unit", given.unit, problems),
         "constants": numbers("--constant", given.constant, problems),
@@ -169,7 +183,7 @@ def read_options(given: DataOptions, config) -> dict[str, Any]:
         for name in ("convention", "slip", "rolling_radius")
     }
     return {
-        **{name: below.get(name, {}) | own for name, own in pairs.items()},
+        **{name: below.get(name, {}) | own for name, own in named.items()},
         **single,
         "mask_bad_rows": given.mask_bad_rows or below.get("mask_bad_rows", False),
     }
