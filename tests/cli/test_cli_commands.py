@@ -260,3 +260,31 @@ def test_completing_a_model_imports_no_jax():
         env=environment, capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert "False False" in done.stdout
+
+
+def test_derive_refuses_a_wrong_unit_and_its_remedy_works(run, tmp_path):
+    time = np.arange(0, 30, 0.02)
+    rng = np.random.default_rng(0)
+    v, r = (
+        20 + 2 * np.sin(0.3 * time),
+        0.2 * np.sin(1.1 * time) + 0.1 * np.sin(0.4 * time),
+    )
+    v_y = 0.5 * r - 0.008 * v**2 * r
+    a_y = v * r + np.gradient(v_y, time)
+    signals = (
+        x + 0.01 * rng.standard_normal(len(time)) for x in (3.6 * v, v_y, r, a_y)
+    )
+    write(tmp_path / "log.csv", "t,vx,vy,r,ay", time, *signals)
+    (tmp_path / "v.toml").write_text(
+        "mass = 1500\nyaw_inertia = 2500\nl_f = 1.2\nl_r = 1.4\n[columns]\n"
+        'time = "t"\nv_x = "vx"\nv_y = "vy"\nyaw_rate = "r"\na_y = "ay"\n'
+    )
+    arguments = ("derive", "log.csv", "--vehicle", "v.toml", "--out", "out.csv")
+    result = run(*arguments, exit_code=3)
+    assert "v_x is in km/h, and read in m/s" in result.stderr
+    assert "--unit v_x=km/h" in result.stderr
+    assert not (tmp_path / "out.csv").exists()
+    assert "channels compared: " in run(*arguments, "--unit", "v_x=km/h").stdout
+    assert "warning: channels contradict" in run(*arguments, "--believe").stdout
+    result = run(*arguments, "--unit", "v_x", exit_code=2)
+    assert "--unit NAME=VALUE" in result.stderr

@@ -79,8 +79,9 @@ class Agreement(NamedTuple):
         gains, gain_stds: one a term, 1 where the two sides agree.
         delay, delay_std: by which the channel is later than the others [s].
         offset, offset_std: what the channel shows beyond, in its unit.
-        seen, own_seen: share of each term's and of the channel's variation that is
-            there a while before and after as well, so is no noise.
+        seen: share of what only this term has that is there a while before and after
+            as well, so is no noise; delay_seen, own_seen: likewise of the terms' rate,
+            which shows the delay, and of the channel itself.
         size, own_size: rms of the other side's variation and the channel's.
         correlation: of the two sides at that delay.
         samples, effective: rows that were compared, and how many they count as.
@@ -94,6 +95,7 @@ class Agreement(NamedTuple):
     offset: float
     offset_std: float
     seen: tuple[float, ...]
+    delay_seen: float
     own_seen: float
     size: float
     own_size: float
@@ -155,8 +157,8 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
     return Agreement(
         pair, tuple(theta[:k].tolist()), tuple(std[:k].tolist()),
         float(shift / rate - theta[k]), float(std[k]), float(theta[-1]),
-        float(std[-1]), tuple(seen[:k].tolist()), own_seen, size, float(np.std(own)),
-        _correlation(own, other), len(rows), count,
+        float(std[-1]), tuple(seen[:k].tolist()), float(seen[k]), own_seen,
+        size, float(np.std(own)), _correlation(own, other), len(rows), count,
     )  # fmt: skip
 
 
@@ -267,10 +269,22 @@ def _instrumented(values, sides, around, zero: float):
     except np.linalg.LinAlgError:
         return None, error
     std = np.sqrt(np.maximum(noise * np.diag(spread), 0.0))
-    share = 1 - np.var(columns - seen, axis=0) / np.maximum(
-        np.var(columns, axis=0), tiny
-    )
+    share = np.array([_share(columns, seen, k) for k in range(sides.shape[1])])
     return (theta / scale, std / scale, share, count), values - columns @ theta
+
+
+def _share(columns, seen, k: int) -> float:
+    """Share of what only the k-th column has, beyond the others, that the instruments
+    see: little of noise, and of a term that the others make up (Sanderson, Windmeijer).
+
+    Args:
+        columns: (n, m); seen: the same by the instruments.
+    """
+    others = [j for j in range(columns.shape[1]) if j != k]
+    part = np.linalg.lstsq(seen[:, others], seen[:, k])[0]
+    own = seen[:, k] - seen[:, others] @ part
+    whole = columns[:, k] - columns[:, others] @ part
+    return float(np.mean(own**2) / max(np.mean(whole**2), 1e-300))
 
 
 def _effective(error: np.ndarray) -> float:

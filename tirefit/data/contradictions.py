@@ -10,10 +10,10 @@ import numpy as np
 from tirefit.data.agreement import Agreement
 from tirefit.data.faults import (
     RELATED,
+    SEEN,
     Fault,
     explained,
     judged,
-    no_noise,
     not_explained,
     strays,
 )
@@ -81,11 +81,8 @@ def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Compar
     if off or stray:
         faults, alternatives = explained(pairs, off, track)
         whole = len(faults) == 1 and not stray and not not_explained(pairs, faults)
-        swap = (
-            None
-            if whole
-            else _swapped(track, motion, vehicle, [*(a for a, _ in off), *stray])
-        )
+        wrong = [*(a for a, k in off if k == 0), *stray]
+        swap = None if whole or not wrong else _swapped(track, motion, vehicle, wrong)
         if swap:
             problems.append(_swap_problem(swap, track, file))
             off, stray = [], []
@@ -94,6 +91,8 @@ def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Compar
             _file_away(said, faults, track, file, problems, warnings)
             off = not_explained(pairs, faults)
         for a, k in off:
+            if k > 0 and any(a is other and j == 0 for other, j in off):
+                continue  # said already
             _unexplained(a, k, vehicle, track, file, problems, warnings)
         for a in stray:
             _no_relation(a, vehicle, track, file, problems, warnings)
@@ -308,7 +307,7 @@ def _late_or_off(pairs, vehicle) -> list[str]:
 
 def _has_delay(a: Agreement) -> bool:
     """Whether what looks like a delay is one, and not the car's own dynamics."""
-    return any(judged(a)) and a.pair.exact and all(no_noise(a))
+    return any(judged(a)) and a.pair.exact and a.delay_seen > SEEN
 
 
 def _line(pairs) -> str:

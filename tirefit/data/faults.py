@@ -24,14 +24,19 @@ _ALIKE = math.log(1.3)
 """Largest |log gain| that agrees: a body that rolls, a lever arm and an encoder make
 gains of 0.9 to 1.2; the nearest unit is 1.9 away (knots for m/s)."""
 
-_NEAR_UNIT = math.log(1.2)
+_NEAR_UNIT, _NEAR, _FARTHEST = math.log(1.2), 2.5, 0.4
+"""Largest |log gain| off a unit: this, or so many standard errors, but never more."""
+
+_SURE = 4.0
+"""Standard errors from which a gain is not 1."""
+
 _STEERING = (0.4, 8.0)
 """Steering over that of a car that rolls: understeer makes it up to some times more."""
 
 _CLEAR = 5.0
 """A gain is known where it is so many standard errors from 0."""
 
-_SEEN = 0.5
+SEEN = 0.5
 """Share of a term's variation that must be no noise for its gain to be judged."""
 
 RELATED = 0.6
@@ -95,7 +100,7 @@ def no_noise(a: Agreement) -> list[bool]:
     """Which terms are signal: those there a while before as well, as noise is not, and
     one that another sensor says the same of."""
     shared = abs(a.correlation) > _SHARED
-    return [seen > _SEEN or (k == 0 and shared) for k, seen in enumerate(a.seen)]
+    return [seen > SEEN or (k == 0 and shared) for k, seen in enumerate(a.seen)]
 
 
 def strays(a: Agreement) -> bool:
@@ -103,10 +108,10 @@ def strays(a: Agreement) -> bool:
     if a.pair.level:
         return False
     turns = a.pair.channel in ("a_y", "yaw_rate", "yaw")
-    if turns and a.own_seen > _SEEN and not no_noise(a)[0]:
+    if turns and a.own_seen > SEEN and not no_noise(a)[0]:
         return a.own_size > _MUCH * a.pair.floor  # the others are noise
     highest = abs(a.correlation) + _SURELY / math.sqrt(a.effective)
-    return a.size > a.pair.floor and a.seen[0] > _SEEN and highest < _UNRELATED
+    return a.size > a.pair.floor and a.seen[0] > SEEN and highest < _UNRELATED
 
 
 def _predicted(powers: Mapping[str, int], faults: Iterable[Fault]) -> float:
@@ -133,14 +138,20 @@ def _distance(a: Agreement, k: int, faults: Sequence[Fault]) -> float:
 
 def not_explained(pairs, faults) -> list[tuple[Agreement, int]]:
     """The judged gains that the faults do not explain."""
-    limit = _NEAR_UNIT if faults else _ALIKE
     return [
         (a, k)
         for a in pairs
         for k, known in enumerate(judged(a))
-        if known
-        and _distance(a, k, faults) > max(limit, min(2.5 * _relative(a, k), 0.4))
+        if known and _distance(a, k, faults) > _limit(a, k, bool(faults))
     ]
+
+
+def _limit(a: Agreement, k: int, faulty: bool) -> float:
+    """Distance up to which a gain is explained: a unit must be met, but for 1 to be
+    wrong takes more than chance."""
+    if faulty:
+        return max(_NEAR_UNIT, min(_NEAR * _relative(a, k), _FARTHEST))
+    return max(_ALIKE, _SURE * _relative(a, k))
 
 
 def _relative(a: Agreement, k: int) -> float:
@@ -186,6 +197,13 @@ def _units(channel) -> dict[float, str]:
     return factors
 
 
+def _halves(off, left) -> bool:
+    """Whether of one pair a gain is explained and another is not."""
+    pairs_left = {id(a) for a, _ in left}
+    gains_left = {(id(a), k) for a, k in left}
+    return any(id(a) in pairs_left and (id(a), k) not in gains_left for a, k in off)
+
+
 def explained(pairs, off, track) -> tuple[tuple[Fault, ...], list[Fault]]:
     """The fewest faults that explain most of what is off, and what may be instead.
 
@@ -202,7 +220,7 @@ def explained(pairs, off, track) -> tuple[tuple[Fault, ...], list[Fault]]:
             ):
                 continue
             left = not_explained(pairs, faults)
-            if len(off) - len(left) < count:
+            if len(off) - len(left) < count or _halves(off, left):
                 continue
             near = sum(
                 min(_distance(a, k, faults), 1.0)

@@ -59,6 +59,8 @@ def agreements(
         one, other = swapped
         of[one], of[other] = of[other], of[one]
     usable = _usable(track, motion, vehicle, of)
+    if not usable.any():
+        return []
     rate, cutoff = vehicle.filter.sample_rate, vehicle.filter.cutoff
 
     def held(pairs: list[Pair]) -> list[Agreement]:
@@ -152,11 +154,9 @@ def _path(of: Signals, rate: float) -> dict[str, np.ndarray]:
 def _askew(yaw, course, usable) -> float:
     """Mean of course less yaw [rad], on the circle."""
     there = usable & np.isfinite(yaw) & np.isfinite(course)
-    return (
-        float(np.angle(np.mean(np.exp(1j * (course - yaw)[there]))))
-        if any(there)
-        else float("nan")
-    )
+    if not there.any():
+        return np.nan
+    return float(np.angle(np.mean(np.exp(1j * (course - yaw)[there]))))
 
 
 def _drives_ahead(compared: list[Agreement], of: Signals, path, usable) -> bool:

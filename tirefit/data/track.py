@@ -193,24 +193,29 @@ def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> C
     elif text is not None and in_header not in (None, text):
         where = f" (declared; the header says {in_header!r})"
     unit = unit_of(text, quantity) if text else None
-    if text and unit is None and known_unit(text.removeprefix("-")):
+    # Round brackets may hold anything, as in ``W (IMU)``.
+    label = f"({in_header})" in header and text == in_header
+    if text and text != "-" and unit is None and not (label and not _is_unit(text)):
         problems.append(
             InputProblem(
-                f"unit {text!r} is not a unit of {dimension}, which {quantity} is",
+                f"unit {text!r} is no unit of {dimension}, which {quantity} is of",
                 f'correct [columns], or say units.{quantity} = "{_SI[dimension]}" in'
                 " vehicle.toml",
                 table.file, table.header_line, header,
             )
         )  # fmt: skip
     if unit is None:
-        stated = text and text != "-"
-        where = f" ({text!r} is no unit)" if stated else " (no unit stated)"
+        where = f" ({text!r} is no unit)" if label else " (no unit stated)"
         text, scale = _SI[dimension], 1.0
     else:
         scale = unit.scale
     if named or text != _SI[dimension]:
         notes.append(f"column {header!r} read as {quantity} in {text}{where}")
     return Channel(quantity, header, text, scale, named)
+
+
+def _is_unit(text: str) -> bool:
+    return known_unit(text.removeprefix("-")) is not None
 
 
 def _numbers(table: Table, channels, active: str | None) -> dict[str, np.ndarray]:
