@@ -33,8 +33,11 @@ _AROUND = (-2.0, -1.5, -1.0, 1.0, 1.5, 2.0)
 """Where the instruments lie, over the time after which noise is another."""
 
 _ROUNDS = 4
+_EACH = 10
+"""Rows that are taken in the time after which noise is another."""
+
 _FEWEST = 50
-"""Rows on the grid (0.5 s at 100 Hz) below which nothing is compared."""
+"""Rows below which nothing is compared: 5 s of a log that is filtered as usual."""
 
 
 class Term(NamedTuple):
@@ -104,6 +107,17 @@ class Agreement(NamedTuple):
     effective: float
 
 
+class _Fit(NamedTuple):
+    """Of the terms, the rate of their sum, and 1: (k + 2,) factors, their standard
+    errors, shares seen, effective number of samples, and the (n,) remainder."""
+
+    theta: np.ndarray
+    std: np.ndarray
+    seen: np.ndarray
+    effective: float
+    error: np.ndarray
+
+
 def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement | None:
     """The pair's gains, delay and offset; None if too few rows are usable.
 
@@ -120,45 +134,36 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
         usable &= _no_glitch(column, usable)
     step, latest = max(1, round(apart * rate)), round(LATEST * rate)
     rows = _surrounded(part, usable, known, max(2 * step, latest) + 1)
+    rows = rows[:: max(1, step // _EACH)]
     if len(rows) < _FEWEST:
         return None
     # Beside the usable rows, as at standstill, anything may stand.
     terms = np.clip(terms, terms[rows].min(axis=0), terms[rows].max(axis=0))
+    shift, gains = _delay(pair.values, terms, rows, latest)
     # Wrong beside a break only, where nothing is used.
-    rates = np.gradient(terms, 1 / rate, axis=0)
-    result, shift, gains = None, 0, None
+    rates, k = np.gradient(terms, 1 / rate, axis=0), terms.shape[1]
     for turn in range(_ROUNDS):
-        if turn == 0:
-            shift, gains = _delay(pair.values, terms, rows, latest)
-        if not np.isfinite(gains).all():
-            return None
-        along = gains if gains.any() else np.ones(len(gains))  # of a dead channel
+        along = gains if gains.any() else np.ones(k)  # of a dead channel
         sides = np.column_stack([terms, rates @ along])
-        result, error = _instrumented(
-            pair.values[rows + shift],
-            sides[rows],
-            _around(sides, rows, step),
-            pair.zero,
-        )
-        if result is None:
+        own = pair.values[rows + shift]
+        around = _around(sides, rows, step)
+        fit = _instrumented(own, sides[rows], around, pair.zero)
+        if fit is None:
             return None
-        good = _no_outlier(error)
-        rest = round(result[0][terms.shape[1]] * rate)
+        good, rest = _no_outlier(fit.error), round(fit.theta[k] * rate)
         if turn == _ROUNDS - 1 or (good.all() and abs(rest) < 1):
             break
         # The terms were moved by their rate, which holds for a small delay only.
         shift = int(np.clip(shift - rest, -latest, latest))
-        gains, rows = result[0][: terms.shape[1]], rows[good]
-    theta, std, seen, count = result
-    k = terms.shape[1]
-    own, other = pair.values[rows + shift], sides[rows] @ theta[:-1]
-    size = float(np.std(terms[rows].sum(axis=1)))
-    own_seen = _seen_around(own, _around(pair.values[:, None], rows + shift, step))
+        gains, rows = fit.theta[:k], rows[good]
+    assert fit is not None  # there is one round at least
+    around = _around(pair.values[:, None], rows + shift, step)
     return Agreement(
-        pair, tuple(theta[:k].tolist()), tuple(std[:k].tolist()),
-        float(shift / rate - theta[k]), float(std[k]), float(theta[-1]),
-        float(std[-1]), tuple(seen[:k].tolist()), float(seen[k]), own_seen,
-        size, float(np.std(own)), _correlation(own, other), len(rows), count,
+        pair, tuple(fit.theta[:k].tolist()), tuple(fit.std[:k].tolist()),
+        float(shift / rate - fit.theta[k]), float(fit.std[k]), float(fit.theta[-1]),
+        float(fit.std[-1]), tuple(fit.seen[:k].tolist()), float(fit.seen[k]),
+        _seen_around(own, around), float(np.std(terms[rows].sum(axis=1))),
+        float(np.std(own)), _correlation(own, own - fit.error), len(own), fit.effective,
     )  # fmt: skip
 
 
@@ -212,65 +217,50 @@ def _delay(values, terms, rows, latest: int) -> tuple[int, np.ndarray]:
     """The delay [samples] at which the terms explain most, and their gains there."""
     columns = np.column_stack([terms[rows], np.ones(len(rows))])
     basis, triangle = np.linalg.qr(columns)
-    best = None
-    for shift in range(-latest, latest + 1):
+    scores, shifts = [], range(-latest, latest + 1)
+    for shift in shifts:
         late = values[rows + shift]
         about = late - late.mean()
         explained = np.sum((basis.T @ about) ** 2) / max(np.sum(about**2), 1e-300)
-        score = explained - _NO_DELAY * (shift / latest) ** 2
-        if best is None or score > best[0]:
-            best = score, shift, late
-    _, shift, late = best
-    try:
-        fit = np.linalg.solve(triangle, basis.T @ late)[:-1]
-    except np.linalg.LinAlgError:
-        fit = np.full(terms.shape[1], np.nan)
-    return shift, fit
+        scores.append(explained - _NO_DELAY * (shift / latest) ** 2)
+    best = shifts[int(np.argmax(scores))]
+    projected = basis.T @ values[rows + best]
+    return best, np.linalg.lstsq(triangle, projected)[0][:-1]
 
 
-def _instrumented(values, sides, around, zero: float):
-    """Two-stage least squares with a prior on the offset.
+def _instrumented(values, sides, around, zero: float) -> _Fit | None:
+    """Two-stage least squares with a prior on the offset; None if not determined.
 
     Args:
         values: (n,); sides: (n, k + 1), the terms and the rate of their sum.
         around: (n, m), the instruments.
         zero: standard deviation of the offset over the gain.
-
-    Returns:
-        ((k + 2,) gains, minus the delay's rest, offset; their standard errors; how much
-        of each side the instruments see; the effective number of samples) or None if
-        they are not determined; and the (n,) remainder.
     """
     one, tiny = np.ones((len(values), 1)), 1e-300
     scale = np.concatenate([np.std(sides, axis=0), [1.0]])
     scale[scale == 0] = 1.0
     columns = np.hstack([sides, one]) / scale
     instruments = np.hstack([around / np.maximum(np.std(around, axis=0), tiny), one])
-    first = np.linalg.lstsq(instruments, columns)[0]
-    seen = instruments @ first
+    seen = instruments @ np.linalg.lstsq(instruments, columns)[0]
     curvature, slope = seen.T @ columns, seen.T @ values
     prior = np.zeros_like(curvature)
     theta = np.linalg.lstsq(curvature, slope)[0]
-    for _ in range(2):
-        error = values - columns @ theta
-        count = _effective(error)
-        noise = float(np.var(error)) * len(values) / count
-        level = zero * np.linalg.norm(theta[:-2] / scale[:-2])
-        prior[-1, -1] = noise / max(level, 1e-9) ** 2
-        try:
-            spread = np.linalg.inv(curvature + prior)
-        except np.linalg.LinAlgError:
-            return None, error
-        theta = spread @ slope
-    # What the instruments do not show is not known, whatever the columns say.
-    strength = seen.T @ seen + prior
+    count, noise = 1.0, 0.0
     try:
-        spread = np.linalg.inv(strength)
+        for _ in range(2):
+            error = values - columns @ theta
+            count = _effective(error)
+            noise = float(np.var(error)) * len(values) / count
+            level = zero * float(np.linalg.norm(theta[:-2] / scale[:-2]))
+            prior[-1, -1] = noise / max(level, 1e-9) ** 2
+            theta = np.linalg.solve(curvature + prior, slope)
+        # What the instruments do not show is not known, whatever the columns say.
+        spread = np.linalg.inv(seen.T @ seen + prior)
     except np.linalg.LinAlgError:
-        return None, error
+        return None
     std = np.sqrt(np.maximum(noise * np.diag(spread), 0.0))
     share = np.array([_share(columns, seen, k) for k in range(sides.shape[1])])
-    return (theta / scale, std / scale, share, count), values - columns @ theta
+    return _Fit(theta / scale, std / scale, share, count, values - columns @ theta)
 
 
 def _share(columns, seen, k: int) -> float:

@@ -169,7 +169,7 @@ def _clearness(a, k, faults) -> tuple[bool, float]:
 
 
 def _fault_problem(faults, alternatives, off, track, motion, vehicle) -> InputProblem:
-    clear = max(off, key=lambda item: _clearness(*item, faults))
+    clear = max(off, key=lambda item: _clearness(item[0], item[1], faults))
     said = [_guessed(fault, track) for fault in (*faults, *alternatives)]
     word = " and " if len(faults) > 1 else ", or "
     reasons, remedies = zip(*said, strict=True)

@@ -166,7 +166,7 @@ def _possible(pairs: Sequence[Agreement], track: Track) -> list[Fault]:
     read = {c.quantity: c for c in track.channels}
     named = {name for a in pairs for term in a.pair.terms for name in term.powers}
     faults = []
-    groups = [(name,) for name in sorted(named)]
+    groups: list[tuple[str, ...]] = [(name,) for name in sorted(named)]
     groups += [pair for pair in _ONE_SENSOR if set(pair) <= named]
     for channels in groups:
         name = "x" if channels[0] in ("xy", "y") else channels[0]
