@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tirefit.models import MODELS
-from tirefit.names import MODEL_NAMES
+from tirefit.names import EFFECT_NAMES, MODEL_NAMES
 
 FZ = 4000.0
 VEHICLE = Path(__file__).parents[2] / "fits" / "dart_jetracer" / "vehicle.toml"
@@ -206,6 +206,7 @@ def test_version(run):
     from tirefit import __version__
 
     assert run("version").stdout.strip() == __version__
+    assert run("--version").stdout.strip() == f"tirefit {__version__}"
 
 
 def test_no_command_shows_the_help(run):
@@ -242,9 +243,30 @@ def test_completion_knows_every_model_without_importing_one():
     assert sorted(MODEL_NAMES) == sorted(MODELS)
 
 
-def test_completing_a_model_imports_no_jax():
+def test_completion_knows_every_effect_without_importing_one():
+    from tirefit.diagnosis.effects import EFFECTS
+
+    assert EFFECT_NAMES == tuple(effect.id for effect in EFFECTS)
+
+
+@pytest.mark.parametrize(
+    ("begun", "offered"),
+    [
+        ("fit --model brush-dm", {"brush-dm", "brush-dmn", "brush-dmns", "brush-dmh",
+                                  "brush-dmhs"}),
+        ("diagnose d.csv --model lug", {"lugre", "lugre-lumped"}),
+        ("fit d.csv --convention i", {"iso-w"}),
+        ("inspect d.csv --convention s", {"sae"}),
+        ("fit d.csv --slip ka", {"kappa"}),
+        ("fit d.csv --sampler n", {"nuts"}),
+        ("diagnose d.csv --without yaw", {"yaw_inertia"}),
+        ("--vers", {"--version"}),
+    ],
+)  # fmt: skip
+def test_completing_imports_no_jax(begun, offered):
     program = (
         "import sys\n"
+        "sys.argv = ['tirefit']\n"
         "from tirefit.cli import main\n"
         "try: main()\n"
         "except SystemExit: pass\n"
@@ -252,14 +274,15 @@ def test_completing_a_model_imports_no_jax():
     )
     environment = os.environ | {
         "_TIREFIT_COMPLETE": "complete_bash",
-        "COMP_WORDS": "tirefit fit --model brush-dm",
-        "COMP_CWORD": "3",
+        "COMP_WORDS": f"tirefit {begun}",
+        "COMP_CWORD": str(len(begun.split())),
     }
     done = subprocess.run(
         [sys.executable, "-c", program],
         env=environment, capture_output=True, text=True, check=True,
     )  # fmt: skip
-    assert "False False" in done.stdout
+    *said, heavy = done.stdout.splitlines()
+    assert set(said) == offered and heavy == "False False"
 
 
 def test_derive_refuses_a_wrong_unit_and_its_remedy_works(run, tmp_path):

@@ -36,7 +36,6 @@ __all__ = ["app"]
 
 app = typer.Typer(
     name="tirefit",
-    help="Fit tire models to measured force-slip data with honest uncertainty.",
     epilog="Exit codes: 0 ok, 2 usage, 3 data, 4 not converged, 5 not identified"
     " (with --strict).",
     no_args_is_help=True,
@@ -282,6 +281,28 @@ def _values_text(name: str, values: dict[str, float]) -> str:
     everything = parameter_values(MODELS[name]) | values
     marks = {key: "" if key in values else " (default)" for key in everything}
     return ", ".join(f"{k} = {v:g}{marks[k]}" for k, v in everything.items())
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        say(f"tirefit {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            is_eager=True,
+            callback=_print_version,
+            help="print the version",
+        ),
+    ] = False,
+) -> None:
+    """Fit tire models to measured force-slip data with honest uncertainty."""
+    del version  # its callback has printed it
 
 
 @app.command()

@@ -13,12 +13,14 @@ from typing import Annotated, Any
 import typer
 
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
+from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
 __all__ = [
     "DataOptions",
     "Files",
     "JsonOption",
     "complain",
+    "completed",
     "error_text",
     "errors_to_exit",
     "has_terminal",
@@ -40,6 +42,15 @@ def named_path(text: str) -> Path:
     if not text:
         raise typer.BadParameter("it is empty: give a name")
     return Path(text)
+
+
+def completed(*names: str) -> Callable[[str], list[str]]:
+    """Completion of an option from its names."""
+
+    def beginning(incomplete: str) -> list[str]:
+        return [name for name in names if name.startswith(incomplete)]
+
+    return beginning
 
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV files")]
@@ -72,12 +83,16 @@ class DataOptions:
             help="signs of the file: braking (slip and force positive when braking),"
             " iso-w (driving positive, z up), sae (driving positive, z down),"
             " adapted-sae (driving positive, F_y > 0 for alpha > 0); braking if not"
-            " given"
+            " given",
+            autocompletion=completed(*CONVENTIONS),
         ),
     ] = None
     slip: Annotated[
         str | None,
-        typer.Option(help="slip definition: sigma_x, kappa, s, slip_ratio"),
+        typer.Option(
+            help="slip definition: sigma_x, kappa, s, slip_ratio",
+            autocompletion=completed(*SLIP_DEFINITIONS),
+        ),
     ] = None
     rolling_radius: Annotated[
         float | None, typer.Option(help="effective radius [m]")
