@@ -21,26 +21,27 @@ number of what is left (by chance once in 20,000 fits), that are clear."""
 def hint_at_load(result: FitResult) -> list[str]:
     """A sentence where residuals follow the load and the model does not.
 
-    Stiffness that changes with the load leaves a trend at small shares of the friction
-    limit, friction one near it: both are the force times the relative load.
+    A parameter that changes with the load leaves residuals like its own slope times
+    the relative load.
     """
     follower = _FOLLOWS.get(result.model)
     if follower is None or result.solved is None:
         return []
-    problem = result.solved.problem
+    problem, at = result.solved.problem, result.solved.at
     loads = problem.used(problem.rows.inputs.fz)
     low, middle, high = np.percentile(loads, [2.5, 50, 97.5])
     if not high - low > _VARIES * middle:
         return []
     explained = left = effective = 0.0
-    for name, mean in result.solved.at.mean.items():
-        residual = problem.used(problem.rows.observed[name]) - mean
-        share = np.abs(mean) / loads
-        trend = mean * (loads / middle - 1)
-        columns = np.stack([trend, trend * share / np.max(share)], axis=1)
-        rest = residual - columns @ np.linalg.lstsq(columns, residual)[0]
-        explained += float(residual @ residual - rest @ rest) / float(np.ptp(mean)) ** 2
-        left += float(rest @ rest) / float(np.ptp(mean)) ** 2
+    for name in at.mean:
+        residual, slopes = np.asarray(at.values[name]), np.asarray(at.slopes[name])
+        if len(residual) != len(loads):
+            return []
+        relative = (loads / middle - 1)[:, None]
+        without = _remainder(residual, slopes)
+        rest = _remainder(residual, np.hstack([slopes, slopes * relative]))
+        explained += float(without @ without - rest @ rest)
+        left += float(rest @ rest)
         effective += len(rest) / autocorrelation_time([rest])
     whole = explained + left
     clear = effective * explained > _CLEAR * max(left, 1e-300)
@@ -51,3 +52,8 @@ def hint_at_load(result: FitResult) -> list[str]:
         f" the residuals' variance follows them: {follower} lets stiffness and friction"
         " change with the load"
     ]
+
+
+def _remainder(values, columns):
+    """What the columns (n, k) leave of the values (n,)."""
+    return values - columns @ np.linalg.lstsq(columns, values)[0]
