@@ -25,6 +25,7 @@ from pydantic import (
     model_validator,
 )
 
+from tirefit.door import SETTINGS, content_of, outrageous
 from tirefit.results import InputProblem, UsageError
 
 __all__ = ["Section", "parse_settings", "read_toml"]
@@ -73,16 +74,23 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     """The content of a TOML file.
 
     Raises:
-        UsageError: no such file, or not TOML.
+        UsageError: no such file, too large, not TOML, nested too deeply, or with
+            numbers of a size that nothing has.
     """
+    raw = content_of(path, SETTINGS, UsageError, "check the path")
     try:
         # Editors on Windows put a byte-order mark before the first key.
-        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        reason, remedy = f"cannot read it: {error.strerror}", "check the path"
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        reason, remedy = f"not valid TOML: {error}", "correct the file"
-    raise UsageError(InputProblem(reason, remedy, str(path)))
+        content = tomllib.loads(raw.decode("utf-8-sig"))
+    except RecursionError:
+        reason = "not valid TOML: brackets are nested too deeply"
+    except ValueError as error:  # of TOML, of UTF-8, of a number of 5,000 digits
+        reason = f"not valid TOML: {str(error)[:200]}"
+    else:
+        odd = outrageous(content)
+        if odd is None:
+            return content
+        reason = f"{odd[0]}: {odd[1]}"
+    raise UsageError(InputProblem(reason, "correct the file", str(path)))
 
 
 def parse_settings(kind: type[S], content: dict, source: str) -> S:

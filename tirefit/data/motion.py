@@ -14,6 +14,7 @@ import numpy as np
 
 from tirefit.data.track import Track, read_track
 from tirefit.data.vehicle import POSE, RATES, Vehicle
+from tirefit.results import DataError, InputProblem
 
 __all__ = ["Motion", "low_passed", "read_motion"]
 
@@ -88,6 +89,9 @@ def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0):
     return sosfiltfilt(sections, uniform, axis=0, padlen=padding)
 
 
+_MOST_SAMPLES = 3_000_000
+"""Samples on the grid of one log: 8 h at 100 Hz."""
+
 _LOST = 3.5
 """Periods of a channel that has blanks between its samples, beyond which it is lost."""
 
@@ -104,6 +108,7 @@ def _motion(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
     """Motion on one uniform grid that leaves out the gaps, and their number."""
     rate = vehicle.filter.sample_rate
     splits = np.flatnonzero(np.diff(track.time) > track.max_gap) + 1
+    _check_size(track, splits, rate)
     margin = vehicle.margin
     convert = _from_pose if vehicle.columns.motion == POSE else _from_rates
     names = [channel.quantity for channel in track.channels]
@@ -130,6 +135,21 @@ def _motion(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
         name: np.concatenate([getattr(part, name) for part in parts]) for name in fields
     }
     return Motion(**joined), len(splits)
+
+
+def _check_size(track: Track, splits: np.ndarray, rate: float) -> None:
+    """Raises DataError for a grid that no memory holds."""
+    steps = np.diff(track.time)
+    steps[splits - 1] = 0.0
+    count = float(steps.sum()) * rate
+    if count > _MOST_SAMPLES:
+        raise DataError(
+            InputProblem(
+                f"at {rate:g} Hz the log has {count:.2g} samples, more than"
+                f" {_MOST_SAMPLES:,}",
+                "lower filter.sample_rate, split the log, or check the unit of time",
+            )
+        )
 
 
 def _on_grid(time, signals, grid, max_gap: float, vehicle: Vehicle):

@@ -18,6 +18,7 @@ import numpy as np
 from tirefit.data.check import BadRows
 from tirefit.data.columns import guess, is_number
 from tirefit.data.units import known_unit
+from tirefit.door import DATA, too_large
 from tirefit.results import DataError, InputProblem
 
 __all__ = ["Table", "read_table", "table_of_frame"]
@@ -51,7 +52,8 @@ class Table:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        with open(path, "rb") as file:
+            raw = file.read(DATA + 1)
     except FileNotFoundError:
         try:
             beside = [other.name for other in path.parent.iterdir()]
@@ -64,6 +66,9 @@ def _read_bytes(path: Path) -> bytes:
         cause = getattr(error, "strerror", None) or error
         reason = f"the file cannot be read: {cause}"
         raise _refusal(reason, "check the path and its permissions", path) from error
+    if len(raw) > DATA:
+        raise too_large(path, DATA)
+    return raw
 
 
 def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataError:
@@ -74,10 +79,13 @@ def _decode(raw: bytes, path: Path) -> tuple[str, list[str]]:
     """Text of the file, gunzipped, and what was assumed of its encoding."""
     if raw.startswith(b"\x1f\x8b"):
         try:
-            raw = gzip.decompress(raw)
+            with gzip.open(io.BytesIO(raw)) as unpacked:
+                raw = unpacked.read(DATA + 1)
         except (OSError, EOFError, zlib.error) as error:
             reason = f"the gzip file is damaged: {error}"
             raise _refusal(reason, "copy or compress it again", path) from error
+        if len(raw) > DATA:
+            raise too_large(path, DATA)
     export = "give a text file: CSV, semicolon- or tab-separated, or such as .gz"
     if raw.startswith(b"PK\x03\x04"):
         reason = "not a text file but a zip archive or spreadsheet"

@@ -6,10 +6,10 @@ reading and back to the units of the file on writing.
 """
 
 import math
-from pathlib import Path
 
 from tirefit.data.tir_check import notes_on, problems_of
 from tirefit.data.tir_file import TirFile, parsed, shortest
+from tirefit.door import TIRE, content_of, control_character
 from tirefit.files import write_text_atomic
 from tirefit.results import DataError, InputProblem, UsageError
 
@@ -37,17 +37,18 @@ def read_tir(path) -> TirFile:
     """Reads a ``.tir`` file; see :func:`parse_tir` for what is refused.
 
     Raises:
-        DataError: also where there is no such file.
+        DataError: also where there is no such file, or it is no text.
     """
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        reason = f"cannot read it: {error.strerror}"
-        raise DataError(InputProblem(reason, "give a .tir file", str(path))) from None
+    content = content_of(path, TIRE, DataError, "give a .tir file")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
+    odd = control_character(text)
+    if odd is not None:
+        row, name = odd
+        reason = f"not a text file: it holds the control character {name}"
+        raise DataError(InputProblem(reason, "remove it", str(path), row))
     return parse_tir(text, str(path))
 
 

@@ -97,9 +97,9 @@ class Filter(Section):
             3.5 of the log's own periods.
     """
 
-    cutoff: PositiveFloat = 5.0
+    cutoff: Annotated[float, Field(ge=1e-3, le=1e4)] = 5.0
     order: Annotated[int, Field(ge=1, le=8)] = 2
-    sample_rate: PositiveFloat = 100.0
+    sample_rate: Annotated[float, Field(gt=0, le=1e5)] = 100.0
     max_gap: PositiveFloat | None = None
 
     def contradictions(self) -> Iterator[InputProblem]:

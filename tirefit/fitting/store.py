@@ -1,20 +1,23 @@
 """Fits on disk: ``fit.json`` and ``posterior.nc``."""
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, model_validator
 
+from tirefit.door import read_record
 from tirefit.files import replacing, write_text_atomic
 from tirefit.fitting.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
 from tirefit.params import specs, with_values
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.slip import CONVENTIONS
 
 __all__ = ["StoredFit", "load_fit", "save_fit", "write_posterior"]
 
@@ -35,45 +38,92 @@ class StoredFit:
     content: Mapping
 
 
+class _Part(BaseModel):
+    """What is read of a ``fit.json``; the rest of it is for people."""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+
+class _Free(_Part):
+    name: str
+    per_run: bool
+    lower: float
+    upper: float
+
+
+class _Tie(_Part):
+    name: str
+    other: str
+    factor: float
+
+
+class _Layout(_Part):
+    free: list[_Free]
+    ties: list[_Tie]
+    runs: list[str]
+    fixed: dict[str, float]
+
+
+class _Prediction(_Part):
+    z: list[float]
+    covariance: list[list[float]]
+    layout: _Layout
+
+    @model_validator(mode="after")
+    def _square(self):
+        size = len(self.z)
+        if [len(row) for row in self.covariance] != [size] * size:
+            raise ValueError(f"the covariance is not {size} x {size}")
+        return self
+
+
+class _Data(_Part):
+    convention: Literal[tuple(CONVENTIONS)]  # type: ignore[valid-type]
+
+
+class _Record(_Part):
+    model: str
+    forces: list[Literal["fx", "fy", "mz"]]
+    noise: dict[str, Any]
+    data: _Data
+    reference: dict[str, Any]
+    prediction: _Prediction
+
+
 def load_fit(path: str | os.PathLike) -> StoredFit:
     """Read a ``fit.json``.
 
     Raises:
-        DataError: no such file, not JSON, or not of this schema.
+        DataError: no such file, not JSON, not of this schema, or changed since.
     """
 
-    def refuse(reason: str) -> DataError:
-        return DataError(
-            InputProblem(reason, "give a fit.json of `tirefit fit`", str(path))
-        )
-
+    remedy = "give a fit.json of `tirefit fit`"
+    content = read_record(path, SCHEMA, remedy)
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise refuse(f"cannot read it: {error.strerror}") from None
-    except ValueError as error:
-        raise refuse(f"not JSON: {error}") from None
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise refuse(f"its schema is not {SCHEMA}")
-    template = find_model(content["model"])
-    known = specs(template)
-    stored = content["prediction"]["layout"]
-    free = tuple(
-        FreeParameter(
-            item["name"],
-            known[item["name"]]._replace(lower=item["lower"], upper=item["upper"]),
-            item["per_run"],
+        record = _Record.model_validate(content)
+        template = find_model(record.model)
+        stored, known = record.prediction.layout, specs(template)
+        free = tuple(
+            FreeParameter(
+                item.name,
+                known[item.name]._replace(lower=item.lower, upper=item.upper),
+                item.per_run,
+            )
+            for item in stored.free
         )
-        for item in stored["free"]
-    )
-    layout = Layout(
-        free, tuple(Tie(**tie) for tie in stored["ties"]), tuple(stored["runs"])
-    )
-    noise = {force: content["noise"][force] for force in content["forces"]}
+        ties = tuple(Tie(tie.name, tie.other, tie.factor) for tie in stored.ties)
+        layout = Layout(free, ties, tuple(stored.runs))
+        tire = with_values(template, stored.fixed)
+        noise = {force: record.noise[force] for force in record.forces}
+        if len(record.prediction.z) != layout.size:
+            raise ValueError("z has another length than the layout")
+    except (ValueError, KeyError, UsageError) as error:
+        # Its checksum holds: it is of another version, or was made by hand.
+        reason = f"it does not hold a fit: {str(error).splitlines()[0][:200]}"
+        raise DataError(InputProblem(reason, remedy, str(path))) from None
     return StoredFit(
-        content["model"], with_values(template, stored["fixed"]), layout,
-        np.array(content["prediction"]["z"]),
-        np.array(content["prediction"]["covariance"]), noise, content,
+        record.model, tire, layout, np.array(record.prediction.z),
+        np.array(record.prediction.covariance), noise, content,
     )  # fmt: skip
 
 
