@@ -7,14 +7,15 @@ this package wrote itself carry a checksum of their content: one flipped bit is 
 import hashlib
 import json
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
-from tirefit.results import DataError, InputProblem, TirefitError
+from tirefit.results import DataError, InputProblem, TirefitError, UsageError
 
 __all__ = [
     "CHAIN", "DATA", "RECORD", "SETTINGS", "TIRE", "content_of", "control_character",
-    "outrageous", "read_record", "sealed", "sealed_bytes", "too_large",
+    "outrageous", "read_record", "read_toml", "sealed", "sealed_bytes", "too_large",
     "unsealed_bytes",
 ]  # fmt: skip
 
@@ -92,6 +93,29 @@ def outrageous(content: Any, numbers: bool = True) -> tuple[str, str] | None:
             if 0 < size < _SMALLEST:
                 return key, f"a number closer to 0 than {_SMALLEST:g}"
     return None
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        UsageError: no such file, too large, not TOML, nested too deeply, or with
+            numbers of a size that nothing has.
+    """
+    raw = content_of(path, SETTINGS, UsageError, "check the path")
+    try:
+        # Editors on Windows put a byte-order mark before the first key.
+        content = tomllib.loads(raw.decode("utf-8-sig"))
+    except RecursionError:
+        reason = "not valid TOML: brackets are nested too deeply"
+    except ValueError as error:  # of TOML, of UTF-8, of a number of 5,000 digits
+        reason = f"not valid TOML: {str(error)[:200]}"
+    else:
+        odd = outrageous(content)
+        if odd is None:
+            return content
+        reason = f"{odd[0]}: {odd[1]}"
+    raise UsageError(InputProblem(reason, "correct the file", str(path)))
 
 
 # --- our own files --------------------------------------------------------------

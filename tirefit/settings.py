@@ -1,4 +1,4 @@
-"""Settings files (``fit.toml``, ``vehicle.toml``), read and checked in one way.
+"""Settings files (``fit.toml``, ``vehicle.toml``), checked in one way.
 
 The sections of a file are subclasses of :class:`Section`. Neither ``"0.9"`` nor
 ``true`` is a number. Everything wrong with a file is said at once, each problem with
@@ -10,10 +10,8 @@ import difflib
 import itertools
 import json
 import re
-import tomllib
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 import numpy as np
@@ -25,10 +23,9 @@ from pydantic import (
     model_validator,
 )
 
-from tirefit.door import SETTINGS, content_of, outrageous
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["Section", "parse_settings", "read_toml"]
+__all__ = ["Section", "parse_settings"]
 
 
 class Contradiction(ValueError):
@@ -70,35 +67,12 @@ class Section(BaseModel):
 S = TypeVar("S", bound=Section)
 
 
-def read_toml(path: str | Path) -> dict[str, Any]:
-    """The content of a TOML file.
-
-    Raises:
-        UsageError: no such file, too large, not TOML, nested too deeply, or with
-            numbers of a size that nothing has.
-    """
-    raw = content_of(path, SETTINGS, UsageError, "check the path")
-    try:
-        # Editors on Windows put a byte-order mark before the first key.
-        content = tomllib.loads(raw.decode("utf-8-sig"))
-    except RecursionError:
-        reason = "not valid TOML: brackets are nested too deeply"
-    except ValueError as error:  # of TOML, of UTF-8, of a number of 5,000 digits
-        reason = f"not valid TOML: {str(error)[:200]}"
-    else:
-        odd = outrageous(content)
-        if odd is None:
-            return content
-        reason = f"{odd[0]}: {odd[1]}"
-    raise UsageError(InputProblem(reason, "correct the file", str(path)))
-
-
 def parse_settings(kind: type[S], content: dict, source: str) -> S:
     """Check the content of a settings file.
 
     Args:
         kind: the section that is the whole file.
-        content: what :func:`read_toml` gave, or a dict of the same form.
+        content: what :func:`tirefit.door.read_toml` gave, or a dict of the same form.
         source: where it came from, named by every problem.
 
     Raises:

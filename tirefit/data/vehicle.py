@@ -13,8 +13,9 @@ from typing import Annotated
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from tirefit.data.units import Unit, known_unit, units_of
+from tirefit.door import read_toml
 from tirefit.results import InputProblem
-from tirefit.settings import Section, parse_settings, read_toml
+from tirefit.settings import Section, parse_settings
 
 __all__ = [
     "CHECKS", "POSE", "QUANTITIES", "RATES", "Columns", "Filter", "Keep", "Steering",

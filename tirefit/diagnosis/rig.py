@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from tirefit.data.table import TireData
+from tirefit.door import read_toml
 from tirefit.results import InputProblem, UsageError
-from tirefit.settings import read_toml
 
 __all__ = ["VEHICLE", "Rig", "load_rig"]
 

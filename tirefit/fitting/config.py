@@ -11,8 +11,9 @@ from pydantic import (
     PrivateAttr,
 )
 
+from tirefit.door import read_toml
 from tirefit.results import InputProblem
-from tirefit.settings import Section, parse_settings, read_toml
+from tirefit.settings import Section, parse_settings
 
 __all__ = [
     "DataConfig",

@@ -7,7 +7,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    NonNegativeFloat,
+    PositiveFloat,
+    model_validator,
+)
 
 from tirefit.door import read_record
 from tirefit.files import replacing, write_text_atomic
@@ -81,12 +87,21 @@ class _Data(_Part):
     convention: Literal[tuple(CONVENTIONS)]  # type: ignore[valid-type]
 
 
+class _Noise(_Part):
+    median_std: NonNegativeFloat
+    proportional_to_load: bool = False
+
+
+class _Reference(_Part):
+    fz: PositiveFloat
+
+
 class _Record(_Part):
     model: str
     forces: list[Literal["fx", "fy", "mz"]]
     noise: dict[str, Any]
     data: _Data
-    reference: dict[str, Any]
+    reference: _Reference
     prediction: _Prediction
 
 
@@ -98,7 +113,7 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
     """
 
     remedy = "give a fit.json of `tirefit fit`"
-    content = read_record(path, SCHEMA, remedy)
+    content = read_record(Path(path), SCHEMA, remedy)
     try:
         record = _Record.model_validate(content)
         template = find_model(record.model)
@@ -114,7 +129,9 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
         ties = tuple(Tie(tie.name, tie.other, tie.factor) for tie in stored.ties)
         layout = Layout(free, ties, tuple(stored.runs))
         tire = with_values(template, stored.fixed)
-        noise = {force: record.noise[force] for force in record.forces}
+        noise: dict[str, Any] = {f: record.noise[f] for f in record.forces}
+        for given in noise.values():
+            _Noise.model_validate(given)
         if len(record.prediction.z) != layout.size:
             raise ValueError("z has another length than the layout")
     except (ValueError, KeyError, UsageError) as error:
