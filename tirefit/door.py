@@ -6,6 +6,7 @@ this package wrote itself carry a checksum of their content: one flipped bit is 
 
 import hashlib
 import json
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -69,12 +70,14 @@ def control_character(text: str) -> tuple[int, str] | None:
     return row, f"U+{ord(found.group()):04X}"
 
 
-def outrageous(content: Any, numbers: bool = True) -> tuple[str, str] | None:
+def outrageous(
+    content: Any, smallest: float = _SMALLEST, largest: float = _LARGEST
+) -> tuple[str, str] | None:
     """Key and reason of the first thing in parsed settings that no file needs, or None.
 
     Args:
         content: tables and lists in each other.
-        numbers: whether the size of numbers is looked at.
+        smallest, largest: size of its numbers; 0 and infinity are left to the reader.
     """
     waiting: list[tuple[str, Any, int]] = [("", content, 0)]
     while waiting:
@@ -86,12 +89,12 @@ def outrageous(content: Any, numbers: bool = True) -> tuple[str, str] | None:
             waiting += [(f"{start}{k}"[:80], v, depth + 1) for k, v in value.items()]
         elif isinstance(value, list):
             waiting += [(key, item, depth + 1) for item in value]
-        elif numbers and isinstance(value, int | float):
+        elif isinstance(value, int | float):
             size = abs(value)
-            if value == value and _LARGEST < size < float("inf"):
-                return key, f"a number above {_LARGEST:g}"
-            if 0 < size < _SMALLEST:
-                return key, f"a number closer to 0 than {_SMALLEST:g}"
+            if largest < size < math.inf:
+                return key, f"a number above {largest:g}"
+            if 0 < size < smallest:
+                return key, f"a number closer to 0 than {smallest:g}"
     return None
 
 
@@ -151,7 +154,7 @@ def read_record(path: str | Path, schema: str, remedy: str) -> dict:
         raise refused(f"not JSON: {str(error)[:200]}") from None
     if not isinstance(content, dict) or content.get("schema") != schema:
         raise refused(f"its schema is not {schema}")
-    if outrageous(content, numbers=False):
+    if outrageous(content, 0.0, math.inf):
         raise refused("it was changed or damaged since it was written")
     seal = content.pop(_SEAL, None)
     if seal != _digest(content):

@@ -54,6 +54,8 @@ def agreements(
     Args:
         swapped: two channels that are taken for each other.
     """
+    if not motion.settled.any():
+        return []
     of = _slowly(track, motion, vehicle)
     if swapped is not None:
         one, other = swapped
@@ -85,6 +87,8 @@ def heading_off_path(
 ) -> float:
     """Mean of ``sign`` times the direction of the path, less the yaw [rad], in ±pi; NaN
     where the log has no pose."""
+    if not motion.settled.any():
+        return np.nan
     of = _slowly(track, motion, vehicle)
     if not {"x", "y", "yaw"} <= set(of):
         return np.nan

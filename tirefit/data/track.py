@@ -20,6 +20,9 @@ _MOST_PROBLEMS = 10
 _CLOSEST = 0.3
 """Samples nearer than this part of the log's period are one sample (a repeat)."""
 
+_LARGEST = 1e20
+"""Size of a value whose square still is a number; infinity counts as missing."""
+
 _SI = {
     "time": "s", "length": "m", "angle": "rad", "speed": "m/s",
     "angular speed": "rad/s", "acceleration": "m/s2",
@@ -245,9 +248,13 @@ def _column(table: Table, name: str, problems: list[InputProblem]) -> np.ndarray
             continue
         try:
             values[index] = float(cell)
+            if not _LARGEST < abs(values[index]) < math.inf:
+                continue
+            reason = f"{cell.strip()[:40]} is larger than anything measured"
         except ValueError:
-            reason, line = f"{cell.strip()!r} is not a number", int(table.lines[index])
-            problems.append(InputProblem(reason, "correct it", table.file, line, name))
+            reason = f"{cell.strip()[:40]!r} is not a number"
+        line = int(table.lines[index])
+        problems.append(InputProblem(reason, "correct it", table.file, line, name))
     return values
 
 

@@ -15,7 +15,7 @@ from pydantic import (
     model_validator,
 )
 
-from tirefit.door import read_record
+from tirefit.door import outrageous, read_record
 from tirefit.files import replacing, write_text_atomic
 from tirefit.fitting.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.problem import find_model
@@ -42,6 +42,11 @@ class StoredFit:
     covariance: np.ndarray
     noise: Mapping[str, Mapping]
     content: Mapping
+
+
+_LARGEST = 1e20
+_ROUNDING = 1e-9
+"""Share of the largest variance by which the smallest may seem negative."""
 
 
 class _Part(BaseModel):
@@ -80,6 +85,11 @@ class _Prediction(_Part):
         size = len(self.z)
         if [len(row) for row in self.covariance] != [size] * size:
             raise ValueError(f"the covariance is not {size} x {size}")
+        if size and np.max(np.abs(self.covariance)) > _LARGEST:
+            raise ValueError(f"a covariance above {_LARGEST:g}")
+        own = np.linalg.eigvalsh(np.array(self.covariance)) if size else np.zeros(1)
+        if own[0] < -_ROUNDING * abs(own[-1]):
+            raise ValueError("a variance is negative")
         return self
 
 
@@ -116,6 +126,9 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
     content = read_record(Path(path), SCHEMA, remedy)
     try:
         record = _Record.model_validate(content)
+        odd = outrageous(content["prediction"], 0.0)
+        if odd is not None:
+            raise ValueError(f"prediction.{odd[0]}: {odd[1]}")
         template = find_model(record.model)
         stored, known = record.prediction.layout, specs(template)
         free = tuple(
