@@ -52,7 +52,7 @@ class Table:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        with open(path, "rb") as file:
+        with path.open("rb") as file:
             raw = file.read(DATA + 1)
     except FileNotFoundError:
         try:
