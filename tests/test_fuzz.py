@@ -1,6 +1,7 @@
 """500 damaged inputs: each a result or a clean error. ``make fuzz`` tries more."""
 
 import json
+import re
 import struct
 import zlib
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from fuzz import KINDS, damaged, failures
 
+from tirefit.diagnosis.rig import load_rig
 from tirefit.door import (
     CHAIN,
     content_of,
@@ -19,6 +21,7 @@ from tirefit.door import (
     sealed_bytes,
     unsealed_bytes,
 )
+from tirefit.fitting.config import load_config
 from tirefit.results import DataError, TirefitError, UsageError
 
 
@@ -71,6 +74,45 @@ def test_settings_that_no_file_needs_are_refused(tmp_path, text, said):
         read_toml(path)
     (problem,) = caught.value.problems
     assert problem.file == str(path) and problem.remedy and len(problem.reason) < 300
+
+
+@pytest.mark.parametrize("value", ["1e10", "1e-13", "0", "true"])
+def test_sizes_that_nothing_of_a_rig_has_are_refused(tmp_path, value):
+    path = tmp_path / "rig.toml"
+    path.write_text(f"[noise]\nfx = {value}\n")
+    with pytest.raises(UsageError, match="noise.fx = .* is not a positive number"):
+        load_rig(path)
+    path.write_text("[noise]\nfx = 1e9\nsigma_x = 1e-12\n")
+    assert load_rig(path).noise == {"fx": 1e9, "sigma_x": 1e-12}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("starts = 10000000000", "starts = 10000000000: must be less than or equal"),
+        ("[posterior]\nwalkers = 100000", "posterior.walkers = 100000"),
+        ("[posterior]\nmax_steps = 100000000", "posterior.max_steps = 100000000"),
+    ],
+)
+def test_numbers_that_no_machine_holds_are_refused(tmp_path, text, said):
+    path = tmp_path / "fit.toml"
+    path.write_text(text)
+    with pytest.raises(UsageError, match=said):
+        load_config(path)
+
+
+def test_a_grid_that_no_machine_holds_is_refused(tmp_path, monkeypatch):
+    text = (KINDS["vehicle.toml"].sound()[0]).decode()
+    path = tmp_path / "vehicle.toml"
+
+    def refused(rate, said):
+        path.write_text(re.sub(r"sample_rate = \S+", f"sample_rate = {rate}", text))
+        with pytest.raises(TirefitError, match=said):
+            KINDS["vehicle.toml"].read(path)
+
+    refused("1e9", "filter.sample_rate = 1000000000.0: must be less")
+    monkeypatch.setattr("tirefit.data.motion._MOST_SAMPLES", 5000)
+    refused("1000.0", "samples, more than 5,000")
 
 
 def test_too_large_a_file_is_not_read(tmp_path):

@@ -22,6 +22,9 @@ _NOISE = (
 VEHICLE = ("position", "clock", "yaw_inertia")
 """What may be stated of a vehicle: keys of ``[vehicle]``."""
 
+_LEAST, _MOST = 1e-12, 1e9
+"""Sizes that anything of a rig has, SI: beyond, noise drowns or divides everything."""
+
 _STANDS = 0.02
 """Share of the usual wheel speed or speed below which a wheel counts as standing."""
 
@@ -106,9 +109,10 @@ def _checked(content: dict, path: str) -> Rig:
 
     def number(key, value):
         good = isinstance(value, int | float) and not isinstance(value, bool)
-        if not good or not value > 0 or not np.isfinite(value):
+        if not good or not _LEAST <= value <= _MOST:
             reason = f"{key} = {value!r} is not a positive number"
-            problems.append(InputProblem(reason, "give an SI value", path))
+            remedy = f"give an SI value from {_LEAST:g} to {_MOST:g}"
+            problems.append(InputProblem(reason, remedy, path))
             return None
         return float(value)
 
