@@ -369,6 +369,9 @@ def test_a_force_along_the_sliding_is_refused():
     assert pushes_the_wrong_way(alpha, 0 * force, settings, "a.csv") == []
     (problem,) = pushes_the_wrong_way(alpha, -force, settings, "a.csv")
     assert "acts the way the axle slides" in problem.reason
+    # Of 30 samples alike in tens, as a short log has them, any correlation is chance.
+    few = np.repeat([[1.0, 2.0, 3.0], [-1.0, -2.2, -2.9]], 10, axis=1)
+    assert pushes_the_wrong_way(*few, settings, "a.csv") == []
 
 
 def test_a_steady_circle_with_a_mirrored_v_y_is_refused(tmp_path):

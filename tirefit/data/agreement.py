@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["LATEST", "Agreement", "Pair", "Term", "agreement"]
+__all__ = ["LATEST", "Agreement", "Pair", "Term", "agreement", "effective"]
 
 LATEST = 0.4
 """Longest delay that is looked for [s]: of the recorders of vehicles."""
@@ -249,7 +249,7 @@ def _instrumented(values, sides, around, zero: float) -> _Fit | None:
     try:
         for _ in range(2):
             error = values - columns @ theta
-            count = _effective(error)
+            count = effective(error)
             noise = float(np.var(error)) * len(values) / count
             level = zero * float(np.linalg.norm(theta[:-2] / scale[:-2]))
             prior[-1, -1] = noise / max(level, 1e-9) ** 2
@@ -277,7 +277,7 @@ def _share(columns, seen, k: int) -> float:
     return float(np.mean(own**2) / max(np.mean(whole**2), 1e-300))
 
 
-def _effective(error: np.ndarray) -> float:
+def effective(error: np.ndarray) -> float:
     """How many independent values the (n,) remainder counts as: its autocorrelation
     summed as far as pairs of neighbouring lags are positive (Geyer)."""
     n = len(error)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tirefit.data.agreement import Agreement
+from tirefit.data.agreement import Agreement, effective
 from tirefit.data.faults import (
     RELATED,
     SEEN,
@@ -24,6 +24,9 @@ from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.results import InputProblem
 
 __all__ = ["Comparison", "compare", "pushes_the_wrong_way"]
+
+_CHANCE = 4.0
+"""Correlation of chance, in its standard errors, that no log has."""
 
 _LATE = 0.05
 _OFFSET = 0.3
@@ -337,10 +340,12 @@ def pushes_the_wrong_way(
     Args:
         alpha, force: (n,) kept samples, canonical signs.
     """
-    related = (
-        np.corrcoef(alpha, force)[0, 1] if np.ptp(alpha) and np.ptp(force) else 0.0
-    )
-    if not related < -RELATED:
+    if not (np.ptp(alpha) and np.ptp(force)):
+        return []
+    related = float(np.corrcoef(alpha, force)[0, 1])
+    left = force - np.polyval(np.polyfit(alpha, force, 1), alpha)
+    # Neighbouring samples are alike: of few facts any correlation may be chance.
+    if not related < -max(RELATED, _CHANCE / math.sqrt(effective(left))):
         return []
     if vehicle.columns.motion == POSE:
         name, other, unit = "yaw", "y", "rad"
