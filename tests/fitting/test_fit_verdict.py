@@ -298,3 +298,15 @@ def test_residuals_that_follow_the_load_hint_at_brush_load(
     assert "brush-load lets" not in " ".join(
         fit(data, "brush-load").verdict["sentences"]
     )
+
+
+def test_a_fit_with_slip_noise_over_loads_has_a_verdict():
+    """Its residuals are not one a row and force: the hint keeps silent."""
+    from tirefit.sim.rig import simulate_rig
+
+    values = {"cpa2": 5e4, "mu": 0.9, "stiffness_power": 1.6, "fz0": 4000.0}
+    made = simulate_rig("brush-load", values, loads=[2000.0, 6000.0], seed=1)
+    data = read_frame(dict(made.columns), convention="braking")
+    result = fit(data, "brush", config={"noise": {"sigma_x": 0.001}})
+    assert result.verdict["status"] != "ok"
+    assert "brush-load lets" not in " ".join(result.verdict["sentences"])

@@ -34,9 +34,9 @@ def hint_at_load(result: FitResult) -> list[str]:
         return []
     explained = left = effective = 0.0
     for name in at.mean:
+        if name not in at.values or len(at.values[name]) != len(loads):
+            return []  # noise of the slip shares rows among blocks
         residual, slopes = np.asarray(at.values[name]), np.asarray(at.slopes[name])
-        if len(residual) != len(loads):
-            return []
         relative = (loads / middle - 1)[:, None]
         without = _remainder(residual, slopes)
         rest = _remainder(residual, np.hstack([slopes, slopes * relative]))
