@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: install demo test statistics notebooks bench withheld withheld-full friction-benchmark lint types clean
+.PHONY: install demo test statistics notebooks bench withheld withheld-full friction-benchmark fuzz lint types clean
 
 install: $(STAMP)
 
@@ -45,6 +45,12 @@ withheld withheld-full: install
 	$(BIN)/python -m fits.withheld.forest --out out/forest.npz
 	$(BIN)/python -m fits.withheld.baselines out/$@ --forest out/forest.npz
 	$(BIN)/python -m fits.withheld.score out/$@ --bound 60
+
+# Damaged inputs of every kind that is read, over night; the suite tries 500.
+fuzz: INPUTS = 100000
+fuzz: SEED = 1
+fuzz: install
+	$(BIN)/python -m tests.fuzz --inputs $(INPUTS) --seed $(SEED) --out out/$@
 
 # Friction estimators on the same logs; see fits/friction_benchmark.
 friction-benchmark: install

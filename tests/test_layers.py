@@ -15,6 +15,7 @@ FLOORS = {
     "padding": 0,
     "compiled": 1,
     "display": 0,
+    "door": 1,
     "names": 0,
     "params": 1,
     "precision": 1,

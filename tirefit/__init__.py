@@ -44,6 +44,8 @@ in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
   Research 15 (2014) 1593-1623.
 - Kitagawa, G.: Monte Carlo filter and smoother for non-Gaussian nonlinear state space
   models. Journal of Computational and Graphical Statistics 5 (1996) 1-25.
+- Levenberg, K.: A method for the solution of certain non-linear problems in least
+  squares. Quarterly of Applied Mathematics 2 (1944) 164-168.
 - Liu, C.-S., Peng, H.: Road friction coefficient estimation for vehicle path
   prediction. Vehicle System Dynamics 25, supplement (1996) 413-425.
 - Neal, R. M.: MCMC using Hamiltonian dynamics. Handbook of Markov Chain Monte Carlo,

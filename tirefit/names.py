@@ -1,6 +1,6 @@
-"""Names of the models as text: completion must not wait for JAX to be imported."""
+"""Names of models and effects as text: completion must not wait for JAX."""
 
-__all__ = ["MODEL_NAMES"]
+__all__ = ["EFFECT_NAMES", "MODEL_NAMES"]
 
 _PRESSURE = ("brush", "brush-d", "uniform", "quartic", "elliptic")
 _SPEED = ("", "n", "ns", "h", "hs")
@@ -43,3 +43,21 @@ MODEL_NAMES = (
     "magic-formula-relaxation",
 )
 """Every key of ``tirefit.MODELS``."""
+
+EFFECT_NAMES = (
+    "pressure_asymmetry", "pressure_flatness", "kinetic_friction",
+    "pressure_shift_load", "carcass_flexibility", "friction_speed_linear",
+    "friction_speed_exponential", "load_stiffness", "load_friction",
+    "friction_temperature", "stiffness_temperature", "friction_drift",
+    "stiffness_drift", "friction_step", "friction_hysteresis",
+    "drive_brake_asymmetry", "combined_slip", "slip_offset", "force_offset",
+    "slip_definition", "wheel_inertia", "camber_thrust", "conicity", "channel_delay",
+    "relaxation_length", "slip_zero_drift", "force_zero_drift", "load_crosstalk",
+    "load_offset", "force_crosstalk", "force_hysteresis", "slip_offset_load",
+    "slip_offset_speed", "speed_zero", "speed_drag", "friction_ellipse",
+    "tracked_point", "load_transfer", "friction_pressure", "stiffness_pressure",
+    "friction_warming", "stiffness_warming", "stiffness_speed", "yaw_inertia",
+    "floor_slope", "toe", "lateral_load_transfer", "unlike_tires", "steering_gain",
+    "slip_offset_run", "force_offset_run",
+)  # fmt: skip
+"""The id of every effect of ``tirefit diagnose``."""

@@ -1,4 +1,4 @@
-"""Settings files (``fit.toml``, ``vehicle.toml``), read and checked in one way.
+"""Settings files (``fit.toml``, ``vehicle.toml``), checked in one way.
 
 The sections of a file are subclasses of :class:`Section`. Neither ``"0.9"`` nor
 ``true`` is a number. Everything wrong with a file is said at once, each problem with
@@ -10,10 +10,8 @@ import difflib
 import itertools
 import json
 import re
-import tomllib
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 import numpy as np
@@ -27,7 +25,7 @@ from pydantic import (
 
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["Section", "parse_settings", "read_toml"]
+__all__ = ["Section", "parse_settings"]
 
 
 class Contradiction(ValueError):
@@ -69,28 +67,12 @@ class Section(BaseModel):
 S = TypeVar("S", bound=Section)
 
 
-def read_toml(path: str | Path) -> dict[str, Any]:
-    """The content of a TOML file.
-
-    Raises:
-        UsageError: no such file, or not TOML.
-    """
-    try:
-        # Editors on Windows put a byte-order mark before the first key.
-        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        reason, remedy = f"cannot read it: {error.strerror}", "check the path"
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        reason, remedy = f"not valid TOML: {error}", "correct the file"
-    raise UsageError(InputProblem(reason, remedy, str(path)))
-
-
 def parse_settings(kind: type[S], content: dict, source: str) -> S:
     """Check the content of a settings file.
 
     Args:
         kind: the section that is the whole file.
-        content: what :func:`read_toml` gave, or a dict of the same form.
+        content: what :func:`tirefit.door.read_toml` gave, or a dict of the same form.
         source: where it came from, named by every problem.
 
     Raises:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tirefit.models import MODELS
-from tirefit.names import MODEL_NAMES
+from tirefit.names import EFFECT_NAMES, MODEL_NAMES
 
 FZ = 4000.0
 VEHICLE = Path(__file__).parents[2] / "fits" / "dart_jetracer" / "vehicle.toml"
@@ -206,6 +206,7 @@ def test_version(run):
     from tirefit import __version__
 
     assert run("version").stdout.strip() == __version__
+    assert run("--version").stdout.strip() == f"tirefit {__version__}"
 
 
 def test_no_command_shows_the_help(run):
@@ -242,9 +243,30 @@ def test_completion_knows_every_model_without_importing_one():
     assert sorted(MODEL_NAMES) == sorted(MODELS)
 
 
-def test_completing_a_model_imports_no_jax():
+def test_completion_knows_every_effect_without_importing_one():
+    from tirefit.diagnosis.effects import EFFECTS
+
+    assert EFFECT_NAMES == tuple(effect.id for effect in EFFECTS)
+
+
+@pytest.mark.parametrize(
+    ("begun", "offered"),
+    [
+        ("fit --model brush-dm", {"brush-dm", "brush-dmn", "brush-dmns", "brush-dmh",
+                                  "brush-dmhs"}),
+        ("diagnose d.csv --model lug", {"lugre", "lugre-lumped"}),
+        ("fit d.csv --convention i", {"iso-w"}),
+        ("inspect d.csv --convention s", {"sae"}),
+        ("fit d.csv --slip ka", {"kappa"}),
+        ("fit d.csv --sampler n", {"nuts"}),
+        ("diagnose d.csv --without yaw", {"yaw_inertia"}),
+        ("--vers", {"--version"}),
+    ],
+)  # fmt: skip
+def test_completing_imports_no_jax(begun, offered):
     program = (
         "import sys\n"
+        "sys.argv = ['tirefit']\n"
         "from tirefit.cli import main\n"
         "try: main()\n"
         "except SystemExit: pass\n"
@@ -252,11 +274,40 @@ def test_completing_a_model_imports_no_jax():
     )
     environment = os.environ | {
         "_TIREFIT_COMPLETE": "complete_bash",
-        "COMP_WORDS": "tirefit fit --model brush-dm",
-        "COMP_CWORD": "3",
+        "COMP_WORDS": f"tirefit {begun}",
+        "COMP_CWORD": str(len(begun.split())),
     }
     done = subprocess.run(
         [sys.executable, "-c", program],
         env=environment, capture_output=True, text=True, check=True,
     )  # fmt: skip
-    assert "False False" in done.stdout
+    *said, heavy = done.stdout.splitlines()
+    assert set(said) == offered and heavy == "False False"
+
+
+def test_derive_refuses_a_wrong_unit_and_its_remedy_works(run, tmp_path):
+    time = np.arange(0, 30, 0.02)
+    rng = np.random.default_rng(0)
+    v, r = (
+        20 + 2 * np.sin(0.3 * time),
+        0.2 * np.sin(1.1 * time) + 0.1 * np.sin(0.4 * time),
+    )
+    v_y = 0.5 * r - 0.008 * v**2 * r
+    a_y = v * r + np.gradient(v_y, time)
+    signals = (
+        x + 0.01 * rng.standard_normal(len(time)) for x in (3.6 * v, v_y, r, a_y)
+    )
+    write(tmp_path / "log.csv", "t,vx,vy,r,ay", time, *signals)
+    (tmp_path / "v.toml").write_text(
+        "mass = 1500\nyaw_inertia = 2500\nl_f = 1.2\nl_r = 1.4\n[columns]\n"
+        'time = "t"\nv_x = "vx"\nv_y = "vy"\nyaw_rate = "r"\na_y = "ay"\n'
+    )
+    arguments = ("derive", "log.csv", "--vehicle", "v.toml", "--out", "out.csv")
+    result = run(*arguments, exit_code=3)
+    assert "v_x is in km/h, and read in m/s" in result.stderr
+    assert "--unit v_x=km/h" in result.stderr
+    assert not (tmp_path / "out.csv").exists()
+    assert "channels compared: " in run(*arguments, "--unit", "v_x=km/h").stdout
+    assert "warning: channels contradict" in run(*arguments, "--believe").stdout
+    result = run(*arguments, "--unit", "v_x", exit_code=2)
+    assert "--unit NAME=VALUE" in result.stderr

@@ -121,6 +121,50 @@ def test_a_reduced_tir_has_the_slope_and_the_peak_of_the_brush(run):
         np.testing.assert_allclose(np.max(force), 0.9 * 4000, rtol=1e-3)
 
 
+@pytest.mark.parametrize("force", ["fx", "fy"])
+@pytest.mark.parametrize("model", ["brush", "brush-d"])
+def test_a_brush_comes_back_from_its_tir_exactly(run, model, force):
+    run("convert", *REDUCED, "--out", "reduced.tir")
+    options = ("--model", model, "--force", force, "--out", "out")
+    result = run("convert", "reduced.tir", *options)
+    content = json.loads(Path("out/fit.json").read_text())
+    for name, value in (("cpa2", 50000), ("mu", 0.9)):
+        estimate = content["parameters"][name]
+        np.testing.assert_allclose(estimate["value"], value, rtol=1e-6)
+        np.testing.assert_allclose(estimate["ci95"], value, rtol=1e-4)
+    said = " ".join(result.stdout.split())
+    assert "the .tir of a brush, cpa2 = 50000, mu = 0.9, whose own curve" in said
+    # What was changed since is a Magic Formula like any other.
+    tir = re.sub(r"(PEX1 += )-0.44", r"\g<1>-0.4", Path("reduced.tir").read_text())
+    Path("other.tir").write_text(tir)
+    run("convert", "other.tir", *options)
+    content = json.loads(Path("out/fit.json").read_text())
+    assert "Magic Formula 6.1" in " ".join(content["data"]["assumptions"])
+
+
+def test_what_the_format_cannot_hold_is_said_with_its_size(run):
+    """The stated differences, from predictions of the file and of the brush."""
+    said = run("convert", *REDUCED, "--out", "reduced.tir").stdout
+    rows = re.findall(r"F_z (\d+) N: ([\d.]+)% in fx, ([\d.]+)% in fy", said)
+    assert [float(load) for load, *_ in rows] == [2000, 4000, 6000]
+    kappa, alpha = -np.linspace(0, 0.98, 400), np.linspace(0, 1.4, 400)
+    for load, *shares in rows:
+        for share, name, slip in zip(
+            shares, ("fx", "fy"), ((kappa, 0 * kappa), (0 * alpha, alpha)), strict=True
+        ):
+            lines = [f"{k},{a},{load}" for k, a in zip(*slip, strict=True)]
+            Path("p.csv").write_text("\n".join(["kappa,alpha,fz", *lines]) + "\n")
+            both = []
+            brush_values = ("--set", "cpa2=50000", "--set", "mu=0.9")
+            for tire in (("reduced.tir",), ("brush", *brush_values)):
+                how = ("--convention", "iso-w", "--out", "f.csv")
+                run("predict", tire[0], "p.csv", *tire[1:], *how)
+                with open("f.csv") as file:
+                    both.append([float(r[name]) for r in csv.DictReader(file)])
+            worst = np.max(np.abs(np.subtract(*both))) / (0.9 * float(load))
+            np.testing.assert_allclose(100 * worst, float(share), atol=0.1)
+
+
 def test_the_two_directions_are_not_mixed_and_all_problems_are_named(run):
     options = ("--cpa2", -1, "--fz", 4000, "--radius", 0.3, "--model", "brush")
     result = run("convert", *options, "--out", "none/r.tir", exit_code=2)

@@ -123,7 +123,7 @@ def test_a_heading_offset_is_estimated_and_said(tmp_path):
         write_log(tmp_path / "a.csv", rates_log()),
         vehicle(tmp_path, CAR + RATES + KEEP),
     )
-    assert rates.heading == "heading offset: none, the log holds rates"
+    assert rates.heading.startswith("sideslip offset: none assumed")
 
 
 def rates_log():
@@ -249,12 +249,12 @@ def test_bad_vehicle_reports_every_problem(tmp_path):
     text = (
         "mas = 1.0\nl_f = -1.0\nl_r = 0.09\nyaw_inertia = 'big'\n"
         + POSE
-        + "yow = 1\n[keep]\n"
+        + "yow = 1\n[keep]\nv_min = 0\n"
     )
     with pytest.raises(UsageError) as caught:
         vehicle(tmp_path, text)
     said = str(caught.value)
-    for part in ("'mas'", "l_f", "yaw_inertia", "'columns.yow'", "'keep.v_min'"):
+    for part in ("'mas'", "l_f", "yaw_inertia", "'columns.yow'", "keep.v_min"):
         assert part in said
     assert "'mass'" in said and "steering" in said
     assert all(problem.file and problem.remedy for problem in caught.value.problems)
@@ -267,7 +267,7 @@ def test_bad_vehicle_reports_every_problem(tmp_path):
         ("mass_rear = 0.9\n" + CAR + POSE + KEEP, "mass_rear 0.9 kg contradicts"),
         ("wheelbase = 0.2\n" + CAR + POSE + KEEP, "is not l_f"),
         (CAR + POSE.replace('yaw = "psi"\n', "") + KEEP, "named are x, y"),
-        (CAR + POSE + 'a_y = "ay"\n' + KEEP, "a pose log"),
+        (CAR + POSE.replace("yaw", "a_y") + KEEP, "neither a pose log"),
         (CAR + POSE + KEEP + '[units]\nyaw = "grad"\n', "is not one of rad"),
         (CAR + POSE + KEEP + '[units]\nroll = "rad"\n', "roll is not one of"),
         (CAR + POSE + KEEP + "[filter]\ncutoff = 40.0\n", "below 5 x cutoff"),

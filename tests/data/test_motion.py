@@ -311,7 +311,10 @@ def test_absent_columns_are_all_named(tmp_path):
         ("", "is empty"),
         ("t,x,y,psi\n", "no data rows"),
         ("t,x,y,psi\n0,0,0,0\n", "fewer than two samples"),
-        ("t,x,y,psi\ns,mm,mm,deg\n0,0,0,0\n", "row 2: there is a row of units"),
+        (
+            "t,x,y,psi\ns,mm,mm,kg\n0,0,0,0\n0.01,1,0,0\n",
+            "unit 'kg' is no unit of angle",
+        ),
         ("t,x,y,psi\n0,0,0,0\n0.01,oops,0,0\n", "'oops' is not a number"),
         ("t,x,y,psi\n0,0,0,0\n1,1,0,0\n2,2,0,0\n", "1 Hz only"),
     ],

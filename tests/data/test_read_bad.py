@@ -336,7 +336,7 @@ def test_a_file_without_permission_says_so(tmp_path, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     path = write(tmp_path, WELL)
-    monkeypatch.setattr("pathlib.Path.read_bytes", refuse)  # chmod does not stop root
+    monkeypatch.setattr("pathlib.Path.open", refuse)  # chmod does not stop root
     with pytest.raises(DataError, match="Permission denied") as caught:
         read(path)
     assert "permissions" in caught.value.problems[0].remedy

@@ -29,7 +29,7 @@ def refusal(path, **options):
     with pytest.raises(DataError) as caught:
         read(path, **options)
     assert all(p.file == str(path) and p.remedy for p in caught.value.problems)
-    return str(caught.value)
+    return "\n".join(map(str, caught.value.problems))
 
 
 # --- MATLAB -------------------------------------------------------------------------

@@ -45,7 +45,7 @@ def told(frame, **options):
     try:
         return "\n".join(read_frame(frame, **options).source.warnings)
     except DataError as error:
-        return str(error)
+        return "\n".join(map(str, error.problems))
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS)

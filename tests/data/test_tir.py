@@ -8,6 +8,7 @@ import pytest
 
 from tirefit.data.read import read
 from tirefit.data.tir import (
+    brush_of,
     notes_on,
     parse_tir,
     read_tir,
@@ -265,6 +266,28 @@ def test_reduced_file_has_the_slope_and_friction_of_the_brush(tmp_path):
     assert np.max(abs(fx - expected)) < 0.046 * MU * FZ
     for part in forces(tire, TireInputs(0.0, 0.05, FZ))[2:]:
         assert part == 0
+
+
+def test_a_brush_comes_back_to_the_last_digit():
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        cpa2, mu, fz = (
+            np.exp(rng.normal(10, 1)),
+            rng.uniform(0.1, 1.5),
+            rng.uniform(1, 9e3),
+        )
+        values = brush_of(parse_tir(reduced_tir(cpa2, mu, fz, 0.3).text))
+        assert values["mu"] == mu
+        np.testing.assert_allclose(values["cpa2"], cpa2, rtol=3e-16)
+    assert brush_of(read_tir(MF61)) is None
+    other = reduced_tir(CPA2, MU, FZ, 0.31).text.replace("1e-08", "0.5")
+    assert brush_of(parse_tir(other)) is None
+
+
+def test_reduced_lateral_stiffness_is_that_of_the_brush_at_every_load():
+    point = TireInputs(fz=FZ * np.array([0.2, 0.5, 1.0, 2.0]), alpha=1e-7)
+    force = np.asarray(forces(reduced(), point).fy)
+    np.testing.assert_allclose(force, 2 * CPA2 * 1e-7, rtol=1e-5)
 
 
 def test_no_other_curvature_follows_the_brush_better():

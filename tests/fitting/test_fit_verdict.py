@@ -277,3 +277,36 @@ def test_few_slips_with_noise_stay_finite():
     knots, density = slip_density(np.full(30, 0.1), np.full(30, 0.01))
     assert np.isfinite(density).all()
     np.testing.assert_allclose(np.trapezoid(density, knots), 1.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("stiffness_power", "mu_load", "hinted"),
+    [(1.6, 0.0, True), (0.0, -0.3, True), (0.0, 0.0, False)],
+)
+def test_residuals_that_follow_the_load_hint_at_brush_load(
+    stiffness_power, mu_load, hinted
+):
+    from tirefit.sim.rig import simulate_rig
+
+    values = {"cpa2": 5e4, "mu": 0.9, "stiffness_power": stiffness_power,
+              "mu_load": mu_load, "fz0": 4000.0}  # fmt: skip
+    made = simulate_rig("brush-load", values, loads=[2000.0, 4000.0, 6000.0], seed=1)
+    data = read_frame(dict(made.columns), convention="braking")
+    said = " ".join(fit(data, "brush").verdict["sentences"])
+    assert ("brush-load lets stiffness and friction change" in said) is hinted
+    assert ("loads from 2000 to 6000 N" in said) is hinted
+    assert "brush-load lets" not in " ".join(
+        fit(data, "brush-load").verdict["sentences"]
+    )
+
+
+def test_a_fit_with_slip_noise_over_loads_has_a_verdict():
+    """Its residuals are not one a row and force: the hint keeps silent."""
+    from tirefit.sim.rig import simulate_rig
+
+    values = {"cpa2": 5e4, "mu": 0.9, "stiffness_power": 1.6, "fz0": 4000.0}
+    made = simulate_rig("brush-load", values, loads=[2000.0, 6000.0], seed=1)
+    data = read_frame(dict(made.columns), convention="braking")
+    result = fit(data, "brush", config={"noise": {"sigma_x": 0.001}})
+    assert result.verdict["status"] != "ok"
+    assert "brush-load lets" not in " ".join(result.verdict["sentences"])

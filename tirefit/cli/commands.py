@@ -21,6 +21,7 @@ from tirefit.cli.options import (
     errors_to_exit,
     named_path,
     numbers,
+    pairs,
     read_config,
     read_options,
     say,
@@ -35,7 +36,6 @@ __all__ = ["app"]
 
 app = typer.Typer(
     name="tirefit",
-    help="Fit tire models to measured force-slip data with honest uncertainty.",
     epilog="Exit codes: 0 ok, 2 usage, 3 data, 4 not converged, 5 not identified"
     " (with --strict).",
     no_args_is_help=True,
@@ -127,12 +127,29 @@ def derive(
     ],
     out: OutFile,
     axle: Annotated[Axle, typer.Option(help="which axle")] = Axle.rear,
+    unit: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=UNIT",
+            help="unit of a quantity of the log, e.g. v_x=km/h; -rad/s has the other"
+            " sign",
+        ),
+    ] = None,
+    believe: Annotated[
+        bool,
+        typer.Option(
+            "--believe", help="only warn of channels that contradict each other"
+        ),
+    ] = False,
 ) -> None:
     """Turn vehicle logs into axle slip angle and force (single-track dynamics)."""
     from tirefit.data.derive import derive_files
 
     with errors_to_exit():
-        written = derive_files(files, vehicle, out, axle=axle.value)
+        units = pairs("--unit", unit)
+        written = derive_files(
+            files, vehicle, out, axle=axle.value, units=units, believe=believe
+        )
         say(written.summary())
 
 
@@ -264,6 +281,28 @@ def _values_text(name: str, values: dict[str, float]) -> str:
     everything = parameter_values(MODELS[name]) | values
     marks = {key: "" if key in values else " (default)" for key in everything}
     return ", ".join(f"{k} = {v:g}{marks[k]}" for k, v in everything.items())
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        say(f"tirefit {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            is_eager=True,
+            callback=_print_version,
+            help="print the version",
+        ),
+    ] = False,
+) -> None:
+    """Fit tire models to measured force-slip data with honest uncertainty."""
+    del version  # its callback has printed it
 
 
 @app.command()

@@ -123,11 +123,20 @@ def _write_reduced(brush: dict, mixed: list[str], out: Path) -> None:
     if problems:
         raise UsageError(problems)
     write_tir(tir, out)
+    start_jax()
+    from tirefit.fitting.convert import reduced_misfit
+
     slope, peak = 2 * given["cpa2"], given["mu"] * given["fz"]
     say(
         f"wrote {out}: Magic Formula {tir.version}, slope 2 c_p a^2 = {slope:g} N,"
-        f" largest force {peak:g} N at F_z = {given['fz']:g} N"
+        f" largest force {peak:g} N at F_z = {given['fz']:g} N; `tirefit convert {out}`"
+        " reads c_p a^2 and mu back exactly"
     )
+    loads = [share * given["fz"] for share in _SHARES_OF_NOMINAL]
+    say("MISFIT: no Magic Formula has the curve of a brush; the file's is off by up to")
+    for load, missed in reduced_misfit(tir, loads).items():
+        shares = ", ".join(f"{share:.1%} in {name}" for name, share in missed.items())
+        say(f"  F_z {load:g} N: {shares} (of mu F_z, pure slip)")
 
 
 def _checked(file, magic_formula, slip_min, slip_max, loads, out):
@@ -182,7 +191,7 @@ def _listed(option: str, text: str, problems: list[InputProblem]) -> list[float]
 
 def _refit(file, coefficients, model, force, slips, loads, seed, out):
     """The fit of the model to the curve, said, and saved in the folder."""
-    from tirefit.data.tir import notes_on, read_tir
+    from tirefit.data.tir import brush_of, notes_on, read_tir
 
     tir = None if file is None else read_tir(file)
     start_jax()
@@ -192,8 +201,9 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out):
     from tirefit.fitting.likelihood import CHANNEL_SLIP
     from tirefit.fitting.problem import find_model
     from tirefit.fitting.tir import rows_outside
-    from tirefit.models import AbstractTire
+    from tirefit.models import MODELS, AbstractTire
     from tirefit.models.mf import mf_tire
+    from tirefit.params import with_values
 
     find_model(model)
     settings = FitConfig(model=model, force=[force.value], seed=seed or 0)
@@ -206,6 +216,11 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out):
         tire, name = described, f"{file}: Magic Formula {tir.version}"
         v, nominal = described.nominal.LONGVL, described.nominal.FNOMIN
         loads = loads or [share * nominal for share in _SHARES_OF_NOMINAL]
+        written = brush_of(tir)
+        if written is not None:
+            tire = with_values(MODELS["brush"], written)
+            values = ", ".join(f"{key} = {x:g}" for key, x in written.items())
+            name = f"{file}: the .tir of a brush, {values}, whose own curve is taken"
     said = (
         f"{name}: {force.value} at {len(slips)} slips, {CHANNEL_SLIP[force]} ="
         f" {slips[0]:g} to {slips[-1]:g}, F_z ="

@@ -18,6 +18,7 @@ from tirefit.cli.options import (
     DataOptions,
     Files,
     complain,
+    completed,
     error_text,
     errors_to_exit,
     forces_named,
@@ -32,6 +33,7 @@ from tirefit.cli.options import (
     warn,
 )
 from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.names import EFFECT_NAMES, MODEL_NAMES
 from tirefit.results import (
     DataError,
     ExitCode,
@@ -83,6 +85,7 @@ def diagnose(
         typer.Option(
             metavar="MODEL|FIT.json|FILE.tir",
             help="base model; a file is a simulator that is taken as it is",
+            autocompletion=completed(*MODEL_NAMES),
         ),
     ] = "brush",
     parameter: Annotated[
@@ -112,7 +115,11 @@ def diagnose(
     ] = None,
     without: Annotated[
         list[str] | None,
-        typer.Option(metavar="ID", help="leave this effect out of the library"),
+        typer.Option(
+            metavar="ID",
+            help="leave this effect out of the library",
+            autocompletion=completed(*EFFECT_NAMES),
+        ),
     ] = None,
     figures: Annotated[
         bool, typer.Option("--figures", help="write NAME.png and NAME.html")

@@ -10,6 +10,7 @@ from tirefit.cli.options import (
     DataOptions,
     Files,
     complain,
+    completed,
     error_text,
     errors_to_exit,
     forces_named,
@@ -42,8 +43,7 @@ class Sampler(StrEnum):
     importance = "importance"
 
 
-def model_names(incomplete: str) -> list[str]:
-    return [name for name in MODEL_NAMES if name.startswith(incomplete)]
+model_names = completed(*MODEL_NAMES)
 
 
 def _output_directories(files: list[Path], out: Path | None, joint: bool) -> list[Path]:

@@ -14,18 +14,21 @@ from typing import Annotated, Any
 import typer
 
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
+from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
 __all__ = [
     "DataOptions",
     "Files",
     "JsonOption",
     "complain",
+    "completed",
     "error_text",
     "errors_to_exit",
     "forces_named",
     "has_terminal",
     "named_path",
     "numbers",
+    "pairs",
     "progress_bar",
     "read_config",
     "read_options",
@@ -41,6 +44,15 @@ def named_path(text: str) -> Path:
     if not text:
         raise typer.BadParameter("it is empty: give a name")
     return Path(text)
+
+
+def completed(*names: str) -> Callable[[str], list[str]]:
+    """Completion of an option from its names."""
+
+    def beginning(incomplete: str) -> list[str]:
+        return [name for name in names if name.startswith(incomplete)]
+
+    return beginning
 
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV files")]
@@ -73,12 +85,16 @@ class DataOptions:
             help="signs of the file: braking (slip and force positive when braking),"
             " iso-w (driving positive, z up), sae (driving positive, z down),"
             " adapted-sae (driving positive, F_y > 0 for alpha > 0); braking if not"
-            " given"
+            " given",
+            autocompletion=completed(*CONVENTIONS),
         ),
     ] = None
     slip: Annotated[
         str | None,
-        typer.Option(help="slip definition: sigma_x, kappa, s, slip_ratio"),
+        typer.Option(
+            help="slip definition: sigma_x, kappa, s, slip_ratio",
+            autocompletion=completed(*SLIP_DEFINITIONS),
+        ),
     ] = None
     rolling_radius: Annotated[
         float | None, typer.Option(help="effective radius [m]")
@@ -137,6 +153,19 @@ def _pairs(option: str, items: list[str] | None, problems: list[InputProblem]):
     return pairs
 
 
+def pairs(option: str, items: list[str] | None) -> dict[str, str]:
+    """NAME=VALUE options.
+
+    Raises:
+        UsageError: some are not pairs; all of them.
+    """
+    problems: list[InputProblem] = []
+    given = _pairs(option, items, problems)
+    if problems:
+        raise UsageError(problems)
+    return given
+
+
 def numbers(
     option: str, items: list[str] | None, problems: list[InputProblem]
 ) -> dict[str, float]:
@@ -174,7 +203,7 @@ def read_options(given: DataOptions, config) -> dict[str, Any]:
         UsageError: pairs that are not pairs, or not of numbers; all of them.
     """
     problems: list[InputProblem] = []
-    pairs = {
+    named = {
         "columns": _pairs("--column", given.column, problems),
         "units": _pairs("--unit", given.unit, problems),
         "constants": numbers("--constant", given.constant, problems),
@@ -187,7 +216,7 @@ def read_options(given: DataOptions, config) -> dict[str, Any]:
         for name in ("convention", "slip", "rolling_radius")
     }
     return {
-        **{name: below.get(name, {}) | own for name, own in pairs.items()},
+        **{name: below.get(name, {}) | own for name, own in named.items()},
         **single,
         "mask_bad_rows": given.mask_bad_rows or below.get("mask_bad_rows", False),
     }

@@ -35,6 +35,7 @@ SHOWN = 5
 _NEARLY_ONE = 1 + 1e-6
 _LOWEST_SIGMA = -1.05
 _LARGEST = 1e100  # no measurement; its square still fits in a float
+_NO_LOAD = 1e-6  # N, below which no tire is loaded and no quotient is a number
 _GROUPED = re.compile(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+\s*")
 _OR_MASK = ", or mask bad rows with --mask-bad-rows"
 _CORRECT = f"correct the row{_OR_MASK}"
@@ -96,7 +97,9 @@ _RULES = (
     *(_slip_rule(name) for name in SLIP_DEFINITIONS if name != "sigma_x"),
     _angle_rule("alpha"),
     _angle_rule("gamma"),
-    Rule("fz", lambda load: load <= 0, "is not a load: fz > 0 is needed", _CORRECT),
+    Rule(
+        "fz", lambda load: load < _NO_LOAD, "is not a load: fz > 0 is needed", _CORRECT
+    ),
     Rule("v", lambda speed: speed < 0, "is a negative speed", _CORRECT),
     Rule("pressure", lambda p: p <= 0, "is not a pressure: > 0 is needed", _CORRECT),
 )

@@ -25,6 +25,7 @@ __all__ = [
     "guess",
     "is_number",
     "plan_columns",
+    "stated_unit",
 ]
 
 _NAMES = {
@@ -191,6 +192,12 @@ def guess(header: str) -> Guess | None:
     return None
 
 
+def stated_unit(header: str) -> str | None:
+    """The unit that a header states, as ``[km/h]`` of ``v [km/h]``; None without."""
+    guessed, bracketed = guess(header), _BRACKETED.match(header)
+    return guessed.unit if guessed else bracketed and bracketed.group(2)
+
+
 def is_number(text: str) -> bool:
     """Whether a cell is a plain decimal number (not nan, inf or 1_000)."""
     return _NUMBER.fullmatch(text) is not None
@@ -349,9 +356,7 @@ def _unit_of(name, index, headers, stated, options, chosen) -> tuple[str, str]:
     """Unit text of a column and, where it was not stated, how it was found."""
     if name == "run":
         return "", ""
-    guessed = guess(headers[index])
-    bracketed = _BRACKETED.match(headers[index])
-    in_header = guessed.unit if guessed else bracketed and bracketed.group(2)
+    in_header = stated_unit(headers[index])
     declared = _declared_unit(name, options)
     if declared is not None:
         other = in_header not in (None, declared)

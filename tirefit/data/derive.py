@@ -23,10 +23,13 @@ from textwrap import wrap
 
 import numpy as np
 
+from tirefit.data.contradictions import Comparison, compare, pushes_the_wrong_way
 from tirefit.data.doubts import doubts
-from tirefit.data.motion import Motion, Track, read_motion
+from tirefit.data.motion import Motion, read_motion
+from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
+from tirefit.data.zero import zero_of_alpha
 from tirefit.files import write_texts
 from tirefit.results import DataError, InputProblem, UsageError
 
@@ -59,7 +62,9 @@ class DerivedLog:
             applies, so these and the kept ones add up to ``samples``).
         gaps: Number of gaps that were not interpolated.
         bandwidth: Frequency [Hz] at which the filter's gain is -3 dB.
-        heading: Sentence on the heading offset: applied, assumed none, left over.
+        heading: Sentence on the offset of heading or sideslip: applied, assumed none,
+            left over.
+        compared: What the redundancy of the log's channels says.
         warnings: Sentences on what in the columns is hardly the tire's.
         assumptions: Sentences: the bandwidth and everything that was assumed.
         source: Path, sha256 and epoch (the log's time [s] at time 0).
@@ -74,6 +79,7 @@ class DerivedLog:
     gaps: int
     bandwidth: float
     heading: str
+    compared: Comparison
     warnings: tuple[str, ...]
     assumptions: tuple[str, ...]
     source: Mapping[str, str | float]
@@ -93,6 +99,7 @@ class DerivedLog:
                 f"    alpha {alpha.min():+.4f} to {alpha.max():+.4f} rad,"
                 f" fy {force.min():+.4g} to {force.max():+.4g} N,"
                 f" bandwidth {self.bandwidth:.3g} Hz (-3 dB)",
+                f"    {self.compared.line}",
                 *(
                     line
                     for said in (
@@ -121,17 +128,20 @@ class DerivedFiles:
         return "\n".join([*(log.summary() for log in self.logs), written])
 
 
-def derive(path: str | Path, vehicle: Vehicle, axle: str = "rear") -> DerivedLog:
+def derive(
+    path: str | Path, vehicle: Vehicle, axle: str = "rear", believe: bool = False
+) -> DerivedLog:
     """Slip angle and lateral force of one axle from a vehicle log.
 
     Args:
         path: CSV file with one header line, also gzipped (``.gz``).
         vehicle: What the log's columns are and the vehicle's mass and geometry.
         axle: "rear" or "front"; the front needs a steering map.
+        believe: Only warn of channels that contradict each other.
 
     Raises:
         DataError: If the file cannot be read, lacks a column, holds text, is slower
-            than the filter needs, or no sample is left.
+            than the filter needs, channels contradict each other, or no sample is left.
         UsageError: If the axle is unknown or the front axle lacks a steering map.
     """
     path = Path(path)
@@ -146,6 +156,8 @@ def derive(path: str | Path, vehicle: Vehicle, axle: str = "rear") -> DerivedLog
             )
         )
     track, motion, gaps = read_motion(path, vehicle)
+    compared = compare(track, motion, vehicle, str(path))
+    _refuse(compared.problems, believe)
     columns = _axle(motion, vehicle, axle)
     kept, dropped = _kept(motion, track, vehicle, axle)
     if not kept.any():
@@ -157,6 +169,10 @@ def derive(path: str | Path, vehicle: Vehicle, axle: str = "rear") -> DerivedLog
             )
         )
     warnings = doubts(columns, motion, kept, vehicle)
+    alpha, force = columns["alpha"][kept], columns["fy"][kept]
+    mirrored = pushes_the_wrong_way(alpha, force, vehicle, str(path))
+    _refuse(mirrored, believe)
+    contradictions = (*compared.problems, *mirrored)
     columns = {name: values[kept] for name, values in columns.items()}
     return DerivedLog(
         name=_run_name(path),
@@ -167,8 +183,13 @@ def derive(path: str | Path, vehicle: Vehicle, axle: str = "rear") -> DerivedLog
         dropped_samples=dropped,
         gaps=gaps,
         bandwidth=vehicle.filter.bandwidth,
-        heading=_heading(vehicle, axle, columns["alpha"], columns["fy"]),
-        warnings=warnings,
+        heading=zero_of_alpha(vehicle, axle, alpha, force),
+        compared=compared,
+        warnings=(
+            *(f"{p.reason}; {p.remedy}" for p in contradictions),
+            *compared.warnings,
+            *warnings,
+        ),
         assumptions=_assumptions(track, vehicle, axle),
         source={"path": path.name, "sha256": track.sha256, "epoch": track.epoch},
     )
@@ -179,6 +200,8 @@ def derive_files(
     vehicle_toml: str | Path,
     out: str | Path,
     axle: str = "rear",
+    units: Mapping[str, str] | None = None,
+    believe: bool = False,
 ) -> DerivedFiles:
     """Derive every log into one CSV, a run each, with a JSON companion.
 
@@ -189,6 +212,8 @@ def derive_files(
             beside ``NAME.csv`` states the vehicle, the bandwidth, the assumptions and
             the sources.
         axle: "rear" or "front".
+        units: Unit of a quantity, over ``[units]`` of the vehicle.
+        believe: Only warn of channels that contradict each other.
 
     Raises:
         DataError: With the problems of all logs; then nothing is written.
@@ -196,13 +221,13 @@ def derive_files(
             have one name.
     """
     out = Path(out)
-    vehicle = load_vehicle(vehicle_toml)
+    vehicle = load_vehicle(vehicle_toml, units)
     _check_names(paths, out)
     logs: list[DerivedLog] = []
     problems: list[InputProblem] = []
     for path in paths:
         try:
-            logs.append(derive(path, vehicle, axle))
+            logs.append(derive(path, vehicle, axle, believe))
         except DataError as error:
             problems += error.problems
     if problems:
@@ -216,6 +241,11 @@ def derive_files(
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
     write_texts({metadata: content + "\n", out: csv_text(columns)})
     return DerivedFiles(out, metadata, tuple(logs))
+
+
+def _refuse(problems: Sequence[InputProblem], believe: bool) -> None:
+    if problems and not believe:
+        raise DataError(problems)
 
 
 # --- the axle -------------------------------------------------------------------
@@ -267,7 +297,7 @@ def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
     reasons = {
         "beside an edge or a gap": ~motion.settled,
         "not active": ~track.active[last_row],
-        f"slower than {keep.v_min:g} m/s": motion.v_x <= keep.v_min,
+        f"slower than {vehicle.v_min:g} m/s": motion.v_x <= vehicle.v_min,
     }
     if keep.a_y_max is not None:
         # The filter smears a glitch over its settling time: that goes with it.
@@ -320,49 +350,6 @@ def _assumptions(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
     return (*said, *track.notes)
 
 
-def _heading(vehicle: Vehicle, axle: str, alpha: np.ndarray, fy: np.ndarray) -> str:
-    """What was done about the heading offset, and what the result says is left.
-
-    A symmetric axle has no side force at no slip angle, so alpha where fy = 0 is what
-    the heading exceeds the yaw that was used; at the front the steering adds its own.
-    """
-    if vehicle.columns.motion != POSE:
-        return "heading offset: none, the log holds rates"
-    if vehicle.yaw_offset:
-        said = (
-            f"heading offset: {vehicle.yaw_offset:g} rad were added to the logged yaw,"
-            " as declared, which lowers alpha by as much"
-        )
-    else:
-        said = (
-            "heading offset: none assumed, the logged yaw is the car's heading; alpha"
-            " is too large by as much as the heading exceeds it"
-        )
-    left = _alpha_at_rest(alpha, fy) if axle == "rear" else None
-    if left is None:
-        return said
-    return (
-        f"{said}; estimated from these data: alpha is {left:+.4f} rad where fy = 0,"
-        f" which for a symmetric tire yaw_offset = {vehicle.yaw_offset + left:.4f}"
-        " takes out"
-    )
-
-
-def _alpha_at_rest(alpha: np.ndarray, fy: np.ndarray) -> float | None:
-    """Slip angle [rad] at no side force, by an odd cubic through the weak half of fy.
-
-    None unless left and right turns both hold a tenth of those samples.
-    """
-    strong = np.percentile(abs(fy), 95)
-    weak = abs(fy) < 0.5 * strong
-    share = fy[weak] / strong
-    rarer = min(np.count_nonzero(share > 0.05), np.count_nonzero(share < -0.05))
-    if rarer <= 0.1 * len(share):
-        return None
-    terms = np.column_stack([np.ones(len(share)), share, share**3])
-    return float(np.linalg.lstsq(terms, alpha[weak])[0][0])
-
-
 def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
     return {
         "schema": SCHEMA,
@@ -381,6 +368,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
                 "dropped_samples": dict(log.dropped_samples),
                 "gaps": log.gaps,
                 "heading": log.heading,
+                "agreement": log.compared.as_dicts(),
                 "warnings": list(log.warnings),
                 "assumptions": list(log.assumptions),
             }

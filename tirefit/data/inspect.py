@@ -253,7 +253,7 @@ def _supports(data: TireData) -> list[Support]:
         for force, slip in (("fx", "sigma_x"), ("fy", "alpha"), ("mz", "alpha"))
     ]
     supports.append(_spread_support(data, "v", "speed-dependent friction"))
-    supports.append(_spread_support(data, "fz", "load dependence"))
+    supports.append(_spread_support(data, "fz", "load dependence", "brush-load"))
     for fit, names in (
         ("errors in slip", ["sigma_x_std"]),
         ("a noise level that is known", ["fx_std", "fy_std", "mz_std"]),
@@ -283,7 +283,7 @@ def _combined_rows(data: TireData) -> int:
     return int(np.count_nonzero(np.logical_and(*slips)))
 
 
-def _spread_support(data: TireData, name: str, fit: str) -> Support:
+def _spread_support(data: TireData, name: str, fit: str, model="") -> Support:
     if name not in data:
         return Support(fit, False, f"no {name}")
     values = data.usable(name)
@@ -295,6 +295,8 @@ def _spread_support(data: TireData, name: str, fit: str) -> Support:
     reason = f"{name} from {low:.4g} to {high:.4g} {unit}"
     if spread <= _VARIES:
         reason += f": less than {_VARIES:.0%} apart"
+    elif model:
+        reason += f"; {model} follows it"
     return Support(fit, bool(spread > _VARIES), reason)
 
 

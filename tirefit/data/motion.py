@@ -7,48 +7,16 @@ x forward, y left, yaw counter-clockwise.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from tirefit.data.read import Table, read_table
-from tirefit.data.vehicle import POSE, Vehicle
+from tirefit.data.track import Track, read_track
+from tirefit.data.vehicle import POSE, RATES, Vehicle
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["Motion", "Track", "read_motion"]
-
-_MISSING = {"", "nan", "na", "null", "none"}
-_MOST_PROBLEMS = 10
-_CLOSEST = 0.3
-"""Samples nearer than this part of the log's period are one sample (a repeat)."""
-
-
-@dataclass(frozen=True)
-class Track:
-    """Usable samples of a log.
-
-    Attributes:
-        time: Increasing, (n,) [s] from the first one.
-        signals: (n, k) in SI: the pose or the rates, then the steering command if any.
-        active: (n,) bool, whether the vehicle was driven.
-        max_gap: Longest time between two samples that is interpolated [s].
-        epoch: The log's time [s] at time 0.
-        rows: Rows in the file.
-        dropped: Reason -> rows that were not used.
-        sha256: Of the file.
-        notes: What was assumed to read the file.
-    """
-
-    time: np.ndarray
-    signals: np.ndarray
-    active: np.ndarray
-    max_gap: float
-    epoch: float
-    rows: int
-    dropped: Mapping[str, int]
-    sha256: str
-    notes: tuple[str, ...]
+__all__ = ["Motion", "low_passed", "read_motion"]
 
 
 @dataclass(frozen=True)
@@ -59,7 +27,8 @@ class Motion:
     of rates; ``command`` is the steering command (0 without one); ``part`` (n,) int
     counts the stretches between gaps, ``within`` (n,) [s] is the time to the nearer end
     of the sample's own; ``settled`` (n,) bool is False where an edge or a gap is too
-    near, there the others may be NaN.
+    near, there the others may be NaN. ``logged`` (n, k) are the log's own channels as
+    :class:`tirefit.data.track.Track` has them, through the same filter.
     """
 
     time: np.ndarray
@@ -76,6 +45,7 @@ class Motion:
     part: np.ndarray
     within: np.ndarray
     settled: np.ndarray
+    logged: np.ndarray
 
     def rate_of(self, values: np.ndarray) -> np.ndarray:
         """Time derivative (n,) of values (n,), by central differences within each
@@ -95,152 +65,35 @@ def read_motion(path: str | Path, vehicle: Vehicle) -> tuple[Track, Motion, int]
         DataError: If the file cannot be read, lacks a column, holds text or is slower
             than the filter needs.
     """
-    track = _track(Path(path), vehicle)
+    track = read_track(Path(path), vehicle)
     return track, *_motion(track, vehicle)
 
 
-# --- the file -------------------------------------------------------------------
+def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0):
+    """Signals (n, k) at the grid's rate through the filter, without phase.
 
+    Args:
+        slower: How much lower the cutoff is.
 
-def _read_columns(path: Path, vehicle: Vehicle) -> tuple[Table, dict[str, np.ndarray]]:
-    """The file and, by header, the columns that the vehicle names, (n,) each.
-
-    Empty cells and rows without the header's number of cells are NaN.
+    Returns:
+        None if there are too few samples.
     """
-    names = vehicle.columns
-    wanted = [names.time, *(getattr(names, name) for name in names.motion)]
-    wanted += [name for name in (names.steering, vehicle.keep.active) if name]
-    table = read_table(path, wanted)
-    absent = [name for name in dict.fromkeys(wanted) if name not in table.headers]
-    if absent:
-        known = ", ".join(table.headers)
-        remedy = f"correct [columns] of vehicle.toml; the file has: {known}"
-        raise DataError(
-            [
-                InputProblem("the column is missing", remedy, table.file, column=name)
-                for name in absent
-            ]
-        )
-    if table.units_row is not None and table.header_line is None:
-        note = "units stated in the file are not used: those of vehicle.toml are"
-        table = replace(table, units_row=None, notes=(*table.notes, note))
-    if table.units_row is not None:
-        assert table.header_line is not None  # units stand below a header
-        raise DataError(
-            InputProblem(
-                "there is a row of units below the header",
-                "remove it and state what is not SI in [units] of vehicle.toml",
-                table.file,
-                table.header_line + 1,
-            )
-        )
-    problems: list[InputProblem] = []
-    columns = {name: _numbers(table, name, problems) for name in dict.fromkeys(wanted)}
-    if problems:
-        more = len(problems) - _MOST_PROBLEMS
-        shown = problems[:_MOST_PROBLEMS]
-        if more > 0:
-            shown.append(
-                InputProblem(f"and {more} more cells like these", file=table.file)
-            )
-        raise DataError(shown)
-    return table, columns
+    from scipy.signal import butter, sosfiltfilt  # slow, and no other reader needs it
+
+    settings = vehicle.filter
+    rate, cutoff = settings.sample_rate, settings.cutoff / slower
+    padding = math.ceil(slower * settings.settling * rate)
+    if len(uniform) <= 2 * padding:
+        return None
+    sections = butter(settings.order, cutoff, fs=rate, output="sos")
+    return sosfiltfilt(sections, uniform, axis=0, padlen=padding)
 
 
-def _numbers(table: Table, name: str, problems: list[InputProblem]) -> np.ndarray:
-    """One column, (n,); a missing cell is NaN, text is a problem."""
-    values = np.full(len(table.lines), np.nan)
-    cells = table.cells[table.headers.index(name)]
-    if isinstance(cells, np.ndarray):  # of a file that has numbers, not text
-        return cells.astype(float)
-    for index, cell in enumerate(cells):
-        if cell.strip().lower() in _MISSING:
-            continue
-        try:
-            values[index] = float(cell)
-        except ValueError:
-            reason, line = f"{cell.strip()!r} is not a number", int(table.lines[index])
-            problems.append(InputProblem(reason, "correct it", table.file, line, name))
-    return values
+_MOST_SAMPLES = 3_000_000
+"""Samples on the grid of one log: 8 h at 100 Hz."""
 
-
-# --- usable samples -------------------------------------------------------------
-
-
-def _track(path: Path, vehicle: Vehicle) -> Track:
-    """Rows with finite values, a later stamp than all before, and a new pose."""
-    table, columns = _read_columns(path, vehicle)
-    names = vehicle.columns
-    time = columns[names.time] * vehicle.factor("time")
-    measured = [
-        columns[getattr(names, quantity)] * vehicle.factor(quantity)
-        for quantity in names.motion
-    ]
-    if names.steering:
-        measured.append(columns[names.steering])
-    signals = np.column_stack(measured)
-    active = np.ones(len(time), bool)
-    if vehicle.keep.active:
-        active = columns[vehicle.keep.active] == vehicle.keep.active_value
-    finite = np.isfinite(time) & np.isfinite(signals).all(axis=1)
-    time, signals, active = time[finite], signals[finite], active[finite]
-    period = _period(time, vehicle, table.file)
-    later = _later(time, period)
-    fresh = later.copy()
-    if names.motion == POSE:
-        # A tracker that lost its target repeats the last pose under new stamps.
-        fresh[1:] &= np.any(np.diff(signals[:, :3], axis=0) != 0, axis=1)
-    dropped = {
-        "a value is missing": int(np.count_nonzero(~finite)),
-        "repeated or backward time": int(np.count_nonzero(~later)),
-        "repeated pose": int(np.count_nonzero(later & ~fresh)),
-    }
-    epoch = float(time[fresh][0])
-    signals = signals[fresh]
-    if names.motion == POSE:
-        signals[:, 2] = np.unwrap(signals[:, 2]) + vehicle.yaw_offset
-    max_gap = vehicle.filter.max_gap or 3.5 * period
-    return Track(
-        time[fresh] - epoch, signals, active[fresh], max_gap, epoch,
-        len(table.lines), dropped, table.sha256, table.notes,
-    )  # fmt: skip
-
-
-def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
-    """Median time between samples [s], from the steps forward."""
-    steps = np.diff(time)
-    steps = steps[steps > 0]
-    cutoff = vehicle.filter.cutoff
-    needed = f"a log of at least {4 * cutoff:g} Hz for a cutoff of {cutoff:g} Hz"
-    if len(steps) == 0:
-        raise DataError(
-            InputProblem("holds fewer than two samples", f"give {needed}", file)
-        )
-    period = float(np.median(steps))
-    if period > 1 / (4 * cutoff):
-        raise DataError(
-            InputProblem(
-                f"is sampled at {1 / period:.3g} Hz only",
-                f"give {needed}, lower filter.cutoff, or check the unit of time",
-                file,
-                column=vehicle.columns.time,
-            )
-        )
-    return period
-
-
-def _later(time: np.ndarray, period: float) -> np.ndarray:
-    """Which samples come clearly after the last one taken, (n,) bool."""
-    taken = np.zeros(len(time), bool)
-    last = -math.inf
-    for index, stamp in enumerate(time.tolist()):
-        if stamp - last > _CLOSEST * period:
-            taken[index] = True
-            last = stamp
-    return taken
-
-
-# --- motion ---------------------------------------------------------------------
+_LOST = 3.5
+"""Periods of a channel that has blanks between its samples, beyond which it is lost."""
 
 _Rates = tuple[np.ndarray, ...]
 """v_x, v_y, a_x, a_y, r, r', heading, x, y of the centre of gravity, (n,) each."""
@@ -255,24 +108,28 @@ def _motion(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
     """Motion on one uniform grid that leaves out the gaps, and their number."""
     rate = vehicle.filter.sample_rate
     splits = np.flatnonzero(np.diff(track.time) > track.max_gap) + 1
+    _check_size(track, splits, rate)
     margin = vehicle.margin
     convert = _from_pose if vehicle.columns.motion == POSE else _from_rates
+    names = [channel.quantity for channel in track.channels]
     parts = []
     for number, rows in enumerate(np.split(np.arange(len(track.time)), splits)):
         time = track.time[rows]
         first, last = math.ceil(time[0] * rate), math.floor(time[-1] * rate)
         grid = np.arange(first, last + 1) / rate
-        signals = _filtered(time, track.signals[rows], grid, vehicle)
+        signals = _on_grid(time, track.signals[rows], grid, track.max_gap, vehicle)
         part = np.full(len(grid), number)
         within = np.minimum(grid - time[0], time[-1] - grid)
         inside = (grid >= time[0] + margin) & (grid <= time[-1] - margin)
         if signals is None:
             nan, never = np.full(len(grid), np.nan), np.zeros(len(grid), bool)
-            parts.append(_stretch(grid, *[nan] * 10, part, within, never))
+            logged = np.full((len(grid), len(names)), np.nan)
+            parts.append(_stretch(grid, *[nan] * 10, part, within, never, logged))
             continue
-        command = signals[:, -1] if vehicle.steering else np.zeros(len(grid))
-        rates = convert(signals, vehicle)
-        parts.append(_stretch(grid, *rates, command, part, within, inside))
+        of = dict(zip(names, signals.T, strict=True))
+        command = of.get("steering", np.zeros(len(grid)))
+        rates = convert(of, vehicle)
+        parts.append(_stretch(grid, *rates, command, part, within, inside, signals))
     fields = Motion.__dataclass_fields__
     joined = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in fields
@@ -280,28 +137,50 @@ def _motion(track: Track, vehicle: Vehicle) -> tuple[Motion, int]:
     return Motion(**joined), len(splits)
 
 
-def _filtered(time, signals, grid, vehicle: Vehicle) -> np.ndarray | None:
-    """Signals (n, k) on the grid, low-passed without phase; None if too short."""
-    # Slow to import, and no other reader needs them.
-    from scipy.interpolate import CubicSpline
-    from scipy.signal import butter, sosfiltfilt
+def _check_size(track: Track, splits: np.ndarray, rate: float) -> None:
+    """Raises DataError for a grid that no memory holds."""
+    steps = np.diff(track.time)
+    steps[splits - 1] = 0.0
+    count = float(steps.sum()) * rate
+    if count > _MOST_SAMPLES:
+        raise DataError(
+            InputProblem(
+                f"at {rate:g} Hz the log has {count:.2g} samples, more than"
+                f" {_MOST_SAMPLES:,}",
+                "lower filter.sample_rate, split the log, or check the unit of time",
+            )
+        )
 
-    settings = vehicle.filter
-    padding = math.ceil(settings.settling * settings.sample_rate)
-    if len(grid) <= 2 * padding:
-        return None
+
+def _on_grid(time, signals, grid, max_gap: float, vehicle: Vehicle):
+    """Signals (n, k) on the grid, low-passed; None if too short. One that is missing
+    for long is NaN there."""
+    from scipy.interpolate import CubicSpline  # slow, and no other reader needs it
+
     # Cubic: a straight line would cut the corners of a turn.
-    uniform = CubicSpline(time, signals)(grid)
-    sections = butter(
-        settings.order, settings.cutoff, fs=settings.sample_rate, output="sos"
-    )
-    return sosfiltfilt(sections, uniform, axis=0, padlen=padding)
+    there = np.isfinite(signals)
+    whole = there.all(axis=0)
+    uniform = np.zeros((len(grid), signals.shape[1]))
+    far = np.zeros(uniform.shape, bool)
+    if len(time) > 1:
+        uniform[:, whole] = CubicSpline(time, signals[:, whole])(grid)
+    for k in np.flatnonzero(~whole):
+        known = time[there[:, k]]
+        if len(known) < 2:
+            far[:, k] = True
+            continue
+        uniform[:, k] = np.interp(grid, known, signals[there[:, k], k])
+        after = np.clip(np.searchsorted(known, grid), 1, len(known) - 1)
+        longest = max(max_gap, _LOST * float(np.median(np.diff(known))))
+        far[:, k] = (known[after] - known[after - 1] > longest) | (grid > known[-1])
+    smooth = low_passed(uniform, vehicle)
+    return smooth if smooth is None else np.where(far, np.nan, smooth)
 
 
-def _from_pose(signals: np.ndarray, vehicle: Vehicle) -> _Rates:
+def _from_pose(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:
     """:data:`_Rates` from x, y, yaw."""
     rate = vehicle.filter.sample_rate
-    x, y, yaw = signals[:, :3].T
+    x, y, yaw = (of[name] for name in POSE)
     cos, sin = np.cos(yaw), np.sin(yaw)
     ahead, left = vehicle.cg_from_tracked
     position = np.array([x + ahead * cos - left * sin, y + ahead * sin + left * cos])
@@ -322,13 +201,19 @@ def _from_pose(signals: np.ndarray, vehicle: Vehicle) -> _Rates:
     )
 
 
-def _from_rates(signals: np.ndarray, vehicle: Vehicle) -> _Rates:
-    """As :func:`_from_pose`, from v_x, v_y, yaw rate, a_y at the tracked point."""
+def _from_rates(of: Mapping[str, np.ndarray], vehicle: Vehicle) -> _Rates:
+    """As :func:`_from_pose`, from v_x, v_y, yaw rate, a_y at the tracked point, and a_x
+    where it is logged."""
     rate = vehicle.filter.sample_rate
-    v_x, v_y, yaw_rate, a_y = signals[:, :4].T
+    v_x, v_y, yaw_rate, a_y = (of[name] for name in RATES)
+    cos, sin = np.cos(vehicle.sideslip_offset), np.sin(vehicle.sideslip_offset)
+    v_x, v_y = cos * v_x - sin * v_y, cos * v_y + sin * v_x
     yaw_acceleration = np.gradient(yaw_rate, 1 / rate)
     ahead, left = vehicle.cg_from_tracked
-    a_x = np.gradient(v_x, 1 / rate) - yaw_rate * v_y
+    if "a_x" in vehicle.columns.motion:
+        a_x = of["a_x"]
+    else:
+        a_x = np.gradient(v_x, 1 / rate) - yaw_rate * v_y
     return (
         v_x - yaw_rate * left,
         v_y + yaw_rate * ahead,

@@ -19,6 +19,7 @@ from tirefit.data.columns import guess, is_number
 from tirefit.data.table import Layout
 from tirefit.data.units import known_unit
 from tirefit.data.white import commented_header, header_above_numbers, tabbed
+from tirefit.door import DATA, too_large
 from tirefit.results import DataError, InputProblem
 
 __all__ = [
@@ -68,7 +69,8 @@ class Table:
 def read_bytes(path: Path) -> bytes:
     """Bytes of a file; a DataError with its neighbour's name where there is none."""
     try:
-        return path.read_bytes()
+        with path.open("rb") as file:
+            raw = file.read(DATA + 1)
     except FileNotFoundError:
         try:
             beside = [other.name for other in path.parent.iterdir()]
@@ -81,6 +83,9 @@ def read_bytes(path: Path) -> bytes:
         cause = getattr(error, "strerror", None) or error
         reason = f"the file cannot be read: {cause}"
         raise _refusal(reason, "check the path and its permissions", path) from error
+    if len(raw) > DATA:
+        raise too_large(path, DATA)
+    return raw
 
 
 def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataError:
@@ -92,10 +97,14 @@ def gunzipped(raw: bytes, path: Path) -> bytes:
     if not raw.startswith(b"\x1f\x8b"):
         return raw
     try:
-        return gzip.decompress(raw)
+        with gzip.open(io.BytesIO(raw)) as packed:
+            content = packed.read(DATA + 1)
     except (OSError, EOFError, zlib.error) as error:
         reason = f"the gzip file is damaged: {error}"
         raise _refusal(reason, "copy or compress it again", path) from error
+    if len(content) > DATA:
+        raise too_large(path, DATA)
+    return content
 
 
 def decoded(raw: bytes, path: Path) -> tuple[str, list[str]]:

@@ -5,14 +5,18 @@ here stay; only a value that is changed is written anew. Numbers are converted t
 reading and back to the units of the file on writing.
 """
 
-from pathlib import Path
+import math
 
 from tirefit.data.tir_check import notes_on, problems_of
 from tirefit.data.tir_file import TirFile, parsed, shortest
+from tirefit.door import TIRE, content_of, control_character
 from tirefit.files import write_text_atomic
 from tirefit.results import DataError, InputProblem, UsageError
 
-__all__ = ["TirFile", "notes_on", "parse_tir", "read_tir", "reduced_tir", "write_tir"]
+__all__ = [
+    "TirFile", "brush_of", "notes_on", "parse_tir", "read_tir", "reduced_tir",
+    "write_tir",
+]  # fmt: skip
 
 
 def parse_tir(text: str, path: str = "") -> TirFile:
@@ -33,17 +37,18 @@ def read_tir(path) -> TirFile:
     """Reads a ``.tir`` file; see :func:`parse_tir` for what is refused.
 
     Raises:
-        DataError: also where there is no such file.
+        DataError: also where there is no such file, or it is no text.
     """
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        reason = f"cannot read it: {error.strerror}"
-        raise DataError(InputProblem(reason, "give a .tir file", str(path))) from None
+    content = content_of(path, TIRE, DataError, "give a .tir file")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
+    odd = control_character(text)
+    if odd is not None:
+        row, name = odd
+        reason = f"not a text file: it holds the control character {name}"
+        raise DataError(InputProblem(reason, "remove it", str(path), row))
     return parse_tir(text, str(path))
 
 
@@ -59,9 +64,10 @@ FILE_VERSION             = 3.0
 FILE_FORMAT              = 'ASCII'
 $ Reduced: an isotropic brush tire of constant friction as a Magic Formula. At FNOMIN
 $ both pure slips have the slope 2 c_p a^2 at rest and tend to mu F_z without a peak
-$ before (C = 1); E follows the curve of the brush. Both stiffnesses are stationary
-$ there, for that of the brush is constant. Combined slip keeps to the friction circle.
-$ No aligning moment.
+$ before (C = 1); E follows the curve of the brush, which no Magic Formula has. The
+$ lateral stiffness is that of the brush at every load, the longitudinal one stationary
+$ at FNOMIN. Combined slip keeps to the friction circle there. No aligning moment.
+$ c_p a^2 = PKX1 FNOMIN / 2 and mu = PDX1, exactly: tirefit reads them back.
 [UNITS]
 LENGTH                   = 'meter'
 FORCE                    = 'newton'
@@ -89,7 +95,8 @@ PCY1                     = 1          $Shape: no peak
 PDY1                     = {mu}          $mu
 PEY1                     = {curvature}          $Curvature of the brush
 PKY1                     = -{stiffness}          $-2 c_p a^2 / FNOMIN
-PKY2                     = 1          $Stiffness stationary at FNOMIN
+PKY2                     = 1e-08          $Stiffness the same at every load
+PKY4                     = 1          $Stiffness the same at every load
 RBY1                     = {weight}          $2 c_p a^2 / (mu FNOMIN)
 RBY2                     = {weight}          $2 c_p a^2 / (mu FNOMIN)
 RCY1                     = 1          $Friction circle
@@ -137,11 +144,36 @@ def reduced_tir(cpa2: float, mu: float, fz: float, radius: float) -> TirFile:
             ]
         )
     text = _REDUCED.format(
-        radius=shortest(radius),
-        fz=shortest(fz),
-        mu=shortest(mu),
-        stiffness=shortest(2 * cpa2 / fz),
-        weight=shortest(2 * cpa2 / (mu * fz)),
+        radius=_exact(radius),
+        fz=_exact(fz),
+        mu=_exact(mu),
+        stiffness=_exact(2 * cpa2 / fz),
+        weight=_exact(2 * cpa2 / (mu * fz)),
         curvature=shortest(_CURVATURE),
     )
     return parse_tir(text, "reduced.tir")
+
+
+def _exact(number: float) -> str:
+    """The shortest text that is read as this number."""
+    text = shortest(number)
+    return text if float(text) == number else repr(float(number))
+
+
+def brush_of(tir: TirFile) -> dict[str, float] | None:
+    """``cpa2`` [N] and ``mu`` of a file that :func:`reduced_tir` wrote, else None.
+
+    Every coefficient must be that of the brush: one that was changed since makes it a
+    Magic Formula like any other.
+    """
+    numbers = tir.numbers
+    try:
+        nominal, radius = numbers["FNOMIN"], numbers["UNLOADED_RADIUS"]
+        cpa2, mu = numbers["PKX1"] * nominal / 2, numbers["PDX1"]
+        ours = reduced_tir(cpa2, mu, nominal, radius).numbers
+    except (KeyError, UsageError):
+        return None
+    if ours.keys() != numbers.keys():
+        return None
+    alike = (math.isclose(numbers[k], ours[k], rel_tol=1e-12) for k in ours)
+    return {"cpa2": cpa2, "mu": mu} if all(alike) else None

@@ -27,6 +27,7 @@ __all__ = [
     "slip_from_sigma",
     "slip_from_speeds",
     "slip_to_sigma",
+    "units_of",
 ]
 
 MEANING_OF_SLIP = {
@@ -84,6 +85,7 @@ _TURN = 2 * np.pi
 
 _FACTORS = {
     "time": {"s": 1, "sec": 1, "second": 1, "seconds": 1, "ms": 1e-3, "us": 1e-6,
+             "ns": 1e-9,
              "min": 60, "h": 3600},
     "ratio": {"-": 1, "": 1, "1": 1, "none": 1, "dimensionless": 1, "ratio": 1,
               "%": 0.01, "pct": 0.01, "percent": 0.01},
@@ -98,10 +100,12 @@ _FACTORS = {
                **dict.fromkeys(("lbfft", "ftlbf", "ft-lb", "ft-lbs", "ft-lbf", "lb-ft"),
                                1.3558179483314004), "in-lb": 0.11298482902761668},
     "speed": {"m/s": 1, "mps": 1, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "kph": 1 / 3.6,
-              "mph": 0.44704, "mm/s": 1e-3, "mmps": 1e-3, "cm/s": 1e-2, "ft/s": 0.3048},
+              "mph": 0.44704, "mm/s": 1e-3, "mmps": 1e-3, "cm/s": 1e-2, "ft/s": 0.3048,
+              "knot": 1852 / 3600},
     "pressure": {"Pa": 1, "hPa": 100, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 100,
                  "psi": 6894.757293168361},
-    "acceleration": {"m/s2": 1, "m/s^2": 1, "m/s²": 1, "g": 9.80665, "mm/s2": 1e-3},
+    "acceleration": {"m/s2": 1, "m/s^2": 1, "m/s²": 1, "g": 9.80665, "mm/s2": 1e-3,
+                     "ft/s2": 0.3048},
     "angular acceleration": {"rad/s2": 1, "rad/s^2": 1, "rad/s²": 1,
                              "deg/s2": np.pi / 180, "deg/s^2": np.pi / 180},
     "length": {"m": 1, "cm": 1e-2, "mm": 1e-3, "ft": 0.3048},
@@ -168,11 +172,16 @@ def resolve_unit(text: str, column: str) -> Unit:
     return unit
 
 
+def units_of(dimension: str) -> list[str]:
+    """Common units of a dimension as they are written, SI first."""
+    return [name for name, unit in _KNOWN.items() if name and unit[0] == dimension]
+
+
 def _unit_remedy(text: str, column: str, dimension: str) -> str:
-    units = [name for name, unit in _KNOWN.items() if unit.dimension == dimension]
+    units = units_of(dimension)
     close = difflib.get_close_matches(text, units, n=1)
     meant = f"did you mean {close[0]!r}? " if close else ""
-    listed = ", ".join(repr(name) for name in units if name)
+    listed = ", ".join(map(repr, units))
     return f"{meant}give a unit of {dimension} with --unit {column}=...: {listed}"
 
 

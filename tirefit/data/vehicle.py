@@ -1,66 +1,56 @@
 """The vehicle and its log, as ``vehicle.toml`` declares them: :class:`Vehicle`.
 
-::
-
-    mass = 1.580                   # kg
-    l_f = 0.0805                   # m, front axle ahead of the centre of gravity
-    l_r = 0.0930                   # m, rear axle behind it
-    yaw_inertia = 0.004806         # kg m2
-    tracked_point = [0.115, -0.01] # m, ahead of the rear axle and to the left
-
-    [columns]                      # pose: time, x, y, yaw
-    time = "vicon time"            # or rates: time, v_x, v_y, yaw_rate, a_y
-    x = "vicon x"
-
-    [units]                        # of any column that is not in SI units
-    yaw = "deg"
-
-    [filter]                       # cutoff Hz, order, sample_rate Hz, max_gap s
-    [keep]                         # v_min m/s, a_y_max m/s2, active, margin s
-    [steering]                     # command and angle [rad]: the map, point by point
+VEHICLE.md has its keys, units and defaults, with an example.
 
 The log's axes are those of ISO 8855: x forward, y left, yaw counter-clockwise.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
+from tirefit.data.units import Unit, known_unit, units_of
+from tirefit.door import read_toml
 from tirefit.results import InputProblem
-from tirefit.settings import Section, parse_settings, read_toml
+from tirefit.settings import Section, parse_settings
 
-__all__ = ["UNITS", "Columns", "Filter", "Keep", "Steering", "Vehicle", "load_vehicle"]
+__all__ = [
+    "CHECKS", "POSE", "QUANTITIES", "RATES", "Columns", "Filter", "Keep", "Steering",
+    "Vehicle", "load_vehicle", "unit_of",
+]  # fmt: skip
 
-_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-_ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180}
-_ANGLE_RATE = {"rad/s": 1.0, "deg/s": math.pi / 180}
-_SPEED = {"m/s": 1.0, "mm/s": 1e-3, "km/h": 1 / 3.6}
-_ACCELERATION = {"m/s2": 1.0, "m/s^2": 1.0, "g": 9.80665}
-
-UNITS = {
-    "time": _TIME,
-    "x": _LENGTH,
-    "y": _LENGTH,
-    "yaw": _ANGLE,
-    "v_x": _SPEED,
-    "v_y": _SPEED,
-    "yaw_rate": _ANGLE_RATE,
-    "a_y": _ACCELERATION,
+QUANTITIES = {
+    "time": "time",
+    "x": "length",
+    "y": "length",
+    "yaw": "angle",
+    "v_x": "speed",
+    "v_y": "speed",
+    "yaw_rate": "angular speed",
+    "a_y": "acceleration",
+    "a_x": "acceleration",
 }
-"""Quantity of a log -> its units and their factors to SI."""
+"""Quantity of a log -> its dimension, whose units :mod:`tirefit.data.units` lists."""
 
 POSE = ("x", "y", "yaw")
 RATES = ("v_x", "v_y", "yaw_rate", "a_y")
+CHECKS = (*POSE, *RATES, "a_x")
+"""Quantities that are compared with the motion where it does not need them."""
+
+_FROUDE = 0.5
+"""Lowest speed that is kept unless told, over sqrt(g L): 0.65 m/s for a model car of
+0.17 m, 2.6 m/s for a car of 2.7 m. Below, noise of the speeds turns the slip angle."""
 _AXLE_TOLERANCE = 0.01
 """Axle masses and CG position are measured apart: they may differ by this, relative."""
 
 
 class Columns(Section):
-    """Headers of the log's columns; pose (x, y, yaw) or rates, not both."""
+    """Headers of the log's columns: a pose (x, y, yaw) or rates (v_x, v_y, yaw_rate,
+    a_y), whole. What is named beyond is compared with them; of both, the pose is used.
+    """
 
     time: str
     x: str | None = None
@@ -70,11 +60,12 @@ class Columns(Section):
     v_y: str | None = None
     yaw_rate: str | None = None
     a_y: str | None = None
+    a_x: str | None = None
     steering: str | None = None
 
     def contradictions(self) -> Iterator[InputProblem]:
-        given = [name for name in POSE + RATES if getattr(self, name) is not None]
-        if set(given) not in (set(POSE), set(RATES)):
+        given = [name for name in CHECKS if getattr(self, name) is not None]
+        if not (set(POSE) <= set(given) or set(RATES) <= set(given)):
             yield InputProblem(
                 f"neither a pose log nor a log of rates: named are"
                 f" {', '.join(given) or 'none of their columns'}",
@@ -84,7 +75,15 @@ class Columns(Section):
     @property
     def motion(self) -> tuple[str, ...]:
         """The quantities the motion is derived from."""
-        return POSE if self.yaw is not None else RATES
+        if all(getattr(self, name) is not None for name in POSE):
+            return POSE
+        return RATES if self.a_x is None else (*RATES, "a_x")
+
+    @property
+    def beyond(self) -> tuple[str, ...]:
+        """The quantities that are named and not needed for the motion."""
+        rest = (name for name in CHECKS if name not in self.motion)
+        return tuple(name for name in rest if getattr(self, name) is not None)
 
 
 class Filter(Section):
@@ -99,9 +98,9 @@ class Filter(Section):
             3.5 of the log's own periods.
     """
 
-    cutoff: PositiveFloat = 5.0
+    cutoff: Annotated[float, Field(ge=1e-3, le=1e4)] = 5.0
     order: Annotated[int, Field(ge=1, le=8)] = 2
-    sample_rate: PositiveFloat = 100.0
+    sample_rate: Annotated[float, Field(gt=0, le=1e5)] = 100.0
     max_gap: PositiveFloat | None = None
 
     def contradictions(self) -> Iterator[InputProblem]:
@@ -133,7 +132,8 @@ class Keep(Section):
     """Which derived samples are kept.
 
     Attributes:
-        v_min: Lowest forward speed of the centre of gravity [m/s].
+        v_min: Lowest forward speed of the centre of gravity [m/s]; None takes
+            sqrt(g L) / 2, with L the wheelbase.
         a_y_max: Largest lateral acceleration [m/s2]; beyond it the track has glitched.
         active: Header of a column that must equal ``active_value``, if any.
         active_value: Its value while the vehicle is driven.
@@ -141,7 +141,7 @@ class Keep(Section):
             settling time of the filter.
     """
 
-    v_min: PositiveFloat
+    v_min: PositiveFloat | None = None
     a_y_max: PositiveFloat | None = None
     active: str | None = None
     active_value: float = 1.0
@@ -188,6 +188,9 @@ class Vehicle(Section):
             left of the centre line [m]; None for the centre of gravity.
         yaw_offset: Heading of the car minus the logged yaw [rad]: it is added to the
             logged yaw, which lowers alpha by as much; pose logs only.
+        sideslip_offset: Sideslip of the car minus the logged one [rad], of a sensor
+            that is mounted askew: the logged speeds are turned by it, which raises
+            alpha by as much; logs of rates only.
         h_cg: Height of the centre of gravity [m]; None keeps the load static.
         gravity: [m/s2].
     """
@@ -203,12 +206,13 @@ class Vehicle(Section):
         None
     )
     yaw_offset: float = 0.0
+    sideslip_offset: float = 0.0
     h_cg: NonNegativeFloat | None = None
     gravity: PositiveFloat = 9.80665
     columns: Columns
     units: dict[str, str] = {}
     filter: Filter = Filter()
-    keep: Keep
+    keep: Keep = Keep()
     steering: Steering | None = None
 
     @model_validator(mode="before")
@@ -233,23 +237,27 @@ class Vehicle(Section):
 
     def contradictions(self) -> Iterator[InputProblem]:
         yield from self._geometry_problems()
-        for name, unit in self.units.items():
-            units = UNITS.get(name, {})
-            if unit not in units:
-                what = f"units.{name} = {unit!r}" if units else f"units.{name}: {name}"
-                known = ", ".join(units or UNITS)
-                yield InputProblem(
-                    f"{what} is not one of {known}", "choose one of them"
-                )
+        for name, text in self.units.items():
+            if name in QUANTITIES and unit_of(text, name) is not None:
+                continue
+            units = _units_of(name)
+            what = f"units.{name} = {text!r}" if units else f"units.{name}: {name}"
+            known = ", ".join(units or QUANTITIES)
+            yield InputProblem(f"{what} is not one of {known}", "choose one of them")
         if (self.steering is None) != (self.columns.steering is None):
             yield InputProblem(
                 "[steering] and columns.steering need each other",
                 "give both, or leave both out",
             )
-        if self.yaw_offset and self.columns.motion == RATES:
+        if self.yaw_offset and self.columns.motion != POSE:
             yield InputProblem(
                 "yaw_offset applies to a pose log only",
                 "leave it out: a log of rates has no yaw",
+            )
+        if self.sideslip_offset and self.columns.motion == POSE:
+            yield InputProblem(
+                "sideslip_offset applies to a log of rates only",
+                "leave it out: of a pose log, correct yaw_offset",
             )
 
     def _geometry_problems(self) -> Iterator[InputProblem]:
@@ -285,16 +293,45 @@ class Vehicle(Section):
         given = self.keep.margin
         return self.filter.settling if given is None else given
 
-    def factor(self, quantity: str) -> float:
-        """Factor from the log's unit of ``quantity`` to SI."""
-        return UNITS[quantity][self.units[quantity]] if quantity in self.units else 1.0
+    @property
+    def v_min(self) -> float:
+        """Lowest forward speed that is kept [m/s]."""
+        given = self.keep.v_min
+        return (
+            _FROUDE * math.sqrt(self.gravity * self.wheelbase)
+            if given is None
+            else given
+        )
 
 
-def load_vehicle(path: str | Path) -> Vehicle:
+def unit_of(text: str, quantity: str) -> Unit | None:
+    """The unit of a quantity of a log, or None if it is not a common one of it.
+
+    A leading minus (``-rad/s``) declares a channel of the other sign.
+    """
+    if text.startswith("-") and len(text) > 1 and quantity != "time":
+        unit = unit_of(text[1:], quantity)
+        return unit and unit._replace(scale=-unit.scale)
+    unit = known_unit(text) if text else None
+    return unit if unit and unit.dimension == QUANTITIES[quantity] else None
+
+
+def _units_of(quantity: str) -> list[str]:
+    return units_of(QUANTITIES[quantity]) if quantity in QUANTITIES else []
+
+
+def load_vehicle(path: str | Path, units: Mapping[str, str] | None = None) -> Vehicle:
     """Read ``vehicle.toml``.
+
+    Args:
+        units: Quantity -> unit, over those that the file declares.
 
     Raises:
         UsageError: If the file is missing, is not TOML or does not describe a
             vehicle; holds every problem found.
     """
-    return parse_settings(Vehicle, read_toml(path), str(path))
+    content = read_toml(path)
+    declared = content.get("units", {})
+    if units and isinstance(declared, dict):
+        content["units"] = declared | dict(units)
+    return parse_settings(Vehicle, content, str(path))

@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from tirefit.data.table import TireData
-from tirefit.settings import Section, parse_settings, read_toml
+from tirefit.door import read_toml
+from tirefit.settings import Section, parse_settings
 
 __all__ = ["VEHICLE", "Rig", "load_rig"]
 

@@ -7,17 +7,21 @@ one ensemble per group, no identity of the fit and no NUTS. Ours replaces the wh
 every few seconds: a kill loses the samples since, which are drawn again bit by bit.
 """
 
-import zipfile
+import io
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from tirefit.door import CHAIN, content_of, sealed_bytes, unsealed_bytes
 from tirefit.files import replacing
 from tirefit.fitting.result import FitResult
 from tirefit.results import UsageError
 
 __all__ = ["Chain", "extended", "identity_of", "load_chain", "save_chain"]
+
+
+_KIND = "tirefit.chain/1"
 
 
 class Chain(NamedTuple):
@@ -46,29 +50,30 @@ def identity_of(result: FitResult, sampler: str, seed: int, shape) -> str:
 def save_chain(path: Path, chain: Chain, identity: str) -> None:
     """Write the chain, whole or not at all."""
     state: dict[str, Any] = {f"state_{k}": value for k, value in chain.state.items()}
-    with replacing(path) as temporary, open(temporary, "wb") as file:
-        np.savez(
-            file, samples=chain.samples, log_density=chain.log_density,
-            accepted=chain.accepted, identity=identity, **state,
-        )  # fmt: skip
+    packed = io.BytesIO()
+    np.savez(
+        packed, samples=chain.samples, log_density=chain.log_density,
+        accepted=chain.accepted, identity=identity, **state,
+    )  # fmt: skip
+    with replacing(path) as temporary:
+        temporary.write_bytes(sealed_bytes(_KIND, packed.getvalue()))
 
 
 def load_chain(path: Path, identity: str) -> Chain | None:
     """The chain in a file; None where there is no file.
 
     Raises:
-        UsageError: not a chain, or one of another identity.
+        UsageError: not a chain, changed since it was kept, or one of another identity.
     """
     if not path.exists():
         return None
-    try:
-        opened = np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile):
+    content = unsealed_bytes(_KIND, content_of(path, CHAIN, UsageError))
+    if content is None:
         raise UsageError(
-            f"{path} is not a chain that tirefit kept: remove it, or fit without"
-            " --resume"
-        ) from None
-    with opened as file:
+            f"{path} is not a chain that tirefit kept, or was damaged since: remove it,"
+            " or fit without --resume"
+        )
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
         if str(file["identity"]) != identity:
             raise UsageError(
                 f"{path} holds the chain of another fit (other data, model, seed or"

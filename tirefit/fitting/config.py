@@ -8,12 +8,12 @@ from pydantic import (
     BeforeValidator,
     Field,
     PositiveFloat,
-    PositiveInt,
     PrivateAttr,
 )
 
+from tirefit.door import read_toml
 from tirefit.results import InputProblem
-from tirefit.settings import Section, parse_settings, read_toml
+from tirefit.settings import Section, parse_settings
 
 __all__ = [
     "DataConfig",
@@ -143,10 +143,10 @@ class PosteriorConfig(Section):
     """Sampling: which sampler, and how far."""
 
     sampler: Literal["emcee", "nuts", "importance"] = "emcee"
-    ensembles: int = Field(default=4, ge=4)
-    walkers: PositiveInt | None = None
-    effective_samples: PositiveInt = 4000
-    max_steps: PositiveInt = 5000
+    ensembles: int = Field(default=4, ge=4, le=1000)
+    walkers: Annotated[int, Field(ge=1, le=10_000)] | None = None
+    effective_samples: Annotated[int, Field(ge=1, le=10_000_000)] = 4000
+    max_steps: Annotated[int, Field(ge=1, le=10_000_000)] = 5000
 
 
 def _listed(force):
@@ -164,7 +164,7 @@ class FitConfig(Section):
         Annotated[list[Force], Field(min_length=1), BeforeValidator(_listed)] | None
     ) = None
     solver: Literal["optimistix", "jaxopt", "gauss-newton"] = "gauss-newton"
-    starts: PositiveInt = 8
+    starts: Annotated[int, Field(ge=1, le=10_000)] = 8
     seed: int = Field(default=0, ge=0, lt=2**32)
     data: DataConfig = DataConfig()
     noise: NoiseConfig = NoiseConfig()

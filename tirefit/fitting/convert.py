@@ -6,12 +6,15 @@ from dataclasses import replace
 import numpy as np
 
 from tirefit.data.table import Source, TireData
+from tirefit.data.tir import TirFile, brush_of
 from tirefit.fitting.likelihood import CHANNEL_SLIP, row_moments
 from tirefit.fitting.predict import predict
 from tirefit.fitting.result import FitResult
-from tirefit.models import AbstractTire
+from tirefit.models import MODELS, AbstractTire, TireInputs, forces
+from tirefit.models.mf import mf_tire
+from tirefit.params import with_values
 
-__all__ = ["curve", "misfit_by_load"]
+__all__ = ["curve", "misfit_by_load", "reduced_misfit"]
 
 
 def curve(
@@ -74,3 +77,28 @@ def misfit_by_load(result: FitResult) -> dict[float, float]:
         float(load): float(np.sqrt(np.mean(residual[fz == load] ** 2)))
         for load in np.unique(fz)
     }
+
+
+def reduced_misfit(tir: TirFile, loads: Sequence[float]) -> dict[float, dict]:
+    """Load [N] -> force -> largest difference over mu F_z, at any pure slip up to 1 or
+    1.5 rad, between the file of a brush and that brush.
+
+    Raises:
+        ValueError: the file is none of a brush.
+    """
+    values = brush_of(tir)
+    if values is None:
+        raise ValueError("not a reduced file")
+    slip = np.linspace(0.0, 0.99, 2000)
+    points = {"fx": {"sigma_x": slip / (1 - slip)}, "fy": {"alpha": 1.5 * slip}}
+    brush = with_values(MODELS["brush"], values)
+    tire = mf_tire(tir.version, tir.numbers)
+    missed: dict[float, dict] = {}
+    for load in loads:
+        missed[load] = {}
+        for force, at in points.items():
+            inputs = TireInputs(fz=load)._replace(**at)
+            ours, theirs = (getattr(forces(t, inputs), force) for t in (brush, tire))
+            worst = float(np.max(np.abs(np.asarray(ours - theirs))))
+            missed[load][force] = worst / (values["mu"] * load)
+    return missed

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tirefit.display import Displayed
+from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
 from tirefit.params import parameter_values
 from tirefit.results import Outcome
@@ -215,8 +216,8 @@ class FitResult(Displayed):
         return json_safe(content)
 
     def to_json(self) -> str:
-        """Text of ``fit.json``."""
-        return json_text(self.to_dict())
+        """Text of ``fit.json``, with a checksum."""
+        return json_text(sealed(self.to_dict()))
 
 
 def _posterior_dict(summary: PosteriorSummary | None) -> dict | None:

@@ -1,20 +1,29 @@
 """Fits on disk: ``fit.json`` and ``posterior.nc``."""
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    NonNegativeFloat,
+    PositiveFloat,
+    model_validator,
+)
 
+from tirefit.door import outrageous, read_record
 from tirefit.files import replacing, write_text_atomic
 from tirefit.fitting.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
 from tirefit.params import specs, with_values
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.slip import CONVENTIONS
 
 __all__ = ["StoredFit", "load_fit", "save_fit", "write_posterior"]
 
@@ -35,45 +44,116 @@ class StoredFit:
     content: Mapping
 
 
+_LARGEST = 1e20
+_ROUNDING = 1e-9
+"""Share of the largest variance by which the smallest may seem negative."""
+
+
+class _Part(BaseModel):
+    """What is read of a ``fit.json``; the rest of it is for people."""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+
+class _Free(_Part):
+    name: str
+    per_run: bool
+    lower: float
+    upper: float
+
+
+class _Tie(_Part):
+    name: str
+    other: str
+    factor: float
+
+
+class _Layout(_Part):
+    free: list[_Free]
+    ties: list[_Tie]
+    runs: list[str]
+    fixed: dict[str, float]
+
+
+class _Prediction(_Part):
+    z: list[float]
+    covariance: list[list[float]]
+    layout: _Layout
+
+    @model_validator(mode="after")
+    def _square(self):
+        size = len(self.z)
+        if [len(row) for row in self.covariance] != [size] * size:
+            raise ValueError(f"the covariance is not {size} x {size}")
+        if size and np.max(np.abs(self.covariance)) > _LARGEST:
+            raise ValueError(f"a covariance above {_LARGEST:g}")
+        own = np.linalg.eigvalsh(np.array(self.covariance)) if size else np.zeros(1)
+        if own[0] < -_ROUNDING * abs(own[-1]):
+            raise ValueError("a variance is negative")
+        return self
+
+
+class _Data(_Part):
+    convention: Literal[tuple(CONVENTIONS)]  # type: ignore[valid-type]
+
+
+class _Noise(_Part):
+    median_std: NonNegativeFloat
+    proportional_to_load: bool = False
+
+
+class _Reference(_Part):
+    fz: PositiveFloat
+
+
+class _Record(_Part):
+    model: str
+    forces: list[Literal["fx", "fy", "mz"]]
+    noise: dict[str, Any]
+    data: _Data
+    reference: _Reference
+    prediction: _Prediction
+
+
 def load_fit(path: str | os.PathLike) -> StoredFit:
     """Read a ``fit.json``.
 
     Raises:
-        DataError: no such file, not JSON, or not of this schema.
+        DataError: no such file, not JSON, not of this schema, or changed since.
     """
 
-    def refuse(reason: str) -> DataError:
-        return DataError(
-            InputProblem(reason, "give a fit.json of `tirefit fit`", str(path))
-        )
-
+    remedy = "give a fit.json of `tirefit fit`"
+    content = read_record(Path(path), SCHEMA, remedy)
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise refuse(f"cannot read it: {error.strerror}") from None
-    except ValueError as error:
-        raise refuse(f"not JSON: {error}") from None
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise refuse(f"its schema is not {SCHEMA}")
-    template = find_model(content["model"])
-    known = specs(template)
-    stored = content["prediction"]["layout"]
-    free = tuple(
-        FreeParameter(
-            item["name"],
-            known[item["name"]]._replace(lower=item["lower"], upper=item["upper"]),
-            item["per_run"],
+        record = _Record.model_validate(content)
+        odd = outrageous(content["prediction"], 0.0)
+        if odd is not None:
+            raise ValueError(f"prediction.{odd[0]}: {odd[1]}")
+        template = find_model(record.model)
+        stored, known = record.prediction.layout, specs(template)
+        free = tuple(
+            FreeParameter(
+                item.name,
+                known[item.name]._replace(lower=item.lower, upper=item.upper),
+                item.per_run,
+            )
+            for item in stored.free
         )
-        for item in stored["free"]
-    )
-    layout = Layout(
-        free, tuple(Tie(**tie) for tie in stored["ties"]), tuple(stored["runs"])
-    )
-    noise = {force: content["noise"][force] for force in content["forces"]}
+        ties = tuple(Tie(tie.name, tie.other, tie.factor) for tie in stored.ties)
+        layout = Layout(free, ties, tuple(stored.runs))
+        tire = with_values(template, stored.fixed)
+        noise: dict[str, Any] = {f: record.noise[f] for f in record.forces}
+        for given in noise.values():
+            _Noise.model_validate(given)
+        if len(record.prediction.z) != layout.size:
+            raise ValueError("z has another length than the layout")
+    except (ValueError, KeyError, UsageError) as error:
+        # Its checksum holds: it is of another version, or was made by hand.
+        reason = f"it does not hold a fit: {str(error).splitlines()[0][:200]}"
+        raise DataError(InputProblem(reason, remedy, str(path))) from None
     return StoredFit(
-        content["model"], with_values(template, stored["fixed"]), layout,
-        np.array(content["prediction"]["z"]),
-        np.array(content["prediction"]["covariance"]), noise, content,
+        record.model, tire, layout, np.array(record.prediction.z),
+        np.array(record.prediction.covariance), noise, content,
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tirefit.fitting.hints import hint_at_load
 from tirefit.fitting.result import FitResult
 from tirefit.results import Outcome
 
@@ -156,6 +157,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
         text = "interrupted before the first samples: there is no posterior"
         findings.append((Outcome.INTERRUPTED, text))
     findings += [(None, text) for text in _speed_limit(result)]
+    findings += [] if exact else [(None, text) for text in hint_at_load(result)]
     if statistics.n_effective < 0.5 * statistics.n and not exact:
         text = (
             f"residuals of neighbouring rows are correlated: {statistics.n} rows count"

@@ -1,0 +1,293 @@
+"""How far channels that say the same agree: gain, delay and offset of each pair.
+
+A pair holds one channel, L, against what others make of it, a sum of terms R_k:
+
+.. math:: L(t) = \\sum_k g_k R_k(t - d) + o + e(t)
+
+Both sides are noisy, and least squares then finds gains that are too small. The terms a
+while before and after, when the noise of the sensors is another, stand in for them
+(instrumental variables: Durbin, Reiersol). Neighbouring errors are alike: they
+count at their effective number, n over the sum of their autocorrelation.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+__all__ = ["LATEST", "Agreement", "Pair", "Term", "agreement", "effective"]
+
+LATEST = 0.4
+"""Longest delay that is looked for [s]: of the recorders of vehicles."""
+
+_NO_DELAY = 0.02
+"""What the longest delay must add to R² beyond no delay: half a wave later, a wave of
+the other sign is as good."""
+
+_GLITCH = 3.0
+"""Multiple of the 99th percentile beyond which a sample is a glitch."""
+
+_OUTLIER = 5.0
+"""Standard deviations of the remainder, by its median size, that no noise reaches."""
+
+_AROUND = (-2.0, -1.5, -1.0, 1.0, 1.5, 2.0)
+"""Where the instruments lie, over the time after which noise is another."""
+
+_ROUNDS = 4
+_EACH = 10
+"""Rows that are taken in the time after which noise is another."""
+
+_FEWEST = 50
+"""Rows below which nothing is compared: 5 s of a log that is filtered as usual."""
+
+
+class Term(NamedTuple):
+    """A summand of the other side: values (n,), and the powers of the channels in it
+    less those of the channel that it is held against."""
+
+    values: np.ndarray
+    powers: dict[str, int]
+    words: str
+
+
+class Pair(NamedTuple):
+    """A channel (n,) and what others say of it.
+
+    Attributes:
+        channel: the channel's name; words: the other side, for the user.
+        values: the channel, (n,) on the grid, NaN where it is not known.
+        terms: the other side's summands.
+        zero: standard deviation of the zero error that a sound sensor may have, in
+            the channel's unit.
+        floor: rms from which the channel or the other side says anything.
+        level: whether the level itself is compared, as of a speed, and not only how it
+            varies.
+        exact: whether the two are the same at every moment, or but for the car's own
+            dynamics, which look like a delay.
+    """
+
+    channel: str
+    words: str
+    values: np.ndarray
+    terms: tuple[Term, ...]
+    zero: float
+    floor: float
+    level: bool = False
+    exact: bool = True
+
+
+class Agreement(NamedTuple):
+    """A pair as estimated: standard errors by the effective number of samples.
+
+    Attributes:
+        gains, gain_stds: one a term, 1 where the two sides agree.
+        delay, delay_std: by which the channel is later than the others [s].
+        offset, offset_std: what the channel shows beyond, in its unit.
+        seen: share of what only this term has that is there a while before and after
+            as well, so is no noise; delay_seen, own_seen: likewise of the terms' rate,
+            which shows the delay, and of the channel itself.
+        size, own_size: rms of the other side's variation and the channel's.
+        correlation: of the two sides at that delay.
+        samples, effective: rows that were compared, and how many they count as.
+    """
+
+    pair: Pair
+    gains: tuple[float, ...]
+    gain_stds: tuple[float, ...]
+    delay: float
+    delay_std: float
+    offset: float
+    offset_std: float
+    seen: tuple[float, ...]
+    delay_seen: float
+    own_seen: float
+    size: float
+    own_size: float
+    correlation: float
+    samples: int
+    effective: float
+
+
+class _Fit(NamedTuple):
+    """Of the terms, the rate of their sum, and 1: (k + 2,) factors, their standard
+    errors, shares seen, effective number of samples, and the (n,) remainder."""
+
+    theta: np.ndarray
+    std: np.ndarray
+    seen: np.ndarray
+    effective: float
+    error: np.ndarray
+
+
+def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement | None:
+    """The pair's gains, delay and offset; None if too few rows are usable.
+
+    Args:
+        part: (n,) int, the unbroken stretch of each grid sample.
+        usable: (n,) bool, samples that may be compared.
+        rate: of the grid [Hz].
+        apart: time [s] after which the noise of a filtered sensor is another.
+    """
+    terms = np.column_stack([term.values for term in pair.terms])
+    known = np.isfinite(pair.values) & np.isfinite(terms).all(axis=1)
+    usable = usable & known
+    for column in (pair.values, *terms.T):
+        usable &= _no_glitch(column, usable)
+    step, latest = max(1, round(apart * rate)), round(LATEST * rate)
+    rows = _surrounded(part, usable, known, max(2 * step, latest) + 1)
+    rows = rows[:: max(1, step // _EACH)]
+    if len(rows) < _FEWEST:
+        return None
+    # Beside the usable rows, as at standstill, anything may stand.
+    terms = np.clip(terms, terms[rows].min(axis=0), terms[rows].max(axis=0))
+    shift, gains = _delay(pair.values, terms, rows, latest)
+    # Wrong beside a break only, where nothing is used.
+    rates, k = np.gradient(terms, 1 / rate, axis=0), terms.shape[1]
+    for turn in range(_ROUNDS):
+        along = gains if gains.any() else np.ones(k)  # of a dead channel
+        sides = np.column_stack([terms, rates @ along])
+        own = pair.values[rows + shift]
+        around = _around(sides, rows, step)
+        fit = _instrumented(own, sides[rows], around, pair.zero)
+        if fit is None:
+            return None
+        good, rest = _no_outlier(fit.error), round(fit.theta[k] * rate)
+        if turn == _ROUNDS - 1 or (good.all() and abs(rest) < 1):
+            break
+        # The terms were moved by their rate, which holds for a small delay only.
+        shift = int(np.clip(shift - rest, -latest, latest))
+        gains, rows = fit.theta[:k], rows[good]
+    assert fit is not None  # there is one round at least
+    around = _around(pair.values[:, None], rows + shift, step)
+    return Agreement(
+        pair, tuple(fit.theta[:k].tolist()), tuple(fit.std[:k].tolist()),
+        float(shift / rate - fit.theta[k]), float(fit.std[k]), float(fit.theta[-1]),
+        float(fit.std[-1]), tuple(fit.seen[:k].tolist()), float(fit.seen[k]),
+        _seen_around(own, around), float(np.std(terms[rows].sum(axis=1))),
+        float(np.std(own)), _correlation(own, own - fit.error), len(own), fit.effective,
+    )  # fmt: skip
+
+
+def _around(values, rows, step: int) -> np.ndarray:
+    """Values (n, k) a while before and after the rows, side by side."""
+    last = len(values) - 1
+    places = [np.clip(rows + round(k * step), 0, last) for k in _AROUND]
+    return np.nan_to_num(np.hstack([values[place] for place in places]))
+
+
+def _seen_around(values, around) -> float:
+    """Share of the variation of (n,) that follows from what is around it (n, m)."""
+    columns = np.column_stack([around, np.ones(len(values))])
+    left = values - columns @ np.linalg.lstsq(columns, values)[0]
+    return float(1 - np.var(left) / max(np.var(values), 1e-300))
+
+
+def _no_outlier(error: np.ndarray) -> np.ndarray:
+    """Rows (n,) bool whose remainder is of the size of the others'; all of them where
+    too few would be left."""
+    about = np.abs(error - np.median(error))
+    good = about <= _OUTLIER * 1.4826 * np.median(about)
+    return good if good.sum() >= _FEWEST else np.ones(len(error), bool)
+
+
+def _correlation(one, other) -> float:
+    """Of two (n,); 0 where one of them is constant."""
+    if np.ptp(one) == 0 or np.ptp(other) == 0:
+        return 0.0
+    return float(np.corrcoef(one, other)[0, 1])
+
+
+def _no_glitch(values: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """Samples (n,) bool that are of the size of the others."""
+    if not usable.any():
+        return usable
+    size = np.abs(values)
+    return size <= _GLITCH * np.percentile(size[usable], 99)
+
+
+def _surrounded(part, usable, known, reach: int) -> np.ndarray:
+    """Usable rows with ``reach`` known samples of their own stretch to either side."""
+    rows = np.flatnonzero(usable)
+    rows = rows[(rows >= reach) & (rows < len(part) - reach)]
+    blanks = np.concatenate([[0], np.cumsum(~known)])
+    whole = blanks[rows + reach + 1] == blanks[rows - reach]
+    return rows[whole & (part[rows - reach] == part[rows + reach])]
+
+
+def _delay(values, terms, rows, latest: int) -> tuple[int, np.ndarray]:
+    """The delay [samples] at which the terms explain most, and their gains there."""
+    columns = np.column_stack([terms[rows], np.ones(len(rows))])
+    basis, triangle = np.linalg.qr(columns)
+    scores, shifts = [], range(-latest, latest + 1)
+    for shift in shifts:
+        late = values[rows + shift]
+        about = late - late.mean()
+        explained = np.sum((basis.T @ about) ** 2) / max(np.sum(about**2), 1e-300)
+        scores.append(explained - _NO_DELAY * (shift / latest) ** 2)
+    best = shifts[int(np.argmax(scores))]
+    projected = basis.T @ values[rows + best]
+    return best, np.linalg.lstsq(triangle, projected)[0][:-1]
+
+
+def _instrumented(values, sides, around, zero: float) -> _Fit | None:
+    """Two-stage least squares with a prior on the offset; None if not determined.
+
+    Args:
+        values: (n,); sides: (n, k + 1), the terms and the rate of their sum.
+        around: (n, m), the instruments.
+        zero: standard deviation of the offset over the gain.
+    """
+    one, tiny = np.ones((len(values), 1)), 1e-300
+    scale = np.concatenate([np.std(sides, axis=0), [1.0]])
+    scale[scale == 0] = 1.0
+    columns = np.hstack([sides, one]) / scale
+    instruments = np.hstack([around / np.maximum(np.std(around, axis=0), tiny), one])
+    seen = instruments @ np.linalg.lstsq(instruments, columns)[0]
+    curvature, slope = seen.T @ columns, seen.T @ values
+    prior = np.zeros_like(curvature)
+    theta = np.linalg.lstsq(curvature, slope)[0]
+    count, noise = 1.0, 0.0
+    try:
+        for _ in range(2):
+            error = values - columns @ theta
+            count = effective(error)
+            noise = float(np.var(error)) * len(values) / count
+            level = zero * float(np.linalg.norm(theta[:-2] / scale[:-2]))
+            prior[-1, -1] = noise / max(level, 1e-9) ** 2
+            theta = np.linalg.solve(curvature + prior, slope)
+        # What the instruments do not show is not known, whatever the columns say.
+        spread = np.linalg.inv(seen.T @ seen + prior)
+    except np.linalg.LinAlgError:
+        return None
+    std = np.sqrt(np.maximum(noise * np.diag(spread), 0.0))
+    share = np.array([_share(columns, seen, k) for k in range(sides.shape[1])])
+    return _Fit(theta / scale, std / scale, share, count, values - columns @ theta)
+
+
+def _share(columns, seen, k: int) -> float:
+    """Share of what only the k-th column has, beyond the others, that the instruments
+    see: little of noise, and of a term that the others make up (Sanderson, Windmeijer).
+
+    Args:
+        columns: (n, m); seen: the same by the instruments.
+    """
+    others = [j for j in range(columns.shape[1]) if j != k]
+    part = np.linalg.lstsq(seen[:, others], seen[:, k])[0]
+    own = seen[:, k] - seen[:, others] @ part
+    whole = columns[:, k] - columns[:, others] @ part
+    return float(np.mean(own**2) / max(np.mean(whole**2), 1e-300))
+
+
+def effective(error: np.ndarray) -> float:
+    """How many independent values the (n,) remainder counts as: its autocorrelation
+    summed as far as pairs of neighbouring lags are positive (Geyer)."""
+    n = len(error)
+    about = error - error.mean()
+    power = np.abs(np.fft.rfft(about, 2 * n)) ** 2
+    covariance = np.fft.irfft(power)[: n // 2]
+    if covariance[0] <= 0:
+        return float(n)
+    pairs = covariance[: len(covariance) // 2 * 2].reshape(-1, 2).sum(axis=1)
+    negative = np.flatnonzero(pairs <= 0)
+    until = negative[0] if len(negative) else len(pairs)
+    total = 2 * float(np.sum(pairs[:until])) / float(covariance[0]) - 1
+    return n / max(total, 1.0)

@@ -1,0 +1,363 @@
+"""Channels of a vehicle log that cannot all be true, and the unit or sign behind."""
+
+import itertools
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tirefit.data.agreement import Agreement, effective
+from tirefit.data.faults import (
+    RELATED,
+    SEEN,
+    Fault,
+    explained,
+    judged,
+    not_explained,
+    strays,
+)
+from tirefit.data.motion import Motion
+from tirefit.data.redundancy import SIDEWAYS, agreements, heading_off_path
+from tirefit.data.track import Track
+from tirefit.data.vehicle import POSE, Vehicle
+from tirefit.results import InputProblem
+
+__all__ = ["Comparison", "compare", "pushes_the_wrong_way"]
+
+_CHANCE = 4.0
+"""Correlation of chance, in its standard errors, that no log has."""
+
+_LATE = 0.05
+_OFFSET = 0.3
+"""Delay [s] and offset [m/s2] of an a_y that is used, from which they are said."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What the redundancy of a log says.
+
+    Attributes:
+        pairs: every pair that was compared.
+        problems: contradictions, with channel, unit or sign, and remedy.
+        warnings: sentences on what differs by more than it should.
+        line: one line for the summary.
+    """
+
+    pairs: tuple[Agreement, ...]
+    problems: tuple[InputProblem, ...]
+    warnings: tuple[str, ...]
+    line: str
+
+    def as_dicts(self) -> list[dict]:
+        """Each pair with what was estimated of it, for the companion file."""
+        return [
+            {
+                "channel": a.pair.channel,
+                "against": a.pair.words,
+                "gains": [
+                    {"of": term.words, "value": gain, "std": std}
+                    for term, gain, std in zip(
+                        a.pair.terms, a.gains, a.gain_stds, strict=True
+                    )
+                ],
+                "delay": a.delay,
+                "delay_std": a.delay_std,
+                "offset": a.offset,
+                "offset_std": a.offset_std,
+                "correlation": a.correlation,
+                "samples": a.samples,
+                "effective_samples": a.effective,
+                "judged": any(judged(a)),
+            }
+            for a in self.pairs
+        ]
+
+
+def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Comparison:
+    """Hold every channel against the others."""
+    pairs = agreements(track, motion, vehicle)
+    off = not_explained(pairs, ())
+    stray = [a for a in pairs if strays(a)]
+    problems: list[InputProblem] = []
+    warnings: list[str] = []
+    if off or stray:
+        faults, alternatives = explained(pairs, off, track)
+        whole = len(faults) == 1 and not stray and not not_explained(pairs, faults)
+        wrong = [*(a for a, k in off if k == 0), *stray]
+        swap = None if whole or not wrong else _swapped(track, motion, vehicle, wrong)
+        if swap:
+            problems.append(_swap_problem(swap, track, file))
+            off, stray = [], []
+        elif faults:
+            said = _fault_problem(faults, alternatives, off, track, motion, vehicle)
+            _file_away(said, faults, track, file, problems, warnings)
+            off = not_explained(pairs, faults)
+        for a, k in off:
+            if k > 0 and any(a is other and j == 0 for other, j in off):
+                continue  # said already
+            _unexplained(a, k, vehicle, track, file, problems, warnings)
+        for a in stray:
+            _no_relation(a, vehicle, track, file, problems, warnings)
+    if not problems:
+        problems += _sideways(track, motion, vehicle, file)
+    warnings += [] if problems else _late_or_off(pairs, vehicle)
+    return Comparison(tuple(pairs), tuple(problems), tuple(warnings), _line(pairs))
+
+
+_SWAPPED = ("v_x", "v_y", "a_x", "a_y", "yaw_rate")
+
+
+def _swapped(track, motion, vehicle, wrong) -> tuple[str, str] | None:
+    """Two channels that put right all that is wrong once they change places."""
+    there = {c.quantity for c in track.channels}
+    names = {(a.pair.channel, a.pair.words) for a in wrong}
+    for pair in itertools.combinations([c for c in _SWAPPED if c in there], 2):
+        turned = agreements(track, motion, vehicle, pair)
+        right = {(a.pair.channel, a.pair.words) for a in turned if judged(a)[0]}
+        if names <= right and not any(map(strays, turned)):
+            if not not_explained(turned, ()):
+                return pair
+    return None
+
+
+# --- words ----------------------------------------------------------------------
+
+
+def _column(track: Track, name: str):
+    return next(c for c in track.channels if c.quantity == {"xy": "x"}.get(name, name))
+
+
+def _names(fault: Fault) -> str:
+    names = {"xy": "x and y", "y": "y"}
+    return " and ".join(names.get(name, name) for name in fault.channels)
+
+
+def _guessed(fault: Fault, track: Track) -> tuple[str, str]:
+    """What is wrong, and what to do about it."""
+    names = [n for c in fault.channels for n in (("x", "y") if c == "xy" else (c,))]
+    read = _column(track, names[0])
+    is_or_are, has_or_have = ("are", "have") if len(names) > 1 else ("is", "has")
+    flipped = fault.factor < 0
+    text = fault.unit or read.unit.removeprefix("-")
+    if flipped != read.unit.startswith("-"):
+        text = f"-{text}"
+    said = []
+    if fault.unit:
+        read_in = read.unit or "rad by the map"
+        said.append(
+            f"{_names(fault)} {is_or_are} in {fault.unit}, and read in {read_in}"
+        )
+    if flipped:
+        said.append(f"{_names(fault)} {has_or_have} the other sign")
+    if read.quantity == "steering":
+        return " and ".join(said), "correct [steering] of vehicle.toml"
+    lines = ", ".join(f'{name} = "{text}"' for name in names)
+    options = " ".join(f"--unit {name}={text}" for name in names)
+    return " and ".join(said), f"say {lines} in [units] of vehicle.toml, or {options}"
+
+
+def _evidence(a: Agreement, k: int) -> str:
+    return (
+        f"{a.pair.channel if a.pair.channel != 'yaw' else 'the yaw rate'} is"
+        f" {a.gains[k]:.3g} ± {a.gain_stds[k]:.1g} times"
+        f" {a.pair.words if len(a.gains) == 1 else a.pair.terms[k].words}"
+    )
+
+
+def _clearness(a, k, faults) -> tuple[bool, float]:
+    """How well a gain shows a fault: that of its own channel first."""
+    own = any(a.pair.channel in fault.channels for fault in faults)
+    return own, abs(a.gains[k]) / max(a.gain_stds[k], 1e-300)
+
+
+def _fault_problem(faults, alternatives, off, track, motion, vehicle) -> InputProblem:
+    clear = max(off, key=lambda item: _clearness(item[0], item[1], faults))
+    said = [_guessed(fault, track) for fault in (*faults, *alternatives)]
+    word = " and " if len(faults) > 1 else ", or "
+    reasons, remedies = zip(*said, strict=True)
+    mirrored = _mirrored(faults, alternatives, track, motion, vehicle)
+    if mirrored is not None:
+        reasons, remedies = mirrored
+    what = word.join(dict.fromkeys(reasons))
+    reason = f"channels contradict each other: {_evidence(*clear)}: {what}"
+    return InputProblem(reason, word.join(dict.fromkeys(remedies)))
+
+
+def _mirrored(faults, alternatives, track, motion, vehicle):
+    """Reasons and remedies of a path that turns the other way than the heading, where
+    the yaw is a compass heading or x and y stand for each other; else None."""
+    channels = {c for f in (*faults, *alternatives) for c in f.channels}
+    if not channels <= {"y", "yaw"} or any(f.unit for f in faults):
+        return None
+    # Course and compass heading add up to 90 deg; of a mirrored axis, to 0.
+    total = heading_off_path(track, motion, vehicle, -1)
+    if not abs(abs(total) - math.pi / 2) < SIDEWAYS:
+        return None
+    turn = -vehicle.yaw_offset - total
+    unit = _column(track, "yaw").unit.removeprefix("-")
+    swapped = "x and y stand for each other", "exchange x and y in [columns]"
+    compass = (
+        "yaw counts clockwise, from the y axis",
+        f'say yaw = "-{unit}" in [units] and yaw_offset = {turn:.3g}',
+    )
+    said = [swapped] if "y" in channels else []
+    said += [compass] if "yaw" in channels else []
+    return tuple(zip(*said, strict=True))
+
+
+def _used(names: Iterable[str], vehicle: Vehicle) -> bool:
+    """Whether what is derived needs one of the channels."""
+    needed = {"xy": "x"}
+    motion = (*vehicle.columns.motion, "steering")
+    return any(needed.get(name, name) in motion for name in names)
+
+
+def _file_away(said, faults, track, file, problems, warnings) -> None:
+    """A fault is an error, but of a column that nobody named."""
+    columns = [_column(track, name) for f in faults for name in f.channels]
+    if any(column.named for column in columns):
+        header = next(column.header for column in columns if column.named)
+        problems.append(InputProblem(said.reason, said.remedy, file, column=header))
+    else:
+        warnings.append(
+            f"{said.reason}; [columns] does not name it, so it changes nothing here"
+        )
+
+
+def _unexplained(a, k, vehicle, track, file, problems, warnings) -> None:
+    """A gain that no unit explains: an error where it is off by 2 and is used."""
+    said = f"{_evidence(a, k)}, which no unit explains"
+    column = _column(track, a.pair.channel)
+    names = {a.pair.channel, *a.pair.terms[k].powers}
+    far = not 0.5 < a.gains[k] < 2 and a.pair.channel != "steering"
+    if far and column.named and _used(names, vehicle):
+        remedy = (
+            "look which of the columns is wrong in [columns] and [units], or derive"
+            " with --believe"
+        )
+        reason = f"channels contradict each other: {said}"
+        problems.append(InputProblem(reason, remedy, file, column=column.header))
+    elif k == 0:
+        warnings.append(f"{said}: one of them is scaled or mounted otherwise")
+
+
+def _no_relation(a, vehicle, track, file, problems, warnings) -> None:
+    said = f"{a.pair.channel} does not follow {a.pair.words}"
+    if abs(a.correlation) < RELATED:
+        said += f" (correlation {a.correlation:.2f})"
+    column = _column(track, a.pair.channel)
+    if column.named and _used([a.pair.channel], vehicle):
+        remedy = "look which column is another in [columns], or derive with --believe"
+        reason = f"channels contradict each other: {said}"
+        problems.append(InputProblem(reason, remedy, file, column=column.header))
+    else:
+        warnings.append(said)
+
+
+def _swap_problem(swap, track, file) -> InputProblem:
+    one, other = (_column(track, name) for name in swap)
+    return InputProblem(
+        f"channels contradict each other: {swap[0]} and {swap[1]} stand for each other",
+        f'exchange them in [columns]: {swap[0]} = "{other.header}",'
+        f' {swap[1]} = "{one.header}"',
+        file,
+        column=one.header,
+    )
+
+
+def _sideways(track, motion, vehicle, file) -> list[InputProblem]:
+    """A heading that is far off the path all the time."""
+    if vehicle.columns.motion != POSE:
+        return []
+    off = heading_off_path(track, motion, vehicle, 1)
+    if not SIDEWAYS < abs(off) < math.pi - SIDEWAYS:
+        return []
+    return [
+        InputProblem(
+            f"channels contradict each other: the car would drive"
+            f" {abs(math.degrees(off)):.0f} deg sideways: yaw counts from another axis",
+            f"say yaw_offset = {vehicle.yaw_offset + off:.3g} in vehicle.toml",
+            file,
+            column=_column(track, "yaw").header,
+        )
+    ]
+
+
+def _late_or_off(pairs, vehicle) -> list[str]:
+    """Delay and zero error of the a_y that the forces are made of."""
+    said = []
+    for a in pairs:
+        if a.pair.channel != "a_y" or not any(judged(a)):
+            continue
+        if "a_y" not in vehicle.columns.motion:
+            continue
+        if _has_delay(a) and abs(a.delay) > max(_LATE, 3 * a.delay_std):
+            how = "late" if a.delay > 0 else "early"
+            said.append(
+                f"a_y is {abs(a.delay):.2g} ± {a.delay_std:.1g} s {how} against"
+                f" {a.pair.words}: fy is of another moment than alpha; shift it in the"
+                " log"
+            )
+        if abs(a.offset) > max(_OFFSET, 3 * a.offset_std):
+            said.append(
+                f"a_y is {a.offset:+.2g} ± {a.offset_std:.1g} m/s2 where the speeds and"
+                f" the yaw rate say 0: fy is off by {vehicle.mass * a.offset:.2g} N in"
+                " all, unless the road is banked"
+            )
+    return said
+
+
+def _has_delay(a: Agreement) -> bool:
+    """Whether what looks like a delay is one, and not the car's own dynamics."""
+    return any(judged(a)) and a.pair.exact and a.delay_seen > SEEN
+
+
+def _line(pairs) -> str:
+    """One line on how far the channels agree."""
+    gains, late = [], [0.0]
+    for a in pairs:
+        gains += [g for g, known in zip(a.gains, judged(a), strict=True) if known]
+        if _has_delay(a) and a.delay_std < _LATE / 3:
+            late.append(abs(a.delay))
+    if not gains:
+        return "channels: too little motion, or too few of them, to compare any"
+    those = "gain" if len(gains) == 1 else f"{len(gains)} gains"
+    span = (
+        f"{min(gains):.2f}"
+        if len(gains) == 1
+        else f"{min(gains):.2f} to {max(gains):.2f}"
+    )
+    delay = f", delays up to {max(late):.2f} s" if max(late) >= 0.005 else ""
+    return f"channels compared: {those} {span} (1 where they agree){delay}"
+
+
+def pushes_the_wrong_way(
+    alpha, force, vehicle: Vehicle, file: str
+) -> list[InputProblem]:
+    """A side force that acts the way the axle slides: no tire does that.
+
+    Args:
+        alpha, force: (n,) kept samples, canonical signs.
+    """
+    if not (np.ptp(alpha) and np.ptp(force)):
+        return []
+    related = float(np.corrcoef(alpha, force)[0, 1])
+    left = force - np.polyval(np.polyfit(alpha, force, 1), alpha)
+    # Neighbouring samples are alike: of few facts any correlation may be chance.
+    if not related < -max(RELATED, _CHANCE / math.sqrt(effective(left))):
+        return []
+    if vehicle.columns.motion == POSE:
+        name, other, unit = "yaw", "y", "rad"
+    else:
+        name, other, unit = "v_y", "a_y", "m/s"
+    unit = vehicle.units.get(name, unit)
+    return [
+        InputProblem(
+            "channels contradict each other: the side force acts the way the axle"
+            f" slides (correlation {related:.2f}): {name} or {other} has the other"
+            " sign",
+            f'say {name} = "-{unit}" in [units] of vehicle.toml',
+            file,
+        )
+    ]

@@ -1,0 +1,298 @@
+"""A vehicle log's usable samples, in SI: :func:`read_track`."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tirefit.data.columns import guess, stated_unit
+from tirefit.data.read import Table, read_table
+from tirefit.data.units import known_unit
+from tirefit.data.vehicle import CHECKS, POSE, QUANTITIES, Vehicle, unit_of
+from tirefit.results import DataError, InputProblem
+
+__all__ = ["Channel", "Track", "read_track"]
+
+_MISSING = {"", "nan", "na", "null", "none"}
+_MOST_PROBLEMS = 10
+_CLOSEST = 0.3
+"""Samples nearer than this part of the log's period are one sample (a repeat)."""
+
+_LARGEST = 1e20
+"""Size of a value whose square still is a number; infinity counts as missing."""
+
+_SI = {
+    "time": "s", "length": "m", "angle": "rad", "speed": "m/s",
+    "angular speed": "rad/s", "acceleration": "m/s2",
+}  # fmt: skip
+_MEANT = {"yaw": "heading", "v_x": "v"}
+"""Quantity of a log -> its name among the canonical columns, where another."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A column of a log, and the unit that it is read in.
+
+    Attributes:
+        quantity: of :data:`tirefit.data.vehicle.QUANTITIES`, or ``steering``.
+        unit: as written; "" of the steering command, which the map gives a meaning.
+        factor: from that unit to SI, negative for a channel of the other sign.
+        named: whether ``[columns]`` names it, or its header alone says what it is.
+    """
+
+    quantity: str
+    header: str
+    unit: str
+    factor: float
+    named: bool
+
+
+@dataclass(frozen=True)
+class Track:
+    """Usable samples of a log.
+
+    Attributes:
+        time: Increasing, (n,) [s] from the first one.
+        signals: (n, k) in SI: what the motion needs, then the steering command if any,
+            then what can be compared, which may be NaN.
+        channels: The column that each signal comes from.
+        active: (n,) bool, whether the vehicle was driven.
+        max_gap: Longest time between two samples that is interpolated [s].
+        epoch: The log's time [s] at time 0.
+        rows: Rows in the file.
+        dropped: Reason -> rows that were not used.
+        sha256: Of the file.
+        notes: What was assumed to read the file.
+    """
+
+    time: np.ndarray
+    signals: np.ndarray
+    channels: tuple[Channel, ...]
+    active: np.ndarray
+    max_gap: float
+    epoch: float
+    rows: int
+    dropped: Mapping[str, int]
+    sha256: str
+    notes: tuple[str, ...]
+
+
+def read_track(path: Path, vehicle: Vehicle) -> Track:
+    """Rows with finite values, a later stamp than all before, and a new pose.
+
+    Raises:
+        DataError: If the file cannot be read, lacks a column, holds text or is slower
+            than the filter needs.
+    """
+    table = _read(path, vehicle)
+    notes = list(table.notes)
+    clock, *channels = _channels(table, vehicle, notes)
+    columns = _numbers(table, [clock, *channels], vehicle.keep.active)
+    time = columns[clock.header] * clock.factor
+    signals = np.column_stack([columns[c.header] * c.factor for c in channels])
+    active = np.ones(len(time), bool)
+    if vehicle.keep.active:
+        active = columns[vehicle.keep.active] == vehicle.keep.active_value
+    needed = len(vehicle.columns.motion) + (vehicle.steering is not None)
+    finite = np.isfinite(time) & np.isfinite(signals[:, :needed]).all(axis=1)
+    time, signals, active = time[finite], signals[finite], active[finite]
+    period = _period(time, vehicle, table.file)
+    later = _later(time, period)
+    fresh = later.copy()
+    if vehicle.columns.motion == POSE:
+        # A tracker that lost its target repeats the last pose under new stamps.
+        fresh[1:] &= np.any(np.diff(signals[:, :3], axis=0) != 0, axis=1)
+    dropped = {
+        "a value is missing": int(np.count_nonzero(~finite)),
+        "repeated or backward time": int(np.count_nonzero(~later)),
+        "repeated pose": int(np.count_nonzero(later & ~fresh)),
+    }
+    signals = signals[fresh]
+    for place, channel in enumerate(channels):
+        if channel.quantity == "yaw":
+            signals[:, place] = _unwrapped(signals[:, place]) + vehicle.yaw_offset
+    return Track(
+        time[fresh] - time[fresh][0], signals, tuple(channels), active[fresh],
+        vehicle.filter.max_gap or 3.5 * period, float(time[fresh][0]),
+        len(table.lines), dropped, table.sha256, tuple(notes),
+    )  # fmt: skip
+
+
+def _unwrapped(yaw: np.ndarray) -> np.ndarray:
+    """Yaw (n,) without the steps of a turn; NaN stays."""
+    there = np.isfinite(yaw)
+    whole = yaw.copy()
+    whole[there] = np.unwrap(yaw[there])
+    return whole
+
+
+# --- the file -------------------------------------------------------------------
+
+
+def _read(path: Path, vehicle: Vehicle) -> Table:
+    """The file, which has every column that the vehicle names."""
+    given = vehicle.columns.model_dump().values()
+    wanted = [name for name in (*given, vehicle.keep.active) if name]
+    table = read_table(path, wanted)
+    absent = [name for name in dict.fromkeys(wanted) if name not in table.headers]
+    if absent:
+        known = ", ".join(table.headers)
+        remedy = f"correct [columns] of vehicle.toml; the file has: {known}"
+        raise DataError(
+            [
+                InputProblem("the column is missing", remedy, table.file, column=name)
+                for name in absent
+            ]
+        )
+    return table
+
+
+def _channels(table: Table, vehicle: Vehicle, notes: list[str]) -> list[Channel]:
+    """Time, what the motion needs, the steering command, what can be compared."""
+    names, problems = vehicle.columns, list[InputProblem]()
+    channels = []
+    for quantity in ("time", *names.motion):
+        header = getattr(names, quantity)
+        channels.append(_channel(table, quantity, header, vehicle, notes, problems))
+    if names.steering:
+        channels.append(Channel("steering", names.steering, "", 1.0, True))
+    for quantity in names.beyond:
+        header = getattr(names, quantity)
+        channels.append(_channel(table, quantity, header, vehicle, notes, problems))
+    if problems:
+        raise DataError(problems)
+    taken = {channel.header for channel in channels}
+    for quantity in CHECKS:
+        if quantity in (channel.quantity for channel in channels):
+            continue
+        meant = _MEANT.get(quantity, quantity)
+        headers = [h for h in table.headers if (g := guess(h)) and g.name == meant]
+        if len(headers) == 1 and headers[0] not in taken:
+            # A stranger's column may be anything: what is odd in it is not used.
+            odd: list[InputProblem] = []
+            channel = _channel(table, quantity, headers[0], vehicle, notes, odd, False)
+            channels += [] if odd or not _holds_numbers(table, channel) else [channel]
+    return channels
+
+
+def _holds_numbers(table: Table, channel: Channel) -> bool:
+    odd: list[InputProblem] = []
+    _column(table, channel.header, odd)
+    return not odd
+
+
+def _channel(table, quantity, header, vehicle, notes, problems, named=True) -> Channel:
+    """The column with its unit: declared, or of the header, or of the row below it."""
+    dimension = QUANTITIES[quantity]
+    text, where = vehicle.units.get(quantity), ""
+    in_header = stated_unit(header)
+    if text is None and in_header:
+        text, where = in_header, ""
+    elif text is None and table.units_row is not None:
+        text = table.units_row[table.headers.index(header)].strip().strip("[](){}")
+        where = " (units row)"
+    elif text is not None and in_header not in (None, text):
+        where = f" (declared; the header says {in_header!r})"
+    unit = unit_of(text, quantity) if text else None
+    # Round brackets may hold anything, as in ``W (IMU)``.
+    label = f"({in_header})" in header and text == in_header
+    if text and text != "-" and unit is None and not (label and not _is_unit(text)):
+        problems.append(
+            InputProblem(
+                f"unit {text!r} is no unit of {dimension}, which {quantity} is of",
+                f'correct [columns], or say units.{quantity} = "{_SI[dimension]}" in'
+                " vehicle.toml",
+                table.file, table.header_line, header,
+            )
+        )  # fmt: skip
+    if unit is None:
+        where = f" ({text!r} is no unit)" if label else " (no unit stated)"
+        text, scale = _SI[dimension], 1.0
+    else:
+        scale = unit.scale
+    if named or text != _SI[dimension]:
+        notes.append(f"column {header!r} read as {quantity} in {text}{where}")
+    return Channel(quantity, header, text, scale, named)
+
+
+def _is_unit(text: str) -> bool:
+    return known_unit(text.removeprefix("-")) is not None
+
+
+def _numbers(table: Table, channels, active: str | None) -> dict[str, np.ndarray]:
+    """By header, the columns that are read, (n,) each.
+
+    Empty cells and rows without the header's number of cells are NaN.
+    """
+    wanted = [channel.header for channel in channels] + ([active] if active else [])
+    problems: list[InputProblem] = []
+    columns = {name: _column(table, name, problems) for name in dict.fromkeys(wanted)}
+    if problems:
+        more = len(problems) - _MOST_PROBLEMS
+        shown = problems[:_MOST_PROBLEMS]
+        if more > 0:
+            shown.append(
+                InputProblem(f"and {more} more cells like these", file=table.file)
+            )
+        raise DataError(shown)
+    return columns
+
+
+def _column(table: Table, name: str, problems: list[InputProblem]) -> np.ndarray:
+    """One column, (n,); a missing cell is NaN, text is a problem."""
+    values = np.full(len(table.lines), np.nan)
+    cells = table.cells[table.headers.index(name)]
+    if isinstance(cells, np.ndarray):  # of a file that has numbers, not text
+        cells = [repr(cell) for cell in cells.tolist()]
+    for index, cell in enumerate(cells):
+        if cell.strip().lower() in _MISSING:
+            continue
+        try:
+            values[index] = float(cell)
+            if not _LARGEST < abs(values[index]) < math.inf:
+                continue
+            reason = f"{cell.strip()[:40]} is larger than anything measured"
+        except ValueError:
+            reason = f"{cell.strip()[:40]!r} is not a number"
+        line = int(table.lines[index])
+        problems.append(InputProblem(reason, "correct it", table.file, line, name))
+    return values
+
+
+# --- usable samples -------------------------------------------------------------
+
+
+def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
+    """Median time between samples [s], from the steps forward."""
+    steps = np.diff(time)
+    steps = steps[steps > 0]
+    cutoff = vehicle.filter.cutoff
+    needed = f"a log of at least {4 * cutoff:g} Hz for a cutoff of {cutoff:g} Hz"
+    if len(steps) == 0:
+        raise DataError(
+            InputProblem("holds fewer than two samples", f"give {needed}", file)
+        )
+    period = float(np.median(steps))
+    if period > 1 / (4 * cutoff):
+        raise DataError(
+            InputProblem(
+                f"is sampled at {1 / period:.3g} Hz only",
+                f"give {needed}, lower filter.cutoff, or check the unit of time",
+                file,
+                column=vehicle.columns.time,
+            )
+        )
+    return period
+
+
+def _later(time: np.ndarray, period: float) -> np.ndarray:
+    """Which samples come clearly after the last one taken, (n,) bool."""
+    taken = np.zeros(len(time), bool)
+    last = -math.inf
+    for index, stamp in enumerate(time.tolist()):
+        if stamp - last > _CLOSEST * period:
+            taken[index] = True
+            last = stamp
+    return taken

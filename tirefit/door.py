@@ -1,0 +1,174 @@
+"""The one door for files: how large, how deep, how big a number; and our own seal.
+
+What comes in by it can be parsed and checked further without a surprise. Files that
+this package wrote itself carry a checksum of their content: one flipped bit is seen.
+"""
+
+import hashlib
+import json
+import math
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from tirefit.results import DataError, InputProblem, TirefitError, UsageError
+
+__all__ = [
+    "CHAIN", "DATA", "RECORD", "SETTINGS", "TIRE", "content_of", "control_character",
+    "outrageous", "read_record", "read_toml", "sealed", "sealed_bytes", "too_large",
+    "unsealed_bytes",
+]  # fmt: skip
+
+MIB = 2**20
+SETTINGS, TIRE, RECORD, CHAIN, DATA = (
+    1 * MIB, 8 * MIB, 256 * MIB, 1024 * MIB, 1024 * MIB,
+)  # fmt: skip
+"""Largest files: settings, ``.tir``, JSON, kept chains, data (unpacked as well)."""
+
+_DEEPEST = 16
+"""Tables and lists in each other: settings and records have up to 6."""
+
+_LARGEST, _SMALLEST = 1e20, 1e-20
+"""Size of numbers in settings, beyond which squares and products leave the floats."""
+
+_SEAL = "checksum"
+
+
+def too_large(path, most: int, error: type[TirefitError] = DataError) -> TirefitError:
+    """The error of a file of more than ``most`` bytes."""
+    reason = f"it holds more than {most // MIB} MiB"
+    return error(InputProblem(reason, "split or thin it", str(path)))
+
+
+def content_of(
+    path: str | Path, most: int, error: type[TirefitError] = DataError, remedy: str = ""
+) -> bytes:
+    """The bytes of a file of at most ``most``.
+
+    Raises:
+        ``error``: it cannot be read, or is larger.
+    """
+    try:
+        with open(path, "rb") as file:
+            content = file.read(most + 1)
+    except (OSError, ValueError) as fault:  # ValueError: a NUL in the path
+        cause = getattr(fault, "strerror", None) or fault
+        problem = InputProblem(f"cannot read it: {cause}", remedy, str(path))
+        raise error(problem) from None
+    if len(content) > most:
+        raise too_large(path, most, error)
+    return content
+
+
+def control_character(text: str) -> tuple[int, str] | None:
+    """Row and name of the first character that no text file holds, or None."""
+    found = re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029]", text)
+    if found is None:
+        return None
+    row = len(re.findall(r"\r\n?|\n", text[: found.start()])) + 1
+    return row, f"U+{ord(found.group()):04X}"
+
+
+def outrageous(
+    content: Any, smallest: float = _SMALLEST, largest: float = _LARGEST
+) -> tuple[str, str] | None:
+    """Key and reason of the first thing in parsed settings that no file needs, or None.
+
+    Args:
+        content: tables and lists in each other.
+        smallest, largest: size of its numbers; 0 and infinity are left to the reader.
+    """
+    waiting: list[tuple[str, Any, int]] = [("", content, 0)]
+    while waiting:
+        key, value, depth = waiting.pop()
+        if depth > _DEEPEST:
+            return key[:40], f"tables and lists lie more than {_DEEPEST} deep"
+        if isinstance(value, dict):
+            start = f"{key}." if key else ""
+            waiting += [(f"{start}{k}"[:80], v, depth + 1) for k, v in value.items()]
+        elif isinstance(value, list):
+            waiting += [(key, item, depth + 1) for item in value]
+        elif isinstance(value, int | float):
+            size = abs(value)
+            if largest < size < math.inf:
+                return key, f"a number above {largest:g}"
+            if 0 < size < smallest:
+                return key, f"a number closer to 0 than {smallest:g}"
+    return None
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        UsageError: no such file, too large, not TOML, nested too deeply, or with
+            numbers of a size that nothing has.
+    """
+    raw = content_of(path, SETTINGS, UsageError, "check the path")
+    try:
+        # Editors on Windows put a byte-order mark before the first key.
+        content = tomllib.loads(raw.decode("utf-8-sig"))
+    except RecursionError:
+        reason = "not valid TOML: brackets are nested too deeply"
+    except ValueError as error:  # of TOML, of UTF-8, of a number of 5,000 digits
+        reason = f"not valid TOML: {str(error)[:200]}"
+    else:
+        odd = outrageous(content)
+        if odd is None:
+            return content
+        reason = f"{odd[0]}: {odd[1]}"
+    raise UsageError(InputProblem(reason, "correct the file", str(path)))
+
+
+# --- our own files --------------------------------------------------------------
+
+
+def _digest(content: dict) -> str:
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def sealed(content: dict) -> dict:
+    """A record that JSON can hold, with its checksum."""
+    bare = {key: value for key, value in content.items() if key != _SEAL}
+    return bare | {_SEAL: _digest(bare)}
+
+
+def read_record(path: str | Path, schema: str, remedy: str) -> dict:
+    """The content of a JSON file that :func:`sealed` made.
+
+    Raises:
+        DataError: no such file, no JSON, of another schema, or changed since.
+    """
+
+    def refused(reason: str) -> DataError:
+        return DataError(InputProblem(reason, remedy, str(path)))
+
+    raw = content_of(path, RECORD, DataError, remedy)
+    try:
+        content = json.loads(raw.decode("utf-8"))
+    except RecursionError:
+        raise refused("not JSON that tirefit wrote: it is nested too deeply") from None
+    except ValueError as error:
+        raise refused(f"not JSON: {str(error)[:200]}") from None
+    if not isinstance(content, dict) or content.get("schema") != schema:
+        raise refused(f"its schema is not {schema}")
+    if outrageous(content, 0.0, math.inf):
+        raise refused("it was changed or damaged since it was written")
+    seal = content.pop(_SEAL, None)
+    if seal != _digest(content):
+        raise refused("it was changed or damaged since it was written: its checksum")
+    return content
+
+
+def sealed_bytes(kind: str, content: bytes) -> bytes:
+    """A binary file of our own: its kind and checksum, then the content."""
+    head = f"{kind} {hashlib.sha256(content).hexdigest()}\n"
+    return head.encode() + content
+
+
+def unsealed_bytes(kind: str, content: bytes) -> bytes | None:
+    """What :func:`sealed_bytes` was given; None if it is not that any more."""
+    head, _, rest = content.partition(b"\n")
+    return rest if sealed_bytes(kind, rest) == head + b"\n" + rest else None
