@@ -246,9 +246,9 @@ def test_samples_without_use_move_the_filter_alone():
         use = float(not 400 <= i < 500)
         state, _ = step(state, {"omega": speed / 0.3, "use": use})
         if i == 450:
-            assert float(state.square) == float(before.square)
+            assert float(state.sums.square) == float(before.sums.square)
             assert float(state.filtered) != float(before.filtered)
-    assert float(state.weight) < (1 - 0.995**720) / 0.005 + 1e-6
+    assert float(state.sums.weight) < (1 - 0.995**720) / 0.005 + 1e-6
 
 
 def test_a_gap_begins_the_filter_anew_and_the_past_counts_less():

@@ -24,6 +24,7 @@ Seen is the square of p: far below the band all poles look alike, and beyond it 
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -203,20 +204,31 @@ def friction_from_slope(force, fz, slope, stiffness, direction=0.0):
     return jnp.where(there, force / (jnp.where(there, rate, 1.0) * fz), jnp.inf)
 
 
+class Sums(NamedTuple):
+    """Weighted by age: squares and products of increments [m2/s2], the weights, and by
+    their squares."""
+
+    square: Float[Array, ""]
+    product: Float[Array, ""]
+    weight: Float[Array, ""]
+    weight2: Float[Array, ""]
+
+    def forgotten(self, share) -> "Sums":
+        """Counting this share of what they did."""
+        weight2 = share**2 * self.weight2
+        return Sums(*(share * part for part in self[:-1]), weight2)
+
+
 class XbsState(NamedTuple):
-    """Filters' states, the last speed filtered and its last increment [m/s]; sums by
-    weight of squares, products, one and one squared; samples since the filter began;
-    speed at that; deviation of the last interval from that of the rate; the last
-    speed [m/s] and force [N]."""
+    """Filters' states, the last speed filtered and its last increment [m/s]; the
+    sums; samples since the filter began; speed at that; whether the last interval was
+    not that of the rate; the last speed [m/s], force and load [N]."""
 
     high: tuple[Float[Array, ""], Float[Array, ""]]
     low: tuple[Float[Array, ""], Float[Array, ""]]
     filtered: Float[Array, ""]
     increment: Float[Array, ""]
-    square: Float[Array, ""]
-    product: Float[Array, ""]
-    weight: Float[Array, ""]
-    weight2: Float[Array, ""]
+    sums: Sums
     age: Float[Array, ""]
     origin: Float[Array, ""]
     irregular: Float[Array, ""]
@@ -286,8 +298,9 @@ class Xbs(AbstractEstimator):
     def init(self) -> XbsState:
         zero, none = jnp.zeros(()), jnp.full((), jnp.nan)
         return XbsState(
-            (zero, zero), (zero, zero), *[zero] * 7, none, zero, none, none, none
-        )
+            (zero, zero), (zero, zero), zero, zero, Sums(*[zero] * 4), zero, none, zero,
+            none, none, none,
+        )  # fmt: skip
 
     def step(self, state: XbsState, sample: Sample) -> tuple[XbsState, Estimate]:
         s, speed = state, self.radius * sample["omega"]
@@ -297,15 +310,13 @@ class Xbs(AbstractEstimator):
         high, passed = first.step(s.high, error - origin)
         low, filtered = second.step(s.low, passed)
         increment = filtered - s.filtered
-        used = (s.age >= self._settling()) * sample.get("use", 1.0)
-        forget = self.forgetting
+        settled = s.age >= self._settling()
+        added = Sums(s.increment**2, s.increment * increment, 1.0, 1.0)
+        sums = jax.tree.map(jnp.add, s.sums.forgotten(self.forgetting), added)
+        use = settled & (sample.get("use", 1.0) > 0)
         after = XbsState(
-            high, low, filtered, increment,
-            choose(used > 0, forget * s.square + s.increment**2, s.square),
-            choose(used > 0, forget * s.product + s.increment * increment, s.product),
-            choose(used > 0, forget * s.weight + 1, s.weight),
-            choose(used > 0, forget**2 * s.weight2 + 1, s.weight2),
-            s.age + 1, origin, s.irregular, speed, *self._force(sample),
+            high, low, filtered, increment, choose(use, sums, s.sums), s.age + 1,
+            origin, s.irregular, speed, *self._force(sample),
         )  # fmt: skip
         return after, self._estimate(after)
 
@@ -314,13 +325,10 @@ class Xbs(AbstractEstimator):
         begun = state.age > 0
         off = begun & (jnp.abs(dt * self.rate - 1) > _INTERVAL_OFF)
         gap = begun & ((steps > 0) | (dt * self.rate > 1 + _INTERVAL_OFF))
-        fresh = self.init()._replace(
-            speed=state.speed, force=state.force, fz=state.fz, origin=state.origin
-        )
         forget = jnp.where(gap, self.forgetting ** (dt * self.rate), 1.0)
-        fresh = fresh._replace(
-            square=forget * state.square, product=forget * state.product,
-            weight=forget * state.weight, weight2=forget**2 * state.weight2,
+        fresh = self.init()._replace(
+            sums=state.sums.forgotten(forget), origin=state.origin, speed=state.speed,
+            force=state.force, fz=state.fz,
         )  # fmt: skip
         kept = choose(gap, fresh, state)._replace(irregular=jnp.where(off, 1.0, 0.0))
         return kept, self._estimate(kept)
@@ -335,15 +343,15 @@ class Xbs(AbstractEstimator):
 
     def pole(self, state: XbsState):
         """(p, std of it, printed estimate [1/s], flag), NaN before the first sums."""
-        s, table = state, self.relation
-        there = s.weight > 0
-        weight = jnp.where(there, s.weight, 1.0)
-        noise = self.speed_noise**2
-        seen = s.square / weight
-        power = seen - noise * table.noise0
-        clear = there & (power > 0.5 * seen) & (seen > 0)
+        table, age = self.relation, state.age
+        square, product, weight, weight2 = state.sums
+        there = weight > 0
+        weight = jnp.where(there, weight, 1.0)
+        noise = self.speed_noise**2 * weight
+        power = square - noise * table.noise0
+        clear = there & (power > 0.5 * square) & (square > 0)
         power = jnp.where(clear, power, 1.0)
-        correlation = (s.product / weight - noise * table.noise1) / power
+        correlation = (product - noise * table.noise1) / power
         printed = self.rate * (1 - correlation)
         low, high = table.printed[0], table.printed[-1]
         square = jnp.interp(printed, table.printed, table.square)
@@ -353,7 +361,7 @@ class Xbs(AbstractEstimator):
             for part in (table.variance, table.mixed, table.alone)
         ]
         variance = parts[0] + share * (parts[1] + share * parts[2])
-        variance = variance * s.weight2 / weight**2
+        variance = variance * weight2 / weight**2
         std = jnp.sqrt(variance) * self._steepness(square)
         pole = jnp.sqrt(square)
         # Of a root: by its slope away from zero, by the root of the spread at it.
@@ -362,8 +370,8 @@ class Xbs(AbstractEstimator):
         flag = flag_of(
             (clear & ((printed <= low) | (printed >= high)), Flag.OUT_OF_RANGE),
             (there & ~clear, Flag.LITTLE_EXCITATION),
-            ((s.age < self._settling()) | ~there, Flag.SETTLING),
-            (s.irregular > 0, Flag.GAP),
+            ((age < self._settling()) | ~there, Flag.SETTLING),
+            (state.irregular > 0, Flag.GAP),
         )
         return pole + none, std + none, printed + none, flag
 
