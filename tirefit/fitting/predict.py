@@ -21,7 +21,7 @@ from tirefit.params import Values, parameter_values, specs, with_values
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem, UsageError
 
-__all__ = ["predict", "predict_forces"]
+__all__ = ["predict", "predict_forces", "tire_with"]
 
 
 @compiled(static=("layout",), brief=True)
@@ -180,9 +180,14 @@ def _masked(data: TireData, out: dict) -> dict[str, np.ndarray]:
     return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
 
 
-def _of_model(
-    template: AbstractTire, name: str, data: TireData, values: Mapping[str, float]
-):
+def tire_with(
+    template: AbstractTire, name: str, values: Mapping[str, float]
+) -> AbstractTire:
+    """The tire with other values of its parameters.
+
+    Raises:
+        UsageError: a parameter that it lacks, or a value outside its bounds; all.
+    """
     known, problems = specs(template), []
     for key, value in values.items():
         if key not in known:
@@ -201,7 +206,13 @@ def _of_model(
             )
     if problems:
         raise UsageError(problems)
-    tire = with_values(template, parameter_values(template) | dict(values))
+    return with_values(template, parameter_values(template) | dict(values))
+
+
+def _of_model(
+    template: AbstractTire, name: str, data: TireData, values: Mapping[str, float]
+):
+    tire = tire_with(template, name, values)
     require(data, ("fz", *tire.needs), f"the model {name}")
     if tire.transient:
         check_time_series(data, name)

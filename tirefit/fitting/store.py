@@ -14,7 +14,7 @@ from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
 from tirefit.params import specs, with_values
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError, InputProblem, UsageError
 
 __all__ = ["StoredFit", "load_fit", "save_fit", "write_posterior"]
 
@@ -33,6 +33,19 @@ class StoredFit:
     covariance: np.ndarray
     noise: Mapping[str, Mapping]
     content: Mapping
+
+    def at_estimate(self) -> AbstractTire:
+        """The tire with its fitted values.
+
+        Raises:
+            UsageError: a parameter has a value for each run.
+        """
+        values = self.layout.natural(self.z)
+        several = [name for name, value in values.items() if np.ndim(value)]
+        if several:
+            reason = f"the fit has a {several[0]} for each run: it is not one tire"
+            raise UsageError(InputProblem(reason, "fit it with one for all runs"))
+        return with_values(self.tire, {k: float(v) for k, v in values.items()})
 
 
 def load_fit(path: str | os.PathLike) -> StoredFit:
