@@ -51,6 +51,7 @@ __all__ = [
     "low_pass",
     "rate_in_use",
     "relation",
+    "servo_spectrum",
     "speed_spectrum",
 ]
 
@@ -152,9 +153,32 @@ class Relation(NamedTuple):
     noise1: float
 
 
+def servo_spectrum(angle, pole, gain, delay, rate):
+    r"""What the delay of a deceleration servo does to the power of wheel speed.
+
+    :math:`|i\omega + p|^2 / |i\omega + p - a + a e^{-i\omega T}|^2`: O(8) has the servo
+    act at once, T = 0. Aliasing of the difference is left out.
+
+    Args:
+        angle: frequency [rad a sample].
+        pole: p [1/s], a included; gain: a [1/s]; delay: T [s]; rate: samples a second.
+    """
+    omega = 1j * angle * rate
+    ideal = omega + pole
+    return np.abs(ideal / (ideal + gain * np.expm1(-omega * delay))) ** 2
+
+
 @lru_cache
-def relation(rate: float, low: float, high: float, corner: float) -> Relation:
-    """The relation for samples a second, band [Hz] and corner of the road [Hz]."""
+def relation(
+    rate: float,
+    low: float,
+    high: float,
+    corner: float,
+    gain: float = 0.0,
+    delay: float = 0.0,
+) -> Relation:
+    """The relation for samples a second, band [Hz], corner of the road [Hz], and gain
+    [1/s] and delay [s] of a servo; poles include the gain."""
     # The mean over frequencies is exact for spectra as smooth as these.
     angle = (np.arange(_FREQUENCIES) + 0.5) * np.pi / _FREQUENCIES
     band = high_pass(low, rate).gain(angle) * low_pass(high, rate).gain(angle)
@@ -166,12 +190,18 @@ def relation(rate: float, low: float, high: float, corner: float) -> Relation:
     rows = []
     for pole in poles:
         signal = band * speed_spectrum(angle, pole, 2 * np.pi * corner, 1 / rate)
+        signal = signal * servo_spectrum(angle, pole, gain, delay, rate)
         signal = signal / np.mean(signal)
         printed = np.mean(weight * signal)
         off = (weight - printed) ** 2
         parts = signal * signal, 2 * signal * noise, noise * noise
         rows.append((pole**2, printed, *(2 * np.mean(off * part) for part in parts)))
-    return Relation(*np.array(rows).T, float(noise0), float(noise1))
+    table = np.array(rows)
+    # A servo that lags makes a ringing wheel of the slowest poles, where the relation
+    # turns back: of two poles the faster is meant, the other would not be stable.
+    turn = int(np.argmin(table[:, 1]))
+    table[:turn, 1] = table[turn, 1] - 1e-9 * np.arange(turn, 0, -1)
+    return Relation(*table.T, float(noise0), float(noise1))
 
 
 def rate_in_use(slope, stiffness, direction=0.0):
@@ -267,6 +297,9 @@ class Xbs(AbstractEstimator):
     servo_gain: float = par(
         0.0, (-500.0, 500.0), "1/s", "gain of the deceleration servo", "O(8)", "a"
     )
+    servo_delay: float = par(
+        0.0, (0.0, 0.2), "s", "time after which the servo acts", "", "T_a"
+    )
     road_corner: float = par(
         0.0, (0.0, 500.0), "Hz", "below it the road's disturbance is white", "O(2)",
         "f_d",
@@ -293,7 +326,8 @@ class Xbs(AbstractEstimator):
                 f" must rise and lie below {rate / 2:g} Hz"
             )
         self.sections = high_pass(low, rate), low_pass(high, rate)
-        self.relation = relation(rate, low, high, float(self.road_corner))
+        servo = float(self.servo_gain), float(self.servo_delay)
+        self.relation = relation(rate, low, high, float(self.road_corner), *servo)
 
     def init(self) -> XbsState:
         zero, none = jnp.zeros(()), jnp.full((), jnp.nan)

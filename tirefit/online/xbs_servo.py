@@ -173,7 +173,7 @@ class XbsServo(AbstractController):
     )  # fmt: skip
     radius: Any = 0.3
     """Rolling radius r [m]."""
-    wheel_inertia: Any = 1.2
+    inertia: Any = 1.2
     """J [kg m2] of each wheel."""
     brake_gain: Any = 1.35e-4
     """Torque over pressure [N m/Pa] of each brake."""
@@ -189,12 +189,12 @@ class XbsServo(AbstractController):
     """Time constant [s] of an open valve."""
     delay: float = eqx.field(static=True, default=0.01)
     """Time [s] until a command takes effect."""
-    dead_band: float = 2e4
+    dead_band: float = 0.0
     """Error of the pressure [Pa] for which no valve moves."""
     reach: float = 1e6
     """Largest distance [Pa] of the target from the pressure."""
     response: float = par(
-        0.5, (0.05, 1.0), "-", "share of that error removed in an interval", "", "q"
+        1.0, (0.05, 1.0), "-", "share of that error removed in an interval", "", "q"
     )
     low: float = par(2.0, (0.1, 50.0), "Hz", "lower edge of the band", "O §2.2", "f_l")
     high: float = par(
@@ -217,13 +217,15 @@ class XbsServo(AbstractController):
     def __post_init__(self):
         refuse_unstable(
             float(self.servo_gain), float(self.least_slope), float(self.most_slope),
-            float(np.max(self.radius)), float(np.min(self.wheel_inertia)), self.rate,
+            float(np.max(self.radius)), float(np.min(self.inertia)), self.rate,
             round(self.delay * self.rate), self.period / self.response,
         )  # fmt: skip
         self.xbs = Xbs(
             rate=self.rate, forgetting=self.forgetting, servo_gain=self.servo_gain,
             road_corner=self.road_corner, speed_noise=self.speed_noise,
             radius=1.0, wheel_inertia=1.0, low=self.low, high=self.high,
+            # The mean of an interval's ramp comes half an interval late.
+            servo_delay=self.delay + (1 / self.response - 0.5) * self.period,
         )  # fmt: skip
 
     def init(self, first: Measurement) -> XbsServoState:
@@ -271,7 +273,7 @@ class XbsServo(AbstractController):
         """Estimators' states, k [N s/m] with its std, and flags, (w,) each."""
         sample = {"omega": speed, "use": use.astype(float)}
         xbs, made = jax.vmap(self.xbs.step)(s.xbs, sample)
-        scale = jnp.asarray(self.wheel_inertia) / jnp.asarray(self.radius) ** 2
+        scale = jnp.asarray(self.inertia) / jnp.asarray(self.radius) ** 2
         return xbs, scale * made.value[:, 0], scale * made.std[:, 0], made.flag
 
     def _wanted(self, m: Measurement, vehicle) -> Wheels:
@@ -290,7 +292,7 @@ class XbsServo(AbstractController):
 
     def _by_speed(self):
         """Pressure by wheel speed over its reference [Pa s/m], J a / (r g)."""
-        inertia, radius = jnp.asarray(self.wheel_inertia), jnp.asarray(self.radius)
+        inertia, radius = jnp.asarray(self.inertia), jnp.asarray(self.radius)
         return inertia * self.servo_gain / (radius * jnp.asarray(self.brake_gain))
 
     def _valves(self, error, ready, demand):
