@@ -66,43 +66,43 @@ class ConventionalABS(AbstractController):
     meaning: ClassVar[str] = "conventional ABS: rules on wheel acceleration and slip"
 
     slowing: float = par(
-        13.5, (1.0, 200.0), "m/s2", "wheel deceleration that says it tends to lock", "",
+        9.0, (1.0, 200.0), "m/s2", "wheel deceleration that says it tends to lock", "",
         "a",
     )  # fmt: skip
     speeding: float = par(
-        2.5, (0.5, 200.0), "m/s2", "wheel acceleration that says it recovers", "", "+a"
+        5.0, (0.5, 200.0), "m/s2", "wheel acceleration that says it recovers", "", "+a"
     )
     racing: float = par(
-        65.0, (1.0, 500.0), "m/s2", "acceleration at which pressure rises at once", "",
+        90.0, (1.0, 500.0), "m/s2", "acceleration at which pressure rises at once", "",
         "+A",
     )  # fmt: skip
     slip: float = par(
-        0.045, (0.005, 0.5), "-", "slip beside a deceleration", "", r"\lambda_1"
+        0.07, (0.005, 0.5), "-", "slip beside a deceleration", "", r"\lambda_1"
     )
     most_slip: float = par(
-        0.2, (0.01, 0.9), "-", "slip that is too much in any case", "", r"\lambda_2"
+        0.16, (0.01, 0.9), "-", "slip that is too much in any case", "", r"\lambda_2"
     )
     patience: float = par(
-        0.05, (0.0, 1.0), "s", "time in which a wheel should speed up", "", "t_w"
+        0.04, (0.0, 1.0), "s", "time in which a wheel should speed up", "", "t_w"
     )
     quick: float = par(
-        0.7, (0.0, 1.0), "-", "share of the last lock pressure that is regained fast",
+        0.65, (0.0, 1.0), "-", "share of the last lock pressure that is regained fast",
         "", "q",
     )  # fmt: skip
     dump_share: float = par(
-        0.3, (0.05, 1.0), "-", "share of time with the outlet open, in a dump", "", "w"
+        0.45, (0.05, 1.0), "-", "share of time with the outlet open, in a dump", "", "w"
     )
     step_share: float = par(
-        0.05, (0.0, 1.0), "-", "share of time with the inlet open, in steps", "", "u"
+        0.12, (0.0, 1.0), "-", "share of time with the inlet open, in steps", "", "u"
     )
     step_growth: float = par(
-        0.2, (0.0, 20.0), "1/s", "rate at which that share grows", "", r"\dot u"
+        1.2, (0.0, 20.0), "1/s", "rate at which that share grows", "", r"\dot u"
     )
     smoothing: float = par(
-        0.015, (0.0, 1.0), "s", "time constant of the wheel acceleration", "", "T_f"
+        0.006, (0.0, 1.0), "s", "time constant of the wheel acceleration", "", "T_f"
     )
     margin: float = par(
-        0.6, (0.0, 10.0), "m/s2", "by which the reference may fall faster", "", "m"
+        0.3, (0.0, 10.0), "m/s2", "by which the reference may fall faster", "", "m"
     )
     off: float = par(1.5, (0.0, 10.0), "m/s", "speed below which it is off", "", "v_0")
 
