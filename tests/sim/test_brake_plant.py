@@ -1,4 +1,4 @@
-"""The braked plant against other routes: SciPy, energy, textbook, finite differences."""
+"""The braked plant by other routes: SciPy, energy, textbook, finite differences."""
 
 import jax
 import jax.numpy as jnp
