@@ -30,9 +30,7 @@ def test_controllers_over_each_other(run, tmp_path):
     assert summary["controllers"]["abs"]["settings"]["slip"] == 0.07
     with (tmp_path / "o" / "series.csv").open() as file:
         rows = list(csv.DictReader(file))
-    of = {
-        name: [r for r in rows if r["controller"] == name] for name in ("abs", "none")
-    }
+    locked = [row for row in rows if row["controller"] == "none"]
     distance = float(locked[-1]["distance"])
     assert summary["controllers"]["none"]["stopping_distance"] == distance
     assert locked[-1]["omega"] == "0.0" and locked[0]["xbs"] == ""

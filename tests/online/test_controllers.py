@@ -2,6 +2,7 @@
 
 import inspect
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -58,7 +59,7 @@ def test_every_controller_keeps_the_protocol(name, w):
         "state", "measurement",
     ]  # fmt: skip
     state = controller.init(measured(w=w))
-    step = jax.jit(controller.step)
+    step = eqx.filter_jit(controller.step)
     for k in range(30):
         after, command, info = step(state, shaken(k, w))
         assert isinstance(command, Command) and command.valve.shape == (w,)
@@ -76,7 +77,7 @@ def test_every_controller_keeps_the_protocol(name, w):
 def test_honest_controllers_do_not_read_the_truth(name):
     controller = controller_of(name, car())
     states = [controller.init(measured(truth=known)) for known in (True, False)]
-    step = jax.jit(controller.step)
+    step = eqx.filter_jit(controller.step)
     for k in range(60):
         valves = []
         for j, known in enumerate((True, False)):
