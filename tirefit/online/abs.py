@@ -1,10 +1,10 @@
 r"""Conventional anti-lock braking by rules on wheel acceleration and slip.
 
-The cycle is the textbook's (Robert Bosch GmbH, Automotive Handbook, "Antilock braking
-system"): a wheel that slows faster than the car ever could is held; if it slips as
-well, its pressure falls until it slows no more; it is held while it speeds up; then the
-pressure rises, quickly to a share of the pressure at which the wheel was last seen to
-lock, and in small steps from there until it tends to lock again.
+The cycle is the textbook's, Bosch (2014): a wheel that slows faster than the car ever
+could is held; if it slips as well, its pressure falls until it slows no more; it is
+held while it speeds up; then the pressure rises, quickly to a share of the pressure at
+which the wheel was last seen to lock, and in small steps from there until it tends to
+lock again.
 
 ====== ======== ==============================================================
 phase  valve    left for, when
@@ -21,6 +21,10 @@ step   steps up *dump* at :math:`\dot v_w < -a` and slip > :math:`\lambda_1`
 The reference speed is the fastest wheel's, and falls no faster than the deceleration
 that the sensor of the car shows, with a margin; slip is measured against it. The rear
 wheels take the lower pressure of both (select-low). Below a speed it switches off.
+
+The thresholds are those of the best mean friction of some 900 sets, drawn at random, on
+two tires (brush-m with m = 0.5, Magic Formula) and the roads mu = 0.12, 0.3, 0.8 and
+0.3 to 0.8; a dozen sets come within 0.5 % of it.
 """
 
 from typing import Any, ClassVar, NamedTuple
