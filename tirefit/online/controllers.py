@@ -11,13 +11,14 @@ import jax.numpy as jnp
 from tirefit.online.abs import ConventionalABS
 from tirefit.online.controller import AbstractController, NoController
 from tirefit.online.slip_control import SlipControl
+from tirefit.online.xbs_servo import XbsServo
 from tirefit.params import specs
 from tirefit.results import InputProblem, UsageError
 
 __all__ = ["CONTROLLERS", "controller_of", "controllers_named", "tuned"]
 
 CONTROLLERS: dict[str, type[AbstractController]] = {
-    each.name: each for each in (ConventionalABS, SlipControl, NoController)
+    each.name: each for each in (XbsServo, ConventionalABS, SlipControl, NoController)
 }
 """Controller name -> its record."""
 

@@ -13,6 +13,7 @@ from tirefit.online.position import Position
 from tirefit.online.rls import Rls
 from tirefit.online.slip_slope import SlipSlope, SlipSlopeBraking
 from tirefit.online.tire_sensor import TireSensor
+from tirefit.online.xbs import Xbs, XbsBraking
 from tirefit.params import specs, with_values
 from tirefit.results import InputProblem, UsageError
 
@@ -31,6 +32,8 @@ METHODS: dict[str, type[AbstractEstimator]] = {
         Position,
         Path,
         ForceFilter,
+        Xbs,
+        XbsBraking,
     )  # fmt: skip
 }
 """Method name -> its record."""

@@ -124,7 +124,8 @@ def known_to_controllers(request: Request) -> dict[str, Any]:
     return {
         "radius": car.radius, "inertia": car.inertia, "brake_gain": car.brake_gain,
         "fz": car.fz, "stiffness": np.asarray(slope), "rise": hydraulics.rise,
-        "fall": hydraulics.fall, "delay": hydraulics.delay,
+        "fall": hydraulics.fall, "delay": hydraulics.delay, "lag": hydraulics.lag,
+        "steered": car.steered, "ahead": car.x,
     }  # fmt: skip
 
 
