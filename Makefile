@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: install demo test statistics notebooks bench withheld withheld-full friction-benchmark lint types clean
+.PHONY: install demo test statistics notebooks bench withheld withheld-full friction-benchmark braking lint types clean
 
 install: $(STAMP)
 
@@ -49,6 +49,10 @@ withheld withheld-full: install
 # Friction estimators on the same logs; see fits/friction_benchmark.
 friction-benchmark: install
 	$(BIN)/python -m fits.friction_benchmark all --out out/$@ --into fits/friction_benchmark
+
+# Stops under four controllers, 60 seeds; see fits/braking.
+braking: install
+	$(BIN)/python -m fits.braking --into fits/braking
 
 lint: install
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .

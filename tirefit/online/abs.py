@@ -1,10 +1,10 @@
 r"""Conventional anti-lock braking by rules on wheel acceleration and slip.
 
-The cycle is the textbook's (Robert Bosch GmbH, Automotive Handbook, "Antilock braking
-system"): a wheel that slows faster than the car ever could is held; if it slips as
-well, its pressure falls until it slows no more; it is held while it speeds up; then the
-pressure rises, quickly to a share of the pressure at which the wheel was last seen to
-lock, and in small steps from there until it tends to lock again.
+The cycle is the textbook's, Bosch (2014): a wheel that slows faster than the car ever
+could is held; if it slips as well, its pressure falls until it slows no more; it is
+held while it speeds up; then the pressure rises, quickly to a share of the pressure at
+which the wheel was last seen to lock, and in small steps from there until it tends to
+lock again.
 
 ====== ======== ==============================================================
 phase  valve    left for, when
@@ -21,6 +21,10 @@ step   steps up *dump* at :math:`\dot v_w < -a` and slip > :math:`\lambda_1`
 The reference speed is the fastest wheel's, and falls no faster than the deceleration
 that the sensor of the car shows, with a margin; slip is measured against it. The rear
 wheels take the lower pressure of both (select-low). Below a speed it switches off.
+
+The thresholds are those of the best mean friction of some 900 sets, drawn at random, on
+two tires (brush-m with m = 0.5, Magic Formula) and the roads mu = 0.12, 0.3, 0.8 and
+0.3 to 0.8; a dozen sets come within 0.5 % of it.
 """
 
 from typing import Any, ClassVar, NamedTuple
@@ -66,43 +70,43 @@ class ConventionalABS(AbstractController):
     meaning: ClassVar[str] = "conventional ABS: rules on wheel acceleration and slip"
 
     slowing: float = par(
-        13.5, (1.0, 200.0), "m/s2", "wheel deceleration that says it tends to lock", "",
+        9.0, (1.0, 200.0), "m/s2", "wheel deceleration that says it tends to lock", "",
         "a",
     )  # fmt: skip
     speeding: float = par(
-        2.5, (0.5, 200.0), "m/s2", "wheel acceleration that says it recovers", "", "+a"
+        5.0, (0.5, 200.0), "m/s2", "wheel acceleration that says it recovers", "", "+a"
     )
     racing: float = par(
-        65.0, (1.0, 500.0), "m/s2", "acceleration at which pressure rises at once", "",
+        90.0, (1.0, 500.0), "m/s2", "acceleration at which pressure rises at once", "",
         "+A",
     )  # fmt: skip
     slip: float = par(
-        0.045, (0.005, 0.5), "-", "slip beside a deceleration", "", r"\lambda_1"
+        0.07, (0.005, 0.5), "-", "slip beside a deceleration", "", r"\lambda_1"
     )
     most_slip: float = par(
-        0.2, (0.01, 0.9), "-", "slip that is too much in any case", "", r"\lambda_2"
+        0.16, (0.01, 0.9), "-", "slip that is too much in any case", "", r"\lambda_2"
     )
     patience: float = par(
-        0.05, (0.0, 1.0), "s", "time in which a wheel should speed up", "", "t_w"
+        0.04, (0.0, 1.0), "s", "time in which a wheel should speed up", "", "t_w"
     )
     quick: float = par(
-        0.7, (0.0, 1.0), "-", "share of the last lock pressure that is regained fast",
+        0.65, (0.0, 1.0), "-", "share of the last lock pressure that is regained fast",
         "", "q",
     )  # fmt: skip
     dump_share: float = par(
-        0.3, (0.05, 1.0), "-", "share of time with the outlet open, in a dump", "", "w"
+        0.45, (0.05, 1.0), "-", "share of time with the outlet open, in a dump", "", "w"
     )
     step_share: float = par(
-        0.05, (0.0, 1.0), "-", "share of time with the inlet open, in steps", "", "u"
+        0.12, (0.0, 1.0), "-", "share of time with the inlet open, in steps", "", "u"
     )
     step_growth: float = par(
-        0.2, (0.0, 20.0), "1/s", "rate at which that share grows", "", r"\dot u"
+        1.2, (0.0, 20.0), "1/s", "rate at which that share grows", "", r"\dot u"
     )
     smoothing: float = par(
-        0.015, (0.0, 1.0), "s", "time constant of the wheel acceleration", "", "T_f"
+        0.006, (0.0, 1.0), "s", "time constant of the wheel acceleration", "", "T_f"
     )
     margin: float = par(
-        0.6, (0.0, 10.0), "m/s2", "by which the reference may fall faster", "", "m"
+        0.3, (0.0, 10.0), "m/s2", "by which the reference may fall faster", "", "m"
     )
     off: float = par(1.5, (0.0, 10.0), "m/s", "speed below which it is off", "", "v_0")
 

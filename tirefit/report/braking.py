@@ -20,6 +20,7 @@ from tirefit.report.numbers import format_number, plain_text
 from tirefit.report.text import table
 from tirefit.sim.brake_curve import tire_curve
 from tirefit.sim.brake_result import Braking, Stop
+from tirefit.sim.brake_road import road_of
 from tirefit.sim.brake_summary import UNITS
 
 __all__ = [
@@ -38,8 +39,10 @@ _SHORT = {
     "pressure_rms_fluctuation": "pressure rms", "recovery_time": "recovery",
 }  # fmt: skip
 """Numbers that the terminal has room for."""
-_FASTEST_SHOWN = 1.0
-"""Speed [m/s] above which a path of slip is shown: below it slip means little."""
+_SLOWEST_SHOWN = 2.0
+"""Speed [m/s] above which a path of slip is shown: below it controllers switch off."""
+_PEAKS_SHOWN = 8.0
+"""Slip up to which it is shown, over that of the highest peak."""
 
 
 def _cell(value: float, scale: float = 1.0) -> str:
@@ -51,17 +54,23 @@ def _scaled(name: str) -> tuple[float, str]:
     return (1e-6, "MPa") if unit == "Pa" else (1.0, unit)
 
 
+def _asked(result: Braking) -> dict[str, str]:
+    """Number -> heading; nothing recovers on a road that does not change."""
+    jumps = road_of(result.request.road).jumps
+    return {k: v for k, v in _SHORT.items() if jumps or k != "recovery_time"}
+
+
 def _rows(result: Braking) -> list[list[str]]:
     """One row for each controller: its numbers, with intervals over many seeds."""
     head = ["controller"]
-    for name, text in _SHORT.items():
+    for name, text in _asked(result).items():
         unit = _scaled(name)[1]
         head.append(text if unit == "-" else f"{text} [{unit}]")
     rows = [head]
     many = result.table()
     for name, stop in result.stops.items():
         row = [name]
-        for key in _SHORT:
+        for key in _asked(result):
             scale, _ = _scaled(key)
             if not many:
                 row.append(_cell(float(getattr(stop.summary, key)), scale))
@@ -95,7 +104,7 @@ def _head(result: Braking) -> str:
 def braking_text(result: Braking) -> str:
     """Numbers by controller and why each stop ended; for the terminal."""
     notes = [f"  {note}" for note in _notes(result)]
-    right = tuple(range(1, len(_SHORT) + 1))
+    right = tuple(range(1, len(_asked(result)) + 1))
     return "\n".join([f"BRAKING {_head(result)}", *table(_rows(result), right), *notes])
 
 
@@ -240,20 +249,24 @@ class Path(NamedTuple):
 
 
 def path_of(stop: Stop, wheel: int = 0) -> Path:
-    """The path of a wheel while the car was faster than 1 m/s."""
+    """The path of a wheel while the car was faster than 2 m/s."""
     log = stop.log
-    fast = log.motion.v_x > _FASTEST_SHOWN
+    fast = log.motion.v_x > _SLOWEST_SHOWN
     kappa = log.contacts.slips.kappa[fast, wheel]
     force = log.contacts.fx[fast, wheel] / log.contacts.fz[fast, wheel]
     return Path(kappa, force, (float(kappa.mean()), float(force.mean())))
 
 
 def paths_figure(result: Braking) -> Picture:
-    """Where each controller was on the tire's curve, and on average, O Figure 10."""
-    picture = Picture(figsize=(7.0, 4.4), layout="constrained")
-    axes = picture.subplots()
+    """Where each controller was on the tire's curve, and on average, O Figure 10.
+
+    Below: the share of time that it spent at each slip, locked wheels at the right end.
+    """
+    picture = Picture(figsize=(7.0, 5.6), layout="constrained")
+    axes, below = picture.subplots(2, 1, sharex=True, height_ratios=(3, 1.3))
     paths: Mapping[str, Path] = {n: path_of(s) for n, s in result.stops.items()}
-    limit = max(_slip_limit(stop) for stop in result.stops.values())
+    peak = max(float(np.max(s.log.reading.truth.peak)) for s in result.stops.values())
+    limit = min(_PEAKS_SHOWN * peak, 1.0)
     for mu, (kappa, force) in tire_curve(result.request, limit).items():
         axes.plot(kappa, force, color=DARK, linewidth=1.1, zorder=3)
         axes.annotate(
@@ -261,16 +274,25 @@ def paths_figure(result: Braking) -> Picture:
             ha="right", va="bottom", xytext=(0, 3), textcoords="offset points",
             color=DARK,
         )  # fmt: skip
+    edges = np.linspace(0.0, limit, 41)
     for color, (name, path) in zip(COLORS, paths.items(), strict=False):
-        axes.plot(path.kappa, path.force, color=color, linewidth=0.4, alpha=0.6)
+        axes.plot(path.kappa, path.force, ".", color=color, markersize=2, alpha=0.35)
+        beyond = path.mean[0] > limit
+        note = f", at $\\kappa$ = {path.mean[0]:.2f}" if beyond else ""
         axes.plot(
-            *path.mean, "o", color=color, markersize=8, markeredgecolor="white",
-            zorder=4, label=f"{name}: mean",
+            min(path.mean[0], limit), path.mean[1], ">" if beyond else "o", color=color,
+            markersize=8, markeredgecolor="white", zorder=4, clip_on=False,
+            label=f"{name}: mean{note}",
         )  # fmt: skip
+        counts, _ = np.histogram(np.clip(path.kappa, 0.0, limit), edges)
+        share = counts / max(len(path.kappa), 1)
+        below.stairs(100 * share, edges, color=color, linewidth=1.1)
     axes.set_xlim(-0.02 * limit, limit)
     axes.set_ylim(bottom=0.0)
-    tidy(axes, "slip $\\kappa$ [–]", "$F_x/F_z$ [–]")
+    tidy(axes, "", "$F_x/F_z$ [–]")
+    tidy(below, "slip $\\kappa$ [–]; what is beyond stands in the last bar", "time [%]")
     axes.legend(fontsize=8, frameon=False, loc="lower right")
-    panel_title(axes, "slip and friction of the first wheel", "line: the tire, steady")
+    note = "line: the tire at its static load; dots: every sample above 2 m/s"
+    panel_title(axes, "slip and friction of the first wheel", note)
     picture.supxlabel(plain_text(_foot(result)), fontsize=6.5, color=GREY)
     return picture

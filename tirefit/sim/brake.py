@@ -116,7 +116,7 @@ def _moves(s: Motion, start: Motion):
 def _loop(plant: Plant, controller, sensors, start: Motion, noise, queue, period):
     """The scan: (n,)-leading log of a stop from a state."""
     static = jnp.asarray(plant.vehicle.fz, float)
-    forces = noise.road * static
+    forces = noise.road * static[None]
     wheels = static.shape
 
     def read(s, t, at, d):

@@ -169,7 +169,8 @@ def _rate(t, s: Motion, args) -> Motion:
     return jax.tree.map(lambda value: value * drive.moving, rate)
 
 
-RTOL = 1e-6
+TOLERANCE = 1e-6
+"""Largest error of a step, in the scales below."""
 _SCALES = Motion(
     distance=1.0, x=1.0, y=1.0, heading=0.1, v_x=1.0, v_y=1.0, yaw_rate=0.1,
     slowing=1.0, aside=1.0, omega=1.0, pressure=1e6,
@@ -192,7 +193,7 @@ def advance(
         t: time [s] since the braking began, at ``s``.
     """
     # Errors are absolute in units of the scales: none of the states outgrows its own.
-    controller = diffrax.PIDController(rtol=0.0, atol=10 * RTOL, norm=_error)
+    controller = diffrax.PIDController(rtol=0.0, atol=TOLERANCE, norm=_error)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(_rate), diffrax.Tsit5(), t, t + period, period, s,
         (plant, drive, t, period), stepsize_controller=controller,

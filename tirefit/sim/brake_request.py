@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -96,10 +97,16 @@ def arrays(tree):
 def plant_of(request: Request) -> Plant:
     """The plant of a request that was checked; its leaves are arrays."""
     vehicle: Vehicle = arrays(VEHICLES[request.vehicle]())
-    tire = on_road(arrays(request.tire), request.speed, jnp.mean(vehicle.fz))
+    road = arrays(road_of(request.road))
+    tire = _peaked(
+        arrays(request.tire), jnp.asarray(request.speed, float), jnp.mean(vehicle.fz),
+        jnp.concatenate([road.before, road.after]),
+    )  # fmt: skip
     hydraulics = arrays(request.hydraulics)
-    steering = jnp.asarray(request.steer, float)
-    return Plant(vehicle, tire, arrays(road_of(request.road)), hydraulics, steering)
+    return Plant(vehicle, tire, road, hydraulics, jnp.asarray(request.steer, float))
+
+
+_peaked = eqx.filter_jit(on_road)
 
 
 def known_to_controllers(request: Request) -> dict[str, Any]:
