@@ -60,6 +60,10 @@ _SLOWEST, _FASTEST = 0.02, 8.0
 """Poles of the relation over the lower and the upper edge of the band."""
 _SETTLING = 0.8
 """Periods of the lower edge until the band-pass has forgotten a step to 4 %."""
+_RECENT = 0.1
+"""Time [s] of the mean square that is compared with that of the memory."""
+_QUICKLY = 0.9
+"""Forgetting factor while the wheel shakes so much less than before."""
 _INTERVAL_OFF = 0.2
 """Relative difference of an interval from the rate's, beyond which it is a gap."""
 
@@ -258,6 +262,7 @@ class XbsState(NamedTuple):
     low: tuple[Float[Array, ""], Float[Array, ""]]
     filtered: Float[Array, ""]
     increment: Float[Array, ""]
+    power: Float[Array, ""]
     sums: Sums
     age: Float[Array, ""]
     origin: Float[Array, ""]
@@ -297,6 +302,10 @@ class Xbs(AbstractEstimator):
     servo_gain: float = par(
         0.0, (-500.0, 500.0), "1/s", "gain of the deceleration servo", "O(8)", "a"
     )
+    quiet: float = par(
+        0.0, (0.0, 1.0), "-", "share of the memory's mean square below which the wheel"
+        " is calmer and the past counts little; 0: as in O", "", "q",
+    )  # fmt: skip
     servo_delay: float = par(
         0.0, (0.0, 0.2), "s", "time after which the servo acts", "", "T_a"
     )
@@ -332,7 +341,7 @@ class Xbs(AbstractEstimator):
     def init(self) -> XbsState:
         zero, none = jnp.zeros(()), jnp.full((), jnp.nan)
         return XbsState(
-            (zero, zero), (zero, zero), zero, zero, Sums(*[zero] * 4), zero, none, zero,
+            (zero, zero), (zero, zero), zero, zero, zero, Sums(*[zero] * 4), zero, none, zero,
             none, none, none,
         )  # fmt: skip
 
@@ -346,10 +355,15 @@ class Xbs(AbstractEstimator):
         increment = filtered - s.filtered
         settled = s.age >= self._settling()
         added = Sums(s.increment**2, s.increment * increment, 1.0, 1.0)
-        sums = jax.tree.map(jnp.add, s.sums.forgotten(self.forgetting), added)
+        power = s.power + (increment**2 - s.power) / (_RECENT * self.rate)
+        faded = power * s.sums.weight < self.quiet * s.sums.square
+        forget = jnp.where(
+            faded, jnp.minimum(_QUICKLY, self.forgetting), self.forgetting
+        )
+        sums = jax.tree.map(jnp.add, s.sums.forgotten(forget), added)
         use = settled & (sample.get("use", 1.0) > 0)
         after = XbsState(
-            high, low, filtered, increment, choose(use, sums, s.sums), s.age + 1,
+            high, low, filtered, increment, power, choose(use, sums, s.sums), s.age + 1,
             origin, s.irregular, speed, *self._force(sample),
         )  # fmt: skip
         return after, self._estimate(after)
