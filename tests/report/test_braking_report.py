@@ -33,7 +33,7 @@ def test_text_says_the_numbers_and_why(result):
     text = braking_text(result)
     assert "brush-m from 7 m/s on mu=0.3:0.7@4, car" in text
     assert "slip: stopped: slower than 0.1 m/s" in text and "recovery [s]" in text
-    assert max(map(len, text.splitlines())) <= 110
+    assert max(map(len, text.splitlines())) <= 88
     assert "<table" in braking_html(result)
 
 

@@ -34,9 +34,9 @@ __all__ = [
 ]
 
 _SHORT = {
-    "stopping_distance": "distance", "stopping_time": "time",
-    "mean_friction_used": "friction used", "locked_time": "locked",
-    "pressure_rms_fluctuation": "pressure rms", "recovery_time": "recovery",
+    "stopping_distance": "distance", "mean_friction_used": "friction used",
+    "locked_time": "locked", "pressure_rms_fluctuation": "p rms",
+    "recovery_time": "recovery",
 }  # fmt: skip
 """Numbers that the terminal has room for."""
 _SLOWEST_SHOWN = 2.0
@@ -126,11 +126,6 @@ def _wheel_names(stop: Stop) -> list[str]:
     return list(WHEELS.values()) if len(stop.wheels) == 4 else ["wheel"]
 
 
-def _shown(stop: Stop) -> list[int]:
-    """Wheels to draw: one of each axle tells the story of a straight stop."""
-    return list(range(len(stop.wheels)))
-
-
 _PANELS = (
     "speed [m/s]", "pressure [MPa]", "valve", "deceleration\n[m/s²]",
     "$F_x/F_z$ [–]", "slip $\\kappa$ [–]",
@@ -143,7 +138,7 @@ def _draw_stop(all_axes, stop: Stop) -> None:
     colors = dict(zip(range(4), COLORS, strict=False))
     names = _wheel_names(stop)
     lines = {"linewidth": 0.8}
-    for k in _shown(stop):
+    for k in range(len(names)):
         style = lines | {"color": colors[k], "label": names[k]}
         all_axes[0].plot(time, log.reading.wheel_speed[:, k], **style)
         all_axes[1].plot(time, log.motion.pressure[:, k] / 1e6, **style)
@@ -164,10 +159,7 @@ def _draw_stop(all_axes, stop: Stop) -> None:
     peak = {"color": GREY, "linewidth": 0.9, "linestyle": "--"}
     all_axes[4].plot(time, log.reading.truth.mu[:, 0], label="$\\mu$ there is", **peak)
     all_axes[5].plot(time, log.reading.truth.peak[:, 0], label="of the peak", **peak)
-    all_axes[5].set_ylim(-0.02, _slip_limit(stop))
-    all_axes[2].set_yticks([-k for k in _shown(stop)], [n for n in names])
-    for axes in all_axes[:2]:
-        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    all_axes[2].set_yticks([-k for k in range(len(names))], names)
 
 
 def _slip_limit(stop: Stop) -> float:
@@ -176,6 +168,12 @@ def _slip_limit(stop: Stop) -> float:
     kappa = stop.log.contacts.slips.kappa[fast]
     least = 3 * float(np.max(stop.log.reading.truth.peak))
     return float(np.clip(1.1 * np.percentile(kappa, 99.5), min(least, 1.05), 1.05))
+
+
+def _pressure_limit(stop: Stop) -> float:
+    """Largest pressure [MPa] while the car is controlled: then the driver has it."""
+    fast = stop.log.motion.v_x > _SLOWEST_SHOWN
+    return 1.1 * float(np.max(stop.log.motion.pressure[fast])) / 1e6
 
 
 def stop_figure(result: Braking) -> Picture:
@@ -199,10 +197,14 @@ def stop_figure(result: Braking) -> Picture:
         for axes, label in zip(column, _PANELS, strict=True):
             tidy(axes, "", label if number == 0 else "")
         column[-1].set_xlabel("time [s]", fontsize=8.5, color=DARK)
-    grid[0, 0].legend(fontsize=7, frameon=False, ncols=2, loc="upper right")
+    stops = result.stops.values()
+    grid[1, 0].set_ylim(0.0, max(map(_pressure_limit, stops)))
+    grid[5, 0].set_ylim(-0.02, max(map(_slip_limit, stops)))
+    grid[4, 0].set_ylim(top=1.2 * grid[4, 0].get_ylim()[1])
+    grid[0, -1].legend(fontsize=7, frameon=False, ncols=2, loc="upper right")
     for row in (4, 5):
-        handles, labels = grid[row, 0].get_legend_handles_labels()
-        grid[row, 0].legend(
+        handles, labels = grid[row, -1].get_legend_handles_labels()
+        grid[row, -1].legend(
             handles[-1:], labels[-1:], fontsize=7, frameon=False, loc="upper right"
         )
     picture.supxlabel(plain_text(_foot(result)), fontsize=6.5, color=GREY)
