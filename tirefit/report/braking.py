@@ -254,8 +254,8 @@ def path_of(stop: Stop, wheel: int = 0) -> Path:
     """The path of a wheel while the car was faster than 2 m/s."""
     log = stop.log
     fast = log.motion.v_x > _SLOWEST_SHOWN
-    kappa = log.contacts.slips.kappa[fast, wheel]
-    force = log.contacts.fx[fast, wheel] / log.contacts.fz[fast, wheel]
+    kappa = np.asarray(log.contacts.slips.kappa)[fast, wheel]
+    force = np.asarray(log.contacts.fx / log.contacts.fz)[fast, wheel]
     return Path(kappa, force, (float(kappa.mean()), float(force.mean())))
 
 
