@@ -341,8 +341,8 @@ class Xbs(AbstractEstimator):
     def init(self) -> XbsState:
         zero, none = jnp.zeros(()), jnp.full((), jnp.nan)
         return XbsState(
-            (zero, zero), (zero, zero), zero, zero, zero, Sums(*[zero] * 4), zero, none, zero,
-            none, none, none,
+            (zero, zero), (zero, zero), zero, zero, zero, Sums(*[zero] * 4), zero,
+            none, zero, none, none, none,
         )  # fmt: skip
 
     def step(self, state: XbsState, sample: Sample) -> tuple[XbsState, Estimate]:

@@ -240,7 +240,8 @@ class XbsServo(AbstractController):
         self.xbs = Xbs(
             rate=self.rate, forgetting=self.forgetting, servo_gain=self.servo_gain,
             road_corner=self.road_corner, speed_noise=self.speed_noise,
-            radius=1.0, quiet=self.quiet, wheel_inertia=1.0, low=self.low, high=self.high,
+            radius=1.0, wheel_inertia=1.0, quiet=self.quiet, low=self.low,
+            high=self.high,
             # The mean of an interval's ramp comes half an interval late.
             servo_delay=self.delay + (1 / self.response - 0.5) * self.period,
         )  # fmt: skip
