@@ -21,18 +21,17 @@ STEER, TURNED = 0.02, 2.0
 """Angle [rad] of the front wheels, and the time [s] over which O Figure 11 averages."""
 
 CASES = {
-    "low": [("mu=0.3", 15.0, BRUSH)],
-    "jump": [("mu=0.3:0.8@20", 15.0, BRUSH)],
+    "low": [("mu=0.3", 15.0, BRUSH, 10.0)],
+    "jump": [("mu=0.3:0.8@20", 15.0, BRUSH, 8.0)],
     "tires": [
-        ("mu=0.15", 10.0, BRUSH),
-        ("mu=0.8", 25.0, BRUSH),
-        ("mu=0.3", 15.0, MAGIC),
-        ("mu=0.8", 25.0, MAGIC),
-        ("mu=0.3", 15.0, LUGRE),
-        ("left=0.2,right=0.6", 15.0, BRUSH),
+        ("mu=0.15", 10.0, BRUSH, 14.0),
+        ("mu=0.8", 25.0, BRUSH, 7.0),
+        ("mu=0.3", 15.0, MAGIC, 10.0),
+        ("mu=0.3", 15.0, LUGRE, 10.0),
+        ("left=0.2,right=0.6", 15.0, BRUSH, 10.0),
     ],
 }
-"""Case -> manoeuvres: road, speed [m/s], tire."""
+"""Case -> manoeuvres: road, speed [m/s], tire, time limit [s]."""
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -60,7 +59,7 @@ def write(path: Path, rows: list[dict]) -> None:
         print(" | ".join(str(value) for value in row.values()), flush=True)
 
 
-def made(road: str, speed: float, tire, steer: float = 0.0):
+def made(road: str, speed: float, tire, limit: float, steer: float = 0.0):
     """Request and controllers by name."""
     from tirefit.models import MODELS
     from tirefit.online.controllers import controller_of
@@ -69,8 +68,9 @@ def made(road: str, speed: float, tire, steer: float = 0.0):
 
     name, values = tire
     request = Request(
-        with_values(MODELS[name], values), name, road=road, speed=speed, steer=steer
-    )
+        with_values(MODELS[name], values), name, road=road, speed=speed, steer=steer,
+        time_limit=limit,
+    )  # fmt: skip
     check(request)
     car = known_to_controllers(request)
     return request, {name: controller_of(name, car) for name in CONTROLLERS}
@@ -101,8 +101,8 @@ def stops(case: str, asked) -> list[dict]:
     from tirefit.sim.brake_summary import UNITS
 
     rows = []
-    for road, speed, tire in CASES[case]:
-        request, controllers = made(road, speed, tire)
+    for road, speed, tire, limit in CASES[case]:
+        request, controllers = made(road, speed, tire, limit)
         result = brake(request, controllers, stops=asked.stops)
         for name, all_ in result.many.items():
             ended = f"{int(all_.stopped.sum())} of {asked.stops}"
@@ -110,7 +110,7 @@ def stops(case: str, asked) -> list[dict]:
                 against = getattr(result.many["abs"], key)
                 row = numbers(name, key, getattr(all_, key), against)
                 rows.append({"road": road, "tire": tire[0], **row, "stopped": ended})
-        if case == "tires":
+        if case == "tires":  # a table alone
             continue
         two = {name: result.stops[name] for name in ("xbs-servo", "abs")}
         shown = Braking(request, two, {}, result.seed, result.version)
@@ -129,7 +129,7 @@ def turn(asked) -> list[dict]:
     from tirefit.sim.brake import simulate_stop
     from tirefit.sim.brake_request import arrays, plant_of
 
-    request, controllers = made("mu=0.3", 15.0, BRUSH, STEER)
+    request, controllers = made("mu=0.3", 15.0, BRUSH, 8.0, STEER)
     plant, sensors = plant_of(request), arrays(request.sensors)
     keys = jax.vmap(jax.random.key)(jnp.arange(asked.stops))
     points = {}
@@ -144,7 +144,7 @@ def turn(asked) -> list[dict]:
             along, across = (jnp.mean((f / c.fz)[:, :2]) for f in (c.fx, c.fy))
             return along, -across, log.motion.heading[-1]
 
-        along, across, heading = jax.jit(lambda ks, f=one: jax.lax.map(f, ks))(keys)
+        along, across, heading = jax.jit(jax.vmap(one))(keys)
         along, across = np.asarray(along), np.asarray(across)
         points[name] = {
             "mu_x": along, "mu_y": across, "mu": np.hypot(along, across),

@@ -39,7 +39,8 @@ def test_controllers_over_each_other(run, tmp_path):
     assert (tmp_path / "o" / "stop.gif").read_bytes().startswith(b"GIF89a")
     assert (tmp_path / "o" / "stop.png").read_bytes().startswith(b"\x89PNG")
     # A second run leaves nothing of the first behind.
-    run("brake", *QUICK, "--out", "o", "--set", "mu=0.9", "--plant", "road_std=0")
+    plain = ("--controller", "abs", "--set", "mu=0.9", "--plant", "road_std=0")
+    run("brake", *QUICK, "--out", "o", *plain)
     made = {path.name for path in (tmp_path / "o").iterdir()}
     assert made == {"summary.json", "series.csv", "stop.png", "slip.png"}
 
@@ -51,8 +52,9 @@ def test_tires_of_fits_and_files(run, tmp_path):
         "--force-std", "0.001",
     )  # fmt: skip
     run("fit", "r.csv", "--model", "brush", "--out", "f", "--no-posterior")
-    run("brake", *QUICK, "--tire", "f/fit.json", "--out", "o")
-    run("brake", *QUICK, "--tire", "brush", "--set", "cpa2=4e4", "--out", "p")
+    braked = ("brake", *QUICK, "--controller", "abs", "--tire")
+    run(*braked, "f/fit.json", "--out", "o")
+    run(*braked, "brush", "--set", "cpa2=4e4", "--out", "p")
     fitted, named = (
         json.loads((tmp_path / name / "summary.json").read_text()) for name in "op"
     )
@@ -77,6 +79,7 @@ def test_tires_of_fits_and_files(run, tmp_path):
         (("--set", "mu=99"), 2, "outside its bounds"),
         (("--set", "B=1"), 2, "has no parameter 'B'"),
         (("--tune", "abs.slip=9"), 2, "out of range"),
+        (("--tune", "xbs-servo.servo_gain=-400"), 2, "O(11)"),
         (("--tune", "quick"), 2, "NAME=VALUE"),
         (("--plant", "dealy=1"), 2, "there are demand"),
         (("--plant", "demand=-1"), 2, "out of range"),

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tirefit.fitting.layout import FreeParameter, Layout
+from tirefit.fitting.store import StoredFit
 from tirefit.models import MODELS
-from tirefit.params import with_values
+from tirefit.params import specs, with_values
 from tirefit.results import UsageError
 from tirefit.sim.brake_hydraulics import Hydraulics
 from tirefit.sim.brake_request import Request, check, plant_of, with_numbers
@@ -150,3 +152,15 @@ def test_numbers_of_the_plant_are_known_by_name():
     with pytest.raises(UsageError, match="demand"):
         check(with_numbers(asked, {"demand": -1.0}))
     assert isinstance(plant_of(other).hydraulics.delay, jax.Array)
+
+
+def test_a_fit_with_values_by_run_is_not_one_tire():
+    layout = Layout(
+        (FreeParameter("mu", specs(MODELS["brush"])["mu"], True),), (), ("a", "b")
+    )
+    rest = (np.zeros(2), np.eye(2), {}, {})
+    with pytest.raises(UsageError, match="a mu for each run"):
+        StoredFit("brush", MODELS["brush"], layout, *rest).at_estimate()
+    shared = Layout((FreeParameter("mu", specs(MODELS["brush"])["mu"], False),), (), ())
+    tire = StoredFit("brush", MODELS["brush"], shared, np.zeros(1), *rest[1:])
+    assert tire.at_estimate().mu == pytest.approx(2.505)  # the middle of its bounds

@@ -42,7 +42,7 @@ def brake(
     controller: Annotated[
         str,
         typer.Option(metavar="NAME[,NAME...]", help="xbs-servo, abs, slip, none"),
-    ] = "abs",
+    ] = "xbs-servo,abs",
     road: Annotated[
         str,
         typer.Option(

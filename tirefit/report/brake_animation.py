@@ -1,6 +1,7 @@
 """A stop as a moving picture: the car from above, its wheels, and their slip."""
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
@@ -12,6 +13,7 @@ from tirefit.report.canvas import COLORS, DARK, GREY, RED, Picture, tidy
 from tirefit.report.numbers import plain_text
 from tirefit.sim.brake_request import VEHICLES
 from tirefit.sim.brake_result import Braking, Stop
+from tirefit.sim.brake_road import road_of
 
 __all__ = ["outline", "save_animation"]
 
@@ -71,24 +73,11 @@ def save_animation(result: Braking, path: Path) -> Path:
 
     frames = [*range(0, longest, every), *[longest - 1] * _RATE]
     moving = FuncAnimation(picture, frame, frames=frames)
-    with replacing(path) as temporary:
-        writer = PillowWriter(fps=_RATE)
-        moving.save(temporary, writer=_named(writer))
+    with TemporaryDirectory() as folder, replacing(path) as temporary:
+        made = Path(folder) / "stop.gif"  # the writer goes by the end of the name
+        moving.save(made, writer=PillowWriter(fps=_RATE))
+        temporary.write_bytes(made.read_bytes())
     return path
-
-
-def _named(writer: PillowWriter) -> PillowWriter:
-    """A writer that makes a GIF whatever the name of its file ends in."""
-
-    def finish():
-        first, *rest = writer._frames
-        first.save(
-            writer.outfile, format="GIF", save_all=True, append_images=rest,
-            duration=int(1000 / writer.fps), loop=0,
-        )  # fmt: skip
-
-    writer.finish = finish
-    return writer
 
 
 def _scene(axes, stop: Stop, vehicle, result: Braking, period: float):
@@ -102,6 +91,9 @@ def _scene(axes, stop: Stop, vehicle, result: Braking, period: float):
     half = max(2.5, 0.6 * float(np.ptp(s.y)))
     road.set_ylim(middle - half, middle + half)
     road.set_aspect("equal" if half > 8 else "auto")
+    jump = road_of(result.request.road).jump
+    if np.isfinite(jump):
+        road.axvline(float(jump), color=GREY, linewidth=0.8, linestyle="--")
     tidy(road, "x [m]", "y [m]", 7.5)
     body = Polygon(np.zeros((4, 2)), facecolor="#dde6ee", edgecolor=DARK)
     road.add_patch(body)

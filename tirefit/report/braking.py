@@ -128,8 +128,9 @@ def _wheel_names(stop: Stop) -> list[str]:
 
 _PANELS = (
     "speed [m/s]", "pressure [MPa]", "valve", "deceleration\n[m/s²]",
-    "$F_x/F_z$ [–]", "slip $\\kappa$ [–]",
+    "$F_x/F_z$ [–]", "slip $\\kappa$ [–]", "stiffness $k$\n[kN s/m]",
 )  # fmt: skip
+"""The last one where a controller estimates it."""
 
 
 def _draw_stop(all_axes, stop: Stop) -> None:
@@ -162,6 +163,32 @@ def _draw_stop(all_axes, stop: Stop) -> None:
     all_axes[2].set_yticks([-k for k in range(len(names))], names)
 
 
+def _draw_stiffness(axes, stop: Stop) -> None:
+    """Extended braking stiffness of the first wheel: true, estimated and wanted."""
+    time, info = stop.log.reading.time, stop.log.info
+    style = {"linewidth": 0.9}
+    axes.plot(time, stop.log.xbs_true[:, 0] / 1e3, color=GREY, label="true", **style)
+    if "xbs" in info:
+        axes.plot(
+            time, info["xbs"][:, 0] / 1e3, color=COLORS[0], label="estimated", **style
+        )
+    if "xbs_wanted" in info:
+        axes.plot(
+            time, info["xbs_wanted"][:, 0] / 1e3, color=DARK, linestyle=":",
+            label="wanted, O(22)", **style,
+        )  # fmt: skip
+
+
+def _stiffness_limit(stop: Stop) -> float:
+    """What estimate and truth [kN s/m] hardly exceed while the car is fast."""
+    fast = stop.log.motion.v_x > 0.3 * stop.log.motion.v_x[0]
+    known = [np.asarray(stop.log.xbs_true)[fast, 0]]
+    known += (
+        [np.asarray(stop.log.info["xbs"])[fast, 0]] if "xbs" in stop.log.info else []
+    )
+    return 1.1 * float(np.nanpercentile(np.concatenate(known), 95)) / 1e3
+
+
 def _slip_limit(stop: Stop) -> float:
     """What the slips hardly exceed while the car is fast, at least thrice the peak."""
     fast = stop.log.motion.v_x > 0.3 * stop.log.motion.v_x[0]
@@ -183,24 +210,31 @@ def stop_figure(result: Braking) -> Picture:
     """
     columns = len(result.stops)
     width = max(7.0, 4.6 * columns)
-    picture = Picture(figsize=(width, 9.6), layout="constrained")
+    stops = result.stops.values()
+    estimated = any("xbs" in stop.log.info for stop in stops)
+    panels = _PANELS if estimated else _PANELS[:-1]
+    picture = Picture(figsize=(width, 1.6 * len(panels)), layout="constrained")
     grid = picture.subplots(
-        len(_PANELS), columns, sharex=True, sharey="row", squeeze=False
+        len(panels), columns, sharex=True, sharey="row", squeeze=False
     )
     for number, (name, stop) in enumerate(result.stops.items()):
         column = grid[:, number]
         _draw_stop(column, stop)
+        if estimated:
+            _draw_stiffness(column[6], stop)
         used = float(stop.summary.mean_friction_used)
         distance = float(stop.summary.stopping_distance)
         end = f"{distance:.1f} m, " if np.isfinite(distance) else "no stop, "
         panel_title(column[0], f"{name}: {end}{100 * used:.0f} % of the friction")
-        for axes, label in zip(column, _PANELS, strict=True):
+        for axes, label in zip(column, panels, strict=True):
             tidy(axes, "", label if number == 0 else "")
         column[-1].set_xlabel("time [s]", fontsize=8.5, color=DARK)
-    stops = result.stops.values()
     grid[1, 0].set_ylim(0.0, max(map(_pressure_limit, stops)))
     grid[5, 0].set_ylim(-0.02, max(map(_slip_limit, stops)))
     grid[4, 0].set_ylim(top=1.2 * grid[4, 0].get_ylim()[1])
+    if estimated:
+        grid[6, 0].set_ylim(-1.0, max(map(_stiffness_limit, stops)))
+        grid[6, 0].legend(fontsize=7, frameon=False, ncols=3, loc="upper right")
     grid[0, -1].legend(fontsize=7, frameon=False, ncols=2, loc="upper right")
     for row in (4, 5):
         handles, labels = grid[row, -1].get_legend_handles_labels()
@@ -254,8 +288,8 @@ def path_of(stop: Stop, wheel: int = 0) -> Path:
     """The path of a wheel while the car was faster than 2 m/s."""
     log = stop.log
     fast = log.motion.v_x > _SLOWEST_SHOWN
-    kappa = log.contacts.slips.kappa[fast, wheel]
-    force = log.contacts.fx[fast, wheel] / log.contacts.fz[fast, wheel]
+    kappa = np.asarray(log.contacts.slips.kappa)[fast, wheel]
+    force = np.asarray(log.contacts.fx / log.contacts.fz)[fast, wheel]
     return Path(kappa, force, (float(kappa.mean()), float(force.mean())))
 
 

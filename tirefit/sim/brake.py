@@ -122,7 +122,8 @@ def _loop(plant: Plant, controller, sensors, start: Motion, noise, queue, period
     def read(s, t, at, d):
         return _read(plant, sensors, s, contacts(plant, s), t, at, d)
 
-    first = Noise(*(part[0] for part in noise[:3]), noise.road[0])
+    at_samples = noise._replace(road=noise.road[:-1])
+    first = jax.tree.map(lambda part: part[0], at_samples)
     memory = controller.init(read(start, jnp.zeros(()), first, forces[0]))
 
     def sample(carry, given):
@@ -143,8 +144,7 @@ def _loop(plant: Plant, controller, sensors, start: Motion, noise, queue, period
 
     n = len(noise.deceleration)
     given = (
-        jnp.arange(n, dtype=float), Noise(*noise[:3], noise.road[:-1]), forces[:-1],
-        forces[1:],
+        jnp.arange(n, dtype=float), at_samples, forces[:-1], forces[1:]
     )  # fmt: skip
     carry = (start, memory, jnp.zeros((queue, *wheels)))
     _, log = jax.lax.scan(sample, carry, given)

@@ -178,7 +178,9 @@ def _combines(tire: AbstractTire, speed: float) -> bool:
     """Whether a slip angle takes from the braking force, and there is a lateral one."""
     inputs = [TireInputs(0.2, alpha, 4e3, speed) for alpha in (0.0, 0.3)]
     straight, aside = (tire(each) for each in inputs)
-    return aside.fy is not None and float(aside.fx) < 0.99 * float(straight.fx)
+    if straight.fx is None or aside.fx is None or aside.fy is None:
+        return False
+    return float(aside.fx) < 0.99 * float(straight.fx)
 
 
 def with_numbers(request: Request, values: Mapping[str, float]) -> Request:

@@ -47,7 +47,7 @@ class Stop:
         """``series.csv``: header -> (n,) values; wheels by their suffix."""
         log, s, c = self.log, self.log.motion, self.log.contacts
         read = log.reading
-        table = {
+        table: dict[str, Any] = {
             "time": read.time, "distance": s.distance, "v": s.v_x, "v_y": s.v_y,
             "yaw_rate": s.yaw_rate, "heading": s.heading, "x": s.x, "y": s.y,
             "deceleration": read.deceleration, "demand": read.demand,

@@ -77,7 +77,7 @@ def _fluctuation(values, counted, samples: int):
         return jnp.convolve(column, weight, mode="same")
 
     shares = smooth(counted)
-    total = 0.0
+    total = jnp.zeros(())
     for k in range(values.shape[1]):
         mean = smooth(values[:, k] * counted) / jnp.maximum(shares, 1.0)
         total += jnp.sum(counted * (values[:, k] - mean) ** 2)
