@@ -17,6 +17,7 @@ CONTROLLERS = ("xbs-servo", "abs", "slip", "none")
 BRUSH = ("brush-m", {"cpa2": 4e4, "m": 0.5})
 MAGIC = ("magic-formula-combined", {"Cx": 1.6, "Ex": 0.3})
 LUGRE = ("lugre", {})
+_DPI = 80
 STEER, TURNED = 0.02, 2.0
 """Angle [rad] of the front wheels, and the time [s] over which O Figure 11 averages."""
 
@@ -45,8 +46,9 @@ def main(argv: list[str] | None = None) -> None:
 
     jax.config.update("jax_enable_x64", True)
     asked.into.mkdir(parents=True, exist_ok=True)
+    apart = {"turn": turn, "tires": tires}
     for case in asked.only.split(","):
-        rows = turn(asked) if case == "turn" else stops(case, asked)
+        rows = apart[case](asked) if case in apart else stops(case, asked)
         write(asked.into / f"{case}.csv", rows)
 
 
@@ -94,29 +96,62 @@ def numbers(controller: str, key: str, values, against) -> dict:
 
 
 def stops(case: str, asked) -> list[dict]:
-    """Numbers of ``tirefit brake`` by controller, road and tire; figures of seed 0."""
+    """Numbers of ``tirefit brake`` by controller and road; figures of seed 0."""
     from tirefit.report.braking import compare_figure, paths_figure, stop_figure
     from tirefit.report.canvas import save_picture
     from tirefit.sim.brake_result import Braking, brake
+
+    road, speed, tire, limit = CASES[case][0]
+    request, controllers = made(road, speed, tire, limit)
+    result = brake(request, controllers, stops=asked.stops)
+    two = {name: result.stops[name] for name in ("xbs-servo", "abs")}
+    shown = Braking(request, two, {}, result.seed, result.version)
+    for draw in (stop_figure, compare_figure, paths_figure):
+        name, picture = draw.__name__.removesuffix("_figure"), draw(shown)
+        picture.set_dpi(_DPI)
+        save_picture(picture, asked.into / f"{case}_{name}.png")
+    return rows_of(road, tire[0], result.many)
+
+
+def rows_of(road: str, tire: str, many) -> list[dict]:
+    """Rows of one manoeuvre: ``many`` has the numbers (k,) by controller."""
     from tirefit.sim.brake_summary import UNITS
 
     rows = []
-    for road, speed, tire, limit in CASES[case]:
+    for name, all_ in many.items():
+        ended = f"{int(all_.stopped.sum())} of {len(all_.stopped)}"
+        for key in UNITS:
+            values, against = (getattr(each, key) for each in (all_, many["abs"]))
+            row = numbers(name, key, values, against)
+            rows.append({"road": road, "tire": tire, **row, "stopped": ended})
+    return rows
+
+
+def tires(asked) -> list[dict]:
+    """The servo and the conventional controller on other tires and roads."""
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    from tirefit.sim.brake_request import arrays, plant_of
+    from tirefit.sim.brake_result import many_stops
+
+    rows = []
+    keys = jax.vmap(jax.random.key)(jnp.arange(asked.stops))
+    for road, speed, tire, limit in CASES["tires"]:
         request, controllers = made(road, speed, tire, limit)
-        result = brake(request, controllers, stops=asked.stops)
-        for name, all_ in result.many.items():
-            ended = f"{int(all_.stopped.sum())} of {asked.stops}"
-            for key in UNITS:
-                against = getattr(result.many["abs"], key)
-                row = numbers(name, key, getattr(all_, key), against)
-                rows.append({"road": road, "tire": tire[0], **row, "stopped": ended})
-        if case == "tires":  # a table alone
-            continue
-        two = {name: result.stops[name] for name in ("xbs-servo", "abs")}
-        shown = Braking(request, two, {}, result.seed, result.version)
-        for draw in (stop_figure, compare_figure, paths_figure):
-            name = draw.__name__.removesuffix("_figure")
-            save_picture(draw(shown), asked.into / f"{case}_{name}.png")
+        plants = jax.tree.map(
+            lambda leaf: jnp.repeat(leaf[None], asked.stops, 0), plant_of(request)
+        )
+        many = {}
+        for name in ("xbs-servo", "abs"):
+            rate = controllers[name].rate
+            numbers_of = many_stops(
+                plants, controllers[name], arrays(request.sensors), jnp.asarray(speed),
+                keys, request.samples(rate), request.hydraulics.queue(rate),
+            )  # fmt: skip
+            many[name] = jax.tree.map(np.asarray, numbers_of)
+        rows += rows_of(road, tire[0], many)
     return rows
 
 

@@ -2,7 +2,7 @@
 path of slip and friction on the tire's curve."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,6 +39,7 @@ _SHORT = {
     "recovery_time": "recovery",
 }  # fmt: skip
 """Numbers that the terminal has room for."""
+_LEGEND: dict[str, Any] = {"facecolor": "white", "edgecolor": "none"}
 _SLOWEST_SHOWN = 2.0
 """Speed [m/s] above which a path of slip is shown: below it controllers switch off."""
 _PEAKS_SHOWN = 8.0
@@ -234,12 +235,12 @@ def stop_figure(result: Braking) -> Picture:
     grid[4, 0].set_ylim(top=1.2 * grid[4, 0].get_ylim()[1])
     if estimated:
         grid[6, 0].set_ylim(-1.0, max(map(_stiffness_limit, stops)))
-        grid[6, 0].legend(fontsize=7, frameon=False, ncols=3, loc="upper right")
-    grid[0, -1].legend(fontsize=7, frameon=False, ncols=2, loc="upper right")
+        grid[6, 0].legend(fontsize=7, **_LEGEND, ncols=3, loc="upper right")
+    grid[0, -1].legend(fontsize=7, **_LEGEND, ncols=2, loc="upper right")
     for row in (4, 5):
         handles, labels = grid[row, -1].get_legend_handles_labels()
         grid[row, -1].legend(
-            handles[-1:], labels[-1:], fontsize=7, frameon=False, loc="upper right"
+            handles[-1:], labels[-1:], fontsize=7, **_LEGEND, loc="upper right"
         )
     picture.supxlabel(plain_text(_foot(result)), fontsize=6.5, color=GREY)
     return picture
@@ -269,7 +270,7 @@ def compare_figure(result: Braking) -> Picture:
     all_axes[2].axhline(1.0, color=GREY, linewidth=0.8, linestyle="--")
     all_axes[2].set_ylim(0.0, 1.15)
     all_axes[-1].set_xlabel("time [s]", fontsize=8.5, color=DARK)
-    all_axes[0].legend(fontsize=8, frameon=False, ncols=4, loc="upper right")
+    all_axes[0].legend(fontsize=8, **_LEGEND, ncols=4, loc="upper right")
     picture.suptitle(plain_text(_head(result)), fontsize=10, color=DARK)
     picture.supxlabel(plain_text(_foot(result)), fontsize=6.5, color=GREY)
     return picture
@@ -327,7 +328,7 @@ def paths_figure(result: Braking) -> Picture:
     axes.set_ylim(bottom=0.0)
     tidy(axes, "", "$F_x/F_z$ [–]")
     tidy(below, "slip $\\kappa$ [–]; what is beyond stands in the last bar", "time [%]")
-    axes.legend(fontsize=8, frameon=False, loc="lower right")
+    axes.legend(fontsize=8, **_LEGEND, loc="lower right")
     note = "line: the tire at its static load; dots: every sample above 2 m/s"
     panel_title(axes, "slip and friction of the first wheel", note)
     picture.supxlabel(plain_text(_foot(result)), fontsize=6.5, color=GREY)
