@@ -12,6 +12,8 @@ import pytest
 import scipy.signal
 from shaken import CORNER, RATE, SCALE, speeds
 
+import tirefit
+from tirefit.data.read import read_frame
 from tirefit.models import TireInputs
 from tirefit.models.brush import AnisotropicBrush, Brush
 from tirefit.models.combined import braking_slope, mu_rate
@@ -281,6 +283,59 @@ def test_wheels_beside_each_other_are_each_as_alone():
         for i in range(300):
             alone = stream.push({"time": i / RATE, "omega": told[i, wheel] / 0.3})
         np.testing.assert_allclose(together.value[wheel], alone.value, rtol=1e-9)
+
+
+def test_a_rise_is_seen_sooner_where_a_louder_past_is_let_go():
+    poles = np.r_[np.full(1500, 20.0), np.full(1000, 250.0)]
+    told, delays = speeds(poles, 100), []
+    for quiet in (0.0, 0.3):
+        numbers, _ = followed(estimator(quiet=quiet), told)
+        median = np.median(np.asarray(numbers)[1500:, :, 0], axis=1)
+        delays.append(np.argmax(median > np.sqrt(20 * 250)) / RATE)
+    assert delays[1] < 0.7 * delays[0]
+    # And where nothing changes it changes nothing.
+    still, _ = followed(estimator(quiet=0.15), speeds(np.full(1200, 60.0), 100))
+    plain, _ = followed(estimator(), speeds(np.full(1200, 60.0), 100))
+    still, plain = np.median(still[-1, :, 0]), np.median(plain[-1, :, 0])
+    np.testing.assert_allclose(still, plain, rtol=0.02)
+
+
+@pytest.mark.parametrize("delay", [0.01, 0.0125])
+def test_the_delay_of_the_servo_is_in_the_relation(delay):
+    """A wheel of pole p under a servo that acts late, in small steps of NumPy: with the
+    delay known the tire's pole is found, without it is not."""
+    gain, pole, m, fine = 60.0, 20.0, 100, 4
+    dt, late = 1 / RATE / fine, round(delay * RATE * fine)
+    random = np.random.default_rng(0)
+    kept = np.exp(-2 * np.pi * CORNER * dt)
+    d, x = random.normal(size=m), np.zeros(m)
+    past, rows = [np.zeros(m)] * late, []
+    for i in range(1800 * fine):
+        past.append(x)
+        x = x + dt * (d - pole * x - gain * past[i])
+        d = kept * d + np.sqrt(1 - kept**2) * random.normal(size=m)
+        if i % fine == fine - 1:
+            rows.append(x)
+    told = np.array(rows)
+    known = estimator(servo_gain=gain, servo_delay=delay)
+    right = np.median(followed(known, told)[0][-1, :, 0])
+    wrong = np.median(followed(estimator(servo_gain=gain), told)[0][-1, :, 0])
+    assert abs(right / (gain + pole) - 1) < 0.12
+    assert abs(wrong / (gain + pole) - 1) > 1.5 * abs(right / (gain + pole) - 1)
+    assert abs(wrong / (gain + pole) - 1) > 0.15
+
+
+@pytest.mark.parametrize("rate", [100.0, 400.0])
+def test_the_rate_of_a_log_is_found(rate):
+    time = np.arange(round(4 * rate)) / rate
+    told = 10 + speeds(np.full(round(4 * RATE), 60.0), 1)[:, 0]
+    columns = {"time": time, "omega": np.interp(time, time[-1] * np.linspace(0, 1, 800),
+                                                told) / 0.3}  # fmt: skip
+    columns |= {"fz": np.full(len(time), LOAD)}
+    data = read_frame(columns, curve=False, convention="braking")
+    done = tirefit.estimate(data, "xbs")
+    assert done["xbs"].settings["rate"] == pytest.approx(rate)
+    assert np.mean(done["xbs"].flag == 0) > 0.6
 
 
 @pytest.mark.parametrize("settings", [{"low": 20.0, "high": 2.0}, {"high": 120.0}])
