@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: install demo test statistics notebooks bench withheld withheld-full friction-benchmark fuzz lint types clean
+.PHONY: install demo test statistics notebooks bench withheld withheld-full friction-benchmark fuzz braking lint types clean
 
 install: $(STAMP)
 
@@ -55,6 +55,10 @@ fuzz: install
 # Friction estimators on the same logs; see fits/friction_benchmark.
 friction-benchmark: install
 	$(BIN)/python -m fits.friction_benchmark all --out out/$@ --into fits/friction_benchmark
+
+# Stops under four controllers, 60 seeds; see fits/braking.
+braking: install
+	$(BIN)/python -m fits.braking --into fits/braking
 
 lint: install
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .

@@ -33,6 +33,7 @@ in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
 - Besselink, I. J. M., Schmeitz, A. J. C., Pacejka, H. B.: An improved Magic
   Formula/Swift tyre model that can handle inflation pressure changes. Vehicle System
   Dynamics 48, supplement (2010) 337-352.
+- Bosch, Robert, GmbH (ed.): Automotive Handbook, 9th edition. Wiley, 2014.
 - Canudas-de-Wit, C., Tsiotras, P., Velenis, E., Basset, M., Gissinger, G.: Dynamic
   friction models for road/tire longitudinal interaction. Vehicle System Dynamics 39
   (2003) 189-226. The LuGre tire of S(17) and S(18).

@@ -445,8 +445,69 @@ def online(rows: int = 200_000) -> None:
     say("rls, one streamed step", ours * 1e6, other * 1e6, "us", "lower")
 
 
+def braking_stops(stops: int = 1000, peers: int = 2) -> None:
+    """Stops of a quarter car under ABS: ten tires, ten roads, ten seeds in one vmapped
+    run; the peer is solve_ivp from sample to sample, with the rules in plain Python."""
+    import jax
+    import jax.numpy as jnp
+
+    from tests.sim.brake_peer import PlainABS, QuarterCar, Valves, stop
+    from tirefit.models import MODELS
+    from tirefit.online.abs import ConventionalABS
+    from tirefit.params import parameter_values, with_values
+    from tirefit.sim.brake_request import Request, arrays, plant_of
+    from tirefit.sim.brake_result import many_stops
+    from tirefit.sim.brake_sensors import draw_noise
+
+    speed, rate, samples, edge = 8.0, 200.0, 900, round(stops ** (1 / 3))
+    tires = [(4e4 * (1 + 0.05 * k), 0.5 + 0.03 * k) for k in range(edge)]
+    roads = np.linspace(0.3, 0.9, edge)
+
+    def asked(cpa2, m, mu):
+        tire = with_values(MODELS["brush-m"], {"cpa2": cpa2, "m": m})
+        return Request(
+            tire, "brush-m", road=f"mu={mu:.4f}", speed=speed, vehicle="quarter"
+        )
+
+    plants = [plant_of(asked(*tire, mu)) for tire in tires for mu in roads]
+    kept = [plant for plant in plants for _ in range(edge)]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *kept)
+    request, controller = asked(*tires[0], roads[0]), arrays(ConventionalABS())
+    keys = jax.vmap(jax.random.key)(jnp.arange(len(kept)))
+    load = float(plants[0].vehicle.fz[0])
+    how = (controller, arrays(request.sensors), jnp.asarray(speed), keys, samples, 2)
+
+    def ours():
+        jax.block_until_ready(many_stops(stacked, *how))
+
+    def peer():
+        """The same stops, of the tires and roads in the middle and at the end."""
+        for k in range(peers):
+            (cpa2, m), mu = tires[edge // 2 + k], float(roads[edge // 2 + k])
+            drawn = draw_noise(keys[k], request.sensors, samples, 1, rate)
+            noise = {
+                name: np.asarray(part).reshape(len(part), -1)[:, 0]
+                for name, part in drawn._asdict().items()
+            }
+            hydraulics = request.hydraulics._asdict()
+            hydraulics.pop("delay")
+            stop(
+                QuarterCar(load, 0.3, 1.2, 1.35e-4, cpa2, m, mu),
+                Valves(**hydraulics),
+                PlainABS(parameter_values(ConventionalABS()), 1 / rate, speed),
+                request.sensors._asdict(), noise, speed, rate, samples, 2,
+            )  # fmt: skip
+
+    ours()
+    pairs = [(seconds(ours) / len(kept), seconds(peer) / peers) for _ in range(3)]
+    mine, other = medians(pairs)
+    name = f"{len(kept)} stops in one run, per stop (solve_ivp)"
+    say(name, mine * 1e3, other * 1e3, "ms", "lower")
+
+
 ENTRIES = (
     help_text, cold_fit, batch, magic_formula, brush_with_gradient, posterior, online,
+    braking_stops,
 )  # fmt: skip
 
 OF_DIAGNOSIS = (diagnosis, diagnosis_of_many, diagnosis_of_a_log)

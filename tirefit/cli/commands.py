@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from tirefit import __version__
+from tirefit.cli.brake import brake
 from tirefit.cli.convert import convert
 from tirefit.cli.diagnose import ManyHoldouts, diagnose
 from tirefit.cli.estimate import estimate
@@ -62,6 +63,7 @@ app.command()(fit)
 app.command()(convert)
 app.command(cls=ManyHoldouts)(diagnose)
 app.command()(estimate)
+app.command()(brake)
 app.add_typer(simulate, name="simulate")
 
 

@@ -23,7 +23,7 @@ from tirefit.params import Values, check_values, parameter_values, with_values
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["predict", "predict_forces"]
+__all__ = ["predict", "predict_forces", "tire_with"]
 
 
 @compiled(static=("layout",), brief=True)
@@ -184,11 +184,22 @@ def _masked(data: TireData, out: dict) -> dict[str, np.ndarray]:
     return {k: np.where(data.used, np.asarray(v), np.nan) for k, v in out.items()}
 
 
+def tire_with(
+    template: AbstractTire, name: str, values: Mapping[str, float]
+) -> AbstractTire:
+    """The tire with other values of its parameters.
+
+    Raises:
+        UsageError: a parameter that it lacks, or a value outside its bounds; all.
+    """
+    check_values(template, name, values)
+    return with_values(template, parameter_values(template) | dict(values))
+
+
 def _of_model(
     template: AbstractTire, name: str, data: TireData, values: Mapping[str, float]
 ):
-    check_values(template, name, values)
-    tire = with_values(template, parameter_values(template) | dict(values))
+    tire = tire_with(template, name, values)
     require(data, ("fz", *tire.needs), f"the model {name}")
     if tire.transient:
         check_time_series(data, name)

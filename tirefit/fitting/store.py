@@ -43,6 +43,19 @@ class StoredFit:
     noise: Mapping[str, Mapping]
     content: Mapping
 
+    def at_estimate(self) -> AbstractTire:
+        """The tire with its fitted values.
+
+        Raises:
+            UsageError: a parameter has a value for each run.
+        """
+        values = self.layout.natural(self.z)
+        several = [name for name, value in values.items() if np.ndim(value)]
+        if several:
+            reason = f"the fit has a {several[0]} for each run: it is not one tire"
+            raise UsageError(InputProblem(reason, "fit it with one for all runs"))
+        return with_values(self.tire, {k: float(v) for k, v in values.items()})
+
 
 _LARGEST = 1e20
 _ROUNDING = 1e-9

@@ -113,6 +113,7 @@ PARAMETERS = {
     "road": Parameter("-", "road", "1 asphalt, 2 gravel, 3 snow, 4 ice"),
     "alpha": Parameter("rad", r"\alpha", "slip angle"),
     "used": Parameter("-", r"\mu_u", "friction used, over friction"),
+    "xbs": Parameter("N s/m", "k", "slope of force by slip velocity"),
     "C_f": Parameter("N/rad", "C_f", "cornering stiffness of the front axle"),
     "C_r": Parameter("N/rad", "C_r", "cornering stiffness of the rear axle"),
     "F_xf": Parameter("N", "F_{xf}", "braking force of the front axle, observed"),

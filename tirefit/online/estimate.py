@@ -92,7 +92,7 @@ def estimate(
     load = _usual_load(data, columns)
     done = {}
     for name in names:
-        estimator = estimator_of(name, load, chosen[name])
+        estimator = estimator_of(name, load, chosen[name] | _rate(name, data, chosen))
         _, rows = run(estimator, columns)
         value, std, flag, surprise = map(np.asarray, rows)
         done[name] = MethodEstimates(
@@ -100,6 +100,15 @@ def estimate(
             _numbers(parameter_values(estimator)),
         )  # fmt: skip
     return _estimates(data, columns, done, seed)
+
+
+def _rate(name: str, data: TireData, chosen) -> dict[str, float]:
+    """Samples a second of the log, for a method that is made for one rate."""
+    if "rate" in chosen[name] or "rate" not in specs(METHODS[name]()):
+        return {}
+    steps = np.diff(data.columns["time"])
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    return {"rate": float(1 / np.median(steps))} if len(steps) else {}
 
 
 def _numbers(values: Mapping[str, Any]) -> dict[str, float]:

@@ -14,6 +14,7 @@ from tirefit.online.position import Position
 from tirefit.online.rls import Rls
 from tirefit.online.slip_slope import SlipSlope, SlipSlopeBraking
 from tirefit.online.tire_sensor import TireSensor
+from tirefit.online.xbs import Xbs, XbsBraking
 from tirefit.params import check_values, specs, with_values
 from tirefit.results import InputProblem, UsageError
 
@@ -33,6 +34,8 @@ METHODS: dict[str, type[AbstractEstimator]] = {
         Path,
         ForceFilter,
         LuGreObserver,
+        Xbs,
+        XbsBraking,
     )
 }
 """Method name -> its record."""

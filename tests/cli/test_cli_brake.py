@@ -1,0 +1,92 @@
+"""``tirefit brake`` on the command line."""
+
+import csv
+import json
+
+import pytest
+
+QUICK = ("--speed", "6", "--road", "mu=0.5", "--vehicle", "quarter")
+
+
+def test_controllers_over_each_other(run, tmp_path):
+    said = run(
+        "brake", "--controller", "abs,none", *QUICK, "--seed", "4", "--stops", "3",
+        "--out", "o", "--animate",
+    ).stdout  # fmt: skip
+    assert "BRAKING brush-m from 6 m/s on mu=0.5, quarter" in said
+    assert "means of 3 seeds from 4" in said and "recovery" not in said
+    made = {path.name for path in (tmp_path / "o").iterdir()}
+    assert made == {
+        "summary.json", "series.csv", "stops.csv", "stop.png", "compare.png",
+        "slip.png", "stop.gif",
+    }  # fmt: skip
+    summary = json.loads((tmp_path / "o" / "summary.json").read_text())
+    assert summary["schema"] == "tirefit.brake/1" and summary["seed"] == 4
+    assert summary["convention"] == "braking, SI"
+    assert summary["units"]["pressure_rms_fluctuation"] == "Pa"
+    assert summary["manoeuvre"]["parameters"]["m"] == 0.5
+    assert summary["stopped"] is True and summary["recovery_time"] is None
+    assert summary["seeds"]["none"]["locked_time"]["k"] == 3
+    assert summary["controllers"]["abs"]["settings"]["slip"] == 0.07
+    with (tmp_path / "o" / "series.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    locked = [row for row in rows if row["controller"] == "none"]
+    distance = float(locked[-1]["distance"])
+    assert summary["controllers"]["none"]["stopping_distance"] == distance
+    assert locked[-1]["omega"] == "0.0" and locked[0]["xbs"] == ""
+    with (tmp_path / "o" / "stops.csv").open() as file:
+        assert [row["seed"] for row in csv.DictReader(file)] == ["4", "5", "6"] * 2
+    assert (tmp_path / "o" / "stop.gif").read_bytes().startswith(b"GIF89a")
+    assert (tmp_path / "o" / "stop.png").read_bytes().startswith(b"\x89PNG")
+    # A second run leaves nothing of the first behind.
+    plain = ("--controller", "abs", "--set", "mu=0.9", "--plant", "road_std=0")
+    run("brake", *QUICK, "--out", "o", *plain)
+    made = {path.name for path in (tmp_path / "o").iterdir()}
+    assert made == {"summary.json", "series.csv", "stop.png", "slip.png"}
+
+
+def test_tires_of_fits_and_files(run, tmp_path):
+    """A fitted brush brakes as the brush with its values; a .tir file brakes too."""
+    run(
+        "simulate", "rig", "--out", "r.csv", "--set", "mu=0.8", "--set", "cpa2=4e4",
+        "--force-std", "0.001",
+    )  # fmt: skip
+    run("fit", "r.csv", "--model", "brush", "--out", "f", "--no-posterior")
+    braked = ("brake", *QUICK, "--controller", "abs", "--tire")
+    run(*braked, "f/fit.json", "--out", "o")
+    run(*braked, "brush", "--set", "cpa2=4e4", "--out", "p")
+    fitted, named = (
+        json.loads((tmp_path / name / "summary.json").read_text()) for name in "op"
+    )
+    assert fitted["manoeuvre"]["tire"] == "f/fit.json"
+    assert fitted["manoeuvre"]["parameters"]["mu"] == pytest.approx(0.8, rel=0.01)
+    assert fitted["stopping_distance"] == pytest.approx(
+        named["stopping_distance"], rel=0.02
+    )
+    result = run("brake", "--tire", "f/fit.json", "--set", "mu=1", "--out", "q",
+                 exit_code=2)  # fmt: skip
+    assert "--set with a fit.json" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (("--controller", "asb"), 2, "did you mean 'abs'"),
+        (("--road", "ice"), 2, "write it as mu=0.4"),
+        (("--tire", "magic-formula", "--steer", "0.1"), 2, "no combined slip"),
+        (("--tire", "brsh"), 2, "did you mean"),
+        (("--tire", "none.tir"), 3, "none.tir"),
+        (("--set", "mu=99"), 2, "outside its bounds"),
+        (("--set", "B=1"), 2, "has no parameter 'B'"),
+        (("--tune", "abs.slip=9"), 2, "out of range"),
+        (("--tune", "xbs-servo.servo_gain=-400"), 2, "O(11)"),
+        (("--tune", "quick"), 2, "NAME=VALUE"),
+        (("--plant", "dealy=1"), 2, "there are demand"),
+        (("--plant", "demand=-1"), 2, "out of range"),
+        (("--speed", "500"), 2, "--speed 500 is out of range"),
+    ],
+)
+def test_mistakes_are_named_with_a_remedy(run, tmp_path, arguments, code, said):
+    result = run("brake", "--out", "o", *arguments, exit_code=code)
+    assert said in result.stderr
+    assert not (tmp_path / "o").exists()

@@ -1,0 +1,192 @@
+"""Brake controllers: the protocol that all keep, and the rules of the conventional."""
+
+import inspect
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tirefit.online.abs import PHASES, ConventionalABS
+from tirefit.online.controller import Command, Measurement, Truth
+from tirefit.online.controllers import (
+    CONTROLLERS,
+    controller_of,
+    controllers_named,
+    tuned,
+)
+from tirefit.results import UsageError
+from tirefit.sim.brake import Reading, TrueState
+
+CAR = {
+    "radius": np.full(4, 0.3), "inertia": np.full(4, 1.2),
+    "brake_gain": np.array([1.35e-4, 1.35e-4, 0.75e-4, 0.75e-4]),
+    "fz": np.full(4, 3700.0), "stiffness": np.full(4, 8e4), "rise": 40e6,
+    "fall": 80e6, "delay": 0.01,
+}  # fmt: skip
+
+
+def measured(k=0, wheel=None, pressure=2e6, slowing=2.5, truth=True, w=4):
+    """A sample at k of a car that slows from 15 m/s, its wheels as given."""
+    time = 0.005 * k
+    v = 15.0 - slowing * time
+    wheel = jnp.full(w, v) if wheel is None else jnp.asarray(wheel, float)
+    known = [jnp.full(w, x) for x in (v, 0.01, 0.03, 0.3, 3700.0)]
+    if not truth:
+        known = [jnp.full(w, jnp.nan)] * 5
+    scalars = [jnp.asarray(x) for x in (slowing, 12e6, 0.0, 0.0)]
+    return Measurement(
+        jnp.asarray(time), wheel, jnp.full(w, pressure), *scalars, Truth(*known)
+    )
+
+
+def car(w=4):
+    return {k: v[:w] if np.ndim(v) else v for k, v in CAR.items()}
+
+
+def shaken(k, w=4, truth=True):
+    """Wheels that slip a little and shake, each in its own way."""
+    phase = jnp.arange(w) + 0.3 * k
+    return measured(k, 14.7 - 0.0125 * k + 0.1 * jnp.sin(phase), truth=truth, w=w)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("w", [1, 4])
+def test_every_controller_keeps_the_protocol(name, w):
+    controller = controller_of(name, car(w))
+    assert list(inspect.signature(controller.step).parameters) == [
+        "state", "measurement",
+    ]  # fmt: skip
+    state = controller.init(measured(w=w))
+    step = eqx.filter_jit(controller.step)
+    for k in range(30):
+        after, command, info = step(state, shaken(k, w))
+        assert isinstance(command, Command) and command.valve.shape == (w,)
+        assert np.all(np.abs(command.valve) <= 1.0)
+        assert all(np.shape(value) == (w,) for value in info.values())
+        # Fixed shapes: what runs in a scan allocates nothing.
+        same = jax.tree.map(lambda a, b: np.shape(a) == np.shape(b), after, state)
+        assert all(jax.tree.leaves(same))
+        state = after
+
+
+@pytest.mark.parametrize(
+    "name", [n for n, c in CONTROLLERS.items() if not c.reads_truth]
+)
+def test_honest_controllers_do_not_read_the_truth(name):
+    controller = controller_of(name, car())
+    states = [controller.init(measured(truth=known)) for known in (True, False)]
+    step = eqx.filter_jit(controller.step)
+    for k in range(60):
+        valves = []
+        for j, known in enumerate((True, False)):
+            states[j], command, _ = step(states[j], shaken(k, truth=known))
+            valves.append(command.valve)
+        np.testing.assert_array_equal(*valves)
+
+
+def test_what_the_loop_gives_is_what_controllers_take():
+    """The records of both rooms, which do not know each other, agree by name."""
+    assert Reading._fields == Measurement._fields
+    assert TrueState._fields == Truth._fields
+
+
+def phases_of(wheels, slowing=2.5, pressure=3e6, **settings):
+    """Phase names of a lone wheel whose speeds are given, sample by sample."""
+    controller = ConventionalABS(smoothing=1e-6, **settings)
+    state = controller.init(measured(0, [wheels[0]], w=1))
+    names, valves = [], []
+    for k, wheel in enumerate(wheels):
+        now = measured(k, [wheel], pressure, slowing, w=1)
+        state, command, _ = controller.step(state, now)
+        names.append(PHASES[int(state.phase[0])])
+        valves.append(float(command.valve[0]))
+    return names, valves
+
+
+def test_the_rules_go_through_their_cycle():
+    """A wheel that dives, is let go, speeds up, rolls again: phase after phase."""
+    free = [15.0 - 0.0125 * k for k in range(4)]
+    dive = [14.85, 14.6, 14.2, 13.7]  # beyond 9 m/s2 at once, then 7 % of slip
+    stop = [13.65, 13.65, 13.65]
+    back = [13.8, 14.0, 14.3, 14.55]  # faster than 5 m/s2
+    rolls = [14.6, 14.6, 14.58, 14.57]
+    names, valves = phases_of(free + dive + stop + back + rolls)
+    order = [names[0]]
+    for name in names:
+        if name != order[-1]:
+            order.append(name)
+    assert order == ["build", "hold", "dump", "wait", "step"]
+    by = dict(zip(names, valves, strict=True))
+    assert by["build"] == 1.0 and by["hold"] == 0.0 == by["wait"]
+    assert by["dump"] == -0.45
+
+
+def test_a_wheel_that_does_not_come_back_is_let_go_further():
+    """On ice a wheel stays slow without slowing: after its patience it is dumped."""
+    names, _ = phases_of([15.0, 14.0, 13.0, 13.0, *[12.99] * 20])
+    after = names[names.index("wait") :]
+    assert "dump" in after and "step" not in after
+
+
+def test_it_is_off_at_walking_pace():
+    names, valves = phases_of([1.2, 0.6, 0.1, 0.0], slowing=0.0)
+    assert set(names) == {"build"} and set(valves) == {1.0}
+
+
+def test_reference_speed_falls_no_faster_than_the_car():
+    """All wheels dive: the reference follows the deceleration of the sensor."""
+    controller = ConventionalABS()
+    state = controller.init(measured(0, [15.0] * 4))
+    for k in range(1, 21):
+        now = measured(k, [8.0] * 4, slowing=3.0)
+        state, _, info = controller.step(state, now)
+    expected = 15.0 - 20 * 0.005 * (3.0 + 0.3)
+    assert float(state.reference) == pytest.approx(expected)
+    assert info["reference_speed"].tolist() == pytest.approx([expected] * 4)
+
+
+def test_the_rear_takes_the_lower_pressure():
+    """One rear wheel dives: both rear valves dump, each front one goes on."""
+    controller = ConventionalABS(smoothing=1e-6)
+    state = controller.init(measured(0, [15.0] * 4))
+    for k, slow in enumerate((15.0, 14.5, 13.5, 12.5)):
+        now = measured(k, [14.99, 14.99, slow, 14.99])
+        state, command, _ = controller.step(state, now)
+    assert command.valve[2] == command.valve[3] < 0
+    assert command.valve[0] == command.valve[1] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"abs.slip": 7.0}, "abs.slip = 7 is out of range"),
+        ({"slpi": 0.1}, "none of abs, none has it"),
+        ({"slip.gain": 1.0}, "none of abs, none has it"),
+        ({"none.slip": 0.1}, "none of abs, none has it"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(settings, said):
+    with pytest.raises(UsageError) as error:
+        tuned(settings, ("abs", "none"))
+    assert said in str(error.value) and error.value.problems[0].remedy
+
+
+def test_settings_reach_their_controller():
+    chosen = tuned({"slip": 0.05, "slip.gain": 3.0}, ("abs", "slip"))
+    assert chosen == {"abs": {"slip": 0.05}, "slip": {"gain": 3.0}}
+    made = controller_of("slip", CAR, chosen["slip"])
+    assert float(made.gain) == 3.0 and made.radius.shape == (4,)
+    assert isinstance(made.rise, jax.Array) and made.rate == 200.0
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [("asb", "did you mean 'abs'"), ("abs,abs", "twice"), (" ,", "no controller")],
+)
+def test_names_are_checked(names, said):
+    with pytest.raises(UsageError) as error:
+        controllers_named(names)
+    assert said in str(error.value)
+    assert controllers_named(" abs, none ") == ("abs", "none")

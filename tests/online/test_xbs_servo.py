@@ -1,0 +1,231 @@
+"""The servo's layers, one by one, and the condition on its gain by other routes."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tirefit.models import TireInputs
+from tirefit.models.brush import AnisotropicBrush
+from tirefit.online.controller import Measurement, Truth
+from tirefit.online.controllers import controller_of
+from tirefit.online.xbs_servo import XbsServo, loop_matrix, refuse_unstable
+from tirefit.results import UsageError
+
+RATE, SCALE = 200.0, 1.2 / 0.3**2
+
+
+def largest(matrix):
+    return np.abs(np.linalg.eigvals(matrix)).max()
+
+
+@pytest.mark.parametrize("pole", [-40.0, -10.0, 0.0, 60.0])
+def test_with_an_ideal_actuator_the_condition_is_that_of_the_eigenvalues(pole):
+    """O(11): a wheel of pole p is stable from a = -p on; its pole is then O(8)'s."""
+    for gain in (-pole - 1.0, -pole + 1.0, -pole + 20.0):
+        if gain < 0:
+            continue
+        # O(8) by itself: wheel speed and the integral that the torque is of it.
+        ideal = np.array([[-pole, -1.0], [-pole * gain, -gain]])
+        eigenvalues = np.linalg.eigvals(ideal)
+        moving = eigenvalues[np.argmax(abs(eigenvalues))]
+        np.testing.assert_allclose(moving, -(gain + pole), rtol=1e-9)
+        sampled = largest(loop_matrix(gain, pole, 1e5, 0, 1e-6))
+        assert (sampled < 1) == (gain > -pole)
+        np.testing.assert_allclose(
+            sampled, np.exp(-(gain + pole) / 1e5), rtol=1e-4, atol=1e-6
+        )
+
+
+def amplitude(gain, pole, rate, delay, lag, samples=400):
+    """Growth a sample of the same loop in small steps of plain Python."""
+    fine = 50
+    dt, x, q = 1 / rate / fine, 1.0, 0.0
+    waiting, sizes = [0.0] * delay, []
+    for _ in range(samples):
+        waiting.append(gain * x)
+        target = waiting.pop(0)
+        for _ in range(fine):
+            x, q = x + dt * (-pole * x - q), q + dt * (target - q) / lag
+        sizes.append(abs(x) + abs(q) / gain)
+    half = samples // 2
+    return (np.mean(sizes[half:]) / np.mean(sizes[:half])) ** (1 / half)
+
+
+@pytest.mark.parametrize(
+    ("gain", "pole"), [(30, -20), (75, -18.75), (100, -18.75), (100, 0), (10, -20)]
+)
+def test_the_sampled_loop_grows_as_its_eigenvalue_says(gain, pole):
+    eigenvalue = largest(loop_matrix(gain, pole, RATE, 2, 0.005))
+    growth = amplitude(gain, pole, RATE, 2, 0.005)
+    assert (growth < 1) == (eigenvalue < 1)
+    assert abs(growth - eigenvalue) < 0.02
+
+
+def test_an_unstable_gain_is_refused_with_the_condition_and_its_numbers():
+    with pytest.raises(UsageError) as error:
+        XbsServo(servo_gain=15.0, least_slope=-250.0)
+    text = str(error.value)
+    for part in ("O(11)", "15 is not above 18.75 1/s", "k_min = -250 N s/m",
+                 "r = 0.3 m", "J = 1.2 kg m2"):  # fmt: skip
+        assert part in text
+    with pytest.raises(UsageError, match=r"a delay of 10 ms .* eigenvalue .* 1\.0"):
+        XbsServo(servo_gain=100.0)
+    with pytest.raises(UsageError, match="k = -900"):
+        XbsServo(least_slope=-900.0)
+    with pytest.raises(UsageError, match="O\\(11\\)"):
+        controller_of("xbs-servo", {}, {"servo_gain": -5.0})
+
+
+def test_the_wheel_that_the_condition_is_hardest_for_decides():
+    car = {"radius": np.array([0.3, 0.33]), "inertia": np.array([1.2, 0.8])}
+    refuse_unstable(20.0, -100.0, 1e4, 0.3, 1.2, RATE, 0, 0.001)
+    with pytest.raises(UsageError, match=r"r = 0.33 m, J = 0.8"):
+        dataclasses.replace(XbsServo(), **car, servo_gain=10.0, least_slope=-100.0)
+
+
+def measurement(speed, pressure, slowing=3.0, demand=12e6, time=0.0, **more):
+    speed = jnp.atleast_1d(jnp.asarray(speed, float))
+    nothing = jnp.full_like(speed, jnp.nan)
+    given = {"steering": 0.0, "yaw_rate": 0.0} | more
+    return Measurement(
+        jnp.asarray(time), speed, jnp.full_like(speed, pressure), jnp.asarray(slowing),
+        jnp.asarray(demand), jnp.asarray(given["steering"]),
+        jnp.asarray(given["yaw_rate"]), Truth(*[nothing] * 5),
+    )  # fmt: skip
+
+
+def ready(**settings):
+    return jax.tree.map(lambda x: jnp.asarray(x, float), XbsServo(**settings))
+
+
+def test_the_torque_is_the_inertia_times_the_gain_times_the_speed_error():
+    """Second layer: T = (J a / r) (v_w - v_0), sample by sample."""
+    servo = ready()
+    state = servo.init(measurement(15.0, 0.0))
+    state = state._replace(
+        target=jnp.array([2e6]), slowing=jnp.asarray(3.0), coming=0 * state.coming
+    )
+    state, _, info = servo.step(state, measurement(14.98, 2e6))
+    pull = servo.start_pull
+    np.testing.assert_allclose(info["target_deceleration"], 3.0 + pull)
+    error = (14.98 - 15.0) + (3.0 + pull) / RATE
+    torque = 1.2 * 75.0 / 0.3 * error
+    np.testing.assert_allclose(info["target_pressure"] - 2e6, torque / 1.35e-4)
+
+
+def test_the_pressure_is_where_it_is_to_be_after_the_delay():
+    """Third layer, on a valve that does what its maker says: no steady error, and the
+    commands on their way are reckoned with."""
+    servo = ready()
+    pressure, coming, moves = 2e6, [0.0, 0.0], []
+    expected = jnp.zeros((2, 1))
+    for _ in range(6):
+        present = pressure + float(expected.sum())
+        error = jnp.array([2.3e6 - present])
+        valve, moved = servo._valves(error, jnp.array([present]), jnp.asarray(12e6))
+        expected = jnp.concatenate([expected, moved[None]])[1:]
+        coming.append(float(valve[0]))
+        share = coming.pop(0)
+        pressure += share * min((12e6 - pressure) / 0.02, 40e6) / RATE
+        moves.append(pressure)
+    assert moves[1] == 2e6  # two samples of delay
+    # 0.2 MPa is what an interval can do.
+    np.testing.assert_allclose(moves[2:], [2.2e6, 2.3e6, 2.3e6, 2.3e6], rtol=1e-3)
+
+
+@pytest.mark.parametrize(("steering", "slip"), [(0.0, 0.03), (0.08, 0.03)])
+def test_the_reference_is_the_slope_of_the_brush_at_the_wanted_share(steering, slip):
+    servo = ready(share=0.8, steered=1.0)
+    vehicle, turning = 15.0, 15.0 / (1 + slip)
+    now = measurement(turning, 2e6, steering=steering)
+    wanted = float(servo._wanted(now, jnp.asarray(vehicle))[0])
+    # The same tire at that direction, with as much friction as makes 80 % of it.
+    across = 0.7 * np.tan(steering) * (1 + slip)
+    resultant = np.hypot(slip, across)
+    sticking = (1 - 0.8) ** (1 / 3)
+    mu = 6e4 * resultant / (3 * 4000 * (1 - sticking))
+    tire = AnisotropicBrush(3e4, mu, stiffness_ratio=0.7)
+
+    def fx(sigma):
+        angle = jnp.arctan(across / 0.7 / (1 + sigma))
+        return tire(TireInputs(sigma, angle, 4000.0)).fx
+
+    np.testing.assert_allclose(wanted * turning, jax.grad(fx)(slip), rtol=1e-9)
+
+
+def test_a_stiffness_above_the_wanted_one_pulls_and_one_below_releases():
+    servo = ready()
+    calm = measurement(14.0, 2e6)
+    for slope, sign in ((2.0, 1), (0.5, -1), (-0.3, -1)):
+        made = []
+
+        def fixed(self, s, speed, use, slope=slope):
+            wanted = self._wanted(calm, s.vehicle)
+            return s.xbs, slope * wanted, 0 * wanted, jnp.zeros(1, int)
+
+        class Fixed(XbsServo):
+            _slope = fixed
+
+        lone = Fixed()
+        state = lone.init(calm)
+        _, _, info = lone.step(state, calm)
+        made.append(float(info["target_deceleration"][0]) - 3.0 * (1 / 11))
+        gain = float(servo.pull if sign > 0 else servo.release)
+        np.testing.assert_allclose(made, gain * (slope - 1), rtol=1e-2)
+
+
+def drive(n=160, wheels=4, seed=0):
+    """Measurements (n, w) of wheels that shake and slow down."""
+    random = np.random.default_rng(seed)
+    time = np.arange(n) / RATE
+    speed = (
+        15 - 3 * time[:, None] + np.cumsum(0.01 * random.normal(size=(n, wheels)), 0)
+    )
+    truth = Truth(*[jnp.full((n, wheels), jnp.nan)] * 5)
+    row = np.ones((n, wheels))
+    return Measurement(
+        jnp.asarray(time), jnp.asarray(speed), jnp.asarray(2e6 * row),
+        jnp.full(n, 3.0), jnp.full(n, 12e6), jnp.zeros(n), jnp.zeros(n), truth,
+    )  # fmt: skip
+
+
+def row_of(rows, i, wheels=slice(None)):
+    def cut(part):
+        return part[i][wheels] if part.ndim > 1 else part[i]
+
+    return jax.tree.map(cut, rows)
+
+
+def test_a_scan_is_step_by_step_and_wheels_do_not_know_each_other():
+    servo, rows = ready(), drive()
+    start = servo.init(row_of(rows, 0))
+
+    def step(state, now):
+        state, command, info = servo.step(state, now)
+        return state, (command.valve, info["target_pressure"])
+
+    _, (valve, target) = jax.jit(lambda s, r: jax.lax.scan(step, s, r))(start, rows)
+    alone = eqx.filter_jit(servo.step)
+    state = servo.init(row_of(rows, 0, slice(2, 3)))
+    # Of one wheel: the speed of the vehicle at the start is that of the fastest.
+    for i in range(160):
+        state, command, info = alone(state, row_of(rows, i, slice(2, 3)))
+        np.testing.assert_allclose(command.valve[0], valve[i, 2], rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(
+            info["target_pressure"][0], target[i, 2], rtol=1e-9, atol=1e-3
+        )
+    assert set(info) >= {"xbs", "xbs_std", "xbs_wanted", "target_pressure"}
+
+
+def test_a_slow_car_keeps_its_pressures():
+    servo = ready()
+    state = servo.init(measurement(1.5, 2e6))
+    state = state._replace(target=jnp.array([2e6]))
+    for speed in (1.49, 1.3, 1.0):
+        state, command, info = servo.step(state, measurement(speed, 2e6))
+        np.testing.assert_allclose(info["target_pressure"], 2e6)
+        np.testing.assert_allclose(command.valve, 0.0, atol=1e-12)

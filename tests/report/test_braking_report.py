@@ -1,0 +1,73 @@
+"""What the figures of a stop show, in numbers, and that they can be drawn."""
+
+import numpy as np
+import pytest
+
+from tirefit.models import MODELS
+from tirefit.online.controllers import controller_of
+from tirefit.params import with_values
+from tirefit.report.brake_animation import outline, save_animation
+from tirefit.report.braking import (
+    braking_html,
+    braking_text,
+    compare_figure,
+    path_of,
+    paths_figure,
+    stop_figure,
+)
+from tirefit.sim.brake_curve import tire_curve
+from tirefit.sim.brake_request import Request, known_to_controllers
+from tirefit.sim.brake_result import brake
+
+
+@pytest.fixture(scope="module")
+def result():
+    tire = with_values(MODELS["brush-m"], {"cpa2": 4e4, "m": 0.5})
+    request = Request(tire, "brush-m", speed=7.0, road="mu=0.3:0.7@4")
+    car = known_to_controllers(request)
+    controllers = {name: controller_of(name, car) for name in ("abs", "slip", "none")}
+    return brake(request, controllers, seed=1)
+
+
+def test_text_says_the_numbers_and_why(result):
+    text = braking_text(result)
+    assert "brush-m from 7 m/s on mu=0.3:0.7@4, car" in text
+    assert "slip: stopped: slower than 0.1 m/s" in text and "recovery [s]" in text
+    assert max(map(len, text.splitlines())) <= 88
+    assert "<table" in braking_html(result)
+
+
+def test_the_upper_limit_is_one(result):
+    used = {k: float(s.summary.mean_friction_used) for k, s in result.stops.items()}
+    assert used["slip"] > used["abs"] and used["slip"] > used["none"]
+
+
+def test_curve_has_the_peaks_of_the_road(result):
+    curves = tire_curve(result.request, 0.4, points=2000)
+    assert list(curves) == pytest.approx([0.3, 0.7])
+    for mu, (kappa, force) in curves.items():
+        assert force.max() == pytest.approx(mu, rel=1e-4) and kappa[0] == 0.0
+
+
+def test_a_path_lies_on_the_curve(result):
+    """The first road, first wheel of slip control: its points are on the tire's."""
+    stop = result.stops["slip"]
+    path = path_of(stop)
+    assert np.all(np.isfinite(path.kappa)) and path.mean[1] == path.force.mean()
+    early = stop.log.motion.distance[: len(path.kappa)] < 3.0
+    kappa, force = tire_curve(result.request, 0.5, points=4000)[0.3]
+    expected = np.interp(path.kappa[early], kappa, force)
+    # The load moves with the pitch, and with it the slip of the same share.
+    np.testing.assert_allclose(path.force[early], expected, atol=0.03)
+
+
+def test_figures_are_drawn_of_one_and_of_all(result, tmp_path):
+    for draw in (stop_figure, compare_figure, paths_figure):
+        picture = draw(result)
+        assert picture._repr_png_().startswith(b"\x89PNG")
+    assert len(stop_figure(result).axes) == 18
+    corners = outline(1.0, 2.0, np.pi / 2, (4.0, 2.0))
+    np.testing.assert_allclose(corners.mean(axis=0), [1.0, 2.0])
+    assert np.ptp(corners[:, 1]) == pytest.approx(4.0)
+    path = save_animation(result, tmp_path / "stop.gif")
+    assert path.read_bytes().startswith(b"GIF89a")

@@ -1,0 +1,140 @@
+"""Stops as results: numbers of made-up logs, batches, reasons, columns."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tirefit.models import MODELS
+from tirefit.online.abs import ConventionalABS
+from tirefit.online.controller import NoController
+from tirefit.params import with_values
+from tirefit.sim.brake import simulate_stop
+from tirefit.sim.brake_request import Request, arrays, plant_of
+from tirefit.sim.brake_result import brake, many_stops
+from tirefit.sim.brake_summary import UNITS, summarise
+
+TIRE = with_values(MODELS["brush-m"], {"cpa2": 4e4, "m": 0.5})
+
+
+def request(**given):
+    given = {"speed": 8.0, "road": "mu=0.5", "vehicle": "quarter"} | given
+    return Request(TIRE, "brush-m", **given)
+
+
+@pytest.fixture(scope="module")
+def result():
+    controllers = {"abs": arrays(ConventionalABS()), "none": NoController()}
+    return brake(request(), controllers, seed=3, stops=4)
+
+
+def test_batch_is_each_stop_alone(result):
+    """The vmapped run of four seeds has, at each, what that seed has alone."""
+    asked = request()
+    controller = arrays(ConventionalABS())
+    for k in (0, 3):
+        alone = brake(asked, {"abs": controller}, seed=3 + k)
+        for name in UNITS:
+            one = getattr(alone.stops["abs"].summary, name)
+            np.testing.assert_allclose(
+                getattr(result.many["abs"], name)[k], one, rtol=1e-6, atol=1e-9
+            )
+    assert len(set(result.many["abs"].stopping_distance.tolist())) == 4
+
+
+def test_tires_roads_and_seeds_in_one_batch():
+    plants = [plant_of(request(road=road)) for road in ("mu=0.5", "mu=0.7")]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *plants)
+    keys = jax.vmap(jax.random.key)(jnp.asarray([5, 6]))
+    asked, controller = request(), arrays(ConventionalABS())
+    rest = (arrays(asked.sensors), jnp.asarray(8.0))
+    both = many_stops(stacked, controller, *rest, keys, 600, 2)
+    log = simulate_stop(plants[1], controller, *rest, keys[1], 600, 2)
+    alone = summarise(plants[1], log, 1 / 200)
+    for name in UNITS:
+        one, other = getattr(both, name)[1], getattr(alone, name)
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9)
+    assert both.stopping_distance[1] < both.stopping_distance[0]
+
+
+def test_numbers_follow_from_the_series(result):
+    stop = result.stops["abs"]
+    table, numbers = stop.columns(), stop.to_dict()
+    assert numbers["stopped"] and numbers["reason"].startswith("stopped")
+    assert numbers["stopping_distance"] == table["distance"][-1]
+    assert numbers["stopping_time"] == pytest.approx(table["time"][-1])
+    moving = table["v"] > 0.1
+    used = table["fx"] / (table["mu_peak"] * table["fz"])
+    assert numbers["mean_friction_used"] == pytest.approx(np.mean(used[moving]))
+    fast = table["v"] > 0.3
+    by_hand = np.minimum(1 - 0.3 * table["omega"] / np.maximum(table["v"], 0.3), 0.99)
+    np.testing.assert_allclose(table["slip"][fast], by_hand[fast], atol=1e-12)
+    for name in ("time", "v", "omega", "slip", "fx", "fz", "mu", "pressure", "xbs",
+                 "xbs_true"):  # fmt: skip
+        assert len(table[name]) == len(table["time"])
+
+
+def test_a_locked_stop_is_told_as_one(result):
+    stop = result.stops["none"]
+    v = stop.columns()["v"]
+    slip = stop.columns()["slip"]
+    counted = np.sum((slip >= 0.9) & (v > 2.0)) / 200
+    assert stop.to_dict()["locked_time"] == pytest.approx(counted)
+    assert counted > 0.5
+    # Once built up, the driver's pressure does not move.
+    assert stop.to_dict()["pressure_rms_fluctuation"] < 1e4
+    assert result.stops["abs"].to_dict()["pressure_rms_fluctuation"] > 1e5
+
+
+def test_recovery_counts_from_all_wheels_on_the_new_road():
+    """A made-up log: 0.5 of the friction until 0.3 s after the jump, then all of it."""
+    asked = request(road="mu=0.3:0.8@4")
+    plant = plant_of(asked)
+    log = simulate_stop(
+        plant, NoController(), arrays(asked.sensors), jnp.asarray(8.0),
+        jax.random.key(0), 600, 2,
+    )  # fmt: skip
+    time = np.asarray(log.reading.time)
+    crossed = float(time[np.argmax(np.asarray(log.motion.distance) >= 4.0)])
+    there = log.reading.truth.mu * log.contacts.fz
+    share = np.where(time < crossed + 0.3 - 1e-9, 0.5, 1.0)[:, None]
+    made = log._replace(contacts=log.contacts._replace(fx=there * share))
+    took = float(summarise(plant, made, 1 / 200).recovery_time)
+    # Of the mean over 0.1 s, 0.8 is reached after 0.06 s of it.
+    assert took == pytest.approx(0.36, abs=0.006)
+    never = log._replace(contacts=log.contacts._replace(fx=0.5 * there))
+    assert np.isnan(summarise(plant, never, 1 / 200).recovery_time)
+
+
+def test_a_car_that_does_not_stop_says_why(result):
+    weak = request()
+    weak = Request(
+        TIRE, "brush-m", speed=8.0, road="mu=0.5", vehicle="quarter", time_limit=1.0,
+        hydraulics=weak.hydraulics._replace(demand=2e5),
+    )  # fmt: skip
+    stop = brake(weak, {"none": NoController()}).stops["none"]
+    numbers = stop.to_dict()
+    assert not numbers["stopped"] and np.isnan(numbers["stopping_distance"])
+    assert "did not stop: still" in stop.reason and "--time-limit" in stop.reason
+    spinning = Request(TIRE, "brush-m", road="left=0.1,right=0.9", speed=25.0)
+    stop = brake(spinning, {"none": NoController()}).stops["none"]
+    assert stop.reason.startswith("spun"), stop.reason
+
+
+def test_summary_holds_all_controllers_and_seeds(result):
+    whole = result.to_dict()
+    assert whole["schema"] == "tirefit.brake/1" and whole["controller"] == "abs"
+    assert (
+        whole["stopping_distance"] == whole["controllers"]["abs"]["stopping_distance"]
+    )
+    seeds = whole["seeds"]["abs"]
+    each = result.many["abs"].mean_friction_used
+    assert seeds["mean_friction_used"]["mean"] == pytest.approx(np.mean(each))
+    assert seeds["stops"] == seeds["stopped"] == 4
+    rows = result.stops_columns()
+    assert rows["controller"] == ["abs"] * 4 + ["none"] * 4
+    assert rows["seed"][:4] == [3, 4, 5, 6]
+    columns = result.columns()
+    first = len(result.stops["abs"].log.moving)
+    assert columns["controller"][first - 1 : first + 1] == ["abs", "none"]
+    assert np.isnan(columns["reference_speed"][-1])

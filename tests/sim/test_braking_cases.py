@@ -1,0 +1,33 @@
+"""The tables of ``fits/braking``: what their rows say, and that they can be made."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from fits.braking.__main__ import BRUSH, CASES, CONTROLLERS, SEEDS, STEER, made, numbers
+from tirefit.online.controllers import CONTROLLERS as KNOWN
+
+
+def test_differences_are_paired():
+    """Two controllers that share the road's noise: the interval is of a paired t."""
+    random = np.random.default_rng(0)
+    shared = random.normal(50.0, 5.0, 60)
+    first, second = shared + random.normal(-1.0, 0.1, 60), shared
+    row = numbers("xbs-servo", "stopping_distance", first, second)
+    test = stats.ttest_rel(first, second).confidence_interval()
+    assert float(row["less_abs_low"]) == pytest.approx(test.low, rel=1e-3)
+    assert float(row["less_abs_high"]) == pytest.approx(test.high, rel=1e-3)
+    alone = stats.ttest_1samp(first, 0.0).confidence_interval()
+    assert float(row["low"]) == pytest.approx(alone.low, rel=1e-3)
+    assert row["seeds"] == 60 and SEEDS >= 50
+
+
+def test_every_case_can_be_asked_for():
+    """Requests pass their checks, controllers are made: four of them, on each road."""
+    assert set(CONTROLLERS) == set(KNOWN)
+    for manoeuvres in CASES.values():
+        for road, speed, tire, limit in manoeuvres:
+            request, controllers = made(road, speed, tire, limit)
+            assert request.limit == limit and set(controllers) == set(KNOWN)
+    request, _ = made("mu=0.3", 15.0, BRUSH, 8.0, STEER)
+    assert request.steer == STEER

@@ -1,0 +1,127 @@
+"""What a brake controller is: a record with ``init`` and ``step`` at a fixed rate.
+
+A step sees what the sensors say at one instant and answers with what the valves do
+until the next one. It costs the same whenever it comes, allocates nothing and knows no
+later sample, so the record that runs in the simulated loop (:mod:`tirefit.sim.brake`)
+could run on the controller of a car. Wheels come along one axis of length w, in the
+order of :data:`tirefit.data.table.WHEELS`, or one wheel alone.
+"""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+__all__ = [
+    "DECREASE",
+    "HOLD",
+    "INCREASE",
+    "AbstractController",
+    "Command",
+    "Info",
+    "Measurement",
+    "NoController",
+    "Truth",
+]
+
+INCREASE, HOLD, DECREASE = 1.0, 0.0, -1.0
+"""Inlet valve open; both shut; outlet valve open, for the whole of an interval."""
+
+
+class Truth(NamedTuple):
+    """What no sensor tells; only a controller that is an upper limit may read it.
+
+    ``speed`` (w,) [m/s] of the wheel's centre along the wheel; ``slip`` (w,): kappa;
+    ``peak`` (w,): the slip kappa at which the tire's force is largest on the road that
+    the wheel is on; ``mu`` (w,): that force over the load; ``fz`` (w,) [N].
+    """
+
+    speed: Float[Array, " w"]
+    slip: Float[Array, " w"]
+    peak: Float[Array, " w"]
+    mu: Float[Array, " w"]
+    fz: Float[Array, " w"]
+
+
+class Measurement(NamedTuple):
+    """One sample of the sensors; SI units, braking positive.
+
+    ``time`` [s]; ``wheel_speed`` (w,) [m/s]: circumferential, R omega, with the
+    sensor's noise and steps; ``pressure`` (w,) [Pa] of the wheel cylinders;
+    ``deceleration`` [m/s2] of the vehicle along its axis; ``demand`` [Pa]: pressure of
+    the master cylinder, the driver's wish and the most that a valve can give;
+    ``steering`` [rad]: road wheel angle; ``yaw_rate`` [rad/s]; ``truth``: see there.
+    """
+
+    time: Float[Array, ""]
+    wheel_speed: Float[Array, " w"]
+    pressure: Float[Array, " w"]
+    deceleration: Float[Array, ""]
+    demand: Float[Array, ""]
+    steering: Float[Array, ""]
+    yaw_rate: Float[Array, ""]
+    truth: Truth
+
+
+class Command(NamedTuple):
+    """What the valves do until the next sample.
+
+    ``valve`` (w,) in [-1, 1]: the share of the interval for which the inlet (positive)
+    or the outlet (negative) is open; an on-off valve takes ``INCREASE``, ``HOLD`` or
+    ``DECREASE``.
+    """
+
+    valve: Float[Array, " w"]
+
+
+Info = Mapping[str, Float[Array, " w"]]
+"""What a human may want to see, by the name of its column in SI units (``xbs`` [N s/m],
+``reference_speed`` [m/s], ``target_pressure`` [Pa], ...); nothing feeds back from it.
+The names and shapes are the same at every step; what is of the vehicle alone is given
+for every wheel."""
+
+
+class AbstractController(eqx.Module):
+    """One brake controller; its fields are its settings, scalars or one for each wheel.
+
+    A state is a pytree of arrays whose shapes never change.
+    """
+
+    name: ClassVar[str]
+    meaning: ClassVar[str]
+    reads_truth: ClassVar[bool] = False
+
+    rate: float = eqx.field(static=True, default=200.0)
+    """Samples a second, fixed."""
+
+    @property
+    def period(self) -> float:
+        """Time [s] between two samples."""
+        return 1 / self.rate
+
+    def init(self, first: Measurement) -> Any:
+        """The state before the first sample, which is ``first`` (it sets the shapes and
+        what the controller takes for known then, as the speed of the free wheels)."""
+        raise NotImplementedError
+
+    def step(
+        self, state: Any, measurement: Measurement
+    ) -> tuple[Any, Command, dict[str, Float[Array, " w"]]]:
+        """The state, the command and the info after a sample."""
+        raise NotImplementedError
+
+
+class NoController(AbstractController):
+    """The driver's pressure on every wheel: a wheel that he locks stays locked."""
+
+    name: ClassVar[str] = "none"
+    meaning: ClassVar[str] = "no controller: the driver's pressure on every wheel"
+
+    def init(self, first: Measurement) -> tuple[()]:
+        del first
+        return ()
+
+    def step(self, state, measurement):
+        return state, Command(jnp.full_like(measurement.pressure, INCREASE)), {}

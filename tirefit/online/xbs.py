@@ -1,0 +1,486 @@
+r"""Extended braking stiffness from wheel speed alone, O(1)-(10).
+
+The slope k [N s/m] of the braking force by the slip velocity makes the wheel a first
+order system for what shakes it, O(2): :math:`\ddot v_w = -p\,\dot v_w + w` with
+:math:`p = a + k r^2 / J` [1/s], O(8), a the gain of a deceleration servo or zero. Least
+squares with a forgetting factor on the band-passed speed, O(3)-(7) and O(10), give
+
+.. math:: \hat p = (1 - \rho_1) / \tau
+
+where :math:`\rho_1` is the correlation of one increment of the filtered speed with the
+next. **That is not p.** Sampling alone makes it 2/3 p (the increments are means of the
+deceleration over an interval), and a band-pass hides all but the shape that the pole
+leaves inside the band: with 2 to 20 Hz at 200 samples a second it runs from 3.7 to 24.8
+1/s for every p from zero to infinity. But it rises with p, and of a white disturbance w
+it can be written down: the sampled speed has the spectrum of :func:`speed_spectrum`,
+the filter is known, so :math:`\hat p` is a ratio of two integrals over frequency. The
+record holds that relation, made once, and turns it around. The same integrals give the
+variance of the estimate; the recursion's own P is that of white errors, which these are
+not.
+
+Seen is the square of p: far below the band all poles look alike, and beyond it too.
+
+A loud past hides a calm present, as a wheel that nears its peak shakes ten times as
+much: half of a fall of k is seen within 0.2 s, half of a rise only after 1.6 s, with a
+memory of 1 s. ``quiet`` above zero lets the past go where the wheel is that much
+calmer.
+"""
+
+from functools import lru_cache
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tirefit.online.base import (
+    AbstractEstimator,
+    Estimate,
+    Flag,
+    Method,
+    Sample,
+    choose,
+    flag_of,
+)
+from tirefit.params import par
+
+__all__ = [
+    "Relation",
+    "Section",
+    "Xbs",
+    "XbsBraking",
+    "XbsState",
+    "friction_from_slope",
+    "high_pass",
+    "low_pass",
+    "rate_in_use",
+    "relation",
+    "servo_spectrum",
+    "speed_spectrum",
+]
+
+_NODES, _FREQUENCIES = 256, 4096
+_SLOWEST, _FASTEST = 0.02, 8.0
+"""Poles of the relation over the lower and the upper edge of the band."""
+_SETTLING = 0.8
+"""Periods of the lower edge until the band-pass has forgotten a step to 4 %."""
+_RECENT = 0.1
+"""Time [s] of the mean square that is compared with that of the memory."""
+_QUICKLY = 0.9
+"""Forgetting factor while the wheel shakes so much less than before."""
+_INTERVAL_OFF = 0.2
+"""Relative difference of an interval from the rate's, beyond which it is a gap."""
+
+
+class Section(NamedTuple):
+    """A filter of second order: b0 + b1/z + b2/z^2 over 1 + a1/z + a2/z^2."""
+
+    b0: Float[Array, ""] | float
+    b1: Float[Array, ""] | float
+    b2: Float[Array, ""] | float
+    a1: Float[Array, ""] | float
+    a2: Float[Array, ""] | float
+
+    def step(self, state, x):
+        """(state (s1, s2), output) after the input x: direct form II transposed."""
+        s1, s2 = state
+        y = self.b0 * x + s1
+        return (self.b1 * x - self.a1 * y + s2, self.b2 * x - self.a2 * y), y
+
+    def gain(self, angle):
+        """Squared gain at an angle [rad a sample]."""
+        z = np.exp(-1j * angle)
+        top = self.b0 + self.b1 * z + self.b2 * z * z
+        return np.abs(top / (1 + self.a1 * z + self.a2 * z * z)) ** 2
+
+
+def _poles(corner, rate):
+    """Butterworth's two poles by the bilinear transform: scale, warped edge, a1, a2."""
+    edge = np.tan(np.pi * corner / rate)
+    scale = 1 / (1 + np.sqrt(2) * edge + edge * edge)
+    a1 = 2 * scale * (edge * edge - 1)
+    return scale, edge, a1, scale * (1 - np.sqrt(2) * edge + edge * edge)
+
+
+def low_pass(corner: float, rate: float) -> Section:
+    """Butterworth of second order; corner and rate in Hz."""
+    scale, edge, a1, a2 = _poles(corner, rate)
+    gain = scale * edge * edge
+    return Section(gain, 2 * gain, gain, a1, a2)
+
+
+def high_pass(corner: float, rate: float) -> Section:
+    """Butterworth of second order; corner and rate in Hz."""
+    scale, _, a1, a2 = _poles(corner, rate)
+    return Section(scale, -2 * scale, scale, a1, a2)
+
+
+def speed_spectrum(angle, pole, corner, period):
+    r"""Power of the sampled increments of wheel speed, by frequency; any common scale.
+
+    The speed has poles at p and at the corner c of the road's disturbance d, whose
+    spectrum is flat below c and falls with the square above, so that its rate w is
+    white above: :math:`S_v \propto 1 / ((\omega^2 + p^2)(\omega^2 + c^2))`, O's own
+    assumption for c = 0. In partial fractions each is the exponential autocovariance of
+    a first-order system, whose sampled spectrum is known: aliasing is in it.
+
+    Args:
+        angle: frequency [rad a sample].
+        pole: p [1/s], > 0, not c.
+        corner: c [rad/s], >= 0.
+        period: of sampling [s].
+    """
+    step = 2 - 2 * np.cos(angle)  # |1 - 1/z|^2
+
+    def first_order(rate):
+        if rate == 0:
+            return 2 * period + 0 * angle
+        rho = np.exp(-rate * period)
+        last = -np.expm1(-rate * period)  # 1 - rho without its cancellation
+        return last * (1 + rho) / rate * step / (last**2 + rho * step)
+
+    return (first_order(pole) - first_order(corner)) / (corner**2 - pole**2)
+
+
+class Relation(NamedTuple):
+    """What least squares give for each pole: arrays (nodes,), by rising pole.
+
+    ``square``: p^2 [1/s2]; ``printed``: the estimate O(3)-(7) [1/s]; ``variance``,
+    ``mixed``, ``alone``: N times the variance of it [1/s2] of N samples, by the square
+    of the signal, by signal times noise of the sensor and by the square of the noise,
+    each over its own power; ``noise0``, ``noise1``: of white noise of variance one, the
+    mean square of an increment and mean product of two.
+    """
+
+    square: np.ndarray
+    printed: np.ndarray
+    variance: np.ndarray
+    mixed: np.ndarray
+    alone: np.ndarray
+    noise0: float
+    noise1: float
+
+
+def servo_spectrum(angle, pole, gain, delay, rate):
+    r"""What the delay of a deceleration servo does to the power of wheel speed.
+
+    :math:`|i\omega + p|^2 / |i\omega + p - a + a e^{-i\omega T}|^2`: O(8) has the servo
+    act at once, T = 0. Aliasing of the difference is left out.
+
+    Args:
+        angle: frequency [rad a sample].
+        pole: p [1/s], a included; gain: a [1/s]; delay: T [s]; rate: samples a second.
+    """
+    omega = 1j * angle * rate
+    ideal = omega + pole
+    return np.abs(ideal / (ideal + gain * np.expm1(-omega * delay))) ** 2
+
+
+@lru_cache
+def relation(
+    rate: float,
+    low: float,
+    high: float,
+    corner: float,
+    gain: float = 0.0,
+    delay: float = 0.0,
+) -> Relation:
+    """The relation for samples a second, band [Hz], corner of the road [Hz], and gain
+    [1/s] and delay [s] of a servo; poles include the gain."""
+    # The mean over frequencies is exact for spectra as smooth as these.
+    angle = (np.arange(_FREQUENCIES) + 0.5) * np.pi / _FREQUENCIES
+    band = high_pass(low, rate).gain(angle) * low_pass(high, rate).gain(angle)
+    noise = band * (2 - 2 * np.cos(angle))
+    noise0, noise1 = np.mean(noise), np.mean(noise * np.cos(angle))
+    noise = noise / noise0
+    weight = rate * (1 - np.cos(angle))
+    poles = np.pi * 2 * np.geomspace(_SLOWEST * low, _FASTEST * high, _NODES)
+    rows = []
+    for pole in poles:
+        signal = band * speed_spectrum(angle, pole, 2 * np.pi * corner, 1 / rate)
+        signal = signal * servo_spectrum(angle, pole, gain, delay, rate)
+        signal = signal / np.mean(signal)
+        printed = np.mean(weight * signal)
+        off = (weight - printed) ** 2
+        parts = signal * signal, 2 * signal * noise, noise * noise
+        rows.append((pole**2, printed, *(2 * np.mean(off * part) for part in parts)))
+    table = np.array(rows)
+    # A servo that lags makes a ringing wheel of the slowest poles, where the relation
+    # turns back: of two poles the faster is meant, the other would not be stable.
+    turn = int(np.argmin(table[:, 1]))
+    table[:turn, 1] = table[turn, 1] - 1e-9 * np.arange(turn, 0, -1)
+    square, printed, variance, mixed, alone = table.T
+    noises = float(noise0), float(noise1)
+    return Relation(square, printed, variance, mixed, alone, *noises)
+
+
+def rate_in_use(slope, stiffness, direction=0.0):
+    r"""Friction in use gamma [-] from the slope of the force: O(22) turned around.
+
+    Args:
+        slope: :math:`v_w k = \partial F_x / \partial \kappa_x` [N].
+        stiffness: :math:`K_s` [N].
+        direction: theta of the force [rad].
+
+    Returns:
+        0 to 1; 1 below the slope of full sliding, 0 above that of no slip.
+    """
+    along, across = jnp.cos(direction) ** 2, jnp.sin(direction) ** 2 / 3
+    # (along + across) X^2 + across X + across = slope / stiffness, X = sticking share.
+    lead, rest = along + across, across - slope / stiffness
+    root = jnp.sqrt(jnp.maximum(across**2 - 4 * lead * rest, 0.0))
+    sticking = jnp.clip((root - across) / (2 * lead), 0.0, 1.0)
+    return 1 - sticking**3
+
+
+def friction_from_slope(force, fz, slope, stiffness, direction=0.0):
+    r"""Friction :math:`\mu = F / (\gamma F_z)` [-], end of S section 3.5.
+
+    Args:
+        force: resultant F [N]; fz: load [N]; the rest as in :func:`rate_in_use`.
+    """
+    rate = rate_in_use(slope, stiffness, direction)
+    there = rate > 0
+    return jnp.where(there, force / (jnp.where(there, rate, 1.0) * fz), jnp.inf)
+
+
+class Sums(NamedTuple):
+    """Weighted by age: squares and products of increments [m2/s2], the weights, and by
+    their squares."""
+
+    square: Float[Array, ""]
+    product: Float[Array, ""]
+    weight: Float[Array, ""]
+    weight2: Float[Array, ""]
+
+    def forgotten(self, share) -> "Sums":
+        """Counting this share of what they did."""
+        return Sums(
+            share * self.square, share * self.product, share * self.weight,
+            share**2 * self.weight2,
+        )  # fmt: skip
+
+
+class XbsState(NamedTuple):
+    """Filters' states, the last speed filtered and its last increment [m/s]; the
+    sums; samples since the filter began; speed at that; whether the last interval was
+    not that of the rate; the last speed [m/s], force and load [N]."""
+
+    high: tuple[Float[Array, ""], Float[Array, ""]]
+    low: tuple[Float[Array, ""], Float[Array, ""]]
+    filtered: Float[Array, ""]
+    increment: Float[Array, ""]
+    power: Float[Array, ""]
+    sums: Sums
+    age: Float[Array, ""]
+    origin: Float[Array, ""]
+    irregular: Float[Array, ""]
+    speed: Float[Array, ""]
+    force: Float[Array, ""]
+    fz: Float[Array, ""]
+
+
+class Xbs(AbstractEstimator):
+    """Extended braking stiffness, and the friction in use that it tells of, O(22).
+
+    A sample's ``omega`` is all that is needed. ``reference``: speed [m/s] that a
+    deceleration servo follows, :math:`v_0` of O(9), taken off; ``use``: 1, or 0 for a
+    sample that moves the filter and is kept from the regression, as while the brake's
+    pressure is ramped.
+    """
+
+    method: ClassVar[Method] = Method(
+        "xbs", "slope of force by slip velocity from the shaking of the wheel",
+        ("omega",), ("xbs", "used"),
+        "braking steadily; slopes whose break frequency lies near or in the band",
+        "O(3)-(7)", "first-order wheel",
+    )  # fmt: skip
+
+    average: float = par(1.0, (1.0, 1.0 + 1e-9), "-", "every sample is a step", "", "n")
+    rate: float = par(200.0, (40.0, 1e4), "Hz", "samples a second", "O(3)", r"1/\tau")
+    low: float = par(2.0, (0.1, 50.0), "Hz", "lower edge of the band", "O §2.2", "f_l")
+    high: float = par(
+        20.0, (0.5, 500.0), "Hz", "upper edge of the band", "O §2.2", "f_h"
+    )
+    forgetting: float = par(
+        0.995, (0.5, 1.0), "-", "forgetting factor per sample", "O(3)-(7)", r"\lambda"
+    )
+    radius: float = par(0.3, (0.01, 2.0), "m", "rolling radius", "O(1)", "r")
+    wheel_inertia: float = par(1.2, (1e-6, 1e3), "kg m2", "of one wheel", "O(1)", "J")
+    servo_gain: float = par(
+        0.0, (-500.0, 500.0), "1/s", "gain of the deceleration servo", "O(8)", "a"
+    )
+    quiet: float = par(
+        0.0, (0.0, 1.0), "-", "share of the memory's mean square below which the wheel"
+        " is calmer and the past counts little; 0: as in O", "", "q",
+    )  # fmt: skip
+    servo_delay: float = par(
+        0.0, (0.0, 0.2), "s", "time after which the servo acts", "", "T_a"
+    )
+    road_corner: float = par(
+        0.0, (0.0, 500.0), "Hz", "below it the road's disturbance is white", "O(2)",
+        "f_d",
+    )  # fmt: skip
+    speed_noise: float = par(
+        0.0, (0.0, 1.0), "m/s", "std of the noise of the wheel's speed", "", r"\sigma_v"
+    )
+    stiffness: float = par(
+        6e4, (1.0, 1e8), "N", "K_s = 2 c_p a^2, slope of the force at rest", "O(16)",
+        "K_s", scale="log",
+    )  # fmt: skip
+    stiffness_spread: float = par(
+        0.1, (0.0, 1.0), "-", "relative std of it", "", r"\sigma_K"
+    )
+    # Made of the settings above, anew whenever they change; never given.
+    sections: Any = None
+    relation: Any = None
+
+    def __post_init__(self):
+        low, high, rate = float(self.low), float(self.high), float(self.rate)
+        if not low < high < rate / 2:
+            raise ValueError(
+                f"band {low:g} to {high:g} Hz at {rate:g} samples a second: the edges"
+                f" must rise and lie below {rate / 2:g} Hz"
+            )
+        self.sections = high_pass(low, rate), low_pass(high, rate)
+        servo = float(self.servo_gain), float(self.servo_delay)
+        self.relation = relation(rate, low, high, float(self.road_corner), *servo)
+
+    def init(self) -> XbsState:
+        zero, none = jnp.zeros(()), jnp.full((), jnp.nan)
+        return XbsState(
+            (zero, zero), (zero, zero), zero, zero, zero, Sums(*[zero] * 4), zero,
+            none, zero, none, none, none,
+        )  # fmt: skip
+
+    def step(self, state: XbsState, sample: Sample) -> tuple[XbsState, Estimate]:
+        s, speed = state, self.radius * sample["omega"]
+        error = speed - sample.get("reference", 0.0)
+        origin = jnp.where(s.age > 0, s.origin, error)
+        first, second = self.sections
+        high, passed = first.step(s.high, error - origin)
+        low, filtered = second.step(s.low, passed)
+        increment = filtered - s.filtered
+        settled = s.age >= self._settling()
+        one = jnp.ones(())
+        added = Sums(s.increment**2, s.increment * increment, one, one)
+        power = s.power + (increment**2 - s.power) / (_RECENT * self.rate)
+        faded = power * s.sums.weight < self.quiet * s.sums.square
+        forget = jnp.where(
+            faded, jnp.minimum(_QUICKLY, self.forgetting), self.forgetting
+        )
+        sums = jax.tree.map(jnp.add, s.sums.forgotten(forget), added)
+        use = settled & (sample.get("use", 1.0) > 0)
+        after = XbsState(
+            high, low, filtered, increment, power, choose(use, sums, s.sums), s.age + 1,
+            origin, s.irregular, speed, *self._force(sample),
+        )  # fmt: skip
+        return after, self._estimate(after)
+
+    def hold(self, state: XbsState, dt, steps) -> tuple[XbsState, Estimate]:
+        """Lost samples: the filter begins anew, and the past counts less."""
+        begun = state.age > 0
+        off = begun & (jnp.abs(dt * self.rate - 1) > _INTERVAL_OFF)
+        gap = begun & ((steps > 0) | (dt * self.rate > 1 + _INTERVAL_OFF))
+        forget = jnp.where(gap, self.forgetting ** (dt * self.rate), 1.0)
+        fresh = self.init()._replace(
+            sums=state.sums.forgotten(forget), origin=state.origin, speed=state.speed,
+            force=state.force, fz=state.fz,
+        )  # fmt: skip
+        kept = choose(gap, fresh, state)._replace(irregular=jnp.where(off, 1.0, 0.0))
+        return kept, self._estimate(kept)
+
+    def _settling(self):
+        return _SETTLING * self.rate / self.low
+
+    def _force(self, sample: Sample):
+        """Braking force and load [N] of the sample, where they are known."""
+        del sample
+        return jnp.full((), jnp.nan), jnp.full((), jnp.nan)
+
+    def pole(self, state: XbsState):
+        """(p, std of it, printed estimate [1/s], flag), NaN before the first sums."""
+        table, age = self.relation, state.age
+        square, product, weight, weight2 = state.sums
+        there = weight > 0
+        weight = jnp.where(there, weight, 1.0)
+        noise = self.speed_noise**2 * weight
+        power = square - noise * table.noise0
+        clear = there & (power > 0.5 * square) & (square > 0)
+        power = jnp.where(clear, power, 1.0)
+        correlation = (product - noise * table.noise1) / power
+        printed = self.rate * (1 - correlation)
+        low, high = table.printed[0], table.printed[-1]
+        square = jnp.interp(printed, table.printed, table.square)
+        share = noise * table.noise0 / power
+        parts = [
+            jnp.interp(square, table.square, part)
+            for part in (table.variance, table.mixed, table.alone)
+        ]
+        variance = parts[0] + share * (parts[1] + share * parts[2])
+        variance = variance * weight2 / weight**2
+        std = jnp.sqrt(variance) * self._steepness(square)
+        pole = jnp.sqrt(square)
+        # Of a root: by its slope away from zero, by the root of the spread at it.
+        std = jnp.minimum(std / (2 * pole), jnp.sqrt(std))
+        none = jnp.where(clear, 0.0, jnp.nan)
+        flag = flag_of(
+            (clear & ((printed <= low) | (printed >= high)), Flag.OUT_OF_RANGE),
+            (there & ~clear, Flag.LITTLE_EXCITATION),
+            ((age < self._settling()) | ~there, Flag.SETTLING),
+            (state.irregular > 0, Flag.GAP),
+        )
+        return pole + none, std + none, printed + none, flag
+
+    def _steepness(self, square):
+        """Slope of p^2 by the printed estimate at a p^2."""
+        table = self.relation
+        slopes = jnp.diff(table.square) / jnp.diff(table.printed)
+        middle = jnp.sqrt(table.square[1:] * table.square[:-1])
+        return jnp.interp(square, middle, slopes)
+
+    def _estimate(self, state: XbsState) -> Estimate:
+        pole, pole_std, _, flag = self.pole(state)
+        scale = self.wheel_inertia / self.radius**2
+        slope, slope_std = scale * (pole - self.servo_gain), scale * pole_std
+        used, used_std = self._used(state, slope, slope_std)
+        value, std = [slope, used], [slope_std, used_std]
+        if "mu" in self.method.parameters:
+            there = used > 0
+            safe = jnp.where(there, used, 1.0)
+            mu = jnp.where(there, state.force / (safe * state.fz), jnp.nan)
+            value, std = [*value, mu], [*std, mu * used_std / safe]
+        return Estimate(jnp.stack(value), jnp.stack(std), flag, jnp.full((), jnp.nan))
+
+    def _used(self, s: XbsState, slope, slope_std):
+        """Friction in use and its standard deviation."""
+        used = rate_in_use(s.speed * slope, self.stiffness)
+        share = jnp.clip(s.speed * slope / self.stiffness, 0.0, 1.0)
+        relative = jnp.hypot(s.speed * slope_std / self.stiffness,
+                             share * self.stiffness_spread)  # fmt: skip
+        # gamma = 1 - share^(3/2); near full use the spread of the share itself.
+        wide = jnp.sqrt(share + relative)
+        return used, jnp.minimum(1.5 * wide * relative, 1.0)
+
+
+class XbsBraking(Xbs):
+    """The same with the force from the pressure of the brake, and so the friction.
+
+    :math:`F = g p - J \\dot\\Omega / R` with the band-passed acceleration left out: it
+    is the mean force that counts.
+    """
+
+    method: ClassVar[Method] = Method(
+        "xbs-braking", "the same, and friction with the force by brake pressure",
+        ("omega", "brake_pressure", "fz"), ("xbs", "used", "mu"),
+        "as xbs, with 30 to 100 % of the friction", "S §3.5", "brush",
+    )  # fmt: skip
+
+    gain: float = par(
+        0.04, (1e-7, 10.0), "N/Pa", "brake force over brake pressure", "S §3.1", "g_b",
+        scale="log",
+    )  # fmt: skip
+
+    def _force(self, sample: Sample):
+        return self.gain * sample["brake_pressure"], sample["fz"]

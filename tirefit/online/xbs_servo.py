@@ -1,0 +1,329 @@
+r"""A brake that holds the tire where its stiffness says, O sections 3.1 and 3.2.
+
+Three layers, each a few numbers a wheel (O Figure 7):
+
+* **stiffness to deceleration**: the extended braking stiffness :math:`\hat k`
+  (:mod:`tirefit.online.xbs`) is to be that of a wanted share :math:`\gamma` of the
+  friction, :math:`k_0` of O(22), whatever the friction is. The wheel is to slow down as
+  the vehicle does, and by ``pull`` times :math:`e = (\hat k - k_0)/k_0` more, so that
+  its slip velocity grows while there is a margin; where e is negative by ``release``
+  times e, which lets it shrink;
+* **deceleration to pressure**: torque in proportion to the speed of the wheel over a
+  reference that has that deceleration, :math:`T = (J a / r) (v_w - v_0)`, which is
+  O(8). It makes a wheel stable beyond the peak if O(11) holds;
+* **pressure to valve**: the share of the next interval for which the inlet or the
+  outlet must be open, with what the commands on their way will still do.
+
+The condition is checked when the record is made, and with it what O does not say: a
+gain can also be too high for the delay of the valves. That delay is a part of the
+estimator's relation too. Three things differ from O. The estimator listens to 3-30 Hz,
+where the pole lies at a share of 90 %, and to the speed itself, not to :math:`v_w -
+v_0`: both are the same where :math:`v_0` slows evenly, but a wheel with p far above a
+hardly follows a reference that does not. It forgets what is much louder than now
+(``quiet``). And the vehicle's deceleration is measured.
+
+Small gains are no weakness here: the estimate comes 0.3 s late, and a slip velocity
+that grows by 0.5 m/s2 crosses the peak of a road of 0.3 in less than a second.
+"""
+
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tirefit.models.combined import braking_slope
+from tirefit.online.base import Flag, code
+from tirefit.online.controller import AbstractController, Command, Measurement
+from tirefit.online.xbs import Xbs, XbsState
+from tirefit.params import par
+from tirefit.results import InputProblem, UsageError
+
+__all__ = ["XbsServo", "XbsServoState", "loop_matrix", "refuse_unstable"]
+
+Wheels = Float[Array, " w"]
+
+_STEADY = 0.05
+"""Time [s] over which the deceleration of the vehicle is averaged."""
+_SLOWEST = 2.0
+"""Speed [m/s] of the vehicle below which the pressures are held: k goes with 1/v."""
+_FOLLOWED = 3e5
+"""Error of the pressure [Pa] up to which the servo acts as O(8) has it."""
+_LEAST_SLIP = 0.01
+_LEAST_FLOW = 1e5
+
+
+def loop_matrix(gain, pole, rate: float, delay: int, lag: float) -> np.ndarray:
+    r"""One sample of the linearised loop of wheel, deceleration servo and valves.
+
+    The wheel :math:`\dot x = -p x - q`, with x its speed [m/s] off an equilibrium and q
+    the brake's torque over J/r off its own [m/s2]; the pressure follows its target with
+    a lag and whole samples of delay; the target is a x.
+
+    Args:
+        gain: a [1/s]; pole: p = k r^2 / J [1/s].
+        delay: samples; lag: [s], > 0.
+
+    Returns:
+        (2 + delay, 2 + delay) on (x, q, targets on their way).
+    """
+    from scipy.linalg import expm
+
+    block = np.zeros((3, 3))
+    block[0, :2] = -pole, -1.0
+    block[1, 1:] = -1 / lag, 1 / lag
+    sampled = expm(block / rate)
+    matrix = np.zeros((2 + delay, 2 + delay))
+    matrix[:2, :2] = sampled[:2, :2]
+    if delay == 0:
+        matrix[:2, 0] += sampled[:2, 2] * gain
+        return matrix
+    matrix[:2, 2] = sampled[:2, 2]
+    matrix[2:-1, 3:] = np.eye(delay - 1)
+    matrix[-1, 0] = gain
+    return matrix
+
+
+def refuse_unstable(
+    gain, least_slope, most_slope, radius, inertia, rate, delay, lag
+) -> None:
+    """Checks O(11), and the loop with its sampling, delay and lag.
+
+    Args:
+        gain: a [1/s].
+        least_slope, most_slope: k [N s/m] between which a wheel may come to be.
+        radius: r [m]; inertia: J [kg m2]; the rest as in :func:`loop_matrix`.
+
+    Raises:
+        UsageError: names the condition that is broken and its numbers.
+    """
+    poles = {k: k * radius**2 / inertia for k in (least_slope, most_slope)}
+    bound = -poles[least_slope]
+    if not gain > bound:
+        raise UsageError(
+            InputProblem(
+                f"the gain of the deceleration servo breaks O(11), a > -k_min r^2/J:"
+                f" {gain:g} is not above {bound:g} 1/s (k_min = {least_slope:g} N s/m,"
+                f" r = {radius:g} m, J = {inertia:g} kg m2)",
+                f"give servo_gain more than {bound:.3g}, or a least_slope nearer zero",
+            )
+        )
+    for slope, pole in poles.items():
+        largest = np.abs(
+            np.linalg.eigvals(loop_matrix(gain, pole, rate, delay, lag))
+        ).max()
+        if largest >= 1:
+            raise UsageError(
+                InputProblem(
+                    f"the deceleration servo is unstable at k = {slope:g} N s/m: with a"
+                    f" gain of {gain:g} 1/s, a delay of {1e3 * delay / rate:g} ms and a"
+                    f" lag of {1e3 * lag:g} ms, sampled {rate:g} times a second, the"
+                    f" largest eigenvalue of the loop is {largest:.4g}, not below 1",
+                    "O(11) bounds the gain from below only: give a smaller servo_gain",
+                )
+            )
+
+
+class XbsServoState(NamedTuple):
+    """Estimators' states; wheel speeds before and their references [m/s]; target
+    pressures [Pa]; changes of pressure on their way (delay, w) [Pa]; deceleration of
+    the vehicle, filtered [m/s2]; its speed [m/s]."""
+
+    xbs: XbsState
+    speed: Wheels
+    reference: Wheels
+    target: Wheels
+    coming: Float[Array, "d w"]
+    slowing: Float[Array, ""]
+    vehicle: Float[Array, ""]
+
+
+class XbsServo(AbstractController):
+    """Brakes at a share of the friction, found from the shaking of the wheels.
+
+    Settings of wheel and brake may be one for all wheels or ``(w,)``; what the valves
+    can do is what their maker says of them.
+    """
+
+    name: ClassVar[str] = "xbs-servo"
+    meaning: ClassVar[str] = "extended braking stiffness held where O(22) says"
+
+    share: float = par(
+        0.9, (0.3, 0.995), "-", "wanted share of the friction", "O(22)", r"\gamma"
+    )
+    pull: float = par(
+        0.5, (0.01, 50.0), "m/s2", "extra deceleration for a stiffness twice as wanted",
+        "O §3.1", "c",
+    )  # fmt: skip
+    release: float = par(
+        0.3, (0.0, 50.0), "m/s2", "less deceleration for no stiffness at all", "O §3.1",
+        "c_-",
+    )  # fmt: skip
+    most_pull: float = par(
+        8.0, (0.1, 100.0), "m/s2", "largest of it, either way", "O §3.1", "c_{max}"
+    )
+    start_pull: float = par(
+        7.0, (0.0, 100.0), "m/s2", "the same until there is an estimate", "", "c_0"
+    )
+    servo_gain: float = par(
+        75.0, (-500.0, 500.0), "1/s", "gain of the deceleration servo", "O(8)", "a"
+    )
+    stiffness: Any = 6e4
+    """K_s = 2 c_p a^2 [N] of each tire."""
+    stiffness_ratio: float = par(
+        0.7, (0.05, 20.0), "-", "lateral over longitudinal stiffness", "O(13)",
+        r"K_\beta / K_s",
+    )  # fmt: skip
+    least_slope: float = par(
+        -250.0, (-1e5, 0.0), "N s/m", "least k on any road at any slip", "O(11)",
+        r"k_{min}",
+    )  # fmt: skip
+    most_slope: float = par(
+        3e4, (1.0, 1e7), "N s/m", "largest k at any speed that is controlled", "",
+        r"k_{max}",
+    )  # fmt: skip
+    radius: Any = 0.3
+    """Rolling radius r [m]."""
+    inertia: Any = 1.2
+    """J [kg m2] of each wheel."""
+    brake_gain: Any = 1.35e-4
+    """Torque over pressure [N m/Pa] of each brake."""
+    steered: Any = 0.0
+    """1 where a wheel is steered."""
+    ahead: Any = 0.0
+    """Distance [m] of each wheel before the centre of gravity."""
+    rise: float = 40e6
+    """Fastest rise of a wheel's pressure through its inlet [Pa/s]."""
+    fall: float = 80e6
+    """Fastest fall through its outlet [Pa/s]."""
+    lag: float = 0.02
+    """Time constant [s] of an open valve."""
+    delay: float = eqx.field(static=True, default=0.01)
+    """Time [s] until a command takes effect."""
+    dead_band: float = 0.0
+    """Error of the pressure [Pa] for which no valve moves."""
+    reach: float = 1e6
+    """Largest distance [Pa] of the target from the pressure."""
+    response: float = par(
+        1.0, (0.05, 1.0), "-", "share of that error removed in an interval", "", "q"
+    )
+    low: float = par(3.0, (0.1, 50.0), "Hz", "lower edge of the band", "O §2.2", "f_l")
+    high: float = par(
+        30.0, (0.5, 500.0), "Hz", "upper edge of the band", "O §2.2", "f_h"
+    )
+    forgetting: float = par(
+        0.98, (0.5, 1.0), "-", "forgetting factor per sample", "O(3)-(7)", r"\lambda"
+    )
+    quiet: float = par(
+        0.6, (0.0, 1.0), "-", "mean square over that of the memory below which the past"
+        " counts little", "", "q",
+    )  # fmt: skip
+    road_corner: float = par(
+        1.0, (0.0, 500.0), "Hz", "below it the road's disturbance is white", "O(2)",
+        "f_d",
+    )  # fmt: skip
+    speed_noise: float = par(
+        0.006, (0.0, 1.0), "m/s", "std of the noise of the wheel's speed", "",
+        r"\sigma_v",
+    )  # fmt: skip
+    xbs: Any = None
+    """The estimator, made of the settings above; its wheel has J / r^2 = 1."""
+
+    def __post_init__(self):
+        refuse_unstable(
+            float(self.servo_gain), float(self.least_slope), float(self.most_slope),
+            float(np.max(self.radius)), float(np.min(self.inertia)), self.rate,
+            round(self.delay * self.rate), self.period / self.response,
+        )  # fmt: skip
+        self.xbs = Xbs(
+            rate=self.rate, forgetting=self.forgetting, servo_gain=self.servo_gain,
+            road_corner=self.road_corner, speed_noise=self.speed_noise,
+            radius=1.0, wheel_inertia=1.0, quiet=self.quiet, low=self.low,
+            high=self.high,
+            # The mean of an interval's ramp comes half an interval late.
+            servo_delay=self.delay + (1 / self.response - 0.5) * self.period,
+        )  # fmt: skip
+
+    def init(self, first: Measurement) -> XbsServoState:
+        speed = first.wheel_speed
+        none = jnp.zeros_like(speed)
+        coming = jnp.zeros((round(self.delay * self.rate), *speed.shape))
+        xbs = jax.tree.map(lambda x: jnp.full_like(speed, x), self.xbs.init())
+        return XbsServoState(
+            xbs, speed, speed, none, coming, jnp.zeros(()), jnp.max(speed)
+        )
+
+    def step(self, state: XbsServoState, measurement: Measurement) -> Any:
+        s, m = state, measurement
+        slowing = s.slowing + _share(self.period, _STEADY) * (
+            m.deceleration - s.slowing
+        )
+        vehicle = jnp.maximum(s.vehicle - self.period * slowing, 0.0)
+        ready = m.pressure + jnp.sum(s.coming, axis=0)
+        follows = jnp.abs(s.target - ready) < _FOLLOWED
+        xbs, slope, slope_std, flag = self._slope(s, m.wheel_speed, follows)
+        wanted = self._wanted(m, vehicle)
+        error = (slope - wanted) / wanted
+        unknown = flag >= code(Flag.SETTLING)
+        asked = jnp.where(error > 0, self.pull, self.release) * error
+        pull = jnp.where(unknown, self.start_pull, asked)
+        pull = jnp.clip(pull, -self.most_pull, self.most_pull)
+        change = -self.period * (slowing + pull)
+        by_speed = self._by_speed() * (m.wheel_speed - s.speed - change)
+        acts = vehicle > _SLOWEST
+        target = s.target + jnp.where(acts, by_speed, 0.0)
+        target = jnp.clip(target, ready - self.reach, ready + self.reach)
+        target = jnp.clip(target, 0.0, m.demand)
+        valve, moved = self._valves(target - ready, ready, m.demand)
+        after = XbsServoState(
+            xbs, m.wheel_speed, s.reference + change, target,
+            jnp.concatenate([s.coming, moved[None]])[1:], slowing, vehicle,
+        )  # fmt: skip
+        info = {
+            "xbs": slope, "xbs_std": slope_std, "xbs_wanted": wanted,
+            "xbs_flag": flag.astype(float), "target_pressure": target,
+            "target_deceleration": slowing + pull,
+        }  # fmt: skip
+        return after, Command(valve), info
+
+    def _slope(self, s: XbsServoState, speed, use):
+        """Estimators' states, k [N s/m] with its std, and flags, (w,) each."""
+        sample = {"omega": speed, "use": use.astype(float)}
+        xbs, made = jax.vmap(self.xbs.step)(s.xbs, sample)
+        scale = jnp.asarray(self.inertia) / jnp.asarray(self.radius) ** 2
+        return xbs, scale * made.value[:, 0], scale * made.std[:, 0], made.flag
+
+    def _wanted(self, m: Measurement, vehicle) -> Wheels:
+        """k_0 (w,) [N s/m] of O(22); the direction of the force from the steering and
+        the yaw rate, without side slip of the vehicle."""
+        turning = jnp.maximum(m.wheel_speed, _SLOWEST)
+        moving = jnp.maximum(vehicle, _SLOWEST)
+        angle = jnp.asarray(self.steered) * m.steering
+        angle = angle - jnp.asarray(self.ahead) * m.yaw_rate / moving
+        along = jnp.maximum(moving / turning - 1, _LEAST_SLIP)
+        across = self.stiffness_ratio * jnp.tan(angle) * (1 + along)
+        slope = braking_slope(
+            self.share, jnp.asarray(self.stiffness), jnp.arctan2(across, along)
+        )
+        return slope / turning
+
+    def _by_speed(self):
+        """Pressure by wheel speed over its reference [Pa s/m], J a / (r g)."""
+        inertia, radius = jnp.asarray(self.inertia), jnp.asarray(self.radius)
+        return inertia * self.servo_gain / (radius * jnp.asarray(self.brake_gain))
+
+    def _valves(self, error, ready, demand):
+        """Commands (w,), and the changes of pressure [Pa] that they will make."""
+        up = jnp.clip((demand - ready) / self.lag, _LEAST_FLOW, self.rise)
+        down = jnp.clip(ready / self.lag, _LEAST_FLOW, self.fall)
+        full = self.period * jnp.where(error > 0, up, down)
+        share = jnp.clip(self.response * error / full, -1.0, 1.0)
+        share = jnp.where(jnp.abs(error) > self.dead_band, share, 0.0)
+        return share, share * full
+
+
+def _share(period, time):
+    """Weight of a new sample in a mean over a time [s]."""
+    return period / (period + time)

@@ -1,0 +1,335 @@
+"""Simulated stops as text and as figures: the stop, controllers over each other, the
+path of slip and friction on the tire's curve."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tirefit.data.table import WHEELS
+from tirefit.report.canvas import (
+    COLORS,
+    DARK,
+    GREY,
+    Picture,
+    panel_title,
+    tidy,
+)
+from tirefit.report.html import png_text, rendered
+from tirefit.report.numbers import format_number, plain_text
+from tirefit.report.text import table
+from tirefit.sim.brake_curve import tire_curve
+from tirefit.sim.brake_result import Braking, Stop
+from tirefit.sim.brake_road import road_of
+from tirefit.sim.brake_summary import UNITS
+
+__all__ = [
+    "Path",
+    "braking_html",
+    "braking_text",
+    "compare_figure",
+    "path_of",
+    "paths_figure",
+    "stop_figure",
+]
+
+_SHORT = {
+    "stopping_distance": "distance", "mean_friction_used": "friction used",
+    "locked_time": "locked", "pressure_rms_fluctuation": "p rms",
+    "recovery_time": "recovery",
+}  # fmt: skip
+"""Numbers that the terminal has room for."""
+_LEGEND: dict[str, Any] = {"facecolor": "white", "edgecolor": "none"}
+_SLOWEST_SHOWN = 2.0
+"""Speed [m/s] above which a path of slip is shown: below it controllers switch off."""
+_PEAKS_SHOWN = 8.0
+"""Slip up to which it is shown, over that of the highest peak."""
+
+
+def _cell(value: float, scale: float = 1.0) -> str:
+    return "-" if not np.isfinite(value) else format_number(value * scale)
+
+
+def _scaled(name: str) -> tuple[float, str]:
+    unit = UNITS[name]
+    return (1e-6, "MPa") if unit == "Pa" else (1.0, unit)
+
+
+def _asked(result: Braking) -> dict[str, str]:
+    """Number -> heading; nothing recovers on a road that does not change."""
+    jumps = road_of(result.request.road).jumps
+    return {k: v for k, v in _SHORT.items() if jumps or k != "recovery_time"}
+
+
+def _rows(result: Braking) -> list[list[str]]:
+    """One row for each controller: its numbers, with intervals over many seeds."""
+    head = ["controller"]
+    for name, text in _asked(result).items():
+        unit = _scaled(name)[1]
+        head.append(text if unit == "-" else f"{text} [{unit}]")
+    rows = [head]
+    many = result.table()
+    for name, stop in result.stops.items():
+        row = [name]
+        for key in _asked(result):
+            scale, _ = _scaled(key)
+            if not many:
+                row.append(_cell(float(getattr(stop.summary, key)), scale))
+                continue
+            each = many[name][key]
+            half = (each["high"] - each["mean"]) * scale
+            mean = _cell(each["mean"], scale)
+            row.append(mean if mean == "-" else f"{mean} ± {half:.2g}")
+        rows.append(row)
+    return rows
+
+
+def _notes(result: Braking) -> list[str]:
+    notes = [f"{name}: {stop.reason}" for name, stop in result.stops.items()]
+    for name, each in result.table().items():
+        if each["stopped"] < each["stops"]:
+            notes.append(f"{name}: {each['stopped']} of {each['stops']} stops ended")
+    if result.many:
+        stops = len(next(iter(result.many.values())).stopped)
+        notes.append(f"means of {stops} seeds from {result.seed} on ± half a 95 %"
+                     " confidence interval")  # fmt: skip
+    return notes
+
+
+def _head(result: Braking) -> str:
+    r = result.request
+    steer = f", steered {r.steer:g} rad" if r.steer else ""
+    return f"{r.tire_name} from {r.speed:g} m/s on {r.road}{steer}, {r.vehicle}"
+
+
+def braking_text(result: Braking) -> str:
+    """Numbers by controller and why each stop ended; for the terminal."""
+    notes = [f"  {note}" for note in _notes(result)]
+    right = tuple(range(1, len(_asked(result)) + 1))
+    return "\n".join([f"BRAKING {_head(result)}", *table(_rows(result), right), *notes])
+
+
+def braking_html(result: Braking) -> str:
+    """The same as a fragment of HTML, with the figure; for notebooks."""
+    fragment = rendered("table_fragment.html", rows=_rows(result), notes=_notes(result))
+    source = f"data:image/png;base64,{png_text(stop_figure(result))}"
+    return f'{fragment}\n<img alt="braking" src="{source}">'
+
+
+def _foot(result: Braking) -> str:
+    return (
+        f"tirefit {result.version} · braking positive, SI · seed {result.seed} ·"
+        f" {_head(result)}"
+    )
+
+
+def _wheel_names(stop: Stop) -> list[str]:
+    return list(WHEELS.values()) if len(stop.wheels) == 4 else ["wheel"]
+
+
+_PANELS = (
+    "speed [m/s]", "pressure [MPa]", "valve", "deceleration\n[m/s²]",
+    "$F_x/F_z$ [–]", "slip $\\kappa$ [–]", "stiffness $k$\n[kN s/m]",
+)  # fmt: skip
+"""The last one where a controller estimates it."""
+
+
+def _draw_stop(all_axes, stop: Stop) -> None:
+    """One controller's stop down a column of axes, as O Figures 8-9 and 12-13."""
+    log, time = stop.log, stop.log.reading.time
+    colors = dict(zip(range(4), COLORS, strict=False))
+    names = _wheel_names(stop)
+    lines = {"linewidth": 0.8}
+    for k in range(len(names)):
+        style = lines | {"color": colors[k], "label": names[k]}
+        all_axes[0].plot(time, log.reading.wheel_speed[:, k], **style)
+        all_axes[1].plot(time, log.motion.pressure[:, k] / 1e6, **style)
+        # Every wheel on a line of its own; they would hide each other.
+        lane = 0.4 * np.clip(log.valve[:, k], -1, 1) - k
+        all_axes[2].plot(time, lane, **style)
+        force = log.contacts.fx[:, k] / log.contacts.fz[:, k]
+        all_axes[4].plot(time, force, **style)
+        all_axes[5].plot(time, log.contacts.slips.kappa[:, k], **style)
+    all_axes[0].plot(time, log.motion.v_x, color=DARK, linewidth=1.1, label="body")
+    if "reference_speed" in log.info:
+        reference = log.info["reference_speed"][:, 0]
+        all_axes[0].plot(
+            time, reference, color=DARK, linewidth=0.7, linestyle=":",
+            label="reference",
+        )  # fmt: skip
+    all_axes[3].plot(time, log.reading.deceleration, color=DARK, **lines)
+    peak = {"color": GREY, "linewidth": 0.9, "linestyle": "--"}
+    all_axes[4].plot(time, log.reading.truth.mu[:, 0], label="$\\mu$ there is", **peak)
+    all_axes[5].plot(time, log.reading.truth.peak[:, 0], label="of the peak", **peak)
+    all_axes[2].set_yticks([-k for k in range(len(names))], names)
+
+
+def _draw_stiffness(axes, stop: Stop) -> None:
+    """Extended braking stiffness of the first wheel: true, estimated and wanted."""
+    time, info = stop.log.reading.time, stop.log.info
+    style = {"linewidth": 0.9}
+    axes.plot(time, stop.log.xbs_true[:, 0] / 1e3, color=GREY, label="true", **style)
+    if "xbs" in info:
+        axes.plot(
+            time, info["xbs"][:, 0] / 1e3, color=COLORS[0], label="estimated", **style
+        )
+    if "xbs_wanted" in info:
+        axes.plot(
+            time, info["xbs_wanted"][:, 0] / 1e3, color=DARK, linestyle=":",
+            label="wanted, O(22)", **style,
+        )  # fmt: skip
+
+
+def _stiffness_limit(stop: Stop) -> float:
+    """What estimate and truth [kN s/m] hardly exceed while the car is fast."""
+    fast = stop.log.motion.v_x > 0.3 * stop.log.motion.v_x[0]
+    known = [np.asarray(stop.log.xbs_true)[fast, 0]]
+    known += (
+        [np.asarray(stop.log.info["xbs"])[fast, 0]] if "xbs" in stop.log.info else []
+    )
+    return 1.1 * float(np.nanpercentile(np.concatenate(known), 95)) / 1e3
+
+
+def _slip_limit(stop: Stop) -> float:
+    """What the slips hardly exceed while the car is fast, at least thrice the peak."""
+    fast = stop.log.motion.v_x > 0.3 * stop.log.motion.v_x[0]
+    kappa = stop.log.contacts.slips.kappa[fast]
+    least = 3 * float(np.max(stop.log.reading.truth.peak))
+    return float(np.clip(1.1 * np.percentile(kappa, 99.5), min(least, 1.05), 1.05))
+
+
+def _pressure_limit(stop: Stop) -> float:
+    """Largest pressure [MPa] while the car is controlled: then the driver has it."""
+    fast = stop.log.motion.v_x > _SLOWEST_SHOWN
+    return 1.1 * float(np.max(stop.log.motion.pressure[fast])) / 1e6
+
+
+def stop_figure(result: Braking) -> Picture:
+    """Every controller in a column: speeds, pressure, valves, deceleration, use, slip.
+
+    The panels are those of O Figures 8, 9, 12 and 13, with slip and friction below.
+    """
+    columns = len(result.stops)
+    width = max(7.0, 4.6 * columns)
+    stops = result.stops.values()
+    estimated = any("xbs" in stop.log.info for stop in stops)
+    panels = _PANELS if estimated else _PANELS[:-1]
+    picture = Picture(figsize=(width, 1.6 * len(panels)), layout="constrained")
+    grid = picture.subplots(
+        len(panels), columns, sharex=True, sharey="row", squeeze=False
+    )
+    for number, (name, stop) in enumerate(result.stops.items()):
+        column = grid[:, number]
+        _draw_stop(column, stop)
+        if estimated:
+            _draw_stiffness(column[6], stop)
+        used = float(stop.summary.mean_friction_used)
+        distance = float(stop.summary.stopping_distance)
+        end = f"{distance:.1f} m, " if np.isfinite(distance) else "no stop, "
+        panel_title(column[0], f"{name}: {end}{100 * used:.0f} % of the friction")
+        for axes, label in zip(column, panels, strict=True):
+            tidy(axes, "", label if number == 0 else "")
+        column[-1].set_xlabel("time [s]", fontsize=8.5, color=DARK)
+    grid[1, 0].set_ylim(0.0, max(map(_pressure_limit, stops)))
+    grid[5, 0].set_ylim(-0.02, max(map(_slip_limit, stops)))
+    grid[4, 0].set_ylim(top=1.2 * grid[4, 0].get_ylim()[1])
+    if estimated:
+        grid[6, 0].set_ylim(-1.0, max(map(_stiffness_limit, stops)))
+        grid[6, 0].legend(fontsize=7, **_LEGEND, ncols=3, loc="upper right")
+    grid[0, -1].legend(fontsize=7, **_LEGEND, ncols=2, loc="upper right")
+    for row in (4, 5):
+        handles, labels = grid[row, -1].get_legend_handles_labels()
+        grid[row, -1].legend(
+            handles[-1:], labels[-1:], fontsize=7, **_LEGEND, loc="upper right"
+        )
+    picture.supxlabel(plain_text(_foot(result)), fontsize=6.5, color=GREY)
+    return picture
+
+
+def compare_figure(result: Braking) -> Picture:
+    """Controllers over each other: speeds and pressure of the first wheel, distance."""
+    picture = Picture(figsize=(7.0, 7.2), layout="constrained")
+    all_axes = picture.subplots(4, 1, sharex=True)
+    for color, (name, stop) in zip(COLORS, result.stops.items(), strict=False):
+        log, time = stop.log, stop.log.reading.time
+        style = {"color": color, "linewidth": 0.9}
+        all_axes[0].plot(time, log.motion.v_x, label=name, **style)
+        turning = log.reading.wheel_speed[:, 0]
+        all_axes[0].plot(time, turning, alpha=0.5, **(style | {"linewidth": 0.6}))
+        all_axes[1].plot(time, log.motion.pressure[:, 0] / 1e6, **style)
+        there = np.sum(log.reading.truth.mu * log.contacts.fz, axis=1)
+        used = np.sum(log.contacts.fx, axis=1) / there
+        all_axes[2].plot(time, used, **style)
+        all_axes[3].plot(time, log.motion.distance, **style)
+    labels = (
+        "speed of body,\nfirst wheel [m/s]", "pressure, first\nwheel [MPa]",
+        "friction used [–]", "distance [m]",
+    )  # fmt: skip
+    for axes, label in zip(all_axes, labels, strict=True):
+        tidy(axes, "", label)
+    all_axes[2].axhline(1.0, color=GREY, linewidth=0.8, linestyle="--")
+    all_axes[2].set_ylim(0.0, 1.15)
+    all_axes[-1].set_xlabel("time [s]", fontsize=8.5, color=DARK)
+    all_axes[0].legend(fontsize=8, **_LEGEND, ncols=4, loc="upper right")
+    picture.suptitle(plain_text(_head(result)), fontsize=10, color=DARK)
+    picture.supxlabel(plain_text(_foot(result)), fontsize=6.5, color=GREY)
+    return picture
+
+
+class Path(NamedTuple):
+    """Slip and use of one wheel's stop: ``kappa``, ``force`` (n,) [-] over the load;
+    ``mean``: of both, the operational point of O Figure 10."""
+
+    kappa: np.ndarray
+    force: np.ndarray
+    mean: tuple[float, float]
+
+
+def path_of(stop: Stop, wheel: int = 0) -> Path:
+    """The path of a wheel while the car was faster than 2 m/s."""
+    log = stop.log
+    fast = log.motion.v_x > _SLOWEST_SHOWN
+    kappa = np.asarray(log.contacts.slips.kappa)[fast, wheel]
+    force = np.asarray(log.contacts.fx / log.contacts.fz)[fast, wheel]
+    return Path(kappa, force, (float(kappa.mean()), float(force.mean())))
+
+
+def paths_figure(result: Braking) -> Picture:
+    """Where each controller was on the tire's curve, and on average, O Figure 10.
+
+    Below: the share of time that it spent at each slip, locked wheels at the right end.
+    """
+    picture = Picture(figsize=(7.0, 5.6), layout="constrained")
+    axes, below = picture.subplots(2, 1, sharex=True, height_ratios=(3, 1.3))
+    paths: Mapping[str, Path] = {n: path_of(s) for n, s in result.stops.items()}
+    peak = max(float(np.max(s.log.reading.truth.peak)) for s in result.stops.values())
+    limit = min(_PEAKS_SHOWN * peak, 1.0)
+    for mu, (kappa, force) in tire_curve(result.request, limit).items():
+        axes.plot(kappa, force, color=DARK, linewidth=1.1, zorder=3)
+        axes.annotate(
+            f"tire at $\\mu$ = {mu:g}", (kappa[-1], force[-1]), fontsize=7.5,
+            ha="right", va="bottom", xytext=(0, 3), textcoords="offset points",
+            color=DARK,
+        )  # fmt: skip
+    edges = np.linspace(0.0, limit, 41)
+    for color, (name, path) in zip(COLORS, paths.items(), strict=False):
+        axes.plot(path.kappa, path.force, ".", color=color, markersize=2, alpha=0.35)
+        beyond = path.mean[0] > limit
+        note = f", at $\\kappa$ = {path.mean[0]:.2f}" if beyond else ""
+        axes.plot(
+            min(path.mean[0], limit), path.mean[1], ">" if beyond else "o", color=color,
+            markersize=8, markeredgecolor="white", zorder=4, clip_on=False,
+            label=f"{name}: mean{note}",
+        )  # fmt: skip
+        counts, _ = np.histogram(np.clip(path.kappa, 0.0, limit), edges)
+        share = counts / max(len(path.kappa), 1)
+        below.stairs(100 * share, edges, color=color, linewidth=1.1)
+    axes.set_xlim(-0.02 * limit, limit)
+    axes.set_ylim(bottom=0.0)
+    tidy(axes, "", "$F_x/F_z$ [–]")
+    tidy(below, "slip $\\kappa$ [–]; what is beyond stands in the last bar", "time [%]")
+    axes.legend(fontsize=8, **_LEGEND, loc="lower right")
+    note = "line: the tire at its static load; dots: every sample above 2 m/s"
+    panel_title(axes, "slip and friction of the first wheel", note)
+    picture.supxlabel(plain_text(_foot(result)), fontsize=6.5, color=GREY)
+    return picture

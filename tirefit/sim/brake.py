@@ -1,0 +1,188 @@
+"""A braking manoeuvre in closed loop: plant, sensors and any controller, in one scan.
+
+The loop takes a controller as a record with ``rate``, ``init`` and ``step``
+(:mod:`tirefit.online.controller`); it knows no particular one. Batches are its vmap.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tirefit.sim.brake_plant import (
+    Contacts,
+    Drive,
+    Motion,
+    Plant,
+    accelerations,
+    advance,
+    contacts,
+    rolling,
+)
+from tirefit.sim.brake_sensors import Noise, Sensors, draw_noise, wheel_speeds
+
+__all__ = ["SPUN", "STANDS", "Log", "Reading", "TrueState", "simulate_stop", "xbs_true"]
+
+STANDS = 0.1
+"""Speed [m/s] below which the car has stopped: 1.3 cm before the end at mu 0.04."""
+SPUN = 1.5708
+"""Angle [rad] from which on a car has spun: across the way that it had."""
+_RUN_IN = 2.0
+"""Time [s] for which a car turns at a constant speed before it is braked."""
+
+
+class TrueState(NamedTuple):
+    """What no sensor tells, for controllers that are an upper limit: see
+    :class:`tirefit.online.controller.Truth`, whose fields these are."""
+
+    speed: Float[Array, " w"]
+    slip: Float[Array, " w"]
+    peak: Float[Array, " w"]
+    mu: Float[Array, " w"]
+    fz: Float[Array, " w"]
+
+
+class Reading(NamedTuple):
+    """One sample of the sensors: see :class:`tirefit.online.controller.Measurement`,
+    whose fields these are."""
+
+    time: Float[Array, ""]
+    wheel_speed: Float[Array, " w"]
+    pressure: Float[Array, " w"]
+    deceleration: Float[Array, ""]
+    demand: Float[Array, ""]
+    steering: Float[Array, ""]
+    yaw_rate: Float[Array, ""]
+    truth: TrueState
+
+
+class Log(NamedTuple):
+    """What happened, sample by sample (n,) or (n, w); SI, braking positive.
+
+    ``moving``: 1 while the car moves; ``motion``, ``contacts``: see there; ``xbs_true``
+    (n, w) [N s/m]: slope of each force over its slip velocity; ``valve`` (n, w): as it
+    works, after its delay; ``d`` (n, w) [N] of the road; ``reading``: of the sensors,
+    with the true peaks; ``info``: of the controller; ``fine``: 1 where the integration
+    that follows the sample went well.
+    """
+
+    moving: Float[Array, "*n"]
+    motion: Motion
+    contacts: Contacts
+    xbs_true: Float[Array, "*n w"]
+    valve: Float[Array, "*n w"]
+    d: Float[Array, "*n w"]
+    reading: Reading
+    info: dict[str, Float[Array, "*n w"]]
+    fine: Float[Array, "*n"]
+
+
+def xbs_true(plant: Plant, s: Motion) -> Float[Array, " w"]:
+    """Slope k [N s/m] of each braking force over its slip velocity, O(1)-(2)."""
+
+    def braked(omega):
+        return contacts(plant, s._replace(omega=omega)).fx
+
+    # A force depends on its own wheel's speed alone; slip velocity is v - R omega.
+    _, slope = jax.jvp(braked, (s.omega,), (jnp.ones_like(s.omega),))
+    return -slope / jnp.asarray(plant.vehicle.radius, float)
+
+
+def _read(plant: Plant, sensors: Sensors, s, now: Contacts, t, noise: Noise, d):
+    """What the sensors say of a state, under forces d (w,) [N] of the road."""
+    peak, at = plant.tire.peaks(now.mu, now.slips.speed, now.fz)
+    slowing, _, _ = accelerations(plant, now.fx + d, now.fy)
+    turning = s.omega * jnp.asarray(plant.vehicle.radius)
+    return Reading(
+        time=t,
+        wheel_speed=wheel_speeds(sensors, turning, noise.speed),
+        pressure=s.pressure + sensors.pressure_std * noise.pressure,
+        deceleration=slowing + sensors.deceleration_std * noise.deceleration,
+        demand=plant.hydraulics.master(t),
+        steering=plant.steering,
+        yaw_rate=s.yaw_rate,
+        truth=TrueState(now.v_x, now.slips.kappa, at, peak, now.fz),
+    )
+
+
+def _moves(s: Motion, start: Motion):
+    """1 while the car has neither stopped nor spun."""
+    spun = jnp.abs(s.heading - start.heading) > SPUN
+    return ((s.v_x > STANDS) & ~spun).astype(float)
+
+
+def _loop(plant: Plant, controller, sensors, start: Motion, noise, queue, period):
+    """The scan: (n,)-leading log of a stop from a state."""
+    static = jnp.asarray(plant.vehicle.fz, float)
+    forces = noise.road * static[None]
+    wheels = static.shape
+
+    def read(s, t, at, d):
+        return _read(plant, sensors, s, contacts(plant, s), t, at, d)
+
+    at_samples = noise._replace(road=noise.road[:-1])
+    first = jax.tree.map(lambda part: part[0], at_samples)
+    memory = controller.init(read(start, jnp.zeros(()), first, forces[0]))
+
+    def sample(carry, given):
+        s, memory, waiting = carry
+        k, at, begin, end = given
+        t = k * period
+        now = contacts(plant, s)
+        reading = _read(plant, sensors, s, now, t, at, begin)
+        memory, command, info = controller.step(memory, reading)
+        asked = jnp.clip(command.valve, -1.0, 1.0)
+        waiting = jnp.concatenate([waiting, asked[None]])
+        valve, waiting = waiting[0], waiting[1:]
+        moving = _moves(s, start)
+        drive = Drive(valve, begin, end, jnp.zeros(()), moving)
+        later, fine = advance(plant, s, drive, t, period)
+        row = Log(moving, s, now, xbs_true(plant, s), valve, begin, reading, info, fine)
+        return (later, memory, waiting), row
+
+    n = len(noise.deceleration)
+    given = (
+        jnp.arange(n, dtype=float), at_samples, forces[:-1], forces[1:]
+    )  # fmt: skip
+    carry = (start, memory, jnp.zeros((queue, *wheels)))
+    _, log = jax.lax.scan(sample, carry, given)
+    return log
+
+
+def _started(plant: Plant, speed) -> Motion:
+    """The car as the braking begins: straight on, or in the turn of its steering."""
+    straight = rolling(plant, speed)
+    if plant.vehicle.steered.shape == (1,):
+        return straight
+    none = jnp.zeros_like(straight.omega)
+    drive = Drive(none, none, none, jnp.ones(()), jnp.ones(()))
+    turning, _ = advance(plant, straight, drive, jnp.zeros(()), _RUN_IN)
+    zero = jnp.zeros(())
+    return turning._replace(distance=zero, x=zero, y=zero, heading=zero)
+
+
+@eqx.filter_jit
+def simulate_stop(
+    plant: Plant, controller, sensors: Sensors, speed, key, samples: int, queue: int
+) -> Log:
+    """One stop, sample by sample.
+
+    Args:
+        plant: vehicle, tire, road, hydraulics: leaves are arrays.
+        controller: a record with ``period``, ``init`` and ``step``.
+        sensors: noise of what it sees.
+        speed: [m/s] at which the braking begins.
+        key: of the noise.
+        samples: of the controller, the time limit.
+        queue: samples that a command waits.
+
+    Returns:
+        the log, leaves (samples, ...); after the stop its rows repeat.
+    """
+    wheels = len(plant.vehicle.fz)
+    noise = draw_noise(key, sensors, samples, wheels, controller.rate)
+    start = _started(plant, speed)
+    period = 1 / controller.rate
+    return _loop(plant, controller, sensors, start, noise, queue, period)

@@ -1,0 +1,204 @@
+"""What is to be braked, checked and made into a plant."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.models import AbstractTire, TireInputs, modelled
+from tirefit.params import parameter_values
+from tirefit.results import InputProblem, UsageError
+from tirefit.sim.brake_hydraulics import Hydraulics
+from tirefit.sim.brake_plant import Plant
+from tirefit.sim.brake_road import road_of
+from tirefit.sim.brake_sensors import Sensors
+from tirefit.sim.brake_tire import on_road
+from tirefit.sim.brake_vehicle import GRAVITY, Vehicle, four_wheels, quarter_car
+
+__all__ = [
+    "VEHICLES",
+    "Request",
+    "arrays",
+    "check",
+    "known_to_controllers",
+    "plant_of",
+    "with_numbers",
+]
+
+VEHICLES = {"car": four_wheels, "quarter": quarter_car}
+"""Name of a vehicle -> what makes it."""
+
+_LEAST_SHARE = 0.4
+"""Share of the least friction with which the time limit reckons."""
+_GRACE = 3.0
+_FASTEST, _SHARPEST = 100.0, 0.6
+
+
+@dataclass(frozen=True)
+class Request:
+    """A manoeuvre: which tire, where, how fast.
+
+    Attributes:
+        tire: with its parameter values; ``tire_name``: how it is called.
+        road: as in :data:`tirefit.sim.brake_road.ROADS`.
+        speed: [m/s] at which the braking begins.
+        vehicle: a key of :data:`VEHICLES`.
+        steer: angle [rad] of the front wheels, to the left; constant.
+        hydraulics, sensors: with the driver's demand and the unevenness of the road.
+        time_limit: [s]; by speed and friction if None.
+    """
+
+    tire: AbstractTire
+    tire_name: str
+    road: str = "mu=0.3"
+    speed: float = 15.0
+    vehicle: str = "car"
+    steer: float = 0.0
+    hydraulics: Hydraulics = field(default_factory=Hydraulics)
+    sensors: Sensors = field(default_factory=Sensors)
+    time_limit: float | None = None
+
+    @property
+    def limit(self) -> float:
+        """Time limit [s]."""
+        if self.time_limit is not None:
+            return self.time_limit
+        road = road_of(self.road)
+        least = min(*road.before.tolist(), *road.after.tolist())
+        return round(self.speed / (GRAVITY * _LEAST_SHARE * least) + _GRACE, 2)
+
+    def samples(self, rate: float) -> int:
+        """Of a controller with this rate [1/s] until the time limit."""
+        return math.ceil(self.limit * rate)
+
+    def about(self) -> dict[str, Any]:
+        """What was asked for, for the summary."""
+        return {
+            "tire": self.tire_name,
+            "parameters": {
+                key: float(value) for key, value in parameter_values(self.tire).items()
+            },
+            "road": self.road, "speed": self.speed, "vehicle": self.vehicle,
+            "steer": self.steer, "time_limit": self.limit,
+            "hydraulics": self.hydraulics._asdict(), "sensors": self.sensors._asdict(),
+        }  # fmt: skip
+
+
+def arrays(tree):
+    """The same record with arrays of floats as leaves."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), tree)
+
+
+def plant_of(request: Request) -> Plant:
+    """The plant of a request that was checked; its leaves are arrays."""
+    vehicle: Vehicle = arrays(VEHICLES[request.vehicle]())
+    road = arrays(road_of(request.road))
+    tire = _peaked(
+        arrays(request.tire), jnp.asarray(request.speed, float), jnp.mean(vehicle.fz),
+        jnp.concatenate([road.before, road.after]),
+    )  # fmt: skip
+    hydraulics = arrays(request.hydraulics)
+    return Plant(vehicle, tire, road, hydraulics, jnp.asarray(request.steer, float))
+
+
+_peaked = eqx.filter_jit(on_road)
+
+
+def known_to_controllers(request: Request) -> dict[str, Any]:
+    """What a maker of brakes knows of the car, by name: radius [m], inertia [kg m2],
+    brake_gain [N m/Pa], fz [N], arrays (w,); rise, fall [Pa/s] and delay [s] of the
+    hydraulics; stiffness [N]: slope of F_x over kappa at rest, (w,)."""
+    car = VEHICLES[request.vehicle]()
+    tire, speed = request.tire, request.speed
+
+    def force(sigma, fz):
+        return tire(TireInputs(sigma, 0.0, fz, speed)).fx
+
+    slope = jax.vmap(jax.grad(force), (None, 0))(1e-6, jnp.asarray(car.fz))
+    hydraulics = request.hydraulics
+    return {
+        "radius": car.radius, "inertia": car.inertia, "brake_gain": car.brake_gain,
+        "fz": car.fz, "stiffness": np.asarray(slope), "rise": hydraulics.rise,
+        "fall": hydraulics.fall, "delay": hydraulics.delay, "lag": hydraulics.lag,
+        "steered": car.steered, "ahead": car.x,
+    }  # fmt: skip
+
+
+def check(request: Request) -> None:
+    """Raises UsageError with all that is wrong with a request."""
+    problems = _tire_problems(request)
+    limits = [
+        ("--speed", request.speed, 0.5, _FASTEST, "m/s"),
+        ("--steer", request.steer, -_SHARPEST, _SHARPEST, "rad"),
+        ("--time-limit", request.limit, 0.1, 300.0, "s"),
+    ]
+    positive = ("demand", "ramp", "rise", "fall", "lag")
+    for record in (request.hydraulics, request.sensors):
+        for name, value in record._asdict().items():
+            least = 1e-3 if name in positive else 0.0
+            limits.append((f"--plant {name}", value, least, 1e12, "in SI units"))
+    for option, value, low, high, unit in limits:
+        if not low <= value <= high:
+            reason = f"{option} {value:g} is out of range"
+            problems.append(InputProblem(reason, f"{low:g} to {high:g} {unit}"))
+    road = road_of(request.road)
+    if request.vehicle not in VEHICLES:
+        reason = f"there is no vehicle {request.vehicle!r}"
+        problems.append(InputProblem(reason, f"choose of {', '.join(VEHICLES)}"))
+    elif request.vehicle == "quarter" and (request.steer or road.split):
+        what = "steer" if request.steer else "have a left and a right"
+        reason = f"a quarter car cannot {what}"
+        problems.append(InputProblem(reason, "brake the whole one: --vehicle car"))
+    if problems:
+        raise UsageError(problems)
+
+
+def _tire_problems(request: Request) -> list[InputProblem]:
+    tire, name = request.tire, request.tire_name
+    if "fx" not in modelled(tire):
+        remedy = "choose a model with F_x, as brush-m"
+        return [InputProblem(f"{name} has no braking force", remedy)]
+    if tire.transient or "time" in tire.needs:
+        remedy = "choose its steady-state model, as brush for brush-relaxation"
+        return [InputProblem(f"{name} lags behind its slip", remedy)]
+    turns = request.steer or road_of(request.road).split
+    if turns and not _combines(tire, request.speed):
+        reason = f"{name} has no combined slip, and the car turns here"
+        remedy = "choose one that has, as brush-m, lugre or magic-formula-combined"
+        return [InputProblem(reason, remedy)]
+    return []
+
+
+def _combines(tire: AbstractTire, speed: float) -> bool:
+    """Whether a slip angle takes from the braking force, and there is a lateral one."""
+    inputs = [TireInputs(0.2, alpha, 4e3, speed) for alpha in (0.0, 0.3)]
+    straight, aside = (tire(each) for each in inputs)
+    if straight.fx is None or aside.fx is None or aside.fy is None:
+        return False
+    return float(aside.fx) < 0.99 * float(straight.fx)
+
+
+def with_numbers(request: Request, values: Mapping[str, float]) -> Request:
+    """The request with other numbers of its hydraulics and sensors, by name.
+
+    Raises:
+        UsageError: a name that neither has.
+    """
+    hydraulics, sensors, problems = request.hydraulics, request.sensors, []
+    for name, value in values.items():
+        if name in Hydraulics._fields:
+            hydraulics = hydraulics._replace(**{name: value})
+        elif name in Sensors._fields:
+            sensors = sensors._replace(**{name: value})
+        else:
+            known = ", ".join((*Hydraulics._fields, *Sensors._fields))
+            reason = f"--plant {name}: there is no such number"
+            problems.append(InputProblem(reason, f"there are {known}"))
+    if problems:
+        raise UsageError(problems)
+    return replace(request, hydraulics=hydraulics, sensors=sensors)

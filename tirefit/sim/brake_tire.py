@@ -1,0 +1,158 @@
+r"""Any tire of the library on any road, and where its peak is.
+
+The road scales the tire by similarity, which keeps its stiffness and makes its peak
+that of the road:
+
+.. math:: F(\sigma) = \lambda F_0(\sigma / \lambda), \qquad
+    \lambda = \mu_{road} / \mu_0
+
+with :math:`\mu_0` the largest force over load of the tire as it is. For a brush that is
+a change of :math:`\mu` alone, for LuGre one of g. The sliding speed stays what it is.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from tirefit.models import AbstractTire, TireInputs
+from tirefit.slip import sigma_from_kappa
+
+__all__ = ["LOW_SPEED", "RoadTire", "Slips", "on_road", "wheel_slips"]
+
+LOW_SPEED = 0.3
+"""Speed [m/s] below which slip is taken over this speed, lest it be infinitely stiff
+at a standstill; a locked wheel's force fades at a tenth of it, a hand's breadth of way
+before the end."""
+_LOCKED = 0.99
+"""Largest kappa: of a wheel that stands (sigma 99)."""
+_LEAST_KAPPA = -5.0
+_LEAST_LOAD = 1.0
+_SPEEDS, _LOADS, _SLIPS = 16, 5, 200
+_HALVINGS = 60
+"""Of the interval around the best of the slips, by the golden section: a peak is then
+exact to rounding."""
+
+
+class Slips(NamedTuple):
+    """``kappa``, ``alpha`` (w,): practical slip and slip angle [rad]; ``speed`` (w,)
+    [m/s]: that by which the sliding speed was divided."""
+
+    kappa: Float[Array, " w"]
+    alpha: Float[Array, " w"]
+    speed: Float[Array, " w"]
+
+
+def wheel_slips(v_x, v_y, turning) -> Slips:
+    """Slips of wheels (w,) from the speeds of their centres along and across them, and
+    their circumferential speed R omega; all [m/s]."""
+    speed = jnp.maximum(v_x, LOW_SPEED)
+    kappa = jnp.clip((v_x - turning) / speed, _LEAST_KAPPA, _LOCKED)
+    return Slips(kappa, jnp.arctan2(v_y, speed), speed)
+
+
+class RoadTire(eqx.Module):
+    """A tire with a table of its peaks.
+
+    ``peak`` (roads, speeds, loads): largest force over load; ``at``: the kappa where it
+    lies, at the frictions ``roads`` of the roads there are, in order, at ``speeds``
+    [m/s] and ``loads`` [N]; ``usual``: the tire's own peak, on which a road's friction
+    is put.
+    """
+
+    tire: AbstractTire
+    usual: Float[Array, ""]
+    roads: Float[Array, " m"]
+    speeds: Float[Array, " s"]
+    loads: Float[Array, " l"]
+    peak: Float[Array, "m s l"]
+    at: Float[Array, "m s l"]
+
+    def forces(
+        self, mu: Float[Array, " w"], slips: Slips, fz: Float[Array, " w"]
+    ) -> tuple[Float[Array, " w"], Float[Array, " w"]]:
+        """Forces [N] (w,) along and across wheels on a road of friction mu (w,)."""
+        return jax.vmap(self._force)(mu, *slips, jnp.maximum(fz, _LEAST_LOAD))
+
+    def _force(self, mu, kappa, alpha, speed, fz):
+        inputs = _similar(mu / self.usual, kappa, alpha, speed, fz)
+        made = self.tire(inputs)
+        across = jnp.zeros(()) if made.fy is None else made.fy
+        return mu / self.usual * made.fx, mu / self.usual * across
+
+    def peaks(self, mu, speed, fz):
+        """Largest braking force over load (w,) on roads mu (w,), at speeds [m/s] and
+        loads [N] (w,); and the kappa (w,) where it lies."""
+        place = [
+            jnp.interp(value, known, jnp.arange(len(known), dtype=float))
+            for value, known in (
+                (mu, self.roads),
+                (speed, self.speeds),
+                (fz, self.loads),
+            )
+        ]
+        peak, at = (
+            jax.scipy.ndimage.map_coordinates(table, place, order=1, mode="nearest")
+            for table in (self.peak, self.at)
+        )
+        return peak, at
+
+
+def _similar(factor, kappa, alpha, speed, fz) -> TireInputs:
+    """Inputs of the tire as it is that are similar to those on a road."""
+    sigma = sigma_from_kappa(kappa)
+    scaled = sigma / factor
+    # Where alpha and speed go so that sigma_y scales and v_s does not.
+    narrower = (1 + sigma) / (1 + scaled)
+    angle = jnp.arctan(jnp.tan(alpha) / factor * narrower)
+    return TireInputs(scaled, angle, fz, speed * factor / narrower)
+
+
+def on_road(tire: AbstractTire, speed, fz, roads) -> RoadTire:
+    """A tire with its peaks, for braking from ``speed`` [m/s] at load ``fz`` [N] on
+    ``roads`` (m,) of some frictions."""
+    one_speed = "v" not in tire.needs
+    shares = jnp.geomspace(0.01, 1.0, _SPEEDS)[-1 if one_speed else 0 :]
+    speeds = jnp.asarray(speed) * shares
+    loads = jnp.asarray(fz) * jnp.linspace(0.2, 2.4, _LOADS)
+    roads = jnp.sort(jnp.asarray(roads, float))
+
+    def own(k):
+        return tire(TireInputs(sigma_from_kappa(k), 0.0, fz, speed)).fx / fz
+
+    usual, _ = _highest(own)
+
+    def highest(mu, v, load):
+        def curve(k):
+            inputs = _similar(mu / usual, k, 0.0, v, load)
+            return mu / usual * tire(inputs).fx / load
+
+        return _highest(curve)
+
+    over_loads = jax.vmap(highest, (None, None, 0))
+    over_speeds = jax.vmap(over_loads, (None, 0, None))
+    peak, at = jax.vmap(over_speeds, (0, None, None))(roads, speeds, loads)
+    return RoadTire(tire, usual, roads, speeds, loads, peak, at)
+
+
+def _highest(curve):
+    """Largest value of a curve over kappa, and where; the first of a plateau."""
+    grid = jnp.concatenate(
+        [jnp.geomspace(1e-4, 0.1, _SLIPS), jnp.linspace(0.1, _LOCKED, _SLIPS)[1:]]
+    )
+    best = jnp.argmax(jax.vmap(curve)(grid))
+    shorter = (np.sqrt(5) - 1) / 2
+
+    def narrow(_, ends):
+        low, high = ends
+        left, right = high - shorter * (high - low), low + shorter * (high - low)
+        keep = curve(left) >= curve(right)
+        return jnp.where(keep, low, left), jnp.where(keep, right, high)
+
+    ends = grid[jnp.maximum(best - 1, 0)], grid[jnp.minimum(best + 1, len(grid) - 1)]
+    low, high = jax.lax.fori_loop(0, _HALVINGS, narrow, ends)
+    place = (low + high) / 2
+    return curve(place), place
