@@ -60,9 +60,9 @@ _CANCELS = 4.0
 """Energy of the effects of a set one by one over that of all together: from here on
 one is there to undo the other. The 18 visible pairs of one development set reach 2."""
 
-_EARNED = 1 / 3
+_EARNED = 0.3
 """Probability from which an effect is named beside something that is not listed. Trials
-hold a listed effect beside a stranger in one of five; who measures, more often."""
+hold a listed effect beside a stranger in one of six; who measures, more often."""
 
 _PERHAPS = 0.2
 """The same from which an effect that is not named is said to be possible."""
