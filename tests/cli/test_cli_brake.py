@@ -90,3 +90,14 @@ def test_mistakes_are_named_with_a_remedy(run, tmp_path, arguments, code, said):
     result = run("brake", "--out", "o", *arguments, exit_code=code)
     assert said in result.stderr
     assert not (tmp_path / "o").exists()
+
+
+def test_a_tire_of_another_size_is_said(run):
+    """One that was fitted to a model car; a brake cannot wait a thousand seconds."""
+    arguments = ["brake", "--controller", "none", "--speed", "2", "--out", "o"]
+    small = ["--tire", "brush", "--set", "cpa2=39", "--vehicle", "quarter"]
+    said = run(*arguments, *small).stderr
+    assert "warning: the braking force of brush rises by" in said
+    for plant, remedy in (("delay=1e6", "0 to 0.5 s"), ("demand=1e30", "Pa")):
+        said = run(*arguments, "--plant", plant, exit_code=2).stderr
+        assert remedy in said and "--time-limit" not in said

@@ -100,7 +100,7 @@ def brake(
         check_directories([out])
         start_jax()
         from tirefit.online.controllers import controllers_named, tuned
-        from tirefit.sim.brake_request import Request, check, with_numbers
+        from tirefit.sim.brake_request import Request, check, doubts, with_numbers
 
         names = controllers_named(controller)
         chosen = tuned(settings, names)
@@ -111,6 +111,8 @@ def brake(
         )  # fmt: skip
         request = with_numbers(request, plant_values)
         check(request)
+        for text in doubts(request):
+            complain(f"warning: {text}")
         with claimed(out):
             _run(request, chosen, seed, stops, animate, out)
 

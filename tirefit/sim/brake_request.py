@@ -25,6 +25,7 @@ __all__ = [
     "Request",
     "arrays",
     "check",
+    "doubts",
     "known_to_controllers",
     "plant_of",
     "with_numbers",
@@ -109,6 +110,23 @@ def plant_of(request: Request) -> Plant:
 _peaked = eqx.filter_jit(on_road)
 
 
+_USUAL_SLOPE = (3.0, 150.0)
+"""Slope of the braking force at rest over the load: 10 to 40 of car tires."""
+
+_LONGEST = 300.0
+"""Longest manoeuvre [s]."""
+
+_NUMBERS = {
+    "demand": (1e3, 5e7, "Pa"), "ramp": (1e3, 1e10, "Pa/s"),
+    "rise": (1e3, 1e10, "Pa/s"), "fall": (1e3, 1e10, "Pa/s"),
+    "lag": (1e-3, 1.0, "s"), "delay": (0.0, 0.5, "s"),
+    "speed_std": (0.0, 10.0, "m/s"), "speed_step": (0.0, 10.0, "m/s"),
+    "deceleration_std": (0.0, 100.0, "m/s2"), "pressure_std": (0.0, 1e7, "Pa"),
+    "road_std": (0.0, 10.0, "of the load"), "road_corner": (1e-2, 1e3, "Hz"),
+}  # fmt: skip
+"""Least and largest number of hydraulics, sensors and road, and its unit."""
+
+
 def known_to_controllers(request: Request) -> dict[str, Any]:
     """What a maker of brakes knows of the car, by name: radius [m], inertia [kg m2],
     brake_gain [N m/Pa], fz [N], arrays (w,); rise, fall [Pa/s] and delay [s] of the
@@ -129,19 +147,33 @@ def known_to_controllers(request: Request) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def doubts(request: Request) -> list[str]:
+    """What may be meant otherwise: a tire of another size than the car."""
+    known = known_to_controllers(request)
+    slope = float(np.max(known["stiffness"] / known["fz"]))
+    low, high = _USUAL_SLOPE
+    if low <= slope <= high:
+        return []
+    load = float(np.max(known["fz"]))
+    return [
+        f"the braking force of {request.tire_name} rises by {slope:.3g} of the load of"
+        f" {load:.0f} N for each unit of slip, of tires it is {low:g} to {high:g}: it"
+        " is that of another load; fit one of this car's size, or give --set"
+    ]
+
+
 def check(request: Request) -> None:
     """Raises UsageError with all that is wrong with a request."""
     problems = _tire_problems(request)
     limits = [
         ("--speed", request.speed, 0.5, _FASTEST, "m/s"),
         ("--steer", request.steer, -_SHARPEST, _SHARPEST, "rad"),
-        ("--time-limit", request.limit, 0.1, 300.0, "s"),
     ]
-    positive = ("demand", "ramp", "rise", "fall", "lag")
+    if request.time_limit is not None:
+        limits.append(("--time-limit", request.time_limit, 0.1, _LONGEST, "s"))
     for record in (request.hydraulics, request.sensors):
         for name, value in record._asdict().items():
-            least = 1e-3 if name in positive else 0.0
-            limits.append((f"--plant {name}", value, least, 1e12, "in SI units"))
+            limits.append((f"--plant {name}", value, *_NUMBERS[name]))
     for option, value, low, high, unit in limits:
         if not low <= value <= high:
             reason = f"{option} {value:g} is out of range"

@@ -62,7 +62,9 @@ def road_of(text: str) -> Road:
     constant = re.fullmatch(rf"mu={number}(?::{number}@{number})?", text.strip())
     sides = re.fullmatch(rf"left={number},\s*right={number}", text.strip())
     if constant is None and sides is None:
-        remedy = f"write it as {', '.join(ROADS)}"
+        remedy = (
+            f"write it as {', '.join(ROADS)}; friction from {_LEAST:g} to {_MOST:g}"
+        )
         raise UsageError(InputProblem(f"--road {text!r} is not a road", remedy))
     if sides is not None:
         both = np.array([float(sides[1]), float(sides[2])])
