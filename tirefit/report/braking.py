@@ -198,9 +198,14 @@ def _slip_limit(stop: Stop) -> float:
     return float(np.clip(1.1 * np.percentile(kappa, 99.5), min(least, 1.05), 1.05))
 
 
+def _slowest_shown(stop: Stop) -> float:
+    """Speed [m/s] below which a wheel's slip says little."""
+    return min(_SLOWEST_SHOWN, 0.5 * float(stop.log.motion.v_x[0]))
+
+
 def _pressure_limit(stop: Stop) -> float:
     """Largest pressure [MPa] while the car is controlled: then the driver has it."""
-    fast = stop.log.motion.v_x > _SLOWEST_SHOWN
+    fast = stop.log.motion.v_x > _slowest_shown(stop)
     return 1.1 * float(np.max(stop.log.motion.pressure[fast])) / 1e6
 
 
@@ -286,9 +291,10 @@ class Path(NamedTuple):
 
 
 def path_of(stop: Stop, wheel: int = 0) -> Path:
-    """The path of a wheel while the car was faster than 2 m/s."""
+    """The path of a wheel while the car was faster than 2 m/s, or half as fast as at
+    first where it began slower than 4."""
     log = stop.log
-    fast = log.motion.v_x > _SLOWEST_SHOWN
+    fast = log.motion.v_x > _slowest_shown(stop)
     kappa = np.asarray(log.contacts.slips.kappa)[fast, wheel]
     force = np.asarray(log.contacts.fx / log.contacts.fz)[fast, wheel]
     return Path(kappa, force, (float(kappa.mean()), float(force.mean())))
@@ -329,7 +335,10 @@ def paths_figure(result: Braking) -> Picture:
     tidy(axes, "", "$F_x/F_z$ [–]")
     tidy(below, "slip $\\kappa$ [–]; what is beyond stands in the last bar", "time [%]")
     axes.legend(fontsize=8, **_LEGEND, loc="lower right")
-    note = "line: the tire at its static load; dots: every sample above 2 m/s"
+    slowest = min(map(_slowest_shown, result.stops.values()))
+    note = (
+        f"line: the tire at its static load; dots: every sample above {slowest:.2g} m/s"
+    )
     panel_title(axes, "slip and friction of the first wheel", note)
     picture.supxlabel(plain_text(_foot(result)), fontsize=6.5, color=GREY)
     return picture
