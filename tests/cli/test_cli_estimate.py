@@ -195,3 +195,10 @@ def test_a_drive_is_simulated_read_and_estimated(run, tmp_path):
     assert "method 'rls' needs sigma_x" in result.stderr
     result = run("simulate", "drive", "--bend", "2", "--out", "e.csv", exit_code=2)
     assert "--bend 2 is out of range" in result.stderr
+
+
+def test_a_log_backwards_is_an_error_not_a_flag(run, log):
+    header, *rows = log.read_text().splitlines()
+    log.write_text("\n".join([header, *rows[::-1]]) + "\n")
+    said = run("estimate", log, "--out", "back", exit_code=3).stderr
+    assert "the time never goes on" in said and "sort the rows by time" in said

@@ -61,6 +61,16 @@ def log_columns(data: TireData) -> dict[str, np.ndarray]:
     return {**columns, "run": data.run.astype(float)}
 
 
+def _check_time(data: TireData) -> None:
+    """Raises DataError where the time never goes on: a row back is a flag, all are not."""
+    steps = np.diff(data["time"])[np.diff(data.run) == 0]
+    if len(steps) and not np.any(steps > 0):
+        reason = "the time never goes on from one row to the next"
+        remedy = "sort the rows by time, or name its column: --column time=HEADER"
+        file = data.source.path or data.name
+        raise DataError(InputProblem(reason, remedy, file, column="time"))
+
+
 def estimate(
     data: Any,
     methods: str | Sequence[str] = "rls",
@@ -80,7 +90,8 @@ def estimate(
 
     Raises:
         UsageError: an unknown method or setting; 32-bit floats.
-        DataError: a column that a method needs is missing, or no row is usable.
+        DataError: a column that a method needs is missing, no row is usable, or the
+            time never goes on.
     """
     require_x64("an online estimate")
     data = as_data(data, mask_bad_rows=True, curve=False)
@@ -89,6 +100,7 @@ def estimate(
     for name in names:
         require(data, ("time", *METHODS[name].method.inputs), f"method {name!r}")
     columns = log_columns(data)
+    _check_time(data)
     load = _usual_load(data, columns)
     done = {}
     for name in names:
