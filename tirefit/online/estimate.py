@@ -62,7 +62,7 @@ def log_columns(data: TireData) -> dict[str, np.ndarray]:
 
 
 def _check_time(data: TireData) -> None:
-    """Raises DataError where the time never goes on: a row back is a flag, all are not."""
+    """Raises DataError where the time never goes on: one row back is but a flag."""
     steps = np.diff(data["time"])[np.diff(data.run) == 0]
     if len(steps) and not np.any(steps > 0):
         reason = "the time never goes on from one row to the next"
