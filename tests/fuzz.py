@@ -348,10 +348,11 @@ def failures(inputs: int, seed: int, kinds=tuple(KINDS)) -> Iterator[Failure]:
             path = Path(folder, f"input{kind.suffix}")
             path.write_bytes(content)
             _forget_peak()
+            before = _peak()
             text = _tried(kind, path)
-            peak = _peak()
-            if not text and peak > GIGABYTES:
-                text = f"{peak:.1f} GiB in use"
+            taken = _peak() - before
+            if not text and taken > GIGABYTES:
+                text = f"{taken:.1f} GiB taken"
             if text:
                 yield Failure(name, number, content, text)
 

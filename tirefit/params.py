@@ -129,14 +129,12 @@ def check_values(
     values: Mapping[str, float],
     *,
     noun: str = "parameter",
-    listed_by: str = "tirefit models",
 ) -> None:
     """Whether a user's values are of this model and within its bounds.
 
     Args:
         owner: what the messages call the model.
         noun: what they call its fields.
-        listed_by: the command that lists them with their bounds.
 
     Raises:
         UsageError: naming every value that is not.
@@ -148,8 +146,9 @@ def check_values(
             problems.append(InputProblem(reason, f"it has {', '.join(known)}"))
         elif not known[key].lower <= value <= known[key].upper:
             low, high = known[key].bounds
-            reason = f"{key} = {value:g} is outside its bounds [{low:.6g}, {high:.6g}]"
-            remedy = f"{known[key].meaning}; see `{listed_by}`"
+            reason = f"{key} = {value} is outside its bounds [{low:.6g}, {high:.6g}]"
+            unit = "" if known[key].unit == "-" else f" {known[key].unit}"
+            remedy = f"{known[key].meaning}: {low:.6g} to {high:.6g}{unit}"
             problems.append(InputProblem(reason, remedy))
     if problems:
         raise UsageError(problems)

@@ -132,9 +132,7 @@ _REMEDIES = {
     "bool_type": "write true or false, without quotes",
     "dict_type": "give it keys of its own",
     "float_type": "write a number, without quotes",
-    "greater_than_equal": "give it in SI units",
     "int_type": "write a whole number, without quotes",
-    "less_than_equal": "give it in SI units",
     "string_type": "write it in quotes",
 }
 """Kind of pydantic's error -> what to do about it."""
@@ -158,6 +156,9 @@ def _problems(kind: type[Section], detail: Any) -> list[InputProblem]:
         remedy = f"{hint}valid keys here: {', '.join(valid)}"
         return [InputProblem(f"unknown key {key!r}", remedy)]
     reason, remedy = _in_words(detail), _REMEDIES.get(error, "correct it")
+    ends = detail.get("ctx", {}).values()
+    if error.endswith("_equal") and any(isinstance(end, float) for end in ends):
+        remedy = "give it in SI units"
     if error == "model_type":
         remedy = f"its keys: {', '.join(_section_at(kind, path).model_fields)}"
     return [InputProblem(f"{key} = {_shown(detail['input'])}: {reason}", remedy)]

@@ -546,7 +546,7 @@ def test_rig_file(tmp_path):
         assert any(f"{said} of" in note for note in rig.notes)
     path.write_text(
         'rolling_radius = -1\nrun_order = "odd"\nwheel_inertai = 1\n'
-        '[noise]\nfx = "a"\nfy = 1e308\nsigma = 0.01\n'
+        '[noise]\nfx = "a"\nfy = 1e19\nsigma = 0.01\n'
     )
     with pytest.raises(UsageError) as caught:
         load_rig(path)
@@ -654,8 +654,10 @@ def test_no_effect_is_known_by_its_id_elsewhere():
     assert len(ids) > 25
     words = re.compile("[\"'](" + "|".join(ids) + ")[\"']")
     for path in sorted(package.rglob("*.py")):
-        # An online estimator has parameters of its own, of the same names.
-        if not {"effects", "online"} & set(path.relative_to(package).parts):
+        # An online estimator has parameters of its own, of the same names; the names
+        # to complete are compared with the records by a test of their own.
+        of_others = {"effects", "online", "names.py"}
+        if not of_others & set(path.relative_to(package).parts):
             assert not words.findall(path.read_text()), path
 
 

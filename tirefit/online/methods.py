@@ -89,13 +89,7 @@ def estimator_of(
     """
     template = METHODS[name]()
     known, values = specs(template), dict(settings or {})
-    check_values(
-        template,
-        f"method {name!r}",
-        values,
-        noun="setting",
-        listed_by="tirefit methods",
-    )
+    check_values(template, f"method {name!r}", values, noun="setting")
     if "cpa2" in known:
         values.setdefault("cpa2", STIFFNESS_OF_LOAD * float(load))
     made = with_values(template, {key: float(value) for key, value in values.items()})
