@@ -6,8 +6,9 @@ the report. A model is an ``equinox.Module``; a parameter is a field made by
 """
 
 import dataclasses
+import difflib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -21,6 +22,7 @@ from tirefit.results import InputProblem, UsageError
 __all__ = [
     "Spec",
     "Values",
+    "check_names",
     "check_values",
     "constrain",
     "log_jacobian",
@@ -152,6 +154,37 @@ def check_values(
             problems.append(InputProblem(reason, remedy))
     if problems:
         raise UsageError(problems)
+
+
+def check_names(
+    noun: str, names: str | Sequence[str], known: Iterable[str]
+) -> tuple[str, ...]:
+    """Names that a user chose, given as one text with commas or one by one.
+
+    Args:
+        noun: what the messages call one of them.
+        known: those that there are.
+
+    Raises:
+        UsageError: no name, a name twice, or one that is not known; all at once.
+    """
+    listed = names.split(",") if isinstance(names, str) else list(names)
+    asked = [name.strip() for name in listed if name.strip()]
+    there, problems = list(known), []
+    all_known = ", ".join(there)
+    if not asked:
+        problems.append(InputProblem(f"no {noun} given", f"choose of {all_known}"))
+    for name in dict.fromkeys(asked):
+        if asked.count(name) > 1:
+            problems.append(InputProblem(f"{noun} {name!r} is given twice", "once"))
+        if name not in there:
+            close = difflib.get_close_matches(name, there, n=1)
+            meant = f"did you mean {close[0]!r}? " if close else ""
+            reason = f"there is no {noun} {name!r}"
+            problems.append(InputProblem(reason, f"{meant}known: {all_known}"))
+    if problems:
+        raise UsageError(problems)
+    return tuple(asked)
 
 
 def with_values(model: Model, values: Mapping[str, Any]) -> Model:

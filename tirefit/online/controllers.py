@@ -1,7 +1,6 @@
 """Brake controllers by name: one visible dict."""
 
 import dataclasses
-import difflib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,7 +11,7 @@ from tirefit.online.abs import ConventionalABS
 from tirefit.online.controller import AbstractController, NoController
 from tirefit.online.slip_control import SlipControl
 from tirefit.online.xbs_servo import XbsServo
-from tirefit.params import specs
+from tirefit.params import check_names, specs
 from tirefit.results import InputProblem, UsageError
 
 __all__ = ["CONTROLLERS", "controller_of", "controllers_named", "tuned"]
@@ -29,22 +28,7 @@ def controllers_named(names: str | Sequence[str]) -> tuple[str, ...]:
     Raises:
         UsageError: no name, a name twice, or one that is not known.
     """
-    listed = names.split(",") if isinstance(names, str) else list(names)
-    asked = [name.strip() for name in listed if name.strip()]
-    known, problems = ", ".join(CONTROLLERS), []
-    if not asked:
-        problems.append(InputProblem("no controller given", f"choose of {known}"))
-    for name in dict.fromkeys(asked):
-        if asked.count(name) > 1:
-            problems.append(InputProblem(f"controller {name!r} is given twice", "once"))
-        if name not in CONTROLLERS:
-            close = difflib.get_close_matches(name, CONTROLLERS, n=1)
-            meant = f"did you mean {close[0]!r}? " if close else ""
-            reason = f"there is no controller {name!r}"
-            problems.append(InputProblem(reason, f"{meant}known: {known}"))
-    if problems:
-        raise UsageError(problems)
-    return tuple(asked)
+    return check_names("controller", names, CONTROLLERS)
 
 
 def tuned(

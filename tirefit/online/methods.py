@@ -1,6 +1,5 @@
 """The online methods by name: one visible dict."""
 
-import difflib
 from collections.abc import Mapping, Sequence
 
 from tirefit.online.base import AbstractEstimator
@@ -15,8 +14,8 @@ from tirefit.online.rls import Rls
 from tirefit.online.slip_slope import SlipSlope, SlipSlopeBraking
 from tirefit.online.tire_sensor import TireSensor
 from tirefit.online.xbs import Xbs, XbsBraking
-from tirefit.params import check_values, specs, with_values
-from tirefit.results import InputProblem, UsageError
+from tirefit.params import check_names, check_values, specs, with_values
+from tirefit.results import UsageError
 
 __all__ = ["METHODS", "STIFFNESS_OF_LOAD", "estimator_of", "methods_named"]
 
@@ -51,26 +50,7 @@ def methods_named(names: str | Sequence[str]) -> tuple[str, ...]:
     Raises:
         UsageError: no name, a name twice, or one that is not known.
     """
-    listed = names.split(",") if isinstance(names, str) else list(names)
-    asked = [name.strip() for name in listed if name.strip()]
-    problems = []
-    if not asked:
-        problems.append(InputProblem("no method given", f"choose of {_known()}"))
-    for name in dict.fromkeys(asked):
-        if asked.count(name) > 1:
-            problems.append(InputProblem(f"method {name!r} is given twice", "once"))
-        if name not in METHODS:
-            close = difflib.get_close_matches(name, METHODS, n=1)
-            meant = f"did you mean {close[0]!r}? " if close else ""
-            reason = f"there is no method {name!r}"
-            problems.append(InputProblem(reason, f"{meant}known: {_known()}"))
-    if problems:
-        raise UsageError(problems)
-    return tuple(asked)
-
-
-def _known() -> str:
-    return ", ".join(METHODS)
+    return check_names("method", names, METHODS)
 
 
 def estimator_of(
