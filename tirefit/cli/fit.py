@@ -1,11 +1,18 @@
 """``tirefit fit``: from files to directories of results."""
 
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tirefit import __version__
+from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -28,6 +35,9 @@ from tirefit.cli.output import check_directories, claimed, staged
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, Outcome, TirefitError, UsageError
 
+if TYPE_CHECKING:  # NumPy, which completion does not wait for
+    from tirefit.data.records import FileRecord
+
 __all__ = ["exit_code", "fit", "fit_into", "model_names"]
 
 
@@ -48,7 +58,7 @@ model_names = completed(*MODEL_NAMES)
 
 def _output_directories(files: list[Path], out: Path | None, joint: bool) -> list[Path]:
     stems = [_stem(file) for file in files]
-    twice = sorted({stem for stem in stems if stems.count(stem) > 1})
+    twice = sorted(stem for stem, count in Counter(stems).items() if count > 1)
     if twice and not joint:
         raise UsageError(
             InputProblem(
@@ -103,14 +113,20 @@ def fit(
         bool, typer.Option("--strict", help="exit 5 if a parameter is not identified")
     ] = False,
     resume: Annotated[
-        bool, typer.Option("--resume", help="continue the chain kept in the directory")
+        bool,
+        typer.Option(
+            "--resume", help="keep fits that are done; continue the chain of others"
+        ),
     ] = False,
     svg: Annotated[
         bool, typer.Option("--svg", help="write every figure as SVG too")
     ] = False,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
 ) -> None:
     """Fit a model: parameters, uncertainties, figures and a report."""
     with errors_to_exit():
+        sharing = Sharing(jobs, scheduler)
         from tirefit.fitting.config import FitConfig
 
         base = read_config(options.config) or FitConfig()
@@ -131,56 +147,131 @@ def fit(
         from tirefit.fitting.problem import find_model
 
         find_model(settings.model or "brush")
-        groups = [files] if joint else [[file] for file in files]
-        worst = _fit_all(
-            groups, directories, settings, how, posterior, resume, svg, strict
-        )
+        task = _Task(settings, how, posterior, resume, svg, strict)
+        if sharing.apart and not joint:
+            worst = _fit_apart(files, directories, task, sharing, out or Path())
+        else:
+            groups = [files] if joint else [[file] for file in files]
+            worst = _fit_all(groups, directories, task)
         raise typer.Exit(worst)
 
 
-def _fit_all(
-    groups, directories, settings, how, posterior, resume, svg, strict
-) -> ExitCode:
+@dataclass(frozen=True)
+class _Task:
+    """What all files share: settings of the fit, arguments of ``tirefit.read``, and
+    the options."""
+
+    settings: Any
+    how: dict
+    posterior: bool
+    resume: bool
+    svg: bool
+    strict: bool
+
+    def digest(self, tables) -> str:
+        """Of all that the numbers of a fit of these tables depend on."""
+        asked = [
+            self.settings.model_dump(mode="json"), self.how, self.posterior,
+            [table.source.sha256 for table in tables], __version__,
+        ]  # fmt: skip
+        return hashlib.sha256(json.dumps(asked).encode()).hexdigest()
+
+
+def _fit_all(groups, directories, task: _Task) -> ExitCode:
     """Every group of files; one bad file does not stop the others."""
     codes: list[ExitCode] = []
-    rows = []
+    records = []
     for i, (group, directory) in enumerate(zip(groups, directories, strict=True)):
         if len(groups) > 1 and has_terminal():
             complain(f"file {i + 1} of {len(groups)}: {group[0]}")
         try:
-            result = _fit_one(group, directory, settings, how, posterior, resume, svg)
+            record = _fit_one(group, directory, task)
         except TirefitError as error:
             if len(groups) == 1 or error.exit_code == ExitCode.USAGE:
                 raise
             complain(error_text(error))
             codes.append(error.exit_code)
             continue
-        codes.append(exit_code(result, strict))
-        rows.append((directory, result))
-        if Outcome.INTERRUPTED in result.outcomes:
+        codes.append(_code_of(record, task.strict))
+        records.append(record)
+        if "interrupted" in record.outcomes:
             left = len(groups) - i - 1
             if left:
                 complain(f"interrupted: the last {left} of {len(groups)} not fitted")
             break
     if len(groups) > 1:
-        say(_summary(rows))
+        say(_summary(records))
+    return _worst(codes)
+
+
+def _fit_apart(files, directories, task: _Task, sharing: Sharing, out: Path):
+    """The same by the workers of a cluster."""
+    pieces = [Piece(*pair) for pair in zip(files, directories, strict=True)]
+    codes: set[ExitCode] = set()
+    records = []
+    for outcome in fleet("fit", pieces, _attempt, task, sharing, out):
+        codes.add(outcome.code)
+        if outcome.record is not None and outcome.record.rows:
+            records.append(outcome.record)
+    if len(files) > 1:
+        say(_summary(records))
+    return _worst(codes)
+
+
+def _attempt(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
+    record = _fit_one([piece.file], piece.to, task)
+    return _code_of(record, task.strict), record
+
+
+def _worst(codes: Collection[ExitCode]) -> ExitCode:
     # Bad data first, then convergence, then identification.
     order = (ExitCode.DATA, ExitCode.NOT_CONVERGED, ExitCode.NOT_IDENTIFIED)
     return next((code for code in order if code in codes), ExitCode.OK)
 
 
-def _fit_one(files, directory: Path, settings, how, posterior, resume, svg):
+def _fit_one(files, directory: Path, task: _Task) -> "FileRecord":
     from tirefit.data.read import read
     from tirefit.data.table import join
+    from tirefit.fitting.store import record_of_fit
 
-    tables = [read(file, **how) for file in files]
+    tables = [read(file, **task.how) for file in files]
     for table in tables:
         warn(table)
-    data = tables[0] if len(tables) == 1 else join(tables)
-    return fit_into(directory, data, settings, posterior, resume, svg)
+    asked = task.digest(tables)
+    content = _done(directory, asked, task) if task.resume else None
+    if content is None:
+        data = tables[0] if len(tables) == 1 else join(tables)
+        result = fit_into(
+            directory, data, task.settings, task.posterior, task.resume, task.svg, asked
+        )
+        content = result.to_dict()
+    else:
+        say(f"{files[0]}: done before, kept: {directory}")
+    return record_of_fit(content, str(directory))
 
 
-def fit_into(directory, data, settings, posterior=False, resume=False, svg=False):
+def _done(directory: Path, asked: str, task: _Task) -> dict | None:
+    """Content of the ``fit.json`` there, if it answers what is asked, and whole."""
+    from tirefit.door import read_record
+    from tirefit.fitting.result import SCHEMA
+
+    expected = ["fit.json", "fit.png"]
+    expected += ["posterior.nc"] if task.posterior else []
+    expected += ["fit.svg"] if task.svg else []
+    if not all((directory / name).exists() for name in expected):
+        return None
+    try:
+        content = read_record(directory / "fit.json", SCHEMA, "")
+    except TirefitError:
+        return None
+    # A chain that can go on is not done.
+    open_ended = {"chain_too_short", "interrupted"} & set(content["outcomes"])
+    return None if open_ended or content.get("asked") != asked else content
+
+
+def fit_into(
+    directory, data, settings, posterior=False, resume=False, svg=False, asked=""
+):
     """Fits the data, and leaves the result and its figures in the directory."""
     from tirefit.fitting.estimate import fit as fit_data
 
@@ -192,7 +283,7 @@ def fit_into(directory, data, settings, posterior=False, resume=False, svg=False
                 _save(result, directory, svg)
                 say(_first_words(result, directory))
             result = _sampled(result, directory, settings, resume)
-        written = _save(result, directory, svg)
+        written = _save(replace(result, asked=asked), directory, svg)
     say(str(result))
     say("wrote " + ", ".join(str(path) for path in written))
     return result
@@ -234,15 +325,23 @@ def _sampled(result, directory: Path, settings, resume: bool):
 
 
 def exit_code(result, strict: bool = False) -> ExitCode:
+    return _code(result.outcomes, strict)
+
+
+def _code(outcomes: Collection[Outcome], strict: bool) -> ExitCode:
     broken = {Outcome.NOT_CONVERGED, Outcome.CHAIN_TOO_SHORT, Outcome.INTERRUPTED}
-    if broken & set(result.outcomes):
+    if broken & set(outcomes):
         return ExitCode.NOT_CONVERGED
-    if strict and not result.identified:
+    if strict and Outcome.NOT_IDENTIFIED in outcomes:
         return ExitCode.NOT_IDENTIFIED
     return ExitCode.OK
 
 
-def _summary(rows) -> str:
+def _code_of(record: "FileRecord", strict: bool) -> ExitCode:
+    return _code([Outcome[name.upper()] for name in record.outcomes], strict)
+
+
+def _summary(records: list["FileRecord"]) -> str:
     from tirefit.report.summary import summary_table
 
-    return summary_table([(str(directory), result) for directory, result in rows])
+    return summary_table(records)

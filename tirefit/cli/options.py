@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import wraps
+from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +21,7 @@ __all__ = [
     "DataOptions",
     "Files",
     "JsonOption",
+    "Unheard",
     "complain",
     "completed",
     "error_text",
@@ -240,6 +242,11 @@ def start_jax() -> None:
         keep_programs_in(cache / "programs")
 
 
+class Unheard(StringIO):
+    """In the place of standard error: what is said now is heard when all is done, so
+    that of progress is not said."""
+
+
 def say(text: str) -> None:
     typer.echo(text)
 
@@ -305,6 +312,9 @@ class _Clock:
 @contextmanager
 def progress_bar(title: str) -> Iterator[Any]:
     """A bar on the terminal; a line now and then where there is none."""
+    if isinstance(sys.stderr, Unheard):
+        yield lambda share, note: None
+        return
     clock = _Clock()
     if not has_terminal():
 

@@ -17,7 +17,7 @@ try:
 except ImportError:  # Windows has no such locks: two processes are not kept apart
     fcntl = None
 
-__all__ = ["check_directories", "claimed", "staged"]
+__all__ = ["check_directories", "claimed", "staged", "swept"]
 
 
 def check_directories(directories: Sequence[Path]) -> None:
@@ -116,7 +116,8 @@ def staged(directory: Path, known: Collection[str], apart: str = "") -> Iterator
             for name in known:
                 if not (folder / name).exists():
                     (directory / name).unlink(missing_ok=True)
-            for path in folder.iterdir():
+            # The document last: where it stands, what is beside it is its own.
+            for path in sorted(folder.iterdir(), key=lambda p: p.suffix == ".json"):
                 os.replace(path, directory / path.name)
     except OSError as error:
         # A temporary name would mean nothing to the user.
@@ -124,6 +125,16 @@ def staged(directory: Path, known: Collection[str], apart: str = "") -> Iterator
         raise
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def swept(directory: Path) -> None:
+    """Removes what a process that was killed left half-written, and the directory where
+    nothing else is in it; not where another one is at work."""
+    if directory.is_dir():
+        with suppress(UsageError), claimed(directory):
+            pass
+        with suppress(OSError):  # not empty
+            directory.rmdir()
 
 
 @contextmanager
