@@ -99,11 +99,12 @@ def inspect(files: Files, options: DataOptions, json: JsonOption = False) -> Non
     """Say what a file holds, what was assumed, and which fits it supports."""
     from tirefit.data.inspect import inspect as look
     from tirefit.data.read import read
+    from tirefit.data.remote import expanded
 
     with errors_to_exit():
         how = read_options(options, read_config(options.config))
         worst = ExitCode.OK
-        for file in files:
+        for file in expanded(files):
             try:
                 inspection = look(read(file, **how))
             except TirefitError as error:

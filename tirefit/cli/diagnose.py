@@ -29,6 +29,7 @@ from tirefit.cli.options import (
     warn,
 )
 from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.data.remote import expanded
 from tirefit.names import EFFECT_NAMES, MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
@@ -128,7 +129,7 @@ def diagnose(
 ) -> None:
     """Diagnose the gap between a model and data: where, which effect, how far."""
     with errors_to_exit():
-        sharing = Sharing(jobs, scheduler)
+        sharing, files = Sharing(jobs, scheduler), expanded(files)
         names = _names(files)
         check_directories([out])
         config = read_config(options.config)

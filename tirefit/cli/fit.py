@@ -32,6 +32,7 @@ from tirefit.cli.options import (
     warn,
 )
 from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.data.remote import expanded
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, Outcome, TirefitError, UsageError
 
@@ -126,7 +127,7 @@ def fit(
 ) -> None:
     """Fit a model: parameters, uncertainties, figures and a report."""
     with errors_to_exit():
-        sharing = Sharing(jobs, scheduler)
+        sharing, files = Sharing(jobs, scheduler), expanded(files)
         from tirefit.fitting.config import FitConfig
 
         base = read_config(options.config) or FitConfig()

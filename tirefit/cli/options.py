@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tirefit.data.remote import file_at
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
@@ -57,7 +58,14 @@ def completed(*names: str) -> Callable[[str], list[str]]:
     return beginning
 
 
-Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV files")]
+Files = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="FILE...",
+        parser=file_at,
+        help="files, addresses (s3://...), or patterns of them in quotes",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]
 
 
