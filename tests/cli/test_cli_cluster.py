@@ -11,12 +11,6 @@ from tirefit.cli.cluster import Ended, _Sharing, cluster, shared
 from tirefit.results import UsageError
 
 
-@pytest.fixture(scope="module")
-def two():
-    with cluster(2) as client:
-        yield client
-
-
 def doubled(number):
     return 2 * number, os.getpid()
 
