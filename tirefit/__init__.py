@@ -93,6 +93,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
             "plot_fit",
             "plot_profile",
             "plot_residuals",
+            "plot_runs",
             "plot_trace",
         ],
         "results": ["DataError", "UsageError"],

@@ -229,6 +229,7 @@ def test_joint_fit_shares_the_tire_and_not_the_road(run, rig, tmp_path):
     found = record["parameters"]
     assert abs(found["mu[rig]"]["value"] - 1.0) < 0.005
     assert abs(found["mu[wet]"]["value"] - 0.7) < 0.005
+    assert (tmp_path / "both" / "runs.png").exists()
     assert not (tmp_path / "rig").exists()
 
 

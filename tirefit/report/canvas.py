@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from tirefit.files import replacing
 from tirefit.fitting.result import FitResult
+from tirefit.report.labels import fit_files
 from tirefit.report.numbers import plain_text
 from tirefit.report.text import verdict_line
 
@@ -24,6 +25,7 @@ __all__ = [
     "GREY",
     "ORANGE",
     "RED",
+    "WIDTH",
     "Picture",
     "frame",
     "panel_title",
@@ -55,23 +57,25 @@ class Picture(Figure):
         return buffer.getvalue()
 
 
-def frame(result: FitResult, height: float) -> tuple[Picture, tuple[float, float]]:
+def frame(
+    result: FitResult, height: float, width: float = WIDTH
+) -> tuple[Picture, tuple[float, float]]:
     """An empty picture with title and footnote.
 
     Args:
         result: whose model, file and verdict the title names.
-        height: of the picture in inches.
+        height, width: of the picture in inches.
 
     Returns:
         (picture, (bottom, top)): the share of the height that is free for axes.
     """
-    picture = Picture(figsize=(WIDTH, height))
-    file = result.data["file"].replace("\\", "/").rsplit("/", 1)[-1]
+    picture = Picture(figsize=(width, height))
     ok = result.verdict.get("status", "ok") == "ok"
+    title = f"{result.model} fitted to {fit_files(result, 68)}"
     lines = textwrap.wrap(verdict_line(result), 100, max_lines=2, placeholder=" …")
     picture.text(
-        0.02, 1 - 0.10 / height, plain_text(f"{result.model} fitted to {file}"),
-        va="top", fontsize=10.5, fontweight="bold", color=DARK,
+        0.02, 1 - 0.10 / height, plain_text(title), va="top", fontsize=10.5,
+        fontweight="bold", color=DARK,
     )  # fmt: skip
     picture.text(
         0.02, 1 - 0.31 / height, plain_text("\n".join(lines)),

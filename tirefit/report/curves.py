@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.data.levels import levels
+from tirefit.data.run_names import run_names
 from tirefit.fitting.bands import Band, fitted_force, force_band
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.result import FitResult
@@ -143,6 +144,7 @@ def _members(result: FitResult, keys) -> tuple[list[tuple[str, np.ndarray]], str
     """((label, rows (n,) bool) of every group, note on what is left out)."""
     problem = result.problem
     columns = {**problem.rows.inputs._asdict(), "run": problem.rows.run}
+    names = run_names(problem.layout.runs).short
     if not keys:
         return [("measured", np.ones(problem.n, bool))], ""
     stack = np.stack([codes for _, codes in keys], axis=1)
@@ -155,7 +157,7 @@ def _members(result: FitResult, keys) -> tuple[list[tuple[str, np.ndarray]], str
     for code in chosen:
         rows = of_row.ravel() == code
         parts = [
-            _level_label(name, problem.used(columns[name])[rows], problem.layout.runs)
+            _level_label(name, problem.used(columns[name])[rows], names)
             for name, _ in keys
         ]
         groups.append((", ".join(parts), rows))
@@ -343,4 +345,5 @@ def _by_run(problem, members):
     codes = np.unique(run)
     if not 1 < len(codes) <= _MOST_GROUPS:
         return members
-    return [(plain_text(problem.layout.runs[code]), run == code) for code in codes]
+    names = run_names(problem.layout.runs).short
+    return [(plain_text(names[code]), run == code) for code in codes]

@@ -9,6 +9,7 @@ import numpy as np
 
 from tirefit.data.table import CANONICAL, TireData
 from tirefit.fitting.result import FitResult
+from tirefit.report.labels import fit_files, short_label
 from tirefit.report.numbers import format_interval, format_number
 from tirefit.report.text import note_on, value_text, verdict_line
 
@@ -53,7 +54,7 @@ def fit_fragment(result: FitResult) -> str:
     for name, estimate in result.parameters.items():
         rows.append(
             (
-                name, value_text(estimate), estimate.unit,
+                short_label(result, name), value_text(estimate), estimate.unit,
                 format_interval(estimate.ci95, estimate.std), note_on(result, name),
             )
         )  # fmt: skip
@@ -62,7 +63,7 @@ def fit_fragment(result: FitResult) -> str:
     return rendered(
         "fit_fragment.html",
         model=result.model,
-        file=result.data["file"],
+        file=fit_files(result),
         n=result.statistics.n,
         source=result.source,
         rows=rows,

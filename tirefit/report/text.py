@@ -4,13 +4,21 @@ import textwrap
 
 import numpy as np
 
-from tirefit.fitting.derived import derived_channel, quantities
+from tirefit.fitting.derived import derived_channel, quantities, quantity_of
 from tirefit.fitting.likelihood import row_moments
 from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
+from tirefit.report.labels import (
+    fit_files,
+    notes_of,
+    run_lines,
+    short_label,
+    short_run,
+)
 from tirefit.report.numbers import format_estimate, format_interval, format_number
 
 __all__ = [
     "WIDTH",
+    "derived_by_run",
     "fit_report",
     "format_estimate",
     "note_on",
@@ -44,10 +52,6 @@ def table(rows: list[list[str]], right: tuple[int, ...] = ()) -> list[str]:
     return [line[:WIDTH] for line in (lines[0], rule, *lines[1:])]
 
 
-def _short(label: str, most: int = 24) -> str:
-    return label if len(label) <= most else label[: most - 1] + "…"
-
-
 def _wrapped(name: str, text: str) -> list[str]:
     lead = f"  {name:<13}"
     return textwrap.wrap(
@@ -77,6 +81,12 @@ def note_on(result: FitResult, name: str) -> str:
     return ", ".join(notes)
 
 
+def _files(result: FitResult) -> str:
+    """The file as it was given; of several their number and what they share."""
+    several = len(result.data["runs"]) > 1 and ", " in result.data["file"]
+    return fit_files(result) if several else result.data["file"]
+
+
 def _header(result: FitResult) -> list[str]:
     data = result.data
     masked = data["rows"] - data["used"]
@@ -85,15 +95,18 @@ def _header(result: FitResult) -> list[str]:
         rows += f" ({masked} masked)"
     if len(data["runs"]) > 1:
         rows += f", {len(data['runs'])} runs"
-    lines = [f"tirefit {result.version}: {result.model} fitted to {data['file']}"]
+    lines = [f"tirefit {result.version}: {result.model} fitted to {_files(result)}"]
     lines = textwrap.wrap(lines[0], WIDTH)
-    lines += ["", *_wrapped("rows", rows), *_wrapped("force", ", ".join(result.forces))]
+    lines += ["", *_wrapped("rows", rows)]
+    for i, line in enumerate(run_lines(result)):
+        lines += _wrapped("runs" if i == 0 else "", line)
+    lines += _wrapped("force", ", ".join(result.forces))
     lines += _wrapped(
         "convention",
         f"braking positive, SI (file: {data['convention']}, slip"
         f" {data['slip_definition']})",
     )
-    notes = [*data["assumptions"], *result.noise.get("notes", ())]
+    notes = notes_of(result, [*data["assumptions"], *result.noise.get("notes", ())])
     for i, note in enumerate(notes):
         lines += _wrapped("assumptions" if i == 0 else "", note)
     for i, problem in enumerate(data["masked"][:5]):
@@ -109,7 +122,7 @@ def parameter_lines(result: FitResult) -> list[str]:
     for name, estimate in result.parameters.items():
         rows.append(
             [
-                _short(name), value_text(estimate), estimate.unit,
+                short_label(result, name), value_text(estimate), estimate.unit,
                 format_interval(estimate.ci95, estimate.std), note_on(result, name),
             ]
         )  # fmt: skip
@@ -122,7 +135,9 @@ def _routes(result: FitResult) -> list[str]:
     for label in result.labels:
         std = result.least_squares[label].std
         ends = [result.intervals[route].get(label, (None, None)) for route in routes]
-        rows.append([_short(label, 18), *(format_interval(end, std) for end in ends)])
+        rows.append(
+            [short_label(result, label), *(format_interval(end, std) for end in ends)]
+        )
     return ["", "INTERVALS BY ROUTE", *table(rows)]
 
 
@@ -134,16 +149,54 @@ def _derived(result: FitResult) -> list[str]:
     if result.reference.get("v"):
         at += f", v = {result.reference['v']:.3g} m/s"
     meanings = quantities(channel)
+    shared = {k: v for k, v in result.derived.items() if k == quantity_of(k)}
     rows = [["quantity", "value ± std", "unit", "95 % interval", ""]]
-    for name, estimate in result.derived.items():
-        known = np.isfinite(estimate.value)
+    for name, estimate in shared.items():
         rows.append(
             [
-                name, value_text(estimate) if known else "not defined", estimate.unit,
+                name, _derived_value(estimate), estimate.unit,
                 format_interval(estimate.ci95, estimate.std), meanings[name][1],
             ]
         )  # fmt: skip
-    return ["", f"DERIVED (at {at}; {result.source})", *table(rows)]
+    lines = ["", f"DERIVED (at {at}; {result.source})", *table(rows)] if shared else []
+    if len(shared) == len(result.derived):
+        return lines
+    title = f"DERIVED, BY RUN (at {at}; {result.source}; intervals in fit.json)"
+    return [*lines, "", *textwrap.wrap(title, WIDTH), *_by_quantity(result)]
+
+
+def _derived_value(estimate: Estimate) -> str:
+    return value_text(estimate) if np.isfinite(estimate.value) else "not defined"
+
+
+def derived_by_run(result: FitResult) -> list[list[str]]:
+    """Cells of a table of derived quantities: a row per run, a column per quantity."""
+    own = {k: v for k, v in result.derived.items() if k != quantity_of(k)}
+    names = {quantity_of(k): v.unit for k, v in own.items()}
+    head = [name if unit == "-" else f"{name} [{unit}]" for name, unit in names.items()]
+    return [
+        ["run", *head],
+        *(
+            [
+                short_run(result, str(run)),
+                *(_derived_value(own[f"{name}[{run}]"]) for name in names),
+            ]
+            for run in result.data["runs"]
+        ),
+    ]
+
+
+def _by_quantity(result: FitResult) -> list[str]:
+    """The table by run, in as many parts as the width asks for."""
+    rows, lines, first = derived_by_run(result), [], 1
+    widths = [max(len(row[i]) for row in rows) + 2 for i in range(len(rows[0]))]
+    while first < len(widths):
+        last = first + 1
+        while last < len(widths) and widths[0] + sum(widths[first : last + 1]) < WIDTH:
+            last += 1
+        lines += ["", *table([[row[0], *row[first:last]] for row in rows])]
+        first = last
+    return lines[1:]
 
 
 def _noise_text(result: FitResult) -> str:
@@ -191,7 +244,7 @@ def _by_run(result: FitResult) -> list[str]:
         rms = float(np.sqrt(np.mean(part**2)))
         rows.append(
             [
-                _short(str(problem.layout.runs[code]), 48), str(len(part)),
+                short_run(result, str(problem.layout.runs[code])), str(len(part)),
                 format_number(rms, 3), format_number(float(part.mean()), 2),
             ]
         )  # fmt: skip
@@ -207,8 +260,8 @@ def _posterior(result: FitResult) -> list[str]:
         if label in p.rhat:
             rows.append(
                 [
-                    _short(label), f"{p.ess[label]:.0f}", f"{p.rhat[label]:.4f}",
-                    f"{p.tau[label]:.1f}",
+                    short_label(result, label), f"{p.ess[label]:.0f}",
+                    f"{p.rhat[label]:.4f}", f"{p.tau[label]:.1f}",
                 ]
             )  # fmt: skip
     said = [_posterior_head(p), p.note] if p.note else [_posterior_head(p)]
@@ -242,8 +295,9 @@ def _posterior_head(p: PosteriorSummary) -> str:
 
 def _correlations(result: FitResult, above: float = 0.9) -> list[str]:
     matrix, labels = np.asarray(result.correlation), result.labels
+    names = [short_label(result, label) for label in labels]
     pairs = [
-        (abs(matrix[i, j]), f"  {labels[j]} and {labels[i]}: {matrix[i, j]:+.3f}")
+        (abs(matrix[i, j]), f"  {names[j]} and {names[i]}: {matrix[i, j]:+.3f}")
         for i in range(len(labels))
         for j in range(i)
         if abs(matrix[i, j]) > above
