@@ -233,6 +233,18 @@ def test_joint_fit_shares_the_tire_and_not_the_road(run, rig, tmp_path):
     assert not (tmp_path / "rig").exists()
 
 
+def test_a_page_of_the_fit_where_it_is_asked_for(run, rig, tmp_path):
+    quick = ("fit", rig, "--config", "quick.toml", "--no-posterior", "--out", "out")
+    (tmp_path / "quick.toml").write_text(FAST)
+    result = run(*quick, "--html")
+    page = tmp_path / "out" / "fit.html"
+    assert "out/fit.html" in result.stdout
+    assert content(tmp_path / "out")["data"]["sha256"] in page.read_text()
+    # That of an earlier fit would be taken for this one's.
+    run(*quick)
+    assert not page.exists()
+
+
 def test_force_chooses_the_lateral_one(run, tmp_path):
     write(tmp_path / "both.csv", header="alpha,fy,fz")
     text = (tmp_path / "both.csv").read_text().splitlines()

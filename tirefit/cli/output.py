@@ -17,7 +17,7 @@ try:
 except ImportError:  # Windows has no such locks: two processes are not kept apart
     fcntl = None
 
-__all__ = ["check_directories", "claimed", "staged"]
+__all__ = ["check_directories", "claimed", "is_page", "staged"]
 
 
 def check_directories(directories: Sequence[Path]) -> None:
@@ -124,6 +124,15 @@ def staged(directory: Path, known: Collection[str], apart: str = "") -> Iterator
         raise
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def is_page(path: Path, schema: str) -> bool:
+    """Whether an earlier command wrote this page: a file of the same name may be the
+    user's own, as beside the data."""
+    try:
+        return schema in path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
-__all__ = ["RunNames", "clipped", "name_pattern", "run_names"]
+__all__ = ["RunNames", "clipped", "label_of_run", "name_pattern", "run_names"]
 
 LONGEST = 18
 """Characters of a short name, at most: names that are no longer stay as they are."""
@@ -77,6 +77,15 @@ def _of_names(names: tuple[str, ...]) -> RunNames:
 def run_names(names: Sequence[str]) -> RunNames:
     """Names that tell the runs apart, in at most 18 characters."""
     return _of_names(tuple(str(name) for name in names))
+
+
+def label_of_run(label: str, runs: Sequence[str]) -> str:
+    """``mu[run]`` with the short name of its run; any other label as it is."""
+    name, bracket, run = label.partition("[")
+    whole = [str(one) for one in runs]
+    if not bracket or run[:-1] not in whole:
+        return label
+    return f"{name}[{run_names(whole).short[whole.index(run[:-1])]}]"
 
 
 def name_pattern(names: Sequence[str]) -> str:

@@ -25,6 +25,8 @@ __all__ = [
 _SAME = 1e-6
 """Relative spread of a ratio from which two quantities are not one in other units."""
 _MOST_NAMES = 40
+_LEFT = 0.88
+"""Inches for a label and its numbers."""
 
 
 class Points(NamedTuple):
@@ -132,14 +134,15 @@ def draw_points(axes, points: Points, named: bool = True) -> None:
 
 def place_points(picture: Picture, panels: Sequence[Points], bottom, top) -> None:
     """One row per quantity, the names below the last."""
-    height = picture.get_figheight()
+    width, height = picture.get_size_inches()
     texts = [clipped(name, 18) for name in panels[0].names]
     turned = sum(map(len, texts)) > 60
     bottom += (0.15 + 0.055 * max(map(len, texts)) if turned else 0.3) / height
     step = (top - bottom) / len(panels)
     for i, points in enumerate(panels):
         low = top - (i + 1) * step + 0.08 / height
-        axes = picture.add_axes((0.125, low, 0.855, step - 0.16 / height))
+        box = (_LEFT / width, low, 1 - (_LEFT + 0.14) / width, step - 0.16 / height)
+        axes = picture.add_axes(box)
         draw_points(axes, points, named=i == len(panels) - 1)
     picture.align_ylabels()
 

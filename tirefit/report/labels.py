@@ -5,7 +5,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from tirefit.data.run_names import clipped, name_pattern, run_names
+from tirefit.data.run_names import clipped, label_of_run, name_pattern, run_names
 from tirefit.fitting.result import FitResult
 
 __all__ = ["fit_files", "notes_of", "run_lines", "short_label", "short_run"]
@@ -24,8 +24,7 @@ def short_run(result: FitResult, run: str) -> str:
 def short_label(result: FitResult, label: str) -> str:
     """``mu[run01]``: a parameter or a derived quantity, with the short name of its
     run."""
-    name, bracket, run = label.partition("[")
-    return f"{name}[{short_run(result, run[:-1])}]" if bracket else name
+    return label_of_run(label, result.data["runs"])
 
 
 def run_lines(result: FitResult) -> list[str]:

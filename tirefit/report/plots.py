@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from tirefit.fitting.result import FitResult, information
 from tirefit.report import draw
 from tirefit.report.by_name import has_runs
+from tirefit.report.fit_tables import value_text
 from tirefit.report.html import rendered
 from tirefit.report.numbers import format_number
-from tirefit.report.text import table, value_text
+from tirefit.report.text import table
 from tirefit.report.uncertainty import has_trace
 from tirefit.results import UsageError
 

@@ -15,9 +15,9 @@ from tirefit.fitting.marginals import (
 )
 from tirefit.fitting.result import FitResult
 from tirefit.params import Spec
+from tirefit.report.fit_tables import value_text
 from tirefit.report.labels import short_label, short_run
 from tirefit.report.numbers import plain_text
-from tirefit.report.text import value_text
 from tirefit.results import InputProblem, UsageError
 
 __all__ = [
