@@ -88,6 +88,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "models": ["MODELS", "TireInputs", "forces"],
         "params": ["parameter_values", "with_values"],
         "report.fit_html": ["write_fit_page"],
+        "report.fits_html": ["write_fits_page"],
         "report.plots": [
             "compare",
             "plot_corner",

@@ -67,6 +67,8 @@ def test_out_names_the_directory_and_svg_doubles_the_figures(run, rig, tmp_path)
 
 def test_several_files_fill_a_directory_each(run, rig, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
+    (tmp_path / "all").mkdir()
+    (tmp_path / "all" / "fits.html").write_text("an earlier page, tirefit.fit/1")
     result = run(
         "fit", rig, "wet.csv", "--config", "fit.toml", "--no-posterior", "--out", "all"
     )
@@ -89,11 +91,16 @@ def test_several_files_without_out(run, rig, tmp_path):
 def test_one_bad_file_does_not_stop_the_others(run, rig, tmp_path):
     (tmp_path / "bad.csv").write_text("sigma_x,fx,fz\n0.1,oops,4000\n")
     result = run(
-        "fit", "bad.csv", rig, "--config", "fit.toml", "--no-posterior", exit_code=3
-    )
+        "fit", "bad.csv", rig, "--config", "fit.toml", "--no-posterior", "--html",
+        exit_code=3,
+    )  # fmt: skip
     assert "bad.csv" in result.stderr and "remedy" in result.stderr
     assert (tmp_path / "rig" / "fit.json").exists()
     assert not (tmp_path / "bad").exists()  # nothing half-written
+    assert (tmp_path / "rig" / "fit.html").exists()
+    page = (tmp_path / "fits.html").read_text()
+    assert "of 2 files: 1 ok, 1 not fitted" in page and "bad.csv: not fitted" in page
+    assert "wrote fits.html" in result.stdout
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,10 @@ from tirefit.fitting.result import Estimate, PosteriorSummary
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 from tirefit.report.fit_html import fit_page
+from tirefit.report.fits_html import fits_page
 from tirefit.report.numbers import format_estimate, format_interval
-from tirefit.results import InputProblem, Outcome
+from tirefit.report.overlay import overlay_of
+from tirefit.results import InputProblem, Outcome, UsageError
 
 NAME = 'sweep <b>$1 & "x".csv'
 
@@ -134,3 +136,84 @@ def test_chromium_shows_the_page_of_a_fit(sampled, text, tmp_path):
     assert matplotlib.image.imread(shot)[:, :, :3].std() > 0.05
     # Tables and pictures that are wider scroll in boxes of their own.
     assert width_on_phone(text, tmp_path) <= PHONE
+
+
+# Several fits
+
+
+@pytest.fixture(scope="module")
+def several():
+    """One tire on roads of four frictions."""
+    return {
+        f"drum_2026-03-12_cold_asphalt_{run}": fit(
+            sweep(f"{run}.csv", mu, seed), "brush", seed=3
+        )
+        for seed, (run, mu) in enumerate(
+            {"dry": 1.0, "damp": 0.85, "wet": 0.7, "ice": 0.3}.items()
+        )
+    }
+
+
+def test_the_curves_on_one_another_are_the_models(several, plain):
+    overlay = overlay_of(several, "fx")
+    assert [one.name for one in overlay.curves] == list(several)
+    assert overlay.y_label == "longitudinal force $F_x$ [N]"
+    assert overlay.note == "at $F_z$ = 4000 N"
+    for one, result in zip(overlay.curves, several.values(), strict=True):
+        values = {k: result.least_squares[k].value for k in result.labels}
+        inputs = TireInputs(sigma_x=one.slip, fz=4000.0, v=20.0)
+        expected = forces(with_values(MODELS["brush"], values), inputs).fx
+        np.testing.assert_allclose(one.force, expected, rtol=1e-9)
+        assert np.all(one.low <= one.force) and np.all(one.force <= one.high)
+        # It ends where its rows do.
+        assert one.slip[-1] == pytest.approx(result.table["sigma_x"].max())
+        assert len(one.at_slip) == result.statistics.n
+    heavy = replace(plain, reference={"fz": 5000.0, "v": 20.0})
+    over_load = overlay_of({"a": plain, "b": heavy}, "fx")
+    assert over_load.y_label == "$F_x / F_z$ [-]"
+    np.testing.assert_allclose(
+        over_load.curves[0].force, overlay_of({"a": plain}, "fx").curves[0].force / 4000
+    )
+
+
+def test_the_page_of_several_has_a_row_for_each(several):
+    text = fits_page(several, {"rig <1>.csv": "no column of a slip"})
+    page = Page(text)
+    assert not {"script", "link", "iframe", "object"} & set(page.seen)
+    assert (
+        "://" not in text
+        and page.links
+        and all(link.startswith("data:image/png;base64,") for link in page.links)
+    )
+    shown = " ".join(re.sub(r"<[^>]*>", " ", text).split())
+    assert "Verdict: of 5 files: 4 ok, 1 not fitted" in shown
+    assert "rig &lt;1&gt;.csv: not fitted: no column of a slip" in shown
+    assert "drum_2026-03-12_cold_asphalt_*" in shown
+    for name, result in zip(
+        ("dry", "damp", "wet", "ice"), several.values(), strict=True
+    ):
+        mu, peak = result.parameters["mu"], result.derived["F_max"]
+        row = re.search(rf"<tr[^>]*><td[^>]*>{name}<.*?</tr>", text)[0]
+        assert f">{format_estimate(mu.value, mu.std)}<" in row
+        assert f">{format_estimate(peak.value, peak.std)}<" in text
+    for part in (
+        "braking positive, SI", "seed 3", f"tirefit {tirefit.__version__}",
+        "least squares, profile likelihood", "sha256", "ab12",
+    ):  # fmt: skip
+        assert part in shown, part
+
+
+def test_a_page_needs_a_fit():
+    with pytest.raises(UsageError, match="no fit for the page"):
+        fits_page({})
+
+
+@in_browser
+def test_chromium_shows_the_page_of_several(several, tmp_path):
+    page = tmp_path / "fits.html"
+    tirefit.write_fits_page(several, page)
+    shot = tmp_path / "shot.png"
+    _, asked = browse(page, tmp_path, f"--screenshot={shot}")
+    assert asked == []
+    assert matplotlib.image.imread(shot)[:, :, :3].std() > 0.05
+    assert width_on_phone(page.read_text(), tmp_path) <= PHONE

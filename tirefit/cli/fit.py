@@ -159,7 +159,7 @@ def _fit_all(
 ) -> ExitCode:
     """Every group of files; one bad file does not stop the others."""
     codes: list[ExitCode] = []
-    rows = []
+    rows, failed = [], {}
     for i, (group, directory) in enumerate(zip(groups, directories, strict=True)):
         if len(groups) > 1 and has_terminal():
             complain(f"file {i + 1} of {len(groups)}: {group[0]}")
@@ -170,6 +170,7 @@ def _fit_all(
                 raise
             complain(error_text(error))
             codes.append(error.exit_code)
+            failed[str(group[0])] = "; ".join(p.reason for p in error.problems)
             continue
         codes.append(exit_code(result, strict))
         rows.append((directory, result))
@@ -180,9 +181,24 @@ def _fit_all(
             break
     if len(groups) > 1:
         say(_summary(rows))
+        _page_of_all(directories[0].parent, rows, failed, also.html)
     # Bad data first, then convergence, then identification.
     order = (ExitCode.DATA, ExitCode.NOT_CONVERGED, ExitCode.NOT_IDENTIFIED)
     return next((code for code in order if code in codes), ExitCode.OK)
+
+
+def _page_of_all(folder: Path, rows, failed: dict[str, str], asked: bool) -> None:
+    """Writes the page over all fits; removes that of an earlier command."""
+    from tirefit.fitting.result import SCHEMA
+
+    page = folder / PAGE_OF_ALL
+    if asked and rows:
+        from tirefit.report.fits_html import write_fits_page
+
+        write_fits_page({path.name: result for path, result in rows}, page, failed)
+        say(f"wrote {page}")
+    elif is_page(page, SCHEMA):
+        page.unlink()
 
 
 def _fit_one(files, directory: Path, settings, how, posterior, resume, also):

@@ -14,6 +14,7 @@ from tirefit.report.numbers import plain_text
 
 __all__ = [
     "Points",
+    "distinct",
     "draw_points",
     "has_runs",
     "place_points",
@@ -76,9 +77,14 @@ def _by_run(estimates: Mapping[str, Estimate], result: FitResult) -> list[Points
 def run_points(result: FitResult) -> list[Points]:
     """Parameters and derived quantities that each run has its own of; a derived
     quantity that is a parameter in other units is left out."""
-    panels = _by_run(result.parameters, result)
-    for points in _by_run(result.derived, result):
-        if not any(_is_same(points.value, other.value) for other in panels):
+    return distinct(_by_run(result.parameters, result), _by_run(result.derived, result))
+
+
+def distinct(first: Sequence[Points], others: Sequence[Points]) -> list[Points]:
+    """Quantities, and those of the others that are not one of them in other units."""
+    panels = list(first)
+    for points in others:
+        if not any(_is_same(points.value, one.value) for one in panels):
             panels.append(points)
     return panels
 

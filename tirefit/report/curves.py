@@ -16,12 +16,20 @@ from tirefit.params import parameter_values, with_values
 from tirefit.report.numbers import plain_text
 from tirefit.slip import LOCKED, sigma_from_slip_ratio, slip_ratio_from_sigma
 
-__all__ = ["Curve", "FitCurve", "Group", "SlipAxis", "fit_curve", "slip_axis"]
+__all__ = [
+    "FORCE_LABEL",
+    "Curve",
+    "FitCurve",
+    "Group",
+    "SlipAxis",
+    "fit_curve",
+    "slip_axis",
+]
 
 _MOST_GROUPS = 6
 _POINTS = 240
 _OTHER = {"sigma_x": "alpha", "alpha": "sigma_x"}
-_FORCE_LABEL = {
+FORCE_LABEL = {
     "fx": ("longitudinal force $F_x$", "N", "$F_x / F_z$"),
     "fy": ("lateral force $F_y$", "N", "$F_y / F_z$"),
     "mz": ("aligning moment $M_z$", "N m", "$M_z / F_z$"),
@@ -320,7 +328,7 @@ def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
         Group(label, axis.shown(values[rows]), (force / unit)[rows])
         for label, rows in members
     )
-    name, force_unit, ratio = _FORCE_LABEL[channel]
+    name, force_unit, ratio = FORCE_LABEL[channel]
     ratio_unit = "m" if channel == "mz" else "-"
     return FitCurve(
         channel, f"{axis.label} [{axis.unit}]",

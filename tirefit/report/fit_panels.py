@@ -25,9 +25,16 @@ from tirefit.report.draw_uncertainty import draw_profile, trace_figure
 from tirefit.report.residuals import Residuals, residual_panels
 from tirefit.report.uncertainty import has_trace, profile_data
 
-__all__ = ["Shown", "curve_pictures", "page_pictures", "residual_pictures"]
+__all__ = [
+    "WIDE",
+    "Shown",
+    "below",
+    "curve_pictures",
+    "page_pictures",
+    "residual_pictures",
+]
 
-_WIDE = 4.6
+WIDE = 4.6
 _SMALL = 2.3
 _PIXELS = 80
 """Of the page for an inch of a picture that is too wide for a phone, and scrolls."""
@@ -42,7 +49,7 @@ class Shown(NamedTuple):
     least: int = 0
 
 
-def _empty(height: float, width: float = _WIDE) -> Picture:
+def _empty(height: float, width: float = WIDE) -> Picture:
     return Picture(figsize=(width, height), layout="constrained")
 
 
@@ -106,7 +113,7 @@ def _distribution(data: Residuals) -> list[Shown]:
 
 def _runs(result: FitResult) -> Shown:
     panels = run_points(result)
-    picture = Picture(figsize=(_WIDE, 1.3 + 1.4 * len(panels)))
+    picture = Picture(figsize=(WIDE, 1.3 + 1.4 * len(panels)))
     place_points(picture, panels, 0.02, 0.98)
     return Shown(picture, "Parameters and derived quantities run by run")
 
