@@ -17,6 +17,7 @@ from tirefit.report.by_name import run_points
 from tirefit.report.draw_corner import corner_figure
 from tirefit.report.draw_uncertainty import profile_figure, trace_figure
 from tirefit.report.html import fit_fragment
+from tirefit.report.summary import summary_table
 from tirefit.report.text import fit_report
 from tirefit.report.uncertainty import corner_data, trace_data
 from tirefit.results import Outcome, UsageError
@@ -100,6 +101,20 @@ def test_derived_quantities_have_a_row_per_run(by_run):
         shown = [float(x) for x in re.findall(r"([\d.]+) ±", row)]
         assert any(abs(x - value) < 1e-2 * value for x in shown), name
     assert "at F_z = 4000 N, v = 20 m/s" in " ".join(text.split())
+
+
+def test_a_summary_holds_every_column_of_every_fit(by_run):
+    names = [f"all/{run}" for run in RUNS[:3]]
+    text = summary_table([(name, by_run) for name in names])
+    lines = text.splitlines()
+    assert lines[1] == "SUMMARY of all/drum_2026-03-12_cold_asphalt_*_brake"
+    assert max(map(len, lines)) <= 88
+    rows = [line for line in lines if line.startswith("  run02 ")]
+    assert sum(line.count("±") for line in rows) == 28
+    assert rows[-1].split()[-1] == "ok"
+    assert all(
+        line.startswith(("  run0", "  fit ", "  ---")) for line in lines[2:] if line
+    )
 
 
 def drawn_texts(picture):

@@ -14,7 +14,6 @@ from tirefit.report.fit_html import page_images
 from tirefit.report.fit_panels import WIDE, Shown, below
 from tirefit.report.fit_tables import FORCE_UNIT, Rows, value_text
 from tirefit.report.html import GOOD, OPEN, rendered
-from tirefit.report.labels import short_label
 from tirefit.report.numbers import format_number
 from tirefit.report.overlay import draw_overlay, overlay_of
 from tirefit.results import InputProblem, UsageError
@@ -151,11 +150,11 @@ def _provenance(fits: Mapping[str, FitResult]) -> list[str]:
 
 def _files(fits: Mapping[str, FitResult]) -> Rows:
     return [
-        ["file", "path", "sha256", "convention", "at F_z [N]"],
+        ["file", "path", "convention", "at F_z [N]", "sha256"],
         *(
             [
-                name, result.data["file"], result.data["sha256"] or "-",
-                result.data["convention"], format_number(result.reference["fz"]),
+                name, result.data["file"], result.data["convention"],
+                format_number(result.reference["fz"]), result.data["sha256"] or "-",
             ]
             for name, result in fits.items()
         ),
@@ -190,12 +189,7 @@ def fits_page(
         parameters=_parameters(by_name),
         derived=_table(by_name, "derived"),
         by_file=page_images(_by_file(by_name)),
-        per_run=[
-            short_label(r, label)
-            for r in results
-            for label in r.labels
-            if label != quantity_of(label)
-        ],
+        per_run=sorted({quantity_of(k) for r in results for k in r.labels if "[" in k}),
         provenance=_provenance(fits),
         files=_files(by_name),
     )

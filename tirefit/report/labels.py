@@ -34,7 +34,8 @@ def run_lines(result: FitResult) -> list[str]:
     if names.short == tuple(runs):
         return []
     if names.pattern:
-        return [f"{names.short[0]} ... {names.short[-1]} of {names.pattern}"]
+        between = ", " if len(runs) == 2 else " ... "
+        return [f"{names.short[0]}{between}{names.short[-1]} of {names.pattern}"]
     return [f"{i}: {run}" for i, run in enumerate(runs, 1)]
 
 

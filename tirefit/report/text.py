@@ -19,7 +19,14 @@ from tirefit.report.fit_tables import (
 from tirefit.report.labels import fit_files, notes_of, run_lines
 from tirefit.report.numbers import format_number
 
-__all__ = ["WIDTH", "fit_report", "parameter_lines", "table", "verdict_line"]
+__all__ = [
+    "WIDTH",
+    "fit_report",
+    "parameter_lines",
+    "table",
+    "table_parts",
+    "verdict_line",
+]
 
 WIDTH = 88
 
@@ -41,6 +48,19 @@ def table(rows: list[list[str]], right: tuple[int, ...] = ()) -> list[str]:
         lines.append(("  " + "  ".join(cells)).rstrip())
     rule = ("  " + "  ".join("-" * width for width in widths)).rstrip()
     return [line[:WIDTH] for line in (lines[0], rule, *lines[1:])]
+
+
+def table_parts(rows: list[list[str]]) -> list[str]:
+    """A table in as many parts as the width asks for, each with the first column."""
+    lines, first = [], 1
+    widths = [max(len(row[i]) for row in rows) + 2 for i in range(len(rows[0]))]
+    while first < len(widths):
+        last = first + 1
+        while last < len(widths) and widths[0] + sum(widths[first : last + 1]) <= WIDTH:
+            last += 1
+        lines += ["", *table([[row[0], *row[first:last]] for row in rows])]
+        first = last
+    return lines[1:]
 
 
 def _wrapped(name: str, text: str) -> list[str]:
@@ -100,21 +120,12 @@ def _derived(result: FitResult) -> list[str]:
         lines += ["", f"DERIVED (at {at}; {result.source})", *table(shared)]
     if len(derived_by_run(result)) > 1:
         title = f"DERIVED, BY RUN (at {at}; {result.source}; intervals in fit.json)"
-        lines += ["", *textwrap.wrap(title, WIDTH), *_by_quantity(result)]
+        lines += [
+            "",
+            *textwrap.wrap(title, WIDTH),
+            *table_parts(derived_by_run(result)),
+        ]
     return lines
-
-
-def _by_quantity(result: FitResult) -> list[str]:
-    """The table by run, in as many parts as the width asks for."""
-    rows, lines, first = derived_by_run(result), [], 1
-    widths = [max(len(row[i]) for row in rows) + 2 for i in range(len(rows[0]))]
-    while first < len(widths):
-        last = first + 1
-        while last < len(widths) and widths[0] + sum(widths[first : last + 1]) < WIDTH:
-            last += 1
-        lines += ["", *table([[row[0], *row[first:last]] for row in rows])]
-        first = last
-    return lines[1:]
 
 
 def _quality(result: FitResult) -> list[str]:
