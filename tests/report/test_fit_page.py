@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 
+import jax.numpy as jnp
 import matplotlib.image
 import numpy as np
 import pytest
@@ -174,6 +175,20 @@ def test_the_curves_on_one_another_are_the_models(several, plain):
     np.testing.assert_allclose(
         over_load.curves[0].force, overlay_of({"a": plain}, "fx").curves[0].force / 4000
     )
+
+
+def test_points_beside_their_curve_are_left_out(plain):
+    problem = plain.problem
+    rows = problem.rows
+    load = np.array(rows.inputs.fz)
+    load[:30] = 5000.0
+    aside = np.zeros_like(load)
+    aside[30:40] = 0.1
+    inputs = rows.inputs._replace(fz=jnp.asarray(load), alpha=jnp.asarray(aside))
+    moved = replace(plain, problem=problem.with_rows(inputs=inputs))
+    (one,) = overlay_of({"a": moved}, "fx").curves
+    expected = problem.used(rows.observed["fx"])[40:]
+    np.testing.assert_array_equal(one.at_force, expected)
 
 
 def test_the_page_of_several_has_a_row_for_each(several):

@@ -21,6 +21,9 @@ _POINTS = 160
 _MOST_POINTS = 300
 _MOST_NAMED = 12
 """Files that the legend names; of more, the first and the last."""
+_OTHER = {"sigma_x": "alpha", "alpha": "sigma_x"}
+_NEAR_LOAD, _NEAR_SLIP = 0.1, 0.01
+"""Share of the load, and slip, by which a point may be off its curve's."""
 _SAME_LOAD = 0.02
 """Relative spread of the loads up to which forces compare in newtons."""
 
@@ -61,7 +64,7 @@ def _conditions(result: FitResult, slip: str) -> dict[str, float]:
         if k != slip
     }
     middle = {k: float(np.median(v)) for k, v in columns.items()}
-    other = "alpha" if slip == "sigma_x" else "sigma_x"
+    other = _OTHER[slip]
     if columns[other].min() <= 0 <= columns[other].max():
         middle[other] = 0.0
     return middle
@@ -78,15 +81,25 @@ def _curve(result: FitResult, name: str, channel: str, axis: SlipAxis, over_load
     inputs = TireInputs(**{k: jnp.asarray(v) for k, v in columns.items()})
     run = np.zeros(_POINTS, int)
     band = force_band(result, channel, inputs, run, np.zeros(_POINTS))
-    load = problem.used(problem.rows.inputs.fz)
     unit = middle["fz"] if over_load else 1.0
-    step = -(-len(slips) // _MOST_POINTS)
-    measured = problem.used(problem.rows.observed[channel])
-    measured = measured / load if over_load else measured
+    near = _near(result, slip, middle)
+    near = near[:: -(-len(near) // _MOST_POINTS) or 1]
+    load = problem.used(problem.rows.inputs.fz) if over_load else 1.0
+    measured = problem.used(problem.rows.observed[channel]) / load
     return OverlayCurve(
         name, axis.shown(grid), band.force / unit, band.low / unit, band.high / unit,
-        axis.shown(slips)[::step], measured[::step],
+        axis.shown(slips)[near], measured[near],
     )  # fmt: skip
+
+
+def _near(result: FitResult, slip: str, middle: Mapping[str, float]) -> np.ndarray:
+    """The rows (n,) at about the load and the other slip of the curve: others would lie
+    beside it."""
+    problem = result.problem
+    inputs, other = problem.rows.inputs, _OTHER[slip]
+    load, aside = problem.used(inputs.fz), problem.used(getattr(inputs, other))
+    near = np.abs(load - middle["fz"]) <= _NEAR_LOAD * middle["fz"]
+    return np.flatnonzero(near & (np.abs(aside - middle[other]) <= _NEAR_SLIP))
 
 
 def overlay_of(fits: Mapping[str, FitResult], channel: str) -> Overlay:
