@@ -57,7 +57,7 @@ def below(picture: Picture, legend: Legend | None, columns: int = 2) -> None:
     """Moves the legend of axes below them, where it takes no width."""
     if legend is None:
         return
-    handles = list(legend.legend_handles)
+    handles = [handle for handle in legend.legend_handles if handle is not None]
     texts = [text.get_text().replace("\n", " ") for text in legend.get_texts()]
     title = legend.get_title().get_text()
     legend.remove()

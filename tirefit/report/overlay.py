@@ -74,9 +74,9 @@ def _curve(result: FitResult, name: str, channel: str, axis: SlipAxis, over_load
     problem, slip = result.problem, CHANNEL_SLIP[channel]
     slips, middle = _slips(result, channel), _conditions(result, slip)
     low, high = min(float(slips.min()), 0.0), max(float(slips.max()), 0.0)
-    grid = np.asarray(
-        axis.canonical(np.linspace(*axis.shown(np.array([low, high])), _POINTS)), float
-    )
+    first, last = axis.shown(np.array([low, high]))
+    shown = np.linspace(float(first), float(last), _POINTS)
+    grid = np.asarray(axis.canonical(shown), float)
     columns = {k: np.full(_POINTS, v) for k, v in middle.items()} | {slip: grid}
     inputs = TireInputs(**{k: jnp.asarray(v) for k, v in columns.items()})
     run = np.zeros(_POINTS, int)
@@ -129,7 +129,7 @@ def overlay_of(fits: Mapping[str, FitResult], channel: str) -> Overlay:
 def _colors(count: int) -> Sequence:
     if count <= len(COLORS):
         return COLORS[:count]
-    return mpl.colormaps["viridis"](np.linspace(0, 0.92, count))
+    return list(mpl.colormaps["viridis"](np.linspace(0, 0.92, count)))
 
 
 def draw_overlay(axes, overlay: Overlay) -> None:
