@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -191,6 +192,35 @@ def test_a_trace_shows_the_chains_that_agree_least(by_run):
         "10 of 28 parameters; the others: R-hat at most 1.018, ESS at least 900"
     )
     assert overlapping(drawn_texts(trace_figure(by_run))) == []
+
+
+def test_long_names_stay_beside_their_panels(by_run):
+    names = [f"{'x' * i}michelin_{i * 7919}_hot_track_of_monday" for i in range(14)]
+    runs = dict(zip(RUNS, names, strict=True))
+
+    def renamed(label):
+        name, _, run = label.partition("[")
+        return f"{name}[{runs[run[:-1]]}]"
+
+    layout = replace(by_run.problem.layout, runs=tuple(names))
+    parts = {
+        part: {renamed(k): v for k, v in getattr(by_run, part).items()}
+        for part in ("parameters", "least_squares", "derived")
+    }
+    result = replace(
+        by_run, labels=tuple(map(renamed, by_run.labels)),
+        data=by_run.data | {"runs": names}, posterior=None, **parts,
+        problem=replace(by_run.problem, layout=layout),
+    )  # fmt: skip
+    for count in (4, 6):
+        asked = [f"mu[{name}]" for name in names[:count]]
+        picture = corner_figure(result, asked)
+        picture.draw_without_rendering()
+        boxes = [a.yaxis.label.get_window_extent() for a in picture.axes]
+        written = [box for box in boxes if box.height > 5]
+        assert len(written) == count - 1
+        tops = sorted((box.y0, box.y1) for box in written)
+        assert all(low[1] < high[0] for low, high in pairwise(tops))
 
 
 def test_a_profile_of_many_says_how_many(by_run):

@@ -9,6 +9,7 @@ from tirefit.data.run_names import clipped
 from tirefit.fitting.derived import quantity_of
 from tirefit.fitting.result import Estimate, FitResult
 from tirefit.report.canvas import BLUE, DARK, GREY, RED, Picture, frame, tidy
+from tirefit.report.fit_tables import reference_text
 from tirefit.report.labels import short_run
 from tirefit.report.numbers import plain_text
 
@@ -158,7 +159,7 @@ def runs_figure(result: FitResult) -> Picture:
     panels = run_points(result)
     picture, (bottom, top) = frame(result, 2.0 + 1.45 * len(panels))
     height = picture.get_figheight()
-    at = f"$F_z$ = {result.reference['fz']:.4g} N"
+    at = reference_text(result).replace("F_z", "$F_z$")
     vague = any((~points.known).any() for points in panels)
     note = f"values and 95 % intervals by run ({result.source}); derived at {at}"
     picture.text(

@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from tirefit.data.run_names import clipped
 from tirefit.fitting.result import FitResult
 from tirefit.report.by_name import has_runs, runs_figure
 from tirefit.report.canvas import (
@@ -176,7 +175,7 @@ def draw_scatter(axes, panel: Scatter, force: str = "") -> None:
     tidy(axes, panel.label, f"{force} residual / std".strip())
     axes.set_ylim(*_symmetric(panel.residual))
     if panel.ticks:
-        texts = [clipped(text, 12) for text in panel.ticks]
+        texts = list(panel.ticks)
         angle = 0 if sum(map(len, texts)) < 40 else 60
         every = 1 if len(texts) <= 16 else 2
         axes.set_xticks(

@@ -74,6 +74,9 @@ def _panel_figure(result: FitResult, corner: Corner) -> Picture:
         wspace=0.1, hspace=0.1,
     )  # fmt: skip
     size = float(np.clip(10 - 0.5 * count, 5.5, 9))
+    # Long names of runs stay beside their own panel.
+    room = 72 * min((top - bottom) * height, picture.get_figwidth()) / count
+    label = min(size, room / (0.6 * max(map(_length, corner.labels))))
     for i in range(count):
         for j in range(i + 1):
             axes = picture.add_subplot(grid[i, j])
@@ -81,7 +84,7 @@ def _panel_figure(result: FitResult, corner: Corner) -> Picture:
                 draw_marginal(axes, corner, i)
             else:
                 draw_joint(axes, corner, i, j)
-            _corner_labels(axes, corner, i, j, size)
+            _corner_labels(axes, corner, i, j, size, label)
     # One line for all labels, beside the widest of the numbers.
     picture.align_labels()
     return picture
@@ -178,12 +181,15 @@ def _grid_key(picture: Picture, corner: Corner, top: float) -> None:
     )  # fmt: skip
 
 
-def _corner_labels(axes, corner: Corner, i: int, j: int, size: float) -> None:
+def _corner_labels(axes, corner: Corner, i, j, size: float, label: float) -> None:
+    """Numbers in one size, names in another."""
     last = i == len(corner.labels) - 1
     tidy(
         axes, corner.labels[j] if last else "", corner.labels[i] if j == 0 != i else "",
         size,
     )  # fmt: skip
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.label.set_fontsize(label)
     axes.locator_params(axis="x", nbins=3)
     # Many narrow panels: level numbers would run into each other.
     angle = 0 if len(corner.labels) < 4 else 30
@@ -193,7 +199,7 @@ def _corner_labels(axes, corner: Corner, i: int, j: int, size: float) -> None:
     if i == j:
         axes.set_yticks([])
         if not last:
-            axes.set_title(corner.labels[i], fontsize=size, color=DARK, pad=2)
+            axes.set_title(corner.labels[i], fontsize=label, color=DARK, pad=2)
     else:
         axes.locator_params(axis="y", nbins=3)
         axes.tick_params(axis="y", labelleft=j == 0, labelsize=size - 1.5)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from tirefit.data.run_names import run_names
+from tirefit.data.run_names import clipped, run_names
 from tirefit.data.table import TireData
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.residuals import (
@@ -24,6 +24,8 @@ _INDEPENDENT = 0.9
 """Effective share of the rows from which their order in the file is moot."""
 _MOST_RUNS = 30
 """Runs that have a panel of their own, at most."""
+_TICK = 12
+"""Characters of a run's name below an axis."""
 _LABEL = {
     "fz": ("load $F_z$", "N"),
     "v": ("speed $v$", "m/s"),
@@ -128,7 +130,7 @@ def _runs(result: FitResult, residual, inflation: float) -> list[Scatter]:
     spread = np.random.default_rng(0).uniform(-0.25, 0.25, len(position))
     means = means_by(position, position, residual, inflation)
     short = run_names(problem.layout.runs).short
-    names = tuple(plain_text(short[int(code)]) for code in codes)
+    names = tuple(plain_text(clipped(short[int(code)], _TICK)) for code in codes)
     return [Scatter("run", position + spread, residual, *means, names)]
 
 
