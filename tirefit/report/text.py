@@ -22,6 +22,8 @@ __all__ = [
 
 WIDTH = 88
 _FORCE_UNIT = {"fx": "N", "fy": "N", "mz": "N m"}
+_FAR_ROWS = 8
+"""Far rows that are named one by one."""
 _ROUTES = ("covariance", "profile", "posterior")
 
 
@@ -79,10 +81,13 @@ def note_on(result: FitResult, name: str) -> str:
 
 def _header(result: FitResult) -> list[str]:
     data = result.data
-    masked = data["rows"] - data["used"]
+    aside = data.get("set_aside", 0)
+    masked = data["rows"] - data["used"] - aside
     rows = f"{data['used']} used of {data['rows']}"
-    if masked:
-        rows += f" ({masked} masked)"
+    left_out = {"masked": masked, "set aside": aside}
+    if any(left_out.values()):
+        said = [f"{count} {why}" for why, count in left_out.items() if count]
+        rows += f" ({', '.join(said)})"
     if len(data["runs"]) > 1:
         rows += f", {len(data['runs'])} runs"
     lines = [f"tirefit {result.version}: {result.model} fitted to {data['file']}"]
@@ -100,6 +105,14 @@ def _header(result: FitResult) -> list[str]:
         lines += _wrapped("masked" if i == 0 else "", str(problem).replace("\n", " "))
     if len(data["masked"]) > 5:
         lines += _wrapped("", f"and {len(data['masked']) - 5} more")
+    for i, row in enumerate(result.far_rows[:_FAR_ROWS]):
+        place = f"{row.file}, row {row.row}, column {row.column!r}"
+        what = "set aside" if row.set_aside else "kept"
+        said = f"{what}: {place}: {row.reason}"
+        lines += _wrapped("far rows" if i == 0 else "", said)
+    if len(result.far_rows) > _FAR_ROWS:
+        rest = len(result.far_rows) - _FAR_ROWS
+        lines += _wrapped("", f"and {rest} more: far_rows in fit.json")
     return lines + _wrapped("solver", f"{result.solver}, seed {result.seed}")
 
 
@@ -157,6 +170,20 @@ def _noise_text(result: FitResult) -> str:
     return ", ".join(parts)
 
 
+def _noise_model(result: FitResult) -> str:
+    """What the likelihood takes the noise for."""
+    loss = result.noise.get("loss", "squares")
+    if loss == "squares":
+        return "normal in every row"
+    if loss != "trimmed":
+        return f"loss {loss} in every row"
+    aside = result.data.get("set_aside", 0)
+    return (
+        f"normal; rows further than {result.noise['limit']:.1f} standard deviations"
+        f" from what the others predict are set aside ({aside or 'none'})"
+    )
+
+
 def _quality(result: FitResult) -> list[str]:
     s = result.statistics
     unit = _FORCE_UNIT[result.forces[0]]
@@ -169,8 +196,7 @@ def _quality(result: FitResult) -> list[str]:
         "rows", f"n {s.n}   n_effective {s.n_effective:.0f}   dof {s.dof:.0f}"
     )
     noise = _noise_text(result)
-    loss = result.noise.get("loss", "squares")
-    lines += _wrapped("noise", noise if loss == "squares" else f"{noise}; loss {loss}")
+    lines += _wrapped("noise", f"{noise}; {_noise_model(result)}")
     ending = "converged" if s.converged else "NOT CONVERGED"
     lines += _wrapped("solution", f"{ending}, {s.starts_agreeing} of {s.starts} starts")
     return lines
