@@ -32,6 +32,8 @@ _FEW = 0.05
 measured."""
 _LEAST_RANGE = 0.3
 """A column that hardly varies counts as if it varied by so much of its median."""
+_OTHER_LOAD = 3.0
+"""Factor between a load and all others that is no other setting, but another unit."""
 _BESIDE = 4
 """Neighbours of a row to either side. What lies outermost of them on both ends may be
 absurd itself, and is left out."""
@@ -40,6 +42,9 @@ _NEAR = 4.0
 deviations wide), and ..."""
 _SHARE = 0.25
 """... in ranges of the file, from which a value is far from its neighbours."""
+_AGAINST, _SMALL_SLIPS = 0.5, 0.25
+"""A force of so much of the largest with a slip of the other sign is absurd, but for
+the smallest slips by size, which may have an offset."""
 _LOAD_STEP = 0.1
 """Loads that differ by less in their logarithm are alike, ..."""
 _SLIP_STEP = 0.02
@@ -72,7 +77,8 @@ def far_values(
     A value is far from its file where a gap of three times the range of all others
     parts it from them; from its neighbours where it lies outside of what they have by
     four times their range, and by a quarter of the file's. The neighbours of a force
-    are rows of about its slip and load; in a log also those before and after. A row is
+    are rows of about its slip and load; in a log also those before and after. Its slip
+    gives it its sign. A row is
     named once for a column; where more than one row in twenty would be, none is.
 
     Args:
@@ -129,34 +135,44 @@ def why_far(value: FarValue) -> str:
 
 def _rules(data: TireData, column: str, values):
     """(who the others are, (far rows, ends of what the others have)), rule by rule."""
-    if column == "sigma_x":
+    if column == "fz":
+        scales = (_identity, np.log)
+        for far, low, high in (_beyond_all(values, scale) for scale in scales):
+            other = (values > _OTHER_LOAD * high) | (values < low / _OTHER_LOAD)
+            yield "all other rows", (far & other, low, high)
+    elif column == "sigma_x":
         yield "all other rows", _beyond_all(values, slip_ratio_from_sigma, LOCKED)
     else:
         yield "all other rows", _beyond_all(values)
-    if column == "fz":
-        yield "all other rows", _beyond_all(values, np.log, least=_LEAST_RANGE)
     if column in _SLIP_OF and _SLIP_OF[column] in data:
         slip = _SLIP_OF[column]
         yield f"rows of about its {slip}", _beside(values, like_slips(data, slip))
+        if column != "mz":
+            among = f"forces of its sign of {slip}"
+            yield among, _against(values, data.usable(slip))
     if "time" in data:
         order = np.lexsort((data.usable("time"), data.run[data.used]))
         yield "the rows before and after", _beside(values, order)
 
 
-def _beyond_all(values, shape=lambda values: values, locked=np.inf, least=None):
+def _identity(values):
+    return values
+
+
+def _beyond_all(values, shape=_identity, locked=np.inf):
     """Rows that a wide gap parts from all others, at either end.
 
     Args:
         values: (n,).
         shape: scale on which gaps are compared.
         locked: values from which on a row is no stray, but a locked wheel.
-        least: range that the column counts as having, at least.
     """
     order = np.argsort(values, kind="stable")
     ordered = shape(values[order])
     count, few = len(values), max(1, int(_FEW * len(values)))
-    if least is None:
-        least = _LEAST_RANGE * abs(float(np.median(ordered)))
+    # A share of the values themselves, on a logarithmic scale too.
+    middle = 1.0 if shape is np.log else abs(float(np.median(ordered)))
+    least = _LEAST_RANGE * middle
     gap = np.diff(ordered)
     # How far the rows below a gap, and those above it, reach from the other end.
     below = np.maximum(ordered[:-1] - ordered[few], least)
@@ -185,12 +201,28 @@ def _beside(values, order):
         near = np.sort(ordered[_neighbours(at, len(values))], axis=1)
         low[order[at]], high[order[at]] = near[:, 1], near[:, -2]
     width = high - low
-    outer = np.partition(values, (few := max(1, len(values) // 100), -1 - few))
-    whole = outer[-1 - few] - outer[few]
+    first, last = _inner_range(values)
+    whole = last - first
     reach = np.maximum(_NEAR * np.maximum(width, np.median(width)), _SHARE * whole)
     far = (np.maximum(low - values, values - high) > reach) & (whole > 0)
     far[order[:_BESIDE]] = far[order[-_BESIDE:]] = False
     return far, low, high
+
+
+def _against(values, slip):
+    """Rows whose force is large and has the direction of a slip of the other sign."""
+    outer = _inner_range(values)
+    size = max(abs(outer[0]), abs(outer[1]))
+    clear = np.abs(slip) > np.quantile(np.abs(slip), _SMALL_SLIPS)
+    far = (values * slip < 0) & (np.abs(values) > _AGAINST * size) & clear
+    return far, np.where(slip > 0, 0.0, -size), np.where(slip > 0, size, 0.0)
+
+
+def _inner_range(values) -> tuple[float, float]:
+    """Ends of the values but for one in a hundred at either."""
+    few = max(1, len(values) // 100)
+    ordered = np.partition(values, (few, len(values) - 1 - few))
+    return float(ordered[few]), float(ordered[-1 - few])
 
 
 def _neighbours(at, count: int):

@@ -173,7 +173,9 @@ def inspect(data: Any) -> Inspection:
 def _far_row(data: TireData, value: FarValue) -> str:
     remedy = "correct or delete the row"
     place = problem_at(data, value.row, value.column, why_far(value), remedy)
-    return str(dataclasses.replace(place, file="")).replace("\n    ", "; ")
+    # The file is that of the report, unless several were joined.
+    place = place if data.source.paths else dataclasses.replace(place, file="")
+    return str(place).replace("\n    ", "; ")
 
 
 def _summarise(data: TireData, name: str) -> ColumnSummary:

@@ -9,8 +9,8 @@ wrong unit, a slipped sign, a stuck channel. The deviance of a row is then
 of its standardised residual r: squares up to the distance c, and nothing to be learnt
 beyond. The rows beyond are set aside, and named; the others are fitted as if they were
 all, so that intervals, profiles and posteriors are those of normal noise. The distance
-c grows with the number of rows so that of 200 clean files one loses a row: clean data
-are fitted by plain least squares.
+c grows with the number of rows so that of 200 clean files less than one loses a row:
+clean data are fitted by plain least squares.
 
 Whether a row lies beyond is judged against what the *other* rows predict for it, with
 the uncertainty of that prediction: a row that alone tells something of a parameter is
@@ -46,17 +46,28 @@ from tirefit.results import InputProblem
 __all__ = ["FarRow", "Settled", "settle"]
 
 _CHANCE = 0.005
-"""Share of clean data sets that lose a row."""
+"""Share of clean data sets that lose a row, were their noise ..."""
+_TAILS = 30
+"""... Student's t of so many degrees of freedom at most: measured noise has tails a
+little heavier than normal, and in a long log a row of six standard deviations is no
+absurd one. The distance is 4.7 at 80 rows, 7 at 50,000."""
 _MOST = 0.1
 """Share of the rows, at most, that are set aside: more are no few absurd rows."""
 _ROUNDS = 8
-_NEIGHBOURS = {7: 2.0, 31: 1.4}
-"""Rows whose median residual gives the scale about a row, and by how much it must be
-larger than that of all: few, so that a short stretch that misses the curve counts, and
-many, for a noise that is not the same everywhere. By chance one row in 50 does."""
+_NEAR, _MISSED = 6, 2.0
+"""A row is judged from the median residual of so many neighbours where that is so many
+standard deviations off: they miss the curve together."""
+_AROUND, _LOUDER = 30, 1.4
+"""The noise about a row is that of so many neighbours where it is so much larger than
+that of all."""
+_ON_A_LINE = np.sqrt(1.5)
+"""Standard deviation of a residual from the mean of two others."""
 _CLEAR = 2.0
-"""Standard deviations from what the others predict within which a value that is far in
-an input is kept: agreement as good as of 95 % of the rows."""
+"""Standard deviations from what the others predict within which a slip far from all
+others is kept: agreement as good as of 95 % of the rows."""
+_NEVER = 1e-9
+"""Instead of that for a load far from all others, which may fit by chance: at little
+slip a force says nothing of its load, and such a row would rule the slope."""
 _ROUNDING = 1e-6
 """Share of a force's range below which nothing is far."""
 _RESTS = 0.7
@@ -170,7 +181,7 @@ def _suspects(task: FitTask) -> dict[int, FarValue]:
 def _limit(problem: FitProblem) -> float:
     """Standard deviations beyond which a clean data set has a row by ``_CHANCE``."""
     rows = problem.n * len(problem.channels)
-    dof = max(rows - problem.layout.size - 1, 1)
+    dof = min(max(rows - problem.layout.size - 1, 1), _TAILS)
     return float(stdtrit(dof, 1 - _CHANCE / (2 * rows)))
 
 
@@ -207,9 +218,7 @@ def _judge(whole: FitTask, task, solved: Solved, kept, suspects, limit) -> _Judg
     if not kept.all():
         problem, at = on_rows(whole, kept, task, solved)
     root = _root_of_covariance(at, kept)
-    alone = [i for i, value in suspects.items() if value.column not in CHANNEL_SLIP]
-    limits = np.full(problem.n, limit)
-    limits[alone] = _CLEAR
+    limits, alone = _limits(problem.n, suspects, limit)
     by_channel, leverage = [], np.zeros(problem.n)
     for channel in problem.channels:
         slopes = at.slopes[problem.block_of(channel)] @ root
@@ -217,19 +226,37 @@ def _judge(whole: FitTask, task, solved: Solved, kept, suspects, limit) -> _Judg
         leverage = np.maximum(leverage, np.where(kept, share, 0.0))
         unit = np.sqrt(at.variance[channel.name])
         observed = problem.used(problem.rows.observed[channel.name])
-        residual = np.abs(observed - at.mean[channel.name]) / unit
+        residual = (observed - at.mean[channel.name]) / unit
         # What a kept row is off is less than what the others predict it off.
         spread = np.where(kept, np.maximum(1 - share, _ROUNDING), 1 + share)
         off = np.nan_to_num(residual / np.sqrt(spread), nan=np.inf)
         floor = _ROUNDING * np.ptp(observed[kept]) / np.median(unit[kept])
-        scale = max(_scale(off[kept]), floor, np.finfo(float).tiny)
-        scale = scale if channel.noise_estimated else max(scale, 1.0)
-        ratio = off / (limits * scale)
+        scale = max(_scale(np.abs(off[kept])), floor, np.finfo(float).tiny)
+        off /= scale if channel.noise_estimated else max(scale, 1.0)
+        ratio = np.abs(off) / limits
         beyond = np.flatnonzero(ratio > 1)
-        about = _scale_about(beyond, off / scale, whole, channel.name, alone)
-        ratio[beyond] /= about
-        by_channel.append((off / scale, ratio, at.mean[channel.name]))
+        # A row far in an input has no neighbours there, but in the file.
+        orders = (
+            (~alone, like_slips(whole.data, CHANNEL_SLIP[channel.name]), kept),
+            (alone, np.arange(problem.n), np.ones(problem.n, bool)),
+        )
+        for which, order, counts in orders:
+            rows = beyond[which[beyond]]
+            ratio[rows] = _beside(rows, off, order, counts) / limits[rows]
+        by_channel.append((np.abs(off), ratio, at.mean[channel.name]))
     return _Judged(*map(np.array, zip(*by_channel, strict=True)), leverage)
+
+
+def _limits(n: int, suspects: dict[int, FarValue], limit: float):
+    """Distances from which rows are set aside (n,), and those far in an input."""
+    limits, alone = np.full(n, limit), np.zeros(n, bool)
+    for i, value in suspects.items():
+        alone[i] = value.column not in CHANNEL_SLIP
+        if value.column in CHANNEL_SLIP.values():
+            limits[i] = _CLEAR
+        elif value.column == "fz":
+            limits[i] = _NEVER
+    return limits, alone
 
 
 def _root_of_covariance(at: Linearised, kept) -> Float[np.ndarray, "p p"]:
@@ -251,25 +278,36 @@ def _scale(off) -> float:
     return float(np.sqrt(np.mean(part**2) / (1 - 2 * end * density / share)))
 
 
-def _scale_about(rows, off, task: FitTask, force: str, alone) -> np.ndarray:
-    """Scale of the distances off (n,) about some rows (m,), 1 where it is that of all.
+def _beside(rows, off, order, counts) -> np.ndarray:
+    """Distances of some rows that are left where their neighbours are off too, (m,).
 
-    A row that is ``alone``, far in an input, has no neighbours in it; about that one,
-    those before and after it in the file count.
+    Args:
+        rows: (m,) to be judged.
+        off: (n,) signed distances, in standard deviations.
+        order: (n,) in which neighbours stand together.
+        counts: (n,) bool, the rows that may be neighbours.
     """
-    lonely, scale = np.isin(rows, alone), np.ones(len(rows))
-    by_state = like_slips(task.data, CHANNEL_SLIP[force]) if len(rows) else rows
-    for chosen, order in ((~lonely, by_state), (lonely, np.arange(len(off)))):
-        place = np.empty(len(order), int)
-        place[order] = np.arange(len(order))
-        for width, least in _NEIGHBOURS.items():
-            size = min(width, len(off))
-            start = np.clip(place[rows[chosen]] - size // 2, 0, len(off) - size)
-            near = off[order[start[:, None] + np.arange(size)]]
-            here = MAD * np.median(near, axis=1)
-            here = np.maximum(scale[chosen], np.where(here > least, here, 1.0))
-            scale[chosen] = here
-    return scale
+    members, own = order[counts[order]], counts[rows].astype(int)
+    before = np.empty(len(order), int)
+    before[order] = np.cumsum(counts[order]) - counts[order]
+    before = before[rows]
+
+    def near(most):
+        size = min(most, len(members) - 1)
+        start = np.clip(before - size // 2, 0, len(members) - own - size)
+        at = start[:, None] + np.arange(size)
+        return off[members[at + ((at >= before[:, None]) & (own[:, None] > 0))]]
+
+    after = before + own
+    inner = (before > 0) & (after < len(members))
+    ends = members[before - 1], members[np.minimum(after, len(members) - 1)]
+    line = np.where(inner, (off[ends[0]] + off[ends[1]]) / 2, 0.0)
+    left = np.abs(off[rows])
+    for missed, wider in ((np.median(near(_NEAR), axis=1), 1.0), (line, _ON_A_LINE)):
+        beside = np.abs(off[rows] - missed) / wider
+        left = np.where(np.abs(missed) > _MISSED, np.minimum(left, beside), left)
+    louder = MAD * np.median(np.abs(near(_AROUND)), axis=1)
+    return left / np.where(louder > _LOUDER, louder, 1.0)
 
 
 _REMEDY = "correct or delete the row"
@@ -278,12 +316,12 @@ _KEEP = f"{_REMEDY}, or fit it as it is by noise.loss = 'squares'"
 
 def _named(whole: FitTask, judged: _Judged, kept, beyond, suspects):
     """The rows that are far, in the order of the file."""
-    n, p = whole.problem.n, whole.problem.layout.size
-    resting = kept & (judged.leverage > _RESTS) & (n >= _MANY * p)
-    rows = np.flatnonzero(beyond | ~kept | resting)
+    many = whole.problem.n >= _MANY * whole.problem.layout.size
+    resting = kept & (judged.leverage > _RESTS) & many
+    rows = {*np.flatnonzero(beyond | ~kept | resting).tolist(), *suspects}
     return tuple(
         _far_row(whole, judged, i, bool(kept[i]), bool(beyond[i]), suspects.get(i))
-        for i in sorted({*rows.tolist(), *suspects})
+        for i in sorted(rows)
     )
 
 
@@ -292,35 +330,33 @@ def _far_row(
 ) -> FarRow:
     problem, channel = whole.problem, int(np.argmax(judged.ratio[:, i]))
     force = problem.channels[channel].name
-    value = float(problem.used(problem.rows.observed[force])[i])
+    measured = float(problem.used(problem.rows.observed[force])[i])
     predicted = float(judged.predicted[channel, i])
     distance = float(judged.distance[channel, i])
-    unit, column = CANONICAL[force][0], force
-    slip = CHANNEL_SLIP[force]
+    slip, unit = CHANNEL_SLIP[force], CANONICAL[force][0]
     at = float(problem.used(getattr(problem.rows.inputs, slip))[i])
     load = float(problem.used(problem.rows.inputs.fz)[i])
-    said = [
-        f"{value:.6g} {unit} at {slip} = {at:.4g}, fz = {load:.6g} N is {distance:.3g}"
-        f" standard deviations from the {predicted:.4g} {unit} that the other rows"
-        " predict"
-    ]
-    if suspect is not None:
-        said, column, value = [why_far(suspect)], suspect.column, suspect.value
-        if beyond or not kept:
-            said.append(
-                f"its {force} is {distance:.3g} standard deviations from what the other"
-                " rows predict"
-            )
-        else:
-            said.append("kept: what the other rows predict agrees with it")
-    elif not (beyond or not kept):
-        share = judged.leverage[i]
-        said = [f"the fit rests on this row: {share:.0%} of what is known of a"
-                " parameter comes from it alone"]  # fmt: skip
+    column, value = (force, measured) if suspect is None else suspect[1:3]
+    off = (
+        f"{force} = {measured:.6g} {unit} at {slip} = {at:.4g}, fz = {load:.6g} N is"
+        f" {distance:.3g} standard deviations from the {predicted:.4g} {unit} that the"
+        " other rows predict"
+    )
+    said = [] if suspect is None else [why_far(suspect)]
+    remedy = "make sure of it"
+    if beyond or not kept:
+        said.append(off)
+        remedy = _REMEDY if kept else _KEEP
+    elif suspect is None:
+        said.append(
+            f"the fit rests on it: {judged.leverage[i]:.0%} of what is known of a"
+            " parameter comes from this row"
+        )
+    elif distance <= _CLEAR:
+        said.append(f"kept: its {force} is what the other rows predict")
+    else:
+        said += [off, "kept: so are the rows beside it, or their run would go with it"]
     row = int(np.flatnonzero(whole.data.used)[i])
-    remedy = _KEEP if not kept else _REMEDY
-    if not beyond and kept:
-        remedy = "make sure of it" if suspect is None else "make sure of its value"
     place = problem_at(whole.data, row, column, "; ".join(said), remedy)
     return FarRow(
         place.file, place.row or 0, place.column or column, value, force, predicted,
