@@ -167,13 +167,18 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
 
 
 def _suspects(task: FitTask) -> dict[int, FarValue]:
-    """Values that are far in a column that the fit uses, by position of the row."""
+    """Values that are far in a column that the fit uses, by position of the row.
+
+    Of a row with several the first of ``FAR_COLUMNS``: a force beside a wrong load is
+    far from its like because of the load.
+    """
     channels = task.problem.channels
     used = {"fz", *task.problem.model.needs}
     used |= {c.name for c in channels} | {CHANNEL_SLIP[c.name] for c in channels}
     position = np.cumsum(task.data.used) - 1
     far: dict[int, FarValue] = {}
-    for value in far_values(task.data, [c for c in FAR_COLUMNS if c in used]):
+    values = far_values(task.data, [c for c in FAR_COLUMNS if c in used])
+    for value in sorted(values, key=lambda value: FAR_COLUMNS.index(value.column)):
         far.setdefault(int(position[value.row]), value)
     return far
 
@@ -235,14 +240,13 @@ def _judge(whole: FitTask, task, solved: Solved, kept, suspects, limit) -> _Judg
         off /= scale if channel.noise_estimated else max(scale, 1.0)
         ratio = np.abs(off) / limits
         beyond = np.flatnonzero(ratio > 1)
-        # A row far in an input has no neighbours there, but in the file.
-        orders = (
-            (~alone, like_slips(whole.data, CHANNEL_SLIP[channel.name]), kept),
-            (alone, np.arange(problem.n), np.ones(problem.n, bool)),
-        )
-        for which, order, counts in orders:
-            rows = beyond[which[beyond]]
-            ratio[rows] = _beside(rows, off, order, counts) / limits[rows]
+        if len(beyond):
+            order = like_slips(whole.data, CHANNEL_SLIP[channel.name])
+            rows = beyond[~alone[beyond]]
+            ratio[rows] = _beside(rows, off, order, kept) / limits[rows]
+            # A row far in an input has no neighbours there, but in the file.
+            rows, order = beyond[alone[beyond]], np.arange(problem.n)
+            ratio[rows] = _beside(rows, off, order, order >= 0) / limits[rows]
         by_channel.append((np.abs(off), ratio, at.mean[channel.name]))
     return _Judged(*map(np.array, zip(*by_channel, strict=True)), leverage)
 
