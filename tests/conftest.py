@@ -47,7 +47,7 @@ os.environ["XLA_FLAGS"] = " ".join(
 jax.config.update("jax_enable_x64", True)
 
 # Tracing makes objects by the million that live as long as the worker: at the usual
-# thresholds a tenth of the suite's time (142 of 1,365 s) goes into looking through them.
+# thresholds a tenth of the suite's time (142 of 1,365 s) goes into looking at them.
 gc.set_threshold(100_000, 20, 20)
 
 # Annotations are executed wherever every call keeps to them.

@@ -123,6 +123,31 @@ def _short(result: FitResult, label: str) -> str:
     return label_of_run(label, result.data["runs"])
 
 
+def _far_rows(result: FitResult) -> list[str]:
+    """On rows that are far from everything, and what was done about them."""
+    aside = [row for row in result.far_rows if row.set_aside]
+    kept = [row for row in result.far_rows if not row.set_aside]
+    said = [result.noise["too_many"]] if result.noise.get("too_many") else []
+    if aside:
+        said.append(
+            f"{len(aside)} of {result.statistics.n + len(aside)} rows lie beyond all"
+            f" noise and had no part in this fit: {_row_numbers(aside)}; correct or"
+            " delete them, or fit them as they are by noise.loss = 'squares'"
+        )
+    if kept:
+        said.append(f"make sure of rows that are far but kept: {_row_numbers(kept)}")
+    return said
+
+
+def _row_numbers(rows, most: int = 8) -> str:
+    """Numbers of rows, with their file where there are several."""
+    several = len({row.file for row in rows}) > 1
+    names = [f"{row.file} row {row.row}" if several else f"row {row.row}"
+             for row in rows[:most]]  # fmt: skip
+    more = [f"{len(rows) - most} more"] if len(rows) > most else []
+    return ", ".join(names + more)
+
+
 def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """All there is to say, each with the outcome it stands for."""
     statistics = result.statistics
@@ -130,6 +155,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     if not statistics.converged:
         findings.append((Outcome.NOT_CONVERGED, Outcome.NOT_CONVERGED.value))
     findings += _contradiction(result)
+    findings += [(None, text) for text in _far_rows(result)]
     findings += [(Outcome.POOR_FIT, text) for text in _fit_quality(result)]
     exact = _exactness(result)
     # Residuals that are rounding have a structure, and it means nothing.

@@ -123,8 +123,22 @@ def derived_by_run(result: FitResult) -> Rows:
     return rows
 
 
+def _noise_model(result: FitResult) -> str:
+    """What the likelihood takes the noise for."""
+    loss = result.noise.get("loss", "squares")
+    if loss == "squares":
+        return "normal in every row"
+    if loss != "trimmed":
+        return f"loss {loss} in every row"
+    aside = result.data.get("set_aside", 0)
+    return (
+        f"normal; rows further than {result.noise['limit']:.1f} standard deviations"
+        f" from what the others predict are set aside ({aside or 'none'})"
+    )
+
+
 def noise_text(result: FitResult) -> str:
-    """Standard deviation of every noise, where it is from, and the loss."""
+    """Standard deviation of every noise, where it is from, and its model."""
     parts = []
     for name, record in result.noise.items():
         if isinstance(record, dict) and "median_std" in record:
@@ -132,8 +146,7 @@ def noise_text(result: FitResult) -> str:
             unit = "" if unit == "-" else f" {unit}"
             std = format_number(record["median_std"], 3)
             parts.append(f"{name} {std}{unit} ({record['source']})")
-    noise, loss = ", ".join(parts), result.noise.get("loss", "squares")
-    return noise if loss == "squares" else f"{noise}; loss {loss}"
+    return f"{', '.join(parts)}; {_noise_model(result)}"
 
 
 def run_rows(result: FitResult) -> Rows:

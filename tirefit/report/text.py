@@ -29,6 +29,8 @@ __all__ = [
 ]
 
 WIDTH = 88
+_FAR_ROWS = 8
+"""Far rows that are named one by one."""
 
 
 def table(rows: list[list[str]], right: tuple[int, ...] = ()) -> list[str]:
@@ -78,10 +80,13 @@ def _files(result: FitResult) -> str:
 
 def _header(result: FitResult) -> list[str]:
     data = result.data
-    masked = data["rows"] - data["used"]
+    aside = data.get("set_aside", 0)
+    masked = data["rows"] - data["used"] - aside
     rows = f"{data['used']} used of {data['rows']}"
-    if masked:
-        rows += f" ({masked} masked)"
+    left_out = {"masked": masked, "set aside": aside}
+    if any(left_out.values()):
+        said = [f"{count} {why}" for why, count in left_out.items() if count]
+        rows += f" ({', '.join(said)})"
     if len(data["runs"]) > 1:
         rows += f", {len(data['runs'])} runs"
     lines = [f"tirefit {result.version}: {result.model} fitted to {_files(result)}"]
@@ -102,6 +107,14 @@ def _header(result: FitResult) -> list[str]:
         lines += _wrapped("masked" if i == 0 else "", str(problem).replace("\n", " "))
     if len(data["masked"]) > 5:
         lines += _wrapped("", f"and {len(data['masked']) - 5} more")
+    for i, row in enumerate(result.far_rows[:_FAR_ROWS]):
+        place = f"{row.file}, row {row.row}, column {row.column!r}"
+        what = "set aside" if row.set_aside else "kept"
+        said = f"{what}: {place}: {row.reason}"
+        lines += _wrapped("far rows" if i == 0 else "", said)
+    if len(result.far_rows) > _FAR_ROWS:
+        rest = len(result.far_rows) - _FAR_ROWS
+        lines += _wrapped("", f"and {rest} more: far_rows in fit.json")
     return lines + _wrapped("solver", f"{result.solver}, seed {result.seed}")
 
 
