@@ -17,6 +17,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from copy import deepcopy
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -120,7 +121,8 @@ def changed_record(content: bytes, random: np.random.Generator) -> bytes:
             if isinstance(inner, dict | list) and random.random() < 0.8:
                 place = inner
                 continue
-            place[key] = _VALUES[int(random.integers(len(_VALUES)))]
+            value = _VALUES[int(random.integers(len(_VALUES)))]
+            place[key] = deepcopy(value)  # a place for the next change
             break
     return json.dumps(sealed(record)).encode()
 

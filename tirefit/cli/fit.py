@@ -45,6 +45,8 @@ class Sampler(StrEnum):
 
 model_names = completed(*MODEL_NAMES)
 
+CHAIN = "chain.npz"
+
 
 def _output_directories(files: list[Path], out: Path | None, joint: bool) -> list[Path]:
     stems = [_stem(file) for file in files]
@@ -155,6 +157,12 @@ def _fit_all(
             complain(error_text(error))
             codes.append(error.exit_code)
             continue
+        except OSError as error:  # its report was said
+            if len(groups) == 1 or isinstance(error, BrokenPipeError):
+                raise
+            complain(error_text(error))
+            codes.append(ExitCode.USAGE)
+            continue
         codes.append(exit_code(result, strict))
         rows.append((directory, result))
         if Outcome.INTERRUPTED in result.outcomes:
@@ -164,9 +172,8 @@ def _fit_all(
             break
     if len(groups) > 1:
         say(_summary(rows))
-    # Bad data first, then convergence, then identification.
-    order = (ExitCode.DATA, ExitCode.NOT_CONVERGED, ExitCode.NOT_IDENTIFIED)
-    return next((code for code in order if code in codes), ExitCode.OK)
+    # The least is the worst: files not written, bad data, convergence, identification.
+    return min((code for code in codes if code), default=ExitCode.OK)
 
 
 def _fit_one(files, directory: Path, settings, how, posterior, resume, svg):
@@ -192,7 +199,12 @@ def fit_into(directory, data, settings, posterior=False, resume=False, svg=False
                 _save(result, directory, svg)
                 say(_first_words(result, directory))
             result = _sampled(result, directory, settings, resume)
-        written = _save(result, directory, svg)
+        try:
+            written = _save(result, directory, svg)
+        except OSError as error:
+            if posterior and (directory / CHAIN).exists():
+                error.add_note("--resume goes on from its chain")
+            raise
     say(str(result))
     say("wrote " + ", ".join(str(path) for path in written))
     return result
@@ -210,7 +222,8 @@ def _save(result, directory: Path, svg: bool) -> list[Path]:
     from tirefit.fitting.store import save_fit
     from tirefit.report.draw import FIGURE_FILES, save_figures
 
-    with staged(directory, known=["posterior.nc", *FIGURE_FILES]) as folder:
+    known = ["posterior.nc", *FIGURE_FILES]
+    with staged(directory, known, result) as folder:
         written = save_fit(result, folder) + save_figures(result, folder, svg=svg)
     return [directory / path.name for path in written]
 
@@ -227,7 +240,7 @@ def _sampled(result, directory: Path, settings, resume: bool):
             walkers=chosen.walkers,
             effective_samples=chosen.effective_samples,
             max_steps=chosen.max_steps,
-            checkpoint=directory / "chain.npz",
+            checkpoint=directory / CHAIN,
             resume=resume,
             progress=progress,
         )
