@@ -24,7 +24,7 @@ from test_cli_diagnose import LOADS, READ, WITHOUT
 from test_cli_diagnose import write as write_sweeps
 from test_cli_fit import FAST, write
 
-from tirefit.cli.options import _cache_folder
+from tirefit.cli.options import _cache_folder, complain, say
 from tirefit.cli.output import claimed, staged
 from tirefit.files import write_texts
 
@@ -323,3 +323,11 @@ def test_programs_are_kept_where_they_can_be(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert _cache_folder() is None
+
+
+def test_what_commands_the_terminal_is_not_said(capsys):
+    say("red \x1b[31m and\tno\r\nmore\x07")
+    complain("\x9b2J")
+    said = capsys.readouterr()
+    assert said.out == "red \ufffd[31m and\tno\ufffd\nmore\ufffd\n"
+    assert said.err == "\ufffd2J\n"

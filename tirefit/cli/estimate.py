@@ -139,6 +139,8 @@ def _follow(names, chosen, how) -> None:
     if sys.stdin is None:
         reason = "standard input is closed"
         raise UsageError(InputProblem(reason, "give rows on it, or a file"))
+    # What is not text is in no number: its row is flagged, and the next one is read.
+    sys.stdin.reconfigure(errors="replace")  # type: ignore[union-attr]
     rows = RowReader(sys.stdin, **how)
     for text in rows.assumptions:
         complain(text)

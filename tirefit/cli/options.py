@@ -3,6 +3,7 @@
 import errno
 import inspect
 import os
+import re
 import sys
 import time
 import warnings
@@ -194,6 +195,7 @@ def forces_named(force: list[str] | None) -> list[str] | None:
     return force or None
 
 
+_COMMANDS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _SOON, _NOW_AND_THEN = 5.0, 10.0
 """Seconds until the first line of progress without a terminal, and between others."""
 
@@ -262,7 +264,7 @@ def say(text: str) -> None:
         OSError: naming it: a full disk, where it goes into a file.
     """
     try:
-        typer.echo(text)
+        typer.echo(_printable(text))
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -272,7 +274,12 @@ def say(text: str) -> None:
 def complain(text: str) -> None:
     """A text on standard error; where that takes none, the exit code says enough."""
     with suppress(OSError):
-        typer.echo(text, err=True)
+        typer.echo(_printable(text), err=True)
+
+
+def _printable(text: str) -> str:
+    """Without characters of a file that would command the terminal."""
+    return _COMMANDS.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 def warn(table) -> None:
