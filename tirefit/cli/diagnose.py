@@ -311,6 +311,11 @@ def _attempt(piece: tuple[Path, str], task: _Task) -> ExitCode:
             raise
         complain(error_text(error))
         return error.exit_code
+    except BrokenPipeError:
+        raise
+    except OSError as error:  # its report was said
+        complain(error_text(error))
+        return ExitCode.USAGE
     return ExitCode.OK
 
 
@@ -348,7 +353,7 @@ def _one(file: Path, name: str, task: _Task) -> None:
             return
     result = study(table, holdout=kept, seed=seed, **task.settings)
     earlier = drawn if is_page(out / f"{name}.html", SCHEMA) else []
-    with staged(out, written + earlier, f".{name}") as folder:
+    with staged(out, written + earlier, result, f".{name}") as folder:
         save_diagnosis(result, folder, name)
         if figures:
             from tirefit.report.diagnosis_draw import write_figure

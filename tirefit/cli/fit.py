@@ -47,6 +47,8 @@ PAGE, PAGE_OF_ALL = "fit.html", "fits.html"
 
 model_names = completed(*MODEL_NAMES)
 
+CHAIN = "chain.npz"
+
 
 def _output_directories(files: list[Path], out: Path | None, joint: bool) -> list[Path]:
     stems = [_stem(file) for file in files]
@@ -172,6 +174,12 @@ def _fit_all(
             codes.append(error.exit_code)
             failed[str(group[0])] = "; ".join(p.reason for p in error.problems)
             continue
+        except OSError as error:  # its report was said
+            if len(groups) == 1 or isinstance(error, BrokenPipeError):
+                raise
+            complain(error_text(error))
+            codes.append(ExitCode.USAGE)
+            continue
         codes.append(exit_code(result, strict))
         rows.append((directory, result))
         if Outcome.INTERRUPTED in result.outcomes:
@@ -182,9 +190,8 @@ def _fit_all(
     if len(groups) > 1:
         say(_summary(rows))
         _page_of_all(directories[0].parent, rows, failed, also.html)
-    # Bad data first, then convergence, then identification.
-    order = (ExitCode.DATA, ExitCode.NOT_CONVERGED, ExitCode.NOT_IDENTIFIED)
-    return next((code for code in order if code in codes), ExitCode.OK)
+    # The least is the worst: files not written, bad data, convergence, identification.
+    return min((code for code in codes if code), default=ExitCode.OK)
 
 
 def _page_of_all(folder: Path, rows, failed: dict[str, str], asked: bool) -> None:
@@ -224,7 +231,12 @@ def fit_into(directory, data, settings, posterior=False, resume=False, also=Also
                 _save(result, directory, also)
                 say(_first_words(result, directory))
             result = _sampled(result, directory, settings, resume)
-        written = _save(result, directory, also)
+        try:
+            written = _save(result, directory, also)
+        except OSError as error:
+            if posterior and (directory / CHAIN).exists():
+                error.add_note("--resume goes on from its chain")
+            raise
     say(str(result))
     say("wrote " + ", ".join(str(path) for path in written))
     return result
@@ -244,7 +256,7 @@ def _save(result, directory: Path, also: Also) -> list[Path]:
     from tirefit.report.draw import FIGURE_FILES, save_figures
 
     earlier = [PAGE] if is_page(directory / PAGE, SCHEMA) else []
-    with staged(directory, ["posterior.nc", *FIGURE_FILES, *earlier]) as folder:
+    with staged(directory, ["posterior.nc", *FIGURE_FILES, *earlier], result) as folder:
         written = save_fit(result, folder) + save_figures(result, folder, svg=also.svg)
         if also.html:
             from tirefit.report.fit_html import write_fit_page
@@ -266,7 +278,7 @@ def _sampled(result, directory: Path, settings, resume: bool):
             walkers=chosen.walkers,
             effective_samples=chosen.effective_samples,
             max_steps=chosen.max_steps,
-            checkpoint=directory / "chain.npz",
+            checkpoint=directory / CHAIN,
             resume=resume,
             progress=progress,
         )

@@ -10,7 +10,6 @@ that was not.
 """
 
 import os
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -23,10 +22,10 @@ import numpy as np
 
 from tirefit.fitting.chains import (
     Chain,
+    Keeper,
     extended,
     identity_of,
     load_chain,
-    save_chain,
 )
 from tirefit.fitting.derived import derived_from_draws
 from tirefit.fitting.estimate import with_fixed
@@ -264,13 +263,21 @@ def sample(
     identity = identity_of(result, chained, seed, shape)
     path = None if checkpoint is None else Path(checkpoint)
     chain = load_chain(path, identity) if resume and path is not None else None
+    keeper = Keeper(path, identity)
     chain, outcome = _draw(
         density, chained, solved.problem.layout.size, shape, seed, chain,
-        effective_samples, max_steps, path, identity, progress,
+        effective_samples, max_steps, keeper, progress,
     )  # fmt: skip
     if chain is None:
         return judge(replace(result, interrupted=True))
-    return _of_chain(result, chain, outcome, chained, seed, effective_samples, weighted)
+    notes = []
+    if weighted is not None:
+        notes.append(f"importance sampling refused ({weighted.refused}): emcee instead")
+    if keeper.fault:
+        notes.append(f"the chain was not kept for --resume: {keeper.fault}")
+    return _of_chain(
+        result, chain, outcome, chained, seed, effective_samples, weighted, notes
+    )
 
 
 def _shape(sampler: str, size: int, ensembles: int, walkers: int | None):
@@ -297,13 +304,11 @@ def _draw(
     chain,
     target,
     max_steps,
-    path,
-    identity,
+    keeper,
     progress,
 ) -> tuple[Chain | None, Outcome]:
     """Chunks until the chain is good, the limit is reached or the user interrupts."""
     begin, advance = SAMPLERS[sampler]
-    saved = time.monotonic()
     outcome = Outcome.CHAIN_TOO_SHORT
     try:
         state = begin(density, size, *shape, seed) if chain is None else chain.state
@@ -319,13 +324,11 @@ def _draw(
                     progress(*_share(chain, health, target))
             chain = extended(chain, *advance(density, state, CHUNK))
             state = chain.state
-            if path is not None and time.monotonic() - saved > 5:
-                save_chain(path, chain, identity)
-                saved = time.monotonic()
+            keeper.now_and_then(chain)
     except KeyboardInterrupt:
         outcome = Outcome.INTERRUPTED
-    if path is not None and chain is not None:
-        save_chain(path, chain, identity)
+    if chain is not None:
+        keeper.keep(chain)
     return chain, outcome
 
 
@@ -337,19 +340,24 @@ def _share(chain: Chain, health: _Health, target: int) -> tuple[float, str]:
 
 
 def _of_chain(
-    result: FitResult, chain: Chain, outcome: Outcome, sampler, seed, target, weighted
+    result: FitResult,
+    chain: Chain,
+    outcome: Outcome,
+    sampler,
+    seed,
+    target,
+    weighted,
+    notes: list[str],
 ) -> FitResult:
     """The posterior of a chain; ``weighted`` is what was refused before it, if any."""
     health = _health(chain.samples, target, sampler == "nuts")
-    labels, notes = result.labels, []
+    labels = result.labels
     divergences = chain.state.get("divergences")
     if divergences:
         notes.append(
             f"{int(divergences)} divergent transitions: the posterior has corners that"
             " the sampler could not enter; compare with --sampler emcee"
         )
-    if weighted is not None:
-        notes.append(f"importance sampling refused ({weighted.refused}): emcee instead")
     summary = PosteriorSummary(
         sampler, seed, chain.samples.shape[0], chain.samples.shape[2],
         chain.samples.shape[1], health.discarded,

@@ -6,6 +6,7 @@ global lists.
 
 import io
 import textwrap
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -53,8 +54,14 @@ class Picture(Figure):
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
-        self.savefig(buffer, format="png", dpi=self.dpi)
+        self.write(buffer, "png", dpi=self.dpi)
         return buffer.getvalue()
+
+    def write(self, target, kind: str, **how) -> None:
+        """Into a path or a buffer; a name in letters that the font lacks is boxes."""
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+            self.savefig(target, format=kind, **how)
 
 
 def frame(
@@ -118,5 +125,5 @@ def save_picture(picture: Picture, path: Path) -> Path:
     """Write a picture, PNG or SVG by the suffix, whole or not at all."""
     metadata = {"Date": None} if path.suffix == ".svg" else None
     with replacing(path) as temporary:
-        picture.savefig(temporary, format=path.suffix[1:], metadata=metadata)
+        picture.write(temporary, path.suffix[1:], metadata=metadata)
     return path
