@@ -215,7 +215,7 @@ def _best_cut(place: np.ndarray, change: np.ndarray) -> tuple[int, float] | None
 
 def _of_cells(solved: Solved, code: Int[np.ndarray, " n"], size: int) -> FitProblem:
     """The problem with a row for each cell, padded to ``size``."""
-    problem, at, rows = solved.problem, solved.at, solved.problem.rows
+    problem, rows = solved.problem, solved.problem.rows
     count = np.bincount(code)
     given = count > 0
     precision = {k: 1 / problem.used(v) ** 2 for k, v in rows.scale.items()}

@@ -28,6 +28,7 @@ from tirefit.fitting.chains import (
     load_chain,
     save_chain,
 )
+from tirefit.fitting.condense import condensed
 from tirefit.fitting.derived import derived_from_draws
 from tirefit.fitting.estimate import with_fixed
 from tirefit.fitting.importance import Weighted, draw_weighted
@@ -37,6 +38,7 @@ from tirefit.fitting.nuts import nuts_chunk, nuts_start
 from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
 from tirefit.fitting.solve import Solved
 from tirefit.fitting.verdict import judge
+from tirefit.params import unconstrain
 from tirefit.precision import require_x64
 from tirefit.results import Outcome, UsageError
 
@@ -48,6 +50,10 @@ CHUNK = 100
 _WALKERS = {"emcee": 64, "nuts": 8}
 _RHAT = 1.01
 _STEPS_PER_TAU = 50
+_COMPARED = 64
+_ALIKE = 0.05
+"""Error of the log density by which no interval moves by more than its own sampling
+error: at most so many standard deviations of the parameter."""
 
 
 @jax.jit
@@ -70,9 +76,14 @@ def _whitening(solved: Solved) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(solved.z, -REACH / 2, REACH / 2), root
 
 
-def _density(solved: Solved) -> Callable[[np.ndarray], np.ndarray]:
-    """u (walkers, p) -> log density (walkers,) of the whitened posterior."""
-    problem = solved.problem
+def _density(
+    solved: Solved, problem: FitProblem | None = None
+) -> Callable[[np.ndarray], np.ndarray]:
+    """u (walkers, p) -> log density (walkers,) of the whitened posterior.
+
+    ``problem``: with cells for rows, where they are to be.
+    """
+    problem = solved.problem if problem is None else problem
     center, root = _whitening(solved)
     base = deviance(problem, solved.z)
     return partial(_log_density, problem=problem, center=center, root=root, base=base)
@@ -254,23 +265,80 @@ def sample(
     seed = result.seed if seed is None else seed
     chained = "emcee" if sampler == "importance" else sampler
     shape = _shape(chained, solved.problem.layout.size, ensembles, walkers)
-    density, weighted = _density(solved), None
-    if sampler == "importance":
+    path = None if checkpoint is None else Path(checkpoint)
+    run = _Run(
+        sampler, seed, shape, effective_samples, max_steps, path, resume, progress
+    )
+    cells = condensed(solved, _whitening(solved)[1])
+    if cells is not None:
+        done = _sampled(result, cells, run)
+        off = _apart(done, cells)
+        if off <= _ALIKE:
+            return _noted(
+                done,
+                f"{solved.problem.n} rows as {cells.n} cells of like rows, by which the"
+                f" log density is off by {off:.2g}",
+            )
+        run = run._replace(resume=False)
+    return _sampled(result, solved.problem, run)
+
+
+class _Run(NamedTuple):
+    """How to sample: see :func:`sample`; ``shape`` is (ensembles, walkers)."""
+
+    sampler: str
+    seed: int
+    shape: tuple[int, int]
+    target: int
+    max_steps: int
+    path: Path | None
+    resume: bool
+    progress: Callable[[float, str], None] | None
+
+
+def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
+    """The fit with the posterior of this problem, which is its own or one of cells."""
+    solved: Solved = result.solved
+    density, weighted = _density(solved, problem), None
+    chained = "emcee" if run.sampler == "importance" else run.sampler
+    if run.sampler == "importance":
         weighted = draw_weighted(
-            density, *_whitening(solved), seed, effective_samples, progress
+            density, *_whitening(solved), run.seed, run.target, run.progress
         )
         if weighted.interrupted or not weighted.refused:
-            return _of_weighted(result, weighted, seed)
-    identity = identity_of(result, chained, seed, shape)
-    path = None if checkpoint is None else Path(checkpoint)
-    chain = load_chain(path, identity) if resume and path is not None else None
+            return _of_weighted(result, weighted, run.seed)
+    identity = identity_of(result, chained, run.seed, run.shape)
+    chain = None
+    if run.resume and run.path is not None:
+        chain = load_chain(run.path, identity)
     chain, outcome = _draw(
-        density, chained, solved.problem.layout.size, shape, seed, chain,
-        effective_samples, max_steps, path, identity, progress,
+        density, chained, solved.problem.layout.size, run.shape, run.seed, chain,
+        run.target, run.max_steps, run.path, identity, run.progress,
     )  # fmt: skip
     if chain is None:
         return judge(replace(result, interrupted=True))
-    return _of_chain(result, chain, outcome, chained, seed, effective_samples, weighted)
+    return _of_chain(result, chain, outcome, chained, run.seed, run.target, weighted)
+
+
+def _apart(sampled: FitResult, cells: FitProblem) -> float:
+    """Standard deviation of the error of the log density by cells, over some draws."""
+    if sampled.chains is None:
+        return 0.0
+    solved: Solved = sampled.solved
+    flat = sampled.chains.reshape(-1, sampled.chains.shape[-1])
+    some = flat[np.linspace(0, len(flat) - 1, _COMPARED).astype(int)]
+    pairs = zip(some.T, solved.problem.layout.elements, strict=True)
+    z = np.stack([np.asarray(unconstrain(v, p.spec)) for v, (_, p) in pairs], axis=1)
+    errors = [deviance(cells, at) - deviance(solved.problem, at) for at in z]
+    return float(np.std(errors) / 2)
+
+
+def _noted(result: FitResult, text: str) -> FitResult:
+    posterior = result.posterior
+    if posterior is None:
+        return result
+    note = "; ".join(part for part in (posterior.note, text) if part)
+    return replace(result, posterior=replace(posterior, note=note))
 
 
 def _shape(sampler: str, size: int, ensembles: int, walkers: int | None):
