@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from tirefit.fitting.inference import deviance, linearise
-from tirefit.fitting.likelihood import FitProblem, root_deviance, row_moments
+from tirefit.fitting.inference import Linearised, deviance, linearise
+from tirefit.fitting.likelihood import FitProblem, moments, root_deviance, row_moments
 from tirefit.fitting.solve import Solved
 from tirefit.padding import pad_rows
 
@@ -39,8 +39,11 @@ _TRIES = ((512, 1e-3), (2048, 2.5e-4), (8192, 6e-5))
 information on the parameters, so that the first is 0.05 % of a standard deviation. The
 numbers of cells are few, as each takes a program of its own."""
 
-_CLOSE = 0.03
+_CLOSE = 0.05
 """Log density that cells may be wrong by at these points, where it has fallen by 3."""
+
+_MOVES = 3
+"""Steps by which cells get the slope of the rows: one, where deviances are squares."""
 
 _SAMPLED = 2**16
 """Rows that the cells are cut by."""
@@ -256,28 +259,45 @@ def _of_cells(solved: Solved, code: Int[np.ndarray, " n"], size: int) -> FitProb
 
 
 def _with_the_same_slope(solved: Solved, small: FitProblem) -> FitProblem:
-    """The cells, their residuals moved so that the deviance has the slope of that of
-    the rows at the estimate, and the same value there."""
-    at, rows, observed = linearise(small, solved.z), small.rows, {}
-    for name, force in small.rows.observed.items():
-        observed[name] = np.asarray(force)
-        if not _is_plain(small):
-            continue
-        slopes, values = np.asarray(at.slopes[name]), np.asarray(at.values[name])
-        missing = solved.at.slopes[name].T @ solved.at.values[name] - slopes.T @ values
-        move = slopes @ np.linalg.lstsq(slopes.T @ slopes, missing)[0]
-        weight = np.where(rows.weight > 0, rows.weight, 1.0)
-        observed[name] = observed[name] + move * rows.scale[name] / weight
-    small = small.with_rows(observed=observed)
-    inside = linearise(small, solved.z).values
+    """The cells, their forces moved so that the deviance has the slope of that of the
+    rows at the estimate, and the same value there.
 
-    def beside(name: str) -> float:
-        squares = float(np.sum(np.square(inside[name])))
-        return float(solved.at.values[name] @ solved.at.values[name]) - squares
+    Forces moved as the model's are by a step in z move the best fit by that step.
+    """
+    z, slopes = solved.z, _force_slopes(small, solved)
+    for _ in range(_MOVES):
+        at = linearise(small, z)
+        observed = {k: np.array(force) for k, force in small.rows.observed.items()}
+        for name in small.rules:
+            wanted, curvature = _score(solved.at, name, name in small.rows.nodes)
+            here, _ = _score(at, name, False)
+            step = np.linalg.lstsq(curvature, here - wanted)[0]
+            for channel in small.block_channels(name):
+                observed[channel.name] += slopes[channel.name] @ step
+        small = small.with_rows(observed=observed)
+    at = linearise(small, z)
+    rules = {}
+    for name, rule in solved.problem.rules.items():
+        beside = np.sum(solved.at.values[name] ** 2) - np.sum(at.values[name] ** 2)
+        rules[name] = rule._replace(within=float(beside))
+    return small.with_rules(rules)
 
-    return small.with_rules(
-        {
-            name: rule._replace(within=beside(name))
-            for name, rule in solved.problem.rules.items()
-        }
-    )
+
+def _score(at: Linearised, block: str, is_latent: bool):
+    """Half the slope (p,) and half the curvature (p, p) of a block's deviance."""
+    values, slopes = np.asarray(at.values[block]), np.asarray(at.slopes[block])
+    rows = slopes * values[:, None] if is_latent else slopes
+    return slopes.T @ values, rows.T @ rows
+
+
+def _force_slopes(problem: FitProblem, solved: Solved) -> dict[str, np.ndarray]:
+    """Slopes (n, p) of each force of the rows over z, padding rows too."""
+    steps = np.diag(1e-3 * np.sqrt(np.diag(solved.covariance)))
+    slopes: dict[str, list[np.ndarray]] = {name: [] for name in problem.rows.observed}
+    for step in steps:
+        (above, _), (below, _) = (
+            moments(problem, solved.z + side * step) for side in (1, -1)
+        )
+        for name, parts in slopes.items():
+            parts.append((above[name] - below[name]) / (2 * step.sum()))
+    return {name: np.stack(parts, axis=1) for name, parts in slopes.items()}
