@@ -64,9 +64,9 @@ def condensed(solved: Solved, root: Float[np.ndarray, "p p"]) -> FitProblem | No
     points = z + _REACH * np.concatenate([root.T, -root.T])
     there = _deviances(problem, z, points)
     for most, share in _TRIES:
-        if 2 * most > problem.n:
-            return None
         cells = cells_of(solved, points, most, share)
+        if 2 * cells.n > problem.n:
+            return None
         error = np.abs(_deviances(cells, z, points) - there) / 2
         if np.all(error <= _CLOSE * np.maximum(there / 6, 1)):
             return cells
@@ -125,14 +125,15 @@ def _residuals(solved: Solved) -> dict[str, np.ndarray]:
 
 def _changes(solved: Solved, points, sample) -> Float[np.ndarray, "s m"]:
     """What each row of the sample changes by from the estimate to each point: forces in
-    standard deviations, or deviances where these are no squares of them."""
+    standard deviations of a common row, or deviances where these are no squares."""
     problem, at, changes = solved.problem, solved.at, []
     for point in points:
         if _is_plain(problem):
             mean, _ = row_moments(problem, point)
             for name, force in mean.items():
-                scale = problem.used(problem.rows.scale[name])
-                changes.append(((force - at.mean[name]) / scale)[sample])
+                precision = np.mean(problem.used(problem.rows.scale[name]) ** -2)
+                moved = (force - at.mean[name])[sample]
+                changes.append(moved * np.sqrt(precision))
             continue
         for name, block in root_deviance(problem, point).items():
             changes.append((problem.used(block) ** 2 - at.values[name] ** 2)[sample])

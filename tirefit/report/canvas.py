@@ -42,7 +42,7 @@ DARK, GREY = "#222222", "#8a8a8a"
 
 MOST_DRAWN = 20_000
 """Points of one panel: more hide each other, and take their time."""
-_FARTHEST = 200
+_FARTHEST = 20
 
 WIDTH = 7.0
 DPI = 130
