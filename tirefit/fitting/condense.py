@@ -23,10 +23,12 @@ from jaxtyping import Float, Int
 
 from tirefit.fitting.inference import Linearised, deviance, linearise
 from tirefit.fitting.likelihood import FitProblem, moments, root_deviance, row_moments
+from tirefit.fitting.result import FitResult
 from tirefit.fitting.solve import Solved
 from tirefit.padding import pad_rows
+from tirefit.params import unconstrain
 
-__all__ = ["FEWEST", "cells_of", "condensed"]
+__all__ = ["FEWEST", "apart", "cells_of", "condensed"]
 
 FEWEST = 4096
 """Rows of a file that is condensed: fewer take no longer than their cells."""
@@ -44,6 +46,8 @@ _CLOSE = 0.05
 
 _MOVES = 3
 """Steps by which cells get the slope of the rows: one, where deviances are squares."""
+
+_COMPARED = 64
 
 _SAMPLED = 2**16
 """Rows that the cells are cut by."""
@@ -71,6 +75,19 @@ def condensed(solved: Solved, root: Float[np.ndarray, "p p"]) -> FitProblem | No
         if np.all(error <= _CLOSE * np.maximum(there / 6, 1)):
             return cells
     return None
+
+
+def apart(sampled: FitResult, cells: FitProblem) -> float:
+    """Standard deviation of the error of the log density by cells, over some draws of
+    a posterior; zero without draws."""
+    if sampled.chains is None:
+        return 0.0
+    flat = sampled.chains.reshape(-1, sampled.chains.shape[-1])
+    some = flat[np.linspace(0, len(flat) - 1, _COMPARED).astype(int)]
+    pairs = zip(some.T, cells.layout.elements, strict=True)
+    points = np.stack([unconstrain(values, p.spec) for values, (_, p) in pairs], axis=1)
+    errors = [deviance(cells, z) - deviance(sampled.problem, z) for z in points]
+    return float(np.std(errors) / 2)
 
 
 def _deviances(problem: FitProblem, z, points) -> np.ndarray:

@@ -28,7 +28,7 @@ from tirefit.fitting.chains import (
     load_chain,
     save_chain,
 )
-from tirefit.fitting.condense import condensed
+from tirefit.fitting.condense import apart, condensed
 from tirefit.fitting.derived import derived_from_draws
 from tirefit.fitting.estimate import with_fixed
 from tirefit.fitting.importance import Weighted, draw_weighted
@@ -38,7 +38,6 @@ from tirefit.fitting.nuts import nuts_chunk, nuts_start
 from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
 from tirefit.fitting.solve import Solved
 from tirefit.fitting.verdict import judge
-from tirefit.params import unconstrain
 from tirefit.precision import require_x64
 from tirefit.results import Outcome, UsageError
 
@@ -50,7 +49,6 @@ CHUNK = 100
 _WALKERS = {"emcee": 64, "nuts": 8}
 _RHAT = 1.01
 _STEPS_PER_TAU = 50
-_COMPARED = 64
 _ALIKE = 0.05
 """Error of the log density by which no interval moves by more than its own sampling
 error: at most so many standard deviations of the parameter."""
@@ -76,14 +74,9 @@ def _whitening(solved: Solved) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(solved.z, -REACH / 2, REACH / 2), root
 
 
-def _density(
-    solved: Solved, problem: FitProblem | None = None
-) -> Callable[[np.ndarray], np.ndarray]:
-    """u (walkers, p) -> log density (walkers,) of the whitened posterior.
-
-    ``problem``: with cells for rows, where they are to be.
-    """
-    problem = solved.problem if problem is None else problem
+def _density(solved: Solved) -> Callable[[np.ndarray], np.ndarray]:
+    """u (walkers, p) -> log density (walkers,) of the whitened posterior."""
+    problem = solved.problem
     center, root = _whitening(solved)
     base = deviance(problem, solved.z)
     return partial(_log_density, problem=problem, center=center, root=root, base=base)
@@ -270,17 +263,14 @@ def sample(
         sampler, seed, shape, effective_samples, max_steps, path, resume, progress
     )
     cells = condensed(solved, _whitening(solved)[1])
-    if cells is not None:
-        done = _sampled(result, cells, run)
-        off = _apart(done, cells)
-        if off <= _ALIKE:
-            return _noted(
-                done,
-                f"{solved.problem.n} rows as {cells.n} cells of like rows, by which the"
-                f" log density is off by {off:.2g}",
-            )
-        run = run._replace(resume=False)
-    return _sampled(result, solved.problem, run)
+    if cells is None:
+        return _sampled(result, solved.problem, run)
+    done = _sampled(result, cells, run)
+    off = apart(done, cells)
+    if off <= _ALIKE or Outcome.INTERRUPTED in done.outcomes:
+        count = f"{solved.problem.n} rows as {cells.n} cells of like rows"
+        return _noted(done, f"{count}, by which the log density is off by {off:.2g}")
+    return _sampled(result, solved.problem, run._replace(resume=False))
 
 
 class _Run(NamedTuple):
@@ -299,7 +289,7 @@ class _Run(NamedTuple):
 def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
     """The fit with the posterior of this problem, which is its own or one of cells."""
     solved: Solved = result.solved
-    density, weighted = _density(solved, problem), None
+    density, weighted = _density(solved._replace(problem=problem)), None
     chained = "emcee" if run.sampler == "importance" else run.sampler
     if run.sampler == "importance":
         weighted = draw_weighted(
@@ -311,26 +301,11 @@ def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
     chain = None
     if run.resume and run.path is not None:
         chain = load_chain(run.path, identity)
-    chain, outcome = _draw(
-        density, chained, solved.problem.layout.size, run.shape, run.seed, chain,
-        run.target, run.max_steps, run.path, identity, run.progress,
-    )  # fmt: skip
+    size = solved.problem.layout.size
+    chain, outcome = _draw(density, chained, size, run, chain, identity)
     if chain is None:
         return judge(replace(result, interrupted=True))
-    return _of_chain(result, chain, outcome, chained, run.seed, run.target, weighted)
-
-
-def _apart(sampled: FitResult, cells: FitProblem) -> float:
-    """Standard deviation of the error of the log density by cells, over some draws."""
-    if sampled.chains is None:
-        return 0.0
-    solved: Solved = sampled.solved
-    flat = sampled.chains.reshape(-1, sampled.chains.shape[-1])
-    some = flat[np.linspace(0, len(flat) - 1, _COMPARED).astype(int)]
-    pairs = zip(some.T, solved.problem.layout.elements, strict=True)
-    z = np.stack([np.asarray(unconstrain(v, p.spec)) for v, (_, p) in pairs], axis=1)
-    errors = [deviance(cells, at) - deviance(solved.problem, at) for at in z]
-    return float(np.std(errors) / 2)
+    return _of_chain(result, chain, outcome, chained, run, weighted)
 
 
 def _noted(result: FitResult, text: str) -> FitResult:
@@ -357,43 +332,35 @@ def _shape(sampler: str, size: int, ensembles: int, walkers: int | None):
 
 
 def _draw(
-    density,
-    sampler,
-    size,
-    shape,
-    seed,
-    chain,
-    target,
-    max_steps,
-    path,
-    identity,
-    progress,
+    density, sampler, size, run: _Run, chain, identity
 ) -> tuple[Chain | None, Outcome]:
     """Chunks until the chain is good, the limit is reached or the user interrupts."""
     begin, advance = SAMPLERS[sampler]
     saved = time.monotonic()
     outcome = Outcome.CHAIN_TOO_SHORT
     try:
-        state = begin(density, size, *shape, seed) if chain is None else chain.state
+        state = (
+            begin(density, size, *run.shape, run.seed) if chain is None else chain.state
+        )
         while True:
             if chain is not None:
-                health = _health(chain.samples, target, sampler == "nuts")
+                health = _health(chain.samples, run.target, sampler == "nuts")
                 if health.enough:
                     outcome = Outcome.CONVERGED
                     break
-                if chain.samples.shape[1] >= max_steps:
+                if chain.samples.shape[1] >= run.max_steps:
                     break
-                if progress is not None:
-                    progress(*_share(chain, health, target))
+                if run.progress is not None:
+                    run.progress(*_share(chain, health, run.target))
             chain = extended(chain, *advance(density, state, CHUNK))
             state = chain.state
-            if path is not None and time.monotonic() - saved > 5:
-                save_chain(path, chain, identity)
+            if run.path is not None and time.monotonic() - saved > 5:
+                save_chain(run.path, chain, identity)
                 saved = time.monotonic()
     except KeyboardInterrupt:
         outcome = Outcome.INTERRUPTED
-    if path is not None and chain is not None:
-        save_chain(path, chain, identity)
+    if run.path is not None and chain is not None:
+        save_chain(run.path, chain, identity)
     return chain, outcome
 
 
@@ -405,10 +372,10 @@ def _share(chain: Chain, health: _Health, target: int) -> tuple[float, str]:
 
 
 def _of_chain(
-    result: FitResult, chain: Chain, outcome: Outcome, sampler, seed, target, weighted
+    result: FitResult, chain: Chain, outcome: Outcome, sampler, run: _Run, weighted
 ) -> FitResult:
     """The posterior of a chain; ``weighted`` is what was refused before it, if any."""
-    health = _health(chain.samples, target, sampler == "nuts")
+    health = _health(chain.samples, run.target, sampler == "nuts")
     labels, notes = result.labels, []
     divergences = chain.state.get("divergences")
     if divergences:
@@ -419,7 +386,7 @@ def _of_chain(
     if weighted is not None:
         notes.append(f"importance sampling refused ({weighted.refused}): emcee instead")
     summary = PosteriorSummary(
-        sampler, seed, chain.samples.shape[0], chain.samples.shape[2],
+        sampler, run.seed, chain.samples.shape[0], chain.samples.shape[2],
         chain.samples.shape[1], health.discarded,
         dict(zip(labels, health.ess.tolist(), strict=True)),
         dict(zip(labels, health.rhat.tolist(), strict=True)),
