@@ -10,6 +10,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -26,8 +27,10 @@ __all__ = [
     "GREY",
     "ORANGE",
     "RED",
+    "MOST_DRAWN",
     "WIDTH",
     "Picture",
+    "drawn",
     "frame",
     "panel_title",
     "save_picture",
@@ -39,6 +42,10 @@ RED, SKY, PURPLE = "#D55E00", "#56B4E9", "#CC79A7"
 COLORS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
 """Okabe and Ito's palette: told apart with any colour vision."""
 DARK, GREY = "#222222", "#8a8a8a"
+
+MOST_DRAWN = 20_000
+"""Points of one panel: more hide each other, and take their time."""
+_FARTHEST = 20
 
 WIDTH = 7.0
 DPI = 130
@@ -91,10 +98,32 @@ def frame(
     picture.text(
         0.02, 0.05 / height,
         f"tirefit {result.version} · braking positive, SI · seed {result.seed}"
-        f" · {result.statistics.n} rows",
+        f" · {_rows(result.statistics.n)}",
         va="bottom", fontsize=6.5, color=GREY,
     )  # fmt: skip
     return picture, (0.2 / height, 1 - (0.38 + 0.15 * len(lines)) / height)
+
+
+def _rows(count: int) -> str:
+    some = f", {MOST_DRAWN} of them drawn" if count > MOST_DRAWN else ""
+    return f"{count} rows{some}"
+
+
+def drawn(values: np.ndarray, among: int | None = None) -> np.ndarray:
+    """Which points to draw (m,), in order: of very many some at random, and those that
+    lie farthest out.
+
+    Args:
+        values: (n,) of the points.
+        among: number of points in the panel, those of other groups too.
+    """
+    count = len(values)
+    share = min(MOST_DRAWN / max(among or count, 1), 1.0)
+    if share == 1.0 or count <= _FARTHEST:
+        return np.arange(count)
+    far = np.argpartition(np.abs(values - np.median(values)), -_FARTHEST)[-_FARTHEST:]
+    rest = np.random.default_rng(0).integers(0, count, int(share * count))
+    return np.unique(np.concatenate([far, rest]))
 
 
 def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:

@@ -19,6 +19,7 @@ from tirefit.report.canvas import (
     GREY,
     ORANGE,
     Picture,
+    drawn,
     frame,
     save_picture,
     tidy,
@@ -59,9 +60,11 @@ def draw_fit(axes, curve: FitCurve) -> None:
     count = sum(len(group.slip) for group in curve.groups)
     size = float(np.clip(60 / np.sqrt(max(count, 1)), 1.2, 4.5))
     for i, group in enumerate(curve.groups):
+        some = drawn(group.force, count)
         axes.plot(
-            group.slip, group.force, linestyle="none", marker="o", markersize=size,
-            markeredgewidth=0, alpha=0.45, color=_color(i), rasterized=True, zorder=2,
+            group.slip[some], group.force[some], linestyle="none", marker="o",
+            markersize=size, markeredgewidth=0, alpha=0.45, color=_color(i),
+            rasterized=True, zorder=2,
         )  # fmt: skip
     for i, one in enumerate(curve.curves):
         color = DARK if single else _color(i)
@@ -162,10 +165,12 @@ def fit_figure(result: FitResult) -> Picture:
 def draw_scatter(axes, panel: Scatter, force: str = "") -> None:
     """Residuals against one input, and their means over bins with 95 % intervals."""
     size = float(np.clip(40 / np.sqrt(max(len(panel.x), 1)), 1.0, 3.5))
+    some = drawn(panel.residual)
     axes.axhline(0, color=DARK, lw=0.7, zorder=1)
     axes.plot(
-        panel.x, panel.residual, linestyle="none", marker="o", markersize=size,
-        markeredgewidth=0, alpha=0.35, color=BLUE, rasterized=True, zorder=2,
+        panel.x[some], panel.residual[some], linestyle="none", marker="o",
+        markersize=size, markeredgewidth=0, alpha=0.35, color=BLUE,
+        rasterized=True, zorder=2,
     )  # fmt: skip
     axes.errorbar(
         panel.center, panel.mean, panel.half, fmt="o", color=ORANGE, markersize=4,
@@ -204,8 +209,9 @@ def draw_quantiles(axes, residuals: Residuals) -> None:
     """Sorted residuals against normal quantiles: on the line if they are normal."""
     reach = max(3.0, float(np.max(np.abs(residuals.normal))))
     axes.plot([-reach, reach], [-reach, reach], color=DARK, lw=0.8)
+    some = drawn(residuals.ordered)
     axes.plot(
-        residuals.normal, residuals.ordered, linestyle="none", marker="o",
+        residuals.normal[some], residuals.ordered[some], linestyle="none", marker="o",
         markersize=2.2, markeredgewidth=0, color=BLUE, rasterized=True,
     )  # fmt: skip
     tidy(axes, "quantile of a normal", "residual / std")
