@@ -28,7 +28,7 @@ from tirefit.cli.options import (
     takes_data_options,
     warn,
 )
-from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.cli.output import check_directories, claimed, is_page, staged
 from tirefit.data.remote import expanded
 from tirefit.names import EFFECT_NAMES, MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
@@ -271,12 +271,18 @@ def _one_by_one(pieces: list[Piece], task: _Task) -> list[ExitCode]:
                     raise
                 complain(error_text(error))
                 codes.append(error.exit_code)
+            except BrokenPipeError:
+                raise
+            except OSError as error:  # its report was said
+                complain(error_text(error))
+                codes.append(ExitCode.USAGE)
     return codes
 
 
 def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     """One file, unless it is done before."""
     from tirefit.diagnosis.engine import diagnose as study
+    from tirefit.diagnosis.result import SCHEMA
     from tirefit.diagnosis.store import record_of_document, save_diagnosis
 
     file, name = piece
@@ -290,8 +296,8 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
             say(f"{file}: done before, kept: {out / name}.json")
             return ExitCode.OK, record_of_document(out / f"{name}.json")
     result = study(table, holdout=kept, seed=seed, **task.settings)
-    earlier = drawn if _is_page(out / f"{name}.html") else []
-    with staged(out, written + earlier, f".{name}") as folder:
+    earlier = drawn if is_page(out / f"{name}.html", SCHEMA) else []
+    with staged(out, written + earlier, result, f".{name}") as folder:
         save_diagnosis(result, folder, name)
         if figures:
             from tirefit.report.diagnosis_draw import write_figure
@@ -301,17 +307,6 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
             write_page(result, folder / f"{name}.html")
     say(str(result))
     return ExitCode.OK, record_of_document(out / f"{name}.json")
-
-
-def _is_page(path: Path) -> bool:
-    """Whether an earlier diagnosis drew this page, and the picture beside it: files of
-    the same names may be the user's own, as beside the data."""
-    from tirefit.diagnosis.result import SCHEMA
-
-    try:
-        return SCHEMA in path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return False
 
 
 def _base_of(content: dict) -> list:

@@ -1,17 +1,13 @@
 """``tirefit fit``: from files to directories of results."""
 
-import hashlib
-import json
 from collections import Counter
-from collections.abc import Collection
-from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tirefit import __version__
+from tirefit.cli.fit_one import Also, FitTask, exit_code_of, fit_one
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
 from tirefit.cli.options import (
     DataOptions,
@@ -23,23 +19,21 @@ from tirefit.cli.options import (
     forces_named,
     has_terminal,
     named_path,
-    progress_bar,
     read_config,
     read_options,
     say,
     start_jax,
     takes_data_options,
-    warn,
 )
-from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.cli.output import check_directories, is_page
 from tirefit.data.remote import expanded
 from tirefit.names import MODEL_NAMES
-from tirefit.results import ExitCode, InputProblem, Outcome, TirefitError, UsageError
+from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-__all__ = ["exit_code", "fit", "fit_into", "model_names"]
+__all__ = ["fit", "model_names"]
 
 
 class Solver(StrEnum):
@@ -53,6 +47,8 @@ class Sampler(StrEnum):
     nuts = "nuts"
     importance = "importance"
 
+
+PAGE_OF_ALL = "fits.html"
 
 model_names = completed(*MODEL_NAMES)
 
@@ -122,6 +118,12 @@ def fit(
     svg: Annotated[
         bool, typer.Option("--svg", help="write every figure as SVG too")
     ] = False,
+    html: Annotated[
+        bool,
+        typer.Option(
+            "--html", help="write fit.html, one page of all; of several files fits.html"
+        ),
+    ] = False,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
 ) -> None:
@@ -148,8 +150,12 @@ def fit(
         from tirefit.fitting.problem import find_model
 
         find_model(settings.model or "brush")
-        task = _Task(settings, how, posterior, resume, svg, strict)
-        if sharing.apart and not joint:
+        # The page of several fits needs each of them, done before or not.
+        apart = sharing.apart and not joint
+        keep = resume and (apart or not html or len(files) == 1)
+        also = Also(svg, html)
+        task = FitTask(settings, how, posterior, resume, keep, also, strict)
+        if apart:
             worst = _fit_apart(files, directories, task, sharing, out or Path())
         else:
             groups = [files] if joint else [[file] for file in files]
@@ -157,44 +163,31 @@ def fit(
         raise typer.Exit(worst)
 
 
-@dataclass(frozen=True)
-class _Task:
-    """What all files share: settings of the fit, arguments of ``tirefit.read``, and
-    the options."""
-
-    settings: Any
-    how: dict
-    posterior: bool
-    resume: bool
-    svg: bool
-    strict: bool
-
-    def digest(self, tables) -> str:
-        """Of all that the numbers of a fit of these tables depend on."""
-        asked = [
-            self.settings.model_dump(mode="json"), self.how, self.posterior,
-            [table.source.sha256 for table in tables], __version__,
-        ]  # fmt: skip
-        return hashlib.sha256(json.dumps(asked).encode()).hexdigest()
-
-
-def _fit_all(groups, directories, task: _Task) -> ExitCode:
+def _fit_all(groups, directories, task: FitTask) -> ExitCode:
     """Every group of files; one bad file does not stop the others."""
     codes: list[ExitCode] = []
-    records = []
+    records, rows, failed = [], [], {}
     for i, (group, directory) in enumerate(zip(groups, directories, strict=True)):
         if len(groups) > 1 and has_terminal():
             complain(f"file {i + 1} of {len(groups)}: {group[0]}")
         try:
-            record = _fit_one(group, directory, task)
+            record, result = fit_one(group, directory, task)
         except TirefitError as error:
             if len(groups) == 1 or error.exit_code == ExitCode.USAGE:
                 raise
             complain(error_text(error))
             codes.append(error.exit_code)
+            failed[str(group[0])] = "; ".join(p.reason for p in error.problems)
             continue
-        codes.append(_code_of(record, task.strict))
+        except OSError as error:  # its report was said
+            if len(groups) == 1 or isinstance(error, BrokenPipeError):
+                raise
+            complain(error_text(error))
+            codes.append(ExitCode.USAGE)
+            continue
+        codes.append(exit_code_of(record, task.strict))
         records.append(record)
+        rows += [] if result is None else [(directory, result)]
         if "interrupted" in record.outcomes:
             left = len(groups) - i - 1
             if left:
@@ -202,144 +195,46 @@ def _fit_all(groups, directories, task: _Task) -> ExitCode:
             break
     if len(groups) > 1:
         say(_summary(records))
+        _page_of_all(directories[0].parent, rows, failed, task.also.html)
     return _worst(codes)
 
 
-def _fit_apart(files, directories, task: _Task, sharing: Sharing, out: Path):
-    """The same by the workers of a cluster."""
+def _fit_apart(files, directories, task: FitTask, sharing: Sharing, out: Path):
+    """The same by the workers of a cluster; the page of all is that of the fleet."""
     pieces = [Piece(*pair) for pair in zip(files, directories, strict=True)]
-    codes: set[ExitCode] = set()
-    records = []
+    codes, records = [], []
     for outcome in fleet("fit", pieces, _attempt, task, sharing, out):
-        codes.add(outcome.code)
+        codes.append(outcome.code)
         if outcome.record is not None and outcome.record.rows:
             records.append(outcome.record)
     if len(files) > 1:
         say(_summary(records))
+        _page_of_all(directories[0].parent, [], {}, asked=False)
     return _worst(codes)
 
 
-def _attempt(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
-    record = _fit_one([piece.file], piece.to, task)
-    return _code_of(record, task.strict), record
+def _attempt(piece: Piece, task: FitTask) -> tuple[ExitCode, "FileRecord"]:
+    record, _ = fit_one([piece.file], piece.to, task)
+    return exit_code_of(record, task.strict), record
 
 
-def _worst(codes: Collection[ExitCode]) -> ExitCode:
-    # Bad data first, then convergence, then identification.
-    order = (ExitCode.DATA, ExitCode.NOT_CONVERGED, ExitCode.NOT_IDENTIFIED)
-    return next((code for code in order if code in codes), ExitCode.OK)
+def _worst(codes: list[ExitCode]) -> ExitCode:
+    """The least but 0: files not written, bad data, convergence, identification."""
+    return min((code for code in codes if code), default=ExitCode.OK)
 
 
-def _fit_one(files, directory: Path, task: _Task) -> "FileRecord":
-    from tirefit.data.read import read
-    from tirefit.data.table import join
-    from tirefit.fitting.store import record_of_fit
-
-    tables = [read(file, **task.how) for file in files]
-    for table in tables:
-        warn(table)
-    asked = task.digest(tables)
-    content = _done(directory, asked, task) if task.resume else None
-    if content is None:
-        data = tables[0] if len(tables) == 1 else join(tables)
-        result = fit_into(
-            directory, data, task.settings, task.posterior, task.resume, task.svg, asked
-        )
-        content = result.to_dict()
-    else:
-        say(f"{files[0]}: done before, kept: {directory}")
-    return record_of_fit(content, str(directory))
-
-
-def _done(directory: Path, asked: str, task: _Task) -> dict | None:
-    """Content of the ``fit.json`` there, if it answers what is asked, and whole."""
-    from tirefit.door import read_record
+def _page_of_all(folder: Path, rows, failed: dict[str, str], asked: bool) -> None:
+    """Writes the page over all fits; removes that of an earlier command."""
     from tirefit.fitting.result import SCHEMA
 
-    expected = ["fit.json", "fit.png"]
-    expected += ["posterior.nc"] if task.posterior else []
-    expected += ["fit.svg"] if task.svg else []
-    if not all((directory / name).exists() for name in expected):
-        return None
-    try:
-        content = read_record(directory / "fit.json", SCHEMA, "")
-    except TirefitError:
-        return None
-    # A chain that can go on is not done.
-    open_ended = {"chain_too_short", "interrupted"} & set(content["outcomes"])
-    return None if open_ended or content.get("asked") != asked else content
+    page = folder / PAGE_OF_ALL
+    if asked and rows:
+        from tirefit.report.fits_html import write_fits_page
 
-
-def fit_into(
-    directory, data, settings, posterior=False, resume=False, svg=False, asked=""
-):
-    """Fits the data, and leaves the result and its figures in the directory."""
-    from tirefit.fitting.estimate import fit as fit_data
-
-    with claimed(directory):
-        result = fit_data(data, config=settings)
-        if posterior:
-            # Whatever becomes of the sampling; a posterior to go on with stays.
-            if not (resume and (directory / "fit.json").exists()):
-                _save(result, directory, svg)
-                say(_first_words(result, directory))
-            result = _sampled(result, directory, settings, resume)
-        written = _save(replace(result, asked=asked), directory, svg)
-    say(str(result))
-    say("wrote " + ", ".join(str(path) for path in written))
-    return result
-
-
-def _first_words(result, directory: Path) -> str:
-    """Of the least squares, which are there before the posterior is."""
-    from tirefit.report.text import parameter_lines
-
-    said = f"written to {directory}; now the posterior is sampled\n"
-    return "\n".join([*parameter_lines(result)[1:], said])
-
-
-def _save(result, directory: Path, svg: bool) -> list[Path]:
-    from tirefit.fitting.store import save_fit
-    from tirefit.report.draw import FIGURE_FILES, save_figures
-
-    with staged(directory, known=["posterior.nc", *FIGURE_FILES]) as folder:
-        written = save_fit(result, folder) + save_figures(result, folder, svg=svg)
-    return [directory / path.name for path in written]
-
-
-def _sampled(result, directory: Path, settings, resume: bool):
-    from tirefit.fitting.posterior import sample
-
-    chosen = settings.posterior
-    with progress_bar("posterior") as progress:
-        return sample(
-            result,
-            sampler=chosen.sampler,
-            ensembles=chosen.ensembles,
-            walkers=chosen.walkers,
-            effective_samples=chosen.effective_samples,
-            max_steps=chosen.max_steps,
-            checkpoint=directory / "chain.npz",
-            resume=resume,
-            progress=progress,
-        )
-
-
-def exit_code(result, strict: bool = False) -> ExitCode:
-    return _code(result.outcomes, strict)
-
-
-def _code(outcomes: Collection[Outcome], strict: bool) -> ExitCode:
-    broken = {Outcome.NOT_CONVERGED, Outcome.CHAIN_TOO_SHORT, Outcome.INTERRUPTED}
-    if broken & set(outcomes):
-        return ExitCode.NOT_CONVERGED
-    if strict and Outcome.NOT_IDENTIFIED in outcomes:
-        return ExitCode.NOT_IDENTIFIED
-    return ExitCode.OK
-
-
-def _code_of(record: "FileRecord", strict: bool) -> ExitCode:
-    return _code([Outcome[name.upper()] for name in record.outcomes], strict)
+        write_fits_page({path.name: result for path, result in rows}, page, failed)
+        say(f"wrote {page}")
+    elif is_page(page, SCHEMA):
+        page.unlink()
 
 
 def _summary(records: list["FileRecord"]) -> str:

@@ -243,8 +243,11 @@ def _attempted(packed: _Packed, piece: Piece) -> tuple[ExitCode, "FileRecord | N
             raise
         complain(error_text(error))
         return error.exit_code, None
-    except OSError:
+    except BrokenPipeError:
         raise
+    except OSError as error:  # its report was said
+        complain(error_text(error))
+        return ExitCode.USAGE, None
     except Exception as error:
         reason = f"a fault of the program: {type(error).__name__}: {error}"
         remedy = "the command on this file alone says where; please report it"

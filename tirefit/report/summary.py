@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 
 from tirefit.data.records import FileRecord
+from tirefit.data.run_names import run_names
 from tirefit.report.numbers import format_estimate
-from tirefit.report.text import table
+from tirefit.report.text import table_parts
 
 __all__ = ["summary_table"]
 
@@ -16,11 +17,13 @@ def summary_table(fits: Sequence[FileRecord]) -> str:
     parameters = [fit.of_kind("parameter") for fit in fits]
     names = list(dict.fromkeys(name for one in parameters for name in one))
     rows = [["fit", *names, "RMSE", "verdict"]]
-    for fit, known in zip(fits, parameters, strict=True):
+    directories = run_names([fit.result for fit in fits])
+    for name, fit, known in zip(directories.short, fits, parameters, strict=True):
         cells = [
-            format_estimate(known[name].value, known[name].std) if name in known else ""
-            for name in names
+            format_estimate(known[one].value, known[one].std) if one in known else ""
+            for one in names
         ]
         rmse = f"{fit.of_kind('statistic')['rmse'].value:.4g}"
-        rows.append([fit.result, *cells, rmse, fit.status])
-    return "\n".join(["", "SUMMARY", *table(rows)])
+        rows.append([name, *cells, rmse, fit.status])
+    of = f" of {directories.pattern}" if directories.pattern else ""
+    return "\n".join(["", f"SUMMARY{of}", *table_parts(rows)])
