@@ -105,15 +105,20 @@ def _header(result: FitResult) -> list[str]:
         lines += _wrapped("masked" if i == 0 else "", str(problem).replace("\n", " "))
     if len(data["masked"]) > 5:
         lines += _wrapped("", f"and {len(data['masked']) - 5} more")
+    lines += _far_rows(result)
+    return lines + _wrapped("solver", f"{result.solver}, seed {result.seed}")
+
+
+def _far_rows(result: FitResult) -> list[str]:
+    lines = []
     for i, row in enumerate(result.far_rows[:_FAR_ROWS]):
-        place = f"{row.file}, row {row.row}, column {row.column!r}"
         what = "set aside" if row.set_aside else "kept"
-        said = f"{what}: {place}: {row.reason}"
-        lines += _wrapped("far rows" if i == 0 else "", said)
+        text = f"{what}: {row.file}, row {row.row}, column {row.column!r}: {row.reason}"
+        lines += _wrapped("far rows" if i == 0 else "", text)
     if len(result.far_rows) > _FAR_ROWS:
         rest = len(result.far_rows) - _FAR_ROWS
         lines += _wrapped("", f"and {rest} more: far_rows in fit.json")
-    return lines + _wrapped("solver", f"{result.solver}, seed {result.seed}")
+    return lines
 
 
 def parameter_lines(result: FitResult) -> list[str]:
