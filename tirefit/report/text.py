@@ -107,11 +107,12 @@ def _header(result: FitResult) -> list[str]:
         lines += _wrapped("masked" if i == 0 else "", str(problem).replace("\n", " "))
     if len(data["masked"]) > 5:
         lines += _wrapped("", f"and {len(data['masked']) - 5} more")
-    for i, row in enumerate(result.far_rows[:_FAR_ROWS]):
-        place = f"{row.file}, row {row.row}, column {row.column!r}"
-        what = "set aside" if row.set_aside else "kept"
-        said = f"{what}: {place}: {row.reason}"
-        lines += _wrapped("far rows" if i == 0 else "", said)
+    for i, far in enumerate(result.far_rows[:_FAR_ROWS]):
+        place = f"{far.file}, row {far.row}, column {far.column!r}"
+        what = "set aside" if far.set_aside else "kept"
+        lines += _wrapped(
+            "far rows" if i == 0 else "", f"{what}: {place}: {far.reason}"
+        )
     if len(result.far_rows) > _FAR_ROWS:
         rest = len(result.far_rows) - _FAR_ROWS
         lines += _wrapped("", f"and {rest} more: far_rows in fit.json")
