@@ -158,7 +158,7 @@ def test_noisy_slips_and_given_noise_set_the_same_rows_aside():
     data = curve(slip_std=0.001)
     for row, what in ((11, "force without sign"), (120, "load 9e9 N")):
         data = spoilt(data, *ABSURD[what], [row])
-    for noise in ({"sigma_x": 0.001}, {"fx": 60.0}):
+    for noise in ({"sigma_x": 0.001, "fx": STD}, {"fx": 60.0}):
         end = settled(data, ESTIMATED | {"noise": noise})
         assert [far.row for far in end.far if far.set_aside] == [11, 120]
 

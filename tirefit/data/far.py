@@ -76,10 +76,10 @@ def far_values(
 
     A value is far from its file where a gap of three times the range of all others
     parts it from them; from its neighbours where it lies outside of what they have by
-    four times their range, and by a quarter of the file's. The neighbours of a force
-    are rows of about its slip and load; in a log also those before and after. Its slip
-    gives it its sign. A row is
-    named once for a column; where more than one row in twenty would be, none is.
+    four times their range, and by a quarter of the file's. In a log the neighbours are
+    the rows before and after; elsewhere those of a force are rows of about its slip and
+    load, and its slip gives it its sign. A row is named once for a column; where more
+    than one row in twenty would be, none is.
 
     Args:
         columns: those to look at; names that the data lack are passed over.
@@ -144,15 +144,16 @@ def _rules(data: TireData, column: str, values):
         yield "all other rows", _beyond_all(values, slip_ratio_from_sigma, LOCKED)
     else:
         yield "all other rows", _beyond_all(values)
-    if column in _SLIP_OF and _SLIP_OF[column] in data:
+    if "time" in data:
+        order = np.lexsort((data.usable("time"), data.run[data.used]))
+        yield "the rows before and after", _beside(values, order)
+    elif column in _SLIP_OF and _SLIP_OF[column] in data:
+        # In a log a tire may lag behind its slip.
         slip = _SLIP_OF[column]
         yield f"rows of about its {slip}", _beside(values, like_slips(data, slip))
         if column != "mz":
             among = f"forces of its sign of {slip}"
             yield among, _against(values, data.usable(slip))
-    if "time" in data:
-        order = np.lexsort((data.usable("time"), data.run[data.used]))
-        yield "the rows before and after", _beside(values, order)
 
 
 def _identity(values):

@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import maximum_filter1d
 from scipy.special import ndtri, stdtrit
 
 from tirefit.data.far import (
@@ -68,6 +69,8 @@ others is kept: agreement as good as of 95 % of the rows."""
 _NEVER = 1e-9
 """Instead of that for a load far from all others, which may fit by chance: at little
 slip a force says nothing of its load, and such a row would rule the slope."""
+_REMEMBERED = 30
+"""Rows, to either side, over which a transient tire spreads what is wrong in one."""
 _ROUNDING = 1e-6
 """Share of a force's range below which nothing is far."""
 _RESTS = 0.7
@@ -146,8 +149,11 @@ def settle(data: TireData, name: str, config: FitConfig) -> Settled:
     for _ in range(_ROUNDS):
         task, solved = _fitted(whole, kept, config)
         judged = _judge(whole, task, solved, kept, suspects, limit)
-        beyond = _leaving_runs(np.max(judged.ratio, axis=0) > 1, whole)
-        farthest = _farthest(np.max(judged.ratio, axis=0), beyond, most)
+        ratio = np.max(judged.ratio, axis=0)
+        if whole.problem.model.transient:
+            ratio = _worst_in_time(ratio, kept)
+        beyond = _leaving_runs(ratio > 1, whole)
+        farthest = _farthest(ratio, beyond, most)
         if not trims or np.array_equal(~farthest, kept):
             break
         kept = ~farthest
@@ -195,6 +201,13 @@ def _leaving_runs(aside, task: FitTask) -> Bool[np.ndarray, " n"]:
     run = task.problem.used(task.problem.rows.run)
     share = np.bincount(run, aside) / np.maximum(np.bincount(run), 1)
     return aside & (share <= 0.5)[run]
+
+
+def _worst_in_time(ratio, kept):
+    """The ratios (n,) but, of kept rows close in time, of the worst alone: a transient
+    tire feels one absurd slip for as long as it remembers."""
+    worst = maximum_filter1d(np.where(kept, ratio, 0.0), 2 * _REMEMBERED + 1)
+    return np.where(kept & (ratio < worst), np.minimum(ratio, 1.0), ratio)
 
 
 def _farthest(ratio, beyond, most: int) -> Bool[np.ndarray, " n"]:

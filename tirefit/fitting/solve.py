@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtrc
@@ -225,6 +226,8 @@ def on_rows(
 ) -> tuple[FitProblem, Linearised]:
     """All rows of a task as a fit of some of them sees them, and linearised there.
 
+    Those that are fitted are as in the fit: a transient model passes over the others.
+
     Args:
         kept: (n,) bool, the rows that ``task`` has of the whole and that are solved.
     """
@@ -237,7 +240,16 @@ def on_rows(
     slope = _largest_slope(task.problem, solved.z) if noisy else 0.0
     problem = replace(whole.problem, model=solved.problem.model)
     problem = with_scale(problem, task.slip_density, scales, slope)
-    return problem, _used(problem, linearise(problem, solved.z))
+    every = _used(problem, linearise(problem, solved.z))
+
+    def joined(all_rows, fitted):
+        if len(all_rows) != len(kept):
+            return fitted  # priors
+        rows = np.array(all_rows)
+        rows[kept] = fitted
+        return rows
+
+    return problem, jax.tree.map(joined, every, solved.at)
 
 
 def _still_to_gain(problem: FitProblem, at: Linearised, z, cov) -> float:
