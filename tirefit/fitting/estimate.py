@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tirefit.compiled import release_programs
 from tirefit.data.accept import as_data
 from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, parse_config
@@ -229,6 +230,7 @@ def fit(
         DataError: the data lack a column that the model needs, or are too few.
     """
     require_x64("a fit")
+    release_programs()
     data = as_data(data)
     config = _config(config, solver=solver, seed=seed, model=model)
     settled = settle(data, config.model or "brush", config)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tirefit.data.run_names import label_of_run
 from tirefit.fitting.hints import hint_at_load
 from tirefit.fitting.result import FitResult
 from tirefit.results import Outcome
@@ -118,6 +119,10 @@ def _contradiction(result: FitResult) -> list[tuple[Outcome | None, str]]:
     return [(outcome, f"{check['text']}; {outcome.value}")]
 
 
+def _short(result: FitResult, label: str) -> str:
+    return label_of_run(label, result.data["runs"])
+
+
 def _far_rows(result: FitResult) -> list[str]:
     """On rows that are far from everything, and what was done about them."""
     aside = [row for row in result.far_rows if row.set_aside]
@@ -161,8 +166,8 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
         if not estimate.identified:
             low, high = estimate.ci95
             text = (
-                f"{label} is not identified by these data: anything from {low:.4g} to"
-                f" {high:.4g} fits as well (95 %)"
+                f"{_short(result, label)} is not identified by these data: anything"
+                f" from {low:.4g} to {high:.4g} fits as well (95 %)"
             )
             if label in statistics.at_bound:
                 text += (
@@ -174,7 +179,8 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
         label for label in statistics.at_bound if result.least_squares[label].identified
     ]
     if at_bound:
-        text = f"at its bound: {', '.join(at_bound)}; the interval is one-sided"
+        names = ", ".join(_short(result, label) for label in at_bound)
+        text = f"at its bound: {names}; the interval is one-sided"
         findings.append((Outcome.AT_BOUND, text))
     summary = result.posterior
     if summary is not None and summary.outcome is not Outcome.CONVERGED:
@@ -202,7 +208,7 @@ def judge(result: FitResult) -> FitResult:
     outcomes = tuple(dict.fromkeys(o for o, _ in findings if o is not None))
     differ = disagreements(result)
     if differ:
-        names = ", ".join(differ)
+        names = ", ".join(_short(result, label) for label in differ)
         text = f"the routes to an interval disagree for {names}: trust the profile"
         findings.append((None, f"{text} or the posterior, not the covariance"))
     leading, status = next(
