@@ -10,7 +10,6 @@ that was not.
 """
 
 import os
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -23,10 +22,10 @@ import numpy as np
 
 from tirefit.fitting.chains import (
     Chain,
+    Keeper,
     extended,
     identity_of,
     load_chain,
-    save_chain,
 )
 from tirefit.fitting.condense import apart, condensed
 from tirefit.fitting.derived import derived_from_draws
@@ -298,14 +297,19 @@ def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
         if weighted.interrupted or not weighted.refused:
             return _of_weighted(result, weighted, run.seed)
     identity = identity_of(result, chained, run.seed, run.shape)
-    chain = None
+    chain, keeper = None, Keeper(run.path, identity)
     if run.resume and run.path is not None:
         chain = load_chain(run.path, identity)
     size = solved.problem.layout.size
-    chain, outcome = _draw(density, chained, size, run, chain, identity)
+    chain, outcome = _draw(density, chained, size, run, chain, keeper)
     if chain is None:
         return judge(replace(result, interrupted=True))
-    return _of_chain(result, chain, outcome, chained, run, weighted)
+    notes = []
+    if weighted is not None:
+        notes.append(f"importance sampling refused ({weighted.refused}): emcee instead")
+    if keeper.fault:
+        notes.append(f"the chain was not kept for --resume: {keeper.fault}")
+    return _of_chain(result, chain, outcome, chained, run, weighted, notes)
 
 
 def _noted(result: FitResult, text: str) -> FitResult:
@@ -332,11 +336,10 @@ def _shape(sampler: str, size: int, ensembles: int, walkers: int | None):
 
 
 def _draw(
-    density, sampler, size, run: _Run, chain, identity
+    density, sampler, size, run: _Run, chain, keeper: Keeper
 ) -> tuple[Chain | None, Outcome]:
     """Chunks until the chain is good, the limit is reached or the user interrupts."""
     begin, advance = SAMPLERS[sampler]
-    saved = time.monotonic()
     outcome = Outcome.CHAIN_TOO_SHORT
     try:
         state = (
@@ -354,13 +357,11 @@ def _draw(
                     run.progress(*_share(chain, health, run.target))
             chain = extended(chain, *advance(density, state, CHUNK))
             state = chain.state
-            if run.path is not None and time.monotonic() - saved > 5:
-                save_chain(run.path, chain, identity)
-                saved = time.monotonic()
+            keeper.now_and_then(chain)
     except KeyboardInterrupt:
         outcome = Outcome.INTERRUPTED
-    if run.path is not None and chain is not None:
-        save_chain(run.path, chain, identity)
+    if chain is not None:
+        keeper.keep(chain)
     return chain, outcome
 
 
@@ -372,19 +373,23 @@ def _share(chain: Chain, health: _Health, target: int) -> tuple[float, str]:
 
 
 def _of_chain(
-    result: FitResult, chain: Chain, outcome: Outcome, sampler, run: _Run, weighted
+    result: FitResult,
+    chain: Chain,
+    outcome: Outcome,
+    sampler,
+    run: _Run,
+    weighted,
+    notes: list[str],
 ) -> FitResult:
     """The posterior of a chain; ``weighted`` is what was refused before it, if any."""
     health = _health(chain.samples, run.target, sampler == "nuts")
-    labels, notes = result.labels, []
+    labels = result.labels
     divergences = chain.state.get("divergences")
     if divergences:
         notes.append(
             f"{int(divergences)} divergent transitions: the posterior has corners that"
             " the sampler could not enter; compare with --sampler emcee"
         )
-    if weighted is not None:
-        notes.append(f"importance sampling refused ({weighted.refused}): emcee instead")
     summary = PosteriorSummary(
         sampler, run.seed, chain.samples.shape[0], chain.samples.shape[2],
         chain.samples.shape[1], health.discarded,

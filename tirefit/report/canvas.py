@@ -6,6 +6,7 @@ global lists.
 
 import io
 import textwrap
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from matplotlib.figure import Figure
 
 from tirefit.files import replacing
 from tirefit.fitting.result import FitResult
+from tirefit.report.labels import fit_files
 from tirefit.report.numbers import plain_text
 from tirefit.report.text import verdict_line
 
@@ -26,6 +28,7 @@ __all__ = [
     "ORANGE",
     "RED",
     "MOST_DRAWN",
+    "WIDTH",
     "Picture",
     "drawn",
     "frame",
@@ -58,27 +61,35 @@ class Picture(Figure):
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
-        self.savefig(buffer, format="png", dpi=self.dpi)
+        self.write(buffer, "png", dpi=self.dpi)
         return buffer.getvalue()
 
+    def write(self, target, kind: str, **how) -> None:
+        """Into a path or a buffer; a name in letters that the font lacks is boxes."""
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+            self.savefig(target, format=kind, **how)
 
-def frame(result: FitResult, height: float) -> tuple[Picture, tuple[float, float]]:
+
+def frame(
+    result: FitResult, height: float, width: float = WIDTH
+) -> tuple[Picture, tuple[float, float]]:
     """An empty picture with title and footnote.
 
     Args:
         result: whose model, file and verdict the title names.
-        height: of the picture in inches.
+        height, width: of the picture in inches.
 
     Returns:
         (picture, (bottom, top)): the share of the height that is free for axes.
     """
-    picture = Picture(figsize=(WIDTH, height))
-    file = result.data["file"].replace("\\", "/").rsplit("/", 1)[-1]
+    picture = Picture(figsize=(width, height))
     ok = result.verdict.get("status", "ok") == "ok"
+    title = f"{result.model} fitted to {fit_files(result, 68)}"
     lines = textwrap.wrap(verdict_line(result), 100, max_lines=2, placeholder=" …")
     picture.text(
-        0.02, 1 - 0.10 / height, plain_text(f"{result.model} fitted to {file}"),
-        va="top", fontsize=10.5, fontweight="bold", color=DARK,
+        0.02, 1 - 0.10 / height, plain_text(title), va="top", fontsize=10.5,
+        fontweight="bold", color=DARK,
     )  # fmt: skip
     picture.text(
         0.02, 1 - 0.31 / height, plain_text("\n".join(lines)),
@@ -143,5 +154,5 @@ def save_picture(picture: Picture, path: Path) -> Path:
     """Write a picture, PNG or SVG by the suffix, whole or not at all."""
     metadata = {"Date": None} if path.suffix == ".svg" else None
     with replacing(path) as temporary:
-        picture.savefig(temporary, format=path.suffix[1:], metadata=metadata)
+        picture.write(temporary, path.suffix[1:], metadata=metadata)
     return path

@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from tirefit.fitting.result import FitResult
+from tirefit.report.by_name import has_runs, runs_figure
 from tirefit.report.canvas import (
     BLUE,
     COLORS,
@@ -24,7 +25,8 @@ from tirefit.report.canvas import (
     tidy,
 )
 from tirefit.report.curves import FitCurve, fit_curve
-from tirefit.report.draw_uncertainty import corner_figure, profile_figure, trace_figure
+from tirefit.report.draw_corner import corner_figure
+from tirefit.report.draw_uncertainty import profile_figure, trace_figure
 from tirefit.report.numbers import format_number
 from tirefit.report.residuals import Residuals, Scatter, residual_panels
 from tirefit.report.uncertainty import has_trace
@@ -44,7 +46,7 @@ __all__ = [
 
 FIGURE_FILES = tuple(
     f"{name}{suffix}"
-    for name in ("fit", "residuals", "profile", "corner", "trace")
+    for name in ("fit", "residuals", "runs", "profile", "corner", "trace")
     for suffix in (".png", ".svg")
 )
 """Every file that :func:`save_figures` may write."""
@@ -178,10 +180,14 @@ def draw_scatter(axes, panel: Scatter, force: str = "") -> None:
     tidy(axes, panel.label, f"{force} residual / std".strip())
     axes.set_ylim(*_symmetric(panel.residual))
     if panel.ticks:
-        texts = [t if len(t) <= 14 else "…" + t[-13:] for t in panel.ticks]
-        angle = 0 if sum(map(len, texts)) < 40 else 30
-        anchor = "center" if angle == 0 else "right"
-        axes.set_xticks(range(len(texts)), texts, rotation=angle, ha=anchor)
+        texts = list(panel.ticks)
+        angle = 0 if sum(map(len, texts)) < 40 else 60
+        every = 1 if len(texts) <= 16 else 2
+        axes.set_xticks(
+            range(0, len(texts), every), texts[::every], rotation=angle,
+            ha="center" if angle == 0 else "right", rotation_mode="anchor",
+            fontsize=7.5 if angle == 0 else 6.5,
+        )  # fmt: skip
 
 
 def _symmetric(values) -> tuple[float, float]:
@@ -261,7 +267,8 @@ def residual_figure(result: FitResult) -> Picture:
 def save_figures(
     result: FitResult, directory: str | os.PathLike, svg: bool = False
 ) -> list[Path]:
-    """Write fit.png and residuals.png; profile.png, corner.png, trace.png if known.
+    """Write fit.png and residuals.png; runs.png where runs have parameters of their
+    own; profile.png, corner.png, trace.png if known.
 
     Args:
         result: a fit with its problem.
@@ -274,6 +281,8 @@ def save_figures(
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     figures = {"fit": fit_figure, "residuals": residual_figure}
+    if has_runs(result):
+        figures["runs"] = runs_figure
     if result.profiles:
         figures["profile"] = profile_figure
     if result.chains is not None:
