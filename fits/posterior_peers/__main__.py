@@ -24,7 +24,7 @@ SETS, CHAINED = 100, 25
 """Data sets of a case, and how many of them the chains run on."""
 CONVERGENCE = 8
 """Data sets on which the guides run three times as long."""
-TIMED = 5
+TIMED = 3
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -104,16 +104,13 @@ METHODS_TIMED = (
 
 def timed(method: str, name: str = "magic-formula") -> dict:
     """Processor seconds of a method on one data set, the fit before it not counted: at
-    first, when it is compiled, and in the mean of the next ones."""
+    first, when it is compiled, and in the median of the next ones."""
     from fits.posterior_peers.methods import fits_of, intervals_of
-    from tirefit.fitting.posterior import sample
 
     def run(k):
         if method == "fit":
             return lambda: fits_of(CASES[name], [k])
         results = fits_of(CASES[name], [k])
-        if method in ("importance", "emcee", "nuts"):
-            return lambda: sample(results[0], sampler=method)  # as a user does
         return lambda: intervals_of(method, CASES[name], results)
 
     spent = []
