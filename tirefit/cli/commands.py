@@ -30,6 +30,7 @@ from tirefit.cli.options import (
     takes_data_options,
     warn,
 )
+from tirefit.cli.prepare import prepare
 from tirefit.cli.simulate import app as simulate
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
@@ -64,6 +65,7 @@ app.command()(convert)
 app.command(cls=ManyHoldouts)(diagnose)
 app.command()(estimate)
 app.command()(brake)
+app.command()(prepare)
 app.add_typer(simulate, name="simulate")
 
 
