@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 
 from tirefit.data.read import read_frame
 from tirefit.fitting.estimate import fit
-from tirefit.fitting.identifiability import identifiability
+from tirefit.fitting.identifiability import MODELS_ASKED, identifiability
 from tirefit.results import UsageError
 from tirefit.sim.rig import simulate_rig
 
@@ -120,6 +120,14 @@ def test_many_rows_are_as_good_as_their_number():
     )
     for a, b in zip(few.gates[0].parameters, many.gates[0].parameters, strict=True):
         assert a.std / b.std == pytest.approx(np.sqrt(10), rel=0.2)
+
+
+def test_the_models_that_are_asked_unless_told():
+    gates = identifiability(swept(0.15)).gates
+    assert tuple(gate.model for gate in gates) == MODELS_ASKED
+    assert all(gate.parameters or gate.reason for gate in gates)
+    curved = {p.name: p.told for p in gates[-1].parameters}
+    assert curved["D"] == "well" and curved.keys() == {"B", "C", "D", "E"}
 
 
 def test_the_text_names_what_is_missing():

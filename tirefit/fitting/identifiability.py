@@ -25,7 +25,9 @@ from tirefit.fitting.problem import build, guess_from_curve
 from tirefit.params import Spec, constrain, log_jacobian
 from tirefit.results import DataError
 
-__all__ = ["Identifiability", "ModelGate", "ParameterGate", "identifiability"]
+__all__ = [
+    "MODELS_ASKED", "Identifiability", "ModelGate", "ParameterGate", "identifiability",
+]  # fmt: skip
 
 MODELS_ASKED = (
     "brush", "brush-d", "brush-m", "brush-n", "brush-h", "brush-load", "magic-formula",

@@ -120,6 +120,11 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
         remedy = "see the segments in the figure, or keep other kinds"
         raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
     notes = [*said, how] if how else list(said)
+    unusable = len(data) - data.n
+    if unusable:
+        notes.append(
+            f"{unusable} rows cannot be used, and are cut: `masked` of the JSON"
+        )
     return Prepared(
         data, config, series, settings, names, tuple(parts), columns, kept, chosen,
         tuple(notes),

@@ -15,7 +15,7 @@ from tirefit.data.prepare.series import runs_of
 
 __all__ = ["Settings", "Window", "settings_of", "whole"]
 
-_LEAST = 0.025
+_LEAST = 0.03
 """Of the largest value: settings are further apart than that."""
 _SHARE = 0.02
 """Of the range of a channel: what moves by so much in a second is on its way, and
@@ -84,15 +84,17 @@ def settings_of(
     if np.ptp(values) <= least:
         return whole(name, values)
     middle, stray, windows = _candidates(values, windows)
+    nowhere = Settings(name, np.zeros(0), np.zeros(0), np.full(len(values), -1))
     if not windows:
-        none = np.zeros(0)
-        return Settings(name, none, none, np.full(len(values), -1))
+        return nowhere
     center, width = _clustered(middle, stray, least, float(np.ptp(values)))
     calm = np.zeros(len(values), int)
     calm[[(begin + end) // 2 for begin, end, _ in windows]] = 1
     sure = np.concatenate([[0], np.cumsum(calm)])
     code = _assigned(values, center, width, pieces, shortest, sure)
     used = np.unique(code[code >= 0])
+    if not len(used):
+        return nowhere
     if len(used) < len(center):  # a setting that was passed, and never held
         center, width = center[used], width[used]
         code = _assigned(values, center, width, pieces, shortest, sure)
@@ -166,24 +168,42 @@ def _assigned(values, center, width, pieces, shortest: int, sure) -> np.ndarray:
     above = values - center[nearest]
     down, up = (np.minimum(_WIDER * width, room)[nearest] for room in _room(center))
     code = np.where((-down <= above) & (above <= up), nearest, -1)
+    half = max(shortest // 2, 1)
+    row = np.arange(len(values))
+    later, before = np.minimum(row + half, row[-1]), np.maximum(row - half, 0)
+    change = np.abs(values[later] - values[before])
     for piece in pieces:
         part = code[piece]
-        _fill(part, max(shortest // 2, 1))
+        _fill(part, half)
         for begin, end in runs_of(part):
             if part[begin] < 0:
                 continue
             rows = slice(piece.start + begin, piece.start + end)
-            near = np.flatnonzero(np.abs(above[rows]) <= width[part[begin]])
-            # The ends are on their way from or to another setting.
-            first, last = (near[0], near[-1] + 1) if len(near) else (0, 0)
-            first = int(first) + begin if begin else 0
-            last = int(last) + begin if end < len(part) else end
+            usual = width[part[begin]]
+            goes = (np.abs(above[rows]) > usual) & (change[rows] > usual)
+            first, last = _without_ends(goes, begin > 0, end < len(part))
+            first, last = first + begin, last + begin
             held = last - first >= min(shortest, len(part))
             held &= bool(sure[piece.start + last] > sure[piece.start + first])
             if not held:
                 first, last = end, end
             part[begin:first] = part[last:end] = -1
     return code
+
+
+def _without_ends(goes: np.ndarray, at_begin: bool, at_end: bool) -> tuple[int, int]:
+    """First and last (exclusive) row without what is on its way at either end.
+
+    Args:
+        goes: (m,) bool, rows away from the setting that move.
+        at_begin, at_end: whether another setting comes before, or after.
+    """
+    first, last, middle = 0, len(goes), len(goes) // 2
+    if at_begin and goes[:middle].any():
+        first = int(np.flatnonzero(goes[:middle])[-1]) + 1
+    if at_end and goes[middle:].any():
+        last = int(np.flatnonzero(goes[middle:])[0]) + middle
+    return first, last
 
 
 def _fill(code: np.ndarray, longest: int) -> None:

@@ -12,15 +12,17 @@ HELD, SWEPT, MOVED = "held", "swept", "moved"
 LEAST = {"alpha": np.radians(0.5), "sigma_x": 0.01}
 """Range of a slip below which it was not swept but held, give or take."""
 
-_REVERSAL = 0.03
+_REVERSAL = 0.02
 """Of the range of the slip: going back by so much turns a sweep."""
-_STILL = 0.012
+_STILL = 0.008
 """Of the range of the slip: within so much it is held."""
-_NOISES = 6.0
+_LONGER = 3
+"""Times as long as it was looked at, where that is not enough to see it move."""
+_NOISES = 8.0
 """Standard deviations of the noise that are no movement."""
 _PAUSE = 0.3
 """A stop shorter than this share of the sweeps beside it is their turning point: a sine
-is within ``_STILL`` of its end for 0.14 of the way from end to end."""
+is within ``_STILL`` of its end for 0.11 of the way from end to end."""
 _STEP = 0.4
 """A movement shorter than this share of both stops beside it leads from one to the
 other."""
@@ -99,8 +101,14 @@ def _stops(slip: np.ndarray, still: float, shortest: int) -> list[tuple[int, int
     inside = np.concatenate([[False], np.cumsum(mark)[:-1] > 0, [False]])
     edges = np.flatnonzero(inside[1:] != inside[:-1])
     stops = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    # Windows that overlap may creep along with a slow sweep.
-    return [(a, b) for a, b in stops if np.ptp(slip[a:b]) <= 2 * still]
+    kept = []
+    for a, b in stops:
+        if np.ptp(slip[a:b]) <= 2 * still:
+            kept.append((a, b))
+        else:  # windows that overlap creep along with a slow sweep: longer ones do not
+            inner = _stops(slip[a:b], still, _LONGER * shortest)
+            kept += [(a + first, a + last) for first, last in inner]
+    return kept
 
 
 def _between(slip: np.ndarray, stops, reversal: float) -> list[Leg]:

@@ -144,5 +144,7 @@ def _sizes(sweeps: list[Segment], slip, force) -> np.ndarray:
         at = slip[part.begin : part.end]
         inside = (at >= x[0]) & (at <= x[-1])
         model = np.interp(at[inside], x, y)
-        sizes.append(model @ force[part.begin : part.end][inside] / (model @ model))
+        power = float(model @ model)
+        here = force[part.begin : part.end][inside]
+        sizes.append(model @ here / power if power else 1.0)
     return np.array(sizes)
