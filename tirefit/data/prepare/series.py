@@ -23,6 +23,12 @@ class Series(NamedTuple):
     rate: float | None
     pieces: tuple[slice, ...]
 
+    @property
+    def hertz(self) -> float:
+        """The rate of a series that has one."""
+        assert self.rate is not None
+        return self.rate
+
 
 def runs_of(code: np.ndarray) -> list[tuple[int, int]]:
     """(begin, end) of the stretches of equal values of an (n,) array, or of equal rows

@@ -181,8 +181,8 @@ def _assigned(values, center, width, pieces, shortest: int, sure) -> np.ndarray:
             rows = slice(piece.start + begin, piece.start + end)
             usual = width[part[begin]]
             goes = (np.abs(above[rows]) > usual) & (change[rows] > usual)
-            first, last = _without_ends(goes, begin > 0, end < len(part))
-            first, last = first + begin, last + begin
+            first = begin + (_end_of_way(goes, half) if begin else 0)
+            last = end - (_end_of_way(goes[::-1], half) if end < len(part) else 0)
             held = last - first >= min(shortest, len(part))
             held &= bool(sure[piece.start + last] > sure[piece.start + first])
             if not held:
@@ -191,19 +191,15 @@ def _assigned(values, center, width, pieces, shortest: int, sure) -> np.ndarray:
     return code
 
 
-def _without_ends(goes: np.ndarray, at_begin: bool, at_end: bool) -> tuple[int, int]:
-    """First and last (exclusive) row without what is on its way at either end.
-
-    Args:
-        goes: (m,) bool, rows away from the setting that move.
-        at_begin, at_end: whether another setting comes before, or after.
-    """
-    first, last, middle = 0, len(goes), len(goes) // 2
-    if at_begin and goes[:middle].any():
-        first = int(np.flatnonzero(goes[:middle])[-1]) + 1
-    if at_end and goes[middle:].any():
-        last = int(np.flatnonzero(goes[middle:])[0]) + middle
-    return first, last
+def _end_of_way(goes: np.ndarray, longest: int) -> int:
+    """Rows at the beginning that are on their way, pauses up to ``longest`` included;
+    what only noise calls so comes later, and alone."""
+    rows = 0
+    for row in np.flatnonzero(goes).tolist():
+        if row - rows > longest:
+            break
+        rows = row + 1
+    return rows
 
 
 def _fill(code: np.ndarray, longest: int) -> None:
