@@ -95,6 +95,7 @@ def prepare(
             raise UsageError(InputProblem("no FILE given", "name one, or --repeat"))
         names = _names(files)
         check_directories([out])
+        _check_inputs(files, names, out)
         with claimed(out):
             raise typer.Exit(_all(files, names, out, how, config))
 
@@ -145,6 +146,16 @@ def _names(files: list[Path]) -> list[str]:
     return names
 
 
+def _check_inputs(files: list[Path], names: list[str], out: Path) -> None:
+    """Raises UsageError where a recording would be replaced by what is made of it."""
+    for name in names:
+        made = out / f"{name}.csv"
+        if any(made.exists() and made.samefile(f) for f in files if f.exists()):
+            reason = "it is the recording itself, which is to be replaced"
+            remedy = "choose another folder with --out"
+            raise UsageError(InputProblem(reason, remedy, str(made)))
+
+
 def _all(files, names, out: Path, how: dict[str, Any], config) -> ExitCode:
     """Every file; one that cannot be prepared does not stop the others."""
     worst = ExitCode.OK
@@ -188,7 +199,7 @@ def _one(file: Path, name: str, out: Path, how: dict[str, Any], config) -> list[
     }
     record = record_of(prepared, how, digests, __version__)
     picture, json = f"{name}.png", f"{name}.prepare.json"
-    with staged(out, [*texts, picture, json], apart=f".{name}") as folder:
+    with staged(out, [*texts, picture, json], summary(prepared), f".{name}") as folder:
         save_picture(prepared_figure(prepared), folder / picture)
         texts[json] = json_text(record)
         write_texts({folder / key: text for key, text in texts.items()})
