@@ -9,6 +9,10 @@ from tirefit.data.prepare.zero_phase import zero_phase
 from tirefit.data.read import read_frame
 from tirefit.results import DataError, UsageError
 
+OF_A_CAR = {
+    "alpha": -0.2, "fz": 3000.0, "gamma": 0.0, "pressure": 2e5, "v": 20.0,
+}  # fmt: skip
+
 
 def prepared(columns, **config):
     data = read_frame(columns, curve=False, mask_bad_rows=True)
@@ -305,6 +309,26 @@ def test_all_channels_have_one_gain_and_no_lag_in_what_is_prepared():
     from scipy.signal import sosfilt
 
     assert lag_of(noise, sosfilt(chosen.sections, noise)) > 1.5
+
+
+@pytest.mark.parametrize(("shape", "most"), [("line", 2.2e-3), ("sine", 5.5e-3)])
+def test_the_bandwidth_that_is_chosen_keeps_the_slip_curve(shape, most):
+    script, rng = Script(200, **OF_A_CAR), np.random.default_rng(1)
+    for to in (0.2, -0.2, 0.2, -0.2, 0.2, -0.2):
+        script.sweep("alpha", to, 3.0, shape=shape)
+    seen, _ = measured(script, rng, noise=0.0, wander=0.0)
+
+    def brush(alpha):
+        share = np.minimum(np.abs(np.tan(alpha)) / 0.04, 1)
+        return np.sign(alpha) * (3 * share - 3 * share**2 + share**3)
+
+    seen["fy"] = 3000 * brush(seen["alpha"])
+    result = prepared(seen, warm_up=0.0, settle=0.0)
+    rows = np.flatnonzero(result.kept)[200:-200]
+    assert len(rows) > 2000 and result.filter is not None
+    kept = {name: result.columns[name][rows] for name in ("alpha", "fy")}
+    miss = kept["fy"] / 3000 - brush(kept["alpha"])
+    assert 0.1 * most < np.max(np.abs(miss)) < most
 
 
 def test_a_parabola_passes_and_time_may_be_uneven():

@@ -33,9 +33,10 @@ _WINDOW = 1.0
 _LEAST_ROWS = 4
 """Rows in the shortest time that is held: sampled slower, rows are points, no series;
 and rows of the shortest sweep among points."""
-_CYCLES = 20.0
-"""Bandwidth times the time of a fast sweep: what the slip curve itself has in it is
-far below. A brush's bend at a third of the sweep is kept to 0.1 % of its peak."""
+_CYCLES = 40.0
+"""Bandwidth times the time of a fast sweep. A brush that slides from a fifth of the
+largest slip on is then kept to 0.2 % of its peak by sweeps of one speed from end to
+end, to 0.5 % by sines."""
 _STANDING = 0.02
 """Of the highest speed: slower, the wheel does not roll."""
 _FASTEST = 0.1
