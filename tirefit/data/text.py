@@ -9,7 +9,7 @@ import itertools
 import re
 import zlib
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from tirefit.data.units import known_unit
 from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.door import DATA, too_large
 from tirefit.results import DataError, InputProblem
+from tirefit.slip import CONVENTIONS
 
 __all__ = [
     "SPACED",
@@ -43,6 +44,8 @@ SPACED = "columns separated by white space"
 
 _DELIMITERS = "\t;|,"
 _END = "\0"
+_OWN = re.compile(r"# tirefit .*\bconvention ([\w-]+)\s*$")
+"""First line of a table that this package wrote, with its signs."""
 _SEARCHED = 60
 """Lines with content in which the header must stand."""
 _LONGEST = 10
@@ -164,7 +167,13 @@ def table_of_text(
     if start != searched[0]:
         notes.append(f"lines before the header in line {start + 1} skipped")
     rows, numbers = split_rows(lines[start:], delimiter, start, path)
-    return table_of_rows(rows, numbers, path, digest, notes, delimiter)
+    table = table_of_rows(rows, numbers, path, digest, notes, delimiter)
+    own = _OWN.match(raw[0])
+    if own is None or own[1] not in CONVENTIONS:
+        return table
+    said = f"signs read as {own[1]!r}, as line 1 says"
+    layout = Layout(convention=own[1])
+    return replace(table, layout=layout, notes=(*table.notes, said))
 
 
 def content_lines(lines: list[str]) -> list[str]:

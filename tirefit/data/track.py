@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tirefit.data.cells import TextColumn
 from tirefit.data.columns import guess, stated_unit
 from tirefit.data.read import Table, read_table
 from tirefit.data.remote import Place
@@ -244,6 +245,10 @@ def _column(table: Table, name: str, problems: list[InputProblem]) -> np.ndarray
     """One column, (n,); a missing cell is NaN, text is a problem."""
     values = np.full(len(table.lines), np.nan)
     cells = table.cells[table.headers.index(name)]
+    if isinstance(cells, TextColumn):  # of a large text, read already
+        known = cells.numbers(commas=False)
+        if known is not None and np.all(np.abs(known) < _LARGEST):
+            return known
     if isinstance(cells, np.ndarray):  # of a file that has numbers, not text
         cells = [repr(cell) for cell in cells.tolist()]
     for index, cell in enumerate(cells):
