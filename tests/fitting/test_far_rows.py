@@ -142,6 +142,7 @@ def test_a_row_that_alone_knows_a_parameter_is_kept_and_said():
     assert end.solved.problem.n == 400
     (far,) = end.far
     assert (far.row, far.set_aside) == (7, False)
+    assert "the fit rests on it" in far.reason and far.remedy == "make sure of it"
 
 
 def test_too_many_rows_beyond_are_left_in_and_said():
