@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tirefit.data import check, signs
+from tirefit.data.cells import TextColumn
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Options, Plan, plan_columns
 from tirefit.data.kinds import read_table
@@ -200,7 +201,8 @@ def _runs(reading: _Reading) -> tuple[np.ndarray, tuple[str, ...]]:
     if column is None:
         return np.zeros(n, int), (reading.table.name,)
     cells = reading.table.cells[column.index]
-    names = [str(cell).strip() for cell in cells]
+    words = cells.words() if isinstance(cells, TextColumn) else cells
+    names = [str(word).strip() for word in words]
     if isinstance(cells, np.ndarray) and cells.dtype.kind == "f":
         names = [f"{cell:.15g}" for cell in cells]
     skip = reading.table.ragged
