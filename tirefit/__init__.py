@@ -87,6 +87,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "online.methods": ["METHODS"],
         "models": ["MODELS", "TireInputs", "forces"],
         "params": ["parameter_values", "with_values"],
+        "report.diagnosis_draw": ["plot_diagnosis"],
         "report.plots": [
             "compare",
             "plot_corner",

@@ -13,6 +13,8 @@ from types import SimpleNamespace
 import matplotlib.image
 import numpy as np
 import pytest
+
+import tirefit
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -53,6 +55,7 @@ from tirefit.report.diagnosis_budget import (
     waterfall_steps,
 )
 from tirefit.report.diagnosis_draw import (
+from tirefit.results import UsageError
     diagnosis_figure,
     draw_closure,
     draw_comparison,
@@ -1051,3 +1054,13 @@ def test_the_page_fits_a_phone(page_text, tmp_path, wide):
     document, _ = browse(page, tmp_path, "--dump-dom")
     width = int(re.search(r"<title>(\d+)", document)[1])
     assert (width > 390) == wide
+
+
+def test_a_diagnosis_is_drawn_for_whoever_saves_it(tmp_path):
+    result = diagnosis()
+    whole = tirefit.plot_diagnosis(result)
+    whole.savefig(tmp_path / "all.png")
+    tirefit.plot_diagnosis(result, "where").savefig(tmp_path / "where.svg")
+    assert {path.name for path in tmp_path.iterdir()} == {"all.png", "where.svg"}
+    with pytest.raises(UsageError, match="there is no panel 'were'\n.*'where'"):
+        tirefit.plot_diagnosis(result, "were")
