@@ -12,7 +12,14 @@ from test_cli_fit import FAST, content, write
 
 from tirefit.cli import options
 from tirefit.cli.commands import app
-from tirefit.cli.output import _interrupts_held, check_directories, claimed, staged
+from tirefit.cli.output import (
+    _interrupts_held,
+    check_directories,
+    claimed,
+    is_page,
+    staged,
+)
+from tirefit.fitting.result import SCHEMA
 from tirefit.results import UsageError
 
 ARGUMENTS = ("fit", "rig.csv", "--config", "fit.toml", "--no-posterior", "--out", "o")
@@ -26,6 +33,15 @@ def rig(tmp_path):
 
 def files_of(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_a_page_of_someone_else_is_not_ours(tmp_path):
+    page = tmp_path / "fit.html"
+    assert not is_page(page, SCHEMA)
+    page.write_text("my own notes")
+    assert not is_page(page, SCHEMA)
+    page.write_bytes(b"\xff" + f"<p>tirefit 0.1.0, {SCHEMA}</p>".encode())
+    assert is_page(page, SCHEMA)
 
 
 def test_the_second_process_is_refused(run, rig, tmp_path):

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.fit import exit_code, fit_into, model_names
+from tirefit.cli.fit import model_names
+from tirefit.cli.fit_one import exit_code, fit_into
 from tirefit.cli.options import complain, errors_to_exit, named_path, say, start_jax
 from tirefit.cli.output import check_directories
 from tirefit.results import InputProblem, TirefitError, UsageError
@@ -196,7 +197,7 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out):
     tir = None if file is None else read_tir(file)
     start_jax()
     from tirefit.data.table import Source
-    from tirefit.fitting.config import FitConfig
+    from tirefit.fitting.config import FitConfig, NoiseConfig
     from tirefit.fitting.convert import curve, misfit_by_load
     from tirefit.fitting.likelihood import CHANNEL_SLIP
     from tirefit.fitting.problem import find_model
@@ -206,7 +207,9 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out):
     from tirefit.params import with_values
 
     find_model(model)
-    settings = FitConfig(model=model, force=[force.value], seed=seed or 0)
+    # A curve has no absurd rows.
+    noise = NoiseConfig(loss="squares")
+    settings = FitConfig(model=model, force=[force.value], seed=seed or 0, noise=noise)
     if tir is None:
         tire: AbstractTire | str = "magic-formula"
         v, name = None, "Magic Formula"

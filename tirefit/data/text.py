@@ -9,32 +9,43 @@ import itertools
 import re
 import zlib
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from tirefit.data.check import BadRows
 from tirefit.data.columns import guess, is_number
+from tirefit.data.remote import Place
 from tirefit.data.table import Layout
 from tirefit.data.units import known_unit
 from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.door import DATA, too_large
 from tirefit.results import DataError, InputProblem
+from tirefit.slip import CONVENTIONS
 
 __all__ = [
+    "SPACED",
     "Table",
+    "content_lines",
     "decoded",
+    "even_out",
     "gunzipped",
     "read_bytes",
+    "split_rows",
     "stem_of",
     "table_of_frame",
     "table_of_rows",
     "table_of_text",
 ]
 
+SPACED = "columns separated by white space"
+"""The note of a text that is."""
+
 _DELIMITERS = "\t;|,"
 _END = "\0"
+_OWN = re.compile(r"# tirefit .*\bconvention ([\w-]+)\s*$")
+"""First line of a table that this package wrote, with its signs."""
 _SEARCHED = 60
 """Lines with content in which the header must stand."""
 _LONGEST = 10
@@ -67,7 +78,7 @@ class Table:
     doubts: tuple[str, ...] = ()
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(path: Place) -> bytes:
     """Bytes of a file; a DataError with its neighbour's name where there is none."""
     try:
         with path.open("rb") as file:
@@ -93,7 +104,7 @@ def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataErro
     return DataError(InputProblem(reason, remedy, str(path), row))
 
 
-def gunzipped(raw: bytes, path: Path) -> bytes:
+def gunzipped(raw: bytes, path: Place) -> bytes:
     """The bytes themselves, or those that a gzip file holds."""
     if not raw.startswith(b"\x1f\x8b"):
         return raw
@@ -108,7 +119,7 @@ def gunzipped(raw: bytes, path: Path) -> bytes:
     return content
 
 
-def decoded(raw: bytes, path: Path) -> tuple[str, list[str]]:
+def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
     """Text of the file, and what was assumed of its encoding."""
     export = "give a text file: CSV, semicolon- or tab-separated, or such as .gz"
     if raw.startswith(b"PK\x03\x04"):
@@ -138,14 +149,11 @@ def decoded(raw: bytes, path: Path) -> tuple[str, list[str]]:
 
 
 def table_of_text(
-    text: str, path: Path, digest: str, declared: Collection[str], notes: list[str]
+    text: str, path: Place, digest: str, declared: Collection[str], notes: list[str]
 ) -> Table:
     """Cells of a text; ``declared`` headers help to find the header."""
     raw = list(io.StringIO(text, newline=""))
-    lines = [
-        "\n" if line.lstrip().startswith("#") or not line.strip() else line
-        for line in raw
-    ]
+    lines = content_lines(raw)
     if header := commented_header(raw, lambda name: guess(name) is not None):
         lines[: header[0] + 1] = ["\n"] * header[0] + [header[1]]
         notes.append(f"header read from the comment in line {header[0] + 1}")
@@ -155,18 +163,32 @@ def table_of_text(
         raise _refusal("the file is empty", "give a header line and data rows", path)
     start, delimiter, words = _find_header(lines, searched, declared)
     if words:
-        notes.append("columns separated by white space")
+        notes.append(SPACED)
         lines[start:] = tabbed(lines[start:], words)
     if start != searched[0]:
         notes.append(f"lines before the header in line {start + 1} skipped")
-    rows, numbers = _split(lines[start:], delimiter, start, path)
-    return table_of_rows(rows, numbers, path, digest, notes, delimiter)
+    rows, numbers = split_rows(lines[start:], delimiter, start, path)
+    table = table_of_rows(rows, numbers, path, digest, notes, delimiter)
+    own = _OWN.match(raw[0])
+    if own is None or own[1] not in CONVENTIONS:
+        return table
+    said = f"signs read as {own[1]!r}, as line 1 says"
+    layout = Layout(convention=own[1])
+    return replace(table, layout=layout, notes=(*table.notes, said))
+
+
+def content_lines(lines: list[str]) -> list[str]:
+    """The same lines, those without content, as comments are, as line ends alone."""
+    return [
+        "\n" if line.lstrip().startswith("#") or not line.strip() else line
+        for line in lines
+    ]
 
 
 def table_of_rows(
     rows: list[list[str]],
     numbers: list[int],
-    path: Path,
+    path: Place,
     digest: str,
     notes: list[str],
     delimiter: str = "",
@@ -186,7 +208,7 @@ def table_of_rows(
     if not rows:
         reason = "there are no data rows below the header"
         raise _refusal(reason, "give at least as many rows as parameters", path)
-    ragged, faults = _even_out(rows, len(headers), numbers)
+    ragged, faults = even_out(rows, len(headers), numbers)
     return Table(
         str(path), stem_of(path), headers, list(zip(*rows, strict=True)),
         np.array(numbers), ragged, header_line, delimiter, units_row, units_line,
@@ -194,12 +216,12 @@ def table_of_rows(
     )  # fmt: skip
 
 
-def stem_of(path: Path) -> str:
+def stem_of(path: Place) -> str:
     """Name of the data of a file: that of the file without its endings."""
     return Path(path.name.removesuffix(".gz")).stem
 
 
-def _split(lines, delimiter, start, path) -> tuple[list[list[str]], list[int]]:
+def split_rows(lines, delimiter, start, path) -> tuple[list[list[str]], list[int]]:
     """Rows of cells without blank lines, and the line of each in the file."""
     # A last line of one's own shows whether a quotation mark swallows the end.
     reader = csv.reader([*lines, _END], delimiter=delimiter, skipinitialspace=True)
@@ -220,7 +242,7 @@ def _split(lines, delimiter, start, path) -> tuple[list[list[str]], list[int]]:
     return rows, numbers[:-1]
 
 
-def _even_out(rows: list[list[str]], width: int, lines) -> tuple[np.ndarray, tuple]:
+def even_out(rows: list[list[str]], width: int, lines) -> tuple[np.ndarray, tuple]:
     """Makes all rows ``width`` long; those that were not are ragged and faulty."""
     ragged = np.zeros(len(rows), bool)
     wrong_rows = []
