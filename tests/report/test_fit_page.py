@@ -15,6 +15,7 @@ from pages import PHONE, Page, browse, in_browser, width_on_phone
 import tirefit
 from tirefit.data.table import Source, TireData
 from tirefit.fitting.estimate import fit
+from tirefit.fitting.far_rows import FarRow
 from tirefit.fitting.result import Estimate, PosteriorSummary
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
@@ -94,7 +95,8 @@ def test_the_page_holds_the_numbers_of_the_record(text, sampled):
         assert format_estimate(estimate.value, estimate.std) in shown
         assert format_interval(estimate.ci95, estimate.std) in shown
     for part in (
-        "79 of 80 rows used", "ab12", "braking", "braking positive, SI", "seed 3",
+        "rows: 79 used of 80 (1 masked)", "ab12", "braking", "braking positive, SI",
+        "seed 3",
         f"tirefit {sampled.version}", "speed 20 m/s: constant, given", "gauss-newton",
         "load is not finite", "cpa2 free in [0.01, 1e+09] N", "emcee: 4 ensembles",
         f"fx {sampled.noise['fx']['median_std']:.3g} N (estimated)",
@@ -109,8 +111,9 @@ def test_the_page_says_what_the_data_do_not_tell(plain):
     nowhere = Estimate(np.nan, None, "-", (None, None), identified=False)
     correlation = np.array([[1.0, -0.97], [-0.97, 1.0]])
     sentences = ["mu is not identified by these data", "a second sentence"]
+    far = FarRow("<x>.csv", 7, "fx", 4e5, "fx", 3900.0, 99.0, True, "99 std away", "")
     result = replace(
-        plain, parameters=plain.parameters | {"mu": free},
+        plain, parameters=plain.parameters | {"mu": free}, far_rows=(far,),
         derived=plain.derived | {"slip_at_peak": nowhere}, correlation=correlation,
         outcomes=(Outcome.NOT_IDENTIFIED,),
         verdict={"status": "not identified", "sentences": sentences},
@@ -121,6 +124,8 @@ def test_the_page_says_what_the_data_do_not_tell(plain):
     assert "mu: anything in [0.1, 2] fits as well (95 %); best 0.4" in shown
     assert "slip_at_peak: not defined for this model and estimate" in shown
     assert "cpa2 and mu: -0.970" in shown
+    said = html.unescape(shown)
+    assert "set aside: <x>.csv, row 7, column 'fx': 99 std away" in said
     assert "every parameter and derived quantity is identified" not in shown
     # Without a posterior there is none to show.
     assert "Posterior" not in shown and "ensembles" not in shown

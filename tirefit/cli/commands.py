@@ -120,12 +120,13 @@ def inspect(
     parameters of which models it can tell."""
     from tirefit.data.inspect import inspect as look
     from tirefit.data.read import read
+    from tirefit.data.remote import expanded
     from tirefit.files import json_safe
 
     with errors_to_exit():
         how = read_options(options, read_config(options.config))
         worst = ExitCode.OK
-        for file in files:
+        for file in expanded(files):
             try:
                 data = read(file, **how)
                 inspection = look(data)

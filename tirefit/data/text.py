@@ -16,6 +16,7 @@ import numpy as np
 
 from tirefit.data.check import BadRows
 from tirefit.data.columns import guess, is_number
+from tirefit.data.remote import Place
 from tirefit.data.table import Layout
 from tirefit.data.units import known_unit
 from tirefit.data.white import commented_header, header_above_numbers, tabbed
@@ -76,7 +77,7 @@ class Table:
     doubts: tuple[str, ...] = ()
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(path: Place) -> bytes:
     """Bytes of a file; a DataError with its neighbour's name where there is none."""
     try:
         with path.open("rb") as file:
@@ -102,7 +103,7 @@ def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataErro
     return DataError(InputProblem(reason, remedy, str(path), row))
 
 
-def gunzipped(raw: bytes, path: Path) -> bytes:
+def gunzipped(raw: bytes, path: Place) -> bytes:
     """The bytes themselves, or those that a gzip file holds."""
     if not raw.startswith(b"\x1f\x8b"):
         return raw
@@ -117,7 +118,7 @@ def gunzipped(raw: bytes, path: Path) -> bytes:
     return content
 
 
-def decoded(raw: bytes, path: Path) -> tuple[str, list[str]]:
+def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
     """Text of the file, and what was assumed of its encoding."""
     export = "give a text file: CSV, semicolon- or tab-separated, or such as .gz"
     if raw.startswith(b"PK\x03\x04"):
@@ -147,7 +148,7 @@ def decoded(raw: bytes, path: Path) -> tuple[str, list[str]]:
 
 
 def table_of_text(
-    text: str, path: Path, digest: str, declared: Collection[str], notes: list[str]
+    text: str, path: Place, digest: str, declared: Collection[str], notes: list[str]
 ) -> Table:
     """Cells of a text; ``declared`` headers help to find the header."""
     raw = list(io.StringIO(text, newline=""))
@@ -186,7 +187,7 @@ def content_lines(lines: list[str]) -> list[str]:
 def table_of_rows(
     rows: list[list[str]],
     numbers: list[int],
-    path: Path,
+    path: Place,
     digest: str,
     notes: list[str],
     delimiter: str = "",
@@ -213,7 +214,7 @@ def table_of_rows(
     )  # fmt: skip
 
 
-def stem_of(path: Path) -> str:
+def stem_of(path: Place) -> str:
     """Name of the data of a file: that of the file without its endings."""
     return Path(path.name.removesuffix(".gz")).stem
 

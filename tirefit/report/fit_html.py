@@ -12,12 +12,14 @@ from tirefit.report.fit_tables import (
     correlation_lines,
     derived_by_run,
     derived_rows,
+    far_lines,
     noise_text,
     open_lines,
     parameter_rows,
     posterior_lines,
     reference_text,
     route_rows,
+    rows_text,
     run_rows,
 )
 from tirefit.report.html import GOOD, OPEN, png_text, rendered
@@ -93,7 +95,7 @@ def _provenance(result: FitResult) -> list[str]:
     more = [f"and {len(masked) - 20} more masked"] if len(masked) > 20 else []
     return [
         f"data: {file}, sha256 {data['sha256'] or '-'}",
-        f"{data['used']} of {data['rows']} rows used",
+        f"rows: {rows_text(result)}",
         f"convention of the file: {data['convention']}, slip"
         f" {data['slip_definition']}; this page is braking positive, in SI units",
         *([f"columns: {', '.join(columns)}"] if columns else []),
@@ -125,6 +127,7 @@ def fit_page(result: FitResult) -> str:
         derived=derived_rows(result),
         derived_by_run=derived_by_run(result),
         open=open_lines(result),
+        far=far_lines(result),
         correlations=correlation_lines(result, most=20),
         pictures=pictures,
         routes=route_rows(result),

@@ -36,7 +36,9 @@ __all__ = [
 
 WIDE = 4.6
 _SMALL = 2.3
-_PIXELS = 80
+_MOST_PAIRED = 40
+"""Parameters that the page, which scrolls, draws all pairs of."""
+_PIXELS = 100
 """Of the page for an inch of a picture that is too wide for a phone, and scrolls."""
 
 
@@ -157,7 +159,8 @@ def page_pictures(result: FitResult) -> Mapping[str, list[Shown]]:
         pictures["profile"] = [_profiles(result)]
     if result.chains is not None:
         text = "Posterior of every parameter and every pair"
-        pictures["corner"] = [_whole(corner_figure(result), text)]
+        every = result.labels if len(result.labels) <= _MOST_PAIRED else None
+        pictures["corner"] = [_whole(corner_figure(result, every), text)]
         if has_trace(result):
             text = "Draws of every ensemble in order"
             pictures["trace"] = [_whole(trace_figure(result), text)]

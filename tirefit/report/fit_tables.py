@@ -15,6 +15,7 @@ __all__ = [
     "correlation_lines",
     "derived_by_run",
     "derived_rows",
+    "far_lines",
     "noise_text",
     "note_on",
     "open_lines",
@@ -22,6 +23,7 @@ __all__ = [
     "posterior_lines",
     "reference_text",
     "route_rows",
+    "rows_text",
     "run_rows",
     "value_text",
 ]
@@ -208,6 +210,30 @@ def _posterior_head(p: PosteriorSummary) -> str:
         f" ({p.discarded} discarded), acceptance {p.acceptance:.2f}, seed {p.seed}"
     )
     return text if p.divergences is None else f"{text}, {p.divergences} divergences"
+
+
+def rows_text(result: FitResult) -> str:
+    """How many rows count, and why the others do not."""
+    data = result.data
+    aside = data.get("set_aside", 0)
+    masked = data["rows"] - data["used"] - aside
+    text = f"{data['used']} used of {data['rows']}"
+    left_out = {"masked": masked, "set aside": aside}
+    if any(left_out.values()):
+        said = [f"{count} {why}" for why, count in left_out.items() if count]
+        text += f" ({', '.join(said)})"
+    return text + (f", {len(data['runs'])} runs" if len(data["runs"]) > 1 else "")
+
+
+def far_lines(result: FitResult, most: int = 20) -> list[str]:
+    """Rows far from everything, by number, and what became of them."""
+    lines = [
+        f"{'set aside' if row.set_aside else 'kept'}: {row.file}, row {row.row}, column"
+        f" {row.column!r}: {row.reason}"
+        for row in result.far_rows[:most]
+    ]
+    rest = len(result.far_rows) - most
+    return [*lines, f"and {rest} more: far_rows in fit.json"] if rest > 0 else lines
 
 
 def correlation_lines(result: FitResult, most: int = 10) -> list[str]:

@@ -12,7 +12,7 @@ from tirefit.report.by_name import Points, distinct, place_points, points_of
 from tirefit.report.canvas import Picture
 from tirefit.report.fit_html import page_images
 from tirefit.report.fit_panels import WIDE, Shown, below
-from tirefit.report.fit_tables import FORCE_UNIT, Rows, value_text
+from tirefit.report.fit_tables import FORCE_UNIT, Rows, rows_text, value_text
 from tirefit.report.html import GOOD, OPEN, rendered
 from tirefit.report.numbers import format_number
 from tirefit.report.overlay import draw_overlay, overlay_of
@@ -60,7 +60,7 @@ def _parameters(fits: Mapping[str, FitResult]) -> Rows:
     for row, result in zip(rows[1:], fits.values(), strict=True):
         s = result.statistics
         row += [
-            format_number(s.rmse), str(s.n), f"{s.n_effective:.0f}",
+            format_number(s.rmse), rows_text(result), f"{s.n_effective:.0f}",
             result.verdict.get("status", "not judged"),
         ]  # fmt: skip
     return rows

@@ -9,11 +9,13 @@ from tirefit.report.fit_tables import (
     correlation_lines,
     derived_by_run,
     derived_rows,
+    far_lines,
     noise_text,
     parameter_rows,
     posterior_lines,
     reference_text,
     route_rows,
+    rows_text,
     run_rows,
 )
 from tirefit.report.labels import fit_files, notes_of, run_lines
@@ -80,18 +82,9 @@ def _files(result: FitResult) -> str:
 
 def _header(result: FitResult) -> list[str]:
     data = result.data
-    aside = data.get("set_aside", 0)
-    masked = data["rows"] - data["used"] - aside
-    rows = f"{data['used']} used of {data['rows']}"
-    left_out = {"masked": masked, "set aside": aside}
-    if any(left_out.values()):
-        said = [f"{count} {why}" for why, count in left_out.items() if count]
-        rows += f" ({', '.join(said)})"
-    if len(data["runs"]) > 1:
-        rows += f", {len(data['runs'])} runs"
     lines = [f"tirefit {result.version}: {result.model} fitted to {_files(result)}"]
     lines = textwrap.wrap(lines[0], WIDTH)
-    lines += ["", *_wrapped("rows", rows)]
+    lines += ["", *_wrapped("rows", rows_text(result))]
     for i, line in enumerate(run_lines(result)):
         lines += _wrapped("runs" if i == 0 else "", line)
     lines += _wrapped("force", ", ".join(result.forces))
@@ -107,15 +100,8 @@ def _header(result: FitResult) -> list[str]:
         lines += _wrapped("masked" if i == 0 else "", str(problem).replace("\n", " "))
     if len(data["masked"]) > 5:
         lines += _wrapped("", f"and {len(data['masked']) - 5} more")
-    for i, far in enumerate(result.far_rows[:_FAR_ROWS]):
-        place = f"{far.file}, row {far.row}, column {far.column!r}"
-        what = "set aside" if far.set_aside else "kept"
-        lines += _wrapped(
-            "far rows" if i == 0 else "", f"{what}: {place}: {far.reason}"
-        )
-    if len(result.far_rows) > _FAR_ROWS:
-        rest = len(result.far_rows) - _FAR_ROWS
-        lines += _wrapped("", f"and {rest} more: far_rows in fit.json")
+    for i, line in enumerate(far_lines(result, _FAR_ROWS)):
+        lines += _wrapped("far rows" if i == 0 else "", line)
     return lines + _wrapped("solver", f"{result.solver}, seed {result.seed}")
 
 
