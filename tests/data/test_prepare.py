@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from rig_script import DEG, Script, combined, cornering, drum, flat, measured
 
+from tirefit.data.prepare.bins import setting_names
 from tirefit.data.prepare.prepare import prepare
+from tirefit.data.prepare.set_points import Settings
 from tirefit.data.prepare.zero_phase import zero_phase
 from tirefit.data.read import read_frame
 from tirefit.results import DataError, UsageError
@@ -211,6 +213,25 @@ def test_declared_settings_are_kept_to():
         prepared(seen, keep=["sweeps"])
 
 
+def test_what_is_prepared_can_be_fitted_as_it_is():
+    script, rng = cornering(7055, rate=50, loads=2, cambers=1, pressures=1)
+    seen, _ = measured(script, rng)
+    result = prepared(seen)
+    data, by_bin, by_segment = (result.to_data(by) for by in ("run", "bin", "segment"))
+    assert "2 bins" in repr(result) and data.n == result.kept.sum()
+    np.testing.assert_array_equal(data.usable("fy"), result.columns["fy"][result.kept])
+    assert len(by_bin.runs) == 2 and data.runs == ("data",)
+    for code, name in enumerate(by_bin.runs):
+        rows = by_bin.used & (by_bin.run == code)
+        load = np.median(by_bin["fz"][rows])
+        assert float(name.split()[0]) == pytest.approx(load, rel=0.03)
+    swept = [p for p in result.segments if p.kind in ("sweep", "steady")]
+    kept = [p for p in swept if result.kept[p.begin : p.end].any()]
+    assert len(by_segment.runs) == len(kept)
+    with pytest.raises(UsageError, match="by = 'load'"):
+        result.to_data("load")
+
+
 def test_warming_is_told_by_repeated_sweeps_without_a_thermometer():
     rng = np.random.default_rng(5)
     script = Script(100, alpha=0.0, fz=2000.0, gamma=0.0, pressure=2e5, v=20.0)
@@ -260,6 +281,21 @@ def test_nothing_to_cut_by_is_an_error():
     columns["alpha"] = np.zeros(n)
     with pytest.raises(DataError, match="nothing is left"):
         prepared(columns, keep=["sweep"])
+
+
+@pytest.mark.parametrize(
+    ("name", "centers", "names"),
+    [
+        ("fz", [222.1, 445.3, 1111.8], ["222 N", "445 N", "1112 N"]),
+        ("gamma", [-0.03492, 1e-7, 0.03488], ["-2 deg", "0 deg", "2 deg"]),
+        ("pressure", [82_640.0, 96_610.0], ["82.6 kPa", "96.6 kPa"]),
+        ("v", [0.51, 0.53], ["0.51 m/s", "0.53 m/s"]),
+        ("fz", [3998.7], ["4000 N"]),
+    ],
+)
+def test_settings_are_named_in_as_few_digits_as_tell_them_apart(name, centers, names):
+    none = np.zeros(len(centers))
+    assert setting_names(Settings(name, np.array(centers), none, none)) == names
 
 
 # --- the filter ----------------------------------------------------------------------

@@ -19,8 +19,8 @@ _GREEN, _PURPLE, _SKY = COLORS[2], COLORS[4], COLORS[5]
 
 _COLOR = {
     "sweep up": BLUE, "sweep down": _SKY, "steady": _GREEN, "cold": _PURPLE,
-    "warm-up": ORANGE, "spring-rate": RED, "load-step": GREY, "standing": "#d8d8d8",
-    "transition": GREY, "unusable": DARK,
+    "warm-up": ORANGE, "spring-rate": RED, "load-step": "#4d4d4d",
+    "standing": "#d8d8d8", "transition": GREY, "unusable": DARK,
 }  # fmt: skip
 _PANELS = {
     "alpha": "slip angle", "sigma_x": "slip ratio", "fz": "load", "gamma": "camber",

@@ -19,19 +19,22 @@ SHOWN = {
 """Channel -> factor from SI and unit in the names of bins."""
 
 _FINE = 0.02
-"""Of the distance of two settings, by which their names may be off; and in the unit of
-the name: nothing is set to a hundredth of a degree or of a newton."""
+"""Of a setting, and of its distance to others, by which its name may be off; and in the
+unit of the name: nothing is set to a hundredth of a degree or of a newton."""
 
 
 def setting_names(settings: Settings) -> list[str]:
     """Each setting with its unit, in as few digits as tell it from its neighbours."""
     scale, unit = SHOWN[settings.name]
     center = settings.center * scale
-    size = np.min(np.diff(center)) if len(center) > 1 else np.max(np.abs(center))
+    apart = np.diff(center).min() if len(center) > 1 else np.max(np.abs(center))
+    # Nothing is set to a twentieth of a step: that is zero.
+    size = min([apart, *(abs(c) for c in center if abs(c) > 0.05 * apart)])
     for places in range(-5, 7):
         # + 0.0: no setting is called -0.
         rounded = [round(float(value), places) + 0.0 for value in center]
-        if np.max(np.abs(np.array(rounded) - center)) <= _FINE * max(size, 1.0):
+        off = float(np.max(np.abs(np.array(rounded) - center)))
+        if off <= _FINE * max(size, 1.0) and len(set(rounded)) == len(rounded):
             break
     return [f"{value:.{max(places, 0)}f} {unit}" for value in rounded]
 

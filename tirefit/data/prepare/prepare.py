@@ -17,7 +17,7 @@ from tirefit.data.prepare.warmth import with_warmth
 from tirefit.data.prepare.zero_phase import ZeroPhase, zero_phase
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.settings import parse_settings
 
 __all__ = ["Prepared", "prepare"]
@@ -45,7 +45,7 @@ _LOWEST, _HIGHEST = 2.0, 25.0
 """Bandwidths [Hz] that are chosen at least and at most."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Prepared:
     """What :func:`prepare` made of a file.
 
@@ -65,6 +65,35 @@ class Prepared:
     kept: np.ndarray
     filter: ZeroPhase | None
     notes: tuple[str, ...] = field(default=())
+
+    def __repr__(self) -> str:
+        kept, bins = int(self.kept.sum()), {p.bin for p in self.segments if p.bin}
+        what = f"{len(self.segments)} segments, {len(bins)} bins"
+        return f"Prepared({self.data.name!r}, {kept} of {len(self.kept)} rows: {what})"
+
+    def to_data(self, by: str = "run") -> TireData:
+        """What can be fitted: the kept rows, filtered, canonical as all data are.
+
+        Args:
+            by: what becomes a run of its own: "run" (of the file), "segment" or "bin".
+
+        Raises:
+            UsageError: ``by`` is something else.
+        """
+        data, columns = self.data, dict(self.columns)
+        if "time" in data or self.series.rate is not None:
+            columns = {"time": self.series.time} | columns
+        data = replace(data, columns=columns, used=self.kept)
+        if by == "run":
+            return data
+        if by not in ("segment", "bin"):
+            raise UsageError(InputProblem(f"by = {by!r}", "run, segment or bin"))
+        run, codes = np.zeros(len(data), int), dict[str, int]()
+        for number, part in enumerate(self.segments):
+            if self.kept[part.begin : part.end].any():
+                name = str(number + 1) if by == "segment" else part.bin or "none"
+                run[part.begin : part.end] = codes.setdefault(name, len(codes))
+        return replace(data, run=run, runs=tuple(codes))
 
     def rows_by_kind(self) -> dict[str, int]:
         """Rows of each kind of segment, in order of appearance."""
