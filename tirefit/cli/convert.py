@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.fit import exit_code, fit_into, model_names
+from tirefit.cli.fit import model_names
+from tirefit.cli.fit_one import exit_code, fit_into
 from tirefit.cli.options import complain, errors_to_exit, named_path, say, start_jax
 from tirefit.cli.output import check_directories
 from tirefit.results import InputProblem, TirefitError, UsageError

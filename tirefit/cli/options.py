@@ -11,11 +11,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from functools import wraps
+from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from tirefit.data.remote import file_at
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
@@ -23,6 +25,7 @@ __all__ = [
     "DataOptions",
     "Files",
     "JsonOption",
+    "Unheard",
     "complain",
     "completed",
     "error_text",
@@ -58,7 +61,14 @@ def completed(*names: str) -> Callable[[str], list[str]]:
     return beginning
 
 
-Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV files")]
+Files = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="FILE...",
+        parser=file_at,
+        help="files, addresses (s3://...), or patterns of them in quotes",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]
 
 
@@ -246,6 +256,11 @@ def start_jax() -> None:
         keep_programs_in(cache / "programs")
 
 
+class Unheard(StringIO):
+    """In the place of standard error: what is said now is heard when all is done, so
+    that of progress is not said."""
+
+
 def _cache_folder() -> Path | None:
     """Where programs are kept between runs; None if nothing can be kept."""
     try:
@@ -355,6 +370,9 @@ class _Clock:
 @contextmanager
 def progress_bar(title: str) -> Iterator[Any]:
     """A bar on the terminal; a line now and then where there is none."""
+    if isinstance(sys.stderr, Unheard):
+        yield lambda share, note: None
+        return
     clock = _Clock()
     if not has_terminal():
 

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from tirefit.data.read import read, read_frame
@@ -27,7 +26,7 @@ def as_data(data: Any, **how: Any) -> TireData:
     if isinstance(data, TireData):
         return data
     if isinstance(data, str | os.PathLike):
-        return read(Path(data), **how)
+        return read(data, **how)
     if isinstance(data, Mapping) or hasattr(data, "columns"):
         return read_frame(data, **how)
     raise UsageError(

@@ -26,6 +26,7 @@ import numpy as np
 from tirefit.data.contradictions import Comparison, compare, pushes_the_wrong_way
 from tirefit.data.doubts import doubts
 from tirefit.data.motion import Motion, read_motion
+from tirefit.data.remote import Place, file_at
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
@@ -144,7 +145,7 @@ def derive(
             than the filter needs, channels contradict each other, or no sample is left.
         UsageError: If the axle is unknown or the front axle lacks a steering map.
     """
-    path = Path(path)
+    path = file_at(path)
     if axle not in ("rear", "front"):
         raise UsageError(InputProblem(f"unknown axle {axle!r}", "say rear or front"))
     if axle == "front" and vehicle.steering is None:
@@ -397,7 +398,7 @@ def _counts(counts: Mapping[str, int]) -> str:
     return ", ".join(counted) or "none"
 
 
-def _run_name(path: Path) -> str:
+def _run_name(path: Place) -> str:
     return path.name.removesuffix(".gz").removesuffix(".csv")
 
 
@@ -406,7 +407,7 @@ def _check_names(paths: Sequence[str | Path], out: Path) -> None:
     problems = output_problems(out, inputs=paths)
     if out.suffix != ".csv":
         problems.append(InputProblem("the output is a CSV", "end it in .csv", str(out)))
-    names = [_run_name(Path(path)) for path in paths]
+    names = [_run_name(file_at(path)) for path in paths]
     if not names:
         problems.append(InputProblem("no log given", "name at least one"))
     for name in sorted({name for name in names if names.count(name) > 1}):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tirefit.data.remote import file_at
 from tirefit.data.track import Track, read_track
 from tirefit.data.vehicle import POSE, RATES, Vehicle
 from tirefit.results import DataError, InputProblem
@@ -65,7 +66,7 @@ def read_motion(path: str | Path, vehicle: Vehicle) -> tuple[Track, Motion, int]
         DataError: If the file cannot be read, lacks a column, holds text or is slower
             than the filter needs.
     """
-    track = read_track(Path(path), vehicle)
+    track = read_track(file_at(path), vehicle)
     return track, *_motion(track, vehicle)
 
 

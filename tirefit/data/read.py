@@ -6,7 +6,6 @@ be assumed is kept as sentences in ``Source.assumptions``.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from tirefit.data import check, signs
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Options, Plan, plan_columns
 from tirefit.data.kinds import read_table
+from tirefit.data.remote import file_at
 from tirefit.data.table import CANONICAL, SlipCheck, Source, TireData
 from tirefit.data.text import Table, table_of_frame
 from tirefit.data.ttc import recognised
@@ -51,7 +51,7 @@ def read(
     the file, whatever its ending.
 
     Args:
-        path: the file.
+        path: the file, or its address (``s3://...``, what fsspec knows).
         columns: canonical name (or slip definition, ``run``, ``<column>_std``) to the
             file's header; columns not named here are inferred and said.
         units: canonical name to unit, e.g. ``{"fx": "kN", "kappa": "%"}``; a leading
@@ -80,7 +80,7 @@ def read(
         rolling_radius, mask_bad_rows, forces, curve,
     )  # fmt: skip
     options.check()
-    return _checked(read_table(Path(path), options.columns.values()), options)
+    return _checked(read_table(file_at(path), options.columns.values()), options)
 
 
 def read_frame(frame, name: str = "data", **options) -> TireData:

@@ -9,18 +9,20 @@ import itertools
 import re
 import zlib
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from tirefit.data.check import BadRows
 from tirefit.data.columns import guess, is_number
+from tirefit.data.remote import Place
 from tirefit.data.table import Layout
 from tirefit.data.units import known_unit
 from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.door import DATA, too_large
 from tirefit.results import DataError, InputProblem
+from tirefit.slip import CONVENTIONS
 
 __all__ = [
     "SPACED",
@@ -42,6 +44,8 @@ SPACED = "columns separated by white space"
 
 _DELIMITERS = "\t;|,"
 _END = "\0"
+_OWN = re.compile(r"# tirefit .*\bconvention ([\w-]+)\s*$")
+"""First line of a table that this package wrote, with its signs."""
 _SEARCHED = 60
 """Lines with content in which the header must stand."""
 _LONGEST = 10
@@ -73,7 +77,7 @@ class Table:
     doubts: tuple[str, ...] = ()
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(path: Place) -> bytes:
     """Bytes of a file; a DataError with its neighbour's name where there is none."""
     try:
         with path.open("rb") as file:
@@ -99,7 +103,7 @@ def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataErro
     return DataError(InputProblem(reason, remedy, str(path), row))
 
 
-def gunzipped(raw: bytes, path: Path) -> bytes:
+def gunzipped(raw: bytes, path: Place) -> bytes:
     """The bytes themselves, or those that a gzip file holds."""
     if not raw.startswith(b"\x1f\x8b"):
         return raw
@@ -114,7 +118,7 @@ def gunzipped(raw: bytes, path: Path) -> bytes:
     return content
 
 
-def decoded(raw: bytes, path: Path) -> tuple[str, list[str]]:
+def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
     """Text of the file, and what was assumed of its encoding."""
     export = "give a text file: CSV, semicolon- or tab-separated, or such as .gz"
     if raw.startswith(b"PK\x03\x04"):
@@ -144,7 +148,7 @@ def decoded(raw: bytes, path: Path) -> tuple[str, list[str]]:
 
 
 def table_of_text(
-    text: str, path: Path, digest: str, declared: Collection[str], notes: list[str]
+    text: str, path: Place, digest: str, declared: Collection[str], notes: list[str]
 ) -> Table:
     """Cells of a text; ``declared`` headers help to find the header."""
     raw = list(io.StringIO(text, newline=""))
@@ -163,7 +167,13 @@ def table_of_text(
     if start != searched[0]:
         notes.append(f"lines before the header in line {start + 1} skipped")
     rows, numbers = split_rows(lines[start:], delimiter, start, path)
-    return table_of_rows(rows, numbers, path, digest, notes, delimiter)
+    table = table_of_rows(rows, numbers, path, digest, notes, delimiter)
+    own = _OWN.match(raw[0])
+    if own is None or own[1] not in CONVENTIONS:
+        return table
+    said = f"signs read as {own[1]!r}, as line 1 says"
+    layout = Layout(convention=own[1])
+    return replace(table, layout=layout, notes=(*table.notes, said))
 
 
 def content_lines(lines: list[str]) -> list[str]:
@@ -177,7 +187,7 @@ def content_lines(lines: list[str]) -> list[str]:
 def table_of_rows(
     rows: list[list[str]],
     numbers: list[int],
-    path: Path,
+    path: Place,
     digest: str,
     notes: list[str],
     delimiter: str = "",
@@ -204,7 +214,7 @@ def table_of_rows(
     )  # fmt: skip
 
 
-def stem_of(path: Path) -> str:
+def stem_of(path: Place) -> str:
     """Name of the data of a file: that of the file without its endings."""
     return Path(path.name.removesuffix(".gz")).stem
 

@@ -261,7 +261,8 @@ def _judge(whole: FitTask, task, solved: Solved, kept, suspects, limit) -> _Judg
             rows, order = beyond[alone[beyond]], np.arange(problem.n)
             ratio[rows] = _beside(rows, off, order, order >= 0) / limits[rows]
         by_channel.append((np.abs(off), ratio, at.mean[channel.name]))
-    return _Judged(*map(np.array, zip(*by_channel, strict=True)), leverage)
+    distance, ratio, predicted = map(np.array, zip(*by_channel, strict=True))
+    return _Judged(distance, ratio, predicted, leverage)
 
 
 def _limits(n: int, suspects: dict[int, FarValue], limit: float):
