@@ -80,6 +80,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "diagnosis.rig": ["Rig", "load_rig"],
         "fitting.batch": ["fit_many"],
         "fitting.estimate": ["fit"],
+        "fitting.mf.fit": ["fit_magic_formula"],
         "fitting.posterior": ["sample"],
         "fitting.predict": ["predict"],
         "fitting.store": ["load_fit", "save_fit"],

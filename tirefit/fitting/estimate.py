@@ -22,7 +22,7 @@ from tirefit.fitting.verdict import judge
 from tirefit.params import constrain, log_jacobian, parameter_values, specs
 from tirefit.precision import require_x64
 
-__all__ = ["fit", "with_fixed"]
+__all__ = ["data_record", "fit", "with_fixed"]
 
 
 def _not_identified(spec, low: float, high: float, profile: Profile) -> bool:
@@ -146,7 +146,8 @@ def _versions() -> dict[str, str]:
     }
 
 
-def _data_record(data: TireData, used: int) -> dict[str, Any]:
+def data_record(data: TireData, used: int) -> dict[str, Any]:
+    """What ``fit.json`` says of the rows, of which so many were used."""
     source = data.source
     return {
         "file": source.path or data.name,
@@ -254,7 +255,7 @@ def _summarise(task: FitTask, solved: Solved, data: TireData, config) -> FitResu
         outcomes=(),
         labels=problem.layout.labels,
         correlation=solved.covariance / np.outer(std, std),
-        data=_data_record(data, problem.n),
+        data=data_record(data, problem.n),
         reference=reference_point(problem),
         solver=config.solver,
         seed=config.seed,

@@ -21,6 +21,7 @@ from tirefit.fitting.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
+from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.params import specs, with_values
 from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.slip import CONVENTIONS
@@ -142,7 +143,7 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
         odd = outrageous(content["prediction"], 0.0)
         if odd is not None:
             raise ValueError(f"prediction.{odd[0]}: {odd[1]}")
-        template = find_model(record.model)
+        template = MAGIC_FORMULAS.get(record.model) or find_model(record.model)
         stored, known = record.prediction.layout, specs(template)
         free = tuple(
             FreeParameter(

@@ -18,6 +18,7 @@ __all__ = [
     "table",
     "value_text",
     "verdict_line",
+    "wrapped",
 ]
 
 WIDTH = 88
@@ -48,7 +49,8 @@ def _short(label: str, most: int = 24) -> str:
     return label if len(label) <= most else label[: most - 1] + "…"
 
 
-def _wrapped(name: str, text: str) -> list[str]:
+def wrapped(name: str, text: str) -> list[str]:
+    """Lines of a text behind its name, within the width."""
     lead = f"  {name:<13}"
     return textwrap.wrap(
         text, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead)
@@ -87,20 +89,20 @@ def _header(result: FitResult) -> list[str]:
         rows += f", {len(data['runs'])} runs"
     lines = [f"tirefit {result.version}: {result.model} fitted to {data['file']}"]
     lines = textwrap.wrap(lines[0], WIDTH)
-    lines += ["", *_wrapped("rows", rows), *_wrapped("force", ", ".join(result.forces))]
-    lines += _wrapped(
+    lines += ["", *wrapped("rows", rows), *wrapped("force", ", ".join(result.forces))]
+    lines += wrapped(
         "convention",
         f"braking positive, SI (file: {data['convention']}, slip"
         f" {data['slip_definition']})",
     )
     notes = [*data["assumptions"], *result.noise.get("notes", ())]
     for i, note in enumerate(notes):
-        lines += _wrapped("assumptions" if i == 0 else "", note)
+        lines += wrapped("assumptions" if i == 0 else "", note)
     for i, problem in enumerate(data["masked"][:5]):
-        lines += _wrapped("masked" if i == 0 else "", str(problem).replace("\n", " "))
+        lines += wrapped("masked" if i == 0 else "", str(problem).replace("\n", " "))
     if len(data["masked"]) > 5:
-        lines += _wrapped("", f"and {len(data['masked']) - 5} more")
-    return lines + _wrapped("solver", f"{result.solver}, seed {result.seed}")
+        lines += wrapped("", f"and {len(data['masked']) - 5} more")
+    return lines + wrapped("solver", f"{result.solver}, seed {result.seed}")
 
 
 def parameter_lines(result: FitResult) -> list[str]:
@@ -161,18 +163,18 @@ def _quality(result: FitResult) -> list[str]:
     s = result.statistics
     unit = _FORCE_UNIT[result.forces[0]]
     lines = ["", "QUALITY"]
-    lines += _wrapped("RMSE", f"{format_number(s.rmse)} {unit}   R² {s.r2:.5f}")
+    lines += wrapped("RMSE", f"{format_number(s.rmse)} {unit}   R² {s.r2:.5f}")
     if s.chi2_dof is not None:
-        lines += _wrapped("χ²/dof", format_number(s.chi2_dof, 3))
-    lines += _wrapped("information", f"AICc {s.aicc:.2f}   BIC {s.bic:.2f}")
-    lines += _wrapped(
+        lines += wrapped("χ²/dof", format_number(s.chi2_dof, 3))
+    lines += wrapped("information", f"AICc {s.aicc:.2f}   BIC {s.bic:.2f}")
+    lines += wrapped(
         "rows", f"n {s.n}   n_effective {s.n_effective:.0f}   dof {s.dof:.0f}"
     )
     noise = _noise_text(result)
     loss = result.noise.get("loss", "squares")
-    lines += _wrapped("noise", noise if loss == "squares" else f"{noise}; loss {loss}")
+    lines += wrapped("noise", noise if loss == "squares" else f"{noise}; loss {loss}")
     ending = "converged" if s.converged else "NOT CONVERGED"
-    lines += _wrapped("solution", f"{ending}, {s.starts_agreeing} of {s.starts} starts")
+    lines += wrapped("solution", f"{ending}, {s.starts_agreeing} of {s.starts} starts")
     return lines
 
 

@@ -1,0 +1,202 @@
+"""Least squares of many coefficients: rows in blocks, priors as further residuals.
+
+The coefficients are searched in units of their priors' spreads about the centres, u: a
+prior is then the residual u itself, and the problem is scaled. Each row's force has the
+gradient of all coefficients by one reverse pass, which is some five evaluations
+whatever their number; forward tangents would be one each. Blocks of one size let every
+file, force and stage share three programs.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tirefit.compiled import compiled
+from tirefit.fitting.mf.parts import influences
+from tirefit.models import TireInputs
+from tirefit.models.mf import MFTire
+from tirefit.params import with_values
+
+__all__ = ["Block", "Minimum", "Problem", "blocks_of", "minimise", "row_gradients"]
+
+_ROWS = 4096
+"""Of a block: its gradients, 100 a row, stay within a processor's cache."""
+
+_MAX_STEPS = 200
+_FIRST_DAMPING, _STUCK = 1e-3, 1e8
+_GOOD, _FAIR = 0.75, 0.25
+_SETTLED = 1e-6
+"""Deviance that one more undamped step would gain: a thousandth of a standard error."""
+
+
+class Block(NamedTuple):
+    """``_ROWS`` rows of one force: inputs, the measured force and 1 / noise, which is
+    zero where the block is only filled up; each (``_ROWS``,)."""
+
+    force: str
+    inputs: TireInputs
+    observed: np.ndarray
+    weight: np.ndarray
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is searched: the rows, and which coefficients may move.
+
+    ``tire`` holds the nominal state, the scaling factors and what is fixed; ``names``
+    order u, whose units are ``spread`` about ``centre``, each (p,); ``free`` (p,) says
+    which of them this stage moves.
+    """
+
+    tire: MFTire
+    names: tuple[str, ...]
+    centre: np.ndarray
+    spread: np.ndarray
+    free: np.ndarray
+    blocks: tuple[Block, ...]
+
+    def values(self, u) -> dict[str, float]:
+        """Coefficient -> value at u (p,)."""
+        natural = self.centre + self.spread * u
+        return dict(zip(self.names, natural.tolist(), strict=True))
+
+    def with_free(self, names: Sequence[str]) -> "Problem":
+        """The same, with these coefficients moved by the search."""
+        return replace(self, free=np.isin(self.names, list(names)))
+
+    def with_blocks(self, blocks: Sequence[Block]) -> "Problem":
+        """The same, of other rows."""
+        return replace(self, blocks=tuple(blocks))
+
+    def columns(self, force: str) -> tuple[tuple[str, ...], np.ndarray]:
+        """Coefficients on which a force depends, and their places in u."""
+        names = influences(self.tire.version, force)
+        return names, np.array([self.names.index(name) for name in names])
+
+
+class Minimum(NamedTuple):
+    """Where a search ended: u (p,), sum of squares with that of the priors, half the
+    curvature of the rows alone (p, p), and the number of passes over the rows."""
+
+    u: np.ndarray
+    cost: float
+    curvature: np.ndarray
+    converged: bool
+    steps: int
+
+
+def blocks_of(force: str, inputs: TireInputs, observed, std) -> tuple[Block, ...]:
+    """Rows (n,) cut into blocks; the last one is filled with its first row.
+
+    Args:
+        std: noise of each row (n,).
+    """
+    rows = np.stack([*inputs, observed, 1 / std])
+    blocks = []
+    for start in range(0, rows.shape[1], _ROWS):
+        part = rows[:, start : start + _ROWS]
+        missing = _ROWS - part.shape[1]
+        filler = np.repeat(part[:, :1], missing, axis=1)
+        filler[-1] = 0.0
+        part = np.concatenate([part, filler], axis=1)
+        blocks.append(Block(force, TireInputs(*part[:-2]), part[-2], part[-1]))
+    return tuple(blocks)
+
+
+def _gradients(force: str, names: tuple[str, ...], tire: MFTire, theta, inputs):
+    """Force (n,) of each row, and its slope in each coefficient (p, n)."""
+
+    def one(given, sample):
+        return getattr(with_values(tire, given)(sample), force)
+
+    given = dict(zip(names, theta, strict=True))
+    value, slopes = jax.vmap(jax.value_and_grad(one), in_axes=(None, 0))(given, inputs)
+    # Else the compiler works the whole formula out anew for every column.
+    columns = jax.lax.optimization_barrier([slopes[name] for name in names])
+    return value, jnp.stack(columns)
+
+
+@compiled(static=("force", "names"))
+def _pass(force, names, tire, theta, spread, inputs, observed, weight):
+    """Of a block: residuals (n,) over the noise, their slopes in u (p, n), half the
+    curvature of their sum of squares (p, p) and half its slope (p,)."""
+    value, slope = _gradients(force, names, tire, theta, inputs)
+    residual = (value - observed) * weight
+    slope = slope * (weight[None, :] * spread[:, None])
+    return residual, slope, slope @ slope.T, slope @ residual
+
+
+def _passes(problem: Problem, u: np.ndarray) -> Iterator[tuple[Block, np.ndarray, Any]]:
+    """Every block with the places of its coefficients in u, and its :func:`_pass`."""
+    natural = problem.centre + problem.spread * u
+    for block in problem.blocks:
+        names, at = problem.columns(block.force)
+        yield block, at, _pass(
+            block.force, names, problem.tire, jnp.asarray(natural[at]),
+            jnp.asarray(problem.spread[at]), block.inputs, block.observed, block.weight,
+        )  # fmt: skip
+
+
+def _passed(problem: Problem, u: np.ndarray):
+    """Sum of squares, half the curvature and half the slope of the rows, at u."""
+    size = len(u)
+    cost, curvature, slope = 0.0, np.zeros((size, size)), np.zeros(size)
+    for _, at, (residual, _, normal, downhill) in _passes(problem, u):
+        residual = np.asarray(residual)
+        cost += float(residual @ residual)
+        curvature[np.ix_(at, at)] += np.asarray(normal)
+        slope[at] += np.asarray(downhill)
+    return cost, curvature, slope
+
+
+def row_gradients(problem: Problem, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals over the noise (n,) of the problem's rows, and their slopes in u (n, p)
+    in its order; the rows that fill a block up are left out."""
+    values, slopes = [], []
+    for block, at, (residual, slope, _, _) in _passes(problem, u):
+        used = block.weight > 0
+        values.append(np.asarray(residual)[used])
+        whole = np.zeros((len(values[-1]), len(u)))
+        whole[:, at] = np.asarray(slope).T[used]
+        slopes.append(whole)
+    return np.concatenate(values), np.concatenate(slopes)
+
+
+def minimise(
+    problem: Problem, start: np.ndarray, max_steps: int = _MAX_STEPS
+) -> Minimum:
+    """Levenberg-Marquardt over the free coefficients, from ``start`` (p,).
+
+    A trial whose cost is not finite is refused like any that is worse.
+    """
+    free = np.flatnonzero(problem.free)
+    u = np.array(start, float)
+    rows, curvature, slope = _passed(problem, u)
+    cost, damping, steps = rows + float(u @ u), _FIRST_DAMPING, 1
+    converged = False
+    while steps < max_steps and damping < _STUCK:
+        normal = curvature[np.ix_(free, free)] + np.eye(len(free))
+        downhill = -(slope + u)[free]
+        if float(downhill @ np.linalg.solve(normal, downhill)) < _SETTLED:
+            converged = True
+            break
+        damped = normal + damping * np.diag(np.diagonal(normal))
+        move = np.linalg.solve(damped, downhill)
+        promised = float(move @ (2 * downhill - normal @ move))
+        trial = u.copy()
+        trial[free] += move
+        passed = _passed(problem, trial)
+        steps += 1
+        gain = cost - passed[0] - float(trial @ trial)
+        share = gain / promised
+        if gain > 0:
+            u, (rows, curvature, slope) = trial, passed
+            cost -= gain
+        fair = gain > 0 and share > _FAIR
+        damping *= (0.1 if share > _GOOD else 1 / 3) if fair else 2.0
+        damping = max(damping, 1e-9)
+    return Minimum(u, cost, curvature, converged or damping >= _STUCK, steps)
