@@ -39,11 +39,14 @@ def main(path: Path = TABLE) -> None:
         raise SystemExit(f"no floor of {', '.join(missing)}")
     with open(path, "w", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
-        table.writerow(["coefficient", "centre", "spread", "published"])
+        table.writerow(["coefficient", "centre", "spread", "scale", "published"])
         for name in order:
-            centre, spread, published = priors[name]
-            values = " ".join(f"{value:.6g}" for value in published)
-            table.writerow([name, f"{centre:g}", f"{spread:g}", values])
+            prior = priors[name]
+            scale = "log" if prior.log else "linear"
+            values = " ".join(f"{value:.6g}" for value in prior.published)
+            table.writerow(
+                [name, f"{prior.centre:g}", f"{prior.spread:g}", scale, values]
+            )
 
 
 if __name__ == "__main__":

@@ -114,6 +114,8 @@ class _Data(_Part):
 class _Noise(_Part):
     median_std: NonNegativeFloat
     proportional_to_load: bool = False
+    constant: NonNegativeFloat = 0.0
+    share_of_load: NonNegativeFloat = 0.0
 
 
 class _Reference(_Part):

@@ -12,7 +12,7 @@ from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, ParameterConfig, parse_config
 from tirefit.fitting.estimate import data_record
 from tirefit.fitting.mf.parts import PARTS, VERSIONS, coefficients_of
-from tirefit.fitting.mf.priors import Prior, published_priors
+from tirefit.fitting.mf.priors import Prior, prior_given, published_priors
 from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
 from tirefit.fitting.mf.rows import ForceRows, NoiseLaw, joined, rows_of_forces
 from tirefit.fitting.mf.solve import Problem
@@ -148,7 +148,7 @@ def _problem(tire: MFTire, config: FitConfig) -> tuple[Problem, dict[str, Prior]
     asked = {name: config.parameters.get(name, ParameterConfig()) for name in names}
     for name, one in asked.items():
         if one.prior is not None:
-            priors[name] = Prior(one.prior.mean, one.prior.std)
+            priors[name] = prior_given(name, one.prior.mean, one.prior.std)
         elif one.value is not None:
             priors[name] = priors[name]._replace(centre=one.value)
     held = [one.value is not None and one.prior is None for one in asked.values()]
@@ -156,19 +156,21 @@ def _problem(tire: MFTire, config: FitConfig) -> tuple[Problem, dict[str, Prior]
     centre = np.array([priors[name].centre for name in names])
     spread = np.array([priors[name].spread for name in names])
     tire = with_values(tire, dict(zip(names, centre.tolist(), strict=True)))
-    return Problem(tire, names, centre, spread, ~np.array(held), ()), priors
+    log = np.array([priors[name].log for name in names])
+    return Problem(tire, names, centre, spread, log, ~np.array(held), ()), priors
 
 
 def _result(model, data: TireData, work: Search, priors, notes) -> MagicFormulaFit:
     problem = work.problem
     values, of_part = problem.values(work.u), coefficients_of(problem.tire.version)
-    covariance = work.covariance * np.outer(problem.spread, problem.spread)
+    scale = problem.scale(work.u)
+    covariance = work.covariance * np.outer(scale, scale)
     shares = np.diagonal(work.covariance)
     coefficients = {
         name: Coefficient(
             values[name], float(np.sqrt(covariance[i, i])),
             _origin(bool(problem.free[i]), shares[i], name in work.moved - work.held),
-            of_part[name], priors[name].centre, priors[name].spread,
+            of_part[name], priors[name].centre, priors[name].std,
         )
         for i, name in enumerate(problem.names)
     }  # fmt: skip

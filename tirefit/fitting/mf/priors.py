@@ -13,24 +13,38 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["Prior", "normal_form", "priors_of", "published_priors"]
+__all__ = ["Prior", "normal_form", "prior_given", "priors_of", "published_priors"]
 
 
 class Prior(NamedTuple):
-    """Mean and standard deviation of a Gaussian prior, and the values behind it."""
+    """Mean and standard deviation of a Gaussian prior, and the values behind it.
+
+    ``log``: it is that of the logarithm, ``spread`` a share of the centre.
+    """
 
     centre: float
     spread: float
+    log: bool = False
     published: tuple[float, ...] = ()
+
+    @property
+    def std(self) -> float:
+        """Standard deviation in the unit of the coefficient, of small changes."""
+        return self.spread * self.centre if self.log else self.spread
+
+
+def prior_given(name: str, mean: float, std: float) -> Prior:
+    """A user's prior of a coefficient, with this mean and standard deviation."""
+    return Prior(mean, std / mean, True) if name in _LOG else Prior(mean, std)
 
 
 _CENTRED = {
     "PCX1": (1.5, 0.3), "PDX1": (1.0, 0.3), "PKX1": (20.0, 10.0),
     "PCY1": (1.4, 0.4), "PDY1": (1.0, 0.3), "PKY1": (-20.0, 10.0), "PKY2": (2.5, 1.5),
     "PKY4": (2.0, 0.7), "QBZ1": (10.0, 4.0), "QCZ1": (1.2, 0.2), "QDZ1": (0.1, 0.05),
-    "RBX1": (12.0, 6.0), "RBX2": (10.0, 6.0), "RCX1": (1.0, 0.1), "RBY1": (12.0, 8.0),
-    "RBY2": (8.0, 6.0), "RCY1": (1.0, 0.1), "QBZ9": (10.0, 50.0),
-    "RVY4": (20.0, 50.0), "RVY5": (1.9, 0.5), "RVY6": (20.0, 10.0),
+    "RBX1": (12.0, 6.0), "RBX2": (10.0, 0.8), "RCX1": (1.0, 0.1), "RBY1": (12.0, 8.0),
+    "RBY2": (8.0, 0.8), "RCY1": (1.0, 0.1), "QBZ9": (10.0, 50.0),
+    "RVY4": (40.0, 1.0), "RVY5": (1.9, 0.5), "RVY6": (20.0, 10.0),
 }  # fmt: skip
 """Coefficient without which there is no shape -> (centre, least spread).
 
@@ -60,8 +74,11 @@ a pressure off by half, about as large as what it acts upon.
 
 _FLOORS = {name: size for size, names in _AROUND_ZERO.items() for name in names.split()}
 
-_EVEN = ("RBX2", "RBY2", "RVY4", "QBZ9")
-"""Coefficients whose sign is without effect (QBZ9 where QBZ10 is zero)."""
+_LOG = ("RBX2", "RBY2", "RVY4")
+"""Coefficients whose sign is without effect: their spread is one of the logarithm."""
+
+_EVEN = (*_LOG, "QBZ9")
+"""QBZ9 has none where QBZ10 is zero."""
 
 _AMONG_TIRES = 2.0
 """Spread over the root mean square of the published values about the centre."""
@@ -110,10 +127,14 @@ def priors_of(
 
 def _prior(name: str, published: list[float]) -> Prior:
     centre, least = _CENTRED.get(name, (0.0, _FLOORS.get(name, 0.0)))
-    squares = [(value - centre) ** 2 for value in published]
+    log = name in _LOG
+    squares = [
+        math.log(value / centre) ** 2 if log else (value - centre) ** 2
+        for value in published
+    ]
     size = math.sqrt(sum(squares) / len(squares)) if squares else 0.0
     spread = max(least, _AMONG_TIRES * size)
-    return Prior(centre, float(f"{spread:.2g}"), tuple(published))
+    return Prior(centre, float(f"{spread:.2g}"), log, tuple(published))
 
 
 @cache
@@ -124,6 +145,7 @@ def published_priors() -> dict[str, Prior]:
             row["coefficient"]: Prior(
                 float(row["centre"]),
                 float(row["spread"]),
+                row["scale"] == "log",
                 tuple(float(value) for value in row["published"].split()),
             )
             for row in csv.DictReader(file)

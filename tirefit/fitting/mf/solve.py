@@ -1,7 +1,9 @@
 """Least squares of many coefficients: rows in blocks, priors as further residuals.
 
 The coefficients are searched in units of their priors' spreads about the centres, u: a
-prior is then the residual u itself, and the problem is scaled. Each row's force has the
+prior is then the residual u itself, and the problem is scaled. Coefficients whose sign
+is without effect are searched by their logarithms, for at zero a force has no slope in
+them, and a least-squares search no way. Each row's force has the
 gradient of all coefficients by one reverse pass, which is some five evaluations
 whatever their number; forward tangents would be one each. Blocks of one size let every
 file, force and stage share three programs.
@@ -21,7 +23,10 @@ from tirefit.models import TireInputs
 from tirefit.models.mf import MFTire
 from tirefit.params import with_values
 
-__all__ = ["Block", "Minimum", "Problem", "blocks_of", "minimise", "row_gradients"]
+__all__ = [
+    "Block", "Minimum", "Problem", "blocks_of", "minimise", "propagated",
+    "row_gradients",
+]  # fmt: skip
 
 _ROWS = 4096
 """Of a block: its gradients, 100 a row, stay within a processor's cache."""
@@ -31,6 +36,10 @@ _FIRST_DAMPING, _STUCK = 1e-3, 1e8
 _GOOD, _FAIR = 0.75, 0.25
 _SETTLED = 1e-6
 """Deviance that one more undamped step would gain: a thousandth of a standard error."""
+
+_RESTS, _GAINED = 15, 1e-3
+"""So many passes gained so little deviance, a thirtieth of a standard error, in all: at
+an edge of the formula (a curvature of one, a changing sign) no step is undamped."""
 
 
 class Block(NamedTuple):
@@ -48,21 +57,39 @@ class Problem:
     """What is searched: the rows, and which coefficients may move.
 
     ``tire`` holds the nominal state, the scaling factors and what is fixed; ``names``
-    order u, whose units are ``spread`` about ``centre``, each (p,); ``free`` (p,) says
-    which of them this stage moves.
+    order u, whose units are ``spread`` about ``centre``, each (p,), of the logarithm
+    over that of the centre where ``log`` (p,); ``free`` (p,) says which of them this
+    stage moves.
     """
 
     tire: MFTire
     names: tuple[str, ...]
     centre: np.ndarray
     spread: np.ndarray
+    log: np.ndarray
     free: np.ndarray
     blocks: tuple[Block, ...]
 
     def values(self, u) -> dict[str, float]:
         """Coefficient -> value at u (p,)."""
-        natural = self.centre + self.spread * u
-        return dict(zip(self.names, natural.tolist(), strict=True))
+        return dict(zip(self.names, self.natural(u).tolist(), strict=True))
+
+    def natural(self, u) -> np.ndarray:
+        """Coefficients (p,) at u (p,)."""
+        moved = self.spread * u
+        raised = self.centre * np.exp(np.where(self.log, moved, 0.0))
+        return np.where(self.log, raised, self.centre + moved)
+
+    def scale(self, u) -> np.ndarray:
+        """Their slopes in u (p,)."""
+        return self.spread * np.where(self.log, self.natural(u), 1.0)
+
+    def unit(self, name: str, value: float) -> float:
+        """The element of u that gives a coefficient this value."""
+        i = self.names.index(name)
+        if self.log[i]:
+            return float(np.log(value / self.centre[i]) / self.spread[i])
+        return float((value - self.centre[i]) / self.spread[i])
 
     def with_free(self, names: Sequence[str]) -> "Problem":
         """The same, with these coefficients moved by the search."""
@@ -121,23 +148,23 @@ def _gradients(force: str, names: tuple[str, ...], tire: MFTire, theta, inputs):
 
 
 @compiled(static=("force", "names"))
-def _pass(force, names, tire, theta, spread, inputs, observed, weight):
+def _pass(force, names, tire, theta, scale, inputs, observed, weight):
     """Of a block: residuals (n,) over the noise, their slopes in u (p, n), half the
     curvature of their sum of squares (p, p) and half its slope (p,)."""
     value, slope = _gradients(force, names, tire, theta, inputs)
     residual = (value - observed) * weight
-    slope = slope * (weight[None, :] * spread[:, None])
+    slope = slope * (weight[None, :] * scale[:, None])
     return residual, slope, slope @ slope.T, slope @ residual
 
 
 def _passes(problem: Problem, u: np.ndarray) -> Iterator[tuple[Block, np.ndarray, Any]]:
     """Every block with the places of its coefficients in u, and its :func:`_pass`."""
-    natural = problem.centre + problem.spread * u
+    natural, scale = problem.natural(u), problem.scale(u)
     for block in problem.blocks:
         names, at = problem.columns(block.force)
         yield block, at, _pass(
             block.force, names, problem.tire, jnp.asarray(natural[at]),
-            jnp.asarray(problem.spread[at]), block.inputs, block.observed, block.weight,
+            jnp.asarray(scale[at]), block.inputs, block.observed, block.weight,
         )  # fmt: skip
 
 
@@ -166,10 +193,28 @@ def row_gradients(problem: Problem, u: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return np.concatenate(values), np.concatenate(slopes)
 
 
+def propagated(
+    problem: Problem, u: np.ndarray, covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals over the noise (n,) of the problem's rows, and the variance (n,) that a
+    covariance of u (p, p) gives them."""
+    values, variances = [], []
+    for block, at, (residual, slope, _, _) in _passes(problem, u):
+        used, slope = block.weight > 0, np.asarray(slope)
+        spread = covariance[np.ix_(at, at)] @ slope
+        values.append(np.asarray(residual)[used])
+        variances.append(np.einsum("pn,pn->n", slope, spread)[used])
+    return np.concatenate(values), np.concatenate(variances)
+
+
 def minimise(
-    problem: Problem, start: np.ndarray, max_steps: int = _MAX_STEPS
+    problem: Problem,
+    start: np.ndarray,
+    max_steps: int = _MAX_STEPS,
+    settled: float = _SETTLED,
 ) -> Minimum:
-    """Levenberg-Marquardt over the free coefficients, from ``start`` (p,).
+    """Levenberg-Marquardt over the free coefficients, from ``start`` (p,), until one
+    more step would gain less than ``settled`` of deviance.
 
     A trial whose cost is not finite is refused like any that is worse.
     """
@@ -177,11 +222,13 @@ def minimise(
     u = np.array(start, float)
     rows, curvature, slope = _passed(problem, u)
     cost, damping, steps = rows + float(u @ u), _FIRST_DAMPING, 1
-    converged = False
+    converged, costs = False, [cost]
     while steps < max_steps and damping < _STUCK:
         normal = curvature[np.ix_(free, free)] + np.eye(len(free))
         downhill = -(slope + u)[free]
-        if float(downhill @ np.linalg.solve(normal, downhill)) < _SETTLED:
+        left = float(downhill @ np.linalg.solve(normal, downhill))
+        rests = len(costs) > _RESTS and costs[-1 - _RESTS] - costs[-1] < _GAINED
+        if left < settled or rests:
             converged = True
             break
         damped = normal + damping * np.diag(np.diagonal(normal))
@@ -196,6 +243,7 @@ def minimise(
         if gain > 0:
             u, (rows, curvature, slope) = trial, passed
             cost -= gain
+        costs.append(cost)
         fair = gain > 0 and share > _FAIR
         damping *= (0.1 if share > _GOOD else 1 / 3) if fair else 2.0
         damping = max(damping, 1e-9)

@@ -24,8 +24,8 @@ __all__ = ["Search", "Stage", "search"]
 _ENOUGH = 4096
 """Rows, evenly taken, from which the best of several starts is chosen: one block."""
 
-_TRIES = 40
-"""Passes over those rows from each start."""
+_TRIES, _ROUGHLY = 60, 0.01
+"""Passes, and the deviance left to gain, of a stage that others follow."""
 
 _LAW_RESTS = 0.01
 """Change of the noise from one round to the next at which it is settled."""
@@ -127,15 +127,14 @@ def _problem(work: Search, forces, part: str, names, most=None) -> Problem:
 
 def _one_stage(work: Search, part: str, forces: Sequence[str], names: list[str]):
     few = _problem(work, forces, part, names, _ENOUGH)
-    ends = [minimise(few, start, _TRIES) for start in _starts(work, part)]
+    ends = [minimise(few, start, _TRIES, _ROUGHLY) for start in _starts(work, part)]
     best = min(ends, key=lambda end: end.cost + float(end.u @ end.u))
     work.u = best.u
     problem = _problem(work, forces, part, names)
-    end = minimise(problem, work.u)
-    work.u = end.u
+    work.u = minimise(problem, work.u, _TRIES, _ROUGHLY).u
     _learn_noise(work, part, forces)
     problem = _problem(work, forces, part, names)
-    end = minimise(problem, work.u)
+    end = minimise(problem, work.u, _TRIES, _ROUGHLY)
     work.u = end.u
     _note(work, part, problem, end)
 
@@ -171,14 +170,13 @@ def _together(work: Search, moved: list[str], part: str) -> None:
     forces = [force for force in work.rows if work.blocks(force, part)]
     for _ in range(5):
         problem = _problem(work, forces, part, moved)
-        end = minimise(problem, work.u)
-        work.u = end.u
+        work.u = minimise(problem, work.u, settled=_ROUGHLY).u
         if _learn_noise(work, part, forces) < _LAW_RESTS:
             break
     for force in forces:
         work.inflation[force] = _rows_per_one(work, force, part)
     problem = _problem(work, forces, part, moved)
-    end = minimise(problem, work.u)
+    end = minimise(problem, work.u, settled=_ROUGHLY)
     free = np.flatnonzero(problem.free)
     left = np.linalg.inv(end.curvature[np.ix_(free, free)] + np.eye(len(free)))
     work.held = frozenset(
@@ -238,7 +236,7 @@ def _starts(work: Search, part: str) -> list[np.ndarray]:
         for name, value in (looked | shape).items():
             i = problem.names.index(name)
             if problem.free[i]:
-                u[i] = (value - problem.centre[i]) / problem.spread[i]
+                u[i] = problem.unit(name, value)
         starts.append(u)
     return starts
 
