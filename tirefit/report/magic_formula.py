@@ -22,6 +22,7 @@ def magic_formula_report(fit: MagicFormulaFit) -> str:
         lines += wrapped("assumed", note)
     lines += _stages(fit)
     lines += _forces(fit)
+    lines += _guards(fit)
     for part in fit.parts:
         lines += _coefficients(fit, part)
     if left_out := [PARTS[part].meaning for part in PARTS if part not in fit.parts]:
@@ -58,6 +59,18 @@ def _forces(fit: MagicFormulaFit) -> list[str]:
             ]
         )  # fmt: skip
     return ["", "FORCES", *table(rows, right=(1, 2, 3, 4))]
+
+
+def _guards(fit: MagicFormulaFit) -> list[str]:
+    """What holds beyond the data, and where the rows end."""
+    if not fit.guards:
+        return []
+    low, high = fit.ranges["fz"]
+    lines = ["", f"BEYOND THE DATA (F_z {low:.4g} to {high:.4g} N)"]
+    for guard in fit.guards:
+        said = "holds" if guard.holds else "FAILS"
+        lines += wrapped(guard.name, f"{said}: {guard.text}")
+    return lines
 
 
 def _coefficients(fit: MagicFormulaFit, part: str) -> list[str]:

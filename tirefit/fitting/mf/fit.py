@@ -11,6 +11,7 @@ from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, ParameterConfig, parse_config
 from tirefit.fitting.estimate import data_record
+from tirefit.fitting.mf.guards import check_guards
 from tirefit.fitting.mf.parts import PARTS, VERSIONS, coefficients_of
 from tirefit.fitting.mf.priors import Prior, prior_given, published_priors
 from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
@@ -177,19 +178,23 @@ def _result(model, data: TireData, work: Search, priors, notes) -> MagicFormulaF
     forces = tuple(work.fitted)
     loads = np.concatenate([work.rows[force].inputs.fz for force in forces])
     speeds = np.concatenate([work.rows[force].inputs.v for force in forces])
+    tire = with_values(problem.tire, values)
+    ranges = _ranges([work.rows[force] for force in forces])
+    guarded = tuple(force for force in forces if force != "mz")
     return MagicFormulaFit(
         model=model,
         parts=tuple(stage.name for stage in work.stages[:-1]),
         forces=forces,
         coefficients=coefficients,
         covariance=covariance,
-        tire=with_values(problem.tire, values),
+        tire=tire,
         noise={force: _law(work, force) for force in forces},
         noise_estimated={force: work.rows[force].estimated for force in forces},
         inflation=dict(work.inflation),
         fitted=dict(work.fitted),
         stages=tuple(work.stages),
-        ranges=_ranges([work.rows[force] for force in forces]),
+        guards=check_guards(tire, ranges, guarded) if guarded else (),
+        ranges=ranges,
         reference={"fz": float(np.median(loads)), "v": float(np.median(speeds))},
         data=data_record(data, data.n),
         notes=tuple(notes),

@@ -10,6 +10,7 @@ from tirefit.display import Displayed
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
 from tirefit.fitting.layout import FreeParameter, Layout
+from tirefit.fitting.mf.guards import Guard
 from tirefit.fitting.mf.rows import NoiseLaw
 from tirefit.fitting.mf.stages import Stage
 from tirefit.fitting.result import SCHEMA
@@ -54,7 +55,8 @@ class MagicFormulaFit(Displayed):
     them all; ``forces`` are those fitted, ``parts`` the stages taken. ``noise`` and
     ``inflation`` (rows that count as one) are by force; ``ranges`` hold the (least,
     largest) value of each input of the rows, in ISO-W axes. ``fitted`` holds, by force,
-    the root mean square of the residuals [N, N m] and their number.
+    the root mean square of the residuals [N, N m] and their number; ``guards`` say
+    whether it stays a tire beyond them.
     """
 
     html_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_fragment"
@@ -71,6 +73,7 @@ class MagicFormulaFit(Displayed):
     inflation: Mapping[str, float]
     fitted: Mapping[str, tuple[float, int]]
     stages: tuple[Stage, ...]
+    guards: tuple[Guard, ...]
     ranges: Mapping[str, tuple[float, float]]
     reference: Mapping[str, float]
     data: Mapping[str, Any]
@@ -155,6 +158,7 @@ class MagicFormulaFit(Displayed):
             },
             "origins": ORIGINS,
             "ranges": dict(self.ranges),
+            "guards": [guard._asdict() for guard in self.guards],
             "stages": [stage._asdict() for stage in self.stages],
             "fit": {f: {"rmse": r, "n": n} for f, (r, n) in self.fitted.items()},
             "reference": dict(self.reference),

@@ -22,7 +22,7 @@ from tirefit.models import TireInputs
 __all__ = ["Search", "Stage", "search"]
 
 _ENOUGH = 4096
-"""Rows, evenly taken, from which the best of several starts is chosen: one block."""
+"""Rows, evenly taken, from which the best of several starts is chosen."""
 
 _TRIES, _ROUGHLY = 60, 0.01
 """Passes, and the deviance left to gain, of a stage that others follow."""
@@ -111,13 +111,18 @@ def search(
             forces = [force for force in forces if force != "mz"]
         blocks = {force: work.blocks(force, part) for force in forces}
         names = [n for n, own in of_part.items() if own == part and n in movable]
-        if not any(blocks.values()):
+        if not any(blocks.values()) or (part == "combined" and not _combined(rows)):
             continue
         _one_stage(work, part, forces, names)
         moved += names
     work.moved = frozenset(moved)
     _together(work, moved, "combined" if "combined" in parts else parts[0])
     return work
+
+
+def _combined(rows: Mapping[str, ForceRows]) -> bool:
+    """Whether some row has both slips."""
+    return any(not np.all(of_force.parts[force]) for force, of_force in rows.items())
 
 
 def _problem(work: Search, forces, part: str, names, most=None) -> Problem:
@@ -128,7 +133,7 @@ def _problem(work: Search, forces, part: str, names, most=None) -> Problem:
 def _one_stage(work: Search, part: str, forces: Sequence[str], names: list[str]):
     few = _problem(work, forces, part, names, _ENOUGH)
     ends = [minimise(few, start, _TRIES, _ROUGHLY) for start in _starts(work, part)]
-    best = min(ends, key=lambda end: end.cost + float(end.u @ end.u))
+    best = min(ends, key=lambda end: end.cost)
     work.u = best.u
     problem = _problem(work, forces, part, names)
     work.u = minimise(problem, work.u, _TRIES, _ROUGHLY).u
@@ -142,7 +147,8 @@ def _one_stage(work: Search, part: str, forces: Sequence[str], names: list[str])
 def _note(work: Search, name: str, problem: Problem, end: Minimum) -> None:
     rows = sum(int(np.count_nonzero(block.weight)) for block in problem.blocks)
     moved = int(np.count_nonzero(problem.free))
-    work.stages.append(Stage(name, rows, moved, end.cost, end.steps, end.converged))
+    chi2 = end.cost - float(end.u @ end.u)
+    work.stages.append(Stage(name, rows, moved, chi2, end.steps, end.converged))
 
 
 def _learn_noise(work: Search, part: str, forces: Sequence[str]) -> float:
