@@ -25,7 +25,7 @@ from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 from tirefit.slip import kappa_from_sigma
 
-__all__ = ["fit_magic_formula", "parts_named"]
+__all__ = ["fit_magic_formula", "nominal_of", "parts_named", "problem_from"]
 
 
 def parts_named(part: str) -> tuple[str, ...]:
@@ -77,8 +77,8 @@ def fit_magic_formula(
     require(whole, ("fz",), f"the model {model}")
     forces = [f for name in parts for f in PARTS[name].forces]
     rows = rows_of_forces(whole, list(dict.fromkeys(forces)), config)
-    tire, notes = _nominal(model, rows, config)
-    problem, priors = _problem(tire, config)
+    tire, notes = nominal_of(model, rows, config)
+    problem, priors = problem_from(tire, config)
     work = search(problem, rows, parts)
     return _result(model, whole, work, priors, notes)
 
@@ -108,7 +108,7 @@ def _check_settings(model: str, config: FitConfig) -> None:
         raise UsageError(problems)
 
 
-def _nominal(model: str, rows: dict[str, ForceRows], config: FitConfig):
+def nominal_of(model: str, rows: dict[str, ForceRows], config: FitConfig):
     """The tire with its nominal state and all that is given; what was assumed."""
     empty = MAGIC_FORMULAS[model]
     given = {k: v.value for k, v in config.parameters.items() if v.value is not None}
@@ -142,7 +142,7 @@ def _rounded(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def _problem(tire: MFTire, config: FitConfig) -> tuple[Problem, dict[str, Prior]]:
+def problem_from(tire: MFTire, config: FitConfig) -> tuple[Problem, dict[str, Prior]]:
     """The coefficients in units of their priors, and the priors."""
     names = tuple(coefficients_of(tire.version))
     priors = {name: published_priors()[name] for name in names}
@@ -151,7 +151,7 @@ def _problem(tire: MFTire, config: FitConfig) -> tuple[Problem, dict[str, Prior]
         if one.prior is not None:
             priors[name] = prior_given(name, one.prior.mean, one.prior.std)
         elif one.value is not None:
-            priors[name] = priors[name]._replace(centre=one.value)
+            priors[name] = priors[name]._replace(centre=one.value, log=False)
     held = [one.value is not None and one.prior is None for one in asked.values()]
     held = [h or asked[n].free is False for h, n in zip(held, names, strict=True)]
     centre = np.array([priors[name].centre for name in names])

@@ -35,7 +35,8 @@ class Prior(NamedTuple):
 
 def prior_given(name: str, mean: float, std: float) -> Prior:
     """A user's prior of a coefficient, with this mean and standard deviation."""
-    return Prior(mean, std / mean, True) if name in _LOG else Prior(mean, std)
+    log = name in _LOG and mean > 0
+    return Prior(mean, std / mean if log else std, log)
 
 
 _CENTRED = {

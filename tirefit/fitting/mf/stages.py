@@ -19,7 +19,7 @@ from tirefit.fitting.mf.solve import (
 from tirefit.fitting.noise import autocorrelation_time
 from tirefit.models import TireInputs
 
-__all__ = ["Search", "Stage", "search"]
+__all__ = ["Search", "Stage", "problem_of", "search", "starts_of"]
 
 _ENOUGH = 4096
 """Rows, evenly taken, from which the best of several starts is chosen."""
@@ -125,20 +125,22 @@ def _combined(rows: Mapping[str, ForceRows]) -> bool:
     return any(not np.all(of_force.parts[force]) for force, of_force in rows.items())
 
 
-def _problem(work: Search, forces, part: str, names, most=None) -> Problem:
+def problem_of(work: Search, forces, part: str, names, most=None) -> Problem:
+    """The rows of these forces that a part takes, and which coefficients it moves;
+    ``most`` rows of a force, evenly taken."""
     blocks = [b for force in forces for b in work.blocks(force, part, most)]
     return work.problem.with_free(names).with_blocks(blocks)
 
 
 def _one_stage(work: Search, part: str, forces: Sequence[str], names: list[str]):
-    few = _problem(work, forces, part, names, _ENOUGH)
-    ends = [minimise(few, start, _TRIES, _ROUGHLY) for start in _starts(work, part)]
+    few = problem_of(work, forces, part, names, _ENOUGH)
+    ends = [minimise(few, start, _TRIES, _ROUGHLY) for start in starts_of(work, part)]
     best = min(ends, key=lambda end: end.cost)
     work.u = best.u
-    problem = _problem(work, forces, part, names)
+    problem = problem_of(work, forces, part, names)
     work.u = minimise(problem, work.u, _TRIES, _ROUGHLY).u
     _learn_noise(work, part, forces)
-    problem = _problem(work, forces, part, names)
+    problem = problem_of(work, forces, part, names)
     end = minimise(problem, work.u, _TRIES, _ROUGHLY)
     work.u = end.u
     _note(work, part, problem, end)
@@ -167,7 +169,7 @@ def _learn_noise(work: Search, part: str, forces: Sequence[str]) -> float:
 
 def _residual(work: Search, force: str, part: str) -> np.ndarray:
     """What the rows (n,) of a part miss of the measured force [N, N m]."""
-    residual, _ = row_gradients(_problem(work, [force], part, ()), work.u)
+    residual, _ = row_gradients(problem_of(work, [force], part, ()), work.u)
     return residual * work.noise(force)[work.rows[force].parts[part]]
 
 
@@ -175,13 +177,13 @@ def _together(work: Search, moved: list[str], part: str) -> None:
     """All parts at once, the noise settled; then what the data leave open is held."""
     forces = [force for force in work.rows if work.blocks(force, part)]
     for _ in range(5):
-        problem = _problem(work, forces, part, moved)
+        problem = problem_of(work, forces, part, moved)
         work.u = minimise(problem, work.u, settled=_ROUGHLY).u
         if _learn_noise(work, part, forces) < _LAW_RESTS:
             break
     for force in forces:
         work.inflation[force] = _rows_per_one(work, force, part)
-    problem = _problem(work, forces, part, moved)
+    problem = problem_of(work, forces, part, moved)
     end = minimise(problem, work.u, settled=_ROUGHLY)
     free = np.flatnonzero(problem.free)
     left = np.linalg.inv(end.curvature[np.ix_(free, free)] + np.eye(len(free)))
@@ -232,7 +234,7 @@ _SHAPES: dict[str, tuple[dict[str, float], ...]] = {
 in different valleys."""
 
 
-def _starts(work: Search, part: str) -> list[np.ndarray]:
+def starts_of(work: Search, part: str) -> list[np.ndarray]:
     """First values: what a look at the curve gives, with several shapes."""
     problem = work.problem
     looked = _look(work, part)
