@@ -123,7 +123,7 @@ def test_forces_come_back_inside_and_beyond_the_loads(monkeypatch, tmp_path):
 def test_every_tire_comes_back(path, monkeypatch):
     """0.5 % of the load inside and 3 % at 1.3 times the loads; of 95 % bands 90 to 98 %
     of new measurements are within, and of true forces in the mean over the seeds."""
-    true_within = {force: [] for force in FORCES}
+    true_within: dict[str, list] = {force: [] for force in FORCES}
     for seed in range(4):
         fit = fit_of(path, monkeypatch, seed)
         assert fit.converged
@@ -131,10 +131,11 @@ def test_every_tire_comes_back(path, monkeypatch):
             at, _ = points(Plan(path), seed, over)
             for force, (error, true, new) in judged(path, fit, at, seed).items():
                 assert error < most, (force, over, seed)
-                assert 0.90 <= new <= 0.98 or over > 1 and new > 0.90
+                assert 0.90 <= new <= 0.99, (force, over, seed, new)
                 true_within[force].append(true)
+    # True forces along a curve are wrong together: what holds is their mean.
     for force, shares in true_within.items():
-        assert 0.85 < np.mean(shares), force
+        assert 0.88 < np.mean(shares), force
 
 
 @pytest.mark.statistics

@@ -43,7 +43,7 @@ _CENTRED = {
     "PCX1": (1.5, 0.3), "PDX1": (1.0, 0.3), "PKX1": (20.0, 10.0),
     "PCY1": (1.4, 0.4), "PDY1": (1.0, 0.3), "PKY1": (-20.0, 10.0), "PKY2": (2.5, 1.5),
     "PKY4": (2.0, 0.7), "QBZ1": (10.0, 4.0), "QCZ1": (1.2, 0.2), "QDZ1": (0.1, 0.05),
-    "RBX1": (12.0, 6.0), "RBX2": (10.0, 0.8), "RCX1": (1.0, 0.1), "RBY1": (12.0, 8.0),
+    "RBX1": (12.0, 1.0), "RBX2": (10.0, 0.8), "RCX1": (1.0, 0.1), "RBY1": (12.0, 1.5),
     "RBY2": (8.0, 0.8), "RCY1": (1.0, 0.1), "QBZ9": (10.0, 50.0),
     "RVY4": (40.0, 1.0), "RVY5": (1.9, 0.5), "RVY6": (20.0, 10.0),
 }  # fmt: skip
@@ -75,8 +75,9 @@ a pressure off by half, about as large as what it acts upon.
 
 _FLOORS = {name: size for size, names in _AROUND_ZERO.items() for name in names.split()}
 
-_LOG = ("RBX2", "RBY2", "RVY4")
-"""Coefficients whose sign is without effect: their spread is one of the logarithm."""
+_LOG = ("RBX1", "RBX2", "RBY1", "RBY2", "RVY4")
+"""Coefficients whose sign is without effect (that of RBX1 and RBY1 turns with RBX3 and
+RBY4): their spread is one of the logarithm."""
 
 _EVEN = (*_LOG, "QBZ9")
 """QBZ9 has none where QBZ10 is zero."""
@@ -93,7 +94,10 @@ def normal_form(values: Mapping[str, float]) -> dict[str, float]:
     """
     values = dict(values)
     induced = ("RVY1", "RVY2", "RVY3")
-    turning = {"PDY1": ("PDY2", *induced), "RVY5": induced, "RVY6": induced}
+    turning = {
+        "PDY1": ("PDY2", *induced), "RVY5": induced, "RVY6": induced,
+        "RBX1": ("RBX3",), "RBY1": ("RBY4",),
+    }  # fmt: skip
     for leader, followers in turning.items():
         if values.get(leader, 0.0) < 0:
             for name in (leader, *followers):
