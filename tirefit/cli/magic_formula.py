@@ -2,13 +2,18 @@
 
 from pathlib import Path
 
-from tirefit.cli.options import say, start_jax, warn
+from tirefit.cli.options import complain, say, start_jax, warn
 from tirefit.cli.output import check_directories, claimed, staged
 from tirefit.results import ExitCode, InputProblem, UsageError
 
-__all__ = ["MAGIC_FORMULA_NAMES", "fit_whole", "only_of_magic_formula"]
+__all__ = [
+    "MAGIC_FORMULA_NAMES", "convert_whole", "fit_whole", "only_of_magic_formula",
+]  # fmt: skip
 
 MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
+
+_SHARES_OF_NOMINAL = (0.5, 0.75, 1.0, 1.25, 1.5)
+"""Loads at which a file is tested to convert it."""
 
 
 def only_of_magic_formula(model: str | None, part: str | None, unused: dict) -> bool:
@@ -47,14 +52,46 @@ def fit_whole(
         warn(table)
     start_jax()
     from tirefit.fitting.mf.fit import fit_magic_formula
-    from tirefit.fitting.mf.store import save_magic_formula
 
     with claimed(out):
         result = fit_magic_formula(tables, settings.model, part=part, config=settings)
-        with staged(out, known=["posterior.nc"]) as folder:
-            written = save_magic_formula(result, folder)
+        _write(result, out)
+    return _code(result, strict)
+
+
+def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
+    """Fits one version of the Magic Formula to the forces of another's file."""
+    from tirefit.data.tir import notes_on, read_tir
+
+    tir = read_tir(file)
+    check_directories([out])
+    start_jax()
+    from tirefit.fitting.mf.convert import converted
+
+    loads = loads or [share * tir.numbers["FNOMIN"] for share in _SHARES_OF_NOMINAL]
+    for text in notes_on(tir):
+        complain(f"warning: {file}: {text}")
+    with claimed(out):
+        result = converted(tir, model, slip_max, loads)
+        _write(result, out)
+    say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}")
+    for force, (rmse, count) in result.fitted.items():
+        unit = "N m" if force == "mz" else "N"
+        say(f"  {force}: RMSE {rmse:.4g} {unit} over {count} points")
+    return _code(result, strict=False)
+
+
+def _write(result, out: Path) -> None:
+    """Says the result and writes it into the folder, which is claimed."""
+    from tirefit.fitting.mf.store import save_magic_formula
+
+    with staged(out, known=["posterior.nc"]) as folder:
+        written = save_magic_formula(result, folder)
     say(str(result))
     say("wrote " + ", ".join(str(out / path.name) for path in written))
+
+
+def _code(result, strict: bool) -> ExitCode:
     if not result.converged:
         return ExitCode.NOT_CONVERGED
     return ExitCode.NOT_IDENTIFIED if strict and not result.identified else ExitCode.OK

@@ -1,7 +1,7 @@
 """Fit a whole Magic Formula: :func:`fit_magic_formula`."""
 
 import importlib.metadata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from tirefit.fitting.config import FitConfig, ParameterConfig, parse_config
 from tirefit.fitting.estimate import data_record
 from tirefit.fitting.mf.guards import check_guards
 from tirefit.fitting.mf.parts import PARTS, VERSIONS, coefficients_of
-from tirefit.fitting.mf.priors import Prior, prior_given, published_priors
+from tirefit.fitting.mf.priors import Prior, normal_form, prior_given, published_priors
 from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
 from tirefit.fitting.mf.rows import ForceRows, NoiseLaw, joined, rows_of_forces
 from tirefit.fitting.mf.solve import Problem
@@ -44,6 +44,7 @@ def fit_magic_formula(
     *,
     part: str = "all",
     config: FitConfig | dict | None = None,
+    first: Mapping[str, float] | None = None,
 ) -> MagicFormulaFit:
     """Every coefficient of a Magic Formula, with its standard error and origin.
 
@@ -59,6 +60,7 @@ def fit_magic_formula(
         config: content of ``fit.toml``: noise of the forces; under ``parameters`` the
             nominal state (FNOMIN, UNLOADED_RADIUS, NOMPRES), and value, ``free`` and
             prior of coefficients.
+        first: coefficients of a tire that may be near, to start from too.
 
     Raises:
         UsageError: unknown model, part or coefficient, or a setting that is not of a
@@ -79,7 +81,7 @@ def fit_magic_formula(
     rows = rows_of_forces(whole, list(dict.fromkeys(forces)), config)
     tire, notes = nominal_of(model, rows, config)
     problem, priors = problem_from(tire, config)
-    work = search(problem, rows, parts)
+    work = search(problem, rows, parts, _start(problem, first) if first else None)
     return _result(model, whole, work, priors, notes)
 
 
@@ -136,6 +138,17 @@ def nominal_of(model: str, rows: dict[str, ForceRows], config: FitConfig):
         if name not in given and (name != "UNLOADED_RADIUS" or "mz" in rows)
     ]
     return with_values(empty, assumed | given), notes
+
+
+def _start(problem: Problem, first: Mapping[str, float]) -> np.ndarray:
+    """u (p,) of the coefficients given, where they can be, else of the centres."""
+    u = np.zeros(len(problem.names))
+    for name, value in normal_form(first).items():
+        if name in problem.names:
+            i = problem.names.index(name)
+            if problem.free[i] and (value > 0 or not problem.log[i]):
+                u[i] = problem.unit(name, value)
+    return u
 
 
 def _rounded(value: float) -> float:

@@ -49,6 +49,7 @@ class Stage(NamedTuple):
 class Search:
     """What is known so far: u (p,), the noise of each force, the stages.
 
+    ``near``: whether the first u was of a tire that may be near.
     ``moved`` are the coefficients of the stages that had rows, ``held`` those of them
     that the data do not tell. ``inflation`` is, by force, how many rows count as one,
     and ``fitted`` the root mean square of the residuals [N, N m] and their number;
@@ -58,6 +59,7 @@ class Search:
     problem: Problem
     rows: Mapping[str, ForceRows]
     u: np.ndarray
+    near: bool = False
     laws: dict[str, NoiseLaw] = field(default_factory=dict)
     inflation: dict[str, float] = field(default_factory=dict)
     stages: list[Stage] = field(default_factory=list)
@@ -92,7 +94,10 @@ class Search:
 
 
 def search(
-    problem: Problem, rows: Mapping[str, ForceRows], parts: Sequence[str]
+    problem: Problem,
+    rows: Mapping[str, ForceRows],
+    parts: Sequence[str],
+    first: np.ndarray | None = None,
 ) -> Search:
     """Every part from its own rows, then all of them from all rows.
 
@@ -100,8 +105,10 @@ def search(
         problem: without rows; ``free`` says which coefficients are not fixed.
         rows: of every force that the data hold.
         parts: names in the order of :data:`PARTS`.
+        first: u (p,) of a tire that may be near, to start from too.
     """
-    work = Search(problem, rows, np.zeros(len(problem.names)))
+    nothing = np.zeros(len(problem.names))
+    work = Search(problem, rows, nothing if first is None else first, first is not None)
     of_part = coefficients_of(problem.tire.version)
     movable = {n for n, free in zip(problem.names, problem.free, strict=True) if free}
     moved: list[str] = []
@@ -238,7 +245,7 @@ def starts_of(work: Search, part: str) -> list[np.ndarray]:
     """First values: what a look at the curve gives, with several shapes."""
     problem = work.problem
     looked = _look(work, part)
-    starts = []
+    starts = [work.u] if work.near else []
     for shape in _SHAPES[part]:
         u = work.u.copy()
         for name, value in (looked | shape).items():
