@@ -46,7 +46,8 @@ withheld withheld-full: install
 	$(BIN)/python -m fits.withheld.baselines out/$@ --forest out/forest.npz
 	$(BIN)/python -m fits.withheld.score out/$@ --bound 60
 
-# Damaged inputs of every kind that is read, over night; the suite tries 500.
+# Damaged inputs of every kind that is read, some by whole commands, over night; the
+# suite tries 500.
 fuzz: INPUTS = 100000
 fuzz: SEED = 1
 fuzz: install

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tirefit import compiled as module
-from tirefit.compiled import compiled, keep_programs_in
+from tirefit.compiled import compiled, keep_programs_in, release_programs
 
 
 @pytest.fixture
@@ -116,3 +116,21 @@ def test_a_directory_that_cannot_be_written_to_is_no_error(tmp_path):
         assert counted([])(np.ones(2), 1.0, 2)["value"].tolist() == [1.0, 1.0]
     finally:
         keep_programs_in(None)
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/maps"), reason="no /proc here")
+def test_programs_are_let_go_where_they_hold_too_much(directory):
+    def mappings():
+        with open("/proc/self/maps", "rb") as file:
+            return sum(1 for _ in file)
+
+    x = np.linspace(0, 1, 5)
+    kept = [counted([]) for _ in range(20)]
+    before = [scaled(x, 2.0, power=k)["value"] for k, scaled in enumerate(kept)]
+    held = mappings()
+    assert not release_programs(most=held + 1000)
+    assert release_programs(most=100)
+    # Each program held at least a mapping for its code.
+    assert mappings() <= held - len(kept)
+    for k, scaled in enumerate(kept):
+        np.testing.assert_array_equal(scaled(x, 2.0, power=k)["value"], before[k])

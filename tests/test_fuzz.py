@@ -7,7 +7,7 @@ import zlib
 
 import numpy as np
 import pytest
-from fuzz import KINDS, damaged, failures
+from fuzz import COMMANDS, KINDS, damaged, failures
 
 from tirefit.diagnosis.rig import load_rig
 from tirefit.door import (
@@ -28,6 +28,25 @@ from tirefit.results import DataError, TirefitError, UsageError
 def test_damaged_inputs_give_results_or_clean_errors():
     found = list(failures(500, seed=7))
     assert [(f.kind, f.number, f.text) for f in found] == []
+
+
+_QUICK = ("inspect", "predict", "predict of a .tir", "derive", "derive by", "follow")
+
+
+def test_whole_commands_end_with_results_or_clean_errors():
+    quick = tuple(name for name in COMMANDS if name.split(": ")[0] in _QUICK)
+    assert len(quick) == len(_QUICK)
+    found = list(failures(18, seed=7, kinds=quick))
+    assert [(f.kind, f.number, f.text) for f in found] == []
+
+
+def test_the_fuzzer_sees_what_a_command_lets_out(monkeypatch):
+    def broken(*_, **__):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("tirefit.data.inspect.inspect", broken)
+    kinds = ("inspect: data.csv",)
+    assert any("ZeroDivision" in f.text for f in failures(8, seed=1, kinds=kinds))
 
 
 def test_the_fuzzer_sees_a_traceback(monkeypatch):

@@ -5,14 +5,28 @@ import json
 import math
 import os
 import tempfile
+import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-__all__ = ["json_safe", "json_text", "replacing", "write_text_atomic", "write_texts"]
+fcntl: ModuleType | None
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks: two processes are not kept apart
+    fcntl = None
+
+__all__ = [
+    "PART", "json_safe", "json_text", "replacing", "took_lock", "write_text_atomic",
+    "write_texts",
+]  # fmt: skip
+
+PART = ".part"
+"""How the name of a file ends that is not whole yet; it begins with a point."""
 
 
 def json_text(content: Any) -> str:
@@ -50,14 +64,15 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     If the block fails or is interrupted, ``path`` holds what it held before.
 
     Raises:
-        OSError: naming ``path``, where it could not be written.
+        OSError: naming ``path``, where it could not be written; with a note of what
+            is there.
     """
     path = Path(path)
     try:
         # In the same directory, so that replacing is one step of the file system.
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        handle, name = tempfile.mkstemp(PART, f".{path.name}.", path.parent)
     except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from None
+        raise _of(path, error) from None
     os.close(handle)
     try:
         yield Path(name)
@@ -67,9 +82,18 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
         if error.errno is None or error.filename not in (None, name):
             raise
         # A temporary name would mean nothing to the user.
-        raise OSError(error.errno, error.strerror, str(path)) from None
+        raise _of(path, error) from None
     finally:
-        Path(name).unlink(missing_ok=True)
+        with suppress(OSError):  # it is gone with its folder
+            os.unlink(name)
+
+
+def _of(path: Path, error: OSError) -> OSError:
+    """The error as one of ``path``."""
+    named = OSError(error.errno, error.strerror, str(path))
+    there = os.path.lexists(path)
+    named.add_note("it is as it was before" if there else "nothing was written")
+    return named
 
 
 def _mode(path: Path) -> int:
@@ -90,13 +114,56 @@ def write_texts(texts: Mapping[Any, str]) -> None:
     """As :func:`write_text_atomic`, for files that belong together.
 
     Args:
-        texts: path to content; all is on the disk before the first file is replaced.
+        texts: path to content; all is on the disk before the first file is replaced,
+            and of two processes that write the same files all are one's.
 
     Raises:
         OSError: naming the path that could not be written.
     """
     with ExitStack() as waiting:
+        if len(texts) > 1:
+            waiting.enter_context(_alone({Path(path).parent for path in texts}))
         # The last one that is entered is the first one to be replaced.
         for path, text in reversed(list(texts.items())):
             temporary = waiting.enter_context(replacing(path))
             temporary.write_text(text, encoding="utf-8", newline="")
+
+
+# --- two processes --------------------------------------------------------------
+
+_PATIENCE = 2.0
+"""Seconds to wait for another process to replace its files, which takes far less; a
+folder may be locked for as long as another command works at it."""
+
+
+def took_lock(handle: int) -> bool:
+    """Whether the open folder is this process's own now, until the handle is closed.
+
+    A file system without locks locks out nobody.
+    """
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        pass
+    return True
+
+
+@contextmanager
+def _alone(folders: set[Path]) -> Iterator[None]:
+    """Other processes wait to replace files in these folders until the block ends."""
+    handles: list[int] = []
+    until = time.monotonic() + _PATIENCE
+    try:
+        for folder in sorted(folders) if fcntl is not None else ():
+            with suppress(OSError):  # writing into it will say what is wrong
+                handles.append(os.open(folder, os.O_RDONLY))
+                while not took_lock(handles[-1]) and time.monotonic() < until:
+                    time.sleep(0.01)
+        yield
+    finally:
+        for handle in handles:
+            os.close(handle)

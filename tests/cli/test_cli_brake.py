@@ -2,8 +2,11 @@
 
 import csv
 import json
+from pathlib import Path
 
 import pytest
+
+ROOT = Path(__file__).parents[2]
 
 QUICK = ("--speed", "6", "--road", "mu=0.5", "--vehicle", "quarter")
 
@@ -66,6 +69,17 @@ def test_tires_of_fits_and_files(run, tmp_path):
     result = run("brake", "--tire", "f/fit.json", "--set", "mu=1", "--out", "q",
                  exit_code=2)  # fmt: skip
     assert "--set with a fit.json" in result.stderr
+
+
+def test_a_tire_of_a_tir_file_brakes(run, tmp_path):
+    """Its values say whether it depends on the speed, inside what is compiled too."""
+    tir = ROOT / "tests/data/tir/mfeval_julia/MagicFormula61_Parameters.tir"
+    short = ("--controller", "none", "--time-limit", "0.2")
+    said = run("brake", *QUICK, *short, "--tire", tir, "--out", "o").stdout
+    assert f"BRAKING {tir} from 6 m/s" in said
+    summary = json.loads((tmp_path / "o" / "summary.json").read_text())
+    # Shorter than what the pressure's running mean runs over, and than the stop.
+    assert 0 < summary["mean_friction_used"] < 1 and not summary["stopped"]
 
 
 @pytest.mark.parametrize(

@@ -81,6 +81,16 @@ def test_bad_rows_are_said_flagged_and_survived(run, tmp_path, log):
     )
     assert rows_of(followed.stdout)[49]["rls_flag"] == "sample missing"
     assert "row 51" in followed.stderr
+    # Bytes that are no text, and a cell of more characters than any reader takes.
+    spoiled = [line.encode() for line in lines[:20]]
+    spoiled[5] = b"\xff" + spoiled[5]
+    spoiled[10] = b"9" * 200_000
+    followed = CliRunner().invoke(
+        app, ["estimate", "-", "--follow"], input=b"\n".join(spoiled) + b"\n"
+    )
+    flags = [row["rls_flag"] for row in rows_of(followed.stdout)]
+    assert len(flags) == 19 and flags[4] == flags[9] == "sample missing"
+    assert "row 6: " in followed.stderr and "row 11: not CSV: " in followed.stderr
 
 
 @pytest.mark.parametrize(

@@ -67,6 +67,8 @@ def test_out_names_the_directory_and_svg_doubles_the_figures(run, rig, tmp_path)
 
 def test_several_files_fill_a_directory_each(run, rig, tmp_path):
     write(tmp_path / "wet.csv", mu=0.7, seed=2)
+    (tmp_path / "all").mkdir()
+    (tmp_path / "all" / "fits.html").write_text("an earlier page, tirefit.fit/1")
     result = run(
         "fit", rig, "wet.csv", "--config", "fit.toml", "--no-posterior", "--out", "all"
     )
@@ -89,11 +91,16 @@ def test_several_files_without_out(run, rig, tmp_path):
 def test_one_bad_file_does_not_stop_the_others(run, rig, tmp_path):
     (tmp_path / "bad.csv").write_text("sigma_x,fx,fz\n0.1,oops,4000\n")
     result = run(
-        "fit", "bad.csv", rig, "--config", "fit.toml", "--no-posterior", exit_code=3
-    )
+        "fit", "bad.csv", rig, "--config", "fit.toml", "--no-posterior", "--html",
+        exit_code=3,
+    )  # fmt: skip
     assert "bad.csv" in result.stderr and "remedy" in result.stderr
     assert (tmp_path / "rig" / "fit.json").exists()
     assert not (tmp_path / "bad").exists()  # nothing half-written
+    assert (tmp_path / "rig" / "fit.html").exists()
+    page = (tmp_path / "fits.html").read_text()
+    assert "of 2 files: 1 ok, 1 not fitted" in page and "bad.csv: not fitted" in page
+    assert "wrote fits.html" in result.stdout
 
 
 @pytest.mark.parametrize(
@@ -229,7 +236,20 @@ def test_joint_fit_shares_the_tire_and_not_the_road(run, rig, tmp_path):
     found = record["parameters"]
     assert abs(found["mu[rig]"]["value"] - 1.0) < 0.005
     assert abs(found["mu[wet]"]["value"] - 0.7) < 0.005
+    assert (tmp_path / "both" / "runs.png").exists()
     assert not (tmp_path / "rig").exists()
+
+
+def test_a_page_of_the_fit_where_it_is_asked_for(run, rig, tmp_path):
+    quick = ("fit", rig, "--config", "quick.toml", "--no-posterior", "--out", "out")
+    (tmp_path / "quick.toml").write_text(FAST)
+    result = run(*quick, "--html")
+    page = tmp_path / "out" / "fit.html"
+    assert "out/fit.html" in result.stdout
+    assert content(tmp_path / "out")["data"]["sha256"] in page.read_text()
+    # That of an earlier fit would be taken for this one's.
+    run(*quick)
+    assert not page.exists()
 
 
 def test_force_chooses_the_lateral_one(run, tmp_path):

@@ -12,7 +12,14 @@ from test_cli_fit import FAST, content, write
 
 from tirefit.cli import options
 from tirefit.cli.commands import app
-from tirefit.cli.output import _interrupts_held, check_directories, claimed, staged
+from tirefit.cli.output import (
+    _interrupts_held,
+    check_directories,
+    claimed,
+    is_page,
+    staged,
+)
+from tirefit.fitting.result import SCHEMA
 from tirefit.results import UsageError
 
 ARGUMENTS = ("fit", "rig.csv", "--config", "fit.toml", "--no-posterior", "--out", "o")
@@ -26,6 +33,15 @@ def rig(tmp_path):
 
 def files_of(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_a_page_of_someone_else_is_not_ours(tmp_path):
+    page = tmp_path / "fit.html"
+    assert not is_page(page, SCHEMA)
+    page.write_text("my own notes")
+    assert not is_page(page, SCHEMA)
+    page.write_bytes(b"\xff" + f"<p>tirefit 0.1.0, {SCHEMA}</p>".encode())
+    assert is_page(page, SCHEMA)
 
 
 def test_the_second_process_is_refused(run, rig, tmp_path):
@@ -76,7 +92,8 @@ def test_a_failed_writing_leaves_the_earlier_result(
         patch.setattr("tirefit.report.draw.save_figures", stopped)
         code = 130 if error is KeyboardInterrupt else 2
         result = run(*ARGUMENTS, "--seed", "7", exit_code=code)
-    assert result.stderr == ("" if code == 130 else "error: o: disk full\n")
+    said = "" if code == 130 else "error:\n  x: cannot be written: disk full; o is as"
+    assert result.stderr.startswith(said) and bool(result.stderr) == bool(said)
     assert files_of(tmp_path / "o") == before
 
 
@@ -85,7 +102,11 @@ def test_a_new_result_replaces_all_of_the_old_and_nothing_else(tmp_path):
         (tmp_path / name).write_text("old")
     (tmp_path / ".writing").mkdir()  # of a process that was killed
     (tmp_path / ".writing" / "trace.png").write_text("torn")
-    with staged(tmp_path, known=["fit.json", "corner.png", "trace.png"]) as folder:
+    (tmp_path / ".chain.npz.abc.part").write_text("torn")
+    with claimed(tmp_path):
+        assert not (tmp_path / ".chain.npz.abc.part").exists()
+    known = ["fit.json", "corner.png", "trace.png"]
+    with staged(tmp_path, known, "") as folder:
         (folder / "fit.json").write_text("new")
         assert (tmp_path / "fit.json").read_text() == "old"
     kept = {"fit.json": b"new", "notes.txt": b"old", "chain.npz": b"old"}

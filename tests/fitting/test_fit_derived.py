@@ -12,6 +12,7 @@ from scipy.stats import norm
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.derived import (
     derived_channel,
+    derived_from_draws,
     derived_values,
     quantities,
 )
@@ -22,7 +23,7 @@ from tirefit.fitting.layout import FreeParameter, Layout
 from tirefit.fitting.problem import build
 from tirefit.fitting.result import Estimate
 from tirefit.models import MODELS
-from tirefit.params import specs
+from tirefit.params import constrain, specs
 
 
 def derived(model, values, channel="fx"):
@@ -305,6 +306,61 @@ def test_a_parameter_tied_to_one_per_run_has_an_estimate_per_run():
     assert set(found) == {*estimates, "d[dry]", "d[wet]"}
     assert found["d[dry]"] == Estimate(-0.2, 0.05, "-", (-1.5 * 0.2, -0.1))
     assert found["d[wet]"] == Estimate(-0.1, None, "-", (-0.2, -0.05), False)
+
+
+@pytest.fixture(scope="module")
+def by_run():
+    """Two tires on two roads in one fit, and each of them alone; noise given."""
+    truths = {"dry": TRUTH, "wet road": {"cpa2": 4e4, "mu": 0.7}}
+    alone = {k: curve(t, n=150, seed=i) for i, (k, t) in enumerate(truths.items())}
+    columns = {
+        name: np.concatenate([one[name] for one in alone.values()])
+        for name in ("sigma_x", "fx", "fz")
+    }
+    each = {"per_run": True}
+    config = GIVEN | {"parameters": {"cpa2": each, "mu": each}}
+    runs = table(columns, run=np.repeat([0, 1], 150), runs=tuple(truths))
+    together = fit(runs, config=config)
+    return together, {k: fit(data, config=GIVEN) for k, data in alone.items()}
+
+
+def test_quantities_per_run_are_those_of_each_run_alone(by_run):
+    together, alone = by_run
+    assert together.reference["fz"] == FZ
+    assert list(together.derived) == [
+        f"{name}[{run}]" for name in quantities("fx") for run in alone
+    ]
+    for run, result in alone.items():
+        for name, expected in result.derived.items():
+            found = together.derived[f"{name}[{run}]"]
+            assert (found.unit, found.identified) == (expected.unit, True)
+            np.testing.assert_allclose(found.value, expected.value, rtol=1e-6)
+            np.testing.assert_allclose(found.std, expected.std, rtol=1e-3)
+            # Both levels are of one parameter: the other run takes none of it.
+            np.testing.assert_allclose(found.ci95, expected.ci95, rtol=1e-4)
+
+
+def test_only_what_a_run_has_of_its_own_is_per_run(by_run):
+    data = by_run[0].table
+    config = GIVEN | {"parameters": {"mu": {"per_run": True}}}
+    result = fit(data, config=config)
+    peaks = {f"{q}[{run}]" for q in quantities("fx") for run in data.runs}
+    assert set(result.derived) == {"C_x"} | {
+        label for label in peaks if not label.startswith("C_x")
+    }
+    stiffness = result.least_squares["cpa2"].value
+    np.testing.assert_allclose(result.derived["C_x"].value, 2 * stiffness, rtol=1e-9)
+    z = np.random.default_rng(0).multivariate_normal(result.z, result.covariance, 5000)
+    of_draws = derived_from_draws(result.problem, z, result.derived)
+    assert list(of_draws) == list(result.derived)
+    for run in data.runs:
+        label = f"F_max[{run}]"
+        layout = result.problem.layout
+        mu = layout.labels.index(f"mu[{run}]")
+        draws = constrain(z[:, mu], layout.elements[mu][1].spec)
+        np.testing.assert_allclose(
+            of_draws[label].ci95, FZ * np.quantile(draws, [0.025, 0.975]), rtol=1e-9
+        )
 
 
 def test_what_is_not_defined_has_no_number():

@@ -11,6 +11,7 @@ from tirefit.data.table import Source
 from tirefit.fitting.bands import fitted_force
 from tirefit.fitting.batch import fit_many
 from tirefit.fitting.config import parse_config
+from tirefit.fitting.far_rows import settle
 from tirefit.fitting.predict import predict
 from tirefit.fitting.problem import build
 from tirefit.models import MODELS, Brush, Tabulated, TireInputs
@@ -83,6 +84,17 @@ def test_masked_rows_are_passed_over():
     found = solved(gaps, CONFIG, "brush-relaxation")
     value = found.problem.layout.vector(found.z)[-1]
     np.testing.assert_allclose(value, LENGTH, rtol=0.02)
+
+
+def test_an_absurd_slip_is_set_aside_alone(lagged):
+    """The rows after it feel what they felt, not the wrong slip."""
+    slip = DATA["sigma_x"].copy()
+    slip[[40, 200]] = 3.0
+    spoilt = replace(DATA, columns={**DATA.columns, "sigma_x": slip})
+    end = settle(spoilt, "brush-relaxation", parse_config(CONFIG))
+    assert [far.row for far in end.far if far.set_aside] == [40, 200]
+    off = np.abs(end.solved.z - lagged.z) / np.sqrt(np.diag(lagged.covariance))
+    assert np.all(off < 0.5)
 
 
 def test_prediction_follows_the_rows_in_time(lagged):

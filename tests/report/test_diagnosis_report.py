@@ -4,10 +4,7 @@ import base64
 import html
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
-from html.parser import HTMLParser
 from types import SimpleNamespace
 
 import matplotlib.image
@@ -15,6 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from pages import PHONE, Page, browse, in_browser, width_on_phone
 
 from tirefit.data.table import Source, TireData
 from tirefit.diagnosis.adequacy import Adequacy
@@ -896,37 +894,6 @@ def test_small_texts():
     assert groups[0][1] == "friction_temperature, stiffness_temperature"
 
 
-class Page(HTMLParser):
-    """Tags that balance, what the page would fetch, and its texts."""
-
-    VOID = {"meta", "img", "br"}
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.links, self.seen, self.texts = [], [], [], []
-        self.alternatives = []
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag, attributes):
-        self.seen.append(tag)
-        if tag not in self.VOID:
-            self.open.append(tag)
-        for name, value in attributes:
-            if name in ("src", "href", "srcset", "action", "data", "poster"):
-                self.links.append(value)
-            if name == "alt":
-                self.alternatives.append(value)
-            assert not name.startswith("on")
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.texts.append(data)
-
-
 @pytest.fixture(scope="module")
 def page_text():
     return diagnosis_page(diagnosis())
@@ -973,41 +940,6 @@ def test_panels_stand_by_themselves():
     assert list(pictures) == ["where", "which", "before and after", "how far"]
 
 
-BROWSER = next(
-    (
-        found
-        for name in ("chromium", "chromium-browser", "google-chrome", "chrome")
-        if (found := shutil.which(name))
-    ),
-    None,
-)
-in_browser = pytest.mark.skipif(
-    BROWSER is None, reason="needs Chromium: neither chromium nor google-chrome found"
-)
-
-
-def browse(page, folder, *options):
-    """What Chromium makes of a page, and every request that the page made."""
-    log = folder / "net.json"
-    done = subprocess.run(
-        [
-            BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
-            "--disable-background-networking", "--disable-component-update",
-            "--host-resolver-rules=MAP * ~NOTFOUND", f"--log-net-log={log}",
-            f"--user-data-dir={folder / 'profile'}", "--window-size=1200,900", *options,
-            page.as_uri(),
-        ],
-        capture_output=True, text=True, timeout=120, cwd=folder,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    record = json.loads(log.read_text())
-    start = record["constants"]["logEventTypes"]["URL_REQUEST_START_JOB"]
-    asked = [e.get("params", {}) for e in record["events"] if e["type"] == start]
-    # What the browser asks for by itself has no origin.
-    mine = [a for a in asked if a.get("initiator", "not an origin") != "not an origin"]
-    return done.stdout, [a["url"] for a in mine]
-
-
 @in_browser
 def test_chromium_shows_the_page_and_fetches_nothing(tmp_path):
     page = tmp_path / "drum.html"
@@ -1041,13 +973,6 @@ def test_a_page_that_fetched_would_be_seen(page_text, tmp_path):
 @in_browser
 @pytest.mark.parametrize("wide", [False, True])
 def test_the_page_fits_a_phone(page_text, tmp_path, wide):
-    page = tmp_path / "drum.html"
-    policy = r'<meta http-equiv="Content-Security-Policy"[^>]*>'
-    text = re.sub(policy, "", page_text)
     extra = '<div style="width:450px">too wide</div>' if wide else ""
-    script = "<script>document.title = document.body.scrollWidth</script>"
-    text = text.replace("<html", '<html style="width:390px"')
-    page.write_text(text.replace("</body>", f"{extra}{script}</body>"))
-    document, _ = browse(page, tmp_path, "--dump-dom")
-    width = int(re.search(r"<title>(\d+)", document)[1])
-    assert (width > 390) == wide
+    width = width_on_phone(page_text.replace("</body>", f"{extra}</body>"), tmp_path)
+    assert (width > PHONE) == wide

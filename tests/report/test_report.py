@@ -17,7 +17,7 @@ from tirefit.fitting.predict import predict_forces
 from tirefit.fitting.result import Estimate, PosteriorSummary
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import Spec, with_values
-from tirefit.report import draw, draw_uncertainty, html, plots
+from tirefit.report import draw, draw_corner, draw_uncertainty, html, plots
 from tirefit.report.figures import (
     corner_data,
     fit_curve,
@@ -398,16 +398,15 @@ def test_without_a_posterior_there_is_no_corner(plain, tmp_path):
         plots.plot_corner(plain)
 
 
-@pytest.mark.parametrize("size", [1, 2, 7, 14])
+@pytest.mark.parametrize("size", [1, 2, 7])
 def test_corner_and_trace_of_any_size_with_a_constant_column(plain, size):
     draws = np.random.default_rng(1).normal(1.0, 0.1, (4, 50, size))
     draws[..., -1] = 1.0
     result = with_chains(renamed(plain, size), draws)
-    corner = draw_uncertainty.corner_figure(result)
-    shown = min(size, 12)
-    assert len(corner.axes) == shown * (shown + 1) // 2
+    corner = draw_corner.corner_figure(result)
+    assert len(corner.axes) == size * (size + 1) // 2
     assert corner._repr_png_()[:4] == b"\x89PNG"
-    assert len(draw_uncertainty.trace_figure(result).axes) == 2 * shown
+    assert len(draw_uncertainty.trace_figure(result).axes) == 2 * size
 
 
 def test_a_rare_part_far_away_does_not_stretch_the_corner(plain):
@@ -428,7 +427,7 @@ def test_a_rare_part_far_away_does_not_stretch_the_corner(plain):
 def test_corner_labels_stand_beside_their_numbers(plain, size):
     scale = 10.0 ** np.resize([0, 4, -3], size)
     draws = np.random.default_rng(1).normal(1.0, 0.1, (4, 200, size)) * scale
-    picture = draw_uncertainty.corner_figure(with_chains(renamed(plain, size), draws))
+    picture = draw_corner.corner_figure(with_chains(renamed(plain, size), draws))
     picture.draw_without_rendering()
     gaps = {"x": [], "y": []}
     for axes in picture.axes:

@@ -6,6 +6,8 @@ Nothing heavy is imported until a command runs, so completion and ``--help`` are
 import os
 import signal
 import sys
+from contextlib import suppress
+from typing import NoReturn
 
 __all__ = ["main"]
 
@@ -32,11 +34,24 @@ def main() -> None:
         from tirefit.cli.commands import app
 
         app()
+    except OSError as error:
+        # Of what a command could not say, where its own errors are all told.
+        if came:
+            _end_interrupted()
+        cause = error.strerror or error
+        with suppress(OSError):
+            print(f"error: {error.filename or 'output'}: {cause}", file=sys.stderr)
+        sys.exit(2)
     except BaseException as end:
         # Some libraries turn an interrupt during their import into another error.
         if not came or (isinstance(end, SystemExit) and end.code != 130):
             raise
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
+        _end_interrupted()
+
+
+def _end_interrupted() -> NoReturn:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    with suppress(OSError):
         print("interrupted: files written before are whole", file=sys.stderr)
-        sys.exit(130)
+    sys.exit(130)

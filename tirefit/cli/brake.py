@@ -160,7 +160,7 @@ def _run(request, chosen, seed: int, stops: int, animate: bool, out: Path) -> No
             request, controllers, seed=seed, stops=stops, progress=progress
         )
     written = [SUMMARY, SERIES, FIGURES[0], FIGURES[2]]
-    with staged(out, FILES) as folder:
+    with staged(out, FILES, result) as folder:
         write_text_atomic(folder / SUMMARY, json_text(result.to_dict()))
         write_csv(folder / SERIES, result.columns())
         save_picture(stop_figure(result), folder / FIGURES[0])

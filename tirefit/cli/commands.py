@@ -150,8 +150,9 @@ def derive(
     with errors_to_exit():
         units = pairs("--unit", unit)
         written = derive_files(
-            files, vehicle, out, axle=axle.value, units=units, believe=believe
-        )
+            files, vehicle, out, axle=axle.value, units=units, believe=believe,
+            unwritten=say,
+        )  # fmt: skip
         say(written.summary())
 
 

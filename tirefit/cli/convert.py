@@ -211,7 +211,7 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out):
     tir = None if file is None else read_tir(file)
     start_jax()
     from tirefit.data.table import Source
-    from tirefit.fitting.config import FitConfig
+    from tirefit.fitting.config import FitConfig, NoiseConfig
     from tirefit.fitting.convert import curve, misfit_by_load
     from tirefit.fitting.likelihood import CHANNEL_SLIP
     from tirefit.fitting.problem import find_model
@@ -221,7 +221,9 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out):
     from tirefit.params import with_values
 
     find_model(model)
-    settings = FitConfig(model=model, force=[force.value], seed=seed or 0)
+    # A curve has no absurd rows.
+    noise = NoiseConfig(loss="squares")
+    settings = FitConfig(model=model, force=[force.value], seed=seed or 0, noise=noise)
     if tir is None:
         tire: AbstractTire | str = "magic-formula"
         v, name = None, "Magic Formula"

@@ -33,7 +33,7 @@ from tirefit.cli.options import (
     takes_data_options,
     warn,
 )
-from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.cli.output import check_directories, claimed, is_page, staged
 from tirefit.names import EFFECT_NAMES, MODEL_NAMES
 from tirefit.results import (
     DataError,
@@ -312,6 +312,11 @@ def _attempt(piece: tuple[Path, str], task: _Task) -> ExitCode:
             raise
         complain(error_text(error))
         return error.exit_code
+    except BrokenPipeError:
+        raise
+    except OSError as error:  # its report was said
+        complain(error_text(error))
+        return ExitCode.USAGE
     return ExitCode.OK
 
 
@@ -335,6 +340,7 @@ def _unpacked(packed: bytes) -> _Task:
 
 def _one(file: Path, name: str, task: _Task) -> None:
     from tirefit.diagnosis.engine import diagnose as study
+    from tirefit.diagnosis.result import SCHEMA
     from tirefit.diagnosis.store import save_diagnosis
 
     out, seed, kept, figures = task.out, task.seed, task.kept, task.figures
@@ -347,8 +353,8 @@ def _one(file: Path, name: str, task: _Task) -> None:
             say(f"{file}: done before, kept: {out / name}.json")
             return
     result = study(table, holdout=kept, seed=seed, **task.settings)
-    earlier = drawn if _is_page(out / f"{name}.html") else []
-    with staged(out, written + earlier, f".{name}") as folder:
+    earlier = drawn if is_page(out / f"{name}.html", SCHEMA) else []
+    with staged(out, written + earlier, result, f".{name}") as folder:
         save_diagnosis(result, folder, name)
         if figures:
             from tirefit.report.diagnosis_draw import write_figure
@@ -357,17 +363,6 @@ def _one(file: Path, name: str, task: _Task) -> None:
             write_figure(result, folder / f"{name}.png")
             write_page(result, folder / f"{name}.html")
     say(str(result))
-
-
-def _is_page(path: Path) -> bool:
-    """Whether an earlier diagnosis drew this page, and the picture beside it: files of
-    the same names may be the user's own, as beside the data."""
-    from tirefit.diagnosis.result import SCHEMA
-
-    try:
-        return SCHEMA in path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return False
 
 
 def _base_of(content: dict) -> list:

@@ -109,7 +109,7 @@ def _whole(log: Path, names, values, how, out: Path, seed: int) -> None:
     warn(table)
     _say_masked(table)
     result = estimate_log(table, names, values, seed=seed)
-    with staged(out, FILES) as folder:
+    with staged(out, FILES, result) as folder:
         write_csv(folder / FILES[0], result.columns())
         write_text_atomic(folder / FILES[1], json_text(result.to_dict()))
         save_picture(estimates_figure(result), folder / FILES[2])
@@ -136,6 +136,11 @@ def _follow(names, chosen, how) -> None:
     from tirefit.online.stream import Streams
 
     how = {key: value for key, value in how.items() if key != "mask_bad_rows"}
+    if sys.stdin is None:
+        reason = "standard input is closed"
+        raise UsageError(InputProblem(reason, "give rows on it, or a file"))
+    # What is not text is in no number: its row is flagged, and the next one is read.
+    sys.stdin.reconfigure(errors="replace")  # type: ignore[union-attr]
     rows = RowReader(sys.stdin, **how)
     for text in rows.assumptions:
         complain(text)

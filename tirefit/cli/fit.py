@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
@@ -29,7 +29,7 @@ from tirefit.cli.options import (
     takes_data_options,
     warn,
 )
-from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.cli.output import check_directories, claimed, is_page, staged
 from tirefit.names import MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, Outcome, TirefitError, UsageError
 
@@ -48,7 +48,11 @@ class Sampler(StrEnum):
     importance = "importance"
 
 
+PAGE, PAGE_OF_ALL = "fit.html", "fits.html"
+
 model_names = completed(*MODEL_NAMES)
+
+CHAIN = "chain.npz"
 
 
 def _output_directories(files: list[Path], out: Path | None, joint: bool) -> list[Path]:
@@ -121,6 +125,12 @@ def fit(
     svg: Annotated[
         bool, typer.Option("--svg", help="write every figure as SVG too")
     ] = False,
+    html: Annotated[
+        bool,
+        typer.Option(
+            "--html", help="write fit.html, one page of all; of several files fits.html"
+        ),
+    ] = False,
 ) -> None:
     """Fit a model: parameters, uncertainties, figures and a report."""
     with errors_to_exit():
@@ -140,7 +150,7 @@ def fit(
             settings = settings.model_copy(update={"posterior": chosen})
         unused = {
             "--solver": solver, "--sampler": sampler, "--force": force,
-            "--resume": resume, "--svg": svg,
+            "--resume": resume, "--svg": svg, "--html": html,
         }  # fmt: skip
         if only_of_magic_formula(settings.model, part, unused):
             (directory,) = _output_directories(files, out, joint=True)
@@ -153,28 +163,43 @@ def fit(
 
         find_model(settings.model or "brush")
         groups = [files] if joint else [[file] for file in files]
+        also = Also(svg, html)
         worst = _fit_all(
-            groups, directories, settings, how, posterior, resume, svg, strict
+            groups, directories, settings, how, posterior, resume, also, strict
         )
         raise typer.Exit(worst)
 
 
+class Also(NamedTuple):
+    """What is written beside the result and its figures."""
+
+    svg: bool = False
+    html: bool = False
+
+
 def _fit_all(
-    groups, directories, settings, how, posterior, resume, svg, strict
+    groups, directories, settings, how, posterior, resume, also, strict
 ) -> ExitCode:
     """Every group of files; one bad file does not stop the others."""
     codes: list[ExitCode] = []
-    rows = []
+    rows, failed = [], {}
     for i, (group, directory) in enumerate(zip(groups, directories, strict=True)):
         if len(groups) > 1 and has_terminal():
             complain(f"file {i + 1} of {len(groups)}: {group[0]}")
         try:
-            result = _fit_one(group, directory, settings, how, posterior, resume, svg)
+            result = _fit_one(group, directory, settings, how, posterior, resume, also)
         except TirefitError as error:
             if len(groups) == 1 or error.exit_code == ExitCode.USAGE:
                 raise
             complain(error_text(error))
             codes.append(error.exit_code)
+            failed[str(group[0])] = "; ".join(p.reason for p in error.problems)
+            continue
+        except OSError as error:  # its report was said
+            if len(groups) == 1 or isinstance(error, BrokenPipeError):
+                raise
+            complain(error_text(error))
+            codes.append(ExitCode.USAGE)
             continue
         codes.append(exit_code(result, strict))
         rows.append((directory, result))
@@ -185,12 +210,26 @@ def _fit_all(
             break
     if len(groups) > 1:
         say(_summary(rows))
-    # Bad data first, then convergence, then identification.
-    order = (ExitCode.DATA, ExitCode.NOT_CONVERGED, ExitCode.NOT_IDENTIFIED)
-    return next((code for code in order if code in codes), ExitCode.OK)
+        _page_of_all(directories[0].parent, rows, failed, also.html)
+    # The least is the worst: files not written, bad data, convergence, identification.
+    return min((code for code in codes if code), default=ExitCode.OK)
 
 
-def _fit_one(files, directory: Path, settings, how, posterior, resume, svg):
+def _page_of_all(folder: Path, rows, failed: dict[str, str], asked: bool) -> None:
+    """Writes the page over all fits; removes that of an earlier command."""
+    from tirefit.fitting.result import SCHEMA
+
+    page = folder / PAGE_OF_ALL
+    if asked and rows:
+        from tirefit.report.fits_html import write_fits_page
+
+        write_fits_page({path.name: result for path, result in rows}, page, failed)
+        say(f"wrote {page}")
+    elif is_page(page, SCHEMA):
+        page.unlink()
+
+
+def _fit_one(files, directory: Path, settings, how, posterior, resume, also):
     from tirefit.data.read import read
     from tirefit.data.table import join
 
@@ -198,10 +237,10 @@ def _fit_one(files, directory: Path, settings, how, posterior, resume, svg):
     for table in tables:
         warn(table)
     data = tables[0] if len(tables) == 1 else join(tables)
-    return fit_into(directory, data, settings, posterior, resume, svg)
+    return fit_into(directory, data, settings, posterior, resume, also)
 
 
-def fit_into(directory, data, settings, posterior=False, resume=False, svg=False):
+def fit_into(directory, data, settings, posterior=False, resume=False, also=Also()):
     """Fits the data, and leaves the result and its figures in the directory."""
     from tirefit.fitting.estimate import fit as fit_data
 
@@ -210,10 +249,15 @@ def fit_into(directory, data, settings, posterior=False, resume=False, svg=False
         if posterior:
             # Whatever becomes of the sampling; a posterior to go on with stays.
             if not (resume and (directory / "fit.json").exists()):
-                _save(result, directory, svg)
+                _save(result, directory, also)
                 say(_first_words(result, directory))
             result = _sampled(result, directory, settings, resume)
-        written = _save(result, directory, svg)
+        try:
+            written = _save(result, directory, also)
+        except OSError as error:
+            if posterior and (directory / CHAIN).exists():
+                error.add_note("--resume goes on from its chain")
+            raise
     say(str(result))
     say("wrote " + ", ".join(str(path) for path in written))
     return result
@@ -227,12 +271,19 @@ def _first_words(result, directory: Path) -> str:
     return "\n".join([*parameter_lines(result)[1:], said])
 
 
-def _save(result, directory: Path, svg: bool) -> list[Path]:
+def _save(result, directory: Path, also: Also) -> list[Path]:
+    from tirefit.fitting.result import SCHEMA
     from tirefit.fitting.store import save_fit
     from tirefit.report.draw import FIGURE_FILES, save_figures
 
-    with staged(directory, known=["posterior.nc", *FIGURE_FILES]) as folder:
-        written = save_fit(result, folder) + save_figures(result, folder, svg=svg)
+    earlier = [PAGE] if is_page(directory / PAGE, SCHEMA) else []
+    with staged(directory, ["posterior.nc", *FIGURE_FILES, *earlier], result) as folder:
+        written = save_fit(result, folder) + save_figures(result, folder, svg=also.svg)
+        if also.html:
+            from tirefit.report.fit_html import write_fit_page
+
+            write_fit_page(result, folder / PAGE)
+            written.append(folder / PAGE)
     return [directory / path.name for path in written]
 
 
@@ -248,7 +299,7 @@ def _sampled(result, directory: Path, settings, resume: bool):
             walkers=chosen.walkers,
             effective_samples=chosen.effective_samples,
             max_steps=chosen.max_steps,
-            checkpoint=directory / "chain.npz",
+            checkpoint=directory / CHAIN,
             resume=resume,
             progress=progress,
         )

@@ -1,11 +1,14 @@
 """Options that commands share, and how mistakes and progress reach the terminal."""
 
+import errno
 import inspect
 import os
+import re
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from functools import wraps
 from pathlib import Path
@@ -192,6 +195,7 @@ def forces_named(force: list[str] | None) -> list[str] | None:
     return force or None
 
 
+_COMMANDS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _SOON, _NOW_AND_THEN = 5.0, 10.0
 """Seconds until the first line of progress without a terminal, and between others."""
 
@@ -229,23 +233,53 @@ def start_jax() -> None:
     from tirefit.compiled import keep_programs_in
 
     jax.config.update("jax_enable_x64", True)
+    # Where its disk is full, programs are compiled again: slower, and no worse.
+    told = "Error (reading|writing) persistent compilation cache"
+    warnings.filterwarnings("ignore", message=told)
     # JAX declares its options to no type checker.
     chosen = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    if chosen is None:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        cache = Path(base) / "tirefit"
+    cache = _cache_folder()
+    if chosen is None and cache is not None:
         jax.config.update("jax_compilation_cache_dir", str(cache))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
         keep_programs_in(cache / "programs")
 
 
+def _cache_folder() -> Path | None:
+    """Where programs are kept between runs; None if nothing can be kept."""
+    try:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        cache = Path(base) / "tirefit"
+        cache.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):  # a read-only disk; a user without a home
+        return None
+    return cache if os.access(cache, os.W_OK | os.X_OK) else None
+
+
 def say(text: str) -> None:
-    typer.echo(text)
+    """A text on standard output.
+
+    Raises:
+        OSError: naming it: a full disk, where it goes into a file.
+    """
+    try:
+        typer.echo(_printable(text))
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, "standard output") from None
 
 
 def complain(text: str) -> None:
-    typer.echo(text, err=True)
+    """A text on standard error; where that takes none, the exit code says enough."""
+    with suppress(OSError):
+        typer.echo(_printable(text), err=True)
+
+
+def _printable(text: str) -> str:
+    """Without characters of a file that would command the terminal."""
+    return _COMMANDS.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 def warn(table) -> None:
@@ -265,11 +299,27 @@ def errors_to_exit() -> Iterator[None]:
     except BrokenPipeError:
         raise typer.Exit(ExitCode.OK) from None
     except OSError as error:
-        complain(f"error: {error.filename or ''}: {error.strerror}")
+        complain(error_text(error))
         raise typer.Exit(ExitCode.USAGE) from None
 
 
-def error_text(error: TirefitError) -> str:
+_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def _unwritten(error: OSError) -> InputProblem:
+    """What could not be written, why, and what is there; reading has its own errors."""
+    cause = " ".join((error.strerror or str(error)).split())[:200]
+    there = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
+    room = "make room" if error.errno in _ROOM else "check that it can be written to"
+    file = error.filename or "a file or the output"
+    remedy = f"{room}, or choose another place"
+    return InputProblem(f"cannot be written: {cause}{there}", remedy, str(file))
+
+
+def error_text(error: TirefitError | OSError) -> str:
+    """All that is wrong, each with its place and remedy."""
+    if isinstance(error, OSError):
+        return f"error:\n  {_unwritten(error)}"
     count = len(error.problems)
     head = "error" if count == 1 else f"error: {count} problems"
     return "\n".join([f"{head}:"] + [f"  {problem}" for problem in error.problems])

@@ -1,5 +1,6 @@
 """Directories of results: one process at a time, and all of a result or none of it."""
 
+import errno
 import os
 import shutil
 import signal
@@ -7,17 +8,12 @@ import threading
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import ModuleType
 
+from tirefit.cli.options import say
+from tirefit.files import PART, fcntl, took_lock
 from tirefit.results import InputProblem, UsageError
 
-fcntl: ModuleType | None
-try:
-    import fcntl
-except ImportError:  # Windows has no such locks: two processes are not kept apart
-    fcntl = None
-
-__all__ = ["check_directories", "claimed", "staged"]
+__all__ = ["check_directories", "claimed", "is_page", "staged"]
 
 
 def check_directories(directories: Sequence[Path]) -> None:
@@ -62,10 +58,11 @@ def claimed(directory: Path) -> Iterator[None]:
     # leaves no file behind.
     handle = None if fcntl is None else os.open(directory, os.O_RDONLY)
     try:
-        if handle is not None:
-            _lock(handle, directory)
-        for left in directory.glob(f"{_WRITING}*"):  # of a process that was killed
-            shutil.rmtree(left, ignore_errors=True)
+        if handle is not None and not took_lock(handle):
+            reason = "another tirefit is writing its results into this folder"
+            remedy = "wait until it has ended, or choose another folder with --out"
+            raise UsageError(InputProblem(reason, remedy, str(directory)))
+        _remove_what_a_kill_left(directory)
         yield
     finally:
         for path in made:
@@ -75,20 +72,12 @@ def claimed(directory: Path) -> Iterator[None]:
             os.close(handle)
 
 
-def _lock(handle: int, directory: Path) -> None:
-    assert fcntl is not None  # else there is no handle
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise UsageError(
-            InputProblem(
-                "another tirefit is writing its results into this folder",
-                "wait until it has ended, or choose another folder with --out",
-                str(directory),
-            )
-        ) from None
-    except OSError:
-        pass  # a file system without locks
+def _remove_what_a_kill_left(directory: Path) -> None:
+    for left in directory.glob(f"{_WRITING}*"):
+        shutil.rmtree(left, ignore_errors=True)
+    for left in directory.glob(f".*{PART}"):
+        with suppress(OSError):
+            left.unlink()
 
 
 _WRITING = ".writing"
@@ -96,7 +85,9 @@ _WRITING = ".writing"
 
 
 @contextmanager
-def staged(directory: Path, known: Collection[str], apart: str = "") -> Iterator[Path]:
+def staged(
+    directory: Path, known: Collection[str], report: object, apart: str = ""
+) -> Iterator[Path]:
     """A folder to write a result to; its files move to ``directory`` at the end.
 
     If the block fails or is interrupted, ``directory`` holds what it held before.
@@ -105,25 +96,69 @@ def staged(directory: Path, known: Collection[str], apart: str = "") -> Iterator
         directory: claimed by this process, or by the one that shares its work.
         known: files of an earlier result: those that are not written again are
             removed, as they would be taken for this one's.
+        report: the result in words. Where it cannot be written, it is said at least.
         apart: end of the folder's name, where processes write at the same time.
+
+    Raises:
+        OSError: naming the file that could not be written; with a note of what the
+            directory holds.
     """
     folder = directory / f"{_WRITING}{apart}"
     shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed
-    folder.mkdir()
     try:
+        folder.mkdir()
         yield folder
         with _interrupts_held():
-            for name in known:
-                if not (folder / name).exists():
-                    (directory / name).unlink(missing_ok=True)
-            for path in folder.iterdir():
-                os.replace(path, directory / path.name)
+            _move(folder, directory, known)
     except OSError as error:
-        # A temporary name would mean nothing to the user.
-        error.filename, error.filename2 = str(directory), None
-        raise
+        say(str(report))
+        raise _of(directory, folder, error) from None
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def is_page(path: Path, schema: str) -> bool:
+    """Whether an earlier command wrote this page: a file of the same name may be the
+    user's own, as beside the data."""
+    try:
+        return schema in path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
+
+
+def _move(folder: Path, directory: Path, known: Collection[str]) -> None:
+    """The files of the folder into the directory, and those that it lacks out of it."""
+    made = list(folder.iterdir())
+    for path in made:
+        target = directory / path.name
+        if target.is_dir():  # found before the first file is replaced
+            raise IsADirectoryError(errno.EISDIR, "there is a folder", str(target))
+    for name in known:
+        if not (folder / name).exists():
+            (directory / name).unlink(missing_ok=True)
+    for path in made:
+        os.replace(path, directory / path.name)
+
+
+def _of(directory: Path, folder: Path, error: OSError) -> OSError:
+    """The error as one of the directory, or of its file: a temporary name would mean
+    nothing to the user."""
+    path = Path(error.filename or folder)
+    if path.is_relative_to(folder):
+        path = directory / path.relative_to(folder)
+    named = OSError(error.errno, error.strerror or str(error), str(path))
+    try:
+        kept = sorted(p.name for p in directory.iterdir() if p.name[0] != ".")
+    except OSError:
+        kept, there = [], f"the folder {directory} is gone"
+    else:
+        there = f"nothing is in {directory}"
+    if kept:
+        more = f" and {len(kept) - 8} more" if len(kept) > 8 else ""
+        names = ", ".join(kept[:8])
+        there = f"{directory} is as it was before, with {names}{more}"
+    named.add_note(there)
+    return named
 
 
 @contextmanager

@@ -6,12 +6,13 @@ are masked. A doubt is a sentence: the data can be used, but may mean something 
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.data.cells import TextColumn, may_hold
 from tirefit.data.columns import is_number
 from tirefit.data.evidence import evidence_of, fitting_conventions
 from tirefit.results import InputProblem
@@ -24,6 +25,7 @@ __all__ = [
     "doubt_units",
     "has_decimal_comma",
     "list_problems",
+    "parsed",
     "range_faults",
     "read_numbers",
     "without_masking",
@@ -295,14 +297,13 @@ def doubt_units(
 def has_decimal_comma(columns) -> bool:
     """Commas in the cells, not all as in 4,000, and no number with a point."""
     columns = [cells for cells in columns if not isinstance(cells, np.ndarray)]
-    if not any("," in "".join(cells) for cells in columns):
+    if not any(may_hold(cells, ",") for cells in columns):
+        return False
+    with_point = (cells for cells in columns if may_hold(cells, "."))
+    if any("." in cell and is_number(cell) for cells in with_point for cell in cells):
         return False
     with_comma = (cell for cells in columns for cell in cells if "," in cell)
-    if all(_GROUPED.fullmatch(cell) for cell in with_comma):
-        return False
-    return not any(
-        "." in cell and is_number(cell) for cells in columns for cell in cells
-    )
+    return not all(_GROUPED.fullmatch(cell) for cell in with_comma)
 
 
 def read_numbers(
@@ -311,7 +312,7 @@ def read_numbers(
     """Numbers of a column of cells, and the faulty ones.
 
     Args:
-        cells: n strings, or an (n,) array of numbers.
+        cells: n strings, which may be a column of a large text, or an (n,) array.
         header: named in the faults.
         ragged: (n,) bool, rows already known to be bad.
         commas: whether a comma is the decimal point.
@@ -323,16 +324,8 @@ def read_numbers(
     if isinstance(cells, np.ndarray):
         values = cells.astype(float)
     else:
-        texts = [cell.replace(",", ".") for cell in cells] if commas else cells
-        try:
-            # float() accepts 1_000, which no measuring system writes
-            if "_" in "".join(texts):
-                raise ValueError
-            values = np.fromiter(map(float, texts), float, len(texts))
-        except ValueError:
-            texts = [text.replace("\N{MINUS SIGN}", "-") for text in texts]
-            parsed = [float(text) if is_number(text) else np.nan for text in texts]
-            values = np.array(parsed, float)
+        known = cells.numbers(commas) if isinstance(cells, TextColumn) else None
+        values = parsed(cells, commas) if known is None else known
     is_sane = abs(values) < _LARGEST
     kinds: dict[str, list[tuple[int, str]]] = {}
     for row in np.flatnonzero(~is_sane & ~ragged):
@@ -345,6 +338,19 @@ def read_numbers(
         for kind, there in kinds.items()
     ]
     return np.where(is_sane, values, np.nan), faults
+
+
+def parsed(cells: Iterable[str], commas: bool = False) -> np.ndarray:
+    """Numbers (n,) of cells of text, NaN for what is none; see :func:`read_numbers`."""
+    texts = [cell.replace(",", ".") for cell in cells] if commas else list(cells)
+    try:
+        # float() accepts 1_000, which no measuring system writes
+        if "_" in "".join(texts):
+            raise ValueError
+        return np.fromiter(map(float, texts), float, len(texts))
+    except ValueError:
+        texts = [text.replace("\N{MINUS SIGN}", "-") for text in texts]
+        return np.array([float(t) if is_number(t) else np.nan for t in texts], float)
 
 
 def _fault_of(cell: str) -> tuple[str, str]:

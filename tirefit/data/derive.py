@@ -15,7 +15,7 @@ the result: neighbouring samples are correlated, n samples are not n facts.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -202,6 +202,7 @@ def derive_files(
     axle: str = "rear",
     units: Mapping[str, str] | None = None,
     believe: bool = False,
+    unwritten: Callable[[str], None] | None = None,
 ) -> DerivedFiles:
     """Derive every log into one CSV, a run each, with a JSON companion.
 
@@ -214,11 +215,13 @@ def derive_files(
         axle: "rear" or "front".
         units: Unit of a quantity, over ``[units]`` of the vehicle.
         believe: Only warn of channels that contradict each other.
+        unwritten: Called with the summary of the logs where ``out`` cannot be written.
 
     Raises:
         DataError: With the problems of all logs; then nothing is written.
         UsageError: If the configuration, the axle or ``out`` is wrong, or two logs
             have one name.
+        OSError: If a file cannot be written; then neither is.
     """
     out = Path(out)
     vehicle = load_vehicle(vehicle_toml, units)
@@ -239,7 +242,12 @@ def derive_files(
     columns["run"] = np.repeat([log.name for log in logs], [len(log) for log in logs])
     metadata = out.with_name(f"{out.stem}.derive.json")
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
-    write_texts({metadata: content + "\n", out: csv_text(columns)})
+    try:
+        write_texts({metadata: content + "\n", out: csv_text(columns)})
+    except OSError:
+        if unwritten is not None:
+            unwritten("\n".join(log.summary() for log in logs))
+        raise
     return DerivedFiles(out, metadata, tuple(logs))
 
 

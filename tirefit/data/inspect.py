@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tirefit.data.accept import as_data
+from tirefit.data.far import FarValue, far_values, problem_at, why_far
 from tirefit.data.levels import levels
 from tirefit.data.table import CANONICAL, TireData
 from tirefit.data.units import base_column
@@ -20,6 +21,8 @@ __all__ = ["ColumnSummary", "Inspection", "Level", "RunSummary", "Support", "ins
 _WIDTH = 80
 _COMBINED = 10
 """Rows of combined slip from which it is no accident."""
+_FAR_ROWS = 8
+"""Far rows that the text names one by one."""
 _VARIES = 0.2
 """Relative spread from which a load or speed dependence can be told from noise."""
 
@@ -78,7 +81,8 @@ class Support:
 class Inspection:
     """What :func:`inspect` found; :meth:`text` prints it, :meth:`as_dict` is JSON.
 
-    ``combined_rows`` counts rows with fx, fy and both slips beyond 0.01.
+    ``combined_rows`` counts rows with fx, fy and both slips beyond 0.01; ``far_rows``
+    names values that are far from those of their file and their neighbours.
     """
 
     file: str
@@ -94,6 +98,7 @@ class Inspection:
     warnings: tuple[str, ...]
     assumptions: tuple[str, ...]
     masked: tuple[str, ...]
+    far_rows: tuple[str, ...] = ()
 
     def as_dict(self) -> dict:
         """Plain values only, fit for JSON: numbers that are not finite are None."""
@@ -125,6 +130,11 @@ class Inspection:
             lines += [line for said in self.warnings for line in _wrap(said)]
         lines += ["", "what was assumed"]
         lines += [line for said in self.assumptions for line in _wrap(said)]
+        if self.far_rows:
+            lines += ["", "rows far from everything (a fit judges them itself)"]
+            lines += [line for why in self.far_rows[:_FAR_ROWS] for line in _wrap(why)]
+            more = len(self.far_rows) - _FAR_ROWS
+            lines += [f"  and {more} more: --json lists them"] if more > 0 else []
         if self.masked:
             lines += ["", "masked rows"]
             lines += [line for why in self.masked for line in _wrap(why)]
@@ -156,7 +166,16 @@ def inspect(data: Any) -> Inspection:
             str(dataclasses.replace(problem, remedy="", file=""))
             for problem in source.masked
         ),
+        far_rows=tuple(_far_row(data, value) for value in far_values(data)),
     )
+
+
+def _far_row(data: TireData, value: FarValue) -> str:
+    remedy = "correct or delete the row"
+    place = problem_at(data, value.row, value.column, why_far(value), remedy)
+    # The file is that of the report, unless several were joined.
+    place = place if data.source.paths else dataclasses.replace(place, file="")
+    return str(place).replace("\n    ", "; ")
 
 
 def _summarise(data: TireData, name: str) -> ColumnSummary:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tirefit.data import logs, tables, tydex
+from tirefit.data.bulk import table_of_large
 from tirefit.data.columns import guess
 from tirefit.data.mat import Channels, channels_of_mat, is_mat
 from tirefit.data.table import Layout
@@ -66,6 +67,9 @@ def read_table(path: Path, declared: Collection[str]) -> Table:
     if tables.is_excel(content):
         sheet = tables.sheet_of_excel(content, file, is_known)
         return table_of_rows(sheet.rows, sheet.numbers, path, digest, list(sheet.notes))
+    table = table_of_large(content, path, digest, declared)
+    if table is not None:
+        return table
     text, notes = decoded(content, path)
     if tydex.is_tydex(text):
         return tydex.table_of_tydex(text, path, digest, notes)

@@ -38,7 +38,11 @@ class RowReader:
         self._options.check()
         # Not by iterating over the file itself, which would read ahead.
         self._rows = csv.reader(iter(lines.readline, ""), skipinitialspace=True)
-        header = [cell.strip() for cell in next(self._rows, [])]
+        try:
+            header = [cell.strip() for cell in next(self._rows, [])]
+        except csv.Error as error:
+            reason = f"the first line is no header: {error}"
+            raise DataError(InputProblem(reason, "give CSV", name, 1)) from None
         if not header or all(is_number(cell) for cell in header):
             reason = "the first line is no header"
             remedy = "begin with a line such as time,sigma_x,fx,fz"
@@ -63,7 +67,17 @@ class RowReader:
         return self._options.rolling_radius is not None and {"v", "omega"} <= set(there)
 
     def __iter__(self) -> Iterator[dict[str, float]]:
-        for cells in self._rows:
+        while True:
+            try:
+                cells = next(self._rows, None)
+            except csv.Error as error:
+                # As a row without a number; what follows is read on.
+                row = self._row([""] * self._width)
+                self.bad = self._rows.line_num, f"not CSV: {error}"
+                yield row
+                continue
+            if cells is None:
+                return
             if cells:
                 yield self._row(cells)
 

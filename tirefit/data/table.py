@@ -111,7 +111,8 @@ class Source:
     unit it was read in; ``slip_definition`` is the definition of the file's slip
     column (a key of ``slip.SLIP_DEFINITIONS``); ``line`` holds each row's line.
     ``warnings`` are sentences on what may mean something else than it was read as.
-    ``slip_check`` is there where a slip, omega, v and a rolling radius are.
+    ``slip_check`` is there where a slip, omega, v and a rolling radius are. ``paths``
+    names the file of each run where several files were joined.
     """
 
     path: str = ""
@@ -125,6 +126,7 @@ class Source:
     masked: tuple[InputProblem, ...] = ()
     slip_check: SlipCheck | None = None
     line: np.ndarray | None = None
+    paths: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -211,6 +213,7 @@ def join(tables: Sequence[TireData]) -> TireData:
     digest = hashlib.sha256(
         "".join(t.source.sha256 for t in tables).encode()
     ).hexdigest()
+    lines = [table.source.line for table in tables]
     checks = [t.source.slip_check for t in tables if t.source.slip_check is not None]
     source = replace(
         tables[0].source,
@@ -224,6 +227,8 @@ def join(tables: Sequence[TireData]) -> TireData:
             for text in table.source.warnings
         ),
         masked=tuple(problem for table in tables for problem in table.source.masked),
+        line=None if any(line is None for line in lines) else np.concatenate(lines),
+        paths=tuple(t.source.path or t.name for t in tables for _ in t.runs),
     )
     return TireData(
         "+".join(table.name for table in tables),

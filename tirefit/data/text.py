@@ -23,15 +23,22 @@ from tirefit.door import DATA, too_large
 from tirefit.results import DataError, InputProblem
 
 __all__ = [
+    "SPACED",
     "Table",
+    "content_lines",
     "decoded",
+    "even_out",
     "gunzipped",
     "read_bytes",
+    "split_rows",
     "stem_of",
     "table_of_frame",
     "table_of_rows",
     "table_of_text",
 ]
+
+SPACED = "columns separated by white space"
+"""The note of a text that is."""
 
 _DELIMITERS = "\t;|,"
 _END = "\0"
@@ -141,10 +148,7 @@ def table_of_text(
 ) -> Table:
     """Cells of a text; ``declared`` headers help to find the header."""
     raw = list(io.StringIO(text, newline=""))
-    lines = [
-        "\n" if line.lstrip().startswith("#") or not line.strip() else line
-        for line in raw
-    ]
+    lines = content_lines(raw)
     if header := commented_header(raw, lambda name: guess(name) is not None):
         lines[: header[0] + 1] = ["\n"] * header[0] + [header[1]]
         notes.append(f"header read from the comment in line {header[0] + 1}")
@@ -154,12 +158,20 @@ def table_of_text(
         raise _refusal("the file is empty", "give a header line and data rows", path)
     start, delimiter, words = _find_header(lines, searched, declared)
     if words:
-        notes.append("columns separated by white space")
+        notes.append(SPACED)
         lines[start:] = tabbed(lines[start:], words)
     if start != searched[0]:
         notes.append(f"lines before the header in line {start + 1} skipped")
-    rows, numbers = _split(lines[start:], delimiter, start, path)
+    rows, numbers = split_rows(lines[start:], delimiter, start, path)
     return table_of_rows(rows, numbers, path, digest, notes, delimiter)
+
+
+def content_lines(lines: list[str]) -> list[str]:
+    """The same lines, those without content, as comments are, as line ends alone."""
+    return [
+        "\n" if line.lstrip().startswith("#") or not line.strip() else line
+        for line in lines
+    ]
 
 
 def table_of_rows(
@@ -184,7 +196,7 @@ def table_of_rows(
     if not rows:
         reason = "there are no data rows below the header"
         raise _refusal(reason, "give at least as many rows as parameters", path)
-    ragged, faults = _even_out(rows, len(headers), numbers)
+    ragged, faults = even_out(rows, len(headers), numbers)
     return Table(
         str(path), stem_of(path), headers, list(zip(*rows, strict=True)),
         np.array(numbers), ragged, header_line, delimiter, units_row,
@@ -197,7 +209,7 @@ def stem_of(path: Path) -> str:
     return Path(path.name.removesuffix(".gz")).stem
 
 
-def _split(lines, delimiter, start, path) -> tuple[list[list[str]], list[int]]:
+def split_rows(lines, delimiter, start, path) -> tuple[list[list[str]], list[int]]:
     """Rows of cells without blank lines, and the line of each in the file."""
     # A last line of one's own shows whether a quotation mark swallows the end.
     reader = csv.reader([*lines, _END], delimiter=delimiter, skipinitialspace=True)
@@ -218,7 +230,7 @@ def _split(lines, delimiter, start, path) -> tuple[list[list[str]], list[int]]:
     return rows, numbers[:-1]
 
 
-def _even_out(rows: list[list[str]], width: int, lines) -> tuple[np.ndarray, tuple]:
+def even_out(rows: list[list[str]], width: int, lines) -> tuple[np.ndarray, tuple]:
     """Makes all rows ``width`` long; those that were not are ragged and faulty."""
     ragged = np.zeros(len(rows), bool)
     wrong_rows = []

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tirefit.compiled import release_programs
 from tirefit.data.accept import as_data
 from tirefit.data.read import require
 from tirefit.data.table import TireData
@@ -82,6 +83,7 @@ def diagnose(
             simulated forces, or a model that does not follow them.
     """
     require_x64("a diagnosis")
+    release_programs()
     data, holdout = as_data(data), [as_data(other) for other in holdout]
     rig = rig or Rig()
     known = {effect.id for effect in effects}

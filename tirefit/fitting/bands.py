@@ -17,6 +17,8 @@ from tirefit.params import unconstrain
 __all__ = ["Band", "fitted_force", "force_band"]
 
 _DRAWS = 400
+_ROOM = 8192
+"""Rows that 400 evaluations of which take as long as compiling a program."""
 
 
 class Band(NamedTuple):
@@ -32,14 +34,18 @@ class Band(NamedTuple):
 
 def _elsewhere(problem: FitProblem, inputs: TireInputs, run) -> list[FitProblem]:
     """The problem at inputs (m,) of its own, the slip there exact, in blocks of as many
-    rows as it has: a figure waits for no program that the fit has not compiled.
+    rows as it has: a figure waits for no program that the fit has not compiled, but
+    where many rows would take longer than that program.
 
     A transient tire takes them as one series.
     """
     room, count = len(problem.rows.weight), len(run)
+    room = min(room, padded_size(count, _ROOM))
     if problem.model.transient:
         room = max(room, padded_size(count))
-    rows = jax.tree.map(lambda a: pad_rows(a, room), problem.rows._replace(nodes={}))
+    rows = jax.tree.map(
+        lambda a: pad_rows(a[:room], room), problem.rows._replace(nodes={})
+    )
 
     def block(first: int) -> FitProblem:
         there, of_run = jax.tree.map(

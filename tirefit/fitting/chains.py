@@ -8,6 +8,7 @@ every few seconds: a kill loses the samples since, which are drawn again bit by 
 """
 
 import io
+import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,10 +19,11 @@ from tirefit.files import replacing
 from tirefit.fitting.result import FitResult
 from tirefit.results import UsageError
 
-__all__ = ["Chain", "extended", "identity_of", "load_chain", "save_chain"]
+__all__ = ["Chain", "Keeper", "extended", "identity_of", "load_chain", "save_chain"]
 
 
 _KIND = "tirefit.chain/1"
+_SECONDS_BETWEEN = 5.0
 
 
 class Chain(NamedTuple):
@@ -57,6 +59,34 @@ def save_chain(path: Path, chain: Chain, identity: str) -> None:
     )  # fmt: skip
     with replacing(path) as temporary:
         temporary.write_bytes(sealed_bytes(_KIND, packed.getvalue()))
+
+
+class Keeper:
+    """Keeps a chain in its file while it is drawn: every few seconds, and at the end.
+
+    A disk that is full does not end the drawing: ``fault`` says what was wrong at the
+    last time.
+    """
+
+    def __init__(self, path: Path | None, identity: str):
+        self.fault = ""
+        self._path, self._identity = path, identity
+        self._last = time.monotonic()
+
+    def now_and_then(self, chain: Chain) -> None:
+        if time.monotonic() - self._last > _SECONDS_BETWEEN:
+            self.keep(chain)
+
+    def keep(self, chain: Chain) -> None:
+        if self._path is None:
+            return
+        try:
+            save_chain(self._path, chain, self._identity)
+            self.fault = ""
+        except OSError as error:
+            there = "an earlier part of it" if self._path.exists() else "nothing"
+            self.fault = f"{error.filename}: {error.strerror}; {there} is kept"
+        self._last = time.monotonic()
 
 
 def load_chain(path: Path, identity: str) -> Chain | None:

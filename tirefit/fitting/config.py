@@ -96,7 +96,9 @@ class NoiseConfig(Section):
     """Standard deviations of the noise; what is left out is estimated or, for slip,
     taken as none. ``<force>_relative`` is a fraction of the load, ``<slip>_speed``
     [m/s] the noise of a speed across the patch, which is a slip of as much over v. A
-    column of the data with the noise of every row, as ``fx_std``, goes before all."""
+    column of the data with the noise of every row, as ``fx_std``, goes before all.
+    ``loss``: squares, of all rows or (``trimmed``) without those that lie beyond all
+    noise (``fitting.far_rows``); or a robust function of the residuals of all rows."""
 
     fx: PositiveFloat | None = None
     fy: PositiveFloat | None = None
@@ -108,7 +110,7 @@ class NoiseConfig(Section):
     sigma_x_speed: PositiveFloat | None = None
     alpha_speed: PositiveFloat | None = None
     proportional_to_load: bool = False
-    loss: Literal["squares", "huber", "soft-l1", "cauchy"] = "squares"
+    loss: Literal["trimmed", "squares", "huber", "soft-l1", "cauchy"] = "trimmed"
     effective_samples: Literal["estimate", "all"] = "estimate"
 
     def contradictions(self) -> Iterator[InputProblem]:

@@ -3,9 +3,12 @@
 Without a posterior the interval of a quantity is that of its profile likelihood: the
 range of its values over all parameters whose deviance stays below the 95 % level. Of
 one parameter alone it is that parameter's own interval, mapped.
+
+A quantity of parameters that each run has its own of is one per run, ``F_max[run]``,
+all at the same load and speed, so that runs compare.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -29,6 +32,7 @@ __all__ = [
     "derived_from_profile",
     "derived_values",
     "quantities",
+    "quantity_of",
     "reference_point",
 ]
 
@@ -39,6 +43,11 @@ _GRID = np.append(0.0, np.geomspace(1e-5, _LARGEST_SLIP, 199))
 
 _NARROWED = 16
 """Rounds that narrow it to 1e-15 of the distance of two of them."""
+
+
+def quantity_of(label: str) -> str:
+    """The derived quantity of a label: ``F_max`` of ``F_max[run]``."""
+    return label.partition("[")[0]
 
 
 def derived_channel(forces: Sequence[str]) -> str | None:
@@ -130,15 +139,15 @@ def _start_and_peak(force):
     return start, jnp.where(slip < 0.999 * _LARGEST_SLIP, slip, jnp.nan), peak
 
 
-@compiled(static=("layout", "channel", "run"), brief=True)
-def derived_values(model, layout: Layout, z, channel, fz, v, run: int = 0):
+@compiled(static=("layout", "channel"), brief=True)
+def derived_values(model, layout: Layout, z, channel, fz, v, run=0):
     """Derived quantities of a batch of parameter vectors.
 
     Args:
         z: unconstrained parameters, shape (m, p).
         channel: fx or fy.
         fz, v: reference load [N] and speed [m/s].
-        run: the run whose parameters count where they are per run.
+        run: code of the run whose parameters count where they are per run.
 
     Returns:
         dict of arrays (m,) by name of :func:`quantities`. ``slip_at_peak`` is sigma for
@@ -148,7 +157,7 @@ def derived_values(model, layout: Layout, z, channel, fz, v, run: int = 0):
 
     def one(z):
         values = {
-            name: value[run] if jnp.ndim(value) else value
+            name: value[jnp.asarray(run)] if jnp.ndim(value) else value
             for name, value in layout.natural(z).items()
         }
         force = _curve(model, values, channel, fz, v)
@@ -167,13 +176,13 @@ def derived_values(model, layout: Layout, z, channel, fz, v, run: int = 0):
     return jax.lax.map(one, z, batch_size=64)
 
 
-def _evaluator(problem: FitProblem, channel: str) -> Callable:
-    """z (m, p) -> quantity -> values (m,), at the reference point, in order."""
+def _evaluator(problem: FitProblem, channel: str, run: int = 0) -> Callable:
+    """z (m, p) -> quantity -> values (m,) of a run at the reference point, in order."""
     at = reference_point(problem)
 
     def evaluate(z):
         derived = derived_values(
-            problem.model, problem.layout, z, channel, at["fz"], at["v"]
+            problem.model, problem.layout, z, channel, at["fz"], at["v"], run
         )
         return {k: np.asarray(derived[k]) for k in quantities(channel) if k in derived}
 
@@ -204,16 +213,14 @@ def _says_something(ci95) -> bool:
     return low is not None and high is not None and 0 < low and high <= 3 * low
 
 
-def _with_ratio(derived: dict[str, Estimate], names, fz: float) -> dict[str, Estimate]:
-    """The estimates in order, with that of the peak over the load."""
-    peak = derived["F_max"]
+def _over_load(peak: Estimate, fz: float) -> Estimate:
+    """The peak force as a share of the load."""
     low, high = peak.ci95
-    derived["F_max_over_fz"] = replace(
+    return replace(
         peak, value=peak.value / fz, std=None if peak.std is None else peak.std / fz,
         unit="-",
         ci95=(None if low is None else low / fz, None if high is None else high / fz),
     )  # fmt: skip
-    return {name: derived[name] for name in names if name in derived}
 
 
 def _moved(evaluate: Callable, z, low, high):
@@ -232,33 +239,56 @@ def derived_from_profile(
 
     Args:
         profiles, estimates: of every element of z, in order.
+
+    Returns:
+        By name, or by ``name[run]`` where runs differ; in the order of the report, the
+        runs of one quantity together.
     """
-    problem, z = solved.problem, solved.z
+    problem = solved.problem
     channel = derived_channel([c.name for c in problem.channels])
     if channel is None:
         return {}
-    evaluate, units = _evaluator(problem, channel), quantities(channel)
     low = np.array([-np.inf if p.open_low else p.low for p in profiles])
     high = np.array([np.inf if p.open_high else p.high for p in profiles])
+    own = np.array([p.per_run for _, p in problem.layout.elements])
+    derived: dict[str, Estimate] = {}
+    for code, run in enumerate(problem.layout.runs if own.any() else ("",)):
+        evaluate = _evaluator(problem, channel, code)
+        part = _of_run(solved, evaluate, channel, (low, high), estimates, set(derived))
+        for name, involved, estimate in part:
+            derived[f"{name}[{run}]" if own[involved].any() else name] = estimate
+    order = list(quantities(channel))
+    by_quantity = sorted(derived, key=lambda label: order.index(quantity_of(label)))
+    return {label: derived[label] for label in by_quantity}
+
+
+def _of_run(
+    solved: Solved, evaluate: Callable, channel: str, ends, estimates, known: set[str]
+) -> Iterator[tuple[str, np.ndarray, Estimate]]:
+    """(quantity, elements that it depends on, estimate) of one run, less those known
+    already; ``ends`` (low, high) of every element (p,)."""
+    z, (low, high) = solved.z, ends
     mapped = _moved(evaluate, z, low, high)
     # Ends at rounding level would hide which elements a quantity depends on.
     apart = _moved(evaluate, z, np.minimum(low, z - 0.01), np.maximum(high, z + 0.01))
-    derived = {}
     for name, (value, moved) in apart.items():
-        if name == "F_max_over_fz":
+        if name in known or name == "F_max_over_fz":
             continue
-        value, unit = float(value), units[name][0]
+        value, unit = float(value), quantities(channel)[name][0]
         same = np.abs(moved - value) <= 1e-7 * abs(value)
         involved = np.flatnonzero(~same.all(axis=0))
         if not np.isfinite(value):
-            derived[name] = Estimate(value, None, unit, (None, None), identified=False)
+            estimate = Estimate(value, None, unit, (None, None), identified=False)
         elif len(involved) == 0:
-            derived[name] = Estimate(value, None, unit, (None, None), fixed=True)
+            estimate = Estimate(value, None, unit, (None, None), fixed=True)
         else:
-            ends = mapped[name][1][:, involved[0]] if len(involved) == 1 else None
-            known = [estimates[int(i)] for i in involved]
-            derived[name] = _estimate(solved, evaluate, name, unit, known, ends)
-    return _with_ratio(derived, units, reference_point(problem)["fz"])
+            of_one = mapped[name][1][:, involved[0]] if len(involved) == 1 else None
+            parts = [estimates[int(i)] for i in involved]
+            estimate = _estimate(solved, evaluate, name, unit, parts, of_one)
+        yield name, involved, estimate
+        if name == "F_max":
+            fz = reference_point(solved.problem)["fz"]
+            yield "F_max_over_fz", involved, _over_load(estimate, fz)
 
 
 def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Estimate:
@@ -299,15 +329,25 @@ def derived_from_draws(
     channel = derived_channel([c.name for c in problem.channels])
     if channel is None or not least_squares:
         return {}
-    evaluate = _evaluator(problem, channel)
     # Blocks of one size: one program, however many draws there are.
     count, blocks = len(z_draws), -(-len(z_draws) // _BLOCK)
     padded = np.resize(z_draws, (blocks * _BLOCK, z_draws.shape[1]))
-    parts = [evaluate(block) for block in np.split(padded, blocks)]
-    return {
-        name: _of_draws(np.concatenate([part[name] for part in parts])[:count], before)
-        for name, before in least_squares.items()
-    }
+    derived: dict[str, Estimate] = {}
+    for code, run in enumerate(problem.layout.runs):
+        labels = {k: (k, f"{k}[{run}]") for k in map(quantity_of, least_squares)}
+        asked = {
+            name: label
+            for name, known in labels.items()
+            for label in known
+            if label in least_squares and label not in derived
+        }
+        if asked:
+            evaluate = _evaluator(problem, channel, code)
+            parts = [evaluate(block) for block in np.split(padded, blocks)]
+        for name, label in asked.items():
+            draws = np.concatenate([part[name] for part in parts])[:count]
+            derived[label] = _of_draws(draws, least_squares[label])
+    return {label: derived[label] for label in least_squares}
 
 
 def _of_draws(draws: np.ndarray, least_squares: Estimate) -> Estimate:

@@ -7,17 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from tirefit.compiled import release_programs
 from tirefit.data.accept import as_data
 from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, parse_config
 from tirefit.fitting.derived import derived_from_profile, reference_point
+from tirefit.fitting.far_rows import FarRow, Settled, settle
 from tirefit.fitting.inference import half_width_95
 from tirefit.fitting.layout import Tie
 from tirefit.fitting.likelihood import FitProblem
-from tirefit.fitting.problem import FitTask, build
 from tirefit.fitting.profile import Profile, profile_all
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics, information
-from tirefit.fitting.solve import Solved, solve_problem
+from tirefit.fitting.solve import Solved
 from tirefit.fitting.verdict import judge
 from tirefit.params import constrain, log_jacobian, parameter_values, specs
 from tirefit.precision import require_x64
@@ -146,14 +147,15 @@ def _versions() -> dict[str, str]:
     }
 
 
-def data_record(data: TireData, used: int) -> dict[str, Any]:
-    """What ``fit.json`` says of the rows, of which so many were used."""
+def data_record(data: TireData, used: int, far: tuple[FarRow, ...]) -> dict[str, Any]:
+    """What ``fit.json`` says of the rows: so many were used, these lie far off."""
     source = data.source
     return {
         "file": source.path or data.name,
         "sha256": source.sha256,
         "rows": len(data),
         "used": used,
+        "set_aside": sum(row.set_aside for row in far),
         "masked": [str(problem) for problem in source.masked],
         "runs": list(data.runs),
         "convention": source.convention,
@@ -173,9 +175,11 @@ def _follows_load(problem: FitProblem, scale: np.ndarray) -> bool:
     )
 
 
-def _noise_record(solved: Solved) -> dict[str, Any]:
-    problem = solved.problem
-    record: dict[str, Any] = {"loss": problem.loss}
+def _noise_record(settled: Settled, config: FitConfig) -> dict[str, Any]:
+    problem = settled.solved.problem
+    record: dict[str, Any] = {"loss": config.noise.loss}
+    if config.noise.loss == "trimmed":
+        record |= {"limit": settled.limit, "too_many": settled.note}
     for channel in problem.channels:
         scale = problem.used(problem.rows.scale[channel.name])
         record[channel.name] = {
@@ -227,13 +231,15 @@ def fit(
         DataError: the data lack a column that the model needs, or are too few.
     """
     require_x64("a fit")
+    release_programs()
     data = as_data(data)
     config = _config(config, solver=solver, seed=seed, model=model)
-    task = build(data, config.model or "brush", config)
-    return _summarise(task, solve_problem(task, config), data, config)
+    settled = settle(data, config.model or "brush", config)
+    return _summarise(settled, data, config)
 
 
-def _summarise(task: FitTask, solved: Solved, data: TireData, config) -> FitResult:
+def _summarise(settled: Settled, data: TireData, config) -> FitResult:
+    task, solved = settled.task, settled.solved
     problem = solved.problem
     profiles = profile_all(problem, solved.z, solved.covariance, solved.level)
     estimates, by_covariance = _profile_estimates(solved, profiles)
@@ -250,12 +256,12 @@ def _summarise(task: FitTask, solved: Solved, data: TireData, config) -> FitResu
         },
         derived=derived_from_profile(solved, profiles, list(estimates.values())),
         statistics=_statistics(solved),
-        noise=_noise_record(solved) | {"notes": list(task.notes)},
+        noise=_noise_record(settled, config) | {"notes": list(task.notes)},
         verdict={},
         outcomes=(),
         labels=problem.layout.labels,
         correlation=solved.covariance / np.outer(std, std),
-        data=data_record(data, problem.n),
+        data=data_record(data, problem.n, settled.far),
         reference=reference_point(problem),
         solver=config.solver,
         seed=config.seed,
@@ -273,7 +279,8 @@ def _summarise(task: FitTask, solved: Solved, data: TireData, config) -> FitResu
         },
         problem=problem,
         solved=solved,
-        table=data,
+        table=settled.data,
+        far_rows=settled.far,
     )
     return judge(result)
 

@@ -162,6 +162,7 @@ def best_of(solution: Minima | Solution) -> int:
 
 def _of_squares(rule: Rule, squares, library):
     """Deviance of a block from the sum of its squares."""
+    squares = squares + rule.within
     known = squares / rule.inflation
     safe = library.where(rule.smallest > 0, rule.smallest, 1.0)
     estimated = rule.effective * library.log(squares / safe)

@@ -124,12 +124,14 @@ class Rule(NamedTuple):
 
     ``inflation``: rows per independent row (times chi2/dof where applied);
     ``effective``: effective number of rows; ``smallest``: sum of squares at the best
-    fit, zero where the noise was given. The first values leave squares as they are.
+    fit, zero where the noise was given; ``within``: sum of squares beside that of the
+    rows (of cells, that within them). The first values leave squares as they are.
     """
 
     inflation: Float[Array, ""] | float = 1.0
     effective: Float[Array, ""] | float = 1.0
     smallest: Float[Array, ""] | float = 0.0
+    within: Float[Array, ""] | float = 0.0
 
 
 class FitProblem(eqx.Module):

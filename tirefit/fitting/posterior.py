@@ -10,7 +10,6 @@ that was not.
 """
 
 import os
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -23,11 +22,12 @@ import numpy as np
 
 from tirefit.fitting.chains import (
     Chain,
+    Keeper,
     extended,
     identity_of,
     load_chain,
-    save_chain,
 )
+from tirefit.fitting.condense import apart, condensed
 from tirefit.fitting.derived import derived_from_draws
 from tirefit.fitting.estimate import with_fixed
 from tirefit.fitting.importance import Weighted, draw_weighted
@@ -48,6 +48,9 @@ CHUNK = 100
 _WALKERS = {"emcee": 64, "nuts": 8}
 _RHAT = 1.01
 _STEPS_PER_TAU = 50
+_ALIKE = 0.05
+"""Error of the log density by which no interval moves by more than its own sampling
+error: at most so many standard deviations of the parameter."""
 
 
 @jax.jit
@@ -254,23 +257,67 @@ def sample(
     seed = result.seed if seed is None else seed
     chained = "emcee" if sampler == "importance" else sampler
     shape = _shape(chained, solved.problem.layout.size, ensembles, walkers)
-    density, weighted = _density(solved), None
-    if sampler == "importance":
+    path = None if checkpoint is None else Path(checkpoint)
+    run = _Run(
+        sampler, seed, shape, effective_samples, max_steps, path, resume, progress
+    )
+    cells = condensed(solved, _whitening(solved)[1])
+    if cells is None:
+        return _sampled(result, solved.problem, run)
+    done = _sampled(result, cells, run)
+    off = apart(done, cells)
+    if off <= _ALIKE or Outcome.INTERRUPTED in done.outcomes:
+        count = f"{solved.problem.n} rows as {cells.n} cells of like rows"
+        return _noted(done, f"{count}, by which the log density is off by {off:.2g}")
+    return _sampled(result, solved.problem, run._replace(resume=False))
+
+
+class _Run(NamedTuple):
+    """How to sample: see :func:`sample`; ``shape`` is (ensembles, walkers)."""
+
+    sampler: str
+    seed: int
+    shape: tuple[int, int]
+    target: int
+    max_steps: int
+    path: Path | None
+    resume: bool
+    progress: Callable[[float, str], None] | None
+
+
+def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
+    """The fit with the posterior of this problem, which is its own or one of cells."""
+    solved: Solved = result.solved
+    density, weighted = _density(solved._replace(problem=problem)), None
+    chained = "emcee" if run.sampler == "importance" else run.sampler
+    if run.sampler == "importance":
         weighted = draw_weighted(
-            density, *_whitening(solved), seed, effective_samples, progress
+            density, *_whitening(solved), run.seed, run.target, run.progress
         )
         if weighted.interrupted or not weighted.refused:
-            return _of_weighted(result, weighted, seed)
-    identity = identity_of(result, chained, seed, shape)
-    path = None if checkpoint is None else Path(checkpoint)
-    chain = load_chain(path, identity) if resume and path is not None else None
-    chain, outcome = _draw(
-        density, chained, solved.problem.layout.size, shape, seed, chain,
-        effective_samples, max_steps, path, identity, progress,
-    )  # fmt: skip
+            return _of_weighted(result, weighted, run.seed)
+    identity = identity_of(result, chained, run.seed, run.shape)
+    chain, keeper = None, Keeper(run.path, identity)
+    if run.resume and run.path is not None:
+        chain = load_chain(run.path, identity)
+    size = solved.problem.layout.size
+    chain, outcome = _draw(density, chained, size, run, chain, keeper)
     if chain is None:
         return judge(replace(result, interrupted=True))
-    return _of_chain(result, chain, outcome, chained, seed, effective_samples, weighted)
+    notes = []
+    if weighted is not None:
+        notes.append(f"importance sampling refused ({weighted.refused}): emcee instead")
+    if keeper.fault:
+        notes.append(f"the chain was not kept for --resume: {keeper.fault}")
+    return _of_chain(result, chain, outcome, chained, run, weighted, notes)
+
+
+def _noted(result: FitResult, text: str) -> FitResult:
+    posterior = result.posterior
+    if posterior is None:
+        return result
+    note = "; ".join(part for part in (posterior.note, text) if part)
+    return replace(result, posterior=replace(posterior, note=note))
 
 
 def _shape(sampler: str, size: int, ensembles: int, walkers: int | None):
@@ -289,43 +336,32 @@ def _shape(sampler: str, size: int, ensembles: int, walkers: int | None):
 
 
 def _draw(
-    density,
-    sampler,
-    size,
-    shape,
-    seed,
-    chain,
-    target,
-    max_steps,
-    path,
-    identity,
-    progress,
+    density, sampler, size, run: _Run, chain, keeper: Keeper
 ) -> tuple[Chain | None, Outcome]:
     """Chunks until the chain is good, the limit is reached or the user interrupts."""
     begin, advance = SAMPLERS[sampler]
-    saved = time.monotonic()
     outcome = Outcome.CHAIN_TOO_SHORT
     try:
-        state = begin(density, size, *shape, seed) if chain is None else chain.state
+        state = (
+            begin(density, size, *run.shape, run.seed) if chain is None else chain.state
+        )
         while True:
             if chain is not None:
-                health = _health(chain.samples, target, sampler == "nuts")
+                health = _health(chain.samples, run.target, sampler == "nuts")
                 if health.enough:
                     outcome = Outcome.CONVERGED
                     break
-                if chain.samples.shape[1] >= max_steps:
+                if chain.samples.shape[1] >= run.max_steps:
                     break
-                if progress is not None:
-                    progress(*_share(chain, health, target))
+                if run.progress is not None:
+                    run.progress(*_share(chain, health, run.target))
             chain = extended(chain, *advance(density, state, CHUNK))
             state = chain.state
-            if path is not None and time.monotonic() - saved > 5:
-                save_chain(path, chain, identity)
-                saved = time.monotonic()
+            keeper.now_and_then(chain)
     except KeyboardInterrupt:
         outcome = Outcome.INTERRUPTED
-    if path is not None and chain is not None:
-        save_chain(path, chain, identity)
+    if chain is not None:
+        keeper.keep(chain)
     return chain, outcome
 
 
@@ -337,21 +373,25 @@ def _share(chain: Chain, health: _Health, target: int) -> tuple[float, str]:
 
 
 def _of_chain(
-    result: FitResult, chain: Chain, outcome: Outcome, sampler, seed, target, weighted
+    result: FitResult,
+    chain: Chain,
+    outcome: Outcome,
+    sampler,
+    run: _Run,
+    weighted,
+    notes: list[str],
 ) -> FitResult:
     """The posterior of a chain; ``weighted`` is what was refused before it, if any."""
-    health = _health(chain.samples, target, sampler == "nuts")
-    labels, notes = result.labels, []
+    health = _health(chain.samples, run.target, sampler == "nuts")
+    labels = result.labels
     divergences = chain.state.get("divergences")
     if divergences:
         notes.append(
             f"{int(divergences)} divergent transitions: the posterior has corners that"
             " the sampler could not enter; compare with --sampler emcee"
         )
-    if weighted is not None:
-        notes.append(f"importance sampling refused ({weighted.refused}): emcee instead")
     summary = PosteriorSummary(
-        sampler, seed, chain.samples.shape[0], chain.samples.shape[2],
+        sampler, run.seed, chain.samples.shape[0], chain.samples.shape[2],
         chain.samples.shape[1], health.discarded,
         dict(zip(labels, health.ess.tolist(), strict=True)),
         dict(zip(labels, health.rhat.tolist(), strict=True)),

@@ -157,7 +157,8 @@ def predict(
     for channel in fitted:
         out[channel] = force[channel]
         noise_std = _noise_std(data, channel, noise.get(channel), reference)
-        out[f"{channel}_std"] = np.hypot(np.sqrt(variance[channel]), noise_std)
+        spread = np.sqrt(np.maximum(variance[channel], 0.0))  # by rounding below it
+        out[f"{channel}_std"] = np.hypot(spread, noise_std)
     return _masked(data, out)
 
 

@@ -31,7 +31,8 @@ class FitTask:
 
     ``guess`` holds a first value of every free parameter by name; ``slip_density`` the
     distribution (knots, density) of the true values of each noisy slip; ``time`` (n,)
-    orders the rows; ``notes`` says what was assumed.
+    orders the rows; ``notes`` says what was assumed; the used rows of ``data`` are
+    those of the problem.
     """
 
     name: str
@@ -40,6 +41,7 @@ class FitTask:
     slip_density: Mapping[str, tuple[np.ndarray, np.ndarray]]
     time: np.ndarray | None
     notes: tuple[str, ...]
+    data: TireData
 
 
 def find_model(name: str) -> AbstractTire:
@@ -343,10 +345,11 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         rules={force: Rule() for force in forces},
         layout=layout,
         channels=tuple(channels),
-        loss=config.noise.loss,
+        # Rows to be trimmed are set aside: the others' noise is normal.
+        loss="squares" if config.noise.loss == "trimmed" else config.noise.loss,
     )
     time = data.usable("time") if "time" in data else None
-    return FitTask(name, problem, guess, densities, time, tuple(notes))
+    return FitTask(name, problem, guess, densities, time, tuple(notes), data)
 
 
 def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):

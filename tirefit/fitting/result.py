@@ -24,6 +24,9 @@ __all__ = [
 
 SCHEMA = "tirefit.fit/1"
 
+_MOST_ROWS = 1000
+"""Far rows in ``fit.json``, at most; ``data.set_aside`` counts all."""
+
 _BELOW_MINUS_ONE = math.erfc(1 / math.sqrt(2)) / 2
 """Share of a Gaussian below its mean less one standard deviation."""
 
@@ -124,6 +127,7 @@ class FitResult(Displayed):
     ``parameters`` and ``derived`` come from the posterior where it ran, else from
     least squares and the profile, as ``source`` says; all three routes stand in
     ``intervals`` (``covariance``, ``profile``, ``posterior``).
+    ``far_rows`` are far from everything, set aside or not (``far_rows.FarRow``).
     ``chains`` (ensembles, draws, p) are posterior samples of the free parameters in the
     order of ``labels``, thinned to be nearly independent; ``walkers`` the same draws as
     (ensembles, walkers, steps, p); ``z`` and ``covariance`` describe the estimate in
@@ -154,6 +158,7 @@ class FitResult(Displayed):
     z: np.ndarray
     covariance: np.ndarray
     profiles: dict[str, dict[str, np.ndarray]]
+    far_rows: tuple = ()
     posterior: PosteriorSummary | None = None
     interrupted: bool = False
     """Whether sampling was interrupted before it had anything to keep."""
@@ -193,6 +198,7 @@ class FitResult(Displayed):
             "forces": list(self.forces),
             "data": self.data,
             "noise": self.noise,
+            "far_rows": [asdict(row) for row in self.far_rows[:_MOST_ROWS]],
             "solver": self.solver,
             "seed": self.seed,
             "source": self.source,

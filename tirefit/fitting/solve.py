@@ -1,8 +1,10 @@
 """Solve a problem: multi-start least squares with its noise settled."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtrc
@@ -29,7 +31,7 @@ from tirefit.fitting.noise import effective_inflation, robust_scale
 from tirefit.fitting.problem import FitTask
 from tirefit.fitting.slip_noise import latent_nodes
 
-__all__ = ["Solved", "solve_problem", "starting_points", "with_scale"]
+__all__ = ["Solved", "on_rows", "solve_problem", "starting_points", "with_scale"]
 
 
 _SETTLED = 1e-3
@@ -217,6 +219,37 @@ def _surprise(problem: FitProblem, at: Linearised, channels, rows_per_one: float
     effective = max(dof / rows_per_one, 1.0)
     ratio = chi2 / dof
     return ratio, ratio > 1 and chdtrc(effective, ratio * effective) < 1e-3
+
+
+def on_rows(
+    whole: FitTask, kept, task: FitTask, solved: Solved
+) -> tuple[FitProblem, Linearised]:
+    """All rows of a task as a fit of some of them sees them, and linearised there.
+
+    Those that are fitted are as in the fit: a transient model passes over the others.
+
+    Args:
+        kept: (n,) bool, the rows that ``task`` has of the whole and that are solved.
+    """
+    scales = {}
+    for channel in task.problem.channels:
+        mine = whole.problem.used(whole.problem.rows.scale[channel.name])[kept]
+        fitted = solved.problem.used(solved.problem.rows.scale[channel.name])
+        scales[channel.name] = float(np.median(fitted / mine))
+    noisy = bool(task.problem.slip_noise)
+    slope = _largest_slope(task.problem, solved.z) if noisy else 0.0
+    problem = replace(whole.problem, model=solved.problem.model)
+    problem = with_scale(problem, task.slip_density, scales, slope)
+    every = _used(problem, linearise(problem, solved.z))
+
+    def joined(all_rows, fitted):
+        if len(all_rows) != len(kept):
+            return fitted  # priors
+        rows = np.array(all_rows)
+        rows[kept] = fitted
+        return rows
+
+    return problem, jax.tree.map(joined, every, solved.at)
 
 
 def _still_to_gain(problem: FitProblem, at: Linearised, z, cov) -> float:

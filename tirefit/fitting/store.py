@@ -155,6 +155,10 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
             )
             for item in stored.free
         )
+        for item in free:
+            least = 0.0 if item.spec.scale == "log" else -_LARGEST
+            if not least < item.spec.lower < item.spec.upper:
+                raise ValueError(f"the bounds of {item.name} are not in order")
         ties = tuple(Tie(tie.name, tie.other, tie.factor) for tie in stored.ties)
         layout = Layout(free, ties, tuple(stored.runs))
         tire = with_values(template, stored.fixed)
@@ -210,8 +214,10 @@ def write_posterior(result: FitResult, path: str | os.PathLike) -> None:
     tree = xr.DataTree.from_dict(
         {"posterior": posterior, "observed_data": observed, "constant_data": constant}
     )
+    # In memory: HDF5 ends the process where a disk is full.
+    content = tree.to_netcdf(None, engine="h5netcdf")
     with replacing(path) as temporary:
-        tree.to_netcdf(temporary, engine="h5netcdf")
+        temporary.write_bytes(content)
 
 
 def _unit(result: FitResult, label: str) -> str:

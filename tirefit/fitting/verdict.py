@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tirefit.data.run_names import label_of_run
 from tirefit.fitting.hints import hint_at_load
 from tirefit.fitting.result import FitResult
 from tirefit.results import Outcome
@@ -118,6 +119,35 @@ def _contradiction(result: FitResult) -> list[tuple[Outcome | None, str]]:
     return [(outcome, f"{check['text']}; {outcome.value}")]
 
 
+def _short(result: FitResult, label: str) -> str:
+    return label_of_run(label, result.data["runs"])
+
+
+def _far_rows(result: FitResult) -> list[str]:
+    """On rows that are far from everything, and what was done about them."""
+    aside = [row for row in result.far_rows if row.set_aside]
+    kept = [row for row in result.far_rows if not row.set_aside]
+    said = [result.noise["too_many"]] if result.noise.get("too_many") else []
+    if aside:
+        said.append(
+            f"{len(aside)} of {result.statistics.n + len(aside)} rows lie beyond all"
+            f" noise and had no part in this fit: {_row_numbers(aside)}; correct or"
+            " delete them, or fit them as they are by noise.loss = 'squares'"
+        )
+    if kept:
+        said.append(f"make sure of rows that are far but kept: {_row_numbers(kept)}")
+    return said
+
+
+def _row_numbers(rows, most: int = 8) -> str:
+    """Numbers of rows, with their file where there are several."""
+    several = len({row.file for row in rows}) > 1
+    names = [f"{row.file} row {row.row}" if several else f"row {row.row}"
+             for row in rows[:most]]  # fmt: skip
+    more = [f"{len(rows) - most} more"] if len(rows) > most else []
+    return ", ".join(names + more)
+
+
 def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """All there is to say, each with the outcome it stands for."""
     statistics = result.statistics
@@ -125,6 +155,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     if not statistics.converged:
         findings.append((Outcome.NOT_CONVERGED, Outcome.NOT_CONVERGED.value))
     findings += _contradiction(result)
+    findings += [(None, text) for text in _far_rows(result)]
     findings += [(Outcome.POOR_FIT, text) for text in _fit_quality(result)]
     exact = _exactness(result)
     # Residuals that are rounding have a structure, and it means nothing.
@@ -135,8 +166,8 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
         if not estimate.identified:
             low, high = estimate.ci95
             text = (
-                f"{label} is not identified by these data: anything from {low:.4g} to"
-                f" {high:.4g} fits as well (95 %)"
+                f"{_short(result, label)} is not identified by these data: anything"
+                f" from {low:.4g} to {high:.4g} fits as well (95 %)"
             )
             if label in statistics.at_bound:
                 text += (
@@ -148,7 +179,8 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
         label for label in statistics.at_bound if result.least_squares[label].identified
     ]
     if at_bound:
-        text = f"at its bound: {', '.join(at_bound)}; the interval is one-sided"
+        names = ", ".join(_short(result, label) for label in at_bound)
+        text = f"at its bound: {names}; the interval is one-sided"
         findings.append((Outcome.AT_BOUND, text))
     summary = result.posterior
     if summary is not None and summary.outcome is not Outcome.CONVERGED:
@@ -176,7 +208,7 @@ def judge(result: FitResult) -> FitResult:
     outcomes = tuple(dict.fromkeys(o for o, _ in findings if o is not None))
     differ = disagreements(result)
     if differ:
-        names = ", ".join(differ)
+        names = ", ".join(_short(result, label) for label in differ)
         text = f"the routes to an interval disagree for {names}: trust the profile"
         findings.append((None, f"{text} or the posterior, not the covariance"))
     leading, status = next(

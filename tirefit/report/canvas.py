@@ -6,14 +6,17 @@ global lists.
 
 import io
 import textwrap
+import warnings
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tirefit.files import replacing
 from tirefit.fitting.result import FitResult
+from tirefit.report.labels import fit_files
 from tirefit.report.numbers import plain_text
 from tirefit.report.text import verdict_line
 
@@ -24,7 +27,10 @@ __all__ = [
     "GREY",
     "ORANGE",
     "RED",
+    "MOST_DRAWN",
+    "WIDTH",
     "Picture",
+    "drawn",
     "frame",
     "panel_title",
     "save_picture",
@@ -36,6 +42,10 @@ RED, SKY, PURPLE = "#D55E00", "#56B4E9", "#CC79A7"
 COLORS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)
 """Okabe and Ito's palette: told apart with any colour vision."""
 DARK, GREY = "#222222", "#8a8a8a"
+
+MOST_DRAWN = 20_000
+"""Points of one panel: more hide each other, and take their time."""
+_FARTHEST = 20
 
 WIDTH = 7.0
 DPI = 130
@@ -51,27 +61,35 @@ class Picture(Figure):
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
-        self.savefig(buffer, format="png", dpi=self.dpi)
+        self.write(buffer, "png", dpi=self.dpi)
         return buffer.getvalue()
 
+    def write(self, target, kind: str, **how) -> None:
+        """Into a path or a buffer; a name in letters that the font lacks is boxes."""
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+            self.savefig(target, format=kind, **how)
 
-def frame(result: FitResult, height: float) -> tuple[Picture, tuple[float, float]]:
+
+def frame(
+    result: FitResult, height: float, width: float = WIDTH
+) -> tuple[Picture, tuple[float, float]]:
     """An empty picture with title and footnote.
 
     Args:
         result: whose model, file and verdict the title names.
-        height: of the picture in inches.
+        height, width: of the picture in inches.
 
     Returns:
         (picture, (bottom, top)): the share of the height that is free for axes.
     """
-    picture = Picture(figsize=(WIDTH, height))
-    file = result.data["file"].replace("\\", "/").rsplit("/", 1)[-1]
+    picture = Picture(figsize=(width, height))
     ok = result.verdict.get("status", "ok") == "ok"
+    title = f"{result.model} fitted to {fit_files(result, 68)}"
     lines = textwrap.wrap(verdict_line(result), 100, max_lines=2, placeholder=" …")
     picture.text(
-        0.02, 1 - 0.10 / height, plain_text(f"{result.model} fitted to {file}"),
-        va="top", fontsize=10.5, fontweight="bold", color=DARK,
+        0.02, 1 - 0.10 / height, plain_text(title), va="top", fontsize=10.5,
+        fontweight="bold", color=DARK,
     )  # fmt: skip
     picture.text(
         0.02, 1 - 0.31 / height, plain_text("\n".join(lines)),
@@ -80,10 +98,32 @@ def frame(result: FitResult, height: float) -> tuple[Picture, tuple[float, float
     picture.text(
         0.02, 0.05 / height,
         f"tirefit {result.version} · braking positive, SI · seed {result.seed}"
-        f" · {result.statistics.n} rows",
+        f" · {_rows(result.statistics.n)}",
         va="bottom", fontsize=6.5, color=GREY,
     )  # fmt: skip
     return picture, (0.2 / height, 1 - (0.38 + 0.15 * len(lines)) / height)
+
+
+def _rows(count: int) -> str:
+    some = f", {MOST_DRAWN} of them drawn" if count > MOST_DRAWN else ""
+    return f"{count} rows{some}"
+
+
+def drawn(values: np.ndarray, among: int | None = None) -> np.ndarray:
+    """Which points to draw (m,), in order: of very many some at random, and those that
+    lie farthest out.
+
+    Args:
+        values: (n,) of the points.
+        among: number of points in the panel, those of other groups too.
+    """
+    count = len(values)
+    share = min(MOST_DRAWN / max(among or count, 1), 1.0)
+    if share == 1.0 or count <= _FARTHEST:
+        return np.arange(count)
+    far = np.argpartition(np.abs(values - np.median(values)), -_FARTHEST)[-_FARTHEST:]
+    rest = np.random.default_rng(0).integers(0, count, int(share * count))
+    return np.unique(np.concatenate([far, rest]))
 
 
 def tidy(axes, x_label: str = "", y_label: str = "", size: float = 8.5) -> None:
@@ -114,5 +154,5 @@ def save_picture(picture: Picture, path: Path) -> Path:
     """Write a picture, PNG or SVG by the suffix, whole or not at all."""
     metadata = {"Date": None} if path.suffix == ".svg" else None
     with replacing(path) as temporary:
-        picture.savefig(temporary, format=path.suffix[1:], metadata=metadata)
+        picture.write(temporary, path.suffix[1:], metadata=metadata)
     return path

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.data.levels import levels
+from tirefit.data.run_names import run_names
 from tirefit.fitting.bands import Band, fitted_force, force_band
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.result import FitResult
@@ -15,12 +16,20 @@ from tirefit.params import parameter_values, with_values
 from tirefit.report.numbers import plain_text
 from tirefit.slip import LOCKED, sigma_from_slip_ratio, slip_ratio_from_sigma
 
-__all__ = ["Curve", "FitCurve", "Group", "SlipAxis", "fit_curve", "slip_axis"]
+__all__ = [
+    "FORCE_LABEL",
+    "Curve",
+    "FitCurve",
+    "Group",
+    "SlipAxis",
+    "fit_curve",
+    "slip_axis",
+]
 
 _MOST_GROUPS = 6
 _POINTS = 240
 _OTHER = {"sigma_x": "alpha", "alpha": "sigma_x"}
-_FORCE_LABEL = {
+FORCE_LABEL = {
     "fx": ("longitudinal force $F_x$", "N", "$F_x / F_z$"),
     "fy": ("lateral force $F_y$", "N", "$F_y / F_z$"),
     "mz": ("aligning moment $M_z$", "N m", "$M_z / F_z$"),
@@ -143,6 +152,7 @@ def _members(result: FitResult, keys) -> tuple[list[tuple[str, np.ndarray]], str
     """((label, rows (n,) bool) of every group, note on what is left out)."""
     problem = result.problem
     columns = {**problem.rows.inputs._asdict(), "run": problem.rows.run}
+    names = run_names(problem.layout.runs).short
     if not keys:
         return [("measured", np.ones(problem.n, bool))], ""
     stack = np.stack([codes for _, codes in keys], axis=1)
@@ -155,7 +165,7 @@ def _members(result: FitResult, keys) -> tuple[list[tuple[str, np.ndarray]], str
     for code in chosen:
         rows = of_row.ravel() == code
         parts = [
-            _level_label(name, problem.used(columns[name])[rows], problem.layout.runs)
+            _level_label(name, problem.used(columns[name])[rows], names)
             for name, _ in keys
         ]
         groups.append((", ".join(parts), rows))
@@ -318,7 +328,7 @@ def fit_curve(result: FitResult, channel: str | None = None) -> FitCurve:
         Group(label, axis.shown(values[rows]), (force / unit)[rows])
         for label, rows in members
     )
-    name, force_unit, ratio = _FORCE_LABEL[channel]
+    name, force_unit, ratio = FORCE_LABEL[channel]
     ratio_unit = "m" if channel == "mz" else "-"
     return FitCurve(
         channel, f"{axis.label} [{axis.unit}]",
@@ -343,4 +353,5 @@ def _by_run(problem, members):
     codes = np.unique(run)
     if not 1 < len(codes) <= _MOST_GROUPS:
         return members
-    return [(plain_text(problem.layout.runs[code]), run == code) for code in codes]
+    names = run_names(problem.layout.runs).short
+    return [(plain_text(names[code]), run == code) for code in codes]

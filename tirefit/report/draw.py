@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from tirefit.fitting.result import FitResult
+from tirefit.report.by_name import has_runs, runs_figure
 from tirefit.report.canvas import (
     BLUE,
     COLORS,
@@ -18,12 +19,14 @@ from tirefit.report.canvas import (
     GREY,
     ORANGE,
     Picture,
+    drawn,
     frame,
     save_picture,
     tidy,
 )
 from tirefit.report.curves import FitCurve, fit_curve
-from tirefit.report.draw_uncertainty import corner_figure, profile_figure, trace_figure
+from tirefit.report.draw_corner import corner_figure
+from tirefit.report.draw_uncertainty import profile_figure, trace_figure
 from tirefit.report.numbers import format_number
 from tirefit.report.residuals import Residuals, Scatter, residual_panels
 from tirefit.report.uncertainty import has_trace
@@ -43,7 +46,7 @@ __all__ = [
 
 FIGURE_FILES = tuple(
     f"{name}{suffix}"
-    for name in ("fit", "residuals", "profile", "corner", "trace")
+    for name in ("fit", "residuals", "runs", "profile", "corner", "trace")
     for suffix in (".png", ".svg")
 )
 """Every file that :func:`save_figures` may write."""
@@ -57,9 +60,11 @@ def draw_fit(axes, curve: FitCurve) -> None:
     count = sum(len(group.slip) for group in curve.groups)
     size = float(np.clip(60 / np.sqrt(max(count, 1)), 1.2, 4.5))
     for i, group in enumerate(curve.groups):
+        some = drawn(group.force, count)
         axes.plot(
-            group.slip, group.force, linestyle="none", marker="o", markersize=size,
-            markeredgewidth=0, alpha=0.45, color=_color(i), rasterized=True, zorder=2,
+            group.slip[some], group.force[some], linestyle="none", marker="o",
+            markersize=size, markeredgewidth=0, alpha=0.45, color=_color(i),
+            rasterized=True, zorder=2,
         )  # fmt: skip
     for i, one in enumerate(curve.curves):
         color = DARK if single else _color(i)
@@ -160,10 +165,12 @@ def fit_figure(result: FitResult) -> Picture:
 def draw_scatter(axes, panel: Scatter, force: str = "") -> None:
     """Residuals against one input, and their means over bins with 95 % intervals."""
     size = float(np.clip(40 / np.sqrt(max(len(panel.x), 1)), 1.0, 3.5))
+    some = drawn(panel.residual)
     axes.axhline(0, color=DARK, lw=0.7, zorder=1)
     axes.plot(
-        panel.x, panel.residual, linestyle="none", marker="o", markersize=size,
-        markeredgewidth=0, alpha=0.35, color=BLUE, rasterized=True, zorder=2,
+        panel.x[some], panel.residual[some], linestyle="none", marker="o",
+        markersize=size, markeredgewidth=0, alpha=0.35, color=BLUE,
+        rasterized=True, zorder=2,
     )  # fmt: skip
     axes.errorbar(
         panel.center, panel.mean, panel.half, fmt="o", color=ORANGE, markersize=4,
@@ -173,10 +180,14 @@ def draw_scatter(axes, panel: Scatter, force: str = "") -> None:
     tidy(axes, panel.label, f"{force} residual / std".strip())
     axes.set_ylim(*_symmetric(panel.residual))
     if panel.ticks:
-        texts = [t if len(t) <= 14 else "…" + t[-13:] for t in panel.ticks]
-        angle = 0 if sum(map(len, texts)) < 40 else 30
-        anchor = "center" if angle == 0 else "right"
-        axes.set_xticks(range(len(texts)), texts, rotation=angle, ha=anchor)
+        texts = list(panel.ticks)
+        angle = 0 if sum(map(len, texts)) < 40 else 60
+        every = 1 if len(texts) <= 16 else 2
+        axes.set_xticks(
+            range(0, len(texts), every), texts[::every], rotation=angle,
+            ha="center" if angle == 0 else "right", rotation_mode="anchor",
+            fontsize=7.5 if angle == 0 else 6.5,
+        )  # fmt: skip
 
 
 def _symmetric(values) -> tuple[float, float]:
@@ -198,8 +209,9 @@ def draw_quantiles(axes, residuals: Residuals) -> None:
     """Sorted residuals against normal quantiles: on the line if they are normal."""
     reach = max(3.0, float(np.max(np.abs(residuals.normal))))
     axes.plot([-reach, reach], [-reach, reach], color=DARK, lw=0.8)
+    some = drawn(residuals.ordered)
     axes.plot(
-        residuals.normal, residuals.ordered, linestyle="none", marker="o",
+        residuals.normal[some], residuals.ordered[some], linestyle="none", marker="o",
         markersize=2.2, markeredgewidth=0, color=BLUE, rasterized=True,
     )  # fmt: skip
     tidy(axes, "quantile of a normal", "residual / std")
@@ -255,7 +267,8 @@ def residual_figure(result: FitResult) -> Picture:
 def save_figures(
     result: FitResult, directory: str | os.PathLike, svg: bool = False
 ) -> list[Path]:
-    """Write fit.png and residuals.png; profile.png, corner.png, trace.png if known.
+    """Write fit.png and residuals.png; runs.png where runs have parameters of their
+    own; profile.png, corner.png, trace.png if known.
 
     Args:
         result: a fit with its problem.
@@ -268,6 +281,8 @@ def save_figures(
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     figures = {"fit": fit_figure, "residuals": residual_figure}
+    if has_runs(result):
+        figures["runs"] = runs_figure
     if result.profiles:
         figures["profile"] = profile_figure
     if result.chains is not None:

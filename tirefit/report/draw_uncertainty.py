@@ -1,6 +1,6 @@
-"""Arrays -> axes: corner, trace and profile of the parameters."""
+"""Arrays -> axes: trace and profile of the parameters."""
 
-import numpy as np
+from collections.abc import Sequence
 
 from tirefit.fitting.result import FitResult
 from tirefit.report.canvas import (
@@ -15,123 +15,18 @@ from tirefit.report.canvas import (
     tidy,
 )
 from tirefit.report.uncertainty import (
-    Corner,
     ProfilePanel,
     Trace,
-    corner_data,
     profile_data,
     trace_data,
 )
 
 __all__ = [
-    "corner_figure",
-    "draw_joint",
-    "draw_marginal",
     "draw_profile",
     "draw_trace",
     "profile_figure",
     "trace_figure",
 ]
-
-
-def _centers(edges):
-    return (edges[1:] + edges[:-1]) / 2
-
-
-def draw_marginal(axes, corner: Corner, i: int) -> None:
-    """Density of one parameter with its 95 % interval and the least-squares value."""
-    low, high = corner.interval[i]
-    axes.axvspan(low, high, color=BLUE, alpha=0.12, lw=0)
-    axes.stairs(corner.density[i], corner.edges[i], color=BLUE, lw=1.2)
-    axes.axvline(corner.median[i], color=BLUE, lw=0.9)
-    axes.axvline(corner.estimate[i], color=RED, lw=0.9, ls="--")
-    axes.set_xlim(corner.edges[i][0], corner.edges[i][-1])
-    axes.set_ylim(0, 1.08)
-
-
-def draw_joint(axes, corner: Corner, i: int, j: int) -> None:
-    """Regions of parameter i over j that hold 50 % and 95 % of the posterior."""
-    joint, (outer, inner) = corner.joint[i, j], corner.levels[i, j]
-    top = float(joint.max())
-    levels = np.unique([max(outer, 1e-12 * top), min(inner, 0.999 * top), 1.001 * top])
-    axes.contourf(
-        _centers(corner.edges[j]), _centers(corner.edges[i]), joint, levels=levels,
-        colors=["#9ecae8", BLUE][-(len(levels) - 1) :],
-    )  # fmt: skip
-    axes.plot(
-        corner.estimate[j], corner.estimate[i], marker="+", color=RED, markersize=7
-    )
-    axes.set_xlim(corner.edges[j][0], corner.edges[j][-1])
-    axes.set_ylim(corner.edges[i][0], corner.edges[i][-1])
-
-
-def corner_figure(result: FitResult) -> Picture:
-    """Every parameter, and every pair of them."""
-    # Not by the corner library (2.3 was tried): its turned numbers run into labels and
-    # footnote, its lines of the estimate cover the regions, a column that is constant
-    # is refused, and it imports pyplot, with 2 s and figures in global lists.
-    corner = corner_data(result)
-    count = len(corner.labels)
-    picture, (bottom, top) = frame(result, min(2.2 + 1.15 * count, 10.5))
-    height = picture.get_figheight()
-    _corner_key(picture, corner, top)
-    top -= (0.5 if count == 1 else 0.15) / height
-    grid = picture.add_gridspec(
-        count, count, left=0.11, right=0.98, bottom=bottom + 0.5 / height, top=top,
-        wspace=0.1, hspace=0.1,
-    )  # fmt: skip
-    size = float(np.clip(10 - 0.5 * count, 5.5, 9))
-    for i in range(count):
-        for j in range(i + 1):
-            axes = picture.add_subplot(grid[i, j])
-            if i == j:
-                draw_marginal(axes, corner, i)
-            else:
-                draw_joint(axes, corner, i, j)
-            _corner_labels(axes, corner, i, j, size)
-    # One line for all labels, beside the widest of the numbers.
-    picture.align_labels()
-    return picture
-
-
-def _corner_labels(axes, corner: Corner, i: int, j: int, size: float) -> None:
-    last = i == len(corner.labels) - 1
-    tidy(
-        axes, corner.labels[j] if last else "", corner.labels[i] if j == 0 != i else "",
-        size,
-    )  # fmt: skip
-    axes.locator_params(axis="x", nbins=3)
-    # Many narrow panels: level numbers would run into each other.
-    angle = 0 if len(corner.labels) < 4 else 30
-    axes.tick_params(
-        axis="x", labelbottom=last, labelrotation=angle, labelsize=size - 1.5
-    )
-    if i == j:
-        axes.set_yticks([])
-        if not last:
-            axes.set_title(corner.labels[i], fontsize=size, color=DARK, pad=2)
-    else:
-        axes.locator_params(axis="y", nbins=3)
-        axes.tick_params(axis="y", labelleft=j == 0, labelsize=size - 1.5)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.get_offset_text().set_fontsize(size - 2)
-
-
-def _corner_key(picture: Picture, corner: Corner, top: float) -> None:
-    """What the colours mean, in the empty upper corner."""
-    lines = ["line, shade: posterior median, 95 %", "dark, light: 50 %, 95 % regions"]
-    lines.append("red: least squares")
-    vague = [
-        name
-        for name, known in zip(corner.labels, corner.identified, strict=True)
-        if not known
-    ]
-    if vague:
-        lines.append("not identified: " + ", ".join(vague))
-    lines += [corner.note] if corner.note else []
-    picture.text(
-        0.98, top, "\n".join(lines), ha="right", va="top", fontsize=7.5, color=DARK
-    )
 
 
 def draw_trace(left, right, trace: Trace, i: int) -> None:
@@ -141,8 +36,9 @@ def draw_trace(left, right, trace: Trace, i: int) -> None:
         color = COLORS[k % len(COLORS)]
         left.plot(trace.position, trace.draws[k, :, i], color=color, lw=0.4, alpha=0.6)
         right.plot(trace.density[k, i], middle, color=color, lw=1.0)
-    tidy(left, "", trace.labels[i])
+    tidy(left)
     tidy(right)
+    left.set_title(trace.labels[i], fontsize=8.5, loc="left", color=DARK, pad=2)
     left.set_xlim(0, 1)
     for axes in (left, right):
         axes.set_ylim(trace.edges[i][0], trace.edges[i][-1])
@@ -156,17 +52,22 @@ def draw_trace(left, right, trace: Trace, i: int) -> None:
         )  # fmt: skip
 
 
-def trace_figure(result: FitResult) -> Picture:
+def trace_figure(result: FitResult, parameters: Sequence[str] | None = None) -> Picture:
     """One row per parameter: the ensembles must look alike from end to end."""
-    trace = trace_data(result)
+    trace = trace_data(result, parameters)
     count = len(trace.labels)
-    picture, (bottom, top) = frame(result, 1.1 + 1.1 * count)
+    picture, (bottom, top) = frame(result, 1.2 + 1.1 * count)
     height = picture.get_figheight()
+    if trace.note:
+        picture.text(
+            0.98, top, trace.note, ha="right", va="top", fontsize=7.5, color=DARK
+        )
+    top -= 0.15 / height
     bottom += 0.35 / height
     step = (top - bottom) / count
     for i in range(count):
-        low, tall = top - (i + 1) * step + 0.12 / height, step - 0.28 / height
-        left = picture.add_axes((0.13, low, 0.62, tall))
+        low, tall = top - (i + 1) * step + 0.12 / height, step - 0.31 / height
+        left = picture.add_axes((0.1, low, 0.65, tall))
         right = picture.add_axes((0.77, low, 0.21, tall))
         draw_trace(left, right, trace, i)
         last = i == count - 1
@@ -196,7 +97,7 @@ def draw_profile(axes, panel: ProfilePanel) -> None:
     if panel.logarithmic:
         axes.set_xscale("log")
     axes.set_ylim(0, 2.2 * panel.level)
-    label = panel.label if panel.identified else f"{panel.label}  (not identified)"
+    label = panel.label if panel.identified else f"{panel.label}\n(not identified)"
     tidy(axes, label, r"$-2\,\Delta\log L$")
 
 
@@ -226,4 +127,9 @@ def profile_figure(result: FitResult) -> Picture:
         handles, labels, loc="upper right", ncols=3, fontsize=7.5, frameon=False,
         bbox_to_anchor=(0.99, top + 0.3 / height),
     )  # fmt: skip
+    if len(panels) < len(result.profiles):
+        text = f"{len(panels)} of {len(result.profiles)} parameters"
+        picture.text(
+            0.02, top + 0.08 / height, text, fontsize=7.5, color=DARK, va="bottom"
+        )
     return picture

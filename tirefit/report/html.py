@@ -9,12 +9,15 @@ import numpy as np
 
 from tirefit.data.table import CANONICAL, TireData
 from tirefit.fitting.result import FitResult
-from tirefit.report.numbers import format_interval, format_number
-from tirefit.report.text import note_on, value_text, verdict_line
+from tirefit.report.fit_tables import parameter_rows
+from tirefit.report.labels import fit_files
+from tirefit.report.numbers import format_number
+from tirefit.report.text import verdict_line
 
-__all__ = ["data_fragment", "fit_fragment", "png_text", "rendered"]
+__all__ = ["GOOD", "OPEN", "data_fragment", "fit_fragment", "png_text", "rendered"]
 
-_MARK = {True: "#009E73", False: "#D55E00"}
+GOOD, OPEN = "#009E73", "#D55E00"
+"""Colours of a verdict that holds, and of one that leaves something open."""
 
 
 @cache
@@ -49,24 +52,16 @@ def _figure(result: FitResult) -> str:
 
 def fit_fragment(result: FitResult) -> str:
     """Parameters, verdict and the fitted curve; no script, no external resource."""
-    rows = [("parameter", "value ± std", "unit", "95 % interval", "")]
-    for name, estimate in result.parameters.items():
-        rows.append(
-            (
-                name, value_text(estimate), estimate.unit,
-                format_interval(estimate.ci95, estimate.std), note_on(result, name),
-            )
-        )  # fmt: skip
     ok = result.verdict.get("status") == "ok"
     sentences = result.verdict.get("sentences", [])
     return rendered(
         "fit_fragment.html",
         model=result.model,
-        file=result.data["file"],
+        file=fit_files(result),
         n=result.statistics.n,
         source=result.source,
-        rows=rows,
-        color=_MARK[ok],
+        rows=parameter_rows(result),
+        color=GOOD if ok else OPEN,
         verdict=verdict_line(result),
         sentences=sentences if ok else sentences[1:],
         png=_figure(result),

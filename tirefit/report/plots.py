@@ -5,9 +5,11 @@ from dataclasses import dataclass
 
 from tirefit.fitting.result import FitResult, information
 from tirefit.report import draw
+from tirefit.report.by_name import has_runs
+from tirefit.report.fit_tables import value_text
 from tirefit.report.html import rendered
 from tirefit.report.numbers import format_number
-from tirefit.report.text import table, value_text
+from tirefit.report.text import table
 from tirefit.report.uncertainty import has_trace
 from tirefit.results import UsageError
 
@@ -18,6 +20,7 @@ __all__ = [
     "plot_fit",
     "plot_profile",
     "plot_residuals",
+    "plot_runs",
     "plot_trace",
 ]
 
@@ -47,24 +50,43 @@ def plot_residuals(result: FitResult):
     return draw.residual_figure(result)
 
 
-def plot_corner(result: FitResult):
-    """Posterior of every parameter and every pair; the Figure."""
+def plot_corner(result: FitResult, parameters: Sequence[str] | None = None):
+    """Posterior of every parameter and every pair; the Figure.
+
+    Args:
+        result: a fit with its posterior.
+        parameters: those to draw, by label or by name (which means all runs); without
+            them all, or the twenty that are correlated most.
+    """
     _needs(result, "posterior: tirefit.sample(fit) adds it", result.chains is not None)
-    return draw.corner_figure(result)
+    return draw.corner_figure(result, parameters)
 
 
-def plot_trace(result: FitResult):
-    """Posterior draws in order, by ensemble; the Figure."""
+def plot_trace(result: FitResult, parameters: Sequence[str] | None = None):
+    """Posterior draws in order, by ensemble; the Figure.
+
+    Args:
+        result: a fit with its posterior.
+        parameters: as of :func:`plot_corner`; without them all, or the ten whose chains
+            agree least.
+    """
     _needs(result, "posterior: tirefit.sample(fit) adds it", result.chains is not None)
     remedy = "chain: its posterior is of independent points (plot_corner draws it)"
     _needs(result, remedy, has_trace(result))
-    return draw.trace_figure(result)
+    return draw.trace_figure(result, parameters)
 
 
 def plot_profile(result: FitResult):
     """Profile likelihood, covariance and posterior of every parameter; the Figure."""
     _needs(result, "profile likelihood", bool(result.profiles))
     return draw.profile_figure(result)
+
+
+def plot_runs(result: FitResult):
+    """Parameters and derived quantities run by run, with 95 % intervals; the Figure."""
+    remedy = "parameter for each run (per_run = true under [parameters.NAME])"
+    _needs(result, remedy, has_runs(result))
+    return draw.runs_figure(result)
 
 
 @dataclass(frozen=True)

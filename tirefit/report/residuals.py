@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
+from tirefit.data.run_names import clipped, run_names
 from tirefit.data.table import TireData
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.residuals import (
@@ -23,6 +24,8 @@ _INDEPENDENT = 0.9
 """Effective share of the rows from which their order in the file is moot."""
 _MOST_RUNS = 30
 """Runs that have a panel of their own, at most."""
+_TICK = 12
+"""Characters of a run's name below an axis."""
 _LABEL = {
     "fz": ("load $F_z$", "N"),
     "v": ("speed $v$", "m/s"),
@@ -126,7 +129,8 @@ def _runs(result: FitResult, residual, inflation: float) -> list[Scatter]:
     # Beside one another, so that points of one run do not hide each other.
     spread = np.random.default_rng(0).uniform(-0.25, 0.25, len(position))
     means = means_by(position, position, residual, inflation)
-    names = tuple(plain_text(problem.layout.runs[int(code)]) for code in codes)
+    short = run_names(problem.layout.runs).short
+    names = tuple(plain_text(clipped(short[int(code)], _TICK)) for code in codes)
     return [Scatter("run", position + spread, residual, *means, names)]
 
 

@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 
+from tirefit.data.run_names import run_names
 from tirefit.fitting.result import FitResult
 from tirefit.report.numbers import format_estimate
-from tirefit.report.text import table
+from tirefit.report.text import table_parts
 
 __all__ = ["summary_table"]
 
@@ -15,7 +16,8 @@ def summary_table(fits: Sequence[tuple[str, FitResult]]) -> str:
         return "no file could be fitted"
     names = list(dict.fromkeys(name for _, fit in fits for name in fit.least_squares))
     rows = [["fit", *names, "RMSE", "verdict"]]
-    for directory, fit in fits:
+    directories = run_names([directory for directory, _ in fits])
+    for directory, (_, fit) in zip(directories.short, fits, strict=True):
         cells = [
             format_estimate(fit.parameters[name].value, fit.parameters[name].std)
             if name in fit.parameters
@@ -24,4 +26,5 @@ def summary_table(fits: Sequence[tuple[str, FitResult]]) -> str:
         ]
         rmse = f"{fit.statistics.rmse:.4g}"
         rows.append([directory, *cells, rmse, fit.verdict["status"]])
-    return "\n".join(["", "SUMMARY", *table(rows)])
+    of = f" of {directories.pattern}" if directories.pattern else ""
+    return "\n".join(["", f"SUMMARY{of}", *table_parts(rows)])

@@ -2,28 +2,38 @@
 
 import textwrap
 
-import numpy as np
-
-from tirefit.fitting.derived import derived_channel, quantities
-from tirefit.fitting.likelihood import row_moments
-from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
-from tirefit.report.numbers import format_estimate, format_interval, format_number
+from tirefit.fitting.result import FitResult
+from tirefit.report.fit_tables import (
+    FORCE_UNIT,
+    chain_rows,
+    correlation_lines,
+    derived_by_run,
+    derived_rows,
+    far_lines,
+    noise_text,
+    parameter_rows,
+    posterior_lines,
+    reference_text,
+    route_rows,
+    rows_text,
+    run_rows,
+)
+from tirefit.report.labels import fit_files, notes_of, run_lines
+from tirefit.report.numbers import format_number
 
 __all__ = [
     "WIDTH",
     "fit_report",
-    "format_estimate",
-    "note_on",
     "parameter_lines",
     "table",
-    "value_text",
+    "table_parts",
     "verdict_line",
     "wrapped",
 ]
 
 WIDTH = 88
-_FORCE_UNIT = {"fx": "N", "fy": "N", "mz": "N m"}
-_ROUTES = ("covariance", "profile", "posterior")
+_FAR_ROWS = 8
+"""Far rows that are named one by one."""
 
 
 def table(rows: list[list[str]], right: tuple[int, ...] = ()) -> list[str]:
@@ -45,8 +55,17 @@ def table(rows: list[list[str]], right: tuple[int, ...] = ()) -> list[str]:
     return [line[:WIDTH] for line in (lines[0], rule, *lines[1:])]
 
 
-def _short(label: str, most: int = 24) -> str:
-    return label if len(label) <= most else label[: most - 1] + "…"
+def table_parts(rows: list[list[str]]) -> list[str]:
+    """A table in as many parts as the width asks for, each with the first column."""
+    lines, first = [], 1
+    widths = [max(len(row[i]) for row in rows) + 2 for i in range(len(rows[0]))]
+    while first < len(widths):
+        last = first + 1
+        while last < len(widths) and widths[0] + sum(widths[first : last + 1]) <= WIDTH:
+            last += 1
+        lines += ["", *table([[row[0], *row[first:last]] for row in rows])]
+        first = last
+    return lines[1:]
 
 
 def wrapped(name: str, text: str) -> list[str]:
@@ -57,111 +76,63 @@ def wrapped(name: str, text: str) -> list[str]:
     ) or [lead.rstrip()]
 
 
-def value_text(estimate: Estimate) -> str:
-    """``value ± std``, or that it is fixed or not identified."""
-    if estimate.fixed:
-        return f"{format_number(estimate.value)} (fixed)"
-    if not estimate.identified:
-        return "not identified"
-    return format_estimate(estimate.value, estimate.std)
-
-
-def note_on(result: FitResult, name: str) -> str:
-    """What a reader must know about one parameter; empty for most."""
-    estimate = result.parameters[name]
-    notes = []
-    if name in result.statistics.at_bound:
-        notes.append("at its bound")
-    if not estimate.identified and np.isfinite(estimate.value):
-        notes.append(f"best {format_number(estimate.value)}")
-    if name in result.verdict.get("disagreements", {}):
-        notes.append("routes differ")
-    return ", ".join(notes)
+def _files(result: FitResult) -> str:
+    """The file as it was given; of several their number and what they share."""
+    several = len(result.data["runs"]) > 1 and ", " in result.data["file"]
+    return fit_files(result) if several else result.data["file"]
 
 
 def _header(result: FitResult) -> list[str]:
     data = result.data
-    masked = data["rows"] - data["used"]
-    rows = f"{data['used']} used of {data['rows']}"
-    if masked:
-        rows += f" ({masked} masked)"
-    if len(data["runs"]) > 1:
-        rows += f", {len(data['runs'])} runs"
-    lines = [f"tirefit {result.version}: {result.model} fitted to {data['file']}"]
+    lines = [f"tirefit {result.version}: {result.model} fitted to {_files(result)}"]
     lines = textwrap.wrap(lines[0], WIDTH)
-    lines += ["", *wrapped("rows", rows), *wrapped("force", ", ".join(result.forces))]
+    lines += ["", *wrapped("rows", rows_text(result))]
+    for i, line in enumerate(run_lines(result)):
+        lines += wrapped("runs" if i == 0 else "", line)
+    lines += wrapped("force", ", ".join(result.forces))
     lines += wrapped(
         "convention",
         f"braking positive, SI (file: {data['convention']}, slip"
         f" {data['slip_definition']})",
     )
-    notes = [*data["assumptions"], *result.noise.get("notes", ())]
+    notes = notes_of(result, [*data["assumptions"], *result.noise.get("notes", ())])
     for i, note in enumerate(notes):
         lines += wrapped("assumptions" if i == 0 else "", note)
     for i, problem in enumerate(data["masked"][:5]):
         lines += wrapped("masked" if i == 0 else "", str(problem).replace("\n", " "))
     if len(data["masked"]) > 5:
         lines += wrapped("", f"and {len(data['masked']) - 5} more")
+    for i, line in enumerate(far_lines(result, _FAR_ROWS)):
+        lines += wrapped("far rows" if i == 0 else "", line)
     return lines + wrapped("solver", f"{result.solver}, seed {result.seed}")
 
 
 def parameter_lines(result: FitResult) -> list[str]:
     """The table of the parameters, after an empty line."""
-    rows = [["parameter", "value ± std", "unit", "95 % interval", ""]]
-    for name, estimate in result.parameters.items():
-        rows.append(
-            [
-                _short(name), value_text(estimate), estimate.unit,
-                format_interval(estimate.ci95, estimate.std), note_on(result, name),
-            ]
-        )  # fmt: skip
-    return ["", f"PARAMETERS ({result.source})", *table(rows)]
+    return ["", f"PARAMETERS ({result.source})", *table(parameter_rows(result))]
 
 
 def _routes(result: FitResult) -> list[str]:
-    routes = [route for route in _ROUTES if result.intervals.get(route)]
-    rows = [["95 % interval", *routes]]
-    for label in result.labels:
-        std = result.least_squares[label].std
-        ends = [result.intervals[route].get(label, (None, None)) for route in routes]
-        rows.append([_short(label, 18), *(format_interval(end, std) for end in ends)])
-    return ["", "INTERVALS BY ROUTE", *table(rows)]
+    return ["", "INTERVALS BY ROUTE", *table(route_rows(result))]
 
 
 def _derived(result: FitResult) -> list[str]:
-    channel = derived_channel(result.forces)
-    if channel is None or not result.derived:
-        return []
-    at = f"F_z = {format_number(result.reference['fz'])} N"
-    if result.reference.get("v"):
-        at += f", v = {result.reference['v']:.3g} m/s"
-    meanings = quantities(channel)
-    rows = [["quantity", "value ± std", "unit", "95 % interval", ""]]
-    for name, estimate in result.derived.items():
-        known = np.isfinite(estimate.value)
-        rows.append(
-            [
-                name, value_text(estimate) if known else "not defined", estimate.unit,
-                format_interval(estimate.ci95, estimate.std), meanings[name][1],
-            ]
-        )  # fmt: skip
-    return ["", f"DERIVED (at {at}; {result.source})", *table(rows)]
-
-
-def _noise_text(result: FitResult) -> str:
-    parts = []
-    for name, record in result.noise.items():
-        if isinstance(record, dict) and "median_std" in record:
-            unit = _FORCE_UNIT.get(name, "rad" if name == "alpha" else "-")
-            unit = "" if unit == "-" else f" {unit}"
-            std = format_number(record["median_std"], 3)
-            parts.append(f"{name} {std}{unit} ({record['source']})")
-    return ", ".join(parts)
+    at, lines, shared = reference_text(result), [], derived_rows(result)
+    if len(shared) > 1:
+        lines += ["", f"DERIVED (at {at}; {result.source})", *table(shared)]
+    if len(derived_by_run(result)) > 1:
+        title = f"DERIVED, BY RUN (at {at}; {result.source}; intervals in fit.json)"
+        lines += [
+            "",
+            *textwrap.wrap(title, WIDTH),
+            *table_parts(derived_by_run(result)),
+        ]
+    return lines
 
 
 def _quality(result: FitResult) -> list[str]:
     s = result.statistics
-    unit = _FORCE_UNIT[result.forces[0]]
+    unit = FORCE_UNIT[result.forces[0]]
     lines = ["", "QUALITY"]
     lines += wrapped("RMSE", f"{format_number(s.rmse)} {unit}   R² {s.r2:.5f}")
     if s.chi2_dof is not None:
@@ -170,93 +141,39 @@ def _quality(result: FitResult) -> list[str]:
     lines += wrapped(
         "rows", f"n {s.n}   n_effective {s.n_effective:.0f}   dof {s.dof:.0f}"
     )
-    noise = _noise_text(result)
-    loss = result.noise.get("loss", "squares")
-    lines += wrapped("noise", noise if loss == "squares" else f"{noise}; loss {loss}")
+    lines += wrapped("noise", noise_text(result))
     ending = "converged" if s.converged else "NOT CONVERGED"
     lines += wrapped("solution", f"{ending}, {s.starts_agreeing} of {s.starts} starts")
     return lines
 
 
 def _by_run(result: FitResult) -> list[str]:
-    """RMSE and bias of every run, where there are several."""
-    problem = result.problem
-    if problem is None or len(result.data["runs"]) < 2:
+    rows = run_rows(result)
+    if len(rows) == 1:
         return []
-    name = result.forces[0]
-    mean, _ = row_moments(problem, result.z)
-    residual = problem.used(problem.rows.observed[name]) - mean[name]
-    run = problem.used(problem.rows.run)
-    rows = [["run", "rows", f"RMSE [{_FORCE_UNIT[name]}]", "bias"]]
-    for code in np.unique(run):
-        part = residual[run == code]
-        rms = float(np.sqrt(np.mean(part**2)))
-        rows.append(
-            [
-                _short(str(problem.layout.runs[code]), 48), str(len(part)),
-                format_number(rms, 3), format_number(float(part.mean()), 2),
-            ]
-        )  # fmt: skip
     return ["", "BY RUN (bias: measured - fitted)", *table(rows, right=(1, 2, 3))]
 
 
 def _posterior(result: FitResult) -> list[str]:
-    p = result.posterior
-    if p is None:
+    if result.posterior is None:
         return []
-    rows = [["parameter", "ESS", "R-hat", "τ [steps]"]]
-    for label in result.labels:
-        if label in p.rhat:
-            rows.append(
-                [
-                    _short(label), f"{p.ess[label]:.0f}", f"{p.rhat[label]:.4f}",
-                    f"{p.tau[label]:.1f}",
-                ]
-            )  # fmt: skip
-    said = [_posterior_head(p), p.note] if p.note else [_posterior_head(p)]
+    rows = chain_rows(result)
     lines = [
         line
-        for text in said
+        for text in posterior_lines(result)
         for line in textwrap.wrap(
             text, WIDTH, initial_indent="  ", subsequent_indent="  "
         )
     ]
-    chains = table(rows, right=(1, 2, 3)) if p.rhat else []
+    chains = table(rows, right=(1, 2, 3)) if len(rows) > 1 else []
     return ["", "POSTERIOR", *lines, *chains]
 
 
-def _posterior_head(p: PosteriorSummary) -> str:
-    """One sentence on what the sampler did."""
-    if p.sampler == "importance":
-        draws = round(p.acceptance * p.steps)
-        return (
-            f"importance: {p.steps} points of Student's t, worth {draws} independent"
-            f" draws; Pareto k-hat {p.k_hat:.2f} (below 0.7: to be trusted); no chain,"
-            f" so no trace; seed {p.seed}"
-        )
-    many = "chains" if p.sampler == "nuts" else "walkers"
-    text = (
-        f"{p.sampler}: {p.ensembles} ensembles × {p.walkers} {many} × {p.steps} steps"
-        f" ({p.discarded} discarded), acceptance {p.acceptance:.2f}, seed {p.seed}"
-    )
-    return text if p.divergences is None else f"{text}, {p.divergences} divergences"
-
-
-def _correlations(result: FitResult, above: float = 0.9) -> list[str]:
-    matrix, labels = np.asarray(result.correlation), result.labels
-    pairs = [
-        (abs(matrix[i, j]), f"  {labels[j]} and {labels[i]}: {matrix[i, j]:+.3f}")
-        for i in range(len(labels))
-        for j in range(i)
-        if abs(matrix[i, j]) > above
-    ]
-    if not pairs:
+def _correlations(result: FitResult) -> list[str]:
+    lines = correlation_lines(result)
+    if not lines:
         return []
-    pairs.sort(key=lambda pair: -pair[0])
-    lines = [text[:WIDTH] for _, text in pairs[:10]]
-    if len(pairs) > 10:
-        lines.append(f"  and {len(pairs) - 10} more")
-    return ["", f"CORRELATIONS ABOVE {above}", *lines]
+    return ["", "CORRELATIONS ABOVE 0.9", *(f"  {text}"[:WIDTH] for text in lines)]
 
 
 def verdict_line(result: FitResult) -> str:
@@ -266,7 +183,7 @@ def verdict_line(result: FitResult) -> str:
     if status != "ok" and sentences:
         return f"{status}: {sentences[0]}"
     s = result.statistics
-    unit = _FORCE_UNIT[result.forces[0]]
+    unit = FORCE_UNIT[result.forces[0]]
     text = f"{status}: RMSE {format_number(s.rmse, 3)} {unit}, R² {s.r2:.4f}"
     return f"{text}, every free parameter identified" if result.identified else text
 

@@ -1,5 +1,6 @@
 """Posterior and profile of the parameters, as arrays."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,10 @@ from tirefit.fitting.marginals import (
 )
 from tirefit.fitting.result import FitResult
 from tirefit.params import Spec
+from tirefit.report.fit_tables import value_text
+from tirefit.report.labels import short_label, short_run
 from tirefit.report.numbers import plain_text
+from tirefit.results import InputProblem, UsageError
 
 __all__ = [
     "Corner",
@@ -22,12 +26,15 @@ __all__ = [
     "Trace",
     "corner_data",
     "has_trace",
+    "named_labels",
     "profile_data",
     "symbol",
     "trace_data",
 ]
 
-_MOST = 12
+_MOST_PAIRS = 20
+_MOST_TRACES = 10
+_MOST_PROFILES = 24
 _TRACE_POINTS = 600
 
 
@@ -37,7 +44,9 @@ class Corner(NamedTuple):
     ``edges`` (p, bins + 1); ``density`` (p, bins) peaks at 1; ``joint`` maps (row,
     column), row > column, to a density (bins, bins) over (row, column), and ``levels``
     the same key to the densities that enclose 95 % and 50 %. ``interval`` (p, 2) and
-    ``median`` (p,) are of the posterior, ``estimate`` (p,) is least squares.
+    ``median`` (p,) are of the posterior, ``estimate`` (p,) is least squares;
+    ``correlation`` (p, p) of the draws is NaN where one is constant; ``values`` are
+    texts.
     """
 
     labels: tuple[str, ...]
@@ -49,6 +58,8 @@ class Corner(NamedTuple):
     median: np.ndarray
     estimate: np.ndarray
     identified: tuple[bool, ...]
+    correlation: np.ndarray
+    values: tuple[str, ...]
     note: str
 
 
@@ -57,7 +68,7 @@ class Trace(NamedTuple):
 
     ``position`` (m,) from 0 to 1; ``draws`` (ensembles, m, p); ``edges``
     (p, bins + 1) and ``density`` (ensembles, p, bins) of all draws; ``rhat`` and
-    ``ess`` (p,) or None.
+    ``ess`` (p,) or None; ``note`` says what is not shown.
     """
 
     labels: tuple[str, ...]
@@ -67,6 +78,7 @@ class Trace(NamedTuple):
     density: np.ndarray
     rhat: np.ndarray | None
     ess: np.ndarray | None
+    note: str
 
 
 class ProfilePanel(NamedTuple):
@@ -102,7 +114,9 @@ def symbol(result: FitResult, label: str) -> str:
     spec = _spec(result, label)
     _, bracket, run = label.partition("[")
     name = label if spec is None else f"${spec.symbol}$"
-    where = f" ({plain_text(run.rstrip(']'))})" if bracket and spec is not None else ""
+    where = ""
+    if bracket and spec is not None:
+        where = f" ({plain_text(short_run(result, run[:-1]))})"
     return f"{name}{where} [{result.least_squares[label].unit}]"
 
 
@@ -111,11 +125,72 @@ def _flat(result: FitResult) -> np.ndarray:
     return flat[np.all(np.isfinite(flat), axis=1)]
 
 
-def corner_data(result: FitResult) -> Corner:
-    """Marginal and pairwise posterior densities of at most twelve parameters."""
-    flat, labels = _flat(result)[:, :_MOST], result.labels[:_MOST]
-    left_out = len(result.labels) - len(labels)
-    notes = [f"{_MOST} of {len(result.labels)} parameters shown"] if left_out else []
+def named_labels(result: FitResult, parameters: Sequence[str]) -> tuple[str, ...]:
+    """Labels of the fit by their names, in its order.
+
+    Args:
+        parameters: labels as in the report or in ``fit.json``; the name of a parameter
+            that is per run means all runs.
+
+    Raises:
+        UsageError: the fit has no such free parameter.
+    """
+    known = {
+        label: {label, short_label(result, label), label.partition("[")[0]}
+        for label in result.labels
+    }
+    wrong = [p for p in parameters if not any(p in names for names in known.values())]
+    if wrong or not parameters:
+        reason = f"this fit has no free parameter {', '.join(wrong) or '(none given)'}"
+        shown = ", ".join(short_label(result, label) for label in result.labels)
+        raise UsageError(InputProblem(reason, f"it has {shown}"))
+    return tuple(k for k, names in known.items() if names & set(parameters))
+
+
+def _chosen(result: FitResult, most: int, rank: Sequence[float]) -> tuple[str, ...]:
+    """At most so many labels, in order: those that are not identified, then those of
+    highest rank."""
+    if len(result.labels) <= most:
+        return result.labels
+    vague = np.array([not result.least_squares[k].identified for k in result.labels])
+    best = np.lexsort((-np.asarray(rank, float), ~vague))[:most]
+    return tuple(result.labels[i] for i in sorted(best))
+
+
+def _telling_pairs(result: FitResult) -> tuple[str, ...]:
+    """The labels whose correlations are strongest."""
+    strength = np.abs(np.asarray(result.correlation, float))
+    np.fill_diagonal(strength := np.nan_to_num(strength), 0.0)
+    return _chosen(result, _MOST_PAIRS, strength.max(axis=1, initial=0.0))
+
+
+def _indices(result: FitResult, labels: Sequence[str]) -> list[int]:
+    return [result.labels.index(label) for label in labels]
+
+
+def _correlation(flat: np.ndarray) -> np.ndarray:
+    centred = flat - flat.mean(axis=0)
+    size = np.sqrt(np.sum(centred**2, axis=0))
+    size[size < 1e-12 * np.abs(flat).max(axis=0)] = np.nan
+    return (centred / size).T @ (centred / size)
+
+
+def corner_data(result: FitResult, parameters: Sequence[str] | None = None) -> Corner:
+    """Marginal and pairwise posterior densities.
+
+    Args:
+        parameters: as of :func:`named_labels`; without them all, or the twenty that are
+            correlated most.
+    """
+    if parameters is None:
+        labels = _telling_pairs(result)
+    else:
+        labels = named_labels(result, parameters)
+    flat = _flat(result)[:, _indices(result, labels)]
+    notes = []
+    if parameters is None and len(labels) < len(result.labels):
+        text = f"{len(labels)} of {len(result.labels)} parameters: not identified"
+        notes.append(f"{text}, or correlated most")
     edges = np.array([bin_edges(column) for column in flat.T])
     beyond = np.any((flat < edges[:, 0]) | (flat > edges[:, -1]), axis=1).mean()
     # The outermost 0.2 % of each parameter are never drawn.
@@ -136,6 +211,8 @@ def corner_data(result: FitResult) -> Corner:
         np.stack([low, high], axis=1), median,
         np.array([result.least_squares[label].value for label in labels]),
         tuple(result.least_squares[label].identified for label in labels),
+        _correlation(flat),
+        tuple(value_text(result.parameters[label]) for label in labels),
         "; ".join(notes),
     )  # fmt: skip
 
@@ -146,13 +223,47 @@ def has_trace(result: FitResult) -> bool:
     return result.chains is not None and bool(chained)
 
 
-def trace_data(result: FitResult) -> Trace:
-    """Draws of every ensemble in order, thinned for drawing, and their densities."""
-    chains = np.asarray(result.chains, float)[..., :_MOST]
-    labels = result.labels[:_MOST]
+def _least_mixed(result: FitResult) -> tuple[str, ...]:
+    """The labels whose chains agree least."""
+    rhat = {} if result.posterior is None else result.posterior.rhat
+    ess = {} if result.posterior is None else result.posterior.ess
+    rank = [rhat.get(k, 0.0) - 1e-9 * ess.get(k, 0.0) for k in result.labels]
+    return _chosen(result, _MOST_TRACES, rank)
+
+
+def _of_others(result: FitResult, labels: Sequence[str]) -> str:
+    """How well the chains agree of those that are not shown."""
+    others = [k for k in result.labels if k not in labels]
+    if not others:
+        return ""
+    text = f"{len(labels)} of {len(result.labels)} parameters"
+    summary = result.posterior
+    known = [] if summary is None else [k for k in others if k in summary.rhat]
+    if summary is None or not known:
+        return text
+    rhat, ess = (
+        max(summary.rhat[k] for k in known),
+        min(summary.ess[k] for k in known),
+    )
+    return f"{text}; the others: R-hat at most {rhat:.3f}, ESS at least {ess:.0f}"
+
+
+def trace_data(result: FitResult, parameters: Sequence[str] | None = None) -> Trace:
+    """Draws of every ensemble in order, thinned for drawing, and their densities.
+
+    Args:
+        parameters: as of :func:`named_labels`; without them all, or the ten whose
+            chains agree least.
+    """
+    if parameters is None:
+        labels = _least_mixed(result)
+    else:
+        labels = named_labels(result, parameters)
+    columns = _indices(result, labels)
+    chains = np.asarray(result.chains, float)[..., columns]
     length = chains.shape[1]
     chosen = np.linspace(0, length - 1, min(_TRACE_POINTS, length)).astype(int)
-    edges = np.array([bin_edges(column) for column in _flat(result)[:, :_MOST].T])
+    edges = np.array([bin_edges(column) for column in _flat(result)[:, columns].T])
     density = np.array(
         [
             [marginal_density(ensemble[:, i], edges[i]) for i in range(len(labels))]
@@ -170,7 +281,7 @@ def trace_data(result: FitResult) -> Trace:
     )
     return Trace(
         tuple(symbol(result, label) for label in labels), chosen / max(length - 1, 1),
-        chains[:, chosen], edges, density, rhat, ess,
+        chains[:, chosen], edges, density, rhat, ess, _of_others(result, labels),
     )  # fmt: skip
 
 
@@ -203,8 +314,13 @@ def _profile_panel(result: FitResult, label: str, profile) -> ProfilePanel:
 
 
 def profile_data(result: FitResult) -> tuple[ProfilePanel, ...]:
-    """Profile likelihood of at most twelve parameters beside the other two routes."""
+    """Profile likelihood of at most 24 parameters beside the other two routes."""
+    differ = result.verdict.get("disagreements", {})
+    shown = _chosen(
+        result, _MOST_PROFILES, [label in differ for label in result.labels]
+    )
     return tuple(
         _profile_panel(result, label, result.profiles[label])
-        for label in list(result.profiles)[:_MOST]
+        for label in shown
+        if label in result.profiles
     )

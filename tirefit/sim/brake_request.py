@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -99,15 +98,12 @@ def plant_of(request: Request) -> Plant:
     """The plant of a request that was checked; its leaves are arrays."""
     vehicle: Vehicle = arrays(VEHICLES[request.vehicle]())
     road = arrays(road_of(request.road))
-    tire = _peaked(
+    tire = on_road(
         arrays(request.tire), jnp.asarray(request.speed, float), jnp.mean(vehicle.fz),
         jnp.concatenate([road.before, road.after]),
     )  # fmt: skip
     hydraulics = arrays(request.hydraulics)
     return Plant(vehicle, tire, road, hydraulics, jnp.asarray(request.steer, float))
-
-
-_peaked = eqx.filter_jit(on_road)
 
 
 _USUAL_SLOPE = (3.0, 150.0)

@@ -114,7 +114,7 @@ def summarise(plant: Plant, log: Log, period: float) -> Summary:
     judged = fast * (log.reading.time >= _BUILT_UP)
     turning = s.omega * jnp.asarray(plant.vehicle.radius)[None]
     sliding = log.contacts.v_x - turning
-    samples = round(_WINDOW / period)
+    samples = min(round(_WINDOW / period), n)  # of a log that is shorter, all of it
     time = last * period
     return Summary(
         stopping_distance=jnp.where(stopped, s.distance[last], jnp.nan),

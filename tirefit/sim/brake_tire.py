@@ -114,7 +114,12 @@ def _similar(factor, kappa, alpha, speed, fz) -> TireInputs:
 def on_road(tire: AbstractTire, speed, fz, roads) -> RoadTire:
     """A tire with its peaks, for braking from ``speed`` [m/s] at load ``fz`` [N] on
     ``roads`` (m,) of some frictions."""
-    one_speed = "v" not in tire.needs
+    # Asked of its values, which a .tir file gives: they are not known inside.
+    return _peaked(tire, speed, fz, roads, "v" not in tire.needs)
+
+
+@eqx.filter_jit
+def _peaked(tire: AbstractTire, speed, fz, roads, one_speed: bool) -> RoadTire:
     shares = jnp.geomspace(0.01, 1.0, _SPEEDS)[-1 if one_speed else 0 :]
     speeds = jnp.asarray(speed) * shares
     loads = jnp.asarray(fz) * jnp.linspace(0.2, 2.4, _LOADS)

@@ -209,7 +209,7 @@ def _result(model, data: TireData, work: Search, priors, notes) -> MagicFormulaF
         guards=check_guards(tire, ranges, guarded) if guarded else (),
         ranges=ranges,
         reference={"fz": float(np.median(loads)), "v": float(np.median(speeds))},
-        data=data_record(data, data.n),
+        data=data_record(data, data.n, ()),
         notes=tuple(notes),
         version=importlib.metadata.version("tirefit"),
     )

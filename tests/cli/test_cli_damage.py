@@ -1,0 +1,333 @@
+"""Full disks, folders that are read-only or vanish, two processes in one folder.
+
+The system does the damage: a largest size of files (a quota), permissions, a file
+system of its own, locks; nothing is replaced in the package.
+"""
+
+import ctypes
+import json
+import os
+import resource
+import shlex
+import shutil
+import subprocess
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from test_cli_brake import QUICK
+from test_cli_diagnose import LOADS, READ, WITHOUT
+from test_cli_diagnose import write as write_sweeps
+from test_cli_fit import FAST, write
+
+from tirefit.cli.options import _cache_folder, complain, say
+from tirefit.cli.output import claimed, staged
+from tirefit.files import write_texts
+
+LOG = ("sigma_x,fx,fz,v,time", *(f"{0.0005 * k},{50 * k},4000,20,{k / 100}"
+                                 for k in range(60)))  # fmt: skip
+
+INTO_FOLDERS = {
+    "fit": ("fit", "rig.csv", "--config", "fit.toml", "--no-posterior"),
+    "convert": ("convert", "--magic-formula", "10,1.9,1,0.97", "--loads", "4000"),
+    "diagnose": ("diagnose", "one.csv", *READ, *WITHOUT, "--figures"),
+    "estimate": ("estimate", "log.csv", "--method", "slip-slope"),
+    "brake": ("brake", "--controller", "abs", *QUICK),
+}
+"""Commands that write folders, their modules, and a word of their reports."""
+MODULES = {
+    name: import_module(f"tirefit.cli.{'fit' if name == 'convert' else name}")
+    for name in INTO_FOLDERS
+}
+REPORTS = {
+    "fit": "VERDICT", "convert": "VERDICT", "diagnose": "WHERE",
+    "estimate": "ESTIMATES", "brake": "BRAKING",
+}  # fmt: skip
+
+INTO_FILES = {
+    "predict": ("predict", "brush", "rig.csv"),
+    "convert": ("convert", "--cpa2", "5e4", "--mu", "1", "--fz", "4000", "--radius",
+                "0.3"),
+    "simulate": ("simulate", "rig", "--truth", "truth.csv"),
+}  # fmt: skip
+
+
+@pytest.fixture
+def inputs(run, tmp_path):
+    (tmp_path / "fit.toml").write_text(FAST)
+    (tmp_path / "log.csv").write_text("\n".join(LOG) + "\n")
+    write(tmp_path / "rig.csv")
+    write_sweeps(tmp_path / "one.csv", low=0.002, loads=LOADS[1:2])
+    return sorted(path.name for path in tmp_path.iterdir())
+
+
+@contextmanager
+def files_of_at_most(size):
+    """A quota: writing more into a file fails, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def there(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.mark.parametrize("name", INTO_FOLDERS)
+def test_full_and_vanished_folders_are_named_and_the_report_is_said(
+    run, inputs, tmp_path, monkeypatch, name
+):
+    """A quota while files are written; then a folder that somebody removes."""
+
+    @contextmanager
+    def with_quota(directory, *rest):
+        with files_of_at_most(64), staged(directory, *rest) as folder:
+            yield folder
+
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "notes.txt").write_text("mine")
+    with monkeypatch.context() as patch:
+        patch.setattr(MODULES[name], "staged", with_quota)
+        full = run(*INTO_FOLDERS[name], "--out", "o", exit_code=2)
+    assert REPORTS[name] in full.stdout and "wrote" not in full.stdout
+    assert full.stderr.startswith("error:\n  o/")
+    cause = ": cannot be written: File too large; o is as it was before, with notes.txt"
+    assert cause in full.stderr
+    assert "make room" in full.stderr and there(tmp_path / "o") == ["notes.txt"]
+
+    @contextmanager
+    def vanishing(directory):
+        with claimed(directory):
+            shutil.rmtree(directory)
+            yield
+
+    monkeypatch.setattr(MODULES[name], "claimed", vanishing)
+    gone = run(*INTO_FOLDERS[name], "--out", "o", exit_code=2)
+    assert gone.stdout == full.stdout and not (tmp_path / "o").exists()
+    assert "o: cannot be written: No such file or directory" in gone.stderr
+    assert "the folder o is gone" in gone.stderr
+
+
+@pytest.mark.parametrize("name", INTO_FOLDERS)
+def test_the_second_process_in_a_folder_is_refused(run, inputs, tmp_path, name):
+    with claimed(tmp_path / "o"):
+        result = run(*INTO_FOLDERS[name], "--out", "o", exit_code=2)
+        assert "o: another tirefit is writing its results" in result.stderr
+        assert result.stdout == "" and there(tmp_path / "o") == []
+
+
+def test_of_two_processes_all_files_are_one_s(tmp_path):
+    """A process that replaces its files keeps the other from beginning."""
+    one, two = tmp_path / "one", tmp_path / "two"
+    with claimed(tmp_path):
+        writer = threading.Thread(target=write_texts, args=({one: "a", two: "a"},))
+        writer.start()
+        writer.join(0.1)
+        assert writer.is_alive() and there(tmp_path) == []
+    writer.join()
+    assert one.read_text() == two.read_text() == "a"
+
+
+def test_one_full_folder_does_not_stop_the_other_files(run, inputs, tmp_path):
+    write(tmp_path / "wet.csv", mu=0.7, seed=2)
+    (tmp_path / "o" / "rig" / "fit.png").mkdir(parents=True)
+    files = ("fit", "rig.csv", "wet.csv", "--config", "fit.toml", "--no-posterior")
+    result = run(*files, "--out", "o", exit_code=2)
+    assert "o/rig/fit.png: cannot be written: there is a folder" in result.stderr
+    assert result.stdout.count("VERDICT") == 2
+    assert there(tmp_path / "o" / "rig") == ["fit.png"]
+    assert "fit.json" in there(tmp_path / "o" / "wet")
+
+
+@pytest.mark.parametrize("name", INTO_FILES)
+def test_a_file_that_cannot_be_written_is_as_it_was(run, inputs, tmp_path, name):
+    with files_of_at_most(64):
+        result = run(*INTO_FILES[name], "--out", "o.file", exit_code=2)
+        assert "File too large; nothing was written\n" in result.stderr
+        assert there(tmp_path) == inputs
+    for file in ("o.file", "truth.csv"):
+        (tmp_path / file).write_text("old")
+    with files_of_at_most(64):
+        result = run(*INTO_FILES[name], "--out", "o.file", exit_code=2)
+    assert "File too large; it is as it was before\n" in result.stderr
+    assert (tmp_path / "o.file").read_text() == "old"
+    assert there(tmp_path) == sorted([*inputs, "o.file", "truth.csv"])
+
+
+# --- permissions ----------------------------------------------------------------
+
+
+class _Header(ctypes.Structure):
+    _fields_ = [("version", ctypes.c_uint32), ("pid", ctypes.c_int)]
+
+
+def _give_up_privileges():
+    """Takes from this thread alone what root may do against permissions."""
+    header, none = _Header(0x20080522, 0), (ctypes.c_uint32 * 6)()
+    if ctypes.CDLL(None, use_errno=True).capset(ctypes.byref(header), none):
+        raise OSError(ctypes.get_errno(), "capset")
+
+
+def as_anyone(action):
+    """What the action returns in a thread that has to keep to permissions."""
+    with ThreadPoolExecutor(1) as thread:
+        if os.geteuid() == 0:
+            thread.submit(_give_up_privileges).result()
+        return thread.submit(action).result()
+
+
+@pytest.fixture
+def read_only(tmp_path):
+    if not sys.platform.startswith("linux"):
+        pytest.skip("root keeps to permissions only where its privileges can be taken")
+    folder = tmp_path / "sealed"
+    folder.mkdir()
+    folder.chmod(0o555)
+    yield folder
+    folder.chmod(0o755)
+
+
+@pytest.mark.parametrize("name", [*INTO_FOLDERS, "file " + "predict"])
+def test_a_read_only_folder_is_said_before_the_work(run, inputs, read_only, name):
+    words = INTO_FOLDERS.get(name) or INTO_FILES[name.removeprefix("file ")]
+    said = as_anyone(lambda: run(*words, "--out", "sealed/o", exit_code=2))
+    assert "sealed/o" in said.stderr and "permission" in said.stderr.lower()
+    assert said.stdout == "" and there(read_only) == []
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="root writes anyway")
+def test_a_folder_that_turns_read_only_keeps_what_it_has(
+    run, inputs, tmp_path, monkeypatch
+):
+    """As a disk that is mounted anew, read-only, while the command works."""
+    run(*INTO_FOLDERS["fit"], "--out", "o")
+    before = there(tmp_path / "o")
+
+    @contextmanager
+    def turning(directory):
+        with claimed(directory):
+            directory.chmod(0o555)
+            yield
+        directory.chmod(0o755)
+
+    monkeypatch.setattr(MODULES["fit"], "claimed", turning)
+    again = (*INTO_FOLDERS["fit"], "--seed", "9", "--out", "o")
+    said = as_anyone(lambda: run(*again, exit_code=2))
+    (tmp_path / "o").chmod(0o755)
+    assert "VERDICT" in said.stdout, said.stderr
+    assert "o: cannot be written: Permission denied; o is as it was" in said.stderr
+    assert f"with {', '.join(before)}" in said.stderr
+    assert there(tmp_path / "o") == before
+
+
+# --- a tiny file system -----------------------------------------------------------
+
+FULL = """
+import json, os, subprocess, sys
+from pathlib import Path
+
+from typer.testing import CliRunner
+from tirefit.cli.commands import app
+from tirefit.fitting import chains
+
+chains._SECONDS_BETWEEN = 1e9  # the chain is kept at the end alone
+disk = Path("disk")
+disk.mkdir()
+made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "none", disk])
+if made.returncode:
+    sys.exit(77)
+
+def size(of):
+    subprocess.run(["mount", "-o", f"remount,size={of}", disk], check=True)
+
+def run(*words):
+    result = CliRunner().invoke(app, words)
+    if not isinstance(result.exception, SystemExit | None):
+        raise result.exception
+    there = {p.name: p.stat().st_size for p in disk.rglob("*") if p.is_file()}
+    said.append([result.exit_code, result.stdout, result.stderr, there])
+
+said = []
+fit = ("fit", "rig.csv", "--config", "fit.toml", "--out", "disk/o")
+for of in ("300k", "600k"):
+    size(of)
+    run(*fit)
+size("20m")
+run(*fit, "--resume")
+Path("said.json").write_text(json.dumps(said))
+"""
+
+
+def test_a_fit_on_a_full_disk_loses_nothing_that_fits(inputs, tmp_path):
+    """Too small for the posterior's chain; for its result; then large enough."""
+    if shutil.which("unshare") is None:
+        pytest.skip("no unshare: no file system of our own")
+    short = "walkers = 8\nmax_steps = 200\n"
+    (tmp_path / "fit.toml").write_text(FAST + short)
+    program = ["unshare", "-rm", sys.executable, "-c", FULL]
+    done = subprocess.run(program, capture_output=True, text=True)
+    if done.returncode == 77 or "unshare failed" in done.stderr:
+        pytest.skip(f"no file system of our own: {done.stderr.strip()}")
+    assert done.returncode == 0, done.stderr
+    least, chained, whole = json.loads((tmp_path / "said.json").read_text())
+    for code, report, error, _ in (least, chained):
+        assert code == 2 and "VERDICT" in report and "remedy: make room" in error
+        assert ": cannot be written: No space left on device; " in error
+    # The least squares stay, and no chain could be kept: which is said.
+    assert "fit.json" in least[3] and "chain.npz" not in least[3]
+    assert "POSTERIOR" in least[1] and "the chain was not kept for --resume" in least[1]
+    assert "--resume goes on from its chain" in chained[2]
+    assert {"fit.json", "chain.npz"} <= set(chained[3])
+    assert whole[0] == 4 and {"posterior.nc", "corner.png"} <= set(whole[3])
+    result = chained[1].rpartition("PARAMETERS")[2].strip()
+    assert result in whole[1]
+
+
+# --- outputs that take nothing ----------------------------------------------------
+
+needs_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+
+
+@needs_full
+def test_a_full_standard_output_is_named(inputs):
+    """Also of what is said before any command runs; a full stderr leaves the code."""
+    program = [sys.executable, "-m", "tirefit"]
+    with open("/dev/full", "w") as full:
+        said = {"stdout": full, "stderr": subprocess.PIPE, "text": True}
+        helped = subprocess.run([*program, "--help"], **said)
+        looked = subprocess.run([*program, "inspect", "rig.csv"], **said)
+        silent = subprocess.run([*program, "inspect", "none.csv"], stderr=full)
+    assert helped.returncode == looked.returncode == silent.returncode - 1 == 2
+    assert helped.stderr == "error: output: No space left on device\n"
+    assert "standard output: cannot be written: No space left" in looked.stderr
+
+
+def test_a_closed_standard_input_is_an_error():
+    program = [sys.executable, "-m", "tirefit", "estimate", "-", "--follow"]
+    closed = subprocess.run(
+        f"{shlex.join(program)} <&-", shell=True, capture_output=True, text=True
+    )
+    assert closed.returncode == 2 and "standard input is closed" in closed.stderr
+
+
+def test_programs_are_kept_where_they_can_be(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "new"))
+    assert _cache_folder() == tmp_path / "new" / "tirefit"
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    assert _cache_folder() is None
+
+
+def test_what_commands_the_terminal_is_not_said(capsys):
+    say("red \x1b[31m and\tno\r\nmore\x07")
+    complain("\x9b2J")
+    said = capsys.readouterr()
+    assert said.out == "red \ufffd[31m and\tno\ufffd\nmore\ufffd\n"
+    assert said.err == "\ufffd2J\n"

@@ -1,0 +1,123 @@
+"""Rows far from everything: absurd values are named, settings and noise are not."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tirefit.data.far import far_values
+from tirefit.data.inspect import inspect
+from tirefit.data.read import read, read_frame
+from tirefit.data.table import join
+
+ROWS = 80
+
+
+def sweep(seed=0, n=ROWS, **changes):
+    """A force over a slip, with loads that were held to half a percent."""
+    generator = np.random.default_rng(seed)
+    slip = generator.uniform(-0.1, 0.25, n)
+    columns = {
+        "sigma_x": slip,
+        "fx": 4000 * np.tanh(25 * slip) + 60 * generator.standard_normal(n),
+        "fz": 4000 * (1 + 0.005 * generator.standard_normal(n)),
+    }
+    for column, values in changes.items():
+        for row, value in values.items():
+            columns[column][row] = value
+    return columns
+
+
+def named(columns, **how):
+    return {(far.row, far.column) for far in far_values(read_frame(columns, **how))}
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("fx", 4e5), ("fx", -4e6), ("fz", 9e9), ("fz", 4.0), ("fz", 4000 * 4.448),
+    ],
+)  # fmt: skip
+def test_a_value_far_from_its_file_is_named(column, value):
+    assert named(sweep(**{column: {17: value}})) == {(17, column)}
+
+
+def test_a_slip_far_from_all_others_is_named():
+    columns = sweep()
+    columns["sigma_x"] *= 0.1
+    columns["sigma_x"][17] = 3.0
+    assert named(columns) == {(17, "sigma_x")}
+
+
+def test_several_absurd_rows_do_not_hide_each_other():
+    found = named(sweep(n=400, fz=dict.fromkeys(range(30, 42), 4e6), fx={7: 1e7}))
+    assert found == {*((row, "fz") for row in range(30, 42)), (7, "fx")}
+
+
+def test_a_force_against_its_slip_is_named():
+    columns = sweep()
+    row = int(np.argmax(columns["sigma_x"]))
+    columns["fx"][row] *= -1
+    (far,) = far_values(read_frame(columns, convention="braking"))
+    assert (far.row, far.column) == (row, "fx")
+    assert far.low == 0 and "sign of sigma_x" in far.among
+
+
+def test_a_force_unlike_those_of_its_slip_is_named():
+    columns = sweep(n=200)
+    row = int(np.argsort(columns["sigma_x"])[170])
+    columns["fx"][row] /= 4.448
+    (far,) = far_values(read_frame(columns))
+    assert (far.row, far.column) == (row, "fx") and "about its sigma_x" in far.among
+    assert 3500 < far.low < far.high < 4200
+
+
+def test_a_spike_of_a_log_is_named():
+    time = np.arange(500) / 100
+    slip = 0.05 + 0.04 * np.sin(time)
+    columns = {"time": time, "sigma_x": slip, "fx": 4e4 * slip, "v": 20 - time,
+               "fz": np.full(500, 4e3)}  # fmt: skip
+    assert named(columns) == set()
+    columns["v"][250] = 9.0
+    assert named(columns) == {(250, "v")}
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_noise_and_the_ends_of_a_range_are_not_far(seed):
+    assert not named(sweep(seed))
+    assert not named(sweep(seed, n=1000))
+
+
+def test_settings_and_a_locked_wheel_are_not_far():
+    # Two rows in forty at twice the load, and two where the wheel stood.
+    held = sweep(n=40, fz={3: 8000.0, 4: 8020.0})
+    held["sigma_x"][5:7] = 1e6
+    assert not named(held)
+    # Where one row in ten is there, it belongs to what was measured.
+    assert not named(sweep(fz=dict.fromkeys(range(8), 2e5)))
+    assert not named({key: values[:8] for key, values in sweep(fx={2: 4e5}).items()})
+
+
+def write(path, columns):
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(columns), *(",".join(map(repr, map(float, r))) for r in rows)]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_inspect_names_file_lines_and_says_what_to_do(tmp_path):
+    write(tmp_path / "rig.csv", sweep(fx={17: 4e5}))
+    report = inspect(read(tmp_path / "rig.csv"))
+    (said,) = report.far_rows
+    assert said.startswith("row 19, column 'fx': 400000 N is far from all other rows")
+    assert said.endswith("remedy: correct or delete the row")
+    assert "rows far from everything" in report.text()
+    assert json.loads(json.dumps(report.as_dict()))["far_rows"] == [said]
+    assert "far from" not in inspect(read_frame(sweep())).text()
+
+
+def test_rows_of_joined_files_keep_their_file_and_line(tmp_path):
+    for name, changes in (("a", {}), ("b", {"fz": {4: 9e9}})):
+        write(tmp_path / f"{name}.csv", sweep(seed=len(changes), **changes))
+    both = join([read(tmp_path / "a.csv"), read(tmp_path / "b.csv")])
+    (said,) = inspect(both).far_rows
+    assert said.startswith(f"{tmp_path / 'b.csv'}, row 6, column 'fz'")

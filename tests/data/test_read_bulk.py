@@ -1,0 +1,166 @@
+"""A large text is read in pieces by NumPy: as any text is, whatever stands in it."""
+
+import numpy as np
+import pytest
+
+from tirefit.data import bulk, kinds
+from tirefit.data.check import read_numbers
+from tirefit.data.read import read
+from tirefit.results import DataError
+
+ROWS = 60
+
+
+def rows(seed=0, count=ROWS):
+    generator = np.random.default_rng(seed)
+    kappa = generator.uniform(-0.05, 0.2, count)
+    force = 8e4 * kappa / (1 + 20 * abs(kappa))
+    names = [f"{1 + i * 4 // count}" for i in range(count)]
+    return [
+        [f"{i / 100:.2f}", f"{k:.6f}", f"{f:.2f}", "4000", name]
+        for i, (k, f, name) in enumerate(zip(kappa, force, names, strict=True))
+    ]
+
+
+HEADER = ["time", "kappa", "fx", "fz", "run"]
+
+
+def text_of(table, delimiter=",", end="\n", header=HEADER):
+    return end.join(delimiter.join(row) for row in [header, *table]) + end
+
+
+def told(path, **options):
+    """All that a reading gives, or all that its errors say."""
+    try:
+        data = read(path, **options)
+    except DataError as error:
+        return str(error)
+    columns = {name: values.tolist() for name, values in data.columns.items()}
+    said = [str(problem) for problem in data.source.masked]
+    return (
+        repr(columns), data.used.tolist(), data.run.tolist(), data.runs,
+        data.source.line.tolist(), data.source.notes, said,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def in_pieces(monkeypatch):
+    """Every text is large: a head of some ten rows, then pieces of as many."""
+    used = []
+    table_of_large = bulk.table_of_large
+
+    def counted(*arguments):
+        table = table_of_large(*arguments)
+        used.append(table is not None)
+        return table
+
+    def start():
+        monkeypatch.setattr(bulk, "LARGE", 0)
+        monkeypatch.setattr(bulk, "_HEAD", 300)
+        monkeypatch.setattr(bulk, "_PIECE", 300)
+        monkeypatch.setattr(kinds, "table_of_large", counted)
+        return used
+
+    return start
+
+
+def changed(edit, **how):
+    table = rows()
+    edit(table)
+    return text_of(table, **how)
+
+
+def cell(row, column, text):
+    return lambda table: table[row].__setitem__(column, text)
+
+
+def line(row, *cells):
+    return lambda table: table.insert(row, list(cells))
+
+
+TEXTS = {
+    "plain": text_of(rows()),
+    "no line end": text_of(rows()).removesuffix("\n"),
+    "line ends of DOS": text_of(rows(), end="\r\n"),
+    "tabs": text_of(rows(), delimiter="\t"),
+    "white space": text_of(rows(), delimiter="   "),
+    "decimal comma": text_of(rows(), delimiter=";").replace(".", ","),
+    "a decimal comma and points": changed(cell(50, 2, "1,5"), delimiter=";"),
+    "grouped": changed(cell(50, 3, "4,000"), delimiter=";").replace(".", ""),
+    "names of runs": text_of([[*row[:4], "run " + row[4]] for row in rows()]),
+    "blank lines": changed(line(40, "")),
+    "a comment": changed(line(40, "# here the rig stopped")),
+    "a comment of cells": changed(line(40, "#1", "2", "3", "4", "5")),
+    "spaces": changed(cell(45, 1, "  0.01 ")),
+    "a sign": changed(cell(45, 1, "+.5e-2")),
+    "text": changed(cell(45, 2, "abc")),
+    "an empty cell": changed(cell(45, 2, "")),
+    "nan": changed(cell(45, 2, "nan")),
+    "infinity": changed(cell(45, 2, "-inf")),
+    "too large": changed(cell(45, 2, "1e400")),
+    "an underscore": changed(cell(45, 3, "4_000")),
+    "a hexadecimal": changed(cell(45, 3, "0x10")),
+    "a minus sign": changed(cell(45, 1, "\N{MINUS SIGN}0.01")),
+    "a control character": changed(cell(45, 1, "0.\x01")),
+    "quoted": changed(cell(45, 1, '"0.01"')),
+    "a quoted comma": changed(cell(45, 4, '"1, warm"')),
+    "a quoted line": changed(cell(45, 4, '"1\nwarm"')),
+    "an open quotation mark": changed(cell(45, 4, '"1')),
+    "a short row": changed(line(45, "1", "2")),
+    "long and short rows": changed(
+        lambda t: [t.insert(k, ["1"] * n) for k, n in ((20, 6), (30, 2), (44, 9))]
+    ),
+    "a last row cut off": text_of(rows())[:-15],
+    "a delimiter at the end": text_of(rows()).replace("\n", ",\n"),
+    "a second table": text_of(rows()) + text_of(rows()),
+    "a load of zero": changed(cell(45, 3, "0")),
+    "units": text_of([["s", "-", "kN", "N", "-"], *rows()]),
+    "an old line end": text_of(rows(), end="\r"),
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_a_large_text_reads_as_a_small_one(name, tmp_path, in_pieces):
+    path = tmp_path / "log.csv"
+    path.write_text(TEXTS[name], newline="")
+    alone = told(path, mask_bad_rows=True)
+    used = in_pieces()
+    assert told(path, mask_bad_rows=True) == alone
+    if name in ("plain", "decimal comma", "names of runs", "a short row", "text"):
+        assert used == [True]
+
+
+def cells_of(path):
+    """The table of a text, its numbers too, or what its errors say."""
+    try:
+        table = kinds.read_table(path, [])
+    except DataError as error:
+        return str(error)
+    columns = [(list(c), *read_numbers(c, "", table.ragged)) for c in table.cells]
+    faults = [(list(f.rows), list(f.values), f.rule) for f in table.faults]
+    return repr((
+        [(text, values.tolist(), wrong) for text, values, wrong in columns],
+        faults, table.headers, table.lines.tolist(), table.ragged.tolist(),
+        table.delimiter, table.units_row, table.notes,
+    ))  # fmt: skip
+
+
+def test_damaged_texts_hold_the_same_cells(tmp_path, in_pieces):
+    generator = np.random.default_rng(7)
+    clean, path = text_of(rows()).encode(), tmp_path / "log.csv"
+    marks = b',;\n\r"#. -+e1\tx\x00\xb5'
+    texts = []
+    for _ in range(60):
+        damaged = bytearray(clean)
+        for place in generator.integers(0, len(clean), generator.integers(1, 4)):
+            damaged[place] = generator.choice(list(marks))
+        texts.append(bytes(damaged))
+    alone = []
+    for text in texts:
+        path.write_bytes(text)
+        alone.append(cells_of(path))
+    used = in_pieces()
+    for text, expected in zip(texts, alone, strict=True):
+        path.write_bytes(text)
+        assert cells_of(path) == expected, text
+    assert sum(used) > 20

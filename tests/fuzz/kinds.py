@@ -1,0 +1,200 @@
+"""Sound files of every kind that is read, and what reads them."""
+
+import gzip
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+__all__ = ["KINDS", "Kind", "fit_json", "log_toml", "short_log", "sweep"]
+
+
+class Kind(NamedTuple):
+    """Sound files of one kind and what reads them: (path) -> anything."""
+
+    suffix: str
+    sound: Callable[[], list[bytes]]
+    read: Callable[[Path], object]
+
+
+ROOT = Path(__file__).parents[2]
+_LOG = ROOT / "fits/dart_jetracer"
+
+
+def _files(*patterns: str) -> list[bytes]:
+    found = sorted(path for pattern in patterns for path in ROOT.glob(pattern))
+    assert found, patterns
+    return [path.read_bytes() for path in found]
+
+
+def _fit_tomls() -> list[bytes]:
+    whole = b"""model = "brush-d"
+force = ["fx"]
+starts = 4
+seed = 1
+[noise]
+fx = 20.0
+loss = "huber"
+[data]
+convention = "sae"
+slip_min = -0.2
+[data.constants]
+fz = 4000.0
+[parameters.mu]
+lower = 0.1
+upper = 2.0
+[parameters.mu.prior]
+mean = 0.9
+std = 0.1
+[posterior]
+sampler = "nuts"
+max_steps = 100
+"""
+    return [*_files("fits/*/fit.toml"), whole]
+
+
+def _rigs() -> list[bytes]:
+    return [
+        b'rolling_radius = 0.3\nwheel_inertia = 1.1\nrun_order = "random"\n'
+        b"[noise]\nfx_relative = 0.01\nsigma_x = 0.001\n[vehicle]\nposition = 0.001\n"
+    ]
+
+
+@cache
+def short_log() -> bytes:
+    """20 s of a measured log, of the car of :func:`log_toml`."""
+    path = next(_LOG.glob("free*/*10_02_28.csv.gz"))
+    lines = gzip.decompress(path.read_bytes()).splitlines(keepends=True)
+    return b"".join([lines[0], *lines[2000:2600]])
+
+
+def _tables() -> list[bytes]:
+    rows = b"".join(b"%g,%g,4000\n" % (s / 100, 3e3 * s / 20) for s in range(-9, 20))
+    head = _files("fits/dart_rear_axle/free_driving.csv")[0].splitlines(keepends=True)
+    return [b"kappa,Fx [N],Fz\n" + rows, b"".join(head[:200]), short_log()]
+
+
+def _sweep() -> dict[str, np.ndarray]:
+    slip = np.linspace(-0.1, 0.2, 40)
+    share = np.clip(slip * 5e4 / 6000, -1, 1)
+    force = 4000 * (3 * share - 3 * share * np.abs(share) + share**3)
+    noisy = force + np.random.default_rng(0).normal(0, 20, 40)
+    return {"sigma_x": slip, "fx": noisy, "fz": np.full(40, 4000.0)}
+
+
+def sweep() -> bytes:
+    """A sweep at one load, of a brush with noise."""
+    frame = _sweep()
+    rows = [b"%.6g,%.6g,%g" % row for row in zip(*frame.values(), strict=True)]
+    return b"\n".join([",".join(frame).encode(), *rows, b""])
+
+
+@cache
+def fit_json() -> bytes:
+    from tirefit.data.read import read_frame
+    from tirefit.fitting.estimate import fit
+
+    frame = _sweep()
+    return fit(read_frame(frame, convention="braking")).to_json().encode()
+
+
+@cache
+def _chain() -> bytes:
+    from tirefit.fitting.chains import Chain, save_chain
+
+    random = np.random.default_rng(0)
+    samples = random.normal(size=(4, 30, 8, 2))
+    state = {"key": np.arange(4), "z": samples[:, -1]}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "chain.npz")
+        save_chain(path, Chain(samples, samples[..., 0], 0.4, state), "identity")
+        return path.read_bytes()
+
+
+def _read_fit_toml(path: Path):
+    from tirefit.fitting.config import load_config
+
+    return load_config(path)
+
+
+def log_toml() -> bytes:
+    """The vehicle of :func:`short_log`."""
+    return (_LOG / "vehicle.toml").read_bytes()
+
+
+def _read_vehicle(path: Path):
+    """The vehicle, and a short log by it."""
+    from tirefit.data.derive import derive
+    from tirefit.data.vehicle import load_vehicle
+
+    vehicle = load_vehicle(path)
+    log = path.with_suffix(".csv")
+    if not log.exists():
+        log.write_bytes(short_log())
+    return derive(log, vehicle)
+
+
+def _read_log(path: Path):
+    from tirefit.data.derive import derive
+    from tirefit.data.vehicle import load_vehicle
+
+    return derive(path, load_vehicle(_LOG / "vehicle.toml"))
+
+
+def _read_rig(path: Path):
+    from tirefit.diagnosis.rig import load_rig
+
+    return load_rig(path).force_noise("fx", np.full(3, 4000.0))
+
+
+def _read_tir(path: Path):
+    from tirefit.data.tir import brush_of, notes_on, read_tir
+    from tirefit.models.mf import mf_tire
+
+    tir = read_tir(path)
+    return notes_on(tir), brush_of(tir), mf_tire(tir.version, tir.numbers)
+
+
+def _read_table(path: Path):
+    from tirefit.data.inspect import inspect
+    from tirefit.data.read import read
+
+    return inspect(read(path, convention="braking")).text()
+
+
+def _read_fit(path: Path):
+    from tirefit.fitting.predict import predict
+    from tirefit.fitting.store import load_fit
+
+    return predict(load_fit(path), _points())
+
+
+@cache
+def _points():
+    from tirefit.data.read import read_frame
+
+    slip = np.linspace(-0.1, 0.2, 5)
+    return read_frame(
+        {"sigma_x": slip, "fz": np.full(5, 4000.0)}, convention="braking", forces=False
+    )
+
+
+def _read_chain(path: Path):
+    from tirefit.fitting.chains import load_chain
+
+    return load_chain(path, "identity")
+
+
+KINDS = {
+    "fit.toml": Kind(".toml", _fit_tomls, _read_fit_toml),
+    "vehicle.toml": Kind(".toml", lambda: _files("fits/*/vehicle.toml"), _read_vehicle),
+    "rig.toml": Kind(".toml", _rigs, _read_rig),
+    "tire.tir": Kind(".tir", lambda: _files("tests/data/tir/*/*.tir"), _read_tir),
+    "data.csv": Kind(".csv", _tables, _read_table),
+    "log.csv": Kind(".csv", lambda: [short_log()], _read_log),
+    "fit.json": Kind(".json", lambda: [fit_json()], _read_fit),
+    "chain.npz": Kind(".npz", lambda: [_chain()], _read_chain),
+}

@@ -1,0 +1,239 @@
+"""The page of a fit: what it says, what it needs, and how it looks on a phone."""
+
+import base64
+import html
+import json
+import re
+from dataclasses import replace
+
+import jax.numpy as jnp
+import matplotlib.image
+import numpy as np
+import pytest
+from pages import PHONE, Page, browse, in_browser, width_on_phone
+
+import tirefit
+from tirefit.data.table import Source, TireData
+from tirefit.fitting.estimate import fit
+from tirefit.fitting.far_rows import FarRow
+from tirefit.fitting.result import Estimate, PosteriorSummary
+from tirefit.models import MODELS, TireInputs, forces
+from tirefit.params import with_values
+from tirefit.report.fit_html import fit_page
+from tirefit.report.fits_html import fits_page
+from tirefit.report.numbers import format_estimate, format_interval
+from tirefit.report.overlay import overlay_of
+from tirefit.results import InputProblem, Outcome, UsageError
+
+NAME = 'sweep <b>$1 & "x".csv'
+
+
+def sweep(name=NAME, mu=1.0, seed=5) -> TireData:
+    generator = np.random.default_rng(seed)
+    slip = generator.uniform(0, 0.2, 80)
+    model = with_values(MODELS["brush"], {"cpa2": 5e4, "mu": mu})
+    inputs = TireInputs(sigma_x=slip, fz=4000.0, v=20.0)
+    columns = {
+        "sigma_x": slip, "fz": np.full(80, 4000.0), "v": np.full(80, 20.0),
+        "fx": np.asarray(forces(model, inputs).fx) + 30 * generator.normal(size=80),
+    }  # fmt: skip
+    used = np.ones(80, bool)
+    used[3] = False
+    source = Source(
+        path=f"data/{name}", sha256="ab12", columns={"fx": "Fx <N>"},
+        units={"fx": "N"}, assumptions=("speed 20 m/s: constant, given",),
+        masked=(InputProblem("load is not finite", row=5),),
+    )  # fmt: skip
+    return TireData("sweep", columns, used, np.zeros(80, int), ("sweep",), source)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return fit(sweep(), "brush", seed=3)
+
+
+@pytest.fixture(scope="module")
+def sampled(plain):
+    """As if sampled, with draws about the estimate."""
+    labels = plain.labels
+    values = np.array([plain.least_squares[k].value for k in labels])
+    std = np.array([plain.least_squares[k].std for k in labels])
+    draws = values + std * np.random.default_rng(2).standard_normal((4, 300, 2))
+    summary = PosteriorSummary(
+        "emcee", 3, 4, 32, 800, 100, dict.fromkeys(labels, 4321.0),
+        dict.fromkeys(labels, 1.0012), dict.fromkeys(labels, 9.5), 0.36,
+        Outcome.CONVERGED,
+    )  # fmt: skip
+    return replace(plain, chains=draws, posterior=summary)
+
+
+@pytest.fixture(scope="module")
+def text(sampled):
+    return fit_page(sampled)
+
+
+def test_the_page_stands_alone(text):
+    page = Page(text)
+    assert not {"script", "link", "iframe", "object"} & set(page.seen)
+    assert "://" not in text and "url(" not in text and "@import" not in text
+    assert len(page.links) == page.seen.count("img") >= 7 and all(page.alternatives)
+    pictures = [
+        base64.b64decode(link.removeprefix("data:image/png;base64,"))
+        for link in page.links
+    ]
+    assert all(one.startswith(b"\x89PNG") for one in pictures)
+    assert len(set(pictures)) == len(pictures)
+    assert "<b>$1" not in text and NAME in "".join(page.texts)
+    assert "Fx &lt;N&gt;" in text and 'name="viewport"' in text
+
+
+def test_the_page_holds_the_numbers_of_the_record(text, sampled):
+    record = html.unescape(text.split("<pre>")[1].split("</pre>")[0])
+    assert json.loads(record) == json.loads(sampled.to_json())
+    shown = " ".join(re.sub(r"<[^>]*>", " ", text.split("<pre>")[0]).split())
+    for estimate in (*sampled.parameters.values(), *sampled.derived.values()):
+        assert format_estimate(estimate.value, estimate.std) in shown
+        assert format_interval(estimate.ci95, estimate.std) in shown
+    for part in (
+        "rows: 79 used of 80 (1 masked)", "ab12", "braking", "braking positive, SI",
+        "seed 3",
+        f"tirefit {sampled.version}", "speed 20 m/s: constant, given", "gauss-newton",
+        "load is not finite", "cpa2 free in [0.01, 1e+09] N", "emcee: 4 ensembles",
+        f"fx {sampled.noise['fx']['median_std']:.3g} N (estimated)",
+        "at F_z = 4000 N, v = 20 m/s", "posterior median", "jax 0.",
+        "every parameter and derived quantity is identified", "RMSE", "AICc", "1.0012",
+    ):  # fmt: skip
+        assert part in shown, part
+
+
+def test_the_page_says_what_the_data_do_not_tell(plain):
+    free = Estimate(0.4, None, "-", (0.1, 2.0), identified=False)
+    nowhere = Estimate(np.nan, None, "-", (None, None), identified=False)
+    correlation = np.array([[1.0, -0.97], [-0.97, 1.0]])
+    sentences = ["mu is not identified by these data", "a second sentence"]
+    far = FarRow("<x>.csv", 7, "fx", 4e5, "fx", 3900.0, 99.0, True, "99 std away", "")
+    result = replace(
+        plain, parameters=plain.parameters | {"mu": free}, far_rows=(far,),
+        derived=plain.derived | {"slip_at_peak": nowhere}, correlation=correlation,
+        outcomes=(Outcome.NOT_IDENTIFIED,),
+        verdict={"status": "not identified", "sentences": sentences},
+    )  # fmt: skip
+    shown = re.sub(r"<[^>]*>", " ", fit_page(result).split("<pre>")[0])
+    assert "Verdict: not identified: mu is not identified by these data" in shown
+    assert "a second sentence" in shown
+    assert "mu: anything in [0.1, 2] fits as well (95 %); best 0.4" in shown
+    assert "slip_at_peak: not defined for this model and estimate" in shown
+    assert "cpa2 and mu: -0.970" in shown
+    said = html.unescape(shown)
+    assert "set aside: <x>.csv, row 7, column 'fx': 99 std away" in said
+    assert "every parameter and derived quantity is identified" not in shown
+    # Without a posterior there is none to show.
+    assert "Posterior" not in shown and "ensembles" not in shown
+
+
+@in_browser
+def test_chromium_shows_the_page_of_a_fit(sampled, text, tmp_path):
+    page = tmp_path / "fit.html"
+    tirefit.write_fit_page(sampled, page)
+    assert page.read_text() == text and list(tmp_path.iterdir()) == [page]
+    shot = tmp_path / "shot.png"
+    _, asked = browse(page, tmp_path, f"--screenshot={shot}")
+    assert asked == []
+    assert matplotlib.image.imread(shot)[:, :, :3].std() > 0.05
+    # Tables and pictures that are wider scroll in boxes of their own.
+    assert width_on_phone(text, tmp_path) <= PHONE
+
+
+# Several fits
+
+
+@pytest.fixture(scope="module")
+def several():
+    """One tire on roads of four frictions."""
+    return {
+        f"drum_2026-03-12_cold_asphalt_{run}": fit(
+            sweep(f"{run}.csv", mu, seed), "brush", seed=3
+        )
+        for seed, (run, mu) in enumerate(
+            {"dry": 1.0, "damp": 0.85, "wet": 0.7, "ice": 0.3}.items()
+        )
+    }
+
+
+def test_the_curves_on_one_another_are_the_models(several, plain):
+    overlay = overlay_of(several, "fx")
+    assert [one.name for one in overlay.curves] == list(several)
+    assert overlay.y_label == "longitudinal force $F_x$ [N]"
+    assert overlay.note == "at $F_z$ = 4000 N"
+    for one, result in zip(overlay.curves, several.values(), strict=True):
+        values = {k: result.least_squares[k].value for k in result.labels}
+        inputs = TireInputs(sigma_x=one.slip, fz=4000.0, v=20.0)
+        expected = forces(with_values(MODELS["brush"], values), inputs).fx
+        np.testing.assert_allclose(one.force, expected, rtol=1e-9)
+        assert np.all(one.low <= one.force) and np.all(one.force <= one.high)
+        # It ends where its rows do.
+        assert one.slip[-1] == pytest.approx(result.table["sigma_x"].max())
+        assert len(one.at_slip) == result.statistics.n
+    heavy = replace(plain, reference={"fz": 5000.0, "v": 20.0})
+    over_load = overlay_of({"a": plain, "b": heavy}, "fx")
+    assert over_load.y_label == "$F_x / F_z$ [-]"
+    np.testing.assert_allclose(
+        over_load.curves[0].force, overlay_of({"a": plain}, "fx").curves[0].force / 4000
+    )
+
+
+def test_points_beside_their_curve_are_left_out(plain):
+    problem = plain.problem
+    rows = problem.rows
+    load = np.array(rows.inputs.fz)
+    load[:30] = 5000.0
+    aside = np.zeros_like(load)
+    aside[30:40] = 0.1
+    inputs = rows.inputs._replace(fz=jnp.asarray(load), alpha=jnp.asarray(aside))
+    moved = replace(plain, problem=problem.with_rows(inputs=inputs))
+    (one,) = overlay_of({"a": moved}, "fx").curves
+    expected = problem.used(rows.observed["fx"])[40:]
+    np.testing.assert_array_equal(one.at_force, expected)
+
+
+def test_the_page_of_several_has_a_row_for_each(several):
+    text = fits_page(several, {"rig <1>.csv": "no column of a slip"})
+    page = Page(text)
+    assert not {"script", "link", "iframe", "object"} & set(page.seen)
+    assert (
+        "://" not in text
+        and page.links
+        and all(link.startswith("data:image/png;base64,") for link in page.links)
+    )
+    shown = " ".join(re.sub(r"<[^>]*>", " ", text).split())
+    assert "Verdict: of 5 files: 4 ok, 1 not fitted" in shown
+    assert "rig &lt;1&gt;.csv: not fitted: no column of a slip" in shown
+    assert "drum_2026-03-12_cold_asphalt_*" in shown
+    for name, result in zip(
+        ("dry", "damp", "wet", "ice"), several.values(), strict=True
+    ):
+        mu, peak = result.parameters["mu"], result.derived["F_max"]
+        row = re.search(rf"<tr[^>]*><td[^>]*>{name}<.*?</tr>", text)[0]
+        assert f">{format_estimate(mu.value, mu.std)}<" in row
+        assert f">{format_estimate(peak.value, peak.std)}<" in text
+    for part in (
+        "braking positive, SI", "seed 3", f"tirefit {tirefit.__version__}",
+        "least squares, profile likelihood", "sha256", "ab12",
+    ):  # fmt: skip
+        assert part in shown, part
+
+
+def test_a_page_needs_a_fit():
+    with pytest.raises(UsageError, match="no fit for the page"):
+        fits_page({})
+
+
+@in_browser
+def test_chromium_shows_the_page_of_several(several, tmp_path):
+    page = tmp_path / "fits.html"
+    tirefit.write_fits_page(several, page)
+    shot = tmp_path / "shot.png"
+    _, asked = browse(page, tmp_path, f"--screenshot={shot}")
+    assert asked == []
+    assert matplotlib.image.imread(shot)[:, :, :3].std() > 0.05
+    assert width_on_phone(page.read_text(), tmp_path) <= PHONE

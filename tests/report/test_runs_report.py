@@ -1,0 +1,261 @@
+"""Fits with parameters per run: names, tables and figures of twenty parameters."""
+
+import json
+import re
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tirefit.data.table import Source, TireData
+from tirefit.fitting.estimate import fit
+from tirefit.fitting.result import PosteriorSummary
+from tirefit.models import MODELS, TireInputs, forces
+from tirefit.params import with_values
+from tirefit.report import plots
+from tirefit.report.by_name import run_points
+from tirefit.report.draw_corner import corner_figure
+from tirefit.report.draw_uncertainty import profile_figure, trace_figure
+from tirefit.report.html import fit_fragment
+from tirefit.report.summary import summary_table
+from tirefit.report.text import fit_report
+from tirefit.report.uncertainty import corner_data, trace_data
+from tirefit.results import Outcome, UsageError
+
+RUNS = tuple(f"drum_2026-03-12_cold_asphalt_run{i:02d}_brake" for i in range(1, 15))
+ROWS = 25
+
+
+def fourteen() -> TireData:
+    """Fourteen files of one session, each with its own friction."""
+    generator = np.random.default_rng(4)
+    run = np.repeat(np.arange(len(RUNS)), ROWS)
+    slip = generator.uniform(0, 0.2, len(run))
+    parts = [
+        forces(
+            with_values(MODELS["brush"], {"cpa2": 5e4, "mu": 0.7 + 0.02 * code}),
+            TireInputs(sigma_x=slip[run == code], fz=4000.0, v=20.0),
+        ).fx
+        for code in range(len(RUNS))
+    ]
+    force = np.concatenate(parts) + 30 * generator.standard_normal(len(run))
+    columns = {
+        "sigma_x": slip, "fx": force, "fz": np.full(len(run), 4000.0),
+        "v": np.full(len(run), 20.0),
+    }  # fmt: skip
+    said = tuple(f"{name}: column 'fx' read as fx in N" for name in RUNS)
+    source = Source(
+        path=", ".join(f"data/{name}.csv" for name in RUNS),
+        assumptions=(*said, f"{RUNS[2]}: speed 20 m/s: constant, given"),
+    )
+    return TireData("joint", columns, np.ones(len(run), bool), run, RUNS, source)
+
+
+@pytest.fixture(scope="module")
+def by_run():
+    """As if sampled: 28 parameters, each with draws about its estimate."""
+    each = {"per_run": True}
+    config = {"noise": {"fx": 30.0}, "parameters": {"mu": each, "cpa2": each}}
+    result = fit(fourteen(), "brush", config=config)
+    labels = result.labels
+    values = np.array([result.least_squares[k].value for k in labels])
+    std = np.array([result.least_squares[k].std for k in labels])
+    generator = np.random.default_rng(2)
+    draws = values + std * generator.standard_normal((4, 200, len(labels)))
+    rhat = {k: 1.001 + 0.001 * i for i, k in enumerate(labels)}
+    summary = PosteriorSummary(
+        "emcee", 7, 4, 32, 800, 100, dict.fromkeys(labels, 900.0), rhat,
+        dict.fromkeys(labels, 9.5), 0.36, Outcome.CONVERGED,
+    )  # fmt: skip
+    ends = result.intervals["covariance"]
+    return replace(
+        result, chains=draws, posterior=summary,
+        intervals=result.intervals | {"posterior": ends},
+    )  # fmt: skip
+
+
+def test_every_run_is_told_apart_in_the_report(by_run):
+    text = fit_report(by_run)
+    assert max(map(len, text.splitlines())) <= 88
+    assert "fitted to 14 files," in text
+    assert "run01 ... run14 of drum_2026-03-12_cold_asphalt_*_brake" in text
+    parameters = text.split("PARAMETERS")[1].split("INTERVALS")[0]
+    names = re.findall(r"^  (mu\[.*?\])", parameters, re.M)
+    assert names == [f"mu[run{i:02d}]" for i in range(1, 15)]
+    assert text.count(f"  {names[3]} ") == 3  # values, routes, chains
+    assert "every file: column 'fx' read as fx in N" in text
+    assert "run03: speed 20 m/s: constant, given" in text
+    assert text.count("read as fx") == 1
+    assert "mu[run14]" in fit_fragment(by_run)
+    # The record keeps the whole names, by which `predict` knows the runs.
+    record = json.loads(by_run.to_json())
+    assert f"mu[{RUNS[3]}]" in record["parameters"]
+    assert f"F_max[{RUNS[3]}]" in record["derived"]
+
+
+def test_derived_quantities_have_a_row_per_run(by_run):
+    text = fit_report(by_run).split("DERIVED, BY RUN")[1].split("QUALITY")[0]
+    (row,) = re.findall(r"^  run07 .*", text, re.M)
+    for name in ("C_x", "F_max", "slip_at_peak"):
+        value = by_run.derived[f"{name}[{RUNS[6]}]"].value
+        shown = [float(x) for x in re.findall(r"([\d.]+) ±", row)]
+        assert any(abs(x - value) < 1e-2 * value for x in shown), name
+    assert "at F_z = 4000 N, v = 20 m/s" in " ".join(text.split())
+
+
+def test_a_summary_holds_every_column_of_every_fit(by_run):
+    names = [f"all/{run}" for run in RUNS[:3]]
+    text = summary_table([(name, by_run) for name in names])
+    lines = text.splitlines()
+    assert lines[1] == "SUMMARY of all/drum_2026-03-12_cold_asphalt_*_brake"
+    assert max(map(len, lines)) <= 88
+    rows = [line for line in lines if line.startswith("  run02 ")]
+    assert sum(line.count("±") for line in rows) == 28
+    assert rows[-1].split()[-1] == "ok"
+    assert all(
+        line.startswith(("  run0", "  fit ", "  ---")) for line in lines[2:] if line
+    )
+
+
+def drawn_texts(picture):
+    """(text, extent in pixels) of everything written on a picture."""
+    picture.draw_without_rendering()
+    ticks = [
+        tick.label1
+        for axes in picture.axes
+        for axis in (axes.xaxis, axes.yaxis)
+        for tick in axis._update_ticks()  # those within the limits
+    ]
+    written = [*picture.texts, *(t for a in picture.axes for t in a.texts), *ticks]
+    shown = [t for t in written if t.get_text() and t.get_visible()]
+    return [(t.get_text(), t.get_window_extent()) for t in shown]
+
+
+def overlapping(texts):
+    return [
+        (one, other)
+        for i, (one, a) in enumerate(texts)
+        for other, b in texts[:i]
+        if a.x0 < b.x1 and b.x0 < a.x1 and a.y0 < b.y1 and b.y0 < a.y1
+    ]
+
+
+def test_a_corner_of_twenty_is_legible(by_run):
+    picture = corner_figure(by_run)
+    texts = drawn_texts(picture)
+    labels = [text for text, _ in texts if "(run" in text]
+    assert len(labels) == 2 * 20 and len(set(labels)) == 20
+    assert overlapping(texts) == []
+    width, height = picture.get_size_inches() * picture.dpi
+    for text, box in texts:
+        assert box.x0 > 0 and box.y0 > 0 and box.x1 < width and box.y1 < height, text
+    assert any("20 of 28 parameters" in text for text, _ in texts)
+
+
+def test_the_grid_holds_what_the_regions_hold(by_run):
+    corner = corner_data(by_run, ["mu"])
+    assert len(corner.labels) == 14
+    flat = by_run.chains.reshape(-1, 28)[:, 14:]
+    np.testing.assert_allclose(corner.correlation, np.corrcoef(flat.T), atol=1e-9)
+    picture = corner_figure(by_run, ["mu"])
+    image = picture.axes[0].images[0].get_array()
+    bins = corner.density.shape[1]
+    for i, j in ((1, 0), (13, 4)):
+        cell = image[i * bins : (i + 1) * bins, j * bins : (j + 1) * bins]
+        joint, (outer, inner) = corner.joint[i, j], corner.levels[i, j]
+        # Upwards is what the parameter of the row gains.
+        np.testing.assert_array_equal(cell[::-1] >= 1, joint >= outer)
+        np.testing.assert_array_equal(cell[::-1] >= 2, joint >= inner)
+    assert not image[:bins, bins:].any()
+
+
+def test_corner_and_trace_draw_what_is_asked_for(by_run):
+    corner = corner_data(by_run, ["cpa2[run02]", f"mu[{RUNS[1]}]"])
+    assert [label.split(" [")[0] for label in corner.labels] == [
+        "$c_p a^2$ (run02)", r"$\mu$ (run02)",
+    ]  # fmt: skip
+    assert len(plots.plot_corner(by_run, ["mu[run02]", "mu[run03]"]).axes) == 3
+    assert len(plots.plot_trace(by_run, parameters=["mu"]).axes) == 28
+    with pytest.raises(UsageError, match=r"no free parameter d, mu\[x\]") as caught:
+        plots.plot_corner(by_run, ["mu", "d", "mu[x]"])
+    assert "it has cpa2[run01]" in str(caught.value)
+
+
+def test_a_trace_shows_the_chains_that_agree_least(by_run):
+    trace = trace_data(by_run)
+    worst = by_run.labels[-10:]
+    np.testing.assert_allclose(
+        trace.rhat, [by_run.posterior.rhat[label] for label in worst]
+    )
+    assert trace.note == (
+        "10 of 28 parameters; the others: R-hat at most 1.018, ESS at least 900"
+    )
+    assert overlapping(drawn_texts(trace_figure(by_run))) == []
+
+
+def test_long_names_stay_beside_their_panels(by_run):
+    names = [f"{'x' * i}michelin_{i * 7919}_hot_track_of_monday" for i in range(14)]
+    runs = dict(zip(RUNS, names, strict=True))
+
+    def renamed(label):
+        name, _, run = label.partition("[")
+        return f"{name}[{runs[run[:-1]]}]"
+
+    layout = replace(by_run.problem.layout, runs=tuple(names))
+    parts = {
+        part: {renamed(k): v for k, v in getattr(by_run, part).items()}
+        for part in ("parameters", "least_squares", "derived")
+    }
+    result = replace(
+        by_run, labels=tuple(map(renamed, by_run.labels)),
+        data=by_run.data | {"runs": names}, posterior=None, **parts,
+        problem=replace(by_run.problem, layout=layout),
+    )  # fmt: skip
+    for count in (4, 6):
+        asked = [f"mu[{name}]" for name in names[:count]]
+        picture = corner_figure(result, asked)
+        picture.draw_without_rendering()
+        boxes = [a.yaxis.label.get_window_extent() for a in picture.axes]
+        written = [box for box in boxes if box.height > 5]
+        assert len(written) == count - 1
+        tops = sorted((box.y0, box.y1) for box in written)
+        assert all(low[1] < high[0] for low, high in pairwise(tops))
+
+
+def test_a_profile_of_many_says_how_many(by_run):
+    picture = profile_figure(by_run)
+    assert len(picture.axes) == 24
+    assert "24 of 28 parameters" in [text.get_text() for text in picture.texts]
+
+
+def test_runs_are_drawn_side_by_side(by_run):
+    panels = run_points(by_run)
+    # F_max, its share of the load and mu F_z are mu in other units, C_x is cpa2.
+    assert [p.label for p in panels] == ["cpa2 [N]", "mu [-]", "slip_at_peak [-]"]
+    mu = panels[1]
+    assert mu.names == tuple(f"run{i:02d}" for i in range(1, 15))
+    expected = [by_run.parameters[f"mu[{run}]"] for run in RUNS]
+    np.testing.assert_array_equal(mu.value, [one.value for one in expected])
+    np.testing.assert_array_equal(
+        np.stack([mu.low, mu.high], 1), [one.ci95 for one in expected]
+    )
+    picture = plots.plot_runs(by_run)
+    assert overlapping(drawn_texts(picture)) == []
+
+
+def test_a_run_that_tells_nothing_does_not_set_the_scale(by_run):
+    label = f"mu[{RUNS[5]}]"
+    free = replace(
+        by_run.parameters[label], value=2.9, std=None, ci95=(0.1, None),
+        identified=False,
+    )  # fmt: skip
+    result = replace(by_run, parameters=by_run.parameters | {label: free})
+    picture = plots.plot_runs(result)
+    assert max(axes.get_ylim()[1] for axes in picture.axes[1:2]) < 1.2
+    assert any("grey: not identified" in text.get_text() for text in picture.texts)
+
+
+def test_one_run_has_no_such_picture(by_run):
+    with pytest.raises(UsageError, match="no parameter for each run"):
+        plots.plot_runs(replace(by_run, labels=("cpa2", "mu")))

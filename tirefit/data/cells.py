@@ -1,0 +1,73 @@
+"""One column of a large text: numbers at hand, the text of a cell on demand."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+__all__ = ["Body", "TextColumn", "may_hold"]
+
+
+class Body(ABC):
+    """The rows of a large text, however they are kept.
+
+    ``commas``: whether its numbers were read with a decimal comma.
+    """
+
+    commas: bool
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Number of rows."""
+
+    @abstractmethod
+    def row(self, index: int) -> Sequence[str]:
+        """The cells of one row."""
+
+    @abstractmethod
+    def rows(self) -> Iterator[Sequence[str]]:
+        """The cells of every row, in order."""
+
+    @abstractmethod
+    def numbers(self, column: int) -> np.ndarray:
+        """The numbers of a column (n,), NaN for a cell that is none."""
+
+    @abstractmethod
+    def may_hold(self, mark: str) -> bool:
+        """False where no cell holds this character."""
+
+
+class TextColumn(Sequence[str]):
+    """Cells of one column as they stand in the file, and their numbers."""
+
+    def __init__(self, body: Body, index: int):
+        self._body, self._index = body, index
+
+    def __len__(self) -> int:
+        return len(self._body)
+
+    def __getitem__(self, row):
+        if isinstance(row, slice):
+            return [self[i] for i in range(*row.indices(len(self)))]
+        return self._body.row(int(row))[self._index]
+
+    def __iter__(self) -> Iterator[str]:
+        return (row[self._index] for row in self._body.rows())
+
+    def numbers(self, commas: bool) -> np.ndarray | None:
+        """float64 (n,), NaN where the cell is no number; None where the decimal mark
+        asked for is not the one that the numbers were read with."""
+        if commas != self._body.commas and self.may_hold(","):
+            return None
+        return self._body.numbers(self._index)
+
+    def may_hold(self, mark: str) -> bool:
+        """False where no cell of the file holds this character."""
+        return self._body.may_hold(mark)
+
+
+def may_hold(cells: Sequence[str], mark: str) -> bool:
+    """Whether some cell holds a character; of a large text, of any column."""
+    if isinstance(cells, TextColumn):
+        return cells.may_hold(mark)
+    return mark in "".join(cells)

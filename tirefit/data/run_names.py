@@ -1,0 +1,96 @@
+"""Short names of runs: what tells them apart, and the pattern that it was taken from.
+
+Files of one session share most of their names: ``drum_2026-03-12_cold_run01_brake``,
+``drum_2026-03-12_cold_run02_brake``. Cut off at the end they are all the same; here
+they are ``run01`` and ``run02`` of ``drum_2026-03-12_cold_*_brake``.
+"""
+
+import re
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+__all__ = ["RunNames", "clipped", "label_of_run", "name_pattern", "run_names"]
+
+LONGEST = 18
+"""Characters of a short name, at most: names that are no longer stay as they are."""
+
+
+class RunNames(NamedTuple):
+    """Short names of runs, all different, in order; ``pattern`` with ``*`` for them.
+
+    The pattern is empty where the names stay as they are, and where what they do not
+    share is long itself: they are numbered then.
+    """
+
+    short: tuple[str, ...]
+    pattern: str
+
+
+def clipped(text: str, most: int) -> str:
+    """A text of at most so many characters, its middle left out."""
+    if len(text) <= most:
+        return text
+    end = (most - 1) // 2
+    return f"{text[: most - 1 - end]}…{text[len(text) - end :]}"
+
+
+def _shared(pieces: list[list[str]]) -> int:
+    """How many pieces all names begin with, each keeping one of its own."""
+    count = 0
+    while count < min(map(len, pieces)) - 1:
+        if len({one[count] for one in pieces}) > 1:
+            break
+        count += 1
+    return count
+
+
+def _start(pieces: list[list[str]], first: int) -> int:
+    """Where the own part begins: at a word, and with one before a mere number."""
+    if any(not one[first][:1].isalnum() for one in pieces):
+        first = max(first - 1, 0)
+    number = all(one[first].isdigit() for one in pieces)
+    return max(first - 2, 0) if number else first
+
+
+def _parts(names: Sequence[str]) -> tuple[str, list[str], str]:
+    """What all names begin with, the rest of each, and what all of them end with."""
+    pieces = [re.findall(r"[^\W_]+|[\W_]+", name) or [name] for name in names]
+    first = _start(pieces, _shared(pieces))
+    own = [one[first:] for one in pieces]
+    last = _shared([one[::-1] for one in own])
+    rest = ["".join(one[: len(one) - last]) for one in own]
+    return "".join(pieces[0][:first]), rest, "".join(own[0][len(own[0]) - last :])
+
+
+@lru_cache(maxsize=64)
+def _of_names(names: tuple[str, ...]) -> RunNames:
+    if len(names) < 2 or max(map(len, names)) <= LONGEST:
+        return RunNames(names, "")
+    head, short, tail = _parts(names)
+    if max(map(len, short)) <= LONGEST and len(set(short)) == len(names):
+        return RunNames(tuple(short), f"{head}*{tail}" if head or tail else "")
+    numbered = (f"{i}: {text}" for i, text in enumerate(short, 1))
+    return RunNames(tuple(clipped(text, LONGEST) for text in numbered), "")
+
+
+def run_names(names: Sequence[str]) -> RunNames:
+    """Names that tell the runs apart, in at most 18 characters."""
+    return _of_names(tuple(str(name) for name in names))
+
+
+def label_of_run(label: str, runs: Sequence[str]) -> str:
+    """``mu[run]`` with the short name of its run; any other label as it is."""
+    name, bracket, run = label.partition("[")
+    whole = [str(one) for one in runs]
+    if not bracket or run[:-1] not in whole:
+        return label
+    return f"{name}[{run_names(whole).short[whole.index(run[:-1])]}]"
+
+
+def name_pattern(names: Sequence[str]) -> str:
+    """Several names as one, ``*`` for what differs; all if they share nothing."""
+    if len(names) < 2:
+        return "".join(names)
+    head, _, tail = _parts(names)
+    return f"{head}*{tail}" if head or tail else ", ".join(names)

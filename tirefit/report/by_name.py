@@ -1,0 +1,170 @@
+"""Values by the run or the file that they belong to: estimates -> arrays -> axes."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.data.run_names import clipped
+from tirefit.fitting.derived import quantity_of
+from tirefit.fitting.result import Estimate, FitResult
+from tirefit.report.canvas import BLUE, DARK, GREY, RED, Picture, frame, tidy
+from tirefit.report.fit_tables import reference_text
+from tirefit.report.labels import short_run
+from tirefit.report.numbers import plain_text
+
+__all__ = [
+    "Points",
+    "distinct",
+    "draw_points",
+    "has_runs",
+    "place_points",
+    "points_of",
+    "run_points",
+    "runs_figure",
+]
+
+_SAME = 1e-6
+"""Relative spread of a ratio from which two quantities are not one in other units."""
+_MOST_NAMES = 40
+_LEFT = 0.88
+"""Inches for a label and its numbers."""
+
+
+class Points(NamedTuple):
+    """One quantity of n runs or files: values, 95 % intervals (n,), NaN where open.
+
+    ``known`` (n,) says which ones the data identify.
+    """
+
+    label: str
+    names: tuple[str, ...]
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    known: np.ndarray
+
+
+def points_of(
+    label: str, names: Sequence[str], estimates: Sequence[Estimate | None]
+) -> Points:
+    """One quantity of several runs or files, in order; None where one has none."""
+    nothing = Estimate(np.nan, None, "", (None, None), identified=False)
+    given = [nothing if one is None else one for one in estimates]
+    ends = np.array([[np.nan if e is None else e for e in one.ci95] for one in given])
+    return Points(
+        label, tuple(names), np.array([one.value for one in given], float),
+        ends[:, 0].astype(float), ends[:, 1].astype(float),
+        np.array([one.identified for one in given]),
+    )  # fmt: skip
+
+
+def has_runs(result: FitResult) -> bool:
+    """Whether a parameter has a value for each run."""
+    return any("[" in label for label in result.labels)
+
+
+def _by_run(estimates: Mapping[str, Estimate], result: FitResult) -> list[Points]:
+    runs = [str(run) for run in result.data["runs"]]
+    names = [short_run(result, run) for run in runs]
+    panels = []
+    for name in dict.fromkeys(quantity_of(k) for k in estimates if "[" in k):
+        own = [estimates.get(f"{name}[{run}]") for run in runs]
+        unit = next(one.unit for one in own if one is not None)
+        panels.append(points_of(f"{name} [{unit}]", names, own))
+    return panels
+
+
+def run_points(result: FitResult) -> list[Points]:
+    """Parameters and derived quantities that each run has its own of; a derived
+    quantity that is a parameter in other units is left out."""
+    return distinct(_by_run(result.parameters, result), _by_run(result.derived, result))
+
+
+def distinct(first: Sequence[Points], others: Sequence[Points]) -> list[Points]:
+    """Quantities, and those of the others that are not one of them in other units."""
+    panels = list(first)
+    for points in others:
+        if not any(_is_same(points.value, one.value) for one in panels):
+            panels.append(points)
+    return panels
+
+
+def _is_same(values: np.ndarray, others: np.ndarray) -> bool:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = values / others
+    finite = ratio[np.isfinite(ratio)]
+    return bool(len(finite)) and np.ptp(finite) < _SAME * np.max(np.abs(finite))
+
+
+def _reach(points: Points) -> tuple[float, float]:
+    """Lower and upper end of the axis: what is known decides."""
+    rows = points.known & np.isfinite(points.value)
+    rows = rows if rows.any() else np.isfinite(points.value)
+    ends = np.concatenate([points.value[rows], points.low[rows], points.high[rows]])
+    ends = ends[np.isfinite(ends)]
+    if len(ends) == 0:
+        return 0.0, 1.0
+    low, high = float(ends.min()), float(ends.max())
+    margin = 0.08 * (high - low) or 0.05 * abs(high) or 1.0
+    return low - margin, high + margin
+
+
+def draw_points(axes, points: Points, named: bool = True) -> None:
+    """Values with their 95 % intervals; what is not identified is open and grey."""
+    low, high = _reach(points)
+    at = np.arange(len(points.value))
+    size = float(np.clip(60 / len(at), 2.0, 5.0))
+    for rows, color, face in (
+        (points.known, BLUE, BLUE), (~points.known, GREY, "white"),
+    ):  # fmt: skip
+        value = np.clip(points.value[rows], low, high)
+        first = np.where(np.isnan(points.low), low, np.maximum(points.low, low))[rows]
+        last = np.where(np.isnan(points.high), high, np.minimum(points.high, high))
+        axes.vlines(at[rows], first, last[rows], color=color, lw=1.4)
+        axes.plot(
+            at[rows], value, linestyle="none", marker="o", markersize=size,
+            color=color, markerfacecolor=face,
+        )  # fmt: skip
+    missing = np.isnan(points.value)
+    axes.plot(at[missing], np.full(missing.sum(), low), "x", color=RED, clip_on=False)
+    every = -(-len(at) // _MOST_NAMES)
+    texts = [plain_text(clipped(name, 18)) for name in points.names[::every]]
+    axes.set_xticks(at[::every], texts if named else [])
+    tidy(axes, "", points.label)
+    if named and sum(map(len, texts)) > 60:
+        axes.tick_params(axis="x", labelrotation=90, labelsize=7)
+    axes.set_xlim(-0.6, len(at) - 0.4)
+    axes.set_ylim(low, high)
+    axes.grid(axis="y", color=GREY, alpha=0.25, lw=0.5)
+
+
+def place_points(picture: Picture, panels: Sequence[Points], bottom, top) -> None:
+    """One row per quantity, the names below the last."""
+    width, height = picture.get_size_inches()
+    texts = [clipped(name, 18) for name in panels[0].names]
+    turned = sum(map(len, texts)) > 60
+    bottom += (0.15 + 0.055 * max(map(len, texts)) if turned else 0.3) / height
+    step = (top - bottom) / len(panels)
+    for i, points in enumerate(panels):
+        low = top - (i + 1) * step + 0.08 / height
+        box = (_LEFT / width, low, 1 - (_LEFT + 0.14) / width, step - 0.16 / height)
+        axes = picture.add_axes(box)
+        draw_points(axes, points, named=i == len(panels) - 1)
+    picture.align_ylabels()
+
+
+def runs_figure(result: FitResult) -> Picture:
+    """Every parameter and derived quantity that runs differ in, run by run."""
+    panels = run_points(result)
+    picture, (bottom, top) = frame(result, 2.0 + 1.45 * len(panels))
+    height = picture.get_figheight()
+    at = reference_text(result).replace("F_z", "$F_z$")
+    vague = any((~points.known).any() for points in panels)
+    note = f"values and 95 % intervals by run ({result.source}); derived at {at}"
+    picture.text(
+        0.02, top - 0.02 / height, note + ("; grey: not identified" if vague else ""),
+        va="top", fontsize=7.5, color=DARK,
+    )  # fmt: skip
+    place_points(picture, panels, bottom, top - 0.25 / height)
+    return picture

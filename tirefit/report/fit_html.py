@@ -1,0 +1,153 @@
+"""A fit as one page that needs nothing else."""
+
+import os
+from collections.abc import Mapping, Sequence
+
+from tirefit.files import write_text_atomic
+from tirefit.fitting.result import SCHEMA, FitResult
+from tirefit.report.fit_panels import Shown, page_pictures
+from tirefit.report.fit_tables import (
+    FORCE_UNIT,
+    chain_rows,
+    correlation_lines,
+    derived_by_run,
+    derived_rows,
+    far_lines,
+    noise_text,
+    open_lines,
+    parameter_rows,
+    posterior_lines,
+    reference_text,
+    route_rows,
+    rows_text,
+    run_rows,
+)
+from tirefit.report.html import GOOD, OPEN, png_text, rendered
+from tirefit.report.labels import fit_files, notes_of, run_lines
+from tirefit.report.numbers import format_number
+from tirefit.report.text import verdict_line
+
+__all__ = ["fit_page", "page_images", "verdict_parts", "write_fit_page"]
+
+
+def page_images(pictures: Sequence[Shown]) -> list[dict]:
+    """Pictures as the templates take them."""
+    return [
+        {
+            "png": png_text(one.picture), "alternative": one.alternative,
+            "least": one.least,
+        }
+        for one in pictures
+    ]  # fmt: skip
+
+
+def verdict_parts(result: FitResult) -> Mapping:
+    """Sentence, further lines and colour of the verdict."""
+    ok = result.verdict.get("status") == "ok"
+    sentences = result.verdict.get("sentences", [])
+    return {
+        "sentence": verdict_line(result),
+        "lines": sentences if ok else sentences[1:],
+        "color": GOOD if ok else OPEN,
+    }
+
+
+def _quality(result: FitResult) -> list[str]:
+    s = result.statistics
+    lines = [
+        f"RMSE {format_number(s.rmse)} {FORCE_UNIT[result.forces[0]]}, R² {s.r2:.5f}",
+        f"{s.n} rows, which count as {s.n_effective:.0f} independent ones;"
+        f" {s.dof:.0f} degrees of freedom",
+        f"AICc {s.aicc:.2f}, BIC {s.bic:.2f}",
+        f"noise: {noise_text(result)}",
+        f"{'converged' if s.converged else 'NOT CONVERGED'}, {s.starts_agreeing} of"
+        f" {s.starts} starts at the same place",
+    ]
+    if s.chi2_dof is not None:
+        lines.insert(1, f"χ²/dof {format_number(s.chi2_dof, 3)}")
+    return lines
+
+
+def _asked(result: FitResult) -> list[str]:
+    """Free parameters with bounds and priors, and ties."""
+    if result.problem is None:
+        return []
+    lines = []
+    for p in result.problem.layout.free:
+        unit = "" if p.spec.unit == "-" else f" {p.spec.unit}"
+        text = f"{p.name} free in [{p.spec.lower:g}, {p.spec.upper:g}]{unit}"
+        text += ", one per run" if p.per_run else ""
+        if p.prior is not None:
+            text += f", prior {p.prior[0]:g} ± {p.prior[1]:g}"
+        lines.append(text)
+    ties = result.problem.layout.ties
+    return [*lines, *(f"{t.name} = {t.factor:g} {t.other}" for t in ties)]
+
+
+def _provenance(result: FitResult) -> list[str]:
+    data = result.data
+    file = fit_files(result) if len(data["runs"]) > 1 else data["file"]
+    columns = [
+        f"{name} from {header!r} in {data['units'].get(name, '-')}"
+        for name, header in data["columns"].items()
+    ]
+    masked = [str(problem).replace("\n", " ") for problem in data["masked"]]
+    more = [f"and {len(masked) - 20} more masked"] if len(masked) > 20 else []
+    return [
+        f"data: {file}, sha256 {data['sha256'] or '-'}",
+        f"rows: {rows_text(result)}",
+        f"convention of the file: {data['convention']}, slip"
+        f" {data['slip_definition']}; this page is braking positive, in SI units",
+        *([f"columns: {', '.join(columns)}"] if columns else []),
+        f"model {result.model}, forces {', '.join(result.forces)}",
+        *_asked(result),
+        f"solver {result.solver}, seed {result.seed}",
+        *notes_of(result, [*data["assumptions"], *result.noise.get("notes", ())]),
+        *masked[:20], *more,
+        f"tirefit {result.version}, {SCHEMA}; "
+        + ", ".join(f"{k} {v}" for k, v in result.versions.items()),
+    ]  # fmt: skip
+
+
+def fit_page(result: FitResult) -> str:
+    """The whole fit as one HTML document: pictures and figures inside, no script,
+    nothing to fetch."""
+    pictures = {k: page_images(v) for k, v in page_pictures(result).items()}
+    runs = run_lines(result)
+    return rendered(
+        "fit_page.html",
+        title=f"{result.model} fitted to {fit_files(result, 60)}",
+        subtitle=f"{', '.join(result.forces)}, {result.statistics.n} rows; braking"
+        f" positive, SI; seed {result.seed}; tirefit {result.version}",
+        verdict=verdict_parts(result),
+        source=result.source,
+        runs=runs,
+        parameters=parameter_rows(result),
+        reference=reference_text(result),
+        derived=derived_rows(result),
+        derived_by_run=derived_by_run(result),
+        open=open_lines(result),
+        far=far_lines(result),
+        correlations=correlation_lines(result, most=20),
+        pictures=pictures,
+        routes=route_rows(result),
+        quality=_quality(result),
+        by_run=run_rows(result),
+        posterior=posterior_lines(result),
+        chains=chain_rows(result),
+        provenance=_provenance(result),
+        record=result.to_json(),
+    )
+
+
+def write_fit_page(result: FitResult, path: str | os.PathLike) -> None:
+    """Write the page of a fit, whole or not at all.
+
+    Args:
+        result: a fit of this process; with its posterior, its corner too.
+        path: of the page, ``fit.html`` say.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    write_text_atomic(path, fit_page(result))

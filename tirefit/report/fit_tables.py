@@ -1,0 +1,269 @@
+"""What a fit found as cells and sentences: for the text report, and for its page."""
+
+import numpy as np
+
+from tirefit.fitting.derived import derived_channel, quantities, quantity_of
+from tirefit.fitting.likelihood import row_moments
+from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
+from tirefit.report.labels import short_label, short_run
+from tirefit.report.numbers import format_estimate, format_interval, format_number
+
+__all__ = [
+    "FORCE_UNIT",
+    "Rows",
+    "chain_rows",
+    "correlation_lines",
+    "derived_by_run",
+    "derived_rows",
+    "far_lines",
+    "noise_text",
+    "note_on",
+    "open_lines",
+    "parameter_rows",
+    "posterior_lines",
+    "reference_text",
+    "route_rows",
+    "rows_text",
+    "run_rows",
+    "value_text",
+]
+
+Rows = list[list[str]]
+"""Cells of a table, header first."""
+
+FORCE_UNIT = {"fx": "N", "fy": "N", "mz": "N m"}
+_ROUTES = ("covariance", "profile", "posterior")
+_STRONG = 0.9
+
+
+def value_text(estimate: Estimate) -> str:
+    """``value ± std``, or that it is fixed or not identified."""
+    if estimate.fixed:
+        return f"{format_number(estimate.value)} (fixed)"
+    if not estimate.identified:
+        return "not identified"
+    return format_estimate(estimate.value, estimate.std)
+
+
+def note_on(result: FitResult, name: str) -> str:
+    """What a reader must know about one parameter; empty for most."""
+    estimate = result.parameters[name]
+    notes = []
+    if name in result.statistics.at_bound:
+        notes.append("at its bound")
+    if not estimate.identified and np.isfinite(estimate.value):
+        notes.append(f"best {format_number(estimate.value)}")
+    if name in result.verdict.get("disagreements", {}):
+        notes.append("routes differ")
+    return ", ".join(notes)
+
+
+def parameter_rows(result: FitResult) -> Rows:
+    """Every parameter, fixed and tied ones too."""
+    return [
+        ["parameter", "value ± std", "unit", "95 % interval", ""],
+        *(
+            [
+                short_label(result, name), value_text(estimate), estimate.unit,
+                format_interval(estimate.ci95, estimate.std), note_on(result, name),
+            ]
+            for name, estimate in result.parameters.items()
+        ),
+    ]  # fmt: skip
+
+
+def route_rows(result: FitResult) -> Rows:
+    """The 95 % interval of every free parameter by each of the three ways."""
+    routes = [route for route in _ROUTES if result.intervals.get(route)]
+    rows = [["95 % interval", *routes]]
+    for label in result.labels:
+        std = result.least_squares[label].std
+        ends = [result.intervals[route].get(label, (None, None)) for route in routes]
+        rows.append(
+            [short_label(result, label), *(format_interval(end, std) for end in ends)]
+        )
+    return rows
+
+
+def reference_text(result: FitResult) -> str:
+    """Load and speed that the derived quantities are at."""
+    at = f"F_z = {format_number(result.reference['fz'])} N"
+    if result.reference.get("v"):
+        at += f", v = {result.reference['v']:.3g} m/s"
+    return at
+
+
+def _derived_value(estimate: Estimate) -> str:
+    return value_text(estimate) if np.isfinite(estimate.value) else "not defined"
+
+
+def derived_rows(result: FitResult) -> Rows:
+    """The derived quantities that all runs have in common."""
+    channel = derived_channel(result.forces)
+    rows = [["quantity", "value ± std", "unit", "95 % interval", ""]]
+    for name, estimate in result.derived.items():
+        if channel is not None and name == quantity_of(name):
+            rows.append(
+                [
+                    name, _derived_value(estimate), estimate.unit,
+                    format_interval(estimate.ci95, estimate.std),
+                    quantities(channel)[name][1],
+                ]
+            )  # fmt: skip
+    return rows
+
+
+def derived_by_run(result: FitResult) -> Rows:
+    """Those that runs differ in: a row per run, a column per quantity."""
+    own = {k: v for k, v in result.derived.items() if k != quantity_of(k)}
+    names = {quantity_of(k): v.unit for k, v in own.items()}
+    head = [name if unit == "-" else f"{name} [{unit}]" for name, unit in names.items()]
+    rows = [["run", *head]]
+    for run in result.data["runs"] if own else ():
+        cells = (_derived_value(own[f"{name}[{run}]"]) for name in names)
+        rows.append([short_run(result, str(run)), *cells])
+    return rows
+
+
+def _noise_model(result: FitResult) -> str:
+    """What the likelihood takes the noise for."""
+    loss = result.noise.get("loss", "squares")
+    if loss == "squares":
+        return "normal in every row"
+    if loss != "trimmed":
+        return f"loss {loss} in every row"
+    aside = result.data.get("set_aside", 0)
+    return (
+        f"normal; rows further than {result.noise['limit']:.1f} standard deviations"
+        f" from what the others predict are set aside ({aside or 'none'})"
+    )
+
+
+def noise_text(result: FitResult) -> str:
+    """Standard deviation of every noise, where it is from, and its model."""
+    parts = []
+    for name, record in result.noise.items():
+        if isinstance(record, dict) and "median_std" in record:
+            unit = FORCE_UNIT.get(name, "rad" if name == "alpha" else "-")
+            unit = "" if unit == "-" else f" {unit}"
+            std = format_number(record["median_std"], 3)
+            parts.append(f"{name} {std}{unit} ({record['source']})")
+    return f"{', '.join(parts)}; {_noise_model(result)}"
+
+
+def run_rows(result: FitResult) -> Rows:
+    """Rows, RMSE and bias of every run, where there are several."""
+    problem, name = result.problem, result.forces[0]
+    rows = [["run", "rows", f"RMSE [{FORCE_UNIT[name]}]", "bias"]]
+    if problem is None or len(result.data["runs"]) < 2:
+        return rows
+    mean, _ = row_moments(problem, result.z)
+    residual = problem.used(problem.rows.observed[name]) - mean[name]
+    run = problem.used(problem.rows.run)
+    for code in np.unique(run):
+        part = residual[run == code]
+        rms = float(np.sqrt(np.mean(part**2)))
+        rows.append(
+            [
+                short_run(result, str(problem.layout.runs[code])), str(len(part)),
+                format_number(rms, 3), format_number(float(part.mean()), 2),
+            ]
+        )  # fmt: skip
+    return rows
+
+
+def chain_rows(result: FitResult) -> Rows:
+    """Effective samples, R-hat and tau of every parameter, where there are chains."""
+    p = result.posterior
+    rows = [["parameter", "ESS", "R-hat", "τ [steps]"]]
+    for label in result.labels:
+        if p is not None and label in p.rhat:
+            rows.append(
+                [
+                    short_label(result, label), f"{p.ess[label]:.0f}",
+                    f"{p.rhat[label]:.4f}", f"{p.tau[label]:.1f}",
+                ]
+            )  # fmt: skip
+    return rows
+
+
+def posterior_lines(result: FitResult) -> list[str]:
+    """What the sampler did; empty without a posterior."""
+    p = result.posterior
+    if p is None:
+        return []
+    return [_posterior_head(p), p.note] if p.note else [_posterior_head(p)]
+
+
+def _posterior_head(p: PosteriorSummary) -> str:
+    """One sentence on what the sampler did."""
+    if p.sampler == "importance":
+        draws = round(p.acceptance * p.steps)
+        return (
+            f"importance: {p.steps} points of Student's t, worth {draws} independent"
+            f" draws; Pareto k-hat {p.k_hat:.2f} (below 0.7: to be trusted); no chain,"
+            f" so no trace; seed {p.seed}"
+        )
+    many = "chains" if p.sampler == "nuts" else "walkers"
+    text = (
+        f"{p.sampler}: {p.ensembles} ensembles × {p.walkers} {many} × {p.steps} steps"
+        f" ({p.discarded} discarded), acceptance {p.acceptance:.2f}, seed {p.seed}"
+    )
+    return text if p.divergences is None else f"{text}, {p.divergences} divergences"
+
+
+def rows_text(result: FitResult) -> str:
+    """How many rows count, and why the others do not."""
+    data = result.data
+    aside = data.get("set_aside", 0)
+    masked = data["rows"] - data["used"] - aside
+    text = f"{data['used']} used of {data['rows']}"
+    left_out = {"masked": masked, "set aside": aside}
+    if any(left_out.values()):
+        said = [f"{count} {why}" for why, count in left_out.items() if count]
+        text += f" ({', '.join(said)})"
+    return text + (f", {len(data['runs'])} runs" if len(data["runs"]) > 1 else "")
+
+
+def far_lines(result: FitResult, most: int = 20) -> list[str]:
+    """Rows far from everything, by number, and what became of them."""
+    lines = [
+        f"{'set aside' if row.set_aside else 'kept'}: {row.file}, row {row.row}, column"
+        f" {row.column!r}: {row.reason}"
+        for row in result.far_rows[:most]
+    ]
+    rest = len(result.far_rows) - most
+    return [*lines, f"and {rest} more: far_rows in fit.json"] if rest > 0 else lines
+
+
+def correlation_lines(result: FitResult, most: int = 10) -> list[str]:
+    """The pairs correlated above 0.9, the strongest first."""
+    matrix, labels = np.asarray(result.correlation), result.labels
+    names = [short_label(result, label) for label in labels]
+    pairs = [
+        (abs(matrix[i, j]), f"{names[j]} and {names[i]}: {matrix[i, j]:+.3f}")
+        for i in range(len(labels))
+        for j in range(i)
+        if abs(matrix[i, j]) > _STRONG
+    ]
+    pairs.sort(key=lambda pair: -pair[0])
+    lines = [text for _, text in pairs[:most]]
+    return [*lines, f"and {len(pairs) - most} more"] if len(pairs) > most else lines
+
+
+def open_lines(result: FitResult) -> list[str]:
+    """Parameters and derived quantities that the data do not tell, and within what."""
+    lines = []
+    for name, estimate in (result.parameters | result.derived).items():
+        if estimate.identified or estimate.fixed:
+            continue
+        text = f"{short_label(result, name)}: not defined for this model and estimate"
+        if np.isfinite(estimate.value):
+            unit = "" if estimate.unit == "-" else f" {estimate.unit}"
+            ends = format_interval(estimate.ci95, estimate.std)
+            text = (
+                f"{short_label(result, name)}: anything in {ends}{unit} fits as well"
+                f" (95 %); best {format_number(estimate.value)}{unit}"
+            )
+        lines.append(text)
+    return lines

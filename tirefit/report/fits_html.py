@@ -1,0 +1,214 @@
+"""Several fits on one page: a table, their curves, their parameters by file."""
+
+import os
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+from tirefit.data.run_names import name_pattern, run_names
+from tirefit.files import write_text_atomic
+from tirefit.fitting.derived import quantity_of
+from tirefit.fitting.result import SCHEMA, FitResult
+from tirefit.report.by_name import Points, distinct, place_points, points_of
+from tirefit.report.canvas import Picture
+from tirefit.report.fit_html import page_images
+from tirefit.report.fit_panels import WIDE, Shown, below
+from tirefit.report.fit_tables import FORCE_UNIT, Rows, rows_text, value_text
+from tirefit.report.html import GOOD, OPEN, rendered
+from tirefit.report.numbers import format_number
+from tirefit.report.overlay import draw_overlay, overlay_of
+from tirefit.results import InputProblem, UsageError
+
+__all__ = ["fits_page", "write_fits_page"]
+
+_TOGETHER = 3
+"""Quantities by file in one picture."""
+
+
+def _short(fits: Mapping[str, FitResult]) -> dict[str, FitResult]:
+    """The fits by what tells their names apart."""
+    return dict(zip(run_names(list(fits)).short, fits.values(), strict=True))
+
+
+def _columns(fits: Mapping[str, FitResult], part: str) -> dict[str, str]:
+    """Parameters or derived quantities of any fit -> unit, but for those of a run."""
+    return {
+        name: estimate.unit
+        for result in fits.values()
+        for name, estimate in getattr(result, part).items()
+        if name == quantity_of(name)
+    }
+
+
+def _table(fits: Mapping[str, FitResult], part: str) -> Rows:
+    """A row per fit, a column per parameter or derived quantity."""
+    names = _columns(fits, part)
+    head = [name if unit == "-" else f"{name} [{unit}]" for name, unit in names.items()]
+    rows = [["file", *head]]
+    for file, result in fits.items():
+        own = getattr(result, part)
+        cells = (value_text(own[name]) if name in own else "" for name in names)
+        rows.append([file, *cells])
+    return rows
+
+
+def _parameters(fits: Mapping[str, FitResult]) -> Rows:
+    """Parameters, misfit and verdict of every fit."""
+    first = next(iter(fits.values())).forces[0]
+    head = [f"RMSE [{FORCE_UNIT[first]}]", "rows", "independent", "verdict"]
+    rows = _table(fits, "parameters")
+    rows[0] += head
+    for row, result in zip(rows[1:], fits.values(), strict=True):
+        s = result.statistics
+        row += [
+            format_number(s.rmse), rows_text(result), f"{s.n_effective:.0f}",
+            result.verdict.get("status", "not judged"),
+        ]  # fmt: skip
+    return rows
+
+
+def _verdict(fits: Mapping[str, FitResult], failed: Mapping[str, str]) -> Mapping:
+    by_status = Counter(r.verdict.get("status", "not judged") for r in fits.values())
+    parts = [f"{count} {status}" for status, count in by_status.most_common()]
+    parts += [f"{len(failed)} not fitted"] if failed else []
+    lines = []
+    for name, result in fits.items():
+        if result.verdict.get("status") != "ok":
+            said = result.verdict.get("sentences") or ["not judged"]
+            lines.append(f"{name}: {result.verdict.get('status')}: {said[0]}")
+    good = set(by_status) == {"ok"} and not failed
+    return {
+        "sentence": f"of {len(fits) + len(failed)} files: {', '.join(parts)}",
+        "lines": [*lines, *(f"{k}: not fitted: {v}" for k, v in failed.items())],
+        "color": GOOD if good else OPEN,
+    }
+
+
+def _points(fits: Mapping[str, FitResult], part: str) -> list[Points]:
+    """Parameters or derived quantities that were free, file by file."""
+    panels = []
+    for name, unit in _columns(fits, part).items():
+        own = [getattr(result, part).get(name) for result in fits.values()]
+        if not all(one is None or one.fixed for one in own):
+            panels.append(points_of(f"{name} [{unit}]", list(fits), own))
+    return panels
+
+
+def _by_file(fits: Mapping[str, FitResult]) -> list[Shown]:
+    panels = distinct(_points(fits, "parameters"), _points(fits, "derived"))
+    shown = []
+    for first in range(0, len(panels), _TOGETHER):
+        some = panels[first : first + _TOGETHER]
+        picture = Picture(figsize=(WIDE, 1.1 + 1.3 * len(some)))
+        place_points(picture, some, 0.02, 0.98)
+        labels = ", ".join(points.label for points in some)
+        shown.append(Shown(picture, f"{labels} by file, with 95 % intervals"))
+    return shown
+
+
+def _overlays(fits: Mapping[str, FitResult]) -> list[Shown]:
+    drawn = {k: r for k, r in fits.items() if r.problem is not None}
+    shown = []
+    for channel in dict.fromkeys(c for r in drawn.values() for c in r.forces):
+        overlay = overlay_of(drawn, channel)
+        picture = Picture(figsize=(WIDE, 4.0), layout="constrained")
+        axes = picture.subplots()
+        draw_overlay(axes, overlay)
+        below(picture, axes.get_legend(), columns=3)
+        shown.append(Shown(picture, f"Fitted curves of {channel} of all files"))
+    return shown
+
+
+def _one_of(values) -> str:
+    """What all share, or every one of what they have."""
+    return ", ".join(dict.fromkeys(str(value) for value in values))
+
+
+def _said(results: Sequence[FitResult]) -> list[str]:
+    """What every output states."""
+    return [
+        _one_of(", ".join(r.forces) for r in results),
+        "braking positive, SI",
+        f"seed {_one_of(r.seed for r in results)}",
+        f"tirefit {_one_of(r.version for r in results)}",
+    ]
+
+
+def _provenance(fits: Mapping[str, FitResult]) -> list[str]:
+    results = list(fits.values())
+    conventions = _one_of(r.data["convention"] for r in results)
+    return [
+        f"models: {_one_of(r.model for r in results)}; forces:"
+        f" {_one_of(', '.join(r.forces) for r in results)}",
+        f"conventions of the files: {conventions}; this page is braking positive, in SI"
+        " units",
+        f"values: {_one_of(r.source for r in results)}",
+        f"solver {_one_of(r.solver for r in results)}, seed"
+        f" {_one_of(r.seed for r in results)}",
+        f"tirefit {_one_of(r.version for r in results)}, {SCHEMA}",
+    ]
+
+
+def _files(fits: Mapping[str, FitResult]) -> Rows:
+    return [
+        ["file", "path", "convention", "at F_z [N]", "sha256"],
+        *(
+            [
+                name, result.data["file"], result.data["convention"],
+                format_number(result.reference["fz"]), result.data["sha256"] or "-",
+            ]
+            for name, result in fits.items()
+        ),
+    ]  # fmt: skip
+
+
+def fits_page(
+    fits: Mapping[str, FitResult], failed: Mapping[str, str] | None = None
+) -> str:
+    """Several fits as one HTML document; no script, nothing to fetch.
+
+    Args:
+        fits: file (or any other name) -> its fit, in the order of the page.
+        failed: file -> why it could not be fitted.
+
+    Raises:
+        UsageError: there is no fit.
+    """
+    if not fits:
+        reason = "no fit for the page"
+        raise UsageError(InputProblem(reason, "give fits by name: {'dry': fit, ...}"))
+    names = list(fits)
+    pattern = [name_pattern(names)] if run_names(names).pattern else []
+    by_name = _short(fits)
+    results = list(fits.values())
+    return rendered(
+        "fits_page.html",
+        title=f"{_one_of(r.model for r in results)} fitted to {len(fits)} files",
+        subtitle="; ".join([*pattern, *_said(results)]),
+        verdict=_verdict(by_name, failed or {}),
+        curves=page_images(_overlays(by_name)),
+        parameters=_parameters(by_name),
+        derived=_table(by_name, "derived"),
+        by_file=page_images(_by_file(by_name)),
+        per_run=sorted({quantity_of(k) for r in results for k in r.labels if "[" in k}),
+        provenance=_provenance(fits),
+        files=_files(by_name),
+    )
+
+
+def write_fits_page(
+    fits: Mapping[str, FitResult],
+    path: str | os.PathLike,
+    failed: Mapping[str, str] | None = None,
+) -> None:
+    """Write the page over several fits, whole or not at all.
+
+    Args:
+        fits: file (or any other name) -> its fit, in the order of the page.
+        path: of the page, ``fits.html`` say.
+        failed: file -> why it could not be fitted.
+
+    Raises:
+        UsageError: there is no fit.
+        OSError: the file cannot be written.
+    """
+    write_text_atomic(path, fits_page(fits, failed))

@@ -1,0 +1,71 @@
+"""What parameters, runs and files are called in reports and figures.
+
+``fit.json`` keeps the whole names; for readers they are as short as tells them apart.
+"""
+
+from collections.abc import Mapping, Sequence
+
+from tirefit.data.run_names import clipped, label_of_run, name_pattern, run_names
+from tirefit.fitting.result import FitResult
+
+__all__ = ["fit_files", "notes_of", "run_lines", "short_label", "short_run"]
+
+
+def _short(result: FitResult) -> Mapping[str, str]:
+    runs = [str(run) for run in result.data["runs"]]
+    return dict(zip(runs, run_names(runs).short, strict=True))
+
+
+def short_run(result: FitResult, run: str) -> str:
+    """A run by what tells it from the others."""
+    return _short(result).get(run, run)
+
+
+def short_label(result: FitResult, label: str) -> str:
+    """``mu[run01]``: a parameter or a derived quantity, with the short name of its
+    run."""
+    return label_of_run(label, result.data["runs"])
+
+
+def run_lines(result: FitResult) -> list[str]:
+    """What the short names stand for; empty where they are the names themselves."""
+    runs = [str(run) for run in result.data["runs"]]
+    names = run_names(runs)
+    if names.short == tuple(runs):
+        return []
+    if names.pattern:
+        between = ", " if len(runs) == 2 else " ... "
+        return [f"{names.short[0]}{between}{names.short[-1]} of {names.pattern}"]
+    return [f"{i}: {run}" for i, run in enumerate(runs, 1)]
+
+
+def fit_files(result: FitResult, most: int = 1000) -> str:
+    """The file of a fit without its folder; of several their number and pattern."""
+    files = result.data["file"].replace("\\", "/").split(", ")
+    if not 1 < len(files) <= len(result.data["runs"]):
+        return clipped(result.data["file"].replace("\\", "/").rsplit("/", 1)[-1], most)
+    pattern = name_pattern([file.rsplit("/", 1)[-1] for file in files])
+    return clipped(f"{len(files)} files, {pattern}", most)
+
+
+def notes_of(result: FitResult, notes: Sequence[str]) -> list[str]:
+    """Notes on single files by the text, which most files have in common."""
+    count = len(result.data["file"].split(", "))
+    if count == 1:
+        return list(notes)
+    runs = {str(run) for run in result.data["runs"]}
+    # A file of several runs gives them its name and a colon.
+    tables = sorted(runs | {run.rpartition(":")[0] for run in runs} - {""}, key=len)
+    whose: dict[str, list[str]] = {}
+    for note in notes:
+        table = next((t for t in reversed(tables) if note.startswith(f"{t}: ")), "")
+        text = note[len(table) + 2 :] if table else note
+        whose.setdefault(text, []).append(short_run(result, table))
+    return [_noted(text, tables, count) for text, tables in whose.items()]
+
+
+def _noted(text: str, tables: Sequence[str], count: int) -> str:
+    if tables == [""]:
+        return text
+    names = "every file" if len(tables) == count else ", ".join(tables)
+    return f"{names}: {text}"

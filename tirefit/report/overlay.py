@@ -1,0 +1,154 @@
+"""Fitted curves of several files on one another: results -> arrays -> axes."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import matplotlib as mpl
+import numpy as np
+
+from tirefit.fitting.bands import force_band
+from tirefit.fitting.likelihood import CHANNEL_SLIP
+from tirefit.fitting.result import FitResult
+from tirefit.models import TireInputs
+from tirefit.report.canvas import COLORS, GREY, tidy
+from tirefit.report.curves import FORCE_LABEL, SlipAxis, slip_axis
+from tirefit.report.numbers import plain_text
+
+__all__ = ["Overlay", "OverlayCurve", "draw_overlay", "overlay_of"]
+
+_POINTS = 160
+_MOST_POINTS = 300
+_MOST_NAMED = 12
+"""Files that the legend names; of more, the first and the last."""
+_OTHER = {"sigma_x": "alpha", "alpha": "sigma_x"}
+_NEAR_LOAD, _NEAR_SLIP = 0.1, 0.01
+"""Share of the load, and slip, by which a point may be off its curve's."""
+_SAME_LOAD = 0.02
+"""Relative spread of the loads up to which forces compare in newtons."""
+
+
+class OverlayCurve(NamedTuple):
+    """The curve (m,) of one file with the ends of its 95 % band, over the slips of its
+    own rows, and some of its points (n,)."""
+
+    name: str
+    slip: np.ndarray
+    force: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    at_slip: np.ndarray
+    at_force: np.ndarray
+
+
+class Overlay(NamedTuple):
+    """One force over its slip for several files; ``note`` says at which load."""
+
+    x_label: str
+    y_label: str
+    curves: tuple[OverlayCurve, ...]
+    note: str
+
+
+def _slips(result: FitResult, channel: str) -> np.ndarray:
+    problem = result.problem
+    return problem.used(getattr(problem.rows.inputs, CHANNEL_SLIP[channel]))
+
+
+def _conditions(result: FitResult, slip: str) -> dict[str, float]:
+    """Medians of the rows; the other slip is zero where the rows reach it."""
+    problem = result.problem
+    columns = {
+        k: problem.used(v)
+        for k, v in problem.rows.inputs._asdict().items()
+        if k != slip
+    }
+    middle = {k: float(np.median(v)) for k, v in columns.items()}
+    other = _OTHER[slip]
+    if columns[other].min() <= 0 <= columns[other].max():
+        middle[other] = 0.0
+    return middle
+
+
+def _curve(result: FitResult, name: str, channel: str, axis: SlipAxis, over_load: bool):
+    problem, slip = result.problem, CHANNEL_SLIP[channel]
+    slips, middle = _slips(result, channel), _conditions(result, slip)
+    low, high = min(float(slips.min()), 0.0), max(float(slips.max()), 0.0)
+    first, last = axis.shown(np.array([low, high]))
+    shown = np.linspace(float(first), float(last), _POINTS)
+    grid = np.asarray(axis.canonical(shown), float)
+    columns = {k: np.full(_POINTS, v) for k, v in middle.items()} | {slip: grid}
+    inputs = TireInputs(**{k: jnp.asarray(v) for k, v in columns.items()})
+    run = np.zeros(_POINTS, int)
+    band = force_band(result, channel, inputs, run, np.zeros(_POINTS))
+    unit = middle["fz"] if over_load else 1.0
+    near = _near(result, slip, middle)
+    near = near[:: -(-len(near) // _MOST_POINTS) or 1]
+    load = problem.used(problem.rows.inputs.fz) if over_load else 1.0
+    measured = problem.used(problem.rows.observed[channel]) / load
+    return OverlayCurve(
+        name, axis.shown(grid), band.force / unit, band.low / unit, band.high / unit,
+        axis.shown(slips)[near], measured[near],
+    )  # fmt: skip
+
+
+def _near(result: FitResult, slip: str, middle: Mapping[str, float]) -> np.ndarray:
+    """The rows (n,) at about the load and the other slip of the curve: others would lie
+    beside it."""
+    problem = result.problem
+    inputs, other = problem.rows.inputs, _OTHER[slip]
+    load, aside = problem.used(inputs.fz), problem.used(getattr(inputs, other))
+    near = np.abs(load - middle["fz"]) <= _NEAR_LOAD * middle["fz"]
+    return np.flatnonzero(near & (np.abs(aside - middle[other]) <= _NEAR_SLIP))
+
+
+def overlay_of(fits: Mapping[str, FitResult], channel: str) -> Overlay:
+    """The curves of all fits that have this force, each at the median load of its rows.
+
+    Where loads differ by more than 2 %, forces are over load. A parameter that is per
+    run is that of the first run.
+    """
+    given = {k: r for k, r in fits.items() if channel in r.forces}
+    slips = np.concatenate([_slips(r, channel) for r in given.values()])
+    axis = slip_axis(CHANNEL_SLIP[channel], slips)
+    loads = [r.reference["fz"] for r in given.values()]
+    over_load = np.ptp(loads) > _SAME_LOAD * np.median(loads)
+    name, unit, ratio = FORCE_LABEL[channel]
+    y_label = f"{name} [{unit}]"
+    note = f"at $F_z$ = {np.median(loads):.4g} N"
+    if over_load:
+        y_label = f"{ratio} [{'m' if channel == 'mz' else '-'}]"
+        note = f"each at its own median load, {min(loads):.4g} to {max(loads):.4g} N"
+    curves = tuple(
+        _curve(result, name, channel, axis, bool(over_load))
+        for name, result in given.items()
+    )
+    return Overlay(f"{axis.label} [{axis.unit}]", y_label, curves, note)
+
+
+def _colors(count: int) -> Sequence:
+    if count <= len(COLORS):
+        return COLORS[:count]
+    return list(mpl.colormaps["viridis"](np.linspace(0, 0.92, count)))
+
+
+def draw_overlay(axes, overlay: Overlay) -> None:
+    """Curves by colour, in the order of the files where there are many."""
+    count = len(overlay.curves)
+    few = count <= len(COLORS)
+    for i, (one, color) in enumerate(zip(overlay.curves, _colors(count), strict=True)):
+        named = count <= _MOST_NAMED or i in (0, count - 1)
+        if few:
+            axes.plot(
+                one.at_slip, one.at_force, linestyle="none", marker="o", markersize=2,
+                markeredgewidth=0, alpha=0.3, color=color, rasterized=True,
+            )  # fmt: skip
+        axes.fill_between(one.slip, one.low, one.high, color=color, alpha=0.3, lw=0)
+        axes.plot(
+            one.slip, one.force, color=color, lw=1.3,
+            label=plain_text(one.name) if named else None,
+        )  # fmt: skip
+    axes.axhline(0, color=GREY, lw=0.5, zorder=0)
+    tidy(axes, overlay.x_label, overlay.y_label)
+    title = overlay.note if count <= _MOST_NAMED else f"{overlay.note}; first and last"
+    axes.legend(fontsize=7.5, title=title, title_fontsize=7.5, frameon=False)
