@@ -84,8 +84,10 @@ def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
 def _write(result, out: Path) -> None:
     """Says the result and writes it into the folder, which is claimed."""
     from tirefit.fitting.mf.store import save_magic_formula
+    from tirefit.report.draw import FIGURE_FILES
 
-    with staged(out, known=["posterior.nc"]) as folder:
+    # Figures and draws of an earlier fit would be taken for this one's.
+    with staged(out, ["posterior.nc", *FIGURE_FILES], result) as folder:
         written = save_magic_formula(result, folder)
     say(str(result))
     say("wrote " + ", ".join(str(out / path.name) for path in written))

@@ -17,7 +17,7 @@ from tirefit.fitting.mf.priors import Prior, normal_form, prior_given, published
 from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
 from tirefit.fitting.mf.rows import ForceRows, NoiseLaw, joined, rows_of_forces
 from tirefit.fitting.mf.solve import Problem
-from tirefit.fitting.mf.stages import Search, search
+from tirefit.fitting.mf.stages import FAR, Search, search
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire
 from tirefit.models.mf.fields import Nominal, Scaling
 from tirefit.params import check_names, check_values, specs, with_values
@@ -103,7 +103,7 @@ def _check_settings(model: str, config: FitConfig) -> None:
             reason = f"parameters.{name}: {', '.join(wrong)} in a Magic Formula"
             remedy = "give value to hold it there, or a prior of mean and std"
             problems.append(InputProblem(reason, remedy, config.source))
-    if config.noise.loss != "squares":
+    if config.noise.loss not in ("squares", FitConfig().noise.loss):
         reason = f"noise.loss = {config.noise.loss!r} in a Magic Formula"
         problems.append(InputProblem(reason, "leave it out", config.source))
     if problems:
@@ -189,6 +189,7 @@ def _result(model, data: TireData, work: Search, priors, notes) -> MagicFormulaF
         for i, name in enumerate(problem.names)
     }  # fmt: skip
     forces = tuple(work.fitted)
+    notes = [*notes, *(_far_text(force, work.far[force]) for force in work.far)]
     loads = np.concatenate([work.rows[force].inputs.fz for force in forces])
     speeds = np.concatenate([work.rows[force].inputs.v for force in forces])
     tire = with_values(problem.tire, values)
@@ -212,6 +213,13 @@ def _result(model, data: TireData, work: Search, priors, notes) -> MagicFormulaF
         data=data_record(data, data.n, ()),
         notes=tuple(notes),
         version=importlib.metadata.version("tirefit"),
+    )
+
+
+def _far_text(force: str, count: int) -> str:
+    return (
+        f"{count} rows of {force} lie beyond {FAR:g} standard deviations; none is set"
+        " aside: look at them, and mask what is wrong"
     )
 
 

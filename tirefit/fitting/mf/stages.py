@@ -16,10 +16,10 @@ from tirefit.fitting.mf.solve import (
     minimise,
     row_gradients,
 )
-from tirefit.fitting.noise import autocorrelation_time
+from tirefit.fitting.noise import MAD, autocorrelation_time
 from tirefit.models import TireInputs
 
-__all__ = ["Search", "Stage", "problem_of", "search", "starts_of"]
+__all__ = ["FAR", "Search", "Stage", "problem_of", "search", "starts_of"]
 
 _ENOUGH = 4096
 """Rows, evenly taken, from which the best of several starts is chosen."""
@@ -32,6 +32,10 @@ _LAW_RESTS = 0.01
 
 _HELD = 0.98
 """Share of the prior's variance that is left, above which the data say nothing."""
+
+
+FAR = 7.0
+"""Standard deviations, of the middle of the residuals, beyond which a row is named."""
 
 
 class Stage(NamedTuple):
@@ -52,7 +56,8 @@ class Search:
     ``near``: whether the first u was of a tire that may be near.
     ``moved`` are the coefficients of the stages that had rows, ``held`` those of them
     that the data do not tell. ``inflation`` is, by force, how many rows count as one,
-    and ``fitted`` the root mean square of the residuals [N, N m] and their number;
+    and ``fitted`` the root mean square of the residuals [N, N m] and their number, and
+    ``far`` how many of them lie beyond :data:`FAR` standard deviations, where some do;
     ``covariance`` (p, p) is that of u at the end.
     """
 
@@ -66,6 +71,7 @@ class Search:
     moved: frozenset[str] = frozenset()
     held: frozenset[str] = frozenset()
     fitted: dict[str, tuple[float, int]] = field(default_factory=dict)
+    far: dict[str, int] = field(default_factory=dict)
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def std(self, force: str) -> np.ndarray:
@@ -208,6 +214,10 @@ def _together(work: Search, moved: list[str], part: str) -> None:
     for force in forces:
         missed = _residual(work, force, part)
         work.fitted[force] = float(np.sqrt(np.mean(missed**2))), len(missed)
+        relative = np.abs(missed / work.std(force)[work.rows[force].parts[part]])
+        far = int(np.count_nonzero(relative > FAR * MAD * np.median(relative)))
+        if far:
+            work.far[force] = far
     _note(work, "together", problem, end)
 
 
