@@ -135,7 +135,7 @@ def predict(
     require(data, ("fz", *tire.needs), f"the model {name}")
     if tire.transient:
         check_time_series(data, name)
-    if isinstance(tire, MFTire):
+    if isinstance(tire, MFTire) and isinstance(source, StoredFit):
         force, variance = magic_formula_forces(source, tuple(noise), _inputs(data))
     else:
         force, variance = predict_forces(

@@ -47,7 +47,7 @@ def virtual_test(
             tir, "pressure", (1 - _PRESSURE) * nominal, (1 + _PRESSURE) * nominal
         )
         pressures = [around[0], nominal, around[1]]
-    parts = []
+    parts: list[tuple] = []
     for fz in loads:
         for pressure in pressures:
             for gamma in cambers:

@@ -115,12 +115,13 @@ def nominal_of(model: str, rows: dict[str, ForceRows], config: FitConfig):
     empty = MAGIC_FORMULAS[model]
     given = {k: v.value for k, v in config.parameters.items() if v.value is not None}
     check_values(empty, model, given)
-    first = next(iter(rows.values())).inputs
-    pressures = first.pressure[first.pressure > 0]
+    first = next(iter(rows.values()))
+    pressures = first.column("pressure")
+    pressures, speeds = pressures[pressures > 0], first.column("v")
     pressure = float(np.median(pressures)) if len(pressures) else 2.2e5
-    speed = float(np.median(first.v)) if np.any(first.v > 0) else 16.7
+    speed = float(np.median(speeds)) if np.any(speeds > 0) else 16.7
     assumed = {
-        "FNOMIN": _rounded(float(np.median(first.fz))),
+        "FNOMIN": _rounded(float(np.median(first.column("fz")))),
         "NOMPRES": _rounded(pressure),
         "INFLPRES": given.get("NOMPRES", _rounded(pressure)),
         "LONGVL": _rounded(speed),

@@ -42,7 +42,7 @@ def magic_formula_forces(
     one = np.full(len(names), 1.0)
     mean, variance = {}, {}
     for force in forces:
-        nothing = np.zeros(len(inputs.fz))
+        nothing = np.zeros(np.shape(inputs.fz))
         blocks = blocks_of(force, inputs, nothing, nothing + 1.0)
         problem = Problem(tire, names, centre, one, one < 0, one > 0, blocks)
         mean[force], variance[force] = propagated(problem, 0 * one, covariance)

@@ -54,6 +54,10 @@ class ForceRows:
     run: np.ndarray
     parts: dict[str, np.ndarray]
 
+    def column(self, name: str) -> np.ndarray:
+        """One of the inputs, (n,)."""
+        return np.asarray(getattr(self.inputs, name))
+
 
 def joined(tables: Sequence[TireData]) -> TireData:
     """Files as runs of one data set; what a file lacks is what its test left out.

@@ -90,7 +90,7 @@ class Search:
             chosen = chosen[np.linspace(0, len(chosen) - 1, most).astype(int)]
         if not len(chosen):
             return []
-        inputs = TireInputs(*(column[chosen] for column in rows.inputs))
+        inputs = TireInputs(*(rows.column(name)[chosen] for name in TireInputs._fields))
         std = self.noise(force)[chosen]
         return list(blocks_of(force, inputs, rows.observed[chosen], std))
 
@@ -175,7 +175,7 @@ def _learn_noise(work: Search, part: str, forces: Sequence[str]) -> float:
             continue
         before = work.std(force)
         residual = _residual(work, force, part)
-        work.laws[force] = noise_law(residual, rows.inputs.fz[rows.parts[part]])
+        work.laws[force] = noise_law(residual, rows.column("fz")[rows.parts[part]])
         change = max(change, float(np.max(np.abs(work.std(force) / before - 1))))
     return change
 
@@ -272,8 +272,8 @@ def _look(work: Search, part: str) -> dict[str, float]:
         return {}
     rows = work.rows[part]
     chosen = rows.parts[part]
-    slip = rows.inputs.sigma_x if part == "fx" else rows.inputs.alpha
-    slip, force, fz = slip[chosen], rows.observed[chosen], rows.inputs.fz[chosen]
+    slip = rows.column("sigma_x" if part == "fx" else "alpha")[chosen]
+    force, fz = rows.observed[chosen], rows.column("fz")[chosen]
     size = np.abs(slip)
     low = size <= max(np.quantile(size, 0.2), 0.1 * size.max())
     peak = float(np.clip(np.quantile(np.abs(force) / fz, 0.98), 0.1, 3.0))
