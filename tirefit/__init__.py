@@ -82,6 +82,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "fitting.batch": ["fit_many"],
         "fitting.estimate": ["fit"],
         "fitting.identifiability": ["identifiability"],
+        "fitting.mf.fit": ["fit_magic_formula"],
         "fitting.posterior": ["sample"],
         "fitting.predict": ["predict"],
         "fitting.store": ["load_fit", "save_fit"],

@@ -19,6 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tests.bench.magic_formula_fit import whole_magic_formula
+
 HERE = Path(__file__).parent
 ROWS = 400
 FZ, NOISE = 4000.0, 40.0
@@ -548,7 +550,7 @@ def braking_stops(stops: int = 1000, peers: int = 2) -> None:
 
 ENTRIES = (
     help_text, cold_fit, batch, magic_formula, brush_with_gradient, posterior, online,
-    braking_stops,
+    braking_stops, whole_magic_formula,
 )  # fmt: skip
 
 OF_DIAGNOSIS = (diagnosis, diagnosis_of_many, diagnosis_of_a_log, fleet)
