@@ -43,6 +43,8 @@ in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
   Vehicle System Dynamics 43 (2005) 351-384.
 - Hoffman, M. D., Gelman, A.: The No-U-Turn Sampler. Journal of Machine Learning
   Research 15 (2014) 1593-1623.
+- Huber, P. J.: Robust estimation of a location parameter. Annals of Mathematical
+  Statistics 35 (1964) 73-101.
 - Kitagawa, G.: Monte Carlo filter and smoother for non-Gaussian nonlinear state space
   models. Journal of Computational and Graphical Statistics 5 (1996) 1-25.
 - Levenberg, K.: A method for the solution of certain non-linear problems in least

@@ -12,7 +12,8 @@ import numpy as np
 from tirefit.data import check, signs
 from tirefit.data.cells import TextColumn
 from tirefit.data.check import BadRows
-from tirefit.data.columns import UNITS_ROW, Options, Plan, plan_columns
+from tirefit.data.columns import UNITS_ROW, Plan, plan_columns
+from tirefit.data.declared import Options
 from tirefit.data.kinds import read_table
 from tirefit.data.remote import file_at
 from tirefit.data.table import CANONICAL, SlipCheck, Source, TireData
