@@ -64,7 +64,7 @@ braking: install
 # Posteriors beside those of NumPyro and lmfit (dependency group `peers`); see
 # fits/posterior_peers.
 posterior-peers: install
-	$(BIN)/python -m fits.posterior_peers --into fits/posterior_peers
+	$(BIN)/python -m fits.posterior_peers --out out/$@ --into fits/posterior_peers
 
 lint: install
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .

@@ -51,5 +51,6 @@ def test_the_summary_counts_and_compares():
     emcee, field = summary(lines)
     assert emcee["coverage"] == 1 and emcee["width"] == 1
     assert field["coverage"] == pytest.approx(2 / 3)
-    assert field["error"] == pytest.approx(np.sqrt(2 / 27))
+    spread = np.sqrt(2.5 * 1.5 / (4**2 * 5))  # of Beta(2.5, 1.5)
+    assert field["error"] == pytest.approx(spread) and emcee["error"] > 0
     assert field["width"] == pytest.approx(0.2)

@@ -82,6 +82,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "fitting.batch": ["fit_many"],
         "fitting.estimate": ["fit"],
         "fitting.identifiability": ["identifiability"],
+        "fitting.mf.fit": ["fit_magic_formula"],
         "fitting.posterior": ["sample"],
         "fitting.predict": ["predict"],
         "fitting.store": ["load_fit", "save_fit"],
@@ -89,6 +90,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "online.methods": ["METHODS"],
         "models": ["MODELS", "TireInputs", "forces"],
         "params": ["parameter_values", "with_values"],
+        "report.diagnosis_draw": ["plot_diagnosis"],
         "report.fit_html": ["write_fit_page"],
         "report.fits_html": ["write_fits_page"],
         "report.plots": [

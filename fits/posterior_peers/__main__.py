@@ -1,8 +1,9 @@
 """Posteriors by tirefit and by its peers on the same synthetic data.
 
-    python -m fits.posterior_peers --into fits/posterior_peers       # all
-    python -m fits.posterior_peers --only brush --sets 20 --chains 4 --into out
+    python -m fits.posterior_peers --into fits/posterior_peers         # all
+    python -m fits.posterior_peers --only brush --sets 20 --chains 4   # quicker
 
+Every interval goes to ``--out``, table and figure to ``--into``.
 The peers need ``pip install`` of the group ``peers``. See README.md.
 """
 
@@ -20,7 +21,7 @@ import numpy as np
 
 from fits.posterior_peers.cases import CASES, Case
 
-SETS, CHAINED = 100, 25
+SETS, CHAINED = 100, 12
 """Data sets of a case, and how many of them the chains run on."""
 CONVERGENCE = 8
 """Data sets on which the guides run three times as long."""
@@ -32,9 +33,9 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--only", default=",".join(CASES))
     parser.add_argument("--sets", type=int, default=SETS)
     parser.add_argument("--chains", type=int, default=CHAINED)
-    parser.add_argument("--times", action="store_true", help="the times alone")
     parser.add_argument("--time", help=argparse.SUPPRESS)
-    parser.add_argument("--into", type=Path, default=Path("out/posterior_peers"))
+    parser.add_argument("--out", type=Path, default=Path("out/posterior_peers"))
+    parser.add_argument("--into", type=Path, help="folder of table.md; --out if none")
     asked = parser.parse_args(argv)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import jax
@@ -43,14 +44,13 @@ def main(argv: list[str] | None = None) -> None:
     if asked.time:
         print(json.dumps(timed(asked.time)))
         return
-    asked.into.mkdir(parents=True, exist_ok=True)
-    if not asked.times:
-        for name in asked.only.split(","):
-            intervals_to(asked.into, name, asked.sets, asked.chains)
-    write(asked.into / "times.csv", [_in_a_process(method) for method in METHODS_TIMED])
+    asked.out.mkdir(parents=True, exist_ok=True)
+    for name in asked.only.split(","):
+        intervals_to(asked.out, name, asked.sets, asked.chains)
+    write(asked.out / "times.csv", [_in_a_process(method) for method in METHODS_TIMED])
     from fits.posterior_peers.page import write_page
 
-    write_page(asked.into)
+    write_page(asked.out, asked.into or asked.out)
 
 
 def write(path: Path, rows: list[dict]) -> None:
@@ -61,7 +61,7 @@ def write(path: Path, rows: list[dict]) -> None:
     print(path, flush=True)
 
 
-def intervals_to(into: Path, name: str, sets: int, chains: int) -> None:
+def intervals_to(out: Path, name: str, sets: int, chains: int) -> None:
     """Every interval of a case, a line each, method by method as they come."""
     from fits.posterior_peers.methods import CHAINS, METHODS, fits_of, intervals_of
 
@@ -74,7 +74,7 @@ def intervals_to(into: Path, name: str, sets: int, chains: int) -> None:
         print(name, method, f"{time.process_time() - begun:.0f} s", flush=True)
         if method in ("mean-field", "full-rank"):
             rows += _longer(method, case, results[:CONVERGENCE])
-        write(into / f"{name}.csv", rows)
+        write(out / f"{name}.csv", rows)
 
 
 def _longer(method: str, case: Case, results) -> list[dict]:

@@ -26,6 +26,13 @@ def _read(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def _error(inside: int, sets: int) -> float:
+    """Standard error of a share, by Jeffreys' posterior of it: not zero where all are
+    inside."""
+    share = (inside + 0.5) / (sets + 1)
+    return float(np.sqrt(share * (1 - share) / (sets + 2)))
+
+
 def summary(lines: list[dict[str, str]]) -> list[dict]:
     """By method and parameter: sets, coverage with its binomial standard error, median
     width over that of emcee's interval on the same data sets, and what was said."""
@@ -47,7 +54,7 @@ def summary(lines: list[dict[str, str]]) -> list[dict]:
             {
                 "method": method, "parameter": parameter, "sets": len(known),
                 "coverage": share,
-                "error": float(np.sqrt(share * (1 - share) / len(known))),
+                "error": _error(sum(inside), len(known)),
                 "width": float(np.median(ratio)) if ratio else np.nan,
                 "said": said[method, parameter],
             }
@@ -109,13 +116,14 @@ def _of_case(name: str, lines: list[dict[str, str]]) -> list[str]:
     return [*text, ""]
 
 
-def write_page(folder: Path) -> None:
-    """``table.md`` and ``coverage.png`` from the files of intervals and times there."""
+def write_page(folder: Path, into: Path) -> None:
+    """``table.md`` and ``coverage.png`` from the intervals and times in a folder."""
     cases = {name: folder / f"{name}.csv" for name in CASES}
     there = {name: _read(path) for name, path in cases.items() if path.exists()}
     text = [
         "Written by `python -m fits.posterior_peers`. Coverage of 95 % intervals with",
-        "its binomial standard error; median width over emcee's, same data sets.", "",
+        "its binomial standard error (Jeffreys'); median width over emcee's interval",
+        "on the same data sets.", "",
     ]  # fmt: skip
     for name, lines in there.items():
         text += _of_case(name, lines)
@@ -128,8 +136,8 @@ def write_page(folder: Path) -> None:
     for row in _read(folder / "times.csv"):
         words = METHODS.get(row["method"], "tirefit, fit with profiles")
         text.append(f"| {words} | {row['cold_s']} | {row['warm_s']} |")
-    (folder / "table.md").write_text("\n".join(text) + "\n")
-    draw({name: summary(lines) for name, lines in there.items()}, folder)
+    (into / "table.md").write_text("\n".join(text) + "\n")
+    draw({name: summary(lines) for name, lines in there.items()}, into)
 
 
 def draw(cases: dict[str, list[dict]], folder: Path) -> None:

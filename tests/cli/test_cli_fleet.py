@@ -74,13 +74,22 @@ class Killer(threading.Thread):
         for process in readers:
             os.kill(process, signal.SIGKILL)
             self.killed += 1
-        while any(opened_by(process) for process in readers):
+        while any(map(is_there, readers)):
             time.sleep(0.01)  # what is written before it is gone is lost with it
 
 
 def processes():
     numbers = (int(path.name) for path in Path("/proc").glob("[0-9]*"))
     return [number for number in numbers if number != os.getpid()]
+
+
+def is_there(process):
+    """Until the last of its threads has ended, and its parent knows."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
 
 
 def opened_by(process):

@@ -25,9 +25,9 @@ from tirefit.results import InputProblem, UsageError
 
 __all__ = ["Ended", "cluster", "shared"]
 
-_BATCH = 5.0
-"""Seconds that a batch of several pieces is to take: a thousand times of what a task
-costs the scheduler."""
+_BATCH, _RATE = 5.0, 100.0
+"""Seconds that a batch of several pieces is to take, at least, and batches a second of
+all workers, at most: one costs scheduler and client 4 ms."""
 
 _AHEAD = 2
 """Batches at a time for each worker: one at work and one that waits for it."""
@@ -118,7 +118,7 @@ def _local(distributed: ModuleType, jobs: int) -> Iterator[Any]:
     with dask.config.set(_LOCAL):
         workers = distributed.LocalCluster(
             n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
-            dashboard_address=None, silence_logs=logging.CRITICAL,
+            dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL,
         )  # fmt: skip
     try:
         yield workers
@@ -216,7 +216,8 @@ class _Sharing:
         if self.seconds is not None:
             left = sum(map(len, self.waiting.values()))
             fair = left // (_AHEAD * max(self.threads, 1))
-            size = max(1, min(fair, int(_BATCH / max(self.seconds, 1e-3))))
+            long = max(_BATCH, self.threads / _RATE)
+            size = max(1, min(fair, int(long / max(self.seconds, 1e-3))))
         numbers = [same.popleft() for _ in range(min(size, len(same)))]
         if not same:
             del self.waiting[kind]

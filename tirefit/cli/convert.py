@@ -8,6 +8,11 @@ import typer
 
 from tirefit.cli.fit import model_names
 from tirefit.cli.fit_one import exit_code, fit_into
+from tirefit.cli.magic_formula import (
+    MAGIC_FORMULA_NAMES,
+    convert_whole,
+    only_of_magic_formula,
+)
 from tirefit.cli.options import complain, errors_to_exit, named_path, say, start_jax
 from tirefit.cli.output import check_directories
 from tirefit.results import InputProblem, TirefitError, UsageError
@@ -47,7 +52,9 @@ def convert(
     model: Annotated[
         str | None,
         typer.Option(
-            help="brush model to fit; brush by default", autocompletion=model_names
+            help="brush model to fit, brush by default, or another version of the Magic"
+            " Formula: mf52, mf61, mf62",
+            autocompletion=model_names,
         ),
     ] = None,
     force: Annotated[
@@ -96,6 +103,14 @@ def convert(
         coefficients, slips, chosen = _checked(
             file, magic_formula, slip_min, slip_max, loads, out
         )
+        if model in MAGIC_FORMULA_NAMES:
+            asked = {
+                "--magic-formula": magic_formula, "--force": force,
+                "--slip-min": slip_min, "--seed": seed,
+            }  # fmt: skip
+            only_of_magic_formula(model, None, asked)
+            assert file is not None  # else --magic-formula would be given
+            raise typer.Exit(convert_whole(file, model, float(slips[-1]), chosen, out))
         result = _refit(
             file, coefficients, model or "brush", force or Force.fx, slips, chosen,
             seed, out,

@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperCommand
 
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
+from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -79,7 +80,7 @@ def diagnose(
         typer.Option(
             metavar="MODEL|FIT.json|FILE.tir",
             help="base model; a file is a simulator that is taken as it is",
-            autocompletion=completed(*MODEL_NAMES),
+            autocompletion=completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES),
         ),
     ] = "brush",
     parameter: Annotated[
@@ -193,7 +194,7 @@ def _settings(model: str, rig: Path | None, without, how: dict) -> dict:
     from tirefit.diagnosis.rig import load_rig
     from tirefit.fitting.problem import find_model
 
-    if not _is_file(model):
+    if not _is_file(model) and model not in MAGIC_FORMULA_NAMES:
         find_model(model)
     known = load_rig(rig)
     if how["rolling_radius"] is None and known.rolling_radius is not None:

@@ -9,6 +9,11 @@ import typer
 
 from tirefit.cli.fit_one import Also, FitTask, exit_code_of, fit_one
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
+from tirefit.cli.magic_formula import (
+    MAGIC_FORMULA_NAMES,
+    fit_whole,
+    only_of_magic_formula,
+)
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -81,8 +86,9 @@ def fit(
     model: Annotated[
         str | None,
         typer.Option(
-            help="a name of `tirefit models`; brush by default",
-            autocompletion=model_names,
+            help="a name of `tirefit models`, brush by default; mf52, mf61 or mf62 is a"
+            " whole Magic Formula, of all files together",
+            autocompletion=completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES),
         ),
     ] = None,
     posterior: Annotated[
@@ -102,6 +108,13 @@ def fit(
     force: Annotated[
         list[str] | None,
         typer.Option(help="force to fit: fx, fy, mz (repeat for more)"),
+    ] = None,
+    part: Annotated[
+        str | None,
+        typer.Option(
+            metavar="fx|fy|mz|combined|all",
+            help="of mf52, mf61, mf62: this part, or all that the files tell",
+        ),
     ] = None,
     joint: Annotated[
         bool, typer.Option("--joint", help="one fit of all files, each file a run")
@@ -144,6 +157,14 @@ def fit(
         if sampler is not None:
             chosen = settings.posterior.model_copy(update={"sampler": sampler.value})
             settings = settings.model_copy(update={"posterior": chosen})
+        unused = {
+            "--solver": solver, "--sampler": sampler, "--force": force,
+            "--resume": resume, "--svg": svg, "--html": html,
+        }  # fmt: skip
+        if only_of_magic_formula(settings.model, part, unused):
+            (directory,) = _output_directories(files, out, joint=True)
+            code = fit_whole(files, directory, settings, how, part or "all", strict)
+            raise typer.Exit(code)
         directories = _output_directories(files, out, joint)
         check_directories(directories)
         start_jax()

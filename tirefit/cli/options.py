@@ -2,6 +2,7 @@
 
 import errno
 import inspect
+import math
 import os
 import re
 import sys
@@ -66,7 +67,8 @@ Files = Annotated[
     typer.Argument(
         metavar="FILE...",
         parser=file_at,
-        help="files, addresses (s3://...), or patterns of them in quotes",
+        help="measurements: CSV, TYDEX, MATLAB, Parquet, Arrow, Excel, MDF, ROS bags;"
+        " paths, addresses (s3://...), or patterns of them in quotes",
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]
@@ -187,9 +189,13 @@ def numbers(
     for name, value in _pairs(option, items, problems).items():
         try:
             value_of[name] = float(value)
+            usable = math.isfinite(value_of[name])
         except ValueError:
-            reason = f"{option} {name}={value}: not a number"
-            problems.append(InputProblem(reason, "give an SI value"))
+            usable = False
+        if not usable:
+            reason = f"{option} {name}={value}: not a number that can be used"
+            remedy = "give a finite value in SI units, with a point for decimals"
+            problems.append(InputProblem(reason, remedy))
     return value_of
 
 

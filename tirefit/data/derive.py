@@ -169,7 +169,7 @@ def derive(
                 str(path),
             )
         )
-    warnings = doubts(columns, motion, kept, vehicle)
+    warnings = vehicle.doubts() + doubts(columns, motion, kept, vehicle)
     alpha, force = columns["alpha"][kept], columns["fy"][kept]
     mirrored = pushes_the_wrong_way(alpha, force, vehicle, str(path))
     _refuse(mirrored, believe)

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tirefit.data import check, signs
+from tirefit.data.cells import TextColumn
 from tirefit.data.check import BadRows
-from tirefit.data.columns import Options, Plan, plan_columns
+from tirefit.data.columns import UNITS_ROW, Options, Plan, plan_columns
 from tirefit.data.kinds import read_table
 from tirefit.data.remote import file_at
 from tirefit.data.table import CANONICAL, SlipCheck, Source, TireData
@@ -151,8 +152,10 @@ def _checked(table: Table, options: Options) -> TireData:
     )
     convention = options.convention or table.layout.convention or "braking"
     reading = _Reading(table, options, plan, convention)
+    line_of = {"": table.header_line, UNITS_ROW: table.units_line or table.header_line}
     reading.problems = [
-        replace(problem, row=table.header_line) for problem in plan.problems
+        replace(problem, row=line_of[plan.places.get(problem, "")])
+        for problem in plan.problems
     ]
     reading.faults += table.faults
     reading.doubts += table.doubts
@@ -200,7 +203,8 @@ def _runs(reading: _Reading) -> tuple[np.ndarray, tuple[str, ...]]:
     if column is None:
         return np.zeros(n, int), (reading.table.name,)
     cells = reading.table.cells[column.index]
-    names = [str(cell).strip() for cell in cells]
+    words = cells.words() if isinstance(cells, TextColumn) else cells
+    names = [str(word).strip() for word in words]
     if isinstance(cells, np.ndarray) and cells.dtype.kind == "f":
         names = [f"{cell:.15g}" for cell in cells]
     skip = reading.table.ragged

@@ -70,6 +70,7 @@ class Table:
     header_line: int | None = None
     delimiter: str = ""
     units_row: list[str] | None = None
+    units_line: int | None = None
     sha256: str = ""
     notes: tuple[str, ...] = ()
     faults: tuple[BadRows, ...] = ()
@@ -199,17 +200,18 @@ def table_of_rows(
         reason = "the first line holds numbers, not column names"
         remedy = "add a header line such as kappa,fx,fz, without a # before it"
         raise _refusal(reason, remedy, path, header_line)
-    units_row = None
+    units_row = units_line = None
     if rows and _is_units_row(rows[0], len(headers)):
         notes.append(f"row {numbers[0]} read as units")
-        units_row, rows, numbers = rows[0], rows[1:], numbers[1:]
+        units_row, units_line = rows[0], numbers[0]
+        rows, numbers = rows[1:], numbers[1:]
     if not rows:
         reason = "there are no data rows below the header"
         raise _refusal(reason, "give at least as many rows as parameters", path)
     ragged, faults = even_out(rows, len(headers), numbers)
     return Table(
         str(path), stem_of(path), headers, list(zip(*rows, strict=True)),
-        np.array(numbers), ragged, header_line, delimiter, units_row,
+        np.array(numbers), ragged, header_line, delimiter, units_row, units_line,
         digest, tuple(notes), faults,
     )  # fmt: skip
 
@@ -262,13 +264,20 @@ def even_out(rows: list[list[str]], width: int, lines) -> tuple[np.ndarray, tupl
 
 
 def table_of_frame(frame, name: str) -> Table:
-    """A table of a frame or a mapping of arrays; rows are counted from 0."""
-    names = list(getattr(frame, "columns", frame))
+    """A table of a frame, a structured array or a mapping of arrays; rows are counted
+    from 0. Dates and times become seconds since the first."""
+    if hasattr(frame, "collect_schema") and hasattr(frame, "collect"):
+        frame = frame.collect()  # a lazy frame of polars
+    fields = getattr(getattr(frame, "dtype", None), "names", None)
+    names = list(fields or getattr(frame, "columns", frame))
     headers = [str(header) for header in names]
     if hasattr(frame, "iloc"):
         values = [frame.iloc[:, i].to_numpy() for i in range(len(headers))]
     else:
         values = [np.asarray(frame[name]) for name in names]
+    values = [
+        _seconds(value) if value.dtype.kind in "mM" else value for value in values
+    ]
     lengths = {value.shape for value in values}
     if not values or len(lengths) > 1 or values[0].ndim != 1 or not len(values[0]):
         shapes = ", ".join(
@@ -286,6 +295,14 @@ def table_of_frame(frame, name: str) -> Table:
     ]
     n = len(values[0])
     return Table(name, name, headers, cells, np.arange(n), np.zeros(n, bool))
+
+
+def _seconds(values: np.ndarray) -> np.ndarray:
+    """Seconds of durations; of dates and times those since the first of them."""
+    if values.dtype.kind == "M":
+        known = values[~np.isnat(values)]
+        values = values - (known.min() if len(known) else np.datetime64(0, "s"))
+    return values / np.timedelta64(1, "s")
 
 
 def _find_header(lines, searched, declared) -> tuple[int, str, list[str]]:

@@ -24,8 +24,10 @@ from tirefit.diagnosis.rows import Prepared, prepare, thinned
 from tirefit.diagnosis.search import Search, amplitudes_of, search
 from tirefit.diagnosis.simulator import Given, given_simulator
 from tirefit.diagnosis.verdict import gap_p_value, judge, weigh
+from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
+from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 
@@ -59,7 +61,8 @@ def diagnose(
     Args:
         data: what ``tirefit.read`` gave, or anything that it reads with its defaults: a
             path, a frame, a mapping of column to (n,) array.
-        model: name of the base model.
+        model: name of the base model; a whole Magic Formula (``mf52``, ``mf61``,
+            ``mf62``) is first fitted to the data in stages, then taken as it is.
         sim: a simulator to take as it is, in the place of a fit of ``model``: a tire
             model with its values, a fit, a ``fit.json`` or ``.tir`` file, True for the
             data's columns ``fx_sim``, ``fy_sim``, ``mz_sim``, or arrays (n,) of all
@@ -87,6 +90,10 @@ def diagnose(
     if unknown := sorted(set(without) - known):
         remedy = f"known effects: {', '.join(sorted(known))}"
         raise UsageError([InputProblem(f"without {name}", remedy) for name in unknown])
+    if model in MAGIC_FORMULAS and sim is None:
+        # Its coefficients are those of all rows; what is adapted beside a hypothesis
+        # are its scaling factors.
+        sim = fit_magic_formula(data, model)
     given, gives = None, _forces_of(model)
     generator = np.random.default_rng(seed)
     if sim is not None:
@@ -125,7 +132,7 @@ def _asked_for(forces: tuple[str, ...], data: TireData, gives) -> tuple[str, ...
 @cache
 def _forces_of(model: str) -> tuple[str, ...]:
     """Which of fx, fy, mz the registered model gives."""
-    return modelled(find_model(model))
+    return modelled(MAGIC_FORMULAS.get(model) or find_model(model))
 
 
 def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[Untestable]]:

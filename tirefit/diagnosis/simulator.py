@@ -18,6 +18,7 @@ from tirefit.data.tir import read_tir
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.layout import FreeParameter, Layout, choose_layout
+from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.predict import predict
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import FitResult
@@ -25,6 +26,7 @@ from tirefit.fitting.store import StoredFit, load_fit
 from tirefit.fitting.tir import tire_of
 from tirefit.models import AbstractTire
 from tirefit.models import modelled as forces_modelled
+from tirefit.models.mf import MFTire
 from tirefit.params import check_values, parameter_values, specs, with_values
 from tirefit.results import DataError, InputProblem, UsageError
 
@@ -207,6 +209,8 @@ def given_simulator(sim: Any, data: TireData) -> Given:
         return sim
     if sim is True:
         return Given(kind="columns", source="columns")
+    if isinstance(sim, MagicFormulaFit):
+        return _of_tire(sim.tire, "fit", f"{sim.model} fitted to {sim.data['file']}")
     if isinstance(sim, FitResult):
         problem = sim.problem
         return _of_fit(sim, problem.model, problem.layout, sim.z, sim.model)
@@ -244,6 +248,11 @@ def _of_fit(fit, tire, layout, z, source, sha256=None) -> Given:
         reason = f"{source}: a fit with parameters of each run is no one simulator"
         remedy = "write its forces beside the data (`tirefit predict --beside`), --sim"
         raise UsageError(InputProblem(reason, remedy))
+
+    if isinstance(tire, MFTire):
+        # What is adapted of a Magic Formula are its scaling factors.
+        values = {k: float(v) for k, v in layout.natural(z).items()}
+        return _of_tire(with_values(tire, values), "fit", source, sha256)
 
     def forces(data):
         return _forces_alone(predict(fit, data))

@@ -23,7 +23,7 @@ from tirefit.fitting.verdict import judge
 from tirefit.params import constrain, log_jacobian, parameter_values, specs
 from tirefit.precision import require_x64
 
-__all__ = ["fit", "with_fixed"]
+__all__ = ["data_record", "fit", "with_fixed"]
 
 
 def _not_identified(spec, low: float, high: float, profile: Profile) -> bool:
@@ -147,7 +147,8 @@ def _versions() -> dict[str, str]:
     }
 
 
-def _data_record(data: TireData, used: int, far: tuple[FarRow, ...]) -> dict[str, Any]:
+def data_record(data: TireData, used: int, far: tuple[FarRow, ...]) -> dict[str, Any]:
+    """What ``fit.json`` says of the rows: so many were used, these lie far off."""
     source = data.source
     return {
         "file": source.path or data.name,
@@ -260,7 +261,7 @@ def _summarise(settled: Settled, data: TireData, config) -> FitResult:
         outcomes=(),
         labels=problem.layout.labels,
         correlation=solved.covariance / np.outer(std, std),
-        data=_data_record(data, problem.n, settled.far),
+        data=data_record(data, problem.n, settled.far),
         reference=reference_point(problem),
         solver=config.solver,
         seed=config.seed,

@@ -14,11 +14,14 @@ from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.likelihood import CHANNEL_SLIP, row_forces
+from tirefit.fitting.mf.predict import magic_formula_forces
+from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit
 from tirefit.fitting.time_series import check_time_series
 from tirefit.models import AbstractTire, TireInputs, forces
+from tirefit.models.mf import MFTire
 from tirefit.params import Values, check_values, parameter_values, with_values
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem
@@ -87,7 +90,7 @@ def _run_codes(data: TireData, layout: Layout) -> np.ndarray:
 
 
 def predict(
-    source: StoredFit | FitResult | AbstractTire | str,
+    source: StoredFit | FitResult | MagicFormulaFit | AbstractTire | str,
     data: Any,
     values: Mapping[str, float] | None = None,
 ) -> dict[str, np.ndarray]:
@@ -116,6 +119,8 @@ def predict(
         return _of_model(find_model(source), source, data, values or {})
     if isinstance(source, AbstractTire):
         return _of_model(source, type(source).__name__, data, values or {})
+    if isinstance(source, MagicFormulaFit):
+        source = source.stored
     noise: Mapping[str, Mapping]
     if isinstance(source, FitResult):
         problem = source.problem
@@ -130,10 +135,13 @@ def predict(
     require(data, ("fz", *tire.needs), f"the model {name}")
     if tire.transient:
         check_time_series(data, name)
-    force, variance = predict_forces(
-        tire, layout, source.z, source.covariance, _inputs(data),
-        _run_codes(data, layout),
-    )  # fmt: skip
+    if isinstance(tire, MFTire) and isinstance(source, StoredFit):
+        force, variance = magic_formula_forces(source, tuple(noise), _inputs(data))
+    else:
+        force, variance = predict_forces(
+            tire, layout, source.z, source.covariance, _inputs(data),
+            _run_codes(data, layout),
+        )  # fmt: skip
     force, variance = _all_rows(data, force), _all_rows(data, variance)
     out = {}
     fitted = [channel for channel in _channels(data, force) if channel in noise]
@@ -160,6 +168,8 @@ def _noise_std(data: TireData, channel: str, record: Mapping | None, reference):
         return data[f"{channel}_std"]
     if record is None:
         return 0.0
+    if "share_of_load" in record:
+        return np.hypot(record["constant"], record["share_of_load"] * data["fz"])
     if record.get("proportional_to_load"):
         return record["median_std"] * data["fz"] / reference["fz"]
     return record["median_std"]

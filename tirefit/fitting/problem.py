@@ -1,6 +1,7 @@
 """From data, a model and a configuration to a well-posed fit."""
 
 import difflib
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -17,11 +18,12 @@ from tirefit.fitting.likelihood import CHANNEL_SLIP, Channel, FitProblem, Rows, 
 from tirefit.fitting.slip_noise import slip_density, speed_of, std_with_speed
 from tirefit.fitting.time_series import check_time_series, check_whole_series
 from tirefit.models import MODELS, AbstractTire, TireInputs, modelled
+from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.padding import pad_rows, padded_size
 from tirefit.params import parameter_values, specs
 from tirefit.results import DataError, InputProblem, UsageError
 
-__all__ = ["FitTask", "build", "find_model", "guess_from_curve"]
+__all__ = ["FitTask", "build", "find_model", "force_scale", "guess_from_curve"]
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,17 @@ def find_model(name: str) -> AbstractTire:
     """
     if name in MODELS:
         return MODELS[name]
+    if name in MAGIC_FORMULAS:
+        reason = f"{name} is a whole Magic Formula, which is fitted in stages"
+        remedy = f"`tirefit fit --model {name}`, fit_magic_formula in Python; what it"
+        remedy += " writes, fit.json and fit.tir, is a tire"
+        raise UsageError(InputProblem(reason, remedy))
+    if os.path.isfile(name):
+        reason = f"{name!r} is a file, and no name of a model"
+        remedy = (
+            "a tire of a file ends in .json (a fit) or .tir; `tirefit models` lists"
+        )
+        raise UsageError(InputProblem(reason, f"{remedy} the names"))
     close = difflib.get_close_matches(name, MODELS, 3)
     hint = f"did you mean {', '.join(close)}? " if close else ""
     raise UsageError(
@@ -96,7 +109,7 @@ def _column_wins(name: str, noise: NoiseConfig) -> str:
     return f"noise of {name}: column {name}_std{rest}"
 
 
-def _force_scale(data: TireData, name: str, noise: NoiseConfig):
+def force_scale(data: TireData, name: str, noise: NoiseConfig):
     """(scale (n_used,), estimated?, sentence) of one force."""
     if f"{name}_std" in data:
         scale = data.usable(f"{name}_std")
@@ -136,7 +149,7 @@ def _slip_scale(data: TireData, slip: str, noise: NoiseConfig):
 def _noise_problems(data: TireData, forces, config: FitConfig):
     """Noise beside which squares of residuals overflow or vanish: in columns, and in
     the settings."""
-    given = {name: _force_scale(data, name, config.noise) for name in forces}
+    given = {name: force_scale(data, name, config.noise) for name in forces}
     stds = {name: std for name, (std, estimated, _) in given.items() if not estimated}
     for slip in dict.fromkeys(CHANNEL_SLIP[name] for name in forces):
         std, _ = _slip_scale(data, slip, config.noise)
@@ -308,7 +321,7 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
     noisy = [s for s in slips if _slip_scale(data, s, config.noise)[0] is not None]
     slip_of = slip_of_forces(data, template, forces, noisy)
     for force in forces:
-        values, estimated, note = _force_scale(data, force, config.noise)
+        values, estimated, note = force_scale(data, force, config.noise)
         observed[force] = _put(data.usable(force), size)
         scale[force] = _put(values, size)
         channels.append(Channel(force, estimated, slip_of[force]))

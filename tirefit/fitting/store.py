@@ -22,6 +22,7 @@ from tirefit.fitting.layout import FreeParameter, Layout, Tie
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.models import AbstractTire
+from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.params import specs, with_values
 from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.slip import CONVENTIONS
@@ -114,6 +115,8 @@ class _Data(_Part):
 class _Noise(_Part):
     median_std: NonNegativeFloat
     proportional_to_load: bool = False
+    constant: NonNegativeFloat = 0.0
+    share_of_load: NonNegativeFloat = 0.0
 
 
 class _Reference(_Part):
@@ -143,7 +146,7 @@ def load_fit(path: str | os.PathLike) -> StoredFit:
         odd = outrageous(content["prediction"], 0.0)
         if odd is not None:
             raise ValueError(f"prediction.{odd[0]}: {odd[1]}")
-        template = find_model(record.model)
+        template = MAGIC_FORMULAS.get(record.model) or find_model(record.model)
         stored, known = record.prediction.layout, specs(template)
         free = tuple(
             FreeParameter(

@@ -28,6 +28,7 @@ __all__ = [
     "table",
     "table_parts",
     "verdict_line",
+    "wrapped",
 ]
 
 WIDTH = 88
@@ -67,7 +68,8 @@ def table_parts(rows: list[list[str]]) -> list[str]:
     return lines[1:]
 
 
-def _wrapped(name: str, text: str) -> list[str]:
+def wrapped(name: str, text: str) -> list[str]:
+    """Lines of a text behind its name, within the width."""
     lead = f"  {name:<13}"
     return textwrap.wrap(
         text, WIDTH, initial_indent=lead, subsequent_indent=" " * len(lead)
@@ -84,25 +86,25 @@ def _header(result: FitResult) -> list[str]:
     data = result.data
     lines = [f"tirefit {result.version}: {result.model} fitted to {_files(result)}"]
     lines = textwrap.wrap(lines[0], WIDTH)
-    lines += ["", *_wrapped("rows", rows_text(result))]
+    lines += ["", *wrapped("rows", rows_text(result))]
     for i, line in enumerate(run_lines(result)):
-        lines += _wrapped("runs" if i == 0 else "", line)
-    lines += _wrapped("force", ", ".join(result.forces))
-    lines += _wrapped(
+        lines += wrapped("runs" if i == 0 else "", line)
+    lines += wrapped("force", ", ".join(result.forces))
+    lines += wrapped(
         "convention",
         f"braking positive, SI (file: {data['convention']}, slip"
         f" {data['slip_definition']})",
     )
     notes = notes_of(result, [*data["assumptions"], *result.noise.get("notes", ())])
     for i, note in enumerate(notes):
-        lines += _wrapped("assumptions" if i == 0 else "", note)
+        lines += wrapped("assumptions" if i == 0 else "", note)
     for i, problem in enumerate(data["masked"][:5]):
-        lines += _wrapped("masked" if i == 0 else "", str(problem).replace("\n", " "))
+        lines += wrapped("masked" if i == 0 else "", str(problem).replace("\n", " "))
     if len(data["masked"]) > 5:
-        lines += _wrapped("", f"and {len(data['masked']) - 5} more")
+        lines += wrapped("", f"and {len(data['masked']) - 5} more")
     for i, line in enumerate(far_lines(result, _FAR_ROWS)):
-        lines += _wrapped("far rows" if i == 0 else "", line)
-    return lines + _wrapped("solver", f"{result.solver}, seed {result.seed}")
+        lines += wrapped("far rows" if i == 0 else "", line)
+    return lines + wrapped("solver", f"{result.solver}, seed {result.seed}")
 
 
 def parameter_lines(result: FitResult) -> list[str]:
@@ -132,16 +134,16 @@ def _quality(result: FitResult) -> list[str]:
     s = result.statistics
     unit = FORCE_UNIT[result.forces[0]]
     lines = ["", "QUALITY"]
-    lines += _wrapped("RMSE", f"{format_number(s.rmse)} {unit}   R² {s.r2:.5f}")
+    lines += wrapped("RMSE", f"{format_number(s.rmse)} {unit}   R² {s.r2:.5f}")
     if s.chi2_dof is not None:
-        lines += _wrapped("χ²/dof", format_number(s.chi2_dof, 3))
-    lines += _wrapped("information", f"AICc {s.aicc:.2f}   BIC {s.bic:.2f}")
-    lines += _wrapped(
+        lines += wrapped("χ²/dof", format_number(s.chi2_dof, 3))
+    lines += wrapped("information", f"AICc {s.aicc:.2f}   BIC {s.bic:.2f}")
+    lines += wrapped(
         "rows", f"n {s.n}   n_effective {s.n_effective:.0f}   dof {s.dof:.0f}"
     )
-    lines += _wrapped("noise", noise_text(result))
+    lines += wrapped("noise", noise_text(result))
     ending = "converged" if s.converged else "NOT CONVERGED"
-    lines += _wrapped("solution", f"{ending}, {s.starts_agreeing} of {s.starts} starts")
+    lines += wrapped("solution", f"{ending}, {s.starts_agreeing} of {s.starts} starts")
     return lines
 
 

@@ -8,4 +8,14 @@ supplement (2010) 337-352, where it differs from the book.
 
 from tirefit.models.mf.tire import MFTire, Mirrored, mf_tire
 
-__all__ = ["MFTire", "Mirrored", "mf_tire"]
+__all__ = ["MAGIC_FORMULAS", "MFTire", "Mirrored", "mf_tire"]
+
+MAGIC_FORMULAS = {
+    "mf52": MFTire(version="5.2"),
+    "mf61": MFTire(version="6.1"),
+    "mf62": MFTire(version="6.2"),
+}
+"""Name of a whole Magic Formula -> it, without a tire's coefficients.
+
+They are not among the models of a fit by name: their some hundred coefficients are
+found in stages, with priors."""

@@ -1,0 +1,81 @@
+"""``tirefit fit --model mf61``: files in, ``fit.tir`` and ``fit.json`` out."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tirefit.data.tir import read_tir
+from tirefit.models import TireInputs, forces
+from tirefit.models.mf import mf_tire
+
+FOLDER = Path(__file__).parents[1] / "data" / "tir"
+MF61 = FOLDER / "mfeval_julia/MagicFormula61_Parameters.tir"
+LOADS = (2500.0, 5000.0, 7500.0)
+
+
+@pytest.fixture(scope="module")
+def sweeps(tmp_path_factory):
+    """CSV of braking and driving sweeps at three loads, noise of 1 % of the load."""
+    tir = read_tir(MF61)
+    slip = np.tile(np.linspace(-0.2, 0.3, 60), len(LOADS))
+    fz = np.repeat(LOADS, 60)
+    fx = np.asarray(forces(mf_tire("6.1", tir.numbers), TireInputs(slip, fz=fz)).fx)
+    fx = fx + 0.01 * fz * np.random.default_rng(0).standard_normal(len(fz))
+    path = tmp_path_factory.mktemp("rig") / "fx.csv"
+    table = np.c_[slip, fz, fx, np.repeat(np.arange(3), 60)]
+    np.savetxt(path, table, delimiter=",", header="sigma_x,fz,fx,run", comments="")
+    return path
+
+
+def test_a_file_becomes_a_tir_and_a_prediction(run, sweeps):
+    said = run("fit", sweeps, "--model", "mf61", "--part", "fx", "--out", "out").stdout
+    assert "VERDICT: converged" in said and "BEYOND THE DATA" in said
+    assert "camber squared" in said and "held" in said
+    written = read_tir("out/fit.tir")
+    assert written.version == "6.1" and written.numbers["FNOMIN"] == 5000.0
+    assert "shape factor of F_x; fitted +- " in written.text
+    assert written.numbers["FZMIN"] == 2500.0 and written.numbers["FZMAX"] == 7500.0
+    content = json.loads(Path("out/fit.json").read_text())
+    friction = content["coefficients"]["PDX1"]
+    assert friction["origin"] == "fitted" and friction["std"] < 0.02
+    assert friction["value"] == pytest.approx(written.numbers["PDX1"], rel=1e-12)
+    assert content["coefficients"]["PPX1"]["origin"] == "held"
+    assert {guard["name"] for guard in content["guards"]} >= {"stiffness", "peak"}
+    run("predict", "out/fit.json", sweeps, "--out", "p.csv")
+    with open("p.csv") as file:
+        rows = list(csv.DictReader(file))
+    with open(sweeps) as file:
+        measured = np.array([float(row["fx"]) for row in csv.DictReader(file)])
+    predicted, std = (
+        np.array([float(row[name]) for row in rows]) for name in ("fx", "fx_std")
+    )
+    assert 0.9 < np.mean(np.abs(measured - predicted) < 1.96 * std) <= 1.0
+    # The band of a measurement: noise of 1 % of the load, and the coefficients'.
+    share = std / np.repeat(LOADS, 60)
+    assert 0.008 < share.min() and share.max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--model", "brush", "--part", "fx"), "--part without --model"),
+        (("--model", "mf61", "--part", "fz"), "combined"),
+        (("--model", "mf61", "--solver", "jaxopt"), "--solver with --model mf61"),
+        (("--model", "mf61", "--resume", "--svg"), "--resume, --svg"),
+    ],
+)
+def test_options_of_another_fit_are_refused(run, sweeps, options, said):
+    assert said in run("fit", sweeps, *options, exit_code=2).stderr
+
+
+def test_other_commands_say_what_a_whole_magic_formula_is(run, sweeps):
+    ended = run("predict", "mf61", sweeps, "--out", "p.csv", exit_code=2)
+    assert "tirefit fit --model mf61" in ended.stderr
+    ended = run(
+        "convert", "--magic-formula", "10,1.5,1,0", "--loads", "4000", "--model",
+        "mf61", "--out", "c", exit_code=2,
+    )  # fmt: skip
+    assert "--magic-formula with --model mf61" in ended.stderr

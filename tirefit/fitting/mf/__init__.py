@@ -1,0 +1,1 @@
+"""A whole Magic Formula from measured rows: stages, priors, guards, uncertainty."""

@@ -1,0 +1,95 @@
+"""One version of the Magic Formula from another: a test of the tire without noise."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tirefit.data.table import Source, TireData
+from tirefit.data.tir import TirFile
+from tirefit.data.tir_keys import LIMITS, PRESSURE_TERMS
+from tirefit.fitting.config import FitConfig
+from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.fitting.mf.result import MagicFormulaFit
+from tirefit.models import TireInputs, forces
+from tirefit.models.mf import mf_tire
+
+__all__ = ["converted", "virtual_test"]
+
+_CAMBER, _PRESSURE = 0.08, 0.2
+"""Largest camber [rad] and change of pressure, where the file allows as much."""
+
+_OTHER_SLIPS = (-0.4, -0.15, 0.15, 0.4)
+"""Slip angles of combined sweeps, over the largest."""
+
+_SLIPS = 41
+
+
+def _range(tir: TirFile, name: str, low: float, high: float) -> tuple[float, float]:
+    """Of an input in ISO-W axes, within what the file was made for."""
+    least, most = LIMITS[name]
+    return max(low, tir.numbers.get(least, low)), min(high, tir.numbers.get(most, high))
+
+
+def virtual_test(
+    tir: TirFile, slip_max: float, loads: Sequence[float], pressure_too: bool
+) -> TireData:
+    """Sweeps in pure and combined slip of the tire of a file, at these loads [N], three
+    cambers and, if ``pressure_too``, three pressures; each is a run."""
+    tire = mf_tire(tir.version, tir.numbers)
+    kappa = np.linspace(*_range(tir, "kappa", -min(slip_max, 0.99), slip_max), _SLIPS)
+    alpha = np.linspace(*_range(tir, "alpha", -slip_max, slip_max), _SLIPS)
+    low, high = _range(tir, "gamma", -_CAMBER, _CAMBER)
+    cambers = list(dict.fromkeys((low, 0.0, high)))
+    nominal = tire.nominal.NOMPRES
+    pressures = [nominal]
+    if pressure_too:
+        around = _range(
+            tir, "pressure", (1 - _PRESSURE) * nominal, (1 + _PRESSURE) * nominal
+        )
+        pressures = [around[0], nominal, around[1]]
+    parts: list[tuple] = []
+    for fz in loads:
+        for pressure in pressures:
+            for gamma in cambers:
+                parts.append((kappa, 0.0, fz, gamma, pressure))
+                parts.append((0.0, alpha, fz, gamma, pressure))
+            for k, share in enumerate(_OTHER_SLIPS):
+                gamma = cambers[k % len(cambers)]
+                parts.append((kappa, share * alpha[-1], fz, gamma, pressure))
+    slip, angle, load, camber, inflation = np.concatenate(
+        [np.broadcast_arrays(*part) for part in parts], axis=1
+    )
+    inputs = TireInputs(
+        -slip / (1 + slip), angle, load, np.full(len(load), tire.nominal.LONGVL),
+        camber, inflation, np.zeros(len(load)),
+    )  # fmt: skip
+    given = forces(tire, inputs)._asdict()
+    columns = {k: np.asarray(v) for k, v in (inputs._asdict() | given).items()}
+    run = np.repeat(np.arange(len(parts)), _SLIPS)
+    said = "the file has no noise: standard errors are of what the version misses"
+    return TireData(
+        tir.path, columns, np.full(len(load), True), run,
+        tuple(f"sweep {i}" for i in range(len(parts))),
+        Source(path=tir.path, assumptions=(said,)),
+    )  # fmt: skip
+
+
+def converted(
+    tir: TirFile, model: str, slip_max: float, loads: Sequence[float]
+) -> MagicFormulaFit:
+    """The Magic Formula ``model`` that a file is nearest to, fitted to its own test;
+    5.2, which has no pressure terms, at the nominal pressure.
+
+    Args:
+        tir: the file, read and checked.
+        model: ``mf52``, ``mf61`` or ``mf62``.
+        slip_max: largest kappa and slip angle [rad].
+        loads: F_z [N].
+    """
+    acting = any(tir.numbers.get(name) for name in PRESSURE_TERMS)
+    data = virtual_test(tir, slip_max, loads, acting and model != "mf52")
+    kept = ("FNOMIN", "UNLOADED_RADIUS", "NOMPRES", "LONGVL")
+    tire = mf_tire(tir.version, tir.numbers)
+    given = {name: {"value": float(getattr(tire.nominal, name))} for name in kept}
+    settings = FitConfig.model_validate({"parameters": given})
+    return fit_magic_formula(data, model, config=settings, first=tir.numbers)

@@ -1,0 +1,211 @@
+"""Guards: whether a fitted Magic Formula stays a tire beyond its data.
+
+Each is a property of the force on a grid of loads from the smallest of the data to
+twice the largest, of the cambers and pressures of the data, and of slips to a locked
+wheel and 30 degrees.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.models import TireInputs, forces
+from tirefit.models.mf import MFTire
+from tirefit.padding import pad_rows, padded_size
+
+__all__ = ["GUARDS", "Guard", "check_guards"]
+
+GUARDS = {
+    "stiffness": "the slope at zero slip is positive to twice the largest load",
+    "peak": "the largest force is at least a tenth of the load, to twice the largest",
+    "sign": "no force changes its sign within a slip of 1 and 30 degrees",
+    "ellipse": "combined forces stay within 1.25 times the ellipse of the pure ones",
+    "load": "the largest force grows with load where the data are",
+}
+"""Name -> what holds."""
+
+_BEYOND = 2.0
+"""Largest load of the grid over that of the data."""
+
+_LOADS = 9
+_SMALL, _CLEAR = 0.004, 0.06
+"""Slip of the slope at zero, and that from which on shifts and camber thrust do not
+decide the sign of the force."""
+
+_KAPPA = np.array([_SMALL, _CLEAR, 0.09, 0.13, 0.18, 0.25, 0.35, 0.5, 0.7, 0.99])
+_ALPHA = np.array([_SMALL, _CLEAR, 0.09, 0.13, 0.18, 0.24, 0.31, 0.38, 0.45, 0.5236])
+_ELLIPSE = 1.25
+_LEAST_PEAK = 0.1
+
+
+class Guard(NamedTuple):
+    """One guard: whether it holds; if not, where it fails first, and how."""
+
+    name: str
+    holds: bool
+    text: str
+
+
+class Sought(NamedTuple):
+    """A force [N] (n,) that would keep a guard, at inputs (n,)."""
+
+    force: str
+    inputs: TireInputs
+    observed: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Forces per load of a tire; ``pure`` and ``both`` are (states, slips), the slips
+    of ``pure`` those of one force, ascending; ``fz`` (states,); ``inside`` (states,) is
+    whether the load is one of the data's."""
+
+    pure: Mapping[str, np.ndarray]
+    slips: Mapping[str, np.ndarray]
+    both: Mapping[str, np.ndarray]
+    signs: Mapping[str, np.ndarray]
+    fz: np.ndarray
+    gamma: np.ndarray
+    pressure: np.ndarray
+    inside: np.ndarray
+
+
+def _states(ranges: Mapping[str, tuple[float, float]]):
+    """Loads, cambers and pressures of the grid, each (states,), loads fastest."""
+    low, high = ranges["fz"]
+    loads = np.unique(
+        np.concatenate(
+            [np.linspace(low, high, 5), np.linspace(high, _BEYOND * high, _LOADS - 4)]
+        )
+    )
+    cambers = np.unique([*ranges["gamma"], 0.0])
+    pressures = np.unique(ranges.get("pressure", (0.0, 0.0)))
+    shape = np.meshgrid(pressures, cambers, loads, indexing="ij")
+    pressure, gamma, fz = (part.ravel() for part in shape)
+    return fz, gamma, pressure
+
+
+def _evaluated(tire: MFTire, fz, gamma, pressure, kappa, alpha):
+    """fx and fy over the load, (states, slips), kappa and alpha (slips,)."""
+    shape = len(fz), len(kappa)
+    sigma_x = np.where(kappa < 1, kappa / (1 - kappa), 0.0)
+    cells = np.broadcast_arrays(
+        sigma_x[None], alpha[None], fz[:, None], gamma[:, None], pressure[:, None]
+    )
+    slip, angle, load, camber, inflation = (
+        pad_rows(cell.ravel(), padded_size(cell.size)) for cell in cells
+    )
+    inputs = TireInputs(slip, angle, load, gamma=camber, pressure=inflation)
+    given = forces(tire, inputs)
+    size = shape[0] * shape[1]
+    return {
+        name: np.asarray(getattr(given, name))[:size].reshape(shape) / fz[:, None]
+        for name in ("fx", "fy")
+    }
+
+
+def _grid(tire: MFTire, ranges) -> _Grid:
+    fz, gamma, pressure = _states(ranges)
+    kappa = np.concatenate([-_KAPPA[::-1], _KAPPA])
+    alpha = np.concatenate([-_ALPHA[::-1], _ALPHA])
+    at = fz, gamma, pressure
+    pure = {
+        "fx": _evaluated(tire, *at, kappa, 0 * kappa)["fx"],
+        "fy": _evaluated(tire, *at, 0 * alpha, alpha)["fy"],
+    }
+    some = [1, 3, 5, 7]
+    one, other = np.meshgrid(
+        np.concatenate([-_KAPPA[some], _KAPPA[some]]),
+        np.concatenate([-_ALPHA[some], _ALPHA[some]]),
+    )
+    both = _evaluated(tire, *at, one.ravel(), other.ravel())
+    signs = {"fx": np.sign(one.ravel()), "fy": np.sign(other.ravel())}
+    inside = fz <= ranges["fz"][1] * (1 + 1e-9)
+    slips = {"fx": kappa, "fy": alpha}
+    return _Grid(pure, slips, both, signs, fz, gamma, pressure, inside)
+
+
+def _peaks(grid: _Grid, force: str) -> tuple[np.ndarray, np.ndarray]:
+    """Largest force over load in either direction of slip, (states,) each; positive
+    where the force has the sign of the slip."""
+    towards = grid.slips[force] > 0
+    return (
+        np.max(grid.pure[force][:, towards], axis=1),
+        np.max(-grid.pure[force][:, ~towards], axis=1),
+    )
+
+
+def _failures(
+    grid: _Grid, fitted: tuple[str, ...]
+) -> dict[str, tuple[str, np.ndarray]]:
+    """Guard -> (words, which states fail it (states,)), the worst of its forces."""
+    failing: dict[str, list] = {name: [] for name in GUARDS}
+    for force in fitted:
+        slip, values = grid.slips[force], grid.pure[force]
+        small, clear = np.abs(slip) <= _SMALL, np.abs(slip) >= _CLEAR
+        slope = np.sum(values[:, small] * np.sign(slip[small]), axis=1)
+        failing["stiffness"].append((f"the slope of {force}", slope <= 0))
+        peaks = np.minimum(*_peaks(grid, force))
+        failing["peak"].append((f"the largest {force}", peaks < _LEAST_PEAK))
+        against = np.any(values[:, clear] * np.sign(slip[clear]) <= 0, axis=1)
+        failing["sign"].append((force, against))
+        failing["load"].append((f"the largest {force}", _falls(grid, force)))
+    if len(fitted) == 2:
+        failing["ellipse"].append(("the combined force", _outside(grid)))
+    return {
+        name: max(cases, key=lambda case: np.count_nonzero(case[1]))
+        for name, cases in failing.items()
+        if cases
+    }
+
+
+def _falls(grid: _Grid, force: str) -> np.ndarray:
+    """States within the data whose largest force is below that at the next smaller
+    load."""
+    falls = np.zeros(len(grid.fz), bool)
+    for peak in _peaks(grid, force):
+        # Of a state and the one before, which has the next smaller load.
+        whole = peak * grid.fz
+        down = np.diff(whole, prepend=whole[:1]) < 0
+        same_state = np.diff(grid.fz, prepend=grid.fz[:1]) > 0
+        falls |= down & same_state & grid.inside
+    return falls
+
+
+def _outside(grid: _Grid) -> np.ndarray:
+    """States in which some combined force is outside the ellipse, or turned round."""
+    share = np.zeros_like(grid.both["fx"])
+    turned = np.zeros(len(grid.fz), bool)
+    for force, values in grid.both.items():
+        towards = grid.signs[force] > 0
+        ahead, behind = _peaks(grid, force)
+        largest = np.where(towards[None], ahead[:, None], behind[:, None])
+        share += (values / np.maximum(largest, 1e-3)) ** 2
+        # Fx at a large slip angle may vanish, and what kappa induces moves F_y.
+        turned |= np.any(values * grid.signs[force] < -0.1 * largest, axis=1)
+    return turned | np.any(share > _ELLIPSE**2, axis=1)
+
+
+def check_guards(
+    tire: MFTire, ranges: Mapping[str, tuple[float, float]], fitted: tuple[str, ...]
+) -> tuple[Guard, ...]:
+    """Every guard that the fitted forces can have.
+
+    Args:
+        ranges: of the data, by input.
+        fitted: of fx and fy.
+    """
+    grid = _grid(tire, ranges)
+    guards = []
+    for name, (what, states) in _failures(grid, fitted).items():
+        text = GUARDS[name]
+        if np.any(states):
+            first = np.flatnonzero(states)[np.argmin(grid.fz[states])]
+            text = f"{what} fails: from F_z = {grid.fz[first]:.4g} N on"
+            text += f", at gamma = {grid.gamma[first]:.3g} rad"
+            if grid.pressure[first] > 0:
+                text += f", {grid.pressure[first]:.4g} Pa"
+        guards.append(Guard(name, not np.any(states), text))
+    return tuple(guards)

@@ -1,0 +1,80 @@
+"""The parts of a Magic Formula: which coefficients, from which rows of which force."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.data.table import TireData
+from tirefit.data.tir_keys import ONLY_IN
+from tirefit.fitting.likelihood import CHANNEL_SLIP
+from tirefit.models.mf import MFTire
+from tirefit.params import specs
+from tirefit.slip import kappa_from_sigma
+
+__all__ = ["PARTS", "VERSIONS", "Part", "coefficients_of", "influences", "part_of"]
+
+VERSIONS = {"mf52": "5.2", "mf61": "6.1", "mf62": "6.2"}
+"""Name of the model -> version of the Magic Formula."""
+
+_BEGINNINGS = {"P": "pure", "Q": "pure", "R": "combined", "S": "combined"}
+
+_NEARLY_PURE = {"sigma_x": 0.01, "alpha": 0.01}
+"""Largest other slip at which a row is of pure slip: half a degree of a rig's zero, or
+the slip of a tire that rolls freely; there a weighting function is one but for 1 %."""
+
+
+class Part(NamedTuple):
+    """What one stage estimates.
+
+    ``forces``: whose rows it takes; ``pure``: only those in which the other slip is
+    next to nothing; ``meaning`` for people.
+    """
+
+    name: str
+    forces: tuple[str, ...]
+    pure: bool
+    meaning: str
+
+
+PARTS = {
+    "fx": Part("fx", ("fx",), True, "longitudinal force in pure slip"),
+    "fy": Part("fy", ("fy",), True, "lateral force in pure slip"),
+    "mz": Part("mz", ("mz",), True, "aligning moment in pure slip"),
+    "combined": Part("combined", ("fx", "fy", "mz"), False, "combined slip"),
+}
+"""Stage -> what it is, in the order in which they are taken."""
+
+
+def coefficients_of(version: str) -> dict[str, str]:
+    """Coefficient of this version -> the part that estimates it, in their order.
+
+    Scaling factors and the nominal state are not among them: they are given.
+    """
+    tire = MFTire()
+    groups = (("fx", tire.longitudinal), ("fy", tire.lateral), ("mz", tire.aligning))
+    return {
+        name: part if _BEGINNINGS[name[0]] == "pure" else "combined"
+        for part, group in groups
+        for name in specs(group)
+        if ONLY_IN.get(name, version[0]) == version[0]
+    }
+
+
+def influences(version: str, force: str) -> tuple[str, ...]:
+    """The coefficients that a force depends on, in their order."""
+    tire = MFTire()
+    own = {"fx": (tire.longitudinal,), "fy": (tire.lateral,)}
+    groups = own.get(force, (tire.longitudinal, tire.lateral, tire.aligning))
+    names = {name for group in groups for name in specs(group)}
+    return tuple(name for name in coefficients_of(version) if name in names)
+
+
+def part_of(name: str, data: TireData, force: str) -> np.ndarray:
+    """Which of the used rows of this force a part takes, (n,) bool."""
+    other = "alpha" if CHANNEL_SLIP[force] == "sigma_x" else "sigma_x"
+    if not PARTS[name].pure or other not in data:
+        return np.full(data.n, True)
+    size = np.abs(data.usable(other))
+    if other == "sigma_x":
+        size = np.abs(kappa_from_sigma(size))
+    return size <= _NEARLY_PURE[other]

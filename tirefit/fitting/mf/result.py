@@ -1,0 +1,193 @@
+"""What a fit of a whole Magic Formula ends in: :class:`MagicFormulaFit`."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from tirefit.display import Displayed
+from tirefit.door import sealed
+from tirefit.files import json_safe, json_text
+from tirefit.fitting.layout import FreeParameter, Layout
+from tirefit.fitting.mf.guards import Guard
+from tirefit.fitting.mf.rows import NoiseLaw
+from tirefit.fitting.mf.stages import Stage
+from tirefit.fitting.result import SCHEMA
+from tirefit.fitting.store import StoredFit
+from tirefit.models.mf import MAGIC_FORMULAS, MFTire
+from tirefit.params import parameter_values, specs, with_values
+from tirefit.results import Outcome
+
+__all__ = ["ORIGINS", "Coefficient", "MagicFormulaFit"]
+
+ORIGINS = {
+    "fitted": "the data tell it",
+    "prior": "the prior tells at least as much of it as the data",
+    "held": "not identified, held at its default; the uncertainty is the prior's",
+    "given": "given, not fitted",
+}
+"""How a coefficient came by its value -> what that means."""
+
+_REACH = 200.0
+"""Spreads of the priors on either side in the unconstrained space of ``fit.json``: over
+ten of them its bijection is straight to one part in a thousand."""
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One coefficient: value, standard error (0 where it was given), a key of
+    :data:`ORIGINS`, the part that estimates it, and its prior."""
+
+    value: float
+    std: float
+    origin: str
+    part: str
+    prior_mean: float
+    prior_std: float
+
+
+@dataclass(frozen=True, repr=False)
+class MagicFormulaFit(Displayed):
+    """A Magic Formula of measured rows.
+
+    ``coefficients`` by name in the order of the equations; ``covariance`` (p, p) of
+    them all; ``forces`` are those fitted, ``parts`` the stages taken. ``noise`` and
+    ``inflation`` (rows that count as one) are by force; ``ranges`` hold the (least,
+    largest) value of each input of the rows, in ISO-W axes. ``fitted`` holds, by force,
+    the root mean square of the residuals [N, N m] and their number; ``guards`` say
+    whether it stays a tire beyond them.
+    """
+
+    html_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_fragment"
+    text_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_report"
+
+    model: str
+    parts: tuple[str, ...]
+    forces: tuple[str, ...]
+    coefficients: Mapping[str, Coefficient]
+    covariance: np.ndarray
+    tire: MFTire
+    noise: Mapping[str, NoiseLaw]
+    noise_estimated: Mapping[str, bool]
+    inflation: Mapping[str, float]
+    fitted: Mapping[str, tuple[float, int]]
+    stages: tuple[Stage, ...]
+    guards: tuple[Guard, ...]
+    ranges: Mapping[str, tuple[float, float]]
+    reference: Mapping[str, float]
+    data: Mapping[str, Any]
+    notes: tuple[str, ...]
+    version: str
+
+    def __repr__(self) -> str:
+        return f"MagicFormulaFit({self.model!r}, {self.data['file']!r})"
+
+    @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        """Converged or not, and whether some coefficient is not identified."""
+        said = Outcome.CONVERGED if self.converged else Outcome.NOT_CONVERGED
+        return (said,) if self.identified else (said, Outcome.NOT_IDENTIFIED)
+
+    @property
+    def converged(self) -> bool:
+        return self.stages[-1].converged
+
+    @property
+    def identified(self) -> bool:
+        return all(one.origin != "held" for one in self.coefficients.values())
+
+    @property
+    def stored(self) -> StoredFit:
+        """As a fit that was read from its file: what predictions take."""
+        layout = self._layout
+        free = [p.name for p in layout.free]
+        at = [list(self.coefficients).index(name) for name in free]
+        # Where z is zero, a parameter in the middle of its bounds.
+        slope = np.array([(p.spec.upper - p.spec.lower) / 4 for p in layout.free])
+        covariance = self.covariance[np.ix_(at, at)] / np.outer(slope, slope)
+        template = with_values(
+            MAGIC_FORMULAS[self.model],
+            {k: v for k, v in parameter_values(self.tire).items() if k not in free},
+        )
+        noise = {force: self._noise_record(force) for force in self.forces}
+        return StoredFit(
+            self.model, template, layout, np.zeros(len(free)), covariance, noise,
+            {"reference": dict(self.reference), "data": dict(self.data)},
+        )  # fmt: skip
+
+    @property
+    def _layout(self) -> Layout:
+        known, free = specs(self.tire), []
+        for name, one in self.coefficients.items():
+            if one.origin != "given":
+                reach = _REACH * one.prior_std
+                low, high = one.value - reach, one.value + reach
+                spec = known[name]._replace(lower=low, upper=high)
+                free.append(FreeParameter(name, spec))
+        return Layout(tuple(free))
+
+    def _noise_record(self, force: str) -> dict[str, Any]:
+        law = self.noise[force]
+        return {
+            "median_std": float(law.std(self.reference["fz"])),
+            "proportional_to_load": law.constant == 0 and law.share > 0,
+            "constant": law.constant,
+            "share_of_load": law.share,
+            "source": "estimated" if self.noise_estimated[force] else "given",
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able content of ``fit.json``."""
+        stored, layout = self.stored, self._layout
+        known = specs(self.tire)
+        free = [p.name for p in layout.free]
+        everything = parameter_values(self.tire)
+        content = {
+            "schema": SCHEMA,
+            "version": self.version,
+            "model": self.model,
+            "parts": list(self.parts),
+            "forces": list(self.forces),
+            "data": self.data,
+            "noise": {f: stored.noise[f] for f in self.forces}
+            | {"inflation": dict(self.inflation)},
+            "coefficients": {
+                name: asdict(one) | {"unit": "-", "meaning": known[name].meaning}
+                for name, one in self.coefficients.items()
+            },
+            "origins": ORIGINS,
+            "ranges": dict(self.ranges),
+            "guards": [guard._asdict() for guard in self.guards],
+            "stages": [stage._asdict() for stage in self.stages],
+            "fit": {f: {"rmse": r, "n": n} for f, (r, n) in self.fitted.items()},
+            "reference": dict(self.reference),
+            "prediction": {
+                "labels": free,
+                "z": stored.z,
+                "covariance": stored.covariance,
+                "layout": {
+                    "free": [
+                        {
+                            "name": p.name,
+                            "per_run": False,
+                            "lower": p.spec.lower,
+                            "upper": p.spec.upper,
+                        }
+                        for p in layout.free
+                    ],
+                    "ties": [],
+                    "runs": ["run"],
+                    "fixed": {
+                        k: float(v) for k, v in everything.items() if k not in free
+                    },
+                },
+            },
+            "notes": list(self.notes),
+            "outcomes": [outcome.name.lower() for outcome in self.outcomes],
+        }
+        return json_safe(content)
+
+    def to_json(self) -> str:
+        """Text of ``fit.json``, with a checksum."""
+        return json_text(sealed(self.to_dict()))

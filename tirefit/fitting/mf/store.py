@@ -1,0 +1,51 @@
+"""A fitted Magic Formula on disk: ``fit.tir`` and ``fit.json``."""
+
+import os
+from pathlib import Path
+
+from tirefit.data.tir import write_tir
+from tirefit.data.tir_file import TirFile
+from tirefit.data.tir_keys import ONLY_IN
+from tirefit.data.tir_new import new_tir
+from tirefit.files import write_text_atomic
+from tirefit.fitting.mf.parts import VERSIONS
+from tirefit.fitting.mf.result import MagicFormulaFit
+from tirefit.params import parameter_values, specs
+
+__all__ = ["save_magic_formula", "tir_of"]
+
+
+def tir_of(fit: MagicFormulaFit) -> TirFile:
+    """The tire property file of a fit; each coefficient with its standard error and
+    how it came."""
+    version = VERSIONS[fit.model]
+    known = specs(fit.tire)
+    notes = {}
+    for name, one in fit.coefficients.items():
+        error = "" if one.origin == "given" else f" +- {one.std:.3g}"
+        notes[name] = f"{known[name].meaning}; {one.origin}{error}"
+    comment = [
+        f"Magic Formula {version} fitted by tirefit {fit.version}",
+        f"to {Path(fit.data['file'].split(', ')[0]).name}"
+        + (" and more" if ", " in fit.data["file"] else ""),
+        f"forces: {', '.join(fit.forces)}; ISO-W axes; standard errors after +-",
+        *fit.notes,
+    ]
+    if missing := {"fx", "fy", "mz"} - set(fit.forces):
+        comment.append(f"not fitted: {', '.join(sorted(missing))}; values of priors")
+    values = parameter_values(fit.tire)
+    values = {
+        k: v for k, v in values.items() if ONLY_IN.get(k, version[0]) == version[0]
+    }
+    return new_tir(version, values, fit.ranges, notes, comment)
+
+
+def save_magic_formula(
+    fit: MagicFormulaFit, directory: str | os.PathLike
+) -> list[Path]:
+    """Writes ``fit.tir`` and ``fit.json``, each whole or not at all."""
+    directory = Path(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    write_tir(tir_of(fit), directory / "fit.tir")
+    write_text_atomic(directory / "fit.json", fit.to_json())
+    return [directory / "fit.tir", directory / "fit.json"]
