@@ -394,7 +394,7 @@ def _declared_unit(name: str, options: Options) -> str | None:
     return options.units[name if name in same else same[0]] if same else None
 
 
-def _with_unit(column: Column, plan: Plan, file: str, place: str) -> Column:
+def _with_unit(column: Column, plan: Plan, file: str, place: str = "") -> Column:
     if column.name == "run":
         return column
     try:
