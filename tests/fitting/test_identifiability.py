@@ -122,6 +122,18 @@ def test_many_rows_are_as_good_as_their_number():
         assert a.std / b.std == pytest.approx(np.sqrt(10), rel=0.2)
 
 
+def test_at_a_bound_nothing_is_told_by_the_bound():
+    """Pure noise: no curve, and whichever bound a parameter would run to, no answer."""
+    rng = np.random.default_rng(8)
+    slip = rng.uniform(-0.2, 0.2, 150)
+    frame = {"sigma_x": slip, "fz": np.full(150, 4e3), "fx": 400 * rng.normal(size=150)}
+    frame["v"] = np.full(150, 20.0)
+    for model in ("brush-n", "brush-h"):
+        (gate,) = identifiability(read_frame(frame), [model]).gates
+        (last,) = gate.parameters[-1:]
+        assert last.name in "nh" and last.told != "well"
+
+
 def test_the_models_that_are_asked_unless_told():
     gates = identifiability(swept(0.15)).gates
     assert tuple(gate.model for gate in gates) == MODELS_ASKED

@@ -15,13 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tirefit.data.accept import as_data
-from tirefit.data.levels import levels
 from tirefit.data.table import TireData
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import REACH, linearise
 from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
-from tirefit.fitting.noise import autocorrelation_time
 from tirefit.fitting.problem import build, guess_from_curve
+from tirefit.fitting.scatter import ROWS, Scatter, curve_of, scatter_of, some_rows
 from tirefit.params import Spec, constrain, log_jacobian
 from tirefit.results import DataError
 
@@ -34,9 +33,6 @@ MODELS_ASKED = (
 )  # fmt: skip
 """Models that are looked at unless others are named."""
 
-ROWS = 512
-"""Rows that stand for all, spread evenly over loads and slips: one program for all
-files."""
 _FRICTION = ("mu", "mu_peak", "mu_s", "D", "Dx", "Dy")
 _HIGHEST, _FRICTIONS = 2.0, 7
 """Friction that no tire has, and how many up to it are tried."""
@@ -45,6 +41,9 @@ _AS_WELL = 9.0
 standard deviations)."""
 _REACHED = {"sigma_x": (-0.9, 2.0), "alpha": (-1.2, 1.2)}
 """Slips that a test can go to."""
+_INSIDE = 4.0
+"""Unconstrained values that are looked at: to 2 % of the range from either bound, where
+a step of the parameter would be none of the force."""
 _STEPS = 12
 _TIMES_TOLD, _TIMES_KNOWN = 10.0, 3.0
 """Ends of a 95 % interval, one over the other, from which on ``fit`` calls a scale or
@@ -53,14 +52,9 @@ _SHARE_TOLD = 0.8
 """Of the allowed range, the same for any other parameter."""
 _WELL = 0.15
 """Half of the interval over the value, or over a quarter of the range: told well."""
-_LEAST_NOISE = 1e-3
-"""Of the load: no rig measures better."""
-_GUESSED_NOISE = 0.01
-_SETTINGS = 12
-"""Levels of a channel that are settings of the rig at most."""
-_CHUNK = 12
-"""Parts of a slip curve in which it is a parabola, and the rest is noise."""
-
+_STEEPEST = 20.0
+"""Loads that a force changes by at most, with one unit of an unconstrained parameter: a
+quarter of its range, or as much on a scale. More is a law beyond where it holds."""
 WELL, ROUGHLY, NOT = "well", "roughly", "not"
 
 
@@ -90,14 +84,6 @@ class ModelGate(NamedTuple):
     force: str
     parameters: tuple[ParameterGate, ...]
     reason: str = ""
-
-
-class Scatter(NamedTuple):
-    """Noise of a force over the load, and rows per independent row."""
-
-    share: float
-    inflation: float
-    how: str
 
 
 @dataclass(frozen=True)
@@ -179,8 +165,8 @@ def identifiability(
         if force != "mz" and force in data and slip in data and "fz" in data
         and data.n and np.ptp(data.usable(slip)) > 1e-9
     ]  # fmt: skip
-    scatter = {force: _scatter(data, force) for force in forces}
-    some = _some_rows(data, forces, seed)
+    scatter = {force: scatter_of(data, force) for force in forces}
+    some = some_rows(data, forces, seed)
     gates = tuple(
         _gate(some[force], data, force, name, scatter[force])
         for force in forces
@@ -195,74 +181,6 @@ def identifiability(
     )
 
 
-# --- the file ---------------------------------------------------------------------
-
-
-def _order(data: TireData, slip: str) -> list[np.ndarray]:
-    """Used rows by what the rig was set to, each setting's in the order of slip."""
-    rows = np.flatnonzero(data.used)
-    key = np.zeros(len(rows), int)
-    for name in ("fz", "v", "gamma", "pressure"):
-        here = levels(data[name][rows]) if name in data else None
-        if here is not None and here.few(_SETTINGS):
-            key = key * len(here.center) + here.code
-    parts = [rows[key == k] for k in np.unique(key)]
-    return [part[np.argsort(data[slip][part], kind="stable")] for part in parts]
-
-
-def _some_rows(data: TireData, forces, seed: int) -> dict[str, TireData]:
-    """Data of at most ``ROWS`` used rows, one in each stretch of loads and slips."""
-    some = {}
-    for force in forces:
-        order = np.concatenate(_order(data, CHANNEL_SLIP[force]))
-        if len(order) > ROWS:
-            edges = np.linspace(0, len(order), ROWS + 1)
-            place = np.random.default_rng(seed).uniform(edges[:-1], edges[1:])
-            order = order[np.minimum(place.astype(int), len(order) - 1)]
-        chosen = np.zeros(len(data), bool)
-        chosen[order] = True
-        some[force] = data.where(chosen)
-    return some
-
-
-def _scatter(data: TireData, force: str) -> Scatter:
-    """Noise by what a slip curve leaves of the rows in every part of it."""
-    share = data[force] / data["fz"]
-    rest = np.full(len(data), np.nan)
-    for part in _order(data, CHANNEL_SLIP[force]):
-        for rows in np.array_split(part, min(_CHUNK, max(len(part) // 8, 1))):
-            if len(rows) < 6:
-                continue
-            slip = data[CHANNEL_SLIP[force]][rows]
-            at = (slip - slip.mean()) / (np.ptp(slip) or 1.0)
-            terms = np.column_stack([np.ones(len(at)), at, at**2])
-            left = share[rows] - terms @ np.linalg.lstsq(terms, share[rows])[0]
-            rest[rows] = left * np.sqrt(len(rows) / (len(rows) - 3))
-    known = np.flatnonzero(np.isfinite(rest))
-    if len(known) < 12:
-        how = f"too few rows to see the noise: {_GUESSED_NOISE:.0%} of the load taken"
-        return Scatter(_GUESSED_NOISE, 1.0, how)
-    size = max(float(np.sqrt(np.mean(rest[known] ** 2))), _LEAST_NOISE)
-    inflation = 1.0
-    if "time" in data:
-        runs = [known[data.run[known] == code] for code in np.unique(data.run[known])]
-        order = [rows[np.argsort(data["time"][rows], kind="stable")] for rows in runs]
-        inflation = autocorrelation_time([rest[rows] for rows in order])
-    return Scatter(size, inflation, "scatter about the slip curve of each load")
-
-
-def _curve(data: TireData, force: str) -> tuple[float, float, float]:
-    """Slope of the force at small slip [N], largest force over load, typical load."""
-    slip, value = data.usable(CHANNEL_SLIP[force]), data.usable(force)
-    load = data.usable("fz")
-    size = np.abs(slip)
-    low = size <= max(np.quantile(size, 0.3), 0.15 * size.max())
-    slope = float(slip[low] @ value[low] / max(slip[low] @ slip[low], 1e-12))
-    peak = float(np.clip(np.quantile(np.abs(value) / load, 0.97), 0.02, 3.0))
-    typical = float(np.median(load))
-    return max(slope, peak * typical / float(size.max())), peak, typical
-
-
 # --- the model --------------------------------------------------------------------
 
 
@@ -272,7 +190,7 @@ def _gate(some: TireData, data, force: str, name: str, scatter: Scatter) -> Mode
         task = build(some, name, config, least_rows=ROWS)
     except DataError as error:
         return ModelGate(name, force, (), error.problems[0].reason)
-    problem, curve = task.problem, _curve(data, force)
+    problem, curve = task.problem, curve_of(data, force)
     points = [_settled(problem, z) for z in _points(task, curve)]
     many = data.n / (problem.n * scatter.inflation)
     weight = problem.used(problem.rows.scale[force]) / (
@@ -305,7 +223,7 @@ def _points(task, curve) -> list[np.ndarray]:
         for p in layout.free:
             low, high = p.spec.bounds
             values[p.name] = float(np.clip(values[p.name], low, high))
-        points.append(layout.unconstrained(values))
+        points.append(np.clip(layout.unconstrained(values), -_INSIDE, _INSIDE))
     return points
 
 
@@ -313,7 +231,10 @@ def _at(problem: FitProblem, z) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (n,) and their slopes (n, p), without padding."""
     at = linearise(problem, z)
     name = problem.channels[0].name
-    return problem.used(at.values[name]), problem.used(at.slopes[name])
+    most = _STEEPEST * problem.used(problem.rows.inputs.fz / problem.rows.scale[name])
+    slopes = problem.used(at.slopes[name])
+    tame = np.where(np.abs(slopes) <= most[:, None], slopes, 0.0)
+    return problem.used(at.values[name]), tame
 
 
 def _settled(problem: FitProblem, z):
@@ -333,7 +254,7 @@ def _settled(problem: FitProblem, z):
         )
         step = np.zeros(len(z))
         step[moves] = -np.linalg.solve(matrix, inner.T @ values)
-        there = np.clip(z + np.clip(step, -1, 1), -REACH, REACH)
+        there = np.clip(z + np.clip(step, -1, 1), -_INSIDE, _INSIDE)
         new_values, new_slopes = _at(problem, there)
         gain = values @ values - new_values @ new_values
         if gain > 0:
