@@ -11,7 +11,7 @@ import numpy as np
 
 from tirefit.data import check, signs
 from tirefit.data.check import BadRows
-from tirefit.data.columns import UNITS_ROW, Options, Plan, plan_columns
+from tirefit.data.columns import Options, Plan, plan_columns
 from tirefit.data.kinds import read_table
 from tirefit.data.remote import file_at
 from tirefit.data.table import CANONICAL, SlipCheck, Source, TireData
@@ -151,9 +151,9 @@ def _checked(table: Table, options: Options) -> TireData:
     )
     convention = options.convention or table.layout.convention or "braking"
     reading = _Reading(table, options, plan, convention)
-    line_of = {"": table.header_line, UNITS_ROW: table.units_line or table.header_line}
+    lines = table.header_line, table.units_line or table.header_line
     reading.problems = [
-        replace(problem, row=line_of[plan.places.get(problem, "")])
+        replace(problem, row=lines[problem in plan.in_units_row])
         for problem in plan.problems
     ]
     reading.faults += table.faults
