@@ -21,7 +21,6 @@ from tirefit.slip import SLIP_DEFINITIONS
 
 __all__ = [
     "Column",
-    "UNITS_ROW",
     "Plan",
     "guess",
     "is_number",
@@ -101,9 +100,6 @@ class Column:
     unit: Unit | None = None
 
 
-UNITS_ROW = "units row"
-
-
 @dataclass
 class Plan:
     """The columns to read, by name (the slip column under its definition)."""
@@ -111,8 +107,7 @@ class Plan:
     columns: dict[str, Column] = field(default_factory=dict)
     assumptions: list[str] = field(default_factory=list)
     problems: list[InputProblem] = field(default_factory=list)
-    places: dict[InputProblem, str] = field(default_factory=dict)
-    """Problem -> :data:`UNITS_ROW` where it stands there, not in the header."""
+    in_units_row: set[InputProblem] = field(default_factory=set)
     units_to_write: dict[str, str] = field(default_factory=dict)
     """Declared units of forces that the file lacks, yet to be predicted."""
 
@@ -204,8 +199,9 @@ def plan_columns(
         named = options.slip if options.slip and _group(name) == "slip" else name
         unit_text, how = _unit_of(name, index, headers, stated, options, chosen)
         column = Column(named, headers[index], index, unit_text)
-        place = UNITS_ROW if stated.get(index) == (unit_text, how) else ""
-        plan.columns[named] = _with_unit(column, plan, file, place)
+        plan.columns[named] = _with_unit(column, plan, file)
+        if stated.get(index) == (unit_text, how) and not plan.columns[named].unit:
+            plan.in_units_row.add(plan.problems[-1])
         _say(column, name in declared, how, plan)
     _check_all_used(options, plan, file)
     ignored = [h for i, h in enumerate(headers) if h and i not in chosen.values()]
@@ -342,15 +338,15 @@ def _declared_unit(name: str, options: Options) -> str | None:
     return options.units[name if name in same else same[0]] if same else None
 
 
-def _with_unit(column: Column, plan: Plan, file: str, place: str = "") -> Column:
+def _with_unit(column: Column, plan: Plan, file: str) -> Column:
     if column.name == "run":
         return column
     try:
         return replace(column, unit=resolve_unit(column.unit_text, column.name))
     except DataError as error:
-        problems = [replace(p, file=file, column=column.header) for p in error.problems]
-        plan.problems += problems
-        plan.places.update(dict.fromkeys(problems, place))
+        plan.problems += [
+            replace(p, file=file, column=column.header) for p in error.problems
+        ]
         return column
 
 

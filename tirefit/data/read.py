@@ -12,7 +12,7 @@ import numpy as np
 from tirefit.data import check, signs
 from tirefit.data.cells import TextColumn
 from tirefit.data.check import BadRows
-from tirefit.data.columns import UNITS_ROW, Plan, plan_columns
+from tirefit.data.columns import Plan, plan_columns
 from tirefit.data.declared import Options
 from tirefit.data.kinds import read_table
 from tirefit.data.remote import file_at
@@ -153,9 +153,9 @@ def _checked(table: Table, options: Options) -> TireData:
     )
     convention = options.convention or table.layout.convention or "braking"
     reading = _Reading(table, options, plan, convention)
-    line_of = {"": table.header_line, UNITS_ROW: table.units_line or table.header_line}
+    lines = table.header_line, table.units_line or table.header_line
     reading.problems = [
-        replace(problem, row=line_of[plan.places.get(problem, "")])
+        replace(problem, row=lines[problem in plan.in_units_row])
         for problem in plan.problems
     ]
     reading.faults += table.faults
