@@ -68,6 +68,23 @@ def test_a_recording_becomes_a_file_to_fit(run, recording, tmp_path):
     assert record["rows"]["kept"] == len(data)
 
 
+def test_workers_prepare_as_the_command_does(run, recording, two, tmp_path):
+    path, _, _ = recording
+    (tmp_path / "no.csv").write_text("a,b\n1,2\n")
+    files = (path, "no.csv")
+    alone = run("prepare", *files, "--out", "one", exit_code=3)
+    address = two.scheduler.address
+    shared = run("prepare", *files, "--out", "two", "--scheduler", address, exit_code=3)
+    one, both = (
+        {p.name: p.read_bytes() for p in (tmp_path / name).iterdir()}
+        for name in ("one", "two")
+    )
+    assert {name: both.pop(name) for name in ("results.parquet", "fleet.html")}
+    assert both == one and len(one) == 4
+    said = shared.stdout.replace("two/", "one/").splitlines()
+    assert said[:-1] == alone.stdout.splitlines() and "no.csv" in shared.stderr
+
+
 def test_what_was_done_can_be_done_again(run, recording, tmp_path):
     path, _, _ = recording
     copy = tmp_path / "run7.dat"

@@ -1,12 +1,14 @@
 """``tirefit prepare``: from a rig's recording to data that a fit can use."""
 
 import hashlib
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tirefit import __version__
+from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
 from tirefit.cli.options import (
     DataOptions,
     complain,
@@ -21,7 +23,11 @@ from tirefit.cli.options import (
     warn,
 )
 from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.data.remote import expanded, file_at
 from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, UsageError
+
+if TYPE_CHECKING:  # NumPy, which completion does not wait for
+    from tirefit.data.records import FileRecord
 
 __all__ = ["prepare"]
 
@@ -31,7 +37,8 @@ _KEPT = ("sweep", "steady", "cold", "warm-up", "spring-rate", "load-step")
 @takes_data_options
 def prepare(
     files: Annotated[
-        list[Path] | None, typer.Argument(metavar="FILE...", help="recordings of a rig")
+        list[Path] | None,
+        typer.Argument(metavar="FILE...", parser=file_at, help="recordings of a rig"),
     ] = None,
     *,
     out: Annotated[
@@ -73,6 +80,8 @@ def prepare(
             help="do again what this record says, to its file or to others",
         ),
     ] = None,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
 ) -> None:
     """Cut a rig's test into segments and bins, filter it, and write what can be fitted.
 
@@ -80,6 +89,7 @@ def prepare(
     NAME.png (the whole test), NAME.prepare.json (all that was done).
     """
     with errors_to_exit():
+        sharing, files = Sharing(jobs, scheduler), expanded(files or [])
         changes = {
             "bandwidth": bandwidth, "filter": False if unfiltered else None,
             "rate": rate, "warm_up": warm_up, "keep": keep,
@@ -96,8 +106,13 @@ def prepare(
         names = _names(files)
         check_directories([out])
         _check_inputs(files, names, out)
+        task = _Task(out, how, config)
+        pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
         with claimed(out):
-            raise typer.Exit(_all(files, names, out, how, config))
+            if sharing.apart:
+                outcomes = fleet("prepare", pieces, _one, task, sharing, out)
+                raise typer.Exit(max(outcome.code for outcome in outcomes))
+            raise typer.Exit(_all(pieces, task))
 
 
 def _settings(base, changes: dict[str, Any]):
@@ -156,23 +171,31 @@ def _check_inputs(files: list[Path], names: list[str], out: Path) -> None:
             raise UsageError(InputProblem(reason, remedy, str(made)))
 
 
-def _all(files, names, out: Path, how: dict[str, Any], config) -> ExitCode:
+@dataclass(frozen=True)
+class _Task:
+    """What all files share: the folder of the results, arguments of ``tirefit.read``,
+    and the settings."""
+
+    out: Path
+    how: dict[str, Any]
+    config: Any
+
+
+def _all(pieces: list[Piece], task: _Task) -> ExitCode:
     """Every file; one that cannot be prepared does not stop the others."""
     worst = ExitCode.OK
-    for file, name in zip(files, names, strict=True):
+    for piece in pieces:
         try:
-            written = _one(file, name, out, how, config)
+            _one(piece, task)
         except TirefitError as error:
-            if error.exit_code == ExitCode.USAGE or len(files) == 1:
+            if error.exit_code == ExitCode.USAGE or len(pieces) == 1:
                 raise
             complain(error_text(error))
             worst = max(worst, error.exit_code)
-            continue
-        say("wrote " + ", ".join(map(str, written)))
     return worst
 
 
-def _one(file: Path, name: str, out: Path, how: dict[str, Any], config) -> list[Path]:
+def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     from tirefit.data.prepare.prepare import prepare as prepare_data
     from tirefit.data.prepare.store import (
         prepared_csv,
@@ -186,10 +209,11 @@ def _one(file: Path, name: str, out: Path, how: dict[str, Any], config) -> list[
     from tirefit.report.canvas import save_picture
     from tirefit.report.prepared import prepared_figure
 
+    (file, name), out, how = piece, task.out, task.how
     # A recording is never whole: rows that cannot be used are cut out.
     data = read(file, **(how | {"mask_bad_rows": True, "curve": False}))
     warn(data)
-    prepared = prepare_data(data, config)
+    prepared = prepare_data(data, task.config)
     texts = {
         f"{name}.csv": prepared_csv(prepared, __version__),
         f"{name}.segments.csv": csv_text(segment_columns(prepared)),
@@ -204,4 +228,18 @@ def _one(file: Path, name: str, out: Path, how: dict[str, Any], config) -> list[
         texts[json] = json_text(record)
         write_texts({folder / key: text for key, text in texts.items()})
     say(summary(prepared))
-    return [out / key for key in (*texts, picture)]
+    say("wrote " + ", ".join(str(out / key) for key in (*texts, picture)))
+    return ExitCode.OK, _record(prepared, str(file), str(out / f"{name}.csv"))
+
+
+def _record(prepared, file: str, result: str) -> "FileRecord":
+    """What the table of all results holds of a recording."""
+    from tirefit.data.records import FileRecord, Row
+
+    counts = {"rows": prepared.kept.sum(), "segments": len(prepared.segments)}
+    rows = tuple(Row("statistic", name, float(n)) for name, n in counts.items())
+    source = prepared.data.source
+    return FileRecord(
+        file, result, "", "prepared", rows, convention=source.convention,
+        version=__version__, sha256=source.sha256,
+    )  # fmt: skip

@@ -49,6 +49,10 @@ class RemoteFile:
         """Never: it is asked of what lies in a folder, and an address is of a file."""
         return False
 
+    def exists(self) -> bool:
+        """Never on the disk, where results could replace it."""
+        return False
+
     def iterdir(self) -> Iterable["RemoteFile"]:
         """Nothing: what else is there would be one more question to the server."""
         return ()
@@ -84,7 +88,7 @@ def file_at(place: str | os.PathLike | RemoteFile) -> Place:
     return RemoteFile(text) if is_address else Path(text)
 
 
-def expanded(files: Iterable[Place]) -> list[Place]:
+def expanded(files: Iterable[Place]) -> list[Any]:
     """Files whose names are patterns (``s3://rig/2024-*/*.csv``) as all that fit them,
     in the order of their names.
 

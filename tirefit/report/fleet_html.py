@@ -75,7 +75,7 @@ def _settings(fleet: Fleet, command: str) -> list[str]:
 def _quantities(fleet: Fleet) -> list[tuple[str, ...]]:
     head = ("quantity", "unit", "files", "not told", "middle", "scatter between files",
             "a file's own std", "change, first to last", "differ")  # fmt: skip
-    rows = [head]
+    rows: list[tuple[str, ...]] = [head]
     for one in fleet.quantities:
         across = one.across
         change = "too few files"
@@ -101,6 +101,7 @@ def _outliers(fleet: Fleet) -> list[tuple[str, ...]]:
         for k in np.flatnonzero(one.across.outlier)
     ]
     far.sort(key=lambda item: -item[0])
+    rows: list[tuple[str, ...]]
     rows = [("file", "quantity", "value ± std", "unit", "distance in std")]
     for _, one, k in far[:_LISTED]:
         std = float(one.std[k])
@@ -119,5 +120,5 @@ def _failed(fleet: Fleet) -> list[tuple[str, ...]]:
     files = fleet.files
     lines = zip(files["file"], files["status"], files["problem"], strict=True)
     bad = [(file, problem) for file, status, problem in lines if status == FAILED]
-    rows = [("file", "problem"), *bad[:_LISTED]]
+    rows: list[tuple[str, ...]] = [("file", "problem"), *bad[:_LISTED]]
     return [*rows, (f"and {len(bad) - _LISTED} more", "")] if bad[_LISTED:] else rows
