@@ -145,7 +145,7 @@ def derive(
             than the filter needs, channels contradict each other, or no sample is left.
         UsageError: If the axle is unknown or the front axle lacks a steering map.
     """
-    path = file_at(path)
+    file = file_at(path)
     if axle not in ("rear", "front"):
         raise UsageError(InputProblem(f"unknown axle {axle!r}", "say rear or front"))
     if axle == "front" and vehicle.steering is None:
@@ -156,8 +156,8 @@ def derive(
                 " the rear axle, which needs neither",
             )
         )
-    track, motion, gaps = read_motion(path, vehicle)
-    compared = compare(track, motion, vehicle, str(path))
+    track, motion, gaps = read_motion(file, vehicle)
+    compared = compare(track, motion, vehicle, str(file))
     _refuse(compared.problems, believe)
     columns = _axle(motion, vehicle, axle)
     kept, dropped = _kept(motion, track, vehicle, axle)
@@ -166,17 +166,17 @@ def derive(
             InputProblem(
                 f"no sample is left of {len(kept)}: {_counts(dropped)}",
                 "check the units and [keep] of vehicle.toml",
-                str(path),
+                str(file),
             )
         )
     warnings = vehicle.doubts() + doubts(columns, motion, kept, vehicle)
     alpha, force = columns["alpha"][kept], columns["fy"][kept]
-    mirrored = pushes_the_wrong_way(alpha, force, vehicle, str(path))
+    mirrored = pushes_the_wrong_way(alpha, force, vehicle, str(file))
     _refuse(mirrored, believe)
     contradictions = (*compared.problems, *mirrored)
     columns = {name: values[kept] for name, values in columns.items()}
     return DerivedLog(
-        name=_run_name(path),
+        name=_run_name(file),
         columns=columns,
         rows=track.rows,
         dropped_rows=track.dropped,
@@ -192,7 +192,7 @@ def derive(
             *warnings,
         ),
         assumptions=_assumptions(track, vehicle, axle),
-        source={"path": path.name, "sha256": track.sha256, "epoch": track.epoch},
+        source={"path": file.name, "sha256": track.sha256, "epoch": track.epoch},
     )
 
 
