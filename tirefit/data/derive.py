@@ -130,7 +130,7 @@ class DerivedFiles:
 
 
 def derive(
-    path: str | Path, vehicle: Vehicle, axle: str = "rear", believe: bool = False
+    path: str | Place, vehicle: Vehicle, axle: str = "rear", believe: bool = False
 ) -> DerivedLog:
     """Slip angle and lateral force of one axle from a vehicle log.
 
@@ -145,7 +145,7 @@ def derive(
             than the filter needs, channels contradict each other, or no sample is left.
         UsageError: If the axle is unknown or the front axle lacks a steering map.
     """
-    path = file_at(path)
+    place = file_at(path)
     if axle not in ("rear", "front"):
         raise UsageError(InputProblem(f"unknown axle {axle!r}", "say rear or front"))
     if axle == "front" and vehicle.steering is None:
@@ -156,8 +156,8 @@ def derive(
                 " the rear axle, which needs neither",
             )
         )
-    track, motion, gaps = read_motion(path, vehicle)
-    compared = compare(track, motion, vehicle, str(path))
+    track, motion, gaps = read_motion(place, vehicle)
+    compared = compare(track, motion, vehicle, str(place))
     _refuse(compared.problems, believe)
     columns = _axle(motion, vehicle, axle)
     kept, dropped = _kept(motion, track, vehicle, axle)
@@ -166,17 +166,17 @@ def derive(
             InputProblem(
                 f"no sample is left of {len(kept)}: {_counts(dropped)}",
                 "check the units and [keep] of vehicle.toml",
-                str(path),
+                str(place),
             )
         )
     warnings = doubts(columns, motion, kept, vehicle)
     alpha, force = columns["alpha"][kept], columns["fy"][kept]
-    mirrored = pushes_the_wrong_way(alpha, force, vehicle, str(path))
+    mirrored = pushes_the_wrong_way(alpha, force, vehicle, str(place))
     _refuse(mirrored, believe)
     contradictions = (*compared.problems, *mirrored)
     columns = {name: values[kept] for name, values in columns.items()}
     return DerivedLog(
-        name=_run_name(path),
+        name=_run_name(place),
         columns=columns,
         rows=track.rows,
         dropped_rows=track.dropped,
@@ -192,12 +192,12 @@ def derive(
             *warnings,
         ),
         assumptions=_assumptions(track, vehicle, axle),
-        source={"path": path.name, "sha256": track.sha256, "epoch": track.epoch},
+        source={"path": place.name, "sha256": track.sha256, "epoch": track.epoch},
     )
 
 
 def derive_files(
-    paths: Sequence[str | Path],
+    paths: Sequence[str | Place],
     vehicle_toml: str | Path,
     out: str | Path,
     axle: str = "rear",
@@ -402,9 +402,9 @@ def _run_name(path: Place) -> str:
     return path.name.removesuffix(".gz").removesuffix(".csv")
 
 
-def _check_names(paths: Sequence[str | Path], out: Path) -> None:
+def _check_names(paths: Sequence[str | Place], out: Path) -> None:
     """Raise UsageError unless ``out`` can be a CSV and every log has its own name."""
-    problems = output_problems(out, inputs=paths)
+    problems = output_problems(out, inputs=[str(path) for path in paths])
     if out.suffix != ".csv":
         problems.append(InputProblem("the output is a CSV", "end it in .csv", str(out)))
     names = [_run_name(file_at(path)) for path in paths]

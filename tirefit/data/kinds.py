@@ -43,7 +43,9 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
             says where, why and what to do.
     """
     is_known = _knower(declared)
-    if (path / "metadata.yaml").is_file():  # the folder of a ROS 2 bag
+    if (
+        isinstance(path, Path) and (path / "metadata.yaml").is_file()
+    ):  # the folder of a ROS 2 bag
         channels = logs.channels_of_bag(path, b"", is_known)
         return _of_channels(channels, path, _digest(path), "stated in the file")
     raw = read_bytes(path)

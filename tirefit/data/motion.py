@@ -8,11 +8,10 @@ x forward, y left, yaw counter-clockwise.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from tirefit.data.remote import file_at
+from tirefit.data.remote import Place, file_at
 from tirefit.data.track import Track, read_track
 from tirefit.data.vehicle import POSE, RATES, Vehicle
 from tirefit.results import DataError, InputProblem
@@ -59,7 +58,7 @@ class Motion:
         return rate
 
 
-def read_motion(path: str | Path, vehicle: Vehicle) -> tuple[Track, Motion, int]:
+def read_motion(path: str | Place, vehicle: Vehicle) -> tuple[Track, Motion, int]:
     """The usable samples of a log, the motion on the grid, and the number of gaps.
 
     Raises:

@@ -1,8 +1,9 @@
 """One row per fit, where several files were fitted."""
 
+import math
 from collections.abc import Sequence
 
-from tirefit.data.records import FileRecord
+from tirefit.data.records import FileRecord, Row
 from tirefit.data.run_names import run_names
 from tirefit.report.numbers import format_estimate
 from tirefit.report.text import table_parts
@@ -19,11 +20,13 @@ def summary_table(fits: Sequence[FileRecord]) -> str:
     rows = [["fit", *names, "RMSE", "verdict"]]
     directories = run_names([fit.result for fit in fits])
     for name, fit, known in zip(directories.short, fits, parameters, strict=True):
-        cells = [
-            format_estimate(known[one].value, known[one].std) if one in known else ""
-            for one in names
-        ]
+        cells = [_estimate(known[one]) if one in known else "" for one in names]
         rmse = f"{fit.of_kind('statistic')['rmse'].value:.4g}"
         rows.append([name, *cells, rmse, fit.status])
     of = f" of {directories.pattern}" if directories.pattern else ""
     return "\n".join(["", f"SUMMARY{of}", *table_parts(rows)])
+
+
+def _estimate(row: Row) -> str:
+    value = math.nan if row.value is None else row.value
+    return format_estimate(value, row.std)
