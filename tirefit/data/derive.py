@@ -130,7 +130,7 @@ class DerivedFiles:
 
 
 def derive(
-    path: str | Path, vehicle: Vehicle, axle: str = "rear", believe: bool = False
+    path: str | Place, vehicle: Vehicle, axle: str = "rear", believe: bool = False
 ) -> DerivedLog:
     """Slip angle and lateral force of one axle from a vehicle log.
 
@@ -197,7 +197,7 @@ def derive(
 
 
 def derive_files(
-    paths: Sequence[str | Path],
+    paths: Sequence[str | Place],
     vehicle_toml: str | Path,
     out: str | Path,
     axle: str = "rear",
@@ -402,9 +402,9 @@ def _run_name(path: Place) -> str:
     return path.name.removesuffix(".gz").removesuffix(".csv")
 
 
-def _check_names(paths: Sequence[str | Path], out: Path) -> None:
+def _check_names(paths: Sequence[str | Place], out: Path) -> None:
     """Raise UsageError unless ``out`` can be a CSV and every log has its own name."""
-    problems = output_problems(out, inputs=paths)
+    problems = output_problems(out, inputs=[str(path) for path in paths])
     if out.suffix != ".csv":
         problems.append(InputProblem("the output is a CSV", "end it in .csv", str(out)))
     names = [_run_name(file_at(path)) for path in paths]

@@ -31,9 +31,6 @@ class RemoteFile:
     def __str__(self) -> str:
         return self.address
 
-    def __truediv__(self, name: str) -> "RemoteFile":
-        return RemoteFile(f"{self.address.rstrip('/')}/{name}")
-
     @property
     def name(self) -> str:
         """The end of the path; of a chain, of the file that it comes to."""
@@ -44,10 +41,6 @@ class RemoteFile:
     @property
     def parent(self) -> "RemoteFile":
         return RemoteFile(self.address.rstrip("/").rsplit("/", 1)[0])
-
-    def is_file(self) -> bool:
-        """Never: it is asked of what lies in a folder, and an address is of a file."""
-        return False
 
     def exists(self) -> bool:
         """Never on the disk, where results could replace it."""
