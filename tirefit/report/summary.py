@@ -1,6 +1,5 @@
 """One row per fit, where several files were fitted."""
 
-import math
 from collections.abc import Sequence
 
 from tirefit.data.records import FileRecord, Row
