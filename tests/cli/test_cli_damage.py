@@ -19,6 +19,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from fuzz.kinds import log_toml, short_log
 from test_cli_brake import QUICK
 from test_cli_diagnose import LOADS, READ, WITHOUT
 from test_cli_diagnose import write as write_sweeps
@@ -55,6 +56,7 @@ INTO_FILES = {
     "convert": ("convert", "--cpa2", "5e4", "--mu", "1", "--fz", "4000", "--radius",
                 "0.3"),
     "simulate": ("simulate", "rig", "--truth", "truth.csv"),
+    "derive": ("derive", "drive.csv", "--vehicle", "car.toml"),
 }  # fmt: skip
 
 
@@ -62,6 +64,8 @@ INTO_FILES = {
 def inputs(run, tmp_path):
     (tmp_path / "fit.toml").write_text(FAST)
     (tmp_path / "log.csv").write_text("\n".join(LOG) + "\n")
+    (tmp_path / "drive.csv").write_bytes(short_log())
+    (tmp_path / "car.toml").write_bytes(log_toml())
     write(tmp_path / "rig.csv")
     write_sweeps(tmp_path / "one.csv", low=0.002, loads=LOADS[1:2])
     return sorted(path.name for path in tmp_path.iterdir())
@@ -151,16 +155,17 @@ def test_one_full_folder_does_not_stop_the_other_files(run, inputs, tmp_path):
 @pytest.mark.parametrize("name", INTO_FILES)
 def test_a_file_that_cannot_be_written_is_as_it_was(run, inputs, tmp_path, name):
     with files_of_at_most(64):
-        result = run(*INTO_FILES[name], "--out", "o.file", exit_code=2)
+        result = run(*INTO_FILES[name], "--out", "o.csv", exit_code=2)
         assert "File too large; nothing was written\n" in result.stderr
+        assert ("samples kept" in result.stdout) == (name == "derive")  # its report
         assert there(tmp_path) == inputs
-    for file in ("o.file", "truth.csv"):
+    for file in ("o.csv", "truth.csv"):
         (tmp_path / file).write_text("old")
     with files_of_at_most(64):
-        result = run(*INTO_FILES[name], "--out", "o.file", exit_code=2)
+        result = run(*INTO_FILES[name], "--out", "o.csv", exit_code=2)
     assert "File too large; it is as it was before\n" in result.stderr
-    assert (tmp_path / "o.file").read_text() == "old"
-    assert there(tmp_path) == sorted([*inputs, "o.file", "truth.csv"])
+    assert (tmp_path / "o.csv").read_text() == "old"
+    assert there(tmp_path) == sorted([*inputs, "o.csv", "truth.csv"])
 
 
 # --- permissions ----------------------------------------------------------------
