@@ -167,8 +167,9 @@ def identifiability(
     ]  # fmt: skip
     scatter = {force: scatter_of(data, force) for force in forces}
     some = some_rows(data, forces, seed)
+    curves = {force: curve_of(data, force) for force in forces}
     gates = tuple(
-        _gate(some[force], data, force, name, scatter[force])
+        _gate(some[force], data.n, curves[force], force, name, scatter[force])
         for force in forces
         for name in models or MODELS_ASKED
     )
@@ -184,15 +185,18 @@ def identifiability(
 # --- the model --------------------------------------------------------------------
 
 
-def _gate(some: TireData, data, force: str, name: str, scatter: Scatter) -> ModelGate:
+def _gate(
+    some: TireData, rows: int, curve, force: str, name: str, scatter: Scatter
+) -> ModelGate:
+    """What a model's parameters can be told by so many rows as ``some`` of them."""
     config = parse_config({"force": force})
     try:
         task = build(some, name, config, least_rows=ROWS)
     except DataError as error:
         return ModelGate(name, force, (), error.problems[0].reason)
-    problem, curve = task.problem, curve_of(data, force)
+    problem = task.problem
     points = [_settled(problem, z) for z in _points(task, curve)]
-    many = data.n / (problem.n * scatter.inflation)
+    many = rows / (problem.n * scatter.inflation)
     weight = problem.used(problem.rows.scale[force]) / (
         scatter.share * problem.used(problem.rows.inputs.fz)
     )
