@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: install demo test statistics notebooks bench withheld withheld-full friction-benchmark fuzz braking lint types clean
+.PHONY: install demo test statistics notebooks bench withheld withheld-full friction-benchmark fuzz braking posterior-peers lint types clean
 
 install: $(STAMP)
 
@@ -60,6 +60,11 @@ friction-benchmark: install
 # Stops under four controllers, 60 seeds; see fits/braking.
 braking: install
 	$(BIN)/python -m fits.braking --into fits/braking
+
+# Posteriors beside those of NumPyro and lmfit (dependency group `peers`); see
+# fits/posterior_peers.
+posterior-peers: install
+	$(BIN)/python -m fits.posterior_peers --out out/$@ --into fits/posterior_peers
 
 lint: install
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .

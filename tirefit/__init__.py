@@ -43,6 +43,8 @@ in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
   Vehicle System Dynamics 43 (2005) 351-384.
 - Hoffman, M. D., Gelman, A.: The No-U-Turn Sampler. Journal of Machine Learning
   Research 15 (2014) 1593-1623.
+- Huber, P. J.: Robust estimation of a location parameter. Annals of Mathematical
+  Statistics 35 (1964) 73-101.
 - Kitagawa, G.: Monte Carlo filter and smoother for non-Gaussian nonlinear state space
   models. Journal of Computational and Graphical Statistics 5 (1996) 1-25.
 - Levenberg, K.: A method for the solution of certain non-linear problems in least
@@ -74,12 +76,14 @@ __getattr__, __dir__, __all__ = _lazy.attach(
     submod_attrs={
         "data.derive": ["derive_files"],
         "data.inspect": ["inspect"],
+        "data.prepare.prepare": ["prepare"],
         "data.read": ["read", "read_frame"],
         "diagnosis.effects": ["EFFECTS", "Effect"],
         "diagnosis.engine": ["diagnose"],
         "diagnosis.rig": ["Rig", "load_rig"],
         "fitting.batch": ["fit_many"],
         "fitting.estimate": ["fit"],
+        "fitting.identifiability": ["identifiability"],
         "fitting.mf.fit": ["fit_magic_formula"],
         "fitting.posterior": ["sample"],
         "fitting.predict": ["predict"],
@@ -88,6 +92,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "online.methods": ["METHODS"],
         "models": ["MODELS", "TireInputs", "forces"],
         "params": ["parameter_values", "with_values"],
+        "report.diagnosis_draw": ["plot_diagnosis"],
         "report.fit_html": ["write_fit_page"],
         "report.fits_html": ["write_fits_page"],
         "report.plots": [

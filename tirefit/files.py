@@ -12,8 +12,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-
 fcntl: ModuleType | None
 try:
     import fcntl
@@ -46,14 +44,10 @@ def json_safe(value: Any) -> Any:
         return [json_safe(item) for item in value]
     if isinstance(value, enum.Enum):
         return value.name.lower()
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    if hasattr(value, "tolist"):
+    if hasattr(value, "tolist"):  # of NumPy, which writing a text does not import
         return json_safe(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
     return value
 
 

@@ -357,13 +357,18 @@ def diagnose_process(files, out: Path, *more: str) -> Process:
     with tempfile.TemporaryDirectory() as cache:
         apart = os.environ | {"XDG_CACHE_HOME": cache}
         apart.pop("JAX_COMPILATION_CACHE_DIR", None)
-        begun = time.perf_counter()
-        process = subprocess.Popen(line, stdout=subprocess.DEVNULL, env=apart)
-        _, status, used = os.wait4(process.pid, 0)
-        wall = time.perf_counter() - begun
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise subprocess.CalledProcessError(process.returncode, line)
+        return process(line, apart)
+
+
+def process(line: list[str], environment) -> Process:
+    """One process to its end, and what it took."""
+    begun = time.perf_counter()
+    running = subprocess.Popen(line, stdout=subprocess.DEVNULL, env=environment)
+    _, status, used = os.wait4(running.pid, 0)
+    wall = time.perf_counter() - begun
+    running.returncode = os.waitstatus_to_exitcode(status)
+    if running.returncode:
+        raise subprocess.CalledProcessError(running.returncode, line)
     return Process(wall, used.ru_utime + used.ru_stime, used.ru_maxrss / 2**20)
 
 
@@ -380,6 +385,42 @@ def diagnosis_of_many(cases: int = 120) -> None:
     print(
         f"  {alone.processor:.0f} s of processor, {alone.peak:.1f} GiB;"
         f" with --jobs 2 {both.wall:.0f} s, {both.processor:.0f} s of processor"
+    )
+
+
+def fleet(files: int = 1000) -> None:
+    """Whole processes: a fit of each file with its figures, by the loop, by one worker
+    and by two of a cluster on this machine; caches warm. See README.md beside this."""
+    slip, force = measured(files)
+    with tempfile.TemporaryDirectory() as directory:
+        names = []
+        for k in range(files):
+            names.append(Path(directory) / f"run{k:04d}.csv")
+            table = np.c_[slip[k], force[k], np.full(ROWS, FZ)]
+            np.savetxt(
+                names[-1], table, delimiter=",", header="sigma_x,fx,fz", comments=""
+            )
+        begin = [sys.executable, "-m", "tirefit", "fit", "--no-posterior"]
+        begin += ["--convention", "braking"]
+
+        def run(number: int, *how: str) -> Process:
+            out = Path(directory) / "out"
+            line = [*begin, *map(str, names[:number]), "--out", str(out), *how]
+            return process(line, os.environ)
+
+        run(min(2, files))  # compiles
+        loop, one, two = (
+            run(files, *how) for how in ((), ("--jobs", "1"), ("--jobs", "2"))
+        )
+    print(
+        f"fit, {files} files: loop {loop.wall:.0f} s ({loop.processor:.0f} s of"
+        f" processor), one worker {one.wall:.0f} s ({one.processor:.0f} s), two"
+        f" {two.wall:.0f} s ({two.processor:.0f} s): overhead of one"
+        f" {one.wall / loop.wall - 1:+.1%} ({one.processor / loop.processor - 1:+.1%}),"
+        f" efficiency of two {loop.wall / two.wall / 2:.2f}"
+        f" ({loop.processor / two.processor:.2f} by processor time), load"
+        f" {os.getloadavg()[0]:.1f}",
+        flush=True,
     )
 
 
@@ -512,7 +553,7 @@ ENTRIES = (
     braking_stops, whole_magic_formula,
 )  # fmt: skip
 
-OF_DIAGNOSIS = (diagnosis, diagnosis_of_many, diagnosis_of_a_log)
+OF_DIAGNOSIS = (diagnosis, diagnosis_of_many, diagnosis_of_a_log, fleet)
 """In a process of their own, with one thread of OpenBLAS, as the command line has: the
 other one spins while it waits, and its processor time would be counted. The peak that
 other entries are measured against is that of all cores."""

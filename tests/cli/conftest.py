@@ -4,6 +4,7 @@ import jax
 import pytest
 from typer.testing import CliRunner
 
+from tirefit.cli.cluster import cluster
 from tirefit.cli.commands import app
 
 
@@ -24,6 +25,13 @@ def own_cache(tmp_path_factory):
     for name, value in before.items():
         jax.config.update(name, value)
     keep_programs_in(None)
+
+
+@pytest.fixture(scope="package")
+def two(own_cache):
+    """A client of a cluster of two workers."""
+    with cluster(2) as client:
+        yield client
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ def test_controllers_over_each_other(run, tmp_path):
         "--out", "o", "--animate",
     ).stdout  # fmt: skip
     assert "BRAKING brush-m from 6 m/s on mu=0.5, quarter" in said
+    assert "locked: time with a wheel at kappa >= " in said
     assert "means of 3 seeds from 4" in said and "recovery" not in said
     made = {path.name for path in (tmp_path / "o").iterdir()}
     assert made == {
@@ -89,8 +90,10 @@ def test_a_tire_of_a_tir_file_brakes(run, tmp_path):
         (("--road", "ice"), 2, "write it as mu=0.4"),
         (("--tire", "magic-formula", "--steer", "0.1"), 2, "no combined slip"),
         (("--tire", "brsh"), 2, "did you mean"),
+        (("--tire", __file__), 2, "is a file, and no name of a model"),
         (("--tire", "none.tir"), 3, "none.tir"),
         (("--set", "mu=99"), 2, "outside its bounds"),
+        (("--set", "mu=nan"), 2, "give a finite value in SI units"),
         (("--set", "B=1"), 2, "has no parameter 'B'"),
         (("--tune", "abs.slip=9"), 2, "out of range"),
         (("--tune", "xbs-servo.servo_gain=-400"), 2, "O(11)"),

@@ -143,7 +143,7 @@ def test_data_options_mean_the_same_to_every_command(run, tmp_path):
         "--unit", "kappa=%", "--unit", "fx=kN", "--convention", "iso-w", "--slip",
         "kappa", "--constant", "v=20",
     )  # fmt: skip
-    found = json.loads(run("inspect", "d.csv", "--json", *options).stdout)
+    found = json.loads(run("inspect", "d.csv", "--json", "--no-gate", *options).stdout)
     largest = {column["name"]: column["max"] for column in found["columns"]}
     assert found["convention"] == "iso-w" and found["warnings"] == []
     np.testing.assert_allclose(
@@ -182,15 +182,15 @@ def test_wrong_predictions(run, tmp_path, arguments, code, said):
 
 def test_inspect_as_json(run, tmp_path):
     write(tmp_path / "d.csv", "sigma_x,fx,fz", SLIP, parabolic(SLIP), np.full(31, FZ))
-    content = json.loads(run("inspect", "d.csv", "--json").stdout)
+    content = json.loads(run("inspect", "d.csv", "--json", "--model", "brush").stdout)
     assert "31" in json.dumps(content)
-    text = run("inspect", "d.csv").stdout
+    text = run("inspect", "d.csv", "--model", "brush").stdout
     assert "sigma_x" in text and "braking" in text
 
 
 def test_inspect_goes_on_after_a_bad_file(run, tmp_path):
     write(tmp_path / "d.csv", "sigma_x,fx,fz", SLIP, parabolic(SLIP), np.full(31, FZ))
-    result = run("inspect", "none.csv", "d.csv", exit_code=3)
+    result = run("inspect", "none.csv", "d.csv", "--no-gate", exit_code=3)
     assert "none.csv" in result.stderr and "d.csv" in result.stdout
 
 
@@ -311,3 +311,15 @@ def test_derive_refuses_a_wrong_unit_and_its_remedy_works(run, tmp_path):
     assert "warning: channels contradict" in run(*arguments, "--believe").stdout
     result = run(*arguments, "--unit", "v_x", exit_code=2)
     assert "--unit NAME=VALUE" in result.stderr
+
+
+def test_inspect_says_which_parameters_it_can_tell(run, tmp_path):
+    run("simulate", "rig", "--out", "rig.csv", "--largest", "0.004")
+    said = run("inspect", "rig.csv", "--model", "brush").stdout
+    assert "fx brush" in said and "not mu: would need slips" in said
+    content = json.loads(run("inspect", "rig.csv", "--model", "brush", "--json").stdout)
+    (gate,) = content["identifiability"]["gates"]
+    told = {p["name"]: p["told"] for p in gate["parameters"]}
+    assert told == {"cpa2": "well", "mu": "not"}
+    assert "what a fit could tell" not in run("inspect", "rig.csv", "--no-gate").stdout
+    run("inspect", "rig.csv", "--model", "brusch", exit_code=2)

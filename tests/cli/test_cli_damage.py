@@ -34,13 +34,15 @@ LOG = ("sigma_x,fx,fz,v,time", *(f"{0.0005 * k},{50 * k},4000,20,{k / 100}"
 INTO_FOLDERS = {
     "fit": ("fit", "rig.csv", "--config", "fit.toml", "--no-posterior"),
     "convert": ("convert", "--magic-formula", "10,1.9,1,0.97", "--loads", "4000"),
-    "diagnose": ("diagnose", "one.csv", *READ, *WITHOUT, "--figures"),
+    "diagnose": ("diagnose", "one.csv", *READ, *WITHOUT),
     "estimate": ("estimate", "log.csv", "--method", "slip-slope"),
     "brake": ("brake", "--controller", "abs", *QUICK),
 }
 """Commands that write folders, their modules, and a word of their reports."""
 MODULES = {
-    name: import_module(f"tirefit.cli.{'fit' if name == 'convert' else name}")
+    name: import_module(
+        f"tirefit.cli.{'fit_one' if name in ('fit', 'convert') else name}"
+    )
     for name in INTO_FOLDERS
 }
 REPORTS = {

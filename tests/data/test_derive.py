@@ -410,3 +410,17 @@ def test_dart_log_bends_like_a_brush_with_a_heading_offset(tmp_path):
     left_over = force - model(alpha, *found)
     assert 1 - left_over.var() / force.var() > 0.99
     np.testing.assert_allclose(found, [41.0, 0.68, 0.0102], rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "said"),
+    [
+        ("mass", 1e3, "mass / wheelbase^3"), ("yaw_inertia", 1e3, "yaw_inertia / (m"),
+        ("gravity", 0.1, "gravity = 0.981 m/s2"),
+    ],
+)  # fmt: skip
+def test_a_vehicle_that_nothing_is_like_is_doubted(name, factor, said):
+    vehicle = load_vehicle(DART / "vehicle.toml")
+    assert vehicle.doubts() == ()
+    odd = vehicle.model_copy(update={name: factor * getattr(vehicle, name)})
+    assert any(said in text and "check the units" in text for text in odd.doubts())

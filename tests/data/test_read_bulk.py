@@ -87,6 +87,9 @@ TEXTS = {
     "decimal comma": text_of(rows(), delimiter=";").replace(".", ","),
     "a decimal comma and points": changed(cell(50, 2, "1,5"), delimiter=";"),
     "grouped": changed(cell(50, 3, "4,000"), delimiter=";").replace(".", ""),
+    "numbers of runs": text_of(
+        [[*row[:4], f"{i // 20}"] for i, row in enumerate(rows())]
+    ),
     "names of runs": text_of([[*row[:4], "run " + row[4]] for row in rows()]),
     "blank lines": changed(line(40, "")),
     "a comment": changed(line(40, "# here the rig stopped")),

@@ -12,6 +12,7 @@ from tirefit.fitting.estimate import fit
 from tirefit.fitting.inference import deviance
 from tirefit.fitting.posterior import sample
 from tirefit.models import MODELS
+from tirefit.results import Outcome
 
 MOST = 512
 """Rows that 400 are padded to: cells of as many need no program of their own."""
@@ -144,3 +145,13 @@ def test_few_rows_and_whole_series_are_not_cells(given, small_files_too, monkeyp
     assert condensed(solved._replace(problem=series), root) is None
     monkeypatch.setattr(condense, "FEWEST", 401)
     assert condensed(solved, root) is None
+
+
+def test_an_interrupt_while_cells_are_cut_ends_it(given, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(posterior, "condensed", interrupted)
+    result = sample(given)
+    assert result.posterior is None
+    assert Outcome.INTERRUPTED in result.outcomes

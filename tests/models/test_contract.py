@@ -413,6 +413,29 @@ def test_float32_gradient_is_finite_and_near(name):
         assert (error <= 4e-3 * np.abs(exact).max(axis=0)).all()
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["brush", "brush-dmns", "quartic-hs", "brush-anisotropic"]
+    + ["magic-formula-combined", "lugre-lumped", "carcass-parabola"],
+)
+def test_second_derivatives_at_rest_are_finite(name):
+    """Of the forces over both slips, at rest and beside it, in 32 bit and in 64."""
+
+    def second(tire, at):
+        def out(slips):
+            result = tire(TireInputs(*slips, *jnp.asarray([4000.0, 10.0], at.dtype)))
+            return [part for part in result[:3] if part is not None]
+
+        return jax.vmap(jax.jacfwd(jax.jacfwd(out)))(at)
+
+    points = np.array([(0, 0), (1e-7, 0), (0, 1e-7), (1e-20, 1e-20), (0.003, 0.002)])
+    for dtype in (jnp.float32, jnp.float64):
+        cast = functools.partial(jnp.asarray, dtype=dtype)
+        found = jax.jit(second)(jax.tree.map(cast, MODELS[name]), cast(points))
+        assert all(part.dtype == dtype for part in found)
+        assert all(np.isfinite(part).all() for part in found)
+
+
 @EVERY
 def test_float32_process(name):
     """What a user without 64-bit floats gets, transient models included."""

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from pages import PHONE, Page, browse, in_browser, width_on_phone
 
+import tirefit
 from tirefit.data.table import Source, TireData
 from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect
@@ -79,6 +80,7 @@ from tirefit.report.diagnosis_words import (
     untestable_groups,
     words_on,
 )
+from tirefit.results import UsageError
 
 LOADS, SPEEDS, NOISE = (2000.0, 4000.0, 6000.0), (5.0, 20.0), 20.0
 NAME = 'drum <b>$1 & "x"'
@@ -976,3 +978,13 @@ def test_the_page_fits_a_phone(page_text, tmp_path, wide):
     extra = '<div style="width:450px">too wide</div>' if wide else ""
     width = width_on_phone(page_text.replace("</body>", f"{extra}</body>"), tmp_path)
     assert (width > PHONE) == wide
+
+
+def test_a_diagnosis_is_drawn_for_whoever_saves_it(tmp_path):
+    result = diagnosis()
+    whole = tirefit.plot_diagnosis(result)
+    whole.savefig(tmp_path / "all.png")
+    tirefit.plot_diagnosis(result, "where").savefig(tmp_path / "where.svg")
+    assert {path.name for path in tmp_path.iterdir()} == {"all.png", "where.svg"}
+    with pytest.raises(UsageError, match="there is no panel 'were'\n.*'where'"):
+        tirefit.plot_diagnosis(result, "were")

@@ -17,7 +17,7 @@ from tirefit.fitting.predict import predict_forces
 from tirefit.fitting.result import Estimate, PosteriorSummary
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import Spec, with_values
-from tirefit.report import draw, draw_corner, draw_uncertainty, html, plots
+from tirefit.report import canvas, draw, draw_corner, draw_uncertainty, html, plots
 from tirefit.report.figures import (
     corner_data,
     fit_curve,
@@ -360,6 +360,24 @@ def test_draws_on_given_axes(plain):
     assert plots.plot_fit(plain, ax=axes) is axes.figure
     assert axes.get_xlabel() == r"slip $\sigma_x$ [-]"
     assert len(axes.lines) >= 4
+
+
+def test_of_very_many_points_some_are_drawn_with_the_farthest(plain, monkeypatch):
+    values = np.random.default_rng(0).standard_normal(1000)
+    values[[17, 600]] = -40, 70
+    np.testing.assert_array_equal(canvas.drawn(values), np.arange(1000))
+    monkeypatch.setattr(canvas, "MOST_DRAWN", 100)
+    some = canvas.drawn(values)
+    assert {17, 600} < set(some) and len(some) <= 100 + canvas._FARTHEST
+    assert abs(values[some].mean()) < 1 and np.all(np.diff(some) > 0)
+    # A group of a panel gets its share.
+    assert len(canvas.drawn(values, among=4000)) <= 25 + canvas._FARTHEST
+    picture = draw.residual_figure(plain)
+    said = [text.get_text() for text in picture.texts]
+    expected = f"{plain.statistics.n} rows, 100 of them drawn"
+    assert any(expected in text for text in said)
+    points = picture.axes[0].lines[1].get_xdata()
+    assert len(points) <= 100 + canvas._FARTHEST
 
 
 def test_every_figure_appears_whole(sampled, tmp_path):

@@ -12,7 +12,7 @@ from tirefit.cli.brake import brake
 from tirefit.cli.convert import convert
 from tirefit.cli.diagnose import ManyHoldouts, diagnose
 from tirefit.cli.estimate import estimate
-from tirefit.cli.fit import fit
+from tirefit.cli.fit import fit, model_names
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -30,6 +30,7 @@ from tirefit.cli.options import (
     takes_data_options,
     warn,
 )
+from tirefit.cli.prepare import prepare
 from tirefit.cli.simulate import app as simulate
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
@@ -64,6 +65,7 @@ app.command()(convert)
 app.command(cls=ManyHoldouts)(diagnose)
 app.command()(estimate)
 app.command()(brake)
+app.command()(prepare)
 app.add_typer(simulate, name="simulate")
 
 
@@ -95,25 +97,59 @@ def methods(json: JsonOption = False) -> None:
 
 @app.command()
 @takes_data_options
-def inspect(files: Files, options: DataOptions, json: JsonOption = False) -> None:
-    """Say what a file holds, what was assumed, and which fits it supports."""
+def inspect(
+    files: Files,
+    options: DataOptions,
+    model: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="model whose parameters the file may tell (repeat for more); some"
+            " brushes and the Magic Formula if none",
+            autocompletion=model_names,
+        ),
+    ] = None,
+    gate: Annotated[
+        bool,
+        typer.Option(
+            "--gate/--no-gate", help="say which parameters of models it can tell"
+        ),
+    ] = True,
+    json: JsonOption = False,
+) -> None:
+    """Say what a file holds, what was assumed, which fits it supports, and which
+    parameters of which models it can tell."""
     from tirefit.data.inspect import inspect as look
     from tirefit.data.read import read
+    from tirefit.data.remote import expanded
+    from tirefit.files import json_safe
 
     with errors_to_exit():
         how = read_options(options, read_config(options.config))
         worst = ExitCode.OK
-        for file in files:
+        for file in expanded(files):
             try:
-                inspection = look(read(file, **how))
+                data = read(file, **how)
+                inspection = look(data)
+                told = _told(data, model) if gate else None
             except TirefitError as error:
                 if error.exit_code == ExitCode.USAGE:
                     raise
                 complain(error_text(error))
                 worst = max(worst, error.exit_code)
                 continue
-            say(dumps(inspection.as_dict(), indent=1) if json else inspection.text())
+            content = inspection.as_dict()
+            content |= {"identifiability": told.as_dict()} if told else {}
+            text = inspection.text() + (told.text() if told else "")
+            say(dumps(json_safe(content), indent=1) if json else text)
         raise typer.Exit(worst)
+
+
+def _told(data, models):
+    """Which parameters of which models the data can tell."""
+    start_jax()
+    from tirefit.fitting.identifiability import identifiability
+
+    return identifiability(data, models)
 
 
 @app.command()

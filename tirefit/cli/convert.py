@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from tirefit.cli.fit import exit_code, fit_into, model_names
+from tirefit.cli.fit import model_names
+from tirefit.cli.fit_one import exit_code, fit_into
 from tirefit.cli.magic_formula import (
     MAGIC_FORMULA_NAMES,
     convert_whole,

@@ -1,19 +1,15 @@
 """``tirefit diagnose``: where a model misses, which effect causes it, how far."""
 
 import json
-import pickle
-from collections.abc import Generator
-from contextlib import closing, redirect_stderr, redirect_stdout
+from collections import Counter
 from dataclasses import asdict, dataclass
-from functools import cache, partial
-from io import StringIO
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer.core import TyperCommand
 
-from tirefit.cli.jobs import Ended, shared
+from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES
 from tirefit.cli.options import (
     DataOptions,
@@ -34,14 +30,12 @@ from tirefit.cli.options import (
     warn,
 )
 from tirefit.cli.output import check_directories, claimed, is_page, staged
+from tirefit.data.remote import expanded
 from tirefit.names import EFFECT_NAMES, MODEL_NAMES
-from tirefit.results import (
-    DataError,
-    ExitCode,
-    InputProblem,
-    TirefitError,
-    UsageError,
-)
+from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
+
+if TYPE_CHECKING:  # NumPy, which completion does not wait for
+    from tirefit.data.records import FileRecord
 
 __all__ = ["ManyHoldouts", "diagnose"]
 
@@ -65,7 +59,7 @@ class ManyHoldouts(TyperCommand):
 
 def _names(files: list[Path]) -> list[str]:
     names = [Path(file.name.removesuffix(".gz")).stem for file in files]
-    twice = sorted({name for name in names if names.count(name) > 1})
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice:
         reason = f"several input files are named {', '.join(twice)}"
         remedy = "rename one: their results would overwrite each other"
@@ -128,15 +122,15 @@ def diagnose(
     resume: Annotated[
         bool, typer.Option("--resume", help="keep cases that are done")
     ] = False,
-    jobs: Annotated[
-        int, typer.Option(min=1, metavar="N", help="processes that share the files")
-    ] = 1,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
     seed: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="of everything random")
     ] = 0,
 ) -> None:
     """Diagnose the gap between a model and data: where, which effect, how far."""
     with errors_to_exit():
+        sharing, files = Sharing(jobs, scheduler), expanded(files)
         names = _names(files)
         check_directories([out])
         config = read_config(options.config)
@@ -152,7 +146,8 @@ def diagnose(
         with claimed(out):
             kept = [_read(path, how) for path in holdout or []]
             task = _Task(out, settings, kept, how, figures, resume, seed)
-            worst = _all(files, names, task, min(jobs, len(files)))
+            pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
+            worst = _all(pieces, task, sharing)
         raise typer.Exit(worst)
 
 
@@ -251,98 +246,47 @@ class _Task:
     seed: int
 
 
-class _Outcome(NamedTuple):
-    """One file: its exit code, whether that ends the command, and, where another
-    process worked at it, what it said and complained of."""
-
-    code: ExitCode
-    last: bool = False
-    said: str = ""
-    complained: str = ""
-
-
-def _all(files, names, task: _Task, jobs: int) -> ExitCode:
+def _all(pieces: list[Piece], task: _Task, sharing: Sharing) -> ExitCode:
     """Every file; one bad file does not stop the others."""
-    worst, done = ExitCode.OK, 0
-    pieces = list(zip(files, names, strict=True))
-    with (
-        progress_bar("diagnose") as progress,
-        closing(_outcomes(pieces, task, jobs)) as outcomes,
-    ):
-        for number, file in enumerate(files):
-            progress(number / len(files), f"{number + 1} of {len(files)}: {file}")
-            outcome = next(outcomes)
-            typer.echo(outcome.said, nl=False)
-            typer.echo(outcome.complained, nl=False, err=True)
-            if outcome.last:
-                raise typer.Exit(outcome.code)
-            worst = outcome.code if outcome.code != ExitCode.OK else worst
-            done += outcome.code == ExitCode.OK
-    if len(files) > 1:
-        say(f"{done} of {len(files)} files diagnosed, results in {task.out}")
-    return worst
+    if sharing.apart:
+        outcomes = fleet("diagnose", pieces, _one, task, sharing, task.out)
+        codes = [outcome.code for outcome in outcomes]
+    else:
+        codes = _one_by_one(pieces, task)
+    if len(pieces) > 1:
+        done = codes.count(ExitCode.OK)
+        say(f"{done} of {len(pieces)} files diagnosed, results in {task.out}")
+    return next((c for c in reversed(codes) if c != ExitCode.OK), ExitCode.OK)
 
 
-def _outcomes(pieces, task: _Task, jobs: int) -> Generator[_Outcome, None, None]:
-    """Of every file (file, name), in order."""
-    if jobs == 1:
-        for piece in pieces:
-            yield _Outcome(_attempt(piece, task))
-        return
-    # As bytes: JAX's arrays are of 64 bits only once it has been told.
-    work = partial(_apart, pickle.dumps(task))
-    with closing(shared(work, pieces, jobs)) as results:
-        for (file, _), result in zip(pieces, results, strict=True):
-            yield _gone(file, result) if isinstance(result, Ended) else result
+def _one_by_one(pieces: list[Piece], task: _Task) -> list[ExitCode]:
+    codes = []
+    with progress_bar("diagnose") as progress:
+        for number, piece in enumerate(pieces):
+            note = f"{number + 1} of {len(pieces)}: {piece.file}"
+            progress(number / len(pieces), note)
+            try:
+                codes.append(_one(piece, task)[0])
+            except TirefitError as error:
+                if error.exit_code == ExitCode.USAGE:
+                    raise
+                complain(error_text(error))
+                codes.append(error.exit_code)
+            except BrokenPipeError:
+                raise
+            except OSError as error:  # its report was said
+                complain(error_text(error))
+                codes.append(ExitCode.USAGE)
+    return codes
 
 
-def _gone(file: Path, ended: Ended) -> _Outcome:
-    reason = f"the process that worked at it ended with code {ended.exit_code}"
-    remedy = "where memory is short, give fewer --jobs; then --resume"
-    problem = InputProblem(reason, remedy, str(file))
-    return _Outcome(ExitCode.DATA, complained=error_text(DataError(problem)) + "\n")
-
-
-def _attempt(piece: tuple[Path, str], task: _Task) -> ExitCode:
-    """One file; its error is told, unless it is that of the command."""
-    try:
-        _one(*piece, task)
-    except TirefitError as error:
-        if error.exit_code == ExitCode.USAGE:
-            raise
-        complain(error_text(error))
-        return error.exit_code
-    except BrokenPipeError:
-        raise
-    except OSError as error:  # its report was said
-        complain(error_text(error))
-        return ExitCode.USAGE
-    return ExitCode.OK
-
-
-def _apart(packed: bytes, piece: tuple[Path, str]) -> _Outcome:
-    """One file in another process, which keeps silent."""
-    said, complained, last = StringIO(), StringIO(), False
-    with redirect_stdout(said), redirect_stderr(complained):
-        try:
-            with errors_to_exit():
-                code = _attempt(piece, _unpacked(packed))
-        except typer.Exit as end:
-            code, last = ExitCode(end.exit_code), True
-    return _Outcome(code, last, said.getvalue(), complained.getvalue())
-
-
-@cache
-def _unpacked(packed: bytes) -> _Task:
-    start_jax()
-    return pickle.loads(packed)
-
-
-def _one(file: Path, name: str, task: _Task) -> None:
+def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
+    """One file, unless it is done before."""
     from tirefit.diagnosis.engine import diagnose as study
     from tirefit.diagnosis.result import SCHEMA
-    from tirefit.diagnosis.store import save_diagnosis
+    from tirefit.diagnosis.store import record_of_document, save_diagnosis
 
+    file, name = piece
     out, seed, kept, figures = task.out, task.seed, task.kept, task.figures
     table = _read(file, task.how)
     written = [f"{name}.json", f"{name}.rows.csv"]
@@ -351,7 +295,7 @@ def _one(file: Path, name: str, task: _Task) -> None:
     if task.resume and all((out / one).exists() for one in expected):
         if _is_done(out / f"{name}.json", table, task.settings, kept, seed):
             say(f"{file}: done before, kept: {out / name}.json")
-            return
+            return ExitCode.OK, record_of_document(out / f"{name}.json")
     result = study(table, holdout=kept, seed=seed, **task.settings)
     earlier = drawn if is_page(out / f"{name}.html", SCHEMA) else []
     with staged(out, written + earlier, result, f".{name}") as folder:
@@ -363,6 +307,7 @@ def _one(file: Path, name: str, task: _Task) -> None:
             write_figure(result, folder / f"{name}.png")
             write_page(result, folder / f"{name}.html")
     say(str(result))
+    return ExitCode.OK, record_of_document(out / f"{name}.json")
 
 
 def _base_of(content: dict) -> list:

@@ -40,7 +40,11 @@ def estimate(
     ] = "rls",
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
+        typer.Option(
+            metavar="FOLDER",
+            parser=named_path,
+            help="folder of the results; required without --follow",
+        ),
     ] = None,
     follow: Annotated[
         bool,

@@ -1,11 +1,14 @@
 """``tirefit fit``: from files to directories of results."""
 
+from collections import Counter
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tirefit.cli.fit_one import Also, FitTask, exit_code_of, fit_one
+from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
 from tirefit.cli.magic_formula import (
     MAGIC_FORMULA_NAMES,
     fit_whole,
@@ -21,19 +24,21 @@ from tirefit.cli.options import (
     forces_named,
     has_terminal,
     named_path,
-    progress_bar,
     read_config,
     read_options,
     say,
     start_jax,
     takes_data_options,
-    warn,
 )
-from tirefit.cli.output import check_directories, claimed, is_page, staged
+from tirefit.cli.output import check_directories, is_page
+from tirefit.data.remote import expanded
 from tirefit.names import MODEL_NAMES
-from tirefit.results import ExitCode, InputProblem, Outcome, TirefitError, UsageError
+from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
-__all__ = ["exit_code", "fit", "fit_into", "model_names"]
+if TYPE_CHECKING:  # NumPy, which completion does not wait for
+    from tirefit.data.records import FileRecord
+
+__all__ = ["fit", "model_names"]
 
 
 class Solver(StrEnum):
@@ -48,16 +53,14 @@ class Sampler(StrEnum):
     importance = "importance"
 
 
-PAGE, PAGE_OF_ALL = "fit.html", "fits.html"
+PAGE_OF_ALL = "fits.html"
 
 model_names = completed(*MODEL_NAMES)
-
-CHAIN = "chain.npz"
 
 
 def _output_directories(files: list[Path], out: Path | None, joint: bool) -> list[Path]:
     stems = [_stem(file) for file in files]
-    twice = sorted({stem for stem in stems if stems.count(stem) > 1})
+    twice = sorted(stem for stem, count in Counter(stems).items() if count > 1)
     if twice and not joint:
         raise UsageError(
             InputProblem(
@@ -120,7 +123,10 @@ def fit(
         bool, typer.Option("--strict", help="exit 5 if a parameter is not identified")
     ] = False,
     resume: Annotated[
-        bool, typer.Option("--resume", help="continue the chain kept in the directory")
+        bool,
+        typer.Option(
+            "--resume", help="keep fits that are done; continue the chain of others"
+        ),
     ] = False,
     svg: Annotated[
         bool, typer.Option("--svg", help="write every figure as SVG too")
@@ -131,9 +137,12 @@ def fit(
             "--html", help="write fit.html, one page of all; of several files fits.html"
         ),
     ] = False,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
 ) -> None:
     """Fit a model: parameters, uncertainties, figures and a report."""
     with errors_to_exit():
+        sharing, files = Sharing(jobs, scheduler), expanded(files)
         from tirefit.fitting.config import FitConfig
 
         base = read_config(options.config) or FitConfig()
@@ -162,32 +171,28 @@ def fit(
         from tirefit.fitting.problem import find_model
 
         find_model(settings.model or "brush")
-        groups = [files] if joint else [[file] for file in files]
+        # The page of several fits needs each of them, done before or not.
+        apart = sharing.apart and not joint
+        keep = resume and (apart or not html or len(files) == 1)
         also = Also(svg, html)
-        worst = _fit_all(
-            groups, directories, settings, how, posterior, resume, also, strict
-        )
+        task = FitTask(settings, how, posterior, resume, keep, also, strict)
+        if apart:
+            worst = _fit_apart(files, directories, task, sharing, out or Path())
+        else:
+            groups = [files] if joint else [[file] for file in files]
+            worst = _fit_all(groups, directories, task)
         raise typer.Exit(worst)
 
 
-class Also(NamedTuple):
-    """What is written beside the result and its figures."""
-
-    svg: bool = False
-    html: bool = False
-
-
-def _fit_all(
-    groups, directories, settings, how, posterior, resume, also, strict
-) -> ExitCode:
+def _fit_all(groups, directories, task: FitTask) -> ExitCode:
     """Every group of files; one bad file does not stop the others."""
     codes: list[ExitCode] = []
-    rows, failed = [], {}
+    records, rows, failed = [], [], {}
     for i, (group, directory) in enumerate(zip(groups, directories, strict=True)):
         if len(groups) > 1 and has_terminal():
             complain(f"file {i + 1} of {len(groups)}: {group[0]}")
         try:
-            result = _fit_one(group, directory, settings, how, posterior, resume, also)
+            record, result = fit_one(group, directory, task)
         except TirefitError as error:
             if len(groups) == 1 or error.exit_code == ExitCode.USAGE:
                 raise
@@ -201,17 +206,41 @@ def _fit_all(
             complain(error_text(error))
             codes.append(ExitCode.USAGE)
             continue
-        codes.append(exit_code(result, strict))
-        rows.append((directory, result))
-        if Outcome.INTERRUPTED in result.outcomes:
+        codes.append(exit_code_of(record, task.strict))
+        records.append(record)
+        rows += [] if result is None else [(directory, result)]
+        if "interrupted" in record.outcomes:
             left = len(groups) - i - 1
             if left:
                 complain(f"interrupted: the last {left} of {len(groups)} not fitted")
             break
     if len(groups) > 1:
-        say(_summary(rows))
-        _page_of_all(directories[0].parent, rows, failed, also.html)
-    # The least is the worst: files not written, bad data, convergence, identification.
+        say(_summary(records))
+        _page_of_all(directories[0].parent, rows, failed, task.also.html)
+    return _worst(codes)
+
+
+def _fit_apart(files, directories, task: FitTask, sharing: Sharing, out: Path):
+    """The same by the workers of a cluster; the page of all is that of the fleet."""
+    pieces = [Piece(*pair) for pair in zip(files, directories, strict=True)]
+    codes, records = [], []
+    for outcome in fleet("fit", pieces, _attempt, task, sharing, out):
+        codes.append(outcome.code)
+        if outcome.record is not None and outcome.record.rows:
+            records.append(outcome.record)
+    if len(files) > 1:
+        say(_summary(records))
+        _page_of_all(directories[0].parent, [], {}, asked=False)
+    return _worst(codes)
+
+
+def _attempt(piece: Piece, task: FitTask) -> tuple[ExitCode, "FileRecord"]:
+    record, _ = fit_one([piece.file], piece.to, task)
+    return exit_code_of(record, task.strict), record
+
+
+def _worst(codes: list[ExitCode]) -> ExitCode:
+    """The least but 0: files not written, bad data, convergence, identification."""
     return min((code for code in codes if code), default=ExitCode.OK)
 
 
@@ -229,92 +258,7 @@ def _page_of_all(folder: Path, rows, failed: dict[str, str], asked: bool) -> Non
         page.unlink()
 
 
-def _fit_one(files, directory: Path, settings, how, posterior, resume, also):
-    from tirefit.data.read import read
-    from tirefit.data.table import join
-
-    tables = [read(file, **how) for file in files]
-    for table in tables:
-        warn(table)
-    data = tables[0] if len(tables) == 1 else join(tables)
-    return fit_into(directory, data, settings, posterior, resume, also)
-
-
-def fit_into(directory, data, settings, posterior=False, resume=False, also=Also()):
-    """Fits the data, and leaves the result and its figures in the directory."""
-    from tirefit.fitting.estimate import fit as fit_data
-
-    with claimed(directory):
-        result = fit_data(data, config=settings)
-        if posterior:
-            # Whatever becomes of the sampling; a posterior to go on with stays.
-            if not (resume and (directory / "fit.json").exists()):
-                _save(result, directory, also)
-                say(_first_words(result, directory))
-            result = _sampled(result, directory, settings, resume)
-        try:
-            written = _save(result, directory, also)
-        except OSError as error:
-            if posterior and (directory / CHAIN).exists():
-                error.add_note("--resume goes on from its chain")
-            raise
-    say(str(result))
-    say("wrote " + ", ".join(str(path) for path in written))
-    return result
-
-
-def _first_words(result, directory: Path) -> str:
-    """Of the least squares, which are there before the posterior is."""
-    from tirefit.report.text import parameter_lines
-
-    said = f"written to {directory}; now the posterior is sampled\n"
-    return "\n".join([*parameter_lines(result)[1:], said])
-
-
-def _save(result, directory: Path, also: Also) -> list[Path]:
-    from tirefit.fitting.result import SCHEMA
-    from tirefit.fitting.store import save_fit
-    from tirefit.report.draw import FIGURE_FILES, save_figures
-
-    earlier = [PAGE] if is_page(directory / PAGE, SCHEMA) else []
-    with staged(directory, ["posterior.nc", *FIGURE_FILES, *earlier], result) as folder:
-        written = save_fit(result, folder) + save_figures(result, folder, svg=also.svg)
-        if also.html:
-            from tirefit.report.fit_html import write_fit_page
-
-            write_fit_page(result, folder / PAGE)
-            written.append(folder / PAGE)
-    return [directory / path.name for path in written]
-
-
-def _sampled(result, directory: Path, settings, resume: bool):
-    from tirefit.fitting.posterior import sample
-
-    chosen = settings.posterior
-    with progress_bar("posterior") as progress:
-        return sample(
-            result,
-            sampler=chosen.sampler,
-            ensembles=chosen.ensembles,
-            walkers=chosen.walkers,
-            effective_samples=chosen.effective_samples,
-            max_steps=chosen.max_steps,
-            checkpoint=directory / CHAIN,
-            resume=resume,
-            progress=progress,
-        )
-
-
-def exit_code(result, strict: bool = False) -> ExitCode:
-    broken = {Outcome.NOT_CONVERGED, Outcome.CHAIN_TOO_SHORT, Outcome.INTERRUPTED}
-    if broken & set(result.outcomes):
-        return ExitCode.NOT_CONVERGED
-    if strict and not result.identified:
-        return ExitCode.NOT_IDENTIFIED
-    return ExitCode.OK
-
-
-def _summary(rows) -> str:
+def _summary(records: list["FileRecord"]) -> str:
     from tirefit.report.summary import summary_table
 
-    return summary_table([(str(directory), result) for directory, result in rows])
+    return summary_table(records)

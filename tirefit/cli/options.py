@@ -2,6 +2,7 @@
 
 import errno
 import inspect
+import math
 import os
 import re
 import sys
@@ -11,11 +12,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from functools import wraps
+from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from tirefit.data.remote import file_at
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
@@ -23,6 +26,7 @@ __all__ = [
     "DataOptions",
     "Files",
     "JsonOption",
+    "Unheard",
     "complain",
     "completed",
     "error_text",
@@ -58,7 +62,15 @@ def completed(*names: str) -> Callable[[str], list[str]]:
     return beginning
 
 
-Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV files")]
+Files = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="FILE...",
+        parser=file_at,
+        help="measurements: CSV, TYDEX, MATLAB, Parquet, Arrow, Excel, MDF, ROS bags;"
+        " paths, addresses (s3://...), or patterns of them in quotes",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]
 
 
@@ -177,9 +189,13 @@ def numbers(
     for name, value in _pairs(option, items, problems).items():
         try:
             value_of[name] = float(value)
+            usable = math.isfinite(value_of[name])
         except ValueError:
-            reason = f"{option} {name}={value}: not a number"
-            problems.append(InputProblem(reason, "give an SI value"))
+            usable = False
+        if not usable:
+            reason = f"{option} {name}={value}: not a number that can be used"
+            remedy = "give a finite value in SI units, with a point for decimals"
+            problems.append(InputProblem(reason, remedy))
     return value_of
 
 
@@ -244,6 +260,11 @@ def start_jax() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
         keep_programs_in(cache / "programs")
+
+
+class Unheard(StringIO):
+    """In the place of standard error: what is said now is heard when all is done, so
+    that of progress is not said."""
 
 
 def _cache_folder() -> Path | None:
@@ -355,6 +376,9 @@ class _Clock:
 @contextmanager
 def progress_bar(title: str) -> Iterator[Any]:
     """A bar on the terminal; a line now and then where there is none."""
+    if isinstance(sys.stderr, Unheard):
+        yield lambda share, note: None
+        return
     clock = _Clock()
     if not has_terminal():
 

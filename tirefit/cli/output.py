@@ -13,7 +13,7 @@ from tirefit.cli.options import say
 from tirefit.files import PART, fcntl, took_lock
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["check_directories", "claimed", "is_page", "staged"]
+__all__ = ["check_directories", "claimed", "is_page", "staged", "swept"]
 
 
 def check_directories(directories: Sequence[Path]) -> None:
@@ -117,6 +117,16 @@ def staged(
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def swept(directory: Path) -> None:
+    """Removes what a process that was killed left half-written, and the directory where
+    nothing else is in it; not where another one is at work."""
+    if directory.is_dir():
+        with suppress(UsageError), claimed(directory):
+            pass
+        with suppress(OSError):  # not empty
+            directory.rmdir()
+
+
 def is_page(path: Path, schema: str) -> bool:
     """Whether an earlier command wrote this page: a file of the same name may be the
     user's own, as beside the data."""
@@ -136,7 +146,8 @@ def _move(folder: Path, directory: Path, known: Collection[str]) -> None:
     for name in known:
         if not (folder / name).exists():
             (directory / name).unlink(missing_ok=True)
-    for path in made:
+    # The document last: where it stands, what is beside it is its own.
+    for path in sorted(made, key=lambda path: path.suffix == ".json"):
         os.replace(path, directory / path.name)
 
 

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from tirefit.data.read import read, read_frame
@@ -12,12 +11,20 @@ from tirefit.results import UsageError
 __all__ = ["as_data"]
 
 
+def _is_frame(data: Any) -> bool:
+    # A lazy frame of polars warns where its columns are asked for.
+    names = ("collect_schema", "columns")
+    fields = getattr(getattr(data, "dtype", None), "names", None)
+    return bool(fields) or any(hasattr(data, name) for name in names)
+
+
 def as_data(data: Any, **how: Any) -> TireData:
     """The data, read with the defaults where they are not read yet.
 
     Args:
         data: what ``tirefit.read`` gave, the path of a file, a frame (pandas, polars or
-            any with ``columns``), or a mapping of name to (n,) array.
+            any with ``columns``), a structured array, or a mapping of name to (n,)
+            array.
         how: arguments of ``tirefit.read``, of data that are not read yet.
 
     Raises:
@@ -27,8 +34,8 @@ def as_data(data: Any, **how: Any) -> TireData:
     if isinstance(data, TireData):
         return data
     if isinstance(data, str | os.PathLike):
-        return read(Path(data), **how)
-    if isinstance(data, Mapping) or hasattr(data, "columns"):
+        return read(data, **how)
+    if isinstance(data, Mapping) or _is_frame(data):
         return read_frame(data, **how)
     raise UsageError(
         f"data of type {type(data).__name__}: give what `tirefit.read` returns, a path,"

@@ -11,7 +11,6 @@ import csv
 import io
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ import numpy as np
 from tirefit.data.cells import Body, TextColumn
 from tirefit.data.check import BadRows, parsed
 from tirefit.data.columns import is_number
+from tirefit.data.remote import Place
 from tirefit.data.text import (
     SPACED,
     Table,
@@ -62,7 +62,7 @@ class _Layout(NamedTuple):
     """How the lines below the head are split: ``kind`` is the type of a row, ``S1``
     for a column of text; ``commas`` whether a comma is the decimal point."""
 
-    path: Path
+    path: Place
     width: int
     delimiter: str
     spaced: bool
@@ -128,7 +128,7 @@ class _Rows(Body):
 
 
 def table_of_large(
-    content: bytes, path: Path, digest: str, declared: Collection[str]
+    content: bytes, path: Place, digest: str, declared: Collection[str]
 ) -> Table | None:
     """As ``table_of_text``, of a large text; None where it is to be read as any other.
 
@@ -190,7 +190,7 @@ def _pieces(content: bytes, first: int) -> Iterator[tuple[int, int]]:
         first = stop
 
 
-def _layout(content: bytes, head: Table, first: int, path: Path) -> _Layout:
+def _layout(content: bytes, head: Table, first: int, path: Place) -> _Layout:
     apart = head.delimiter not in ("", ",")
     commas = apart and b"," in content and content.find(b".", first) < 0
     is_text = [

@@ -65,6 +65,15 @@ class TextColumn(Sequence[str]):
         """False where no cell of the file holds this character."""
         return self._body.may_hold(mark)
 
+    def words(self) -> list[str]:
+        """The cells, as at the first of each stretch of rows with the same number."""
+        values = self._body.numbers(self._index)
+        first = np.flatnonzero(np.diff(values, prepend=np.nan) != 0)
+        if not np.all(np.isfinite(values)) or 10 * len(first) > len(self):
+            return list(self)
+        texts = np.array([self[row] for row in first], object)
+        return np.repeat(texts, np.diff(first, append=len(self))).tolist()
+
 
 def may_hold(cells: Sequence[str], mark: str) -> bool:
     """Whether some cell holds a character; of a large text, of any column."""

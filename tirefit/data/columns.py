@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from tirefit.data.declared import Options
 from tirefit.data.table import CANONICAL, SIMULATED, WHEELS, Layout
 from tirefit.data.units import (
     MEANING_OF_SLIP,
@@ -15,12 +16,11 @@ from tirefit.data.units import (
     known_unit,
     resolve_unit,
 )
-from tirefit.results import DataError, InputProblem, UsageError
-from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
+from tirefit.results import DataError, InputProblem
+from tirefit.slip import SLIP_DEFINITIONS
 
 __all__ = [
     "Column",
-    "Options",
     "Plan",
     "guess",
     "is_number",
@@ -79,58 +79,6 @@ _DECLARED_BY = {
 }
 
 
-class Options(NamedTuple):
-    """What the user declares about a file; see :func:`tirefit.data.read.read`."""
-
-    columns: Mapping[str, str]
-    units: Mapping[str, str]
-    convention: str | None
-    slip: str | None
-    constants: Mapping[str, float]
-    rolling_radius: float | None
-    mask_bad_rows: bool
-    forces: bool
-    curve: bool = True
-
-    def check(self) -> None:
-        """Raises UsageError with every option whose value is not a known one."""
-        named = [*CANONICAL, *(key for key in SLIP_DEFINITIONS if key != "sigma_x")]
-        readable = [*named, "run", *(f"{name}_std" for name in named), *SIMULATED]
-        constant = [name for name in readable if base_column(name) in CANONICAL]
-        problems = [
-            *_unknown("--column", self.columns, readable),
-            *_unknown("--unit", self.units, [n for n in readable if n != "run"]),
-            *_unknown("--constant", self.constants, constant),
-            *_unknown("--convention", [self.convention], CONVENTIONS),
-            *_unknown("--slip", [self.slip], SLIP_DEFINITIONS),
-        ]
-        radius = self.rolling_radius
-        if radius is not None and not 0 < radius < float("inf"):
-            reason = f"--rolling-radius {radius} is not a positive length"
-            remedy = "give the effective rolling radius in metres"
-            problems.append(InputProblem(reason, remedy))
-        for name, value in self.constants.items():
-            is_size = name in ("fz", "v", "pressure") or name.endswith("_std")
-            if not abs(value) < float("inf") or (is_size and value <= 0):
-                kind = "a positive" if is_size else "a finite"
-                reason = f"--constant {name}={value:g} is not {kind} number"
-                problems.append(InputProblem(reason, "give it in SI units and signs"))
-        if problems:
-            raise UsageError(problems)
-
-
-def _unknown(option: str, given, known) -> list[InputProblem]:
-    problems = []
-    for value in given:
-        if value is None or value in known:
-            continue
-        close = difflib.get_close_matches(str(value), known, n=1)
-        remedy = f"did you mean {close[0]!r}? " if close else ""
-        remedy += f"valid: {', '.join(known)}"
-        problems.append(InputProblem(f"{option}: {value!r} is not known", remedy))
-    return problems
-
-
 class Guess(NamedTuple):
     """What a header alone says: the column's name and, if stated, its unit."""
 
@@ -159,6 +107,7 @@ class Plan:
     columns: dict[str, Column] = field(default_factory=dict)
     assumptions: list[str] = field(default_factory=list)
     problems: list[InputProblem] = field(default_factory=list)
+    in_units_row: set[InputProblem] = field(default_factory=set)
     units_to_write: dict[str, str] = field(default_factory=dict)
     """Declared units of forces that the file lacks, yet to be predicted."""
 
@@ -251,6 +200,8 @@ def plan_columns(
         unit_text, how = _unit_of(name, index, headers, stated, options, chosen)
         column = Column(named, headers[index], index, unit_text)
         plan.columns[named] = _with_unit(column, plan, file)
+        if stated.get(index) == (unit_text, how) and not plan.columns[named].unit:
+            plan.in_units_row.add(plan.problems[-1])
         _say(column, name in declared, how, plan)
     _check_all_used(options, plan, file)
     ignored = [h for i, h in enumerate(headers) if h and i not in chosen.values()]

@@ -26,6 +26,7 @@ import numpy as np
 from tirefit.data.contradictions import Comparison, compare, pushes_the_wrong_way
 from tirefit.data.doubts import doubts
 from tirefit.data.motion import Motion, read_motion
+from tirefit.data.remote import Place, file_at
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
@@ -129,7 +130,7 @@ class DerivedFiles:
 
 
 def derive(
-    path: str | Path, vehicle: Vehicle, axle: str = "rear", believe: bool = False
+    path: str | Place, vehicle: Vehicle, axle: str = "rear", believe: bool = False
 ) -> DerivedLog:
     """Slip angle and lateral force of one axle from a vehicle log.
 
@@ -144,7 +145,7 @@ def derive(
             than the filter needs, channels contradict each other, or no sample is left.
         UsageError: If the axle is unknown or the front axle lacks a steering map.
     """
-    path = Path(path)
+    file = file_at(path)
     if axle not in ("rear", "front"):
         raise UsageError(InputProblem(f"unknown axle {axle!r}", "say rear or front"))
     if axle == "front" and vehicle.steering is None:
@@ -155,8 +156,8 @@ def derive(
                 " the rear axle, which needs neither",
             )
         )
-    track, motion, gaps = read_motion(path, vehicle)
-    compared = compare(track, motion, vehicle, str(path))
+    track, motion, gaps = read_motion(file, vehicle)
+    compared = compare(track, motion, vehicle, str(file))
     _refuse(compared.problems, believe)
     columns = _axle(motion, vehicle, axle)
     kept, dropped = _kept(motion, track, vehicle, axle)
@@ -165,17 +166,17 @@ def derive(
             InputProblem(
                 f"no sample is left of {len(kept)}: {_counts(dropped)}",
                 "check the units and [keep] of vehicle.toml",
-                str(path),
+                str(file),
             )
         )
-    warnings = doubts(columns, motion, kept, vehicle)
+    warnings = vehicle.doubts() + doubts(columns, motion, kept, vehicle)
     alpha, force = columns["alpha"][kept], columns["fy"][kept]
-    mirrored = pushes_the_wrong_way(alpha, force, vehicle, str(path))
+    mirrored = pushes_the_wrong_way(alpha, force, vehicle, str(file))
     _refuse(mirrored, believe)
     contradictions = (*compared.problems, *mirrored)
     columns = {name: values[kept] for name, values in columns.items()}
     return DerivedLog(
-        name=_run_name(path),
+        name=_run_name(file),
         columns=columns,
         rows=track.rows,
         dropped_rows=track.dropped,
@@ -191,12 +192,12 @@ def derive(
             *warnings,
         ),
         assumptions=_assumptions(track, vehicle, axle),
-        source={"path": path.name, "sha256": track.sha256, "epoch": track.epoch},
+        source={"path": file.name, "sha256": track.sha256, "epoch": track.epoch},
     )
 
 
 def derive_files(
-    paths: Sequence[str | Path],
+    paths: Sequence[str | Place],
     vehicle_toml: str | Path,
     out: str | Path,
     axle: str = "rear",
@@ -397,16 +398,16 @@ def _counts(counts: Mapping[str, int]) -> str:
     return ", ".join(counted) or "none"
 
 
-def _run_name(path: Path) -> str:
+def _run_name(path: Place) -> str:
     return path.name.removesuffix(".gz").removesuffix(".csv")
 
 
-def _check_names(paths: Sequence[str | Path], out: Path) -> None:
+def _check_names(paths: Sequence[str | Place], out: Path) -> None:
     """Raise UsageError unless ``out`` can be a CSV and every log has its own name."""
-    problems = output_problems(out, inputs=paths)
+    problems = output_problems(out, inputs=[str(path) for path in paths])
     if out.suffix != ".csv":
         problems.append(InputProblem("the output is a CSV", "end it in .csv", str(out)))
-    names = [_run_name(Path(path)) for path in paths]
+    names = [_run_name(file_at(path)) for path in paths]
     if not names:
         problems.append(InputProblem("no log given", "name at least one"))
     for name in sorted({name for name in names if names.count(name) > 1}):

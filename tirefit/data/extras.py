@@ -8,7 +8,9 @@ from tirefit.results import DataError, InputProblem
 __all__ = ["extra"]
 
 
-def extra(module: str, kind: str, file: str, group: str = "files") -> ModuleType:
+def extra(
+    module: str, kind: str, file: str, group: str = "files", doing: str = "reading"
+) -> ModuleType:
     """The module that reads ``kind`` of files, of the extra ``tirefit[group]``.
 
     Raises:
@@ -18,6 +20,6 @@ def extra(module: str, kind: str, file: str, group: str = "files") -> ModuleType
         return importlib.import_module(module)
     except ImportError as error:
         library = module.split(".")[0]
-        reason = f"reading {kind} needs {library}, which is not installed"
+        reason = f"{doing} {kind} needs {library}, which is not installed"
         remedy = f"pip install 'tirefit[{group}]' (or: pip install {library})"
         raise DataError(InputProblem(reason, remedy, file)) from error

@@ -92,6 +92,8 @@ def far_values(
         if column not in data:
             continue
         values = data.usable(column)
+        if not np.all(np.isfinite(values)):
+            continue  # a column with gaps, which no fit reads
         for among, (far, low, high) in _rules(data, column, values):
             if np.count_nonzero(far) > max(1, _FEW * len(values)):
                 continue
@@ -136,7 +138,7 @@ def why_far(value: FarValue) -> str:
 def _rules(data: TireData, column: str, values):
     """(who the others are, (far rows, ends of what the others have)), rule by rule."""
     if column == "fz":
-        scales = (_identity, np.log)
+        scales = (_identity, np.log) if np.all(values > 0) else (_identity,)
         for far, low, high in (_beyond_all(values, scale) for scale in scales):
             other = (values > _OTHER_LOAD * high) | (values < low / _OTHER_LOAD)
             yield "all other rows", (far & other, low, high)
@@ -202,8 +204,7 @@ def _beside(values, order):
         near = np.sort(ordered[_neighbours(at, len(values))], axis=1)
         low[order[at]], high[order[at]] = near[:, 1], near[:, -2]
     width = high - low
-    first, last = _inner_range(values)
-    whole = last - first
+    whole = float(np.diff(_inner_range(values))[0])
     reach = np.maximum(_NEAR * np.maximum(width, np.median(width)), _SHARE * whole)
     far = (np.maximum(low - values, values - high) > reach) & (whole > 0)
     far[order[:_BESIDE]] = far[order[-_BESIDE:]] = False

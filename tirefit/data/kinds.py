@@ -10,6 +10,7 @@ from tirefit.data import logs, tables, tydex
 from tirefit.data.bulk import table_of_large
 from tirefit.data.columns import guess
 from tirefit.data.mat import Channels, channels_of_mat, is_mat
+from tirefit.data.remote import Place
 from tirefit.data.table import Layout
 from tirefit.data.text import (
     Table,
@@ -34,7 +35,7 @@ _UNREADABLE = {
 """First bytes of known files that are not read -> what they are, and the remedy."""
 
 
-def read_table(path: Path, declared: Collection[str]) -> Table:
+def read_table(path: Place, declared: Collection[str]) -> Table:
     """Reads a file of any kind into cells; ``declared`` headers help to find columns.
 
     Raises:
@@ -42,7 +43,8 @@ def read_table(path: Path, declared: Collection[str]) -> Table:
             says where, why and what to do.
     """
     is_known = _knower(declared)
-    if (path / "metadata.yaml").is_file():  # the folder of a ROS 2 bag
+    # The folder of a ROS 2 bag.
+    if isinstance(path, Path) and (path / "metadata.yaml").is_file():
         channels = logs.channels_of_bag(path, b"", is_known)
         return _of_channels(channels, path, _digest(path), "stated in the file")
     raw = read_bytes(path)
@@ -93,7 +95,9 @@ def _knower(declared: Collection[str]) -> Callable[[str], bool]:
     return is_known
 
 
-def _of_channels(channels: Channels, path: Path, digest: str, units_from: str) -> Table:
+def _of_channels(
+    channels: Channels, path: Place, digest: str, units_from: str
+) -> Table:
     """A table of columns without lines; rows are counted from 1."""
     headers = list(channels.columns)
     cells = list(channels.columns.values())

@@ -16,6 +16,7 @@ import numpy as np
 
 from tirefit.data.extras import extra
 from tirefit.data.mat import Channels
+from tirefit.data.remote import Place
 from tirefit.results import DataError, InputProblem
 
 __all__ = [
@@ -55,7 +56,7 @@ def bag_suffix(content: bytes) -> str:
 
 
 def channels_of_mdf(
-    path: Path, content: bytes, is_known: Callable[[str], bool]
+    path: Place, content: bytes, is_known: Callable[[str], bool]
 ) -> Channels:
     """The numeric channels of an MDF file on one clock, conversions applied.
 
@@ -98,7 +99,7 @@ def channels_of_mdf(
 
 
 def channels_of_bag(
-    path: Path, content: bytes, is_known: Callable[[str], bool]
+    path: Place, content: bytes, is_known: Callable[[str], bool]
 ) -> Channels:
     """The numeric fields of the messages of a bag on one clock, as ``/topic.field``.
 
@@ -133,7 +134,7 @@ def channels_of_bag(
     return channels._replace(notes=tuple(notes))
 
 
-def _damaged(kind: str, path: Path, error: Exception) -> DataError:
+def _damaged(kind: str, path: Place, error: Exception) -> DataError:
     reason = f"the {kind} cannot be read: {type(error).__name__}: {error}"
     remedy = "close the recording properly, or export it as CSV"
     return DataError(InputProblem(reason, remedy, str(path)))

@@ -8,10 +8,10 @@ x forward, y left, yaw counter-clockwise.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+from tirefit.data.remote import Place, file_at
 from tirefit.data.track import Track, read_track
 from tirefit.data.vehicle import POSE, RATES, Vehicle
 from tirefit.results import DataError, InputProblem
@@ -58,14 +58,14 @@ class Motion:
         return rate
 
 
-def read_motion(path: str | Path, vehicle: Vehicle) -> tuple[Track, Motion, int]:
+def read_motion(path: str | Place, vehicle: Vehicle) -> tuple[Track, Motion, int]:
     """The usable samples of a log, the motion on the grid, and the number of gaps.
 
     Raises:
         DataError: If the file cannot be read, lacks a column, holds text or is slower
             than the filter needs.
     """
-    track = read_track(Path(path), vehicle)
+    track = read_track(file_at(path), vehicle)
     return track, *_motion(track, vehicle)
 
 

@@ -6,14 +6,16 @@ be assumed is kept as sentences in ``Source.assumptions``.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
 from tirefit.data import check, signs
+from tirefit.data.cells import TextColumn
 from tirefit.data.check import BadRows
-from tirefit.data.columns import Options, Plan, plan_columns
+from tirefit.data.columns import Plan, plan_columns
+from tirefit.data.declared import Options
 from tirefit.data.kinds import read_table
+from tirefit.data.remote import file_at
 from tirefit.data.table import CANONICAL, SlipCheck, Source, TireData
 from tirefit.data.text import Table, table_of_frame
 from tirefit.data.ttc import recognised
@@ -51,7 +53,7 @@ def read(
     the file, whatever its ending.
 
     Args:
-        path: the file.
+        path: the file, or its address (``s3://...``, what fsspec knows).
         columns: canonical name (or slip definition, ``run``, ``<column>_std``) to the
             file's header; columns not named here are inferred and said.
         units: canonical name to unit, e.g. ``{"fx": "kN", "kappa": "%"}``; a leading
@@ -80,7 +82,7 @@ def read(
         rolling_radius, mask_bad_rows, forces, curve,
     )  # fmt: skip
     options.check()
-    return _checked(read_table(Path(path), options.columns.values()), options)
+    return _checked(read_table(file_at(path), options.columns.values()), options)
 
 
 def read_frame(frame, name: str = "data", **options) -> TireData:
@@ -151,8 +153,10 @@ def _checked(table: Table, options: Options) -> TireData:
     )
     convention = options.convention or table.layout.convention or "braking"
     reading = _Reading(table, options, plan, convention)
+    lines = table.header_line, table.units_line or table.header_line
     reading.problems = [
-        replace(problem, row=table.header_line) for problem in plan.problems
+        replace(problem, row=lines[problem in plan.in_units_row])
+        for problem in plan.problems
     ]
     reading.faults += table.faults
     reading.doubts += table.doubts
@@ -200,7 +204,8 @@ def _runs(reading: _Reading) -> tuple[np.ndarray, tuple[str, ...]]:
     if column is None:
         return np.zeros(n, int), (reading.table.name,)
     cells = reading.table.cells[column.index]
-    names = [str(cell).strip() for cell in cells]
+    words = cells.words() if isinstance(cells, TextColumn) else cells
+    names = [str(word).strip() for word in words]
     if isinstance(cells, np.ndarray) and cells.dtype.kind == "f":
         names = [f"{cell:.15g}" for cell in cells]
     skip = reading.table.ragged

@@ -10,7 +10,8 @@ from typing import TextIO
 
 import numpy as np
 
-from tirefit.data.columns import Options, is_number, plan_columns
+from tirefit.data.columns import is_number, plan_columns
+from tirefit.data.declared import Options
 from tirefit.data.units import sign_of, slip_from_speeds, slip_to_sigma
 from tirefit.results import DataError, InputProblem
 from tirefit.slip import SLIP_DEFINITIONS

@@ -213,7 +213,7 @@ def join(tables: Sequence[TireData]) -> TireData:
     digest = hashlib.sha256(
         "".join(t.source.sha256 for t in tables).encode()
     ).hexdigest()
-    lines = [table.source.line for table in tables]
+    lines = [t.source.line for t in tables if t.source.line is not None]
     checks = [t.source.slip_check for t in tables if t.source.slip_check is not None]
     source = replace(
         tables[0].source,
@@ -227,7 +227,7 @@ def join(tables: Sequence[TireData]) -> TireData:
             for text in table.source.warnings
         ),
         masked=tuple(problem for table in tables for problem in table.source.masked),
-        line=None if any(line is None for line in lines) else np.concatenate(lines),
+        line=np.concatenate(lines) if len(lines) == len(tables) else None,
         paths=tuple(t.source.path or t.name for t in tables for _ in t.runs),
     )
     return TireData(

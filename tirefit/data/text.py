@@ -9,18 +9,20 @@ import itertools
 import re
 import zlib
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from tirefit.data.check import BadRows
 from tirefit.data.columns import guess, is_number
+from tirefit.data.remote import Place
 from tirefit.data.table import Layout
 from tirefit.data.units import known_unit
 from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.door import DATA, too_large
 from tirefit.results import DataError, InputProblem
+from tirefit.slip import CONVENTIONS
 
 __all__ = [
     "SPACED",
@@ -42,6 +44,8 @@ SPACED = "columns separated by white space"
 
 _DELIMITERS = "\t;|,"
 _END = "\0"
+_OWN = re.compile(r"# tirefit .*\bconvention ([\w-]+)\s*$")
+"""First line of a table that this package wrote, with its signs."""
 _SEARCHED = 60
 """Lines with content in which the header must stand."""
 _LONGEST = 10
@@ -66,6 +70,7 @@ class Table:
     header_line: int | None = None
     delimiter: str = ""
     units_row: list[str] | None = None
+    units_line: int | None = None
     sha256: str = ""
     notes: tuple[str, ...] = ()
     faults: tuple[BadRows, ...] = ()
@@ -73,7 +78,7 @@ class Table:
     doubts: tuple[str, ...] = ()
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(path: Place) -> bytes:
     """Bytes of a file; a DataError with its neighbour's name where there is none."""
     try:
         with path.open("rb") as file:
@@ -99,7 +104,7 @@ def _refusal(reason: str, remedy: str, path, row: int | None = None) -> DataErro
     return DataError(InputProblem(reason, remedy, str(path), row))
 
 
-def gunzipped(raw: bytes, path: Path) -> bytes:
+def gunzipped(raw: bytes, path: Place) -> bytes:
     """The bytes themselves, or those that a gzip file holds."""
     if not raw.startswith(b"\x1f\x8b"):
         return raw
@@ -114,7 +119,7 @@ def gunzipped(raw: bytes, path: Path) -> bytes:
     return content
 
 
-def decoded(raw: bytes, path: Path) -> tuple[str, list[str]]:
+def decoded(raw: bytes, path: Place) -> tuple[str, list[str]]:
     """Text of the file, and what was assumed of its encoding."""
     export = "give a text file: CSV, semicolon- or tab-separated, or such as .gz"
     if raw.startswith(b"PK\x03\x04"):
@@ -144,7 +149,7 @@ def decoded(raw: bytes, path: Path) -> tuple[str, list[str]]:
 
 
 def table_of_text(
-    text: str, path: Path, digest: str, declared: Collection[str], notes: list[str]
+    text: str, path: Place, digest: str, declared: Collection[str], notes: list[str]
 ) -> Table:
     """Cells of a text; ``declared`` headers help to find the header."""
     raw = list(io.StringIO(text, newline=""))
@@ -163,7 +168,13 @@ def table_of_text(
     if start != searched[0]:
         notes.append(f"lines before the header in line {start + 1} skipped")
     rows, numbers = split_rows(lines[start:], delimiter, start, path)
-    return table_of_rows(rows, numbers, path, digest, notes, delimiter)
+    table = table_of_rows(rows, numbers, path, digest, notes, delimiter)
+    own = _OWN.match(raw[0])
+    if own is None or own[1] not in CONVENTIONS:
+        return table
+    said = f"signs read as {own[1]!r}, as line 1 says"
+    layout = Layout(convention=own[1])
+    return replace(table, layout=layout, notes=(*table.notes, said))
 
 
 def content_lines(lines: list[str]) -> list[str]:
@@ -177,7 +188,7 @@ def content_lines(lines: list[str]) -> list[str]:
 def table_of_rows(
     rows: list[list[str]],
     numbers: list[int],
-    path: Path,
+    path: Place,
     digest: str,
     notes: list[str],
     delimiter: str = "",
@@ -189,22 +200,23 @@ def table_of_rows(
         reason = "the first line holds numbers, not column names"
         remedy = "add a header line such as kappa,fx,fz, without a # before it"
         raise _refusal(reason, remedy, path, header_line)
-    units_row = None
+    units_row = units_line = None
     if rows and _is_units_row(rows[0], len(headers)):
         notes.append(f"row {numbers[0]} read as units")
-        units_row, rows, numbers = rows[0], rows[1:], numbers[1:]
+        units_row, units_line = rows[0], numbers[0]
+        rows, numbers = rows[1:], numbers[1:]
     if not rows:
         reason = "there are no data rows below the header"
         raise _refusal(reason, "give at least as many rows as parameters", path)
     ragged, faults = even_out(rows, len(headers), numbers)
     return Table(
         str(path), stem_of(path), headers, list(zip(*rows, strict=True)),
-        np.array(numbers), ragged, header_line, delimiter, units_row,
+        np.array(numbers), ragged, header_line, delimiter, units_row, units_line,
         digest, tuple(notes), faults,
     )  # fmt: skip
 
 
-def stem_of(path: Path) -> str:
+def stem_of(path: Place) -> str:
     """Name of the data of a file: that of the file without its endings."""
     return Path(path.name.removesuffix(".gz")).stem
 
@@ -252,13 +264,20 @@ def even_out(rows: list[list[str]], width: int, lines) -> tuple[np.ndarray, tupl
 
 
 def table_of_frame(frame, name: str) -> Table:
-    """A table of a frame or a mapping of arrays; rows are counted from 0."""
-    names = list(getattr(frame, "columns", frame))
+    """A table of a frame, a structured array or a mapping of arrays; rows are counted
+    from 0. Dates and times become seconds since the first."""
+    if hasattr(frame, "collect_schema") and hasattr(frame, "collect"):
+        frame = frame.collect()  # a lazy frame of polars
+    fields = getattr(getattr(frame, "dtype", None), "names", None)
+    names = list(fields or getattr(frame, "columns", frame))
     headers = [str(header) for header in names]
     if hasattr(frame, "iloc"):
         values = [frame.iloc[:, i].to_numpy() for i in range(len(headers))]
     else:
         values = [np.asarray(frame[name]) for name in names]
+    values = [
+        _seconds(value) if value.dtype.kind in "mM" else value for value in values
+    ]
     lengths = {value.shape for value in values}
     if not values or len(lengths) > 1 or values[0].ndim != 1 or not len(values[0]):
         shapes = ", ".join(
@@ -276,6 +295,14 @@ def table_of_frame(frame, name: str) -> Table:
     ]
     n = len(values[0])
     return Table(name, name, headers, cells, np.arange(n), np.zeros(n, bool))
+
+
+def _seconds(values: np.ndarray) -> np.ndarray:
+    """Seconds of durations; of dates and times those since the first of them."""
+    if values.dtype.kind == "M":
+        known = values[~np.isnat(values)]
+        values = values - (known.min() if len(known) else np.datetime64(0, "s"))
+    return values / np.timedelta64(1, "s")
 
 
 def _find_header(lines, searched, declared) -> tuple[int, str, list[str]]:

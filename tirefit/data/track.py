@@ -3,12 +3,13 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+from tirefit.data.cells import TextColumn
 from tirefit.data.columns import guess, stated_unit
 from tirefit.data.read import Table, read_table
+from tirefit.data.remote import Place
 from tirefit.data.units import known_unit
 from tirefit.data.vehicle import CHECKS, POSE, QUANTITIES, Vehicle, unit_of
 from tirefit.results import DataError, InputProblem
@@ -79,7 +80,7 @@ class Track:
     notes: tuple[str, ...]
 
 
-def read_track(path: Path, vehicle: Vehicle) -> Track:
+def read_track(path: Place, vehicle: Vehicle) -> Track:
     """Rows with finite values, a later stamp than all before, and a new pose.
 
     Raises:
@@ -131,7 +132,7 @@ def _unwrapped(yaw: np.ndarray) -> np.ndarray:
 # --- the file -------------------------------------------------------------------
 
 
-def _read(path: Path, vehicle: Vehicle) -> Table:
+def _read(path: Place, vehicle: Vehicle) -> Table:
     """The file, which has every column that the vehicle names."""
     given = vehicle.columns.model_dump().values()
     wanted = [name for name in (*given, vehicle.keep.active) if name]
@@ -244,6 +245,10 @@ def _column(table: Table, name: str, problems: list[InputProblem]) -> np.ndarray
     """One column, (n,); a missing cell is NaN, text is a problem."""
     values = np.full(len(table.lines), np.nan)
     cells = table.cells[table.headers.index(name)]
+    if isinstance(cells, TextColumn):  # of a large text, read already
+        known = cells.numbers(commas=False)
+        if known is not None and np.all(np.abs(known) < _LARGEST):
+            return known
     if isinstance(cells, np.ndarray):  # of a file that has numbers, not text
         cells = [repr(cell) for cell in cells.tolist()]
     for index, cell in enumerate(cells):

@@ -11,13 +11,13 @@ Longitudinal slip, forces and moments are those of the axes W and H (ISO 8855).
 
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.data.check import BadRows
 from tirefit.data.columns import is_number
+from tirefit.data.remote import Place
 from tirefit.data.table import Layout
 from tirefit.data.text import Table, stem_of
 from tirefit.data.units import known_unit
@@ -59,7 +59,7 @@ def is_tydex(text: str) -> bool:
     return "MEASURCHANNELS" in keywords or {"HEADER", "CONSTANTS"} <= keywords
 
 
-def table_of_tydex(text: str, path: Path, digest: str, notes: list[str]) -> Table:
+def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Table:
     """Channels, and the constants that no channel has, as a table in their units.
 
     Args:

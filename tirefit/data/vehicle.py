@@ -167,6 +167,10 @@ class Steering(Section):
             yield InputProblem("an angle is 90 deg or more", "give the angles in rad")
 
 
+_DENSITIES, _INERTIAS, _ARMS = (5.0, 3000.0), (0.15, 4.0), (0.2, 5.0)
+_HEIGHTS, _GRAVITIES = (0.0, 1.0), (9.7, 9.9)
+"""What road vehicles have, racing cars (17 kg/m3) and scale models (300) included."""
+
 _Arm = Annotated[
     PositiveFloat,
     Field(description="give l_f and l_r, or mass_front, mass_rear and wheelbase"),
@@ -279,6 +283,27 @@ class Vehicle(Section):
                     f" {implied:.4g} kg",
                     f"correct one of them, or leave {name} out",
                 )
+
+    def doubts(self) -> tuple[str, ...]:
+        """Numbers, in words, that no vehicle of any size has: mostly of another unit.
+
+        Lengths are compared with the wheelbase, masses with its third power, so that
+        what holds for a car holds for a model of a tenth.
+        """
+        arms = self.mass * self.l_f * self.l_r
+        compared = (
+            ("mass / wheelbase^3", self.mass / self.wheelbase**3, _DENSITIES, "kg/m3"),
+            ("yaw_inertia / (mass l_f l_r)", self.yaw_inertia / arms, _INERTIAS, ""),
+            ("l_f / l_r", self.l_f / self.l_r, _ARMS, ""),
+            ("h_cg / wheelbase", (self.h_cg or 0.0) / self.wheelbase, _HEIGHTS, ""),
+            ("gravity", self.gravity, _GRAVITIES, "m/s2"),
+        )
+        return tuple(
+            f"{what} = {value:.3g}{unit and ' '}{unit}, where vehicles have {low:g} to"
+            f" {high:g}: check the units of vehicle.toml (kg, m, kg m2)"
+            for what, value, (low, high), unit in compared
+            if not low <= value <= high
+        )
 
     @property
     def cg_from_tracked(self) -> tuple[float, float]:

@@ -18,6 +18,7 @@ they are cut in its residual too. Whether they will do is seen by the deviance i
 import heapq
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -201,7 +202,9 @@ def _grown(place, change, group, most: int, share: float) -> _Tree:
             heapq.heappush(queue, (-_loss(change[half]), len(rows)))
             lost += _loss(change[half])
             rows.append(half)
-            axis.append(-1), cut.append(0.0), below.append(0)
+            axis.append(-1)
+            cut.append(0.0)
+            below.append(0)
         leaves += 1
     is_leaf = np.array(axis) < 0
     numbered = np.where(is_leaf, np.cumsum(is_leaf) - 1, below)
@@ -267,7 +270,7 @@ def _of_cells(solved: Solved, code: Int[np.ndarray, " n"], size: int) -> FitProb
         },
         slip_std={k: padded(mean(v)) for k, v in rows.slip_std.items()},
         nodes={
-            k: type(v)(padded(mean(v.slip)), padded(mean(v.log_weight)))
+            k: jax.tree.map(lambda values: padded(mean(values)), v)
             for k, v in rows.nodes.items()
         },
     )

@@ -11,6 +11,7 @@ from pydantic import (
     PrivateAttr,
 )
 
+from tirefit.data.prepare.settings import PrepareConfig
 from tirefit.door import read_toml
 from tirefit.results import InputProblem
 from tirefit.settings import Section, parse_settings
@@ -172,6 +173,7 @@ class FitConfig(Section):
     noise: NoiseConfig = NoiseConfig()
     parameters: dict[str, ParameterConfig] = Field(default_factory=dict)
     posterior: PosteriorConfig = PosteriorConfig()
+    prepare: PrepareConfig = PrepareConfig()
     _source: str = PrivateAttr("config")
 
     @property

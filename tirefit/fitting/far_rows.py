@@ -261,7 +261,8 @@ def _judge(whole: FitTask, task, solved: Solved, kept, suspects, limit) -> _Judg
             rows, order = beyond[alone[beyond]], np.arange(problem.n)
             ratio[rows] = _beside(rows, off, order, order >= 0) / limits[rows]
         by_channel.append((np.abs(off), ratio, at.mean[channel.name]))
-    return _Judged(*map(np.array, zip(*by_channel, strict=True)), leverage)
+    distance, ratio, predicted = map(np.array, zip(*by_channel, strict=True))
+    return _Judged(distance, ratio, predicted, leverage)
 
 
 def _limits(n: int, suspects: dict[int, FarValue], limit: float):
@@ -364,15 +365,15 @@ def _far_row(
     if beyond or not kept:
         said.append(off)
         remedy = _REMEDY if kept else _KEEP
-    elif suspect is None:
+    elif suspect is not None and distance <= _CLEAR:
+        said.append(f"kept: its {force} is what the other rows predict")
+    elif suspect is not None:
+        said += [off, "kept: so are the rows beside it, or their run would go with it"]
+    if kept and judged.leverage[i] > _RESTS:
         said.append(
             f"the fit rests on it: {judged.leverage[i]:.0%} of what is known of a"
             " parameter comes from this row"
         )
-    elif distance <= _CLEAR:
-        said.append(f"kept: its {force} is what the other rows predict")
-    else:
-        said += [off, "kept: so are the rows beside it, or their run would go with it"]
     row = int(np.flatnonzero(whole.data.used)[i])
     place = problem_at(whole.data, row, column, "; ".join(said), remedy)
     return FarRow(

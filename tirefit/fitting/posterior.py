@@ -261,7 +261,10 @@ def sample(
     run = _Run(
         sampler, seed, shape, effective_samples, max_steps, path, resume, progress
     )
-    cells = condensed(solved, _whitening(solved)[1])
+    try:
+        cells = condensed(solved, _whitening(solved)[1])
+    except KeyboardInterrupt:
+        return judge(replace(result, interrupted=True))
     if cells is None:
         return _sampled(result, solved.problem, run)
     done = _sampled(result, cells, run)

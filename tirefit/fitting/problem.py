@@ -1,6 +1,7 @@
 """From data, a model and a configuration to a well-posed fit."""
 
 import difflib
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -57,6 +58,12 @@ def find_model(name: str) -> AbstractTire:
         remedy = f"`tirefit fit --model {name}`, fit_magic_formula in Python; what it"
         remedy += " writes, fit.json and fit.tir, is a tire"
         raise UsageError(InputProblem(reason, remedy))
+    if os.path.isfile(name):
+        reason = f"{name!r} is a file, and no name of a model"
+        remedy = (
+            "a tire of a file ends in .json (a fit) or .tir; `tirefit models` lists"
+        )
+        raise UsageError(InputProblem(reason, f"{remedy} the names"))
     close = difflib.get_close_matches(name, MODELS, 3)
     hint = f"did you mean {', '.join(close)}? " if close else ""
     raise UsageError(

@@ -160,6 +160,8 @@ class FitResult(Displayed):
     profiles: dict[str, dict[str, np.ndarray]]
     far_rows: tuple = ()
     posterior: PosteriorSummary | None = None
+    asked: str = ""
+    """Digest of all that the command asked for, by which it knows what is done."""
     interrupted: bool = False
     """Whether sampling was interrupted before it had anything to keep."""
     chains: np.ndarray | None = field(default=None, repr=False)
@@ -219,6 +221,8 @@ class FitResult(Displayed):
             "verdict": self.verdict,
             "outcomes": [outcome.name.lower() for outcome in self.outcomes],
         }
+        if self.asked:
+            content["asked"] = self.asked
         return json_safe(content)
 
     def to_json(self) -> str:

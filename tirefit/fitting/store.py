@@ -15,6 +15,7 @@ from pydantic import (
     model_validator,
 )
 
+from tirefit.data.records import FileRecord, Row
 from tirefit.door import outrageous, read_record
 from tirefit.files import replacing, write_text_atomic
 from tirefit.fitting.layout import FreeParameter, Layout, Tie
@@ -26,7 +27,7 @@ from tirefit.params import specs, with_values
 from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.slip import CONVENTIONS
 
-__all__ = ["StoredFit", "load_fit", "save_fit", "write_posterior"]
+__all__ = ["StoredFit", "load_fit", "record_of_fit", "save_fit", "write_posterior"]
 
 
 @dataclass(frozen=True)
@@ -237,3 +238,30 @@ def save_fit(result: FitResult, directory: str | os.PathLike) -> list[Path]:
         written.append(directory / "posterior.nc")
     write_text_atomic(directory / "fit.json", result.to_json())
     return [directory / "fit.json", *written]
+
+
+_STATISTICS = ("rmse", "r2", "chi2_dof", "n", "n_effective")
+
+
+def record_of_fit(content: Mapping, result: str) -> FileRecord:
+    """What the table of all results holds of the content of a ``fit.json``.
+
+    Args:
+        content: as of :meth:`FitResult.to_dict`.
+        result: where it lies.
+    """
+    rows = [
+        Row(
+            kind, name, one["value"], one["std"], one["ci95"][0], one["ci95"][1],
+            one["unit"], one["identified"],
+        )
+        for kind, section in (("parameter", "parameters"), ("derived", "derived"))
+        for name, one in content[section].items()
+    ]  # fmt: skip
+    rows += [Row("statistic", name, content["fit"][name]) for name in _STATISTICS]
+    return FileRecord(
+        content["data"]["file"], result, content["model"],
+        content["verdict"]["status"], tuple(rows), tuple(content["outcomes"]),
+        convention=content["data"]["convention"], seed=content["seed"],
+        version=content["version"], sha256=content["data"]["sha256"],
+    )  # fmt: skip

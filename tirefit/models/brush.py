@@ -10,6 +10,7 @@ S(12), (14), (29), (31)-(37) are all cases of this line, and the first moment of
 same integrand gives the aligning moment.
 """
 
+import jax
 import jax.numpy as jnp
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
@@ -27,6 +28,7 @@ __all__ = [
     "half_contact_length",
     "mu_from_peak",
     "peak_from_mu",
+    "polar",
     "resultant",
 ]
 
@@ -103,9 +105,8 @@ class Brush(AbstractTire):
         tan_alpha = jnp.tan(inputs.alpha)
         slip_x = inputs.sigma_x
         slip_y = self.stiffness_ratio * lateral_slip(tan_alpha, inputs.sigma_x)
-        slip = resultant(slip_x, slip_y)
+        slip, along, across = polar(slip_x, slip_y)
         v_s = inputs.v * resultant(kappa_from_sigma(inputs.sigma_x), tan_alpha)
-        along, across = slip_x / slip, slip_y / slip
         force, moment = self.pure(slip, inputs.fz, v_s, along)
         return TireForces(
             along * force, across * force, self.half_length * across * moment
@@ -140,8 +141,30 @@ class AnisotropicBrush(Brush):
 
 def resultant(x, y):
     """Length of (x, y); not quite zero at rest, where its direction has no slope."""
-    square = jnp.asarray(x**2 + y**2)
-    return jnp.sqrt(square + (1e-60 if square.dtype == jnp.float64 else 1e-36))
+    return polar(jnp.asarray(x), jnp.asarray(y))[0]
+
+
+@jax.custom_jvp
+def polar(x, y):
+    """Length of (x, y) as of :func:`resultant`, and the shares of x and y in it.
+
+    The rule of differentiation divides by no more than the square of the length: by
+    its third power, second derivatives at rest would not be finite in 32 bit.
+    """
+    square = x**2 + y**2
+    length = jnp.sqrt(square + (1e-60 if square.dtype == jnp.float64 else 1e-36))
+    return length, x / length, y / length
+
+
+@polar.defjvp
+def _turned(at, change):
+    length, along, across = polar(*at)
+    longer = along * change[0] + across * change[1]
+    sideways = [
+        (step - share * longer) / length
+        for share, step in zip((along, across), change, strict=True)
+    ]
+    return (length, along, across), (longer, *sideways)
 
 
 def mu_from_peak(mu_peak, m):

@@ -40,7 +40,7 @@ from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import (
     friction_coefficient,
     half_contact_length,
-    resultant,
+    polar,
 )
 from tirefit.models.pressure import AbstractPressure, Parabolic
 from tirefit.params import par
@@ -134,13 +134,13 @@ class AbstractCarcass(AbstractTire):
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         slip_y = lateral_slip(jnp.tan(inputs.alpha), inputs.sigma_x)
-        slip = resultant(0.0, slip_y)
+        slip, _, across = polar(jnp.zeros_like(slip_y), slip_y)
         loaded = inputs.fz > 0
         limit = self.mu * jnp.where(loaded, inputs.fz, 1.0)
         rho = self.cpa2 * slip / limit
         pressure = self.pressure.under(rho, 0.0, inputs.fz)
         patch = self.settled(rho, pressure)
-        scale = loaded * limit * (slip_y / slip)
+        scale = loaded * limit * across
         return TireForces(
             None, scale * patch.force, self.half_length * scale * patch.moment
         )

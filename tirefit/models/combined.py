@@ -17,6 +17,7 @@ from tirefit.models.brush import (
     Brush,
     bristle_stiffness,
     friction_coefficient,
+    polar,
     resultant,
 )
 from tirefit.models.magic_formula import MagicFormula
@@ -117,8 +118,8 @@ class LiuPeng(AbstractTire):
         slip = resultant(slip_x, slip_y)
         force, _ = Brush(self.cpa2, self.mu).pure(slip, inputs.fz, 0.0)
         # Each length is that of its own slip at rest: both pure slopes are 2 c_p a^2.
-        along = slip_x / resultant(slip_x, self.k_ratio * slip_y)
-        across = slip_y / resultant(slip_x / self.k_ratio, slip_y)
+        along = polar(slip_x, self.k_ratio * slip_y)[1]
+        across = polar(slip_x / self.k_ratio, slip_y)[2]
         return TireForces(along * force, across * force, None)
 
 
@@ -196,23 +197,20 @@ def scaled_to_combined(
     limit_x, limit_y = sliding
     slip_x = inputs.sigma_x
     slip_y = lateral_slip(jnp.tan(inputs.alpha), slip_x)
-    psi = resultant(slip_x / limit_x, slip_y / limit_y)
-    slip = resultant(slip_x, slip_y)
+    psi, stuck_x, stuck_y = polar(slip_x / limit_x, slip_y / limit_y)
+    _, slid_x, slid_y = polar(slip_x, slip_y)
     share = jnp.minimum(psi, 1.0)
     sticks = 3 * (1 - share) ** 2 / (3 - share * (3 - share))
-
-    def turned(slip_i, limit):
-        return sticks * slip_i / (limit * psi) + (1 - sticks) * slip_i / slip
 
     forward = limit_x * psi
     spin = jnp.minimum(forward, _FASTEST_SPIN)
     x_curve = _both_sides(along, "fx", inputs, forward, -spin)
     y_curve = _both_sides(across, "fy", inputs, limit_y * psi, -limit_y * psi)
-    side, turn = slip_y / slip, turned(slip_y, limit_y)
+    turn = sticks * stuck_y + (1 - sticks) * slid_y
     return TireForces(
-        turned(slip_x, limit_x) * _blend(slip_x / slip, x_curve.fx),
-        turn * _blend(side, y_curve.fy),
-        None if y_curve.mz is None else turn * _blend(side, y_curve.mz),
+        (sticks * stuck_x + (1 - sticks) * slid_x) * _blend(slid_x, x_curve.fx),
+        turn * _blend(slid_y, y_curve.fy),
+        None if y_curve.mz is None else turn * _blend(slid_y, y_curve.mz),
     )
 
 

@@ -21,7 +21,7 @@ import math
 import jax.numpy as jnp
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
-from tirefit.models.brush import resultant
+from tirefit.models.brush import polar, resultant
 from tirefit.models.friction import Stribeck
 from tirefit.params import par
 from tirefit.slip import lateral_slip
@@ -101,12 +101,13 @@ class LuGreLumped(AbstractLuGre):
     """
 
     def __call__(self, inputs: TireInputs) -> TireForces:
-        slip_x, slip_y, slip, v_r = _motion(inputs)
+        slip_x, slip_y, _, v_r = _motion(inputs)
+        slip, along, across = polar(slip_x, slip_y)
         v_s = slip * v_r
         force = (inputs.fz > 0) * inputs.fz * (self.level(v_s) + self.sigma2 * v_s)
         sliding = (slip_x != 0) | (slip_y != 0)
-        along = jnp.where(sliding, slip_x / slip, 0.0)
-        across = jnp.where(sliding, slip_y / slip, 0.0)
+        along = jnp.where(sliding, along, 0.0)
+        across = jnp.where(sliding, across, 0.0)
         return TireForces(along * force, across * force, None)
 
 

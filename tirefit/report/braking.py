@@ -21,7 +21,7 @@ from tirefit.report.text import table
 from tirefit.sim.brake_curve import tire_curve
 from tirefit.sim.brake_result import Braking, Stop
 from tirefit.sim.brake_road import road_of
-from tirefit.sim.brake_summary import UNITS
+from tirefit.sim.brake_summary import MEANINGS, UNITS
 
 __all__ = [
     "Path",
@@ -86,6 +86,7 @@ def _rows(result: Braking) -> list[list[str]]:
 
 def _notes(result: Braking) -> list[str]:
     notes = [f"{name}: {stop.reason}" for name, stop in result.stops.items()]
+    notes.append(f"locked: {MEANINGS['locked_time']}")
     for name, each in result.table().items():
         if each["stopped"] < each["stops"]:
             notes.append(f"{name}: {each['stopped']} of {each['stops']} stops ended")
@@ -159,8 +160,9 @@ def _draw_stop(all_axes, stop: Stop) -> None:
         )  # fmt: skip
     all_axes[3].plot(time, log.reading.deceleration, color=DARK, **lines)
     peak = {"color": GREY, "linewidth": 0.9, "linestyle": "--"}
-    all_axes[4].plot(time, log.reading.truth.mu[:, 0], label="$\\mu$ there is", **peak)
-    all_axes[5].plot(time, log.reading.truth.peak[:, 0], label="of the peak", **peak)
+    truth, of = log.reading.truth, f" ({names[0]})" if len(names) > 1 else ""
+    all_axes[4].plot(time, truth.mu[:, 0], label=f"$\\mu$ there is{of}", **peak)
+    all_axes[5].plot(time, truth.peak[:, 0], label=f"of the peak{of}", **peak)
     all_axes[2].set_yticks([-k for k in range(len(names))], names)
 
 
@@ -240,15 +242,24 @@ def stop_figure(result: Braking) -> Picture:
     grid[4, 0].set_ylim(top=1.2 * grid[4, 0].get_ylim()[1])
     if estimated:
         grid[6, 0].set_ylim(-1.0, max(map(_stiffness_limit, stops)))
-        grid[6, 0].legend(fontsize=7, **_LEGEND, ncols=3, loc="upper right")
-    grid[0, -1].legend(fontsize=7, **_LEGEND, ncols=2, loc="upper right")
+        _legend(grid[6], ncols=3)
+    _legend(grid[0], ncols=2)
     for row in (4, 5):
-        handles, labels = grid[row, -1].get_legend_handles_labels()
-        grid[row, -1].legend(
-            handles[-1:], labels[-1:], fontsize=7, **_LEGEND, loc="upper right"
-        )
+        _legend(grid[row], shown=1)
     picture.supxlabel(plain_text(_foot(result)), fontsize=6.5, color=GREY)
     return picture
+
+
+def _legend(row, shown: int | None = None, **how) -> None:
+    """What the panels of a row show, in the last of them: a line that one controller
+    alone has too. Of the last ``shown`` only."""
+    handle_of: dict[str, Any] = {}
+    for axes in row:
+        handles, labels = axes.get_legend_handles_labels()
+        handle_of |= dict(zip(labels, handles, strict=True))
+    labels = list(handle_of)[-shown if shown else 0 :]
+    handles = [handle_of[label] for label in labels]
+    row[-1].legend(handles, labels, fontsize=7, **_LEGEND, loc="upper right", **how)
 
 
 def compare_figure(result: Braking) -> Picture:

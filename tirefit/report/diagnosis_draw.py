@@ -12,6 +12,7 @@ from matplotlib.patches import Patch
 
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.views import Comparison, LoadCurve, ResidualMap
+from tirefit.params import check_names
 from tirefit.report.canvas import (
     BLUE,
     COLORS,
@@ -54,6 +55,7 @@ __all__ = [
     "draw_where",
     "panel_names",
     "panel_pictures",
+    "plot_diagnosis",
     "write_figure",
 ]
 
@@ -356,6 +358,24 @@ def diagnosis_figure(result: Diagnosis) -> Picture:
         va="top", ha="right", fontsize=7, color=GREY,
     )  # fmt: skip
     return picture
+
+
+def plot_diagnosis(result: Diagnosis, panel: str | None = None):
+    """What a diagnosis saw: where, which effect, before and after, how far; the Figure.
+
+    ``plot_diagnosis(result).savefig("why.pdf")`` saves it.
+
+    Args:
+        result: of ``tirefit.diagnose``.
+        panel: one of them alone, such as ``where``; all if None.
+
+    Raises:
+        UsageError: no such panel; names those of this diagnosis.
+    """
+    if panel is None:
+        return diagnosis_figure(result)
+    check_names("panel", [panel], panel_names(result))
+    return panel_pictures(result)[panel]
 
 
 def write_figure(result: Diagnosis, path) -> Path:

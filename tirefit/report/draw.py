@@ -54,8 +54,11 @@ FIGURE_FILES = tuple(
 _LIGHT, _DENSE = 0.14, 0.40
 
 
-def draw_fit(axes, curve: FitCurve) -> None:
-    """Points, fitted curves with both bands, and friction limits on given axes."""
+def draw_fit(axes, curve: FitCurve, beside: bool = True) -> None:
+    """Points, fitted curves with both bands, and friction limits on given axes.
+
+    ``beside``: whether a legend of several groups may lie beside the axes.
+    """
     single = len(curve.curves) == 1
     count = sum(len(group.slip) for group in curve.groups)
     size = float(np.clip(60 / np.sqrt(max(count, 1)), 1.2, 4.5))
@@ -80,7 +83,7 @@ def draw_fit(axes, curve: FitCurve) -> None:
     limit = _draw_limits(axes, curve, single)
     tidy(axes, curve.x_label, curve.y_label, 9.5)
     axes.set_xlim(curve.curves[0].slip[0], curve.curves[0].slip[-1])
-    _legend(axes, curve, limit)
+    _legend(axes, curve, limit, beside)
 
 
 def _color(i: int) -> str:
@@ -107,7 +110,7 @@ def _draw_limits(axes, curve: FitCurve, single: bool) -> str:
     return f"{curve.limit_label} = {format_number(min(limits))}, out of view"
 
 
-def _legend(axes, curve: FitCurve, limit: str) -> None:
+def _legend(axes, curve: FitCurve, limit: str, beside: bool) -> None:
     """Groups by colour, then line and bands; beside the axes, or in an empty corner."""
     handles: list[Line2D | Patch] = [
         Line2D([], [], ls="none", marker="o", ms=4, color=_color(i), label=group.label)
@@ -122,12 +125,14 @@ def _legend(axes, curve: FitCurve, limit: str) -> None:
         drawn = limit == curve.limit_label and curve.curves[0].limit is not None
         style = (0, (5, 3)) if drawn else "none"
         handles.append(Line2D([], [], color=GREY, lw=0.9, ls=style, label=limit))
-    if len(curve.groups) > 1:
+    several = len(curve.groups) > 1
+    if several:
         for handle in handles[: len(curve.groups)]:
             text = wrap(str(handle.get_label()), 24, max_lines=3, placeholder=" …")
             handle.set_label("\n".join(text))
         if limit:
             handles[-1].set_label(limit.replace(": ", ":\n").replace(", ", ",\n"))
+    if several and beside:
         axes.legend(
             handles=handles, fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0),
             frameon=False, title=_wrapped(curve.note) or None, title_fontsize=7.5,
@@ -137,9 +142,11 @@ def _legend(axes, curve: FitCurve, limit: str) -> None:
     place = "lower right" if slip[-1] > -slip[0] / 10 else "upper left"
     if curve.channel == "mz" and slip[0] < 0:
         place = "upper right"
+    size = 6 if several else 8
     axes.legend(
-        handles=handles, fontsize=8, loc=place, frameon=True, framealpha=0.85,
-        edgecolor="none", title=_wrapped(curve.note) or None, title_fontsize=8,
+        handles=handles, fontsize=size, loc=place, frameon=True, framealpha=0.85,
+        edgecolor="none", title=_wrapped(curve.note) or None, title_fontsize=size,
+        ncols=2 if len(handles) > 6 else 1,
     )  # fmt: skip
 
 

@@ -35,12 +35,13 @@ def plot_fit(result: FitResult, ax=None):
 
     Args:
         result: a fit from this process.
-        ax: axes to draw the first force on, of a figure of your own.
+        ax: axes to draw the first force on, of a figure of your own: nothing of it
+            lies beside them.
     """
     _needs(result, "data in memory (fit again to draw it)", result.problem is not None)
     if ax is None:
         return draw.fit_figure(result)
-    draw.draw_fit(ax, draw.fit_curve(result))
+    draw.draw_fit(ax, draw.fit_curve(result), beside=False)
     return ax.figure
 
 

@@ -1,0 +1,176 @@
+"""Coverage, widths and times of all methods as a table in Markdown and a figure."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from fits.posterior_peers.cases import CASES
+from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
+
+__all__ = ["summary", "write_page"]
+
+METHODS = {
+    "profile": "tirefit, profile", "importance": "tirefit, importance",
+    "emcee": "tirefit, emcee", "nuts": "tirefit, NUTS",
+    "full-rank": "NumPyro SVI, full rank", "mean-field": "NumPyro SVI, mean field",
+    "covariance": "tirefit, covariance", "lmfit": "lmfit, standard errors",
+}  # fmt: skip
+"""In the order of the tables, with the words for them."""
+
+_REFERENCE = "emcee"
+
+
+def _read(path: Path) -> list[dict[str, str]]:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def _error(inside: int, sets: int) -> float:
+    """Standard error of a share, by Jeffreys' posterior of it: not zero where all are
+    inside."""
+    share = (inside + 0.5) / (sets + 1)
+    return float(np.sqrt(share * (1 - share) / (sets + 2)))
+
+
+def summary(lines: list[dict[str, str]]) -> list[dict]:
+    """By method and parameter: sets, coverage with its binomial standard error, median
+    width over that of emcee's interval on the same data sets, and what was said."""
+    ends: dict[tuple[str, str], dict[int, np.ndarray]] = {}
+    said: dict[tuple[str, str], list[str]] = {}
+    truth = {line["parameter"]: float(line["truth"]) for line in lines}
+    for line in lines:
+        key = line["method"], line["parameter"]
+        interval = np.array([float(line["low"]), float(line["high"])])
+        ends.setdefault(key, {})[int(line["set"])] = interval
+        said.setdefault(key, []).append(line["said"])
+    rows = []
+    for (method, parameter), known in ends.items():
+        inside = [a <= truth[parameter] <= b for a, b in known.values()]
+        share = float(np.mean(inside))
+        by_emcee = ends.get((_REFERENCE, parameter), {})
+        ratio = [np.ptp(known[k]) / np.ptp(by_emcee[k]) for k in known if k in by_emcee]
+        rows.append(
+            {
+                "method": method, "parameter": parameter, "sets": len(known),
+                "coverage": share,
+                "error": _error(sum(inside), len(known)),
+                "width": float(np.median(ratio)) if ratio else np.nan,
+                "said": said[method, parameter],
+            }
+        )  # fmt: skip
+    return rows
+
+
+def _settled(lines: list[dict[str, str]], method: str) -> str:
+    """What three times the steps bring, on the same data sets."""
+
+    def elbo(name):
+        return {
+            int(line["set"]): float(line["said"])
+            for line in lines
+            if line["method"] == name
+        }  # fmt: skip
+
+    longer, once = elbo(f"{method}, 3 x"), elbo(method)
+    gain = [longer[k] - once[k] for k in longer]
+    by = {(r["method"], r["parameter"]): r["width"] for r in summary(lines)}
+    wider = [
+        f"{p} {by[f'{method}, 3 x', p]:.2f}" for m, p in by if m == f"{method}, 3 x"
+    ]
+    return (
+        f"{METHODS[method]}: ELBO higher by {np.median(gain):.3f} (at most"
+        f" {max(gain):.3f}), widths over emcee's {', '.join(wider)}"
+    )
+
+
+def _of_case(name: str, lines: list[dict[str, str]]) -> list[str]:
+    rows = {(r["method"], r["parameter"]): r for r in summary(lines)}
+    parameters = list(dict.fromkeys(line["parameter"] for line in lines))
+    text = [f"## {CASES[name].words}", ""]
+    text += ["| | data sets | " + " | ".join(
+        f"{p}: coverage | width" for p in parameters) + " |"]  # fmt: skip
+    text += ["|---|---|" + "---|---|" * len(parameters)]
+    for method, words in METHODS.items():
+        if (method, parameters[0]) not in rows:
+            continue
+        cells = [words, str(rows[method, parameters[0]]["sets"])]
+        for parameter in parameters:
+            row = rows[method, parameter]
+            cells += [
+                f"{row['coverage']:.0%} ± {row['error']:.0%}", f"{row['width']:.2f}"
+            ]  # fmt: skip
+        text.append("| " + " | ".join(cells) + " |")
+    text += ["", "Three times as many steps, on the first data sets:", ""]
+    text += [
+        f"- {_settled(lines, method)}"
+        for method in ("full-rank", "mean-field")
+        if (f"{method}, 3 x", parameters[0]) in rows
+    ]
+    for method in ("importance", "emcee", "nuts"):
+        said = rows.get((method, parameters[0]), {"said": []})["said"]
+        for word in sorted({one for one in said if one}):
+            text.append(
+                f"- {METHODS[method]}: {said.count(word)} of {len(said)} {word}"
+            )
+    return [*text, ""]
+
+
+def write_page(folder: Path, into: Path) -> None:
+    """``table.md`` and ``coverage.png`` from the intervals and times in a folder."""
+    cases = {name: folder / f"{name}.csv" for name in CASES}
+    there = {name: _read(path) for name, path in cases.items() if path.exists()}
+    text = [
+        "Written by `python -m fits.posterior_peers`. Coverage of 95 % intervals with",
+        "its binomial standard error (Jeffreys'); median width over emcee's interval",
+        "on the same data sets.", "",
+    ]  # fmt: skip
+    for name, lines in there.items():
+        text += _of_case(name, lines)
+    text += [
+        "## Processor seconds a data set",
+        "",
+        "| | first | then |",
+        "|---|---|---|",
+    ]
+    for row in _read(folder / "times.csv"):
+        words = METHODS.get(row["method"], "tirefit, fit with profiles")
+        text.append(f"| {words} | {row['cold_s']} | {row['warm_s']} |")
+    (into / "table.md").write_text("\n".join(text) + "\n")
+    draw({name: summary(lines) for name, lines in there.items()}, into)
+
+
+def draw(cases: dict[str, list[dict]], folder: Path) -> None:
+    """Coverage and width, a column a case; marks beside each other are methods."""
+    picture = Picture(figsize=(8.4, 4.6), dpi=100, layout="constrained")
+    count = [len({row["parameter"] for row in rows}) for rows in cases.values()]
+    panels = picture.subplots(
+        2, len(cases), sharex="col", sharey="row", squeeze=False, width_ratios=count
+    )
+    colors = [DARK, *COLORS, GREY]
+    for (name, rows), (top, bottom) in zip(cases.items(), panels.T, strict=True):
+        parameters = list(dict.fromkeys(row["parameter"] for row in rows))
+        for k, method in enumerate(METHODS):
+            own = [row for row in rows if row["method"] == method]
+            if not own:
+                continue
+            at = np.arange(len(own)) + 0.1 * (k - len(METHODS) / 2 + 0.5)
+            style = {"color": colors[k], "ms": 4, "label": METHODS[method]}
+            top.errorbar(
+                at, [100 * r["coverage"] for r in own],
+                [100 * r["error"] for r in own], fmt="o", lw=1, **style,
+            )  # fmt: skip
+            bottom.plot(at, [row["width"] for row in own], "o", **style)
+        top.axhline(95, color=GREY, lw=0.8)
+        bottom.axhline(1, color=GREY, lw=0.8)
+        bottom.set_yscale("log")
+        bottom.set_yticks([0.1, 0.2, 0.5, 1, 2], ["0.1", "0.2", "0.5", "1", "2"])
+        bottom.minorticks_off()
+        bottom.set_xticks(range(len(parameters)), parameters)
+        top.set_title(CASES[name].words, fontsize=9)
+        first = top is panels[0, 0]
+        tidy(top, "", "truth inside 95 % interval [%]" if first else "")
+        tidy(bottom, "", "width over emcee's [-]" if first else "")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    picture.legend(handles, labels, loc="outside lower center", ncol=4, fontsize=8)
+    picture.savefig(folder / "coverage.png")

@@ -1,0 +1,74 @@
+"""Work shared by the workers of a cluster: its order, its losses and its end."""
+
+import os
+import time
+from contextlib import closing
+from functools import partial
+
+import pytest
+
+from tirefit.cli.cluster import Ended, _Sharing, cluster, shared
+from tirefit.results import UsageError
+
+
+def doubled(number):
+    return 2 * number, os.getpid()
+
+
+def fatal(worker_of, number):
+    """Piece 3 kills whoever takes it; piece 5 the first one alone."""
+    if number == 3 or (number == 5 and not (worker_of / "5").exists()):
+        (worker_of / str(number)).touch()
+        os._exit(7)
+    return number
+
+
+def slow(folder, number):
+    (folder / f"begun{number}").touch()
+    time.sleep(0.2)
+    return number
+
+
+def test_every_piece_is_done_once_by_so_many_processes(two):
+    results = dict(shared(doubled, range(40), two))
+    assert {number: value for number, (value, _) in results.items()} == {
+        number: 2 * number for number in range(40)
+    }
+    processes = {process for _, process in results.values()}
+    assert os.getpid() not in processes and len(processes) <= 2
+
+
+def test_who_kills_workers_costs_itself_alone(two, tmp_path):
+    results = list(shared(partial(fatal, tmp_path), range(8), two))
+    numbers = [number for number, _ in results]
+    assert sorted(numbers) == list(range(8))
+    assert dict(results) == {k: k for k in range(8)} | {3: Ended(2)}
+    assert (tmp_path / "5").exists()
+
+
+def test_pieces_of_a_batch_are_alike(two, tmp_path):
+    """A program serves its batch: what is unlike comes in another one."""
+    pieces = [(number % 2, number) for number in range(60)]
+    sharing = _Sharing(doubled, pieces, two, alike=lambda piece: piece[0])
+    sharing.seconds, batches = 0.5, []
+    while sharing.waiting:
+        batches.append(sharing._next_batch())
+    assert sorted(sum(batches, [])) == list(range(60))
+    assert all(len({number % 2 for number in batch}) == 1 for batch in batches)
+    assert max(map(len, batches)) == 10 and batches[-1:] != [[]]
+
+
+def test_an_early_end_cancels_what_has_not_begun(two, tmp_path):
+    with closing(shared(partial(slow, tmp_path), range(30), two)) as results:
+        next(results)
+    time.sleep(0.6)
+    begun = len(list(tmp_path.iterdir()))
+    time.sleep(0.4)
+    assert begun == len(list(tmp_path.iterdir())) < 10
+
+
+def test_no_scheduler_is_a_mistake_of_the_command(monkeypatch):
+    monkeypatch.setattr("tirefit.cli.cluster._CONNECT", 0.2)
+    with pytest.raises(UsageError, match="no scheduler answers at 127.0.0.1:1"):
+        with cluster(1, "127.0.0.1:1"):
+            pass

@@ -1,0 +1,239 @@
+"""``fit`` and ``diagnose`` by the workers of a cluster: what the plain loop gives, also
+when a worker dies in the middle, when a file kills workers, and when it goes on later.
+"""
+
+import json
+import os
+import signal
+import threading
+import time
+from contextlib import nullcontext, suppress
+from itertools import islice
+from pathlib import Path
+
+import pytest
+from test_cli_fit import FAST, write
+
+from tirefit.cli import fleet
+from tirefit.cli.cluster import Ended
+from tirefit.data.records import ResultsTable
+
+NAMES = tuple("abcd")
+
+
+@pytest.fixture
+def scheduler(two):
+    return two.scheduler.address
+
+
+@pytest.fixture
+def files(tmp_path):
+    (tmp_path / "fit.toml").write_text(FAST)
+    (tmp_path / "bad.csv").write_text("sigma_x,fx,fz\n0.1,oops,4000\n")
+    good = [
+        write(tmp_path / f"{name}.csv", mu=0.9 + 0.01 * seed, seed=seed)
+        for seed, name in enumerate(NAMES)
+    ]
+    return [Path(path.name) for path in (*good[:3], tmp_path / "bad.csv", *good[3:])]
+
+
+HOW = ("--config", "fit.toml", "--no-posterior")
+
+
+def results(folder):
+    """Every file of the results, but the table and the page on all."""
+    return {
+        path.relative_to(folder): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.parent != folder
+    }
+
+
+class Killer(threading.Thread):
+    """Makes a file a pipe, and kills so many of the workers that read it; the next one
+    gets the content."""
+
+    def __init__(self, file: Path, times: int):
+        super().__init__(daemon=True)
+        self.file, self.times, self.killed = file, times, 0
+        self.content = file.read_bytes()
+        file.unlink()
+        os.mkfifo(file)
+
+    def run(self):
+        for _ in range(self.times):
+            with self.file.open("wb"):  # until a worker reads
+                self._kill_the_reader()
+        with self.file.open("wb") as pipe:
+            pipe.write(self.content)
+
+    def _kill_the_reader(self):
+        readers = []
+        while not readers:  # its side opens a moment later
+            readers = [one for one in processes() if str(self.file) in opened_by(one)]
+        for process in readers:
+            os.kill(process, signal.SIGKILL)
+            self.killed += 1
+        while any(map(is_there, readers)):
+            time.sleep(0.01)  # what is written before it is gone is lost with it
+
+
+def processes():
+    numbers = (int(path.name) for path in Path("/proc").glob("[0-9]*"))
+    return [number for number in numbers if number != os.getpid()]
+
+
+def is_there(process):
+    """Until the last of its threads has ended, and its parent knows."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def opened_by(process):
+    """Files that another process has opened; none where it is gone."""
+    folder, names = Path(f"/proc/{process}/fd"), set()
+    with suppress(OSError):
+        for one in folder.iterdir():
+            names.add(os.readlink(one))
+    return names
+
+
+def test_a_dead_worker_and_a_bad_file_change_no_result(run, files, scheduler, tmp_path):
+    alone = run("fit", *files, *HOW, "--out", "one", exit_code=3)
+    killer = Killer(tmp_path / "c.csv", times=1)
+    killer.start()
+    shared = run(
+        "fit", *files, *HOW, "--out", "two", "--scheduler", scheduler, exit_code=3
+    )
+    killer.join(10)
+    assert killer.killed == 1
+    expected = results(tmp_path / "one")
+    assert {path.parts[0] for path in expected} == set(NAMES)
+    assert results(tmp_path / "two") == expected
+    said = [
+        line for line in shared.stdout.splitlines() if not line.startswith("all res")
+    ]
+    assert said == alone.stdout.replace("one/", "two/").splitlines()
+    assert "bad.csv" in shared.stderr and "remedy" in shared.stderr
+    table = ResultsTable(tmp_path / "two" / "results.parquet")
+    friction = table.of("parameter", "mu")
+    assert friction["number"].tolist() == [1, 2, 3, 5]
+    stored = [
+        json.loads((tmp_path / "one" / name / "fit.json").read_text())["parameters"]
+        for name in NAMES
+    ]
+    assert friction["value"].tolist() == [one["mu"]["value"] for one in stored]
+    assert table.files()["status"] == ["ok", "ok", "ok", "failed", "ok"]
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """The work is done here, one figure is drawn by none, and ``b.csv`` ends whoever
+    takes it while ``fatal`` holds a word."""
+    fatal = ["b.csv"]
+
+    def figures(result, folder, svg):
+        (folder / "fit.png").touch()
+        return [folder / "fit.png"]
+
+    def here(work, pieces, client, alike):
+        for number, piece in reversed(list(enumerate(pieces))):
+            if piece.file.name in fatal:
+                (piece.to / ".writing").mkdir(parents=True)
+                yield number, Ended(2)
+            else:
+                yield number, work(piece)
+
+    monkeypatch.setattr("tirefit.report.draw.save_figures", figures)
+    monkeypatch.setattr(fleet, "shared", here)
+    monkeypatch.setattr(fleet, "cluster", lambda *how: nullcontext())
+    return fatal
+
+
+def test_a_file_that_kills_workers_is_told_once(run, files, quick, tmp_path):
+    """It leaves nothing half-written, and with --resume it alone is done."""
+    command = ["fit", *files[:3], *HOW, "--out", "out", "--jobs", "2"]
+    said = run(*command, exit_code=3)
+    assert said.stderr.count("b.csv") == 1 and "2 workers" in said.stderr
+    folders = {path.name for path in (tmp_path / "out").iterdir() if path.is_dir()}
+    assert folders == {"a", "c"}
+    assert said.stdout.index("fitted to a.csv") < said.stdout.index("fitted to c.csv")
+
+    def times():
+        return {path: (tmp_path / "out" / path).stat().st_mtime_ns for path in before}
+
+    before = results(tmp_path / "out")
+    earlier = times()
+    quick.clear()
+    said = run(*command, "--resume")
+    assert said.stdout.count("done before, kept") == 2
+    assert {path.parts[0] for path in results(tmp_path / "out")} == {"a", "b", "c"}
+    assert times() == earlier
+    table = ResultsTable(tmp_path / "out" / "results.parquet")
+    assert table.of("parameter", "mu")["number"].tolist() == [1, 2, 3]
+
+
+def test_an_interrupt_leaves_what_is_whole(run, files, quick, tmp_path, monkeypatch):
+    def interrupted(*sharing):
+        yield from islice(here(*sharing), 1)
+        (tmp_path / "out" / "b" / ".writing").mkdir(parents=True)
+        raise KeyboardInterrupt
+
+    here = fleet.shared
+    monkeypatch.setattr(fleet, "shared", interrupted)
+    run("fit", *files[:3], *HOW, "--out", "out", "--jobs", "2", exit_code=130)
+    there = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert there == ["c"] and (tmp_path / "out" / "c" / "fit.json").exists()
+
+
+def test_a_fault_of_the_program_stops_no_other_file(run, files, quick, monkeypatch):
+    from tirefit.fitting import estimate
+
+    fit = estimate.fit
+
+    def faulty(data, **how):
+        if data.name == "a":
+            raise ZeroDivisionError("no such luck")
+        return fit(data, **how)
+
+    monkeypatch.setattr(estimate, "fit", faulty)
+    said = run("fit", *files[:3:2], *HOW, "--jobs", "1", exit_code=3)
+    assert "a.csv: a fault of the program: ZeroDivisionError: no such" in said.stderr
+    assert "fitted to c.csv" in said.stdout
+
+
+def test_resume_does_what_is_asked_otherwise_again(run, files, quick, tmp_path):
+    """The plain loop: another seed, a figure gone, a changed document, other data."""
+    command = ["fit", files[0], *HOW, "--out", "out", "--resume", "--seed"]
+    document = tmp_path / "out" / "fit.json"
+
+    def is_kept(seed):
+        return "done before, kept" in run(*command, seed).stdout
+
+    assert not is_kept(0) and is_kept(0)
+    assert not is_kept(4) and is_kept(4)
+    (tmp_path / "out" / "fit.png").unlink()
+    assert not is_kept(4) and is_kept(4)
+    text = document.read_text()
+    document.write_text(text.replace("40.", "41.", 1))
+    assert not is_kept(4) and document.read_text() == text
+    write(files[0], seed=9)
+    assert not is_kept(4)
+
+
+def test_workers_of_another_version_or_place_are_refused(files, tmp_path):
+    piece = fleet.Piece(files[0], tmp_path / "a")
+    for packed, said in (
+        (fleet._Packed("/", "0.0", b""), "a worker runs tirefit"),
+        (fleet._Packed("/no/such", fleet.__version__, b""), "does not see the folder"),
+    ):
+        outcome = fleet._apart(packed, piece)
+        assert outcome.last and outcome.code == 2 and said in outcome.complained
+
+
+def test_jobs_and_scheduler_are_two_ways(run, files):
+    said = run("fit", files[0], "--jobs", "2", "--scheduler", "x:1", exit_code=2)
+    assert "--jobs beside --scheduler" in said.stderr

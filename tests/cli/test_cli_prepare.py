@@ -1,0 +1,130 @@
+"""``tirefit prepare`` on the command line: files written, read back, and done again."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tirefit.data.read import read
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "data"))
+from rig_file import METRIC_UNITS, ttc
+from rig_script import cornering, measured
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """A test as the Tire Test Consortium's rig writes it, and what it was told."""
+    script, rng = cornering(7101, rate=50, loads=2, cambers=2, pressures=1)
+    seen, clean = measured(script, rng)
+    n = script.rows
+    seen |= {"omega": seen["v"] / 0.26, "mz": -0.02 * seen["fy"], "fx": np.zeros(n)}
+    file = ttc(seen)
+    path = tmp_path_factory.mktemp("rig") / "run7.dat"
+    with path.open("w") as out:
+        out.write("\t".join(file) + "\n" + "\t".join(METRIC_UNITS) + "\n")
+        table = np.column_stack(list(file.values()))
+        np.savetxt(out, table, fmt="%.6g", delimiter="\t")
+    return path, script, clean
+
+
+def test_a_recording_becomes_a_file_to_fit(run, recording, tmp_path):
+    path, script, clean = recording
+    said = run("prepare", path, "--out", "out").stdout
+    assert "convention braking, SI units" in said and "zero-phase" in said
+    out = tmp_path / "out"
+    assert {p.name for p in out.iterdir()} == {
+        "run7.csv", "run7.segments.csv", "run7.prepare.json", "run7.png",
+    }  # fmt: skip
+    data = read(out / "run7.csv")
+    assert data.source.convention == "braking" and not data.source.warnings
+    assert data.runs == ("run7",)
+    rows = np.round(data["time"] * script.rate).astype(int)
+    # White noise of 1 % of the largest load, of which the filter leaves its share.
+    record = json.loads((out / "run7.prepare.json").read_text())
+    left = np.sqrt(2 * record["filter"]["bandwidth"] / script.rate)
+    miss = np.std(data["fy"] - clean["fy"][rows]) / clean["fz"].max()
+    assert miss == pytest.approx(0.01 * left, rel=0.15)
+    np.testing.assert_allclose(data["alpha"], clean["alpha"][rows], atol=2e-3)
+    binned = read(out / "run7.csv", columns={"run": "bin"})
+    loads = sorted({e.settings["fz"] for e in script.events})
+    assert len(binned.runs) == 4
+    for code, name in enumerate(binned.runs):
+        load, unit, camber, _ = name.split()
+        here = binned.run == code
+        assert unit == "N" and float(load) == pytest.approx(
+            np.median(binned["fz"][here]), rel=0.03
+        )
+        assert float(camber) == pytest.approx(
+            np.degrees(np.median(binned["gamma"][here])), abs=0.05
+        )
+    assert len(loads) == 2
+    each = read(out / "run7.csv", columns={"run": "segment"})
+    kept = [s for s in record["segments"] if s["kept"]]
+    assert [str(s["segment"]) for s in kept] == list(each.runs)
+    assert {s["kind"] for s in kept} == {"sweep", "steady"}
+    assert record["rows"]["kept"] == len(data)
+
+
+def test_workers_prepare_as_the_command_does(run, recording, two, tmp_path):
+    path, _, _ = recording
+    (tmp_path / "no.csv").write_text("a,b\n1,2\n")
+    files = (path, "no.csv")
+    alone = run("prepare", *files, "--out", "one", exit_code=3)
+    address = two.scheduler.address
+    shared = run("prepare", *files, "--out", "two", "--scheduler", address, exit_code=3)
+    one, both = (
+        {p.name: p.read_bytes() for p in (tmp_path / name).iterdir()}
+        for name in ("one", "two")
+    )
+    assert {name: both.pop(name) for name in ("results.parquet", "fleet.html")}
+    assert both == one and len(one) == 4
+    said = shared.stdout.replace("two/", "one/").splitlines()
+    assert said[:-1] == alone.stdout.splitlines() and "no.csv" in shared.stderr
+
+
+def test_what_was_done_can_be_done_again(run, recording, tmp_path):
+    path, _, _ = recording
+    copy = tmp_path / "run7.dat"
+    copy.write_bytes(path.read_bytes())
+    run("prepare", copy, "--out", "one", "--bandwidth", 6, "--keep", "sweep")
+    record = "one/run7.prepare.json"
+    run("prepare", "--repeat", record, "--out", "two")
+    for name in ("run7.csv", "run7.segments.csv", "run7.prepare.json"):
+        one, two = (tmp_path / folder / name for folder in ("one", "two"))
+        assert one.read_bytes() == two.read_bytes()
+    said = run("prepare", "--repeat", record, "--rate", 9, "--out", "x", exit_code=2)
+    assert "--repeat with other settings" in said.stderr
+    copy.write_text(copy.read_text().replace("0.02\t", "0.021\t", 1))
+    said = run("prepare", "--repeat", record, "--out", "x", exit_code=3).stderr
+    assert "its sha256 differs" in said
+    run("prepare", copy, "--repeat", record, "--out", "one")
+    other = json.loads((tmp_path / record).read_text())
+    assert other["config"]["bandwidth"] == 6.0
+
+
+def test_settings_come_from_the_configuration(run, recording, tmp_path):
+    path, _, _ = recording
+    (tmp_path / "fit.toml").write_text("[prepare]\nfilter = false\nkeep = ['cold']\n")
+    run("prepare", path, "--config", "fit.toml", "--out", "out")
+    record = json.loads((tmp_path / "out/run7.prepare.json").read_text())
+    assert record["filter"] is None and record["config"]["keep"] == ["cold"]
+    kinds = {s["kind"] for s in record["segments"] if s["kept"]}
+    assert kinds == {"cold"}
+    (tmp_path / "fit.toml").write_text("[prepare]\nbandwith = 5\n")
+    said = run("prepare", path, "--config", "fit.toml", "--out", "o", exit_code=2)
+    assert "did you mean 'bandwidth'?" in said.stderr
+
+
+def test_one_file_that_fails_does_not_stop_the_others(run, recording, tmp_path):
+    path, _, _ = recording
+    (tmp_path / "no.csv").write_text("time,fz\n0,1000\n1,1000\n2,1000\n")
+    said = run("prepare", "no.csv", path, "--out", "out", exit_code=3)
+    assert "no slip" in said.stderr and (tmp_path / "out/run7.csv").exists()
+    run("prepare", "--out", "out", exit_code=2)
+    said = run("prepare", "no.csv", "--out", ".", exit_code=2).stderr
+    assert "the recording itself" in said and (tmp_path / "no.csv").exists()
+    said = run("prepare", path, path, "--out", "out", exit_code=2).stderr
+    assert "several files are named run7" in said

@@ -1,0 +1,57 @@
+"""One quantity over many files: known scatter, drift and wild files are found."""
+
+import numpy as np
+import pytest
+
+from tirefit.fitting.across_files import across_files
+
+
+def made(seed, n=400, scatter=0.02, drift=0.0, wild=(), least=0.005):
+    generator = np.random.default_rng(seed)
+    std = generator.uniform(least, 4 * least, n)
+    when = np.arange(n)
+    value = 0.9 + drift * (when / (n - 1) - 0.5) + scatter * generator.normal(size=n)
+    value += std * generator.normal(size=n)
+    value[list(wild)] += 0.3
+    return value, std, when
+
+
+def test_wild_files_are_named_and_move_nothing():
+    clean, spoiled = (across_files(*made(0, wild=wild)) for wild in ((), (5, 77, 300)))
+    assert np.flatnonzero(spoiled.outlier).tolist() == [5, 77, 300]
+    assert not clean.outlier.any()
+    assert abs(spoiled.middle - clean.middle) < 0.001
+    assert abs(spoiled.scatter / clean.scatter - 1) < 0.05
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.02])
+def test_scatter_is_what_is_beyond_the_files_own(scatter):
+    all_of_them = [across_files(*made(seed, scatter=scatter)) for seed in range(20)]
+    mean = np.mean([one.scatter for one in all_of_them])
+    assert mean == pytest.approx(scatter, rel=0.06, abs=0.0025)
+
+
+@pytest.mark.parametrize(("n", "draws"), [(12, 300), (200, 60)])
+def test_drift_comes_with_its_error(n, draws):
+    """Pulls of the drift about the truth are those of a Gaussian."""
+    results = [across_files(*made(s, n=n, drift=0.05)) for s in range(draws)]
+    pulls = np.array([(one.change - 0.05) / one.change_std for one in results])
+    assert abs(np.mean(pulls)) < 4 / np.sqrt(draws)
+    assert 0.8 < np.median(np.abs(pulls)) / 0.6745 < 1.25
+    still = [across_files(*made(s, n=n)).drifts for s in range(draws)]
+    assert np.mean(still) < 0.035  # 1 % asked for
+    if n == 200:
+        assert np.mean([one.drifts for one in results]) > 0.9
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_few_files_have_a_middle_and_no_drift(n):
+    few = across_files(np.arange(n, dtype=float), np.full(n, 0.1), np.arange(n))
+    assert few.middle == pytest.approx((n - 1) / 2) and not few.drifts
+    assert np.isfinite(few.pulls).all()
+
+
+def test_values_that_agree_exactly_have_no_scatter():
+    same = across_files(np.full(9, 3.0), np.zeros(9), np.arange(9))
+    assert same.middle == pytest.approx(3) and same.scatter < 1e-12
+    assert not same.outlier.any()

@@ -1,0 +1,53 @@
+"""What the picture of a prepared test shows, in numbers."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tirefit.data.prepare.prepare import prepare
+from tirefit.data.read import read_frame
+from tirefit.report.prepared import prepared_figure, view_of
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "data"))
+from rig_script import cornering, measured
+
+
+@pytest.fixture(scope="module")
+def prepared():
+    script, rng = cornering(7201, rate=50, loads=3, cambers=1, pressures=1)
+    seen, _ = measured(script, rng)
+    return prepare(read_frame(seen, "rig", curve=False, mask_bad_rows=True))
+
+
+def test_the_view_says_what_was_kept_and_shows_what_moved(prepared):
+    view = view_of(prepared)
+    sweeps = sum(part.kind == "sweep" for part in prepared.segments)
+    assert view.title.startswith(f"rig: {sweeps} sweeps and")
+    assert "in 3 bins" in view.title
+    # Camber and pressure were set to one value each.
+    names = [panel.name for panel in view.panels]
+    assert names == ["alpha", "fz", "v", "temperature", "fy"]
+    assert "[deg]" in view.panels[0].label and "[s]" in view.clock
+    load = view.panels[1]
+    factor = 1e-3 if "[kN]" in load.label else 1.0
+    np.testing.assert_allclose(
+        load.settings, factor * prepared.settings["fz"].center, rtol=1e-12
+    )
+    assert load.value.max() == pytest.approx(factor * prepared.columns["fz"].max())
+    assert sum(strip.rows for strip in view.strips) == len(prepared.data)
+    spans = sorted(span for strip in view.strips for span in strip.spans)
+    for (begin, width), (after, _) in zip(spans[:-1], spans[1:], strict=True):
+        assert begin + width == pytest.approx(after)
+    kept = {strip.kind for strip in view.strips if strip.is_kept}
+    assert kept == {"sweep up", "sweep down", "steady"}
+
+
+def test_the_picture_has_a_panel_a_channel_and_a_colour_a_kind(prepared):
+    view, picture = view_of(prepared), prepared_figure(prepared)
+    assert len(picture.axes) == len(view.panels)
+    (legend,) = picture.legends
+    texts = [text.get_text() for text in legend.get_texts()]
+    assert [text.rsplit(" ", 1)[0] for text in texts] == [s.kind for s in view.strips]
+    assert picture.axes[-1].get_xlabel() == "time [s]"

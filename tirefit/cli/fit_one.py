@@ -1,0 +1,177 @@
+"""What ``tirefit fit`` does with one file, or with files that are fitted together."""
+
+import hashlib
+import json
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from tirefit import __version__
+from tirefit.cli.options import progress_bar, say, warn
+from tirefit.cli.output import claimed, is_page, staged
+from tirefit.results import ExitCode, Outcome, TirefitError
+
+if TYPE_CHECKING:  # NumPy, which completion does not wait for
+    from tirefit.data.records import FileRecord
+    from tirefit.fitting.result import FitResult
+
+__all__ = ["Also", "FitTask", "exit_code", "exit_code_of", "fit_into", "fit_one"]
+
+PAGE, CHAIN = "fit.html", "chain.npz"
+
+
+class Also(NamedTuple):
+    """What is written beside the result and its figures."""
+
+    svg: bool = False
+    html: bool = False
+
+
+@dataclass(frozen=True)
+class FitTask:
+    """What all files share: settings of the fit, arguments of ``tirefit.read``, and
+    the options; ``keep``: fits that are done."""
+
+    settings: Any
+    how: dict
+    posterior: bool
+    resume: bool
+    keep: bool
+    also: Also
+    strict: bool
+
+    def digest(self, tables) -> str:
+        """Of all that the numbers of a fit of these tables depend on."""
+        asked = [
+            self.settings.model_dump(mode="json"), self.how, self.posterior,
+            [table.source.sha256 for table in tables], __version__,
+        ]  # fmt: skip
+        return hashlib.sha256(json.dumps(asked).encode()).hexdigest()
+
+
+def fit_one(
+    files, directory: Path, task: FitTask
+) -> tuple["FileRecord", "FitResult | None"]:
+    """The record of the fit, and the fit itself where it was not done before."""
+    from tirefit.data.read import read
+    from tirefit.data.table import join
+    from tirefit.fitting.store import record_of_fit
+
+    tables = [read(file, **task.how) for file in files]
+    for table in tables:
+        warn(table)
+    asked = task.digest(tables)
+    content = _done(directory, asked, task) if task.keep else None
+    if content is not None:
+        say(f"{files[0]}: done before, kept: {directory}")
+        return record_of_fit(content, str(directory)), None
+    data = tables[0] if len(tables) == 1 else join(tables)
+    result = fit_into(
+        directory, data, task.settings, task.posterior, task.resume, task.also, asked
+    )
+    return record_of_fit(result.to_dict(), str(directory)), result
+
+
+def _done(directory: Path, asked: str, task: FitTask) -> dict | None:
+    """Content of the ``fit.json`` there, if it answers what is asked, and whole."""
+    from tirefit.door import read_record
+    from tirefit.fitting.result import SCHEMA
+
+    expected = ["fit.json", "fit.png"]
+    expected += ["posterior.nc"] if task.posterior else []
+    expected += ["fit.svg"] if task.also.svg else []
+    expected += [PAGE] if task.also.html else []
+    if not all((directory / name).exists() for name in expected):
+        return None
+    try:
+        content = read_record(directory / "fit.json", SCHEMA, "")
+    except TirefitError:
+        return None
+    # A chain that can go on is not done.
+    open_ended = {"chain_too_short", "interrupted"} & set(content["outcomes"])
+    return None if open_ended or content.get("asked") != asked else content
+
+
+def fit_into(
+    directory, data, settings, posterior=False, resume=False, also=Also(), asked=""
+):
+    """Fits the data, and leaves the result and its figures in the directory."""
+    from tirefit.fitting.estimate import fit as fit_data
+
+    with claimed(directory):
+        result = fit_data(data, config=settings)
+        if posterior:
+            # Whatever becomes of the sampling; a posterior to go on with stays.
+            if not (resume and (directory / "fit.json").exists()):
+                _save(result, directory, also)
+                say(_first_words(result, directory))
+            result = _sampled(result, directory, settings, resume)
+        try:
+            written = _save(replace(result, asked=asked), directory, also)
+        except OSError as error:
+            if posterior and (directory / CHAIN).exists():
+                error.add_note("--resume goes on from its chain")
+            raise
+    say(str(result))
+    say("wrote " + ", ".join(str(path) for path in written))
+    return result
+
+
+def _first_words(result, directory: Path) -> str:
+    """Of the least squares, which are there before the posterior is."""
+    from tirefit.report.text import parameter_lines
+
+    said = f"written to {directory}; now the posterior is sampled\n"
+    return "\n".join([*parameter_lines(result)[1:], said])
+
+
+def _save(result, directory: Path, also: Also) -> list[Path]:
+    from tirefit.fitting.result import SCHEMA
+    from tirefit.fitting.store import save_fit
+    from tirefit.report.draw import FIGURE_FILES, save_figures
+
+    earlier = [PAGE] if is_page(directory / PAGE, SCHEMA) else []
+    with staged(directory, ["posterior.nc", *FIGURE_FILES, *earlier], result) as folder:
+        written = save_fit(result, folder) + save_figures(result, folder, svg=also.svg)
+        if also.html:
+            from tirefit.report.fit_html import write_fit_page
+
+            write_fit_page(result, folder / PAGE)
+            written.append(folder / PAGE)
+    return [directory / path.name for path in written]
+
+
+def _sampled(result, directory: Path, settings, resume: bool):
+    from tirefit.fitting.posterior import sample
+
+    chosen = settings.posterior
+    with progress_bar("posterior") as progress:
+        return sample(
+            result,
+            sampler=chosen.sampler,
+            ensembles=chosen.ensembles,
+            walkers=chosen.walkers,
+            effective_samples=chosen.effective_samples,
+            max_steps=chosen.max_steps,
+            checkpoint=directory / CHAIN,
+            resume=resume,
+            progress=progress,
+        )
+
+
+def exit_code(result, strict: bool = False) -> ExitCode:
+    return _code(result.outcomes, strict)
+
+
+def exit_code_of(record: "FileRecord", strict: bool) -> ExitCode:
+    return _code([Outcome[name.upper()] for name in record.outcomes], strict)
+
+
+def _code(outcomes: Collection[Outcome], strict: bool) -> ExitCode:
+    broken = {Outcome.NOT_CONVERGED, Outcome.CHAIN_TOO_SHORT, Outcome.INTERRUPTED}
+    if broken & set(outcomes):
+        return ExitCode.NOT_CONVERGED
+    if strict and Outcome.NOT_IDENTIFIED in outcomes:
+        return ExitCode.NOT_IDENTIFIED
+    return ExitCode.OK

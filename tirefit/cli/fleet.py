@@ -1,0 +1,255 @@
+"""Many files of one command, shared by the workers of a cluster, told in their order.
+
+The workers write the results; what a command says of a file, and its record for the
+table of all results, come back here.
+"""
+
+import os
+import pickle
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import chdir, closing, redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import typer
+
+from tirefit import __version__
+from tirefit.cli.cluster import Ended, cluster, shared
+from tirefit.cli.options import (
+    Unheard,
+    complain,
+    error_text,
+    errors_to_exit,
+    progress_bar,
+    say,
+    start_jax,
+)
+from tirefit.cli.output import swept
+from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, UsageError
+
+if TYPE_CHECKING:  # NumPy, which completion does not wait for
+    from tirefit.data.records import FileRecord
+
+__all__ = ["Attempt", "Jobs", "Outcome", "Piece", "Scheduler", "Sharing", "fleet"]
+
+Jobs = Annotated[
+    int | None,
+    typer.Option(min=1, metavar="N", help="processes that share the files"),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Dask scheduler whose workers share the files, e.g. tcp://host:8786",
+    ),
+]
+
+TABLE, PAGE = "results.parquet", "fleet.html"
+
+
+@dataclass(frozen=True)
+class Sharing:
+    """Who does the work: this process, so many others, or a cluster."""
+
+    jobs: int | None
+    scheduler: str | None
+
+    def __post_init__(self):
+        if self.jobs is not None and self.scheduler is not None:
+            remedy = "give one: --jobs starts a cluster of its own on this machine"
+            raise UsageError(InputProblem("--jobs beside --scheduler", remedy))
+
+    @property
+    def apart(self) -> bool:
+        return self.jobs is not None or self.scheduler is not None
+
+
+class Piece(NamedTuple):
+    """A file, and the folder or name of its results."""
+
+    file: Any
+    to: Any
+
+
+class Outcome(NamedTuple):
+    """One file: its exit code, whether that ends the command, what was said and
+    complained of, and what the table of all results holds of it."""
+
+    code: ExitCode
+    last: bool = False
+    said: str = ""
+    complained: str = ""
+    record: "FileRecord | None" = None
+
+
+Attempt = Callable[[Piece, Any], tuple[ExitCode, "FileRecord"]]
+"""What a command does with one file; its second argument all files share."""
+
+
+def fleet(
+    title: str,
+    pieces: Sequence[Piece],
+    attempt: Attempt,
+    task: Any,
+    sharing: Sharing,
+    out: Path,
+) -> Generator[Outcome, None, None]:
+    """Every file by the workers: told, and given on, in the order of the files.
+
+    At the end ``out`` holds the table of all results and a page on it.
+    """
+    from tirefit.data.records import records_into
+
+    work = partial(_apart, _Packed.of(attempt, task))
+    out.mkdir(parents=True, exist_ok=True)
+    left = set(range(len(pieces)))
+    try:
+        with (
+            records_into(out / TABLE) as table,
+            progress_bar(title) as progress,
+            cluster(min(sharing.jobs or 1, len(pieces)), sharing.scheduler) as client,
+            closing(shared(work, pieces, client, _alike)) as results,
+        ):
+            for outcome in _in_order(_followed(results, pieces, progress, left)):
+                typer.echo(outcome.said, nl=False)
+                typer.echo(outcome.complained, nl=False, err=True)
+                if outcome.last:
+                    raise typer.Exit(outcome.code)
+                table.add(outcome.record)
+                yield outcome
+    finally:
+        for number in left:  # after an interrupt: what was at work is half-written
+            _sweep(pieces[number])
+    from tirefit.report.fleet_html import write_fleet_page
+
+    write_fleet_page(out / TABLE, out / PAGE, title)
+    say(f"all results: {out / TABLE}, {out / PAGE}")
+
+
+def _followed(results, pieces, progress, left) -> Iterator[tuple[int, Outcome]]:
+    """(number, outcome) as they come; and how far it is."""
+    n = len(pieces)
+    for number, result in results:
+        left.discard(number)
+        progress(1 - len(left) / n, f"{n - len(left)} of {n} files")
+        if isinstance(result, Ended):
+            _sweep(pieces[number])
+            result = _lost(pieces[number], result)
+        yield number, result
+
+
+def _sweep(piece: Piece) -> None:
+    if isinstance(piece.to, Path):  # a folder of this file's own
+        swept(piece.to)
+
+
+def _in_order(results: Iterator[tuple[int, Outcome]]) -> Iterator[Outcome]:
+    waiting: dict[int, Outcome] = {}
+    number = 0
+    for came, result in results:
+        waiting[came] = result
+        while number in waiting:
+            yield waiting.pop(number)
+            number += 1
+
+
+def _lost(piece: Piece, ended: Ended) -> Outcome:
+    reason = f"each of {ended.workers} workers that were given this file alone died"
+    remedy = "where memory is short, give fewer --jobs; then --resume"
+    error = DataError(InputProblem(reason, remedy, str(piece.file)))
+    return _failed(piece, ExitCode.DATA, error_text(error) + "\n")
+
+
+def _failed(piece: Piece, code: ExitCode, complained: str, **more) -> Outcome:
+    from tirefit.data.records import FAILED, FileRecord
+
+    record = FileRecord(
+        str(piece.file), str(piece.to), "", FAILED, problem=complained.strip()
+    )
+    return Outcome(code, complained=complained, record=record, **more)
+
+
+def _alike(piece: Piece) -> int:
+    """Files of about the same size have about the same rows, and so one program."""
+    from tirefit.padding import padded_size  # NumPy, for many files alone
+
+    try:
+        return padded_size(piece.file.stat().st_size)
+    except (OSError, AttributeError):
+        return 0
+
+
+# --- In a worker ----------------------------------------------------------------------
+
+
+class _Packed(NamedTuple):
+    """What a worker needs beside the file: where the command runs, its version, and
+    the attempt with what all files share.
+
+    As bytes: JAX's arrays are of 64 bits only once it has been told.
+    """
+
+    folder: str
+    version: str
+    content: bytes
+
+    @classmethod
+    def of(cls, attempt: Attempt, task: Any) -> "_Packed":
+        return cls(os.getcwd(), __version__, pickle.dumps((attempt, task)))
+
+
+@lru_cache(maxsize=2)
+def _unpacked(content: bytes) -> tuple[Attempt, Any]:
+    start_jax()
+    return pickle.loads(content)
+
+
+def _apart(packed: _Packed, piece: Piece) -> Outcome:
+    """One file in a worker, which keeps silent; the command's errors end it there."""
+    said, complained = Unheard(), Unheard()
+    with redirect_stdout(said), redirect_stderr(complained):
+        try:
+            with errors_to_exit(), _where_the_command_runs(packed):
+                code, record = _attempted(packed, piece)
+        except typer.Exit as end:
+            code = ExitCode(end.exit_code)
+            return _failed(piece, code, complained.getvalue(), last=True)
+    text = complained.getvalue()
+    if record is None:
+        return _failed(piece, code, text)._replace(said=said.getvalue())
+    return Outcome(code, False, said.getvalue(), text, record)
+
+
+def _where_the_command_runs(packed: _Packed) -> chdir:
+    if packed.version != __version__:
+        reason = f"a worker runs tirefit {__version__}, the command {packed.version}"
+        raise UsageError(InputProblem(reason, "install the same for all workers"))
+    if not os.path.isdir(packed.folder):
+        reason = f"a worker does not see the folder of the command, {packed.folder}"
+        remedy = "run workers where it is mounted: they read files and write results"
+        raise UsageError(InputProblem(reason, remedy))
+    return chdir(packed.folder)
+
+
+def _attempted(packed: _Packed, piece: Piece) -> tuple[ExitCode, "FileRecord | None"]:
+    """One bad file does not stop the others, nor does a fault of the program."""
+    attempt, task = _unpacked(packed.content)
+    try:
+        return attempt(piece, task)
+    except TirefitError as error:
+        if error.exit_code == ExitCode.USAGE:
+            raise
+        complain(error_text(error))
+        return error.exit_code, None
+    except BrokenPipeError:
+        raise
+    except OSError as error:  # its report was said
+        complain(error_text(error))
+        return ExitCode.USAGE, None
+    except Exception as error:
+        reason = f"a fault of the program: {type(error).__name__}: {error}"
+        remedy = "the command on this file alone says where; please report it"
+        complain(error_text(DataError(InputProblem(reason, remedy, str(piece.file)))))
+        return ExitCode.DATA, None

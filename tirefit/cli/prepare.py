@@ -1,0 +1,245 @@
+"""``tirefit prepare``: from a rig's recording to data that a fit can use."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tirefit import __version__
+from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
+from tirefit.cli.options import (
+    DataOptions,
+    complain,
+    completed,
+    error_text,
+    errors_to_exit,
+    named_path,
+    read_config,
+    read_options,
+    say,
+    takes_data_options,
+    warn,
+)
+from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.data.remote import expanded, file_at
+from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, UsageError
+
+if TYPE_CHECKING:  # NumPy, which completion does not wait for
+    from tirefit.data.records import FileRecord
+
+__all__ = ["prepare"]
+
+_KEPT = ("sweep", "steady", "cold", "warm-up", "spring-rate", "load-step")
+
+
+@takes_data_options
+def prepare(
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="FILE...", parser=file_at, help="recordings of a rig"),
+    ] = None,
+    *,
+    out: Annotated[
+        Path,
+        typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
+    ],
+    options: DataOptions,
+    bandwidth: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ", help="of the zero-phase filter (-3 dB); by the sweeps if none"
+        ),
+    ] = None,
+    unfiltered: Annotated[
+        bool, typer.Option("--no-filter", help="leave the samples as they are")
+    ] = False,
+    rate: Annotated[
+        float | None,
+        typer.Option(metavar="HZ", help="rows a second, of a file without time"),
+    ] = None,
+    warm_up: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="seconds until the tire was warm, if known"),
+    ] = None,
+    keep: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KIND",
+            help=f"kind of segment to write (repeat for more): {', '.join(_KEPT)};"
+            " sweep and steady if none",
+            autocompletion=completed(*_KEPT),
+        ),
+    ] = None,
+    repeat: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PREPARE.JSON",
+            parser=named_path,
+            help="do again what this record says, to its file or to others",
+        ),
+    ] = None,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+) -> None:
+    """Cut a rig's test into segments and bins, filter it, and write what can be fitted.
+
+    Of each FILE: NAME.csv (rows to fit, with run, segment, bin), NAME.segments.csv,
+    NAME.png (the whole test), NAME.prepare.json (all that was done).
+    """
+    with errors_to_exit():
+        sharing, files = Sharing(jobs, scheduler), expanded(files or [])
+        changes = {
+            "bandwidth": bandwidth, "filter": False if unfiltered else None,
+            "rate": rate, "warm_up": warm_up, "keep": keep,
+        }  # fmt: skip
+        changes = {key: value for key, value in changes.items() if value is not None}
+        if repeat is not None:
+            files, how, config = _repeated(repeat, files, options, changes)
+        else:
+            base = read_config(options.config)
+            how = read_options(options, base)
+            config = _settings(base, changes)
+        if not files:
+            raise UsageError(InputProblem("no FILE given", "name one, or --repeat"))
+        names = _names(files)
+        check_directories([out])
+        _check_inputs(files, names, out)
+        task = _Task(out, how, config)
+        pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
+        with claimed(out):
+            if sharing.apart:
+                outcomes = fleet("prepare", pieces, _one, task, sharing, out)
+                raise typer.Exit(max(outcome.code for outcome in outcomes))
+            raise typer.Exit(_all(pieces, task))
+
+
+def _settings(base, changes: dict[str, Any]):
+    from tirefit.data.prepare.settings import PrepareConfig
+    from tirefit.settings import parse_settings
+
+    below = {} if base is None else base.prepare.model_dump()
+    return parse_settings(PrepareConfig, below | changes, "prepare")
+
+
+def _repeated(record: Path, files, options: DataOptions, changes: dict[str, Any]):
+    """Files, reading options and settings of a record; nothing may contradict it."""
+    if changes or options != DataOptions():
+        reason = "--repeat with other settings"
+        raise UsageError(InputProblem(reason, "give the files alone, or no --repeat"))
+    from tirefit.data.prepare.settings import PrepareConfig
+    from tirefit.data.prepare.store import SCHEMA
+    from tirefit.door import read_record
+    from tirefit.settings import parse_settings
+
+    remedy = "give a NAME.prepare.json of tirefit prepare"
+    content = read_record(record, SCHEMA, remedy)
+    config = parse_settings(PrepareConfig, content["config"], str(record))
+    if files:
+        return files, content["read"], config
+    file = Path(content["input"]["path"])
+    if not file.is_file():
+        reason = f"{file}, which it was made from, is not there"
+        remedy = "name the file: tirefit prepare FILE --repeat ..."
+        raise DataError(InputProblem(reason, remedy, str(record)))
+    if hashlib.sha256(file.read_bytes()).hexdigest() != content["input"]["sha256"]:
+        reason = f"{file} is not what it was made from: its sha256 differs"
+        remedy = f"to prepare it all the same: tirefit prepare {file} --repeat {record}"
+        raise DataError(InputProblem(reason, remedy, str(record)))
+    return [file], content["read"], config
+
+
+def _names(files: list[Path]) -> list[str]:
+    from tirefit.data.text import stem_of
+
+    names = [stem_of(file) for file in files]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        reason = f"several files are named {', '.join(twice)}"
+        raise UsageError(InputProblem(reason, "prepare them into different --out"))
+    return names
+
+
+def _check_inputs(files: list[Path], names: list[str], out: Path) -> None:
+    """Raises UsageError where a recording would be replaced by what is made of it."""
+    for name in names:
+        made = out / f"{name}.csv"
+        if any(made.exists() and made.samefile(f) for f in files if f.exists()):
+            reason = "it is the recording itself, which is to be replaced"
+            remedy = "choose another folder with --out"
+            raise UsageError(InputProblem(reason, remedy, str(made)))
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What all files share: the folder of the results, arguments of ``tirefit.read``,
+    and the settings."""
+
+    out: Path
+    how: dict[str, Any]
+    config: Any
+
+
+def _all(pieces: list[Piece], task: _Task) -> ExitCode:
+    """Every file; one that cannot be prepared does not stop the others."""
+    worst = ExitCode.OK
+    for piece in pieces:
+        try:
+            _one(piece, task)
+        except TirefitError as error:
+            if error.exit_code == ExitCode.USAGE or len(pieces) == 1:
+                raise
+            complain(error_text(error))
+            worst = max(worst, error.exit_code)
+    return worst
+
+
+def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
+    from tirefit.data.prepare.prepare import prepare as prepare_data
+    from tirefit.data.prepare.store import (
+        prepared_csv,
+        record_of,
+        segment_columns,
+        summary,
+    )
+    from tirefit.data.read import read
+    from tirefit.data.write import csv_text
+    from tirefit.files import json_text, write_texts
+    from tirefit.report.canvas import save_picture
+    from tirefit.report.prepared import prepared_figure
+
+    (file, name), out, how = piece, task.out, task.how
+    # A recording is never whole: rows that cannot be used are cut out.
+    data = read(file, **(how | {"mask_bad_rows": True, "curve": False}))
+    warn(data)
+    prepared = prepare_data(data, task.config)
+    texts = {
+        f"{name}.csv": prepared_csv(prepared, __version__),
+        f"{name}.segments.csv": csv_text(segment_columns(prepared)),
+    }
+    digests = {
+        key: hashlib.sha256(text.encode()).hexdigest() for key, text in texts.items()
+    }
+    record = record_of(prepared, how, digests, __version__)
+    picture, json = f"{name}.png", f"{name}.prepare.json"
+    with staged(out, [*texts, picture, json], summary(prepared), f".{name}") as folder:
+        save_picture(prepared_figure(prepared), folder / picture)
+        texts[json] = json_text(record)
+        write_texts({folder / key: text for key, text in texts.items()})
+    say(summary(prepared))
+    say("wrote " + ", ".join(str(out / key) for key in (*texts, picture)))
+    return ExitCode.OK, _record(prepared, str(file), str(out / f"{name}.csv"))
+
+
+def _record(prepared, file: str, result: str) -> "FileRecord":
+    """What the table of all results holds of a recording."""
+    from tirefit.data.records import FileRecord, Row
+
+    counts = {"rows": prepared.kept.sum(), "segments": len(prepared.segments)}
+    rows = tuple(Row("statistic", name, float(n)) for name, n in counts.items())
+    source = prepared.data.source
+    return FileRecord(
+        file, result, "", "prepared", rows, convention=source.convention,
+        version=__version__, sha256=source.sha256,
+    )  # fmt: skip

@@ -1,0 +1,45 @@
+"""Names of what a rig was set to."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tirefit.data.prepare.set_points import Settings
+
+__all__ = ["SHOWN", "bin_name", "setting_names"]
+
+SHOWN = {
+    "fz": (1.0, "N"),
+    "gamma": (180 / np.pi, "deg"),
+    "alpha": (180 / np.pi, "deg"),
+    "pressure": (1e-3, "kPa"),
+    "v": (1.0, "m/s"),
+    "sigma_x": (100.0, "%"),
+}
+"""Channel -> factor from SI and unit in the names of bins."""
+
+_FINE = 0.02
+"""Of a setting, and of its distance to others, by which its name may be off; and in the
+unit of the name: nothing is set to a hundredth of a degree or of a newton."""
+
+
+def setting_names(settings: Settings) -> list[str]:
+    """Each setting with its unit, in as few digits as tell it from its neighbours."""
+    scale, unit = SHOWN[settings.name]
+    center = settings.center * scale
+    apart = np.diff(center).min() if len(center) > 1 else np.max(np.abs(center))
+    # Nothing is set to a twentieth of a step: that is zero.
+    size = min([apart, *(abs(c) for c in center if abs(c) > 0.05 * apart)])
+    for places in range(-5, 7):
+        # + 0.0: no setting is called -0.
+        rounded = [round(float(value), places) + 0.0 for value in center]
+        off = float(np.max(np.abs(np.array(rounded) - center)))
+        if off <= _FINE * max(size, 1.0) and len(set(rounded)) == len(rounded):
+            break
+    return [f"{value:.{max(places, 0)}f} {unit}" for value in rounded]
+
+
+def bin_name(level: Mapping[str, int], names: Mapping[str, list[str]], told) -> str:
+    """The name of a bin: of the channels ``told``, which had several settings."""
+    parts = [names[c][k] for c, k in level.items() if c in told and k >= 0]
+    return " ".join(parts) or "all"

@@ -1,0 +1,383 @@
+"""A rig's test, as recorded, cut up, binned and filtered: :func:`prepare`."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from tirefit.data.accept import as_data
+from tirefit.data.levels import levels
+from tirefit.data.prepare.bins import bin_name, setting_names
+from tirefit.data.prepare.segments import Segment, segments_of, trimmed
+from tirefit.data.prepare.series import Series, bridged, runs_of, series_of
+from tirefit.data.prepare.set_points import Settings, Window, settings_of
+from tirefit.data.prepare.settings import PrepareConfig
+from tirefit.data.prepare.slips import HELD, LEAST, MOVED, SWEPT, Leg, legs
+from tirefit.data.prepare.warmth import with_warmth
+from tirefit.data.prepare.zero_phase import ZeroPhase, zero_phase
+from tirefit.data.table import TireData
+from tirefit.data.units import slip_from_sigma, slip_to_sigma
+from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.settings import parse_settings
+
+__all__ = ["Prepared", "prepare"]
+
+CONDITIONS = ("fz", "gamma", "pressure", "v")
+FORCE_OF = {"alpha": "fy", "sigma_x": "fx"}
+
+_LOOK = 5.0
+"""Bandwidth [Hz] in which segments are looked for: rigs move slower than that."""
+_SHARE_OF_RATE = 0.2
+_WINDOW = 1.0
+"""Seconds of a hold in which a setting is looked for at a time."""
+_LEAST_ROWS = 4
+"""Rows in the shortest time that is held: sampled slower, rows are points, no series;
+and rows of the shortest sweep among points."""
+_CYCLES = 40.0
+"""Bandwidth times the time of a fast sweep. A brush that slides from a fifth of the
+largest slip on is then kept to 0.2 % of its peak by sweeps of one speed from end to
+end, to 0.5 % by sines."""
+_STANDING = 0.02
+"""Of the highest speed: slower, the wheel does not roll."""
+_FASTEST = 0.1
+"""Quantile of the times of the sweeps that counts as fast."""
+_LOWEST, _HIGHEST = 2.0, 25.0
+"""Bandwidths [Hz] that are chosen at least and at most."""
+
+
+@dataclass(frozen=True, repr=False)
+class Prepared:
+    """What :func:`prepare` made of a file.
+
+    ``segments`` cover all rows in order; ``settings`` hold what each condition was set
+    to, ``names`` its settings as bins have them. ``columns`` (n,) are the canonical
+    channels after the filter, of all rows; ``kept`` (n,) bool the rows to be written.
+    ``series`` has the clock; ``notes`` say what was done and assumed.
+    """
+
+    data: TireData
+    config: PrepareConfig
+    series: Series
+    settings: dict[str, Settings]
+    names: dict[str, list[str]]
+    segments: tuple[Segment, ...]
+    columns: dict[str, np.ndarray]
+    kept: np.ndarray
+    filter: ZeroPhase | None
+    notes: tuple[str, ...] = field(default=())
+
+    def __repr__(self) -> str:
+        kept, bins = int(self.kept.sum()), {p.bin for p in self.segments if p.bin}
+        what = f"{len(self.segments)} segments, {len(bins)} bins"
+        return f"Prepared({self.data.name!r}, {kept} of {len(self.kept)} rows: {what})"
+
+    def to_data(self, by: str = "run") -> TireData:
+        """What can be fitted: the kept rows, filtered, canonical as all data are.
+
+        Args:
+            by: what becomes a run of its own: "run" (of the file), "segment" or "bin".
+
+        Raises:
+            UsageError: ``by`` is something else.
+        """
+        data, columns = self.data, dict(self.columns)
+        if "time" in data or self.series.rate is not None:
+            columns = {"time": self.series.time} | columns
+        data = replace(data, columns=columns, used=self.kept)
+        if by == "run":
+            return data
+        if by not in ("segment", "bin"):
+            raise UsageError(InputProblem(f"by = {by!r}", "run, segment or bin"))
+        run, codes = np.zeros(len(data), int), dict[str, int]()
+        for number, part in enumerate(self.segments):
+            if self.kept[part.begin : part.end].any():
+                name = str(number + 1) if by == "segment" else part.bin or "none"
+                run[part.begin : part.end] = codes.setdefault(name, len(codes))
+        return replace(data, run=run, runs=tuple(codes))
+
+    def rows_by_kind(self) -> dict[str, int]:
+        """Rows of each kind of segment, in order of appearance."""
+        rows: dict[str, int] = {}
+        for part in self.segments:
+            rows[part.kind] = rows.get(part.kind, 0) + part.end - part.begin
+        return rows
+
+
+def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
+    """Finds what a rig did in a test, and makes data of it that a fit can use.
+
+    Args:
+        data: what ``tirefit.read`` gave (best with ``curve=False`` and
+            ``mask_bad_rows=True``), a path, a frame or a mapping of arrays.
+        config: see :class:`~tirefit.data.prepare.settings.PrepareConfig`.
+
+    Raises:
+        DataError: no slip was recorded, or nothing is left.
+        UsageError: unknown or impossible settings.
+    """
+    data = as_data(data, curve=False, mask_bad_rows=True)
+    config = config if config is not None else PrepareConfig()
+    if isinstance(config, dict):
+        config = parse_settings(PrepareConfig, config, "config")
+    slips = [name for name in ("alpha", "sigma_x") if name in data]
+    if not slips:
+        reason = "no slip and no slip angle: there is nothing to cut the test by"
+        remedy = "name one, as in --column alpha=HEADER; see `tirefit inspect`"
+        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+    series = series_of(data, config.rate)
+    raw = _channels(data, series)
+    is_series = series.rate is not None and series.rate * config.shortest >= _LEAST_ROWS
+    look = _looked_at if is_series else _points
+    settings, parts, said = look(data, config, series, raw, slips)
+    chosen, how = _chosen_filter(config, series, parts) if is_series else (None, "")
+    margin = 0
+    if is_series:
+        reach = chosen.reach if chosen else 0.0
+        margin = round((config.settle + reach) * series.hertz)
+    ends = {piece.start for piece in series.pieces} | {len(data)}
+    parts = trimmed(parts, margin, ends)
+    columns = _filtered(raw, series, chosen)
+    names = {name: setting_names(s) for name, s in settings.items() if s.is_held}
+    parts = _binned(parts, names, config)
+    kept = np.zeros(len(data), bool)
+    for part in parts:
+        if part.kind in config.keep:
+            first = part.first if part.is_held else part.begin
+            kept[first : part.last if part.is_held else part.end] = True
+    kept &= data.used
+    if not kept.any():
+        reason = f"nothing is left: {', '.join(dict.fromkeys(p.kind for p in parts))}"
+        remedy = "see the segments in the figure, or keep other kinds"
+        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+    notes = [*said, how] if how else list(said)
+    unusable = len(data) - data.n
+    if unusable:
+        notes.append(
+            f"{unusable} rows cannot be used, and are cut: `masked` of the JSON"
+        )
+    return Prepared(
+        data, config, series, settings, names, tuple(parts), columns, kept, chosen,
+        tuple(notes),
+    )  # fmt: skip
+
+
+def _binned(parts: list[Segment], names, config: PrepareConfig) -> list[Segment]:
+    """Segments with their bins, named by what differs among those that are kept."""
+    kept = [part for part in parts if part.kind in config.keep and part.is_held]
+    told = {
+        name
+        for name in names
+        if len({part.level.get(name, -1) for part in kept} - {-1}) > 1
+    }
+    return [
+        replace(p, bin=bin_name(p.level, names, told)) if p.is_held else p
+        for p in parts
+    ]
+
+
+def _standing(parts: list[Segment], speed: Settings | None) -> list[Segment]:
+    """Segments in which the wheel does not roll, by their own name."""
+    if speed is None or not speed.is_held:
+        return parts
+    still = np.abs(speed.center) <= _STANDING * np.max(np.abs(speed.center))
+    return [
+        replace(p, kind="standing") if p.is_held and still[p.level["v"]] else p
+        for p in parts
+    ]
+
+
+def _channels(data: TireData, series: Series) -> dict[str, np.ndarray]:
+    """All channels without gaps, slip as a ratio, which is bounded; (n,) each."""
+    out = {}
+    for name, values in data.columns.items():
+        if name == "time" or name.endswith("_std") or not np.isfinite(values).any():
+            continue
+        filled = np.array(values, float)
+        if name == "sigma_x":
+            filled = slip_from_sigma(filled, "slip_ratio")
+        for piece in series.pieces:
+            filled[piece] = bridged(filled[piece], series.time[piece])
+        out[name] = bridged(filled, np.arange(len(filled), dtype=float))
+    return out
+
+
+# --- a series in time -------------------------------------------------------------
+
+
+def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
+    """Settings, segments, and what is to be said."""
+    rate = series.hertz
+    shortest = max(round(config.shortest * rate), 2)
+    look = zero_phase(min(_LOOK, _SHARE_OF_RATE * rate), rate)
+    assert look is not None  # such a share of the rate is never too much
+    smooth = {name: _smoothed(raw[name], series, look) for name in raw}
+    its_legs = {}
+    for name in slips:
+        noise = _noise(raw[name] - smooth[name]) * np.sqrt(2 * look.bandwidth / rate)
+        its_legs[name] = legs(smooth[name], series.pieces, noise, LEAST[name], shortest)
+    windows = _windows(its_legs, len(data), round(_WINDOW * rate))
+    settings = {
+        name: settings_of(name, smooth[name], windows, series.pieces, shortest)
+        for name in CONDITIONS
+        if name in smooth
+    }
+    said = [f"{s.name} is nowhere held: no bins of it" for s in settings.values()
+            if not s.is_held]  # fmt: skip
+    conditions = {name: s for name, s in settings.items() if s.is_held}
+    conditions |= _held_slips(its_legs, smooth, series, shortest)
+    parts = segments_of(
+        series, ~data.used, {k: conditions[k] for k in conditions if k in settings},
+        its_legs, smooth, smooth.get("fz"), shortest,
+    )  # fmt: skip
+    parts = [_with_held_slip(part, conditions, settings) for part in parts]
+    parts = _standing(parts, settings.get("v"))
+    swept = _mostly_swept(parts, slips)
+    parts, how = with_warmth(
+        parts, series.time, smooth.get("temperature"), config.warm_up, smooth[swept],
+        smooth.get(FORCE_OF[swept]),
+    )  # fmt: skip
+    return conditions, parts, [*said, how]
+
+
+def _smoothed(values, series: Series, look: ZeroPhase) -> np.ndarray:
+    out = np.array(values, float)
+    for piece in series.pieces:
+        out[piece] = look(values[piece], series.time[piece])
+    return out
+
+
+def _noise(rest: np.ndarray) -> float:
+    """Standard deviation of noise by the median of its size."""
+    return float(1.4826 * np.median(np.abs(rest - np.median(rest))))
+
+
+def _windows(its_legs, n: int, second: int) -> list[Window]:
+    """Where to look for settings: whole sweeps, and holds by the second."""
+    key = np.zeros((n, len(its_legs)), int)
+    how: list[list[Leg]] = list(its_legs.values())
+    for column, all_legs in enumerate(how):
+        for number, leg in enumerate(all_legs):
+            key[leg.begin : leg.end, column] = number
+    windows = []
+    for begin, end in runs_of(key):
+        hows = {all_legs[key[begin, c]].how for c, all_legs in enumerate(how)}
+        if MOVED in hows:
+            continue
+        if SWEPT in hows:
+            windows.append(Window(begin, end, True))
+            continue
+        # They overlap by half, so that each second and a half held has a whole one.
+        last = max(end - second, begin)
+        starts = {*range(begin, last, max(second // 2, 1)), last}
+        windows += [Window(a, min(a + second, end), False) for a in sorted(starts)]
+    return [window for window in windows if window.end - window.begin >= 3]
+
+
+def _held_slips(its_legs, smooth, series: Series, shortest: int) -> dict:
+    """Settings of a slip where it is held while the other one is swept."""
+    out = {}
+    for name, all_legs in its_legs.items():
+        others = [its_legs[other] for other in its_legs if other != name]
+        if not any(leg.how == SWEPT for other in others for leg in other):
+            continue
+        windows = [
+            Window(begin, end, False)
+            for begin, end, how, _ in all_legs
+            if how == HELD and end - begin >= 3
+        ]
+        if windows:
+            out[name] = settings_of(
+                name, smooth[name], windows, series.pieces, shortest
+            )
+    return {name: settings for name, settings in out.items() if settings.is_held}
+
+
+def _with_held_slip(part: Segment, conditions, settings) -> Segment:
+    """A segment with the setting of the slip that is not swept in it."""
+    if not part.is_held:
+        return part
+    level = dict(part.level)
+    middle = (part.begin + part.end) // 2
+    for name, slip in conditions.items():
+        if name not in settings and name not in part.channel.split("+"):
+            level[name] = int(slip.code[middle])
+    return replace(part, level=level)
+
+
+def _mostly_swept(parts: list[Segment], slips: list[str]) -> str:
+    rows = {
+        name: sum(p.end - p.begin for p in parts if name in p.channel.split("+"))
+        for name in slips
+    }
+    return max(slips, key=lambda name: rows[name])
+
+
+def _chosen_filter(config: PrepareConfig, series: Series, parts):
+    """The filter of all channels, and what is to be said of it."""
+    rate = series.hertz
+    if not config.filter:
+        return None, "not filtered, as declared"
+    how, bandwidth = "as declared", config.bandwidth
+    if bandwidth is None:
+        times = [(p.end - p.begin) / rate for p in parts if p.kind in ("sweep", "cold")]
+        fast = float(np.quantile(times, _FASTEST)) if times else 0.0
+        bandwidth = _CYCLES / fast if times else _LOOK
+        bandwidth = float(np.clip(bandwidth, _LOWEST, _HIGHEST))
+        how = f"{_CYCLES:.0f} cycles of it in the fast sweeps of {fast:.2g} s"
+        how = how if times else "there is no sweep to choose it by"
+        bandwidth = float(f"{bandwidth:.2g}")
+    chosen = zero_phase(bandwidth, rate)
+    if chosen is None:
+        said = f"not filtered: {rate:.4g} rows a second are too few for"
+        return None, f"{said} {bandwidth:g} Hz"
+    said = (
+        "all channels by one zero-phase filter (Butterworth, forwards and backwards) of"
+        f" {bandwidth:g} Hz (-3 dB; {how}); neighbouring rows are not independent"
+    )
+    return chosen, said
+
+
+def _filtered(raw, series: Series, chosen: ZeroPhase | None) -> dict[str, np.ndarray]:
+    """Channels after the filter, slip as sigma_x again; (n,) each."""
+    out = {}
+    for name, values in raw.items():
+        done = values if chosen is None else _smoothed(values, series, chosen)
+        out[name] = slip_to_sigma(done, "slip_ratio") if name == "sigma_x" else done
+    return out
+
+
+# --- points that are no series ----------------------------------------------------
+
+
+def _points(data, config: PrepareConfig, series: Series, raw, slips):
+    """As :func:`_looked_at`, of rows without time: settings by their values alone."""
+    settings = {}
+    for name in CONDITIONS:
+        if name in raw:
+            here = levels(raw[name])
+            if not here.is_swept:
+                width = np.maximum(here.high - here.center, here.center - here.low)
+                settings[name] = Settings(name, here.center, width, here.code)
+    said = ["no series in time: rows as they come, not filtered, nothing settles"]
+    n = len(data)
+    key = np.stack([data.run, *(s.code for s in settings.values())], axis=1)
+    bins = [slice(begin, end) for begin, end in runs_of(key)]
+    swept = max(slips, key=lambda name: np.ptp(raw[name]) / LEAST[name])
+    all_legs = legs(raw[swept], bins, 0.0, LEAST[swept], n + 1)
+    parts = []
+    for piece in bins:
+        level = {name: int(s.code[piece.start]) for name, s in settings.items()}
+        of_bin = [leg for leg in all_legs if piece.start <= leg.begin < piece.stop]
+        usual = np.median([leg.rows for leg in of_bin])
+        if usual < _LEAST_ROWS:  # in no order
+            parts.append(Segment("steady", piece.start, piece.stop, level=level))
+            continue
+        for leg in of_bin:
+            direction = {1: "up", -1: "down"}.get(leg.direction, "")
+            kind = "sweep" if leg.how == SWEPT else "steady"
+            channel = swept if leg.how == SWEPT else ""
+            parts.append(Segment(kind, leg.begin, leg.end, channel, direction, level))
+    parts, how = with_warmth(
+        parts, series.time, None, config.warm_up, raw[swept], raw.get(FORCE_OF[swept])
+    )
+    return settings, parts, [*said, how]

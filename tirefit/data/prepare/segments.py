@@ -1,0 +1,199 @@
+"""Segments of a rig's test: stretches in which the rig did one thing."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tirefit.data.prepare.series import Series, runs_of
+from tirefit.data.prepare.set_points import Settings
+from tirefit.data.prepare.slips import SWEPT, Leg
+
+__all__ = ["Segment", "segments_of", "trimmed"]
+
+_PART = 0.25
+"""Of a whole sweep that is left of it at least where a change cuts into it."""
+_SLOW = 3.0
+"""Seconds from which on a load on its way measures the spring rate."""
+_FAR = 0.3
+"""Of the largest load: a spring rate is measured over so much at least."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Rows ``begin`` to ``end`` (exclusive) in which the rig did one thing.
+
+    ``kind`` is a key of ``settings.KINDS``; ``channel`` what was swept or on its way,
+    ``direction`` "up" or "down" of a sweep. ``level`` numbers the setting of each
+    condition that is held. ``first`` to ``last`` (exclusive) are the rows without what
+    settles at the ends; ``bin`` names the settings.
+    """
+
+    kind: str
+    begin: int
+    end: int
+    channel: str = ""
+    direction: str = ""
+    level: Mapping[str, int] = field(default_factory=dict)
+    first: int = 0
+    last: int = 0
+    bin: str = ""
+
+    @property
+    def is_held(self) -> bool:
+        """Whether its conditions are held."""
+        return self.kind in ("sweep", "steady", "cold", "warm-up")
+
+
+def segments_of(
+    series: Series,
+    bad: np.ndarray,
+    conditions: Mapping[str, Settings],
+    legs: Mapping[str, list[Leg]],
+    slips: Mapping[str, np.ndarray],
+    load: np.ndarray | None,
+    shortest: int,
+) -> list[Segment]:
+    """All rows of the file as segments, in order.
+
+    Args:
+        series: clock and pieces.
+        bad: (n,) bool, rows that cannot be read.
+        conditions: settings of the channels that are held, by name.
+        legs: legs of each slip, by name.
+        slips: (n,) smoothed, by name.
+        load: (n,) [N] smoothed, if there is one.
+        shortest: rows that count as held at least.
+    """
+    names = list(conditions)
+    codes = np.stack([conditions[c].code for c in names], axis=1) if names else None
+    moving = np.zeros(len(bad), int)
+    if codes is not None:
+        moving = (codes < 0) @ (1 << np.arange(len(names)))
+    key = [_piece_of(series, len(bad)), _lasting(bad, shortest), moving]
+    still = moving == 0
+    if codes is not None:
+        key += list((codes * still[:, None]).T)
+    for name in legs:
+        key.append(_number_of(legs[name], len(bad)) * still)
+    here = []
+    for begin, end in runs_of(np.stack(key, axis=1)):
+        level = {name: int(conditions[name].code[begin]) for name in names}
+        if key[1][begin]:
+            here.append(Segment("unusable", begin, end))
+        elif moving[begin]:
+            ways = [name for name in names if conditions[name].code[begin] < 0]
+            here.append(_on_its_way(begin, end, ways, series, load))
+        else:
+            here.append(_held(begin, end, level, legs, slips, shortest))
+    return _with_steps(_merged(here, key[0]), conditions)
+
+
+def _piece_of(series: Series, n: int) -> np.ndarray:
+    piece = np.zeros(n, int)
+    for number, rows in enumerate(series.pieces):
+        piece[rows] = number
+    return piece
+
+
+def _lasting(bad: np.ndarray, shortest: int) -> np.ndarray:
+    """Bad rows, those left out that only interrupt what goes on."""
+    out = np.zeros(len(bad), int)
+    for begin, end in runs_of(bad):
+        out[begin:end] = bad[begin] and end - begin >= shortest
+    return out
+
+
+def _number_of(legs: list[Leg], n: int) -> np.ndarray:
+    number = np.zeros(n, int)
+    for k, leg in enumerate(legs):
+        number[leg.begin : leg.end] = k + 1
+    return number
+
+
+def _leg_at(legs: list[Leg], row: int) -> Leg:
+    begins = [leg.begin for leg in legs]
+    return legs[int(np.searchsorted(begins, row, side="right")) - 1]
+
+
+def _held(begin, end, level, legs, slips, shortest: int) -> Segment:
+    """A sweep or a steady state, or what is too short to be one."""
+    swept = {}
+    for name, its in legs.items():
+        leg = _leg_at(its, begin)
+        if leg.how == SWEPT:
+            swept[name] = leg
+        elif leg.how != "held":
+            return Segment("transition", begin, end, name)
+    if not swept:
+        kind = "steady" if end - begin >= shortest else "transition"
+        return Segment(kind, begin, end, level=level if kind == "steady" else {})
+    parts = []
+    for name, leg in swept.items():
+        slip = slips[name]
+        there = abs(slip[end - 1] - slip[begin])
+        parts.append(there / max(abs(slip[leg.end - 1] - slip[leg.begin]), 1e-300))
+    if max(parts) < _PART or end - begin < 3:
+        return Segment("transition", begin, end, "+".join(swept))
+    leg = next(iter(swept.values()))
+    direction = "up" if leg.direction > 0 else "down"
+    return Segment("sweep", begin, end, "+".join(swept), direction, level)
+
+
+def _on_its_way(begin, end, ways, series: Series, load) -> Segment:
+    kind = "transition"
+    if ways == ["fz"] and load is not None and series.rate is not None:
+        lasts = (end - begin) / series.rate
+        # The load comes back where it began, so that its range tells.
+        far = np.ptp(load[begin:end]) >= _FAR * np.max(load)
+        kind = "spring-rate" if lasts >= _SLOW and far else "transition"
+    return Segment(kind, begin, end, "+".join(ways))
+
+
+def _merged(parts: list[Segment], piece: np.ndarray) -> list[Segment]:
+    """Transitions that follow each other as one."""
+    out: list[Segment] = []
+    for part in parts:
+        last = out[-1] if out else None
+        if (
+            last is not None
+            and last.kind == part.kind == "transition"
+            and piece[last.begin] == piece[part.begin]
+        ):
+            ways = dict.fromkeys([*last.channel.split("+"), *part.channel.split("+")])
+            channel = "+".join(way for way in ways if way)
+            out[-1] = replace(last, end=part.end, channel=channel)
+        else:
+            out.append(part)
+    return out
+
+
+def _with_steps(parts: list[Segment], conditions) -> list[Segment]:
+    """Transitions of the load from one setting to another as load steps."""
+    out = list(parts)
+    for k in range(1, len(out) - 1):
+        before, way, after = out[k - 1 : k + 2]
+        if way.kind != "transition" or way.channel != "fz":
+            continue
+        if before.is_held and after.is_held:
+            rest = [name for name in conditions if name != "fz"]
+            same = all(before.level[name] == after.level[name] for name in rest)
+            if same and before.level["fz"] != after.level["fz"]:
+                out[k] = replace(way, kind="load-step")
+    return out
+
+
+def trimmed(parts: list[Segment], margin: int, piece_ends: set[int]) -> list[Segment]:
+    """The segments with ``first`` and ``last``: beside a change, and not beside the end
+    of a series or a mere turn of the slip, ``margin`` rows settle."""
+    out = []
+    for k, part in enumerate(parts):
+        first, last = part.begin, part.end
+        if part.is_held:
+            if first not in piece_ends and k and not parts[k - 1].is_held:
+                first = min(first + margin, last)
+            if last not in piece_ends and k + 1 < len(parts):
+                if not parts[k + 1].is_held:
+                    last = max(last - margin, first)
+        out.append(replace(part, first=first, last=last))
+    return out

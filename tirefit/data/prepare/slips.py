@@ -1,0 +1,204 @@
+"""What the rig did with a slip: held it, swept it up or down, or moved it on."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+__all__ = ["HELD", "LEAST", "MOVED", "SWEPT", "Leg", "legs", "swept_range"]
+
+HELD, SWEPT, MOVED = "held", "swept", "moved"
+
+LEAST = {"alpha": np.radians(0.5), "sigma_x": 0.01}
+"""Range of a slip below which it was not swept but held, give or take."""
+
+_REVERSAL = 0.02
+"""Of the range of the slip: going back by so much turns a sweep."""
+_STILL = 0.008
+"""Of the range of the slip: within so much it is held."""
+_LONGER = 3
+"""Times as long as it was looked at, where that is not enough to see it move."""
+_NOISES = 8.0
+"""Standard deviations of the noise that are no movement."""
+_PAUSE = 0.3
+"""A stop shorter than this share of the sweeps beside it is their turning point: a sine
+is within ``_STILL`` of its end for 0.11 of the way from end to end."""
+_STEP = 0.4
+"""A movement shorter than this share of both stops beside it leads from one to the
+other."""
+_HURRY = 2.5
+"""A movement so many times as fast as the sweep beside it takes the slip back."""
+
+
+class Leg(NamedTuple):
+    """Rows ``begin`` to ``end`` (exclusive) in which a slip was ``how`` (held, swept or
+    moved); ``direction`` is +1 or -1 of a sweep, else 0."""
+
+    begin: int
+    end: int
+    how: str
+    direction: int = 0
+
+    @property
+    def rows(self) -> int:
+        return self.end - self.begin
+
+
+def swept_range(slip: np.ndarray) -> float:
+    """Range of a slip without its extreme rows."""
+    low, high = np.percentile(slip, [0.2, 99.8])
+    return float(high - low)
+
+
+def legs(
+    slip: np.ndarray, pieces, noise: float, least: float, shortest: int
+) -> list[Leg]:
+    """The legs of a slip: they cover all rows of the pieces, in order.
+
+    Args:
+        slip: (n,) smoothed, finite.
+        pieces: slices of rows that follow each other in time.
+        noise: standard deviation that is left in it.
+        least: range below which it was held throughout.
+        shortest: rows that count as held at least.
+    """
+    size = swept_range(slip)
+    if size < max(least, 2 * _NOISES * noise):
+        return [Leg(piece.start, piece.stop, HELD) for piece in pieces]
+    still = max(_STILL * size, _NOISES * noise)
+    reversal = max(_REVERSAL * size, _NOISES * noise)
+    all_legs: list[Leg] = []
+    for piece in pieces:
+        part = slip[piece]
+        stops = _stops(part, still, shortest)
+        moving = _between(part, stops, reversal)
+        kept = [stop for stop in stops if not _is_turn(stop, moving)]
+        if len(kept) < len(stops):
+            moving = _between(part, kept, reversal)
+        here = sorted([*(Leg(*stop, HELD) for stop in kept), *moving])
+        all_legs += [
+            leg._replace(begin=leg.begin + piece.start, end=leg.end + piece.start)
+            for leg in here
+        ]
+    return _without_returns(slip, _without_steps(all_legs))
+
+
+def _stops(slip: np.ndarray, still: float, shortest: int) -> list[tuple[int, int]]:
+    """Stretches of at least ``shortest`` rows in which the slip stays where it is."""
+    n = len(slip)
+    if n < shortest:
+        return [(0, n)] if np.ptp(slip) <= still else []
+    # The window that begins at each row.
+    shift = -((shortest - 1) // 2) if shortest % 2 else -(shortest // 2)
+    high = maximum_filter1d(slip, shortest, origin=shift, mode="nearest")
+    low = minimum_filter1d(slip, shortest, origin=shift, mode="nearest")
+    begins = np.flatnonzero((high - low <= still)[: n - shortest + 1])
+    if not len(begins):
+        return []
+    mark = np.zeros(n + 1, int)
+    np.add.at(mark, begins, 1)
+    np.add.at(mark, begins + shortest, -1)
+    inside = np.concatenate([[False], np.cumsum(mark)[:-1] > 0, [False]])
+    edges = np.flatnonzero(inside[1:] != inside[:-1])
+    stops = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    kept = []
+    for a, b in stops:
+        if np.ptp(slip[a:b]) <= 2 * still:
+            kept.append((a, b))
+        else:  # windows that overlap creep along with a slow sweep: longer ones do not
+            inner = _stops(slip[a:b], still, _LONGER * shortest)
+            kept += [(a + first, a + last) for first, last in inner]
+    return kept
+
+
+def _between(slip: np.ndarray, stops, reversal: float) -> list[Leg]:
+    """Legs of what lies between the stops, cut where the slip turns."""
+    edges = [0, *(edge for stop in stops for edge in stop), len(slip)]
+    moving: list[Leg] = []
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        if end <= begin:
+            continue
+        # With the ends of the stops, from and to which it moves.
+        first, last = max(begin - 1, 0), min(end + 1, len(slip))
+        turns = [t + first for t in _turns(slip[first:last], reversal)]
+        inner = [_cut(slip, t) for t in turns if begin < t < end]
+        cuts = [begin, *inner, end]
+        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
+            if a == b:  # a jump from one row to the next
+                continue
+            change = slip[min(b, len(slip) - 1)] - slip[max(a - 1, 0)]
+            how = SWEPT if abs(change) >= reversal else MOVED
+            moving.append(Leg(a, b, how, int(np.sign(change)) if how == SWEPT else 0))
+    return moving
+
+
+def _turns(slip: np.ndarray, reversal: float) -> list[int]:
+    """Rows at which the slip turns: extremes that it leaves by ``reversal``."""
+    turns = []
+    values = slip.tolist()
+    low = high = 0
+    direction = 0
+    for row, value in enumerate(values):
+        if value > values[high]:
+            high = row
+        if value < values[low]:
+            low = row
+        if direction >= 0 and values[high] - value >= reversal:
+            turns += [high] if direction else []
+            direction, low = -1, row
+            high = row
+        elif direction <= 0 and value - values[low] >= reversal:
+            turns += [low] if direction else []
+            direction, high = 1, row
+            low = row
+    return turns
+
+
+def _cut(slip: np.ndarray, turn: int) -> int:
+    """First row of the leg after a turn: the extreme belongs to the slower leg."""
+    before = abs(slip[turn] - slip[turn - 1])
+    after = abs(slip[turn + 1] - slip[turn]) if turn + 1 < len(slip) else np.inf
+    return turn + 1 if before <= after else turn
+
+
+def _is_turn(stop: tuple[int, int], moving: list[Leg]) -> bool:
+    """Whether a stop is but the end of a sweep that turns there."""
+    beside = [leg for leg in moving if leg.end == stop[0] or leg.begin == stop[1]]
+    if sum(leg.direction for leg in beside) or len(beside) < 2:
+        return False
+    return stop[1] - stop[0] < _PAUSE * min(leg.rows for leg in beside)
+
+
+def _without_steps(all_legs: list[Leg]) -> list[Leg]:
+    """Legs from stop to stop that are short beside both are no sweeps but steps."""
+    out = list(all_legs)
+    for k in range(1, len(out) - 1):
+        before, leg, after = out[k - 1 : k + 2]
+        joined = before.end == leg.begin and leg.end == after.begin
+        if leg.how != SWEPT or not joined or {before.how, after.how} != {HELD}:
+            continue
+        if leg.rows < _STEP * min(before.rows, after.rows):
+            out[k] = leg._replace(how=MOVED, direction=0)
+    return out
+
+
+def _without_returns(slip: np.ndarray, all_legs: list[Leg]) -> list[Leg]:
+    """Sweeps much faster than those beside them only take the slip back."""
+
+    def speed(leg: Leg) -> float:
+        return abs(slip[leg.end - 1] - slip[leg.begin]) / leg.rows
+
+    out = []
+    for k, leg in enumerate(all_legs):
+        beside = [*all_legs[max(k - 1, 0) : k], *all_legs[k + 1 : k + 2]]
+        slower = [
+            other
+            for other in beside
+            if leg.how == other.how == SWEPT
+            and leg.direction != other.direction
+            and (other.end == leg.begin or leg.end == other.begin)
+        ]
+        if any(speed(leg) > _HURRY * speed(other) for other in slower):
+            leg = leg._replace(how=MOVED, direction=0)
+        out.append(leg)
+    return out

@@ -1,0 +1,170 @@
+"""What is written of a prepared test: a table to fit, one of segments, and a record."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tirefit.data.prepare.bins import SHOWN
+from tirefit.data.prepare.prepare import Prepared
+from tirefit.data.prepare.segments import Segment
+from tirefit.data.table import CANONICAL
+from tirefit.data.write import csv_text
+from tirefit.door import sealed
+from tirefit.files import json_safe
+
+__all__ = ["FROM", "SCHEMA", "prepared_csv", "record_of", "segment_columns", "summary"]
+
+SCHEMA = "tirefit.prepare/1"
+
+FROM = "# tirefit {version}: prepared from {name}, SI units, convention braking\n"
+"""First line of the table; the reader takes the convention from it."""
+
+_DIGITS = 9
+"""More than any sensor has, and the same on every machine."""
+
+
+def _number(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
+
+
+def prepared_csv(prepared: Prepared, version: str) -> str:
+    """The kept rows: run, segment, bin, kind, direction, then the canonical channels.
+
+    ``segment`` numbers the segments of the file from 1.
+    """
+    kept = prepared.kept
+    number = np.zeros(len(kept), int)
+    for k, part in enumerate(prepared.segments):
+        number[part.begin : part.end] = k
+    rows = number[kept].tolist()
+    parts, data = prepared.segments, prepared.data
+    columns: dict[str, Any] = {
+        "run": [data.runs[code] for code in data.run[kept]],
+        "segment": [k + 1 for k in rows],
+        "bin": [parts[k].bin or "none" for k in rows],
+        "kind": [parts[k].kind for k in rows],
+        "direction": [parts[k].direction for k in rows],
+    }
+    if prepared.series.rate is not None:
+        columns["time"] = [_number(t) for t in prepared.series.time[kept]]
+    for name in CANONICAL:
+        if name in prepared.columns:
+            columns[name] = [_number(v) for v in prepared.columns[name][kept]]
+    name = data.source.path or data.name
+    first = FROM.format(version=version, name=name.replace("\n", " "))
+    return first + csv_text(columns)
+
+
+def segment_columns(prepared: Prepared) -> dict[str, list]:
+    """The table of segments: one row each, settings in SI units."""
+    columns: dict[str, list] = {}
+    for k, part in enumerate(prepared.segments):
+        for key, value in _segment(prepared, k, part).items():
+            columns.setdefault(key, []).append(value)
+    return columns
+
+
+def _segment(prepared: Prepared, k: int, part: Segment) -> dict[str, Any]:
+    time, line = prepared.series.time, prepared.data.source.line
+    row = {
+        "segment": k + 1,
+        "kind": part.kind,
+        "channel": part.channel,
+        "direction": part.direction,
+        "run": prepared.data.runs[prepared.data.run[part.begin]],
+        "begin": _number(time[part.begin]),
+        "end": _number(time[part.end - 1]),
+        "first_line": int(line[part.begin]) if line is not None else part.begin,
+        "last_line": int(line[part.end - 1]) if line is not None else part.end - 1,
+        "rows": part.end - part.begin,
+        "kept": int(prepared.kept[part.begin : part.end].sum()),
+        "bin": part.bin,
+    }
+    for name in prepared.settings:
+        level = part.level.get(name, -1) if part.is_held else -1
+        held = prepared.settings[name].center
+        row[name] = _number(held[level]) if level >= 0 else float("nan")
+    return row
+
+
+def record_of(
+    prepared: Prepared, how: Mapping[str, Any], files: Mapping[str, str], version: str
+) -> dict:
+    """Everything that was done to a file, sealed; ``--repeat`` does it again.
+
+    Args:
+        how: the arguments of ``tirefit.read``.
+        files: name to sha256 of what was written.
+    """
+    source, config = prepared.data.source, prepared.config
+    chosen = prepared.filter
+    content = {
+        "schema": SCHEMA,
+        "version": version,
+        "input": {"path": source.path, "sha256": source.sha256},
+        "read": dict(how),
+        "config": config.model_dump(),
+        "convention": {
+            "input": source.convention,
+            "output": "braking",
+            "units": {c: CANONICAL[c][0] for c in prepared.columns},
+        },
+        "sampling_rate": prepared.series.rate,
+        "filter": None
+        if chosen is None
+        else {
+            "kind": "zero-phase Butterworth, two passes of order 2",
+            "bandwidth": chosen.bandwidth,
+            "corner_of_one_pass": chosen.corner,
+            "reach": chosen.reach,
+            "channels": list(prepared.columns),
+        },
+        "settings": {
+            name: [
+                {"name": label, "center": center, "usual_stray": width}
+                for label, center, width in zip(
+                    prepared.names[name], s.center, s.width, strict=True
+                )
+            ]
+            for name, s in prepared.settings.items()
+            if s.is_held
+        },
+        "rows": {
+            "file": len(prepared.data),
+            "kept": int(prepared.kept.sum()),
+            "by_kind": prepared.rows_by_kind(),
+        },
+        "segments": [
+            _segment(prepared, k, part) for k, part in enumerate(prepared.segments)
+        ],
+        "notes": list(prepared.notes),
+        "assumptions": list(source.assumptions),
+        "warnings": list(source.warnings),
+        "masked": [str(problem) for problem in source.masked],
+        "files": dict(files),
+    }
+    return sealed(json_safe(content))
+
+
+def summary(prepared: Prepared) -> str:
+    """What was found and kept, in a few lines."""
+    rows = prepared.rows_by_kind()
+    total, kept = len(prepared.data), int(prepared.kept.sum())
+    count: dict[str, int] = {}
+    for part in prepared.segments:
+        count[part.kind] = count.get(part.kind, 0) + 1
+    lines = [
+        f"{prepared.data.name}: {kept} of {total} rows kept"
+        f" ({', '.join(prepared.config.keep)}), convention braking, SI units"
+    ]
+    for kind, number in count.items():
+        lines.append(f"  {number:>4} {kind:<12} {rows[kind]:>8} rows")
+    for name, settings in prepared.settings.items():
+        if settings.is_held:
+            held = prepared.names[name]
+            unit = SHOWN[name][1]
+            listed = ", ".join(text.removesuffix(f" {unit}") for text in held)
+            lines.append(f"  {name} set to {listed} {unit}")
+    lines += [f"  {note}" for note in prepared.notes]
+    return "\n".join(lines)

@@ -1,0 +1,179 @@
+"""Results of many files as one table: a row per number and file, Parquet on disk.
+
+Columns: ``number`` (place of the file among those given, from 1), ``file``, ``result``
+(where it lies), ``model``, ``status`` (the verdict; ``failed`` without a result),
+``kind`` (parameter, derived, statistic; of a diagnosis base, effect, gap), ``name``,
+``value``, ``std``, ``low`` and ``high`` (95 % interval of a fit), ``unit``,
+``identified``, ``problem`` (why it failed), ``convention``, ``seed``, ``version``,
+``sha256`` (of the data). A file without a result has one row without a name.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tirefit.data.extras import extra
+from tirefit.files import replacing
+
+__all__ = ["FAILED", "FileRecord", "ResultsTable", "Row", "dates_of", "records_into"]
+
+FAILED = "failed"
+
+_GROUP = 100_000
+"""Rows that are held before they go to the disk."""
+
+
+class Row(NamedTuple):
+    """One number of one file; what the data do not tell is None."""
+
+    kind: str
+    name: str
+    value: float | None
+    std: float | None = None
+    low: float | None = None
+    high: float | None = None
+    unit: str = ""
+    identified: bool = True
+
+
+@dataclass(frozen=True)
+class FileRecord:
+    """What one file gave; ``outcomes`` are those of a fit, in lower case."""
+
+    file: str
+    result: str
+    model: str
+    status: str
+    rows: tuple[Row, ...] = ()
+    outcomes: tuple[str, ...] = ()
+    problem: str = ""
+    convention: str = ""
+    seed: int | None = None
+    version: str = ""
+    sha256: str = ""
+
+    def of_kind(self, kind: str) -> dict[str, Row]:
+        return {row.name: row for row in self.rows if row.kind == kind}
+
+
+_TEXTS = ("file", "result", "model", "status", "kind", "name", "unit", "problem",
+          "convention", "version", "sha256")  # fmt: skip
+_NUMBERS = ("value", "std", "low", "high")
+_NOTHING = Row("", "", None, identified=False)
+
+
+class _Writer:
+    """Columns that grow, and go to the file a group at a time."""
+
+    def __init__(self, path: Path, name: str):
+        pyarrow = extra("pyarrow", "the table of results", name, "cluster", "writing")
+        parquet = extra("pyarrow.parquet", "", name)
+        fields = {"number": pyarrow.int64()}
+        fields |= dict.fromkeys(_TEXTS, pyarrow.string())
+        fields |= dict.fromkeys(_NUMBERS, pyarrow.float64())
+        fields |= {"identified": pyarrow.bool_(), "seed": pyarrow.int64()}
+        self.table, self.schema = pyarrow.table, pyarrow.schema(fields.items())
+        self.file = parquet.ParquetWriter(path, self.schema, compression="zstd")
+        self.columns: dict[str, list] = {name: [] for name in fields}
+        self.number = 0
+
+    def add(self, record: FileRecord) -> None:
+        """The rows of the next file."""
+        self.number += 1
+        whole = {"number": self.number} | {
+            name: getattr(record, name)
+            for name in (*_TEXTS, "seed") if hasattr(record, name)
+        }  # fmt: skip
+        for row in record.rows or (_NOTHING,):
+            for name, value in (whole | row._asdict()).items():
+                self.columns[name].append(value)
+        if len(self.columns["number"]) >= _GROUP:
+            self.flush()
+
+    def flush(self) -> None:
+        self.file.write_table(self.table(self.columns, schema=self.schema))
+        self.columns = {name: [] for name in self.columns}
+
+
+@contextmanager
+def records_into(path: Path) -> Iterator[Any]:
+    """Something whose ``add`` takes a :class:`FileRecord` after the other.
+
+    The table stands at ``path`` at the end of the block; where it fails, nothing does.
+
+    Raises:
+        DataError: pyarrow is missing.
+    """
+    with replacing(path) as temporary:
+        writer = _Writer(temporary, str(path))
+        try:
+            yield writer
+            writer.flush()
+        finally:
+            writer.file.close()
+
+
+class ResultsTable:
+    """A table that :func:`records_into` wrote, a quantity at a time."""
+
+    def __init__(self, path: Path):
+        what, group = "the table of results", "cluster"
+        self._compute = extra("pyarrow.compute", what, str(path), group)
+        parquet = extra("pyarrow.parquet", what, str(path), group)
+        self._table = parquet.read_table(path, read_dictionary=list(_TEXTS))
+
+    def quantities(self) -> list[tuple[str, str, str]]:
+        """(kind, name, unit) of all numbers, in the order of their first rows."""
+        keys = self._table.select(["kind", "name", "unit"]).to_batches()
+        there: dict[tuple[str, str, str], None] = {}
+        for batch in keys:
+            columns = (column.to_pylist() for column in batch.columns)
+            there.update(dict.fromkeys(zip(*columns, strict=True)))
+        return [key for key in there if key[1]]
+
+    def of(self, kind: str, name: str) -> dict[str, np.ndarray]:
+        """``number``, ``value`` and ``std`` (n,) of a quantity; NaN for None."""
+        equal, both = self._compute.equal, self._compute.and_
+        mask = both(equal(self._table["kind"], kind), equal(self._table["name"], name))
+        rows = self._table.select(["number", "value", "std"]).filter(mask)
+        return {
+            column: np.asarray(rows[column].to_numpy(), float if place else int)
+            for place, column in enumerate(rows.column_names)
+        }
+
+    def files(self) -> dict[str, list]:
+        """What is of a file, not of one of its numbers: a list of n for each column."""
+        number = self._table["number"].to_numpy()
+        first = np.flatnonzero(np.diff(number, prepend=0))
+        names = ["file", "result", "model", "status", "problem", "convention",
+                 "version", "seed"]  # fmt: skip
+        return self._table.select(names).take(first).to_pydict()
+
+
+_DATE = re.compile(
+    r"(?<!\d)((?:19|20)\d\d)([-_.]?)(0[1-9]|1[0-2])\2(0[1-9]|[12]\d|3[01])"
+    r"(?:[T _-]?([01]\d|2[0-3])[-_:.h]?([0-5]\d)(?:[-_:.m]?([0-5]\d))?)?(?!\d)"
+)
+
+
+def dates_of(files: Sequence[str]) -> np.ndarray | None:
+    """Dates (n,) datetime64[s] in the names of the files; None unless all have one, and
+    they are not all the same."""
+    dates = []
+    for file in files:
+        date = _DATE.search(file.replace("\\", "/").rsplit("/", 1)[-1])
+        if date is None:
+            return None
+        year, _, month, day, *clock = date.groups()
+        hour, minute, second = (part or "00" for part in clock)
+        dates.append(f"{year}-{month}-{day}T{hour}:{minute}:{second}")
+    try:
+        whole = np.array(dates, "datetime64[s]")
+    except ValueError:  # the 31st of February
+        return None
+    return whole if len(set(dates)) > 1 else None

@@ -1,0 +1,111 @@
+"""One quantity over many files: its middle, scatter, drift, and the files that differ.
+
+Each file's value y_i has its own standard deviation s_i; beside it, files differ among
+themselves by a scatter tau. The line over time is fitted by Huber's weights (that of
+wild files is bounded), and tau is where half of
+the files lie within 0.6745 of their own sqrt(s_i^2 + tau^2): a few wild files move
+neither.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import norm, t
+
+__all__ = ["AcrossFiles", "across_files"]
+
+_HUBER = 1.345
+"""Standard deviations from which on a file weighs less (95 % efficient; Huber 1964)."""
+
+_MEDIAN = float(norm.ppf(0.75))
+
+_ERROR = 0.01
+"""Chance that among files that do not differ one is called an outlier, or that a
+quantity which stays is said to drift."""
+
+_ROUNDS = 30
+
+
+class AcrossFiles(NamedTuple):
+    """``middle`` at the mean time, ``scatter`` of the files beyond their own standard
+    deviations, ``change`` from the first to the last time with its standard deviation;
+    ``pulls`` (n,): distances from the line in standard deviations, ``outlier`` (n,)."""
+
+    middle: float
+    scatter: float
+    change: float
+    change_std: float
+    drifts: bool
+    pulls: np.ndarray
+    outlier: np.ndarray
+
+
+def across_files(value, std, when) -> AcrossFiles:
+    """Middle, scatter, drift and outliers of a quantity.
+
+    Args:
+        value: (n,) finite, n at least 1.
+        std: (n,) each file's own standard deviation, not negative.
+        when: (n,) time or place of the files, any unit.
+    """
+    value, std, when = (np.asarray(one, float) for one in (value, std, when))
+    span = float(np.ptp(when))
+    x = (when - when.mean()) / span if span else np.zeros_like(when)
+    is_line = len(value) > 3 and span > 0
+    design = np.column_stack([np.ones_like(x), x] if is_line else [np.ones_like(x)])
+    # What is fitted takes its share of the scatter.
+    widened = np.sqrt(len(value) / max(len(value) - design.shape[1], 1))
+    at = np.array([np.median(value), 0.0])[: design.shape[1]]
+    for _ in range(_ROUNDS):
+        residual = value - design @ at
+        scatter = _scatter(residual * widened, std)
+        scale = np.sqrt(std**2 + scatter**2) + _tiny(value)
+        root = np.sqrt(np.minimum(1.0, _HUBER / np.abs(residual / scale).clip(1e-9)))
+        left = design * (root / scale)[:, None]
+        before, at = at, np.linalg.lstsq(left, value * root / scale, rcond=None)[0]
+        if np.all(np.abs(at - before) <= 1e-4 * np.median(scale)):
+            break
+    residual = value - design @ at
+    pulls = residual / scale
+    change = float(at[1]) if is_line else 0.0
+    change_std = _std(design, pulls, scale) if is_line else 0.0
+    freedom = max(len(value) - 2, 1)
+    limit = t.isf(_ERROR / 2, freedom)
+    return AcrossFiles(
+        float(at[0]), scatter, change, change_std,
+        bool(abs(change) > limit * change_std > 0), pulls,
+        np.abs(pulls) > t.isf(_ERROR / (2 * len(value)), freedom),
+    )  # fmt: skip
+
+
+def _tiny(value: np.ndarray) -> float:
+    """So that values without any scatter have a scale."""
+    return 1e-12 * float(np.max(np.abs(value))) + 1e-300
+
+
+def _scatter(residual: np.ndarray, std: np.ndarray) -> float:
+    """tau where the median of |r_i| / sqrt(s_i^2 + tau^2) is that of a Gaussian."""
+
+    def is_too_small(tau: float) -> bool:
+        scale = np.sqrt(std**2 + tau**2)
+        return bool(np.median(np.abs(residual) - _MEDIAN * scale) > 0)
+
+    low, high = 0.0, float(np.max(np.abs(residual))) / _MEDIAN
+    if not is_too_small(low):
+        return 0.0
+    for _ in range(20):
+        middle = (low + high) / 2
+        low, high = (middle, high) if is_too_small(middle) else (low, middle)
+    return high
+
+
+def _std(design: np.ndarray, pulls: np.ndarray, scale: np.ndarray) -> float:
+    """Of the slope: Huber's second moment with his correction for few files (Robust
+    Statistics, 1981, eq. 7.6.2)."""
+    n, p = design.shape
+    psi = np.clip(pulls, -_HUBER, _HUBER)
+    share = max(float(np.mean(np.abs(pulls) < _HUBER)), 0.5)
+    correction = 1 + p / n * (1 - share) / share
+    variance = correction**2 * float(psi @ psi) / (n - p) / share**2
+    rows = design / scale[:, None]
+    return float(np.sqrt(variance * np.linalg.pinv(rows.T @ rows)[1, 1]))

@@ -1,0 +1,367 @@
+"""Which parameters of which models a file can tell, before any fit.
+
+The information matrix of a model is summed over the file's own slips, loads and speeds,
+by the model's slopes in its parameters and the scatter of the file's own rows. Its
+inverse is the covariance that a fit would have, were the model right. Where the tire
+never slid, its friction is not known, nor therefore the information: then a friction
+that is higher describes the rows as well, and the least that they tell under any such
+friction is what counts.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tirefit.data.accept import as_data
+from tirefit.data.table import TireData
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.inference import REACH, linearise
+from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
+from tirefit.fitting.problem import build, guess_from_curve
+from tirefit.fitting.scatter import ROWS, Scatter, curve_of, scatter_of, some_rows
+from tirefit.params import Spec, constrain, log_jacobian
+from tirefit.results import DataError
+
+__all__ = [
+    "MODELS_ASKED", "Identifiability", "ModelGate", "ParameterGate", "identifiability",
+]  # fmt: skip
+
+MODELS_ASKED = (
+    "brush", "brush-d", "brush-m", "brush-n", "brush-h", "brush-load", "magic-formula",
+)  # fmt: skip
+"""Models that are looked at unless others are named."""
+
+_FRICTION = ("mu", "mu_peak", "mu_s", "D", "Dx", "Dy")
+_HIGHEST, _FRICTIONS = 2.0, 7
+"""Friction that no tire has, and how many up to it are tried."""
+_AS_WELL = 9.0
+"""Rise of -2 log likelihood up to which a friction describes the rows as well (three
+standard deviations)."""
+_REACHED = {"sigma_x": (-0.9, 2.0), "alpha": (-1.2, 1.2)}
+"""Slips that a test can go to."""
+_INSIDE = 4.0
+"""Unconstrained values that are looked at: to 2 % of the range from either bound, where
+a step of the parameter would be none of the force."""
+_STEPS = 12
+_TIMES_TOLD, _TIMES_KNOWN = 10.0, 3.0
+"""Ends of a 95 % interval, one over the other, from which on ``fit`` calls a scale or
+a positive coefficient not identified."""
+_SHARE_TOLD = 0.8
+"""Of the allowed range, the same for any other parameter."""
+_WELL = 0.15
+"""Half of the interval over the value, or over a quarter of the range: told well."""
+_STEEPEST = 20.0
+"""Loads that a force changes by at most, with one unit of an unconstrained parameter: a
+quarter of its range, or as much on a scale. More is a law beyond where it holds."""
+WELL, ROUGHLY, NOT = "well", "roughly", "not"
+
+
+class ParameterGate(NamedTuple):
+    """What the file would tell of one parameter.
+
+    ``value`` is the guess that it was looked at, ``std`` the standard deviation that a
+    fit would have; ``told`` is "well", "roughly" or "not". ``beside`` names the
+    parameter it trades places with, ``remedy`` the rows that would tell it.
+    ``is_size``: it is positive by nature, so that its std is a share of it.
+    """
+
+    name: str
+    unit: str
+    value: float
+    std: float
+    told: str
+    is_size: bool
+    beside: str = ""
+    remedy: str = ""
+
+
+class ModelGate(NamedTuple):
+    """What the file would tell of one model; ``reason`` where it cannot be asked."""
+
+    model: str
+    force: str
+    parameters: tuple[ParameterGate, ...]
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """The gate of a file: by model and force, with the noise that it was asked at."""
+
+    gates: tuple[ModelGate, ...]
+    noise: Mapping[str, float]
+    rows: int
+    effective_rows: Mapping[str, float]
+    how: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, fit for JSON."""
+        content = asdict(self)
+        content["gates"] = [
+            gate._asdict() | {"parameters": [p._asdict() for p in gate.parameters]}
+            for gate in self.gates
+        ]
+        return content
+
+    def text(self) -> str:
+        """A few lines a model, at most 88 columns."""
+        if not self.gates:
+            return ""
+        lines = ["", "", "what a fit could tell (if the model is right)"]
+        for force, share in self.noise.items():
+            rows = f"{self.rows} rows that count as {self.effective_rows[force]:.0f}"
+            lines.append(f"  {force}: noise {100 * share:.2g} % of the load, {rows}")
+        for gate in self.gates:
+            start = f"  {gate.force} {gate.model:<14} "
+            if gate.reason:
+                lines.append(f"{start}{gate.reason}")
+                continue
+            known = [_known_text(p) for p in gate.parameters if p.told != NOT]
+            lines.append(f"{start}{', '.join(known) or 'nothing'}")
+            lines += [
+                f"{'':<{len(start)}}not {_unknown_text(p)}"
+                for p in gate.parameters
+                if p.told == NOT
+            ]
+        return "\n".join(lines)
+
+
+def _known_text(p: ParameterGate) -> str:
+    about = "" if p.told == WELL else " roughly"
+    if p.is_size:
+        return f"{p.name}{about} ±{100 * p.std / p.value:.2g} %"
+    unit = "" if p.unit == "-" else f" {p.unit}"
+    return f"{p.name}{about} ±{p.std:.2g}{unit}"
+
+
+def _unknown_text(p: ParameterGate) -> str:
+    parts = [p.name]
+    if p.beside:
+        parts.append(f"it trades places with {p.beside}")
+    parts.append(f"would need {p.remedy}" if p.remedy else "nor in a wider test")
+    return ": ".join([parts[0], "; ".join(parts[1:])])
+
+
+def identifiability(
+    data: Any, models: Sequence[str] | None = None, seed: int = 0
+) -> Identifiability:
+    """Which parameters of which models the data can tell, before any fit.
+
+    Args:
+        data: what ``tirefit.read`` gave, or a path, a frame, a mapping of arrays.
+        models: names of ``tirefit models``; ``MODELS_ASKED`` if none.
+        seed: of the rows that stand for the others.
+
+    Raises:
+        UsageError: no such model.
+        DataError: as ``tirefit.read``.
+    """
+    data = as_data(data)
+    forces = [
+        force
+        for force, slip in CHANNEL_SLIP.items()
+        if force != "mz" and force in data and slip in data and "fz" in data
+        and data.n and np.ptp(data.usable(slip)) > 1e-9
+    ]  # fmt: skip
+    scatter = {force: scatter_of(data, force) for force in forces}
+    some = some_rows(data, forces, seed)
+    gates = tuple(
+        _gate(some[force], data, force, name, scatter[force])
+        for force in forces
+        for name in models or MODELS_ASKED
+    )
+    return Identifiability(
+        gates,
+        {force: s.share for force, s in scatter.items()},
+        data.n,
+        {force: data.n / s.inflation for force, s in scatter.items()},
+        "; ".join(f"{force}: {s.how}" for force, s in scatter.items()),
+    )
+
+
+# --- the model --------------------------------------------------------------------
+
+
+def _gate(some: TireData, data, force: str, name: str, scatter: Scatter) -> ModelGate:
+    config = parse_config({"force": force})
+    try:
+        task = build(some, name, config, least_rows=ROWS)
+    except DataError as error:
+        return ModelGate(name, force, (), error.problems[0].reason)
+    problem, curve = task.problem, curve_of(data, force)
+    points = [_settled(problem, z) for z in _points(task, curve)]
+    many = data.n / (problem.n * scatter.inflation)
+    weight = problem.used(problem.rows.scale[force]) / (
+        scatter.share * problem.used(problem.rows.inputs.fz)
+    )
+    costs = np.array([float(np.sum((v * weight) ** 2)) for _, v, _ in points]) * many
+    # The model may miss the rows by more than their noise: that much is no rejection.
+    wide = max(1.0, float(costs.min()) / (many * problem.n))
+    likely = [
+        point
+        for point, cost in zip(points, costs, strict=True)
+        if cost - costs.min() <= _AS_WELL * wide
+    ]
+    parameters = tuple(
+        _parameter(problem, k, likely, weight * np.sqrt(many))
+        for k in range(problem.layout.size)
+    )
+    return ModelGate(name, force, parameters)
+
+
+def _points(task, curve) -> list[np.ndarray]:
+    """Unconstrained parameters, friction from the largest force upwards."""
+    slope, peak, load = curve
+    layout, points = task.problem.layout, []
+    frictions = [p.name for p in layout.free if p.name in _FRICTION]
+    highest = max(_HIGHEST / peak, 1.2)
+    for times in np.geomspace(1, highest, _FRICTIONS if frictions else 1):
+        there = guess_from_curve(slope, times * peak, load)
+        values = {n: there.get(n, value) for n, value in task.guess.items()}
+        for p in layout.free:
+            low, high = p.spec.bounds
+            values[p.name] = float(np.clip(values[p.name], low, high))
+        points.append(np.clip(layout.unconstrained(values), -_INSIDE, _INSIDE))
+    return points
+
+
+def _at(problem: FitProblem, z) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (n,) and their slopes (n, p), without padding."""
+    at = linearise(problem, z)
+    name = problem.channels[0].name
+    most = _STEEPEST * problem.used(problem.rows.inputs.fz / problem.rows.scale[name])
+    slopes = problem.used(at.slopes[name])
+    tame = np.where(np.abs(slopes) <= most[:, None], slopes, 0.0)
+    return problem.used(at.values[name]), tame
+
+
+def _settled(problem: FitProblem, z):
+    """The rest of the parameters as the rows have them, the friction where it is.
+
+    Returns:
+        z, residuals and slopes there.
+    """
+    moves = np.array([p.name not in _FRICTION for _, p in problem.layout.elements])
+    values, slopes = _at(problem, z)
+    damping = 1e-3
+    for _ in range(_STEPS if moves.any() else 0):
+        inner = slopes[:, moves]
+        matrix = inner.T @ inner
+        matrix = (
+            matrix + damping * np.diag(np.diag(matrix)) + 1e-9 * np.eye(len(matrix))
+        )
+        step = np.zeros(len(z))
+        step[moves] = -np.linalg.solve(matrix, inner.T @ values)
+        there = np.clip(z + np.clip(step, -1, 1), -_INSIDE, _INSIDE)
+        new_values, new_slopes = _at(problem, there)
+        gain = values @ values - new_values @ new_values
+        if gain > 0:
+            z, values, slopes, damping = there, new_values, new_slopes, damping / 5
+            if gain < 1e-4 * (values @ values):
+                break
+        else:
+            damping *= 20
+    return z, values, slopes
+
+
+def _covariance(information: np.ndarray) -> np.ndarray:
+    """As of a fit: what has no information is spread over its whole range."""
+    values, vectors = np.linalg.eigh(information)
+    return (vectors / np.maximum(values, 1 / REACH**2)) @ vectors.T
+
+
+def _is_size(spec: Spec) -> bool:
+    return spec.scale == "log" or spec.lower > 0
+
+
+def _told(spec: Spec, value: float, std: float) -> str:
+    """How well an interval tells a parameter, by the rules of a fit."""
+    half = 1.96 * std
+    if _is_size(spec):
+        if spec.scale == "log":
+            ratio = float(np.exp(min(2 * half / value, 50.0)))
+        else:
+            low = max(value - half, spec.lower)
+            ratio = min(value + half, spec.upper) / low
+        most = _TIMES_TOLD if spec.scale == "log" else _TIMES_KNOWN
+        if ratio > most:
+            return NOT
+        return WELL if half <= _WELL * value else ROUGHLY
+    size = spec.upper - spec.lower
+    width = min(value + half, spec.upper) - max(value - half, spec.lower)
+    if width > _SHARE_TOLD * size:
+        return NOT
+    return WELL if half <= _WELL * max(abs(value), size / 4) else ROUGHLY
+
+
+def _parameter(problem: FitProblem, k: int, likely, weight) -> ParameterGate:
+    """The parameter under whichever likely point tells least of it."""
+    worst = None
+    for z, _, slopes in likely:
+        gate = _judged(problem, k, z, _information(slopes, weight))
+        if worst is None or _rank(gate) > _rank(worst):
+            worst = gate
+    assert worst is not None  # the best point is always likely
+    if worst.told != NOT:
+        return worst
+    return worst._replace(remedy=_remedy(problem, k, likely, weight))
+
+
+def _information(slopes, weight) -> np.ndarray:
+    weighted = slopes * weight[:, None]
+    return weighted.T @ weighted
+
+
+def _rank(gate: ParameterGate) -> tuple[int, float]:
+    scale = gate.value if gate.is_size else 1.0
+    return (WELL, ROUGHLY, NOT).index(gate.told), gate.std / scale
+
+
+def _judged(problem: FitProblem, k: int, z, information) -> ParameterGate:
+    label, parameter = problem.layout.elements[k]
+    spec = parameter.spec
+    slope = float(np.exp(log_jacobian(z[k], spec)))
+    value = float(constrain(z[k], spec))
+    cov = _covariance(information)
+    std = slope * float(np.sqrt(cov[k, k]))
+    told, beside = _told(spec, value, std), ""
+    if told != WELL and information[k, k] > 0:
+        alone = slope / float(np.sqrt(information[k, k]))
+        if _told(spec, value, alone) == WELL:
+            size = np.sqrt(np.diag(cov))
+            other = np.abs(cov[k]) / (size * size[k])
+            other[k] = 0.0
+            beside = problem.layout.labels[int(np.argmax(other))]
+    return ParameterGate(label, spec.unit, value, std, told, _is_size(spec), beside)
+
+
+def _remedy(problem: FitProblem, k: int, likely, weight) -> str:
+    """The first wider test that would tell the parameter, in words; none if none."""
+    slip = problem.slip_name
+    for words, name, times in (
+        (f"slips twice as large ({slip})", slip, (2.0,)),
+        (f"slips four times as large ({slip})", slip, (4.0,)),
+        (f"slips ten times as large ({slip})", slip, (10.0,)),
+        ("loads from half to one and a half times as large", "fz", (0.5, 1.5)),
+        ("speeds from half to twice as high", "v", (0.5, 2.0)),
+    ):
+        wider = [_scaled(problem, name, factor) for factor in times]
+        told = True
+        for z, _, slopes in likely:
+            more = _information(slopes, weight)
+            for rows in wider:
+                more = more + _information(_at(rows, z)[1], weight)
+            told &= _judged(problem, k, z, more).told != NOT
+        if told:
+            return words
+    return ""
+
+
+def _scaled(problem: FitProblem, name: str, factor: float) -> FitProblem:
+    """The problem with the same rows at so many times an input."""
+    values = factor * np.asarray(getattr(problem.rows.inputs, name))
+    if name in _REACHED:
+        values = np.clip(values, *_REACHED[name])
+    return problem.with_rows(inputs=problem.rows.inputs._replace(**{name: values}))

@@ -1,0 +1,101 @@
+"""What a file's own rows say of its noise, and which of them stand for all."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.data.levels import levels
+from tirefit.data.table import TireData
+from tirefit.fitting.likelihood import CHANNEL_SLIP
+from tirefit.fitting.noise import autocorrelation_time
+
+__all__ = ["ROWS", "Scatter", "curve_of", "scatter_of", "some_rows"]
+
+ROWS = 512
+"""Rows that stand for all, spread evenly over loads and slips: one program for all
+files."""
+_LEAST_NOISE = 1e-3
+"""Of the load: no rig measures better."""
+_GUESSED_NOISE = 0.01
+_SPINNING = -0.95
+"""Slip below which a wheel spins all but on the spot."""
+_SETTINGS = 12
+"""Levels of a channel that are settings of the rig at most."""
+_CHUNK = 12
+"""Parts of a slip curve in which it is a parabola, and the rest is noise."""
+
+
+class Scatter(NamedTuple):
+    """Noise of a force over the load, and rows per independent row."""
+
+    share: float
+    inflation: float
+    how: str
+
+
+def _order(data: TireData, slip: str) -> list[np.ndarray]:
+    """Used rows by what the rig was set to, each setting's in the order of slip."""
+    rows = np.flatnonzero(data.used)
+    if "sigma_x" in data:  # of a wheel that spins on the spot the slip has no size
+        rolls = data["sigma_x"][rows] > _SPINNING
+        rows = rows[rolls] if rolls.any() else rows
+    key = np.zeros(len(rows), int)
+    for name in ("fz", "v", "gamma", "pressure"):
+        here = levels(data[name][rows]) if name in data else None
+        if here is not None and here.few(_SETTINGS):
+            key = key * len(here.center) + here.code
+    parts = [rows[key == k] for k in np.unique(key)]
+    return [part[np.argsort(data[slip][part], kind="stable")] for part in parts]
+
+
+def some_rows(data: TireData, forces, seed: int) -> dict[str, TireData]:
+    """Data of at most ``ROWS`` used rows, one in each stretch of loads and slips."""
+    some = {}
+    for force in forces:
+        order = np.concatenate(_order(data, CHANNEL_SLIP[force]))
+        if len(order) > ROWS:
+            edges = np.linspace(0, len(order), ROWS + 1)
+            place = np.random.default_rng(seed).uniform(edges[:-1], edges[1:])
+            order = order[np.minimum(place.astype(int), len(order) - 1)]
+        chosen = np.zeros(len(data), bool)
+        chosen[order] = True
+        some[force] = data.where(chosen)
+    return some
+
+
+def scatter_of(data: TireData, force: str) -> Scatter:
+    """Noise by what a slip curve leaves of the rows in every part of it."""
+    share = data[force] / data["fz"]
+    rest = np.full(len(data), np.nan)
+    for part in _order(data, CHANNEL_SLIP[force]):
+        for rows in np.array_split(part, min(_CHUNK, max(len(part) // 8, 1))):
+            if len(rows) < 6:
+                continue
+            slip = data[CHANNEL_SLIP[force]][rows]
+            at = (slip - slip.mean()) / (np.ptp(slip) or 1.0)
+            terms = np.column_stack([np.ones(len(at)), at, at**2])
+            left = share[rows] - terms @ np.linalg.lstsq(terms, share[rows])[0]
+            rest[rows] = left * np.sqrt(len(rows) / (len(rows) - 3))
+    known = np.flatnonzero(np.isfinite(rest))
+    if len(known) < 12:
+        how = f"too few rows to see the noise: {_GUESSED_NOISE:.0%} of the load taken"
+        return Scatter(_GUESSED_NOISE, 1.0, how)
+    size = max(float(np.sqrt(np.mean(rest[known] ** 2))), _LEAST_NOISE)
+    inflation = 1.0
+    if "time" in data:
+        runs = [known[data.run[known] == code] for code in np.unique(data.run[known])]
+        order = [rows[np.argsort(data["time"][rows], kind="stable")] for rows in runs]
+        inflation = autocorrelation_time([rest[rows] for rows in order])
+    return Scatter(size, inflation, "scatter about the slip curve of each load")
+
+
+def curve_of(data: TireData, force: str) -> tuple[float, float, float]:
+    """Slope of the force at small slip [N], largest force over load, typical load."""
+    slip, value = data.usable(CHANNEL_SLIP[force]), data.usable(force)
+    load = data.usable("fz")
+    size = np.abs(slip)
+    low = size <= max(np.quantile(size, 0.3), 0.15 * size.max())
+    slope = float(slip[low] @ value[low] / max(slip[low] @ slip[low], 1e-12))
+    peak = float(np.clip(np.quantile(np.abs(value) / load, 0.97), 0.02, 3.0))
+    typical = float(np.median(load))
+    return max(slope, peak * typical / float(size.max())), peak, typical

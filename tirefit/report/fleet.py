@@ -1,0 +1,150 @@
+"""Quantities over many files: what a page shows of them, as arrays, and on axes."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.data.records import ResultsTable, dates_of
+from tirefit.fitting.across_files import AcrossFiles, across_files
+from tirefit.report.canvas import BLUE, DARK, GREY, RED, Picture, panel_title, tidy
+from tirefit.report.numbers import format_number
+
+__all__ = ["Fleet", "Points", "Quantity", "fleet_of", "points", "quantity_figure"]
+
+_KINDS = ("parameter", "effect", "gap", "derived", "statistic")
+"""In the order of the page; what a fit was told (``base``) is not among them."""
+
+_OWN_STD = ("parameter", "effect", "derived")
+"""Kinds whose numbers say how sure they are: one that does not is not known."""
+
+_FEW = 3
+"""Files from which on a quantity of some of them is shown."""
+
+_MOST = 300
+"""Files that are drawn one by one; of more, as many bins of neighbours."""
+
+
+class Quantity(NamedTuple):
+    """A quantity of n files: ``number`` of each, ``when``, ``value``, ``std`` (n,);
+    ``untold``: files that have it but do not tell it."""
+
+    kind: str
+    name: str
+    unit: str
+    number: np.ndarray
+    when: np.ndarray
+    value: np.ndarray
+    std: np.ndarray
+    untold: int
+    across: AcrossFiles
+
+    @property
+    def title(self) -> str:
+        return f"{self.name} [{self.unit}]" if self.unit not in ("", "-") else self.name
+
+
+class Fleet(NamedTuple):
+    """All files and their quantities; ``dates`` (files,) where their names have some,
+    else their order stands for time."""
+
+    files: dict[str, list]
+    dates: np.ndarray | None
+    quantities: list[Quantity]
+
+
+def fleet_of(path: Path) -> Fleet:
+    """What a table of all results (``tirefit.data.records``) holds."""
+    table = ResultsTable(path)
+    files = table.files()
+    dates = dates_of(files["file"])
+    order = np.arange(1.0, len(files["file"]) + 1)
+    when = order if dates is None else dates.astype(float) / 86400
+    shown = []
+    for kind, name, unit in table.quantities():
+        rows = table.of(kind, name)
+        if kind not in _OWN_STD:
+            rows["std"] = np.zeros_like(rows["value"])
+        told = np.isfinite(rows["value"] + rows["std"])
+        number, value, std = (rows[c][told] for c in ("number", "value", "std"))
+        if kind in _KINDS and len(value) >= min(_FEW, len(order)):
+            at = when[number - 1]
+            across = across_files(value, std, at)
+            untold = int(np.sum(~told))
+            shown.append(
+                Quantity(kind, name, unit, number, at, value, std, untold, across)
+            )
+    return Fleet(files, dates, sorted(shown, key=lambda one: _KINDS.index(one.kind)))
+
+
+class Points(NamedTuple):
+    """What is drawn: points with bars, of files or of bins of neighbours, and the files
+    that differ; all (m,) arrays."""
+
+    when: np.ndarray
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    binned: bool
+    other_when: np.ndarray
+    other_value: np.ndarray
+    other_bar: np.ndarray
+
+
+def points(quantity: Quantity, most: int = _MOST) -> Points:
+    """Files with their standard deviations; of many, medians and the central 68 % of
+    bins of equally many neighbours. Files that differ are points of their own, the
+    farthest ``most`` of them."""
+    apart = quantity.across.outlier
+    order = np.argsort(quantity.when, kind="stable")
+    order = order[~apart[order]]
+    when, value, std = (
+        one[order] for one in (quantity.when, quantity.value, quantity.std)
+    )
+    binned = len(value) > most
+    low, high = value - std, value + std
+    if binned:
+        bins = np.array_split(np.arange(len(value)), most)
+        shares = [np.quantile(value[bin], (0.16, 0.5, 0.84)) for bin in bins]
+        low, value, high = np.array(shares).T
+        when = np.array([np.mean(when[bin]) for bin in bins])
+    far = np.flatnonzero(apart)
+    far = far[np.argsort(-np.abs(quantity.across.pulls[far]), kind="stable")][:most]
+    return Points(
+        when, value, low, high, binned,
+        quantity.when[far], quantity.value[far], quantity.std[far],
+    )  # fmt: skip
+
+
+def quantity_figure(quantity: Quantity, dated: bool) -> Picture:
+    """A quantity over the files' dates or places, with the line through it."""
+    drawn, across = points(quantity), quantity.across
+    picture = Picture(figsize=(7.0, 2.5), dpi=80)
+    axes = picture.add_axes((0.12, 0.2, 0.86, 0.6))
+
+    def at(when):
+        return (when * 86400).astype("datetime64[s]") if dated else when
+
+    axes.errorbar(
+        at(drawn.when), drawn.value,
+        yerr=(drawn.value - drawn.low, drawn.high - drawn.value), fmt="o",
+        ms=2.5, lw=0.7, color=BLUE, ecolor=BLUE, alpha=0.8,
+    )  # fmt: skip
+    axes.errorbar(
+        at(drawn.other_when), drawn.other_value, yerr=drawn.other_bar, fmt="x",
+        ms=4, lw=0.7, color=RED,
+    )  # fmt: skip
+    ends = np.array([quantity.when.min(), quantity.when.max()])
+    share = (ends - quantity.when.mean()) / (np.ptp(ends) or 1.0)
+    line = across.middle + across.change * share
+    axes.plot(at(ends), line, color=DARK, lw=1)
+    axes.fill_between(
+        at(ends), line - across.scatter, line + across.scatter, color=GREY, alpha=0.25,
+        lw=0,
+    )  # fmt: skip
+    what = "medians and central 68 % of neighbours" if drawn.binned else "files ± std"
+    text = f"{what}; grey: scatter between files {format_number(across.scatter)}"
+    tidy(axes, "date in the file's name" if dated else "file", "")
+    axes.tick_params(axis="x", labelrotation=0)
+    panel_title(axes, quantity.title, text)
+    return picture

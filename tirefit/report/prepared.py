@@ -1,0 +1,198 @@
+"""The whole of a rig's test in one picture: what was recorded, cut up and kept."""
+
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.patches import Patch
+
+from tirefit import __version__
+from tirefit.data.prepare.bins import SHOWN
+from tirefit.data.prepare.prepare import Prepared
+from tirefit.data.prepare.slips import LEAST, swept_range
+from tirefit.data.units import slip_from_sigma
+from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, RED, Picture, tidy
+from tirefit.report.numbers import plain_text
+
+__all__ = ["Panel", "Strip", "RigView", "prepared_figure", "view_of"]
+
+_GREEN, _PURPLE, _SKY = COLORS[2], COLORS[4], COLORS[5]
+
+_COLOR = {
+    "sweep up": BLUE, "sweep down": _SKY, "steady": _GREEN, "cold": _PURPLE,
+    "warm-up": ORANGE, "spring-rate": RED, "load-step": "#4d4d4d",
+    "standing": "#d8d8d8", "transition": GREY, "unusable": DARK,
+}  # fmt: skip
+_PANELS = {
+    "alpha": "slip angle", "sigma_x": "slip ratio", "fz": "load", "gamma": "camber",
+    "pressure": "pressure", "v": "speed", "temperature": "tire", "fy": "side force",
+    "fx": "long. force",
+}  # fmt: skip
+"""Channels that are shown, in this order, and their labels."""
+_ALSO = {"fx": (1.0, "N"), "fy": (1.0, "N"), "temperature": (1.0, "°C")}
+_LEAST_FORCE = 0.1
+"""Of the largest load: a force that changes less is not worth a panel."""
+_KILO = 2000.0
+"""Newtons from which on forces are shown in kN."""
+_POINTS = 1500
+"""Columns of the picture in which a line shows its lowest and highest value."""
+
+
+class Panel(NamedTuple):
+    """One channel over time: ``label`` with its unit, ``time`` and ``value`` (m,) of
+    the line, ``settings`` (k,) the rig had for it."""
+
+    name: str
+    label: str
+    time: np.ndarray
+    value: np.ndarray
+    settings: np.ndarray
+
+
+class Strip(NamedTuple):
+    """All stretches of one kind of segment: (begin, width) of each, and its rows."""
+
+    kind: str
+    spans: list[tuple[float, float]]
+    rows: int
+    is_kept: bool
+
+
+class RigView(NamedTuple):
+    """What the picture shows; ``clock`` labels its time axis."""
+
+    title: str
+    note: str
+    clock: str
+    panels: list[Panel]
+    strips: list[Strip]
+
+
+def _thinned(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A line of few points that looks the same: the ends of every column."""
+    n = len(time)
+    if n <= 4 * _POINTS:
+        return time, value
+    edges = np.linspace(0, n, _POINTS + 1).astype(int)[:-1]
+    low, high = (f.reduceat(value, edges) for f in (np.minimum, np.maximum))
+    return np.repeat(time[edges], 2), np.column_stack([low, high]).ravel()
+
+
+def _is_telling(name: str, prepared: Prepared, settings: int) -> bool:
+    """Whether a channel was moved, and is not noise about one value."""
+    size = swept_range(prepared.columns[name])
+    if name in LEAST:
+        return size >= LEAST[name]
+    if name in ("fx", "fy") and "fz" in prepared.columns:
+        return size >= _LEAST_FORCE * float(np.max(prepared.columns["fz"]))
+    return name not in ("gamma", "pressure", "v") or settings != 1
+
+
+def _panels(prepared: Prepared) -> list[Panel]:
+    panels = []
+    for name, label in _PANELS.items():
+        if name not in prepared.columns:
+            continue
+        value = prepared.columns[name]
+        settings = prepared.settings.get(name)
+        scale, unit = (SHOWN | _ALSO)[name]
+        if name == "sigma_x":
+            value = slip_from_sigma(value, "slip_ratio")
+        if unit == "N" and np.max(np.abs(value)) > _KILO:
+            scale, unit = 1e-3, "kN"
+        held = settings is not None and settings.is_held
+        center = settings.center if settings is not None and held else np.zeros(0)
+        if not _is_telling(name, prepared, len(center)):
+            continue
+        line = _thinned(prepared.series.time, scale * value)
+        center = scale * center if name not in ("alpha", "sigma_x") else np.zeros(0)
+        panels.append(Panel(name, f"{label}\n[{unit}]", *line, center))
+    return panels
+
+
+def _strips(prepared: Prepared) -> list[Strip]:
+    time, step = prepared.series.time, 1.0
+    if prepared.series.rate is not None:
+        step = 1 / prepared.series.rate
+    strips: dict[str, Strip] = {}
+    for part in prepared.segments:
+        kind = f"{part.kind} {part.direction}" if part.kind == "sweep" else part.kind
+        begin = float(time[part.begin])
+        width = float(time[part.end - 1]) + step - begin
+        there = strips.get(kind, Strip(kind, [], 0, part.kind in prepared.config.keep))
+        rows = there.rows + part.end - part.begin
+        strips[kind] = there._replace(spans=[*there.spans, (begin, width)], rows=rows)
+    order = list(_COLOR)
+    return sorted(strips.values(), key=lambda strip: order.index(strip.kind))
+
+
+def view_of(prepared: Prepared) -> RigView:
+    """What the picture of a prepared test shows, as arrays and words."""
+    kept, total = int(prepared.kept.sum()), len(prepared.data)
+    sweeps, states = (
+        sum(part.kind == kind for part in prepared.segments)
+        for kind in ("sweep", "steady")
+    )
+    bins = {p.bin for p in prepared.segments if p.kind in prepared.config.keep}
+    what = [
+        f"{count} {word}{'s' if count > 1 else ''}"
+        for count, word in ((sweeps, "sweep"), (states, "steady state"))
+        if count
+    ]
+    title = f"{prepared.data.name}: {' and '.join(what) or 'no sweep'} in {len(bins)}"
+    title += f" bin{'s' if len(bins) > 1 else ''}, {kept / total:.0%} of the rows kept"
+    chosen = prepared.filter
+    band = "not filtered" if chosen is None else f"zero-phase {chosen.bandwidth:g} Hz"
+    note = f"tirefit {__version__} · braking positive, SI · {band}"
+    note += f" · {kept} of {total} rows"
+    clock = "row" if prepared.series.rate is None else "time [s]"
+    return RigView(title, note, clock, _panels(prepared), _strips(prepared))
+
+
+def _draw(axes, panel: Panel, strips: list[Strip]) -> None:
+    for strip in strips:
+        strength = 0.45 if strip.is_kept else 0.22
+        axes.broken_barh(
+            strip.spans, (0, 1), transform=axes.get_xaxis_transform(),
+            facecolor=_COLOR[strip.kind], alpha=strength, linewidth=0, zorder=0,
+        )  # fmt: skip
+    for setting in panel.settings:
+        axes.axhline(setting, color=DARK, linewidth=0.5, linestyle=":", zorder=1)
+    axes.plot(panel.time, panel.value, color=DARK, linewidth=0.6, zorder=2)
+    tidy(axes, "", panel.label, 8)
+    axes.margins(x=0)
+
+
+def prepared_figure(prepared: Prepared) -> Picture:
+    """The test from its beginning to its end: every channel that was moved, behind it
+    the segments in their colours, strong where they are kept; dotted: the settings."""
+    view = view_of(prepared)
+    count = len(view.panels)
+    picture = Picture(figsize=(10.0, 1.15 + 1.0 * count))
+    height = picture.get_figheight()
+    bottom, top = 0.48 / height, 1 - 0.66 / height
+    all_axes = picture.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+    picture.subplots_adjust(
+        left=0.085, right=0.985, bottom=bottom, top=top, hspace=0.14
+    )
+    for axes, panel in zip(all_axes, view.panels, strict=True):
+        _draw(axes, panel, view.strips)
+    all_axes[-1].set_xlabel(view.clock, fontsize=8, color=DARK)
+    picture.align_ylabels(all_axes)
+    picture.text(
+        0.012, 1 - 0.08 / height, plain_text(view.title), va="top", fontsize=10.5,
+        fontweight="bold", color=DARK,
+    )  # fmt: skip
+    handles = [
+        Patch(
+            facecolor=_COLOR[s.kind], alpha=0.45 if s.is_kept else 0.22,
+            label=f"{s.kind} {s.rows / len(prepared.data):.0%}",
+        )
+        for s in view.strips
+    ]  # fmt: skip
+    picture.legend(
+        handles=handles, loc="upper left", bbox_to_anchor=(0.005, 1 - 0.27 / height),
+        ncols=len(handles), fontsize=7.5, frameon=False, handlelength=1.2,
+        columnspacing=1.2,
+    )  # fmt: skip
+    picture.text(0.012, 0.06 / height, view.note, fontsize=6.5, color=GREY)
+    return picture
