@@ -160,8 +160,9 @@ def test_every_tire_comes_back(path, monkeypatch):
     of new measurements are within, and of true forces in the mean over the seeds.
 
     M_z, over the load and its longest arm, to 1 % inside, and 75 % of its true values
-    within: the residual moment of the 6.1 tire is a peak of half a degree. Beyond the loads its band may hold fewer, 78 %
-    in the worst of 28 tests: the linear propagation of a trail cubic in the load.
+    within: the residual moment of the 6.1 tire is a peak of half a degree. Beyond the
+    loads its band may hold fewer new ones, 78 % in the worst of 28 tests: the linear
+    propagation of a trail cubic in the load.
     """
     true_within: dict[str, list] = {force: [] for force in FORCES}
     for seed in range(4):
