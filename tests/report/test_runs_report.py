@@ -11,6 +11,7 @@ import pytest
 from tirefit.data.table import Source, TireData
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.result import PosteriorSummary
+from tirefit.fitting.store import record_of_fit
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 from tirefit.report import plots
@@ -105,8 +106,8 @@ def test_derived_quantities_have_a_row_per_run(by_run):
 
 
 def test_a_summary_holds_every_column_of_every_fit(by_run):
-    names = [f"all/{run}" for run in RUNS[:3]]
-    text = summary_table([(name, by_run) for name in names])
+    content = by_run.to_dict()
+    text = summary_table([record_of_fit(content, f"all/{run}") for run in RUNS[:3]])
     lines = text.splitlines()
     assert lines[1] == "SUMMARY of all/drum_2026-03-12_cold_asphalt_*_brake"
     assert max(map(len, lines)) <= 88
