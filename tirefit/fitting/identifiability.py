@@ -20,7 +20,14 @@ from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import REACH, linearise
 from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.problem import build, guess_from_curve
-from tirefit.fitting.scatter import ROWS, Scatter, curve_of, scatter_of, some_rows
+from tirefit.fitting.scatter import (
+    ROWS,
+    Scatter,
+    curve_of,
+    scatter_of,
+    some_rows,
+    stretches,
+)
 from tirefit.params import Spec, constrain, log_jacobian
 from tirefit.results import DataError
 
@@ -165,8 +172,9 @@ def identifiability(
         if force != "mz" and force in data and slip in data and "fz" in data
         and data.n and np.ptp(data.usable(slip)) > 1e-9
     ]  # fmt: skip
-    scatter = {force: scatter_of(data, force) for force in forces}
-    some = some_rows(data, forces, seed)
+    parts = {force: stretches(data, force) for force in forces}
+    scatter = {force: scatter_of(data, force, parts[force]) for force in forces}
+    some = {force: some_rows(data, parts[force], seed) for force in forces}
     curves = {force: curve_of(data, force) for force in forces}
     gates = tuple(
         _gate(some[force], data.n, curves[force], force, name, scatter[force])

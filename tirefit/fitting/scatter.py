@@ -9,7 +9,7 @@ from tirefit.data.table import TireData
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.noise import autocorrelation_time
 
-__all__ = ["ROWS", "Scatter", "curve_of", "scatter_of", "some_rows"]
+__all__ = ["ROWS", "Scatter", "curve_of", "scatter_of", "some_rows", "stretches"]
 
 ROWS = 512
 """Rows that stand for all, spread evenly over loads and slips: one program for all
@@ -33,7 +33,7 @@ class Scatter(NamedTuple):
     how: str
 
 
-def _order(data: TireData, slip: str) -> list[np.ndarray]:
+def stretches(data: TireData, force: str) -> list[np.ndarray]:
     """Used rows by what the rig was set to, each setting's in the order of slip."""
     rows = np.flatnonzero(data.used)
     if "sigma_x" in data:  # of a wheel that spins on the spot the slip has no size
@@ -44,30 +44,27 @@ def _order(data: TireData, slip: str) -> list[np.ndarray]:
         here = levels(data[name][rows]) if name in data else None
         if here is not None and here.few(_SETTINGS):
             key = key * len(here.center) + here.code
-    parts = [rows[key == k] for k in np.unique(key)]
+    parts, slip = [rows[key == k] for k in np.unique(key)], CHANNEL_SLIP[force]
     return [part[np.argsort(data[slip][part], kind="stable")] for part in parts]
 
 
-def some_rows(data: TireData, forces, seed: int) -> dict[str, TireData]:
-    """Data of at most ``ROWS`` used rows, one in each stretch of loads and slips."""
-    some = {}
-    for force in forces:
-        order = np.concatenate(_order(data, CHANNEL_SLIP[force]))
-        if len(order) > ROWS:
-            edges = np.linspace(0, len(order), ROWS + 1)
-            place = np.random.default_rng(seed).uniform(edges[:-1], edges[1:])
-            order = order[np.minimum(place.astype(int), len(order) - 1)]
-        chosen = np.zeros(len(data), bool)
-        chosen[order] = True
-        some[force] = data.where(chosen)
-    return some
+def some_rows(data: TireData, parts, seed: int) -> TireData:
+    """Data of at most ``ROWS`` rows of the parts, one in each stretch of each."""
+    order = np.concatenate(parts)
+    if len(order) > ROWS:
+        edges = np.linspace(0, len(order), ROWS + 1)
+        place = np.random.default_rng(seed).uniform(edges[:-1], edges[1:])
+        order = order[np.minimum(place.astype(int), len(order) - 1)]
+    chosen = np.zeros(len(data), bool)
+    chosen[order] = True
+    return data.where(chosen)
 
 
-def scatter_of(data: TireData, force: str) -> Scatter:
+def scatter_of(data: TireData, force: str, parts) -> Scatter:
     """Noise by what a slip curve leaves of the rows in every part of it."""
     share = data[force] / data["fz"]
     rest = np.full(len(data), np.nan)
-    for part in _order(data, CHANNEL_SLIP[force]):
+    for part in parts:
         for rows in np.array_split(part, min(_CHUNK, max(len(part) // 8, 1))):
             if len(rows) < 6:
                 continue
