@@ -6,6 +6,7 @@ there, every effect is known better than to half its size, and no effect is ther
 to undo another.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -89,10 +90,10 @@ def probability_of_rest(p_value: float) -> float:
     The largest Bayes factor that a p-value can stand for, 1 / (-e p log p) (Sellke,
     Bayarri and Berger 2001), with the prior odds of an effect that is not listed.
     """
-    if p_value >= 1 / np.e:
+    if p_value >= 1 / math.e:
         return PRIOR_OF_UNKNOWN
     odds = PRIOR_OF_UNKNOWN / (1 - PRIOR_OF_UNKNOWN)
-    odds /= -np.e * p_value * np.log(p_value)
+    odds /= -math.e * p_value * np.log(p_value)
     return float(odds / (1 + odds))
 
 

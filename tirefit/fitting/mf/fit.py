@@ -80,6 +80,7 @@ def fit_magic_formula(
     forces = [f for name in parts for f in PARTS[name].forces]
     rows = rows_of_forces(whole, list(dict.fromkeys(forces)), config)
     tire, notes = nominal_of(model, rows, config)
+    notes += _slip_noise_left_out(whole, config)
     problem, priors = problem_from(tire, config)
     work = search(problem, rows, parts, _start(problem, first) if first else None)
     return _result(model, whole, work, priors, notes)
@@ -173,6 +174,14 @@ def problem_from(tire: MFTire, config: FitConfig) -> tuple[Problem, dict[str, Pr
     tire = with_values(tire, dict(zip(names, centre.tolist(), strict=True)))
     log = np.array([priors[name].log for name in names])
     return Problem(tire, names, centre, spread, log, ~np.array(held), ()), priors
+
+
+def _slip_noise_left_out(data: TireData, config: FitConfig) -> list[str]:
+    """What is known of the noise of slips, which has no part in this fit."""
+    stated = [f"{slip}_std" for slip in ("sigma_x", "alpha") if f"{slip}_std" in data]
+    names = ("sigma_x", "alpha", "sigma_x_speed", "alpha_speed")
+    stated += [f"noise.{name}" for name in names if getattr(config.noise, name)]
+    return [f"{', '.join(stated)}: slips are taken as exact here"] if stated else []
 
 
 def _result(model, data: TireData, work: Search, priors, notes) -> MagicFormulaFit:
