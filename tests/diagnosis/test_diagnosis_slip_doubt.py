@@ -3,21 +3,27 @@
 import numpy as np
 import pytest
 
-from tirefit.diagnosis.slip_nodes import slip_doubt, slip_nodes
+from tirefit.diagnosis.slip_nodes import slip_doubt, slip_law, slip_nodes
 
 ROWS, STD = 300, 0.0045
 
 
 def believed(slip):
-    nodes, weight = slip_nodes(slip, np.full(ROWS, STD))
+    std = np.full(ROWS, STD)
+    nodes, weight = slip_nodes(slip_law(slip, std), slip, std)
     return np.sum(nodes * weight, axis=1)
+
+
+def doubt(slip, std=STD, path=None):
+    std = np.full(ROWS, std)
+    return slip_doubt(slip_law(slip, std), slip, std, path)
 
 
 def test_no_noise_no_doubt():
     slip = np.linspace(0, 0.05, ROWS)
-    assert slip_doubt(slip, np.zeros(ROWS)).shape == (ROWS, 0)
+    assert doubt(slip, 0.0).shape == (ROWS, 0)
     # A large slip beside its noise has no bend within it.
-    assert slip_doubt(100 * slip, np.full(ROWS, STD)).shape == (ROWS, 0)
+    assert doubt(100 * slip).shape == (ROWS, 0)
 
 
 def test_the_density_is_as_unsure_as_measuring_again_says():
@@ -31,7 +37,7 @@ def test_the_density_is_as_unsure_as_measuring_again_says():
         slip = true + STD * generator.standard_normal(ROWS)
         slip[: len(places)] = places
         beliefs.append(believed(slip)[: len(places)])
-        columns = slip_doubt(slip, np.full(ROWS, STD))[: len(places)]
+        columns = doubt(slip)[: len(places)]
         stated.append(np.sum(columns**2, axis=1))
     scatter = np.std(beliefs, axis=0)
     said = np.sqrt(np.mean(stated, axis=0))
@@ -47,8 +53,7 @@ def test_rows_that_stand_are_off_together():
     path = np.where(np.arange(ROWS) % 10 == 0, 1.2 * STD, 0.0)
     path[-20:] = np.linspace(0.02, 0.1, 20)
     slip = path + STD * np.random.default_rng(1).standard_normal(ROWS)
-    std = np.full(ROWS, STD)
-    phase = slip_doubt(slip, std, path)[:, -1]
+    phase = doubt(slip, path=path)[:, -1]
     rising = path == 1.2 * STD
     missed = (believed(slip) - path)[rising].mean()
     assert missed < -0.3 * STD

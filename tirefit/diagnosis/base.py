@@ -165,7 +165,7 @@ class Base:
         noise of each row: columns (m, k) times independent unit normal numbers."""
         rows = self.rows
         path = rows.covariates.past[:, AHEAD] if "sweeps" in rows.has else None
-        off = slip_doubt(rows.slip, rows.slip_std, path)
+        off = slip_doubt(rows.slip_law, rows.slip, rows.slip_std, path)
         steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
         return steep[:, None] * np.tile(off, (len(self.rows.channels), 1))
 
@@ -345,7 +345,7 @@ scale of the first forces' weights, which no verdict rests on."""
 
 def _design(prepared: Prepared, effects, rig) -> Design:
     size = padded_size(prepared.n, _LEAST_ROWS)
-    slips, weight = slip_nodes(prepared.slip, prepared.slip_std)
+    slips, weight = slip_nodes(prepared.slip_law, prepared.slip, prepared.slip_std)
     observed, fz, v = prepared.observed, prepared.inputs.fz, prepared.inputs.v
     return Design(
         inputs=type(prepared.inputs)(*(pad_rows(x, size) for x in prepared.inputs)),

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -17,8 +18,9 @@ from tirefit.diagnosis.rates import Sweeps, segments, slip_rate
 from tirefit.diagnosis.run_codes import shown_runs
 from tirefit.diagnosis.sizes import Sizes, half_force_slip, largest, sizes_of
 from tirefit.diagnosis.slip_check import SlipCheck, check_slip
+from tirefit.diagnosis.slip_nodes import slip_law
 from tirefit.diagnosis.state import Covariates
-from tirefit.fitting.slip_noise import speed_of, std_with_speed
+from tirefit.fitting.slip_noise import SlipDistribution, speed_of, std_with_speed
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
 
@@ -108,6 +110,11 @@ class Prepared:
     @property
     def n(self) -> int:
         return len(self.slip)
+
+    @cached_property
+    def slip_law(self) -> SlipDistribution | None:
+        """Distribution of the latent slips; None where the slips have no noise."""
+        return slip_law(self.slip, self.slip_std)
 
     def column(self, name: str) -> np.ndarray:
         """A column of the data, (n,)."""

@@ -5,7 +5,7 @@ import numpy as np
 from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
 
-__all__ = ["slip_doubt", "slip_nodes"]
+__all__ = ["slip_doubt", "slip_law", "slip_nodes"]
 
 _COUNTS = (3, 5)
 """Gauss-Hermite nodes of the slip noise: exact for a force that is a polynomial of
@@ -24,23 +24,34 @@ def _steep(slip, std) -> bool:
     return float(np.median(std)) > _STEEP * large
 
 
-def slip_nodes(slip, std):
-    """Latent slips (n, k) and their probabilities (n, k).
+def slip_law(slip, std) -> SlipDistribution | None:
+    """Distribution of the latent slips of a file; None where they have no noise.
 
     Args:
         slip: (n,) measured values.
-        std: (n,) their noise; without any a row has one slip, its own.
+        std: (n,) their noise.
     """
-    if not np.any(std > 0):
+    return slip_distribution(slip, np.maximum(std, FLAT)) if np.any(std > 0) else None
+
+
+def slip_nodes(law: SlipDistribution | None, slip, std):
+    """Latent slips (n, k) and their probabilities (n, k).
+
+    Args:
+        law: :func:`slip_law` of the file; without one a row has one slip, its own.
+        slip: (n,) measured values.
+        std: (n,) their noise.
+    """
+    if law is None:
         return slip[:, None], np.ones((len(slip), 1))
     # Enough nodes for the curvature of the force within the slip noise.
     offset, mass = _NODES[_COUNTS[int(_steep(slip, std))]]
-    mean, spread = slip_distribution(slip, np.maximum(std, FLAT)).moments(slip, std)
+    mean, spread = law.moments(slip, std)
     nodes = mean[:, None] + spread[:, None] * offset
     return nodes, np.tile(mass / mass.sum(), (len(slip), 1))
 
 
-def slip_doubt(slip, std, path=None) -> np.ndarray:
+def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray:
     """How far the latent slips may be off together: columns (n, k), of which
     independent unit normal numbers make the error of the slips.
 
@@ -49,15 +60,16 @@ def slip_doubt(slip, std, path=None) -> np.ndarray:
     in time, all rows of one phase are off to the same side.
 
     Args:
+        law: :func:`slip_law` of the file.
+        slip, std: (n,) measured values and their noise.
         path: (n,) slips as their neighbours in time show them, None where they do not.
     """
-    if not np.any(std > 0):
+    if law is None:
         return np.zeros((len(slip), 0))
     std = np.maximum(std, FLAT)
     steep = _steep(slip, std)
     if not steep and path is None:
         return np.zeros((len(slip), 0))
-    law = slip_distribution(slip, std)
     columns = [_of_density(law, slip, std)] if steep else []
     if path is not None:
         columns.append(_of_phase(law, path, std)[:, None])

@@ -136,14 +136,15 @@ def slip_distribution(slip, std, most: int = 40, iterations: int = 60):
     near = _standing_likelihood(slip, std, places)
     standing, likely = np.zeros(0), _log_likelihood(columns, weight)
     while len(standing) < most:
-        rise = np.mean(near / np.maximum(columns @ weight, 1e-300)[:, None], axis=0)
+        together = columns @ weight
+        rise = 1 / np.maximum(together, 1e-300) @ near
         worth = 1.2 * np.log(len(slip))
         tries = [
             _with_one_more(
                 slip, std, columns, np.append(standing, places[k]), weight, iterations
             )
             for k in _peaks(rise)
-            if _first_gain(near[:, k], columns @ weight) > 0.2 * worth
+            if _first_gain(near[:, k], together) > 0.2 * worth
         ]
         best = max(tries, key=lambda one: _log_likelihood(*one[:2]), default=None)
         if best is None:
