@@ -28,7 +28,7 @@ from tirefit.diagnosis.forecast import (
 from tirefit.diagnosis.forms import PLACE, form_columns, shape_of_change
 from tirefit.diagnosis.forward import MOST
 from tirefit.diagnosis.noise import judge_noise
-from tirefit.diagnosis.patterns import Pattern, Patterns
+from tirefit.diagnosis.patterns import Over, Patterns
 from tirefit.diagnosis.rates import AHEAD, segments, slip_rate
 from tirefit.diagnosis.rig import VEHICLE, Rig, load_rig
 from tirefit.diagnosis.rows import prepare
@@ -369,10 +369,11 @@ def test_evidence_gain_of_gaussian_coefficients():
     residual = generator.standard_normal(50) + 4 * column
     against = np.ones((50, 1))
     wave = np.stack([np.sin(np.arange(50.0)), np.cos(np.arange(50.0))], axis=1)
+    shapes, none = 10 * column[:, None].astype(np.float32), np.zeros((50, 0))
     narrow = Patterns(
-        10 * column[:, None].astype(np.float32), np.zeros(1),
-        [Pattern("force", "time", "local", 0.0, 1.0)],
-    )  # fmt: skip
+        np.ones((1, 50, 1)),
+        [Over("time", shapes, none, [("local", 0.0, 1.0)], np.zeros(1), {"force": 0})],
+    )
     bases = Generic(
         column[:, None], column[:, None], wave / np.linalg.norm(wave, axis=0), narrow
     )

@@ -20,7 +20,7 @@ from tirefit.diagnosis.calibrated import (
     probability_of_more,
 )
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.patterns import Pattern, Patterns, looks, patterns_gain
+from tirefit.diagnosis.patterns import Over, Patterns, looks, patterns_gain
 
 WAVE = 0.7
 
@@ -35,8 +35,13 @@ def waving(slip, time, fz, v):
 
 def of_columns(columns):
     """Patterns of these columns, all as likely."""
-    names = [Pattern("force", "time", "local", k, 1) for k in range(columns.shape[1])]
-    return Patterns(columns, np.full(len(names), -np.log(len(names))), names)
+    rows, count = columns.shape
+    over = Over(
+        "time", columns, np.zeros((rows, 0), np.float32),
+        [("local", k, 1) for k in range(count)], np.full(count, -np.log(count)),
+        {"force": 0},
+    )  # fmt: skip
+    return Patterns(np.ones((1, rows, 1)), [over])
 
 
 def test_evidence_of_a_pattern_is_the_integral_over_its_size():

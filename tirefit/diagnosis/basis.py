@@ -1,13 +1,15 @@
 """Generic bases: what a gap could look like that no listed effect explains."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.data.levels import levels
 from tirefit.diagnosis.negligible import FLAT, ROUNDING
-from tirefit.diagnosis.patterns import Patterns, patterns_gain
+from tirefit.diagnosis.patterns import Patterns, patterns_gain, turns
 
 __all__ = [
     "FULL_SLIDING",
@@ -184,25 +186,31 @@ def wave_basis(prepared, scale) -> np.ndarray:
     slip = prepared.slip
     span = max(np.ptp(slip), FLAT)
     most = int(np.clip(prepared.n // _ROWS_OF_A_WAVE, *_WAVES))
-    turns = [(slip - slip.min())[:, None] / span * np.arange(1, most + 1)]
+    waves = [turns((slip - slip.min()) / span, np.arange(1.0, most + 1))]
     if "time" in prepared.has:
         most = int(np.clip(prepared.n // _ROWS_IN_TIME, *_WAVES_IN_TIME))
         # Halves: between two whole numbers of waves a third of the energy is lost.
-        turns.append(prepared.covariates.time[:, None] * np.arange(1, most + 0.1, 0.5))
-    angle = 2 * np.pi * np.concatenate(turns, axis=1)
-    pairs = np.stack([np.sin(angle), np.cos(angle)], axis=2)
-    columns = pairs.reshape(prepared.n, -1) * scale[:, None]
-    return columns / np.maximum(np.linalg.norm(columns, axis=0), ROUNDING)
+        counts = np.arange(1, most + 0.1, 0.5)
+        waves.append(turns(prepared.covariates.time, counts))
+    columns = np.concatenate(waves, axis=1) * scale[:, None]
+    size = np.sqrt(np.einsum("nk,nk->k", columns, columns))
+    return columns / np.maximum(size, ROUNDING)
 
 
 def orthogonal(basis, against) -> tuple[np.ndarray, np.ndarray]:
     """(left (n, q), singular values (q,)) of the basis with ``against`` (n, p) out."""
     left = without(basis, against)
-    gram = left.T @ left
+    turned, size = _principal(left.T @ left)
+    return left @ turned, size
+
+
+def _principal(gram) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (b, q) that make columns with these products orthonormal, and their
+    singular values (q,)."""
     values, vectors = np.linalg.eigh(gram)
     good = values > RANK * max(values.max(), ROUNDING)
     size = np.sqrt(values[good])
-    return left @ (vectors[:, good] / size), size
+    return vectors[:, good] / size, size
 
 
 def without(basis, against):
@@ -221,42 +229,51 @@ def gain(score, size) -> float:
     return float(0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t)))
 
 
-def mean_gain(left, size, residual, scales=_SCALES) -> float:
-    """Log evidence of the basis on top of the residual, averaged over its scales."""
-    score = left.T @ residual
+def mean_gain(score, size, scales=_SCALES) -> float:
+    """Log evidence of a basis, averaged over its scales.
+
+    Args:
+        score: (q,) of its orthonormal directions.
+        size: (q,) their singular values.
+    """
     gains = [gain(score, scale * size) for scale in scales]
     return float(np.logaddexp.reduce(gains) - np.log(len(scales)))
 
 
-def _of_waves(waves, against, residual):
-    """Gram matrix (K, 2, 2) and score (K, 2) of each wave with ``against`` out."""
-    left = without(waves, against)
-    pairs = left.reshape(len(left), -1, 2)
-    gram = np.einsum("nka,nkb->kab", pairs, pairs)
-    return gram, (left.T @ residual).reshape(-1, 2)
+def _in_pairs(gram, score, ridge):
+    """score gram^-1 score and the determinant of each of the waves, of which ``gram``
+    (K, 3) holds the products of sine and sine, sine and cosine, cosine and cosine, and
+    ``score`` (K, 2) those with the residual; ``ridge`` is added to the squares."""
+    a, b, c = gram[:, 0] + ridge, gram[:, 1], gram[:, 2] + ridge
+    sine, cosine = score.T
+    size = a * c - b * b
+    return (c * sine**2 - 2 * b * sine * cosine + a * cosine**2) / size, size
 
 
-def _gain_of_waves(waves, against, residual) -> float:
+def _gain_of_waves(gram, score) -> float:
     """Log evidence of one wave, whichever, averaged over waves and scales."""
-    gram, score = _of_waves(waves, against, residual)
     gains = []
     for scale in _SCALES:
-        full = np.eye(2) + scale**2 * gram
-        solved = np.linalg.solve(full, scale**2 * score[..., None])[..., 0]
-        gains.append(
-            0.5 * np.sum(score * solved, axis=1) - 0.5 * np.linalg.slogdet(full)[1]
-        )
+        chi2, size = _in_pairs(gram, score, scale**-2)
+        gains.append(0.5 * chi2 - 0.5 * np.log(scale**4 * size))
     return float(np.logaddexp.reduce(np.ravel(gains)) - np.log(np.size(gains)))
+
+
+def _pairs(columns) -> np.ndarray:
+    """Products (K, 3) of sine and cosine of waves (m, 2 K): :func:`_in_pairs`."""
+    sine, cosine = columns[:, ::2], columns[:, 1::2]
+    each = ((sine, sine), (sine, cosine), (cosine, cosine))
+    return np.stack([np.einsum("mk,mk->k", *pair) for pair in each], axis=1)
 
 
 def waves_within(waves, against, residual):
     """chi-squared (K,), two degrees each, of every wave in the residual."""
-    gram, score = _of_waves(waves, against, residual)
-    solved = np.linalg.solve(gram + FLAT * np.eye(2), score[..., None])[..., 0]
-    return np.sum(score * solved, axis=1)
+    left = without(waves, against)
+    return _in_pairs(_pairs(left), (left.T @ residual).reshape(-1, 2), FLAT)[0]
 
 
-class Generic(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Generic:
     """Kinds of remainder, whitened: many smooth functions at once (m, b), many narrow
     bumps at once (m, c), one of many waves (m, 2 x waves), or one of many patterns."""
 
@@ -264,6 +281,65 @@ class Generic(NamedTuple):
     cells: np.ndarray
     waves: np.ndarray
     patterns: Patterns
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """All but the patterns, side by side."""
+        return np.concatenate([self.smooth, self.cells, self.waves], axis=1)
+
+    @cached_property
+    def _grams(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        smooth, cells = self.smooth, self.cells
+        return smooth.T @ smooth, cells.T @ cells, _pairs(self.waves)
+
+    def left(self, against, residual) -> "Left":
+        """What a fit leaves of them, and their products with its residual.
+
+        From products of the whole columns, formed once: a fit takes a few directions
+        out of hundreds.
+
+        Args:
+            against: (m, p) columns that the fit has used up.
+            residual: (m,) whitened.
+        """
+        unit, _ = np.linalg.qr(against)
+        rest = residual - unit @ (unit.T @ residual)
+        both = np.concatenate([unit, rest[:, None]], axis=1).T @ self.columns
+        ends = np.cumsum([self.smooth.shape[1], self.cells.shape[1]])
+        used, score = np.split(both[:-1], ends, axis=1), np.split(both[-1], ends)
+        smooth, cells, waves = self._grams
+        return Left(
+            {
+                "smooth": (smooth - used[0].T @ used[0], score[0]),
+                "cells": (cells - used[1].T @ used[1], score[1]),
+            },
+            waves - _pairs(used[2]), score[2].reshape(-1, 2),
+        )  # fmt: skip
+
+
+class Left(NamedTuple):
+    """What a fit leaves of generic columns: ``wide`` holds (products with one another
+    (b, b), with the residual (b,)) of smooth functions and cells; ``waves`` (K, 3) and
+    ``score`` (K, 2) see :func:`_in_pairs`."""
+
+    wide: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    waves: np.ndarray
+    score: np.ndarray
+
+    def principal(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Scores (q,) of the orthonormal directions of a basis, and their sizes."""
+        gram, score = self.wide[name]
+        turned, size = _principal(gram)
+        return score @ turned, size
+
+    def wide_gains(self) -> dict[str, float]:
+        """Log evidence of the smooth functions and of the cells."""
+        return {name: mean_gain(*self.principal(name)) for name in self.wide}
+
+    @property
+    def chi2(self) -> np.ndarray:
+        """:func:`waves_within`."""
+        return _in_pairs(self.waves, self.score, FLAT)[0]
 
 
 def wide_bases(prepared, slip_fraction, scale) -> tuple[np.ndarray, ...]:
@@ -282,10 +358,9 @@ def gains(bases: Generic, against, residual) -> dict[str, float]:
         against: (m, p) columns that the fit has used up.
         residual: (m,) whitened.
     """
-    return {
-        "smooth": mean_gain(*orthogonal(bases.smooth, against), residual),
-        "cells": mean_gain(*orthogonal(bases.cells, against), residual),
-        "waves": _gain_of_waves(bases.waves, against, residual),
+    left = bases.left(against, residual)
+    return left.wide_gains() | {
+        "waves": _gain_of_waves(left.waves, left.score),
         "patterns": patterns_gain(bases.patterns, against, residual),
     }
 
@@ -298,13 +373,13 @@ def of_any_kind(kinds: Mapping[str, float]) -> float:
 
 def misfit_p_value(bases: Generic, against, residual, generator, draws: int) -> float:
     """Whether the residual is more than noise, by any of the bases (Bonferroni)."""
-    values = []
-    for basis in (bases.smooth, bases.cells):
-        left, size = orthogonal(basis, against)
-        total = np.sum(size**2 * (left.T @ residual) ** 2)
+    values, left = [], bases.left(against, residual)
+    for name in left.wide:
+        score, size = left.principal(name)
+        total = np.sum(size**2 * score**2)
         noise = generator.standard_normal((draws, len(size))) ** 2 @ size**2
         values.append((1 + np.sum(noise >= total)) / (1 + draws))
-    chi2 = waves_within(bases.waves, against, residual)
+    chi2 = left.chi2
     # A residual without any wave has a chance of one, whose complement has no log.
     chance = min(np.exp(-0.5 * chi2.max()), 1 - ROUNDING)
     values.append(-np.expm1(len(chi2) * np.log1p(-chance)))
@@ -314,12 +389,9 @@ def misfit_p_value(bases: Generic, against, residual, generator, draws: int) -> 
 def located(bases: Generic, against, residual):
     """Smooth part of the residual and its variance, (m,) each, by the basis that the
     residual supports best."""
-    gains = {
-        "smooth": mean_gain(*orthogonal(bases.smooth, against), residual),
-        "cells": mean_gain(*orthogonal(bases.cells, against), residual),
-    }
+    rest = bases.left(against, residual)
+    gains, chi2 = rest.wide_gains(), rest.chi2
     chosen = getattr(bases, max(gains, key=lambda name: gains[name]))
-    chi2 = waves_within(bases.waves, against, residual)
     strong = np.flatnonzero(chi2 > 2 * (np.log(len(chi2)) + _TO_DRAW))
     strong = strong[np.argsort(-chi2[strong])][:_MOST_WAVES]
     waves = bases.waves[:, np.ravel(strong[:, None] * 2 + [0, 1])]

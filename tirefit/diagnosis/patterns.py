@@ -3,11 +3,16 @@ one thing that was measured.
 
 The bases of :mod:`tirefit.diagnosis.basis` are wide: many smooth functions at once. A
 stranger is often narrow: a kink, a threshold, a wave or one place. Here each such
-pattern is one direction in the space of the data; its evidence has a closed form, and
-thousands of them cost one product of matrices.
+pattern is one direction in the space of the data; its evidence has a closed form.
+Thousands of them cost a few products of matrices: a pattern is a shape of the rows
+times the force of a usual change, and both are there once, not every one of their
+products; a wave of any phase is made of two.
 """
 
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +25,7 @@ __all__ = [
     "PARAMETERS",
     "USUAL_SIZES",
     "Look",
+    "Over",
     "Pattern",
     "Patterns",
     "is_mirrored",
@@ -28,6 +34,7 @@ __all__ = [
     "patterns_gain",
     "quantities",
     "settings_of",
+    "turns",
 ]
 
 PARAMETERS = {
@@ -54,6 +61,8 @@ _WAVES = {"time": np.arange(2.0, 48.1, 0.5), "distance": np.arange(2.0, 48.1, 0.
 _FEW_WAVES = np.arange(2.0, 14.1, 0.5)
 """Waves over the range: what turns or swings repeats in time or with the way."""
 _PHASES = np.pi * np.arange(4) / 4
+_MIXED = np.stack([np.cos(_PHASES), np.sin(_PHASES)], axis=1).astype(np.float32)
+"""Sine and cosine in each phase: sin(x + p) = cos p sin x + sin p cos x."""
 _ROWS_OF_A_WAVE = 5
 
 _LEFT, _LEAST = 1e-3, 1e-3
@@ -79,12 +88,88 @@ class Pattern(NamedTuple):
     width: float
 
 
-class Patterns(NamedTuple):
-    """Whitened columns (m, k) of patterns of the usual size, and the log prior (k,)."""
+class Over(NamedTuple):
+    """Shapes over one covariate that some of the weights take.
 
-    columns: np.ndarray
+    ``plain`` (n, a) are shapes as they are; ``waves`` (n, 2 w) sines and cosines in
+    turn, of which every wave has the phases of :data:`_PHASES`. ``listed`` holds
+    (shape, place, width) of every one of the a + 4 w, ``log_prior`` (a + 4 w,) its
+    share; ``weights`` maps each parameter to its column of the weights.
+    """
+
+    covariate: str
+    plain: np.ndarray
+    waves: np.ndarray
+    listed: Sequence[tuple[str, float, float]]
     log_prior: np.ndarray
-    of: Sequence[Pattern]
+    weights: dict[str, int]
+
+    def products(self, against) -> np.ndarray:
+        """Sums over the rows of each shape times (n, c): (a + 4 w, c)."""
+        waves = (self.waves.T @ against).reshape(-1, 2, against.shape[1])
+        phased = np.einsum("fi,wic->wfc", _MIXED, waves)
+        whole = phased.reshape(-1, against.shape[1])
+        return np.concatenate([self.plain.T @ against, whole])
+
+    def squares(self, against) -> np.ndarray:
+        """The same of each shape squared."""
+        sine, cosine = self.waves[:, ::2], self.waves[:, 1::2]
+        each = (sine**2, 2 * sine * cosine, cosine**2)
+        parts = np.stack([part.T @ against for part in each], axis=1)
+        mixed = np.stack([_MIXED[:, 0] ** 2, _MIXED.prod(axis=1), _MIXED[:, 1] ** 2])
+        waves = np.einsum("if,wic->wfc", mixed.astype(np.float32), parts)
+        whole = waves.reshape(-1, against.shape[1])
+        return np.concatenate([(self.plain**2).T @ against, whole])
+
+
+@dataclass(frozen=True, eq=False)
+class Patterns:
+    """Every shape of ``over`` (of n rows) as a change of each of its parameters:
+    ``weights`` (channels, n, W) are the whitened forces of usual changes."""
+
+    weights: np.ndarray
+    over: Sequence[Over]
+
+    @cached_property
+    def log_prior(self) -> np.ndarray:
+        """Of each pattern (k,): each covariate and parameter is as likely."""
+        each = [np.tile(one.log_prior, len(one.weights)) for one in self.over]
+        return np.concatenate(each) - np.log(sum(len(one.weights) for one in self.over))
+
+    @cached_property
+    def of(self) -> list[Pattern]:
+        """What each of them is."""
+        return [
+            Pattern(parameter, one.covariate, *listed)
+            for one in self.over
+            for parameter in one.weights
+            for listed in one.listed
+        ]
+
+    @cached_property
+    def square(self) -> np.ndarray:
+        """Squared length of each pattern (k,)."""
+        force = np.sum(self.weights**2, axis=0).astype(np.float32)
+        columns = [list(one.weights.values()) for one in self.over]
+        return np.concatenate(
+            [
+                one.squares(force[:, own]).T.ravel()
+                for one, own in zip(self.over, columns, strict=True)
+            ]
+        )
+
+    def products(self, against) -> np.ndarray:
+        """Products of each pattern with columns (m, c): (k, c)."""
+        channels, n, _ = self.weights.shape
+        against = against.reshape(channels, n, -1)
+        force = np.einsum("xnw,xnc->nwc", self.weights, against).astype(np.float32)
+        blocks = []
+        for one in self.over:
+            own = force[:, list(one.weights.values())]
+            found = one.products(own.reshape(n, -1))
+            found = found.reshape(-1, *own.shape[1:]).swapaxes(0, 1)
+            blocks.append(found.reshape(-1, own.shape[2]))
+        return np.concatenate(blocks)
 
 
 class Look(NamedTuple):
@@ -156,24 +241,26 @@ def is_mirrored(parameter: str, covariate: str) -> bool:
     return of_size and parameter in ("force", "slip")
 
 
-def _shapes(
-    values, n: int, waves, settings: Levels | None
-) -> list[tuple[str, float, float, np.ndarray]]:
-    """(shape, place, width, function of the rows (n,)) over one quantity, of which the
-    rig may have few ``settings``."""
-    low, span = values.min(), max(np.ptp(values), NONZERO)
-    share = (values - low) / span
-    if settings is not None:
-        centers = np.asarray(settings.center)
-        order = np.sort(centers)
-        between = 0.5 * (order[1:] + order[:-1])
-        steps = [("threshold", b, 0.0, (values > b) - 0.5) for b in between]
-        inner = [
-            ("local", c, 0.0, 1.0 * (settings.code == code))
-            for code, c in enumerate(centers)
-            if order[0] < c < order[-1]
-        ]
-        return steps + inner
+_Shape = tuple[str, float, float, np.ndarray]
+"""(shape, place, width, function of the rows (n,))."""
+
+
+def _between_settings(values, settings: Levels) -> list[_Shape]:
+    """Thresholds between the few settings of a rig, and single ones."""
+    centers = np.asarray(settings.center)
+    order = np.sort(centers)
+    between = 0.5 * (order[1:] + order[:-1])
+    steps = [("threshold", b, 0.0, (values > b) - 0.5) for b in between]
+    inner = [
+        ("local", c, 0.0, 1.0 * (settings.code == code))
+        for code, c in enumerate(centers)
+        if order[0] < c < order[-1]
+    ]
+    return steps + inner
+
+
+def _in_range(share) -> list[_Shape]:
+    """Kinks, steps and bumps over a range, of which rows have these shares."""
     listed = [
         ("kink", k, 0.0, np.maximum(share - k, 0.0)) for k in _KINKS
     ] + [("threshold", k, 0.0, (share > k) - 0.5) for k in _STEPS]  # fmt: skip
@@ -184,14 +271,48 @@ def _shapes(
             if near.mean() > _EACH_SIDE:
                 shape = np.exp(-0.5 * ((share - k) / width) ** 2)
                 listed.append(("local", k, width, shape))
-    for count in waves[waves * _ROWS_OF_A_WAVE < n]:
-        for phase in _PHASES:
-            shape = np.sin(2 * np.pi * count * share + phase)
-            listed.append(("wave", 1 / count, 0.0, shape))
-    return [
-        (name, at * span if name == "wave" else low + at * span, width * span, shape)
-        for name, at, width, shape in listed
-    ]
+    return listed
+
+
+def turns(share, counts) -> np.ndarray:
+    """Sine and cosine, in turn, of so many evenly spaced turns: (n, 2 k).
+
+    Args:
+        share: (n,) what one turn is of.
+        counts: (k,) turns, each as far from the one before.
+    """
+    # One product for each instead of a sine and a cosine: i exp(-i x) = sin + i cos.
+    step = counts[1] - counts[0] if len(counts) > 1 else 0.0
+    parts = np.empty((len(share), len(counts)), complex)
+    parts[:, :1] = 1j * np.exp(-2j * np.pi * counts[:1] * share[:, None])
+    parts[:, 1:] = np.exp(-2j * np.pi * step * share)[:, None]
+    return np.cumprod(parts, axis=1).view(float)
+
+
+def _over(covariate: str, values, weights: dict[str, int]) -> Over | None:
+    """All shapes over one quantity; None if there are none."""
+    settings, n = settings_of(covariate, values), len(values)
+    low, span, waves = values.min(), max(np.ptp(values), NONZERO), np.zeros((n, 0))
+    if settings is not None:
+        shapes = _between_settings(values, settings)
+        listed = [(name, at, width) for name, at, width, _ in shapes]
+    else:
+        share = (values - low) / span
+        counts = _WAVES.get(covariate, _FEW_WAVES)
+        counts = counts[counts * _ROWS_OF_A_WAVE < n]
+        shapes, waves = _in_range(share), turns(share, counts)
+        listed = [(name, low + at * span, w * span) for name, at, w, _ in shapes]
+        listed += [("wave", span / c, 0.0) for c in counts for _ in _PHASES]
+    if not listed:
+        return None
+    plain = np.array([shape for *_, shape in shapes]).reshape(-1, n).T
+    # Every kind of shape is as likely, and within it every place.
+    kinds = Counter(name for name, *_ in listed)
+    prior = np.array([-np.log(len(kinds) * kinds[name]) for name, *_ in listed])
+    return Over(
+        covariate, plain.astype(np.float32), waves.astype(np.float32), listed, prior,
+        weights,
+    )  # fmt: skip
 
 
 def _both_sides(beyond) -> bool:
@@ -205,34 +326,24 @@ def patterns(prepared, slip_fraction, fields: dict[str, np.ndarray]) -> Patterns
         slip_fraction: signed slip over that of full sliding, (n,).
         fields: of each of :data:`PARAMETERS` the whitened force (m,) of a unit change.
     """
-    channels = len(prepared.channels)
     load = np.asarray(prepared.inputs.fz)
     side = np.where(slip_fraction < 0, -1.0, 1.0)
-    blocks, prior, names = [], [], []
-    for covariate, values in quantities(prepared, slip_fraction).items():
-        waves = _WAVES.get(covariate, _FEW_WAVES)
-        values = np.asarray(values, float)
-        settings = settings_of(covariate, values)
-        shapes = _shapes(values, prepared.n, waves, settings)
-        if not shapes:
-            continue
-        stacked = np.stack([shape for *_, shape in shapes], axis=1)
-        kinds = [name for name, *_ in shapes]
-        for parameter, (_, usual) in PARAMETERS.items():
-            weight = np.full(prepared.n, usual)
-            if parameter == "force":
-                weight = weight * load
-            if is_mirrored(parameter, covariate):
-                weight = weight * side
-            column = fields[parameter][:, None] * np.tile(
-                weight[:, None] * stacked, (channels, 1)
-            )
-            blocks.append(column.astype(np.float32))
-            # Every kind of shape is as likely, and within it every place.
-            prior.append([-np.log(len(set(kinds)) * kinds.count(k)) for k in kinds])
-            names += [Pattern(parameter, covariate, s, at, w) for s, at, w, _ in shapes]
-    log_prior = np.concatenate(prior) - np.log(len(blocks))
-    return Patterns(np.concatenate(blocks, axis=1), log_prior, names)
+    columns, number = [], {}
+    for parameter, (_, usual) in PARAMETERS.items():
+        size = usual * load if parameter == "force" else np.full(prepared.n, usual)
+        field = fields[parameter].reshape(len(prepared.channels), prepared.n)
+        for mirrored in (False, True):
+            number[parameter, mirrored] = len(columns)
+            columns.append(field * (side * size if mirrored else size))
+    over = [
+        _over(
+            covariate,
+            np.asarray(values, float),
+            {name: number[name, is_mirrored(name, covariate)] for name in PARAMETERS},
+        )
+        for covariate, values in quantities(prepared, slip_fraction).items()
+    ]
+    return Patterns(np.stack(columns, axis=2), [one for one in over if one is not None])
 
 
 def _scores(among: Patterns, against, residual):
@@ -240,13 +351,12 @@ def _scores(among: Patterns, against, residual):
     with the residual (k,); both zero where hardly anything is left of it."""
     unit, _ = np.linalg.qr(against)
     left = residual - unit @ (unit.T @ residual)
-    whole = np.einsum("mk,mk->k", among.columns, among.columns)
-    used = np.sum((unit.astype(np.float32).T @ among.columns) ** 2, axis=0)
+    found = among.products(np.concatenate([unit, left[:, None]], axis=1))
+    whole, used = among.square, np.sum(found[:, :-1] ** 2, axis=1)
     length = np.where(
         whole - used > np.maximum(_LEFT * whole, _LEAST), whole - used, 0.0
     )
-    score = left.astype(np.float32) @ among.columns
-    return length.astype(float), np.where(length > 0, score, 0.0).astype(float)
+    return length.astype(float), np.where(length > 0, found[:, -1], 0.0).astype(float)
 
 
 def _gains(length, score) -> np.ndarray:

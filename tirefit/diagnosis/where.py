@@ -179,9 +179,10 @@ def parameter_map(base: Base) -> list[Cell]:
             scaled = size * (load[:, None] if field == "force" else 1.0) * shapes
             columns = fields[:, [PLACE[field]]] * np.tile(scaled, (channels, 1))
             left, length = orthogonal(columns, jacobian)
-            evidence = mean_gain(left, length, residual, USUAL_SIZES)
+            score = left.T @ residual
+            evidence = mean_gain(score, length, USUAL_SIZES)
             shrink = (USUAL_SIZES[-1] * length) ** 2
             shrink = shrink / (1 + shrink)
-            explained = float(np.sum(shrink * (left.T @ residual) ** 2)) / misfit
+            explained = float(np.sum(shrink * score**2)) / misfit
             cells.append(Cell(parameter, covariate, evidence, explained))
     return sorted(cells, key=lambda cell: -cell.log_evidence)
