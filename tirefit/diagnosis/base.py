@@ -1,6 +1,6 @@
 """The base model fitted with its noise judged: where every diagnosis starts."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,6 +13,7 @@ from tirefit.diagnosis.forward import (
     Design,
     Linear,
     Refit,
+    Wanted,
     brush_of_base,
     count_atoms,
     fill,
@@ -149,9 +150,9 @@ class Base:
         return atoms_of(self.fit.tire.effects)
 
     @cached_property
-    def finite(self) -> tuple[int, ...]:
-        """Atoms whose effect is linearised over a finite amplitude."""
-        return tuple(k for k, atom in enumerate(self.atoms) if atom.effect.far)
+    def far(self) -> np.ndarray:
+        """1 of atoms whose effect is linearised over a finite amplitude: (K,)."""
+        return np.array([float(atom.effect.far) for atom in self.atoms])
 
     @cached_property
     def generic(self) -> Generic:
@@ -186,21 +187,31 @@ class Base:
         return parts[:, : self.rows.n].reshape(-1, *stacked.shape[1:])
 
     @cached_property
-    def _linear_at(self) -> dict[tuple[bytes, bytes], Linear]:
-        """What was linearised last, by the fit: a verdict comes back to its best."""
+    def _linear_at(self) -> dict[tuple[bytes, bytes], tuple[set[int], Linear]]:
+        """What was linearised last, by the fit, and the atoms whose columns it has: a
+        verdict comes back to its best."""
         return {}
 
-    def linearised(self, z, amplitudes) -> Linear:
-        """The used rows, linearised in everything."""
-        known = self._linear_at
+    def linearised(self, z, amplitudes, atoms: Sequence[int] | None = None) -> Linear:
+        """The used rows, linearised in everything.
+
+        Args:
+            atoms: those whose columns are needed, None for all; the others may be NaN.
+        """
+        every, known = range(len(self.atoms)), self._linear_at
+        asked = list(every if atoms is None else atoms)
         key = np.asarray(z).tobytes(), np.asarray(amplitudes).tobytes()
-        if key not in known:
+        if key not in known or not known[key][0].issuperset(asked):
+            known.pop(key, None)
             if len(known) == _LINEARISED:
                 known.pop(next(iter(known)))
-            point = z, present_in(amplitudes), self.design, self.finite
+            order = np.array([*asked, *every], int)[: len(every)]
+            wanted = Wanted(order, np.array(len(asked)), self.far)
+            point = z, present_in(amplitudes), self.design, wanted
             whole = tangents(*self.fit.tire.arguments, *point)
-            known[key] = Linear(*(self.cut(part) for part in whole))
-        return known[key]
+            linear = Linear(*(self.cut(part) for part in whole))
+            known[key] = set(asked), linear
+        return known[key][1]
 
     def refit(self, starts, sets, design: Design | None = None) -> Refit:
         """Hypotheses refitted: ``starts`` are (z, amplitudes in prior scales) of each

@@ -203,7 +203,9 @@ def _with_change(base: Base, searched: Search) -> Base | None:
         return None
     amplitudes = amplitudes_of(base, likely[0])
     rest = [k for k in likely[0].atoms if k not in steps]
-    residual, jacobian, columns, fields = base.linearised(likely[0].z, amplitudes)
+    residual, jacobian, columns, fields = base.linearised(
+        likely[0].z, amplitudes, likely[0].atoms
+    )
     # The residual without the step, to first order.
     own = [k for k in likely[0].atoms if k in steps]
     size = amplitudes[own] / np.asarray(base.design.prior_scale)[own]

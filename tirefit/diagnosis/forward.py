@@ -25,6 +25,7 @@ __all__ = [
     "Linear",
     "Present",
     "Refit",
+    "Wanted",
     "brush_of_base",
     "count_atoms",
     "forces_of",
@@ -245,65 +246,71 @@ class Linear(NamedTuple):
     fields: Values
 
 
-@partial(jax.jit, static_argnames=(*_STATIC, "finite"))
-def tangents(model, layout, effects, mode, z, present, design: Design, finite):
+class Wanted(NamedTuple):
+    """Which columns :func:`tangents` works out: the first ``count`` of ``atom`` (K,).
+    ``far`` (K,) is 1 where a column is a finite difference over one prior scale (or to
+    the expected amplitude): its tangent vanishes or misleads."""
+
+    atom: Values
+    count: Values
+    far: Values
+
+
+@partial(jax.jit, static_argnames=_STATIC)
+def tangents(
+    model, layout, effects, mode, z, present, design: Design, wanted: Wanted
+) -> Linear:
     """Residual r (m,), J = d force / dz (m, p), T = d force / d amplitude in units of
-    prior scales (m, K), and d force / d field of the state (m, F), all whitened.
-
-    Args:
-        finite: atoms whose column is a finite difference over one prior scale (or
-            to the expected amplitude): their tangent vanishes or misleads.
-    """
-    count = count_atoms(effects)
+    prior scales (m, K), and d force / d field of the state (m, F), all whitened; T is
+    NaN of atoms that are not wanted."""
     sign = jnp.where(design.prior_center < 0, -1.0, 1.0)
-    size = jnp.append(sign * jnp.maximum(jnp.abs(design.prior_center), 1.0), 0.0)
-    scale = jnp.append(design.prior_scale, 0.0)
-    # A secant asks for its far end, a tangent for the slope here; all in one loop, as
-    # the changes of all effects are most of what is compiled.
-    far = jnp.zeros(count + 1).at[jnp.array(finite, int)].set(1.0)
-
+    size = sign * jnp.maximum(jnp.abs(design.prior_center), 1.0)
     states = _states_without(effects, present, design.rows)
 
-    def with_atom(k):
+    def at(z, flat):
+        mean, _ = _forces_at(model, layout, mode, z, State(*flat), design)
+        return -_whitened(mean, design)
+
+    # A row's force depends on its own state alone, so one tangent per field serves all
+    # atoms; what an atom does to the fields costs next to nothing.
+    flat = jnp.stack([field[-1] for field in states])
+    directions = jnp.eye(z.size + len(flat))
+    moved = jax.lax.map(
+        lambda e: jax.jvp(
+            at, (z, flat),
+            (e[: z.size], jnp.broadcast_to(e[z.size :, None], flat.shape)),
+        )[1],
+        directions,
+    )  # fmt: skip
+    value, fields = at(z, flat), moved[z.size :]
+    by_row = fields.reshape(len(flat), -1, flat.shape[1])
+
+    # A secant asks for its far end, a tangent for the slope here; all in one loop, as
+    # the changes of all effects are most of what is compiled.
+    def column(k):
         mine = present.atom == k
         gone = jnp.where(jnp.any(mine), jnp.argmax(mine), mine.size)
         others = jax.tree.map(lambda field: field[gone], states)
         own = jnp.sum(jnp.where(mine, present.amplitude, 0.0))
 
         def flat_at(change):
-            state = _apply(effects, k, others, own + change, design.rows)
-            return jnp.stack(state, axis=1)
+            return jnp.stack(_apply(effects, k, others, own + change, design.rows))
 
-        return jax.jvp(flat_at, (far[k] * size[k] * scale[k],), (scale[k],))
+        far, scale = wanted.far[k], design.prior_scale[k]
+        end, change = jax.jvp(flat_at, (far * size[k] * scale,), (scale,))
+        return jax.lax.cond(
+            far > 0,
+            lambda: (at(z, end) - value) / size[k],
+            lambda: jnp.sum(by_row * change[:, None], axis=0).ravel(),
+        )
 
-    # The last of these is the state as it is.
-    flats, changes = jax.lax.map(with_atom, jnp.arange(count + 1))
-    flat = flats[-1]
+    def body(number, columns):
+        k = wanted.atom[number]
+        return columns.at[k].set(column(k))
 
-    def at(z, flat):
-        state = State(*(flat[:, k] for k in range(flat.shape[1])))
-        mean, _ = _forces_at(model, layout, mode, z, state, design)
-        return -_whitened(mean, design)
-
-    # A row's force depends on its own state alone, so one tangent per field serves all
-    # atoms; what an atom does to the fields costs next to nothing.
-    directions = jnp.eye(z.size + flat.shape[1])
-    moved = jax.lax.map(
-        lambda e: jax.jvp(
-            at, (z, flat),
-            (e[: z.size], jnp.broadcast_to(e[z.size :], flat.shape)),
-        )[1],
-        directions,
-    )  # fmt: skip
-    fields = moved[z.size :].reshape(flat.shape[1], -1, flat.shape[0])
-    columns = jnp.einsum("fcn,knf->kcn", fields, changes[:-1]).reshape(count, -1)
-    index = jnp.array([*finite, count])
-    ends = jax.lax.map(lambda k: at(z, flats[k]), index)
-    value = ends[-1]
-    if finite:
-        secants = (ends[:-1] - value[None]) / size[index[:-1], None]
-        columns = columns.at[index[:-1]].set(secants)
-    return Linear(-value, moved[: z.size].T, columns.T, moved[z.size :].T)
+    blank = jnp.full((count_atoms(effects), value.size), jnp.nan)
+    columns = jax.lax.fori_loop(0, wanted.count, body, blank)
+    return Linear(-value, moved[: z.size].T, columns.T, fields.T)
 
 
 def _states_without(effects, present: Present, rows: Covariates) -> State:

@@ -123,7 +123,7 @@ def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing
     """
     prepared, n = base.prepared, base.prepared.n
     amplitudes = amplitudes_of(base, hypothesis)
-    linear = base.linearised(hypothesis.z, amplitudes)
+    linear = base.linearised(hypothesis.z, amplitudes, hypothesis.atoms)
     residual = np.asarray(linear.residual)
     keep = np.asarray(base.design.keep[:n]) > 0
     index = np.cumsum(keep) - 1

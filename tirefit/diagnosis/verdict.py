@@ -212,7 +212,7 @@ class LinearFit(NamedTuple):
 def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
     """Around a refitted hypothesis."""
     residual, jacobian, columns, fields = (
-        base.linearised(hypothesis.z, amplitudes_of(base, hypothesis))
+        base.linearised(hypothesis.z, amplitudes_of(base, hypothesis), hypothesis.atoms)
         if hypothesis.atoms
         else base.at_null
     )
