@@ -21,6 +21,7 @@ from tirefit.diagnosis.basis import Generic, gains, of_any_kind, waves_within
 from tirefit.diagnosis.closure import closure_of
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, atoms_of
 from tirefit.diagnosis.forecast import (
+    Nothing,
     recognition,
     scores_of_nothing,
     separability,
@@ -448,7 +449,7 @@ def test_recognition_of_one_of_two_directions(correlation):
         np.cov(noise), [[1, correlation], [correlation, 1]], atol=0.03
     )
     size = 6.0
-    found = recognition(directions, ("a", "b"), 0, size, np.zeros(2), noise)
+    found = recognition(directions, ("a", "b"), 0, size, Nothing.of(noise, np.zeros(2)))
     apart, along = ndtr(
         np.sqrt([size**2 * (1 - correlation) / 2, size**2 * (1 + correlation) / 2])
     )
@@ -461,7 +462,8 @@ def test_recognition_of_one_of_two_directions(correlation):
 def test_nothing_is_seen_of_nothing():
     directions, generator = np.eye(5), np.random.default_rng(2)
     noise = scores_of_nothing(directions, 20000, generator)
-    found = recognition(directions, tuple("abcde"), 0, 0.0, np.zeros(5), noise)
+    nothing = Nothing.of(noise, np.zeros(5))
+    found = recognition(directions, tuple("abcde"), 0, 0.0, nothing)
     assert found.seen == pytest.approx(0.05, abs=0.005)
 
 

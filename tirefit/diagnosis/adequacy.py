@@ -13,9 +13,16 @@ import numpy as np
 from scipy.signal import lfilter
 
 from tirefit.diagnosis.memory import Memory
-from tirefit.diagnosis.negligible import NONZERO, ROUNDING
+from tirefit.diagnosis.negligible import ROUNDING
 
 __all__ = ["UNTESTED", "Adequacy", "Null", "adequacy", "null", "refused"]
+
+_PRECISION = np.float32
+"""Of the simulated residuals: a thousand draws of all rows are read many times over,
+and a p-value counts in thousandths."""
+
+_LEAST_SIZE = 1e-30
+"""Divisor in the place of zero, in that precision."""
 
 DRAWS = 999
 """Simulated residuals: the smallest p-value is one in a thousand."""
@@ -27,7 +34,8 @@ _RUNS = (2, 4, 8, 16, 32, 64, 128)
 """Neighbours whose residuals are added up: a smooth miss adds up, noise does not."""
 
 _LOCAL = (6, 12, 24)
-"""Rows of a local block: what sits in one region shows there first."""
+"""Rows of a local block, which multiples of half the shortest are: what sits in one
+region shows there first."""
 
 _LEFT_OUT = 12
 """Rows of a group that is left out, at least; blocks of its prediction error are half
@@ -83,9 +91,12 @@ def refused(adequacy: Adequacy) -> list[str]:
 
 def _unit(parts: np.ndarray) -> np.ndarray:
     """Columns of mean square one, cut at :data:`_WIDEST`."""
-    size = np.sqrt(np.mean(parts**2, axis=0))
-    scaled = np.clip(parts / np.maximum(size, NONZERO), -_WIDEST, _WIDEST)
-    return scaled / np.maximum(np.sqrt(np.mean(scaled**2, axis=0)), NONZERO)
+    scaled = np.clip(parts / _size(parts), -_WIDEST, _WIDEST)
+    return scaled / _size(scaled)
+
+
+def _size(parts) -> np.ndarray:
+    return np.maximum(np.sqrt(_mean_square([parts], len(parts))), _LEAST_SIZE)
 
 
 def _sums(parts: np.ndarray, length: int) -> np.ndarray:
@@ -102,16 +113,24 @@ def _largest(values: Sequence[np.ndarray]) -> np.ndarray:
     return np.max((stacked - center) / np.maximum(spread, ROUNDING), axis=0)
 
 
+def _mean_square(blocks: Sequence[np.ndarray], count: int) -> np.ndarray:
+    """Of the rows (count in all) of several blocks: (draws,)."""
+    return np.sum([np.einsum("bd,bd->d", b, b) for b in blocks], axis=0) / count
+
+
 def _persistence(stretches: Sequence[np.ndarray]) -> Statistic:
     """Mean square of sums of neighbours over that of independent rows, at the length
     where it stands out most. ``stretches`` are rows in order: index arrays."""
 
     def statistic(parts):
         values = []
+        blocks, before = [parts[s] for s in stretches], 1
         for length in _RUNS:
-            blocks = [_sums(parts[s], length) for s in stretches if len(s) >= length]
-            if sum(len(b) for b in blocks) >= _FEWEST_SUMS:
-                values.append(np.mean(np.concatenate(blocks) ** 2, axis=0) / length)
+            # Each length is a multiple of the one before.
+            blocks = [_sums(block, length // before) for block in blocks]
+            before, count = length, sum(len(b) for b in blocks)
+            if count >= _FEWEST_SUMS:
+                values.append(_mean_square(blocks, count) / length)
         return _largest(values)
 
     return statistic
@@ -130,11 +149,12 @@ def _lines(stretches: Sequence[np.ndarray]) -> Statistic:
 
 def _pure_error(stretches: Sequence[np.ndarray]) -> Statistic:
     """Mean square over half that of differences of neighbours."""
-    pairs = np.concatenate([np.stack([s[:-1], s[1:]], axis=1) for s in stretches])
+    count = sum(len(s) - 1 for s in stretches)
 
     def statistic(parts):
-        steps = np.mean((parts[pairs[:, 1]] - parts[pairs[:, 0]]) ** 2, axis=0)
-        return np.mean(parts**2, axis=0) / np.maximum(steps / 2, ROUNDING)
+        steps = _mean_square([np.diff(parts[s], axis=0) for s in stretches], count)
+        whole = _mean_square([parts], len(parts))
+        return whole / np.maximum(steps / 2, ROUNDING)
 
     return statistic
 
@@ -142,17 +162,16 @@ def _pure_error(stretches: Sequence[np.ndarray]) -> Statistic:
 def _local(stretches: Sequence[np.ndarray]) -> Statistic:
     """Largest mean of a block of neighbours in its own standard errors."""
 
+    piece = _LOCAL[0] // 2
+
     def statistic(parts):
-        values = []
+        values, pieces = [], [_sums(parts[s], piece) for s in stretches]
         for length in _LOCAL:
             for shift in (0, length // 2):
-                means = [
-                    np.abs(_sums(parts[s[shift:]], length))
-                    for s in stretches
-                    if len(s) - shift >= length
-                ]
-                if means:
-                    values.append(np.concatenate(means).max(axis=0) / np.sqrt(length))
+                sums = [_sums(p[shift // piece :], length // piece) for p in pieces]
+                largest = [np.abs(each).max(axis=0) for each in sums if len(each)]
+                if largest:
+                    values.append(np.max(largest, axis=0) / np.sqrt(length))
         return _largest(values)
 
     return statistic
@@ -172,7 +191,8 @@ def _left_out(group: np.ndarray, unit: np.ndarray) -> Callable | None:
     back = here @ (vectors / values) @ vectors.T
 
     def predicted(parts):
-        return parts[group] + back @ (here.T @ parts[group])
+        own = parts[group]
+        return own + back.astype(own.dtype) @ (here.T.astype(own.dtype) @ own)
 
     return predicted
 
@@ -193,7 +213,8 @@ def _regimes(groups: Sequence[np.ndarray], unit: np.ndarray) -> Statistic | None
         values = []
         for size, predicted in able:
             length = max(_LEFT_OUT // 2, size // _BLOCKS_LEFT_OUT)
-            values.append(np.mean(_sums(predicted(parts), length) ** 2, axis=0))
+            sums = _sums(predicted(parts), length)
+            values.append(_mean_square([sums], len(sums)))
         return _largest(values)
 
     return statistic
@@ -248,7 +269,8 @@ def null(
     for part, size, memory in zip(parts, sizes, memories, strict=True):
         noise[part] = size * _noise(len(part), memory, in_time, generator)
     noise += doubt @ generator.standard_normal((doubt.shape[1], DRAWS))
-    return Null(noise - unit @ (unit.T @ noise), unit)
+    noise, taken = noise.astype(_PRECISION), unit.astype(_PRECISION)
+    return Null(noise - taken @ (taken.T @ noise), unit)
 
 
 def adequacy(
@@ -268,7 +290,8 @@ def adequacy(
         groups: regimes to leave out in turn: rows in the order of slip.
     """
     settings = [s for s in in_slip if len(s) >= _WITH_NEIGHBOURS]
-    together = _unit(np.concatenate([residual[:, None], of_noise.draws], axis=1))
+    observed = residual[:, None].astype(_PRECISION)
+    together = _unit(np.concatenate([observed, of_noise.draws], axis=1))
 
     def p_value(statistic: Statistic | None) -> float | None:
         if statistic is None:

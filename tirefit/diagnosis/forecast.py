@@ -16,6 +16,7 @@ from tirefit.diagnosis.rows import Prepared
 from tirefit.models import modelled
 
 __all__ = [
+    "Nothing",
     "Recognition",
     "confusion",
     "next_measurements",
@@ -73,7 +74,38 @@ class Recognition(NamedTuple):
     taken_for: str | None
 
 
-def recognition(directions, names: Sequence[str], truth: int, size: float, sign, noise):
+class Nothing(NamedTuple):
+    """What scores do without a gap.
+
+    ``scores`` (K, draws) are turned to the one sign that is possible; ``mirror`` (K, 1)
+    is -1 where either is, else 1; ``turn`` (K,) is what turned them; ``limit`` is what
+    the largest exceeds in :data:`_FALSE` of the draws.
+    """
+
+    scores: np.ndarray
+    mirror: np.ndarray
+    turn: np.ndarray
+    limit: float
+
+    @classmethod
+    def of(cls, noise, sign) -> "Nothing":
+        """From scores (K, draws), see :func:`scores_of_nothing`, and ``sign`` (K,): +1
+        or -1 where only that one is possible, else 0."""
+        turn = np.where(sign != 0, sign, 1.0)
+        mirror = np.where(sign != 0, 1.0, -1.0)[:, None]
+        drawn = cls(noise * turn[:, None], mirror, turn, np.nan)
+        largest = drawn.ranked(np.zeros(len(turn))).max(axis=0)
+        return drawn._replace(limit=float(np.quantile(largest, 1 - _FALSE)))
+
+    def ranked(self, shift) -> np.ndarray:
+        """Scores (K, draws) as they are ranked, all moved by ``shift`` (K,)."""
+        moved = self.scores + (self.turn * shift)[:, None]
+        return np.maximum(moved, moved * self.mirror, out=moved)
+
+
+def recognition(
+    directions, names: Sequence[str], truth: int, size: float, nothing: Nothing
+):
     """What an effect would be taken for, by the largest score: :class:`Recognition`.
 
     The scores of unit directions are z ~ N(size R[:, truth], R), R their correlation,
@@ -84,22 +116,16 @@ def recognition(directions, names: Sequence[str], truth: int, size: float, sign,
         names: what each of them stands for (K); variants share a name.
         truth: which of them is there.
         size: its amplitude in standard errors.
-        sign: (K,) +1 or -1 where only that sign is possible, else 0.
-        noise: (K, draws) scores of no gap, see :func:`scores_of_nothing`.
     """
-
-    def ranked(z):
-        return np.where(sign[:, None] != 0, z * sign[:, None], np.abs(z))
-
-    limit = np.quantile(ranked(noise).max(axis=0), 1 - _FALSE)
-    correlation = directions.T @ directions[:, truth]
-    score = ranked(noise + size * correlation[:, None])
-    seen = score.max(axis=0) > limit
+    score = nothing.ranked(size * (directions.T @ directions[:, truth]))
+    highest = score.argmax(axis=0)
+    count = len(highest)
+    seen = score[highest, np.arange(count)] > nothing.limit
     codes = {name: code for code, name in enumerate(dict.fromkeys(names))}
-    largest = np.array([codes[name] for name in names])[score.argmax(axis=0)[seen]]
+    largest = np.array([codes[name] for name in names])[highest[seen]]
     often, own = np.bincount(largest, minlength=len(codes)), codes[names[truth]]
     right, often[own] = int(often[own]), 0
-    count, other = noise.shape[1], int(np.argmax(often))
+    other = int(np.argmax(often))
     return Recognition(
         float(seen.mean()), right / count,
         tuple(codes)[other] if often[other] > _HARDLY_EVER * count else None,
@@ -126,13 +152,14 @@ def confusion(search, draws: int = DRAWS) -> list[Forecast]:
     names = [effect.id for effect in effects]
     sign = np.array([effect.sign for effect in effects], float)
     noise = scores_of_nothing(directions, draws, np.random.default_rng(0))
+    nothing = Nothing.of(noise, sign)
     center, scale = base.design.prior_center, base.design.prior_scale
     forecasts = []
     for name in dict.fromkeys(names):
         first = names.index(name)
         k, effect = use[first], effects[first]
         usual = float(center[k]) or float(effect.sign or 1)
-        chances = recognition(directions, names, first, usual * length[k], sign, noise)
+        chances = recognition(directions, names, first, usual * length[k], nothing)
         amplitude = usual * float(scale[k])
         forecasts.append(Forecast(name, amplitude, effect.unit, *chances))
     return forecasts

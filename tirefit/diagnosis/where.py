@@ -75,13 +75,21 @@ def covariates_of(base: Base) -> dict[str, np.ndarray]:
     return values
 
 
-def _chance(residual, slip_fraction) -> float:
-    """p-value of whitened misses (k,): of neighbours over the slip, added up."""
-    part = residual[np.argsort(slip_fraction, kind="stable")]
-    groups = np.array_split(part, max(len(part) // _NEIGHBOURS, 1))
-    statistic = sum(float(g.sum()) ** 2 / len(g) for g in groups)
+def _chances(residual, slip_fraction) -> np.ndarray:
+    """p-value of each set of whitened misses: of neighbours over the slip, added up.
+
+    Args:
+        residual, slip_fraction: (sets, k).
+    """
+    order = np.argsort(slip_fraction, axis=1, kind="stable")
+    part = np.take_along_axis(residual, order, axis=1)
+    groups = np.array_split(
+        np.arange(part.shape[1]), max(part.shape[1] // _NEIGHBOURS, 1)
+    )
+    begins, sizes = [g[0] for g in groups], np.array([len(g) for g in groups])
+    sums = np.add.reduceat(part, begins, axis=1)
     # The rows' inflation is in the residual already; sums bring it back.
-    return float(chdtrc(len(groups), statistic))
+    return chdtrc(len(groups), np.sum(sums**2 / sizes, axis=1))
 
 
 def regions(base: Base, residual, gap) -> list[Region]:
@@ -100,7 +108,8 @@ def regions(base: Base, residual, gap) -> list[Region]:
             inside = (values >= low - width) & (values <= high + width)
             if inside.sum() < _NEIGHBOURS:
                 continue
-            raw.append(_chance(residual[inside], base.slip_fraction[inside]))
+            own = residual[None, inside], base.slip_fraction[None, inside]
+            raw.append(float(_chances(*own)[0]))
             share = float(energy[inside].sum()) / total
             bins.append(Region(name, float(low), float(high), share, 1.0))
     if not bins:
@@ -126,12 +135,15 @@ def spots(base: Base, residual, gap) -> tuple[Spot, ...]:
             width = n // count
             if width < _NEIGHBOURS:
                 break
-            for start in range(0, n - width + 1, width // 2):
-                rows = order[start : start + width]
-                chance = _chance(residual[rows], base.slip_fraction[rows])
-                low, high = float(values[rows[0]]), float(values[rows[-1]])
-                share = float(energy[rows].sum()) / total
-                stretches.append(Spot(name, low, high, width / n, share, chance))
+            starts = np.arange(0, n - width + 1, width // 2)
+            rows = order[starts[:, None] + np.arange(width)]
+            each = (
+                values[rows[:, 0]], values[rows[:, -1]], np.full(len(rows), width / n),
+                energy[rows].sum(axis=1) / total,
+                _chances(residual[rows], base.slip_fraction[rows]),
+            )  # fmt: skip
+            parts = (part.astype(float).tolist() for part in each)
+            stretches += [Spot(name, *one) for one in zip(*parts, strict=True)]
     if not stretches:
         return ()
     corrected = false_discovery_control([s.p_value for s in stretches], method="by")
