@@ -336,7 +336,8 @@ def test_who_is_told_a_pair_finds_both_only_where_both_show():
         (0.0, 0.01 * world.fz, 0.001 * world.fz),
     )  # fmt: skip
     pair = {"force_offset": "force_zero", "load_friction": "friction_power"}
-    sizes = {name: trials.EFFECTS[name].typical for name in pair}
+    about = trials.EFFECTS
+    sizes = {name: about[name].typical * (about[name].sign or 1) for name in pair}
     parts = [(name, form, sizes[name], 0.5) for name, form in pair.items()]
     noise = 0.01 * world.fz * g.normal(size=200)
     one = library.predict_together(x, parts[:1], C, MU)
