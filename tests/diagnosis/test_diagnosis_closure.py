@@ -21,7 +21,7 @@ from tirefit.diagnosis.plausible import (
     plausible_forces,
 )
 from tirefit.diagnosis.search import Hypothesis
-from tirefit.diagnosis.verdict import Weighed
+from tirefit.diagnosis.verdict import Verdict, Weighed
 
 ROWS = 240
 ALONE = np.zeros(ROWS, int)
@@ -128,7 +128,8 @@ class Straight(Base):
         weighed = Weighed(
             {key: 1.0}, {key: self.fitted()}, 0.0, {}, frozenset(), {key: 9.0}, 0.0, {}
         )
-        case.__dict__.update(base=self, weighed=weighed)
+        verdict = Verdict("named", key, 1.0, (), 0.0, self.fitted())
+        case.__dict__.update(base=self, weighed=weighed, verdict=verdict)
         return case
 
 

@@ -44,9 +44,10 @@ class Closure(NamedTuple):
 
     ``rms`` [N] is the base gap beyond noise, ``remaining`` [N] what the extension
     leaves, ``closed`` = 1 - remaining / rms with its 90 % interval, None where the gap
-    is too small to say (below 3 sqrt(2 / n_effective) of the noise's energy). It ends
-    at -1, where the extension doubles the gap: beyond, a small gap sets its size. Of
-    several runs it is no narrower than their differences allow.
+    may be too small to say (below 3 sqrt(2 / n_effective) of the noise's energy; on the
+    rows fitted, in more than one draw of twenty). It ends at -1, where the extension
+    doubles the gap: beyond, a small gap sets its size. Of several runs it is no
+    narrower than their differences allow.
     """
 
     rms: float
@@ -57,7 +58,7 @@ class Closure(NamedTuple):
     resolvable: bool
 
 
-def _is_resolvable(gap: float, variance, inflation) -> bool:
+def _is_resolvable(gap, variance, inflation) -> bool:
     """Whether a gap of this energy [N^2] is one that noise does not have."""
     effective = max(len(variance) / inflation, _FEWEST_ROWS)
     return bool(gap >= _RESOLVED * np.sqrt(2 / effective) * np.mean(variance))
@@ -78,7 +79,7 @@ def closure_on_rows(truth, before, after, variance, run, inflation) -> Closure:
     gap, closed = gaps.mean(axis=0), _closed(gaps.mean(axis=0), rests.mean(axis=0))
     rms, middle = float(np.sqrt(np.median(gap))), float(np.median(closed))
     remaining = (1 - middle) * rms
-    if not _is_resolvable(float(np.median(gap)), variance, inflation):
+    if not _is_resolvable(np.quantile(gap, INTERVAL[0]), variance, inflation):
         return Closure(rms, remaining, None, None, None, False)
     low, high = np.quantile(closed, INTERVAL)
     one_less = zip(without_each(gaps, run), without_each(rests, run), strict=True)
@@ -118,12 +119,14 @@ def closure_elsewhere(before, after, variance, run, inflation, generator) -> Clo
     closed = _closed(np.maximum(gains + lefts, 0.0), lefts)
     middle = float(np.median(closed))
     remaining = (1 - middle) * rms
-    if not _is_resolvable(float(gain + left), variance, inflation):
+    if not _is_resolvable(gain + left, variance, inflation):
         return Closure(rms, remaining, None, None, None, False)
     low, high = np.quantile(closed, INTERVAL)
     fewer = without_each(terms, run)
     if len(fewer):
-        over = np.maximum(fewer[:, 1], float(np.median(lefts)))
+        over = np.array(
+            [np.median(_not_negative(x, error, _DRAWS)) for x in fewer[:, 1]]
+        )
         each = _closed(np.maximum(fewer[:, 0] + over, 0.0), over)
         low, high = of_so_few_runs(middle, low, high, each)
     return Closure(rms, remaining, middle, float(low), float(high), True)

@@ -27,7 +27,7 @@ from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.patterns import USUAL_SIZES, Patterns, weights_of_sizes
 from tirefit.diagnosis.rows import neighbours
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
-from tirefit.diagnosis.verdict import LinearFit, Weighed, linear_at
+from tirefit.diagnosis.verdict import LinearFit, Verdict, Weighed, linear_at
 
 __all__ = ["drawn_functions", "drawn_pattern", "drawn_wave", "plausible_forces"]
 
@@ -53,6 +53,12 @@ _UNDRAWN, _UNDRAWN_OF_REST = 0.03, 0.4
 """What no basis draws, as a share of the effect's part and of the remainder, typically:
 development trials leave .01 to .1 and .2 to .6 of theirs."""
 
+_WIDER = 1.2
+"""Factor on the errors of parameters: those of a fit whose form is not quite right."""
+
+_EVEN = 0.5
+"""Probability of something unlisted where a verdict says that it is there, at least."""
+
 _BESIDE_A_ROW = 2
 """Rows on either side whose misfit says whether a row that was set aside is alone."""
 
@@ -75,8 +81,8 @@ def plausible_forces(case: Case, generator) -> dict[str, np.ndarray]:
     channel."""
     base = case.base
     beliefs, at = _beliefs(case), at_measured_slip(base)
-    weights = np.array([(b.alone, b.beside) for b in beliefs])
-    counts = generator.multinomial(DRAWS, np.ravel(weights / weights.sum()))
+    chances = np.ravel(_chances(beliefs, case.verdict))
+    counts = generator.multinomial(DRAWS, chances)
     drawn: dict[str, list] = {channel: [] for channel in base.rows.channels}
     for belief, (alone, beside) in zip(beliefs, counts.reshape(-1, 2), strict=True):
         amplitudes = amplitudes_of(base, belief.hypothesis)
@@ -116,6 +122,18 @@ def _beliefs(case: Case) -> list[_Belief]:
     ]
 
 
+def _chances(beliefs, verdict: Verdict) -> np.ndarray:
+    """Probability of each belief without and with a remainder: (beliefs, 2). What the
+    verdict says of something unlisted is calibrated on trials; the evidence is not."""
+    chances = np.array([(belief.alone, belief.beside) for belief in beliefs])
+    chances = chances / chances.sum()
+    if verdict.status in ("unknown", "incomplete") and chances[:, 1].any():
+        more = np.clip(verdict.unlisted, _EVEN, 1.0)
+        each = chances / np.maximum(chances.sum(axis=0), NONZERO)
+        chances = each * (1 - more, more)
+    return chances / chances.sum()
+
+
 def _by_channel(base: Base, force, off) -> dict[str, np.ndarray]:
     """Force (n,) by channel and whitened draws (m, count) beside it: (n, count)."""
     n = base.rows.n
@@ -130,7 +148,7 @@ def _of_parameters(base: Base, belief: _Belief, count: int, generator) -> np.nda
     """What the error of parameters and amplitudes changes, whitened: (m, count). The
     slips are as unsure as their density and their phase; see ``Base.doubt``."""
     values, vectors = np.linalg.eigh(belief.hypothesis.covariance)
-    spread = vectors * np.sqrt(np.maximum(values, 0.0))
+    spread = _WIDER * vectors * np.sqrt(np.maximum(values, 0.0))
     misled = np.linalg.lstsq(belief.linear.used_up, base.doubt, rcond=None)[0]
     spread = np.concatenate([spread, misled], axis=1)
     unit = generator.standard_normal((spread.shape[1], count))
