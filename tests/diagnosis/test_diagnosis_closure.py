@@ -19,6 +19,7 @@ from tirefit.diagnosis.plausible import (
     drawn_pattern,
     drawn_wave,
     plausible_forces,
+    typical_of_neighbours,
 )
 from tirefit.diagnosis.search import Hypothesis
 from tirefit.diagnosis.verdict import Verdict, Weighed
@@ -228,3 +229,13 @@ def test_closure_elsewhere_holds_the_truth_nine_times_in_ten():
         assert found.closed < 1
     assert 0.83 <= np.mean(held) <= 0.97
     assert abs(np.mean(off)) < 0.05
+
+
+def test_a_row_that_is_off_alone_is_not_typical_of_its_neighbours():
+    missed = np.zeros(20)
+    missed[[0, 4]] = 50.0  # alone, at the end of a group too
+    missed[10:14] = 9.0
+    groups = [np.arange(16), np.arange(16, 20)]
+    missed[16:] = 9.0  # too few to tell
+    expected = np.where((np.arange(20) >= 10) & (np.arange(20) < 14), 9.0, 0.0)
+    np.testing.assert_array_equal(typical_of_neighbours(missed, groups), expected)

@@ -29,7 +29,13 @@ from tirefit.diagnosis.rows import neighbours
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.verdict import LinearFit, Verdict, Weighed, linear_at
 
-__all__ = ["drawn_functions", "drawn_pattern", "drawn_wave", "plausible_forces"]
+__all__ = [
+    "drawn_functions",
+    "drawn_pattern",
+    "drawn_wave",
+    "plausible_forces",
+    "typical_of_neighbours",
+]
 
 DRAWS = 300
 """Draws: fifteen beyond either end of a 90 % interval."""
@@ -61,6 +67,10 @@ _EVEN = 0.5
 
 _BESIDE_A_ROW = 2
 """Rows on either side whose misfit says whether a row that was set aside is alone."""
+
+_SHARED = 2.0
+"""Median misfit of these rows, in standard deviations of the noise, from which they are
+not: four times that of a median of noise."""
 
 
 class _Belief(NamedTuple):
@@ -94,8 +104,7 @@ def plausible_forces(case: Case, generator) -> dict[str, np.ndarray]:
             off = _of_parameters(base, belief, count, generator)
             off = off + rest(base, belief, count, generator)
             whole = _by_channel(base, force, off)
-            if has_rest:
-                whole = _set_aside(base, belief.hypothesis, force, whole)
+            whole = _set_aside(base, belief.hypothesis, force, whole)
             for channel, values in whole.items():
                 drawn[channel].append(values)
     return {channel: np.concatenate(parts, 1) for channel, parts in drawn.items()}
@@ -184,7 +193,7 @@ def _other_form(base: Base, belief: _Belief, count: int, generator) -> np.ndarra
     scales, weights = [], []
     for chance, (left, size) in bases:
         # Coefficients of this spread have the wanted share of the effect's energy.
-        scale = _SHARES * part / max(np.linalg.norm(size), NONZERO)
+        scale = _SHARES * part / np.maximum(np.linalg.norm(size), NONZERO)
         gains = [gain(left.T @ linear.residual, s * size) for s in scale]
         scales.append(scale)
         weights.append(np.array(gains) + np.log(chance * prior))
@@ -293,8 +302,8 @@ def drawn_pattern(among: Patterns, against, residual, count, generator) -> np.nd
 
 
 def _set_aside(base: Base, hypothesis: Hypothesis, force, drawn):
-    """Draws with a remainder, on rows that were set aside as outliers too: what the
-    rows beside one miss as well is a gap there, not an outlier.
+    """Draws on rows that were set aside as outliers too: what the rows beside one miss
+    as well is a gap there, not an outlier.
 
     Args:
         force: (n,) by channel at the measured slips; ``drawn`` (n, count).
@@ -302,16 +311,28 @@ def _set_aside(base: Base, hypothesis: Hypothesis, force, drawn):
     out = np.asarray(base.design.keep)[: base.rows.n] == 0
     if not out.any():
         return drawn
-    believed = base.forces(hypothesis.z, amplitudes_of(base, hypothesis))
+    believed, whole = base.forces(hypothesis.z, amplitudes_of(base, hypothesis)), {}
     groups = neighbours(base.rows)
-    drawn = dict(drawn)
     for channel, values in drawn.items():
         missed = base.rows.observed[channel] - believed[channel]
-        typical = np.zeros(len(missed))
-        for rows in groups:
-            wide = np.pad(missed[rows], _BESIDE_A_ROW, mode="edge")
-            near = np.lib.stride_tricks.sliding_window_view(wide, 2 * _BESIDE_A_ROW + 1)
-            typical[rows] = np.median(near, axis=1)
+        typical = typical_of_neighbours(missed, groups)
+        shown = out & (np.abs(typical) > _SHARED * base.noise[channel].std)
         there = (force[channel] + typical)[:, None]
-        drawn[channel] = np.where(out[:, None], there, values)
-    return drawn
+        whole[channel] = np.where(shown[:, None], there, values)
+    return whole
+
+
+def typical_of_neighbours(missed, groups) -> np.ndarray:
+    """Median of each row's misfit and of the rows beside it in its group: (n,); zero in
+    groups that have fewer rows than that takes.
+
+    Args:
+        groups: index arrays in the order in which rows are neighbours.
+    """
+    typical, wide = np.zeros(len(missed)), 2 * _BESIDE_A_ROW + 1
+    for rows in groups:
+        if len(rows) >= wide:
+            around = np.pad(missed[rows], _BESIDE_A_ROW, mode="reflect")
+            near = np.lib.stride_tricks.sliding_window_view(around, wide)
+            typical[rows] = np.median(near, axis=1)
+    return typical
