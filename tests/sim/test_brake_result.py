@@ -52,7 +52,7 @@ def test_tires_roads_and_seeds_in_one_batch():
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *plants)
     keys = jax.vmap(jax.random.key)(jnp.arange(5, 5 + STOPS))
     asked, controller = request(), arrays(ConventionalABS())
-    rest = (arrays(asked.sensors), jnp.asarray(8.0))
+    rest = (arrays(asked.sensors), jnp.asarray(8.0, float))
     each = many_stops(stacked, controller, *rest, keys, SAMPLES, 2)
     log = simulate_stop(plants[1], controller, *rest, keys[1], SAMPLES, 2)
     alone = summarise(plants[1], log, 1 / 200)
@@ -96,7 +96,7 @@ def test_recovery_counts_from_all_wheels_on_the_new_road():
     asked = request(road="mu=0.3:0.8@4")
     plant = plant_of(asked)
     log = simulate_stop(
-        plant, NoController(), arrays(asked.sensors), jnp.asarray(8.0),
+        plant, NoController(), arrays(asked.sensors), jnp.asarray(8.0, float),
         jax.random.key(0), SAMPLES, 2,
     )  # fmt: skip
     time = np.asarray(log.reading.time)
