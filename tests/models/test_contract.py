@@ -138,10 +138,9 @@ def gradients(model, inputs):
     arrays = jax.tree.map(jnp.asarray, (model, inputs))
     result, pull_back = jax.vjp(lambda pair: stacked(evaluate(*pair)), arrays)
     n, outputs = result.shape
-    # All outputs in one way back, whose operations run one by one.
-    each = np.broadcast_to(np.eye(outputs)[:, None], (outputs, n, outputs))
-    (pulled,) = jax.vmap(pull_back)(jnp.asarray(each, result.dtype))
-    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), pulled)
+    each = [jnp.zeros((n, outputs)).at[:, k].set(1.0) for k in range(outputs)]
+    pulled = [pull_back(one.astype(result.dtype))[0] for one in each]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves, axis=-1), *pulled)
 
 
 @functools.cache
