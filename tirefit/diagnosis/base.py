@@ -185,7 +185,7 @@ class Base:
             if not levels(np.asarray(values)).few()
         ]
         if "sweeps" in rows.has:
-            others.append(rows.covariates.past[:, AHEAD])
+            others.append(np.asarray(rows.covariates.past)[:, AHEAD])
         return self._forces_of(slip_proxies(rows.slip, rows.slip_std, others))
 
     def _forces_of(self, slips) -> np.ndarray:
