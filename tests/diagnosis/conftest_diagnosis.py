@@ -6,6 +6,7 @@ from scipy.integrate import solve_ivp
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.patterns import Over, Patterns
 from tirefit.diagnosis.rig import Rig
 
 FZ, SPEEDS = (2000.0, 4000.0, 6000.0), (6.0, 24.0)
@@ -16,6 +17,17 @@ def brush(slip, cpa2, mu, fz):
     """S(12) as printed, any sign."""
     u = np.minimum(2 * cpa2 * np.abs(slip) / (3 * mu * fz), 1.0)
     return np.sign(slip) * mu * fz * (3 * u - 3 * u**2 + u**3)
+
+
+def patterns_of(columns):
+    """Patterns of these columns, all as likely."""
+    rows, count = columns.shape
+    over = Over(
+        "time", columns.astype(np.float32), np.zeros((rows, 0), np.float32),
+        [("local", k, 1) for k in range(count)],
+        np.full(count, -np.log(max(count, 1))), {"force": 0},
+    )  # fmt: skip
+    return Patterns(np.ones((1, rows, 1)), [over])
 
 
 def record(change=None, seed=0, rows=40):

@@ -8,7 +8,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest_diagnosis import RIG, brush, record
+from conftest_diagnosis import RIG, brush, patterns_of, record
 from scipy.integrate import dblquad, quad
 from scipy.optimize import brentq
 from scipy.special import ndtr
@@ -18,7 +18,6 @@ from tirefit.data.read import read_frame
 from tirefit.data.table import Source
 from tirefit.diagnosis.base import fit_base
 from tirefit.diagnosis.basis import Generic, gains, of_any_kind, waves_within
-from tirefit.diagnosis.closure import closure_of
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, atoms_of
 from tirefit.diagnosis.forecast import (
     Nothing,
@@ -29,7 +28,6 @@ from tirefit.diagnosis.forecast import (
 from tirefit.diagnosis.forms import PLACE, form_columns, shape_of_change
 from tirefit.diagnosis.forward import MOST
 from tirefit.diagnosis.noise import judge_noise
-from tirefit.diagnosis.patterns import Over, Patterns
 from tirefit.diagnosis.rates import AHEAD, segments, slip_rate
 from tirefit.diagnosis.rig import VEHICLE, Rig, load_rig
 from tirefit.diagnosis.rows import prepare
@@ -344,24 +342,6 @@ def test_segments_break_at_pauses_and_runs():
     assert [part.tolist() for part in parts] == [[0, 1, 2], [3, 4], [5, 6]]
 
 
-def test_closure_of_known_energies():
-    generator = np.random.default_rng(0)
-    n = 4000
-    noise = 10 * generator.standard_normal(n)
-    gap = 40 * np.sin(np.arange(n))
-    found = closure_of(
-        gap + noise, 0.2 * gap + noise, np.full(n, 100.0), (2, 3), np.zeros(n, int),
-        1.0, generator,
-    )  # fmt: skip
-    assert found.rms == pytest.approx(40 / np.sqrt(2), rel=0.02)
-    assert found.closed == pytest.approx(0.8, abs=0.02)
-    assert found.low < 0.8 < found.high
-    tiny = closure_of(
-        noise, noise, np.full(n, 100.0), (2, 3), np.zeros(n, int), 1.0, generator
-    )
-    assert tiny.closed is None and not tiny.resolvable
-
-
 def test_evidence_gain_of_gaussian_coefficients():
     """Against the Gaussian integral over one coefficient, by quadrature."""
     generator = np.random.default_rng(0)
@@ -370,11 +350,7 @@ def test_evidence_gain_of_gaussian_coefficients():
     residual = generator.standard_normal(50) + 4 * column
     against = np.ones((50, 1))
     wave = np.stack([np.sin(np.arange(50.0)), np.cos(np.arange(50.0))], axis=1)
-    shapes, none = 10 * column[:, None].astype(np.float32), np.zeros((50, 0))
-    narrow = Patterns(
-        np.ones((1, 50, 1)),
-        [Over("time", shapes, none, [("local", 0.0, 1.0)], np.zeros(1), {"force": 0})],
-    )
+    narrow = patterns_of(10 * column[:, None])
     bases = Generic(
         column[:, None], column[:, None], wave / np.linalg.norm(wave, axis=0), narrow
     )

@@ -1,10 +1,11 @@
 """What a stranger looks like, and the probabilities that trials taught."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest_diagnosis import RIG, brush, record
+from conftest_diagnosis import RIG, brush, patterns_of, record
 from scipy.integrate import quad
 from scipy.special import expit
 
@@ -20,7 +21,7 @@ from tirefit.diagnosis.calibrated import (
     probability_of_more,
 )
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.patterns import Over, Patterns, looks, patterns_gain
+from tirefit.diagnosis.patterns import PARAMETERS, looks, patterns, patterns_gain, turns
 
 WAVE = 0.7
 
@@ -31,17 +32,6 @@ def middle(slip, time, fz, v):
 
 def waving(slip, time, fz, v):
     return brush(slip, 5e4, 0.9, fz) + 0.06 * fz * np.sin(2 * np.pi * time / WAVE)
-
-
-def of_columns(columns):
-    """Patterns of these columns, all as likely."""
-    rows, count = columns.shape
-    over = Over(
-        "time", columns, np.zeros((rows, 0), np.float32),
-        [("local", k, 1) for k in range(count)], np.full(count, -np.log(count)),
-        {"force": 0},
-    )  # fmt: skip
-    return Patterns(np.ones((1, rows, 1)), [over])
 
 
 def test_evidence_of_a_pattern_is_the_integral_over_its_size():
@@ -61,7 +51,7 @@ def test_evidence_of_a_pattern_is_the_integral_over_its_size():
         [quad(likelihood, -20, 20, args=(s,), points=[0.7])[0] for s in (0.5, 2, 8)]
     )
     # The other one is empty: it has the evidence of nothing.
-    gain = patterns_gain(of_columns(columns), against, residual)
+    gain = patterns_gain(patterns_of(columns), against, residual)
     assert gain == pytest.approx(np.log((one + 1) / 2), rel=1e-4)
 
 
@@ -70,7 +60,64 @@ def test_a_pattern_that_the_fit_uses_up_is_none():
     used = generator.standard_normal((80, 3))
     columns = (used @ generator.standard_normal((3, 1))).astype(np.float32)
     residual = generator.standard_normal(80)
-    assert looks(of_columns(columns), used, residual) == []
+    assert looks(patterns_of(columns), used, residual) == []
+
+
+@pytest.fixture(scope="module")
+def some():
+    """Patterns of two channels over a range and over time: plain shapes and waves."""
+    generator = np.random.default_rng(3)
+    slip_fraction = generator.uniform(-1.5, 1.5, 90)
+    time = np.sort(generator.uniform(2.0, 30.0, 90))
+    prepared = SimpleNamespace(
+        n=90, channels=("fx", "fy"), has=frozenset(("time", "signs")), time=time,
+        inputs=SimpleNamespace(fz=np.full(90, 4e3)), covariates=None,
+    )  # fmt: skip
+    fields = {name: generator.standard_normal(180) for name in PARAMETERS}
+    return patterns(prepared, slip_fraction, fields), fields, slip_fraction, time
+
+
+def test_patterns_are_forces_times_shapes(some):
+    """A wave in time by its sine, a threshold of the mirrored slip by hand."""
+    among, fields, slip_fraction, time = some
+
+    def first(*wanted):
+        return next(k for k, one in enumerate(among.of) if one[:3] == wanted)
+
+    number = first("friction", "time", "wave")
+    turned = 2 * np.pi * (time - time.min()) / among.of[number].at
+    waves = [
+        0.03 * fields["friction"] * np.tile(np.sin(turned + phase), 2)
+        for phase in np.pi * np.arange(4) / 4
+    ]
+    found = among.columns(number + np.arange(4))
+    np.testing.assert_allclose(found, np.transpose(waves), atol=1e-7)
+    number = first("force", "slip_fraction", "threshold")
+    shape = (np.abs(slip_fraction) > among.of[number].at) - 0.5
+    force = 0.01 * 4e3 * np.where(slip_fraction < 0, -1, 1) * shape
+    expected = fields["force"] * np.tile(force, 2)
+    np.testing.assert_allclose(among.columns(np.array([number]))[:, 0], expected)
+
+
+def test_products_of_patterns_are_those_of_their_columns(some):
+    among, *_ = some
+    columns = among.columns(np.arange(len(among.of)))
+    against = np.random.default_rng(4).standard_normal((180, 3))
+    size = np.linalg.norm(columns, axis=0)
+    np.testing.assert_allclose(among.square, size**2, rtol=1e-5)
+    error = among.products(against) - columns.T @ against
+    assert np.max(np.abs(error) / size[:, None]) < 1e-5
+    assert len(among.log_prior) == len(among.of)
+    assert np.sum(np.exp(among.log_prior)) == pytest.approx(1.0)
+
+
+def test_turns_are_sines_and_cosines():
+    share = np.random.default_rng(5).uniform(0, 1, 50)
+    counts = np.arange(1, 96.1, 0.5)
+    angle = 2 * np.pi * share[:, None] * counts
+    found = turns(share, counts)
+    np.testing.assert_allclose(found[:, ::2], np.sin(angle), atol=1e-12)
+    np.testing.assert_allclose(found[:, 1::2], np.cos(angle), atol=1e-12)
 
 
 def test_fewer_columns_draw_the_same_functions():

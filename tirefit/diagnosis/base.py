@@ -6,8 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
+from tirefit.data.levels import levels
 from tirefit.diagnosis.basis import Generic, smooth_basis, wave_basis
-from tirefit.diagnosis.effects import Atom, Effect, atoms_of
+from tirefit.diagnosis.effects import Atom, atoms_of
 from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.forward import (
     Design,
@@ -17,7 +18,6 @@ from tirefit.diagnosis.forward import (
     brush_of_base,
     count_atoms,
     fill,
-    moments,
     present_in,
     refit_all,
     tangents,
@@ -29,20 +29,23 @@ from tirefit.diagnosis.remainder import whitened_generic
 from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
 from tirefit.diagnosis.runs import with_runs
 from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
-from tirefit.diagnosis.slip_nodes import slip_doubt, slip_nodes
+from tirefit.diagnosis.slip_nodes import (
+    predicted,
+    slip_doubt,
+    slip_nodes,
+    slip_proxies,
+)
 from tirefit.diagnosis.state import Covariates
+from tirefit.diagnosis.tire import Tire, with_force
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import best_of, solve_starts
-from tirefit.fitting.layout import Layout
 from tirefit.fitting.problem import build
 from tirefit.fitting.solve import starting_points
-from tirefit.models import AbstractTire
 from tirefit.padding import pad_rows, padded_size
 
 __all__ = [
     "Base",
     "Fit",
-    "Tire",
     "at_measured_slip",
     "fit_base",
     "on_rows",
@@ -62,34 +65,6 @@ five in six are left to judge it by."""
 
 _LINEARISED = 24
 """Linearised fits that are kept for as long as their base: 10 MB each at most."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tire:
-    """A base model with all effects: what can be looked at on any design.
-
-    ``mode`` says which slip drives, ``layout`` where in z each parameter stands.
-    """
-
-    model: AbstractTire
-    layout: Layout
-    effects: tuple[Effect, ...]
-    mode: str
-
-    @property
-    def arguments(self) -> tuple:
-        """The first arguments of the compiled functions."""
-        return self.model, self.layout, self.effects, self.mode
-
-    def moments(self, z, amplitudes, design: Design, n: int):
-        """Mean force and its variance over the slip of the first n rows, by channel."""
-        both = moments(*self.arguments, z, present_in(amplitudes), design)
-        return tuple({c: np.asarray(x)[:n] for c, x in part.items()} for part in both)
-
-    def refitted(self, z, design: Design) -> Refit:
-        """Its own parameters refitted, without effects, from z."""
-        none = fill([(z, np.zeros(0))], [()], count_atoms(self.effects))
-        return refit_all(*self.arguments, *none, design)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,8 +142,26 @@ class Base:
         rows = self.rows
         path = rows.covariates.past[:, AHEAD] if "sweeps" in rows.has else None
         off = slip_doubt(rows.slip_law, rows.slip, rows.slip_std, path)
+        return np.concatenate([self._forces_of(off), self.proxies], axis=1)
+
+    @cached_property
+    def proxies(self) -> np.ndarray:
+        """What is measured beside the slip knows of its noise: columns (m, k) of the
+        residual that no effect explains; see :func:`slip_proxies`."""
+        rows = self.rows
+        others = [
+            predicted(rows.slip, np.asarray(values))
+            for values in (rows.covariates.fz, rows.covariates.v)
+            if not levels(np.asarray(values)).few()
+        ]
+        if "sweeps" in rows.has:
+            others.append(np.asarray(rows.covariates.past)[:, AHEAD])
+        return self._forces_of(slip_proxies(rows.slip, rows.slip_std, others))
+
+    def _forces_of(self, slips) -> np.ndarray:
+        """Whitened forces (m, k) of small changes of the slips (n, k)."""
         steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
-        return steep[:, None] * np.tile(off, (len(self.rows.channels), 1))
+        return steep[:, None] * np.tile(slips, (len(self.rows.channels), 1))
 
     @cached_property
     def at_null(self) -> Linear:
@@ -308,7 +301,7 @@ def fit_base(
     silent = np.zeros(count_atoms(effects))
     noise = _noise(prepared, tire, design, fraction, rig, z, silent, False)
     base = _under(noise, prepared, tire, design, fraction, z, simulator)
-    return with_runs(base.on(_with_force(prepared, tire, base.design, base.z)))
+    return with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
 
 
 def _with_offset(prepared: Prepared, tire: Tire, design: Design, z):
@@ -359,7 +352,7 @@ def on_rows(base: Base, prepared: Prepared, rig) -> Base:
     design = _design(prepared, tire.effects, rig)
     if base.simulator is not None:
         design, _ = _with_offset(prepared, tire, design, base.simulator.z)
-    return base.on(_with_force(prepared, tire, design, base.z), prepared)
+    return base.on(with_force(prepared, tire, design, base.z), prepared)
 
 
 _FIRST_NOISE = 0.05
@@ -430,42 +423,3 @@ def _with_noise(prepared: Prepared, design: Design, noise) -> Design:
     keep = (np.arange(size) < prepared.n).astype(float)
     keep[: prepared.n] = ~np.any([level.outlier for level in noise.values()], axis=0)
     return design._replace(scale=scale, keep=keep)
-
-
-def _with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:
-    """The base model's force over its peak, for the effects that follow it."""
-    channel, fz = prepared.channels[0], prepared.inputs.fz
-    silent = np.zeros(count_atoms(tire.effects))
-    mean = tire.moments(z, silent, design, prepared.n)[0][channel]
-    size = len(design.keep)
-    share = pad_rows(mean / (np.max(np.abs(mean) / fz) * fz), size)
-    rows = design.rows._replace(
-        force=share, usage=np.abs(share),
-        traction=pad_rows(mean / prepared.covariates.load, size),
-        pull=pad_rows(_pull(prepared, tire, design, z, silent)[channel], size),
-    )  # fmt: skip
-    if prepared.derived is not None:
-        # The acceleration is the force itself: what would explain it is not measured.
-        rows = rows._replace(lean=pad_rows(-mean / fz, size))
-    return design._replace(rows=rows)
-
-
-def _pull(prepared, tire: Tire, design: Design, z, silent) -> dict[str, np.ndarray]:
-    """Forces of the base model at the past of every row: (n, k) by channel."""
-    past = prepared.covariates.past
-    if "sweeps" not in prepared.has:
-        return {c: np.zeros_like(past) for c in prepared.channels}
-    alone, size = np.zeros_like(design.weight), len(design.keep)
-    alone[:, 0] = 1.0
-    columns = []
-    for k in range(past.shape[1]):
-        slip = np.repeat(pad_rows(past[:, [k]], size), alone.shape[1], axis=1)
-        earlier = (pad_rows(part[:, k], size) for part in prepared.before)
-        there = type(design.inputs)(*earlier)
-        # A simulator's past beyond its tire is not known.
-        then = design._replace(
-            slip=slip, weight=alone, inputs=there,
-            offset={c: np.zeros(size) for c in design.offset},
-        )  # fmt: skip
-        columns.append(tire.moments(z, silent, then, prepared.n)[0])
-    return {c: np.stack([one[c] for one in columns], axis=1) for c in columns[0]}

@@ -13,8 +13,11 @@ from tirefit.diagnosis.patterns import Patterns, patterns_gain, turns
 
 __all__ = [
     "FULL_SLIDING",
+    "PRIORS",
     "RANK",
+    "SCALES",
     "Generic",
+    "WavesOfResidual",
     "bumps",
     "functions_of",
     "gain",
@@ -29,12 +32,13 @@ __all__ = [
     "waves_within",
     "wide_bases",
     "without",
+    "worth_of_waves",
 ]
 
-_SCALES = (2.0, 6.0, 18.0, 50.0)
+SCALES = (2.0, 6.0, 18.0, 50.0)
 """Sizes of a basis function's coefficient that are averaged over, in z units."""
 
-_PRIORS = {"smooth": 0.4, "cells": 0.15, "waves": 0.2, "patterns": 0.25}
+PRIORS = {"smooth": 0.4, "cells": 0.15, "waves": 0.2, "patterns": 0.25}
 """What kind of remainder it is, where there is one."""
 
 RANK = 1e-6
@@ -229,7 +233,7 @@ def gain(score, size) -> float:
     return float(0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t)))
 
 
-def mean_gain(score, size, scales=_SCALES) -> float:
+def mean_gain(score, size, scales=SCALES) -> float:
     """Log evidence of a basis, averaged over its scales.
 
     Args:
@@ -250,13 +254,40 @@ def _in_pairs(gram, score, ridge):
     return (c * sine**2 - 2 * b * sine * cosine + a * cosine**2) / size, size
 
 
+def _gains_of_waves(gram, score) -> np.ndarray:
+    """Log evidence of each wave over none at each of the scales: (S, K)."""
+    each = []
+    for scale in SCALES:
+        chi2, size = _in_pairs(gram, score, scale**-2)
+        each.append(0.5 * chi2 - 0.5 * np.log(scale**4 * size))
+    return np.array(each)
+
+
 def _gain_of_waves(gram, score) -> float:
     """Log evidence of one wave, whichever, averaged over waves and scales."""
-    gains = []
-    for scale in _SCALES:
-        chi2, size = _in_pairs(gram, score, scale**-2)
-        gains.append(0.5 * chi2 - 0.5 * np.log(scale**4 * size))
-    return float(np.logaddexp.reduce(np.ravel(gains)) - np.log(np.size(gains)))
+    gains = np.ravel(_gains_of_waves(gram, score))
+    return float(np.logaddexp.reduce(gains) - np.log(len(gains)))
+
+
+class WavesOfResidual(NamedTuple):
+    """Each of K waves given a residual, at each of S scales: log evidence over none
+    (S, K), mean (S, K, 2) and covariance (S, K, 2, 2) of its two coefficients."""
+
+    gain: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+
+
+def worth_of_waves(waves, against, residual) -> WavesOfResidual:
+    """One wave at a time, with ``against`` (m, p) out."""
+    left = without(waves, against)
+    gram, score = _pairs(left), (left.T @ residual).reshape(-1, 2)
+    full = (
+        gram[:, [[0, 1], [1, 2]]] + np.eye(2) / np.square(SCALES)[:, None, None, None]
+    )
+    covariance = np.linalg.inv(full)
+    mean = np.einsum("skab,kb->ska", covariance, score)
+    return WavesOfResidual(_gains_of_waves(gram, score), mean, covariance)
 
 
 def _pairs(columns) -> np.ndarray:
@@ -367,7 +398,7 @@ def gains(bases: Generic, against, residual) -> dict[str, float]:
 
 def of_any_kind(kinds: Mapping[str, float]) -> float:
     """Log evidence of a remainder of whichever kind, from :func:`gains`."""
-    each = [value + np.log(_PRIORS[kind]) for kind, value in kinds.items()]
+    each = [value + np.log(PRIORS[kind]) for kind, value in kinds.items()]
     return float(np.logaddexp.reduce(each))
 
 

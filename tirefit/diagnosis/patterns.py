@@ -35,6 +35,7 @@ __all__ = [
     "quantities",
     "settings_of",
     "turns",
+    "weights_of_sizes",
 ]
 
 PARAMETERS = {
@@ -111,6 +112,16 @@ class Over(NamedTuple):
         whole = phased.reshape(-1, against.shape[1])
         return np.concatenate([self.plain.T @ against, whole])
 
+    def shapes(self, which) -> np.ndarray:
+        """Those of these numbers (c,): (n, c)."""
+        plain = which < self.plain.shape[1]
+        wave, phase = np.divmod(which[~plain] - self.plain.shape[1], len(_PHASES))
+        pairs = self.waves.reshape(len(self.waves), -1, 2)[:, wave]
+        found = np.empty((len(self.waves), len(which)))
+        found[:, plain] = self.plain[:, which[plain]]
+        found[:, ~plain] = np.einsum("nci,ci->nc", pairs, _MIXED[phase])
+        return found
+
     def squares(self, against) -> np.ndarray:
         """The same of each shape squared."""
         sine, cosine = self.waves[:, ::2], self.waves[:, 1::2]
@@ -157,6 +168,17 @@ class Patterns:
                 for one, own in zip(self.over, columns, strict=True)
             ]
         )
+
+    def columns(self, which) -> np.ndarray:
+        """Whitened forces (m, c) of the patterns of these numbers (c,)."""
+        found, begin = np.zeros((*self.weights.shape[:2], len(which))), 0
+        for one in self.over:
+            for column in one.weights.values():
+                mine = (which >= begin) & (which < begin + len(one.listed))
+                shapes = one.shapes(which[mine] - begin)
+                found[:, :, mine] = self.weights[:, :, [column]] * shapes
+                begin += len(one.listed)
+        return found.reshape(-1, len(which))
 
     def products(self, against) -> np.ndarray:
         """Products of each pattern with columns (m, c): (k, c)."""
@@ -359,13 +381,26 @@ def _scores(among: Patterns, against, residual):
     return length.astype(float), np.where(length > 0, found[:, -1], 0.0).astype(float)
 
 
-def _gains(length, score) -> np.ndarray:
-    """Log evidence of each pattern over none (k,), averaged over its size."""
+def _gains_of_sizes(length, score) -> np.ndarray:
+    """Log evidence of each pattern over none at each of the usual sizes: (S, k)."""
     each = []
     for scale in USUAL_SIZES:
         t = scale**2 * length
         each.append(0.5 * (scale**2 * score**2 / (1 + t) - np.log1p(t)))
+    return np.array(each)
+
+
+def _gains(length, score) -> np.ndarray:
+    """Log evidence of each pattern over none (k,), averaged over its size."""
+    each = _gains_of_sizes(length, score)
     return np.logaddexp.reduce(each, axis=0) - np.log(len(USUAL_SIZES))
+
+
+def weights_of_sizes(among: Patterns, against, residual):
+    """Squared length and score (k,) of every pattern with ``against`` (m, p) out, and
+    the log weight of each at each of the usual sizes, (S, k)."""
+    length, score = _scores(among, against, residual)
+    return length, score, _gains_of_sizes(length, score) + among.log_prior
 
 
 def patterns_gain(among: Patterns, against, residual) -> float:
