@@ -168,6 +168,11 @@ class Base:
         """:meth:`linearised` at the base fit."""
         return self.linearised(self.z, np.zeros(len(self.atoms)))
 
+    @cached_property
+    def measured(self) -> "Base":
+        """:func:`at_measured_slip`, whose forces every candidate asks for."""
+        return self.on(_measured(self.design, self.rows))
+
     def on(self, design: Design, rows: Prepared | None = None) -> "Base":
         """The same fit looked at on another design, of other rows if given."""
         fit = replace(self.fit, design=design)
@@ -338,7 +343,7 @@ def with_noise_judged(base: Base, rig, z, amplitudes, outliers: bool = True) -> 
 
 def at_measured_slip(base: Base) -> Base:
     """The same fit at the slips as they were measured, not as they are believed."""
-    return base.on(_measured(base.design, base.rows))
+    return base.measured
 
 
 def _measured(design: Design, prepared: Prepared) -> Design:
