@@ -125,9 +125,9 @@ def share_of_limit(per_fit: float) -> None:
     print(f"  {operations / 1e3:.0f} k operations a fit, {share:.1%} of {limit}")
 
 
-def flops_peak() -> float:
-    """Operations a second of a large double-precision matrix product."""
-    a = np.random.default_rng(0).random((1500, 1500))
+def flops_peak(precision=float) -> float:
+    """Operations a second of a large matrix product."""
+    a = np.random.default_rng(0).random((1500, 1500)).astype(precision)
     return 2 * 1500**3 / min(seconds(np.matmul, a, a) for _ in range(5))
 
 
@@ -339,6 +339,42 @@ def diagnosis(cases: int = 8) -> None:
         ]
     name = "diagnose, 900 rows, processor (BIC, singles)"
     say(name, *medians(times), "s", "lower")
+
+
+def patterns_of_a_remainder(rows: int = 1000, columns: int = 12) -> None:
+    """Thousands of patterns against what a fit used up, a dozen times a case; the peer
+    holds every pattern as a column. What the products need is bounded by arithmetic:
+    the shapes are read once for all four parameters, four floats for each they stand
+    for, and stay in the cache."""
+    from types import SimpleNamespace
+
+    from tirefit.diagnosis.patterns import PARAMETERS, patterns
+
+    generator = np.random.default_rng(0)
+    prepared = SimpleNamespace(
+        n=rows, channels=("fx",), has=frozenset(("time", "signs")), covariates=None,
+        time=np.linspace(0, 60, rows), inputs=SimpleNamespace(fz=np.full(rows, FZ)),
+    )  # fmt: skip
+    fields = {name: generator.standard_normal(rows) for name in PARAMETERS}
+    among = patterns(prepared, generator.uniform(-1.5, 1.5, rows), fields)
+    against = generator.standard_normal((rows, columns))
+    dense = among.columns(np.arange(len(among.of))).astype(np.float32)
+    single = against.astype(np.float32)
+
+    def ours():
+        return among.products(against)
+
+    def peer():
+        return dense.T @ single
+
+    np.testing.assert_allclose(ours(), peer(), atol=1e-4 * np.abs(peer()).max())
+    mine, other = medians([(seconds(ours), seconds(peer)) for _ in range(50)])
+    name = f"{len(among.of)} patterns x {columns} columns (dense)"
+    say(name, mine * 1e3, other * 1e3, "ms", "lower")
+    shapes = sum(one.plain.shape[1] + one.waves.shape[1] for one in among.over)
+    count, peak = 2 * rows * shapes * len(PARAMETERS) * columns, flops_peak(np.float32)
+    limit = f"{peak / 1e9:.0f} Gflop/s, single precision"
+    print(f"  {count / mine / peak:.0%} of the arithmetic ({limit})")
 
 
 class Process(NamedTuple):
@@ -553,7 +589,9 @@ ENTRIES = (
     braking_stops, whole_magic_formula,
 )  # fmt: skip
 
-OF_DIAGNOSIS = (diagnosis, diagnosis_of_many, diagnosis_of_a_log, fleet)
+OF_DIAGNOSIS = (
+    diagnosis, patterns_of_a_remainder, diagnosis_of_many, diagnosis_of_a_log, fleet,
+)  # fmt: skip
 """In a process of their own, with one thread of OpenBLAS, as the command line has: the
 other one spins while it waits, and its processor time would be counted. The peak that
 other entries are measured against is that of all cores."""
