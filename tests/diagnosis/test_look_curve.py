@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 
 from tirefit.diagnosis.look_curve import _bins, curve_of, shape_of
-from tirefit.diagnosis.patterns import _FEW_WAVES, Look, Pattern, _shapes, settings_of
+from tirefit.diagnosis.patterns import Look, Pattern, _over, settings_of
 from tirefit.diagnosis.verdict import LinearFit
 
 N = 400
@@ -19,7 +19,8 @@ def left_of(truth, field, known, generator):
     """What a fit of the ``known`` columns leaves of a truth in noise of one."""
     residual = np.ravel(truth) + generator.standard_normal(field.size)
     fitted = np.linalg.lstsq(known, residual, rcond=None)[0]
-    return LinearFit(residual - known @ fitted, known, np.zeros((field.size, 0)))
+    none = np.zeros((field.size, 0))
+    return LinearFit(residual - known @ fitted, known, none, none)
 
 
 @pytest.mark.parametrize(
@@ -34,16 +35,16 @@ def test_the_shape_drawn_is_the_one_that_was_looked_for(covariate, values):
     settings = settings_of(covariate, values)
     assert (settings is not None) == (covariate == "fz")
     low, span = values.min(), np.ptp(values)
-    every = _shapes(values, N, _FEW_WAVES, settings)
-    assert len(every) >= 5
-    for name, at, width, expected in every:
-        shape = shape_of(
-            Pattern("force", covariate, name, at, width), values, low, span
-        )
+    over = _over(covariate, values, {"force": 0})
+    assert len(over.listed) >= 5
+    every = over.shapes(np.arange(len(over.listed))).T
+    for listed, expected in zip(over.listed, every, strict=True):
+        shape = shape_of(Pattern("force", covariate, *listed), values, low, span)
         # A wave of any phase is one of sine and cosine.
         weight, *_ = np.linalg.lstsq(shape, expected, rcond=None)
-        np.testing.assert_allclose(shape @ weight, expected, atol=1e-9)
-        assert np.linalg.norm(weight) == pytest.approx(1.0)
+        # The patterns' shapes are held in single precision.
+        np.testing.assert_allclose(shape @ weight, expected, atol=1e-6)
+        assert np.linalg.norm(weight) == pytest.approx(1.0, rel=1e-5)
 
 
 def test_bins_know_the_parameter_equally_well():
