@@ -247,12 +247,12 @@ class Linear(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """Which columns :func:`tangents` works out: the first ``count`` of ``atom`` (K,).
+    """Which columns :func:`tangents` works out: the first ``size`` of ``atom`` (K,).
     ``far`` (K,) is 1 where a column is a finite difference over one prior scale (or to
     the expected amplitude): its tangent vanishes or misleads."""
 
     atom: Values
-    count: Values
+    size: Values
     far: Values
 
 
@@ -309,7 +309,7 @@ def tangents(
         return columns.at[k].set(column(k))
 
     blank = jnp.full((count_atoms(effects), value.size), jnp.nan)
-    columns = jax.lax.fori_loop(0, wanted.count, body, blank)
+    columns = jax.lax.fori_loop(0, wanted.size, body, blank)
     return Linear(-value, moved[: z.size].T, columns.T, fields.T)
 
 

@@ -350,7 +350,8 @@ def patterns(prepared, slip_fraction, fields: dict[str, np.ndarray]) -> Patterns
     """
     load = np.asarray(prepared.inputs.fz)
     side = np.where(slip_fraction < 0, -1.0, 1.0)
-    columns, number = [], {}
+    columns: list[np.ndarray] = []
+    number: dict[tuple[str, bool], int] = {}
     for parameter, (_, usual) in PARAMETERS.items():
         size = usual * load if parameter == "force" else np.full(prepared.n, usual)
         field = fields[parameter].reshape(len(prepared.channels), prepared.n)
