@@ -7,7 +7,7 @@ from scipy.stats import norm, t
 
 from fits.withheld.car import FAULTS, Car, drive
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.closure import closure_of, of_so_few_runs, without_each
+from tirefit.diagnosis.closure import closure_elsewhere, of_so_few_runs, without_each
 from tirefit.diagnosis.effects import EFFECTS, atoms_of, effects_by_id
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.motion import derived_from
@@ -259,9 +259,7 @@ def test_an_interval_of_closure_knows_that_three_logs_are_three():
     after = generator.normal(size=1200) + left
 
     def width(codes):
-        found = closure_of(
-            before, after, np.ones(1200), (0, 0), codes, 1.0, generator, False
-        )
+        found = closure_elsewhere(before, after, np.ones(1200), codes, 1.0, generator)
         return found.high - found.low
 
     assert width(run) > 5 * width(np.zeros(1200, int))

@@ -18,7 +18,6 @@ from tirefit.data.read import read_frame
 from tirefit.data.table import Source
 from tirefit.diagnosis.base import fit_base
 from tirefit.diagnosis.basis import Generic, gains, of_any_kind, waves_within
-from tirefit.diagnosis.closure import closure_of
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, atoms_of
 from tirefit.diagnosis.forecast import (
     recognition,
@@ -341,24 +340,6 @@ def test_segments_break_at_pauses_and_runs():
     run = np.array([0, 0, 0, 0, 0, 1, 1])
     parts = segments(time, run)
     assert [part.tolist() for part in parts] == [[0, 1, 2], [3, 4], [5, 6]]
-
-
-def test_closure_of_known_energies():
-    generator = np.random.default_rng(0)
-    n = 4000
-    noise = 10 * generator.standard_normal(n)
-    gap = 40 * np.sin(np.arange(n))
-    found = closure_of(
-        gap + noise, 0.2 * gap + noise, np.full(n, 100.0), (2, 3), np.zeros(n, int),
-        1.0, generator,
-    )  # fmt: skip
-    assert found.rms == pytest.approx(40 / np.sqrt(2), rel=0.02)
-    assert found.closed == pytest.approx(0.8, abs=0.02)
-    assert found.low < 0.8 < found.high
-    tiny = closure_of(
-        noise, noise, np.full(n, 100.0), (2, 3), np.zeros(n, int), 1.0, generator
-    )
-    assert tiny.closed is None and not tiny.resolvable
 
 
 def test_evidence_gain_of_gaussian_coefficients():

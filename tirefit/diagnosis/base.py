@@ -23,12 +23,11 @@ from tirefit.diagnosis.forward import (
 )
 from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
-from tirefit.diagnosis.rates import AHEAD
 from tirefit.diagnosis.remainder import whitened_generic
 from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
 from tirefit.diagnosis.runs import with_runs
 from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
-from tirefit.diagnosis.slip_nodes import slip_doubt, slip_nodes
+from tirefit.diagnosis.slip_nodes import slip_doubt, slip_nodes, slip_proxies
 from tirefit.diagnosis.state import Covariates
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import best_of, solve_starts
@@ -163,11 +162,21 @@ class Base:
     def doubt(self) -> np.ndarray:
         """What the residual may be off by as the true slips are not known, beside the
         noise of each row: columns (m, k) times independent unit normal numbers."""
+        off = slip_doubt(self.rows.slip, self.rows.slip_std, self.rows.path)
+        return np.concatenate([self._forces_of(off), self.proxies], axis=1)
+
+    @cached_property
+    def proxies(self) -> np.ndarray:
+        """What is measured beside the slip knows of its noise: columns (m, k) of the
+        residual that no effect explains; see :func:`slip_proxies`."""
         rows = self.rows
-        path = rows.covariates.past[:, AHEAD] if "sweeps" in rows.has else None
-        off = slip_doubt(rows.slip, rows.slip_std, path)
+        told = slip_proxies(rows.slip, rows.slip_std, rows.moving, rows.path)
+        return self._forces_of(told)
+
+    def _forces_of(self, slips) -> np.ndarray:
+        """Whitened forces (m, k) of small changes of the slips (n, k)."""
         steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
-        return steep[:, None] * np.tile(off, (len(self.rows.channels), 1))
+        return steep[:, None] * np.tile(slips, (len(self.rows.channels), 1))
 
     @cached_property
     def at_null(self) -> Linear:

@@ -11,8 +11,11 @@ from tirefit.diagnosis.patterns import Patterns, patterns_gain
 
 __all__ = [
     "FULL_SLIDING",
+    "PRIORS",
     "RANK",
+    "SCALES",
     "Generic",
+    "WavesOfResidual",
     "bumps",
     "functions_of",
     "gain",
@@ -27,12 +30,13 @@ __all__ = [
     "waves_within",
     "wide_bases",
     "without",
+    "worth_of_waves",
 ]
 
-_SCALES = (2.0, 6.0, 18.0, 50.0)
+SCALES = (2.0, 6.0, 18.0, 50.0)
 """Sizes of a basis function's coefficient that are averaged over, in z units."""
 
-_PRIORS = {"smooth": 0.4, "cells": 0.15, "waves": 0.2, "patterns": 0.25}
+PRIORS = {"smooth": 0.4, "cells": 0.15, "waves": 0.2, "patterns": 0.25}
 """What kind of remainder it is, where there is one."""
 
 RANK = 1e-6
@@ -221,7 +225,7 @@ def gain(score, size) -> float:
     return float(0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t)))
 
 
-def mean_gain(left, size, residual, scales=_SCALES) -> float:
+def mean_gain(left, size, residual, scales=SCALES) -> float:
     """Log evidence of the basis on top of the residual, averaged over its scales."""
     score = left.T @ residual
     gains = [gain(score, scale * size) for scale in scales]
@@ -236,17 +240,31 @@ def _of_waves(waves, against, residual):
     return gram, (left.T @ residual).reshape(-1, 2)
 
 
+class WavesOfResidual(NamedTuple):
+    """Each of K waves given a residual, at each of S scales: log evidence over none
+    (S, K), mean (S, K, 2) and covariance (S, K, 2, 2) of its two coefficients."""
+
+    gain: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+
+
+def worth_of_waves(waves, against, residual) -> WavesOfResidual:
+    """One wave at a time, with ``against`` (m, p) out."""
+    gram, score = _of_waves(waves, against, residual)
+    variance = np.square(SCALES)[:, None, None, None]
+    full = np.eye(2) + variance * gram
+    covariance = variance * np.linalg.inv(full)
+    mean = np.einsum("skab,kb->ska", covariance, score)
+    log_det = np.linalg.slogdet(full)[1]
+    gain = 0.5 * np.sum(score * mean, axis=2) - 0.5 * log_det
+    return WavesOfResidual(gain, mean, covariance)
+
+
 def _gain_of_waves(waves, against, residual) -> float:
     """Log evidence of one wave, whichever, averaged over waves and scales."""
-    gram, score = _of_waves(waves, against, residual)
-    gains = []
-    for scale in _SCALES:
-        full = np.eye(2) + scale**2 * gram
-        solved = np.linalg.solve(full, scale**2 * score[..., None])[..., 0]
-        gains.append(
-            0.5 * np.sum(score * solved, axis=1) - 0.5 * np.linalg.slogdet(full)[1]
-        )
-    return float(np.logaddexp.reduce(np.ravel(gains)) - np.log(np.size(gains)))
+    gains = np.ravel(worth_of_waves(waves, against, residual).gain)
+    return float(np.logaddexp.reduce(gains) - np.log(len(gains)))
 
 
 def waves_within(waves, against, residual):
@@ -292,7 +310,7 @@ def gains(bases: Generic, against, residual) -> dict[str, float]:
 
 def of_any_kind(kinds: Mapping[str, float]) -> float:
     """Log evidence of a remainder of whichever kind, from :func:`gains`."""
-    each = [value + np.log(_PRIORS[kind]) for kind, value in kinds.items()]
+    each = [value + np.log(PRIORS[kind]) for kind, value in kinds.items()]
     return float(np.logaddexp.reduce(each))
 
 

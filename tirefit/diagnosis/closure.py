@@ -1,15 +1,18 @@
-"""How far the gap shrinks: beyond the noise, paired, and on data not used."""
+"""How far the gap shrinks: on the rows fitted, and on data not used."""
 
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtrit
 
+from tirefit.diagnosis.negligible import NONZERO
+
 __all__ = [
     "INTERVAL",
     "Closure",
     "block_means",
-    "closure_of",
+    "closure_elsewhere",
+    "closure_on_rows",
     "of_so_few_runs",
     "without_each",
 ]
@@ -23,6 +26,12 @@ INTERVAL = (0.05, 0.95)
 _RESOLVED = 3.0
 """Standard deviations of the energy of noise from which a gap is resolved."""
 
+_FEWEST_ROWS = 2.0
+"""Independent rows that a file counts as, at least."""
+
+_GRID, _FARTHEST = 400, 6.0
+"""Steps of an energy's root; standard errors above its figure at which they end."""
+
 _WORST = -1.0
 """Closure that counts as the worst there is: the gap doubled."""
 
@@ -35,9 +44,10 @@ class Closure(NamedTuple):
 
     ``rms`` [N] is the base gap beyond noise, ``remaining`` [N] what the extension
     leaves, ``closed`` = 1 - remaining / rms with its 90 % interval, None where the gap
-    is too small to say (below 3 sqrt(2 / n_effective) of the noise's energy). It ends
-    at -1, where the extension doubles the gap: beyond, a small gap sets its size. Of
-    several runs it is no narrower than their differences allow.
+    may be too small to say (below 3 sqrt(2 / n_effective) of the noise's energy; on the
+    rows fitted, in more than one draw of twenty). It ends at -1, where the extension
+    doubles the gap: beyond, a small gap sets its size. Of several runs it is no
+    narrower than their differences allow.
     """
 
     rms: float
@@ -48,57 +58,93 @@ class Closure(NamedTuple):
     resolvable: bool
 
 
-def _energies(mean, lost):
-    """Mean squares beyond noise (base gap, what is left) [N^2].
+def _is_resolvable(gap, variance, inflation) -> bool:
+    """Whether a gap of this energy [N^2] is one that noise does not have."""
+    effective = max(len(variance) / inflation, _FEWEST_ROWS)
+    return bool(gap >= _RESOLVED * np.sqrt(2 / effective) * np.mean(variance))
+
+
+def closure_on_rows(truth, before, after, variance, run, inflation) -> Closure:
+    """Closure on the rows that were fitted, from what the force there may truly be: the
+    median and the interval of its draws.
 
     Args:
-        mean: means of before^2, of before^2 - after^2 and of the noise variance.
-        lost: share of the noise that the parameters of both fits absorbed.
+        truth: (n, draws) of :func:`tirefit.diagnosis.plausible.plausible_forces` [N].
+        before, after: (n,) forces [N] of the base and of the extension.
+        variance: (n,) noise variance [N^2].
+        run: (n,) runs.
+        inflation: rows per independent row.
     """
-    gap = mean[0] - mean[2] * (1 - lost[0])
-    return gap, gap - (mean[1] + mean[2] * (lost[0] - lost[1]))
+    gaps, rests = (truth - before[:, None]) ** 2, (truth - after[:, None]) ** 2
+    gap, closed = gaps.mean(axis=0), _closed(gaps.mean(axis=0), rests.mean(axis=0))
+    rms, middle = float(np.sqrt(np.median(gap))), float(np.median(closed))
+    remaining = (1 - middle) * rms
+    if not _is_resolvable(np.quantile(gap, INTERVAL[0]), variance, inflation):
+        return Closure(rms, remaining, None, None, None, False)
+    low, high = np.quantile(closed, INTERVAL)
+    one_less = zip(without_each(gaps, run), without_each(rests, run), strict=True)
+    each = np.array([np.median(_closed(*means)) for means in one_less])
+    if len(each):
+        low, high = of_so_few_runs(middle, low, high, each)
+    return Closure(rms, remaining, middle, float(low), float(high), True)
 
 
-def closure_of(
-    before, after, variance, parameters, run, inflation, generator, in_sample=True
-) -> Closure:
-    """Closure of the gap between two fits on the same rows.
+def _closed(gap, left) -> np.ndarray:
+    """1 - root of the ratio of the energies left and of the gap, no less than -1."""
+    ratio = np.asarray(left) / np.maximum(gap, NONZERO)
+    return np.maximum(1 - np.sqrt(ratio), _WORST)
+
+
+def closure_elsewhere(before, after, variance, run, inflation, generator) -> Closure:
+    """Closure on rows that neither fit has seen, from the energies of what they miss.
+
+    The energy that is left is one of the residuals less that of the noise, and may come
+    out below zero where there is little: what is given is the median and the interval
+    of what it may be, any root of it from zero on as likely beforehand.
 
     Args:
         before, after: (n,) residuals [N] of the base and of the extension.
         variance: (n,) noise variance [N^2].
-        parameters: free parameters of both fits.
         run: (n,) runs, which the blocks of the bootstrap do not cross.
         inflation: rows per independent row.
-        in_sample: whether both were fitted to these rows.
     """
-    n = len(before)
-    lost = np.array(parameters, float) * inflation / n * (1.0 if in_sample else 0.0)
-    terms = np.stack([before**2, before**2 - after**2, variance], axis=1)
-    gap, left = _energies(terms.mean(axis=0), lost)
-    noise = float(np.mean(variance))
-    effective = max(n / inflation, 2.0)
-    resolvable = bool(gap >= _RESOLVED * np.sqrt(2 / effective) * noise)
-    # Even the right extension misses by the uncertainty of its parameters.
-    floor = noise * lost[1]
-    rms = float(np.sqrt(max(gap, 0.0)))
-    remaining = float(np.sqrt(max(left, 0.0) + floor)) if gap > 0 else 0.0
-    if not resolvable:
+    terms = np.stack([before**2 - after**2, after**2 - variance], axis=1)
+    gain, left = terms.mean(axis=0)
+    rms = float(np.sqrt(max(gain + left, 0.0)))
+    means = block_means(terms, run, inflation, generator)
+    # What the extension gains is known well, and goes with what it leaves as it does
+    # from one bootstrap to the other.
+    gains, error = means[np.argsort(means[:, 1]), 0], float(np.std(means[:, 1]))
+    lefts = _not_negative(left, error, len(gains))
+    closed = _closed(np.maximum(gains + lefts, 0.0), lefts)
+    middle = float(np.median(closed))
+    remaining = (1 - middle) * rms
+    if not _is_resolvable(gain + left, variance, inflation):
         return Closure(rms, remaining, None, None, None, False)
-    gaps, rests = _energies(block_means(terms, run, inflation, generator).T, lost)
-    good = gaps > 0
-    shares = np.sqrt((np.maximum(rests, 0.0) + floor)[good] / gaps[good])
-    values = np.maximum(1 - shares, _WORST)
-    closed = max(1 - remaining / rms, _WORST)
-    low, high = np.quantile(values, INTERVAL) if good.any() else (closed, closed)
-    one_less = without_each(terms, run)
-    if len(one_less):
-        fewer, rest = _energies(one_less.T, lost)
-        share = np.sqrt((np.maximum(rest, 0.0) + floor) / np.maximum(fewer, gap * 1e-6))
-        low, high = of_so_few_runs(closed, low, high, np.maximum(1 - share, _WORST))
-    return Closure(
-        rms, remaining, closed, float(min(low, closed)), float(max(high, closed)), True
-    )
+    low, high = np.quantile(closed, INTERVAL)
+    fewer = without_each(terms, run)
+    if len(fewer):
+        over = np.array(
+            [np.median(_not_negative(x, error, _DRAWS)) for x in fewer[:, 1]]
+        )
+        each = _closed(np.maximum(fewer[:, 0] + over, 0.0), over)
+        low, high = of_so_few_runs(middle, low, high, each)
+    return Closure(rms, remaining, middle, float(low), float(high), True)
+
+
+def _not_negative(value: float, error: float, count: int) -> np.ndarray:
+    """Quantiles (count,), ascending, of an energy of which a figure with a normal error
+    is known: its root may be anything from zero on.
+
+    A right figure far above its error keeps its own value; one that is below zero says
+    that there is a part of its error at most.
+    """
+    most = np.sqrt(max(value, 0.0) + _FARTHEST * error)
+    root = (np.arange(_GRID) + 0.5) / _GRID * most
+    off = (root**2 - value) / max(error, NONZERO)
+    weight = np.exp(-0.5 * (off**2 - np.min(off**2)))
+    below = np.cumsum(weight) / np.sum(weight)
+    return np.interp((np.arange(count) + 0.5) / count, below, root) ** 2
 
 
 def block_means(terms, run, inflation, generator) -> np.ndarray:

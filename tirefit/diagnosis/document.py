@@ -9,7 +9,7 @@ from tirefit.diagnosis.base import Base, at_measured_slip, on_rows
 from tirefit.diagnosis.basis import located, without
 from tirefit.diagnosis.budget import budgets_of, parameter_changes, simulator_summary
 from tirefit.diagnosis.case import Case
-from tirefit.diagnosis.closure import Closure, closure_of
+from tirefit.diagnosis.closure import Closure, closure_on_rows
 from tirefit.diagnosis.conclusion import (
     bound_by,
     chance_of_unknown,
@@ -22,6 +22,7 @@ from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
 from tirefit.diagnosis.look_curve import look_curve
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
+from tirefit.diagnosis.plausible import plausible_forces
 from tirefit.diagnosis.records import (
     Amplitude,
     Candidate,
@@ -74,10 +75,10 @@ def document_of(
     data, base, verdict, rig = whole.data, case.base, case.verdict, settings.rig
     prepared = base.prepared
     rows = _rows(case, at_measured_slip(base))
-    # Everything random is drawn in this order: gap, candidates, held-out data, budget.
+    # Everything random is drawn in this order: true forces, held-out data, budget.
     believed, main = _rows(case, base), prepared.channels[0]
-    gaps = _gaps(case, believed, generator)
-    candidates = _candidates(case, generator)
+    truth = plausible_forces(case, generator)
+    gaps, candidates = _gaps(case, rows, truth), _candidates(case, truth[main])
     held = held_out(case, holdout, rig, generator)
     bound = _bound(case, gaps[main].closed, held, bool(holdout))
     if bound.status != verdict.status:
@@ -207,21 +208,20 @@ def _smoothed_remainder(case: Case):
     return smooth, np.sqrt(np.maximum(variance + unsure, 0))
 
 
-def _gaps(case: Case, rows, generator) -> dict[str, Shrinkage]:
-    """How far the gap of each channel shrinks on the rows of the search."""
-    base, verdict = case.base, case.verdict
-    gaps, p = {}, base.layout.size
-    free = 0 if base.simulator else p
+def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
+    """How far the gap of each channel shrinks on the rows of the search.
+
+    Args:
+        truth: (n, draws) by channel, what the force may truly be.
+    """
+    base, verdict, gaps = case.base, case.verdict, {}
     for channel, parts in rows.items():
-        observed = base.prepared.observed[channel]
-        noise = base.noise[channel]
-        keep = ~noise.outlier
         silent = verdict.status == "unknown" and not base.simulator
         extended = parts["base"] if silent else parts["extended"]
-        closure = closure_of(
-            (observed - parts["base"])[keep], (observed - extended)[keep],
-            (noise.std**2)[keep], (free, p + len(verdict.chosen.atoms)),
-            base.prepared.run[keep], noise.inflation, generator,
+        noise = base.noise[channel]
+        closure = closure_on_rows(
+            truth[channel], parts["base"], extended, noise.std**2, base.prepared.run,
+            noise.inflation,
         )  # fmt: skip
         gaps[channel] = _shrinkage(closure, verdict, base)
     return gaps
@@ -297,13 +297,13 @@ def _tuned_alone(case: Case) -> bool:
     return case.base.simulator is not None and case.verdict.status == "none"
 
 
-def _candidates(case: Case, generator, most: int = _LISTED) -> tuple[Candidate, ...]:
+def _candidates(case: Case, truth, most: int = _LISTED) -> tuple[Candidate, ...]:
     weighed = case.weighed
     total = chances(case.verdict, weighed)
     said = tuple(sorted(case.verdict.chosen.effects))
     ranked = sorted(total, key=lambda key: (key == said, total[key]), reverse=True)
     ranked = ranked[:most]
-    listed = [_candidate(case, key, total[key], generator) for key in ranked]
+    listed = [_candidate(case, key, total[key], truth) for key in ranked]
     if (alone := chance_of_unknown(case.verdict, weighed)) > _MENTIONED:
         unknown = Candidate(
             effects=("unknown",), family="unknown", parameters={}, z=None,
@@ -314,7 +314,7 @@ def _candidates(case: Case, generator, most: int = _LISTED) -> tuple[Candidate, 
     return tuple(listed)
 
 
-def _candidate(case: Case, key, probability: float, generator) -> Candidate:
+def _candidate(case: Case, key, probability: float, truth) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
     p, parameters = len(hypothesis.z), {}
     spread = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[p:], 0))
@@ -328,7 +328,7 @@ def _candidate(case: Case, key, probability: float, generator) -> Candidate:
             std=float(min(spread[j], 1.0) * scale[k]),
             unit=effect.unit,
         )
-    closure = _closure_by(case, hypothesis, generator)
+    closure = _closure_by(case, hypothesis, truth)
     ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
     return Candidate(
         effects=tuple(key),
@@ -342,19 +342,14 @@ def _candidate(case: Case, key, probability: float, generator) -> Candidate:
     )
 
 
-def _closure_by(case: Case, hypothesis: Hypothesis, generator) -> Closure:
-    """What a hypothesis closes of the first channel's gap."""
+def _closure_by(case: Case, hypothesis: Hypothesis, truth) -> Closure:
+    """What a hypothesis closes of the first channel's gap; ``truth`` (n, draws)."""
     base, main = case.base, case.base.prepared.channels[0]
-    p, free = base.layout.size, 0 if case.base.simulator else case.base.layout.size
-    observed, noise = base.prepared.observed[main], base.noise[main]
-    before = base.forces(base.as_given, np.zeros(len(base.atoms)))[main]
-    after = base.forces(hypothesis.z, amplitudes_of(base, hypothesis))[main]
-    keep = ~noise.outlier
-    return closure_of(
-        (observed - before)[keep], (observed - after)[keep], (noise.std**2)[keep],
-        (free, p + len(hypothesis.atoms)), base.prepared.run[keep], noise.inflation,
-        generator,
-    )  # fmt: skip
+    at, noise = at_measured_slip(base), base.noise[main]
+    before = at.forces(base.as_given, np.zeros(len(base.atoms)))[main]
+    after = at.forces(hypothesis.z, amplitudes_of(base, hypothesis))[main]
+    run = base.prepared.run
+    return closure_on_rows(truth, before, after, noise.std**2, run, noise.inflation)
 
 
 def _resolution(case: Case) -> Resolution:

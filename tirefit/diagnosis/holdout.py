@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tirefit.diagnosis.base import Base, on_rows
-from tirefit.diagnosis.closure import Closure, closure_of
+from tirefit.diagnosis.closure import Closure, closure_elsewhere
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.rows import prepare
 from tirefit.diagnosis.run_codes import shown_runs
@@ -70,9 +70,9 @@ def _on_files(case, holdout, rig, generator) -> HeldOut:
         variance.append((scale * other.prepared.inputs.fz) ** 2)
         run.append(other.prepared.run + runs)
         runs += len(data.runs)
-    closure = closure_of(
+    closure = closure_elsewhere(
         np.concatenate(before), np.concatenate(after), np.concatenate(variance),
-        (0, 0), np.concatenate(run), base.noise[main].inflation, generator, False,
+        np.concatenate(run), base.noise[main].inflation, generator,
     )  # fmt: skip
     return _record(closure, ", ".join(data.name for data in holdout))
 
@@ -138,8 +138,8 @@ def _judged(case, before, after, out, what: str, generator) -> HeldOut:
     base = case.base
     noise = base.noise[base.prepared.channels[0]]
     good = ~noise.outlier[out]
-    closure = closure_of(
-        before[good], after[good], (noise.std[out] ** 2)[good], (0, 0),
-        base.prepared.run[out][good], noise.inflation, generator, False,
+    closure = closure_elsewhere(
+        before[good], after[good], (noise.std[out] ** 2)[good],
+        base.prepared.run[out][good], noise.inflation, generator,
     )  # fmt: skip
     return _record(closure, what)

@@ -28,6 +28,7 @@ __all__ = [
     "patterns_gain",
     "quantities",
     "settings_of",
+    "weights_of_sizes",
 ]
 
 PARAMETERS = {
@@ -249,13 +250,26 @@ def _scores(among: Patterns, against, residual):
     return length.astype(float), np.where(length > 0, score, 0.0).astype(float)
 
 
-def _gains(length, score) -> np.ndarray:
-    """Log evidence of each pattern over none (k,), averaged over its size."""
+def _gains_of_sizes(length, score) -> np.ndarray:
+    """Log evidence of each pattern over none at each of the usual sizes: (S, k)."""
     each = []
     for scale in USUAL_SIZES:
         t = scale**2 * length
         each.append(0.5 * (scale**2 * score**2 / (1 + t) - np.log1p(t)))
+    return np.array(each)
+
+
+def _gains(length, score) -> np.ndarray:
+    """Log evidence of each pattern over none (k,), averaged over its size."""
+    each = _gains_of_sizes(length, score)
     return np.logaddexp.reduce(each, axis=0) - np.log(len(USUAL_SIZES))
+
+
+def weights_of_sizes(among: Patterns, against, residual):
+    """Squared length and score (k,) of every pattern with ``against`` (m, p) out, and
+    the log weight of each at each of the usual sizes, (S, k)."""
+    length, score = _scores(among, against, residual)
+    return length, score, _gains_of_sizes(length, score) + among.log_prior
 
 
 def patterns_gain(among: Patterns, against, residual) -> float:

@@ -1,0 +1,241 @@
+"""Closure against known truths: of draws, of the interval, and on rows left out."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.special import softmax
+from scipy.stats import multivariate_normal
+
+from tirefit.diagnosis import plausible
+from tirefit.diagnosis.base import Base
+from tirefit.diagnosis.basis import SCALES, Generic, bumps, orthogonal, without
+from tirefit.diagnosis.case import Case
+from tirefit.diagnosis.closure import closure_elsewhere, closure_on_rows
+from tirefit.diagnosis.forward import Design, Linear
+from tirefit.diagnosis.patterns import USUAL_SIZES, Patterns
+from tirefit.diagnosis.plausible import (
+    drawn_functions,
+    drawn_pattern,
+    drawn_wave,
+    plausible_forces,
+    typical_of_neighbours,
+)
+from tirefit.diagnosis.search import Hypothesis
+from tirefit.diagnosis.verdict import Verdict, Weighed
+
+ROWS = 240
+ALONE = np.zeros(ROWS, int)
+
+
+def given_residual(bases, scales, residual):
+    """Mean and variance (m,) of a sum of columns whose coefficients have one of these
+    standard deviations, by conditioning a dense Gaussian; any basis is as likely."""
+    log, means, variances = [], [], []
+    for basis in bases:
+        for scale in scales:
+            covariance = scale**2 * basis @ basis.T
+            whole = covariance + np.eye(len(residual))
+            log.append(multivariate_normal(cov=whole).logpdf(residual))
+            solved = np.linalg.solve(whole, covariance)
+            means.append(solved.T @ residual)
+            variances.append(np.diag(covariance - covariance @ solved))
+    weight = softmax(log)
+    mean = weight @ means
+    return mean, weight @ (np.array(variances) + np.square(means - mean))
+
+
+@pytest.mark.parametrize("kind", ["functions", "wave", "pattern"])
+def test_draws_of_a_remainder_are_those_of_a_dense_gaussian(kind):
+    generator = np.random.default_rng(0)
+    against = generator.standard_normal((60, 2))
+    columns = generator.standard_normal((60, 6)) / 8
+    left = without(columns, against)
+    residual = without(2 * columns[:, 0] + generator.standard_normal(60), against)
+    if kind == "functions":
+        basis, prior = orthogonal(columns, against), np.log([0.2, 0.8])
+        gains = []
+        for scale in (0.5, 3.0):
+            whole = np.eye(60) + scale**2 * left @ left.T
+            gains.append(multivariate_normal(cov=whole).logpdf(residual))
+        drawn = drawn_functions(
+            *basis, residual, (0.5, 3.0), prior + np.array(gains), 4000, generator
+        )
+        parts = [given_residual([left], [s], residual) for s in (0.5, 3.0)]
+        weight = softmax(prior + np.array(gains))
+        mean = weight @ [part[0] for part in parts]
+        spread = [part[1] + (part[0] - mean) ** 2 for part in parts]
+        expected = mean, weight @ spread
+    elif kind == "wave":
+        drawn = drawn_wave(columns, against, residual, 4000, generator)
+        pairs = [left[:, 2 * k : 2 * k + 2] for k in range(3)]
+        expected = given_residual(pairs, SCALES, residual)
+    else:
+        among = Patterns(columns, np.zeros(6), ())
+        drawn = drawn_pattern(among, against, residual, 4000, generator)
+        single = [left[:, [k]] for k in range(6)]
+        expected = given_residual(single, USUAL_SIZES, residual)
+    error = np.sqrt(expected[1] / 4000)
+    assert np.max(np.abs(drawn.mean(axis=1) - expected[0]) / error) < 5
+    np.testing.assert_allclose(drawn.var(axis=1), expected[1], rtol=0.2)
+
+
+class Straight(Base):
+    """A base that is linear in its one parameter and in its one effect, fitted to rows
+    whose effect has another form; noise of one."""
+
+    def __init__(self, generator):
+        x = np.linspace(-1, 1, ROWS)
+        columns = np.stack([x, 0.3 * (x**2 - 0.2)], axis=1)
+        smooth = bumps(x, 12) / np.linalg.norm(bumps(x, 12), axis=0)
+        truth = columns @ [3.0, 12.0] + another_form(columns, smooth, generator)
+        observed = {"fx": truth + generator.standard_normal(ROWS)}
+        one = SimpleNamespace(effect=SimpleNamespace(id="one", forms=()))
+        nothing = Design(*[None] * len(Design._fields))
+        design = nothing._replace(
+            keep=np.ones(ROWS), scale={"fx": np.ones(ROWS)}, prior_scale=np.ones(1)
+        )
+        rows = SimpleNamespace(
+            channels=("fx",), n=ROWS, observed=observed, covariates=None
+        )
+        none = Patterns(np.zeros((ROWS, 0)), np.zeros(0), ())
+        self.__dict__ |= {
+            "columns": columns, "truth": truth, "atoms": (one,), "rows": rows,
+            "fit": SimpleNamespace(design=design, slip_fraction=x),
+            "generic": Generic(smooth, smooth, smooth, none),
+            "doubt": np.zeros((ROWS, 1)), "proxies": np.zeros((ROWS, 0)),
+        }  # fmt: skip
+
+    prepared = property(lambda self: self.rows)
+
+    def forces(self, z, amplitudes):
+        return {"fx": self.columns @ np.append(z, amplitudes)}
+
+    def linearised(self, z, amplitudes):
+        residual = self.rows.observed["fx"] - self.forces(z, amplitudes)["fx"]
+        fields = np.zeros((ROWS, 1))
+        return Linear(residual, self.columns[:, :1], self.columns[:, 1:], fields)
+
+    def fitted(self):
+        inverse = np.linalg.inv(self.columns.T @ self.columns)
+        z, amplitude = inverse @ self.columns.T @ self.rows.observed["fx"]
+        return Hypothesis(
+            (0,), ("one",), 9.0, 0.0, np.array([z]), np.array([amplitude]), inverse, 0.0
+        )
+
+    def case(self):
+        """All that is known: the effect is there and nothing else."""
+        key, case = ("one",), object.__new__(Case)
+        weighed = Weighed(
+            {key: 1.0}, {key: self.fitted()}, 0.0, {}, frozenset(), {key: 9.0}, 0.0, {}
+        )
+        verdict = Verdict("named", key, 1.0, (), 0.0, self.fitted())
+        case.__dict__.update(base=self, weighed=weighed, verdict=verdict)
+        return case
+
+
+def another_form(columns, smooth, generator):
+    """What the truth has beyond the formula (n,): as large as the estimator expects."""
+    part = np.linalg.norm(without(columns[:, 1] * 12, columns[:, :1]))
+    left, size = orthogonal(smooth, columns)
+    share = np.clip(0.1 * np.exp(generator.standard_normal()), 0.005, 1.0)
+    off = left @ (size * generator.standard_normal(len(size)))
+    off = off * share * part / np.linalg.norm(size)
+    rest = 0.03 * np.exp(generator.standard_normal()) * part / np.sqrt(ROWS)
+    return off + rest * generator.standard_normal(ROWS)
+
+
+def rms(values):
+    return np.sqrt(np.mean(np.square(values)))
+
+
+def test_an_interval_of_closure_holds_the_truth_nine_times_in_ten(monkeypatch):
+    """An effect in another form, most of it below the noise, 150 files."""
+    monkeypatch.setattr(plausible, "at_measured_slip", lambda base: base)
+    held, off = [], []
+    for seed in range(150):
+        generator = np.random.default_rng(seed)
+        base = Straight(generator)
+        best = base.fitted()
+        x = base.columns[:, 0]
+        before = x * (x @ base.rows.observed["fx"] / (x @ x))
+        after = base.forces(best.z, best.amplitude)["fx"]
+        truth = plausible_forces(base.case(), generator)["fx"]
+        found = closure_on_rows(truth, before, after, np.ones(ROWS), ALONE, 1.0)
+        closed = 1 - rms(base.truth - after) / rms(base.truth - before)
+        held.append(found.low <= closed <= found.high)
+        off.append(found.closed - closed)
+    assert 0.82 <= np.mean(held) <= 0.97
+    assert abs(np.mean(off)) < 0.02 and np.median(np.abs(off)) < 0.06
+
+
+def test_closure_of_draws_is_that_of_what_they_say():
+    generator = np.random.default_rng(0)
+    gap = 40 * np.sin(np.arange(ROWS))
+    truth = gap[:, None] + generator.standard_normal((ROWS, 200))
+    variance = np.full(ROWS, 100.0)
+    found = closure_on_rows(truth, 0 * gap, 0.8 * gap, variance, ALONE, 1.0)
+    assert found.rms == pytest.approx(40 / np.sqrt(2), rel=0.02)
+    # The draws differ by one: their energy adds to what is left and to the gap.
+    expected = 1 - np.sqrt((0.2**2 * 800 + 1) / (800 + 1))
+    assert found.closed == pytest.approx(expected, abs=0.002)
+    assert found.low < expected < found.high and found.resolvable
+    assert found.remaining == pytest.approx((1 - found.closed) * found.rms)
+    # No more is claimed than that the gap is not doubled.
+    assert closure_on_rows(truth, 0 * gap, 9 * gap, variance, ALONE, 1.0).closed == -1
+    tiny = closure_on_rows(truth / 40, 0 * gap, 0 * gap, variance, ALONE, 1.0)
+    assert tiny.closed is None and not tiny.resolvable
+    # Where one run is closed and another is not, both are all that is known.
+    halves = np.repeat([0, 1], ROWS // 2)
+    mixed = np.where(halves == 0, gap, 0.2 * gap)
+    apart = closure_on_rows(truth, 0 * gap, mixed, variance, halves, 1.0)
+    assert apart.low == -1 and apart.high == 1
+
+
+def test_closure_elsewhere_of_known_energies():
+    generator = np.random.default_rng(0)
+    n = 4000
+    noise, run = 10 * generator.standard_normal(n), np.zeros(4000, int)
+    gap, variance = 40 * np.sin(np.arange(n)), np.full(n, 100.0)
+    found = closure_elsewhere(
+        gap + noise, 0.2 * gap + noise, variance, run, 1.0, generator
+    )
+    assert found.rms == pytest.approx(40 / np.sqrt(2), rel=0.02)
+    assert found.closed == pytest.approx(0.8, abs=0.02)
+    assert found.low < 0.8 < found.high
+    tiny = closure_elsewhere(noise, noise, variance, run, 1.0, generator)
+    assert tiny.closed is None and not tiny.resolvable
+    worse = closure_elsewhere(
+        gap + noise, 3 * gap + noise, variance, run, 1.0, generator
+    )
+    assert worse.closed == -1
+
+
+def test_closure_elsewhere_holds_the_truth_nine_times_in_ten():
+    """What is left lies below the noise and on it: 200 files."""
+    held, off = [], []
+    for seed in range(200):
+        generator = np.random.default_rng(seed)
+        gap = np.sqrt(2) * np.sin(np.arange(ROWS))
+        other = np.sqrt(2) * np.cos(1.7 * np.arange(ROWS))
+        share = 0.6 * generator.random()
+        noise = generator.standard_normal(ROWS)
+        found = closure_elsewhere(
+            gap + noise, share * other + noise, np.ones(ROWS), ALONE, 1.0, generator
+        )
+        held.append(found.low <= 1 - share <= found.high)
+        off.append(found.closed - (1 - share))
+        # Nobody knows that nothing at all is left.
+        assert found.closed < 1
+    assert 0.83 <= np.mean(held) <= 0.97
+    assert abs(np.mean(off)) < 0.05
+
+
+def test_a_row_that_is_off_alone_is_not_typical_of_its_neighbours():
+    missed = np.zeros(20)
+    missed[[0, 4]] = 50.0  # alone, at the end of a group too
+    missed[10:14] = 9.0
+    groups = [np.arange(16), np.arange(16, 20)]
+    missed[16:] = 9.0  # too few to tell
+    expected = np.where((np.arange(20) >= 10) & (np.arange(20) < 14), 9.0, 0.0)
+    np.testing.assert_array_equal(typical_of_neighbours(missed, groups), expected)
