@@ -157,7 +157,9 @@ def _of_parameters(base: Base, belief: _Belief, count: int, generator) -> np.nda
     """What the error of parameters and amplitudes changes, whitened: (m, count). The
     slips are as unsure as their density and their phase; see ``Base.doubt``."""
     values, vectors = np.linalg.eigh(belief.hypothesis.covariance)
-    spread = _WIDER * vectors * np.sqrt(np.maximum(values, 0.0))
+    # Symmetric roots, here and below: the same numbers give the same draws whichever
+    # way the vectors point.
+    spread = _WIDER * (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     misled = np.linalg.lstsq(belief.linear.used_up, base.doubt, rcond=None)[0]
     spread = np.concatenate([spread, misled], axis=1)
     unit = generator.standard_normal((spread.shape[1], count))
@@ -258,7 +260,7 @@ def drawn_functions(left, size, residual, scales, log_weight, count, generator):
     chosen = generator.choice(len(scales), count, p=softmax(log_weight))
     t = (np.asarray(scales)[chosen] * size[:, None]) ** 2
     shrink = t / (1 + t)
-    unit = generator.standard_normal(shrink.shape)
+    unit = left.T @ generator.standard_normal((len(left), count))
     return left @ (shrink * (left.T @ residual)[:, None] + np.sqrt(shrink) * unit)
 
 
