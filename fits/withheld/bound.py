@@ -8,6 +8,7 @@ average over such trials hardly any method that sees the file alone is right mor
 
 import tomllib
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +16,28 @@ from scipy.optimize import least_squares
 
 from fits.withheld.baselines import read_trial
 from fits.withheld.effects import EFFECTS
-from fits.withheld.library import Inputs, base_fit, directions, predict
-from fits.withheld.thresholds import share
+from fits.withheld.goals import STRONG, WEAK
+from fits.withheld.library import (
+    Inputs,
+    base_fit,
+    directions,
+    predict,
+    predict_together,
+)
 
-__all__ = ["bound_rows", "evidence", "named_by_evidence"]
+__all__ = ["bound_rows", "evidence", "named_by_evidence", "told_pair"]
 
 REFITTED = 10
 SHARES = tuple(np.linspace(0.05, 0.95, 10))  # of the range of a form's random draws
 LOW, HIGH = 0.5, 2.0  # amplitudes, in typical ones: log-uniform
 SPREAD = np.array([0.09, 0.06])  # of log c and log mu, as they are drawn
-VISIBLE = 5  # sqrt(lambda)
+_SIZES = (
+    ("any gap", 0, np.inf, "root_lambda"),
+    ("sqrt(lambda) >= 5", 5, np.inf, "root_lambda"),
+    ("strong", *STRONG, "gap_over_noise"),
+    ("weak", *WEAK, "gap_over_noise"),
+)
+"""Of a gap: name, smallest, largest, and which number of the label it is."""
 
 
 def _hypotheses(x: Inputs) -> Iterator[tuple]:
@@ -60,10 +73,17 @@ def _refitted(x, observed, std, key, c, mu) -> float:
 
 
 def _laplace(along: np.ndarray, base: np.ndarray) -> float:
-    """Log of the share of the prior's range that the data leave to the amplitude."""
+    """Log of the share of the prior's range that the data leave to the amplitudes.
+
+    Args:
+        along: (n, k) or (n,) whitened change with the logarithm of each amplitude.
+        base: (n, 2) of the parameters.
+    """
+    along = along.reshape(len(along), -1)
     left = along - base @ np.linalg.lstsq(base, along, rcond=None)[0]
-    width = np.sqrt(2 * np.pi) / max(float(np.linalg.norm(left)), 1e-9)
-    return float(np.log(min(width / np.log(HIGH / LOW), 1.0)))
+    lengths = np.abs(np.diag(np.linalg.qr(left)[1]))
+    widths = np.sqrt(2 * np.pi) / np.maximum(lengths, 1e-9)
+    return float(np.sum(np.log(np.minimum(widths / np.log(HIGH / LOW), 1.0))))
 
 
 def evidence(
@@ -111,25 +131,82 @@ def named_by_evidence(x: Inputs, observed: np.ndarray, effect: str) -> str:
     return "".join(max(found, key=found.get))
 
 
-def bound_rows(folder: Path, labels: dict, outcomes: dict, count: int) -> list:
-    """[of what, n, possible, answered; both where sqrt(lambda) >= 5] for a table.
+def told_pair(x: Inputs, observed: np.ndarray, pair: dict[str, str]) -> bool:
+    """Whether both effects of a pair show, to who is told which two in which form.
 
-    The first ``count`` trials with one effect that have an answer, by name.
+    The evidence for both is held against that for either one alone. Who must find out
+    which effects there are is right less often.
+
+    Args:
+        pair: form of each of the two effects.
+    """
+    (c, mu), _, std = base_fit(x, observed)
+
+    def evidence_of(effects: tuple[str, ...]) -> float:
+        shares = SHARES if any(pair[e].startswith("road_") for e in effects) else (0.5,)
+        signs = product(*((EFFECTS[e].sign,) if EFFECTS[e].sign else (-1, 1)
+                          for e in effects))  # fmt: skip
+        keys = list(product(shares, signs))
+        return float(np.logaddexp.reduce([
+            _together(x, observed, std, c, mu, [(e, pair[e], share, sign)
+                      for e, sign in zip(effects, each, strict=True)])
+            for share, each in keys
+        ]) - np.log(len(keys)))  # fmt: skip
+
+    one, two = pair
+    return evidence_of((one, two)) > max(evidence_of((one,)), evidence_of((two,)))
+
+
+def _together(x, observed, std, c, mu, keys) -> float:
+    """Log evidence of effects at once, as of one in :func:`_refitted`."""
+
+    def rest(p):
+        ratio = np.exp(p[:2] * SPREAD)
+        parts = [
+            (effect, form, EFFECTS[effect].typical * sign * np.exp(strength), share)
+            for (effect, form, share, sign), strength in zip(keys, p[2:], strict=True)
+        ]
+        force = predict_together(x, parts, c * ratio[0], mu * ratio[1])
+        return np.nan_to_num((observed - force) / std, nan=1e3)
+
+    n = len(keys)
+    low, high = [-9, -9, *[np.log(LOW)] * n], [9, 9, *[np.log(HIGH)] * n]
+    fit = least_squares(
+        rest, np.zeros(2 + n), bounds=(low, high), max_nfev=12, diff_step=1e-3,
+        x_scale=[0.1, 0.1, *[0.3] * n],
+    )  # fmt: skip
+    return -fit.cost + _laplace(fit.jac[:, 2:], fit.jac[:, :2])
+
+
+def bound_rows(folder: Path, labels: dict, outcomes: dict, count: int) -> list:
+    """[of what, n, possible, answered] for a table.
+
+    Of the first ``count`` trials with one effect that have an answer, by name, and of
+    as many pairs.
     """
     names = [k for k in sorted(outcomes) if labels[k]["set"] == "singles"][:count]
+    pairs = [k for k in sorted(outcomes) if labels[k]["set"] == "pairs"][:count]
     right = {}
     for name in names:
-        path = folder / "trials" / labels[name]["file"]
-        rig = tomllib.loads((path.parent / "rig.toml").read_text())
-        x, observed = read_trial(path, rig)
+        x, observed = _trial(folder, labels[name])
         effect = labels[name]["effects"][0]
         right[name] = named_by_evidence(x, observed, effect) == effect
-    if not names:
-        return []
-    seen = [name for name in names if labels[name]["root_lambda"] >= VISIBLE]
-    numbers = [
-        share(right[k] for k in of) if which else share(outcomes[k].exact for k in of)
-        for of in (names, seen) for which in (True, False)
+    for name in pairs:
+        x, observed = _trial(folder, labels[name])
+        forms = dict(zip(labels[name]["effects"], labels[name]["forms"], strict=True))
+        right[name] = told_pair(x, observed, forms)
+    groups = {
+        f"one effect, {of}": [k for k in names if low <= labels[k][number] <= high]
+        for of, low, high, number in _SIZES
+    } | {"pairs, told which two": pairs}
+    return [
+        [of, str(len(inside)), f"{np.mean([right[k] for k in inside]):.3f}",
+         f"{np.mean([outcomes[k].exact for k in inside]):.3f}"]
+        for of, inside in groups.items()
+        if inside
     ]  # fmt: skip
-    cells = ["-" if value is None else f"{value:.3f} ({n})" for value, n in numbers]
-    return [["one effect, exact", str(len(names)), *cells]]
+
+
+def _trial(folder: Path, label: dict) -> tuple[Inputs, np.ndarray]:
+    path = folder / "trials" / label["file"]
+    return read_trial(path, tomllib.loads((path.parent / "rig.toml").read_text()))

@@ -3,6 +3,7 @@
 Textbook forms only, on the bristle patch of ``patch.py``.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -115,20 +116,32 @@ def predict(
     ``form`` is the textbook one where none is said; ``share`` stands for its random
     draws, of their range.
     """
-    textbook = next(iter(EFFECTS[effect].forms)) if effect else ""
-    form, undone = form or textbook, ()
-    if form == textbook:
-        undone = _UNDONE
-    slip = _true_slip(effect, x.slip, amplitude) if effect in undone else x.slip
+    if effect is None:
+        return _forces(x, x.slip, (), c, mu)
+    textbook = next(iter(EFFECTS[effect].forms))
+    part = (effect, form or textbook, amplitude, share)
+    if effect in _UNDONE and part[1] == textbook:
+        slip = _true_slip(effect, x.slip, amplitude)
+        return _forces(x, slip, [part], c, mu, behind=False)
+    return _forces(x, x.slip, [part], c, mu)
+
+
+def predict_together(x: Inputs, parts: Sequence[tuple], c, mu) -> np.ndarray:
+    """The same with several (effect, form, amplitude, share) at once; what was done to
+    the logged slip is undone to first order."""
+    return _forces(x, x.slip, parts, c, mu)
+
+
+def _forces(x: Inputs, slip, parts, c, mu, behind: bool = True) -> np.ndarray:
     world = World(
         x.time, x.run, slip, x.fz, x.v, x.force, c, mu, cross=x.cross, gamma=x.gamma,
         temperature=x.temperature, inflation=x.inflation, across=x.across,
         moment=x.moment,
     )  # fmt: skip
-    if effect is not None:
+    for effect, form, amplitude, share in parts:
         EFFECTS[effect].forms[form](world, amplitude, _Share(share))
-        if effect not in undone:
-            world.slip = _slip_behind(world)
+    if parts and behind:
+        world.slip = _slip_behind(world)
     out = forces(world)
     return np.concatenate([out[x.force], out["mz"]]) if x.moment else out[x.force]
 

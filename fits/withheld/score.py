@@ -271,10 +271,9 @@ def tables(
          str(b.count)]
         for b in reliability(told)
     ]  # fmt: skip
-    seen = ["possible, sqrt(lambda) >= 5", "answered, the same"]
     possible = {
         "What was possible: exact evidence with the generator's own forms": table(
-            ["", "n", "possible", "answered", *seen], bound)
+            ["", "n", "possible", "answered"], bound)
     } if bound else {}  # fmt: skip
     parts = {
         "Results: share (number of trials)": table(["", *summaries], rows),

@@ -1,4 +1,12 @@
-"""The command line in this process, with its caches in a directory of the tests."""
+"""The command line in this process, with caches of its own in a directory of the tests.
+
+A command keeps its traced programs beside the compiled ones where nobody chose a cache
+for JAX, as a user's does; so do those that tests start and the workers of a cluster,
+which then have the programs of the commands before them, and those of the last run.
+"""
+
+import os
+from pathlib import Path
 
 import jax
 import pytest
@@ -9,7 +17,7 @@ from tirefit.cli.commands import app
 
 
 @pytest.fixture(scope="package", autouse=True)
-def own_cache(tmp_path_factory):
+def own_cache():
     from tirefit.compiled import keep_programs_in
 
     names = (
@@ -18,8 +26,10 @@ def own_cache(tmp_path_factory):
         "jax_persistent_cache_min_entry_size_bytes",
     )
     before = {name: getattr(jax.config, name) for name in names}
+    commands = Path(os.environ["TIREFIT_TESTS_COMPILED"], "commands")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("XDG_CACHE_HOME", str(commands))
+        patch.delenv("JAX_COMPILATION_CACHE_DIR")
         jax.config.update("jax_compilation_cache_dir", None)
         yield
     for name, value in before.items():

@@ -4,20 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest_diagnosis import RIG, brush, record
+from conftest_diagnosis import RIG, TRUTHS, brush, record
 from scipy.optimize import minimize_scalar
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.adequacy import UNTESTED
+from tirefit.diagnosis.base import fit_base
 from tirefit.diagnosis.conclusion import (
     bound_by,
     chance_of_unknown,
     chances,
     probability_of_rest,
 )
+from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.records import HeldOut
+from tirefit.diagnosis.rows import prepare
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis
+from tirefit.diagnosis.standing import steadiness
 from tirefit.diagnosis.verdict import Verdict, Weighed
 
 
@@ -136,3 +140,39 @@ def test_chances_agree_with_the_verdict():
     assert shared[a] == 0.7 and shared[b] == pytest.approx(0.2 * 0.2 / 0.9)
     shared, unknown = of("none", (), 0.9)
     assert unknown == 0.1 and shared[a] == pytest.approx(0.6 / 0.9)
+
+
+def test_an_effect_is_steady_where_the_truth_has_one_size():
+    """A slip offset of one size, against one that comes and goes with the time: the
+    same error by the rows, another between the parts of the record."""
+
+    def drifting(slip, time, fz, v):
+        return brush(slip + 0.008 * np.sin(0.9 * time), 5e4, 0.9, fz)
+
+    steadiest = {}
+    for name, truth in (("steady", TRUTHS["slip_offset"]), ("drifts", drifting)):
+        frame, _ = record(truth, seed=3)
+        base = fit_base(prepare(read_frame(frame), RIG, ("fx",)), "brush", EFFECTS, RIG)
+        atom = next(
+            k for k, atom in enumerate(base.atoms) if atom.effect.id == "slip_offset"
+        )
+        refit = base.refit([(base.z, np.array([1.0]))], [(atom,)])
+        p = len(refit.z[0])
+        hypothesis = Hypothesis(
+            (atom,), ("slip_offset",), 0.0, 0.0, refit.z[0], refit.amplitude[0][:1],
+            refit.covariance[0][: p + 1, : p + 1], float(refit.chi2[0]),
+        )  # fmt: skip
+        steady, moved = steadiness(base, hypothesis)
+        steadiest[name] = steady[0]
+        # One part left out, against a refit without it.
+        slips = np.abs(base.prepared.slip)
+        out = slips > np.quantile(slips, 0.8)
+        keep = np.array(base.design.keep)
+        keep[: base.prepared.n] *= ~out
+        design = base.design._replace(keep=keep)
+        start = [(hypothesis.z, hypothesis.amplitude)]
+        again = base.refit(start, [(atom,)], design).amplitude[0][0]
+        size = float(hypothesis.amplitude[0])
+        assert abs(again - size) / abs(size) < 1.2 * moved[0] + 0.02
+    assert steadiest["steady"] > 5
+    assert steadiest["drifts"] < 3

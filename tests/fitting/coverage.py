@@ -128,12 +128,14 @@ def coverage(
     name: str,
     count: int,
     *,
+    first=0,
     rows=400,
     reach=1.6,
     estimated=False,
     posterior=False,
 ):
-    """Share of ``count`` data sets whose intervals hold the truth.
+    """Share of ``count`` data sets, of seeds from ``first`` on, whose intervals hold
+    the truth.
 
     Returns (profile, posterior), each by parameter label.
     """
@@ -148,7 +150,7 @@ def coverage(
                 seed,
                 posterior,
             )
-            for seed in range(count)
+            for seed in range(first, first + count)
         ]
     )
     labels = list(truth_of(model, setting))

@@ -1,7 +1,8 @@
 """The 95 % intervals hold the truth as often as they say.
 
 200 data sets in the suite, within binomial limits that a right interval breaks once in
-a thousand; 1,600 on request (``make statistics``), within 93-97 %.
+a thousand, or 100 where they leave no doubt; 1,600 on request (``make statistics``),
+within 93-97 %.
 """
 
 import numpy as np
@@ -19,6 +20,23 @@ ROWS = 120
 which every interval is right."""
 
 
+SURE = 0.94, 0.98
+"""Shares of the first half of the data sets with which the second is not asked for. All
+of them fail an interval that holds the truth 88 times in 100 with 0.70, and one that
+always holds it surely; of the first kind 1 in 27 comes through here, of the second
+none."""
+
+
+def half_or_all(model, setting):
+    """Share of the data sets whose profile intervals hold the truth, by parameter."""
+    half = FEW // 2
+    first, _ = coverage(model, setting, half, rows=ROWS)
+    if all(SURE[0] <= share <= SURE[1] for share in first.values()):
+        return first
+    second, _ = coverage(model, setting, half, first=half, rows=ROWS)
+    return {label: (first[label] + second[label]) / 2 for label in first}
+
+
 @pytest.fixture(autouse=True)
 def one_program(monkeypatch):
     """As many latent slips for all data sets of both settings, which need up to 2.6:
@@ -30,7 +48,7 @@ def one_program(monkeypatch):
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("setting", ["rig", "seed"])
 def test_profile_intervals_cover(model, setting):
-    inside, _ = coverage(model, setting, FEW, rows=ROWS)
+    inside = half_or_all(model, setting)
     low, high = binom.ppf([0.0005, 0.9995], FEW, 0.95) / FEW
     assert all(low <= share <= high for share in inside.values()), inside
 

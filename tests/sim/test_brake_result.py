@@ -10,22 +10,26 @@ from tirefit.online.abs import ConventionalABS
 from tirefit.online.controller import NoController
 from tirefit.params import with_values
 from tirefit.sim.brake import simulate_stop
+from tirefit.sim.brake_hydraulics import Hydraulics
 from tirefit.sim.brake_request import Request, arrays, plant_of
 from tirefit.sim.brake_result import brake, many_stops
 from tirefit.sim.brake_summary import UNITS, summarise
 
 TIRE = with_values(MODELS["brush-m"], {"cpa2": 4e4, "m": 0.5})
+SAMPLES, STOPS = 600, 4
+"""Of every stop of the quarter car, and stops in every batch: one program serves all
+of a controller."""
 
 
 def request(**given):
     given = {"speed": 8.0, "road": "mu=0.5", "vehicle": "quarter"} | given
-    return Request(TIRE, "brush-m", **given)
+    return Request(TIRE, "brush-m", **{"time_limit": SAMPLES / 200} | given)
 
 
 @pytest.fixture(scope="module")
 def result():
     controllers = {"abs": arrays(ConventionalABS()), "none": NoController()}
-    return brake(request(), controllers, seed=3, stops=4)
+    return brake(request(), controllers, seed=3, stops=STOPS)
 
 
 def test_batch_is_each_stop_alone(result):
@@ -43,18 +47,19 @@ def test_batch_is_each_stop_alone(result):
 
 
 def test_tires_roads_and_seeds_in_one_batch():
-    plants = [plant_of(request(road=road)) for road in ("mu=0.5", "mu=0.7")]
+    roads = ("mu=0.5", "mu=0.7", "mu=0.4", "mu=0.6")
+    plants = [plant_of(request(road=road)) for road in roads]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *plants)
-    keys = jax.vmap(jax.random.key)(jnp.asarray([5, 6]))
+    keys = jax.vmap(jax.random.key)(jnp.arange(5, 5 + STOPS))
     asked, controller = request(), arrays(ConventionalABS())
-    rest = (arrays(asked.sensors), jnp.asarray(8.0))
-    both = many_stops(stacked, controller, *rest, keys, 600, 2)
-    log = simulate_stop(plants[1], controller, *rest, keys[1], 600, 2)
+    rest = (arrays(asked.sensors), jnp.asarray(8.0, float))
+    each = many_stops(stacked, controller, *rest, keys, SAMPLES, 2)
+    log = simulate_stop(plants[1], controller, *rest, keys[1], SAMPLES, 2)
     alone = summarise(plants[1], log, 1 / 200)
     for name in UNITS:
-        one, other = getattr(both, name)[1], getattr(alone, name)
+        one, other = getattr(each, name)[1], getattr(alone, name)
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9)
-    assert both.stopping_distance[1] < both.stopping_distance[0]
+    assert np.argsort(each.stopping_distance).tolist() == [1, 3, 0, 2]
 
 
 def test_numbers_follow_from_the_series(result):
@@ -91,8 +96,8 @@ def test_recovery_counts_from_all_wheels_on_the_new_road():
     asked = request(road="mu=0.3:0.8@4")
     plant = plant_of(asked)
     log = simulate_stop(
-        plant, NoController(), arrays(asked.sensors), jnp.asarray(8.0),
-        jax.random.key(0), 600, 2,
+        plant, NoController(), arrays(asked.sensors), jnp.asarray(8.0, float),
+        jax.random.key(0), SAMPLES, 2,
     )  # fmt: skip
     time = np.asarray(log.reading.time)
     crossed = float(time[np.argmax(np.asarray(log.motion.distance) >= 4.0)])
@@ -107,16 +112,14 @@ def test_recovery_counts_from_all_wheels_on_the_new_road():
 
 
 def test_a_car_that_does_not_stop_says_why(result):
-    weak = request()
-    weak = Request(
-        TIRE, "brush-m", speed=8.0, road="mu=0.5", vehicle="quarter", time_limit=1.0,
-        hydraulics=weak.hydraulics._replace(demand=2e5),
-    )  # fmt: skip
+    weak = request(hydraulics=Hydraulics(demand=2e5))
     stop = brake(weak, {"none": NoController()}).stops["none"]
     numbers = stop.to_dict()
     assert not numbers["stopped"] and np.isnan(numbers["stopping_distance"])
     assert "did not stop: still" in stop.reason and "--time-limit" in stop.reason
-    spinning = Request(TIRE, "brush-m", road="left=0.1,right=0.9", speed=25.0)
+    spinning = request(
+        road="left=0.1,right=0.9", speed=25.0, vehicle="car", time_limit=12.0
+    )
     stop = brake(spinning, {"none": NoController()}).stops["none"]
     assert stop.reason.startswith("spun"), stop.reason
 

@@ -98,7 +98,7 @@ def test_noise_is_as_stated_and_of_the_seed():
 
 
 def test_wheels_lock_on_a_slippery_road_and_the_rest_is_finite():
-    how = Drive(duration=3.0, bend=0.0, brake=0.9, drop=(1.0, 0.2))
+    how = Drive(**SHORT | {"bend": 0.0, "brake": 0.9, "drop": (1.0, 0.2)})
     truth = simulate_drive(how).truth
     assert set(truth["mu"]) == {0.9, 0.2}
     assert truth["sigma_x_fl"].max() > 90 and truth["sigma_x_fl"][40] < 0.2

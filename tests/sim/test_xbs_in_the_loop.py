@@ -120,7 +120,7 @@ def braked(name, road):
     plants = jax.tree.map(lambda x: jnp.repeat(x[None], 24, 0), plant)
     how = asked.samples(controller.rate), asked.hydraulics.queue(controller.rate)
     keys = jax.vmap(jax.random.key)(jnp.arange(24))
-    speed = jnp.asarray(15.0)
+    speed = jnp.asarray(15.0, float)
     made = many_stops(plants, controller, arrays(asked.sensors), speed, keys, *how)
     return jax.tree.map(np.asarray, made)
 

@@ -326,3 +326,23 @@ def test_evidence_counts_the_amplitude_once():
     found = bound.evidence(x, plain + 0.01 * world.fz * g.normal(size=200))
     # Half its typical size, 40 N, is some 14 standard errors of 200 rows away.
     assert found["force_offset",] < found[()] - 30
+
+
+def test_who_is_told_a_pair_finds_both_only_where_both_show():
+    g = np.random.default_rng(13)
+    world = make_world(DESIGNS["F"], 200, C, MU, g)
+    x = library.Inputs(
+        world.time, world.run, world.slip, world.fz, world.v, "fx",
+        (0.0, 0.01 * world.fz, 0.001 * world.fz),
+    )  # fmt: skip
+    pair = {"force_offset": "force_zero", "load_friction": "friction_power"}
+    about = trials.EFFECTS
+    sizes = {name: about[name].typical * (about[name].sign or 1) for name in pair}
+    parts = [(name, form, sizes[name], 0.5) for name, form in pair.items()]
+    noise = 0.01 * world.fz * g.normal(size=200)
+    one = library.predict_together(x, parts[:1], C, MU)
+    alone = library.predict(x, "force_offset", sizes["force_offset"], C, MU)
+    np.testing.assert_allclose(one, alone, rtol=1e-12)
+    both = library.predict_together(x, parts, C, MU)
+    assert bound.told_pair(x, both + noise, pair)
+    assert not bound.told_pair(x, one + noise, pair)

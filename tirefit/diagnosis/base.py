@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from tirefit.data.levels import levels
 from tirefit.diagnosis.basis import Generic, smooth_basis, wave_basis
 from tirefit.diagnosis.effects import Atom, Effect, atoms_of
 from tirefit.diagnosis.forms import PLACE
@@ -28,7 +29,12 @@ from tirefit.diagnosis.remainder import whitened_generic
 from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
 from tirefit.diagnosis.runs import with_runs
 from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
-from tirefit.diagnosis.slip_nodes import slip_doubt, slip_nodes
+from tirefit.diagnosis.slip_nodes import (
+    predicted,
+    slip_doubt,
+    slip_nodes,
+    slip_proxies,
+)
 from tirefit.diagnosis.state import Covariates
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import best_of, solve_starts
@@ -166,8 +172,26 @@ class Base:
         rows = self.rows
         path = rows.covariates.past[:, AHEAD] if "sweeps" in rows.has else None
         off = slip_doubt(rows.slip, rows.slip_std, path)
+        return np.concatenate([self._forces_of(off), self.proxies], axis=1)
+
+    @cached_property
+    def proxies(self) -> np.ndarray:
+        """What is measured beside the slip knows of its noise: columns (m, k) of the
+        residual that no effect explains; see :func:`slip_proxies`."""
+        rows = self.rows
+        others = [
+            predicted(rows.slip, np.asarray(values))
+            for values in (rows.covariates.fz, rows.covariates.v)
+            if not levels(np.asarray(values)).few()
+        ]
+        if "sweeps" in rows.has:
+            others.append(np.asarray(rows.covariates.past)[:, AHEAD])
+        return self._forces_of(slip_proxies(rows.slip, rows.slip_std, others))
+
+    def _forces_of(self, slips) -> np.ndarray:
+        """Whitened forces (m, k) of small changes of the slips (n, k)."""
         steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
-        return steep[:, None] * np.tile(off, (len(self.rows.channels), 1))
+        return steep[:, None] * np.tile(slips, (len(self.rows.channels), 1))
 
     @cached_property
     def at_null(self) -> Linear:

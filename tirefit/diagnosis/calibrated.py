@@ -27,6 +27,10 @@ _SMALLEST_P = 1e-3
 """The smallest p-value that the tests can take."""
 
 
+_STEADIEST = 300.0
+"""Amplitude over its error between regimes, beyond which more says no more."""
+
+
 @cache
 def _numbers() -> dict:
     file = resources.files("tirefit.diagnosis") / "calibration.json"
@@ -85,6 +89,8 @@ def clues_of_effect(
     alone: float | None,
     without: float,
     evidence: float,
+    steady: tuple[float, float],
+    over_rest: float,
 ) -> dict[str, float]:
     """What tells that an effect is there, whatever else is.
 
@@ -94,6 +100,10 @@ def clues_of_effect(
         alone: log evidence of this effect alone, None where it was not refitted.
         without: log evidence of the set without it, zero for a single one.
         evidence: log evidence of the set.
+        steady: its amplitude over its error between regimes, and its largest change by
+            one of them; see :func:`tirefit.diagnosis.standing.steadiness`.
+        over_rest: log evidence of the set over the set without it and a remainder of
+            any kind in its place.
     """
     whole = max(evidence, 1.0)
     single = 0.0 if alone is None else float(np.clip(alone / whole, 0, 1))
@@ -104,6 +114,9 @@ def clues_of_effect(
         "not alone": float(alone is None),
         "share lost without": float(np.clip((evidence - without) / whole, 0, 1)),
         "evidence lost without": _compressed(evidence - without),
+        "steady": float(np.log(np.clip(steady[0], 0.1, _STEADIEST))),
+        "changed by one regime": float(np.log(np.clip(steady[1], 1e-3, 10.0))),
+        "evidence over a remainder": _compressed(over_rest),
         "two effects": rest["two effects"],
         "three effects": rest["three effects"],
         **{name: rest[name] for name in kept},

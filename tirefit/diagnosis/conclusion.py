@@ -23,7 +23,7 @@ from tirefit.diagnosis.calibrated import (
 from tirefit.diagnosis.patterns import Look, looks
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Search
-from tirefit.diagnosis.standing import Standing, standing
+from tirefit.diagnosis.standing import Standing, standing, steadiness
 from tirefit.diagnosis.verdict import (
     LinearFit,
     Verdict,
@@ -123,15 +123,16 @@ class Judge:
             self.known[key] = standing(
                 base, weighed.best_of[key], linear.used_up, self.generator
             )
-            if key not in weighed.gains:
-                left = gains(base.generic, linear.used_up, linear.residual)
-                weighed.gains[key] = left
         return self.known[key]
 
     def gains(self, key) -> dict[str, float]:
         """Log evidence of each kind of remainder beside a set."""
-        self.of(key)
-        return self.weighed.gains[key]
+        base, weighed = self.search.base, self.weighed
+        if key not in weighed.gains:
+            linear = _linear(base, weighed, key)
+            left = gains(base.generic, linear.explained, linear.residual)
+            weighed.gains[key] = left
+        return weighed.gains[key]
 
     def errors(self, key) -> dict[str, float]:
         """Amplitude over its error, by effect."""
@@ -164,13 +165,26 @@ class Judge:
         evidence = self.weighed.evidence
         return {e: evidence[k] for e, k in smaller.items() if k and k in evidence}
 
+    def over_rest(self, key, effect: str) -> float:
+        """Log evidence of a set over one where a remainder of any kind stands in the
+        place of an effect; zero where the set without it was not refitted."""
+        less = tuple(e for e in key if e != effect)
+        evidence = self.weighed.evidence
+        if less not in evidence:
+            return 0.0
+        return evidence[key] - evidence[less] - max(self.gains(less).values())
+
     def clues_by_effect(self, key) -> dict[str, dict[str, float]]:
         """What tells of each effect of a set that it is there, whatever else is."""
         weighed, rest, without = self.weighed, self.clues(key), self.parts(key)
+        best = weighed.best_of[key]
+        steady = zip(*steadiness(self.search.base, best), strict=True)
+        regimes = dict(zip(best.effects, steady, strict=True))
         return {
             effect: clues_of_effect(
                 rest, error, weighed.evidence.get((effect,)),
                 without.get(effect, 0.0), weighed.evidence[key],
+                regimes[effect], self.over_rest(key, effect),
             )
             for effect, error in self.errors(key).items()
         }  # fmt: skip
@@ -327,5 +341,5 @@ def look_of_rest(verdict: Verdict, base: Base, weighed: Weighed) -> tuple[Look, 
         return ()
     key = tuple(sorted(verdict.chosen.effects))
     linear = _linear(base, weighed, key)
-    alike = looks(base.generic.patterns, linear.used_up, linear.residual)
+    alike = looks(base.generic.patterns, linear.explained, linear.residual)
     return tuple(look for look in alike if look.probability > _SHOWN)

@@ -5,7 +5,7 @@ import numpy as np
 from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
 
-__all__ = ["slip_doubt", "slip_nodes"]
+__all__ = ["predicted", "slip_doubt", "slip_nodes", "slip_proxies"]
 
 _COUNTS = (3, 5)
 """Gauss-Hermite nodes of the slip noise: exact for a force that is a polynomial of
@@ -14,6 +14,10 @@ _STEEP, _LARGE = 0.01, 0.9
 """Noise of the slip over a large slip from which the force bends within it, and the
 quantile of the slips that is large."""
 _NODES = {count: np.polynomial.hermite_e.hermegauss(count) for count in _COUNTS}
+
+_TELLS = 0.2
+"""Share of the noise in what slip and prediction differ by from which the prediction
+knows of it."""
 
 _WITHIN = np.linspace(-4.0, 4.0, 41)
 """Slips that a measured one may stand for, in standard deviations of its noise."""
@@ -62,6 +66,34 @@ def slip_doubt(slip, std, path=None) -> np.ndarray:
     if path is not None:
         columns.append(_of_phase(law, path, std)[:, None])
     return np.concatenate(columns, axis=1)
+
+
+def slip_proxies(slip, std, others) -> np.ndarray:
+    """How much nearer to the true slips something else is than the slips themselves:
+    columns (n, k), one of each of ``others`` that tells of their noise.
+
+    What moves with the true slip (its neighbours in time, a load that the cornering
+    shifts) knows it without the noise of the slip. A regression then gives it a part
+    of what the slip does, by no effect of its own. The noise of row i is expected to be
+    std^2 / variance(slip - told) of (slip - told)_i.
+
+    Args:
+        others: predictions of the slips, (n,) each.
+    """
+    columns = []
+    for told in others:
+        off = told - slip
+        known = np.mean(std**2) / max(float(np.mean(off**2)), NONZERO)
+        if known > _TELLS:
+            columns.append(min(known, 1.0) * off)
+    return np.array(columns).reshape(len(columns), len(slip)).T
+
+
+def predicted(slip, covariate) -> np.ndarray:
+    """The slips (n,) by a cubic in something else that was measured: least squares."""
+    spread = max(float(np.std(covariate)), NONZERO)
+    powers = np.vander((covariate - np.mean(covariate)) / spread, 4)
+    return powers @ np.linalg.lstsq(powers, slip, rcond=None)[0]
 
 
 def _of_phase(law: SlipDistribution, path, std) -> np.ndarray:

@@ -19,7 +19,10 @@ from tirefit.diagnosis.rates import segments
 from tirefit.diagnosis.rows import Prepared, neighbours
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 
-__all__ = ["Standing", "regimes", "standing", "widening"]
+__all__ = ["Standing", "partitions", "regimes", "standing", "steadiness", "widening"]
+
+_PARTS = 5, 8
+"""Parts of slip and time, between which the size of an effect is compared."""
 
 
 class Standing(NamedTuple):
@@ -51,45 +54,85 @@ def widening(base: Base, hypothesis: Hypothesis) -> float:
     return max(float(np.mean(residual**2)), 1.0) * rows_each
 
 
-def regimes(prepared: Prepared) -> list[np.ndarray]:
-    """Rows to leave out together, in the order of the slip: each load, speed, sign of
-    the slip, direction and run, and each third of slip and time."""
+def _thirds(values, parts: int = 3) -> np.ndarray:
+    return np.searchsorted(np.quantile(values, np.arange(1, parts) / parts), values)
+
+
+def partitions(
+    prepared: Prepared, of_slip: int = 3, of_time: int = 3
+) -> list[np.ndarray]:
+    """The rows (n,) by load, speed, sign of the slip, direction, size of the slip, time
+    and run, as far as the file has them: codes of what belongs together.
+
+    Args:
+        of_slip, of_time: parts of as many rows each.
+    """
     rows, has = prepared.covariates, prepared.has
-    order = np.argsort(prepared.slip, kind="stable")
-    groups = []
-
-    def add(inside):
-        if 0 < np.count_nonzero(inside) < len(inside):
-            groups.append(order[inside[order]])
-
-    def thirds(values):
-        third = np.searchsorted(np.quantile(values, [1 / 3, 2 / 3]), values)
-        for number in range(3):
-            add(third == number)
 
     def settings(values):
         distinct = levels(values)
-        if not distinct.few():
-            thirds(values)
-        for code in range(len(distinct.center) if distinct.few() else 0):
-            add(distinct.code == code)
+        return distinct.code if distinct.few() else _thirds(values)
 
+    parts = []
     if "loads" in has:
-        settings(rows.fz)
+        parts.append(settings(rows.fz))
     if "speeds" in has:
-        settings(rows.v)
+        parts.append(settings(rows.v))
     if "signs" in has:
-        add(prepared.slip > 0)
-        add(prepared.slip <= 0)
+        parts.append(prepared.slip <= 0)
     if "sweeps" in has:
-        add(rows.turning > 0)
-        add(rows.turning <= 0)
-    thirds(np.abs(prepared.slip))
+        parts.append(rows.turning <= 0)
+    parts.append(_thirds(np.abs(prepared.slip), of_slip))
     if "time" in has:
-        thirds(rows.time)
-    for code in np.unique(prepared.run) if np.ptp(prepared.run) else ():
-        add(prepared.run == code)
-    return groups
+        parts.append(_thirds(rows.time, of_time))
+    parts.append(prepared.run)
+    codes = [np.unique(part, return_inverse=True)[1] for part in parts]
+    return [code for code in codes if code.max() > 0]
+
+
+def regimes(prepared: Prepared) -> list[np.ndarray]:
+    """Rows to leave out together, in the order of the slip: each load, speed, sign of
+    the slip, direction and run, and each third of slip and time."""
+    order = np.argsort(prepared.slip, kind="stable")
+    return [
+        order[(codes == code)[order]]
+        for codes in partitions(prepared)
+        for code in range(codes.max() + 1)
+    ]
+
+
+def steadiness(base: Base, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+    """How steady the effects of a set are over its regimes: (h,) both.
+
+    Each part of each partition of the rows is left out in turn, to first order. What is
+    there has one size everywhere; what only imitates something has another wherever one
+    looks, and its error by the rows knows nothing of that.
+
+    Returns:
+        Amplitude over its error by the jackknife over a partition, the smallest; and
+        the largest change of the amplitude by one part, over the amplitude.
+    """
+    linear = base.linearised(hypothesis.z, amplitudes_of(base, hypothesis))
+    atoms, residual = list(hypothesis.atoms), np.asarray(linear.residual)
+    columns = np.concatenate([linear.jacobian, linear.columns[:, atoms]], axis=1)
+    size, p = np.abs(hypothesis.amplitude), columns.shape[1] - len(atoms)
+    prior = np.diag([ROUNDING] * p + [1.0] * len(atoms))
+    normal = columns.T @ columns + prior
+    steady, moved = np.full(len(atoms), np.inf), np.zeros(len(atoms))
+    for codes in partitions(base.prepared, *_PARTS):
+        everywhere = np.tile(codes, len(base.prepared.channels))
+        steps = []
+        for code in range(codes.max() + 1):
+            out = everywhere == code
+            own = columns[out]
+            score = -own.T @ residual[out]
+            steps.append(np.linalg.lstsq(normal - own.T @ own, score, rcond=None)[0])
+        change = np.array(steps)[:, p:]
+        off = change - change.mean(axis=0)
+        error = np.sqrt((1 - 1 / len(change)) * np.sum(off**2, axis=0))
+        steady = np.minimum(steady, size / np.maximum(error, ROUNDING))
+        moved = np.maximum(moved, np.abs(change).max(axis=0))
+    return steady, moved / np.maximum(size, ROUNDING)
 
 
 def _worst(each: list[Adequacy]) -> Adequacy:

@@ -137,7 +137,8 @@ def gap_p_value(search: Search, generator) -> float:
     draws = draws + doubt @ generator.standard_normal((doubt.shape[1], DRAWS))
     draws = np.abs(draws).max(0)
     p_score = (1 + np.sum(draws >= observed)) / (1 + DRAWS)
-    p_generic = misfit_p_value(base.generic, jacobian, residual, generator, DRAWS)
+    explained = np.concatenate([jacobian, base.proxies], axis=1)
+    p_generic = misfit_p_value(base.generic, explained, residual, generator, DRAWS)
     return float(min(1.0, 2 * min(p_score, p_generic)))
 
 
@@ -166,7 +167,7 @@ def weigh(search: Search) -> Weighed:
             if form > formula:
                 others.add(key)
                 linear = linear.in_other_form()
-        remainder[key] = gains(search.base.generic, linear.used_up, linear.residual)
+        remainder[key] = gains(search.base.generic, linear.explained, linear.residual)
         more = of_any_kind(remainder[key])
         beside[key] = total[key] + more + np.log(PRIOR_OF_UNKNOWN)
     rest = [hypothesis.log_weight for hypothesis in guessed]
@@ -196,12 +197,19 @@ def _simplest(total, count: int):
 
 
 class LinearFit(NamedTuple):
-    """A refitted hypothesis: residual (m,), the columns that it used up (m, p), and
-    those of the other forms of its effects (m, k)."""
+    """A refitted hypothesis: residual (m,), the columns that it used up (m, p), those
+    of the other forms of its effects (m, k), and what is measured beside the slip knows
+    of its noise (m, j)."""
 
     residual: np.ndarray
     used_up: np.ndarray
     forms: np.ndarray
+    proxies: np.ndarray
+
+    @property
+    def explained(self) -> np.ndarray:
+        """Columns (m, p + j) of all that needs no further explanation."""
+        return np.concatenate([self.used_up, self.proxies], axis=1)
 
     def in_other_form(self) -> "LinearFit":
         """The same where the effects are there in another form: that is used up too."""
@@ -221,7 +229,10 @@ def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
     forms = form_columns(effects, fields, base.prepared, base.slip_fraction)
     keep = np.tile(base.design.keep[: base.prepared.n], len(base.prepared.channels))
     return LinearFit(
-        residual, np.concatenate([jacobian, own], axis=1), forms * keep[:, None]
+        residual,
+        np.concatenate([jacobian, own], axis=1),
+        forms * keep[:, None],
+        base.proxies,
     )
 
 
