@@ -103,7 +103,7 @@ class Straight(Base):
             "columns": columns, "truth": truth, "atoms": (one,), "rows": rows,
             "fit": SimpleNamespace(design=design, slip_fraction=x),
             "generic": Generic(smooth, smooth, smooth, none),
-            "doubt": np.zeros((ROWS, 1)),
+            "doubt": np.zeros((ROWS, 1)), "proxies": np.zeros((ROWS, 0)),
         }  # fmt: skip
 
     prepared = property(lambda self: self.rows)

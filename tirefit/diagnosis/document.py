@@ -78,8 +78,7 @@ def document_of(
     # Everything random is drawn in this order: true forces, held-out data, budget.
     believed, main = _rows(case, base), prepared.channels[0]
     truth = plausible_forces(case, generator)
-    gaps = _gaps(case, rows, truth)
-    candidates = _candidates(case, rows[main]["base"], truth[main])
+    gaps, candidates = _gaps(case, rows, truth), _candidates(case, rows, truth)
     held = held_out(case, holdout, rig, generator)
     bound = _bound(case, gaps[main].closed, held, bool(holdout))
     if bound.status != verdict.status:
@@ -298,19 +297,17 @@ def _tuned_alone(case: Case) -> bool:
     return case.base.simulator is not None and case.verdict.status == "none"
 
 
-def _candidates(case: Case, before, truth, most=_LISTED) -> tuple[Candidate, ...]:
-    """The most probable sets of effects, and the unknown.
-
-    Args:
-        before, truth: (n,) force of the base, (n, draws) what it may truly be, of the
-            first channel at the measured slips.
-    """
+def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate, ...]:
+    """The most probable sets of effects, and the unknown; ``rows`` and ``truth`` as in
+    :func:`_gaps`."""
     weighed, at = case.weighed, at_measured_slip(case.base)
+    main = case.base.prepared.channels[0]
+    before, forces = rows[main]["base"], truth[main]
     total = chances(case.verdict, weighed)
     said = tuple(sorted(case.verdict.chosen.effects))
     ranked = sorted(total, key=lambda key: (key == said, total[key]), reverse=True)
     ranked = ranked[:most]
-    closed = [_closure_by(at, weighed.best_of[k], before, truth) for k in ranked]
+    closed = [_closure_by(at, weighed.best_of[k], before, forces) for k in ranked]
     listed = [
         _candidate(case, key, total[key], closure)
         for key, closure in zip(ranked, closed, strict=True)
@@ -357,7 +354,7 @@ def _closure_by(at: Base, hypothesis: Hypothesis, before, truth) -> Closure:
 
     Args:
         at: the base fit at the measured slips.
-        before, truth: (n,) and (n, draws) as in :func:`_candidates`.
+        before, truth: (n,) force of the base and (n, draws) what it may truly be.
     """
     main, run = at.prepared.channels[0], at.prepared.run
     after = at.forces(hypothesis.z, amplitudes_of(at, hypothesis))[main]
