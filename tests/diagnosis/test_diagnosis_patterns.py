@@ -145,9 +145,17 @@ def test_probability_of_more_follows_the_clues():
 
 def test_probability_of_an_effect_follows_the_clues():
     beside = rest(FAILED, MUCH)
-    strong = probability_beside(clues_of_effect(beside, 40.0, 190.0, 0.0, 200.0))
-    weak = probability_beside(clues_of_effect(beside, 3.0, 10.0, 195.0, 200.0))
+    firm = 40.0, 190.0, 0.0, 200.0
+    strong = probability_beside(clues_of_effect(beside, *firm, (30.0, 0.05), 150.0))
+    weak = probability_beside(
+        clues_of_effect(beside, 3.0, 10.0, 195.0, 200.0, (3.0, 0.5), 2.0)
+    )
     assert strong > 5 * weak and strong > 0.25
+    # As firm, but of another size in each regime; or no better than a remainder.
+    unsteady = probability_beside(clues_of_effect(beside, *firm, (1.0, 2.0), 150.0))
+    assert unsteady < 0.5 * strong
+    alike = probability_beside(clues_of_effect(beside, *firm, (30.0, 0.05), -5.0))
+    assert alike < 0.8 * strong
 
 
 def test_the_numbers_shipped_are_those_of_a_checked_regression():

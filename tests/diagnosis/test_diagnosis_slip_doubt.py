@@ -7,12 +7,7 @@ from conftest_diagnosis import brush
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.rig import Rig
-from tirefit.diagnosis.slip_nodes import (
-    predicted,
-    slip_doubt,
-    slip_nodes,
-    slip_proxies,
-)
+from tirefit.diagnosis.slip_nodes import slip_doubt, slip_nodes, slip_proxies
 
 ROWS, STD = 300, 0.0045
 
@@ -73,11 +68,15 @@ def test_what_moves_with_the_true_slip_tells_its_noise():
     std = np.full(ROWS, STD)
     load = 4000 + 3e4 * path - 1e5 * path**3
     coarse = path + 5 * STD * generator.standard_normal(ROWS)
-    told = [predicted(path + noise, load), coarse, generator.standard_normal(ROWS)]
-    columns = slip_proxies(path + noise, std, told)
-    assert columns.shape == (ROWS, 1)
-    np.testing.assert_allclose(-columns[:, 0], noise, atol=0.5 * STD)
-    assert -columns[:, 0] @ noise / (noise @ noise) == pytest.approx(1, abs=0.1)
+    others = [load, generator.standard_normal(ROWS)]
+    for columns in (
+        slip_proxies(path + noise, std, others, coarse),
+        slip_proxies(path + noise, std, [], path),
+    ):
+        assert columns.shape == (ROWS, 1)
+        np.testing.assert_allclose(-columns[:, 0], noise, atol=0.5 * STD)
+        assert -columns[:, 0] @ noise / (noise @ noise) == pytest.approx(1, abs=0.1)
+    assert slip_proxies(path, 0 * std, others, path).shape == (ROWS, 0)
 
 
 def test_a_load_that_the_cornering_shifts_names_no_effect():

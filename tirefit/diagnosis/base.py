@@ -6,7 +6,6 @@ from functools import cached_property
 
 import numpy as np
 
-from tirefit.data.levels import levels
 from tirefit.diagnosis.basis import Generic, smooth_basis, wave_basis
 from tirefit.diagnosis.effects import Atom, Effect, atoms_of
 from tirefit.diagnosis.forms import PLACE
@@ -24,17 +23,11 @@ from tirefit.diagnosis.forward import (
 )
 from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
-from tirefit.diagnosis.rates import AHEAD
 from tirefit.diagnosis.remainder import whitened_generic
 from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
 from tirefit.diagnosis.runs import with_runs
 from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
-from tirefit.diagnosis.slip_nodes import (
-    predicted,
-    slip_doubt,
-    slip_nodes,
-    slip_proxies,
-)
+from tirefit.diagnosis.slip_nodes import slip_doubt, slip_nodes, slip_proxies
 from tirefit.diagnosis.state import Covariates
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import best_of, solve_starts
@@ -169,9 +162,7 @@ class Base:
     def doubt(self) -> np.ndarray:
         """What the residual may be off by as the true slips are not known, beside the
         noise of each row: columns (m, k) times independent unit normal numbers."""
-        rows = self.rows
-        path = rows.covariates.past[:, AHEAD] if "sweeps" in rows.has else None
-        off = slip_doubt(rows.slip, rows.slip_std, path)
+        off = slip_doubt(self.rows.slip, self.rows.slip_std, self.rows.path)
         return np.concatenate([self._forces_of(off), self.proxies], axis=1)
 
     @cached_property
@@ -179,14 +170,8 @@ class Base:
         """What is measured beside the slip knows of its noise: columns (m, k) of the
         residual that no effect explains; see :func:`slip_proxies`."""
         rows = self.rows
-        others = [
-            predicted(rows.slip, np.asarray(values))
-            for values in (rows.covariates.fz, rows.covariates.v)
-            if not levels(np.asarray(values)).few()
-        ]
-        if "sweeps" in rows.has:
-            others.append(np.asarray(rows.covariates.past)[:, AHEAD])
-        return self._forces_of(slip_proxies(rows.slip, rows.slip_std, others))
+        told = slip_proxies(rows.slip, rows.slip_std, rows.moving, rows.path)
+        return self._forces_of(told)
 
     def _forces_of(self, slips) -> np.ndarray:
         """Whitened forces (m, k) of small changes of the slips (n, k)."""

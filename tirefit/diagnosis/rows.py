@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tirefit.data.levels import levels
 from tirefit.data.table import TireData
 from tirefit.diagnosis.motion import (
     Derived,
@@ -13,7 +14,7 @@ from tirefit.diagnosis.motion import (
     seen_in_motion,
 )
 from tirefit.diagnosis.negligible import FLAT, ROUNDING
-from tirefit.diagnosis.rates import Sweeps, segments, slip_rate
+from tirefit.diagnosis.rates import AHEAD, Sweeps, segments, slip_rate
 from tirefit.diagnosis.run_codes import shown_runs
 from tirefit.diagnosis.sizes import Sizes, half_force_slip, largest, sizes_of
 from tirefit.diagnosis.slip_check import SlipCheck, check_slip
@@ -108,6 +109,18 @@ class Prepared:
     @property
     def n(self) -> int:
         return len(self.slip)
+
+    @property
+    def path(self) -> np.ndarray | None:
+        """Slips (n,) as their neighbours in time show them; None where they do not."""
+        past = np.asarray(self.covariates.past)
+        return past[:, AHEAD] if "sweeps" in self.has else None
+
+    @property
+    def moving(self) -> list[np.ndarray]:
+        """Load and speed (n,) of the rows, of both what is not set to a few levels."""
+        both = [np.asarray(v) for v in (self.covariates.fz, self.covariates.v)]
+        return [values for values in both if not levels(values).few()]
 
     def column(self, name: str) -> np.ndarray:
         """A column of the data, (n,)."""

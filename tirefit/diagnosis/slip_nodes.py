@@ -5,7 +5,7 @@ import numpy as np
 from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
 
-__all__ = ["predicted", "slip_doubt", "slip_nodes", "slip_proxies"]
+__all__ = ["slip_doubt", "slip_nodes", "slip_proxies"]
 
 _COUNTS = (3, 5)
 """Gauss-Hermite nodes of the slip noise: exact for a force that is a polynomial of
@@ -68,9 +68,9 @@ def slip_doubt(slip, std, path=None) -> np.ndarray:
     return np.concatenate(columns, axis=1)
 
 
-def slip_proxies(slip, std, others) -> np.ndarray:
+def slip_proxies(slip, std, measured, path=None) -> np.ndarray:
     """How much nearer to the true slips something else is than the slips themselves:
-    columns (n, k), one of each of ``others`` that tells of their noise.
+    columns (n, k), one of each that tells of their noise.
 
     What moves with the true slip (its neighbours in time, a load that the cornering
     shifts) knows it without the noise of the slip. A regression then gives it a part
@@ -78,10 +78,15 @@ def slip_proxies(slip, std, others) -> np.ndarray:
     std^2 / variance(slip - told) of (slip - told)_i.
 
     Args:
-        others: predictions of the slips, (n,) each.
+        measured: (n,) each, what else was measured and is not set to a few levels; the
+            slips are predicted from it by a cubic.
+        path: as in :func:`slip_doubt`.
     """
+    if not np.any(std > 0):
+        return np.zeros((len(slip), 0))
+    others = [_predicted(slip, np.asarray(values)) for values in measured]
     columns = []
-    for told in others:
+    for told in others if path is None else [*others, path]:
         off = told - slip
         known = np.mean(std**2) / max(float(np.mean(off**2)), NONZERO)
         if known > _TELLS:
@@ -89,7 +94,7 @@ def slip_proxies(slip, std, others) -> np.ndarray:
     return np.array(columns).reshape(len(columns), len(slip)).T
 
 
-def predicted(slip, covariate) -> np.ndarray:
+def _predicted(slip, covariate) -> np.ndarray:
     """The slips (n,) by a cubic in something else that was measured: least squares."""
     spread = max(float(np.std(covariate)), NONZERO)
     powers = np.vander((covariate - np.mean(covariate)) / spread, 4)

@@ -178,10 +178,12 @@ def _autocorrelation_times(samples: np.ndarray) -> np.ndarray:
     """Integrated autocorrelation time in steps, worst ensemble, (p,)."""
     import emcee
 
-    times = [
-        emcee.autocorr.integrated_time(ensemble, quiet=True, has_walkers=True, tol=0)
-        for ensemble in samples
-    ]
+    # Of a short chain a walker may not have moved at all: no number, which is infinity.
+    with np.errstate(invalid="ignore"):
+        times = [
+            emcee.autocorr.integrated_time(chain, quiet=True, has_walkers=True, tol=0)
+            for chain in samples
+        ]
     return np.maximum(np.nan_to_num(np.max(times, axis=0), nan=np.inf), 1.0)
 
 
