@@ -133,6 +133,9 @@ def test_chances_agree_with_the_verdict():
     shared, unknown = of("named", a, 0.5)
     assert shared[a] == pytest.approx(0.5) and unknown == 0
     assert shared[b] == pytest.approx(0.5 / 3)
+    # Named though another explains more, which these data cannot show by itself.
+    shared, unknown = of("cannot_tell", b, 0.9)
+    assert shared[b] == 0.9 and shared[a] == pytest.approx(0.1)
     shared, unknown = of("unknown", ("unknown",), 0.8)
     assert unknown == 0.8
     assert shared[a] == pytest.approx(0.2 * 0.6 / 0.9)

@@ -99,6 +99,16 @@ def test_energy_is_kept(vehicle):
     assert np.sum(braked) > 0.5 * np.sum(power)  # most of it is brakes' work
 
 
+def test_its_program_can_be_kept_between_processes():
+    """None that calls Python back is, and a stop takes seconds to compile."""
+    asked = request()
+    program = simulate_stop.lower(
+        plant_of(asked), NoController(), arrays(asked.sensors),
+        jnp.asarray(asked.speed, float), jax.random.key(0), SAMPLES, 2,
+    )  # fmt: skip
+    assert "while" in program.as_text() and "callback" not in program.as_text()
+
+
 def test_energy_is_kept_to_the_order_of_the_trapezoid():
     """A stop without dives: 30 times closer."""
     gentle = Hydraulics(demand=2e6, ramp=4e6)

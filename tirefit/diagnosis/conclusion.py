@@ -20,6 +20,7 @@ from tirefit.diagnosis.calibrated import (
     probability_beside,
     probability_of_more,
 )
+from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.patterns import Look, looks
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Search
@@ -222,8 +223,8 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
         key = judge.best_within(kept)
         if not key:
             return _nothing_stands(verdict, judge)
-        less = named(search, weighed, key, verdict.p_value)
         dropped = tuple(e for e in verdict.effects if e not in key)
+        less = named(search, _without(weighed, dropped), key, verdict.p_value)
         also = tuple(dict.fromkeys((*dropped, *less.also_possible)))
         verdict = replace(less, status="cannot_tell", also_possible=also)
     more = probability_of_more(judge.clues(key))
@@ -237,6 +238,13 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
         sure = verdict.probability * (1 - more)
         return replace(verdict, probability=sure, adequacy=passed)
     return _incomplete(verdict, judge, key, more)
+
+
+def _without(weighed: Weighed, effects) -> Weighed:
+    """The weights of the sets that hold none of these: what is known to less than half
+    its size may explain most of a file, as a load that knows the slip does."""
+    kept = {k: p for k, p in weighed.sets.items() if not set(k) & set(effects)}
+    return replace(weighed, sets=kept)
 
 
 def _nothing_stands(verdict: Verdict, judge: Judge) -> Verdict:
@@ -322,8 +330,9 @@ def chances(verdict: Verdict, weighed: Weighed) -> dict[tuple[str, ...], float]:
     if verdict.status == "none":
         return listed
     if verdict.status in ("named", "cannot_tell") and listed.get(key):
-        scale = min(verdict.probability / listed[key], 1.0)
-        return {k: scale * v for k, v in listed.items()}
+        mine, rest = verdict.probability, sum(listed.values()) - listed[key]
+        scale = min(mine / listed[key], (1 - mine) / max(rest, NONZERO))
+        return {k: scale * v for k, v in listed.items()} | {key: mine}
     shared = {k: (1 - verdict.unlisted) * v for k, v in listed.items()}
     return shared | ({key: verdict.probability} if key in listed else {})
 

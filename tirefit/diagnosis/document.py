@@ -78,7 +78,7 @@ def document_of(
     # Everything random is drawn in this order: true forces, held-out data, budget.
     believed, main = _rows(case, base), prepared.channels[0]
     truth = plausible_forces(case, generator)
-    gaps, candidates = _gaps(case, rows, truth), _candidates(case, truth[main])
+    gaps, candidates = _gaps(case, rows, truth), _candidates(case, rows, truth)
     held = held_out(case, holdout, rig, generator)
     bound = _bound(case, gaps[main].closed, held, bool(holdout))
     if bound.status != verdict.status:
@@ -297,13 +297,21 @@ def _tuned_alone(case: Case) -> bool:
     return case.base.simulator is not None and case.verdict.status == "none"
 
 
-def _candidates(case: Case, truth, most: int = _LISTED) -> tuple[Candidate, ...]:
-    weighed = case.weighed
+def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate, ...]:
+    """The most probable sets of effects, and the unknown; ``rows`` and ``truth`` as in
+    :func:`_gaps`."""
+    weighed, at = case.weighed, at_measured_slip(case.base)
+    main = case.base.prepared.channels[0]
+    before, forces = rows[main]["base"], truth[main]
     total = chances(case.verdict, weighed)
     said = tuple(sorted(case.verdict.chosen.effects))
     ranked = sorted(total, key=lambda key: (key == said, total[key]), reverse=True)
     ranked = ranked[:most]
-    listed = [_candidate(case, key, total[key], truth) for key in ranked]
+    closed = [_closure_by(at, weighed.best_of[k], before, forces) for k in ranked]
+    listed = [
+        _candidate(case, key, total[key], closure)
+        for key, closure in zip(ranked, closed, strict=True)
+    ]
     if (alone := chance_of_unknown(case.verdict, weighed)) > _MENTIONED:
         unknown = Candidate(
             effects=("unknown",), family="unknown", parameters={}, z=None,
@@ -314,7 +322,7 @@ def _candidates(case: Case, truth, most: int = _LISTED) -> tuple[Candidate, ...]
     return tuple(listed)
 
 
-def _candidate(case: Case, key, probability: float, truth) -> Candidate:
+def _candidate(case: Case, key, probability: float, closure: Closure) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
     p, parameters = len(hypothesis.z), {}
     spread = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[p:], 0))
@@ -328,7 +336,6 @@ def _candidate(case: Case, key, probability: float, truth) -> Candidate:
             std=float(min(spread[j], 1.0) * scale[k]),
             unit=effect.unit,
         )
-    closure = _closure_by(case, hypothesis, truth)
     ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
     return Candidate(
         effects=tuple(key),
@@ -342,14 +349,17 @@ def _candidate(case: Case, key, probability: float, truth) -> Candidate:
     )
 
 
-def _closure_by(case: Case, hypothesis: Hypothesis, truth) -> Closure:
-    """What a hypothesis closes of the first channel's gap; ``truth`` (n, draws)."""
-    base, main = case.base, case.base.prepared.channels[0]
-    at, noise = at_measured_slip(base), base.noise[main]
-    before = at.forces(base.as_given, np.zeros(len(base.atoms)))[main]
-    after = at.forces(hypothesis.z, amplitudes_of(base, hypothesis))[main]
-    run = base.prepared.run
-    return closure_on_rows(truth, before, after, noise.std**2, run, noise.inflation)
+def _closure_by(at: Base, hypothesis: Hypothesis, before, truth) -> Closure:
+    """What a hypothesis closes of the first channel's gap.
+
+    Args:
+        at: the base fit at the measured slips.
+        before, truth: (n,) force of the base and (n, draws) what it may truly be.
+    """
+    main, run = at.prepared.channels[0], at.prepared.run
+    after = at.forces(hypothesis.z, amplitudes_of(at, hypothesis))[main]
+    variance, inflation = at.noise[main].std ** 2, at.noise[main].inflation
+    return closure_on_rows(truth, before, after, variance, run, inflation)
 
 
 def _resolution(case: Case) -> Resolution:

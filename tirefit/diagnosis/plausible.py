@@ -157,7 +157,9 @@ def _of_parameters(base: Base, belief: _Belief, count: int, generator) -> np.nda
     """What the error of parameters and amplitudes changes, whitened: (m, count). The
     slips are as unsure as their density and their phase; see ``Base.doubt``."""
     values, vectors = np.linalg.eigh(belief.hypothesis.covariance)
-    spread = _WIDER * vectors * np.sqrt(np.maximum(values, 0.0))
+    # Symmetric roots, here and below: the same numbers give the same draws whichever
+    # way the vectors point.
+    spread = _WIDER * (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     misled = np.linalg.lstsq(belief.linear.used_up, base.doubt, rcond=None)[0]
     spread = np.concatenate([spread, misled], axis=1)
     unit = generator.standard_normal((spread.shape[1], count))
@@ -185,7 +187,7 @@ def _other_form(base: Base, belief: _Belief, count: int, generator) -> np.ndarra
     m = len(linear.residual)
     if part == 0:
         return np.zeros((m, count))
-    bases = [(1.0, orthogonal(base.generic.smooth, linear.used_up))]
+    bases = [(1.0, orthogonal(base.generic.smooth, linear.explained))]
     if linear.forms.shape[1]:
         kin = orthogonal(linear.forms, linear.used_up)
         bases = [(1 - _OF_FAMILY, bases[0][1]), (_OF_FAMILY, kin)]
@@ -217,9 +219,9 @@ def _rest(base: Base, belief: _Belief, count: int, generator) -> np.ndarray:
         [belief.kinds.get(kind, 0.0) + np.log(PRIORS[kind]) for kind in kinds]
     )
     counts = generator.multinomial(count, softmax(log))
-    residual, used_up = against.residual, against.used_up
+    residual, explained = against.residual, against.explained
     drawn = [
-        _of_kind(kind, base.generic, used_up, residual, k, generator)
+        _of_kind(kind, base.generic, explained, residual, k, generator)
         for kind, k in zip(kinds, counts, strict=True)
         if k
     ]
@@ -234,13 +236,13 @@ def _rest(base: Base, belief: _Belief, count: int, generator) -> np.ndarray:
     return rest + _undrawn(length, len(residual), generator)
 
 
-def _of_kind(kind, generic: Generic, used_up, residual, count, generator):
+def _of_kind(kind, generic: Generic, against, residual, count, generator):
     """Draws of a remainder of one kind: (m, count)."""
     if kind == "waves":
-        return drawn_wave(generic.waves, used_up, residual, count, generator)
+        return drawn_wave(generic.waves, against, residual, count, generator)
     if kind == "patterns":
-        return drawn_pattern(generic.patterns, used_up, residual, count, generator)
-    basis = orthogonal(getattr(generic, kind), used_up)
+        return drawn_pattern(generic.patterns, against, residual, count, generator)
+    basis = orthogonal(getattr(generic, kind), against)
     scales = np.array(SCALES)
     score = basis[0].T @ residual
     weights = np.array([gain(score, scale * basis[1]) for scale in scales])
@@ -258,7 +260,7 @@ def drawn_functions(left, size, residual, scales, log_weight, count, generator):
     chosen = generator.choice(len(scales), count, p=softmax(log_weight))
     t = (np.asarray(scales)[chosen] * size[:, None]) ** 2
     shrink = t / (1 + t)
-    unit = generator.standard_normal(shrink.shape)
+    unit = left.T @ generator.standard_normal((len(left), count))
     return left @ (shrink * (left.T @ residual)[:, None] + np.sqrt(shrink) * unit)
 
 

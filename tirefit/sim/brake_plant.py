@@ -141,17 +141,17 @@ def accelerations(plant: Plant, fx, fy):
     return -forward / car.mass, left / car.mass, moment / car.yaw_inertia
 
 
-def _rate(t, s: Motion, args) -> Motion:
+def _rate(since, s: Motion, args) -> Motion:
     plant, drive, start, period = args
     car = plant.vehicle
     now = contacts(plant, s)
-    share = (t - start) / period
+    share = since / period
     felt = now.fx + drive.begin + share * (drive.end - drive.begin)
     slowing, aside, yawing = accelerations(plant, felt, now.fy)
     turned = felt * car.radius - jnp.asarray(car.brake_gain) * s.pressure
     # A brake holds a wheel that stands; it does not turn it.
     holds = (s.omega <= 0) & (turned < 0)
-    flow = plant.hydraulics.flow(t, s.pressure, drive.valve)
+    flow = plant.hydraulics.flow(start + since, s.pressure, drive.valve)
     cos, sin = jnp.cos(s.heading), jnp.sin(s.heading)
     rate = Motion(
         distance=s.v_x,
@@ -189,11 +189,15 @@ def advance(
 
     Args:
         t: time [s] since the braking began, at ``s``.
+        period: a number, not an array.
     """
     # Errors are absolute in units of the scales: none of the states outgrows its own.
     controller = diffrax.PIDController(rtol=0.0, atol=TOLERANCE, norm=_error)
+    # Counted from the sample: diffrax then knows the times as it traces, and need not
+    # check them in the program. One that calls Python back to complain is not kept
+    # between processes, and a stop takes seconds to compile.
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(_rate), diffrax.Tsit5(), t, t + period, period, s,
+        diffrax.ODETerm(_rate), diffrax.Tsit5(), 0.0, period, period, s,
         (plant, drive, t, period), stepsize_controller=controller,
         saveat=diffrax.SaveAt(t1=True), max_steps=4096, throw=False,
     )  # fmt: skip
