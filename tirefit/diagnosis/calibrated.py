@@ -102,8 +102,8 @@ def clues_of_effect(
         evidence: log evidence of the set.
         steady: its amplitude over its error between regimes, and its largest change by
             one of them; see :func:`tirefit.diagnosis.standing.steadiness`.
-        over_rest: log evidence of the set over the set without it and a remainder of
-            any kind in its place.
+        over_rest: log evidence of the set and a remainder of any kind over the set
+            without it and such a remainder.
     """
     whole = max(evidence, 1.0)
     single = 0.0 if alone is None else float(np.clip(alone / whole, 0, 1))

@@ -167,13 +167,14 @@ class Judge:
         return {e: evidence[k] for e, k in smaller.items() if k and k in evidence}
 
     def over_rest(self, key, effect: str) -> float:
-        """Log evidence of a set over one where a remainder of any kind stands in the
-        place of an effect; zero where the set without it was not refitted."""
+        """Log evidence of an effect beside a remainder of any kind over that remainder
+        without it; zero where the set without it was not refitted."""
         less = tuple(e for e in key if e != effect)
         evidence = self.weighed.evidence
         if less not in evidence:
             return 0.0
-        return evidence[key] - evidence[less] - max(self.gains(less).values())
+        with_rest = evidence[key] + max(0.0, *self.gains(key).values())
+        return with_rest - evidence[less] - max(self.gains(less).values())
 
     def clues_by_effect(self, key) -> dict[str, dict[str, float]]:
         """What tells of each effect of a set that it is there, whatever else is."""
