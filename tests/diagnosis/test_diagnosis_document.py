@@ -187,9 +187,9 @@ def test_one_load_and_one_sign_ask_for_the_other_sign_or_load():
 def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
     """Tangents of M_z by the pressure's skewness, against the model's own M_z."""
     base = studied("lateral, no M_z").base
-    block = _with_moment(base, base.z)
     n = base.prepared.n
     (k,) = (i for i, a in enumerate(base.atoms) if a.effect.id == "pressure_asymmetry")
+    block = _with_moment(base, base.z, (k,))
     values = base.layout.natural(base.z)
     slips, loads = base.prepared.slip, base.prepared.inputs.fz
 

@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 from recipes import GIVEN, STD, curve
 
+from tirefit.fitting import posterior
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.posterior import CHUNK, sample, split_rhat
 from tirefit.fitting.result import Estimate
@@ -138,6 +139,19 @@ def test_a_chain_that_is_enough_at_the_limit_is_enough(given, sampled):
     steps = sampled.posterior.steps
     result = sample(given, effective_samples=500, max_steps=steps)
     assert result.posterior.outcome is Outcome.CONVERGED
+
+
+def test_a_walker_that_never_moved_has_no_time(given, monkeypatch):
+    """It says so without a warning; the posterior is worth nothing: a draw a walker."""
+    chains = synthetic_chains()
+    chains[0, :, 0] = 0
+    assert np.all(np.isinf(posterior._autocorrelation_times(chains)))
+    monkeypatch.setattr(
+        posterior, "_autocorrelation_times", lambda s: np.full(s.shape[-1], np.inf)
+    )
+    result = sample(given, max_steps=CHUNK)
+    assert all(ess == 0 for ess in result.posterior.ess.values())
+    assert result.chains.shape[1] == result.posterior.walkers
 
 
 def test_checkpoint_of_another_fit_is_refused(given, tmp_path):

@@ -406,7 +406,9 @@ def _of_chain(
         None if divergences is None else int(divergences), "; ".join(notes),
     )  # fmt: skip
     # Nearly independent draws; parameters and derived quantities are of the same ones.
-    thin = max(int(np.ceil(health.tau.max() / 2)), 1)
+    # A walker that never moved has no time: one draw of each is left.
+    slowest = min(health.tau.max() / 2, health.kept.shape[1])
+    thin = max(int(np.ceil(slowest)), 1)
     return _with_posterior(result, health.kept[:, ::thin], summary)
 
 
