@@ -7,7 +7,7 @@ average over such trials hardly any method that sees the file alone is right mor
 """
 
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
 
@@ -50,26 +50,32 @@ def _hypotheses(x: Inputs) -> Iterator[tuple]:
                     yield effect, form, part, sign
 
 
-def _force(x: Inputs, key: tuple, strength, c, mu) -> np.ndarray:
-    effect, form, part, sign = key
-    size = EFFECTS[effect].typical * sign * strength
-    return predict(x, effect, size, c, mu, part, form)
+def _force(x: Inputs, keys: Sequence[tuple], strengths, c, mu) -> np.ndarray:
+    parts = [
+        (effect, form, EFFECTS[effect].typical * sign * strength, share)
+        for (effect, form, share, sign), strength in zip(keys, strengths, strict=True)
+    ]
+    if len(parts) > 1:
+        return predict_together(x, parts, c, mu)
+    ((effect, form, size, share),) = parts
+    return predict(x, effect, size, c, mu, share, form)
 
 
-def _refitted(x, observed, std, key, c, mu) -> float:
-    """Log evidence of one form, up to a constant that all hypotheses share."""
+def _refitted(x, observed, std, keys: Sequence[tuple], c, mu) -> float:
+    """Log evidence of forms at once, up to a constant that all hypotheses share."""
 
     def rest(p):
         ratio = np.exp(p[:2] * SPREAD)
-        force = _force(x, key, np.exp(p[2]), c * ratio[0], mu * ratio[1])
+        force = _force(x, keys, np.exp(p[2:]), c * ratio[0], mu * ratio[1])
         return np.nan_to_num((observed - force) / std, nan=1e3)
 
-    limits = np.log(LOW), np.log(HIGH)
+    n = len(keys)
+    low, high = [-9, -9, *[np.log(LOW)] * n], [9, 9, *[np.log(HIGH)] * n]
     fit = least_squares(
-        rest, [0, 0, 0], bounds=([-9, -9, limits[0]], [9, 9, limits[1]]), max_nfev=8,
-        diff_step=1e-3, x_scale=[0.1, 0.1, 0.3],
+        rest, np.zeros(2 + n), bounds=(low, high), max_nfev=4 + 4 * n, diff_step=1e-3,
+        x_scale=[0.1, 0.1, *[0.3] * n],
     )  # fmt: skip
-    return -fit.cost + _laplace(fit.jac[:, 2], fit.jac[:, :2])
+    return -fit.cost + _laplace(fit.jac[:, 2:], fit.jac[:, :2])
 
 
 def _laplace(along: np.ndarray, base: np.ndarray) -> float:
@@ -99,7 +105,7 @@ def evidence(
     base = directions(x, c, mu) / std[:, None]
     first = {}
     for key in _hypotheses(x):
-        shape = (_force(x, key, 1.0, c, mu) - plain) / std
+        shape = (_force(x, [key], [1.0], c, mu) - plain) / std
         columns = np.nan_to_num(np.column_stack([base, shape]))
         scale = np.linalg.norm(columns, axis=0) + 1e-12
         best = np.linalg.lstsq(columns / scale, misses, rcond=None)[0] / scale
@@ -110,7 +116,9 @@ def evidence(
     nearest = sorted(first, key=first.get, reverse=True)[:refitted]
     told = [key for key in first if key[0] in more]
     nearest += sorted(told, key=first.get, reverse=True)[: refitted // 2]
-    refits = {k: _refitted(x, observed, std, k, c, mu) for k in dict.fromkeys(nearest)}
+    refits = {
+        k: _refitted(x, observed, std, [k], c, mu) for k in dict.fromkeys(nearest)
+    }
     parts: dict = {}
     for key in first:
         about = EFFECTS[key[0]]
@@ -148,34 +156,13 @@ def told_pair(x: Inputs, observed: np.ndarray, pair: dict[str, str]) -> bool:
                           for e in effects))  # fmt: skip
         keys = list(product(shares, signs))
         return float(np.logaddexp.reduce([
-            _together(x, observed, std, c, mu, [(e, pair[e], share, sign)
-                      for e, sign in zip(effects, each, strict=True)])
+            _refitted(x, observed, std, [(e, pair[e], share, sign)
+                      for e, sign in zip(effects, each, strict=True)], c, mu)
             for share, each in keys
         ]) - np.log(len(keys)))  # fmt: skip
 
     one, two = pair
     return evidence_of((one, two)) > max(evidence_of((one,)), evidence_of((two,)))
-
-
-def _together(x, observed, std, c, mu, keys) -> float:
-    """Log evidence of effects at once, as of one in :func:`_refitted`."""
-
-    def rest(p):
-        ratio = np.exp(p[:2] * SPREAD)
-        parts = [
-            (effect, form, EFFECTS[effect].typical * sign * np.exp(strength), share)
-            for (effect, form, share, sign), strength in zip(keys, p[2:], strict=True)
-        ]
-        force = predict_together(x, parts, c * ratio[0], mu * ratio[1])
-        return np.nan_to_num((observed - force) / std, nan=1e3)
-
-    n = len(keys)
-    low, high = [-9, -9, *[np.log(LOW)] * n], [9, 9, *[np.log(HIGH)] * n]
-    fit = least_squares(
-        rest, np.zeros(2 + n), bounds=(low, high), max_nfev=12, diff_step=1e-3,
-        x_scale=[0.1, 0.1, *[0.3] * n],
-    )  # fmt: skip
-    return -fit.cost + _laplace(fit.jac[:, 2:], fit.jac[:, :2])
 
 
 def bound_rows(folder: Path, labels: dict, outcomes: dict, count: int) -> list:

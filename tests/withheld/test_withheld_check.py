@@ -200,15 +200,20 @@ def test_the_gap_over_the_noise_is_that_of_a_known_offset():
 # --- baselines --------------------------------------------------------------
 
 
+def inputs(world, slip_std):
+    """What an observer of a world knows, its force with noise of 1 % of the load."""
+    return library.Inputs(
+        world.time, world.run, world.slip, world.fz, world.v, "fx",
+        (slip_std, 0.01 * world.fz, 0.001 * world.fz),
+    )  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def plain():
     """Inputs and forces of a plain brush in sweeps, and the same beside a ripple."""
     g = np.random.default_rng(8)
     world = make_world(DESIGNS["G"], 450, C, MU, g)
-    x = library.Inputs(
-        world.time, world.run, world.slip, world.fz, world.v, "fx",
-        (0.001, 0.01 * world.fz, 0.001 * world.fz),
-    )  # fmt: skip
+    x = inputs(world, 0.001)
     noise = library.spread(x, C, MU) * g.normal(size=450)
     base = library.predict(x, None, 0, C, MU)
     return x, base + noise, 0.05 * MU * world.fz * np.sin(40 * world.slip)
@@ -299,12 +304,8 @@ def test_the_bound_names_another_form_as_its_effect():
     """Load friction by a square of the logarithm, in noise: no form of the textbook."""
     g = np.random.default_rng(11)
     world = make_world(DESIGNS["F"], 200, C, MU, g)
-    x = library.Inputs(
-        world.time, world.run, world.slip, world.fz, world.v, "fx",
-        (0.001, 0.01 * world.fz, 0.001 * world.fz),
-        left_out=tuple(e for e in trials.EFFECTS if e not in
-                       ("load_friction", "force_offset", "slip_offset")),
-    )  # fmt: skip
+    kept = ("load_friction", "force_offset", "slip_offset")
+    x = inputs(world, 0.001).without([e for e in trials.EFFECTS if e not in kept])
     truth = library.predict(
         x, "load_friction", -0.15, C, MU, form="friction_log_square"
     )
@@ -318,10 +319,7 @@ def test_evidence_counts_the_amplitude_once():
     """Of pure noise a hypothesis gains at most half a square and pays its range."""
     g = np.random.default_rng(12)
     world = make_world(DESIGNS["F"], 200, C, MU, g)
-    x = library.Inputs(
-        world.time, world.run, world.slip, world.fz, world.v, "fx",
-        (0.0, 0.01 * world.fz, 0.001 * world.fz),
-    ).without([e for e in trials.EFFECTS if e != "force_offset"])  # fmt: skip
+    x = inputs(world, 0.0).without([e for e in trials.EFFECTS if e != "force_offset"])
     plain = library.predict(x, None, 0, C, MU)
     found = bound.evidence(x, plain + 0.01 * world.fz * g.normal(size=200))
     # Half its typical size, 40 N, is some 14 standard errors of 200 rows away.
@@ -331,10 +329,7 @@ def test_evidence_counts_the_amplitude_once():
 def test_who_is_told_a_pair_finds_both_only_where_both_show():
     g = np.random.default_rng(13)
     world = make_world(DESIGNS["F"], 200, C, MU, g)
-    x = library.Inputs(
-        world.time, world.run, world.slip, world.fz, world.v, "fx",
-        (0.0, 0.01 * world.fz, 0.001 * world.fz),
-    )  # fmt: skip
+    x = inputs(world, 0.0)
     pair = {"force_offset": "force_zero", "load_friction": "friction_power"}
     about = trials.EFFECTS
     sizes = {name: about[name].typical * (about[name].sign or 1) for name in pair}
