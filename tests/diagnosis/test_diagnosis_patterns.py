@@ -162,6 +162,15 @@ def test_what_is_told_stands_in_the_document(strange):
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("of", ["wave", "middle"])
+def test_text_and_figure_tell_one_size(strange, of):
+    found = strange[of]
+    drawn, told = found.look, found.verdict.looks_like[0]
+    assert drawn.look == told
+    amplitude = np.abs(drawn.shape).max()
+    assert abs(told.size) == pytest.approx(amplitude, rel=1e-3)
+
+
 def test_one_load_that_differs_is_found_by_size(strange):
     verdict = strange["middle"].verdict
     assert verdict.status in ("unknown", "incomplete")

@@ -22,6 +22,7 @@ from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
 from tirefit.diagnosis.look_curve import look_curve
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
+from tirefit.diagnosis.patterns import Look
 from tirefit.diagnosis.plausible import plausible_forces
 from tirefit.diagnosis.records import (
     Amplitude,
@@ -88,7 +89,9 @@ def document_of(
         )
     gap = _gap(case, gaps, held)
     budgets = budgets_of(case, believed, generator)
-    said = _verdict(case)
+    left = look_of_rest(verdict, base, case.weighed)
+    curves = tuple(look_curve(verdict, base, look) for look in left)
+    said = _verdict(case, tuple(curve.look for curve in curves))
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown = shown_rows(base, rows[main])
     noise, motion = _noise(case), said_of_motion(base, rig)
@@ -128,7 +131,7 @@ def document_of(
         mean_load=float(np.mean(data.usable("fz"))),
         residual_map=residual_map(shown, noise.inflation, gap.resolvable),
         comparison=compared(shown, said.names_an_effect or _tuned_alone(case)),
-        look=look_curve(verdict, base, next(iter(said.looks_like), None)),
+        look=next(iter(curves), None),
         library=library,
         meanings={p.name: p.spec.meaning for p in base.layout.free},
     )  # fmt: skip
@@ -272,7 +275,7 @@ def _noise_flags(case: Case) -> tuple[str, ...]:
     return tuple(dict.fromkeys(flag for level in levels for flag in level.flags))
 
 
-def _verdict(case: Case) -> VerdictSummary:
+def _verdict(case: Case, looks_like: tuple[Look, ...]) -> VerdictSummary:
     """The verdict; where no effect on the mean is found, what its noise shows."""
     verdict = case.verdict
     status, effects = verdict.status, verdict.effects
@@ -286,7 +289,7 @@ def _verdict(case: Case) -> VerdictSummary:
         probability=verdict.probability,
         also_possible=verdict.also_possible,
         adequacy=verdict.adequacy,
-        looks_like=look_of_rest(verdict, case.base, case.weighed),
+        looks_like=looks_like,
         parameters=parameter_changes(case, widening(case.base, verdict.chosen)),
         fails_elsewhere=verdict.fails_elsewhere,
     )
