@@ -20,9 +20,8 @@ from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.effects.known import said_of_motion
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
-from tirefit.diagnosis.look_curve import look_curve
+from tirefit.diagnosis.look_curve import LookCurve, look_curve
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
-from tirefit.diagnosis.patterns import Look
 from tirefit.diagnosis.plausible import plausible_forces
 from tirefit.diagnosis.records import (
     Amplitude,
@@ -89,9 +88,8 @@ def document_of(
         )
     gap = _gap(case, gaps, held)
     budgets = budgets_of(case, believed, generator)
-    left = look_of_rest(verdict, base, case.weighed)
-    curves = tuple(look_curve(verdict, base, look) for look in left)
-    said = _verdict(case, tuple(curve.look for curve in curves))
+    curves = _what_is_left(case)
+    said = _verdict(case, curves)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown = shown_rows(base, rows[main])
     noise, motion = _noise(case), said_of_motion(base, rig)
@@ -275,7 +273,14 @@ def _noise_flags(case: Case) -> tuple[str, ...]:
     return tuple(dict.fromkeys(flag for level in levels for flag in level.flags))
 
 
-def _verdict(case: Case, looks_like: tuple[Look, ...]) -> VerdictSummary:
+def _what_is_left(case: Case) -> tuple[LookCurve, ...]:
+    """What a remainder looks like, drawn; the likeliest first."""
+    verdict, base = case.verdict, case.base
+    alike = look_of_rest(verdict, base, case.weighed)
+    return tuple(look_curve(verdict, base, look) for look in alike)
+
+
+def _verdict(case: Case, curves: tuple[LookCurve, ...]) -> VerdictSummary:
     """The verdict; where no effect on the mean is found, what its noise shows."""
     verdict = case.verdict
     status, effects = verdict.status, verdict.effects
@@ -289,7 +294,7 @@ def _verdict(case: Case, looks_like: tuple[Look, ...]) -> VerdictSummary:
         probability=verdict.probability,
         also_possible=verdict.also_possible,
         adequacy=verdict.adequacy,
-        looks_like=looks_like,
+        looks_like=tuple(curve.look for curve in curves),
         parameters=parameter_changes(case, widening(case.base, verdict.chosen)),
         fails_elsewhere=verdict.fails_elsewhere,
     )

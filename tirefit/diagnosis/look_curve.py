@@ -122,10 +122,10 @@ def curve_of(look: Look, values, field, linear: LinearFit) -> LookCurve:
         for part in (information * place, estimate)
     )
     curve = shape_of(look, x, 0.0 if is_folded else low, span) @ coefficient
-    size = {"wave": np.linalg.norm(coefficient), "kink": curve[-1]}
-    size = float(size.get(look.shape, coefficient[0]))
+    sizes = {"wave": np.linalg.norm(coefficient), "kink": curve[-1]}
+    whole = float(sizes.get(look.shape, coefficient[0]))
     return LookCurve(
-        look._replace(size=size), center, change, 1 / np.sqrt(total[there]), x, curve,
+        look._replace(size=whole), center, change, 1 / np.sqrt(total[there]), x, curve,
         is_mirrored(look.parameter, look.covariate), is_folded, settings is not None,
     )  # fmt: skip
 
