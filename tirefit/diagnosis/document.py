@@ -86,9 +86,8 @@ def document_of(
         return document_of(
             case, whole, settings, library, holdout, generator, model, seed
         )
-    gap = _gap(case, gaps, held)
+    gap, curves = _gap(case, gaps, held), _what_is_left(case)
     budgets = budgets_of(case, believed, generator)
-    curves = _what_is_left(case)
     said = _verdict(case, curves)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown = shown_rows(base, rows[main])
