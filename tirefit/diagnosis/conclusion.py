@@ -276,16 +276,14 @@ def _incomplete(verdict: Verdict, judge: Judge, key, more: float) -> Verdict:
     chances = {e: probability_beside(c) for e, c in judge.clues_by_effect(key).items()}
     earned = judge.best_within([e for e in key if chances[e] >= _EARNED])
     if not earned or judge.imitates(earned) or judge.firm(earned, _FIRM) != earned:
-        alone = more * np.prod([1 - chance for chance in chances.values()])
-        left = judge.of(()).adequacy
-        nothing = unknown(verdict, weighed, left, float(alone))
+        nothing = unknown(verdict, weighed, judge.of(()).adequacy, more)
         perhaps = tuple(e for e in key if chances[e] >= _PERHAPS)
         return replace(nothing, also_possible=perhaps)
-    exactly = [chances[e] if e in earned else 1 - chances[e] for e in key]
+    there = [chances[e] for e in earned]
     left = judge.of(earned).adequacy._replace(passed=False)
     return replace(
         verdict, status="incomplete", effects=earned, also_possible=(),
-        probability=float(more * np.prod(exactly)), chosen=weighed.best_of[earned],
+        probability=float(more * np.prod(there)), chosen=weighed.best_of[earned],
         adequacy=left,
     )  # fmt: skip
 
