@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 from conftest_diagnosis import brush
+from scipy.stats import multivariate_normal
 
 from tirefit.data.read import read_frame
+from tirefit.diagnosis.base import fit_base
+from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.rig import Rig
+from tirefit.diagnosis.rows import prepare
+from tirefit.diagnosis.search import _Searcher
 from tirefit.diagnosis.slip_nodes import (
     slip_doubt,
     slip_law,
@@ -89,18 +94,68 @@ def test_what_moves_with_the_true_slip_tells_its_noise():
     assert slip_proxies(path, 0 * std, others, path).shape == (ROWS, 0)
 
 
-def test_a_load_that_the_cornering_shifts_names_no_effect():
+SLALOM_RIG = Rig(noise={"fx_relative": 0.01, "sigma_x": 0.003})
+
+
+def slalom(friction=lambda time: 0.9, rows=1000):
     """A brush in a slalom, its load shifted by its own force: the load knows the slip
     without the noise of the slip, by which "a slip offset that depends on the load"
     explains a thousand rows far better than the brush at the slip as measured."""
-    generator, rows = np.random.default_rng(5), 1000
+    generator = np.random.default_rng(5)
     time = np.arange(rows) * 0.01
-    slip = 0.12 * np.sin(np.pi * time)
-    fz = 4000 + 0.3 * brush(slip, 5e4, 0.9, 4000.0)
-    force = brush(slip, 5e4, 0.9, fz) + 0.01 * fz * generator.standard_normal(rows)
+    slip, mu = 0.12 * np.sin(np.pi * time), friction(time)
+    fz = 4000 + 0.3 * brush(slip, 5e4, mu, 4000.0)
+    force = brush(slip, 5e4, mu, fz) + 0.01 * fz * generator.standard_normal(rows)
     measured = slip + 0.003 * generator.standard_normal(rows)
     columns = {"time": time, "sigma_x": measured, "fx": force, "fz": fz, "v": 20.0}
     frame = {name: np.broadcast_to(x, rows) for name, x in columns.items()}
-    rig = Rig(noise={"fx_relative": 0.01, "sigma_x": 0.003})
-    verdict = diagnose(read_frame(frame, "slalom"), rig=rig).verdict
-    assert verdict.status == "none"
+    return read_frame(frame, "slalom")
+
+
+def test_a_load_that_the_cornering_shifts_names_no_effect():
+    assert diagnose(slalom(), rig=SLALOM_RIG).verdict.status == "none"
+
+
+def test_what_the_load_knows_of_the_slip_hides_no_effect():
+    data = slalom(lambda time: 0.9 - 0.012 * time)
+    verdict = diagnose(data, rig=SLALOM_RIG).verdict
+    assert (verdict.status, verdict.effects) == ("named", ("friction_drift",))
+
+
+@pytest.fixture(scope="module")
+def doubted():
+    """A search on 200 rows of a slalom whose slips are doubtful."""
+    prepared = prepare(slalom(rows=200), SLALOM_RIG, ("fx",))
+    base = fit_base(prepared, "brush", EFFECTS, SLALOM_RIG)
+    names = [atom.effect.id for atom in base.atoms]
+    wanted = "slip_offset", "slip_offset_load", "load_stiffness"
+    return base, _Searcher(base, [names.index(name) for name in wanted])
+
+
+def test_doubt_is_one_more_noise(doubted):
+    base, _ = doubted
+    assert base.doubt.shape[1] > 0
+    values = np.random.default_rng(0).standard_normal((len(base.doubt), 3))
+    covariance = np.eye(len(values)) + base.doubt @ base.doubt.T
+    twice = base.sure(base.sure(values))
+    np.testing.assert_allclose(twice, np.linalg.solve(covariance, values), atol=1e-9)
+
+
+def test_evidence_with_doubt_is_that_of_the_normal_law_that_it_states(doubted):
+    base, searcher = doubted
+    residual, jacobian, columns, _ = base.at_null
+    flat = jacobian / np.linalg.norm(jacobian, axis=0) * 1e4
+
+    def evidence(doubt, atoms):
+        parts = np.concatenate([doubt, flat, columns[:, atoms]], axis=1)
+        law = multivariate_normal(cov=np.eye(len(parts)) + parts @ parts.T)
+        return law.logpdf(residual)
+
+    def over_nothing(doubt, atoms):
+        return evidence(doubt, atoms) - evidence(doubt, [])
+
+    for atom in searcher.testable:
+        assert searcher.sign[atom] == searcher.center[atom] == 0
+        certain = over_nothing(base.doubt[:, :0], [atom])
+        change = over_nothing(base.doubt, [atom]) - certain
+        assert searcher._due_to_doubt((atom,)) == pytest.approx(change, abs=0.01)
