@@ -153,7 +153,9 @@ class Base:
         """What is measured beside the slip knows of its noise: columns (m, k) of the
         residual that no effect explains; see :func:`slip_proxies`."""
         rows = self.rows
-        told = slip_proxies(rows.slip, rows.slip_std, rows.moving, rows.path)
+        told = slip_proxies(
+            rows.slip, rows.slip_std, rows.moving, rows.path, rows.swing
+        )
         return self._forces_of(told)
 
     def _forces_of(self, slips) -> np.ndarray:

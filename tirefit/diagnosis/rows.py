@@ -19,7 +19,7 @@ from tirefit.diagnosis.rates import AHEAD, Sweeps, segments, slip_rate
 from tirefit.diagnosis.run_codes import shown_runs
 from tirefit.diagnosis.sizes import Sizes, half_force_slip, largest, sizes_of
 from tirefit.diagnosis.slip_check import SlipCheck, check_slip
-from tirefit.diagnosis.slip_nodes import slip_law
+from tirefit.diagnosis.slip_nodes import slip_law, swing_of
 from tirefit.diagnosis.state import Covariates
 from tirefit.fitting.slip_noise import SlipDistribution, speed_of, std_with_speed
 from tirefit.models import TireInputs
@@ -122,6 +122,13 @@ class Prepared:
         """Slips (n,) as their neighbours in time show them; None where they do not."""
         past = np.asarray(self.covariates.past)
         return past[:, AHEAD] if "sweeps" in self.has else None
+
+    @property
+    def swing(self) -> np.ndarray | None:
+        """Slips (n,) as sines in time; None where they do not sweep."""
+        if "sweeps" not in self.has:
+            return None
+        return swing_of(self.slip, self.time, segments(self.time, self.run))
 
     @property
     def moving(self) -> list[np.ndarray]:

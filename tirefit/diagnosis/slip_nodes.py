@@ -5,7 +5,7 @@ import numpy as np
 from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
 
-__all__ = ["slip_doubt", "slip_law", "slip_nodes", "slip_proxies"]
+__all__ = ["slip_doubt", "slip_law", "slip_nodes", "slip_proxies", "swing_of"]
 
 _COUNTS = (3, 5)
 """Gauss-Hermite nodes of the slip noise: exact for a force that is a polynomial of
@@ -55,6 +55,13 @@ def slip_nodes(law: SlipDistribution | None, slip, std):
     return nodes, np.tile(mass / mass.sum(), (len(slip), 1))
 
 
+_SWINGS = 32
+"""Rows of a stretch in which a swing is looked for, at least."""
+
+_TUNED = 41
+"""Frequencies tried about the strongest of a stretch, over two of its steps."""
+
+
 def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray:
     """How far the latent slips may be off together: columns (n, k), of which
     independent unit normal numbers make the error of the slips.
@@ -80,7 +87,7 @@ def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray
     return np.concatenate(columns, axis=1)
 
 
-def slip_proxies(slip, std, measured, path=None) -> np.ndarray:
+def slip_proxies(slip, std, measured, path=None, swing=None) -> np.ndarray:
     """How much nearer to the true slips something else is than the slips themselves:
     columns (n, k), one of each that tells of their noise.
 
@@ -93,17 +100,46 @@ def slip_proxies(slip, std, measured, path=None) -> np.ndarray:
         measured: (n,) each, what else was measured and is not set to a few levels; the
             slips are predicted from it by a cubic.
         path: as in :func:`slip_doubt`.
+        swing: (n,) :func:`swing_of` the slips, None where there is none.
     """
     if not np.any(std > 0):
         return np.zeros((len(slip), 0))
     others = [_predicted(slip, np.asarray(values)) for values in measured]
     columns = []
-    for told in others if path is None else [*others, path]:
+    for told in [*others, *(one for one in (path, swing) if one is not None)]:
         off = told - slip
         known = np.mean(std**2) / max(float(np.mean(off**2)), NONZERO)
         if known > _TELLS:
             columns.append(min(known, 1.0) * off)
     return np.array(columns).reshape(len(columns), len(slip)).T
+
+
+def swing_of(slip, time, stretches) -> np.ndarray:
+    """The slips (n,) as a swing of each unbroken stretch: a mean and one sine in time,
+    by least squares. A rig that sweeps in sines, a slalom, is known by all its rows far
+    better than by the neighbours of one.
+
+    Args:
+        stretches: rows in the order of time (index arrays), which share no row.
+    """
+    told = np.array(slip, float)
+    for rows in stretches:
+        if len(rows) >= _SWINGS:
+            told[rows] = _one_swing(slip[rows], time[rows])
+    return told
+
+
+def _one_swing(slip, time) -> np.ndarray:
+    span = max(float(np.ptp(time)), NONZERO)
+    even = np.interp(np.linspace(time[0], time[-1], len(time)), time, slip)
+    turns = 1 + np.argmax(np.abs(np.fft.rfft(even - even.mean())[1:]))
+    best = slip, np.inf
+    for periods in turns + np.linspace(-1, 1, _TUNED):
+        angle = 2 * np.pi * periods * (time - time[0]) / span
+        columns = np.stack([np.ones_like(angle), np.sin(angle), np.cos(angle)], axis=1)
+        told = columns @ np.linalg.lstsq(columns, slip, rcond=None)[0]
+        best = min(best, (told, float(np.sum((slip - told) ** 2))), key=lambda x: x[1])
+    return best[0]
 
 
 def _predicted(slip, covariate) -> np.ndarray:
