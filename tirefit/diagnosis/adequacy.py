@@ -146,8 +146,8 @@ def _persistence(stretches: Sequence[np.ndarray]) -> Statistic:
 
 
 def _lines(places: np.ndarray) -> Statistic:
-    """Largest line of the periodogram over the median of its octave: noise with a
-    memory is stronger where it is slower, a wave at its period.
+    """Largest line of the periodogram over the median, of all lines and of its octave:
+    noise with a memory is stronger where it is slower, a wave at its period.
 
     Args:
         places: of each row in the order; of a place without a row nothing is known,
@@ -162,7 +162,7 @@ def _lines(places: np.ndarray) -> Statistic:
         first = min(_FIRST_LINES, count)
         octaves = int(np.log2(count / first))
         ends = [first * 2**k for k in range(octaves)]
-        bands = np.split(power, ends)
+        bands = [power, *np.split(power, ends)]
         # In logarithms: of few lines the ratio is large by chance.
         return _largest([np.log(b.max(axis=0) / np.median(b, axis=0)) for b in bands])
 
