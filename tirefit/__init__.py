@@ -54,6 +54,8 @@ in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
 - Neal, R. M.: MCMC using Hamiltonian dynamics. Handbook of Markov Chain Monte Carlo,
   chapter 5. Chapman & Hall/CRC, 2011.
 - Pacejka, H. B.: Tire and Vehicle Dynamics, 3rd edition. Butterworth-Heinemann, 2012.
+- Pickands, J.: Statistical inference using extreme order statistics. Annals of
+  Statistics 3 (1975) 119-131.
 - ter Braak, C. J. F.: A Markov chain Monte Carlo version of the genetic algorithm
   Differential Evolution. Statistics and Computing 16 (2006) 239-249.
 - Sellke, T., Bayarri, M. J., Berger, J. O.: Calibration of p values for testing precise

@@ -23,15 +23,16 @@ def _group(record) -> str:
     return f"{record['set']}/{kind}/{','.join(record['families'])}"
 
 
-def _fitted(clues: np.ndarray, truth: np.ndarray):
-    """(center, spread, weights, bias) of a ridge logistic regression."""
+def _fitted(clues: np.ndarray, truth: np.ndarray, counts: np.ndarray):
+    """(center, spread, weights, bias) of a ridge logistic regression; each case counts
+    as so many."""
     center, spread = clues.mean(0), clues.std(0) + 1e-9
     unit = (clues - center) / spread
 
     def loss(b):
         t = unit @ b[1:] + b[0]
-        value = np.sum(np.logaddexp(0, t) - truth * t) + RIDGE / 2 * b[1:] @ b[1:]
-        off = 1 / (1 + np.exp(-t)) - truth
+        value = counts @ (np.logaddexp(0, t) - truth * t) + RIDGE / 2 * b[1:] @ b[1:]
+        off = counts * (1 / (1 + np.exp(-t)) - truth)
         return value, np.append(off.sum(), unit.T @ off + RIDGE * b[1:])
 
     b = minimize(loss, np.zeros(clues.shape[1] + 1), jac=True).x
@@ -43,27 +44,33 @@ def _predicted(fit, clues) -> np.ndarray:
     return 1 / (1 + np.exp(-((clues - center) / spread @ weights + bias)))
 
 
-def _calibration_error(chance, truth) -> float:
+def _calibration_error(chance, truth, counts) -> float:
     """Mean distance of predicted and observed share over tenths of the probability."""
     place = np.minimum((chance * 10).astype(int), 9)
-    return float(
-        sum(
-            abs(chance[place == k].sum() - truth[place == k].sum()) for k in range(10)
-        ) / len(truth)
-    )  # fmt: skip
+    off = np.bincount(place, counts * (chance - truth))
+    return float(np.abs(off).sum() / counts.sum())
 
 
-def _reliability(chance, truth) -> list[list[float]]:
+def _reliability(chance, truth, counts) -> list[list[float]]:
     """[mean probability, observed share, cases] of each tenth that holds any."""
     place = np.minimum((chance * 10).astype(int), 9)
     return [
-        [round(float(values[place == k].mean()), 3) for values in (chance, truth)]
-        + [int((place == k).sum())]
-        for k in np.unique(place)
+        [
+            round(float(np.average(values[own], weights=counts[own])), 3)
+            for values in (chance, truth)
+        ]
+        + [int(own.sum())]
+        for own in (place == k for k in np.unique(place))
     ]
 
 
-def _regression(names: Sequence[str], clues, truth, groups) -> dict:
+def _evenly(truth) -> np.ndarray:
+    """Counts by which what is true and what is not are as common, as many in all."""
+    truth = np.array(truth, float)
+    return np.where(truth == 1, 0.5 / truth.mean(), 0.5 / (1 - truth.mean()))
+
+
+def _regression(names: Sequence[str], clues, truth, groups, counts) -> dict:
     clues, truth = np.array(clues, float), np.array(truth, float)
     kinds = sorted(set(groups))
     order = np.random.default_rng(0).permutation(len(kinds)) % FOLDS
@@ -71,9 +78,11 @@ def _regression(names: Sequence[str], clues, truth, groups) -> dict:
     chance = np.zeros(len(truth))
     for k in range(FOLDS):
         chance[fold == k] = _predicted(
-            _fitted(clues[fold != k], truth[fold != k]), clues[fold == k]
+            _fitted(clues[fold != k], truth[fold != k], counts[fold != k]),
+            clues[fold == k],
         )
-    center, spread, weights, bias = _fitted(clues, truth)
+    center, spread, weights, bias = _fitted(clues, truth, counts)
+    wrong = (chance > 0.5) != truth
     return {
         "bias": float(bias),
         "clues": {
@@ -84,10 +93,12 @@ def _regression(names: Sequence[str], clues, truth, groups) -> dict:
             "cases": len(truth),
             "of them true": int(truth.sum()),
             "groups": len(kinds),
-            "Brier score": round(float(np.mean((chance - truth) ** 2)), 4),
-            "wrong at 1/2": round(float(np.mean((chance > 0.5) != truth)), 4),
-            "calibration error": round(_calibration_error(chance, truth), 4),
-            "reliability": _reliability(chance, truth),
+            "Brier score": round(
+                float(np.average((chance - truth) ** 2, weights=counts)), 4
+            ),
+            "wrong at 1/2": round(float(np.average(wrong, weights=counts)), 4),
+            "calibration error": round(_calibration_error(chance, truth, counts), 4),
+            "reliability": _reliability(chance, truth, counts),
         },
     }  # fmt: skip
 
@@ -103,18 +114,20 @@ def _strange(records) -> np.ndarray:
 def taught(records: Sequence[dict]) -> dict:
     """Both regressions from the clues of trials (see ``collect``).
 
-    The second is asked where the first says that something unlisted is there, so it is
-    taught there, wrongly said or not. A trial of a measured file is left out of the
-    first: what it holds is not known. A foreign tire is left out of the second: its
-    friction may well fall with the speed.
+    To the first, one gap of two holds something unlisted, however many of the trials
+    do: so one begins who knows nothing. The second is asked where the first says that
+    something unlisted is there, so it is taught there, wrongly said or not. A trial of
+    a measured file is left out of the first: what it holds is not known. A foreign tire
+    is left out of the second: its friction may well fall with the speed.
     """
     seen = [r for r in records if r["more"]]
     first = [r for r in seen if r["set"] not in ("injected", "raw", "null")]
+    strange = _strange(first)
     more = _regression(
-        list(first[0]["more"]), _table(first, "more"), _strange(first),
-        [_group(r) for r in first],
+        list(first[0]["more"]), _table(first, "more"), strange,
+        [_group(r) for r in first], _evenly(strange),
     )  # fmt: skip
-    fit = _fitted(_table(first, "more"), _strange(first))
+    fit = _fitted(_table(first, "more"), strange, _evenly(strange))
     said = _predicted(fit, _table(seen, "more")) >= SAID
     pairs = [
         (r, effect, clues)
@@ -125,6 +138,6 @@ def taught(records: Sequence[dict]) -> dict:
     beside = _regression(
         list(pairs[0][2]), [list(clues.values()) for *_, clues in pairs],
         [effect in r["effects"] for r, effect, _ in pairs],
-        [_group(r) for r, *_ in pairs],
+        [_group(r) for r, *_ in pairs], np.ones(len(pairs)),
     )  # fmt: skip
     return {"more": more, "beside": beside}

@@ -8,6 +8,7 @@ from tirefit.diagnosis.adequacy import (
     LEVEL,
     Null,
     _left_out,
+    _p_value,
     adequacy,
     null,
     refused,
@@ -129,6 +130,48 @@ def test_each_sees_its_own_structure(name):
     assert getattr(result, name) < LEVEL, result
     assert not result.passed
     assert name in refused(result)
+
+
+def chatter(period=12.0):
+    """A saw tooth in the second half of every sweep."""
+    tooth = 2 * (TIME / period % 1) - 1
+    return 3.0 * tooth * (TIME % 50 > 25)
+
+
+def test_a_wave_shows_in_noise_that_it_gives_a_memory():
+    # The memory that an oscillation seems to give the noise explains its neighbours,
+    # not its period.
+    memory, noise = Memory(0.65, 1.0), np.random.default_rng(9).standard_normal(ROWS)
+    result = judged(fitted(noise + chatter()), memory=memory)
+    assert result.line < 1e-4
+    assert result.time > LEVEL
+
+
+def test_a_wave_keeps_its_phase_beyond_rows_that_are_set_aside():
+    generator = np.random.default_rng(9)
+    keep = generator.uniform(size=ROWS) > 0.25
+    residual = (generator.standard_normal(ROWS) + 0.9 * np.sin(2.1 * TIME))[keep]
+    n = int(keep.sum())
+    of_noise = Null(generator.standard_normal((n, 999)), np.zeros((n, 1)))
+    order = [np.arange(n)]
+
+    def line(places):
+        return adequacy(residual, of_noise, order, order, [], places).line
+
+    assert line(TIME[keep]) < 1e-4
+    assert line(None) > 0.01
+
+
+def test_beyond_all_draws_a_p_value_is_that_of_their_tail():
+    generator = np.random.default_rng(2)
+    many = generator.exponential(size=(40, 999))
+    assert _p_value(1.0, many[0]) == np.mean(np.append(many[0], 1.0) >= 1.0)
+    # 999 draws know what one in 3,000 and one in 20,000 exceeds to a factor of two.
+    for size in (8.0, 10.0):
+        beyond = np.log([_p_value(size, drawn) for drawn in many if drawn.max() < size])
+        assert beyond.mean() == pytest.approx(-size, abs=0.25)
+        assert beyond.std() < 1.1
+    assert _p_value(1e9, many[0]) > 0
 
 
 def test_what_was_fitted_is_no_structure():

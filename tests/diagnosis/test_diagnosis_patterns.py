@@ -15,8 +15,10 @@ from tirefit.diagnosis import calibrated
 from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.basis import _scaled
 from tirefit.diagnosis.calibrated import (
+    Part,
     clues_of_effect,
     clues_of_rest,
+    clues_of_set,
     probability_beside,
     probability_of_more,
 )
@@ -162,6 +164,15 @@ def test_what_is_told_stands_in_the_document(strange):
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("of", ["wave", "middle"])
+def test_text_and_figure_tell_one_size(strange, of):
+    found = strange[of]
+    drawn, told = found.look, found.verdict.looks_like[0]
+    assert drawn.look == told
+    amplitude = np.abs(drawn.shape).max()
+    assert abs(told.size) == pytest.approx(amplitude, rel=1e-3)
+
+
 def test_one_load_that_differs_is_found_by_size(strange):
     verdict = strange["middle"].verdict
     assert verdict.status in ("unknown", "incomplete")
@@ -182,32 +193,39 @@ NOTHING = {"smooth": -20.0, "cells": -12.0, "waves": -1.0, "patterns": -0.5}
 MUCH = {"smooth": 200.0, "cells": 150.0, "waves": 60.0, "patterns": 180.0}
 
 
-def rest(adequacy=PASSED, gains=NOTHING, errors=(20.0,), parts=None, evidence=200.0):
-    return clues_of_rest(adequacy, gains, evidence, parts, errors, 1.0, 900)
+FIRM = Part(40.0, 190.0, 200.0, 30.0, 0.05, 150.0)
+
+
+def rest(adequacy=PASSED, gains=NOTHING, evidence=200.0):
+    return clues_of_rest(adequacy, gains, evidence, 1, 1.0, 900)
+
+
+def more(rest, part=FIRM):
+    return probability_of_more(clues_of_set(rest, [clues_of_effect(part, 200.0, rest)]))
 
 
 def test_probability_of_more_follows_the_clues():
-    clean = probability_of_more(rest())
-    assert clean < 0.2
-    assert probability_of_more(rest(adequacy=FAILED)) > 2 * clean
-    assert probability_of_more(rest(FAILED, MUCH)) > 0.9
-    # Known hardly better than its error, an effect is likelier something else.
-    assert probability_of_more(rest(errors=(3.0,))) > clean
+    clean = more(rest())
+    assert clean < 0.1
+    assert more(rest(FAILED)) > 2 * clean
+    assert more(rest(FAILED, MUCH)) > 0.9
+    # Of another size in each regime, or no better than a remainder of any kind, an
+    # effect is likelier something else.
+    assert more(rest(), FIRM._replace(steady=1.0)) > clean
+    assert more(rest(), FIRM._replace(over_rest=-5.0)) > 2 * clean
 
 
 def test_probability_of_an_effect_follows_the_clues():
     beside = rest(FAILED, MUCH)
-    firm = 40.0, 190.0, 0.0, 200.0
-    strong = probability_beside(clues_of_effect(beside, *firm, (30.0, 0.05), 150.0))
-    weak = probability_beside(
-        clues_of_effect(beside, 3.0, 10.0, 195.0, 200.0, (3.0, 0.5), 2.0)
-    )
-    assert strong > 5 * weak and strong > 0.25
+
+    def chance(part):
+        return probability_beside(clues_of_effect(part, 200.0, beside))
+
+    strong = chance(FIRM)
+    assert strong > 5 * chance(Part(3.0, 10.0, 5.0, 3.0, 0.5, 2.0)) and strong > 0.25
     # As firm, but of another size in each regime; or no better than a remainder.
-    unsteady = probability_beside(clues_of_effect(beside, *firm, (1.0, 2.0), 150.0))
-    assert unsteady < 0.5 * strong
-    alike = probability_beside(clues_of_effect(beside, *firm, (30.0, 0.05), -5.0))
-    assert alike < 0.8 * strong
+    assert chance(FIRM._replace(steady=1.0, changed=2.0)) < 0.5 * strong
+    assert chance(FIRM._replace(over_rest=-5.0)) < 0.8 * strong
 
 
 def test_the_numbers_shipped_are_those_of_a_checked_regression():
@@ -217,7 +235,9 @@ def test_the_numbers_shipped_are_those_of_a_checked_regression():
         assert checked["cases"] > 500
         assert checked["calibration error"] < 0.05
         assert sum(count for *_, count in checked["reliability"]) == checked["cases"]
-    assert numbers["more"]["clues"].keys() == rest().keys()
+    beside = clues_of_effect(FIRM, 200.0, rest())
+    assert numbers["beside"]["clues"].keys() == beside.keys()
+    assert numbers["more"]["clues"].keys() == clues_of_set(rest(), [beside]).keys()
 
 
 def test_a_regression_finds_the_odds_that_drew_its_cases():

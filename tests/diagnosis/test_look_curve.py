@@ -70,7 +70,7 @@ def test_points_scatter_about_a_truth_as_their_errors_say():
         known = np.ravel(field)[:, None]
         linear = left_of(field * truth, field, known, generator)
         panel = curve_of(look("friction", "v", "threshold", 15.0), speed, field, linear)
-        assert panel.size == pytest.approx(0.1, abs=0.03)
+        assert panel.look.size == pytest.approx(0.1, abs=0.03)
         away = panel.change - 0.1 * (panel.center > 15) + 0.05
         scaled.append(away / panel.std)
     assert len(panel.center) >= 8 and not panel.is_folded and not panel.at_settings
@@ -79,7 +79,7 @@ def test_points_scatter_about_a_truth_as_their_errors_say():
     assert np.abs(scaled.mean()) < 0.1
     assert 0.8 < np.sqrt(np.mean(scaled**2)) < 1.2
     steps = panel.shape[np.searchsorted(panel.x, [14.9, 15.1])]
-    np.testing.assert_allclose(steps, [-panel.size / 2, panel.size / 2])
+    np.testing.assert_allclose(steps, [-panel.look.size / 2, panel.look.size / 2])
 
 
 def test_a_truth_of_another_shape_shows_in_the_points():
@@ -109,7 +109,7 @@ def test_a_wave_is_fitted_with_its_phase_and_folded_where_it_is_long():
     for panel, start, period in ((short, 0, 1.0), (long, 3, 5.0)):
         wanted = 0.02 * np.cos(2 * np.pi * (panel.x - start) / period + 0.4)
         np.testing.assert_allclose(panel.shape, wanted, atol=0.003)
-        assert panel.size == pytest.approx(0.02, abs=0.002)
+        assert panel.look.size == pytest.approx(0.02, abs=0.002)
         assert len(panel.center) >= 6 * (1 if panel.is_folded else 4)
 
 
@@ -128,7 +128,7 @@ def test_what_the_base_has_taken_up_is_put_back():
 
     best = minimize(miss, np.zeros(3), method="BFGS").x
     # The kink comes to half its slope at the end of the range.
-    assert panel.size == pytest.approx(best[2] / 2, rel=1e-4)
+    assert panel.look.size == pytest.approx(best[2] / 2, rel=1e-4)
     assert panel.change[-1] == pytest.approx(0.15, abs=0.05)
 
 
@@ -144,4 +144,4 @@ def test_settings_of_a_rig_are_the_bins():
     np.testing.assert_allclose(panel.center, [2e3, 4e3, 6e3], rtol=1e-3)
     np.testing.assert_allclose(panel.change, [0, -0.1, 0], atol=0.01)
     np.testing.assert_allclose(panel.std, 1 / np.sqrt(80 * 50.0**2))
-    np.testing.assert_allclose(panel.shape, [0, panel.size, 0])
+    np.testing.assert_allclose(panel.shape, [0, panel.look.size, 0])

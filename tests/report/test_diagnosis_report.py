@@ -593,7 +593,7 @@ LOOK = Look("friction", "fz", "threshold", 5000.0, 0.0, -0.049, 0.97, 0.8)
 STEP = LookCurve(
     LOOK, np.array([2e3, 4e3, 6e3]), np.array([0.025, 0.024, -0.024]),
     np.array([0.002, 0.001, 0.003]), np.array([2e3, 4e3, 6e3]),
-    np.array([0.0245, 0.0245, -0.0245]), -0.049, is_mirrored=False, is_folded=False,
+    np.array([0.0245, 0.0245, -0.0245]), is_mirrored=False, is_folded=False,
     at_settings=True,
 )  # fmt: skip
 
@@ -616,21 +616,21 @@ SHAPES = {
     ),
     "local": (
         STEP._replace(
-            look=Look("stiffness", "v", "local", 12.0, 2.0, 0.2, 1, 1), size=0.2,
+            look=Look("stiffness", "v", "local", 12.0, 2.0, 0.2, 1, 1),
             at_settings=False,
         ),
         "stiffness differs about a speed v of 12 m/s by 20 %",
     ),
     "wave": (
         STEP._replace(
-            look=Look("force", "time", "wave", 0.7, 0.0, -0.06, 1, 1), size=0.061,
+            look=Look("force", "time", "wave", 0.7, 0.0, 0.061, 1, 1),
             is_folded=True, at_settings=False,
         ),
         "force goes up and down with time, period 0.7 s, by ± 6.1 % of F_z",
     ),
     "kink": (
         STEP._replace(
-            look=Look("slip", "slip_fraction", "kink", 1.2, 0, 0.004, 1, 1), size=0.002,
+            look=Look("slip", "slip_fraction", "kink", 1.2, 0, 0.002, 1, 1),
             is_mirrored=True, at_settings=False,
         ),
         "slip bends at a slip / slip of full sliding of 1.2, by 0.002 from there",

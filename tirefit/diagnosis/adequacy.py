@@ -25,13 +25,22 @@ _LEAST_SIZE = 1e-30
 """Divisor in the place of zero, in that precision."""
 
 DRAWS = 999
-"""Simulated residuals: the smallest p-value is one in a thousand."""
+"""Simulated residuals."""
+
+_TAIL = 0.9
+"""Quantile of the draws beyond which their tail is taken as exponential."""
+
+_LEAST_P = 1e-6
+"""Smallest p-value that is told: farther out nobody knows the tail."""
 
 _WIDEST = 4.0
 """Residuals are cut at so many standard deviations: one stray row is no structure."""
 
 _RUNS = (2, 4, 8, 16, 32, 64, 128)
 """Neighbours whose residuals are added up: a smooth miss adds up, noise does not."""
+
+_FIRST_LINES = 16
+"""Slowest lines of a periodogram that are compared with one another."""
 
 _LOCAL = (6, 12, 24)
 """Rows of a local block, which multiples of half the shortest are: what sits in one
@@ -136,13 +145,26 @@ def _persistence(stretches: Sequence[np.ndarray]) -> Statistic:
     return statistic
 
 
-def _lines(stretches: Sequence[np.ndarray]) -> Statistic:
-    """Largest line of the periodogram over its median, of the rows in order."""
-    order = np.concatenate(stretches)
+def _lines(places: np.ndarray) -> Statistic:
+    """Largest line of the periodogram over the median of its octave: noise with a
+    memory is stronger where it is slower, a wave at its period.
+
+    Args:
+        places: of each row in the order; of a place without a row nothing is known,
+            and those after it keep theirs: a wave keeps its phase.
+    """
 
     def statistic(parts):
-        power = np.abs(np.fft.rfft(parts[order], axis=0)[1:]) ** 2
-        return power.max(axis=0) / np.median(power, axis=0)
+        ordered = np.zeros((1 + places.max(), parts.shape[1]), parts.dtype)
+        ordered[places] = parts
+        power = np.abs(np.fft.rfft(ordered, axis=0)[1:]) ** 2
+        count = len(power)
+        first = min(_FIRST_LINES, count)
+        octaves = int(np.log2(count / first))
+        ends = [first * 2**k for k in range(octaves)]
+        bands = np.split(power, ends)
+        # In logarithms: of few lines the ratio is large by chance.
+        return _largest([np.log(b.max(axis=0) / np.median(b, axis=0)) for b in bands])
 
     return statistic
 
@@ -235,6 +257,19 @@ def _noise(n: int, memory: Memory, stretches, generator) -> np.ndarray:
     return np.sqrt(1 - memory.share) * white + np.sqrt(memory.share) * coloured
 
 
+def _p_value(observed: float, drawn: np.ndarray) -> float:
+    """Share of draws (the observation among them) that are as large; beyond all of them
+    by the mean excess over their quantile :data:`_TAIL`, as of an exponential tail
+    (peaks over threshold; Pickands, 1975)."""
+    among = (1 + np.sum(drawn >= observed)) / (1 + len(drawn))
+    if observed <= drawn.max():
+        return float(among)
+    threshold = np.quantile(drawn, _TAIL)
+    excess = np.mean(drawn[drawn > threshold]) - threshold
+    beyond = (1 - _TAIL) * np.exp(-(observed - threshold) / max(excess, ROUNDING))
+    return float(np.clip(beyond, _LEAST_P, among))
+
+
 class Null(NamedTuple):
     """Noise that went through a fit of all channels together: ``draws`` (m, DRAWS),
     and the orthonormal columns ``unit`` (m, p) of the fit."""
@@ -279,6 +314,7 @@ def adequacy(
     in_time: Sequence[np.ndarray] | None,
     in_slip: Sequence[np.ndarray],
     groups: Sequence[np.ndarray],
+    places: np.ndarray | None = None,
 ) -> Adequacy:
     """Tests of one channel's residual.
 
@@ -288,6 +324,8 @@ def adequacy(
         in_time: see :func:`null`.
         in_slip: rows of each setting (load, speed, direction) in the order of slip.
         groups: regimes to leave out in turn: rows in the order of slip.
+        places: of the rows in the order of time, rows set aside counted; None where
+            none are.
     """
     settings = [s for s in in_slip if len(s) >= _WITH_NEIGHBOURS]
     observed = residual[:, None].astype(_PRECISION)
@@ -296,10 +334,12 @@ def adequacy(
     def p_value(statistic: Statistic | None) -> float | None:
         if statistic is None:
             return None
-        values = statistic(together)
-        return float(np.mean(values >= values[0]))
+        observed, *drawn = statistic(together)
+        return _p_value(observed, np.array(drawn))
 
     ordered = [np.arange(0)] if in_time is None else in_time
+    if places is None:
+        places = np.argsort(np.concatenate(ordered))
     timed = (
         in_time is not None and max(len(s) for s in ordered) >= _FEWEST_SUMS * _RUNS[1]
     )
@@ -307,7 +347,7 @@ def adequacy(
     tests = {
         "time": _persistence(ordered) if timed else None,
         "slip_order": _persistence([np.concatenate(in_slip)]) if dense else None,
-        "line": _lines(ordered if timed else in_slip),
+        "line": _lines(places if timed else np.argsort(np.concatenate(in_slip))),
         "pure_error": _pure_error(settings) if dense else None,
         "local": _local(settings) if dense else None,
         "held_out": _regimes(groups, of_noise.unit),

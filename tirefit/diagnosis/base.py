@@ -137,6 +137,18 @@ class Base:
         return np.concatenate([self._forces_of(off), self.proxies], axis=1)
 
     @cached_property
+    def _doubtful(self) -> tuple[np.ndarray, np.ndarray]:
+        """Orthonormal directions (m, k) of the doubt, and how much of the residual
+        along each is not known (k,)."""
+        along, size, _ = np.linalg.svd(self.doubt, full_matrices=False)
+        return along, 1 - 1 / np.sqrt(1 + size**2)
+
+    def sure(self, values) -> np.ndarray:
+        """Whitened values (m, ...) of which the doubt is one more noise."""
+        along, unknown = self._doubtful
+        return values - (along * unknown) @ (along.T @ values)
+
+    @cached_property
     def proxies(self) -> np.ndarray:
         """What is measured beside the slip knows of its noise: columns (m, k) of the
         residual that no effect explains; see :func:`slip_proxies`."""

@@ -8,17 +8,20 @@ taught.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import resources
+from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.diagnosis.adequacy import Adequacy
 
 __all__ = [
+    "Part",
     "clues_of_effect",
     "clues_of_rest",
+    "clues_of_set",
     "probability_beside",
     "probability_of_more",
 ]
@@ -26,9 +29,14 @@ __all__ = [
 _SMALLEST_P = 1e-3
 """The smallest p-value that the tests can take."""
 
-
 _STEADIEST = 300.0
 """Amplitude over its error between regimes, beyond which more says no more."""
+
+_WEAKEST = (
+    "amplitude over error", "share alone", "share lost without",
+    "evidence lost without", "steady", "evidence over a remainder",
+)  # fmt: skip
+"""Clues of an effect that tell of its set, by the least of its effects."""
 
 
 @cache
@@ -42,23 +50,43 @@ def _compressed(value: float) -> float:
     return float(np.sign(value) * np.log1p(abs(value)))
 
 
+class Part(NamedTuple):
+    """One effect of a refitted set: what tells that it is there, whatever else is.
+
+    Attributes:
+        error: its amplitude over its error.
+        alone: log evidence of this effect alone, None where it was not refitted.
+        lost: log evidence that the set loses without it.
+        steady: its amplitude over its error between regimes.
+        changed: its largest change by one regime, over the amplitude; see
+            :func:`tirefit.diagnosis.standing.steadiness`.
+        over_rest: log evidence of the set and a remainder of any kind over the set
+            without it and such a remainder.
+    """
+
+    error: float
+    alone: float | None
+    lost: float
+    steady: float
+    changed: float
+    over_rest: float
+
+
 def clues_of_rest(
     adequacy: Adequacy,
     gains: Mapping[str, float],
     evidence: float,
-    parts: float | None,
-    errors,
+    effects: int,
     cancels: float,
     rows: int,
 ) -> dict[str, float]:
-    """What tells that a set of effects is not all that there is.
+    """What a set of effects leaves.
 
     Args:
         adequacy: the tests of what the set leaves.
         gains: log evidence of each kind of remainder beside the set.
         evidence: log evidence of the set over none.
-        parts: that of the best refitted set with one effect less; None for none.
-        errors: amplitude over its error of each effect.
+        effects: number of effects in the set.
         cancels: see :class:`tirefit.diagnosis.standing.Standing`.
         rows: number of rows.
     """
@@ -67,60 +95,58 @@ def clues_of_rest(
     wide = max(gains["smooth"], gains["cells"])
     narrow = max(gains["waves"], gains["patterns"])
     whole, more = max(evidence, 1.0), max(wide, narrow, 0.0)
-    last = 1.0 if parts is None else float(np.clip((evidence - parts) / whole, 0, 1))
     return {
         "worst test": float(signs.max()),
         "mean test": float(signs.mean()),
         "wide remainder": _compressed(wide),
         "narrow remainder": _compressed(narrow),
         "share of remainder": more / (whole + more),
-        "two effects": float(len(errors) > 1),
-        "three effects": float(len(errors) > 2),
-        "weakest effect": float(np.log(max(min(errors), 0.1))),
-        "share of last effect": last,
+        "two effects": float(effects > 1),
+        "three effects": float(effects > 2),
         "cancels": float(np.log(max(cancels, 0.1))),
         "rows": float(np.log(rows)),
     }
 
 
 def clues_of_effect(
-    rest: Mapping[str, float],
-    error: float,
-    alone: float | None,
-    without: float,
-    evidence: float,
-    steady: tuple[float, float],
-    over_rest: float,
+    part: Part, evidence: float, rest: Mapping[str, float]
 ) -> dict[str, float]:
     """What tells that an effect is there, whatever else is.
 
     Args:
+        evidence: log evidence of its set over none.
         rest: :func:`clues_of_rest` of its set.
-        error: its amplitude over its error.
-        alone: log evidence of this effect alone, None where it was not refitted.
-        without: log evidence of the set without it, zero for a single one.
-        evidence: log evidence of the set.
-        steady: its amplitude over its error between regimes, and its largest change by
-            one of them; see :func:`tirefit.diagnosis.standing.steadiness`.
-        over_rest: log evidence of the set and a remainder of any kind over the set
-            without it and such a remainder.
     """
     whole = max(evidence, 1.0)
-    single = 0.0 if alone is None else float(np.clip(alone / whole, 0, 1))
+    single = 0.0 if part.alone is None else float(np.clip(part.alone / whole, 0, 1))
     kept = ("worst test", "wide remainder", "narrow remainder", "share of remainder")
     return {
-        "amplitude over error": float(np.log(max(error, 0.1))),
+        "amplitude over error": float(np.log(max(part.error, 0.1))),
         "share alone": single,
-        "not alone": float(alone is None),
-        "share lost without": float(np.clip((evidence - without) / whole, 0, 1)),
-        "evidence lost without": _compressed(evidence - without),
-        "steady": float(np.log(np.clip(steady[0], 0.1, _STEADIEST))),
-        "changed by one regime": float(np.log(np.clip(steady[1], 1e-3, 10.0))),
-        "evidence over a remainder": _compressed(over_rest),
+        "not alone": float(part.alone is None),
+        "share lost without": float(np.clip(part.lost / whole, 0, 1)),
+        "evidence lost without": _compressed(part.lost),
+        "steady": float(np.log(np.clip(part.steady, 0.1, _STEADIEST))),
+        "changed by one regime": float(np.log(np.clip(part.changed, 1e-3, 10.0))),
+        "evidence over a remainder": _compressed(part.over_rest),
         "two effects": rest["two effects"],
         "three effects": rest["three effects"],
         **{name: rest[name] for name in kept},
     }
+
+
+def clues_of_set(
+    rest: Mapping[str, float], of_effects: Iterable[Mapping[str, float]]
+) -> dict[str, float]:
+    """What tells that a set of effects is not all that there is: what it leaves, and
+    its weakest part. Where something else is there, an effect only imitates it.
+
+    Args:
+        rest: :func:`clues_of_rest` of the set.
+        of_effects: :func:`clues_of_effect` of each of its effects.
+    """
+    each = list(of_effects)
+    return {**rest, **{f"least {k}": min(one[k] for one in each) for k in _WEAKEST}}
 
 
 def _logistic(which: str, clues: Mapping[str, float]) -> float:

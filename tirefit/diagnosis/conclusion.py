@@ -15,8 +15,10 @@ from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.basis import gains
 from tirefit.diagnosis.calibrated import (
+    Part,
     clues_of_effect,
     clues_of_rest,
+    clues_of_set,
     probability_beside,
     probability_of_more,
 )
@@ -110,6 +112,11 @@ def _linear(base: Base, weighed: Weighed, key) -> LinearFit:
     return linear.in_other_form() if key in weighed.other_form else linear
 
 
+def _less(key, effect: str) -> tuple[str, ...]:
+    """A set without one of its effects."""
+    return tuple(e for e in key if e != effect)
+
+
 class Judge:
     """The standings of the sets of one search, each worked out once."""
 
@@ -152,25 +159,25 @@ class Judge:
 
     def clues(self, key) -> dict[str, float]:
         """What tells that a set is not all that there is."""
+        return clues_of_set(self._rest(key), self.clues_by_effect(key).values())
+
+    def _rest(self, key) -> dict[str, float]:
         weighed, standing = self.weighed, self.of(key)
         return clues_of_rest(
-            standing.adequacy, self.gains(key), weighed.evidence[key],
-            max(self.parts(key).values(), default=None), standing.errors,
+            standing.adequacy, self.gains(key), weighed.evidence[key], len(key),
             standing.cancels, self.search.base.rows.n,
         )  # fmt: skip
 
-    def parts(self, key) -> dict[str, float]:
-        """Log evidence of a set of several without each of its effects, where that was
-        refitted."""
-        smaller = {out: tuple(e for e in key if e != out) for out in key}
-        evidence = self.weighed.evidence
-        return {e: evidence[k] for e, k in smaller.items() if k and k in evidence}
+    def lost(self, key, effect: str) -> float:
+        """Log evidence that a set loses without an effect; all of it where what is left
+        was not refitted."""
+        less, evidence = _less(key, effect), self.weighed.evidence
+        return evidence[key] - (evidence.get(less, 0.0) if less else 0.0)
 
     def over_rest(self, key, effect: str) -> float:
         """Log evidence of an effect beside a remainder of any kind over that remainder
         without it; zero where the set without it was not refitted."""
-        less = tuple(e for e in key if e != effect)
-        evidence = self.weighed.evidence
+        less, evidence = _less(key, effect), self.weighed.evidence
         if less not in evidence:
             return 0.0
         with_rest = evidence[key] + max(0.0, *self.gains(key).values())
@@ -178,18 +185,21 @@ class Judge:
 
     def clues_by_effect(self, key) -> dict[str, dict[str, float]]:
         """What tells of each effect of a set that it is there, whatever else is."""
-        weighed, rest, without = self.weighed, self.clues(key), self.parts(key)
-        best = weighed.best_of[key]
-        steady = zip(*steadiness(self.search.base, best), strict=True)
-        regimes = dict(zip(best.effects, steady, strict=True))
-        return {
-            effect: clues_of_effect(
-                rest, error, weighed.evidence.get((effect,)),
-                without.get(effect, 0.0), weighed.evidence[key],
-                regimes[effect], self.over_rest(key, effect),
+        evidence, rest, errors = (
+            self.weighed.evidence,
+            self._rest(key),
+            self.of(key).errors,
+        )
+        best = self.weighed.best_of[key]
+        regimes = zip(*steadiness(self.search.base, best), strict=True)
+        parts = {
+            effect: Part(
+                error, evidence.get((effect,)), self.lost(key, effect), *regime,
+                self.over_rest(key, effect),
             )
-            for effect, error in self.errors(key).items()
+            for effect, error, regime in zip(best.effects, errors, regimes, strict=True)
         }  # fmt: skip
+        return {e: clues_of_effect(p, evidence[key], rest) for e, p in parts.items()}
 
     def imitates(self, key) -> bool:
         """Whether a set of several looks like a drawing of something else."""
@@ -266,16 +276,14 @@ def _incomplete(verdict: Verdict, judge: Judge, key, more: float) -> Verdict:
     chances = {e: probability_beside(c) for e, c in judge.clues_by_effect(key).items()}
     earned = judge.best_within([e for e in key if chances[e] >= _EARNED])
     if not earned or judge.imitates(earned) or judge.firm(earned, _FIRM) != earned:
-        alone = more * np.prod([1 - chance for chance in chances.values()])
-        left = judge.of(()).adequacy
-        nothing = unknown(verdict, weighed, left, float(alone))
+        nothing = unknown(verdict, weighed, judge.of(()).adequacy, more)
         perhaps = tuple(e for e in key if chances[e] >= _PERHAPS)
         return replace(nothing, also_possible=perhaps)
-    exactly = [chances[e] if e in earned else 1 - chances[e] for e in key]
+    there = [chances[e] for e in earned]
     left = judge.of(earned).adequacy._replace(passed=False)
     return replace(
         verdict, status="incomplete", effects=earned, also_possible=(),
-        probability=float(more * np.prod(exactly)), chosen=weighed.best_of[earned],
+        probability=float(more * np.prod(there)), chosen=weighed.best_of[earned],
         adequacy=left,
     )  # fmt: skip
 

@@ -20,7 +20,7 @@ from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.effects.known import said_of_motion
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
-from tirefit.diagnosis.look_curve import look_curve
+from tirefit.diagnosis.look_curve import LookCurve, look_curve
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.plausible import plausible_forces
 from tirefit.diagnosis.records import (
@@ -86,9 +86,9 @@ def document_of(
         return document_of(
             case, whole, settings, library, holdout, generator, model, seed
         )
-    gap = _gap(case, gaps, held)
+    gap, curves = _gap(case, gaps, held), _what_is_left(case)
     budgets = budgets_of(case, believed, generator)
-    said = _verdict(case)
+    said = _verdict(case, curves)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown = shown_rows(base, rows[main])
     noise, motion = _noise(case), said_of_motion(base, rig)
@@ -128,7 +128,7 @@ def document_of(
         mean_load=float(np.mean(data.usable("fz"))),
         residual_map=residual_map(shown, noise.inflation, gap.resolvable),
         comparison=compared(shown, said.names_an_effect or _tuned_alone(case)),
-        look=look_curve(verdict, base, next(iter(said.looks_like), None)),
+        look=next(iter(curves), None),
         library=library,
         meanings={p.name: p.spec.meaning for p in base.layout.free},
     )  # fmt: skip
@@ -272,7 +272,14 @@ def _noise_flags(case: Case) -> tuple[str, ...]:
     return tuple(dict.fromkeys(flag for level in levels for flag in level.flags))
 
 
-def _verdict(case: Case) -> VerdictSummary:
+def _what_is_left(case: Case) -> tuple[LookCurve, ...]:
+    """What a remainder looks like, drawn; the likeliest first."""
+    verdict, base = case.verdict, case.base
+    alike = look_of_rest(verdict, base, case.weighed)
+    return tuple(look_curve(verdict, base, look) for look in alike)
+
+
+def _verdict(case: Case, curves: tuple[LookCurve, ...]) -> VerdictSummary:
     """The verdict; where no effect on the mean is found, what its noise shows."""
     verdict = case.verdict
     status, effects = verdict.status, verdict.effects
@@ -286,7 +293,7 @@ def _verdict(case: Case) -> VerdictSummary:
         probability=verdict.probability,
         also_possible=verdict.also_possible,
         adequacy=verdict.adequacy,
-        looks_like=look_of_rest(verdict, case.base, case.weighed),
+        looks_like=tuple(curve.look for curve in curves),
         parameters=parameter_changes(case, widening(case.base, verdict.chosen)),
         fails_elsewhere=verdict.fails_elsewhere,
     )

@@ -36,11 +36,12 @@ class LookCurve(NamedTuple):
     """The local change of the parameter of a :class:`Look` over its covariate.
 
     ``center``, ``change``, ``std`` (k,) are bins: the covariate, the estimate and its
-    standard error; ``x``, ``shape`` (p,) the fitted shape, and ``size`` its change: of
-    a wave the amplitude, of a kink what it comes to at the end. Changes are shares of
-    stiffness or friction, slips, or forces as shares of the load; ``is_mirrored`` says
-    that they count in the direction of the slip. ``is_folded``: the covariate is shown
-    within one period, from 0; ``at_settings``: the bins are settings of the rig.
+    standard error; ``x``, ``shape`` (p,) the fitted shape, whose size is that of the
+    look: of a wave the amplitude, of a kink what it comes to at the end. Changes are
+    shares of stiffness or friction, slips, or forces as shares of the load;
+    ``is_mirrored`` says that they count in the direction of the slip. ``is_folded``:
+    the covariate is shown within one period, from 0; ``at_settings``: the bins are
+    settings of the rig.
     """
 
     look: Look
@@ -49,7 +50,6 @@ class LookCurve(NamedTuple):
     std: np.ndarray
     x: np.ndarray
     shape: np.ndarray
-    size: float
     is_mirrored: bool
     is_folded: bool
     at_settings: bool
@@ -77,15 +77,13 @@ def shape_of(one: Pattern | Look, values, low: float, span: float) -> np.ndarray
     return np.stack(columns, axis=1)
 
 
-def look_curve(verdict: Verdict, base: Base, look: Look | None) -> LookCurve | None:
-    """The picture of what a verdict leaves; None where it looks like nothing.
+def look_curve(verdict: Verdict, base: Base, look: Look) -> LookCurve:
+    """The picture of what a verdict leaves.
 
     The points are partial residuals (Larsen and McCleary, 1972, Technometrics 14:781):
     what the shape and the base's parameters leave when they are fitted together, with
     the shape put back; else the base would hide the part that it has taken up.
     """
-    if look is None:
-        return None
     values = quantities(base.rows, base.slip_fraction)[look.covariate]
     linear = linear_at(base, verdict.chosen)
     return curve_of(look, np.asarray(values, float), _field(base, look), linear)
@@ -124,10 +122,10 @@ def curve_of(look: Look, values, field, linear: LinearFit) -> LookCurve:
         for part in (information * place, estimate)
     )
     curve = shape_of(look, x, 0.0 if is_folded else low, span) @ coefficient
-    size = {"wave": np.linalg.norm(coefficient), "kink": curve[-1]}
+    sizes = {"wave": np.linalg.norm(coefficient), "kink": curve[-1]}
+    whole = float(sizes.get(look.shape, coefficient[0]))
     return LookCurve(
-        look, center, change, 1 / np.sqrt(total[there]), x, curve,
-        float(size.get(look.shape, coefficient[0])),
+        look._replace(size=whole), center, change, 1 / np.sqrt(total[there]), x, curve,
         is_mirrored(look.parameter, look.covariate), is_folded, settings is not None,
     )  # fmt: skip
 

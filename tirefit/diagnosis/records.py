@@ -154,10 +154,11 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class VerdictSummary:
-    """What is said: none, named, incomplete, unknown or cannot_tell; of which effects,
-    with which probability of exactly this set; what this data cannot tell from it; the
-    tests of what it leaves; what that looks like, the most probable first, where it is
-    something unlisted.
+    """What is said: none, named, incomplete, unknown or cannot_tell; of which effects;
+    the probability that it is so: of exactly this set where it is named, of these
+    effects and something unlisted where it is incomplete, of something unlisted where
+    that is unknown; what this data cannot tell from it; the tests of what it leaves;
+    what that looks like, the most probable first, where it is something unlisted.
 
     ``parameters`` are those of a simulator that was given: none of a form that was
     fitted. ``fails_elsewhere``: the status is what it is because rows left out are not

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -165,8 +166,27 @@ class _Searcher:
         else:
             residual, jacobian, columns, _ = base.at_null
         used_up = np.concatenate([jacobian, columns[:, hypothesis.atoms]], 1)
+        return self._projected(*map(base.sure, (columns, used_up, residual)))
+
+    def _projected(self, columns, used_up, residual):
         left = without(columns, used_up)
         return left.T @ left, left.T @ without(residual, used_up), left
+
+    @cached_property
+    def _with_doubt_and_without(self) -> tuple[tuple, tuple]:
+        """(gram, score) around the base fit, twice."""
+        residual, jacobian, columns, _ = self.base.at_null
+        gram, score, _ = self._projected(columns, jacobian, residual)
+        return self.columns(self.tried[()])[:2], (gram, score)
+
+    def _due_to_doubt(self, atoms) -> float:
+        """What the doubt of the slips changes in the log evidence of a set, to first
+        order. Refits know nothing of it: of each slip's own noise only."""
+        doubting, sure = (
+            _log_bayes(gram, score, self.center, self.sign, [atoms])[0]
+            for gram, score in self._with_doubt_and_without
+        )
+        return float(doubting - sure)
 
     def screened(self, gram, score, sets) -> list[float]:
         """Log Bayes factor of each of the sets, all of one size, in closed form."""
@@ -241,6 +261,7 @@ class _Searcher:
         for k, a, s in zip(atoms, amplitude, spread, strict=True):
             if self.sign[k]:
                 value += np.log(2) + log_ndtr(self.sign[k] * a / s)
+        value += self._due_to_doubt(atoms)
         self.tried[atoms] = Hypothesis(
             atoms, tuple(self.ids[k] for k in atoms), float(value),
             self.log_prior(atoms), refit.z, amplitude, cov, float(refit.chi2),

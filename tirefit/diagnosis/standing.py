@@ -177,9 +177,11 @@ def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing
         parts = [index[group[keep[group]]] for group in groups]
         return [part for part in parts if len(part)]
 
-    in_time = (
-        None if prepared.time is None else kept(segments(prepared.time, prepared.run))
-    )
+    in_time = places = None
+    if prepared.time is not None:
+        stretches = segments(prepared.time, prepared.run)
+        in_time = kept(stretches)
+        places = np.argsort(np.concatenate(stretches))[keep]
     in_slip, groups = kept(neighbours(prepared)), kept(regimes(prepared))
     rows = [np.flatnonzero(keep) + k * n for k in range(len(prepared.channels))]
     stacked = np.split(np.arange(len(rows) * keep.sum()), len(rows))
@@ -193,7 +195,7 @@ def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing
     each = [
         adequacy(
             residual[part], Null(of_noise.draws[own], of_noise.unit[own]),
-            in_time, in_slip, groups,
+            in_time, in_slip, groups, places,
         )
         for part, own in zip(rows, stacked, strict=True)
     ]  # fmt: skip

@@ -131,11 +131,8 @@ def gap_p_value(search: Search, generator) -> float:
     use = [k for k in search.testable if size[k] > UNSEEN]
     z = left[:, use] / size[use]
     residual, jacobian, *_ = base.at_null
-    observed = np.max(np.abs(z.T @ residual), initial=0.0)
-    draws = scores_of_nothing(z, DRAWS, generator)
-    doubt = z.T @ base.doubt
-    draws = draws + doubt @ generator.standard_normal((doubt.shape[1], DRAWS))
-    draws = np.abs(draws).max(0)
+    observed = np.max(np.abs(z.T @ base.sure(residual)), initial=0.0)
+    draws = np.abs(scores_of_nothing(z, DRAWS, generator)).max(0)
     p_score = (1 + np.sum(draws >= observed)) / (1 + DRAWS)
     explained = np.concatenate([jacobian, base.proxies], axis=1)
     p_generic = misfit_p_value(base.generic, explained, residual, generator, DRAWS)
@@ -238,7 +235,7 @@ def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
 
 def _gain_of_form(linear: LinearFit) -> float:
     """Log evidence of the other forms over the formulas, with their prior."""
-    left, size = orthogonal(linear.forms, linear.used_up)
+    left, size = orthogonal(linear.forms, linear.explained)
     return gain(left.T @ linear.residual, size) + float(np.log(PRIOR_OF_FORM))
 
 

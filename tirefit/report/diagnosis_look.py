@@ -44,7 +44,7 @@ def look_title(panel: LookCurve) -> str:
     alone = look.shape == "local" and panel.at_settings
     how = _SHAPES["setting" if alone else look.shape].format(
         covariate=covariate_text(look.covariate), at=look_place(look),
-        size=look_size(look.parameter, panel.size),
+        size=look_size(look.parameter, look.size),
     )  # fmt: skip
     return f"What is left: {look.parameter} {how}"
 

@@ -115,7 +115,10 @@ def evidence_bars(result: Diagnosis, most: int = 7) -> list[Bar]:
         kind = "none" if verdict.names_an_effect else "verdict"
         shown.append(Bar("no gap", none[0], kind))
         return [*shown, Bar("all others", max(left - none[0], 0.0), "rest")]
-    return [*shown, Bar("no gap, or another", left, "rest")]
+    # Beside a gap that is said to be there, nothing is left for none.
+    surely = verdict.status in ("unknown", "incomplete")
+    rest = "all others" if surely else "no gap, or another"
+    return [*shown, Bar(rest, left, "rest")]
 
 
 def _closure_bar(label: str, gap: Shrinkage, says: bool) -> ClosureBar:
