@@ -32,6 +32,9 @@ _SETTINGS = {
     "jax_compilation_cache_dir": str(COMPILED),
     "jax_persistent_cache_min_compile_time_secs": 0,
     "jax_persistent_cache_min_entry_size_bytes": -1,
+    # What XLA would keep of its own, of GPUs alone: it names this directory in what an
+    # entry is found by, so that nobody finds what a command compiled, or a copy holds.
+    "jax_persistent_cache_enable_xla_caches": "none",
 }
 for _name, _value in _SETTINGS.items():
     jax.config.update(_name, _value)

@@ -6,6 +6,7 @@ which then have the programs of the commands before them, and those of the last 
 """
 
 import os
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import jax
@@ -16,8 +17,9 @@ from tirefit.cli.cluster import cluster
 from tirefit.cli.commands import app
 
 
-@pytest.fixture(scope="package", autouse=True)
-def own_cache():
+@contextmanager
+def commands_cache():
+    """Where nobody chose a cache for JAX, and that of commands lies with the tests."""
     from tirefit.compiled import keep_programs_in
 
     names = (
@@ -29,7 +31,7 @@ def own_cache():
     commands = Path(os.environ["TIREFIT_TESTS_COMPILED"], "commands")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(commands))
-        patch.delenv("JAX_COMPILATION_CACHE_DIR")
+        patch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
         jax.config.update("jax_compilation_cache_dir", None)
         yield
     for name, value in before.items():
@@ -37,11 +39,30 @@ def own_cache():
     keep_programs_in(None)
 
 
-@pytest.fixture(scope="package")
-def two(own_cache):
-    """A client of a cluster of two workers."""
-    with cluster(2) as client:
-        yield client
+@pytest.fixture(scope="module", autouse=True)
+def own_cache():
+    """File by file: what has the scope of a package, which this folder is none, ends
+    with the session. Tests of other folders would run the traced programs of commands,
+    unchecked, and find nothing of what the other worker or the last run compiled."""
+    with commands_cache():
+        yield
+
+
+_SHARED = ExitStack()
+
+
+@pytest.fixture(scope="session")
+def two():
+    """A client of a cluster of two workers, which end with the tests of this folder:
+    idle, they take as much of a processor as a twentieth of a worker of xdist."""
+    with commands_cache():
+        return _SHARED.enter_context(cluster(2))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item, nextitem):
+    if nextitem is None or Path(__file__).parent not in nextitem.path.parents:
+        _SHARED.close()
 
 
 @pytest.fixture
