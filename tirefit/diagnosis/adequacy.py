@@ -344,12 +344,13 @@ def adequacy(
         in_time is not None and max(len(s) for s in ordered) >= _FEWEST_SUMS * _RUNS[1]
     )
     dense = sum(len(s) for s in settings) >= 0.5 * len(residual)
+    longest = max((len(s) for s in settings), default=0)
     tests = {
         "time": _persistence(ordered) if timed else None,
         "slip_order": _persistence([np.concatenate(in_slip)]) if dense else None,
         "line": _lines(places if timed else np.argsort(np.concatenate(in_slip))),
         "pure_error": _pure_error(settings) if dense else None,
-        "local": _local(settings) if dense else None,
+        "local": _local(settings) if dense and longest >= _LOCAL[0] else None,
         "held_out": _regimes(groups, of_noise.unit),
     }
     values = {name: p_value(statistic) for name, statistic in tests.items()}

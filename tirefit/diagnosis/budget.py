@@ -88,7 +88,7 @@ def _budget(case: Case, channel: str, missed, extended, generator) -> tuple[Part
             part=name,
             rms=float(np.sqrt(value)),
             share=float(value / energy[-1]),
-            closed_ci=(float(ends[0]), float(ends[1])),
+            closed_ci=(min(float(ends[0]), 1.0), min(float(ends[1]), 1.0)),
         )
         for name, value, ends in zip(
             [*names, "unexplained", "noise"], energy[:-1],

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 
 __all__ = [
     "INTERVAL",
@@ -139,9 +139,10 @@ def _not_negative(value: float, error: float, count: int) -> np.ndarray:
     A right figure far above its error keeps its own value; one that is below zero says
     that there is a part of its error at most.
     """
+    error = max(error, ROUNDING * abs(value), NONZERO)
     most = np.sqrt(max(value, 0.0) + _FARTHEST * error)
     root = (np.arange(_GRID) + 0.5) / _GRID * most
-    off = (root**2 - value) / max(error, NONZERO)
+    off = (root**2 - value) / error
     weight = np.exp(-0.5 * (off**2 - np.min(off**2)))
     below = np.cumsum(weight) / np.sum(weight)
     return np.interp((np.arange(count) + 0.5) / count, below, root) ** 2
