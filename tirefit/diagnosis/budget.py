@@ -82,13 +82,14 @@ def _budget(case: Case, channel: str, missed, extended, generator) -> tuple[Part
         shares = one_less[..., :-1] / one_less[..., -1:]
         low, high = of_so_few_runs(energy[:-1] / energy[-1], low, high, shares)
         low = np.maximum(low, 0.0)
+    low, high = np.minimum((low, high), 1.0)  # by rounding
     names = [p if p == PARAMETERS else base.atoms[p].effect.id for p in parts]
     return tuple(
         Part(
             part=name,
             rms=float(np.sqrt(value)),
             share=float(value / energy[-1]),
-            closed_ci=(min(float(ends[0]), 1.0), min(float(ends[1]), 1.0)),
+            closed_ci=(float(ends[0]), float(ends[1])),
         )
         for name, value, ends in zip(
             [*names, "unexplained", "noise"], energy[:-1],

@@ -123,6 +123,7 @@ class Judge:
     def __init__(self, search: Search, weighed: Weighed, generator):
         self.search, self.weighed, self.generator = search, weighed, generator
         self.known: dict[tuple[str, ...], Standing] = {}
+        self.told: dict[tuple[str, ...], dict[str, dict[str, float]]] = {}
 
     def of(self, key: tuple[str, ...]) -> Standing:
         if key not in self.known:
@@ -185,12 +186,13 @@ class Judge:
 
     def clues_by_effect(self, key) -> dict[str, dict[str, float]]:
         """What tells of each effect of a set that it is there, whatever else is."""
-        evidence, rest, errors = (
-            self.weighed.evidence,
-            self._rest(key),
-            self.of(key).errors,
-        )
-        best = self.weighed.best_of[key]
+        if key not in self.told:
+            self.told[key] = self._clues_by_effect(key)
+        return self.told[key]
+
+    def _clues_by_effect(self, key) -> dict[str, dict[str, float]]:
+        evidence, best = self.weighed.evidence, self.weighed.best_of[key]
+        rest, errors = self._rest(key), self.of(key).errors
         regimes = zip(*steadiness(self.search.base, best), strict=True)
         parts = {
             effect: Part(

@@ -19,6 +19,12 @@ _TELLS = 0.2
 """Share of the noise in what slip and prediction differ by from which the prediction
 knows of it."""
 
+_SWINGS = 32
+"""Rows of a stretch in which a swing is looked for, at least."""
+
+_TUNED = 41
+"""Frequencies tried about the strongest of a stretch, over two of its steps."""
+
 _WITHIN = np.linspace(-4.0, 4.0, 41)
 """Slips that a measured one may stand for, in standard deviations of its noise."""
 
@@ -53,13 +59,6 @@ def slip_nodes(law: SlipDistribution | None, slip, std):
     mean, spread = law.moments(slip, std)
     nodes = mean[:, None] + spread[:, None] * offset
     return nodes, np.tile(mass / mass.sum(), (len(slip), 1))
-
-
-_SWINGS = 32
-"""Rows of a stretch in which a swing is looked for, at least."""
-
-_TUNED = 41
-"""Frequencies tried about the strongest of a stretch, over two of its steps."""
 
 
 def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray:
