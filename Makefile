@@ -44,7 +44,7 @@ withheld withheld-full: install
 	$(BIN)/python -m fits.withheld.generate --sealed $(ASKED) --out out/$@
 	$(BIN)/python -m fits.withheld.run out/$@ --jobs 2
 	$(BIN)/python -m fits.withheld.forest --out out/forest.npz
-	$(BIN)/python -m fits.withheld.baselines out/$@ --forest out/forest.npz
+	$(BIN)/python -m fits.withheld.baselines out/$@ --forest out/forest.npz --jobs 2
 	$(BIN)/python -m fits.withheld.score out/$@ --bound 60
 
 # Damaged inputs of every kind that is read, some by whole commands, over night; the

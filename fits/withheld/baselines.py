@@ -1,6 +1,6 @@
 """Plain methods on the same files, none of them tirefit's: what a diagnosis must beat.
 
-    python -m fits.withheld.baselines out/withheld
+    python -m fits.withheld.baselines out/withheld --jobs 2
 
 ``bic``: each listed effect fitted beside c and mu, the five nearest refitted by
 SciPy, the smallest BIC named. ``residual``: the effect whose shape, not projected,
@@ -10,20 +10,32 @@ test of local means (``lack_of_fit.py``). ``forest`` (with ``--forest FEATURES.n
 random forest on features of the residual (``forest.py``).
 ``ridge``: a smooth discrepancy over slip, load, speed and time, fitted without the
 highest load (or the largest slips): it names nothing, it closes. No label is opened.
+
+Every file's answers go to ``FOLDER/baselines/GROUP`` as soon as they are there, so that
+``--resume`` goes on where a run stopped; at the end they are gathered in
+``FOLDER/baseline_*``, which the scorer reads.
 """
 
 import argparse
 import csv
 import json
+import os
+import shutil
+import time
 import tomllib
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
 from fits.withheld.effects import EFFECTS
-from fits.withheld.forest import by_forest, trained
+from fits.withheld.forest import Forest, by_forest, trained
 from fits.withheld.lack_of_fit import lack_of_fit
 from fits.withheld.library import (
     STEP_TIMES,
@@ -33,8 +45,10 @@ from fits.withheld.library import (
     predict,
     shapes,
 )
+from fits.withheld.run import largest_first
 
 __all__ = [
+    "Plain",
     "by_bic",
     "by_residual",
     "checked",
@@ -104,28 +118,45 @@ def bounds_of(effect: str) -> tuple[float, float]:
     return (-LIMIT, LIMIT) if sign == 0 else (0.02, LIMIT)
 
 
+class Plain(NamedTuple):
+    """The plain brush on a file, and what each effect would do to it (``shapes``)."""
+
+    c: float
+    mu: float
+    misses: np.ndarray
+    std: np.ndarray
+    shapes: dict[str, list[np.ndarray]]
+
+    @classmethod
+    def of(cls, x: Inputs, observed: np.ndarray) -> "Plain":
+        (c, mu), misses, std = base_fit(x, observed)
+        return cls(c, mu, misses, std, shapes(x, x.effects, c, mu))
+
+
 def by_bic(x: Inputs, observed: np.ndarray) -> dict:
     """A diagnosis in the document's form, by BIC over none and every single effect."""
-    return _bic(x, observed)[0]
+    return _bic(x, observed, Plain.of(x, observed))[0]
 
 
-def checked(x: Inputs, observed: np.ndarray) -> tuple[dict, dict]:
+def checked(
+    x: Inputs, observed: np.ndarray, plain: Plain | None = None
+) -> tuple[dict, dict]:
     """The diagnosis by BIC, and the same with a check of what its best leaves."""
-    plain, left = _bic(x, observed)
+    found, left = _bic(x, observed, plain or Plain.of(x, observed))
     p = lack_of_fit(x, left)
     if p > ALARM_OF_FIT:
-        return plain, plain
+        return found, found
     unknown = {"status": "unknown", "effects": ["unknown"], "probability": 1 - p}
-    return plain, plain | {"verdict": plain["verdict"] | unknown}
+    return found, found | {"verdict": found["verdict"] | unknown}
 
 
-def _bic(x: Inputs, observed: np.ndarray) -> tuple[dict, np.ndarray]:
+def _bic(x: Inputs, observed: np.ndarray, plain: Plain) -> tuple[dict, np.ndarray]:
     """The diagnosis, and what the best model leaves (n,), standardised."""
-    (c, mu), misses, std = base_fit(x, observed)
-    n, plain = len(misses), float(misses @ misses)
+    c, mu, misses, std, shaped = plain
+    n = len(misses)
     base = directions(x, c, mu) / std[:, None]
     squares, left = {}, {(): misses}
-    for effect, several in shapes(x, x.effects, c, mu).items():
+    for effect, several in shaped.items():
         for k, shape in enumerate(several):
             columns = np.column_stack([base, shape / std])
             scale = np.linalg.norm(columns, axis=0) + 1e-12
@@ -151,7 +182,7 @@ def _bic(x: Inputs, observed: np.ndarray) -> tuple[dict, np.ndarray]:
         )  # fmt: skip
         squares[effect, k] = 2 * found.cost, found.x[2]
         left[effect, k] = found.fun
-    criterion, rests = {(): n * np.log(plain / n)}, {(): misses}
+    criterion, rests = {(): n * np.log(float(misses @ misses) / n)}, {(): misses}
     for (effect, k), (total, _) in squares.items():
         extra = 1 + (effect == "friction_step")
         value = n * np.log(total / n) + extra * np.log(n)
@@ -161,12 +192,12 @@ def _bic(x: Inputs, observed: np.ndarray) -> tuple[dict, np.ndarray]:
     return document(criterion, -0.5), rests[best][: len(x.slip)]
 
 
-def by_residual(x: Inputs, observed: np.ndarray) -> dict:
+def by_residual(x: Inputs, observed: np.ndarray, plain: Plain | None = None) -> dict:
     """A diagnosis by the largest correlation of the residual with an effect's shape."""
-    (c, mu), misses, std = base_fit(x, observed)
+    _, _, misses, std, shaped = plain or Plain.of(x, observed)
     n = len(misses)
     strength = {(): ALARM**2}
-    for effect, several in shapes(x, x.effects, c, mu).items():
+    for effect, several in shaped.items():
         for shape in several:
             column = shape / std
             size = np.linalg.norm(column) * np.linalg.norm(misses) + 1e-12
@@ -241,33 +272,107 @@ def basis(x: Inputs, c: float, mu: float) -> np.ndarray:
     return np.hstack([bells * other[:, None] for other in others])
 
 
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A file to write that becomes ``path`` at the end: never half of it is there."""
+    part = path.with_name(f".{path.name}.part")
+    yield part
+    part.replace(path)
+
+
+def answered(
+    path: Path, rig: dict, without: Sequence[str], forest: Forest | None
+) -> tuple[dict[str, dict], dict[str, np.ndarray]]:
+    """Of one file: the diagnosis of every method, and the forces of the ridge."""
+    x, observed = read_trial(path, rig)
+    x = x.without(without)
+    plain = Plain.of(x, observed)
+    found = dict(zip(("bic", "bic_checked"), checked(x, observed, plain), strict=True))
+    found["residual"] = by_residual(x, observed, plain)
+    if forest:
+        found["forest"] = by_forest(forest, x, observed)
+    return found, ridge(x, observed)
+
+
+def kept(path: Path) -> tuple[dict[str, dict], dict[str, np.ndarray]]:
+    """The same as ``run_group`` wrote it; nothing where there is no such file."""
+    if not path.exists():
+        return {}, {}
+    with np.load(path) as file:
+        forces = {name: file[name] for name in file.files}
+    return json.loads(str(forces.pop("answers"))), forces
+
+
+_taught: list[Forest | None] = [None]
+"""The forest of a process: too large to go with every group."""
+
+
+def _begin(forest: Forest | None) -> None:
+    _taught[0] = forest
+
+
+def run_group(group: Path, without: Sequence[str], names: set[str], out: Path) -> None:
+    """Answers of every file of a group that has none of all these methods yet."""
+    out.mkdir(parents=True, exist_ok=True)
+    begun, files = time.perf_counter(), sorted(group.glob("*.csv"))
+    rig = tomllib.loads((group / "rig.toml").read_text())
+    for file in files:
+        path = out / f"{file.stem}.npz"
+        if names <= kept(path)[0].keys():
+            continue
+        found, forces = answered(file, rig, without, _taught[0])
+        with replacing(path) as part, part.open("wb") as opened:
+            np.savez(opened, answers=json.dumps(found), **forces)
+    spent = time.perf_counter() - begun
+    print(f"{group.name}: {len(files)} files, {spent:.0f} s", flush=True)
+
+
+def gathered(folder: Path, names: Sequence[str]) -> int:
+    """Writes what the scorer reads, in the order of the files; how many there are."""
+    answers: dict[str, dict] = {name: {} for name in names}
+    closed = {}
+    for group in sorted((folder / "trials").iterdir()):
+        for file in sorted(group.glob("*.csv")):
+            path = folder / "baselines" / group.name / f"{file.stem}.npz"
+            found, forces = kept(path)
+            for name in names:
+                answers[name][file.stem] = found[name]
+            closed |= {f"{file.stem}_{key}": value for key, value in forces.items()}
+    for name, found in answers.items():
+        with replacing(folder / f"baseline_{name}.json") as part:
+            part.write_text(json.dumps(found))
+    with replacing(folder / "baseline_ridge.npz") as part, part.open("wb") as opened:
+        np.savez_compressed(opened, **closed)
+    return len(answers["bic"])
+
+
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Baselines on a folder of trials")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--forest", type=Path, help="features of fits.withheld.forest")
+    parser.add_argument("--jobs", type=int, default=1, help="groups at a time")
+    parser.add_argument("--resume", action="store_true", help="keep answers given")
     given = parser.parse_args(arguments)
     forest = trained(given.forest)
     told = json.loads((given.folder / "leave_out.json").read_text())
     names = ["bic", "bic_checked", "residual", *(["forest"] if forest else [])]
-    answers: dict = {name: {} for name in names}
-    closed = {}
-    for group in sorted((given.folder / "trials").iterdir()):
-        rig = tomllib.loads((group / "rig.toml").read_text())
-        for path in sorted(group.glob("*.csv")):
-            x, observed = read_trial(path, rig)
-            x = x.without(told[group.name])
-            plain, careful = checked(x, observed)
-            answers["bic"][path.stem] = plain
-            answers["bic_checked"][path.stem] = careful
-            if forest:
-                answers["forest"][path.stem] = by_forest(forest, x, observed)
-            answers["residual"][path.stem] = by_residual(x, observed)
-            found = ridge(x, observed)
-            closed |= {f"{path.stem}_{key}": value for key, value in found.items()}
-    for name, found in answers.items():
-        (given.folder / f"baseline_{name}.json").write_text(json.dumps(found))
-    np.savez_compressed(given.folder / "baseline_ridge.npz", **closed)
-    print(f"{len(answers['bic'])} files by {', '.join(names)}, ridge")
+    out = given.folder / "baselines"
+    if not given.resume:
+        shutil.rmtree(out, ignore_errors=True)
+    # Before the processes import NumPy: more threads spin on each other's cores.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    apart = get_context("spawn")
+    with ProcessPoolExecutor(given.jobs, apart, _begin, (forest,)) as pool:
+        waiting = [
+            pool.submit(
+                run_group, group, told[group.name], set(names), out / group.name
+            )
+            for group in largest_first(given.folder)
+        ]
+        for one in waiting:
+            one.result()
+    count = gathered(given.folder, names)
+    print(f"{count} files by {', '.join(names)}, ridge")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """A random forest on features of the residual, taught on development trials.
 
     python -m fits.withheld.forest --trials 1500 --out out/forest.npz   # the features
-    python -m fits.withheld.baselines out/withheld --forest out/forest.npz
+    python -m fits.withheld.baselines out/withheld --forest out/forest.npz --jobs 2
 
 What an engineer would do who has many labelled examples and no physics beyond the plain
 brush. The features are those of what the brush leaves, in standard deviations: its mean

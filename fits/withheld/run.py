@@ -24,7 +24,7 @@ from importlib.metadata import entry_points
 from multiprocessing import get_context
 from pathlib import Path
 
-__all__ = ["command", "main", "more_words", "simulated"]
+__all__ = ["command", "largest_first", "main", "more_words", "simulated"]
 
 
 def command(group: Path, without: list[str], out: Path, *more: str) -> list[str]:
@@ -78,6 +78,12 @@ def more_words(folder: Path, resume: bool) -> dict[str, list[str]]:
     }
 
 
+def largest_first(folder: Path) -> list[Path]:
+    """The groups in this order, so that the processes end at about the same time."""
+    groups = list((folder / "trials").iterdir())
+    return sorted(groups, key=lambda group: (-len(list(group.iterdir())), group))
+
+
 def run_group(group: Path, without: list[str], out: Path, *more: str) -> float:
     """Seconds that one group took. Without ``--resume`` old answers are removed."""
     if "--resume" not in more:
@@ -107,9 +113,7 @@ def main(arguments: list[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     told = json.loads((given.folder / "leave_out.json").read_text())
     more = more_words(given.folder, given.resume)
-    groups = list((given.folder / "trials").iterdir())
-    # The largest first, so that the processes end at about the same time.
-    groups = sorted(groups, key=lambda group: (-len(list(group.iterdir())), group))
+    groups = largest_first(given.folder)
     answers = given.folder / "answers"
     compiled = str(answers.absolute() / "compiled")
     apart = get_context("spawn")

@@ -320,6 +320,54 @@ def test_ridge_closes_where_it_was_fitted(strong):
     assert found["held"].sum() == np.sum(x.fz > 0.97 * x.fz.max())
 
 
+def gathered_in(folder):
+    """What the scorer reads of the baselines, as bytes."""
+    return {path.name: path.read_bytes() for path in folder.glob("baseline_*")}
+
+
+def test_baselines_are_the_same_from_any_jobs_and_after_a_stop(few, tmp_path):
+    written(tmp_path, [(trial, perfect(trial)) for trial in few[::2]], rows=False)
+    baselines.main([str(tmp_path), "--jobs", "2"])
+    whole = gathered_in(tmp_path)
+    assert len(whole) == 4
+    first, *others = sorted(tmp_path.glob("baselines/*/*.npz"))
+    given = {path: path.stat().st_mtime_ns for path in others}
+    first.rename(first.with_name(f".{first.name}.part"))  # stopped while it was written
+    for name in whole:
+        (tmp_path / name).unlink()
+    baselines.main([str(tmp_path), "--resume"])
+    assert gathered_in(tmp_path) == whole
+    assert {path: path.stat().st_mtime_ns for path in others} == given
+    baselines.main([str(tmp_path)])
+    assert gathered_in(tmp_path) == whole
+    assert all(path.stat().st_mtime_ns > given[path] for path in others)
+
+
+def test_baselines_answer_only_what_is_missing(tmp_path, monkeypatch):
+    group, names, asked = tmp_path / "rig00", [f"t000{k}" for k in range(5)], []
+    group.mkdir()
+    for name in ("rig.toml", *(f"{name}.csv" for name in names)):
+        (group / name).touch()
+
+    def stops(path, *_):
+        asked.append(path.stem)
+        if asked == names[:3]:
+            raise KeyboardInterrupt
+        return {"bic": {"verdict": path.stem}}, {"base": np.ones(2)}
+
+    monkeypatch.setattr(baselines, "answered", stops)
+    with pytest.raises(KeyboardInterrupt):
+        baselines.run_group(group, [], {"bic"}, tmp_path / "out")
+    baselines.run_group(group, [], {"bic"}, tmp_path / "out")
+    assert asked == names[:3] + names[2:]
+    found, forces = baselines.kept(tmp_path / "out" / f"{names[2]}.npz")
+    assert found == {"bic": {"verdict": names[2]}}
+    assert forces["base"].tolist() == [1, 1]
+    # A method that was not asked for before is missing everywhere.
+    baselines.run_group(group, [], {"bic", "forest"}, tmp_path / "out")
+    assert asked[-len(names) :] == names
+
+
 def test_baselines_read_what_was_written(few, tmp_path):
     written(tmp_path, [(trial, perfect(trial)) for trial in few])
     baselines.main([str(tmp_path)])
