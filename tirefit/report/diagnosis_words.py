@@ -6,12 +6,20 @@ from collections.abc import Sequence
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
 from tirefit.diagnosis.patterns import Look
-from tirefit.diagnosis.records import Candidate, Region, Spot, Untestable
+from tirefit.diagnosis.records import (
+    Candidate,
+    Region,
+    Spot,
+    Untestable,
+    VerdictSummary,
+)
 from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
+    "UNLISTED",
     "covariate_text",
     "covariate_unit",
+    "listed_candidates",
     "look_place",
     "look_size",
     "look_text",
@@ -19,11 +27,15 @@ __all__ = [
     "p_text",
     "parameter_text",
     "range_text",
+    "said_effects",
     "share_text",
     "untestable_groups",
     "words_on",
 ]
 
+_STRANGER = "not in the library"
+UNLISTED = f"{_STRANGER}, alone or beside"
+"""What ``VerdictSummary.unlisted`` is the probability of."""
 
 _NEEDS = {
     "loads": "more than one load",
@@ -151,6 +163,19 @@ def look_text(look: Look) -> str:
 def _end(value: float, largest: float) -> str:
     """Three digits of the larger end are enough for both."""
     return format_number(0.0 if abs(value) < 5e-4 * abs(largest) else value, 3)
+
+
+def listed_candidates(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Those of the library. What is not in it by itself is no line of its own: it is a
+    part of :data:`UNLISTED`."""
+    return [one for one in candidates if one.effects != ("unknown",)]
+
+
+def said_effects(candidate: Candidate, verdict: VerdictSummary) -> tuple[str, ...]:
+    """What the probability of a candidate is that of: its effects alone, but of the
+    set that an incomplete verdict names."""
+    beside = verdict.status == "incomplete" and candidate.effects == verdict.effects
+    return (*candidate.effects, _STRANGER) if beside else candidate.effects
 
 
 def parameter_text(candidate: Candidate) -> str:
