@@ -430,7 +430,9 @@ def test_text_and_page_say_how_likely_the_unlisted_is():
     assert "0.11  slip_offset, closes" in str(found)
     assert "0.72  not in the library, alone or beside" in str(found)
     for page in (diagnosis_page(found), found._repr_html_()):
-        (row,) = re.findall(r"<tr[^>]*>(?:(?!</tr>).)*alone or beside.*?</tr>", page, re.S)
+        (row,) = re.findall(
+            r"<tr[^>]*>(?:(?!</tr>).)*alone or beside.*?</tr>", page, re.S
+        )
         assert "0.720" in row
 
 
