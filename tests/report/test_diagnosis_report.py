@@ -748,6 +748,25 @@ def test_candidates_are_said_to_be_ranked_before_the_tests():
 PASSES = Adequacy(0.5, 0.4, 0.6, 0.3, 0.7, 0.5, passed=False)
 
 
+def test_a_p_value_at_its_floor_is_said_as_a_bound():
+    """Of two channels the floor of the smaller p-value is twice that of one."""
+    at_floor = Adequacy(1e-6, 2e-6, 3e-6, 0.3, 0.7, 0.5, passed=False)
+    found = judged("incomplete", ["load_friction"])
+    verdict = replace(found.verdict, adequacy=at_floor)
+    both = replace(found.data, channels=("fx", "fy"))
+    one, two = (
+        replace(found, verdict=verdict, data=data) for data in (found.data, both)
+    )
+    for said in (str(one), html.unescape(diagnosis_page(one))):
+        said = " ".join(said.split())
+        assert "in time miss alike (p < 1e-06);" in said
+        assert "in slip miss alike (p 2e-06); a wave stands out (p 3e-06)" in said
+    said = " ".join(str(two).split())
+    assert "in slip miss alike (p < 2e-06); a wave stands out (p 3e-06)" in said
+    # The document keeps the number.
+    assert json.loads(two.to_json())["verdict"]["adequacy"]["slip_order"] == 2e-6
+
+
 def test_an_incomplete_verdict_says_that_rows_left_out_decided():
     verdict = VerdictSummary(
         status="incomplete", effects=("load_friction",), probability=0.7,

@@ -2,7 +2,7 @@
 
 import textwrap
 
-from tirefit.diagnosis.adequacy import refused
+from tirefit.diagnosis.adequacy import LEAST_P, refused
 from tirefit.diagnosis.records import Region, Shrinkage
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_lines, change_texts
@@ -163,7 +163,8 @@ def adequacy_line(result: Diagnosis) -> str:
         return ""  # not randomness here, but rows left out decided
     if not failed:
         return f"{what} looks random in {len(tested)} tests"
-    parts = (f"{_LEFT[name]} (p {values[name]:.2g})" for name in failed)
+    least = LEAST_P * len(result.data.channels)
+    parts = (f"{_LEFT[name]} (p {p_text(values[name], least)})" for name in failed)
     return f"{what} has structure: {'; '.join(parts)}"
 
 

@@ -202,6 +202,7 @@ def share_text(share: float | None, ends=None) -> str:
     return f"{100 * share:.0f} % [{100 * low:.0f} %, {100 * high:.0f} %]"
 
 
-def p_text(p: float) -> str:
-    """A p-value with two digits; tiny ones as a bound, as nobody knows them better."""
-    return "< 1e-12" if p < 1e-12 or math.isnan(p) else f"{p:.2g}"
+def p_text(p: float, least: float = 1e-12) -> str:
+    """A p-value with two digits; from ``least`` down as a bound, as nobody knows it
+    better."""
+    return f"< {least:.2g}" if p <= least or math.isnan(p) else f"{p:.2g}"
