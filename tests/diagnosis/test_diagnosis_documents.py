@@ -14,7 +14,7 @@ import pytest
 from conftest_diagnosis import brush
 
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.effects import EFFECTS, effects_by_id
+from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, effects_by_id
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import prepare
@@ -110,6 +110,24 @@ def _walk(value, path=()):
         yield path, value
 
 
+OF_NOISE = {effect.id for effect in NOISE_EFFECTS}
+PROBABILITIES = ("probability", "unlisted", "share", "p_value", "p_now", "p_after")
+
+
+def _together(document):
+    """Probability of all that excludes one another: something unlisted, or one of the
+    sets of listed effects alone. Where nothing is named, sets are ranked only."""
+    verdict = document["verdict"]
+    if verdict["status"] == "none" or set(verdict["effects"]) <= OF_NOISE:
+        return 0.0
+    beside = verdict["effects"] if verdict["status"] == "incomplete" else None
+    alone = (
+        one["probability"] for one in document["candidates"]
+        if one["effects"] not in (["unknown"], beside)
+    )  # fmt: skip
+    return verdict["unlisted"] + sum(alone)
+
+
 RADIUS = 0.3  # m, of every wheel here
 
 
@@ -141,12 +159,14 @@ def faults(document, sizes):
             said.append(f"{where} has no value")
         if isinstance(value, float) and not abs(value) < 1e12:
             said.append(f"{where} = {value}")
-        if path[-1] in ("probability", "share", "p_value", "p_now", "p_after"):
+        if path[-1] in PROBABILITIES:
             if not -1e-9 <= value <= 1 + 1e-9:
                 said.append(f"{where} = {value}")
         if path[-1] in ("closed", "closed_ci") and value is not None:
             if not -1 <= value <= 1:
                 said.append(f"{where} = {value}")
+    if _together(document) > 1 + 1e-9:
+        said.append(f"probabilities add to {_together(document)}")
     known = effects_by_id(EFFECTS)
     for candidate in document["candidates"]:
         for name, figure in candidate["parameters"].items():
@@ -193,23 +213,29 @@ def test_every_document_means_something(seed):
     _check(seed)
 
 
+QUIET = {"status": "none", "probability": 0.5}
+
+
 def test_the_check_sees_what_nobody_can_mean():
-    good = {"candidates": [], "gap": {"closed": 0.5}, "verdict": {"probability": 0.5}}
+    good = {"candidates": [], "gap": {"closed": 0.5}, "verdict": QUIET}
     plain = Sizes()
     assert faults(good, plain) == []
     assert faults(good | {"gap": {"closed": -1.4e147}}, plain)
     assert faults(good | {"n_effective": None}, plain)
     assert faults(good | {"noise": {"fx": math.inf}}, plain)
-    assert faults(good | {"verdict": {"probability": 1.5}}, plain)
+    assert faults(good | {"verdict": QUIET | {"probability": 1.5}}, plain)
+    verdict = {"status": "named", "effects": ["toe"], "unlisted": 0.4}
+    sure = {"candidates": [{"effects": ["toe"], "probability": 0.7, "parameters": {}}]}
+    assert faults(good | sure | {"verdict": verdict}, plain)
+    assert faults(good | sure | {"verdict": verdict | {"unlisted": 0.3}}, plain) == []
     wild = named("channel_delay: delay", -0.4, 1.8e146, "s")
     assert faults(good | wild, plain)
 
 
 def named(name, value, std, unit):
     """Part of a document: one candidate of one effect."""
-    return {"candidates": [
-        {"parameters": {name: {"value": value, "std": std, "unit": unit}}}
-    ]}  # fmt: skip
+    figure = {"value": value, "std": std, "unit": unit}
+    return {"candidates": [{"parameters": {name: figure}}]}
 
 
 @pytest.mark.parametrize(
@@ -228,5 +254,6 @@ def test_amplitudes_are_judged_on_the_scale_of_their_file(share, std, is_meant, 
     """A share of the carried mass at the radius of the wheel, whoever it carries."""
     sizes = Sizes(inertia=mass * RADIUS**2)
     figures = (sizes.inertia * share, sizes.inertia * std, "kg m^2")
-    said = faults(named("wheel_inertia: inertia", *figures), sizes)
+    found = {"verdict": QUIET}
+    said = faults(found | named("wheel_inertia: inertia", *figures), sizes)
     assert (not said) == is_meant
