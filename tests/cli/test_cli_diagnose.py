@@ -193,7 +193,7 @@ PARTS = {
     "where": {"covariate", "low", "high", "share", "p_value"},
     "verdict": {
         "status", "effects", "probability", "also_possible", "adequacy", "looks_like",
-        "parameters",
+        "parameters", "unlisted",
     },
     "candidates": {
         "effects", "family", "probability", "parameters", "z", "z_given_rivals",

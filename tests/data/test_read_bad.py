@@ -48,7 +48,23 @@ CASES = {
     ),
     "many alike": (
         lines(*["0.01,x,4000"] * 12), {},
-        ["row 6, column", "row 10, column", "and 7 more rows with the same fault"],
+        [
+            "row 6, column", "row 10, column",
+            ", column 'fx': and 7 more rows with the same fault, next in row 11: 'x' is"
+            " text where a number is needed",
+        ],
+    ),
+    "many too long": (
+        lines(*["0.1,1,2,3"] * 5, "0.1,1", *["0.1,1,2,3"] * 2), {},
+        [
+            "row 10: 4 fields where the header has 3",
+            "and 3 more rows with the same fault, next in row 11: 2 fields where the"
+            " header has 3",
+        ],
+    ),
+    "one more": (
+        lines(*["0.1,1"] * 6), {},
+        ["and 1 more row with the same fault, next in row 11: 2 fields where the"],
     ),
     "unclosed quote": (lines('0.1,"1,4000'), {}, ["row 6: a quotation mark is not"]),
     "quote to the end": (

@@ -5,7 +5,9 @@ import pytest
 from scipy.stats import binom
 
 from tirefit.diagnosis.adequacy import (
+    LEAST_P,
     LEVEL,
+    Adequacy,
     Null,
     _left_out,
     _p_value,
@@ -14,6 +16,7 @@ from tirefit.diagnosis.adequacy import (
     refused,
 )
 from tirefit.diagnosis.memory import FORGETFUL, Memory
+from tirefit.diagnosis.standing import _worst
 
 ROWS = 240
 TIME = np.arange(ROWS)
@@ -206,3 +209,13 @@ def test_rows_without_time_and_settings_have_no_such_tests():
     result = adequacy(noise, Null(draws, COLUMNS), None, alone, [])
     assert result.time is None and result.pure_error is None
     assert result.held_out is None and result.local is None
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3])
+def test_the_floor_of_a_p_value_grows_with_the_channels(channels):
+    """A report tells it by the channels of the file, tested or not."""
+    floor = _p_value(1e9, np.linspace(0.0, 1.0, 999))
+    here = Adequacy(None, None, floor, None, None, None, passed=False)
+    elsewhere = here._replace(line=0.5)
+    worst = _worst([here, *[elsewhere] * (channels - 1)])
+    assert worst.line == LEAST_P * channels

@@ -1,5 +1,6 @@
 """What may be said of the most probable set: its standing binds the verdict."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from tirefit.diagnosis.base import fit_base
 from tirefit.diagnosis.conclusion import (
     bound_by,
     chance_of_unknown,
+    chance_of_unlisted,
     chances,
     probability_of_rest,
 )
@@ -74,6 +76,8 @@ def test_rows_left_out_bind_the_verdict(status, closed, on_others, then):
     assert bound.status == then
     # Who reads the verdict must be told that these rows decided it.
     assert bound.fails_elsewhere == (then != status)
+    if then == "incomplete":
+        assert bound.unlisted >= 0.5
     if then == "unknown":
         assert bound.effects == ("unknown",) and bound.chosen is NO_EFFECT
 
@@ -143,6 +147,40 @@ def test_chances_agree_with_the_verdict():
     assert shared[a] == 0.7 and shared[b] == pytest.approx(0.2 * 0.2 / 0.9)
     shared, unknown = of("none", (), 0.9)
     assert unknown == 0.1 and shared[a] == pytest.approx(0.6 / 0.9)
+    # Of a name, what may be there beside it is no part of what the others share.
+    verdict = Verdict("cannot_tell", b, 0.6, (), 0.0, ONE_EFFECT, unlisted=0.3)
+    assert chances(verdict, weighed) == pytest.approx({a: 0.1, b: 0.6})
+
+
+@pytest.mark.parametrize(
+    ("status", "probability", "unlisted", "said"),
+    [
+        ("named", 0.6, 0.3, 0.3),
+        ("incomplete", 0.47, 0.99, 0.99),
+        ("incomplete", 0.7, 0.5, 0.7),
+        ("unknown", 0.8, 0.8, 0.8),
+        ("none", 0.5, 0.0, 0.1 + 0.15),
+        ("none", 0.9, 0.0, 0.1),
+    ],
+)
+def test_the_unlisted_is_as_likely_as_the_verdict_says(
+    status, probability, unlisted, said
+):
+    """Alone (0.1) or beside (0.15), by the tests where they were asked, and never
+    against the verdict: what it says is there, what it says is not."""
+    key = ("load_friction",)
+    weighed = replace(NOTHING, unknown_alone=0.1, unknown_beside={key: 0.15})
+    verdict = Verdict(status, key, probability, (), 0.0, ONE_EFFECT, unlisted=unlisted)
+    assert chance_of_unlisted(verdict, weighed) == pytest.approx(said)
+
+
+@pytest.mark.parametrize("name", ["unknown", "slip_offset", "none"])
+def test_the_document_says_how_likely_the_unlisted_is(diagnosed, name):
+    verdict = json.loads(diagnosed(name)[0].to_json())["verdict"]
+    if name == "unknown":
+        assert verdict["unlisted"] >= max(0.5, verdict["probability"])
+    else:
+        assert 0 < verdict["unlisted"] <= 1 - verdict["probability"] < 0.5
 
 
 def test_an_effect_is_steady_where_the_truth_has_one_size():

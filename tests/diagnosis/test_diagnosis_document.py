@@ -43,7 +43,7 @@ KEYS = {
     "budget 0": ["part", "rms", "share", "closed_ci"],
     "verdict": [
         "status", "effects", "probability", "also_possible", "adequacy", "looks_like",
-        "parameters",
+        "parameters", "unlisted",
     ],
     "verdict adequacy": [
         "time", "slip_order", "line", "pure_error", "local", "held_out", "passed"

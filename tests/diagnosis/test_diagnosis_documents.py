@@ -14,9 +14,14 @@ import pytest
 from conftest_diagnosis import brush
 
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.effects import EFFECTS, effects_by_id
+from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, effects_by_id
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.rig import Rig
+from tirefit.diagnosis.rows import prepare
+from tirefit.diagnosis.sizes import Sizes
+
+SLACK = 0.1
+"""Of an amplitude's usual size: its bounds are those of a search, not to the digit."""
 
 GAPS = ("none", "shift", "ripple", "late", "step", "kappa", "load", "half", "noise")
 OFTEN_NONE = {
@@ -105,8 +110,48 @@ def _walk(value, path=()):
         yield path, value
 
 
-def faults(document):
-    """What nobody can mean in a document: sentences."""
+OF_NOISE = {effect.id for effect in NOISE_EFFECTS}
+PROBABILITIES = ("probability", "unlisted", "share", "p_value", "p_now", "p_after")
+
+
+def _together(document):
+    """Probability of all that excludes one another: something unlisted, or one of the
+    sets of listed effects alone. Where nothing is named, sets are ranked only."""
+    verdict = document["verdict"]
+    if verdict["status"] == "none" or set(verdict["effects"]) <= OF_NOISE:
+        return 0.0
+    beside = verdict["effects"] if verdict["status"] == "incomplete" else None
+    alone = (
+        one["probability"] for one in document["candidates"]
+        if one["effects"] not in (["unknown"], beside)
+    )  # fmt: skip
+    return verdict["unlisted"] + sum(alone)
+
+
+RADIUS = 0.3  # m, of every wheel here
+
+
+def sizes_of_file(columns, data, rig):
+    """What "large" means in a file; of the inertia by a route of its own."""
+    channel = "fy" if "fy" in columns else "fx"
+    carried = np.mean(columns["fz"]) / 9.81
+    return prepare(data, rig, (channel,)).sizes._replace(inertia=carried * RADIUS**2)
+
+
+def _allowed(effect, sizes):
+    """Lowest and highest amplitude of an effect and the largest standard error, on the
+    scale of the file: each variant has bounds in shares of its own size or of one."""
+    size = np.array([getattr(sizes, per) for per in effect.per])
+    low, high = (np.array(effect.bounds) * size[:, None]).T
+    return low.min(), high.max(), effect.scale * size.max()
+
+
+def faults(document, sizes):
+    """What nobody can mean in a document: sentences.
+
+    Args:
+        sizes: of its file, in shares of which amplitudes are bounded.
+    """
     said = []
     for path, value in _walk(document):
         where = ".".join(path)
@@ -114,29 +159,37 @@ def faults(document):
             said.append(f"{where} has no value")
         if isinstance(value, float) and not abs(value) < 1e12:
             said.append(f"{where} = {value}")
-        if path[-1] in ("probability", "share", "p_value", "p_now", "p_after"):
+        if path[-1] in PROBABILITIES:
             if not -1e-9 <= value <= 1 + 1e-9:
                 said.append(f"{where} = {value}")
         if path[-1] in ("closed", "closed_ci") and value is not None:
             if not -1 <= value <= 1:
                 said.append(f"{where} = {value}")
+    if _together(document) > 1 + 1e-9:
+        said.append(f"probabilities add to {_together(document)}")
     known = effects_by_id(EFFECTS)
     for candidate in document["candidates"]:
         for name, figure in candidate["parameters"].items():
             effect = known[name.split(":")[0]]
-            low = min(pair[0] for pair in effect.bounds) - 0.2
-            high = max(pair[1] for pair in effect.bounds) + 0.2
-            if not low <= figure["value"] <= high or not figure["std"] < 1e3:
+            low, high, scale = _allowed(effect, sizes)
+            if effect.id == "slip_offset" and document.get("slip_check"):
+                # Seen between two slips, it may be meant whatever its size.
+                seen = abs(document["slip_check"]["offset"])
+                scale = max(scale, seen)
+                low, high = min(low, -2 * seen), max(high, 2 * seen)
+            if not low - SLACK * scale <= figure["value"] <= high + SLACK * scale:
                 said.append(f"{name} = {figure}")
-            if not figure["std"] < 100 * effect.scale:
+            # However badly an effect fits, no less is known of it than beforehand.
+            if not 0 <= figure["std"] <= (1 + SLACK) * scale:
                 said.append(f"{name}: std {figure['std']}")
     return said
 
 
 def _check(seed):
     columns, rig = generated(seed)
-    found = diagnose(read_frame(columns, f"file {seed}"), rig=rig, seed=seed)
-    said = faults(json.loads(found.to_json()))
+    data = read_frame(columns, f"file {seed}")
+    found = diagnose(data, rig=rig, seed=seed)
+    said = faults(json.loads(found.to_json()), sizes_of_file(columns, data, rig))
     assert not said, f"seed {seed}: {said}"
     for channel, parts in found.rows.items():
         for name, values in parts.items():
@@ -160,13 +213,47 @@ def test_every_document_means_something(seed):
     _check(seed)
 
 
+QUIET = {"status": "none", "probability": 0.5}
+
+
 def test_the_check_sees_what_nobody_can_mean():
-    good = {"candidates": [], "gap": {"closed": 0.5}, "verdict": {"probability": 0.5}}
-    assert faults(good) == []
-    assert faults(good | {"gap": {"closed": -1.4e147}})
-    assert faults(good | {"n_effective": None})
-    assert faults(good | {"noise": {"fx": math.inf}})
-    assert faults(good | {"verdict": {"probability": 1.5}})
-    number = {"value": -0.4, "std": 1.8e146, "unit": "s"}
-    wild = {"parameters": {"channel_delay: delay": number}}
-    assert faults(good | {"candidates": [wild]})
+    good = {"candidates": [], "gap": {"closed": 0.5}, "verdict": QUIET}
+    plain = Sizes()
+    assert faults(good, plain) == []
+    assert faults(good | {"gap": {"closed": -1.4e147}}, plain)
+    assert faults(good | {"n_effective": None}, plain)
+    assert faults(good | {"noise": {"fx": math.inf}}, plain)
+    assert faults(good | {"verdict": QUIET | {"probability": 1.5}}, plain)
+    verdict = {"status": "named", "effects": ["toe"], "unlisted": 0.4}
+    sure = {"candidates": [{"effects": ["toe"], "probability": 0.7, "parameters": {}}]}
+    assert faults(good | sure | {"verdict": verdict}, plain)
+    assert faults(good | sure | {"verdict": verdict | {"unlisted": 0.3}}, plain) == []
+    wild = named("channel_delay: delay", -0.4, 1.8e146, "s")
+    assert faults(good | wild, plain)
+
+
+def named(name, value, std, unit):
+    """Part of a document: one candidate of one effect."""
+    figure = {"value": value, "std": std, "unit": unit}
+    return {"candidates": [{"parameters": {name: figure}}]}
+
+
+@pytest.mark.parametrize(
+    ("share", "std", "is_meant"),
+    [
+        (0.03, 0.02, True),  # a car's wheel
+        (0.25, 0.03, True),  # a geared motor
+        (-0.03, 0.02, True),  # taken off twice
+        (-0.09, 0.03, False),  # three wheels the wrong way
+        (0.5, 0.03, False),
+        (0.03, 0.3, False),
+    ],
+)
+@pytest.mark.parametrize("mass", [1.8, 400.0, 4000.0])
+def test_amplitudes_are_judged_on_the_scale_of_their_file(share, std, is_meant, mass):
+    """A share of the carried mass at the radius of the wheel, whoever it carries."""
+    sizes = Sizes(inertia=mass * RADIUS**2)
+    figures = (sizes.inertia * share, sizes.inertia * std, "kg m^2")
+    found = {"verdict": QUIET}
+    said = faults(found | named("wheel_inertia: inertia", *figures), sizes)
+    assert (not said) == is_meant

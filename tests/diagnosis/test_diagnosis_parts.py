@@ -653,10 +653,10 @@ def test_the_data_and_the_rig_say_more_of_an_amplitude():
     small = replace(RIG, rolling_radius=0.3)
     carried = np.mean(frame["fz"]) / 9.81 * 0.3**2
     usual = _prior("wheel_inertia", data, small)
-    assert usual == pytest.approx(carried * np.array([0.03, 0.0, -0.6, 0.6]))
+    assert usual == pytest.approx(carried * np.array([0.03, 0.0, -0.06, 0.3]))
     # A force worked out from the torque lacks all of a known inertia.
     known = _prior("wheel_inertia", data, replace(small, wheel_inertia=30.0))
-    assert known == pytest.approx((9.0, 30.0, -0.6 * carried, 60.0))
+    assert known == pytest.approx((9.0, 30.0, -0.06 * carried, 60.0))
     # sigma_x may be a kappa: x / (1 - x); a kappa may be a sigma_x: x / (1 + x).
     assert _prior("slip_definition", data, RIG).center == 1.0
     logged = {k: v for k, v in frame.items() if k != "sigma_x"}

@@ -243,10 +243,10 @@ def diagnosis(missing="fz", scatter=NOISE, rows=None, channel="fx", **changes):
     )
 
 
-def judged(status, effects, probability=0.6, rivals=(), **changes):
+def judged(status, effects, probability=0.6, rivals=(), unlisted=0.0, **changes):
     verdict = VerdictSummary(
         status=status, effects=tuple(effects), probability=probability,
-        also_possible=tuple(rivals),
+        also_possible=tuple(rivals), unlisted=unlisted,
     )  # fmt: skip
     return diagnosis(verdict=verdict, **changes)
 
@@ -379,8 +379,10 @@ def test_bars_of_other_verdicts():
     assert noise["verdict"].label == "no gap"
     unknown = candidate(["unknown"], 0.047, 0.0)
     listed = (*CANDIDATES, unknown)
-    found = kinds(judged("unknown", ["unknown"], 0.047, candidates=listed))
-    assert found["verdict"].label == "not in the library"
+    found = kinds(
+        judged("unknown", ["unknown"], 0.047, unlisted=0.047, candidates=listed)
+    )
+    assert found["verdict"].label == "not in the library,\nalone or beside"
     assert found["verdict"].probability == 0.047
     rivals = kinds(judged("cannot_tell", ["load_friction"], 0.87, ["slip_offset"]))
     assert rivals["rival"].label == "slip_offset"
@@ -389,6 +391,49 @@ def test_bars_of_other_verdicts():
     found = kinds(diagnosis(candidates=listed))
     assert found["none"].probability == 0.011
     assert found["rest"].probability == pytest.approx(0.036)
+
+
+LEFT_OVER = (
+    candidate(["load_friction"], 0.55),
+    candidate(["slip_offset"], 0.11),
+)
+"""Of an incomplete verdict: the first with something unlisted, the second alone."""
+
+
+def test_the_bar_of_the_unlisted_counts_it_beside_listed_effects():
+    """An incomplete verdict says that something unlisted is there: its bar is never
+    shorter than the verdict's, which is a part of it."""
+    found = judged(
+        "incomplete", ["load_friction"], 0.55, unlisted=0.72, candidates=LEFT_OVER
+    )
+    bars = {bar.kind: bar for bar in evidence_bars(found)}
+    assert bars["unknown"].label == "not in the library,\nalone or beside"
+    assert bars["unknown"].probability == 0.72
+    assert bars["verdict"].label == "load_friction\n+ not in the library"
+    assert bars["other"].label == "slip_offset"
+    # Without the verdict's, which would count twice.
+    whole = sum(bar.probability for bar in bars.values()) - bars["verdict"].probability
+    assert whole == pytest.approx(1.0)
+    assert bars["rest"].probability == pytest.approx(1 - 0.72 - 0.11)
+    # Beside a name it may be there too.
+    named = judged("named", ["load_friction"], 0.55, unlisted=0.3, candidates=LEFT_OVER)
+    bars = {bar.kind: bar for bar in evidence_bars(named)}
+    assert bars["unknown"].probability == 0.3
+    assert sum(bar.probability for bar in bars.values()) == pytest.approx(1.0)
+
+
+def test_text_and_page_say_how_likely_the_unlisted_is():
+    found = judged(
+        "incomplete", ["load_friction"], 0.55, unlisted=0.72, candidates=LEFT_OVER
+    )
+    assert "0.55  load_friction + not in the library" in str(found)
+    assert "0.11  slip_offset, closes" in str(found)
+    assert "0.72  not in the library, alone or beside" in str(found)
+    for page in (diagnosis_page(found), found._repr_html_()):
+        (row,) = re.findall(
+            r"<tr[^>]*>(?:(?!</tr>).)*alone or beside.*?</tr>", page, re.S
+        )
+        assert "0.720" in row
 
 
 def test_closure_bars_hold_energy_beside_amplitude():
@@ -692,7 +737,7 @@ def test_what_is_left_stands_in_figure_and_page():
 
 
 def test_candidates_are_said_to_be_ranked_before_the_tests():
-    said = "by evidence, before what they leave was tested"
+    said = "listed ones by evidence, before what they leave was tested"
     found = diagnosis()
     assert f"CANDIDATES ({said})" in str(found)
     short = said.replace(",", "")
@@ -701,6 +746,25 @@ def test_candidates_are_said_to_be_ranked_before_the_tests():
 
 
 PASSES = Adequacy(0.5, 0.4, 0.6, 0.3, 0.7, 0.5, passed=False)
+
+
+def test_a_p_value_at_its_floor_is_said_as_a_bound():
+    """Of two channels the floor of the smaller p-value is twice that of one."""
+    at_floor = Adequacy(1e-6, 2e-6, 3e-6, 0.3, 0.7, 0.5, passed=False)
+    found = judged("incomplete", ["load_friction"])
+    verdict = replace(found.verdict, adequacy=at_floor)
+    both = replace(found.data, channels=("fx", "fy"))
+    one, two = (
+        replace(found, verdict=verdict, data=data) for data in (found.data, both)
+    )
+    for said in (str(one), html.unescape(diagnosis_page(one))):
+        said = " ".join(said.split())
+        assert "in time miss alike (p < 1e-06);" in said
+        assert "in slip miss alike (p 2e-06); a wave stands out (p 3e-06)" in said
+    said = " ".join(str(two).split())
+    assert "in slip miss alike (p < 2e-06); a wave stands out (p 3e-06)" in said
+    # The document keeps the number.
+    assert json.loads(two.to_json())["verdict"]["adequacy"]["slip_order"] == 2e-6
 
 
 def test_an_incomplete_verdict_says_that_rows_left_out_decided():

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tirefit.data.records import FileRecord, ResultsTable, Row, dates_of, records_into
-from tirefit.report.fleet import fleet_of, points
+from tirefit.fitting.across_files import across_files
+from tirefit.report.fleet import Quantity, fleet_of, points, quantity_figure
 from tirefit.report.fleet_html import fleet_page, write_fleet_page
 
 WILD = 17
@@ -100,6 +101,35 @@ def test_many_files_are_drawn_as_bins_of_neighbours(table, n, binned):
     if binned:  # the bins keep the drift
         slope = np.polyfit(drawn.when, drawn.value, 1)[0]
         assert slope == pytest.approx(-0.1 / n, rel=0.1)
+
+
+def ticks(axis):
+    """Those that can be seen."""
+    low, high = axis.get_view_interval()
+    return np.array([t for t in axis.get_majorticklocs() if low <= t <= high])
+
+
+@pytest.mark.parametrize("dated", [True, False])
+@pytest.mark.parametrize(
+    ("kind", "values", "whole"),
+    [
+        ("statistic", [400.0, 401.0, 401.0], True),
+        ("statistic", [400.0, 400.0, 400.0], True),
+        ("statistic", [39.5, 40.0, 41.0], False),
+        ("parameter", [1.0, 2.0, 2.0], False),
+    ],
+)
+def test_axes_that_count_have_no_fractions(kind, values, whole, dated):
+    values, zero = np.array(values), np.zeros(len(values))
+    number = np.arange(1, len(values) + 1)
+    when = 19000.0 + number if dated else 1.0 * number
+    across = across_files(values, zero, when)
+    one = Quantity(kind, "n", "", number, when, values, zero, 0, across)
+    (axes,) = quantity_figure(one, dated).axes
+    seen = ticks(axes.yaxis)
+    assert len(seen) and np.array_equal(seen, np.round(seen)) == whole
+    if not dated:
+        assert np.array_equal(ticks(axes.xaxis), number)
 
 
 def test_the_page_is_small_whole_and_safe(table, tmp_path):

@@ -204,8 +204,11 @@ def list_problems(
         for row, value in list(zip(fault.rows, fault.values, strict=True))[:SHOWN]:
             line = int(lines[row])
             of_rows.append(InputProblem(f"{value} {rule}", remedy, file, line, column))
-        if count > SHOWN:
-            reason = f"and {count - SHOWN} more rows with the same fault: {rule}"
+        if (more := count - SHOWN) > 0:
+            # A rule alone is half a sentence: its subject is what stands in a row.
+            next_one = f"row {lines[fault.rows[SHOWN]]}: {fault.values[SHOWN]} {rule}"
+            rows = "rows" if more > 1 else "row"
+            reason = f"and {more} more {rows} with the same fault, next in {next_one}"
             of_rows.append(InputProblem(reason, remedy, file, column=column))
     return of_rows, of_columns
 

@@ -15,7 +15,15 @@ from scipy.signal import lfilter
 from tirefit.diagnosis.memory import Memory
 from tirefit.diagnosis.negligible import ROUNDING
 
-__all__ = ["UNTESTED", "Adequacy", "Null", "adequacy", "null", "refused"]
+__all__ = [
+    "LEAST_P",
+    "UNTESTED",
+    "Adequacy",
+    "Null",
+    "adequacy",
+    "null",
+    "refused",
+]
 
 _PRECISION = np.float32
 """Of the simulated residuals: a thousand draws of all rows are read many times over,
@@ -30,8 +38,8 @@ DRAWS = 999
 _TAIL = 0.9
 """Quantile of the draws beyond which their tail is taken as exponential."""
 
-_LEAST_P = 1e-6
-"""Smallest p-value that is told: farther out nobody knows the tail."""
+LEAST_P = 1e-6
+"""Smallest p-value of a channel that is told: farther out nobody knows the tail."""
 
 _WIDEST = 4.0
 """Residuals are cut at so many standard deviations: one stray row is no structure."""
@@ -267,7 +275,7 @@ def _p_value(observed: float, drawn: np.ndarray) -> float:
     threshold = np.quantile(drawn, _TAIL)
     excess = np.mean(drawn[drawn > threshold]) - threshold
     beyond = (1 - _TAIL) * np.exp(-(observed - threshold) / max(excess, ROUNDING))
-    return float(np.clip(beyond, _LEAST_P, among))
+    return float(np.clip(beyond, LEAST_P, among))
 
 
 class Null(NamedTuple):

@@ -40,6 +40,7 @@ __all__ = [
     "Judge",
     "bound_by",
     "chance_of_unknown",
+    "chance_of_unlisted",
     "chances",
     "concluded",
     "look_of_rest",
@@ -249,7 +250,7 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
     if more < _EVEN:
         passed = judge.of(key).adequacy._replace(passed=True)
         sure = verdict.probability * (1 - more)
-        return replace(verdict, probability=sure, adequacy=passed)
+        return replace(verdict, probability=sure, adequacy=passed, unlisted=more)
     return _incomplete(verdict, judge, key, more)
 
 
@@ -324,14 +325,16 @@ def bound_by(
         left = verdict.adequacy._replace(passed=False)
         return replace(
             verdict, status="incomplete", also_possible=(), adequacy=left,
-            fails_elsewhere=True,
+            unlisted=max(verdict.unlisted, _EVEN), fails_elsewhere=True,
         )  # fmt: skip
     return verdict
 
 
 def chances(verdict: Verdict, weighed: Weighed) -> dict[tuple[str, ...], float]:
     """Probability of each refitted set to be all that is there, in agreement with the
-    verdict: what is left for the others is shared out by their evidence."""
+    verdict: what it and something unlisted leave for the others is shared out by their
+    evidence. That of an incomplete verdict's set is the verdict's, something unlisted
+    beside it."""
     listed = {
         k: weighed.among_listed(k)
         for k in weighed.sets
@@ -340,11 +343,12 @@ def chances(verdict: Verdict, weighed: Weighed) -> dict[tuple[str, ...], float]:
     key = tuple(sorted(verdict.effects))
     if verdict.status == "none":
         return listed
+    left = 1 - chance_of_unlisted(verdict, weighed)
     if verdict.status in ("named", "cannot_tell") and listed.get(key):
         mine, rest = verdict.probability, sum(listed.values()) - listed[key]
-        scale = min(mine / listed[key], (1 - mine) / max(rest, NONZERO))
+        scale = min(mine / listed[key], (left - mine) / max(rest, NONZERO))
         return {k: scale * v for k, v in listed.items()} | {key: mine}
-    shared = {k: (1 - verdict.unlisted) * v for k, v in listed.items()}
+    shared = {k: left * v for k, v in listed.items()}
     return shared | ({key: verdict.probability} if key in listed else {})
 
 
@@ -353,6 +357,19 @@ def chance_of_unknown(verdict: Verdict, weighed: Weighed) -> float:
     if verdict.status == "unknown":
         return verdict.probability
     return weighed.unknown_alone if verdict.status == "none" else 0.0
+
+
+def chance_of_unlisted(verdict: Verdict, weighed: Weighed) -> float:
+    """Probability that something unlisted is there, alone or beside listed effects."""
+    if verdict.status == "none":
+        by_evidence = weighed.unknown_alone + sum(weighed.unknown_beside.values())
+        return min(by_evidence, 1 - verdict.probability)
+    if verdict.status == "unknown":
+        return verdict.probability
+    if verdict.status == "incomplete":
+        # That of the effects named beside it is no larger, whatever decided.
+        return max(verdict.unlisted, verdict.probability)
+    return verdict.unlisted
 
 
 def look_of_rest(verdict: Verdict, base: Base, weighed: Weighed) -> tuple[Look, ...]:

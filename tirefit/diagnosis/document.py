@@ -13,6 +13,7 @@ from tirefit.diagnosis.closure import Closure, closure_on_rows
 from tirefit.diagnosis.conclusion import (
     bound_by,
     chance_of_unknown,
+    chance_of_unlisted,
     chances,
     look_of_rest,
 )
@@ -295,6 +296,7 @@ def _verdict(case: Case, curves: tuple[LookCurve, ...]) -> VerdictSummary:
         adequacy=verdict.adequacy,
         looks_like=tuple(curve.look for curve in curves),
         parameters=parameter_changes(case, widening(case.base, verdict.chosen)),
+        unlisted=chance_of_unlisted(verdict, case.weighed),
         fails_elsewhere=verdict.fails_elsewhere,
     )
 

@@ -160,6 +160,7 @@ class VerdictSummary:
     that is unknown; what this data cannot tell from it; the tests of what it leaves;
     what that looks like, the most probable first, where it is something unlisted.
 
+    ``unlisted`` is the probability that something unlisted is there, alone or beside.
     ``parameters`` are those of a simulator that was given: none of a form that was
     fitted. ``fails_elsewhere``: the status is what it is because rows left out are not
     predicted as the rows fitted are.
@@ -172,6 +173,7 @@ class VerdictSummary:
     adequacy: Adequacy = UNTESTED
     looks_like: tuple[Look, ...] = ()
     parameters: Mapping[str, "Change"] = field(default_factory=dict)
+    unlisted: float = 0.0
     fails_elsewhere: bool = field(default=False, metadata={"written": False})
 
     @property

@@ -133,7 +133,7 @@ def draw_evidence(figure, bars: list[Bar]) -> None:
     tidy(axes, "probability")
     axes.set_yticks(places, [plain_text(bar.label) for bar in bars])
     axes.set_xlim(0, 1)
-    note = "by evidence, before what they leave is tested; blue: the verdict"
+    note = "listed ones by evidence, before what they leave is tested; blue: verdict"
     panel_title(axes, "Which: explanations of the gap", note)
 
 

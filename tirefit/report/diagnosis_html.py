@@ -25,10 +25,13 @@ from tirefit.report.diagnosis_text import (
     verdict_sentence,
 )
 from tirefit.report.diagnosis_words import (
+    UNLISTED,
     covariate_text,
+    listed_candidates,
     p_text,
     parameter_text,
     range_text,
+    said_effects,
     share_text,
     untestable_groups,
 )
@@ -101,15 +104,20 @@ def _candidates(result: Diagnosis) -> list[tuple[str, ...]]:
          "closed"),
         *(
             (
-                " + ".join(one.effects), one.family,
-                f"{one.probability:.3f}" if one.probability >= 5e-4 else "< 0.001",
+                " + ".join(said_effects(one, result.verdict)), one.family,
+                _chance(one.probability),
                 parameter_text(one), format_number(one.z, 3),
                 format_number(one.z_given_rivals, 3),
                 share_text(one.closed, one.closed_ci),
             )
-            for one in result.candidates
+            for one in listed_candidates(result.candidates)
         ),
+        (UNLISTED, "", _chance(result.verdict.unlisted), "", "-", "-", "-"),
     ]  # fmt: skip
+
+
+def _chance(probability: float) -> str:
+    return f"{probability:.3f}" if probability >= 5e-4 else "< 0.001"
 
 
 def _base(result: Diagnosis) -> str:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 from tirefit.diagnosis.records import Shrinkage, VerdictSummary
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.views import LoadCurve, ResidualMap
+from tirefit.report.diagnosis_words import UNLISTED, listed_candidates, said_effects
 from tirefit.report.numbers import format_number
 
 __all__ = [
@@ -84,30 +85,34 @@ def after_label(result: Diagnosis) -> str:
 
 
 def _kind(effects: tuple[str, ...], verdict: VerdictSummary) -> str:
-    if effects == ("unknown",):
-        return "unknown"
     if effects == verdict.effects:
         return "verdict"
     return "rival" if set(verdict.also_possible) & set(effects) else "other"
 
 
 def evidence_bars(result: Diagnosis, most: int = 7) -> list[Bar]:
-    """Probabilities of the explanations, largest first; then unknown, none, the rest.
+    """Probabilities of the explanations, largest first; then of something unlisted,
+    none, the rest.
 
-    The bars add up to one: ``rest`` is what the document does not list.
+    The bars add up to one: ``rest`` is what the document does not list. Only the bar of
+    an incomplete verdict is a part of another, that of something unlisted.
     """
     verdict = result.verdict
     bars = [
-        Bar("\n+ ".join(c.effects), c.probability, _kind(c.effects, verdict))
-        for c in result.candidates
-    ]
-    listed = [bar for bar in bars if bar.kind != "unknown" and bar.label]
-    listed = sorted(listed, key=lambda bar: -bar.probability)
-    shown = [b for b in listed if b.probability >= 0.005 or b.kind == "verdict"][:most]
-    unknown = sum(b.probability for b in bars if b.kind == "unknown")
-    unknown_kind = "verdict" if verdict.status == "unknown" else "unknown"
-    shown.append(Bar("not in the library", unknown, unknown_kind))
-    left = max(1 - sum(bar.probability for bar in shown), 0.0)
+        Bar(
+            "\n+ ".join(said_effects(c, verdict)), c.probability,
+            _kind(c.effects, verdict),
+        )
+        for c in listed_candidates(result.candidates)
+        if c.effects
+    ]  # fmt: skip
+    bars = sorted(bars, key=lambda bar: -bar.probability)
+    shown = [b for b in bars if b.probability >= 0.005 or b.kind == "verdict"][:most]
+    parts = [b for b in shown if b.kind != "verdict" or verdict.status != "incomplete"]
+    left = max(1 - verdict.unlisted - sum(bar.probability for bar in parts), 0.0)
+    kind = "verdict" if verdict.status == "unknown" else "unknown"
+    label = UNLISTED.replace(", ", ",\n")
+    shown.append(Bar(label, verdict.unlisted, kind))
     none = [c.probability for c in result.candidates if not c.effects]
     if not verdict.names_an_effect and verdict.status != "unknown":
         none = [verdict.probability]

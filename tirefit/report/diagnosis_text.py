@@ -2,16 +2,19 @@
 
 import textwrap
 
-from tirefit.diagnosis.adequacy import refused
+from tirefit.diagnosis.adequacy import LEAST_P, refused
 from tirefit.diagnosis.records import Region, Shrinkage
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_lines, change_texts
 from tirefit.report.diagnosis_words import (
+    UNLISTED,
     covariate_text,
+    listed_candidates,
     look_text,
     p_text,
     parameter_text,
     range_text,
+    said_effects,
     share_text,
     untestable_groups,
     words_on,
@@ -160,7 +163,8 @@ def adequacy_line(result: Diagnosis) -> str:
         return ""  # not randomness here, but rows left out decided
     if not failed:
         return f"{what} looks random in {len(tested)} tests"
-    parts = (f"{_LEFT[name]} (p {values[name]:.2g})" for name in failed)
+    least = LEAST_P * len(result.data.channels)
+    parts = (f"{_LEFT[name]} (p {p_text(values[name], least)})" for name in failed)
     return f"{what} has structure: {'; '.join(parts)}"
 
 
@@ -229,16 +233,19 @@ def spot_lines(result: Diagnosis) -> list[str]:
 
 def _candidates(result: Diagnosis, most: int = 5) -> list[str]:
     lines = []
-    for candidate in result.candidates[:most]:
+    for candidate in listed_candidates(result.candidates)[:most]:
         if candidate.probability < 0.005:
             break
+        effects = " + ".join(said_effects(candidate, result.verdict))
         closed = candidate.closed
         tail = "" if not closed else f", closes {share_text(closed)}"
         values = parameter_text(candidate) if candidate.probability >= 0.05 else ""
         lines.append(
-            f"  {candidate.probability:.2f}  {' + '.join(candidate.effects)}{tail}"
+            f"  {candidate.probability:.2f}  {effects}{tail}"
             + (f"  ({values})" if values else "")
         )
+    if (unlisted := result.verdict.unlisted) >= 0.005:
+        lines.append(f"  {unlisted:.2f}  {UNLISTED}")
     return lines or ["  none"]
 
 
@@ -357,7 +364,7 @@ def diagnosis_text(result: Diagnosis) -> str:
         *(f"  {line}" for line in run_lines(result)),
         "WHERE (shares of its energy)", *_where(result),
         *(f"  {line}" for line in map_lines(result)),
-        "CANDIDATES (by evidence, before what they leave was tested)",
+        "CANDIDATES (listed ones by evidence, before what they leave was tested)",
         *_candidates(result),
     ]  # fmt: skip
     if confused := confused_lines(result):

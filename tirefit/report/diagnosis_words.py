@@ -6,12 +6,20 @@ from collections.abc import Sequence
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
 from tirefit.diagnosis.patterns import Look
-from tirefit.diagnosis.records import Candidate, Region, Spot, Untestable
+from tirefit.diagnosis.records import (
+    Candidate,
+    Region,
+    Spot,
+    Untestable,
+    VerdictSummary,
+)
 from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
+    "UNLISTED",
     "covariate_text",
     "covariate_unit",
+    "listed_candidates",
     "look_place",
     "look_size",
     "look_text",
@@ -19,11 +27,15 @@ __all__ = [
     "p_text",
     "parameter_text",
     "range_text",
+    "said_effects",
     "share_text",
     "untestable_groups",
     "words_on",
 ]
 
+_STRANGER = "not in the library"
+UNLISTED = f"{_STRANGER}, alone or beside"
+"""What ``VerdictSummary.unlisted`` is the probability of."""
 
 _NEEDS = {
     "loads": "more than one load",
@@ -153,6 +165,19 @@ def _end(value: float, largest: float) -> str:
     return format_number(0.0 if abs(value) < 5e-4 * abs(largest) else value, 3)
 
 
+def listed_candidates(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Those of the library. What is not in it by itself is no line of its own: it is a
+    part of :data:`UNLISTED`."""
+    return [one for one in candidates if one.effects != ("unknown",)]
+
+
+def said_effects(candidate: Candidate, verdict: VerdictSummary) -> tuple[str, ...]:
+    """What the probability of a candidate is that of: its effects alone, but of the
+    set that an incomplete verdict names."""
+    beside = verdict.status == "incomplete" and candidate.effects == verdict.effects
+    return (*candidate.effects, _STRANGER) if beside else candidate.effects
+
+
 def parameter_text(candidate: Candidate) -> str:
     """Amplitudes of a candidate: ``name = value ± std unit``, named by effect where
     there are several."""
@@ -177,6 +202,7 @@ def share_text(share: float | None, ends=None) -> str:
     return f"{100 * share:.0f} % [{100 * low:.0f} %, {100 * high:.0f} %]"
 
 
-def p_text(p: float) -> str:
-    """A p-value with two digits; tiny ones as a bound, as nobody knows them better."""
-    return "< 1e-12" if p < 1e-12 or math.isnan(p) else f"{p:.2g}"
+def p_text(p: float, least: float = 1e-12) -> str:
+    """A p-value with two digits; from ``least`` down as a bound, as nobody knows it
+    better."""
+    return f"< {least:.2g}" if p <= least or math.isnan(p) else f"{p:.2g}"

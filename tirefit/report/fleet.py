@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from tirefit.data.records import ResultsTable, dates_of
 from tirefit.fitting.across_files import AcrossFiles, across_files
@@ -42,6 +43,12 @@ class Quantity(NamedTuple):
     @property
     def title(self) -> str:
         return f"{self.name} [{self.unit}]" if self.unit not in ("", "-") else self.name
+
+    @property
+    def counts(self) -> bool:
+        """Whether it counts something, such as rows."""
+        whole = np.array_equal(self.value, np.round(self.value))
+        return self.kind == "statistic" and whole
 
 
 class Fleet(NamedTuple):
@@ -146,5 +153,11 @@ def quantity_figure(quantity: Quantity, dated: bool) -> Picture:
     text = f"{what}; grey: scatter between files {format_number(across.scatter)}"
     tidy(axes, "date in the file's name" if dated else "file", "")
     axes.tick_params(axis="x", labelrotation=0)
+    counting = ([] if dated else [axes.xaxis]) + (
+        [axes.yaxis] if quantity.counts else []
+    )
+    for axis in counting:
+        # One tick will do: of files that all have as many rows there is no second.
+        axis.set_major_locator(MaxNLocator("auto", integer=True, min_n_ticks=1))
     panel_title(axes, quantity.title, text)
     return picture

@@ -165,7 +165,11 @@ WHEEL_INERTIA = Effect(
     means="the force lacks the torque that spins the wheel up",
     remedy="add J (d omega / dt) / r to the force",
     parameter="inertia",
-    bounds=((-0.6, 0.6),),  # a wheel is lighter than what it carries
+    # A log lacks up to the inertia of the wheel and of all that turns with it: some
+    # 0.03 of the carried mass at its radius on a car, up to ten times that with a
+    # geared drive or a model car's motor. A negative one was taken off twice or with
+    # the wrong sign: that of one or two wheels at most.
+    bounds=((-0.06, 0.3),),
     prior=_of_this_wheel,
     needs=("omega", "rolling_radius", "sweeps"),
     looks_like=("channel_delay", "relaxation_length", "friction_hysteresis"),
