@@ -43,7 +43,7 @@ NOTHING = np.zeros((ROWS, 0))
 
 def judged(residual, seed=0, memory=FORGETFUL, doubt=NOTHING):
     of_noise = null(
-        COLUMNS, doubt, [TIME], [1.0], [memory], [TIME], np.random.default_rng(seed)
+        COLUMNS, doubt, [TIME], [1.0], [(memory,)], [TIME], np.random.default_rng(seed)
     )
     return adequacy(residual, of_noise, [TIME], settings(), groups())
 
@@ -84,7 +84,7 @@ def test_noise_with_a_memory_is_as_long_as_it_says():
     part = Memory(0.7, 0.4)
     rows, generator = 400, np.random.default_rng(8)
     of_noise = null(
-        np.ones((rows, 1)), np.zeros((rows, 0)), [np.arange(rows)], [2.0], [part],
+        np.ones((rows, 1)), np.zeros((rows, 0)), [np.arange(rows)], [2.0], [(part,)],
         [np.arange(rows)], generator,
     )  # fmt: skip
     drawn = of_noise.draws
@@ -100,7 +100,7 @@ def test_channels_that_share_a_parameter_are_fitted_together():
     shared = np.concatenate([np.ones(50), 0.1 * np.ones(50)])[:, None]
     parts = [rows, rows + 50]
     of_noise = null(
-        shared, np.zeros((100, 0)), parts, [1.0, 1.0], [FORGETFUL, FORGETFUL], None,
+        shared, np.zeros((100, 0)), parts, [1.0, 1.0], [(FORGETFUL,)] * 2, None,
         np.random.default_rng(9),
     )  # fmt: skip
     # (1 - H) has 1 - 0.01 / 1.01 / 50 in the weak channel: its mean is nearly free.

@@ -28,8 +28,13 @@ def noise(memory, seed):
     return np.sqrt(memory.share) * slow + np.sqrt(1 - memory.share) * white
 
 
-def judged(values, unit, stretches=(np.arange(ROWS),)):
-    return memory_of(values - unit @ (unit.T @ values), unit, stretches)
+def may_be(values, unit, stretches=(np.arange(ROWS),), own=None):
+    return memory_of(values - unit @ (unit.T @ values), unit, stretches, own)
+
+
+def judged(*given, **named):
+    """The likeliest."""
+    return may_be(*given, **named)[0]
 
 
 @pytest.mark.parametrize("count", [4, 200])
@@ -62,3 +67,35 @@ def test_rows_of_a_memory():
     memory = Memory(0.6, 0.5)
     means = [noise(memory, seed).mean() for seed in range(300)]
     assert np.var(means) * ROWS == pytest.approx(memory.rows_each, rel=0.25)
+
+
+@pytest.mark.parametrize("whose", ["the force", "all"])
+def test_only_what_remembers_has_a_memory(whose):
+    """Rows in turn, forty at a time, of noise that is all the force's own and of noise
+    that is a fifth of it; the memory is the force's, or all the noise has it."""
+    own = np.where(np.arange(ROWS) // 40 % 2, 0.2, 1.0)
+    memory = Memory(0.65, 1.0)
+    shares = []
+    for seed in range(6):
+        slow, slip = noise(memory, seed), noise(FORGETFUL, seed + 50)
+        values = np.sqrt(own) * slow + np.sqrt(1 - own) * slip
+        found = judged(values if whose == "the force" else slow, smooth(4), own=own)
+        share = np.broadcast_to(found.share, ROWS)
+        shares.append([share[own == 1].mean(), share[own < 1].mean()])
+    high, low = np.mean(shares, axis=0)
+    assert high > 0.8
+    assert low == pytest.approx(0.2 if whose == "the force" else high, abs=0.08)
+
+
+def test_memories_that_may_be_hold_the_truth():
+    """A record of 150 rows does not tell 0.5 from 0.35: each has its probability."""
+    truth, held = Memory(0.5, 1.0), []
+    rows, unit = np.arange(150), np.linalg.qr(smooth(4)[:150])[0]
+    for seed in range(12):
+        values = noise(truth, seed)[:150]
+        found = memory_of(values - unit @ (unit.T @ values), unit, [rows])
+        chances = [one.chance for one in found]
+        assert sum(chances) == pytest.approx(1) and chances == sorted(chances)[::-1]
+        near = [one for one in found if abs(one.rows_each - truth.rows_each) < 1.2]
+        held.append(sum(one.chance for one in near))
+    assert len(found) > 1 and np.mean(held) > 0.4

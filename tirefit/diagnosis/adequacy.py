@@ -250,19 +250,25 @@ def _regimes(groups: Sequence[np.ndarray], unit: np.ndarray) -> Statistic | None
     return statistic
 
 
-def _noise(n: int, memory: Memory, stretches, generator) -> np.ndarray:
-    """Draws (n, DRAWS) of unit noise, part of it with a memory along the stretches."""
+def _noise(n: int, memory: Sequence[Memory], stretches, generator) -> np.ndarray:
+    """Draws (n, DRAWS) of unit noise, part of it with a memory along the stretches:
+    of each memory that may be, in proportion to its probability."""
     white = generator.standard_normal((n, DRAWS))
-    if not memory.share or stretches is None:
+    if stretches is None or not any(np.any(one.share) for one in memory):
         return white
-    fade, coloured = memory.fade, generator.standard_normal((n, DRAWS))
-    for rows in stretches:
-        start = coloured[rows[0]] * fade
-        coloured[rows] = lfilter(
-            [np.sqrt(1 - fade**2)], [1.0, -fade], coloured[rows], axis=0,
-            zi=start[None],
-        )[0]  # fmt: skip
-    return np.sqrt(1 - memory.share) * white + np.sqrt(memory.share) * coloured
+    coloured = generator.standard_normal((n, DRAWS))
+    ends = np.rint(DRAWS * np.cumsum([one.chance for one in memory])).astype(int)
+    for one, begin, end in zip(memory, [0, *ends[:-1]], ends, strict=True):
+        own, fade = coloured[:, begin:end], one.fade
+        for rows in stretches:
+            own[rows] = lfilter(
+                [np.sqrt(1 - fade**2)], [1.0, -fade], own[rows], axis=0,
+                zi=own[rows[0]][None] * fade,
+            )[0]  # fmt: skip
+        share = np.broadcast_to(one.share, n)[:, None]
+        white[:, begin:end] *= np.sqrt(1 - share)
+        white[:, begin:end] += np.sqrt(share) * own
+    return white
 
 
 def _p_value(observed: float, drawn: np.ndarray) -> float:
@@ -291,7 +297,7 @@ def null(
     doubt: np.ndarray,
     parts: Sequence[np.ndarray],
     sizes: Sequence[float],
-    memories: Sequence[Memory],
+    memories: Sequence[Sequence[Memory]],
     in_time: Sequence[np.ndarray] | None,
     generator: np.random.Generator,
 ) -> Null:
@@ -302,7 +308,8 @@ def null(
         doubt: (m, k) directions in which the rows may be off together, by independent
             unit normal numbers, beside the noise.
         parts: rows of each channel among the m: index arrays.
-        sizes, memories: standard deviation of the noise of each channel, its memory.
+        sizes, memories: standard deviation of the noise of each channel, and what its
+            memory may be.
         in_time: rows of a channel, in each unbroken stretch in the order of time
             (index arrays); None where the time is not known.
         generator: of the noise.

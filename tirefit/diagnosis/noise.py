@@ -80,11 +80,11 @@ _CORRELATED = 2.5
 
 
 class NoiseLevel(NamedTuple):
-    """Standard deviation (n,) of one force, its memory, rows per independent row,
-    outliers (n,) bool, flags, and where the level came from."""
+    """Standard deviation (n,) of one force, what its memory may be, rows per
+    independent row, outliers (n,) bool, flags, and where the level came from."""
 
     std: np.ndarray
-    memory: Memory
+    memory: tuple[Memory, ...]
     inflation: float
     outlier: np.ndarray
     flags: tuple[str, ...]
@@ -137,9 +137,11 @@ def judge_noise(
     scale = level / std
     white = np.where(keep, clean, 0.0) / scale
     unit, _ = np.linalg.qr(smooth.columns / scale[:, None])
-    memory, inflation = memory_of(white, unit, _in_order(time, run)), 1.0
-    if memory.share:
-        inflation = max(memory.rows_each, correlation(white, time, run))
+    own = np.clip(1 - spread / level**2, 0.0, 1.0)
+    memory, inflation = memory_of(white, unit, _in_order(time, run), own), 1.0
+    each = sum(one.chance * float(np.mean(one.rows_each)) for one in memory)
+    if each > 1:
+        inflation = max(each, correlation(white, time, run))
         inflation = min(inflation, len(white) / _FACTS)
         flags.append("autocorrelated")
     return NoiseLevel(level, memory, inflation, ~keep, tuple(flags), source)
