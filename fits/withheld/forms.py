@@ -348,8 +348,13 @@ def inertia_filtered(world, a, _):
 # --- other inputs and structure ---------------------------------------------
 
 
+def _across(world, a):
+    world.cross, world.slides_across = a / 0.05 * world.cross, True
+
+
 def combined(world, a, _):
-    world.cross, world.bites = a / 0.05 * world.cross, True
+    _across(world, a)
+    world.bites = True
 
 
 def combined_stiff(world, a, _):
@@ -358,7 +363,7 @@ def combined_stiff(world, a, _):
 
 
 def combined_ellipse(world, a, _):
-    world.cross = a / 0.05 * world.cross
+    _across(world, a)
     used = 2 * world.c * np.abs(world.cross) / (world.mu * world.fz)
     used = np.minimum(used, 0.95)
     world.after.append(lambda w, force: force * np.sqrt(1 - 0.7 * used**2))

@@ -58,7 +58,7 @@ def _extra(world: World, column: str, g) -> np.ndarray:
                 slip = change(world, slip)
         return world.v / (RADIUS * (1 + slip))
     if column == "alpha":
-        cross = world.cross * (1 if world.bites else 0.05)
+        cross = world.cross * (1 if world.slides_across else 0.05)
         return np.arctan(cross / (1 + world.sensed))  # S Table 1
     if column == "pressure":
         return world.inflation

@@ -61,7 +61,8 @@ class World:
     pressure: Callable = parabola
     weakening: float | None = None
     carcass: tuple[float, str] | None = None
-    bites: bool = False  # whether ``cross`` acts on the force
+    slides_across: bool = False  # whether ``cross`` is more than a trace
+    bites: bool = False  # whether the patch shares its friction with it
     cross_stiffness: float = 1.0
     after: list = field(default_factory=list)
     late: list = field(default_factory=list)

@@ -17,6 +17,7 @@ from fits.withheld import (
     generate,
     injected,
     library,
+    measure,
     patch,
     strange,
     trials,
@@ -221,6 +222,15 @@ def test_combined_slip_is_isotropic():
     size = np.hypot(slip, 0.05)
     wanted = patch.plain_brush(size, world.fz, C, MU)[0] * slip / size
     assert found == pytest.approx(wanted, abs=2)
+
+
+@pytest.mark.parametrize("form", EFFECTS["combined_slip"].forms)
+def test_the_slip_across_that_acts_is_the_one_in_the_file(form):
+    world = steady([0.02, 0.04])
+    world.cross = np.array([0.05, 0.03])
+    changed(world, "combined_slip", form, 0.1)
+    alpha = measure._extra(world, "alpha", np.random.default_rng(0))
+    np.testing.assert_allclose(np.tan(alpha) * [1.02, 1.04], [0.1, 0.06])
 
 
 def test_lugre_is_the_sum_of_its_bristles():
