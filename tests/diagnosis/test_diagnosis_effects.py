@@ -193,6 +193,48 @@ def test_effects_of_rigs_are_named(effect):
     assert diagnose(read_frame(frame), rig=RIG).effects == (effect,)
 
 
+OTHER_FORMS = {
+    "friction_step": lambda s, t, fz, v: brush(
+        s, 5e4, 0.9 * (1 - 0.12 * ((t > 6) & (t < 13))), fz
+    ),
+    "drive_brake_asymmetry": lambda s, t, fz, v: brush(
+        s, 5e4 * (1 + 0.03 * np.sign(s)), 0.9 * (1 + 0.05 * np.sign(s)), fz
+    ),
+    "slip_offset_load": lambda s, t, fz, v: brush(
+        s + 0.016 * (np.sqrt(fz / 4e3) - 1), 5e4, 0.9, fz
+    ),
+}
+"""A stretch of another road; both parameters by the side; a root of the load."""
+
+
+@pytest.mark.parametrize("effect", OTHER_FORMS)
+def test_effects_are_named_in_other_forms(effect):
+    frame, _ = record(OTHER_FORMS[effect], seed=6)
+    found = diagnose(read_frame(frame), rig=RIG)
+    assert found.effects == (effect,) and found.verdict.status == "named"
+
+
+def test_a_lateral_force_that_grows_faster_than_the_load_is_conicity():
+    frame, _ = record(lambda s, t, fz, v: brush(s, 5e4, 0.9, fz), seed=6)
+    extra = 160.0 * (frame["fz"] / 4e3) ** 1.5
+    lateral = {name: frame[name] for name in ("time", "fz", "v")}
+    lateral |= {"alpha": np.arctan(frame["sigma_x"]), "fy": frame["fx"] + extra}
+    rig = Rig(noise={"fy_relative": 0.01, "alpha": 0.001})
+    assert diagnose(read_frame(lateral), rig=rig).effects == ("conicity",)
+
+
+def test_the_weight_of_the_other_slip_is_a_cosine():
+    rise = 1 - 0.5 ** (1 / 3)  # over the slip of full sliding
+    alpha = np.array([0.0, 0.5, 2.0])
+    rows = _rows(other=alpha, rise=rise, fz=1.0)
+    change, state = BY_ID["combined_slip"].change, null_state()
+    found = change(state, 1.0, (0.0, 1.0), rows)
+    wanted = np.cos(np.arctan(3 * alpha))
+    np.testing.assert_allclose(found.friction, wanted, rtol=5e-3)
+    np.testing.assert_allclose(found.stiffness, wanted, rtol=5e-3)
+    np.testing.assert_allclose(change(state, 1.0, (1.0, 0.0), rows).other, alpha)
+
+
 def test_every_effect_says_what_it_means_and_what_to_do():
     for effect in EFFECTS:
         assert effect.means and effect.remedy and effect.formula

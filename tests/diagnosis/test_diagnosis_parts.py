@@ -18,6 +18,7 @@ from tirefit.data.read import read_frame
 from tirefit.data.table import Source
 from tirefit.diagnosis.base import fit_base
 from tirefit.diagnosis.basis import Generic, gains, of_any_kind, waves_within
+from tirefit.diagnosis.blocks import blocks_of_settings, coincides
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, atoms_of
 from tirefit.diagnosis.forecast import (
     Nothing,
@@ -183,8 +184,37 @@ def test_shape_of_a_change_is_found():
     friction = 20 * (1 + 0.3 * np.sin(40 * time))
     truth = 0.5 * np.tanh((time - 0.13) / 0.05)
     residual = 0.2 * friction * truth + generator.standard_normal(600)
-    found = shape_of_change(time, friction, friction[:, None], residual)
+    none = np.zeros((0, 2))
+    found = shape_of_change(time, friction, friction[:, None], residual, none)
     assert np.max(np.abs(found - truth)) < 0.06
+
+
+def test_a_stretch_is_found_but_not_where_a_setting_was_held_for_it():
+    generator = np.random.default_rng(0)
+    time = np.linspace(-0.5, 0.5, 600)
+    friction = 20 * (1 + 0.3 * np.sin(40 * time))
+    truth = ((time > -0.17) & (time < 0.17)) - 0.5
+    residual = 0.2 * friction * truth + generator.standard_normal(600)
+    given = time, friction, friction[:, None], residual
+    found = shape_of_change(*given, np.zeros((0, 2)))
+    assert np.mean(np.abs(found - truth) > 0.1) < 0.03
+    held = shape_of_change(*given, np.array([[-1 / 6, 1 / 6]]))
+    assert np.mean(np.abs(held - truth) > 0.1) > 0.05
+
+
+def test_settings_are_blocks_where_they_are_held_but_once():
+    frame, _ = record(None)
+    blocks = blocks_of_settings(prepare(read_frame(frame), RIG, ("fx",)))
+    # Three loads in order, two speeds at each: one load is neither first nor last, and
+    # four of the six of both; each speed comes three times.
+    lengths = np.ptp(blocks, axis=1)
+    assert len(blocks) == 5
+    assert sorted(np.round(6 * lengths)) == [1, 1, 1, 1, 2]
+    assert coincides(-0.17, 0.17, blocks) and not coincides(-0.3, 0.05, blocks)
+    mixed = np.random.default_rng(0).permutation(len(frame["time"]))
+    shuffled = {name: values[mixed] for name, values in frame.items()}
+    shuffled["time"] = frame["time"]
+    assert not len(blocks_of_settings(prepare(read_frame(shuffled), RIG, ("fx",))))
 
 
 def _forms(base, *families, without=()):

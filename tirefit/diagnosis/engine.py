@@ -12,6 +12,7 @@ from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.diagnosis.across_runs import held_across_runs
 from tirefit.diagnosis.base import Base, fit_base, with_noise_judged
+from tirefit.diagnosis.blocks import blocks_of_settings, coincides
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.conclusion import concluded
 from tirefit.diagnosis.document import document_of
@@ -137,9 +138,13 @@ def _forces_of(model: str) -> tuple[str, ...]:
 
 def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[Untestable]]:
     possible, missing = [], {}
+    blocks = blocks_of_settings(prepared)
     for k, atom in enumerate(atoms):
         effect = atom.effect
         if effect.id in without:
+            continue
+        during = effect.during and effect.during(atom.constants)
+        if during and coincides(during[0], during[1], blocks):
             continue
         lacks = [need for need in effect.needs if need not in prepared.has]
         if effect.channels and not set(effect.channels) & set(prepared.channels):
@@ -213,8 +218,9 @@ def _with_change(base: Base, searched: Search) -> Base | None:
     used_up = np.concatenate([jacobian, columns[:, rest]], axis=1)
     rows = base.design.rows
     shape = shape_of_change(
-        base.prepared.covariates.time, fields[:, PLACE["friction"]], used_up, residual
-    )
+        base.prepared.covariates.time, fields[:, PLACE["friction"]], used_up, residual,
+        blocks_of_settings(base.prepared),
+    )  # fmt: skip
     padded = np.zeros(len(base.design.keep))
     padded[: len(shape)] = shape
     return base.on(base.design._replace(rows=rows._replace(change=padded)))

@@ -1,9 +1,12 @@
 """Other forms of a listed effect: the same parameter varies with the same quantity, in
 a shape that no formula has."""
 
+from itertools import product
+
 import numpy as np
 
 from tirefit.diagnosis.basis import without
+from tirefit.diagnosis.blocks import coincides
 from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.state import State
 
@@ -19,6 +22,9 @@ _WIDTHS = (0.004, 0.02, 0.05, 0.1)
 
 _TIMES = np.linspace(-0.46, 0.46, 93)
 """Its times, as shares of the record about its middle: a hundredth apart."""
+
+_LENGTHS = (0.08, 0.12, 0.17, 0.24, 0.34, 0.48)
+"""Lengths of a change that ends, in the same unit."""
 
 
 def form_columns(effects, fields, prepared, slip_fraction) -> np.ndarray:
@@ -42,20 +48,30 @@ def form_columns(effects, fields, prepared, slip_fraction) -> np.ndarray:
     return np.concatenate(blocks, axis=1)
 
 
-def shape_of_change(time, friction, used_up, residual) -> np.ndarray:
-    """Step of the friction at the time and of the width that explain most: (n,).
+def shape_of_change(time, friction, used_up, residual, blocks) -> np.ndarray:
+    """Step or stretch of the friction at the time and of the width that explain most:
+    (n,).
 
     Args:
         time: (n,) from -1/2 to 1/2.
         friction: (m,) d force / d friction, whitened.
         used_up: (m, p) columns of the rest of the hypothesis.
         residual: (m,) of it, the step left out.
+        blocks: (k, 2) stretches that a setting has as well, see
+            :func:`tirefit.diagnosis.blocks.blocks_of_settings`: none of them is tried.
     """
     repeats = len(friction) // len(time)
     residual = without(residual, used_up)
     best, best_gain = np.zeros(len(time)), 0.0
-    for width in _WIDTHS:
-        shapes = 0.5 * np.tanh((time[:, None] - _TIMES) / width)
+    for width, length in product(_WIDTHS, (None, *_LENGTHS)):
+        begin = _TIMES
+        if length is not None:
+            if length < 2 * width:
+                continue
+            begin = begin[~coincides(begin, begin + length, blocks)]
+        shapes = 0.5 * np.tanh((time[:, None] - begin) / width)
+        if length is not None:
+            shapes -= 0.5 * np.tanh((time[:, None] - begin - length) / width) + 0.5
         columns = friction[:, None] * np.tile(shapes, (repeats, 1))
         columns = without(columns, used_up)
         size = np.sum(columns**2, axis=0)

@@ -6,10 +6,10 @@ import numpy as np
 
 from tirefit.diagnosis.effects.free_forms import (
     BOTH_WAYS,
+    BY_SIDE,
     FRICTION_BY_DIRECTION,
     FRICTION_BY_LOAD,
     FRICTION_BY_OTHER_SLIP,
-    FRICTION_BY_SIDE,
     FRICTION_BY_SPEED,
     ONE_WAY,
     over,
@@ -36,12 +36,27 @@ _LOGARITHM = (0.1, 0.0)
 STEPS = tuple(float(t) for t in np.linspace(-0.42, 0.42, 15))
 """Times of a sudden change that are tried, as shares of the record about its middle."""
 
+_NO_END = 1.0
+"""A change that lasts: its end lies outside the record."""
+
+_STRETCHES = tuple(
+    (begin / 20, (begin + length) / 20)
+    for length, begins in ((3, range(-8, 8, 2)), (7, range(-8, 4, 2)))
+    for begin in begins
+)
+"""Begin and end of a stretch of another road, in the same unit: a seventh and a third
+of the record."""
+
 _WEAR = (0.12, 0.35)
 """Ways of a change that is quick at first, as shares of the record."""
 
 
 _POWERS = (-3.0, 3.0)
 """Powers of the load that stiffness or friction may follow: tires have -0.3 to 1."""
+
+_OF_FRICTION = 0.62
+"""Force by the stiffness alone over the friction, at the slip of half the largest
+force: 3 (1 - 2^(-1/3)) of a brush."""
 
 _LEAST_KINETIC = 1e-3
 """Kinetic friction over its usual value, at least: it may fall to nearly nothing."""
@@ -104,9 +119,9 @@ def _drift(name):
 
 
 def _step(state, share, constants, rows):
-    """At one time, or in the shape that was found."""
-    at, shaped = constants
-    sudden = jnp.where(rows.time > at, 0.5, -0.5)
+    """At one time, between two, or in the shape that was found."""
+    begin, end, shaped = constants
+    sudden = jnp.where((rows.time > begin) & (rows.time < end), 0.5, -0.5)
     shape = blend((1 - shaped, shaped), sudden, rows.change)
     return scaled(state, "friction", 1 + share * shape)
 
@@ -120,8 +135,13 @@ def _half(covariate):
 
 
 def _other(state, share, constants, rows):
-    del constants
-    return state._replace(other=state.other + share * rows.other)
+    """The slips share the friction as in the patch, or the force falls with the other
+    slip by a weight of its own, cos(arctan B alpha), Pacejka 4.3.2."""
+    shared, weighted = constants
+    taken = share * _OF_FRICTION * rows.other / (rows.rise * rows.fz)
+    factor = 1 - weighted * (1 - 1 / jnp.sqrt(1 + taken**2))
+    state = state._replace(other=state.other + shared * share * rows.other)
+    return scaled(scaled(state, "friction", factor), "stiffness", factor)
 
 
 _SPLIT = "fit the two parts as runs of their own"
@@ -232,13 +252,18 @@ STEP = Effect(
     change=_step,
     scale=0.15,
     unit="-",
-    formula="mu changes by amplitude at one time",
-    means="friction changes at one time",
+    formula="mu changes by amplitude at one time, or between two",
+    means="friction changes at one time, or for a stretch",
     remedy="cut the record there and fit mu per run",
     bounds=(SHARE,),
     needs=("time",),
-    variants=(*((at, 0.0) for at in STEPS), (0.0, 1.0)),
+    variants=(
+        *((at, _NO_END, 0.0) for at in STEPS),
+        *((*stretch, 0.0) for stretch in _STRETCHES),
+        (0.0, _NO_END, 1.0),
+    ),
     forms=_BY_TIME,
+    during=lambda constants: (constants[0], constants[1]),
     scans_time=True,
     looks_like=("friction_drift",),
     told_apart_by="random order",
@@ -269,7 +294,7 @@ ASYMMETRY = Effect(
     remedy=_SPLIT,
     bounds=(SHARE,),
     needs=("signs",),
-    forms=FRICTION_BY_SIDE,
+    forms=BY_SIDE,
     looks_like=("force_offset",),
     told_apart_by="loads",
 )
@@ -286,6 +311,7 @@ COMBINED = Effect(
     bounds=((-3.0, 3.0),),
     center=1.0,
     needs=("other slip",),
+    variants=((1.0, 0.0), (0.0, 1.0)),
     forms=FRICTION_BY_OTHER_SLIP,
     singular=True,
     told_apart_by="pure slip",

@@ -11,17 +11,19 @@ from tirefit.diagnosis.negligible import ROUNDING
 
 __all__ = [
     "BOTH_WAYS",
+    "BY_SIDE",
+    "FORCE_BY_LOAD",
     "Form",
     "FRICTION_BY_DIRECTION",
     "FRICTION_BY_LOAD",
     "FRICTION_BY_OTHER_SLIP",
-    "FRICTION_BY_SIDE",
     "FRICTION_BY_SPEED",
     "ONE_WAY",
     "SHAPE_OF_THE_CURVE",
     "SHIFT_BY_CAMBER",
     "SHIFT_BY_LAG",
     "SHIFT_BY_SPEED",
+    "SKEW_BY_LOAD",
     "over",
     "rise",
     "weight",
@@ -90,6 +92,10 @@ def _of_shape(rows, u):
     return _by_slip("side", _OF_THE_CURVE)(rows, u) * (rows.fz * rows.load)[:, None]
 
 
+def _of_side(rows, u):
+    return rows.side[:, None]
+
+
 def _of_sliding(rows, u):
     return functions_of(np.sqrt(rows.sliding), _OF_SPEED)
 
@@ -111,7 +117,14 @@ FRICTION_BY_DIRECTION = (
     Form("friction", 0.02, _by_slip("turning")),
     Form("friction", 0.02, _of_rate),
 )
-FRICTION_BY_SIDE = (Form("friction", 0.02, _by_slip("side")),)
+BY_SIDE = (
+    Form("friction", 0.02, _by_slip("side")),
+    Form("stiffness", 0.02, _of_side),
+)
+FORCE_BY_LOAD = over("force", 0.01, "fz", ONE_WAY, weight)
+SKEW_BY_LOAD = tuple(
+    form._replace(needs="loads") for form in over("skew", 0.1, "fz", ONE_WAY)
+)
 FRICTION_BY_LOAD = over("friction", 0.03, "fz", ONE_WAY)
 SHIFT_BY_SPEED = over("shift", 0.1, "v", ONE_WAY, rise)
 FRICTION_BY_OTHER_SLIP = over("friction", 0.03, "other", BOTH_WAYS)

@@ -1,7 +1,7 @@
 """Effects of the measurement: offsets, the definition of the slip, a force that was
 worked out without the wheel's inertia; camber and conicity beside them."""
 
-from tirefit.diagnosis.effects.free_forms import SHIFT_BY_CAMBER
+from tirefit.diagnosis.effects.free_forms import FORCE_BY_LOAD, SHIFT_BY_CAMBER
 from tirefit.diagnosis.effects.record import PER_MILLE, Effect
 from tirefit.diagnosis.slip_check import AGAINST, BESIDE, FOR
 
@@ -205,7 +205,7 @@ CONICITY = Effect(
     bounds=((-500.0, 500.0),),
     needs=("loads",),
     channels=("fy", "mz"),
-    forms=SHIFT_BY_CAMBER,
+    forms=(*SHIFT_BY_CAMBER, *FORCE_BY_LOAD),
     looks_like=("force_offset", "slip_offset"),
     told_apart_by="loads",
 )

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from tirefit.diagnosis.effects.free_forms import SHAPE_OF_THE_CURVE
+from tirefit.diagnosis.effects.free_forms import SHAPE_OF_THE_CURVE, SKEW_BY_LOAD
 from tirefit.diagnosis.effects.record import Effect, blend
 
 __all__ = ["EFFECTS"]
@@ -102,6 +102,7 @@ PRESSURE_SHIFT = Effect(
     parameter="d",
     bounds=((-2.0, 2.0),),  # of d over the whole range, which d itself cannot exceed
     variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    forms=SKEW_BY_LOAD,
     looks_like=("pressure_asymmetry",),
     told_apart_by="loads",
 )

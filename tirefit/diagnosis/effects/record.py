@@ -91,6 +91,9 @@ class Effect:
         variants: the constants of each formula that is tried (other times, other
             speeds); all of one length.
         forms: other shapes in which the same parameter may vary with the same quantity.
+        during: (constants) -> begin and end of what a variant changes, in shares of the
+            record about its middle, where it acts for a stretch of it: a setting that
+            was held for just as long would do the same, and the variant is not tried.
         scans_time: its variants are the times of a sudden change; once one is likely
             the shape of that change is fitted.
         singular: its tangent at zero vanishes; it is always refitted.
@@ -116,6 +119,7 @@ class Effect:
     channels: tuple[str, ...] = ()
     variants: tuple[tuple[float, ...], ...] = ((),)
     forms: tuple[Form, ...] = ()
+    during: Callable[[tuple[float, ...]], tuple[float, float]] | None = None
     scans_time: bool = False
     singular: bool = False
     looks_like: tuple[str, ...] = ()

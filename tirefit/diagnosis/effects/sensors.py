@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 
 from tirefit.diagnosis.effects.free_forms import (
+    FORCE_BY_LOAD,
     FRICTION_BY_LOAD,
     ONE_WAY,
     over,
@@ -107,7 +108,7 @@ LOAD_CROSSTALK = Effect(
     odds=seldom,
     needs=("loads",),
     channels=("fx",),
-    forms=over("force", 0.01, "fz", ONE_WAY, weight),
+    forms=FORCE_BY_LOAD,
     looks_like=("force_offset", "slip_offset"),
     told_apart_by="both signs",
 )
