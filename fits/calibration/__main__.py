@@ -1,4 +1,4 @@
-"""Teaches the two probabilities of ``tirefit/diagnosis/calibrated.py``.
+"""Teaches the probabilities of ``tirefit/diagnosis/calibrated.py``.
 
     python -m fits.calibration --out out/calibration --jobs 2
 
@@ -6,7 +6,9 @@ Draws trials of known cause with the generator of ``fits/withheld`` (development
 never the designs and forms of the sealed ones), examines each, keeps the clues in
 ``OUT/clues-*.jsonl`` (a second run goes on where the first was stopped), and writes
 ``tirefit/diagnosis/calibration.json``: centre, spread and weight of every clue, and how
-well both probabilities do on families and strangers that they were not taught.
+well both probabilities do on families and strangers that they were not taught. Then has
+X
+of each status were right.
 """
 
 import argparse
@@ -15,7 +17,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+from fits.calibration.said import lines_of, verdicts_of
 from fits.calibration.train import taught
+from fits.withheld import generate, run
 from fits.withheld.generate import write_all
 from fits.withheld.trials import draw
 
@@ -28,6 +32,10 @@ SEEDS = {
           "pairs", "beside", "foreign", "unlisted", "singles", "procedural"),
 }  # fmt: skip
 """Development seed -> sets of trials in turn."""
+
+LAST = 404
+"""Development seed of the trials by which the verdict as a whole is judged, of all sets
+as the checks draw them."""
 
 PLACE = Path(__file__).parents[2] / "tirefit/diagnosis/calibration.json"
 
@@ -66,6 +74,15 @@ def main(arguments: list[str] | None = None) -> None:
     ]
     numbers = taught(sorted(records, key=lambda record: record["trial"]))
     numbers["made by"] = f"python -m fits.calibration --trials {given.trials}"
+    # The verdicts are judged as they are without any line of their own.
+    PLACE.write_text(json.dumps(numbers | {"said": {}}, indent=1) + "\n")
+    folder = given.out / "verdicts" / str(LAST)
+    if not (folder / "labels.json").exists():
+        trials = str(2 * given.trials)
+        rows = ["--rows", "200,900", "--trials", trials]
+        generate.main(["--seed", str(LAST), *rows, "--out", str(folder)])
+    run.main([str(folder), "--jobs", str(given.jobs), "--resume"])
+    numbers["said"] = lines_of(verdicts_of(folder))
     PLACE.write_text(json.dumps(numbers, indent=1) + "\n")
     print(json.dumps({k: numbers[k]["checked"] for k in ("more", "beside")}, indent=1))
 

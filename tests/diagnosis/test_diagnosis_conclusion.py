@@ -23,8 +23,8 @@ from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.rows import prepare
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis
-from tirefit.diagnosis.standing import steadiness
-from tirefit.diagnosis.verdict import Verdict, Weighed
+from tirefit.diagnosis.standing import standing, steadiness
+from tirefit.diagnosis.verdict import Verdict, Weighed, linear_at
 
 
 def test_probability_of_a_rest_is_that_of_the_best_alternative():
@@ -183,6 +183,36 @@ def test_the_document_says_how_likely_the_unlisted_is(diagnosed, name):
         assert 0 < verdict["unlisted"] <= 1 - verdict["probability"] < 0.5
 
 
+def test_what_another_form_explains_is_no_remainder():
+    """A slip offset that settles within a tenth of the record, against the formulas
+    alone, which cannot, and with their other forms."""
+
+    def settling(slip, time, fz, v):
+        return brush(slip + 0.02 * np.exp(-time / 2.4), 5e4, 0.9, fz)
+
+    frame, _ = record(settling, seed=3)
+    base = fit_base(prepare(read_frame(frame), RIG, ("fx",)), "brush", EFFECTS, RIG)
+    hypothesis = _of_one(base, "slip_zero_drift")
+    linear = linear_at(base, hypothesis)
+    alone, freed = (
+        standing(base, hypothesis, one.used_up, np.random.default_rng(0)).adequacy
+        for one in (linear, linear.in_other_form())
+    )
+    assert not alone.passed and alone.held_out < 1e-3
+    assert freed.held_out > 10 * alone.held_out and freed.time > 10 * alone.time
+
+
+def _of_one(base, effect: str) -> Hypothesis:
+    """An effect, refitted from one prior scale."""
+    atom = next(k for k, atom in enumerate(base.atoms) if atom.effect.id == effect)
+    refit = base.refit([(base.z, np.array([1.0]))], [(atom,)])
+    p = len(refit.z[0])
+    return Hypothesis(
+        (atom,), (effect,), 0.0, 0.0, refit.z[0], refit.amplitude[0][:1],
+        refit.covariance[0][: p + 1, : p + 1], float(refit.chi2[0]),
+    )  # fmt: skip
+
+
 def test_an_effect_is_steady_where_the_truth_has_one_size():
     """A slip offset of one size, against one that comes and goes with the time: the
     same error by the rows, another between the parts of the record."""
@@ -194,16 +224,10 @@ def test_an_effect_is_steady_where_the_truth_has_one_size():
     for name, truth in (("steady", TRUTHS["slip_offset"]), ("drifts", drifting)):
         frame, _ = record(truth, seed=3)
         base = fit_base(prepare(read_frame(frame), RIG, ("fx",)), "brush", EFFECTS, RIG)
-        atom = next(
-            k for k, atom in enumerate(base.atoms) if atom.effect.id == "slip_offset"
+        hypothesis = _of_one(base, "slip_offset")
+        steady, moved = steadiness(
+            base, hypothesis, linear_at(base, hypothesis).used_up
         )
-        refit = base.refit([(base.z, np.array([1.0]))], [(atom,)])
-        p = len(refit.z[0])
-        hypothesis = Hypothesis(
-            (atom,), ("slip_offset",), 0.0, 0.0, refit.z[0], refit.amplitude[0][:1],
-            refit.covariance[0][: p + 1, : p + 1], float(refit.chi2[0]),
-        )  # fmt: skip
-        steady, moved = steadiness(base, hypothesis)
         steadiest[name] = steady[0]
         # One part left out, against a refit without it.
         slips = np.abs(base.prepared.slip)
@@ -212,7 +236,7 @@ def test_an_effect_is_steady_where_the_truth_has_one_size():
         keep[: base.prepared.n] *= ~out
         design = base.design._replace(keep=keep)
         start = [(hypothesis.z, hypothesis.amplitude)]
-        again = base.refit(start, [(atom,)], design).amplitude[0][0]
+        again = base.refit(start, [hypothesis.atoms], design).amplitude[0][0]
         size = float(hypothesis.amplitude[0])
         assert abs(again - size) / abs(size) < 1.2 * moved[0] + 0.02
     assert steadiest["steady"] > 5

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from conftest_diagnosis import RIG, brush, patterns_of, record
 from scipy.integrate import quad
-from scipy.special import expit
+from scipy.special import expit, logit
 
+from fits.calibration.said import lines_of
 from fits.calibration.train import STRANGE, taught
 from tirefit.data.read import read_frame
 from tirefit.diagnosis import calibrated
@@ -16,6 +17,7 @@ from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.basis import _scaled
 from tirefit.diagnosis.calibrated import (
     Part,
+    as_often_right,
     clues_of_effect,
     clues_of_rest,
     clues_of_set,
@@ -24,6 +26,7 @@ from tirefit.diagnosis.calibrated import (
 )
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.patterns import PARAMETERS, looks, patterns, patterns_gain, turns
+from tirefit.diagnosis.standing import Standing
 
 WAVE = 0.7
 
@@ -197,7 +200,8 @@ FIRM = Part(40.0, 190.0, 200.0, 30.0, 0.05, 150.0)
 
 
 def rest(adequacy=PASSED, gains=NOTHING, evidence=200.0):
-    return clues_of_rest(adequacy, gains, evidence, 1, 1.0, 900)
+    standing = Standing(adequacy, adequacy, False, (40.0,), 1.0)
+    return clues_of_rest(standing, gains, evidence, 1, 900)
 
 
 def more(rest, part=FIRM):
@@ -209,6 +213,10 @@ def test_probability_of_more_follows_the_clues():
     assert clean < 0.1
     assert more(rest(FAILED)) > 2 * clean
     assert more(rest(FAILED, MUCH)) > 0.9
+    # What its formula fails, but another form of it passes, is less than what fails.
+    standing = Standing(PASSED, FAILED, True, (40.0,), 1.0)
+    bent = more(clues_of_rest(standing, NOTHING, 200.0, 1, 900))
+    assert clean < bent < more(rest(FAILED))
     # Of another size in each regime, or no better than a remainder of any kind, an
     # effect is likelier something else.
     assert more(rest(), FIRM._replace(steady=1.0)) > clean
@@ -238,6 +246,23 @@ def test_the_numbers_shipped_are_those_of_a_checked_regression():
     beside = clues_of_effect(FIRM, 200.0, rest())
     assert numbers["beside"]["clues"].keys() == beside.keys()
     assert numbers["more"]["clues"].keys() == clues_of_set(rest(), [beside]).keys()
+
+
+def test_verdicts_are_as_sure_as_such_verdicts_were_right(monkeypatch):
+    """Verdicts drawn to be right less often than they say, one status as often."""
+    generator, verdicts = np.random.default_rng(5), []
+    for status, offset, slope in (("none", -0.4, 0.5), ("named", 0.0, 1.0)):
+        said = generator.uniform(0.2, 0.99, 4000)
+        right = generator.uniform(size=4000) < expit(offset + slope * logit(said))
+        verdicts += zip([status] * 4000, said, right, strict=True)
+    numbers = {"said": lines_of(verdicts)}
+    monkeypatch.setattr(calibrated, "_numbers", lambda: numbers)
+    for said in (0.3, 0.6, 0.95):
+        wanted = expit(-0.4 + 0.5 * logit(said))
+        assert as_often_right("none", said) == pytest.approx(wanted, abs=0.03)
+        assert as_often_right("named", said) == pytest.approx(said, abs=0.03)
+        assert as_often_right("unknown", said) == pytest.approx(said)
+    assert 0.5 < as_often_right("named", 1.0) < 1.0
 
 
 def test_a_regression_finds_the_odds_that_drew_its_cases():

@@ -4,7 +4,8 @@ The evidence compares what is listed; whether something unlisted is there as wel
 cannot say. What can be said of that was learned: two logistic regressions on a few
 clues, shrunk, their numbers in ``calibration.json`` with the script that made them
 (``python -m fits.calibration``) and how well they do on families that they were not
-taught.
+taught. A last one, of the verdict as a whole, says how often verdicts of its status
+that were as sure were right.
 """
 
 import json
@@ -16,9 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.diagnosis.adequacy import Adequacy
+from tirefit.diagnosis.standing import Standing
 
 __all__ = [
     "Part",
+    "as_often_right",
     "clues_of_effect",
     "clues_of_rest",
     "clues_of_set",
@@ -72,38 +75,44 @@ class Part(NamedTuple):
     over_rest: float
 
 
+def _signs(adequacy: Adequacy) -> np.ndarray:
+    """What the tests say against a set: zeros before their p-values."""
+    tested = [p for p in adequacy[:-1] if p is not None] or [1.0]
+    return -np.log10(np.maximum(tested, _SMALLEST_P))
+
+
 def clues_of_rest(
-    adequacy: Adequacy,
+    standing: Standing,
     gains: Mapping[str, float],
     evidence: float,
     effects: int,
-    cancels: float,
     rows: int,
 ) -> dict[str, float]:
     """What a set of effects leaves.
 
     Args:
-        adequacy: the tests of what the set leaves.
+        standing: of the set.
         gains: log evidence of each kind of remainder beside the set.
         evidence: log evidence of the set over none.
         effects: number of effects in the set.
-        cancels: see :class:`tirefit.diagnosis.standing.Standing`.
         rows: number of rows.
     """
-    tested = [p for p in adequacy[:-1] if p is not None] or [1.0]
-    signs = -np.log10(np.maximum(tested, _SMALLEST_P))
+    signs, of_formulas = _signs(standing.adequacy), _signs(standing.formulas)
     wide = max(gains["smooth"], gains["cells"])
     narrow = max(gains["waves"], gains["patterns"])
     whole, more = max(evidence, 1.0), max(wide, narrow, 0.0)
     return {
         "worst test": float(signs.max()),
         "mean test": float(signs.mean()),
+        "worst test of the formulas": float(of_formulas.max()),
+        "mean test of the formulas": float(of_formulas.mean()),
+        "another form": float(standing.in_other_form),
         "wide remainder": _compressed(wide),
         "narrow remainder": _compressed(narrow),
         "share of remainder": more / (whole + more),
         "two effects": float(effects > 1),
         "three effects": float(effects > 2),
-        "cancels": float(np.log(max(cancels, 0.1))),
+        "cancels": float(np.log(max(standing.cancels, 0.1))),
         "rows": float(np.log(rows)),
     }
 
@@ -165,3 +174,18 @@ def probability_of_more(clues: Mapping[str, float]) -> float:
 def probability_beside(clues: Mapping[str, float]) -> float:
     """Probability that an effect is there, given that something unlisted is."""
     return _logistic("beside", clues)
+
+
+_NEVER_SURER = 0.005
+"""A probability nearer to zero or one than this counts as this far."""
+
+
+def as_often_right(status: str, probability: float) -> float:
+    """Share of verdicts of this status and this probability that are right.
+
+    Args:
+        status: of the verdict; "noise" where it names an effect on the noise alone.
+    """
+    offset, slope = _numbers()["said"].get(status, (0.0, 1.0))
+    p = np.clip(probability, _NEVER_SURER, 1 - _NEVER_SURER)
+    return float(1 / (1 + np.exp(-offset - slope * np.log(p / (1 - p)))))

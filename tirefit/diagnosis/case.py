@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from tirefit.diagnosis.base import Base
+from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.records import Untestable
 from tirefit.diagnosis.search import Search
 from tirefit.diagnosis.slip_check import SlipCheck
@@ -25,3 +26,17 @@ class Case:
     def slip_check(self) -> SlipCheck | None:
         """The slip column against the slip of the wheel speed, where that is known."""
         return self.base.rows.slip_check
+
+    @property
+    def noise_flags(self) -> tuple[str, ...]:
+        """What is odd about the noise of any channel."""
+        levels = self.base.noise.values()
+        return tuple(dict.fromkeys(flag for level in levels for flag in level.flags))
+
+    @property
+    def on_the_noise(self) -> tuple[str, ...]:
+        """The effects on the noise alone, where none on the mean is found."""
+        if self.verdict.status != "none":
+            return ()
+        of_flag = {effect.flag: effect.id for effect in NOISE_EFFECTS if effect.flag}
+        return tuple(of_flag[f] for f in self.noise_flags if f in of_flag)

@@ -166,8 +166,8 @@ class Judge:
     def _rest(self, key) -> dict[str, float]:
         weighed, standing = self.weighed, self.of(key)
         return clues_of_rest(
-            standing.adequacy, self.gains(key), weighed.evidence[key], len(key),
-            standing.cancels, self.search.base.rows.n,
+            standing, self.gains(key), weighed.evidence[key], len(key),
+            self.search.base.rows.n,
         )  # fmt: skip
 
     def lost(self, key, effect: str) -> float:
@@ -194,7 +194,9 @@ class Judge:
     def _clues_by_effect(self, key) -> dict[str, dict[str, float]]:
         evidence, best = self.weighed.evidence, self.weighed.best_of[key]
         rest, errors = self._rest(key), self.of(key).errors
-        regimes = zip(*steadiness(self.search.base, best), strict=True)
+        base = self.search.base
+        used_up = _linear(base, self.weighed, key).used_up
+        regimes = zip(*steadiness(base, best, used_up), strict=True)
         parts = {
             effect: Part(
                 error, evidence.get((effect,)), self.lost(key, effect), *regime,
@@ -369,7 +371,7 @@ def chance_of_unlisted(verdict: Verdict, weighed: Weighed) -> float:
     if verdict.status == "incomplete":
         # That of the effects named beside it is no larger, whatever decided.
         return max(verdict.unlisted, verdict.probability)
-    return verdict.unlisted
+    return min(verdict.unlisted, 1 - verdict.probability)
 
 
 def look_of_rest(verdict: Verdict, base: Base, weighed: Weighed) -> tuple[Look, ...]:

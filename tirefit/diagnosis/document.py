@@ -8,6 +8,7 @@ import numpy as np
 from tirefit.diagnosis.base import Base, at_measured_slip, on_rows
 from tirefit.diagnosis.basis import located, without
 from tirefit.diagnosis.budget import budgets_of, parameter_changes, simulator_summary
+from tirefit.diagnosis.calibrated import as_often_right
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.closure import Closure, closure_on_rows
 from tirefit.diagnosis.conclusion import (
@@ -17,7 +18,6 @@ from tirefit.diagnosis.conclusion import (
     chances,
     look_of_rest,
 )
-from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.effects.known import said_of_motion
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
@@ -73,20 +73,19 @@ def document_of(
         library: effects that were looked for.
         holdout: tables that the search did not use.
     """
-    data, base, verdict, rig = whole.data, case.base, case.verdict, settings.rig
+    data, base, rig = whole.data, case.base, settings.rig
     prepared = base.prepared
     rows = _rows(case, at_measured_slip(base))
     # Everything random is drawn in this order: true forces, held-out data, budget.
     believed, main = _rows(case, base), prepared.channels[0]
     truth = plausible_forces(case, generator)
-    gaps, candidates = _gaps(case, rows, truth), _candidates(case, rows, truth)
-    held = held_out(case, holdout, rig, generator)
+    gaps, held = _gaps(case, rows, truth), held_out(case, holdout, rig, generator)
     bound = _bound(case, gaps[main].closed, held, bool(holdout))
-    if bound.status != verdict.status:
-        case = replace(case, verdict=bound)
-        return document_of(
-            case, whole, settings, library, holdout, generator, model, seed
-        )
+    if bound.status != case.verdict.status:
+        other = replace(case, verdict=bound), whole, settings, library, holdout
+        return document_of(*other, generator, model, seed)
+    case = _as_often_right(case)
+    verdict, candidates = case.verdict, _candidates(case, rows, truth)
     gap, curves = _gap(case, gaps, held), _what_is_left(case)
     budgets = budgets_of(case, believed, generator)
     said = _verdict(case, curves)
@@ -262,15 +261,18 @@ def _noise(case: Case) -> NoiseSummary:
         slip=base.slip_noise,
         slip_source=base.prepared.slip_source,
         source="; ".join(dict.fromkeys(level.source for level in levels.values())),
-        flags=_noise_flags(case),
+        flags=case.noise_flags,
         inflation=max(level.inflation for level in levels.values()),
         outliers=sum(int(level.outlier.sum()) for level in levels.values()),
     )
 
 
-def _noise_flags(case: Case) -> tuple[str, ...]:
-    levels = case.base.noise.values()
-    return tuple(dict.fromkeys(flag for level in levels for flag in level.flags))
+def _as_often_right(case: Case) -> Case:
+    """The same, its verdict as sure as such verdicts were right."""
+    verdict = case.verdict
+    status = "noise" if case.on_the_noise else verdict.status
+    probability = as_often_right(status, verdict.probability)
+    return replace(case, verdict=replace(verdict, probability=probability))
 
 
 def _what_is_left(case: Case) -> tuple[LookCurve, ...]:
@@ -283,19 +285,15 @@ def _what_is_left(case: Case) -> tuple[LookCurve, ...]:
 def _verdict(case: Case, curves: tuple[LookCurve, ...]) -> VerdictSummary:
     """The verdict; where no effect on the mean is found, what its noise shows."""
     verdict = case.verdict
-    status, effects = verdict.status, verdict.effects
-    if status == "none":
-        of_flag = {effect.flag: effect.id for effect in NOISE_EFFECTS if effect.flag}
-        effects = tuple(of_flag[f] for f in _noise_flags(case) if f in of_flag)
-        status = "named" if effects else "none"
+    noise = case.on_the_noise
     return VerdictSummary(
-        status=status,
-        effects=effects,
+        status="named" if noise else verdict.status,
+        effects=noise or verdict.effects,
         probability=verdict.probability,
         also_possible=verdict.also_possible,
         adequacy=verdict.adequacy,
         looks_like=tuple(curve.look for curve in curves),
-        parameters=parameter_changes(case, widening(case.base, verdict.chosen)),
+        parameters=parameter_changes(case, _widening(case.base, verdict.chosen)),
         unlisted=chance_of_unlisted(verdict, case.weighed),
         fails_elsewhere=verdict.fails_elsewhere,
     )
@@ -331,11 +329,17 @@ def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate
     return tuple(listed)
 
 
+def _widening(base: Base, hypothesis: Hypothesis) -> float:
+    """Of the formulas alone: where an effect has another form, no size of its formula
+    is surer than that."""
+    return widening(base, base.residual(hypothesis.z, amplitudes_of(base, hypothesis)))
+
+
 def _candidate(case: Case, key, probability: float, closure: Closure) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
     p, parameters = len(hypothesis.z), {}
     spread = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[p:], 0))
-    spread = spread * np.sqrt(widening(case.base, hypothesis))
+    spread = spread * np.sqrt(_widening(case.base, hypothesis))
     scale = np.asarray(base.design.prior_scale)
     effects = [base.atoms[k].effect for k in hypothesis.atoms]
     for j, (k, effect) in enumerate(zip(hypothesis.atoms, effects, strict=True)):

@@ -30,6 +30,8 @@ class Standing(NamedTuple):
 
     Attributes:
         adequacy: tests of what it leaves, the worst of the channels.
+        formulas: the same of what the formulas of its effects leave, where these are
+            there in another form; ``in_other_form`` says so.
         errors: amplitude of each effect over its standard error, the variance
             widened by what the set leaves.
         cancels: energy of the effects one by one over that of all together, the base
@@ -38,15 +40,20 @@ class Standing(NamedTuple):
     """
 
     adequacy: Adequacy
+    formulas: Adequacy
+    in_other_form: bool
     errors: tuple[float, ...]
     cancels: float
 
 
-def widening(base: Base, hypothesis: Hypothesis) -> float:
-    """Factor on the variance of amplitudes: what a hypothesis leaves is larger than
-    the noise, and neighbours in time agree, where it does not explain everything."""
+def widening(base: Base, residual) -> float:
+    """Factor on the variance of amplitudes: what a set leaves is larger than the noise,
+    and neighbours in time agree, where it does not explain everything.
+
+    Args:
+        residual: (m,) whitened, of all channels.
+    """
     prepared, n = base.prepared, base.prepared.n
-    residual = base.residual(hypothesis.z, amplitudes_of(base, hypothesis))
     rows_each = max(
         correlation(residual[k * n : (k + 1) * n], prepared.time, prepared.run)
         for k in range(len(prepared.channels))
@@ -101,35 +108,44 @@ def regimes(prepared: Prepared) -> list[np.ndarray]:
     ]
 
 
-def steadiness(base: Base, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+def steadiness(
+    base: Base, hypothesis: Hypothesis, used_up
+) -> tuple[np.ndarray, np.ndarray]:
     """How steady the effects of a set are over its regimes: (h,) both.
 
     Each part of each partition of the rows is left out in turn, to first order. What is
     there has one size everywhere; what only imitates something has another wherever one
     looks, and its error by the rows knows nothing of that.
 
+    Args:
+        used_up: (m, p) whitened columns of everything that was fitted: parameters,
+            effects, and their other forms where these were.
+
     Returns:
         Amplitude over its error by the jackknife over a partition, the smallest; and
         the largest change of the amplitude by one part, over the amplitude.
     """
-    linear = base.linearised(
-        hypothesis.z, amplitudes_of(base, hypothesis), hypothesis.atoms
-    )
-    atoms, residual = list(hypothesis.atoms), np.asarray(linear.residual)
-    columns = np.concatenate([linear.jacobian, linear.columns[:, atoms]], axis=1)
-    size, p = np.abs(hypothesis.amplitude), columns.shape[1] - len(atoms)
-    prior = np.diag([ROUNDING] * p + [1.0] * len(atoms))
-    normal = columns.T @ columns + prior
-    steady, moved = np.full(len(atoms), np.inf), np.zeros(len(atoms))
+    amplitudes = amplitudes_of(base, hypothesis)
+    residual = base.residual(hypothesis.z, amplitudes)
+    p, h = len(hypothesis.z), len(hypothesis.atoms)
+    size = np.abs(hypothesis.amplitude)
+    prior = np.ones(used_up.shape[1])
+    prior[:p] = ROUNDING
+    normal = used_up.T @ used_up + np.diag(prior)
+    # The fit is that of the formulas: only their other forms have a score there.
+    score = np.zeros(len(prior))
+    score[p + h :] = used_up[:, p + h :].T @ residual
+    step = np.linalg.lstsq(normal, score, rcond=None)[0]
+    steady, moved = np.full(h, np.inf), np.zeros(h)
     for codes in partitions(base.prepared, *_PARTS):
         everywhere = np.tile(codes, len(base.prepared.channels))
         steps = []
         for code in range(codes.max() + 1):
             out = everywhere == code
-            own = columns[out]
-            score = -own.T @ residual[out]
-            steps.append(np.linalg.lstsq(normal - own.T @ own, score, rcond=None)[0])
-        change = np.array(steps)[:, p:]
+            own = used_up[out]
+            left = score - own.T @ residual[out]
+            steps.append(np.linalg.lstsq(normal - own.T @ own, left, rcond=None)[0])
+        change = (np.array(steps) - step)[:, p : p + h]
         off = change - change.mean(axis=0)
         error = np.sqrt((1 - 1 / len(change)) * np.sum(off**2, axis=0))
         steady = np.minimum(steady, size / np.maximum(error, ROUNDING))
@@ -158,18 +174,11 @@ def _misled(base: Base, linear, atoms: list[int]) -> np.ndarray:
     return np.sqrt(np.sum(moved**2, axis=1))
 
 
-def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing:
-    """What a refitted set has earned.
-
-    Args:
-        used_up: (m, p) whitened columns of everything that was fitted: parameters,
-            effects, and their other forms where these were.
-        generator: of simulated residuals.
-    """
+def _tested(base: Base, residual, used_up, generator) -> Adequacy:
+    """The tests of what is left of the rows, the worst of the channels."""
     prepared, n = base.prepared, base.prepared.n
-    amplitudes = amplitudes_of(base, hypothesis)
-    linear = base.linearised(hypothesis.z, amplitudes, hypothesis.atoms)
-    residual = np.asarray(linear.residual)
+    # As the noise it is held against: without all that was fitted.
+    residual = without(residual, used_up)
     keep = np.asarray(base.design.keep[:n]) > 0
     index = np.cumsum(keep) - 1
 
@@ -189,7 +198,10 @@ def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing
     of_noise = null(
         used_up[kept_rows], base.doubt[kept_rows], stacked,
         [float(np.sqrt(np.mean(residual[part] ** 2))) for part in rows],
-        [base.noise[channel].memory for channel in prepared.channels],
+        [
+            [memory.of(keep) for memory in base.noise[channel].memory]
+            for channel in prepared.channels
+        ],
         in_time, generator,
     )  # fmt: skip
     each = [
@@ -199,17 +211,39 @@ def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing
         )
         for part, own in zip(rows, stacked, strict=True)
     ]  # fmt: skip
+    return _worst(each)
+
+
+def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing:
+    """What a refitted set has earned.
+
+    Args:
+        used_up: (m, p) whitened columns of everything that was fitted: parameters,
+            effects, and their other forms where these were.
+        generator: of simulated residuals.
+    """
+    linear = base.linearised(
+        hypothesis.z, amplitudes_of(base, hypothesis), hypothesis.atoms
+    )
+    residual = np.asarray(linear.residual)
     p = len(hypothesis.z)
+    by_formula = used_up[:, : p + len(hypothesis.atoms)]
+    found = _tested(base, residual, used_up, generator)
+    in_other_form = used_up.shape[1] > by_formula.shape[1]
+    formulas = (
+        _tested(base, residual, by_formula, generator) if in_other_form else found
+    )
     std = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[p:], 0))
     atoms = list(hypothesis.atoms)
-    std = np.hypot(
-        std * np.sqrt(widening(base, hypothesis)), _misled(base, linear, atoms)
-    )
+    wide = widening(base, without(residual, used_up))
+    std = np.hypot(std * np.sqrt(wide), _misled(base, linear, atoms))
     own = without(linear.columns[:, atoms], linear.jacobian)
     parts = own * hypothesis.amplitude
     together = float(np.sum(parts.sum(axis=1) ** 2))
     return Standing(
-        _worst(each),
+        found,
+        formulas,
+        in_other_form,
         tuple(
             float(a) for a in np.abs(hypothesis.amplitude) / np.maximum(std, ROUNDING)
         ),
