@@ -60,7 +60,8 @@ _KIN = 0.008
 was called by the wrong one of two formulas, the right one had .01 to .4 of it."""
 
 _DISTANT_KIN = 0.03
-"""The same for one of another family that acts on the same parameter of the tire."""
+"""The same for one of another family that acts on the same parameter of the tire, or
+with the same quantity: "force x time" was called by "friction x time"."""
 
 _ABSURD = 8.0
 """Amplitude in prior scales beyond which an effect is no explanation."""
@@ -115,8 +116,18 @@ class Weighed:
 
     @property
     def best(self) -> tuple[str, ...]:
-        """The most probable set of effects, if all that is there is listed."""
-        return max((k for k in self.sets if k), key=lambda k: self.sets[k], default=())
+        """The most probable set of effects, if all that is there is listed. Of as many
+        effects in forms of their own, which draw nearly the same, the one whose
+        formulas do best."""
+        likeliest = max(
+            (k for k in self.sets if k), key=lambda k: self.sets[k], default=()
+        )
+        alike = [
+            k
+            for k, probability in self.sets.items()
+            if len(k) == len(likeliest) and probability >= _RIVAL * self.sets[likeliest]
+        ]
+        return max(alike, key=lambda k: self.best_of[k].log_weight)
 
     def among_listed(self, key) -> float:
         """Probability of a set, if all that is there is listed."""
@@ -283,9 +294,12 @@ def _kin(search: Search, weighed: Weighed, key) -> tuple[str, ...]:
         if len(new) != 1 or len(old) != 1:
             continue
         mine, its = family[min(old)], family[min(new)]
-        # "friction x speed" and "friction x time" are kin, two of one family closer.
+        # "friction x speed" is kin of "friction x time" and of "slip x speed", two of
+        # one family are closer.
         near = _KIN if mine == its else _DISTANT_KIN
-        if mine.split(" ")[0] == its.split(" ")[0]:
+        what, _, by = mine.partition(" x ")
+        other_what, _, other_by = its.partition(" x ")
+        if what == other_what or (by and by == other_by):
             if probability > near * weighed.sets[key]:
                 kin.append(min(new))
     return tuple(kin)
