@@ -10,6 +10,7 @@ from conftest_diagnosis import RIG, TRUTHS, brush, record
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS
 from tirefit.diagnosis.engine import diagnose
+from tirefit.report.diagnosis_words import range_text
 from tirefit.results import DataError, UsageError
 
 
@@ -172,3 +173,19 @@ def test_bad_data_are_refused():
         diagnose(read_frame(few), rig=RIG)
     with pytest.raises(UsageError, match="brushh"):
         diagnose(read_frame(frame), "brushh", rig=RIG)
+
+
+def test_an_effect_that_is_not_known_is_told_with_the_one_that_is_meant():
+    frame, _ = record(None)
+    with pytest.raises(
+        UsageError, match="(?s)no effect 'slip_ofset'.*mean 'slip_offset'"
+    ):
+        diagnose(read_frame(frame), without=["slip_ofset"])
+
+
+def test_a_slip_of_zero_is_no_side():
+    frame, _ = record(TRUTHS["slip_offset"], seed=3)
+    frame["sigma_x"][5] = 0.0
+    found = diagnose(read_frame(frame), rig=RIG)
+    signs = [region for region in found.where if region.covariate == "sign"]
+    assert {range_text(region) for region in signs} <= {"negative", "positive"}

@@ -363,8 +363,10 @@ def _fault_of(cell: str) -> tuple[str, str]:
         return "an empty cell", "where a number is needed"
     shown = text if len(text) <= 30 else text[:27] + "..."
     word = text.lstrip("+-").casefold()
-    if word in ("inf", "infinity") or is_number(text):
-        return shown, f"is infinite (beyond {_LARGEST:g})"
+    if word in ("inf", "infinity"):
+        return shown, "is infinite"
+    if is_number(text):
+        return shown, f"is too large for any quantity here (beyond {_LARGEST:g})"
     if word == "nan":
         return text, "is not a number"
     if word in ("notavail", "n/a", "na", "null", "none"):

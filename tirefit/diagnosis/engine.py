@@ -1,6 +1,7 @@
 """One file diagnosed: noise first, then where, which, how far, and what to measure."""
 
 from collections.abc import Sequence
+from difflib import get_close_matches
 from functools import cache
 from typing import Any
 
@@ -89,8 +90,13 @@ def diagnose(
     rig = rig or Rig()
     known = {effect.id for effect in effects}
     if unknown := sorted(set(without) - known):
-        remedy = f"known effects: {', '.join(sorted(known))}"
-        raise UsageError([InputProblem(f"without {name}", remedy) for name in unknown])
+        problems = []
+        for name in unknown:
+            close = get_close_matches(name, known, n=1)
+            meant = f"did you mean {close[0]!r}? " if close else ""
+            remedy = f"{meant}known effects: {', '.join(sorted(known))}"
+            problems.append(InputProblem(f"--without: no effect {name!r}", remedy))
+        raise UsageError(problems)
     if model in MAGIC_FORMULAS and sim is None:
         # Its coefficients are those of all rows; what is adapted beside a hypothesis
         # are its scaling factors.

@@ -68,7 +68,8 @@ def covariates_of(base: Base) -> dict[str, np.ndarray]:
     if "sweeps" in prepared.has:
         values["direction"] = np.sign(rows.turning)
     if "signs" in prepared.has:
-        values["sign"] = np.sign(prepared.slip)
+        # A slip of zero itself is no third side.
+        values["sign"] = np.where(prepared.slip < 0, -1.0, 1.0)
     for name in ("temperature", "gamma"):
         if name in prepared.has:
             values[name] = prepared.column(name)

@@ -118,7 +118,9 @@ def evidence_bars(result: Diagnosis, most: int = 7) -> list[Bar]:
         none = [verdict.probability]
     if none:
         kind = "none" if verdict.names_an_effect else "verdict"
-        shown.append(Bar("no gap", none[0], kind))
+        # A simulator's gap may be that of its parameters.
+        label = "nothing beside\nits parameters" if result.simulator else "no gap"
+        shown.append(Bar(label, none[0], kind))
         return [*shown, Bar("all others", max(left - none[0], 0.0), "rest")]
     # Beside a gap that is said to be there, nothing is left for none.
     surely = verdict.status in ("unknown", "incomplete")

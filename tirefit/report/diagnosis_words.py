@@ -123,7 +123,8 @@ def range_text(region: Region | Spot) -> str:
     """Where a region, or a spot, lies: one value, or from - to, with its unit."""
     name, low, high = region.covariate, region.low, region.high
     if name in _NAMED_VALUES:
-        return _NAMED_VALUES[name][round(low)]
+        # The few steady rows beside those that grow or shrink do not name the region.
+        return _NAMED_VALUES[name][round(high if abs(high) > abs(low) else low)]
     unit = CANONICAL.get(name, ("", ""))[0]
     tail = f" {unit}" if unit not in ("", "-") else ""
     if low == high:
