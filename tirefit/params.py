@@ -6,7 +6,6 @@ the report. A model is an ``equinox.Module``; a parameter is a field made by
 """
 
 import dataclasses
-import difflib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
@@ -17,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import InputProblem, UsageError, did_you_mean
 
 __all__ = [
     "Spec",
@@ -178,10 +177,9 @@ def check_names(
         if asked.count(name) > 1:
             problems.append(InputProblem(f"{noun} {name!r} is given twice", "once"))
         if name not in there:
-            close = difflib.get_close_matches(name, there, n=1)
-            meant = f"did you mean {close[0]!r}? " if close else ""
             reason = f"there is no {noun} {name!r}"
-            problems.append(InputProblem(reason, f"{meant}known: {all_known}"))
+            remedy = f"{did_you_mean(name, there)}known: {all_known}"
+            problems.append(InputProblem(reason, remedy))
     if problems:
         raise UsageError(problems)
     return tuple(asked)

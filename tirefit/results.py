@@ -6,9 +6,10 @@ into an exit code once, at the border. Bad input is an exception that holds *eve
 problem found, each with its place, reason and remedy.
 """
 
+import difflib
 import enum
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "InputProblem",
     "TirefitError",
     "UsageError",
+    "did_you_mean",
     "in_python",
 ]
 
@@ -84,6 +86,13 @@ class InputProblem:
         where = ", ".join(place)
         text = f"{where}: {self.reason}" if where else self.reason
         return f"{text}\n    remedy: {self.remedy}" if self.remedy else text
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """How the remedy of a name that is not known begins: ``did you mean 'mu'? ``, with
+    the space behind it; empty where none of the known ones resembles it."""
+    close = difflib.get_close_matches(name, list(known), n=1)
+    return f"did you mean {close[0]!r}? " if close else ""
 
 
 _PAIRS = {"column": "columns", "unit": "units", "constant": "constants"}

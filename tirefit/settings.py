@@ -6,7 +6,6 @@ the file and its key.
 """
 
 import copy
-import difflib
 import itertools
 import json
 import re
@@ -23,7 +22,7 @@ from pydantic import (
     model_validator,
 )
 
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import InputProblem, UsageError, did_you_mean
 
 __all__ = ["Section", "parse_settings"]
 
@@ -151,8 +150,7 @@ def _problems(kind: type[Section], detail: Any) -> list[InputProblem]:
         return [InputProblem(f"missing key {key!r}", field.description or "add it")]
     if error == "extra_forbidden":
         valid = list(_section_at(kind, path[:-1]).model_fields)
-        close = difflib.get_close_matches(path[-1], valid, 1)
-        hint = f"did you mean {close[0]!r}? " if close else ""
+        hint = did_you_mean(path[-1], valid)
         remedy = f"{hint}valid keys here: {', '.join(valid)}"
         return [InputProblem(f"unknown key {key!r}", remedy)]
     reason, remedy = _in_words(detail), _REMEDIES.get(error, "correct it")

@@ -1,6 +1,5 @@
 """Which column of a file is which: declared by the user, or inferred and said."""
 
-import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +15,7 @@ from tirefit.data.units import (
     known_unit,
     resolve_unit,
 )
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError, InputProblem, did_you_mean
 from tirefit.slip import SLIP_DEFINITIONS
 
 __all__ = [
@@ -226,8 +225,7 @@ def _declared(headers, options, plan, file) -> dict[str, int]:
         reason = f"the header occurs {len(places)} times"
         remedy = "rename one of them in the file"
         if not places:
-            close = difflib.get_close_matches(wanted, headers, n=1)
-            meant = f"did you mean {close[0]!r}? " if close else ""
+            meant = did_you_mean(wanted, headers)
             how = f"declared as {name} by {_DECLARED_BY['columns']}"
             reason = f"the file has no such column ({how})"
             remedy = f"{meant}columns found: {', '.join(map(repr, headers))}"

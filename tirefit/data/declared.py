@@ -1,12 +1,11 @@
 """What the user declares about a file."""
 
-import difflib
 from collections.abc import Mapping
 from typing import NamedTuple
 
 from tirefit.data.table import CANONICAL, SIMULATED
 from tirefit.data.units import base_column
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import InputProblem, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
 __all__ = ["Options"]
@@ -57,8 +56,6 @@ def _unknown(option: str, given, known) -> list[InputProblem]:
     for value in given:
         if value is None or value in known:
             continue
-        close = difflib.get_close_matches(str(value), known, n=1)
-        remedy = f"did you mean {close[0]!r}? " if close else ""
-        remedy += f"valid: {', '.join(known)}"
+        remedy = f"{did_you_mean(str(value), known)}valid: {', '.join(known)}"
         problems.append(InputProblem(f"{option}: {value!r} is not known", remedy))
     return problems

@@ -2,7 +2,6 @@
 
 import codecs
 import csv
-import difflib
 import gzip
 import io
 import itertools
@@ -21,7 +20,7 @@ from tirefit.data.table import Layout
 from tirefit.data.units import known_unit
 from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.door import DATA, too_large
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError, InputProblem, did_you_mean
 from tirefit.slip import CONVENTIONS
 
 __all__ = [
@@ -88,8 +87,7 @@ def read_bytes(path: Place) -> bytes:
             beside = [other.name for other in path.parent.iterdir()]
         except OSError:
             beside = []
-        close = difflib.get_close_matches(path.name, beside, n=1)
-        remedy = f"did you mean {close[0]!r}?" if close else "check the path"
+        remedy = did_you_mean(path.name, beside).strip() or "check the path"
         raise _refusal("the file does not exist", remedy, path) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         cause = getattr(error, "strerror", None) or error

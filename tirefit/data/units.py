@@ -5,13 +5,12 @@ which is slow to import and so is loaded only then. A leading minus (``-N``) dec
 a column whose sign is opposite to the file's convention.
 """
 
-import difflib
 from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.data.table import WHEELS
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError, InputProblem, did_you_mean
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS, kappa_from_sigma
 
 __all__ = [
@@ -179,9 +178,8 @@ def units_of(dimension: str) -> list[str]:
 
 def _unit_remedy(text: str, column: str, dimension: str) -> str:
     units = units_of(dimension)
-    close = difflib.get_close_matches(text, units, n=1)
-    meant = f"did you mean {close[0]!r}? " if close else ""
     listed = ", ".join(map(repr, units))
+    meant = did_you_mean(text, units)
     return f"{meant}give a unit of {dimension} with --unit {column}=...: {listed}"
 
 

@@ -1,7 +1,6 @@
 """One file diagnosed: noise first, then where, which, how far, and what to measure."""
 
 from collections.abc import Sequence
-from difflib import get_close_matches
 from functools import cache
 from typing import Any
 
@@ -31,7 +30,7 @@ from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.precision import require_x64
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import InputProblem, UsageError, did_you_mean
 
 __all__ = ["diagnose", "studied"]
 
@@ -92,8 +91,7 @@ def diagnose(
     if unknown := sorted(set(without) - known):
         problems = []
         for name in unknown:
-            close = get_close_matches(name, known, n=1)
-            meant = f"did you mean {close[0]!r}? " if close else ""
+            meant = did_you_mean(name, known)
             remedy = f"{meant}known effects: {', '.join(sorted(known))}"
             problems.append(InputProblem(f"--without: no effect {name!r}", remedy))
         raise UsageError(problems)
