@@ -162,7 +162,14 @@ CASES = {
         "kappa,Fx [N],force_x,fz\n0.1,1,1,2\n", {},
         ["row 1", "'Fx [N]' and 'force_x' all mean fx", 'columns.fx = "Fx [N]"'],
     ),
-    "same header": ("kappa,fx,fx,fz\n0.1,1,1,2\n", {}, ["'fx' and 'fx'", "rename"]),
+    "same header": (
+        "kappa,fx,fz,fx\n0.1,1,2,1\n", {},
+        ["'fx' and 'fx' all mean fx (columns 2 and 4)", "rename"],
+    ),
+    "same header, declared": (
+        "kappa,F,fz,F\n0.1,1,2,1\n", {"columns": {"fx": "F"}},
+        ["the header occurs 2 times (columns 2 and 4)", "rename"],
+    ),
     "two slips": (
         "kappa,sigma_x,fx,fz\n0.1,0.1,1,2\n", {},
         ["'kappa' and 'sigma_x'", "all mean kappa and sigma_x", "columns.kappa"],

@@ -222,7 +222,7 @@ def _declared(headers, options, plan, file) -> dict[str, int]:
         if not places and _is_predicted(name, options):
             plan.assumptions.append(f"column {header!r} ({name}) is not there")
             continue
-        reason = f"the header occurs {len(places)} times"
+        reason = f"the header occurs {len(places)} times ({_places(places)})"
         remedy = "rename one of them in the file"
         if not places:
             meant = did_you_mean(wanted, headers)
@@ -264,15 +264,22 @@ def _inferred(headers, declared, plan, file, names) -> dict[str, int]:
         if len(matches) < 2:
             continue
         listed = " and ".join(repr(headers[index]) for _, index in matches)
+        places = _places([index for _, index in matches])
         name, index = matches[0]
         names = " and ".join(dict.fromkeys(match for match, _ in matches))
-        reason = f"duplicate column: {listed} all mean {names}"
+        reason = f"duplicate column: {listed} all mean {names} ({places})"
         remedy = f'choose one: columns.{name} = "{headers[index]}" or --column {name}='
         if len({headers[index] for _, index in matches}) == 1:
             remedy = "rename or remove one of them in the file"
         plan.problems.append(InputProblem(reason, remedy, file, column=headers[index]))
     # Of duplicates the first goes on, so that its cells are checked as well.
     return dict(matches[0] for matches in by_group.values())
+
+
+def _places(indices: Sequence[int]) -> str:
+    """Where columns stand, from 1: of headers that are alike, all that tells them
+    apart."""
+    return f"columns {' and '.join(str(index + 1) for index in indices)}"
 
 
 def _meant(header: str, names: Mapping[str, str]) -> Guess | None:
