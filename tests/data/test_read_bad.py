@@ -32,6 +32,22 @@ CASES = {
     "text": (
         lines("0.1,abc,4000"), {}, ["row 6, column 'fx'", "'abc' is text", "mask"]
     ),
+    "a date in one row": (
+        lines("0.1,2024-01-05,4000"), {},
+        ["row 6, column 'fx'", "is a date or a time of day", "mask"],
+    ),
+    "times of day": (
+        table("time,kappa,fx,fz", [f"12:00:0{i}" for i in range(6)], SLIP, UP, LOAD),
+        {"mask_bad_rows": True},
+        [
+            "column 'time': 6 of 6 rows ('12:00:00' in row 2, ...): is a date or a time"
+            " of day", "write the seconds since the start", "read_frame",
+        ],
+    ),
+    "no number in a column": (
+        table("time,kappa,fx,fz", list("abcdef"), SLIP, UP, LOAD), {},
+        ["column 'time': 6 of 6 rows ('a' in row 2, ...): is text", "rename this one"],
+    ),
     "empty cell": (lines("0.1,,4000"), {}, ["row 6, column 'fx'", "an empty cell"]),
     "nan": (lines("nan,1,4000"), {}, ["row 6, column 'kappa'", "nan is not a number"]),
     "inf": (lines("0.1,1,-inf"), {}, ["row 6, column 'fz'", "-inf is infinite"]),
@@ -284,7 +300,7 @@ CASES = {
     ),
     # even when masking
     "nothing left": (
-        "kappa,fx,fz\nx,1,2\ny,1,2\n", {"mask_bad_rows": True}, ["no usable rows"]
+        "kappa,fx,fz\nx,1,2\n0.1,y,2\n", {"mask_bad_rows": True}, ["no usable rows"]
     ),
     "percent masked": (
         table("kappa,fx,fz", [0.5, 2, 3, 4], [1, 2, 3, 4], [9] * 4),

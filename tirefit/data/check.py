@@ -41,6 +41,20 @@ _NO_LOAD = 1e-6  # N, below which no tire is loaded and no quotient is a number
 _GROUPED = re.compile(r"\s*[+-]?[1-9]\d{0,2}(,\d{3})+\s*")
 _OR_MASK = ", or mask bad rows with --mask-bad-rows"
 _CORRECT = f"correct the row{_OR_MASK}"
+_CLOCK = re.compile(r"\d{1,2}:\d{2}|\d{1,4}([-./])\d{1,2}\1\d{1,4}(\D|$)")
+_IS_TEXT = "is text where a number is needed"
+_IS_CLOCK = "is a date or a time of day where a number is needed"
+_NO_NUMBERS = (
+    "name the column that has the numbers with --column NAME=HEADER, or rename this one"
+    " if it is something else, so that it is not read"
+)
+_SECONDS = (
+    "write the seconds since the start of the recording; in Python, read_frame takes a"
+    " column of dates and times (pandas.to_datetime) as such seconds"
+)
+_OF_WHOLE_COLUMN = {_IS_TEXT: _NO_NUMBERS, _IS_CLOCK: _SECONDS}
+"""Faults that are the column's, where all its rows have them: no row could be
+corrected, and none would be left if they were masked."""
 _SHARES = (5e-3, 5.0)
 _LEAST_SLIP = (("fx", "sigma_x", 0.01), ("fy", "alpha", np.radians(0.5)))
 
@@ -336,10 +350,14 @@ def read_numbers(
             continue
         shown, kind = _fault_of(str(cells[row]))
         kinds.setdefault(kind, []).append((int(row), shown))
-    faults = [
-        BadRows(header, [row for row, _ in there], [text for _, text in there], kind)
-        for kind, there in kinds.items()
-    ]
+    whole, faults = np.count_nonzero(~ragged), []
+    for kind, there in kinds.items():
+        rows, texts = zip(*there, strict=True)
+        remedy = _OF_WHOLE_COLUMN.get(kind) if len(there) == whole else None
+        is_systematic = remedy is not None
+        faults.append(
+            BadRows(header, rows, texts, kind, remedy or _CORRECT, is_systematic)
+        )
     return np.where(is_sane, values, np.nan), faults
 
 
@@ -373,4 +391,6 @@ def _fault_of(cell: str) -> tuple[str, str]:
         return f"{text}:", "the value is not available"
     if "," in text and is_number(text.replace(",", "")):
         return repr(shown), "has a comma: write 4000.5, without group separators"
-    return repr(shown), "is text where a number is needed"
+    if _CLOCK.match(text):
+        return repr(shown), _IS_CLOCK
+    return repr(shown), _IS_TEXT
