@@ -325,6 +325,28 @@ def save_excel(path, sheets):
 SHEET = [list(PLAIN), *np.stack(list(PLAIN.values()), axis=1).tolist()]
 
 
+JSON = {
+    "columns": ('{"kappa": [0.1, 0.2], "fx": [1, 2]}', "read_frame takes a dict"),
+    "rows": ('[\n {"kappa": 0.1, "fx": 1},\n {"kappa": 0.2, "fx": 2}\n]', "read_frame"),
+    "lines": ('\ufeff{"kappa": 0.1}\n{"kappa": 0.2}\n', "write its columns as CSV"),
+    "a fit": ('{"schema": "tirefit.fit/1"}', "this file as the tire: --model"),
+}
+
+
+@pytest.mark.parametrize(("content", "remedy"), JSON.values(), ids=JSON)
+def test_json_is_named_with_what_reads_it(tmp_path, content, remedy):
+    (tmp_path / "a.csv").write_text(content, encoding="utf-8")
+    with pytest.raises(DataError, match="JSON") as caught:
+        read(tmp_path / "a.csv")
+    (problem,) = caught.value.problems
+    assert remedy in problem.remedy
+
+
+def test_a_header_in_brackets_is_no_json(tmp_path):
+    (tmp_path / "a.csv").write_text("[s],kappa,fx,fz\n0,0.1,1,2\n1,0.2,2,2\n")
+    assert read(tmp_path / "a.csv").n == 2
+
+
 @pytest.mark.parametrize("name", ["a.xlsx", "a.csv"])
 @pytest.mark.parametrize(
     ("rows", "fragment"),

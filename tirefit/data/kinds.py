@@ -1,6 +1,7 @@
 """One :func:`read_table` for all kinds of files, told apart by what is in them."""
 
 import hashlib
+import re
 from collections.abc import Callable, Collection
 from pathlib import Path
 
@@ -34,6 +35,9 @@ _UNREADABLE = {
 }
 """First bytes of known files that are not read -> what they are, and the remedy."""
 
+_JSON = re.compile(rb"(\xef\xbb\xbf)?\s*(\{\s*[\"}]|\[\s*[\[{\]])")
+_OUR_FIT = re.compile(rb"\"schema\"\s*:\s*\"tirefit\.fit/")
+
 
 def read_table(path: Place, declared: Collection[str]) -> Table:
     """Reads a file of any kind into cells; ``declared`` headers help to find columns.
@@ -53,6 +57,8 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
         if content.startswith(start):
             reason = f"this is {kind}, which is not read"
             raise DataError(InputProblem(reason, remedy, file))
+    if _JSON.match(content):
+        raise DataError(_of_json(content, file))
     digest = hashlib.sha256(raw).hexdigest()
     if is_mat(content):
         channels = channels_of_mat(content, file, is_known)
@@ -76,6 +82,18 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
     if tydex.is_tydex(text):
         return tydex.table_of_tydex(text, path, digest, notes)
     return table_of_text(text, path, digest, declared, notes)
+
+
+def _of_json(content: bytes, file: str) -> InputProblem:
+    """What a JSON file is good for: no command reads measurements from one."""
+    if _OUR_FIT.search(content):
+        reason = "this is the JSON of a fit, a tire and no table of measurements"
+        remedy = "give the measurements here, and this file as the tire: --model"
+        remedy += f" {file} of diagnose, or `tirefit predict {file} DATA.csv`"
+        return InputProblem(reason, remedy, file)
+    reason = "this is JSON, which is not read as a table of measurements"
+    remedy = "write its columns as CSV; in Python, read_frame takes a dict of columns"
+    return InputProblem(reason, f"{remedy} or a frame (pandas.read_json)", file)
 
 
 def _digest(folder: Path) -> str:
