@@ -168,12 +168,17 @@ BRAKING = {"convention": "braking"}
 @pytest.mark.parametrize(
     ("factors", "remedy"),
     [
-        ({"fx": 1e-3}, "'fx' reaches only 0.001 of the load: if 'fx' is in kN, pass"
-         " --unit fx=kN"),
-        ({"fz": 1e-3}, "'fx' reaches 1000 times the load: if 'fz' is in kN, pass"
-         " --unit fz=kN"),
-        ({"fz": 1e-1}, "'fx' reaches 10 times the load: check the units of fx and fz"),
-        ({"fx": 1e-6}, "check the units of fx and fz"),
+        ({"fx": 1e-3}, "'fx' reaches only 0.001 of the load, too little at these slips:"
+         " one of the two is probably in another unit than it was read in (kN for N?);"
+         " if 'fx' is in kN, pass --unit fx=kN"),
+        ({"fz": 1e-3}, "'fx' reaches 1000 times the load, which no tire has: one of the"
+         " two is probably in another unit than it was read in (kN for N?); if 'fz' is"
+         " in kN, pass --unit fz=kN"),
+        ({"fz": 1e-1}, "'fx' reaches 10 times the load, which no tire has"),
+        ({"fz": 1e-1}, "; check the units of fx and fz"),
+        ({"fx": 1e-6}, "; check the units of fx and fz"),
+        # A load of 4 kN is none of 4 MN: it is not fz that was misread.
+        ({"fx": 1e3}, "; check the units of fx and fz"),
     ],
 )  # fmt: skip
 def test_implausible_forces_get_the_unit_that_would_mend_them(factors, remedy):

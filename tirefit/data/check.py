@@ -56,6 +56,8 @@ _OF_WHOLE_COLUMN = {_IS_TEXT: _NO_NUMBERS, _IS_CLOCK: _SECONDS}
 """Faults that are the column's, where all its rows have them: no row could be
 corrected, and none would be left if they were masked."""
 _SHARES = (5e-3, 5.0)
+_HEAVIEST = 1e3
+"""Median load [N] beyond which a load is none in kN: no wheel carries a meganewton."""
 _LEAST_SLIP = (("fx", "sigma_x", 0.01), ("fy", "alpha", np.radians(0.5)))
 
 
@@ -296,18 +298,24 @@ def doubt_units(
         low, high = _SHARES
         if share > high:
             mended, column = share / 1000, "fz"
+            much, why = f"{share:.0f} times the load", "which no tire has"
         elif share < low and slips:
             mended, column = share * 1000, force
+            much = f"only {share:.2g} of the load"
+            why = "too little at these slips"
         else:
             continue
         remedy = f"check the units of {force} and fz"
-        if 10 * low < mended < high:
+        possible = column != "fz" or np.median(columns["fz"]) < _HEAVIEST
+        if 10 * low < mended < high and possible:
             where = headers.get(column, f"--constant {column}")
             remedy = f"if {where!r} is in kN, pass --unit {column}=kN"
             if column not in headers:
                 remedy = f"give {where} in N, not in kN"
-        much = f"only {share:.2g} of" if share < 1 else f"{share:.0f} times"
-        said.append(f"{name} reaches {much} the load: {remedy}")
+        said.append(
+            f"{name} reaches {much}, {why}: one of the two is probably in another unit"
+            f" than it was read in (kN for N?); {remedy}"
+        )
     return said
 
 
