@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tirefit.data.inspect import inspect
-from tirefit.data.read import read_frame
+from tirefit.data.read import read, read_frame
 from tirefit.data.table import join
 from tirefit.results import DataError
 
@@ -160,9 +160,32 @@ def _bounded(kappa):
     return np.where(kappa > 0, kappa, kappa / (1 - kappa))
 
 
-# --- units --------------------------------------------------------------------
-
 BRAKING = {"convention": "braking"}
+
+
+# --- time ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("last", [0.05, 0.3])
+def test_a_time_that_goes_back_within_a_run_is_told_with_place_and_remedy(
+    tmp_path, last
+):
+    time, kappa = [0.0, 0.1, 0.0, 0.2, last, 0.1], np.linspace(0.01, 0.2, 6)
+    rows = zip(time, kappa, force(kappa), "aabaab", strict=True)
+    path = tmp_path / "a.csv"
+    lines = [f"{t},{k},{f},4000,{run}" for t, k, f, run in rows]
+    path.write_text("\n".join(["Time,kappa,fx,fz,run", *lines, ""]))
+    said = read(path, **BRAKING).source.warnings
+    # Another run may begin at zero again.
+    assert bool(said) == (last < 0.2)
+    for text in said:
+        assert text.startswith(
+            "row 6, column 'Time': the time goes back, from 0.2 s to 0.05 s"
+        )
+        assert "run of its own (--column run=HEADER), or correct the time" in text
+
+
+# --- units --------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

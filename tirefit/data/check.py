@@ -22,6 +22,7 @@ __all__ = [
     "BadRows",
     "check_columns",
     "check_variation",
+    "doubt_time",
     "doubt_units",
     "has_decimal_comma",
     "list_problems",
@@ -317,6 +318,33 @@ def doubt_units(
             f" than it was read in (kN for N?); {remedy}"
         )
     return said
+
+
+def doubt_time(
+    time: np.ndarray, run: np.ndarray, lines: np.ndarray, header: str
+) -> list[str]:
+    """A time that goes back within a run, as a sentence with a remedy; none where it
+    does not.
+
+    Args:
+        time, run, lines: (n,) time [s], run and line in the file of the used rows.
+        header: the file's own name of the time.
+    """
+    order = np.argsort(run, kind="stable")
+    back = (np.diff(time[order]) < 0) & (np.diff(run[order]) == 0)
+    if not back.any():
+        return []
+    at = int(np.argmax(back))
+    before, row = order[at], order[at + 1]
+    more = f" (and {back.sum() - 1} times more)" if back.sum() > 1 else ""
+    return [
+        f"row {lines[row]}, column {header!r}: the time goes back, from"
+        f" {time[before]:.6g} s to {time[row]:.6g} s within a run{more}: a fit or a"
+        " diagnosis takes the rows of a run in the order of their time, and so mixes"
+        " two recordings, or what stands before and after a clock was set; give each a"
+        " run of its own (--column run=HEADER), or correct the time; rows that are"
+        " merely out of order do no harm"
+    ]
 
 
 def has_decimal_comma(columns) -> bool:

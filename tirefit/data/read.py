@@ -180,7 +180,7 @@ def _checked(table: Table, options: Options) -> TireData:
         units=plan.units_to_write
         | {_canonical(c.name): c.unit_text for c in plan.columns.values() if c.unit},
         assumptions=tuple(_all_assumptions(reading)),
-        warnings=_warnings(reading, definition),
+        warnings=_warnings(reading, definition, run),
         masked=masked,
         slip_check=reading.slip_check,
         line=table.lines,
@@ -409,11 +409,12 @@ def _all_assumptions(reading: _Reading) -> list[str]:
     return said + reading.assumptions
 
 
-def _warnings(reading: _Reading, definition: str) -> tuple[str, ...]:
+def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:
     good = ~reading.bad()
     if not good.any():
         return ()
     used = {name: values[good] for name, values in reading.columns.items()}
+    lines = reading.table.lines[good]
     declared = reading.options.convention or reading.table.layout.convention
     doubt = signs.doubt_convention(used, reading.headers, definition, declared)
     doubts = [doubt] if doubt else []
@@ -422,5 +423,8 @@ def _warnings(reading: _Reading, definition: str) -> tuple[str, ...]:
         used, reading.headers, definition, reading.convention, declared is not None,
         {column.name: column.unit_text for column in plan},
     )  # fmt: skip
-    units = check.doubt_units(used, reading.headers)
-    return tuple(doubts + reading.doubts + units)
+    doubts += reading.doubts + check.doubt_units(used, reading.headers)
+    if "time" in used and reading.options.curve:
+        header = reading.headers.get("time", "time")
+        doubts += check.doubt_time(used["time"], run[good], lines, header)
+    return tuple(doubts)
