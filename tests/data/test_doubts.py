@@ -81,5 +81,6 @@ def test_a_wheel_out_of_round_is_said(tmp_path):
     assert len(said) == 1
     length = float(said[0].split()[3])
     assert length == pytest.approx(turn, rel=0.04)
+    assert ", p < 1e-12)" in said[0]
     clean = write_log(tmp_path / "b.csv", pose_log(noise=0.3))
     assert not any("repeats" in w for w in derive(clean, config).warnings)

@@ -27,6 +27,9 @@ _WINDOWS = 4
 _CHANCE = 1e-4
 """Probability that the highest of all peaks is chance, below which it is said."""
 
+_LEAST = 1e-12
+"""Probability below which nobody knows it better; a strong wave's rounds to zero."""
+
 _AROUND, _BESIDE = 8, 2
 """Wave numbers to either side that the background is taken from, less the nearest."""
 
@@ -121,11 +124,15 @@ def _repeating(columns, stretches, way, vehicle: Vehicle) -> list[str]:
         as_well = ", or in time: the speed hardly varies" if steady else ""
         said.append(
             f"{name} repeats every {wave.length:.3g} m of the road (a wave of"
-            f" {factor * wave.size:.2g} {unit}, p {wave.p_value:.0e}){as_well}: a wheel"
+            f" {factor * wave.size:.2g} {unit}, p {_chance(wave)}){as_well}: a wheel"
             f" of {1e3 * wave.length / (2 * np.pi):.3g} mm turns once in that; look for"
             " run-out, imbalance or a worn patch"
         )
     return said
+
+
+def _chance(wave: Wave) -> str:
+    return f"< {_LEAST:.0e}" if wave.p_value < _LEAST else f"{wave.p_value:.0e}"
 
 
 def repeats_with_distance(values, way, shortest: float, longest: float) -> Wave | None:
