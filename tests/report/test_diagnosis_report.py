@@ -70,7 +70,7 @@ from tirefit.report.diagnosis_panels import (
     level_labels,
     load_label,
 )
-from tirefit.report.diagnosis_text import verdict_sentence
+from tirefit.report.diagnosis_text import gap_lines, verdict_sentence
 from tirefit.report.diagnosis_words import (
     _NEEDS,
     needs_text,
@@ -444,6 +444,33 @@ def test_closure_bars_hold_energy_beside_amplitude():
     assert (here.low, here.high) == pytest.approx((125 * 0.15, 125 * 0.3))
     assert held.label == "held out: highest fz, left out of both fits"
     assert held.energy == pytest.approx(1 - 45.3**2 / 151.0**2)
+
+
+WORST = replace(HELD, closed=-1.0, closed_ci=(-1.0, 0.2), remaining_rms=302.0)
+
+
+def test_a_closure_that_ends_at_its_bound_is_said_to_be_a_bound():
+    found = diagnosis(gap=replace(GAP, holdout=WORST))
+    (line,) = (line for line in gap_lines(found) if "held" in line or "left" in line)
+    said = "closed -100 % or worse [-100 % or worse, 20 %], -300 % or worse of its"
+    assert f"{said} energy; 151 N" in line and line.endswith("F_z) or more")
+    figure = Figure()
+    draw_closure(figure, closure_bars(found), found.mean_load)
+    text = figure.axes[0].texts[1].get_text()
+    assert "151 N to 302 N or more\n" in text and said in text
+    poor = candidate(["load_friction"], 0.87, -1.0)
+    found = diagnosis(candidates=(replace(poor, closed_ci=(-1.0, 0.0)),))
+    assert "load_friction, closes -100 % or worse" in str(found)
+    assert "-100 % or worse [-100 % or worse, 0 %]" in diagnosis_page(found)
+
+
+def test_a_gap_that_grew_on_the_rows_fitted_is_no_gap_of_which_nothing_closes():
+    # The record ends at zero there; what is left does not.
+    grew = replace(GAP, closed=0.0, closed_ci=(-0.3, 0.1), remaining_rms=150.0)
+    (line,) = (line for line in gap_lines(diagnosis(gap=grew)) if "these rows" in line)
+    assert "on these rows: closed -20 % [-30 %, 10 %], -44 % of its energy" in line
+    silent = replace(GAP, closed=0.0, closed_ci=(0.0, 0.0), remaining_rms=GAP.rms)
+    assert silent.net_closed == 0.0
 
 
 def test_nothing_is_said_to_close_where_nothing_can_be_said():

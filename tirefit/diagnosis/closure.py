@@ -9,6 +9,7 @@ from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 
 __all__ = [
     "INTERVAL",
+    "WORST",
     "Closure",
     "block_means",
     "closure_elsewhere",
@@ -32,7 +33,7 @@ _FEWEST_ROWS = 2.0
 _GRID, _FARTHEST = 400, 6.0
 """Steps of an energy's root; standard errors above its figure at which they end."""
 
-_WORST = -1.0
+WORST = -1.0
 """Closure that counts as the worst there is: the gap doubled."""
 
 _LEAST_BLOCK, _BLOCKS = 5, 60
@@ -92,7 +93,7 @@ def closure_on_rows(truth, before, after, variance, run, inflation) -> Closure:
 def _closed(gap, left) -> np.ndarray:
     """1 - root of the ratio of the energies left and of the gap, no less than -1."""
     ratio = np.asarray(left) / np.maximum(gap, NONZERO)
-    return np.maximum(1 - np.sqrt(ratio), _WORST)
+    return np.maximum(1 - np.sqrt(ratio), WORST)
 
 
 def closure_elsewhere(before, after, variance, run, inflation, generator) -> Closure:
@@ -181,7 +182,7 @@ def of_so_few_runs(value, low, high, one_less):
     off = one_less - one_less.mean(axis=0)
     error = np.sqrt((count - 1) / count * np.sum(off**2, axis=0))
     reach = float(stdtrit(count - 1, 0.95)) * error
-    low = np.maximum(np.minimum(low, value - reach), _WORST)
+    low = np.maximum(np.minimum(low, value - reach), WORST)
     return low, np.minimum(np.maximum(high, value + reach), 1.0)
 
 

@@ -83,7 +83,8 @@ class Shrinkage:
     """A gap beyond the noise, rms, and how far it shrinks.
 
     ``closed`` = 1 - remaining_rms / rms with its 90 % interval, None where the gap is
-    not ``resolvable``.
+    not ``resolvable``; it ends at zero on the rows fitted, and all of it at
+    :data:`tirefit.diagnosis.closure.WORST`, where it may be any worse.
     """
 
     rms: float
@@ -93,9 +94,17 @@ class Shrinkage:
     remaining_rms: float
 
     @property
+    def net_closed(self) -> float | None:
+        """``closed``, below zero where more is left than there was."""
+        if self.closed != 0 or self.remaining_rms <= self.rms:
+            return self.closed
+        return 1 - self.remaining_rms / self.rms
+
+    @property
     def energy_closed(self) -> float | None:
         """Share of the gap's energy that is closed."""
-        return None if self.closed is None else 1 - (1 - self.closed) ** 2
+        closed = self.net_closed
+        return None if closed is None else 1 - (1 - closed) ** 2
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -43,7 +43,7 @@ from tirefit.report.diagnosis_panels import (
     load_label,
 )
 from tirefit.report.diagnosis_text import stand_in, subject, verdict_sentence
-from tirefit.report.diagnosis_words import share_text
+from tirefit.report.diagnosis_words import closed_text, remaining_text
 from tirefit.report.numbers import format_number, plain_text
 
 __all__ = [
@@ -231,13 +231,12 @@ def draw_closure(figure, bars: list[ClosureBar], load: float) -> None:
 def _closure_text(bar: ClosureBar) -> str:
     label = textwrap.shorten(bar.label, 60, placeholder=" …")
     before, after = (format_number(x, 3) for x in (bar.before, bar.after))
-    if bar.low is None or bar.high is None or bar.energy is None:
+    if bar.low is None or bar.high is None or bar.closed is None:
         return plain_text(f"{label}: {before} N, nothing to say of a share closed")
     low, high = (1 - end / bar.before for end in (bar.high, bar.low))
     return plain_text(
-        f"{label}: {before} N to {after} N\n"
-        f"closed {share_text(bar.closed, (low, high))}, {100 * bar.energy:.0f} %"
-        " of its energy"
+        f"{label}: {before} N to {remaining_text(bar.closed, f'{after} N')}\n"
+        f"closed {closed_text(bar.closed, (low, high), bar.energy)}"
     )
 
 

@@ -26,6 +26,7 @@ from tirefit.report.diagnosis_text import (
 )
 from tirefit.report.diagnosis_words import (
     UNLISTED,
+    closed_text,
     covariate_text,
     listed_candidates,
     p_text,
@@ -108,7 +109,7 @@ def _candidates(result: Diagnosis) -> list[tuple[str, ...]]:
                 _chance(one.probability),
                 parameter_text(one), format_number(one.z, 3),
                 format_number(one.z_given_rivals, 3),
-                share_text(one.closed, one.closed_ci),
+                closed_text(one.closed, one.closed_ci),
             )
             for one in listed_candidates(result.candidates)
         ),

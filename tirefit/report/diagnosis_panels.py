@@ -134,7 +134,7 @@ def _closure_bar(label: str, gap: Shrinkage, says: bool) -> ClosureBar:
         return ClosureBar(label, gap.rms, gap.remaining_rms, None, None, None, None)
     return ClosureBar(
         label, gap.rms, gap.remaining_rms, gap.rms * (1 - high), gap.rms * (1 - low),
-        gap.closed, gap.energy_closed,
+        gap.net_closed, gap.energy_closed,
     )  # fmt: skip
 
 

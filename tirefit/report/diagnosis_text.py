@@ -8,12 +8,14 @@ from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_lines, change_texts
 from tirefit.report.diagnosis_words import (
     UNLISTED,
+    closed_text,
     covariate_text,
     listed_candidates,
     look_text,
     p_text,
     parameter_text,
     range_text,
+    remaining_text,
     said_effects,
     share_text,
     untestable_groups,
@@ -124,8 +126,9 @@ def elsewhere_line(result: Diagnosis) -> str:
         )
     return (
         f"something more is said to be there because rows left out{on} are predicted"
-        f" far worse than the rows fitted: closed {share_text(gap.holdout.closed)}"
-        f" there, {share_text(gap.closed)} here"
+        f" far worse than the rows fitted: closed"
+        f" {closed_text(gap.holdout.net_closed)} there, {closed_text(gap.net_closed)}"
+        " here"
     )
 
 
@@ -185,14 +188,14 @@ def gap_lines(result: Diagnosis) -> list[str]:
     if gap.holdout is not None:
         places.append((gap.holdout, f"on {gap.holdout.on}"))
     for here, where in places:
-        energy = here.energy_closed
-        if here.closed is None or energy is None:
+        closed = here.net_closed
+        if closed is None:
             lines.append(f"{where}: {size(here.rms)}, too small to say")
             continue
         lines.append(
-            f"{where}: closed {share_text(here.closed, here.closed_ci)},"
-            f" {100 * energy:.0f} % of its energy;"
-            f" {size(here.rms)} to {size(here.remaining_rms)}"
+            f"{where}: closed"
+            f" {closed_text(closed, here.closed_ci, here.energy_closed)};"
+            f" {size(here.rms)} to {remaining_text(closed, size(here.remaining_rms))}"
         )
     if gap.shares:
         parts = (f"{name} {100 * share:.0f} %" for name, share in gap.shares.items())
@@ -238,7 +241,7 @@ def _candidates(result: Diagnosis, most: int = 5) -> list[str]:
             break
         effects = " + ".join(said_effects(candidate, result.verdict))
         closed = candidate.closed
-        tail = "" if not closed else f", closes {share_text(closed)}"
+        tail = "" if not closed else f", closes {closed_text(closed)}"
         values = parameter_text(candidate) if candidate.probability >= 0.05 else ""
         lines.append(
             f"  {candidate.probability:.2f}  {effects}{tail}"

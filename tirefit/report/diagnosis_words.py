@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 from tirefit.data.table import CANONICAL
+from tirefit.diagnosis.closure import WORST
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
 from tirefit.diagnosis.patterns import Look
 from tirefit.diagnosis.records import (
@@ -17,6 +18,7 @@ from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
     "UNLISTED",
+    "closed_text",
     "covariate_text",
     "covariate_unit",
     "listed_candidates",
@@ -27,6 +29,7 @@ __all__ = [
     "p_text",
     "parameter_text",
     "range_text",
+    "remaining_text",
     "said_effects",
     "share_text",
     "untestable_groups",
@@ -201,6 +204,29 @@ def share_text(share: float | None, ends=None) -> str:
         return f"{100 * share:.0f} %"
     low, high = ends
     return f"{100 * share:.0f} % [{100 * low:.0f} %, {100 * high:.0f} %]"
+
+
+def closed_text(closed: float | None, ends=None, energy: float | None = None) -> str:
+    """As :func:`share_text`, of a gap: how much of it is closed, and of its energy.
+    From where the extension doubles the gap, ``-100 % or worse``: beyond, nobody looks.
+    """
+    if closed is None:
+        return "-"
+    said, worse = _closed(closed), " or worse" if closed <= WORST else ""
+    if ends is not None and ends[0] is not None:
+        said += f" [{_closed(ends[0])}, {_closed(ends[1])}]"
+    if energy is not None:
+        said += f", {100 * energy:.0f} %{worse} of its energy"
+    return said
+
+
+def _closed(share: float) -> str:
+    return share_text(share) + (" or worse" if share <= WORST else "")
+
+
+def remaining_text(closed: float, remaining: str) -> str:
+    """What is left of a gap, given as text: a bound where the share closed is one."""
+    return f"{remaining} or more" if closed <= WORST else remaining
 
 
 def p_text(p: float, least: float = 1e-12) -> str:
