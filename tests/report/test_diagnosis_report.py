@@ -588,18 +588,21 @@ def test_the_waterfall_ends_at_the_noise():
     assert [step.kind for step in steps] == [
         "whole", "parameters", "effect", "unexplained", "noise",
     ]  # fmt: skip
-    whole = np.sqrt(206400)
-    left = [whole, np.sqrt(46400), np.sqrt(20800), 120.0]
+    left = [1.0, 46400 / 206400, 20800 / 206400, 14400 / 206400]
     np.testing.assert_allclose([step.before for step in steps[1:]], left)
     np.testing.assert_allclose([step.after for step in steps[1:]], [*left[1:], 0])
-    assert steps[0].before == pytest.approx(whole)
+    assert (steps[0].before, steps[0].after) == (1.0, 0.0)
     figure = Figure()
     draw_waterfall(figure, steps)
     bars = figure.axes[0].patches
     ends = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in bars]
-    np.testing.assert_allclose(ends[2], (left[2], left[1]))
+    # A bar is as long as its label says, on an axis that says of what.
+    np.testing.assert_allclose(ends[2], (100 * left[2], 100 * left[1]))
+    assert ends[2][1] - ends[2][0] == pytest.approx(12.4, abs=0.05)
     texts = [text.get_text() for text in figure.axes[0].texts]
-    assert texts[2] == "160 N, 12 % [10, 20] of the energy"
+    assert texts[0] == "454 N (rms), 100 %"
+    assert texts[2] == "160 N (rms), 12 % [10, 20]"
+    assert figure.axes[0].get_xlabel() == "share of the squared error [%]"
 
 
 def test_the_budget_stands_in_figure_and_page():
@@ -627,13 +630,12 @@ def test_every_channel_has_a_budget_in_its_unit():
     assert moment in re.sub(r"\s+", " ", str(found))
     assert moment in html.unescape(diagnosis_page(found))
     steps = waterfall_steps(found, "mz")
-    np.testing.assert_allclose([step.before for step in steps], [26, 26, 10, 8])
-    assert steps[1].text.startswith("24 N m, 85 %")
+    left = [1, 1, 100 / 676, 64 / 676]
+    np.testing.assert_allclose([step.before for step in steps], left)
+    assert steps[1].text.startswith("24 N m (rms), 85 %")
     assert waterfall_steps(found) == waterfall_steps(found, "fy")
     pictures = panel_pictures(found)
     assert list(pictures)[4:] == ["budget of F_y", "budget of M_z"]
-    labels = [axes.get_xlabel() for axes in pictures["budget of M_z"].axes]
-    assert labels == ["left of the error, rms [N m]"]
     assert "Budget of M_z: from the simulator" in " ".join(
         texts_of(pictures["budget of M_z"])
     ).replace("\\", "")

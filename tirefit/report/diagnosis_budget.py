@@ -31,8 +31,9 @@ CHANNEL_UNITS = {"fx": "N", "fy": "N", "mz": "N m"}
 
 
 class Step(NamedTuple):
-    """One bar of the waterfall, rms of what is left in the channel's unit: from
-    ``before`` to ``after``.
+    """One bar of the waterfall: of the simulator's squared error, the share that is
+    left goes from ``before`` to ``after``. Shares, as the parts add in squares: the
+    bars are as long as the parts are large.
 
     ``kind`` is whole, parameters, effect, unexplained or noise; ``text`` says the part
     by itself.
@@ -146,18 +147,17 @@ def waterfall_steps(result: Diagnosis, channel: str | None = None) -> list[Step]
     """
     channel = channel or next(iter(result.budgets))
     unit, whole = CHANNEL_UNITS[channel], _whole(result.budgets[channel])
-    said = f"{format_number(whole, 3)} {unit}"
-    left, steps = 1.0, [Step("simulator's error", whole, 0.0, "whole", said)]
+    said = f"{format_number(whole, 3)} {unit} (rms), 100 %"
+    left, steps = 1.0, [Step("simulator's error", 1.0, 0.0, "whole", said)]
     for part in result.budgets[channel]:
         rest = max(left - part.share, 0.0) if part.part != "noise" else 0.0
         kind = part.part if part.part in _LABELS else "effect"
         low, high = part.closed_ci
         text = (
-            f"{format_number(part.rms, 3)} {unit}, {100 * part.share:.0f} %"
-            f" [{100 * low:.0f}, {100 * high:.0f}] of the energy"
+            f"{format_number(part.rms, 3)} {unit} (rms), {100 * part.share:.0f} %"
+            f" [{100 * low:.0f}, {100 * high:.0f}]"
         )
         label = _LABELS.get(part.part, part.part.replace("_", " "))
-        before, after = (float(whole * np.sqrt(end)) for end in (left, rest))
-        steps.append(Step(label, before, after, kind, text))
+        steps.append(Step(label, float(left), float(rest), kind, text))
         left = rest
     return steps

@@ -26,7 +26,6 @@ from tirefit.report.canvas import (
 )
 from tirefit.report.curves import SlipAxis, slip_axis
 from tirefit.report.diagnosis_budget import (
-    CHANNEL_UNITS,
     Step,
     channel_name,
     waterfall_steps,
@@ -240,20 +239,17 @@ def _closure_text(bar: ClosureBar) -> str:
     )
 
 
-def draw_waterfall(
-    figure, steps: list[Step], unit: str = "N", channel: str = ""
-) -> None:
-    """From a simulator's error down to the noise, rms of what is left.
+def draw_waterfall(figure, steps: list[Step], channel: str = "") -> None:
+    """From a simulator's error down to the noise, in shares of its mean square.
 
     Args:
-        unit: of the steps.
         channel: name of what is simulated, where there are several.
     """
     axes = figure.subplots()
     places = np.arange(len(steps))[::-1]
-    whole = steps[0].before
+    whole = 100.0
     for place, step in zip(places, steps, strict=True):
-        left, right = sorted((step.before, step.after))
+        left, right = sorted((whole * step.before, whole * step.after))
         axes.barh(place, right - left, 0.62, left=left, color=_STEP[step.kind])
         # Beside the bar, on the side with room for it.
         inside = right > 0.6 * whole
@@ -266,15 +262,17 @@ def draw_waterfall(
             color="white" if room and step.kind in ("whole", "effect") else DARK,
         )  # fmt: skip
     for place, step in zip(places[1:-1], steps[1:-1], strict=True):
-        axes.plot([step.after] * 2, [place - 0.69, place + 0.31], color=GREY, lw=0.8)
-    tidy(axes, f"left of the error, rms [{unit}]")
+        axes.plot(
+            [whole * step.after] * 2, [place - 0.69, place + 0.31], color=GREY, lw=0.8
+        )
+    tidy(axes, "share of the squared error [%]")
     axes.set_yticks(places, [plain_text(step.label) for step in steps])
     axes.set_xlim(0, 1.02 * whole)
     panel_title(
         axes,
         f"Budget{f' of {channel}' * bool(channel)}: from the simulator's error to the"
         " noise",
-        "the parts add in squares; [90 % interval]",
+        "parts add in squares; a bar is a share of their sum [90 % interval]",
     )  # fmt: skip
 
 
@@ -308,7 +306,6 @@ def _budgets(result: Diagnosis) -> dict[str, Callable]:
         f"budget of {channel_name(channel)}" if several else "budget": partial(
             draw_waterfall,
             steps=waterfall_steps(result, channel),
-            unit=CHANNEL_UNITS[channel],
             channel=channel_name(channel) if several else "",
         )
         for channel in result.budgets
