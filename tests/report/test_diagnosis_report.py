@@ -42,6 +42,7 @@ from tirefit.diagnosis.records import (
 )
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rig import Rig
+from tirefit.diagnosis.runs import RunOffsets
 from tirefit.diagnosis.slip_check import SlipCheck
 from tirefit.diagnosis.views import ShownRows, compared, residual_map
 from tirefit.models import MODELS
@@ -73,9 +74,11 @@ from tirefit.report.diagnosis_panels import (
 from tirefit.report.diagnosis_text import gap_lines, verdict_sentence
 from tirefit.report.diagnosis_words import (
     _NEEDS,
+    amount_text,
     needs_text,
     p_text,
     range_text,
+    said_unit,
     share_text,
     untestable_groups,
     words_on,
@@ -508,6 +511,54 @@ def test_axes_show_the_arrays():
     texts = [text.get_text() for text in axes.texts]
     assert "closed 80 % [70 %, 85 %], 96 % of its energy" in texts[0]
     assert "45.3 N" in texts[1]
+
+
+@pytest.mark.parametrize(
+    ("amount", "said"),
+    [
+        ((2.7, 0.3, "1e-3 mean F_z"), "0.270 ± 0.030 % of the mean F_z"),
+        ((2.7, None, "1e-3 F_z"), "0.27 % of F_z"),
+        ((-2.0, None, "1e-3 mean F_z per record"), "-0.2 % of the mean F_z per record"),
+        ((0.01, None, "- per record"), "0.01 per record"),
+        ((0.01, 0.001, "-"), "0.0100 ± 0.0010"),
+        ((0.2, None, "1 / g^2"), "0.2 / g^2"),
+        ((0.2, None, "s/m"), "0.2 s/m"),
+        ((0.2, None, ""), "0.2"),
+    ],
+)
+def test_an_amplitude_is_said_with_its_unit_as_a_reader_would(amount, said):
+    assert amount_text(*amount) == said
+
+
+def test_no_unit_of_the_library_is_said_with_a_power_of_ten_or_a_dash():
+    for effect in EFFECTS:
+        _, unit = said_unit(effect.unit)
+        assert "1e-3" not in unit and not unit.startswith(("-", "1"))
+
+
+def test_units_are_said_in_every_part_of_the_report():
+    amplitude = {"force_offset: amplitude": Amplitude(2.7, 0.3, "1e-3 mean F_z")}
+    runs = RunOffsets(
+        "1e-3 mean F_z", 3.0, 0.5, 12.0, (8.0, 20.0), 0.01, {"a": (4.0, 1.0)}
+    )
+    drift = {"slip_zero_drift": 0.012, "force_offset": 5.0}
+    found = judged(
+        "none", [], runs={"force_offset": runs},
+        candidates=(replace(candidate(["force_offset"], 0.9), parameters=amplitude),),
+        resolution=Resolution(remainder=6.3, smallest_effects=drift),
+        forecast=(Forecast("force_offset", 25.0, "1e-3 mean F_z", 1.0, 0.1, "toe"),),
+    )  # fmt: skip
+    text = re.sub(r"\s+", " ", str(found))
+    assert "(amplitude = 0.270 ± 0.030 % of the mean F_z)" in text
+    assert "force_offset of 2.5 % of the mean F_z: recognised" in text
+    assert (
+        "slip_zero_drift 0.012 per record, force_offset 0.5 % of the mean F_z" in text
+    )
+    assert "0.300 ± 0.050 % of the mean F_z for all" in text
+    assert "runs 1.2 % of the mean F_z [0.8, 2]" in text
+    assert "shrunk [% of the mean F_z]: a 0.40 ± 0.10" in text
+    page = diagnosis_page(found).split("<pre")[0]
+    assert "0.270 ± 0.030 % of the mean F_z" in page
 
 
 BUDGET = (

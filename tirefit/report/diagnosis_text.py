@@ -8,6 +8,7 @@ from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_lines, change_texts
 from tirefit.report.diagnosis_words import (
     UNLISTED,
+    amount_text,
     closed_text,
     covariate_text,
     listed_candidates,
@@ -17,6 +18,7 @@ from tirefit.report.diagnosis_words import (
     range_text,
     remaining_text,
     said_effects,
+    said_unit,
     share_text,
     untestable_groups,
     words_on,
@@ -266,9 +268,8 @@ def map_lines(result: Diagnosis, most: int = 3) -> list[str]:
 def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
     """Effects that these rows would show and yet take for others, as sentences."""
     lines = [
-        f"{chance.effect} of {format_number(chance.amplitude, 2)}"
-        f" {'' if chance.unit == '-' else chance.unit}".rstrip()
-        + f": recognised with probability {chance.recognised:.2f}, else taken for"
+        f"{chance.effect} of {amount_text(chance.amplitude, None, chance.unit, 2)}"
+        f": recognised with probability {chance.recognised:.2f}, else taken for"
         f" {chance.taken_for}"
         for chance in sorted(result.forecast, key=lambda one: one.recognised)
         if chance.taken_for and chance.recognised < 0.75 * chance.seen
@@ -292,9 +293,9 @@ def smallest_lines(result: Diagnosis) -> list[str]:
     """What would have been seen, had it been there, as sentences."""
     resolution = result.resolution
     lines = [f"{resolution.REMAINDER}: {format_number(resolution.remainder, 3)} N"]
-    units = {effect.id: effect.unit for effect in result.library if effect.unit != "-"}
+    units = {effect.id: effect.unit for effect in result.library}
     parts = [
-        f"{effect} {format_number(value, 2)} {units.get(effect, '')}".rstrip()
+        f"{effect} {amount_text(value, None, units.get(effect, ''), 2)}"
         for effect, value in resolution.smallest_effects.items()
     ]
     return lines + ([f"amplitudes of {', '.join(parts)}"] if parts else [])
@@ -316,13 +317,18 @@ def run_lines(result: Diagnosis) -> list[str]:
     """How far the runs of the file differ, one line for each kind of offset."""
     lines = []
     for kind, runs in result.runs.items():
-        unit = "" if runs.unit == "-" else f" {runs.unit}"
-        low, high = (format_number(end, 2) for end in runs.spread_ci)
-        own = (f"{k} {format_estimate(*v)}" for k, v in runs.values.items())
+        factor, unit = said_unit(runs.unit)
+        common = amount_text(runs.common, runs.std, runs.unit)
+        spread = amount_text(runs.spread, None, runs.unit, 2)
+        low, high = (format_number(factor * end, 2) for end in runs.spread_ci)
+        own = (
+            f"{name} {format_estimate(factor * value, factor * std)}"
+            for name, (value, std) in runs.values.items()
+        )
+        shrunk = f"shrunk{f' [{unit}]' * bool(unit)}: {', '.join(own)}"
         lines.append(
-            f"{kind}: {format_estimate(runs.common, runs.std)}{unit} for all, spread"
-            f" between runs {format_number(runs.spread, 2)}{unit} [{low}, {high}]"
-            f" (p {p_text(runs.p_value)} of none); shrunk: {', '.join(own)}"
+            f"{kind}: {common} for all, spread between runs {spread} [{low}, {high}]"
+            f" (p {p_text(runs.p_value)} of none); {shrunk}"
         )
     return lines
 

@@ -18,6 +18,7 @@ from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
     "UNLISTED",
+    "amount_text",
     "closed_text",
     "covariate_text",
     "covariate_unit",
@@ -31,6 +32,7 @@ __all__ = [
     "range_text",
     "remaining_text",
     "said_effects",
+    "said_unit",
     "share_text",
     "untestable_groups",
     "words_on",
@@ -189,11 +191,39 @@ def parameter_text(candidate: Candidate) -> str:
     parts = []
     for name, amplitude in candidate.parameters.items():
         effect, _, parameter = name.partition(": ")
-        unit = "" if amplitude.unit in ("", "-") else f" {amplitude.unit}"
         label = f"{effect}: {parameter}" if several else parameter
-        value = format_estimate(amplitude.value, amplitude.std)
-        parts.append(f"{label} = {value}{unit}")
+        parts.append(f"{label} = {amount_text(*amplitude)}")
     return "; ".join(parts)
+
+
+_THOUSANDTH = "1e-3 "
+"""How the unit of a share of something begins."""
+
+
+def said_unit(unit: str) -> tuple[float, str]:
+    """A factor on amplitudes in the unit of an effect, and the unit that they then have
+    as one says it: ``% of the mean F_z`` of ``1e-3 mean F_z``, ``per record`` of
+    ``- per record``, ``/ g`` of ``1 / g``; empty of none."""
+    if unit.startswith(_THOUSANDTH):
+        of_what = unit.removeprefix(_THOUSANDTH).replace("mean", "the mean")
+        return 0.1, f"% of {of_what}"
+    if unit == "-" or unit.startswith(("- ", "1 / ")):
+        return 1.0, unit[1:].strip()
+    return 1.0, unit
+
+
+def amount_text(value: float, std: float | None, unit: str, digits: int = 4) -> str:
+    """An amplitude with its unit: ``0.27 ± 0.03 % of the mean F_z``.
+
+    Args:
+        std: its standard error, None where it has none.
+        unit: of an effect.
+        digits: significant ones, without a standard error.
+    """
+    factor, tail = said_unit(unit)
+    if std is None:
+        return f"{format_number(factor * value, digits)} {tail}".rstrip()
+    return f"{format_estimate(factor * value, factor * std)} {tail}".rstrip()
 
 
 def share_text(share: float | None, ends=None) -> str:
