@@ -71,7 +71,7 @@ from tirefit.report.diagnosis_panels import (
     level_labels,
     load_label,
 )
-from tirefit.report.diagnosis_text import gap_lines, verdict_sentence
+from tirefit.report.diagnosis_text import gap_lines, step_lines, verdict_sentence
 from tirefit.report.diagnosis_words import (
     _NEEDS,
     amount_text,
@@ -940,6 +940,27 @@ def test_every_verdict_has_its_sentence(verdict, sentence):
     assert ("WOULD HAVE BEEN SEEN" in text) == (not named)
 
 
+def test_a_measurement_that_hardly_tells_more_is_not_proposed():
+    pair = ("load_friction", "d")
+    little = NextMeasurement("the same again", pair, 0.71, 0.75)
+    more = NextMeasurement("two more loads", pair, 0.71, 0.80)
+    much = NextMeasurement("other speeds", pair, 0.71, 0.95)
+    (said,) = step_lines(diagnosis(next_measurement=(little, more)))
+    assert said == (
+        "no single listed measurement would tell much more: at best two more loads,"
+        " after which load_friction is told from d with probability 0.80, instead of"
+        " 0.71 as now"
+    )
+    (said,) = step_lines(diagnosis(next_measurement=(much, more, little)))
+    assert said.startswith("measure other speeds: then load_friction")
+    open_one = judged(
+        "cannot_tell", ["slip_offset"], 0.6, ["force_offset"], next_measurement=(),
+        next_measurement_reason="no addition that is known here would tell",
+    )  # fmt: skip
+    assert step_lines(open_one) == ["no addition that is known here would tell"]
+    assert step_lines(diagnosis(next_measurement=())) == []
+
+
 def test_the_text_is_one_screen_that_says_all():
     text = str(diagnosis())
     assert max(len(line) for line in text.splitlines()) <= 88
@@ -952,8 +973,10 @@ def test_the_text_is_one_screen_that_says_all():
     assert "53 % at shrinking, 47 % at growing" in flat
     assert "slip of full sliding" not in flat  # no region of it stands out
     assert flat.index("load F_z") < flat.index("53 % at shrinking")
-    assert "measure small slips (a tenth): tells load_friction from d" in flat
-    assert "0.96 (now 0.71)" in flat
+    assert (
+        "measure small slips (a tenth): then load_friction is told from d with"
+        " probability 0.96, instead of 0.71 as now"
+    ) in flat
     assert (
         "pressure_asymmetry of 0.24: recognised with probability 0.50, else taken for"
         " carcass_flexibility"

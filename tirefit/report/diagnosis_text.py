@@ -3,7 +3,7 @@
 import textwrap
 
 from tirefit.diagnosis.adequacy import LEAST_P, refused
-from tirefit.diagnosis.records import Region, Shrinkage
+from tirefit.diagnosis.records import NextMeasurement, Region, Shrinkage
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_lines, change_texts
 from tirefit.report.diagnosis_words import (
@@ -46,6 +46,10 @@ __all__ = [
 
 _WIDTH = 88
 _LEVEL = 0.05
+
+_TELLS_MORE = 0.1
+"""Rise of the probability of telling two effects apart from which a measurement is
+proposed: less is not worth another day at the rig."""
 
 
 def subject(result: Diagnosis) -> str:
@@ -278,15 +282,28 @@ def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
 
 
 def step_lines(result: Diagnosis) -> list[str]:
-    """Next measurements as sentences; where none helps and the verdict is open, why."""
-    why, silent = result.next_measurement_reason, not result.next_measurement
-    if why is not None and silent and result.verdict.status == "cannot_tell":
-        return [why]
-    return [
-        f"measure {step.add}: tells {step.separates[0]} from {step.separates[1]} with"
-        f" probability {step.p_after:.2f} (now {step.p_now:.2f})"
-        for step in result.next_measurement
-    ]
+    """Next measurements, each with its reason; where none tells much more, which would
+    tell most, or, of an open verdict, why none would."""
+    why, steps = result.next_measurement_reason, result.next_measurement
+    if not steps:
+        is_open = result.verdict.status == "cannot_tell"
+        return [why] if is_open and why is not None else []
+    worth = [step for step in steps if step.p_after - step.p_now >= _TELLS_MORE]
+    if not worth:
+        best = max(steps, key=lambda step: step.p_after - step.p_now)
+        return [
+            f"no single listed measurement would tell much more: at best {best.add},"
+            f" after which {_told_apart(best)}"
+        ]
+    return [f"measure {step.add}: then {_told_apart(step)}" for step in worth]
+
+
+def _told_apart(step: NextMeasurement) -> str:
+    one, other = step.separates
+    return (
+        f"{one} is told from {other} with probability {step.p_after:.2f}, instead of"
+        f" {step.p_now:.2f} as now"
+    )
 
 
 def smallest_lines(result: Diagnosis) -> list[str]:
