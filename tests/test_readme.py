@@ -1,9 +1,15 @@
-"""The Python example of the README runs as printed and prints what it says."""
+"""The README keeps its word: its example runs as printed and prints what it says, its
+commands are whole, its exit codes those that there are."""
 
 import re
 import shutil
 import textwrap
 from pathlib import Path
+
+import pytest
+
+from tirefit.cli.commands import app
+from tirefit.results import ExitCode
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -22,3 +28,21 @@ def test_the_example_runs_and_prints_what_it_says(tmp_path, monkeypatch, capsys)
     exec(code, {})
     assert capsys.readouterr().out == textwrap.dedent(said)
     assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_is_simulated_says_where_it_goes():
+    """Without it the command refuses."""
+    (row,) = re.findall(r"^\| (`tirefit simulate.*?) \|", README, re.MULTILINE)
+    commands = re.findall(r"`[^`]*`", row)
+    assert len(commands) == 3
+    assert all(re.search(r" --out [A-Z]+\.csv", command) for command in commands)
+
+
+def test_every_exit_code_is_said(capsys):
+    with pytest.raises(SystemExit):
+        app(["--help"])
+    listed = " ".join(capsys.readouterr().out.split())
+    codes = [*(int(code) for code in ExitCode), 130]
+    for text in (listed, " ".join(README.split())):
+        said = text[text.index("Exit codes: ") :]
+        assert all(re.search(rf"\b{code} [a-z]", said[:120]) for code in codes)

@@ -39,7 +39,7 @@ __all__ = ["app"]
 app = typer.Typer(
     name="tirefit",
     epilog="Exit codes: 0 ok, 2 usage, 3 data, 4 not converged, 5 not identified"
-    " (with --strict).",
+    " (with --strict), 130 interrupted.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
