@@ -20,11 +20,12 @@ from tirefit.diagnosis.conclusion import (
 )
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.linear_fit import linear_at
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.rows import prepare
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis
 from tirefit.diagnosis.standing import standing, steadiness
-from tirefit.diagnosis.verdict import Verdict, Weighed, linear_at
+from tirefit.diagnosis.verdict import Verdict, Weighed
 
 
 def test_probability_of_a_rest_is_that_of_the_best_alternative():
@@ -184,11 +185,11 @@ def test_the_document_says_how_likely_the_unlisted_is(diagnosed, name):
 
 
 def test_what_another_form_explains_is_no_remainder():
-    """A slip offset that settles within a tenth of the record, against the formulas
-    alone, which cannot, and with their other forms."""
+    """A zero of the slip that settles within a tenth of the record, about its mean,
+    against the formulas alone, which cannot, and with their other forms."""
 
     def settling(slip, time, fz, v):
-        return brush(slip + 0.02 * np.exp(-time / 2.4), 5e4, 0.9, fz)
+        return brush(slip + 0.02 * (np.exp(-time / 2.4) - 0.12), 5e4, 0.9, fz)
 
     frame, _ = record(settling, seed=3)
     base = fit_base(prepare(read_frame(frame), RIG, ("fx",)), "brush", EFFECTS, RIG)
@@ -199,7 +200,7 @@ def test_what_another_form_explains_is_no_remainder():
         for one in (linear, linear.in_other_form())
     )
     assert not alone.passed and alone.held_out < 1e-3
-    assert freed.held_out > 10 * alone.held_out and freed.time > 10 * alone.time
+    assert freed.passed and freed.held_out > 0.1
 
 
 def _of_one(base, effect: str) -> Hypothesis:

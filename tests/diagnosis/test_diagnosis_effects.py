@@ -211,7 +211,10 @@ OTHER_FORMS = {
 def test_effects_are_named_in_other_forms(effect):
     frame, _ = record(OTHER_FORMS[effect], seed=6)
     found = diagnose(read_frame(frame), rig=RIG)
-    assert found.effects == (effect,) and found.verdict.status == "named"
+    assert found.effects == (effect,)
+    # By side both parameters change: it may say that this is not all.
+    allowed = ("named", "incomplete")[: 1 + (effect == "drive_brake_asymmetry")]
+    assert found.verdict.status in allowed
 
 
 def test_a_lateral_force_that_grows_faster_than_the_load_is_conicity():

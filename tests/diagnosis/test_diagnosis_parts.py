@@ -225,13 +225,17 @@ def _forms(base, *families, without=()):
 
 
 def test_forms_belong_to_the_families(base):
-    assert _forms(base, "measurement").shape[1] == 0
+    assert _forms(base, "force x force").shape[1] == 0
     both = _forms(base, "friction x load", "friction x time")
     # One column for each of three loads, four over the time.
     assert both.shape == (base.prepared.n, 7)
     fields = base.linearised(base.z, np.zeros(len(base.atoms))).fields
     friction = fields[:, PLACE["friction"]]
-    np.testing.assert_allclose(both[:, :3].sum(1), 0.03 * friction, atol=1e-12)
+    # What they have in common is the friction itself.
+    np.testing.assert_allclose(both[:, :3].sum(1), 0.0, atol=1e-12)
+    assert np.ptp(both[friction != 0, 0] / friction[friction != 0]) == pytest.approx(
+        0.03
+    )
 
 
 def _history(base, values, interval, step):
@@ -239,8 +243,9 @@ def _history(base, values, interval, step):
     back = np.arange(40)[:, None] - np.arange(-AHEAD, 13)
     past = jnp.asarray(values(back.astype(float)))
     return base.design.rows._replace(
-        past=past, pull=1e3 * past, interval=jnp.full(40, interval),
-        step=jnp.full(40, step),
+        past=past, pull=1e3 * past, twist=10 * past,
+        burden=(1 + past) / (1 + past[:, [AHEAD]]),
+        interval=jnp.full(40, interval), step=jnp.full(40, step),
     )  # fmt: skip
 
 
@@ -258,11 +263,13 @@ def test_relaxation_follows_the_equation(base):
     # Later rows know no more than what fits into their past.
     np.testing.assert_allclose(shift[:12], right[:12], atol=1e-12)
     np.testing.assert_allclose(shift[12:], right[12:], atol=1e-5)
-    force = _change(base, "relaxation_length", 1, 0.4, rows).force
-    np.testing.assert_allclose(force, 1e3 * shift, atol=1e-12)
     # A filter lags over time what a carcass lags over way.
-    slow = _change(base, "channel_delay", 2, 0.04, rows).force
-    np.testing.assert_allclose(slow, 1e3 * shift, atol=1e-12)
+    for effect, variant, size in (
+        ("relaxation_length", 1, 0.4), ("channel_delay", 2, 0.04)
+    ):  # fmt: skip
+        found = _change(base, effect, variant, size, rows)
+        np.testing.assert_allclose(found.force, 1e3 * shift, atol=1e-12)
+        np.testing.assert_allclose(found.moment, 10 * shift, atol=1e-12)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.03, 0.1225, -0.06])
@@ -274,8 +281,12 @@ def test_a_delay_takes_the_slip_of_then(base, delay):
     right = then - np.abs(row - 20) / 100
     found = _change(base, "channel_delay", 0, delay, rows)
     np.testing.assert_allclose(found.shift, right, atol=1e-12)
+    assert np.all(found.friction == 1)
+    # Forces that come late are those of slip and load of then.
     found = _change(base, "channel_delay", 1, delay, rows)
-    np.testing.assert_allclose(found.force, 1e3 * right, atol=1e-9)
+    np.testing.assert_allclose(found.shift, right, atol=1e-12)
+    now = 1 + np.abs(row - 20) / 100
+    np.testing.assert_allclose(found.friction, 1 + right / now, atol=1e-12)
 
 
 def test_no_form_of_the_speed_at_one_speed(base):
@@ -711,7 +722,6 @@ def test_effects_of_one_family_share_their_free_forms():
         records[name].forms is shape
         for name in ("pressure_flatness", "kinetic_friction", "carcass_flexibility")
     )
-    assert records["channel_delay"].forms == ()
     for effect in EFFECTS:
         assert {len(constants) for constants in effect.variants} in (
             {0},

@@ -9,6 +9,7 @@ from tirefit.data.read import read_frame
 from tirefit.diagnosis.base import fit_base
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.linear_fit import due_to_doubt, linear_at
 from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import prepare
 from tirefit.diagnosis.search import _Searcher
@@ -177,3 +178,23 @@ def test_evidence_with_doubt_is_that_of_the_normal_law_that_it_states(doubted):
         certain = over_nothing(base.doubt[:, :0], [atom])
         change = over_nothing(base.doubt, [atom]) - certain
         assert searcher._due_to_doubt((atom,)) == pytest.approx(change, abs=0.01)
+
+
+def test_doubt_around_a_fit_is_one_more_noise(doubted):
+    """Laplace's evidence around each set's own fit, with the dense covariance."""
+    base, searcher = doubted
+    searcher.refit([(atom,) for atom in searcher.testable], {})
+    covariance = np.eye(len(base.doubt)) + base.doubt @ base.doubt.T
+    for atom in searcher.testable:
+        fit = searcher.tried[(atom,)]
+        linear = linear_at(base, fit)
+        columns, residual = linear.used_up, linear.residual
+        prior = np.diag([0.0] * (columns.shape[1] - 1) + [1.0])
+
+        def cost(noise, columns=columns, residual=residual, prior=prior):
+            normal = columns.T @ np.linalg.solve(noise, columns) + prior
+            misfit = residual @ np.linalg.solve(noise, residual)
+            return misfit + np.linalg.slogdet(normal)[1]
+
+        wanted = 0.5 * (cost(np.eye(len(residual))) - cost(covariance))
+        assert due_to_doubt(base, fit, linear) == pytest.approx(wanted, abs=1e-3)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from tirefit.diagnosis.linear_fit import LinearFit
 from tirefit.diagnosis.look_curve import _bins, curve_of, shape_of
 from tirefit.diagnosis.patterns import Look, Pattern, _over, settings_of
-from tirefit.diagnosis.verdict import LinearFit
 
 N = 400
 

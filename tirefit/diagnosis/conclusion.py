@@ -22,19 +22,13 @@ from tirefit.diagnosis.calibrated import (
     probability_beside,
     probability_of_more,
 )
+from tirefit.diagnosis.linear_fit import LinearFit, linear_at
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.patterns import Look, looks
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Search
 from tirefit.diagnosis.standing import Standing, standing, steadiness
-from tirefit.diagnosis.verdict import (
-    LinearFit,
-    Verdict,
-    Weighed,
-    linear_at,
-    named,
-    nothing_shown,
-)
+from tirefit.diagnosis.verdict import Verdict, Weighed, named, nothing_shown
 
 __all__ = [
     "Judge",

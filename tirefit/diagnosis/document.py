@@ -21,6 +21,7 @@ from tirefit.diagnosis.conclusion import (
 from tirefit.diagnosis.effects.known import said_of_motion
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
+from tirefit.diagnosis.linear_fit import fitted_form, linear_at
 from tirefit.diagnosis.look_curve import LookCurve, look_curve
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.plausible import plausible_forces
@@ -41,7 +42,7 @@ from tirefit.diagnosis.runs import offsets_of_runs
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.shares import closed_by_each
 from tirefit.diagnosis.standing import widening
-from tirefit.diagnosis.verdict import Verdict, fitted_form, linear_at
+from tirefit.diagnosis.verdict import Verdict
 from tirefit.diagnosis.views import compared, residual_map, shown_rows
 from tirefit.diagnosis.where import parameter_map, regions, spots
 

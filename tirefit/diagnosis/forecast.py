@@ -188,7 +188,17 @@ def _changed(base: Base, change: dict, generator):
     size = len(design.keep)
     half = generator.random(size) < 0.5
     if change.get("flip"):
-        turned = ("side", "rate", "lag", "other", "past", "pull", "force", "traction")
+        turned = (
+            "side",
+            "rate",
+            "lag",
+            "other",
+            "past",
+            "pull",
+            "twist",
+            "force",
+            "traction",
+        )
         slip = -slip
         rows = rows._replace(**{name: -getattr(rows, name) for name in turned})
     if "fz" in change:
@@ -204,7 +214,7 @@ def _changed(base: Base, change: dict, generator):
         )  # fmt: skip
     if "slip" in change:
         slip = slip * change["slip"]
-        less = ("rate", "lag", "past", "pull", "sliding")
+        less = ("rate", "lag", "past", "pull", "twist", "sliding")
         rows = rows._replace(**{k: change["slip"] * getattr(rows, k) for k in less})
     if change.get("shuffle"):
         order = np.arange(size)

@@ -5,12 +5,12 @@ from itertools import product
 
 import numpy as np
 
-from tirefit.diagnosis.basis import without
+from tirefit.diagnosis.basis import FULL_SLIDING, bumps, without
 from tirefit.diagnosis.blocks import coincides
 from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.state import State
 
-__all__ = ["PLACE", "form_columns", "shape_of_change"]
+__all__ = ["PLACE", "follows", "form_columns", "shape_of_change"]
 
 
 PLACE = {name: k for k, name in enumerate(State._fields)}
@@ -27,6 +27,11 @@ _LENGTHS = (0.08, 0.12, 0.17, 0.24, 0.34, 0.48)
 """Lengths of a change that ends, in the same unit."""
 
 
+_OF_SLIP, _OWN = 12, 0.1
+"""Functions of the slip that a covariate may follow, and the share of its variance that
+is its own where it does."""
+
+
 def form_columns(effects, fields, prepared, slip_fraction) -> np.ndarray:
     """Columns of the free forms of these effects, in units of their priors: (m, k).
 
@@ -41,11 +46,24 @@ def form_columns(effects, fields, prepared, slip_fraction) -> np.ndarray:
     for form in dict.fromkeys(f for effect in effects for f in effect.forms):
         if form.needs and form.needs not in prepared.has:
             continue
+        if form.by and follows(getattr(rows, form.by), slip_fraction):
+            continue
         shapes = form.size * form.shapes(rows, slip_fraction)
         blocks.append(
             fields[:, PLACE[form.field], None] * np.tile(shapes, (channels, 1))
         )
     return np.concatenate(blocks, axis=1)
+
+
+def follows(values, slip_fraction) -> bool:
+    """Whether a covariate (n,) is a function of the slip, as a load that moves with the
+    braking is: of its variance hardly a tenth is its own."""
+    inside = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
+    shapes = bumps(inside, _OF_SLIP)
+    own = without(
+        values - values.mean(), np.column_stack([np.ones(len(values)), shapes])
+    )
+    return bool(0 < np.sum(own**2) <= _OWN * len(values) * np.var(values))
 
 
 def shape_of_change(time, friction, used_up, residual, blocks) -> np.ndarray:

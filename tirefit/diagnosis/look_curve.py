@@ -8,6 +8,7 @@ import numpy as np
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.basis import without
 from tirefit.diagnosis.forms import PLACE
+from tirefit.diagnosis.linear_fit import LinearFit, linear_at
 from tirefit.diagnosis.patterns import (
     PARAMETERS,
     Look,
@@ -16,7 +17,7 @@ from tirefit.diagnosis.patterns import (
     quantities,
     settings_of,
 )
-from tirefit.diagnosis.verdict import LinearFit, Verdict, linear_at
+from tirefit.diagnosis.verdict import Verdict
 
 __all__ = ["LookCurve", "curve_of", "look_curve", "shape_of"]
 

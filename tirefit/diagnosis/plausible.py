@@ -23,11 +23,12 @@ from tirefit.diagnosis.basis import (
     worth_of_waves,
 )
 from tirefit.diagnosis.case import Case
+from tirefit.diagnosis.linear_fit import LinearFit, linear_at
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.patterns import USUAL_SIZES, Patterns, weights_of_sizes
 from tirefit.diagnosis.rows import neighbours
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
-from tirefit.diagnosis.verdict import LinearFit, Verdict, Weighed, linear_at
+from tirefit.diagnosis.verdict import Verdict, Weighed
 
 __all__ = [
     "drawn_functions",

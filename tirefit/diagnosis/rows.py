@@ -286,6 +286,8 @@ def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Cova
         load=np.full(data.n, np.mean(fz)),
         past=sweeps.past.path,
         pull=np.zeros_like(sweeps.past.path),
+        twist=np.zeros_like(sweeps.past.path),
+        burden=sweeps.past.of(fz) / fz[:, None],
         interval=interval,
         step=interval * pace,
         pace=pace,

@@ -51,7 +51,9 @@ class Hypothesis:
 
     ``log_evidence`` is relative to the base model alone; ``log_prior`` that of the
     set. ``amplitude`` is in prior scales, ``covariance`` that of (z, amplitude).
-    ``refitted`` is False where the linear step showed that it is not worth it.
+    ``due_to_doubt`` is what of the evidence the doubt of the slips made, to first order
+    around the base fit. ``refitted`` is False where the linear step showed that it is
+    not worth it.
     """
 
     atoms: tuple[int, ...]
@@ -62,6 +64,7 @@ class Hypothesis:
     amplitude: np.ndarray
     covariance: np.ndarray
     chi2: float
+    due_to_doubt: float = 0.0
     refitted: bool = True
 
     @property
@@ -227,7 +230,7 @@ class _Searcher:
         wide[:p, :p] = within.covariance[:p, :p]
         self.tried[atoms] = Hypothesis(
             atoms, tuple(self.ids[k] for k in atoms), within.log_evidence + value,
-            self.log_prior(atoms), z, amplitude, wide, within.chi2, False,
+            self.log_prior(atoms), z, amplitude, wide, within.chi2, refitted=False,
         )  # fmt: skip
 
     def within(self, atoms, amplitude) -> np.ndarray:
@@ -261,10 +264,10 @@ class _Searcher:
         for k, a, s in zip(atoms, amplitude, spread, strict=True):
             if self.sign[k]:
                 value += np.log(2) + log_ndtr(self.sign[k] * a / s)
-        value += self._due_to_doubt(atoms)
+        due = self._due_to_doubt(atoms)
         self.tried[atoms] = Hypothesis(
-            atoms, tuple(self.ids[k] for k in atoms), float(value),
-            self.log_prior(atoms), refit.z, amplitude, cov, float(refit.chi2),
+            atoms, tuple(self.ids[k] for k in atoms), float(value + due),
+            self.log_prior(atoms), refit.z, amplitude, cov, float(refit.chi2), due,
         )  # fmt: skip
 
 

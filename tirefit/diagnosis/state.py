@@ -43,15 +43,16 @@ class Covariates(NamedTuple):
 
     ``past`` (n, k) is the smooth slip before, at and after each row, see
     :class:`tirefit.diagnosis.rates.Past`, ``pull`` (n, k) [N] the force of the base
-    model there; both are zero without sweeps. From column to column it is ``interval``
-    [s] and ``step`` [m] back. ``pace`` [m/s] is the speed, a share of the usual one at
-    least, ``cruise`` [m/s] its geometric mean; ``sliding`` [m/s] is the sliding speed
-    of the measured slip, ``brisk`` [m/s] its typical largest value. ``rise`` is the
-    slip at half of the largest force, ``peak`` that force over the load. ``work``
-    (n, 3) is the work of sliding so far, over its range about its mean: all of it, and
-    what is left of it after a cooling of a fifth and of a twentieth of the record.
-    ``across`` [N] is the measured force across, ``yaw`` [1/m] yaw rate over speed,
-    ``ahead`` the acceleration ahead over its range, ``swing`` [rad/s^2] the yaw
+    model there, ``twist`` (n, k) [N m] its moment; all are zero without sweeps.
+    ``burden`` (n, k) is the load there over that of the row. From column to column it
+    is ``interval`` [s] and ``step`` [m] back. ``pace`` [m/s] is the speed, a share of
+    the usual one at least, ``cruise`` [m/s] its geometric mean; ``sliding`` [m/s] is
+    the sliding speed of the measured slip, ``brisk`` [m/s] its typical largest value.
+    ``rise`` is the slip at half of the largest force, ``peak`` that force over the
+    load. ``work`` (n, 3) is the work of sliding so far, over its range about its mean:
+    all of it, and what is left of it after a cooling of a fifth and of a twentieth of
+    the record. ``across`` [N] is the measured force across, ``yaw`` [1/m] yaw rate over
+    speed, ``ahead`` the acceleration ahead over its range, ``swing`` [rad/s^2] the yaw
     acceleration, ``heading`` and ``steering`` [rad] as measured, ``lean`` the lateral
     acceleration over that of gravity; of a force that was derived from it, what the
     base model's force would make of it. ``run_slip`` and ``run_force`` are how the runs
@@ -78,6 +79,8 @@ class Covariates(NamedTuple):
     load: Values
     past: Values
     pull: Values
+    twist: Values
+    burden: Values
     interval: Values
     step: Values
     pace: Values

@@ -57,10 +57,12 @@ def with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:
     mean = tire.moments(z, silent, design, prepared.n)[0][channel]
     size = len(design.keep)
     share = pad_rows(mean / (np.max(np.abs(mean) / fz) * fz), size)
+    before = _pull(prepared, tire, design, z, silent)
     rows = design.rows._replace(
         force=share, usage=np.abs(share),
         traction=pad_rows(mean / prepared.covariates.load, size),
-        pull=pad_rows(_pull(prepared, tire, design, z, silent)[channel], size),
+        pull=pad_rows(before[channel], size),
+        twist=pad_rows(before.get("mz", np.zeros_like(before[channel])), size),
     )  # fmt: skip
     if prepared.derived is not None:
         # The acceleration is the force itself: what would explain it is not measured.

@@ -1,23 +1,25 @@
 """From the search to a verdict: is there a gap, which effects, how sure."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
 from tirefit.diagnosis.adequacy import UNTESTED, Adequacy
 from tirefit.diagnosis.basis import (
-    gain,
     gains,
     misfit_p_value,
     of_any_kind,
-    orthogonal,
     without,
 )
 from tirefit.diagnosis.forecast import DRAWS, scores_of_nothing, separability
-from tirefit.diagnosis.forms import form_columns
 from tirefit.diagnosis.forward import MOST_EFFECTS
+from tirefit.diagnosis.linear_fit import (
+    PRIOR_OF_FORM,
+    due_to_doubt,
+    gain_of_form,
+    linear_at,
+)
 from tirefit.diagnosis.negligible import NONZERO, UNSEEN
 from tirefit.diagnosis.search import (
     PRIOR_OF_UNKNOWN,
@@ -27,20 +29,14 @@ from tirefit.diagnosis.search import (
 )
 
 __all__ = [
-    "LinearFit",
     "Verdict",
     "Weighed",
-    "fitted_form",
     "gap_p_value",
     "judge",
-    "linear_at",
     "named",
     "nothing_shown",
     "weigh",
 ]
-
-PRIOR_OF_FORM = 0.4
-"""That a listed effect is there in another form than the formulas'."""
 
 
 SURE = 0.8
@@ -51,6 +47,10 @@ _LEVEL = 0.05
 
 _TOLD_APART = 0.75
 """Forecast probability of telling two effects apart below which data cannot."""
+
+_TIE = np.log(3.0)
+"""Log evidence within which the data do not tell two sets apart: three to one is what
+they would be told apart by three times in four."""
 
 _RIVAL = 0.1
 """Share of the best set's probability from which another set is a rival."""
@@ -166,10 +166,15 @@ def weigh(search: Search) -> Weighed:
     evidence = {key: hypothesis.log_evidence for key, hypothesis in best.items()}
     beside, others, remainder = {}, set(), {}
     ranked = sorted(total, key=lambda key: total[key], reverse=True)
+    nothing = linear_at(search.base, best[()])
+    of_nothing = due_to_doubt(search.base, best[()], nothing)
     for key in dict.fromkeys([*ranked[:_FREED], *_simplest(total, _SINGLES), ()]):
         linear = linear_at(search.base, best[key])
         if linear.forms.shape[1] and len(key) < MOST_EFFECTS:
-            formula, form = float(np.log(1 - PRIOR_OF_FORM)), _gain_of_form(linear)
+            formula = float(np.log(1 - PRIOR_OF_FORM))
+            # Around nothing, doubt explains what a form is there for.
+            due = due_to_doubt(search.base, best[key], linear) - of_nothing
+            form = gain_of_form(search.base, linear) + due - best[key].due_to_doubt
             total[key] += float(np.logaddexp(formula, form))
             evidence[key] += float(np.logaddexp(formula, form))
             if form > formula:
@@ -204,59 +209,6 @@ def _simplest(total, count: int):
     return singles[:count]
 
 
-class LinearFit(NamedTuple):
-    """A refitted hypothesis: residual (m,), the columns that it used up (m, p), those
-    of the other forms of its effects (m, k), and what is measured beside the slip knows
-    of its noise (m, j)."""
-
-    residual: np.ndarray
-    used_up: np.ndarray
-    forms: np.ndarray
-    proxies: np.ndarray
-
-    @property
-    def explained(self) -> np.ndarray:
-        """Columns (m, p + j) of all that needs no further explanation."""
-        return np.concatenate([self.used_up, self.proxies], axis=1)
-
-    def in_other_form(self) -> "LinearFit":
-        """The same where the effects are there in another form: that is used up too."""
-        whole = np.concatenate([self.used_up, self.forms], axis=1)
-        return self._replace(used_up=whole)
-
-
-def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
-    """Around a refitted hypothesis."""
-    residual, jacobian, columns, fields = (
-        base.linearised(hypothesis.z, amplitudes_of(base, hypothesis), hypothesis.atoms)
-        if hypothesis.atoms
-        else base.at_null
-    )
-    own = columns[:, list(hypothesis.atoms)]
-    effects = [base.atoms[k].effect for k in hypothesis.atoms]
-    forms = form_columns(effects, fields, base.prepared, base.slip_fraction)
-    keep = np.tile(base.design.keep[: base.prepared.n], len(base.prepared.channels))
-    return LinearFit(
-        residual,
-        np.concatenate([jacobian, own], axis=1),
-        forms * keep[:, None],
-        base.proxies,
-    )
-
-
-def _gain_of_form(linear: LinearFit) -> float:
-    """Log evidence of the other forms over the formulas, with their prior."""
-    left, size = orthogonal(linear.forms, linear.explained)
-    return gain(left.T @ linear.residual, size) + float(np.log(PRIOR_OF_FORM))
-
-
-def fitted_form(linear: LinearFit) -> np.ndarray:
-    """What the other forms add to the fit, whitened: (m,)."""
-    left, size = orthogonal(linear.forms, linear.used_up)
-    t = size**2
-    return left @ (left.T @ linear.residual * t / (1 + t))
-
-
 def judge(search: Search, weighed: Weighed, p_value: float) -> Verdict:
     """The verdict that the probabilities support."""
     null = weighed.best_of[()]
@@ -274,7 +226,9 @@ def judge(search: Search, weighed: Weighed, p_value: float) -> Verdict:
 def named(search: Search, weighed: Weighed, key, p_value: float) -> Verdict:
     """A set of effects named, with what these data cannot tell from it."""
     chosen = weighed.best_of[key]
-    alike = (*_aliases(search, chosen), *_kin(search, weighed, key))
+    alike = (
+        *_aliases(search, chosen), *_ties(weighed, key), *_kin(search, weighed, key)
+    )  # fmt: skip
     # Where only the prior decides, the data cannot tell.
     others = {k: v for k, v in weighed.sets.items() if k}
     rivals = tuple(dict.fromkeys((*alike, *_rivals(others, key))))
@@ -282,6 +236,17 @@ def named(search: Search, weighed: Weighed, key, p_value: float) -> Verdict:
     sure = probability >= SURE and not alike
     status = "named" if sure or not rivals else "cannot_tell"
     return Verdict(status, key, probability, () if sure else rivals, p_value, chosen)
+
+
+def _ties(weighed: Weighed, key) -> tuple[str, ...]:
+    """Effects that explain in the place of one of the set as well as that does."""
+    ties = []
+    for other in weighed.sets:
+        new, old = set(other) - set(key), set(key) - set(other)
+        if len(new) == len(old) == 1:
+            if weighed.evidence[other] > weighed.evidence[key] - _TIE:
+                ties.append(min(new))
+    return tuple(ties)
 
 
 def _kin(search: Search, weighed: Weighed, key) -> tuple[str, ...]:

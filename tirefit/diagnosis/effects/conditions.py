@@ -6,10 +6,10 @@ import numpy as np
 
 from tirefit.diagnosis.effects.free_forms import (
     BOTH_WAYS,
+    BY_OTHER_SLIP,
     BY_SIDE,
     FRICTION_BY_DIRECTION,
     FRICTION_BY_LOAD,
-    FRICTION_BY_OTHER_SLIP,
     FRICTION_BY_SPEED,
     ONE_WAY,
     over,
@@ -312,7 +312,7 @@ COMBINED = Effect(
     center=1.0,
     needs=("other slip",),
     variants=((1.0, 0.0), (0.0, 1.0)),
-    forms=FRICTION_BY_OTHER_SLIP,
+    forms=BY_OTHER_SLIP,
     singular=True,
     told_apart_by="pure slip",
 )

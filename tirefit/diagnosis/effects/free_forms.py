@@ -11,16 +11,18 @@ from tirefit.diagnosis.negligible import ROUNDING
 
 __all__ = [
     "BOTH_WAYS",
+    "BY_OTHER_SLIP",
     "BY_SIDE",
+    "FORCE_BY_DIRECTION",
     "FORCE_BY_LOAD",
     "Form",
     "FRICTION_BY_DIRECTION",
     "FRICTION_BY_LOAD",
-    "FRICTION_BY_OTHER_SLIP",
     "FRICTION_BY_SPEED",
     "ONE_WAY",
     "SHAPE_OF_THE_CURVE",
     "SHIFT_BY_CAMBER",
+    "SHIFT_BY_DELAY",
     "SHIFT_BY_LAG",
     "SHIFT_BY_SPEED",
     "SKEW_BY_LOAD",
@@ -41,30 +43,38 @@ _QUICKEST = 3.0
 """Rates over the usual one that count as this one: a jump."""
 
 
+_SURE, _TURNS = 0.99, 0.05
+"""Certainty of a direction from which there is no doubt about it; share of the rows up
+to which the others are turns of the slip, and not slips that hardly move."""
+
+
 class Form(NamedTuple):
     """``field`` of the state that moves by ``size`` times smooth functions of what
     ``shapes(rows, u)`` gives, (n, k); u is slip over that of full sliding, (n,).
     ``needs`` is what the data must hold: at one speed any function of the sliding speed
-    is one of the slip, and would explain whatever there is. A form may add an eighth to
-    a half of what the formula beside it may."""
+    is one of the slip, and would explain whatever there is. So would one of ``by``, the
+    covariate whose functions they are, where that follows the slip. A form may add an
+    eighth to a half of what the formula beside it may."""
 
     field: str
     size: float
     shapes: Callable
     needs: str = ""
+    by: str = ""
 
 
 def over(
     field: str, size: float, covariate: str, count: int, times: Callable | None = None
 ) -> tuple[Form, ...]:
-    """A field as ``count`` smooth functions of one covariate, in units of
-    ``times(rows)`` (n,) where they are given."""
+    """A field as ``count`` smooth functions of one covariate about their means, in
+    units of ``times(rows)`` (n,) where they are given: what stays is no change."""
 
     def shapes(rows, u):
         free = functions_of(getattr(rows, covariate), count)
+        free = free - free.mean(axis=0)
         return free if times is None else free * times(rows)[:, None]
 
-    return (Form(field, size, shapes),)
+    return (Form(field, size, shapes, by=covariate),)
 
 
 def rise(rows):
@@ -96,6 +106,10 @@ def _of_side(rows, u):
     return rows.side[:, None]
 
 
+def _of_the_demand_across(rows, u):
+    return functions_of(rows.other / rows.fz, BOTH_WAYS)
+
+
 def _of_sliding(rows, u):
     return functions_of(np.sqrt(rows.sliding), _OF_SPEED)
 
@@ -107,19 +121,62 @@ def _of_rate(rows, u):
     return functions_of(np.clip(rate / usual, -_QUICKEST, _QUICKEST), _OF_RATE)
 
 
+def _by_lag(rows, u):
+    """Functions of the size of the slip about their means, times its change with the
+    way: what is the same at every slip is the formula."""
+    free = functions_of(np.minimum(np.abs(u), FULL_SLIDING), ONE_WAY)
+    return (free - free.mean(axis=0)) * rows.lag[:, None]
+
+
+def _by_delay(rows, u):
+    """The same of its change with time, in the unit of ``lag``."""
+    change = rows.lag * rows.pace
+    usual = np.mean(change**2) / max(np.mean(rows.lag**2), ROUNDING)
+    return _by_lag(rows._replace(lag=change / max(np.sqrt(usual), ROUNDING)), u)
+
+
+def _at_a_turn(rows, u):
+    """Each row by itself of which nobody can say which way the slip moves there."""
+    unsure = np.flatnonzero((np.abs(rows.turning) < _SURE) & (rows.turning != 0))
+    if len(unsure) > _TURNS * len(rows.turning):
+        unsure = unsure[:0]
+    return np.eye(len(rows.turning))[:, unsure]
+
+
+def _force_at_a_turn(rows, u):
+    return _at_a_turn(rows, u) * rows.load[:, None]
+
+
+def _guided(rows, u):
+    """Force on the way up or down, by the size of the force: a function of the slip
+    fraction times the load."""
+    return _by_slip("turning")(rows, u) * (rows.side * rows.fz * rows.load)[:, None]
+
+
+def _guided_by_rate(rows, u):
+    return _of_rate(rows, u) * (rows.side * rows.load)[:, None]
+
+
 SHAPE_OF_THE_CURVE = (Form("force", 0.01, _of_shape),)
 FRICTION_BY_SPEED = (
     Form("friction", 0.06, _of_sliding, "speeds"),
     Form("kinetic", 0.06, _of_sliding, "speeds"),
 )
-SHIFT_BY_LAG = (Form("shift", 0.04, _by_slip("lag")),)
+SHIFT_BY_DELAY = (Form("shift", 0.04, _by_delay),)
+SHIFT_BY_LAG = (Form("shift", 0.04, _by_lag),)
 FRICTION_BY_DIRECTION = (
     Form("friction", 0.02, _by_slip("turning")),
     Form("friction", 0.02, _of_rate),
+    Form("friction", 0.05, _at_a_turn),
 )
 BY_SIDE = (
     Form("friction", 0.02, _by_slip("side")),
     Form("stiffness", 0.02, _of_side),
+)
+FORCE_BY_DIRECTION = (
+    Form("force", 0.004, _guided),
+    Form("force", 0.004, _guided_by_rate),
+    Form("force", 0.02, _force_at_a_turn),
 )
 FORCE_BY_LOAD = over("force", 0.01, "fz", ONE_WAY, weight)
 SKEW_BY_LOAD = tuple(
@@ -127,5 +184,8 @@ SKEW_BY_LOAD = tuple(
 )
 FRICTION_BY_LOAD = over("friction", 0.03, "fz", ONE_WAY)
 SHIFT_BY_SPEED = over("shift", 0.1, "v", ONE_WAY, rise)
-FRICTION_BY_OTHER_SLIP = over("friction", 0.03, "other", BOTH_WAYS)
+BY_OTHER_SLIP = tuple(
+    Form(field, size, _of_the_demand_across)
+    for field, size in (("friction", 0.03), ("stiffness", 0.03))
+)
 SHIFT_BY_CAMBER = over("shift", 0.1, "gamma", BOTH_WAYS, rise)

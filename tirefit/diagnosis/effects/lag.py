@@ -3,9 +3,9 @@
 import jax
 import jax.numpy as jnp
 
-from tirefit.diagnosis.effects.free_forms import SHIFT_BY_LAG
+from tirefit.diagnosis.effects.free_forms import SHIFT_BY_DELAY, SHIFT_BY_LAG
 from tirefit.diagnosis.effects.known import of_a_known_clock
-from tirefit.diagnosis.effects.record import Effect
+from tirefit.diagnosis.effects.record import Effect, scaled
 from tirefit.diagnosis.rates import AHEAD, BEHIND
 
 __all__ = ["EFFECTS", "lagged"]
@@ -58,13 +58,17 @@ def lagged(past, length, step):
 
 
 def _delay(state, delay, constants, rows):
-    """Of the slip, of the force, or of the force through a filter of first order, whose
-    delay is its time constant [s]."""
+    """Of the slip; of the forces, which belong to slip and load of then; or of the
+    forces through a filter of first order, whose delay is its time constant [s]."""
     slip, force, filtered = constants
-    smooth = lagged(rows.pull, filtered * delay, rows.interval)
-    return state._replace(
-        shift=state.shift + _late(rows.past, slip * delay, rows),
-        force=state.force + _late(rows.pull, force * delay, rows) + filtered * smooth,
+    # A brush under another load is one of another friction, see S(12).
+    load = 1 + _late(rows.burden, force * delay, rows)
+    moved = scaled(state, "friction", load)
+    constant = filtered * delay
+    return moved._replace(
+        shift=state.shift + _late(rows.past, (slip + force) * delay, rows),
+        force=state.force + filtered * lagged(rows.pull, constant, rows.interval),
+        moment=state.moment + filtered * lagged(rows.twist, constant, rows.interval),
     )
 
 
@@ -73,6 +77,7 @@ def _relax(state, length, constants, rows):
     return state._replace(
         shift=state.shift + slip * lagged(rows.past, length, rows.step),
         force=state.force + force * lagged(rows.pull, length, rows.step),
+        moment=state.moment + force * lagged(rows.twist, length, rows.step),
     )
 
 
@@ -100,6 +105,7 @@ DELAY = Effect(
     prior=_within_the_past,
     needs=("sweeps",),
     variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    forms=SHIFT_BY_DELAY,
     looks_like=("relaxation_length", "friction_hysteresis"),
     told_apart_by="speeds",
 )

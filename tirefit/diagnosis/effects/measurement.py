@@ -1,7 +1,14 @@
 """Effects of the measurement: offsets, the definition of the slip, a force that was
 worked out without the wheel's inertia; camber and conicity beside them."""
 
-from tirefit.diagnosis.effects.free_forms import FORCE_BY_LOAD, SHIFT_BY_CAMBER
+from tirefit.diagnosis.effects.free_forms import (
+    FORCE_BY_LOAD,
+    ONE_WAY,
+    SHIFT_BY_CAMBER,
+    over,
+    rise,
+    weight,
+)
 from tirefit.diagnosis.effects.record import PER_MILLE, Effect
 from tirefit.diagnosis.slip_check import AGAINST, BESIDE, FOR
 
@@ -119,6 +126,7 @@ SLIP_OFFSET = Effect(
     bounds=((-4.0, 4.0),),
     prior=_seen_between_slips,
     odds=_offset_odds,
+    forms=over("shift", 0.03, "time", ONE_WAY, rise),
     looks_like=("force_offset",),
     told_apart_by="both signs",
 )
@@ -132,6 +140,7 @@ FORCE_OFFSET = Effect(
     means="the force is off by a constant",
     remedy="subtract it; check the zero of the force sensor",
     bounds=((-500.0, 500.0),),
+    forms=over("force", 0.004, "time", ONE_WAY, weight),
     looks_like=("slip_offset",),
     told_apart_by="loads",
 )

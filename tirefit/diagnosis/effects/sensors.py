@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 
 from tirefit.diagnosis.effects.free_forms import (
+    FORCE_BY_DIRECTION,
     FORCE_BY_LOAD,
     FRICTION_BY_LOAD,
     ONE_WAY,
@@ -157,6 +158,7 @@ FORCE_HYSTERESIS = Effect(
     odds=seldom,
     needs=("sweeps",),
     variants=((1.0, 0.0), (0.0, 1.0)),
+    forms=FORCE_BY_DIRECTION,
     looks_like=("friction_hysteresis", "channel_delay", "relaxation_length"),
     told_apart_by="two ramp rates",
 )
