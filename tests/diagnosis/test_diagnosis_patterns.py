@@ -212,11 +212,12 @@ def test_probability_of_more_follows_the_clues():
     clean = more(rest())
     assert clean < 0.1
     assert more(rest(FAILED)) > 2 * clean
-    assert more(rest(FAILED, MUCH)) > 0.9
-    # What its formula fails, but another form of it passes, is less than what fails.
+    assert more(rest(FAILED, MUCH)) > max(0.85, 10 * clean)
+    # What its formula fails, but another form of it passes, is less than what fails
+    # and leaves much.
     standing = Standing(PASSED, FAILED, True, (40.0,), 1.0)
     bent = more(clues_of_rest(standing, NOTHING, 200.0, 1, 900))
-    assert clean < bent < more(rest(FAILED))
+    assert clean < bent < 0.6 * more(rest(FAILED, MUCH))
     # Of another size in each regime, or no better than a remainder of any kind, an
     # effect is likelier something else.
     assert more(rest(), FIRM._replace(steady=1.0)) > clean
