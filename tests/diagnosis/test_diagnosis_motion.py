@@ -103,16 +103,8 @@ OFTEN = ("tracked_point", "yaw_inertia", "floor_slope")
 """Faults of every run of the suite; the others take as long and are run on request."""
 
 
-UNSTEADY = pytest.mark.xfail(
-    strict=True,
-    reason="unknown: beside all that a brush on two wheels lacks of a car, the size of"
-    " the difference of the tires differs between regimes (1.6 standard errors)",
-)
-
-
 def _marks(effect: str) -> list:
-    marks = [] if effect in OFTEN else [pytest.mark.statistics]
-    return marks + ([UNSTEADY] if effect == "unlike_tires" else [])
+    return [] if effect in OFTEN else [pytest.mark.statistics]
 
 
 @pytest.mark.parametrize("effect", [pytest.param(e, marks=_marks(e)) for e in FAULTS])
