@@ -189,16 +189,9 @@ def _changed(base: Base, change: dict, generator):
     half = generator.random(size) < 0.5
     if change.get("flip"):
         turned = (
-            "side",
-            "rate",
-            "lag",
-            "other",
-            "past",
-            "pull",
-            "twist",
-            "force",
+            "side", "rate", "lag", "other", "past", "pull", "twist", "force",
             "traction",
-        )
+        )  # fmt: skip
         slip = -slip
         rows = rows._replace(**{name: -getattr(rows, name) for name in turned})
     if "fz" in change:

@@ -63,6 +63,10 @@ class Form(NamedTuple):
     by: str = ""
 
 
+def _about_mean(shapes):
+    return shapes - shapes.mean(axis=0)
+
+
 def over(
     field: str, size: float, covariate: str, count: int, times: Callable | None = None
 ) -> tuple[Form, ...]:
@@ -70,8 +74,7 @@ def over(
     units of ``times(rows)`` (n,) where they are given: what stays is no change."""
 
     def shapes(rows, u):
-        free = functions_of(getattr(rows, covariate), count)
-        free = free - free.mean(axis=0)
+        free = _about_mean(functions_of(getattr(rows, covariate), count))
         return free if times is None else free * times(rows)[:, None]
 
     return (Form(field, size, shapes, by=covariate),)
@@ -87,12 +90,15 @@ def weight(rows):
     return rows.load
 
 
+def _of_slip(u, count: int = ONE_WAY):
+    return functions_of(np.minimum(np.abs(u), FULL_SLIDING), count)
+
+
 def _by_slip(factor: str, count: int = ONE_WAY):
     """Functions of the size of the slip, times a covariate."""
 
     def shapes(rows, u):
-        free = functions_of(np.minimum(np.abs(u), FULL_SLIDING), count)
-        return free * getattr(rows, factor)[:, None]
+        return _of_slip(u, count) * getattr(rows, factor)[:, None]
 
     return shapes
 
@@ -124,8 +130,7 @@ def _of_rate(rows, u):
 def _by_lag(rows, u):
     """Functions of the size of the slip about their means, times its change with the
     way: what is the same at every slip is the formula."""
-    free = functions_of(np.minimum(np.abs(u), FULL_SLIDING), ONE_WAY)
-    return (free - free.mean(axis=0)) * rows.lag[:, None]
+    return _about_mean(_of_slip(u)) * rows.lag[:, None]
 
 
 def _by_delay(rows, u):
