@@ -25,12 +25,19 @@ from fits.withheld.library import (
     predict_together,
 )
 
-__all__ = ["bound_rows", "evidence", "named_by_evidence", "told_pair"]
+__all__ = [
+    "bound_rows",
+    "evidence",
+    "named_by_evidence",
+    "strangers_that_show",
+    "told_pair",
+]
 
 REFITTED = 10
 SHARES = tuple(np.linspace(0.05, 0.95, 10))  # of the range of a form's random draws
 LOW, HIGH = 0.5, 2.0  # amplitudes, in typical ones: log-uniform
 SPREAD = np.array([0.09, 0.06])  # of log c and log mu, as they are drawn
+SHOWS = 3.0  # standard errors: found in 9 of 10 by who looks for it at 4 % alarms
 _SIZES = (
     ("any gap", 0, np.inf, "root_lambda"),
     ("sqrt(lambda) >= 5", 5, np.inf, "root_lambda"),
@@ -165,12 +172,36 @@ def told_pair(x: Inputs, observed: np.ndarray, pair: dict[str, str]) -> bool:
     return evidence_of((one, two)) > max(evidence_of((one,)), evidence_of((two,)))
 
 
+def strangers_that_show(labels: dict, outcomes: dict) -> list[list[str]]:
+    """[of what, n, possible, answered]: whether anything shows that no listed effect,
+    at any size, does as well, and whether it was flagged."""
+    groups = {
+        "not listed, strong": (("unlisted", "procedural"), *STRONG),
+        "not listed, weak": (("unlisted", "procedural"), *WEAK),
+        "family left out": (("leave_out",), 0, np.inf),
+        "foreign tire": (("foreign",), 0, np.inf),
+    }
+    rows = []
+    for of, (sets, low, high) in groups.items():
+        inside = [
+            k for k in outcomes
+            if labels[k]["set"] in sets and low <= labels[k]["gap_over_noise"] <= high
+        ]  # fmt: skip
+        if inside:
+            shows = np.mean([labels[k]["mimic_free"] >= SHOWS for k in inside])
+            flagged = np.mean([outcomes[k].unknown for k in inside])
+            rows.append([of, str(len(inside)), f"{shows:.3f}", f"{flagged:.3f}"])
+    return rows
+
+
 def bound_rows(folder: Path, labels: dict, outcomes: dict, count: int) -> list:
     """[of what, n, possible, answered] for a table.
 
     Of the first ``count`` trials with one effect that have an answer, by name, and of
-    as many pairs.
+    as many pairs; of all with something that is not listed.
     """
+    if not count:
+        return []
     names = [k for k in sorted(outcomes) if labels[k]["set"] == "singles"][:count]
     pairs = [k for k in sorted(outcomes) if labels[k]["set"] == "pairs"][:count]
     right = {}
@@ -186,12 +217,13 @@ def bound_rows(folder: Path, labels: dict, outcomes: dict, count: int) -> list:
         f"one effect, {of}": [k for k in names if low <= labels[k][number] <= high]
         for of, low, high, number in _SIZES
     } | {"pairs, told which two": pairs}
-    return [
+    named = [
         [of, str(len(inside)), f"{np.mean([right[k] for k in inside]):.3f}",
          f"{np.mean([outcomes[k].exact for k in inside]):.3f}"]
         for of, inside in groups.items()
         if inside
     ]  # fmt: skip
+    return [*named, *strangers_that_show(labels, outcomes)]
 
 
 def _trial(folder: Path, label: dict) -> tuple[Inputs, np.ndarray]:

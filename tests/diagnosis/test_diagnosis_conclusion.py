@@ -9,9 +9,11 @@ from conftest_diagnosis import RIG, TRUTHS, brush, record
 from scipy.optimize import minimize_scalar
 
 from tirefit.data.read import read_frame
+from tirefit.diagnosis import conclusion
 from tirefit.diagnosis.adequacy import UNTESTED
 from tirefit.diagnosis.base import fit_base
 from tirefit.diagnosis.conclusion import (
+    Judge,
     bound_by,
     chance_of_unknown,
     chance_of_unlisted,
@@ -25,7 +27,7 @@ from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.rows import prepare
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis
 from tirefit.diagnosis.standing import standing, steadiness
-from tirefit.diagnosis.verdict import Verdict, Weighed
+from tirefit.diagnosis.verdict import Verdict, Weighed, _rivals
 
 
 def test_probability_of_a_rest_is_that_of_the_best_alternative():
@@ -242,3 +244,43 @@ def test_an_effect_is_steady_where_the_truth_has_one_size():
         assert abs(again - size) / abs(size) < 1.2 * moved[0] + 0.02
     assert steadiest["steady"] > 5
     assert steadiest["drifts"] < 3
+
+
+class Told(Judge):
+    """Every effect of a set is as likely as the set is told to say."""
+
+    def clues_by_effect(self, key):
+        return {effect: {"chance": SAID[key]} for effect in key}
+
+
+SAID = {
+    ("a", "b", "x"): 0.2, ("a", "c", "x"): 0.6, ("a", "d", "x"): 0.7, ("e",): 0.9,
+}  # fmt: skip
+BESIDE = {("a", "b", "x"): 0.30, ("a", "c", "x"): 0.29, ("a", "d", "x"): 0.28}
+
+
+def test_what_all_leading_sets_hold_is_asked_over_all(monkeypatch):
+    """Which of three that draw a gap as well comes first does not decide."""
+    monkeypatch.setattr(conclusion, "probability_beside", lambda clues: clues["chance"])
+
+    def asked(key, beside):
+        sets = dict.fromkeys(beside, 0.0)
+        judge = object.__new__(Told)
+        judge.weighed = replace(NOTHING, sets=sets, unknown_beside=beside)
+        return judge.leading(key), judge.beside(key)
+
+    leading, found = asked(("a", "b", "x"), BESIDE | {("e",): 0.01, (): 0.12})
+    assert sum(leading.values()) == pytest.approx(1) and ("e",) not in leading
+    mean = (0.30 * 0.2 + 0.29 * 0.6 + 0.28 * 0.7) / 0.87
+    assert found["a"] == found["x"] == pytest.approx(mean)
+    assert (found["b"], found["d"]) == (pytest.approx(0.2), pytest.approx(0.7))
+    for key in BESIDE:
+        assert asked(key, BESIDE)[1]["a"] == pytest.approx(mean)
+    # The set that is asked about is asked, however improbable.
+    assert asked(("e",), BESIDE | {("e",): 1e-9})[1]["e"] == pytest.approx(0.9)
+
+
+def test_effects_beside_the_best_set_are_said_too():
+    sets = {("a",): 0.5, ("a", "b"): 0.3, ("c", "d"): 0.2, ("e",): 0.02}
+    assert _rivals(sets, ("a",)) == ("b",)
+    assert _rivals(sets, ("a", "b")) == ("c", "d")

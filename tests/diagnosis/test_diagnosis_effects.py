@@ -212,8 +212,9 @@ def test_effects_are_named_in_other_forms(effect):
     frame, _ = record(OTHER_FORMS[effect], seed=6)
     found = diagnose(read_frame(frame), rig=RIG)
     assert found.effects == (effect,)
-    # By side both parameters change: it may say that this is not all.
-    allowed = ("named", "incomplete")[: 1 + (effect == "drive_brake_asymmetry")]
+    # By side both parameters change: it may say that this is not all, or may not be.
+    both = effect == "drive_brake_asymmetry"
+    allowed = ("named", "incomplete", "cannot_tell") if both else ("named",)
     assert found.verdict.status in allowed
 
 

@@ -425,6 +425,37 @@ def test_evidence_gain_of_gaussian_coefficients():
     assert of_any_kind(dict.fromkeys(kinds, 3.0)) == pytest.approx(3.0)
 
 
+def test_a_remainder_beside_forms_of_an_expected_size_is_that_of_dense_normal_laws():
+    """Forms that the data know worse than their prior leave their part of the rows."""
+    generator = np.random.default_rng(4)
+    forms = generator.standard_normal((50, 3)) * [2.0, 0.2, 0.01]
+    column = 0.3 * forms[:, :2] @ [0.1, 1.0] + 0.1 * generator.standard_normal(50)
+    residual = generator.standard_normal(50) + 30 * column
+    flat = generator.standard_normal((50, 2))
+    wave = np.column_stack([column, generator.standard_normal(50)])
+    bases = Generic(
+        column[:, None], column[:, None], wave, patterns_of(column[:, None])
+    )
+    found = gains(bases, flat, residual, forms)
+
+    wide = np.eye(50) + forms @ forms.T + 1e7 * flat @ flat.T
+
+    def log_density(more, scale):
+        covariance = wide + scale**2 * more @ more.T
+        fit = residual @ np.linalg.solve(covariance, residual)
+        return -0.5 * (fit + np.linalg.slogdet(covariance)[1])
+
+    for kind, more, scales in (
+        ("smooth", column[:, None], (2, 6, 18, 50)), ("waves", wave, (2, 6, 18, 50)),
+        ("patterns", column[:, None], (0.5, 2, 8)),
+    ):  # fmt: skip
+        each = [log_density(more, scale) - log_density(more, 0.0) for scale in scales]
+        mean = np.logaddexp.reduce(each) - np.log(len(each))
+        assert found[kind] == pytest.approx(mean, abs=1e-3)
+    free = gains(bases, np.column_stack([flat, forms]), residual)
+    assert found["smooth"] > free["smooth"] + 3
+
+
 def test_a_wave_is_seen_among_many():
     generator = np.random.default_rng(0)
     x = np.linspace(0, 1, 400)

@@ -14,8 +14,9 @@ from fits.calibration.train import STRANGE, taught
 from tirefit.data.read import read_frame
 from tirefit.diagnosis import calibrated
 from tirefit.diagnosis.adequacy import Adequacy
-from tirefit.diagnosis.basis import _scaled
+from tirefit.diagnosis.basis import _scaled, taken_out
 from tirefit.diagnosis.calibrated import (
+    Left,
     Part,
     as_often_right,
     clues_of_effect,
@@ -56,7 +57,7 @@ def test_evidence_of_a_pattern_is_the_integral_over_its_size():
         [quad(likelihood, -20, 20, args=(s,), points=[0.7])[0] for s in (0.5, 2, 8)]
     )
     # The other one is empty: it has the evidence of nothing.
-    gain = patterns_gain(patterns_of(columns), against, residual)
+    gain = patterns_gain(patterns_of(columns), taken_out(against), residual)
     assert gain == pytest.approx(np.log((one + 1) / 2), rel=1e-4)
 
 
@@ -196,42 +197,50 @@ NOTHING = {"smooth": -20.0, "cells": -12.0, "waves": -1.0, "patterns": -0.5}
 MUCH = {"smooth": 200.0, "cells": 150.0, "waves": 60.0, "patterns": 180.0}
 
 
-FIRM = Part(40.0, 190.0, 200.0, 30.0, 0.05, 150.0)
+EXPLAINED = {"smooth": 150.0, "cells": 80.0, "waves": 30.0, "patterns": 40.0}
+FIRM = Part(40.0, 190.0, 200.0, 30.0, 0.05, 150.0, 1.0)
 
 
-def rest(adequacy=PASSED, gains=NOTHING, evidence=200.0):
+def left(adequacy=PASSED, gains=NOTHING, **given) -> Left:
+    """One effect of 900 rows, 200 units of log evidence, well ahead of any other."""
     standing = Standing(adequacy, adequacy, False, (40.0,), 1.0)
-    return clues_of_rest(standing, gains, evidence, 1, 900)
+    of_none = {kind: gains[kind] + EXPLAINED[kind] for kind in gains}
+    firm = Left(standing, gains, of_none, 200.0, 0.0, 60.0, 1e-12, 1, 900)
+    return firm._replace(**given)
 
 
-def more(rest, part=FIRM):
-    return probability_of_more(clues_of_set(rest, [clues_of_effect(part, 200.0, rest)]))
+def more(left, part=FIRM):
+    of_effects = [clues_of_effect(part, left)]
+    return probability_of_more(clues_of_set(clues_of_rest(left), of_effects))
 
 
 def test_probability_of_more_follows_the_clues():
-    clean = more(rest())
+    clean = more(left())
     assert clean < 0.1
-    assert more(rest(FAILED)) > 2 * clean
-    assert more(rest(FAILED, MUCH)) > max(0.85, 10 * clean)
+    assert more(left(FAILED)) > 2 * clean
+    assert more(left(FAILED, MUCH)) > max(0.85, 10 * clean)
     # What its formula fails, but another form of it passes, is less than what fails
     # and leaves much.
     standing = Standing(PASSED, FAILED, True, (40.0,), 1.0)
-    bent = more(clues_of_rest(standing, NOTHING, 200.0, 1, 900))
-    assert clean < bent < 0.6 * more(rest(FAILED, MUCH))
+    bent = more(left(standing=standing, of_form=30.0))
+    assert clean < bent < 0.6 * more(left(FAILED, MUCH))
     # Of another size in each regime, or no better than a remainder of any kind, an
     # effect is likelier something else.
-    assert more(rest(), FIRM._replace(steady=1.0)) > clean
-    assert more(rest(), FIRM._replace(over_rest=-5.0)) > 2 * clean
+    assert more(left(), FIRM._replace(steady=1.0)) > clean
+    assert more(left(), FIRM._replace(over_rest=-5.0)) > clean
+    # A remainder of its own kind draws it as well.
+    assert more(left(nothing_listed=0.5)) > 2 * clean
 
 
 def test_probability_of_an_effect_follows_the_clues():
-    beside = rest(FAILED, MUCH)
+    beside = left(FAILED, MUCH)
 
     def chance(part):
-        return probability_beside(clues_of_effect(part, 200.0, beside))
+        return probability_beside(clues_of_effect(part, beside))
 
-    strong = chance(FIRM)
-    assert strong > 5 * chance(Part(3.0, 10.0, 5.0, 3.0, 0.5, 2.0)) and strong > 0.25
+    strong, weak = chance(FIRM), chance(Part(3.0, 10.0, 5.0, 3.0, 0.5, 2.0, 0.1))
+    assert strong > 5 * weak and strong > 0.25
+    assert chance(FIRM._replace(in_sets=0.1)) < strong
     # As firm, but of another size in each regime; or no better than a remainder.
     assert chance(FIRM._replace(steady=1.0, changed=2.0)) < 0.5 * strong
     assert chance(FIRM._replace(over_rest=-5.0)) < 0.8 * strong
@@ -244,9 +253,10 @@ def test_the_numbers_shipped_are_those_of_a_checked_regression():
         assert checked["cases"] > 500
         assert checked["calibration error"] < 0.05
         assert sum(count for *_, count in checked["reliability"]) == checked["cases"]
-    beside = clues_of_effect(FIRM, 200.0, rest())
+    beside = clues_of_effect(FIRM, left())
+    of_set = clues_of_set(clues_of_rest(left()), [beside])
     assert numbers["beside"]["clues"].keys() == beside.keys()
-    assert numbers["more"]["clues"].keys() == clues_of_set(rest(), [beside]).keys()
+    assert numbers["more"]["clues"].keys() == of_set.keys()
 
 
 def test_verdicts_are_as_sure_as_such_verdicts_were_right(monkeypatch):

@@ -341,3 +341,22 @@ def test_who_is_told_a_pair_finds_both_only_where_both_show():
     both = library.predict_together(x, parts, C, MU)
     assert bound.told_pair(x, both + noise, pair)
     assert not bound.told_pair(x, one + noise, pair)
+
+
+def test_of_strangers_only_what_no_listed_effect_imitates_can_be_flagged():
+    labels = {
+        "a": label("unlisted", mimic_free=12.0),
+        "b": label("procedural", mimic_free=0.4),
+        "c": label("procedural", mimic_free=4.0, gap_over_noise=0.3),
+        "d": label("leave_out", mimic_free=2.0, gap_over_noise=0.6),
+        "e": label("singles", "slip_offset"),
+    }  # fmt: skip
+    told = {"a": said("unknown", "unknown"), "b": said("named", "conicity"),
+            "c": said("none"), "d": said("incomplete", "conicity"),
+            "e": said("named", "slip_offset")}  # fmt: skip
+    outcomes = {k: judge(k, labels[k], told[k]) for k in labels}
+    assert bound.strangers_that_show(labels, outcomes) == [
+        ["not listed, strong", "2", "0.500", "0.500"],
+        ["not listed, weak", "1", "1.000", "0.000"],
+        ["family left out", "1", "0.000", "1.000"],
+    ]

@@ -223,6 +223,22 @@ def without(basis, against):
     return basis - unit @ (unit.T @ basis)
 
 
+def taken_out(against, expected=None) -> np.ndarray:
+    """Columns Q (m, q) of which ``1 - Q Q'`` is the precision of whitened rows that a
+    fit leaves: orthonormal where it is free, shorter where the data know a direction no
+    better than its prior.
+
+    Args:
+        against: (m, p) columns of free coefficients.
+        expected: (m, k) of coefficients with a standard deviation of one, or none.
+    """
+    unit, _ = np.linalg.qr(against)
+    if expected is None or not expected.shape[1]:
+        return unit
+    left, size = orthogonal(expected, against)
+    return np.concatenate([unit, left * (size / np.hypot(1.0, size))], axis=1)
+
+
 def gain(score, size) -> float:
     """Log evidence of coefficients of standard deviation ``size`` (q,), over none.
 
@@ -323,17 +339,17 @@ class Generic:
         smooth, cells = self.smooth, self.cells
         return smooth.T @ smooth, cells.T @ cells, _pairs(self.waves)
 
-    def left(self, against, residual) -> "Left":
+    def left(self, against, residual, expected=None) -> "Left":
         """What a fit leaves of them, and their products with its residual.
 
         From products of the whole columns, formed once: a fit takes a few directions
         out of hundreds.
 
         Args:
-            against: (m, p) columns that the fit has used up.
+            against, expected: columns that the fit has used up, see :func:`taken_out`.
             residual: (m,) whitened.
         """
-        unit, _ = np.linalg.qr(against)
+        unit = taken_out(against, expected)
         rest = residual - unit @ (unit.T @ residual)
         both = np.concatenate([unit, rest[:, None]], axis=1).T @ self.columns
         ends = np.cumsum([self.smooth.shape[1], self.cells.shape[1]])
@@ -382,17 +398,19 @@ def wide_bases(prepared, slip_fraction, scale) -> tuple[np.ndarray, ...]:
     )
 
 
-def gains(bases: Generic, against, residual) -> dict[str, float]:
+def gains(bases: Generic, against, residual, expected=None) -> dict[str, float]:
     """Log evidence of each kind of remainder that no listed effect explains, over none.
 
     Args:
-        against: (m, p) columns that the fit has used up.
+        against, expected: columns that the fit has used up, see :func:`taken_out`.
         residual: (m,) whitened.
     """
-    left = bases.left(against, residual)
+    left = bases.left(against, residual, expected)
     return left.wide_gains() | {
         "waves": _gain_of_waves(left.waves, left.score),
-        "patterns": patterns_gain(bases.patterns, against, residual),
+        "patterns": patterns_gain(
+            bases.patterns, taken_out(against, expected), residual
+        ),
     }
 
 

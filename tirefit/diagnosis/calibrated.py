@@ -20,6 +20,7 @@ from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.standing import Standing
 
 __all__ = [
+    "Left",
     "Part",
     "as_often_right",
     "clues_of_effect",
@@ -34,6 +35,9 @@ _SMALLEST_P = 1e-3
 
 _STEADIEST = 300.0
 """Amplitude over its error between regimes, beyond which more says no more."""
+
+_LEAST_LOG = -12.0
+"""Logarithm to ten of a probability below which smaller ones say no more."""
 
 _WEAKEST = (
     "amplitude over error", "share alone", "share lost without",
@@ -65,6 +69,7 @@ class Part(NamedTuple):
             :func:`tirefit.diagnosis.standing.steadiness`.
         over_rest: log evidence of the set and a remainder of any kind over the set
             without it and such a remainder.
+        in_sets: probability of the sets that hold it, if something unlisted is there.
     """
 
     error: float
@@ -73,6 +78,33 @@ class Part(NamedTuple):
     steady: float
     changed: float
     over_rest: float
+    in_sets: float
+
+
+class Left(NamedTuple):
+    """A refitted set of effects, what it leaves, and how it stands beside others.
+
+    Attributes:
+        standing: of the set.
+        gains: log evidence of each kind of remainder beside the set.
+        gains_of_none: the same without any effect.
+        evidence: log evidence of the set over none.
+        of_form: what of it another form of the effects adds to their formulas.
+        ahead: log evidence over the best other set of no more effects, or over none.
+        nothing_listed: probability of a gap without any listed effect, by evidence.
+        effects: number of effects in the set.
+        rows: number of rows.
+    """
+
+    standing: Standing
+    gains: Mapping[str, float]
+    gains_of_none: Mapping[str, float]
+    evidence: float
+    of_form: float
+    ahead: float
+    nothing_listed: float
+    effects: int
+    rows: int
 
 
 def _signs(adequacy: Adequacy) -> np.ndarray:
@@ -81,54 +113,52 @@ def _signs(adequacy: Adequacy) -> np.ndarray:
     return -np.log10(np.maximum(tested, _SMALLEST_P))
 
 
-def clues_of_rest(
-    standing: Standing,
-    gains: Mapping[str, float],
-    evidence: float,
-    effects: int,
-    rows: int,
-) -> dict[str, float]:
-    """What a set of effects leaves.
-
-    Args:
-        standing: of the set.
-        gains: log evidence of each kind of remainder beside the set.
-        evidence: log evidence of the set over none.
-        effects: number of effects in the set.
-        rows: number of rows.
-    """
+def clues_of_rest(left: Left) -> dict[str, float]:
+    """What tells of a set of effects as a whole."""
+    standing, gains, evidence = left.standing, left.gains, left.evidence
     signs, of_formulas = _signs(standing.adequacy), _signs(standing.formulas)
     wide = max(gains["smooth"], gains["cells"])
     narrow = max(gains["waves"], gains["patterns"])
     whole, more = max(evidence, 1.0), max(wide, narrow, 0.0)
+    in_form = float(standing.in_other_form)
+    nothing_listed = np.log10(max(left.nothing_listed, 10**_LEAST_LOG))
+    explained = {k: left.gains_of_none[k] - gains[k] for k in ("cells", "waves")}
     return {
         "worst test": float(signs.max()),
         "mean test": float(signs.mean()),
         "worst test of the formulas": float(of_formulas.max()),
         "mean test of the formulas": float(of_formulas.mean()),
-        "another form": float(standing.in_other_form),
+        "another form": in_form,
+        # What shows well has a form of its own more often.
+        "another form, by evidence": in_form * _compressed(evidence),
+        "evidence": _compressed(evidence),
+        "evidence ahead": _compressed(left.ahead),
+        "nothing listed": float(nothing_listed),
+        "cells explained": _compressed(explained["cells"]),
+        "waves explained": _compressed(explained["waves"]),
         "wide remainder": _compressed(wide),
         "narrow remainder": _compressed(narrow),
         "share of remainder": more / (whole + more),
-        "two effects": float(effects > 1),
-        "three effects": float(effects > 2),
+        "two effects": float(left.effects > 1),
+        "three effects": float(left.effects > 2),
         "cancels": float(np.log(max(standing.cancels, 0.1))),
-        "rows": float(np.log(rows)),
+        "rows": float(np.log(left.rows)),
     }
 
 
-def clues_of_effect(
-    part: Part, evidence: float, rest: Mapping[str, float]
-) -> dict[str, float]:
+def clues_of_effect(part: Part, left: Left) -> dict[str, float]:
     """What tells that an effect is there, whatever else is.
 
     Args:
-        evidence: log evidence of its set over none.
-        rest: :func:`clues_of_rest` of its set.
+        left: by its set.
     """
-    whole = max(evidence, 1.0)
+    whole, rest = max(left.evidence, 1.0), clues_of_rest(left)
     single = 0.0 if part.alone is None else float(np.clip(part.alone / whole, 0, 1))
-    kept = ("worst test", "wide remainder", "narrow remainder", "share of remainder")
+    kept = (
+        "worst test", "wide remainder", "narrow remainder", "share of remainder",
+        "two effects", "three effects",
+    )  # fmt: skip
+    over_patterns = left.evidence - left.gains_of_none["patterns"]
     return {
         "amplitude over error": float(np.log(max(part.error, 0.1))),
         "share alone": single,
@@ -138,8 +168,9 @@ def clues_of_effect(
         "steady": float(np.log(np.clip(part.steady, 0.1, _STEADIEST))),
         "changed by one regime": float(np.log(np.clip(part.changed, 1e-3, 10.0))),
         "evidence over a remainder": _compressed(part.over_rest),
-        "two effects": rest["two effects"],
-        "three effects": rest["three effects"],
+        "evidence over patterns": _compressed(over_patterns),
+        "evidence of another form": _compressed(left.of_form),
+        "share of sets with it": part.in_sets,
         **{name: rest[name] for name in kept},
     }
 

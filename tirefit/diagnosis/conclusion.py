@@ -13,8 +13,8 @@ import numpy as np
 
 from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.base import Base
-from tirefit.diagnosis.basis import gains
 from tirefit.diagnosis.calibrated import (
+    Left,
     Part,
     clues_of_effect,
     clues_of_rest,
@@ -22,13 +22,13 @@ from tirefit.diagnosis.calibrated import (
     probability_beside,
     probability_of_more,
 )
-from tirefit.diagnosis.linear_fit import LinearFit, linear_at
+from tirefit.diagnosis.linear_fit import LinearFit, gains_beside, linear_at
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.patterns import Look, looks
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Search
 from tirefit.diagnosis.standing import Standing, standing, steadiness
-from tirefit.diagnosis.verdict import Verdict, Weighed, named, nothing_shown
+from tirefit.diagnosis.verdict import Verdict, Weighed, named, nothing_shown, ties
 
 __all__ = [
     "Judge",
@@ -47,7 +47,11 @@ _KNOWN = 2.0
 value."""
 
 _EVEN = 0.5
-"""Probability of something unlisted from which it is said."""
+"""Probability from which something is likelier than not."""
+
+_UNLISTED = 0.55
+"""Probability of something unlisted from which it is said: at even odds a name, with
+its probability, helps more than none."""
 
 _SHOWN = 0.05
 """Probability of a pattern from which it is told."""
@@ -59,12 +63,17 @@ _CANCELS = 4.0
 """Energy of the effects of a set one by one over that of all together: from here on
 one is there to undo the other. The 18 visible pairs of one development set reach 2."""
 
-_EARNED = 0.3
+_EARNED = 0.25
 """Probability from which an effect is named beside something that is not listed. Trials
 hold a listed effect beside a stranger in one of six; who measures, more often."""
 
 _PERHAPS = 0.2
 """The same from which an effect that is not named is said to be possible."""
+
+_LEADING, _NEARLY = 4, 0.1
+"""Sets over which it is asked whether an effect is there beside something unlisted, at
+most, and the least probability of one over that of the first: what merely draws such a
+gap is drawn by several nearly as well, and which of them comes first is chance."""
 
 _EDGE = 1e-3
 """Distance from its bound, in prior scales, at which an effect rests on it."""
@@ -133,9 +142,9 @@ class Judge:
         """Log evidence of each kind of remainder beside a set."""
         base, weighed = self.search.base, self.weighed
         if key not in weighed.gains:
-            linear = _linear(base, weighed, key)
-            left = gains(base.generic, linear.explained, linear.residual)
-            weighed.gains[key] = left
+            linear = linear_at(base, weighed.best_of[key])
+            in_form = key in weighed.other_form
+            weighed.gains[key] = gains_beside(base, linear, in_form)
         return weighed.gains[key]
 
     def errors(self, key) -> dict[str, float]:
@@ -155,14 +164,25 @@ class Judge:
 
     def clues(self, key) -> dict[str, float]:
         """What tells that a set is not all that there is."""
-        return clues_of_set(self._rest(key), self.clues_by_effect(key).values())
+        of_effects = self.clues_by_effect(key).values()
+        return clues_of_set(clues_of_rest(self._left(key)), of_effects)
 
-    def _rest(self, key) -> dict[str, float]:
-        weighed, standing = self.weighed, self.of(key)
-        return clues_of_rest(
-            standing, self.gains(key), weighed.evidence[key], len(key),
-            self.search.base.rows.n,
+    def _left(self, key) -> Left:
+        weighed, evidence = self.weighed, self.weighed.evidence
+        others = [v for k, v in evidence.items() if k != key and len(k) <= len(key)]
+        return Left(
+            self.of(key), self.gains(key), self.gains(()), evidence[key],
+            evidence[key] - weighed.best_of[key].log_evidence,
+            evidence[key] - max(others, default=0.0), weighed.unknown_alone,
+            len(key), self.search.base.rows.n,
         )  # fmt: skip
+
+    def in_sets(self, effect: str) -> float:
+        """Probability of the sets that hold an effect, if something unlisted is there
+        beside them."""
+        beside = self.weighed.unknown_beside
+        held = sum(p for key, p in beside.items() if effect in key)
+        return held / max(sum(beside.values()), NONZERO)
 
     def lost(self, key, effect: str) -> float:
         """Log evidence that a set loses without an effect; all of it where what is left
@@ -187,18 +207,40 @@ class Judge:
 
     def _clues_by_effect(self, key) -> dict[str, dict[str, float]]:
         evidence, best = self.weighed.evidence, self.weighed.best_of[key]
-        rest, errors = self._rest(key), self.of(key).errors
-        base = self.search.base
+        left, errors, base = self._left(key), self.of(key).errors, self.search.base
         used_up = _linear(base, self.weighed, key).used_up
         regimes = zip(*steadiness(base, best, used_up), strict=True)
         parts = {
             effect: Part(
                 error, evidence.get((effect,)), self.lost(key, effect), *regime,
-                self.over_rest(key, effect),
+                self.over_rest(key, effect), self.in_sets(effect),
             )
             for effect, error, regime in zip(best.effects, errors, regimes, strict=True)
         }  # fmt: skip
-        return {e: clues_of_effect(p, evidence[key], rest) for e, p in parts.items()}
+        return {e: clues_of_effect(p, left) for e, p in parts.items()}
+
+    def leading(self, key) -> dict[tuple[str, ...], float]:
+        """A set and those about as probable or more, alone or beside a remainder, with
+        their shares of the probability of all these."""
+        sets, rest = self.weighed.sets, self.weighed.unknown_beside
+        total = {k: max(sets[k] + rest.get(k, 0.0), NONZERO) for k in (key, *rest) if k}
+        ranked = sorted(total, key=lambda k: total[k], reverse=True)[:_LEADING]
+        near = [k for k in ranked if total[k] >= _NEARLY * total[ranked[0]]]
+        leading = {k: total[k] for k in (key, *near)}
+        return {k: value / sum(leading.values()) for k, value in leading.items()}
+
+    def beside(self, key) -> dict[str, float]:
+        """Probability of the effects of a set and of those nearly as probable, each to
+        be there if something unlisted is: the mean over those sets that hold it."""
+        found: dict[str, list[tuple[float, float]]] = {}
+        for one, share in self.leading(key).items():
+            for effect, clues in self.clues_by_effect(one).items():
+                found.setdefault(effect, []).append((probability_beside(clues), share))
+        return {
+            effect: sum(chance * share for chance, share in of)
+            / sum(share for _, share in of)
+            for effect, of in found.items()
+        }
 
     def imitates(self, key) -> bool:
         """Whether a set of several looks like a drawing of something else."""
@@ -239,11 +281,11 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
         verdict = replace(less, status="cannot_tell", also_possible=also)
     more = probability_of_more(judge.clues(key))
     if judge.imitates(key):
-        more = max(more, _EVEN)
-    if more < _EVEN and nothing_shown(weighed) > weighed.sets[key]:
+        more = max(more, _UNLISTED)
+    if more < _UNLISTED and nothing_shown(weighed) > weighed.sets[key]:
         # Named, it would be a false alarm more often than the name of what is there.
         return _nothing_stands(verdict, judge)
-    if more < _EVEN:
+    if more < _UNLISTED:
         passed = judge.of(key).adequacy._replace(passed=True)
         sure = verdict.probability * (1 - more)
         return replace(verdict, probability=sure, adequacy=passed, unlisted=more)
@@ -272,16 +314,17 @@ def _nothing_stands(verdict: Verdict, judge: Judge) -> Verdict:
 def _incomplete(verdict: Verdict, judge: Judge, key, more: float) -> Verdict:
     """What stands beside something unlisted, whose probability is ``more``."""
     weighed, verdict = judge.weighed, replace(verdict, unlisted=more)
-    chances = {e: probability_beside(c) for e, c in judge.clues_by_effect(key).items()}
-    earned = judge.best_within([e for e in key if chances[e] >= _EARNED])
+    chances = judge.beside(key)
+    earned = judge.best_within([e for e, p in chances.items() if p >= _EARNED])
     if not earned or judge.imitates(earned) or judge.firm(earned, _FIRM) != earned:
         nothing = unknown(verdict, weighed, judge.of(()).adequacy, more)
-        perhaps = tuple(e for e in key if chances[e] >= _PERHAPS)
+        perhaps = tuple(sorted(e for e, p in chances.items() if p >= _PERHAPS))
         return replace(nothing, also_possible=perhaps)
     there = [chances[e] for e in earned]
     left = judge.of(earned).adequacy._replace(passed=False)
     return replace(
-        verdict, status="incomplete", effects=earned, also_possible=(),
+        verdict, status="incomplete", effects=earned,
+        also_possible=ties(weighed, earned),
         probability=float(more * np.prod(there)), chosen=weighed.best_of[earned],
         adequacy=left,
     )  # fmt: skip

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.basis import gain, orthogonal
+from tirefit.diagnosis.basis import gain, gains, orthogonal
 from tirefit.diagnosis.forms import form_columns
 from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
@@ -16,6 +16,7 @@ __all__ = [
     "due_to_doubt",
     "fitted_form",
     "gain_of_form",
+    "gains_beside",
     "linear_at",
 ]
 
@@ -87,6 +88,13 @@ def gain_of_form(base, linear: LinearFit) -> float:
     left, size = orthogonal(forms, used_up)
     there = gain(left.T @ base.sure(linear.residual), size)
     return there + float(np.log(PRIOR_OF_FORM))
+
+
+def gains_beside(base, linear: LinearFit, in_other_form: bool) -> dict[str, float]:
+    """Log evidence of each kind of remainder beside a set of effects, in the formulas'
+    form or in another, which is no larger than such forms are."""
+    forms = linear.forms if in_other_form else None
+    return gains(base.generic, linear.explained, linear.residual, forms)
 
 
 def fitted_form(linear: LinearFit) -> np.ndarray:

@@ -369,10 +369,10 @@ def patterns(prepared, slip_fraction, fields: dict[str, np.ndarray]) -> Patterns
     return Patterns(np.stack(columns, axis=2), [one for one in over if one is not None])
 
 
-def _scores(among: Patterns, against, residual):
-    """Squared length (k,) of every pattern with ``against`` (m, p) out, and its product
-    with the residual (k,); both zero where hardly anything is left of it."""
-    unit, _ = np.linalg.qr(against)
+def _scores(among: Patterns, unit, residual):
+    """Squared length (k,) of every pattern with ``unit`` (m, q) taken out, see
+    :func:`tirefit.diagnosis.basis.taken_out`, and its product with the residual (k,);
+    both zero where hardly anything is left of it."""
     left = residual - unit @ (unit.T @ residual)
     found = among.products(np.concatenate([unit, left[:, None]], axis=1))
     whole, used = among.square, np.sum(found[:, :-1] ** 2, axis=1)
@@ -400,25 +400,25 @@ def _gains(length, score) -> np.ndarray:
 def weights_of_sizes(among: Patterns, against, residual):
     """Squared length and score (k,) of every pattern with ``against`` (m, p) out, and
     the log weight of each at each of the usual sizes, (S, k)."""
-    length, score = _scores(among, against, residual)
+    length, score = _scores(among, np.linalg.qr(against)[0], residual)
     return length, score, _gains_of_sizes(length, score) + among.log_prior
 
 
-def patterns_gain(among: Patterns, against, residual) -> float:
+def patterns_gain(among: Patterns, unit, residual) -> float:
     """Log evidence of one pattern, whichever, over none.
 
     Args:
-        against: (m, p) columns that the fit has used up.
+        unit: (m, q) of :func:`tirefit.diagnosis.basis.taken_out`.
         residual: (m,) whitened.
     """
-    gains = _gains(*_scores(among, against, residual))
+    gains = _gains(*_scores(among, unit, residual))
     return float(np.logaddexp.reduce(gains + among.log_prior))
 
 
 def looks(among: Patterns, against, residual, most: int = 3) -> list[Look]:
     """The patterns that a remainder looks like, the most probable of each parameter and
     quantity; the probability is of all patterns of that parameter and quantity."""
-    length, score = _scores(among, against, residual)
+    length, score = _scores(among, np.linalg.qr(against)[0], residual)
     weight = _gains(length, score) + among.log_prior
     if np.logaddexp.reduce(weight) < _SHOWS:
         return []

@@ -183,13 +183,17 @@ class _Searcher:
         return self.columns(self.tried[()])[:2], (gram, score)
 
     def _due_to_doubt(self, atoms) -> float:
-        """What the doubt of the slips changes in the log evidence of a set, to first
-        order. Refits know nothing of it: of each slip's own noise only."""
+        """What the doubt of the slips takes from the log evidence of a set, to first
+        order. Refits know nothing of it: of each slip's own noise only.
+
+        It adds nothing: what an effect explains only where the slips are doubted, a lag
+        of 1 mm that doubt of their phase makes one of 10 cm, is not seen in the data.
+        """
         doubting, sure = (
             _log_bayes(gram, score, self.center, self.sign, [atoms])[0]
             for gram, score in self._with_doubt_and_without
         )
-        return float(doubting - sure)
+        return float(min(doubting - sure, 0.0))
 
     def screened(self, gram, score, sets) -> list[float]:
         """Log Bayes factor of each of the sets, all of one size, in closed form."""

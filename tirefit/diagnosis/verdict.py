@@ -7,7 +7,6 @@ from scipy.special import logsumexp
 
 from tirefit.diagnosis.adequacy import UNTESTED, Adequacy
 from tirefit.diagnosis.basis import (
-    gains,
     misfit_p_value,
     of_any_kind,
     without,
@@ -18,6 +17,7 @@ from tirefit.diagnosis.linear_fit import (
     PRIOR_OF_FORM,
     due_to_doubt,
     gain_of_form,
+    gains_beside,
     linear_at,
 )
 from tirefit.diagnosis.negligible import NONZERO, UNSEEN
@@ -35,6 +35,7 @@ __all__ = [
     "judge",
     "named",
     "nothing_shown",
+    "ties",
     "weigh",
 ]
 
@@ -173,14 +174,13 @@ def weigh(search: Search) -> Weighed:
         if linear.forms.shape[1] and len(key) < MOST_EFFECTS:
             formula = float(np.log(1 - PRIOR_OF_FORM))
             # Around nothing, doubt explains what a form is there for.
-            due = due_to_doubt(search.base, best[key], linear) - of_nothing
+            due = min(due_to_doubt(search.base, best[key], linear) - of_nothing, 0.0)
             form = gain_of_form(search.base, linear) + due - best[key].due_to_doubt
             total[key] += float(np.logaddexp(formula, form))
             evidence[key] += float(np.logaddexp(formula, form))
             if form > formula:
                 others.add(key)
-                linear = linear.in_other_form()
-        remainder[key] = gains(search.base.generic, linear.explained, linear.residual)
+        remainder[key] = gains_beside(search.base, linear, key in others)
         more = of_any_kind(remainder[key])
         beside[key] = total[key] + more + np.log(PRIOR_OF_UNKNOWN)
     rest = [hypothesis.log_weight for hypothesis in guessed]
@@ -227,7 +227,7 @@ def named(search: Search, weighed: Weighed, key, p_value: float) -> Verdict:
     """A set of effects named, with what these data cannot tell from it."""
     chosen = weighed.best_of[key]
     alike = (
-        *_aliases(search, chosen), *_ties(weighed, key), *_kin(search, weighed, key)
+        *_aliases(search, chosen), *ties(weighed, key), *_kin(search, weighed, key)
     )  # fmt: skip
     # Where only the prior decides, the data cannot tell.
     others = {k: v for k, v in weighed.sets.items() if k}
@@ -238,7 +238,7 @@ def named(search: Search, weighed: Weighed, key, p_value: float) -> Verdict:
     return Verdict(status, key, probability, () if sure else rivals, p_value, chosen)
 
 
-def _ties(weighed: Weighed, key) -> tuple[str, ...]:
+def ties(weighed: Weighed, key) -> tuple[str, ...]:
     """Effects that explain in the place of one of the set as well as that does."""
     ties = []
     for other in weighed.sets:
@@ -302,12 +302,13 @@ def nothing_shown(weighed: Weighed) -> float:
 
 
 def _rivals(named, best) -> tuple[str, ...]:
-    """Effects of other sets that are nearly as probable and no larger."""
+    """Effects of other sets that are nearly as probable: in the place of the best, or
+    beside it."""
     rivals: dict[str, float] = {}
     for key, probability in named.items():
         if key == best or probability < _RIVAL * named[best]:
             continue
-        for effect in set(key) - set(best):
-            if len(key) <= len(best):
+        for effect in sorted(set(key) - set(best)):
+            if len(key) <= len(best) or set(best) < set(key):
                 rivals[effect] = max(rivals.get(effect, 0.0), probability)
     return tuple(sorted(rivals, key=lambda effect: rivals[effect], reverse=True))

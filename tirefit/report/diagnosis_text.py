@@ -92,7 +92,7 @@ def _sentence_on_effects(result: Diagnosis) -> str:
         return f"{effects} ({probability})"
     if status == "incomplete":
         rivals = ", ".join(verdict.also_possible)
-        among = f" (or {rivals}: these runs cannot tell)" if rivals else ""
+        among = f" (or {rivals}: this data cannot tell)" if rivals else ""
         rest = "something no listed effect explains"
         return f"{effects}{among}, and {rest} ({probability})"
     if status == "cannot_tell":
