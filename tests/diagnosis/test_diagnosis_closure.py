@@ -128,8 +128,9 @@ class Straight(Base):
         """All that is known: the effect is there and nothing else."""
         key, case = ("one",), object.__new__(Case)
         weighed = Weighed(
-            {key: 1.0}, {key: self.fitted()}, 0.0, {}, frozenset(), {key: 9.0}, 0.0, {}
-        )
+            {key: 1.0}, {key: self.fitted()}, 0.0, {}, frozenset(), {key: 9.0},
+            {key: 0.0}, {}, 0.0, {},
+        )  # fmt: skip
         verdict = Verdict("named", key, 1.0, (), 0.0, self.fitted())
         case.__dict__.update(base=self, weighed=weighed, verdict=verdict)
         return case
@@ -210,6 +211,16 @@ def test_closure_elsewhere_of_known_energies():
         gap + noise, 3 * gap + noise, variance, run, 1.0, generator
     )
     assert worse.closed == -1
+
+
+def test_nine_rows_do_not_show_that_nothing_is_left():
+    """They are one block of the bootstrap, which has no spread."""
+    generator = np.random.default_rng(2)
+    gap, noise = 8 * np.cos(np.arange(9)), generator.standard_normal(9)
+    found = closure_elsewhere(
+        gap + noise, 0.5 * noise, np.ones(9), np.zeros(9, int), 1.0, generator
+    )
+    assert 0.6 < found.low < 0.92 < found.high < 1.0
 
 
 def test_closure_elsewhere_holds_the_truth_nine_times_in_ten():

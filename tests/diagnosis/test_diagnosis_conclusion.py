@@ -49,7 +49,8 @@ NO_EFFECT, ONE_EFFECT = (
 )
 NOTHING = Weighed(
     sets={}, best_of={(): NO_EFFECT}, unknown_alone=0.2, unknown_beside={},
-    other_form=frozenset(), evidence={}, hidden=0.0, gains={},
+    other_form=frozenset(), evidence={}, log_weight={}, log_beside={}, hidden=0.0,
+    gains={},
 )  # fmt: skip
 
 
@@ -125,10 +126,11 @@ def test_chances_agree_with_the_verdict():
     """What the verdict leaves is shared out by evidence among the listed."""
     a, b = ("load_friction",), ("slip_offset",)
     fits = {(): NO_EFFECT, a: ONE_EFFECT, b: replace(ONE_EFFECT, effects=b)}
-    weighed = Weighed(
-        sets={(): 0.1, a: 0.6, b: 0.2}, best_of=fits, unknown_alone=0.1,
-        unknown_beside={}, other_form=frozenset(), evidence={}, hidden=0.0, gains={},
-    )  # fmt: skip
+    sets = {(): 0.1, a: 0.6, b: 0.2}
+    log = {key: np.log(p) for key, p in sets.items()}
+    weighed = replace(
+        NOTHING, sets=sets, best_of=fits, unknown_alone=0.1, log_weight=log
+    )
 
     def of(status, effects, probability):
         more = 0.8 if status in ("unknown", "incomplete") else 0.0
@@ -249,6 +251,9 @@ def test_an_effect_is_steady_where_the_truth_has_one_size():
 class Told(Judge):
     """Every effect of a set is as likely as the set is told to say."""
 
+    def __init__(self, log_weight):
+        self.weighed = replace(NOTHING, log_weight=log_weight)
+
     def clues_by_effect(self, key):
         return {effect: {"chance": SAID[key]} for effect in key}
 
@@ -256,28 +261,29 @@ class Told(Judge):
 SAID = {
     ("a", "b", "x"): 0.2, ("a", "c", "x"): 0.6, ("a", "d", "x"): 0.7, ("e",): 0.9,
 }  # fmt: skip
-BESIDE = {("a", "b", "x"): 0.30, ("a", "c", "x"): 0.29, ("a", "d", "x"): 0.28}
+ALIKE = {("a", "b", "x"): 0.30, ("a", "c", "x"): 0.29, ("a", "d", "x"): 0.28}
 
 
-def test_what_all_leading_sets_hold_is_asked_over_all(monkeypatch):
-    """Which of three that draw a gap as well comes first does not decide."""
+@pytest.mark.parametrize("far", [0.0, -5000.0])
+def test_what_all_leading_sets_hold_is_asked_over_all(monkeypatch, far):
+    """Which of three that draw a gap as well comes first does not decide, however much
+    better something unlisted explains it."""
     monkeypatch.setattr(conclusion, "probability_beside", lambda clues: clues["chance"])
 
-    def asked(key, beside):
-        sets = dict.fromkeys(beside, 0.0)
-        judge = object.__new__(Told)
-        judge.weighed = replace(NOTHING, sets=sets, unknown_beside=beside)
+    def asked(key, weights):
+        log = {k: np.log(p) + far for k, p in weights.items()}
+        judge = Told(log)
         return judge.leading(key), judge.beside(key)
 
-    leading, found = asked(("a", "b", "x"), BESIDE | {("e",): 0.01, (): 0.12})
+    leading, found = asked(("a", "b", "x"), ALIKE | {("e",): 0.01, (): 0.12})
     assert sum(leading.values()) == pytest.approx(1) and ("e",) not in leading
     mean = (0.30 * 0.2 + 0.29 * 0.6 + 0.28 * 0.7) / 0.87
     assert found["a"] == found["x"] == pytest.approx(mean)
     assert (found["b"], found["d"]) == (pytest.approx(0.2), pytest.approx(0.7))
-    for key in BESIDE:
-        assert asked(key, BESIDE)[1]["a"] == pytest.approx(mean)
+    for key in ALIKE:
+        assert asked(key, ALIKE)[1]["a"] == pytest.approx(mean)
     # The set that is asked about is asked, however improbable.
-    assert asked(("e",), BESIDE | {("e",): 1e-9})[1]["e"] == pytest.approx(0.9)
+    assert asked(("e",), ALIKE | {("e",): 1e-9})[1]["e"] == pytest.approx(0.9)
 
 
 def test_effects_beside_the_best_set_are_said_too():

@@ -114,7 +114,8 @@ def _candidates(search: Search, weighed: Weighed, verdict: Verdict):
             key not in singles or hypothesis.log_weight > singles[key].log_weight
         ):
             singles[key] = hypothesis
-    ranked = sorted(weighed.sets, key=lambda k: weighed.sets[k], reverse=True)
+    log = weighed.log_weight
+    ranked = sorted(log, key=lambda k: log[k], reverse=True)
     key = tuple(sorted(verdict.chosen.effects))
     wanted = {(): weighed.best_of[()], key: verdict.chosen} | singles
     wanted |= {k: weighed.best_of[k] for k in ranked if k not in wanted}
@@ -152,6 +153,7 @@ def held_across_runs(
     weighed = replace(
         weighed, best_of=weighed.best_of | {key: hypothesis},
         sets={key: 0.0} | weighed.sets,
+        log_weight={key: -np.inf} | weighed.log_weight,
     )  # fmt: skip
     left = Judge(search, weighed, generator).of(key).adequacy
     rivals = {e for other in carried.also for e in other} - set(key)

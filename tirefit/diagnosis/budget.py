@@ -193,8 +193,8 @@ def _spread(case: Case, widening: float) -> np.ndarray:
     """
     chosen, weighed = case.verdict.chosen, case.weighed
     z = np.asarray(chosen.z)
-    each = [weighed.best_of[key] for key in weighed.sets]
-    shares = np.array([weighed.among_listed(key) for key in weighed.sets])
+    listed = weighed.listed
+    each, shares = [weighed.best_of[k] for k in listed], np.array([*listed.values()])
     off = np.array([h.z for h in each]) - z
     variance = np.array([np.diag(h.covariance)[: len(z)] for h in [chosen, *each]])
     variance = np.maximum(variance, NONZERO) * widening + _misled(case.base, chosen)

@@ -115,7 +115,10 @@ def closure_elsewhere(before, after, variance, run, inflation, generator) -> Clo
     means = block_means(terms, run, inflation, generator)
     # What the extension gains is known well, and goes with what it leaves as it does
     # from one bootstrap to the other.
-    gains, error = means[np.argsort(means[:, 1]), 0], float(np.std(means[:, 1]))
+    gains = means[np.argsort(means[:, 1]), 0]
+    # Of a block or two the spread is no error; the noise alone makes this much.
+    of_noise = np.sqrt(2 * np.mean(variance**2) * inflation / len(variance))
+    error = float(max(np.std(means[:, 1]), of_noise))
     lefts = _not_negative(left, error, len(gains))
     closed = _closed(np.maximum(gains + lefts, 0.0), lefts)
     middle = float(np.median(closed))

@@ -10,6 +10,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.base import Base
@@ -63,11 +64,12 @@ _CANCELS = 4.0
 """Energy of the effects of a set one by one over that of all together: from here on
 one is there to undo the other. The 18 visible pairs of one development set reach 2."""
 
-_EARNED = 0.25
+_EARNED = 0.17
 """Probability from which an effect is named beside something that is not listed. Trials
-hold a listed effect beside a stranger in one of six; who measures, more often."""
+hold a listed effect beside a stranger in one of six; no model fits a measured log, and
+one of two may hold such an effect as well: by these odds this is even."""
 
-_PERHAPS = 0.2
+_PERHAPS = 0.1
 """The same from which an effect that is not named is said to be possible."""
 
 _LEADING, _NEARLY = 4, 0.1
@@ -159,8 +161,9 @@ class Judge:
 
     def best_within(self, allowed) -> tuple[str, ...]:
         """The most probable refitted set of some of these effects; () for none."""
-        sets = [k for k in self.weighed.sets if k and set(k) <= set(allowed)]
-        return max(sets, key=lambda k: self.weighed.sets[k], default=())
+        log = self.weighed.log_weight
+        sets = [k for k in log if k and set(k) <= set(allowed)]
+        return max(sets, key=lambda k: log[k], default=())
 
     def clues(self, key) -> dict[str, float]:
         """What tells that a set is not all that there is."""
@@ -180,9 +183,11 @@ class Judge:
     def in_sets(self, effect: str) -> float:
         """Probability of the sets that hold an effect, if something unlisted is there
         beside them."""
-        beside = self.weighed.unknown_beside
-        held = sum(p for key, p in beside.items() if effect in key)
-        return held / max(sum(beside.values()), NONZERO)
+        log = self.weighed.log_beside
+        held = [value for key, value in log.items() if effect in key]
+        if not held:
+            return 0.0
+        return float(np.exp(logsumexp(held) - logsumexp([*log.values()])))
 
     def lost(self, key, effect: str) -> float:
         """Log evidence that a set loses without an effect; all of it where what is left
@@ -220,13 +225,12 @@ class Judge:
         return {e: clues_of_effect(p, left) for e, p in parts.items()}
 
     def leading(self, key) -> dict[tuple[str, ...], float]:
-        """A set and those about as probable or more, alone or beside a remainder, with
-        their shares of the probability of all these."""
-        sets, rest = self.weighed.sets, self.weighed.unknown_beside
-        total = {k: max(sets[k] + rest.get(k, 0.0), NONZERO) for k in (key, *rest) if k}
-        ranked = sorted(total, key=lambda k: total[k], reverse=True)[:_LEADING]
-        near = [k for k in ranked if total[k] >= _NEARLY * total[ranked[0]]]
-        leading = {k: total[k] for k in (key, *near)}
+        """A set and those nearly as probable among the listed, with their shares of the
+        probability of all these."""
+        listed = {k: p for k, p in self.weighed.listed.items() if k}
+        ranked = sorted(listed, key=lambda k: listed[k], reverse=True)[:_LEADING]
+        near = [k for k in ranked if listed[k] >= _NEARLY * listed[ranked[0]]]
+        leading = {k: max(listed[k], NONZERO) for k in (key, *near)}
         return {k: value / sum(leading.values()) for k, value in leading.items()}
 
     def beside(self, key) -> dict[str, float]:
@@ -295,8 +299,9 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
 def _without(weighed: Weighed, effects) -> Weighed:
     """The weights of the sets that hold none of these: what is known to less than half
     its size may explain most of a file, as a load that knows the slip does."""
-    kept = {k: p for k, p in weighed.sets.items() if not set(k) & set(effects)}
-    return replace(weighed, sets=kept)
+    log = weighed.log_weight
+    kept = {k: value for k, value in log.items() if not set(k) & set(effects)}
+    return replace(weighed, log_weight=kept)
 
 
 def _nothing_stands(verdict: Verdict, judge: Judge) -> Verdict:
@@ -375,8 +380,8 @@ def chances(verdict: Verdict, weighed: Weighed) -> dict[tuple[str, ...], float]:
     evidence. That of an incomplete verdict's set is the verdict's, something unlisted
     beside it."""
     listed = {
-        k: weighed.among_listed(k)
-        for k in weighed.sets
+        k: float(p)
+        for k, p in weighed.listed.items()
         if k and weighed.best_of[k].refitted
     }
     key = tuple(sorted(verdict.effects))

@@ -225,8 +225,9 @@ def _pairs(search, weighed, verdict) -> list[tuple[str, str]]:
     for effect in named:
         pairs += [(effect, o) for o in ids[effect].looks_like if o in testable]
     ranked = sorted(
-        (k for k in weighed.sets if len(k) == 1), key=weighed.sets.get, reverse=True
-    )
+        (k for k in weighed.sets if len(k) == 1), key=weighed.log_weight.get,
+        reverse=True,
+    )  # fmt: skip
     pairs += [(ranked[0][0], k[0]) for k in ranked[1:_RANKED]]
     unique = dict.fromkeys(pair for pair in pairs if pair[0] != pair[1])
     return list(unique)[:_PAIRS]

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import logsumexp, softmax
 
 from tirefit.diagnosis.adequacy import UNTESTED, Adequacy
 from tirefit.diagnosis.basis import (
@@ -20,7 +20,7 @@ from tirefit.diagnosis.linear_fit import (
     gains_beside,
     linear_at,
 )
-from tirefit.diagnosis.negligible import NONZERO, UNSEEN
+from tirefit.diagnosis.negligible import UNSEEN
 from tirefit.diagnosis.search import (
     PRIOR_OF_UNKNOWN,
     Hypothesis,
@@ -101,7 +101,9 @@ class Weighed:
     """Probability of every set of effects that was refitted; ``unknown`` is that of a
     gap that no listed effect explains, alone or beside the set; ``other_form`` are the
     sets whose effects are there in a form of their own, ``evidence`` the log evidence
-    of each set over none, in whatever form. ``hidden`` is the probability of sets too
+    of each set over none, in whatever form; ``log_weight`` the same with its prior and
+    ``log_beside`` that with a remainder beside it: of a gap far beyond the noise the
+    probabilities are too small for numbers. ``hidden`` is the probability of sets too
     improbable to be refitted, which these data could not show either; ``gains`` the log
     evidence of each kind of remainder beside a set, see
     :func:`tirefit.diagnosis.basis.gains`."""
@@ -112,6 +114,8 @@ class Weighed:
     unknown_beside: dict[tuple[str, ...], float]
     other_form: frozenset[tuple[str, ...]]
     evidence: dict[tuple[str, ...], float]
+    log_weight: dict[tuple[str, ...], float]
+    log_beside: dict[tuple[str, ...], float]
     hidden: float
     gains: dict[tuple[str, ...], dict[str, float]]
 
@@ -120,19 +124,22 @@ class Weighed:
         """The most probable set of effects, if all that is there is listed. Of as many
         effects in forms of their own, which draw nearly the same, the one whose
         formulas do best."""
-        likeliest = max(
-            (k for k in self.sets if k), key=lambda k: self.sets[k], default=()
-        )
-        alike = [
-            k
-            for k, probability in self.sets.items()
-            if len(k) == len(likeliest) and probability >= _RIVAL * self.sets[likeliest]
-        ]
+        log = self.log_weight
+        likeliest = max((k for k in log if k), key=lambda k: log[k], default=())
+        least = log[likeliest] + np.log(_RIVAL)
+        alike = [k for k in log if len(k) == len(likeliest) and log[k] >= least]
         return max(alike, key=lambda k: self.best_of[k].log_weight)
+
+    @property
+    def listed(self) -> dict[tuple[str, ...], float]:
+        """Probability of every set, if all that is there is listed."""
+        return dict(
+            zip(self.log_weight, softmax([*self.log_weight.values()]), strict=True)
+        )
 
     def among_listed(self, key) -> float:
         """Probability of a set, if all that is there is listed."""
-        return self.sets[key] / max(sum(self.sets.values()), NONZERO)
+        return float(self.listed[key])
 
 
 def gap_p_value(search: Search, generator) -> float:
@@ -198,6 +205,8 @@ def weigh(search: Search) -> Weighed:
         unknown_beside=probabilities(beside),
         other_form=frozenset(others),
         evidence=evidence,
+        log_weight=total,
+        log_beside=beside,
         hidden=float(np.sum(np.exp(np.array(hidden) - everything))),
         gains=remainder,
     )
@@ -230,7 +239,7 @@ def named(search: Search, weighed: Weighed, key, p_value: float) -> Verdict:
         *_aliases(search, chosen), *ties(weighed, key), *_kin(search, weighed, key)
     )  # fmt: skip
     # Where only the prior decides, the data cannot tell.
-    others = {k: v for k, v in weighed.sets.items() if k}
+    others = {k: v for k, v in weighed.listed.items() if k}
     rivals = tuple(dict.fromkeys((*alike, *_rivals(others, key))))
     probability = weighed.among_listed(key)
     sure = probability >= SURE and not alike
@@ -241,7 +250,7 @@ def named(search: Search, weighed: Weighed, key, p_value: float) -> Verdict:
 def ties(weighed: Weighed, key) -> tuple[str, ...]:
     """Effects that explain in the place of one of the set as well as that does."""
     ties = []
-    for other in weighed.sets:
+    for other in weighed.log_weight:
         new, old = set(other) - set(key), set(key) - set(other)
         if len(new) == len(old) == 1:
             if weighed.evidence[other] > weighed.evidence[key] - _TIE:
@@ -253,8 +262,8 @@ def _kin(search: Search, weighed: Weighed, key) -> tuple[str, ...]:
     """Effects on what one of the set acts on that explain in its place nearly as well:
     formulas of one law differ by less than a tire does from any of them."""
     family = {a.effect.id: a.effect.family for a in search.base.atoms}
-    kin = []
-    for other, probability in weighed.sets.items():
+    kin, listed = [], weighed.listed
+    for other, probability in listed.items():
         new, old = set(other) - set(key), set(key) - set(other)
         if len(new) != 1 or len(old) != 1:
             continue
@@ -265,7 +274,7 @@ def _kin(search: Search, weighed: Weighed, key) -> tuple[str, ...]:
         what, _, by = mine.partition(" x ")
         other_what, _, other_by = its.partition(" x ")
         if what == other_what or (by and by == other_by):
-            if probability > near * weighed.sets[key]:
+            if probability > near * listed[key]:
                 kin.append(min(new))
     return tuple(kin)
 
