@@ -112,7 +112,7 @@ class Straight(Base):
     def forces(self, z, amplitudes):
         return {"fx": self.columns @ np.append(z, amplitudes)}
 
-    def linearised(self, z, amplitudes, atoms=None):
+    def linearised(self, z, amplitudes):
         residual = self.rows.observed["fx"] - self.forces(z, amplitudes)["fx"]
         fields = np.zeros((ROWS, 1))
         return Linear(residual, self.columns[:, :1], self.columns[:, 1:], fields)

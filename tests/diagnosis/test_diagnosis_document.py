@@ -189,7 +189,7 @@ def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
     base = studied("lateral, no M_z").base
     n = base.prepared.n
     (k,) = (i for i, a in enumerate(base.atoms) if a.effect.id == "pressure_asymmetry")
-    block = _with_moment(base, base.z, (k,))
+    block = _with_moment(base, base.z)
     values = base.layout.natural(base.z)
     slips, loads = base.prepared.slip, base.prepared.inputs.fz
 

@@ -147,7 +147,7 @@ def test_tangents_are_central_differences(base):
         slope = (force(base.z + step, silent) - force(base.z - step, silent)) / 2e-5
         np.testing.assert_allclose(jacobian[:, i], slope, atol=1e-5 * abs(slope).max())
     for k, atom in enumerate(base.atoms):
-        if base.far[k]:
+        if atom.effect.far:
             continue
         step = silent.copy()
         step[k] = 1e-4 * scale[k]

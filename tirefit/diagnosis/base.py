@@ -1,26 +1,16 @@
 """The base model fitted with its noise judged: where every diagnosis starts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from tirefit.diagnosis.basis import Generic, smooth_basis, wave_basis
+from tirefit.diagnosis.changes import count_atoms
 from tirefit.diagnosis.effects import Atom, atoms_of
 from tirefit.diagnosis.forms import PLACE
-from tirefit.diagnosis.forward import (
-    Design,
-    Linear,
-    Refit,
-    Wanted,
-    brush_of_base,
-    count_atoms,
-    fill,
-    present_in,
-    refit_all,
-    tangents,
-)
+from tirefit.diagnosis.forward import Design, Linear, Refit, brush_of_base
 from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.noise import NoiseLevel, judge_noise
 from tirefit.diagnosis.remainder import whitened_generic
@@ -118,11 +108,6 @@ class Base:
         return atoms_of(self.fit.tire.effects)
 
     @cached_property
-    def far(self) -> np.ndarray:
-        """1 of atoms whose effect is linearised over a finite amplitude: (K,)."""
-        return np.array([float(atom.effect.far) for atom in self.atoms])
-
-    @cached_property
     def generic(self) -> Generic:
         """Generic functions for each channel by itself, whitened: (m, b)."""
         fields = np.asarray(self.at_null.fields)
@@ -185,37 +170,24 @@ class Base:
         return parts[:, : self.rows.n].reshape(-1, *stacked.shape[1:])
 
     @cached_property
-    def _linear_at(self) -> dict[tuple[bytes, ...], tuple[set[int], Linear]]:
-        """What was linearised last, by the fit, and the atoms whose columns it has: a
-        verdict comes back to its best."""
+    def _linear_at(self) -> dict[tuple[bytes, ...], Linear]:
+        """What was linearised last, by the fit: a verdict comes back to its best."""
         return {}
 
-    def linearised(self, z, amplitudes, atoms: Sequence[int] | None = None) -> Linear:
-        """The used rows, linearised in everything.
-
-        Args:
-            atoms: those whose columns are needed, None for all; the others may be NaN.
-        """
-        every, known = range(len(self.atoms)), self._linear_at
-        asked = list(every if atoms is None else atoms)
-        key = _key(z, amplitudes)
-        if key not in known or not known[key][0].issuperset(asked):
-            known.pop(key, None)
+    def linearised(self, z, amplitudes) -> Linear:
+        """The used rows, linearised in everything."""
+        key, known = _key(z, amplitudes), self._linear_at
+        if key not in known:
             if len(known) == _LINEARISED:
                 known.pop(next(iter(known)))
-            order = np.array([*asked, *every], int)[: len(every)]
-            wanted = Wanted(order, np.array(len(asked)), self.far)
-            point = z, present_in(amplitudes), self.design, wanted
-            whole = tangents(*self.fit.tire.arguments, *point)
-            linear = Linear(*(self.cut(part) for part in whole))
-            known[key] = set(asked), linear
-        return known[key][1]
+            whole = self.fit.tire.linearised(z, amplitudes, self.design)
+            known[key] = Linear(*(self.cut(part) for part in whole))
+        return known[key]
 
     def refit(self, starts, sets, design: Design | None = None) -> Refit:
         """Hypotheses refitted: ``starts`` are (z, amplitudes in prior scales) of each
         of the ``sets`` of atoms, at most :data:`MOST` of them."""
-        arrays = fill(starts, sets, len(self.atoms))
-        every = refit_all(*self.fit.tire.arguments, *arrays, design or self.design)
+        every = self.fit.tire.refit(starts, sets, design or self.design)
         return Refit(*(np.asarray(part)[: len(sets)] for part in every))
 
     def residual(self, z, amplitudes) -> np.ndarray:

@@ -159,7 +159,7 @@ _HALVINGS = 40
 
 def _misled(base: Base, chosen: Hypothesis) -> np.ndarray:
     """Variance of the parameters (p,) as the true slips are not known."""
-    linear = base.linearised(chosen.z, amplitudes_of(base, chosen), chosen.atoms)
+    linear = base.linearised(chosen.z, amplitudes_of(base, chosen))
     columns = [linear.jacobian, linear.columns[:, list(chosen.atoms)]]
     fitted = np.concatenate(columns, axis=1)
     moved = np.linalg.lstsq(fitted, base.doubt, rcond=None)[0]

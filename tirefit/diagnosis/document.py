@@ -193,7 +193,7 @@ def _smoothed_remainder(case: Case):
     gap, (m,) each; no remainder where a verdict explains all."""
     base, chosen = case.base, case.verdict.chosen
     residual, jacobian, tangent, _ = base.linearised(
-        chosen.z, amplitudes_of(base, chosen), chosen.atoms
+        chosen.z, amplitudes_of(base, chosen)
     )
     own = tangent[:, list(chosen.atoms)]
     lone = without(own, jacobian)

@@ -212,9 +212,7 @@ def _with_change(base: Base, searched: Search) -> Base | None:
         return None
     amplitudes = amplitudes_of(base, likely[0])
     rest = [k for k in likely[0].atoms if k not in steps]
-    residual, jacobian, columns, fields = base.linearised(
-        likely[0].z, amplitudes, likely[0].atoms
-    )
+    residual, jacobian, columns, fields = base.linearised(likely[0].z, amplitudes)
     # The residual without the step, to first order.
     own = [k for k in likely[0].atoms if k in steps]
     size = amplitudes[own] / np.asarray(base.design.prior_scale)[own]

@@ -263,8 +263,7 @@ def next_measurements(
         for pair in _pairs(search, weighed, verdict)
         if pair[0] in singles and pair[1] in singles
     ]
-    atoms = sorted({singles[name][0] for pair in pairs for name in pair})
-    options = _Options(base, weighed.best_of[()].z, atoms)
+    options = _Options(base, weighed.best_of[()].z)
     considered = []
     for a, b in pairs:
         now = options.told_apart(singles[a], singles[b])
@@ -322,11 +321,10 @@ class _Block(NamedTuple):
 
 
 class _Options:
-    """Further measurements, each simulated once and only if it is asked for, as far as
-    they tell of some atoms."""
+    """Further measurements, each simulated once and only if it is asked for."""
 
-    def __init__(self, base: Base, z, atoms: Sequence[int]):
-        self.base, self.z, self.atoms = base, z, atoms
+    def __init__(self, base: Base, z):
+        self.base, self.z = base, z
         _, jacobian, columns, _ = base.at_null
         self.here = _Block(np.asarray(jacobian), np.asarray(columns))
         self.changes = _changes(base.prepared)
@@ -347,9 +345,9 @@ class _Options:
             # All at once: each draws from the same generator.
             for option, change in self.changes.items():
                 other = _changed(self.base, change, self.generator)
-                self.known[option] = _part_of(other, self.z, self.atoms)
+                self.known[option] = _part_of(other, self.z)
         if name == _MOMENT and name not in self.known:
-            self.known[name] = _with_moment(self.base, self.z, self.atoms)
+            self.known[name] = _with_moment(self.base, self.z)
         return self.known[name]
 
     def told_apart(self, one, two, name: str = _AS_IT_IS) -> float:
@@ -373,13 +371,13 @@ class _Options:
         return separability(left, 0, 1, max(size, _LEAST_SIZE), max(other, _LEAST_SIZE))
 
 
-def _part_of(base: Base, z, atoms) -> _Block:
+def _part_of(base: Base, z) -> _Block:
     """A measurement under the conditions of ``base``, of a third as many rows."""
-    _, jacobian, columns, _ = base.linearised(z, np.zeros(len(base.atoms)), atoms)
+    _, jacobian, columns, _ = base.linearised(z, np.zeros(len(base.atoms)))
     return _Block(jacobian * np.sqrt(_PART), columns * np.sqrt(_PART))
 
 
-def _with_moment(base: Base, z, atoms) -> _Block:
+def _with_moment(base: Base, z) -> _Block:
     """Lateral runs at the slips and loads of these rows, with F_y and M_z measured.
 
     Noise of F_y as that of the force here; M_z is as noisy beside its own peak as F_y
@@ -399,7 +397,7 @@ def _with_moment(base: Base, z, atoms) -> _Block:
     force = lateral.forces(z, silent)
     peaks = {c: max(float(np.max(np.abs(f))), FLAT) for c, f in force.items()}
     scales = {"fy": scale, "mz": scale * peaks["mz"] / peaks["fy"]}
-    block = _part_of(lateral.on(design._replace(scale=scales)), z, atoms)
+    block = _part_of(lateral.on(design._replace(scale=scales)), z)
     moment = np.zeros((2 * n, 1))
     moment[n:, 0] = np.sqrt(_PART) * force["mz"] / scales["mz"][:n]
     return block._replace(jacobian=np.concatenate([block.jacobian, moment], axis=1))

@@ -1,21 +1,16 @@
 """Forces of every row under the base model with effects, and their refits."""
 
 from collections.abc import Mapping
-from functools import lru_cache, partial
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from tirefit.diagnosis.changes import MOST_EFFECTS, Changes, Present, state_of
 from tirefit.diagnosis.negligible import FLAT
-from tirefit.diagnosis.state import (
-    Covariates,
-    State,
-    force_of_state,
-    null_state,
-    peak_ratio,
-)
+from tirefit.diagnosis.state import Covariates, State, force_of_state, peak_ratio
 from tirefit.fitting.least_squares import damped_gauss_newton
 from tirefit.models import Brush, Parabolic, TireInputs
 from tirefit.params import Values, with_values
@@ -23,16 +18,11 @@ from tirefit.params import Values, with_values
 __all__ = [
     "Design",
     "Linear",
-    "Present",
     "Refit",
-    "Wanted",
     "brush_of_base",
-    "count_atoms",
     "forces_of",
     "moments",
-    "present_in",
     "refit_all",
-    "residuals",
     "tangents",
 ]
 
@@ -76,9 +66,6 @@ what a change of shape does to the aligning moment, and nothing else."""
 _LEAST_DIVISOR = 0.05
 """x / (1 - w x) has a pole at slips of 1 / w; it grows no more than twentyfold."""
 
-_LIBRARIES = 64
-"""Libraries of effects whose arrays are kept, at most."""
-
 
 def _is_plain(model) -> bool:
     return (
@@ -105,81 +92,14 @@ def _reference(tire, design: Design, mode: str):
     return stiffness, peak_ratio(tire, fz, v), arm
 
 
-class Present(NamedTuple):
-    """The effects of one hypothesis: ``atom`` (h,) their numbers, K for none, and
-    ``amplitude`` (h,) in their own units."""
-
-    atom: Values
-    amplitude: Values
-
-
-def _per_row(state, count: int):
-    """Every field of the state as (n,)."""
-    return type(state)(
-        *(jnp.broadcast_to(jnp.asarray(value, float), (count,)) for value in state)
-    )
-
-
-@lru_cache(maxsize=_LIBRARIES)
-def _atoms(effects) -> tuple[np.ndarray, np.ndarray]:
-    """Which effect each atom is of (K + 1,), and its constants (K + 1, c), padded; the
-    last atom is of none."""
-    owner = [k for k, effect in enumerate(effects) for _ in effect.variants]
-    rows = [constants for effect in effects for constants in effect.variants]
-    table = np.zeros((len(rows) + 1, max(map(len, rows), default=0)))
-    for row, constants in zip(table, rows, strict=False):
-        row[: len(constants)] = constants
-    return np.array([*owner, len(effects)]), table
-
-
-def count_atoms(effects) -> int:
-    """Variants of all effects."""
-    return sum(len(effect.variants) for effect in effects)
-
-
-def _apply(effects, k, state, amplitude, rows: Covariates):
-    """The state with atom k added; K adds none. Only its effect is computed."""
-    count = rows.fz.shape[0]
-    owner, table = _atoms(effects)
-
-    def branch(effect):
-        width = len(effect.variants[0])
-
-        def change(state, a, constants, rows):
-            return _per_row(effect.change(state, a, constants[:width], rows), count)
-
-        return change
-
-    branches = [branch(effect) for effect in effects]
-    branches.append(lambda state, a, constants, rows: state)
-    constants = jnp.asarray(table)[k]
-    return jax.lax.switch(
-        jnp.asarray(owner)[k], branches, state, amplitude, constants, rows
-    )
-
-
-def _state_of(effects, present: Present, rows: Covariates):
-    def add(state, one):
-        atom, amplitude = one
-        return _apply(effects, atom, state, amplitude, rows), None
-
-    start = _per_row(null_state(), rows.fz.shape[0])
-    return jax.lax.scan(add, start, (present.atom, present.amplitude))[0]
-
-
-def forces_of(model, layout, effects, mode: str, z, present: Present, design: Design):
+def forces_of(model, layout, mode: str, z, state: State, design: Design):
     """Mean and variance over the latent slip of every force: dicts of (n,).
 
     Args:
         model, layout, z: the base model and its free parameters.
-        effects: all of them, static; ``present`` says which are there.
         mode: which slip drives: x, y or xy.
+        state: the tire and its measurement, effects applied.
     """
-    state = _state_of(effects, present, design.rows)
-    return _forces_at(model, layout, mode, z, state, design)
-
-
-def _forces_at(model, layout, mode: str, z, state, design: Design):
     tire = with_values(model, layout.natural(z))
     plain = _is_plain(model)
     reference = None if plain else _reference(tire, design, mode)
@@ -222,19 +142,10 @@ def _whitened(mean, design: Design):
     )
 
 
-def residuals(model, layout, effects, mode, z, present: Present, design: Design):
-    """Whitened residuals of all channels, one after the other: (channels x n,)."""
-    mean, _ = forces_of(model, layout, effects, mode, z, present, design)
-    return _whitened(mean, design)
-
-
-_STATIC = ("layout", "effects", "mode")
-
-
-@partial(jax.jit, static_argnames=_STATIC)
-def moments(model, layout, effects, mode, z, present: Present, design: Design):
-    """Compiled :func:`forces_of`."""
-    return forces_of(model, layout, effects, mode, z, present, design)
+@partial(jax.jit, static_argnames=("layout", "mode"))
+def moments(model, layout, mode, z, states, design: Design):
+    """Compiled :func:`forces_of`, of the last of the states (h + 1, F, n)."""
+    return forces_of(model, layout, mode, z, State(*states[-1]), design)
 
 
 class Linear(NamedTuple):
@@ -246,34 +157,25 @@ class Linear(NamedTuple):
     fields: Values
 
 
-class Wanted(NamedTuple):
-    """Which columns :func:`tangents` works out: the first ``size`` of ``atom`` (K,).
-    ``far`` (K,) is 1 where a column is a finite difference over one prior scale (or to
-    the expected amplitude): its tangent vanishes or misleads."""
-
-    atom: Values
-    size: Values
-    far: Values
-
-
-@partial(jax.jit, static_argnames=_STATIC)
+@partial(jax.jit, static_argnames=("layout", "mode"))
 def tangents(
-    model, layout, effects, mode, z, present, design: Design, wanted: Wanted
+    model, layout, mode, z, states, changes: Changes, design: Design
 ) -> Linear:
     """Residual r (m,), J = d force / dz (m, p), T = d force / d amplitude in units of
-    prior scales (m, K), and d force / d field of the state (m, F), all whitened; T is
-    NaN of atoms that are not wanted."""
-    sign = jnp.where(design.prior_center < 0, -1.0, 1.0)
-    size = sign * jnp.maximum(jnp.abs(design.prior_center), 1.0)
-    states = _states_without(effects, present, design.rows)
+    prior scales (m, K), and d force / d field of the state (m, F), all whitened.
+
+    Args:
+        states: (h + 1, F, n) of which the last is the one to linearise at.
+        changes: what each atom does to it.
+    """
 
     def at(z, flat):
-        mean, _ = _forces_at(model, layout, mode, z, State(*flat), design)
+        mean, _ = forces_of(model, layout, mode, z, State(*flat), design)
         return -_whitened(mean, design)
 
     # A row's force depends on its own state alone, so one tangent per field serves all
     # atoms; what an atom does to the fields costs next to nothing.
-    flat = jnp.stack([field[-1] for field in states])
+    flat = states[-1]
     directions = jnp.eye(z.size + len(flat))
     moved = jax.lax.map(
         lambda e: jax.jvp(
@@ -284,44 +186,18 @@ def tangents(
     )  # fmt: skip
     value, fields = at(z, flat), moved[z.size :]
     by_row = fields.reshape(len(flat), -1, flat.shape[1])
-
-    # A secant asks for its far end, a tangent for the slope here; all in one loop, as
-    # the changes of all effects are most of what is compiled.
-    def column(k):
-        mine = present.atom == k
-        gone = jnp.where(jnp.any(mine), jnp.argmax(mine), mine.size)
-        others = jax.tree.map(lambda field: field[gone], states)
-        own = jnp.sum(jnp.where(mine, present.amplitude, 0.0))
-
-        def flat_at(change):
-            return jnp.stack(_apply(effects, k, others, own + change, design.rows))
-
-        far, scale = wanted.far[k], design.prior_scale[k]
-        end, change = jax.jvp(flat_at, (far * size[k] * scale,), (scale,))
-        return jax.lax.cond(
-            far > 0,
-            lambda: (at(z, end) - value) / size[k],
-            lambda: jnp.sum(by_row * change[:, None], axis=0).ravel(),
-        )
-
-    def body(number, columns):
-        k = wanted.atom[number]
-        return columns.at[k].set(column(k))
-
-    blank = jnp.full((count_atoms(effects), value.size), jnp.nan)
-    columns = jax.lax.fori_loop(0, wanted.size, body, blank)
-    return Linear(-value, moved[: z.size].T, columns.T, fields.T)
-
-
-def _states_without(effects, present: Present, rows: Covariates) -> State:
-    """Fields (h + 1, n): the state without each of the h atoms, and with all."""
-    numbers = jnp.arange(present.atom.size)
-
-    def without(gone):
-        atom = jnp.where(numbers == gone, count_atoms(effects), present.atom)
-        return _state_of(effects, present._replace(atom=atom), rows)
-
-    return jax.lax.map(without, jnp.arange(numbers.size + 1))
+    columns = {
+        effect: sum(by_row[None, f] * change[:, None] for f, change in slopes.items())
+        for effect, slopes in changes.slopes.items()
+    }
+    if changes.ends:
+        ends = jnp.concatenate([*changes.ends.values()])
+        secants = jax.lax.map(lambda end: at(z, end) - value, ends)
+        secants /= jnp.concatenate([*changes.sizes.values()])[:, None]
+        counts = np.cumsum([len(size) for size in changes.sizes.values()])
+        columns |= zip(changes.ends, jnp.split(secants, counts[:-1]), strict=True)
+    in_order = [columns[k].reshape(-1, value.size) for k in sorted(columns)]
+    return Linear(-value, moved[: z.size].T, jnp.concatenate(in_order).T, fields.T)
 
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
@@ -341,18 +217,6 @@ class Refit(NamedTuple):
     log_det: Values
     covariance: Values
     penalty: Values
-
-
-MOST_EFFECTS = 3
-"""Effects of one hypothesis, at most."""
-
-
-def present_in(amplitudes) -> Present:
-    """The atoms that amplitudes of all (K,) have, at most :data:`MOST_EFFECTS`."""
-    chosen = np.flatnonzero(amplitudes)
-    index, values = np.full(MOST_EFFECTS, len(amplitudes)), np.zeros(MOST_EFFECTS)
-    index[: len(chosen)], values[: len(chosen)] = chosen, np.asarray(amplitudes)[chosen]
-    return Present(index, values)
 
 
 _REFIT_STEPS = 26
@@ -384,7 +248,7 @@ def fill(starts, sets, atoms: int):
     return np.array(rows)[repeat], np.array(index, int)[repeat], len(rows)
 
 
-@partial(jax.jit, static_argnames=_STATIC)
+@partial(jax.jit, static_argnames=("layout", "effects", "mode"))
 def refit_all(model, layout, effects, mode, starts, index, count, design):
     """Refit hypotheses, by damped Gauss-Newton.
 
@@ -408,7 +272,9 @@ def refit_all(model, layout, effects, mode, starts, index, count, design):
 
         def whole(x):
             present = Present(index, x[p:] * scale[index])
-            misfit = residuals(model, layout, effects, mode, x[:p], present, design)
+            state = state_of(effects, present, design.rows)
+            mean, _ = forces_of(model, layout, mode, x[:p], state, design)
+            misfit = _whitened(mean, design)
             held = design.hold * (x[:p] - start[:p])
             return jnp.concatenate([misfit, pull(x[p:]), held])
 

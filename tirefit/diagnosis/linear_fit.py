@@ -48,7 +48,7 @@ class LinearFit(NamedTuple):
 def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
     """Around a refitted hypothesis."""
     residual, jacobian, columns, fields = base.linearised(
-        hypothesis.z, amplitudes_of(base, hypothesis), hypothesis.atoms
+        hypothesis.z, amplitudes_of(base, hypothesis)
     )
     own = columns[:, list(hypothesis.atoms)]
     effects = [base.atoms[k].effect for k in hypothesis.atoms]

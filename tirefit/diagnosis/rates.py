@@ -77,10 +77,9 @@ def _parabolas(values, time, window: int) -> _Parabolas:
     unit = np.maximum((t[:, -1] - t[:, 0]) / 2, ROUNDING)
     u = (t - t[:, [window // 2]]) / unit[:, None]
     rows = np.stack([np.ones_like(u), u, u * u], axis=2)
-    normal = np.einsum("awi,awj->aij", rows, rows)
-    fit = np.linalg.solve(normal, np.swapaxes(rows, 1, 2))
-    coefficients = np.einsum("aiw,aw->ai", fit, x)
-    left = x - np.einsum("awi,ai->aw", rows, coefficients)
+    across = np.swapaxes(rows, 1, 2)
+    fit = np.linalg.inv(across @ rows) @ across
+    left = x - (rows @ (fit @ x[:, :, None]))[:, :, 0]
     return _Parabolas(rows, fit, np.sum(left**2, axis=1), unit)
 
 

@@ -128,7 +128,7 @@ def estimates(base, kind: str, hypothesis=None):
         amplitudes = np.zeros(len(base.atoms))
         scale = np.asarray(base.design.prior_scale)[atoms]
         amplitudes[atoms] = hypothesis.amplitude * scale
-        linear = base.linearised(hypothesis.z, amplitudes, atoms)
+        linear = base.linearised(hypothesis.z, amplitudes)
         ids = {k: base.atoms[k].effect.id for k in atoms}
         other = [k for k in atoms if ids[k] not in (kind, f"{kind}_run")]
         used_up = np.concatenate([linear.jacobian, linear.columns[:, other]], axis=1)

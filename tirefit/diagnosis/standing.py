@@ -222,9 +222,7 @@ def standing(base: Base, hypothesis: Hypothesis, used_up, generator) -> Standing
             effects, and their other forms where these were.
         generator: of simulated residuals.
     """
-    linear = base.linearised(
-        hypothesis.z, amplitudes_of(base, hypothesis), hypothesis.atoms
-    )
+    linear = base.linearised(hypothesis.z, amplitudes_of(base, hypothesis))
     residual = np.asarray(linear.residual)
     p = len(hypothesis.z)
     by_formula = used_up[:, : p + len(hypothesis.atoms)]

@@ -4,15 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tirefit.diagnosis.changes import changes_of, count_atoms, present_in, states_of
 from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.forward import (
     Design,
+    Linear,
     Refit,
-    count_atoms,
     fill,
     moments,
-    present_in,
     refit_all,
+    tangents,
 )
 from tirefit.diagnosis.rows import Prepared
 from tirefit.fitting.layout import Layout
@@ -34,20 +35,32 @@ class Tire:
     effects: tuple[Effect, ...]
     mode: str
 
-    @property
-    def arguments(self) -> tuple:
-        """The first arguments of the compiled functions."""
-        return self.model, self.layout, self.effects, self.mode
-
     def moments(self, z, amplitudes, design: Design, n: int):
         """Mean force and its variance over the slip of the first n rows, by channel."""
-        both = moments(*self.arguments, z, present_in(amplitudes), design)
+        states = states_of(self.effects, amplitudes, design.rows)
+        both = moments(self.model, self.layout, self.mode, z, states, design)
         return tuple({c: np.asarray(x)[:n] for c, x in part.items()} for part in both)
 
     def refitted(self, z, design: Design) -> Refit:
         """Its own parameters refitted, without effects, from z."""
-        none = fill([(z, np.zeros(0))], [()], count_atoms(self.effects))
-        return refit_all(*self.arguments, *none, design)
+        return self.refit([(z, np.zeros(0))], [()], design)
+
+    def refit(self, starts, sets, design: Design) -> Refit:
+        """Hypotheses refitted: ``starts`` are (z, amplitudes in prior scales) of each
+        of the ``sets`` of atoms, at most :data:`MOST` of them; more rows than that are
+        filled up with nothing."""
+        arrays = fill(starts, sets, count_atoms(self.effects))
+        tire = self.model, self.layout, self.effects, self.mode
+        return refit_all(*tire, *arrays, design)
+
+    def linearised(self, z, amplitudes, design: Design) -> Linear:
+        """All rows linearised in everything."""
+        rows, present = design.rows, present_in(amplitudes)
+        states = states_of(self.effects, amplitudes, rows)
+        scale, center = design.prior_scale, design.prior_center
+        changes = changes_of(self.effects, states, present, rows, scale, center)
+        tire = self.model, self.layout, self.mode
+        return tangents(*tire, z, states, changes, design)
 
 
 def with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:

@@ -11,8 +11,8 @@ from tirefit.diagnosis.basis import (
     of_any_kind,
     without,
 )
+from tirefit.diagnosis.changes import MOST_EFFECTS
 from tirefit.diagnosis.forecast import DRAWS, scores_of_nothing, separability
-from tirefit.diagnosis.forward import MOST_EFFECTS
 from tirefit.diagnosis.linear_fit import (
     PRIOR_OF_FORM,
     due_to_doubt,

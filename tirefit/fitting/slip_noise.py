@@ -111,13 +111,17 @@ class SlipDistribution(NamedTuple):
         return slip + mean, np.sqrt(square)
 
 
+_NEW_SHARE = 0.05
+"""Share that new standing slips begin with, together."""
+
+
 def slip_distribution(slip, std, most: int = 40, iterations: int = 60):
     """Distribution of the true slips: a density, and the slips that rows stand at.
 
     A wheel that rolls freely between two pulses of the brake, or a rig that steps
     through set points, has many rows of one slip, which no smooth density can show.
-    They are added one by one, each where the likelihood rises most, while it rises by
-    more than a place, found by search, and a share are worth.
+    They are added where the likelihood rises most, at once where each is sure, else one
+    by one, while it rises by more than a place, found by search, and a share are worth.
 
     Args:
         slip: measured slips, shape (n,).
@@ -126,8 +130,8 @@ def slip_distribution(slip, std, most: int = 40, iterations: int = 60):
         iterations: steps of expectation maximisation after each.
     """
     slip, std = _some(slip, std)
-    knots, spacing, columns = _hats(slip, std, 20)
-    hats = columns.shape[1]
+    knots, spacing, smooth = _hats(slip, std, 20)
+    columns, hats = smooth, smooth.shape[1]
     weight = _weights(columns, np.full(hats, 1 / hats), 3 * iterations)
     noise = float(np.median(std))
     places = np.linspace(
@@ -135,30 +139,34 @@ def slip_distribution(slip, std, most: int = 40, iterations: int = 60):
     )
     near = _standing_likelihood(slip, std, places)
     standing, likely = np.zeros(0), _log_likelihood(columns, weight)
+    worth = 1.2 * np.log(len(slip))
+
+    def beside(more):
+        """Parts with more places, None where they are not worth it."""
+        wider = np.append(standing, places[more])
+        found = _with_more(slip, std, smooth, wider, weight, iterations)
+        rise = _log_likelihood(*found[:2]) - likely
+        return found if rise >= worth * len(more) else None
+
     while len(standing) < most:
         together = columns @ weight
-        rise = 1 / np.maximum(together, 1e-300) @ near
-        worth = 1.2 * np.log(len(slip))
-        tries = [
-            _with_one_more(
-                slip, std, columns, np.append(standing, places[k]), weight, iterations
-            )
-            for k in _peaks(rise)
-            if _first_gain(near[:, k], together) > 0.2 * worth
-        ]
-        best = max(tries, key=lambda one: _log_likelihood(*one[:2]), default=None)
+        peaks = _peaks(1 / np.maximum(together, 1e-300) @ near)
+        gains = np.array([_first_gain(near[:, k], together) for k in peaks])
+        # Each of these is worth its place by itself; the others, one by one, may be.
+        sure = gains > worth
+        tries = [peaks[sure][: most - len(standing)]] if np.sum(sure) > 1 else []
+        order = np.argsort(-gains, kind="stable")[:4]
+        tries += [peaks[[k]] for k in order if gains[k] > 0.2 * worth]
+        best = next((found for found in map(beside, tries) if found is not None), None)
         if best is None:
             break
-        now = _log_likelihood(*best[:2])
-        if now < likely + worth:
-            break
         columns, weight, standing = best
-        likely = now
+        likely = _log_likelihood(columns, weight)
     density = np.concatenate([[0.0], weight[:hats] / spacing, [0.0]])
     return SlipDistribution(knots, density, standing, weight[hats:])
 
 
-def _peaks(values, most: int = 4):
+def _peaks(values, most: int = 8):
     """Indices of the highest local maxima."""
     padded = np.pad(values, 1, constant_values=-np.inf)
     tops = (values >= padded[:-2]) & (values >= padded[2:])
@@ -174,17 +182,18 @@ def _first_gain(alone, together) -> float:
     return float(np.max(np.sum(np.log1p(shares * ratio), axis=1)))
 
 
-def _with_one_more(slip, std, columns, standing, weight, iterations: int):
-    """(columns, weights, places) with one more standing slip, all places refined."""
-    smooth = columns[:, : columns.shape[1] - len(standing) + 1]
-    share, wider = np.append(0.95 * weight, 0.05), columns
+def _with_more(slip, std, smooth, standing, weight, iterations: int):
+    """(columns, weights, places) of the smooth parts and of standing slips, the last of
+    which are new: all places refined."""
+    new = smooth.shape[1] + len(standing) - len(weight)
+    share = np.append((1 - _NEW_SHARE) * weight, np.full(new, _NEW_SHARE / new))
     for _ in range(3):
         alone = _standing_likelihood(slip, std, standing)
         wider = np.concatenate([smooth, alone], axis=1)
         share = _weights(wider, share, iterations // 3)
-        mine = wider * share / np.maximum(wider @ share, 1e-300)[:, None]
-        mine = mine[:, smooth.shape[1] :] / std[:, None] ** 2
-        standing = mine.T @ slip / np.maximum(mine.sum(axis=0), 1e-300)
+        mine = alone * share[smooth.shape[1] :]
+        mine /= np.maximum(wider @ share, 1e-300)[:, None] * std[:, None] ** 2
+        standing = slip @ mine / np.maximum(mine.sum(axis=0), 1e-300)
     return wider, share, standing
 
 
