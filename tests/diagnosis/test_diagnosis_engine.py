@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest_diagnosis import RIG, TRUTHS, brush, record
+from threadpoolctl import threadpool_limits
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS
@@ -99,6 +100,16 @@ def test_the_same_seed_gives_the_same_document():
     frame, _ = record(TRUTHS["slip_offset"], seed=5)
     first, second = (diagnose(read_frame(frame), rig=RIG, seed=3) for _ in range(2))
     assert first.to_json() == second.to_json()
+
+
+def test_threads_of_linear_algebra_change_no_digit():
+    """As they would, by last digits: sums in another order."""
+    frame, _ = record(TRUTHS["slip_offset"], seed=5, rows=150)
+    documents = []
+    for threads in (1, 2):
+        with threadpool_limits(threads, "blas"):
+            documents.append(diagnose(read_frame(frame), rig=RIG, seed=3).to_json())
+    assert documents[0] == documents[1]
 
 
 def test_holdout_files_judge_the_closure(diagnosed):

@@ -16,7 +16,7 @@ from tirefit.diagnosis import calibrated
 from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.basis import _scaled, taken_out
 from tirefit.diagnosis.calibrated import (
-    Left,
+    Explanation,
     Part,
     as_often_right,
     clues_of_effect,
@@ -201,39 +201,39 @@ EXPLAINED = {"smooth": 150.0, "cells": 80.0, "waves": 30.0, "patterns": 40.0}
 FIRM = Part(40.0, 190.0, 200.0, 30.0, 0.05, 150.0, 1.0)
 
 
-def left(adequacy=PASSED, gains=NOTHING, **given) -> Left:
+def explanation(adequacy=PASSED, gains=NOTHING, **given) -> Explanation:
     """One effect of 900 rows, 200 units of log evidence, well ahead of any other."""
     standing = Standing(adequacy, adequacy, False, (40.0,), 1.0)
     of_none = {kind: gains[kind] + EXPLAINED[kind] for kind in gains}
-    firm = Left(standing, gains, of_none, 200.0, 0.0, 60.0, 1e-12, 1, 900)
+    firm = Explanation(standing, gains, of_none, 200.0, 0.0, 60.0, 1e-12, 1, 900)
     return firm._replace(**given)
 
 
-def more(left, part=FIRM):
-    of_effects = [clues_of_effect(part, left)]
-    return probability_of_more(clues_of_set(clues_of_rest(left), of_effects))
+def more(of, part=FIRM):
+    of_effects = [clues_of_effect(part, of)]
+    return probability_of_more(clues_of_set(clues_of_rest(of), of_effects))
 
 
 def test_probability_of_more_follows_the_clues():
-    clean = more(left())
+    clean = more(explanation())
     assert clean < 0.1
-    assert more(left(FAILED)) > 2 * clean
-    assert more(left(FAILED, MUCH)) > max(0.85, 10 * clean)
+    assert more(explanation(FAILED)) > 2 * clean
+    assert more(explanation(FAILED, MUCH)) > max(0.85, 10 * clean)
     # What its formula fails, but another form of it passes, is less than what fails
     # and leaves much.
     standing = Standing(PASSED, FAILED, True, (40.0,), 1.0)
-    bent = more(left(standing=standing, of_form=30.0))
-    assert clean < bent < 0.6 * more(left(FAILED, MUCH))
+    bent = more(explanation(standing=standing, of_form=30.0))
+    assert clean < bent < 0.6 * more(explanation(FAILED, MUCH))
     # Of another size in each regime, or no better than a remainder of any kind, an
     # effect is likelier something else.
-    assert more(left(), FIRM._replace(steady=1.0)) > clean
-    assert more(left(), FIRM._replace(over_rest=-5.0)) > clean
+    assert more(explanation(), FIRM._replace(steady=1.0)) > clean
+    assert more(explanation(), FIRM._replace(over_rest=-5.0)) > clean
     # A remainder of its own kind draws it as well.
-    assert more(left(nothing_listed=0.5)) > 2 * clean
+    assert more(explanation(nothing_listed=0.5)) > 2 * clean
 
 
 def test_probability_of_an_effect_follows_the_clues():
-    beside = left(FAILED, MUCH)
+    beside = explanation(FAILED, MUCH)
 
     def chance(part):
         return probability_beside(clues_of_effect(part, beside))
@@ -253,8 +253,8 @@ def test_the_numbers_shipped_are_those_of_a_checked_regression():
         assert checked["cases"] > 500
         assert checked["calibration error"] < 0.05
         assert sum(count for *_, count in checked["reliability"]) == checked["cases"]
-    beside = clues_of_effect(FIRM, left())
-    of_set = clues_of_set(clues_of_rest(left()), [beside])
+    beside = clues_of_effect(FIRM, explanation())
+    of_set = clues_of_set(clues_of_rest(explanation()), [beside])
     assert numbers["beside"]["clues"].keys() == beside.keys()
     assert numbers["more"]["clues"].keys() == of_set.keys()
 

@@ -136,6 +136,19 @@ def test_a_slip_that_many_rows_have_is_found():
     assert np.mean(spread[near] ** 2) == pytest.approx(0.002**2, rel=0.15)
 
 
+def test_every_set_point_is_found():
+    """Many at once: each is worth its place by itself."""
+    generator = np.random.default_rng(3)
+    points, std = np.linspace(-0.29, 0.29, 25), np.full(300, 0.001)
+    slip = np.repeat(points, 12) + std * generator.standard_normal(300)
+    found = slip_distribution(slip, std)
+    order = np.argsort(found.standing)
+    mean = slip.reshape(25, 12).mean(axis=1)
+    # To the standard error of a mean of twelve.
+    np.testing.assert_allclose(found.standing[order], mean, atol=3e-4)
+    np.testing.assert_allclose(found.shares[order], 1 / 25, atol=0.005)
+
+
 def test_no_slip_stands_out_of_an_even_spread():
     generator = np.random.default_rng(5)
     slip = generator.uniform(0, 0.3, 900) + 0.004 * generator.standard_normal(900)

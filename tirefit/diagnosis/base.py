@@ -187,8 +187,7 @@ class Base:
     def refit(self, starts, sets, design: Design | None = None) -> Refit:
         """Hypotheses refitted: ``starts`` are (z, amplitudes in prior scales) of each
         of the ``sets`` of atoms, at most :data:`MOST` of them."""
-        every = self.fit.tire.refit(starts, sets, design or self.design)
-        return Refit(*(np.asarray(part)[: len(sets)] for part in every))
+        return self.fit.tire.refit(starts, sets, design or self.design)
 
     def residual(self, z, amplitudes) -> np.ndarray:
         """Whitened residual of the used rows, zero for outliers: (m,)."""
@@ -273,7 +272,7 @@ def fit_base(
         simulator = Simulated(given=given, z=z)
         design, missed = _with_offset(prepared, tire, design, z)
         check_followed(prepared, missed, name)
-        z = np.asarray(tire.refitted(z, design).z)[0]
+        z = tire.refitted(z, design).z[0]
     fraction = _slip_fraction(prepared, tire, z, design)
     silent = np.zeros(count_atoms(effects))
     noise = _noise(prepared, tire, design, fraction, rig, z, silent, False)

@@ -20,7 +20,7 @@ from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.standing import Standing
 
 __all__ = [
-    "Left",
+    "Explanation",
     "Part",
     "as_often_right",
     "clues_of_effect",
@@ -81,7 +81,7 @@ class Part(NamedTuple):
     in_sets: float
 
 
-class Left(NamedTuple):
+class Explanation(NamedTuple):
     """A refitted set of effects, what it leaves, and how it stands beside others.
 
     Attributes:
@@ -113,16 +113,20 @@ def _signs(adequacy: Adequacy) -> np.ndarray:
     return -np.log10(np.maximum(tested, _SMALLEST_P))
 
 
-def clues_of_rest(left: Left) -> dict[str, float]:
+def clues_of_rest(explanation: Explanation) -> dict[str, float]:
     """What tells of a set of effects as a whole."""
-    standing, gains, evidence = left.standing, left.gains, left.evidence
+    standing, gains, evidence = (
+        explanation.standing,
+        explanation.gains,
+        explanation.evidence,
+    )
     signs, of_formulas = _signs(standing.adequacy), _signs(standing.formulas)
     wide = max(gains["smooth"], gains["cells"])
     narrow = max(gains["waves"], gains["patterns"])
     whole, more = max(evidence, 1.0), max(wide, narrow, 0.0)
     in_form = float(standing.in_other_form)
-    nothing_listed = np.log10(max(left.nothing_listed, 10**_LEAST_LOG))
-    explained = {k: left.gains_of_none[k] - gains[k] for k in ("cells", "waves")}
+    nothing_listed = np.log10(max(explanation.nothing_listed, 10**_LEAST_LOG))
+    explained = {k: explanation.gains_of_none[k] - gains[k] for k in ("cells", "waves")}
     return {
         "worst test": float(signs.max()),
         "mean test": float(signs.mean()),
@@ -132,33 +136,33 @@ def clues_of_rest(left: Left) -> dict[str, float]:
         # What shows well has a form of its own more often.
         "another form, by evidence": in_form * _compressed(evidence),
         "evidence": _compressed(evidence),
-        "evidence ahead": _compressed(left.ahead),
+        "evidence ahead": _compressed(explanation.ahead),
         "nothing listed": float(nothing_listed),
         "cells explained": _compressed(explained["cells"]),
         "waves explained": _compressed(explained["waves"]),
         "wide remainder": _compressed(wide),
         "narrow remainder": _compressed(narrow),
         "share of remainder": more / (whole + more),
-        "two effects": float(left.effects > 1),
-        "three effects": float(left.effects > 2),
+        "two effects": float(explanation.effects > 1),
+        "three effects": float(explanation.effects > 2),
         "cancels": float(np.log(max(standing.cancels, 0.1))),
-        "rows": float(np.log(left.rows)),
+        "rows": float(np.log(explanation.rows)),
     }
 
 
-def clues_of_effect(part: Part, left: Left) -> dict[str, float]:
+def clues_of_effect(part: Part, explanation: Explanation) -> dict[str, float]:
     """What tells that an effect is there, whatever else is.
 
     Args:
-        left: by its set.
+        explanation: by its set.
     """
-    whole, rest = max(left.evidence, 1.0), clues_of_rest(left)
+    whole, rest = max(explanation.evidence, 1.0), clues_of_rest(explanation)
     single = 0.0 if part.alone is None else float(np.clip(part.alone / whole, 0, 1))
     kept = (
         "worst test", "wide remainder", "narrow remainder", "share of remainder",
         "two effects", "three effects",
     )  # fmt: skip
-    over_patterns = left.evidence - left.gains_of_none["patterns"]
+    over_patterns = explanation.evidence - explanation.gains_of_none["patterns"]
     return {
         "amplitude over error": float(np.log(max(part.error, 0.1))),
         "share alone": single,
@@ -169,7 +173,7 @@ def clues_of_effect(part: Part, left: Left) -> dict[str, float]:
         "changed by one regime": float(np.log(np.clip(part.changed, 1e-3, 10.0))),
         "evidence over a remainder": _compressed(part.over_rest),
         "evidence over patterns": _compressed(over_patterns),
-        "evidence of another form": _compressed(left.of_form),
+        "evidence of another form": _compressed(explanation.of_form),
         "share of sets with it": part.in_sets,
         **{name: rest[name] for name in kept},
     }

@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.calibrated import (
-    Left,
+    Explanation,
     Part,
     clues_of_effect,
     clues_of_rest,
@@ -168,12 +168,12 @@ class Judge:
     def clues(self, key) -> dict[str, float]:
         """What tells that a set is not all that there is."""
         of_effects = self.clues_by_effect(key).values()
-        return clues_of_set(clues_of_rest(self._left(key)), of_effects)
+        return clues_of_set(clues_of_rest(self._explanation(key)), of_effects)
 
-    def _left(self, key) -> Left:
+    def _explanation(self, key) -> Explanation:
         weighed, evidence = self.weighed, self.weighed.evidence
         others = [v for k, v in evidence.items() if k != key and len(k) <= len(key)]
-        return Left(
+        return Explanation(
             self.of(key), self.gains(key), self.gains(()), evidence[key],
             evidence[key] - weighed.best_of[key].log_evidence,
             evidence[key] - max(others, default=0.0), weighed.unknown_alone,
@@ -212,7 +212,8 @@ class Judge:
 
     def _clues_by_effect(self, key) -> dict[str, dict[str, float]]:
         evidence, best = self.weighed.evidence, self.weighed.best_of[key]
-        left, errors, base = self._left(key), self.of(key).errors, self.search.base
+        explanation, errors = self._explanation(key), self.of(key).errors
+        base = self.search.base
         used_up = _linear(base, self.weighed, key).used_up
         regimes = zip(*steadiness(base, best, used_up), strict=True)
         parts = {
@@ -222,7 +223,7 @@ class Judge:
             )
             for effect, error, regime in zip(best.effects, errors, regimes, strict=True)
         }  # fmt: skip
-        return {e: clues_of_effect(p, left) for e, p in parts.items()}
+        return {e: clues_of_effect(p, explanation) for e, p in parts.items()}
 
     def leading(self, key) -> dict[tuple[str, ...], float]:
         """A set and those nearly as probable among the listed, with their shares of the

@@ -5,6 +5,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from tirefit.compiled import release_programs
 from tirefit.data.accept import as_data
@@ -107,9 +108,6 @@ def diagnose(
         gives = given.channels(data, gives)
     if forces is not None:
         gives = _asked_for(tuple(forces), data, gives)
-    whole = prepare(data, rig, gives)
-    some = thinned(whole, _MOST_ROWS)
-    case = studied(some, model, rig, tuple(effects), without, generator, given)
     library = tuple(effect for effect in effects if effect.id not in without)
     settings = Settings(
         rig=rig,
@@ -118,7 +116,21 @@ def diagnose(
         forces=None if forces is None else tuple(forces),
     )
     name = model if given is None or given.tire is None else given.source
-    return document_of(case, whole, settings, library, holdout, generator, name, seed)
+    # The matrices are small: a second thread only spins while it waits, and sums in
+    # another order move last digits, which can choose another way of a search.
+    with _linear_algebra().limit(limits=1, user_api="blas"):
+        whole = prepare(data, rig, gives)
+        some = thinned(whole, _MOST_ROWS)
+        case = studied(some, model, rig, tuple(effects), without, generator, given)
+        return document_of(
+            case, whole, settings, library, holdout, generator, name, seed
+        )
+
+
+@cache
+def _linear_algebra() -> ThreadpoolController:
+    """The libraries of linear algebra that this process has loaded."""
+    return ThreadpoolController()
 
 
 def _asked_for(forces: tuple[str, ...], data: TireData, gives) -> tuple[str, ...]:

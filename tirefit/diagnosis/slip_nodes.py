@@ -132,13 +132,14 @@ def _one_swing(slip, time) -> np.ndarray:
     span = max(float(np.ptp(time)), NONZERO)
     even = np.interp(np.linspace(time[0], time[-1], len(time)), time, slip)
     turns = 1 + np.argmax(np.abs(np.fft.rfft(even - even.mean())[1:]))
-    best = slip, np.inf
-    for periods in turns + np.linspace(-1, 1, _TUNED):
-        angle = 2 * np.pi * periods * (time - time[0]) / span
-        columns = np.stack([np.ones_like(angle), np.sin(angle), np.cos(angle)], axis=1)
-        told = columns @ np.linalg.lstsq(columns, slip, rcond=None)[0]
-        best = min(best, (told, float(np.sum((slip - told) ** 2))), key=lambda x: x[1])
-    return best[0]
+    periods = turns + np.linspace(-1, 1, _TUNED)[:, None]
+    angle = 2 * np.pi * periods * (time - time[0]) / span
+    columns = np.stack([np.ones_like(angle), np.sin(angle), np.cos(angle)], axis=1)
+    normal = columns @ np.swapaxes(columns, 1, 2)
+    # Without a single turn there is no sine.
+    weights = np.linalg.pinv(normal, hermitian=True) @ (columns @ slip)[:, :, None]
+    told = np.sum(weights * columns, axis=1)
+    return told[np.argmin(np.sum((slip - told) ** 2, axis=1))]
 
 
 def _predicted(slip, covariate) -> np.ndarray:
