@@ -1,10 +1,7 @@
 """A base model with all effects, looked at on any design, and the force that it has."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
 
-import jax
 import numpy as np
 
 from tirefit.diagnosis.changes import changes_of, count_atoms, present_in, states_of
@@ -24,18 +21,6 @@ from tirefit.models import AbstractTire
 from tirefit.padding import pad_rows
 
 __all__ = ["Tire", "with_force"]
-
-
-_AT_ONCE = 2
-"""Threads among which refits are shared out."""
-
-_WORTH_A_THREAD = 2
-"""Refits, of some 2 ms, that are worth a thread's start."""
-
-
-@cache
-def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_AT_ONCE, "refit")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,25 +47,11 @@ class Tire:
 
     def refit(self, starts, sets, design: Design) -> Refit:
         """Hypotheses refitted: ``starts`` are (z, amplitudes in prior scales) of each
-        of the ``sets`` of atoms, at most :data:`MOST` of them.
-
-        Many are shared out among threads: Python has next to nothing to do. The first
-        refit of all, of the base fit, compiles for all of them.
-        """
-
-        def some(part) -> list[np.ndarray]:
-            own = [starts[k] for k in part], [sets[k] for k in part]
-            arrays = fill(*own, count_atoms(self.effects))
-            tire = self.model, self.layout, self.effects, self.mode
-            # Switched on for a thread, it would not be for those that it starts.
-            with jax.enable_x64(True):
-                every = refit_all(*tire, *arrays, design)
-            return [np.asarray(values)[: len(part)] for values in every]
-
-        count = min(_AT_ONCE, max(len(sets) // _WORTH_A_THREAD, 1))
-        parts = np.array_split(np.arange(len(sets)), count)
-        found = [*(map if count == 1 else _threads().map)(some, parts)]
-        return Refit(*(np.concatenate(values) for values in zip(*found, strict=True)))
+        of the ``sets`` of atoms, at most :data:`MOST` of them."""
+        arrays = fill(starts, sets, count_atoms(self.effects))
+        tire = self.model, self.layout, self.effects, self.mode
+        every = refit_all(*tire, *arrays, design)
+        return Refit(*(np.asarray(values)[: len(sets)] for values in every))
 
     def linearised(self, z, amplitudes, design: Design) -> Linear:
         """All rows linearised in everything."""
