@@ -1,5 +1,6 @@
 """What a rig was set to: the levels that the values of a column gather at."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,10 @@ more, none is split; settings are found whose standard deviation is a tenth of t
 distance."""
 _ROWS = 2
 """Rows that a setting has at least: one alone is an outlier, or a point of a sweep."""
+
+
+_REMEMBERED = 16
+"""Columns whose levels are kept: every view of a file asks for those of the same few."""
 
 
 class Levels(NamedTuple):
@@ -50,8 +55,22 @@ def levels(values) -> Levels:
 
     Args:
         values: (n,) finite.
+
+    Returns:
+        Arrays that may not be written to.
     """
-    values = np.asarray(values, float)
+    return _levels_of(np.asarray(values, float).tobytes())
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _levels_of(column: bytes) -> Levels:
+    found = _found(np.frombuffer(column))
+    for part in found[:-1]:
+        part.setflags(write=False)
+    return found
+
+
+def _found(values: np.ndarray) -> Levels:
     if not len(values):
         none = np.zeros(0)
         return Levels(none, none, none, np.zeros(0, int), False)

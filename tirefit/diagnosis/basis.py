@@ -315,8 +315,10 @@ def _pairs(columns) -> np.ndarray:
 
 def waves_within(waves, against, residual):
     """chi-squared (K,), two degrees each, of every wave in the residual."""
-    left = without(waves, against)
-    return _in_pairs(_pairs(left), (left.T @ residual).reshape(-1, 2), FLAT)[0]
+    unit, _ = np.linalg.qr(against)
+    rest = residual - unit @ (unit.T @ residual)
+    gram, score = _pairs(waves) - _pairs(unit.T @ waves), waves.T @ rest
+    return _in_pairs(gram, score.reshape(-1, 2), FLAT)[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -173,19 +173,14 @@ def tangents(
         mean, _ = forces_of(model, layout, mode, z, State(*flat), design)
         return -_whitened(mean, design)
 
-    # A row's force depends on its own state alone, so one tangent per field serves all
-    # atoms; what an atom does to the fields costs next to nothing.
+    # A row's force depends on its own state alone, so one pass back for each channel
+    # serves all fields, and they all atoms: what those do to them costs next to nothing.
     flat = states[-1]
-    directions = jnp.eye(z.size + len(flat))
-    moved = jax.lax.map(
-        lambda e: jax.jvp(
-            at, (z, flat),
-            (e[: z.size], jnp.broadcast_to(e[z.size :, None], flat.shape)),
-        )[1],
-        directions,
-    )  # fmt: skip
-    value, fields = at(z, flat), moved[z.size :]
-    by_row = fields.reshape(len(flat), -1, flat.shape[1])
+    value, back = jax.vjp(partial(at, z), flat)
+    each = jnp.repeat(jnp.eye(len(design.observed)), flat.shape[1], axis=1)
+    by_row = jnp.swapaxes(jax.lax.map(lambda one: back(one)[0], each), 0, 1)
+    ahead = partial(jax.jvp, lambda z: at(z, flat), (z,))
+    jacobian = jax.lax.map(lambda e: ahead((e,))[1], jnp.eye(z.size))
     columns = {
         effect: sum(by_row[None, f] * change[:, None] for f, change in slopes.items())
         for effect, slopes in changes.slopes.items()
@@ -197,7 +192,8 @@ def tangents(
         counts = np.cumsum([len(size) for size in changes.sizes.values()])
         columns |= zip(changes.ends, jnp.split(secants, counts[:-1]), strict=True)
     in_order = [columns[k].reshape(-1, value.size) for k in sorted(columns)]
-    return Linear(-value, moved[: z.size].T, jnp.concatenate(in_order).T, fields.T)
+    fields = by_row.reshape(len(flat), -1)
+    return Linear(-value, jacobian.T, jnp.concatenate(in_order).T, fields.T)
 
 
 @partial(jax.jit, static_argnames=("layout", "mode"))

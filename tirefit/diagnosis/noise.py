@@ -254,11 +254,11 @@ def _between_neighbours(white, groups, keep) -> float:
 
 def _soaked(white, basis, waves, keep, most: int = _WAVES):
     """Smooth functions and the few waves that clearly show, one after the other."""
-    smooth = _Smooth(basis, keep)
+    smooth, kept = _Smooth(basis, keep), waves * keep[:, None]
     count = waves.shape[1] // 2
     for _ in range(most):
         clean = np.where(keep, smooth.remainder(white), 0.0)
-        chi2 = waves_within(waves * keep[:, None], smooth.basis * keep[:, None], clean)
+        chi2 = waves_within(kept, smooth.basis * keep[:, None], clean)
         unit = np.sum(clean**2) / smooth.freedom
         best = int(np.argmax(chi2))
         if chi2[best] / unit < 2 * (np.log(count) + _STRONG_WAVE):
