@@ -16,6 +16,7 @@ from scipy.special import ndtr
 import tirefit
 from tirefit.data.read import read_frame
 from tirefit.data.table import Source
+from tirefit.diagnosis import rates
 from tirefit.diagnosis.base import fit_base
 from tirefit.diagnosis.basis import Generic, gains, of_any_kind, waves_within
 from tirefit.diagnosis.blocks import blocks_of_settings, coincides
@@ -324,6 +325,23 @@ def test_an_effect_of_ones_own_as_in_the_readme(tmp_path, monkeypatch, capsys):
     text = re.sub(r"\s+", " ", capsys.readouterr().out)
     assert "VERDICT road_ripple (probability" in text
     assert "road_ripple: the road has waves; measure on another road" in text
+
+
+@pytest.mark.parametrize("piece", [41, 100, 256, 399])
+def test_a_long_sweep_in_pieces_is_the_whole(monkeypatch, piece):
+    time = np.cumsum(np.random.default_rng(6).uniform(0.008, 0.012, 400))
+    noise = np.random.default_rng(7).normal(0, 0.002, 400)
+    slip, run = 0.05 * np.sin(2.0 * time) + noise, np.zeros(400, int)
+    whole = slip_rate(slip, time, run)
+    monkeypatch.setattr(rates, "_PIECE", piece)
+    pieces = slip_rate(slip, time, run)
+    assert whole.present
+    assert whole.noise > 0
+    for of_whole, of_pieces in zip(whole, pieces, strict=True):
+        if of_whole is not whole.past:
+            np.testing.assert_array_equal(of_pieces, of_whole)
+    for of_whole, of_pieces in zip(whole.past, pieces.past, strict=True):
+        np.testing.assert_array_equal(of_pieces, of_whole)
 
 
 def test_slip_rate_of_a_noisy_sweep():

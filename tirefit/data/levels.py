@@ -24,7 +24,7 @@ _ROWS = 2
 
 
 _REMEMBERED = 16
-"""Columns whose levels are kept: every view of a file asks for those of the same few."""
+"""Columns whose levels are kept: every view of a file asks for the same few."""
 
 
 class Levels(NamedTuple):

@@ -173,8 +173,9 @@ def tangents(
         mean, _ = forces_of(model, layout, mode, z, State(*flat), design)
         return -_whitened(mean, design)
 
-    # A row's force depends on its own state alone, so one pass back for each channel
-    # serves all fields, and they all atoms: what those do to them costs next to nothing.
+    # A row's force depends on its own state alone: one pass back for each channel
+    # serves all fields, and fields all atoms: what those do to them costs next to
+    # nothing.
     flat = states[-1]
     value, back = jax.vjp(partial(at, z), flat)
     each = jnp.repeat(jnp.eye(len(design.observed)), flat.shape[1], axis=1)
@@ -182,7 +183,9 @@ def tangents(
     ahead = partial(jax.jvp, lambda z: at(z, flat), (z,))
     jacobian = jax.lax.map(lambda e: ahead((e,))[1], jnp.eye(z.size))
     columns = {
-        effect: sum(by_row[None, f] * change[:, None] for f, change in slopes.items())
+        effect: jnp.sum(
+            jnp.stack([by_row[None, f] * by[:, None] for f, by in slopes.items()]), 0
+        )
         for effect, slopes in changes.slopes.items()
     }
     if changes.ends:

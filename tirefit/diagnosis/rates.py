@@ -21,6 +21,8 @@ _NOISY = 17
 _ALONE = 0.05
 """Share of its path that is not a row's own value, at least."""
 _REACH = _WINDOWS[-1] - 1
+_PIECE = 4_000
+"""Rows of a long stretch worked out at once: so many stay near the processor."""
 
 AHEAD, BEHIND = 4, 12
 """Columns of the past that lie after and before its row."""
@@ -60,6 +62,19 @@ def segments(time, run) -> list[np.ndarray]:
     return np.split(order, breaks)
 
 
+def _in_pieces(of, values, time, *given) -> list[np.ndarray]:
+    """The columns ``of`` (values, time, *given) of one unbroken stretch, a piece at a
+    time: rows depend on none beyond their reach, so the pieces are those of the whole.
+    """
+    pieces = []
+    for first in range(0, len(values), _PIECE):
+        start, end = max(first - _REACH, 0), first + _PIECE
+        near = slice(start, end + _REACH)
+        own = slice(first - start, end - start)
+        pieces.append([column[own] for column in of(values[near], time[near], *given)])
+    return [np.concatenate(column) for column in zip(*pieces, strict=True)]
+
+
 class _Parabolas(NamedTuple):
     """Every window of one width: ``rows`` (a, w, 3) of the fit, ``fit`` (a, 3, w) that
     gives its coefficients, ``misfit`` (a,), the sum of squares, ``unit`` (a,) of time.
@@ -83,13 +98,13 @@ def _parabolas(values, time, window: int) -> _Parabolas:
     return _Parabolas(rows, fit, np.sum(left**2, axis=1), unit)
 
 
-def _left_out(values, time, window: int) -> np.ndarray:
+def _left_out(values, time, window: int) -> tuple[np.ndarray]:
     """What each value misses the parabola through its neighbours by: (n,)."""
     local, size = _parabolas(values, time, window), np.arange(len(values))
     start = np.clip(size - window // 2, 0, len(values) - window)
     weights = np.einsum("ni,niw->nw", local.rows[start, size - start], local.fit[start])
     smooth = np.einsum("nw,nw->n", weights, values[start[:, None] + np.arange(window)])
-    return (values - smooth) / (1 - weights[size, size - start])
+    return ((values - smooth) / (1 - weights[size, size - start]),)
 
 
 class _Path(NamedTuple):
@@ -253,7 +268,9 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     seen = max(np.sqrt(left_out / (1 + 9 / (4 * window))), FLAT * np.std(slip))
     scatter = seen if window >= _NOISY else 0.0
     level = max(noise, scatter if scatter > _MORE * noise else 0.0) or seen
-    paths = [_averaged(slip[part], time[part], level) for part in parts]
+    paths = [
+        _Path(*_in_pieces(_averaged, slip[part], time[part], level)) for part in parts
+    ]
     usual = float(np.median(np.concatenate([np.diff(time[part]) for part in parts])))
     rate = np.sqrt(np.mean(np.concatenate([path.slope for path in paths]) ** 2))
     period = float(np.std(slip) / rate) if rate > 0 else 0.0
@@ -300,7 +317,7 @@ def _best_window(slip, time, parts) -> tuple[int, float]:
     best = (_WINDOWS[0], np.inf)
     for window in _WINDOWS:
         errors = [
-            _left_out(slip[part], time[part], window)
+            _in_pieces(_left_out, slip[part], time[part], window)[0]
             for part in parts
             if len(part) > window
         ]
