@@ -32,6 +32,7 @@ from tirefit.diagnosis.standing import Standing, standing, steadiness
 from tirefit.diagnosis.verdict import Verdict, Weighed, named, nothing_shown, ties
 
 __all__ = [
+    "WORSE",
     "Judge",
     "bound_by",
     "chance_of_unknown",
@@ -80,7 +81,7 @@ gap is drawn by several nearly as well, and which of them comes first is chance.
 _EDGE = 1e-3
 """Distance from its bound, in prior scales, at which an effect rests on it."""
 
-_WORSE = 0.0
+WORSE = 0.0
 """Closure of rows left out below which an explanation is none: the base predicts them
 as well."""
 
@@ -362,7 +363,7 @@ def bound_by(
         return verdict
     if held is None or held.closed is None or not held.resolvable:
         return verdict
-    if held.closed <= _WORSE:
+    if held.closed <= WORSE:
         probability = max(_EVEN, 1 - verdict.probability)
         bound = unknown(verdict, weighed, verdict.adequacy, probability)
         return replace(bound, fails_elsewhere=True)

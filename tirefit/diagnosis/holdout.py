@@ -1,13 +1,15 @@
 """The closure on data that the search did not use."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from tirefit.diagnosis.base import Base, on_rows
 from tirefit.diagnosis.closure import Closure, closure_elsewhere
+from tirefit.diagnosis.conclusion import WORSE
 from tirefit.diagnosis.records import HeldOut
-from tirefit.diagnosis.rows import prepare
+from tirefit.diagnosis.rows import Prepared, prepare
 from tirefit.diagnosis.run_codes import shown_runs
 from tirefit.diagnosis.runs import KINDS
 from tirefit.diagnosis.search import amplitudes_of
@@ -26,17 +28,30 @@ _FEWEST = 4
 _LARGEST = 0.7
 """Quantile of the slip beyond which it is the regime, where no setting is."""
 
+_LIMIT = "largest slip"
+"""The regime of the largest slips."""
+
+_FAILS = "the largest slips, left out, are predicted no better than without it"
+"""What is said of the limit where it is no test."""
+
+_QUARTERS = 4
+"""Stretches of time into which a record of a moving tire is cut."""
+
 
 def held_out(case, holdout: Sequence, rig, generator) -> HeldOut | None:
     """Closure on other files, or on a regime of this one: the figures of ``gap``.
 
     Without other files each run is left out in turn, where there are four or more and
     the verdict holds for all of them. Else the regime farthest out (highest load, else
-    highest speed, else largest slip, else the last third) is left out, both fits are
-    repeated without it, and judged on it; a simulator stays as it was given. None where
-    the verdict names nothing, unless a simulator's parameters may close a part.
+    highest speed, else largest slip) is left out, both fits are repeated without it,
+    and judged on it; a simulator stays as it was given. What a tire does at its limit
+    is no test of effects that are named beside something unlisted: where these fail
+    there, and the rows are a record in time, each quarter of it is left out in turn,
+    and both is said. None where the verdict names nothing, unless a simulator's
+    parameters may close a part.
     """
-    if case.verdict.status in ("none", "unknown") and not case.base.simulator:
+    status = case.verdict.status
+    if status in ("none", "unknown") and not case.base.simulator:
         return None
     if holdout:
         return _on_files(case, holdout, rig, generator)
@@ -44,8 +59,16 @@ def held_out(case, holdout: Sequence, rig, generator) -> HeldOut | None:
     codes = shown_runs(prepared.run, prepared.data.runs)
     own = {f"{kind}_run" for kind in KINDS} & set(case.verdict.effects)
     if len(codes) >= _FEWEST and not own:
-        return _on_runs(case, codes, generator)
-    return _on_regime(case, generator)
+        return _in_turn(case, prepared.run, codes, f"{len(codes)} runs", generator)
+    out, what = _regime(case.base)
+    before, after = _both_without(case, out)
+    on, run = f"{what}, left out of both fits", prepared.run[out]
+    held = _judged(case, before, after, out, run, on, generator)
+    fails = held.closed is not None and held.closed <= WORSE
+    timed = what == _LIMIT and "sweeps" in prepared.has
+    if fails and timed and status == "incomplete":
+        return _in_quarters(case, generator)
+    return held
 
 
 def _record(closure: Closure, what: str) -> HeldOut:
@@ -88,27 +111,35 @@ def _regime(base: Base) -> tuple[np.ndarray, str]:
             if _LEAST < top.mean() < _MOST:
                 return top, f"highest {name}"
     size = np.abs(prepared.slip)
-    return size > np.quantile(size, _LARGEST), "largest slip"
+    return size > np.quantile(size, _LARGEST), _LIMIT
 
 
-def _on_regime(case, generator) -> HeldOut:
-    out, what = _regime(case.base)
-    before, after = _both_without(case, out)
+def _quarters(prepared: Prepared) -> np.ndarray:
+    """Which quarter of the record each row is in, in the order of time: (n,)."""
+    quarter = np.empty(prepared.n, int)
+    order = np.lexsort((prepared.covariates.time, prepared.run))
+    quarter[order] = np.arange(prepared.n) * _QUARTERS // prepared.n
+    return quarter
+
+
+def _in_turn(case, part, codes, what: str, generator) -> HeldOut:
+    """Each ``part`` (n,) of the rows in turn, predicted by fits to the others."""
+    before, after = np.full((2, case.base.prepared.n), np.nan)
+    for code in codes:
+        out = part == code
+        before[out], after[out] = _both_without(case, out)
+    every = np.isin(part, list(codes))
+    what = f"each of {what}, left out of both fits in turn"
     return _judged(
-        case, before, after, out, f"{what}, left out of both fits", generator
+        case, before[every], after[every], every, part[every], what, generator
     )
 
 
-def _on_runs(case, codes, generator) -> HeldOut:
-    """Each run in turn, predicted by fits to the others."""
-    base, run = case.base, case.base.prepared.run
-    before, after = np.full((2, base.prepared.n), np.nan)
-    for code in codes:
-        out = run == code
-        before[out], after[out] = _both_without(case, out)
-    every = np.isin(run, codes)
-    what = f"each of {len(codes)} runs, left out of both fits in turn"
-    return _judged(case, before[every], after[every], every, what, generator)
+def _in_quarters(case, generator) -> HeldOut:
+    rows, quarters = case.base.prepared, range(_QUARTERS)
+    what = f"{_QUARTERS} stretches of the record"
+    held = _in_turn(case, _quarters(rows), quarters, what, generator)
+    return replace(held, on=f"{held.on} ({_FAILS})")
 
 
 def _both_without(case, out) -> tuple[np.ndarray, np.ndarray]:
@@ -134,12 +165,12 @@ def _both_without(case, out) -> tuple[np.ndarray, np.ndarray]:
     return before, observed - refitted(chosen.z, chosen.amplitude, chosen.atoms)
 
 
-def _judged(case, before, after, out, what: str, generator) -> HeldOut:
+def _judged(case, before, after, out, run, what: str, generator) -> HeldOut:
     base = case.base
     noise = base.noise[base.prepared.channels[0]]
     good = ~noise.outlier[out]
     closure = closure_elsewhere(
         before[good], after[good], (noise.std[out] ** 2)[good],
-        base.prepared.run[out][good], noise.inflation, generator,
+        run[good], noise.inflation, generator,
     )  # fmt: skip
     return _record(closure, what)

@@ -1,0 +1,59 @@
+"""Which rows are left out, and what a verdict owes to them."""
+
+import numpy as np
+import pytest
+
+import tirefit
+from fits.withheld.injected import CHANGES, half
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.holdout import _quarters
+from tirefit.diagnosis.rig import Rig
+from tirefit.diagnosis.rows import prepare
+
+
+def late(seconds: float):
+    """Free driving of a measured axle, its force late."""
+    data = half(1)
+    change, *_ = CHANGES["channel_delay"]
+    return read_frame(data | change(data, seconds, None))
+
+
+def test_a_log_without_settings_is_cut_into_quarters_in_the_order_of_time():
+    data = half(1)
+    mixed = np.random.default_rng(3).permutation(len(data["time"]))
+    rows = prepare(read_frame({k: v[mixed] for k, v in data.items()}), Rig(), ("fy",))
+    quarter = _quarters(rows)
+    assert np.ptp(np.bincount(quarter)) <= 1
+    last = [rows.covariates.time[quarter == k].max() for k in range(3)]
+    first = [rows.covariates.time[quarter == k].min() for k in range(1, 4)]
+    assert np.all(np.array(last) < np.array(first))
+
+
+@pytest.mark.parametrize("seconds, at_limit", [(0.031, False), (0.06, True)])
+def test_a_delay_is_named_in_a_log_that_no_model_fits_at_its_limit(seconds, at_limit):
+    result = tirefit.diagnose(late(seconds))
+    assert result.verdict.status == "incomplete"
+    assert "channel_delay" in result.verdict.effects
+    held = result.gap.holdout
+    assert held.closed > 0
+    if at_limit:
+        assert held.on == "largest slip, left out of both fits"
+    else:  # then the rest of the log decides, and both is said
+        in_turn, limit = held.on.removesuffix(")").split(" (")
+        assert in_turn == (
+            "each of 4 stretches of the record, left out of both fits in turn"
+        )
+        assert limit == (
+            "the largest slips, left out, are predicted no better than without it"
+        )
+        low, high = held.closed_ci
+        assert 0 < low < held.closed < high < 1
+    delay = next(
+        p for name, p in result.candidates[0].parameters.items() if "delay" in name
+    )
+    assert abs(delay.value - seconds) < 0.015
+
+
+def test_a_log_as_it_was_measured_has_no_delay():
+    result = tirefit.diagnose(read_frame(half(1)))
+    assert "channel_delay" not in result.verdict.effects
