@@ -42,6 +42,10 @@ _STARTS = 4
 """Starts of the first fit, whose error the refit under the noise takes away: half of
 those of a fit that is an end in itself."""
 
+_ON_BOUND = 6.0
+"""Size of a z from which its parameter rests on a bound: it is within 0.25 % of the
+interval."""
+
 _ROWS_OF_A_FUNCTION = 6
 """Rows for each smooth function that may soak up a gap before the noise is judged:
 five in six are left to judge it by."""
@@ -53,13 +57,15 @@ _LINEARISED = 24
 @dataclass(frozen=True, kw_only=True)
 class Fit:
     """A tire fitted to a design without effects: parameters z, the refit (of one
-    hypothesis) that gave them, and the slip over that of full sliding (n,)."""
+    hypothesis) that gave them, the slip over that of full sliding (n,), and the first
+    ``guess`` of z."""
 
     tire: Tire
     design: Design
     z: np.ndarray
     refit: Refit
     slip_fraction: np.ndarray
+    guess: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +99,11 @@ class Base:
     @property
     def z(self) -> np.ndarray:
         return self.fit.z
+
+    def off_bounds(self, z) -> np.ndarray:
+        """Parameters z, those that rest on a bound at the first guess of them: on a
+        bound they have no slope, and no refit that starts there leaves it."""
+        return np.where(np.abs(z) > _ON_BOUND, self.fit.guess, z)
 
     @property
     def slip_fraction(self) -> np.ndarray:
@@ -218,7 +229,8 @@ def _key(*arrays) -> tuple[bytes, ...]:
 
 
 def _first_fit(prepared: Prepared, name: str, data):
-    """(model, layout, z) by least squares with estimated noise, slip as measured."""
+    """(model, layout, z, first guess) by least squares with estimated noise, slip as
+    measured."""
     force = list(prepared.channels)
     config = parse_config(
         {"force": force, "noise": {"loss": "huber"}, "starts": _STARTS}
@@ -233,7 +245,8 @@ def _first_fit(prepared: Prepared, name: str, data):
         problem = problem.with_rows(inputs=inputs._replace(**{quiet: silent}))
     starts = starting_points(task, config.starts, 0)
     solution = solve_starts(problem, starts, "gauss-newton")
-    return problem.model, problem.layout, np.asarray(solution.z)[best_of(solution)]
+    best = np.asarray(solution.z)[best_of(solution)]
+    return problem.model, problem.layout, best, starts[0]
 
 
 def _priors(prepared: Prepared, effects, rig) -> dict[str, np.ndarray]:
@@ -260,12 +273,13 @@ def fit_base(
         DataError: the model does not follow the simulator.
     """
     if given is None:
-        model, layout, z = _first_fit(prepared, name, prepared.data)
+        model, layout, z, guess = _first_fit(prepared, name, prepared.data)
     elif given.tire is None:
         simulated = as_measured(prepared.data, prepared.channels)
-        model, layout, z = _first_fit(prepared, name, simulated)
+        model, layout, z, guess = _first_fit(prepared, name, simulated)
     else:
         model, layout, z = given.tire_for(prepared)
+        guess = z
     tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
     design, simulator = _design(prepared, effects, rig), None
     if given is not None:
@@ -276,7 +290,7 @@ def fit_base(
     fraction = _slip_fraction(prepared, tire, z, design)
     silent = np.zeros(count_atoms(effects))
     noise = _noise(prepared, tire, design, fraction, rig, z, silent, False)
-    base = _under(noise, prepared, tire, design, fraction, z, simulator)
+    base = _under(noise, prepared, tire, design, fraction, z, guess, simulator)
     return with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
 
 
@@ -290,12 +304,17 @@ def _with_offset(prepared: Prepared, tire: Tire, design: Design, z):
     return design._replace(offset=offset), missed
 
 
-def _under(noise, prepared, tire: Tire, design: Design, fraction, z, simulator) -> Base:
+def _under(
+    noise, prepared, tire: Tire, design: Design, fraction, z, guess, simulator
+) -> Base:
     """The base refitted from z under a noise."""
     design = _with_noise(prepared, design, noise)
     refit = tire.refitted(z, design)
     own = np.asarray(refit.z)[0]
-    fit = Fit(tire=tire, design=design, z=own, refit=refit, slip_fraction=fraction)
+    fit = Fit(
+        tire=tire, design=design, z=own, refit=refit, slip_fraction=fraction,
+        guess=guess,
+    )  # fmt: skip
     return Base(rows=prepared, fit=fit, noise=noise, simulator=simulator)
 
 
@@ -309,7 +328,8 @@ def with_noise_judged(base: Base, rig, z, amplitudes, outliers: bool = True) -> 
     """
     rows, tire, fraction = base.rows, base.fit.tire, base.slip_fraction
     noise = _noise(rows, tire, base.design, fraction, rig, z, amplitudes, outliers)
-    return _under(noise, rows, tire, base.design, fraction, base.z, base.simulator)
+    guess, simulator = base.fit.guess, base.simulator
+    return _under(noise, rows, tire, base.design, fraction, base.z, guess, simulator)
 
 
 def at_measured_slip(base: Base) -> Base:

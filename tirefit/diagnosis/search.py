@@ -243,9 +243,9 @@ class _Searcher:
         return np.clip(amplitude, self.low[list(atoms)], self.high[list(atoms)])
 
     def _starts(self, atoms, guess):
-        z = self.base.z
+        z = self.base.off_bounds(self.base.z)
         if guess is not None:
-            yield guess
+            yield self.base.off_bounds(guess[0]), guess[1]
         else:
             sign, center = self.sign[list(atoms)], self.center[list(atoms)]
             first = np.where(sign != 0, sign, 1.0)

@@ -1,0 +1,20 @@
+"""A base fit that rests on a bound is no prison for the explanations."""
+
+import pytest
+
+import tirefit
+from fits.withheld.injected import CHANGES, half
+from tirefit.data.read import read_frame
+from tirefit.models import Brush
+from tirefit.params import specs
+
+
+@pytest.mark.parametrize("zero", [-0.024, -0.03])
+def test_a_heading_zero_is_named_though_the_plain_fit_knows_no_friction(zero):
+    data = half(0)
+    change, *_ = CHANGES["slip_offset"]
+    result = tirefit.diagnose(read_frame(data | change(data, zero, None)))
+    # Slips of one sign, shifted past zero: nothing slides, by the plain fit.
+    assert result.base_parameters["mu"] > 0.99 * specs(Brush())["mu"].upper
+    assert "slip_offset" in result.verdict.effects
+    assert 0.6 < result.extended_parameters["mu"] < 1.1
