@@ -8,6 +8,7 @@ import pytest
 from conftest_diagnosis import RIG, TRUTHS, brush, record
 from scipy.optimize import minimize_scalar
 
+from fits.withheld.injected import CHANGES, half
 from tirefit.data.read import read_frame
 from tirefit.diagnosis import conclusion
 from tirefit.diagnosis.adequacy import UNTESTED
@@ -290,3 +291,14 @@ def test_effects_beside_the_best_set_are_said_too():
     sets = {("a",): 0.5, ("a", "b"): 0.3, ("c", "d"): 0.2, ("e",): 0.02}
     assert _rivals(sets, ("a",)) == ("b",)
     assert _rivals(sets, ("a", "b")) == ("c", "d")
+
+
+def test_what_the_evidence_asks_for_is_said_where_no_effect_is_known():
+    """A late force in the slow half of a measured log, whose remainder is remembered:
+    rows that count as few know no effect to half its size."""
+    data = half(0)
+    change, *_ = CHANGES["channel_delay"]
+    verdict = diagnose(read_frame(data | change(data, 0.06, None))).verdict
+    assert not verdict.names_an_effect
+    assert verdict.status != "unknown"
+    assert "channel_delay" in verdict.also_possible

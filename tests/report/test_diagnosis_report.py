@@ -911,6 +911,10 @@ STATUSES = {
     "named": (("named", ["load_friction"]), "load_friction (probability 0.60)"),
     "noise": (("named", ["outliers"]), "no gap beyond the noise (probability 0.60)"),
     "none": (("none", []), "no gap beyond the noise (probability 0.60)"),
+    "perhaps": (
+        ("none", [], 0.6, ["friction_drift"]),
+        "no gap beyond the noise (probability 0.60), or friction_drift: this data",
+    ),
     "incomplete": (
         ("incomplete", ["load_friction"]),
         "load_friction, and something no listed effect explains (probability 0.60)",

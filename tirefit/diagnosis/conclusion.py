@@ -29,7 +29,14 @@ from tirefit.diagnosis.patterns import Look, looks
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Search
 from tirefit.diagnosis.standing import Standing, standing, steadiness
-from tirefit.diagnosis.verdict import Verdict, Weighed, named, nothing_shown, ties
+from tirefit.diagnosis.verdict import (
+    HARDLY,
+    Verdict,
+    Weighed,
+    named,
+    nothing_shown,
+    ties,
+)
 
 __all__ = [
     "WORSE",
@@ -311,8 +318,11 @@ def _nothing_stands(verdict: Verdict, judge: Judge) -> Verdict:
     weighed, left = judge.weighed, judge.of(()).adequacy
     rest = max(probability_of_rest(_smallest(left)), weighed.unknown_alone)
     if left.passed and weighed.unknown_alone < _EVEN:
+        # What the evidence asks for is said, unless nothing may be there as well.
+        perhaps = (*verdict.effects, *verdict.also_possible)
         return replace(
-            verdict, status="none", effects=(), also_possible=(), adequacy=left,
+            verdict, status="none", effects=(), adequacy=left,
+            also_possible=perhaps if nothing_shown(weighed) < HARDLY else (),
             probability=1 - rest, chosen=weighed.best_of[()],
         )  # fmt: skip
     return unknown(verdict, weighed, left, rest)

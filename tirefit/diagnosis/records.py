@@ -166,7 +166,8 @@ class VerdictSummary:
     """What is said: none, named, incomplete, unknown or cannot_tell; of which effects;
     the probability that it is so: of exactly this set where it is named, of these
     effects and something unlisted where it is incomplete, of something unlisted where
-    that is unknown; what this data cannot tell from it; the tests of what it leaves;
+    that is unknown; what this data cannot tell from it, what the evidence
+    asks for included where none is said; the tests of what it leaves;
     what that looks like, the most probable first, where it is something unlisted.
 
     ``unlisted`` is the probability that something unlisted is there, alone or beside.

@@ -29,6 +29,7 @@ from tirefit.diagnosis.search import (
 )
 
 __all__ = [
+    "HARDLY",
     "Verdict",
     "Weighed",
     "gap_p_value",
@@ -67,7 +68,7 @@ with the same quantity: "force x time" was called by "friction x time"."""
 _ABSURD = 8.0
 """Amplitude in prior scales beyond which an effect is no explanation."""
 
-_HARDLY = 0.02
+HARDLY = 0.02
 """Probability of nothing below which a gap stands though the score test misses it:
 effects without a slope at zero escape that test."""
 
@@ -222,7 +223,7 @@ def judge(search: Search, weighed: Weighed, p_value: float) -> Verdict:
     """The verdict that the probabilities support."""
     null = weighed.best_of[()]
     nothing = nothing_shown(weighed)
-    if nothing > 0.5 or (p_value > _LEVEL and nothing > _HARDLY):
+    if nothing > 0.5 or (p_value > _LEVEL and nothing > HARDLY):
         return Verdict("none", (), weighed.sets[()], (), p_value, null)
     best = weighed.best
     if not best:

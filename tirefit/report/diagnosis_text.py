@@ -73,7 +73,8 @@ def verdict_sentence(result: Diagnosis) -> str:
         return _sentence_on_effects(result)
     said = f"{' and '.join(changes)} in the simulator"
     if result.verdict.status == "none":
-        return f"{said}, and nothing else ({_probability(result)})"
+        else_ = _or_else(result.verdict)
+        return f"{said}, and nothing else ({_probability(result)}){else_}"
     return f"{said}; {_sentence_on_effects(result)}"
 
 
@@ -87,7 +88,7 @@ def _sentence_on_effects(result: Diagnosis) -> str:
     status = verdict.status
     if status == "none" or (status == "named" and not verdict.names_an_effect):
         noise = f"; its noise shows {effects}" if effects else ""
-        return f"no gap beyond the noise ({probability}){noise}"
+        return f"no gap beyond the noise ({probability}){_or_else(verdict)}{noise}"
     if status == "named":
         return f"{effects} ({probability})"
     if status == "incomplete":
@@ -96,12 +97,15 @@ def _sentence_on_effects(result: Diagnosis) -> str:
         rest = "something no listed effect explains"
         return f"{effects}{among}, and {rest} ({probability})"
     if status == "cannot_tell":
-        rivals = ", ".join(verdict.also_possible)
-        return f"{effects} ({probability}), or {rivals}: this data cannot tell"
-    said = f"a gap that no listed effect explains ({probability})"
-    if verdict.also_possible:
-        said += f", or {', '.join(verdict.also_possible)}: this data cannot tell"
-    return said
+        return f"{effects} ({probability}){_or_else(verdict)}"
+    return f"a gap that no listed effect explains ({probability}){_or_else(verdict)}"
+
+
+def _or_else(verdict) -> str:
+    """What this data cannot tell from what is said; empty for nothing."""
+    if not verdict.also_possible:
+        return ""
+    return f", or {', '.join(verdict.also_possible)}: this data cannot tell"
 
 
 def verdict_lines(result: Diagnosis) -> list[str]:
