@@ -629,6 +629,39 @@ def test_wrong_use_is_exit_2_and_makes_nothing(run, tmp_path, arguments, said):
     assert not (tmp_path / "o").exists()
 
 
+REPLACED = {
+    "rows": (["a.csv", "a.rows.csv"], "a.rows.csv"),
+    "held out": (["a.csv", "--holdout", "a.rows.csv"], "a.rows.csv"),
+    "model": (["a.csv", "--model", "a.json"], "a.json"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "said"), REPLACED.values(), ids=REPLACED)
+def test_what_is_read_is_not_replaced(run, tmp_path, arguments, said):
+    write(tmp_path / "a.csv")
+    write(tmp_path / "a.rows.csv")
+    (tmp_path / "a.json").write_text('{"schema": "tirefit.fit/1"}')
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    result = run("diagnose", *arguments, "--out", ".", exit_code=2)
+    assert f"{said}: it is an input file, which would be replaced" in result.stderr
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_json_of_somebody_else_is_not_replaced(run, tmp_path):
+    write(tmp_path / "a.csv")
+    (tmp_path / "a.json").write_text('{"driver": "me"}')
+    result = run("diagnose", "a.csv", "--out", ".", exit_code=2)
+    assert "a.json: it would be replaced, and is no earlier result" in result.stderr
+    assert (tmp_path / "a.json").read_text() == '{"driver": "me"}'
+
+
+def test_a_key_of_the_rig_that_is_not_used_is_said(run, tmp_path):
+    write(tmp_path / "run.csv", rows=4)  # too few to be diagnosed
+    (tmp_path / "rig.toml").write_text("fx = 40\n")
+    result = run("diagnose", "run.csv", "--rig", "rig.toml", "--out", "o", exit_code=3)
+    assert "warning: fx of rig.toml is not used" in result.stderr
+
+
 @pytest.mark.parametrize(
     "arguments", [["no.csv"], ["run.csv", "--holdout", "no.csv"]], ids=len
 )

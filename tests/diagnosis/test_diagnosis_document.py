@@ -28,7 +28,8 @@ KEYS = {
         "seed", "version",
     ],
     "data": [
-        "name", "path", "sha256", "convention", "channels", "assumptions", "motion"
+        "name", "path", "sha256", "convention", "channels", "assumptions", "set_aside",
+        "motion",
     ],
     "noise": [
         "fx", "sigma_x", "sigma_x_source", "source", "flags", "inflation", "outliers"

@@ -29,7 +29,13 @@ from tirefit.cli.options import (
     takes_data_options,
     warn,
 )
-from tirefit.cli.output import check_directories, claimed, is_page, staged
+from tirefit.cli.output import (
+    check_directories,
+    check_replaced,
+    claimed,
+    is_page,
+    staged,
+)
 from tirefit.data.remote import expanded
 from tirefit.names import EFFECT_NAMES, MODEL_NAMES
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
@@ -65,6 +71,20 @@ def _names(files: list[Path]) -> list[str]:
         remedy = "rename one: their results would overwrite each other"
         raise UsageError(InputProblem(reason, remedy))
     return names
+
+
+def _written(name: str, figures: bool) -> tuple[list[str], list[str]]:
+    """What a case writes: always, and as figures."""
+    drawn = [f"{name}.png", f"{name}.html"]
+    return [f"{name}.json", f"{name}.rows.csv"], drawn if figures else []
+
+
+def _check_replaced(out: Path, names: list[str], figures: bool, inputs) -> None:
+    """Raises UsageError where results would replace what is read, or is no result."""
+    from tirefit.diagnosis.result import SCHEMA
+
+    made = (one for name in names for part in _written(name, figures) for one in part)
+    check_replaced((out / one for one in made), inputs, SCHEMA.rpartition("/")[0])
 
 
 @takes_data_options
@@ -140,6 +160,9 @@ def diagnose(
             asked = {"model": model, "seed": seed, "force": force}
             _warn_of_unused(config, how, asked)
         start_jax()
+        known = [Path(model)] if _is_file(model) else []
+        known += [path for path in (rig, options.config) if path is not None]
+        _check_replaced(out, names, figures, [*files, *(holdout or []), *known])
         settings = _settings(model, rig, without, how)
         settings["forces"] = forces_named(force)
         settings |= _simulator(model, parameter, sim, how)
@@ -197,6 +220,8 @@ def _settings(model: str, rig: Path | None, without, how: dict) -> dict:
     if not _is_file(model) and model not in MAGIC_FORMULA_NAMES:
         find_model(model)
     known = load_rig(rig)
+    for note in known.notes:
+        complain(f"warning: {note}")
     if how["rolling_radius"] is None and known.rolling_radius is not None:
         how["rolling_radius"] = known.rolling_radius
     return {"model": model, "rig": known, "without": tuple(without or [])}
@@ -289,8 +314,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     file, name = piece
     out, seed, kept, figures = task.out, task.seed, task.kept, task.figures
     table = _read(file, task.how)
-    written = [f"{name}.json", f"{name}.rows.csv"]
-    drawn = [f"{name}.png", f"{name}.html"]
+    written, drawn = _written(name, True)
     expected = written + drawn if figures else written
     if task.resume and all((out / one).exists() for one in expected):
         if _is_done(out / f"{name}.json", table, task.settings, kept, seed):

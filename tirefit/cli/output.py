@@ -1,11 +1,12 @@
 """Directories of results: one process at a time, and all of a result or none of it."""
 
 import errno
+import json
 import os
 import shutil
 import signal
 import threading
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -13,7 +14,14 @@ from tirefit.cli.options import say
 from tirefit.files import PART, fcntl, took_lock
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["check_directories", "claimed", "is_page", "staged", "swept"]
+__all__ = [
+    "check_directories",
+    "check_replaced",
+    "claimed",
+    "is_page",
+    "staged",
+    "swept",
+]
 
 
 def check_directories(directories: Sequence[Path]) -> None:
@@ -34,6 +42,41 @@ def check_directories(directories: Sequence[Path]) -> None:
             problems.append(InputProblem(reason, remedy, str(directory)))
     if problems:
         raise UsageError(problems)
+
+
+def check_replaced(
+    made: Iterable[Path], inputs: Iterable[Path], schema: str = ""
+) -> None:
+    """Raises UsageError for results that would replace a file that is read, or a JSON
+    file that is no earlier result; before the work.
+
+    Args:
+        schema: what every earlier result says of itself; any file may be replaced where
+            it is empty.
+    """
+    problems, inputs = [], [path for path in inputs if _is(path)]
+    for path in filter(_is, made):
+        if any(path.samefile(given) for given in inputs):
+            reason = "it is an input file, which would be replaced"
+        elif schema and path.suffix == ".json" and _is_of_others(path, schema):
+            reason = f"it would be replaced, and is no earlier result ({schema})"
+        else:
+            continue
+        remedy = "choose another folder with --out"
+        problems.append(InputProblem(reason, remedy, str(path)))
+    if problems:
+        raise UsageError(problems)
+
+
+def _is_of_others(path: Path, schema: str) -> bool:
+    """Whether this is somebody's JSON: what cannot be read may be a spoiled result."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    if not isinstance(content, dict):
+        return False
+    return not str(content.get("schema")).startswith(schema)
 
 
 def _is(path: Path) -> bool:

@@ -22,7 +22,7 @@ from tirefit.cli.options import (
     takes_data_options,
     warn,
 )
-from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.cli.output import check_directories, check_replaced, claimed, staged
 from tirefit.data.remote import expanded, file_at
 from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, UsageError
 
@@ -105,7 +105,8 @@ def prepare(
             raise UsageError(InputProblem("no FILE given", "name one, or --repeat"))
         names = _names(files)
         check_directories([out])
-        _check_inputs(files, names, out)
+        ends = (".csv", ".segments.csv", ".png", ".prepare.json")
+        check_replaced((out / f"{name}{end}" for name in names for end in ends), files)
         task = _Task(out, how, config)
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
         with claimed(out):
@@ -159,16 +160,6 @@ def _names(files: list[Path]) -> list[str]:
         reason = f"several files are named {', '.join(twice)}"
         raise UsageError(InputProblem(reason, "prepare them into different --out"))
     return names
-
-
-def _check_inputs(files: list[Path], names: list[str], out: Path) -> None:
-    """Raises UsageError where a recording would be replaced by what is made of it."""
-    for name in names:
-        made = out / f"{name}.csv"
-        if any(made.exists() and made.samefile(f) for f in files if f.exists()):
-            reason = "it is the recording itself, which is to be replaced"
-            remedy = "choose another folder with --out"
-            raise UsageError(InputProblem(reason, remedy, str(made)))
 
 
 @dataclass(frozen=True)

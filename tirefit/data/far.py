@@ -3,6 +3,7 @@ those of their neighbours, as a wrong unit or a faulty channel leaves them in si
 rows."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ __all__ = [
     "like_slips",
     "problem_at",
     "why_far",
+    "without_far",
 ]
 
 FAR_COLUMNS = (
@@ -51,6 +53,7 @@ _SLIP_STEP = 0.02
 """... and slips across that of the force."""
 _CHUNK = 1 << 16
 """Rows whose neighbours are sorted at once."""
+_ALL = "all other rows"
 _SLIP_OF = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
 
 
@@ -104,6 +107,20 @@ def far_values(
     return tuple(by_place[place] for place in sorted(by_place))
 
 
+def without_far(data: TireData) -> TireData:
+    """The data without the rows that a value parts from all others of their file; each
+    is among ``source.masked``. No neighbours say what such a row should be, and a
+    single one may decide what a load or a speed is said to do."""
+    keep, problems = np.ones(len(data), bool), []
+    for far in far_values(data):
+        if far.among == _ALL and keep[far.row]:
+            keep[far.row] = False
+            remedy = "correct or delete the row"
+            problems.append(problem_at(data, far.row, far.column, why_far(far), remedy))
+    source = replace(data.source, masked=(*data.source.masked, *problems))
+    return replace(data.where(keep), source=source)
+
+
 def like_slips(data: TireData, slip: str) -> np.ndarray:
     """Order (n_used,) of the used rows by run, load, the other slip, and slip: rows
     that are neighbours in it were measured in about the same state."""
@@ -141,11 +158,11 @@ def _rules(data: TireData, column: str, values):
         scales = (_identity, np.log) if np.all(values > 0) else (_identity,)
         for far, low, high in (_beyond_all(values, scale) for scale in scales):
             other = (values > _OTHER_LOAD * high) | (values < low / _OTHER_LOAD)
-            yield "all other rows", (far & other, low, high)
+            yield _ALL, (far & other, low, high)
     elif column == "sigma_x":
-        yield "all other rows", _beyond_all(values, slip_ratio_from_sigma, LOCKED)
+        yield _ALL, _beyond_all(values, slip_ratio_from_sigma, LOCKED)
     else:
-        yield "all other rows", _beyond_all(values)
+        yield _ALL, _beyond_all(values)
     if "time" in data:
         order = np.lexsort((data.usable("time"), data.run[data.used]))
         yield "the rows before and after", _beside(values, order)

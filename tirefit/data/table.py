@@ -133,6 +133,12 @@ class Source:
         """All that is to be said of the reading, warnings first."""
         return (*(f"warning: {text}" for text in self.warnings), *self.assumptions)
 
+    def first_masked(self, most: int = 3) -> tuple[str, ...]:
+        """The first rows that are not used, with their reasons, and how many more."""
+        first = [replace(at, remedy="", file="") for at in self.masked[:most]]
+        more = len(self.masked) - most
+        return (*map(str, first), *([f"{more} more rows"] if more > 0 else []))
+
 
 @dataclass(frozen=True, repr=False)
 class TireData(Displayed):

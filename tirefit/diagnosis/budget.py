@@ -108,6 +108,7 @@ def _energies(means):
     """
     parts = np.maximum(means[..., :-_BESIDE], 0.0)
     left, noise, whole = np.moveaxis(means[..., -_BESIDE:], -1, 0)
+    whole = np.maximum(whole, NONZERO)
     total = np.sum(parts, axis=-1)
     left = np.where(total > 0, np.minimum(left, whole), whole)
     parts = parts * ((whole - left) / np.where(total > 0, total, 1.0))[..., None]

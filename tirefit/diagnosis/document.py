@@ -97,7 +97,8 @@ def document_of(
         data=DataSummary(
             name=data.name, path=data.source.path, sha256=data.source.sha256,
             convention=data.source.convention, channels=prepared.channels,
-            assumptions=(*data.source.notes, *rig.notes), motion=motion,
+            assumptions=(*data.source.notes, *rig.notes),
+            set_aside=data.source.first_masked(), motion=motion,
         ),
         model=model,
         simulator=simulator_summary(base, model, gap.rms),

@@ -9,6 +9,7 @@ from threadpoolctl import ThreadpoolController
 
 from tirefit.compiled import release_programs
 from tirefit.data.accept import as_data
+from tirefit.data.far import without_far
 from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.diagnosis.across_runs import held_across_runs
@@ -31,7 +32,7 @@ from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.precision import require_x64
-from tirefit.results import InputProblem, UsageError, did_you_mean
+from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
 
 __all__ = ["diagnose", "studied"]
 
@@ -82,11 +83,14 @@ def diagnose(
         UsageError: no such model, no such force, or no such effect to leave out; or
             32-bit floats in use.
         DataError: no force with a slip that varies, no load, too few rows, no
-            simulated forces, or a model that does not follow them.
+            simulated forces, a model that does not follow them, or ``data`` among what
+            is held out.
     """
     require_x64("a diagnosis")
     release_programs()
     data, holdout = as_data(data), [as_data(other) for other in holdout]
+    _are_others(data, holdout)
+    data, holdout = without_far(data), [without_far(other) for other in holdout]
     rig = rig or Rig()
     known = {effect.id for effect in effects}
     if unknown := sorted(set(without) - known):
@@ -131,6 +135,17 @@ def diagnose(
 def _linear_algebra() -> ThreadpoolController:
     """The libraries of linear algebra that this process has loaded."""
     return ThreadpoolController()
+
+
+def _are_others(data: TireData, holdout: Sequence[TireData]) -> None:
+    """Raises DataError where data held out are those that are diagnosed."""
+    for other in holdout:
+        same = other.source.sha256 and other.source.sha256 == data.source.sha256
+        if same or other is data:
+            reason = "held out are the data that are diagnosed: they check nothing"
+            remedy = "give other data with --holdout, or none: a part is left out then"
+            name = other.source.path or other.name
+            raise DataError(InputProblem(reason, remedy, name))
 
 
 def _asked_for(forces: tuple[str, ...], data: TireData, gives) -> tuple[str, ...]:

@@ -169,6 +169,8 @@ def _judged(case, before, after, out, run, what: str, generator) -> HeldOut:
     base = case.base
     noise = base.noise[base.prepared.channels[0]]
     good = ~noise.outlier[out]
+    if not good.any():  # all of them are something else than the noise
+        good[:] = True
     closure = closure_elsewhere(
         before[good], after[good], (noise.std[out] ** 2)[good],
         run[good], noise.inflation, generator,

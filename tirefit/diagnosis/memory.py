@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.signal import lfilter
 
-from tirefit.diagnosis.negligible import NONZERO, ROUNDING
+from tirefit.diagnosis.negligible import NONZERO, ROUNDING, SILENT
 
 __all__ = ["FORGETFUL", "Memory", "memory_of"]
 
@@ -159,7 +159,7 @@ def memory_of(
             of the slip; None where it is all of it.
     """
     stretches = [rows for rows in stretches if len(rows) >= _SHORTEST]
-    if not stretches:
+    if not stretches or np.sqrt(np.mean(white**2)) < SILENT:
         return (FORGETFUL,)
     if _lag_one(white, unit, stretches) < _CORRELATED / np.sqrt(
         sum(len(rows) for rows in stretches)

@@ -1,7 +1,7 @@
 """What counts as nothing: guards of quotients, logarithms and comparisons, in values
 that are whitened or relative, and so of order one."""
 
-__all__ = ["FLAT", "NONZERO", "ROUNDING", "UNSEEN"]
+__all__ = ["FLAT", "NONZERO", "ROUNDING", "SILENT", "UNSEEN"]
 
 NONZERO = 1e-300
 """Divisor in place of zero, where nothing over nothing is nothing; its reciprocal is
@@ -17,3 +17,7 @@ hundredth of what a sensor of 24 bits resolves."""
 UNSEEN = 1e-6
 """Length of a direction of whitened rows of which an effect of the usual size changes
 them all by a millionth of a standard error together: no test can see it."""
+
+SILENT = 0.2
+"""What is left over the noise, below which it is not looked at: digits that a formula
+or a file left, or less than the noise was said to hide."""

@@ -124,6 +124,7 @@ def judge_noise(
         many = np.count_nonzero(~keep) > _MANY * len(keep)
         far = _OUTLIER_AMONG_MANY if many else _OUTLIER
         good = np.abs(level) < far * max(unit, ROUNDING)
+        good |= np.abs(clean * std) < far * _FINEST * np.mean(fz)
         if np.array_equal(good, keep):
             break
         keep = good
@@ -259,7 +260,7 @@ def _soaked(white, basis, waves, keep, most: int = _WAVES):
     for _ in range(most):
         clean = np.where(keep, smooth.remainder(white), 0.0)
         chi2 = waves_within(kept, smooth.basis * keep[:, None], clean)
-        unit = np.sum(clean**2) / smooth.freedom
+        unit = max(np.sum(clean**2) / smooth.freedom, NONZERO)
         best = int(np.argmax(chi2))
         if chi2[best] / unit < 2 * (np.log(count) + _STRONG_WAVE):
             break
@@ -310,7 +311,7 @@ def _variance_law(clean, spread, shapes, keep, dof, stated=False) -> np.ndarray:
         stated: whether the slip noise's share holds as it is; else all of the variance
             is scaled to that of the rows, as the share may be too large.
     """
-    square = clean[keep] ** 2 * (keep.sum() / dof)
+    square = np.maximum(clean[keep] ** 2 * (keep.sum() / dof), NONZERO)
     level = np.full(keep.sum(), square.mean())
     own = square - spread[keep]
     own = own if stated else np.maximum(own, 0)
@@ -329,7 +330,7 @@ def _growth(clean, values, keep) -> float:
     if np.ptp(x) < ROUNDING * np.max(np.abs(x)):
         return 0.0
     square = clean[keep] ** 2
-    square = square / square.mean() - 1
+    square = square / max(square.mean(), NONZERO) - 1
     x = (x - x.mean()) / np.std(x)
     return float(square @ x) / np.sqrt(2 * len(x))
 

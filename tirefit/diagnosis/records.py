@@ -39,8 +39,9 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class DataSummary:
-    """The file: its name, where it lies, how it was read; ``motion`` says what follows
-    where the force was derived from the motion of a vehicle."""
+    """The file: its name, where it lies, how it was read; ``set_aside`` names the first
+    rows that were not used, with their reasons, and counts the others; ``motion`` says
+    what follows where the force was derived from the motion of a vehicle."""
 
     name: str
     path: str
@@ -48,6 +49,7 @@ class DataSummary:
     convention: str
     channels: tuple[str, ...]
     assumptions: tuple[str, ...]
+    set_aside: tuple[str, ...] = ()
     motion: tuple[str, ...] = ()
 
 

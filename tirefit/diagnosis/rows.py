@@ -8,6 +8,7 @@ import numpy as np
 
 from tirefit.data.levels import levels
 from tirefit.data.table import TireData
+from tirefit.diagnosis.demands import check_data, check_force_noise
 from tirefit.diagnosis.motion import (
     Derived,
     derived_from,
@@ -21,6 +22,7 @@ from tirefit.diagnosis.sizes import Sizes, half_force_slip, largest, sizes_of
 from tirefit.diagnosis.slip_check import SlipCheck, check_slip
 from tirefit.diagnosis.slip_nodes import slip_law, swing_of
 from tirefit.diagnosis.state import Covariates
+from tirefit.fitting.problem import check_slip_noise
 from tirefit.fitting.slip_noise import SlipDistribution, speed_of, std_with_speed
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
@@ -36,6 +38,8 @@ _ONE_SLIP = 10.0
 _SPEEDS, LOADS, _PRESSURES = 0.2, 0.03, 0.02
 """Range of the speeds over their mean, standard deviation of log F_z, and range of the
 pressures over their mean, that count as several."""
+
+_SCATTER = "scatter about smooth sweeps"
 
 _DRIVES = 1e-6
 """Standard deviation of a slip from which it drives: less is one value."""
@@ -65,9 +69,6 @@ _WARMS, _LEANS = 0.4, 1e-4
 
 _OTHER_MOVES, _OTHER_STANDS = 1e-4, 1e-3
 """Standard deviation and size of the other slip that count as there."""
-
-_LEAST_ROWS = 20
-"""Rows that a diagnosis needs."""
 
 _FAR = 10.0
 """Slip beyond which a patch slides whatever the tire."""
@@ -184,17 +185,6 @@ def _over_range(values) -> np.ndarray:
     return _centered(values, span) if varies else np.zeros(len(values))
 
 
-def _check(data: TireData) -> None:
-    file = data.source.path or data.name
-    if "fz" not in data:
-        reason = "a diagnosis needs fz (load, N) for every row"
-        remedy = "name its column with --column fz=HEADER, or --constant fz=4000"
-        raise DataError(InputProblem(reason, remedy, file))
-    if data.n < _LEAST_ROWS:
-        reason = f"{data.n} usable rows: a diagnosis needs {_LEAST_ROWS} or more"
-        raise DataError(InputProblem(reason, "measure more points", file))
-
-
 def _channels(data: TireData, mode: str, given) -> tuple[str, ...]:
     """Measured forces of the slip that varies that a model gives."""
     channels = tuple(c for c in MODES[mode] if c in data and c in given)
@@ -210,9 +200,10 @@ def prepare(data: TireData, rig, model) -> Prepared:
     """Slips, channels and covariates of the used rows.
 
     Raises:
-        DataError: no force with a slip that varies, or no load.
+        DataError: no force with a slip that varies, no load, too few rows, a force that
+            is far beyond all loads, or more noise stated than values vary by.
     """
-    _check(data)
+    check_data(data)
     mode = _mode(data)
     sigma, tan_alpha = _column(data, "sigma_x"), np.tan(_column(data, "alpha"))
     slip = tan_alpha if mode == "y" else sigma
@@ -222,6 +213,9 @@ def prepare(data: TireData, rig, model) -> Prepared:
     run = data.run[data.used]
     sweeps = _sweeps(data, slip, mode, rig, time, run)
     std, source = _slip_std(data, mode, rig, sweeps.noise)
+    if source != _SCATTER:
+        check_slip_noise(data, "alpha" if mode == "y" else "sigma_x", std)
+    check_force_noise(data, channels, rig)
     other = sigma if mode == "y" else tan_alpha * (1 + sigma)
     other = np.zeros(data.n) if mode == "xy" else other
     radius = rig.radius_for(data)
@@ -385,7 +379,7 @@ def _slip_std(data: TireData, mode: str, rig, scatter: float):
     if given is not None:
         return np.full(data.n, given), "given"
     if scatter:
-        return np.full(data.n, scatter), "scatter about smooth sweeps"
+        return np.full(data.n, scatter), _SCATTER
     return np.zeros(data.n), "none assumed"
 
 

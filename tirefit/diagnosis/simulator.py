@@ -97,21 +97,26 @@ class Given:
                 say nothing, and the data's own columns are taken.
 
         Raises:
-            DataError: no simulated force beside a measured one; the data lack an input
-                of the simulator.
+            DataError: no simulated force beside a measured one, or none but zeros; the
+                data lack an input of the simulator.
         """
         columns = dict(data.columns)
         if self.forces is not None and not (other and self.tire is None):
             columns = {k: v for k, v in columns.items() if k not in SIMULATED}
             columns |= {f"{c}_sim": force for c, force in self.forces(data).items()}
         there = [name for name in SIMULATED if name in columns]
+        path = data.source.path or data.name
+        for name in there:
+            if not np.any(np.nan_to_num(columns[name])):
+                reason = "zero in every row: no force of a simulator"
+                remedy = "write the simulated force into it, or leave the column out"
+                raise DataError(InputProblem(reason, remedy, path, column=name))
         if not [name for name in there if name.removesuffix("_sim") in data]:
             reason = "no force of the simulator (fx_sim, fy_sim) beside a measured one"
             remedy = (
                 "write its force for every row into a column fx_sim or fy_sim, in the"
                 " unit and sign of fx or fy; `tirefit predict ... --beside` does so"
             )
-            path = data.source.path or data.name
             raise DataError(InputProblem(reason, remedy, path))
         known = np.all([np.isfinite(columns[name]) for name in there], axis=0)
         return replace(data, columns=columns).where(known)

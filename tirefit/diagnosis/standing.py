@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.levels import levels
-from tirefit.diagnosis.adequacy import Adequacy, Null, adequacy, null
+from tirefit.diagnosis.adequacy import UNTESTED, Adequacy, Null, adequacy, null
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.basis import without
-from tirefit.diagnosis.negligible import ROUNDING
+from tirefit.diagnosis.negligible import ROUNDING, SILENT
 from tirefit.diagnosis.noise import correlation
 from tirefit.diagnosis.rates import segments
 from tirefit.diagnosis.rows import Prepared, neighbours
@@ -209,6 +209,8 @@ def _tested(base: Base, residual, used_up, generator) -> Adequacy:
             residual[part], Null(of_noise.draws[own], of_noise.unit[own]),
             in_time, in_slip, groups, places,
         )
+        if np.sqrt(np.mean(residual[part] ** 2)) > SILENT
+        else UNTESTED._replace(passed=True)
         for part, own in zip(rows, stacked, strict=True)
     ]  # fmt: skip
     return _worst(each)

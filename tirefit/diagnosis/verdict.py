@@ -152,7 +152,7 @@ def gap_p_value(search: Search, generator) -> float:
     z = left[:, use] / size[use]
     residual, jacobian, *_ = base.at_null
     observed = np.max(np.abs(z.T @ base.sure(residual)), initial=0.0)
-    draws = np.abs(scores_of_nothing(z, DRAWS, generator)).max(0)
+    draws = np.abs(scores_of_nothing(z, DRAWS, generator)).max(0, initial=0.0)
     p_score = (1 + np.sum(draws >= observed)) / (1 + DRAWS)
     explained = np.concatenate([jacobian, base.proxies], axis=1)
     p_generic = misfit_p_value(base.generic, explained, residual, generator, DRAWS)

@@ -23,7 +23,14 @@ from tirefit.padding import pad_rows, padded_size
 from tirefit.params import parameter_values, specs
 from tirefit.results import DataError, InputProblem, UsageError
 
-__all__ = ["FitTask", "build", "find_model", "force_scale", "guess_from_curve"]
+__all__ = [
+    "FitTask",
+    "build",
+    "check_slip_noise",
+    "find_model",
+    "force_scale",
+    "guess_from_curve",
+]
 
 
 @dataclass(frozen=True)
@@ -202,8 +209,9 @@ def _settled(data: TireData, model: AbstractTire, forces, config: FitConfig):
     return chosen
 
 
-def _check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
-    """Measured slips vary by at least their noise; if not, it places no row."""
+def check_slip_noise(data: TireData, slip: str, std: np.ndarray) -> None:
+    """Raises DataError where the stated noise (n,) of a slip is what the measured slips
+    vary by, which vary by at least their noise: it places no row."""
     noise, spread = float(np.median(std)), float(np.std(data.usable(slip)))
     if noise > 0.7 * spread:
         column = f"{slip}_std" if f"{slip}_std" in data else None
@@ -332,7 +340,7 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
         std, note = _slip_scale(data, slip, config.noise)
         notes.append(note)
         if std is not None:
-            _check_slip_noise(data, slip, std)
+            check_slip_noise(data, slip, std)
             slip_std[slip] = _put(std, size)
             densities[slip] = slip_density(data.usable(slip), std)
     rows = Rows(

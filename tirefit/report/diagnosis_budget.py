@@ -124,11 +124,12 @@ def budget_lines(result: Diagnosis) -> list[str]:
         lines.append(f"{name}: simulated {simulated}, measured {measured}: {verdict}")
     followed = result.simulator.surrogate
     if followed.of_force > 1e-6:
+        of_gap = f" and {format_number(100 * followed.of_gap, 2)} % of the gap"
         lines.append(
             f"{followed.model}, which stands in for the simulator, misses"
             f" {format_number(followed.rms, 3)} N of it,"
-            f" {format_number(100 * followed.of_force, 2)} % of its force and"
-            f" {format_number(100 * followed.of_gap, 2)} % of the gap"
+            f" {format_number(100 * followed.of_force, 2)} % of its force"
+            f"{of_gap if result.gap.resolvable else ''}"
         )
     return lines
 

@@ -142,6 +142,7 @@ def _settings(result: Diagnosis) -> list[str]:
         f"effects looked for: {', '.join(settings.effects)}",
         f"held-out files: {len(settings.holdout) or 'none'}",
         f"seed {result.seed}, tirefit {result.version}, {SCHEMA}",
+        *(f"set aside: {said}" for said in data.set_aside),
         *data.motion,
         *data.assumptions,
     ]

@@ -384,6 +384,7 @@ def diagnosis_text(result: Diagnosis) -> str:
         f"  {result.n} rows, {result.n_effective:.0f} of them independent;"
         f" noise {noise_line(result)}",
         *([f"  {slip_check_line(result)}"] if result.slip_check else []),
+        *(f"  set aside: {said}" for said in result.data.set_aside),
         *(f"  {said}" for said in result.data.motion),
         "VERDICT", f"  {verdict_sentence(result)}",
         *(f"  {line}" for line in verdict_lines(result)),

@@ -1,0 +1,108 @@
+"""Data that say nothing, or say it by one wrong cell: said, not diagnosed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tirefit
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.effects import EFFECTS
+from tirefit.diagnosis.rig import Rig
+from tirefit.models import Brush
+from tirefit.results import DataError
+
+
+def rig_data(seed=1, noise=30.0):
+    """A brush at three loads, forces in whole newtons of noise."""
+    generator = np.random.default_rng(seed)
+    slip = np.tile(np.linspace(0.005, 0.25, 40), 3)
+    fz = np.repeat([3000.0, 4000.0, 5000.0], 40)
+    # S(12) of a brush of c_p a^2 = 50 kN and mu = 0.9.
+    x = np.minimum(slip * 1e5 / (3 * 0.9 * fz), 1.0)
+    fx = 0.9 * fz * (3 * x - 3 * x**2 + x**3)
+    fx = fx + noise * generator.standard_normal(len(fx))
+    return {"sigma_x": slip, "fx": fx, "fz": fz}
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "has"),
+    [("fz", 40000.0, "3000 to 5000 N"), ("fx", 3e9, "N")],
+)
+def test_one_mistyped_cell_is_set_aside_and_said(column, value, has):
+    data = rig_data()
+    as_typed = tirefit.diagnose(read_frame(data))
+    data[column] = data[column].copy()
+    data[column][4] = value
+    found = tirefit.diagnose(read_frame(data))
+    (said,) = found.data.set_aside
+    assert f"column {column!r}" in said and has in said
+    assert found.n == as_typed.n - 1
+    assert found.verdict.effects == as_typed.verdict.effects == ()
+    assert f"set aside: {said.split(':')[0]}" in str(found)
+    # Of many rows the first are named.
+    many = read_frame(data)
+    again = replace(many, source=replace(many.source, masked=()))
+    assert tirefit.diagnose(again).data.set_aside == (said,)
+
+
+def test_loads_of_a_rig_are_no_mistyped_cells():
+    data = rig_data()
+    assert tirefit.diagnose(read_frame(data)).data.set_aside == ()
+
+
+@pytest.mark.parametrize("sim", [None, Brush(cpa2=5e4, mu=0.9), "forces"])
+def test_forces_without_noise_have_no_gap(sim):
+    data = rig_data(noise=0.0)
+    given = {"fx": data["fx"]} if sim == "forces" else sim
+    found = tirefit.diagnose(read_frame(data), sim=given)
+    assert found.verdict.status == "none"
+    assert found.verdict.effects == ()
+    assert not found.gap.resolvable
+    assert found.gap.rms < 0.01  # 1e-5 of the load is the least that anybody resolves
+    if sim is not None:
+        mu = found.verdict.parameters["mu"]
+        assert abs(mu.measured - 0.9) < 1e-3 and not mu.differs
+
+
+def test_a_simulator_of_zeros_is_none():
+    data = read_frame(rig_data() | {"fx_sim": np.zeros(120)})
+    with pytest.raises(DataError, match="zero in every row") as caught:
+        tirefit.diagnose(data, sim=True)
+    assert caught.value.problems[0].column == "fx_sim"
+
+
+def test_data_held_out_are_others():
+    data = read_frame(rig_data())
+    with pytest.raises(DataError, match="they check nothing"):
+        tirefit.diagnose(data, holdout=[data])
+
+
+def test_a_library_without_effects_still_tests_the_base():
+    null = read_frame(rig_data())
+    without = [effect.id for effect in EFFECTS]
+    assert tirefit.diagnose(null, without=without).verdict.status == "none"
+    wrong = rig_data()
+    wrong["fx"] = wrong["fx"] * np.where(wrong["sigma_x"] > 0.12, 0.8, 1.0)
+    found = tirefit.diagnose(read_frame(wrong), without=without)
+    assert found.verdict.status == "unknown"
+
+
+def test_a_force_that_no_tire_has_is_an_error():
+    data = rig_data()
+    data["fx"] = data["fx"] * 1e10
+    with pytest.raises(DataError, match="times the largest load") as caught:
+        tirefit.diagnose(read_frame(data))
+    assert "--unit fx=" in caught.value.problems[0].remedy
+
+
+@pytest.mark.parametrize(
+    ("noise", "reason"),
+    [
+        ({"sigma_x": 10.0}, "where on the curve"),
+        ({"fx": 1e7}, "beyond the largest load"),
+    ],
+)
+def test_more_noise_than_values_vary_by_is_an_error(noise, reason):
+    with pytest.raises(DataError, match=reason):
+        tirefit.diagnose(read_frame(rig_data()), rig=Rig(noise=noise))
