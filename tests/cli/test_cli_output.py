@@ -179,6 +179,38 @@ def test_ctrl_c_during_the_imports(rig, name):
     assert (done.returncode, done.stdout, done.stderr) == (130, "", said)
 
 
+UNHEARD = """
+import gc, os, signal, sys
+
+came = []
+
+def collecting(phase, info):
+    if "jax._src.core" in sys.modules and not came:
+        came.append(True)
+        os.kill(os.getpid(), signal.{signal})
+        len(came)  # where the handler is called, and its error dropped
+
+gc.callbacks.append(collecting)
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.argv = ["tirefit", "fit", {file!r}]
+from tirefit.cli import main
+main()
+"""
+
+
+@pytest.mark.parametrize("by", ["SIGINT", "SIGTERM"])
+def test_an_interrupt_within_garbage_collection_is_not_lost(rig, by):
+    program = UNHEARD.format(signal=by, file=str(rig))
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        cwd=rig.parent,
+    )
+    assert done.returncode == 130
+    assert done.stderr == "interrupted: files written before are whole\n"
+
+
 def test_a_request_to_end_is_as_ctrl_c(rig):
     """Of a scheduler, say: SIGTERM, in the background of a shell too."""
     done = ended("jax._src.core", "fit", str(rig), by="SIGTERM", ignored=True)

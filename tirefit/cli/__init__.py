@@ -3,13 +3,18 @@
 Nothing heavy is imported until a command runs, so completion and ``--help`` are quick.
 """
 
+import _thread
 import os
 import signal
 import sys
+import threading
 from contextlib import suppress
 from typing import NoReturn
 
 __all__ = ["main"]
+
+_OVER = 0.01
+"""Seconds after which a callback of the garbage collector is over."""
 
 
 def main() -> None:
@@ -17,9 +22,17 @@ def main() -> None:
     ends it with exit code 130."""
     came = []
 
-    def interrupt(*_):
-        came.append(True)
+    def interrupt(number, _):
+        came.append(number)
         raise KeyboardInterrupt
+
+    def unheard(what):
+        # Python drops what is raised within a callback of the garbage collector, as JAX
+        # has one: an interrupt that came just then comes once more, when that is over.
+        if issubclass(what.exc_type, KeyboardInterrupt) and came:
+            threading.Timer(_OVER, _thread.interrupt_main, [came[-1]]).start()
+        else:
+            sys.__unraisablehook__(what)
 
     # Before NumPy is imported. The matrices here are small: a second thread of OpenBLAS
     # gains nothing, and spins while it waits (on two cores that others used as well, a
@@ -29,6 +42,7 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
     signal.signal(signal.SIGTERM, interrupt)
+    sys.unraisablehook = unheard
     try:
         # Imported here, so that Ctrl-C is answered during the imports as well.
         from tirefit.cli.commands import app
