@@ -6,7 +6,8 @@ import pytest
 import tirefit
 from fits.withheld.injected import CHANGES, half
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.holdout import _quarters
+from tirefit.diagnosis.holdout import _quarters, _told
+from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import prepare
 
@@ -57,3 +58,42 @@ def test_a_delay_is_named_in_a_log_that_no_model_fits_at_its_limit(seconds, at_l
 def test_a_log_as_it_was_measured_has_no_delay():
     result = tirefit.diagnose(read_frame(half(1)))
     assert "channel_delay" not in result.verdict.effects
+
+
+def trailer(power: float, seed: int = 5, rows: int = 800):
+    """Braking pulses under a load that bounces; only their tops slide."""
+    generator = np.random.default_rng(seed)
+    time = 0.02 * np.arange(rows)
+    fz = 4000 * (1 + 0.2 * np.sin(10.7 * time) + 0.05 * np.sin(56.5 * time))
+    slip = 0.12 * np.maximum(0.0, np.sin(2.4 * time)) ** 2
+    mu = 0.9 * (fz / 4000) ** power
+    # S(12) of a brush of c_p a^2 = 40 kN.
+    x = np.minimum(slip * 8e4 / (3 * mu * fz), 1.0)
+    fx = mu * fz * (3 * x - 3 * x**2 + x**3) + 60 * generator.standard_normal(rows)
+    speed = np.full(rows, 18.0)
+    return read_frame({"time": time, "sigma_x": slip, "fx": fx, "fz": fz, "v": speed})
+
+
+def test_where_only_the_largest_slips_know_the_friction_quarters_are_left_out():
+    result = tirefit.diagnose(trailer(-0.15))
+    assert result.verdict.effects == ("load_friction",)
+    assert result.verdict.status in ("named", "cannot_tell")
+    held = result.gap.holdout
+    assert held.on.startswith("each of 4 stretches of the record")
+    assert "fits without the largest slips know too little" in held.on
+    assert 0.4 < held.closed < 1
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "told"),
+    [(-0.15, 0.05, False), (0.1, 0.3, True), (-0.4, -0.1, True)],
+)
+def test_a_closure_of_either_sign_tells_nothing(low, high, told):
+    middle = (low + high) / 2
+    held = HeldOut(
+        rms=9.0, resolvable=True, closed=middle, closed_ci=(low, high),
+        remaining_rms=9.0 * (1 - middle), on="each of 4 stretches",
+    )  # fmt: skip
+    assert (_told(held) == held) == told
+    assert _told(held).closed == (middle if told else None)
+    assert _told(held).resolvable == told

@@ -27,7 +27,7 @@ def check_data(data: TireData) -> None:
     if data.n < _LEAST_ROWS:
         reason = f"{data.n} usable rows: a diagnosis needs {_LEAST_ROWS} or more"
         raise DataError(InputProblem(reason, "measure more points", file))
-    for force in {"fx", "fy"} & set(data.columns):
+    for force in sorted({"fx", "fy"} & set(data.columns)):
         most = np.max(np.abs(data.usable(force))) / _largest_load(data)
         if not most < _ABSURD:
             reason = f"{most:.0e} times the largest load: no tire's force"

@@ -8,6 +8,8 @@ import numpy as np
 from tirefit.diagnosis.base import Base, on_rows
 from tirefit.diagnosis.closure import Closure, closure_elsewhere
 from tirefit.diagnosis.conclusion import WORSE
+from tirefit.diagnosis.linear_fit import linear_at
+from tirefit.diagnosis.negligible import ROUNDING
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.rows import Prepared, prepare
 from tirefit.diagnosis.run_codes import shown_runs
@@ -34,6 +36,8 @@ _LIMIT = "largest slip"
 _FAILS = "the largest slips, left out, are predicted no better than without it"
 """What is said of the limit where it is no test."""
 
+_UNKNOWN = "fits without the largest slips know too little to tell there"
+
 _QUARTERS = 4
 """Stretches of time into which a record of a moving tire is cut."""
 
@@ -47,8 +51,10 @@ def held_out(case, holdout: Sequence, rig, generator) -> HeldOut | None:
     and judged on it; a simulator stays as it was given. What a tire does at its limit
     is no test of effects that are named beside something unlisted: where these fail
     there, and the rows are a record in time, each quarter of it is left out in turn,
-    and both is said. None where the verdict names nothing, unless a simulator's
-    parameters may close a part.
+    and both is said. So it is where the fits without the largest slips do not know
+    their parameters. None where the verdict names nothing, unless a simulator's
+    parameters may close a part, and where no part of the rows can be predicted from the
+    others.
     """
     status = case.verdict.status
     if status in ("none", "unknown") and not case.base.simulator:
@@ -61,14 +67,44 @@ def held_out(case, holdout: Sequence, rig, generator) -> HeldOut | None:
     if len(codes) >= _FEWEST and not own:
         return _in_turn(case, prepared.run, codes, f"{len(codes)} runs", generator)
     out, what = _regime(case.base)
+    at_limit, timed = what == _LIMIT, "sweeps" in prepared.has
+    if at_limit and not _known_without(case, out):
+        return _told(_in_quarters(case, _UNKNOWN, generator)) if timed else None
     before, after = _both_without(case, out)
     on, run = f"{what}, left out of both fits", prepared.run[out]
     held = _judged(case, before, after, out, run, on, generator)
     fails = held.closed is not None and held.closed <= WORSE
-    timed = what == _LIMIT and "sweeps" in prepared.has
-    if fails and timed and status == "incomplete":
-        return _in_quarters(case, generator)
+    if fails and at_limit and timed and status == "incomplete":
+        return _in_quarters(case, _FAILS, generator)
     return held
+
+
+def _told(held: HeldOut) -> HeldOut:
+    """The figures, without a closure where that may be of either sign: they do not
+    tell."""
+    low, high = held.closed_ci
+    if low is None or high is None or not low < WORSE < high:
+        return held
+    return replace(held, resolvable=False, closed=None, closed_ci=(None, None))
+
+
+def _known_without(case, out) -> bool:
+    """Whether fits without the rows ``out`` (n,) bool know their parameters well enough
+    to say there what the verdict changes: a friction that only the largest slips show
+    is off by more without them. To first order."""
+    base, chosen, n = case.base, case.verdict.chosen, case.base.prepared.n
+    main, silent = base.prepared.channels[0], np.zeros(len(base.atoms))
+    used_up = linear_at(base, chosen).used_up
+    inside = used_up[np.tile(~out, len(base.prepared.channels))]
+    prior = np.full(used_up.shape[1], ROUNDING)
+    prior[len(chosen.z) :] = 1.0
+    inside = np.concatenate([inside, np.diag(np.sqrt(prior))])
+    _, root = np.linalg.qr(inside)
+    error = np.linalg.solve(root.T, used_up[:n][out].T)
+    changed = base.forces(chosen.z, amplitudes_of(base, chosen))[main]
+    changed = (changed - base.forces(base.as_given, silent)[main])[out]
+    scale = base.design.scale[main][:n][out]
+    return bool(np.sum(error**2) < np.sum((changed / scale) ** 2))
 
 
 def _record(closure: Closure, what: str) -> HeldOut:
@@ -135,11 +171,11 @@ def _in_turn(case, part, codes, what: str, generator) -> HeldOut:
     )
 
 
-def _in_quarters(case, generator) -> HeldOut:
+def _in_quarters(case, why: str, generator) -> HeldOut:
     rows, quarters = case.base.prepared, range(_QUARTERS)
     what = f"{_QUARTERS} stretches of the record"
     held = _in_turn(case, _quarters(rows), quarters, what, generator)
-    return replace(held, on=f"{held.on} ({_FAILS})")
+    return replace(held, on=f"{held.on} ({why})")
 
 
 def _both_without(case, out) -> tuple[np.ndarray, np.ndarray]:
