@@ -390,6 +390,20 @@ def test_logs_of_one_name_and_other_outputs_are_refused(tmp_path):
     assert len(caught.value.problems) == 2
 
 
+@pytest.mark.parametrize("replaced", ["log", "vehicle"])
+def test_neither_log_nor_vehicle_is_replaced(tmp_path, replaced):
+    log, vehicle = write_log(tmp_path / "a.csv", pose_log()), toml_file(tmp_path)
+    companion = tmp_path / "axle.derive.json"
+    (log if replaced == "log" else vehicle).rename(companion)
+    log, vehicle = (companion, vehicle) if replaced == "log" else (log, companion)
+    before = companion.read_bytes()
+    with pytest.raises(UsageError, match="--out is an input file") as caught:
+        derive_files([log], vehicle, tmp_path / "axle.csv")
+    assert caught.value.problems[0].file == str(companion)
+    assert companion.read_bytes() == before
+    assert not (tmp_path / "axle.csv").exists()
+
+
 def test_dart_log_bends_like_a_brush_with_a_heading_offset(tmp_path):
     """Case 3: the measured car, whose heading exceeds the logged yaw by 10 mrad."""
     from scipy.optimize import curve_fit

@@ -226,7 +226,8 @@ def derive_files(
     """
     out = Path(out)
     vehicle = load_vehicle(vehicle_toml, units)
-    _check_names(paths, out)
+    metadata = out.with_name(f"{out.stem}.derive.json")
+    _check_names(paths, vehicle_toml, (out, metadata))
     logs: list[DerivedLog] = []
     problems: list[InputProblem] = []
     for path in paths:
@@ -241,7 +242,6 @@ def derive_files(
         for name in logs[0].columns
     }
     columns["run"] = np.repeat([log.name for log in logs], [len(log) for log in logs])
-    metadata = out.with_name(f"{out.stem}.derive.json")
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
     try:
         write_texts({metadata: content + "\n", out: csv_text(columns)})
@@ -402,9 +402,13 @@ def _run_name(path: Place) -> str:
     return path.name.removesuffix(".gz").removesuffix(".csv")
 
 
-def _check_names(paths: Sequence[str | Place], out: Path) -> None:
-    """Raise UsageError unless ``out`` can be a CSV and every log has its own name."""
-    problems = output_problems(out, inputs=[str(path) for path in paths])
+def _check_names(
+    paths: Sequence[str | Place], vehicle_toml: str | Path, made: tuple[Path, Path]
+) -> None:
+    """Raise UsageError unless the first of the files made can be a CSV, none of them
+    replaces an input, and every log has its own name."""
+    out, given = made[0], [str(path) for path in (*paths, vehicle_toml)]
+    problems = [found for path in made for found in output_problems(path, given)][:1]
     if out.suffix != ".csv":
         problems.append(InputProblem("the output is a CSV", "end it in .csv", str(out)))
     names = [_run_name(file_at(path)) for path in paths]
