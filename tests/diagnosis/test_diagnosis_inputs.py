@@ -1,16 +1,19 @@
 """Data that say nothing, or say it by one wrong cell: said, not diagnosed."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import tirefit
 from tirefit.data.read import read_frame
+from tirefit.diagnosis.arguments import a_rig, a_seed
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.rig import Rig
 from tirefit.models import Brush
-from tirefit.results import DataError
+from tirefit.results import DataError, TirefitError, UsageError
 
 
 def rig_data(seed=1, noise=30.0):
@@ -106,3 +109,54 @@ def test_a_force_that_no_tire_has_is_an_error():
 def test_more_noise_than_values_vary_by_is_an_error(noise, reason):
     with pytest.raises(DataError, match=reason):
         tirefit.diagnose(read_frame(rig_data()), rig=Rig(noise=noise))
+
+
+WRONG = {
+    "sim a function": ({"sim": lambda slip: slip}, "sim is of type function"),
+    "sim bytes": ({"sim": b"abc"}, "sim is of type bytes"),
+    "sim unnamed": ({"sim": {0: np.zeros(120)}}, "sim: 0 of shape"),
+    "sim no file": ({"sim": Path("no.json")}, "no.json"),
+    "no effects": ({"effects": ()}, "effects: none to look for"),
+    "seed below zero": ({"seed": -1}, "seed = -1"),
+    "misspelt": ({"without": "friction_stp"}, "no effect 'friction_stp'"),
+    "force": ({"forces": "fz"}, "gives no fz"),
+    "no such file": ({"holdout": "no.csv"}, "no.csv: the file does not exist"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "said"), WRONG.values(), ids=WRONG)
+def test_what_cannot_be_meant_is_said(arguments, said):
+    with pytest.raises(TirefitError, match=re.escape(said)):
+        tirefit.diagnose(read_frame(rig_data()), **arguments)
+
+
+def test_a_rig_is_no_mapping_and_a_seed_no_fraction():
+    with pytest.raises(UsageError, match="rig is of type dict"):
+        a_rig({"noise": {"fx": 30.0}})
+    with pytest.raises(UsageError, match=r"seed = 1\.5"):
+        a_seed(1.5)
+    assert a_seed(np.uint32(7)) == 7
+
+
+@pytest.mark.parametrize("value", [np.nan, -1.0, 0.0, np.inf])
+def test_a_noise_is_a_positive_number(value):
+    with pytest.raises(UsageError, match="give a positive number"):
+        Rig(noise={"fx": value})
+
+
+def test_one_of_a_kind_stands_for_a_list_of_it(tmp_path):
+    data, other = read_frame(rig_data()), read_frame(rig_data(seed=2))
+    (tmp_path / "rig.toml").write_text("[noise]\nfx = 30\n")
+    one = tirefit.diagnose(
+        data, rig=tmp_path / "rig.toml", forces="fx", without="friction_step",
+        holdout=other,
+    )  # fmt: skip
+    several = tirefit.diagnose(
+        data, rig=Rig(noise={"fx": 30.0}), forces=["fx"], without=["friction_step"],
+        holdout=[other],
+    )  # fmt: skip
+    assert one.verdict == several.verdict
+    assert one.settings == several.settings
+    assert "friction_step" not in one.settings.effects
+    assert one.settings.holdout == (other.source.sha256,)
+    assert tirefit.diagnose(data, holdout=None).settings.holdout == ()

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cache
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from tirefit.data.far import without_far
 from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.diagnosis.across_runs import held_across_runs
+from tirefit.diagnosis.arguments import a_rig, a_seed, names, tables
 from tirefit.diagnosis.base import Base, fit_base, with_noise_judged
 from tirefit.diagnosis.blocks import blocks_of_settings, coincides
 from tirefit.diagnosis.case import Case
@@ -51,11 +53,11 @@ def diagnose(
     model: str = "brush",
     *,
     sim: Any = None,
-    rig: Rig | None = None,
-    forces: Sequence[str] | None = None,
+    rig: Rig | str | PathLike | None = None,
+    forces: str | Sequence[str] | None = None,
     effects: Sequence[Effect] = EFFECTS,
-    without: Sequence[str] = (),
-    holdout: Sequence = (),
+    without: str | Sequence[str] = (),
+    holdout: Any = (),
     seed: int = 0,
 ) -> Diagnosis:
     """Where a model misses the data, which unmodelled effect causes it, how far the
@@ -71,27 +73,31 @@ def diagnose(
             data's columns ``fx_sim``, ``fy_sim``, ``mz_sim``, or arrays (n,) of all
             rows by channel, in canonical signs. Where only its forces are known,
             ``model``, fitted to them, stands in for what a hypothesis changes.
-        rig: what is known of the rig (noise, rolling radius, wheel inertia).
+        rig: what is known of the rig (noise, rolling radius, wheel inertia), or the
+            path of its ``rig.toml``.
         forces: of fx, fy, mz, those that matter; None for all that were measured.
         effects: the library to search; add your own to :data:`EFFECTS`.
         without: ids of effects that are not looked for.
-        holdout: data of the same kinds, not used for the search, to check the closure
-            on.
+        holdout: data of the same kinds, or a list of such, not used for the search, to
+            check the closure on.
         seed: of the simulated null distributions and bootstraps.
 
     Raises:
-        UsageError: no such model, no such force, or no such effect to leave out; or
-            32-bit floats in use.
+        UsageError: no such model, no such force, or no such effect to leave out; an
+            argument that is none of the above; or 32-bit floats in use.
         DataError: no force with a slip that varies, no load, too few rows, no
             simulated forces, a model that does not follow them, or ``data`` among what
             is held out.
     """
     require_x64("a diagnosis")
     release_programs()
-    data, holdout = as_data(data), [as_data(other) for other in holdout]
+    data, holdout, without = as_data(data), tables(holdout), names(without)
+    rig, generator = a_rig(rig), np.random.default_rng(a_seed(seed))
+    if not effects:
+        remedy = "leave the argument out: without=... leaves single effects out"
+        raise UsageError(InputProblem("effects: none to look for", remedy))
     _are_others(data, holdout)
     data, holdout = without_far(data), [without_far(other) for other in holdout]
-    rig = rig or Rig()
     known = {effect.id for effect in effects}
     if unknown := sorted(set(without) - known):
         problems = []
@@ -105,19 +111,18 @@ def diagnose(
         # are its scaling factors.
         sim = fit_magic_formula(data, model)
     given, gives = None, _forces_of(model)
-    generator = np.random.default_rng(seed)
     if sim is not None:
         given = given_simulator(sim, data)
         data, holdout = given.beside(data), [given.beside(x, True) for x in holdout]
         gives = given.channels(data, gives)
     if forces is not None:
-        gives = _asked_for(tuple(forces), data, gives)
+        gives = _asked_for(names(forces), data, gives)
     library = tuple(effect for effect in effects if effect.id not in without)
     settings = Settings(
         rig=rig,
         effects=tuple(effect.id for effect in library),
         holdout=tuple(other.source.sha256 for other in holdout),
-        forces=None if forces is None else tuple(forces),
+        forces=None if forces is None else names(forces),
     )
     name = model if given is None or given.tire is None else given.source
     # The matrices are small: a second thread only spins while it waits, and sums in

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from tirefit.data.table import TireData
 from tirefit.door import read_toml
+from tirefit.results import InputProblem, UsageError
 from tirefit.settings import Section, parse_settings
 
 __all__ = ["VEHICLE", "Rig", "load_rig"]
@@ -92,6 +93,14 @@ class Rig:
     commanded_slip: str | None = None
     run_order: str | None = None
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        """Raises UsageError for a stated noise or error that is no positive number."""
+        for kind in ("noise", "vehicle"):
+            for name, value in getattr(self, kind).items():
+                if not 0 < value < np.inf:
+                    reason = f"{kind}: {name} = {value:g}"
+                    raise UsageError(InputProblem(reason, "give a positive number"))
 
     def radius_for(self, data: TireData) -> float | None:
         """Rolling radius [m]: given, or v / omega with the slip along taken out (which

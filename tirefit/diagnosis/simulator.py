@@ -8,6 +8,7 @@ whatever the simulator has that the tire lacks stays in.
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -223,8 +224,8 @@ def given_simulator(sim: Any, data: TireData) -> Given:
         return _of_fit(sim, sim.tire, sim.layout, sim.z, sim.model)
     if isinstance(sim, AbstractTire):
         return _of_tire(sim, "model", type(sim).__name__)
-    if isinstance(sim, str):
-        return simulator_at(sim)
+    if isinstance(sim, str | PathLike):
+        return simulator_at(str(sim))
     return _of_arrays(sim, data)
 
 
@@ -238,8 +239,13 @@ def _of_arrays(sim, data: TireData) -> Given:
         sim = {measured[0]: sim}
     arrays = {}
     for name, values in sim.items():
-        channel = name.removesuffix("_sim")
-        array = np.asarray(values, float)
+        channel = str(name).removesuffix("_sim")
+        try:
+            array = np.asarray(values, float)
+        except (TypeError, ValueError):
+            reason = f"sim is of type {type(values).__name__}"
+            remedy = "give a tire model, a fit, a file, True, or arrays of forces"
+            raise UsageError(InputProblem(reason, remedy)) from None
         if f"{channel}_sim" not in SIMULATED or array.shape != (len(data),):
             reason = f"sim: {name} of shape {array.shape}"
             remedy = f"give fx, fy or mz with one value for each of {len(data)} rows"

@@ -1,0 +1,60 @@
+"""Arguments of a diagnosis as Python gives them: one of a kind stands for a list of it,
+and what cannot be meant is said."""
+
+from collections.abc import Sequence
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from tirefit.data.accept import as_data
+from tirefit.data.table import TireData
+from tirefit.diagnosis.rig import Rig, load_rig
+from tirefit.results import InputProblem, UsageError
+
+__all__ = ["a_rig", "a_seed", "names", "tables"]
+
+_SEEDS = 2**32
+
+
+def names(given: str | Sequence[str]) -> tuple[str, ...]:
+    """Names; a single one is no sequence of letters."""
+    return (given,) if isinstance(given, str) else tuple(given)
+
+
+def tables(given: Any) -> list[TireData]:
+    """Data of each of several; of one, where it is no list or tuple; none of None.
+
+    Raises:
+        UsageError, DataError: as :func:`tirefit.data.accept.as_data`.
+    """
+    if given is None:
+        return []
+    several = given if isinstance(given, list | tuple) else [given]
+    return [as_data(one) for one in several]
+
+
+def a_rig(given: Any) -> Rig:
+    """What is known of the rig: nothing, a record of it, or a file ``rig.toml``.
+
+    Raises:
+        UsageError: none of these, or a file that says something else.
+    """
+    if given is None or isinstance(given, Rig):
+        return given or Rig()
+    if isinstance(given, str | PathLike):
+        return load_rig(str(given))
+    reason = f"rig is of type {type(given).__name__}"
+    raise UsageError(InputProblem(reason, "give a Rig(...), or the path of a rig.toml"))
+
+
+def a_seed(given: Any) -> int:
+    """A seed of everything random.
+
+    Raises:
+        UsageError: no whole number from 0 to 2^32 - 1.
+    """
+    if isinstance(given, int | np.integer) and 0 <= given < _SEEDS:
+        return int(given)
+    reason = f"seed = {given!r}"
+    raise UsageError(InputProblem(reason, "give a whole number from 0 to 2^32 - 1"))
