@@ -124,9 +124,21 @@ def test_simulated_rig_sweeps_and_mistakes(run, tmp_path):
         (("rig", "--load", "-5"), "out of range"),
         (("braking", "--drop", "soon"), "TIME=FRICTION"),
         (("braking", "--truth", "x.csv"), "--truth is --out"),
+        (("braking", "--teeth", "1000000000"), "number of rows 2e+11 is out"),
+        (("braking", "--rate", "1e12"), "up to 1e+07"),
+        (("braking", "--period", "inf"), "--period inf is out of range"),
+        (("braking", "--load", "1e30"), "--load 1e+30 is out of range"),
+        (("braking", "--speed", "inf"), "--speed inf is out of range"),
+        (("braking", "--drop", "500=0.4"), "--drop at 500 is out of range"),
+        (("rig", "--points", "1000000000"), "number of rows 1e+09 is out"),
+        (("rig", "--force-std", "inf"), "from 0 to 1"),
+        (("drive", "--rate", "1e9"), "number of rows 3e+10 is out"),
+        (("rig", "--truth", "t.xlsx"), "t.xlsx: the output is a CSV"),
     ):
         result = run("simulate", *arguments, "--out", "x.csv", exit_code=2)
         assert said in result.stderr
+        assert "Traceback" not in result.stderr
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["r.csv"]
 
 
 def test_methods_lists_all(run):

@@ -58,7 +58,15 @@ def braking(
     """A wheel braked in saw-teeth, S section 5.1: a log in time order."""
     with errors_to_exit():
         change = _drop(drop)
-        _check(out, truth, [("--amplitude", amplitude, 0.0, 2.0)])
+        limits = [
+            ("--amplitude", amplitude, 0.0, 2.0), ("--period", period, 0.0, 1e4),
+            ("--speed", speed, 0.0, 1e3), ("--load", load, 0.0, 1e9),
+            ("--friction", friction, 0.0, 5.0),
+            ("--slip-variance", slip_variance, -1e-9, 1.0),
+            ("--force-variance", force_variance, -1e-9, 1.0),
+            *_of_log(rate, teeth * period, change),
+        ]  # fmt: skip
+        _check(out, truth, limits)
         if tire not in ("magic-formula", "lugre"):
             reason = f"--tire {tire!r} is not known"
             raise UsageError(InputProblem(reason, "magic-formula or lugre"))
@@ -108,6 +116,8 @@ def drive(
             ("--duration", duration, 0.1, 1e4), ("--speed", speed, 1.0, 100.0),
             ("--bend", bend, -1e-9, 1.0), ("--bend-period", bend_period, 0.5, 1e3),
             ("--brake", brake, -1e-9, 2.0), ("--brake-period", brake_period, 0.5, 1e3),
+            ("--friction", friction, 0.0, 5.0), ("--gps-std", gps_std, -1e-9, 1e3),
+            ("--gyro-std", gyro_std, -1e-9, 10.0), *_of_log(rate, duration, change),
         ]  # fmt: skip
         _check(out, truth, limits)
         start_jax()
@@ -154,7 +164,12 @@ def rig(
         loads, speeds = load or [4000.0], speed or [20.0]
         limits = [("--load", x, 0.0, 1e9) for x in loads]
         limits += [("--speed", x, 0.0, 1e3) for x in speeds]
-        _check(out, truth, [*limits, ("--largest", largest, 0.0, 1.5)])
+        limits += [
+            ("--largest", largest, 0.0, 1.5), ("--slip-std", slip_std, -1e-9, 1.0),
+            ("--force-std", force_std, -1e-9, 1.0),
+            (_ROWS, points * len(loads) * len(speeds), 1.0, _MOST_ROWS),
+        ]  # fmt: skip
+        _check(out, truth, limits)
         start_jax()
         from tirefit.fitting.problem import find_model
         from tirefit.params import specs
@@ -187,19 +202,36 @@ def _drop(text: str | None) -> tuple[float, float] | None:
     return time, friction
 
 
+_ROWS, _MOST_ROWS = "number of rows", 1e7
+"""What all of them need some GB of memory for."""
+
+
+def _of_log(rate: float, duration: float, drop) -> list[tuple]:
+    """Limits of a log: of its rows, and of the time at which friction changes."""
+    dropped = [("--drop at", drop[0], 0.0, duration)] if drop else []
+    return [(_ROWS, rate * duration, 1.0, _MOST_ROWS), *dropped]
+
+
 def _check(out: Path, truth: Path | None, limits) -> None:
     """Raises UsageError with all that is wrong with files and numbers."""
     from tirefit.data.write import output_problems
 
-    problems = output_problems(out)
+    problems = []
+    for path in (out, truth):
+        if path is None:
+            continue
+        problems += output_problems(path)
+        if path.suffix != ".csv":
+            reason, remedy = "the output is a CSV", "end it in .csv"
+            problems.append(InputProblem(reason, remedy, str(path)))
     if truth is not None:
-        problems += output_problems(truth)
         if truth.absolute() == out.absolute():
             problems.append(InputProblem("--truth is --out", "give it another name"))
     for option, value, low, high in limits:
         if not low < value <= high:
             reason = f"{option} {value:g} is out of range"
-            problems.append(InputProblem(reason, f"above {low:g}, up to {high:g}"))
+            least = "from 0" if low < 0 else f"above {low:g}, up"
+            problems.append(InputProblem(reason, f"{least} to {high:g}"))
     if problems:
         raise UsageError(problems)
 
