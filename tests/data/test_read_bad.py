@@ -358,7 +358,9 @@ def test_a_missing_file_is_named_with_its_neighbour(tmp_path):
     write(tmp_path, WELL)
     with pytest.raises(DataError, match="did you mean 'test file.csv'"):
         read(tmp_path / "test_file.csv")
+    (tmp_path / "dead.csv").symlink_to("gone.csv")
     for path, reason, remedy in (
+        (tmp_path / "dead.csv", "link to gone.csv, which does not", "correct the link"),
         (tmp_path / "nowhere", "does not exist", "check the path"),
         (tmp_path / "no" / "where", "does not exist", "check the path"),
         (tmp_path, "cannot be read: Is a directory", "check the path and its perm"),

@@ -83,6 +83,9 @@ def read_bytes(path: Place) -> bytes:
         with path.open("rb") as file:
             raw = file.read(DATA + 1)
     except FileNotFoundError:
+        if isinstance(path, Path) and path.is_symlink():
+            reason = f"it is a link to {path.readlink()}, which does not exist"
+            raise _refusal(reason, "correct the link", path) from None
         try:
             beside = [other.name for other in path.parent.iterdir()]
         except OSError:
