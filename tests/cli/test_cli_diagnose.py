@@ -361,6 +361,13 @@ def test_a_rig_may_begin_with_a_byte_order_mark(again, calls, tmp_path):
     assert calls == []
 
 
+@pytest.mark.parametrize("name", ["load.rows.csv", "load.html"])
+def test_resume_does_a_case_with_an_empty_file_again(again, calls, tmp_path, name):
+    (tmp_path / "out" / name).write_bytes(b"")
+    again("load.csv", "--resume", "--figures", exit_code=3)
+    assert calls == ["load"]
+
+
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"schema": "tirefit.diagnosis/2"}'])
 def test_resume_does_a_spoiled_document_again(again, calls, tmp_path, text):
     (tmp_path / "out" / "load.json").write_text(text)

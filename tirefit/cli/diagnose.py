@@ -316,7 +316,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     table = _read(file, task.how)
     written, drawn = _written(name, True)
     expected = written + drawn if figures else written
-    if task.resume and all((out / one).exists() for one in expected):
+    if task.resume and all(_is_whole(out / one) for one in expected):
         if _is_done(out / f"{name}.json", table, task.settings, kept, seed):
             say(f"{file}: done before, kept: {out / name}.json")
             return ExitCode.OK, record_of_document(out / f"{name}.json")
@@ -332,6 +332,11 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
             write_page(result, folder / f"{name}.html")
     say(str(result))
     return ExitCode.OK, record_of_document(out / f"{name}.json")
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a file is there and not empty, as a full disk or a crash leaves one."""
+    return path.is_file() and path.stat().st_size > 0
 
 
 def _base_of(content: dict) -> list:
