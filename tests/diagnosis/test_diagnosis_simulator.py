@@ -264,6 +264,12 @@ def test_a_force_that_nobody_cares_for_takes_no_part():
         diagnose(read_frame(frame, "y"), forces=["mz"], **settings)
 
 
+def test_a_force_that_is_not_simulated_names_its_column(frame):
+    both = frame | {"alpha": frame["sigma_x"], "fy": frame["fx"]}
+    with pytest.raises(UsageError, match="(?s)no fy_sim.*ask for fx alone"):
+        diagnose(read_frame(both | {"fx_sim": both["fx"]}), sim=True, forces="fy")
+
+
 def test_the_tire_that_stands_in_is_fitted_to_the_simulation(frame):
     data = read_frame(frame | {"fx_sim": 2 * frame["fx"]}, "a")
     std = replace(data, columns={**data.columns, "fx_std": 0 * data["fx"] + 1})

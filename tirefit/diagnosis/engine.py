@@ -116,7 +116,10 @@ def diagnose(
         data, holdout = given.beside(data), [given.beside(x, True) for x in holdout]
         gives = given.channels(data, gives)
     if forces is not None:
-        gives = _asked_for(names(forces), data, gives)
+        in_columns = given is not None and given.tire is None
+        gives = _asked_for(
+            names(forces), data, gives, _forces_of(model) if in_columns else ()
+        )
     library = tuple(effect for effect in effects if effect.id not in without)
     settings = Settings(
         rig=rig,
@@ -153,13 +156,18 @@ def _are_others(data: TireData, holdout: Sequence[TireData]) -> None:
             raise DataError(InputProblem(reason, remedy, name))
 
 
-def _asked_for(forces: tuple[str, ...], data: TireData, gives) -> tuple[str, ...]:
-    """Of what the model gives, the forces that are asked for."""
-    problems = [
-        InputProblem(f"the model gives no {name}", f"it gives {', '.join(gives)}")
-        for name in forces
-        if name not in gives
-    ]
+def _asked_for(
+    forces: tuple[str, ...], data: TireData, gives, in_columns
+) -> tuple[str, ...]:
+    """Of what the model gives, the forces that are asked for; ``in_columns`` are those
+    that it gives where the simulator does."""
+    problems = []
+    for name in (name for name in forces if name not in gives):
+        reason, remedy = f"the model gives no {name}", f"it gives {', '.join(gives)}"
+        if name in in_columns:
+            reason = f"the simulator's {name} is missing: there is no {name}_sim"
+            remedy = f"add it, or ask for {' or '.join(gives)} alone"
+        problems.append(InputProblem(reason, remedy))
     if problems:
         raise UsageError(problems)
     require(data, forces, "a diagnosis of them")
