@@ -226,7 +226,7 @@ def derive_files(
     """
     out = Path(out)
     vehicle = load_vehicle(vehicle_toml, units)
-    metadata = out.with_name(f"{out.stem}.derive.json")
+    metadata = out.parent / f"{out.stem}.derive.json"
     _check_names(paths, vehicle_toml, (out, metadata))
     logs: list[DerivedLog] = []
     problems: list[InputProblem] = []
