@@ -1,5 +1,8 @@
 """A vehicle's log: forces derived from the motion, rates, runs that differ."""
 
+import itertools
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest_diagnosis import brush
@@ -9,6 +12,7 @@ from fits.withheld.car import FAULTS, Car, drive
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.closure import closure_elsewhere, of_so_few_runs, without_each
 from tirefit.diagnosis.effects import EFFECTS, atoms_of, effects_by_id
+from tirefit.diagnosis.effects.lag import lagged
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.motion import derived_from
 from tirefit.diagnosis.rates import AHEAD, slip_rate
@@ -140,6 +144,54 @@ def test_a_measured_rate_shows_a_past_between_the_rows():
     grows = np.sign(slip) * np.sign(rate)
     sure = np.abs(rate) > 2
     np.testing.assert_array_equal(np.sign(found.turning)[sure], grows[sure])
+
+
+@pytest.mark.parametrize("interval", [0.0125, 0.005])
+def test_the_past_of_a_slip_without_noise_is_what_was_measured(interval):
+    """A chirp of 0.15 to 2 Hz: the slip behind a relaxation of 30 ms, against the
+    equation itself, integrated finely."""
+    time = np.arange(0.0, 16.0, interval)
+
+    def slip(t):
+        return 0.09 * np.sin(2 * np.pi * (0.15 * t + 1.85 * t**2 / 32))
+
+    fine = np.arange(0.0, 16.0, interval / 50)
+    ways = interval / 50 / 0.03
+    behind = np.zeros(len(fine))
+    for k, (before, now) in enumerate(itertools.pairwise(slip(fine))):
+        behind[k + 1] = behind[k] + (1 - np.exp(-ways)) * (
+            (before + now) / 2 - behind[k]
+        )
+    found = slip_rate(slip(time), time, np.zeros(len(time), int))
+    late = lagged(jnp.asarray(found.past.path), 0.03, found.past.interval)
+    right = np.interp(time, fine, behind) - slip(time)
+    # A slip of 0.09 comes late by up to 0.03; a force to 1 % needs it to 3e-4.
+    assert np.abs(right).max() > 0.025
+    assert np.sqrt(np.mean((np.asarray(late) - right) ** 2)) < 1e-4
+
+
+@pytest.mark.parametrize("rate", [80, 200])
+def test_a_relaxation_in_fast_sweeps_is_named_alone(rate):
+    """The equation itself, integrated between the rows, from 0.15 to 2 Hz."""
+    time, length = np.arange(0.0, 20.0, 1 / rate), 0.3
+    v = np.where(time < 10, 10.0, 20.0)
+    swept = np.where(time < 10, time, time - 10)
+    slip = 0.09 * np.sin(2 * np.pi * (0.15 * swept + 1.85 * swept**2 / 20))
+    late, behind = np.zeros(len(time)), 0.0
+    for row in range(1, len(time)):
+        rise = (slip[row] - slip[row - 1]) * rate * length / v[row]
+        left = np.exp(-v[row] / length / rate)
+        behind = slip[row] - rise + (behind - slip[row - 1] + rise) * left
+        late[row] = behind
+    noise = 80 * np.random.default_rng(4).standard_normal(len(time))
+    frame = {
+        "time": time, "alpha": np.arctan(slip), "fz": np.full(len(time), 4000.0),
+        "fy": brush(late, 4e4, 0.9, 4000.0) + noise, "v": v,
+    }  # fmt: skip
+    found = diagnose(read_frame(frame), rig=Rig(noise={"fy": 80.0}))
+    assert found.effects == ("relaxation_length",)
+    (value,) = found.candidates[0].parameters.values()
+    assert value.value == pytest.approx(length, rel=0.03)
 
 
 def test_a_relaxation_of_ten_milliseconds_is_named_from_thinned_rows():

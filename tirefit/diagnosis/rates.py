@@ -7,10 +7,12 @@ probable each is: wide where the slip moves smoothly, one-sided where it turns s
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import comb
 
 from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
+from tirefit.fitting.noise import MAD
 
-__all__ = ["AHEAD", "BEHIND", "Past", "Sweeps", "segments", "slip_rate"]
+__all__ = ["AGES", "AHEAD", "STEPS", "Past", "Sweeps", "segments", "slip_rate"]
 
 _WINDOWS = (5, 7, 11, 17, 25, 41)
 """Rows of the local parabolas: each half as wide again as the one before."""
@@ -21,20 +23,32 @@ _NOISY = 17
 _ALONE = 0.05
 """Share of its path that is not a row's own value, at least."""
 _REACH = _WINDOWS[-1] - 1
+_AS_MEASURED = 3
+"""Rows of the parabola that goes through the values: that none is noise."""
+_ORDERS = range(2, 9)
+"""Differences that are tried for the scatter of values about a curve."""
 _PIECE = 4_000
 """Rows of a long stretch worked out at once: so many stay near the processor."""
 
-AHEAD, BEHIND = 4, 12
-"""Columns of the past that lie after and before its row."""
+AHEAD = 4
+"""Columns of the past that lie after its row."""
 
-_SPAN = 0.45
-"""How far the past reaches back, at least: in times that the slip takes for a change of
-its standard deviation."""
+STEPS = (1, 1, 1, 1, 1, 1, 2, 2, 4, 4, 6, 8)
+"""Intervals from each column before the row to the one before that: the longer ago a
+slip was, the less its details count."""
+
+AGES = np.concatenate([np.arange(-AHEAD, 1), np.cumsum(STEPS)])
+"""How many intervals ago each column was."""
+
+_SPAN = 0.45 / 12
+"""The interval, at least, over the time that the slip takes for a change of its
+standard deviation: a straight line over as much misses it by 2e-4 of that."""
 
 
 _WORTH = 0.7
 """Log probability for each value that a parabola explains, against leaving the values
-as measured; on saw-tooth and sine sweeps the error claimed is the true one."""
+as measured, which the shortest does; on saw-tooth and sine sweeps the error claimed is
+the true one."""
 
 _UNSTEADY = 0.15
 """Share of the slip's variance that neighbours in time may leave open in a sweep."""
@@ -149,7 +163,7 @@ def _averaged(values, time, noise: float) -> _Path:
     size, row = len(values), np.arange(len(values))
     path, rise = _Mean(values), _Mean(np.zeros(size))
     reach = np.zeros((size, 2 * _REACH + 1))
-    for window in (w for w in _WINDOWS if w <= size):
+    for window in (w for w in (_AS_MEASURED, *_WINDOWS) if w <= size):
         local = _parabolas(values, time, window)
         log = _WORTH * (window - _COEFFICIENTS) - 0.5 * local.misfit / noise**2
         for first in (row - window // 2, row, row - window + 1):
@@ -170,8 +184,8 @@ def _averaged(values, time, noise: float) -> _Path:
 
 
 class Past(NamedTuple):
-    """What was before each row, in steps of ``interval`` [s]: column :data:`AHEAD` is
-    the row itself, those before it come later, those after it earlier.
+    """What was before each row, :data:`AGES` times ``interval`` [s] ago: column
+    :data:`AHEAD` is the row itself, those before it come later, those after it earlier.
 
     ``path`` (n, k) is the slip there as the other rows show it: a row's own noise moves
     neither its own path nor that of its neighbours. Times beyond the sweep are held at
@@ -191,7 +205,7 @@ class Past(NamedTuple):
 
 
 def _no_past(values) -> Past:
-    row = np.repeat(np.arange(len(values))[:, None], AHEAD + 1 + BEHIND, axis=1)
+    row = np.repeat(np.arange(len(values))[:, None], len(AGES), axis=1)
     return Past(np.zeros(row.shape), row, row.copy(), np.zeros(row.shape), 1.0)
 
 
@@ -199,8 +213,7 @@ def _places(past: Past, part, time):
     """Row numbers (n, 1), and between which rows (n, k) of the stretch the times of the
     past fall: after ``low``, by so much of a step."""
     size = len(part)
-    age = past.interval * np.arange(-AHEAD, BEHIND + 1)
-    when = np.clip(time[:, None] - age, time[0], time[-1])
+    when = np.clip(time[:, None] - past.interval * AGES, time[0], time[-1])
     low = np.clip(np.searchsorted(time, when, side="right") - 1, 0, size - 2)
     share = (when - time[low]) / (time[low + 1] - time[low])
     return np.arange(size)[:, None], low, share
@@ -265,8 +278,10 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     # Left out, a row misses by its own noise and that of the local parabola, which has
     # 9 / (4 w) of the variance at its middle. Where few neighbours predict best it is
     # the curve that misses, not noise.
-    seen = max(np.sqrt(left_out / (1 + 9 / (4 * window))), FLAT * np.std(slip))
+    seen = np.sqrt(left_out / (1 + 9 / (4 * window)))
     scatter = seen if window >= _NOISY else 0.0
+    seen = scatter or min(seen, _about_a_curve(slip, parts))
+    seen = max(seen, FLAT * np.std(slip))
     level = max(noise, scatter if scatter > _MORE * noise else 0.0) or seen
     paths = [
         _Path(*_in_pieces(_averaged, slip[part], time[part], level)) for part in parts
@@ -274,7 +289,7 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     usual = float(np.median(np.concatenate([np.diff(time[part]) for part in parts])))
     rate = np.sqrt(np.mean(np.concatenate([path.slope for path in paths]) ** 2))
     period = float(np.std(slip) / rate) if rate > 0 else 0.0
-    past = none._replace(interval=max(usual, _SPAN * period / BEHIND))
+    past = none._replace(interval=max(usual, _SPAN * period))
     sweeps = still._replace(present=True, noise=scatter, past=past)
     past.path[:] = past.of(slip)
     for part, path in zip(parts, paths, strict=True):
@@ -292,7 +307,7 @@ def _by_its_rate(slip, time, rate, parts, still: Sweeps) -> Sweeps:
     """Cubics through values and rates, as finely as the rate moves the slip: a past
     that lies between the rows."""
     usual = float(np.sqrt(np.mean(rate**2)))
-    past = still.past._replace(interval=_SPAN * float(np.std(slip)) / usual / BEHIND)
+    past = still.past._replace(interval=_SPAN * float(np.std(slip)) / usual)
     moving = still._replace(present=True, rate=rate, past=past)
     past.path[:] = past.of(slip)
     for part in parts:
@@ -310,6 +325,17 @@ def _by_its_rate(slip, time, rate, parts, still: Sweeps) -> Sweeps:
     sure = np.sign(slip) * rate / (2 * _SURE * usual)
     moving.turning[:] = np.clip(sure, -1, 1)
     return moving
+
+
+def _about_a_curve(slip, parts) -> float:
+    """Scatter of the values about a curve, however it bends: differences of rising
+    order leave ever less of the curve, and the same of the scatter."""
+    return min(
+        MAD * np.median(np.abs(np.concatenate([np.diff(slip[p], k) for p in parts])))
+        / np.sqrt(comb(2 * k, k))
+        for k in _ORDERS
+        if min(len(part) for part in parts) > k
+    )  # fmt: skip
 
 
 def _best_window(slip, time, parts) -> tuple[int, float]:

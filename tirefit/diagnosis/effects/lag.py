@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from tirefit.diagnosis.effects.free_forms import SHIFT_BY_DELAY, SHIFT_BY_LAG
 from tirefit.diagnosis.effects.known import of_a_known_clock
 from tirefit.diagnosis.effects.record import Effect, scaled
-from tirefit.diagnosis.rates import AHEAD, BEHIND
+from tirefit.diagnosis.rates import AGES, AHEAD, STEPS
 
 __all__ = ["EFFECTS", "lagged"]
 
@@ -23,11 +23,12 @@ def _late(past, delay, rows):
 
     Exact for values that move in straight lines from column to column.
     """
-    at = jnp.clip(AHEAD + delay / rows.interval, 0.0, past.shape[1] - 1.0)
-    low = jnp.clip(jnp.floor(at), 0, past.shape[1] - 2).astype(int)[:, None]
-    before = jnp.take_along_axis(past, low, axis=1)[:, 0]
-    after = jnp.take_along_axis(past, low + 1, axis=1)[:, 0]
-    return before + (at - low[:, 0]) * (after - before) - past[:, AHEAD]
+    age, ages = jnp.clip(delay / rows.interval, AGES[0], AGES[-1]), jnp.asarray(AGES)
+    low = jnp.clip(jnp.searchsorted(ages, age, side="right") - 1, 0, ages.size - 2)
+    share = (age - ages[low]) / (ages[low + 1] - ages[low])
+    before = jnp.take_along_axis(past, low[:, None], axis=1)[:, 0]
+    after = jnp.take_along_axis(past, low[:, None] + 1, axis=1)[:, 0]
+    return before + share * (after - before) - past[:, AHEAD]
 
 
 def lagged(past, length, step):
@@ -38,22 +39,25 @@ def lagged(past, length, step):
 
     Args:
         length: of the response, in the unit of ``step``.
-        step: (n,) from column to column.
+        step: (n,) of one of :data:`AGES`.
     """
     # At a length of zero itself the slope is that of lengths above.
     length = jnp.where(length < 0, 0.0, length) + _NO_LENGTH * step
-    ways = step / length
-    decay = jnp.exp(-ways)
-    # Response to values that rise over the step.
-    share = jnp.where(ways < _FEW_WAYS, ways / 2, 1 - (1 - decay) / ways)
+    one = step / length
 
-    def follow(carry, value):
+    def follow(carry, column):
         behind, before = carry
+        value, steps = column
+        ways = steps * one
+        decay = jnp.exp(-ways)
+        # Response to values that rise over the way.
+        share = jnp.where(ways < _FEW_WAYS, ways / 2, 1 - (1 - decay) / ways)
         behind = decay * behind + share * value + (1 - share - decay) * before
         return (behind, value), None
 
     path = past[:, AHEAD:].T[::-1]
-    behind = jax.lax.scan(follow, (path[0], path[0]), path[1:])[0][0]
+    steps = jnp.asarray(STEPS[::-1], path.dtype)
+    behind = jax.lax.scan(follow, (path[0], path[0]), (path[1:], steps))[0][0]
     return behind - past[:, AHEAD]
 
 
@@ -84,10 +88,8 @@ def _relax(state, length, constants, rows):
 def _within_the_past(prior, prepared, rig):
     """No row knows more of its past, or of what comes, than was taken along."""
     prior = of_a_known_clock(prior, prepared, rig)
-    interval = float(prepared.covariates.interval[0])
-    return prior._replace(
-        low=max(prior.low, -AHEAD * interval), high=min(prior.high, BEHIND * interval)
-    )
+    first, last = AGES[[0, -1]] * float(prepared.covariates.interval[0])
+    return prior._replace(low=max(prior.low, first), high=min(prior.high, last))
 
 
 DELAY = Effect(

@@ -22,6 +22,9 @@ _DOUBLED = -3.0
 """The same of what it adds: the friction is doubled at most."""
 _ALIKE = 0.9
 """Correlation of speed and slip from which one is hardly told from the other."""
+_ONE_LOAD = 0.1
+"""Standard deviation of log F_z below which a zero that follows the load is hardly told
+from a constant one."""
 
 
 def _slip_load(state, share, constants, rows):
@@ -72,6 +75,13 @@ def _one_speed_of_the_slip(prepared) -> float:
     return seldom(prepared) - 2 * float(alike > _ALIKE)
 
 
+def _one_load(prepared) -> float:
+    """Where the load hardly varies, a zero that follows it is one more claim than a
+    constant one, and no better seen."""
+    varies = float(np.std(np.log(prepared.inputs.fz)))
+    return seldom(prepared) - 2 * float(varies < _ONE_LOAD)
+
+
 SLIP_LOAD = Effect(
     id="slip_offset_load",
     family="slip x load",
@@ -83,7 +93,7 @@ SLIP_LOAD = Effect(
     means="the zero of the slip moves with load",
     remedy="take the rolling radius (steering zero) as a function of load",
     bounds=((-4.0, 4.0),),
-    odds=seldom,
+    odds=_one_load,
     needs=("loads",),
     forms=over("shift", 0.1, "fz", ONE_WAY, rise),
     variants=((1.0,), (0.0,)),
