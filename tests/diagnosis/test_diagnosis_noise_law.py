@@ -46,3 +46,44 @@ def test_noise_that_falls_with_the_force_is_no_law():
     """A slip noise that was overstated looks so: the level stays."""
     noise = judged(np.full(ROWS, 40.0) * (1 - 0.6 * FORCE / 4000))
     assert noise.source == "given"
+
+
+def alike(residual, given, slip=SLIP):
+    """The noise of records whose force is flat, of rows in the order of time."""
+    basis = np.stack([slip**k for k in range(5)], axis=1)
+    waves = np.stack([f(40 * slip) for f in (np.sin, np.cos)], axis=1)
+    level, zero = None if given is None else np.full(ROWS, given), np.zeros(ROWS)
+    return judge_noise(
+        residual, zero, LOAD, LOAD, level, basis, waves, [np.argsort(slip)],
+        np.arange(float(ROWS)), zero.astype(int),
+    )  # fmt: skip
+
+
+def first_order(fade, seed):
+    generator, out = np.random.default_rng(seed), np.zeros(ROWS)
+    for row in range(1, ROWS):
+        out[row] = fade * out[row - 1] + generator.normal()
+    return 40 * np.sqrt(1 - fade**2) * out
+
+
+@pytest.mark.parametrize("fade", [0.3, 0.6, 0.85])
+def test_the_level_of_slow_noise_is_not_the_scatter_between_neighbours(fade):
+    """A slip that sweeps slowly: who is next in slip was next in time."""
+    sweep = np.linspace(0, 1, ROWS)
+    found = [alike(first_order(fade, seed), None, sweep) for seed in range(5)]
+    assert np.mean([np.mean(one.std) for one in found]) == pytest.approx(40, rel=0.13)
+    each = np.median([one.inflation for one in found])
+    assert each == pytest.approx((1 + fade) / (1 - fade), rel=0.25)
+
+
+def test_what_changes_in_time_does_not_overrule_a_stated_level():
+    """Neighbours in slip, of different sweeps, scatter by it; those in time do not."""
+    slip = np.abs((np.arange(ROWS) / 90) % 2 - 1)
+    drift = 80 * np.sin(np.arange(ROWS) / 60)
+    white = 40 * np.random.default_rng(3).standard_normal(ROWS)
+    found = alike(white + drift, 40.0, slip)
+    assert found.source == "given" and np.mean(found.std) == 40
+    # Noise that is twice as large as stated is.
+    larger = alike(2 * white, 40.0, slip)
+    assert "noise_misstated" in larger.flags
+    assert np.mean(larger.std) == pytest.approx(80, rel=0.05)

@@ -6,7 +6,13 @@ import numpy as np
 from scipy.optimize import nnls
 
 from tirefit.diagnosis.basis import RANK, waves_within
-from tirefit.diagnosis.memory import Memory, memory_of
+from tirefit.diagnosis.memory import (
+    FORGETFUL,
+    Memory,
+    likeliest,
+    memory_of,
+    scatter_between,
+)
 from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
 from tirefit.diagnosis.rows import LOADS
 from tirefit.fitting.noise import MAD, autocorrelation_time
@@ -51,9 +57,6 @@ _SPREAD_OF_LOAD = 0.05
 
 _UNEVEN = 1.3
 """Largest over smallest standard deviation from which noise is called uneven."""
-
-_SECOND = 1.5
-"""Variance of a row less the mean of its two neighbours, over that of the noise."""
 
 _NEIGHBOURED = 0.3
 """Share of the rows that have such neighbours, from which they speak for all."""
@@ -112,7 +115,11 @@ def judge_noise(
     std = np.sqrt(base**2 + spread) if given is not None else base
     level = residual / (std if given is not None else np.maximum(fz, FLAT))
     keep = ~_stray(level, groups)
-    smooth = _soaked(residual / std, basis / std[:, None], waves / std[:, None], keep)
+    in_time = _in_order(time, run)
+    most = np.inf if given is None else (1 + _MISSTATED) ** 2
+    smooth = _soaked(
+        residual / std, basis / std[:, None], waves / std[:, None], keep, in_time, most
+    )
     clean = smooth.remainder(residual / std)
     for _ in range(_ROUNDS if refine else 0):
         level = clean
@@ -131,17 +138,25 @@ def judge_noise(
         smooth = _Smooth(smooth.basis, good)
         clean = smooth.remainder(residual / std)
     rest = _Rest(clean, smooth.freedom, keep, base, std)
-    local = _between_neighbours(residual / std, groups, keep)
-    level, flags, source = _levelled(rest, local, spread, fz, force, given is not None)
+    if given is None:
+        level = rest.law(spread, fz, force, False)
+        memory = rest.memory(smooth, level, spread, in_time)
+        local = _between_neighbours(residual / std, groups, keep, memory, in_time)
+        rest = rest.under(memory)
+        level, flags, source = _levelled(rest, local, spread, fz, force, False)
+    else:  # a gap may lie between neighbours in slip, or in time
+        local = min(
+            _between_neighbours(residual / std, order, keep)
+            for order in (groups, in_time)
+        )
+        level, flags, source = _levelled(rest, local, spread, fz, force, True)
+        memory = rest.memory(smooth, level, spread, in_time, most)
     if np.count_nonzero(~keep) > max(_FEW, _FLAGGED * len(residual)):
         flags.append("outliers")
-    scale = level / std
-    white = np.where(keep, clean, 0.0) / scale
-    unit, _ = np.linalg.qr(smooth.columns / scale[:, None])
-    own = np.clip(1 - spread / level**2, 0.0, 1.0)
-    memory, inflation = memory_of(white, unit, _in_order(time, run), own), 1.0
+    inflation = 1.0
     each = sum(one.chance * float(np.mean(one.rows_each)) for one in memory)
     if each > 1:
+        white = np.where(keep, clean, 0.0) * std / level
         inflation = max(each, correlation(white, time, run))
         inflation = min(inflation, len(white) / _FACTS)
         flags.append("autocorrelated")
@@ -153,7 +168,7 @@ class _Rest(NamedTuple):
     freedom, the rows that count, and ``base`` (n,), ``std`` without the slip noise."""
 
     clean: np.ndarray
-    freedom: int
+    freedom: float
     keep: np.ndarray
     base: np.ndarray
     std: np.ndarray
@@ -163,6 +178,24 @@ class _Rest(NamedTuple):
         shapes = _shapes(self.clean, fz, force, self.base, self.keep)
         values = self.clean * self.std
         return _variance_law(values, spread, shapes, self.keep, self.freedom, stated)
+
+    def memory(self, smooth: "_Smooth", level, spread, in_time, most=np.inf):
+        """What it may be; of the force, as far as a row's variance is its own.
+
+        Args:
+            level: standard deviation (n,).
+            most: mean square of the noise over it, at most.
+        """
+        scale = level / self.std
+        white = np.where(self.keep, self.clean, 0.0) / scale
+        unit, _ = np.linalg.qr(smooth.columns / scale[:, None])
+        own = np.clip(1 - spread / level**2, 0.0, 1.0)
+        return memory_of(white, unit, in_time, own, most)
+
+    def under(self, memory) -> "_Rest":
+        """The same, counting that smooth functions take more of a slow noise."""
+        variance = sum(one.chance * one.variance for one in memory)
+        return self._replace(freedom=self.freedom / variance)
 
     def grows_with(self, values) -> float:
         """How the squares follow the values (n,): see :func:`_growth`."""
@@ -237,36 +270,52 @@ def _stray(level, groups) -> np.ndarray:
     )
 
 
-def _between_neighbours(white, groups, keep) -> float:
-    """Standard deviation from second differences of neighbours; inf without any."""
-    squares, count = 0.0, 0
-    for group in groups:
-        rows = group[keep[group]]
-        if len(rows) > 2:
-            second = white[rows][1:-1] - 0.5 * (white[rows][2:] + white[rows][:-2])
-            squares, count = (
-                squares + float(second @ second) / _SECOND,
-                count + len(second),
-            )
-    return (
-        float(np.sqrt(squares / count)) if count > _NEIGHBOURED * len(white) else np.inf
-    )
+def _between_neighbours(white, groups, keep, memory=(FORGETFUL,), in_time=()) -> float:
+    """Standard deviation from second differences of neighbours; inf without any.
+
+    Args:
+        memory: what that of the noise may be: neighbours in slip that are neighbours
+            in time differ by less than independent ones.
+        in_time: rows in the order of time (index arrays).
+    """
+    kept = [group[keep[group]] for group in groups]
+    outer = [np.stack([r[1:-1], r[2:], r[:-2]]) for r in kept if len(r) > 2]
+    if sum(triple.shape[1] for triple in outer) <= _NEIGHBOURED * len(white):
+        return np.inf
+    triples = np.concatenate(outer, axis=1)
+    middle, after, before = white[triples]
+    second = middle - 0.5 * (after + before)
+    expected = scatter_between(triples, memory, in_time, len(white))
+    return float(np.sqrt(np.mean(second**2) / expected))
 
 
-def _soaked(white, basis, waves, keep, most: int = _WAVES):
-    """Smooth functions and the few waves that clearly show, one after the other."""
+def _soaked(white, basis, waves, keep, in_time, most: float):
+    """Smooth functions and the few waves that clearly show, one after the other: those
+    that a memory of the noise does not explain as well."""
     smooth, kept = _Smooth(basis, keep), waves * keep[:, None]
-    count = waves.shape[1] // 2
-    for _ in range(most):
-        clean = np.where(keep, smooth.remainder(white), 0.0)
+    least = np.log(waves.shape[1] // 2) + _STRONG_WAVE
+    if most == np.inf:
+        white = white / max(np.std(smooth.remainder(white)[keep]), NONZERO)
+    clean, fits = _left(smooth, white, keep, in_time, most)
+    for _ in range(_WAVES):
         chi2 = waves_within(kept, smooth.basis * keep[:, None], clean)
         unit = max(np.sum(clean**2) / smooth.freedom, NONZERO)
         best = int(np.argmax(chi2))
-        if chi2[best] / unit < 2 * (np.log(count) + _STRONG_WAVE):
+        if chi2[best] / unit < 2 * least:
             break
         wave = waves[:, 2 * best : 2 * best + 2]
-        smooth = _Smooth(np.concatenate([smooth.basis, wave], axis=1), keep)
+        more = _Smooth(np.concatenate([smooth.basis, wave], axis=1), keep)
+        before, (clean, fits) = fits, _left(more, white, keep, in_time, most)
+        if fits - before < least:
+            break
+        smooth = more
     return smooth
+
+
+def _left(smooth, white, keep, in_time, most: float):
+    """What a smooth function leaves (n,), and how likely that is as noise: the log."""
+    clean = np.where(keep, smooth.remainder(white), 0.0)
+    return clean, likeliest(clean, smooth.columns, in_time, most)
 
 
 class _Smooth:
