@@ -12,12 +12,13 @@ from tirefit.diagnosis.effects import Atom, atoms_of
 from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.forward import Design, Linear, Refit, brush_of_base
 from tirefit.diagnosis.negligible import FLAT
-from tirefit.diagnosis.noise import NoiseLevel, judge_noise
+from tirefit.diagnosis.noise import NoiseLevel, in_order, judge_noise
 from tirefit.diagnosis.remainder import whitened_generic
-from tirefit.diagnosis.rows import Prepared, neighbours, on_scale_of
+from tirefit.diagnosis.rows import NOT_STATED, Prepared, neighbours, on_scale_of
 from tirefit.diagnosis.runs import with_runs
 from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
 from tirefit.diagnosis.slip_nodes import slip_doubt, slip_nodes, slip_proxies
+from tirefit.diagnosis.slip_scatter import slip_scatter
 from tirefit.diagnosis.state import Covariates
 from tirefit.diagnosis.tire import Tire, with_force
 from tirefit.fitting.config import parse_config
@@ -32,6 +33,7 @@ __all__ = [
     "at_measured_slip",
     "fit_base",
     "on_rows",
+    "shown_slip_noise",
     "with_noise_judged",
 ]
 
@@ -292,6 +294,28 @@ def fit_base(
     noise = _noise(prepared, tire, design, fraction, rig, z, silent, False)
     base = _under(noise, prepared, tire, design, fraction, z, guess, simulator)
     return with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
+
+
+_SMALL = 1e-3
+"""Noise of the slip that shows the slope of a force, within which it is straight."""
+
+
+def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
+    """What the measured forces show of the noise of their slip by the model ``name``;
+    zero where it is stated, or known by its sweeps, or both slips drive."""
+    if prepared.slip_source != NOT_STATED or prepared.mode == "xy":
+        return 0.0
+    model, layout, z, _ = _first_fit(prepared, name, prepared.data)
+    tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
+    noisy = replace(prepared, slip_std=np.full(prepared.n, _SMALL))
+    channel, design = prepared.channels[0], _design(noisy, effects, rig)
+    silent = np.zeros(count_atoms(effects))
+    mean, spread = tire.moments(z, silent, design, prepared.n)
+    return slip_scatter(
+        prepared.observed[channel] - mean[channel], spread[channel] / _SMALL**2,
+        prepared.inputs.fz, neighbours(prepared),
+        in_order(prepared.time, prepared.run),
+    )  # fmt: skip
 
 
 def _with_offset(prepared: Prepared, tire: Tire, design: Design, z):

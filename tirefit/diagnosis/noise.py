@@ -17,7 +17,7 @@ from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
 from tirefit.diagnosis.rows import LOADS
 from tirefit.fitting.noise import MAD, autocorrelation_time
 
-__all__ = ["NoiseLevel", "correlation", "judge_noise"]
+__all__ = ["NoiseLevel", "correlation", "in_order", "judge_noise"]
 
 
 _FINEST = 1e-5
@@ -115,7 +115,7 @@ def judge_noise(
     std = np.sqrt(base**2 + spread) if given is not None else base
     level = residual / (std if given is not None else np.maximum(fz, FLAT))
     keep = ~_stray(level, groups)
-    in_time = _in_order(time, run)
+    in_time = in_order(time, run)
     most = np.inf if given is None else (1 + _MISSTATED) ** 2
     smooth = _soaked(
         residual / std, basis / std[:, None], waves / std[:, None], keep, in_time, most
@@ -384,7 +384,7 @@ def _growth(clean, values, keep) -> float:
     return float(square @ x) / np.sqrt(2 * len(x))
 
 
-def _in_order(time, run) -> list[np.ndarray]:
+def in_order(time, run) -> list[np.ndarray]:
     """Rows of each run in the order they were measured: index arrays."""
     order = np.arange(len(run)) if time is None else np.lexsort((time, run))
     return [order[run[order] == code] for code in np.unique(run)]
@@ -392,7 +392,7 @@ def _in_order(time, run) -> list[np.ndarray]:
 
 def correlation(white, time, run) -> float:
     """Rows per independent row, of the remainder in the order it was measured."""
-    parts = [white[rows] for rows in _in_order(time, run)]
+    parts = [white[rows] for rows in in_order(time, run)]
     lag_one = sum(float(p[1:] @ p[:-1]) for p in parts) / max(
         sum(float(p @ p) for p in parts), NONZERO
     )

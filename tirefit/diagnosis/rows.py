@@ -27,7 +27,15 @@ from tirefit.fitting.slip_noise import SlipDistribution, speed_of, std_with_spee
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["LOADS", "Prepared", "neighbours", "on_scale_of", "prepare", "thinned"]
+__all__ = [
+    "LOADS",
+    "NOT_STATED",
+    "Prepared",
+    "neighbours",
+    "on_scale_of",
+    "prepare",
+    "thinned",
+]
 
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that drive the forces -> forces that may be diagnosed."""
@@ -40,6 +48,7 @@ _SPEEDS, LOADS, _PRESSURES = 0.2, 0.03, 0.02
 pressures over their mean, that count as several."""
 
 _SCATTER = "scatter about smooth sweeps"
+NOT_STATED = "none assumed"
 
 _DRIVES = 1e-6
 """Standard deviation of a slip from which it drives: less is one value."""
@@ -380,7 +389,9 @@ def _slip_std(data: TireData, mode: str, rig, scatter: float):
         return np.full(data.n, given), "given"
     if scatter:
         return np.full(data.n, scatter), _SCATTER
-    return np.zeros(data.n), "none assumed"
+    if rig.slip_scatter:
+        return np.full(data.n, rig.slip_scatter), "scatter where the force is steep"
+    return np.zeros(data.n), NOT_STATED
 
 
 def _holdings(data: TireData, mode: str, rows, sweeps: bool, radius) -> frozenset:

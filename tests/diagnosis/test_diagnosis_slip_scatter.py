@@ -1,0 +1,72 @@
+"""The noise of a slip that nobody stated, by the scatter of the forces."""
+
+import numpy as np
+import pytest
+from conftest_diagnosis import brush
+
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.slip_scatter import slip_scatter
+
+ROWS, NOISE = 600, 0.002
+LOADS = np.repeat([2000.0, 4000.0, 6000.0], ROWS // 3)
+TIME = np.arange(ROWS)
+
+
+def shown(seed, slip_noise, own=0.005 * LOADS, off=0.0):
+    """Of steady points in a random order, fitted by the true curve."""
+    generator = np.random.default_rng(seed)
+    slip = generator.uniform(0, 0.15, ROWS)
+    measured = slip + slip_noise * generator.normal(size=ROWS)
+    curve = lambda x: brush(x, 5e4, 0.9, LOADS)  # noqa: E731
+    force = curve(slip + off) + own * generator.normal(size=ROWS)
+    steepness = ((curve(slip + 1e-5) - curve(slip - 1e-5)) / 2e-5) ** 2
+    cells = [np.flatnonzero(load == LOADS) for load in np.unique(LOADS)]
+    by_slip = [rows[np.argsort(measured[rows])] for rows in cells]
+    return slip_scatter(force - curve(measured), steepness, LOADS, by_slip, [TIME])
+
+
+def test_scatter_where_the_force_is_steep_is_the_noise_of_the_slip():
+    found = [shown(seed, NOISE) for seed in range(10)]
+    assert np.mean(found) == pytest.approx(NOISE, rel=0.1)
+    assert np.std(found) < 0.15 * NOISE
+
+
+@pytest.mark.parametrize("growing", [0.0, 0.01])
+def test_noise_of_the_force_alone_shows_none_of_the_slip(growing):
+    own = 20 + growing * LOADS
+    found = [shown(seed, 0.0, own) for seed in range(40)]
+    assert np.count_nonzero(found) <= 2
+    assert max(found) < NOISE / 2
+
+
+def test_a_slip_zero_that_moves_is_no_noise():
+    """Neighbours in slip scatter by it, neighbours in time are off alike."""
+    drift = NOISE * np.sqrt(2) * np.sin(2 * np.pi * TIME / 300)
+    found = [shown(seed, 0.0, off=drift) for seed in range(10)]
+    assert np.mean(found) < 0.6 * NOISE
+
+
+def steady(seed, slip_noise):
+    generator = np.random.default_rng(seed)
+    slip = generator.uniform(-0.12, 0.12, ROWS)
+    fz = generator.permutation(LOADS)
+    force = brush(slip, 5e4, 0.9, fz) + 0.01 * fz * generator.normal(size=ROWS)
+    slip = slip + slip_noise * generator.normal(size=ROWS)
+    return {"time": 0.5 * TIME, "sigma_x": slip, "fx": force, "fz": fz}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_noise_of_a_slip_that_nobody_stated_is_no_gap(seed):
+    noise = 2 * NOISE
+    found = diagnose(read_frame(steady(seed, noise)))
+    assert found.verdict.status == "none"
+    assert found.noise.slip == pytest.approx(noise, rel=0.15)
+    assert found.noise.slip_source == "scatter where the force is steep"
+
+
+def test_what_is_stated_of_the_slip_is_not_estimated():
+    columns = steady(1, 2 * NOISE)
+    found = diagnose(read_frame(columns | {"sigma_x_std": np.full(ROWS, 0.001)}))
+    assert found.noise.slip == 0.001
+    assert "sigma_x_std" in found.noise.slip_source
