@@ -79,6 +79,15 @@ def test_data_held_out_are_others():
     data = read_frame(rig_data())
     with pytest.raises(DataError, match="they check nothing"):
         tirefit.diagnose(data, holdout=[data])
+    with pytest.raises(DataError, match="they check nothing"):
+        tirefit.diagnose(data, holdout=[data.where(np.arange(120) > 80)])
+
+
+def test_other_rows_of_the_same_file_may_be_held_out():
+    data, early = read_frame(rig_data()), np.arange(120) < 80
+    found = tirefit.diagnose(data.where(early), holdout=[data.where(~early)])
+    assert found.verdict.status == "none"
+    assert len(found.rows["fx"]["base"]) == 120
 
 
 def test_a_library_without_effects_still_tests_the_base():

@@ -302,8 +302,10 @@ _SMALL = 1e-3
 
 def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
     """What the measured forces show of the noise of their slip by the model ``name``;
-    zero where it is stated, or known by its sweeps, or both slips drive."""
-    if prepared.slip_source != NOT_STATED or prepared.mode == "xy":
+    zero where it is stated, or known by its sweeps, where both slips drive, and where
+    the force was derived from the motion, whose errors are those of the slip too."""
+    known = prepared.slip_source != NOT_STATED or prepared.derived is not None
+    if known or prepared.mode == "xy":
         return 0.0
     model, layout, z, _ = _first_fit(prepared, name, prepared.data)
     tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)

@@ -157,10 +157,11 @@ def _linear_algebra() -> ThreadpoolController:
 
 
 def _are_others(data: TireData, holdout: Sequence[TireData]) -> None:
-    """Raises DataError where data held out are those that are diagnosed."""
+    """Raises DataError where rows held out are among those that are diagnosed."""
     for other in holdout:
-        same = other.source.sha256 and other.source.sha256 == data.source.sha256
-        if same or other is data:
+        source = other.source.sha256
+        same = source and source == data.source.sha256 and len(other) == len(data)
+        if (same or other.columns is data.columns) and np.any(other.used & data.used):
             reason = "held out are the data that are diagnosed: they check nothing"
             remedy = "give other data with --holdout, or none: a part is left out then"
             name = other.source.path or other.name
