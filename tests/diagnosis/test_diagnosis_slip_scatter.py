@@ -6,6 +6,7 @@ from conftest_diagnosis import brush
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.slip_scatter import slip_scatter
 
 ROWS, NOISE = 600, 0.002
@@ -63,6 +64,8 @@ def test_noise_of_a_slip_that_nobody_stated_is_no_gap(seed):
     assert found.verdict.status == "none"
     assert found.noise.slip == pytest.approx(noise, rel=0.15)
     assert found.noise.slip_source == "scatter where the force is steep"
+    # What was stated stays as it was, or a resumed run would take it for another.
+    assert found.settings.rig == Rig()
 
 
 def test_what_is_stated_of_the_slip_is_not_estimated():

@@ -1,7 +1,6 @@
 """One file diagnosed: noise first, then where, which, how far, and what to measure."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cache
 from os import PathLike
 from typing import Any
@@ -127,6 +126,12 @@ def diagnose(
             names(forces), data, gives, _forces_of(model) if in_columns else ()
         )
     library = tuple(effect for effect in effects if effect.id not in without)
+    settings = Settings(
+        rig=rig,
+        effects=tuple(effect.id for effect in library),
+        holdout=tuple(other.source.sha256 for other in holdout),
+        forces=None if forces is None else names(forces),
+    )
     name = model if given is None or given.tire is None else given.source
     # The matrices are small: a second thread only spins while it waits, and sums in
     # another order move last digits, which can choose another way of a search.
@@ -135,15 +140,8 @@ def diagnose(
         form = "brush" if model in MAGIC_FORMULAS else model
         some = thinned(whole, _MOST_ROWS)
         if shown := shown_slip_noise(some, form, effects, rig):
-            rig = replace(rig, slip_scatter=shown)
-            whole = prepare(data, rig, gives)
+            whole = prepare(data, rig, gives, shown)
             some = thinned(whole, _MOST_ROWS)
-        settings = Settings(
-            rig=rig,
-            effects=tuple(effect.id for effect in library),
-            holdout=tuple(other.source.sha256 for other in holdout),
-            forces=None if forces is None else names(forces),
-        )
         case = studied(some, model, rig, tuple(effects), without, generator, given)
         return document_of(
             case, whole, settings, library, holdout, generator, name, seed

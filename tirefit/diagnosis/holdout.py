@@ -117,9 +117,11 @@ def _record(closure: Closure, what: str) -> HeldOut:
 def _on_files(case, holdout, rig, generator) -> HeldOut:
     base, chosen = case.base, case.verdict.chosen
     before, after, variance, run = [], [], [], []
-    main, runs = base.prepared.channels[0], 0
+    rows, runs = base.prepared, 0
+    main = rows.channels[0]
     for data in holdout:
-        other = on_rows(base, prepare(data, rig, base.prepared.channels), rig)
+        there = prepare(data, rig, rows.channels, rows.slip_scatter)
+        other = on_rows(base, there, rig)
         observed = other.prepared.observed[main]
         silent = np.zeros(len(base.atoms))
         before.append(observed - other.forces(base.as_given, silent)[main])

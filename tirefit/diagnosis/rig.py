@@ -83,8 +83,7 @@ class Rig:
     (``fx_relative``), of the slip [-] or slip angle [rad], of a speed across the patch
     [m/s] (``sigma_x_speed``), which is a slip of as much over v. ``commanded_slip``
     names the column of the slip that was asked for; ``run_order`` is "random" or
-    "sequential". ``slip_scatter`` is the noise of the slip as the forces show it, used
-    where none is stated.
+    "sequential".
     """
 
     rolling_radius: float | None = None
@@ -94,7 +93,6 @@ class Rig:
     commanded_slip: str | None = None
     run_order: str | None = None
     notes: tuple[str, ...] = ()
-    slip_scatter: float = 0.0
 
     def __post_init__(self):
         """Raises UsageError for a stated noise or error that is no positive number."""

@@ -48,6 +48,7 @@ _SPEEDS, LOADS, _PRESSURES = 0.2, 0.03, 0.02
 pressures over their mean, that count as several."""
 
 _SCATTER = "scatter about smooth sweeps"
+_SHOWN = "scatter where the force is steep"
 NOT_STATED = "none assumed"
 
 _DRIVES = 1e-6
@@ -128,6 +129,11 @@ class Prepared:
         return slip_law(self.slip, self.slip_std)
 
     @property
+    def slip_scatter(self) -> float:
+        """Noise of the slip as the forces show it; zero where it is known otherwise."""
+        return float(self.slip_std[0]) if self.slip_source == _SHOWN else 0.0
+
+    @property
     def path(self) -> np.ndarray | None:
         """Slips (n,) as their neighbours in time show them; None where they do not."""
         past = np.asarray(self.covariates.past)
@@ -205,8 +211,11 @@ def _channels(data: TireData, mode: str, given) -> tuple[str, ...]:
     return channels
 
 
-def prepare(data: TireData, rig, model) -> Prepared:
+def prepare(data: TireData, rig, model, slip_scatter: float = 0.0) -> Prepared:
     """Slips, channels and covariates of the used rows.
+
+    Args:
+        slip_scatter: noise of the slip, for where nothing else tells it.
 
     Raises:
         DataError: no force with a slip that varies, no load, too few rows, a force that
@@ -221,7 +230,7 @@ def prepare(data: TireData, rig, model) -> Prepared:
     time = data.usable("time") if "time" in data else None
     run = data.run[data.used]
     sweeps = _sweeps(data, slip, mode, rig, time, run)
-    std, source = _slip_std(data, mode, rig, sweeps.noise)
+    std, source = _slip_std(data, mode, rig, sweeps.noise, slip_scatter)
     if source != _SCATTER:
         check_slip_noise(data, "alpha" if mode == "y" else "sigma_x", std)
     check_force_noise(data, channels, rig)
@@ -370,15 +379,16 @@ def thinned(prepared: Prepared, most: int) -> Prepared:
 
 def _sweeps(data: TireData, slip, mode: str, rig, time, run) -> Sweeps:
     """How the slip moves, by the noise that is stated for it."""
-    stated, _ = _slip_std(data, mode, rig, 0.0)
+    stated, _ = _slip_std(data, mode, rig, 0.0, 0.0)
     rate = None
     if mode == "y" and "alpha_rate" in data:
         rate = data.usable("alpha_rate") * (1 + slip**2)
     return slip_rate(slip, time, run, float(np.median(stated)), rate)
 
 
-def _slip_std(data: TireData, mode: str, rig, scatter: float):
-    """(noise of the slip (n,), where it comes from)."""
+def _slip_std(data: TireData, mode: str, rig, scatter: float, shown: float):
+    """(noise of the slip (n,), where it comes from): stated, else the ``scatter`` about
+    smooth sweeps, else what the forces have ``shown``."""
     name = "alpha" if mode == "y" else "sigma_x"
     if f"{name}_std" in data:
         return np.nan_to_num(data.usable(f"{name}_std")), f"column {name}_std"
@@ -389,8 +399,8 @@ def _slip_std(data: TireData, mode: str, rig, scatter: float):
         return np.full(data.n, given), "given"
     if scatter:
         return np.full(data.n, scatter), _SCATTER
-    if rig.slip_scatter:
-        return np.full(data.n, rig.slip_scatter), "scatter where the force is steep"
+    if shown:
+        return np.full(data.n, shown), _SHOWN
     return np.zeros(data.n), NOT_STATED
 
 

@@ -31,8 +31,8 @@ _LEAST = 1e-3
 """Variance over the mean one, at least."""
 
 _TOGETHER = 1.94
-"""Independent second differences, of which each shares rows with four others: the
-squares of their correlations, 2/3 and 1/6, to either side."""
+"""Squares of second differences that count as one: 1 + 2 (4/9 + 1/36), as each shares
+rows with two to either side, correlations -2/3 and 1/6."""
 
 
 def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) -> float:
