@@ -45,12 +45,14 @@ def test_an_offset_that_wanders_by_a_fifth_is_an_offset():
     assert diagnose(read_frame(frame), rig=RIG).effects == ("force_offset",)
 
 
-def test_a_force_off_by_its_direction_may_grow_with_itself():
+# One row in 20 lies at a turn; of seeds 6 and 11, one more may.
+@pytest.mark.parametrize("seed", [1, 6, 11])
+def test_a_force_off_by_its_direction_may_grow_with_itself(seed):
     def truth(slip, time, fz, v):
         force, way = brush(slip, 5e4, 0.9, fz), np.sign(np.gradient(slip))
         return force + 60.0 * (0.5 + np.abs(force) / 3600.0) * way
 
-    frame, _ = record(truth, seed=6, rows=80)
+    frame, _ = record(truth, seed=seed, rows=80)
     assert diagnose(read_frame(frame), rig=RIG).effects == ("force_hysteresis",)
 
 

@@ -44,8 +44,9 @@ def test_a_delay_is_named_in_a_log_that_no_model_fits_at_its_limit(seconds, at_l
         assert in_turn == (
             "each of 4 stretches of the record, left out of both fits in turn"
         )
-        assert limit == (
-            "the largest slips, left out, are predicted no better than without it"
+        assert limit in (  # which of the two, the noise decides
+            "the largest slips, left out, are predicted no better than without it",
+            "fits without the largest slips know too little to tell there",
         )
         low, high = held.closed_ci
         assert 0 < low < held.closed < high < 1

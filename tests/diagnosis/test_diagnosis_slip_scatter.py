@@ -68,6 +68,18 @@ def test_noise_of_a_slip_that_nobody_stated_is_no_gap(seed):
     assert found.settings.rig == Rig()
 
 
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_a_slip_offset_is_no_noise_of_the_slip(seed):
+    """Where the curve bends at zero slip, a shifted one scatters about it by rows."""
+    generator = np.random.default_rng(seed)
+    slip, fz = np.tile(np.linspace(-0.2, 0.2, 32), 3), np.repeat(LOADS[::200], 32)
+    force = brush(slip + 0.006, 5e4, 0.9, fz) + 20 * generator.normal(size=96)
+    rig = Rig(noise={"fx": 20.0})
+    found = diagnose(read_frame({"sigma_x": slip, "fx": force, "fz": fz}), rig=rig)
+    assert found.effects == ("slip_offset",)
+    assert found.noise.slip == 0
+
+
 def test_what_is_stated_of_the_slip_is_not_estimated():
     columns = steady(1, 2 * NOISE)
     found = diagnose(read_frame(columns | {"sigma_x_std": np.full(ROWS, 0.001)}))

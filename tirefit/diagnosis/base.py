@@ -313,10 +313,16 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
     channel, design = prepared.channels[0], _design(noisy, effects, rig)
     silent = np.zeros(count_atoms(effects))
     mean, spread = tire.moments(z, silent, design, prepared.n)
+    # Where the slip changes its sign the curve bends, and any shift of it is a gap.
+    one_sided = [
+        rows[side == positive]
+        for rows in neighbours(prepared)
+        for side in [prepared.slip[rows] > 0]
+        for positive in (False, True)
+    ]
     return slip_scatter(
         prepared.observed[channel] - mean[channel], spread[channel] / _SMALL**2,
-        prepared.inputs.fz, neighbours(prepared),
-        in_order(prepared.time, prepared.run),
+        prepared.inputs.fz, one_sided, in_order(prepared.time, prepared.run),
     )  # fmt: skip
 
 

@@ -144,6 +144,8 @@ def judge_noise(
         local = _between_neighbours(residual / std, groups, keep, memory, in_time)
         rest = rest.under(memory)
         level, flags, source = _levelled(rest, local, spread, fz, force, False)
+        if local < _FINER * rest.ratio:  # a gap, which no noise of that level is
+            memory = rest.memory(smooth, level, spread, in_time, (1 + _MISSTATED) ** 2)
     else:  # a gap may lie between neighbours in slip, or in time
         local = min(
             _between_neighbours(residual / std, order, keep)
@@ -192,6 +194,12 @@ class _Rest(NamedTuple):
         own = np.clip(1 - spread / level**2, 0.0, 1.0)
         return memory_of(white, unit, in_time, own, most)
 
+    @property
+    def ratio(self) -> float:
+        """Its standard deviation over ``std``."""
+        square = float(np.sum(self.clean[self.keep] ** 2))
+        return float(np.sqrt(square / max(self.freedom, 1.0)))
+
     def under(self, memory) -> "_Rest":
         """The same, counting that smooth functions take more of a slow noise."""
         variance = sum(one.chance * one.variance for one in memory)
@@ -212,7 +220,7 @@ def _levelled(rest: _Rest, local: float, spread, fz, force, stated: bool):
     """
     std, dof, flags, source = rest.std, rest.freedom, [], "given"
     many = np.count_nonzero(~rest.keep) >= _MANY * len(rest.keep)
-    ratio = float(np.sqrt(np.sum(rest.clean[rest.keep] ** 2) / max(dof, 1.0)))
+    ratio = rest.ratio
     grows = stated and rest.grows_with(np.abs(force)) > _FOLLOWS
     if grows or not stated:
         std = rest.law(spread, fz, force, stated)

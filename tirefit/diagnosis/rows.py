@@ -241,8 +241,7 @@ def prepare(data: TireData, rig, model, slip_scatter: float = 0.0) -> Prepared:
     covariates = covariates._replace(side=np.sign(slip), other=other)
     fz, derived = data.usable("fz"), derived_from(data, channels[0])
     has = _holdings(data, mode, covariates, sweeps.present, radius)
-    seen = seen_in_motion(data, derived).items()
-    has |= {name for name, here in seen if here}
+    has |= {name for name, here in seen_in_motion(data, derived).items() if here}
     inputs = TireInputs(
         np.zeros(data.n), np.zeros(data.n), fz, covariates.v, _column(data, "gamma"),
         _column(data, "pressure"), _column(data, "time"),

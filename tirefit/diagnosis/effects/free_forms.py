@@ -43,7 +43,7 @@ _QUICKEST = 3.0
 """Rates over the usual one that count as this one: a jump."""
 
 
-_SURE, _TURNS = 0.99, 0.05
+_SURE, _TURNS = 0.99, 0.1
 """Certainty of a direction from which there is no doubt about it; share of the rows up
 to which the others are turns of the slip, and not slips that hardly move."""
 
