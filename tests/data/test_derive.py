@@ -230,6 +230,19 @@ def test_inactive_slow_and_glitched_samples_are_counted_apart(tmp_path):
         assert reason in log.summary()
 
 
+def test_a_log_of_which_hardly_any_sample_is_left_is_doubted(tmp_path):
+    path = write_log(tmp_path / "a.csv", pose_log())
+    every = derive(path, vehicle(tmp_path, CAR + POSE))
+    assert not any("are kept" in warning for warning in every.warnings)
+    least = np.quantile(every.columns["v"], 0.97)
+    some = derive(path, vehicle(tmp_path, CAR + POSE + f"[keep]\nv_min = {least}\n"))
+    assert len(some) < 0.1 * some.samples
+    assert any(
+        f"only {len(some)} of {some.samples} samples are kept" in warning
+        for warning in some.warnings
+    )
+
+
 def test_no_sample_left_says_why(tmp_path):
     path = write_log(tmp_path / "a.csv", pose_log())
     settings = vehicle(tmp_path, CAR + POSE + "[keep]\nv_min = 50.0\n")

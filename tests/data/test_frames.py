@@ -71,6 +71,16 @@ def test_pandas_in_every_form():
         as_data(frame.assign(time=some))
 
 
+def test_a_masked_value_is_none():
+    fx = np.ma.masked_array(COLUMNS["fx"], mask=np.arange(N) == 3)
+    with pytest.raises(DataError, match="row 3, column 'fx'"):
+        as_data(COLUMNS | {"fx": fx})
+    np.testing.assert_array_equal(
+        tirefit.read_frame(COLUMNS | {"fx": fx}, mask_bad_rows=True).used,
+        np.arange(N) != 3,
+    )
+
+
 def test_arrays_with_names():
     array = np.rec.fromarrays(list(COLUMNS.values()), names=list(COLUMNS))
     same(as_data(array))

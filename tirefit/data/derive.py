@@ -38,6 +38,9 @@ __all__ = ["DerivedFiles", "DerivedLog", "derive", "derive_files"]
 
 SCHEMA = "tirefit.derive/1"
 
+_NEARLY_ALL = 0.9
+"""Share of the samples that one reason drops, from which the units are doubted."""
+
 _SIGNS = (
     "alpha > 0 where the axle slides to the left; fy > 0 to the right, as the force"
     " then acts: alpha and fy are negative in a left turn (the canonical convention)"
@@ -170,6 +173,7 @@ def derive(
             )
         )
     warnings = vehicle.doubts() + doubts(columns, motion, kept, vehicle)
+    warnings = _hardly_any(kept, dropped) + warnings
     alpha, force = columns["alpha"][kept], columns["fy"][kept]
     mirrored = pushes_the_wrong_way(alpha, force, vehicle, str(file))
     _refuse(mirrored, believe)
@@ -327,6 +331,17 @@ def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
         dropped[reason] = int(np.count_nonzero(kept & rows))
         kept &= ~rows
     return kept, dropped
+
+
+def _hardly_any(kept: np.ndarray, dropped: Mapping[str, int]) -> tuple[str, ...]:
+    """A warning where one reason takes nearly all samples."""
+    reason = max(dropped, key=lambda name: dropped[name])
+    if dropped[reason] <= _NEARLY_ALL * len(kept):
+        return ()
+    return (
+        f"only {np.count_nonzero(kept)} of {len(kept)} samples are kept,"
+        f" {dropped[reason]} are dropped as {reason!r}: check the units of the log",
+    )
 
 
 # --- words ----------------------------------------------------------------------

@@ -275,7 +275,7 @@ def table_of_frame(frame, name: str) -> Table:
     if hasattr(frame, "iloc"):
         values = [frame.iloc[:, i].to_numpy() for i in range(len(headers))]
     else:
-        values = [np.asarray(frame[name]) for name in names]
+        values = [_shown(frame[name]) for name in names]
     values = [
         _seconds(value) if value.dtype.kind in "mM" else value for value in values
     ]
@@ -296,6 +296,13 @@ def table_of_frame(frame, name: str) -> Table:
     ]
     n = len(values[0])
     return Table(name, name, headers, cells, np.arange(n), np.zeros(n, bool))
+
+
+def _shown(values) -> np.ndarray:
+    """An array; what is masked has no value."""
+    if isinstance(values, np.ma.MaskedArray) and values.dtype.kind in "fiub":
+        return np.ma.filled(values.astype(float), np.nan)
+    return np.asarray(values)
 
 
 def _seconds(values: np.ndarray) -> np.ndarray:
