@@ -614,6 +614,12 @@ def test_a_simulators_error_is_told_part_by_part():
     assert budget_lines(diagnosis()) == []
     calm = simulated(changes={"cpa2": CHANGES["cpa2"]})
     assert "400 N is parameters, none of them surely wrong" in budget_sentences(calm)[0]
+    growing = BUDGET[1]._replace(part="slip_offset_speed")
+    (said,) = budget_sentences(simulated(budgets={"fx": (BUDGET[0], growing)}))
+    assert said.endswith(
+        "160 N is slip_offset_speed (the zero of the slip moves with speed), which it"
+        " does not have"
+    )
 
 
 @pytest.mark.parametrize(

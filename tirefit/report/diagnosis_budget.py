@@ -7,6 +7,7 @@ import numpy as np
 
 from tirefit.diagnosis.records import Change, Part
 from tirefit.diagnosis.result import Diagnosis
+from tirefit.report.diagnosis_words import words_on
 from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
@@ -25,6 +26,9 @@ _SEEN = 1e-3
 
 _SHORT = {"mu": "friction", "cpa2": "stiffness", "mu_peak": "peak friction"}
 """Parameters whose meaning in the tables is longer than a sentence can carry."""
+
+
+_FEW_WORDS, _LACKING = 2, ", which it does not have"
 
 
 CHANNEL_UNITS = {"fx": "N", "fy": "N", "mz": "N m"}
@@ -80,6 +84,9 @@ def _words(result: Diagnosis, part: Part) -> str:
     if part.part == "noise":
         return "is noise"
     name = part.part.replace("_", " ")
+    if len(name.split()) > _FEW_WORDS:  # then it is no noun that explains itself
+        means, _ = words_on(part.part, result.library)
+        return f"is {part.part}" + (f" ({means})" if means else "") + _LACKING
     article = "an" if name[0] in "aeiou" else "a"
     return f"is {article} {name} that it does not have"
 

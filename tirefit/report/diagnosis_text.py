@@ -45,6 +45,7 @@ __all__ = [
 ]
 
 _WIDTH = 88
+_RUNS = "RUNS (an offset of its own for each, beside what is named)"
 _LEVEL = 0.05
 
 _TELLS_MORE = 0.1
@@ -391,7 +392,7 @@ def diagnosis_text(result: Diagnosis) -> str:
         *(["BUDGET"] if result.simulator else []),
         *(f"  {line}" for line in budget_lines(result)),
         "GAP", *(f"  {line}" for line in gap_lines(result)),
-        *(["RUNS (an offset of its own for each)"] if result.runs else []),
+        *([_RUNS] if result.runs else []),
         *(f"  {line}" for line in run_lines(result)),
         "WHERE (shares of its energy)", *_where(result),
         *(f"  {line}" for line in map_lines(result)),
