@@ -2,13 +2,16 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from conftest_diagnosis import RIG, TRUTHS, brush, record
 from scipy.optimize import minimize_scalar
 
-from fits.withheld.injected import CHANGES, half
+import tirefit
 from tirefit.data.read import read_frame
 from tirefit.diagnosis import conclusion
 from tirefit.diagnosis.adequacy import UNTESTED
@@ -26,9 +29,9 @@ from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.linear_fit import linear_at
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.rows import prepare
-from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis
+from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis, Search
 from tirefit.diagnosis.standing import standing, steadiness
-from tirefit.diagnosis.verdict import Verdict, Weighed, _rivals
+from tirefit.diagnosis.verdict import Verdict, Weighed, _rivals, stand_ins
 
 
 def test_probability_of_a_rest_is_that_of_the_best_alternative():
@@ -293,12 +296,40 @@ def test_effects_beside_the_best_set_are_said_too():
     assert _rivals(sets, ("a", "b")) == ("c", "d")
 
 
-def test_what_the_evidence_asks_for_is_said_where_no_effect_is_known():
-    """A late force in the slow half of a measured log, whose remainder is remembered:
-    rows that count as few know no effect to half its size."""
-    data = half(0)
-    change, *_ = CHANGES["channel_delay"]
-    verdict = diagnose(read_frame(data | change(data, 0.06, None))).verdict
-    assert not verdict.names_an_effect
-    assert verdict.status != "unknown"
-    assert "channel_delay" in verdict.also_possible
+def test_what_moves_the_same_and_differs_by_less_than_is_left_may_be_there_instead():
+    """Beside a remainder of log evidence 30."""
+    log = {
+        ("slip_offset_speed",): -10.0, ("slip_offset",): -35.0,
+        ("speed_zero",): -45.0, ("force_offset",): -12.0,
+    }  # fmt: skip
+    gains = {("slip_offset_speed",): {"smooth": 30.0, "cells": 2.0}}
+    weighed = replace(NOTHING, log_beside=log, gains=gains)
+    atoms = [SimpleNamespace(effect=effect) for effect in EFFECTS]
+    search = Mock(spec=Search, base=SimpleNamespace(atoms=atoms))
+    # Of the others one explains too little, and one moves the force.
+    assert stand_ins(search, weighed, ("slip_offset_speed",)) == ("slip_offset",)
+    assert stand_ins(search, weighed, ("force_offset", "speed_zero")) == ()
+
+
+def test_the_heading_of_another_day_may_be_a_zero_that_moves_with_speed():
+    """Of this car it is known to be constant; this day alone cannot say so."""
+    folder = Path(__file__).parents[2] / "fits" / "dart_simulator"
+    circles = tirefit.fit(folder / "circles.csv", "brush")
+    verdict = tirefit.diagnose(folder / "free_driving.csv", sim=circles).verdict
+    assert verdict.status == "incomplete"
+    assert "slip_offset" in {*verdict.effects, *verdict.also_possible}
+
+
+@pytest.mark.parametrize("nothing, also", [(0.01, ("a", "b")), (0.1, ())])
+def test_what_the_evidence_asks_for_is_said_where_no_effect_is_known(nothing, also):
+    """All tests passed, no effect known to half its size: perhaps it is there, unless
+    nothing may be there as well."""
+    sets, evidence = {(): nothing, ("a",): 0.9 - nothing}, {(): 0.0, ("a",): 9.0}
+    weighed = replace(NOTHING, sets=sets, evidence=evidence)
+    passed = SimpleNamespace(adequacy=UNTESTED._replace(passed=True))
+    judge = Mock(spec=Judge, weighed=weighed, of=lambda key: passed)
+    asked = Verdict("cannot_tell", ("a",), 0.9, ("b",), 0.001, ONE_EFFECT)
+    verdict = conclusion._nothing_stands(asked, judge)
+    assert (verdict.status, verdict.effects) == ("none", ())
+    assert verdict.also_possible == also
+    assert verdict.probability == pytest.approx(1 - weighed.unknown_alone)

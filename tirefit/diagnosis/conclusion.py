@@ -35,6 +35,7 @@ from tirefit.diagnosis.verdict import (
     Weighed,
     named,
     nothing_shown,
+    stand_ins,
     ties,
 )
 
@@ -339,9 +340,10 @@ def _incomplete(verdict: Verdict, judge: Judge, key, more: float) -> Verdict:
         return replace(nothing, also_possible=perhaps)
     there = [chances[e] for e in earned]
     left = judge.of(earned).adequacy._replace(passed=False)
+    alike = (*ties(weighed, earned), *stand_ins(judge.search, weighed, earned))
     return replace(
         verdict, status="incomplete", effects=earned,
-        also_possible=ties(weighed, earned),
+        also_possible=tuple(dict.fromkeys(alike)),
         probability=float(more * np.prod(there)), chosen=weighed.best_of[earned],
         adequacy=left,
     )  # fmt: skip

@@ -12,6 +12,7 @@ from tirefit.diagnosis.basis import (
     without,
 )
 from tirefit.diagnosis.changes import MOST_EFFECTS
+from tirefit.diagnosis.effects.free_forms import moved_by
 from tirefit.diagnosis.forecast import DRAWS, scores_of_nothing, separability
 from tirefit.diagnosis.linear_fit import (
     PRIOR_OF_FORM,
@@ -36,6 +37,7 @@ __all__ = [
     "judge",
     "named",
     "nothing_shown",
+    "stand_ins",
     "ties",
     "weigh",
 ]
@@ -250,13 +252,11 @@ def named(search: Search, weighed: Weighed, key, p_value: float) -> Verdict:
 
 def ties(weighed: Weighed, key) -> tuple[str, ...]:
     """Effects that explain in the place of one of the set as well as that does."""
-    ties = []
-    for other in weighed.log_weight:
-        new, old = set(other) - set(key), set(key) - set(other)
-        if len(new) == len(old) == 1:
-            if weighed.evidence[other] > weighed.evidence[key] - _TIE:
-                ties.append(min(new))
-    return tuple(ties)
+    return tuple(
+        new
+        for other, _, new in _swapped(weighed.log_weight, key)
+        if weighed.evidence[other] > weighed.evidence[key] - _TIE
+    )
 
 
 def _kin(search: Search, weighed: Weighed, key) -> tuple[str, ...]:
@@ -264,20 +264,40 @@ def _kin(search: Search, weighed: Weighed, key) -> tuple[str, ...]:
     formulas of one law differ by less than a tire does from any of them."""
     family = {a.effect.id: a.effect.family for a in search.base.atoms}
     kin, listed = [], weighed.listed
-    for other, probability in listed.items():
-        new, old = set(other) - set(key), set(key) - set(other)
-        if len(new) != 1 or len(old) != 1:
-            continue
-        mine, its = family[min(old)], family[min(new)]
+    for other, old, new in _swapped(listed, key):
+        mine, its = family[old], family[new]
         # "friction x speed" is kin of "friction x time" and of "slip x speed", two of
         # one family are closer.
         near = _KIN if mine == its else _DISTANT_KIN
         what, _, by = mine.partition(" x ")
         other_what, _, other_by = its.partition(" x ")
         if what == other_what or (by and by == other_by):
-            if probability > near * listed[key]:
-                kin.append(min(new))
+            if listed[other] > near * listed[key]:
+                kin.append(new)
     return tuple(kin)
+
+
+def stand_ins(search: Search, weighed: Weighed, key) -> tuple[str, ...]:
+    """Effects that move what one of the set moves and stand in its place beside
+    something unlisted: the evidence between them is less than what that takes."""
+    log = weighed.log_beside
+    if key not in log:
+        return ()
+    moves = {a.effect.id: moved_by(a.effect.forms) for a in search.base.atoms}
+    least = log[key] - max(0.0, *weighed.gains[key].values())
+    return tuple(
+        new
+        for other, old, new in _swapped(log, key)
+        if moves[old] & moves[new] and log[other] > least
+    )
+
+
+def _swapped(sets, key):
+    """Sets that differ from ``key`` by one effect: (set, that of ``key``, its own)."""
+    for other in sets:
+        new, old = set(other) - set(key), set(key) - set(other)
+        if len(new) == len(old) == 1:
+            yield other, min(old), min(new)
 
 
 def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:

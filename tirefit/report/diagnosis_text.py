@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 _WIDTH = 88
-_RUNS = "RUNS (an offset of its own for each, beside what is named)"
+_RUNS = "RUNS (an offset of its own for each, beside what else is named)"
 _LEVEL = 0.05
 
 _TELLS_MORE = 0.1

@@ -26,6 +26,7 @@ __all__ = [
     "SHIFT_BY_LAG",
     "SHIFT_BY_SPEED",
     "SKEW_BY_LOAD",
+    "moved_by",
     "over",
     "rise",
     "weight",
@@ -163,6 +164,14 @@ def _guided_by_rate(rows, u):
 
 
 SHAPE_OF_THE_CURVE = (Form("force", 0.01, _of_shape),)
+
+
+def moved_by(forms: tuple[Form, ...]) -> frozenset[str]:
+    """What effects of these forms move: fields of the state, or the curve itself."""
+    fields = frozenset(form.field for form in forms)
+    return frozenset({"curve"}) if forms == SHAPE_OF_THE_CURVE else fields
+
+
 FRICTION_BY_SPEED = (
     Form("friction", 0.06, _of_sliding, "speeds"),
     Form("kinetic", 0.06, _of_sliding, "speeds"),
