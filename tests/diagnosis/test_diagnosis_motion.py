@@ -163,7 +163,8 @@ def test_the_past_of_a_slip_without_noise_is_what_was_measured(interval):
             (before + now) / 2 - behind[k]
         )
     found = slip_rate(slip(time), time, np.zeros(len(time), int))
-    late = lagged(jnp.asarray(found.past.path), 0.03, found.past.interval)
+    steps = jnp.full(len(time), found.past.interval)
+    late = lagged(jnp.asarray(found.past.path), 0.03, steps)
     right = np.interp(time, fine, behind) - slip(time)
     # A slip of 0.09 comes late by up to 0.03; a force to 1 % needs it to 3e-4.
     assert np.abs(right).max() > 0.025

@@ -1,7 +1,7 @@
 """Effects of the past: a channel that comes late, a force that needs a way to build."""
 
-import jax
 import jax.numpy as jnp
+import numpy as np
 
 from tirefit.diagnosis.effects.free_forms import SHIFT_BY_DELAY, SHIFT_BY_LAG
 from tirefit.diagnosis.effects.known import of_a_known_clock
@@ -24,7 +24,8 @@ def _late(past, delay, rows):
     Exact for values that move in straight lines from column to column.
     """
     age, ages = jnp.clip(delay / rows.interval, AGES[0], AGES[-1]), jnp.asarray(AGES)
-    low = jnp.clip(jnp.searchsorted(ages, age, side="right") - 1, 0, ages.size - 2)
+    passed = jnp.sum(age[:, None] >= ages[None, :], axis=1)
+    low = jnp.clip(passed - 1, 0, ages.size - 2)
     share = (age - ages[low]) / (ages[low + 1] - ages[low])
     before = jnp.take_along_axis(past, low[:, None], axis=1)[:, 0]
     after = jnp.take_along_axis(past, low[:, None] + 1, axis=1)[:, 0]
@@ -43,21 +44,14 @@ def lagged(past, length, step):
     """
     # At a length of zero itself the slope is that of lengths above.
     length = jnp.where(length < 0, 0.0, length) + _NO_LENGTH * step
-    one = step / length
-
-    def follow(carry, column):
-        behind, before = carry
-        value, steps = column
-        ways = steps * one
-        decay = jnp.exp(-ways)
-        # Response to values that rise over the way.
-        share = jnp.where(ways < _FEW_WAYS, ways / 2, 1 - (1 - decay) / ways)
-        behind = decay * behind + share * value + (1 - share - decay) * before
-        return (behind, value), None
-
-    path = past[:, AHEAD:].T[::-1]
-    steps = jnp.asarray(STEPS[::-1], path.dtype)
-    behind = jax.lax.scan(follow, (path[0], path[0]), (path[1:], steps))[0][0]
+    one = (step / length)[:, None]
+    ways, gone = (one * np.array([of], float) for of in (STEPS, AGES[AHEAD:]))
+    # Response to values that rise over the way, and what is left of it by now.
+    decay, since = jnp.exp(-ways), jnp.exp(-gone)
+    share = jnp.where(ways < _FEW_WAYS, ways / 2, 1 - (1 - decay) / ways)
+    after, before = past[:, AHEAD:-1], past[:, AHEAD + 1 :]
+    risen = share * after + (1 - share - decay) * before
+    behind = jnp.sum(since[:, :-1] * risen, axis=1) + since[:, -1] * past[:, -1]
     return behind - past[:, AHEAD]
 
 
