@@ -125,6 +125,13 @@ def test_holdout_files_judge_the_closure(diagnosed):
     bad = diagnose(read_frame(frame), rig=RIG, holdout=[read_frame(plain, "c")])
     # Data without the effect are made worse by it, and that is said.
     assert bad.gap.holdout.closed is None or (bad.gap.holdout.closed < 0)
+    # Where nothing is named, how far the fit misses other files is said all the same.
+    plain, _ = record(None, seed=12)
+    none = diagnose(read_frame(plain), rig=RIG, holdout=[read_frame(other, "b")])
+    slip, load = np.asarray(other["sigma_x"]), np.asarray(other["fz"])
+    missed = brush(slip + 0.004, 5e4, 0.9, load) - brush(slip, 5e4, 0.9, load)
+    assert none.verdict.status == "none" and none.gap.holdout.closed == 0.0
+    assert none.gap.holdout.rms == pytest.approx(np.sqrt(np.mean(missed**2)), rel=0.1)
 
 
 def test_outliers_and_correlated_noise_are_no_effect():

@@ -586,6 +586,9 @@ def test_regions_hold_all_the_energy(base):
     assert sum(r.share for r in loads) == pytest.approx(1.0)
     assert max(loads, key=lambda r: r.share).low == 6000
     assert all(r.p_value > 0.01 for r in found)  # there is no gap in these data
+    for name in {r.covariate for r in found}:
+        shares = sum(r.share for r in found if r.covariate == name)
+        assert shares == pytest.approx(1.0), name
 
 
 def test_the_first_seconds_are_a_spot(base):

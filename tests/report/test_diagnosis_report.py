@@ -64,6 +64,7 @@ from tirefit.report.diagnosis_draw import (
 )
 from tirefit.report.diagnosis_html import diagnosis_page, write_page
 from tirefit.report.diagnosis_look import draw_look, look_title
+from tirefit.report.diagnosis_outlook import confused_lines, step_lines
 from tirefit.report.diagnosis_panels import (
     after_label,
     closure_bars,
@@ -71,7 +72,7 @@ from tirefit.report.diagnosis_panels import (
     level_labels,
     load_label,
 )
-from tirefit.report.diagnosis_text import gap_lines, step_lines, verdict_sentence
+from tirefit.report.diagnosis_text import gap_lines, verdict_sentence
 from tirefit.report.diagnosis_words import (
     _NEEDS,
     amount_text,
@@ -552,7 +553,8 @@ def test_units_are_said_in_every_part_of_the_report():
     assert "(amplitude = 0.270 ± 0.030 % of the mean F_z)" in text
     assert "force_offset of 2.5 % of the mean F_z: recognised" in text
     assert (
-        "slip_zero_drift 0.012 per record, force_offset 0.5 % of the mean F_z" in text
+        "slip_zero_drift 0.012 of slip per record, force_offset 0.5 % of the mean F_z"
+        in text
     )
     assert "0.300 ± 0.050 % of the mean F_z for all" in text
     assert "runs 1.2 % of the mean F_z [0.8, 2]" in text
@@ -1018,9 +1020,31 @@ def test_a_slip_that_contradicts_the_wheel_speed_is_told():
 
 
 def test_an_unresolved_gap_claims_nothing():
-    text = str(diagnosis(gap=UNRESOLVED))
-    assert "too small to say how much of it closes" in text
+    text = re.sub(r"\s+", " ", str(diagnosis(gap=UNRESOLVED)))
+    assert "too uncertain to say how much of it closes" in text
     assert "closed" not in text.split("WHERE")[0]
+
+
+def test_where_nothing_is_named_other_files_have_a_gap_yet_no_closure():
+    assert gap_lines(judged("unknown", [], gap=GAP)) == [
+        "125 N (3.1 % of mean F_z) rms beyond the noise",
+        "on highest fz, left out of both fits: 151 N (3.8 % of mean F_z)",
+    ]
+    unsure = gap_lines(judged("none", [], gap=UNRESOLVED))
+    assert unsure == ["125 N (3.1 % of mean F_z) rms beyond the noise, roughly"]
+
+
+def test_effects_that_would_not_show_are_said():
+    forecast = (
+        Forecast("combined_slip", 0.1, "-", 0.95, 0.3, "friction_ellipse"),
+        Forecast("channel_delay", 0.02, "s", 0.49, 0.1, "toe"),
+        Forecast("slip_offset", 0.01, "- of slip", 0.2, 0.2, None),
+    )
+    lines = confused_lines(judged("none", [], forecast=forecast))
+    assert len(lines) == 2 and lines[0].startswith("combined_slip of 0.1: recognised")
+    assert lines[1].endswith("usual size: channel_delay, slip_offset")
+    named = confused_lines(judged("named", ["slip_offset"], forecast=forecast))
+    assert named[1].endswith("usual size: channel_delay")
 
 
 def test_words_cover_the_library_and_name_models_that_exist():
@@ -1063,6 +1087,9 @@ def test_small_texts():
 
     assert range_text(region("fz", 6000.0, 6000.0)) == "6000 N"
     assert range_text(region("slip_fraction", 1e-5, 1.17)) == "0 to 1.17"
+    assert range_text(region("slip_fraction", 0.5461, 236843.0)) == "0.546 and more"
+    assert range_text(region("slip", -9e4, -0.25)) == "-0.25 and less"
+    assert range_text(region("slip", -9e4, 9e4)) == "any"
     assert range_text(region("time", 13.4851, 17.98)) == "13.5 to 18 s"
     assert range_text(region("direction", -1.0, -1.0)) == "shrinking"
     assert share_text(0.951, [0.8, 1.0]) == "95 % [80 %, 100 %]"
@@ -1100,8 +1127,9 @@ def test_the_page_holds_the_numbers_of_the_record(page_text):
     for part in (
         "0.870", "0.061", "0.1234 ± 0.0056", "12.3", "4.5", "80 % [70 %, 85 %]", "81 %",
         "&lt; 1e-12", "0.21", "0.96", "0.71", "6.3 N", "0.00041", "0.0021 s", "19.7 N",
-        "0.00123", "outliers", "360 rows, 287", "ab12", "51234", "0.912", "seed 3",
-        "fx_relative = 0.01", "F&lt;x&gt;", "iso-w", "125 N", "45.3 N",
+        "0.00123", "outliers", "360 rows", "287 independent",
+        "ab12", "51234", "0.912", "fx_relative = 0.01", "F&lt;x&gt;", "iso-w", "125 N",
+        "45.3 N", "seed 3",
     ):  # fmt: skip
         assert part in shown, part
 

@@ -52,15 +52,15 @@ def held_out(case, holdout: Sequence, rig, generator) -> HeldOut | None:
     is no test of effects that are named beside something unlisted: where these fail
     there, and the rows are a record in time, each quarter of it is left out in turn,
     and both is said. So it is where the fits without the largest slips do not know
-    their parameters. None where the verdict names nothing, unless a simulator's
-    parameters may close a part, and where no part of the rows can be predicted from the
-    others.
+    their parameters. None, but for other files, where the verdict names nothing, unless
+    a simulator's parameters may close a part, and where no part of the rows can be
+    predicted from the others.
     """
     status = case.verdict.status
-    if status in ("none", "unknown") and not case.base.simulator:
-        return None
     if holdout:
         return _on_files(case, holdout, rig, generator)
+    if status in ("none", "unknown") and not case.base.simulator:
+        return None
     prepared = case.base.prepared
     codes = shown_runs(prepared.run, prepared.data.runs)
     own = {f"{kind}_run" for kind in KINDS} & set(case.verdict.effects)

@@ -24,8 +24,8 @@ LEVEL = 0.05
 """False discoveries among the regions, or the cells of a map, that are said to hold
 more than noise."""
 
-_QUARTERS = np.linspace(0, 1, 5)
-"""Parts of a covariate that is swept: its quarters."""
+_PARTS = 4
+"""Parts of a covariate that is swept, at most: of as many rows each."""
 
 _NEIGHBOURS = 8
 """Rows of a run whose misses are added up: a smooth miss adds up, noise does not."""
@@ -40,18 +40,29 @@ _DENSE = 4.0
 _MOST_SPOTS = 4
 
 _EDGE = 1e-6
-"""Width of an edge over its value: a value on the edge belongs to both regions."""
+"""Width of the ends of a setting over its value: those are rounded values."""
 
 _FUNCTIONS = 6
 """Smooth functions of a covariate that a parameter may follow."""
 
 
-def _edges(values) -> list[tuple[float, float]]:
+def _bins(values) -> list[tuple[float, float, np.ndarray]]:
+    """Settings, or parts of what is swept: (low, high, rows (n,) bool), each
+    row in one."""
     settings = levels(values)
     if settings.few():
-        return list(zip(settings.low.tolist(), settings.high.tolist(), strict=True))
-    cuts = np.unique(np.quantile(values, _QUARTERS))
-    return list(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
+        ends = zip(settings.low.tolist(), settings.high.tolist(), strict=True)
+        return [(*end, _between(values, *end)) for end in ends]
+    parts = int(np.clip(len(values) // _NEIGHBOURS, 1, _PARTS))
+    cuts = np.unique(np.quantile(values, np.linspace(0, 1, parts + 1)))
+    part = np.digitize(values, cuts[1:-1])
+    ends = zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True)
+    return [(*end, part == k) for k, end in enumerate(ends)]
+
+
+def _between(values, low: float, high: float) -> np.ndarray:
+    width = _EDGE * max(abs(high), 1.0)
+    return (values >= low - width) & (values <= high + width)
 
 
 def covariates_of(base: Base) -> dict[str, np.ndarray]:
@@ -104,15 +115,13 @@ def regions(base: Base, residual, gap) -> list[Region]:
     total = max(float(energy.sum()), NONZERO)
     bins, raw = [], []
     for name, values in covariates_of(base).items():
-        for low, high in _edges(values):
-            width = _EDGE * max(abs(high), 1.0)
-            inside = (values >= low - width) & (values <= high + width)
+        for low, high, inside in _bins(values):
             if inside.sum() < _NEIGHBOURS:
                 continue
             own = residual[None, inside], base.slip_fraction[None, inside]
             raw.append(float(_chances(*own)[0]))
             share = float(energy[inside].sum()) / total
-            bins.append(Region(name, float(low), float(high), share, 1.0))
+            bins.append(Region(name, low, high, share, 1.0))
     if not bins:
         return []
     # By Benjamini and Yekutieli: the bins of several covariates share their rows.

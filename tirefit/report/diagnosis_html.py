@@ -11,15 +11,17 @@ from tirefit.report.diagnosis_draw import (
     panel_names,
     panel_pictures,
 )
-from tirefit.report.diagnosis_text import (
+from tirefit.report.diagnosis_outlook import (
     confused_lines,
-    gap_lines,
-    noise_line,
-    slip_check_line,
     smallest_lines,
+    step_lines,
+)
+from tirefit.report.diagnosis_text import (
+    gap_lines,
+    rows_line,
+    slip_check_line,
     spot_lines,
     stand_in,
-    step_lines,
     subject,
     verdict_lines,
     verdict_sentence,
@@ -171,8 +173,7 @@ def diagnosis_page(result: Diagnosis) -> str:
         steps=step_lines(result),
         smallest=smallest_lines(result),
         untestable=[("effects", "need"), *(pair[::-1] for pair in needs)],
-        rows=f"{result.n} rows, {result.n_effective:.0f} of them independent;"
-        f" {noise_line(result)}",
+        rows=rows_line(result),
         slip_check=slip_check_line(result),
         settings=_settings(result),
         record=result.to_json(),

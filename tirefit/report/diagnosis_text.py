@@ -3,9 +3,14 @@
 import textwrap
 
 from tirefit.diagnosis.adequacy import LEAST_P, refused
-from tirefit.diagnosis.records import NextMeasurement, Region, Shrinkage
+from tirefit.diagnosis.records import Region, Shrinkage
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_lines, change_texts
+from tirefit.report.diagnosis_outlook import (
+    confused_lines,
+    smallest_lines,
+    step_lines,
+)
 from tirefit.report.diagnosis_words import (
     UNLISTED,
     amount_text,
@@ -27,18 +32,14 @@ from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
     "adequacy_line",
-    "confused_lines",
     "diagnosis_text",
     "gap_lines",
     "look_lines",
     "map_lines",
-    "noise_line",
     "run_lines",
     "slip_check_line",
-    "smallest_lines",
     "spot_lines",
     "stand_in",
-    "step_lines",
     "subject",
     "verdict_lines",
     "verdict_sentence",
@@ -47,10 +48,6 @@ __all__ = [
 _WIDTH = 88
 _RUNS = "RUNS (an offset of its own for each, beside what else is named)"
 _LEVEL = 0.05
-
-_TELLS_MORE = 0.1
-"""Rise of the probability of telling two effects apart from which a measurement is
-proposed: less is not worth another day at the rig."""
 
 
 def subject(result: Diagnosis) -> str:
@@ -191,17 +188,19 @@ def gap_lines(result: Diagnosis) -> list[str]:
         return f"{format_number(force, 3)} N ({share} % of mean F_z)"
 
     lines = [f"{size(gap.rms)} rms beyond the noise"]
-    if not gap.resolvable:
-        return [f"{lines[0]}: too small to say how much of it closes"]
     if not (result.verdict.names_an_effect or result.simulator):
-        return lines
+        roughly = "" if gap.resolvable else ", roughly"
+        elsewhere = gap.holdout and f"on {gap.holdout.on}: {size(gap.holdout.rms)}"
+        return [f"{lines[0]}{roughly}", *filter(None, [elsewhere])]
+    if not gap.resolvable:
+        return [f"{lines[0]}: too uncertain to say how much of it closes"]
     places: list[tuple[Shrinkage, str]] = [(gap, "on these rows")]
     if gap.holdout is not None:
         places.append((gap.holdout, f"on {gap.holdout.on}"))
     for here, where in places:
         closed = here.net_closed
         if closed is None:
-            lines.append(f"{where}: {size(here.rms)}, too small to say")
+            lines.append(f"{where}: {size(here.rms)}, too uncertain to say")
             continue
         lines.append(
             f"{where}: closed"
@@ -274,65 +273,20 @@ def map_lines(result: Diagnosis, most: int = 3) -> list[str]:
     ]
 
 
-def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
-    """Effects that these rows would show and yet take for others, as sentences."""
-    lines = [
-        f"{chance.effect} of {amount_text(chance.amplitude, None, chance.unit, 2)}"
-        f": recognised with probability {chance.recognised:.2f}, else taken for"
-        f" {chance.taken_for}"
-        for chance in sorted(result.forecast, key=lambda one: one.recognised)
-        if chance.taken_for and chance.recognised < 0.75 * chance.seen
-    ]
-    return lines[:most]
-
-
-def step_lines(result: Diagnosis) -> list[str]:
-    """Next measurements, each with its reason; where none tells much more, which would
-    tell most, or, of an open verdict, why none would."""
-    why, steps = result.next_measurement_reason, result.next_measurement
-    if not steps:
-        is_open = result.verdict.status == "cannot_tell"
-        return [why] if is_open and why is not None else []
-    worth = [step for step in steps if step.p_after - step.p_now >= _TELLS_MORE]
-    if not worth:
-        best = max(steps, key=lambda step: step.p_after - step.p_now)
-        return [
-            f"no single listed measurement would tell much more: at best {best.add},"
-            f" after which {_told_apart(best)}"
-        ]
-    return [f"measure {step.add}: then {_told_apart(step)}" for step in worth]
-
-
-def _told_apart(step: NextMeasurement) -> str:
-    one, other = step.separates
-    return (
-        f"{one} is told from {other} with probability {step.p_after:.2f}, instead of"
-        f" {step.p_now:.2f} as now"
-    )
-
-
-def smallest_lines(result: Diagnosis) -> list[str]:
-    """What would have been seen, had it been there, as sentences."""
-    resolution = result.resolution
-    lines = [f"{resolution.REMAINDER}: {format_number(resolution.remainder, 3)} N"]
-    units = {effect.id: effect.unit for effect in result.library}
-    parts = [
-        f"{effect} {amount_text(value, None, units.get(effect, ''), 2)}"
-        for effect, value in resolution.smallest_effects.items()
-    ]
-    return lines + ([f"amplitudes of {', '.join(parts)}"] if parts else [])
-
-
-def noise_line(result: Diagnosis) -> str:
-    """Levels of the noise, where they come from, and what is wrong with them."""
-    noise = result.noise
+def rows_line(result: Diagnosis) -> str:
+    """How many rows, and the noise: its levels, where they come from, as how many
+    independent rows it averages, and what is wrong with it."""
+    noise, n = result.noise, result.n
     units = {"fx": " N", "fy": " N", "mz": " N m", "alpha": " rad"}
     levels = ", ".join(
         f"{name} {format_number(level, 3)}{units.get(name, '')}"
         for name, level in (*noise.forces.items(), (noise.slip_name, noise.slip))
     )
     flags = f"; {', '.join(noise.flags)}" if noise.flags else ""
-    return f"{levels} ({noise.source}){flags}"
+    said = f"{n} rows; noise {levels} ({noise.source})"
+    if round(result.n_effective) < n:
+        said += f", averages as that of {result.n_effective:.0f} independent rows"
+    return said + flags
 
 
 def run_lines(result: Diagnosis) -> list[str]:
@@ -382,8 +336,7 @@ def diagnosis_text(result: Diagnosis) -> str:
     """The report of one file."""
     lines = [
         f"DIAGNOSIS of {subject(result)}",
-        f"  {result.n} rows, {result.n_effective:.0f} of them independent;"
-        f" noise {noise_line(result)}",
+        f"  {rows_line(result)}",
         *([f"  {slip_check_line(result)}"] if result.slip_check else []),
         *(f"  set aside: {said}" for said in result.data.set_aside),
         *(f"  {said}" for said in result.data.motion),

@@ -83,6 +83,10 @@ _COVARIATES = {
     "distance": "distance travelled",
     "pressure": "inflation pressure",
 }
+_OF_FULL_SLIDING = ("slip_fraction", "slip")
+_FAR = 100.0
+"""Slips of full sliding beyond which a number says no more than "far"."""
+
 _SHAPES = {
     "wave": "goes up and down with {covariate}, with a period of {at}",
     "threshold": "steps at a {covariate} of {at}",
@@ -134,6 +138,15 @@ def range_text(region: Region | Spot) -> str:
     tail = f" {unit}" if unit not in ("", "-") else ""
     if low == high:
         return f"{format_number(low)}{tail}"
+    if name in _OF_FULL_SLIDING and max(-low, high) > _FAR:
+        # Next to no friction on some rows: their slip is far beyond full sliding.
+        if min(-low, high) > _FAR:
+            return "any"
+        return (
+            f"{_end(low, 1.0)} and more"
+            if high > _FAR
+            else f"{_end(high, 1.0)} and less"
+        )
     return f"{_end(low, high)} to {_end(high, high)}{tail}"
 
 
