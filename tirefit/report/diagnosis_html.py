@@ -31,6 +31,7 @@ from tirefit.report.diagnosis_words import (
     closed_text,
     covariate_text,
     listed_candidates,
+    nothing,
     p_text,
     parameter_text,
     range_text,
@@ -102,6 +103,7 @@ def _map(result: Diagnosis, most: int = 10) -> list[tuple[str, ...]]:
 
 
 def _candidates(result: Diagnosis) -> list[tuple[str, ...]]:
+    none = nothing(result)
     return [
         ("effects", "family", "probability", "amplitude", "z", "z beside rivals",
          "closed"),
@@ -116,6 +118,7 @@ def _candidates(result: Diagnosis) -> list[tuple[str, ...]]:
             for one in listed_candidates(result.candidates)
         ),
         (UNLISTED, "", _chance(result.verdict.unlisted), "", "-", "-", "-"),
+        *([(none[0], "", _chance(none[1]), "", "-", "-", "-")] if none else []),
     ]  # fmt: skip
 
 

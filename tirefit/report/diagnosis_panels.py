@@ -5,7 +5,12 @@ from typing import NamedTuple
 from tirefit.diagnosis.records import Shrinkage, VerdictSummary
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.views import LoadCurve, ResidualMap
-from tirefit.report.diagnosis_words import UNLISTED, listed_candidates, said_effects
+from tirefit.report.diagnosis_words import (
+    UNLISTED,
+    listed_candidates,
+    nothing,
+    said_effects,
+)
 from tirefit.report.numbers import format_number
 
 __all__ = [
@@ -104,7 +109,6 @@ def evidence_bars(result: Diagnosis, most: int = 7) -> list[Bar]:
             _kind(c.effects, verdict),
         )
         for c in listed_candidates(result.candidates)
-        if c.effects
     ]  # fmt: skip
     bars = sorted(bars, key=lambda bar: -bar.probability)
     shown = [b for b in bars if b.probability >= 0.005 or b.kind == "verdict"][:most]
@@ -113,15 +117,11 @@ def evidence_bars(result: Diagnosis, most: int = 7) -> list[Bar]:
     kind = "verdict" if verdict.status == "unknown" else "unknown"
     label = UNLISTED.replace(", ", ",\n")
     shown.append(Bar(label, verdict.unlisted, kind))
-    none = [c.probability for c in result.candidates if not c.effects]
-    if not verdict.names_an_effect and verdict.status != "unknown":
-        none = [verdict.probability]
-    if none:
+    if (none := nothing(result)) is not None:
+        label, probability = none
         kind = "none" if verdict.names_an_effect else "verdict"
-        # A simulator's gap may be that of its parameters.
-        label = "nothing beside\nits parameters" if result.simulator else "no gap"
-        shown.append(Bar(label, none[0], kind))
-        return [*shown, Bar("all others", max(left - none[0], 0.0), "rest")]
+        shown.append(Bar(label.replace(" its", "\nits"), probability, kind))
+        return [*shown, Bar("all others", max(left - probability, 0.0), "rest")]
     # Beside a gap that is said to be there, nothing is left for none.
     surely = verdict.status in ("unknown", "incomplete")
     rest = "all others" if surely else "no gap, or another"

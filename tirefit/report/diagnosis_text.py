@@ -18,6 +18,7 @@ from tirefit.report.diagnosis_words import (
     covariate_text,
     listed_candidates,
     look_text,
+    nothing,
     p_text,
     parameter_text,
     range_text,
@@ -245,7 +246,8 @@ def spot_lines(result: Diagnosis) -> list[str]:
 
 
 def _candidates(result: Diagnosis, most: int = 5) -> list[str]:
-    lines = []
+    none = nothing(result)
+    lines = [f"  {none[1]:.2f}  {none[0]}"] if none else []
     for candidate in listed_candidates(result.candidates)[:most]:
         if candidate.probability < 0.005:
             break

@@ -14,6 +14,7 @@ from tirefit.diagnosis.records import (
     Untestable,
     VerdictSummary,
 )
+from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "look_size",
     "look_text",
     "needs_text",
+    "nothing",
     "p_text",
     "parameter_text",
     "range_text",
@@ -186,8 +188,20 @@ def _end(value: float, largest: float) -> str:
 
 def listed_candidates(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Those of the library. What is not in it by itself is no line of its own: it is a
-    part of :data:`UNLISTED`."""
-    return [one for one in candidates if one.effects != ("unknown",)]
+    part of :data:`UNLISTED`; nor is nothing at all: :func:`nothing`."""
+    return [one for one in candidates if one.effects not in ((), ("unknown",))]
+
+
+def nothing(result: Diagnosis) -> tuple[str, float] | None:
+    """What one calls it that there is no effect, and its probability; None where the
+    verdict leaves none for it."""
+    verdict = result.verdict
+    chances = [one.probability for one in result.candidates if not one.effects]
+    if not verdict.names_an_effect and verdict.status != "unknown":
+        chances = [verdict.probability]
+    # A simulator's gap may be that of its parameters.
+    label = "nothing beside its parameters" if result.simulator else "no gap"
+    return (label, chances[0]) if chances else None
 
 
 def said_effects(candidate: Candidate, verdict: VerdictSummary) -> tuple[str, ...]:
