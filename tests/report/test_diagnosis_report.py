@@ -1034,6 +1034,19 @@ def test_where_nothing_is_named_other_files_have_a_gap_yet_no_closure():
     assert unsure == ["125 N (3.1 % of mean F_z) rms beyond the noise, roughly"]
 
 
+def test_effects_left_out_by_the_caller_are_said():
+    settings = diagnosis().settings
+    ids = [effect.id for effect in EFFECTS]
+
+    def lines(looked_for):
+        text = str(diagnosis(settings=replace(settings, effects=tuple(looked_for))))
+        return [line.strip() for line in text.splitlines() if "not looked for" in line]
+
+    assert lines(ids) == []
+    assert lines(set(ids) - {"slip_offset"}) == ["not looked for: slip_offset"]
+    assert lines(ids[:1]) == [f"not looked for: {len(ids) - 1} of {len(ids)} effects"]
+
+
 def test_effects_that_would_not_show_are_said():
     forecast = (
         Forecast("combined_slip", 0.1, "-", 0.95, 0.3, "friction_ellipse"),

@@ -3,6 +3,7 @@
 import textwrap
 
 from tirefit.diagnosis.adequacy import LEAST_P, refused
+from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.records import Region, Shrinkage
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_lines, change_texts
@@ -49,6 +50,8 @@ __all__ = [
 _WIDTH = 88
 _RUNS = "RUNS (an offset of its own for each, beside what else is named)"
 _LEVEL = 0.05
+_FEW = 10
+"""Effects that are named one by one."""
 
 
 def subject(result: Diagnosis) -> str:
@@ -191,8 +194,9 @@ def gap_lines(result: Diagnosis) -> list[str]:
     lines = [f"{size(gap.rms)} rms beyond the noise"]
     if not (result.verdict.names_an_effect or result.simulator):
         roughly = "" if gap.resolvable else ", roughly"
-        elsewhere = gap.holdout and f"on {gap.holdout.on}: {size(gap.holdout.rms)}"
-        return [f"{lines[0]}{roughly}", *filter(None, [elsewhere])]
+        others = [gap.holdout] if gap.holdout is not None else []
+        said = (f"on {other.on}: {size(other.rms)}" for other in others)
+        return [f"{lines[0]}{roughly}", *said]
     if not gap.resolvable:
         return [f"{lines[0]}: too uncertain to say how much of it closes"]
     places: list[tuple[Shrinkage, str]] = [(gap, "on these rows")]
@@ -334,6 +338,15 @@ def _wrapped(lines) -> list[str]:
     ]
 
 
+def _not_looked_for(result: Diagnosis) -> list[str]:
+    """A line on the listed effects that the caller left out; none where all count."""
+    out = [one.id for one in EFFECTS if one.id not in result.settings.effects]
+    few = (
+        ", ".join(out) if len(out) <= _FEW else f"{len(out)} of {len(EFFECTS)} effects"
+    )
+    return [f"  not looked for: {few}"] if out else []
+
+
 def diagnosis_text(result: Diagnosis) -> str:
     """The report of one file."""
     lines = [
@@ -341,6 +354,7 @@ def diagnosis_text(result: Diagnosis) -> str:
         f"  {rows_line(result)}",
         *([f"  {slip_check_line(result)}"] if result.slip_check else []),
         *(f"  set aside: {said}" for said in result.data.set_aside),
+        *_not_looked_for(result),
         *(f"  {said}" for said in result.data.motion),
         "VERDICT", f"  {verdict_sentence(result)}",
         *(f"  {line}" for line in verdict_lines(result)),
