@@ -669,6 +669,18 @@ def test_a_key_of_the_rig_that_is_not_used_is_said(run, tmp_path):
     assert "warning: fx of rig.toml is not used" in result.stderr
 
 
+def test_a_noise_of_the_rig_that_the_file_states_itself_is_said(run, tmp_path):
+    write(tmp_path / "run.csv", rows=4)  # too few to be diagnosed
+    header, *rows = (tmp_path / "run.csv").read_text().splitlines()
+    stated = [f"{header},fx_std", *(f"{row},30" for row in rows)]
+    (tmp_path / "run.csv").write_text("\n".join(stated) + "\n")
+    (tmp_path / "rig.toml").write_text("[noise]\nfx = 40\nfy = 40\n")
+    result = run("diagnose", "run.csv", "--rig", "rig.toml", "--out", "o", exit_code=3)
+    said = "[noise] fx of the rig is not used: the file has a column fx_std"
+    assert f"warning: run.csv: {said}" in result.stderr
+    assert "[noise] fy" not in result.stderr
+
+
 @pytest.mark.parametrize(
     "arguments", [["no.csv"], ["run.csv", "--holdout", "no.csv"]], ids=len
 )

@@ -314,6 +314,8 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     file, name = piece
     out, seed, kept, figures = task.out, task.seed, task.kept, task.figures
     table = _read(file, task.how)
+    for note in task.settings["rig"].beside(table):
+        complain(f"warning: {file}: {note}")
     written, drawn = _written(name, True)
     expected = written + drawn if figures else written
     if task.resume and all(_is_whole(out / one) for one in expected):
@@ -368,7 +370,8 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
     if given not in (None, True):
         base = [given.source, [given.kind, given.source, given.sha256]]
     asked = [
-        source.sha256, source.convention, [*source.notes, *rig.notes],
+        source.sha256, source.convention,
+        [*source.notes, *rig.notes, *rig.beside(table)],
         *base, seed, version("tirefit"),
         {
             "rig": asdict(rig),

@@ -97,7 +97,7 @@ def document_of(
         data=DataSummary(
             name=data.name, path=data.source.path, sha256=data.source.sha256,
             convention=data.source.convention, channels=prepared.channels,
-            assumptions=(*data.source.notes, *rig.notes),
+            assumptions=(*data.source.notes, *rig.notes, *rig.beside(data)),
             set_aside=data.source.first_masked(), motion=motion,
         ),
         model=model,

@@ -69,6 +69,14 @@ class _RigFile(Section):
     run_order: Literal["random", "sequential"] | None = None
 
 
+_OWN_COLUMNS = {
+    "force": ("fx_std", "fy_std"),
+    "slip": ("sigma_x_std", "alpha_std"),
+    "kappa": ("sigma_x_std",),
+}
+"""Columns of a file that say the same as a key of ``[noise]``, of those whose names do
+not tell."""
+
 _STANDS = 0.02
 """Share of the usual wheel speed or speed below which a wheel counts as standing."""
 
@@ -127,6 +135,19 @@ class Rig:
         """Given standard deviation of the speed that a slip is worked out from [m/s]:
         of positions or wheel speeds, whose slip is the worse the slower."""
         return self._of_slip(slip, "_speed")
+
+    def beside(self, data: TireData) -> tuple[str, ...]:
+        """What it states of a noise that the data's own columns say row by row, which
+        count, as sentences."""
+        said = []
+        for key in self.noise:
+            name = key.removesuffix("_relative").removesuffix("_speed")
+            said += [
+                f"[noise] {key} of the rig is not used: the file has a column {column}"
+                for column in _OWN_COLUMNS.get(name, (f"{name}_std",))
+                if column in data
+            ]
+        return tuple(said)
 
     def _of_slip(self, slip: str, kind: str) -> float | None:
         names = ("alpha",) if slip == "alpha" else ("sigma_x", "kappa")
