@@ -333,3 +333,38 @@ def test_what_the_evidence_asks_for_is_said_where_no_effect_is_known(nothing, al
     assert (verdict.status, verdict.effects) == ("none", ())
     assert verdict.also_possible == also
     assert verdict.probability == pytest.approx(1 - weighed.unknown_alone)
+
+
+ERRORS = {
+    ("a", "b", "x"): (6.0, 2.5, 4.0), ("a", "x"): (2.4, 1.1), ("a",): (2.4,),
+    ("b",): (2.9,), ("x",): (9.0,), ("a", "y"): (5.0, 5.0),
+}  # fmt: skip
+"""Amplitude over its error of each effect of a set, by set."""
+
+
+@pytest.mark.parametrize(
+    ("likely", "imitating", "named"),
+    [
+        # Of the likeliest set one is not known: what is known of it stands by itself.
+        ("ax", (), ("x",)),
+        # Firm in the leading set, though not beside what its own leaves.
+        ("a", (), ("a",)),
+        # Firm nowhere.
+        ("b", (), ()),
+        ("", (), ()),
+        ("ay", (("a", "y"),), ("a",)),
+        ("axy", (("a", "y"),), ("x",)),
+    ],
+)
+def test_beside_something_unlisted_what_is_firm_is_named(likely, imitating, named):
+    log = {("a", "b", "x"): -1.0, ("a", "y"): -2.0, ("a", "x"): -3.0, ("x",): -4.0,
+           ("a",): -5.0, ("b",): -6.0, (): -90.0}  # fmt: skip
+
+    def firm(key, least):
+        return tuple(e for e, z in zip(key, ERRORS[key], strict=True) if z >= least)
+
+    judge = Mock(spec=Judge, weighed=replace(NOTHING, log_weight=log), firm=firm)
+    judge.leading = lambda key: {key: 1.0}
+    judge.imitates = lambda key: key in imitating
+    chances = {e: 0.4 if e in likely else 0.05 for e in "abxy"}
+    assert conclusion._earned(judge, ("a", "b", "x"), chances) == named

@@ -86,6 +86,9 @@ _LEADING, _NEARLY = 4, 0.1
 most, and the least probability of one over that of the first: what merely draws such a
 gap is drawn by several nearly as well, and which of them comes first is chance."""
 
+_TRIED = 6
+"""Sets that are tried as what may be named beside something unlisted, at most."""
+
 _EDGE = 1e-3
 """Distance from its bound, in prior scales, at which an effect rests on it."""
 
@@ -306,6 +309,24 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
     return _incomplete(verdict, judge, key, more)
 
 
+def _earned(judge: Judge, key, chances) -> tuple[str, ...]:
+    """The most probable set that may be named beside something unlisted; () for none.
+
+    Every effect of it is likely enough, known to better than half its size as it will
+    be told, and firm there or in one of the leading sets: what a set without the others
+    leaves widens the error of each.
+    """
+    log = judge.weighed.log_weight
+    likely = {e for e, p in chances.items() if p >= _EARNED}
+    firm = {e for one in judge.leading(key) for e in judge.firm(one, _FIRM)}
+    sets = [k for k in log if k and set(k) <= likely]
+    for one in sorted(sets, key=lambda k: log[k], reverse=True)[:_TRIED]:
+        known, own = judge.firm(one, _KNOWN), judge.firm(one, _FIRM)
+        if known == one and set(one) <= firm | set(own) and not judge.imitates(one):
+            return one
+    return ()
+
+
 def _without(weighed: Weighed, effects) -> Weighed:
     """The weights of the sets that hold none of these: what is known to less than half
     its size may explain most of a file, as a load that knows the slip does."""
@@ -333,14 +354,15 @@ def _incomplete(verdict: Verdict, judge: Judge, key, more: float) -> Verdict:
     """What stands beside something unlisted, whose probability is ``more``."""
     weighed, verdict = judge.weighed, replace(verdict, unlisted=more)
     chances = judge.beside(key)
-    earned = judge.best_within([e for e, p in chances.items() if p >= _EARNED])
-    if not earned or judge.imitates(earned) or judge.firm(earned, _FIRM) != earned:
+    perhaps = [e for e, p in sorted(chances.items()) if p >= _PERHAPS]
+    earned = _earned(judge, key, chances)
+    if not earned:
         nothing = unknown(verdict, weighed, judge.of(()).adequacy, more)
-        perhaps = tuple(sorted(e for e, p in chances.items() if p >= _PERHAPS))
-        return replace(nothing, also_possible=perhaps)
+        return replace(nothing, also_possible=tuple(perhaps))
     there = [chances[e] for e in earned]
     left = judge.of(earned).adequacy._replace(passed=False)
     alike = (*ties(weighed, earned), *stand_ins(judge.search, weighed, earned))
+    alike += tuple(e for e in perhaps if e not in earned)
     return replace(
         verdict, status="incomplete", effects=earned,
         also_possible=tuple(dict.fromkeys(alike)),
