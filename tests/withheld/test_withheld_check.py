@@ -7,8 +7,19 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from fits.withheld import baselines, bound, forest, lack_of_fit, library, patch, trials
+from fits.withheld import (
+    baselines,
+    bound,
+    forest,
+    injected,
+    lack_of_fit,
+    library,
+    observer,
+    patch,
+    trials,
+)
 from fits.withheld.designs import DESIGNS, make_world
+from fits.withheld.generate import write_csv
 from fits.withheld.goals import goals
 from fits.withheld.judge import judge
 from fits.withheld.reliability import draw_reliability, reliability
@@ -300,19 +311,42 @@ def test_classes():
 # --- bound ------------------------------------------------------------------
 
 
-def test_the_bound_names_another_form_as_its_effect():
-    """Load friction by a square of the logarithm, in noise: no form of the textbook."""
+def believed(x, observed, *truth):
+    found = observer.beliefs(x, observer.evidence(x, observed, truth, pairs=True))
+    assert sum(found.values()) == pytest.approx(1)
+    return max(found, key=found.get)
+
+
+def test_the_observer_knows_how_many_effects_there_are_and_in_which_form():
+    """Load friction by a square of the logarithm, no form of the textbook, alone and
+    beside a force zero, in noise; and nothing."""
     g = np.random.default_rng(11)
     world = make_world(DESIGNS["F"], 200, C, MU, g)
     kept = ("load_friction", "force_offset", "slip_offset")
     x = inputs(world, 0.001).without([e for e in trials.EFFECTS if e not in kept])
-    truth = library.predict(
-        x, "load_friction", -0.15, C, MU, form="friction_log_square"
-    )
+    friction = ("load_friction", "friction_log_square", -0.15, 0.5)
+    zero = ("force_offset", "force_zero", trials.EFFECTS["force_offset"].typical, 0.5)
     noise = library.spread(x, C, MU) * g.normal(size=200)
-    assert bound.named_by_evidence(x, truth + noise, "load_friction") == "load_friction"
-    plain = library.predict(x, None, 0, C, MU)
-    assert bound.named_by_evidence(x, plain + noise, "load_friction") == ""
+
+    def named(*parts):
+        truth = library.predict_together(x, parts, C, MU)
+        return believed(x, truth + noise, *(part[0] for part in parts))
+
+    assert named(friction) == ("load_friction",)
+    assert named(friction, zero) == ("force_offset", "load_friction")
+    assert named() == ()
+
+
+def test_what_is_as_likely_by_evidence_is_as_likely_as_it_is_drawn():
+    """Nothing is drawn as often as all single effects in the ratio of 134 to 200, and
+    these are 3 here, of 3 families."""
+    world = make_world(DESIGNS["F"], 50, C, MU, np.random.default_rng(1))
+    kept = ("load_friction", "force_offset", "pressure_flatness")
+    x = inputs(world, 0.001).without([e for e in trials.EFFECTS if e not in kept])
+    one, two = ("load_friction",), ("force_offset", "load_friction")
+    found = observer.beliefs(x, {(): 0.0, one: 0.0, two: 0.0})
+    assert found[()] / found[one] == pytest.approx(134 / (200 / 3))
+    assert found[one] / found[two] == pytest.approx((200 / 3) / (33 / 3))
 
 
 def test_evidence_counts_the_amplitude_once():
@@ -321,7 +355,7 @@ def test_evidence_counts_the_amplitude_once():
     world = make_world(DESIGNS["F"], 200, C, MU, g)
     x = inputs(world, 0.0).without([e for e in trials.EFFECTS if e != "force_offset"])
     plain = library.predict(x, None, 0, C, MU)
-    found = bound.evidence(x, plain + 0.01 * world.fz * g.normal(size=200))
+    found = observer.evidence(x, plain + 0.01 * world.fz * g.normal(size=200))
     # Half its typical size, 40 N, is some 14 standard errors of 200 rows away.
     assert found["force_offset",] < found[()] - 30
 
@@ -339,8 +373,8 @@ def test_who_is_told_a_pair_finds_both_only_where_both_show():
     alone = library.predict(x, "force_offset", sizes["force_offset"], C, MU)
     np.testing.assert_allclose(one, alone, rtol=1e-12)
     both = library.predict_together(x, parts, C, MU)
-    assert bound.told_pair(x, both + noise, pair)
-    assert not bound.told_pair(x, one + noise, pair)
+    assert observer.told_pair(x, both + noise, pair)
+    assert not observer.told_pair(x, one + noise, pair)
 
 
 def test_of_strangers_only_what_no_listed_effect_imitates_can_be_flagged():
@@ -359,4 +393,41 @@ def test_of_strangers_only_what_no_listed_effect_imitates_can_be_flagged():
         ["not listed, strong", "2", "0.500", "0.500"],
         ["not listed, weak", "1", "1.000", "0.000"],
         ["family left out", "1", "0.000", "1.000"],
+    ]
+
+
+def test_a_change_of_measured_data_is_as_large_as_it_moves_what_the_brush_leaves():
+    """Linear in a force; next to nothing where a friction near the fit's does it."""
+    data = injected.half(1)
+
+    def size(force):
+        return bound.size_of_change(data, data | {"fy": data["fy"] + force})
+
+    assert size(0.0) == 0.0
+    assert size(0.6) == pytest.approx(2 * size(0.3)) and size(0.3) > bound.SHOWS
+    slip = np.tan(data["alpha"])
+    usual, more = (
+        patch.plain_brush(slip, data["fz"], injected.C, mu)[0]
+        for mu in (injected.MU, 1.002 * injected.MU)
+    )
+    whole = np.linalg.norm(more - usual)
+    late = (more - usual) * (data["time"] > np.median(data["time"]))
+    assert size(more - usual) / whole < 0.1 * size(late) / np.linalg.norm(late)
+
+
+def test_what_was_injected_and_named_is_counted_by_kind(tmp_path):
+    """A delay of 0.1 s in a driven log shows, one of no time does not."""
+    data = injected.half(1)
+    labels = {}
+    for name, delay in (("late", 0.1), ("same", 0.0)):
+        moved = data | injected.CHANGES["channel_delay"][0](data, delay, None)
+        (tmp_path / "trials").mkdir(exist_ok=True)
+        write_csv(tmp_path / "trials" / f"{name}.csv", moved)
+        about = {"half": 1, "kind": "channel_delay", "file": f"{name}.csv"}
+        labels[name] = label("injected", "channel_delay") | about
+    answers = {"late": said("incomplete", "channel_delay"), "same": said("none")}
+    outcomes = {k: judge(k, labels[k], answers[k]) for k in labels}
+    assert bound.injected_that_show(tmp_path, labels, outcomes) == [
+        ["injected", "2", "0.500", "0.500"],
+        ["injected: channel_delay", "2", "0.500", "0.500"],
     ]

@@ -1,0 +1,226 @@
+"""The exact evidence with the generator's own forms: what an observer would know.
+
+He knows the plain brush, every form that the generator has of every effect, the prior
+of the amplitudes and the law of the noise. Amplitude, stiffness and friction are
+profiled (Laplace).
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.special import softmax
+
+from fits.withheld.effects import EFFECTS
+from fits.withheld.library import (
+    Inputs,
+    base_fit,
+    directions,
+    predict,
+    predict_together,
+)
+
+__all__ = ["beliefs", "evidence", "told_pair"]
+
+REFITTED = 10
+SHARES = tuple(np.linspace(0.05, 0.95, 10))  # of the range of a form's random draws
+LOW, HIGH = 0.5, 2.0  # amplitudes, in typical ones: log-uniform
+SPREAD = np.array([0.09, 0.06])  # of log c and log mu, as they are drawn
+DRAWN = {0: 134, 1: 200, 2: 33}  # trials without an effect, with one, with two
+
+
+def _hypotheses(x: Inputs) -> Iterator[tuple]:
+    """(effect, form, share, sign) of all that one amplitude makes."""
+    for effect in x.effects:
+        about = EFFECTS[effect]
+        for form in about.forms:
+            for part in SHARES if form.startswith("road_") else (0.5,):
+                for sign in (about.sign,) if about.sign else (-1, 1):
+                    yield effect, form, part, sign
+
+
+def _force(x: Inputs, keys: Sequence[tuple], strengths, c, mu) -> np.ndarray:
+    parts = [
+        (effect, form, EFFECTS[effect].typical * sign * strength, share)
+        for (effect, form, share, sign), strength in zip(keys, strengths, strict=True)
+    ]
+    if len(parts) > 1:
+        return predict_together(x, parts, c, mu)
+    ((effect, form, size, share),) = parts
+    return predict(x, effect, size, c, mu, share, form)
+
+
+def _refitted(x, observed, std, keys: Sequence[tuple], c, mu) -> float:
+    """Log evidence of forms at once, up to a constant that all hypotheses share."""
+
+    def rest(p):
+        ratio = np.exp(p[:2] * SPREAD)
+        force = _force(x, keys, np.exp(p[2:]), c * ratio[0], mu * ratio[1])
+        return np.nan_to_num((observed - force) / std, nan=1e3)
+
+    n = len(keys)
+    low, high = [-9, -9, *[np.log(LOW)] * n], [9, 9, *[np.log(HIGH)] * n]
+    fit = least_squares(
+        rest, np.zeros(2 + n), bounds=(low, high), max_nfev=4 + 4 * n, diff_step=1e-3,
+        x_scale=[0.1, 0.1, *[0.3] * n],
+    )  # fmt: skip
+    return -fit.cost + _laplace(fit.jac[:, 2:], fit.jac[:, :2])
+
+
+def _laplace(along: np.ndarray, base: np.ndarray) -> float:
+    """Log of the share of the prior's range that the data leave to the amplitudes.
+
+    Args:
+        along: (n, k) or (n,) whitened change with the logarithm of each amplitude.
+        base: (n, 2) of the parameters.
+    """
+    along = along.reshape(len(along), -1)
+    left = along - base @ np.linalg.lstsq(base, along, rcond=None)[0]
+    lengths = np.abs(np.diag(np.linalg.qr(left)[1]))
+    widths = np.sqrt(2 * np.pi) / np.maximum(lengths, 1e-9)
+    return float(np.sum(np.log(np.minimum(widths / np.log(HIGH / LOW), 1.0))))
+
+
+class _Screen(NamedTuple):
+    """All that one amplitude makes of a file, at typical size, around the plain brush.
+
+    ``misses`` (n,), ``base`` (n, 2) and ``shapes`` (n, K) of the ``keys`` are whitened.
+    """
+
+    c: float
+    mu: float
+    std: np.ndarray
+    misses: np.ndarray
+    base: np.ndarray
+    keys: list[tuple]
+    shapes: np.ndarray
+
+
+def _screen(x: Inputs, observed: np.ndarray) -> _Screen:
+    (c, mu), misses, std = base_fit(x, observed)
+    plain = observed - misses * std
+    base = directions(x, c, mu) / std[:, None]
+    keys = list(_hypotheses(x))
+    shapes = [(_force(x, [key], [1.0], c, mu) - plain) / std for key in keys]
+    return _Screen(c, mu, std, misses, base, keys, np.nan_to_num(np.array(shapes).T))
+
+
+def _first_of_one(seen: _Screen) -> dict[tuple, float]:
+    """Log evidence of each key, to first order."""
+    first = {}
+    for key, shape in zip(seen.keys, seen.shapes.T, strict=True):
+        columns = np.column_stack([seen.base, shape])
+        scale = np.linalg.norm(columns, axis=0) + 1e-12
+        size = np.linalg.lstsq(columns / scale, seen.misses, rcond=None)[0] / scale
+        left = seen.misses - np.clip(size[2], LOW, HIGH) * shape
+        left -= seen.base @ np.linalg.lstsq(seen.base, left, rcond=None)[0]
+        first[key] = -0.5 * float(left @ left) + _laplace(shape, seen.base)
+    return first
+
+
+def _first_of_two(seen: _Screen) -> dict[tuple[tuple, tuple], float]:
+    """The same of every two keys of two families, amplitudes bounded."""
+    unit = np.linalg.qr(seen.base)[0]
+    own = seen.shapes - unit @ (unit.T @ seen.shapes)
+    rest = seen.misses - unit @ (unit.T @ seen.misses)
+    gram, score = own.T @ own, own.T @ rest
+    families = np.array([EFFECTS[key[0]].family for key in seen.keys])
+    one, two = np.nonzero(np.triu(families[:, None] != families, 1))
+    a, b, ab = gram[one, one] + 1e-12, gram[two, two] + 1e-12, gram[one, two]
+    of_one, of_two = score[one], score[two]
+    size = (b * of_one - ab * of_two) / np.maximum(a * b - ab**2, 1e-12)
+    for _ in range(20):  # each in turn, within its bounds
+        size = np.clip(size, LOW, HIGH)
+        other = np.clip((of_two - ab * size) / b, LOW, HIGH)
+        size = (of_one - ab * other) / a
+    size = np.clip(size, LOW, HIGH)
+    energy = size * size * a + other * other * b + 2 * size * other * ab
+    gained = size * of_one + other * of_two - 0.5 * energy
+    lengths = np.sqrt([a, np.maximum(b - ab**2 / a, 0)])
+    widths = np.sqrt(2 * np.pi) / np.maximum(lengths, 1e-9)
+    gained += np.log(np.minimum(widths / np.log(HIGH / LOW), 1.0)).sum(axis=0)
+    gained -= 0.5 * rest @ rest
+    keys = seen.keys
+    return {
+        (keys[i], keys[j]): float(v) for i, j, v in zip(one, two, gained, strict=True)
+    }
+
+
+def _draws(key: tuple) -> int:
+    """Keys that an effect has."""
+    about = EFFECTS[key[0]]
+    of_form = len(SHARES) if key[1].startswith("road_") else 1
+    return of_form * (2 - abs(about.sign)) * len(about.forms)
+
+
+def _refitted_sets(x, observed, seen: _Screen, first: dict, more) -> dict:
+    """Log evidence of sets of effects from that of their keys, of which the nearest are
+    refitted, and of the set ``more`` the nearest in any case."""
+    nearest = sorted(first, key=first.get, reverse=True)[:REFITTED]
+    told = [keys for keys in first if {key[0] for key in keys} == set(more)]
+    nearest += sorted(told, key=first.get, reverse=True)[: REFITTED // 2]
+    parts: dict = {}
+    for keys in dict.fromkeys(nearest):
+        value = _refitted(x, observed, seen.std, keys, seen.c, seen.mu)
+        value -= float(np.sum(np.log([_draws(key) for key in keys])))
+        parts.setdefault(tuple(sorted(key[0] for key in keys)), []).append(value)
+    return {k: float(np.logaddexp.reduce(values)) for k, values in parts.items()}
+
+
+def evidence(
+    x: Inputs, observed: np.ndarray, more: Sequence[str] = (), pairs: bool = False
+) -> dict[tuple[str, ...], float]:
+    """Log evidence of nothing, (), and of single effects, over their forms; with
+    ``pairs`` of two of different families too. Of the sets those that look nearest to
+    first order are refitted, the others left out.
+
+    Args:
+        more: effects whose set is refitted, however far it looks.
+    """
+    seen = _screen(x, observed)
+    ones = {(key,): value for key, value in _first_of_one(seen).items()}
+    found = _refitted_sets(x, observed, seen, ones, more)
+    if pairs:
+        found |= _refitted_sets(x, observed, seen, _first_of_two(seen), more)
+    return found | {(): -0.5 * float(seen.misses @ seen.misses)}
+
+
+def beliefs(x: Inputs, evidences: dict[tuple[str, ...], float]) -> dict:
+    """Probability of nothing, of each single effect and of each pair, of which
+    :func:`evidence` is known, as common as the check draws them."""
+    families = [EFFECTS[effect].family for effect in x.effects]
+    two = sum(a != b for k, a in enumerate(families) for b in families[:k])
+    sets = {0: 1, 1: len(families), 2: max(two, 1)}
+    keys = list(evidences)
+    logs = [
+        evidences[k] + np.log(DRAWN[len(k)] / sets[len(k)]) for k in keys
+    ]  # fmt: skip
+    return dict(zip(keys, softmax(logs).tolist(), strict=True))
+
+
+def told_pair(x: Inputs, observed: np.ndarray, pair: dict[str, str]) -> bool:
+    """Whether both effects of a pair show, to who is told which two in which form.
+
+    The evidence for both is held against that for either one alone. Who must find out
+    which effects there are is right less often.
+
+    Args:
+        pair: form of each of the two effects.
+    """
+    (c, mu), _, std = base_fit(x, observed)
+
+    def evidence_of(effects: tuple[str, ...]) -> float:
+        shares = SHARES if any(pair[e].startswith("road_") for e in effects) else (0.5,)
+        signs = product(*((EFFECTS[e].sign,) if EFFECTS[e].sign else (-1, 1)
+                          for e in effects))  # fmt: skip
+        keys = list(product(shares, signs))
+        return float(np.logaddexp.reduce([
+            _refitted(x, observed, std, [(e, pair[e], share, sign)
+                      for e, sign in zip(effects, each, strict=True)], c, mu)
+            for share, each in keys
+        ]) - np.log(len(keys)))  # fmt: skip
+
+    one, two = pair
+    return evidence_of((one, two)) > max(evidence_of((one,)), evidence_of((two,)))
