@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.diagnosis.effects.free_forms import (
+    BOTH_WAYS,
     ONE_WAY,
     SHIFT_BY_SPEED,
     over,
@@ -52,10 +53,12 @@ def _drag(state, share, constants, rows):
 
 
 def _ellipse(state, share, constants, rows):
-    del constants
+    """Of the friction, or of the whole force, as a vehicle model's last line has it."""
+    (whole,) = constants
     used = rows.across / (rows.peak * rows.fz * rows.load)
     left = jnp.sqrt(1 - jnp.clip(share * used**2, _DOUBLED, _ALL_BUT))
-    return state._replace(friction=state.friction * left)
+    stiffness = state.stiffness * (1 - whole * (1 - left))
+    return state._replace(friction=state.friction * left, stiffness=stiffness)
 
 
 def _tracked_point(state, lever, constants, rows):
@@ -166,14 +169,18 @@ ELLIPSE = Effect(
     change=_ellipse,
     scale=0.3,
     unit="-",
-    formula="mu sqrt(1 - amplitude (F_across / (mu F_z))^2)",
+    formula="mu, or the whole force, times sqrt(1 - amplitude (F_across / (mu F_z))^2)",
     means="the force across (drive, brake or cornering) takes its part of the friction",
     remedy="fit a combined model to both forces, or leave rows with a force across out",
     parameter="share",
     bounds=((0.0, 6.0),),
     center=1.0,
     needs=("other force",),
-    forms=over("friction", 0.03, "across", 5),
+    variants=((0.0,), (1.0,)),
+    forms=(
+        *over("friction", 0.03, "across", BOTH_WAYS),
+        *over("stiffness", 0.03, "across", BOTH_WAYS),
+    ),
     looks_like=("combined_slip", "force_crosstalk"),
     told_apart_by="pure slip",
 )
