@@ -152,7 +152,7 @@ class Base:
         residual that no effect explains; see :func:`slip_proxies`."""
         rows = self.rows
         told = slip_proxies(
-            rows.slip, rows.slip_std, rows.moving, rows.path, rows.swing
+            rows.slip, rows.slip_std, rows.moving, rows.path, rows.swing, rows.past
         )
         return self._forces_of(told)
 

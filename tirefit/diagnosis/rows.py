@@ -51,6 +51,9 @@ _SCATTER = "scatter about smooth sweeps"
 _SHOWN = "scatter where the force is steep"
 NOT_STATED = "none assumed"
 
+_MOVE = ("fz", "v", "yaw", "lean", "ahead", "swing", "steering", "across")
+"""Covariates that may know the true slip better than the slip as measured does."""
+
 _DRIVES = 1e-6
 """Standard deviation of a slip from which it drives: less is one value."""
 
@@ -136,8 +139,12 @@ class Prepared:
     @property
     def path(self) -> np.ndarray | None:
         """Slips (n,) as their neighbours in time show them; None where they do not."""
-        past = np.asarray(self.covariates.past)
-        return past[:, AHEAD] if "sweeps" in self.has else None
+        return None if self.past is None else self.past[:, AHEAD]
+
+    @property
+    def past(self) -> np.ndarray | None:
+        """The same before, at and after each row (n, k)."""
+        return np.asarray(self.covariates.past) if "sweeps" in self.has else None
 
     @property
     def swing(self) -> np.ndarray | None:
@@ -148,9 +155,10 @@ class Prepared:
 
     @property
     def moving(self) -> list[np.ndarray]:
-        """Load and speed (n,) of the rows, of both what is not set to a few levels."""
-        both = [np.asarray(v) for v in (self.covariates.fz, self.covariates.v)]
-        return [values for values in both if not levels(values).few()]
+        """What was measured beside the slip and moves with it, or may: load, speed and
+        the motion of a vehicle (n,), of these what is not set to a few levels."""
+        each = [np.asarray(getattr(self.covariates, name)) for name in _MOVE]
+        return [values for values in each if not levels(values).few()]
 
     def column(self, name: str) -> np.ndarray:
         """A column of the data, (n,)."""

@@ -86,7 +86,9 @@ def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray
     return np.concatenate(columns, axis=1)
 
 
-def slip_proxies(slip, std, measured, path=None, swing=None) -> np.ndarray:
+def slip_proxies(
+    slip, std, measured, path=None, swing=None, past=None
+) -> np.ndarray:
     """How much nearer to the true slips something else is than the slips themselves:
     columns (n, k), one of each that tells of their noise.
 
@@ -97,13 +99,22 @@ def slip_proxies(slip, std, measured, path=None, swing=None) -> np.ndarray:
 
     Args:
         measured: (n,) each, what else was measured and is not set to a few levels; the
-            slips are predicted from it by a cubic.
+            slips are predicted from each by a cubic, and from all by the sum of such
+            and the past.
         path: as in :func:`slip_doubt`.
         swing: (n,) :func:`swing_of` the slips, None where there is none.
+        past: (n, k) slips before, at and after each row, as their neighbours in time
+            show them; None where they do not.
     """
     if not np.any(std > 0):
         return np.zeros((len(slip), 0))
-    others = [_predicted(slip, np.asarray(values)) for values in measured]
+    powers = [_powers(values) for values in measured]
+    if powers:
+        # Together, and with the past, they know what none of them does: the motion of a
+        # vehicle follows its slip.
+        with_past = powers if past is None else [*powers, past]
+        powers.append(np.concatenate(with_past, axis=1))
+    others = [_predicted(slip, columns) for columns in powers]
     columns = []
     for told in [*others, *(one for one in (path, swing) if one is not None)]:
         off = told - slip
@@ -142,11 +153,16 @@ def _one_swing(slip, time) -> np.ndarray:
     return told[np.argmin(np.sum((slip - told) ** 2, axis=1))]
 
 
-def _predicted(slip, covariate) -> np.ndarray:
-    """The slips (n,) by a cubic in something else that was measured: least squares."""
+def _powers(covariate) -> np.ndarray:
+    """Cubic in something that was measured, about its mean: (n, 3)."""
     spread = max(float(np.std(covariate)), NONZERO)
-    powers = np.vander((covariate - np.mean(covariate)) / spread, 4)
-    return powers @ np.linalg.lstsq(powers, slip, rcond=None)[0]
+    return np.vander((covariate - np.mean(covariate)) / spread, 4)[:, :3]
+
+
+def _predicted(slip, columns) -> np.ndarray:
+    """The slips (n,) by columns (n, k) and a constant: least squares."""
+    free = np.column_stack([np.ones(len(slip)), columns])
+    return free @ np.linalg.lstsq(free, slip, rcond=None)[0]
 
 
 def _of_phase(law: SlipDistribution, path, std) -> np.ndarray:
