@@ -330,3 +330,14 @@ def test_an_interval_of_few_runs_is_that_of_students_t():
     assert high == pytest.approx(t.ppf(0.95, 2) * error) and low == -high
     assert of_so_few_runs(0.0, -0.5, 0.5, one_less[:, 0] / 100) == (-0.5, 0.5)
     assert len(without_each(terms, np.zeros(6, int))) == 0
+
+
+@pytest.mark.parametrize(("axle", "seed"), [("front", 2), ("rear", 3)])
+def test_a_motion_that_knows_the_slip_better_is_no_effect(axle, seed):
+    """Nothing is wrong but a noise of the slip angle, 3 mrad, that the rig states; yaw
+    rate and accelerations are exact, and together tell the slip nearly as they do."""
+    frame = drive(Car(), axle, measured=True)
+    noise = 0.003 * np.random.default_rng(seed).normal(size=len(frame["alpha"]))
+    noisy = read_frame(frame | {"alpha": frame["alpha"] + noise})
+    verdict = diagnose(noisy, rig=Rig(noise={"alpha": 0.003})).verdict
+    assert verdict.status == "none"

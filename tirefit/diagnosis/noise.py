@@ -140,7 +140,11 @@ def judge_noise(
     rest = _Rest(clean, smooth.freedom, keep, base, std)
     if given is None:
         level = rest.law(spread, fz, force, False)
-        memory = rest.memory(smooth, level, spread, in_time)
+        # Gap and noise together are no smaller than the noise alone.
+        whole = float(np.mean((residual / level)[keep] ** 2))
+        memory = rest.memory(
+            smooth, level, spread, in_time, (1 + _MISSTATED) ** 2 * whole
+        )
         local = _between_neighbours(residual / std, groups, keep, memory, in_time)
         rest = rest.under(memory)
         level, flags, source = _levelled(rest, local, spread, fz, force, False)

@@ -86,11 +86,9 @@ def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray
     return np.concatenate(columns, axis=1)
 
 
-def slip_proxies(
-    slip, std, measured, path=None, swing=None, past=None
-) -> np.ndarray:
+def slip_proxies(slip, std, measured, path=None, swing=None, past=None) -> np.ndarray:
     """How much nearer to the true slips something else is than the slips themselves:
-    columns (n, k), one of each that tells of their noise.
+    columns (n, k), one of each way to tell that knows of their noise.
 
     What moves with the true slip (its neighbours in time, a load that the cornering
     shifts) knows it without the noise of the slip. A regression then gives it a part
@@ -99,8 +97,7 @@ def slip_proxies(
 
     Args:
         measured: (n,) each, what else was measured and is not set to a few levels; the
-            slips are predicted from each by a cubic, and from all by the sum of such
-            and the past.
+            slips are predicted from a cubic of each and from the past, all together.
         path: as in :func:`slip_doubt`.
         swing: (n,) :func:`swing_of` the slips, None where there is none.
         past: (n, k) slips before, at and after each row, as their neighbours in time
@@ -108,13 +105,13 @@ def slip_proxies(
     """
     if not np.any(std > 0):
         return np.zeros((len(slip), 0))
-    powers = [_powers(values) for values in measured]
-    if powers:
-        # Together, and with the past, they know what none of them does: the motion of a
-        # vehicle follows its slip.
-        with_past = powers if past is None else [*powers, past]
-        powers.append(np.concatenate(with_past, axis=1))
-    others = [_predicted(slip, columns) for columns in powers]
+    others = []
+    if measured:
+        # Together, and with the past, they know what none of them does by itself: the
+        # motion of a vehicle follows its slip.
+        powers = [_powers(np.asarray(values)) for values in measured]
+        known = np.concatenate(powers if past is None else [*powers, past], axis=1)
+        others = [_predicted(slip, known)]
     columns = []
     for told in [*others, *(one for one in (path, swing) if one is not None)]:
         off = told - slip
