@@ -178,7 +178,7 @@ def test_what_the_simulator_has_beyond_its_tire_stays_in():
     frame, truth = rows(bump, offset=0.0)
     slip, fz = frame["sigma_x"], frame["fz"]
     sim = brush(slip, TRUE["cpa2"], TOO_HIGH * TRUE["mu"], fz) + bump(slip, fz)
-    found = studied(frame, sim)
+    found = studied(frame, sim, model="brush")
     mu = found.verdict.parameters["mu"]
     assert mu.differs and abs(mu.simulated / mu.measured - TOO_HIGH) < 0.02
     size = np.sqrt(np.mean(bump(slip, fz) ** 2))
@@ -189,8 +189,46 @@ def test_what_the_simulator_has_beyond_its_tire_stays_in():
     # The tire misses the bump, as far as its own parameters do not take it up.
     assert 0.3 * size < found.simulator.surrogate.rms < size
     # The same by the column, in the data's own terms.
-    again = studied(frame | {"fx_sim": sim}, True)
+    again = studied(frame | {"fx_sim": sim}, True, model="brush")
     assert again.budget == found.budget
+
+
+def curved(slip, fz, mu=1.0, stiffness=1.0):
+    """No brush: a force that bends softly over kappa, its friction and stiffness by the
+    load."""
+    peak = mu * fz * (1.15 - 0.15 * fz / 4000)
+    slope = stiffness * 1.3e5 * np.tanh(fz / 4500)
+    return peak * np.tanh(slope * slip / (1 + slip) / peak)
+
+
+@pytest.mark.parametrize("offset", [0.0, OFFSET])
+def test_a_simulator_that_is_no_brush_is_followed_by_what_does_it(offset):
+    """Friction 10 % too high, stiffness 15 % too low: that alone, or beside an offset
+    of the slip; a brush that stands in for it calls the rest by the name of an effect.
+    """
+    slip, fz = (rows()[0][name] for name in ("sigma_x", "fz"))
+    noise = NOISE * np.random.default_rng(1).standard_normal(len(slip))
+    frame = {"sigma_x": slip, "fz": fz, "fx": curved(slip + offset, fz) + noise}
+    sim = curved(slip, fz, 1.1, 0.85)
+    found = diagnose(read_frame(frame, "a"), sim=sim, rig=RIG)
+    assert found.simulator.surrogate.model == found.model == "mf61"
+    assert found.simulator.surrogate.of_force < 0.01
+    if offset:
+        assert found.verdict.effects == ("slip_offset",)
+    else:
+        assert found.verdict.status == "none"
+    for name, true in (("LMUX", 1 / 1.1), ("LKX", 1 / 0.85)):
+        change = found.verdict.parameters[name]
+        assert change.differs and change.simulated == pytest.approx(1)
+        assert change.measured == pytest.approx(true, abs=0.01 + 2 * change.std)
+    # Who asks for another gets it.
+    asked = diagnose(read_frame(frame, "a"), "brush-load", sim=sim, rig=RIG)
+    assert asked.simulator.surrogate.model == "brush-load"
+
+
+def test_a_simulator_that_is_a_brush_is_followed_by_it(frame):
+    sim = brush(frame["sigma_x"], TRUE["cpa2"], TOO_HIGH * TRUE["mu"], frame["fz"])
+    assert studied(frame, sim).simulator.surrogate.model == "brush"
 
 
 def test_a_lateral_simulator_by_its_force():

@@ -96,13 +96,14 @@ def diagnose(
         typer.Option(metavar="FOLDER", parser=named_path, help="folder of the results"),
     ],
     model: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="MODEL|FIT.json|FILE.tir",
-            help="base model; a file is a simulator that is taken as it is",
+            help="base model (brush); a file is a simulator that is taken as it is;"
+            " with --sim what stands in for the simulator (brush or mf61, as it needs)",
             autocompletion=completed(*MODEL_NAMES, *MAGIC_FORMULA_NAMES),
         ),
-    ] = "brush",
+    ] = None,
     parameter: Annotated[
         list[str] | None,
         typer.Option(
@@ -157,15 +158,17 @@ def diagnose(
         how = read_options(options, config)
         if config is not None:
             force = force or config.force
-            asked = {"model": model, "seed": seed, "force": force}
+            asked = {"model": model or _PLAIN, "seed": seed, "force": force}
             _warn_of_unused(config, how, asked)
         start_jax()
-        known = [Path(model)] if _is_file(model) else []
+        known = [Path(model)] if model and _is_file(model) else []
         known += [path for path in (rig, options.config) if path is not None]
         _check_replaced(out, names, figures, [*files, *(holdout or []), *known])
-        settings = _settings(model, rig, without, how)
+        # A simulator that is known by its forces is followed by what does it best.
+        base = model if model or sim else _PLAIN
+        settings = _settings(base, rig, without, how)
         settings["forces"] = forces_named(force)
-        settings |= _simulator(model, parameter, sim, how)
+        settings |= _simulator(base, parameter, sim, how)
         with claimed(out):
             kept = [_read(path, how) for path in holdout or []]
             task = _Task(out, settings, kept, how, figures, resume, seed)
@@ -173,6 +176,9 @@ def diagnose(
             worst = _all(pieces, task, sharing)
         raise typer.Exit(worst)
 
+
+_PLAIN = "brush"
+"""The base model where none is asked for."""
 
 _INSTEAD = {"model": "--model", "seed": "--seed", "noise": "[noise] in --rig"}
 """Key or section of fit.toml -> where a diagnosis takes it from."""
@@ -212,12 +218,12 @@ def _read(path: Path, how: dict):
     return table
 
 
-def _settings(model: str, rig: Path | None, without, how: dict) -> dict:
+def _settings(model: str | None, rig: Path | None, without, how: dict) -> dict:
     """Arguments of ``tirefit.diagnose`` that all files share."""
     from tirefit.diagnosis.rig import load_rig
     from tirefit.fitting.problem import find_model
 
-    if not _is_file(model) and model not in MAGIC_FORMULA_NAMES:
+    if model and not _is_file(model) and model not in MAGIC_FORMULA_NAMES:
         find_model(model)
     known = load_rig(rig)
     for note in known.notes:
@@ -231,7 +237,7 @@ def _is_file(model: str) -> bool:
     return model.lower().endswith((".json", ".tir"))
 
 
-def _simulator(model: str, parameter, sim: bool, how: dict) -> dict:
+def _simulator(model: str | None, parameter, sim: bool, how: dict) -> dict:
     """Arguments of ``tirefit.diagnose`` for a simulator that is taken as it is.
 
     None where a form is fitted. Of a file, the data are in its convention unless they
@@ -239,7 +245,7 @@ def _simulator(model: str, parameter, sim: bool, how: dict) -> dict:
     """
     problems: list[InputProblem] = []
     values = numbers("--set", parameter, problems)
-    if sim and (values or _is_file(model)):
+    if sim and (values or (model and _is_file(model))):
         reason = f"--sim with {'--set' if values else f'--model {model}'}"
         remedy = "with --sim, --model names the form that stands in for the simulator"
         problems.append(InputProblem(reason, remedy))
@@ -247,6 +253,7 @@ def _simulator(model: str, parameter, sim: bool, how: dict) -> dict:
         raise UsageError(problems)
     if sim:
         return {"sim": True}
+    assert model is not None, "the plain one, where no simulator's forces are given"
     if not values and not _is_file(model):
         return {}
     from tirefit.diagnosis.simulator import simulator_at
@@ -254,7 +261,7 @@ def _simulator(model: str, parameter, sim: bool, how: dict) -> dict:
     given = simulator_at(model, values)
     if how["convention"] is None:
         how["convention"] = given.convention
-    return {"model": "brush", "sim": given}
+    return {"model": _PLAIN, "sim": given}
 
 
 @dataclass(frozen=True)
@@ -366,7 +373,9 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
     except (OSError, ValueError, KeyError, TypeError):
         return False
     source, rig, given = table.source, settings["rig"], settings.get("sim")
-    base = [settings["model"], given and ["columns", "columns", None]]
+    # What stands in for a simulator follows from the data.
+    model = settings["model"] or there[3]
+    base = [model, given and ["columns", "columns", None]]
     if given not in (None, True):
         base = [given.source, [given.kind, given.source, given.sha256]]
     asked = [

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,16 +17,26 @@ from tirefit.diagnosis.noise import NoiseLevel, in_order, judge_noise
 from tirefit.diagnosis.remainder import whitened_generic
 from tirefit.diagnosis.rows import NOT_STATED, Prepared, neighbours, on_scale_of
 from tirefit.diagnosis.runs import with_runs
-from tirefit.diagnosis.simulator import Given, Simulated, as_measured, check_followed
+from tirefit.diagnosis.simulator import (
+    STAND_INS,
+    Given,
+    Simulated,
+    as_measured,
+    check_followed,
+    closely_followed,
+)
 from tirefit.diagnosis.slip_nodes import slip_doubt, slip_nodes, slip_proxies
 from tirefit.diagnosis.slip_scatter import slip_scatter
 from tirefit.diagnosis.state import Covariates
 from tirefit.diagnosis.tire import Tire, with_force
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import best_of, solve_starts
+from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.problem import build
 from tirefit.fitting.solve import starting_points
+from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.padding import pad_rows, padded_size
+from tirefit.results import DataError
 
 __all__ = [
     "Base",
@@ -251,6 +262,63 @@ def _first_fit(prepared: Prepared, name: str, data):
     return problem.model, problem.layout, best, starts[0]
 
 
+class _Begun(NamedTuple):
+    """A tire with its parameters z and a first guess of them, on the design of its
+    rows; ``missed`` is what a simulator has beyond it (n,), by channel."""
+
+    tire: Tire
+    design: Design
+    z: np.ndarray
+    guess: np.ndarray
+    missed: dict[str, np.ndarray]
+
+
+def _stand_in(prepared: Prepared, name: str, given: Given):
+    """(model, layout, z, first guess) of the tire that follows a simulator's forces."""
+    simulated = as_measured(prepared.data, prepared.channels)
+    if name not in MAGIC_FORMULAS:
+        return _first_fit(prepared, name, simulated)
+    # Its coefficients follow the simulator; what is adapted are scaling factors.
+    tire = fit_magic_formula(simulated, name).tire
+    model, layout, z = replace(given, tire=tire).tire_for(prepared)
+    return model, layout, z, z
+
+
+def _begun(prepared: Prepared, fitted, effects, rig, given: Given | None) -> _Begun:
+    """From (model, layout, z, first guess)."""
+    model, layout, z, guess = fitted
+    tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
+    design, missed = _design(prepared, effects, rig), {}
+    if given is not None:
+        design, missed = _with_offset(prepared, tire, design, z)
+    return _Begun(tire, design, z, guess, missed)
+
+
+def _standing_in(prepared: Prepared, name, effects, rig, given: Given):
+    """The tire that follows a simulator's forces, and its model's name: ``name``, or of
+    :data:`STAND_INS` the first that follows closely, else the one that does best."""
+
+    def tried(model: str):
+        fitted = _stand_in(prepared, model, given)
+        return _begun(prepared, fitted, effects, rig, given), model
+
+    if name is not None:
+        return tried(name)
+    plain, flexible = STAND_INS
+    first = tried(plain)
+    if closely_followed(prepared, first[0].missed):
+        return first
+    try:
+        other = tried(flexible)
+    except DataError:  # too few rows for its coefficients
+        return first
+
+    def off(one):
+        return sum(float(np.mean(values**2)) for values in one[0].missed.values())
+
+    return min(first, other, key=off)
+
+
 def _priors(prepared: Prepared, effects, rig) -> dict[str, np.ndarray]:
     """Of every atom: scale in its own unit; center, low and high in scales."""
     priors = [atom.prior(prepared, rig) for atom in atoms_of(effects)]
@@ -262,11 +330,12 @@ def _priors(prepared: Prepared, effects, rig) -> dict[str, np.ndarray]:
 
 
 def fit_base(
-    prepared: Prepared, name: str, effects, rig, given: Given | None = None
+    prepared: Prepared, name: str | None, effects, rig, given: Given | None = None
 ) -> Base:
     """Fit the base model, judge the noise, and fit again under it.
 
     Args:
+        name: of the model; None for the brush, or what stands in for a simulator best.
         given: a simulator, whose forces stand in the data: the base is it, and what is
             fitted are its parameters; without a tire of its own the model ``name``
             stands in for it.
@@ -274,21 +343,20 @@ def fit_base(
     Raises:
         DataError: the model does not follow the simulator.
     """
+    simulator, stand_in = None, name or STAND_INS[0]
     if given is None:
-        model, layout, z, guess = _first_fit(prepared, name, prepared.data)
+        fitted = _first_fit(prepared, stand_in, prepared.data)
+        begun = _begun(prepared, fitted, effects, rig, None)
     elif given.tire is None:
-        simulated = as_measured(prepared.data, prepared.channels)
-        model, layout, z, guess = _first_fit(prepared, name, simulated)
+        begun, stand_in = _standing_in(prepared, name, effects, rig, given)
     else:
         model, layout, z = given.tire_for(prepared)
-        guess = z
-    tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
-    design, simulator = _design(prepared, effects, rig), None
+        begun = _begun(prepared, (model, layout, z, z), effects, rig, given)
+    tire, design, z, guess, missed = begun
     if given is not None:
-        simulator = Simulated(given=given, z=z)
-        design, missed = _with_offset(prepared, tire, design, z)
-        check_followed(prepared, missed, name)
-        z = tire.refitted(z, design).z[0]
+        simulator = Simulated(given=given, z=z, stand_in=stand_in)
+        check_followed(prepared, missed, stand_in)
+        z = np.asarray(tire.refitted(z, design).z)[0]
     fraction = _slip_fraction(prepared, tire, z, design)
     silent = np.zeros(count_atoms(effects))
     noise = _noise(prepared, tire, design, fraction, rig, z, silent, False)

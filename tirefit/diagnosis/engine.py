@@ -32,7 +32,7 @@ from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import Prepared, prepare, thinned
 from tirefit.diagnosis.search import Search, amplitudes_of, search
-from tirefit.diagnosis.simulator import Given, given_simulator
+from tirefit.diagnosis.simulator import STAND_INS, Given, given_simulator
 from tirefit.diagnosis.verdict import gap_p_value, judge, weigh
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.problem import find_model
@@ -55,7 +55,7 @@ _MOST_ROWS = 6000
 
 def diagnose(
     data: Any,
-    model: str = "brush",
+    model: str | None = None,
     *,
     sim: Any = None,
     rig: Rig | str | PathLike | None = None,
@@ -71,13 +71,15 @@ def diagnose(
     Args:
         data: what ``tirefit.read`` gave, or anything that it reads with its defaults: a
             path, a frame, a mapping of column to (n,) array.
-        model: name of the base model; a whole Magic Formula (``mf52``, ``mf61``,
-            ``mf62``) is first fitted to the data in stages, then taken as it is.
+        model: name of the base model, the brush by default; a whole Magic Formula
+            (``mf52``, ``mf61``, ``mf62``) is first fitted in stages, then taken as it
+            is.
         sim: a simulator to take as it is, in the place of a fit of ``model``: a tire
             model with its values, a fit, a ``fit.json`` or ``.tir`` file, True for the
             data's columns ``fx_sim``, ``fy_sim``, ``mz_sim``, or arrays (n,) of all
             rows by channel, in canonical signs. Where only its forces are known,
-            ``model``, fitted to them, stands in for what a hypothesis changes.
+            ``model``, fitted to them, stands in for what a hypothesis changes; by
+            default the brush, or mf61 where that does not follow them closely.
         rig: what is known of the rig (noise, rolling radius, wheel inertia), or the
             path of its ``rig.toml``.
         forces: of fx, fy, mz, those that matter; None for all that were measured.
@@ -115,7 +117,7 @@ def diagnose(
         # Its coefficients are those of all rows; what is adapted beside a hypothesis
         # are its scaling factors.
         sim = fit_magic_formula(data, model)
-    given, gives = None, _forces_of(model)
+    given, gives = None, _forces_of(model or STAND_INS[0])
     if sim is not None:
         given = given_simulator(sim, data)
         data, holdout = given.beside(data), [given.beside(x, True) for x in holdout]
@@ -123,7 +125,10 @@ def diagnose(
     if forces is not None:
         in_columns = given is not None and given.tire is None
         gives = _asked_for(
-            names(forces), data, gives, _forces_of(model) if in_columns else ()
+            names(forces),
+            data,
+            gives,
+            _forces_of(model or STAND_INS[0]) if in_columns else (),
         )
     library = tuple(effect for effect in effects if effect.id not in without)
     settings = Settings(
@@ -132,17 +137,20 @@ def diagnose(
         holdout=tuple(other.source.sha256 for other in holdout),
         forces=None if forces is None else names(forces),
     )
-    name = model if given is None or given.tire is None else given.source
     # The matrices are small: a second thread only spins while it waits, and sums in
     # another order move last digits, which can choose another way of a search.
     with _linear_algebra().limit(limits=1, user_api="blas"):
         whole = prepare(data, rig, gives)
-        form = "brush" if model in MAGIC_FORMULAS else model
+        form = STAND_INS[0] if model is None or model in MAGIC_FORMULAS else model
         some = thinned(whole, _MOST_ROWS)
         if shown := shown_slip_noise(some, form, effects, rig):
             whole = prepare(data, rig, gives, shown)
             some = thinned(whole, _MOST_ROWS)
         case = studied(some, model, rig, tuple(effects), without, generator, given)
+        name, simulated = model or STAND_INS[0], case.base.simulator
+        if simulated is not None:
+            given = simulated.given
+            name = simulated.stand_in if given.tire is None else given.source
         return document_of(
             case, whole, settings, library, holdout, generator, name, seed
         )
@@ -221,7 +229,7 @@ def _level(base: Base) -> np.ndarray:
 
 def studied(
     prepared: Prepared,
-    model: str,
+    model: str | None,
     rig: Rig,
     effects: tuple[Effect, ...],
     without: Sequence[str],

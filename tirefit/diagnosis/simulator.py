@@ -35,7 +35,9 @@ __all__ = [
     "Given",
     "Simulated",
     "as_measured",
+    "STAND_INS",
     "check_followed",
+    "closely_followed",
     "given_simulator",
     "simulator_at",
 ]
@@ -46,6 +48,14 @@ miss. Its slopes share out the gap, and a tire that is off by a fifth of the for
 off by as much in its slopes: parts of the budget then err by a fifth of themselves. The
 gap is no yardstick: a simulator near the truth has a small one, and its slopes are
 needed then as ever."""
+
+STAND_INS = ("brush", "mf61")
+"""Models that may stand in for a simulator whose forces alone are known, where none is
+asked for: the plain one, and one that follows any load, camber and curve."""
+
+_CLOSELY = 0.01
+"""Share of the simulated force (rms) up to which the plain one follows it: what it
+misses of slopes is then a hundredth of the parts of a budget."""
 
 _SCALING = {"x": ("LMUX", "LKX"), "y": ("LMUY", "LKY")}
 """Scaling factors of a Magic Formula tire's friction and stiffness, by slip."""
@@ -140,10 +150,12 @@ class Given:
 
 @dataclass(frozen=True, kw_only=True)
 class Simulated:
-    """A simulator in a diagnosis: parameters z of its tire as given."""
+    """A simulator in a diagnosis: parameters z of its tire as given, and the name of
+    the model that stands in where it has none."""
 
     given: Given
     z: np.ndarray
+    stand_in: str = ""
 
 
 def _scaling_layout(tire: AbstractTire, mode: str) -> Layout:
@@ -171,6 +183,21 @@ def as_measured(data: TireData, channels: Sequence[str]) -> TireData:
     return replace(data, columns=columns | {c: data[f"{c}_sim"] for c in channels})
 
 
+def _missed_share(prepared, channel: str, values) -> float:
+    size = _rms(prepared.column(f"{channel}_sim"))
+    return _rms(values) / max(size, NONZERO)
+
+
+def closely_followed(prepared, missed: Mapping[str, np.ndarray]) -> bool:
+    """Whether a tire follows the simulated forces so well that none need be better.
+
+    Args:
+        missed: simulated force less that of the tire, (n,) by channel.
+    """
+    shares = [_missed_share(prepared, c, values) for c, values in missed.items()]
+    return max(shares) <= _CLOSELY
+
+
 def check_followed(prepared, missed: Mapping[str, np.ndarray], name: str) -> None:
     """Raises DataError where the tire misses the simulated forces by too much.
 
@@ -179,15 +206,15 @@ def check_followed(prepared, missed: Mapping[str, np.ndarray], name: str) -> Non
         name: of the model that stands in.
     """
     for channel, values in missed.items():
-        off, size = _rms(values), _rms(prepared.column(f"{channel}_sim"))
-        if off > _FARTHEST_OFF * size:
+        off, share = _rms(values), _missed_share(prepared, channel, values)
+        if share > _FARTHEST_OFF:
             data = prepared.data
             raise DataError(
                 InputProblem(
                     f"the tire that stands in for the simulator does not follow it: it"
                     f" misses {channel}_sim by {off:.3g}"
                     f" {CANONICAL[channel][0]} rms,"
-                    f" {100 * off / max(size, NONZERO):.0f} % of it"
+                    f" {100 * share:.0f} % of it"
                     f" ({100 * _FARTHEST_OFF:.0f} % at most)",
                     f"choose a base model nearer to the simulator than {name} with"
                     f" --model, and check sign, unit and row order of {channel}_sim",
