@@ -3,11 +3,18 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from tirefit.diagnosis.basis import Generic, smooth_basis, wave_basis
+from tirefit.diagnosis.beginning import (
+    begin,
+    design_of,
+    first_fit,
+    measured_slips,
+    standing_in,
+    with_offset,
+)
 from tirefit.diagnosis.changes import count_atoms
 from tirefit.diagnosis.effects import Atom, atoms_of
 from tirefit.diagnosis.forms import PLACE
@@ -21,22 +28,12 @@ from tirefit.diagnosis.simulator import (
     STAND_INS,
     Given,
     Simulated,
-    as_measured,
     check_followed,
-    closely_followed,
 )
-from tirefit.diagnosis.slip_nodes import slip_doubt, slip_nodes, slip_proxies
+from tirefit.diagnosis.slip_nodes import slip_doubt, slip_proxies
 from tirefit.diagnosis.slip_scatter import slip_scatter
-from tirefit.diagnosis.state import Covariates
 from tirefit.diagnosis.tire import Tire, with_force
-from tirefit.fitting.config import parse_config
-from tirefit.fitting.inference import best_of, solve_starts
-from tirefit.fitting.mf.fit import fit_magic_formula
-from tirefit.fitting.problem import build
-from tirefit.fitting.solve import starting_points
-from tirefit.models.mf import MAGIC_FORMULAS
-from tirefit.padding import pad_rows, padded_size
-from tirefit.results import DataError
+from tirefit.padding import pad_rows
 
 __all__ = [
     "Base",
@@ -47,13 +44,6 @@ __all__ = [
     "shown_slip_noise",
     "with_noise_judged",
 ]
-
-_LEAST_ROWS = 256
-"""Rows that a diagnosis is compiled for, at least: small files share one program."""
-
-_STARTS = 4
-"""Starts of the first fit, whose error the refit under the noise takes away: half of
-those of a fit that is an end in itself."""
 
 _ON_BOUND = 6.0
 """Size of a z from which its parameter rests on a bound: it is within 0.25 % of the
@@ -180,7 +170,7 @@ class Base:
     @cached_property
     def measured(self) -> "Base":
         """:func:`at_measured_slip`, whose forces every candidate asks for."""
-        return self.on(_measured(self.design, self.rows))
+        return self.on(measured_slips(self.design, self.rows))
 
     def on(self, design: Design, rows: Prepared | None = None) -> "Base":
         """The same fit looked at on another design, of other rows if given."""
@@ -241,94 +231,6 @@ def _key(*arrays) -> tuple[bytes, ...]:
     return tuple(np.asarray(part).tobytes() for part in arrays)
 
 
-def _first_fit(prepared: Prepared, name: str, data):
-    """(model, layout, z, first guess) by least squares with estimated noise, slip as
-    measured."""
-    force = list(prepared.channels)
-    config = parse_config(
-        {"force": force, "noise": {"loss": "huber"}, "starts": _STARTS}
-    )
-    task = build(data, name, config, _LEAST_ROWS)
-    problem = task.problem
-    if prepared.mode != "xy":
-        # The base model does not know of the other slip: that is an effect.
-        quiet = "alpha" if prepared.mode == "x" else "sigma_x"
-        inputs = problem.rows.inputs
-        silent = np.zeros_like(np.asarray(inputs.fz))
-        problem = problem.with_rows(inputs=inputs._replace(**{quiet: silent}))
-    starts = starting_points(task, config.starts, 0)
-    solution = solve_starts(problem, starts, "gauss-newton")
-    best = np.asarray(solution.z)[best_of(solution)]
-    return problem.model, problem.layout, best, starts[0]
-
-
-class _Begun(NamedTuple):
-    """A tire with its parameters z and a first guess of them, on the design of its
-    rows; ``missed`` is what a simulator has beyond it (n,), by channel."""
-
-    tire: Tire
-    design: Design
-    z: np.ndarray
-    guess: np.ndarray
-    missed: dict[str, np.ndarray]
-
-
-def _stand_in(prepared: Prepared, name: str, given: Given):
-    """(model, layout, z, first guess) of the tire that follows a simulator's forces."""
-    simulated = as_measured(prepared.data, prepared.channels)
-    if name not in MAGIC_FORMULAS:
-        return _first_fit(prepared, name, simulated)
-    # Its coefficients follow the simulator; what is adapted are scaling factors.
-    tire = fit_magic_formula(simulated, name).tire
-    model, layout, z = replace(given, tire=tire).tire_for(prepared)
-    return model, layout, z, z
-
-
-def _begun(prepared: Prepared, fitted, effects, rig, given: Given | None) -> _Begun:
-    """From (model, layout, z, first guess)."""
-    model, layout, z, guess = fitted
-    tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
-    design, missed = _design(prepared, effects, rig), {}
-    if given is not None:
-        design, missed = _with_offset(prepared, tire, design, z)
-    return _Begun(tire, design, z, guess, missed)
-
-
-def _standing_in(prepared: Prepared, name, effects, rig, given: Given):
-    """The tire that follows a simulator's forces, and its model's name: ``name``, or of
-    :data:`STAND_INS` the first that follows closely, else the one that does best."""
-
-    def tried(model: str):
-        fitted = _stand_in(prepared, model, given)
-        return _begun(prepared, fitted, effects, rig, given), model
-
-    if name is not None:
-        return tried(name)
-    plain, flexible = STAND_INS
-    first = tried(plain)
-    if closely_followed(prepared, first[0].missed):
-        return first
-    try:
-        other = tried(flexible)
-    except DataError:  # too few rows for its coefficients
-        return first
-
-    def off(one):
-        return sum(float(np.mean(values**2)) for values in one[0].missed.values())
-
-    return min(first, other, key=off)
-
-
-def _priors(prepared: Prepared, effects, rig) -> dict[str, np.ndarray]:
-    """Of every atom: scale in its own unit; center, low and high in scales."""
-    priors = [atom.prior(prepared, rig) for atom in atoms_of(effects)]
-    scale, center, low, high = (np.array(part) for part in zip(*priors, strict=True))
-    return {
-        "prior_scale": scale, "prior_center": center / scale, "low": low / scale,
-        "high": high / scale,
-    }  # fmt: skip
-
-
 def fit_base(
     prepared: Prepared, name: str | None, effects, rig, given: Given | None = None
 ) -> Base:
@@ -345,13 +247,13 @@ def fit_base(
     """
     simulator, stand_in = None, name or STAND_INS[0]
     if given is None:
-        fitted = _first_fit(prepared, stand_in, prepared.data)
-        begun = _begun(prepared, fitted, effects, rig, None)
+        fitted = first_fit(prepared, stand_in, prepared.data)
+        begun = begin(prepared, fitted, effects, rig, None)
     elif given.tire is None:
-        begun, stand_in = _standing_in(prepared, name, effects, rig, given)
+        begun, stand_in = standing_in(prepared, name, effects, rig, given)
     else:
         model, layout, z = given.tire_for(prepared)
-        begun = _begun(prepared, (model, layout, z, z), effects, rig, given)
+        begun = begin(prepared, (model, layout, z, z), effects, rig, given)
     tire, design, z, guess, missed = begun
     if given is not None:
         simulator = Simulated(given=given, z=z, stand_in=stand_in)
@@ -375,10 +277,10 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
     known = prepared.slip_source != NOT_STATED or prepared.derived is not None
     if known or prepared.mode == "xy":
         return 0.0
-    model, layout, z, _ = _first_fit(prepared, name, prepared.data)
+    model, layout, z, _ = first_fit(prepared, name, prepared.data)
     tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
     noisy = replace(prepared, slip_std=np.full(prepared.n, _SMALL))
-    channel, design = prepared.channels[0], _design(noisy, effects, rig)
+    channel, design = prepared.channels[0], design_of(noisy, effects, rig)
     silent = np.zeros(count_atoms(effects))
     mean, spread = tire.moments(z, silent, design, prepared.n)
     # Where the slip changes its sign the curve bends, and any shift of it is a gap.
@@ -392,16 +294,6 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
         prepared.observed[channel] - mean[channel], spread[channel] / _SMALL**2,
         prepared.inputs.fz, one_sided, in_order(prepared.time, prepared.run),
     )  # fmt: skip
-
-
-def _with_offset(prepared: Prepared, tire: Tire, design: Design, z):
-    """The design with what a simulator says beyond its tire at the measured slips, and
-    that by channel (n,)."""
-    size, silent = len(design.keep), np.zeros(count_atoms(tire.effects))
-    own = tire.moments(z, silent, _measured(design, prepared), prepared.n)[0]
-    missed = {c: prepared.column(f"{c}_sim") - own[c] for c in prepared.channels}
-    offset = {c: pad_rows(values, size) for c, values in missed.items()}
-    return design._replace(offset=offset), missed
 
 
 def _under(
@@ -437,43 +329,13 @@ def at_measured_slip(base: Base) -> Base:
     return base.measured
 
 
-def _measured(design: Design, prepared: Prepared) -> Design:
-    slips = np.repeat(prepared.slip[:, None], design.slip.shape[1], axis=1)
-    return design._replace(slip=pad_rows(slips, len(design.keep)))
-
-
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:
     """The same fit looked at on other rows: forces only, its noise does not carry."""
     tire, prepared = base.fit.tire, on_scale_of(prepared, base.rows)
-    design = _design(prepared, tire.effects, rig)
+    design = design_of(prepared, tire.effects, rig)
     if base.simulator is not None:
-        design, _ = _with_offset(prepared, tire, design, base.simulator.z)
+        design, _ = with_offset(prepared, tire, design, base.simulator.z)
     return base.on(with_force(prepared, tire, design, base.z), prepared)
-
-
-_FIRST_NOISE = 0.05
-"""Noise of a force as a share of its standard deviation, before it is judged; only the
-scale of the first forces' weights, which no verdict rests on."""
-
-
-def _design(prepared: Prepared, effects, rig) -> Design:
-    size = padded_size(prepared.n, _LEAST_ROWS)
-    slips, weight = slip_nodes(prepared.slip_law, prepared.slip, prepared.slip_std)
-    observed, fz, v = prepared.observed, prepared.inputs.fz, prepared.inputs.v
-    return Design(
-        inputs=type(prepared.inputs)(*(pad_rows(x, size) for x in prepared.inputs)),
-        slip=pad_rows(slips, size),
-        weight=pad_rows(weight, size),
-        second=pad_rows(prepared.second, size),
-        observed={c: pad_rows(x, size) for c, x in observed.items()},
-        scale={c: np.full(size, _FIRST_NOISE * np.std(x)) for c, x in observed.items()},
-        offset={c: np.zeros(size) for c in observed},
-        keep=(np.arange(size) < prepared.n).astype(float),
-        hold=np.zeros(()),
-        rows=Covariates(*(pad_rows(x, size) for x in prepared.covariates)),
-        reference=np.array([np.median(fz), np.median(v)]),
-        **_priors(prepared, effects, rig),
-    )
 
 
 def _slip_fraction(prepared: Prepared, tire: Tire, z, design):

@@ -22,6 +22,7 @@ from tirefit.diagnosis.sizes import Sizes, half_force_slip, largest, sizes_of
 from tirefit.diagnosis.slip_check import SlipCheck, check_slip
 from tirefit.diagnosis.slip_nodes import slip_law, swing_of
 from tirefit.diagnosis.state import Covariates
+from tirefit.diagnosis.work import work_of_sliding
 from tirefit.fitting.problem import check_slip_noise
 from tirefit.fitting.slip_noise import SlipDistribution, speed_of, std_with_speed
 from tirefit.models import TireInputs
@@ -70,9 +71,6 @@ way is no slip of a rolling tire."""
 
 _BESIDE = 0.02
 """Spread of the force across over that of the force, from which it may disturb it."""
-
-_COOLINGS = (None, 0.2, 0.05)
-"""How long the warmth of sliding lasts, in shares of the record; None is for good."""
 
 _BOTH_SIGNS = 0.1
 """Share of the rows that each sign of slip must have."""
@@ -287,6 +285,7 @@ def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Cova
     sliding = v * (size if mode == "y" else size / (1 + _column(data, "sigma_x")))
     sliding = np.abs(sliding)
     across = {"x": "fy", "y": "fx"}.get(mode, "")
+    work = work_of_sliding(np.abs(force) * sliding, data, time, run)
     return Covariates(
         fz=fz / np.exp(np.mean(np.log(fz))),
         v=v,
@@ -315,7 +314,7 @@ def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Cova
         cruise=np.full(data.n, np.exp(np.mean(np.log(pace)))),
         rise=np.full(data.n, half_force_slip(size, force / fz)),
         peak=np.full(data.n, largest(force / fz)),
-        work=_work_of_sliding(np.abs(force) * sliding, data, time, run),
+        work=np.stack([_over_range(part) for part in work.T], axis=1),
         across=_column(data, across),
         yaw=_column(data, "yaw_rate") / pace,
         ahead=_over_range(_column(data, "a_x")),
@@ -325,33 +324,6 @@ def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Cova
         change=zero,
         traction=zero,
     )
-
-
-def _work_of_sliding(power, data: TireData, time, run) -> np.ndarray:
-    """Work so far under each cooling, over its range about its mean: (n, coolings).
-
-    Args:
-        power: (n,) force times sliding speed.
-        time: (n,); a pause cools, and heats nothing.
-    """
-    work = np.zeros((data.n, len(_COOLINGS)))
-    span = np.ptp(time)
-    if span <= 0:
-        return work
-    parts = segments(time, run)
-    heated = np.zeros(data.n)
-    for part in parts:
-        mean = 0.5 * (power[part][1:] + power[part][:-1])
-        heated[part[1:]] = mean * np.diff(time[part])
-    order = np.lexsort((time, run))
-    step = np.maximum(np.diff(time[order], prepend=time[order][0]), 0.0)
-    for column, cooling in enumerate(_COOLINGS):
-        keep = np.ones(data.n) if cooling is None else np.exp(-step / (cooling * span))
-        warmth = 0.0
-        for row, left in zip(order.tolist(), keep.tolist(), strict=True):
-            warmth = left * warmth + heated[row]
-            work[row, column] = warmth
-    return np.stack([_over_range(column) for column in work.T], axis=1)
 
 
 def on_scale_of(prepared: Prepared, fitted: Prepared) -> Prepared:
