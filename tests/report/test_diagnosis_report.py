@@ -613,6 +613,10 @@ def test_a_simulators_error_is_told_part_by_part():
     lines = budget_lines(found)
     assert "cpa2: simulated 50000, measured 51000 ± 900: agrees" in lines
     assert "misses 75 N of it, 1.9 % of its force and 23 % of the gap" in lines[-1]
+    assert "rough" not in lines[-1]
+    off = found.simulator.surrogate._replace(of_gap=0.6)
+    summary = found.simulator._replace(surrogate=off)
+    assert "the parts are rough" in budget_lines(simulated(simulator=summary))[-1]
     assert budget_lines(diagnosis()) == []
     calm = simulated(changes={"cpa2": CHANGES["cpa2"]})
     assert "400 N is parameters, none of them surely wrong" in budget_sentences(calm)[0]

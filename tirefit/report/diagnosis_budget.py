@@ -118,6 +118,12 @@ def budget_sentences(result: Diagnosis) -> list[str]:
     return [_sentence(result, channel) for channel in result.budgets]
 
 
+_ROUGH = 0.5
+"""Share of the gap that a stand-in may miss before the parts of a budget are rough: of
+twelve simulators of other tires four were judged right beside a brush, eleven beside
+what followed them."""
+
+
 def budget_lines(result: Diagnosis) -> list[str]:
     """The sentences, each parameter, and how well the tire follows the simulator; none
     where a form was fitted."""
@@ -138,6 +144,9 @@ def budget_lines(result: Diagnosis) -> list[str]:
             f" {format_number(100 * followed.of_force, 2)} % of its force"
             f"{of_gap if result.gap.resolvable else ''}"
         )
+        if result.gap.resolvable and followed.of_gap > _ROUGH:
+            lines[-1] += "; the parts are rough: without --model one that follows it"
+            lines[-1] += " closer is looked for"
     return lines
 
 

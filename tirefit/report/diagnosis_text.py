@@ -284,12 +284,18 @@ def rows_line(result: Diagnosis) -> str:
     independent rows it averages, and what is wrong with it."""
     noise, n = result.noise, result.n
     units = {"fx": " N", "fy": " N", "mz": " N m", "alpha": " rad"}
-    levels = ", ".join(
-        f"{name} {format_number(level, 3)}{units.get(name, '')}"
-        for name, level in (*noise.forces.items(), (noise.slip_name, noise.slip))
-    )
+
+    def said_of(levels, source) -> str:
+        each = ", ".join(
+            f"{name} {format_number(level, 3)}{units.get(name, '')}"
+            for name, level in levels.items()
+        )
+        return f"{each} ({source})"
+
+    of_forces = said_of(noise.forces, noise.source)
+    of_slip = said_of({noise.slip_name: noise.slip}, noise.slip_source)
     flags = f"; {', '.join(noise.flags)}" if noise.flags else ""
-    said = f"{n} rows; noise {levels} ({noise.source})"
+    said = f"{n} rows; noise {of_forces}, {of_slip}"
     if round(result.n_effective) < n:
         said += f", averages as that of {result.n_effective:.0f} independent rows"
     return said + flags
