@@ -16,14 +16,8 @@ from tirefit.data.read import read_frame
 from tirefit.diagnosis import conclusion
 from tirefit.diagnosis.adequacy import UNTESTED
 from tirefit.diagnosis.base import fit_base
-from tirefit.diagnosis.conclusion import (
-    Judge,
-    bound_by,
-    chance_of_unknown,
-    chance_of_unlisted,
-    chances,
-    probability_of_rest,
-)
+from tirefit.diagnosis.chances import chance_of_unknown, chance_of_unlisted, chances
+from tirefit.diagnosis.conclusion import Judge, bound_by, probability_of_rest
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.linear_fit import linear_at

@@ -7,6 +7,7 @@ from conftest_diagnosis import brush
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.base import fit_base
 from tirefit.diagnosis.effects import EFFECTS
+from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.noise import judge_noise
 from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import prepare
@@ -114,3 +115,20 @@ def test_no_noise_is_larger_than_all_that_a_fit_leaves():
     force = base.forces(base.z, np.zeros(len(base.atoms)))["fy"]
     left = np.sqrt(np.mean((frame["fy"] - force) ** 2))
     assert np.median(base.noise["fy"].std) < 1.25 * left
+
+
+@pytest.mark.parametrize(("times", "status"), [(1.5, "none"), (6.0, "unknown")])
+def test_scatter_far_beyond_the_stated_noise_is_not_called_noise(times, status):
+    """White noise of six times what is stated, as waves look that are finer than the
+    rows resolve; half more than that is a rig that was stated wrongly."""
+    generator = np.random.default_rng(2)
+    slip = generator.uniform(0.0, 0.05, 300)
+    frame = {
+        "time": np.arange(300.0), "sigma_x": slip, "v": np.full(300, 15.0),
+        "fz": np.full(300, 4000.0),
+        "fx": brush(slip, 5e4, 0.9, 4000.0) + times * 40 * generator.normal(size=300),
+    }  # fmt: skip
+    found = diagnose(read_frame(frame), rig=Rig(noise={"fx": 40.0}))
+    assert found.verdict.status in (status, "named")
+    assert not set(found.verdict.effects) - {"unknown", "noise_misstated"}
+    assert (found.verdict.status == "unknown") == (status == "unknown")

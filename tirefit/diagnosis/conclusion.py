@@ -43,9 +43,6 @@ __all__ = [
     "WORSE",
     "Judge",
     "bound_by",
-    "chance_of_unknown",
-    "chance_of_unlisted",
-    "chances",
     "concluded",
     "look_of_rest",
     "probability_of_rest",
@@ -103,6 +100,12 @@ _FALLS_SHORT = 0.5
 _FLAGGED = 0.0065
 """Smallest p-value, times their number, below which rows without a resolvable effect
 are said to hold something: the smallest value that six tests of 999 draws can take."""
+
+
+_BEYOND, _HARDLY_NOISE = 3.0, 0.75
+"""Noise over the stated one from which it is no noise of that sensor but something
+finer than the rows resolve, and the probability that it is: three of four engineers who
+state a noise know it within a factor of three, a judgement."""
 
 
 def probability_of_rest(p_value: float) -> float:
@@ -285,6 +288,9 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
         # Stricter than for a name: six tests, and a false alarm is the worse error.
         if verdict.status == "none" and _smallest(left) < _FLAGGED:
             return unknown(verdict, weighed, left, probability_of_rest(_smallest(left)))
+        beyond = max(noise.excess for noise in search.base.noise.values())
+        if verdict.status == "none" and beyond > _BEYOND:
+            return unknown(verdict, weighed, left, _HARDLY_NOISE)
         return verdict
     key = verdict.effects
     kept = judge.firm(key, _KNOWN)
@@ -408,48 +414,6 @@ def bound_by(
             unlisted=max(verdict.unlisted, _EVEN), fails_elsewhere=True,
         )  # fmt: skip
     return verdict
-
-
-def chances(verdict: Verdict, weighed: Weighed) -> dict[tuple[str, ...], float]:
-    """Probability of each refitted set to be all that is there, in agreement with the
-    verdict: what it and something unlisted leave for the others is shared out by their
-    evidence. That of an incomplete verdict's set is the verdict's, something unlisted
-    beside it."""
-    listed = {
-        k: float(p)
-        for k, p in weighed.listed.items()
-        if k and weighed.best_of[k].refitted
-    }
-    key = tuple(sorted(verdict.effects))
-    if verdict.status == "none":
-        return listed
-    left = 1 - chance_of_unlisted(verdict, weighed)
-    if verdict.status in ("named", "cannot_tell") and listed.get(key):
-        mine, rest = verdict.probability, sum(listed.values()) - listed[key]
-        scale = min(mine / listed[key], (left - mine) / max(rest, NONZERO))
-        return {k: scale * v for k, v in listed.items()} | {key: mine}
-    shared = {k: left * v for k, v in listed.items()}
-    return shared | ({key: verdict.probability} if key in listed else {})
-
-
-def chance_of_unknown(verdict: Verdict, weighed: Weighed) -> float:
-    """Probability that what is there is not listed at all."""
-    if verdict.status == "unknown":
-        return verdict.probability
-    return weighed.unknown_alone if verdict.status == "none" else 0.0
-
-
-def chance_of_unlisted(verdict: Verdict, weighed: Weighed) -> float:
-    """Probability that something unlisted is there, alone or beside listed effects."""
-    if verdict.status == "none":
-        by_evidence = weighed.unknown_alone + sum(weighed.unknown_beside.values())
-        return min(by_evidence, 1 - verdict.probability)
-    if verdict.status == "unknown":
-        return verdict.probability
-    if verdict.status == "incomplete":
-        # That of the effects named beside it is no larger, whatever decided.
-        return max(verdict.unlisted, verdict.probability)
-    return min(verdict.unlisted, 1 - verdict.probability)
 
 
 def look_of_rest(verdict: Verdict, base: Base, weighed: Weighed) -> tuple[Look, ...]:

@@ -10,12 +10,10 @@ from tirefit.diagnosis.basis import located, without
 from tirefit.diagnosis.budget import budgets_of, parameter_changes, simulator_summary
 from tirefit.diagnosis.calibrated import as_often_right
 from tirefit.diagnosis.case import Case
+from tirefit.diagnosis.chances import chance_of_unknown, chance_of_unlisted, chances
 from tirefit.diagnosis.closure import Closure, closure_on_rows
 from tirefit.diagnosis.conclusion import (
     bound_by,
-    chance_of_unknown,
-    chance_of_unlisted,
-    chances,
     look_of_rest,
 )
 from tirefit.diagnosis.effects.known import said_of_motion
@@ -264,6 +262,7 @@ def _noise(case: Case) -> NoiseSummary:
         slip_source=base.prepared.slip_source,
         source="; ".join(dict.fromkeys(level.source for level in levels.values())),
         flags=case.noise_flags,
+        excess=max(one.excess for one in base.noise.values()),
         inflation=max(level.inflation for level in levels.values()),
         outliers=sum(int(level.outlier.sum()) for level in levels.values()),
     )

@@ -84,7 +84,8 @@ _CORRELATED = 2.5
 
 class NoiseLevel(NamedTuple):
     """Standard deviation (n,) of one force, what its memory may be, rows per
-    independent row, outliers (n,) bool, flags, and where the level came from."""
+    independent row, outliers (n,) bool, flags, where the level came from, and how many
+    times the stated one it is; 1 where none was stated."""
 
     std: np.ndarray
     memory: tuple[Memory, ...]
@@ -92,6 +93,7 @@ class NoiseLevel(NamedTuple):
     outlier: np.ndarray
     flags: tuple[str, ...]
     source: str
+    excess: float = 1.0
 
 
 def judge_noise(
@@ -166,7 +168,8 @@ def judge_noise(
         inflation = max(each, correlation(white, time, run))
         inflation = min(inflation, len(white) / _FACTS)
         flags.append("autocorrelated")
-    return NoiseLevel(level, memory, inflation, ~keep, tuple(flags), source)
+    excess = 1.0 if given is None else float(np.median(level / std))
+    return NoiseLevel(level, memory, inflation, ~keep, tuple(flags), source, excess)
 
 
 class _Rest(NamedTuple):

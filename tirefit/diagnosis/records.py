@@ -58,7 +58,8 @@ class NoiseSummary:
     """Noise of the forces (median over the rows) and of the slip, standard deviations.
 
     ``flags`` say what is wrong with the noise, ``inflation`` how many rows count as one
-    that is independent, ``outliers`` how many rows were set aside.
+    that is independent, ``outliers`` how many rows were set aside, ``excess`` how many
+    times the noise that was stated for a force it is, 1 where none was.
     """
 
     forces: Mapping[str, float]
@@ -69,6 +70,7 @@ class NoiseSummary:
     flags: tuple[str, ...]
     inflation: float
     outliers: int
+    excess: float = 1.0
 
     def as_json(self) -> Mapping:
         """Each level under the name of its column."""
@@ -76,7 +78,7 @@ class NoiseSummary:
             **self.forces, self.slip_name: self.slip,
             f"{self.slip_name}_source": self.slip_source, "source": self.source,
             "flags": self.flags, "inflation": self.inflation,
-            "outliers": self.outliers,
+            "outliers": self.outliers, "excess": self.excess,
         }  # fmt: skip
 
 

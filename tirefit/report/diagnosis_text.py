@@ -279,6 +279,10 @@ def map_lines(result: Diagnosis, most: int = 3) -> list[str]:
     ]
 
 
+_BEYOND = 1.5
+"""Noise over the stated one from which it is said how many times that it is."""
+
+
 def rows_line(result: Diagnosis) -> str:
     """How many rows, and the noise: its levels, where they come from, as how many
     independent rows it averages, and what is wrong with it."""
@@ -293,6 +297,8 @@ def rows_line(result: Diagnosis) -> str:
         return f"{each} ({source})"
 
     of_forces = said_of(noise.forces, noise.source)
+    if noise.excess > _BEYOND:
+        of_forces += f", {noise.excess:.2g} times what is stated"
     of_slip = said_of({noise.slip_name: noise.slip}, noise.slip_source)
     flags = f"; {', '.join(noise.flags)}" if noise.flags else ""
     said = f"{n} rows; noise {of_forces}, {of_slip}"

@@ -1,0 +1,48 @@
+"""Probabilities of sets and of what is not listed, in agreement with a verdict."""
+
+from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.verdict import Verdict, Weighed
+
+__all__ = ["chance_of_unknown", "chance_of_unlisted", "chances"]
+
+
+def chances(verdict: Verdict, weighed: Weighed) -> dict[tuple[str, ...], float]:
+    """Probability of each refitted set to be all that is there, in agreement with the
+    verdict: what it and something unlisted leave for the others is shared out by their
+    evidence. That of an incomplete verdict's set is the verdict's, something unlisted
+    beside it."""
+    listed = {
+        k: float(p)
+        for k, p in weighed.listed.items()
+        if k and weighed.best_of[k].refitted
+    }
+    key = tuple(sorted(verdict.effects))
+    if verdict.status == "none":
+        return listed
+    left = 1 - chance_of_unlisted(verdict, weighed)
+    if verdict.status in ("named", "cannot_tell") and listed.get(key):
+        mine, rest = verdict.probability, sum(listed.values()) - listed[key]
+        scale = min(mine / listed[key], (left - mine) / max(rest, NONZERO))
+        return {k: scale * v for k, v in listed.items()} | {key: mine}
+    shared = {k: left * v for k, v in listed.items()}
+    return shared | ({key: verdict.probability} if key in listed else {})
+
+
+def chance_of_unknown(verdict: Verdict, weighed: Weighed) -> float:
+    """Probability that what is there is not listed at all."""
+    if verdict.status == "unknown":
+        return verdict.probability
+    return weighed.unknown_alone if verdict.status == "none" else 0.0
+
+
+def chance_of_unlisted(verdict: Verdict, weighed: Weighed) -> float:
+    """Probability that something unlisted is there, alone or beside listed effects."""
+    if verdict.status == "none":
+        by_evidence = weighed.unknown_alone + sum(weighed.unknown_beside.values())
+        return min(by_evidence, 1 - verdict.probability)
+    if verdict.status == "unknown":
+        return verdict.probability
+    if verdict.status == "incomplete":
+        # That of the effects named beside it is no larger, whatever decided.
+        return max(verdict.unlisted, verdict.probability)
+    return min(verdict.unlisted, 1 - verdict.probability)
