@@ -61,6 +61,7 @@ def _priors(prepared: Prepared, effects, rig) -> dict[str, np.ndarray]:
 
 
 def design_of(prepared: Prepared, effects, rig) -> Design:
+    """The rows, padded, as the programs of the engine take them."""
     size = padded_size(prepared.n, _LEAST_ROWS)
     slips, weight = slip_nodes(prepared.slip_law, prepared.slip, prepared.slip_std)
     observed, fz, v = prepared.observed, prepared.inputs.fz, prepared.inputs.v
@@ -81,6 +82,7 @@ def design_of(prepared: Prepared, effects, rig) -> Design:
 
 
 def measured_slips(design: Design, prepared: Prepared) -> Design:
+    """The same design at the slips as they were measured, not as they are believed."""
     slips = np.repeat(prepared.slip[:, None], design.slip.shape[1], axis=1)
     return design._replace(slip=pad_rows(slips, len(design.keep)))
 
