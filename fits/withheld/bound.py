@@ -29,6 +29,9 @@ __all__ = [
 ]
 
 SHOWS = 3.0  # standard errors: found in 9 of 10 by who looks for it at 4 % alarms
+_STATED = ("iid", "slip_classical")
+"""Laws of the noise of which the rig file states all."""
+
 _SIZES = (
     ("any gap", 0, np.inf, "root_lambda"),
     ("sqrt(lambda) >= 5", 5, np.inf, "root_lambda"),
@@ -141,7 +144,7 @@ def observer_rows(folder: Path, labels: dict, outcomes: dict, count: int) -> lis
     for of in ("null", "singles", "pairs"):
         names = [
             k for k in sorted(outcomes)
-            if labels[k]["set"] == of and not labels[k]["noise_effects"]
+            if labels[k]["set"] == of and (of != "null" or labels[k]["kind"] in _STATED)
         ]  # fmt: skip
         each += [_observed(folder, labels[k], outcomes[k]) for k in names[:count]]
     groups = {
