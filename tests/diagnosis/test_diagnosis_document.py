@@ -32,7 +32,8 @@ KEYS = {
         "motion",
     ],
     "noise": [
-        "fx", "sigma_x", "sigma_x_source", "source", "flags", "inflation", "outliers"
+        "fx", "sigma_x", "sigma_x_source", "source", "flags", "inflation", "outliers",
+        "excess"
     ],
     "gap": [*GAP, "p_value", "channels", "holdout", "shares"],
     "gap channels fx": GAP,
