@@ -117,7 +117,8 @@ def diagnose(
         # Its coefficients are those of all rows; what is adapted beside a hypothesis
         # are its scaling factors.
         sim = fit_magic_formula(data, model)
-    given, gives = None, _forces_of(model or STAND_INS[0])
+    plain = model or STAND_INS[0]
+    given, gives = None, _forces_of(plain)
     if sim is not None:
         given = given_simulator(sim, data)
         data, holdout = given.beside(data), [given.beside(x, True) for x in holdout]
@@ -125,10 +126,7 @@ def diagnose(
     if forces is not None:
         in_columns = given is not None and given.tire is None
         gives = _asked_for(
-            names(forces),
-            data,
-            gives,
-            _forces_of(model or STAND_INS[0]) if in_columns else (),
+            names(forces), data, gives, _forces_of(plain) if in_columns else ()
         )
     library = tuple(effect for effect in effects if effect.id not in without)
     settings = Settings(
@@ -141,13 +139,13 @@ def diagnose(
     # another order move last digits, which can choose another way of a search.
     with _linear_algebra().limit(limits=1, user_api="blas"):
         whole = prepare(data, rig, gives)
-        form = STAND_INS[0] if model is None or model in MAGIC_FORMULAS else model
+        form = STAND_INS[0] if plain in MAGIC_FORMULAS else plain
         some = thinned(whole, _MOST_ROWS)
         if shown := shown_slip_noise(some, form, effects, rig):
             whole = prepare(data, rig, gives, shown)
             some = thinned(whole, _MOST_ROWS)
         case = studied(some, model, rig, tuple(effects), without, generator, given)
-        name, simulated = model or STAND_INS[0], case.base.simulator
+        name, simulated = plain, case.base.simulator
         if simulated is not None:
             given = simulated.given
             name = simulated.stand_in if given.tire is None else given.source
