@@ -73,13 +73,17 @@ def held(closed, resolvable=True):
     ],
 )
 def test_rows_left_out_bind_the_verdict(status, closed, on_others, then):
-    verdict = Verdict(status, ("load_friction",), 0.9, (), 0.0, ONE_EFFECT, UNTESTED)
+    rivals = ("load_offset",) if status == "cannot_tell" else ()
+    verdict = Verdict(
+        status, ("load_friction",), 0.9, rivals, 0.0, ONE_EFFECT, UNTESTED
+    )
     bound = bound_by(verdict, NOTHING, closed, on_others)
     assert bound.status == then
     # Who reads the verdict must be told that these rows decided it.
     assert bound.fails_elsewhere == (then != status)
     if then == "incomplete":
         assert bound.unlisted >= 0.5
+        assert bound.also_possible == rivals
     if then == "unknown":
         assert bound.effects == ("unknown",) and bound.chosen is NO_EFFECT
 

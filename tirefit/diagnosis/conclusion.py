@@ -394,7 +394,7 @@ def bound_by(
 ) -> Verdict:
     """The verdict that the figures on rows left out allow: ``unknown`` where they are
     predicted no better than by the base, ``incomplete`` where far less is closed there
-    than on the rows fitted.
+    than on the rows fitted. What may stand in the place of the effects still may.
 
     Args:
         closed: on the rows fitted.
@@ -410,7 +410,7 @@ def bound_by(
     if closed and held.closed < _FALLS_SHORT * closed:
         left = verdict.adequacy._replace(passed=False)
         return replace(
-            verdict, status="incomplete", also_possible=(), adequacy=left,
+            verdict, status="incomplete", adequacy=left,
             unlisted=max(verdict.unlisted, _EVEN), fails_elsewhere=True,
         )  # fmt: skip
     return verdict

@@ -59,7 +59,7 @@ def across_files(value, std, when) -> AcrossFiles:
     for _ in range(_ROUNDS):
         residual = value - design @ at
         scatter = _scatter(residual * widened, std)
-        scale = np.sqrt(std**2 + scatter**2) + _tiny(value)
+        scale = np.hypot(std, scatter) + _tiny(value)
         root = np.sqrt(np.minimum(1.0, _HUBER / np.abs(residual / scale).clip(1e-9)))
         left = design * (root / scale)[:, None]
         before, at = at, np.linalg.lstsq(left, value * root / scale, rcond=None)[0]
@@ -87,7 +87,7 @@ def _scatter(residual: np.ndarray, std: np.ndarray) -> float:
     """tau where the median of |r_i| / sqrt(s_i^2 + tau^2) is that of a Gaussian."""
 
     def is_too_small(tau: float) -> bool:
-        scale = np.sqrt(std**2 + tau**2)
+        scale = np.hypot(std, tau)
         return bool(np.median(np.abs(residual) - _MEDIAN * scale) > 0)
 
     low, high = 0.0, float(np.max(np.abs(residual))) / _MEDIAN
