@@ -14,6 +14,7 @@ from scipy.special import logsumexp
 
 from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.base import Base
+from tirefit.diagnosis.basis import without
 from tirefit.diagnosis.calibrated import (
     Explanation,
     Part,
@@ -23,6 +24,7 @@ from tirefit.diagnosis.calibrated import (
     probability_beside,
     probability_of_more,
 )
+from tirefit.diagnosis.fast_waves import with_fast_waves
 from tirefit.diagnosis.linear_fit import LinearFit, gains_beside, linear_at
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.patterns import Look, looks
@@ -422,5 +424,8 @@ def look_of_rest(verdict: Verdict, base: Base, weighed: Weighed) -> tuple[Look, 
         return ()
     key = tuple(sorted(verdict.chosen.effects))
     linear = _linear(base, weighed, key)
-    alike = looks(base.generic.patterns, linear.explained, linear.residual)
+    among, left = base.generic.patterns, without(linear.residual, linear.explained)
+    if base.rows.time is not None:
+        among = with_fast_waves(among, base.rows.time, left)
+    alike = looks(among, linear.explained, linear.residual)
     return tuple(look for look in alike if look.probability > _SHOWN)

@@ -22,7 +22,9 @@ from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rates import segments
 
 __all__ = [
+    "FASTEST",
     "PARAMETERS",
+    "PHASES",
     "USUAL_SIZES",
     "Look",
     "Over",
@@ -58,11 +60,19 @@ _PLACES = {0.05: np.linspace(0.05, 0.95, 19), 0.12: np.linspace(0.1, 0.9, 9)}
 """Places, as shares of the range; bumps by their width. Half a width lies between
 them, so that a shape in between loses a tenth of its square at most."""
 
-_WAVES = {"time": np.arange(2.0, 48.1, 0.5), "distance": np.arange(2.0, 48.1, 0.5)}
+FASTEST = 48.0
+"""Waves over the range of time or distance, at most."""
+
+_MANY_WAVES = np.arange(2.0, FASTEST + 0.1, 0.5)
+_WAVES = {"time": _MANY_WAVES, "distance": _MANY_WAVES}
 _FEW_WAVES = np.arange(2.0, 14.1, 0.5)
 """Waves over the range: what turns or swings repeats in time or with the way."""
-_PHASES = np.pi * np.arange(4) / 4
-_MIXED = np.stack([np.cos(_PHASES), np.sin(_PHASES)], axis=1).astype(np.float32)
+PHASES = 4
+"""Phases of each wave."""
+
+_MIXED = np.array(
+    [(np.cos(p), np.sin(p)) for p in np.pi * np.arange(PHASES) / PHASES], np.float32
+)
 """Sine and cosine in each phase: sin(x + p) = cos p sin x + sin p cos x."""
 _ROWS_OF_A_WAVE = 5
 
@@ -93,7 +103,7 @@ class Over(NamedTuple):
     """Shapes over one covariate that some of the weights take.
 
     ``plain`` (n, a) are shapes as they are; ``waves`` (n, 2 w) sines and cosines in
-    turn, of which every wave has the phases of :data:`_PHASES`. ``listed`` holds
+    turn, of which every wave has :data:`PHASES` phases. ``listed`` holds
     (shape, place, width) of every one of the a + 4 w, ``log_prior`` (a + 4 w,) its
     share; ``weights`` maps each parameter to its column of the weights.
     """
@@ -115,7 +125,7 @@ class Over(NamedTuple):
     def shapes(self, which) -> np.ndarray:
         """Those of these numbers (c,): (n, c)."""
         plain = which < self.plain.shape[1]
-        wave, phase = np.divmod(which[~plain] - self.plain.shape[1], len(_PHASES))
+        wave, phase = np.divmod(which[~plain] - self.plain.shape[1], PHASES)
         pairs = self.waves.reshape(len(self.waves), -1, 2)[:, wave]
         found = np.empty((len(self.waves), len(which)))
         found[:, plain] = self.plain[:, which[plain]]
@@ -324,7 +334,7 @@ def _over(covariate: str, values, weights: dict[str, int]) -> Over | None:
         counts = counts[counts * _ROWS_OF_A_WAVE < n]
         shapes, waves = _in_range(share), turns(share, counts)
         listed = [(name, low + at * span, w * span) for name, at, w, _ in shapes]
-        listed += [("wave", span / c, 0.0) for c in counts for _ in _PHASES]
+        listed += [("wave", span / c, 0.0) for c in counts for _ in range(PHASES)]
     if not listed:
         return None
     plain = np.array([shape for *_, shape in shapes]).reshape(-1, n).T
