@@ -100,8 +100,9 @@ _FALLS_SHORT = 0.5
 
 
 _FLAGGED = 0.0065
-"""Smallest p-value, times their number, below which rows without a resolvable effect
-are said to hold something: the smallest value that six tests of 999 draws can take."""
+"""Smallest p-value, times their number, below which rows are said to hold something
+else than what is named, or than noise: the smallest value that six tests of 999 draws
+can take within those."""
 
 
 _BEYOND, _HARDLY_NOISE = 3.0, 0.75
@@ -305,7 +306,8 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
         also = tuple(dict.fromkeys((*dropped, *less.also_possible)))
         verdict = replace(less, status="cannot_tell", also_possible=also)
     more = probability_of_more(judge.clues(key))
-    if judge.imitates(key):
+    # What its own tests refuse is no whole explanation, however seldom trials say so.
+    if judge.imitates(key) or _smallest(judge.of(key).adequacy) < _FLAGGED:
         more = max(more, _UNLISTED)
     if more < _UNLISTED and nothing_shown(weighed) > weighed.sets[key]:
         # Named, it would be a false alarm more often than the name of what is there.
