@@ -173,15 +173,21 @@ def test_chances_agree_with_the_verdict():
     assert shared[a] == 0.7 and shared[b] == pytest.approx(0.2 * 0.2 / 0.9)
     shared, unknown = of("none", (), 0.9)
     assert unknown == 0.1 and shared[a] == pytest.approx(0.6 / 0.9)
-    # Of a name, what may be there beside it is no part of what the others share.
-    verdict = Verdict("cannot_tell", b, 0.6, (), 0.0, ONE_EFFECT, unlisted=0.3)
-    assert chances(verdict, weighed) == pytest.approx({a: 0.1, b: 0.6})
+    # What a name leaves is shared by the others and the unlisted in their own odds,
+    # however sure of the name trials are: a third of 0.7 to 0.3.
+    verdict = Verdict("cannot_tell", a, 0.8, (), 0.0, ONE_EFFECT, unlisted=0.3)
+    odds = 0.7 / 3 / 0.3
+    unlisted = chance_of_unlisted(verdict, weighed)
+    assert unlisted == pytest.approx(0.2 / (1 + odds))
+    assert chances(verdict, weighed) == pytest.approx(
+        {a: 0.8, b: 0.2 * odds / (1 + odds)}
+    )
 
 
 @pytest.mark.parametrize(
     ("status", "probability", "unlisted", "said"),
     [
-        ("named", 0.6, 0.3, 0.3),
+        ("named", 0.6, 0.3, 0.4 * 0.3 / (0.3 + 0.7 * 0.25)),
         ("incomplete", 0.47, 0.99, 0.99),
         ("incomplete", 0.7, 0.5, 0.7),
         ("unknown", 0.8, 0.8, 0.8),
@@ -193,9 +199,13 @@ def test_the_unlisted_is_as_likely_as_the_verdict_says(
     status, probability, unlisted, said
 ):
     """Alone (0.1) or beside (0.15), by the tests where they were asked, and never
-    against the verdict: what it says is there, what it says is not."""
+    against the verdict: what it says is there, what it says is not. What a name leaves
+    is the unlisted's and the other sets', here a quarter."""
     key = ("load_friction",)
-    weighed = replace(NOTHING, unknown_alone=0.1, unknown_beside={key: 0.15})
+    weighed = replace(
+        NOTHING, unknown_alone=0.1, unknown_beside={key: 0.15},
+        log_weight={key: np.log(3.0), (): 0.0},
+    )  # fmt: skip
     verdict = Verdict(status, key, probability, (), 0.0, ONE_EFFECT, unlisted=unlisted)
     assert chance_of_unlisted(verdict, weighed) == pytest.approx(said)
 

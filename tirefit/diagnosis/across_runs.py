@@ -127,7 +127,8 @@ def held_across_runs(
     verdict: Verdict, search: Search, weighed: Weighed, generator
 ) -> tuple[Verdict, Weighed]:
     """The verdict that the runs allow, each left out in turn, with its set among those
-    that were weighed. Unchanged for fewer than four runs, and where there is no gap.
+    that were weighed. Unchanged for fewer than four runs, where there is no gap, and
+    where the set that carries over may not be named.
 
     Args:
         generator: of simulated residuals.
@@ -149,13 +150,18 @@ def held_across_runs(
     if not key:
         nothing = unknown(verdict, weighed, verdict.adequacy, carried.probability)
         return nothing, weighed
+    if verdict.status in ("unknown", "incomplete"):
+        return _carried_beside(verdict, weighed, key), weighed
     hypothesis = _fitted(base, candidates[carried.effects])
     weighed = replace(
         weighed, best_of=weighed.best_of | {key: hypothesis},
         sets={key: 0.0} | weighed.sets,
         log_weight={key: -np.inf} | weighed.log_weight,
     )  # fmt: skip
-    left = Judge(search, weighed, generator).of(key).adequacy
+    judge = Judge(search, weighed, generator)
+    if judge.imitates(key) or not judge.is_known(key):
+        return verdict, weighed
+    left = judge.of(key).adequacy
     rivals = {e for other in carried.also for e in other} - set(key)
     status = "incomplete"
     if left.passed:
@@ -166,6 +172,17 @@ def held_across_runs(
         also_possible=tuple(sorted(rivals)),
     )  # fmt: skip
     return chosen, weighed
+
+
+def _carried_beside(verdict: Verdict, weighed: Weighed, key) -> Verdict:
+    """A verdict with something unlisted, without what does not carry over: runs that
+    are alike carry over what only draws the rest, and no name is added for that."""
+    kept = tuple(e for e in verdict.effects if e in key)
+    if verdict.status == "unknown" or kept == verdict.effects:
+        return verdict
+    if kept not in weighed.best_of:
+        return unknown(verdict, weighed, verdict.adequacy, verdict.unlisted)
+    return replace(verdict, effects=kept, chosen=weighed.best_of[kept])
 
 
 def _odds(search: Search, hypothesis: Hypothesis) -> float:

@@ -45,4 +45,8 @@ def chance_of_unlisted(verdict: Verdict, weighed: Weighed) -> float:
     if verdict.status == "incomplete":
         # That of the effects named beside it is no larger, whatever decided.
         return max(verdict.unlisted, verdict.probability)
-    return min(verdict.unlisted, 1 - verdict.probability)
+    # What the name leaves, shared out as before trials said how sure it is.
+    share = weighed.listed.get(tuple(sorted(verdict.effects)), 0.0)
+    others = (1 - verdict.unlisted) * (1 - share)
+    left = max(verdict.unlisted + others, NONZERO)
+    return (1 - verdict.probability) * verdict.unlisted / left

@@ -105,10 +105,10 @@ else than what is named, or than noise: the smallest value that six tests of 999
 can take within those."""
 
 
-_BEYOND, _HARDLY_NOISE = 3.0, 0.75
+_BEYOND, _HARDLY_NOISE = 2.0, 0.75
 """Noise over the stated one from which it is no noise of that sensor but something
 finer than the rows resolve, and the probability that it is: three of four engineers who
-state a noise know it within a factor of three, a judgement."""
+state a noise know it within a factor of two, a judgement."""
 
 
 def probability_of_rest(p_value: float) -> float:
@@ -176,6 +176,10 @@ class Judge:
     def firm(self, key, least: float) -> tuple[str, ...]:
         """The effects of a set that are known so well."""
         return tuple(sorted(e for e, z in self.errors(key).items() if z >= least))
+
+    def is_known(self, key) -> bool:
+        """Whether every effect of a set is known well enough to be named."""
+        return self.firm(key, _KNOWN) == tuple(sorted(key))
 
     def best_within(self, allowed) -> tuple[str, ...]:
         """The most probable refitted set of some of these effects; () for none."""
@@ -285,14 +289,14 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
         generator: of simulated residuals.
     """
     judge = Judge(search, weighed, generator)
+    is_noise = max(noise.excess for noise in search.base.noise.values()) <= _BEYOND
     if verdict.status in ("none", "unknown"):
         left = judge.of(()).adequacy
         verdict = replace(verdict, adequacy=left)
         # Stricter than for a name: six tests, and a false alarm is the worse error.
         if verdict.status == "none" and _smallest(left) < _FLAGGED:
             return unknown(verdict, weighed, left, probability_of_rest(_smallest(left)))
-        beyond = max(noise.excess for noise in search.base.noise.values())
-        if verdict.status == "none" and beyond > _BEYOND:
+        if verdict.status == "none" and not is_noise:
             return unknown(verdict, weighed, left, _HARDLY_NOISE)
         return verdict
     key = verdict.effects
@@ -309,6 +313,8 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
     # What its own tests refuse is no whole explanation, however seldom trials say so.
     if judge.imitates(key) or _smallest(judge.of(key).adequacy) < _FLAGGED:
         more = max(more, _UNLISTED)
+    if not is_noise:
+        more = max(more, _HARDLY_NOISE)
     if more < _UNLISTED and nothing_shown(weighed) > weighed.sets[key]:
         # Named, it would be a false alarm more often than the name of what is there.
         return _nothing_stands(verdict, judge)

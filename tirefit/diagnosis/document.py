@@ -162,7 +162,7 @@ def _rows(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
     tuned = at.forces(base.z, silent) if base.simulator else {}
     after = at.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
     smooth, deviation = _smoothed_remainder(case)
-    form = _form_part(case)
+    form = _form_part(case, verdict.chosen)
     forces, n = {}, base.prepared.n
     for k, channel in enumerate(base.prepared.channels):
         scale = np.asarray(base.design.scale[channel])[:n]
@@ -178,13 +178,12 @@ def _rows(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
     return forces
 
 
-def _form_part(case: Case) -> np.ndarray:
-    """What another form of the named effects adds to their formulas, whitened (m,)."""
-    base, chosen = case.base, case.verdict.chosen
-    key = tuple(sorted(chosen.effects))
+def _form_part(case: Case, hypothesis: Hypothesis) -> np.ndarray:
+    """What another form of its effects adds to their formulas, whitened (m,)."""
+    base, key = case.base, tuple(sorted(hypothesis.effects))
     if key not in case.weighed.other_form:
         return np.zeros(len(base.prepared.channels) * base.prepared.n)
-    return fitted_form(linear_at(base, chosen))
+    return fitted_form(linear_at(base, hypothesis))
 
 
 def _smoothed_remainder(case: Case):
@@ -315,7 +314,7 @@ def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate
     said = tuple(sorted(case.verdict.chosen.effects))
     ranked = sorted(total, key=lambda key: (key == said, total[key]), reverse=True)
     ranked = ranked[:most]
-    closed = [_closure_by(at, weighed.best_of[k], before, forces) for k in ranked]
+    closed = [_closure_by(case, at, weighed.best_of[k], before, forces) for k in ranked]
     listed = [
         _candidate(case, key, total[key], closure)
         for key, closure in zip(ranked, closed, strict=True)
@@ -363,8 +362,8 @@ def _candidate(case: Case, key, probability: float, closure: Closure) -> Candida
     )
 
 
-def _closure_by(at: Base, hypothesis: Hypothesis, before, truth) -> Closure:
-    """What a hypothesis closes of the first channel's gap.
+def _closure_by(case: Case, at: Base, hypothesis, before, truth) -> Closure:
+    """What a hypothesis closes of the first channel's gap, in whatever form.
 
     Args:
         at: the base fit at the measured slips.
@@ -372,6 +371,8 @@ def _closure_by(at: Base, hypothesis: Hypothesis, before, truth) -> Closure:
     """
     main, run = at.prepared.channels[0], at.prepared.run
     after = at.forces(hypothesis.z, amplitudes_of(at, hypothesis))[main]
+    scale = np.asarray(at.design.scale[main])[: len(before)]
+    after = after + _form_part(case, hypothesis)[: len(before)] * scale
     variance, inflation = at.noise[main].std ** 2, at.noise[main].inflation
     return closure_on_rows(truth, before, after, variance, run, inflation)
 
