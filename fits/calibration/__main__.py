@@ -6,9 +6,12 @@ Draws trials of known cause with the generator of ``fits/withheld`` (development
 never the designs and forms of the sealed ones), examines each, keeps the clues in
 ``OUT/clues-*.jsonl`` (a second run goes on where the first was stopped), and writes
 ``tirefit/diagnosis/calibration.json``: centre, spread and weight of every clue, and how
-well both probabilities do on families and strangers that they were not taught. Then has
-X
-of each status were right.
+well both probabilities do on families and strangers that they were not taught. Then
+more trials are diagnosed, and how often the verdicts of each status were right is kept.
+
+    python -m fits.calibration --said --out out/calibration --jobs 2
+
+teaches that alone, as must be done where the verdicts changed and the clues did not.
 """
 
 import argparse
@@ -45,7 +48,29 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--trials", type=int, default=400, help="of each seed")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument(
+        "--said",
+        action="store_true",
+        help="teach the last question alone, of the verdicts by the numbers that are"
+        " there",
+    )
     given = parser.parse_args(arguments)
+    numbers = json.loads(PLACE.read_text()) if given.said else _both(given)
+    # The verdicts are judged as they are without any line of their own.
+    PLACE.write_text(json.dumps(numbers | {"said": {}}, indent=1) + "\n")
+    folder = given.out / "verdicts" / str(LAST)
+    if not (folder / "labels.json").exists():
+        trials = str(2 * given.trials)
+        rows = ["--rows", "200,900", "--trials", trials]
+        generate.main(["--seed", str(LAST), *rows, "--out", str(folder)])
+    run.main([str(folder), "--jobs", str(given.jobs), "--resume"])
+    numbers["said"] = lines_of(verdicts_of(folder))
+    PLACE.write_text(json.dumps(numbers, indent=1) + "\n")
+    print(json.dumps({k: numbers[k]["checked"] for k in ("more", "beside")}, indent=1))
+
+
+def _both(given) -> dict:
+    """The regressions of what is unlisted and of what is there beside it."""
     for seed, sets in SEEDS.items():
         folder = given.out / str(seed)
         if not (folder / "labels.json").exists():
@@ -74,17 +99,7 @@ def main(arguments: list[str] | None = None) -> None:
     ]
     numbers = taught(sorted(records, key=lambda record: record["trial"]))
     numbers["made by"] = f"python -m fits.calibration --trials {given.trials}"
-    # The verdicts are judged as they are without any line of their own.
-    PLACE.write_text(json.dumps(numbers | {"said": {}}, indent=1) + "\n")
-    folder = given.out / "verdicts" / str(LAST)
-    if not (folder / "labels.json").exists():
-        trials = str(2 * given.trials)
-        rows = ["--rows", "200,900", "--trials", trials]
-        generate.main(["--seed", str(LAST), *rows, "--out", str(folder)])
-    run.main([str(folder), "--jobs", str(given.jobs), "--resume"])
-    numbers["said"] = lines_of(verdicts_of(folder))
-    PLACE.write_text(json.dumps(numbers, indent=1) + "\n")
-    print(json.dumps({k: numbers[k]["checked"] for k in ("more", "beside")}, indent=1))
+    return numbers
 
 
 if __name__ == "__main__":

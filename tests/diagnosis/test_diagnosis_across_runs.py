@@ -74,6 +74,28 @@ def test_what_one_run_alone_shows_does_not_name_an_effect():
     assert held.closed_ci[0] < held.closed < held.closed_ci[1]
 
 
+def test_equal_runs_do_not_name_what_only_draws_a_dead_band():
+    """Five equal sweeps of a slip that has a dead band: each predicts the next, with
+    whatever set draws it best."""
+    generator, blocks = np.random.default_rng(8), []
+    for number in range(5):
+        time = np.arange(160) * 0.05
+        slip = 0.08 - 0.1 * np.cos(2 * np.pi * time / 8.0)
+        dead = np.sign(slip) * np.maximum(np.abs(slip) - 0.003, 0.0)
+        fz = 4000 + 150 * np.sin(0.7 * time + number)
+        force = brush(dead, 5e4, 0.9, fz) + 40 * generator.standard_normal(160)
+        blocks.append([time + 60 * number, slip, force, fz, 0 * time + number])
+    time, slip, force, fz, run = np.concatenate(blocks, axis=1)
+    frame = {"time": time, "sigma_x": slip, "fx": force, "fz": fz}
+    frame["v"], frame["run"] = 0 * time + 15, np.array([f"r{k:.0f}" for k in run])
+    found = diagnose(
+        read_frame(frame, convention="braking"), rig=Rig(noise={"fx": 40.0})
+    )
+    # Carcass and pressure together leave nothing that a test sees.
+    assert found.verdict.status in ("unknown", "incomplete")
+    assert found.verdict.unlisted > 0.5 and len(found.effects) == 1
+
+
 def test_the_floor_under_the_axle_is_that_of_its_readme():
     """Repeats of one state on logs of one day and another, and the tracker's noise."""
     tire, turning = (

@@ -25,7 +25,13 @@ from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.rows import prepare
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis, Search
 from tirefit.diagnosis.standing import standing, steadiness
-from tirefit.diagnosis.verdict import Verdict, Weighed, _rivals, stand_ins
+from tirefit.diagnosis.verdict import (
+    Verdict,
+    Weighed,
+    _rivals,
+    stand_ins,
+    swapped_beside,
+)
 
 
 def test_probability_of_a_rest_is_that_of_the_best_alternative():
@@ -321,6 +327,17 @@ def test_effects_beside_the_best_set_are_said_too():
     sets = {("a",): 0.5, ("a", "b"): 0.3, ("c", "d"): 0.2, ("e",): 0.02}
     assert _rivals(sets, ("a",)) == ("b",)
     assert _rivals(sets, ("a", "b")) == ("c", "d")
+
+
+def test_what_takes_its_place_beside_others_nearly_as_well_is_said():
+    """Within odds of 30 of the best set; of the last it is told apart."""
+    log = {
+        ("a", "b"): 0.0, ("b", "c"): -2.0, ("a", "d"): -3.0, ("d", "e"): -3.3,
+        ("a",): -9.0, ("f",): -9.0, ("b", "g"): -4.0,
+    }  # fmt: skip
+    weighed = replace(NOTHING, log_weight=log)
+    assert set(swapped_beside(weighed, ("a",))) == {"c", "e"}
+    assert set(swapped_beside(weighed, ("b",))) == {"d"}
 
 
 def test_what_moves_the_same_and_differs_by_less_than_is_left_may_be_there_instead():

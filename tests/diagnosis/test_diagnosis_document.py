@@ -29,7 +29,7 @@ KEYS = {
     ],
     "data": [
         "name", "path", "sha256", "convention", "channels", "assumptions", "set_aside",
-        "motion",
+        "motion", "together",
     ],
     "noise": [
         "fx", "sigma_x", "sigma_x_source", "source", "flags", "inflation", "outliers",

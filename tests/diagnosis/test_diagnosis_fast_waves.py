@@ -70,3 +70,5 @@ def test_hum_stands_in_the_report():
     assert found.verdict.status == "unknown"
     assert first.covariate == "time" and first.at == pytest.approx(0.13, rel=2e-3)
     assert "with a period of 0.13 s" in str(found)
+    # No smooth function of load, speed and slip holds any of it.
+    assert found.gap.rms < 30 and "which the noise contains" in str(found)

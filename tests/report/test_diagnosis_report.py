@@ -934,7 +934,7 @@ STATUSES = {
     "unknown": (("unknown", ["unknown"]), "a gap that no listed effect explains"),
     "cannot_tell": (
         ("cannot_tell", ["load_friction"], 0.6, ["friction_drift"]),
-        "load_friction (probability 0.60), or friction_drift: this data cannot tell",
+        "load_friction (probability 0.60), perhaps with friction_drift beside it: this",
     ),
 }
 
@@ -954,6 +954,22 @@ def test_every_verdict_has_its_sentence(verdict, sentence):
     named = verdict[0] != "none" and verdict[1][0] == "load_friction"
     assert ("closed 80 %" in text) == named
     assert ("WOULD HAVE BEEN SEEN" in text) == (not named)
+
+
+def test_what_may_be_there_as_well_is_told_from_what_may_be_there_instead():
+    """friction_drift stands in its place in one candidate, slip_offset only beside."""
+    found = judged(
+        "cannot_tell", ["load_friction"], 0.6, ["friction_drift", "slip_offset"]
+    )
+    one = found.candidates[0]
+    sets = (["load_friction"], ["load_friction", "slip_offset"], ["friction_drift"])
+    found = replace(
+        found, candidates=tuple(replace(one, effects=tuple(e)) for e in sets)
+    )
+    assert verdict_sentence(found) == (
+        "load_friction (probability 0.60), or friction_drift, perhaps with slip_offset"
+        " beside it: this data cannot tell"
+    )
 
 
 def test_a_measurement_that_hardly_tells_more_is_not_proposed():

@@ -38,6 +38,7 @@ from tirefit.diagnosis.verdict import (
     named,
     nothing_shown,
     stand_ins,
+    swapped_beside,
     ties,
 )
 
@@ -379,6 +380,7 @@ def _incomplete(verdict: Verdict, judge: Judge, key, more: float) -> Verdict:
     left = judge.of(earned).adequacy._replace(passed=False)
     alike = (*ties(weighed, earned), *stand_ins(judge.search, weighed, earned))
     alike += tuple(e for e in perhaps if e not in earned)
+    alike += swapped_beside(weighed, earned)
     return replace(
         verdict, status="incomplete", effects=earned,
         also_possible=tuple(dict.fromkeys(alike)),

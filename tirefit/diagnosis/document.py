@@ -40,6 +40,7 @@ from tirefit.diagnosis.runs import offsets_of_runs
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.shares import closed_by_each
 from tirefit.diagnosis.standing import widening
+from tirefit.diagnosis.together import moving_together
 from tirefit.diagnosis.verdict import Verdict
 from tirefit.diagnosis.views import compared, residual_map, shown_rows
 from tirefit.diagnosis.where import parameter_map, regions, spots
@@ -97,6 +98,7 @@ def document_of(
             convention=data.source.convention, channels=prepared.channels,
             assumptions=(*data.source.notes, *rig.notes, *rig.beside(data)),
             set_aside=data.source.first_masked(), motion=motion,
+            together=moving_together(prepared),
         ),
         model=model,
         simulator=simulator_summary(base, model, gap.rms),

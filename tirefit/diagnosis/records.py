@@ -41,7 +41,8 @@ __all__ = [
 class DataSummary:
     """The file: its name, where it lies, how it was read; ``set_aside`` names the first
     rows that were not used, with their reasons, and counts the others; ``motion`` says
-    what follows where the force was derived from the motion of a vehicle."""
+    what follows where the force was derived from the motion of a vehicle, ``together``
+    which conditions move together in the file."""
 
     name: str
     path: str
@@ -51,6 +52,7 @@ class DataSummary:
     assumptions: tuple[str, ...]
     set_aside: tuple[str, ...] = ()
     motion: tuple[str, ...] = ()
+    together: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,6 +38,7 @@ __all__ = [
     "named",
     "nothing_shown",
     "stand_ins",
+    "swapped_beside",
     "ties",
     "weigh",
 ]
@@ -289,6 +290,21 @@ def stand_ins(search: Search, weighed: Weighed, key) -> tuple[str, ...]:
         new
         for other, old, new in _swapped(log, key)
         if moves[old] & moves[new] and log[other] > least
+    )
+
+
+def swapped_beside(weighed: Weighed, key) -> tuple[str, ...]:
+    """Effects that stand in the place of one of the set in other sets nearly as
+    probable as the best: beside something unlisted, which other effects draw a part of
+    it is chance."""
+    log = weighed.log_weight
+    least = max(log.values()) + np.log(_DISTANT_KIN)
+    likely = {k: value for k, value in log.items() if value > least}
+    return tuple(
+        new
+        for one in likely
+        for _, old, new in _swapped(likely, one)
+        if old in key and new not in key
     )
 
 

@@ -149,6 +149,7 @@ def _settings(result: Diagnosis) -> list[str]:
         f"seed {result.seed}, tirefit {result.version}, {SCHEMA}",
         *(f"set aside: {said}" for said in data.set_aside),
         *data.motion,
+        *data.together,
         *data.assumptions,
     ]
 

@@ -75,7 +75,7 @@ def verdict_sentence(result: Diagnosis) -> str:
         return _sentence_on_effects(result)
     said = f"{' and '.join(changes)} in the simulator"
     if result.verdict.status == "none":
-        else_ = _or_else(result.verdict)
+        else_ = _or_else(result)
         return f"{said}, and nothing else ({_probability(result)}){else_}"
     return f"{said}; {_sentence_on_effects(result)}"
 
@@ -90,24 +90,34 @@ def _sentence_on_effects(result: Diagnosis) -> str:
     status = verdict.status
     if status == "none" or (status == "named" and not verdict.names_an_effect):
         noise = f"; its noise shows {effects}" if effects else ""
-        return f"no gap beyond the noise ({probability}){_or_else(verdict)}{noise}"
+        return f"no gap beyond the noise ({probability}){_or_else(result)}{noise}"
     if status == "named":
         return f"{effects} ({probability})"
     if status == "incomplete":
-        rivals = ", ".join(verdict.also_possible)
-        among = f" (or {rivals}: this data cannot tell)" if rivals else ""
+        among = f" ({more})" if (more := _or_else(result).removeprefix(", ")) else ""
         rest = "something no listed effect explains"
         return f"{effects}{among}, and {rest} ({probability})"
     if status == "cannot_tell":
-        return f"{effects} ({probability}){_or_else(verdict)}"
-    return f"a gap that no listed effect explains ({probability}){_or_else(verdict)}"
+        return f"{effects} ({probability}){_or_else(result)}"
+    return f"a gap that no listed effect explains ({probability}){_or_else(result)}"
 
 
-def _or_else(verdict) -> str:
-    """What this data cannot tell from what is said; empty for nothing."""
-    if not verdict.also_possible:
-        return ""
-    return f", or {', '.join(verdict.also_possible)}: this data cannot tell"
+def _or_else(result: Diagnosis) -> str:
+    """What this data cannot tell from what is said, in its place and beside it; empty
+    for nothing."""
+    verdict = result.verdict
+    beside = [e for e in verdict.also_possible if _only_beside(result, e)]
+    instead = [e for e in verdict.also_possible if e not in beside]
+    said = [f"or {', '.join(instead)}"] if instead else []
+    said += [f"perhaps with {' or '.join(beside)} beside it"] if beside else []
+    return f", {', '.join(said)}: this data cannot tell" if said else ""
+
+
+def _only_beside(result: Diagnosis, effect: str) -> bool:
+    """Whether the candidates that hold an effect hold all that is named as well."""
+    named = set(result.verdict.effects) if result.verdict.names_an_effect else set()
+    holding = [set(c.effects) for c in result.candidates if effect in c.effects]
+    return bool(named and holding) and all(named < one for one in holding)
 
 
 def verdict_lines(result: Diagnosis) -> list[str]:
@@ -196,7 +206,7 @@ def gap_lines(result: Diagnosis) -> list[str]:
         roughly = "" if gap.resolvable else ", roughly"
         others = [gap.holdout] if gap.holdout is not None else []
         said = (f"on {other.on}: {size(other.rms)}" for other in others)
-        return [f"{lines[0]}{roughly}", *said]
+        return [f"{lines[0]}{roughly}{_in_the_noise(result)}", *said]
     if not gap.resolvable:
         return [f"{lines[0]}: too uncertain to say how much of it closes"]
     places: list[tuple[Shrinkage, str]] = [(gap, "on these rows")]
@@ -216,6 +226,20 @@ def gap_lines(result: Diagnosis) -> list[str]:
         parts = (f"{name} {100 * share:.0f} %" for name, share in gap.shares.items())
         lines.append(f"of the energy closed, in any order: {', '.join(parts)}")
     return lines
+
+
+def _in_the_noise(result: Diagnosis) -> str:
+    """That what is left looks like something larger than the gap: none of it is smooth,
+    and it counts as noise; empty where it does not."""
+    noise = result.noise.forces[result.data.channels[0]]
+    alike = result.verdict.looks_like
+    shown = noise * max((look.explains for look in alike), default=0.0) ** 0.5
+    if shown <= result.gap.rms:
+        return ""
+    rms = format_number(shown, 3)
+    return (
+        f"; what is left looks like {rms} N of a finer shape, which the noise contains"
+    )
 
 
 def _where(result: Diagnosis, most: int = 4) -> list[str]:
@@ -367,7 +391,7 @@ def diagnosis_text(result: Diagnosis) -> str:
         *([f"  {slip_check_line(result)}"] if result.slip_check else []),
         *(f"  set aside: {said}" for said in result.data.set_aside),
         *_not_looked_for(result),
-        *(f"  {said}" for said in result.data.motion),
+        *(f"  {said}" for said in (*result.data.motion, *result.data.together)),
         "VERDICT", f"  {verdict_sentence(result)}",
         *(f"  {line}" for line in verdict_lines(result)),
         *(["BUDGET"] if result.simulator else []),

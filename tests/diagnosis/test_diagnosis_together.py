@@ -1,0 +1,42 @@
+"""Conditions that rise and fall together are said, crossed ones are not."""
+
+import numpy as np
+import pytest
+from conftest_diagnosis import RIG
+
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.rows import prepare
+from tirefit.diagnosis.together import moving_together
+from tirefit.fitting.problem import find_model
+from tirefit.models import modelled
+
+ROWS = 300
+
+
+def said_of(fz, v):
+    time = np.arange(ROWS) * 0.1
+    slip = 0.1 * np.sin(time)
+    frame = {"time": time, "sigma_x": slip, "fx": fz * np.tanh(8 * slip), "fz": fz}
+    data = read_frame(frame | {"v": v}, convention="braking")
+    return moving_together(prepare(data, RIG, modelled(find_model("brush"))))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_coast_down_says_that_speed_falls_with_time(sign):
+    generator = np.random.default_rng(0)
+    v = 20 + sign * np.linspace(-8, 8, ROWS) + 0.1 * generator.standard_normal(ROWS)
+    (said,) = said_of(generator.uniform(3e3, 5e3, ROWS), v)
+    how = "rises" if sign > 0 else "falls"
+    assert said.startswith(f"v {how} with time in this file (rank correlation")
+    assert f"{sign:.2f}"[:-2] in said
+
+
+def test_a_crossed_design_says_nothing():
+    fz, v = np.meshgrid([2e3, 4e3, 6e3], np.tile([5.0, 15.0], ROWS // 6))
+    assert said_of(fz.ravel(), v.ravel()) == ()
+
+
+def test_blocks_of_rising_load_are_said():
+    fz = np.repeat([2e3, 4e3, 6e3], ROWS // 3)
+    (said,) = said_of(fz, np.tile([5.0, 15.0], ROWS // 2))
+    assert said.startswith("fz rises with time")
