@@ -46,6 +46,16 @@ def test_hum_is_told_with_its_period(gaps):
     assert looks(record_of(time), ONES, noise + hum) == []
 
 
+def test_a_short_record_leaves_no_period_out():
+    """Of 90 rows the patterns have waves of five rows and more; this one has three."""
+    time = STEP * np.arange(90)
+    noise = np.random.default_rng(2).standard_normal(90)
+    left = noise + 1.4 * np.sin(2 * np.pi * time / (3.1 * STEP))
+    left -= left.mean()
+    (first, *_) = looks(with_fast_waves(record_of(time), time, left), ONES[:90], left)
+    assert first.at == pytest.approx(3.1 * STEP, rel=5e-3)
+
+
 def test_noise_has_no_hum():
     time = STEP * np.arange(ROWS)
     for seed in range(20):

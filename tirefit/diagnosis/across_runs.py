@@ -153,12 +153,12 @@ def held_across_runs(
     if verdict.status in ("unknown", "incomplete"):
         return _carried_beside(verdict, weighed, key), weighed
     hypothesis = _fitted(base, candidates[carried.effects])
-    weighed = replace(
+    wider = replace(
         weighed, best_of=weighed.best_of | {key: hypothesis},
         sets={key: 0.0} | weighed.sets,
         log_weight={key: -np.inf} | weighed.log_weight,
     )  # fmt: skip
-    judge = Judge(search, weighed, generator)
+    judge = Judge(search, wider, generator)
     if judge.imitates(key) or not judge.is_known(key):
         return verdict, weighed
     left = judge.of(key).adequacy
@@ -171,7 +171,7 @@ def held_across_runs(
         probability=carried.probability,
         also_possible=tuple(sorted(rivals)),
     )  # fmt: skip
-    return chosen, weighed
+    return chosen, wider
 
 
 def _carried_beside(verdict: Verdict, weighed: Weighed, key) -> Verdict:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 
-from tirefit.diagnosis.patterns import FASTEST, PHASES, Over, Patterns, turns
+from tirefit.diagnosis.patterns import PHASES, Over, Patterns, turns
 
 __all__ = ["with_fast_waves"]
 
@@ -45,7 +45,8 @@ def with_fast_waves(among: Patterns, time, residual) -> Patterns:
         return among
     size = next_fast_len(_FINER * count, real=True)
     cycles = np.arange(size // 2) * span / (step * size)
-    fast = cycles > FASTEST
+    there = [span / at for shape, at, _ in slow.listed if shape == "wave"]
+    fast = cycles > max(there, default=1.0)
     if not fast.any():
         return among
     weights, channels = among.weights, len(among.weights)

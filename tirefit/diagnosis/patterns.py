@@ -22,7 +22,6 @@ from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rates import segments
 
 __all__ = [
-    "FASTEST",
     "PARAMETERS",
     "PHASES",
     "USUAL_SIZES",
@@ -60,11 +59,7 @@ _PLACES = {0.05: np.linspace(0.05, 0.95, 19), 0.12: np.linspace(0.1, 0.9, 9)}
 """Places, as shares of the range; bumps by their width. Half a width lies between
 them, so that a shape in between loses a tenth of its square at most."""
 
-FASTEST = 48.0
-"""Waves over the range of time or distance, at most."""
-
-_MANY_WAVES = np.arange(2.0, FASTEST + 0.1, 0.5)
-_WAVES = {"time": _MANY_WAVES, "distance": _MANY_WAVES}
+_WAVES = {"time": np.arange(2.0, 48.1, 0.5), "distance": np.arange(2.0, 48.1, 0.5)}
 _FEW_WAVES = np.arange(2.0, 14.1, 0.5)
 """Waves over the range: what turns or swings repeats in time or with the way."""
 PHASES = 4
