@@ -379,6 +379,18 @@ def test_what_the_evidence_asks_for_is_said_where_no_effect_is_known(nothing, al
     assert verdict.probability == pytest.approx(1 - weighed.unknown_alone)
 
 
+def test_what_is_known_of_a_set_is_as_likely_as_all_that_hold_it():
+    """Beside an effect whose size nobody can see."""
+    log = {("a",): -4.0, ("a", "b"): 0.0, ("a", "c"): -1.0, ("b",): -2.0, (): -9.0}
+    weighed = replace(NOTHING, log_weight=log)
+    odds = {key: np.exp(value) for key, value in log.items()}
+    without_a = odds["b",] + odds[()]
+    assert weighed.holding(("a",)) == pytest.approx(1 - without_a / sum(odds.values()))
+    assert weighed.holding(("a", "b")) == pytest.approx(
+        weighed.among_listed(("a", "b"))
+    )
+
+
 ERRORS = {
     ("a", "b", "x"): (6.0, 2.5, 4.0), ("a", "x"): (2.4, 1.1), ("a",): (2.4,),
     ("b",): (2.9,), ("x",): (9.0,), ("a", "y"): (5.0, 5.0),

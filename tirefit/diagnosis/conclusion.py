@@ -309,7 +309,11 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
         dropped = tuple(e for e in verdict.effects if e not in key)
         less = named(search, _without(weighed, dropped), key, verdict.p_value)
         also = tuple(dict.fromkeys((*dropped, *less.also_possible)))
-        verdict = replace(less, status="cannot_tell", also_possible=also)
+        # What else the sets hold is not known well enough to be told from nothing.
+        verdict = replace(
+            less, status="cannot_tell", also_possible=also,
+            probability=weighed.holding(key),
+        )  # fmt: skip
     more = probability_of_more(judge.clues(key))
     # What its own tests refuse is no whole explanation, however seldom trials say so.
     if judge.imitates(key) or _smallest(judge.of(key).adequacy) < _FLAGGED:

@@ -145,6 +145,11 @@ class Weighed:
         """Probability of a set, if all that is there is listed."""
         return float(self.listed[key])
 
+    def holding(self, key) -> float:
+        """Probability of the sets that hold these effects, if all that is there is
+        listed."""
+        return float(sum(p for k, p in self.listed.items() if set(key) <= set(k)))
+
 
 def gap_p_value(search: Search, generator) -> float:
     """Whether there is a gap at all: the largest score, and a generic misfit, each
