@@ -91,15 +91,9 @@ def document_of(
     said = _verdict(case, curves)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown = shown_rows(base, rows[main])
-    noise, motion = _noise(case), said_of_motion(base, rig)
+    noise = _noise(case)
     return Diagnosis(
-        data=DataSummary(
-            name=data.name, path=data.source.path, sha256=data.source.sha256,
-            convention=data.source.convention, channels=prepared.channels,
-            assumptions=(*data.source.notes, *rig.notes, *rig.beside(data)),
-            set_aside=data.source.first_masked(), motion=motion,
-            together=moving_together(prepared),
-        ),
+        data=_summary(data, base, rig),
         model=model,
         simulator=simulator_summary(base, model, gap.rms),
         n=data.n,
@@ -133,6 +127,17 @@ def document_of(
         look=next(iter(curves), None),
         library=library,
         meanings={p.name: p.spec.meaning for p in base.layout.free},
+    )  # fmt: skip
+
+
+def _summary(data, base: Base, rig) -> DataSummary:
+    """What was read, and what is known of it before any effect is."""
+    return DataSummary(
+        name=data.name, path=data.source.path, sha256=data.source.sha256,
+        convention=data.source.convention, channels=base.prepared.channels,
+        assumptions=(*data.source.notes, *rig.notes, *rig.beside(data)),
+        set_aside=data.source.first_masked(), motion=said_of_motion(base, rig),
+        together=moving_together(base.prepared),
     )  # fmt: skip
 
 
