@@ -16,7 +16,6 @@ from tirefit.diagnosis.conclusion import (
     bound_by,
     look_of_rest,
 )
-from tirefit.diagnosis.effects.known import said_of_motion
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
 from tirefit.diagnosis.linear_fit import fitted_form, linear_at
@@ -26,7 +25,6 @@ from tirefit.diagnosis.plausible import plausible_forces
 from tirefit.diagnosis.records import (
     Amplitude,
     Candidate,
-    DataSummary,
     Gap,
     HeldOut,
     NoiseSummary,
@@ -40,7 +38,7 @@ from tirefit.diagnosis.runs import offsets_of_runs
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.shares import closed_by_each
 from tirefit.diagnosis.standing import widening
-from tirefit.diagnosis.together import moving_together
+from tirefit.diagnosis.summary import data_summary
 from tirefit.diagnosis.verdict import Verdict
 from tirefit.diagnosis.views import compared, residual_map, shown_rows
 from tirefit.diagnosis.where import parameter_map, regions, spots
@@ -93,7 +91,7 @@ def document_of(
     shown = shown_rows(base, rows[main])
     noise = _noise(case)
     return Diagnosis(
-        data=_summary(data, base, rig),
+        data=data_summary(data, base, rig),
         model=model,
         simulator=simulator_summary(base, model, gap.rms),
         n=data.n,
@@ -127,17 +125,6 @@ def document_of(
         look=next(iter(curves), None),
         library=library,
         meanings={p.name: p.spec.meaning for p in base.layout.free},
-    )  # fmt: skip
-
-
-def _summary(data, base: Base, rig) -> DataSummary:
-    """What was read, and what is known of it before any effect is."""
-    return DataSummary(
-        name=data.name, path=data.source.path, sha256=data.source.sha256,
-        convention=data.source.convention, channels=base.prepared.channels,
-        assumptions=(*data.source.notes, *rig.notes, *rig.beside(data)),
-        set_aside=data.source.first_masked(), motion=said_of_motion(base, rig),
-        together=moving_together(base.prepared),
     )  # fmt: skip
 
 

@@ -1,20 +1,42 @@
-"""Conditions that move together in a file: what follows one may follow the other."""
+"""What was read, and what is known of it before any effect is looked for."""
 
 from itertools import combinations
 
 import numpy as np
 from scipy.stats import spearmanr
 
+from tirefit.data.table import TireData
+from tirefit.diagnosis.base import Base
+from tirefit.diagnosis.effects.known import said_of_motion
 from tirefit.diagnosis.patterns import quantities
+from tirefit.diagnosis.records import DataSummary
+from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import Prepared
 
-__all__ = ["moving_together"]
+__all__ = ["data_summary", "moving_together"]
 
 _CONDITIONS = ("time", "fz", "v", "temperature", "gamma", "pressure")
 
 _TOGETHER = 0.9
 """Rank correlation from which two conditions are told apart by the form of their laws
 alone: of the order of a change in one, the other knows four fifths."""
+
+
+def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
+    """The file of a diagnosis.
+
+    Args:
+        data: the table as it was read.
+        base: the fit to its rows.
+        rig: what is known of the measurement.
+    """
+    return DataSummary(
+        name=data.name, path=data.source.path, sha256=data.source.sha256,
+        convention=data.source.convention, channels=base.prepared.channels,
+        assumptions=(*data.source.notes, *rig.notes, *rig.beside(data)),
+        set_aside=data.source.first_masked(), motion=said_of_motion(base, rig),
+        together=moving_together(base.prepared),
+    )  # fmt: skip
 
 
 def moving_together(rows: Prepared) -> tuple[str, ...]:

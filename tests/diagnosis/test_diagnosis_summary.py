@@ -6,7 +6,7 @@ from conftest_diagnosis import RIG
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.rows import prepare
-from tirefit.diagnosis.together import moving_together
+from tirefit.diagnosis.summary import moving_together
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
 
