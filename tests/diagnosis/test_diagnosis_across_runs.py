@@ -7,12 +7,16 @@ from scipy.stats import t
 
 from fits.dart_rear_axle import logs_left_out
 from tirefit.data.read import read_frame
+from tirefit.diagnosis import across_runs
 from tirefit.diagnosis.across_runs import chosen_across_runs
 from tirefit.diagnosis.effects import EFFECTS, effects_by_id
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.rig import Rig
+from tirefit.diagnosis.search import Hypothesis
+from tirefit.diagnosis.verdict import Verdict, Weighed
 
 KNOWN = effects_by_id(EFFECTS)
+EMPTY = np.zeros(0)
 NAMES = [(), ("a",), ("b",), ("a", "b")]
 
 
@@ -94,6 +98,33 @@ def test_equal_runs_do_not_name_what_only_draws_a_dead_band():
     # Carcass and pressure together leave nothing that a test sees.
     assert found.verdict.status in ("unknown", "incomplete")
     assert found.verdict.unlisted > 0.5 and len(found.effects) == 1
+
+
+@pytest.mark.parametrize(
+    ("carried", "status", "effects"),
+    [
+        (("a", "b", "c"), "incomplete", ("a", "b")),
+        (("b", "c"), "incomplete", ("b",)),
+        (("a", "c"), "unknown", ("unknown",)),  # alone it was not refitted
+        (("c",), "unknown", ("unknown",)),
+    ],
+)
+def test_runs_take_names_away_beside_something_unlisted(carried, status, effects):
+    nothing, *_ = sets = [
+        Hypothesis((), key, 0.0, 0.0, EMPTY, EMPTY, np.zeros((0, 0)), 0.0)
+        for key in ((), ("b",), ("a", "b"))
+    ]
+    weighed = Weighed(
+        sets={}, best_of={one.effects: one for one in sets}, unknown_alone=0.2,
+        unknown_beside={}, other_form=frozenset(), evidence={}, log_weight={},
+        log_beside={}, hidden=0.0, gains={},
+    )  # fmt: skip
+    verdict = Verdict("incomplete", ("a", "b"), 0.4, (), 0.0, sets[-1], unlisted=0.8)
+    found = across_runs._carried_beside(verdict, weighed, carried)
+    assert found.chosen is (
+        nothing if status == "unknown" else weighed.best_of[effects]
+    )
+    assert (found.status, found.effects) == (status, effects)
 
 
 def test_the_floor_under_the_axle_is_that_of_its_readme():

@@ -180,7 +180,7 @@ def _carried_beside(verdict: Verdict, weighed: Weighed, key) -> Verdict:
     kept = tuple(e for e in verdict.effects if e in key)
     if verdict.status == "unknown" or kept == verdict.effects:
         return verdict
-    if kept not in weighed.best_of:
+    if not kept or kept not in weighed.best_of:
         return unknown(verdict, weighed, verdict.adequacy, verdict.unlisted)
     return replace(verdict, effects=kept, chosen=weighed.best_of[kept])
 
