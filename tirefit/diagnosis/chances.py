@@ -38,8 +38,7 @@ def chance_of_unknown(verdict: Verdict, weighed: Weighed) -> float:
 def chance_of_unlisted(verdict: Verdict, weighed: Weighed) -> float:
     """Probability that something unlisted is there, alone or beside listed effects."""
     if verdict.status == "none":
-        by_evidence = weighed.unknown_alone + sum(weighed.unknown_beside.values())
-        return min(by_evidence, 1 - verdict.probability)
+        return min(weighed.unlisted, 1 - verdict.probability)
     if verdict.status == "unknown":
         return verdict.probability
     if verdict.status == "incomplete":

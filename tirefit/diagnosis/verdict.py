@@ -145,6 +145,11 @@ class Weighed:
         """Probability of a set, if all that is there is listed."""
         return float(self.listed[key])
 
+    @property
+    def unlisted(self) -> float:
+        """Probability of something that is not listed, alone or beside a set."""
+        return self.unknown_alone + sum(self.unknown_beside.values())
+
     def holding(self, key) -> float:
         """Probability of the sets that hold these effects, if all that is there is
         listed."""
