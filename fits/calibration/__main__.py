@@ -55,8 +55,21 @@ def main(arguments: list[str] | None = None) -> None:
         " there",
     )
     given = parser.parse_args(arguments)
-    numbers = json.loads(PLACE.read_text()) if given.said else _both(given)
-    # The verdicts are judged as they are without any line of their own.
+    before = PLACE.read_text()
+    numbers = json.loads(before) if given.said else _both(given)
+    try:
+        numbers["said"] = _said(given, numbers)
+    except BaseException:
+        # Stopped, it leaves no numbers of which the last question is missing.
+        PLACE.write_text(before)
+        raise
+    PLACE.write_text(json.dumps(numbers, indent=1) + "\n")
+    print(json.dumps({k: numbers[k]["checked"] for k in ("more", "beside")}, indent=1))
+
+
+def _said(given, numbers: dict) -> dict:
+    """How sure each status is, of the verdicts by these numbers without any line of
+    their own."""
     PLACE.write_text(json.dumps(numbers | {"said": {}}, indent=1) + "\n")
     folder = given.out / "verdicts" / str(LAST)
     if not (folder / "labels.json").exists():
@@ -64,9 +77,7 @@ def main(arguments: list[str] | None = None) -> None:
         rows = ["--rows", "200,900", "--trials", trials]
         generate.main(["--seed", str(LAST), *rows, "--out", str(folder)])
     run.main([str(folder), "--jobs", str(given.jobs), "--resume"])
-    numbers["said"] = lines_of(verdicts_of(folder))
-    PLACE.write_text(json.dumps(numbers, indent=1) + "\n")
-    print(json.dumps({k: numbers[k]["checked"] for k in ("more", "beside")}, indent=1))
+    return lines_of(verdicts_of(folder))
 
 
 def _both(given) -> dict:

@@ -65,9 +65,12 @@ LIMIT = 4.0  # of an amplitude, in typical ones
 
 
 def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """Columns of a table, NaN where nothing stands."""
     with path.open() as lines:
         rows = list(csv.DictReader(lines))
-    return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
+    return {
+        key: np.array([float(row[key] or "nan") for row in rows]) for key in rows[0]
+    }
 
 
 def read_trial(path: Path, rig: dict) -> tuple[Inputs, np.ndarray]:

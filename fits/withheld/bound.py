@@ -3,7 +3,8 @@ listed effect imitates, and of what shows beside what measured data lack themsel
 
 The observer names the set of effects of the largest evidence, and must find out how
 many there are: none, one, or two. On the average over such trials hardly any method
-that sees the file alone is right more often.
+that sees the file alone is right more often. Told the effects and their forms, he says
+whether they show, and how much of the gap an answer closes.
 """
 
 import tomllib
@@ -13,11 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from fits.withheld.baselines import read_columns, read_trial
+from fits.withheld.baselines import from_columns, read_columns
 from fits.withheld.goals import STRONG, WEAK
 from fits.withheld.injected import MU, C, half
-from fits.withheld.library import Inputs
-from fits.withheld.observer import beliefs, evidence, told_pair
+from fits.withheld.judge import Outcome, true_closure
+from fits.withheld.library import Inputs, base_fit
+from fits.withheld.observer import beliefs, evidence, told
 from fits.withheld.patch import plain_brush
 
 __all__ = [
@@ -112,7 +114,8 @@ def injected_that_show(folder: Path, labels: dict, outcomes: dict) -> list[list[
 
 class _Observed(NamedTuple):
     """One trial: what the observer believes most, how much, and whether it is so; what
-    was answered."""
+    was answered. ``shows``: whether the effects do, to who is told them; ``off``: by
+    how much he and the answer miss what the answer closes, where it claims any."""
 
     size: int
     strength: float
@@ -120,33 +123,60 @@ class _Observed(NamedTuple):
     right: bool
     chance: float
     exact: bool
+    said: bool
     answered_right: bool
     answered_chance: float
+    shows: bool = False
+    off: tuple[float, float] | None = None
 
 
-def _observed(folder: Path, label: dict, outcome) -> _Observed:
-    x, observed = _trial(folder, label)
+def _observed(folder: Path, label: dict, outcome: Outcome, answer: Path) -> _Observed:
+    """``answer``: the rows that an answer wrote."""
+    trial = _trial(folder, label)
     truth = tuple(sorted(label["effects"]))
-    found = beliefs(x, evidence(x, observed, truth, pairs=True))
+    found = beliefs(trial.x, evidence(trial.x, trial.observed, truth, pairs=True))
     best = max(found, key=found.get)
-    return _Observed(
+    seen = _Observed(
         len(truth), label["root_lambda"], label["gap_over_noise"], best == truth,
-        found[best], outcome.exact if truth else not outcome.flagged, outcome.right,
-        outcome.probability,
+        found[best], outcome.exact if truth else not outcome.flagged,
+        outcome.exact_or_alias, outcome.right, outcome.probability,
     )  # fmt: skip
+    if not truth:
+        return seen
+    forms = dict(zip(label["effects"], label["forms"], strict=True))
+    known = told(trial.x, trial.observed, forms, np.random.default_rng(0))
+    seen = seen._replace(shows=known.shows)
+    if not outcome.claimed or outcome.closed is None:
+        return seen
+    rows, channel, n = read_columns(answer), trial.x.force, len(trial.more)
+    closed = [
+        true_closure(rows, {channel: forces[:n] + trial.more}, channel)
+        for forces in known.forces
+    ]
+    missed = abs(np.median(closed) - outcome.closed)
+    return seen._replace(off=(missed, abs(outcome.claimed - outcome.closed)))
 
 
-def observer_rows(folder: Path, labels: dict, outcomes: dict, count: int) -> list:
+def observer_rows(
+    folder: Path, answers: Path, labels: dict, outcomes: dict, count: int
+) -> list[list[str]]:
     """[of what, n, possible, answered] of as many trials without an effect, in the
     noise that is stated, with one and with two: how often who knows all forms names the
-    set, and the Brier score of what he believes of it."""
+    set, the Brier score of what he believes of it; of those with effects, whether who
+    is told which they are sees them, and how far off he says what is closed."""
     each = []
     for of in ("null", "singles", "pairs"):
         names = [
             k for k in sorted(outcomes)
             if labels[k]["set"] == of and (of != "null" or labels[k]["kind"] in _STATED)
         ]  # fmt: skip
-        each += [_observed(folder, labels[k], outcomes[k]) for k in names[:count]]
+        each += [
+            _observed(
+                folder, labels[k], outcomes[k],
+                (answers / labels[k]["file"]).with_suffix(".rows.csv"),
+            )
+            for k in names[:count]
+        ]  # fmt: skip
     groups = {
         "nothing": [o for o in each if o.size == 0],
         "one effect, any gap": [o for o in each if o.size == 1],
@@ -164,16 +194,30 @@ def observer_rows(folder: Path, labels: dict, outcomes: dict, count: int) -> lis
          f"{np.mean([o.exact for o in one]):.3f}"]
         for of, one in groups.items() if one
     ]  # fmt: skip
+    rows += [
+        [f"{of}, told which; or said so", str(len(one)),
+         f"{np.mean([o.shows for o in one]):.3f}",
+         f"{np.mean([o.said for o in one]):.3f}"]
+        for of, one in groups.items() if one and one[0].size
+    ]  # fmt: skip
     if each:
         mine = np.mean([(o.chance - o.right) ** 2 for o in each])
         said = np.mean([(o.answered_chance - o.answered_right) ** 2 for o in each])
         rows.append(
             ["Brier score of all these", str(len(each)), f"{mine:.3f}", f"{said:.3f}"]
         )
+    if off := [o.off for o in each if o.off]:
+        rows += [
+            [f"closure, told which: {name}", str(len(off)),
+             *(f"{value:.3f}" for value in np.quantile(off, level, axis=0))]
+            for name, level in (("median error", 0.5), ("90 %", 0.9))
+        ]  # fmt: skip
     return rows
 
 
-def bound_rows(folder: Path, labels: dict, outcomes: dict, count: int) -> list:
+def bound_rows(
+    folder: Path, answers: Path, labels: dict, outcomes: dict, count: int
+) -> list[list[str]]:
     """[of what, n, possible, answered] for a table.
 
     Of the first ``count`` trials of each kind that have an answer, by name; of all
@@ -181,23 +225,28 @@ def bound_rows(folder: Path, labels: dict, outcomes: dict, count: int) -> list:
     """
     if not count:
         return []
-    pairs = [k for k in sorted(outcomes) if labels[k]["set"] == "pairs"][:count]
-    told = []
-    for name in pairs:
-        x, observed = _trial(folder, labels[name])
-        forms = dict(zip(labels[name]["effects"], labels[name]["forms"], strict=True))
-        told.append((told_pair(x, observed, forms), outcomes[name].exact))
-    of_told = [
-        ["pairs, told which two", str(len(told)),
-         *(f"{share:.3f}" for share in np.mean(told, axis=0))]
-    ] if told else []  # fmt: skip
     return [
-        *observer_rows(folder, labels, outcomes, count), *of_told,
+        *observer_rows(folder, answers, labels, outcomes, count),
         *strangers_that_show(labels, outcomes),
         *injected_that_show(folder, labels, outcomes),
-    ]  # fmt: skip
+    ]
 
 
-def _trial(folder: Path, label: dict) -> tuple[Inputs, np.ndarray]:
+class _Trial(NamedTuple):
+    """A file: its inputs, what was ``observed``, and what the force (n,) is more at the
+    slip as logged than at that of the inputs: the noise of the slip is no gap."""
+
+    x: Inputs
+    observed: np.ndarray
+    more: np.ndarray
+
+
+def _trial(folder: Path, label: dict) -> _Trial:
     path = folder / "trials" / label["file"]
-    return read_trial(path, tomllib.loads((path.parent / "rig.toml").read_text()))
+    columns = read_columns(path)
+    rig = tomllib.loads((path.parent / "rig.toml").read_text())
+    x, observed = from_columns(columns, rig)
+    logged = columns["sigma_x"] if x.force == "fx" else np.tan(columns["alpha"])
+    fit = base_fit(x, observed)[0]
+    then, now = (plain_brush(slip, x.fz, *fit)[0] for slip in (x.slip, logged))
+    return _Trial(x, observed, now - then)

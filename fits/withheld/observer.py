@@ -22,7 +22,7 @@ from fits.withheld.library import (
     predict_together,
 )
 
-__all__ = ["beliefs", "evidence", "told_pair"]
+__all__ = ["Told", "beliefs", "evidence", "told"]
 
 REFITTED = 10
 SHARES = tuple(np.linspace(0.05, 0.95, 10))  # of the range of a form's random draws
@@ -52,8 +52,28 @@ def _force(x: Inputs, keys: Sequence[tuple], strengths, c, mu) -> np.ndarray:
     return predict(x, effect, size, c, mu, share, form)
 
 
-def _refitted(x, observed, std, keys: Sequence[tuple], c, mu) -> float:
-    """Log evidence of forms at once, up to a constant that all hypotheses share."""
+class _Fit(NamedTuple):
+    """Forms fitted at once: logarithms of c, mu (in their spreads) and of each
+    amplitude, between ``low`` and ``high``; ``evidence`` is its logarithm, up to a
+    constant that all hypotheses share."""
+
+    p: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    jacobian: np.ndarray
+    evidence: float
+
+    def drawn(self, generator) -> np.ndarray:
+        """One draw of the posterior, normal about the fit and held within bounds."""
+        square = self.jacobian.T @ self.jacobian + 1e-9 * np.eye(len(self.p))
+        step = np.linalg.solve(
+            np.linalg.cholesky(square).T, generator.standard_normal(len(self.p))
+        )
+        return np.clip(self.p + step, self.low, self.high)
+
+
+def _refitted(x, observed, std, keys: Sequence[tuple], c, mu) -> _Fit:
+    """Forms at once, at the amplitudes that the file shows."""
 
     def rest(p):
         ratio = np.exp(p[:2] * SPREAD)
@@ -66,7 +86,8 @@ def _refitted(x, observed, std, keys: Sequence[tuple], c, mu) -> float:
         rest, np.zeros(2 + n), bounds=(low, high), max_nfev=4 + 4 * n, diff_step=1e-3,
         x_scale=[0.1, 0.1, *[0.3] * n],
     )  # fmt: skip
-    return -fit.cost + _laplace(fit.jac[:, 2:], fit.jac[:, :2])
+    value = -fit.cost + _laplace(fit.jac[:, 2:], fit.jac[:, :2])
+    return _Fit(fit.x, np.array(low), np.array(high), fit.jac, value)
 
 
 def _laplace(along: np.ndarray, base: np.ndarray) -> float:
@@ -163,7 +184,7 @@ def _refitted_sets(x, observed, seen: _Screen, first: dict, more) -> dict:
     nearest += sorted(told, key=first.get, reverse=True)[: REFITTED // 2]
     parts: dict = {}
     for keys in dict.fromkeys(nearest):
-        value = _refitted(x, observed, seen.std, keys, seen.c, seen.mu)
+        value = _refitted(x, observed, seen.std, keys, seen.c, seen.mu).evidence
         value -= float(np.sum(np.log([_draws(key) for key in keys])))
         parts.setdefault(tuple(sorted(key[0] for key in keys)), []).append(value)
     return {k: float(np.logaddexp.reduce(values)) for k, values in parts.items()}
@@ -200,27 +221,54 @@ def beliefs(x: Inputs, evidences: dict[tuple[str, ...], float]) -> dict:
     return dict(zip(keys, softmax(logs).tolist(), strict=True))
 
 
-def told_pair(x: Inputs, observed: np.ndarray, pair: dict[str, str]) -> bool:
-    """Whether both effects of a pair show, to who is told which two in which form.
+class Told(NamedTuple):
+    """What who is told the effects knows: whether each of them ``shows`` beside the
+    others, and draws of the forces (d, n) of their posterior."""
 
-    The evidence for both is held against that for either one alone. Who must find out
-    which effects there are is right less often.
+    shows: bool
+    forces: np.ndarray
+
+
+def _keys_of(forms: dict[str, str]) -> list[tuple]:
+    """All keys of effects in these forms at once: their signs and random draws."""
+    signs = [(EFFECTS[e].sign,) if EFFECTS[e].sign else (-1, 1) for e in forms]
+    road = any(form.startswith("road_") for form in forms.values())
+    return [
+        tuple((*of, share, sign) for of, sign in zip(forms.items(), each, strict=True))
+        for share, each in product(SHARES if road else (0.5,), product(*signs))
+    ]
+
+
+def told(
+    x: Inputs, observed: np.ndarray, forms: dict[str, str], generator, draws: int = 100
+) -> Told:
+    """What is known to who is told which effects there are in which form.
+
+    They show where the evidence for all is more than that for the others without any
+    one, or for nothing. Who must find out which effects there are is right less often.
 
     Args:
-        pair: form of each of the two effects.
+        forms: form of each effect.
     """
-    (c, mu), _, std = base_fit(x, observed)
+    (c, mu), misses, std = base_fit(x, observed)
 
-    def evidence_of(effects: tuple[str, ...]) -> float:
-        shares = SHARES if any(pair[e].startswith("road_") for e in effects) else (0.5,)
-        signs = product(*((EFFECTS[e].sign,) if EFFECTS[e].sign else (-1, 1)
-                          for e in effects))  # fmt: skip
-        keys = list(product(shares, signs))
-        return float(np.logaddexp.reduce([
-            _refitted(x, observed, std, [(e, pair[e], share, sign)
-                      for e, sign in zip(effects, each, strict=True)], c, mu)
-            for share, each in keys
-        ]) - np.log(len(keys)))  # fmt: skip
+    def fits_of(forms) -> dict[tuple, _Fit]:
+        keys = _keys_of(forms)
+        return {key: _refitted(x, observed, std, key, c, mu) for key in keys}
 
-    one, two = pair
-    return evidence_of((one, two)) > max(evidence_of((one,)), evidence_of((two,)))
+    def evidence_of(found) -> float:
+        each = [fit.evidence for fit in found.values()]
+        return float(np.logaddexp.reduce(each) - np.log(len(each)))
+
+    whole = fits_of(forms)
+    less = [{e: form for e, form in forms.items() if e != one} for one in forms]
+    nothing = -0.5 * float(misses @ misses)
+    without = [evidence_of(fits_of(kept)) if kept else nothing for kept in less]
+    chances = softmax([fit.evidence for fit in whole.values()])
+    drawn = []
+    for k in generator.choice(len(whole), draws, p=chances):
+        key, fit = list(whole.items())[k]
+        p = fit.drawn(generator)
+        ratio = np.exp(p[:2] * SPREAD)
+        drawn.append(_force(x, key, np.exp(p[2:]), c * ratio[0], mu * ratio[1]))
+    return Told(evidence_of(whole) > max(without), np.array(drawn))

@@ -7,13 +7,13 @@ beside the labels. ``--bound 40`` adds what was possible, on so many trials.
 """
 
 import argparse
-import csv
 import hashlib
 import json
 from pathlib import Path
 
 import numpy as np
 
+from fits.withheld.baselines import read_columns
 from fits.withheld.bound import bound_rows
 from fits.withheld.goals import goals
 from fits.withheld.judge import Outcome, judge, true_closure
@@ -41,14 +41,6 @@ def opened(folder: Path) -> dict:
     return json.loads(text)
 
 
-def read_rows(path: Path) -> dict[str, np.ndarray]:
-    with path.open() as lines:
-        table = list(csv.DictReader(lines))
-    return {
-        key: np.array([float(row[key] or "nan") for row in table]) for key in table[0]
-    }
-
-
 def load(folder: Path, answers: Path, labels: dict) -> tuple[dict, list[str]]:
     """Outcomes by trial, and the trials without an answer."""
     truth = np.load(folder / "truth.npz")
@@ -62,7 +54,7 @@ def load(folder: Path, answers: Path, labels: dict) -> tuple[dict, list[str]]:
         rows = path.with_suffix(".rows.csv")
         if rows.exists() and f"{name}_{label['force']}" in truth:
             forces = {label["force"]: truth[f"{name}_{label['force']}"]}
-            closed = true_closure(read_rows(rows), forces, label["force"])
+            closed = true_closure(read_columns(rows), forces, label["force"])
             outcome = outcome._replace(closed=closed)
         outcomes[name] = outcome
     return outcomes, missing
@@ -330,7 +322,7 @@ def main(arguments: list[str] | None = None) -> None:
     ran = answers / "run.json"
     seconds = json.loads(ran.read_text())["seconds_per_case"] if ran.exists() else None
     draw_reliability(diagrams, given.folder / "reliability.png")
-    bound = bound_rows(given.folder, labels, outcomes, given.bound)
+    bound = bound_rows(given.folder, answers, labels, outcomes, given.bound)
     text = tables(labels, outcomes, summaries, seconds, bound)
     if missing:
         text = (

@@ -443,6 +443,7 @@ def test_beside_something_unlisted_what_is_firm_is_named(likely, imitating, name
         return tuple(e for e, z in zip(key, ERRORS[key], strict=True) if z >= least)
 
     judge = Mock(spec=Judge, weighed=replace(NOTHING, log_weight=log), firm=firm)
+    judge.is_known = lambda key: Judge.is_known(judge, key)
     judge.leading = lambda key: {key: 1.0}
     judge.imitates = lambda key: key in imitating
     chances = {e: 0.4 if e in likely else 0.05 for e in "abxy"}

@@ -373,8 +373,15 @@ def test_who_is_told_a_pair_finds_both_only_where_both_show():
     alone = library.predict(x, "force_offset", sizes["force_offset"], C, MU)
     np.testing.assert_allclose(one, alone, rtol=1e-12)
     both = library.predict_together(x, parts, C, MU)
-    assert observer.told_pair(x, both + noise, pair)
-    assert not observer.told_pair(x, one + noise, pair)
+    known = observer.told(x, both + noise, pair, g)
+    assert known.shows
+    assert not observer.told(x, one + noise, pair, g).shows
+    # His draws scatter about the truth by as much as they claim: of three directions
+    # (two sizes, and c and mu) each is off by one standard error.
+    off, each = known.forces.mean(0) - both, known.forces - known.forces.mean(0)
+    expected = np.mean(np.sum(each**2, axis=1))
+    assert expected / 16 < np.sum(off**2) < 4 * expected
+    assert expected < 6 * np.mean((0.01 * world.fz) ** 2)
 
 
 def test_of_strangers_only_what_no_listed_effect_imitates_can_be_flagged():

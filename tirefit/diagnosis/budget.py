@@ -19,6 +19,7 @@ from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.records import Change, Part, SimulatorSummary, Surrogate
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.shares import shapley
+from tirefit.diagnosis.simulator import missed_share
 
 __all__ = ["budgets_of", "parameter_changes", "simulator_summary"]
 
@@ -237,10 +238,10 @@ def simulator_summary(base: Base, model: str, gap: float) -> SimulatorSummary | 
     if base.simulator is None:
         return None
     given, main, n = base.simulator.given, base.rows.channels[0], base.rows.n
-    off = float(np.sqrt(np.mean(base.design.offset[main][:n] ** 2)))
-    size = float(np.sqrt(np.mean(base.rows.column(f"{main}_sim") ** 2)))
+    missed = base.design.offset[main][:n]
+    off = float(np.sqrt(np.mean(missed**2)))
     followed = Surrogate(
-        model=model, rms=off, of_force=off / max(size, NONZERO),
+        model=model, rms=off, of_force=missed_share(base.rows, main, missed),
         of_gap=off / max(gap, NONZERO),
     )  # fmt: skip
     return SimulatorSummary(given.kind, given.source, given.sha256, followed)

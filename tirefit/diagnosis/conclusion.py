@@ -345,8 +345,8 @@ def _earned(judge: Judge, key, chances) -> tuple[str, ...]:
     firm = {e for one in judge.leading(key) for e in judge.firm(one, _FIRM)}
     sets = [k for k in log if k and set(k) <= likely]
     for one in sorted(sets, key=lambda k: log[k], reverse=True)[:_TRIED]:
-        known, own = judge.firm(one, _KNOWN), judge.firm(one, _FIRM)
-        if known == one and set(one) <= firm | set(own) and not judge.imitates(one):
+        stands = set(one) <= firm | set(judge.firm(one, _FIRM))
+        if stands and judge.is_known(one) and not judge.imitates(one):
             return one
     return ()
 

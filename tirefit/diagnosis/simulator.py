@@ -39,6 +39,7 @@ __all__ = [
     "check_followed",
     "closely_followed",
     "given_simulator",
+    "missed_share",
     "simulator_at",
 ]
 
@@ -183,7 +184,8 @@ def as_measured(data: TireData, channels: Sequence[str]) -> TireData:
     return replace(data, columns=columns | {c: data[f"{c}_sim"] for c in channels})
 
 
-def _missed_share(prepared, channel: str, values) -> float:
+def missed_share(prepared, channel: str, values) -> float:
+    """What a tire misses of the simulated forces (n,), as a share of these, rms."""
     size = _rms(prepared.column(f"{channel}_sim"))
     return _rms(values) / max(size, NONZERO)
 
@@ -194,7 +196,7 @@ def closely_followed(prepared, missed: Mapping[str, np.ndarray]) -> bool:
     Args:
         missed: simulated force less that of the tire, (n,) by channel.
     """
-    shares = [_missed_share(prepared, c, values) for c, values in missed.items()]
+    shares = [missed_share(prepared, c, values) for c, values in missed.items()]
     return max(shares) <= _CLOSELY
 
 
@@ -206,7 +208,7 @@ def check_followed(prepared, missed: Mapping[str, np.ndarray], name: str) -> Non
         name: of the model that stands in.
     """
     for channel, values in missed.items():
-        off, share = _rms(values), _missed_share(prepared, channel, values)
+        off, share = _rms(values), missed_share(prepared, channel, values)
         if share > _FARTHEST_OFF:
             data = prepared.data
             raise DataError(

@@ -59,7 +59,7 @@ class Prior(NamedTuple):
         return Prior(*(size * part for part in self))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Effect:
     """One effect that a model may lack.
 
