@@ -1,6 +1,6 @@
 """The base model fitted with its noise judged: where every diagnosis starts."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -194,14 +194,29 @@ class Base:
         if key not in known:
             if len(known) == _LINEARISED:
                 known.pop(next(iter(known)))
-            whole = self.fit.tire.linearised(z, amplitudes, self.design)
+            whole = self._begun.pop(key, None)
+            whole = whole or self.fit.tire.linearised(z, amplitudes, self.design)
             known[key] = Linear(*(self.cut(part) for part in whole))
         return known[key]
 
-    def refit(self, starts, sets, design: Design | None = None) -> Refit:
-        """Hypotheses refitted: ``starts`` are (z, amplitudes in prior scales) of each
-        of the ``sets`` of atoms, at most :data:`MOST` of them."""
-        return self.fit.tire.refit(starts, sets, design or self.design)
+    @cached_property
+    def _begun(self) -> dict[tuple[bytes, ...], Linear]:
+        """Of all padded rows, as they come."""
+        return {}
+
+    def begin_linearised(self, points) -> None:
+        """Begins :meth:`linearised` at some (z, amplitudes): JAX goes on with the later
+        ones while NumPy works on the first."""
+        for z, amplitudes in points:
+            if (key := _key(z, amplitudes)) not in self._linear_at:
+                whole = self.fit.tire.linearised(z, amplitudes, self.design)
+                self._begun[key] = whole
+
+    def refit(
+        self, starts, sets, design: Design | None = None, **more: Callable
+    ) -> Refit:
+        """Hypotheses refitted on this design or another: :meth:`Tire.refit`."""
+        return self.fit.tire.refit(starts, sets, design or self.design, **more)
 
     def residual(self, z, amplitudes) -> np.ndarray:
         """Whitened residual of the used rows, zero for outliers: (m,)."""

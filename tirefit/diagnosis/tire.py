@@ -1,5 +1,6 @@
 """A base model with all effects, looked at on any design, and the force that it has."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,12 +46,16 @@ class Tire:
         """Its own parameters refitted, without effects, from z."""
         return self.refit([(z, np.zeros(0))], [()], design)
 
-    def refit(self, starts, sets, design: Design) -> Refit:
+    def refit(
+        self, starts, sets, design: Design, meanwhile: Callable = lambda: None
+    ) -> Refit:
         """Hypotheses refitted: ``starts`` are (z, amplitudes in prior scales) of each
-        of the ``sets`` of atoms, at most :data:`MOST` of them."""
+        of the ``sets`` of atoms, at most :data:`MOST` of them; ``meanwhile`` is done
+        while JAX refits."""
         arrays = fill(starts, sets, count_atoms(self.effects))
         tire = self.model, self.layout, self.effects, self.mode
         every = refit_all(*tire, *arrays, design)
+        meanwhile()
         return Refit(*(np.asarray(values)[: len(sets)] for values in every))
 
     def linearised(self, z, amplitudes, design: Design) -> Linear:

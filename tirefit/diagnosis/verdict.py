@@ -190,7 +190,11 @@ def weigh(search: Search) -> Weighed:
     ranked = sorted(total, key=lambda key: total[key], reverse=True)
     nothing = linear_at(search.base, best[()])
     of_nothing = due_to_doubt(search.base, best[()], nothing)
-    for key in dict.fromkeys([*ranked[:_FREED], *_simplest(total, _SINGLES), ()]):
+    among = dict.fromkeys([*ranked[:_FREED], *_simplest(total, _SINGLES), ()])
+    search.base.begin_linearised(
+        (best[key].z, amplitudes_of(search.base, best[key])) for key in among
+    )
+    for key in among:
         linear = linear_at(search.base, best[key])
         if linear.forms.shape[1] and len(key) < MOST_EFFECTS:
             formula = float(np.log(1 - PRIOR_OF_FORM))
