@@ -379,29 +379,6 @@ def test_what_the_evidence_asks_for_is_said_where_no_effect_is_known(nothing, al
     assert verdict.probability == pytest.approx(1 - weighed.unknown_alone)
 
 
-@pytest.mark.parametrize(
-    ("alone", "beside", "status"),
-    [(0.6, 0.0, "unknown"), (0.3, 0.3, "unknown"), (0.3, 0.1, "none")],
-)
-def test_nothing_is_not_said_beside_something_likelier(
-    monkeypatch, alone, beside, status
-):
-    """The tests of a gap may miss a pattern that the evidence shows."""
-    weighed = replace(NOTHING, unknown_alone=alone, unknown_beside={("a",): beside})
-    passed = SimpleNamespace(adequacy=UNTESTED._replace(time=0.4, passed=True))
-    judge = Mock(spec=Judge, weighed=weighed, of=lambda key: passed)
-    monkeypatch.setattr(conclusion, "Judge", lambda *given: judge)
-    noise = {"fx": SimpleNamespace(excess=1.0)}
-    search = Mock(spec=Search, base=SimpleNamespace(noise=noise))
-    nothing = Verdict("none", (), 1 - alone - beside, (), 0.4, NO_EFFECT)
-    generator = np.random.default_rng(0)
-    verdict = conclusion.concluded(nothing, search, weighed, generator)
-    assert verdict.status == status
-    assert verdict.adequacy.passed == (status == "none")
-    likely = verdict.unlisted if status == "unknown" else verdict.probability
-    assert likely == pytest.approx(0.6)
-
-
 def test_what_is_known_of_a_set_is_as_likely_as_all_that_hold_it():
     """Beside an effect whose size nobody can see."""
     log = {("a",): -4.0, ("a", "b"): 0.0, ("a", "c"): -1.0, ("b",): -2.0, (): -9.0}

@@ -299,9 +299,6 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
             return unknown(verdict, weighed, left, probability_of_rest(_smallest(left)))
         if verdict.status == "none" and not is_noise:
             return unknown(verdict, weighed, left, _HARDLY_NOISE)
-        # A pattern that the tests of a gap do not look for.
-        if verdict.status == "none" and weighed.unlisted > _EVEN:
-            return unknown(verdict, weighed, left, weighed.unlisted)
         return verdict
     key = verdict.effects
     kept = judge.firm(key, _KNOWN)

@@ -76,95 +76,49 @@ def segments(time, run) -> list[np.ndarray]:
     return np.split(order, breaks)
 
 
-class _Stretches(NamedTuple):
-    """Values and times (n,) of unbroken stretches, one after the other, and the rows
-    between which each row's own stretch lies: its first, and that behind its last."""
-
-    values: np.ndarray
-    time: np.ndarray
-    first: np.ndarray
-    behind: np.ndarray
-
-    def near(self, begin: int, end: int) -> "_Stretches":
-        """The rows from ``begin`` to before ``end`` alone."""
-        cut = (column[begin:end] for column in self[:2])
-        edges = (np.clip(row[begin:end], begin, end) - begin for row in self[2:])
-        return _Stretches(*cut, *edges)
-
-    @property
-    def longest(self) -> int:
-        return int(np.max(self.behind - self.first))
-
-    def starts(self, first, window: int):
-        """(n,) where a window begins that would begin at ``first``, held within each
-        row's stretch, and whether it is as long as that at all."""
-        fits = self.behind - self.first >= window
-        held = np.clip(first, self.first, np.maximum(self.behind - window, self.first))
-        return np.where(fits, held, 0), fits
-
-
-def _stretches(values, time, parts) -> _Stretches:
-    sizes = np.array([len(part) for part in parts])
-    ends, rows = np.cumsum(sizes), np.concatenate(parts)
-    edges = np.repeat(ends - sizes, sizes), np.repeat(ends, sizes)
-    return _Stretches(values[rows], time[rows], *edges)
-
-
-def _in_pieces(of, along: _Stretches, *given) -> list[np.ndarray]:
-    """The columns ``of`` (stretches, *given), a piece at a time: rows depend on none
-    beyond their reach, so the pieces are those of the whole."""
+def _in_pieces(of, values, time, *given) -> list[np.ndarray]:
+    """The columns ``of`` (values, time, *given) of one unbroken stretch, a piece at a
+    time: rows depend on none beyond their reach, so the pieces are those of the whole.
+    """
     pieces = []
-    for first in range(0, len(along.values), _PIECE):
+    for first in range(0, len(values), _PIECE):
         start, end = max(first - _REACH, 0), first + _PIECE
+        near = slice(start, end + _REACH)
         own = slice(first - start, end - start)
-        near = along.near(start, min(end + _REACH, len(along.values)))
-        pieces.append([column[own] for column in of(near, *given)])
+        pieces.append([column[own] for column in of(values[near], time[near], *given)])
     return [np.concatenate(column) for column in zip(*pieces, strict=True)]
 
 
 class _Parabolas(NamedTuple):
     """Every window of one width: ``rows`` (a, w, 3) of the fit, ``fit`` (a, 3, w) that
-    gives its ``coefficients`` (a, 3), their ``covariance`` (a, 3, 3) for values of unit
-    scatter, ``misfit`` (a,), the sum of squares, ``unit`` (a,) of time; ``at`` (n,)
-    says which of them begins at a row."""
+    gives its coefficients, ``misfit`` (a,), the sum of squares, ``unit`` (a,) of time.
+    """
 
     rows: np.ndarray
     fit: np.ndarray
-    coefficients: np.ndarray
-    covariance: np.ndarray
     misfit: np.ndarray
     unit: np.ndarray
-    at: np.ndarray
 
 
-def _parabolas(along: _Stretches, window: int) -> _Parabolas:
-    view, size = np.lib.stride_tricks.sliding_window_view, len(along.values)
-    whole = along.behind - np.arange(size) >= window
-    begin = np.flatnonzero(whole)
-    x, t = view(along.values, window)[begin], view(along.time, window)[begin]
+def _parabolas(values, time, window: int) -> _Parabolas:
+    view = np.lib.stride_tricks.sliding_window_view
+    x, t = view(values, window), view(time, window)
     unit = np.maximum((t[:, -1] - t[:, 0]) / 2, ROUNDING)
     u = (t - t[:, [window // 2]]) / unit[:, None]
     rows = np.stack([np.ones_like(u), u, u * u], axis=2)
     across = np.swapaxes(rows, 1, 2)
-    covariance = np.linalg.inv(across @ rows)
-    fit = covariance @ across
-    found = fit @ x[:, :, None]
-    misfit = np.sum((x - (rows @ found)[:, :, 0]) ** 2, axis=1)
-    at = np.maximum(np.cumsum(whole) - 1, 0)
-    return _Parabolas(rows, fit, found[:, :, 0], covariance, misfit, unit, at)
+    fit = np.linalg.inv(across @ rows) @ across
+    left = x - (rows @ (fit @ x[:, :, None]))[:, :, 0]
+    return _Parabolas(rows, fit, np.sum(left**2, axis=1), unit)
 
 
-def _left_out(along: _Stretches, window: int) -> tuple[np.ndarray]:
-    """What each value misses the parabola through its neighbours by: (n,); NaN where
-    a stretch is no longer than the window."""
-    local, row = _parabolas(along, window), np.arange(len(along.values))
-    start, _ = along.starts(row - window // 2, window)
-    at, place = local.at[start], np.clip(row - start, 0, window - 1)
-    weights = np.einsum("ni,niw->nw", local.rows[at, place], local.fit[at])
-    around = np.minimum(start[:, None] + np.arange(window), row[-1])
-    smooth = np.einsum("nw,nw->n", weights, along.values[around])
-    missed = (along.values - smooth) / (1 - weights[row, place])
-    return (np.where(along.behind - along.first > window, missed, np.nan),)
+def _left_out(values, time, window: int) -> tuple[np.ndarray]:
+    """What each value misses the parabola through its neighbours by: (n,)."""
+    local, size = _parabolas(values, time, window), np.arange(len(values))
+    start = np.clip(size - window // 2, 0, len(values) - window)
+    weights = np.einsum("ni,niw->nw", local.rows[start, size - start], local.fit[start])
+    smooth = np.einsum("nw,nw->n", weights, values[start[:, None] + np.arange(window)])
+    return ((values - smooth) / (1 - weights[size, size - start]),)
 
 
 class _Path(NamedTuple):
@@ -204,29 +158,26 @@ class _Mean:
         return self.about + off, np.sqrt(variance)
 
 
-def _averaged(along: _Stretches, noise: float) -> _Path:
-    """The path of stretches whose values scatter by ``noise``."""
-    values, size = along.values, len(along.values)
-    row = np.arange(size)
+def _averaged(values, time, noise: float) -> _Path:
+    """The path of one unbroken stretch, whose values scatter by ``noise``."""
+    size, row = len(values), np.arange(len(values))
     path, rise = _Mean(values), _Mean(np.zeros(size))
     reach = np.zeros((size, 2 * _REACH + 1))
-    for window in (w for w in (_AS_MEASURED, *_WINDOWS) if w <= along.longest):
-        local = _parabolas(along, window)
+    for window in (w for w in (_AS_MEASURED, *_WINDOWS) if w <= size):
+        local = _parabolas(values, time, window)
         log = _WORTH * (window - _COEFFICIENTS) - 0.5 * local.misfit / noise**2
         for first in (row - window // 2, row, row - window + 1):
-            start, fits = along.starts(first, window)
-            of, place = local.at[start], np.clip(row - start, 0, window - 1)
-            at = local.rows[of, place]
+            start = np.clip(first, 0, size - window)
+            at, fit = local.rows[start, row - start], local.fit[start]
             slope = np.stack([np.zeros(size), np.ones(size), 2 * at[:, 1]], axis=1)
-            slope = slope / local.unit[of, None]
-            likely = np.where(fits, log[of], -np.inf)
-            for mean, form in ((rise, slope), (path, at)):
-                estimated = np.sum(form * local.coefficients[of], axis=1)
-                spread = np.einsum("ni,nij,nj->n", form, local.covariance[of], form)
-                fade, share = mean.add(likely, estimated, noise**2 * spread)
-            weights = np.einsum("ni,niw->nw", at, local.fit[of])
+            slope = slope / local.unit[start, None]
             place = (start - row)[:, None] + _REACH + np.arange(window)
-            place = np.clip(place, 0, 2 * _REACH)
+            around = values[start[:, None] + np.arange(window)]
+            for mean, form in ((rise, slope), (path, at)):
+                weights = np.einsum("ni,niw->nw", form, fit)
+                estimated = np.einsum("nw,nw->n", weights, around)
+                spread = noise**2 * np.sum(weights**2, axis=1)
+                fade, share = mean.add(log[start], estimated, spread)
             reach *= fade[:, None]
             reach[row[:, None], place] += share[:, None] * weights
     return _Path(path.result()[0], *rise.result(), reach / path.total[:, None])
@@ -321,8 +272,7 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
         return still
     if rate is not None and np.any(rate):
         return _by_its_rate(slip, time, rate, parts, still)
-    along = _stretches(slip, time, parts)
-    window, left_out = _best_window(along)
+    window, left_out = _best_window(slip, time, parts)
     if left_out > _UNSTEADY * np.var(slip):
         return still
     # Left out, a row misses by its own noise and that of the local parabola, which has
@@ -333,18 +283,16 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     seen = scatter or min(seen, _about_a_curve(slip, parts))
     seen = max(seen, FLAT * np.std(slip))
     level = max(noise, scatter if scatter > _MORE * noise else 0.0) or seen
-    whole = _Path(*_in_pieces(_averaged, along, level))
+    paths = [
+        _Path(*_in_pieces(_averaged, slip[part], time[part], level)) for part in parts
+    ]
     usual = float(np.median(np.concatenate([np.diff(time[part]) for part in parts])))
-    rate = np.sqrt(np.mean(whole.slope**2))
+    rate = np.sqrt(np.mean(np.concatenate([path.slope for path in paths]) ** 2))
     period = float(np.std(slip) / rate) if rate > 0 else 0.0
     past = none._replace(interval=max(usual, _SPAN * period))
     sweeps = still._replace(present=True, noise=scatter, past=past)
     past.path[:] = past.of(slip)
-    ends = np.cumsum([len(part) for part in parts])[:-1]
-    for part, *columns in zip(
-        parts, *(np.split(column, ends) for column in whole), strict=True
-    ):
-        path = _Path(*columns)
+    for part, path in zip(parts, paths, strict=True):
         _fill_past(past, part, slip[part], time[part], path)
         sweeps.path[part], sweeps.rate[part] = path.value, path.slope
         # Slips that a formula gave have no error at all.
@@ -390,11 +338,18 @@ def _about_a_curve(slip, parts) -> float:
     )  # fmt: skip
 
 
-def _best_window(along: _Stretches) -> tuple[int, float]:
+def _best_window(slip, time, parts) -> tuple[int, float]:
     """Window with the smallest leave-one-out error, and that mean square."""
     best = (_WINDOWS[0], np.inf)
-    for window in (w for w in _WINDOWS if w < along.longest):
-        error = float(np.nanmean(_in_pieces(_left_out, along, window)[0] ** 2))
+    for window in _WINDOWS:
+        errors = [
+            _in_pieces(_left_out, slip[part], time[part], window)[0]
+            for part in parts
+            if len(part) > window
+        ]
+        if not errors:
+            break
+        error = float(np.mean(np.concatenate(errors) ** 2))
         if error < best[1]:
             best = (window, error)
     return best
