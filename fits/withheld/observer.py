@@ -264,10 +264,10 @@ def told(
     less = [{e: form for e, form in forms.items() if e != one} for one in forms]
     nothing = -0.5 * float(misses @ misses)
     without = [evidence_of(fits_of(kept)) if kept else nothing for kept in less]
-    chances = softmax([fit.evidence for fit in whole.values()])
+    chances, every = softmax([fit.evidence for fit in whole.values()]), [*whole.items()]
     drawn = []
-    for k in generator.choice(len(whole), draws, p=chances):
-        key, fit = list(whole.items())[k]
+    for k in generator.choice(len(every), draws, p=chances):
+        key, fit = every[k]
         p = fit.drawn(generator)
         ratio = np.exp(p[:2] * SPREAD)
         drawn.append(_force(x, key, np.exp(p[2:]), c * ratio[0], mu * ratio[1]))

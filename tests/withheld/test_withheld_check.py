@@ -376,12 +376,43 @@ def test_who_is_told_a_pair_finds_both_only_where_both_show():
     known = observer.told(x, both + noise, pair, g)
     assert known.shows
     assert not observer.told(x, one + noise, pair, g).shows
-    # His draws scatter about the truth by as much as they claim: of three directions
-    # (two sizes, and c and mu) each is off by one standard error.
+    # His draws scatter about the truth by as much as they claim: of four directions
+    # (two sizes, c and mu) each is off by about one standard error.
     off, each = known.forces.mean(0) - both, known.forces - known.forces.mean(0)
     expected = np.mean(np.sum(each**2, axis=1))
     assert expected / 16 < np.sum(off**2) < 4 * expected
     assert expected < 6 * np.mean((0.01 * world.fz) ** 2)
+
+
+def test_who_is_told_the_effect_knows_what_an_answer_closes(tmp_path):
+    """Rows whose base misses a tenth of the true force and whose extended form 3 % of
+    it close 0.7 of the gap; 0.5 was claimed."""
+    g = np.random.default_rng(14)
+    world = make_world(DESIGNS["F"], 200, C, MU, g)
+    x, about = inputs(world, 0.001), trials.EFFECTS["force_offset"]
+    size = about.typical * (about.sign or 1)
+    true = library.predict(x, "force_offset", size, C, MU)
+    columns = {"time": world.time, "sigma_x": x.slip, "fz": world.fz, "v": world.v}
+    measured = {"fx": true + 0.01 * world.fz * g.normal(size=200)}
+    of_answer = {"masked": np.zeros(200), "base_fx": 0.9 * true,
+                 "extended_fx": 0.97 * true}  # fmt: skip
+    for folder, name in (("trials", "a.csv"), ("answers", "a.rows.csv")):
+        (tmp_path / folder).mkdir()
+        written = columns | measured if folder == "trials" else of_answer
+        write_csv(tmp_path / folder / name, written)
+    noise = "[noise]\nsigma_x = 0.001\nfx_relative = 0.01\n"
+    (tmp_path / "trials/rig.toml").write_text(noise)
+    labels = {"a": label("singles", "force_offset", file="a.csv", forms=["force_zero"])}
+    outcome = judge("a", labels["a"], said("named", "force_offset"))
+    outcome = outcome._replace(claimed=0.5, closed=0.7)
+    rows = bound.bound_rows(tmp_path, tmp_path / "answers", labels, {"a": outcome}, 1)
+    found = {of: (float(his), float(ours)) for of, _, his, ours in rows}
+    assert found["one effect, any gap, told which; or said so"] == (1.0, 1.0)
+    for level in ("median error", "90 %"):
+        his, ours = found[f"closure, told which: {level}"]
+        assert ours == pytest.approx(0.2)
+        assert 0 < his < 0.1
+    assert bound.bound_rows(tmp_path, tmp_path, labels, {"a": outcome}, 0) == []
 
 
 def test_of_strangers_only_what_no_listed_effect_imitates_can_be_flagged():

@@ -59,6 +59,7 @@ class Prior(NamedTuple):
         return Prior(*(size * part for part in self))
 
 
+# JAX hashes the library at every call: by identity, not field by field.
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Effect:
     """One effect that a model may lack.
