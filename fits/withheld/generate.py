@@ -20,7 +20,7 @@ import numpy as np
 from fits.withheld.designs import DESIGNS
 from fits.withheld.effects import EFFECTS, family_of
 from fits.withheld.measure import NOISE
-from fits.withheld.trials import MIXTURE, SETS, Trial, draw
+from fits.withheld.trials import DEVELOPMENT, MIXTURE, SETS, Trial, draw
 
 __all__ = ["main", "write_all"]
 
@@ -63,8 +63,10 @@ def write_all(trials: list[Trial], out: Path) -> str:
     """Writes files, labels and truth; returns the SHA-256 of the label file.
 
     Trials that the folder holds already are removed.
+
+    Raises:
+        SystemExit: the folder holds answers, to other trials.
     """
-    shutil.rmtree(out / "trials", ignore_errors=True)
     labels, truth, rigs, told, simulated = {}, {}, {}, {}, {}
     for number, trial in enumerate(trials):
         name = f"t{number:04d}"
@@ -74,14 +76,19 @@ def write_all(trials: list[Trial], out: Path) -> str:
         group = rigs.setdefault(key, f"rig{len(rigs):02d}")
         told[group] = [e for e in EFFECTS if family_of(e) == trial.label["leave_out"]]
         simulated[group] = beside
-        folder = out / "trials" / group
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "rig.toml").write_text(text)
-        write_csv(folder / f"{name}.csv", trial.columns)
         labels[name] = {"file": f"{group}/{name}.csv", **trial.label}
         truth |= {f"{name}_{key}": value for key, value in trial.truth.items()}
-    text = json.dumps(labels, indent=1, sort_keys=True)
-    (out / "labels.json").write_text(text)
+    text, kept = json.dumps(labels, indent=1, sort_keys=True), out / "labels.json"
+    same = kept.exists() and kept.read_text() == text
+    if (out / "answers").exists() and not same:
+        raise SystemExit(f"{out} holds answers to other trials: take another folder")
+    shutil.rmtree(out / "trials", ignore_errors=True)
+    for (rig, *_), group in rigs.items():
+        (out / "trials" / group).mkdir(parents=True)
+        (out / "trials" / group / "rig.toml").write_text(rig)
+    for label, trial in zip(labels.values(), trials, strict=True):
+        write_csv(out / "trials" / label["file"], trial.columns)
+    kept.write_text(text)
     (out / "leave_out.json").write_text(json.dumps(told, indent=1))
     (out / "simulators.json").write_text(json.dumps(simulated, indent=1))
     np.savez_compressed(out / "truth.npz", **truth)
@@ -105,8 +112,20 @@ def main(arguments: list[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     if given.sealed != (given.seed >= FIRST_SEALED_SEED):
         parser.error(f"--sealed takes seeds from {FIRST_SEALED_SEED}, others below")
+    if given.seed < 0 or given.trials < 1:
+        parser.error("--seed is 0 or more, --trials 1 or more")
     sets = list(MIXTURE) if given.set == "all" else given.set.split(",")
     designs = given.design.split(",") if given.design else []
+    open_to = DESIGNS if given.sealed else DEVELOPMENT
+    for option, asked, known in (
+        ("--set", sets, SETS), ("--design", designs, open_to),
+        ("--noise", given.noise.split(","), NOISE),
+    ):  # fmt: skip
+        if unknown := [name for name in asked if name not in known]:
+            listed = ", ".join(known)
+            parser.error(f"{option}: no {', '.join(map(repr, unknown))} of {listed}")
+    if not all(n.isdecimal() and int(n) > 0 for n in given.rows.split(",")):
+        parser.error("--rows: numbers of rows, as 200,900")
     trials = draw(
         given.seed, given.trials, sets, designs, given.noise.split(","),
         [int(n) for n in given.rows.split(",")], given.sealed,

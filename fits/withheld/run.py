@@ -111,6 +111,10 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--jobs", type=int, default=1, help="groups at a time")
     parser.add_argument("--resume", action="store_true", help="keep answers given")
     given = parser.parse_args(arguments)
+    if given.jobs < 1:
+        parser.error("--jobs is 1 or more")
+    if not (given.folder / "leave_out.json").is_file():
+        parser.error(f"{given.folder}: no trials, see fits.withheld.generate")
     told = json.loads((given.folder / "leave_out.json").read_text())
     more = more_words(given.folder, given.resume)
     groups = largest_first(given.folder)

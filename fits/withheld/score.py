@@ -34,6 +34,8 @@ WORSE = "held out, worse than the base"
 
 def opened(folder: Path) -> dict:
     """The labels, after their seal was compared."""
+    if not (folder / "labels.json").is_file():
+        raise SystemExit(f"{folder}: no labels, see fits.withheld.generate")
     text = (folder / "labels.json").read_text()
     sealed = (folder / "labels.sha256").read_text().split()[0]
     if hashlib.sha256(text.encode()).hexdigest() != sealed:
@@ -50,7 +52,15 @@ def load(folder: Path, answers: Path, labels: dict) -> tuple[dict, list[str]]:
         if not path.exists():
             missing.append(name)
             continue
-        outcome = judge(name, label, json.loads(path.read_text()))
+        try:
+            answer = json.loads(path.read_text())
+        except ValueError as error:
+            raise SystemExit(f"{path}: no answer ({error}): run it again") from None
+        said = answer.get("data", {}).get("sha256")  # baselines say none
+        trial = folder / "trials" / label["file"]
+        if said and said != hashlib.sha256(trial.read_bytes()).hexdigest():
+            raise SystemExit(f"{path}: an answer to another trial: run it again")
+        outcome = judge(name, label, answer)
         rows = path.with_suffix(".rows.csv")
         if rows.exists() and f"{name}_{label['force']}" in truth:
             forces = {label["force"]: truth[f"{name}_{label['force']}"]}

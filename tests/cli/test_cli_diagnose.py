@@ -303,6 +303,40 @@ def test_resume_keeps_what_is_done(again, calls, tmp_path):
     assert contents(tmp_path / "out") == before  # the old one stays until the new one
 
 
+def cut(path):
+    """A document of which the verdict is lost, or a table that a crash cut short."""
+    if path.suffix == ".json":
+        content = json.loads(path.read_text("utf-8"))
+        path.write_text(json.dumps(content | {"verdict": {}}))
+    else:
+        path.write_bytes(path.read_bytes()[:300])
+
+
+@pytest.mark.parametrize("name", ["load.json", "load.rows.csv"])
+def test_resume_does_what_is_damaged_again(again, calls, tmp_path, name):
+    cut(tmp_path / "out" / name)
+    said = again("offset.csv", "load.csv", "--resume", exit_code=3)
+    assert "offset.csv: done before" in said.stdout
+    assert calls == ["load"]
+
+
+def test_a_holdout_without_a_file_is_an_error(again):
+    assert "--holdout" in again("load.csv", "--holdout", exit_code=2).stderr
+
+
+def test_a_fault_of_the_program_stops_no_other_file(again, monkeypatch):
+    seen = []
+
+    def study(data, **settings):
+        seen.append(data.name)
+        raise ZeroDivisionError("here")
+
+    monkeypatch.setattr(engine, "diagnose", study)
+    said = again("offset.csv", "load.csv", exit_code=3).stderr
+    assert seen == ["offset", "load"]
+    assert said.count("a fault of the program: ZeroDivisionError: here") == 2
+
+
 @pytest.mark.parametrize(
     "change",
     [

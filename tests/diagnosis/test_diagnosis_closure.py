@@ -14,13 +14,13 @@ from tirefit.diagnosis.basis import SCALES, Generic, bumps, orthogonal, without
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.closure import closure_elsewhere, closure_on_rows
 from tirefit.diagnosis.forward import Design, Linear
+from tirefit.diagnosis.one_place import typical_of_neighbours
 from tirefit.diagnosis.patterns import USUAL_SIZES
 from tirefit.diagnosis.plausible import (
     drawn_functions,
     drawn_pattern,
     drawn_wave,
     plausible_forces,
-    typical_of_neighbours,
 )
 from tirefit.diagnosis.search import Hypothesis
 from tirefit.diagnosis.verdict import Verdict, Weighed

@@ -75,6 +75,28 @@ def test_a_simulator_of_zeros_is_none():
     assert caught.value.problems[0].column == "fx_sim"
 
 
+@pytest.mark.parametrize("factor", [1e-3, 1e3, 1e300])
+def test_a_simulated_force_in_another_unit_is_an_error(factor):
+    data = rig_data()
+    with pytest.raises(DataError, match="times that of the measured force") as caught:
+        tirefit.diagnose(read_frame(data), sim=factor * data["fx"])
+    assert caught.value.problems[0].column == "fx_sim"
+
+
+def test_a_simulated_force_without_a_number_is_no_zero():
+    data = rig_data()
+    with pytest.raises(DataError, match="no number in every row"):
+        tirefit.diagnose(read_frame(data), sim=np.full(120, np.nan))
+
+
+def test_times_that_differ_by_their_last_digit_are_no_fault():
+    data = rig_data()
+    time = np.arange(120) * 0.1
+    time[17] = np.nextafter(time[16], 1.0)
+    found = tirefit.diagnose(read_frame(data | {"time": time}))
+    assert found.n == 120
+
+
 def test_data_held_out_are_others():
     data = read_frame(rig_data())
     with pytest.raises(DataError, match="they check nothing"):

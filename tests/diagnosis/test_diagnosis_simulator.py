@@ -16,11 +16,12 @@ from tirefit.diagnosis.closure import block_means
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.rig import Rig
-from tirefit.diagnosis.simulator import as_measured, simulator_at
+from tirefit.diagnosis.simulator import as_measured, not_followed, simulator_at
 from tirefit.diagnosis.store import rows_in_file_terms
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit, save_fit
+from tirefit.params import with_values
 from tirefit.results import DataError, UsageError
 
 TIR = Path(__file__).parents[1] / "data/tir/mfeval_julia/MagicFormula52_Parameters.tir"
@@ -224,6 +225,83 @@ def test_a_simulator_that_is_no_brush_is_followed_by_what_does_it(offset):
     # Who asks for another gets it.
     asked = diagnose(read_frame(frame, "a"), "brush-load", sim=sim, rig=RIG)
     assert asked.simulator.surrogate.model == "brush-load"
+
+
+def test_how_a_simulator_may_differ_from_its_stand_in_is_known_to_first_order():
+    """A tire and what it misses, both by similarity: what the changed simulator does
+    beyond the changed tire is in the span of the two columns."""
+    slip = np.linspace(-0.2, 0.2, 400)
+
+    def missed(slip, friction=1.0, stiffness=1.0):
+        at = slip * stiffness / friction
+        return friction * 50 * np.sin(30 * at) * np.exp(-50 * at**2)
+
+    columns = not_followed(missed(slip), slip, [np.arange(400)], 0.3)
+    change = missed(slip, 1.002, 0.997) - missed(slip)
+    inside = slice(10, -10)
+    found, left, *_ = np.linalg.lstsq(columns[inside], change[inside], rcond=None)
+    assert np.sqrt(left[0] / 380) < 0.02 * np.std(change)
+    # a (e - s e') + b s e' = a e + (b - a) s e'
+    np.testing.assert_allclose(0.3 * found, [0.002, -0.005], rtol=0.03)
+
+
+def dugoff(slip, fz, friction=0.9, stiffness=9e4):
+    """Linear, then a square law, with a bend of its slope that no other tire has."""
+    used = friction * fz / (2 * stiffness * np.maximum(np.abs(slip), 1e-12))
+    return stiffness * slip * np.where(used < 1, used * (2 - used), 1.0)
+
+
+@pytest.mark.parametrize("offset", [0.0, OFFSET])
+def test_what_a_stand_in_misses_is_no_effect_of_the_measurement(offset):
+    slip, fz = (rows(count=240)[0][name] for name in ("sigma_x", "fz"))
+    noise = NOISE * np.random.default_rng(3).standard_normal(len(slip))
+    force = dugoff(slip + offset, fz) + noise
+    data = read_frame({"sigma_x": slip, "fz": fz, "fx": force}, "a")
+    found = diagnose(data, sim=dugoff(slip, fz, stiffness=0.8 * 9e4), rig=RIG)
+    assert found.verdict.status in ("none", "named")
+    assert found.verdict.names_an_effect == bool(offset)
+    if offset:
+        assert found.verdict.effects == ("slip_offset",)
+    change = found.verdict.parameters["LKX"]
+    assert abs(change.measured - 1.25) < 0.01 + 3 * change.std < 0.05
+
+
+def test_a_refit_that_told_two_effects_apart_binds_what_may_be_meant():
+    """Beside a simulator whose slip is off, friction that the speed changes looks like
+    an offset to first order: its refit explains nothing."""
+    slip, fz = (rows(count=100)[0][name] for name in ("sigma_x", "fz"))
+    noise = NOISE * np.random.default_rng(4).standard_normal(len(slip))
+    frame = {
+        "sigma_x": slip,
+        "fz": fz,
+        "fx": curved(slip, fz) + noise,
+        "v": 15 + 0 * fz,
+    }
+    found = diagnose(read_frame(frame, "a"), sim=curved(slip + 0.006, fz), rig=RIG)
+    assert found.verdict.effects == ("slip_offset",)
+    listed = {one.effects: one.probability for one in found.candidates}
+    for effect in found.verdict.also_possible:
+        assert listed.get((effect,), 0.0) > 0
+
+
+def test_a_model_says_all_values_that_it_was_given():
+    given = simulator_at("brush", {"mu": 0.9})
+    assert given.source == "brush, cpa2 = 50000 (default), mu = 0.9"
+
+
+def test_a_force_of_a_tire_that_is_not_measured_is_none_of_the_gap():
+    """A .tir without coefficients of M_z has a moment of zero, which nobody asks for;
+    beside a measured moment it says nothing of it."""
+    alpha, fz = np.tile(np.linspace(-0.15, 0.15, 60), 3), np.repeat((2e3, 4e3, 6e3), 60)
+    silent = with_values(simulator_at(str(TIR)).tire, {"LTR": 0.0, "LRES": 0.0})
+    data = read_frame({"alpha": alpha, "fy": 0 * alpha + fz, "fz": fz}, "tir")
+    forces = predict(silent, data)
+    frame = {"alpha": alpha, "fy": forces["fy"], "fz": fz}
+    given = simulator_at(str(TIR))
+    assert "mz_sim" not in given.beside(read_frame(frame, "tir"))
+    moment = {"mz": 0.01 * fz * np.sin(9 * alpha)}
+    beside = replace(given, forces=lambda _: {"fy": forces["fy"], "mz": 0 * alpha})
+    assert "mz_sim" not in beside.beside(read_frame(frame | moment, "tir"))
 
 
 def test_a_simulator_that_is_a_brush_is_followed_by_it(frame):

@@ -50,6 +50,7 @@ from tirefit.report.canvas import Picture
 from tirefit.report.diagnosis_budget import (
     budget_lines,
     budget_sentences,
+    change_texts,
     waterfall_steps,
 )
 from tirefit.report.diagnosis_draw import (
@@ -606,7 +607,7 @@ def test_a_simulators_error_is_told_part_by_part():
     # The surest change first: E is 30 standard errors off, mu nine.
     assert budget_sentences(found) == [
         "of 454 N (rms; the parts add in squares), 400 N is curvature factor"
-        " 0.600 ± 0.020 too low and friction 9.0 ± 1.0 % too high in the simulator,"
+        " 0.600 ± 0.020 too low and friction 9.0 ± 1.1 % too high in the simulator,"
         " 160 N is a slip offset that it does not have, 80 N has no name, 120 N is"
         " noise"
     ]
@@ -620,6 +621,16 @@ def test_a_simulators_error_is_told_part_by_part():
     assert budget_lines(diagnosis()) == []
     calm = simulated(changes={"cpa2": CHANGES["cpa2"]})
     assert "400 N is parameters, none of them surely wrong" in budget_sentences(calm)[0]
+    # s / m: its error is s / m^2 times that of m.
+    far = CHANGES["cpa2"]._replace(simulated=5e4, measured=2.5e4, std=500.0)
+    many = far._replace(measured=50.0, std=2.0, differs=True)
+    far = far._replace(differs=True)
+    assert change_texts(simulated(changes={"cpa2": far})) == [
+        "stiffness 100.0 ± 4.0 % too high"
+    ]
+    assert change_texts(simulated(changes={"cpa2": many})) == [
+        "stiffness 1000 ± 40 times too high"
+    ]
     growing = BUDGET[1]._replace(part="slip_offset_speed")
     (said,) = budget_sentences(simulated(budgets={"fx": (BUDGET[0], growing)}))
     assert said.endswith(
@@ -631,10 +642,10 @@ def test_a_simulators_error_is_told_part_by_part():
 @pytest.mark.parametrize(
     ("status", "effects", "sentence"),
     [
-        ("none", (), "friction 9.0 ± 1.0 % too high in the simulator, and nothing"),
+        ("none", (), "friction 9.0 ± 1.1 % too high in the simulator, and nothing"),
         (
             "named", ("slip_offset",),
-            "friction 9.0 ± 1.0 % too high in the simulator; slip_offset (probability",
+            "friction 9.0 ± 1.1 % too high in the simulator; slip_offset (probability",
         ),
     ],
 )  # fmt: skip

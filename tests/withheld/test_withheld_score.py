@@ -238,6 +238,28 @@ def test_missing_answers_are_listed(few, tmp_path):
     assert (tmp_path / "score.md").read_text().startswith("1 trials without an answer")
 
 
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ('{"data": {"sha256": "0"}}', "t0002.json: an answer to another trial"),
+        ('{"verdict": ', "t0002.json: no answer"),
+    ],
+)
+def test_an_answer_that_is_none_is_refused(few, tmp_path, text, reason):
+    written(tmp_path, [(trial, perfect(trial)) for trial in few])
+    next(tmp_path.glob("answers/*/t0002.json")).write_text(text)
+    with pytest.raises(SystemExit, match=reason):
+        score.main([str(tmp_path)])
+
+
+def test_a_folder_without_trials_is_said(tmp_path):
+    with pytest.raises(SystemExit, match="no labels"):
+        score.main([str(tmp_path)])
+    for jobs in ("0", "1"):
+        with pytest.raises(SystemExit):
+            run.main([str(tmp_path), "--jobs", jobs])
+
+
 def test_a_broken_seal_is_refused(few, tmp_path):
     written(tmp_path, [(trial, perfect(trial)) for trial in few], rows=False)
     path = tmp_path / "labels.json"

@@ -440,6 +440,33 @@ def test_left_out_families_are_told(tmp_path):
             assert without == []
 
 
+def test_other_trials_do_not_go_beside_answers(tmp_path):
+    trial = draws(8, 1, ["singles"])
+    generate.write_all(trial, tmp_path)
+    (tmp_path / "answers").mkdir()
+    generate.write_all(trial, tmp_path)
+    before = (tmp_path / "labels.json").read_text()
+    with pytest.raises(SystemExit, match="holds answers to other trials"):
+        generate.write_all(draws(9, 1, ["singles"]), tmp_path)
+    assert (tmp_path / "labels.json").read_text() == before
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ["--design", "T"], ["--set", "nosuch"], ["--noise", "foo"], ["--rows", "0"],
+        ["--trials", "0"], ["--seed", "-1"],
+    ],
+    ids=lambda words: words[0],
+)  # fmt: skip
+def test_what_cannot_be_drawn_is_said(tmp_path, wrong, capsys):
+    words = ["--seed", "5", "--trials", "1", "--out", str(tmp_path)]
+    with pytest.raises(SystemExit):
+        generate.main([*words, *wrong])
+    assert wrong[0] in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_seeds_are_apart(tmp_path):
     common = ["--trials", "1", "--out", str(tmp_path), "--set", "null"]
     with pytest.raises(SystemExit):

@@ -3,20 +3,20 @@
 import json
 from collections import Counter
 from dataclasses import asdict, dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer.core import TyperCommand
 
-from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
+from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, attempted, fleet
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES
 from tirefit.cli.options import (
     DataOptions,
     Files,
     complain,
     completed,
-    error_text,
     errors_to_exit,
     forces_named,
     named_path,
@@ -38,7 +38,7 @@ from tirefit.cli.output import (
 )
 from tirefit.data.remote import expanded
 from tirefit.names import EFFECT_NAMES, MODEL_NAMES
-from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
+from tirefit.results import ExitCode, InputProblem, UsageError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
@@ -51,9 +51,10 @@ class ManyHoldouts(TyperCommand):
 
     def parse_args(self, ctx, args):
         spread, after = [], False
-        for word in args:
+        for word, following in zip_longest(args, args[1:], fillvalue="-"):
             if word.startswith("-"):
-                after = word == "--holdout"
+                # Without a file it stays, and is refused.
+                after = word == "--holdout" and not following.startswith("-")
                 if not after:
                     spread.append(word)
             elif after:
@@ -297,18 +298,10 @@ def _one_by_one(pieces: list[Piece], task: _Task) -> list[ExitCode]:
         for number, piece in enumerate(pieces):
             note = f"{number + 1} of {len(pieces)}: {piece.file}"
             progress(number / len(pieces), note)
-            try:
-                codes.append(_one(piece, task)[0])
-            except TirefitError as error:
-                if error.exit_code == ExitCode.USAGE:
-                    raise
-                complain(error_text(error))
-                codes.append(error.exit_code)
-            except BrokenPipeError:
-                raise
-            except OSError as error:  # its report was said
-                complain(error_text(error))
-                codes.append(ExitCode.USAGE)
+            # Of one file alone a fault of the program says where it is.
+            alone = len(pieces) == 1
+            found = _one(piece, task) if alone else attempted(_one, task, piece)
+            codes.append(found[0])
     return codes
 
 
@@ -325,10 +318,12 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
         complain(f"warning: {file}: {note}")
     written, drawn = _written(name, True)
     expected = written + drawn if figures else written
-    if task.resume and all(_is_whole(out / one) for one in expected):
-        if _is_done(out / f"{name}.json", table, task.settings, kept, seed):
-            say(f"{file}: done before, kept: {out / name}.json")
-            return ExitCode.OK, record_of_document(out / f"{name}.json")
+    document = out / f"{name}.json"
+    if task.resume and all(_is_whole(out / one, len(table)) for one in expected):
+        record = _of_before(document)
+        if record and _is_done(document, table, task.settings, kept, seed):
+            say(f"{file}: done before, kept: {document}")
+            return ExitCode.OK, record
     result = study(table, holdout=kept, seed=seed, **task.settings)
     earlier = drawn if is_page(out / f"{name}.html", SCHEMA) else []
     with staged(out, written + earlier, result, f".{name}") as folder:
@@ -340,12 +335,27 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
             write_figure(result, folder / f"{name}.png")
             write_page(result, folder / f"{name}.html")
     say(str(result))
-    return ExitCode.OK, record_of_document(out / f"{name}.json")
+    return ExitCode.OK, record_of_document(document)
 
 
-def _is_whole(path: Path) -> bool:
-    """Whether a file is there and not empty, as a full disk or a crash leaves one."""
-    return path.is_file() and path.stat().st_size > 0
+def _of_before(document: Path) -> "FileRecord | None":
+    """What the table of all results holds of a document; None of a damaged one."""
+    from tirefit.diagnosis.store import record_of_document
+
+    try:
+        return record_of_document(document)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def _is_whole(path: Path, rows: int) -> bool:
+    """Whether a file is there and not empty, as a full disk or a crash leaves one; a
+    table with a line for each of so many rows below its header."""
+    if not path.is_file() or not path.stat().st_size:
+        return False
+    if path.suffix != ".csv":
+        return True
+    return path.read_bytes().count(b"\n") == rows + 1
 
 
 def _base_of(content: dict) -> list:

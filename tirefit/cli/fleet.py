@@ -32,7 +32,16 @@ from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, Usa
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-__all__ = ["Attempt", "Jobs", "Outcome", "Piece", "Scheduler", "Sharing", "fleet"]
+__all__ = [
+    "Attempt",
+    "Jobs",
+    "Outcome",
+    "Piece",
+    "Scheduler",
+    "Sharing",
+    "attempted",
+    "fleet",
+]
 
 Jobs = Annotated[
     int | None,
@@ -234,8 +243,13 @@ def _where_the_command_runs(packed: _Packed) -> chdir:
 
 
 def _attempted(packed: _Packed, piece: Piece) -> tuple[ExitCode, "FileRecord | None"]:
+    return attempted(*_unpacked(packed.content), piece)
+
+
+def attempted(
+    attempt: Callable, task: Any, piece: Piece
+) -> tuple[ExitCode, "FileRecord | None"]:
     """One bad file does not stop the others, nor does a fault of the program."""
-    attempt, task = _unpacked(packed.content)
     try:
         return attempt(piece, task)
     except TirefitError as error:

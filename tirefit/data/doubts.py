@@ -14,6 +14,9 @@ _CUT, _MUCH_CUT = 0.7, 0.05
 """Share of the bandwidth above which the filter takes part of what is there, and the
 share of a column's variance from which that is said."""
 
+_SILENT = 1e-300
+"""Variance of a column that never changes."""
+
 _LONGEST = 2.0
 """Longest wave that is looked for, in wheelbases: wheels of cars turn once in 0.6 to 1,
 of model cars in 1 to 1.5; a slalom is longer."""
@@ -100,7 +103,7 @@ def _cut_by_filter(columns, stretches, vehicle: Vehicle) -> list[str]:
             power = power + len(rows) / sum(map(len, long)) * density
         beyond = frequency > _CUT * band
         cut = float(np.sum(power[beyond]) * (frequency[1] - frequency[0]))
-        share = cut / float(np.var(columns[name][every]))
+        share = cut / max(float(np.var(columns[name][every])), _SILENT)
         if share > _MUCH_CUT:
             said.append(
                 f"{100 * share:.0f} % of the variance of {name} lies above"

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from tirefit.diagnosis.basis import Generic, smooth_basis, wave_basis
 from tirefit.diagnosis.beginning import (
@@ -29,6 +30,7 @@ from tirefit.diagnosis.simulator import (
     Given,
     Simulated,
     check_followed,
+    not_followed,
 )
 from tirefit.diagnosis.slip_nodes import slip_doubt, slip_proxies
 from tirefit.diagnosis.slip_scatter import slip_scatter
@@ -149,13 +151,30 @@ class Base:
 
     @cached_property
     def proxies(self) -> np.ndarray:
-        """What is measured beside the slip knows of its noise: columns (m, k) of the
-        residual that no effect explains; see :func:`slip_proxies`."""
+        """Columns (m, k) of the residual that no effect explains: what is measured
+        beside the slip knows of its noise, see :func:`slip_proxies`; and a stand-in
+        knows what it misses of a simulator, not how that changes with it."""
         rows = self.rows
         told = slip_proxies(
             rows.slip, rows.slip_std, rows.moving, rows.path, rows.swing, rows.past
         )
-        return self._forces_of(told)
+        return np.concatenate([self._forces_of(told), self._not_followed], axis=1)
+
+    @cached_property
+    def _not_followed(self) -> np.ndarray:
+        """Columns (m, k) of :func:`not_followed`, whitened, of each channel."""
+        rows, n, blocks = self.rows, self.rows.n, []
+        if self.simulator is None or self.simulator.given.tire is not None:
+            return np.zeros((len(rows.channels) * n, 0))
+        given = self.layout.vector(self.simulator.z)
+        measured = self.layout.vector(self.z)
+        changed = float(np.max(np.abs(measured / np.where(given, given, 1.0) - 1)))
+        for channel in rows.channels:
+            missed = np.asarray(self.design.offset[channel])[:n]
+            off = not_followed(missed, rows.slip, neighbours(rows), min(changed, 1.0))
+            scale = np.asarray(self.design.scale[channel])[:n, None]
+            blocks.append(off * np.asarray(self.design.keep)[:n, None] / scale)
+        return block_diag(*blocks)
 
     def _forces_of(self, slips) -> np.ndarray:
         """Whitened forces (m, k) of small changes of the slips (n, k)."""

@@ -17,9 +17,11 @@ def chances(verdict: Verdict, weighed: Weighed) -> dict[tuple[str, ...], float]:
         if k and weighed.best_of[k].refitted
     }
     key = tuple(sorted(verdict.effects))
-    if verdict.status == "none":
-        return listed
     left = 1 - chance_of_unlisted(verdict, weighed)
+    if verdict.status == "none":
+        left = max(left - verdict.probability, 0.0)
+        scale = min(1.0, left / max(sum(listed.values()), NONZERO))
+        return {k: scale * v for k, v in listed.items()}
     if verdict.status in ("named", "cannot_tell") and listed.get(key):
         mine, rest = verdict.probability, sum(listed.values()) - listed[key]
         scale = min(mine / listed[key], (left - mine) / max(rest, NONZERO))

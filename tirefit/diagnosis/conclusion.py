@@ -27,6 +27,7 @@ from tirefit.diagnosis.calibrated import (
 from tirefit.diagnosis.fast_waves import with_fast_waves
 from tirefit.diagnosis.linear_fit import LinearFit, gains_beside, linear_at
 from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.one_place import hidden_by_noise
 from tirefit.diagnosis.patterns import Look, looks
 from tirefit.diagnosis.records import HeldOut
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Search
@@ -297,6 +298,7 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
         # Stricter than for a name: six tests, and a false alarm is the worse error.
         if verdict.status == "none" and _smallest(left) < _FLAGGED:
             return unknown(verdict, weighed, left, probability_of_rest(_smallest(left)))
+        is_noise = is_noise and not hidden_by_noise(search.base, verdict.chosen)
         if verdict.status == "none" and not is_noise:
             return unknown(verdict, weighed, left, _HARDLY_NOISE)
         return verdict

@@ -57,6 +57,8 @@ def with_fast_waves(among: Patterns, time, residual) -> Patterns:
         power *= fast
         for _ in range(_DRAWN):
             line = int(np.argmax(power))
+            if power[line] <= 0:
+                break
             chosen.add(float(cycles[line]))
             power[max(line - 2 * _FINER, 0) : line + 2 * _FINER + 1] = 0.0
     counts = np.array(sorted(chosen))

@@ -25,8 +25,8 @@ from tirefit.diagnosis.basis import (
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.linear_fit import LinearFit, linear_at
 from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.one_place import set_aside_together
 from tirefit.diagnosis.patterns import USUAL_SIZES, Patterns, weights_of_sizes
-from tirefit.diagnosis.rows import neighbours
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.verdict import Verdict, Weighed
 
@@ -35,7 +35,6 @@ __all__ = [
     "drawn_pattern",
     "drawn_wave",
     "plausible_forces",
-    "typical_of_neighbours",
 ]
 
 DRAWS = 300
@@ -65,13 +64,6 @@ _WIDER = 1.2
 
 _EVEN = 0.5
 """Probability of something unlisted where a verdict says that it is there, at least."""
-
-_BESIDE_A_ROW = 2
-"""Rows on either side whose misfit says whether a row that was set aside is alone."""
-
-_SHARED = 2.0
-"""Median misfit of these rows, in standard deviations of the noise, from which they are
-not: four times that of a median of noise."""
 
 
 class _Belief(NamedTuple):
@@ -311,31 +303,11 @@ def _set_aside(base: Base, hypothesis: Hypothesis, force, drawn):
     Args:
         force: (n,) by channel at the measured slips; ``drawn`` (n, count).
     """
-    out = np.asarray(base.design.keep)[: base.rows.n] == 0
-    if not out.any():
+    if not (np.asarray(base.design.keep)[: base.rows.n] == 0).any():
         return drawn
-    believed, whole = base.forces(hypothesis.z, amplitudes_of(base, hypothesis)), {}
-    groups = neighbours(base.rows)
+    shared, whole = set_aside_together(base, hypothesis), {}
     for channel, values in drawn.items():
-        missed = base.rows.observed[channel] - believed[channel]
-        typical = typical_of_neighbours(missed, groups)
-        shown = out & (np.abs(typical) > _SHARED * base.noise[channel].std)
+        typical, shown = shared[channel]
         there = (force[channel] + typical)[:, None]
         whole[channel] = np.where(shown[:, None], there, values)
     return whole
-
-
-def typical_of_neighbours(missed, groups) -> np.ndarray:
-    """Median of each row's misfit and of the rows beside it in its group: (n,); zero in
-    groups that have fewer rows than that takes.
-
-    Args:
-        groups: index arrays in the order in which rows are neighbours.
-    """
-    typical, wide = np.zeros(len(missed)), 2 * _BESIDE_A_ROW + 1
-    for rows in groups:
-        if len(rows) >= wide:
-            around = np.pad(missed[rows], _BESIDE_A_ROW, mode="reflect")
-            near = np.lib.stride_tricks.sliding_window_view(around, wide)
-            typical[rows] = np.median(near, axis=1)
-    return typical

@@ -107,7 +107,11 @@ def _parabolas(values, time, window: int) -> _Parabolas:
     u = (t - t[:, [window // 2]]) / unit[:, None]
     rows = np.stack([np.ones_like(u), u, u * u], axis=2)
     across = np.swapaxes(rows, 1, 2)
-    fit = np.linalg.inv(across @ rows) @ across
+    normal = across @ rows
+    try:
+        fit = np.linalg.inv(normal) @ across
+    except np.linalg.LinAlgError:  # times that differ by their last digits alone
+        fit = np.linalg.pinv(normal, hermitian=True) @ across
     left = x - (rows @ (fit @ x[:, :, None]))[:, :, 0]
     return _Parabolas(rows, fit, np.sum(left**2, axis=1), unit)
 

@@ -40,6 +40,7 @@ __all__ = [
     "closely_followed",
     "given_simulator",
     "missed_share",
+    "not_followed",
     "simulator_at",
 ]
 
@@ -112,26 +113,33 @@ class Given:
             DataError: no simulated force beside a measured one, or none but zeros; the
                 data lack an input of the simulator.
         """
-        columns = dict(data.columns)
+        columns = {k: v for k, v in data.columns.items() if k not in SIMULATED}
+        forces = {k: v for k, v in data.columns.items() if k in SIMULATED}
         if self.forces is not None and not (other and self.tire is None):
-            columns = {k: v for k, v in columns.items() if k not in SIMULATED}
-            columns |= {f"{c}_sim": force for c, force in self.forces(data).items()}
-        there = [name for name in SIMULATED if name in columns]
+            forces = {f"{c}_sim": force for c, force in self.forces(data).items()}
         path = data.source.path or data.name
-        for name in there:
-            if not np.any(np.nan_to_num(columns[name])):
-                reason = "zero in every row: no force of a simulator"
-                remedy = "write the simulated force into it, or leave the column out"
-                raise DataError(InputProblem(reason, remedy, path, column=name))
-        if not [name for name in there if name.removesuffix("_sim") in data]:
+        # What is not measured has no gap.
+        forces = {k: v for k, v in forces.items() if k.removesuffix("_sim") in data}
+        silent = [k for k, v in forces.items() if not np.any(np.nan_to_num(v))]
+        if self.tire is not None:  # as one without coefficients of M_z
+            forces = {k: v for k, v in forces.items() if k not in silent}
+        elif silent:
+            there = bool(np.any(np.isfinite(forces[silent[0]])))
+            what = "zero" if there else "no number"
+            reason = f"{what} in every row: no force of a simulator"
+            remedy = "write the simulated force into it, or leave the column out"
+            raise DataError(InputProblem(reason, remedy, path, column=silent[0]))
+        if not forces:
             reason = "no force of the simulator (fx_sim, fy_sim) beside a measured one"
             remedy = (
                 "write its force for every row into a column fx_sim or fy_sim, in the"
                 " unit and sign of fx or fy; `tirefit predict ... --beside` does so"
             )
             raise DataError(InputProblem(reason, remedy, path))
-        known = np.all([np.isfinite(columns[name]) for name in there], axis=0)
-        return replace(data, columns=columns).where(known)
+        known = np.all([np.isfinite(force) for force in forces.values()], axis=0)
+        for name, force in forces.items():
+            _check_size(force, data, name, known & data.used, path)
+        return replace(data, columns=columns | forces).where(known)
 
     def tire_for(self, prepared) -> tuple[AbstractTire, Layout, np.ndarray]:
         """Its tire, which parameters of it may be adapted, and their values as z."""
@@ -223,6 +231,53 @@ def check_followed(prepared, missed: Mapping[str, np.ndarray], name: str) -> Non
                     data.source.path or data.name,
                 )
             )
+
+
+def _check_size(force, data: TireData, name: str, rows, path: str) -> None:
+    """Raises DataError where a simulated force (n,) is not of the measured one's size:
+    no parameter that is adapted bridges that."""
+    measured = data[name.removesuffix("_sim")]
+    rows = rows & np.isfinite(measured)
+    if not rows.any():
+        return
+    size = float(np.mean(np.abs(measured[rows])))
+    ratio = float(np.mean(np.abs(force[rows]))) / max(size, NONZERO)
+    low, high = _FACTOR
+    if not low < ratio < high:
+        reason = f"its mean size is {ratio:.3g} times that of the measured force"
+        remedy = f"check unit and rows of {name}: no tire is off by that much"
+        raise DataError(InputProblem(reason, remedy, path, column=name))
+
+
+_USUAL_CHANGE = 0.1
+"""Share by which a hypothesis changes friction or stiffness, at least."""
+
+_AROUND = 4
+"""Rows on either side over which the slope of what a stand-in misses is taken."""
+
+
+def not_followed(missed, slip, groups, changed: float) -> np.ndarray:
+    """How a simulator may change where its stand-in does not: columns (n, 2), to first
+    order. Where it misses e, friction times 1 + a and stiffness times 1 + b add
+    a (e - slip e') + b slip e' to what the stand-in's own change is.
+
+    Args:
+        missed: simulated force less that of its stand-in, (n,).
+        groups: index arrays of like rows in the order of their slip.
+        changed: typical size of a and b.
+    """
+    steep, wide = np.zeros(len(slip)), 2 * _AROUND + 1
+    for rows in groups:
+        if len(rows) < wide:
+            continue
+        x, y = (
+            np.lib.stride_tricks.sliding_window_view(np.pad(v, _AROUND, "edge"), wide)
+            for v in (slip[rows], missed[rows])
+        )
+        x, y = (view - view.mean(axis=1, keepdims=True) for view in (x, y))
+        steep[rows] = np.sum(x * y, axis=1) / np.maximum(np.sum(x * x, axis=1), NONZERO)
+    size = max(changed, _USUAL_CHANGE)
+    return size * np.stack([missed, slip * steep], axis=1)
 
 
 def _rms(values) -> float:
@@ -330,9 +385,14 @@ def simulator_at(text: str, values: Mapping[str, float] | None = None) -> Given:
         return _at_file(text, values)
     template = find_model(text)
     check_values(template, text, values)
-    said = "".join(f", {name} = {value:g}" for name, value in values.items())
-    tire = with_values(template, parameter_values(template) | values)
-    return _of_tire(tire, "model", f"{text}{said}")
+    whole, known = parameter_values(template) | values, specs(template)
+    said = [
+        f"{name} = {float(value):g}{'' if name in values else ' (default)'}"
+        for name, value in whole.items()
+        if name in values or known[name].free
+    ]
+    source = ", ".join([text, *said])
+    return _of_tire(with_values(template, whole), "model", source)
 
 
 def _at_file(text: str, values: dict[str, float]) -> Given:

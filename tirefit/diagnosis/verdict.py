@@ -125,14 +125,9 @@ class Weighed:
 
     @property
     def best(self) -> tuple[str, ...]:
-        """The most probable set of effects, if all that is there is listed. Of as many
-        effects in forms of their own, which draw nearly the same, the one whose
-        formulas do best."""
+        """The most probable set of effects, if all that is there is listed."""
         log = self.log_weight
-        likeliest = max((k for k in log if k), key=lambda k: log[k], default=())
-        least = log[likeliest] + np.log(_RIVAL)
-        alike = [k for k in log if len(k) == len(likeliest) and log[k] >= least]
-        return max(alike, key=lambda k: self.best_of[k].log_weight)
+        return max((k for k in log if k), key=lambda k: log[k], default=())
 
     @property
     def listed(self) -> dict[tuple[str, ...], float]:
@@ -186,7 +181,7 @@ def weigh(search: Search) -> Weighed:
             best[key] = hypothesis
     total = {key: float(logsumexp(values)) for key, values in logs.items()}
     evidence = {key: hypothesis.log_evidence for key, hypothesis in best.items()}
-    beside, others, remainder = {}, set(), {}
+    others, remainder = set(), {}
     ranked = sorted(total, key=lambda key: total[key], reverse=True)
     nothing = linear_at(search.base, best[()])
     of_nothing = due_to_doubt(search.base, best[()], nothing)
@@ -206,8 +201,11 @@ def weigh(search: Search) -> Weighed:
             if form > formula:
                 others.add(key)
         remainder[key] = gains_beside(search.base, linear, key in others)
-        more = of_any_kind(remainder[key])
-        beside[key] = total[key] + more + np.log(PRIOR_OF_UNKNOWN)
+    total = _formulas_first(total, best)
+    beside = {
+        key: total[key] + of_any_kind(gains) + np.log(PRIOR_OF_UNKNOWN)
+        for key, gains in remainder.items()
+    }
     rest = [hypothesis.log_weight for hypothesis in guessed]
     everything = logsumexp([*total.values(), *beside.values(), *rest])
 
@@ -228,6 +226,20 @@ def weigh(search: Search) -> Weighed:
         hidden=float(np.sum(np.exp(np.array(hidden) - everything))),
         gains=remainder,
     )
+
+
+def _formulas_first(total, best):
+    """Log weights of sets. Of as many effects in forms of their own, which draw nearly
+    the same, that set is the likeliest whose formulas do best: these exchange weights.
+
+    Args:
+        best: the formulas' fit of each set.
+    """
+    likeliest = max((k for k in total if k), key=lambda k: total[k], default=())
+    least = total[likeliest] + np.log(_RIVAL)
+    alike = [k for k in total if len(k) == len(likeliest) and total[k] >= least]
+    nearest = max(alike, key=lambda k: best[k].log_weight)
+    return total | {likeliest: total[nearest], nearest: total[likeliest]}
 
 
 def _simplest(total, count: int):
@@ -254,7 +266,8 @@ def named(search: Search, weighed: Weighed, key, p_value: float) -> Verdict:
     """A set of effects named, with what these data cannot tell from it."""
     chosen = weighed.best_of[key]
     alike = (
-        *_aliases(search, chosen), *ties(weighed, key), *_kin(search, weighed, key)
+        *_aliases(search, weighed, key), *ties(weighed, key),
+        *_kin(search, weighed, key),
     )  # fmt: skip
     # Where only the prior decides, the data cannot tell.
     others = {k: v for k, v in weighed.listed.items() if k}
@@ -330,10 +343,16 @@ def _swapped(sets, key):
             yield other, min(old), min(new)
 
 
-def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:
+def _aliases(search: Search, weighed: Weighed, key) -> tuple[str, ...]:
     """Effects that do to these data what one of the chosen does, at a size that is not
-    absurd: the data would tell them apart less than three times in four."""
-    base = search.base
+    absurd: the data would tell them apart less than three times in four, by the linear
+    forecast, and no refit in its place did."""
+    base, chosen, log = search.base, weighed.best_of[key], weighed.log_weight
+    apart = {
+        (old, new)
+        for other, old, new in _swapped(log, key)
+        if log[other] < log[key] + np.log(_KIN)
+    }
     linear = base.linearised(chosen.z, amplitudes_of(base, chosen))
     alike: dict[str, float] = {}
     for atom, amplitude in zip(chosen.atoms, chosen.amplitude, strict=True):
@@ -347,6 +366,8 @@ def _aliases(search: Search, chosen: Hypothesis) -> tuple[str, ...]:
         for k in search.testable:
             effect = base.atoms[k].effect
             if effect.id in chosen.effects or norm[k] < UNSEEN:
+                continue
+            if (base.atoms[atom].effect.id, effect.id) in apart:
                 continue
             needed = size / norm[k]
             told_apart = separability(left, atom, k, abs(amplitude), needed)

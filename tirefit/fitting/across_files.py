@@ -25,6 +25,9 @@ quantity which stays is said to drift."""
 
 _ROUNDS = 30
 
+_LEAST_SCALE = 1e-12
+"""Scale of a file over the largest below which it says nothing more of a slope."""
+
 
 class AcrossFiles(NamedTuple):
     """``middle`` at the mean time, ``scatter`` of the files beyond their own standard
@@ -107,5 +110,6 @@ def _std(design: np.ndarray, pulls: np.ndarray, scale: np.ndarray) -> float:
     share = max(float(np.mean(np.abs(pulls) < _HUBER)), 0.5)
     correction = 1 + p / n * (1 - share) / share
     variance = correction**2 * float(psi @ psi) / (n - p) / share**2
-    rows = design / scale[:, None]
+    # Files that agree to the last digit have no scale of their own.
+    rows = design / np.maximum(scale, _LEAST_SCALE * np.max(scale))[:, None]
     return float(np.sqrt(variance * np.linalg.pinv(rows.T @ rows)[1, 1]))

@@ -28,6 +28,9 @@ _SHORT = {"mu": "friction", "cpa2": "stiffness", "mu_peak": "peak friction"}
 """Parameters whose meaning in the tables is longer than a sentence can carry."""
 
 
+_MANY_TIMES = 4.0
+"""Simulated over measured value from which it is said as such, not in per cent."""
+
 _FEW_WORDS, _LACKING = 2, ", which it does not have"
 
 
@@ -67,9 +70,11 @@ def _change_text(meaning: str, change: Change) -> str:
     off = change.simulated - change.measured
     side = "high" if off > 0 else "low"
     if min(change.simulated, change.measured) > 0:
-        share = format_estimate(
-            100 * abs(off) / change.measured, 100 * change.std / change.measured
-        )
+        ratio = change.simulated / change.measured
+        error = ratio * change.std / change.measured
+        if ratio > _MANY_TIMES:
+            return f"{meaning} {format_estimate(ratio, error)} times too high"
+        share = format_estimate(100 * abs(ratio - 1), 100 * error)
         return f"{meaning} {share} % too {side}"
     return f"{meaning} {format_estimate(abs(off), change.std)} too {side}"
 
