@@ -12,6 +12,7 @@ from tirefit.data.read import read, read_frame
 from tirefit.data.write import (
     output_problems,
     prediction_table,
+    simulated_table,
     to_convention,
     write_csv,
 )
@@ -164,6 +165,20 @@ def test_outputs_are_refused_before_the_work(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may write everywhere
     (problem,) = output_problems(path)
     assert f"no permission to write into the folder {tmp_path}" in problem.reason
+
+
+def test_a_unit_from_a_row_of_its_own_goes_back_into_the_header(tmp_path):
+    """Without it kilonewtons would be read back as newtons."""
+    path = tmp_path / "rig.csv"
+    rows = "".join(f"{t},{0.01 * t},{0.5 * t},4000\n" for t in range(1, 9))
+    path.write_text("time,sigma_x,fx,fz\ns,-,kN,N\n" + rows)
+    data = read(path, convention="braking")
+    table = simulated_table(data, {"fx": 1.1 * data["fx"]})
+    assert list(table) == ["time", "sigma_x", "fx [kN]", "fz", "fx_sim"]
+    write_csv(tmp_path / "beside.csv", table)
+    again = read(tmp_path / "beside.csv", convention="braking")
+    np.testing.assert_allclose(again["fx"], data["fx"])
+    np.testing.assert_allclose(again["fx_sim"], 1.1 * data["fx"])
 
 
 def test_a_prediction_table_returns_a_locked_wheel_and_every_digit():

@@ -89,7 +89,8 @@ class Guess(NamedTuple):
 class Column:
     """One column to read: canonical ``name`` (or a slip definition), place, unit.
 
-    ``unit`` is None for ``run`` and where the stated unit was refused.
+    ``unit`` is None for ``run`` and where the stated unit was refused; ``beside`` says
+    that it stands in a row of units, or another place that is not the header's.
     """
 
     name: str
@@ -97,6 +98,7 @@ class Column:
     index: int
     unit_text: str = ""
     unit: Unit | None = None
+    beside: bool = False
 
 
 @dataclass
@@ -197,9 +199,10 @@ def plan_columns(
     for name, index in chosen.items():
         named = options.slip if options.slip and _group(name) == "slip" else name
         unit_text, how = _unit_of(name, index, headers, stated, options, chosen)
-        column = Column(named, headers[index], index, unit_text)
+        beside = stated.get(index) == (unit_text, how)
+        column = Column(named, headers[index], index, unit_text, beside=beside)
         plan.columns[named] = _with_unit(column, plan, file)
-        if stated.get(index) == (unit_text, how) and not plan.columns[named].unit:
+        if beside and not plan.columns[named].unit:
             plan.in_units_row.add(plan.problems[-1])
         _say(column, name in declared, how, plan)
     _check_all_used(options, plan, file)

@@ -179,6 +179,9 @@ def _checked(table: Table, options: Options) -> TireData:
         columns=reading.headers,
         units=plan.units_to_write
         | {_canonical(c.name): c.unit_text for c in plan.columns.values() if c.unit},
+        units_beside=tuple(
+            _canonical(c.name) for c in plan.columns.values() if c.beside
+        ),
         assumptions=tuple(_all_assumptions(reading)),
         warnings=_warnings(reading, definition, run),
         masked=masked,

@@ -108,7 +108,8 @@ class Source:
     """Where data came from and what was assumed in reading them.
 
     ``columns`` maps a canonical column to the file's own header; ``units`` to the
-    unit it was read in; ``slip_definition`` is the definition of the file's slip
+    unit it was read in, ``units_beside`` those columns whose unit is not in the header;
+    ``slip_definition`` is the definition of the file's slip
     column (a key of ``slip.SLIP_DEFINITIONS``); ``line`` holds each row's line.
     ``warnings`` are sentences on what may mean something else than it was read as.
     ``slip_check`` is there where a slip, omega, v and a rolling radius are. ``paths``
@@ -121,6 +122,7 @@ class Source:
     slip_definition: str = "sigma_x"
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    units_beside: tuple[str, ...] = ()
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     masked: tuple[InputProblem, ...] = ()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tirefit.data.table import SIMULATED, TireData
+from tirefit.data.table import CANONICAL, SIMULATED, TireData
 from tirefit.data.units import (
     base_column,
     resolve_unit,
@@ -138,7 +138,8 @@ def prediction_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
         as far as the data have them, then the forces.
     """
     named = [name for name in _PLOTTED if name in data]
-    return _own_columns(data, named) | to_convention(data, forces)
+    table = _own_columns(data, named) | to_convention(data, forces)
+    return _with_units(data, table)
 
 
 def simulated_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
@@ -152,10 +153,22 @@ def simulated_table(data: TireData, forces: Mapping[str, np.ndarray]) -> dict:
     columns = {f"{c}_sim": force for c, force in forces.items()}
     columns = {c: force for c, force in columns.items() if c in SIMULATED}
     own = [name for name in data.columns if name not in SIMULATED]
-    return _own_columns(data, own) | {
+    table = _own_columns(data, own) | {
         name: _in_unit_of_its_force(data, name, force)
         for name, force in columns.items()
     }
+    return _with_units(data, table)
+
+
+def _with_units(data: TireData, table: dict) -> dict:
+    """The same, headers with their unit where the file had it elsewhere, as in a row of
+    its own: what is written is read back as what it was."""
+    source, said = data.source, {}
+    for name in source.units_beside:
+        unit, header = source.units.get(name), source.columns[name]
+        if unit and unit != CANONICAL[base_column(name)][0]:
+            said[header] = f"{header} [{unit}]"
+    return {said.get(header, header): values for header, values in table.items()}
 
 
 def _in_unit_of_its_force(data: TireData, name: str, force) -> np.ndarray:

@@ -19,7 +19,6 @@ from tirefit.report.diagnosis_outlook import (
 from tirefit.report.diagnosis_text import (
     gap_lines,
     rows_line,
-    slip_check_line,
     spot_lines,
     stand_in,
     subject,
@@ -37,6 +36,7 @@ from tirefit.report.diagnosis_words import (
     range_text,
     said_effects,
     share_text,
+    slip_check_line,
     untestable_groups,
 )
 from tirefit.report.html import png_text, rendered

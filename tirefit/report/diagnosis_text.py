@@ -13,6 +13,7 @@ from tirefit.report.diagnosis_outlook import (
     step_lines,
 )
 from tirefit.report.diagnosis_words import (
+    AGAINST,
     UNLISTED,
     amount_text,
     closed_text,
@@ -27,6 +28,7 @@ from tirefit.report.diagnosis_words import (
     said_effects,
     said_unit,
     share_text,
+    slip_check_line,
     untestable_groups,
     words_on,
 )
@@ -39,7 +41,6 @@ __all__ = [
     "look_lines",
     "map_lines",
     "run_lines",
-    "slip_check_line",
     "spot_lines",
     "stand_in",
     "subject",
@@ -126,6 +127,8 @@ def verdict_lines(result: Diagnosis) -> list[str]:
     same = (c for c in result.candidates if c.effects == verdict.effects)
     if verdict.names_an_effect and (chosen := next(same, None)) is not None:
         lines.append(parameter_text(chosen))
+        if result.simulator:
+            lines.append(AGAINST)
     for effect in (*verdict.effects, *verdict.also_possible):
         means, remedy = words_on(effect, result.library)
         if means:
@@ -325,6 +328,8 @@ def rows_line(result: Diagnosis) -> str:
         of_forces += f", {noise.excess:.2g} times what is stated"
     of_slip = said_of({noise.slip_name: noise.slip}, noise.slip_source)
     flags = f"; {', '.join(noise.flags)}" if noise.flags else ""
+    if noise.outliers:
+        flags += f"; {noise.outliers} rows set aside as outliers"
     said = f"{n} rows; noise {of_forces}, {of_slip}"
     if round(result.n_effective) < n:
         said += f", averages as that of {result.n_effective:.0f} independent rows"
@@ -349,19 +354,6 @@ def run_lines(result: Diagnosis) -> list[str]:
             f" (p {p_text(runs.p_value)} of none); {shrunk}"
         )
     return lines
-
-
-def slip_check_line(result: Diagnosis) -> str | None:
-    """The slip column against that of the wheel speed; None where that is unknown."""
-    check = result.slip_check
-    if check is None:
-        return None
-    other = f", follows {check.fits}" if check.fits != check.read_as else ""
-    return (
-        f"slip, read as {check.read_as}, against omega, v and a rolling radius of"
-        f" {format_number(check.radius)} m: {format_number(check.rms, 2)} rms apart,"
-        f" offset {format_estimate(check.offset, check.offset_std)}{other}"
-    )
 
 
 def _wrapped(lines) -> list[str]:

@@ -18,6 +18,7 @@ from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = [
+    "AGAINST",
     "UNLISTED",
     "amount_text",
     "closed_text",
@@ -36,6 +37,7 @@ __all__ = [
     "said_effects",
     "said_unit",
     "share_text",
+    "slip_check_line",
     "untestable_groups",
     "words_on",
 ]
@@ -43,6 +45,12 @@ __all__ = [
 _STRANGER = "not in the library"
 UNLISTED = f"{_STRANGER}, alone or beside"
 """What ``VerdictSummary.unlisted`` is the probability of."""
+
+AGAINST = (
+    "this is the measurement against the simulator: by their forces alone either may be"
+    " what is off"
+)
+"""What the sign of an effect beside a simulator means."""
 
 _NEEDS = {
     "loads": "more than one load",
@@ -290,3 +298,16 @@ def p_text(p: float, least: float = 1e-12) -> str:
     """A p-value with two digits; from ``least`` down as a bound, as nobody knows it
     better."""
     return f"< {least:.2g}" if p <= least or math.isnan(p) else f"{p:.2g}"
+
+
+def slip_check_line(result: Diagnosis) -> str | None:
+    """The slip column against that of the wheel speed; None where that is unknown."""
+    check = result.slip_check
+    if check is None:
+        return None
+    other = f", follows {check.fits}" if check.fits != check.read_as else ""
+    return (
+        f"slip, read as {check.read_as}, against omega, v and a rolling radius of"
+        f" {format_number(check.radius)} m: {format_number(check.rms, 2)} rms apart,"
+        f" offset {format_estimate(check.offset, check.offset_std)}{other}"
+    )
