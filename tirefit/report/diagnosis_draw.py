@@ -61,6 +61,9 @@ __all__ = [
 _FORCE = {"fx": "$F_x$ [N]", "fy": "$F_y$ [N]", "mz": "$M_z$ [N m]"}
 _SIZE = (11.0, 9.0)
 _PANEL = (5.6, 4.4)
+_NARROW = 0.035
+"""Share of the width below which a column of cells has no room for a number."""
+
 _SQUARE, _FOOT = 4, 0.36
 """Panels that stand two by two; height of one below them, of that of these."""
 _BAR = {
@@ -91,7 +94,10 @@ def draw_where(figure, panel: ResidualMap, base: str = "base fit") -> None:
     )  # fmt: skip
     axes.set_facecolor("#eeeeee")
     center = (panel.edges[:-1] + panel.edges[1:]) / 2
+    width = np.diff(panel.edges) / np.ptp(panel.edges)
     for row, column in np.ndindex(panel.mean.shape):
+        if width[column] < _NARROW:
+            continue
         dark = abs(panel.mean[row, column]) > 0.6 * reach
         style = {"color": "white" if dark else DARK}
         if panel.beyond[row, column]:
@@ -132,15 +138,16 @@ def draw_evidence(figure, bars: list[Bar]) -> None:
     tidy(axes, "probability")
     axes.set_yticks(places, [plain_text(bar.label) for bar in bars])
     axes.set_xlim(0, 1)
-    note = "listed ones by evidence, before what they leave is tested; blue: verdict"
+    note = "by evidence, before what they leave is tested; blue: verdict"
     panel_title(axes, "Which: explanations of the gap", note)
 
 
-def draw_comparison(figure, panel: Comparison, after: str) -> None:
+def draw_comparison(figure, panel: Comparison, after: str, base: str = "base") -> None:
     """Both fits over the data, above their residuals.
 
     Args:
         after: what the second fit is called.
+        base: what the first is.
     """
     top, bottom = figure.subplots(2, 1, height_ratios=(2.1, 1))
     slips = np.concatenate([curve.slip for curve in panel.curves])
@@ -155,7 +162,7 @@ def draw_comparison(figure, panel: Comparison, after: str) -> None:
         for curve, color in zip(panel.curves, COLORS, strict=False)
     ]
     handles += [
-        Line2D([], [], color=GREY, lw=1.2, ls=(0, (4, 2)), label="base"),
+        Line2D([], [], color=GREY, lw=1.2, ls=(0, (4, 2)), label=base),
         Line2D([], [], color=GREY, lw=1.4, label="after"),
         Patch(color=GREY, alpha=0.3, lw=0, label="after: 80 % of rows"),
     ]
@@ -166,7 +173,7 @@ def draw_comparison(figure, panel: Comparison, after: str) -> None:
     panel_title(top, "Before and after", f"after: {after}")
     bottom.plot(
         panel.center, panel.before, color=DARK, ls=(0, (4, 2)), marker="o", ms=2.5,
-        lw=1.2, label="base",
+        lw=1.2, label=base,
     )  # fmt: skip
     bottom.plot(
         panel.center, panel.after, color=BLUE, marker="o", ms=2.5, lw=1.4, label="after"
@@ -286,8 +293,11 @@ def _panels(result: Diagnosis) -> dict[str, Callable]:
         ),  # fmt: skip
         "which": partial(draw_evidence, bars=evidence_bars(result)),
         "before and after": partial(
-            draw_comparison, panel=result.comparison, after=after_label(result)
-        ),
+            draw_comparison,
+            panel=result.comparison,
+            after=after_label(result),
+            base="simulator" if result.simulator else "base",
+        ),  # fmt: skip
         "how far": partial(
             draw_closure, bars=closure_bars(result), load=result.mean_load
         ),
