@@ -53,8 +53,9 @@ class ManyHoldouts(TyperCommand):
         spread, after = [], False
         for word, following in zip_longest(args, args[1:], fillvalue="-"):
             if word.startswith("-"):
-                # Without a file it stays, and is refused.
-                after = word == "--holdout" and not following.startswith("-")
+                after = word == "--holdout"
+                if after and following.startswith("-"):
+                    raise typer.BadParameter("no file follows", ctx, param_hint=word)
                 if not after:
                     spread.append(word)
             elif after:

@@ -55,6 +55,10 @@ _ROWS_OF_A_FUNCTION = 6
 """Rows for each smooth function that may soak up a gap before the noise is judged:
 five in six are left to judge it by."""
 
+_FELT = 0.1
+"""Standard errors of what a stand-in misses, all rows together, below which nothing
+feels it: no direction is given away for that."""
+
 _LINEARISED = 24
 """Linearised fits that are kept for as long as their base: 10 MB each at most."""
 
@@ -174,7 +178,8 @@ class Base:
             off = not_followed(missed, rows.slip, neighbours(rows), min(changed, 1.0))
             scale = np.asarray(self.design.scale[channel])[:n, None]
             blocks.append(off * np.asarray(self.design.keep)[:n, None] / scale)
-        return block_diag(*blocks)
+        found = block_diag(*blocks)
+        return found[:, np.linalg.norm(found, axis=0) > _FELT]
 
     def _forces_of(self, slips) -> np.ndarray:
         """Whitened forces (m, k) of small changes of the slips (n, k)."""
