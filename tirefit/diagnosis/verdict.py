@@ -347,12 +347,11 @@ def _aliases(search: Search, weighed: Weighed, key) -> tuple[str, ...]:
     """Effects that do to these data what one of the chosen does, at a size that is not
     absurd: the data would tell them apart less than three times in four, by the linear
     forecast, and no refit in its place did."""
-    base, chosen, log = search.base, weighed.best_of[key], weighed.log_weight
-    apart = {
-        (old, new)
-        for other, old, new in _swapped(log, key)
-        if log[other] < log[key] + np.log(_KIN)
-    }
+    base, chosen, fits = search.base, weighed.best_of[key], weighed.best_of
+    # By the rows alone: a size that is hardly expected fits them as well.
+    worst = chosen.chi2 - 2 * np.log(_KIN)
+    swapped = _swapped(fits, key)
+    apart = {(old, new) for other, old, new in swapped if fits[other].chi2 > worst}
     linear = base.linearised(chosen.z, amplitudes_of(base, chosen))
     alike: dict[str, float] = {}
     for atom, amplitude in zip(chosen.atoms, chosen.amplitude, strict=True):
