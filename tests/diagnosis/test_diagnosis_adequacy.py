@@ -158,11 +158,27 @@ def test_a_wave_keeps_its_phase_beyond_rows_that_are_set_aside():
     of_noise = Null(generator.standard_normal((n, 999)), np.zeros((n, 1)))
     order = [np.arange(n)]
 
-    def line(places):
-        return adequacy(residual, of_noise, order, order, [], places).line
+    def line(*orders):
+        return adequacy(residual, of_noise, order, order, [], orders).line
 
     assert line(TIME[keep]) < 1e-4
-    assert line(None) > 0.01
+    assert line() > 0.01
+
+
+def test_a_wave_over_the_way_shows_though_the_speed_changes():
+    generator, n = np.random.default_rng(3), 600
+    way = np.cumsum(np.linspace(1.0, 3.0, n))
+    residual = generator.standard_normal(n) + 0.6 * np.sin(2 * np.pi * way / 8.7)
+    of_noise = Null(generator.standard_normal((n, 999)), np.zeros((n, 1)))
+    order, places = [np.arange(n)], np.rint(way / way[-1] * (n - 1)).astype(int)
+
+    def line(*orders):
+        return adequacy(residual, of_noise, order, order, [], orders).line
+
+    # Two rows in one place of the way add up; it has as many places as there are rows.
+    assert len(np.unique(places)) < n
+    assert line(np.arange(n), places) < 1e-4
+    assert line(np.arange(n)) > 0.01
 
 
 def test_beyond_all_draws_a_p_value_is_that_of_their_tail():

@@ -296,7 +296,9 @@ def test_effects_of_a_vehicle_are_named(effect):
         slip = slip + 0.15 * motion["yaw_rate"] / frame["v"]
         force = brush(slip, 5e4, 0.9, fz)
     else:
-        force = brush(slip, 5e4, 0.9, fz * (1 + 0.05 * motion["a_x"] / 3))
+        # m h a_x / wheelbase, whatever the wheel carries.
+        moved = 0.05 * np.exp(np.log(fz).mean()) * motion["a_x"] / 3
+        force = brush(slip, 5e4, 0.9, fz + moved)
     data = read_frame(frame | {"fy": force + noise})
     data = replace(data, columns={**data.columns, **motion})
     rig = Rig(noise={"fy_relative": 0.01, "alpha": 0.001})

@@ -9,10 +9,10 @@ import pytest
 
 import tirefit
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.arguments import a_rig, a_seed
+from tirefit.diagnosis.arguments import a_model, a_rig, a_seed, names, the_effects
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.rig import Rig
-from tirefit.models import Brush
+from tirefit.models import MODELS, Brush
 from tirefit.results import DataError, TirefitError, UsageError
 
 
@@ -148,6 +148,7 @@ WRONG = {
     "sim unnamed": ({"sim": {0: np.zeros(120)}}, "sim: 0 of shape"),
     "sim no file": ({"sim": Path("no.json")}, "no.json"),
     "no effects": ({"effects": ()}, "effects: none to look for"),
+    "model empty": ({"model": ""}, "unknown model ''"),
     "seed below zero": ({"seed": -1}, "seed = -1"),
     "misspelt": ({"without": "friction_stp"}, "no effect 'friction_stp'"),
     "force": ({"forces": "fz"}, "gives no fz"),
@@ -167,6 +168,25 @@ def test_a_rig_is_no_mapping_and_a_seed_no_fraction():
     with pytest.raises(UsageError, match=r"seed = 1\.5"):
         a_seed(1.5)
     assert a_seed(np.uint32(7)) == 7
+
+
+def test_names_are_strings_and_effects_are_records():
+    with pytest.raises(UsageError, match="without = 3: give a name, or several"):
+        names(3, "without")
+    with pytest.raises(UsageError, match=r"forces = \[1\]"):
+        names([1], "forces")
+    assert names("fx", "forces") == names(["fx"], "forces") == ("fx",)
+    for wrong in (3, ["friction_step"], ()):
+        with pytest.raises(UsageError, match="give Effect records"):
+            the_effects(wrong)
+    assert the_effects(iter(EFFECTS)) == EFFECTS
+    with pytest.raises(UsageError, match=r"is a simulator: sim=\.\.\."):
+        a_model(MODELS["brush"])
+
+
+def test_one_force_has_one_noise():
+    with pytest.raises(UsageError, match="fx and fx_relative are both stated"):
+        Rig(noise={"fx": 30.0, "fx_relative": 0.01})
 
 
 @pytest.mark.parametrize("value", [np.nan, -1.0, 0.0, np.inf])

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.fft import rfft
 from scipy.signal import lfilter
+from scipy.sparse import csr_array
 
 from tirefit.diagnosis.memory import Memory
 from tirefit.diagnosis.negligible import ROUNDING
@@ -164,26 +165,30 @@ def _medians(values: np.ndarray) -> np.ndarray:
     return (parted[:half].max(axis=0) + parted[half]) / 2
 
 
-def _lines(places: np.ndarray) -> Statistic:
-    """Largest line of the periodogram over the median, of all lines and of its octave:
+def _lines(orders: Sequence[np.ndarray]) -> Statistic:
+    """Largest line of a periodogram over the median, of all lines and of its octave:
     noise with a memory is stronger where it is slower, a wave at its period.
 
     Args:
-        places: of each row in the order; of a place without a row nothing is known,
-            and those after it keep theirs: a wave keeps its phase.
+        orders: place of each row in each of them; of a place without a row nothing is
+            known, and those after it keep theirs: a wave keeps its phase.
     """
 
     def statistic(parts):
-        ordered = np.zeros((1 + places.max(), parts.shape[1]), parts.dtype)
-        ordered[places] = parts
-        power = np.abs(rfft(ordered, axis=0)[1:]) ** 2
-        count = len(power)
-        first = min(_FIRST_LINES, count)
-        octaves = int(np.log2(count / first))
-        ends = [first * 2**k for k in range(octaves)]
-        bands = [power, *np.split(power, ends)]
-        # In logarithms: of few lines the ratio is large by chance.
-        return _largest([np.log(b.max(axis=0) / _medians(b)) for b in bands])
+        values, rows = [], np.arange(len(parts))
+        for places in orders:
+            shape = (1 + places.max(), len(parts))
+            one = np.ones(len(parts), parts.dtype)
+            ordered = csr_array((one, (places, rows)), shape) @ parts
+            power = np.abs(rfft(ordered, axis=0)[1:]) ** 2
+            count = len(power)
+            first = min(_FIRST_LINES, count)
+            octaves = int(np.log2(count / first))
+            ends = [first * 2**k for k in range(octaves)]
+            bands = [power, *np.split(power, ends)]
+            # In logarithms: of few lines the ratio is large by chance.
+            values += [np.log(b.max(axis=0) / _medians(b)) for b in bands]
+        return _largest(values)
 
     return statistic
 
@@ -340,7 +345,7 @@ def adequacy(
     in_time: Sequence[np.ndarray] | None,
     in_slip: Sequence[np.ndarray],
     groups: Sequence[np.ndarray],
-    places: np.ndarray | None = None,
+    orders: Sequence[np.ndarray] = (),
 ) -> Adequacy:
     """Tests of one channel's residual.
 
@@ -350,8 +355,8 @@ def adequacy(
         in_time: see :func:`null`.
         in_slip: rows of each setting (load, speed, direction) in the order of slip.
         groups: regimes to leave out in turn: rows in the order of slip.
-        places: of the rows in the order of time, rows set aside counted; None where
-            none are.
+        orders: place of each row in the order of time, rows set aside counted, and in
+            others in which a wave may lie; by default the order of time alone.
     """
     settings = [s for s in in_slip if len(s) >= _WITH_NEIGHBOURS]
     observed = residual[:, None].astype(_PRECISION)
@@ -364,17 +369,18 @@ def adequacy(
         return _p_value(observed, np.array(drawn))
 
     ordered = [np.arange(0)] if in_time is None else in_time
-    if places is None:
-        places = np.argsort(np.concatenate(ordered))
     timed = (
         in_time is not None and max(len(s) for s in ordered) >= _FEWEST_SUMS * _RUNS[1]
     )
+    if not orders or not timed:
+        only = ordered if timed else in_slip
+        orders = [np.argsort(np.concatenate(only))]
     dense = sum(len(s) for s in settings) >= 0.5 * len(residual)
     longest = max((len(s) for s in settings), default=0)
     tests = {
         "time": _persistence(ordered) if timed else None,
         "slip_order": _persistence([np.concatenate(in_slip)]) if dense else None,
-        "line": _lines(places if timed else np.argsort(np.concatenate(in_slip))),
+        "line": _lines(orders),
         "pure_error": _pure_error(settings) if dense else None,
         "local": _local(settings) if dense and longest >= _LOCAL[0] else None,
         "held_out": _regimes(groups, of_noise.unit),

@@ -1,7 +1,7 @@
 """Arguments of a diagnosis as Python gives them: one of a kind stands for a list of it,
 and what cannot be meant is said."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from os import PathLike
 from typing import Any
 
@@ -9,17 +9,55 @@ import numpy as np
 
 from tirefit.data.accept import as_data
 from tirefit.data.table import TireData
+from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.rig import Rig, load_rig
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["a_rig", "a_seed", "names", "tables"]
+__all__ = ["a_model", "a_rig", "a_seed", "names", "tables", "the_effects"]
 
 _SEEDS = 2**32
 
 
-def names(given: str | Sequence[str]) -> tuple[str, ...]:
-    """Names; a single one is no sequence of letters."""
-    return (given,) if isinstance(given, str) else tuple(given)
+def names(given: Any, argument: str) -> tuple[str, ...]:
+    """Names; a single one is no sequence of letters.
+
+    Raises:
+        UsageError: something else; names the argument.
+    """
+    several = (given,) if isinstance(given, str) else given
+    if isinstance(several, Iterable):
+        several = tuple(several)
+        if all(isinstance(one, str) for one in several):
+            return several
+    raise UsageError(InputProblem(f"{argument} = {given!r}", "give a name, or several"))
+
+
+def the_effects(given: Any) -> tuple[Effect, ...]:
+    """Effects to look for.
+
+    Raises:
+        UsageError: none, or something that is no effect.
+    """
+    several = tuple(given) if isinstance(given, Iterable) else ()
+    if several and all(isinstance(one, Effect) for one in several):
+        return several
+    reason = f"effects = {given!r}" if several else "effects: none to look for"
+    remedy = "leave the argument out for all of the library, or give Effect records: "
+    remedy += "(*EFFECTS, mine) adds one, without=... leaves single ones out"
+    raise UsageError(InputProblem(reason, remedy))
+
+
+def a_model(given: Any) -> str | None:
+    """Name of a model, or none.
+
+    Raises:
+        UsageError: neither.
+    """
+    if given is None or isinstance(given, str):
+        return given
+    reason = f"model is of type {type(given).__name__}"
+    remedy = "give a model's name; a tire model with its values is a simulator: sim=..."
+    raise UsageError(InputProblem(reason, remedy))
 
 
 def tables(given: Any) -> list[TireData]:

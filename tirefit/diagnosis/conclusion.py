@@ -291,17 +291,13 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
         generator: of simulated residuals.
     """
     judge = Judge(search, weighed, generator)
-    is_noise = max(noise.excess for noise in search.base.noise.values()) <= _BEYOND
     if verdict.status in ("none", "unknown"):
         left = judge.of(()).adequacy
         verdict = replace(verdict, adequacy=left)
         # Stricter than for a name: six tests, and a false alarm is the worse error.
         if verdict.status == "none" and _smallest(left) < _FLAGGED:
             return unknown(verdict, weighed, left, probability_of_rest(_smallest(left)))
-        is_noise = is_noise and not hidden_by_noise(search.base, verdict.chosen)
-        if verdict.status == "none" and not is_noise:
-            return unknown(verdict, weighed, left, _HARDLY_NOISE)
-        return verdict
+        return _nothing(verdict, judge) if verdict.status == "none" else verdict
     key = verdict.effects
     kept = judge.firm(key, _KNOWN)
     if kept != key:
@@ -320,7 +316,7 @@ def concluded(verdict: Verdict, search: Search, weighed: Weighed, generator) -> 
     # What its own tests refuse is no whole explanation, however seldom trials say so.
     if judge.imitates(key) or _smallest(judge.of(key).adequacy) < _FLAGGED:
         more = max(more, _UNLISTED)
-    if not is_noise:
+    if not _is_noise(search.base):
         more = max(more, _HARDLY_NOISE)
     if more < _UNLISTED and nothing_shown(weighed) > weighed.sets[key]:
         # Named, it would be a false alarm more often than the name of what is there.
@@ -365,12 +361,26 @@ def _nothing_stands(verdict: Verdict, judge: Judge) -> Verdict:
     if left.passed and weighed.unknown_alone < _EVEN:
         # What the evidence asks for is said, unless nothing may be there as well.
         perhaps = (*verdict.effects, *verdict.also_possible)
-        return replace(
+        nothing = replace(
             verdict, status="none", effects=(), adequacy=left,
             also_possible=perhaps if nothing_shown(weighed) < HARDLY else (),
             probability=1 - rest, chosen=weighed.best_of[()],
         )  # fmt: skip
+        return _nothing(nothing, judge)
     return unknown(verdict, weighed, left, rest)
+
+
+def _is_noise(base: Base) -> bool:
+    """Whether the rows may scatter by what is stated of their noise."""
+    return max(noise.excess for noise in base.noise.values()) <= _BEYOND
+
+
+def _nothing(verdict: Verdict, judge: Judge) -> Verdict:
+    """No gap, unless what counts as noise is none."""
+    base = judge.search.base
+    if not _is_noise(base) or hidden_by_noise(base, verdict.chosen):
+        return unknown(verdict, judge.weighed, verdict.adequacy, _HARDLY_NOISE)
+    return verdict
 
 
 def _incomplete(verdict: Verdict, judge: Judge, key, more: float) -> Verdict:

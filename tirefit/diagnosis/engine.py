@@ -14,7 +14,14 @@ from tirefit.data.far import without_far
 from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.diagnosis.across_runs import held_across_runs
-from tirefit.diagnosis.arguments import a_rig, a_seed, names, tables
+from tirefit.diagnosis.arguments import (
+    a_model,
+    a_rig,
+    a_seed,
+    names,
+    tables,
+    the_effects,
+)
 from tirefit.diagnosis.base import (
     Base,
     fit_base,
@@ -98,11 +105,11 @@ def diagnose(
     """
     require_x64("a diagnosis")
     release_programs()
-    data, holdout, without = as_data(data), tables(holdout), names(without)
+    model, effects = a_model(model), the_effects(effects)
+    without = names(without, "without")
+    asked = None if forces is None else names(forces, "forces")
+    data, holdout = as_data(data), tables(holdout)
     rig, generator = a_rig(rig), np.random.default_rng(a_seed(seed))
-    if not effects:
-        remedy = "leave the argument out: without=... leaves single effects out"
-        raise UsageError(InputProblem("effects: none to look for", remedy))
     _are_others(data, holdout)
     data, holdout = without_far(data), [without_far(other) for other in holdout]
     known = {effect.id for effect in effects}
@@ -117,23 +124,21 @@ def diagnose(
         # Its coefficients are those of all rows; what is adapted beside a hypothesis
         # are its scaling factors.
         sim = fit_magic_formula(data, model)
-    plain = model or STAND_INS[0]
+    plain = STAND_INS[0] if model is None else model
     given, gives = None, _forces_of(plain)
     if sim is not None:
         given = given_simulator(sim, data)
         data, holdout = given.beside(data), [given.beside(x, True) for x in holdout]
         gives = given.channels(data, gives)
-    if forces is not None:
+    if asked is not None:
         in_columns = given is not None and given.tire is None
-        gives = _asked_for(
-            names(forces), data, gives, _forces_of(plain) if in_columns else ()
-        )
+        gives = _asked_for(asked, data, gives, _forces_of(plain) if in_columns else ())
     library = tuple(effect for effect in effects if effect.id not in without)
     settings = Settings(
         rig=rig,
         effects=tuple(effect.id for effect in library),
         holdout=tuple(other.source.sha256 for other in holdout),
-        forces=None if forces is None else names(forces),
+        forces=asked,
     )
     # The matrices are small: a second thread only spins while it waits, and sums in
     # another order move last digits, which can choose another way of a search.
@@ -144,7 +149,7 @@ def diagnose(
         if shown := shown_slip_noise(some, form, effects, rig):
             whole = prepare(data, rig, gives, shown)
             some = thinned(whole, _MOST_ROWS)
-        case = studied(some, model, rig, tuple(effects), without, generator, given)
+        case = studied(some, model, rig, effects, without, generator, given)
         name, simulated = plain, case.base.simulator
         if simulated is not None:
             given = simulated.given

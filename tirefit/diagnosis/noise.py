@@ -78,6 +78,10 @@ _LONGEST, _FACTS = 1e-3, 20
 """One less the correlation of neighbours, and independent rows of a record, at least:
 a longer memory cannot be told from a gap."""
 
+_CALM = 0.1
+"""Share of the rows, the calmest, whose noise over the stated one is its excess: a
+noise that grows with the force is that of the sensor where there is little force."""
+
 _CORRELATED = 2.5
 """Standard errors of the correlation at lag one that count: one white record in 160."""
 
@@ -85,7 +89,7 @@ _CORRELATED = 2.5
 class NoiseLevel(NamedTuple):
     """Standard deviation (n,) of one force, what its memory may be, rows per
     independent row, outliers (n,) bool, flags, where the level came from, and how many
-    times the stated one it is; 1 where none was stated."""
+    times the stated one it is where it is calm; 1 where none was stated."""
 
     std: np.ndarray
     memory: tuple[Memory, ...]
@@ -168,7 +172,7 @@ def judge_noise(
         inflation = max(each, correlation(white, time, run))
         inflation = min(inflation, len(white) / _FACTS)
         flags.append("autocorrelated")
-    excess = 1.0 if given is None else float(np.median(level / std))
+    excess = 1.0 if given is None else float(np.quantile(level / std, _CALM))
     return NoiseLevel(level, memory, inflation, ~keep, tuple(flags), source, excess)
 
 

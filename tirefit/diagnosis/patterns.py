@@ -35,6 +35,7 @@ __all__ = [
     "patterns_gain",
     "quantities",
     "settings_of",
+    "travelled",
     "turns",
     "weights_of_sizes",
 ]
@@ -220,7 +221,7 @@ class Look(NamedTuple):
     explains: float
 
 
-def _travelled(prepared) -> np.ndarray:
+def travelled(prepared) -> np.ndarray:
     """Way since the start of each unbroken record [m]: (n,)."""
     way = np.zeros(prepared.n)
     for rows in segments(prepared.time, prepared.run):
@@ -248,7 +249,7 @@ def quantities(prepared, slip_fraction) -> dict[str, np.ndarray]:
         values["time"] = prepared.time
         # At one speed the way is the time.
         if "speeds" in has:
-            values["distance"] = _travelled(prepared)
+            values["distance"] = travelled(prepared)
     for name in ("temperature", "gamma", "pressure"):
         if name in has:
             values[name] = prepared.column(name)

@@ -103,12 +103,17 @@ class Rig:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self):
-        """Raises UsageError for a stated noise or error that is no positive number."""
+        """Raises UsageError for a stated noise or error that is no positive number, or
+        two of one force."""
         for kind in ("noise", "vehicle"):
             for name, value in getattr(self, kind).items():
                 if not 0 < value < np.inf:
                     reason = f"{kind}: {name} = {value:g}"
                     raise UsageError(InputProblem(reason, "give a positive number"))
+        for name in self.noise:
+            if f"{name}_relative" in self.noise:
+                reason = f"noise: {name} and {name}_relative are both stated"
+                raise UsageError(InputProblem(reason, "state one of them"))
 
     def radius_for(self, data: TireData) -> float | None:
         """Rolling radius [m]: given, or v / omega with the slip along taken out (which

@@ -68,7 +68,7 @@ def _tracked_point(state, lever, constants, rows):
 
 def _load_transfer(state, share, constants, rows):
     del constants
-    return scaled(state, "friction", 1 + share * rows.ahead)
+    return scaled(state, "friction", 1 + share * rows.ahead / rows.fz)
 
 
 def _one_speed_of_the_slip(prepared) -> float:
@@ -208,7 +208,7 @@ LOAD_TRANSFER = Effect(
     change=_load_transfer,
     scale=0.15,
     unit="over the range of the file",
-    formula="F_z (1 + amplitude a_x): m h a_x / (F_z wheelbase)",
+    formula="F_z + amplitude (geometric mean F_z) a_x: m h a_x / wheelbase",
     means="the load moves between the axles with the acceleration, and fz does not",
     remedy="add m h a_x / wheelbase to fz",
     parameter="share",
