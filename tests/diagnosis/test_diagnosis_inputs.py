@@ -4,13 +4,14 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import tirefit
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.arguments import a_model, a_rig, a_seed, names, the_effects
-from tirefit.diagnosis.effects import EFFECTS
+from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.rig import Rig
 from tirefit.models import MODELS, Brush
 from tirefit.results import DataError, TirefitError, UsageError
@@ -171,7 +172,7 @@ def test_a_rig_is_no_mapping_and_a_seed_no_fraction():
 
 
 def test_names_are_strings_and_effects_are_records():
-    with pytest.raises(UsageError, match="without = 3: give a name, or several"):
+    with pytest.raises(UsageError, match="without = 3"):
         names(3, "without")
     with pytest.raises(UsageError, match=r"forces = \[1\]"):
         names([1], "forces")
@@ -182,6 +183,30 @@ def test_names_are_strings_and_effects_are_records():
     assert the_effects(iter(EFFECTS)) == EFFECTS
     with pytest.raises(UsageError, match=r"is a simulator: sim=\.\.\."):
         a_model(MODELS["brush"])
+
+
+BROKEN = {
+    "raises": (lambda state, a, constants, rows: state.nothing, "AttributeError"),
+    "shape": (
+        lambda state, a, constants, rows: state._replace(friction=rows.fz[:3] * a),
+        "effect 'mine': ValueError",
+    ),
+    "no slope at zero": (
+        lambda state, a, constants, rows: state._replace(friction=jnp.sqrt(1 + 0 * a)
+                                                         + jnp.sqrt(jnp.abs(a))),
+        "effect 'mine': its change at amplitude 0 is not finite",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "said"), BROKEN.values(), ids=BROKEN)
+def test_an_effect_that_cannot_be_worked_out_is_said(change, said):
+    mine = Effect(
+        id="mine", family="friction x time", change=change, scale=0.1, unit="-",
+        formula="none",
+    )  # fmt: skip
+    with pytest.raises(UsageError, match=re.escape(said)):
+        tirefit.diagnose(read_frame(rig_data()), effects=(*EFFECTS, mine))
 
 
 def test_one_force_has_one_noise():

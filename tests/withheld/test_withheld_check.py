@@ -429,8 +429,12 @@ def test_of_strangers_only_what_no_listed_effect_imitates_can_be_flagged():
     outcomes = {k: judge(k, labels[k], told[k]) for k in labels}
     assert bound.strangers_that_show(labels, outcomes) == [
         ["not listed, strong", "2", "0.500", "0.500"],
+        ["not listed, strong, one of 1000 shapes", "2", "0.500", "0.500"],
         ["not listed, weak", "1", "1.000", "0.000"],
+        # One of a thousand shapes must stand out by 4.1 standard errors.
+        ["not listed, weak, one of 1000 shapes", "1", "0.457", "0.000"],
         ["family left out", "1", "0.000", "1.000"],
+        ["family left out, one of 1000 shapes", "1", "0.018", "1.000"],
     ]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from tirefit.diagnosis.state import Covariates, State, null_state
 from tirefit.params import Values
+from tirefit.results import InputProblem, UsageError
 
 __all__ = [
     "MOST_EFFECTS",
@@ -82,7 +83,16 @@ def state_of(effects, present: Present, rows: Covariates) -> State:
         width = len(effect.variants[0])
 
         def change(state, a, constants, rows):
-            return _per_row(effect.change(state, a, constants[:width], rows), count)
+            try:
+                changed = effect.change(state, a, constants[:width], rows)
+                return _per_row(changed, count)
+            except Exception as error:  # whatever a user's function raises
+                reason = f"effect {effect.id!r}: {type(error).__name__}: {error}"
+                remedy = (
+                    "its change takes (state, amplitude, constants, rows) and gives"
+                )
+                remedy += " a state, each field a number or one for each row"
+                raise UsageError(InputProblem(reason, remedy)) from error
 
         return change
 

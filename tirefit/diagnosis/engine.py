@@ -242,6 +242,7 @@ def studied(
     """Noise, search and verdict of prepared rows; arguments as in :func:`diagnose`."""
     base = fit_base(prepared, model, effects, rig, given)
     testable, untestable = _testable(prepared, base.atoms, without)
+    _are_smooth(base, testable)
     searched = search(base, testable)
     # What the best explanation leaves shows the noise better than the base fit does.
     best = searched.best
@@ -261,6 +262,15 @@ def studied(
     verdict = concluded(verdict, searched, weighed, generator)
     verdict, weighed = held_across_runs(verdict, searched, weighed, generator)
     return Case(base, searched, weighed, verdict, untestable)
+
+
+def _are_smooth(base: Base, testable: Sequence[int]) -> None:
+    """Raises UsageError for an effect whose forces have no slope at amplitude zero."""
+    finite = np.isfinite(base.at_null.columns).all(axis=0)
+    if wrong := sorted({base.atoms[k].effect.id for k in testable if not finite[k]}):
+        reason = f"effect {wrong[0]!r}: its change at amplitude 0 is not finite"
+        remedy = "give a change that is smooth there, and finite for all rows"
+        raise UsageError(InputProblem(reason, remedy))
 
 
 def _with_change(base: Base, searched: Search) -> Base | None:
