@@ -358,16 +358,16 @@ def _nothing_stands(verdict: Verdict, judge: Judge) -> Verdict:
     """The gap shows, and no effect is known well enough to be its name."""
     weighed, left = judge.weighed, judge.of(()).adequacy
     rest = max(probability_of_rest(_smallest(left)), weighed.unknown_alone)
+    perhaps = (*verdict.effects, *verdict.also_possible)
     if left.passed and weighed.unknown_alone < _EVEN:
         # What the evidence asks for is said, unless nothing may be there as well.
-        perhaps = (*verdict.effects, *verdict.also_possible)
         nothing = replace(
             verdict, status="none", effects=(), adequacy=left,
             also_possible=perhaps if nothing_shown(weighed) < HARDLY else (),
             probability=1 - rest, chosen=weighed.best_of[()],
         )  # fmt: skip
         return _nothing(nothing, judge)
-    return unknown(verdict, weighed, left, rest)
+    return replace(unknown(verdict, weighed, left, rest), also_possible=perhaps)
 
 
 def _is_noise(base: Base) -> bool:

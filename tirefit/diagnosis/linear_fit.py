@@ -92,9 +92,12 @@ def gain_of_form(base, linear: LinearFit) -> float:
 
 def gains_beside(base, linear: LinearFit, in_other_form: bool) -> dict[str, float]:
     """Log evidence of each kind of remainder beside a set of effects, in the formulas'
-    form or in another, which is no larger than such forms are."""
-    forms = linear.forms if in_other_form else None
-    return gains(base.generic, linear.explained, linear.residual, forms)
+    form or in another, which is no larger than such forms are. The doubt of the slips
+    is one more noise, to a remainder as to an effect."""
+    expected = base.doubt
+    if in_other_form:
+        expected = np.concatenate([linear.forms, expected], axis=1)
+    return gains(base.generic, linear.explained, linear.residual, expected)
 
 
 def fitted_form(linear: LinearFit) -> np.ndarray:
