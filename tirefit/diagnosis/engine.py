@@ -266,7 +266,7 @@ def studied(
 
 def _are_smooth(base: Base, testable: Sequence[int]) -> None:
     """Raises UsageError for an effect whose forces have no slope at amplitude zero."""
-    finite = np.isfinite(base.at_null.columns).all(axis=0)
+    finite = np.asarray(np.isfinite(base.at_null.columns).all(axis=0))
     if wrong := sorted({base.atoms[k].effect.id for k in testable if not finite[k]}):
         reason = f"effect {wrong[0]!r}: its change at amplitude 0 is not finite"
         remedy = "give a change that is smooth there, and finite for all rows"
