@@ -7,9 +7,10 @@ from scipy.stats import multivariate_normal
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.base import fit_base
+from tirefit.diagnosis.basis import SCALES
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.linear_fit import due_to_doubt, linear_at
+from tirefit.diagnosis.linear_fit import due_to_doubt, gains_beside, linear_at
 from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import prepare
 from tirefit.diagnosis.search import _Searcher
@@ -221,3 +222,25 @@ def test_doubt_around_a_fit_is_one_more_noise(doubted):
 
         wanted = 0.5 * (cost(np.eye(len(residual))) - cost(covariance))
         assert due_to_doubt(base, fit, linear) == pytest.approx(wanted, abs=1e-3)
+
+
+def test_doubt_is_one_more_noise_to_what_is_not_listed(doubted):
+    base, searcher = doubted
+    linear = linear_at(base, searcher.tried[()])
+    flat = linear.explained / np.linalg.norm(linear.explained, axis=0) * 1e4
+
+    def evidence(doubt, smooth):
+        parts = np.concatenate([doubt, flat, smooth], axis=1)
+        law = multivariate_normal(cov=np.eye(len(parts)) + parts @ parts.T)
+        return law.logpdf(linear.residual)
+
+    def over_nothing(doubt):
+        smooth = base.generic.smooth
+        nothing = evidence(doubt, smooth[:, :0])
+        each = [evidence(doubt, scale * smooth) - nothing for scale in SCALES]
+        return np.logaddexp.reduce(each) - np.log(len(each))
+
+    wanted = over_nothing(base.doubt)
+    found = gains_beside(base, linear, False)["smooth"]
+    assert found == pytest.approx(wanted, abs=0.01)
+    assert abs(over_nothing(base.doubt[:, :0]) - wanted) > 0.1
