@@ -92,12 +92,22 @@ def gain_of_form(base, linear: LinearFit) -> float:
 
 def gains_beside(base, linear: LinearFit, in_other_form: bool) -> dict[str, float]:
     """Log evidence of each kind of remainder beside a set of effects, in the formulas'
-    form or in another, which is no larger than such forms are. The doubt of the slips
-    is one more noise, to a remainder as to an effect."""
-    expected = base.doubt
-    if in_other_form:
-        expected = np.concatenate([linear.forms, expected], axis=1)
-    return gains(base.generic, linear.explained, linear.residual, expected)
+    form or in another, which is no larger than such forms are.
+
+    The doubt of the slips is one more noise, to a remainder as to an effect, and adds
+    nothing: what is seen only where the slips are doubted is not seen in the data.
+    """
+
+    def found(*expected):
+        columns = np.concatenate([linear.explained[:, :0], *expected], axis=1)
+        return gains(base.generic, linear.explained, linear.residual, columns)
+
+    forms = [linear.forms] if in_other_form else []
+    sure = found(*forms)
+    if not base.doubt.shape[1] or max(sure.values()) <= 0:
+        return sure
+    doubting = found(*forms, base.doubt)
+    return {kind: min(value, doubting[kind]) for kind, value in sure.items()}
 
 
 def fitted_form(linear: LinearFit) -> np.ndarray:
