@@ -45,7 +45,7 @@ from fits.withheld.library import (
     predict,
     shapes,
 )
-from fits.withheld.run import largest_first
+from fits.withheld.run import end_with_parent, largest_first
 
 __all__ = [
     "Plain",
@@ -311,6 +311,7 @@ _taught: list[Forest | None] = [None]
 
 
 def _begin(forest: Forest | None) -> None:
+    end_with_parent()
     _taught[0] = forest
 
 

@@ -21,10 +21,18 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import redirect_stderr, redirect_stdout
 from importlib.metadata import entry_points
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
+from threading import Thread
 
-__all__ = ["command", "largest_first", "main", "more_words", "simulated"]
+__all__ = [
+    "command",
+    "end_with_parent",
+    "largest_first",
+    "main",
+    "more_words",
+    "simulated",
+]
 
 
 def command(group: Path, without: list[str], out: Path, *more: str) -> list[str]:
@@ -52,8 +60,21 @@ def _in_this_process(words: list[str]) -> int:
     return 0
 
 
+def end_with_parent() -> None:
+    """Ends this process where its parent ends: a pool's workers that are not told would
+    go on with what is waiting."""
+
+    def wait() -> None:
+        if parent := parent_process():
+            parent.join()
+            os._exit(1)
+
+    Thread(target=wait, daemon=True).start()
+
+
 def _begin(compiled: str) -> None:
     """What a process is told before it imports anything heavy."""
+    end_with_parent()
     told = {
         "JAX_COMPILATION_CACHE_DIR": compiled,
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
