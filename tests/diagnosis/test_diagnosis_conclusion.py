@@ -15,7 +15,7 @@ import tirefit
 from tirefit.data.read import read_frame
 from tirefit.diagnosis import conclusion
 from tirefit.diagnosis.adequacy import UNTESTED
-from tirefit.diagnosis.base import fit_base
+from tirefit.diagnosis.base import Base, fit_base
 from tirefit.diagnosis.chances import chance_of_unknown, chance_of_unlisted, chances
 from tirefit.diagnosis.conclusion import Judge, bound_by, probability_of_rest
 from tirefit.diagnosis.effects import EFFECTS
@@ -391,19 +391,41 @@ def test_the_heading_of_another_day_may_be_a_zero_that_moves_with_speed():
     assert "slip_offset" in {*verdict.effects, *verdict.also_possible}
 
 
-@pytest.mark.parametrize("nothing, also", [(0.01, ("a", "b")), (0.1, ())])
-def test_what_the_evidence_asks_for_is_said_where_no_effect_is_known(nothing, also):
-    """All tests passed, no effect known to half its size: perhaps it is there, unless
-    nothing may be there as well."""
+def nothing_of(nothing=0.01, passed=True, excess=1.0):
+    """A verdict where no effect is known to half its size."""
     sets, evidence = {(): nothing, ("a",): 0.9 - nothing}, {(): 0.0, ("a",): 9.0}
     weighed = replace(NOTHING, sets=sets, evidence=evidence)
-    passed = SimpleNamespace(adequacy=UNTESTED._replace(passed=True))
-    judge = Mock(spec=Judge, weighed=weighed, of=lambda key: passed)
+    left = SimpleNamespace(adequacy=UNTESTED._replace(time=1e-6, passed=passed))
+    base = Mock(spec=Base, noise={"fx": SimpleNamespace(excess=excess)})
+    search = SimpleNamespace(base=base)
+    judge = Mock(spec=Judge, weighed=weighed, of=lambda key: left, search=search)
     asked = Verdict("cannot_tell", ("a",), 0.9, ("b",), 0.001, ONE_EFFECT)
-    verdict = conclusion._nothing_stands(asked, judge)
+    return conclusion._nothing_stands(asked, judge)
+
+
+@pytest.mark.parametrize("nothing, also", [(0.01, ("a", "b")), (0.1, ())])
+def test_what_the_evidence_asks_for_is_said_where_no_effect_is_known(
+    nothing, also, monkeypatch
+):
+    """All tests passed: perhaps it is there, unless nothing may be there as well."""
+    monkeypatch.setattr(conclusion, "hidden_by_noise", lambda base, chosen: False)
+    monkeypatch.setattr(conclusion, "probability_of_rest", lambda p: 0.1)
+    verdict = nothing_of(nothing)
     assert (verdict.status, verdict.effects) == ("none", ())
     assert verdict.also_possible == also
-    assert verdict.probability == pytest.approx(1 - weighed.unknown_alone)
+    assert verdict.probability == pytest.approx(1 - max(0.1, NOTHING.unknown_alone))
+
+
+def test_a_gap_that_no_known_effect_explains_says_what_may():
+    verdict = nothing_of(passed=False)
+    assert (verdict.status, verdict.effects) == ("unknown", ("unknown",))
+    assert verdict.also_possible == ("a", "b")
+
+
+@pytest.mark.parametrize("excess, hidden", [(2.5, False), (1.0, True)])
+def test_no_gap_is_said_where_the_noise_is_none(excess, hidden, monkeypatch):
+    monkeypatch.setattr(conclusion, "hidden_by_noise", lambda base, chosen: hidden)
+    assert nothing_of(excess=excess).status == "unknown"
 
 
 def test_what_is_known_of_a_set_is_as_likely_as_all_that_hold_it():

@@ -43,6 +43,15 @@ def test_noise_that_grows_with_the_force_is_weighed_so(given):
         assert np.median(noise.std[part] / true[part]) == pytest.approx(1, abs=0.25)
 
 
+def test_noise_is_in_excess_where_it_is_calm():
+    """Growing to 2.4 times what is stated, half the rows at that; and all at that."""
+    assert np.mean(FORCE == 4000) > 0.3
+    growing = judged(1.2 * GROWING)
+    assert np.median(growing.std[FORCE == 4000]) > 2 * np.hypot(40, SPREAD[0] ** 0.5)
+    assert growing.excess < 1.5
+    assert judged(np.full(ROWS, 100.0)).excess == pytest.approx(2.5, rel=0.15)
+
+
 def test_even_noise_keeps_the_level_that_was_stated():
     noise = judged(np.full(ROWS, 40.0))
     assert noise.flags == () and noise.source == "given"
