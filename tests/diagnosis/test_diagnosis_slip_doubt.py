@@ -7,7 +7,7 @@ from scipy.stats import multivariate_normal
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.base import fit_base
-from tirefit.diagnosis.basis import SCALES
+from tirefit.diagnosis.basis import SCALES, without
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.linear_fit import due_to_doubt, gains_beside, linear_at
@@ -225,22 +225,36 @@ def test_doubt_around_a_fit_is_one_more_noise(doubted):
 
 
 def test_doubt_is_one_more_noise_to_what_is_not_listed(doubted):
+    """The density of a normal law with and without doubt: what doubt makes is little
+    evidence of something unlisted, and doubt adds none."""
     base, searcher = doubted
-    linear = linear_at(base, searcher.tried[()])
-    flat = linear.explained / np.linalg.norm(linear.explained, axis=0) * 1e4
+    at_fit = linear_at(base, searcher.tried[()])
+    flat = at_fit.explained / np.linalg.norm(at_fit.explained, axis=0) * 1e4
+    smooth = base.generic.smooth
 
-    def evidence(doubt, smooth):
-        parts = np.concatenate([doubt, flat, smooth], axis=1)
-        law = multivariate_normal(cov=np.eye(len(parts)) + parts @ parts.T)
-        return law.logpdf(linear.residual)
+    def widest(columns):
+        left = without(columns, at_fit.explained)
+        return left[:, np.argmax(np.linalg.norm(left, axis=0))]
 
-    def over_nothing(doubt):
-        smooth = base.generic.smooth
-        nothing = evidence(doubt, smooth[:, :0])
-        each = [evidence(doubt, scale * smooth) - nothing for scale in SCALES]
+    def over_nothing(doubt, residual):
+        def evidence(more):
+            parts = np.concatenate([doubt, flat, more], axis=1)
+            law = multivariate_normal(cov=np.eye(len(parts)) + parts @ parts.T)
+            return law.logpdf(residual)
+
+        nothing = evidence(smooth[:, :0])
+        each = [evidence(scale * smooth) - nothing for scale in SCALES]
         return np.logaddexp.reduce(each) - np.log(len(each))
 
-    wanted = over_nothing(base.doubt)
-    found = gains_beside(base, linear, False)["smooth"]
-    assert found == pytest.approx(wanted, abs=0.01)
-    assert abs(over_nothing(base.doubt[:, :0]) - wanted) > 0.1
+    found = {}
+    for kind, columns, size in (("doubt", base.doubt, 40), ("smooth", smooth, 25)):
+        change = size * widest(columns)
+        linear = at_fit._replace(residual=at_fit.residual + change)
+        sure = over_nothing(base.doubt[:, :0], linear.residual)
+        wanted = min(sure, over_nothing(base.doubt, linear.residual))
+        assert gains_beside(base, linear, False)["smooth"] == pytest.approx(
+            wanted, abs=0.02
+        )
+        assert sure > 5
+        found[kind] = wanted / sure
+    assert found["doubt"] < 0.3 < found["smooth"]
