@@ -209,9 +209,13 @@ def test_an_effect_that_cannot_be_worked_out_is_said(change, said):
         tirefit.diagnose(read_frame(rig_data()), effects=(*EFFECTS, mine))
 
 
-def test_one_force_has_one_noise():
+def test_one_force_has_one_noise(tmp_path):
     with pytest.raises(UsageError, match="fx and fx_relative are both stated"):
         Rig(noise={"fx": 30.0, "fx_relative": 0.01})
+    path = tmp_path / "rig.toml"
+    path.write_text("[noise]\nfx = 30\nfx_relative = 0.01\n")
+    with pytest.raises(UsageError, match=re.escape(f"{path}: noise: fx and")):
+        a_rig(path)
 
 
 @pytest.mark.parametrize("value", [np.nan, -1.0, 0.0, np.inf])

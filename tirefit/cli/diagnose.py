@@ -157,17 +157,17 @@ def diagnose(
         names = _names(files)
         check_directories([out])
         config = read_config(options.config)
-        how = read_options(options, config)
+        how, plain = read_options(options, config), _PLAIN if model is None else model
         if config is not None:
             force = force or config.force
-            asked = {"model": model or _PLAIN, "seed": seed, "force": force}
+            asked = {"model": plain, "seed": seed, "force": force}
             _warn_of_unused(config, how, asked)
         start_jax()
         known = [Path(model)] if model and _is_file(model) else []
         known += [path for path in (rig, options.config) if path is not None]
         _check_replaced(out, names, figures, [*files, *(holdout or []), *known])
         # A simulator that is known by its forces is followed by what does it best.
-        base = model if model or sim else _PLAIN
+        base = model if sim else plain
         settings = _settings(base, rig, without, how)
         settings["forces"] = forces_named(force)
         settings |= _simulator(base, parameter, sim, how)

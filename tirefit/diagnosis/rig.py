@@ -2,7 +2,7 @@
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -184,7 +184,12 @@ def load_rig(path: str | Path | None) -> Rig:
     notes = [f"{key} of {path} is not used" for key in others]
     if stated.commanded_slip is not None:
         notes.append(f"commanded_slip of {path} is noted, not used")
-    return Rig(**stated.model_dump(exclude_none=True), notes=tuple(notes))
+    try:
+        return Rig(**stated.model_dump(exclude_none=True), notes=tuple(notes))
+    except UsageError as error:
+        raise UsageError(
+            [replace(one, file=str(path)) for one in error.problems]
+        ) from None
 
 
 def _of_others(content: dict, kind: type[Section]) -> tuple[dict, list[str]]:
