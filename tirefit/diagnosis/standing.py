@@ -175,48 +175,20 @@ def _misled(base: Base, linear, atoms: list[int]) -> np.ndarray:
     return np.sqrt(np.sum(moved**2, axis=1))
 
 
-def _kept(base: Base, groups) -> list[np.ndarray]:
-    """Groups of rows without those set aside, numbered as those that are left."""
-    keep = np.asarray(base.design.keep[: base.prepared.n]) > 0
-    index = np.cumsum(keep) - 1
-    parts = [index[group[keep[group]]] for group in groups]
-    return [part for part in parts if len(part)]
+def _orders(prepared: Prepared, stretches: list[np.ndarray]) -> list[np.ndarray]:
+    """Places of the rows in time, and on the way: what turns with the wheel repeats
+    with that.
 
-
-def _of_noise(base: Base, residual, used_up, generator) -> Null:
-    """What a fit leaves of noise as large as its residual, on the rows of all channels
-    that are kept."""
-    prepared, n = base.prepared, base.prepared.n
-    keep = np.asarray(base.design.keep[:n]) > 0
-    rows = [np.flatnonzero(keep) + k * n for k in range(len(prepared.channels))]
-    kept_rows, in_time = np.concatenate(rows), None
-    if prepared.time is not None:
-        in_time = _kept(base, segments(prepared.time, prepared.run))
-    return null(
-        used_up[kept_rows], base.doubt[kept_rows],
-        np.split(np.arange(len(kept_rows)), len(rows)),
-        [float(np.sqrt(np.mean(residual[part] ** 2))) for part in rows],
-        [
-            [memory.of(keep) for memory in base.noise[channel].memory]
-            for channel in prepared.channels
-        ],
-        in_time, generator,
-    )  # fmt: skip
-
-
-def _orders(base: Base, keep) -> list[np.ndarray]:
-    """Places of the rows that are kept in time, and on the way: what turns with the
-    wheel repeats with that."""
-    prepared = base.prepared
-    if prepared.time is None:
-        return []
-    stretches = segments(prepared.time, prepared.run)
+    Args:
+        stretches: rows in the order of time, see :func:`segments`.
+    """
     orders = [np.argsort(np.concatenate(stretches))]
-    way = travelled(prepared)
-    if "speeds" in prepared.has and np.ptp(way) > 0:
-        steps = (prepared.n - 1) / np.ptp(way)
-        orders.append(np.rint((way - way.min()) * steps).astype(int))
-    return [places[keep] for places in orders]
+    if "speeds" in prepared.has:
+        way = travelled(prepared)
+        if np.ptp(way) > 0:
+            steps = (prepared.n - 1) / np.ptp(way)
+            orders.append(np.rint((way - way.min()) * steps).astype(int))
+    return orders
 
 
 def _tested(base: Base, residual, used_up, generator) -> Adequacy:
@@ -224,13 +196,31 @@ def _tested(base: Base, residual, used_up, generator) -> Adequacy:
     prepared, n = base.prepared, base.prepared.n
     # As the noise it is held against: without all that was fitted.
     residual = without(residual, used_up)
-    of_noise = _of_noise(base, residual, used_up, generator)
-    keep, in_time = np.asarray(base.design.keep[:n]) > 0, None
+    keep = np.asarray(base.design.keep[:n]) > 0
+    index = np.cumsum(keep) - 1
+
+    def kept(groups):
+        parts = [index[group[keep[group]]] for group in groups]
+        return [part for part in parts if len(part)]
+
+    in_time, orders = None, []
     if prepared.time is not None:
-        in_time = _kept(base, segments(prepared.time, prepared.run))
-    in_slip = _kept(base, neighbours(prepared))
-    groups, orders = _kept(base, regimes(prepared)), _orders(base, keep)
+        stretches = segments(prepared.time, prepared.run)
+        in_time = kept(stretches)
+        orders = [places[keep] for places in _orders(prepared, stretches)]
+    in_slip, groups = kept(neighbours(prepared)), kept(regimes(prepared))
     rows = [np.flatnonzero(keep) + k * n for k in range(len(prepared.channels))]
+    stacked = np.split(np.arange(len(rows) * keep.sum()), len(rows))
+    kept_rows = np.concatenate(rows)
+    of_noise = null(
+        used_up[kept_rows], base.doubt[kept_rows], stacked,
+        [float(np.sqrt(np.mean(residual[part] ** 2))) for part in rows],
+        [
+            [memory.of(keep) for memory in base.noise[channel].memory]
+            for channel in prepared.channels
+        ],
+        in_time, generator,
+    )  # fmt: skip
     each = [
         adequacy(
             residual[part], Null(of_noise.draws[own], of_noise.unit[own]),
@@ -238,9 +228,7 @@ def _tested(base: Base, residual, used_up, generator) -> Adequacy:
         )
         if np.sqrt(np.mean(residual[part] ** 2)) > SILENT
         else UNTESTED._replace(passed=True)
-        for part, own in zip(
-            rows, np.split(np.arange(len(of_noise.draws)), len(rows)), strict=True
-        )
+        for part, own in zip(rows, stacked, strict=True)
     ]  # fmt: skip
     return _worst(each)
 
