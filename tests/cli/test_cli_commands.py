@@ -169,15 +169,16 @@ WRONG = {
     "no such fit": (["none.json", "d.csv"], 3, "none.json"),
     "set on a fit": (["none.json", "d.csv", "--set", "mu=1"], 2, "--set"),
     "speed needed": (["brush-n", "d.csv"], 3, "needs v (forward speed"),
+    "no CSV": (["brush", "d.csv", "--out", "f.parquet"], 2, "the output is a CSV"),
 }
 
 
 @pytest.mark.parametrize(("arguments", "code", "said"), WRONG.values(), ids=WRONG)
 def test_wrong_predictions(run, tmp_path, arguments, code, said):
     write(tmp_path / "d.csv", "sigma_x,fz", SLIP, np.full(31, FZ))
-    result = run("predict", *arguments, "--out", "f.csv", exit_code=code)
+    result = run("predict", "--out", "f.csv", *arguments, exit_code=code)
     assert said in result.stderr and "Traceback" not in result.stderr
-    assert not (tmp_path / "f.csv").exists()
+    assert not list(tmp_path.glob("f.*"))
 
 
 def test_inspect_as_json(run, tmp_path):

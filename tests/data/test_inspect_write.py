@@ -162,6 +162,9 @@ def test_outputs_are_refused_before_the_work(tmp_path, monkeypatch):
     assert output_problems(path, inputs=[tmp_path / "b.csv"]) == []
     (problem,) = output_problems(path, inputs=[tmp_path / "." / "a.csv"])
     assert "input file" in problem.reason and problem.file == str(path)
+    assert output_problems(tmp_path / "a.CSV", ending=".csv") == []
+    (problem,) = output_problems(tmp_path / "a.parquet", ending=".csv")
+    assert (problem.reason, problem.remedy) == ("the output is a CSV", "end it in .csv")
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may write everywhere
     (problem,) = output_problems(path)
     assert f"no permission to write into the folder {tmp_path}" in problem.reason

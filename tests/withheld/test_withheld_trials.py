@@ -25,6 +25,7 @@ from fits.withheld import (
 from fits.withheld.designs import DESIGNS, make_world
 from fits.withheld.effects import EFFECTS
 from fits.withheld.patch import World
+from fits.withheld.procedural import procedural
 
 FOLDER = Path(generate.__file__).parent
 C, MU = 5e4, 0.9
@@ -248,6 +249,18 @@ def test_lugre_is_the_sum_of_its_bristles():
             lambda x, s=slip, n=level: n * -np.expm1(-sigma0 * s * x / n), 0, length
         )
         assert force == pytest.approx(4000 * stress[0] / length, rel=1e-6)
+
+
+def test_no_stranger_is_another_road_for_a_while():
+    g = np.random.default_rng(0)
+    said = {procedural(sweep(), 0.01, g).split(", ")[0] for _ in range(1500)}
+    shapes = {"friction by kinked", "friction by periodic"}
+    for quantity in ("time", "distance"):
+        of = {kind for kind in said if kind.endswith(f" of {quantity}")}
+        friction = {kind for kind in of if kind.startswith("friction")}
+        assert friction == {f"{shape} of {quantity}" for shape in shapes}
+        assert f"force by local of {quantity}" in of
+    assert "friction by local of slip" in said
 
 
 def test_a_load_cell_with_a_zero_is_a_brush_under_another_load():

@@ -301,7 +301,7 @@ def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:
     """Values of ``--set``; raises UsageError with all that is wrong before the work."""
     from tirefit.data.write import output_problems
 
-    problems = output_problems(out, inputs=[data, source])
+    problems = output_problems(out, inputs=[data, source], ending=".csv")
     values = numbers("--set", parameter, problems)
     if is_file and values:
         problems.append(

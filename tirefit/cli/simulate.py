@@ -220,10 +220,7 @@ def _check(out: Path, truth: Path | None, limits) -> None:
     for path in (out, truth):
         if path is None:
             continue
-        problems += output_problems(path)
-        if path.suffix != ".csv":
-            reason, remedy = "the output is a CSV", "end it in .csv"
-            problems.append(InputProblem(reason, remedy, str(path)))
+        problems += output_problems(path, ending=".csv")
     if truth is not None:
         if truth.absolute() == out.absolute():
             problems.append(InputProblem("--truth is --out", "give it another name"))

@@ -422,10 +422,9 @@ def _check_names(
 ) -> None:
     """Raise UsageError unless the first of the files made can be a CSV, none of them
     replaces an input, and every log has its own name."""
-    out, given = made[0], [str(path) for path in (*paths, vehicle_toml)]
-    problems = [found for path in made for found in output_problems(path, given)][:1]
-    if out.suffix != ".csv":
-        problems.append(InputProblem("the output is a CSV", "end it in .csv", str(out)))
+    given = [str(path) for path in (*paths, vehicle_toml)]
+    out, beside = made
+    problems = output_problems(out, given, ".csv") or output_problems(beside, given)
     names = [_run_name(file_at(path)) for path in paths]
     if not names:
         problems.append(InputProblem("no log given", "name at least one"))

@@ -31,10 +31,13 @@ __all__ = [
 _PLOTTED = ("time", "sigma_x", "alpha", "gamma", "fz", "v", "pressure")
 
 
-def output_problems(path, inputs: Sequence = ()) -> list[InputProblem]:
+def output_problems(
+    path, inputs: Sequence = (), ending: str = ""
+) -> list[InputProblem]:
     """Why no file can be written at ``path``, asked before the work; none if it can.
 
-    A file that is there will be replaced, unless it is one of ``inputs``.
+    A file that is there will be replaced, unless it is one of ``inputs``. ``ending``
+    is that of the kind that is written, as ``.csv``.
     """
     path = Path(path)
     folder = path.parent
@@ -51,6 +54,9 @@ def output_problems(path, inputs: Sequence = ()) -> list[InputProblem]:
         reason = f"{folder} is a file, not a folder"
     elif not os.access(folder, os.W_OK | os.X_OK):
         reason = f"no permission to write into the folder {folder.resolve()}"
+    elif ending and path.suffix.lower() != ending:
+        reason = f"the output is a {ending.removeprefix('.').upper()}"
+        remedy = f"end it in {ending}"
     else:
         return []
     return [InputProblem(reason, remedy, str(path))]
