@@ -120,7 +120,8 @@ def test_simulated_rig_sweeps_and_mistakes(run, tmp_path):
     rows = rows_of((tmp_path / "r.csv").read_text())
     assert len(rows) == 100 and {r["fz"] for r in rows} == {"3000.0"}
     for arguments, said in (
-        (("rig", "--set", "nu=1"), "no such parameter"),
+        (("rig", "--set", "nu=1"), "brush has no parameter 'nu'"),
+        (("rig", "--set", "mu=-1"), "mu = -1.0 is outside its bounds"),
         (("rig", "--load", "-5"), "out of range"),
         (("braking", "--drop", "soon"), "TIME=FRICTION"),
         (("braking", "--truth", "x.csv"), "--truth is --out"),

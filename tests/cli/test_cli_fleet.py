@@ -234,6 +234,30 @@ def test_workers_of_another_version_or_place_are_refused(files, tmp_path):
         assert outcome.last and outcome.code == 2 and said in outcome.complained
 
 
+TWICE = "it would be the result of one file and that of all"
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "said"),
+    [
+        (("diagnose", "--force", "fx"), "results.parquet", "it is an input file"),
+        (("diagnose", "--figures"), "fleet.csv", TWICE),
+        (("prepare",), "fleet.html", "it is an input file"),
+        (("fit", *HOW), "results.parquet", "it is an input file"),
+        (("fit", *HOW, "a.csv"), "results.parquet.csv", TWICE),
+    ],
+)
+def test_the_results_of_all_replace_no_file(run, files, tmp_path, command, name, said):
+    out = tmp_path / "out"
+    out.mkdir()
+    file = out / name
+    file.write_bytes(files[0].read_bytes())
+    ended = run(*command, file, "--out", out, "--jobs", "1", exit_code=2)
+    assert said in ended.stderr
+    assert list(out.iterdir()) == [file]
+    assert file.read_bytes() == files[0].read_bytes()
+
+
 def test_jobs_and_scheduler_are_two_ways(run, files):
     said = run("fit", files[0], "--jobs", "2", "--scheduler", "x:1", exit_code=2)
     assert "--jobs beside --scheduler" in said.stderr

@@ -66,6 +66,42 @@ def _with_an_offset(slip, time, fz, v):
     return brush(slip + 0.004, 5e4, 0.9, fz)
 
 
+FORMULAS = {
+    "with the speed of travel": (
+        "friction_speed_linear", lambda s, t, fz, v: 1.15 - 0.01 * v, 0.01 / 1.15, 0.03,
+    ),
+    "with exponent e = 1, v_st = 1.": (
+        "friction_speed_exponential",
+        lambda s, t, fz, v: 0.7 + 0.3 * np.exp(-np.abs(v * s / (1 + s)) / 1.5),
+        0.3, 0.1,
+    ),
+    "in proportion to log(F_z / F_z0)": (
+        "load_friction", lambda s, t, fz, v: 1 - 0.15 * np.log(fz / 4000), -0.15, 0.1,
+    ),
+    "from 10": (
+        "friction_step", lambda s, t, fz, v: np.where(t > 10, 0.8, 1), -0.22, 0.1,
+    ),
+    "quick at first, as exp(-t / ": (
+        "friction_drift", lambda s, t, fz, v: 1 - 0.25 * np.exp(-t / 3), 0.25, 0.1,
+    ),
+}  # fmt: skip
+"""What is said -> (effect, friction over its usual, amplitude, how nearly)."""
+
+
+@pytest.mark.parametrize("said", FORMULAS)
+def test_a_named_effect_says_of_which_formula_its_amplitude_is(said):
+    effect, friction, amplitude, rel = FORMULAS[said]
+    frame, _ = record(
+        lambda s, t, fz, v: brush(s, 5e4, 0.9 * friction(s, t, fz, v), fz), 5, 80
+    )
+    found = diagnose(read_frame(frame), rig=RIG)
+    assert found.effects == (effect,)
+    named = next(c for c in found.candidates if c.effects == (effect,))
+    (size,) = named.parameters.values()
+    assert said in size.formula and said in str(found).replace("\n    ", " ")
+    assert size.value == pytest.approx(amplitude, rel=rel)
+
+
 @pytest.mark.parametrize(
     ("truth", "effect"),
     [

@@ -90,6 +90,18 @@ def test_a_simulated_force_without_a_number_is_no_zero():
         tirefit.diagnose(read_frame(data), sim=np.full(120, np.nan))
 
 
+@pytest.mark.parametrize(
+    ("sim", "said"),
+    [
+        ({"fx": np.ones(120), "fx_sim": np.ones(120)}, "fx and fx_sim are one force"),
+        ({"fx": np.ones(120) * 1j}, "sim is of type ndarray"),
+    ],
+)
+def test_a_simulated_force_is_given_once_and_real(sim, said):
+    with pytest.raises(UsageError, match=said):
+        tirefit.diagnose(read_frame(rig_data()), sim=sim)
+
+
 def test_times_that_differ_by_their_last_digit_are_no_fault():
     data = rig_data()
     time = np.arange(120) * 0.1

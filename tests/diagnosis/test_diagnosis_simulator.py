@@ -447,6 +447,12 @@ def test_rows_without_a_simulated_force_are_masked(frame):
     found = studied(frame, {"fx": sim})
     assert found.n == len(sim) - 9
     assert np.all(np.isnan(found.rows["fx"]["base"][:9]))
+    said = f"9 of {len(sim)} rows without a simulated force are left out"
+    assert any(said in text for text in found.data.assumptions)
+    wild = np.where(np.isnan(sim), 1e9, sim)
+    masked = np.ma.masked_array(wild, np.isnan(sim))
+    again = studied(frame, {"fx": masked})
+    assert again.n == found.n and again.verdict == found.verdict
 
 
 def test_a_fit_with_parameters_of_each_run_is_no_one_simulator(frame):

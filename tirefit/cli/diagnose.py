@@ -81,12 +81,16 @@ def _written(name: str, figures: bool) -> tuple[list[str], list[str]]:
     return [f"{name}.json", f"{name}.rows.csv"], drawn if figures else []
 
 
-def _check_replaced(out: Path, names: list[str], figures: bool, inputs) -> None:
+def _check_replaced(
+    out: Path, names: list[str], figures: bool, inputs: list[Path], sharing: Sharing
+) -> None:
     """Raises UsageError where results would replace what is read, or is no result."""
     from tirefit.diagnosis.result import SCHEMA
 
-    made = (one for name in names for part in _written(name, figures) for one in part)
-    check_replaced((out / one for one in made), inputs, SCHEMA.rpartition("/")[0])
+    parts = [part for name in names for part in _written(name, figures)]
+    made = [out / one for part in parts for one in part]
+    check_replaced(made, inputs, SCHEMA.rpartition("/")[0])
+    sharing.check(out, inputs, made)
 
 
 @takes_data_options
@@ -165,7 +169,8 @@ def diagnose(
         start_jax()
         known = [Path(model)] if model and _is_file(model) else []
         known += [path for path in (rig, options.config) if path is not None]
-        _check_replaced(out, names, figures, [*files, *(holdout or []), *known])
+        inputs = [*files, *(holdout or []), *known]
+        _check_replaced(out, names, figures, inputs, sharing)
         # A simulator that is known by its forces is followed by what does it best.
         base = model if sim else plain
         settings = _settings(base, rig, without, how)

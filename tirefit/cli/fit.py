@@ -177,6 +177,8 @@ def fit(
         also = Also(svg, html)
         task = FitTask(settings, how, posterior, resume, keep, also, strict)
         if apart:
+            known = [] if options.config is None else [options.config]
+            sharing.check(out or Path(), [*files, *known], directories)
             worst = _fit_apart(files, directories, task, sharing, out or Path())
         else:
             groups = [files] if joint else [[file] for file in files]

@@ -6,7 +6,7 @@ table of all results, come back here.
 
 import os
 import pickle
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import chdir, closing, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -26,7 +26,7 @@ from tirefit.cli.options import (
     say,
     start_jax,
 )
-from tirefit.cli.output import swept
+from tirefit.cli.output import check_replaced, swept
 from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, UsageError
 
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
@@ -73,6 +73,18 @@ class Sharing:
     @property
     def apart(self) -> bool:
         return self.jobs is not None or self.scheduler is not None
+
+    def check(self, out: Path, inputs: Iterable[Path], made: Iterable[Path]) -> None:
+        """Raises UsageError where the table of all results in ``out``, or the page on
+        it, would replace a file that is read or a result of one file (``made``)."""
+        if not self.apart:
+            return
+        ours = [out / TABLE, out / PAGE]
+        check_replaced(ours, inputs)
+        if both := sorted(set(ours) & set(made)):
+            reason = "it would be the result of one file and that of all"
+            remedy = "rename the file, or leave out --jobs and --scheduler"
+            raise UsageError(InputProblem(reason, remedy, str(both[0])))
 
 
 class Piece(NamedTuple):

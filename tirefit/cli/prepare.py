@@ -106,7 +106,9 @@ def prepare(
         names = _names(files)
         check_directories([out])
         ends = (".csv", ".segments.csv", ".png", ".prepare.json")
-        check_replaced((out / f"{name}{end}" for name in names for end in ends), files)
+        made = [out / f"{name}{end}" for name in names for end in ends]
+        check_replaced(made, files)
+        sharing.check(out, files, made)
         task = _Task(out, how, config)
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
         with claimed(out):

@@ -172,14 +172,10 @@ def rig(
         _check(out, truth, limits)
         start_jax()
         from tirefit.fitting.problem import find_model
-        from tirefit.params import specs
+        from tirefit.params import check_values
         from tirefit.sim.rig import simulate_rig
 
-        known = specs(find_model(model))
-        for name in values:
-            if name not in known:
-                reason = f"--set {name}: {model} has no such parameter"
-                raise UsageError(InputProblem(reason, f"it has {', '.join(known)}"))
+        check_values(find_model(model), model, values)
         made = simulate_rig(
             model, values, loads=loads, speeds=speeds, largest=largest, points=points,
             lateral=lateral, slip_std=slip_std, force_std=force_std, seed=seed,

@@ -244,11 +244,13 @@ class SimulatorSummary(NamedTuple):
 
 
 class Amplitude(NamedTuple):
-    """Amplitude of an effect with its standard error, in its own unit."""
+    """Amplitude of an effect with its standard error, in its own unit; ``formula`` says
+    in words which of the effect's formulas it is of, empty where there is one."""
 
     value: float
     std: float
     unit: str
+    formula: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -139,7 +139,11 @@ class Given:
         known = np.all([np.isfinite(force) for force in forces.values()], axis=0)
         for name, force in forces.items():
             _check_size(force, data, name, known & data.used, path)
-        return replace(data, columns=columns | forces).where(known)
+        source = data.source
+        if self.forces is not None and (lost := int(np.sum(data.used & ~known))):
+            text = f"{lost} of {len(data)} rows without a simulated force are left out"
+            source = replace(source, warnings=(*source.warnings, text))
+        return replace(data, columns=columns | forces, source=source).where(known)
 
     def tire_for(self, prepared) -> tuple[AbstractTire, Layout, np.ndarray]:
         """Its tire, which parameters of it may be adapted, and their values as z."""
@@ -325,7 +329,10 @@ def _of_arrays(sim, data: TireData) -> Given:
     for name, values in sim.items():
         channel = str(name).removesuffix("_sim")
         try:
-            array = np.asarray(values, float)
+            if np.iscomplexobj(values):
+                raise TypeError
+            # What is masked is not known, as an empty cell.
+            array = np.ma.filled(np.ma.asarray(values, float), np.nan)
         except (TypeError, ValueError):
             reason = f"sim is of type {type(values).__name__}"
             remedy = "give a tire model, a fit, a file, True, or arrays of forces"
@@ -334,6 +341,9 @@ def _of_arrays(sim, data: TireData) -> Given:
             reason = f"sim: {name} of shape {array.shape}"
             remedy = f"give fx, fy or mz with one value for each of {len(data)} rows"
             raise UsageError(InputProblem(reason, remedy))
+        if channel in arrays:
+            reason = f"sim: {channel} and {channel}_sim are one force"
+            raise UsageError(InputProblem(reason, "give one of them"))
         arrays[channel] = array
     return Given(kind="columns", source="arrays", forces=lambda _: arrays)
 

@@ -220,14 +220,16 @@ def said_effects(candidate: Candidate, verdict: VerdictSummary) -> tuple[str, ..
 
 
 def parameter_text(candidate: Candidate) -> str:
-    """Amplitudes of a candidate: ``name = value ± std unit``, named by effect where
-    there are several."""
+    """Amplitudes of a candidate: ``name = value ± std unit, formula``, named by effect
+    where there are several."""
     several = len(candidate.parameters) > 1
     parts = []
     for name, amplitude in candidate.parameters.items():
         effect, _, parameter = name.partition(": ")
         label = f"{effect}: {parameter}" if several else parameter
-        parts.append(f"{label} = {amount_text(*amplitude)}")
+        value, std, unit, formula = amplitude
+        which = f", {formula}" if formula else ""
+        parts.append(f"{label} = {amount_text(value, std, unit)}{which}")
     return "; ".join(parts)
 
 

@@ -87,6 +87,49 @@ def _fall(state, share, constants, rows):
     return scaled(state, "friction", 1 - both * fall)
 
 
+_ALONE, _ALL = "of the kinetic friction alone", "of static and kinetic friction alike"
+
+
+def _which_speed(constants, rows, time) -> str:
+    del rows, time
+    kinetic, sliding, _ = constants
+    how = "with the sliding speed" if kinetic or sliding else "with the speed of travel"
+    return f"{_ALONE if kinetic else _ALL}, {how}"
+
+
+def _which_fall(constants, rows, time) -> str:
+    del time
+    v_st, exponent, both = constants
+    law = f"with exponent e = {exponent:g}" if exponent else "by log(1 + v_s / v_st)"
+    v_st = v_st * float(np.max(rows.brisk))
+    return f"{_ALL if both else _ALONE}, {law}, v_st = {v_st:.3g} m/s"
+
+
+def _which_power(constants, rows, time) -> str:
+    del rows, time
+    laws = "a power of the load", "in proportion to F_z / F_z0 - 1"
+    return (*laws, "in proportion to log(F_z / F_z0)")[int(np.argmax(constants))]
+
+
+def _which_drift(constants, rows, time) -> str:
+    del rows
+    even, way = constants
+    lasts = way * float(np.ptp(time))
+    return "evenly" if even else f"quick at first, as exp(-t / {lasts:.3g} s)"
+
+
+def _which_step(constants, rows, time) -> str:
+    begin, end, shaped = constants
+    change, share = (np.asarray(v)[: len(time)] for v in (rows.change, rows.time))
+    inside = change > 0 if shaped else (share > begin) & (share < end)
+    order = np.argsort(time, kind="stable")
+    turns = np.flatnonzero(np.diff(inside[order]))
+    at = [f"{t:.4g}" for t in (time[order][turns] + time[order][turns + 1]) / 2]
+    if len(at) == 1:
+        return f"from {at[0]} s on"
+    return f"from {at[0]} to {at[1]} s" if at else ""
+
+
 def _with_load(name):
     """A power of the load, linear in it or in its logarithm."""
 
@@ -162,6 +205,7 @@ def _drifting(name: str, parameter: str, scale: float, forms, looks_like):
         bounds=(SHARE,),
         needs=("time",),
         variants=_DRIFTS,
+        which=_which_drift,
         forms=forms,
         looks_like=looks_like,
         told_apart_by="random order",
@@ -201,6 +245,7 @@ def _loaded(name: str, scale: float, forms, looks_like):
         bounds=(_POWERS,),
         needs=("loads",),
         variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        which=_which_power,
         forms=forms,
         looks_like=looks_like,
         told_apart_by="random order",
@@ -217,12 +262,13 @@ SPEED_LINEAR = Effect(
     per=("sliding", "sliding", "rolling"),
     unit="s/m",
     formula="mu_k = mu (1 - amplitude v_s), S(35)",
-    means="friction changes in proportion to the sliding speed",
-    remedy="fit brush-n",
+    means="friction changes in proportion to the speed",
+    remedy="fit brush-n; where all friction changes, mu for each speed",
     parameter="n / mu",
     bounds=((-2.0, 2.0),),
     needs=("v",),
     variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    which=_which_speed,
     forms=FRICTION_BY_SPEED,
     looks_like=("friction_speed_exponential",),
     told_apart_by="speeds",
@@ -235,13 +281,14 @@ SPEED_EXPONENTIAL = Effect(
     unit="-",
     formula="mu_k = mu (h + (1 - h) exp(-(v_s / v_st)^e)), S(37)",
     means="friction changes with the sliding speed, most of it at low speeds",
-    remedy="fit brush-h",
+    remedy="fit brush-h with this v_st; where all friction changes, mu for each speed",
     parameter="1 - h",
     bounds=((-1.0, 1.0),),  # rubber that slides slowly grips the more, the faster
     needs=("v",),
     variants=tuple(
         (*fall, both) for both in (0.0, 1.0) for fall in (*_FALLS, _LOGARITHM)
     ),
+    which=_which_fall,
     forms=FRICTION_BY_SPEED,
     looks_like=("friction_speed_linear",),
     told_apart_by="speeds",
@@ -263,6 +310,7 @@ STEP = Effect(
         (0.0, _NO_END, 1.0),
     ),
     forms=_BY_TIME,
+    which=_which_step,
     during=lambda constants: (constants[0], constants[1]),
     scans_time=True,
     looks_like=("friction_drift",),

@@ -91,6 +91,9 @@ class Effect:
         channels: forces that it can change; empty is all.
         variants: the constants of each formula that is tried (other times, other
             speeds); all of one length.
+        which: (constants, covariates (n,), time (n,) [s] or None) -> in words which
+            formula a variant is, with the values without which its amplitude says
+            little.
         forms: other shapes in which the same parameter may vary with the same quantity.
         during: (constants) -> begin and end of what a variant changes, in shares of the
             record about its middle, where it acts for a stretch of it: a setting that
@@ -119,6 +122,7 @@ class Effect:
     needs: tuple[str, ...] = ()
     channels: tuple[str, ...] = ()
     variants: tuple[tuple[float, ...], ...] = ((),)
+    which: Callable[[tuple[float, ...], Covariates, object], str] | None = None
     forms: tuple[Form, ...] = ()
     during: Callable[[tuple[float, ...]], tuple[float, float]] | None = None
     scans_time: bool = False
