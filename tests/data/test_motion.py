@@ -312,6 +312,7 @@ def test_absent_columns_are_all_named(tmp_path):
         ("", "is empty"),
         ("t,x,y,psi\n", "no data rows"),
         ("t,x,y,psi\n0,0,0,0\n", "fewer than two samples"),
+        ("t,x,y,psi\n1,0,0,0\n1,0,0,0\n0,1,0,0\n", "time does not rise"),
         (
             "t,x,y,psi\ns,mm,mm,kg\n0,0,0,0\n0.01,1,0,0\n",
             "unit 'kg' is no unit of angle",

@@ -399,6 +399,8 @@ def test_many_masked_rows_are_grouped(tmp_path):
     assert data.n == 4
     assert len(data.source.masked) == 6
     assert "and 395 more rows" in str(data.source.masked[-1])
+    *first, rest = data.source.first_masked(len(data) - data.n)
+    assert len(first) == 3 and rest == "400 rows in all"
 
 
 def test_require_names_what_a_model_needs(tmp_path):

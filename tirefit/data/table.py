@@ -135,11 +135,12 @@ class Source:
         """All that is to be said of the reading, warnings first."""
         return (*(f"warning: {text}" for text in self.warnings), *self.assumptions)
 
-    def first_masked(self, most: int = 3) -> tuple[str, ...]:
-        """The first rows that are not used, with their reasons, and how many more."""
+    def first_masked(self, unused: int, most: int = 3) -> tuple[str, ...]:
+        """The first rows that are not used, with their reasons; how many there are
+        (``unused``) where those are not all."""
         first = [replace(at, remedy="", file="") for at in self.masked[:most]]
-        more = len(self.masked) - most
-        return (*map(str, first), *([f"{more} more rows"] if more > 0 else []))
+        rest = [f"{unused} rows in all"] if len(self.masked) > most else []
+        return (*map(str, first), *rest)
 
 
 @dataclass(frozen=True, repr=False)

@@ -276,9 +276,12 @@ def _period(time: np.ndarray, vehicle: Vehicle, file: str) -> float:
     cutoff = vehicle.filter.cutoff
     needed = f"a log of at least {4 * cutoff:g} Hz for a cutoff of {cutoff:g} Hz"
     if len(steps) == 0:
-        raise DataError(
-            InputProblem("holds fewer than two samples", f"give {needed}", file)
-        )
+        column = vehicle.columns.time
+        reason, remedy = "holds fewer than two samples", f"give {needed}"
+        if len(time) > 1:
+            reason = "time does not rise from any sample to the next"
+            remedy = "sort the log by time, or name the right column"
+        raise DataError(InputProblem(reason, remedy, file, column=column))
     period = float(np.median(steps))
     if period > 1 / (4 * cutoff):
         raise DataError(

@@ -332,7 +332,7 @@ def _of_arrays(sim, data: TireData) -> Given:
             if np.iscomplexobj(values):
                 raise TypeError
             # What is masked is not known, as an empty cell.
-            array = np.ma.filled(np.ma.asarray(values, float), np.nan)
+            array: np.ndarray = np.ma.filled(np.ma.asarray(values, float), np.nan)
         except (TypeError, ValueError):
             reason = f"sim is of type {type(values).__name__}"
             remedy = "give a tire model, a fit, a file, True, or arrays of forces"
