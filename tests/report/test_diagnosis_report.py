@@ -1134,6 +1134,7 @@ def test_small_texts():
     assert range_text(region("slip_fraction", 0.5461, 236843.0)) == "0.546 and more"
     assert range_text(region("slip", -9e4, -0.25)) == "-0.25 and less"
     assert range_text(region("slip", -9e4, 9e4)) == "any"
+    assert range_text(region("slip_fraction", 1.8e7, 1.8e7)) == "100 and more"
     assert range_text(region("time", 13.4851, 17.98)) == "13.5 to 18 s"
     assert range_text(region("direction", -1.0, -1.0)) == "shrinking"
     assert share_text(0.951, [0.8, 1.0]) == "95 % [80 %, 100 %]"

@@ -146,16 +146,16 @@ def range_text(region: Region | Spot) -> str:
         return _NAMED_VALUES[name][round(high if abs(high) > abs(low) else low)]
     unit = CANONICAL.get(name, ("", ""))[0]
     tail = f" {unit}" if unit not in ("", "-") else ""
-    if low == high:
+    if low == high and (name not in _OF_FULL_SLIDING or abs(low) <= _FAR):
         return f"{format_number(low)}{tail}"
     if name in _OF_FULL_SLIDING and max(-low, high) > _FAR:
         # Next to no friction on some rows: their slip is far beyond full sliding.
         if min(-low, high) > _FAR:
             return "any"
         return (
-            f"{_end(low, 1.0)} and more"
+            f"{_end(min(low, _FAR), 1.0)} and more"
             if high > _FAR
-            else f"{_end(high, 1.0)} and less"
+            else f"{_end(max(high, -_FAR), 1.0)} and less"
         )
     return f"{_end(low, high)} to {_end(high, high)}{tail}"
 
