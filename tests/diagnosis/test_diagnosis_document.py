@@ -55,7 +55,9 @@ KEYS = {
         "closed", "closed_ci",
     ],
     "candidates 0 parameters": ["slip_offset: amplitude"],
-    "candidates 0 parameters slip_offset: amplitude": ["value", "std", "unit"],
+    "candidates 0 parameters slip_offset: amplitude": [
+        "value", "std", "unit", "formula",
+    ],
     "untestable 0": ["effect", "needs"],
     "resolution": [
         "smallest unlisted remainder that would have been seen", "smallest_effects"
