@@ -159,6 +159,18 @@ def test_data_options_mean_the_same_to_every_command(run, tmp_path):
     np.testing.assert_allclose(predicted["b"], rows_of("d.csv")["b"], atol=1e-9)
 
 
+def test_rows_without_a_prediction_are_listed(run, tmp_path):
+    rows = [f"{0.01 * k},{'x' if k in (3, 7, 8, 9, 11) else FZ}" for k in range(31)]
+    (tmp_path / "d.csv").write_text("\n".join(["sigma_x,fz", *rows]))
+    how = ("--out", "f.csv", "--mask-bad-rows")
+    said = run("predict", "brush", "d.csv", *SETS, *how).stderr
+    assert "set aside, no force: row 5, column 'fz': 'x' is text" in said
+    assert "set aside, no force: 5 rows in all" in said
+    with open("f.csv") as file:
+        forces = [row["fx"] for row in csv.DictReader(file)]
+    assert len(forces) == 31 and forces.count("") == 5
+
+
 WRONG = {
     "unknown model": (["brsh", "d.csv"], 2, "did you mean brush"),
     "unknown parameter": (["brush", "d.csv", "--set", "nu=1"], 2, "no parameter 'nu'"),
