@@ -294,8 +294,7 @@ def _predict_tir(
 
 def _say_written(out, table, columns) -> None:
     convention_text = f"convention {table.source.convention}"
-    unused = len(table) - table.n
-    for said in table.source.first_masked(unused):
+    for said in table.first_masked():
         complain(f"warning: set aside, no force: {said}")
     say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} ({convention_text})")
 

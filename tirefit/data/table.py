@@ -135,13 +135,6 @@ class Source:
         """All that is to be said of the reading, warnings first."""
         return (*(f"warning: {text}" for text in self.warnings), *self.assumptions)
 
-    def first_masked(self, unused: int, most: int = 3) -> tuple[str, ...]:
-        """The first rows that are not used, with their reasons; how many there are
-        (``unused``) where those are not all."""
-        first = [replace(at, remedy="", file="") for at in self.masked[:most]]
-        rest = [f"{unused} rows in all"] if len(self.masked) > most else []
-        return (*map(str, first), *rest)
-
 
 @dataclass(frozen=True, repr=False)
 class TireData(Displayed):
@@ -178,6 +171,14 @@ class TireData(Displayed):
     def n(self) -> int:
         """Number of used rows."""
         return int(np.count_nonzero(self.used))
+
+    def first_masked(self, most: int = 3) -> tuple[str, ...]:
+        """The first rows that are not used, with their reasons; how many there are
+        where those are not all."""
+        masked = self.source.masked
+        first = [replace(at, remedy="", file="") for at in masked[:most]]
+        rest = [f"{len(self) - self.n} rows in all"] if len(masked) > most else []
+        return (*map(str, first), *rest)
 
     def where(self, rows: np.ndarray) -> "TireData":
         """The same data with only ``rows`` (n,) bool used; nothing is dropped."""

@@ -336,15 +336,13 @@ def _candidate(case: Case, key, probability: float, closure: Closure) -> Candida
     spread = spread * np.sqrt(_widening(case.base, hypothesis))
     scale = np.asarray(base.design.prior_scale)
     effects = [base.atoms[k].effect for k in hypothesis.atoms]
-    rows, time = base.design.rows, base.rows.time
     for j, (k, effect) in enumerate(zip(hypothesis.atoms, effects, strict=True)):
-        constants = base.atoms[k].constants
         parameters[f"{effect.id}: {effect.parameter}"] = Amplitude(
             value=float(hypothesis.amplitude[j] * scale[k]),
             # However badly it fits, no less is known of it than beforehand.
             std=float(min(spread[j], 1.0) * scale[k]),
             unit=effect.unit,
-            formula=effect.which(constants, rows, time) if effect.which else "",
+            formula=base.atoms[k].formula(base.design.rows, base.rows.time),
         )
     ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
     return Candidate(

@@ -34,8 +34,8 @@ def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
         name=data.name, path=data.source.path, sha256=data.source.sha256,
         convention=data.source.convention, channels=base.prepared.channels,
         assumptions=(*data.source.notes, *rig.notes, *rig.beside(data)),
-        set_aside=data.source.first_masked(len(data) - data.n),
-        motion=said_of_motion(base, rig), together=moving_together(base.prepared),
+        set_aside=data.first_masked(), motion=said_of_motion(base, rig),
+        together=moving_together(base.prepared),
     )  # fmt: skip
 
 

@@ -181,6 +181,12 @@ class Atom:
         prior = Prior(effect.scale, effect.center, *pair).times(size)
         return prior if effect.prior is None else effect.prior(prior, prepared, rig)
 
+    def formula(self, rows: Covariates, time) -> str:
+        """Which of the effect's formulas it is, in words; empty where it has one."""
+        return (
+            self.effect.which(self.constants, rows, time) if self.effect.which else ""
+        )
+
     def change(self, state: State, amplitude, rows: Covariates) -> State:
         """The state with this variant added."""
         return self.effect.change(state, amplitude, self.constants, rows)
