@@ -11,14 +11,22 @@ from tirefit.models.mf import MFTire
 from tirefit.params import specs
 from tirefit.slip import kappa_from_sigma
 
-__all__ = ["PARTS", "VERSIONS", "Part", "coefficients_of", "influences", "part_of"]
+__all__ = [
+    "NEARLY_PURE",
+    "PARTS",
+    "VERSIONS",
+    "Part",
+    "coefficients_of",
+    "influences",
+    "part_of",
+]
 
 VERSIONS = {"mf52": "5.2", "mf61": "6.1", "mf62": "6.2"}
 """Name of the model -> version of the Magic Formula."""
 
 _BEGINNINGS = {"P": "pure", "Q": "pure", "R": "combined", "S": "combined"}
 
-_NEARLY_PURE = {"sigma_x": 0.01, "alpha": 0.01}
+NEARLY_PURE = {"sigma_x": 0.01, "alpha": 0.01}
 """Largest other slip at which a row is of pure slip: half a degree of a rig's zero, or
 the slip of a tire that rolls freely; there a weighting function is one but for 1 %."""
 
@@ -77,4 +85,4 @@ def part_of(name: str, data: TireData, force: str) -> np.ndarray:
     size = np.abs(data.usable(other))
     if other == "sigma_x":
         size = np.abs(kappa_from_sigma(size))
-    return size <= _NEARLY_PURE[other]
+    return size <= NEARLY_PURE[other]
