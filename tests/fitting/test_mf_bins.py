@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tirefit.fitting.mf.bins import settings_of
+from tirefit.fitting.mf.bins import rig_settings, settings_of
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.models import TireInputs
 
@@ -61,7 +61,7 @@ def test_settings_are_found_whose_load_follows_the_slip(force, wander):
         # On its way to the next load: rows of no setting.
         parts.append((0.0, 0.0, np.linspace(load, load + 220, 6), 2 * DEG, 83e3))
         truth += 6 * [(0.0, 0)]
-    settings, code = settings_of(rows_of(force, parts))
+    settings, code = rig_settings(rows_of(force, parts))
     truth = np.array(truth)
     held = truth[:, 0] > 0
     assert len({s.fz for s in settings}) == len(LOADS)
@@ -72,14 +72,15 @@ def test_settings_are_found_whose_load_follows_the_slip(force, wander):
     assert np.mean(found[held, 1] == (truth[held, 1] > 0)) > 0.95
     inclined = held & (truth[:, 1] == 2)
     assert np.mean(np.abs(found[inclined, 2] - 4 * DEG) < 1e-3) > 0.95
-    assert len({s.label for s in settings}) == len(settings)
+    labels, same = settings_of(rows_of(force, parts))
+    assert len(set(labels)) == len(settings) and np.array_equal(same, code)
 
 
 def test_a_grid_of_points_has_its_other_slip_as_a_setting():
     alpha = np.repeat(np.arange(-3, 4) * 3.0, 9) * DEG
     kappa = np.tile(np.linspace(-0.4, 0.4, 9), 7)
     part = (kappa / (1 - kappa), alpha, 1000.0, 0.0, 0.0)
-    settings, code = settings_of(rows_of("fx", [part]))
+    settings, code = rig_settings(rows_of("fx", [part]))
     held = np.array([s.held for s in settings])[code]
     assert {s.swept for s in settings} >= {"sigma_x"}
     turned = np.abs(alpha) > 0.01
@@ -92,14 +93,14 @@ def test_a_grid_of_points_has_its_other_slip_as_a_setting():
 def test_swept_load_is_cut_into_thirds():
     rng = np.random.default_rng(2)
     part = (0.0, rng.uniform(-0.2, 0.2, 900), rng.uniform(1e3, 6e3, 900), 0.0, 2e5)
-    settings, code = settings_of(rows_of("fy", [part]))
+    settings, code = rig_settings(rows_of("fy", [part]))
     assert len(settings) == 3
     assert np.bincount(code).tolist() == [300, 300, 300]
 
 
 def test_runs_are_settings_of_their_own():
     part = (0.0, np.linspace(-0.2, 0.2, 60), 1000.0, 0.0, 2e5)
-    settings, code = settings_of(rows_of("fy", [part, part], np.repeat([4, 7], 60)))
+    settings, code = rig_settings(rows_of("fy", [part, part], np.repeat([4, 7], 60)))
     assert [s.run for s in settings] == [4, 7]
     assert np.array_equal(code, np.repeat([0, 1], 60))
-    assert "run 2" in settings[1].label
+    assert "run 8" in settings[1].label

@@ -13,7 +13,7 @@ from tirefit.fitting.mf.parts import NEARLY_PURE
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.slip import kappa_from_sigma
 
-__all__ = ["Setting", "settings_of"]
+__all__ = ["Setting", "rig_settings", "settings_of"]
 
 _HELD = {
     "fz": 0.03,
@@ -44,7 +44,7 @@ _MOST = 12
 _STEPS = 4
 """Cells of the density in one of the units of :data:`_HELD`."""
 
-_SPELLED = {"fz": "F_z", "gamma": "camber", "pressure": "", "alpha": "slip angle"}
+_SPELLED = {"fz": "F_z", "gamma": "camber", "pressure": "pressure"}
 
 
 class Setting(NamedTuple):
@@ -64,7 +64,14 @@ class Setting(NamedTuple):
     run: int
 
 
-def settings_of(rows: ForceRows) -> tuple[tuple[Setting, ...], np.ndarray]:
+def settings_of(rows: ForceRows) -> tuple[tuple[str, ...], np.ndarray]:
+    """The labels of the settings of :func:`rig_settings`, and the setting of each row:
+    (labels, code (n,))."""
+    found, code = rig_settings(rows)
+    return tuple(one.label for one in found), code
+
+
+def rig_settings(rows: ForceRows) -> tuple[tuple[Setting, ...], np.ndarray]:
     """The settings of the rows of a force, and the setting of each row.
 
     Rows share a setting if load, camber, pressure, the slip that is held and the run
@@ -83,55 +90,37 @@ def settings_of(rows: ForceRows) -> tuple[tuple[Setting, ...], np.ndarray]:
     alike = 5 * _class_of("alpha", alpha) + _class_of("sigma_x", kappa)
     values = {name: rows.column(name) for name in ("fz", "gamma", "pressure")}
     code = {name: _levels(name, column, alike)[0] for name, column in values.items()}
-    is_alpha_swept, code["held"] = _held(rows.force, slips, rows.run)
+    is_alpha_swept, level = _held(rows.force, slips, rows.run)
     values["held"] = np.where(is_alpha_swept, kappa, alpha)
     # Levels of the two slips are different levels.
-    code["held"] = 2 * code["held"] + is_alpha_swept
+    code["held"] = 2 * level + is_alpha_swept
     middle, names = {}, {}
     for name, codes in code.items():
-        found, code[name] = np.unique(codes, return_inverse=True)
-        middle[name] = np.array(
-            [np.median(values[name][code[name] == k]) for k in range(len(found))]
-        )
-        if name != "held":
-            level = Settings(name, middle[name], np.zeros(len(found)), code[name])
-            names[name] = [
-                f"{_SPELLED[name]} {text}".strip() for text in setting_names(level)
-            ]
-    runs, run = np.unique(rows.run, return_inverse=True)
-    key = np.stack([*code.values(), run], axis=1)
-    unique, first, of_row = np.unique(
-        key, axis=0, return_index=True, return_inverse=True
-    )
-    several = [name for name in names if len(names[name]) > 1] or ["fz"]
+        found, codes = np.unique(codes, return_inverse=True)
+        each = [np.median(values[name][codes == k]) for k in range(len(found))]
+        middle[name], code[name] = np.array(each), codes
+        if name in _SPELLED and len(found) > 1:
+            said = setting_names(Settings(name, middle[name], 0 * middle[name], codes))
+            names[name] = [f"{_SPELLED[name]} {text}" for text in said]
+    key = np.stack([*code.values(), is_alpha_swept, rows.run], axis=1)
+    unique, of_row = np.unique(key, axis=0, return_inverse=True)
     settings = []
-    for (*level, number), row in zip(unique.tolist(), first.tolist(), strict=True):
+    for *level, turns, run in unique.tolist():
         at = dict(zip(code, level, strict=True))
-        swept = "alpha" if is_alpha_swept[row] else "sigma_x"
-        held = float(middle["held"][at["held"]])
-        parts = [names[name][at[name]] for name in several]
+        fz, gamma, pressure, held = (float(middle[k][i]) for k, i in at.items())
+        swept = "alpha" if turns else "sigma_x"
+        parts = [names[name][at[name]] for name in names]
         parts.append(_text_of_held(swept, held))
-        parts += [f"run {number + 1}"] if len(runs) > 1 else []
-        conditions = {name: float(middle[name][at[name]]) for name in names}
-        settings.append(
-            Setting(
-                ", ".join(parts),
-                **conditions,
-                swept=swept,
-                held=held,
-                run=int(runs[number]),
-            )
-        )
+        parts += [f"run {run + 1}"] if np.ptp(rows.run) else []
+        label = ", ".join(parts)
+        settings.append(Setting(label, fz, gamma, pressure, swept, held, run))
     return tuple(settings), of_row.ravel()
 
 
 def _text_of_held(swept: str, held: float) -> str:
     if swept == "alpha":
-        return (
-            "rolling freely"
-            if abs(held) <= NEARLY_PURE["sigma_x"]
-            else (f"kappa {held:.2g}")
-        )
+        rolls = abs(held) <= NEARLY_PURE["sigma_x"]
+        return "rolling freely" if rolls else f"kappa {held:.2g}"
     is_straight = abs(held) <= NEARLY_PURE["alpha"]
     return "straight" if is_straight else f"slip angle {np.degrees(held):.2g} deg"
 
