@@ -44,9 +44,9 @@ WARM_UP = 8
 """Sweeps before the first setting."""
 RELAXATION = {"alpha": 0.35, "kappa": 0.12}
 """Distance [m] by which the force lags the slip."""
-REFERENCE_TEMPERATURE = 58.0
+REFERENCE_TEMPERATURE = 62.0
 """Surface temperature [degC] at which the tire is that of ``tire.TRUE``."""
-FRICTION_PER_KELVIN, STIFFNESS_PER_KELVIN = -0.004, -0.002
+FRICTION_PER_KELVIN, STIFFNESS_PER_KELVIN = -0.006, -0.003
 """Relative change of friction and slip stiffness with the surface temperature."""
 FRICTION_NEW, STIFFNESS_NEW = -0.05, 0.08
 """Relative change of friction and slip stiffness of a new tire, before it wears in."""
@@ -233,7 +233,7 @@ _NOISE = {
     "fx": (4.0, 5.0, 0.008),
     "fy": (4.0, 5.0, 0.008),
     "fz": (2.5, 2.0, 0.012),
-    "mz": (0.15, 0.25, 0.0004),
+    "mz": (0.15, 0.25, 0.0012),
     "mx": (0.6, 0.8, 0.0008),
 }
 """White and correlated noise [N, N m], and the ripple of a revolution over the load

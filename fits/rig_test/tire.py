@@ -48,7 +48,7 @@ TRUE = NOMINAL | {
 OVERTURNING = {"QSX1": -0.004, "QSX2": 0.9, "QSX3": 0.05}
 """Coefficients of M_x, (4.E69) with these three terms alone."""
 
-MOMENT_STIFFNESS = 1.3
+MOMENT_STIFFNESS = 1.6
 """Slip stiffnesses by which M_z is made, over those of the forces: no Magic Formula
 describes all three with one set of coefficients, as with a measured tire."""
 

@@ -1,5 +1,6 @@
-"""The settings of a rig's test, found in its rows."""
+"""The settings of a rig's test, found in its rows, and the rows by setting and slip."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,9 +12,10 @@ from tirefit.data.prepare.set_points import Settings
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.mf.parts import NEARLY_PURE
 from tirefit.fitting.mf.rows import ForceRows
+from tirefit.models import TireInputs
 from tirefit.slip import kappa_from_sigma
 
-__all__ = ["Setting", "rig_settings", "settings_of"]
+__all__ = ["Setting", "SlipBins", "binned", "rig_settings", "settings_of"]
 
 _HELD = {
     "fz": 0.03,
@@ -266,3 +268,48 @@ def _modes(x: np.ndarray) -> np.ndarray:
             part = np.searchsorted(cuts, cell, "right")
             return np.array([np.median(x[part == k]) for k in range(len(peaks))])
     return np.array([np.median(x)])
+
+
+# --- rows by bin ----------------------------------------------------------------------
+
+_CELLS = 32
+"""Bins of the slip between the ends of all sweeps."""
+
+
+class SlipBins(NamedTuple):
+    """The rows of one setting, of all runs, in bins of the slip that was swept, (m,).
+
+    ``slip`` (rad, or kappa), ``inputs`` and ``force`` are medians, ``low`` to ``high``
+    holds 95 % of the forces, ``rows`` is their number.
+    """
+
+    setting: Setting
+    slip: np.ndarray
+    inputs: TireInputs
+    force: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    rows: np.ndarray
+
+
+def binned(rows: ForceRows) -> tuple[SlipBins, ...]:
+    """The rows of a force by setting and slip: what its figures show."""
+    settings, code = rig_settings(replace(rows, run=0 * rows.run))
+    columns = np.stack([rows.column(name) for name in TireInputs._fields])
+    kappa = np.clip(kappa_from_sigma(rows.column("sigma_x")), -1.0, 1.0)
+    table = []
+    for k, setting in enumerate(settings):
+        slip = rows.column("alpha") if setting.swept == "alpha" else kappa
+        own = np.flatnonzero(code == k)
+        edges = np.linspace(slip.min(), slip.max(), _CELLS + 1)[1:-1]
+        cell = np.searchsorted(edges, slip[own])
+        members = [own[cell == c] for c in np.unique(cell)]
+        low, force, high = np.transpose(
+            [np.percentile(rows.observed[at], [2.5, 50, 97.5]) for at in members]
+        )
+        inputs = np.transpose([np.median(columns[:, at], axis=1) for at in members])
+        middle = np.array([np.median(slip[at]) for at in members])
+        count = np.array([len(at) for at in members])
+        of_all = TireInputs(*inputs)
+        table.append(SlipBins(setting, middle, of_all, force, low, high, count))
+    return tuple(table)

@@ -11,6 +11,7 @@ from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, ParameterConfig, parse_config
 from tirefit.fitting.estimate import data_record
+from tirefit.fitting.mf.bins import binned
 from tirefit.fitting.mf.guards import check_guards
 from tirefit.fitting.mf.parts import PARTS, VERSIONS, coefficients_of
 from tirefit.fitting.mf.priors import Prior, normal_form, prior_given, published_priors
@@ -223,6 +224,7 @@ def _result(model, data: TireData, work: Search, priors, notes) -> MagicFormulaF
         data=data_record(data, data.n, ()),
         notes=tuple(notes),
         version=importlib.metadata.version("tirefit"),
+        binned={force: binned(work.rows[force]) for force in forces},
     )
 
 
