@@ -103,4 +103,8 @@ def test_runs_are_settings_of_their_own():
     settings, code = rig_settings(rows_of("fy", [part, part], np.repeat([4, 7], 60)))
     assert [s.run for s in settings] == [4, 7]
     assert np.array_equal(code, np.repeat([0, 1], 60))
-    assert "run 8" in settings[1].label
+    labels, _ = settings_of(rows_of("fy", [part, part], np.repeat([4, 7], 60)))
+    assert labels == (
+        "1000 N, rolling freely, run 5",
+        "1000 N, rolling freely, run 8",
+    )

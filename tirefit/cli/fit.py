@@ -159,11 +159,14 @@ def fit(
             settings = settings.model_copy(update={"posterior": chosen})
         unused = {
             "--solver": solver, "--sampler": sampler, "--force": force,
-            "--resume": resume, "--svg": svg, "--html": html,
+            "--resume": resume,
         }  # fmt: skip
         if only_of_magic_formula(settings.model, part, unused):
             (directory,) = _output_directories(files, out, joint=True)
-            code = fit_whole(files, directory, settings, how, part or "all", strict)
+            also = Also(svg, html)
+            code = fit_whole(
+                files, directory, settings, how, part or "all", strict, also
+            )
             raise typer.Exit(code)
         directories = _output_directories(files, out, joint)
         check_directories(directories)

@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+from tirefit.cli.fit_one import PAGE, Also
 from tirefit.cli.options import complain, say, start_jax, warn
-from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.cli.output import check_directories, claimed, is_page, staged
+from tirefit.files import write_text_atomic
 from tirefit.results import ExitCode, InputProblem, UsageError
 
 __all__ = [
@@ -41,9 +43,15 @@ def only_of_magic_formula(model: str | None, part: str | None, unused: dict) -> 
 
 
 def fit_whole(
-    files: list[Path], out: Path, settings, how: dict, part: str, strict: bool
+    files: list[Path],
+    out: Path,
+    settings,
+    how: dict,
+    part: str,
+    strict: bool,
+    also: Also,
 ) -> ExitCode:
-    """Fits all files as runs of one tire; says and writes the result."""
+    """Fits all files as runs of one tire; says and writes the result with figures."""
     from tirefit.data.read import read
 
     check_directories([out])
@@ -55,7 +63,7 @@ def fit_whole(
 
     with claimed(out):
         result = fit_magic_formula(tables, settings.model, part=part, config=settings)
-        _write(result, out)
+        _write(result, out, also)
     return _code(result, strict)
 
 
@@ -81,14 +89,28 @@ def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
     return _code(result, strict=False)
 
 
-def _write(result, out: Path) -> None:
-    """Says the result and writes it into the folder, which is claimed."""
+def _write(result, out: Path, also: Also | None = None) -> None:
+    """Says the result and writes it into the folder, which is claimed; with figures
+    where ``also`` is given."""
     from tirefit.fitting.mf.store import save_magic_formula
+    from tirefit.fitting.result import SCHEMA
     from tirefit.report.draw import FIGURE_FILES
+    from tirefit.report.mf_draw import (
+        MAGIC_FORMULA_FILES,
+        magic_formula_page,
+        save_pictures,
+    )
 
     # Figures and draws of an earlier fit would be taken for this one's.
-    with staged(out, ["posterior.nc", *FIGURE_FILES], result) as folder:
+    earlier = ["posterior.nc", *FIGURE_FILES, *MAGIC_FORMULA_FILES]
+    earlier += [PAGE] if is_page(out / PAGE, SCHEMA) else []
+    with staged(out, earlier, result) as folder:
         written = save_magic_formula(result, folder)
+        if also is not None:
+            written += save_pictures(result, folder, also.svg)
+            if also.html:
+                write_text_atomic(folder / PAGE, magic_formula_page(result))
+                written.append(folder / PAGE)
     say(str(result))
     say("wrote " + ", ".join(str(out / path.name) for path in written))
 

@@ -7,8 +7,6 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from tirefit.data.levels import levels
-from tirefit.data.prepare.bins import setting_names
-from tirefit.data.prepare.set_points import Settings
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.mf.parts import NEARLY_PURE
 from tirefit.fitting.mf.rows import ForceRows
@@ -46,8 +44,6 @@ _MOST = 12
 _STEPS = 4
 """Cells of the density in one of the units of :data:`_HELD`."""
 
-_SPELLED = {"fz": "F_z", "gamma": "camber", "pressure": "pressure"}
-
 
 class Setting(NamedTuple):
     """What a rig was set to while it swept one slip.
@@ -57,7 +53,6 @@ class Setting(NamedTuple):
     of the other one (rad, or kappa); ``run`` is the number of the run.
     """
 
-    label: str
     fz: float
     gamma: float
     pressure: float
@@ -65,12 +60,33 @@ class Setting(NamedTuple):
     held: float
     run: int
 
+    def text(self, name: str) -> str:
+        """One of the conditions in words."""
+        value = getattr(self, name)
+        if name != "held":
+            return {
+                "fz": f"{float(f'{value:.3g}'):g} N",
+                "gamma": f"camber {np.round(np.degrees(value), 1) + 0.0:g} deg",
+                "pressure": f"{value / 1e3:.3g} kPa" if value else "",
+                "run": f"run {value + 1}",
+            }[name]
+        if self.swept == "alpha":
+            rolls = abs(value) <= NEARLY_PURE["sigma_x"]
+            return "rolling freely" if rolls else f"kappa {value:.2g}"
+        is_straight = abs(value) <= NEARLY_PURE["alpha"]
+        return "straight" if is_straight else f"slip angle {np.degrees(value):.2g} deg"
+
 
 def settings_of(rows: ForceRows) -> tuple[tuple[str, ...], np.ndarray]:
-    """The labels of the settings of :func:`rig_settings`, and the setting of each row:
-    (labels, code (n,))."""
+    """The settings of :func:`rig_settings` in words, and the setting of each row:
+    (labels, code (n,)). What all rows share is not in the labels, but for the load."""
     found, code = rig_settings(rows)
-    return tuple(one.label for one in found), code
+    names = [
+        name
+        for name in ("fz", "gamma", "pressure", "held", "run")
+        if name in ("fz", "held") or len({getattr(one, name) for one in found}) > 1
+    ]
+    return tuple(", ".join(one.text(name) for name in names) for one in found), code
 
 
 def rig_settings(rows: ForceRows) -> tuple[tuple[Setting, ...], np.ndarray]:
@@ -96,35 +112,19 @@ def rig_settings(rows: ForceRows) -> tuple[tuple[Setting, ...], np.ndarray]:
     values["held"] = np.where(is_alpha_swept, kappa, alpha)
     # Levels of the two slips are different levels.
     code["held"] = 2 * level + is_alpha_swept
-    middle, names = {}, {}
+    middle = {}
     for name, codes in code.items():
-        found, codes = np.unique(codes, return_inverse=True)
-        each = [np.median(values[name][codes == k]) for k in range(len(found))]
-        middle[name], code[name] = np.array(each), codes
-        if name in _SPELLED and len(found) > 1:
-            said = setting_names(Settings(name, middle[name], 0 * middle[name], codes))
-            names[name] = [f"{_SPELLED[name]} {text}" for text in said]
+        found, code[name] = np.unique(codes, return_inverse=True)
+        each = [np.median(values[name][code[name] == k]) for k in range(len(found))]
+        middle[name] = np.array(each)
     key = np.stack([*code.values(), is_alpha_swept, rows.run], axis=1)
     unique, of_row = np.unique(key, axis=0, return_inverse=True)
     settings = []
     for *level, turns, run in unique.tolist():
-        at = dict(zip(code, level, strict=True))
-        fz, gamma, pressure, held = (float(middle[k][i]) for k, i in at.items())
+        at = {k: float(middle[k][i]) for k, i in zip(code, level, strict=True)}
         swept = "alpha" if turns else "sigma_x"
-        parts = [names[name][at[name]] for name in names]
-        parts.append(_text_of_held(swept, held))
-        parts += [f"run {run + 1}"] if np.ptp(rows.run) else []
-        label = ", ".join(parts)
-        settings.append(Setting(label, fz, gamma, pressure, swept, held, run))
+        settings.append(Setting(**at, swept=swept, run=run))
     return tuple(settings), of_row.ravel()
-
-
-def _text_of_held(swept: str, held: float) -> str:
-    if swept == "alpha":
-        rolls = abs(held) <= NEARLY_PURE["sigma_x"]
-        return "rolling freely" if rolls else f"kappa {held:.2g}"
-    is_straight = abs(held) <= NEARLY_PURE["alpha"]
-    return "straight" if is_straight else f"slip angle {np.degrees(held):.2g} deg"
 
 
 # --- the slip that is held ------------------------------------------------------------
