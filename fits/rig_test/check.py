@@ -215,9 +215,8 @@ def main() -> None:
     if not given.no_peer:
         begin = time.process_time()
         peer = staged_fit([(one.inputs, one.data) for one in rows])
-        print(
-            f"SciPy, without error bars: {time.process_time() - begin:.0f} s of processor"
-        )
+        spent = time.process_time() - begin
+        print(f"SciPy: {spent:.0f} s of processor, no error bars")
         _print_residuals(
             "SciPy, stage by stage", residuals(rows, [peer(one.inputs) for one in rows])
         )
