@@ -9,7 +9,14 @@ import jax.numpy as jnp
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import resultant
 from tirefit.models.mf.aligning import Aligning
-from tirefit.models.mf.fields import Nominal, Point, Scaling, cos_arctan, ratio
+from tirefit.models.mf.fields import (
+    Nominal,
+    Point,
+    Scaling,
+    cos_arctan,
+    ratio,
+    weighting,
+)
 from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
 from tirefit.params import specs, with_values
@@ -47,13 +54,13 @@ class MFTire(AbstractTire):
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         scale, nominal = self.scaling, self.nominal
-        at = self._point(inputs)
+        at = self.point(inputs)
         fz0 = nominal.FNOMIN * scale.LFZO
         along, along_stiffness = self.longitudinal.pure(at, scale)
         side = self.lateral.pure(at, scale, fz0)
-        side_weight = self.lateral.weight(at, scale)
+        side_weight = weighting(self.lateral.weight(at, scale))
         load = jnp.where(inputs.fz > 0, at.fz, 0.0)
-        fx = load * self.longitudinal.weight(at, scale) * along
+        fx = load * weighting(self.longitudinal.weight(at, scale)) * along
         induced = self.lateral.induced(at, scale, side.mu)
         fy = load * (side_weight * side.force + induced)
         # The trail turns the lateral force that is not induced by kappa, (4.E74); in
@@ -71,7 +78,7 @@ class MFTire(AbstractTire):
         # From ISO-W to the canonical signs of tirefit.slip.
         return TireForces(-fx, -fy, -mz)
 
-    def _point(self, inputs: TireInputs) -> Point:
+    def point(self, inputs: TireInputs) -> Point:
         """The operating point in ISO-W axes; no load is that of ``nominal``, safely."""
         scale, nominal = self.scaling, self.nominal
         is_52 = self.version == "5.2"
