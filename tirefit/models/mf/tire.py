@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import resultant
@@ -22,7 +23,7 @@ from tirefit.models.mf.longitudinal import Longitudinal
 from tirefit.params import specs, with_values
 from tirefit.slip import kappa_from_sigma
 
-__all__ = ["MFTire", "Mirrored", "mf_tire"]
+__all__ = ["MFTire", "Mirrored", "frictions", "mf_tire"]
 
 _DIGRESSION = 10.0
 """A_mu of (4.E8): by it the vertical shifts fall less than a low friction."""
@@ -111,6 +112,18 @@ class MFTire(AbstractTire):
             shift(friction_y),
             camber_stiffness=not is_52,
         )
+
+
+def frictions(tire: MFTire, inputs: TireInputs) -> dict[str, np.ndarray]:
+    """Friction coefficients D / F_z of F_x and F_y at inputs of arrays (n,)."""
+
+    def one(sample):
+        at, fz0 = tire.point(sample), tire.nominal.FNOMIN * tire.scaling.LFZO
+        side = tire.lateral.pure(at, tire.scaling, fz0)
+        return {"fx": tire.longitudinal.friction(at, tire.scaling), "fy": side.mu}
+
+    arrays = TireInputs(*(jnp.asarray(column, float) for column in inputs))
+    return {force: np.asarray(mu) for force, mu in jax.vmap(one)(arrays).items()}
 
 
 class Mirrored(AbstractTire):
