@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.levels import levels
-from tirefit.fitting.mf.noise_law import NoiseLaw, variance_shares
+from tirefit.fitting.mf.noise_law import NoiseLaw, noise_law
 from tirefit.fitting.mf.rows import ForceRows
-from tirefit.fitting.mf.solve import blocks_of, propagated
+from tirefit.fitting.mf.solve import blocks_of, row_gradients
 from tirefit.fitting.mf.stages import Search, without
 
 __all__ = ["LEAVE_OUT", "Band", "LeftOut", "foretold"]
@@ -21,6 +21,12 @@ _ROWS = 1500
 """Rows of a force, evenly taken, that a left-out part is judged by."""
 
 _IN_95 = 1.96
+
+_CLEAR = 3.84
+"""Deviance of one degree of freedom at the level of 5 %."""
+
+_WIDEST, _TRIED = 30.0, 69
+"""Largest factor of the standard errors that is tried, and how many, 5 % apart."""
 
 _FEWEST_LOADS = 3
 """Loads of a test, at least, of which one is left out: two others foretell it."""
@@ -48,20 +54,28 @@ class Band(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """Rows of one part: what they miss, their load, force, and the variance that the
-    coefficients give it, (n,) each; ``rows``: of how many these are taken; ``each``:
-    how many of these count as one."""
+    """Some rows (n,) of one part: what they miss, their load and predicted force.
+
+    ``slope`` (n, p): what one standard deviation along each axis of the coefficients'
+    posterior adds to the force; ``rows``: of how many these are taken, and ``each``:
+    how many of these count as one.
+    """
 
     missed: np.ndarray
     fz: np.ndarray
     predicted: np.ndarray
-    variance: np.ndarray
+    slope: np.ndarray
     rows: int
     each: float
 
     @property
     def rmse(self) -> float:
         return float(np.sqrt(np.mean(self.missed**2)))
+
+    @property
+    def variance(self) -> np.ndarray:
+        """That the coefficients give each row, (n,)."""
+        return np.sum(self.slope**2, axis=1)
 
 
 def foretold(
@@ -161,26 +175,55 @@ def _seen(work: Search, rows: ForceRows, chosen: np.ndarray) -> _Seen:
     some = rows.part(at)
     one = np.full(len(at), 1.0)
     blocks = blocks_of(rows.force, some.inputs, some.observed, one)
-    problem = work.problem.with_blocks(blocks)
-    missed, variance = propagated(problem, work.u, work.covariance)
-    predicted = missed + some.observed
-    each = max(work.rows_per_one(rows.force) * len(at) / count, 1.0)
-    return _Seen(missed, some.column("fz"), predicted, variance, count, each)
+    missed, slope = row_gradients(work.problem.with_blocks(blocks), work.u)
+    sizes, axes = np.linalg.eigh(work.covariance)
+    return _Seen(
+        missed=missed,
+        fz=some.column("fz"),
+        predicted=missed + some.observed,
+        slope=slope @ (axes * np.sqrt(np.maximum(sizes, 0.0))),
+        rows=count,
+        each=max(work.rows_per_one(rows.force) * len(at) / count, 1.0),
+    )
 
 
 def _band(parts: Sequence[_Seen]) -> Band:
-    """The band that rows of left-out parts follow.
-
-    The standard errors are widened only where that is needed: where it raises the
-    likelihood of these rows, at the number for which they count, at the level of 0.1 %.
-    """
-    columns = zip(*(part[:4] for part in parts), strict=True)
-    missed, fz, predicted, variance = map(np.concatenate, columns)
-    terms = np.stack([np.full(len(fz), 1.0), fz**2, predicted**2, variance], axis=1)
+    """The band that rows of left-out parts follow."""
+    fz, predicted = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("fz", "predicted")
+    )
+    missed = np.concatenate([part.missed for part in parts])
+    variance = np.concatenate([part.variance for part in parts])
     each = np.concatenate([np.full(len(part.fz), part.each) for part in parts])
-    shares = variance_shares(missed, terms, variance, optional=2, each=each)
-    law = NoiseLaw(*np.sqrt(shares[:3]).tolist())
-    return Band(law, float(np.sqrt(1 + shares[3])))
+    law = noise_law(missed, fz, predicted, variance, each)
+    return Band(law, _wider(parts, law))
+
+
+def _wider(parts: Sequence[_Seen], law: NoiseLaw) -> float:
+    """Factor of the standard errors that makes left-out parts most likely.
+
+    What the coefficients' errors do to a part is common to its rows: only as many
+    directions count as stand out of the noise. One, where the likelihood does not rise
+    at the level of 5 %.
+    """
+    sizes, squares = [], []
+    for part in parts:
+        std = np.sqrt(part.each * law.variance(part.fz, part.predicted))
+        axes, spread, _ = np.linalg.svd(part.slope / std[:, None], full_matrices=False)
+        sizes.append(spread**2)
+        squares.append((axes.T @ (part.missed / std)) ** 2)
+    size, square = np.concatenate(sizes), np.concatenate(squares)
+
+    def deviance(factor):
+        variance = 1 + factor * size
+        return float(np.sum(np.log(variance) + square / variance))
+
+    factors = np.geomspace(1.0, _WIDEST**2, _TRIED)
+    deviances = np.array([deviance(factor) for factor in factors])
+    best = int(np.argmin(deviances))
+    is_clear = deviances[0] - deviances[best] > _CLEAR
+    return float(np.sqrt(factors[best])) if is_clear else 1.0
 
 
 def _within(one: _Seen, band: Band) -> float:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
-__all__ = ["NoiseLaw", "noise_law", "variance_shares"]
+__all__ = ["NoiseLaw", "noise_law"]
 
 _CLEAR = 10.8
 """Deviance of one degree of freedom at the level of 0.1 %."""
@@ -35,40 +35,24 @@ class NoiseLaw(NamedTuple):
         return np.sqrt(self.variance(fz, force))
 
 
-def noise_law(residual, fz, force, known=0.0) -> NoiseLaw:
+def noise_law(residual, fz, force, known=0.0, each=1.0) -> NoiseLaw:
     """The law whose squares the residuals (n,) follow best.
+
+    A share of the force is used only where it raises the likelihood at the level of
+    0.1 %.
 
     Args:
         residual: (n,) [N, N m].
         fz, force: load [N] and force of each, (n,).
-        known: part of each variance that is known already, (n,).
-    """
-    terms = np.stack([np.full(len(fz), 1.0), fz**2, force**2], axis=1)
-    return NoiseLaw(*np.sqrt(variance_shares(residual, terms, known, 1)).tolist())
-
-
-def variance_shares(residual, terms, known=0.0, optional: int = 0, each=1.0):
-    """Non-negative shares (k,) of the terms (n, k) that squares of residuals follow.
-
-    Args:
-        residual: (n,).
         known: part of each variance that is known already, (n,) or a number.
-        optional: how many of the last terms are used only where they raise the
-            likelihood at the level of 0.1 %; others have the share zero.
         each: how many residuals count as one, (n,) or a number.
     """
-    count = terms.shape[1] - optional
-    shares = np.zeros(terms.shape[1])
-    used = list(range(count))
-    shares[used] = _shares(residual, terms[:, used], known)
-    deviance = _deviance(residual, terms @ shares + known, each)
-    for term in range(count, terms.shape[1]):
-        trial = np.zeros(terms.shape[1])
-        trial[[*used, term]] = _shares(residual, terms[:, [*used, term]], known)
-        gained = deviance - _deviance(residual, terms @ trial + known, each)
-        if gained > _CLEAR:
-            shares, used, deviance = trial, [*used, term], deviance - gained
-    return shares
+    terms = np.stack([np.full(len(fz), 1.0), fz**2, force**2], axis=1)
+    plain = np.append(_shares(residual, terms[:, :2], known), 0.0)
+    shares = _shares(residual, terms, known)
+    deviances = [_deviance(residual, terms @ x + known, each) for x in (plain, shares)]
+    is_clear = deviances[0] - deviances[1] > _CLEAR
+    return NoiseLaw(*np.sqrt(shares if is_clear else plain).tolist())
 
 
 def _deviance(residual, variance, each) -> float:

@@ -116,7 +116,10 @@ class Group:
     def row_variance(self, fz: np.ndarray, predicted: np.ndarray) -> np.ndarray:
         """Of single rows (n,) about the formula, as the misfit goes."""
         misfit = self.misfit or NoiseLaw(0.0, 0.0)
-        return sum(law.variance(fz, predicted) for law in (self.white, misfit))
+        single = self.white.variance(fz, predicted)
+        if self.given is not None:
+            single = np.median(self.given * self.cells.rows)
+        return single + misfit.variance(fz, predicted)
 
     def known(self, predicted: np.ndarray) -> np.ndarray:
         """Part of the variance that the noise of single rows makes, (m,)."""
@@ -166,8 +169,13 @@ class Search:
 
     def rows_per_one(self, force: str) -> float:
         """How many rows of a force count as one."""
-        ones = sum(len(g.cells.rows) / g.each for g in self.groups[force])
-        return float(sum(np.sum(g.cells.rows) for g in self.groups[force]) / ones)
+        ones, rows = 0.0, 0
+        for group in self.groups[force]:
+            fz, observed = np.asarray(group.cells.inputs.fz), group.cells.observed
+            share = group.row_variance(fz, observed) / group.variance(observed)
+            ones += float(np.sum(share)) / group.each
+            rows += int(np.sum(group.cells.rows))
+        return max(rows / ones, 1.0)
 
     def stages_at_end(self) -> list[Stage]:
         """The stages, with what their rows miss now."""
@@ -406,7 +414,7 @@ def _hold(work: Search, problem: Problem, end: Minimum) -> tuple[Problem, Minimu
 
 
 def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarray:
-    """Of u (p,): that of what was moved, given the rest, and that of the rest carried on.
+    """Of u (p,): of what was moved, given the rest, and of the rest as it is carried on.
 
     With H the curvature of rows and priors, the moved ones m follow the known ones k by
     -H_mm^-1 H_mk.
