@@ -167,13 +167,14 @@ def fit(
             settings = settings.model_copy(update={"posterior": chosen})
         unused = {
             "--solver": solver, "--sampler": sampler, "--force": force,
-            "--resume": resume, "--svg": svg, "--html": html,
+            "--resume": resume,
         }  # fmt: skip
         whole = {"part": part, "leave_out": leave_out}
         whole = {name: value for name, value in whole.items() if value is not None}
         if only_of_magic_formula(settings.model, whole, unused):
             (directory,) = _output_directories(files, out, joint=True)
-            code = fit_whole(files, directory, settings, how, whole, strict)
+            also = Also(svg, html)
+            code = fit_whole(files, directory, settings, how, whole, strict, also)
             raise typer.Exit(code)
         directories = _output_directories(files, out, joint)
         check_directories(directories)

@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
-from tirefit.cli.fit_one import exit_code
+from tirefit.cli.fit_one import PAGE, Also, exit_code
 from tirefit.cli.options import complain, progress_bar, say, start_jax, warn
-from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.cli.output import check_directories, claimed, is_page, staged
+from tirefit.files import write_text_atomic
 from tirefit.results import ExitCode, InputProblem, UsageError
 
 __all__ = [
@@ -44,9 +45,15 @@ def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
 
 
 def fit_whole(
-    files: list[Path], out: Path, settings, how: dict, options: dict, strict: bool
+    files: list[Path],
+    out: Path,
+    settings,
+    how: dict,
+    options: dict,
+    strict: bool,
+    also: Also,
 ) -> ExitCode:
-    """Fits all files as runs of one tire; prints and writes the result.
+    """Fits all files as runs of one tire; prints and writes the result with figures.
 
     Args:
         options: of :func:`~tirefit.fitting.mf.fit.fit_magic_formula`.
@@ -65,7 +72,7 @@ def fit_whole(
             result = fit_magic_formula(
                 tables, settings.model, config=settings, progress=progress, **options
             )
-        _write(result, out)
+        _write(result, out, also)
     return exit_code(result, strict)
 
 
@@ -91,13 +98,27 @@ def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
     return exit_code(result)
 
 
-def _write(result, out: Path) -> None:
-    """Says the result and writes it into the folder, which is claimed."""
+def _write(result, out: Path, also: Also | None = None) -> None:
+    """Says the result and writes it into the folder, which is claimed; with figures
+    where ``also`` is given."""
     from tirefit.fitting.mf.store import save_magic_formula
+    from tirefit.fitting.result import SCHEMA
     from tirefit.report.draw import FIGURE_FILES
+    from tirefit.report.mf_draw import (
+        MAGIC_FORMULA_FILES,
+        magic_formula_page,
+        save_pictures,
+    )
 
     # Figures and draws of an earlier fit would be taken for this one's.
-    with staged(out, ["posterior.nc", *FIGURE_FILES], result) as folder:
+    earlier = ["posterior.nc", *FIGURE_FILES, *MAGIC_FORMULA_FILES]
+    earlier += [PAGE] if is_page(out / PAGE, SCHEMA) else []
+    with staged(out, earlier, result) as folder:
         written = save_magic_formula(result, folder)
+        if also is not None:
+            written += save_pictures(result, folder, also.svg)
+            if also.html:
+                write_text_atomic(folder / PAGE, magic_formula_page(result))
+                written.append(folder / PAGE)
     say(str(result))
     say("wrote " + ", ".join(str(out / path.name) for path in written))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from tirefit.fitting.mf.parts import PARTS
 from tirefit.fitting.mf.result import ORIGINS, WORSENED, MagicFormulaFit
 from tirefit.params import specs
+from tirefit.report.html import png_text
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.text import table, wrapped
 from tirefit.results import Outcome
@@ -150,5 +151,11 @@ _REASONS: dict[Outcome, Callable[[MagicFormulaFit], list[str]]] = {
 
 
 def magic_formula_fragment(fit: MagicFormulaFit) -> str:
-    """The same for a notebook."""
-    return f"<pre>{html.escape(magic_formula_report(fit))}</pre>"
+    """The same for a notebook, with the figure where the fit is of this process."""
+    picture = ""
+    if fit.binned:
+        from tirefit.report.mf_draw import plot_magic_formula  # Matplotlib
+
+        png = png_text(plot_magic_formula(fit))
+        picture = f'<img alt="forces by load" src="data:image/png;base64,{png}">'
+    return f"<pre>{html.escape(magic_formula_report(fit))}</pre>{picture}"

@@ -11,7 +11,7 @@ from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, ParameterConfig, parse_config
 from tirefit.fitting.estimate import data_record
-from tirefit.fitting.mf.bins import settings_of
+from tirefit.fitting.mf.bins import binned, settings_of
 from tirefit.fitting.mf.guards import check_guards
 from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, LeftOut, foretold
 from tirefit.fitting.mf.parts import (
@@ -279,6 +279,7 @@ def _result(model, data: TireData, fitted: _Fitted, priors, notes) -> MagicFormu
         data=data_record(data, data.n, ()),
         notes=(*notes, *_far(work, rows, residuals), *_not_reached(work, tire)),
         version=importlib.metadata.version("tirefit"),
+        binned={force: binned(rows[force]) for force in forces},
     )
 
 

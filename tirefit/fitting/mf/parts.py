@@ -12,6 +12,7 @@ from tirefit.params import specs
 from tirefit.slip import kappa_from_sigma
 
 __all__ = [
+    "NEARLY_PURE",
     "PARTS",
     "VERSIONS",
     "Part",
@@ -26,7 +27,7 @@ VERSIONS = {"mf52": "5.2", "mf61": "6.1", "mf62": "6.2"}
 
 _BEGINNINGS = {"P": "pure", "Q": "pure", "R": "combined", "S": "combined"}
 
-_NEARLY_PURE = {"sigma_x": 0.01, "alpha": 0.01}
+NEARLY_PURE = {"sigma_x": 0.01, "alpha": 0.01}
 """Largest other slip at which a row is of pure slip: half a degree of a rig's zero, or
 the slip of a tire that rolls freely; there a weighting function is one but for 1 %."""
 
@@ -94,4 +95,4 @@ def is_pure(data: TireData, force: str) -> np.ndarray:
     size = np.abs(data.usable(other))
     if other == "sigma_x":
         size = np.abs(kappa_from_sigma(size))
-    return size <= _NEARLY_PURE[other]
+    return size <= NEARLY_PURE[other]

@@ -1,7 +1,7 @@
 """What a fit of a whole Magic Formula ends in: :class:`MagicFormulaFit`."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,6 +10,7 @@ from tirefit.display import Displayed
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
 from tirefit.fitting.layout import FreeParameter, Layout
+from tirefit.fitting.mf.bins import SlipBins
 from tirefit.fitting.mf.guards import Guard
 from tirefit.fitting.mf.left_out import LeftOut
 from tirefit.fitting.mf.noise_law import NoiseLaw
@@ -65,6 +66,8 @@ class MagicFormulaFit(Displayed):
     see. ``ranges`` hold the (least, largest) value of each input of the rows, in ISO-W
     axes. ``fitted`` holds, by force, the root mean square of the residuals [N, N m] and
     their number; ``guards`` say whether it stays a tire within and beyond them.
+    ``binned`` holds, by force, the rows by setting and slip, which figures show; a fit
+    read from its file has none.
     """
 
     html_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_fragment"
@@ -89,6 +92,7 @@ class MagicFormulaFit(Displayed):
     data: Mapping[str, Any]
     notes: tuple[str, ...]
     version: str
+    binned: Mapping[str, tuple[SlipBins, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"MagicFormulaFit({self.model!r}, {self.data['file']!r})"
