@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from tirefit.cli.fit_one import PAGE, Also
-from tirefit.cli.options import complain, say, start_jax, warn
+from tirefit.cli.fit_one import PAGE, Also, exit_code
+from tirefit.cli.options import complain, progress_bar, say, start_jax, warn
 from tirefit.cli.output import check_directories, claimed, is_page, staged
 from tirefit.files import write_text_atomic
 from tirefit.results import ExitCode, InputProblem, UsageError
@@ -18,10 +18,11 @@ _SHARES_OF_NOMINAL = (0.5, 0.75, 1.0, 1.25, 1.5)
 """Loads at which a file is tested to convert it."""
 
 
-def only_of_magic_formula(model: str | None, part: str | None, unused: dict) -> bool:
+def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
     """Whether a whole Magic Formula is asked for.
 
     Args:
+        own: options that only it has, those that were given.
         unused: option -> whether it was given, of those that it does not have.
 
     Raises:
@@ -34,8 +35,9 @@ def only_of_magic_formula(model: str | None, part: str | None, unused: dict) -> 
         reason = f"{', '.join(wrong)} with --model {model}"
         remedy = "leave it out: a whole Magic Formula is fitted in stages of its own"
         problems.append(InputProblem(reason, remedy))
-    if part is not None and not whole:
-        reason = f"--part without --model {', '.join(MAGIC_FORMULA_NAMES)}"
+    if own and not whole:
+        given = ", ".join(f"--{name.replace('_', '-')}" for name in own)
+        reason = f"{given} without --model {', '.join(MAGIC_FORMULA_NAMES)}"
         problems.append(InputProblem(reason, "other models are fitted as one"))
     if problems:
         raise UsageError(problems)
@@ -47,11 +49,15 @@ def fit_whole(
     out: Path,
     settings,
     how: dict,
-    part: str,
+    options: dict,
     strict: bool,
     also: Also,
 ) -> ExitCode:
-    """Fits all files as runs of one tire; says and writes the result with figures."""
+    """Fits all files as runs of one tire; prints and writes the result with figures.
+
+    Args:
+        options: of :func:`~tirefit.fitting.mf.fit.fit_magic_formula`.
+    """
     from tirefit.data.read import read
 
     check_directories([out])
@@ -62,9 +68,12 @@ def fit_whole(
     from tirefit.fitting.mf.fit import fit_magic_formula
 
     with claimed(out):
-        result = fit_magic_formula(tables, settings.model, part=part, config=settings)
+        with progress_bar("fit") as progress:
+            result = fit_magic_formula(
+                tables, settings.model, config=settings, progress=progress, **options
+            )
         _write(result, out, also)
-    return _code(result, strict)
+    return exit_code(result, strict)
 
 
 def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
@@ -86,7 +95,7 @@ def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
     for force, (rmse, count) in result.fitted.items():
         unit = "N m" if force == "mz" else "N"
         say(f"  {force}: RMSE {rmse:.4g} {unit} over {count} points")
-    return _code(result, strict=False)
+    return exit_code(result)
 
 
 def _write(result, out: Path, also: Also | None = None) -> None:
@@ -113,9 +122,3 @@ def _write(result, out: Path, also: Also | None = None) -> None:
                 written.append(folder / PAGE)
     say(str(result))
     say("wrote " + ", ".join(str(out / path.name) for path in written))
-
-
-def _code(result, strict: bool) -> ExitCode:
-    if not result.converged:
-        return ExitCode.NOT_CONVERGED
-    return ExitCode.NOT_IDENTIFIED if strict and not result.identified else ExitCode.OK

@@ -92,4 +92,6 @@ def converted(
     tire = mf_tire(tir.version, tir.numbers)
     given = {name: {"value": float(getattr(tire.nominal, name))} for name in kept}
     settings = FitConfig.model_validate({"parameters": given})
-    return fit_magic_formula(data, model, config=settings, first=tir.numbers)
+    return fit_magic_formula(
+        data, model, config=settings, first=tir.numbers, leave_out="none"
+    )

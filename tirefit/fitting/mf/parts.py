@@ -18,7 +18,8 @@ __all__ = [
     "Part",
     "coefficients_of",
     "influences",
-    "part_of",
+    "is_pure",
+    "own_coefficients",
 ]
 
 VERSIONS = {"mf52": "5.2", "mf61": "6.1", "mf62": "6.2"}
@@ -77,10 +78,19 @@ def influences(version: str, force: str) -> tuple[str, ...]:
     return tuple(name for name in coefficients_of(version) if name in names)
 
 
-def part_of(name: str, data: TireData, force: str) -> np.ndarray:
-    """Which of the used rows of this force a part takes, (n,) bool."""
+def own_coefficients(version: str, force: str) -> tuple[str, ...]:
+    """The coefficients that the rows of a force move, of pure and combined slip."""
+    tire = MFTire()
+    group = {"fx": tire.longitudinal, "fy": tire.lateral, "mz": tire.aligning}[force]
+    names = specs(group)
+    return tuple(name for name in coefficients_of(version) if name in names)
+
+
+def is_pure(data: TireData, force: str) -> np.ndarray:
+    """Which of the used rows (n,) of this force have next to nothing of the other
+    slip."""
     other = "alpha" if CHANNEL_SLIP[force] == "sigma_x" else "sigma_x"
-    if not PARTS[name].pure or other not in data:
+    if other not in data:
         return np.full(data.n, True)
     size = np.abs(data.usable(other))
     if other == "sigma_x":
