@@ -40,8 +40,7 @@ def brake(
         Path, typer.Option(metavar="FOLDER", parser=named_path, help="of the results")
     ],
     controller: Annotated[
-        str,
-        typer.Option(metavar="NAME[,NAME...]", help="xbs-servo, abs, slip, none"),
+        str, typer.Option(metavar="NAME[,NAME...]", help="xbs-servo, abs, slip, none")
     ] = "xbs-servo,abs",
     road: Annotated[
         str,

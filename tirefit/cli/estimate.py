@@ -35,8 +35,7 @@ def estimate(
     ],
     options: DataOptions,
     method: Annotated[
-        str,
-        typer.Option(metavar="NAME[,NAME...]", help="methods of `tirefit methods`"),
+        str, typer.Option(metavar="NAME[,NAME...]", help="methods of `tirefit methods`")
     ] = "rls",
     out: Annotated[
         Path | None,

@@ -44,8 +44,7 @@ __all__ = [
 ]
 
 Jobs = Annotated[
-    int | None,
-    typer.Option(min=1, metavar="N", help="processes that share the files"),
+    int | None, typer.Option(min=1, metavar="N", help="processes that share the files")
 ]
 Scheduler = Annotated[
     str | None,

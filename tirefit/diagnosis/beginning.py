@@ -10,12 +10,7 @@ from tirefit.diagnosis.changes import count_atoms
 from tirefit.diagnosis.effects import atoms_of
 from tirefit.diagnosis.forward import Design
 from tirefit.diagnosis.rows import Prepared
-from tirefit.diagnosis.simulator import (
-    STAND_INS,
-    Given,
-    as_measured,
-    closely_followed,
-)
+from tirefit.diagnosis.simulator import STAND_INS, Given, as_measured, closely_followed
 from tirefit.diagnosis.slip_nodes import slip_nodes
 from tirefit.diagnosis.state import Covariates
 from tirefit.diagnosis.tire import Tire

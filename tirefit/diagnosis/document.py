@@ -12,10 +12,7 @@ from tirefit.diagnosis.calibrated import as_often_right
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.chances import chance_of_unknown, chance_of_unlisted, chances
 from tirefit.diagnosis.closure import Closure, closure_on_rows
-from tirefit.diagnosis.conclusion import (
-    bound_by,
-    look_of_rest,
-)
+from tirefit.diagnosis.conclusion import bound_by, look_of_rest
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
 from tirefit.diagnosis.linear_fit import fitted_form, linear_at

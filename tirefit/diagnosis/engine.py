@@ -22,12 +22,7 @@ from tirefit.diagnosis.arguments import (
     tables,
     the_effects,
 )
-from tirefit.diagnosis.base import (
-    Base,
-    fit_base,
-    shown_slip_noise,
-    with_noise_judged,
-)
+from tirefit.diagnosis.base import Base, fit_base, shown_slip_noise, with_noise_judged
 from tirefit.diagnosis.blocks import blocks_of_settings, coincides
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.conclusion import concluded

@@ -9,12 +9,7 @@ import numpy as np
 from tirefit.data.levels import levels
 from tirefit.data.table import TireData
 from tirefit.diagnosis.demands import check_data, check_force_noise
-from tirefit.diagnosis.motion import (
-    Derived,
-    derived_from,
-    motion_of,
-    seen_in_motion,
-)
+from tirefit.diagnosis.motion import Derived, derived_from, motion_of, seen_in_motion
 from tirefit.diagnosis.negligible import FLAT, ROUNDING
 from tirefit.diagnosis.rates import AHEAD, Sweeps, segments, slip_rate
 from tirefit.diagnosis.run_codes import shown_runs

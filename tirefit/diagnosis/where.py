@@ -7,12 +7,7 @@ from scipy.stats import false_discovery_control
 
 from tirefit.data.levels import levels
 from tirefit.diagnosis.base import Base
-from tirefit.diagnosis.basis import (
-    FULL_SLIDING,
-    functions_of,
-    mean_gain,
-    orthogonal,
-)
+from tirefit.diagnosis.basis import FULL_SLIDING, functions_of, mean_gain, orthogonal
 from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.patterns import PARAMETERS, USUAL_SIZES

@@ -37,11 +37,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
-from tirefit.models.brush import (
-    friction_coefficient,
-    half_contact_length,
-    polar,
-)
+from tirefit.models.brush import friction_coefficient, half_contact_length, polar
 from tirefit.models.pressure import AbstractPressure, Parabolic
 from tirefit.params import par
 from tirefit.slip import lateral_slip

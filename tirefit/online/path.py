@@ -306,7 +306,6 @@ class Path(AbstractVehicleMethod):
              state.used * mu_std, tlc[1]]
         )  # fmt: skip
         flag = flag_of(
-            (mu_std > RESOLVED, Flag.LOW_USE),
-            (state.used > self.warn, Flag.NEAR_LIMIT),
+            (mu_std > RESOLVED, Flag.LOW_USE), (state.used > self.warn, Flag.NEAR_LIMIT)
         )
         return Estimate(value, std, flag, surprise)

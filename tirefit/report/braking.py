@@ -7,14 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tirefit.data.table import WHEELS
-from tirefit.report.canvas import (
-    COLORS,
-    DARK,
-    GREY,
-    Picture,
-    panel_title,
-    tidy,
-)
+from tirefit.report.canvas import COLORS, DARK, GREY, Picture, panel_title, tidy
 from tirefit.report.html import png_text, rendered
 from tirefit.report.numbers import format_number, plain_text
 from tirefit.report.text import table

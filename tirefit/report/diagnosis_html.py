@@ -6,16 +6,8 @@ from tirefit.diagnosis.result import SCHEMA, Diagnosis
 from tirefit.files import write_text_atomic
 from tirefit.report.canvas import Picture
 from tirefit.report.diagnosis_budget import budget_lines
-from tirefit.report.diagnosis_draw import (
-    diagnosis_figure,
-    panel_names,
-    panel_pictures,
-)
-from tirefit.report.diagnosis_outlook import (
-    confused_lines,
-    smallest_lines,
-    step_lines,
-)
+from tirefit.report.diagnosis_draw import diagnosis_figure, panel_names, panel_pictures
+from tirefit.report.diagnosis_outlook import confused_lines, smallest_lines, step_lines
 from tirefit.report.diagnosis_text import (
     gap_lines,
     rows_line,

@@ -7,11 +7,7 @@ from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.records import Region, Shrinkage
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_lines, change_texts
-from tirefit.report.diagnosis_outlook import (
-    confused_lines,
-    smallest_lines,
-    step_lines,
-)
+from tirefit.report.diagnosis_outlook import confused_lines, smallest_lines, step_lines
 from tirefit.report.diagnosis_words import (
     AGAINST,
     UNLISTED,

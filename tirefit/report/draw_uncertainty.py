@@ -14,19 +14,9 @@ from tirefit.report.canvas import (
     frame,
     tidy,
 )
-from tirefit.report.uncertainty import (
-    ProfilePanel,
-    Trace,
-    profile_data,
-    trace_data,
-)
+from tirefit.report.uncertainty import ProfilePanel, Trace, profile_data, trace_data
 
-__all__ = [
-    "draw_profile",
-    "draw_trace",
-    "profile_figure",
-    "trace_figure",
-]
+__all__ = ["draw_profile", "draw_trace", "profile_figure", "trace_figure"]
 
 
 def draw_trace(left, right, trace: Trace, i: int) -> None:

@@ -183,10 +183,7 @@ FRICTION_BY_DIRECTION = (
     Form("friction", 0.02, _of_rate),
     Form("friction", 0.05, _at_a_turn),
 )
-BY_SIDE = (
-    Form("friction", 0.02, _by_slip("side")),
-    Form("stiffness", 0.02, _of_side),
-)
+BY_SIDE = (Form("friction", 0.02, _by_slip("side")), Form("stiffness", 0.02, _of_side))
 FORCE_BY_DIRECTION = (
     Form("force", 0.004, _guided),
     Form("force", 0.004, _guided_by_rate),

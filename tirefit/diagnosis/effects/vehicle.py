@@ -117,12 +117,7 @@ SLIP_SPEED = Effect(
     bounds=((-6.0, 6.0),),
     odds=_one_speed_of_the_slip,
     needs=("speeds",),
-    variants=(
-        (1.0, 0.0, 0.0),
-        (0.0, 1.0, 0.0),
-        (1.0, 0.0, 1.0),
-        (0.0, 1.0, 1.0),
-    ),
+    variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 1.0), (0.0, 1.0, 1.0)),
     forms=SHIFT_BY_SPEED,
     looks_like=("speed_zero", "speed_drag"),
     told_apart_by="both signs",
