@@ -98,11 +98,12 @@ def brake(
             raise UsageError(problems)
         check_directories([out])
         start_jax()
-        from tirefit.online.controllers import controllers_named, tuned
+        from tirefit.online.controllers import CONTROLLERS
+        from tirefit.params import by_owner, check_names
         from tirefit.sim.brake_request import Request, check, doubts, with_numbers
 
-        names = controllers_named(controller)
-        chosen = tuned(settings, names)
+        names = check_names("controller", controller, CONTROLLERS)
+        chosen = by_owner(settings, {name: CONTROLLERS[name]() for name in names})
         named, made = _tire(tire, values)
         request = Request(
             made, named, road=road, speed=speed, vehicle=vehicle.value, steer=steer,
