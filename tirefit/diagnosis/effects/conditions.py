@@ -20,6 +20,7 @@ from tirefit.diagnosis.effects.record import (
     SYMBOLS,
     Effect,
     blend,
+    multiplies,
     scaled,
 )
 from tirefit.diagnosis.negligible import FLAT
@@ -91,7 +92,6 @@ _ALONE, _ALL = "of the kinetic friction alone", "of static and kinetic friction 
 
 
 def _which_speed(constants, rows, time) -> str:
-    del rows, time
     kinetic, sliding, _ = constants
     how = "with the sliding speed" if kinetic or sliding else "with the speed of travel"
     return f"{_ALONE if kinetic else _ALL}, {how}"
@@ -142,39 +142,19 @@ def _with_load(name):
     return change
 
 
-def _times(name, covariate):
-    def change(state, share, constants, rows):
-        del constants
-        return scaled(state, name, 1 + share * getattr(rows, covariate))
-
-    return change
-
-
-def _drift(name):
+def _drift(share, constants, rows):
     """Even over the record, or quick at first: 1 - exp(-t / way), about its middle."""
-
-    def change(state, share, constants, rows):
-        even, way = constants
-        late = 0.5 - jnp.exp(-(rows.time + 0.5) / way)
-        return scaled(state, name, 1 + share * blend((even, 1 - even), rows.time, late))
-
-    return change
+    even, way = constants
+    late = 0.5 - jnp.exp(-(rows.time + 0.5) / way)
+    return 1 + share * blend((even, 1 - even), rows.time, late)
 
 
-def _step(state, share, constants, rows):
+def _step(share, constants, rows):
     """At one time, between two, or in the shape that was found."""
     begin, end, shaped = constants
     sudden = jnp.where((rows.time > begin) & (rows.time < end), 0.5, -0.5)
     shape = blend((1 - shaped, shaped), sudden, rows.change)
-    return scaled(state, "friction", 1 + share * shape)
-
-
-def _half(covariate):
-    def change(state, share, constants, rows):
-        del constants
-        return scaled(state, "friction", 1 + 0.5 * share * getattr(rows, covariate))
-
-    return change
+    return 1 + share * shape
 
 
 def _other(state, share, constants, rows):
@@ -196,7 +176,7 @@ def _drifting(name: str, parameter: str, scale: float, forms, looks_like):
     return Effect(
         id=f"{name}_drift",
         family=f"{name} x time",
-        change=_drift(name),
+        change=multiplies(name, _drift),
         scale=scale,
         unit="per record",
         formula=f"{SYMBOLS[name]} (1 + amplitude t)",
@@ -216,7 +196,7 @@ def _heated(name: str, parameter: str, scale: float, size: float):
     return Effect(
         id=f"{name}_temperature",
         family=f"{name} x temperature",
-        change=_times(name, "temperature"),
+        change=multiplies(name, lambda a, _, rows: 1 + a * rows.temperature),
         scale=scale,
         unit="per 20 K",
         formula=f"{SYMBOLS[name]} (1 + amplitude (T - T0) / 20 K)",
@@ -296,7 +276,7 @@ SPEED_EXPONENTIAL = Effect(
 STEP = Effect(
     id="friction_step",
     family="friction x time",
-    change=_step,
+    change=multiplies("friction", _step),
     scale=0.15,
     unit="-",
     formula="mu changes by amplitude at one time, or between two",
@@ -319,7 +299,7 @@ STEP = Effect(
 HYSTERESIS = Effect(
     id="friction_hysteresis",
     family="friction x direction",
-    change=_half("turning"),
+    change=multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.turning),
     scale=0.06,
     unit="-",
     formula="mu differs by amplitude between growing and shrinking slip",
@@ -334,7 +314,7 @@ HYSTERESIS = Effect(
 ASYMMETRY = Effect(
     id="drive_brake_asymmetry",
     family="friction x sign",
-    change=_half("side"),
+    change=multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.side),
     scale=0.12,
     unit="-",
     formula="mu differs by amplitude between the two signs of slip",

@@ -9,7 +9,7 @@ from tirefit.diagnosis.effects.free_forms import (
     rise,
     weight,
 )
-from tirefit.diagnosis.effects.record import PER_MILLE, Effect
+from tirefit.diagnosis.effects.record import PER_MILLE, Effect, adds
 from tirefit.diagnosis.slip_check import AGAINST, BESIDE, FOR
 
 __all__ = ["EFFECTS"]
@@ -25,36 +25,10 @@ _CORNERING = 10.0
 forms of camber thrust."""
 
 
-def _shift(state, offset, constants, rows):
-    del constants, rows
-    return state._replace(shift=state.shift + offset)
-
-
-def _force(state, offset, constants, rows):
-    # In thousandths of the typical load: the same prior for every tire.
-    del constants
-    return state._replace(force=state.force + PER_MILLE * offset * rows.load)
-
-
-def _conicity(state, share, constants, rows):
-    del constants
-    return state._replace(force=state.force + PER_MILLE * share * rows.load * rows.fz)
-
-
-def _definition(state, weight, constants, rows):
-    del rows
-    return state._replace(curvature=state.curvature + constants[0] * weight)
-
-
 def _as_it_was_read(prior, prepared, rig):
     """Which way a slip would have to be converted depends on what it was read as."""
     del rig
     return prior._replace(center=prior.center * prepared.definition)
-
-
-def _inertia(state, inertia, constants, rows):
-    del constants
-    return state._replace(force=state.force - inertia * rows.spin)
 
 
 def _of_this_wheel(prior, prepared, rig):
@@ -113,7 +87,7 @@ def _camber(state, share, constants, rows):
 SLIP_OFFSET = Effect(
     id="slip_offset",
     family="measurement",
-    change=_shift,
+    change=adds("shift", lambda a, _, rows: a),
     scale=0.2,
     per=("slip",),
     unit="- of slip",
@@ -133,7 +107,7 @@ SLIP_OFFSET = Effect(
 FORCE_OFFSET = Effect(
     id="force_offset",
     family="measurement",
-    change=_force,
+    change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load),
     scale=25.0,
     unit="1e-3 mean F_z",
     formula="force + amplitude",
@@ -147,7 +121,7 @@ FORCE_OFFSET = Effect(
 SLIP_DEFINITION = Effect(
     id="slip_definition",
     family="measurement",
-    change=_definition,
+    change=adds("curvature", lambda a, constants, _: constants[0] * a),
     scale=0.3,
     unit="-",
     formula="slip / (1 - amplitude slip)",
@@ -166,7 +140,7 @@ SLIP_DEFINITION = Effect(
 WHEEL_INERTIA = Effect(
     id="wheel_inertia",
     family="measurement",
-    change=_inertia,
+    change=adds("force", lambda a, _, rows: -a * rows.spin),
     scale=0.03,
     per=("inertia",),
     unit="kg m^2",
@@ -204,7 +178,7 @@ CAMBER_THRUST = Effect(
 CONICITY = Effect(
     id="conicity",
     family="lateral inputs",
-    change=_conicity,
+    change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.fz),
     scale=25.0,
     unit="1e-3 F_z",
     formula="F_y + amplitude F_z",

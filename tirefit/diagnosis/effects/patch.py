@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from tirefit.diagnosis.effects.free_forms import SHAPE_OF_THE_CURVE, SKEW_BY_LOAD
-from tirefit.diagnosis.effects.record import Effect, blend
+from tirefit.diagnosis.effects.record import Effect, adds, blend
 
 __all__ = ["EFFECTS"]
 
@@ -19,36 +19,19 @@ def _skewed(state, change):
     return state._replace(skew=jnp.clip(state.skew + change, *_SKEWS))
 
 
-def _skew(state, d, constants, rows):
-    del constants, rows
-    return _skewed(state, d)
-
-
 def _skew_with(state, d, constants, rows):
     moving = blend(constants, rows.force, rows.usage, jnp.log(rows.fz))
     return _skewed(state, d * moving)
 
 
 def _flatness(state, share, constants, rows):
-    del constants, rows
     return state._replace(flat=jnp.clip(state.flat + share, *_FLATNESSES))
-
-
-def _kinetic(state, excess, constants, rows):
-    del constants, rows
-    return state._replace(static=state.static + excess)
-
-
-def _compliance(state, share, constants, rows):
-    # With the base model's force: the slip that it takes up is small.
-    del constants
-    return state._replace(shift=state.shift - share * rows.traction)
 
 
 PRESSURE_ASYMMETRY = Effect(
     id="pressure_asymmetry",
     family="pressure",
-    change=_skew,
+    change=lambda state, d, constants, rows: _skewed(state, d),
     scale=0.24,
     unit="-",
     formula="p = 3/4 (1 - xi^2)(1 + d xi), S(24)",
@@ -78,7 +61,7 @@ PRESSURE_FLATNESS = Effect(
 KINETIC_FRICTION = Effect(
     id="kinetic_friction",
     family="friction",
-    change=_kinetic,
+    change=adds("static", lambda a, constants, rows: a),
     scale=0.25,
     unit="-",
     formula="mu_k = mu_s / (1 + amplitude), S(31)",
@@ -109,7 +92,8 @@ PRESSURE_SHIFT = Effect(
 CARCASS = Effect(
     id="carcass_flexibility",
     family="structure",
-    change=_compliance,
+    # With the base model's force: the slip that it takes up is small.
+    change=adds("shift", lambda a, _, rows: -a * rows.traction),
     scale=0.5,
     per=("slip",),
     unit="-",

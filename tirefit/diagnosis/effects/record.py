@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -20,9 +20,11 @@ __all__ = [
     "Effect",
     "NoiseEffect",
     "Prior",
+    "adds",
     "atoms_of",
     "blend",
     "effects_by_id",
+    "multiplies",
     "scaled",
     "seldom",
 ]
@@ -212,6 +214,27 @@ def scaled(state: State, name: str, factor) -> State:
     """A field of the state times a factor, which stays positive."""
     factor = jnp.maximum(factor, LEAST_FACTOR)
     return state._replace(**{name: getattr(state, name) * factor})
+
+
+Term = Callable[[Any, Any, Covariates], Any]
+"""(amplitude, constants, covariates) -> what is done to one field of the state."""
+
+
+def adds(name: str, term: Term) -> Change:
+    """The change of an effect that adds a term to a field of the state."""
+
+    def change(state, amplitude, constants, rows):
+        added = getattr(state, name) + term(amplitude, constants, rows)
+        return state._replace(**{name: added})
+
+    return change
+
+
+def multiplies(name: str, factor: Term) -> Change:
+    """The change of an effect that multiplies a field; the factor stays positive."""
+    return lambda state, amplitude, constants, rows: scaled(
+        state, name, factor(amplitude, constants, rows)
+    )
 
 
 _SELDOM = -1.0
