@@ -131,7 +131,8 @@ class Compiled:
 
         try:
             exported = jax.export.deserialize(bytearray(path.read_bytes()))
-            _touch(path)
+            with contextlib.suppress(OSError):  # a directory of someone else
+                os.utime(path)  # used now
         except Exception:
             # Absent, torn or of another JAX: trace it, and keep it for next time.
             try:
@@ -143,12 +144,6 @@ class Compiled:
                 # A program that cannot be written down still runs.
                 return jax.jit(flat, compiler_options=self._options)
         return jax.jit(exported.call, compiler_options=self._options)
-
-
-def _touch(path: Path) -> None:
-    """Mark a program as used now; a directory of someone else is no error."""
-    with contextlib.suppress(OSError):
-        os.utime(path)
 
 
 def _evict(directory: Path) -> None:

@@ -232,7 +232,7 @@ def _apart(packed: _Packed, piece: Piece) -> Outcome:
     with redirect_stdout(said), redirect_stderr(complained):
         try:
             with errors_to_exit(), _where_the_command_runs(packed):
-                code, record = _attempted(packed, piece)
+                code, record = attempted(*_unpacked(packed.content), piece)
         except typer.Exit as end:
             code = ExitCode(end.exit_code)
             return _failed(piece, code, complained.getvalue(), last=True)
@@ -251,10 +251,6 @@ def _where_the_command_runs(packed: _Packed) -> chdir:
         remedy = "run workers where it is mounted: they read files and write results"
         raise UsageError(InputProblem(reason, remedy))
     return chdir(packed.folder)
-
-
-def _attempted(packed: _Packed, piece: Piece) -> tuple[ExitCode, "FileRecord | None"]:
-    return attempted(*_unpacked(packed.content), piece)
 
 
 def attempted(

@@ -40,7 +40,6 @@ from tirefit.padding import pad_rows
 __all__ = [
     "Base",
     "Fit",
-    "at_measured_slip",
     "fit_base",
     "on_rows",
     "shown_slip_noise",
@@ -193,7 +192,8 @@ class Base:
 
     @cached_property
     def measured(self) -> "Base":
-        """:func:`at_measured_slip`, whose forces every candidate asks for."""
+        """The same fit at the slips as they were measured, not as they are believed;
+        every candidate asks for its forces."""
         return self.on(measured_slips(self.design, self.rows))
 
     def on(self, design: Design, rows: Prepared | None = None) -> "Base":
@@ -361,11 +361,6 @@ def with_noise_judged(base: Base, rig, z, amplitudes, outliers: bool = True) -> 
     noise = _noise(rows, tire, base.design, fraction, rig, z, amplitudes, outliers)
     guess, simulator = base.fit.guess, base.simulator
     return _under(noise, rows, tire, base.design, fraction, base.z, guess, simulator)
-
-
-def at_measured_slip(base: Base) -> Base:
-    """The same fit at the slips as they were measured, not as they are believed."""
-    return base.measured
 
 
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tirefit.diagnosis.base import Base, at_measured_slip, on_rows
+from tirefit.diagnosis.base import Base, on_rows
 from tirefit.diagnosis.basis import located, without
 from tirefit.diagnosis.budget import budgets_of, parameter_changes, simulator_summary
 from tirefit.diagnosis.calibrated import as_often_right
@@ -70,7 +70,7 @@ def document_of(
     """
     data, base, rig = whole.data, case.base, settings.rig
     prepared = base.prepared
-    rows = _rows(case, at_measured_slip(base))
+    rows = _rows(case, base.measured)
     # Everything random is drawn in this order: true forces, held-out data, budget.
     believed, main = _rows(case, base), prepared.channels[0]
     truth = plausible_forces(case, generator)
@@ -87,6 +87,8 @@ def document_of(
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown = shown_rows(base, rows[main])
     noise = _noise(case)
+    # Whether a simulator's parameters explain all that there is.
+    tuned_alone = base.simulator is not None and verdict.status == "none"
     return Diagnosis(
         data=data_summary(data, base, rig),
         model=model,
@@ -118,7 +120,7 @@ def document_of(
         table=data,
         mean_load=float(np.mean(data.usable("fz"))),
         residual_map=residual_map(shown, noise.inflation, gap.resolvable),
-        comparison=compared(shown, said.names_an_effect or _tuned_alone(case)),
+        comparison=compared(shown, said.names_an_effect or tuned_alone),
         look=next(iter(curves), None),
         library=library,
         meanings={p.name: p.spec.meaning for p in base.layout.free},
@@ -290,15 +292,10 @@ def _verdict(case: Case, curves: tuple[LookCurve, ...]) -> VerdictSummary:
     )
 
 
-def _tuned_alone(case: Case) -> bool:
-    """Whether a simulator's parameters explain all that there is."""
-    return case.base.simulator is not None and case.verdict.status == "none"
-
-
 def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate, ...]:
     """The most probable sets of effects, and the unknown; ``rows`` and ``truth`` as in
     :func:`_gaps`."""
-    weighed, at = case.weighed, at_measured_slip(case.base)
+    weighed, at = case.weighed, case.base.measured
     main = case.base.prepared.channels[0]
     before, forces = rows[main]["base"], truth[main]
     total = chances(case.verdict, weighed)
@@ -418,7 +415,7 @@ def _on_everything(case: Case, prepared: Prepared, rig, rows):
     """Forces of both fits on every row; the located gap between the thinned rows is
     interpolated in their order."""
     base, verdict = case.base, case.verdict
-    whole = at_measured_slip(on_rows(base, prepared, rig))
+    whole = on_rows(base, prepared, rig).measured
     silent = np.zeros(len(base.atoms))
     before = whole.forces(base.as_given, silent)
     after = whole.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))

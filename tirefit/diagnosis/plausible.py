@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import softmax
 
-from tirefit.diagnosis.base import Base, at_measured_slip
+from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.basis import (
     PRIORS,
     SCALES,
@@ -78,7 +78,7 @@ def plausible_forces(case: Case, generator) -> dict[str, np.ndarray]:
     """Draws of the true force of every used row at its measured slip: (n, draws) by
     channel."""
     base = case.base
-    beliefs, at = _beliefs(case), at_measured_slip(base)
+    beliefs, at = _beliefs(case), base.measured
     chances = np.ravel(_chances(beliefs, case.verdict))
     counts = generator.multinomial(DRAWS, chances)
     drawn: dict[str, list] = {channel: [] for channel in base.rows.channels}

@@ -213,11 +213,9 @@ class _TwoFrictions(Friction):
     factor: Array | float = 1.0
 
     def static(self, mu, v_s):
-        del v_s
         return mu * (1 + self.excess)
 
     def kinetic(self, mu, v_s):
-        del v_s
         return mu * self.factor
 
 

@@ -54,14 +54,6 @@ class Patch(NamedTuple):
     moment: jax.Array
 
 
-def _bristle_stiffness():
-    return par(
-        5e4, (1e-2, 1e9), "N",
-        "bristle stiffness c_p a^2; with the carcass in series C_alpha < 2 c_p a^2",
-        "S(15)", r"c_p a^2", scale="log",
-    )  # fmt: skip
-
-
 def _flexibility(default, largest, meaning, symbol):
     return par(default, (0.0, largest), "-", meaning, "S(15)", symbol)
 
@@ -73,7 +65,11 @@ class AbstractCarcass(AbstractTire):
     below the static one can leave more than one breakaway point.
     """
 
-    cpa2: float = _bristle_stiffness()
+    cpa2: float = par(
+        5e4, (1e-2, 1e9), "N",
+        "bristle stiffness c_p a^2; with the carcass in series C_alpha < 2 c_p a^2",
+        "S(15)", r"c_p a^2", scale="log",
+    )  # fmt: skip
     mu: float = friction_coefficient()
     half_length: float = half_contact_length()
     pressure: AbstractPressure = Parabolic()

@@ -45,7 +45,6 @@ class Kinetic(AbstractFrictionLaw):
     )
 
     def apply(self, level, v_s):
-        del v_s
         return self.m * level
 
     @property

@@ -54,7 +54,6 @@ class AbstractPressure(eqx.Module):
 
         It moves with them only where a subclass says so.
         """
-        del rho, braking, fz
         return self
 
 
@@ -236,7 +235,6 @@ class ForceAsymmetric(Asymmetric):
     )  # fmt: skip
 
     def under(self, rho, braking, fz) -> Asymmetric:
-        del fz
         share = self.d_force * braking
 
         def newton(_, d):
@@ -266,5 +264,4 @@ class LoadAsymmetric(Asymmetric):
     fz0: float = reference_load()
 
     def under(self, rho, braking, fz) -> Asymmetric:
-        del rho, braking
         return Asymmetric(_within(self.d + self.d_load * (fz / self.fz0 - 1)))

@@ -198,7 +198,6 @@ def _density(edges, series, u):
 
 @jax.custom_jvp
 def _integral(edges, integral, series, u, power):
-    del series, power
     return _each(lambda one: _at(edges, integral, _angle(one)), u)
 
 

@@ -143,11 +143,6 @@ class Method(NamedTuple):
     model: str = "brush"
 
 
-def samples_averaged():
-    """Field of the number of samples that are averaged before a step."""
-    return par(10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n")
-
-
 class AbstractEstimator(eqx.Module):
     """One online method; its fields are its settings, made by ``tirefit.params.par``.
 
@@ -156,7 +151,9 @@ class AbstractEstimator(eqx.Module):
 
     method: ClassVar[Method]
 
-    average: float = samples_averaged()
+    average: float = par(
+        10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n"
+    )
 
     def problems(self) -> list[InputProblem]:
         """Why the method refuses its settings, each within its bounds; none if not."""

@@ -120,7 +120,6 @@ class NoController(AbstractController):
     meaning: ClassVar[str] = "no controller: the driver's pressure on every wheel"
 
     def init(self, first: Measurement) -> tuple[()]:
-        del first
         return ()
 
     def step(self, state, measurement):

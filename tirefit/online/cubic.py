@@ -105,7 +105,6 @@ class Cubic(AbstractEstimator):
         return after, self._estimate(after, idle, usable)
 
     def hold(self, state: CubicState, dt, steps) -> tuple[CubicState, Estimate]:
-        del dt, steps
         return state, self._estimate(state, False, True)
 
     def _estimate(self, state: CubicState, idle, usable) -> Estimate:

@@ -109,7 +109,6 @@ class Ekf(AbstractEstimator):
         return after, self._estimate(after, idle, jnp.where(idle, jnp.nan, surprise))
 
     def hold(self, state: EkfState, dt, steps) -> tuple[EkfState, Estimate]:
-        del steps
         held = self._walked(state, dt)
         return held, self._estimate(held, False, jnp.nan)
 

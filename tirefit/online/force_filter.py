@@ -109,7 +109,6 @@ class ForceFilter(AbstractVehicleMethod):
         )  # fmt: skip
 
     def hold(self, state: ForceState, dt, steps):
-        del steps
         keep = jnp.exp(-dt / self.memory)
         mixed = keep * jnp.exp(state.log_weight) + (1 - keep) / len(HYPOTHESES)
         held = state._replace(waited=state.waited + dt, log_weight=jnp.log(mixed))

@@ -188,7 +188,6 @@ class LuGreObserver(AbstractEstimator):
         return ObserverState(x, self._first(), long, long, none, none, peak)
 
     def hold(self, state: ObserverState, dt, steps):
-        del steps
         # Time that passes loosens p; where the sample is used, its step goes on.
         walked = (self.drift_theta * state.x[2]) ** 2 * dt
         held = state._replace(

@@ -79,7 +79,6 @@ class Mit(AbstractRegression):
 
     def hold(self, state: MitState, dt, steps) -> tuple[MitState, Estimate]:
         """Nothing moves: the rule has no notion of what changes in the meantime."""
-        del dt, steps
         return state, self.estimate(*state, False, False, jnp.nan)
 
     def open(self, state: MitState) -> MitState:

@@ -130,7 +130,6 @@ class Path(AbstractVehicleMethod):
         )  # fmt: skip
 
     def hold(self, state: PathState, dt, steps):
-        del steps
         variance = jnp.minimum(
             state.mu_variance + self.drift_mu**2 * dt, self.prior_mu**2
         )

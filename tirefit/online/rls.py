@@ -111,7 +111,6 @@ class Rls(AbstractRegression):
         return after, self._estimate(after, idle, slides, surprise)
 
     def hold(self, state: RlsState, dt, steps) -> tuple[RlsState, Estimate]:
-        del dt
         p = (state.p00, state.p01, state.p11)
         p = jax.lax.cond(
             steps > 0,

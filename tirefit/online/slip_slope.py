@@ -149,7 +149,6 @@ class SlipSlope(AbstractEstimator):
         return after, self._estimate(after, unused, surprise)
 
     def hold(self, state: SlipSlopeState, dt, steps) -> tuple[SlipSlopeState, Estimate]:
-        del steps
         held = state._replace(
             p00=state.p00 + (self.drift_slope / self.slope) ** 2 * dt,
             p11=state.p11 + self.drift_offset**2 * dt,

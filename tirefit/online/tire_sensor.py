@@ -165,7 +165,6 @@ class TireSensor(AbstractEstimator):
     def hold(
         self, state: TireSensorState, dt, steps
     ) -> tuple[TireSensorState, Estimate]:
-        del dt, steps
         return state, self._estimate(state, False)
 
     def _outputs(self, x, stiffness):

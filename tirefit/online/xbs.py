@@ -396,7 +396,6 @@ class Xbs(AbstractEstimator):
 
     def _force(self, sample: Sample):
         """Braking force and load [N] of the sample, where they are known."""
-        del sample
         return jnp.full((), jnp.nan), jnp.full((), jnp.nan)
 
     def pole(self, state: XbsState):

@@ -117,10 +117,6 @@ def _foot(result: Braking) -> str:
     )
 
 
-def _wheel_names(stop: Stop) -> list[str]:
-    return list(WHEELS.values()) if len(stop.wheels) == 4 else ["wheel"]
-
-
 _PANELS = (
     "speed [m/s]", "pressure [MPa]", "valve", "deceleration\n[m/s²]",
     "$F_x/F_z$ [–]", "slip $\\kappa$ [–]", "stiffness $k$\n[kN s/m]",
@@ -132,7 +128,7 @@ def _draw_stop(all_axes, stop: Stop) -> None:
     """One controller's stop down a column of axes, as O Figures 8-9 and 12-13."""
     log, time = stop.log, stop.log.reading.time
     colors = dict(zip(range(4), COLORS, strict=False))
-    names = _wheel_names(stop)
+    names = list(WHEELS.values()) if len(stop.wheels) == 4 else ["wheel"]
     lines = {"linewidth": 0.8}
     for k in range(len(names)):
         style = lines | {"color": colors[k], "label": names[k]}

@@ -108,12 +108,9 @@ def _outliers(fleet: Fleet) -> list[tuple[str, ...]]:
         value = float(one.value[k])
         text = format_estimate(value, std) if std else format_number(value)
         pull = f"{one.across.pulls[k]:+.1f}"
-        rows.append((_file(fleet, one.number[k]), one.name, text, one.unit, pull))
+        file = fleet.files["file"][int(one.number[k]) - 1]
+        rows.append((file, one.name, text, one.unit, pull))
     return rows
-
-
-def _file(fleet: Fleet, number) -> str:
-    return fleet.files["file"][int(number) - 1]
 
 
 def _failed(fleet: Fleet) -> list[tuple[str, ...]]:

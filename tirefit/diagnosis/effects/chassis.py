@@ -22,7 +22,6 @@ def _slope(slope, constants, rows):
 
 def _round_the_floor(rows, u):
     """Of any direction, and of a floor that is bent: (n, 4), in units of the load."""
-    del u
     turns = [wave(k * rows.heading) for k in (1, 2) for wave in (np.cos, np.sin)]
     return np.stack(turns, axis=1) * (rows.load * rows.fz)[:, None]
 

@@ -98,7 +98,6 @@ def _which_speed(constants, rows, time) -> str:
 
 
 def _which_fall(constants, rows, time) -> str:
-    del time
     v_st, exponent, both = constants
     law = f"with exponent e = {exponent:g}" if exponent else "by log(1 + v_s / v_st)"
     v_st = v_st * float(np.max(rows.brisk))
@@ -106,13 +105,11 @@ def _which_fall(constants, rows, time) -> str:
 
 
 def _which_power(constants, rows, time) -> str:
-    del rows, time
     laws = "a power of the load", "in proportion to F_z / F_z0 - 1"
     return (*laws, "in proportion to log(F_z / F_z0)")[int(np.argmax(constants))]
 
 
 def _which_drift(constants, rows, time) -> str:
-    del rows
     even, way = constants
     lasts = way * float(np.ptp(time))
     return "evenly" if even else f"quick at first, as exp(-t / {lasts:.3g} s)"

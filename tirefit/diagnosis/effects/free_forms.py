@@ -109,14 +109,6 @@ def _of_shape(rows, u):
     return _by_slip("side", _OF_THE_CURVE)(rows, u) * (rows.fz * rows.load)[:, None]
 
 
-def _of_side(rows, u):
-    return rows.side[:, None]
-
-
-def _of_the_demand_across(rows, u):
-    return functions_of(rows.other / rows.fz, BOTH_WAYS)
-
-
 def _of_sliding(rows, u):
     return functions_of(np.sqrt(rows.sliding), _OF_SPEED)
 
@@ -149,18 +141,10 @@ def _at_a_turn(rows, u):
     return np.eye(len(rows.turning))[:, unsure]
 
 
-def _force_at_a_turn(rows, u):
-    return _at_a_turn(rows, u) * rows.load[:, None]
-
-
 def _guided(rows, u):
     """Force on the way up or down, by the size of the force: a function of the slip
     fraction times the load."""
     return _by_slip("turning")(rows, u) * (rows.side * rows.fz * rows.load)[:, None]
-
-
-def _guided_by_rate(rows, u):
-    return _of_rate(rows, u) * (rows.side * rows.load)[:, None]
 
 
 SHAPE_OF_THE_CURVE = (Form("force", 0.01, _of_shape),)
@@ -183,11 +167,18 @@ FRICTION_BY_DIRECTION = (
     Form("friction", 0.02, _of_rate),
     Form("friction", 0.05, _at_a_turn),
 )
-BY_SIDE = (Form("friction", 0.02, _by_slip("side")), Form("stiffness", 0.02, _of_side))
+BY_SIDE = (
+    Form("friction", 0.02, _by_slip("side")),
+    Form("stiffness", 0.02, lambda rows, u: rows.side[:, None]),
+)
 FORCE_BY_DIRECTION = (
     Form("force", 0.004, _guided),
-    Form("force", 0.004, _guided_by_rate),
-    Form("force", 0.02, _force_at_a_turn),
+    Form(
+        "force",
+        0.004,
+        lambda rows, u: _of_rate(rows, u) * (rows.side * rows.load)[:, None],
+    ),
+    Form("force", 0.02, lambda rows, u: _at_a_turn(rows, u) * rows.load[:, None]),
 )
 FORCE_BY_LOAD = over("force", 0.01, "fz", ONE_WAY, weight)
 SKEW_BY_LOAD = tuple(
@@ -196,7 +187,7 @@ SKEW_BY_LOAD = tuple(
 FRICTION_BY_LOAD = over("friction", 0.03, "fz", ONE_WAY)
 SHIFT_BY_SPEED = over("shift", 0.1, "v", ONE_WAY, rise)
 BY_OTHER_SLIP = tuple(
-    Form(field, size, _of_the_demand_across)
-    for field, size in (("friction", 0.03), ("stiffness", 0.03))
+    Form(field, 0.03, lambda rows, u: functions_of(rows.other / rows.fz, BOTH_WAYS))
+    for field in ("friction", "stiffness")
 )
 SHIFT_BY_CAMBER = over("shift", 0.1, "gamma", BOTH_WAYS, rise)

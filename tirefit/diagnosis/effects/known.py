@@ -82,7 +82,6 @@ def of_a_known_inertia(prior, prepared, rig):
 
 def of_a_known_height(prior, prepared, rig):
     """A load that moves by m h a_x / wheelbase over the range of a_x."""
-    del rig
     if "a_x" not in prepared.data:
         return prior
     span = float(np.ptp(prepared.column("a_x"))) / GRAVITY

@@ -27,13 +27,11 @@ forms of camber thrust."""
 
 def _as_it_was_read(prior, prepared, rig):
     """Which way a slip would have to be converted depends on what it was read as."""
-    del rig
     return prior._replace(center=prior.center * prepared.definition)
 
 
 def _of_this_wheel(prior, prepared, rig):
     """A force taken from the torque lacks all of the inertia that is known."""
-    del prepared
     known = rig.wheel_inertia
     if not known:
         return prior
@@ -55,7 +53,6 @@ def _definition_odds(prepared) -> float:
 def _seen_between_slips(prior, prepared, rig):
     """An offset from the slip of the wheel speed is one that may have to be taken off,
     whatever its size."""
-    del rig
     check = prepared.slip_check
     if check is None or not check.shifted:
         return prior

@@ -243,5 +243,4 @@ _SELDOM = -1.0
 
 def seldom(prepared) -> float:
     """Log odds, whatever the data, of an effect that most files do not have."""
-    del prepared
     return _SELDOM
