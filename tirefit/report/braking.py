@@ -8,7 +8,7 @@ import numpy as np
 
 from tirefit.data.table import WHEELS
 from tirefit.report.canvas import COLORS, DARK, GREY, Picture, panel_title, tidy
-from tirefit.report.html import png_text, rendered
+from tirefit.report.html import table_fragment
 from tirefit.report.numbers import format_number, plain_text
 from tirefit.report.text import table
 from tirefit.sim.brake_curve import tire_curve
@@ -105,9 +105,7 @@ def braking_text(result: Braking) -> str:
 
 def braking_html(result: Braking) -> str:
     """The same as a fragment of HTML, with the figure; for notebooks."""
-    fragment = rendered("table_fragment.html", rows=_rows(result), notes=_notes(result))
-    source = f"data:image/png;base64,{png_text(stop_figure(result))}"
-    return f'{fragment}\n<img alt="braking" src="{source}">'
+    return table_fragment(_rows(result), _notes(result), stop_figure(result), "braking")
 
 
 def _foot(result: Braking) -> str:

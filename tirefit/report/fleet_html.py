@@ -9,7 +9,7 @@ from tirefit import __version__
 from tirefit.data.records import FAILED
 from tirefit.files import write_text_atomic
 from tirefit.report.fleet import Fleet, Quantity, fleet_of, quantity_figure
-from tirefit.report.html import png_text, rendered
+from tirefit.report.html import image_of, rendered
 from tirefit.report.numbers import format_estimate, format_number
 
 __all__ = ["fleet_page", "write_fleet_page"]
@@ -35,10 +35,10 @@ def fleet_page(fleet: Fleet, command: str) -> str:
         settings=_settings(fleet, command),
         quantities=_quantities(fleet),
         pictures=[
-            {
-                "png": png_text(quantity_figure(one, fleet.dates is not None)),
-                "alternative": f"{one.name} over the files",
-            }
+            image_of(
+                quantity_figure(one, fleet.dates is not None),
+                f"{one.name} over the files",
+            )
             for one in drawn
         ],
         left=[one.name for one in fleet.quantities[_PICTURES:]],

@@ -109,19 +109,7 @@ def models_dict(models: Mapping[str, AbstractTire]) -> dict[str, dict]:
     return {
         name: {
             "about": _about(model),
-            "parameters": {
-                key: {
-                    "unit": spec.unit,
-                    "lower": spec.lower,
-                    "upper": spec.upper,
-                    "default": spec.default,
-                    "free": spec.free,
-                    "scale": spec.scale,
-                    "meaning": spec.meaning,
-                    "source": spec.source,
-                }
-                for key, spec in specs(model).items()
-            },
+            "parameters": {k: spec._asdict() for k, spec in specs(model).items()},
         }
         for name, model in models.items()
     }

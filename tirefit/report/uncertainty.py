@@ -241,10 +241,7 @@ def _of_others(result: FitResult, labels: Sequence[str]) -> str:
     known = [] if summary is None else [k for k in others if k in summary.rhat]
     if summary is None or not known:
         return text
-    rhat, ess = (
-        max(summary.rhat[k] for k in known),
-        min(summary.ess[k] for k in known),
-    )
+    rhat, ess = max(summary.rhat[k] for k in known), min(summary.ess[k] for k in known)
     return f"{text}; the others: R-hat at most {rhat:.3f}, ESS at least {ess:.0f}"
 
 
@@ -270,15 +267,12 @@ def trace_data(result: FitResult, parameters: Sequence[str] | None = None) -> Tr
             for ensemble in chains
         ]
     )
-    summary = result.posterior
-    rhat, ess = (
-        (None, None)
-        if summary is None
-        else (
+    rhat = ess = None
+    if result.posterior is not None:
+        rhat, ess = (
             np.array([record.get(label, np.nan) for label in labels])
-            for record in (summary.rhat, summary.ess)
+            for record in (result.posterior.rhat, result.posterior.ess)
         )
-    )
     return Trace(
         tuple(symbol(result, label) for label in labels), chosen / max(length - 1, 1),
         chains[:, chosen], edges, density, rhat, ess, _of_others(result, labels),
