@@ -33,6 +33,7 @@ __all__ = [
     "code",
     "excitation",
     "flag_of",
+    "floats",
     "force_noise",
     "nominal_friction",
     "nominal_stiffness",
@@ -182,6 +183,11 @@ class AbstractEstimator(eqx.Module):
 def choose(condition, yes, no):
     """Either of two pytrees of equal structure, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
+
+
+def floats(*values) -> Float[Array, " n"]:
+    """Numbers, settings or scalar arrays as one array."""
+    return jnp.stack([jnp.asarray(value, float) for value in values])
 
 
 def nominal_stiffness():

@@ -23,6 +23,7 @@ from tirefit.online.base import (
     choose,
     excitation,
     flag_of,
+    floats,
     force_noise,
     nominal_friction,
     nominal_stiffness,
@@ -77,8 +78,9 @@ class Ekf(AbstractEstimator):
     least_use: float = excitation()
 
     def init(self) -> EkfState:
-        mean = jnp.log(jnp.stack([jnp.asarray(v, float) for v in (self.cpa2, self.mu)]))
-        return EkfState(mean, self._prior(), jnp.ones(()))
+        return EkfState(
+            jnp.log(floats(self.cpa2, self.mu)), self._prior(), jnp.ones(())
+        )
 
     def force(self, x, sigma, fz):
         """Force [N] of the brush at a state (2,) of logarithms, S(29)."""
@@ -118,14 +120,11 @@ class Ekf(AbstractEstimator):
         return state._replace(covariance=jnp.diag(widest))
 
     def _prior(self):
-        std = jnp.stack([jnp.asarray(self.prior_cpa2), jnp.asarray(self.prior_mu)])
-        return jnp.diag(std.astype(float) ** 2)
+        return jnp.diag(floats(self.prior_cpa2, self.prior_mu) ** 2)
 
     def _walked(self, state: EkfState, dt) -> EkfState:
-        rate = jnp.stack([jnp.asarray(self.drift_cpa2), jnp.asarray(self.drift_mu)])
-        return state._replace(
-            covariance=state.covariance + jnp.diag(rate.astype(float) ** 2) * dt
-        )
+        grown = jnp.diag(floats(self.drift_cpa2, self.drift_mu) ** 2) * dt
+        return state._replace(covariance=state.covariance + grown)
 
     def _estimate(self, state: EkfState, idle, surprise) -> Estimate:
         widened = jnp.sqrt(jnp.maximum(state.misfit, 1.0))

@@ -51,7 +51,6 @@ __all__ = [
     "Xbs",
     "XbsBraking",
     "XbsState",
-    "friction_from_slope",
     "high_pass",
     "low_pass",
     "rate_in_use",
@@ -232,17 +231,6 @@ def rate_in_use(slope, stiffness, direction=0.0):
     root = jnp.sqrt(jnp.maximum(across**2 - 4 * lead * rest, 0.0))
     sticking = jnp.clip((root - across) / (2 * lead), 0.0, 1.0)
     return 1 - sticking**3
-
-
-def friction_from_slope(force, fz, slope, stiffness, direction=0.0):
-    r"""Friction :math:`\mu = F / (\gamma F_z)` [-], end of S section 3.5.
-
-    Args:
-        force: resultant F [N]; fz: load [N]; the rest as in :func:`rate_in_use`.
-    """
-    rate = rate_in_use(slope, stiffness, direction)
-    there = rate > 0
-    return jnp.where(there, force / (jnp.where(there, rate, 1.0) * fz), jnp.inf)
 
 
 class Sums(NamedTuple):
