@@ -169,7 +169,7 @@ _PER_RUN = "cut the record into runs and fit {} per run"
 _DRIFTS = ((1.0, 1.0), *((0.0, way) for way in _WEAR))
 
 
-def _drifting(name: str, parameter: str, scale: float, forms, looks_like):
+def _drifting(name: str, parameter: str, scale: float, forms, *looks_like: str):
     return Effect(
         id=f"{name}_drift",
         family=f"{name} x time",
@@ -184,7 +184,7 @@ def _drifting(name: str, parameter: str, scale: float, forms, looks_like):
         variants=_DRIFTS,
         which=_which_drift,
         forms=forms,
-        looks_like=looks_like,
+        looks_like=(f"load_{name}", f"{name}_temperature", *looks_like),
         told_apart_by="random order",
     )
 
@@ -214,7 +214,6 @@ def _loaded(name: str, scale: float, forms, looks_like):
         family=f"{name} x load",
         change=_with_load(name),
         scale=scale,
-        unit="-",
         formula=f"{SYMBOLS[name]} (F_z / F_z0)^amplitude, S 2.1",
         means=f"{name} is a power of the load",
         remedy="fit brush-load",
@@ -255,7 +254,6 @@ SPEED_EXPONENTIAL = Effect(
     family="friction x speed",
     change=_fall,
     scale=0.2,
-    unit="-",
     formula="mu_k = mu (h + (1 - h) exp(-(v_s / v_st)^e)), S(37)",
     means="friction changes with the sliding speed, most of it at low speeds",
     remedy="fit brush-h with this v_st; where all friction changes, mu for each speed",
@@ -275,7 +273,6 @@ STEP = Effect(
     family="friction x time",
     change=multiplies("friction", _step),
     scale=0.15,
-    unit="-",
     formula="mu changes by amplitude at one time, or between two",
     means="friction changes at one time, or for a stretch",
     remedy="cut the record there and fit mu per run",
@@ -298,7 +295,6 @@ HYSTERESIS = Effect(
     family="friction x direction",
     change=multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.turning),
     scale=0.06,
-    unit="-",
     formula="mu differs by amplitude between growing and shrinking slip",
     means="friction differs between growing and shrinking slip",
     remedy=_SPLIT,
@@ -313,7 +309,6 @@ ASYMMETRY = Effect(
     family="friction x sign",
     change=multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.side),
     scale=0.12,
-    unit="-",
     formula="mu differs by amplitude between the two signs of slip",
     means="friction differs between the two signs of slip",
     remedy=_SPLIT,
@@ -328,7 +323,6 @@ COMBINED = Effect(
     family="inputs",
     change=_other,
     scale=0.15,
-    unit="-",
     formula="the other slip shares the friction",
     means="the other slip takes its part of the friction",
     remedy="fit brush-anisotropic or magic-formula-combined to both slips",
@@ -351,20 +345,8 @@ EFFECTS = (
     _loaded("friction", 0.12, FRICTION_BY_LOAD, ("friction_drift", "force_offset")),
     _heated("friction", "mu", 0.15, 0.03),
     _heated("stiffness", "cpa2", 0.2, 0.06),
-    _drifting(
-        "friction",
-        "mu",
-        0.12,
-        _BY_TIME,
-        ("load_friction", "friction_temperature", "friction_step"),
-    ),
-    _drifting(
-        "stiffness",
-        "cpa2",
-        0.18,
-        over("stiffness", 0.04, "time", ONE_WAY),
-        ("load_stiffness", "stiffness_temperature"),
-    ),
+    _drifting("friction", "mu", 0.12, _BY_TIME, "friction_step"),
+    _drifting("stiffness", "cpa2", 0.18, over("stiffness", 0.04, "time", ONE_WAY)),
     STEP,
     HYSTERESIS,
     ASYMMETRY,

@@ -13,7 +13,6 @@ NOISE_EFFECTS = (
     ),
     NoiseEffect(
         id="noise_heteroscedastic",
-        flag="",
         means="noise that differs over the range",
         remedy="give fx_std row by row",
     ),
@@ -25,7 +24,6 @@ NOISE_EFFECTS = (
     ),
     NoiseEffect(
         id="slip_noise",
-        flag="",
         means="the slip is measured with noise",
         remedy="give sigma_x_std",
     ),

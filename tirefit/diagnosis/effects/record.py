@@ -111,7 +111,7 @@ class Effect:
     family: str
     change: Change
     scale: float
-    unit: str
+    unit: str = "-"
     formula: str
     means: str = ""
     remedy: str = ""
@@ -157,7 +157,7 @@ class NoiseEffect:
     """
 
     id: str
-    flag: str
+    flag: str = ""
     means: str
     remedy: str
     family: str = "noise"

@@ -122,7 +122,6 @@ FORCE_CROSSTALK = Effect(
     family="force x force",
     change=adds("force", lambda a, _, rows: a * rows.across),
     scale=0.04,
-    unit="-",
     formula="force + amplitude (force across); crosstalk of a balance",
     means="the force across leaks into the force",
     remedy="calibrate the balance with pure forces, and check that it stands square",

@@ -151,7 +151,6 @@ ELLIPSE = Effect(
     family="friction x force",
     change=_ellipse,
     scale=0.3,
-    unit="-",
     formula="mu, or the whole force, times sqrt(1 - amplitude (F_across / (mu F_z))^2)",
     means="the force across (drive, brake or cornering) takes its part of the friction",
     remedy="fit a combined model to both forces, or leave rows with a force across out",

@@ -65,7 +65,6 @@ STIFFNESS_SPEED = Effect(
     family="stiffness x speed",
     change=multiplies("stiffness", lambda a, _, rows: (rows.pace / rows.cruise) ** a),
     scale=0.12,
-    unit="-",
     formula="c_p a^2 (v / v0)^amplitude",
     means="stiffness is a power of the speed: rubber and belt stiffen",
     remedy="fit cpa2 for each speed",
