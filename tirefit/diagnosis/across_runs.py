@@ -53,7 +53,6 @@ def losses_left_out(base: Base, candidates: list[Hypothesis]) -> np.ndarray:
     observed, losses = rows.observed[main], []
     sets = [h.atoms for h in candidates]
     starts = [(h.z, h.amplitude) for h in candidates]
-    scale = np.asarray(base.design.prior_scale)
     for code in shown_runs(rows.run, rows.data.runs):
         out = rows.run == code
         keep = np.array(base.design.keep)
@@ -62,9 +61,8 @@ def losses_left_out(base: Base, candidates: list[Hypothesis]) -> np.ndarray:
         refitted = base.refit(starts, sets, base.design._replace(keep=keep))
         each = []
         for k, atoms in enumerate(sets):
-            amplitudes = np.zeros(len(base.atoms))
-            amplitudes[list(atoms)] = refitted.amplitude[k][: len(atoms)]
-            missed = observed - base.forces(refitted.z[k], amplitudes * scale)[main]
+            amplitudes = base.amplitudes(atoms, refitted.amplitude[k])
+            missed = observed - base.forces(refitted.z[k], amplitudes)[main]
             each.append(np.mean(missed[good] ** 2))
         losses.append(each)
     return np.array(losses)

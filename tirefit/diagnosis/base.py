@@ -1,6 +1,6 @@
 """The base model fitted with its noise judged: where every diagnosis starts."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -188,7 +188,7 @@ class Base:
     @cached_property
     def at_null(self) -> Linear:
         """:meth:`linearised` at the base fit."""
-        return self.linearised(self.z, np.zeros(len(self.atoms)))
+        return self.linearised(self.z, self.amplitudes())
 
     @cached_property
     def measured(self) -> "Base":
@@ -241,6 +241,14 @@ class Base:
     ) -> Refit:
         """Hypotheses refitted on this design or another: :meth:`Tire.refit`."""
         return self.fit.tire.refit(starts, sets, design or self.design, **more)
+
+    def amplitudes(self, atoms: Sequence[int] = (), sizes=()) -> np.ndarray:
+        """Amplitudes of all atoms (K,) in their own units, from those of some atoms in
+        prior scales; the others are zero."""
+        full, index = np.zeros(len(self.atoms)), list(atoms)
+        scale = np.asarray(self.design.prior_scale)[index]
+        full[index] = np.asarray(sizes)[: len(index)] * scale
+        return full
 
     def residual(self, z, amplitudes) -> np.ndarray:
         """Whitened residual of the used rows, zero for outliers: (m,)."""

@@ -129,7 +129,7 @@ def document_of(
 
 def _missed(base: Base) -> np.ndarray:
     """Whitened residual of the first channel, (n,)."""
-    whole = base.residual(base.as_given, np.zeros(len(base.atoms)))
+    whole = base.residual(base.as_given, base.amplitudes())
     return whole[: base.prepared.n]
 
 
@@ -150,9 +150,8 @@ def _rows(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
         at: the base fit at the slips that the forces are wanted for.
     """
     base, verdict = case.base, case.verdict
-    silent = np.zeros(len(base.atoms))
-    before = at.forces(base.as_given, silent)
-    tuned = at.forces(base.z, silent) if base.simulator else {}
+    before = at.forces(base.as_given, base.amplitudes())
+    tuned = at.forces(base.z, base.amplitudes()) if base.simulator else {}
     after = at.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
     smooth, deviation = _smoothed_remainder(case)
     form = _form_part(case, verdict.chosen)
@@ -416,8 +415,7 @@ def _on_everything(case: Case, prepared: Prepared, rig, rows):
     interpolated in their order."""
     base, verdict = case.base, case.verdict
     whole = on_rows(base, prepared, rig).measured
-    silent = np.zeros(len(base.atoms))
-    before = whole.forces(base.as_given, silent)
+    before = whole.forces(base.as_given, base.amplitudes())
     after = whole.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
     kept, every, spread_out = base.prepared.kept, np.arange(prepared.n), {}
     for channel, parts in rows.items():
@@ -428,6 +426,6 @@ def _on_everything(case: Case, prepared: Prepared, rig, rows):
             "gap_std": np.interp(every, kept, parts["gap_std"]),
         }  # fmt: skip
         if base.simulator:
-            tuned = whole.forces(base.z, silent)[channel]
+            tuned = whole.forces(base.z, base.amplitudes())[channel]
             spread_out[channel] |= {"sim": before[channel], "tuned": tuned}
     return spread_out

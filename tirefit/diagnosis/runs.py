@@ -125,9 +125,7 @@ def estimates(base, kind: str, hypothesis=None):
     there = np.zeros(rows.n)
     if hypothesis is not None and hypothesis.atoms:
         atoms = list(hypothesis.atoms)
-        amplitudes = np.zeros(len(base.atoms))
-        scale = np.asarray(base.design.prior_scale)[atoms]
-        amplitudes[atoms] = hypothesis.amplitude * scale
+        amplitudes = base.amplitudes(atoms, hypothesis.amplitude)
         linear = base.linearised(hypothesis.z, amplitudes)
         ids = {k: base.atoms[k].effect.id for k in atoms}
         other = [k for k in atoms if ids[k] not in (kind, f"{kind}_run")]

@@ -74,11 +74,7 @@ class Hypothesis:
 
 def amplitudes_of(base: Base, hypothesis: Hypothesis) -> np.ndarray:
     """Amplitudes of all atoms (K,) in their own units."""
-    full = np.zeros(len(base.atoms))
-    scale = np.asarray(base.design.prior_scale)
-    for k, a in zip(hypothesis.atoms, hypothesis.amplitude, strict=True):
-        full[k] += a * scale[k]
-    return full
+    return base.amplitudes(hypothesis.atoms, hypothesis.amplitude)
 
 
 @dataclass

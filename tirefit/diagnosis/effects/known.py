@@ -100,7 +100,7 @@ def said_of_motion(base, rig) -> tuple[str, ...]:
     if derived is None:
         return ()
     observed = rows.observed["fy"]
-    missed = observed - base.forces(base.as_given, np.zeros(len(base.atoms)))["fy"]
+    missed = observed - base.forces(base.as_given, base.amplitudes())["fy"]
     said = (
         f"fy was derived from a_y ({derived.mass:.4g} kg of it) and yaw_acceleration:"
         " it shares its channels with the slip, and so does held-out data"
