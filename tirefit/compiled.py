@@ -31,8 +31,6 @@ import jax.export
 
 from tirefit.files import replacing
 
-__all__ = ["Compiled", "compiled", "keep_programs_in", "release_programs"]
-
 _directory: Path | None = None
 
 _MOST_PROGRAMS = 500

@@ -18,21 +18,6 @@ from jaxtyping import Array
 
 from tirefit.results import InputProblem, UsageError, did_you_mean
 
-__all__ = [
-    "Spec",
-    "Values",
-    "by_owner",
-    "check_names",
-    "check_values",
-    "constrain",
-    "log_jacobian",
-    "par",
-    "parameter_values",
-    "specs",
-    "unconstrain",
-    "with_values",
-]
-
 Model = TypeVar("Model", bound=eqx.Module)
 
 Values = Array | np.ndarray

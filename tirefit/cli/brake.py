@@ -18,8 +18,6 @@ from tirefit.cli.options import (
 from tirefit.cli.output import check_directories, claimed, staged
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["brake"]
-
 SUMMARY, SERIES, STOPS = "summary.json", "series.csv", "stops.csv"
 FIGURES = ("stop.png", "compare.png", "slip.png")
 ANIMATION = "stop.gif"

@@ -23,8 +23,6 @@ from tirefit.cli.options import (
 from tirefit.cli.output import check_directories, claimed, staged
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["estimate"]
-
 FILES = ("estimates.csv", "summary.json", "estimates.png")
 
 

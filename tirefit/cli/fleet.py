@@ -32,17 +32,6 @@ from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, Usa
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-__all__ = [
-    "Attempt",
-    "Jobs",
-    "Outcome",
-    "Piece",
-    "Scheduler",
-    "Sharing",
-    "attempted",
-    "fleet",
-]
-
 Jobs = Annotated[
     int | None, typer.Option(min=1, metavar="N", help="processes that share the files")
 ]

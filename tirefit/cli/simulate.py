@@ -8,8 +8,6 @@ import typer
 from tirefit.cli.options import errors_to_exit, named_path, numbers, say, start_jax
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["app"]
-
 app = typer.Typer(
     help="Simulate logs and rig sweeps that fit and estimate read.",
     no_args_is_help=True,

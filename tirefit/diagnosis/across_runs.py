@@ -20,8 +20,6 @@ from tirefit.diagnosis.runs import KINDS
 from tirefit.diagnosis.search import Hypothesis, Search
 from tirefit.diagnosis.verdict import Verdict, Weighed
 
-__all__ = ["Carried", "chosen_across_runs", "held_across_runs", "losses_left_out"]
-
 _FEWEST = 4
 """Runs from which leaving them out in turn says something: of three, two are left to
 fit, and Student's t of two degrees of freedom hardly tells any set from none."""

@@ -37,15 +37,6 @@ from tirefit.diagnosis.slip_scatter import slip_scatter
 from tirefit.diagnosis.tire import Tire, with_force
 from tirefit.padding import pad_rows
 
-__all__ = [
-    "Base",
-    "Fit",
-    "fit_base",
-    "on_rows",
-    "shown_slip_noise",
-    "with_noise_judged",
-]
-
 _ON_BOUND = 6.0
 """Size of a z from which its parameter rests on a bound: it is within 0.25 % of the
 interval."""

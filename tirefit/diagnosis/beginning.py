@@ -23,16 +23,6 @@ from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.padding import pad_rows, padded_size
 from tirefit.results import DataError
 
-__all__ = [
-    "Begun",
-    "begin",
-    "design_of",
-    "first_fit",
-    "measured_slips",
-    "standing_in",
-    "with_offset",
-]
-
 _LEAST_ROWS = 256
 """Rows that a diagnosis is compiled for, at least: small files share one program."""
 

@@ -21,8 +21,6 @@ from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.shares import shapley
 from tirefit.diagnosis.simulator import missed_share
 
-__all__ = ["budgets_of", "parameter_changes", "simulator_summary"]
-
 PARAMETERS = "parameters"
 
 _HELD = 1e4

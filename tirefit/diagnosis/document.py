@@ -40,8 +40,6 @@ from tirefit.diagnosis.verdict import Verdict
 from tirefit.diagnosis.views import compared, residual_map, shown_rows
 from tirefit.diagnosis.where import parameter_map, regions, spots
 
-__all__ = ["document_of"]
-
 _LISTED, _MENTIONED = 10, 1e-3
 """Candidates that are listed, at most; probability from which the unknown is one."""
 

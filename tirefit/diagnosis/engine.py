@@ -43,8 +43,6 @@ from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
 
-__all__ = ["diagnose", "studied"]
-
 _CHANGED = 0.1
 """A change of the noise level, as a logarithm, after which the search starts anew."""
 

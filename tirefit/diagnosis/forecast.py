@@ -15,16 +15,6 @@ from tirefit.diagnosis.records import Forecast, NextMeasurement
 from tirefit.diagnosis.rows import Prepared
 from tirefit.models import modelled
 
-__all__ = [
-    "Nothing",
-    "Recognition",
-    "confusion",
-    "next_measurements",
-    "recognition",
-    "scores_of_nothing",
-    "separability",
-]
-
 DRAWS = 2000
 """Draws of noise: a chance of 5 % is known to half a percent."""
 

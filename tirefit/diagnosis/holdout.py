@@ -16,8 +16,6 @@ from tirefit.diagnosis.run_codes import shown_runs
 from tirefit.diagnosis.runs import KINDS
 from tirefit.diagnosis.search import amplitudes_of
 
-__all__ = ["held_out"]
-
 _TOP = 0.05
 """Share of the range of loads or speeds that counts as its highest setting."""
 

@@ -30,8 +30,6 @@ from tirefit.diagnosis.patterns import USUAL_SIZES, Patterns, weights_of_sizes
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.verdict import Verdict, Weighed
 
-__all__ = ["drawn_functions", "drawn_pattern", "drawn_wave", "plausible_forces"]
-
 DRAWS = 300
 """Draws: fifteen beyond either end of a 90 % interval."""
 

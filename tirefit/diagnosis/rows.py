@@ -23,16 +23,6 @@ from tirefit.fitting.slip_noise import SlipDistribution, speed_of, std_with_spee
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
 
-__all__ = [
-    "LOADS",
-    "NOT_STATED",
-    "Prepared",
-    "neighbours",
-    "on_scale_of",
-    "prepare",
-    "thinned",
-]
-
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that drive the forces -> forces that may be diagnosed."""
 

@@ -12,17 +12,6 @@ from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.run_codes import shown_runs
 from tirefit.padding import pad_rows
 
-__all__ = [
-    "KINDS",
-    "RunOffsets",
-    "Shrunk",
-    "estimates",
-    "offsets_of_runs",
-    "pattern_of_runs",
-    "shrunk",
-    "with_runs",
-]
-
 KINDS = {effect: of.field for effect, of in OFFSETS.items()}
 """Effect whose amplitude may be each run's own -> the field of the state it moves."""
 

@@ -13,8 +13,6 @@ from tirefit.diagnosis.basis import without
 from tirefit.diagnosis.forward import MOST
 from tirefit.diagnosis.negligible import ROUNDING
 
-__all__ = ["Hypothesis", "Search", "amplitudes_of", "search"]
-
 PRIOR_OF_SIZE = {0: 0.4, 1: 0.4, 2: 0.1, 3: 0.015}
 """Probability of so many effects at once; nothing and one are as likely, and every
 further one is four to seven times rarer."""

@@ -18,8 +18,6 @@ from tirefit.models.friction import Friction
 from tirefit.models.pressure import AbstractPressure, Parabolic
 from tirefit.params import Values
 
-__all__ = ["Covariates", "State", "force_of_state", "null_state", "peak_ratio"]
-
 
 class Covariates(NamedTuple):
     """What effects may depend on, one value per row (n,).

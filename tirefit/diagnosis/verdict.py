@@ -20,21 +20,6 @@ from tirefit.diagnosis.linear_fit import (
 from tirefit.diagnosis.negligible import UNSEEN
 from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis, Search, amplitudes_of
 
-__all__ = [
-    "HARDLY",
-    "Verdict",
-    "Weighed",
-    "gap_p_value",
-    "judge",
-    "named",
-    "nothing_shown",
-    "stand_ins",
-    "swapped_beside",
-    "ties",
-    "weigh",
-]
-
-
 SURE = 0.8
 """Probability from which an effect is named without alternatives."""
 

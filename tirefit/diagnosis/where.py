@@ -13,8 +13,6 @@ from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.patterns import PARAMETERS, USUAL_SIZES
 from tirefit.diagnosis.records import Cell, Region, Spot
 
-__all__ = ["LEVEL", "covariates_of", "parameter_map", "regions", "spots"]
-
 LEVEL = 0.05
 """False discoveries among the regions, or the cells of a map, that are said to hold
 more than noise."""

@@ -42,8 +42,6 @@ from tirefit.models.pressure import AbstractPressure, Parabolic
 from tirefit.params import par
 from tirefit.slip import lateral_slip
 
-__all__ = ["AbstractCarcass", "BeamCarcass", "ParabolicCarcass", "ThreadCarcass"]
-
 
 class Patch(NamedTuple):
     """A patch that slides behind u, over mu F_z: ``stress`` of the first bristle that

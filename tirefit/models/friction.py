@@ -14,15 +14,6 @@ import jax.numpy as jnp
 
 from tirefit.params import par
 
-__all__ = [
-    "AbstractFrictionLaw",
-    "Exponential",
-    "Friction",
-    "Kinetic",
-    "LinearInSpeed",
-    "Stribeck",
-]
-
 
 class AbstractFrictionLaw(eqx.Module):
     """One dependence of the kinetic friction; with ``static_too`` the static friction

@@ -17,18 +17,6 @@ import jax.numpy as jnp
 
 from tirefit.params import par
 
-__all__ = [
-    "AbstractPressure",
-    "Asymmetric",
-    "Elliptic",
-    "ForceAsymmetric",
-    "LoadAsymmetric",
-    "Parabolic",
-    "Quartic",
-    "Uniform",
-    "reference_load",
-]
-
 
 class AbstractPressure(eqx.Module):
     """Density, its integrals from the trailing edge, and the breakaway point."""

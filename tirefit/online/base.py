@@ -20,26 +20,6 @@ from jaxtyping import Array, Float, Int
 from tirefit.params import par
 from tirefit.results import InputProblem
 
-__all__ = [
-    "FLAGS",
-    "PARAMETERS",
-    "AbstractEstimator",
-    "Estimate",
-    "Flag",
-    "Method",
-    "Parameter",
-    "Sample",
-    "choose",
-    "code",
-    "excitation",
-    "flag_of",
-    "floats",
-    "force_noise",
-    "nominal_friction",
-    "nominal_stiffness",
-    "slip_noise",
-]
-
 Sample = Mapping[str, Float[Array, ""]]
 """A method's inputs, by canonical column; each the mean of ``count`` samples, another
 key: noise of ``std`` in each is std / sqrt(count) here."""

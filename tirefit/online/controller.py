@@ -14,18 +14,6 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-__all__ = [
-    "DECREASE",
-    "HOLD",
-    "INCREASE",
-    "AbstractController",
-    "Command",
-    "Info",
-    "Measurement",
-    "NoController",
-    "Truth",
-]
-
 INCREASE, HOLD, DECREASE = 1.0, 0.0, -1.0
 """Inlet valve open; both shut; outlet valve open, for the whole of an interval."""
 

@@ -13,8 +13,6 @@ from tirefit.online.slip_control import SlipControl
 from tirefit.online.xbs_servo import XbsServo
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["CONTROLLERS", "controller_of"]
-
 CONTROLLERS: dict[str, type[AbstractController]] = {
     each.name: each for each in (XbsServo, ConventionalABS, SlipControl, NoController)
 }

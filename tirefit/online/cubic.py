@@ -33,8 +33,6 @@ from tirefit.online.base import (
 from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
-__all__ = ["Cubic", "CubicState", "friction_by_cubic"]
-
 _LEAST_SLIDING = 1e-3
 
 

@@ -32,8 +32,6 @@ from tirefit.online.base import (
 from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
-__all__ = ["Ekf", "EkfState"]
-
 _MEMORY = 0.98
 """Weight of the mean square of the surprises a step before: some 50 steps."""
 _FARTHEST = 1.0

@@ -15,8 +15,6 @@ from tirefit.params import by_owner, check_names, parameter_values, specs
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["estimate", "log_columns"]
-
 
 def log_columns(data: TireData) -> dict[str, np.ndarray]:
     """Columns (n,) for the estimators: all rows, the values of bad ones missing.

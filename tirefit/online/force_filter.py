@@ -33,8 +33,6 @@ from tirefit.online.vehicle import (
 )
 from tirefit.params import par
 
-__all__ = ["HYPOTHESES", "ForceFilter", "ForceState"]
-
 HYPOTHESES = tuple(0.05 * k for k in range(2, 27))
 """Friction 0.1 to 1.3 [-]; each is as likely at first."""
 _LONGEST = 0.5

@@ -64,8 +64,6 @@ from tirefit.online.run import LOCKED_SLIP
 from tirefit.params import par
 from tirefit.results import InputProblem
 
-__all__ = ["LuGreObserver", "ObserverState", "peak_share", "weights_of_v"]
-
 _SUBSTEPS = 4
 _LONGEST = 0.5
 """Time [s] without samples after which the motion starts anew."""

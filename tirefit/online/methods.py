@@ -17,8 +17,6 @@ from tirefit.online.xbs import Xbs, XbsBraking
 from tirefit.params import check_values, specs, with_values
 from tirefit.results import UsageError
 
-__all__ = ["METHODS", "STIFFNESS_OF_LOAD", "estimator_of"]
-
 METHODS: dict[str, type[AbstractEstimator]] = {
     kind.method.name: kind
     for kind in (

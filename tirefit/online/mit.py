@@ -15,8 +15,6 @@ from tirefit.online.base import Estimate, Method, Sample, choose
 from tirefit.online.regression import AbstractRegression
 from tirefit.params import par
 
-__all__ = ["Mit", "MitState"]
-
 _LEAST_THETA = 1e-3
 
 

@@ -42,8 +42,6 @@ from tirefit.online.wheel_force import (
 )
 from tirefit.params import par
 
-__all__ = ["Path", "PathState"]
-
 _LONGEST = 0.5
 """Time [s] without samples after which the motion starts anew."""
 _USUAL = 0.02

@@ -23,8 +23,6 @@ from tirefit.online.base import Estimate, Method, Sample, choose
 from tirefit.online.regression import AbstractRegression
 from tirefit.params import par
 
-__all__ = ["Rls", "RlsState"]
-
 _SAMPLES_OF_NOISE = 20.0
 """Samples for which the stated noise counts beside the errors that are seen."""
 _LEAST_THETA = 1e-3

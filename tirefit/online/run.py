@@ -24,16 +24,6 @@ from tirefit.compiled import compiled
 from tirefit.online.base import AbstractEstimator, Estimate, Flag, code, flag_of
 from tirefit.padding import padded_size
 
-__all__ = [
-    "GUARDED",
-    "LOCKED_SLIP",
-    "Guarded",
-    "Stream",
-    "guarded_step",
-    "run",
-    "start",
-]
-
 GUARDED = ("time", "run", "v", "omega")
 """Columns that the guard looks at where a log has them, beside the method's own."""
 

@@ -31,8 +31,6 @@ from tirefit.online.base import (
 from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
-__all__ = ["ROADS", "SlipSlope", "SlipSlopeBraking", "road_of"]
-
 ROADS = ("asphalt", "gravel", "snow", "ice")
 """The four of S section 3.1; estimates number them from 1, by falling friction."""
 

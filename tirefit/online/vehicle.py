@@ -13,16 +13,6 @@ from tirefit.models.combined import mu_rate
 from tirefit.online.base import AbstractEstimator
 from tirefit.params import par
 
-__all__ = [
-    "GRAVITY",
-    "AbstractVehicleMethod",
-    "axle_angles",
-    "brush_share",
-    "clipped",
-    "kalman_update",
-    "wrapped",
-]
-
 GRAVITY = 9.81
 
 

@@ -45,20 +45,6 @@ from tirefit.online.base import (
 )
 from tirefit.params import par
 
-__all__ = [
-    "Relation",
-    "Section",
-    "Xbs",
-    "XbsBraking",
-    "XbsState",
-    "high_pass",
-    "low_pass",
-    "rate_in_use",
-    "relation",
-    "servo_spectrum",
-    "speed_spectrum",
-]
-
 _NODES, _FREQUENCIES = 256, 4096
 _SLOWEST, _FASTEST = 0.02, 8.0
 """Poles of the relation over the lower and the upper edge of the band."""

@@ -16,16 +16,6 @@ from tirefit.sim.brake_result import Braking, Stop
 from tirefit.sim.brake_road import road_of
 from tirefit.sim.brake_summary import MEANINGS, UNITS
 
-__all__ = [
-    "Path",
-    "braking_html",
-    "braking_text",
-    "compare_figure",
-    "path_of",
-    "paths_figure",
-    "stop_figure",
-]
-
 _SHORT = {
     "stopping_distance": "distance", "mean_friction_used": "friction used",
     "locked_time": "locked", "pressure_rms_fluctuation": "p rms",

@@ -11,15 +11,6 @@ from tirefit.report.diagnosis_words import words_on
 from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number
 
-__all__ = [
-    "Step",
-    "budget_lines",
-    "budget_sentences",
-    "change_texts",
-    "channel_name",
-    "waterfall_steps",
-]
-
 _SEEN = 1e-3
 """Share of the energy below which a part is not worth a clause."""
 

@@ -33,8 +33,6 @@ from tirefit.report.diagnosis_words import (
 from tirefit.report.html import GOOD, OPEN, image_of, rendered
 from tirefit.report.numbers import format_number
 
-__all__ = ["diagnosis_fragment", "diagnosis_page", "write_page"]
-
 _ALTERNATIVES = {
     "where": "Map of measured minus fitted force over slip and another quantity",
     "which": "Probability of each explanation as bars",

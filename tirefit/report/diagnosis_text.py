@@ -30,20 +30,6 @@ from tirefit.report.diagnosis_words import (
 )
 from tirefit.report.numbers import format_estimate, format_number
 
-__all__ = [
-    "adequacy_line",
-    "diagnosis_text",
-    "gap_lines",
-    "look_lines",
-    "map_lines",
-    "run_lines",
-    "spot_lines",
-    "stand_in",
-    "subject",
-    "verdict_lines",
-    "verdict_sentence",
-]
-
 _WIDTH = 88
 _RUNS = "RUNS (an offset of its own for each, beside what else is named)"
 _LEVEL = 0.05

@@ -16,8 +16,6 @@ from tirefit.report.canvas import (
 )
 from tirefit.report.uncertainty import ProfilePanel, Trace, profile_data, trace_data
 
-__all__ = ["draw_profile", "draw_trace", "profile_figure", "trace_figure"]
-
 
 def draw_trace(left, right, trace: Trace, i: int) -> None:
     """Draws of one parameter in order (left) and their densities (right)."""

@@ -9,8 +9,6 @@ from tirefit.report.html import table_fragment
 from tirefit.report.numbers import format_estimate, format_number, plain_text
 from tirefit.report.text import table
 
-__all__ = ["estimates_figure", "estimates_html", "estimates_text", "shaded_spans"]
-
 _ROOM = 0.15
 """Of the range of the estimates, beside it."""
 

@@ -25,8 +25,6 @@ from tirefit.report.html import image_of, rendered, verdict_parts
 from tirefit.report.labels import fit_files, notes_of, run_lines
 from tirefit.report.numbers import format_number
 
-__all__ = ["fit_page", "write_fit_page"]
-
 
 def _quality(result: FitResult) -> list[str]:
     s = result.statistics

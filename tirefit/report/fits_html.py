@@ -17,8 +17,6 @@ from tirefit.report.numbers import format_number
 from tirefit.report.overlay import draw_overlay, overlay_of
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["fits_page", "write_fits_page"]
-
 _TOGETHER = 3
 """Quantities by file in one picture."""
 

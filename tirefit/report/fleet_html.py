@@ -12,8 +12,6 @@ from tirefit.report.fleet import Fleet, Quantity, fleet_of, quantity_figure
 from tirefit.report.html import image_of, rendered
 from tirefit.report.numbers import format_estimate, format_number
 
-__all__ = ["fleet_page", "write_fleet_page"]
-
 _PICTURES, _LISTED = 12, 40
 """Quantities that are drawn, and files that are listed, at most."""
 

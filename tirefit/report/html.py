@@ -14,17 +14,6 @@ from tirefit.report.labels import fit_files
 from tirefit.report.numbers import format_number
 from tirefit.report.text import verdict_line
 
-__all__ = [
-    "GOOD",
-    "OPEN",
-    "data_fragment",
-    "fit_fragment",
-    "image_of",
-    "rendered",
-    "table_fragment",
-    "verdict_parts",
-]
-
 GOOD, OPEN = "#009E73", "#D55E00"
 """Colours of a verdict that holds, and of one that leaves something open."""
 

@@ -9,8 +9,6 @@ from tirefit.params import Spec, specs
 from tirefit.report.numbers import format_number
 from tirefit.report.text import WIDTH, table
 
-__all__ = ["models_dict", "models_table"]
-
 _LETTERS = re.compile(r"d?m?(ns?|hs?)?")
 
 

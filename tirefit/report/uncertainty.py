@@ -20,18 +20,6 @@ from tirefit.report.labels import short_label, short_run
 from tirefit.report.numbers import plain_text
 from tirefit.results import InputProblem, UsageError
 
-__all__ = [
-    "Corner",
-    "ProfilePanel",
-    "Trace",
-    "corner_data",
-    "has_trace",
-    "named_labels",
-    "profile_data",
-    "symbol",
-    "trace_data",
-]
-
 _MOST_PAIRS = 20
 _MOST_TRACES = 10
 _MOST_PROFILES = 24

@@ -24,8 +24,6 @@ from tirefit.sim.brake_plant import (
 )
 from tirefit.sim.brake_sensors import Noise, Sensors, draw_noise, wheel_speeds
 
-__all__ = ["SPUN", "STANDS", "Log", "simulate_stop", "xbs_true"]
-
 STANDS = 0.1
 """Speed [m/s] below which the car has stopped: 1.3 cm before the end at mu 0.04."""
 SPUN = 1.5708

@@ -24,8 +24,6 @@ from tirefit.sim.brake_summary import (
     summarise,
 )
 
-__all__ = ["SCHEMA", "Braking", "Stop", "brake", "many_stops"]
-
 SCHEMA = "tirefit.brake/1"
 
 _TOGETHER = 50

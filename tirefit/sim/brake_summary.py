@@ -10,8 +10,6 @@ from scipy import stats
 from tirefit.sim.brake import SPUN, STANDS, Log
 from tirefit.sim.brake_plant import Plant
 
-__all__ = ["MEANINGS", "UNITS", "Interval", "Summary", "interval", "summarise"]
-
 LOCKED_SLIP = 0.9
 """Slip from which on a wheel counts as locked."""
 RECOVERED = 0.8

@@ -13,8 +13,6 @@ from jaxtyping import Array, Float
 from tirefit.data.table import WHEELS
 from tirefit.sim.drive import Car
 
-__all__ = ["GRAVITY", "Vehicle", "four_wheels", "quarter_car"]
-
 GRAVITY = 9.81
 
 Wheels = Float[Array | np.ndarray, " w"]

@@ -28,18 +28,6 @@ from tirefit.sim.wheel import (
 )
 from tirefit.slip import LOCKED
 
-__all__ = [
-    "BRAKE_GAIN",
-    "LOAD",
-    "PEAK",
-    "STIFFNESS",
-    "TIRES",
-    "Braking",
-    "SimulatedLog",
-    "simulate_braking",
-    "source_tire",
-]
-
 PEAK, STIFFNESS, LOAD = 0.98, 5e5, 27e3
 """D [-], C_x [N] and F_z [N] of S section 5; the load is not printed, but follows."""
 _SHAPE = 1.22

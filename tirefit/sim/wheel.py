@@ -22,8 +22,6 @@ from tirefit.sim.lugre import (
     distributed,
 )
 
-__all__ = ["PATCH", "SLOWEST", "STEADY", "WheelNumbers", "braked_wheel", "lugre_tire"]
-
 SLOWEST = 0.01
 """Wheel speed over that of free rolling below which a wheel is locked: the brake, which
 only holds, cannot turn it backwards."""

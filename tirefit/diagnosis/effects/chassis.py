@@ -8,8 +8,6 @@ from tirefit.diagnosis.effects.free_forms import Form, over, rise
 from tirefit.diagnosis.effects.known import of_a_known_inertia
 from tirefit.diagnosis.effects.record import Effect, adds, seldom
 
-__all__ = ["EFFECTS"]
-
 _DIRECTIONS = tuple(np.radians([0.0, 45.0, 90.0, 135.0]))
 """Directions of a slope over the floor; the other half is the other sign."""
 

@@ -25,8 +25,6 @@ from tirefit.diagnosis.effects.record import (
 )
 from tirefit.diagnosis.negligible import FLAT
 
-__all__ = ["EFFECTS", "STEPS"]
-
 _FALLS = ((0.15, 1.0), (0.6, 1.0), (0.6, 0.5), (2.0, 1.0), (4.0, 0.5))
 """(v_st over the largest sliding speed of the file, exponent) of the exponential falls
 of friction that are tried, S(37)."""

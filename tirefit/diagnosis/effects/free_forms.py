@@ -9,29 +9,6 @@ import numpy as np
 from tirefit.diagnosis.basis import FULL_SLIDING, functions_of
 from tirefit.diagnosis.negligible import ROUNDING
 
-__all__ = [
-    "BOTH_WAYS",
-    "BY_OTHER_SLIP",
-    "BY_SIDE",
-    "FORCE_BY_DIRECTION",
-    "FORCE_BY_LOAD",
-    "Form",
-    "FRICTION_BY_DIRECTION",
-    "FRICTION_BY_LOAD",
-    "FRICTION_BY_SPEED",
-    "ONE_WAY",
-    "SHAPE_OF_THE_CURVE",
-    "SHIFT_BY_CAMBER",
-    "SHIFT_BY_DELAY",
-    "SHIFT_BY_LAG",
-    "SHIFT_BY_SPEED",
-    "SKEW_BY_LOAD",
-    "moved_by",
-    "over",
-    "rise",
-    "weight",
-]
-
 ONE_WAY, BOTH_WAYS = 4, 5
 """Smooth functions of a covariate, few enough to follow no noise; an odd number has one
 at the middle, for a covariate that has two sides."""

@@ -9,14 +9,6 @@ import numpy as np
 
 from tirefit.diagnosis.motion import GRAVITY
 
-__all__ = [
-    "of_a_known_clock",
-    "of_a_known_height",
-    "of_a_known_inertia",
-    "of_a_known_position",
-    "said_of_motion",
-]
-
 _POSITION = 0.03
 """Error of the place of the tracked point, as a share of the arm of the axle: 1 mm on a
 car of 1:10, 4 cm on a car."""

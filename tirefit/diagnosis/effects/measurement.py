@@ -12,8 +12,6 @@ from tirefit.diagnosis.effects.free_forms import (
 from tirefit.diagnosis.effects.record import PER_MILLE, Effect, adds
 from tirefit.diagnosis.slip_check import AGAINST, BESIDE, FOR
 
-__all__ = ["EFFECTS"]
-
 _FINE = 5e-4
 """Standard error of an offset of the slip below which its absence says something."""
 

@@ -2,8 +2,6 @@
 
 from tirefit.diagnosis.effects.record import NoiseEffect
 
-__all__ = ["NOISE_EFFECTS"]
-
 NOISE_EFFECTS = (
     NoiseEffect(
         id="outliers",

@@ -5,8 +5,6 @@ import jax.numpy as jnp
 from tirefit.diagnosis.effects.free_forms import SHAPE_OF_THE_CURVE, SKEW_BY_LOAD
 from tirefit.diagnosis.effects.record import Effect, adds, blend
 
-__all__ = ["EFFECTS"]
-
 _SKEWS = (-0.32, 0.95)
 """d of S(24) between which the pressure and its slope at the edge keep their signs."""
 

@@ -7,8 +7,6 @@ import numpy as np
 from tirefit.diagnosis.effects.record import PER_MILLE, Effect, adds, seldom
 from tirefit.diagnosis.run_codes import shown_runs
 
-__all__ = ["EFFECTS", "OFFSETS", "Offset"]
-
 
 class Offset(NamedTuple):
     """An offset that each run may have of its own: the ``field`` of the state that it

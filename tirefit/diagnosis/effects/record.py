@@ -10,25 +10,6 @@ from jaxtyping import Array
 from tirefit.diagnosis.effects.free_forms import Form
 from tirefit.diagnosis.state import Covariates, State
 
-__all__ = [
-    "LEAST_FACTOR",
-    "PER_MILLE",
-    "SHARE",
-    "SYMBOLS",
-    "Atom",
-    "Change",
-    "Effect",
-    "NoiseEffect",
-    "Prior",
-    "adds",
-    "atoms_of",
-    "blend",
-    "effects_by_id",
-    "multiplies",
-    "scaled",
-    "seldom",
-]
-
 PER_MILLE = 1e-3
 """Amplitudes of a force are in thousandths of the typical load: one prior for every
 tire."""

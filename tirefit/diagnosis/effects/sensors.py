@@ -20,8 +20,6 @@ from tirefit.diagnosis.effects.record import (
     seldom,
 )
 
-__all__ = ["EFFECTS"]
-
 _WARMING = 0.2
 """Way of a zero that settles as its amplifier warms up, as a share of the record."""
 

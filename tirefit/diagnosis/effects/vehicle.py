@@ -22,8 +22,6 @@ from tirefit.diagnosis.effects.record import (
     seldom,
 )
 
-__all__ = ["EFFECTS"]
-
 _ALL_BUT = 0.95
 """Share of the friction that a force across takes at most."""
 _DOUBLED = -3.0

@@ -12,8 +12,6 @@ from tirefit.diagnosis.effects.record import (
     seldom,
 )
 
-__all__ = ["EFFECTS"]
-
 _FITTED = {"friction": "mu", "stiffness": "cpa2"}
 
 
