@@ -305,12 +305,21 @@ def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Es
         ci95, identified = _ends(value - half, value + half), True
     else:
         ci95 = _ends(*(extreme(solved, quantity, sign) for sign in (-1, 1)))
-        identified = _says_something(ci95)
+        identified = _says_something(ci95) or _by_noise(solved, value, slope)
     low, high = ci95
     if low is not None and high is not None and any(one.std is None for one in known):
         # The covariance says nothing of it: the profile's own width does.
         std = (high - low) / (2 * float(np.sqrt(solved.level)))
     return Estimate(float(value), std if identified else None, unit, ci95, identified)
+
+
+def _by_noise(solved: Solved, value: float, slope) -> bool:
+    """Whether the noise alone limits a quantity, where a misfit widens its interval."""
+    noise = solved.of_noise
+    if noise is None:
+        return False
+    half = float(np.sqrt(solved.level * (slope @ noise @ slope)))
+    return _says_something((value - half, value + half))
 
 
 _BLOCK = 4096

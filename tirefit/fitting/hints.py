@@ -1,59 +1,162 @@
-"""Hints of a fit at a model that would follow what its own leaves over."""
+"""Columns that the residuals of a fit follow, and the models that have them."""
+
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
-from tirefit.fitting.noise import autocorrelation_time
-from tirefit.fitting.result import FitResult
+from tirefit.fitting.inference import Linearised
+from tirefit.fitting.likelihood import FitProblem
+from tirefit.fitting.noise import autocorrelation_time, effective_inflation
 
-__all__ = ["hint_at_load"]
+__all__ = ["Followed", "Misfit", "misfit_by_setting"]
 
-_FOLLOWS = {"brush": "brush-load"} | {f"brush-{k}": f"brush-load-{k}" for k in "dmnh"}
-"""Model of one stiffness and friction at every load -> the one that follows it."""
+_LOAD = {"brush": "brush-load"} | {f"brush-{k}": f"brush-load-{k}" for k in "dmnh"}
+"""Brush of one stiffness and friction at every load -> the one that follows it."""
+
+_COLUMNS = {
+    "fz": ("load", "N", "mf61"),
+    "v": ("speed", "m/s", "brush-h (or brush-n, brush-stribeck)"),
+    "gamma": ("camber", "rad", "mf61"),
+    "pressure": ("pressure", "Pa", "mf61"),
+}
+"""Inputs that a test is set to: name, unit, and the model that has it."""
 
 _VARIES = 0.2
-"""Relative spread of the loads (central 95 %) from which they can show anything."""
+"""Relative spread of a column (central 95 %) from which it can show anything."""
 
-_LEAST, _CLEAR = 0.1, 20.0
-"""Share of the residuals' variance, and chi-square of two trends at the effective
-number of what is left (by chance once in 20,000 fits), that are clear."""
+_LEAST, _CHANCE = 0.1, 5e-5
+"""Share of the residuals' variance, and probability by chance of a chi-square of that
+size at the effective number of what is left, that are clear."""
+
+_ROWS = 4096
+"""Rows, evenly spread, that show a share of 0.1."""
 
 
-def hint_at_load(result: FitResult) -> list[str]:
-    """A sentence where residuals follow the load and the model does not.
+class Followed(NamedTuple):
+    """A column of the inputs that the residuals follow: the ends of its central 95 %,
+    and the share of the residuals' variance that trends in it explain."""
 
-    A parameter that changes with the load leaves residuals like its own slope times
-    the relative load.
+    column: str
+    low: float
+    high: float
+    share: float
+
+    def sentence(self, model: str) -> str:
+        """What the fitted model lacks, and which model has it."""
+        name, unit, other = _COLUMNS[self.column]
+        advice = f"{other} has the {name}; or fit parameters per run (per_run = true)"
+        if self.column == "fz" and model in _LOAD:
+            advice = f"{_LOAD[model]} lets stiffness and friction change with the load"
+        return (
+            f"the model lacks the {name}: {name}s from {self.low:.4g} to"
+            f" {self.high:.4g} {unit}, and {100 * self.share:.0f} % of the residuals'"
+            f" variance follows them: {advice}"
+        )
+
+
+class Misfit(NamedTuple):
+    """The columns that the residuals follow, the one that explains most first.
+
+    ``rows_per_one``: rows per independent row were the misfit not there, at the
+    variance that the residuals have with it.
     """
-    follower = _FOLLOWS.get(result.model)
-    if follower is None or result.solved is None:
-        return []
-    problem, at = result.solved.problem, result.solved.at
-    loads = problem.used(problem.rows.inputs.fz)
-    low, middle, high = np.percentile(loads, [2.5, 50, 97.5])
-    if not high - low > _VARIES * middle:
-        return []
+
+    columns: tuple[Followed, ...] = ()
+    rows_per_one: float = 1.0
+
+    @property
+    def share(self) -> float:
+        """Of the residuals' variance."""
+        return sum(one.share for one in self.columns)
+
+
+def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
+    """The part of the residuals that follows columns of the inputs.
+
+    A force that changes with a column leaves residuals like the column times an offset
+    or the slope of a parameter, on both sides of zero slip alike or not (camber). Each
+    further column is judged by what those before it leave. Empty with noise of the
+    slip, where a row has no residual of its own.
+
+    Args:
+        at: of the used rows, at the estimate.
+        time: of each row (n,), or None to take the order of the file.
+    """
+    if any(name not in at.values for name in at.mean):
+        return Misfit()
+    rows = np.linspace(0, problem.n - 1, min(problem.n, _ROWS)).astype(int)
+    values = {name: np.asarray(at.values[name])[rows] for name in at.mean}
+    slopes = {name: np.asarray(at.slopes[name])[rows] for name in at.mean}
+    base = {name: _base(problem, slopes[name], rows) for name in at.mean}
+    known = {name: np.hstack([base[name], slopes[name]]) for name in at.mean}
+    whole = sum(float(part @ part) for part in values.values())
+    open_columns, found = _varying(problem, rows), []
+    while open_columns and whole > 0:
+        tried = {
+            column: {k: np.hstack([known[k], base[k] * share]) for k in base}
+            for column, (_, _, share) in open_columns.items()
+        }
+        explained = {k: _explained(values, known, more) for k, more in tried.items()}
+        best = max(explained, key=lambda column: explained[column][0])
+        if not (explained[best][0] > _LEAST * whole and explained[best][1]):
+            break
+        low, high, _ = open_columns.pop(best)
+        found.append(Followed(best, low, high, explained[best][0] / whole))
+        known = tried[best]
+    if not found:
+        return Misfit()
+    run = problem.used(problem.rows.run)[rows]
+    time = None if time is None else time[rows]
+    per_one = []
+    for name, residual in values.items():
+        rest, _ = _remainder(residual, known[name])
+        inflation = effective_inflation(rest[:, None] * slopes[name], run, time)
+        share = float(rest @ rest) / max(float(residual @ residual), 1e-300)
+        per_one.append(share * inflation * problem.n / len(rows))
+    return Misfit(tuple(found), max(1.0, *per_one))
+
+
+def _base(problem: FitProblem, slopes, rows) -> np.ndarray:
+    """Shapes (n, k) that residuals may take at one setting: an offset, and the slopes
+    of the parameters (per run or not), as they are and turned over at zero slip."""
+    names = [parameter.name for _, parameter in problem.layout.elements]
+    shared = np.array([[n == one for one in dict.fromkeys(names)] for n in names])
+    slopes = slopes @ shared
+    slip = problem.used(getattr(problem.rows.inputs, problem.slip_name))[rows]
+    offset = np.ones((len(rows), 1))
+    return np.hstack([offset, slopes, slopes * np.sign(slip)[:, None]])
+
+
+def _varying(problem: FitProblem, rows) -> dict[str, tuple]:
+    """The columns that vary: low, high, and their values (n, 1) as shares of that."""
+    varying = {}
+    for name in _COLUMNS:
+        column = problem.used(getattr(problem.rows.inputs, name))
+        low, middle, high = np.percentile(column, [2.5, 50, 97.5])
+        if high - low > _VARIES * abs(middle):
+            share = (column[rows, None] - middle) / (high - low)
+            varying[name] = float(low), float(high), share
+    return varying
+
+
+def _explained(values, known, more) -> tuple[float, bool]:
+    """Sum of squares that more columns explain, and whether that is clear."""
     explained = left = effective = 0.0
-    for name in at.mean:
-        if name not in at.values or len(at.values[name]) != len(loads):
-            return []  # noise of the slip shares rows among blocks
-        residual, slopes = np.asarray(at.values[name]), np.asarray(at.slopes[name])
-        relative = (loads / middle - 1)[:, None]
-        without = _remainder(residual, slopes)
-        rest = _remainder(residual, np.hstack([slopes, slopes * relative]))
-        explained += float(without @ without - rest @ rest)
+    count = 0
+    for name, residual in values.items():
+        (before, fewer), (rest, rank) = (
+            _remainder(residual, columns[name]) for columns in (known, more)
+        )
+        explained += float(before @ before - rest @ rest)
         left += float(rest @ rest)
         effective += len(rest) / autocorrelation_time([rest])
-    whole = explained + left
-    clear = effective * explained > _CLEAR * max(left, 1e-300)
-    if not (whole > 0 and explained > _LEAST * whole and clear):
-        return []
-    return [
-        f"loads from {low:.4g} to {high:.4g} N, and {100 * explained / whole:.0f} % of"
-        f" the residuals' variance follows them: {follower} lets stiffness and friction"
-        " change with the load"
-    ]
+        count += rank - fewer
+    clear = effective * explained > chdtri(count, _CHANCE) * max(left, 1e-300)
+    return explained, bool(clear)
 
 
 def _remainder(values, columns):
-    """What the columns (n, k) leave of the values (n,)."""
-    return values - columns @ np.linalg.lstsq(columns, values)[0]
+    """What the columns (n, k) leave of the values (n,), and their rank."""
+    solution, _, rank, _ = np.linalg.lstsq(columns, values)
+    return values - columns @ solution, int(rank)

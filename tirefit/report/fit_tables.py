@@ -32,7 +32,7 @@ Rows = list[list[str]]
 """Cells of a table, header first."""
 
 FORCE_UNIT = {"fx": "N", "fy": "N", "mz": "N m"}
-_ROUTES = ("covariance", "profile", "posterior")
+_ROUTES = ("covariance", "profile", "posterior", "independent")
 _STRONG = 0.9
 
 
@@ -73,8 +73,11 @@ def parameter_rows(result: FitResult) -> Rows:
 
 
 def route_rows(result: FitResult) -> Rows:
-    """The 95 % interval of every free parameter by each of the three ways."""
+    """The 95 % interval of every free parameter by each route, and beside them that of
+    independent rows where the rows count as fewer than half."""
     routes = [route for route in _ROUTES if result.intervals.get(route)]
+    if result.statistics.n_effective >= 0.5 * result.statistics.n:
+        routes = [route for route in routes if route != "independent"]
     rows = [["95 % interval", *routes]]
     for label in result.labels:
         std = result.least_squares[label].std
