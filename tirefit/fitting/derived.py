@@ -24,6 +24,7 @@ from tirefit.fitting.profile import Profile
 from tirefit.fitting.result import Estimate
 from tirefit.fitting.solve import Solved
 from tirefit.models import TireInputs
+from tirefit.padding import pad_rows, padded_size
 from tirefit.params import with_values
 
 __all__ = [
@@ -177,14 +178,23 @@ def derived_values(model, layout: Layout, z, channel, fz, v, run=0):
 
 
 def _evaluator(problem: FitProblem, channel: str, run: int = 0) -> Callable:
-    """z (m, p) -> quantity -> values (m,) of a run at the reference point, in order."""
+    """z (m, p) -> quantity -> values (m,) of a run at the reference point, in order.
+
+    Vectors that differ in other runs' elements alone are evaluated once.
+    """
     at = reference_point(problem)
+    own = problem.layout.elements_of(np.array([run]))[0]
 
     def evaluate(z):
-        derived = derived_values(
-            problem.model, problem.layout, z, channel, at["fz"], at["v"], run
+        _, first, code = np.unique(
+            z[:, own], axis=0, return_index=True, return_inverse=True
         )
-        return {k: np.asarray(derived[k]) for k in quantities(channel) if k in derived}
+        derived = derived_values(
+            problem.model, problem.layout, pad_rows(z[first], padded_size(len(first))),
+            channel, at["fz"], at["v"], run,
+        )  # fmt: skip
+        names = [name for name in quantities(channel) if name in derived]
+        return {name: np.asarray(derived[name])[code.ravel()] for name in names}
 
     return evaluate
 

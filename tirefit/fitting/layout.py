@@ -79,6 +79,28 @@ class Layout:
         """Length of z."""
         return len(self.elements)
 
+    @property
+    def is_sparse(self) -> bool:
+        """Whether a row depends on some elements of z only, those of its run."""
+        return any(parameter.per_run for parameter in self.free)
+
+    def elements_of(self, run):
+        """Elements of z that each row depends on, one per free parameter: (n, q)."""
+        count = [len(self.runs) if p.per_run else 1 for p in self.free]
+        first = np.cumsum([0, *count[:-1]])
+        own = np.array([p.per_run for p in self.free])
+        return first[None] + run[:, None] * own[None]
+
+    @property
+    def prior_elements(self) -> np.ndarray:
+        """The same of each of :meth:`prior_residual`, which depends on one of them."""
+        code = {name: k for k, name in enumerate(p.name for p in self.free)}
+        own = [(i, p) for i, (_, p) in enumerate(self.elements) if p.prior is not None]
+        rows = np.tile(self.elements_of(np.zeros(1, int)), (len(own), 1))
+        for row, (i, p) in zip(rows, own, strict=True):
+            row[code[p.name]] = i
+        return rows
+
     def natural(self, z) -> dict:
         """Named values: shape () where shared, (runs,) where per run; ties resolved."""
         values, start = {}, 0
