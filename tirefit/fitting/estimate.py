@@ -16,6 +16,7 @@ from tirefit.fitting.far_rows import FarRow, Settled, settle
 from tirefit.fitting.inference import REACH, half_width_95
 from tirefit.fitting.layout import Tie
 from tirefit.fitting.likelihood import FitProblem
+from tirefit.fitting.noise import noise_law
 from tirefit.fitting.profile import Profile, profile_all
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics, information
 from tirefit.fitting.solve import Solved
@@ -217,6 +218,14 @@ def _noise_record(settled: Settled, config: FitConfig) -> dict[str, Any]:
             "proportional_to_load": _follows_load(problem, scale),
             "source": "estimated" if channel.noise_estimated else "given",
         }
+        one_std = channel.noise_estimated and np.ptp(scale) == 0
+        if one_std and problem.loss == "squares" and not problem.rows.nodes:
+            force = settled.solved.at.mean[channel.name]
+            record[channel.name] |= noise_law(
+                problem.used(problem.rows.observed[channel.name]) - force,
+                problem.used(problem.rows.inputs.fz), force,
+                problem.used(problem.rows.run), problem.layout.runs,
+            )  # fmt: skip
     for slip, std in problem.slip_noise.items():
         record[slip] = {"median_std": float(np.median(std)), "source": "given"}
     record["inflation"] = {
