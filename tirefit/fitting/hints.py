@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from tirefit.fitting.inference import Linearised
-from tirefit.fitting.likelihood import FitProblem
+from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.noise import autocorrelation_time, effective_inflation
 
 __all__ = ["Followed", "Misfit", "misfit_by_setting"]
@@ -65,11 +65,6 @@ class Misfit(NamedTuple):
     columns: tuple[Followed, ...] = ()
     rows_per_one: float = 1.0
 
-    @property
-    def share(self) -> float:
-        """Of the residuals' variance."""
-        return sum(one.share for one in self.columns)
-
 
 def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
     """The part of the residuals that follows columns of the inputs.
@@ -85,75 +80,48 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
     """
     if any(name not in at.values for name in at.mean):
         return Misfit()
-    rows = np.linspace(0, problem.n - 1, min(problem.n, _ROWS)).astype(int)
-    values = {name: np.asarray(at.values[name])[rows] for name in at.mean}
-    slopes = {name: np.asarray(at.slopes[name])[rows] for name in at.mean}
-    base = {name: _base(problem, slopes[name], rows) for name in at.mean}
-    known = {name: np.hstack([base[name], slopes[name]]) for name in at.mean}
-    whole = sum(float(part @ part) for part in values.values())
-    open_columns, found = _varying(problem, rows), []
-    while open_columns and whole > 0:
-        tried = {
-            column: {k: np.hstack([known[k], base[k] * share]) for k in base}
-            for column, (_, _, share) in open_columns.items()
-        }
-        explained = {k: _explained(values, known, more) for k, more in tried.items()}
-        best = max(explained, key=lambda column: explained[column][0])
-        if not (explained[best][0] > _LEAST * whole and explained[best][1]):
+    some = np.linspace(0, problem.n - 1, min(problem.n, _ROWS)).astype(int)
+    values = np.concatenate([np.asarray(at.values[name])[some] for name in at.mean])
+    slopes = np.concatenate([np.asarray(at.slopes[name])[some] for name in at.mean])
+    inputs = {k: problem.used(x) for k, x in problem.rows.inputs._asdict().items()}
+    side = np.concatenate([np.sign(inputs[CHANNEL_SLIP[k]][some]) for k in at.mean])
+    names = np.array([parameter.name for _, parameter in problem.layout.elements])
+    shared = slopes @ (names[:, None] == np.unique(names))
+    base = np.column_stack([np.ones(len(values)), shared, shared * side[:, None]])
+    whole, known, found = float(values @ values), np.hstack([base, slopes]), []
+    ends = {k: np.percentile(inputs[k], [2.5, 50, 97.5]) for k in _COLUMNS}
+    left = [k for k, e in ends.items() if e[2] - e[0] > _VARIES * abs(e[1])]
+    while left and whole > 0:
+        more = {}
+        for k in left:
+            share = (inputs[k][some] - ends[k][1]) / (ends[k][2] - ends[k][0])
+            share = np.tile(share, len(at.mean))[:, None]
+            more[k] = np.hstack([known, base * share])
+        explained = {k: _explained(values, known, more[k]) for k in left}
+        best = max(left, key=lambda k: explained[k])
+        if not explained[best] > _LEAST * whole:
             break
-        low, high, _ = open_columns.pop(best)
-        found.append(Followed(best, low, high, explained[best][0] / whole))
-        known = tried[best]
+        left.remove(best)
+        low, _, high = ends[best].tolist()
+        found.append(Followed(best, low, high, explained[best] / whole))
+        known = more[best]
     if not found:
         return Misfit()
-    run = problem.used(problem.rows.run)[rows]
-    time = None if time is None else time[rows]
-    per_one = []
-    for name, residual in values.items():
-        rest, _ = _remainder(residual, known[name])
-        inflation = effective_inflation(rest[:, None] * slopes[name], run, time)
-        share = float(rest @ rest) / max(float(residual @ residual), 1e-300)
-        per_one.append(share * inflation * problem.n / len(rows))
-    return Misfit(tuple(found), max(1.0, *per_one))
+    rest, _ = _remainder(values, known)
+    run = np.tile(problem.used(problem.rows.run)[some], len(at.mean))
+    time = None if time is None else np.tile(time[some], len(at.mean))
+    inflation = effective_inflation(rest[:, None] * slopes, run, time)
+    share = float(rest @ rest) / whole * problem.n / len(some)
+    return Misfit(tuple(found), max(1.0, share * inflation))
 
 
-def _base(problem: FitProblem, slopes, rows) -> np.ndarray:
-    """Shapes (n, k) that residuals may take at one setting: an offset, and the slopes
-    of the parameters (per run or not), as they are and turned over at zero slip."""
-    names = [parameter.name for _, parameter in problem.layout.elements]
-    shared = np.array([[n == one for one in dict.fromkeys(names)] for n in names])
-    slopes = slopes @ shared
-    slip = problem.used(getattr(problem.rows.inputs, problem.slip_name))[rows]
-    offset = np.ones((len(rows), 1))
-    return np.hstack([offset, slopes, slopes * np.sign(slip)[:, None]])
-
-
-def _varying(problem: FitProblem, rows) -> dict[str, tuple]:
-    """The columns that vary: low, high, and their values (n, 1) as shares of that."""
-    varying = {}
-    for name in _COLUMNS:
-        column = problem.used(getattr(problem.rows.inputs, name))
-        low, middle, high = np.percentile(column, [2.5, 50, 97.5])
-        if high - low > _VARIES * abs(middle):
-            share = (column[rows, None] - middle) / (high - low)
-            varying[name] = float(low), float(high), share
-    return varying
-
-
-def _explained(values, known, more) -> tuple[float, bool]:
-    """Sum of squares that more columns explain, and whether that is clear."""
-    explained = left = effective = 0.0
-    count = 0
-    for name, residual in values.items():
-        (before, fewer), (rest, rank) = (
-            _remainder(residual, columns[name]) for columns in (known, more)
-        )
-        explained += float(before @ before - rest @ rest)
-        left += float(rest @ rest)
-        effective += len(rest) / autocorrelation_time([rest])
-        count += rank - fewer
-    clear = effective * explained > chdtri(count, _CHANCE) * max(left, 1e-300)
-    return explained, bool(clear)
+def _explained(values, known, more) -> float:
+    """Sum of squares that more columns explain; zero where that is not clear."""
+    (before, fewer), (rest, rank) = _remainder(values, known), _remainder(values, more)
+    explained, left = float(before @ before - rest @ rest), float(rest @ rest)
+    effective = len(rest) / autocorrelation_time([rest])
+    clear = effective * explained > chdtri(rank - fewer, _CHANCE) * max(left, 1e-300)
+    return explained if clear else 0.0
 
 
 def _remainder(values, columns):

@@ -94,12 +94,9 @@ class Layout:
     @property
     def prior_elements(self) -> np.ndarray:
         """The same of each of :meth:`prior_residual`, which depends on one of them."""
-        code = {name: k for k, name in enumerate(p.name for p in self.free)}
-        own = [(i, p) for i, (_, p) in enumerate(self.elements) if p.prior is not None]
-        rows = np.tile(self.elements_of(np.zeros(1, int)), (len(own), 1))
-        for row, (i, p) in zip(rows, own, strict=True):
-            row[code[p.name]] = i
-        return rows
+        count = [len(self.runs) if p.per_run else 1 for p in self.free]
+        run = np.concatenate([np.arange(n) for n in count])
+        return self.elements_of(run[[p.prior is not None for _, p in self.elements]])
 
     def natural(self, z) -> dict:
         """Named values: shape () where shared, (runs,) where per run; ties resolved."""

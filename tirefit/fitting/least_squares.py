@@ -98,7 +98,7 @@ _NO_CURVATURE = 1e-9
 
 def directions(elements: Int[Array, "n q"], size: int) -> Float[Array, "q size"]:
     """Tangents that give every slope at once: a row changes with q elements of z only,
-    and elements in one column share no row (Curtis, Powell and Reid 1974)."""
+    and elements in one column share no row."""
     columns = jnp.broadcast_to(jnp.arange(elements.shape[1]), elements.shape)
     return jnp.zeros((elements.shape[1], size)).at[columns, elements].set(1.0)
 

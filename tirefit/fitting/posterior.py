@@ -20,20 +20,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.fitting.chains import (
-    Chain,
-    Keeper,
-    extended,
-    identity_of,
-    load_chain,
-)
+from tirefit.fitting.chains import Chain, Keeper, extended, identity_of, load_chain
 from tirefit.fitting.condense import apart, condensed
 from tirefit.fitting.derived import derived_from_draws
 from tirefit.fitting.estimate import with_fixed
 from tirefit.fitting.importance import Weighted, draw_weighted
 from tirefit.fitting.inference import REACH, deviance
 from tirefit.fitting.likelihood import FitProblem
-from tirefit.fitting.nuts import nuts_chunk, nuts_start
+from tirefit.fitting.nuts import nuts_chunk, nuts_start, sampler_of_chains
 from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
 from tirefit.fitting.solve import Solved
 from tirefit.fitting.verdict import judge
@@ -44,10 +38,6 @@ __all__ = ["CHUNK", "SAMPLERS", "sample", "split_rhat"]
 
 CHUNK = 100
 """Steps between two checks of convergence."""
-
-_MANY = 20
-"""Parameters above which the sampler is NUTS if none is named: with 20 (10 runs
-of 300 rows) it takes 24 s of processor, emcee 100; with 90 emcee takes an hour."""
 
 _WALKERS = {"emcee": 64, "nuts": 8}
 _RHAT = 1.01
@@ -262,14 +252,12 @@ def sample(
     solved: Solved = result.solved
     seed = result.seed if seed is None else seed
     size = solved.problem.layout.size
-    default = "nuts" if size > _MANY else "emcee"
-    chained = sampler if sampler in SAMPLERS else default
-    shape = _shape(chained, size, ensembles, walkers)
+    sampler = sampler or sampler_of_chains(None, size)
+    shape = _shape(sampler_of_chains(sampler, size), size, ensembles, walkers)
     path = None if checkpoint is None else Path(checkpoint)
     run = _Run(
-        sampler or default, chained, seed, shape, effective_samples, max_steps, path,
-        resume, progress,
-    )  # fmt: skip
+        sampler, seed, shape, effective_samples, max_steps, path, resume, progress
+    )
     try:
         cells = condensed(solved, _whitening(solved)[1])
     except KeyboardInterrupt:
@@ -285,11 +273,9 @@ def sample(
 
 
 class _Run(NamedTuple):
-    """How to sample: see :func:`sample`; ``chained`` draws chains, if any are drawn, of
-    the ``shape`` (ensembles, walkers)."""
+    """How to sample: see :func:`sample`; ``shape`` is (ensembles, walkers)."""
 
     sampler: str
-    chained: str
     seed: int
     shape: tuple[int, int]
     target: int
@@ -303,27 +289,28 @@ def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
     """The fit with the posterior of this problem, which is its own or one of cells."""
     solved: Solved = result.solved
     density, weighted = _density(solved._replace(problem=problem)), None
+    size = solved.problem.layout.size
+    chained = sampler_of_chains(run.sampler, size)
     if run.sampler == "importance":
         weighted = draw_weighted(
             density, *_whitening(solved), run.seed, run.target, run.progress
         )
         if weighted.interrupted or not weighted.refused:
             return _of_weighted(result, weighted, run.seed)
-    identity = identity_of(result, run.chained, run.seed, run.shape)
+    identity = identity_of(result, chained, run.seed, run.shape)
     chain, keeper = None, Keeper(run.path, identity)
     if run.resume and run.path is not None:
         chain = load_chain(run.path, identity)
-    size = solved.problem.layout.size
-    chain, outcome = _draw(density, run.chained, size, run, chain, keeper)
+    chain, outcome = _draw(density, chained, size, run, chain, keeper)
     if chain is None:
         return judge(replace(result, interrupted=True))
     notes = []
     if weighted is not None:
         refused = f"importance sampling refused ({weighted.refused})"
-        notes.append(f"{refused}: {run.chained} instead")
+        notes.append(f"{refused}: {chained} instead")
     if keeper.fault:
         notes.append(f"the chain was not kept for --resume: {keeper.fault}")
-    return _of_chain(result, chain, outcome, run.chained, run, weighted, notes)
+    return _of_chain(result, chain, outcome, chained, run, weighted, notes)
 
 
 def _noted(result: FitResult, text: str) -> FitResult:

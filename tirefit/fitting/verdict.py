@@ -113,9 +113,10 @@ def _lacking(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """Columns that the residuals follow, with the models that have them."""
     if result.solved is None:
         return []
-    misfit = result.solved.misfit
-    outcome = Outcome.SYSTEMATIC_MISFIT if misfit.share > _SYSTEMATIC else None
-    return [(outcome, one.sentence(result.model)) for one in misfit.columns]
+    columns = result.solved.misfit.columns
+    is_most = sum(one.share for one in columns) > _SYSTEMATIC
+    outcome = Outcome.SYSTEMATIC_MISFIT if is_most else None
+    return [(outcome, one.sentence(result.model)) for one in columns]
 
 
 def _correlated(result: FitResult) -> list[tuple[Outcome | None, str]]:
