@@ -5,9 +5,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
-
-from tirefit.data.agreement import Agreement, effective
+from tirefit.data.agreement import Agreement
 from tirefit.data.faults import (
     RELATED,
     SEEN,
@@ -23,10 +21,7 @@ from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.results import InputProblem
 
-__all__ = ["Comparison", "compare", "pushes_the_wrong_way"]
-
-_CHANCE = 4.0
-"""Correlation of chance, in its standard errors, that no log has."""
+__all__ = ["Comparison", "compare"]
 
 _LATE = 0.05
 _OFFSET = 0.3
@@ -330,34 +325,3 @@ def _line(pairs) -> str:
     )
     delay = f", delays up to {max(late):.2f} s" if max(late) >= 0.005 else ""
     return f"channels compared: {those} {span} (1 where they agree){delay}"
-
-
-def pushes_the_wrong_way(
-    alpha, force, vehicle: Vehicle, file: str
-) -> list[InputProblem]:
-    """A side force that acts the way the axle slides: no tire does that.
-
-    Args:
-        alpha, force: (n,) kept samples, canonical signs.
-    """
-    if not (np.ptp(alpha) and np.ptp(force)):
-        return []
-    related = float(np.corrcoef(alpha, force)[0, 1])
-    left = force - np.polyval(np.polyfit(alpha, force, 1), alpha)
-    # Neighbouring samples are alike: of few facts any correlation may be chance.
-    if not related < -max(RELATED, _CHANCE / math.sqrt(effective(left))):
-        return []
-    if vehicle.columns.motion == POSE:
-        name, other, unit = "yaw", "y", "rad"
-    else:
-        name, other, unit = "v_y", "a_y", "m/s"
-    unit = vehicle.units.get(name, unit)
-    return [
-        InputProblem(
-            "channels contradict each other: the side force acts the way the axle"
-            f" slides (correlation {related:.2f}): {name} or {other} has the other"
-            " sign",
-            f'say {name} = "-{unit}" in [units] of vehicle.toml',
-            file,
-        )
-    ]
