@@ -5,10 +5,14 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numpy as np
+
 from tirefit.data.agreement import Agreement
 from tirefit.data.faults import (
+    CHANGED,
     RELATED,
     SEEN,
+    SURE,
     Fault,
     explained,
     judged,
@@ -96,6 +100,7 @@ def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Compar
             _no_relation(a, vehicle, track, file, problems, warnings)
     if not problems:
         problems += _sideways(track, motion, vehicle, file)
+        problems += _another_clock(pairs, track, vehicle, file)
     warnings += [] if problems else _late_or_off(pairs, vehicle)
     return Comparison(tuple(pairs), tuple(problems), tuple(warnings), _line(pairs))
 
@@ -277,6 +282,49 @@ def _sideways(track, motion, vehicle, file) -> list[InputProblem]:
             column=_column(track, "yaw").header,
         )
     ]
+
+
+def _another_clock(pairs, track, vehicle, file) -> list[InputProblem]:
+    """A delay that changes a channel as much as a gain that does not agree."""
+    said: dict[str, tuple[str, str]] = {}
+    for a in pairs:
+        column = _column(track, a.pair.channel)
+        if not (_has_delay(a) and column.named):
+            continue
+        least = abs(a.delay) - SURE * a.delay_std
+        changed = _changed(a.pair.values, round(least * vehicle.filter.sample_rate))
+        if changed < CHANGED:
+            continue
+        words = f"{abs(a.delay):.2g} ± {a.delay_std:.1g} s"
+        pose = {"xy", "yaw"} & set(a.pair.terms[0].powers)
+        late, other = (a.pair.channel, a.pair.words)
+        if a.delay < 0:
+            late, other = ("x, y and yaw" if pose else other), late
+        how = (
+            f"{late} is {words} late against {other}"
+            if late != "x, y and yaw"
+            else (f"{late} are {words} late against {other}")
+        )
+        share = f", which changes {a.pair.channel} by {100 * changed:.0f} % (rms)"
+        said.setdefault(late, (column.header, how + share))
+    return [
+        InputProblem(
+            f"channels contradict each other: {how}",
+            f"shift {late} in the log to the time of the others, or name columns of one"
+            " clock in [columns]",
+            file,
+            column=header,
+        )
+        for late, (header, how) in said.items()
+    ]
+
+
+def _changed(values, rows: int) -> float:
+    """Root mean square of what a delay of so many rows changes, over the values'."""
+    if rows < 1:
+        return 0.0
+    moved = values[rows:] - values[:-rows]
+    return math.sqrt(np.nanmean(moved**2) / np.nanmean(values**2))
 
 
 def _late_or_off(pairs, vehicle) -> list[str]:

@@ -3,7 +3,7 @@
 A point x further ahead lowers the slip angle by :math:`x r / v_x` and the lateral
 acceleration by :math:`x \\dot r`. At moderate slip
 :math:`\\alpha = c_1 F + c_3 F^3 + \\alpha_0` holds; Gauss and Newton fit x, c_1, c_3
-and, if the log turns both ways, :math:`\\alpha_0`. As in :mod:`tirefit.data.agreement` the
+and, if the log turns both ways, :math:`\\alpha_0`. As in :mod:`tirefit.data.agreement`
 values before and after are the instruments, and standard errors count effective rows.
 Other faults with a like effect (yaw inertia, delay, sign) are fitted the same way.
 """
@@ -37,6 +37,10 @@ _ON_CAR = (-0.5, 1.5)
 _KNOWN = 0.15
 """Standard error [wheelbases] up to which an estimate counts: four of them reach from
 the centre of gravity to an axle."""
+
+_ONE_POINT = 0.05
+"""Standard deviation of the force over a strong one below which the log holds one
+operating point, which has no slope."""
 
 _MOST_ROWS, _ROUNDS = 20_000, 8
 
@@ -89,7 +93,7 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     every = every[:: max(1, step // EACH, len(every) // _MOST_ROWS)]
     if len(every) < FEWEST:
         return check
-    slope = _slope(motion, vehicle, _moderate(motion, vehicle, every, step))
+    slope = _least_slope(motion, vehicle, every, step)
     fit, rows = _point(motion, vehicle, every, step)
     stated = vehicle.l_r - vehicle.cg_from_tracked[0]
     low, high = (share * vehicle.wheelbase for share in _ON_CAR)
@@ -108,7 +112,7 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     best = fit.misfit if off else min((misfit for misfit, *_ in others), default=0.0)
     named = [(reason, remedy) for m, reason, remedy in others if m <= best * ALIKE]
     named = [_words(fit, stated, vehicle), *named] if off else named
-    named = named or [("a channel has the other sign", "find it in [columns]")]
+    named = named or [_flipped(vehicle)]
     reasons, remedies = (", or ".join(words) for words in zip(*named, strict=True))
     if slope > -SURE:
         said = f"the force would follow the slip if {reasons}; {remedies}"
@@ -179,20 +183,28 @@ def _others(motion, vehicle: Vehicle, rows: _Rows) -> list[tuple[float, str, str
         found.append((fit.misfit, reason, f"shift {name} in the log"))
     fit = _fitted(_mirrored, 0.0, motion, vehicle, rows)
     if not pose and fit.slope > 0:
-        unit = f"-{vehicle.units.get('v_y', 'm/s')}".removeprefix("--")
-        remedy = f'say v_y = "{unit}" in [units]'
-        found.append((fit.misfit, "v_y or a_y has the other sign", remedy))
+        found.append((fit.misfit, *_flipped(vehicle)))
     return found
+
+
+def _flipped(vehicle: Vehicle) -> tuple[str, str]:
+    """Reason and remedy of a wrong sign."""
+    names = (
+        ("yaw", "y", "rad") if vehicle.columns.motion == POSE else ("v_y", "a_y", "m/s")
+    )
+    unit = f"-{vehicle.units.get(names[0], names[2])}".removeprefix("--")
+    remedy = f'say {names[0]} = "{unit}" in [units] of vehicle.toml'
+    return f"{names[0]} or {names[1]} has the other sign", remedy
 
 
 # --- fit ------------------------------------------------------------------------
 
 
-def _moderate(motion: Motion, vehicle: Vehicle, every, step: int) -> _Rows:
-    """The rows of moderate force among ``every`` (n,)."""
+def _moderate(motion, vehicle, every, step: int, most: float = _MODERATE) -> _Rows:
+    """The rows of forces up to ``most`` of the strong ones, among ``every`` (n,)."""
     force = slip_and_force(motion, vehicle)[1][every]
     strong = max(float(np.percentile(np.abs(force), 95)), 1e-300)
-    weak = np.abs(force) <= _MODERATE * strong
+    weak = np.abs(force) <= most * strong
     offset = math.inf if turns_both_ways(force[weak] / strong) else 0.0
     return _Rows(every[weak], step, strong, offset)
 
@@ -209,6 +221,8 @@ def _point(motion, vehicle, every, step: int) -> tuple[_Fit, _Rows]:
         x = float(share) * vehicle.wheelbase - stated
         moved, _ = _further_ahead(motion, vehicle, x)
         rows = _moderate(moved, vehicle, every, step)
+        if len(rows.rows) < FEWEST:
+            continue
         alpha, force = (
             values[rows.rows] for values in slip_and_force(moved, vehicle)[:2]
         )
@@ -237,6 +251,8 @@ def _fitted(
         x: amount to begin with.
     """
     keep = rows.rows
+    if len(keep) < FEWEST:
+        return _Fit()
     try:
         for _ in range(_ROUNDS):
             alpha, force, _ = slip_and_force(*change(motion, vehicle, x))
@@ -263,12 +279,27 @@ def _fitted(
     return _Fit(x, std, float(np.std(fit.error)), effect, slope, strength)
 
 
+def _least_slope(motion, vehicle, every, step: int) -> float:
+    """The slope as stated (:func:`_slope`) with and without a zero error, at moderate
+    force, or at any where the log has none moderate."""
+    rows = _moderate(motion, vehicle, every, step)
+    if len(rows.rows) < FEWEST:
+        rows = _moderate(motion, vehicle, every, step, math.inf)
+    free = rows._replace(offset=math.inf)
+    return min(_slope(motion, vehicle, some) for some in (rows, free))
+
+
 def _slope(motion: Motion, vehicle: Vehicle, rows: _Rows) -> float:
     """Slope of the slip angle over the force, in its standard errors."""
     alpha, force, _ = slip_and_force(motion, vehicle)
     sides = force[:, None] / rows.strong
+    if len(rows.rows) < FEWEST or np.std(sides[rows.rows]) < _ONE_POINT:
+        return 0.0
     try:
         fit = _solved(alpha, sides, rows)
+        weight = sides[rows.rows] ** 2
+        if fit.effective * np.mean(weight) ** 2 / np.mean(weight**2) < SURE**2:
+            return 0.0  # of few facts any slope may be chance
         return float(fit.theta[0] / max(_with_zero(fit, alpha, sides, rows)[0], 1e-300))
     except np.linalg.LinAlgError:
         return 0.0
