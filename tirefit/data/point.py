@@ -141,11 +141,17 @@ def _more_inertia(motion: Motion, vehicle: Vehicle, x: float):
     return motion, vehicle.model_copy(update={"yaw_inertia": inertia})
 
 
-def _earlier(motion: Motion, vehicle: Vehicle, x: float):
-    """Move the logged v_y, or the heading of a pose, x [s] to earlier."""
-    pose = vehicle.columns.motion == POSE
-    turned = -motion.v_x * motion.yaw_rate if pose else motion.rate_of(motion.v_y)
-    return replace(motion, v_y=motion.v_y + x * turned), vehicle
+def _earlier(name: str) -> _Change:
+    """Move the logged v_y or a_y, or the yaw of a pose, to an earlier time [s]."""
+
+    def change(motion: Motion, vehicle: Vehicle, x: float):
+        if name == "yaw":
+            v_y = motion.v_y - x * motion.v_x * motion.yaw_rate
+            return replace(motion, v_y=v_y), vehicle
+        values = getattr(motion, name)
+        return replace(motion, **{name: values + x * motion.rate_of(values)}), vehicle
+
+    return change
 
 
 def _mirrored(motion: Motion, vehicle: Vehicle, x: float):
@@ -176,11 +182,13 @@ def _others(motion, vehicle: Vehicle, rows: _Rows) -> list[tuple[float, str, str
         )
         remedy = f"say yaw_inertia = {changed.yaw_inertia:.3g}"
         found.append((fit.misfit, reason, remedy))
-    fit = _fitted(_earlier, 1 / vehicle.filter.sample_rate, motion, vehicle, rows)
-    if _sure(fit):
-        how, name = "late" if fit.amount > 0 else "early", "yaw" if pose else "v_y"
-        reason = f"{name} is {abs(fit.amount):.2g} ± {fit.std:.1g} s {how}"
-        found.append((fit.misfit, reason, f"shift {name} in the log"))
+    for name in ("yaw",) if pose else ("v_y", "a_y"):
+        small = 1 / vehicle.filter.sample_rate
+        fit = _fitted(_earlier(name), small, motion, vehicle, rows)
+        if _sure(fit):
+            how = "late" if fit.amount > 0 else "early"
+            reason = f"{name} is {abs(fit.amount):.2g} ± {fit.std:.1g} s {how}"
+            found.append((fit.misfit, reason, f"shift {name} in the log"))
     fit = _fitted(_mirrored, 0.0, motion, vehicle, rows)
     if not pose and fit.slope > 0:
         found.append((fit.misfit, *_flipped(vehicle)))
