@@ -152,6 +152,10 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
         return None
     # Beside the usable rows, as at standstill, anything may stand.
     terms = np.clip(terms, terms[rows].min(axis=0), terms[rows].max(axis=0))
+
+    def zero(gains) -> float:
+        return pair.zero * float(np.linalg.norm(gains[:-1]))
+
     shift, gains = _delay(pair.values, terms, rows, latest)
     # Wrong beside a break only, where nothing is used.
     rates, k = np.gradient(terms, 1 / rate, axis=0), terms.shape[1]
@@ -160,12 +164,7 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
         sides = np.column_stack([terms, rates @ along])
         own = pair.values[rows + shift]
         near = around(sides, rows, step)
-        fit = instrumented(
-            own,
-            sides[rows],
-            near,
-            lambda gains: pair.zero * float(np.linalg.norm(gains[:-1])),
-        )
+        fit = instrumented(own, sides[rows], near, zero)
         if fit is None:
             return None
         good, rest = _no_outlier(fit.error), round(fit.theta[k] * rate)

@@ -286,45 +286,25 @@ def _sideways(track, motion, vehicle, file) -> list[InputProblem]:
 
 def _another_clock(pairs, track, vehicle, file) -> list[InputProblem]:
     """A delay that changes a channel as much as a gain that does not agree."""
-    said: dict[str, tuple[str, str]] = {}
+    problems: dict[str, InputProblem] = {}
     for a in pairs:
-        column = _column(track, a.pair.channel)
-        if not (_has_delay(a) and column.named):
-            continue
+        column, values = _column(track, a.pair.channel), a.pair.values
         least = abs(a.delay) - SURE * a.delay_std
-        changed = _changed(a.pair.values, round(least * vehicle.filter.sample_rate))
-        if changed < CHANGED:
+        rows = round(least * vehicle.filter.sample_rate)
+        if rows < 1 or not (column.named and _has_delay(a)):
             continue
-        words = f"{abs(a.delay):.2g} ± {a.delay_std:.1g} s"
+        moved = values[rows:] - values[:-rows]
+        changed = math.sqrt(np.nanmean(moved**2) / np.nanmean(values**2))
         pose = {"xy", "yaw"} & set(a.pair.terms[0].powers)
-        late, other = (a.pair.channel, a.pair.words)
-        if a.delay < 0:
-            late, other = ("x, y and yaw" if pose else other), late
-        how = (
-            f"{late} is {words} late against {other}"
-            if late != "x, y and yaw"
-            else (f"{late} are {words} late against {other}")
-        )
-        share = f", which changes {a.pair.channel} by {100 * changed:.0f} % (rms)"
-        said.setdefault(late, (column.header, how + share))
-    return [
-        InputProblem(
-            f"channels contradict each other: {how}",
-            f"shift {late} in the log to the time of the others, or name columns of one"
-            " clock in [columns]",
-            file,
-            column=header,
-        )
-        for late, (header, how) in said.items()
-    ]
-
-
-def _changed(values, rows: int) -> float:
-    """Root mean square of what a delay of so many rows changes, over the values'."""
-    if rows < 1:
-        return 0.0
-    moved = values[rows:] - values[:-rows]
-    return math.sqrt(np.nanmean(moved**2) / np.nanmean(values**2))
+        late, other = a.pair.channel, "the pose" if pose else a.pair.words
+        late, other = (late, other) if a.delay > 0 else (other, late)
+        reason = f"channels contradict each other: {late} is {abs(a.delay):.2g} ±"
+        reason += f" {a.delay_std:.1g} s late against {other}, which changes"
+        reason += f" {a.pair.channel} by {100 * changed:.0f} % (rms)"
+        remedy = f"shift {late} in the log, or name columns of one clock in [columns]"
+        if changed > CHANGED and late not in problems:
+            problems[late] = InputProblem(reason, remedy, file, column=column.header)
+    return list(problems.values())
 
 
 def _late_or_off(pairs, vehicle) -> list[str]:

@@ -93,7 +93,10 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     every = every[:: max(1, step // EACH, len(every) // _MOST_ROWS)]
     if len(every) < FEWEST:
         return check
-    slope = _least_slope(motion, vehicle, every, step)
+    rows = _moderate(motion, vehicle, every, step)
+    # With and without a zero error.
+    free = rows._replace(offset=math.inf)
+    slope = min(_slope(motion, vehicle, some) for some in (rows, free))
     fit, rows = _point(motion, vehicle, every, step)
     stated = vehicle.l_r - vehicle.cg_from_tracked[0]
     low, high = (share * vehicle.wheelbase for share in _ON_CAR)
@@ -208,11 +211,12 @@ def _flipped(vehicle: Vehicle) -> tuple[str, str]:
 # --- fit ------------------------------------------------------------------------
 
 
-def _moderate(motion, vehicle, every, step: int, most: float = _MODERATE) -> _Rows:
-    """The rows of forces up to ``most`` of the strong ones, among ``every`` (n,)."""
+def _moderate(motion: Motion, vehicle: Vehicle, every, step: int) -> _Rows:
+    """The rows of moderate force among ``every`` (n,); all of a log that has few."""
     force = slip_and_force(motion, vehicle)[1][every]
     strong = max(float(np.percentile(np.abs(force), 95)), 1e-300)
-    weak = np.abs(force) <= most * strong
+    weak = np.abs(force) <= _MODERATE * strong
+    weak |= weak.sum() < FEWEST
     offset = math.inf if turns_both_ways(force[weak] / strong) else 0.0
     return _Rows(every[weak], step, strong, offset)
 
@@ -229,8 +233,6 @@ def _point(motion, vehicle, every, step: int) -> tuple[_Fit, _Rows]:
         x = float(share) * vehicle.wheelbase - stated
         moved, _ = _further_ahead(motion, vehicle, x)
         rows = _moderate(moved, vehicle, every, step)
-        if len(rows.rows) < FEWEST:
-            continue
         alpha, force = (
             values[rows.rows] for values in slip_and_force(moved, vehicle)[:2]
         )
@@ -259,8 +261,6 @@ def _fitted(
         x: amount to begin with.
     """
     keep = rows.rows
-    if len(keep) < FEWEST:
-        return _Fit()
     try:
         for _ in range(_ROUNDS):
             alpha, force, _ = slip_and_force(*change(motion, vehicle, x))
@@ -287,21 +287,11 @@ def _fitted(
     return _Fit(x, std, float(np.std(fit.error)), effect, slope, strength)
 
 
-def _least_slope(motion, vehicle, every, step: int) -> float:
-    """The slope as stated (:func:`_slope`) with and without a zero error, at moderate
-    force, or at any where the log has none moderate."""
-    rows = _moderate(motion, vehicle, every, step)
-    if len(rows.rows) < FEWEST:
-        rows = _moderate(motion, vehicle, every, step, math.inf)
-    free = rows._replace(offset=math.inf)
-    return min(_slope(motion, vehicle, some) for some in (rows, free))
-
-
 def _slope(motion: Motion, vehicle: Vehicle, rows: _Rows) -> float:
     """Slope of the slip angle over the force, in its standard errors."""
     alpha, force, _ = slip_and_force(motion, vehicle)
     sides = force[:, None] / rows.strong
-    if len(rows.rows) < FEWEST or np.std(sides[rows.rows]) < _ONE_POINT:
+    if np.std(sides[rows.rows]) < _ONE_POINT:
         return 0.0
     try:
         fit = _solved(alpha, sides, rows)
