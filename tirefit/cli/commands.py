@@ -1,5 +1,6 @@
 """The commands of ``tirefit``; each imports what it needs when it runs."""
 
+from dataclasses import replace
 from enum import StrEnum
 from json import dumps
 from pathlib import Path
@@ -28,6 +29,7 @@ from tirefit.cli.options import (
     say,
     start_jax,
     takes_data_options,
+    tell_notes,
     warn,
 )
 from tirefit.cli.prepare import prepare
@@ -125,8 +127,9 @@ def inspect(
 
     with errors_to_exit():
         how = read_options(options, read_config(options.config))
-        worst = ExitCode.OK
-        for file in expanded(files):
+        worst, files = ExitCode.OK, expanded(files)
+        notes: list = []
+        for file in files:
             try:
                 data = read(file, **how)
                 inspection = look(data)
@@ -139,8 +142,13 @@ def inspect(
                 continue
             content = inspection.as_dict()
             content |= {"identifiability": told.as_dict()} if told else {}
+            if len(files) > 1 and not json:
+                notes.append((inspection.file, data.source.notes))
+                inspection = replace(inspection, warnings=(), assumptions=())
             text = inspection.text() + (told.text() if told else "")
             say(dumps(json_safe(content), indent=1) if json else text)
+        if notes:
+            tell_notes(notes)
         raise typer.Exit(worst)
 
 

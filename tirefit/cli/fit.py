@@ -29,6 +29,7 @@ from tirefit.cli.options import (
     say,
     start_jax,
     takes_data_options,
+    tell_notes,
 )
 from tirefit.cli.output import check_directories, is_page
 from tirefit.data.remote import expanded
@@ -175,7 +176,10 @@ def fit(
         apart = sharing.apart and not joint
         keep = resume and (apart or not html or len(files) == 1)
         also = Also(svg, html)
-        task = FitTask(settings, how, posterior, resume, keep, also, strict)
+        task = FitTask(
+            settings, how, posterior, resume, keep, also, strict,
+            many=len(directories) > 1,
+        )  # fmt: skip
         if apart:
             known = [] if options.config is None else [options.config]
             sharing.check(out or Path(), [*files, *known], directories)
@@ -217,6 +221,7 @@ def _fit_all(groups, directories, task: FitTask) -> ExitCode:
                 complain(f"interrupted: the last {left} of {len(groups)} not fitted")
             break
     if len(groups) > 1:
+        tell_notes([(record.file, record.notes) for record in records])
         say(_summary(records))
         _page_of_all(directories[0].parent, rows, failed, task.also.html)
     return _worst(codes)

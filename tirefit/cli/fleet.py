@@ -25,6 +25,7 @@ from tirefit.cli.options import (
     progress_bar,
     say,
     start_jax,
+    tell_notes,
 )
 from tirefit.cli.output import check_replaced, swept
 from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, UsageError
@@ -126,6 +127,7 @@ def fleet(
     work = partial(_apart, _Packed.of(attempt, task))
     out.mkdir(parents=True, exist_ok=True)
     left = set(range(len(pieces)))
+    notes: list = []
     try:
         with (
             records_into(out / TABLE) as table,
@@ -139,12 +141,16 @@ def fleet(
                 if outcome.last:
                     raise typer.Exit(outcome.code)
                 table.add(outcome.record)
+                if outcome.record is not None:
+                    notes.append((outcome.record.file, outcome.record.notes))
                 yield outcome
     finally:
         for number in left:  # after an interrupt: what was at work is half-written
             _sweep(pieces[number])
     from tirefit.report.fleet_html import write_fleet_page
 
+    if len(pieces) > 1:
+        tell_notes(notes)
     write_fleet_page(out / TABLE, out / PAGE, title)
     say(f"all results: {out / TABLE}, {out / PAGE}")
 

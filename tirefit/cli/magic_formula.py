@@ -48,8 +48,7 @@ def fit_whole(
 
     check_directories([out])
     tables = [read(file, **how) for file in files]
-    for table in tables:
-        warn(table)
+    warn(*tables)
     start_jax()
     from tirefit.fitting.mf.fit import fit_magic_formula
 

@@ -8,12 +8,13 @@ import re
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from functools import wraps
 from io import StringIO
 from pathlib import Path
+from textwrap import fill
 from typing import Annotated, Any
 
 import typer
@@ -42,6 +43,7 @@ __all__ = [
     "say",
     "start_jax",
     "takes_data_options",
+    "tell_notes",
     "warn",
 ]
 
@@ -303,10 +305,33 @@ def _printable(text: str) -> str:
     return _COMMANDS.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
-def warn(table) -> None:
-    """What data were read as, where they may mean something else."""
-    for text in table.source.warnings:
-        complain(f"warning: {table.source.path}: {text}")
+_WARNING = "warning: "
+
+
+def warn(*tables) -> None:
+    """Print what the data were read as where they may mean something else."""
+    tell_notes([(t.source.path, [_WARNING + w for w in t.source.warnings])
+                for t in tables])  # fmt: skip
+
+
+def tell_notes(notes: Sequence[tuple[str, Sequence[str]]]) -> None:
+    """Print the notes on the reading of files, merged over the files.
+
+    Args:
+        notes: name and ``Source.notes`` of each file.
+    """
+    from tirefit.data.merged import merged
+
+    warnings, assumed = (
+        merged((name, [n.removeprefix(_WARNING) for n in its
+                       if n.startswith(_WARNING) == wanted]) for name, its in notes)
+        for wanted in (True, False)
+    )  # fmt: skip
+    alone = f"{notes[0][0]}: " if len(notes) == 1 else ""
+    for text in warnings:
+        complain(f"{_WARNING}{alone}{text}")
+    for text in assumed:
+        say(fill(f"assumed: {alone}{text}", 88, subsequent_indent=" " * 9))
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from tirefit.cli.options import (
     read_options,
     say,
     takes_data_options,
+    tell_notes,
     warn,
 )
 from tirefit.cli.output import check_directories, check_replaced, claimed, staged
@@ -109,7 +110,7 @@ def prepare(
         made = [out / f"{name}{end}" for name in names for end in ends]
         check_replaced(made, files)
         sharing.check(out, files, made)
-        task = _Task(out, how, config)
+        task = _Task(out, how, config, len(files) > 1)
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
         with claimed(out):
             if sharing.apart:
@@ -167,24 +168,28 @@ def _names(files: list[Path]) -> list[str]:
 @dataclass(frozen=True)
 class _Task:
     """What all files share: the folder of the results, arguments of ``tirefit.read``,
-    and the settings."""
+    the settings; of ``many`` files the warnings are printed together at the end."""
 
     out: Path
     how: dict[str, Any]
     config: Any
+    many: bool
 
 
 def _all(pieces: list[Piece], task: _Task) -> ExitCode:
     """Every file; one that cannot be prepared does not stop the others."""
-    worst = ExitCode.OK
+    worst, notes = ExitCode.OK, []
     for piece in pieces:
         try:
-            _one(piece, task)
+            _, record = _one(piece, task)
+            notes.append((record.file, record.notes))
         except TirefitError as error:
             if error.exit_code == ExitCode.USAGE or len(pieces) == 1:
                 raise
             complain(error_text(error))
             worst = max(worst, error.exit_code)
+    if len(pieces) > 1:
+        tell_notes(notes)
     return worst
 
 
@@ -205,7 +210,8 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     (file, name), out, how = piece, task.out, task.how
     # A recording is never whole: rows that cannot be used are cut out.
     data = read(file, **(how | {"mask_bad_rows": True, "curve": False}))
-    warn(data)
+    if not task.many:
+        warn(data)
     prepared = prepare_data(data, task.config)
     texts = {
         f"{name}.csv": prepared_csv(prepared, __version__),
@@ -235,4 +241,5 @@ def _record(prepared, file: str, result: str) -> "FileRecord":
     return FileRecord(
         file, result, "", "prepared", rows, convention=source.convention,
         version=__version__, sha256=source.sha256,
+        notes=tuple(f"warning: {text}" for text in source.warnings),
     )  # fmt: skip

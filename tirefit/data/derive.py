@@ -16,15 +16,16 @@ the result: neighbouring samples are correlated, n samples are not n facts.
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from textwrap import wrap
+from textwrap import fill, wrap
 
 import numpy as np
 
 from tirefit.data.contradictions import Comparison, compare, pushes_the_wrong_way
 from tirefit.data.doubts import doubts
+from tirefit.data.merged import merged
 from tirefit.data.motion import Motion, read_motion
 from tirefit.data.remote import Place, file_at
 from tirefit.data.track import Track
@@ -128,8 +129,7 @@ class DerivedFiles:
 
     def summary(self) -> str:
         """The summary of each log, then the files written."""
-        written = f"wrote {self.data} and {self.metadata}"
-        return "\n".join([*(log.summary() for log in self.logs), written])
+        return f"{_summary(self.logs)}\nwrote {self.data} and {self.metadata}"
 
 
 def derive(
@@ -251,9 +251,19 @@ def derive_files(
         write_texts({metadata: content + "\n", out: csv_text(columns)})
     except OSError:
         if unwritten is not None:
-            unwritten("\n".join(log.summary() for log in logs))
+            unwritten(_summary(logs))
         raise
     return DerivedFiles(out, metadata, tuple(logs))
+
+
+def _summary(logs: Sequence[DerivedLog]) -> str:
+    """The summary of each log; the warnings of several are merged below them."""
+    if len(logs) == 1:
+        return logs[0].summary()
+    warnings = merged((log.name, log.warnings) for log in logs)
+    lines = [replace(log, warnings=()).summary() for log in logs]
+    return "\n".join([*lines, *(fill(f"warning: {w}", 80, subsequent_indent="  ")
+                                for w in warnings)])  # fmt: skip
 
 
 def _refuse(problems: Sequence[InputProblem], believe: bool) -> None:

@@ -43,7 +43,8 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class FileRecord:
-    """What one file gave; ``outcomes`` are those of a fit, in lower case."""
+    """What one file gave; ``outcomes`` are those of a fit, in lower case. ``notes``
+    are those of its reading (``Source.notes``), which the table does not hold."""
 
     file: str
     result: str
@@ -56,6 +57,7 @@ class FileRecord:
     seed: int | None = None
     version: str = ""
     sha256: str = ""
+    notes: tuple[str, ...] = ()
 
     def of_kind(self, kind: str) -> dict[str, Row]:
         return {row.name: row for row in self.rows if row.kind == kind}

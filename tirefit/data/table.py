@@ -7,6 +7,8 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from tirefit.data.merged import merged
+from tirefit.data.run_names import run_names
 from tirefit.display import Displayed
 from tirefit.results import DataError, InputProblem
 
@@ -213,9 +215,9 @@ def join(tables: Sequence[TireData]) -> TireData:
         several = len(table.runs) > 1
         runs += [f"{table.name}:{r}" if several else table.name for r in table.runs]
     dropped = sorted({c for table in tables for c in table.columns} - set(shared))
-    said = [
-        f"{table.name}: {text}" for table in tables for text in table.source.assumptions
-    ]
+    short = run_names([table.name for table in tables]).short
+    sources = [(name, t.source) for name, t in zip(short, tables, strict=True)]
+    said = merged((name, source.assumptions) for name, source in sources)
     if dropped:
         said.append(
             f"columns that not every file has were left out: {', '.join(dropped)}"
@@ -231,11 +233,7 @@ def join(tables: Sequence[TireData]) -> TireData:
         path=", ".join(table.source.path for table in tables),
         sha256=digest,
         assumptions=tuple(said),
-        warnings=tuple(
-            f"{table.name}: {text}"
-            for table in tables
-            for text in table.source.warnings
-        ),
+        warnings=tuple(merged((name, source.warnings) for name, source in sources)),
         masked=tuple(problem for table in tables for problem in table.source.masked),
         line=np.concatenate(lines) if len(lines) == len(tables) else None,
         paths=tuple(t.source.path or t.name for t in tables for _ in t.runs),

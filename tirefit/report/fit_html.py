@@ -23,7 +23,7 @@ from tirefit.report.fit_tables import (
     run_rows,
 )
 from tirefit.report.html import GOOD, OPEN, png_text, rendered
-from tirefit.report.labels import fit_files, notes_of, run_lines
+from tirefit.report.labels import fit_files, run_lines
 from tirefit.report.numbers import format_number
 from tirefit.report.text import verdict_line
 
@@ -102,7 +102,8 @@ def _provenance(result: FitResult) -> list[str]:
         f"model {result.model}, forces {', '.join(result.forces)}",
         *_asked(result),
         f"solver {result.solver}, seed {result.seed}",
-        *notes_of(result, [*data["assumptions"], *result.noise.get("notes", ())]),
+        *data["assumptions"],
+        *result.noise.get("notes", ()),
         *masked[:20], *more,
         f"tirefit {result.version}, {SCHEMA}; "
         + ", ".join(f"{k} {v}" for k, v in result.versions.items()),
