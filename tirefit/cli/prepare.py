@@ -64,6 +64,13 @@ def prepare(
         float | None,
         typer.Option(metavar="S", help="seconds until the tire was warm, if known"),
     ] = None,
+    cut_last: Annotated[
+        bool | None,
+        typer.Option(
+            "--cut-last",
+            help="cut the warm-up also where a condition has no later sweep",
+        ),
+    ] = None,
     keep: Annotated[
         list[str] | None,
         typer.Option(
@@ -93,7 +100,7 @@ def prepare(
         sharing, files = Sharing(jobs, scheduler), expanded(files or [])
         changes = {
             "bandwidth": bandwidth, "filter": False if unfiltered else None,
-            "rate": rate, "warm_up": warm_up, "keep": keep,
+            "rate": rate, "warm_up": warm_up, "cut_last": cut_last, "keep": keep,
         }  # fmt: skip
         changes = {key: value for key, value in changes.items() if value is not None}
         if repeat is not None:
