@@ -7,7 +7,7 @@ import io
 import itertools
 import re
 import zlib
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -45,6 +45,8 @@ _DELIMITERS = "\t;|,"
 _END = "\0"
 _OWN = re.compile(r"# tirefit .*\bconvention ([\w-]+)\s*$")
 """First line of a table that this package wrote, with its signs."""
+_CONSTANT = re.compile(r"([A-Z_]+)=(\d+(?:\.\d+)?(?:e[-+]?\d+)?)\b")
+"""A constant of the tire in that line."""
 _SEARCHED = 60
 """Lines with content in which the header must stand."""
 _LONGEST = 10
@@ -57,7 +59,8 @@ class Table:
 
     ``cells`` holds per column n strings or an (n,) number array; ``ragged`` (n,) bool
     marks rows without the header's number of fields, ``lines`` (n,) their lines;
-    ``notes`` say what was assumed, ``doubts`` what may mean something else.
+    ``notes`` say what was assumed, ``doubts`` what may mean something else;
+    ``constants`` are those of ``Source``.
     """
 
     file: str
@@ -75,6 +78,7 @@ class Table:
     faults: tuple[BadRows, ...] = ()
     layout: Layout = field(default_factory=Layout)
     doubts: tuple[str, ...] = ()
+    constants: Mapping[str, float] = field(default_factory=dict)
 
 
 def read_bytes(path: Place) -> bytes:
@@ -174,8 +178,11 @@ def table_of_text(
     if own is None or own[1] not in CONVENTIONS:
         return table
     said = f"signs read as {own[1]!r}, as line 1 says"
-    layout = Layout(convention=own[1])
-    return replace(table, layout=layout, notes=(*table.notes, said))
+    stated = _CONSTANT.findall(raw[0].partition(", constants ")[2])
+    return replace(
+        table, layout=Layout(convention=own[1]), notes=(*table.notes, said),
+        constants={name: float(value) for name, value in stated},
+    )  # fmt: skip
 
 
 def content_lines(lines: list[str]) -> list[str]:

@@ -163,6 +163,7 @@ def data_record(data: TireData, used: int, far: tuple[FarRow, ...]) -> dict[str,
         "columns": dict(source.columns),
         "units": dict(source.units),
         "assumptions": list(source.notes),
+        "constants": dict(source.constants),
         "slip_check": None if source.slip_check is None else asdict(source.slip_check),
     }
 
