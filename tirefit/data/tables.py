@@ -3,7 +3,7 @@
 import datetime
 import io
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +12,9 @@ from tirefit.data.extras import extra
 from tirefit.data.mat import Channels
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["Sheet", "channels_of_arrow", "is_arrow", "is_excel", "sheet_of_excel"]
+__all__ = [
+    "Sheet", "channels_of_arrow", "is_arrow", "is_excel", "sheet_of_excel", "zip_names",
+]  # fmt: skip
 
 _PARQUET, _ARROW = b"PAR1", b"ARROW1"
 _UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
@@ -103,13 +105,22 @@ def _columns(table, types) -> tuple[dict[str, Any], list[str], list[str]]:
 # --- Excel --------------------------------------------------------------------------
 
 
-def is_excel(content: bytes) -> bool:
-    """Whether these are the bytes of an Excel workbook (.xlsx, .xlsm)."""
+_OLE = b"\xd0\xcf\x11\xe0"
+"""First bytes of an Excel file of before 2007, and of other files of that Office."""
+
+
+def zip_names(content: bytes) -> list[str]:
+    """Names of the files in a zip archive; none of anything else."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            return "xl/workbook.xml" in archive.namelist()
+            return archive.namelist()
     except (zipfile.BadZipFile, OSError, ValueError):
-        return False
+        return []
+
+
+def is_excel(content: bytes) -> bool:
+    """Whether these are the bytes of an Excel workbook (.xlsx, .xlsm, .xls)."""
+    return content.startswith(_OLE) or "xl/workbook.xml" in zip_names(content)
 
 
 def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -> Sheet:
@@ -121,19 +132,10 @@ def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -
         is_known: whether a cell is a column's name.
 
     Raises:
-        DataError: openpyxl is missing, the file is damaged, or several sheets or none
-            hold columns.
+        DataError: openpyxl, or xlrd for a file of before 2007, is missing, the file is
+            damaged, or several sheets or none hold columns.
     """
-    openpyxl = extra("openpyxl", "Excel files", file)
-    try:
-        book = openpyxl.load_workbook(
-            io.BytesIO(content), read_only=True, data_only=True
-        )
-        sheets = {sheet.title: _rows(sheet) for sheet in book.worksheets}
-        book.close()
-    except Exception as error:  # openpyxl raises many kinds on damaged files
-        reason = f"the Excel file cannot be read: {error}"
-        raise DataError(InputProblem(reason, "save it again", file)) from error
+    sheets = _sheets(content, file)
     filled = {title: rows for title, rows in sheets.items() if rows}
     if not filled:
         raise DataError(
@@ -159,11 +161,53 @@ def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -
     return Sheet(rows, list(numbers), tuple(notes))
 
 
-def _rows(sheet) -> list[tuple[int, list[str]]]:
+def _sheets(content: bytes, file: str) -> dict[str, list[tuple[int, list[str]]]]:
+    """Title -> rows of every sheet."""
+    is_old = content.startswith(_OLE)
+    module, age, cells = (
+        ("xlrd", " of before 2007 (.xls)", _cells_of_xls) if is_old
+        else ("openpyxl", "", _cells_of_xlsx)
+    )  # fmt: skip
+    library = extra(module, f"Excel files{age}", file)
+    try:
+        return {title: _rows(rows) for title, rows in cells(library, content)}
+    except Exception as error:  # both raise many kinds on damaged files
+        reason = f"the Excel file{age} cannot be read: {error}"
+        remedy = "save it again, as .xlsx and without a password"
+        raise DataError(InputProblem(reason, remedy, file)) from error
+
+
+def _cells_of_xlsx(openpyxl, content: bytes) -> Iterator[tuple[str, Iterable]]:
+    """Title and rows of values of each sheet."""
+    book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
+    for sheet in book.worksheets:
+        sheet.reset_dimensions()  # some writers state fewer cells than there are
+        yield sheet.title, sheet.iter_rows(values_only=True)
+    book.close()
+
+
+def _cells_of_xls(xlrd, content: bytes) -> Iterator[tuple[str, Iterable]]:
+    """The same of a file of before 2007, where every number is a float."""
+    book = xlrd.open_workbook(file_contents=content, logfile=io.StringIO())
+
+    def value(cell):
+        if cell.ctype == xlrd.XL_CELL_DATE:
+            return xlrd.xldate_as_datetime(cell.value, book.datemode)
+        if cell.ctype == xlrd.XL_CELL_ERROR:
+            return xlrd.error_text_from_code.get(cell.value, "#N/A")
+        if cell.ctype == xlrd.XL_CELL_BOOLEAN:
+            return bool(cell.value)
+        whole = cell.ctype == xlrd.XL_CELL_NUMBER and cell.value.is_integer()
+        return int(cell.value) if whole else cell.value
+
+    for sheet in book.sheets():
+        yield sheet.name, ([value(cell) for cell in row] for row in sheet.get_rows())
+
+
+def _rows(cells: Iterable) -> list[tuple[int, list[str]]]:
     """Rows with content as (number in the sheet, texts), all of one length."""
     rows = []
-    sheet.reset_dimensions()  # some writers state fewer cells than there are
-    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+    for number, row in enumerate(cells, 1):
         texts = [_text(cell) for cell in row]
         if any(texts):
             rows.append((number, texts))
