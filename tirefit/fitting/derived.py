@@ -18,7 +18,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.compiled import compiled
-from tirefit.data.levels import levels
 from tirefit.fitting.extremes import extreme
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
@@ -76,21 +75,18 @@ def reference_point(problem: FitProblem, run: int | None = None) -> dict[str, fl
     """Median load [N] and speed [m/s] of the fitted rows.
 
     Args:
-        run: code of a run, whose own median it is of what was held in it while the
-            fitted rows have several settings.
+        run: code of a run, whose own median it is where most of its rows (90 %) lie
+            nearer to that than it does to the median of all.
     """
     point, here = {}, problem.used(problem.rows.run) == run
     for name in ("fz", "v"):
         values = problem.used(getattr(problem.rows.inputs, name))
-        if here.any() and not _is_held(values) and _is_held(values[here]):
-            values = values[here]
         point[name] = float(np.median(values))
+        if here.any():
+            own = float(np.median(values[here]))
+            stray = np.quantile(np.abs(values[here] - own), 0.9)
+            point[name] = own if stray < abs(own - point[name]) else point[name]
     return point
-
-
-def _is_held(values: np.ndarray) -> bool:
-    found = levels(values)
-    return not found.is_swept and len(found.center) == 1
 
 
 def reference_points(problem: FitProblem) -> dict[str, float]:
