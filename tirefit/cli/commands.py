@@ -29,7 +29,7 @@ from tirefit.cli.options import (
     say,
     start_jax,
     takes_data_options,
-    tell_notes,
+    told_together,
     warn,
 )
 from tirefit.cli.prepare import prepare
@@ -125,10 +125,10 @@ def inspect(
     from tirefit.data.remote import expanded
     from tirefit.files import json_safe
 
-    with errors_to_exit():
+    with errors_to_exit(), told_together():
         how = read_options(options, read_config(options.config))
         worst, files = ExitCode.OK, expanded(files)
-        notes: list = []
+        together = len(files) > 1 and not json
         for file in files:
             try:
                 data = read(file, **how)
@@ -142,13 +142,10 @@ def inspect(
                 continue
             content = inspection.as_dict()
             content |= {"identifiability": told.as_dict()} if told else {}
-            if len(files) > 1 and not json:
-                notes.append((inspection.file, data.source.notes))
+            if together and warn(data, assumed=data.source.assumptions):
                 inspection = replace(inspection, warnings=(), assumptions=())
             text = inspection.text() + (told.text() if told else "")
             say(dumps(json_safe(content), indent=1) if json else text)
-        if notes:
-            tell_notes(notes)
         raise typer.Exit(worst)
 
 

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -27,7 +27,7 @@ from tirefit.cli.options import (
     say,
     start_jax,
     takes_data_options,
-    tell_notes,
+    told_together,
     warn,
 )
 from tirefit.cli.output import (
@@ -177,13 +177,9 @@ def diagnose(
         settings = _settings(base, rig, without, how)
         settings["forces"] = forces_named(force)
         settings |= _simulator(base, parameter, sim, how)
-        with claimed(out):
-            from tirefit.data.read import read
-
-            kept = [read(path, **how) for path in holdout or []]
-            warn(*kept)
-            many = len(files) > 1
-            task = _Task(out, settings, kept, how, figures, resume, seed, many)
+        with claimed(out), told_together(len(files) + len(holdout or []) > 1):
+            kept = [_read(path, how) for path in holdout or []]
+            task = _Task(out, settings, kept, how, figures, resume, seed)
             pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
             worst = _all(pieces, task, sharing)
         raise typer.Exit(worst)
@@ -220,6 +216,14 @@ def _keys(config) -> list[str]:
             section = isinstance(inner, dict | set)
             keys += [f"{name}.{key}" for key in sorted(inner)] if section else [name]
     return keys
+
+
+def _read(path: Path, how: dict, rig=None):
+    from tirefit.data.read import read
+
+    table = read(path, **how)
+    warn(table, beside=rig.beside(table) if rig else ())
+    return table
 
 
 def _settings(model: str | None, rig: Path | None, without, how: dict) -> dict:
@@ -271,8 +275,7 @@ def _simulator(model: str | None, parameter, sim: bool, how: dict) -> dict:
 @dataclass(frozen=True)
 class _Task:
     """What all files share: the folder of the results, arguments of
-    ``tirefit.diagnose`` and of ``tirefit.read``, tables held out, and the options;
-    of ``many`` files the warnings are printed together at the end."""
+    ``tirefit.diagnose`` and of ``tirefit.read``, tables held out, and the options."""
 
     out: Path
     settings: dict
@@ -281,7 +284,6 @@ class _Task:
     figures: bool
     resume: bool
     seed: int
-    many: bool
 
 
 def _all(pieces: list[Piece], task: _Task, sharing: Sharing) -> ExitCode:
@@ -298,7 +300,7 @@ def _all(pieces: list[Piece], task: _Task, sharing: Sharing) -> ExitCode:
 
 
 def _one_by_one(pieces: list[Piece], task: _Task) -> list[ExitCode]:
-    codes, notes = [], []
+    codes = []
     with progress_bar("diagnose") as progress:
         for number, piece in enumerate(pieces):
             note = f"{number + 1} of {len(pieces)}: {piece.file}"
@@ -307,27 +309,18 @@ def _one_by_one(pieces: list[Piece], task: _Task) -> list[ExitCode]:
             alone = len(pieces) == 1
             found = _one(piece, task) if alone else attempted(_one, task, piece)
             codes.append(found[0])
-            if found[1] is not None:
-                notes.append((found[1].file, found[1].notes))
-    if len(pieces) > 1:
-        tell_notes(notes)
     return codes
 
 
 def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     """One file, unless it is done before."""
-    from tirefit.data.read import read
     from tirefit.diagnosis.engine import diagnose as study
     from tirefit.diagnosis.result import SCHEMA
     from tirefit.diagnosis.store import record_of_document, save_diagnosis
 
     file, name = piece
     out, seed, kept, figures = task.out, task.seed, task.kept, task.figures
-    table = read(file, **task.how)
-    beside = (*table.source.warnings, *task.settings["rig"].beside(table))
-    notes = tuple(f"warning: {text}" for text in beside)
-    if not task.many:
-        tell_notes([(str(file), notes)])
+    table = _read(file, task.how, task.settings["rig"])
     written, drawn = _written(name, True)
     expected = written + drawn if figures else written
     document = out / f"{name}.json"
@@ -335,7 +328,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
         record = _of_before(document)
         if record and _is_done(document, table, task.settings, kept, seed):
             say(f"{file}: done before, kept: {document}")
-            return ExitCode.OK, replace(record, notes=notes)
+            return ExitCode.OK, record
     result = study(table, holdout=kept, seed=seed, **task.settings)
     earlier = drawn if is_page(out / f"{name}.html", SCHEMA) else []
     with staged(out, written + earlier, result, f".{name}") as folder:
@@ -347,7 +340,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
             write_figure(result, folder / f"{name}.png")
             write_page(result, folder / f"{name}.html")
     say(str(result))
-    return ExitCode.OK, replace(record_of_document(document), notes=notes)
+    return ExitCode.OK, record_of_document(document)
 
 
 def _of_before(document: Path) -> "FileRecord | None":

@@ -31,8 +31,7 @@ class Also(NamedTuple):
 @dataclass(frozen=True)
 class FitTask:
     """What all files share: settings of the fit, arguments of ``tirefit.read``, and
-    the options; ``keep``: fits that are done; ``many``: the notes on the reading of all
-    files are printed together at the end, not with each fit."""
+    the options; ``keep``: fits that are done."""
 
     settings: Any
     how: dict
@@ -41,7 +40,6 @@ class FitTask:
     keep: bool
     also: Also
     strict: bool
-    many: bool = False
 
     def digest(self, tables) -> str:
         """Of all that the numbers of a fit of these tables depend on."""
@@ -61,8 +59,7 @@ def fit_one(
     from tirefit.fitting.store import record_of_fit
 
     tables = [read(file, **task.how) for file in files]
-    if not task.many:
-        warn(*tables)
+    waits = warn(*tables, assumed=tables[0].source.assumptions)
     asked = task.digest(tables)
     content = _done(directory, asked, task) if task.keep else None
     if content is not None:
@@ -70,9 +67,15 @@ def fit_one(
         return record_of_fit(content, str(directory)), None
     data = tables[0] if len(tables) == 1 else join(tables)
     result = fit_into(
-        directory, data, task.settings, task.posterior, task.resume, task.also, asked,
-        quiet=task.many,
-    )  # fmt: skip
+        directory,
+        data,
+        task.settings,
+        task.posterior,
+        task.resume,
+        task.also,
+        asked,
+        waits,
+    )
     return record_of_fit(result.to_dict(), str(directory)), result
 
 
@@ -97,11 +100,17 @@ def _done(directory: Path, asked: str, task: FitTask) -> dict | None:
 
 
 def fit_into(
-    directory, data, settings, posterior=False, resume=False, also=Also(), asked="",
+    directory,
+    data,
+    settings,
+    posterior=False,
+    resume=False,
+    also=Also(),
+    asked="",
     quiet=False,
-):  # fmt: skip
+):
     """Fits the data, and leaves the result and its figures in the directory; prints
-    the notes on the reading unless ``quiet``."""
+    it, ``quiet`` without the assumptions."""
     from tirefit.fitting.estimate import fit as fit_data
 
     with claimed(directory):
@@ -118,10 +127,8 @@ def fit_into(
             if posterior and (directory / CHAIN).exists():
                 error.add_note("--resume goes on from its chain")
             raise
-    shown = result
-    if quiet:
-        shown = replace(result, data={**result.data, "assumptions": []})
-    say(str(shown))
+    record = result.data | ({"assumptions": []} if quiet else {})
+    say(str(replace(result, data=record)))
     say("wrote " + ", ".join(str(path) for path in written))
     return result
 

@@ -25,7 +25,7 @@ from tirefit.cli.options import (
     progress_bar,
     say,
     start_jax,
-    tell_notes,
+    told_together,
 )
 from tirefit.cli.output import check_replaced, swept
 from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, UsageError
@@ -97,13 +97,14 @@ class Piece(NamedTuple):
 
 class Outcome(NamedTuple):
     """One file: its exit code, whether that ends the command, what was said and
-    complained of, and what the table of all results holds of it."""
+    complained of, what the table of all results holds of it, and the notes on it."""
 
     code: ExitCode
     last: bool = False
     said: str = ""
     complained: str = ""
     record: "FileRecord | None" = None
+    notes: tuple = ()
 
 
 Attempt = Callable[[Piece, Any], tuple[ExitCode, "FileRecord"]]
@@ -127,30 +128,27 @@ def fleet(
     work = partial(_apart, _Packed.of(attempt, task))
     out.mkdir(parents=True, exist_ok=True)
     left = set(range(len(pieces)))
-    notes: list = []
     try:
         with (
             records_into(out / TABLE) as table,
             progress_bar(title) as progress,
             cluster(min(sharing.jobs or 1, len(pieces)), sharing.scheduler) as client,
             closing(shared(work, pieces, client, _alike)) as results,
+            told_together(len(pieces) > 1) as notes,
         ):
             for outcome in _in_order(_followed(results, pieces, progress, left)):
                 typer.echo(outcome.said, nl=False)
                 typer.echo(outcome.complained, nl=False, err=True)
                 if outcome.last:
                     raise typer.Exit(outcome.code)
+                notes += outcome.notes
                 table.add(outcome.record)
-                if outcome.record is not None:
-                    notes.append((outcome.record.file, outcome.record.notes))
                 yield outcome
     finally:
         for number in left:  # after an interrupt: what was at work is half-written
             _sweep(pieces[number])
     from tirefit.report.fleet_html import write_fleet_page
 
-    if len(pieces) > 1:
-        tell_notes(notes)
     write_fleet_page(out / TABLE, out / PAGE, title)
     say(f"all results: {out / TABLE}, {out / PAGE}")
 
@@ -236,17 +234,19 @@ def _unpacked(content: bytes) -> tuple[Attempt, Any]:
 def _apart(packed: _Packed, piece: Piece) -> Outcome:
     """One file in a worker, which keeps silent; the command's errors end it there."""
     said, complained = Unheard(), Unheard()
-    with redirect_stdout(said), redirect_stderr(complained):
+    with redirect_stdout(said), redirect_stderr(complained), told_together() as held:
         try:
             with errors_to_exit(), _where_the_command_runs(packed):
                 code, record = _attempted(packed, piece)
         except typer.Exit as end:
             code = ExitCode(end.exit_code)
             return _failed(piece, code, complained.getvalue(), last=True)
+        notes = tuple(held)
+        held.clear()
     text = complained.getvalue()
     if record is None:
         return _failed(piece, code, text)._replace(said=said.getvalue())
-    return Outcome(code, False, said.getvalue(), text, record)
+    return Outcome(code, False, said.getvalue(), text, record, notes)
 
 
 def _where_the_command_runs(packed: _Packed) -> chdir:

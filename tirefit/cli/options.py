@@ -43,7 +43,7 @@ __all__ = [
     "say",
     "start_jax",
     "takes_data_options",
-    "tell_notes",
+    "told_together",
     "warn",
 ]
 
@@ -305,33 +305,57 @@ def _printable(text: str) -> str:
     return _COMMANDS.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
-_WARNING = "warning: "
+_held: list[tuple[str, list[str], list[str]]] | None = None
+"""Notes that wait for those of other files: name, warnings, assumptions."""
 
 
-def warn(*tables) -> None:
-    """Print what the data were read as where they may mean something else."""
-    tell_notes([(t.source.path, [_WARNING + w for w in t.source.warnings])
-                for t in tables])  # fmt: skip
-
-
-def tell_notes(notes: Sequence[tuple[str, Sequence[str]]]) -> None:
-    """Print the notes on the reading of files, merged over the files.
+def warn(*tables, assumed: Sequence[str] = (), beside: Sequence[str] = ()) -> bool:
+    """Print what may mean something else, now or with :func:`told_together`.
 
     Args:
-        notes: name and ``Source.notes`` of each file.
+        tables: what was read.
+        assumed, beside: sentences of one table, printed only if together, and warnings
+            of it that are not those of its reading.
+
+    Returns:
+        Whether it waits for other files.
     """
+    notes = [
+        (t.source.path, [*t.source.warnings, *beside], list(assumed)) for t in tables
+    ]
+    if _held is None:
+        _tell(notes, assumptions=False)
+    else:
+        _held.extend(notes)
+    return _held is not None
+
+
+def _tell(notes, assumptions: bool) -> None:
     from tirefit.data.merged import merged
 
-    warnings, assumed = (
-        merged((name, [n.removeprefix(_WARNING) for n in its
-                       if n.startswith(_WARNING) == wanted]) for name, its in notes)
-        for wanted in (True, False)
-    )  # fmt: skip
     alone = f"{notes[0][0]}: " if len(notes) == 1 else ""
-    for text in warnings:
-        complain(f"{_WARNING}{alone}{text}")
-    for text in assumed:
+    for text in merged((name, doubts) for name, doubts, _ in notes):
+        complain(f"warning: {alone}{text}")
+    for text in merged((name, said) for name, _, said in notes if assumptions):
         say(fill(f"assumed: {alone}{text}", 88, subsequent_indent=" " * 9))
+
+
+@contextmanager
+def told_together(many: bool = True) -> Iterator[list]:
+    """Hold the notes on ``many`` files; print them merged at the end of the block.
+
+    Yields:
+        The notes that are printed then.
+    """
+    global _held
+    before, held = _held, list[tuple[str, list[str], list[str]]]()
+    _held = held if many else None
+    try:
+        yield held
+    finally:
+        _held = before
+        if held:
+            _tell(held, assumptions=True)
 
 
 @contextmanager

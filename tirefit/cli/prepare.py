@@ -20,7 +20,7 @@ from tirefit.cli.options import (
     read_options,
     say,
     takes_data_options,
-    tell_notes,
+    told_together,
     warn,
 )
 from tirefit.cli.output import check_directories, check_replaced, claimed, staged
@@ -66,10 +66,7 @@ def prepare(
     ] = None,
     cut_last: Annotated[
         bool | None,
-        typer.Option(
-            "--cut-last",
-            help="cut the warm-up also where a condition has no later sweep",
-        ),
+        typer.Option("--cut-last", help="cut warm-up that no later sweep replaces"),
     ] = None,
     keep: Annotated[
         list[str] | None,
@@ -117,9 +114,9 @@ def prepare(
         made = [out / f"{name}{end}" for name in names for end in ends]
         check_replaced(made, files)
         sharing.check(out, files, made)
-        task = _Task(out, how, config, len(files) > 1)
+        task = _Task(out, how, config)
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
-        with claimed(out):
+        with claimed(out), told_together(len(files) > 1):
             if sharing.apart:
                 outcomes = fleet("prepare", pieces, _one, task, sharing, out)
                 raise typer.Exit(max(outcome.code for outcome in outcomes))
@@ -175,28 +172,24 @@ def _names(files: list[Path]) -> list[str]:
 @dataclass(frozen=True)
 class _Task:
     """What all files share: the folder of the results, arguments of ``tirefit.read``,
-    the settings; of ``many`` files the warnings are printed together at the end."""
+    and the settings."""
 
     out: Path
     how: dict[str, Any]
     config: Any
-    many: bool
 
 
 def _all(pieces: list[Piece], task: _Task) -> ExitCode:
     """Every file; one that cannot be prepared does not stop the others."""
-    worst, notes = ExitCode.OK, []
+    worst = ExitCode.OK
     for piece in pieces:
         try:
-            _, record = _one(piece, task)
-            notes.append((record.file, record.notes))
+            _one(piece, task)
         except TirefitError as error:
             if error.exit_code == ExitCode.USAGE or len(pieces) == 1:
                 raise
             complain(error_text(error))
             worst = max(worst, error.exit_code)
-    if len(pieces) > 1:
-        tell_notes(notes)
     return worst
 
 
@@ -217,8 +210,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     (file, name), out, how = piece, task.out, task.how
     # A recording is never whole: rows that cannot be used are cut out.
     data = read(file, **(how | {"mask_bad_rows": True, "curve": False}))
-    if not task.many:
-        warn(data)
+    warn(data)
     prepared = prepare_data(data, task.config)
     texts = {
         f"{name}.csv": prepared_csv(prepared, __version__),
@@ -248,5 +240,4 @@ def _record(prepared, file: str, result: str) -> "FileRecord":
     return FileRecord(
         file, result, "", "prepared", rows, convention=source.convention,
         version=__version__, sha256=source.sha256,
-        notes=tuple(f"warning: {text}" for text in source.warnings),
     )  # fmt: skip

@@ -43,8 +43,7 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class FileRecord:
-    """What one file gave; ``outcomes`` are those of a fit, in lower case. ``notes``
-    are those of its reading (``Source.notes``), which the table does not hold."""
+    """What one file gave; ``outcomes`` are those of a fit, in lower case."""
 
     file: str
     result: str
@@ -57,7 +56,6 @@ class FileRecord:
     seed: int | None = None
     version: str = ""
     sha256: str = ""
-    notes: tuple[str, ...] = ()
 
     def of_kind(self, kind: str) -> dict[str, Row]:
         return {row.name: row for row in self.rows if row.kind == kind}

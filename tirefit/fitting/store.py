@@ -264,5 +264,4 @@ def record_of_fit(content: Mapping, result: str) -> FileRecord:
         content["verdict"]["status"], tuple(rows), tuple(content["outcomes"]),
         convention=content["data"]["convention"], seed=content["seed"],
         version=content["version"], sha256=content["data"]["sha256"],
-        notes=tuple(content["data"]["assumptions"]),
     )  # fmt: skip
