@@ -128,7 +128,6 @@ def inspect(
     with errors_to_exit(), told_together():
         how = read_options(options, read_config(options.config))
         worst, files = ExitCode.OK, expanded(files)
-        together = len(files) > 1 and not json
         for file in files:
             try:
                 data = read(file, **how)
@@ -142,7 +141,8 @@ def inspect(
                 continue
             content = inspection.as_dict()
             content |= {"identifiability": told.as_dict()} if told else {}
-            if together and warn(data, assumed=data.source.assumptions):
+            if len(files) > 1 and not json:
+                warn(data, assumed=data.source.assumptions)
                 inspection = replace(inspection, warnings=(), assumptions=())
             text = inspection.text() + (told.text() if told else "")
             say(dumps(json_safe(content), indent=1) if json else text)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tirefit import __version__
-from tirefit.cli.options import progress_bar, say, warn
+from tirefit.cli.options import holds_notes, progress_bar, say, warn
 from tirefit.cli.output import claimed, is_page, staged
 from tirefit.results import ExitCode, Outcome, TirefitError
 
@@ -59,7 +59,7 @@ def fit_one(
     from tirefit.fitting.store import record_of_fit
 
     tables = [read(file, **task.how) for file in files]
-    waits = warn(*tables, assumed=tables[0].source.assumptions)
+    warn(*tables, assumed=tables[0].source.assumptions)
     asked = task.digest(tables)
     content = _done(directory, asked, task) if task.keep else None
     if content is not None:
@@ -67,14 +67,7 @@ def fit_one(
         return record_of_fit(content, str(directory)), None
     data = tables[0] if len(tables) == 1 else join(tables)
     result = fit_into(
-        directory,
-        data,
-        task.settings,
-        task.posterior,
-        task.resume,
-        task.also,
-        asked,
-        waits,
+        directory, data, task.settings, task.posterior, task.resume, task.also, asked
     )
     return record_of_fit(result.to_dict(), str(directory)), result
 
@@ -100,17 +93,9 @@ def _done(directory: Path, asked: str, task: FitTask) -> dict | None:
 
 
 def fit_into(
-    directory,
-    data,
-    settings,
-    posterior=False,
-    resume=False,
-    also=Also(),
-    asked="",
-    quiet=False,
+    directory, data, settings, posterior=False, resume=False, also=Also(), asked=""
 ):
-    """Fits the data, and leaves the result and its figures in the directory; prints
-    it, ``quiet`` without the assumptions."""
+    """Fits the data, and leaves the result and its figures in the directory."""
     from tirefit.fitting.estimate import fit as fit_data
 
     with claimed(directory):
@@ -127,7 +112,8 @@ def fit_into(
             if posterior and (directory / CHAIN).exists():
                 error.add_note("--resume goes on from its chain")
             raise
-    record = result.data | ({"assumptions": []} if quiet else {})
+    # Together with those of other files they are printed later.
+    record = result.data | ({"assumptions": []} if holds_notes() else {})
     say(str(replace(result, data=record)))
     say("wrote " + ", ".join(str(path) for path in written))
     return result

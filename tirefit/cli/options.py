@@ -34,6 +34,7 @@ __all__ = [
     "errors_to_exit",
     "forces_named",
     "has_terminal",
+    "holds_notes",
     "named_path",
     "numbers",
     "pairs",
@@ -309,34 +310,34 @@ _held: list[tuple[str, list[str], list[str]]] | None = None
 """Notes that wait for those of other files: name, warnings, assumptions."""
 
 
-def warn(*tables, assumed: Sequence[str] = (), beside: Sequence[str] = ()) -> bool:
+def holds_notes() -> bool:
+    """Whether notes wait for those of other files."""
+    return _held is not None
+
+
+def warn(*tables, assumed: Sequence[str] = (), beside: Sequence[str] = ()) -> None:
     """Print what may mean something else, now or with :func:`told_together`.
 
     Args:
         tables: what was read.
-        assumed, beside: sentences of one table, printed only if together, and warnings
-            of it that are not those of its reading.
-
-    Returns:
-        Whether it waits for other files.
+        assumed: assumptions of one table, which are printed together only.
+        beside: warnings of one table that are not of its reading.
     """
-    notes = [
-        (t.source.path, [*t.source.warnings, *beside], list(assumed)) for t in tables
-    ]
+    said = [*assumed] if holds_notes() else []
+    notes = [(t.source.path, [*t.source.warnings, *beside], said) for t in tables]
     if _held is None:
-        _tell(notes, assumptions=False)
+        _tell(notes)
     else:
         _held.extend(notes)
-    return _held is not None
 
 
-def _tell(notes, assumptions: bool) -> None:
+def _tell(notes) -> None:
     from tirefit.data.merged import merged
 
     alone = f"{notes[0][0]}: " if len(notes) == 1 else ""
     for text in merged((name, doubts) for name, doubts, _ in notes):
         complain(f"warning: {alone}{text}")
-    for text in merged((name, said) for name, _, said in notes if assumptions):
+    for text in merged((name, said) for name, _, said in notes):
         say(fill(f"assumed: {alone}{text}", 88, subsequent_indent=" " * 9))
 
 
@@ -355,7 +356,7 @@ def told_together(many: bool = True) -> Iterator[list]:
     finally:
         _held = before
         if held:
-            _tell(held, assumptions=True)
+            _tell(held)
 
 
 @contextmanager

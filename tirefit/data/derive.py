@@ -260,10 +260,10 @@ def _summary(logs: Sequence[DerivedLog]) -> str:
     """The summary of each log; the warnings of several are merged below them."""
     if len(logs) == 1:
         return logs[0].summary()
-    warnings = merged((log.name, log.warnings) for log in logs)
     lines = [replace(log, warnings=()).summary() for log in logs]
-    return "\n".join([*lines, *(fill(f"warning: {w}", 80, subsequent_indent="  ")
-                                for w in warnings)])  # fmt: skip
+    for text in merged((log.name, log.warnings) for log in logs):
+        lines.append(fill(f"warning: {text}", 80, subsequent_indent="  "))
+    return "\n".join(lines)
 
 
 def _refuse(problems: Sequence[InputProblem], believe: bool) -> None:

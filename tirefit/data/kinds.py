@@ -34,7 +34,24 @@ _UNREADABLE = {
 }
 """First bytes of known files that are not read -> what they are, and the remedy."""
 
-_PICKLE = re.compile(rb"\x80[\x02-\x05]|\((dp|lp)\d+\n")
+_PYTHON = (
+    (
+        re.compile(rb"PK\x03\x04.{26}[^\0]{1,200}\.npy", re.DOTALL),
+        "NumPy arrays (.npz)",
+        "dict(numpy.load('{}'))",
+    ),
+    (
+        re.compile(rb"\x93NUMPY"),
+        "a NumPy array (.npy)",
+        "dict(zip(['kappa', 'fx', 'fz'], numpy.load('{}').T))",
+    ),
+    (
+        re.compile(rb"\x80[\x02-\x05]|\((dp|lp)\d+\n"),
+        "a pickle, which could run code",
+        "pandas.read_pickle('{}')",
+    ),
+)
+"""First bytes of files of Python, what they are, and what gives their columns."""
 _JSON = re.compile(rb"(\xef\xbb\xbf)?\s*(\{\s*[\"}]|\[\s*[\[{\]])")
 _OUR_FIT = re.compile(rb"\"schema\"\s*:\s*\"tirefit\.fit/")
 
@@ -88,23 +105,15 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
 
 def _of_python(content: bytes, file: str) -> InputProblem | None:
     """What to do with arrays of NumPy and pickles, which are not read."""
-    name = Path(file).name
-    names = tables.zip_names(content)
-    if names and all(inside.endswith(".npy") for inside in names):
-        kind, load = "NumPy arrays (.npz)", f"dict(numpy.load({name!r}))"
-    elif content.startswith(b"\x93NUMPY"):
-        kind = "a NumPy array (.npy)"
-        load = f"dict(zip(['kappa', 'fx', 'fz'], numpy.load({name!r}).T))"
-    elif _PICKLE.match(content) and content.endswith(b"."):
-        kind, load = "a pickle, which could run code", f"pandas.read_pickle({name!r})"
-    else:
-        return None
-    remedy = (
-        f"in Python: columns = {load}; data = tirefit.read_frame(columns);"
-        " tirefit.fit(data). For a command:"
-        " pandas.DataFrame(columns).to_csv('run.csv', index=False)"
-    )
-    return InputProblem(f"this is {kind}, and is not read", remedy, file)
+    for start, kind, load in _PYTHON:
+        if start.match(content):
+            remedy = (
+                f"in Python: columns = {load.format(Path(file).name)}; data ="
+                " tirefit.read_frame(columns); tirefit.fit(data). For a command:"
+                " pandas.DataFrame(columns).to_csv('run.csv', index=False)"
+            )
+            return InputProblem(f"this is {kind}, and is not read", remedy, file)
+    return None
 
 
 def _of_json(content: bytes, file: str) -> InputProblem:

@@ -12,9 +12,7 @@ from tirefit.data.extras import extra
 from tirefit.data.mat import Channels
 from tirefit.results import DataError, InputProblem
 
-__all__ = [
-    "Sheet", "channels_of_arrow", "is_arrow", "is_excel", "sheet_of_excel", "zip_names",
-]  # fmt: skip
+__all__ = ["Sheet", "channels_of_arrow", "is_arrow", "is_excel", "sheet_of_excel"]
 
 _PARQUET, _ARROW = b"PAR1", b"ARROW1"
 _UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
@@ -109,18 +107,15 @@ _OLE = b"\xd0\xcf\x11\xe0"
 """First bytes of an Excel file of before 2007, and of other files of that Office."""
 
 
-def zip_names(content: bytes) -> list[str]:
-    """Names of the files in a zip archive; none of anything else."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            return archive.namelist()
-    except (zipfile.BadZipFile, OSError, ValueError):
-        return []
-
-
 def is_excel(content: bytes) -> bool:
     """Whether these are the bytes of an Excel workbook (.xlsx, .xlsm, .xls)."""
-    return content.startswith(_OLE) or "xl/workbook.xml" in zip_names(content)
+    if content.startswith(_OLE):
+        return True
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            return "xl/workbook.xml" in archive.namelist()
+    except (zipfile.BadZipFile, OSError, ValueError):
+        return False
 
 
 def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -> Sheet:
@@ -163,11 +158,9 @@ def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -
 
 def _sheets(content: bytes, file: str) -> dict[str, list[tuple[int, list[str]]]]:
     """Title -> rows of every sheet."""
-    is_old = content.startswith(_OLE)
-    module, age, cells = (
-        ("xlrd", " of before 2007 (.xls)", _cells_of_xls) if is_old
-        else ("openpyxl", "", _cells_of_xlsx)
-    )  # fmt: skip
+    module, age, cells = "openpyxl", "", _cells_of_xlsx
+    if content.startswith(_OLE):
+        module, age, cells = "xlrd", " of before 2007 (.xls)", _cells_of_xls
     library = extra(module, f"Excel files{age}", file)
     try:
         return {title: _rows(rows) for title, rows in cells(library, content)}
@@ -177,28 +170,26 @@ def _sheets(content: bytes, file: str) -> dict[str, list[tuple[int, list[str]]]]
         raise DataError(InputProblem(reason, remedy, file)) from error
 
 
-def _cells_of_xlsx(openpyxl, content: bytes) -> Iterator[tuple[str, Iterable]]:
+def _cells_of_xlsx(library, content: bytes) -> Iterator[tuple[str, Iterable]]:
     """Title and rows of values of each sheet."""
-    book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
+    book = library.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
     for sheet in book.worksheets:
         sheet.reset_dimensions()  # some writers state fewer cells than there are
         yield sheet.title, sheet.iter_rows(values_only=True)
     book.close()
 
 
-def _cells_of_xls(xlrd, content: bytes) -> Iterator[tuple[str, Iterable]]:
+def _cells_of_xls(library, content: bytes) -> Iterator[tuple[str, Iterable]]:
     """The same of a file of before 2007, where every number is a float."""
-    book = xlrd.open_workbook(file_contents=content, logfile=io.StringIO())
+    book = library.open_workbook(file_contents=content, logfile=io.StringIO())
 
     def value(cell):
-        if cell.ctype == xlrd.XL_CELL_DATE:
-            return xlrd.xldate_as_datetime(cell.value, book.datemode)
-        if cell.ctype == xlrd.XL_CELL_ERROR:
-            return xlrd.error_text_from_code.get(cell.value, "#N/A")
-        if cell.ctype == xlrd.XL_CELL_BOOLEAN:
-            return bool(cell.value)
-        whole = cell.ctype == xlrd.XL_CELL_NUMBER and cell.value.is_integer()
-        return int(cell.value) if whole else cell.value
+        if cell.ctype == library.XL_CELL_DATE:
+            return library.xldate_as_datetime(cell.value, book.datemode)
+        if cell.ctype == library.XL_CELL_ERROR:
+            return library.error_text_from_code.get(cell.value, "#N/A")
+        number = isinstance(cell.value, float)  # 1 of a run's name is 1.0 here
+        return int(cell.value) if number and cell.value.is_integer() else cell.value
 
     for sheet in book.sheets():
         yield sheet.name, ([value(cell) for cell in row] for row in sheet.get_rows())

@@ -190,10 +190,10 @@ def table_of_text(
         return table
     said = f"signs read as {own[1]!r}, as line 1 says"
     stated = _CONSTANT.findall(raw[0].partition(", constants ")[2])
-    return replace(
-        table, layout=Layout(convention=own[1]), notes=(*table.notes, said),
-        constants={name: float(value) for name, value in stated},
-    )  # fmt: skip
+    constants = {name: float(value) for name, value in stated}
+    layout = Layout(convention=own[1])
+    notes = [*table.notes, said]
+    return replace(table, layout=layout, notes=tuple(notes), constants=constants)
 
 
 def content_lines(lines: list[str]) -> list[str]:

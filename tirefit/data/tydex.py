@@ -53,8 +53,8 @@ _METRIC_SIZE = re.compile(r"(?<!\d)(\d{3})\s?/\s?(\d{2,3})\s?[A-Z]*-?\s?(\d\d)\b
 """205/60 R15: width [mm], height [% of it] or diameter [mm], rim diameter [inch]."""
 _INCH_SIZE = re.compile(r"\b(\d\d(?:\.\d+)?)\s?x\s?\d+(?:\.\d+)?\s?-\s?\d\d\b", re.I)
 """18.0x6.0-10: diameter, width, rim diameter [inch]."""
-_RADII = (0.05, 2.0)
-"""Least and largest radius [m] of a tire: a kart's is 0.13 m, an earthmover's 2 m."""
+_LARGEST = 2.1
+"""Radius [m] of the largest earthmover's tire: beyond it the unit is wrong."""
 
 _RULE = re.compile(r"!\s*(-|Key\b)", re.IGNORECASE)
 """A line that rules or heads a section, as many files have them."""
@@ -297,55 +297,50 @@ def _of_tire(lines, header) -> tuple[dict[str, float], dict[str, str]]:
     nominal size may stand in the header."""
     found: dict[str, float] = {}
     notes: dict[str, str] = {}
+
+    def take(key: str, value: float, line: str) -> None:
+        largest = _LARGEST if key == "UNLOADED_RADIUS" else np.inf
+        if key not in found and 0 < value < largest:
+            found[key] = value
+            notes[line] = f"{key} = {value:.4g}: {' '.join(line.split())}"
+
     for key, factor, dimension, meaning in _OF_TIRE:
         for number, line in lines:
             entry = _entry(number, line)
-            if key in found or not entry or not entry.values:
-                continue
-            if re.match(meaning, " ".join(line.split()), re.IGNORECASE):
-                value = factor * _si(float(entry.values[0]), entry.unit, dimension)
-                if value > 0 and (dimension != "length" or value < _RADII[1]):
-                    found[key] = value
-                    notes[line] = f"{key} = {value:.4g}: {' '.join(line.split())}"
+            is_it = re.match(meaning, " ".join(line.split()), re.IGNORECASE)
+            if is_it and entry and entry.values:
+                value = _si(float(entry.values[0]), entry.unit, dimension)
+                take(key, factor * value, line)
     for _, line in [*lines, *header]:
-        radius = None if "UNLOADED_RADIUS" in found else _radius_of_size(line)
-        if radius:
-            found["UNLOADED_RADIUS"] = radius
-            said = f"UNLOADED_RADIUS = {radius:.4g}: nominal size"
-            notes[line] = f"{said}, {' '.join(line.split())}"
-    size = [found.get(key, 0.0) for key in ("RIM_RADIUS", "WIDTH", "ASPECT_RATIO")]
-    if "UNLOADED_RADIUS" not in found and all(size):
-        found["UNLOADED_RADIUS"] = size[0] + size[1] * size[2]
-        said = f"UNLOADED_RADIUS = {found['UNLOADED_RADIUS']:.4g}"
-        notes["UNLOADED_RADIUS"] = f"{said}: nominal width, aspect ratio and rim"
+        take("UNLOADED_RADIUS", _radius_of_size(line), line)
+    rim, width, ratio = map(found.get, ("RIM_RADIUS", "WIDTH", "ASPECT_RATIO"))
+    if rim and width and ratio:
+        take("UNLOADED_RADIUS", rim + width * ratio, "nominal width, ratio and rim")
     return found, notes
 
 
 def _si(value: float, unit: str, dimension: str) -> float:
     """A constant in SI units; without a unit a length above 3 is one of rims, in inch,
     or in mm, and an aspect ratio above 3 in per cent; NaN of another dimension."""
-    known = known_unit(unit)
     if unit.casefold() in ("in", "inch", '"', "zoll"):
         return value * _INCH if dimension == "length" else np.nan
     if unit in ("", "-"):
         scales = {"length": _INCH if value < 30 else 1e-3, "ratio": 0.01}
         return value * (scales.get(dimension, 1.0) if value > 3 else 1.0)
-    if known is None or known.dimension != dimension:
-        return np.nan
-    return float(known.to_si(value))
+    known = known_unit(unit)
+    same = known is not None and known.dimension == dimension
+    return float(known.to_si(value)) if known and same else np.nan
 
 
-def _radius_of_size(text: str) -> float | None:
-    """Radius [m] of the free tire by its nominal size, if the text has one."""
+def _radius_of_size(text: str) -> float:
+    """Radius [m] of the free tire by its nominal size; NaN where the text has none."""
     if inches := _INCH_SIZE.search(text):
-        radius = float(inches[1]) * _INCH / 2
-    elif metric := _METRIC_SIZE.search(text):
-        width, height, rim = (float(number) for number in metric.groups())
+        return float(inches[1]) * _INCH / 2
+    if metric := _METRIC_SIZE.search(text):
+        width, height, rim = map(float, metric.groups())
         high = height > 150  # such as 205/470 R13: the diameter
-        radius = height / 2e3 if high else rim * _INCH / 2 + width * height * 1e-5
-    else:
-        return None
-    return radius if _RADII[0] < radius < _RADII[1] else None
+        return height / 2e3 if high else rim * _INCH / 2 + width * height * 1e-5
+    return np.nan
 
 
 def _meant(names, constants) -> dict[str, str]:

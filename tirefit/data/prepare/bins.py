@@ -18,7 +18,7 @@ SHOWN = {
 }
 """Channel -> factor from SI and unit in the names of bins."""
 
-_ANGLES = {"gamma": "camber", "alpha": "slip angle"}
+_ANGLES = {"gamma": " camber", "alpha": " slip angle"}
 
 _FINE = 0.02
 """Of a setting, and of its distance to others, by which its name may be off; and in the
@@ -48,7 +48,6 @@ def bin_name(
 
     Where camber and slip angle are both told, each has its name: both are in degrees.
     """
-    named = {c: f" {word}" for c, word in _ANGLES.items() if told >= _ANGLES.keys()}
-    parts = [names[c][k] + named.get(c, "") for c, k in level.items()
-             if c in told and k >= 0]  # fmt: skip
-    return " ".join(parts) or "all"
+    words = _ANGLES if told >= _ANGLES.keys() else {}
+    shown = ((c, k) for c, k in level.items() if c in told and k >= 0)
+    return " ".join(names[c][k] + words.get(c, "") for c, k in shown) or "all"

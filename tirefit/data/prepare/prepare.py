@@ -178,18 +178,12 @@ def _conditions_at_risk(parts: list[Segment], kept: np.ndarray) -> list[str]:
             kinds.setdefault(name, {})[part.kind] = None
     early = list(dict.fromkeys(part.bin for part in parts if part.early))
     lost = [f"{k}: {', '.join(kinds[k])}" for k, count in rows.items() if not count]
-    notes = []
-    if early:
-        notes.append(
-            f"{len(early)} of {len(rows)} conditions have no sweep after the warm-up;"
-            f" their last sweeps are kept: {'; '.join(early)} (--cut-last, or cut_last,"
-            " cuts them; column early of the segments)"
-        )
-    if lost:
-        notes.append(
-            f"{len(lost)} of {len(rows)} conditions are cut whole: {'; '.join(lost)}"
-        )
-    return notes
+    notes = [
+        f"{len(early)} of {len(rows)} conditions have no sweep after the warm-up; their"
+        f" last sweeps are kept: {'; '.join(early)} (--cut-last cuts them)",
+        f"{len(lost)} of {len(rows)} conditions are cut whole: {'; '.join(lost)}",
+    ]
+    return [note for note, named in zip(notes, (early, lost), strict=True) if named]
 
 
 def _binned(parts: list[Segment], names) -> list[Segment]:
@@ -269,10 +263,9 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
 
 def _warmed(parts, config: PrepareConfig, series: Series, channels, swept: str):
     """The segments with the warm-up told apart, and how it was found."""
-    cut, how = with_warmth(
-        parts, series.time, channels.get("temperature"), config.warm_up,
-        channels[swept], channels.get(FORCE_OF[swept]),
-    )  # fmt: skip
+    temperature, force = (channels.get(k) for k in ("temperature", FORCE_OF[swept]))
+    slip, declared = channels[swept], config.warm_up
+    cut, how = with_warmth(parts, series.time, temperature, declared, slip, force)
     if config.warm_up is None and not config.cut_last:
         cut = last_sweeps_kept(parts, cut, config.keep)
     return cut, how

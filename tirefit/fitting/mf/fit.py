@@ -112,9 +112,11 @@ def _check_settings(model: str, config: FitConfig) -> None:
 
 
 def nominal_of(
-    model: str, rows: dict[str, ForceRows], config: FitConfig,
+    model: str,
+    rows: dict[str, ForceRows],
+    config: FitConfig,
     constants: Mapping[str, float] | None = None,
-):  # fmt: skip
+):
     """The tire with its nominal state and all that is given; what was assumed.
 
     Args:
