@@ -14,6 +14,7 @@ from tirefit.cli.convert import convert
 from tirefit.cli.diagnose import ManyHoldouts, diagnose
 from tirefit.cli.estimate import estimate
 from tirefit.cli.fit import fit, model_names
+from tirefit.cli.notes import told_together, warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -29,8 +30,6 @@ from tirefit.cli.options import (
     say,
     start_jax,
     takes_data_options,
-    told_together,
-    warn,
 )
 from tirefit.cli.prepare import prepare
 from tirefit.cli.simulate import app as simulate

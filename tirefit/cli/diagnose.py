@@ -12,6 +12,7 @@ from typer.core import TyperCommand
 
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, attempted, fleet
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES
+from tirefit.cli.notes import told_together, warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -27,8 +28,6 @@ from tirefit.cli.options import (
     say,
     start_jax,
     takes_data_options,
-    told_together,
-    warn,
 )
 from tirefit.cli.output import (
     check_directories,

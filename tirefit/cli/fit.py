@@ -14,6 +14,7 @@ from tirefit.cli.magic_formula import (
     fit_whole,
     only_of_magic_formula,
 )
+from tirefit.cli.notes import told_together
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -29,7 +30,6 @@ from tirefit.cli.options import (
     say,
     start_jax,
     takes_data_options,
-    told_together,
 )
 from tirefit.cli.output import check_directories, is_page
 from tirefit.data.remote import expanded

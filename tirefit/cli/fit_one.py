@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tirefit import __version__
-from tirefit.cli.options import holds_notes, progress_bar, say, warn
+from tirefit.cli.notes import holds_notes, warn
+from tirefit.cli.options import progress_bar, say
 from tirefit.cli.output import claimed, is_page, staged
 from tirefit.results import ExitCode, Outcome, TirefitError
 

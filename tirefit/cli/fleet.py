@@ -17,6 +17,7 @@ import typer
 
 from tirefit import __version__
 from tirefit.cli.cluster import Ended, cluster, shared
+from tirefit.cli.notes import told_together
 from tirefit.cli.options import (
     Unheard,
     complain,
@@ -25,7 +26,6 @@ from tirefit.cli.options import (
     progress_bar,
     say,
     start_jax,
-    told_together,
 )
 from tirefit.cli.output import check_replaced, swept
 from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, UsageError

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from tirefit.cli.options import complain, say, start_jax, warn
+from tirefit.cli.notes import warn
+from tirefit.cli.options import complain, say, start_jax
 from tirefit.cli.output import check_directories, claimed, staged
 from tirefit.results import ExitCode, InputProblem, UsageError
 

@@ -8,13 +8,12 @@ import re
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from functools import wraps
 from io import StringIO
 from pathlib import Path
-from textwrap import fill
 from typing import Annotated, Any
 
 import typer
@@ -34,7 +33,6 @@ __all__ = [
     "errors_to_exit",
     "forces_named",
     "has_terminal",
-    "holds_notes",
     "named_path",
     "numbers",
     "pairs",
@@ -44,8 +42,6 @@ __all__ = [
     "say",
     "start_jax",
     "takes_data_options",
-    "told_together",
-    "warn",
 ]
 
 
@@ -304,59 +300,6 @@ def complain(text: str) -> None:
 def _printable(text: str) -> str:
     """Without characters of a file that would command the terminal."""
     return _COMMANDS.sub("\N{REPLACEMENT CHARACTER}", text)
-
-
-_held: list[tuple[str, list[str], list[str]]] | None = None
-"""Notes that wait for those of other files: name, warnings, assumptions."""
-
-
-def holds_notes() -> bool:
-    """Whether notes wait for those of other files."""
-    return _held is not None
-
-
-def warn(*tables, assumed: Sequence[str] = (), beside: Sequence[str] = ()) -> None:
-    """Print what may mean something else, now or with :func:`told_together`.
-
-    Args:
-        tables: what was read.
-        assumed: assumptions of one table, which are printed together only.
-        beside: warnings of one table that are not of its reading.
-    """
-    said = [*assumed] if holds_notes() else []
-    notes = [(t.source.path, [*t.source.warnings, *beside], said) for t in tables]
-    if _held is None:
-        _tell(notes)
-    else:
-        _held.extend(notes)
-
-
-def _tell(notes) -> None:
-    from tirefit.data.merged import merged
-
-    alone = f"{notes[0][0]}: " if len(notes) == 1 else ""
-    for text in merged((name, doubts) for name, doubts, _ in notes):
-        complain(f"warning: {alone}{text}")
-    for text in merged((name, said) for name, _, said in notes):
-        say(fill(f"assumed: {alone}{text}", 88, subsequent_indent=" " * 9))
-
-
-@contextmanager
-def told_together(many: bool = True) -> Iterator[list]:
-    """Hold the notes on ``many`` files; print them merged at the end of the block.
-
-    Yields:
-        The notes that are printed then.
-    """
-    global _held
-    before, held = _held, list[tuple[str, list[str], list[str]]]()
-    _held = held if many else None
-    try:
-        yield held
-    finally:
-        _held = before
-        if held:
-            _tell(held)
 
 
 @contextmanager

@@ -9,6 +9,7 @@ import typer
 
 from tirefit import __version__
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
+from tirefit.cli.notes import told_together, warn
 from tirefit.cli.options import (
     DataOptions,
     complain,
@@ -20,8 +21,6 @@ from tirefit.cli.options import (
     read_options,
     say,
     takes_data_options,
-    told_together,
-    warn,
 )
 from tirefit.cli.output import check_directories, check_replaced, claimed, staged
 from tirefit.data.remote import expanded, file_at
