@@ -69,10 +69,11 @@ def last_sweeps_kept(
         return after
     last: dict[tuple, dict[str, int]] = {}
     left = set()
-    for k, (was, part) in enumerate(zip(before, after, strict=True)):
+    for number, (was, part) in enumerate(zip(before, after, strict=True)):
         if was.kind == "sweep":
-            condition = (was.channel, *sorted(was.level.items()))
-            last.setdefault(condition, {})[was.direction] = k
+            held = sorted((name, k) for name, k in was.level.items() if k >= 0)
+            condition = (was.channel, *held)
+            last.setdefault(condition, {})[was.direction] = number
             if part.kind in keep:
                 left.add(condition)
     back = {k for one, ks in last.items() if one not in left for k in ks.values()}
