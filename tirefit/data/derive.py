@@ -16,15 +16,16 @@ the result: neighbouring samples are correlated, n samples are not n facts.
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from textwrap import wrap
+from textwrap import fill, wrap
 
 import numpy as np
 
 from tirefit.data.contradictions import Comparison, compare
 from tirefit.data.doubts import doubts
+from tirefit.data.merged import merged
 from tirefit.data.motion import Motion, read_motion, road_wheel, slip_and_force
 from tirefit.data.point import PointCheck, check_point
 from tirefit.data.remote import Place, file_at
@@ -132,8 +133,7 @@ class DerivedFiles:
 
     def summary(self) -> str:
         """The summary of each log, then the files written."""
-        written = f"wrote {self.data} and {self.metadata}"
-        return "\n".join([*(log.summary() for log in self.logs), written])
+        return f"{_summary(self.logs)}\nwrote {self.data} and {self.metadata}"
 
 
 def derive(
@@ -259,9 +259,19 @@ def derive_files(
         write_texts({metadata: content + "\n", out: csv_text(columns)})
     except OSError:
         if unwritten is not None:
-            unwritten("\n".join(log.summary() for log in logs))
+            unwritten(_summary(logs))
         raise
     return DerivedFiles(out, metadata, tuple(logs))
+
+
+def _summary(logs: Sequence[DerivedLog]) -> str:
+    """The summary of each log; the warnings of several are merged below them."""
+    if len(logs) == 1:
+        return logs[0].summary()
+    lines = [replace(log, warnings=()).summary() for log in logs]
+    for text in merged((log.name, log.warnings) for log in logs):
+        lines.append(fill(f"warning: {text}", 80, subsequent_indent="  "))
+    return "\n".join(lines)
 
 
 def _refuse(problems: Sequence[InputProblem], believe: bool) -> None:

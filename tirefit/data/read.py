@@ -188,6 +188,7 @@ def _checked(table: Table, options: Options) -> TireData:
         masked=masked,
         slip_check=reading.slip_check,
         line=table.lines,
+        constants=table.constants,
     )
     beside = (f"{c}{end}" for c in CANONICAL for end in ("", "_std", "_sim"))
     order = [name for name in beside if name in reading.columns]

@@ -11,7 +11,7 @@ from tirefit.compiled import release_programs
 from tirefit.data.accept import as_data
 from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, parse_config
-from tirefit.fitting.derived import derived_from_profile, reference_point
+from tirefit.fitting.derived import derived_from_profile, reference_points
 from tirefit.fitting.far_rows import FarRow, Settled, settle
 from tirefit.fitting.inference import REACH, half_width_95
 from tirefit.fitting.layout import Tie
@@ -194,6 +194,7 @@ def data_record(data: TireData, used: int, far: tuple[FarRow, ...]) -> dict[str,
         "columns": dict(source.columns),
         "units": dict(source.units),
         "assumptions": list(source.notes),
+        "constants": dict(source.constants),
         "slip_check": None if source.slip_check is None else asdict(source.slip_check),
     }
 
@@ -302,7 +303,7 @@ def _summarise(settled: Settled, data: TireData, config) -> FitResult:
         labels=problem.layout.labels,
         correlation=solved.covariance / np.outer(std, std),
         data=data_record(data, problem.n, settled.far),
-        reference=reference_point(problem),
+        reference=reference_points(problem),
         solver=config.solver,
         seed=config.seed,
         version=importlib.metadata.version("tirefit"),

@@ -93,6 +93,8 @@ def reference_text(result: FitResult) -> str:
     at = f"F_z = {format_number(result.reference['fz'])} N"
     if result.reference.get("v"):
         at += f", v = {result.reference['v']:.3g} m/s"
+    if any("[" in key for key in result.reference):
+        at += ", of runs held elsewhere at their own"
     return at
 
 
@@ -117,14 +119,19 @@ def derived_rows(result: FitResult) -> Rows:
 
 
 def derived_by_run(result: FitResult) -> Rows:
-    """Those that runs differ in: a row per run, a column per quantity."""
+    """Those that runs differ in: a row per run, a column per quantity, and its load and
+    speed where runs were held at different ones."""
     own = {k: v for k, v in result.derived.items() if k != quantity_of(k)}
     names = {quantity_of(k): v.unit for k, v in own.items()}
     head = [name if unit == "-" else f"{name} [{unit}]" for name, unit in names.items()]
-    rows = [["run", *head]]
+    at = result.reference
+    titles = {"fz": "at F_z [N]", "v": "at v [m/s]"}
+    moved = [n for n in titles if any(key.startswith(f"{n}[") for key in at)]
+    rows = [["run", *(titles[n] for n in moved), *head]]
     for run in result.data["runs"] if own else ():
+        points = (format_number(at.get(f"{n}[{run}]", at[n])) for n in moved)
         cells = (_derived_value(own[f"{name}[{run}]"]) for name in names)
-        rows.append([short_run(result, str(run)), *cells])
+        rows.append([short_run(result, str(run)), *points, *cells])
     return rows
 
 
