@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from tirefit.cli.options import (
+    SignsOption,
     complain,
     errors_to_exit,
     named_path,
@@ -58,6 +59,7 @@ def brake(
         str | None,
         typer.Option(metavar="MODEL|FIT.json|FILE.tir", help="brush-m if not given"),
     ] = None,
+    signs: SignsOption = None,
     parameter: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model"),
@@ -104,7 +106,7 @@ def brake(
 
         names = controllers_named(controller)
         chosen = tuned(settings, names)
-        named, made = _tire(tire, values)
+        named, made = _tire(tire, values, signs)
         request = Request(
             made, named, road=road, speed=speed, vehicle=vehicle.value, steer=steer,
             time_limit=time_limit,
@@ -117,10 +119,14 @@ def brake(
             _run(request, chosen, seed, stops, animate, out)
 
 
-def _tire(source: str | None, values: dict[str, float]):
+def _tire(source: str | None, values: dict[str, float], signs: str | None):
     """Name and record of the tire of a model, a fit or a ``.tir`` file."""
     from tirefit.fitting.predict import tire_with
     from tirefit.fitting.problem import find_model
+
+    if signs and not (source or "").lower().endswith(".tir"):
+        reason, remedy = "--signs is of .tir files", "leave it out, or give one"
+        raise UsageError(InputProblem(reason, remedy))
 
     if source is None:
         return DEFAULT_TIRE, tire_with(find_model(DEFAULT_TIRE), DEFAULT_TIRE,
@@ -140,7 +146,7 @@ def _tire(source: str | None, values: dict[str, float]):
         tir = read_tir(source)
         for text in notes_on(tir):
             complain(f"warning: {source}: {text}")
-        return source, tire_with(tire_of(tir), source, values)
+        return source, tire_with(tire_of(tir, signs=signs), source, values)
     return source, tire_with(find_model(source), source, values)
 
 

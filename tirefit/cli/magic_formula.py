@@ -59,7 +59,9 @@ def fit_whole(
     return _code(result, strict)
 
 
-def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
+def convert_whole(
+    file: Path, model: str, slip_max: float, loads, out: Path, signs: str | None
+):
     """Fits one version of the Magic Formula to the forces of another's file."""
     from tirefit.data.tir import notes_on, read_tir
 
@@ -72,7 +74,7 @@ def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
     for text in notes_on(tir):
         complain(f"warning: {file}: {text}")
     with claimed(out):
-        result = converted(tir, model, slip_max, loads)
+        result = converted(tir, model, slip_max, loads, signs)
         _write(result, out)
     say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}")
     for force, (rmse, count) in result.fitted.items():

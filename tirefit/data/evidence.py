@@ -76,15 +76,15 @@ def evidence_of(
 
 
 def _of_forces(columns) -> Iterator[Evidence]:
-    if {"sigma_x", "fx"} <= columns.keys():
+    for force in {"fx", "fx_sim"} & columns.keys() if "sigma_x" in columns else ():
         slip = slip_ratio_from_sigma(columns["sigma_x"])
-        sign = trend(slip, columns["fx"], 0.005)
+        sign = trend(slip, columns[force], 0.005)
         rule = "the force rises with the slip"
-        yield Evidence(("slip", "fx"), ("sigma_x", "fx"), sign, rule)
-    if {"alpha", "fy"} <= columns.keys():
-        sign = trend(columns["alpha"], columns["fy"], np.radians(0.5))
+        yield Evidence(("slip", "fx"), ("sigma_x", force), sign, rule)
+    for force in {"fy", "fy_sim"} & columns.keys() if "alpha" in columns else ():
+        sign = trend(columns["alpha"], columns[force], np.radians(0.5))
         rule = "the side force rises with the slip angle"
-        yield Evidence(("alpha", "fy"), ("alpha", "fy"), sign, rule)
+        yield Evidence(("alpha", "fy"), ("alpha", force), sign, rule)
 
 
 def _of_moment(columns) -> Iterator[Evidence]:

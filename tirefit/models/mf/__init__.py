@@ -6,9 +6,9 @@ Equation numbers (4.E1 ...) are those of Pacejka, *Tire and Vehicle Dynamics*, 3
 supplement (2010) 337-352, where it differs from the book.
 """
 
-from tirefit.models.mf.tire import MFTire, Mirrored, mf_tire
+from tirefit.models.mf.tire import OTHER_SIDE, MFTire, Mirrored, mf_tire
 
-__all__ = ["MAGIC_FORMULAS", "MFTire", "Mirrored", "mf_tire"]
+__all__ = ["MAGIC_FORMULAS", "OTHER_SIDE", "MFTire", "Mirrored", "mf_tire"]
 
 MAGIC_FORMULAS = {
     "mf52": MFTire(version="5.2"),
