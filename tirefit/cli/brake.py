@@ -125,8 +125,7 @@ def _tire(source: str | None, values: dict[str, float], signs: str | None):
     from tirefit.fitting.problem import find_model
 
     if signs and not (source or "").lower().endswith(".tir"):
-        reason, remedy = "--signs is of .tir files", "leave it out, or give one"
-        raise UsageError(InputProblem(reason, remedy))
+        raise UsageError(InputProblem("--signs is of .tir files", "leave it out"))
 
     if source is None:
         return DEFAULT_TIRE, tire_with(find_model(DEFAULT_TIRE), DEFAULT_TIRE,

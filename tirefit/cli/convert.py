@@ -112,8 +112,7 @@ def convert(
             file, magic_formula, slip_min, slip_max, loads, out
         )
         if signs and file is None:
-            reason = "--signs is of .tir files"
-            raise UsageError(InputProblem(reason, "leave it out of --magic-formula"))
+            raise UsageError(InputProblem("--signs is of .tir files", "leave it out"))
         if model in MAGIC_FORMULA_NAMES:
             asked = {
                 "--magic-formula": magic_formula, "--force": force,

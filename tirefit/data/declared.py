@@ -1,14 +1,41 @@
 """What the user declares about a file, and what goes before what."""
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from tirefit.data.table import CANONICAL, SIMULATED, Layout
 from tirefit.data.units import base_column, sign_of
-from tirefit.results import InputProblem, UsageError, did_you_mean
+from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
-__all__ = ["Options", "Signs"]
+__all__ = ["Options", "Signs", "stated_convention"]
+
+_STATED = re.compile(r"\bconvention\b\W*(?:is +)?([\w-]+(?: +sae\b)?)", re.IGNORECASE)
+
+
+def stated_convention(above: Sequence[str], file: str) -> tuple[Layout, tuple]:
+    """The sign convention that the lines ``above`` a header state, as those that this
+    package writes do, and sentences on names that are not known.
+
+    Raises:
+        DataError: two of them state different conventions.
+    """
+    layout, doubts = Layout(), []
+    for row, line in enumerate(above, 1):
+        if not (stated := _STATED.search(line)):
+            continue
+        name = re.sub("[ _]+", "-", stated[1].lower())
+        if name not in CONVENTIONS:
+            known = f"declare one of {', '.join(CONVENTIONS)} with --convention"
+            doubts.append(f"line {row} states the convention {stated[1]!r}: {known}")
+        elif layout.convention not in (None, name):
+            before = f"contradicts {layout.convention!r} in line {layout.stated_in}"
+            reason = f"the convention {name!r} {before}"
+            raise DataError(InputProblem(reason, "correct one of them", file, row))
+        else:
+            layout = Layout(convention=name, stated_in=layout.stated_in or row)
+    return layout, tuple(doubts)
 
 
 class Signs(NamedTuple):

@@ -48,6 +48,8 @@ def trend(x: np.ndarray, y: np.ndarray, least: float) -> int:
 
     Clear: correlation beyond 0.25, t beyond 5, and x reaching ``least`` at all.
     """
+    known = np.isfinite(y)  # a simulator may be silent in some rows
+    x, y = x[known], y[known]
     energy = np.sum(x * x) * np.sum(y * y)
     if len(x) < 3 or energy == 0 or np.max(abs(x)) < least:
         return 0
@@ -76,15 +78,16 @@ def evidence_of(
 
 
 def _of_forces(columns) -> Iterator[Evidence]:
-    for force in {"fx", "fx_sim"} & columns.keys() if "sigma_x" in columns else ():
-        slip = slip_ratio_from_sigma(columns["sigma_x"])
-        sign = trend(slip, columns[force], 0.005)
-        rule = "the force rises with the slip"
-        yield Evidence(("slip", "fx"), ("sigma_x", force), sign, rule)
-    for force in {"fy", "fy_sim"} & columns.keys() if "alpha" in columns else ():
-        sign = trend(columns["alpha"], columns[force], np.radians(0.5))
-        rule = "the side force rises with the slip angle"
-        yield Evidence(("alpha", "fy"), ("alpha", force), sign, rule)
+    for end in ("", "_sim"):
+        if {"sigma_x", f"fx{end}"} <= columns.keys():
+            slip = slip_ratio_from_sigma(columns["sigma_x"])
+            sign = trend(slip, columns[f"fx{end}"], 0.005)
+            rule = "the force rises with the slip"
+            yield Evidence(("slip", "fx"), ("sigma_x", f"fx{end}"), sign, rule)
+        if {"alpha", f"fy{end}"} <= columns.keys():
+            sign = trend(columns["alpha"], columns[f"fy{end}"], np.radians(0.5))
+            rule = "the side force rises with the slip angle"
+            yield Evidence(("alpha", "fy"), ("alpha", f"fy{end}"), sign, rule)
 
 
 def _of_moment(columns) -> Iterator[Evidence]:

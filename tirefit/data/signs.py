@@ -20,8 +20,8 @@ __all__ = [
     "doubt_signs",
 ]
 
-_REFUSED = (("sigma_x", "fx"), ("alpha", "fy"))
-"""Pairs whose signs are wrong beyond doubt where they go the other way."""
+_REFUSED = ("fx", "fy", "fx_sim", "fy_sim")
+"""Forces whose sign beside their slip is wrong beyond doubt the other way round."""
 
 _TURNED = {"mz": "Nm", "gamma": "deg"}
 """Columns whose sign alone differs in many files -> a unit to turn it by."""
@@ -61,17 +61,17 @@ def check_signs(
         definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
     """
     evidence = evidence_of(columns, definition)
-    wrong = [item for item in evidence if item.trend < 0 and item.columns in _REFUSED]
+    wrong = [item for item in evidence if item.trend < 0 and _is_refused(item)]
     if not wrong:
         return []
     fitting = _fitting(evidence, convention)
     problems = []
     for item in wrong:
-        (field, _), (slip, force) = item.fields, item.columns
+        (field, other), (slip, force) = item.fields, item.columns
         names = f"{headers.get(slip, slip)!r} and {headers.get(force, force)!r}"
         reason = (
             f"signs contradict the convention {convention!r}: {names} have"
-            f" {_relation(convention, field, force)} signs there, the data have not"
+            f" {_relation(convention, field, other)} signs there, the data have not"
         )
         remedy = (
             "if the sign of one column differs, put a minus before its unit:"
@@ -83,6 +83,10 @@ def check_signs(
             InputProblem(reason, remedy, file, column=headers.get(force, force))
         )
     return problems
+
+
+def _is_refused(item: Evidence) -> bool:
+    return item.columns[0] in ("sigma_x", "alpha") and item.columns[1] in _REFUSED
 
 
 def _relation(convention: str, field: str, force: str) -> str:
@@ -214,7 +218,7 @@ def doubt_convention(
         reason = f", but {-sign} is where a wheel locks if {other} is positive"
     elif brakes and header in _DRIVING_POSITIVE:
         reason = f", but in {_DRIVING_POSITIVE[header]} files driving is positive"
-    forces = [item for item in pairs if item.columns in _REFUSED]
+    forces = [item for item in pairs if _is_refused(item)]
     either = _fitting(pairs, convention), _fitting(forces, convention)
     turned = [[n for n in names if CONVENTIONS[n].slip != sign] for names in either]
     fitting = turned[0] or turned[1]
@@ -246,7 +250,7 @@ def doubt_signs(
     convention, is_declared = signs.convention, signs.is_declared
     for item in evidence:
         of_slip = item.fields == ("slip",)
-        told = item.columns in _REFUSED or item.columns[0] == "omega"
+        told = _is_refused(item) or item.columns[0] == "omega"
         if item.trend >= 0 or told or (of_slip and not is_declared):
             continue
         names = dict.fromkeys(repr(headers.get(c, c)) for c in item.columns)

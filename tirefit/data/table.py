@@ -224,6 +224,11 @@ def join(tables: Sequence[TireData]) -> TireData:
         said.append(
             f"columns that not every file has were left out: {', '.join(dropped)}"
         )
+    signs = dict.fromkeys(table.source.convention for table in tables)
+    if len(signs) > 1:
+        said.append(
+            f"files in several conventions: {', '.join(signs)}; each in its own"
+        )
     digest = hashlib.sha256(
         "".join(t.source.sha256 for t in tables).encode()
     ).hexdigest()

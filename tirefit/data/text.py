@@ -15,13 +15,13 @@ import numpy as np
 
 from tirefit.data.check import BadRows
 from tirefit.data.columns import guess, is_number
+from tirefit.data.declared import stated_convention
 from tirefit.data.remote import Place
 from tirefit.data.table import Layout
 from tirefit.data.units import known_unit
 from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.door import DATA, too_large
 from tirefit.results import DataError, InputProblem, did_you_mean
-from tirefit.slip import CONVENTIONS
 
 __all__ = [
     "SPACED",
@@ -43,10 +43,6 @@ SPACED = "columns separated by white space"
 
 _DELIMITERS = "\t;|,"
 _END = "\0"
-_STATED = re.compile(
-    r"\bconvention\b[\s:='\"]*(?:is +)?([\w-]+(?: +sae\b)?)", re.IGNORECASE
-)
-"""A line above the header that states the signs, as those that this package writes."""
 _SEARCHED = 60
 """Lines with content in which the header must stand."""
 _LONGEST = 10
@@ -172,34 +168,8 @@ def table_of_text(
         notes.append(f"lines before the header in line {start + 1} skipped")
     rows, numbers = split_rows(lines[start:], delimiter, start, path)
     table = table_of_rows(rows, numbers, path, digest, notes, delimiter)
-    return _with_stated_convention(table, raw[:start])
-
-
-def _with_stated_convention(table: Table, above: list[str]) -> Table:
-    """The table with the sign convention that the lines above its header state.
-
-    Raises:
-        DataError: two of them state different conventions.
-    """
-    doubts = []
-    for row, line in enumerate(above, 1):
-        if not (stated := _STATED.search(line)):
-            continue
-        name = re.sub("[ _]+", "-", stated[1].lower())
-        own, before = table.layout.convention, table.layout.stated_in
-        if name not in CONVENTIONS:
-            doubts.append(
-                f"line {row} states the sign convention {stated[1]!r}, which is not"
-                f" known and not used: declare one of {', '.join(CONVENTIONS)} with"
-                " --convention"
-            )
-        elif own not in (None, name):
-            reason = f"the convention {name!r} contradicts {own!r} in line {before}"
-            raise _refusal(reason, "correct one of the lines", table.file, row)
-        elif own is None:
-            layout = Layout(convention=name, stated_in=row)
-            table = replace(table, layout=layout)
-    return replace(table, doubts=(*table.doubts, *doubts))
+    layout, doubts = stated_convention(raw[:start], str(path))
+    return replace(table, layout=layout, doubts=doubts)
 
 
 def content_lines(lines: list[str]) -> list[str]:

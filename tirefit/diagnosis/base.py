@@ -298,7 +298,7 @@ def fit_base(
     tire, design, z, guess, missed = begun
     if given is not None:
         check_followed(prepared, missed, stand_in)
-        doubt = check_signs(prepared, tire, z, design, given)
+        doubt = check_signs(prepared, tire, z, given)
         simulator = Simulated(given=given, z=z, stand_in=stand_in, doubt=doubt)
         z = np.asarray(tire.refitted(z, design).z)[0]
     fraction = _slip_fraction(prepared, tire, z, design)

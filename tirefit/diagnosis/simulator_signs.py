@@ -8,16 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.table import CANONICAL
-from tirefit.diagnosis.forward import Design
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows import Prepared
 from tirefit.diagnosis.simulator import Given
 from tirefit.diagnosis.tire import Tire
 from tirefit.fitting.tir import TIR_SIGNS
-from tirefit.models import forces
+from tirefit.models import TireInputs, forces
 from tirefit.models.mf import OTHER_SIDE
 from tirefit.models.mf.tire import turned_forces, turned_inputs
-from tirefit.padding import pad_rows
+from tirefit.padding import pad_rows, padded_size
 from tirefit.params import with_values
 from tirefit.results import DataError, InputProblem
 from tirefit.slip import CONVENTIONS
@@ -55,7 +54,7 @@ class _Misfit(NamedTuple):
     factor: float
 
 
-def check_signs(prepared: Prepared, tire: Tire, z, design: Design, given: Given) -> str:
+def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
     """A sentence where a simulator fits with other signs, but its own were declared or
     cannot be; empty where it does not.
 
@@ -67,10 +66,10 @@ def check_signs(prepared: Prepared, tire: Tire, z, design: Design, given: Given)
             diagnosis would name some effect for the wrong sign.
     """
     there = _fields_there(prepared)
-    as_given = _misfits(prepared, tire, z, design, frozenset())
+    as_given = _misfits(prepared, tire, z, frozenset())
     left: dict[frozenset[str], float] = {}
     for turned in _hypotheses(there):
-        misfits = _misfits(prepared, tire, z, design, turned)
+        misfits = _misfits(prepared, tire, z, turned)
         shares = {c: m.square / as_given[c].square for c, m in misfits.items()}
         felt = [c for c, m in misfits.items() if m.change > _FELT * as_given[c].square]
         near = all(abs(misfits[c].factor - 1) < _NEAR and shares[c] < 1 for c in felt)
@@ -79,9 +78,10 @@ def check_signs(prepared: Prepared, tire: Tire, z, design: Design, given: Given)
     if not left:
         return ""
     alike = [h for h in left if left[h] <= _ALIKE * min(left.values())]
-    now = _misfits(prepared, tire, z, design, alike[0])
+    now = _misfits(prepared, tire, z, alike[0])
     better = ", ".join(
         f"{c} {as_given[c].rms:.3g} -> {m.rms:.3g} {CANONICAL[c][0]} rms"
+        f" ({as_given[c].square ** 0.5:.3g} -> {m.square**0.5:.3g} if adapted too)"
         for c, m in now.items()
         if m.change > _FELT * as_given[c].square
     )
@@ -105,9 +105,17 @@ def _column(field: str) -> str:
 
 def _fields_there(prepared: Prepared) -> frozenset[str]:
     """Fields of a convention that the rows have: forces, and inputs that are not 0."""
-    inputs = prepared.inputs._asdict()
+    inputs = _inputs(prepared)._asdict()
     felt = [f for f in ("slip", "alpha", "gamma") if np.any(inputs[_column(f)])]
     return frozenset((*felt, *prepared.channels))
+
+
+def _inputs(prepared: Prepared) -> TireInputs:
+    """Both slips as measured, and the rest, padded."""
+    size, names = padded_size(prepared.n), TireInputs._fields
+    there = {n: prepared.column(n) for n in names if n in prepared.data}
+    padded = {n: pad_rows(np.nan_to_num(v), size) for n, v in there.items()}
+    return TireInputs(*(padded.get(n, np.zeros(size)) for n in names))
 
 
 def _hypotheses(there: frozenset[str]) -> list[frozenset[str]]:
@@ -120,14 +128,15 @@ def _hypotheses(there: frozenset[str]) -> list[frozenset[str]]:
 
 
 def _misfits(
-    prepared: Prepared, tire: Tire, z, design: Design, turned: frozenset[str]
+    prepared: Prepared, tire: Tire, z, turned: frozenset[str]
 ) -> Mapping[str, _Misfit]:
     """The misfit of each channel with these signs of the simulator turned."""
-    n, run = prepared.n, pad_rows(prepared.run, len(design.keep))
+    n, inputs = prepared.n, _inputs(prepared)
+    run = pad_rows(prepared.run, padded_size(n))
 
     def of(z, turned=turned):
         model = with_values(tire.model, tire.layout.natural(z))
-        found = forces(model, turned_inputs(design.inputs, turned), run)
+        found = forces(model, turned_inputs(inputs, turned), run)
         every = turned_forces(found, turned)._asdict()
         return {c: np.asarray(every[c])[:n] for c in prepared.channels}
 

@@ -8,20 +8,16 @@ from tirefit.data.tir_keys import LIMITS
 from tirefit.models.base import AbstractTire
 from tirefit.models.mf import OTHER_SIDE, Mirrored, mf_tire
 from tirefit.results import InputProblem, UsageError, did_you_mean
-from tirefit.slip import CONVENTIONS, Convention, kappa_from_sigma
+from tirefit.slip import CONVENTIONS, kappa_from_sigma
 
-__all__ = ["TIR_SIGNS", "rows_outside", "tire_of"]
+__all__ = ["TIR_SIGNS", "rows_outside", "tire_of", "turned_by"]
 
 TIR_SIGNS = "iso-w"
 """Convention of ``.tir`` files: those of the axes TYDEX W."""
 
 
 def tire_of(
-    tir: TirFile,
-    *,
-    starred: bool = False,
-    side: str | None = None,
-    signs: str | None = None,
+    tir: TirFile, *, starred: bool = False, side: str | None = None, signs=None
 ) -> AbstractTire:
     """The tire of a ``.tir`` file.
 
@@ -38,38 +34,43 @@ def tire_of(
             convention.
     """
     tire = mf_tire(tir.version, tir.numbers, starred=starred)
-    turned = CONVENTIONS[TIR_SIGNS].turned(_known(signs))
+    turned = turned_by(signs)
     if side is not None and tir.side not in (side.upper(), "SYMMETRIC"):
         if tir.side == "UNKNOWN":
             reason = "TYRESIDE is not stated: no side to mirror the tire from"
             remedy = "write TYRESIDE = 'LEFT' or 'RIGHT' into [MODEL], or omit --side"
             raise UsageError(InputProblem(reason, remedy, tir.path))
         turned ^= OTHER_SIDE
-    # A load is a load in every convention.
-    turned -= {"fz"}
     return Mirrored(tire, turned) if turned else tire
 
 
-def _known(signs: str | None) -> Convention:
+def turned_by(signs: str | None) -> frozenset[str]:
+    """Fields that turn in the convention ``signs``, in place of :data:`TIR_SIGNS`; the
+    load is positive in any.
+
+    Raises:
+        UsageError: there is no such convention.
+    """
     if signs is not None and signs not in CONVENTIONS:
         remedy = f"{did_you_mean(signs, CONVENTIONS)}valid: {', '.join(CONVENTIONS)}"
         raise UsageError(InputProblem(f"--signs: {signs!r} is not known", remedy))
-    return CONVENTIONS[signs or TIR_SIGNS]
+    own = CONVENTIONS[TIR_SIGNS]
+    return own.turned(CONVENTIONS[signs or TIR_SIGNS]) - {"fz"}
 
 
 def rows_outside(tir: TirFile, data: TireData, signs: str | None = None) -> list[str]:
     """Sentences on used rows outside the ranges that the file, written in ``signs``,
     states for its tire."""
-    numbers, said, own = tir.numbers, [], _known(signs)
+    numbers, said, turned = tir.numbers, [], turned_by(signs)
     for name, (least, most) in LIMITS.items():
         column = "sigma_x" if name == "kappa" else name
         if column not in data:
             continue
         values = data.usable(column)
         if name == "kappa":
-            values = own.slip * kappa_from_sigma(values)
-        elif name in ("alpha", "gamma"):
-            values = getattr(own, name) * values
+            values = -kappa_from_sigma(values)
+        if {"kappa": "slip"}.get(name, name) in turned:
+            values = -values
         low, high = numbers.get(least, -np.inf), numbers.get(most, np.inf)
         # A slip loses some digits in its conversions.
         margin = 1e-9 * (high - low) if np.isfinite(high - low) else 0.0
