@@ -100,7 +100,7 @@ def test_a_moment_of_the_other_sign_alone():
     columns = frame()
     turned = columns | {"mz": -columns["mz"]}
     reason, remedy = refused(turned, simulator_at(str(TIR)), **BRAKING)
-    assert "mirrored in mz: mz" in reason and "--unit mz=-N m" in remedy
+    assert "mirrored in mz: mz" in reason and "--unit mz=-Nm" in remedy
 
 
 def test_data_that_declare_no_signs_may_be_what_is_turned():

@@ -76,7 +76,8 @@ def convert_whole(
     with claimed(out):
         result = converted(tir, model, slip_max, loads, signs)
         _write(result, out)
-    say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}")
+    own = f" in signs {signs}" if signs else ""
+    say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}{own}")
     for force, (rmse, count) in result.fitted.items():
         unit = "N m" if force == "mz" else "N"
         say(f"  {force}: RMSE {rmse:.4g} {unit} over {count} points")

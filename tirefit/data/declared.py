@@ -50,17 +50,13 @@ class Signs(NamedTuple):
     is_declared: bool = True
     problems: tuple[InputProblem, ...] = ()
 
-    @property
-    def origin(self) -> str:
-        """Who chose the convention, for :class:`~tirefit.data.table.Source`."""
-        return self.whose if self.is_declared else f"assumed{self.whose}"
-
     def __str__(self) -> str:
         if self.is_declared:
             return f"signs read as {self.convention!r}, {self.whose}"
         meaning = CONVENTIONS[self.convention].description
-        assumed = f"{self.convention!r} assumed{self.whose}: {meaning}"
-        return f"no sign convention declared: {assumed}"
+        return (
+            f"no sign convention declared: {self.convention!r} {self.whose}: {meaning}"
+        )
 
 
 class Options(NamedTuple):
@@ -92,7 +88,8 @@ class Options(NamedTuple):
         model, whose = self.otherwise or ("braking", "")
         if self.convention is None:
             if own is None:
-                return Signs(model, whose and f", that of {whose}", False)
+                assumed = f"assumed, that of {whose}" if whose else "assumed"
+                return Signs(model, assumed, is_declared=False)
             unused = f", not as {model!r} of {whose}" if whose and model != own else ""
             return Signs(own, by_file + unused)
         if own in (None, self.convention):

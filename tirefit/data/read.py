@@ -186,7 +186,7 @@ def _checked(table: Table, options: Options) -> TireData:
         path=table.file,
         sha256=table.sha256,
         convention=reading.convention,
-        convention_from=declared.origin,
+        convention_from=declared.whose,
         slip_definition=definition,
         columns=reading.headers,
         units=plan.units_to_write

@@ -210,6 +210,7 @@ def doubt_convention(
         worst = f"{end} to {sign * np.min(slip):.3g}"
         taken = f"{side} {header!r} ({worst}) is taken as driving"
     now, other = ("braking", "driving")[::sign]
+    whose = signs.whose.removeprefix("assumed")
     reason = ""
     if turning > 0:
         way = "rises" if brakes else "falls"
@@ -223,7 +224,7 @@ def doubt_convention(
     turned = [[n for n in names if CONVENTIONS[n].slip != sign] for names in either]
     fitting = turned[0] or turned[1]
     return (
-        f"no convention declared: read as {convention}{signs.whose}, so {taken}"
+        f"no convention declared: read as {convention}{whose}, so {taken}"
         f"{reason}; if positive slip means {other} in this file, pass --convention"
         f" {' or '.join(fitting)}; if it means {now}, --convention {convention}"
     )

@@ -159,7 +159,8 @@ def _misfits(
         bend = 2 * (none - 2 * once + twice)
         factor = (3 * none - 4 * once + twice) / bend if bend > 0 else 0.0
         rms = float(np.sqrt(np.mean((gap - change) ** 2)))
-        found[c] = _Misfit(rms, once, float(np.mean(change**2)), factor)
+        square = max(once, NONZERO)
+        found[c] = _Misfit(rms, square, float(np.mean(change**2)), factor)
     return found
 
 
@@ -189,11 +190,8 @@ def _remedies(
             if other.fz == read.fz and read.turned(other) & there in alike
         ]
     for (name,) in (h for h in alike if len(h) == 1):
-        unit = source.units.get(name, CANONICAL[_column(name)][0])
+        unit = source.units.get(name, CANONICAL[_column(name)][0]).replace(" ", "")
         ways.append(f"--unit {_column(name)}=-{unit}, if that column alone is turned")
     ways = ways or ["turn these signs in the simulator, or in the data"]
-    if given.kind == "tir":
-        kept = given.signs or TIR_SIGNS
-    else:
-        kept = source.convention
+    kept = given.signs or (TIR_SIGNS if given.kind == "tir" else source.convention)
     return [*ways, f"--signs {kept} keeps it as it is"]
