@@ -12,17 +12,6 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-__all__ = [
-    "DataError",
-    "ExitCode",
-    "Outcome",
-    "InputProblem",
-    "TirefitError",
-    "UsageError",
-    "did_you_mean",
-    "in_python",
-]
-
 
 class ExitCode(enum.IntEnum):
     """Exit codes of the command line."""
@@ -103,7 +92,8 @@ _PAIRS = {"column": "columns", "unit": "units", "constant": "constants"}
 _OPTION = re.compile(
     r"--(?P<pair>column|unit|constant) (?P<key>\w+)=(?P<given>[^\s,;)]*)"
     r"|--(?P<flag>mask-bad-rows|resume|beside)"
-    r"|--(?P<name>convention|slip|rolling-radius|side|model|sampler) (?P<value>[\w.-]+)"
+    r"|--(?P<name>convention|signs|slip|rolling-radius|side|model|sampler)"
+    r" (?P<value>[\w.-]+)"
 )
 
 

@@ -66,9 +66,11 @@ test_of_a_rig.__test__ = False
 
 @cache
 def fit_of(*channels, combined=True):
-    table = test_of_a_rig(combined=combined)
-    table = {k: v for k, v in table.items() if k in channels or k[0] not in "fm"}
-    table["fz"] = test_of_a_rig(combined=combined)["fz"]
+    table = test_of_a_rig()
+    pure = (np.abs(table["alpha"]) < 1e-9) | (np.abs(table["sigma_x"]) < 1e-9)
+    kept = pure | combined
+    absent = {"fx", "fy", "mz"} - set(channels)
+    table = {k: v[kept] for k, v in table.items() if k not in absent}
     return fit_magic_formula(
         read_frame(table), "mf61", config={"parameters": GIVEN}, leave_out="none"
     )
@@ -98,7 +100,7 @@ def test_rows_of_combined_slip_keep_what_pure_slip_told():
     assert {"PCX1", "PDX1", "PKX1", "PCY1", "PDY1", "PKY1"} <= set(told)
     for name in told:
         one, other = whole.coefficients[name], pure.coefficients[name]
-        assert abs(one.value - other.value) <= 0.3 * other.std, name
+        assert abs(one.value - other.value) <= other.std, name
     assert not whole.worsened
 
 
@@ -125,23 +127,25 @@ def unlimited(tire, inputs):
 
 
 def test_a_fit_needs_no_limit_of_the_curvature():
-    """Data with a sharp peak, which E above one would follow: every reader of the file
-    draws the same curve within the data."""
+    """Data of a tire whose E_y is 1.3, as a reader without the limit draws it: every
+    reader of the fitted file draws the same curve within the data."""
     generator = np.random.default_rng(1)
-    alpha = np.tile(np.linspace(-0.25, 0.25, 120), 3)
+    alpha = np.tile(np.linspace(-0.15, 0.15, 120), 3)
     fz = np.repeat([2000.0, 4000.0, 6000.0], 120)
-    size = np.abs(alpha) / 0.07
-    fy = fz * np.sign(alpha) * np.where(size < 1, size, 1 / np.maximum(2 * size - 1, 1) ** 0.2)
-    fy = fy + 0.01 * fz * generator.standard_normal(len(fz))
-    table = {"alpha": alpha, "fz": fz, "fy": fy, "run": np.repeat([0.0, 1.0, 2.0], 120)}
-    fit = fit_magic_formula(
-        read_frame(table), "mf61", part="fy", config={"parameters": GIVEN}
-    )
     inputs = TireInputs(alpha=alpha, fz=fz, gamma=0 * fz)
+    names = own_coefficients("6.1", "fy")
+    truth = dict.fromkeys(names, 0.0) | {"PKY4": 2.0} | TIRE | {"PEY1": 1.3}
+    fy = unlimited(truth, inputs) + 0.005 * fz * generator.standard_normal(len(fz))
+    table = {"alpha": alpha, "fz": fz, "fy": fy, "run": np.repeat([0, 1, 2], 120)}
+    held = {name: {"value": TIRE[name]} for name in ("PCY1", "PDY1", "PKY1", "PKY2")}
+    fit = fit_magic_formula(
+        read_frame(table), "mf61", part="fy", config={"parameters": GIVEN | held}
+    )
     assert share_limited(fit.tire, TireInputs(alpha=alpha, fz=fz))["fy"] == 0
     # It is the limit that holds it back.
     assert np.max(curvatures(fit.tire, TireInputs(alpha=alpha, fz=fz))["fy"]) > 0.9
     values = {name: one.value for name, one in fit.coefficients.items()}
+    assert fit.converged
     other = unlimited(values | {"FNOMIN": TIRE["FNOMIN"]}, inputs)
     ours = np.asarray(forces(fit.tire, TireInputs(alpha=alpha, fz=fz)).fy)
     np.testing.assert_allclose(ours, other, rtol=1e-9, atol=1e-6)

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from tirefit.cli.options import (
+    SignsOption,
     complain,
     errors_to_exit,
     named_path,
@@ -17,8 +18,6 @@ from tirefit.cli.options import (
 )
 from tirefit.cli.output import check_directories, claimed, staged
 from tirefit.results import InputProblem, UsageError
-
-__all__ = ["brake"]
 
 SUMMARY, SERIES, STOPS = "summary.json", "series.csv", "stops.csv"
 FIGURES = ("stop.png", "compare.png", "slip.png")
@@ -40,8 +39,7 @@ def brake(
         Path, typer.Option(metavar="FOLDER", parser=named_path, help="of the results")
     ],
     controller: Annotated[
-        str,
-        typer.Option(metavar="NAME[,NAME...]", help="xbs-servo, abs, slip, none"),
+        str, typer.Option(metavar="NAME[,NAME...]", help="xbs-servo, abs, slip, none")
     ] = "xbs-servo,abs",
     road: Annotated[
         str,
@@ -58,6 +56,7 @@ def brake(
         str | None,
         typer.Option(metavar="MODEL|FIT.json|FILE.tir", help="brush-m if not given"),
     ] = None,
+    signs: SignsOption = None,
     parameter: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model"),
@@ -99,12 +98,13 @@ def brake(
             raise UsageError(problems)
         check_directories([out])
         start_jax()
-        from tirefit.online.controllers import controllers_named, tuned
+        from tirefit.online.controllers import CONTROLLERS
+        from tirefit.params import by_owner, check_names
         from tirefit.sim.brake_request import Request, check, doubts, with_numbers
 
-        names = controllers_named(controller)
-        chosen = tuned(settings, names)
-        named, made = _tire(tire, values)
+        names = check_names("controller", controller, CONTROLLERS)
+        chosen = by_owner(settings, {name: CONTROLLERS[name]() for name in names})
+        named, made = _tire(tire, values, signs)
         request = Request(
             made, named, road=road, speed=speed, vehicle=vehicle.value, steer=steer,
             time_limit=time_limit,
@@ -117,10 +117,13 @@ def brake(
             _run(request, chosen, seed, stops, animate, out)
 
 
-def _tire(source: str | None, values: dict[str, float]):
+def _tire(source: str | None, values: dict[str, float], signs: str | None):
     """Name and record of the tire of a model, a fit or a ``.tir`` file."""
     from tirefit.fitting.predict import tire_with
     from tirefit.fitting.problem import find_model
+
+    if signs and not (source or "").lower().endswith(".tir"):
+        raise UsageError(InputProblem("--signs is of .tir files", "leave it out"))
 
     if source is None:
         return DEFAULT_TIRE, tire_with(find_model(DEFAULT_TIRE), DEFAULT_TIRE,
@@ -140,7 +143,7 @@ def _tire(source: str | None, values: dict[str, float]):
         tir = read_tir(source)
         for text in notes_on(tir):
             complain(f"warning: {source}: {text}")
-        return source, tire_with(tire_of(tir), source, values)
+        return source, tire_with(tire_of(tir, signs=signs), source, values)
     return source, tire_with(find_model(source), source, values)
 
 

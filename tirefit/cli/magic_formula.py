@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from tirefit.cli.fit_one import PAGE, Also, exit_code
-from tirefit.cli.options import complain, progress_bar, say, start_jax, warn
+from tirefit.cli.notes import warn
+from tirefit.cli.options import complain, progress_bar, say, start_jax
 from tirefit.cli.output import check_directories, claimed, is_page, staged
 from tirefit.files import write_text_atomic
 from tirefit.results import ExitCode, InputProblem, UsageError
@@ -62,8 +63,7 @@ def fit_whole(
 
     check_directories([out])
     tables = [read(file, **how) for file in files]
-    for table in tables:
-        warn(table)
+    warn(*tables)
     start_jax()
     from tirefit.fitting.mf.fit import fit_magic_formula
 
@@ -76,7 +76,9 @@ def fit_whole(
     return exit_code(result, strict)
 
 
-def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
+def convert_whole(
+    file: Path, model: str, slip_max: float, loads, out: Path, signs: str | None
+):
     """Fits one version of the Magic Formula to the forces of another's file."""
     from tirefit.data.tir import notes_on, read_tir
 
@@ -89,9 +91,10 @@ def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
     for text in notes_on(tir):
         complain(f"warning: {file}: {text}")
     with claimed(out):
-        result = converted(tir, model, slip_max, loads)
+        result = converted(tir, model, slip_max, loads, signs)
         _write(result, out)
-    say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}")
+    own = f" in signs {signs}" if signs else ""
+    say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}{own}")
     for force, (rmse, count) in result.fitted.items():
         unit = "N m" if force == "mz" else "N"
         say(f"  {force}: RMSE {rmse:.4g} {unit} over {count} points")

@@ -7,6 +7,8 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from tirefit.data.merged import merged
+from tirefit.data.run_names import run_names
 from tirefit.display import Displayed
 from tirefit.results import DataError, InputProblem
 
@@ -74,12 +76,14 @@ class Layout(NamedTuple):
 
     ``names`` maps a header to a canonical column (or slip definition), to "" where it
     is not to be read; ``units_from`` says where the units stand; ``convention`` is that
-    of the signs, a key of ``slip.CONVENTIONS``, None where the layout has none.
+    of the signs, a key of ``slip.CONVENTIONS``, None where the layout has none;
+    ``stated_in`` is the line in which the file itself states it, 0 where it does not.
     """
 
     names: Mapping[str, str] = {}
     units_from: str = "units row"
     convention: str | None = None
+    stated_in: int = 0
 
 
 SIMULATED = ("fx_sim", "fy_sim", "mz_sim")
@@ -109,16 +113,19 @@ class Source:
 
     ``columns`` maps a canonical column to the file's own header; ``units`` to the
     unit it was read in, ``units_beside`` those columns whose unit is not in the header;
+    ``convention_from`` says who chose the convention;
     ``slip_definition`` is the definition of the file's slip
     column (a key of ``slip.SLIP_DEFINITIONS``); ``line`` holds each row's line.
     ``warnings`` are sentences on what may mean something else than it was read as.
     ``slip_check`` is there where a slip, omega, v and a rolling radius are. ``paths``
-    names the file of each run where several files were joined.
+    names the file of each run where several files were joined. ``constants`` holds what
+    the file states of the tire [SI], by its key in a .tir file.
     """
 
     path: str = ""
     sha256: str = ""
     convention: str = "braking"
+    convention_from: str = ""
     slip_definition: str = "sigma_x"
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
@@ -129,6 +136,7 @@ class Source:
     slip_check: SlipCheck | None = None
     line: np.ndarray | None = None
     paths: tuple[str, ...] = ()
+    constants: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -189,6 +197,25 @@ class TireData(Displayed):
         return self.columns[column][self.used]
 
 
+_SAME = 1e-3
+"""Relative difference of a constant in two files that is rounding of units."""
+
+
+def _shared_constants(sources: Sequence[Source]) -> tuple[dict[str, float], list[str]]:
+    """Constants on which all files that state them agree, and warnings of others."""
+    shared, warnings = {}, []
+    for name in dict.fromkeys(key for one in sources for key in one.constants):
+        values = [one.constants[name] for one in sources if name in one.constants]
+        if np.ptp(values) <= _SAME * max(values):
+            shared[name] = values[0]
+            continue
+        warnings.append(
+            f"{name} differs between files, {min(values):g} to {max(values):g}: not"
+            f" used; state that of the tire, as by parameters.{name}.value of fit.toml"
+        )
+    return shared, warnings
+
+
 def join(tables: Sequence[TireData]) -> TireData:
     """Several files as the runs of one data set; only columns that all have are kept.
 
@@ -213,29 +240,32 @@ def join(tables: Sequence[TireData]) -> TireData:
         several = len(table.runs) > 1
         runs += [f"{table.name}:{r}" if several else table.name for r in table.runs]
     dropped = sorted({c for table in tables for c in table.columns} - set(shared))
-    said = [
-        f"{table.name}: {text}" for table in tables for text in table.source.assumptions
-    ]
+    short = run_names([table.name for table in tables]).short
+    sources = [(name, t.source) for name, t in zip(short, tables, strict=True)]
+    said = merged((name, source.assumptions) for name, source in sources)
     if dropped:
         said.append(
             f"columns that not every file has were left out: {', '.join(dropped)}"
+        )
+    signs = dict.fromkeys(table.source.convention for table in tables)
+    if len(signs) > 1:
+        said.append(
+            f"files in several conventions: {', '.join(signs)}; each in its own"
         )
     digest = hashlib.sha256(
         "".join(t.source.sha256 for t in tables).encode()
     ).hexdigest()
     lines = [t.source.line for t in tables if t.source.line is not None]
     checks = [t.source.slip_check for t in tables if t.source.slip_check is not None]
+    constants, differing = _shared_constants([source for _, source in sources])
     source = replace(
         tables[0].source,
+        constants=constants,
         slip_check=max(checks, key=lambda check: check.difference, default=None),
         path=", ".join(table.source.path for table in tables),
         sha256=digest,
         assumptions=tuple(said),
-        warnings=tuple(
-            f"{table.name}: {text}"
-            for table in tables
-            for text in table.source.warnings
-        ),
+        warnings=(*merged((name, s.warnings) for name, s in sources), *differing),
         masked=tuple(problem for table in tables for problem in table.source.masked),
         line=np.concatenate(lines) if len(lines) == len(tables) else None,
         paths=tuple(t.source.path or t.name for t in tables for _ in t.runs),

@@ -7,11 +7,7 @@ from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.records import Region, Shrinkage
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_lines, change_texts
-from tirefit.report.diagnosis_outlook import (
-    confused_lines,
-    smallest_lines,
-    step_lines,
-)
+from tirefit.report.diagnosis_outlook import confused_lines, smallest_lines, step_lines
 from tirefit.report.diagnosis_words import (
     AGAINST,
     UNLISTED,
@@ -34,23 +30,11 @@ from tirefit.report.diagnosis_words import (
 )
 from tirefit.report.numbers import format_estimate, format_number
 
-__all__ = [
-    "adequacy_line",
-    "diagnosis_text",
-    "gap_lines",
-    "look_lines",
-    "map_lines",
-    "run_lines",
-    "spot_lines",
-    "stand_in",
-    "subject",
-    "verdict_lines",
-    "verdict_sentence",
-]
-
 _WIDTH = 88
 _RUNS = "RUNS (an offset of its own for each, beside what else is named)"
 _LEVEL = 0.05
+_OF_SIGNS = ("signs read as", "sign convention declared", "warning: the simulator")
+"""What sentences on the signs of the data, or of a simulator, have in them."""
 _FEW = 10
 """Effects that are named one by one."""
 
@@ -380,6 +364,7 @@ def diagnosis_text(result: Diagnosis) -> str:
     lines = [
         f"DIAGNOSIS of {subject(result)}",
         f"  {rows_line(result)}",
+        *(f"  {s}" for s in result.data.assumptions if any(m in s for m in _OF_SIGNS)),
         *([f"  {slip_check_line(result)}"] if result.slip_check else []),
         *(f"  set aside: {said}" for said in result.data.set_aside),
         *_not_looked_for(result),

@@ -7,9 +7,8 @@ from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.report.canvas import GREY, Picture, panel_title, save_picture
 from tirefit.report.curves import FORCE_LABEL
 from tirefit.report.draw import draw_fit
-from tirefit.report.fit_html import page_images
 from tirefit.report.fit_panels import WIDE, Shown, below
-from tirefit.report.html import rendered
+from tirefit.report.html import image_of, rendered
 from tirefit.report.labels import fit_files
 from tirefit.report.magic_formula import magic_formula_report
 from tirefit.report.mf_curves import Panel, panels_of
@@ -86,7 +85,7 @@ def magic_formula_page(fit: MagicFormulaFit) -> str:
     return rendered(
         "magic_formula_page.html",
         title=_title(fit),
-        pictures=page_images(pictures),
+        pictures=[image_of(*one) for one in pictures],
         report=magic_formula_report(fit),
         record=fit.to_json(),
     )

@@ -10,8 +10,10 @@ from tirefit.data.tir_keys import LIMITS, PRESSURE_TERMS
 from tirefit.fitting.config import FitConfig
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.result import MagicFormulaFit
+from tirefit.fitting.tir import tire_of, turned_by
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
+from tirefit.models.mf.tire import turned_inputs
 
 __all__ = ["converted", "virtual_test"]
 
@@ -31,10 +33,10 @@ def _range(tir: TirFile, name: str, low: float, high: float) -> tuple[float, flo
 
 
 def virtual_test(
-    tir: TirFile, slip_max: float, loads: Sequence[float], pressure_too: bool
+    tir: TirFile, slip_max: float, loads: Sequence[float], pressure_too: bool, signs
 ) -> TireData:
-    """Sweeps in pure and combined slip of the tire of a file, at these loads [N], three
-    cambers and, if ``pressure_too``, three pressures; each is a run."""
+    """Sweeps in pure and combined slip of the tire of a file in ``signs``, at these
+    loads [N], three cambers and, if ``pressure_too``, three pressures: each a run."""
     tire = mf_tire(tir.version, tir.numbers)
     kappa = np.linspace(*_range(tir, "kappa", -min(slip_max, 0.99), slip_max), _SLIPS)
     alpha = np.linspace(*_range(tir, "alpha", -slip_max, slip_max), _SLIPS)
@@ -63,7 +65,8 @@ def virtual_test(
         -slip / (1 + slip), angle, load, np.full(len(load), tire.nominal.LONGVL),
         camber, inflation, np.zeros(len(load)),
     )  # fmt: skip
-    given = forces(tire, inputs)._asdict()
+    inputs, own = turned_inputs(inputs, turned_by(signs)), tire_of(tir, signs=signs)
+    given = forces(own, inputs)._asdict()
     columns = {k: np.asarray(v) for k, v in (inputs._asdict() | given).items()}
     run = np.repeat(np.arange(len(parts)), _SLIPS)
     said = "the file has no noise: standard errors are of what the version misses"
@@ -75,7 +78,7 @@ def virtual_test(
 
 
 def converted(
-    tir: TirFile, model: str, slip_max: float, loads: Sequence[float]
+    tir: TirFile, model: str, slip_max: float, loads: Sequence[float], signs=None
 ) -> MagicFormulaFit:
     """The Magic Formula ``model`` that a file is nearest to, fitted to its own test;
     5.2, which has no pressure terms, at the nominal pressure.
@@ -85,13 +88,15 @@ def converted(
         model: ``mf52``, ``mf61`` or ``mf62``.
         slip_max: largest kappa and slip angle [rad].
         loads: F_z [N].
+        signs: convention of the file, ISO-W if None, as that of the result.
     """
     acting = any(tir.numbers.get(name) for name in PRESSURE_TERMS)
-    data = virtual_test(tir, slip_max, loads, acting and model != "mf52")
+    data = virtual_test(tir, slip_max, loads, acting and model != "mf52", signs)
     kept = ("FNOMIN", "UNLOADED_RADIUS", "NOMPRES", "LONGVL")
     tire = mf_tire(tir.version, tir.numbers)
     given = {name: {"value": float(getattr(tire.nominal, name))} for name in kept}
     settings = FitConfig.model_validate({"parameters": given})
+    first = None if turned_by(signs) else tir.numbers
     return fit_magic_formula(
-        data, model, config=settings, first=tir.numbers, leave_out="none"
+        data, model, config=settings, first=first, leave_out="none"
     )
