@@ -90,10 +90,15 @@ def _panel(fit, force: str, name: str, members: Sequence[SlipBins]) -> Panel:
     return Panel(f"{_named(force)} by {_BY[name]}", curve)
 
 
+def _told(members: Sequence[SlipBins]) -> tuple[int, float, int]:
+    rows = sum(int(bins.rows.sum()) for bins in members)
+    return len(members), -abs(members[0].setting.gamma), rows
+
+
 def force_panels(fit: MagicFormulaFit, force: str) -> list[Panel]:
     """A force over slip by load, camber and pressure in pure slip and by the slip angle
     in combined slip; each where the test has several, the other conditions those at
-    which it has most of them, and then most rows."""
+    which it has most of them, with least camber, and then most rows."""
     panels = []
     for name in _BY:
         swept = "sigma_x" if name == "held" else CHANNEL_SLIP[force]
@@ -104,10 +109,7 @@ def force_panels(fit: MagicFormulaFit, force: str) -> list[Panel]:
             if setting.swept == swept and pure and len(bins.slip) > 2:
                 key = tuple(getattr(setting, other) for other in _BY if other != name)
                 alike.setdefault(key, []).append(bins)
-        sizes = {
-            key: (len(a), sum(b.rows.sum() for b in a)) for key, a in alike.items()
-        }
-        best = alike[max(sizes, key=sizes.__getitem__)] if alike else []
+        best = max(alike.values(), key=_told, default=[])
         if len(best) > 1 or (best and name == "fz"):
             best = sorted(best, key=lambda bins: getattr(bins.setting, name))
             panels.append(_panel(fit, force, name, even(best)))
