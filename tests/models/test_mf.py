@@ -12,7 +12,7 @@ import pytest
 from tirefit.data.tir import read_tir
 from tirefit.data.tir_keys import COEFFICIENTS, NEUTRAL
 from tirefit.models import TireForces, TireInputs, forces
-from tirefit.models.mf import MFTire, Mirrored, mf_tire
+from tirefit.models.mf import MFTire, Mirrored, curvatures, mf_tire, share_limited
 from tirefit.params import parameter_values, specs, with_values
 from tirefit.slip import LOCKED
 
@@ -406,6 +406,41 @@ def test_absent_coefficients_have_no_effect():
         neutral = NEUTRAL.get(key, 1.0 if key.startswith("L") else 0.0)
         assert spec.default == neutral, key
         assert spec.free != key.startswith("L")
+
+
+def test_curvature_of_each_force_is_that_of_its_coefficients():
+    """(4.E14), (4.E24), (4.E56) and (4.E44) by hand."""
+    values = {
+        "FNOMIN": 4000.0, "PEX1": 0.5, "PEX2": 1.0, "PEX4": 0.2, "PEY1": -1.0,
+        "PEY3": 1.5, "RBX1": 10.0, "RCX1": 1.0, "REX1": 3.0, "QDZ1": 0.1,
+        "QEZ1": 0.5, "QEZ2": 4.0,
+    }  # fmt: skip
+    tire = mf_tire("6.1", values)
+    kappa, alpha = np.array([0.1, -0.1, 0.1, 0.0]), np.array([0.0, 0.0, 0.1, 0.1])
+    fz = np.array([6000.0, 6000.0, 4000.0, 4000.0])
+    found = curvatures(tire, TireInputs(-kappa / (1 + kappa), alpha, fz))
+    # E_x = (0.5 + dfz) (1 -+ 0.2); the weight of F_x has E = 3 where alpha is not 0.
+    np.testing.assert_allclose(found["fx"], [0.8, 1.2, 3.0, 3.0], rtol=1e-14)
+    # At alpha = 0 E_y has no effect; -1 (1 - 1.5) = 0.5 at alpha > 0.
+    np.testing.assert_allclose(found["fy"], [0.0, 0.0, 0.5, 0.5], rtol=1e-14)
+    np.testing.assert_allclose(found["mz"], [2.5, 2.5, 0.5, 0.5], rtol=1e-14)
+    shares = share_limited(tire, TireInputs(-kappa / (1 + kappa), alpha, fz))
+    assert shares == {"fx": 0.75, "fy": 0.0, "mz": 0.5}
+
+
+def test_the_limit_of_curvature_matters_exactly_where_it_is_reported():
+    """Raising the coefficients of an E that exceeds one changes nothing, of any other
+    E it does: the limit is seen from outside."""
+    rng = np.random.default_rng(40)
+    tire = with_values(tire_of(MF61), {"PEY1": 1.5, "PEY2": 1.2, "PEY3": 0.3})
+    inputs = TireInputs(
+        alpha=rng.uniform(-0.3, 0.3, 256), fz=rng.uniform(1500.0, 1e4, 256)
+    )
+    limited = np.asarray(curvatures(tire, inputs)["fy"]) > 1
+    more = with_values(tire, {"PEY1": 1.5 * 1.001, "PEY2": 1.2 * 1.001})
+    same = np.asarray(forces(tire, inputs).fy) == np.asarray(forces(more, inputs).fy)
+    np.testing.assert_array_equal(limited, same)
+    assert 0.2 < limited.mean() < 0.9
 
 
 def test_unknown_versions_are_refused():

@@ -24,6 +24,7 @@ from tirefit.fitting.profile import Profile
 from tirefit.fitting.result import Estimate
 from tirefit.fitting.solve import Solved
 from tirefit.models import TireInputs
+from tirefit.padding import pad_rows, padded_size
 from tirefit.params import with_values
 
 __all__ = [
@@ -177,14 +178,23 @@ def derived_values(model, layout: Layout, z, channel, fz, v, run=0):
 
 
 def _evaluator(problem: FitProblem, channel: str, run: int = 0) -> Callable:
-    """z (m, p) -> quantity -> values (m,) of a run at the reference point, in order."""
+    """z (m, p) -> quantity -> values (m,) of a run at the reference point, in order.
+
+    Vectors that differ in other runs' elements alone are evaluated once.
+    """
     at = reference_point(problem)
+    own = problem.layout.elements_of(np.array([run]))[0]
 
     def evaluate(z):
-        derived = derived_values(
-            problem.model, problem.layout, z, channel, at["fz"], at["v"], run
+        _, first, code = np.unique(
+            z[:, own], axis=0, return_index=True, return_inverse=True
         )
-        return {k: np.asarray(derived[k]) for k in quantities(channel) if k in derived}
+        derived = derived_values(
+            problem.model, problem.layout, pad_rows(z[first], padded_size(len(first))),
+            channel, at["fz"], at["v"], run,
+        )  # fmt: skip
+        names = [name for name in quantities(channel) if name in derived]
+        return {name: np.asarray(derived[name])[code.ravel()] for name in names}
 
     return evaluate
 
@@ -305,12 +315,21 @@ def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Es
         ci95, identified = _ends(value - half, value + half), True
     else:
         ci95 = _ends(*(extreme(solved, quantity, sign) for sign in (-1, 1)))
-        identified = _says_something(ci95)
+        identified = _says_something(ci95) or _by_noise(solved, value, slope)
     low, high = ci95
     if low is not None and high is not None and any(one.std is None for one in known):
         # The covariance says nothing of it: the profile's own width does.
         std = (high - low) / (2 * float(np.sqrt(solved.level)))
     return Estimate(float(value), std if identified else None, unit, ci95, identified)
+
+
+def _by_noise(solved: Solved, value: float, slope) -> bool:
+    """Whether the noise alone limits a quantity, where a misfit widens its interval."""
+    noise = solved.of_noise
+    if noise is None:
+        return False
+    half = float(np.sqrt(solved.level * (slope @ noise @ slope)))
+    return _says_something((value - half, value + half))
 
 
 _BLOCK = 4096

@@ -1,7 +1,7 @@
 """The fitted curve and its bands, as arrays."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +10,7 @@ from tirefit.data.levels import levels
 from tirefit.data.run_names import run_names
 from tirefit.fitting.bands import Band, fitted_force, force_band
 from tirefit.fitting.likelihood import CHANNEL_SLIP
+from tirefit.fitting.noise import noise_std
 from tirefit.fitting.result import FitResult
 from tirefit.models import TireInputs
 from tirefit.params import parameter_values, with_values
@@ -22,6 +23,7 @@ __all__ = [
     "FitCurve",
     "Group",
     "SlipAxis",
+    "even",
     "fit_curve",
     "slip_axis",
 ]
@@ -51,11 +53,14 @@ class SlipAxis(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Measured points of one level of load, slip, speed or run: slip, force (n,)."""
+    """Measured points of one level of load, slip, speed or run: slip, force (n,), and
+    where each stands for several rows the range of their forces, (n,)."""
 
     label: str
     slip: np.ndarray
     force: np.ndarray
+    low: np.ndarray | None = None
+    high: np.ndarray | None = None
 
 
 class Curve(NamedTuple):
@@ -101,6 +106,12 @@ def slip_axis(name: str, values: np.ndarray) -> SlipAxis:
         r"slip ratio $v_{sx}/\max(v_x, \Omega R_e)$", "-", slip_ratio_from_sigma,
         lambda ratio: sigma_from_slip_ratio(np.minimum(ratio, 1 - 1 / LOCKED)),
     )  # fmt: skip
+
+
+def even(members: Sequence[Any]) -> list:
+    """At most as many members as a panel shows, the first and the last among them."""
+    count = min(len(members), _MOST_GROUPS)
+    return [members[i] for i in np.linspace(0, len(members) - 1, count).astype(int)]
 
 
 def _levels(values: np.ndarray, scale: float) -> np.ndarray:
@@ -159,7 +170,7 @@ def _members(result: FitResult, keys) -> tuple[list[tuple[str, np.ndarray]], str
     combinations, of_row = np.unique(stack, axis=0, return_inverse=True)
     chosen, note = np.arange(len(combinations)), ""
     if len(combinations) > _MOST_GROUPS:
-        chosen = np.linspace(0, len(combinations) - 1, _MOST_GROUPS).astype(int)
+        chosen = np.array(even(range(len(combinations))))
         note = f"{_MOST_GROUPS} of {len(combinations)} runs shown"
     groups = []
     for code in chosen:
@@ -258,10 +269,13 @@ def _curves(result: FitResult, channel, members, axis: SlipAxis, normalise, midd
     run = [int(runs[rows][0]) for _, rows in members]
     inputs = TireInputs(**{k: jnp.asarray(v) for k, v in columns.items()})
     scale = problem.used(problem.rows.scale[channel])
-    noise = [float(np.median(scale[rows])) for _, rows in members]
-    band = force_band(
-        result, channel, inputs, np.repeat(run, len(grid)), np.repeat(noise, len(grid))
-    )
+    each = [float(np.median(scale[rows])) for _, rows in members]
+    of_run, noise = np.repeat(run, len(grid)), np.repeat(each, len(grid))
+    if result.noise[channel].keys() & {"share_of_load", "by_run"}:
+        force = fitted_force(result, channel, inputs, of_run)
+        names = np.array(problem.layout.runs)[of_run]
+        noise = noise_std(result.noise[channel], columns["fz"], force, names)
+    band = force_band(result, channel, inputs, of_run, noise)
     curves = []
     for i, (label, _) in enumerate(members):
         unit = middle[i]["fz"] if normalise else 1.0

@@ -32,7 +32,7 @@ Rows = list[list[str]]
 """Cells of a table, header first."""
 
 FORCE_UNIT = {"fx": "N", "fy": "N", "mz": "N m"}
-_ROUTES = ("covariance", "profile", "posterior")
+_ROUTES = ("covariance", "profile", "posterior", "independent")
 _STRONG = 0.9
 
 
@@ -73,8 +73,11 @@ def parameter_rows(result: FitResult) -> Rows:
 
 
 def route_rows(result: FitResult) -> Rows:
-    """The 95 % interval of every free parameter by each of the three ways."""
+    """The 95 % interval of every free parameter by each route, and beside them that of
+    independent rows where the rows count as fewer than half."""
     routes = [route for route in _ROUTES if result.intervals.get(route)]
+    if result.statistics.n_effective >= 0.5 * result.statistics.n:
+        routes = [route for route in routes if route != "independent"]
     rows = [["95 % interval", *routes]]
     for label in result.labels:
         std = result.least_squares[label].std
@@ -139,6 +142,21 @@ def _noise_model(result: FitResult) -> str:
     )
 
 
+def _differs(record: dict) -> str:
+    """How the noise of a force differs among rows; empty where it does not."""
+    text = ""
+    if "share_of_force" in record:
+        text = (
+            f"; by row {format_number(record['constant'], 3)} N,"
+            f" {100 * record['share_of_load']:.2g} % of the load and"
+            f" {100 * record['share_of_force']:.2g} % of the force, added in square"
+        )
+    if "by_run" in record:
+        least, most = min(record["by_run"].values()), max(record["by_run"].values())
+        text += f"; times {least:.2g} to {most:.2g} by run"
+    return text
+
+
 def noise_text(result: FitResult) -> str:
     """Standard deviation of every noise, where it is from, and its model."""
     parts = []
@@ -147,7 +165,7 @@ def noise_text(result: FitResult) -> str:
             unit = FORCE_UNIT.get(name, "rad" if name == "alpha" else "-")
             unit = "" if unit == "-" else f" {unit}"
             std = format_number(record["median_std"], 3)
-            parts.append(f"{name} {std}{unit} ({record['source']})")
+            parts.append(f"{name} {std}{unit} ({record['source']}{_differs(record)})")
     return f"{', '.join(parts)}; {_noise_model(result)}"
 
 

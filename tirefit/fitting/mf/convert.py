@@ -97,4 +97,6 @@ def converted(
     given = {name: {"value": float(getattr(tire.nominal, name))} for name in kept}
     settings = FitConfig.model_validate({"parameters": given})
     first = None if turned_by(signs) else tir.numbers
-    return fit_magic_formula(data, model, config=settings, first=first)
+    return fit_magic_formula(
+        data, model, config=settings, first=first, leave_out="none"
+    )

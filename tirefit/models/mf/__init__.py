@@ -6,9 +6,19 @@ Equation numbers (4.E1 ...) are those of Pacejka, *Tire and Vehicle Dynamics*, 3
 supplement (2010) 337-352, where it differs from the book.
 """
 
-from tirefit.models.mf.tire import OTHER_SIDE, MFTire, Mirrored, mf_tire
+from tirefit.models.mf.curvature import curvatures, share_limited
+from tirefit.models.mf.tire import OTHER_SIDE, MFTire, Mirrored, frictions, mf_tire
 
-__all__ = ["MAGIC_FORMULAS", "OTHER_SIDE", "MFTire", "Mirrored", "mf_tire"]
+__all__ = [
+    "MAGIC_FORMULAS",
+    "OTHER_SIDE",
+    "MFTire",
+    "Mirrored",
+    "curvatures",
+    "frictions",
+    "mf_tire",
+    "share_limited",
+]
 
 MAGIC_FORMULAS = {
     "mf52": MFTire(version="5.2"),
