@@ -17,9 +17,9 @@ from tirefit.models.mf.tire import (
 
 __all__ = [
     "MAGIC_FORMULAS",
+    "OTHER_SIDE",
     "MFTire",
     "Mirrored",
-    "OTHER_SIDE",
     "curvatures",
     "frictions",
     "mf_tire",
