@@ -293,13 +293,19 @@ def test_slip_speed_lowers_the_friction():
         np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
-def test_vertical_shifts_fall_less_than_a_low_friction():
-    """(4.E8) with A_mu = 10, which 5.2 does not have."""
-    for name, expected in ((MF61, 10 * 0.1 / (1 + 9 * 0.1)), (MF52, 0.1)):
+def test_vertical_shifts_fall_as_in_the_software_or_as_in_the_book():
+    """(4.E8) with A_mu = 1 of MF-Tyre, or 10 of the book, which 5.2 does not have."""
+    book = 10 * 0.1 / (1 + 9 * 0.1)
+    for name, digression, expected in (
+        (MF61, 1.0, 0.1), (MF61, 10.0, book), (MF52, 10.0, 0.1),
+    ):  # fmt: skip
         c = values_of(name)
-        tire = with_values(tire_of(name), {"LMUX": 0.1})
+        version = tire_of(name).version
+        values = {**c, "LMUX": 0.1}
+        tire = mf_tire(version, values, digression=digression)
         shift = iso(tire, -c["PHX1"]).fx / c["FNOMIN"]
         np.testing.assert_allclose(shift, expected * c["PVX1"], rtol=1e-9)
+    assert tire_of(MF61).digression == 1.0
 
 
 def test_weights_are_one_where_they_are_scaled_away():
