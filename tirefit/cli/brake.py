@@ -134,13 +134,14 @@ def _tire(source: str | None, values: dict[str, float]):
         fitted = load_fit(source)
         return source, fitted.at_estimate()
     if source.lower().endswith(".tir"):
-        from tirefit.data.tir import notes_on, read_tir
-        from tirefit.fitting.tir import tire_of
+        from tirefit.data.tir import read_tir
+        from tirefit.fitting.tir import remarks, tire_of
 
         tir = read_tir(source)
-        for text in notes_on(tir):
+        tire = tire_of(tir, values=values)
+        for text in remarks(tir, tire, None):
             complain(f"warning: {source}: {text}")
-        return source, tire_with(tire_of(tir), source, values)
+        return source, tire_with(tire, source, values)
     return source, tire_with(find_model(source), source, values)
 
 

@@ -14,6 +14,7 @@ from tirefit.cli.diagnose import ManyHoldouts, diagnose
 from tirefit.cli.estimate import estimate
 from tirefit.cli.fit import fit, model_names
 from tirefit.cli.options import (
+    CombinationOption,
     DataOptions,
     Files,
     JsonOption,
@@ -214,6 +215,7 @@ def predict(
         Side | None,
         typer.Option(help="FILE.tir: side of the vehicle; as TYRESIDE if not given"),
     ] = None,
+    combination: CombinationOption = None,
     beside: Annotated[
         bool,
         typer.Option(
@@ -227,12 +229,15 @@ def predict(
     with errors_to_exit():
         if source.lower().endswith(".tir"):
             how = read_options(options, read_config(options.config))
-            _predict_tir(
-                source, data, out, how, parameter, starred_angles, side, beside
-            )
+            mounted = {
+                "starred": starred_angles,
+                "side": side,
+                "combination": combination,
+            }
+            _predict_tir(source, data, out, how, parameter, mounted, beside)
             return
-        if starred_angles or side:
-            reason = "--starred-angles and --side are of .tir files"
+        if starred_angles or side or combination:
+            reason = "--starred-angles, --side and --combination are of .tir files"
             raise UsageError(InputProblem(reason, f"leave them out with {source}"))
         is_file = source.endswith(".json") or Path(source).is_file()
         how = read_options(options, read_config(options.config))
@@ -262,31 +267,33 @@ def _predicted(table, forces, beside: bool) -> dict:
     return (simulated_table if beside else prediction_table)(table, forces)
 
 
-def _predict_tir(
-    source, data, out, how, parameter, starred_angles, side, beside
-) -> None:
-    """Forces of the tire of a ``.tir`` file, whose own convention is ISO-W."""
+def _predict_tir(source, data, out, how, parameter, mounted: dict, beside) -> None:
+    """Forces of the tire of a ``.tir`` file, whose own convention is ISO-W.
+
+    Args:
+        mounted: keywords of :func:`~tirefit.fitting.tir.tire_of`.
+    """
     values = _checked_request(source, False, data, out, parameter)
-    from tirefit.data.tir import notes_on, read_tir
+    from tirefit.data.tir import read_tir
 
     tir = read_tir(source)
     start_jax()
     from tirefit.data.read import read
     from tirefit.data.write import write_csv
     from tirefit.fitting.predict import predict as forces_of
-    from tirefit.fitting.tir import rows_outside, tire_of
+    from tirefit.fitting.tir import remarks, tire_of
 
-    tire = tire_of(tir, starred=starred_angles, side=side and side.value)
+    tire = tire_of(tir, values=values, **mounted)
     how["convention"] = how["convention"] or "iso-w"
     table = read(data, **how, forces=False)
     warn(table)
-    for text in (*notes_on(tir), *rows_outside(tir, table)):
+    for text in remarks(tir, tire, table):
         complain(f"warning: {source}: {text}")
     columns = _predicted(table, forces_of(tire, table, values), beside)
     write_csv(out, columns)
     said = [f"{source}: Magic Formula {tir.version}", f"TYRESIDE {tir.side}"]
-    said += [f"mounted {side.value}"] if side else []
-    said += ["tan(alpha) and sin(gamma)" if starred_angles else "raw angles"]
+    said += [f"mounted {mounted['side']}"] if mounted["side"] else []
+    said += ["tan(alpha) and sin(gamma)" if mounted["starred"] else "raw angles"]
     said += [f"{key} = {value:g}" for key, value in values.items()]
     say(", ".join(said))
     _say_written(out, table, columns)

@@ -13,7 +13,14 @@ from tirefit.cli.magic_formula import (
     convert_whole,
     only_of_magic_formula,
 )
-from tirefit.cli.options import complain, errors_to_exit, named_path, say, start_jax
+from tirefit.cli.options import (
+    CombinationOption,
+    complain,
+    errors_to_exit,
+    named_path,
+    say,
+    start_jax,
+)
 from tirefit.cli.output import check_directories
 from tirefit.results import InputProblem, TirefitError, UsageError
 
@@ -73,6 +80,7 @@ def convert(
             metavar="N,N,...", help="loads [N]; 0.5, 1 and 1.5 FNOMIN by default"
         ),
     ] = None,
+    combination: CombinationOption = None,
     seed: Annotated[
         int | None, typer.Option(min=0, max=2**32 - 1, help="of everything random")
     ] = None,
@@ -94,7 +102,7 @@ def convert(
     refit = {
         "FILE.tir": file, "--magic-formula": magic_formula, "--model": model,
         "--force": force, "--slip-max": slip_max, "--slip-min": slip_min,
-        "--loads": loads, "--seed": seed,
+        "--loads": loads, "--seed": seed, "--combination": combination,
     }  # fmt: skip
     with errors_to_exit():
         if any(value is not None for value in brush.values()):
@@ -110,7 +118,13 @@ def convert(
             }  # fmt: skip
             only_of_magic_formula(model, None, asked)
             assert file is not None  # else --magic-formula would be given
-            raise typer.Exit(convert_whole(file, model, float(slips[-1]), chosen, out))
+            largest = float(slips[-1])
+            code = convert_whole(file, model, largest, chosen, combination, out)
+            raise typer.Exit(code)
+        if combination:
+            reason = f"--combination with --model {model or 'brush'}"
+            remedy = "leave it out: a brush is fitted to one force in pure slip"
+            raise UsageError(InputProblem(reason, remedy))
         result = _refit(
             file, coefficients, model or "brush", force or Force.fx, slips, chosen,
             seed, out,
@@ -207,7 +221,7 @@ def _listed(option: str, text: str, problems: list[InputProblem]) -> list[float]
 
 def _refit(file, coefficients, model, force, slips, loads, seed, out):
     """The fit of the model to the curve, said, and saved in the folder."""
-    from tirefit.data.tir import brush_of, notes_on, read_tir
+    from tirefit.data.tir import brush_of, read_tir
 
     tir = None if file is None else read_tir(file)
     start_jax()
@@ -216,9 +230,8 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out):
     from tirefit.fitting.convert import curve, misfit_by_load
     from tirefit.fitting.likelihood import CHANNEL_SLIP
     from tirefit.fitting.problem import find_model
-    from tirefit.fitting.tir import rows_outside
+    from tirefit.fitting.tir import check_gives, own_tire, remarks
     from tirefit.models import MODELS, AbstractTire
-    from tirefit.models.mf import mf_tire
     from tirefit.params import with_values
 
     find_model(model)
@@ -230,7 +243,8 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out):
         v, name = None, "Magic Formula"
         name += "".join(f", {key} = {value:g}" for key, value in coefficients.items())
     else:
-        described = mf_tire(tir.version, tir.numbers)
+        check_gives(tir, force.value)
+        described = own_tire(tir)
         tire, name = described, f"{file}: Magic Formula {tir.version}"
         v, nominal = described.nominal.LONGVL, described.nominal.FNOMIN
         loads = loads or [share * nominal for share in _SHARES_OF_NOMINAL]
@@ -248,7 +262,7 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out):
     )
     source = Source(path=str(file or ""), assumptions=said)
     data = curve(tire, force, slips, loads, values=coefficients, v=v, source=source)
-    for text in (*notes_on(tir), *rows_outside(tir, data)) if tir else ():
+    for text in remarks(tir, described, data) if tir else ():
         complain(f"warning: {file}: {text}")
     result = fit_into(out, data, settings)
     say("MISFIT")

@@ -13,6 +13,7 @@ from typer.core import TyperCommand
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, attempted, fleet
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES
 from tirefit.cli.options import (
+    CombinationOption,
     DataOptions,
     Files,
     complain,
@@ -123,6 +124,7 @@ def diagnose(
             help="the simulator's forces stand in FILE: fx_sim, fy_sim, mz_sim",
         ),
     ] = False,
+    combination: CombinationOption = None,
     force: Annotated[
         list[str] | None,
         typer.Option(help="force that matters: fx, fy, mz (repeat; all if not given)"),
@@ -175,7 +177,7 @@ def diagnose(
         base = model if sim else plain
         settings = _settings(base, rig, without, how)
         settings["forces"] = forces_named(force)
-        settings |= _simulator(base, parameter, sim, how)
+        settings |= _simulator(base, parameter, sim, how, combination)
         with claimed(out):
             kept = [_read(path, how) for path in holdout or []]
             task = _Task(out, settings, kept, how, figures, resume, seed)
@@ -244,7 +246,7 @@ def _is_file(model: str) -> bool:
     return model.lower().endswith((".json", ".tir"))
 
 
-def _simulator(model: str | None, parameter, sim: bool, how: dict) -> dict:
+def _simulator(model: str | None, parameter, sim: bool, how: dict, combination) -> dict:
     """Arguments of ``tirefit.diagnose`` for a simulator that is taken as it is.
 
     None where a form is fitted. Of a file, the data are in its convention unless they
@@ -256,6 +258,9 @@ def _simulator(model: str | None, parameter, sim: bool, how: dict) -> dict:
         reason = f"--sim with {'--set' if values else f'--model {model}'}"
         remedy = "with --sim, --model names the form that stands in for the simulator"
         problems.append(InputProblem(reason, remedy))
+    if combination and (sim or not (model or "").lower().endswith(".tir")):
+        remedy = "give the .tir file with --model, or leave it out"
+        problems.append(InputProblem("--combination is of .tir files", remedy))
     if problems:
         raise UsageError(problems)
     if sim:
@@ -265,7 +270,7 @@ def _simulator(model: str | None, parameter, sim: bool, how: dict) -> dict:
         return {}
     from tirefit.diagnosis.simulator import simulator_at
 
-    given = simulator_at(model, values)
+    given = simulator_at(model, values, combination)
     if how["convention"] is None:
         how["convention"] = given.convention
     return {"model": _PLAIN, "sim": given}

@@ -59,20 +59,25 @@ def fit_whole(
     return _code(result, strict)
 
 
-def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
+def convert_whole(
+    file: Path, model: str, slip_max: float, loads, combination, out: Path
+):
     """Fits one version of the Magic Formula to the forces of another's file."""
-    from tirefit.data.tir import notes_on, read_tir
+    from tirefit.data.tir import read_tir
 
     tir = read_tir(file)
     check_directories([out])
     start_jax()
-    from tirefit.fitting.mf.convert import converted
+    from tirefit.fitting.mf.convert import converted, virtual_test
+    from tirefit.fitting.tir import own_tire, remarks
 
     loads = loads or [share * tir.numbers["FNOMIN"] for share in _SHARES_OF_NOMINAL]
-    for text in notes_on(tir):
+    tire = own_tire(tir, combination=combination)
+    data = virtual_test(tir, tire, slip_max, loads, model)
+    for text in remarks(tir, tire, data):
         complain(f"warning: {file}: {text}")
     with claimed(out):
-        result = converted(tir, model, slip_max, loads)
+        result = converted(tir, tire, data, model)
         _write(result, out)
     say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}")
     for force, (rmse, count) in result.fitted.items():

@@ -8,6 +8,7 @@ whatever the simulator has that the tire lacks stays in.
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from tirefit.fitting.predict import predict
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit, load_fit
-from tirefit.fitting.tir import tire_of
+from tirefit.fitting.tir import remarks, tire_of
 from tirefit.models import AbstractTire
 from tirefit.models import modelled as forces_modelled
 from tirefit.models.mf import MFTire
@@ -79,7 +80,8 @@ class Given:
     the file. ``tire`` is None where only its forces are known; ``layout`` and ``z`` are
     those of a fit. ``forces`` gives canonical forces (n,) of the rows of data, None
     where they stand in the data's own columns. ``convention`` is that which its file is
-    in, data beside it too unless they say otherwise.
+    in, data beside it too unless they say otherwise. ``remarks`` gives sentences on its
+    file and rows of data.
     """
 
     kind: str
@@ -90,6 +92,7 @@ class Given:
     z: np.ndarray | None = None
     convention: str | None = None
     forces: Callable[[TireData], Mapping[str, np.ndarray]] | None = None
+    remarks: Callable[[TireData], list[str]] | None = None
 
     def channels(self, data: TireData, modelled: Sequence[str]) -> tuple[str, ...]:
         """Forces that it gives, and its tire too: ``modelled`` where it has none.
@@ -140,6 +143,9 @@ class Given:
         for name, force in forces.items():
             _check_size(force, data, name, known & data.used, path)
         source = data.source
+        if self.remarks is not None:
+            said = self.remarks(data)
+            source = replace(source, warnings=(*source.warnings, *said))
         if self.forces is not None and (lost := int(np.sum(data.used & ~known))):
             text = f"{lost} of {len(data)} rows without a simulated force are left out"
             source = replace(source, warnings=(*source.warnings, text))
@@ -379,12 +385,18 @@ def _forces_alone(predicted: Mapping) -> dict[str, np.ndarray]:
     return {c: v for c, v in predicted.items() if f"{c}_sim" in SIMULATED}
 
 
-def simulator_at(text: str, values: Mapping[str, float] | None = None) -> Given:
+def simulator_at(
+    text: str,
+    values: Mapping[str, float] | None = None,
+    combination: str | None = None,
+) -> Given:
     """The simulator that a name or a file means.
 
     Args:
         text: a ``fit.json``, a ``.tir`` file, or the name of a model.
         values: parameter values of a named model or of a ``.tir`` file.
+        combination: how both slips combine in the tire of a ``.tir`` file, see
+            :func:`~tirefit.fitting.tir.tire_of`.
 
     Raises:
         UsageError: no such model or parameter, or values for a fit.
@@ -392,7 +404,7 @@ def simulator_at(text: str, values: Mapping[str, float] | None = None) -> Given:
     """
     values = dict(values or {})
     if text.endswith(".json") or text.lower().endswith(".tir"):
-        return _at_file(text, values)
+        return _at_file(text, values, combination)
     template = find_model(text)
     check_values(template, text, values)
     whole, known = parameter_values(template) | values, specs(template)
@@ -405,15 +417,16 @@ def simulator_at(text: str, values: Mapping[str, float] | None = None) -> Given:
     return _of_tire(with_values(template, whole), "model", source)
 
 
-def _at_file(text: str, values: dict[str, float]) -> Given:
+def _at_file(text: str, values: dict[str, float], combination: str | None) -> Given:
     if not text.endswith(".json"):
         tir = read_tir(text)
-        tire = tire_of(tir)
+        tire = tire_of(tir, values=values, combination=combination)
         check_values(tire, text, values)
         tire = with_values(tire, values)
         said = "".join(f", {name} = {value:g}" for name, value in values.items())
         given = _of_tire(tire, "tir", f"{text}{said}", _digest(text))
-        return replace(given, convention="iso-w")
+        own = partial(remarks, tir, tire)
+        return replace(given, convention="iso-w", remarks=own)
     if values:
         reason, remedy = "--set with a fit.json", "use it with the name of a model"
         raise UsageError(InputProblem(reason, remedy))

@@ -11,7 +11,7 @@ from tirefit.fitting.config import FitConfig
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.models import TireInputs, forces
-from tirefit.models.mf import mf_tire
+from tirefit.models.mf import MFTire
 
 __all__ = ["converted", "virtual_test"]
 
@@ -31,18 +31,27 @@ def _range(tir: TirFile, name: str, low: float, high: float) -> tuple[float, flo
 
 
 def virtual_test(
-    tir: TirFile, slip_max: float, loads: Sequence[float], pressure_too: bool
+    tir: TirFile, tire: MFTire, slip_max: float, loads: Sequence[float], model: str
 ) -> TireData:
-    """Sweeps in pure and combined slip of the tire of a file, at these loads [N], three
-    cambers and, if ``pressure_too``, three pressures; each is a run."""
-    tire = mf_tire(tir.version, tir.numbers)
+    """Sweeps in pure and combined slip of the tire of a file, at three cambers; each
+    is a run.
+
+    Args:
+        tir: the file, read and checked.
+        tire: of the file.
+        slip_max: largest kappa and slip angle [rad].
+        loads: F_z [N].
+        model: the Magic Formula that is to be fitted: three pressures too, unless it
+            is ``mf52``, which has no pressure terms.
+    """
     kappa = np.linspace(*_range(tir, "kappa", -min(slip_max, 0.99), slip_max), _SLIPS)
     alpha = np.linspace(*_range(tir, "alpha", -slip_max, slip_max), _SLIPS)
     low, high = _range(tir, "gamma", -_CAMBER, _CAMBER)
     cambers = list(dict.fromkeys((low, 0.0, high)))
     nominal = tire.nominal.NOMPRES
     pressures = [nominal]
-    if pressure_too:
+    acting = any(tir.numbers.get(name) for name in PRESSURE_TERMS)
+    if acting and model != "mf52":
         around = _range(
             tir, "pressure", (1 - _PRESSURE) * nominal, (1 + _PRESSURE) * nominal
         )
@@ -64,6 +73,7 @@ def virtual_test(
         camber, inflation, np.zeros(len(load)),
     )  # fmt: skip
     given = forces(tire, inputs)._asdict()
+    given = {k: v for k, v in given.items() if v is not None}
     columns = {k: np.asarray(v) for k, v in (inputs._asdict() | given).items()}
     run = np.repeat(np.arange(len(parts)), _SLIPS)
     said = "the file has no noise: standard errors are of what the version misses"
@@ -75,21 +85,16 @@ def virtual_test(
 
 
 def converted(
-    tir: TirFile, model: str, slip_max: float, loads: Sequence[float]
+    tir: TirFile, tire: MFTire, data: TireData, model: str
 ) -> MagicFormulaFit:
-    """The Magic Formula ``model`` that a file is nearest to, fitted to its own test;
-    5.2, which has no pressure terms, at the nominal pressure.
+    """The Magic Formula ``model`` that a file is nearest to, fitted to its own test.
 
     Args:
-        tir: the file, read and checked.
+        tir, tire: the file and its tire.
+        data: of :func:`virtual_test`.
         model: ``mf52``, ``mf61`` or ``mf62``.
-        slip_max: largest kappa and slip angle [rad].
-        loads: F_z [N].
     """
-    acting = any(tir.numbers.get(name) for name in PRESSURE_TERMS)
-    data = virtual_test(tir, slip_max, loads, acting and model != "mf52")
     kept = ("FNOMIN", "UNLOADED_RADIUS", "NOMPRES", "LONGVL")
-    tire = mf_tire(tir.version, tir.numbers)
     given = {name: {"value": float(getattr(tire.nominal, name))} for name in kept}
     settings = FitConfig.model_validate({"parameters": given})
     return fit_magic_formula(data, model, config=settings, first=tir.numbers)

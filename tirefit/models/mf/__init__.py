@@ -7,10 +7,11 @@ supplement (2010) 337-352, where it differs from the book.
 """
 
 from tirefit.models.mf.curvature import curvatures, share_limited
-from tirefit.models.mf.tire import MFTire, Mirrored, mf_tire
+from tirefit.models.mf.tire import WEIGHTS, MFTire, Mirrored, mf_tire
 
 __all__ = [
     "MAGIC_FORMULAS",
+    "WEIGHTS",
     "MFTire",
     "Mirrored",
     "curvatures",
