@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from tirefit.cli.options import complain, say, start_jax, warn
+from tirefit.cli.options import say, start_jax, warn
 from tirefit.cli.output import check_directories, claimed, staged
 from tirefit.results import ExitCode, InputProblem, UsageError
 
@@ -68,17 +68,12 @@ def convert_whole(
     tir = read_tir(file)
     check_directories([out])
     start_jax()
-    from tirefit.fitting.mf.convert import converted, virtual_test
-    from tirefit.fitting.tir import own_tire, remarks
+    from tirefit.fitting.mf.convert import converted
 
     loads = loads or [share * tir.numbers["FNOMIN"] for share in _SHARES_OF_NOMINAL]
-    tire = own_tire(tir, combination=combination)
-    data = virtual_test(tir, tire, slip_max, loads, model)
-    for text in remarks(tir, tire, data):
-        complain(f"warning: {file}: {text}")
     with claimed(out):
-        result = converted(tir, tire, data, model)
-        _write(result, out)
+        result = converted(tir, model, slip_max, loads, combination)
+        _write(result, out, "try other --loads or a smaller --slip-max")
     say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}")
     for force, (rmse, count) in result.fitted.items():
         unit = "N m" if force == "mz" else "N"
@@ -86,7 +81,11 @@ def convert_whole(
     return _code(result, strict=False)
 
 
-def _write(result, out: Path) -> None:
+_ADVICE = "give starting values in fit.toml or fix a parameter"
+"""Of a fit that does not converge, which has a fit.toml."""
+
+
+def _write(result, out: Path, advice: str = _ADVICE) -> None:
     """Says the result and writes it into the folder, which is claimed."""
     from tirefit.fitting.mf.store import save_magic_formula
     from tirefit.report.draw import FIGURE_FILES
@@ -94,7 +93,7 @@ def _write(result, out: Path) -> None:
     # Figures and draws of an earlier fit would be taken for this one's.
     with staged(out, ["posterior.nc", *FIGURE_FILES], result) as folder:
         written = save_magic_formula(result, folder)
-    say(str(result))
+    say(str(result).replace(_ADVICE, advice))
     say("wrote " + ", ".join(str(out / path.name) for path in written))
 
 

@@ -8,6 +8,7 @@ reading and back to the units of the file on writing.
 import math
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Sequence
+from pathlib import Path
 
 from tirefit.data.text import decoded
 from tirefit.data.tir_check import notes_on, problems_of
@@ -46,7 +47,7 @@ def read_tir(path) -> TirFile:
     if len(content) > 1 and 0 in content[:2]:  # UTF-16 without byte order mark
         low_first = content[1] == 0
         content = (BOM_UTF16_LE if low_first else BOM_UTF16_BE) + content
-    text, notes = decoded(content, path)
+    text, notes = decoded(content, Path(path))
     odd = control_character(text)
     if odd is not None:
         row, name = odd

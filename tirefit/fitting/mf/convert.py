@@ -1,6 +1,7 @@
 """One version of the Magic Formula from another: a test of the tire without noise."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,8 +11,8 @@ from tirefit.data.tir_keys import LIMITS, PRESSURE_TERMS
 from tirefit.fitting.config import FitConfig
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.result import MagicFormulaFit
+from tirefit.fitting.tir import own_tire, remarks
 from tirefit.models import TireInputs, forces
-from tirefit.models.mf import MFTire
 
 __all__ = ["converted", "virtual_test"]
 
@@ -31,27 +32,22 @@ def _range(tir: TirFile, name: str, low: float, high: float) -> tuple[float, flo
 
 
 def virtual_test(
-    tir: TirFile, tire: MFTire, slip_max: float, loads: Sequence[float], model: str
+    tir: TirFile,
+    slip_max: float,
+    loads: Sequence[float],
+    pressure_too: bool,
+    combination: str | None = None,
 ) -> TireData:
-    """Sweeps in pure and combined slip of the tire of a file, at three cambers; each
-    is a run.
-
-    Args:
-        tir: the file, read and checked.
-        tire: of the file.
-        slip_max: largest kappa and slip angle [rad].
-        loads: F_z [N].
-        model: the Magic Formula that is to be fitted: three pressures too, unless it
-            is ``mf52``, which has no pressure terms.
-    """
+    """Sweeps in pure and combined slip of the tire of a file, at these loads [N], three
+    cambers and, if ``pressure_too``, three pressures; each is a run."""
+    tire = own_tire(tir, combination=combination)
     kappa = np.linspace(*_range(tir, "kappa", -min(slip_max, 0.99), slip_max), _SLIPS)
     alpha = np.linspace(*_range(tir, "alpha", -slip_max, slip_max), _SLIPS)
     low, high = _range(tir, "gamma", -_CAMBER, _CAMBER)
     cambers = list(dict.fromkeys((low, 0.0, high)))
     nominal = tire.nominal.NOMPRES
     pressures = [nominal]
-    acting = any(tir.numbers.get(name) for name in PRESSURE_TERMS)
-    if acting and model != "mf52":
+    if pressure_too:
         around = _range(
             tir, "pressure", (1 - _PRESSURE) * nominal, (1 + _PRESSURE) * nominal
         )
@@ -73,28 +69,46 @@ def virtual_test(
         camber, inflation, np.zeros(len(load)),
     )  # fmt: skip
     given = forces(tire, inputs)._asdict()
-    given = {k: v for k, v in given.items() if v is not None}
-    columns = {k: np.asarray(v) for k, v in (inputs._asdict() | given).items()}
-    run = np.repeat(np.arange(len(parts)), _SLIPS)
-    said = "the file has no noise: standard errors are of what the version misses"
-    return TireData(
-        tir.path, columns, np.full(len(load), True), run,
-        tuple(f"sweep {i}" for i in range(len(parts))),
-        Source(path=tir.path, assumptions=(said,)),
-    )  # fmt: skip
+    columns = {
+        k: np.asarray(v) for k, v in (inputs._asdict() | given).items() if v is not None
+    }
+    if "mz" in columns and "fx" not in columns:  # M_z is then of free rolling alone
+        columns["mz"] = np.where(slip == 0, columns["mz"], np.nan)
+    used, run = np.full(len(load), True), np.repeat(np.arange(len(parts)), _SLIPS)
+    names = tuple(f"sweep {i}" for i in range(len(parts)))
+    data = TireData(tir.path, columns, used, run, names, Source(path=tir.path))
+    noise = "the file has no noise: standard errors are of what the version misses"
+    said = (noise, *remarks(tir, tire, data))
+    return replace(data, source=replace(data.source, assumptions=said))
 
 
 def converted(
-    tir: TirFile, tire: MFTire, data: TireData, model: str
+    tir: TirFile,
+    model: str,
+    slip_max: float,
+    loads: Sequence[float],
+    combination: str | None = None,
 ) -> MagicFormulaFit:
-    """The Magic Formula ``model`` that a file is nearest to, fitted to its own test.
+    """The Magic Formula ``model`` that a file is nearest to, fitted to its own test;
+    5.2, which has no pressure terms, at the nominal pressure. It lacks the forces that
+    the file lacks.
 
     Args:
-        tir, tire: the file and its tire.
-        data: of :func:`virtual_test`.
+        tir: the file, read and checked.
         model: ``mf52``, ``mf61`` or ``mf62``.
+        slip_max: largest kappa and slip angle [rad].
+        loads: F_z [N].
+        combination: how both slips combine in the file's tire, see
+            :func:`~tirefit.fitting.tir.own_tire`.
     """
+    acting = any(tir.numbers.get(name) for name in PRESSURE_TERMS)
+    pressure_too = acting and model != "mf52"
+    data = virtual_test(tir, slip_max, loads, pressure_too, combination)
     kept = ("FNOMIN", "UNLOADED_RADIUS", "NOMPRES", "LONGVL")
+    tire = own_tire(tir)
     given = {name: {"value": float(getattr(tire.nominal, name))} for name in kept}
     settings = FitConfig.model_validate({"parameters": given})
-    return fit_magic_formula(data, model, config=settings, first=tir.numbers)
+    fit = fit_magic_formula(data, model, config=settings, first=tir.numbers)
+    # The rows of a curve are not to be looked at, however far.
+    notes = tuple(note for note in fit.notes if "standard deviations" not in note)
+    return replace(fit, notes=notes, tire=replace(fit.tire, lacks=tire.lacks))
