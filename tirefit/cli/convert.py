@@ -116,7 +116,7 @@ def convert(
                 "--magic-formula": magic_formula, "--force": force,
                 "--slip-min": slip_min, "--seed": seed,
             }  # fmt: skip
-            only_of_magic_formula(model, None, asked)
+            only_of_magic_formula(model, {}, asked)
             assert file is not None  # else --magic-formula would be given
             largest = float(slips[-1])
             code = convert_whole(file, model, largest, chosen, combination, out)

@@ -11,14 +11,23 @@ from tirefit.models.mf import MFTire
 from tirefit.params import specs
 from tirefit.slip import kappa_from_sigma
 
-__all__ = ["PARTS", "VERSIONS", "Part", "coefficients_of", "influences", "part_of"]
+__all__ = [
+    "NEARLY_PURE",
+    "PARTS",
+    "VERSIONS",
+    "Part",
+    "coefficients_of",
+    "influences",
+    "is_pure",
+    "own_coefficients",
+]
 
 VERSIONS = {"mf52": "5.2", "mf61": "6.1", "mf62": "6.2"}
 """Name of the model -> version of the Magic Formula."""
 
 _BEGINNINGS = {"P": "pure", "Q": "pure", "R": "combined", "S": "combined"}
 
-_NEARLY_PURE = {"sigma_x": 0.01, "alpha": 0.01}
+NEARLY_PURE = {"sigma_x": 0.01, "alpha": 0.01}
 """Largest other slip at which a row is of pure slip: half a degree of a rig's zero, or
 the slip of a tire that rolls freely; there a weighting function is one but for 1 %."""
 
@@ -69,12 +78,21 @@ def influences(version: str, force: str) -> tuple[str, ...]:
     return tuple(name for name in coefficients_of(version) if name in names)
 
 
-def part_of(name: str, data: TireData, force: str) -> np.ndarray:
-    """Which of the used rows of this force a part takes, (n,) bool."""
+def own_coefficients(version: str, force: str) -> tuple[str, ...]:
+    """The coefficients that the rows of a force move, of pure and combined slip."""
+    tire = MFTire()
+    group = {"fx": tire.longitudinal, "fy": tire.lateral, "mz": tire.aligning}[force]
+    names = specs(group)
+    return tuple(name for name in coefficients_of(version) if name in names)
+
+
+def is_pure(data: TireData, force: str) -> np.ndarray:
+    """Which of the used rows (n,) of this force have next to nothing of the other
+    slip."""
     other = "alpha" if CHANNEL_SLIP[force] == "sigma_x" else "sigma_x"
-    if not PARTS[name].pure or other not in data:
+    if other not in data:
         return np.full(data.n, True)
     size = np.abs(data.usable(other))
     if other == "sigma_x":
         size = np.abs(kappa_from_sigma(size))
-    return size <= _NEARLY_PURE[other]
+    return size <= NEARLY_PURE[other]

@@ -7,7 +7,7 @@ supplement (2010) 337-352, where it differs from the book.
 """
 
 from tirefit.models.mf.curvature import curvatures, share_limited
-from tirefit.models.mf.tire import WEIGHTS, MFTire, Mirrored, mf_tire
+from tirefit.models.mf.tire import WEIGHTS, MFTire, Mirrored, frictions, mf_tire
 
 __all__ = [
     "MAGIC_FORMULAS",
@@ -15,6 +15,7 @@ __all__ = [
     "MFTire",
     "Mirrored",
     "curvatures",
+    "frictions",
     "mf_tire",
     "share_limited",
 ]

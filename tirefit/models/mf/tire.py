@@ -6,6 +6,7 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import resultant
@@ -24,7 +25,7 @@ from tirefit.models.mf.similarity import similar_forces
 from tirefit.params import specs, with_values
 from tirefit.slip import kappa_from_sigma
 
-__all__ = ["WEIGHTS", "MFTire", "Mirrored", "mf_tire"]
+__all__ = ["WEIGHTS", "MFTire", "Mirrored", "frictions", "mf_tire"]
 
 WEIGHTS = {"fx": ("RBX1", "RCX1"), "fy": ("RBY1", "RCY1")}
 """Force -> coefficients without which its weighting function is one at any slip."""
@@ -133,6 +134,18 @@ class MFTire(AbstractTire):
             camber_stiffness=not is_52,
             starred=self.starred,
         )
+
+
+def frictions(tire: MFTire, inputs: TireInputs) -> dict[str, np.ndarray]:
+    """Friction coefficients D / F_z of F_x and F_y at inputs of arrays (n,)."""
+
+    def one(sample):
+        at, fz0 = tire.point(sample), tire.nominal.FNOMIN * tire.scaling.LFZO
+        side = tire.lateral.pure(at, tire.scaling, fz0)
+        return {"fx": tire.longitudinal.friction(at, tire.scaling), "fy": side.mu}
+
+    arrays = TireInputs(*(jnp.asarray(column, float) for column in inputs))
+    return {force: np.asarray(mu) for force, mu in jax.vmap(one)(arrays).items()}
 
 
 class Mirrored(AbstractTire):
