@@ -108,7 +108,9 @@ def converted(
     tire = own_tire(tir)
     given = {name: {"value": float(getattr(tire.nominal, name))} for name in kept}
     settings = FitConfig.model_validate({"parameters": given})
-    fit = fit_magic_formula(data, model, config=settings, first=tir.numbers)
+    fit = fit_magic_formula(
+        data, model, config=settings, first=tir.numbers, leave_out="none"
+    )
     # The rows of a curve are not to be looked at, however far.
     notes = tuple(note for note in fit.notes if "standard deviations" not in note)
     return replace(fit, notes=notes, tire=replace(fit.tire, lacks=tire.lacks))
