@@ -13,9 +13,9 @@ from scipy.optimize import least_squares
 from tirefit.data.read import read_frame
 from tirefit.data.tir_keys import COEFFICIENTS, ONLY_IN
 from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.fitting.mf.noise_law import NoiseLaw, noise_law
 from tirefit.fitting.mf.parts import PARTS, VERSIONS, coefficients_of, influences
 from tirefit.fitting.mf.priors import normal_form, published_priors
-from tirefit.fitting.mf.noise_law import NoiseLaw, noise_law
 from tirefit.fitting.mf.solve import Problem, blocks_of, minimise, row_gradients
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import MAGIC_FORMULAS

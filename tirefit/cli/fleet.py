@@ -32,20 +32,8 @@ from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, Usa
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-__all__ = [
-    "Attempt",
-    "Jobs",
-    "Outcome",
-    "Piece",
-    "Scheduler",
-    "Sharing",
-    "attempted",
-    "fleet",
-]
-
 Jobs = Annotated[
-    int | None,
-    typer.Option(min=1, metavar="N", help="processes that share the files"),
+    int | None, typer.Option(min=1, metavar="N", help="processes that share the files")
 ]
 Scheduler = Annotated[
     str | None,
@@ -233,7 +221,7 @@ def _apart(packed: _Packed, piece: Piece) -> Outcome:
     with redirect_stdout(said), redirect_stderr(complained):
         try:
             with errors_to_exit(), _where_the_command_runs(packed):
-                code, record = _attempted(packed, piece)
+                code, record = attempted(*_unpacked(packed.content), piece)
         except typer.Exit as end:
             code = ExitCode(end.exit_code)
             return _failed(piece, code, complained.getvalue(), last=True)
@@ -252,10 +240,6 @@ def _where_the_command_runs(packed: _Packed) -> chdir:
         remedy = "run workers where it is mounted: they read files and write results"
         raise UsageError(InputProblem(reason, remedy))
     return chdir(packed.folder)
-
-
-def _attempted(packed: _Packed, piece: Piece) -> tuple[ExitCode, "FileRecord | None"]:
-    return attempted(*_unpacked(packed.content), piece)
 
 
 def attempted(

@@ -10,15 +10,12 @@ from tirefit.fitting.derived import quantity_of
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.report.by_name import Points, distinct, place_points, points_of
 from tirefit.report.canvas import Picture
-from tirefit.report.fit_html import page_images
 from tirefit.report.fit_panels import WIDE, Shown, below
 from tirefit.report.fit_tables import FORCE_UNIT, Rows, rows_text, value_text
-from tirefit.report.html import GOOD, OPEN, rendered
+from tirefit.report.html import GOOD, OPEN, image_of, rendered
 from tirefit.report.numbers import format_number
 from tirefit.report.overlay import draw_overlay, overlay_of
 from tirefit.results import InputProblem, UsageError
-
-__all__ = ["fits_page", "write_fits_page"]
 
 _TOGETHER = 3
 """Quantities by file in one picture."""
@@ -185,10 +182,10 @@ def fits_page(
         title=f"{_one_of(r.model for r in results)} fitted to {len(fits)} files",
         subtitle="; ".join([*pattern, *_said(results)]),
         verdict=_verdict(by_name, failed or {}),
-        curves=page_images(_overlays(by_name)),
+        curves=[image_of(*one) for one in _overlays(by_name)],
         parameters=_parameters(by_name),
         derived=_table(by_name, "derived"),
-        by_file=page_images(_by_file(by_name)),
+        by_file=[image_of(*one) for one in _by_file(by_name)],
         per_run=sorted({quantity_of(k) for r in results for k in r.labels if "[" in k}),
         provenance=_provenance(fits),
         files=_files(by_name),

@@ -9,8 +9,6 @@ from tirefit.data.run_names import clipped, label_of_run, name_pattern, run_name
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.result import FitResult
 
-__all__ = ["fit_files", "notes_of", "run_lines", "short_label", "short_run"]
-
 
 def _short(result: FitResult) -> Mapping[str, str]:
     runs = [str(run) for run in result.data["runs"]]
