@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,
     complain,
@@ -18,7 +19,6 @@ from tirefit.cli.options import (
     say,
     start_jax,
     takes_data_options,
-    warn,
 )
 from tirefit.cli.output import check_directories, claimed, staged
 from tirefit.results import InputProblem, UsageError

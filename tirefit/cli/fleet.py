@@ -17,6 +17,7 @@ import typer
 
 from tirefit import __version__
 from tirefit.cli.cluster import Ended, cluster, shared
+from tirefit.cli.notes import told_together
 from tirefit.cli.options import (
     Unheard,
     complain,
@@ -84,13 +85,14 @@ class Piece(NamedTuple):
 
 class Outcome(NamedTuple):
     """One file: its exit code, whether that ends the command, what was said and
-    complained of, and what the table of all results holds of it."""
+    complained of, what the table of all results holds of it, and the notes on it."""
 
     code: ExitCode
     last: bool = False
     said: str = ""
     complained: str = ""
     record: "FileRecord | None" = None
+    notes: tuple = ()
 
 
 Attempt = Callable[[Piece, Any], tuple[ExitCode, "FileRecord"]]
@@ -120,12 +122,14 @@ def fleet(
             progress_bar(title) as progress,
             cluster(min(sharing.jobs or 1, len(pieces)), sharing.scheduler) as client,
             closing(shared(work, pieces, client, _alike)) as results,
+            told_together(len(pieces) > 1) as notes,
         ):
             for outcome in _in_order(_followed(results, pieces, progress, left)):
                 typer.echo(outcome.said, nl=False)
                 typer.echo(outcome.complained, nl=False, err=True)
                 if outcome.last:
                     raise typer.Exit(outcome.code)
+                notes += outcome.notes
                 table.add(outcome.record)
                 yield outcome
     finally:
@@ -218,17 +222,19 @@ def _unpacked(content: bytes) -> tuple[Attempt, Any]:
 def _apart(packed: _Packed, piece: Piece) -> Outcome:
     """One file in a worker, which keeps silent; the command's errors end it there."""
     said, complained = Unheard(), Unheard()
-    with redirect_stdout(said), redirect_stderr(complained):
+    with redirect_stdout(said), redirect_stderr(complained), told_together() as held:
         try:
             with errors_to_exit(), _where_the_command_runs(packed):
                 code, record = attempted(*_unpacked(packed.content), piece)
         except typer.Exit as end:
             code = ExitCode(end.exit_code)
             return _failed(piece, code, complained.getvalue(), last=True)
+        notes = tuple(held)
+        held.clear()
     text = complained.getvalue()
     if record is None:
         return _failed(piece, code, text)._replace(said=said.getvalue())
-    return Outcome(code, False, said.getvalue(), text, record)
+    return Outcome(code, False, said.getvalue(), text, record, notes)
 
 
 def _where_the_command_runs(packed: _Packed) -> chdir:

@@ -22,7 +22,7 @@ from tirefit.report.fit_tables import (
     run_rows,
 )
 from tirefit.report.html import image_of, rendered, verdict_parts
-from tirefit.report.labels import fit_files, notes_of, run_lines
+from tirefit.report.labels import fit_files, run_lines
 from tirefit.report.numbers import format_number
 
 
@@ -76,7 +76,8 @@ def _provenance(result: FitResult) -> list[str]:
         f"model {result.model}, forces {', '.join(result.forces)}",
         *_asked(result),
         f"solver {result.solver}, seed {result.seed}",
-        *notes_of(result, [*data["assumptions"], *result.noise.get("notes", ())]),
+        *data["assumptions"],
+        *result.noise.get("notes", ()),
         *masked[:20], *more,
         f"tirefit {result.version}, {SCHEMA}; "
         + ", ".join(f"{k} {v}" for k, v in result.versions.items()),

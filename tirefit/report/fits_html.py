@@ -4,6 +4,7 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
+from tirefit.data.merged import merged
 from tirefit.data.run_names import name_pattern, run_names
 from tirefit.files import write_text_atomic
 from tirefit.fitting.derived import quantity_of
@@ -141,6 +142,7 @@ def _provenance(fits: Mapping[str, FitResult]) -> list[str]:
         f"values: {_one_of(r.source for r in results)}",
         f"solver {_one_of(r.solver for r in results)}, seed"
         f" {_one_of(r.seed for r in results)}",
+        *merged((name, result.data["assumptions"]) for name, result in fits.items()),
         f"tirefit {_one_of(r.version for r in results)}, {SCHEMA}",
     ]
 

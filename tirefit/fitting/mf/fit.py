@@ -100,7 +100,7 @@ def fit_magic_formula(
     require(whole, ("fz",), f"the model {model}")
     forces = [f for name in parts for f in PARTS[name].forces]
     rows = rows_of_forces(whole, list(dict.fromkeys(forces)), config)
-    tire, notes = nominal_of(model, rows, config)
+    tire, notes = nominal_of(model, rows, config, whole.source.constants)
     notes += _slip_noise_left_out(whole, config)
     problem, priors = problem_from(tire, config)
     settings = {force: settings_of(of_force) for force, of_force in rows.items()}
@@ -159,8 +159,18 @@ def _check_settings(model: str, config: FitConfig) -> None:
         raise UsageError(problems)
 
 
-def nominal_of(model: str, rows: dict[str, ForceRows], config: FitConfig):
-    """The tire with its nominal state and all that is given; what was assumed."""
+def nominal_of(
+    model: str,
+    rows: dict[str, ForceRows],
+    config: FitConfig,
+    constants: Mapping[str, float] | None = None,
+):
+    """The tire with its nominal state and all that is given; what was assumed.
+
+    Args:
+        constants: of the data file (``Source.constants``); the configuration has
+            precedence, then these, then what is assumed.
+    """
     empty = MAGIC_FORMULAS[model]
     given = {k: v.value for k, v in config.parameters.items() if v.value is not None}
     check_values(empty, model, given)
@@ -172,20 +182,24 @@ def nominal_of(model: str, rows: dict[str, ForceRows], config: FitConfig):
     assumed = {
         "FNOMIN": _rounded(float(np.median(first.column("fz")))),
         "NOMPRES": _rounded(pressure),
-        "INFLPRES": given.get("NOMPRES", _rounded(pressure)),
         "LONGVL": _rounded(speed),
         "UNLOADED_RADIUS": 0.3,
     }
+    stated = {k: v for k, v in (constants or {}).items() if k in assumed}
+    assumed |= stated
+    assumed["INFLPRES"] = given.get("NOMPRES", assumed["NOMPRES"])
     origins = {
         "FNOMIN": "the median load", "NOMPRES": "the median pressure",
         "UNLOADED_RADIUS": "no radius was given; M_z alone refers to it",
     }  # fmt: skip
     if not len(pressures):
         origins["NOMPRES"] = "the data have no pressure"
+    origins |= dict.fromkeys(stated, "stated by the data file")
     notes = [
         f"{name} = {assumed[name]:g}: {why} (parameters.{name}.value gives another)"
         for name, why in origins.items()
-        if name not in given and (name != "UNLOADED_RADIUS" or "mz" in rows)
+        if name not in given
+        and (name != "UNLOADED_RADIUS" or "mz" in rows or name in stated)
     ]
     return with_values(empty, assumed | given), notes
 
