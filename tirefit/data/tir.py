@@ -6,6 +6,7 @@ reading and back to the units of the file on writing.
 """
 
 import math
+import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Sequence
 from pathlib import Path
@@ -48,6 +49,12 @@ def read_tir(path) -> TirFile:
         low_first = content[1] == 0
         content = (BOM_UTF16_LE if low_first else BOM_UTF16_BE) + content
     text, notes = decoded(content, Path(path))
+    # Windows has letters where Latin-1 has control characters.
+    text = re.sub(
+        "[\x80-\x9f]",
+        lambda found: found[0].encode("latin-1").decode("cp1252", "replace"),
+        text,
+    )
     odd = control_character(text)
     if odd is not None:
         row, name = odd
