@@ -418,7 +418,7 @@ def test_curvature_of_each_force_is_that_of_its_coefficients():
     """(4.E14), (4.E24), (4.E56) and (4.E44) by hand."""
     values = {
         "FNOMIN": 4000.0, "PEX1": 0.5, "PEX2": 1.0, "PEX4": 0.2, "PEY1": -1.0,
-        "PEY3": 1.5, "RBX1": 10.0, "RCX1": 1.0, "REX1": 3.0, "QDZ1": 0.1,
+        "PEY3": 1.5, "RBX1": 10.0, "RCX1": 1.0, "REX1": 3.0, "RHX1": 0.01, "QDZ1": 0.1,
         "QEZ1": 0.5, "QEZ2": 4.0,
     }  # fmt: skip
     tire = mf_tire("6.1", values)

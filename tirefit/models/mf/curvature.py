@@ -47,9 +47,9 @@ def _largest(tire: MFTire, inputs: TireInputs) -> dict:
     def weighting(force, weight):
         if force in tire.similarity:
             return 0.0
-        resting = Curve(weight.x_at_rest, weight.curve.curvature)
-        both = acting(weight.curve, weight.shape), acting(resting, weight.shape)
-        return jnp.maximum(*both)
+        # Without the other slip the weight is one, whatever E.
+        moved = weight.curve.x - weight.x_at_rest
+        return acting(Curve(moved, weight.curve.curvature), weight.shape)
 
     along, across = tire.longitudinal, tire.lateral
     weights = {"fx": along.weight(at, scale), "fy": across.weight(at, scale)}
