@@ -181,7 +181,7 @@ def table_of_text(
     rows, numbers = split_rows(lines[start:], delimiter, start, path)
     if aim:
         notes.append("export of AiM RaceStudio")
-        kept = [k for k, row in enumerate(rows) if k > 3 or not _counts_up(row)]
+        kept = [k for k, r in enumerate(rows) if not (0 < k < 4 and _counts_up(r))]
         rows, numbers = [rows[k] for k in kept], [numbers[k] for k in kept]
     common = 0.0 if aim else 0.5
     table = table_of_rows(rows, numbers, path, digest, notes, delimiter, common)
@@ -253,7 +253,7 @@ def split_rows(lines, delimiter, start, path) -> tuple[list[list[str]], list[int
         reason = f"the line cannot be split: {error}"
         remedy = "look for a quotation mark that is not closed"
         raise _refusal(reason, remedy, path, number) from error
-    if rows.pop() != [_END]:
+    if rows.pop() != [_END] or not rows:
         reason = "a quotation mark is not closed"
         raise _refusal(reason, "close or remove it", path, numbers[-1])
     return rows, numbers[:-1]

@@ -9,6 +9,7 @@ supplement (2010) 337-352, where it differs from the book.
 from tirefit.models.mf.curvature import curvatures, share_limited
 from tirefit.models.mf.tire import (
     OTHER_SIDE,
+    WEIGHTS,
     MFTire,
     Mirrored,
     frictions,
@@ -17,9 +18,10 @@ from tirefit.models.mf.tire import (
 
 __all__ = [
     "MAGIC_FORMULAS",
+    "OTHER_SIDE",
+    "WEIGHTS",
     "MFTire",
     "Mirrored",
-    "OTHER_SIDE",
     "curvatures",
     "frictions",
     "mf_tire",
