@@ -111,7 +111,7 @@ def test_a_force_beyond_any_friction_is_doubted(tmp_path):
     (said,) = (text for text in result.warnings if "friction" in text)
     share = float(said.split("reaches ")[1].split()[0])
     force = np.abs(result.columns["fy"] / result.columns["fz"])
-    assert share == pytest.approx(np.percentile(force, 99), rel=0.01) and share > 1.5
+    assert share == pytest.approx(np.percentile(force, 99), rel=0.05) and share > 1.5
 
 
 def test_too_large_a_yaw_inertia_is_named_beside_the_point(tmp_path):
