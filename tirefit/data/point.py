@@ -242,10 +242,12 @@ def _shape(force, rows: _Rows) -> np.ndarray:
 def _point(motion, vehicle, every, step: int) -> tuple[_Fit, _Rows]:
     """Fit of the tracked point, from the best of a grid by least squares; its rows."""
     stated, best = vehicle.l_r - vehicle.cg_from_tracked[0], (math.inf, 0.0)
+    names = Motion.__dataclass_fields__
+    few = Motion(**{name: getattr(motion, name)[every] for name in names})
     for share in np.arange(_ON_CAR[0], _ON_CAR[1] + 0.01, 0.1):
         x = float(share) * vehicle.wheelbase - stated
-        moved, _ = _further_ahead(motion, vehicle, x)
-        rows = _moderate(moved, vehicle, every, step)
+        moved, _ = _further_ahead(few, vehicle, x)
+        rows = _moderate(moved, vehicle, np.arange(len(every)), step)
         alpha, force = (
             values[rows.rows] for values in slip_and_force(moved, vehicle)[:2]
         )
