@@ -99,6 +99,21 @@ def test_a_point_is_doubted_where_the_force_still_opposes_the_slip(tmp_path):
     assert "the log's point is 2.6 ± 0.01 m ahead of the rear axle" in said
 
 
+def test_a_force_beyond_any_friction_is_doubted(tmp_path):
+    text = vehicle_text(RATES).replace("yaw_inertia = 2500", "yaw_inertia = 20000")
+    (tmp_path / "heavy.toml").write_text(text)
+    log = log_of(name="turns")
+    log = log | {"c4": 2.2 * log["c4"]}
+    derived(tmp_path, log, RATES, believe=True)
+    result = derive(
+        tmp_path / "log.csv", load_vehicle(tmp_path / "heavy.toml"), believe=True
+    )
+    (said,) = (text for text in result.warnings if "friction" in text)
+    share = float(said.split("reaches ")[1].split()[0])
+    force = np.abs(result.columns["fy"] / result.columns["fz"])
+    assert share == pytest.approx(np.percentile(force, 99), rel=0.05) and share > 1.5
+
+
 def test_too_large_a_yaw_inertia_is_named_beside_the_point(tmp_path):
     text = vehicle_text(RATES).replace("yaw_inertia = 2500", "yaw_inertia = 10000")
     path = tmp_path / "heavy.toml"
@@ -141,3 +156,10 @@ def test_a_late_v_y_is_named_beside_the_point(tmp_path):
     log = late(log_of(name="turns"), ("c2",), 0.1)
     (said,) = derived(tmp_path, log, RATES).warnings
     assert re.search(r"v_y is 0\.(1|09\d|10\d) ± 0\.00\d s late", said)
+
+
+@pytest.mark.parametrize("name", ["slow", "gently"])
+def test_a_flipped_v_y_that_no_pair_shows_is_named(tmp_path, name):
+    log = log_of(name=name)
+    (said,) = derived(tmp_path, log | {"c2": -log["c2"]}, RATES).warnings
+    assert "v_y or a_y has the other sign" in said and 'v_y = "-m/s"' in said

@@ -101,21 +101,25 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     stated = vehicle.l_r - vehicle.cg_from_tracked[0]
     low, high = (share * vehicle.wheelbase for share in _ON_CAR)
     found = fit.slope > 0 and fit.std < _KNOWN * vehicle.wheelbase
-    if found and low < stated + fit.amount < high:
+    on_car = low < stated + fit.amount < high
+    if found and on_car:
         side = "ahead of" if fit.amount > 0 else "behind"
         check = PointCheck(
             f"tracked point: force and slip fit best with it {abs(fit.amount):.2g} ±"
             f" {fit.std:.1g} m {side} the stated one",
             (stated + fit.amount, fit.std),
         )
-    off = check.estimate and _sure(fit) and fit.effect > CHANGED
-    if not off and slope > -SURE:
+    off = found and _sure(fit) and fit.effect > CHANGED
+    flipped = not found and _fits_flipped(motion, vehicle, free)
+    if not (off or flipped) and slope > -SURE:
         return check
     others = _others(motion, vehicle, rows)
     best = fit.misfit if off else min((misfit for misfit, *_ in others), default=0.0)
     named = [(reason, remedy) for m, reason, remedy in others if m <= best * ALIKE]
-    named = [_words(fit, stated, vehicle), *named] if off else named
-    named = named or [_flipped(vehicle)]
+    named = [_words(fit, stated, vehicle), *named] if off and on_car else named
+    if not named and slope > -SURE and not flipped:
+        return check
+    named = [_flipped(vehicle)] if flipped or not named else named
     reasons, remedies = (", or ".join(words) for words in zip(*named, strict=True))
     if slope > -SURE:
         said = f"the force would follow the slip if {reasons}; {remedies}"
@@ -198,6 +202,15 @@ def _others(motion, vehicle: Vehicle, rows: _Rows) -> list[tuple[float, str, str
     return found
 
 
+def _fits_flipped(motion, vehicle: Vehicle, rows: _Rows) -> bool:
+    """Whether the force follows the slip with the other v_y, and no point makes it."""
+    if vehicle.columns.motion == POSE:
+        return False
+    stated = _fitted(_more_inertia, 0.0, motion, vehicle, rows)
+    other = _fitted(_mirrored, 0.0, motion, vehicle, rows)
+    return other.slope > SURE and other.misfit * ALIKE < stated.misfit
+
+
 def _flipped(vehicle: Vehicle) -> tuple[str, str]:
     """Reason and remedy of a wrong sign."""
     names = (
@@ -229,10 +242,12 @@ def _shape(force, rows: _Rows) -> np.ndarray:
 def _point(motion, vehicle, every, step: int) -> tuple[_Fit, _Rows]:
     """Fit of the tracked point, from the best of a grid by least squares; its rows."""
     stated, best = vehicle.l_r - vehicle.cg_from_tracked[0], (math.inf, 0.0)
+    names = Motion.__dataclass_fields__
+    few = Motion(**{name: getattr(motion, name)[every] for name in names})
     for share in np.arange(_ON_CAR[0], _ON_CAR[1] + 0.01, 0.1):
         x = float(share) * vehicle.wheelbase - stated
-        moved, _ = _further_ahead(motion, vehicle, x)
-        rows = _moderate(moved, vehicle, every, step)
+        moved, _ = _further_ahead(few, vehicle, x)
+        rows = _moderate(moved, vehicle, np.arange(len(every)), step)
         alpha, force = (
             values[rows.rows] for values in slip_and_force(moved, vehicle)[:2]
         )
@@ -278,9 +293,8 @@ def _fitted(
         std = _with_zero(fit, alpha, sides, rows)[-1]
     except np.linalg.LinAlgError:
         return _Fit()
-    effect = abs(x) * math.sqrt(
-        np.mean(sides[keep, -1] ** 2) / np.mean(alpha[keep] ** 2)
-    )
+    size = max(float(np.mean(alpha[keep] ** 2)), 1e-300)
+    effect = abs(x) * math.sqrt(np.mean(sides[keep, -1] ** 2) / size)
     share, count = fit.seen[-1], around(sides, keep[:1], 0).shape[1]
     strength = share / max(1 - share, 1e-9) * fit.effective / count
     slope = _slope(*change(motion, vehicle, x), rows)
