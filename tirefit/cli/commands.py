@@ -14,9 +14,9 @@ from tirefit.cli.convert import convert
 from tirefit.cli.diagnose import ManyHoldouts, diagnose
 from tirefit.cli.estimate import estimate
 from tirefit.cli.fit import fit, model_names
+from tirefit.cli.magic_formula import CombinationOption
 from tirefit.cli.notes import told_together, warn
 from tirefit.cli.options import (
-    CombinationOption,
     DataOptions,
     Files,
     JsonOption,

@@ -10,11 +10,11 @@ from tirefit.cli.fit import model_names
 from tirefit.cli.fit_one import exit_code, fit_into
 from tirefit.cli.magic_formula import (
     MAGIC_FORMULA_NAMES,
+    CombinationOption,
     convert_whole,
     only_of_magic_formula,
 )
 from tirefit.cli.options import (
-    CombinationOption,
     SignsOption,
     complain,
     errors_to_exit,

@@ -11,10 +11,9 @@ import typer
 from typer.core import TyperCommand
 
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, attempted, fleet
-from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES
+from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
 from tirefit.cli.notes import told_together, warn
 from tirefit.cli.options import (
-    CombinationOption,
     DataOptions,
     Files,
     SideOption,

@@ -1,6 +1,10 @@
 """``tirefit fit --model mf52|mf61|mf62``: a whole Magic Formula, to a ``.tir``."""
 
+from enum import StrEnum
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from tirefit.cli.fit_one import PAGE, Also, exit_code
 from tirefit.cli.notes import warn
@@ -10,10 +14,27 @@ from tirefit.files import write_text_atomic
 from tirefit.results import ExitCode, InputProblem, UsageError
 
 __all__ = [
-    "MAGIC_FORMULA_NAMES", "convert_whole", "fit_whole", "only_of_magic_formula",
+    "MAGIC_FORMULA_NAMES", "CombinationOption", "convert_whole", "fit_whole",
+    "only_of_magic_formula",
 ]  # fmt: skip
 
 MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
+
+
+class Combination(StrEnum):
+    none = "none"
+    similarity = "similarity"
+
+
+CombinationOption = Annotated[
+    Combination | None,
+    typer.Option(
+        "--combination",
+        help="FILE.tir: forces of both slips by its weighting functions, one where it"
+        " has none (none), or by the method of similarity; similarity for the forces"
+        " without coefficients of combined slip if not given",
+    ),
+]
 
 _SHARES_OF_NOMINAL = (0.5, 0.75, 1.0, 1.25, 1.5)
 """Loads at which a file is tested to convert it."""
