@@ -274,13 +274,14 @@ def _predict_tir(
     from tirefit.data.read import read
     from tirefit.data.write import write_csv
     from tirefit.fitting.predict import predict as forces_of
-    from tirefit.fitting.tir import rows_outside, tire_of
+    from tirefit.fitting.tir import moments_noted, rows_outside, tire_of
 
     tire = tire_of(tir, starred=starred_angles, side=side and side.value)
     how["convention"] = how["convention"] or "iso-w"
     table = read(data, **how, forces=False)
     warn(table)
-    for text in (*notes_on(tir), *rows_outside(tir, table)):
+    noted = (*notes_on(tir), *moments_noted(tir, table), *rows_outside(tir, table))
+    for text in noted:
         complain(f"warning: {source}: {text}")
     columns = _predicted(table, forces_of(tire, table, values), beside)
     write_csv(out, columns)

@@ -7,10 +7,11 @@ from tirefit.data.tir import TirFile
 from tirefit.data.tir_keys import LIMITS
 from tirefit.models.base import AbstractTire
 from tirefit.models.mf import Mirrored, mf_tire
+from tirefit.models.mf.fields import Nominal
 from tirefit.results import InputProblem, UsageError
 from tirefit.slip import kappa_from_sigma
 
-__all__ = ["rows_outside", "tire_of"]
+__all__ = ["moments_noted", "rows_outside", "tire_of"]
 
 
 def tire_of(
@@ -35,6 +36,21 @@ def tire_of(
         remedy = "write TYRESIDE = 'LEFT' or 'RIGHT' into [MODEL], or leave out --side"
         raise UsageError(InputProblem(reason, remedy, tir.path))
     return Mirrored(tire)
+
+
+def moments_noted(tir: TirFile, data: TireData) -> list[str]:
+    """Sentences on M_x and M_y: which the file does not give, and at what speed."""
+    there = {key[:3] for key in tir.numbers}
+    keys = {"QSX": "mx (overturning moment)", "QSY": "my (rolling resistance moment)"}
+    said = [
+        f"no coefficients {key}...: {name} is not predicted"
+        for key, name in keys.items()
+        if key not in there
+    ]
+    if "v" not in data and any(tir.numbers.get(key) for key in ("QSY3", "QSY4")):
+        speed = tir.numbers.get("LONGVL", Nominal().LONGVL)
+        said.append(f"no column v: my is that of {speed:g} m/s (--constant v=SPEED)")
+    return said
 
 
 def rows_outside(tir: TirFile, data: TireData) -> list[str]:

@@ -11,10 +11,19 @@ from tirefit.models.mf import MFTire
 from tirefit.params import specs
 from tirefit.slip import kappa_from_sigma
 
-__all__ = ["PARTS", "VERSIONS", "Part", "coefficients_of", "influences", "part_of"]
+__all__ = [
+    "PARTS", "SLIPS_OF", "VERSIONS", "Part", "coefficients_of", "influences", "part_of",
+]  # fmt: skip
 
 VERSIONS = {"mf52": "5.2", "mf61": "6.1", "mf62": "6.2"}
 """Name of the model -> version of the Magic Formula."""
+
+SLIPS_OF: dict[str, tuple[str, ...]] = {
+    **{force: (slip,) for force, slip in CHANNEL_SLIP.items()},
+    "mx": ("alpha",),
+    "my": ("sigma_x", "alpha"),
+}
+"""Force or moment -> slips one of which the rows need; the other may be left out."""
 
 _BEGINNINGS = {"P": "pure", "Q": "pure", "R": "combined", "S": "combined"}
 

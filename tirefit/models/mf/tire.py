@@ -12,6 +12,7 @@ from tirefit.models.mf.aligning import Aligning
 from tirefit.models.mf.fields import Nominal, Point, Scaling, cos_arctan, ratio
 from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
+from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.params import specs, with_values
 from tirefit.slip import kappa_from_sigma
 
@@ -26,8 +27,9 @@ class MFTire(AbstractTire):
 
     The equations of combined slip are used throughout; a pure slip is the other one at
     zero. Every coefficient is a parameter under its name in a ``.tir`` file. 6.1 and
-    6.2 have the same F_x, F_y and M_z. Nothing is limited to the range in which the
-    coefficients were found.
+    6.2 have the same forces and moments. Nothing is limited to the range in which the
+    coefficients were found. ``overturning`` and ``rolling`` are None where M_x or M_y
+    is not known.
 
     ``starred``: the equations take tan(alpha) and sin(gamma), as in the book (4.E3,
     4.E4), instead of the angles, as in MF-Tyre.
@@ -38,6 +40,8 @@ class MFTire(AbstractTire):
     longitudinal: Longitudinal = Longitudinal()
     lateral: Lateral = Lateral()
     aligning: Aligning = Aligning()
+    overturning: Overturning | None = None
+    rolling: Rolling | None = None
     version: str = eqx.field(static=True, default="6.1")
     starred: bool = eqx.field(static=True, default=False)
 
@@ -68,8 +72,13 @@ class MFTire(AbstractTire):
             - self.aligning.trail(at, scale, nominal, slip) * turned
             + self.aligning.arm(at, scale, nominal, fy) * fx
         )
+        mx = my = None
+        if self.overturning is not None:
+            mx = -self.overturning.moment(at, scale, nominal, load, fy)
+        if self.rolling is not None:
+            my = -self.rolling.moment(at, scale, nominal, load, fx, inputs.v)
         # From ISO-W to the canonical signs of tirefit.slip.
-        return TireForces(-fx, -fy, -mz)
+        return TireForces(-fx, -fy, -mz, mx, my)
 
     def _point(self, inputs: TireInputs) -> Point:
         """The operating point in ISO-W axes; no load is that of ``nominal``, safely."""
@@ -119,8 +128,8 @@ class Mirrored(AbstractTire):
         mirrored = inputs._replace(alpha=-inputs.alpha, gamma=-inputs.gamma)
         forces = self.tire(mirrored)
         # None, where the tire gives no such force, stays None.
-        fy, mz = jax.tree.map(jnp.negative, (forces.fy, forces.mz))
-        return TireForces(forces.fx, fy, mz)
+        odd = {"fy": forces.fy, "mz": forces.mz, "mx": forces.mx}
+        return forces._replace(**jax.tree.map(jnp.negative, odd))
 
 
 def mf_tire(
@@ -131,7 +140,8 @@ def mf_tire(
     Args:
         version: "5.2", "6.1" or "6.2".
         values: coefficients by their names in a ``.tir`` file, SI units; other names
-            are left aside, and a coefficient that is not there has no effect.
+            are left aside, and a coefficient that is not there has no effect; without
+            any of QSX1 to QSX14 there is no M_x, without any of QSY1 to QSY8 no M_y.
         starred: see :class:`MFTire`.
 
     Raises:
@@ -139,7 +149,13 @@ def mf_tire(
     """
     if version not in ("5.2", "6.1", "6.2"):
         raise ValueError(f"Magic Formula {version}: 5.2, 6.1 and 6.2 are known")
-    tire = MFTire(version=version, starred=starred)
+    begin = {key[:3] for key in values}
+    tire = MFTire(
+        overturning=Overturning() if "QSX" in begin else None,
+        rolling=Rolling() if "QSY" in begin else None,
+        version=version,
+        starred=starred,
+    )
     if "NOMPRES" in values:
         values = {"INFLPRES": values["NOMPRES"], **values}
     return with_values(tire, {k: values[k] for k in specs(tire) if k in values})
