@@ -112,7 +112,7 @@ def fit(
     part: Annotated[
         str | None,
         typer.Option(
-            metavar="fx|fy|mz|combined|all",
+            metavar="fx|fy|mz|mx|my|combined|all",
             help="of mf52, mf61, mf62: this part, or all that the files tell",
         ),
     ] = None,

@@ -61,6 +61,7 @@ def fit_whole(
 
 def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
     """Fits one version of the Magic Formula to the forces of another's file."""
+    from tirefit.data.table import CANONICAL
     from tirefit.data.tir import notes_on, read_tir
 
     tir = read_tir(file)
@@ -76,7 +77,7 @@ def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
         _write(result, out)
     say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}")
     for force, (rmse, count) in result.fitted.items():
-        unit = "N m" if force == "mz" else "N"
+        unit = CANONICAL[force][0]
         say(f"  {force}: RMSE {rmse:.4g} {unit} over {count} points")
     return _code(result, strict=False)
 

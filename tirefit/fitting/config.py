@@ -104,6 +104,8 @@ class NoiseConfig(Section):
     fx: PositiveFloat | None = None
     fy: PositiveFloat | None = None
     mz: PositiveFloat | None = None
+    mx: PositiveFloat | None = None
+    my: PositiveFloat | None = None
     fx_relative: PositiveFloat | None = None
     fy_relative: PositiveFloat | None = None
     sigma_x: PositiveFloat | None = None

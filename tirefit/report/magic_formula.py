@@ -2,6 +2,7 @@
 
 import html
 
+from tirefit.data.table import CANONICAL
 from tirefit.fitting.mf.parts import PARTS
 from tirefit.fitting.mf.result import ORIGINS, MagicFormulaFit
 from tirefit.params import specs
@@ -9,8 +10,6 @@ from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.text import table, wrapped
 
 __all__ = ["magic_formula_fragment", "magic_formula_report"]
-
-_UNIT = {"fx": "N", "fy": "N", "mz": "N m"}
 
 
 def magic_formula_report(fit: MagicFormulaFit) -> str:
@@ -25,7 +24,8 @@ def magic_formula_report(fit: MagicFormulaFit) -> str:
     lines += _guards(fit)
     for part in fit.parts:
         lines += _coefficients(fit, part)
-    if left_out := [PARTS[part].meaning for part in PARTS if part not in fit.parts]:
+    there = {one.part for one in fit.coefficients.values()} - {*fit.parts}
+    if left_out := [PARTS[part].meaning for part in PARTS if part in there]:
         lines += ["", *wrapped("not fitted", f"{', '.join(left_out)}: at the priors")]
     lines.append("")
     origins = {one.origin for one in fit.coefficients.values()}
@@ -50,7 +50,7 @@ def _forces(fit: MagicFormulaFit) -> list[str]:
         law = fit.noise[force]
         said = "estimated" if fit.noise_estimated[force] else "given"
         each = fit.inflation[force]
-        unit = _UNIT[force]
+        unit = CANONICAL[force][0]
         rows.append(
             [
                 force, str(count), f"{format_number(rmse)} {unit}",

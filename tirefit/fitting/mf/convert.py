@@ -9,9 +9,12 @@ from tirefit.data.tir import TirFile
 from tirefit.data.tir_keys import LIMITS, PRESSURE_TERMS
 from tirefit.fitting.config import FitConfig
 from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.fitting.mf.parts import NEVER_FITTED, VERSIONS, coefficients_of
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
+from tirefit.models.mf.moments import Overturning, Rolling
+from tirefit.params import specs
 
 __all__ = ["converted", "virtual_test"]
 
@@ -31,10 +34,15 @@ def _range(tir: TirFile, name: str, low: float, high: float) -> tuple[float, flo
 
 
 def virtual_test(
-    tir: TirFile, slip_max: float, loads: Sequence[float], pressure_too: bool
+    tir: TirFile,
+    slip_max: float,
+    loads: Sequence[float],
+    pressure_too: bool,
+    moments: Sequence[str] = (),
 ) -> TireData:
     """Sweeps in pure and combined slip of the tire of a file, at these loads [N], three
-    cambers and, if ``pressure_too``, three pressures; each is a run."""
+    cambers and, if ``pressure_too``, three pressures; each is a run. ``moments``: of
+    mx and my, those to be measured beside fx, fy and mz."""
     tire = mf_tire(tir.version, tir.numbers)
     kappa = np.linspace(*_range(tir, "kappa", -min(slip_max, 0.99), slip_max), _SLIPS)
     alpha = np.linspace(*_range(tir, "alpha", -slip_max, slip_max), _SLIPS)
@@ -64,6 +72,7 @@ def virtual_test(
         camber, inflation, np.zeros(len(load)),
     )  # fmt: skip
     given = forces(tire, inputs)._asdict()
+    given = {name: given[name] for name in ("fx", "fy", "mz", *moments)}
     columns = {k: np.asarray(v) for k, v in (inputs._asdict() | given).items()}
     run = np.repeat(np.arange(len(parts)), _SLIPS)
     said = "the file has no noise: standard errors are of what the version misses"
@@ -78,7 +87,8 @@ def converted(
     tir: TirFile, model: str, slip_max: float, loads: Sequence[float]
 ) -> MagicFormulaFit:
     """The Magic Formula ``model`` that a file is nearest to, fitted to its own test;
-    5.2, which has no pressure terms, at the nominal pressure.
+    5.2, which has no pressure terms, at the nominal pressure. M_x and M_y are copied
+    as far as the version has their coefficients; an M_x of more of them is fitted.
 
     Args:
         tir: the file, read and checked.
@@ -87,9 +97,17 @@ def converted(
         loads: F_z [N].
     """
     acting = any(tir.numbers.get(name) for name in PRESSURE_TERMS)
-    data = virtual_test(tir, slip_max, loads, acting and model != "mf52")
+    own = {
+        *coefficients_of(VERSIONS[model]),
+        *(NEVER_FITTED if model != "mf52" else ()),
+    }
+    of_mx = [name for name in specs(Overturning()) if tir.numbers.get(name)]
+    moments = () if own.issuperset(of_mx) else ("mx",)
+    data = virtual_test(tir, slip_max, loads, acting and model != "mf52", moments)
+    copied = {*specs(Rolling()), *(() if moments else specs(Overturning()))} & own
     kept = ("FNOMIN", "UNLOADED_RADIUS", "NOMPRES", "LONGVL")
     tire = mf_tire(tir.version, tir.numbers)
     given = {name: {"value": float(getattr(tire.nominal, name))} for name in kept}
+    given |= {k: {"value": tir.numbers[k]} for k in copied if k in tir.numbers}
     settings = FitConfig.model_validate({"parameters": given})
     return fit_magic_formula(data, model, config=settings, first=tir.numbers)

@@ -2,6 +2,7 @@
 
 import importlib.metadata
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,14 @@ from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, ParameterConfig, parse_config
 from tirefit.fitting.estimate import data_record
 from tirefit.fitting.mf.guards import check_guards
-from tirefit.fitting.mf.parts import PARTS, VERSIONS, coefficients_of
+from tirefit.fitting.mf.parts import (
+    HELD,
+    MOMENTS,
+    NEVER_FITTED,
+    PARTS,
+    VERSIONS,
+    coefficients_of,
+)
 from tirefit.fitting.mf.priors import Prior, normal_form, prior_given, published_priors
 from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
 from tirefit.fitting.mf.rows import ForceRows, NoiseLaw, joined, rows_of_forces
@@ -22,19 +30,22 @@ from tirefit.models.mf import MAGIC_FORMULAS, MFTire
 from tirefit.models.mf.fields import Nominal, Scaling
 from tirefit.params import check_names, check_values, specs, with_values
 from tirefit.precision import require_x64
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.slip import kappa_from_sigma
 
 __all__ = ["fit_magic_formula", "nominal_of", "parts_named", "problem_from"]
 
 
 def parts_named(part: str) -> tuple[str, ...]:
-    """The stages of ``--part``: that one, with ``combined`` and ``all`` all of them.
+    """The stages of ``--part``: that one, with ``combined`` and ``all`` all of them; of
+    M_x or M_y those of the forces too, of which it is made.
 
     Raises:
         UsageError: no such part.
     """
     (name,) = check_names("part", [part], (*PARTS, "all"))
+    if name in MOMENTS:
+        return ("fx", "fy", "combined", name)
     return tuple(PARTS) if name in ("combined", "all") else (name,)
 
 
@@ -55,8 +66,9 @@ def fit_magic_formula(
         data: what ``tirefit.read`` gave, or what it reads; a list of such counts as
             runs of one data set, which need not hold the same columns.
         model: ``mf52``, ``mf61`` or ``mf62``.
-        part: ``fx``, ``fy`` or ``mz`` in pure slip; ``all``, or ``combined``, is these
-            and combined slip, as far as the data hold them.
+        part: ``fx``, ``fy`` or ``mz`` in pure slip; ``all``, or ``combined``, is these,
+            combined slip, ``mx`` and ``my``, as far as the data hold them; ``mx`` or
+            ``my``: that moment and the forces.
         config: content of ``fit.toml``: noise of the forces; under ``parameters`` the
             nominal state (FNOMIN, UNLOADED_RADIUS, NOMPRES), and value, ``free`` and
             prior of coefficients.
@@ -80,6 +92,12 @@ def fit_magic_formula(
     forces = [f for name in parts for f in PARTS[name].forces]
     rows = rows_of_forces(whole, list(dict.fromkeys(forces)), config)
     tire, notes = nominal_of(model, rows, config)
+    lacking = "mx is not fitted: the data have no fy, of which the model makes it"
+    if part in MOMENTS and part not in rows:
+        reason = lacking if part in whole else f"the data have no {part}"
+        remedy = f"leave out --part {part}, or see `tirefit inspect`"
+        raise DataError(InputProblem(reason, remedy, whole.source.path or whole.name))
+    notes += [lacking] if "mx" in {*parts} & {*whole.columns} - {*rows} else []
     notes += _slip_noise_left_out(whole, config)
     problem, priors = problem_from(tire, config)
     work = search(problem, rows, parts, _start(problem, first) if first else None)
@@ -90,7 +108,7 @@ def _check_settings(model: str, config: FitConfig) -> None:
     """Raises UsageError for settings that a Magic Formula does not have; all."""
     problems = []
     own = coefficients_of(VERSIONS[model])
-    given = {*specs(Nominal()), *specs(Scaling())}
+    given = {*specs(Nominal()), *specs(Scaling()), *NEVER_FITTED}
     for name, asked in config.parameters.items():
         if name not in own and (name not in given or asked.value is None):
             reason = f"parameters.{name}: {model} does not fit it"
@@ -114,8 +132,13 @@ def _check_settings(model: str, config: FitConfig) -> None:
 def nominal_of(model: str, rows: dict[str, ForceRows], config: FitConfig):
     """The tire with its nominal state and all that is given; what was assumed."""
     empty = MAGIC_FORMULAS[model]
+    asked = {name[:3] for name in config.parameters}
+    if "mx" not in rows and "QSX" not in asked:
+        empty = replace(empty, overturning=None)
+    if "my" not in rows and "QSY" not in asked:
+        empty = replace(empty, rolling=None)
     given = {k: v.value for k, v in config.parameters.items() if v.value is not None}
-    check_values(empty, model, given)
+    check_values(MAGIC_FORMULAS[model], model, given)
     first = next(iter(rows.values()))
     pressures = first.column("pressure")
     pressures, speeds = pressures[pressures > 0], first.column("v")
@@ -130,14 +153,15 @@ def nominal_of(model: str, rows: dict[str, ForceRows], config: FitConfig):
     }
     origins = {
         "FNOMIN": "the median load", "NOMPRES": "the median pressure",
-        "UNLOADED_RADIUS": "no radius was given; M_z alone refers to it",
+        "UNLOADED_RADIUS": "no radius was given; the moments alone refer to it",
     }  # fmt: skip
     if not len(pressures):
         origins["NOMPRES"] = "the data have no pressure"
     notes = [
         f"{name} = {assumed[name]:g}: {why} (parameters.{name}.value gives another)"
         for name, why in origins.items()
-        if name not in given and (name != "UNLOADED_RADIUS" or "mz" in rows)
+        if name not in given
+        and (name != "UNLOADED_RADIUS" or {"mz", *MOMENTS} & rows.keys())
     ]
     return with_values(empty, assumed | given), notes
 
@@ -159,9 +183,11 @@ def _rounded(value: float) -> float:
 
 def problem_from(tire: MFTire, config: FitConfig) -> tuple[Problem, dict[str, Prior]]:
     """The coefficients in units of their priors, and the priors."""
-    names = tuple(coefficients_of(tire.version))
+    known = specs(tire)
+    names = tuple(name for name in coefficients_of(tire.version) if name in known)
     priors = {name: published_priors()[name] for name in names}
-    asked = {name: config.parameters.get(name, ParameterConfig()) for name in names}
+    usual = {name: ParameterConfig(free=False) for name in HELD}
+    asked = {n: (usual | config.parameters).get(n, ParameterConfig()) for n in names}
     for name, one in asked.items():
         if one.prior is not None:
             priors[name] = prior_given(name, one.prior.mean, one.prior.std)
@@ -204,10 +230,10 @@ def _result(model, data: TireData, work: Search, priors, notes) -> MagicFormulaF
     speeds = np.concatenate([work.rows[force].inputs.v for force in forces])
     tire = with_values(problem.tire, values)
     ranges = _ranges([work.rows[force] for force in forces])
-    guarded = tuple(force for force in forces if force != "mz")
+    guarded = tuple(force for force in forces if force in ("fx", "fy"))
     return MagicFormulaFit(
         model=model,
-        parts=tuple(stage.name for stage in work.stages[:-1]),
+        parts=tuple(stage.name for stage in work.stages if stage.name in PARTS),
         forces=forces,
         coefficients=coefficients,
         covariance=covariance,

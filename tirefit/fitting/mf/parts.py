@@ -8,12 +8,22 @@ from tirefit.data.table import TireData
 from tirefit.data.tir_keys import ONLY_IN
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.models.mf import MFTire
+from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.params import specs
 from tirefit.slip import kappa_from_sigma
 
 __all__ = [
-    "PARTS", "SLIPS_OF", "VERSIONS", "Part", "coefficients_of", "influences", "part_of",
-]  # fmt: skip
+    "HELD",
+    "MOMENTS",
+    "NEVER_FITTED",
+    "PARTS",
+    "SLIPS_OF",
+    "VERSIONS",
+    "Part",
+    "coefficients_of",
+    "influences",
+    "part_of",
+]
 
 VERSIONS = {"mf52": "5.2", "mf61": "6.1", "mf62": "6.2"}
 """Name of the model -> version of the Magic Formula."""
@@ -50,8 +60,21 @@ PARTS = {
     "fy": Part("fy", ("fy",), True, "lateral force in pure slip"),
     "mz": Part("mz", ("mz",), True, "aligning moment in pure slip"),
     "combined": Part("combined", ("fx", "fy", "mz"), False, "combined slip"),
+    "mx": Part("mx", ("mx",), False, "overturning moment"),
+    "my": Part("my", ("my",), False, "rolling resistance moment"),
 }
 """Stage -> what it is, in the order in which they are taken."""
+
+MOMENTS = ("mx", "my")
+"""Parts that take the forces of the model as they were fitted before: they move their
+own coefficients only."""
+
+HELD = ("QSX5",)
+"""At its prior's centre unless asked for: QSX4 and QSX5 trade off against each other
+where QSX2 and QSX3 take up what of QSX4 does not change with load."""
+
+NEVER_FITTED = ("QSX12", "QSX13", "QSX14")
+"""Zero in a fit: MF-Tyre asks for these or QSX1 to QSX11, which say the same."""
 
 
 def coefficients_of(version: str) -> dict[str, str]:
@@ -60,19 +83,30 @@ def coefficients_of(version: str) -> dict[str, str]:
     Scaling factors and the nominal state are not among them: they are given.
     """
     tire = MFTire()
-    groups = (("fx", tire.longitudinal), ("fy", tire.lateral), ("mz", tire.aligning))
+    groups = (
+        ("fx", tire.longitudinal),
+        ("fy", tire.lateral),
+        ("mz", tire.aligning),
+        ("mx", Overturning()),
+        ("my", Rolling()),
+    )
     return {
         name: part if _BEGINNINGS[name[0]] == "pure" else "combined"
         for part, group in groups
         for name in specs(group)
-        if ONLY_IN.get(name, version[0]) == version[0]
+        if ONLY_IN.get(name, version[0]) == version[0] and name not in NEVER_FITTED
     }
 
 
 def influences(version: str, force: str) -> tuple[str, ...]:
     """The coefficients that a force depends on, in their order."""
     tire = MFTire()
-    own = {"fx": (tire.longitudinal,), "fy": (tire.lateral,)}
+    own = {
+        "fx": (tire.longitudinal,),
+        "fy": (tire.lateral,),
+        "mx": (tire.lateral, Overturning()),
+        "my": (tire.longitudinal, Rolling()),
+    }
     groups = own.get(force, (tire.longitudinal, tire.lateral, tire.aligning))
     names = {name for group in groups for name in specs(group)}
     return tuple(name for name in coefficients_of(version) if name in names)
@@ -80,8 +114,8 @@ def influences(version: str, force: str) -> tuple[str, ...]:
 
 def part_of(name: str, data: TireData, force: str) -> np.ndarray:
     """Which of the used rows of this force a part takes, (n,) bool."""
-    other = "alpha" if CHANNEL_SLIP[force] == "sigma_x" else "sigma_x"
-    if not PARTS[name].pure or other not in data:
+    other = "alpha" if SLIPS_OF[force][0] == "sigma_x" else "sigma_x"
+    if not PARTS[name].pure or other not in data or force in MOMENTS:
         return np.full(data.n, True)
     size = np.abs(data.usable(other))
     if other == "sigma_x":

@@ -11,6 +11,7 @@ from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
 from tirefit.fitting.layout import FreeParameter, Layout
 from tirefit.fitting.mf.guards import Guard
+from tirefit.fitting.mf.parts import MOMENTS
 from tirefit.fitting.mf.rows import NoiseLaw
 from tirefit.fitting.mf.stages import Stage
 from tirefit.fitting.result import SCHEMA
@@ -91,7 +92,8 @@ class MagicFormulaFit(Displayed):
 
     @property
     def converged(self) -> bool:
-        return self.stages[-1].converged
+        last = ("together", *MOMENTS)
+        return all(stage.converged for stage in self.stages if stage.name in last)
 
     @property
     def identified(self) -> bool:

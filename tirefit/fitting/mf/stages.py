@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.fitting.mf.parts import PARTS, coefficients_of
+from tirefit.fitting.mf.parts import MOMENTS, PARTS, coefficients_of
 from tirefit.fitting.mf.rows import ForceRows, NoiseLaw, noise_law
 from tirefit.fitting.mf.solve import (
     Block,
@@ -105,7 +105,8 @@ def search(
     parts: Sequence[str],
     first: np.ndarray | None = None,
 ) -> Search:
-    """Every part from its own rows, then all of them from all rows.
+    """Every part from its own rows, then all of them from all rows, then M_x and M_y,
+    which leave the forces as they are.
 
     Args:
         problem: without rows; ``free`` says which coefficients are not fixed.
@@ -118,7 +119,7 @@ def search(
     of_part = coefficients_of(problem.tire.version)
     movable = {n for n, free in zip(problem.names, problem.free, strict=True) if free}
     moved: list[str] = []
-    for part in parts:
+    for part in (part for part in parts if part not in MOMENTS):
         forces = [force for force in PARTS[part].forces if force in rows]
         if part == "combined" and len(forces) > 1:
             forces = [force for force in forces if force != "mz"]
@@ -128,8 +129,15 @@ def search(
             continue
         _one_stage(work, part, forces, names)
         moved += names
-    work.moved = frozenset(moved)
-    _together(work, moved, "combined" if "combined" in parts else parts[0])
+    part = "combined" if "combined" in parts else parts[0]
+    forces = [f for f in rows if f not in MOMENTS and work.blocks(f, part)]
+    if forces:
+        _together(work, "together", part, forces, moved)
+    for part in (part for part in MOMENTS if part in parts and part in rows):
+        names = [n for n, own in of_part.items() if own == part and n in movable]
+        _one_stage(work, part, [part], names)
+        work.stages.pop()
+        _together(work, part, part, [part], names)
     return work
 
 
@@ -186,9 +194,11 @@ def _residual(work: Search, force: str, part: str) -> np.ndarray:
     return residual * work.noise(force)[work.rows[force].parts[part]]
 
 
-def _together(work: Search, moved: list[str], part: str) -> None:
-    """All parts at once, the noise settled; then what the data leave open is held."""
-    forces = [force for force in work.rows if work.blocks(force, part)]
+def _together(
+    work: Search, name: str, part: str, forces: list[str], moved: list[str]
+) -> None:
+    """All rows of these forces at once, the noise settled; then what the data leave
+    open is held. ``name`` is that of the stage."""
     for _ in range(5):
         problem = problem_of(work, forces, part, moved)
         work.u = minimise(problem, work.u, settled=_ROUGHLY).u
@@ -200,17 +210,18 @@ def _together(work: Search, moved: list[str], part: str) -> None:
     end = minimise(problem, work.u, settled=_ROUGHLY)
     free = np.flatnonzero(problem.free)
     left = np.linalg.inv(end.curvature[np.ix_(free, free)] + np.eye(len(free)))
-    work.held = frozenset(
+    held = frozenset(
         problem.names[i]
         for i, share in zip(free, np.diagonal(left), strict=True)
         if share > _HELD
     )
+    work.moved, work.held = work.moved | frozenset(moved), work.held | held
     work.u = end.u.copy()
-    work.u[np.isin(problem.names, list(work.held))] = 0.0
+    work.u[np.isin(problem.names, list(held))] = 0.0
     problem = problem.with_free([name for name in moved if name not in work.held])
     end = minimise(problem, work.u)
     work.u = end.u
-    work.covariance = _covariance(work.problem, problem, end)
+    work.covariance = _covariance(work, problem, end)
     for force in forces:
         missed = _residual(work, force, part)
         work.fitted[force] = float(np.sqrt(np.mean(missed**2))), len(missed)
@@ -218,13 +229,15 @@ def _together(work: Search, moved: list[str], part: str) -> None:
         far = int(np.count_nonzero(relative > FAR * MAD * np.median(relative)))
         if far:
             work.far[force] = far
-    _note(work, "together", problem, end)
+    _note(work, name, problem, end)
 
 
-def _covariance(whole: Problem, problem: Problem, end: Minimum) -> np.ndarray:
+def _covariance(work: Search, problem: Problem, end: Minimum) -> np.ndarray:
     """Of u: of what was moved by rows and priors, of the rest that may move by priors
-    alone, of what is fixed zero."""
-    covariance = np.diag(whole.free.astype(float))
+    alone, of what is fixed zero; what was moved before stays as it is."""
+    covariance = work.covariance
+    if not len(covariance):
+        covariance = np.diag(work.problem.free.astype(float))
     free = np.flatnonzero(problem.free)
     covariance[np.ix_(free, free)] = np.linalg.inv(
         end.curvature[np.ix_(free, free)] + np.eye(len(free))
@@ -246,6 +259,12 @@ _SHAPES: dict[str, tuple[dict[str, float], ...]] = {
     "fy": ({}, {"PCY1": 1.1}, {"PCY1": 1.8}),
     "mz": ({"QEZ1": -0.5}, {"QCZ1": 1.1, "QEZ1": -3.0}, {"QCZ1": 1.5, "QEZ1": -1.0}),
     "combined": ({},),
+    "mx": (
+        {},
+        {"QSX2": -1.0, "QSX3": 0.5, "QSX4": -1.0},
+        {"QSX2": 1.0, "QSX3": -0.5, "QSX4": 1.0},
+    ),
+    "my": ({},),
 }
 """Shapes of the curves to start from; curves with a peak, without, and sharp ones lie
 in different valleys."""
@@ -258,8 +277,9 @@ def starts_of(work: Search, part: str) -> list[np.ndarray]:
     starts = [work.u] if work.near else []
     for shape in _SHAPES[part]:
         u = work.u.copy()
-        for name, value in (looked | shape).items():
-            i = problem.names.index(name)
+        values = looked | shape
+        for name in values.keys() & set(problem.names):
+            i, value = problem.names.index(name), values[name]
             if problem.free[i]:
                 u[i] = problem.unit(name, value)
         starts.append(u)
