@@ -116,6 +116,14 @@ def fit(
             help="of mf52, mf61, mf62: this part, or all that the files tell",
         ),
     ] = None,
+    like: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OTHER.tir",
+            help="of mf52, mf61, mf62: a tire like this one, as prior of what the files"
+            " do not tell",
+        ),
+    ] = None,
     joint: Annotated[
         bool, typer.Option("--joint", help="one fit of all files, each file a run")
     ] = False,
@@ -161,9 +169,11 @@ def fit(
             "--solver": solver, "--sampler": sampler, "--force": force,
             "--resume": resume, "--svg": svg, "--html": html,
         }  # fmt: skip
-        if only_of_magic_formula(settings.model, part, unused):
+        if only_of_magic_formula(settings.model, part, unused, like):
             (directory,) = _output_directories(files, out, joint=True)
-            code = fit_whole(files, directory, settings, how, part or "all", strict)
+            code = fit_whole(
+                files, directory, settings, how, part or "all", strict, like
+            )
             raise typer.Exit(code)
         directories = _output_directories(files, out, joint)
         check_directories(directories)

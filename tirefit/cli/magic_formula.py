@@ -16,7 +16,9 @@ _SHARES_OF_NOMINAL = (0.5, 0.75, 1.0, 1.25, 1.5)
 """Loads at which a file is tested to convert it."""
 
 
-def only_of_magic_formula(model: str | None, part: str | None, unused: dict) -> bool:
+def only_of_magic_formula(
+    model: str | None, part: str | None, unused: dict, like: Path | None = None
+) -> bool:
     """Whether a whole Magic Formula is asked for.
 
     Args:
@@ -35,18 +37,31 @@ def only_of_magic_formula(model: str | None, part: str | None, unused: dict) -> 
     if part is not None and not whole:
         reason = f"--part without --model {', '.join(MAGIC_FORMULA_NAMES)}"
         problems.append(InputProblem(reason, "other models are fitted as one"))
+    if like is not None and not whole:
+        reason = f"--like without --model {', '.join(MAGIC_FORMULA_NAMES)}"
+        problems.append(InputProblem(reason, "give priors in [parameters] of fit.toml"))
     if problems:
         raise UsageError(problems)
     return whole
 
 
 def fit_whole(
-    files: list[Path], out: Path, settings, how: dict, part: str, strict: bool
+    files: list[Path],
+    out: Path,
+    settings,
+    how: dict,
+    part: str,
+    strict: bool,
+    like: Path | None = None,
 ) -> ExitCode:
     """Fits all files as runs of one tire; says and writes the result."""
     from tirefit.data.read import read
+    from tirefit.data.tir import notes_on, read_tir
 
     check_directories([out])
+    other = read_tir(like) if like else None
+    for text in notes_on(other) if other else ():
+        complain(f"warning: {like}: {text}")
     tables = [read(file, **how) for file in files]
     for table in tables:
         warn(table)
@@ -54,7 +69,9 @@ def fit_whole(
     from tirefit.fitting.mf.fit import fit_magic_formula
 
     with claimed(out):
-        result = fit_magic_formula(tables, settings.model, part=part, config=settings)
+        result = fit_magic_formula(
+            tables, settings.model, part=part, config=settings, like=other
+        )
         _write(result, out)
     return _code(result, strict)
 

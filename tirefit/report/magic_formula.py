@@ -26,13 +26,18 @@ def magic_formula_report(fit: MagicFormulaFit) -> str:
         lines += _coefficients(fit, part)
     there = {one.part for one in fit.coefficients.values()} - {*fit.parts}
     if left_out := [PARTS[part].meaning for part in PARTS if part in there]:
-        lines += ["", *wrapped("not fitted", f"{', '.join(left_out)}: at the priors")]
+        where = "at the priors, or borrowed" if _borrowed(fit) else "at the priors"
+        lines += ["", *wrapped("not fitted", f"{', '.join(left_out)}: {where}")]
     lines.append("")
     origins = {one.origin for one in fit.coefficients.values()}
     for origin in (o for o in ORIGINS if o in origins):
         lines += wrapped(origin, ORIGINS[origin])
     lines += ["", _verdict(fit)]
     return "\n".join(lines)
+
+
+def _borrowed(fit: MagicFormulaFit) -> bool:
+    return any(one.origin == "borrowed" for one in fit.coefficients.values())
 
 
 def _stages(fit: MagicFormulaFit) -> list[str]:

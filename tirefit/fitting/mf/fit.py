@@ -1,7 +1,8 @@
 """Fit a whole Magic Formula: :func:`fit_magic_formula`."""
 
 import importlib.metadata
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,9 +11,11 @@ import numpy as np
 from tirefit.data.accept import as_data
 from tirefit.data.read import require
 from tirefit.data.table import TireData
+from tirefit.data.tir import TirFile, read_tir
 from tirefit.fitting.config import FitConfig, ParameterConfig, parse_config
 from tirefit.fitting.estimate import data_record
 from tirefit.fitting.mf.guards import check_guards
+from tirefit.fitting.mf.like import Borrowed, borrowed_from, with_dimensions
 from tirefit.fitting.mf.parts import (
     HELD,
     MOMENTS,
@@ -56,6 +59,7 @@ def fit_magic_formula(
     part: str = "all",
     config: FitConfig | dict | None = None,
     first: Mapping[str, float] | None = None,
+    like: TirFile | str | os.PathLike | None = None,
 ) -> MagicFormulaFit:
     """Every coefficient of a Magic Formula, with its standard error and origin.
 
@@ -73,6 +77,8 @@ def fit_magic_formula(
             nominal state (FNOMIN, UNLOADED_RADIUS, NOMPRES), and value, ``free`` and
             prior of coefficients.
         first: coefficients of a tire that may be near, to start from too.
+        like: a ``.tir`` file, whose coefficients are the priors' means where ``config``
+            says nothing of them.
 
     Raises:
         UsageError: unknown model, part or coefficient, or a setting that is not of a
@@ -91,7 +97,13 @@ def fit_magic_formula(
     require(whole, ("fz",), f"the model {model}")
     forces = [f for name in parts for f in PARTS[name].forces]
     rows = rows_of_forces(whole, list(dict.fromkeys(forces)), config)
-    tire, notes = nominal_of(model, rows, config)
+    other = like if like is None or isinstance(like, TirFile) else read_tir(like)
+    taken: list[str] = []
+    if other is not None:
+        config, taken = with_dimensions(other, rows, config)
+    tire, notes = nominal_of(model, rows, config, other.numbers if other else ())
+    borrowed = borrowed_from(other, tire, rows, config) if other else Borrowed({}, ())
+    notes += [*taken, *borrowed.notes]
     lacking = "mx is not fitted: the data have no fy, of which the model makes it"
     if part in MOMENTS and part not in rows:
         reason = lacking if part in whole else f"the data have no {part}"
@@ -99,9 +111,9 @@ def fit_magic_formula(
         raise DataError(InputProblem(reason, remedy, whole.source.path or whole.name))
     notes += [lacking] if "mx" in {*parts} & {*whole.columns} - {*rows} else []
     notes += _slip_noise_left_out(whole, config)
-    problem, priors = problem_from(tire, config)
+    problem, priors = problem_from(tire, config, borrowed.priors)
     work = search(problem, rows, parts, _start(problem, first) if first else None)
-    return _result(model, whole, work, priors, notes)
+    return _result(model, whole, work, priors, notes, borrowed.priors.keys())
 
 
 def _check_settings(model: str, config: FitConfig) -> None:
@@ -129,10 +141,16 @@ def _check_settings(model: str, config: FitConfig) -> None:
         raise UsageError(problems)
 
 
-def nominal_of(model: str, rows: dict[str, ForceRows], config: FitConfig):
-    """The tire with its nominal state and all that is given; what was assumed."""
+def nominal_of(
+    model: str,
+    rows: dict[str, ForceRows],
+    config: FitConfig,
+    also: Iterable[str] = (),
+):
+    """The tire with its nominal state and all that is given; what was assumed. It has
+    an M_x or M_y that is measured, set or among the names ``also``."""
     empty = MAGIC_FORMULAS[model]
-    asked = {name[:3] for name in config.parameters}
+    asked = {name[:3] for name in (*config.parameters, *also)}
     if "mx" not in rows and "QSX" not in asked:
         empty = replace(empty, overturning=None)
     if "my" not in rows and "QSY" not in asked:
@@ -181,11 +199,15 @@ def _rounded(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def problem_from(tire: MFTire, config: FitConfig) -> tuple[Problem, dict[str, Prior]]:
-    """The coefficients in units of their priors, and the priors."""
+def problem_from(
+    tire: MFTire, config: FitConfig, borrowed: Mapping[str, Prior] | None = None
+) -> tuple[Problem, dict[str, Prior]]:
+    """The coefficients in units of their priors, and the priors: those that are set,
+    else those ``borrowed``, else the published ones."""
     known = specs(tire)
     names = tuple(name for name in coefficients_of(tire.version) if name in known)
-    priors = {name: published_priors()[name] for name in names}
+    known_priors = {**published_priors(), **(borrowed or {})}
+    priors = {name: known_priors[name] for name in names}
     usual = {name: ParameterConfig(free=False) for name in HELD}
     asked = {n: (usual | config.parameters).get(n, ParameterConfig()) for n in names}
     for name, one in asked.items():
@@ -210,7 +232,9 @@ def _slip_noise_left_out(data: TireData, config: FitConfig) -> list[str]:
     return [f"{', '.join(stated)}: slips are taken as exact here"] if stated else []
 
 
-def _result(model, data: TireData, work: Search, priors, notes) -> MagicFormulaFit:
+def _result(
+    model, data: TireData, work: Search, priors, notes, borrowed: Collection[str]
+) -> MagicFormulaFit:
     problem = work.problem
     values, of_part = problem.values(work.u), coefficients_of(problem.tire.version)
     scale = problem.scale(work.u)
@@ -219,7 +243,10 @@ def _result(model, data: TireData, work: Search, priors, notes) -> MagicFormulaF
     coefficients = {
         name: Coefficient(
             values[name], float(np.sqrt(covariance[i, i])),
-            _origin(bool(problem.free[i]), shares[i], name in work.moved - work.held),
+            _origin(
+                bool(problem.free[i]), shares[i], name in work.moved - work.held,
+                name in borrowed,
+            ),
             of_part[name], priors[name].centre, priors[name].std,
         )
         for i, name in enumerate(problem.names)
@@ -259,8 +286,10 @@ def _far_text(force: str, count: int) -> str:
     )
 
 
-def _origin(free: bool, share: float, moved: bool) -> str:
+def _origin(free: bool, share: float, moved: bool, borrowed: bool) -> str:
     """``share`` of the prior's variance is left."""
+    if borrowed and not (free and moved and share <= 0.5):
+        return "borrowed"
     if not free:
         return "given"
     if not moved:

@@ -26,6 +26,7 @@ ORIGINS = {
     "fitted": "the data tell it",
     "prior": "the prior tells at least as much of it as the data",
     "held": "not identified, held at its default; the uncertainty is the prior's",
+    "borrowed": "of the tire that `like` names, as the data do not tell it",
     "given": "given, not fitted",
 }
 """How a coefficient came by its value -> what that means."""
