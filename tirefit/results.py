@@ -57,6 +57,10 @@ class Outcome(enum.Enum):
         " ensembles disagree: continue it with --resume"
     )
     INTERRUPTED = "interrupted: the samples drawn so far are kept; --resume continues"
+    GUARD_FAILED = (
+        "within the loads and slips of the data the fitted curve is not that of a tire"
+    )
+    WORSENED = "rows of combined slip worsened the curve of pure slip"
     SYSTEMATIC_MISFIT = "the residuals are mostly a systematic miss of the curve"
     POOR_FIT = (
         "the model does not describe these data: the residuals are larger or more"

@@ -32,7 +32,7 @@ def sweeps(tmp_path_factory):
 
 def test_a_file_becomes_a_tir_and_a_prediction(run, sweeps):
     said = run("fit", sweeps, "--model", "mf61", "--part", "fx", "--out", "out").stdout
-    assert "VERDICT: converged" in said and "BEYOND THE DATA" in said
+    assert "VERDICT: converged" in said and "IS IT A TIRE?" in said
     assert "camber squared" in said and "held" in said
     written = read_tir("out/fit.tir")
     assert written.version == "6.1" and written.numbers["FNOMIN"] == 5000.0
@@ -64,7 +64,7 @@ def test_a_file_becomes_a_tir_and_a_prediction(run, sweeps):
         (("--model", "brush", "--part", "fx"), "--part without --model"),
         (("--model", "mf61", "--part", "fz"), "combined"),
         (("--model", "mf61", "--solver", "jaxopt"), "--solver with --model mf61"),
-        (("--model", "mf61", "--resume", "--svg"), "--resume, --svg"),
+        (("--model", "mf61", "--resume", "--force", "fx"), "--force, --resume"),
     ],
 )
 def test_options_of_another_fit_are_refused(run, sweeps, options, said):

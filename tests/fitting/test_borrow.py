@@ -116,4 +116,4 @@ def test_another_model_does_not_borrow(tmp_path):
     from tirefit.cli.magic_formula import only_of_magic_formula
 
     with pytest.raises(UsageError, match="--like without"):
-        only_of_magic_formula("brush", None, {}, tmp_path / "other.tir")
+        only_of_magic_formula("brush", {"like": tmp_path / "other.tir"}, {})

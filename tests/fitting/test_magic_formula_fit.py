@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 from tirefit.data.read import read_frame
 from tirefit.data.tir_keys import COEFFICIENTS, ONLY_IN
 from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.fitting.mf.noise_law import NoiseLaw, noise_law
 from tirefit.fitting.mf.parts import (
     NEVER_FITTED,
     PARTS,
@@ -21,7 +22,6 @@ from tirefit.fitting.mf.parts import (
     influences,
 )
 from tirefit.fitting.mf.priors import normal_form, published_priors
-from tirefit.fitting.mf.rows import NoiseLaw, noise_law
 from tirefit.fitting.mf.solve import Problem, blocks_of, minimise, row_gradients
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import MAGIC_FORMULAS
@@ -164,12 +164,17 @@ def test_the_optimum_is_no_worse_than_that_of_scipy():
         assert ours @ ours <= 2 * peer.cost * (1 + 1e-6)
 
 
-def test_noise_that_grows_with_load_is_told_from_noise_that_does_not():
+def test_noise_that_grows_with_load_or_force_is_told_from_noise_that_does_not():
     generator = np.random.default_rng(3)
     fz = generator.choice([1e3, 2e3, 4e3, 8e3], 20_000)
-    for law in (NoiseLaw(30.0, 0.0), NoiseLaw(0.0, 0.01), NoiseLaw(20.0, 0.01)):
-        found = noise_law(law.std(fz) * generator.standard_normal(len(fz)), fz)
-        np.testing.assert_allclose(found.std(fz), law.std(fz), rtol=0.05)
+    force = fz * generator.uniform(-1.2, 1.2, len(fz))
+    laws = [(30.0, 0.0, 0.0), (0.0, 0.01, 0.0), (20.0, 0.01, 0.0), (10.0, 0.0, 0.03)]
+    for law in (NoiseLaw(*parts) for parts in laws):
+        std = law.std(fz, force)
+        known = generator.uniform(0.0, 50.0, len(fz)) ** 2
+        missed = np.sqrt(std**2 + known) * generator.standard_normal(len(fz))
+        found = noise_law(missed, fz, force, known)
+        np.testing.assert_allclose(found.std(fz, force), std, rtol=0.12, atol=3.0)
 
 
 def test_pure_lateral_rows_give_their_coefficients_back():
@@ -191,7 +196,7 @@ def test_pure_lateral_rows_give_their_coefficients_back():
     assert np.max(np.abs(away)) < 4.0 and 0.5 < np.std(away) < 1.7
     held = [one for one in result.coefficients.values() if one.part != "fy"]
     assert all(one.origin == "held" and one.value == one.prior_mean for one in held)
-    assert result.noise["fy"].std(6e3) == pytest.approx(60.0, rel=0.05)
+    assert result.noise["fy"].std(6e3, 3e3) == pytest.approx(60.0, rel=0.05)
 
 
 def test_what_was_not_varied_is_held_and_said():
@@ -216,7 +221,7 @@ def test_a_given_coefficient_stays_and_a_prior_of_ones_own_is_used():
     config = {"parameters": asked, "noise": {"sigma_x": 1e-3}}
     table["fx"][100] += 0.5 * table["fz"][100]
     result = fit_magic_formula(read_frame(table), "mf52", part="fx", config=config)
-    assert any(note.startswith("1 rows of fx lie beyond") for note in result.notes)
+    assert any(note.startswith("1 row of fx lies beyond") for note in result.notes)
     assert "noise.sigma_x: slips are taken as exact here" in result.notes
     assert result.coefficients["PEX4"].origin == "given"
     assert result.coefficients["PEX4"].value == 0 == result.coefficients["PEX4"].std

@@ -86,7 +86,8 @@ def judged(path, fit, at, seed):
         size = np.asarray(at.fz) * (arm_of(path) if force == "mz" else 1.0)
         error = given[force] - np.asarray(getattr(true, force))
         std = given[f"{force}_std"]
-        own = np.sqrt(np.maximum(std**2 - fit.noise[force].std(at.fz) ** 2, 0.0))
+        noise = fit.noise[force].variance(at.fz, given[force])
+        own = np.sqrt(np.maximum(std**2 - noise, 0.0))
         new = error - NOISE * size * generator.standard_normal(len(error))
         shares[force] = (
             float(np.sqrt(np.mean((error / size) ** 2))),

@@ -108,7 +108,7 @@ def convert(
                 "--magic-formula": magic_formula, "--force": force,
                 "--slip-min": slip_min, "--seed": seed,
             }  # fmt: skip
-            only_of_magic_formula(model, None, asked)
+            only_of_magic_formula(model, {}, asked)
             assert file is not None  # else --magic-formula would be given
             raise typer.Exit(convert_whole(file, model, float(slips[-1]), chosen, out))
         result = _refit(

@@ -124,6 +124,14 @@ def fit(
             " do not tell",
         ),
     ] = None,
+    leave_out: Annotated[
+        str | None,
+        typer.Option(
+            metavar="three|load|bin|none",
+            help="of mf52, mf61, mf62: what is left out in turn to check the bands; by"
+            " default the bins of three loads",
+        ),
+    ] = None,
     joint: Annotated[
         bool, typer.Option("--joint", help="one fit of all files, each file a run")
     ] = False,
@@ -167,13 +175,14 @@ def fit(
             settings = settings.model_copy(update={"posterior": chosen})
         unused = {
             "--solver": solver, "--sampler": sampler, "--force": force,
-            "--resume": resume, "--svg": svg, "--html": html,
+            "--resume": resume,
         }  # fmt: skip
-        if only_of_magic_formula(settings.model, part, unused, like):
+        whole = {"part": part, "like": like, "leave_out": leave_out}
+        whole = {name: value for name, value in whole.items() if value is not None}
+        if only_of_magic_formula(settings.model, whole, unused):
             (directory,) = _output_directories(files, out, joint=True)
-            code = fit_whole(
-                files, directory, settings, how, part or "all", strict, like
-            )
+            also = Also(svg, html)
+            code = fit_whole(files, directory, settings, how, whole, strict, also)
             raise typer.Exit(code)
         directories = _output_directories(files, out, joint)
         check_directories(directories)

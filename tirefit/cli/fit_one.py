@@ -16,7 +16,15 @@ if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
     from tirefit.fitting.result import FitResult
 
-__all__ = ["Also", "FitTask", "exit_code", "exit_code_of", "fit_into", "fit_one"]
+__all__ = [
+    "PAGE",
+    "Also",
+    "FitTask",
+    "exit_code",
+    "exit_code_of",
+    "fit_into",
+    "fit_one",
+]
 
 PAGE, CHAIN = "fit.html", "chain.npz"
 
@@ -169,7 +177,13 @@ def exit_code_of(record: "FileRecord", strict: bool) -> ExitCode:
 
 
 def _code(outcomes: Collection[Outcome], strict: bool) -> ExitCode:
-    broken = {Outcome.NOT_CONVERGED, Outcome.CHAIN_TOO_SHORT, Outcome.INTERRUPTED}
+    broken = {
+        Outcome.NOT_CONVERGED,
+        Outcome.GUARD_FAILED,
+        Outcome.WORSENED,
+        Outcome.CHAIN_TOO_SHORT,
+        Outcome.INTERRUPTED,
+    }
     if broken & set(outcomes):
         return ExitCode.NOT_CONVERGED
     if strict and Outcome.NOT_IDENTIFIED in outcomes:

@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
-from tirefit.cli.options import complain, say, start_jax, warn
-from tirefit.cli.output import check_directories, claimed, staged
+from tirefit.cli.fit_one import PAGE, Also, exit_code
+from tirefit.cli.options import complain, progress_bar, say, start_jax, warn
+from tirefit.cli.output import check_directories, claimed, is_page, staged
+from tirefit.files import write_text_atomic
 from tirefit.results import ExitCode, InputProblem, UsageError
 
 __all__ = [
@@ -16,12 +18,11 @@ _SHARES_OF_NOMINAL = (0.5, 0.75, 1.0, 1.25, 1.5)
 """Loads at which a file is tested to convert it."""
 
 
-def only_of_magic_formula(
-    model: str | None, part: str | None, unused: dict, like: Path | None = None
-) -> bool:
+def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
     """Whether a whole Magic Formula is asked for.
 
     Args:
+        own: options that only it has, those that were given.
         unused: option -> whether it was given, of those that it does not have.
 
     Raises:
@@ -34,12 +35,10 @@ def only_of_magic_formula(
         reason = f"{', '.join(wrong)} with --model {model}"
         remedy = "leave it out: a whole Magic Formula is fitted in stages of its own"
         problems.append(InputProblem(reason, remedy))
-    if part is not None and not whole:
-        reason = f"--part without --model {', '.join(MAGIC_FORMULA_NAMES)}"
+    if own and not whole:
+        given = ", ".join(f"--{name.replace('_', '-')}" for name in own)
+        reason = f"{given} without --model {', '.join(MAGIC_FORMULA_NAMES)}"
         problems.append(InputProblem(reason, "other models are fitted as one"))
-    if like is not None and not whole:
-        reason = f"--like without --model {', '.join(MAGIC_FORMULA_NAMES)}"
-        problems.append(InputProblem(reason, "give priors in [parameters] of fit.toml"))
     if problems:
         raise UsageError(problems)
     return whole
@@ -50,18 +49,23 @@ def fit_whole(
     out: Path,
     settings,
     how: dict,
-    part: str,
+    options: dict,
     strict: bool,
-    like: Path | None = None,
+    also: Also,
 ) -> ExitCode:
-    """Fits all files as runs of one tire; says and writes the result."""
+    """Fits all files as runs of one tire; prints and writes the result with figures.
+
+    Args:
+        options: of :func:`~tirefit.fitting.mf.fit.fit_magic_formula`.
+    """
     from tirefit.data.read import read
     from tirefit.data.tir import notes_on, read_tir
 
     check_directories([out])
-    other = read_tir(like) if like else None
-    for text in notes_on(other) if other else ():
-        complain(f"warning: {like}: {text}")
+    if like := options.get("like"):
+        options = options | {"like": read_tir(like)}
+        for text in notes_on(options["like"]):
+            complain(f"warning: {like}: {text}")
     tables = [read(file, **how) for file in files]
     for table in tables:
         warn(table)
@@ -69,11 +73,12 @@ def fit_whole(
     from tirefit.fitting.mf.fit import fit_magic_formula
 
     with claimed(out):
-        result = fit_magic_formula(
-            tables, settings.model, part=part, config=settings, like=other
-        )
-        _write(result, out)
-    return _code(result, strict)
+        with progress_bar("fit") as progress:
+            result = fit_magic_formula(
+                tables, settings.model, config=settings, progress=progress, **options
+            )
+        _write(result, out, also)
+    return exit_code(result, strict)
 
 
 def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
@@ -96,22 +101,30 @@ def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
     for force, (rmse, count) in result.fitted.items():
         unit = CANONICAL[force][0]
         say(f"  {force}: RMSE {rmse:.4g} {unit} over {count} points")
-    return _code(result, strict=False)
+    return exit_code(result)
 
 
-def _write(result, out: Path) -> None:
-    """Says the result and writes it into the folder, which is claimed."""
+def _write(result, out: Path, also: Also | None = None) -> None:
+    """Says the result and writes it into the folder, which is claimed; with figures
+    where ``also`` is given."""
     from tirefit.fitting.mf.store import save_magic_formula
+    from tirefit.fitting.result import SCHEMA
     from tirefit.report.draw import FIGURE_FILES
+    from tirefit.report.mf_draw import (
+        MAGIC_FORMULA_FILES,
+        magic_formula_page,
+        save_pictures,
+    )
 
     # Figures and draws of an earlier fit would be taken for this one's.
-    with staged(out, ["posterior.nc", *FIGURE_FILES], result) as folder:
+    earlier = ["posterior.nc", *FIGURE_FILES, *MAGIC_FORMULA_FILES]
+    earlier += [PAGE] if is_page(out / PAGE, SCHEMA) else []
+    with staged(out, earlier, result) as folder:
         written = save_magic_formula(result, folder)
+        if also is not None:
+            written += save_pictures(result, folder, also.svg)
+            if also.html:
+                write_text_atomic(folder / PAGE, magic_formula_page(result))
+                written.append(folder / PAGE)
     say(str(result))
     say("wrote " + ", ".join(str(out / path.name) for path in written))
-
-
-def _code(result, strict: bool) -> ExitCode:
-    if not result.converged:
-        return ExitCode.NOT_CONVERGED
-    return ExitCode.NOT_IDENTIFIED if strict and not result.identified else ExitCode.OK

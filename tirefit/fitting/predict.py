@@ -14,6 +14,7 @@ from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.likelihood import row_forces
+from tirefit.fitting.mf.noise_law import NoiseLaw
 from tirefit.fitting.mf.parts import SLIPS_OF
 from tirefit.fitting.mf.predict import magic_formula_forces
 from tirefit.fitting.mf.result import MagicFormulaFit
@@ -158,20 +159,26 @@ def predict(
         )
     for channel in fitted:
         out[channel] = force[channel]
-        noise_std = _noise_std(data, channel, noise.get(channel), reference)
+        law = noise.get(channel)
+        noise_std = _noise_std(data, channel, law, reference, force[channel])
         spread = np.sqrt(np.maximum(variance[channel], 0.0))  # by rounding below it
         out[f"{channel}_std"] = np.hypot(spread, noise_std)
     return _masked(data, out)
 
 
-def _noise_std(data: TireData, channel: str, record: Mapping | None, reference):
+def _noise_std(data: TireData, channel: str, record: Mapping | None, reference, force):
     """Noise of one measurement: the rows' own where they state it, else the fit's."""
     if f"{channel}_std" in data:
         return data[f"{channel}_std"]
     if record is None:
         return 0.0
     if "share_of_load" in record:
-        return np.hypot(record["constant"], record["share_of_load"] * data["fz"])
+        law = NoiseLaw(
+            record["constant"],
+            record["share_of_load"],
+            record.get("share_of_force", 0.0),
+        )
+        return law.std(data["fz"], force)
     if record.get("proportional_to_load"):
         return record["median_std"] * data["fz"] / reference["fz"]
     return record["median_std"]

@@ -1,7 +1,7 @@
 """The fitted curve and its bands, as arrays."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,6 +22,7 @@ __all__ = [
     "FitCurve",
     "Group",
     "SlipAxis",
+    "even",
     "fit_curve",
     "slip_axis",
 ]
@@ -33,6 +34,8 @@ FORCE_LABEL = {
     "fx": ("longitudinal force $F_x$", "N", "$F_x / F_z$"),
     "fy": ("lateral force $F_y$", "N", "$F_y / F_z$"),
     "mz": ("aligning moment $M_z$", "N m", "$M_z / F_z$"),
+    "mx": ("overturning moment $M_x$", "N m", "$M_x / F_z$"),
+    "my": ("rolling resistance moment $M_y$", "N m", "$M_y / F_z$"),
 }
 _LIMIT = {
     "mu": ("friction limit", r"\mu"),
@@ -51,11 +54,14 @@ class SlipAxis(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Measured points of one level of load, slip, speed or run: slip, force (n,)."""
+    """Measured points of one level of load, slip, speed or run: slip, force (n,), and
+    where each stands for several rows the range of their forces, (n,)."""
 
     label: str
     slip: np.ndarray
     force: np.ndarray
+    low: np.ndarray | None = None
+    high: np.ndarray | None = None
 
 
 class Curve(NamedTuple):
@@ -101,6 +107,12 @@ def slip_axis(name: str, values: np.ndarray) -> SlipAxis:
         r"slip ratio $v_{sx}/\max(v_x, \Omega R_e)$", "-", slip_ratio_from_sigma,
         lambda ratio: sigma_from_slip_ratio(np.minimum(ratio, 1 - 1 / LOCKED)),
     )  # fmt: skip
+
+
+def even(members: Sequence[Any]) -> list:
+    """At most as many members as a panel shows, the first and the last among them."""
+    count = min(len(members), _MOST_GROUPS)
+    return [members[i] for i in np.linspace(0, len(members) - 1, count).astype(int)]
 
 
 def _levels(values: np.ndarray, scale: float) -> np.ndarray:
@@ -159,7 +171,7 @@ def _members(result: FitResult, keys) -> tuple[list[tuple[str, np.ndarray]], str
     combinations, of_row = np.unique(stack, axis=0, return_inverse=True)
     chosen, note = np.arange(len(combinations)), ""
     if len(combinations) > _MOST_GROUPS:
-        chosen = np.linspace(0, len(combinations) - 1, _MOST_GROUPS).astype(int)
+        chosen = np.array(even(range(len(combinations))))
         note = f"{_MOST_GROUPS} of {len(combinations)} runs shown"
     groups = []
     for code in chosen:

@@ -69,6 +69,8 @@ def draw_fit(axes, curve: FitCurve, beside: bool = True) -> None:
             markersize=size, markeredgewidth=0, alpha=0.45, color=_color(i),
             rasterized=True, zorder=2,
         )  # fmt: skip
+        if group.low is not None:
+            axes.vlines(group.slip, group.low, group.high, _color(i), lw=0.8, alpha=0.6)
     for i, one in enumerate(curve.curves):
         color = DARK if single else _color(i)
         axes.fill_between(
@@ -118,9 +120,14 @@ def _legend(axes, curve: FitCurve, limit: str, beside: bool) -> None:
     ]
     handles += [
         Line2D([], [], color=DARK, lw=1.4, label="fit"),
-        Patch(color=DARK, alpha=_DENSE, lw=0, label="95 % band of the fit"),
-        Patch(color=DARK, alpha=_LIGHT, lw=0, label="95 % of measurements"),
     ]
+    fitted = any(np.any(c.high > c.low) for c in curve.curves)
+    noisy = any(np.any(c.noise_high > c.noise_low) for c in curve.curves)
+    bands = (
+        (fitted, _DENSE, "95 % band of the fit"),
+        (noisy, _LIGHT, "95 % of measurements"),
+    )
+    handles += [Patch(color=DARK, alpha=a, lw=0, label=t) for on, a, t in bands if on]
     if limit:
         drawn = limit == curve.limit_label and curve.curves[0].limit is not None
         style = (0, (5, 3)) if drawn else "none"

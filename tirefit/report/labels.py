@@ -6,6 +6,7 @@
 from collections.abc import Mapping, Sequence
 
 from tirefit.data.run_names import clipped, label_of_run, name_pattern, run_names
+from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.result import FitResult
 
 __all__ = ["fit_files", "notes_of", "run_lines", "short_label", "short_run"]
@@ -39,7 +40,7 @@ def run_lines(result: FitResult) -> list[str]:
     return [f"{i}: {run}" for i, run in enumerate(runs, 1)]
 
 
-def fit_files(result: FitResult, most: int = 1000) -> str:
+def fit_files(result: FitResult | MagicFormulaFit, most: int = 1000) -> str:
     """The file of a fit without its folder; of several their number and pattern."""
     files = result.data["file"].replace("\\", "/").split(", ")
     if not 1 < len(files) <= len(result.data["runs"]):

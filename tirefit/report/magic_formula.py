@@ -1,15 +1,20 @@
 """The report of a fitted Magic Formula as text and as HTML."""
 
 import html
+from collections.abc import Callable
 
-from tirefit.data.table import CANONICAL
+from tirefit.data.table import CANONICAL, FORCES
 from tirefit.fitting.mf.parts import PARTS
-from tirefit.fitting.mf.result import ORIGINS, MagicFormulaFit
+from tirefit.fitting.mf.result import ORIGINS, WORSENED, MagicFormulaFit
 from tirefit.params import specs
+from tirefit.report.html import png_text
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.text import table, wrapped
+from tirefit.results import Outcome
 
 __all__ = ["magic_formula_fragment", "magic_formula_report"]
+
+_UNIT = {force: CANONICAL[force][0] for force in FORCES}
 
 
 def magic_formula_report(fit: MagicFormulaFit) -> str:
@@ -21,59 +26,90 @@ def magic_formula_report(fit: MagicFormulaFit) -> str:
         lines += wrapped("assumed", note)
     lines += _stages(fit)
     lines += _forces(fit)
+    lines += _left_out(fit)
     lines += _guards(fit)
     for part in fit.parts:
         lines += _coefficients(fit, part)
     there = {one.part for one in fit.coefficients.values()} - {*fit.parts}
+    origins = {one.origin for one in fit.coefficients.values()}
     if left_out := [PARTS[part].meaning for part in PARTS if part in there]:
-        where = "at the priors, or borrowed" if _borrowed(fit) else "at the priors"
+        where = "at the priors" + (", or borrowed" if "borrowed" in origins else "")
         lines += ["", *wrapped("not fitted", f"{', '.join(left_out)}: {where}")]
     lines.append("")
-    origins = {one.origin for one in fit.coefficients.values()}
     for origin in (o for o in ORIGINS if o in origins):
         lines += wrapped(origin, ORIGINS[origin])
-    lines += ["", _verdict(fit)]
+    lines += ["", *_verdict(fit)]
     return "\n".join(lines)
 
 
-def _borrowed(fit: MagicFormulaFit) -> bool:
-    return any(one.origin == "borrowed" for one in fit.coefficients.values())
-
-
 def _stages(fit: MagicFormulaFit) -> list[str]:
-    rows = [["stage", "values", "coefficients", "chi2/value", "passes"]]
+    """What each stage misses when it ended and at the end of the fit, by its rows."""
+    head = ["stage", "rows", "cells", "coefficients", "passes", "RMSE", "at the end"]
+    rows = [head]
     for stage in fit.stages:
-        ratio = f"{stage.chi2 / stage.rows:.3f}"
-        cells = [stage.name, str(stage.rows), str(stage.moved), ratio, str(stage.steps)]
-        rows.append(cells)
-    return ["", "STAGES", *table(rows, right=(1, 2, 3, 4))]
+        unit = _UNIT[stage.force]
+        passes = str(stage.steps) if stage.converged else f"{stage.steps} (limit)"
+        cells = [stage.name, str(stage.rows), str(stage.cells), str(stage.moved)]
+        sizes = (stage.rmse, stage.rmse_at_end)
+        rows.append([*cells, passes, *(f"{format_number(s)} {unit}" for s in sizes)])
+    lines = ["", "STAGES (cells are means of like rows; RMSE of these)"]
+    return [*lines, *table(rows, right=(1, 2, 3, 4, 5, 6))]
 
 
 def _forces(fit: MagicFormulaFit) -> list[str]:
-    rows = [["force", "values", "RMSE", "noise, constant", "share of F_z", "", "count"]]
+    """What rows miss, and the noise of the band of a new measurement."""
+    head = ["force", "rows", "RMSE", "noise, constant", "of F_z", "of force"]
+    rows = [[*head, "errors", "count"]]
     for force, (rmse, count) in fit.fitted.items():
-        law = fit.noise[force]
-        said = "estimated" if fit.noise_estimated[force] else "given"
+        law, unit = fit.noise[force], _UNIT[force]
         each = fit.inflation[force]
-        unit = CANONICAL[force][0]
         rows.append(
             [
-                force, str(count), f"{format_number(rmse)} {unit}",
-                f"{format_number(law.constant)} {unit}", f"{law.share:.3%}", said,
-                "each row" if each == 1 else f"one of {each:.1f} rows",
+                force,
+                str(count),
+                f"{format_number(rmse)} {unit}",
+                f"{format_number(law.constant)} {unit}",
+                f"{law.share:.2%}" if unit == "N" else f"{law.share * 1e3:.2f} mm",
+                f"{law.of_force:.1%}",
+                f"x {fit.wider[force]:.2f}",
+                "each row" if each < 1.05 else f"one of {each:.0f} rows",
             ]
-        )  # fmt: skip
-    return ["", "FORCES", *table(rows, right=(1, 2, 3, 4))]
+        )
+    return ["", "FORCES", *table(rows, right=(1, 2, 3, 4, 5, 6))]
+
+
+def _left_out(fit: MagicFormulaFit) -> list[str]:
+    """How parts of the data are foretold by the others."""
+    if not fit.left_out:
+        said = "nothing was left out: bands are those of the fitted rows, unchecked"
+        return ["", *wrapped("left out", said)]
+    head = ["left out", "force", "rows", "RMSE", "when fitted", "within 95 % band"]
+    rows = [head]
+    for part in fit.left_out:
+        unit = _UNIT[part.force]
+        sizes = (part.rmse, part.rmse_of_all)
+        rows.append(
+            [
+                part.label,
+                part.force,
+                str(part.rows),
+                *(f"{format_number(size)} {unit}" for size in sizes),
+                f"{part.within:.0%}",
+            ]
+        )
+    lines = ["", "LEFT OUT, and foretold by the rest (bands made without the part)"]
+    return [*lines, *table(rows, right=(2, 3, 4, 5))]
 
 
 def _guards(fit: MagicFormulaFit) -> list[str]:
-    """What holds beyond the data, and where the rows end."""
+    """What holds within and beyond the data, and where their loads end."""
     if not fit.guards:
         return []
     low, high = fit.ranges["fz"]
-    lines = ["", f"BEYOND THE DATA (F_z {low:.4g} to {high:.4g} N)"]
+    lines = ["", f"IS IT A TIRE? (data: F_z {low:.4g} to {high:.4g} N)"]
     for guard in fit.guards:
-        said = "holds" if guard.holds else "FAILS"
+        said = "holds" if guard.holds else "FAILS beyond the data"
+        said = said if guard.holds_inside else "FAILS WITHIN THE DATA"
         lines += wrapped(guard.name, f"{said}: {guard.text}")
     return lines
 
@@ -88,13 +124,41 @@ def _coefficients(fit: MagicFormulaFit, part: str) -> list[str]:
     return ["", f"COEFFICIENTS, {PARTS[part].meaning}", *table(rows)]
 
 
-def _verdict(fit: MagicFormulaFit) -> str:
+def _verdict(fit: MagicFormulaFit) -> list[str]:
+    """Whether it can be used as it is, and what is against it."""
     origins = [one.origin for one in fit.coefficients.values()]
     counts = [f"{origins.count(o)} {o}" for o in ORIGINS if o in origins]
-    said = "converged" if fit.converged else fit.outcomes[0].value
-    return f"VERDICT: {said}; coefficients: {', '.join(counts)}"
+    against = [o for o in fit.outcomes if o in _REASONS]
+    said = "not to be used as it is" if against else "converged"
+    lines = [f"VERDICT: {said}; coefficients: {', '.join(counts)}"]
+    for outcome in against:
+        lines += wrapped("", f"{outcome.value}: {', '.join(_REASONS[outcome](fit))}")
+    beyond = [one.name for one in fit.guards if one.holds_inside and not one.holds]
+    if beyond:
+        lines += wrapped("", f"beyond the data these fail: {', '.join(beyond)}")
+    return lines
+
+
+_REASONS: dict[Outcome, Callable[[MagicFormulaFit], list[str]]] = {
+    Outcome.NOT_CONVERGED: lambda fit: [
+        stage.name for stage in fit.stages if not stage.converged
+    ],
+    Outcome.GUARD_FAILED: lambda fit: [
+        guard.name for guard in fit.guards if not guard.holds_inside
+    ],
+    Outcome.WORSENED: lambda fit: [
+        stage.name for stage in fit.stages if stage.rmse_at_end > WORSENED * stage.rmse
+    ],
+}
+"""Outcome that is against a fit -> the names of what is."""
 
 
 def magic_formula_fragment(fit: MagicFormulaFit) -> str:
-    """The same for a notebook."""
-    return f"<pre>{html.escape(magic_formula_report(fit))}</pre>"
+    """The same for a notebook, with the figure where the fit is of this process."""
+    picture = ""
+    if fit.binned:
+        from tirefit.report.mf_draw import plot_magic_formula  # Matplotlib
+
+        png = png_text(plot_magic_formula(fit))
+        picture = f'<img alt="forces by load" src="data:image/png;base64,{png}">'
+    return f"<pre>{html.escape(magic_formula_report(fit))}</pre>{picture}"

@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.result import FitResult, information
 from tirefit.report import draw
 from tirefit.report.by_name import has_runs
 from tirefit.report.fit_tables import value_text
 from tirefit.report.html import rendered
+from tirefit.report.mf_draw import plot_magic_formula
 from tirefit.report.numbers import format_number
 from tirefit.report.text import table
 from tirefit.report.uncertainty import has_trace
@@ -30,7 +32,7 @@ def _needs(result: FitResult, what: str, there: bool) -> None:
         raise UsageError(f"this fit has no {what}")
 
 
-def plot_fit(result: FitResult, ax=None):
+def plot_fit(result: FitResult | MagicFormulaFit, ax=None):
     """Measured points and the fitted curve with its bands; the Figure.
 
     Args:
@@ -38,6 +40,8 @@ def plot_fit(result: FitResult, ax=None):
         ax: axes to draw the first force on, of a figure of your own: nothing of it
             lies beside them.
     """
+    if isinstance(result, MagicFormulaFit):
+        return plot_magic_formula(result, ax)
     _needs(result, "data in memory (fit again to draw it)", result.problem is not None)
     if ax is None:
         return draw.fit_figure(result)

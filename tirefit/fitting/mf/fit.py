@@ -2,9 +2,9 @@
 
 import importlib.metadata
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,9 @@ from tirefit.data.table import TireData
 from tirefit.data.tir import TirFile, read_tir
 from tirefit.fitting.config import FitConfig, ParameterConfig, parse_config
 from tirefit.fitting.estimate import data_record
+from tirefit.fitting.mf.bins import binned, settings_of
 from tirefit.fitting.mf.guards import check_guards
+from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, LeftOut, foretold
 from tirefit.fitting.mf.like import Borrowed, borrowed_from, with_dimensions
 from tirefit.fitting.mf.parts import (
     HELD,
@@ -23,13 +25,14 @@ from tirefit.fitting.mf.parts import (
     PARTS,
     VERSIONS,
     coefficients_of,
+    own_coefficients,
 )
 from tirefit.fitting.mf.priors import Prior, normal_form, prior_given, published_priors
 from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
-from tirefit.fitting.mf.rows import ForceRows, NoiseLaw, joined, rows_of_forces
-from tirefit.fitting.mf.solve import Problem
-from tirefit.fitting.mf.stages import FAR, Search, search
-from tirefit.models.mf import MAGIC_FORMULAS, MFTire
+from tirefit.fitting.mf.rows import ForceRows, joined, rows_of_forces
+from tirefit.fitting.mf.solve import Problem, row_values
+from tirefit.fitting.mf.stages import Search, groups_of, search
+from tirefit.models.mf import MAGIC_FORMULAS, MFTire, frictions
 from tirefit.models.mf.fields import Nominal, Scaling
 from tirefit.params import check_names, check_values, specs, with_values
 from tirefit.precision import require_x64
@@ -37,6 +40,12 @@ from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.slip import kappa_from_sigma
 
 __all__ = ["fit_magic_formula", "nominal_of", "parts_named", "problem_from"]
+
+_FAR = 7.0
+"""Standard deviations of rows and their misfit beyond which a row is counted."""
+
+_REACHED = 0.9
+"""Share of mu F_z that some row reaches, below which the friction is not measured."""
 
 
 def parts_named(part: str) -> tuple[str, ...]:
@@ -60,11 +69,15 @@ def fit_magic_formula(
     config: FitConfig | dict | None = None,
     first: Mapping[str, float] | None = None,
     like: TirFile | str | os.PathLike | None = None,
+    leave_out: str = "three",
+    progress: Callable[[float, str], None] = lambda share, note: None,
 ) -> MagicFormulaFit:
     """Every coefficient of a Magic Formula, with its standard error and origin.
 
-    Each part is fitted to its own rows, then all together; Gaussian priors from
-    published tires keep what the data do not tell at physical values.
+    Each force is fitted to its own rows, pure slip before combined slip, and moments
+    after the forces, whose coefficients they do not move; Gaussian priors from
+    published tires keep what the data do not tell at physical values. Parts of the data
+    are then left out in turn: how well the others foretell them makes the bands.
 
     Args:
         data: what ``tirefit.read`` gave, or what it reads; a list of such counts as
@@ -79,6 +92,9 @@ def fit_magic_formula(
         first: coefficients of a tire that may be near, to start from too.
         like: a ``.tir`` file, whose coefficients are the priors' means where ``config``
             says nothing of them.
+        leave_out: ``three`` leaves out the bins of three loads in turn, ``load`` those
+            of each load, ``bin`` each bin, ``none`` nothing.
+        progress: called with the share done and what is being done.
 
     Raises:
         UsageError: unknown model, part or coefficient, or a setting that is not of a
@@ -87,6 +103,7 @@ def fit_magic_formula(
     """
     require_x64("a fit")
     check_names("Magic Formula", [model], VERSIONS)
+    check_names("leave_out", [leave_out], LEAVE_OUT)
     parts = parts_named(part)
     if isinstance(config, dict):
         config = parse_config(config)
@@ -95,25 +112,61 @@ def fit_magic_formula(
     whole = joined([as_data(table) for table in tables])
     _check_settings(model, config)
     require(whole, ("fz",), f"the model {model}")
-    forces = [f for name in parts for f in PARTS[name].forces]
-    rows = rows_of_forces(whole, list(dict.fromkeys(forces)), config)
+    rows, notes = _rows(whole, part, config)
     other = like if like is None or isinstance(like, TirFile) else read_tir(like)
-    taken: list[str] = []
     if other is not None:
         config, taken = with_dimensions(other, rows, config)
-    tire, notes = nominal_of(model, rows, config, other.numbers if other else ())
+        notes += taken
+    tire, assumed = nominal_of(model, rows, config, other.numbers if other else ())
     borrowed = borrowed_from(other, tire, rows, config) if other else Borrowed({}, ())
-    notes += [*taken, *borrowed.notes]
+    notes += [*assumed, *borrowed.notes, *_slip_noise_left_out(whole, config)]
+    problem, priors = problem_from(tire, config, borrowed.priors)
+    settings = {force: settings_of(of_force) for force, of_force in rows.items()}
+    codes = {force: code for force, (_, code) in settings.items()}
+    groups = groups_of(rows, codes, "combined" in parts)
+    start = _start(problem, first) if first else None
+    say = _Steps(progress, sum(map(len, groups.values())))
+    work = search(problem, rows, groups, start, say)
+    left_out, bands = foretold(work, rows, settings, leave_out, say)
+    fitted = _Fitted(work, rows, left_out, bands, borrowed.priors.keys())
+    return _result(model, whole, fitted, priors, notes)
+
+
+def _rows(whole: TireData, part: str, config: FitConfig):
+    """The rows of the forces of a part, and what to say of them; raises DataError for a
+    moment that is asked for and is not there."""
+    parts = parts_named(part)
+    forces = list(dict.fromkeys(f for name in parts for f in PARTS[name].forces))
+    forces = [force for force in forces if force != "mz" or part not in MOMENTS]
+    rows = rows_of_forces(whole, forces, config)
     lacking = "mx is not fitted: the data have no fy, of which the model makes it"
     if part in MOMENTS and part not in rows:
         reason = lacking if part in whole else f"the data have no {part}"
         remedy = f"leave out --part {part}, or see `tirefit inspect`"
         raise DataError(InputProblem(reason, remedy, whole.source.path or whole.name))
-    notes += [lacking] if "mx" in {*parts} & {*whole.columns} - {*rows} else []
-    notes += _slip_noise_left_out(whole, config)
-    problem, priors = problem_from(tire, config, borrowed.priors)
-    work = search(problem, rows, parts, _start(problem, first) if first else None)
-    return _result(model, whole, work, priors, notes, borrowed.priors.keys())
+    return rows, [lacking] if "mx" in {*parts} & {*whole.columns} - {*rows} else []
+
+
+class _Fitted(NamedTuple):
+    """The search, its rows, what it foretells of parts that were left out, and the
+    coefficients whose prior was borrowed."""
+
+    work: Search
+    rows: Mapping[str, ForceRows]
+    left_out: tuple[LeftOut, ...]
+    bands: Mapping[str, Band]
+    borrowed: Collection[str] = ()
+
+
+class _Steps:
+    """Tells a progress bar of steps: ``stages`` of them, and as many again left out."""
+
+    def __init__(self, progress: Callable[[float, str], None], stages: int):
+        self._progress, self._done, self._all = progress, 0, 2 * stages
+
+    def __call__(self, note: str) -> None:
+        self._progress(self._done / max(self._all, self._done + 1), note)
+        self._done += 1
 
 
 def _check_settings(model: str, config: FitConfig) -> None:
@@ -206,8 +259,8 @@ def problem_from(
     else those ``borrowed``, else the published ones."""
     known = specs(tire)
     names = tuple(name for name in coefficients_of(tire.version) if name in known)
-    known_priors = {**published_priors(), **(borrowed or {})}
-    priors = {name: known_priors[name] for name in names}
+    all_priors = {**published_priors(), **(borrowed or {})}
+    priors = {name: all_priors[name] for name in names}
     usual = {name: ParameterConfig(free=False) for name in HELD}
     asked = {n: (usual | config.parameters).get(n, ParameterConfig()) for n in names}
     for name, one in asked.items():
@@ -232,58 +285,124 @@ def _slip_noise_left_out(data: TireData, config: FitConfig) -> list[str]:
     return [f"{', '.join(stated)}: slips are taken as exact here"] if stated else []
 
 
-def _result(
-    model, data: TireData, work: Search, priors, notes, borrowed: Collection[str]
-) -> MagicFormulaFit:
-    problem = work.problem
+def _result(model, data: TireData, fitted: _Fitted, priors, notes) -> MagicFormulaFit:
+    work, rows, bands = fitted.work, fitted.rows, fitted.bands
+    problem, forces = work.problem, tuple(work.groups)
     values, of_part = problem.values(work.u), coefficients_of(problem.tire.version)
-    scale = problem.scale(work.u)
+    scale = problem.scale(work.u) * _wider(problem, bands)
     covariance = work.covariance * np.outer(scale, scale)
     shares = np.diagonal(work.covariance)
     coefficients = {
         name: Coefficient(
-            values[name], float(np.sqrt(covariance[i, i])),
-            _origin(
-                bool(problem.free[i]), shares[i], name in work.moved - work.held,
-                name in borrowed,
+            value=values[name],
+            std=float(np.sqrt(covariance[i, i])),
+            origin=_origin(
+                bool(problem.free[i]),
+                shares[i],
+                name in work.moved - work.held,
+                name in fitted.borrowed,
             ),
-            of_part[name], priors[name].centre, priors[name].std,
+            part=of_part[name],
+            prior_mean=priors[name].centre,
+            prior_std=priors[name].std,
         )
         for i, name in enumerate(problem.names)
-    }  # fmt: skip
-    forces = tuple(work.fitted)
-    notes = [*notes, *(_far_text(force, work.far[force]) for force in work.far)]
-    loads = np.concatenate([work.rows[force].inputs.fz for force in forces])
-    speeds = np.concatenate([work.rows[force].inputs.v for force in forces])
+    }
+    residuals = {force: _residuals(work, rows[force]) for force in forces}
     tire = with_values(problem.tire, values)
-    ranges = _ranges([work.rows[force] for force in forces])
+    ranges = _ranges([rows[force] for force in forces])
     guarded = tuple(force for force in forces if force in ("fx", "fy"))
     return MagicFormulaFit(
         model=model,
-        parts=tuple(stage.name for stage in work.stages if stage.name in PARTS),
+        parts=tuple(part for part in PARTS if part in {s.part for s in work.stages}),
         forces=forces,
         coefficients=coefficients,
         covariance=covariance,
         tire=tire,
-        noise={force: _law(work, force) for force in forces},
-        noise_estimated={force: work.rows[force].estimated for force in forces},
-        inflation=dict(work.inflation),
-        fitted=dict(work.fitted),
-        stages=tuple(work.stages),
+        noise={force: bands[force].law for force in forces},
+        noise_estimated={force: rows[force].estimated for force in forces},
+        wider={force: bands[force].wider for force in forces},
+        inflation={force: work.rows_per_one(force) for force in forces},
+        fitted={
+            force: (float(np.sqrt(np.mean(missed**2))), len(missed))
+            for force, missed in residuals.items()
+        },
+        stages=tuple(work.stages_at_end()),
+        left_out=fitted.left_out,
         guards=check_guards(tire, ranges, guarded) if guarded else (),
         ranges=ranges,
-        reference={"fz": float(np.median(loads)), "v": float(np.median(speeds))},
+        reference=_reference([rows[force] for force in forces]),
         data=data_record(data, data.n, ()),
-        notes=tuple(notes),
+        notes=(*notes, *_far(work, rows, residuals), *_not_reached(work, tire)),
         version=importlib.metadata.version("tirefit"),
+        binned={force: binned(rows[force]) for force in forces},
     )
 
 
-def _far_text(force: str, count: int) -> str:
-    return (
-        f"{count} rows of {force} lie beyond {FAR:g} standard deviations; none is set"
-        " aside: look at them, and mask what is wrong"
-    )
+def _wider(problem: Problem, bands: Mapping[str, Band]) -> np.ndarray:
+    """Factor of each coefficient's standard error (p,): that of its force's band."""
+    factors = np.full(len(problem.names), 1.0)
+    for force, band in bands.items():
+        own = own_coefficients(problem.tire.version, force)
+        factors[np.isin(problem.names, own)] = band.wider
+    return factors
+
+
+def _residuals(work: Search, rows: ForceRows) -> np.ndarray:
+    """What the formula is above the rows that were fitted, (n,) [N, N m]."""
+    fitted = rows.chosen([group.pure for group in work.groups[rows.force]])
+    some = rows.part(fitted)
+    return row_values(work.problem, work.u, rows.force, some.inputs) - some.observed
+
+
+def _reference(rows: Sequence[ForceRows]) -> dict[str, float]:
+    """Median load and speed, and the root mean square of each force."""
+    loads = np.concatenate([of_force.column("fz") for of_force in rows])
+    speeds = np.concatenate([of_force.column("v") for of_force in rows])
+    sizes = {r.force: float(np.sqrt(np.mean(r.observed**2))) for r in rows}
+    return {"fz": float(np.median(loads)), "v": float(np.median(speeds))} | sizes
+
+
+def _far(work: Search, rows: Mapping[str, ForceRows], residuals) -> list[str]:
+    """Rows far from the formula and from rows like them, counted by force."""
+    said = []
+    for force, missed in residuals.items():
+        groups = work.groups[force]
+        some = rows[force].part(rows[force].chosen([g.pure for g in groups]))
+        fz, predicted = some.column("fz"), missed + some.observed
+        variance = np.max([g.row_variance(fz, predicted) for g in groups], axis=0)
+        far = int(np.count_nonzero(missed**2 > _FAR**2 * variance))
+        if far:
+            rows_lie = f"rows of {force} lie" if far > 1 else f"row of {force} lies"
+            said.append(
+                f"{far} {rows_lie} beyond {_FAR:g} standard deviations and counted like"
+                " any other: mask what is wrong"
+            )
+    return said
+
+
+def _not_reached(work: Search, tire: MFTire) -> list[str]:
+    """Frictions that no row comes near: the curve only rises within the slips."""
+    said = []
+    for force, (shape, peak) in {
+        "fx": ("PCX1", "PDX1"),
+        "fy": ("PCY1", "PDY1"),
+    }.items():
+        pure = [g.cells for g in work.groups.get(force, ()) if g.pure]
+        if not pure or peak not in work.moved:
+            continue
+        cells = pure[0]
+        fz = np.asarray(cells.inputs.fz)
+        friction = np.abs(frictions(tire, cells.inputs)[force])
+        given = np.abs(row_values(work.problem, work.u, force, cells.inputs))
+        share = float(np.max(given / fz / friction))
+        if share < _REACHED:
+            value = work.problem.values(work.u)[peak]
+            said.append(
+                f"{peak} = {value:.3g} is no measured friction: within the slips of the"
+                f" data {force} reaches {share:.0%} of it; {peak} and {shape} trade off"
+            )
+    return said
 
 
 def _origin(free: bool, share: float, moved: bool, borrowed: bool) -> str:
@@ -295,16 +414,6 @@ def _origin(free: bool, share: float, moved: bool, borrowed: bool) -> str:
     if not moved:
         return "held"
     return "prior" if share > 0.5 else "fitted"
-
-
-def _law(work: Search, force: str) -> NoiseLaw:
-    rows = work.rows[force]
-    if rows.estimated:
-        return work.laws[force]
-    share = rows.std / rows.inputs.fz
-    if np.ptp(share) < 1e-9 * np.max(share) and np.ptp(rows.std) > 0:
-        return NoiseLaw(0.0, float(np.median(share)))
-    return NoiseLaw(float(np.median(rows.std)), 0.0)
 
 
 def _ranges(rows: Sequence[ForceRows]) -> dict[str, tuple[float, float]]:

@@ -41,19 +41,13 @@ _LEAST_PEAK = 0.1
 
 
 class Guard(NamedTuple):
-    """One guard: whether it holds; if not, where it fails first, and how."""
+    """One guard: whether it holds; if not, where it fails first, and how; and whether
+    it ``holds_inside``, at loads and slips of the data."""
 
     name: str
     holds: bool
     text: str
-
-
-class Sought(NamedTuple):
-    """A force [N] (n,) that would keep a guard, at inputs (n,)."""
-
-    force: str
-    inputs: TireInputs
-    observed: np.ndarray
+    holds_inside: bool
 
 
 @dataclass(frozen=True)
@@ -72,14 +66,13 @@ class _Grid:
     inside: np.ndarray
 
 
-def _states(ranges: Mapping[str, tuple[float, float]]):
+def _states(ranges: Mapping[str, tuple[float, float]], inside: bool):
     """Loads, cambers and pressures of the grid, each (states,), loads fastest."""
     low, high = ranges["fz"]
-    loads = np.unique(
-        np.concatenate(
-            [np.linspace(low, high, 5), np.linspace(high, _BEYOND * high, _LOADS - 4)]
-        )
-    )
+    loads = np.linspace(low, high, 5)
+    if not inside:
+        beyond = np.linspace(high, _BEYOND * high, _LOADS - 4)
+        loads = np.unique(np.concatenate([loads, beyond]))
     cambers = np.unique([*ranges["gamma"], 0.0])
     pressures = np.unique(ranges.get("pressure", (0.0, 0.0)))
     shape = np.meshgrid(pressures, cambers, loads, indexing="ij")
@@ -106,20 +99,34 @@ def _evaluated(tire: MFTire, fz, gamma, pressure, kappa, alpha):
     }
 
 
-def _grid(tire: MFTire, ranges) -> _Grid:
-    fz, gamma, pressure = _states(ranges)
+def _within(slips: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
+    """The slips that the data reach on either side, and the small ones always."""
+    low, high = limits
+    kept = (slips >= min(low, -_CLEAR)) & (slips <= max(high, _CLEAR))
+    return slips[kept]
+
+
+def _grid(tire: MFTire, ranges, within: bool) -> _Grid:
+    """The grid of all states, or of those at loads and slips of the data."""
+    fz, gamma, pressure = _states(ranges, within)
     kappa = np.concatenate([-_KAPPA[::-1], _KAPPA])
     alpha = np.concatenate([-_ALPHA[::-1], _ALPHA])
+    if within:
+        kappa, alpha = (
+            _within(kappa, ranges["kappa"]),
+            _within(alpha, ranges["alpha"]),
+        )
     at = fz, gamma, pressure
     pure = {
         "fx": _evaluated(tire, *at, kappa, 0 * kappa)["fx"],
         "fy": _evaluated(tire, *at, 0 * alpha, alpha)["fy"],
     }
-    some = [1, 3, 5, 7]
-    one, other = np.meshgrid(
-        np.concatenate([-_KAPPA[some], _KAPPA[some]]),
-        np.concatenate([-_ALPHA[some], _ALPHA[some]]),
+    # Every second slip, from the ones at which a force is clear of shifts.
+    one, other = (
+        np.array([slip for slip in slips if abs(slip) in steps[1:8:2]])
+        for slips, steps in ((kappa, _KAPPA), (alpha, _ALPHA))
     )
+    one, other = np.meshgrid(one, other)
     both = _evaluated(tire, *at, one.ravel(), other.ravel())
     signs = {"fx": np.sign(one.ravel()), "fy": np.sign(other.ravel())}
     inside = fz <= ranges["fz"][1] * (1 + 1e-9)
@@ -197,7 +204,8 @@ def check_guards(
         ranges: of the data, by input.
         fitted: of fx and fy.
     """
-    grid = _grid(tire, ranges)
+    grid = _grid(tire, ranges, within=False)
+    inside = _failures(_grid(tire, ranges, within=True), fitted)
     guards = []
     for name, (what, states) in _failures(grid, fitted).items():
         text = GUARDS[name]
@@ -207,5 +215,6 @@ def check_guards(
             text += f", at gamma = {grid.gamma[first]:.3g} rad"
             if grid.pressure[first] > 0:
                 text += f", {grid.pressure[first]:.4g} Pa"
-        guards.append(Guard(name, not np.any(states), text))
+        holds_inside = not np.any(inside[name][1])
+        guards.append(Guard(name, not np.any(states), text, holds_inside))
     return tuple(guards)

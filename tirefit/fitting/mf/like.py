@@ -128,7 +128,7 @@ def _scale(like: TirFile, tire: MFTire, rows: ForceRows, kind: str) -> float:
     nominal = {k: v for k, v in parameter_values(tire.nominal).items() if k != "LONGVL"}
     other = with_values(mf_tire(like.version, like.numbers), nominal)
     force = rows.force
-    size, pure = np.abs(rows.column(SLIPS_OF[force][0])), rows.parts[force]
+    size, pure = np.abs(rows.column(SLIPS_OF[force][0])), rows.pure
     if not np.any(pure):
         return 1.0
     low, high = np.quantile(size[pure], [_LOWEST, _HIGHEST])

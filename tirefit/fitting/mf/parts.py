@@ -15,6 +15,7 @@ from tirefit.slip import kappa_from_sigma
 __all__ = [
     "HELD",
     "MOMENTS",
+    "NEARLY_PURE",
     "NEVER_FITTED",
     "PARTS",
     "SLIPS_OF",
@@ -22,7 +23,8 @@ __all__ = [
     "Part",
     "coefficients_of",
     "influences",
-    "part_of",
+    "is_pure",
+    "own_coefficients",
 ]
 
 VERSIONS = {"mf52": "5.2", "mf61": "6.1", "mf62": "6.2"}
@@ -37,7 +39,7 @@ SLIPS_OF: dict[str, tuple[str, ...]] = {
 
 _BEGINNINGS = {"P": "pure", "Q": "pure", "R": "combined", "S": "combined"}
 
-_NEARLY_PURE = {"sigma_x": 0.01, "alpha": 0.01}
+NEARLY_PURE = {"sigma_x": 0.01, "alpha": 0.01}
 """Largest other slip at which a row is of pure slip: half a degree of a rig's zero, or
 the slip of a tire that rolls freely; there a weighting function is one but for 1 %."""
 
@@ -66,8 +68,7 @@ PARTS = {
 """Stage -> what it is, in the order in which they are taken."""
 
 MOMENTS = ("mx", "my")
-"""Parts that take the forces of the model as they were fitted before: they move their
-own coefficients only."""
+"""Forces without coefficients of combined slip: they take F_x and F_y of the model."""
 
 HELD = ("QSX5",)
 """At its prior's centre unless asked for: QSX4 and QSX5 trade off against each other
@@ -76,23 +77,24 @@ where QSX2 and QSX3 take up what of QSX4 does not change with load."""
 NEVER_FITTED = ("QSX12", "QSX13", "QSX14")
 """Zero in a fit: MF-Tyre asks for these or QSX1 to QSX11, which say the same."""
 
+_OWN = {
+    "fx": MFTire().longitudinal,
+    "fy": MFTire().lateral,
+    "mz": MFTire().aligning,
+    "mx": Overturning(),
+    "my": Rolling(),
+}
+"""Force -> the coefficients that no other force has told before."""
+
 
 def coefficients_of(version: str) -> dict[str, str]:
     """Coefficient of this version -> the part that estimates it, in their order.
 
     Scaling factors and the nominal state are not among them: they are given.
     """
-    tire = MFTire()
-    groups = (
-        ("fx", tire.longitudinal),
-        ("fy", tire.lateral),
-        ("mz", tire.aligning),
-        ("mx", Overturning()),
-        ("my", Rolling()),
-    )
     return {
         name: part if _BEGINNINGS[name[0]] == "pure" else "combined"
-        for part, group in groups
+        for part, group in _OWN.items()
         for name in specs(group)
         if ONLY_IN.get(name, version[0]) == version[0] and name not in NEVER_FITTED
     }
@@ -100,24 +102,24 @@ def coefficients_of(version: str) -> dict[str, str]:
 
 def influences(version: str, force: str) -> tuple[str, ...]:
     """The coefficients that a force depends on, in their order."""
-    tire = MFTire()
-    own = {
-        "fx": (tire.longitudinal,),
-        "fy": (tire.lateral,),
-        "mx": (tire.lateral, Overturning()),
-        "my": (tire.longitudinal, Rolling()),
-    }
-    groups = own.get(force, (tire.longitudinal, tire.lateral, tire.aligning))
-    names = {name for group in groups for name in specs(group)}
+    of = {"mz": ("fx", "fy", "mz"), "mx": ("fy", "mx"), "my": ("fx", "my")}
+    names = {name for own in of.get(force, (force,)) for name in specs(_OWN[own])}
     return tuple(name for name in coefficients_of(version) if name in names)
 
 
-def part_of(name: str, data: TireData, force: str) -> np.ndarray:
-    """Which of the used rows of this force a part takes, (n,) bool."""
+def own_coefficients(version: str, force: str) -> tuple[str, ...]:
+    """The coefficients that the rows of a force move, of pure and combined slip."""
+    names = specs(_OWN[force])
+    return tuple(name for name in coefficients_of(version) if name in names)
+
+
+def is_pure(data: TireData, force: str) -> np.ndarray:
+    """Which of the used rows (n,) of this force have next to nothing of the other
+    slip; all of a moment without coefficients of combined slip."""
     other = "alpha" if SLIPS_OF[force][0] == "sigma_x" else "sigma_x"
-    if not PARTS[name].pure or other not in data or force in MOMENTS:
+    if other not in data or force in MOMENTS:
         return np.full(data.n, True)
     size = np.abs(data.usable(other))
     if other == "sigma_x":
         size = np.abs(kappa_from_sigma(size))
-    return size <= _NEARLY_PURE[other]
+    return size <= NEARLY_PURE[other]

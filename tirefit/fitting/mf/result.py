@@ -1,7 +1,7 @@
 """What a fit of a whole Magic Formula ends in: :class:`MagicFormulaFit`."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,9 +10,10 @@ from tirefit.display import Displayed
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
 from tirefit.fitting.layout import FreeParameter, Layout
+from tirefit.fitting.mf.bins import SlipBins
 from tirefit.fitting.mf.guards import Guard
-from tirefit.fitting.mf.parts import MOMENTS
-from tirefit.fitting.mf.rows import NoiseLaw
+from tirefit.fitting.mf.left_out import LeftOut
+from tirefit.fitting.mf.noise_law import NoiseLaw
 from tirefit.fitting.mf.stages import Stage
 from tirefit.fitting.result import SCHEMA
 from tirefit.fitting.store import StoredFit
@@ -20,7 +21,7 @@ from tirefit.models.mf import MAGIC_FORMULAS, MFTire
 from tirefit.params import parameter_values, specs, with_values
 from tirefit.results import Outcome
 
-__all__ = ["ORIGINS", "Coefficient", "MagicFormulaFit"]
+__all__ = ["ORIGINS", "WORSENED", "Coefficient", "MagicFormulaFit"]
 
 ORIGINS = {
     "fitted": "the data tell it",
@@ -30,6 +31,11 @@ ORIGINS = {
     "given": "given, not fitted",
 }
 """How a coefficient came by its value -> what that means."""
+
+WORSENED = 1.1
+"""Root mean square at the end of a fit over that of the stage, from which on later rows
+worsened it: a tenth, where rounding and the last digits of a search make a thousandth.
+"""
 
 _REACH = 200.0
 """Spreads of the priors on either side in the unconstrained space of ``fit.json``: over
@@ -54,11 +60,15 @@ class MagicFormulaFit(Displayed):
     """A Magic Formula of measured rows.
 
     ``coefficients`` by name in the order of the equations; ``covariance`` (p, p) of
-    them all; ``forces`` are those fitted, ``parts`` the stages taken. ``noise`` and
-    ``inflation`` (rows that count as one) are by force; ``ranges`` hold the (least,
-    largest) value of each input of the rows, in ISO-W axes. ``fitted`` holds, by force,
-    the root mean square of the residuals [N, N m] and their number; ``guards`` say
-    whether it stays a tire beyond them.
+    them all; ``forces`` are those fitted, ``parts`` the stages taken. ``noise`` (of a
+    measurement, from rows that were left out), ``wider`` (factor of the standard
+    errors, which ``covariance`` holds already) and ``inflation`` (rows that count as
+    one) are by force; ``left_out``: what the fit foretells of parts that it did not
+    see. ``ranges`` hold the (least, largest) value of each input of the rows, in ISO-W
+    axes. ``fitted`` holds, by force, the root mean square of the residuals [N, N m] and
+    their number; ``guards`` say whether it stays a tire within and beyond them.
+    ``binned`` holds, by force, the rows by setting and slip, which figures show; a fit
+    read from its file has none.
     """
 
     html_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_fragment"
@@ -72,29 +82,40 @@ class MagicFormulaFit(Displayed):
     tire: MFTire
     noise: Mapping[str, NoiseLaw]
     noise_estimated: Mapping[str, bool]
+    wider: Mapping[str, float]
     inflation: Mapping[str, float]
     fitted: Mapping[str, tuple[float, int]]
     stages: tuple[Stage, ...]
+    left_out: tuple[LeftOut, ...]
     guards: tuple[Guard, ...]
     ranges: Mapping[str, tuple[float, float]]
     reference: Mapping[str, float]
     data: Mapping[str, Any]
     notes: tuple[str, ...]
     version: str
+    binned: Mapping[str, tuple[SlipBins, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"MagicFormulaFit({self.model!r}, {self.data['file']!r})"
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:
-        """Converged or not, and whether some coefficient is not identified."""
-        said = Outcome.CONVERGED if self.converged else Outcome.NOT_CONVERGED
-        return (said,) if self.identified else (said, Outcome.NOT_IDENTIFIED)
+        """Converged or what is against it, and whether a coefficient is not known."""
+        wrong = {
+            Outcome.NOT_CONVERGED: not self.converged,
+            Outcome.GUARD_FAILED: not all(one.holds_inside for one in self.guards),
+            Outcome.WORSENED: any(
+                stage.rmse_at_end > WORSENED * stage.rmse for stage in self.stages
+            ),
+        }
+        found = tuple(outcome for outcome, holds in wrong.items() if holds)
+        unknown = () if self.identified else (Outcome.NOT_IDENTIFIED,)
+        return (found or (Outcome.CONVERGED,)) + unknown
 
     @property
     def converged(self) -> bool:
-        last = ("together", *MOMENTS)
-        return all(stage.converged for stage in self.stages if stage.name in last)
+        """Whether every stage ended before its limit of steps."""
+        return all(stage.converged for stage in self.stages)
 
     @property
     def identified(self) -> bool:
@@ -132,11 +153,13 @@ class MagicFormulaFit(Displayed):
 
     def _noise_record(self, force: str) -> dict[str, Any]:
         law = self.noise[force]
+        typical = law.std(self.reference["fz"], self.reference[force])
         return {
-            "median_std": float(law.std(self.reference["fz"])),
+            "median_std": float(typical),
             "proportional_to_load": law.constant == 0 and law.share > 0,
             "constant": law.constant,
             "share_of_load": law.share,
+            "share_of_force": law.of_force,
             "source": "estimated" if self.noise_estimated[force] else "given",
         }
 
@@ -154,7 +177,7 @@ class MagicFormulaFit(Displayed):
             "forces": list(self.forces),
             "data": self.data,
             "noise": {f: stored.noise[f] for f in self.forces}
-            | {"inflation": dict(self.inflation)},
+            | {"inflation": dict(self.inflation), "wider": dict(self.wider)},
             "coefficients": {
                 name: asdict(one) | {"unit": "-", "meaning": known[name].meaning}
                 for name, one in self.coefficients.items()
@@ -163,6 +186,7 @@ class MagicFormulaFit(Displayed):
             "ranges": dict(self.ranges),
             "guards": [guard._asdict() for guard in self.guards],
             "stages": [stage._asdict() for stage in self.stages],
+            "left_out": [part._asdict() for part in self.left_out],
             "fit": {f: {"rmse": r, "n": n} for f, (r, n) in self.fitted.items()},
             "reference": dict(self.reference),
             "prediction": {

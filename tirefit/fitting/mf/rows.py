@@ -2,19 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
 
 from tirefit.data.table import Source, TireData, join
 from tirefit.fitting.config import FitConfig
-from tirefit.fitting.mf.parts import PARTS, SLIPS_OF, part_of
+from tirefit.fitting.mf.parts import SLIPS_OF, is_pure
 from tirefit.fitting.problem import force_scale
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["ForceRows", "NoiseLaw", "joined", "noise_law", "rows_of_forces"]
+__all__ = ["ForceRows", "joined", "rows_of_forces"]
 
 _FEWEST = 30
 """Rows of a force, at least: it has some 20 coefficients in pure slip."""
@@ -28,22 +26,11 @@ _ASIDE = {
 """Column that a test may leave out -> what then holds."""
 
 
-class NoiseLaw(NamedTuple):
-    """Variance of one measurement: constant^2 + (share F_z)^2."""
-
-    constant: float
-    share: float
-
-    def std(self, fz):
-        """Standard deviation [N, N m] at loads fz [N], any shape."""
-        return np.sqrt(self.constant**2 + (self.share * fz) ** 2)
-
-
 @dataclass(frozen=True)
 class ForceRows:
     """The rows of one force: ``inputs`` and ``observed`` (n,), ``std`` (n,) of their
-    noise, which is ``estimated`` or given; ``run`` and ``place`` (n,) are the run and
-    the number of the row among the used ones; ``parts``: which rows each takes."""
+    noise, which is ``estimated`` or given; ``run`` (n,) the run of each row; ``pure``
+    (n,): rows in which the other slip is next to nothing."""
 
     force: str
     inputs: TireInputs
@@ -51,11 +38,27 @@ class ForceRows:
     std: np.ndarray
     estimated: bool
     run: np.ndarray
-    parts: dict[str, np.ndarray]
+    pure: np.ndarray
 
     def column(self, name: str) -> np.ndarray:
         """One of the inputs, (n,)."""
         return np.asarray(getattr(self.inputs, name))
+
+    def chosen(self, kinds: Sequence[bool]) -> np.ndarray:
+        """Which rows (n,) are of pure slip (True) or of combined slip (False)."""
+        return np.isin(self.pure, kinds)
+
+    def part(self, chosen: np.ndarray) -> "ForceRows":
+        """Some of the rows: bool (n,) or their numbers."""
+        inputs = TireInputs(*(np.asarray(column)[chosen] for column in self.inputs))
+        return replace(
+            self,
+            inputs=inputs,
+            observed=self.observed[chosen],
+            std=self.std[chosen],
+            run=self.run[chosen],
+            pure=self.pure[chosen],
+        )
 
 
 def joined(tables: Sequence[TireData]) -> TireData:
@@ -134,28 +137,5 @@ def _rows_of(data: TireData, force: str, config: FitConfig) -> ForceRows:
     std, estimated, _ = force_scale(data, force, config.noise)
     return ForceRows(
         force, inputs, data.usable(force), np.asarray(std, float), estimated,
-        data.run[data.used], {part: part_of(part, data, force) for part in PARTS},
+        data.run[data.used], is_pure(data, force),
     )  # fmt: skip
-
-
-def noise_law(residual: np.ndarray, fz: np.ndarray) -> NoiseLaw:
-    """The law whose squares the residuals (n,) follow best, at loads fz (n,) [N].
-
-    Squares of residuals are regressed on 1 and F_z^2, each row weighted by its own
-    variance, twice the square of which is that of a square; neither share is negative.
-    """
-    scale = float(np.mean(residual**2)) or 1e-18
-    size = float(np.mean(fz**2))
-    terms = np.stack([np.full(len(fz), 1.0), fz**2 / size], axis=1)
-    shares = np.array([0.5, 0.5])
-    for _ in range(20):
-        variance = terms @ shares + 1e-9
-        weighted = terms / variance[:, None]
-        # The normal equations: two unknowns, whatever the number of rows.
-        upper = np.linalg.cholesky(weighted.T @ weighted + 1e-9 * np.eye(2)).T
-        aim = np.linalg.solve(upper.T, weighted.T @ (residual**2 / scale / variance))
-        shares, last = nnls(upper, aim)[0], shares
-        if np.max(np.abs(shares - last)) < 1e-4:
-            break
-    constant, share = np.sqrt(shares * scale)
-    return NoiseLaw(float(constant), float(share / np.sqrt(size)))

@@ -9,8 +9,8 @@ whatever their number; forward tangents would be one each. Blocks of one size le
 file, force and stage share three programs.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import jax
@@ -19,14 +19,23 @@ import numpy as np
 
 from tirefit.compiled import compiled
 from tirefit.fitting.mf.parts import influences
-from tirefit.models import TireInputs
-from tirefit.models.mf import MFTire
+from tirefit.models import TireInputs, forces
+from tirefit.models.mf import MFTire, curvatures
+from tirefit.padding import pad_rows
 from tirefit.params import with_values
 
 __all__ = [
-    "Block", "Minimum", "Problem", "blocks_of", "minimise", "propagated",
+    "Block",
+    "Minimum",
+    "Problem",
+    "blocks_of",
+    "curvature_at",
+    "limits_of",
+    "minimise",
+    "propagated",
     "row_gradients",
-]  # fmt: skip
+    "row_values",
+]
 
 _ROWS = (8192, 1024)
 """Of a block: each call costs as much as some 1000 rows, and the last block is filled
@@ -39,8 +48,15 @@ _SETTLED = 1e-6
 """Deviance that one more undamped step would gain: a thousandth of a standard error."""
 
 _RESTS, _GAINED = 15, 1e-3
-"""So many steps gained so little deviance, a thirtieth of a standard error, in all: at
-an edge of the formula (a curvature of one, a changing sign) no step is undamped."""
+"""So many passes gained so little deviance, a thirtieth of a standard error, in all: at
+an edge of the formula (a changing sign) no step is undamped."""
+
+_LIMITED = 256
+"""Points at which the curvature factors of a force are limited to one."""
+
+_LARGEST_E, _OVER = 0.98, 0.005
+"""Curvature factor from which on it costs, and how far beyond it costs one of deviance
+a point: short of one, so that every reader of the coefficients draws the same curve."""
 
 
 class Block(NamedTuple):
@@ -60,7 +76,8 @@ class Problem:
     ``tire`` holds the nominal state, the scaling factors and what is fixed; ``names``
     order u, whose units are ``spread`` about ``centre``, each (p,), of the logarithm
     over that of the centre where ``log`` (p,); ``free`` (p,) says which of them this
-    stage moves.
+    stage moves. ``limits``: force -> inputs at which its curvature factors stay below
+    one.
     """
 
     tire: MFTire
@@ -70,6 +87,7 @@ class Problem:
     log: np.ndarray
     free: np.ndarray
     blocks: tuple[Block, ...]
+    limits: Mapping[str, TireInputs] = field(default_factory=dict)
 
     def values(self, u) -> dict[str, float]:
         """Coefficient -> value at u (p,)."""
@@ -96,9 +114,11 @@ class Problem:
         """The same, with these coefficients moved by the search."""
         return replace(self, free=np.isin(self.names, list(names)))
 
-    def with_blocks(self, blocks: Sequence[Block]) -> "Problem":
+    def with_blocks(
+        self, blocks: Sequence[Block], limits: Mapping[str, TireInputs] | None = None
+    ) -> "Problem":
         """The same, of other rows."""
-        return replace(self, blocks=tuple(blocks))
+        return replace(self, blocks=tuple(blocks), limits=limits or {})
 
     def columns(self, force: str) -> tuple[tuple[str, ...], np.ndarray]:
         """Coefficients on which a force depends, and their places in u."""
@@ -107,12 +127,11 @@ class Problem:
 
 
 class Minimum(NamedTuple):
-    """Where a search ended: u (p,), sum of squares with that of the priors, half the
-    curvature of the rows alone (p, p), and the number of passes over the rows."""
+    """Where a search ended: u (p,), sum of squares with that of the priors, and the
+    number of passes over the rows."""
 
     u: np.ndarray
     cost: float
-    curvature: np.ndarray
     converged: bool
     steps: int
 
@@ -171,16 +190,69 @@ def _passes(problem: Problem, u: np.ndarray) -> Iterator[tuple]:
         yield block, at, np.asarray(residual), np.asarray(slope)
 
 
-def _passed(problem: Problem, u: np.ndarray):
-    """Sum of squares, half the curvature and half the slope of the rows, at u."""
+@compiled(static=("force", "names"), brief=True)
+def _excess(force, names, tire, theta, scale, inputs):
+    """How far curvature factors exceed their limit (n,), and its slopes in u (p, n)."""
+
+    def one(given, sample):
+        largest = curvatures(with_values(tire, given), sample)[force][0]
+        return jnp.maximum(largest - _LARGEST_E, 0.0) / _OVER
+
+    given = dict(zip(names, theta, strict=True))
+    value, slopes = jax.vmap(jax.value_and_grad(one), in_axes=(None, 0))(given, inputs)
+    return value, jnp.stack([slopes[name] for name in names]) * scale[:, None]
+
+
+def limits_of(force: str, inputs: Sequence[TireInputs]) -> dict[str, TireInputs]:
+    """The points at which the curvature factors of a force are limited: some of the
+    inputs (each of arrays), from the least to the largest load."""
+    if force not in ("fx", "fy", "mz"):
+        return {}
+    columns = [np.concatenate(parts) for parts in zip(*inputs, strict=True)]
+    order = np.argsort(columns[TireInputs._fields.index("fz")], kind="stable")
+    some = order[np.linspace(0, len(order) - 1, _LIMITED).astype(int)]
+    return {force: TireInputs(*(column[some] for column in columns))}
+
+
+def _all_passes(problem: Problem, u: np.ndarray) -> Iterator[tuple]:
+    """Places in u, residuals (n,), slopes (p, n): of the blocks and of the limits."""
+    for _, at, residual, slopes in _passes(problem, u):
+        yield at, residual, slopes
+    for force, inputs in problem.limits.items():
+        names, at = problem.columns(force)
+        natural, scale = problem.natural(u)[at], problem.scale(u)[at]
+        value, slope = _excess(
+            force, names, problem.tire, jnp.asarray(natural), jnp.asarray(scale), inputs
+        )
+        yield at, np.asarray(value), np.asarray(slope)
+
+
+def _passed(problem: Problem, u: np.ndarray, moved: np.ndarray):
+    """Sum of squares, half the curvature and half the slope of the rows, at u; the
+    curvature with those that ``moved`` (p,) says."""
     size = len(u)
     cost, curvature, slope = 0.0, np.zeros((size, size)), np.zeros(size)
-    for _, at, residual, slopes in _passes(problem, u):
+    for at, residual, slopes in _all_passes(problem, u):
         cost += float(residual @ residual)
+        chosen = moved[at]
+        at, slopes = at[chosen], slopes[chosen]
         # NumPy's product of a matrix with itself takes half the time of XLA's.
         curvature[np.ix_(at, at)] += slopes @ slopes.T
         slope[at] += slopes @ residual
     return cost, curvature, slope
+
+
+def row_values(
+    problem: Problem, u: np.ndarray, force: str, inputs: TireInputs
+) -> np.ndarray:
+    """The force (n,) [N, N m] at u (p,) and inputs of arrays (n,)."""
+    tire = with_values(problem.tire, problem.values(u))
+    size = len(np.asarray(inputs.fz))
+    step, values = _ROWS[size < _ROWS[0]], []
+    for start in range(0, size, step):
+        part = (pad_rows(np.asarray(c)[start : start + step], step) for c in inputs)
+        values.append(np.asarray(getattr(forces(tire, TireInputs(*part)), force)))
+    return np.concatenate(values)[:size]
 
 
 def row_gradients(problem: Problem, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -210,6 +282,11 @@ def propagated(
     return np.concatenate(values), np.concatenate(variances)
 
 
+def curvature_at(problem: Problem, u: np.ndarray) -> np.ndarray:
+    """Half the curvature of the rows alone at u (p,), in all coefficients: (p, p)."""
+    return _passed(problem, u, np.full(len(u), True))[1]
+
+
 def minimise(
     problem: Problem,
     start: np.ndarray,
@@ -226,7 +303,7 @@ def minimise(
     """
     free = np.flatnonzero(problem.free)
     u = np.array(start, float)
-    rows, curvature, slope = _passed(problem, u)
+    rows, curvature, slope = _passed(problem, u, problem.free)
     cost, steps = rows + float(u @ u), 1
     damping, stiffen = _FIRST_DAMPING, 2.0
     converged, costs = False, [cost]
@@ -243,18 +320,18 @@ def minimise(
         promised = float(move @ (2 * downhill - normal @ move))
         trial = u.copy()
         trial[free] += move
-        passed = _passed(problem, trial)
+        passed = _passed(problem, trial, problem.free)
         steps += 1
         gain = cost - passed[0] - float(trial @ trial)
         share = gain / promised
         if gain > 0:
             u, (rows, curvature, slope) = trial, passed
             cost -= gain
-            costs.append(cost)
+        costs.append(cost)
         if gain > 0 and share > _FAIR:
             damping, stiffen = damping * (0.1 if share > _GOOD else 1 / 3), 2.0
         else:
             # Twice, then four, eight times: refusals in a row soon find the scale.
             damping, stiffen = damping * stiffen, 2 * stiffen
         damping = max(damping, _LEAST_DAMPING)
-    return Minimum(u, cost, curvature, converged or damping >= _STUCK, steps)
+    return Minimum(u, cost, converged or damping >= _STUCK, steps)

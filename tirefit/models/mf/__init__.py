@@ -6,10 +6,19 @@ Equation numbers (4.E1 ...) are those of Pacejka, *Tire and Vehicle Dynamics*, 3
 supplement (2010) 337-352, where it differs from the book.
 """
 
+from tirefit.models.mf.curvature import curvatures, share_limited
 from tirefit.models.mf.moments import Overturning, Rolling
-from tirefit.models.mf.tire import MFTire, Mirrored, mf_tire
+from tirefit.models.mf.tire import MFTire, Mirrored, frictions, mf_tire
 
-__all__ = ["MAGIC_FORMULAS", "MFTire", "Mirrored", "mf_tire"]
+__all__ = [
+    "MAGIC_FORMULAS",
+    "MFTire",
+    "Mirrored",
+    "curvatures",
+    "frictions",
+    "mf_tire",
+    "share_limited",
+]
 
 MAGIC_FORMULAS = {
     f"mf{version.replace('.', '')}": MFTire(

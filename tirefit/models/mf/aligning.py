@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from tirefit.models.brush import resultant
 from tirefit.models.magic_formula import bent
 from tirefit.models.mf.fields import (
+    Curve,
     Nominal,
     Point,
     Scaling,
@@ -56,11 +57,24 @@ class Aligning(eqx.Module):
     SSZ4: float = coefficient("s_{sz4}", "the same, with load", "4.E76")
 
     def trail(self, at: Point, scale: Scaling, nominal: Nominal, slip):
-        r"""Pneumatic trail [m], (4.E33), (4.E35) and (4.E40) to (4.E44).
+        r"""Pneumatic trail [m], (4.E33) and (4.E40) to (4.E44).
 
         ``slip`` is :math:`(K_{x\kappa} / K_{y\alpha}) \kappa`. The peak is over FNOMIN,
         whatever LFZO, as MF-Tyre has it; the book scales it.
         """
+        gamma = at.gamma * scale.LGAZ
+        peak = (
+            (nominal.UNLOADED_RADIUS / nominal.FNOMIN * at.fz)
+            * (self.QDZ1 + self.QDZ2 * at.dfz)
+            * (1 - self.PPZ1 * at.dpi)
+            * (1 + gamma * (self.QDZ3 + self.QDZ4 * gamma))
+            * scale.LTR
+        )
+        angle = self.QCZ1 * bent(*self.curve(at, scale, slip))
+        return peak * jnp.cos(angle) * at.cos_alpha
+
+    def curve(self, at: Point, scale: Scaling, slip) -> Curve:
+        """B_t alpha_t of both slips and E_t, (4.E35), (4.E40) and (4.E44)."""
         gamma = at.gamma * scale.LGAZ
         alpha = (
             at.alpha
@@ -72,19 +86,11 @@ class Aligning(eqx.Module):
             * (1 + self.QBZ4 * gamma + self.QBZ5 * abs(gamma))
             * ratio(scale.LKY, at.friction_y)
         )
-        peak = (
-            (nominal.UNLOADED_RADIUS / nominal.FNOMIN * at.fz)
-            * (self.QDZ1 + self.QDZ2 * at.dfz)
-            * (1 - self.PPZ1 * at.dpi)
-            * (1 + gamma * (self.QDZ3 + self.QDZ4 * gamma))
-            * scale.LTR
-        )
         side = jnp.arctan(slope * self.QCZ1 * alpha) * (2 / jnp.pi)
         curvature = (self.QEZ1 + at.dfz * (self.QEZ2 + self.QEZ3 * at.dfz)) * (
             1 + (self.QEZ4 + self.QEZ5 * gamma) * side
         )
-        angle = self.QCZ1 * bent(slope * _equivalent(alpha, slip), curvature)
-        return peak * jnp.cos(angle) * at.cos_alpha
+        return Curve(slope * _equivalent(alpha, slip), curvature)
 
     def residual(
         self, at: Point, scale: Scaling, nominal: Nominal, side: PureLateral, slip

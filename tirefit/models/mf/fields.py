@@ -9,9 +9,11 @@ from tirefit.models.magic_formula import bent
 from tirefit.params import par
 
 __all__ = [
+    "Curve",
     "Nominal",
     "Point",
     "Scaling",
+    "Weight",
     "coefficient",
     "cos_arctan",
     "ratio",
@@ -45,6 +47,23 @@ class Point(NamedTuple):
     shift_x: Any
     shift_y: Any
     camber_stiffness: bool
+
+
+class Curve(NamedTuple):
+    """Argument ``x`` = B (slip + shift) and curvature factor ``curvature`` = E of the
+    function :func:`~tirefit.models.magic_formula.bent` of one curve."""
+
+    x: Any
+    curvature: Any
+
+
+class Weight(NamedTuple):
+    """Curve of a weighting function at a slip, and ``x`` of it where the slip is zero;
+    ``shape``: C."""
+
+    curve: Curve
+    x_at_rest: Any
+    shape: Any
 
 
 def coefficient(symbol: str, meaning: str, equation: str, default: float = 0.0):
@@ -129,7 +148,7 @@ def cos_arctan(x):
     return 1 / jnp.sqrt(1 + x * x)
 
 
-def weighting(slip, shift, stiffness, shape, curvature):
+def weighting(weight: Weight):
     r"""How one slip weakens the force of the other, (4.E51) and (4.E59).
 
     .. math::
@@ -137,5 +156,8 @@ def weighting(slip, shift, stiffness, shape, curvature):
                 {\cos[C \arctan\{B S_H - E (B S_H - \arctan B S_H)\}]},
        \quad s = slip + S_H
     """
-    weight = jnp.cos(shape * bent(stiffness * (slip + shift), curvature))
-    return ratio(weight, jnp.cos(shape * bent(stiffness * shift, curvature)))
+    slipping, resting = (
+        jnp.cos(weight.shape * bent(x, weight.curve.curvature))
+        for x in (weight.curve.x, weight.x_at_rest)
+    )
+    return ratio(slipping, resting)

@@ -7,12 +7,13 @@ import jax.numpy as jnp
 
 from tirefit.models.magic_formula import bent
 from tirefit.models.mf.fields import (
+    Curve,
     Point,
     Scaling,
+    Weight,
     coefficient,
     cos_arctan,
     ratio,
-    weighting,
 )
 
 __all__ = ["Lateral", "PureLateral"]
@@ -22,7 +23,7 @@ class PureLateral(NamedTuple):
     """F_y at zero kappa, and what the aligning moment needs of it.
 
     ``force``, ``stiffness`` K_ya and ``shift`` S_Vy are per unit of load; ``slope`` is
-    B_y C_y, ``offset`` S_Hy and ``mu`` the friction.
+    B_y C_y, ``offset`` S_Hy, ``mu`` the friction and ``curve`` B_y alpha_y with E_y.
     """
 
     force: Any
@@ -31,6 +32,7 @@ class PureLateral(NamedTuple):
     offset: Any
     shift: Any
     mu: Any
+    curve: Curve
 
 
 class Lateral(eqx.Module):
@@ -121,8 +123,9 @@ class Lateral(eqx.Module):
             * scale.LEY
         )
         slope = ratio(stiffness, shape * mu)
-        force = mu * jnp.sin(shape * bent(slope * alpha, curvature)) + shift
-        return PureLateral(force, stiffness, slope * shape, offset, shift, mu)
+        curve = Curve(slope * alpha, curvature)
+        force = mu * jnp.sin(shape * bent(*curve)) + shift
+        return PureLateral(force, stiffness, slope * shape, offset, shift, mu, curve)
 
     def _stiffness(self, at: Point, gamma, fz0):
         """K_ya / F_z, (4.E25)."""
@@ -135,16 +138,13 @@ class Lateral(eqx.Module):
             * jnp.sin(self.PKY4 * jnp.arctan(ratio(at.fz / fz0, peak)))
         )
 
-    def weight(self, at: Point, scale: Scaling):
+    def weight(self, at: Point, scale: Scaling) -> Weight:
         """G_yk of combined slip, (4.E59) to (4.E65)."""
         slope = (self.RBY1 + self.RBY4 * at.gamma**2) * scale.LYKA
-        return weighting(
-            at.kappa,
-            self.RHY1 + self.RHY2 * at.dfz,
-            slope * cos_arctan(self.RBY2 * (at.alpha - self.RBY3)),
-            self.RCY1,
-            self.REY1 + self.REY2 * at.dfz,
-        )
+        slope = slope * cos_arctan(self.RBY2 * (at.alpha - self.RBY3))
+        shift = self.RHY1 + self.RHY2 * at.dfz
+        curve = Curve(slope * (at.kappa + shift), self.REY1 + self.REY2 * at.dfz)
+        return Weight(curve, slope * shift, self.RCY1)
 
     def induced(self, at: Point, scale: Scaling, mu):
         """S_Vyk / F_z: the lateral force that kappa induces, (4.E66) and (4.E67)."""

@@ -5,12 +5,13 @@ import jax.numpy as jnp
 
 from tirefit.models.magic_formula import bent
 from tirefit.models.mf.fields import (
+    Curve,
     Point,
     Scaling,
+    Weight,
     coefficient,
     cos_arctan,
     ratio,
-    weighting,
 )
 
 __all__ = ["Longitudinal"]
@@ -48,36 +49,44 @@ class Longitudinal(eqx.Module):
 
     def pure(self, at: Point, scale: Scaling):
         """F_x0 / F_z and K_xk / F_z at zero slip angle, (4.E9) to (4.E18)."""
-        shape = self.PCX1 * scale.LCX
-        mu = (
+        mu, stiffness = self.friction(at, scale), self._stiffness(at, scale)
+        angle = self.PCX1 * scale.LCX * bent(*self.curve(at, scale))
+        shift = (self.PVX1 + self.PVX2 * at.dfz) * scale.LVX * at.shift_x
+        return mu * jnp.sin(angle) + shift, stiffness
+
+    def friction(self, at: Point, scale: Scaling):
+        """mu_x, (4.E13)."""
+        return (
             (self.PDX1 + self.PDX2 * at.dfz)
             * (1 + at.dpi * (self.PPX3 + self.PPX4 * at.dpi))
             * (1 - self.PDX3 * (at.camber * scale.LGAX) ** 2)
             * at.friction_x
         )
-        stiffness = (
+
+    def _stiffness(self, at: Point, scale: Scaling):
+        """K_xk / F_z, (4.E15)."""
+        return (
             (self.PKX1 + self.PKX2 * at.dfz)
             * jnp.exp(self.PKX3 * at.dfz)
             * (1 + at.dpi * (self.PPX1 + self.PPX2 * at.dpi))
             * scale.LKX
         )
+
+    def curve(self, at: Point, scale: Scaling) -> Curve:
+        """B_x kappa_x and E_x, (4.E10) to (4.E17)."""
         kappa = at.kappa + (self.PHX1 + self.PHX2 * at.dfz) * scale.LHX
         curvature = (
             (self.PEX1 + at.dfz * (self.PEX2 + self.PEX3 * at.dfz))
             * (1 - self.PEX4 * jnp.sign(kappa))
             * scale.LEX
         )
-        angle = shape * bent(ratio(stiffness, shape * mu) * kappa, curvature)
-        shift = (self.PVX1 + self.PVX2 * at.dfz) * scale.LVX * at.shift_x
-        return mu * jnp.sin(angle) + shift, stiffness
+        shape = self.PCX1 * scale.LCX
+        slope = ratio(self._stiffness(at, scale), shape * self.friction(at, scale))
+        return Curve(slope * kappa, curvature)
 
-    def weight(self, at: Point, scale: Scaling):
+    def weight(self, at: Point, scale: Scaling) -> Weight:
         """G_xa of combined slip, (4.E51) to (4.E57)."""
         slope = (self.RBX1 + self.RBX3 * at.gamma**2) * scale.LXAL
-        return weighting(
-            at.alpha,
-            self.RHX1,
-            slope * cos_arctan(self.RBX2 * at.kappa),
-            self.RCX1,
-            self.REX1 + self.REX2 * at.dfz,
-        )
+        slope = slope * cos_arctan(self.RBX2 * at.kappa)
+        curve = Curve(slope * (at.alpha + self.RHX1), self.REX1 + self.REX2 * at.dfz)
+        return Weight(curve, slope * self.RHX1, self.RCX1)

@@ -5,18 +5,26 @@ from collections.abc import Mapping
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import resultant
 from tirefit.models.mf.aligning import Aligning
-from tirefit.models.mf.fields import Nominal, Point, Scaling, cos_arctan, ratio
+from tirefit.models.mf.fields import (
+    Nominal,
+    Point,
+    Scaling,
+    cos_arctan,
+    ratio,
+    weighting,
+)
 from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
 from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.params import specs, with_values
 from tirefit.slip import kappa_from_sigma
 
-__all__ = ["MFTire", "Mirrored", "mf_tire"]
+__all__ = ["MFTire", "Mirrored", "frictions", "mf_tire"]
 
 _DIGRESSION = 10.0
 """A_mu of (4.E8): by it the vertical shifts fall less than a low friction."""
@@ -51,13 +59,13 @@ class MFTire(AbstractTire):
 
     def __call__(self, inputs: TireInputs) -> TireForces:
         scale, nominal = self.scaling, self.nominal
-        at = self._point(inputs)
+        at = self.point(inputs)
         fz0 = nominal.FNOMIN * scale.LFZO
         along, along_stiffness = self.longitudinal.pure(at, scale)
         side = self.lateral.pure(at, scale, fz0)
-        side_weight = self.lateral.weight(at, scale)
+        side_weight = weighting(self.lateral.weight(at, scale))
         load = jnp.where(inputs.fz > 0, at.fz, 0.0)
-        fx = load * self.longitudinal.weight(at, scale) * along
+        fx = load * weighting(self.longitudinal.weight(at, scale)) * along
         induced = self.lateral.induced(at, scale, side.mu)
         fy = load * (side_weight * side.force + induced)
         # The trail turns the lateral force that is not induced by kappa, (4.E74); in
@@ -80,7 +88,7 @@ class MFTire(AbstractTire):
         # From ISO-W to the canonical signs of tirefit.slip.
         return TireForces(-fx, -fy, -mz, mx, my)
 
-    def _point(self, inputs: TireInputs) -> Point:
+    def point(self, inputs: TireInputs) -> Point:
         """The operating point in ISO-W axes; no load is that of ``nominal``, safely."""
         scale, nominal = self.scaling, self.nominal
         is_52 = self.version == "5.2"
@@ -113,6 +121,18 @@ class MFTire(AbstractTire):
             shift(friction_y),
             camber_stiffness=not is_52,
         )
+
+
+def frictions(tire: MFTire, inputs: TireInputs) -> dict[str, np.ndarray]:
+    """Friction coefficients D / F_z of F_x and F_y at inputs of arrays (n,)."""
+
+    def one(sample):
+        at, fz0 = tire.point(sample), tire.nominal.FNOMIN * tire.scaling.LFZO
+        side = tire.lateral.pure(at, tire.scaling, fz0)
+        return {"fx": tire.longitudinal.friction(at, tire.scaling), "fy": side.mu}
+
+    arrays = TireInputs(*(jnp.asarray(column, float) for column in inputs))
+    return {force: np.asarray(mu) for force, mu in jax.vmap(one)(arrays).items()}
 
 
 class Mirrored(AbstractTire):

@@ -1,0 +1,404 @@
+"""Writes the simulated rig test: ``python -m fits.rig_test.generate --out DIR``.
+
+Two recordings of a flat-belt rig, laid out as those of the FSAE Tire Test Consortium:
+``cornering.dat`` (slip angle swept, wheel rolling freely) and ``drive_brake.dat`` (slip
+ratio swept at three slip angles), each of a new tire, at 100 Hz; and ``true_tire.tir``.
+``--small`` writes the means of ten rows instead, ``--mat`` MATLAB files.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.io import savemat
+from scipy.signal import lfilter
+
+from fits.rig_test.tire import NOMINAL, true_forces, write_true_tire
+from tirefit.models import TireInputs
+
+__all__ = ["LOADS", "SMALL", "Recording", "recordings", "write"]
+
+DEG = np.pi / 180
+STEP = 0.01
+"""Time between rows [s]."""
+SMALL = 10
+"""Rows of the full test to one of the small test."""
+LOADS = (889.6, 667.2, 222.4, 1112.1, 444.8)
+"""Wheel loads [N] in the order of the test: 50 to 250 lbf."""
+CAMBERS = (0.0, 2 * DEG, 4 * DEG)
+PRESSURES = (82.7e3, 96.5e3)
+"""Inflation pressures [Pa]: 12 and 14 psi."""
+SPEED = 11.18
+"""Of the belt [m/s]: 25 mph."""
+ANGLE, ANGLE_RATE = 12 * DEG, 4 * DEG
+"""Largest slip angle [rad] of a sweep and its rate [rad/s]."""
+SLIP, SLIP_RATE = 0.2, 0.1
+"""Largest kappa of a sweep and its rate [1/s]."""
+HELD_ANGLES = (0.0, 3 * DEG, 6 * DEG)
+"""Slip angles of the brake and drive sweeps [rad], canonical: SA = 0, -3, -6 deg."""
+MOVES = {"fz": 0.5, "alpha": 0.5, "gamma": 1.5, "pressure": 4.0}
+"""Time that a channel needs to its next setting [s]."""
+WARM_UP = 8
+"""Sweeps before the first setting."""
+RELAXATION = {"alpha": 0.35, "kappa": 0.12}
+"""Distance [m] by which the force lags the slip."""
+REFERENCE_TEMPERATURE = 62.0
+"""Surface temperature [degC] at which the tire is that of ``tire.TRUE``."""
+FRICTION_PER_KELVIN, STIFFNESS_PER_KELVIN = -0.006, -0.003
+"""Relative change of friction and slip stiffness with the surface temperature."""
+FRICTION_NEW, STIFFNESS_NEW = -0.05, 0.08
+"""Relative change of friction and slip stiffness of a new tire, before it wears in."""
+RUN_IN = 60e3
+"""Sliding work [J] by which a new tire wears in to 1/e: some six sweeps."""
+AMBIENT = 24.0
+"""Temperature [degC] of the air, and of a new tire."""
+
+
+class Recording(NamedTuple):
+    """One recording, in canonical SI units and signs, arrays (n,).
+
+    ``measured``: the channels with their errors; ``inputs``: what the tire was exposed
+    to; ``friction`` and ``stiffness``: factors of its state (temperature, run-in) with
+    which :func:`true_forces` gives the force of that row; ``warm``: past the warm-up.
+    """
+
+    name: str
+    measured: dict[str, np.ndarray]
+    inputs: TireInputs
+    friction: np.ndarray
+    stiffness: np.ndarray
+    warm: np.ndarray
+
+
+# --- what the rig is told to do ---------------------------------------------------
+
+
+class _Script:
+    """Commands row by row: settings that move, and sweeps of one slip."""
+
+    def __init__(self, **settings: float):
+        self.now = {"alpha": 0.0, "kappa": 0.0} | settings
+        self.parts: dict[str, list[np.ndarray]] = {name: [] for name in self.now}
+        self.rows = 0
+
+    def _append(self, n: int, **paths: np.ndarray) -> None:
+        for name, parts in self.parts.items():
+            parts.append(paths.get(name, np.full(n, self.now[name])))
+            self.now[name] = float(parts[-1][-1])
+        self.rows += n
+
+    def move(self, **settings: float) -> None:
+        """Moves what differs, all at once, and waits for half a second."""
+        new = {k: v for k, v in settings.items() if v != self.now[k]}
+        if new:
+            n = round(max(MOVES[name] for name in new) / STEP)
+            way = (1 - np.cos(np.pi * np.arange(1, n + 1) / n)) / 2
+            self._append(
+                n, **{k: self.now[k] + way * (v - self.now[k]) for k, v in new.items()}
+            )
+        self._append(round(0.5 / STEP))
+
+    def sweep(self, name: str, most: float, rate: float) -> None:
+        """From zero up, down to the other end, and back to zero."""
+        n = round(4 * most / rate / STEP)
+        quarter = np.arange(1, n + 1) / n * 4
+        path = most * np.interp(quarter, [0, 1, 3, 4], [0, 1, -1, 0])
+        self._append(n, **{name: path})
+
+    def commands(self) -> dict[str, np.ndarray]:
+        return {name: np.concatenate(parts) for name, parts in self.parts.items()}
+
+
+def _cornering(loads: Sequence[float]) -> tuple[dict[str, np.ndarray], int]:
+    """Commands of the cornering test, and the rows of its warm-up."""
+    script = _Script(fz=LOADS[0], gamma=0.0, pressure=PRESSURES[0])
+    script.move()
+    for _ in range(WARM_UP):
+        script.sweep("alpha", ANGLE, ANGLE_RATE)
+    warm_up = script.rows
+    for pressure in PRESSURES:
+        for gamma in CAMBERS:
+            for fz in loads:
+                script.move(fz=fz, gamma=gamma, pressure=pressure)
+                script.sweep("alpha", ANGLE, ANGLE_RATE)
+    return script.commands(), warm_up
+
+
+def _drive_brake(loads: Sequence[float]) -> tuple[dict[str, np.ndarray], int]:
+    """Commands of the brake and drive test, and the rows of its warm-up."""
+    script = _Script(fz=LOADS[0], gamma=0.0, pressure=PRESSURES[0])
+    script.move()
+    for _ in range(WARM_UP):
+        script.sweep("kappa", SLIP, SLIP_RATE)
+    warm_up = script.rows
+    for pressure in PRESSURES:
+        for gamma in CAMBERS:
+            for alpha in HELD_ANGLES:
+                for fz in loads:
+                    script.move(fz=fz, gamma=gamma, pressure=pressure, alpha=alpha)
+                    script.sweep("kappa", SLIP, SLIP_RATE)
+    return script.commands(), warm_up
+
+
+# --- what happens on the rig ------------------------------------------------------
+
+
+def _lagged(values: np.ndarray, time: float) -> np.ndarray:
+    """First-order lag of a time constant [s]."""
+    share = 1 - np.exp(-STEP / time)
+    start = [(1 - share) * values[0]]
+    return lfilter([share], [1, share - 1], values, zi=start)[0]
+
+
+def _wander(rng, n: int, std: float, time: float) -> np.ndarray:
+    """Noise of this standard deviation and correlation time [s]."""
+    kept = np.exp(-STEP / time)
+    white = rng.standard_normal(n)
+    white[1:] *= np.sqrt(1 - kept**2)
+    return std * lfilter([1], [1, -kept], white)
+
+
+def _exposed(command: dict[str, np.ndarray], rng) -> dict[str, np.ndarray]:
+    """What the tire is exposed to: the commands with the errors of their controllers.
+
+    The load controller is late and pushed by the forces: the load is up to some 8 %
+    off, as a function of the slip that is swept.
+    """
+    n = len(command["fz"])
+    angle, slip = command["alpha"] / ANGLE, command["kappa"] / SLIP
+    pushed = 0.035 * angle + 0.04 * np.abs(angle) - 0.05 * np.abs(slip) - 0.02 * slip
+    fz = _lagged(command["fz"], 0.08) * (
+        1 + _lagged(pushed, 0.3) + _wander(rng, n, 0.01, 0.8)
+    )
+    return {
+        "alpha": command["alpha"] + _wander(rng, n, 0.01 * DEG, 0.2),
+        "kappa": command["kappa"] + _wander(rng, n, 4e-4, 0.2),
+        "fz": fz,
+        "gamma": command["gamma"] + 0.04 * DEG * angle,
+        "pressure": command["pressure"] + _wander(rng, n, 250.0, 5.0),
+        "v": SPEED + _wander(rng, n, 0.015, 1.0),
+    }
+
+
+def _inputs(exposed: dict[str, np.ndarray]) -> TireInputs:
+    """Canonical inputs; the force lags the slips by their relaxation lengths."""
+    alpha, kappa = (
+        _lagged(exposed[name], RELAXATION[name] / SPEED) for name in ("alpha", "kappa")
+    )
+    rest = {name: exposed[name] for name in ("fz", "v", "gamma", "pressure")}
+    return TireInputs(kappa / (1 - kappa), alpha, **rest, time=np.zeros(len(alpha)))
+
+
+_HEATING, _SURFACE, _BULK = 0.5, 150.0, 2500.0
+"""Share of the sliding power that heats the tire; heat capacities [J/K]."""
+_INWARDS, _AWAY = 32.0, 26.0
+"""Heat conducted from surface to bulk, and from bulk to air [W/K]."""
+
+
+def _temperatures(power: np.ndarray) -> np.ndarray:
+    """Surface temperature [degC] under a sliding power [W], (n,)."""
+    surface = bulk = AMBIENT
+    out = np.empty(len(power))
+    for row, heat in enumerate((_HEATING * power).tolist()):
+        inwards = _INWARDS * (surface - bulk)
+        surface += STEP * (heat - inwards) / _SURFACE
+        bulk += STEP * (inwards - _AWAY * (bulk - AMBIENT)) / _BULK
+        out[row] = surface
+    return out
+
+
+def _state(inputs: TireInputs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Temperature, and factors of friction and stiffness, of each row: the power that
+    heats the tire is that of its own force, by two rounds."""
+    friction = stiffness = np.full(len(inputs.fz), 1.0)
+    for _ in range(3):
+        given = true_forces(inputs, friction, stiffness)
+        kappa = inputs.sigma_x / (1 + inputs.sigma_x)
+        sliding = given["fx"] * kappa + given["fy"] * np.tan(inputs.alpha)
+        power = np.abs(sliding) * inputs.v
+        temperature = _temperatures(power)
+        new = np.exp(-np.cumsum(power) * STEP / RUN_IN)
+        warmer = temperature - REFERENCE_TEMPERATURE
+        friction = (1 + FRICTION_PER_KELVIN * warmer) * (1 + FRICTION_NEW * new)
+        stiffness = (1 + STIFFNESS_PER_KELVIN * warmer) * (1 + STIFFNESS_NEW * new)
+    return temperature, friction, stiffness
+
+
+# --- what the rig writes down -----------------------------------------------------
+
+_WHITE, _SLOW, _RIPPLE = 0, 1, 2
+_NOISE = {
+    "fx": (4.0, 5.0, 0.008),
+    "fy": (4.0, 5.0, 0.008),
+    "fz": (2.5, 2.0, 0.012),
+    "mz": (0.15, 0.25, 0.0012),
+    "mx": (0.6, 0.8, 0.0008),
+}
+"""White and correlated noise [N, N m], and the ripple of a revolution over the load
+[-, m]."""
+_VERTICAL_STIFFNESS = 95e3
+"""Of the tire [N/m]."""
+
+
+def _measured(exposed, inputs: TireInputs, temperature, given, rng) -> dict:
+    """Channels as measured, canonical signs."""
+    n = len(temperature)
+    fz, v = exposed["fz"], exposed["v"]
+    loaded = NOMINAL["UNLOADED_RADIUS"] - fz / _VERTICAL_STIFFNESS
+    effective = NOMINAL["UNLOADED_RADIUS"] - fz / _VERTICAL_STIFFNESS / 3
+    slip = exposed["kappa"] + 2e-4 * rng.standard_normal(n)
+    omega = v * np.cos(exposed["alpha"]) * (1 - slip) / effective
+    turned = np.cumsum(omega) * STEP
+    clean = given | {"fz": fz}
+    out = {}
+    for number, (name, noise) in enumerate(_NOISE.items()):
+        ripple = noise[_RIPPLE] * fz * np.cos(turned + 1.3 * number)
+        ripple += 0.3 * noise[_RIPPLE] * fz * np.cos(2 * turned + 0.7 * number)
+        out[name] = clean[name] + ripple + noise[_WHITE] * rng.standard_normal(n)
+        out[name] += _wander(rng, n, noise[_SLOW], 0.15)
+    side = 120 * exposed["gamma"]
+    return out | {
+        "time": STEP * np.arange(n),
+        "v": v + 0.005 * rng.standard_normal(n),
+        "omega": omega,
+        "alpha": exposed["alpha"] + 0.004 * DEG * rng.standard_normal(n),
+        "kappa": slip,
+        "gamma": exposed["gamma"] + 0.004 * DEG * rng.standard_normal(n),
+        "pressure": exposed["pressure"] + 60 * rng.standard_normal(n),
+        "loaded_radius": loaded + 5e-5 * rng.standard_normal(n),
+        "effective_radius": effective,
+        "inner": temperature + side + 0.3 * rng.standard_normal(n),
+        "centre": temperature + 0.3 * rng.standard_normal(n),
+        "outer": temperature - side + 0.3 * rng.standard_normal(n),
+        "ambient": AMBIENT + _wander(rng, n, 0.3, 200.0),
+        "belt": AMBIENT + 2 + 0.1 * (_lagged(temperature, 60.0) - AMBIENT),
+    }
+
+
+def _thinned(values: np.ndarray, thin: int) -> np.ndarray:
+    """Means of ``thin`` rows each."""
+    rows = len(values) // thin * thin
+    return values[:rows].reshape(-1, thin).mean(axis=1)
+
+
+def recordings(
+    seed: int, thin: int = 1, loads: Sequence[float] = LOADS
+) -> tuple[Recording, Recording]:
+    """The cornering test, and the brake and drive test.
+
+    Args:
+        seed: of the noise and of the wander of the controllers.
+        thin: rows of 100 Hz of which one is the mean.
+        loads: wheel loads [N] of the sweeps after the warm-up.
+    """
+    made = []
+    scripts = {"cornering": _cornering, "drive_brake": _drive_brake}
+    for number, (name, script) in enumerate(scripts.items()):
+        rng = np.random.default_rng([seed, number])
+        command, warm_up = script(loads)
+        exposed = _exposed(command, rng)
+        felt = _inputs(exposed)
+        temperature, friction, stiffness = _state(felt)
+        given = true_forces(felt, friction, stiffness)
+        measured = _measured(exposed, felt, temperature, given, rng)
+        warm = np.arange(len(friction)) >= warm_up
+        made.append(
+            Recording(
+                name,
+                {k: _thinned(v, thin) for k, v in measured.items()},
+                TireInputs(*(_thinned(np.asarray(v), thin) for v in felt)),
+                _thinned(friction, thin),
+                _thinned(stiffness, thin),
+                _thinned(warm.astype(float), thin) == 1,
+            )
+        )
+    return made[0], made[1]
+
+
+# --- files ------------------------------------------------------------------------
+
+_COLUMNS = {
+    "ET": ("time", 1.0, "sec"),
+    "V": ("v", 3.6, "kph"),
+    "N": ("omega", 30 / np.pi, "rpm"),
+    "SA": ("alpha", -1 / DEG, "deg"),
+    "IA": ("gamma", 1 / DEG, "deg"),
+    "RL": ("loaded_radius", 100.0, "cm"),
+    "RE": ("effective_radius", 100.0, "cm"),
+    "P": ("pressure", 1e-3, "kPa"),
+    "FX": ("fx", -1.0, "N"),
+    "FY": ("fy", 1.0, "N"),
+    "FZ": ("fz", -1.0, "N"),
+    "MX": ("mx", 1.0, "N-m"),
+    "MZ": ("mz", 1.0, "N-m"),
+    "NFX": ("nfx", -1.0, "none"),
+    "NFY": ("nfy", -1.0, "none"),
+    "RST": ("belt", 1.0, "deg C"),
+    "TSTI": ("inner", 1.0, "deg C"),
+    "TSTC": ("centre", 1.0, "deg C"),
+    "TSTO": ("outer", 1.0, "deg C"),
+    "AMBTMP": ("ambient", 1.0, "deg C"),
+    "SR": ("slip_of_loaded_radius", 1.0, "none"),
+    "SL": ("kappa", -1.0, "none"),
+}
+"""Header -> channel, factor to the file's unit and SAE sign, unit."""
+
+
+def table_of(recording: Recording) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Header -> values (n,) as the rig writes them, and the units."""
+    seen = dict(recording.measured)
+    seen |= {"nfx": seen["fx"] / seen["fz"], "nfy": -seen["fy"] / seen["fz"]}
+    rolling = seen["omega"] * seen["loaded_radius"]
+    seen["slip_of_loaded_radius"] = rolling / (seen["v"] * np.cos(seen["alpha"])) - 1
+    table = {header: f * seen[name] for header, (name, f, _) in _COLUMNS.items()}
+    return table, [unit for _, _, unit in _COLUMNS.values()]
+
+
+def write(
+    directory: Path, seed: int, thin: int = 1, matlab: bool = False
+) -> list[Path]:
+    """Writes both recordings and the true tire; the paths."""
+    directory.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for recording in recordings(seed, thin):
+        table, units = table_of(recording)
+        path = directory / f"{recording.name}.{'mat' if matlab else 'dat'}"
+        if matlab:
+            columns = {header: v[:, None] for header, v in table.items()}
+            cells = {
+                "name": np.array(list(table), object),
+                "units": np.array(units, object),
+            }
+            savemat(path, columns | {"channel": cells, "testid": recording.name})
+        else:
+            head = "\n".join(
+                [
+                    f"Title:Simulated rig test: {recording.name}, seed {seed}",
+                    "\t".join(table),
+                    "\t".join(units),
+                ]
+            )
+            rows = np.column_stack(list(table.values()))
+            np.savetxt(path, rows, "%.6g", "\t", header=head, comments="")
+        paths.append(path)
+    write_true_tire(directory / "true_tire.tir")
+    return [*paths, directory / "true_tire.tir"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="folder to write to")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--thin", type=int, default=1, help="rows to the mean of one")
+    parser.add_argument("--small", action="store_true", help=f"--thin {SMALL}")
+    parser.add_argument("--mat", action="store_true", help="MATLAB files")
+    given = parser.parse_args()
+    thin = SMALL if given.small else given.thin
+    for path in write(given.out, given.seed, thin, given.mat):
+        print(path)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""Settings of a rig's test, found in rows whose load follows the slip."""
+
+import numpy as np
+import pytest
+
+from tirefit.fitting.mf.bins import rig_settings, settings_of
+from tirefit.fitting.mf.rows import ForceRows
+from tirefit.models import TireInputs
+
+LOADS = (220.0, 440.0, 670.0, 890.0, 1110.0)
+DEG = np.pi / 180
+
+
+def rows_of(force, parts, run=0):
+    """Rows of (sigma_x, alpha, fz, gamma, pressure) pieces, in order."""
+    cells = [np.broadcast_arrays(*part) for part in parts]
+    sigma_x, alpha, fz, gamma, pressure = np.concatenate(cells, axis=1)
+    n = len(fz)
+    inputs = TireInputs(sigma_x, alpha, fz, 0 * fz, gamma, pressure, 0 * fz)
+    run = np.broadcast_to(run, n)
+    return ForceRows(force, inputs, 0 * fz, 0 * fz + 1.0, True, run, {})
+
+
+def triangle(n=200):
+    """One triangle from zero to both ends and back, from -1 to 1."""
+    return np.interp(np.linspace(0, 4, n), [0, 1, 3, 4], [0, 1, -1, 0])
+
+
+def swept(rng, load, wander):
+    """Sweeps at one load, as pieces: of alpha alone, of kappa at 0 and at 4 deg."""
+    way = triangle()
+    noise = 1 + 0.01 * rng.standard_normal(len(way))
+    fz, gamma = (
+        load * noise * (1 + wander(way)),
+        2 * DEG + 1e-4 * rng.standard_normal(200),
+    )
+    kappa = 0.2 * way
+    yield 0.0, 0.2 * way, fz, gamma, 83e3
+    yield kappa / (1 - kappa), 0.0, fz, gamma, 83e3
+    yield kappa / (1 - kappa), 4 * DEG, fz, gamma, 83e3
+
+
+@pytest.mark.parametrize("force", ["fx", "fy", "mz"])
+@pytest.mark.parametrize(
+    "wander",
+    [
+        lambda way: 0 * way,
+        lambda way: 0.08 * way,
+        # Saturates as the force does: half of the rows 8 % above, half below.
+        lambda way: 0.08 * np.tanh(10 * way),
+        lambda way: 0.08 * np.abs(way) - 0.04,
+    ],
+)
+def test_settings_are_found_whose_load_follows_the_slip(force, wander):
+    rng = np.random.default_rng(1)
+    parts, truth = [], []
+    for load in LOADS:
+        for kind, part in enumerate(swept(rng, load, wander)):
+            parts.append(part)
+            truth += 200 * [(load, kind)]
+        # On its way to the next load: rows of no setting.
+        parts.append((0.0, 0.0, np.linspace(load, load + 220, 6), 2 * DEG, 83e3))
+        truth += 6 * [(0.0, 0)]
+    settings, code = rig_settings(rows_of(force, parts))
+    truth = np.array(truth)
+    held = truth[:, 0] > 0
+    assert len({s.fz for s in settings}) == len(LOADS)
+    assert sorted({s.fz for s in settings}) == pytest.approx(LOADS, rel=0.06)
+    found = np.array([(s.fz, s.swept == "sigma_x", s.held) for s in settings])[code]
+    assert np.mean(np.abs(found[held, 0] / truth[held, 0] - 1) < 0.06) > 0.99
+    # Rows at rest between two sweeps may belong to either.
+    assert np.mean(found[held, 1] == (truth[held, 1] > 0)) > 0.95
+    inclined = held & (truth[:, 1] == 2)
+    assert np.mean(np.abs(found[inclined, 2] - 4 * DEG) < 1e-3) > 0.95
+    labels, same = settings_of(rows_of(force, parts))
+    assert len(set(labels)) == len(settings) and np.array_equal(same, code)
+
+
+def test_a_grid_of_points_has_its_other_slip_as_a_setting():
+    alpha = np.repeat(np.arange(-3, 4) * 3.0, 9) * DEG
+    kappa = np.tile(np.linspace(-0.4, 0.4, 9), 7)
+    part = (kappa / (1 - kappa), alpha, 1000.0, 0.0, 0.0)
+    settings, code = rig_settings(rows_of("fx", [part]))
+    held = np.array([s.held for s in settings])[code]
+    assert {s.swept for s in settings} >= {"sigma_x"}
+    turned = np.abs(alpha) > 0.01
+    swept = np.array([s.swept for s in settings])[code]
+    assert np.all(swept[turned & (np.abs(kappa) > 0.01)] == "sigma_x")
+    at = turned & (swept == "sigma_x")
+    np.testing.assert_allclose(held[at], alpha[at], atol=1e-9)
+
+
+def test_swept_load_is_cut_into_thirds():
+    rng = np.random.default_rng(2)
+    part = (0.0, rng.uniform(-0.2, 0.2, 900), rng.uniform(1e3, 6e3, 900), 0.0, 2e5)
+    settings, code = rig_settings(rows_of("fy", [part]))
+    assert len(settings) == 3
+    assert np.bincount(code).tolist() == [300, 300, 300]
+
+
+def test_runs_are_settings_of_their_own():
+    part = (0.0, np.linspace(-0.2, 0.2, 60), 1000.0, 0.0, 2e5)
+    settings, code = rig_settings(rows_of("fy", [part, part], np.repeat([4, 7], 60)))
+    assert [s.run for s in settings] == [4, 7]
+    assert np.array_equal(code, np.repeat([0, 1], 60))
+    labels, _ = settings_of(rows_of("fy", [part, part], np.repeat([4, 7], 60)))
+    assert labels == (
+        "1000 N, rolling freely, run 5",
+        "1000 N, rolling freely, run 8",
+    )

@@ -1,0 +1,124 @@
+"""Figures of a Magic Formula fit: what they show, in numbers, and the files."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pages import Page
+
+import tirefit
+from tirefit.data.read import read_frame
+from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.models import TireInputs, forces
+from tirefit.models.mf import mf_tire
+from tirefit.report.mf_curves import ellipse_panel, force_panels, residual_panel
+from tirefit.report.mf_draw import magic_formula_page, save_pictures
+from tirefit.results import UsageError
+
+LOADS = (2000.0, 4000.0, 6000.0)
+ANGLES = np.radians([0.0, 3.0, 6.0])
+ODD = 4000.0, ANGLES[1], 150.0
+"""Load, slip angle, and the newtons by which F_x of that setting is wrong."""
+
+
+def columns():
+    """Brake sweeps of both forces at three loads and slip angles, with noise."""
+    kappa = np.concatenate([np.linspace(-0.2, 0.2, 60), np.linspace(0.2, -0.2, 60)])
+    fz, alpha = (
+        a.repeat(len(kappa)) for a in map(np.ravel, np.meshgrid(LOADS, ANGLES))
+    )
+    kappa = np.tile(kappa, len(LOADS) * len(ANGLES))
+    fz = fz * (1 + 0.2 * kappa)
+    values = {"FNOMIN": 4000.0, "PKX1": 25.0, "RBX1": 10.0, "RCX1": 1.0}
+    values |= {"RBY1": 8.0, "RCY1": 1.0, "PKY1": -20.0, "PKY2": 2.0}
+    inputs = TireInputs(kappa / (1 - kappa), alpha, fz)
+    true = forces(mf_tire("6.1", values), inputs)
+    rng = np.random.default_rng(3)
+    table = {"sigma_x": inputs.sigma_x, "alpha": alpha, "fz": fz}
+    for name in ("fx", "fy"):
+        noise = 10.0 * rng.standard_normal(len(fz))
+        table[name] = np.asarray(getattr(true, name)) + noise
+    odd = (np.abs(fz / ODD[0] - 1) < 0.1) & (alpha == ODD[1])
+    table["fx"][odd] += ODD[2]
+    return table
+
+
+@pytest.fixture(scope="module")
+def table():
+    return columns()
+
+
+@pytest.fixture(scope="module")
+def fit(table):
+    return fit_magic_formula(read_frame(table), "mf61")
+
+
+def test_points_are_medians_of_rows_and_curves_the_tire(fit, table):
+    panel = next(p for p in force_panels(fit, "fx") if "load" in p.title)
+    assert [group.label for group in panel.curve.groups] == [
+        "2000 N",
+        "4000 N",
+        "6000 N",
+    ]
+    for load, group, curve in zip(
+        LOADS, panel.curve.groups, panel.curve.curves, strict=True
+    ):
+        kappa = table["sigma_x"] / (1 + table["sigma_x"])
+        rows = (np.abs(table["fz"] / load - 1) < 0.1) & (table["alpha"] == 0)
+        for x, force, low, high in zip(
+            group.slip, group.force, group.low, group.high, strict=True
+        ):
+            near = rows & (np.abs(kappa - x / 100) < 0.4 / 64)
+            assert low <= force <= high
+            assert force == pytest.approx(np.median(table["fx"][near]), abs=0.03 * load)
+        # The rows' load follows the slip, and so does that of the curve.
+        slip = curve.slip / 100
+        at = TireInputs(slip / (1 - slip), 0.0, load * (1 + 0.2 * slip))
+        np.testing.assert_allclose(
+            curve.force, forces(fit.tire, at).fx, atol=0.01 * load
+        )
+        assert np.all(curve.noise_low < curve.force) and np.all(
+            curve.force < curve.noise_high
+        )
+
+
+def test_the_setting_that_is_wrong_is_named(fit):
+    panel = residual_panel(fit, "fx")
+    assert "4000 N" in panel.curve.note and "slip angle 3 deg" in panel.curve.note
+    assert [text for _, text in panel.ticks] == ["2000 N", "4000 N", "6000 N"]
+    of_odd = next(g for g in panel.curve.groups if g.label == "slip angle 3 deg")
+    assert np.max(of_odd.force) > 0.5 * ODD[2]
+
+
+def test_ellipse_shows_both_forces_of_like_rows(fit, table):
+    (panel,) = ellipse_panel(fit)
+    assert panel.curve.note == "6000 N, camber 0 deg"
+    assert [g.label for g in panel.curve.groups] == [
+        "straight", "slip angle 3 deg", "slip angle 6 deg",
+    ]  # fmt: skip
+    rows = (np.abs(table["fz"] / 6000 - 1) < 0.1) & (table["alpha"] == ANGLES[2])
+    ratio = table["fy"][rows] / table["fz"][rows]
+    assert np.max(panel.curve.groups[2].force) == pytest.approx(ratio.max(), rel=0.03)
+
+
+def test_figures_and_page_are_written_whole(fit, tmp_path):
+    names = {path.name for path in save_pictures(fit, tmp_path, svg=True)}
+    assert names == {
+        f"{name}.{kind}"
+        for name in ("fit", "fx", "fy", "residuals", "ellipse")
+        for kind in ("png", "svg")
+    }
+    page = magic_formula_page(fit)
+    links = Page(page).links
+    assert len(links) == 6 and all(x.startswith("data:image/png") for x in links)
+    assert "MAGIC FORMULA mf61" in page
+    assert "data:image/png" in fit._repr_html_()
+
+
+def test_plot_fit_draws_a_fit_of_this_process(fit):
+    figure = tirefit.plot_fit(fit)
+    assert len(figure.axes) == 2
+    axes = figure.axes[0]
+    assert tirefit.plot_fit(fit, ax=axes) is axes.figure
+    with pytest.raises(UsageError, match="fit again"):
+        tirefit.plot_fit(replace(fit, binned={}))

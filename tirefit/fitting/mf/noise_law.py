@@ -1,0 +1,81 @@
+"""The noise of a force: a constant, a share of the load and a share of the force."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import nnls
+
+__all__ = ["NoiseLaw", "noise_law"]
+
+_CLEAR = 10.8
+"""Deviance of one degree of freedom at the level of 0.1 %."""
+
+_ROUNDS, _SETTLED = 50, 1e-4
+"""Regressions, at most, and the change of a share of the variance that ends them."""
+
+
+class NoiseLaw(NamedTuple):
+    """Variance of one value: constant^2 + (share F_z)^2 + (of_force F)^2.
+
+    ``constant`` [N, N m]: the sensor; ``share`` [-, m]: what grows with the load;
+    ``of_force`` [-]: what grows with the force itself, as friction that differs from
+    sweep to sweep. A wheel that rolls freely has little of the last one.
+    """
+
+    constant: float
+    share: float
+    of_force: float = 0.0
+
+    def variance(self, fz, force):
+        """Variance at loads fz [N] and forces [N, N m], any shape."""
+        return self.constant**2 + (self.share * fz) ** 2 + (self.of_force * force) ** 2
+
+    def std(self, fz, force):
+        """Standard deviation at loads fz [N] and forces [N, N m], any shape."""
+        return np.sqrt(self.variance(fz, force))
+
+
+def noise_law(residual, fz, force, known=0.0, each=1.0) -> NoiseLaw:
+    """The law whose squares the residuals (n,) follow best.
+
+    A share of the force is used only where it raises the likelihood at the level of
+    0.1 %.
+
+    Args:
+        residual: (n,) [N, N m].
+        fz, force: load [N] and force of each, (n,).
+        known: part of each variance that is known already, (n,) or a number.
+        each: how many residuals count as one, (n,) or a number.
+    """
+    terms = np.stack([np.full(len(fz), 1.0), fz**2, force**2], axis=1)
+    plain = np.append(_shares(residual, terms[:, :2], known), 0.0)
+    shares = _shares(residual, terms, known)
+    deviances = [_deviance(residual, terms @ x + known, each) for x in (plain, shares)]
+    is_clear = deviances[0] - deviances[1] > _CLEAR
+    return NoiseLaw(*np.sqrt(shares if is_clear else plain).tolist())
+
+
+def _deviance(residual, variance, each) -> float:
+    variance = np.maximum(variance, 1e-300)
+    return float(np.sum((np.log(variance) + residual**2 / variance) / each))
+
+
+def _shares(residual, terms, known) -> np.ndarray:
+    """Squares are regressed on the terms, each row weighted by its own variance, twice
+    the square of which is the variance of a square; until the variance settles."""
+    scale = float(np.mean(residual**2)) or 1e-18
+    size = np.maximum(np.mean(terms, axis=0), 1e-300)
+    scaled, known = terms / size, known / scale
+    wanted = residual**2 / scale - known
+    shares = np.full(terms.shape[1], 1 / terms.shape[1])
+    ridge = 1e-9 * np.eye(terms.shape[1])
+    for _ in range(_ROUNDS):
+        variance = scaled @ shares + known + 1e-9
+        weighted = scaled / variance[:, None]
+        # The normal equations: few unknowns, whatever the number of rows.
+        upper = np.linalg.cholesky(weighted.T @ weighted + ridge).T
+        aim = np.linalg.solve(upper.T, weighted.T @ (wanted / variance))
+        shares, last = nnls(upper, aim)[0], shares
+        if np.max(np.abs(shares - last)) < _SETTLED:
+            break
+    return shares * scale / size

@@ -1,0 +1,66 @@
+"""Where a Magic Formula depends on the limit of its curvature factors E to one."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tirefit.models.base import TireInputs
+from tirefit.models.mf.fields import Curve, ratio
+from tirefit.models.mf.tire import MFTire
+
+__all__ = ["curvatures", "share_limited"]
+
+
+def curvatures(tire: MFTire, inputs: TireInputs) -> dict[str, Float[Array, " n"]]:
+    """Largest curvature factor E of each force, before it is limited to one.
+
+    E > 1 bends a curve back, so readers of a coefficient file differ there: some limit
+    E to one, as :func:`~tirefit.models.magic_formula.bent` does, others do not.
+
+    Args:
+        tire: the tire; each of its forces has an own E, and F_x and F_y another one of
+            their weighting functions.
+        inputs: scalars or arrays (n,).
+
+    Returns:
+        ``fx``, ``fy``, ``mz``: (n,). An E that has no effect on a sample (zero
+        argument, weight without shape, zero load) counts as zero there. M_z depends on
+        the E of F_y and F_x too, which are not repeated.
+    """
+    arrays = [jnp.atleast_1d(jnp.asarray(value, float)) for value in inputs]
+    return jax.vmap(lambda sample: _largest(tire, sample))(
+        TireInputs(*jnp.broadcast_arrays(*arrays))
+    )
+
+
+def _largest(tire: MFTire, inputs: TireInputs) -> dict:
+    at, scale = tire.point(inputs), tire.scaling
+    fz0 = tire.nominal.FNOMIN * scale.LFZO
+    side = tire.lateral.pure(at, scale, fz0)
+    _, stiffness = tire.longitudinal.pure(at, scale)
+    slip = ratio(stiffness, side.stiffness) * at.kappa
+
+    def acting(curve: Curve, shape=1.0):
+        acts = (curve.x * shape != 0) & (inputs.fz > 0)
+        return jnp.where(acts, curve.curvature, 0.0)
+
+    def weighting(weight):
+        resting = Curve(weight.x_at_rest, weight.curve.curvature)
+        both = acting(weight.curve, weight.shape), acting(resting, weight.shape)
+        return jnp.maximum(*both)
+
+    along, across = tire.longitudinal, tire.lateral
+    return {
+        "fx": jnp.maximum(
+            acting(along.curve(at, scale)), weighting(along.weight(at, scale))
+        ),
+        "fy": jnp.maximum(acting(side.curve), weighting(across.weight(at, scale))),
+        "mz": acting(tire.aligning.curve(at, scale, slip), tire.aligning.QDZ1),
+    }
+
+
+def share_limited(tire: MFTire, inputs: TireInputs) -> dict[str, float]:
+    """Share of the samples at which an E of each force exceeds one; see
+    :func:`curvatures`."""
+    found = curvatures(tire, inputs)
+    return {force: float(jnp.mean(values > 1)) for force, values in found.items()}

@@ -1,0 +1,118 @@
+"""Figures of a Magic Formula fit: arrays -> axes, and their files."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from tirefit.data.table import FORCES
+from tirefit.fitting.mf.result import MagicFormulaFit
+from tirefit.report.canvas import GREY, Picture, panel_title, save_picture
+from tirefit.report.draw import draw_fit
+from tirefit.report.fit_html import page_images
+from tirefit.report.fit_panels import WIDE, Shown, below
+from tirefit.report.html import rendered
+from tirefit.report.labels import fit_files
+from tirefit.report.magic_formula import magic_formula_report
+from tirefit.report.mf_curves import (
+    Panel,
+    ellipse_panel,
+    force_panels,
+    residual_panel,
+)
+from tirefit.report.numbers import plain_text
+from tirefit.results import UsageError
+
+__all__ = [
+    "MAGIC_FORMULA_FILES",
+    "magic_formula_page",
+    "plot_magic_formula",
+    "save_pictures",
+]
+
+MAGIC_FORMULA_FILES = tuple(
+    f"{name}{suffix}"
+    for name in ("fit", *FORCES, "residuals", "ellipse")
+    for suffix in (".png", ".svg")
+)
+"""Every file that :func:`save_pictures` may write."""
+
+_HEIGHT = 3.5
+"""Of a panel with its legend [in]."""
+
+
+def _draw(axes, panel: Panel) -> None:
+    """A panel on given axes, its legend inside."""
+    draw_fit(axes, panel.curve._replace(note=""), beside=False)
+    panel_title(axes, panel.title, panel.curve.note)
+    x = [one.slip for one in panel.curve.groups]
+    x += [one.slip for one in panel.curve.curves]
+    low, high = min(v.min() for v in x), max(v.max() for v in x)
+    margin = 0.02 * (high - low)
+    axes.set_xlim(low - margin, high + margin)
+    if panel.ticks:
+        axes.set_xticks(*zip(*panel.ticks, strict=True))
+
+
+def _stacked(panels: Sequence[Panel], title: str = "") -> Picture:
+    """One panel below the other, each with its legend below."""
+    picture = Picture(figsize=(WIDE, _HEIGHT * len(panels)), layout="constrained")
+    if title:
+        picture.suptitle(plain_text(title), fontsize=9.5, color=GREY)
+    parts = picture.subfigures(len(panels), squeeze=False).ravel()
+    for part, panel in zip(parts, panels, strict=True):
+        axes = part.subplots()
+        _draw(axes, panel)
+        below(part, axes.get_legend(), 3)
+    return picture
+
+
+def _panels(fit: MagicFormulaFit) -> dict[str, list[Panel]]:
+    """Name of a file -> its panels."""
+    if not fit.binned:
+        raise UsageError("this fit has no data in memory (fit again to draw it)")
+    named = {force: force_panels(fit, force) for force in fit.binned}
+    named["residuals"] = [residual_panel(fit, force) for force in fit.binned]
+    named["ellipse"] = ellipse_panel(fit)
+    return {name: panels for name, panels in named.items() if panels}
+
+
+def _title(fit: MagicFormulaFit) -> str:
+    return f"{fit.model} fitted to {fit_files(fit, 50)}"
+
+
+def plot_magic_formula(fit: MagicFormulaFit, ax=None):
+    """Every force over its slip by load: bins of the rows, and the fit; the Figure.
+
+    Args:
+        fit: from this process.
+        ax: axes to draw the first force on.
+    """
+    panels = _panels(fit)
+    first = [panels[force][0] for force in fit.binned if force in panels]
+    if ax is None:
+        return _stacked(first, _title(fit))
+    _draw(ax, first[0])
+    return ax.figure
+
+
+def magic_formula_page(fit: MagicFormulaFit) -> str:
+    """The fit as one HTML document: figures, report, record; nothing to fetch."""
+    panels = [panel for named in _panels(fit).values() for panel in named]
+    pictures = [Shown(_stacked([panel]), panel.title) for panel in panels]
+    return rendered(
+        "magic_formula_page.html",
+        title=_title(fit),
+        pictures=page_images(pictures),
+        report=magic_formula_report(fit),
+        record=fit.to_json(),
+    )
+
+
+def save_pictures(fit: MagicFormulaFit, folder: Path, svg: bool = False) -> list[Path]:
+    """Writes the figures into a folder; the files. ``svg``: each as SVG too."""
+    written = []
+    pictures = {"fit": plot_magic_formula(fit)}
+    pictures |= {name: _stacked(p, _title(fit)) for name, p in _panels(fit).items()}
+    for name, picture in pictures.items():
+        for suffix in (".png", ".svg") if svg else (".png",):
+            written.append(save_picture(picture, folder / f"{name}{suffix}"))
+    return written
