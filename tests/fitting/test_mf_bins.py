@@ -18,7 +18,7 @@ def rows_of(force, parts, run=0):
     n = len(fz)
     inputs = TireInputs(sigma_x, alpha, fz, 0 * fz, gamma, pressure, 0 * fz)
     run = np.broadcast_to(run, n)
-    return ForceRows(force, inputs, 0 * fz, 0 * fz + 1.0, True, run, {})
+    return ForceRows(force, inputs, 0 * fz, 0 * fz + 1.0, True, run, fz > 0)
 
 
 def triangle(n=200):

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from tirefit.data.table import CANONICAL, FORCES
 from tirefit.fitting.mf.parts import PARTS
-from tirefit.fitting.mf.result import ORIGINS, WORSENED, MagicFormulaFit
+from tirefit.fitting.mf.result import ORIGINS, MagicFormulaFit
 from tirefit.params import specs
 from tirefit.report.html import png_text
 from tirefit.report.numbers import format_estimate, format_number
@@ -146,9 +146,7 @@ _REASONS: dict[Outcome, Callable[[MagicFormulaFit], list[str]]] = {
     Outcome.GUARD_FAILED: lambda fit: [
         guard.name for guard in fit.guards if not guard.holds_inside
     ],
-    Outcome.WORSENED: lambda fit: [
-        stage.name for stage in fit.stages if stage.rmse_at_end > WORSENED * stage.rmse
-    ],
+    Outcome.WORSENED: lambda fit: fit.worsened,
 }
 """Outcome that is against a fit -> the names of what is."""
 

@@ -21,6 +21,9 @@ _WIDTH = {"sigma_x": 0.005, "alpha": 0.005, "gamma": 0.005}
 """Of a cell at small slip [-], [rad]: a curve of stiffness factor B misses its mean by
 (B width)^2 / 24 of the force, 0.1 % at B = 30."""
 
+_FEWEST = 4096
+"""Rows that are put into cells: fewer take no longer one by one."""
+
 _WIDENS = 0.1
 """Slip from which on cells grow with it: there the curves are nearly straight."""
 
@@ -69,6 +72,8 @@ def cells_of(rows: ForceRows, setting: np.ndarray) -> Cells:
     # Of the forces none, but M_y depends on speed.
     names = [*_WIDTH, *(name for name in _SHARE if name != "v" or rows.force == "my")]
     places = [setting, *(_place(columns, name) for name in names)]
+    if len(setting) < _FEWEST:
+        places.append(np.arange(len(setting)))
     found, code = np.unique(np.stack(places), axis=1, return_inverse=True)
     code = code.ravel()
     count = np.bincount(code)

@@ -110,4 +110,6 @@ def converted(
     given = {name: {"value": float(getattr(tire.nominal, name))} for name in kept}
     given |= {k: {"value": tir.numbers[k]} for k in copied if k in tir.numbers}
     settings = FitConfig.model_validate({"parameters": given})
-    return fit_magic_formula(data, model, config=settings, first=tir.numbers)
+    return fit_magic_formula(
+        data, model, config=settings, first=tir.numbers, leave_out="none"
+    )

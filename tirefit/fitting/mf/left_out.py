@@ -22,6 +22,9 @@ _ROWS = 1500
 
 _IN_95 = 1.96
 
+_LEAST = 1e-9
+"""Noise over the root mean square of the force, at least: of data without any."""
+
 _CLEAR = 3.84
 """Deviance of one degree of freedom at the level of 5 %."""
 
@@ -209,7 +212,9 @@ def _wider(parts: Sequence[_Seen], law: NoiseLaw) -> float:
     """
     sizes, squares = [], []
     for part in parts:
-        std = np.sqrt(part.each * law.variance(part.fz, part.predicted))
+        least = _LEAST**2 * np.mean(part.predicted**2)
+        variance = np.maximum(law.variance(part.fz, part.predicted), least)
+        std = np.sqrt(part.each * variance)
         axes, spread, _ = np.linalg.svd(part.slope / std[:, None], full_matrices=False)
         sizes.append(spread**2)
         squares.append((axes.T @ (part.missed / std)) ** 2)

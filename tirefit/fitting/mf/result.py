@@ -21,7 +21,7 @@ from tirefit.models.mf import MAGIC_FORMULAS, MFTire
 from tirefit.params import parameter_values, specs, with_values
 from tirefit.results import Outcome
 
-__all__ = ["ORIGINS", "WORSENED", "Coefficient", "MagicFormulaFit"]
+__all__ = ["ORIGINS", "Coefficient", "MagicFormulaFit"]
 
 ORIGINS = {
     "fitted": "the data tell it",
@@ -32,10 +32,10 @@ ORIGINS = {
 }
 """How a coefficient came by its value -> what that means."""
 
-WORSENED = 1.1
+_WORSENED, _NOTHING = 1.1, 1e-4
 """Root mean square at the end of a fit over that of the stage, from which on later rows
-worsened it: a tenth, where rounding and the last digits of a search make a thousandth.
-"""
+worsened it, and the share of the force that is no matter: a tenth, where rounding and
+the last digits of a search make a thousandth."""
 
 _REACH = 200.0
 """Spreads of the priors on either side in the unconstrained space of ``fit.json``: over
@@ -104,9 +104,7 @@ class MagicFormulaFit(Displayed):
         wrong = {
             Outcome.NOT_CONVERGED: not self.converged,
             Outcome.GUARD_FAILED: not all(one.holds_inside for one in self.guards),
-            Outcome.WORSENED: any(
-                stage.rmse_at_end > WORSENED * stage.rmse for stage in self.stages
-            ),
+            Outcome.WORSENED: bool(self.worsened),
         }
         found = tuple(outcome for outcome, holds in wrong.items() if holds)
         unknown = () if self.identified else (Outcome.NOT_IDENTIFIED,)
@@ -116,6 +114,16 @@ class MagicFormulaFit(Displayed):
     def converged(self) -> bool:
         """Whether every stage ended before its limit of steps."""
         return all(stage.converged for stage in self.stages)
+
+    @property
+    def worsened(self) -> list[str]:
+        """Stages whose rows miss more at the end of the fit than at their own."""
+        return [
+            stage.name
+            for stage in self.stages
+            if stage.rmse_at_end
+            > _WORSENED * stage.rmse + _NOTHING * self.reference[stage.force]
+        ]
 
     @property
     def identified(self) -> bool:

@@ -414,7 +414,7 @@ def _hold(work: Search, problem: Problem, end: Minimum) -> tuple[Problem, Minimu
 
 
 def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarray:
-    """Of u (p,): of what was moved, given the rest, and of the rest as it is carried on.
+    """Of u (p,): of what was moved, given the rest, and of the rest as before.
 
     With H the curvature of rows and priors, the moved ones m follow the known ones k by
     -H_mm^-1 H_mk.
