@@ -63,7 +63,7 @@ def test_the_moments_come_back_in_standard_errors():
             assert abs(one.value - numbers[name]) < 4 * one.std, name
     for force, std in NOISE.items():
         assert fit.fitted[force][0] == pytest.approx(std, rel=0.05)
-        assert fit.noise[force].std(4e3, 0.0) == pytest.approx(std, rel=0.1)
+        assert fit.noise[force].std(4e3, 0.0) == pytest.approx(std, rel=0.2)
 
 
 def test_the_moments_do_not_move_the_forces():
