@@ -32,6 +32,7 @@ from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
 from tirefit.fitting.mf.rows import ForceRows, joined, rows_of_forces
 from tirefit.fitting.mf.solve import Problem, row_values
 from tirefit.fitting.mf.stages import Search, groups_of, search
+from tirefit.fitting.mf.temperature import at_reference
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire, frictions
 from tirefit.models.mf.fields import Nominal, Scaling
 from tirefit.params import check_names, check_values, specs, with_values
@@ -88,7 +89,8 @@ def fit_magic_formula(
             ``my``: that moment and the forces.
         config: content of ``fit.toml``: noise of the forces; under ``parameters`` the
             nominal state (FNOMIN, UNLOADED_RADIUS, NOMPRES), and value, ``free`` and
-            prior of coefficients.
+            prior of coefficients; ``friction_temperature``: whether friction follows
+            the temperature, at whose median the coefficients then are.
         first: coefficients of a tire that may be near, to start from too.
         like: a ``.tir`` file, whose coefficients are the priors' means where ``config``
             says nothing of them.
@@ -123,13 +125,25 @@ def fit_magic_formula(
     problem, priors = problem_from(tire, config, borrowed.priors)
     settings = {force: settings_of(of_force) for force, of_force in rows.items()}
     codes = {force: code for force, (_, code) in settings.items()}
-    groups = groups_of(rows, codes, "combined" in parts)
     start = _start(problem, first) if first else None
-    say = _Steps(progress, sum(map(len, groups.values())))
-    work = search(problem, rows, groups, start, say)
+    kinds = sum(len(set(of.pure)) for of in rows.values())
+    say = _Steps(progress, kinds)
+
+    def fitted_to(rows: Mapping[str, ForceRows]) -> Search:
+        groups = groups_of(rows, codes, "combined" in parts)
+        return search(problem, rows, groups, start, say)
+
+    warmth = None
+    if config.friction_temperature:
+        require(whole, ("temperature",), "friction_temperature")
+        work, rows, warmth = at_reference(whole, rows, fitted_to)
+        notes.append(warmth.text())
+    else:
+        work = fitted_to(rows)
     left_out, bands = foretold(work, rows, settings, leave_out, say)
     fitted = _Fitted(work, rows, left_out, bands, borrowed.priors.keys())
-    return _result(model, whole, fitted, priors, notes)
+    result = _result(model, whole, fitted, priors, notes)
+    return replace(result, warmth=warmth)
 
 
 def _rows(whole: TireData, part: str, config: FitConfig):
