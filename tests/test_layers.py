@@ -107,6 +107,16 @@ def owner_faults(file, tree):
     return faults
 
 
+def private_faults(file, tree):
+    """Names of other files that begin with an underscore: those are their own."""
+    return [
+        f"{file} imports {name} from {module}, which is private"
+        for module, names in imported(tree)
+        for name in names
+        if module.startswith("tirefit.") and name.startswith("_")
+    ]
+
+
 def docstring_lines(node):
     first = node.body[0] if node.body else None
     if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
@@ -143,6 +153,7 @@ def test_file_keeps_the_rules(path):
     assert room_of(file) in {*FLOORS, "__init__", "__main__"}, "a room without a floor"
     assert layer_faults(file, tree) == []
     assert owner_faults(file, tree) == []
+    assert private_faults(file, tree) == []
     assert size_faults(file, source, tree) == []
 
 
@@ -196,6 +207,13 @@ def test_layer_check_sees(file, source, faults):
 )
 def test_owner_check_sees(file, source, faults):
     assert len(owner_faults(file, ast.parse(source))) == faults
+
+
+def test_private_check_sees():
+    own = "from tirefit.files import PART, _mode\nfrom jax import _src"
+    assert private_faults("cli/x.py", ast.parse(own)) == [
+        "cli/x.py imports _mode from tirefit.files, which is private"
+    ]
 
 
 def test_size_check_sees():

@@ -31,8 +31,6 @@ import jax.export
 
 from tirefit.files import replacing
 
-__all__ = ["Compiled", "compiled", "keep_programs_in", "release_programs"]
-
 _directory: Path | None = None
 
 _MOST_PROGRAMS = 500
@@ -131,7 +129,8 @@ class Compiled:
 
         try:
             exported = jax.export.deserialize(bytearray(path.read_bytes()))
-            _touch(path)
+            with contextlib.suppress(OSError):  # a directory of someone else
+                os.utime(path)  # used now
         except Exception:
             # Absent, torn or of another JAX: trace it, and keep it for next time.
             try:
@@ -143,12 +142,6 @@ class Compiled:
                 # A program that cannot be written down still runs.
                 return jax.jit(flat, compiler_options=self._options)
         return jax.jit(exported.call, compiler_options=self._options)
-
-
-def _touch(path: Path) -> None:
-    """Mark a program as used now; a directory of someone else is no error."""
-    with contextlib.suppress(OSError):
-        os.utime(path)
 
 
 def _evict(directory: Path) -> None:

@@ -7,8 +7,6 @@ names the functions; they are looked up when a notebook or ``print`` asks.
 import importlib
 from typing import Any, ClassVar
 
-__all__ = ["Displayed"]
-
 
 def _made_by(place: str, record: Any) -> str:
     module, _, function = place.partition(":")

@@ -14,12 +14,6 @@ from typing import Any
 
 from tirefit.results import DataError, InputProblem, TirefitError, UsageError
 
-__all__ = [
-    "CHAIN", "DATA", "RECORD", "SETTINGS", "TIRE", "content_of", "control_character",
-    "outrageous", "read_record", "read_toml", "sealed", "sealed_bytes", "too_large",
-    "unsealed_bytes",
-]  # fmt: skip
-
 MIB = 2**20
 SETTINGS, TIRE, RECORD, CHAIN, DATA = (
     1 * MIB, 8 * MIB, 256 * MIB, 1024 * MIB, 1024 * MIB,

@@ -18,11 +18,6 @@ try:
 except ImportError:  # Windows has no such locks: two processes are not kept apart
     fcntl = None
 
-__all__ = [
-    "PART", "json_safe", "json_text", "replacing", "took_lock", "write_text_atomic",
-    "write_texts",
-]  # fmt: skip
-
 PART = ".part"
 """How the name of a file ends that is not whole yet; it begins with a point."""
 

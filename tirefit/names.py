@@ -1,7 +1,5 @@
 """Names of models and effects as text: completion must not wait for JAX."""
 
-__all__ = ["EFFECT_NAMES", "MODEL_NAMES"]
-
 _PRESSURE = ("brush", "brush-d", "uniform", "quartic", "elliptic")
 _SPEED = ("", "n", "ns", "h", "hs")
 

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["pad_rows", "padded_size"]
-
 
 def padded_size(n: int, least: int = 8) -> int:
     """The next of 2^k and 1.5 * 2^k from ``least`` on: at most 50 % padding.

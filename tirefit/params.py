@@ -18,20 +18,6 @@ from jaxtyping import Array
 
 from tirefit.results import InputProblem, UsageError, did_you_mean
 
-__all__ = [
-    "Spec",
-    "Values",
-    "check_names",
-    "check_values",
-    "constrain",
-    "log_jacobian",
-    "par",
-    "parameter_values",
-    "specs",
-    "unconstrain",
-    "with_values",
-]
-
 Model = TypeVar("Model", bound=eqx.Module)
 
 Values = Array | np.ndarray
@@ -145,14 +131,21 @@ def check_values(
         if key not in known:
             reason = f"{owner} has no {noun} {key!r}"
             problems.append(InputProblem(reason, f"it has {', '.join(known)}"))
-        elif not known[key].lower <= value <= known[key].upper:
-            low, high = known[key].bounds
-            reason = f"{key} = {value} is outside its bounds [{low:.6g}, {high:.6g}]"
-            unit = "" if known[key].unit == "-" else f" {known[key].unit}"
-            remedy = f"{known[key].meaning}: {low:.6g} to {high:.6g}{unit}"
-            problems.append(InputProblem(reason, remedy))
+        else:
+            problems += _out_of_bounds(key, value, known[key])
     if problems:
         raise UsageError(problems)
+
+
+def _out_of_bounds(key: str, value: float, spec: Spec) -> list[InputProblem]:
+    """The problem of a value outside the bounds of its parameter, if it is."""
+    low, high = spec.bounds
+    if low <= value <= high:
+        return []
+    reason = f"{key} = {value} is outside its bounds [{low:.6g}, {high:.6g}]"
+    unit = "" if spec.unit == "-" else f" {spec.unit}"
+    remedy = f"{spec.meaning}: {low:.6g} to {high:.6g}{unit}"
+    return [InputProblem(reason, remedy)]
 
 
 def check_names(
@@ -183,6 +176,41 @@ def check_names(
     if problems:
         raise UsageError(problems)
     return tuple(asked)
+
+
+def by_owner(
+    settings: Mapping[str, float], owners: Mapping[str, eqx.Module]
+) -> dict[str, dict[str, float]]:
+    """Split ``{"rls.d": 0.1, "mu": 0.9}`` into the settings of each owner.
+
+    A setting without an owner's name goes to all owners that have it.
+
+    Raises:
+        UsageError: an owner that was not asked for, a setting that no owner has, or a
+            value outside its bounds; all of them.
+    """
+    chosen: dict[str, dict[str, float]] = {name: {} for name in owners}
+    known = {name: specs(owner) for name, owner in owners.items()}
+    problems, asked = [], ", ".join(owners)
+    for key, value in settings.items():
+        owner, dot, setting = key.rpartition(".")
+        if dot and owner not in known:
+            reason = f"setting {key!r}: {owner!r} is not asked for"
+            problems.append(InputProblem(reason, f"asked for: {asked}"))
+            continue
+        takers = [n for n in ([owner] if dot else known) if setting in known[n]]
+        if not takers:
+            reason = f"setting {key!r}: none of {asked} has it"
+            if dot:
+                reason = f"{owner!r} has no setting {setting!r}"
+            listed = "; ".join(f"{n}: {', '.join(known[n]) or 'none'}" for n in known)
+            problems.append(InputProblem(reason, f"settings of {listed}"))
+        for name in takers:
+            problems += _out_of_bounds(f"{name}.{setting}", value, known[name][setting])
+            chosen[name][setting] = value
+    if problems:
+        raise UsageError(problems)
+    return chosen
 
 
 def with_values(model: Model, values: Mapping[str, Any]) -> Model:

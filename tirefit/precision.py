@@ -8,8 +8,6 @@ import jax.numpy as jnp
 
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["require_x64"]
-
 
 def require_x64(task: str) -> None:
     """Nothing where JAX computes in 64-bit floats.

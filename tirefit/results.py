@@ -12,17 +12,6 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-__all__ = [
-    "DataError",
-    "ExitCode",
-    "Outcome",
-    "InputProblem",
-    "TirefitError",
-    "UsageError",
-    "did_you_mean",
-    "in_python",
-]
-
 
 class ExitCode(enum.IntEnum):
     """Exit codes of the command line."""

@@ -24,8 +24,6 @@ from pydantic import (
 
 from tirefit.results import InputProblem, UsageError, did_you_mean
 
-__all__ = ["Section", "parse_settings"]
-
 
 class Contradiction(ValueError):
     """Keys of one section that do not go together."""

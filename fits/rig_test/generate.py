@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from scipy.io import savemat
 from scipy.signal import lfilter
@@ -357,12 +358,16 @@ def table_of(recording: Recording) -> tuple[dict[str, np.ndarray], list[str]]:
 
 
 def write(
-    directory: Path, seed: int, thin: int = 1, matlab: bool = False
+    directory: Path,
+    seed: int,
+    thin: int = 1,
+    matlab: bool = False,
+    loads: Sequence[float] = LOADS,
 ) -> list[Path]:
     """Writes both recordings and the true tire; the paths."""
     directory.mkdir(parents=True, exist_ok=True)
     paths = []
-    for recording in recordings(seed, thin):
+    for recording in recordings(seed, thin, loads):
         table, units = table_of(recording)
         path = directory / f"{recording.name}.{'mat' if matlab else 'dat'}"
         if matlab:
@@ -381,13 +386,14 @@ def write(
                 ]
             )
             rows = np.column_stack(list(table.values()))
-            np.savetxt(path, rows, "%.6g", "\t", header=head, comments="")
+            np.savetxt(path, rows, "%.7g", "\t", header=head, comments="")
         paths.append(path)
     write_true_tire(directory / "true_tire.tir")
     return [*paths, directory / "true_tire.tir"]
 
 
 def main() -> None:
+    jax.config.update("jax_enable_x64", True)
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder to write to")
     parser.add_argument("--seed", type=int, default=1)

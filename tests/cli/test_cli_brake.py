@@ -95,7 +95,7 @@ def test_a_tire_of_a_tir_file_brakes(run, tmp_path):
         (("--set", "mu=99"), 2, "outside its bounds"),
         (("--set", "mu=nan"), 2, "give a finite value in SI units"),
         (("--set", "B=1"), 2, "has no parameter 'B'"),
-        (("--tune", "abs.slip=9"), 2, "out of range"),
+        (("--tune", "abs.slip=9"), 2, "abs.slip = 9.0 is outside its bounds"),
         (("--tune", "xbs-servo.servo_gain=-400"), 2, "O(11)"),
         (("--tune", "quick"), 2, "NAME=VALUE"),
         (("--plant", "dealy=1"), 2, "there are demand"),

@@ -253,6 +253,87 @@ def test_warming_is_told_by_repeated_sweeps_without_a_thermometer():
     assert all(p.kind != "warm-up" for p in prepared(flat_force).segments)
 
 
+def warmed_in(gamma=4 * DEG, keep_on=False):
+    """Two cambers swept while the tire warms up, one of them again afterwards."""
+    script = Script(50, alpha=0.0, fz=3000.0, gamma=0.0, pressure=2e5, v=0.0)
+    script.hold(1)
+    script.move("v", 20.0, 2)
+    for camber in (gamma, 0.0):
+        script.move("gamma", camber, 1)
+        script.hold(1)
+        for _ in range(2):
+            script.sweep("alpha", 0.15, 2, "early")
+            script.sweep("alpha", -0.15, 4, "early")
+            script.sweep("alpha", 0.0, 2)
+    script.hold(80)
+    for _ in range(12):
+        script.sweep("alpha", 0.15, 2)
+        script.sweep("alpha", -0.15, 4)
+        script.sweep("alpha", 0.0, 2)
+        script.hold(1)
+    seen, _ = measured(script, np.random.default_rng(3))
+    return script, seen
+
+
+def swept_rows(result, gamma):
+    """Kept rows of sweeps near a camber, and its segments."""
+    level = int(np.argmin(np.abs(result.settings["gamma"].center - gamma)))
+    parts = [p for p in result.segments if p.direction and p.level["gamma"] == level]
+    return sum(int(result.kept[p.begin : p.end].sum()) for p in parts), parts
+
+
+def test_the_warm_up_keeps_the_last_sweeps_of_a_condition_and_names_it():
+    _, seen = warmed_in()
+    result = prepared(seen)
+    rows, parts = swept_rows(result, 4 * DEG)
+    assert rows and {p.direction for p in parts if p.early} == {"up", "down"}
+    assert parts[-1].early and not parts[0].early and parts[0].kind != "sweep"
+    (note,) = [note for note in result.notes if "no sweep after the warm-up" in note]
+    assert "1 of 2 conditions" in note and ": 4 deg (" in note and "--cut-last" in note
+    upright, others = swept_rows(result, 0.0)
+    assert upright and not any(p.early for p in others)
+    assert any(p.kind != "sweep" for p in others)  # its early sweeps stay cut
+    # Asked to, it cuts them and says so; as it does where the time is declared.
+    for config in ({"cut_last": True}, {"warm_up": 60.0}):
+        cut = prepared(seen, **config)
+        assert swept_rows(cut, 4 * DEG)[0] == 0
+        (note,) = [note for note in cut.notes if "cut whole" in note]
+        assert "1 of 2 conditions are cut whole: 4 deg (alpha): " in note
+    colds = prepared(seen, keep=["cold", "warm-up"])
+    assert not any(part.early for part in colds.segments)
+
+
+def test_bins_show_every_setting_that_differs():
+    """A camber and a slip angle of the same degrees, and a pressure of the warm-up
+    alone: no two conditions have one label."""
+    script = Script(
+        50, alpha=0.0, kappa=0.0, fz=3000.0, gamma=0.0, pressure=1.8e5, v=20.0
+    )
+    for pressure, camber, angle in (
+        (1.8e5, 0.0, 0.0), (2.2e5, 0.0, 0.0), (2.2e5, 0.0, 3 * DEG),
+        (2.2e5, 3 * DEG, 0.0), (2.2e5, 3 * DEG, 3 * DEG),
+    ):  # fmt: skip
+        for name, value in zip(("pressure", "gamma", "alpha"),
+                               (pressure, camber, angle), strict=True):  # fmt: skip
+            script.move(name, value, 1.0)
+        script.hold(2)
+        for _ in range(3):
+            script.sweep("kappa", 0.15, 2)
+            script.sweep("kappa", -0.05, 2)
+        script.sweep("kappa", 0.0, 1)
+        script.hold(2)
+    seen, _ = measured(script, np.random.default_rng(3), mu=1.0)
+    result = prepared(seen, warm_up=16.0)
+    labels = {}
+    for part in result.segments:
+        if part.is_held:
+            level = {k: v for k, v in part.level.items() if v >= 0}
+            labels.setdefault(part.bin, set()).add(tuple(sorted(level.items())))
+    assert all(len(levels) == 1 for levels in labels.values()), labels
+    assert "3 deg camber 220 kPa 3 deg slip angle" in labels
+    assert any("180 kPa" in label for label in labels)
+
+
 def test_gaps_and_bad_rows_break_only_what_they_must():
     script, rng = cornering(7061, loads=2, cambers=1, pressures=1)
     seen, _ = measured(script, rng)

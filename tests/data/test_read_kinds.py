@@ -1,9 +1,11 @@
 """MATLAB, Parquet, Arrow and Excel: the same channels, told by what is in the file."""
 
 import gzip
+import pickle
 import struct
 import sys
 import zipfile
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -12,7 +14,7 @@ from rig_file import IMPERIAL_UNITS, METRIC_UNITS, truth, ttc
 from scipy.io import savemat
 from scipy.sparse import csc_array
 
-from tirefit.data.read import read
+from tirefit.data.read import read, read_frame
 from tirefit.results import DataError
 
 
@@ -401,6 +403,58 @@ def test_a_workbook_is_refused_where_it_cannot_be_told_what_is_meant(tmp_path):
     assert "row 4, column 'fx': '#DIV/0!' is text" in refusal(path)
 
 
+OLD = Path(__file__).parent / "xls" / "sweep.xls"
+
+
+def test_an_excel_file_of_before_2007_is_read_as_its_twin(tmp_path):
+    pytest.importorskip("xlrd")
+    (tmp_path / "a.csv").write_bytes(OLD.read_bytes())  # by content, not by ending
+    old, twin = read(tmp_path / "a.csv"), read(OLD.with_suffix(".csv"))
+    for name in ("sigma_x", "fx", "fz"):
+        np.testing.assert_array_equal(old[name], twin[name])
+    assert old.runs == twin.runs == ("1", "2")
+    assert old.source.units == twin.source.units and old.source.units["fx"] == "kN"
+    assert old.source.line[0] == 5 and said(old, "read from the sheet 'run 1'")
+    for end in (3000, 4500):
+        (tmp_path / "cut.xls").write_bytes(OLD.read_bytes()[:end])
+        message = refusal(tmp_path / "cut.xls")
+        assert "Excel file of before 2007 (.xls) cannot be read" in message
+
+
+def pickled(protocol):
+    return lambda path: path.write_bytes(pickle.dumps(PLAIN, protocol))
+
+
+def of_numpy(save, *arrays, **named):
+    def written(path):
+        with path.open("wb") as file:
+            save(file, *arrays, **named)
+
+    return written
+
+
+PYTHON = {
+    "npz": (of_numpy(np.savez, **PLAIN), "numpy.load"),
+    "npy": (of_numpy(np.save, PLAIN["fx"]), "numpy.load"),
+    "pkl": (pickled(4), "pandas.read_pickle"),
+    "pkl of old": (pickled(0), "pandas.read_pickle"),
+}
+
+
+@pytest.mark.parametrize(("save", "load"), PYTHON.values(), ids=PYTHON)
+def test_files_of_python_are_named_with_what_reads_them(tmp_path, save, load):
+    path = tmp_path / "run.dat"
+    save(path)
+    message = refusal(path)
+    assert "is not read" in message and f"{load}('run.dat')" in message
+    assert "tirefit.read_frame(columns)" in message
+
+
+def test_what_is_said_of_npz_can_be_done(tmp_path):
+    np.savez(tmp_path / "a.npz", **PLAIN)
+    same(read_frame(dict(np.load(tmp_path / "a.npz"))), {"fx": PLAIN["fx"]})
+
+
 # --- all of them --------------------------------------------------------------------
 
 
@@ -416,6 +470,7 @@ def test_any_kind_may_be_gzipped(tmp_path):
     [
         ("pyarrow", lambda path: save_parquet(path, arrow_table(PLAIN))),
         ("openpyxl", lambda path: save_excel(path, {"one": SHEET})),
+        ("xlrd", lambda path: path.write_bytes(OLD.read_bytes())),
         ("h5py", lambda path: save_73(path, PLAIN)),
     ],
 )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from rig_file import IMPERIAL_UNITS, METRIC_UNITS, truth, ttc
 
+from tirefit.data.bulk import LARGE
 from tirefit.data.read import read, read_frame
 from tirefit.results import DataError
 
@@ -138,3 +139,69 @@ def test_unknown_words_over_numbers_are_columns_to_declare(tmp_path):
         read(path)
     names = {"kappa": "Schlupf", "fx": "Kraft", "fz": "Last"}
     assert read(path, columns=names).n == len(KAPPA)
+
+
+# --- AiM RaceStudio ---------------------------------------------------------------
+
+
+AIM_NAMES = ("Time", "Slip Ratio", "Long Force", "Load", "Fuel")
+AIM_UNITS = dict(zip(AIM_NAMES, ("s", "%", "kN", "N", "l"), strict=True))
+
+
+def aim(rows, *, mark=",", quoted=True, numbered=True, comma=False, gap=2):
+    """Lines of an export of RaceStudio: keys and values, names, units, numbers."""
+    head = [
+        ["Format", "AiM CSV File"], ["Venue", "Drum"], ["Comment", "kappa, fx"],
+        ["Date", "Monday, May 5, 2025"], ["Time", "10:00 AM"], ["Sample Rate", "20"],
+        ["Segment Times", "0:01.0", "0:01.5"], *[[]] * gap, list(AIM_UNITS),
+        list(AIM_UNITS.values()),
+    ]  # fmt: skip
+    head += [[str(k + 1) for k in range(len(AIM_UNITS))]] if numbered else []
+    body = [[f"{x:.6g}" for x in row] for row in rows]
+    if comma:
+        body = [[cell.replace(".", ",") for cell in row] for row in body]
+    cell = '"{}"'.format if quoted or mark == "," else str
+    return [mark.join(map(cell, row)) for row in [*head, *[[]] * gap, *body]]
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {}, {"mark": ";"}, {"mark": ";", "quoted": False}, {"numbered": False},
+        {"mark": ";", "comma": True}, {"gap": 0}, {"mark": "\t", "gap": 1},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_an_export_of_aim_is_read_as_its_twin(tmp_path, how):
+    slip = np.linspace(-5, 20, 50)
+    rows = [(k / 20, x, np.tanh(x / 8), 4000, 1.5) for k, x in enumerate(slip)]
+    path, twin = tmp_path / "aim.csv", tmp_path / "twin.csv"
+    path.write_text("\r\n".join(aim(rows, **how)) + "\r\n", newline="")
+    names = [f"{name} [{unit}]" for name, unit in AIM_UNITS.items()]
+    lines = [",".join(f"{x:.6g}" for x in row) for row in rows]
+    twin.write_text("\n".join([",".join(names), *lines]) + "\n")
+    one, other = (read(file, slip="kappa") for file in (path, twin))
+    assert one.n == other.n == len(rows)
+    for name in ("time", "sigma_x", "fx", "fz"):
+        np.testing.assert_array_equal(one[name], other[name])
+    assert said(one, "export of AiM RaceStudio")
+
+
+def test_a_large_export_of_aim_keeps_its_numbers(tmp_path):
+    rows = [(k / 20, 5 * np.sin(k), np.cos(k), 4000, 1.5) for k in range(60_000)]
+    path = tmp_path / "aim.csv"
+    path.write_text("\n".join(aim(rows)) + "\n")
+    data = read(path, slip="kappa")
+    assert path.stat().st_size > LARGE and data.n == len(rows)
+    np.testing.assert_allclose(data["fx"], 1e3 * np.cos(range(60_000)), atol=1e-2)
+
+
+def test_rows_of_a_damaged_export_of_aim_are_named(tmp_path):
+    rows = [(k / 20, k - 5, np.tanh(k / 8), 4000, 1.5) for k in range(30)]
+    lines = aim(rows)
+    lines[-3] = lines[-3].replace('"4000"', '"#####"')
+    path = tmp_path / "aim.csv"
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(DataError) as caught:
+        read(path, slip="kappa")
+    assert f"row {len(lines) - 2}, column 'Load': '#####'" in str(caught.value)

@@ -5,6 +5,7 @@ import pytest
 from rig_file import DEG, truth, tydex
 
 from tirefit.data.read import read
+from tirefit.data.table import join
 from tirefit.results import DataError
 
 
@@ -38,7 +39,9 @@ def test_a_file_of_tydex_is_read_by_its_content(tmp_path, name, per_line):
         "TYDEX 1.3: signs read as 'iso-w'",
         "comment: New tyre used",
         "SUPPLIER = DEMO",
-        "constants not read: MANUFACT, NOMWIDTH, FZW",
+        "constants not read: MANUFACT",
+        "WIDTH = 0.225: NOMWIDTH Nominal section width mm 225",
+        "FNOMIN = 700: FZW Nominal vertical force N 700",
         "INCLANGL = 3.0 deg in all rows (**CONSTANTS)",
         "SLIPANGL = 0.5 * value + 1 [deg]",
         "FYW = 0.001 * (value + 4) [kN]",
@@ -111,3 +114,108 @@ def test_a_row_of_another_width_is_named(tmp_path):
 def test_the_ending_alone_makes_no_tydex(tmp_path):
     path = written(tmp_path, ["kappa,fx,fz", "0.1,400,4000", "0.2,700,4000"])
     assert read(path).n == 2
+
+
+# --- constants of the tire --------------------------------------------------------
+
+
+def constant(name, comment, unit, value):
+    return f"{name:<10}{comment:<30}{unit:<10}{value:<10}"
+
+
+def stating(tmp_path, *constants, name="test.tdx", seed=3):
+    """A TYDEX file with these lines below its other constants, read."""
+    lines = tydex(truth(seed=seed), 10)
+    at = lines.index("**MEASURCHANNELS") - 1
+    keep = [line for line in lines[:at] if not line.startswith(("FZW", "NOMWIDTH"))]
+    return read(written(tmp_path, [*keep, *constants, *lines[at:]], name))
+
+
+@pytest.mark.parametrize(
+    ("lines", "radius"),
+    [
+        ([("OVALLDIA", "Overall diameter", "mm", "634")], 0.317),
+        ([("OVALLDIA", "Overall diameter", "m", "0.634")], 0.317),
+        ([("OVALLDIA", "Overall diameter", "", "634")], 0.317),
+        ([("OVALLDIA", "Overall diameter", "inch", "25")], 0.3175),
+        ([("RFREE", "", "m", "0.31"), ("OVALLDIA", "", "m", "0.634")], 0.31),
+        ([("DIA_X", "Overall diameter of the tyre", "cm", "63.4")], 0.317),
+        ([("TYRESIZE", "Nominal size", "-", "205/60 R15")], 0.1905 + 0.123),
+        ([("TYRESIZE", "Nominal size", "", "LT205/60ZR15")], 0.1905 + 0.123),
+        ([("TYRESIZE", "Size", "-", "205/470R13")], 0.235),
+        ([("TYRESIZE", "Size", "-", "18.0x6.0-10")], 0.2286),
+        ([("OVALLDIA", "", "m", "0.64"), ("SIZE", "", "-", "205/60 R15")], 0.32),
+        ([("NOMWIDTH", "", "mm", "205"), ("ASPRATIO", "", "-", "60"),
+          ("RIMDIAME", "", "inch", "15")], 0.1905 + 0.123),
+        ([("RIMDIAME", "Nominal rim diameter", "inch", "15")], None),
+        ([("OVALLDIA", "Overall diameter", "m", "634")], None),
+        ([("OVALLDIA", "Overall diameter", "N", "0.634")], None),
+        ([("OVALLDIA", "Overall diameter", "m", "NOTAVAIL")], None),
+        ([("TESTDATE", "Date", "-", "2019/11/12")], None),
+    ],
+)  # fmt: skip
+def test_the_radius_is_that_of_the_constants(tmp_path, lines, radius):
+    data = stating(tmp_path, *(constant(*line) for line in lines))
+    assert data.source.constants.get("UNLOADED_RADIUS") == (
+        None if radius is None else pytest.approx(radius)
+    )
+    if radius is None:
+        assert said(data, lines[-1][0])  # as not read, or as what else it is
+    else:
+        assert said(data, f"UNLOADED_RADIUS = {radius:.4g}: ")
+
+
+NOMINAL = (
+    ("OVALLDIA", "Overall diameter", "mm", "634"),
+    ("RIMDIAME", "Nominal rim diameter", "inch", "15"),
+    ("RIMWIDTH", "Rim width", "inch", "6.5"),
+    ("FNOMIN", "Nominal vertical load", "kN", "1.2"),
+    ("NOMPRES", "Nominal inflation pressure", "kPa", "90"),
+)
+
+
+def test_a_magic_formula_takes_its_nominal_state_from_the_constants(tmp_path):
+    from tirefit.fitting.config import parse_config
+    from tirefit.fitting.mf.fit import nominal_of
+    from tirefit.fitting.mf.rows import rows_of_forces
+
+    data = stating(tmp_path, *(constant(*line) for line in NOMINAL))
+    known = data.source.constants
+    assert known["RIM_RADIUS"] == pytest.approx(0.1905)
+    assert known["RIM_WIDTH"] == pytest.approx(0.1651)
+    config = parse_config({"parameters": {"NOMPRES": {"value": 8e4}}})
+    rows = rows_of_forces(data, ["fy", "mz"], config)
+    tire, notes = nominal_of("mf61", rows, config, known)
+    nominal = tire.nominal
+    assert nominal.UNLOADED_RADIUS == pytest.approx(0.317)
+    assert nominal.FNOMIN == pytest.approx(1200)
+    assert nominal.NOMPRES == nominal.INFLPRES == 8e4  # what the user states
+    text = " ".join(notes)
+    assert "UNLOADED_RADIUS = 0.317: stated by the data file" in text
+    assert "NOMPRES" not in text
+    without, assumed = nominal_of("mf61", rows, config)
+    assert without.nominal.UNLOADED_RADIUS == 0.3 and "no radius" in " ".join(assumed)
+
+
+def test_constants_go_on_with_what_is_prepared(tmp_path):
+    from tirefit.data.prepare.prepare import prepare
+    from tirefit.data.prepare.store import prepared_csv
+
+    data = stating(tmp_path, *(constant(*line) for line in NOMINAL))
+    path = tmp_path / "prepared.csv"
+    path.write_text(prepared_csv(prepare(data), "1"))
+    assert read(path).source.constants == pytest.approx(data.source.constants)
+    assert read(path).source.convention == "braking"
+
+
+def test_constants_of_files_that_differ_are_not_used(tmp_path):
+    one, two = (
+        stating(tmp_path, constant("OVALLDIA", "", unit, value),
+                constant("FNOMIN", "", "N", load), name=f"{load}.tdx", seed=seed)
+        for unit, value, load, seed in (("m", "0.634", "4000", 1),
+                                        ("mm", "634", "5000", 2))
+    )  # fmt: skip
+    both = join([one, two]).source
+    assert both.constants == {"UNLOADED_RADIUS": pytest.approx(0.317)}
+    (text,) = [text for text in both.warnings if "FNOMIN" in text]
+    assert "4000 to 5000" in text and "parameters.FNOMIN.value" in text

@@ -24,6 +24,7 @@ from tirefit.fitting.problem import build
 from tirefit.fitting.result import Estimate
 from tirefit.models import MODELS
 from tirefit.params import constrain, specs
+from tirefit.report.fit_tables import derived_by_run
 
 
 def derived(model, values, channel="fx"):
@@ -384,3 +385,46 @@ def test_lateral_fit_with_a_friction_that_is_known():
     assert found["F_max"].fixed and found["F_max"].ci95 == (None, None)
     ends = 1.5 * FZ / np.array(stiffness.ci95)
     np.testing.assert_allclose(found["slip_at_peak"].ci95, ends[::-1], rtol=1e-6)
+
+
+def bins(loads):
+    """Sweeps at these loads, each a run, of one tire whose friction falls with load."""
+    parts = [
+        curve(
+            {"cpa2": 5e4, "mu": (1.1 - 4e-5 * load) * load / FZ},
+            n=120,
+            seed=seed,
+            extra={"fz": load * (1 + 0.02 * np.sin(np.arange(120)))},
+            reach=3.0,
+        )
+        for seed, load in enumerate(loads)
+    ]
+    columns = {k: np.concatenate([one[k] for one in parts]) for k in parts[0].columns}
+    names = tuple(f"{load:g} N" for load in loads)
+    run = np.repeat(np.arange(len(loads)), 120)
+    each = {"per_run": True}
+    config = GIVEN | {"parameters": {"mu": each, "cpa2": each}}
+    return fit(table(columns, run=run, runs=names), config=config), names
+
+
+def test_quantities_of_a_bin_are_at_its_own_load():
+    loads = (1500.0, 3000.0, 6000.0)
+    result, names = bins(loads)
+    middle = result.reference["fz"]
+    assert middle == pytest.approx(3000, rel=3e-3)
+    for name, load in zip(names, loads, strict=True):
+        at = result.reference.get(f"fz[{name}]", middle)
+        assert at == pytest.approx(load, rel=3e-3)
+        friction = result.derived[f"F_max_over_fz[{name}]"].value
+        assert friction == pytest.approx(1.1 - 4e-5 * load, rel=0.02)
+        peak = result.derived[f"F_max[{name}]"].value
+        assert peak == pytest.approx(friction * at, rel=1e-9)
+    rows = derived_by_run(result)
+    assert rows[0][:2] == ["run", "at F_z [N]"]
+    assert [float(row[1]) for row in rows[1:]] == pytest.approx(loads, rel=3e-3)
+
+
+def test_runs_of_the_same_loads_compare_at_one():
+    result, _ = bins((3000.0, 3000.0 + 20))
+    assert set(result.reference) == {"fz", "v"}
+    assert derived_by_run(result)[0][1] != "at F_z [N]"

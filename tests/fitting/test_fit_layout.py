@@ -4,11 +4,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from recipes import STD, curve
+from recipes import FZ, STD, brush_force, curve, table
 
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.estimate import fit
+from tirefit.fitting.inference import linearise, minima, residuals
 from tirefit.fitting.layout import FreeParameter, Layout, Tie, choose_layout
+from tirefit.fitting.least_squares import damped_gauss_newton
+from tirefit.fitting.likelihood import root_deviance
+from tirefit.fitting.problem import build
+from tirefit.fitting.solve import solve_problem
 from tirefit.models import MODELS
 from tirefit.params import specs
 from tirefit.results import UsageError
@@ -198,3 +203,41 @@ def test_interval_of_a_parameter_tied_by_a_negative_factor_is_in_order():
     np.testing.assert_allclose(d.ci95, -0.2 * np.array(mu.ci95[::-1]), rtol=1e-12)
     assert abs(d.value + 0.2) < 4 * d.std
     assert any(note.startswith("mu held to") for note in result.noise["notes"])
+
+
+RUNS = ("dry", "wet", "ice")
+PER_RUN = {
+    "mu": {"per_run": True, "prior": {"mean": 0.8, "std": 0.3}},
+    "cpa2": {"prior": {"mean": 5e4, "std": 5e3}},
+}
+
+
+@pytest.mark.parametrize("slip_noise", [{}, {"sigma_x": 0.002}])
+def test_slopes_by_run_are_those_of_every_element(slip_noise):
+    """A row's slopes in its own run's elements alone, against one tangent an element:
+    the rows of the runs in turn, a shared parameter, and priors."""
+    slip = curve()["sigma_x"]
+    run = np.arange(len(slip)) % 3
+    force = brush_force(slip, 5e4, np.array([1.0, 0.7, 0.4])[run])
+    noise = STD * np.random.default_rng(8).standard_normal(len(slip))
+    columns = {"sigma_x": slip, "fx": force + noise, "fz": np.full(len(slip), FZ)}
+    config = parse_config({"noise": {"fx": STD} | slip_noise, "parameters": PER_RUN})
+    end = solve_problem(
+        build(table(columns, run=run, runs=RUNS), "brush", config), config
+    )
+    problem, z = end.problem, jnp.asarray(end.z)
+    assert problem.layout.is_sparse and problem.layout.size == 4
+    slopes = {
+        **jax.jacfwd(lambda z: root_deviance(problem, z))(z),
+        "prior": jax.jacfwd(problem.layout.prior_residual)(z),
+    }
+    found = linearise(problem, z).slopes
+    assert set(found) == set(slopes)
+    for name, dense in slopes.items():
+        np.testing.assert_allclose(found[name], dense, atol=1e-9)
+    start = z + 0.3
+    dense = damped_gauss_newton(lambda z: residuals(problem, z), start)
+    ends = minima(problem, np.array([start]))
+    np.testing.assert_allclose(ends.z[0], dense.z, atol=1e-6)
+    np.testing.assert_allclose(ends.cost[0], dense.cost, rtol=1e-9)
+    np.testing.assert_array_equal(ends.steps[0], dense.steps)

@@ -77,6 +77,34 @@ def _tables() -> list[bytes]:
     return [b"kappa,Fx [N],Fz\n" + rows, b"".join(head[:200]), short_log()]
 
 
+def _aim() -> bytes:
+    """An export of AiM's RaceStudio, with units and numbers of the channels."""
+    head = b'"Format","AiM CSV File"\n"Comment","a, b"\n"Time","10:00 AM"\n\n'
+    names = b'"Time","Kappa","Fx","Fz"\n"s","%","kN","N"\n"1","2","3","4"\n\n'
+    rows = b"".join(b'"%g","%g","%g","4000"\n' % (k, k - 9, k / 9) for k in range(30))
+    return head + names + rows
+
+
+def _tydex() -> bytes:
+    """A TYDEX file with constants of the tire."""
+    lines = [
+        b"**HEADER", b"RELEASE   Release                                 1.3",
+        b"**CONSTANTS",
+        b"OVALLDIA  Overall diameter              mm        634",
+        b"FNOMIN    Nominal load                  kN        4",
+        b"TYRESIZE  Nominal size                  -         205/60 R15",
+        b"INCLANGL  Inclination angle             deg       2",
+        b"**MEASURCHANNELS",
+        b"LONGSLIP  Slip                          -         0.01",
+        b"FX        Longitudinal force            N         1         0         0",
+        b"FZW       Vertical force                N         1",
+        b"**MEASURDATA",
+        *(b"%-10g%-10g%-10g" % (k - 9, 100 * (k - 9), 4000) for k in range(30)),
+        b"**END",
+    ]  # fmt: skip
+    return b"\n".join(lines) + b"\n"
+
+
 def _sweep() -> dict[str, np.ndarray]:
     slip = np.linspace(-0.1, 0.2, 40)
     share = np.clip(slip * 5e4 / 6000, -1, 1)
@@ -194,6 +222,9 @@ KINDS = {
     "rig.toml": Kind(".toml", _rigs, _read_rig),
     "tire.tir": Kind(".tir", lambda: _files("tests/data/tir/*/*.tir"), _read_tir),
     "data.csv": Kind(".csv", _tables, _read_table),
+    "aim.csv": Kind(".csv", lambda: [_aim()], _read_table),
+    "rig.tdx": Kind(".tdx", lambda: [_tydex()], _read_table),
+    "rig.xls": Kind(".xls", lambda: _files("tests/data/xls/*.xls"), _read_table),
     "log.csv": Kind(".csv", lambda: [short_log()], _read_log),
     "fit.json": Kind(".json", lambda: [fit_json()], _read_fit),
     "chain.npz": Kind(".npz", lambda: [_chain()], _read_chain),

@@ -10,14 +10,9 @@ import pytest
 
 from tirefit.online.abs import PHASES, ConventionalABS
 from tirefit.online.controller import Command, Measurement, Truth
-from tirefit.online.controllers import (
-    CONTROLLERS,
-    controller_of,
-    controllers_named,
-    tuned,
-)
+from tirefit.online.controllers import CONTROLLERS, controller_of
+from tirefit.params import by_owner, check_names
 from tirefit.results import UsageError
-from tirefit.sim.brake import Reading, TrueState
 
 CAR = {
     "radius": np.full(4, 0.3), "inertia": np.full(4, 1.2),
@@ -84,12 +79,6 @@ def test_honest_controllers_do_not_read_the_truth(name):
             states[j], command, _ = step(states[j], shaken(k, truth=known))
             valves.append(command.valve)
         np.testing.assert_array_equal(*valves)
-
-
-def test_what_the_loop_gives_is_what_controllers_take():
-    """The records of both rooms, which do not know each other, agree by name."""
-    assert Reading._fields == Measurement._fields
-    assert TrueState._fields == Truth._fields
 
 
 def phases_of(wheels, slowing=2.5, pressure=3e6, **settings):
@@ -161,20 +150,21 @@ def test_the_rear_takes_the_lower_pressure():
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"abs.slip": 7.0}, "abs.slip = 7 is out of range"),
+        ({"abs.slip": 7.0}, "abs.slip = 7.0 is outside its bounds"),
         ({"slpi": 0.1}, "none of abs, none has it"),
-        ({"slip.gain": 1.0}, "none of abs, none has it"),
-        ({"none.slip": 0.1}, "none of abs, none has it"),
+        ({"slip.gain": 1.0}, "'slip' is not asked for"),
+        ({"none.slip": 0.1}, "'none' has no setting 'slip'"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(settings, said):
     with pytest.raises(UsageError) as error:
-        tuned(settings, ("abs", "none"))
+        by_owner(settings, {name: CONTROLLERS[name]() for name in ("abs", "none")})
     assert said in str(error.value) and error.value.problems[0].remedy
 
 
 def test_settings_reach_their_controller():
-    chosen = tuned({"slip": 0.05, "slip.gain": 3.0}, ("abs", "slip"))
+    asked = {name: CONTROLLERS[name]() for name in ("abs", "slip")}
+    chosen = by_owner({"slip": 0.05, "slip.gain": 3.0}, asked)
     assert chosen == {"abs": {"slip": 0.05}, "slip": {"gain": 3.0}}
     made = controller_of("slip", CAR, chosen["slip"])
     assert float(made.gain) == 3.0 and made.radius.shape == (4,)
@@ -187,6 +177,6 @@ def test_settings_reach_their_controller():
 )
 def test_names_are_checked(names, said):
     with pytest.raises(UsageError) as error:
-        controllers_named(names)
+        check_names("controller", names, CONTROLLERS)
     assert said in str(error.value)
-    assert controllers_named(" abs, none ") == ("abs", "none")
+    assert check_names("controller", " abs, none ", CONTROLLERS) == ("abs", "none")

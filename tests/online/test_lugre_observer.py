@@ -15,9 +15,14 @@ from tirefit.online.run import Stream, run
 from tirefit.params import with_values
 from tirefit.results import UsageError
 from tirefit.sim.braking import Braking, simulate_braking
-from tirefit.sim.lugre_wheel import WheelNumbers, averaged, lugre_wheel
+from tirefit.sim.lugre import Bristles
+from tirefit.sim.wheel import WheelNumbers, braked_wheel
 
 LOAD, RADIUS, INERTIA, V = 27e3, 0.5, 15.0, 20.0
+
+MEAN = Bristles(np.ones(1), np.ones(1), np.full((1, 1), 2.0))
+"""One bristle for the mean of the patch, carried out at the rate kappa = 2: as stiff at
+small slip as the patch under an even pressure."""
 
 
 @cache
@@ -27,7 +32,7 @@ def wheel(theta, rate=2000):
     tire = LuGre(mu_s=1.2 * theta, mu_c=0.6 * theta)
     full = 0.7 * RADIUS * float(peak_share(LuGre(), theta, V)) * LOAD
     numbers = WheelNumbers(full, 2.0, RADIUS, INERTIA, V, LOAD, np.inf, 1 / rate)
-    omega, _, z = lugre_wheel(numbers, (tire, tire), averaged(2.0), time, 1)
+    omega, _, z = braked_wheel(numbers, (tire, tire), MEAN, time, 1)
     one = np.ones(len(time))
     columns = {
         "time": time, "omega": omega, "v": V * one, "fz": LOAD * one,

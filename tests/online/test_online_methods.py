@@ -9,10 +9,10 @@ from logs import CPA2, LOAD, brush, log
 from tirefit.online.base import FLAGS, Flag, code
 from tirefit.online.cubic import friction_by_cubic
 from tirefit.online.ekf import Ekf
-from tirefit.online.methods import estimator_of, methods_named
+from tirefit.online.methods import METHODS, estimator_of
 from tirefit.online.regression import regressors
 from tirefit.online.run import run
-from tirefit.params import with_values
+from tirefit.params import check_names, with_values
 from tirefit.results import UsageError
 
 KNOWN = {"cpa2": CPA2, "mu": 0.9}
@@ -246,9 +246,9 @@ def test_little_use_of_friction_is_said(name):
 
 def test_names_and_settings_that_are_not_there():
     with pytest.raises(UsageError, match="did you mean 'rls'"):
-        methods_named("rsl")
+        check_names("method", "rsl", METHODS)
     with pytest.raises(UsageError, match="given twice"):
-        methods_named("rls,rls")
+        check_names("method", "rls,rls", METHODS)
     with pytest.raises(UsageError, match="no setting 'lambda'"):
         estimator_of("rls", LOAD, {"lambda": 1.0})
     with pytest.raises(UsageError, match="outside its bounds"):

@@ -18,16 +18,12 @@ from tirefit.fitting.result import Estimate, PosteriorSummary
 from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import Spec, with_values
 from tirefit.report import canvas, draw, draw_corner, draw_uncertainty, html, plots
-from tirefit.report.figures import (
-    corner_data,
-    fit_curve,
-    profile_data,
-    residual_panels,
-    trace_data,
-)
+from tirefit.report.curves import fit_curve
 from tirefit.report.model_tables import models_dict, models_table
 from tirefit.report.numbers import format_estimate, format_interval, format_number
+from tirefit.report.residuals import residual_panels
 from tirefit.report.text import fit_report, verdict_line
+from tirefit.report.uncertainty import corner_data, profile_data, trace_data
 from tirefit.results import InputProblem, Outcome, UsageError
 
 TRUTH = {"cpa2": 5e4, "mu": 1.0, "m": 0.85}

@@ -8,6 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from tirefit.data.merged import merged
+from tirefit.data.run_names import run_names
 from tirefit.data.table import Source, TireData
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.result import PosteriorSummary
@@ -45,10 +47,12 @@ def fourteen() -> TireData:
         "sigma_x": slip, "fx": force, "fz": np.full(len(run), 4000.0),
         "v": np.full(len(run), 20.0),
     }  # fmt: skip
-    said = tuple(f"{name}: column 'fx' read as fx in N" for name in RUNS)
+    said = {name: ["column 'fx' read as fx in N"] for name in RUNS}
+    said[RUNS[2]].append("speed 20 m/s: constant, given")
+    short = run_names(RUNS).short
     source = Source(
         path=", ".join(f"data/{name}.csv" for name in RUNS),
-        assumptions=(*said, f"{RUNS[2]}: speed 20 m/s: constant, given"),
+        assumptions=tuple(merged(zip(short, said.values(), strict=True))),
     )
     return TireData("joint", columns, np.ones(len(run), bool), run, RUNS, source)
 
@@ -85,7 +89,7 @@ def test_every_run_is_told_apart_in_the_report(by_run):
     names = re.findall(r"^  (mu\[.*?\])", parameters, re.M)
     assert names == [f"mu[run{i:02d}]" for i in range(1, 15)]
     assert text.count(f"  {names[3]} ") == 3  # values, routes, chains
-    assert "every file: column 'fx' read as fx in N" in text
+    assert "14 files: column 'fx' read as fx in N" in text
     assert "run03: speed 20 m/s: constant, given" in text
     assert text.count("read as fx") == 1
     assert "mu[run14]" in fit_fragment(by_run)

@@ -14,8 +14,8 @@ from tirefit.sim.braking import (
     simulate_braking,
     source_tire,
 )
-from tirefit.sim.lugre_wheel import lugre_tire
 from tirefit.sim.rig import simulate_rig
+from tirefit.sim.wheel import lugre_tire
 
 
 def test_the_source_tire_has_what_is_printed():

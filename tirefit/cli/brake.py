@@ -18,8 +18,6 @@ from tirefit.cli.options import (
 from tirefit.cli.output import check_directories, claimed, staged
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["brake"]
-
 SUMMARY, SERIES, STOPS = "summary.json", "series.csv", "stops.csv"
 FIGURES = ("stop.png", "compare.png", "slip.png")
 ANIMATION = "stop.gif"
@@ -40,8 +38,7 @@ def brake(
         Path, typer.Option(metavar="FOLDER", parser=named_path, help="of the results")
     ],
     controller: Annotated[
-        str,
-        typer.Option(metavar="NAME[,NAME...]", help="xbs-servo, abs, slip, none"),
+        str, typer.Option(metavar="NAME[,NAME...]", help="xbs-servo, abs, slip, none")
     ] = "xbs-servo,abs",
     road: Annotated[
         str,
@@ -99,11 +96,12 @@ def brake(
             raise UsageError(problems)
         check_directories([out])
         start_jax()
-        from tirefit.online.controllers import controllers_named, tuned
+        from tirefit.online.controllers import CONTROLLERS
+        from tirefit.params import by_owner, check_names
         from tirefit.sim.brake_request import Request, check, doubts, with_numbers
 
-        names = controllers_named(controller)
-        chosen = tuned(settings, names)
+        names = check_names("controller", controller, CONTROLLERS)
+        chosen = by_owner(settings, {name: CONTROLLERS[name]() for name in names})
         named, made = _tire(tire, values)
         request = Request(
             made, named, road=road, speed=speed, vehicle=vehicle.value, steer=steer,

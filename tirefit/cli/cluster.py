@@ -23,8 +23,6 @@ from typing import Any, NamedTuple
 
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["Ended", "cluster", "shared"]
-
 _BATCH, _RATE = 5.0, 100.0
 """Seconds that a batch of several pieces is to take, at least, and batches a second of
 all workers, at most: one costs scheduler and client 4 ms."""

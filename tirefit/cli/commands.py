@@ -1,5 +1,6 @@
 """The commands of ``tirefit``; each imports what it needs when it runs."""
 
+from dataclasses import replace
 from enum import StrEnum
 from json import dumps
 from pathlib import Path
@@ -13,6 +14,7 @@ from tirefit.cli.convert import convert
 from tirefit.cli.diagnose import ManyHoldouts, diagnose
 from tirefit.cli.estimate import estimate
 from tirefit.cli.fit import fit, model_names
+from tirefit.cli.notes import told_together, warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -28,7 +30,6 @@ from tirefit.cli.options import (
     say,
     start_jax,
     takes_data_options,
-    warn,
 )
 from tirefit.cli.prepare import prepare
 from tirefit.cli.simulate import app as simulate
@@ -123,10 +124,10 @@ def inspect(
     from tirefit.data.remote import expanded
     from tirefit.files import json_safe
 
-    with errors_to_exit():
+    with errors_to_exit(), told_together():
         how = read_options(options, read_config(options.config))
-        worst = ExitCode.OK
-        for file in expanded(files):
+        worst, files = ExitCode.OK, expanded(files)
+        for file in files:
             try:
                 data = read(file, **how)
                 inspection = look(data)
@@ -139,6 +140,9 @@ def inspect(
                 continue
             content = inspection.as_dict()
             content |= {"identifiability": told.as_dict()} if told else {}
+            if len(files) > 1 and not json:
+                warn(data, assumed=data.source.assumptions)
+                inspection = replace(inspection, warnings=(), assumptions=())
             text = inspection.text() + (told.text() if told else "")
             say(dumps(json_safe(content), indent=1) if json else text)
         raise typer.Exit(worst)

@@ -12,6 +12,7 @@ from typer.core import TyperCommand
 
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, attempted, fleet
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES
+from tirefit.cli.notes import told_together, warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -27,7 +28,6 @@ from tirefit.cli.options import (
     say,
     start_jax,
     takes_data_options,
-    warn,
 )
 from tirefit.cli.output import (
     check_directories,
@@ -176,7 +176,7 @@ def diagnose(
         settings = _settings(base, rig, without, how)
         settings["forces"] = forces_named(force)
         settings |= _simulator(base, parameter, sim, how)
-        with claimed(out):
+        with claimed(out), told_together(len(files) + len(holdout or []) > 1):
             kept = [_read(path, how) for path in holdout or []]
             task = _Task(out, settings, kept, how, figures, resume, seed)
             pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
@@ -217,11 +217,11 @@ def _keys(config) -> list[str]:
     return keys
 
 
-def _read(path: Path, how: dict):
+def _read(path: Path, how: dict, rig=None):
     from tirefit.data.read import read
 
     table = read(path, **how)
-    warn(table)
+    warn(table, beside=rig.beside(table) if rig else ())
     return table
 
 
@@ -319,9 +319,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
 
     file, name = piece
     out, seed, kept, figures = task.out, task.seed, task.kept, task.figures
-    table = _read(file, task.how)
-    for note in task.settings["rig"].beside(table):
-        complain(f"warning: {file}: {note}")
+    table = _read(file, task.how, task.settings["rig"])
     written, drawn = _written(name, True)
     expected = written + drawn if figures else written
     document = out / f"{name}.json"

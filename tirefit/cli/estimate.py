@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from tirefit.cli.notes import warn
 from tirefit.cli.options import (
     DataOptions,
     complain,
@@ -18,12 +19,9 @@ from tirefit.cli.options import (
     say,
     start_jax,
     takes_data_options,
-    warn,
 )
 from tirefit.cli.output import check_directories, claimed, staged
 from tirefit.results import InputProblem, UsageError
-
-__all__ = ["estimate"]
 
 FILES = ("estimates.csv", "summary.json", "estimates.png")
 
@@ -35,8 +33,7 @@ def estimate(
     ],
     options: DataOptions,
     method: Annotated[
-        str,
-        typer.Option(metavar="NAME[,NAME...]", help="methods of `tirefit methods`"),
+        str, typer.Option(metavar="NAME[,NAME...]", help="methods of `tirefit methods`")
     ] = "rls",
     out: Annotated[
         Path | None,
@@ -63,11 +60,11 @@ def estimate(
     """Estimate friction while driving: row by row, with uncertainty and flags."""
     with errors_to_exit():
         values = _checked(log, out, follow, setting)
-        from tirefit.online.estimate import settings_by_method
-        from tirefit.online.methods import methods_named
+        from tirefit.online.methods import METHODS
+        from tirefit.params import by_owner, check_names
 
-        names = methods_named(method)
-        chosen = settings_by_method(values, names)
+        names = check_names("method", method, METHODS)
+        chosen = by_owner(values, {name: METHODS[name]() for name in names})
         how = read_options(options, read_config(options.config))
         start_jax()
         if follow:

@@ -14,6 +14,7 @@ from tirefit.cli.magic_formula import (
     fit_whole,
     only_of_magic_formula,
 )
+from tirefit.cli.notes import told_together
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -209,32 +210,35 @@ def _fit_all(groups, directories, task: FitTask) -> ExitCode:
     """Every group of files; one bad file does not stop the others."""
     codes: list[ExitCode] = []
     records, rows, failed = [], [], {}
-    for i, (group, directory) in enumerate(zip(groups, directories, strict=True)):
-        if len(groups) > 1 and has_terminal():
-            complain(f"file {i + 1} of {len(groups)}: {group[0]}")
-        try:
-            record, result = fit_one(group, directory, task)
-        except TirefitError as error:
-            if len(groups) == 1 or error.exit_code == ExitCode.USAGE:
-                raise
-            complain(error_text(error))
-            codes.append(error.exit_code)
-            failed[str(group[0])] = "; ".join(p.reason for p in error.problems)
-            continue
-        except OSError as error:  # its report was said
-            if len(groups) == 1 or isinstance(error, BrokenPipeError):
-                raise
-            complain(error_text(error))
-            codes.append(ExitCode.USAGE)
-            continue
-        codes.append(exit_code_of(record, task.strict))
-        records.append(record)
-        rows += [] if result is None else [(directory, result)]
-        if "interrupted" in record.outcomes:
-            left = len(groups) - i - 1
-            if left:
-                complain(f"interrupted: the last {left} of {len(groups)} not fitted")
-            break
+    with told_together(len(groups) > 1):
+        for i, (group, directory) in enumerate(zip(groups, directories, strict=True)):
+            if len(groups) > 1 and has_terminal():
+                complain(f"file {i + 1} of {len(groups)}: {group[0]}")
+            try:
+                record, result = fit_one(group, directory, task)
+            except TirefitError as error:
+                if len(groups) == 1 or error.exit_code == ExitCode.USAGE:
+                    raise
+                complain(error_text(error))
+                codes.append(error.exit_code)
+                failed[str(group[0])] = "; ".join(p.reason for p in error.problems)
+                continue
+            except OSError as error:  # its report was said
+                if len(groups) == 1 or isinstance(error, BrokenPipeError):
+                    raise
+                complain(error_text(error))
+                codes.append(ExitCode.USAGE)
+                continue
+            codes.append(exit_code_of(record, task.strict))
+            records.append(record)
+            rows += [] if result is None else [(directory, result)]
+            if "interrupted" in record.outcomes:
+                left = len(groups) - i - 1
+                if left:
+                    complain(
+                        f"interrupted: the last {left} of {len(groups)} not fitted"
+                    )
+                break
     if len(groups) > 1:
         say(_summary(records))
         _page_of_all(directories[0].parent, rows, failed, task.also.html)

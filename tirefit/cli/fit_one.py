@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tirefit import __version__
-from tirefit.cli.options import progress_bar, say, warn
+from tirefit.cli.notes import holds_notes, warn
+from tirefit.cli.options import progress_bar, say
 from tirefit.cli.output import claimed, is_page, staged
 from tirefit.results import ExitCode, Outcome, TirefitError
 
@@ -67,8 +68,7 @@ def fit_one(
     from tirefit.fitting.store import record_of_fit
 
     tables = [read(file, **task.how) for file in files]
-    for table in tables:
-        warn(table)
+    warn(*tables, assumed=tables[0].source.assumptions)
     asked = task.digest(tables)
     content = _done(directory, asked, task) if task.keep else None
     if content is not None:
@@ -121,7 +121,9 @@ def fit_into(
             if posterior and (directory / CHAIN).exists():
                 error.add_note("--resume goes on from its chain")
             raise
-    say(str(result))
+    # Together with those of other files they are printed later.
+    record = result.data | ({"assumptions": []} if holds_notes() else {})
+    say(str(replace(result, data=record)))
     say("wrote " + ", ".join(str(path) for path in written))
     return result
 

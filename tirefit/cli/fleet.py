@@ -17,6 +17,7 @@ import typer
 
 from tirefit import __version__
 from tirefit.cli.cluster import Ended, cluster, shared
+from tirefit.cli.notes import told_together
 from tirefit.cli.options import (
     Unheard,
     complain,
@@ -32,20 +33,8 @@ from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, Usa
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-__all__ = [
-    "Attempt",
-    "Jobs",
-    "Outcome",
-    "Piece",
-    "Scheduler",
-    "Sharing",
-    "attempted",
-    "fleet",
-]
-
 Jobs = Annotated[
-    int | None,
-    typer.Option(min=1, metavar="N", help="processes that share the files"),
+    int | None, typer.Option(min=1, metavar="N", help="processes that share the files")
 ]
 Scheduler = Annotated[
     str | None,
@@ -96,13 +85,14 @@ class Piece(NamedTuple):
 
 class Outcome(NamedTuple):
     """One file: its exit code, whether that ends the command, what was said and
-    complained of, and what the table of all results holds of it."""
+    complained of, what the table of all results holds of it, and the notes on it."""
 
     code: ExitCode
     last: bool = False
     said: str = ""
     complained: str = ""
     record: "FileRecord | None" = None
+    notes: tuple = ()
 
 
 Attempt = Callable[[Piece, Any], tuple[ExitCode, "FileRecord"]]
@@ -132,12 +122,14 @@ def fleet(
             progress_bar(title) as progress,
             cluster(min(sharing.jobs or 1, len(pieces)), sharing.scheduler) as client,
             closing(shared(work, pieces, client, _alike)) as results,
+            told_together(len(pieces) > 1) as notes,
         ):
             for outcome in _in_order(_followed(results, pieces, progress, left)):
                 typer.echo(outcome.said, nl=False)
                 typer.echo(outcome.complained, nl=False, err=True)
                 if outcome.last:
                     raise typer.Exit(outcome.code)
+                notes += outcome.notes
                 table.add(outcome.record)
                 yield outcome
     finally:
@@ -230,17 +222,19 @@ def _unpacked(content: bytes) -> tuple[Attempt, Any]:
 def _apart(packed: _Packed, piece: Piece) -> Outcome:
     """One file in a worker, which keeps silent; the command's errors end it there."""
     said, complained = Unheard(), Unheard()
-    with redirect_stdout(said), redirect_stderr(complained):
+    with redirect_stdout(said), redirect_stderr(complained), told_together() as held:
         try:
             with errors_to_exit(), _where_the_command_runs(packed):
-                code, record = _attempted(packed, piece)
+                code, record = attempted(*_unpacked(packed.content), piece)
         except typer.Exit as end:
             code = ExitCode(end.exit_code)
             return _failed(piece, code, complained.getvalue(), last=True)
+        notes = tuple(held)
+        held.clear()
     text = complained.getvalue()
     if record is None:
         return _failed(piece, code, text)._replace(said=said.getvalue())
-    return Outcome(code, False, said.getvalue(), text, record)
+    return Outcome(code, False, said.getvalue(), text, record, notes)
 
 
 def _where_the_command_runs(packed: _Packed) -> chdir:
@@ -252,10 +246,6 @@ def _where_the_command_runs(packed: _Packed) -> chdir:
         remedy = "run workers where it is mounted: they read files and write results"
         raise UsageError(InputProblem(reason, remedy))
     return chdir(packed.folder)
-
-
-def _attempted(packed: _Packed, piece: Piece) -> tuple[ExitCode, "FileRecord | None"]:
-    return attempted(*_unpacked(packed.content), piece)
 
 
 def attempted(

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from tirefit.cli.fit_one import PAGE, Also, exit_code
-from tirefit.cli.options import complain, progress_bar, say, start_jax, warn
+from tirefit.cli.notes import warn
+from tirefit.cli.options import complain, progress_bar, say, start_jax
 from tirefit.cli.output import check_directories, claimed, is_page, staged
 from tirefit.files import write_text_atomic
 from tirefit.results import ExitCode, InputProblem, UsageError
@@ -67,8 +68,7 @@ def fit_whole(
         for text in notes_on(options["like"]):
             complain(f"warning: {like}: {text}")
     tables = [read(file, **how) for file in files]
-    for table in tables:
-        warn(table)
+    warn(*tables)
     start_jax()
     from tirefit.fitting.mf.fit import fit_magic_formula
 

@@ -42,7 +42,6 @@ __all__ = [
     "say",
     "start_jax",
     "takes_data_options",
-    "warn",
 ]
 
 
@@ -301,12 +300,6 @@ def complain(text: str) -> None:
 def _printable(text: str) -> str:
     """Without characters of a file that would command the terminal."""
     return _COMMANDS.sub("\N{REPLACEMENT CHARACTER}", text)
-
-
-def warn(table) -> None:
-    """What data were read as, where they may mean something else."""
-    for text in table.source.warnings:
-        complain(f"warning: {table.source.path}: {text}")
 
 
 @contextmanager

@@ -14,15 +14,6 @@ from tirefit.cli.options import say
 from tirefit.files import PART, fcntl, took_lock
 from tirefit.results import InputProblem, UsageError
 
-__all__ = [
-    "check_directories",
-    "check_replaced",
-    "claimed",
-    "is_page",
-    "staged",
-    "swept",
-]
-
 
 def check_directories(directories: Sequence[Path]) -> None:
     """Raises UsageError for those that cannot be made or written to; before the work.

@@ -9,6 +9,7 @@ import typer
 
 from tirefit import __version__
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
+from tirefit.cli.notes import told_together, warn
 from tirefit.cli.options import (
     DataOptions,
     complain,
@@ -20,7 +21,6 @@ from tirefit.cli.options import (
     read_options,
     say,
     takes_data_options,
-    warn,
 )
 from tirefit.cli.output import check_directories, check_replaced, claimed, staged
 from tirefit.data.remote import expanded, file_at
@@ -63,6 +63,10 @@ def prepare(
         float | None,
         typer.Option(metavar="S", help="seconds until the tire was warm, if known"),
     ] = None,
+    cut_last: Annotated[
+        bool | None,
+        typer.Option("--cut-last", help="cut warm-up that no later sweep replaces"),
+    ] = None,
     keep: Annotated[
         list[str] | None,
         typer.Option(
@@ -92,7 +96,7 @@ def prepare(
         sharing, files = Sharing(jobs, scheduler), expanded(files or [])
         changes = {
             "bandwidth": bandwidth, "filter": False if unfiltered else None,
-            "rate": rate, "warm_up": warm_up, "keep": keep,
+            "rate": rate, "warm_up": warm_up, "cut_last": cut_last, "keep": keep,
         }  # fmt: skip
         changes = {key: value for key, value in changes.items() if value is not None}
         if repeat is not None:
@@ -111,7 +115,7 @@ def prepare(
         sharing.check(out, files, made)
         task = _Task(out, how, config)
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
-        with claimed(out):
+        with claimed(out), told_together(len(files) > 1):
             if sharing.apart:
                 outcomes = fleet("prepare", pieces, _one, task, sharing, out)
                 raise typer.Exit(max(outcome.code for outcome in outcomes))

@@ -8,8 +8,6 @@ import typer
 from tirefit.cli.options import errors_to_exit, named_path, numbers, say, start_jax
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["app"]
-
 app = typer.Typer(
     help="Simulate logs and rig sweeps that fit and estimate read.",
     no_args_is_help=True,
@@ -25,6 +23,10 @@ Truth = Annotated[
     typer.Option(
         metavar="FILE.csv", parser=named_path, help="CSV of the truth, without noise"
     ),
+]
+Drop = Annotated[
+    str | None,
+    typer.Option(metavar="TIME=FRICTION", help="another friction from a time on"),
 ]
 Seed = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="of the noise")]
 
@@ -43,10 +45,7 @@ def braking(
     load: Annotated[float, typer.Option(min=1.0, help="of the wheel [N]")] = 27e3,
     friction: Annotated[float, typer.Option(min=0.05, help="peak force / load")] = 0.98,
     tire: Annotated[str, typer.Option(help="magic-formula or lugre")] = "magic-formula",
-    drop: Annotated[
-        str | None,
-        typer.Option(metavar="TIME=FRICTION", help="another friction from a time on"),
-    ] = None,
+    drop: Drop = None,
     slip_variance: Annotated[
         float, typer.Option(min=0.0, help="of the noise on the slip")
     ] = 0.2e-4,
@@ -97,10 +96,7 @@ def drive(
     ] = 0.0,
     brake_period: Annotated[float, typer.Option(help="of a braking [s]")] = 4.0,
     friction: Annotated[float, typer.Option(min=0.05, help="of the road")] = 0.9,
-    drop: Annotated[
-        str | None,
-        typer.Option(metavar="TIME=FRICTION", help="another friction from a time on"),
-    ] = None,
+    drop: Drop = None,
     gps_std: Annotated[
         float, typer.Option(min=0.0, help="noise of positions [m]")
     ] = 0.02,
@@ -213,13 +209,10 @@ def _check(out: Path, truth: Path | None, limits) -> None:
     from tirefit.data.write import output_problems
 
     problems = []
-    for path in (out, truth):
-        if path is None:
-            continue
+    for path in filter(None, (out, truth)):
         problems += output_problems(path, ending=".csv")
-    if truth is not None:
-        if truth.absolute() == out.absolute():
-            problems.append(InputProblem("--truth is --out", "give it another name"))
+    if truth is not None and truth.absolute() == out.absolute():
+        problems.append(InputProblem("--truth is --out", "give it another name"))
     for option, value, low, high in limits:
         if not low < value <= high:
             reason = f"{option} {value:g} is out of range"

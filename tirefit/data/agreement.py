@@ -10,11 +10,24 @@ while before and after, when the noise of the sensors is another, stand in for t
 count at their effective number, n over the sum of their autocorrelation.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["LATEST", "Agreement", "Pair", "Term", "agreement", "effective"]
+__all__ = [
+    "EACH",
+    "FEWEST",
+    "LATEST",
+    "Agreement",
+    "Pair",
+    "Term",
+    "agreement",
+    "around",
+    "effective",
+    "instrumented",
+    "surrounded",
+]
 
 LATEST = 0.4
 """Longest delay that is looked for [s]: of the recorders of vehicles."""
@@ -33,10 +46,10 @@ _AROUND = (-2.0, -1.5, -1.0, 1.0, 1.5, 2.0)
 """Where the instruments lie, over the time after which noise is another."""
 
 _ROUNDS = 4
-_EACH = 10
+EACH = 10
 """Rows that are taken in the time after which noise is another."""
 
-_FEWEST = 50
+FEWEST = 50
 """Rows below which nothing is compared: 5 s of a log that is filtered as usual."""
 
 
@@ -133,12 +146,16 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
     for column in (pair.values, *terms.T):
         usable &= _no_glitch(column, usable)
     step, latest = max(1, round(apart * rate)), round(LATEST * rate)
-    rows = _surrounded(part, usable, known, max(2 * step, latest) + 1)
-    rows = rows[:: max(1, step // _EACH)]
-    if len(rows) < _FEWEST:
+    rows = surrounded(part, usable, known, max(2 * step, latest) + 1)
+    rows = rows[:: max(1, step // EACH)]
+    if len(rows) < FEWEST:
         return None
     # Beside the usable rows, as at standstill, anything may stand.
     terms = np.clip(terms, terms[rows].min(axis=0), terms[rows].max(axis=0))
+
+    def zero(gains) -> float:
+        return pair.zero * float(np.linalg.norm(gains[:-1]))
+
     shift, gains = _delay(pair.values, terms, rows, latest)
     # Wrong beside a break only, where nothing is used.
     rates, k = np.gradient(terms, 1 / rate, axis=0), terms.shape[1]
@@ -146,8 +163,8 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
         along = gains if gains.any() else np.ones(k)  # of a dead channel
         sides = np.column_stack([terms, rates @ along])
         own = pair.values[rows + shift]
-        around = _around(sides, rows, step)
-        fit = _instrumented(own, sides[rows], around, pair.zero)
+        near = around(sides, rows, step)
+        fit = instrumented(own, sides[rows], near, zero)
         if fit is None:
             return None
         good, rest = _no_outlier(fit.error), round(fit.theta[k] * rate)
@@ -157,17 +174,17 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
         shift = int(np.clip(shift - rest, -latest, latest))
         gains, rows = fit.theta[:k], rows[good]
     assert fit is not None  # there is one round at least
-    around = _around(pair.values[:, None], rows + shift, step)
+    near = around(pair.values[:, None], rows + shift, step)
     return Agreement(
         pair, tuple(fit.theta[:k].tolist()), tuple(fit.std[:k].tolist()),
         float(shift / rate - fit.theta[k]), float(fit.std[k]), float(fit.theta[-1]),
         float(fit.std[-1]), tuple(fit.seen[:k].tolist()), float(fit.seen[k]),
-        _seen_around(own, around), float(np.std(terms[rows].sum(axis=1))),
+        _seen_around(own, near), float(np.std(terms[rows].sum(axis=1))),
         float(np.std(own)), _correlation(own, own - fit.error), len(own), fit.effective,
     )  # fmt: skip
 
 
-def _around(values, rows, step: int) -> np.ndarray:
+def around(values, rows, step: int) -> np.ndarray:
     """Values (n, k) a while before and after the rows, side by side."""
     last = len(values) - 1
     places = [np.clip(rows + round(k * step), 0, last) for k in _AROUND]
@@ -186,7 +203,7 @@ def _no_outlier(error: np.ndarray) -> np.ndarray:
     too few would be left."""
     about = np.abs(error - np.median(error))
     good = about <= _OUTLIER * 1.4826 * np.median(about)
-    return good if good.sum() >= _FEWEST else np.ones(len(error), bool)
+    return good if good.sum() >= FEWEST else np.ones(len(error), bool)
 
 
 def _correlation(one, other) -> float:
@@ -204,7 +221,7 @@ def _no_glitch(values: np.ndarray, usable: np.ndarray) -> np.ndarray:
     return size <= _GLITCH * np.percentile(size[usable], 99)
 
 
-def _surrounded(part, usable, known, reach: int) -> np.ndarray:
+def surrounded(part, usable, known, reach: int) -> np.ndarray:
     """Usable rows with ``reach`` known samples of their own stretch to either side."""
     rows = np.flatnonzero(usable)
     rows = rows[(rows >= reach) & (rows < len(part) - reach)]
@@ -228,19 +245,20 @@ def _delay(values, terms, rows, latest: int) -> tuple[int, np.ndarray]:
     return best, np.linalg.lstsq(triangle, projected)[0][:-1]
 
 
-def _instrumented(values, sides, around, zero: float) -> _Fit | None:
+def instrumented(values, sides, near, zero: Callable) -> _Fit | None:
     """Two-stage least squares with a prior on the offset; None if not determined.
 
     Args:
-        values: (n,); sides: (n, k + 1), the terms and the rate of their sum.
-        around: (n, m), the instruments.
-        zero: standard deviation of the offset over the gain.
+        values: (n,); sides: (n, k).
+        near: (n, m), the instruments.
+        zero: standard deviation of the offset, in the unit of the values, by the (k,)
+            factors of the sides.
     """
     one, tiny = np.ones((len(values), 1)), 1e-300
     scale = np.concatenate([np.std(sides, axis=0), [1.0]])
     scale[scale == 0] = 1.0
     columns = np.hstack([sides, one]) / scale
-    instruments = np.hstack([around / np.maximum(np.std(around, axis=0), tiny), one])
+    instruments = np.hstack([near / np.maximum(np.std(near, axis=0), tiny), one])
     seen = instruments @ np.linalg.lstsq(instruments, columns)[0]
     curvature, slope = seen.T @ columns, seen.T @ values
     prior = np.zeros_like(curvature)
@@ -251,7 +269,7 @@ def _instrumented(values, sides, around, zero: float) -> _Fit | None:
             error = values - columns @ theta
             count = effective(error)
             noise = float(np.var(error)) * len(values) / count
-            level = zero * float(np.linalg.norm(theta[:-2] / scale[:-2]))
+            level = zero((theta / scale)[:-1])
             prior[-1, -1] = noise / max(level, 1e-9) ** 2
             theta = np.linalg.solve(curvature + prior, slope)
         # What the instruments do not show is not known, whatever the columns say.

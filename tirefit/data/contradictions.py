@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tirefit.data.agreement import Agreement, effective
+from tirefit.data.agreement import Agreement
 from tirefit.data.faults import (
+    CHANGED,
     RELATED,
     SEEN,
+    SURE,
     Fault,
     explained,
     judged,
@@ -23,10 +25,7 @@ from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.results import InputProblem
 
-__all__ = ["Comparison", "compare", "pushes_the_wrong_way"]
-
-_CHANCE = 4.0
-"""Correlation of chance, in its standard errors, that no log has."""
+__all__ = ["Comparison", "compare"]
 
 _LATE = 0.05
 _OFFSET = 0.3
@@ -101,6 +100,7 @@ def compare(track: Track, motion: Motion, vehicle: Vehicle, file: str) -> Compar
             _no_relation(a, vehicle, track, file, problems, warnings)
     if not problems:
         problems += _sideways(track, motion, vehicle, file)
+        problems += _another_clock(pairs, track, vehicle, file)
     warnings += [] if problems else _late_or_off(pairs, vehicle)
     return Comparison(tuple(pairs), tuple(problems), tuple(warnings), _line(pairs))
 
@@ -284,6 +284,29 @@ def _sideways(track, motion, vehicle, file) -> list[InputProblem]:
     ]
 
 
+def _another_clock(pairs, track, vehicle, file) -> list[InputProblem]:
+    """A delay that changes a channel as much as a gain that does not agree."""
+    problems: dict[str, InputProblem] = {}
+    for a in pairs:
+        column, values = _column(track, a.pair.channel), a.pair.values
+        least = abs(a.delay) - SURE * a.delay_std
+        rows = round(least * vehicle.filter.sample_rate)
+        if rows < 1 or not (column.named and _has_delay(a)):
+            continue
+        moved = values[rows:] - values[:-rows]
+        changed = math.sqrt(np.nanmean(moved**2) / np.nanmean(values**2))
+        pose = {"xy", "yaw"} & set(a.pair.terms[0].powers)
+        late, other = a.pair.channel, "the pose" if pose else a.pair.words
+        late, other = (late, other) if a.delay > 0 else (other, late)
+        reason = f"channels contradict each other: {late} is {abs(a.delay):.2g} ±"
+        reason += f" {a.delay_std:.1g} s late against {other}, which changes"
+        reason += f" {a.pair.channel} by {100 * changed:.0f} % (rms)"
+        remedy = f"shift {late} in the log, or name columns of one clock in [columns]"
+        if changed > CHANGED and late not in problems:
+            problems[late] = InputProblem(reason, remedy, file, column=column.header)
+    return list(problems.values())
+
+
 def _late_or_off(pairs, vehicle) -> list[str]:
     """Delay and zero error of the a_y that the forces are made of."""
     said = []
@@ -330,34 +353,3 @@ def _line(pairs) -> str:
     )
     delay = f", delays up to {max(late):.2f} s" if max(late) >= 0.005 else ""
     return f"channels compared: {those} {span} (1 where they agree){delay}"
-
-
-def pushes_the_wrong_way(
-    alpha, force, vehicle: Vehicle, file: str
-) -> list[InputProblem]:
-    """A side force that acts the way the axle slides: no tire does that.
-
-    Args:
-        alpha, force: (n,) kept samples, canonical signs.
-    """
-    if not (np.ptp(alpha) and np.ptp(force)):
-        return []
-    related = float(np.corrcoef(alpha, force)[0, 1])
-    left = force - np.polyval(np.polyfit(alpha, force, 1), alpha)
-    # Neighbouring samples are alike: of few facts any correlation may be chance.
-    if not related < -max(RELATED, _CHANCE / math.sqrt(effective(left))):
-        return []
-    if vehicle.columns.motion == POSE:
-        name, other, unit = "yaw", "y", "rad"
-    else:
-        name, other, unit = "v_y", "a_y", "m/s"
-    unit = vehicle.units.get(name, unit)
-    return [
-        InputProblem(
-            "channels contradict each other: the side force acts the way the axle"
-            f" slides (correlation {related:.2f}): {name} or {other} has the other"
-            " sign",
-            f'say {name} = "-{unit}" in [units] of vehicle.toml',
-            file,
-        )
-    ]

@@ -16,16 +16,18 @@ the result: neighbouring samples are correlated, n samples are not n facts.
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from textwrap import wrap
+from textwrap import fill, wrap
 
 import numpy as np
 
-from tirefit.data.contradictions import Comparison, compare, pushes_the_wrong_way
+from tirefit.data.contradictions import Comparison, compare
 from tirefit.data.doubts import doubts
-from tirefit.data.motion import Motion, read_motion
+from tirefit.data.merged import merged
+from tirefit.data.motion import Motion, read_motion, road_wheel, slip_and_force
+from tirefit.data.point import PointCheck, check_point
 from tirefit.data.remote import Place, file_at
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
@@ -68,6 +70,7 @@ class DerivedLog:
         bandwidth: Frequency [Hz] at which the filter's gain is -3 dB.
         heading: Sentence on the offset of heading or sideslip: applied, assumed none,
             left over.
+        point: Where the tracked point is by the force against the slip.
         compared: What the redundancy of the log's channels says.
         warnings: Sentences on what in the columns is hardly the tire's.
         assumptions: Sentences: the bandwidth and everything that was assumed.
@@ -83,6 +86,7 @@ class DerivedLog:
     gaps: int
     bandwidth: float
     heading: str
+    point: PointCheck
     compared: Comparison
     warnings: tuple[str, ...]
     assumptions: tuple[str, ...]
@@ -108,6 +112,7 @@ class DerivedLog:
                     line
                     for said in (
                         self.heading,
+                        self.point.line,
                         *(f"warning: {w}" for w in self.warnings),
                     )
                     for line in wrap(
@@ -128,8 +133,7 @@ class DerivedFiles:
 
     def summary(self) -> str:
         """The summary of each log, then the files written."""
-        written = f"wrote {self.data} and {self.metadata}"
-        return "\n".join([*(log.summary() for log in self.logs), written])
+        return f"{_summary(self.logs)}\nwrote {self.data} and {self.metadata}"
 
 
 def derive(
@@ -175,9 +179,11 @@ def derive(
     warnings = vehicle.doubts() + doubts(columns, motion, kept, vehicle)
     warnings = _hardly_any(kept, dropped) + warnings
     alpha, force = columns["alpha"][kept], columns["fy"][kept]
-    mirrored = pushes_the_wrong_way(alpha, force, vehicle, str(file))
-    _refuse(mirrored, believe)
-    contradictions = (*compared.problems, *mirrored)
+    # What one channel too large does to the slip is no matter of the point.
+    checked = kept & (not compared.problems)
+    point = check_point(motion, vehicle, checked, str(file))
+    _refuse(point.problems, believe)
+    contradictions = (*compared.problems, *point.problems)
     columns = {name: values[kept] for name, values in columns.items()}
     return DerivedLog(
         name=_run_name(file),
@@ -189,10 +195,12 @@ def derive(
         gaps=gaps,
         bandwidth=vehicle.filter.bandwidth,
         heading=zero_of_alpha(vehicle, axle, alpha, force),
+        point=point,
         compared=compared,
         warnings=(
             *(f"{p.reason}; {p.remedy}" for p in contradictions),
             *compared.warnings,
+            *point.warnings,
             *warnings,
         ),
         assumptions=_assumptions(track, vehicle, axle),
@@ -251,9 +259,19 @@ def derive_files(
         write_texts({metadata: content + "\n", out: csv_text(columns)})
     except OSError:
         if unwritten is not None:
-            unwritten("\n".join(log.summary() for log in logs))
+            unwritten(_summary(logs))
         raise
     return DerivedFiles(out, metadata, tuple(logs))
+
+
+def _summary(logs: Sequence[DerivedLog]) -> str:
+    """The summary of each log; the warnings of several are merged below them."""
+    if len(logs) == 1:
+        return logs[0].summary()
+    lines = [replace(log, warnings=()).summary() for log in logs]
+    for text in merged((log.name, log.warnings) for log in logs):
+        lines.append(fill(f"warning: {text}", 80, subsequent_indent="  "))
+    return "\n".join(lines)
 
 
 def _refuse(problems: Sequence[InputProblem], believe: bool) -> None:
@@ -266,41 +284,27 @@ def _refuse(problems: Sequence[InputProblem], believe: bool) -> None:
 
 def _axle(motion: Motion, vehicle: Vehicle, axle: str) -> dict[str, np.ndarray]:
     """The result's columns at every grid sample, (n,) each."""
-    inertial = motion.yaw_acceleration * vehicle.yaw_inertia
-    if axle == "rear":
-        arm, other, steer = -vehicle.l_r, vehicle.l_f, np.zeros(len(motion.time))
-        lateral = vehicle.mass * other * motion.a_y - inertial
-    else:
-        arm, other = vehicle.l_f, vehicle.l_r
-        steer = _road_wheel(motion, vehicle)
-        lateral = vehicle.mass * other * motion.a_y + inertial
+    alpha, force, speed = slip_and_force(motion, vehicle, axle)
     wheelbase = vehicle.l_f + vehicle.l_r
+    other = vehicle.l_f if axle == "rear" else vehicle.l_r
     load = np.full(len(motion.time), vehicle.mass * vehicle.gravity * other / wheelbase)
     if vehicle.h_cg is not None:
         transfer = vehicle.mass * motion.a_x * vehicle.h_cg / wheelbase
         load = load + transfer if axle == "rear" else load - transfer
-    sideways = motion.v_y + arm * motion.yaw_rate
-    alpha = np.arctan2(sideways, motion.v_x) - steer
     columns = {
         "time": motion.time,
         "alpha": alpha,
-        "fy": -lateral / wheelbase / np.cos(steer),
+        "fy": force,
         "fz": load,
-        "v": motion.v_x * np.cos(steer) + sideways * np.sin(steer),
+        "v": speed,
         "alpha_rate": motion.rate_of(alpha),
     }
     names = ["a_x", "a_y", "yaw_rate", "yaw_acceleration"]
     names += ["heading", "x", "y"] if vehicle.columns.motion == POSE else []
     columns |= {name: getattr(motion, name) for name in names}
     if vehicle.steering is not None:
-        columns["steering"] = _road_wheel(motion, vehicle)
+        columns["steering"] = road_wheel(motion, vehicle)
     return columns
-
-
-def _road_wheel(motion: Motion, vehicle: Vehicle) -> np.ndarray:
-    """Road wheel angle [rad] by the map, left positive: (n,)."""
-    assert vehicle.steering is not None  # :func:`derive` refused it without
-    return np.interp(motion.command, vehicle.steering.command, vehicle.steering.angle)
 
 
 def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
@@ -392,6 +396,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
                 "dropped_samples": dict(log.dropped_samples),
                 "gaps": log.gaps,
                 "heading": log.heading,
+                "tracked_point": log.point.estimate,
                 "agreement": log.compared.as_dicts(),
                 "warnings": list(log.warnings),
                 "assumptions": list(log.assumptions),

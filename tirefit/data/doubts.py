@@ -14,6 +14,9 @@ _CUT, _MUCH_CUT = 0.7, 0.05
 """Share of the bandwidth above which the filter takes part of what is there, and the
 share of a column's variance from which that is said."""
 
+_GRIP = 1.5
+"""Side force over load of racing tires on dry asphalt, without downforce."""
+
 _SILENT = 1e-300
 """Variance of a column that never changes."""
 
@@ -59,10 +62,22 @@ def doubts(columns, motion: Motion, kept, vehicle: Vehicle) -> tuple[str, ...]:
     stretches = _stretches(motion, kept)
     way = [_way(columns["v"][rows], motion.time[rows]) for rows in stretches]
     return (
+        *_beyond_grip(columns, kept),
         *_at_edges(motion, kept, vehicle),
         *_cut_by_filter(columns, stretches, vehicle),
         *_repeating(columns, stretches, way, vehicle),
     )
+
+
+def _beyond_grip(columns, kept) -> list[str]:
+    """A force that no tire without wings carries."""
+    share = float(np.percentile(np.abs(columns["fy"] / columns["fz"])[kept], 99))
+    if share < _GRIP:
+        return []
+    return [
+        f"|fy| reaches {share:.2g} fz (99th percentile), more than a tire's friction:"
+        " check mass, yaw_inertia and the unit of a_y or of the positions"
+    ]
 
 
 def _stretches(motion: Motion, kept) -> list[np.ndarray]:

@@ -11,7 +11,11 @@ from tirefit.data.units import units_of
 from tirefit.data.vehicle import QUANTITIES, unit_of
 
 __all__ = [
+    "ALIKE",
+    "CHANGED",
     "RELATED",
+    "SEEN",
+    "SURE",
     "Fault",
     "explained",
     "judged",
@@ -20,14 +24,18 @@ __all__ = [
     "strays",
 ]
 
-_ALIKE = math.log(1.3)
-"""Largest |log gain| that agrees: a body that rolls, a lever arm and an encoder make
+ALIKE = 1.3
+"""Largest gain, or its inverse, that agrees: a roll, a lever arm and an encoder make
 gains of 0.9 to 1.2; the nearest unit is 1.9 away (knots for m/s)."""
+
+CHANGED = 1 - 1 / ALIKE
+"""Share (rms) of a channel or of the slip angle that a delay or a wrong point changes,
+from which it changes as much as a gain that does not agree."""
 
 _NEAR_UNIT, _NEAR, _FARTHEST = math.log(1.2), 2.5, 0.4
 """Largest |log gain| off a unit: this, or so many standard errors, but never more."""
 
-_SURE = 4.0
+SURE = 4.0
 """Standard errors from which a gain is not 1."""
 
 _STEERING = (0.4, 8.0)
@@ -151,7 +159,7 @@ def _limit(a: Agreement, k: int, faulty: bool) -> float:
     wrong takes more than chance."""
     if faulty:
         return max(_NEAR_UNIT, min(_NEAR * _relative(a, k), _FARTHEST))
-    return max(_ALIKE, _SURE * _relative(a, k))
+    return max(math.log(ALIKE), SURE * _relative(a, k))
 
 
 def _relative(a: Agreement, k: int) -> float:
@@ -192,7 +200,7 @@ def _units(channel) -> dict[float, str]:
         unit = unit_of(text, channel.quantity)
         assert unit is not None  # it is of this quantity's own list
         factor = abs(channel.factor) / unit.scale
-        if abs(math.log(factor)) > _ALIKE and factor not in factors:
+        if abs(math.log(factor)) > math.log(ALIKE) and factor not in factors:
             factors[factor] = text
     return factors
 

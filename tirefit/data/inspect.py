@@ -128,7 +128,7 @@ class Inspection:
         if self.warnings:
             lines += ["", "warnings"]
             lines += [line for said in self.warnings for line in _wrap(said)]
-        lines += ["", "what was assumed"]
+        lines += ["", "what was assumed"] if self.assumptions else []
         lines += [line for said in self.assumptions for line in _wrap(said)]
         if self.far_rows:
             lines += ["", "rows far from everything (a fit judges them itself)"]

@@ -28,13 +28,30 @@ __all__ = ["read_table"]
 
 _AS_TEXT = "export it as CSV, or save it as Parquet or as a MATLAB file"
 _UNREADABLE = {
-    b"\xd0\xcf\x11\xe0": ("an Excel file of before 2007 (.xls)", "save it as .xlsx"),
     b"TDSm": ("a measurement file of LabVIEW (.tdms)", _AS_TEXT),
     b"FEA1": ("a Feather file of version 1", "write it as Parquet or as Feather 2"),
     b"\x89HDF\r\n": ("an HDF5 file that is not MATLAB's", _AS_TEXT),
 }
 """First bytes of known files that are not read -> what they are, and the remedy."""
 
+_PYTHON = (
+    (
+        re.compile(rb"PK\x03\x04.{26}[^\0]{1,200}\.npy", re.DOTALL),
+        "NumPy arrays (.npz)",
+        "dict(numpy.load('{}'))",
+    ),
+    (
+        re.compile(rb"\x93NUMPY"),
+        "a NumPy array (.npy)",
+        "dict(zip(['kappa', 'fx', 'fz'], numpy.load('{}').T))",
+    ),
+    (
+        re.compile(rb"\x80[\x02-\x05]|\((dp|lp)\d+\n"),
+        "a pickle, which could run code",
+        "pandas.read_pickle('{}')",
+    ),
+)
+"""First bytes of files of Python, what they are, and what gives their columns."""
 _JSON = re.compile(rb"(\xef\xbb\xbf)?\s*(\{\s*[\"}]|\[\s*[\[{\]])")
 _OUR_FIT = re.compile(rb"\"schema\"\s*:\s*\"tirefit\.fit/")
 
@@ -57,6 +74,8 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
         if content.startswith(start):
             reason = f"this is {kind}, which is not read"
             raise DataError(InputProblem(reason, remedy, file))
+    if problem := _of_python(content, file):
+        raise DataError(problem)
     if _JSON.match(content):
         raise DataError(_of_json(content, file))
     digest = hashlib.sha256(raw).hexdigest()
@@ -82,6 +101,19 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
     if tydex.is_tydex(text):
         return tydex.table_of_tydex(text, path, digest, notes)
     return table_of_text(text, path, digest, declared, notes)
+
+
+def _of_python(content: bytes, file: str) -> InputProblem | None:
+    """What to do with arrays of NumPy and pickles, which are not read."""
+    for start, kind, load in _PYTHON:
+        if start.match(content):
+            remedy = (
+                f"in Python: columns = {load.format(Path(file).name)}; data ="
+                " tirefit.read_frame(columns); tirefit.fit(data). For a command:"
+                " pandas.DataFrame(columns).to_csv('run.csv', index=False)"
+            )
+            return InputProblem(f"this is {kind}, and is not read", remedy, file)
+    return None
 
 
 def _of_json(content: bytes, file: str) -> InputProblem:

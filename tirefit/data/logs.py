@@ -16,6 +16,7 @@ import numpy as np
 
 from tirefit.data.extras import extra
 from tirefit.data.mat import Channels
+from tirefit.data.quaternion import heading
 from tirefit.data.remote import Place
 from tirefit.results import DataError, InputProblem
 
@@ -190,13 +191,7 @@ def _fields(message, place: str = "") -> Iterator[tuple[str, float]]:
         elif hasattr(value, "__dataclass_fields__") and name != "stamp":
             yield from _fields(value, path)
             if {"x", "y", "z", "w"} <= set(value.__dataclass_fields__):
-                yield f"{path}.yaw", _yaw(value)
-
-
-def _yaw(q) -> float:
-    """Heading of a unit quaternion [rad]."""
-    turned = 2 * (q.w * q.z + q.x * q.y)
-    return float(np.arctan2(turned, 1 - 2 * (q.y * q.y + q.z * q.z)))
+                yield f"{path}.yaw", float(heading(value.x, value.y, value.z, value.w))
 
 
 def on_one_clock(

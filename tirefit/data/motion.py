@@ -16,7 +16,7 @@ from tirefit.data.track import Track, read_track
 from tirefit.data.vehicle import POSE, RATES, Vehicle
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["Motion", "low_passed", "read_motion"]
+__all__ = ["Motion", "low_passed", "read_motion", "road_wheel", "slip_and_force"]
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,29 @@ def read_motion(path: str | Place, vehicle: Vehicle) -> tuple[Track, Motion, int
     """
     track = read_track(file_at(path), vehicle)
     return track, *_motion(track, vehicle)
+
+
+def slip_and_force(motion: Motion, vehicle: Vehicle, axle: str = "rear"):
+    """Slip angle [rad], lateral force [N] with the canonical signs, and forward speed
+    [m/s] of an axle, (n,) each; the formulas are those of :mod:`tirefit.data.derive`.
+    """
+    inertial = motion.yaw_acceleration * vehicle.yaw_inertia
+    if axle == "rear":
+        arm, steer = -vehicle.l_r, np.zeros(len(motion.time))
+        lateral = vehicle.mass * vehicle.l_f * motion.a_y - inertial
+    else:
+        arm, steer = vehicle.l_f, road_wheel(motion, vehicle)
+        lateral = vehicle.mass * vehicle.l_r * motion.a_y + inertial
+    sideways = motion.v_y + arm * motion.yaw_rate
+    alpha = np.arctan2(sideways, motion.v_x) - steer
+    force = -lateral / (vehicle.l_f + vehicle.l_r) / np.cos(steer)
+    return alpha, force, motion.v_x * np.cos(steer) + sideways * np.sin(steer)
+
+
+def road_wheel(motion: Motion, vehicle: Vehicle) -> np.ndarray:
+    """Road wheel angle [rad] by the map, left positive: (n,)."""
+    assert vehicle.steering is not None  # :func:`derive` refused it without
+    return np.interp(motion.command, vehicle.steering.command, vehicle.steering.angle)
 
 
 def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0):

@@ -15,6 +15,7 @@ from tirefit.data.check import BadRows
 from tirefit.data.columns import Plan, plan_columns
 from tirefit.data.declared import Options
 from tirefit.data.kinds import read_table
+from tirefit.data.quaternion import with_headings
 from tirefit.data.remote import file_at
 from tirefit.data.table import CANONICAL, FORCES, SlipCheck, Source, TireData
 from tirefit.data.text import Table, table_of_frame
@@ -147,7 +148,7 @@ class _Reading:
 
 def _checked(table: Table, options: Options) -> TireData:
     """The whole way from a table of cells to data; raises all problems at once."""
-    table = recognised(table)
+    table, _ = with_headings(recognised(table))
     plan = plan_columns(
         table.headers, table.units_row, options, table.file, table.layout
     )
@@ -187,6 +188,7 @@ def _checked(table: Table, options: Options) -> TireData:
         masked=masked,
         slip_check=reading.slip_check,
         line=table.lines,
+        constants=table.constants,
     )
     beside = (f"{c}{end}" for c in CANONICAL for end in ("", "_std", "_sim"))
     order = [name for name in beside if name in reading.columns]

@@ -5,6 +5,7 @@ Files of one session share most of their names: ``drum_2026-03-12_cold_run01_bra
 they are ``run01`` and ``run02`` of ``drum_2026-03-12_cold_*_brake``.
 """
 
+import itertools
 import re
 from collections.abc import Sequence
 from functools import lru_cache
@@ -15,11 +16,14 @@ __all__ = ["RunNames", "clipped", "label_of_run", "name_pattern", "run_names"]
 LONGEST = 18
 """Characters of a short name, at most: names that are no longer stay as they are."""
 
+_NUMBER = re.compile(r"[-+]?\d+(\.\d+)?")
+
 
 class RunNames(NamedTuple):
     """Short names of runs, all different, in order; ``pattern`` with ``*`` for them.
 
-    The pattern is empty where the names stay as they are, and where what they do not
+    The pattern has one ``*`` for each number where names of bins differ in several; it
+    is empty where the names stay as they are, and where what they do not
     share is long itself: they are numbered then.
     """
 
@@ -63,10 +67,26 @@ def _parts(names: Sequence[str]) -> tuple[str, list[str], str]:
     return "".join(pieces[0][:first]), rest, "".join(own[0][len(own[0]) - last :])
 
 
+def _of_bins(names: tuple[str, ...]) -> RunNames | None:
+    """Names that differ in numbers alone (222 N 0 deg 83 kPa): by all of these."""
+    words = [name.split(" ") for name in names]
+    if len(set(map(len, words))) > 1:
+        return None
+    own = [len(set(column)) > 1 for column in zip(*words, strict=True)]
+    short = [" ".join(itertools.compress(one, own)) for one in words]
+    numbers = all(_NUMBER.fullmatch(word) for one in short for word in one.split(" "))
+    if not numbers or len(set(short)) < len(names) or max(map(len, short)) > LONGEST:
+        return None
+    shown = zip(words[0], own, strict=True)
+    return RunNames(tuple(short), " ".join("*" if own else word for word, own in shown))
+
+
 @lru_cache(maxsize=64)
 def _of_names(names: tuple[str, ...]) -> RunNames:
     if len(names) < 2 or max(map(len, names)) <= LONGEST:
         return RunNames(names, "")
+    if (bins := _of_bins(names)) is not None:
+        return bins
     head, short, tail = _parts(names)
     if max(map(len, short)) <= LONGEST and len(set(short)) == len(names):
         return RunNames(tuple(short), f"{head}*{tail}" if head or tail else "")

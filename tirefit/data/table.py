@@ -7,6 +7,8 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from tirefit.data.merged import merged
+from tirefit.data.run_names import run_names
 from tirefit.display import Displayed
 from tirefit.results import DataError, InputProblem
 
@@ -120,7 +122,8 @@ class Source:
     column (a key of ``slip.SLIP_DEFINITIONS``); ``line`` holds each row's line.
     ``warnings`` are sentences on what may mean something else than it was read as.
     ``slip_check`` is there where a slip, omega, v and a rolling radius are. ``paths``
-    names the file of each run where several files were joined.
+    names the file of each run where several files were joined. ``constants`` holds what
+    the file states of the tire [SI], by its key in a .tir file.
     """
 
     path: str = ""
@@ -136,6 +139,7 @@ class Source:
     slip_check: SlipCheck | None = None
     line: np.ndarray | None = None
     paths: tuple[str, ...] = ()
+    constants: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -196,6 +200,25 @@ class TireData(Displayed):
         return self.columns[column][self.used]
 
 
+_SAME = 1e-3
+"""Relative difference of a constant in two files that is rounding of units."""
+
+
+def _shared_constants(sources: Sequence[Source]) -> tuple[dict[str, float], list[str]]:
+    """Constants on which all files that state them agree, and warnings of others."""
+    shared, warnings = {}, []
+    for name in dict.fromkeys(key for one in sources for key in one.constants):
+        values = [one.constants[name] for one in sources if name in one.constants]
+        if np.ptp(values) <= _SAME * max(values):
+            shared[name] = values[0]
+            continue
+        warnings.append(
+            f"{name} differs between files, {min(values):g} to {max(values):g}: not"
+            f" used; state that of the tire, as by parameters.{name}.value of fit.toml"
+        )
+    return shared, warnings
+
+
 def join(tables: Sequence[TireData]) -> TireData:
     """Several files as the runs of one data set; only columns that all have are kept.
 
@@ -220,9 +243,9 @@ def join(tables: Sequence[TireData]) -> TireData:
         several = len(table.runs) > 1
         runs += [f"{table.name}:{r}" if several else table.name for r in table.runs]
     dropped = sorted({c for table in tables for c in table.columns} - set(shared))
-    said = [
-        f"{table.name}: {text}" for table in tables for text in table.source.assumptions
-    ]
+    short = run_names([table.name for table in tables]).short
+    sources = [(name, t.source) for name, t in zip(short, tables, strict=True)]
+    said = merged((name, source.assumptions) for name, source in sources)
     if dropped:
         said.append(
             f"columns that not every file has were left out: {', '.join(dropped)}"
@@ -232,17 +255,15 @@ def join(tables: Sequence[TireData]) -> TireData:
     ).hexdigest()
     lines = [t.source.line for t in tables if t.source.line is not None]
     checks = [t.source.slip_check for t in tables if t.source.slip_check is not None]
+    constants, differing = _shared_constants([source for _, source in sources])
     source = replace(
         tables[0].source,
+        constants=constants,
         slip_check=max(checks, key=lambda check: check.difference, default=None),
         path=", ".join(table.source.path for table in tables),
         sha256=digest,
         assumptions=tuple(said),
-        warnings=tuple(
-            f"{table.name}: {text}"
-            for table in tables
-            for text in table.source.warnings
-        ),
+        warnings=(*merged((name, s.warnings) for name, s in sources), *differing),
         masked=tuple(problem for table in tables for problem in table.source.masked),
         line=np.concatenate(lines) if len(lines) == len(tables) else None,
         paths=tuple(t.source.path or t.name for t in tables for _ in t.runs),

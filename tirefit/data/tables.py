@@ -3,7 +3,7 @@
 import datetime
 import io
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -103,8 +103,14 @@ def _columns(table, types) -> tuple[dict[str, Any], list[str], list[str]]:
 # --- Excel --------------------------------------------------------------------------
 
 
+_OLE = b"\xd0\xcf\x11\xe0"
+"""First bytes of an Excel file of before 2007, and of other files of that Office."""
+
+
 def is_excel(content: bytes) -> bool:
-    """Whether these are the bytes of an Excel workbook (.xlsx, .xlsm)."""
+    """Whether these are the bytes of an Excel workbook (.xlsx, .xlsm, .xls)."""
+    if content.startswith(_OLE):
+        return True
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             return "xl/workbook.xml" in archive.namelist()
@@ -121,19 +127,10 @@ def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -
         is_known: whether a cell is a column's name.
 
     Raises:
-        DataError: openpyxl is missing, the file is damaged, or several sheets or none
-            hold columns.
+        DataError: openpyxl, or xlrd for a file of before 2007, is missing, the file is
+            damaged, or several sheets or none hold columns.
     """
-    openpyxl = extra("openpyxl", "Excel files", file)
-    try:
-        book = openpyxl.load_workbook(
-            io.BytesIO(content), read_only=True, data_only=True
-        )
-        sheets = {sheet.title: _rows(sheet) for sheet in book.worksheets}
-        book.close()
-    except Exception as error:  # openpyxl raises many kinds on damaged files
-        reason = f"the Excel file cannot be read: {error}"
-        raise DataError(InputProblem(reason, "save it again", file)) from error
+    sheets = _sheets(content, file)
     filled = {title: rows for title, rows in sheets.items() if rows}
     if not filled:
         raise DataError(
@@ -159,11 +156,49 @@ def sheet_of_excel(content: bytes, file: str, is_known: Callable[[str], bool]) -
     return Sheet(rows, list(numbers), tuple(notes))
 
 
-def _rows(sheet) -> list[tuple[int, list[str]]]:
+def _sheets(content: bytes, file: str) -> dict[str, list[tuple[int, list[str]]]]:
+    """Title -> rows of every sheet."""
+    module, age, cells = "openpyxl", "", _cells_of_xlsx
+    if content.startswith(_OLE):
+        module, age, cells = "xlrd", " of before 2007 (.xls)", _cells_of_xls
+    library = extra(module, f"Excel files{age}", file)
+    try:
+        return {title: _rows(rows) for title, rows in cells(library, content)}
+    except Exception as error:  # both raise many kinds on damaged files
+        reason = f"the Excel file{age} cannot be read: {error}"
+        remedy = "save it again, as .xlsx and without a password"
+        raise DataError(InputProblem(reason, remedy, file)) from error
+
+
+def _cells_of_xlsx(library, content: bytes) -> Iterator[tuple[str, Iterable]]:
+    """Title and rows of values of each sheet."""
+    book = library.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
+    for sheet in book.worksheets:
+        sheet.reset_dimensions()  # some writers state fewer cells than there are
+        yield sheet.title, sheet.iter_rows(values_only=True)
+    book.close()
+
+
+def _cells_of_xls(library, content: bytes) -> Iterator[tuple[str, Iterable]]:
+    """The same of a file of before 2007, where every number is a float."""
+    book = library.open_workbook(file_contents=content, logfile=io.StringIO())
+
+    def value(cell):
+        if cell.ctype == library.XL_CELL_DATE:
+            return library.xldate_as_datetime(cell.value, book.datemode)
+        if cell.ctype == library.XL_CELL_ERROR:
+            return library.error_text_from_code.get(cell.value, "#N/A")
+        number = isinstance(cell.value, float)  # 1 of a run's name is 1.0 here
+        return int(cell.value) if number and cell.value.is_integer() else cell.value
+
+    for sheet in book.sheets():
+        yield sheet.name, ([value(cell) for cell in row] for row in sheet.get_rows())
+
+
+def _rows(cells: Iterable) -> list[tuple[int, list[str]]]:
     """Rows with content as (number in the sheet, texts), all of one length."""
     rows = []
-    sheet.reset_dimensions()  # some writers state fewer cells than there are
-    for number, row in enumerate(sheet.iter_rows(values_only=True), 1):
+    for number, row in enumerate(cells, 1):
         texts = [_text(cell) for cell in row]
         if any(texts):
             rows.append((number, texts))

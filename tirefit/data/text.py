@@ -7,7 +7,7 @@ import io
 import itertools
 import re
 import zlib
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -45,6 +45,11 @@ _DELIMITERS = "\t;|,"
 _END = "\0"
 _OWN = re.compile(r"# tirefit .*\bconvention ([\w-]+)\s*$")
 """First line of a table that this package wrote, with its signs."""
+_CONSTANT = re.compile(r"([A-Z_]+)=(\d+(?:\.\d+)?(?:e[-+]?\d+)?)\b")
+"""A constant of the tire in that line."""
+_AIM = re.compile(r'"?Format"?\s*[,;\t]\s*"?AiM CSV File', re.IGNORECASE)
+"""Beginning of an export of AiM's RaceStudio: keys and values, a blank line, names,
+units, in some versions the numbers of the channels."""
 _SEARCHED = 60
 """Lines with content in which the header must stand."""
 _LONGEST = 10
@@ -57,7 +62,8 @@ class Table:
 
     ``cells`` holds per column n strings or an (n,) number array; ``ragged`` (n,) bool
     marks rows without the header's number of fields, ``lines`` (n,) their lines;
-    ``notes`` say what was assumed, ``doubts`` what may mean something else.
+    ``notes`` say what was assumed, ``doubts`` what may mean something else;
+    ``constants`` are those of ``Source``.
     """
 
     file: str
@@ -75,6 +81,7 @@ class Table:
     faults: tuple[BadRows, ...] = ()
     layout: Layout = field(default_factory=Layout)
     doubts: tuple[str, ...] = ()
+    constants: Mapping[str, float] = field(default_factory=dict)
 
 
 def read_bytes(path: Place) -> bytes:
@@ -162,6 +169,9 @@ def table_of_text(
     searched = list(itertools.islice(content, _SEARCHED))
     if not searched:
         raise _refusal("the file is empty", "give a header line and data rows", path)
+    if aim := _AIM.match(raw[0]):
+        blank = lines.index("\n") if "\n" in lines else 0
+        searched = [index for index in searched if index > blank] or searched
     start, delimiter, words = _find_header(lines, searched, declared)
     if words:
         notes.append(SPACED)
@@ -169,13 +179,21 @@ def table_of_text(
     if start != searched[0]:
         notes.append(f"lines before the header in line {start + 1} skipped")
     rows, numbers = split_rows(lines[start:], delimiter, start, path)
-    table = table_of_rows(rows, numbers, path, digest, notes, delimiter)
+    if aim:
+        notes.append("export of AiM RaceStudio")
+        kept = [k for k, row in enumerate(rows) if k > 3 or not _counts_up(row)]
+        rows, numbers = [rows[k] for k in kept], [numbers[k] for k in kept]
+    common = 0.0 if aim else 0.5
+    table = table_of_rows(rows, numbers, path, digest, notes, delimiter, common)
     own = _OWN.match(raw[0])
     if own is None or own[1] not in CONVENTIONS:
         return table
     said = f"signs read as {own[1]!r}, as line 1 says"
+    stated = _CONSTANT.findall(raw[0].partition(", constants ")[2])
+    constants = {name: float(value) for name, value in stated}
     layout = Layout(convention=own[1])
-    return replace(table, layout=layout, notes=(*table.notes, said))
+    notes = [*table.notes, said]
+    return replace(table, layout=layout, notes=tuple(notes), constants=constants)
 
 
 def content_lines(lines: list[str]) -> list[str]:
@@ -193,8 +211,10 @@ def table_of_rows(
     digest: str,
     notes: list[str],
     delimiter: str = "",
+    common: float = 0.5,
 ) -> Table:
-    """A table of rows of cells, the header first, and the line of each in the file."""
+    """A table of rows of cells, the header first, and the line of each in the file;
+    ``common``: share of common units from which a row is one of units."""
     headers = [re.sub(r"\s*[\r\n]\s*", " ", cell.strip()) for cell in rows[0]]
     header_line, rows, numbers = numbers[0], rows[1:], numbers[1:]
     if all(is_number(word) for cell in headers for word in cell.split() or [cell]):
@@ -202,7 +222,7 @@ def table_of_rows(
         remedy = "add a header line such as kappa,fx,fz, without a # before it"
         raise _refusal(reason, remedy, path, header_line)
     units_row = units_line = None
-    if rows and _is_units_row(rows[0], len(headers)):
+    if rows and _is_units_row(rows[0], len(headers), common):
         notes.append(f"row {numbers[0]} read as units")
         units_row, units_line = rows[0], numbers[0]
         rows, numbers = rows[1:], numbers[1:]
@@ -358,10 +378,17 @@ def _spaced_under_tabs(lines, header, delimiter, is_known) -> list[str]:
     return below[1] if delimiter == "\t" and below and not tabs else []
 
 
-def _is_units_row(row: list[str], width: int) -> bool:
-    """No numbers, and at least half of what is there are common units."""
+def _counts_up(row: list[str]) -> bool:
+    """Whether these are the numbers of the channels: 1, 2, 3."""
+    cells = [cell.strip() for cell in row if cell.strip()]
+    return len(cells) > 1 and cells == [str(k + 1) for k in range(len(cells))]
+
+
+def _is_units_row(row: list[str], width: int, common: float) -> bool:
+    """No numbers, and at least that share of what is there are common units."""
     cells = [cell.strip() for cell in row]
     stated = [cell for cell in cells if cell not in ("", "-")]
     if len(row) != width or not stated or any(map(is_number, cells)):
         return False
-    return sum(known_unit(cell) is not None for cell in stated) * 2 >= len(stated)
+    known = sum(known_unit(cell) is not None for cell in stated)
+    return known >= common * len(stated)

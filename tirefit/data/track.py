@@ -8,6 +8,7 @@ import numpy as np
 
 from tirefit.data.cells import TextColumn
 from tirefit.data.columns import guess, stated_unit
+from tirefit.data.quaternion import with_headings
 from tirefit.data.read import Table, read_table
 from tirefit.data.remote import Place
 from tirefit.data.units import known_unit
@@ -87,7 +88,7 @@ def read_track(path: Place, vehicle: Vehicle) -> Track:
         DataError: If the file cannot be read, lacks a column, holds text or is slower
             than the filter needs.
     """
-    table = _read(path, vehicle)
+    table, vehicle = _read(path, vehicle)
     notes = list(table.notes)
     clock, *channels = _channels(table, vehicle, notes)
     columns = _numbers(table, [clock, *channels], vehicle.keep.active)
@@ -132,11 +133,17 @@ def _unwrapped(yaw: np.ndarray) -> np.ndarray:
 # --- the file -------------------------------------------------------------------
 
 
-def _read(path: Place, vehicle: Vehicle) -> Table:
-    """The file, which has every column that the vehicle names."""
+def _read(path: Place, vehicle: Vehicle) -> tuple[Table, Vehicle]:
+    """The file, which has every column that the vehicle names, and the vehicle with the
+    computed heading where it names a quaternion as yaw."""
     given = vehicle.columns.model_dump().values()
     wanted = [name for name in (*given, vehicle.keep.active) if name]
-    table = read_table(path, wanted)
+    table, headings = with_headings(read_table(path, wanted))
+    yaw = vehicle.columns.yaw or ""
+    if yaw in headings:
+        columns = vehicle.columns.model_copy(update={"yaw": headings[yaw]})
+        vehicle = vehicle.model_copy(update={"columns": columns})
+        wanted = [headings[name] if name == yaw else name for name in wanted]
     absent = [name for name in dict.fromkeys(wanted) if name not in table.headers]
     if absent:
         known = ", ".join(table.headers)
@@ -147,7 +154,7 @@ def _read(path: Place, vehicle: Vehicle) -> Table:
                 for name in absent
             ]
         )
-    return table
+    return table, vehicle
 
 
 def _channels(table: Table, vehicle: Vehicle, notes: list[str]) -> list[Channel]:

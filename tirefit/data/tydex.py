@@ -37,6 +37,27 @@ _NAMES = {
 """Parameters of TYDEX -> columns; of two that mean one, the first of these is read.
 MXH and MYH are about the wheel centre, and so none of them."""
 
+_OF_TIRE = (
+    ("UNLOADED_RADIUS", 1.0, "length", r"RFREE|.*(unloaded|free) radius"),
+    ("UNLOADED_RADIUS", 0.5, "length", r"OVALLDIA|NOMDIAME|.*(overall|outer) diameter"),
+    ("RIM_RADIUS", 0.5, "length", r"RIMDIAM|.*rim diameter"),
+    ("RIM_WIDTH", 1.0, "length", r"RIMWIDTH|.*rim width"),
+    ("WIDTH", 1.0, "length", r"NOMWIDTH|.*section width"),
+    ("ASPECT_RATIO", 1.0, "ratio", r"ASPRATIO|.*aspect ratio"),
+    ("FNOMIN", 1.0, "force", r"FNOMIN|NOMLOAD|.*nominal [a-z ]*(load|force)"),
+    ("NOMPRES", 1.0, "pressure", r"NOMPRES|.*nominal [a-z ]*pressure"),
+)
+"""Key of a .tir file, factor, dimension, name or comment of the constant; of two that
+mean one, the first of these is taken."""
+
+_INCH = 0.0254
+_METRIC_SIZE = re.compile(r"(?<!\d)(\d{3})\s?/\s?(\d{2,3})\s?[A-Z]*-?\s?(\d\d)\b", re.I)
+"""205/60 R15: width [mm], height [% of it] or diameter [mm], rim diameter [inch]."""
+_INCH_SIZE = re.compile(r"\b(\d\d(?:\.\d+)?)\s?x\s?\d+(?:\.\d+)?\s?-\s?\d\d\b", re.I)
+"""18.0x6.0-10: diameter, width, rim diameter [inch]."""
+_LARGEST = 2.1
+"""Radius [m] of the largest earthmover's tire: beyond it the unit is wrong."""
+
 _RULE = re.compile(r"!\s*(-|Key\b)", re.IGNORECASE)
 """A line that rules or heads a section, as many files have them."""
 
@@ -91,11 +112,14 @@ def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Tab
         _converted(column, conversion)
         for column, conversion in zip(columns, conversions, strict=True)
     ]
-    constants, unread = _constants(sections.get("CONSTANTS", []), channels)
+    constants, others = _constants(sections.get("CONSTANTS", []), channels)
+    of_tire, origins = _of_tire(others, sections.get("HEADER", []))
+    unread = [line.split()[0] for _, line in others if line not in origins]
     meant = _meant([channel.name for channel in channels], constants)
     ragged = np.zeros(len(rows), bool)
     ragged[[row for fault in faults for row in fault.rows]] = True
     notes = [*notes, *_said(sections, channels, conversions, constants, unread, meant)]
+    notes += origins.values()
     return Table(
         file, stem_of(path),
         [entry.name for entry in (*channels, *constants)],
@@ -104,7 +128,7 @@ def table_of_tydex(text: str, path: Place, digest: str, notes: list[str]) -> Tab
         units_row=[entry.unit for entry in (*channels, *constants)],
         sha256=digest, notes=tuple(notes), faults=faults,
         layout=Layout(meant, "unit of the channel", "iso-w"),
-        doubts=_doubts(channels, conversions),
+        doubts=_doubts(channels, conversions), constants=of_tire,
     )  # fmt: skip
 
 
@@ -254,8 +278,8 @@ def _converted(texts, conversion: _Conversion) -> np.ndarray | list[str]:
 # --- what of it is read -------------------------------------------------------------
 
 
-def _constants(lines, channels) -> tuple[list[_Entry], list[str]]:
-    """Constants that are columns which no channel is, and the names of the others."""
+def _constants(lines, channels) -> tuple[list[_Entry], list[tuple[int, str]]]:
+    """Constants that are columns which no channel is, and the lines of the others."""
     there = {_NAMES.get(channel.name, channel.name) for channel in channels}
     kept: list[_Entry] = []
     unread = []
@@ -263,11 +287,62 @@ def _constants(lines, channels) -> tuple[list[_Entry], list[str]]:
         entry = _entry(number, line)
         column = None if entry is None else _NAMES.get(entry.name)
         if entry is None or not column or column in there or not entry.values:
-            unread.append(line.split()[0])
+            unread.append((number, line))
             continue
         there.add(column)
         kept.append(entry._replace(values=entry.values[:1]))
     return kept, unread
+
+
+def _of_tire(lines, header) -> tuple[dict[str, float], dict[str, str]]:
+    """What the constants state of the tire [SI], and a note by line that was used; its
+    nominal size may stand in the header."""
+    found: dict[str, float] = {}
+    notes: dict[str, str] = {}
+
+    def take(key: str, value: float, line: str) -> None:
+        largest = _LARGEST if key == "UNLOADED_RADIUS" else np.inf
+        if key not in found and 0 < value < largest:
+            found[key] = value
+            notes[line] = f"{key} = {value:.4g}: {' '.join(line.split())}"
+
+    for key, factor, dimension, meaning in _OF_TIRE:
+        for number, line in lines:
+            entry = _entry(number, line)
+            is_it = re.match(meaning, " ".join(line.split()), re.IGNORECASE)
+            if is_it and entry and entry.values:
+                value = _si(float(entry.values[0]), entry.unit, dimension)
+                take(key, factor * value, line)
+    for _, line in [*lines, *header]:
+        take("UNLOADED_RADIUS", _radius_of_size(line), line)
+    rim, width, ratio = map(found.get, ("RIM_RADIUS", "WIDTH", "ASPECT_RATIO"))
+    if rim and width and ratio:
+        take("UNLOADED_RADIUS", rim + width * ratio, "nominal width, ratio and rim")
+    return found, notes
+
+
+def _si(value: float, unit: str, dimension: str) -> float:
+    """A constant in SI units; without a unit a length above 3 is one of rims, in inch,
+    or in mm, and an aspect ratio above 3 in per cent; NaN of another dimension."""
+    if unit.casefold() in ("in", "inch", '"', "zoll"):
+        return value * _INCH if dimension == "length" else np.nan
+    if unit in ("", "-"):
+        scales = {"length": _INCH if value < 30 else 1e-3, "ratio": 0.01}
+        return value * (scales.get(dimension, 1.0) if value > 3 else 1.0)
+    known = known_unit(unit)
+    same = known is not None and known.dimension == dimension
+    return float(known.to_si(value)) if known and same else np.nan
+
+
+def _radius_of_size(text: str) -> float:
+    """Radius [m] of the free tire by its nominal size; NaN where the text has none."""
+    if inches := _INCH_SIZE.search(text):
+        return float(inches[1]) * _INCH / 2
+    if metric := _METRIC_SIZE.search(text):
+        width, height, rim = map(float, metric.groups())
+        high = height > 150  # such as 205/470 R13: the diameter
+        return height / 2e3 if high else rim * _INCH / 2 + width * height * 1e-5
+    return np.nan
 
 
 def _meant(names, constants) -> dict[str, str]:

@@ -4,7 +4,7 @@ import numpy as np
 
 from tirefit.data.vehicle import POSE, Vehicle
 
-__all__ = ["zero_of_alpha"]
+__all__ = ["turns_both_ways", "zero_of_alpha"]
 
 
 def zero_of_alpha(
@@ -56,8 +56,17 @@ def _alpha_at_rest(alpha: np.ndarray, fy: np.ndarray) -> float | None:
     strong = np.percentile(abs(fy), 95)
     weak = abs(fy) < 0.5 * strong
     share = fy[weak] / strong
-    rarer = min(np.count_nonzero(share > 0.05), np.count_nonzero(share < -0.05))
-    if rarer <= 0.1 * len(share):
+    if not turns_both_ways(share):
         return None
     terms = np.column_stack([np.ones(len(share)), share, share**3])
     return float(np.linalg.lstsq(terms, alpha[weak])[0][0])
+
+
+def turns_both_ways(share: np.ndarray) -> bool:
+    """Whether a tenth of the samples turns to the rarer side.
+
+    Args:
+        share: (n,) side force over a strong one.
+    """
+    rarer = min(np.count_nonzero(share > 0.05), np.count_nonzero(share < -0.05))
+    return bool(rarer > 0.1 * len(share))

@@ -20,8 +20,6 @@ from tirefit.diagnosis.runs import KINDS
 from tirefit.diagnosis.search import Hypothesis, Search
 from tirefit.diagnosis.verdict import Verdict, Weighed
 
-__all__ = ["Carried", "chosen_across_runs", "held_across_runs", "losses_left_out"]
-
 _FEWEST = 4
 """Runs from which leaving them out in turn says something: of three, two are left to
 fit, and Student's t of two degrees of freedom hardly tells any set from none."""
@@ -53,7 +51,6 @@ def losses_left_out(base: Base, candidates: list[Hypothesis]) -> np.ndarray:
     observed, losses = rows.observed[main], []
     sets = [h.atoms for h in candidates]
     starts = [(h.z, h.amplitude) for h in candidates]
-    scale = np.asarray(base.design.prior_scale)
     for code in shown_runs(rows.run, rows.data.runs):
         out = rows.run == code
         keep = np.array(base.design.keep)
@@ -62,9 +59,8 @@ def losses_left_out(base: Base, candidates: list[Hypothesis]) -> np.ndarray:
         refitted = base.refit(starts, sets, base.design._replace(keep=keep))
         each = []
         for k, atoms in enumerate(sets):
-            amplitudes = np.zeros(len(base.atoms))
-            amplitudes[list(atoms)] = refitted.amplitude[k][: len(atoms)]
-            missed = observed - base.forces(refitted.z[k], amplitudes * scale)[main]
+            amplitudes = base.amplitudes(atoms, refitted.amplitude[k])
+            missed = observed - base.forces(refitted.z[k], amplitudes)[main]
             each.append(np.mean(missed[good] ** 2))
         losses.append(each)
     return np.array(losses)

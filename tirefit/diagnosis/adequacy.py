@@ -17,16 +17,6 @@ from scipy.sparse import csr_array
 from tirefit.diagnosis.memory import Memory
 from tirefit.diagnosis.negligible import ROUNDING
 
-__all__ = [
-    "LEAST_P",
-    "UNTESTED",
-    "Adequacy",
-    "Null",
-    "adequacy",
-    "null",
-    "refused",
-]
-
 _PRECISION = np.float32
 """Of the simulated residuals: a thousand draws of all rows are read many times over,
 and a p-value counts in thousandths."""

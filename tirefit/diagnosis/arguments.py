@@ -13,8 +13,6 @@ from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.rig import Rig, load_rig
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["a_model", "a_rig", "a_seed", "names", "tables", "the_effects"]
-
 _SEEDS = 2**32
 
 

@@ -1,6 +1,6 @@
 """The base model fitted with its noise judged: where every diagnosis starts."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -36,16 +36,6 @@ from tirefit.diagnosis.slip_nodes import slip_doubt, slip_proxies
 from tirefit.diagnosis.slip_scatter import slip_scatter
 from tirefit.diagnosis.tire import Tire, with_force
 from tirefit.padding import pad_rows
-
-__all__ = [
-    "Base",
-    "Fit",
-    "at_measured_slip",
-    "fit_base",
-    "on_rows",
-    "shown_slip_noise",
-    "with_noise_judged",
-]
 
 _ON_BOUND = 6.0
 """Size of a z from which its parameter rests on a bound: it is within 0.25 % of the
@@ -189,11 +179,12 @@ class Base:
     @cached_property
     def at_null(self) -> Linear:
         """:meth:`linearised` at the base fit."""
-        return self.linearised(self.z, np.zeros(len(self.atoms)))
+        return self.linearised(self.z, self.amplitudes())
 
     @cached_property
     def measured(self) -> "Base":
-        """:func:`at_measured_slip`, whose forces every candidate asks for."""
+        """The same fit at the slips as they were measured, not as they are believed;
+        every candidate asks for its forces."""
         return self.on(measured_slips(self.design, self.rows))
 
     def on(self, design: Design, rows: Prepared | None = None) -> "Base":
@@ -241,6 +232,14 @@ class Base:
     ) -> Refit:
         """Hypotheses refitted on this design or another: :meth:`Tire.refit`."""
         return self.fit.tire.refit(starts, sets, design or self.design, **more)
+
+    def amplitudes(self, atoms: Sequence[int] = (), sizes=()) -> np.ndarray:
+        """Amplitudes of all atoms (K,) in their own units, from those of some atoms in
+        prior scales; the others are zero."""
+        full, index = np.zeros(len(self.atoms)), list(atoms)
+        scale = np.asarray(self.design.prior_scale)[index]
+        full[index] = np.asarray(sizes)[: len(index)] * scale
+        return full
 
     def residual(self, z, amplitudes) -> np.ndarray:
         """Whitened residual of the used rows, zero for outliers: (m,)."""
@@ -361,11 +360,6 @@ def with_noise_judged(base: Base, rig, z, amplitudes, outliers: bool = True) -> 
     noise = _noise(rows, tire, base.design, fraction, rig, z, amplitudes, outliers)
     guess, simulator = base.fit.guess, base.simulator
     return _under(noise, rows, tire, base.design, fraction, base.z, guess, simulator)
-
-
-def at_measured_slip(base: Base) -> Base:
-    """The same fit at the slips as they were measured, not as they are believed."""
-    return base.measured
 
 
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:

@@ -11,30 +11,6 @@ from tirefit.data.levels import levels
 from tirefit.diagnosis.negligible import FLAT, ROUNDING
 from tirefit.diagnosis.patterns import Patterns, patterns_gain, turns
 
-__all__ = [
-    "FULL_SLIDING",
-    "PRIORS",
-    "RANK",
-    "SCALES",
-    "Generic",
-    "WavesOfResidual",
-    "bumps",
-    "functions_of",
-    "gain",
-    "gains",
-    "located",
-    "mean_gain",
-    "misfit_p_value",
-    "of_any_kind",
-    "orthogonal",
-    "smooth_basis",
-    "wave_basis",
-    "waves_within",
-    "wide_bases",
-    "without",
-    "worth_of_waves",
-]
-
 SCALES = (2.0, 6.0, 18.0, 50.0)
 """Sizes of a basis function's coefficient that are averaged over, in z units."""
 

@@ -10,12 +10,7 @@ from tirefit.diagnosis.changes import count_atoms
 from tirefit.diagnosis.effects import atoms_of
 from tirefit.diagnosis.forward import Design
 from tirefit.diagnosis.rows import Prepared
-from tirefit.diagnosis.simulator import (
-    STAND_INS,
-    Given,
-    as_measured,
-    closely_followed,
-)
+from tirefit.diagnosis.simulator import STAND_INS, Given, as_measured, closely_followed
 from tirefit.diagnosis.slip_nodes import slip_nodes
 from tirefit.diagnosis.state import Covariates
 from tirefit.diagnosis.tire import Tire
@@ -27,16 +22,6 @@ from tirefit.fitting.solve import starting_points
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.padding import pad_rows, padded_size
 from tirefit.results import DataError
-
-__all__ = [
-    "Begun",
-    "begin",
-    "design_of",
-    "first_fit",
-    "measured_slips",
-    "standing_in",
-    "with_offset",
-]
 
 _LEAST_ROWS = 256
 """Rows that a diagnosis is compiled for, at least: small files share one program."""

@@ -6,8 +6,6 @@ import numpy as np
 from tirefit.data.levels import levels
 from tirefit.diagnosis.rows import Prepared
 
-__all__ = ["blocks_of_settings", "coincides"]
-
 _SAME = 0.8
 """Share of two stretches together that both have, from which they are one."""
 

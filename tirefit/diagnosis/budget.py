@@ -21,8 +21,6 @@ from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.shares import shapley
 from tirefit.diagnosis.simulator import missed_share
 
-__all__ = ["budgets_of", "parameter_changes", "simulator_summary"]
-
 PARAMETERS = "parameters"
 
 _HELD = 1e4
@@ -138,13 +136,11 @@ def _missed(
         stuck = base.refit([(start, guess[s]) for s in sets], sets, held)
         fits = {(PARAMETERS, *s): fit for s, fit in fits.items()}
         fits |= {s: (start, a) for s, a in zip(sets, stuck.amplitude, strict=True)}
-    scale = np.asarray(base.design.prior_scale)
     missed: dict[str, dict] = {channel: {} for channel in base.rows.channels}
     for subset, (z, amplitude) in fits.items():
         index = [k for k in subset if not isinstance(k, str)]
-        full = np.zeros(len(base.atoms))
-        full[index] = amplitude[: len(index)] * scale[index]
-        for channel, force in base.forces(z, full).items():
+        forces = base.forces(z, base.amplitudes(index, amplitude))
+        for channel, force in forces.items():
             missed[channel][subset] = observed[channel] - force
     return missed
 

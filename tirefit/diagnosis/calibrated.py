@@ -19,17 +19,6 @@ import numpy as np
 from tirefit.diagnosis.adequacy import Adequacy
 from tirefit.diagnosis.standing import Standing
 
-__all__ = [
-    "Explanation",
-    "Part",
-    "as_often_right",
-    "clues_of_effect",
-    "clues_of_rest",
-    "clues_of_set",
-    "probability_beside",
-    "probability_of_more",
-]
-
 _SMALLEST_P = 1e-3
 """The smallest p-value that the tests can take."""
 

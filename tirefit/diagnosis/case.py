@@ -9,8 +9,6 @@ from tirefit.diagnosis.search import Search
 from tirefit.diagnosis.slip_check import SlipCheck
 from tirefit.diagnosis.verdict import Verdict, Weighed
 
-__all__ = ["Case"]
-
 
 @dataclass(frozen=True)
 class Case:

@@ -3,8 +3,6 @@
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.verdict import Verdict, Weighed
 
-__all__ = ["chance_of_unknown", "chance_of_unlisted", "chances"]
-
 
 def chances(verdict: Verdict, weighed: Weighed) -> dict[tuple[str, ...], float]:
     """Probability of each refitted set to be all that is there, in agreement with the

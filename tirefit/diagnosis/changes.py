@@ -15,17 +15,6 @@ from tirefit.diagnosis.state import Covariates, State, null_state
 from tirefit.params import Values
 from tirefit.results import InputProblem, UsageError
 
-__all__ = [
-    "MOST_EFFECTS",
-    "Changes",
-    "Present",
-    "changes_of",
-    "count_atoms",
-    "present_in",
-    "state_of",
-    "states_of",
-]
-
 _LIBRARIES = 64
 """Libraries of effects, and numbers of rows, whose arrays are kept, at most."""
 

@@ -7,17 +7,6 @@ from scipy.special import stdtrit
 
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 
-__all__ = [
-    "INTERVAL",
-    "WORST",
-    "Closure",
-    "block_means",
-    "closure_elsewhere",
-    "closure_on_rows",
-    "of_so_few_runs",
-    "without_each",
-]
-
 _DRAWS = 400
 """Bootstrap draws: twenty beyond either end of a 90 % interval."""
 

@@ -43,16 +43,6 @@ from tirefit.diagnosis.verdict import (
     ties,
 )
 
-__all__ = [
-    "WORSE",
-    "Judge",
-    "bound_by",
-    "concluded",
-    "look_of_rest",
-    "probability_of_rest",
-    "unknown",
-]
-
 _KNOWN = 2.0
 """Standard errors from which an effect may be named at all: an error bar of half the
 value."""

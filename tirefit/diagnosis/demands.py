@@ -6,8 +6,6 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.rig import Rig
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["check_data", "check_force_noise"]
-
 _LEAST_ROWS = 20
 """Rows that a diagnosis needs."""
 

@@ -5,17 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from tirefit.diagnosis.base import Base, at_measured_slip, on_rows
+from tirefit.diagnosis.base import Base, on_rows
 from tirefit.diagnosis.basis import located, without
 from tirefit.diagnosis.budget import budgets_of, parameter_changes, simulator_summary
 from tirefit.diagnosis.calibrated import as_often_right
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.chances import chance_of_unknown, chance_of_unlisted, chances
 from tirefit.diagnosis.closure import Closure, closure_on_rows
-from tirefit.diagnosis.conclusion import (
-    bound_by,
-    look_of_rest,
-)
+from tirefit.diagnosis.conclusion import bound_by, look_of_rest
 from tirefit.diagnosis.forecast import confusion, next_measurements
 from tirefit.diagnosis.holdout import held_out
 from tirefit.diagnosis.linear_fit import fitted_form, linear_at
@@ -42,8 +39,6 @@ from tirefit.diagnosis.summary import data_summary
 from tirefit.diagnosis.verdict import Verdict
 from tirefit.diagnosis.views import compared, residual_map, shown_rows
 from tirefit.diagnosis.where import parameter_map, regions, spots
-
-__all__ = ["document_of"]
 
 _LISTED, _MENTIONED = 10, 1e-3
 """Candidates that are listed, at most; probability from which the unknown is one."""
@@ -73,7 +68,7 @@ def document_of(
     """
     data, base, rig = whole.data, case.base, settings.rig
     prepared = base.prepared
-    rows = _rows(case, at_measured_slip(base))
+    rows = _rows(case, base.measured)
     # Everything random is drawn in this order: true forces, held-out data, budget.
     believed, main = _rows(case, base), prepared.channels[0]
     truth = plausible_forces(case, generator)
@@ -90,6 +85,8 @@ def document_of(
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown = shown_rows(base, rows[main])
     noise = _noise(case)
+    # Whether a simulator's parameters explain all that there is.
+    tuned_alone = base.simulator is not None and verdict.status == "none"
     return Diagnosis(
         data=data_summary(data, base, rig),
         model=model,
@@ -121,7 +118,7 @@ def document_of(
         table=data,
         mean_load=float(np.mean(data.usable("fz"))),
         residual_map=residual_map(shown, noise.inflation, gap.resolvable),
-        comparison=compared(shown, said.names_an_effect or _tuned_alone(case)),
+        comparison=compared(shown, said.names_an_effect or tuned_alone),
         look=next(iter(curves), None),
         library=library,
         meanings={p.name: p.spec.meaning for p in base.layout.free},
@@ -130,7 +127,7 @@ def document_of(
 
 def _missed(base: Base) -> np.ndarray:
     """Whitened residual of the first channel, (n,)."""
-    whole = base.residual(base.as_given, np.zeros(len(base.atoms)))
+    whole = base.residual(base.as_given, base.amplitudes())
     return whole[: base.prepared.n]
 
 
@@ -151,9 +148,8 @@ def _rows(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
         at: the base fit at the slips that the forces are wanted for.
     """
     base, verdict = case.base, case.verdict
-    silent = np.zeros(len(base.atoms))
-    before = at.forces(base.as_given, silent)
-    tuned = at.forces(base.z, silent) if base.simulator else {}
+    before = at.forces(base.as_given, base.amplitudes())
+    tuned = at.forces(base.z, base.amplitudes()) if base.simulator else {}
     after = at.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
     smooth, deviation = _smoothed_remainder(case)
     form = _form_part(case, verdict.chosen)
@@ -293,15 +289,10 @@ def _verdict(case: Case, curves: tuple[LookCurve, ...]) -> VerdictSummary:
     )
 
 
-def _tuned_alone(case: Case) -> bool:
-    """Whether a simulator's parameters explain all that there is."""
-    return case.base.simulator is not None and case.verdict.status == "none"
-
-
 def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate, ...]:
     """The most probable sets of effects, and the unknown; ``rows`` and ``truth`` as in
     :func:`_gaps`."""
-    weighed, at = case.weighed, at_measured_slip(case.base)
+    weighed, at = case.weighed, case.base.measured
     main = case.base.prepared.channels[0]
     before, forces = rows[main]["base"], truth[main]
     total = chances(case.verdict, weighed)
@@ -421,9 +412,8 @@ def _on_everything(case: Case, prepared: Prepared, rig, rows):
     """Forces of both fits on every row; the located gap between the thinned rows is
     interpolated in their order."""
     base, verdict = case.base, case.verdict
-    whole = at_measured_slip(on_rows(base, prepared, rig))
-    silent = np.zeros(len(base.atoms))
-    before = whole.forces(base.as_given, silent)
+    whole = on_rows(base, prepared, rig).measured
+    before = whole.forces(base.as_given, base.amplitudes())
     after = whole.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
     kept, every, spread_out = base.prepared.kept, np.arange(prepared.n), {}
     for channel, parts in rows.items():
@@ -434,6 +424,6 @@ def _on_everything(case: Case, prepared: Prepared, rig, rows):
             "gap_std": np.interp(every, kept, parts["gap_std"]),
         }  # fmt: skip
         if base.simulator:
-            tuned = whole.forces(base.z, silent)[channel]
+            tuned = whole.forces(base.z, base.amplitudes())[channel]
             spread_out[channel] |= {"sim": before[channel], "tuned": tuned}
     return spread_out

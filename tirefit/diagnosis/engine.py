@@ -22,12 +22,7 @@ from tirefit.diagnosis.arguments import (
     tables,
     the_effects,
 )
-from tirefit.diagnosis.base import (
-    Base,
-    fit_base,
-    shown_slip_noise,
-    with_noise_judged,
-)
+from tirefit.diagnosis.base import Base, fit_base, shown_slip_noise, with_noise_judged
 from tirefit.diagnosis.blocks import blocks_of_settings, coincides
 from tirefit.diagnosis.case import Case
 from tirefit.diagnosis.conclusion import concluded
@@ -47,8 +42,6 @@ from tirefit.models import modelled
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
-
-__all__ = ["diagnose", "studied"]
 
 _CHANGED = 0.1
 """A change of the noise level, as a logarithm, after which the search starts anew."""

@@ -12,8 +12,6 @@ from scipy.fft import next_fast_len, rfft
 
 from tirefit.diagnosis.patterns import PHASES, Over, Patterns, turns
 
-__all__ = ["with_fast_waves"]
-
 _FINER = 4
 """Lines of the periodogram for each that a record has: between two of them a wave loses
 a fiftieth of its square at most."""

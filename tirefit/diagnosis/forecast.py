@@ -15,16 +15,6 @@ from tirefit.diagnosis.records import Forecast, NextMeasurement
 from tirefit.diagnosis.rows import Prepared
 from tirefit.models import modelled
 
-__all__ = [
-    "Nothing",
-    "Recognition",
-    "confusion",
-    "next_measurements",
-    "recognition",
-    "scores_of_nothing",
-    "separability",
-]
-
 DRAWS = 2000
 """Draws of noise: a chance of 5 % is known to half a percent."""
 
@@ -373,7 +363,7 @@ class _Options:
 
 def _part_of(base: Base, z) -> _Block:
     """A measurement under the conditions of ``base``, of a third as many rows."""
-    _, jacobian, columns, _ = base.linearised(z, np.zeros(len(base.atoms)))
+    _, jacobian, columns, _ = base.linearised(z, base.amplitudes())
     return _Block(jacobian * np.sqrt(_PART), columns * np.sqrt(_PART))
 
 
@@ -384,7 +374,7 @@ def _with_moment(base: Base, z) -> _Block:
     is beside its. The contact length, by which all of M_z is multiplied, is unknown.
     """
     main, n = base.prepared.channels[0], base.prepared.n
-    channels, silent = ("fy", "mz"), np.zeros(len(base.atoms))
+    channels = ("fy", "mz")
     scale = np.asarray(base.design.scale[main])
     rows = replace(base.rows, mode="y", channels=channels)
     tire = replace(base.fit.tire, mode="y")
@@ -394,7 +384,7 @@ def _with_moment(base: Base, z) -> _Block:
         scale={"fy": scale, "mz": scale},
     )
     lateral = replace(base, rows=rows, fit=replace(base.fit, tire=tire, design=design))
-    force = lateral.forces(z, silent)
+    force = lateral.forces(z, base.amplitudes())
     peaks = {c: max(float(np.max(np.abs(f))), FLAT) for c, f in force.items()}
     scales = {"fy": scale, "mz": scale * peaks["mz"] / peaks["fy"]}
     block = _part_of(lateral.on(design._replace(scale=scales)), z)

@@ -10,9 +10,6 @@ from tirefit.diagnosis.blocks import coincides
 from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.state import State
 
-__all__ = ["PLACE", "follows", "form_columns", "shape_of_change"]
-
-
 PLACE = {name: k for k, name in enumerate(State._fields)}
 """Column of each field of the state in :class:`tirefit.diagnosis.forward.Linear`."""
 

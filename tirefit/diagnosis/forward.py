@@ -15,17 +15,6 @@ from tirefit.fitting.least_squares import damped_gauss_newton
 from tirefit.models import Brush, Parabolic, TireInputs
 from tirefit.params import Values, with_values
 
-__all__ = [
-    "Design",
-    "Linear",
-    "Refit",
-    "brush_of_base",
-    "forces_of",
-    "moments",
-    "refit_all",
-    "tangents",
-]
-
 
 class Design(NamedTuple):
     """Everything a refit needs, as arrays, padded to few shapes.

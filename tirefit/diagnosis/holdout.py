@@ -16,8 +16,6 @@ from tirefit.diagnosis.run_codes import shown_runs
 from tirefit.diagnosis.runs import KINDS
 from tirefit.diagnosis.search import amplitudes_of
 
-__all__ = ["held_out"]
-
 _TOP = 0.05
 """Share of the range of loads or speeds that counts as its highest setting."""
 
@@ -93,7 +91,7 @@ def _known_without(case, out) -> bool:
     to say there what the verdict changes: a friction that only the largest slips show
     is off by more without them. To first order."""
     base, chosen, n = case.base, case.verdict.chosen, case.base.prepared.n
-    main, silent = base.prepared.channels[0], np.zeros(len(base.atoms))
+    main = base.prepared.channels[0]
     used_up = linear_at(base, chosen).used_up
     inside = used_up[np.tile(~out, len(base.prepared.channels))]
     prior = np.full(used_up.shape[1], ROUNDING)
@@ -102,7 +100,7 @@ def _known_without(case, out) -> bool:
     _, root = np.linalg.qr(inside)
     error = np.linalg.solve(root.T, used_up[:n][out].T)
     changed = base.forces(chosen.z, amplitudes_of(base, chosen))[main]
-    changed = (changed - base.forces(base.as_given, silent)[main])[out]
+    changed = (changed - base.forces(base.as_given, base.amplitudes())[main])[out]
     scale = base.design.scale[main][:n][out]
     return bool(np.sum(error**2) < np.sum((changed / scale) ** 2))
 
@@ -123,8 +121,8 @@ def _on_files(case, holdout, rig, generator) -> HeldOut:
         there = prepare(data, rig, rows.channels, rows.slip_scatter)
         other = on_rows(base, there, rig)
         observed = other.prepared.observed[main]
-        silent = np.zeros(len(base.atoms))
-        before.append(observed - other.forces(base.as_given, silent)[main])
+        forces = other.forces(base.as_given, base.amplitudes())
+        before.append(observed - forces[main])
         amplitudes = amplitudes_of(base, chosen)
         after.append(observed - other.forces(chosen.z, amplitudes)[main])
         scale = np.median(base.noise[main].std / base.prepared.inputs.fz)
@@ -187,19 +185,18 @@ def _both_without(case, out) -> tuple[np.ndarray, np.ndarray]:
     keep = np.array(base.design.keep)
     keep[: base.prepared.n] *= ~out
     design = base.design._replace(keep=keep)
-    main, silent = base.prepared.channels[0], np.zeros(len(base.atoms))
+    main = base.prepared.channels[0]
 
     def refitted(z, amplitude, atoms):
-        again, full = base.refit([(z, amplitude)], [atoms], design), silent.copy()
-        index = list(atoms)
-        full[index] = again.amplitude[0][: len(index)] * design.prior_scale[index]
-        return base.forces(again.z[0], full)[main][out]
+        again = base.refit([(z, amplitude)], [atoms], design)
+        amplitudes = base.amplitudes(atoms, again.amplitude[0])
+        return base.forces(again.z[0], amplitudes)[main][out]
 
     null = case.weighed.best_of[()]
     observed = base.prepared.observed[main][out]
     before = observed - refitted(null.z, np.zeros(0), ())
     if base.simulator:
-        before = observed - base.forces(base.as_given, silent)[main][out]
+        before = observed - base.forces(base.as_given, base.amplitudes())[main][out]
     return before, observed - refitted(chosen.z, chosen.amplitude, chosen.atoms)
 
 

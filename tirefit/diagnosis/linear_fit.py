@@ -10,16 +10,6 @@ from tirefit.diagnosis.forms import form_columns
 from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 
-__all__ = [
-    "PRIOR_OF_FORM",
-    "LinearFit",
-    "due_to_doubt",
-    "fitted_form",
-    "gain_of_form",
-    "gains_beside",
-    "linear_at",
-]
-
 PRIOR_OF_FORM = 0.4
 """That a listed effect is there in another form than the formulas'."""
 

@@ -19,8 +19,6 @@ from tirefit.diagnosis.patterns import (
 )
 from tirefit.diagnosis.verdict import Verdict
 
-__all__ = ["LookCurve", "curve_of", "look_curve", "shape_of"]
-
 _PERIODS = 6
 """Periods of a wave up to which each is shown; of more, all lie over one another."""
 

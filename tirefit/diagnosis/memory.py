@@ -18,8 +18,6 @@ from scipy.signal import lfilter
 
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING, SILENT
 
-__all__ = ["FORGETFUL", "Memory", "likeliest", "memory_of", "scatter_between"]
-
 
 class Memory(NamedTuple):
     """Noise of which a ``share`` of the variance, of all rows or of each (n,), is a

@@ -6,8 +6,6 @@ import numpy as np
 
 from tirefit.data.table import TireData
 
-__all__ = ["GRAVITY", "Derived", "derived_from", "motion_of", "seen_in_motion"]
-
 GRAVITY = 9.80665  # m/s^2
 
 _EXACT = 1e-3

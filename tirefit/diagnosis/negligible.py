@@ -1,8 +1,6 @@
 """What counts as nothing: guards of quotients, logarithms and comparisons, in values
 that are whitened or relative, and so of order one."""
 
-__all__ = ["FLAT", "NONZERO", "ROUNDING", "SILENT", "UNSEEN"]
-
 NONZERO = 1e-300
 """Divisor in place of zero, where nothing over nothing is nothing; its reciprocal is
 still finite."""

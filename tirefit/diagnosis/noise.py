@@ -17,9 +17,6 @@ from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
 from tirefit.diagnosis.rows import LOADS
 from tirefit.fitting.noise import MAD, autocorrelation_time
 
-__all__ = ["NoiseLevel", "correlation", "in_order", "judge_noise"]
-
-
 _FINEST = 1e-5
 """Noise over the load, at least: a twentieth of what the best force transducers resolve
 (class 0.02). Forces that a formula gave have none, and would make any gap certain."""

@@ -9,13 +9,6 @@ from tirefit.diagnosis.rates import segments
 from tirefit.diagnosis.rows import neighbours
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 
-__all__ = [
-    "hidden_by_noise",
-    "largest_step",
-    "set_aside_together",
-    "typical_of_neighbours",
-]
-
 _BESIDE_A_ROW = 2
 """Rows on either side whose misfit says whether a row that was set aside is alone."""
 

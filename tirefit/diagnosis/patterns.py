@@ -21,25 +21,6 @@ from tirefit.data.levels import Levels, levels
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rates import segments
 
-__all__ = [
-    "PARAMETERS",
-    "PHASES",
-    "USUAL_SIZES",
-    "Look",
-    "Over",
-    "Pattern",
-    "Patterns",
-    "is_mirrored",
-    "looks",
-    "patterns",
-    "patterns_gain",
-    "quantities",
-    "settings_of",
-    "travelled",
-    "turns",
-    "weights_of_sizes",
-]
-
 PARAMETERS = {
     "stiffness": ("stiffness", 0.06), "friction": ("friction", 0.03),
     "slip": ("shift", 0.002), "force": ("force", 0.01),

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import softmax
 
-from tirefit.diagnosis.base import Base, at_measured_slip
+from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.basis import (
     PRIORS,
     SCALES,
@@ -29,13 +29,6 @@ from tirefit.diagnosis.one_place import set_aside_together
 from tirefit.diagnosis.patterns import USUAL_SIZES, Patterns, weights_of_sizes
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.verdict import Verdict, Weighed
-
-__all__ = [
-    "drawn_functions",
-    "drawn_pattern",
-    "drawn_wave",
-    "plausible_forces",
-]
 
 DRAWS = 300
 """Draws: fifteen beyond either end of a 90 % interval."""
@@ -83,7 +76,7 @@ def plausible_forces(case: Case, generator) -> dict[str, np.ndarray]:
     """Draws of the true force of every used row at its measured slip: (n, draws) by
     channel."""
     base = case.base
-    beliefs, at = _beliefs(case), at_measured_slip(base)
+    beliefs, at = _beliefs(case), base.measured
     chances = np.ravel(_chances(beliefs, case.verdict))
     counts = generator.multinomial(DRAWS, chances)
     drawn: dict[str, list] = {channel: [] for channel in base.rows.channels}

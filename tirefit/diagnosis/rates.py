@@ -12,8 +12,6 @@ from scipy.special import comb
 from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
 from tirefit.fitting.noise import MAD
 
-__all__ = ["AGES", "AHEAD", "STEPS", "Past", "Sweeps", "segments", "slip_rate"]
-
 _WINDOWS = (5, 7, 11, 17, 25, 41)
 """Rows of the local parabolas: each half as wide again as the one before."""
 _COEFFICIENTS = 3

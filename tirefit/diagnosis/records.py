@@ -13,29 +13,6 @@ from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.patterns import Look
 from tirefit.diagnosis.rig import Rig
 
-__all__ = [
-    "Amplitude",
-    "Candidate",
-    "Cell",
-    "Change",
-    "DataSummary",
-    "Forecast",
-    "Gap",
-    "HeldOut",
-    "NextMeasurement",
-    "NoiseSummary",
-    "Part",
-    "Region",
-    "Resolution",
-    "Settings",
-    "Spot",
-    "Shrinkage",
-    "SimulatorSummary",
-    "Surrogate",
-    "Untestable",
-    "VerdictSummary",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class DataSummary:

@@ -8,8 +8,6 @@ from tirefit.diagnosis.forward import Design
 from tirefit.diagnosis.patterns import PARAMETERS, patterns
 from tirefit.diagnosis.rows import Prepared
 
-__all__ = ["whitened_generic"]
-
 
 def whitened_generic(
     rows: Prepared, design: Design, slip_fraction, fields: np.ndarray

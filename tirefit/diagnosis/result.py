@@ -32,8 +32,6 @@ from tirefit.diagnosis.views import Comparison, ResidualMap
 from tirefit.display import Displayed
 from tirefit.files import json_text
 
-__all__ = ["SCHEMA", "Diagnosis"]
-
 SCHEMA = "tirefit.diagnosis/2"
 
 _NOT_WRITTEN = {"written": False}

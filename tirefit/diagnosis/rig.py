@@ -14,9 +14,6 @@ from tirefit.door import read_toml
 from tirefit.results import InputProblem, UsageError
 from tirefit.settings import Section, parse_settings
 
-__all__ = ["VEHICLE", "Rig", "load_rig"]
-
-
 # Optional numbers, within what anybody measures.
 _Force = Annotated[float | None, Field(ge=1e-9, le=1e7)]  # N, or N m
 _Share = Annotated[float | None, Field(ge=1e-9, le=1e2)]

@@ -9,12 +9,7 @@ import numpy as np
 from tirefit.data.levels import levels
 from tirefit.data.table import TireData
 from tirefit.diagnosis.demands import check_data, check_force_noise
-from tirefit.diagnosis.motion import (
-    Derived,
-    derived_from,
-    motion_of,
-    seen_in_motion,
-)
+from tirefit.diagnosis.motion import Derived, derived_from, motion_of, seen_in_motion
 from tirefit.diagnosis.negligible import FLAT, ROUNDING
 from tirefit.diagnosis.rates import AHEAD, Sweeps, segments, slip_rate
 from tirefit.diagnosis.run_codes import shown_runs
@@ -27,16 +22,6 @@ from tirefit.fitting.problem import check_slip_noise
 from tirefit.fitting.slip_noise import SlipDistribution, speed_of, std_with_speed
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
-
-__all__ = [
-    "LOADS",
-    "NOT_STATED",
-    "Prepared",
-    "neighbours",
-    "on_scale_of",
-    "prepare",
-    "thinned",
-]
 
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that drive the forces -> forces that may be diagnosed."""

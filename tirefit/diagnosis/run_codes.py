@@ -2,8 +2,6 @@
 
 import numpy as np
 
-__all__ = ["shown_runs"]
-
 _LEAST_ROWS = 20
 """Rows of a run from which it has an offset of its own."""
 

@@ -12,17 +12,6 @@ from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.run_codes import shown_runs
 from tirefit.padding import pad_rows
 
-__all__ = [
-    "KINDS",
-    "RunOffsets",
-    "Shrunk",
-    "estimates",
-    "offsets_of_runs",
-    "pattern_of_runs",
-    "shrunk",
-    "with_runs",
-]
-
 KINDS = {effect: of.field for effect, of in OFFSETS.items()}
 """Effect whose amplitude may be each run's own -> the field of the state it moves."""
 
@@ -125,9 +114,7 @@ def estimates(base, kind: str, hypothesis=None):
     there = np.zeros(rows.n)
     if hypothesis is not None and hypothesis.atoms:
         atoms = list(hypothesis.atoms)
-        amplitudes = np.zeros(len(base.atoms))
-        scale = np.asarray(base.design.prior_scale)[atoms]
-        amplitudes[atoms] = hypothesis.amplitude * scale
+        amplitudes = base.amplitudes(atoms, hypothesis.amplitude)
         linear = base.linearised(hypothesis.z, amplitudes)
         ids = {k: base.atoms[k].effect.id for k in atoms}
         other = [k for k in atoms if ids[k] not in (kind, f"{kind}_run")]

@@ -13,8 +13,6 @@ from tirefit.diagnosis.basis import without
 from tirefit.diagnosis.forward import MOST
 from tirefit.diagnosis.negligible import ROUNDING
 
-__all__ = ["Hypothesis", "Search", "amplitudes_of", "search"]
-
 PRIOR_OF_SIZE = {0: 0.4, 1: 0.4, 2: 0.1, 3: 0.015}
 """Probability of so many effects at once; nothing and one are as likely, and every
 further one is four to seven times rarer."""
@@ -74,11 +72,7 @@ class Hypothesis:
 
 def amplitudes_of(base: Base, hypothesis: Hypothesis) -> np.ndarray:
     """Amplitudes of all atoms (K,) in their own units."""
-    full = np.zeros(len(base.atoms))
-    scale = np.asarray(base.design.prior_scale)
-    for k, a in zip(hypothesis.atoms, hypothesis.amplitude, strict=True):
-        full[k] += a * scale[k]
-    return full
+    return base.amplitudes(hypothesis.atoms, hypothesis.amplitude)
 
 
 @dataclass

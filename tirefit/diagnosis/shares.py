@@ -7,8 +7,6 @@ from math import factorial
 from tirefit.diagnosis.base import Base
 from tirefit.diagnosis.search import Hypothesis
 
-__all__ = ["closed_by_each", "shapley"]
-
 
 def shapley(players: tuple, worth: Callable[[tuple], float]) -> dict:
     """Shapley value of every player: its mean gain over all orders.

@@ -11,8 +11,6 @@ import numpy as np
 
 from tirefit.diagnosis.negligible import FLAT, ROUNDING
 
-__all__ = ["Sizes", "half_force_slip", "largest", "sizes_of"]
-
 _HALF = (0.4, 0.6)
 """Share of the largest force that is about half of it."""
 _LEAST_RISE = 1e-3

@@ -13,8 +13,6 @@ import numpy as np
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_from_speeds
 
-__all__ = ["AGAINST", "BESIDE", "FOR", "SlipCheck", "check_slip"]
-
 FOR, BESIDE, AGAINST = 3.0, 1.5, -1.5
 """What the check adds to the log odds of an effect that it shows, of one that it shows
 as much as an error of the speeds, and of one that it would have shown. One effect of

@@ -5,8 +5,6 @@ import numpy as np
 from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
 
-__all__ = ["slip_doubt", "slip_law", "slip_nodes", "slip_proxies", "swing_of"]
-
 _COUNTS = (3, 5)
 """Gauss-Hermite nodes of the slip noise: exact for a force that is a polynomial of
 degree 5 or 9 within it."""

@@ -12,8 +12,6 @@ from scipy.optimize import nnls
 
 from tirefit.diagnosis.negligible import NONZERO
 
-__all__ = ["slip_scatter"]
-
 _CLEAR = 2.5
 """Standard errors from which the scatter follows the steepness: one record in 160
 without any noise of the slip."""

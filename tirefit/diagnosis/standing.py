@@ -20,8 +20,6 @@ from tirefit.diagnosis.rates import segments
 from tirefit.diagnosis.rows import Prepared, neighbours
 from tirefit.diagnosis.search import Hypothesis, amplitudes_of
 
-__all__ = ["Standing", "partitions", "regimes", "standing", "steadiness", "widening"]
-
 _PARTS = 5, 8
 """Parts of slip and time, between which the size of an effect is compared."""
 

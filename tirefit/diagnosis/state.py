@@ -18,14 +18,6 @@ from tirefit.models.friction import Friction
 from tirefit.models.pressure import AbstractPressure, Parabolic
 from tirefit.params import Values
 
-__all__ = [
-    "Covariates",
-    "State",
-    "force_of_state",
-    "null_state",
-    "peak_ratio",
-]
-
 
 class Covariates(NamedTuple):
     """What effects may depend on, one value per row (n,).
@@ -219,11 +211,9 @@ class _TwoFrictions(Friction):
     factor: Array | float = 1.0
 
     def static(self, mu, v_s):
-        del v_s
         return mu * (1 + self.excess)
 
     def kinetic(self, mu, v_s):
-        del v_s
         return mu * self.factor
 
 

@@ -13,8 +13,6 @@ from tirefit.files import write_text_atomic
 from tirefit.models import MODELS
 from tirefit.params import specs
 
-__all__ = ["record_of_document", "rows_in_file_terms", "save_diagnosis"]
-
 
 def rows_in_file_terms(result: Diagnosis) -> dict[str, np.ndarray]:
     """Columns of ``NAME.rows.csv``, in the file's own convention and units."""

@@ -13,8 +13,6 @@ from tirefit.diagnosis.records import DataSummary
 from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import Prepared
 
-__all__ = ["data_summary", "moving_together"]
-
 _CONDITIONS = ("time", "fz", "v", "temperature", "gamma", "pressure")
 
 _TOGETHER = 0.9

@@ -21,8 +21,6 @@ from tirefit.fitting.layout import Layout
 from tirefit.models import AbstractTire
 from tirefit.padding import pad_rows
 
-__all__ = ["Tire", "with_force"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Tire:

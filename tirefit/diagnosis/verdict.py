@@ -6,11 +6,7 @@ import numpy as np
 from scipy.special import logsumexp, softmax
 
 from tirefit.diagnosis.adequacy import UNTESTED, Adequacy
-from tirefit.diagnosis.basis import (
-    misfit_p_value,
-    of_any_kind,
-    without,
-)
+from tirefit.diagnosis.basis import misfit_p_value, of_any_kind, without
 from tirefit.diagnosis.changes import MOST_EFFECTS
 from tirefit.diagnosis.effects.free_forms import moved_by
 from tirefit.diagnosis.forecast import DRAWS, scores_of_nothing, separability
@@ -22,27 +18,7 @@ from tirefit.diagnosis.linear_fit import (
     linear_at,
 )
 from tirefit.diagnosis.negligible import UNSEEN
-from tirefit.diagnosis.search import (
-    PRIOR_OF_UNKNOWN,
-    Hypothesis,
-    Search,
-    amplitudes_of,
-)
-
-__all__ = [
-    "HARDLY",
-    "Verdict",
-    "Weighed",
-    "gap_p_value",
-    "judge",
-    "named",
-    "nothing_shown",
-    "stand_ins",
-    "swapped_beside",
-    "ties",
-    "weigh",
-]
-
+from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis, Search, amplitudes_of
 
 SURE = 0.8
 """Probability from which an effect is named without alternatives."""

@@ -12,16 +12,6 @@ from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 from tirefit.diagnosis.where import LEVEL, covariates_of
 from tirefit.slip import sigma_from_slip_ratio, slip_ratio_from_sigma
 
-__all__ = [
-    "Comparison",
-    "LoadCurve",
-    "ResidualMap",
-    "ShownRows",
-    "compared",
-    "residual_map",
-    "shown_rows",
-]
-
 _BANDS = 5
 """Bands of a covariate that is swept."""
 _BINS, _IN_A_BIN = (4, 14), 8

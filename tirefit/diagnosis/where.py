@@ -7,18 +7,11 @@ from scipy.stats import false_discovery_control
 
 from tirefit.data.levels import levels
 from tirefit.diagnosis.base import Base
-from tirefit.diagnosis.basis import (
-    FULL_SLIDING,
-    functions_of,
-    mean_gain,
-    orthogonal,
-)
+from tirefit.diagnosis.basis import FULL_SLIDING, functions_of, mean_gain, orthogonal
 from tirefit.diagnosis.forms import PLACE
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.patterns import PARAMETERS, USUAL_SIZES
 from tirefit.diagnosis.records import Cell, Region, Spot
-
-__all__ = ["LEVEL", "covariates_of", "parameter_map", "regions", "spots"]
 
 LEVEL = 0.05
 """False discoveries among the regions, or the cells of a map, that are said to hold

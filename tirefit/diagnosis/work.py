@@ -5,8 +5,6 @@ import numpy as np
 from tirefit.data.table import TireData
 from tirefit.diagnosis.rates import segments
 
-__all__ = ["work_of_sliding"]
-
 _COOLINGS = (None, 0.2, 0.05)
 """How long the warmth of sliding lasts, in shares of the record; None is for good."""
 

@@ -147,7 +147,7 @@ class DataConfig(Section):
 class PosteriorConfig(Section):
     """Sampling: which sampler, and how far."""
 
-    sampler: Literal["emcee", "nuts", "importance"] = "emcee"
+    sampler: Literal["emcee", "nuts", "importance"] | None = None
     ensembles: int = Field(default=4, ge=4, le=1000)
     walkers: Annotated[int, Field(ge=1, le=10_000)] | None = None
     effective_samples: Annotated[int, Field(ge=1, le=10_000_000)] = 4000

@@ -4,8 +4,9 @@ Without a posterior the interval of a quantity is that of its profile likelihood
 range of its values over all parameters whose deviance stays below the 95 % level. Of
 one parameter alone it is that parameter's own interval, mapped.
 
-A quantity of parameters that each run has its own of is one per run, ``F_max[run]``,
-all at the same load and speed, so that runs compare.
+A quantity of parameters that each run has its own of is one per run, ``F_max[run]``.
+It is at the load and speed that this run was held at, where runs differ in these, as
+bins of a rig do; else all are at those of the file, so that runs compare.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -24,6 +25,7 @@ from tirefit.fitting.profile import Profile
 from tirefit.fitting.result import Estimate
 from tirefit.fitting.solve import Solved
 from tirefit.models import TireInputs
+from tirefit.padding import pad_rows, padded_size
 from tirefit.params import with_values
 
 __all__ = [
@@ -33,7 +35,7 @@ __all__ = [
     "derived_values",
     "quantities",
     "quantity_of",
-    "reference_point",
+    "reference_points",
 ]
 
 _LARGEST_SLIP = 3.0
@@ -70,11 +72,35 @@ def quantities(channel: str) -> dict[str, tuple[str, str]]:
     }
 
 
-def reference_point(problem: FitProblem) -> dict[str, float]:
-    """Median load [N] and speed [m/s] of the fitted rows."""
-    fz = problem.used(problem.rows.inputs.fz)
-    v = problem.used(problem.rows.inputs.v)
-    return {"fz": float(np.median(fz)), "v": float(np.median(v))}
+def reference_point(problem: FitProblem, run: int | None = None) -> dict[str, float]:
+    """Median load [N] and speed [m/s] of the fitted rows.
+
+    Args:
+        run: code of a run, whose own median it is where most of its rows (90 %) lie
+            nearer to that than it does to the median of all.
+    """
+    point, here = {}, problem.used(problem.rows.run) == run
+    for name in ("fz", "v"):
+        values = problem.used(getattr(problem.rows.inputs, name))
+        point[name] = float(np.median(values))
+        if here.any():
+            own = float(np.median(values[here]))
+            stray = np.quantile(np.abs(values[here] - own), 0.9)
+            point[name] = own if stray < abs(own - point[name]) else point[name]
+    return point
+
+
+def reference_points(problem: FitProblem) -> dict[str, float]:
+    """Load and speed of the derived quantities, and as ``fz[run]`` those of the runs
+    that have parameters of their own and were held at other ones."""
+    shared = reference_point(problem)
+    own = any(parameter.per_run for _, parameter in problem.layout.elements)
+    return shared | {
+        f"{name}[{run}]": value
+        for code, run in enumerate(problem.layout.runs if own else ())
+        for name, value in reference_point(problem, code).items()
+        if value != shared[name]
+    }
 
 
 def _curve(model, values, channel: str, fz, v):
@@ -176,15 +202,24 @@ def derived_values(model, layout: Layout, z, channel, fz, v, run=0):
     return jax.lax.map(one, z, batch_size=64)
 
 
-def _evaluator(problem: FitProblem, channel: str, run: int = 0) -> Callable:
-    """z (m, p) -> quantity -> values (m,) of a run at the reference point, in order."""
-    at = reference_point(problem)
+def _evaluator(problem: FitProblem, channel: str, run: int | None) -> Callable:
+    """z (m, p) -> quantity -> values (m,) of a run at its reference point, in order.
+
+    Vectors that differ in other runs' elements alone are evaluated once.
+    """
+    at = reference_point(problem, run)
+    own = problem.layout.elements_of(np.array([run or 0]))[0]
 
     def evaluate(z):
-        derived = derived_values(
-            problem.model, problem.layout, z, channel, at["fz"], at["v"], run
+        _, first, code = np.unique(
+            z[:, own], axis=0, return_index=True, return_inverse=True
         )
-        return {k: np.asarray(derived[k]) for k in quantities(channel) if k in derived}
+        derived = derived_values(
+            problem.model, problem.layout, pad_rows(z[first], padded_size(len(first))),
+            channel, at["fz"], at["v"], run or 0,
+        )  # fmt: skip
+        names = [name for name in quantities(channel) if name in derived]
+        return {name: np.asarray(derived[name])[code.ravel()] for name in names}
 
     return evaluate
 
@@ -252,31 +287,32 @@ def derived_from_profile(
     high = np.array([np.inf if p.open_high else p.high for p in profiles])
     own = np.array([p.per_run for _, p in problem.layout.elements])
     derived: dict[str, Estimate] = {}
-    for code, run in enumerate(problem.layout.runs if own.any() else ("",)):
-        evaluate = _evaluator(problem, channel, code)
-        part = _of_run(solved, evaluate, channel, (low, high), estimates, set(derived))
-        for name, involved, estimate in part:
-            derived[f"{name}[{run}]" if own[involved].any() else name] = estimate
+    for code, run in [(None, ""), *enumerate(problem.layout.runs if own.any() else ())]:
+        part = _of_run(solved, channel, code, (low, high), estimates, own)
+        for name, estimate in part:
+            derived[name if code is None else f"{name}[{run}]"] = estimate
     order = list(quantities(channel))
     by_quantity = sorted(derived, key=lambda label: order.index(quantity_of(label)))
     return {label: derived[label] for label in by_quantity}
 
 
 def _of_run(
-    solved: Solved, evaluate: Callable, channel: str, ends, estimates, known: set[str]
-) -> Iterator[tuple[str, np.ndarray, Estimate]]:
-    """(quantity, elements that it depends on, estimate) of one run, less those known
-    already; ``ends`` (low, high) of every element (p,)."""
+    solved: Solved, channel: str, run: int | None, ends, estimates, own: np.ndarray
+) -> Iterator[tuple[str, Estimate]]:
+    """(quantity, estimate) of those that depend on an element which each run has its
+    own of (``own`` (p,)), or of the others where ``run`` is None; ``ends`` (low, high)
+    of every element (p,)."""
     z, (low, high) = solved.z, ends
+    evaluate = _evaluator(solved.problem, channel, run)
     mapped = _moved(evaluate, z, low, high)
     # Ends at rounding level would hide which elements a quantity depends on.
     apart = _moved(evaluate, z, np.minimum(low, z - 0.01), np.maximum(high, z + 0.01))
     for name, (value, moved) in apart.items():
-        if name in known or name == "F_max_over_fz":
-            continue
         value, unit = float(value), quantities(channel)[name][0]
         same = np.abs(moved - value) <= 1e-7 * abs(value)
         involved = np.flatnonzero(~same.all(axis=0))
+        if name == "F_max_over_fz" or own[involved].any() == (run is None):
+            continue
         if not np.isfinite(value):
             estimate = Estimate(value, None, unit, (None, None), identified=False)
         elif len(involved) == 0:
@@ -285,10 +321,10 @@ def _of_run(
             of_one = mapped[name][1][:, involved[0]] if len(involved) == 1 else None
             parts = [estimates[int(i)] for i in involved]
             estimate = _estimate(solved, evaluate, name, unit, parts, of_one)
-        yield name, involved, estimate
+        yield name, estimate
         if name == "F_max":
-            fz = reference_point(solved.problem)["fz"]
-            yield "F_max_over_fz", involved, _over_load(estimate, fz)
+            fz = reference_point(solved.problem, run)["fz"]
+            yield "F_max_over_fz", _over_load(estimate, fz)
 
 
 def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Estimate:
@@ -305,12 +341,21 @@ def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Es
         ci95, identified = _ends(value - half, value + half), True
     else:
         ci95 = _ends(*(extreme(solved, quantity, sign) for sign in (-1, 1)))
-        identified = _says_something(ci95)
+        identified = _says_something(ci95) or _by_noise(solved, value, slope)
     low, high = ci95
     if low is not None and high is not None and any(one.std is None for one in known):
         # The covariance says nothing of it: the profile's own width does.
         std = (high - low) / (2 * float(np.sqrt(solved.level)))
     return Estimate(float(value), std if identified else None, unit, ci95, identified)
+
+
+def _by_noise(solved: Solved, value: float, slope) -> bool:
+    """Whether the noise alone limits a quantity, where a misfit widens its interval."""
+    noise = solved.of_noise
+    if noise is None:
+        return False
+    half = float(np.sqrt(solved.level * (slope @ noise @ slope)))
+    return _says_something((value - half, value + half))
 
 
 _BLOCK = 4096
@@ -333,13 +378,12 @@ def derived_from_draws(
     count, blocks = len(z_draws), -(-len(z_draws) // _BLOCK)
     padded = np.resize(z_draws, (blocks * _BLOCK, z_draws.shape[1]))
     derived: dict[str, Estimate] = {}
-    for code, run in enumerate(problem.layout.runs):
-        labels = {k: (k, f"{k}[{run}]") for k in map(quantity_of, least_squares)}
+    for code, run in [(None, ""), *enumerate(problem.layout.runs)]:
+        ending = "" if code is None else f"[{run}]"
         asked = {
-            name: label
-            for name, known in labels.items()
-            for label in known
-            if label in least_squares and label not in derived
+            name: f"{name}{ending}"
+            for name in map(quantity_of, least_squares)
+            if f"{name}{ending}" in least_squares
         }
         if asked:
             evaluate = _evaluator(problem, channel, code)

@@ -11,11 +11,12 @@ from tirefit.compiled import release_programs
 from tirefit.data.accept import as_data
 from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig, parse_config
-from tirefit.fitting.derived import derived_from_profile, reference_point
+from tirefit.fitting.derived import derived_from_profile, reference_points
 from tirefit.fitting.far_rows import FarRow, Settled, settle
-from tirefit.fitting.inference import half_width_95
+from tirefit.fitting.inference import REACH, half_width_95
 from tirefit.fitting.layout import Tie
 from tirefit.fitting.likelihood import FitProblem
+from tirefit.fitting.noise import noise_law
 from tirefit.fitting.profile import Profile, profile_all
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics, information
 from tirefit.fitting.solve import Solved
@@ -26,7 +27,7 @@ from tirefit.precision import require_x64
 __all__ = ["data_record", "fit", "with_fixed"]
 
 
-def _not_identified(spec, low: float, high: float, profile: Profile) -> bool:
+def _not_identified(spec, low, high, open_low: bool, open_high: bool) -> bool:
     """Whether an interval leaves the parameter essentially free.
 
     It does where it is open on both sides, or open on one and more than half of the
@@ -34,18 +35,24 @@ def _not_identified(spec, low: float, high: float, profile: Profile) -> bool:
     a factor of ten (three, for a friction coefficient) from end to end.
     """
     if spec.scale == "log":
-        return profile.open_low or profile.open_high or high / low > 10
+        return open_low or open_high or high / low > 10
     share = (high - low) / (spec.upper - spec.lower)
-    open_ends = profile.open_low + profile.open_high
+    open_ends = open_low + open_high
     if spec.lower > 0 and high / low > 3:
         return True
     return open_ends == 2 or (open_ends == 1 and share > 0.5) or share > 0.8
 
 
 def _profile_estimates(solved: Solved, profiles: list[Profile]):
-    """Least-squares estimates with profile intervals, and covariance intervals."""
+    """Least-squares estimates with profile intervals, and covariance intervals.
+
+    A parameter is identified by its profile, or where a misfit widens that, by the
+    noise alone.
+    """
     estimates, by_covariance = {}, {}
     dof = max(solved.n_effective - solved.problem.layout.size, 1.0)
+    noise = solved.of_noise
+    ends = None if noise is None else _ends_by(solved, noise, dof)
     quantile = half_width_95(solved.problem.noise_estimated, dof)
     for i, (label, parameter) in enumerate(solved.problem.layout.elements):
         spec, z = parameter.spec, solved.z[i]
@@ -54,7 +61,14 @@ def _profile_estimates(solved: Solved, profiles: list[Profile]):
         profile = profiles[i]
         low = spec.lower if profile.open_low else float(constrain(profile.low, spec))
         high = spec.upper if profile.open_high else float(constrain(profile.high, spec))
-        identified = not _not_identified(spec, low, high, profile)
+        free = _not_identified(spec, low, high, profile.open_low, profile.open_high)
+        if free and ends is not None:
+            left, right = ends[:, i]
+            free = _not_identified(
+                spec, float(constrain(left, spec)), float(constrain(right, spec)),
+                left <= -REACH, right >= REACH,
+            )  # fmt: skip
+        identified = not free
         at_bound = _at_bound(spec, value)
         estimates[label] = Estimate(
             value, std if identified and not at_bound else None, spec.unit,
@@ -62,6 +76,23 @@ def _profile_estimates(solved: Solved, profiles: list[Profile]):
         )  # fmt: skip
         by_covariance[label] = (value - quantile * std, value + quantile * std)
     return estimates, by_covariance
+
+
+def _ends_by(solved: Solved, covariance: np.ndarray, dof: float) -> np.ndarray:
+    """Ends (2, p) in z of the 95 % intervals of a covariance, within reach."""
+    quantile = half_width_95(solved.problem.noise_estimated, dof)
+    half = quantile * np.sqrt(np.diag(covariance))
+    return np.clip(solved.z + np.array([[-1], [1]]) * half, -REACH, REACH)
+
+
+def _independent_intervals(solved: Solved) -> dict:
+    """95 % intervals if every row were independent of the others."""
+    dof = solved.problem.n - solved.problem.layout.size
+    low, high = _ends_by(solved, solved.independent, dof)
+    return {
+        label: (float(constrain(low[i], p.spec)), float(constrain(high[i], p.spec)))
+        for i, (label, p) in enumerate(solved.problem.layout.elements)
+    }
 
 
 def _at_bound(spec, value: float) -> bool:
@@ -163,6 +194,7 @@ def data_record(data: TireData, used: int, far: tuple[FarRow, ...]) -> dict[str,
         "columns": dict(source.columns),
         "units": dict(source.units),
         "assumptions": list(source.notes),
+        "constants": dict(source.constants),
         "slip_check": None if source.slip_check is None else asdict(source.slip_check),
     }
 
@@ -187,6 +219,14 @@ def _noise_record(settled: Settled, config: FitConfig) -> dict[str, Any]:
             "proportional_to_load": _follows_load(problem, scale),
             "source": "estimated" if channel.noise_estimated else "given",
         }
+        one_std = channel.noise_estimated and np.ptp(scale) == 0
+        if one_std and problem.loss == "squares" and not problem.rows.nodes:
+            force = settled.solved.at.mean[channel.name]
+            record[channel.name] |= noise_law(
+                problem.used(problem.rows.observed[channel.name]) - force,
+                problem.used(problem.rows.inputs.fz), force,
+                problem.used(problem.rows.run), problem.layout.runs,
+            )  # fmt: skip
     for slip, std in problem.slip_noise.items():
         record[slip] = {"median_std": float(np.median(std)), "source": "given"}
     record["inflation"] = {
@@ -253,6 +293,7 @@ def _summarise(settled: Settled, data: TireData, config) -> FitResult:
         intervals={
             "covariance": by_covariance,
             "profile": {label: value.ci95 for label, value in estimates.items()},
+            "independent": _independent_intervals(solved),
         },
         derived=derived_from_profile(solved, profiles, list(estimates.values())),
         statistics=_statistics(solved),
@@ -262,7 +303,7 @@ def _summarise(settled: Settled, data: TireData, config) -> FitResult:
         labels=problem.layout.labels,
         correlation=solved.covariance / np.outer(std, std),
         data=data_record(data, problem.n, settled.far),
-        reference=reference_point(problem),
+        reference=reference_points(problem),
         solver=config.solver,
         seed=config.seed,
         version=importlib.metadata.version("tirefit"),

@@ -19,7 +19,12 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.special import ndtri, stdtrit
 
 from tirefit.compiled import compiled
-from tirefit.fitting.least_squares import Solution, damped_gauss_newton, solve
+from tirefit.fitting.least_squares import (
+    Solution,
+    damped_gauss_newton,
+    directions,
+    solve,
+)
 from tirefit.fitting.likelihood import (
     FitProblem,
     Rule,
@@ -86,14 +91,20 @@ jax.export.register_namedtuple_serialization(Minima, serialized_name="tirefit.Mi
 @compiled()
 def _minima(problem: FitProblem, starts, index, values, count) -> Minima:
     """:func:`minima` of the first ``count`` of m searches; the others are not done."""
+    blocks = len(problem.rules)
+    elements = None
+    if problem.layout.is_sparse:
+        parts = [problem.layout.elements_of(problem.rows.run)] * blocks
+        elements = jnp.concatenate([*parts, problem.layout.prior_elements])
 
     def one(k, ends):
         def held(z):
             return z.at[index[k]].set(values[k], mode="drop")
 
         end = damped_gauss_newton(
-            lambda z: residuals(problem, held(z)), starts[k], allowed=_within_reach
-        )
+            lambda z: residuals(problem, held(z)), starts[k],
+            elements=elements, allowed=_within_reach,
+        )  # fmt: skip
         z = held(end.z)
         here = Minima(z, end.cost, deviance(problem, z), end.converged, end.steps)
         return jax.tree.map(lambda all, new: all.at[k].set(new), ends, here)
@@ -207,10 +218,20 @@ def linearise(problem: FitProblem, z: Float[Values, " p"]) -> Linearised:
     def push(direction):
         return jax.jvp(everything, (z,), (direction,), has_aux=True)
 
+    def spread(slopes, elements):
+        rows = jnp.broadcast_to(jnp.arange(len(elements))[:, None], elements.shape)
+        return jnp.zeros((len(elements), z.size)).at[rows, elements].add(slopes)
+
+    layout = problem.layout
+    elements = layout.elements_of(problem.rows.run)
+    each = directions(elements, z.size) if layout.is_sparse else jnp.eye(z.size)
     # One pass of forward tangents: the model stands in the program once.
-    values, slopes, (mean, variance) = jax.vmap(push, out_axes=(None, -1, None))(
-        jnp.eye(z.size)
-    )
+    values, slopes, (mean, variance) = jax.vmap(push, out_axes=(None, -1, None))(each)
+    if layout.is_sparse:
+        slopes = {
+            k: spread(v, layout.prior_elements if k == "prior" else elements)
+            for k, v in slopes.items()
+        }
     return Linearised(values, slopes, mean, variance)
 
 

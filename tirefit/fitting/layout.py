@@ -79,6 +79,25 @@ class Layout:
         """Length of z."""
         return len(self.elements)
 
+    @property
+    def is_sparse(self) -> bool:
+        """Whether a row depends on some elements of z only, those of its run."""
+        return any(parameter.per_run for parameter in self.free)
+
+    def elements_of(self, run):
+        """Elements of z that each row depends on, one per free parameter: (n, q)."""
+        count = [len(self.runs) if p.per_run else 1 for p in self.free]
+        first = np.cumsum([0, *count[:-1]])
+        own = np.array([p.per_run for p in self.free])
+        return first[None] + run[:, None] * own[None]
+
+    @property
+    def prior_elements(self) -> np.ndarray:
+        """The same of each of :meth:`prior_residual`, which depends on one of them."""
+        count = [len(self.runs) if p.per_run else 1 for p in self.free]
+        run = np.concatenate([np.arange(n) for n in count])
+        return self.elements_of(run[[p.prior is not None for _, p in self.elements]])
+
     def natural(self, z) -> dict:
         """Named values: shape () where shared, (runs,) where per run; ties resolved."""
         values, start = {}, 0

@@ -14,7 +14,9 @@ import jax.export
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-__all__ = ["SOLVERS", "Minimum", "Solution", "damped_gauss_newton", "solve"]
+__all__ = [
+    "SOLVERS", "Minimum", "Solution", "damped_gauss_newton", "directions", "solve",
+]  # fmt: skip
 
 _TOLERANCE = 1e-9
 _MAX_STEPS = 200
@@ -94,17 +96,31 @@ _NO_CURVATURE = 1e-9
 """Added to the diagonal: an element that no row informs about stays where it is."""
 
 
-def _linearise(residual: Residual, z: Float[Array, " p"]):
+def directions(elements: Int[Array, "n q"], size: int) -> Float[Array, "q size"]:
+    """Tangents that give every slope at once: a row changes with q elements of z only,
+    and elements in one column share no row."""
+    columns = jnp.broadcast_to(jnp.arange(elements.shape[1]), elements.shape)
+    return jnp.zeros((elements.shape[1], size)).at[columns, elements].set(1.0)
+
+
+def _linearise(residual: Residual, z: Float[Array, " p"], elements=None):
     """Cost, normal matrix and gradient from one pass of forward tangents."""
+    each = jnp.eye(z.size) if elements is None else directions(elements, z.size)
 
     def push(direction):
         return jax.jvp(residual, (z,), (direction,), has_aux=True)
 
-    values, rows, weights = jax.vmap(push, out_axes=(None, 0, None))(jnp.eye(z.size))
+    values, rows, weights = jax.vmap(push, out_axes=(None, 0, None))(each)
     # Else the compiler works every tangent out anew for each product.
     values, rows = jax.lax.optimization_barrier((values, rows))
     weighted = rows * weights[None]
-    return values @ values, weighted @ weighted.T, rows @ values
+    if elements is None:
+        return values @ values, weighted @ weighted.T, rows @ values
+    pairs = weighted.T[:, :, None] * weighted.T[:, None, :]
+    normal = jnp.zeros((z.size, z.size))
+    normal = normal.at[elements[:, :, None], elements[:, None, :]].add(pairs)
+    gradient = jnp.zeros(z.size).at[elements].add(rows.T * values[:, None])
+    return values @ values, normal, gradient
 
 
 def _anywhere(z: Float[Array, " p"]) -> Float[Array, " p"]:
@@ -144,6 +160,7 @@ def damped_gauss_newton(
     residual: Residual,
     start: Float[Array, " p"],
     *,
+    elements: Int[Array, "n q"] | None = None,
     allowed: Callable = _anywhere,
     max_steps: int = _MAX_STEPS,
     relative: float = _TOLERANCE,
@@ -162,6 +179,7 @@ def damped_gauss_newton(
     Args:
         residual: residuals and scoring weights; p up to about ten.
         start: first z.
+        elements: of z, those that each residual depends on; None for all.
         allowed: takes a trial z to the nearest one that may be tried.
         max_steps: limit of trials, the start included.
         relative, absolute: the search ends where one undamped step could change the
@@ -173,7 +191,7 @@ def damped_gauss_newton(
 
     def step(state: _State) -> _State:
         best = state.best
-        cost, normal, gradient = _linearise(residual, state.trial)
+        cost, normal, gradient = _linearise(residual, state.trial, elements)
         better, share = cost < best.cost, (best.cost - cost) / state.promised
 
         def keep(new: Array, old: Array) -> Array:

@@ -1,19 +1,28 @@
 """Noise scale of the forces and the effective number of samples."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
-from scipy.special import chdtrc
+from scipy.optimize import nnls
+from scipy.special import chdtrc, chdtri
 
 __all__ = [
     "MAD",
     "autocorrelation",
     "autocorrelation_time",
     "effective_inflation",
+    "noise_law",
+    "noise_std",
     "robust_scale",
 ]
 
 
 MAD = 1.4826
 """Standard deviation of a normal law over its median absolute deviation."""
+
+_CHANCE = 5e-5
+"""Probability by chance of a difference of noise that counts as one."""
 
 _LEAST_RUNS = 4
 """With fewer runs their scatter says nothing."""
@@ -111,3 +120,59 @@ def _inflation(parts: list[np.ndarray]) -> float:
 def robust_scale(residual) -> float:
     """Standard deviation from the median absolute deviation, shape (n,) -> scalar."""
     return float(MAD * np.median(np.abs(residual - np.median(residual))))
+
+
+def noise_law(residual, fz, force, run, names) -> dict[str, Any]:
+    """How the noise of a force differs among rows; empty where it does not clearly.
+
+    The variance is a constant, a share of the load squared and one of the force
+    squared, by weighted non-negative least squares on the squared residuals; ``by_run``
+    holds the factor of each run beside that, where runs differ too.
+
+    Args:
+        residual, fz, force: (n,) observed - fitted, load, fitted force [N].
+        run: (n,) position of each row's run in ``names``.
+    """
+    design = np.column_stack([np.ones(len(fz)), fz, np.abs(force)]) ** 2
+    design, unit = design / design.mean(axis=0), np.sqrt(design.mean(axis=0))
+    squares = residual**2 / np.mean(residual**2)
+    variance = np.ones(len(squares))
+    for _ in range(20):
+        shares, _ = nnls(design / variance[:, None], squares / variance)
+        variance = np.maximum(design @ shares, 1e-6)
+    gain = np.sum(squares - np.log(variance) - squares / variance)
+    parts = [(squares / variance)[run == code] for code in np.unique(run)]
+    rows_per_one = autocorrelation_time([part / part.mean() - 1 for part in parts])
+    law: dict[str, Any] = {}
+    if gain > rows_per_one * chdtri(2, _CHANCE):
+        sizes = np.sqrt(shares * np.mean(residual**2)) / unit
+        keys = "constant", "share_of_load", "share_of_force"
+        law = dict(zip(keys, sizes.tolist(), strict=True))
+        squares = squares / variance
+    count = np.bincount(run, minlength=len(names))
+    by_run = np.bincount(run, squares, len(names)) / np.maximum(count, 1)
+    by_run = np.where(count > 0, np.maximum(by_run, 1e-6), 1.0)
+    apart = np.sum(count * (by_run - 1 - np.log(by_run)))
+    if apart > rows_per_one * chdtri(len(names) - 1, _CHANCE) > 0:
+        law["by_run"] = dict(zip(names, np.sqrt(by_run).tolist(), strict=True))
+    return law
+
+
+def noise_std(record: Mapping[str, Any], fz, force, runs=None, reference=None):
+    """Standard deviation (n,) of one measurement by the noise record of a fit.
+
+    Args:
+        fz, force: (n,) load and fitted force.
+        runs: (n,) names of the runs, where the rows have them.
+        reference: load [N] of the median, of noise proportional to the load.
+    """
+    std = np.broadcast_to(float(record["median_std"]), np.shape(fz))
+    if "share_of_load" in record:
+        parts = record["constant"], record["share_of_load"] * fz
+        std = np.hypot(np.hypot(*parts), record.get("share_of_force", 0.0) * force)
+    elif record.get("proportional_to_load"):
+        std = std * fz / reference
+    factors = record.get("by_run", {})
+    if runs is not None and factors:
+        std = std * np.array([factors.get(name, 1.0) for name in runs])
+    return std

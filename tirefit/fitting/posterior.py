@@ -20,20 +20,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.fitting.chains import (
-    Chain,
-    Keeper,
-    extended,
-    identity_of,
-    load_chain,
-)
+from tirefit.fitting.chains import Chain, Keeper, extended, identity_of, load_chain
 from tirefit.fitting.condense import apart, condensed
 from tirefit.fitting.derived import derived_from_draws
 from tirefit.fitting.estimate import with_fixed
 from tirefit.fitting.importance import Weighted, draw_weighted
 from tirefit.fitting.inference import REACH, deviance
 from tirefit.fitting.likelihood import FitProblem
-from tirefit.fitting.nuts import nuts_chunk, nuts_start
+from tirefit.fitting.nuts import nuts_chunk, nuts_start, sampler_of_chains
 from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
 from tirefit.fitting.solve import Solved
 from tirefit.fitting.verdict import judge
@@ -217,7 +211,7 @@ def _health(samples: np.ndarray, target: int, independent: bool = False) -> _Hea
 def sample(
     result: FitResult,
     *,
-    sampler: str = "emcee",
+    sampler: str | None = None,
     ensembles: int = 4,
     walkers: int | None = None,
     effective_samples: int = 4000,
@@ -231,10 +225,10 @@ def sample(
 
     Args:
         result: a fit from this process (``tirefit.fit``).
-        sampler: ``emcee``; ``nuts`` (gradients, for many parameters); ``importance``
-            (no chain: independent points, weighted; by far the fastest where the
-            posterior is compact), which hands over to emcee where its weights are not
-            to be trusted, and says so.
+        sampler: ``emcee``, the default to 20 parameters; ``nuts`` (gradients), that of
+            more; ``importance`` (no chain: independent points, weighted; by far the
+            fastest where the posterior is compact), which hands over to the default
+            where its weights are not to be trusted, and says so.
         ensembles: independent ensembles, at least 4.
         walkers: walkers per ensemble. Of emcee even, by default 64, more for many
             parameters; of nuts chains of their own, by default 8.
@@ -252,13 +246,14 @@ def sample(
             of another fit; or 32-bit floats in use.
     """
     require_x64("sampling")
-    if sampler not in (*SAMPLERS, "importance"):
+    if sampler not in (None, *SAMPLERS, "importance"):
         known = ", ".join((*SAMPLERS, "importance"))
         raise UsageError(f"sampler {sampler!r}: one of {known}")
     solved: Solved = result.solved
     seed = result.seed if seed is None else seed
-    chained = "emcee" if sampler == "importance" else sampler
-    shape = _shape(chained, solved.problem.layout.size, ensembles, walkers)
+    size = solved.problem.layout.size
+    sampler = sampler or sampler_of_chains(None, size)
+    shape = _shape(sampler_of_chains(sampler, size), size, ensembles, walkers)
     path = None if checkpoint is None else Path(checkpoint)
     run = _Run(
         sampler, seed, shape, effective_samples, max_steps, path, resume, progress
@@ -294,7 +289,8 @@ def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
     """The fit with the posterior of this problem, which is its own or one of cells."""
     solved: Solved = result.solved
     density, weighted = _density(solved._replace(problem=problem)), None
-    chained = "emcee" if run.sampler == "importance" else run.sampler
+    size = solved.problem.layout.size
+    chained = sampler_of_chains(run.sampler, size)
     if run.sampler == "importance":
         weighted = draw_weighted(
             density, *_whitening(solved), run.seed, run.target, run.progress
@@ -305,13 +301,13 @@ def _sampled(result: FitResult, problem: FitProblem, run: _Run) -> FitResult:
     chain, keeper = None, Keeper(run.path, identity)
     if run.resume and run.path is not None:
         chain = load_chain(run.path, identity)
-    size = solved.problem.layout.size
     chain, outcome = _draw(density, chained, size, run, chain, keeper)
     if chain is None:
         return judge(replace(result, interrupted=True))
     notes = []
     if weighted is not None:
-        notes.append(f"importance sampling refused ({weighted.refused}): emcee instead")
+        refused = f"importance sampling refused ({weighted.refused})"
+        notes.append(f"{refused}: {chained} instead")
     if keeper.fault:
         notes.append(f"the chain was not kept for --resume: {keeper.fault}")
     return _of_chain(result, chain, outcome, chained, run, weighted, notes)

@@ -14,10 +14,10 @@ from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.fitting.layout import Layout
 from tirefit.fitting.likelihood import row_forces
-from tirefit.fitting.mf.noise_law import NoiseLaw
 from tirefit.fitting.mf.parts import SLIPS_OF
 from tirefit.fitting.mf.predict import magic_formula_forces
 from tirefit.fitting.mf.result import MagicFormulaFit
+from tirefit.fitting.noise import noise_std
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit
@@ -159,29 +159,21 @@ def predict(
         )
     for channel in fitted:
         out[channel] = force[channel]
-        law = noise.get(channel)
-        noise_std = _noise_std(data, channel, law, reference, force[channel])
+        known = noise.get(channel)
+        std = _noise_std(data, channel, known, force[channel], reference)
         spread = np.sqrt(np.maximum(variance[channel], 0.0))  # by rounding below it
-        out[f"{channel}_std"] = np.hypot(spread, noise_std)
+        out[f"{channel}_std"] = np.hypot(spread, std)
     return _masked(data, out)
 
 
-def _noise_std(data: TireData, channel: str, record: Mapping | None, reference, force):
+def _noise_std(data: TireData, channel: str, record: Mapping | None, force, reference):
     """Noise of one measurement: the rows' own where they state it, else the fit's."""
     if f"{channel}_std" in data:
         return data[f"{channel}_std"]
     if record is None:
         return 0.0
-    if "share_of_load" in record:
-        law = NoiseLaw(
-            record["constant"],
-            record["share_of_load"],
-            record.get("share_of_force", 0.0),
-        )
-        return law.std(data["fz"], force)
-    if record.get("proportional_to_load"):
-        return record["median_std"] * data["fz"] / reference["fz"]
-    return record["median_std"]
+    names = np.array(data.runs)[data.run]
+    return noise_std(record, data["fz"], force, names, reference["fz"])
 
 
 def _channels(data: TireData, force: Mapping) -> list[str]:

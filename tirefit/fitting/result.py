@@ -126,7 +126,8 @@ class FitResult(Displayed):
 
     ``parameters`` and ``derived`` come from the posterior where it ran, else from
     least squares and the profile, as ``source`` says; all three routes stand in
-    ``intervals`` (``covariance``, ``profile``, ``posterior``).
+    ``intervals`` (``covariance``, ``profile``, ``posterior``), beside the interval that
+    ``independent`` rows would give.
     ``far_rows`` are far from everything, set aside or not (``far_rows.FarRow``).
     ``chains`` (ensembles, draws, p) are posterior samples of the free parameters in the
     order of ``labels``, thinned to be nearly independent; ``walkers`` the same draws as

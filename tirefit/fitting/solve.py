@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from tirefit.fitting.config import FitConfig
+from tirefit.fitting.hints import Misfit, misfit_by_setting
 from tirefit.fitting.inference import (
     REACH,
     Linearised,
@@ -38,6 +39,10 @@ _SETTLED = 1e-3
 """Deviance left to gain at which an estimate counts as settled: 3 % of a standard
 deviation."""
 
+_DOUBLED = 6.0
+"""Degrees of freedom at which t^2 of 95 % is the number of them: the interval ends
+where the sum of squares has doubled, the force changed by as much as the misfit."""
+
 _ONE_MINIMUM = 1e-5
 """Distance in z below which two estimates are one."""
 
@@ -45,7 +50,8 @@ _ONE_MINIMUM = 1e-5
 class Solved(NamedTuple):
     """A problem with its noise settled and judged: estimate, covariance.
 
-    ``at`` holds residuals, slopes and moments of the used rows at the estimate.
+    ``at`` holds residuals, slopes and moments of the used rows at the estimate,
+    ``independent`` the covariance if every row were independent of the others.
     """
 
     problem: FitProblem
@@ -59,6 +65,14 @@ class Solved(NamedTuple):
     ambiguous: bool
     chi2_dof: float | None
     n_effective: float
+    independent: np.ndarray
+    misfit: Misfit = Misfit()
+
+    @property
+    def of_noise(self) -> np.ndarray | None:
+        """Covariance by the noise alone, where a misfit widens ``covariance``."""
+        widened = self.misfit.columns and self.problem.noise_estimated
+        return self.independent * self.misfit.rows_per_one if widened else None
 
 
 def starting_points(task: FitTask, count: int, seed: int) -> np.ndarray:
@@ -176,8 +190,15 @@ def _used(problem: FitProblem, at: Linearised) -> Linearised:
     return Linearised(*(cut(arrays) for arrays in at))
 
 
-def _judged(problem: FitProblem, time, at: Linearised, config: FitConfig):
-    """The problem with its rules, chi2/dof where the noise was given, n_effective."""
+def _judged(
+    problem: FitProblem, time, at: Linearised, config: FitConfig, misfit: Misfit
+):
+    """The problem with its rules, chi2/dof where the noise was given, n_effective.
+
+    Correlated noise leaves few independent rows, and t of few degrees of freedom an
+    interval of the whole range. A misfit that follows the settings of the test is as
+    correlated, but a force that changes by more than the misfit fits worse for sure.
+    """
     run = problem.used(problem.rows.run)
     rules, ratios, effective_total = {}, [], 0.0
     for name, values in at.values.items():
@@ -188,9 +209,12 @@ def _judged(problem: FitProblem, time, at: Linearised, config: FitConfig):
         if config.noise.effective_samples == "estimate":
             scores = values[:, None] * at.slopes[name]
             rows_per_one = effective_inflation(scores, run, time)
+        estimated = any(c.noise_estimated for c in channels)
+        if misfit.columns and estimated:
+            most = problem.n / (problem.layout.size + _DOUBLED)
+            rows_per_one = min(rows_per_one, max(most, misfit.rows_per_one))
         effective = problem.n / rows_per_one
         effective_total += effective
-        estimated = any(c.noise_estimated for c in channels)
         if not estimated:
             ratio, surprising = _surprise(problem, at, channels, rows_per_one)
             ratios.append(ratio)
@@ -268,6 +292,15 @@ def _still_to_gain(problem: FitProblem, at: Linearised, z, cov) -> float:
     return float(gradient @ np.linalg.solve(information, gradient))
 
 
+def _independent(problem: FitProblem, z, at: Linearised) -> np.ndarray:
+    """Covariance if every row were independent of the others."""
+    rules = {
+        name: rule._replace(inflation=rule.inflation * rule.effective / problem.n)
+        for name, rule in problem.rules.items()
+    }
+    return covariance(problem.with_rules(rules), z, at)
+
+
 def solve_problem(task: FitTask, config: FitConfig) -> Solved:
     """Least squares with the noise settled, and the covariance of z."""
     starts = starting_points(task, config.starts, config.seed)
@@ -278,7 +311,8 @@ def solve_problem(task: FitTask, config: FitConfig) -> Solved:
     near = cost <= cost[best] * (1 + 1e-6) + 1e-9
     problem, z = _settle_noise(task, z, config.solver)
     at = _used(problem, linearise(problem, z))
-    problem, chi2_dof, n_effective = _judged(problem, task.time, at, config)
+    misfit = misfit_by_setting(problem, at, task.time)
+    problem, chi2_dof, n_effective = _judged(problem, task.time, at, config, misfit)
     cov = covariance(problem, z, at)
     converged = bool(np.all(np.isfinite(z))) and (
         converged or _still_to_gain(problem, at, z, cov) < _SETTLED
@@ -289,5 +323,5 @@ def solve_problem(task: FitTask, config: FitConfig) -> Solved:
     level = threshold(problem.noise_estimated, n_effective, problem.layout.size)
     return Solved(
         problem, at, z, cov, level, converged, config.starts, int(near.sum()),
-        ambiguous, chi2_dof, n_effective,
+        ambiguous, chi2_dof, n_effective, _independent(problem, z, at), misfit,
     )  # fmt: skip

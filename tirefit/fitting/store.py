@@ -117,6 +117,8 @@ class _Noise(_Part):
     proportional_to_load: bool = False
     constant: NonNegativeFloat = 0.0
     share_of_load: NonNegativeFloat = 0.0
+    share_of_force: NonNegativeFloat = 0.0
+    by_run: dict[str, NonNegativeFloat] = {}
 
 
 class _Reference(_Part):

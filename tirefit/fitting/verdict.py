@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from tirefit.data.run_names import label_of_run
-from tirefit.fitting.hints import hint_at_load
 from tirefit.fitting.result import FitResult
 from tirefit.results import Outcome
 
@@ -110,6 +109,31 @@ def _structure(result: FitResult) -> list[tuple[Outcome | None, str]]:
     return [(Outcome.SYSTEMATIC_MISFIT if value > _SYSTEMATIC else None, text)]
 
 
+def _lacking(result: FitResult) -> list[tuple[Outcome | None, str]]:
+    """Columns that the residuals follow, with the models that have them."""
+    if result.solved is None:
+        return []
+    columns = result.solved.misfit.columns
+    is_most = sum(one.share for one in columns) > _SYSTEMATIC
+    outcome = Outcome.SYSTEMATIC_MISFIT if is_most else None
+    return [(outcome, one.sentence(result.model)) for one in columns]
+
+
+def _correlated(result: FitResult) -> list[tuple[Outcome | None, str]]:
+    """How many rows count, and what the intervals are where that is a misfit."""
+    statistics = result.statistics
+    if statistics.n_effective >= 0.5 * statistics.n:
+        return []
+    text = (
+        f"residuals of neighbouring rows are correlated: {statistics.n} rows count as"
+        f" {statistics.n_effective:.0f} independent ones in every interval; those of"
+        " independent rows stand beside them"
+    )
+    if result.solved is not None and result.solved.misfit.columns:
+        text += "; what correlates is a misfit of the model, more than noise"
+    return [(None, text)]
+
+
 def _contradiction(result: FitResult) -> list[tuple[Outcome | None, str]]:
     """Data that contradict themselves: no quality of the fit makes up for it."""
     check = result.data.get("slip_check")
@@ -159,7 +183,10 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     findings += [(Outcome.POOR_FIT, text) for text in _fit_quality(result)]
     exact = _exactness(result)
     # Residuals that are rounding have a structure, and it means nothing.
-    findings += [(None, exact)] if exact else _structure(result)
+    if exact:
+        findings.append((None, exact))
+    else:
+        findings += _lacking(result) + _structure(result)
     if result.solved is not None and result.solved.ambiguous:
         findings.append((Outcome.STARTS_DISAGREE, Outcome.STARTS_DISAGREE.value))
     for label, estimate in result.least_squares.items():
@@ -189,13 +216,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
         text = "interrupted before the first samples: there is no posterior"
         findings.append((Outcome.INTERRUPTED, text))
     findings += [(None, text) for text in _speed_limit(result)]
-    findings += [] if exact else [(None, text) for text in hint_at_load(result)]
-    if statistics.n_effective < 0.5 * statistics.n and not exact:
-        text = (
-            f"residuals of neighbouring rows are correlated: {statistics.n} rows count"
-            f" as {statistics.n_effective:.0f} independent ones in every interval"
-        )
-        findings.append((None, text))
+    findings += [] if exact else _correlated(result)
     return findings
 
 
@@ -248,8 +269,8 @@ _STATUS = (
     (Outcome.SLIP_CONTRADICTED, "doubtful slip"),
     (Outcome.POOR_FIT, "poor fit"),
     (Outcome.STARTS_DISAGREE, "not unique"),
-    (Outcome.NOT_IDENTIFIED, "not identified"),
     (Outcome.SYSTEMATIC_MISFIT, "systematic misfit"),
+    (Outcome.NOT_IDENTIFIED, "not identified"),
     (Outcome.INTERRUPTED, "interrupted"),
     (Outcome.CHAIN_TOO_SHORT, "chain too short"),
     (Outcome.AT_BOUND, "at a bound"),

@@ -19,19 +19,6 @@ from tirefit.models.pressure import AbstractPressure, Parabolic
 from tirefit.params import par
 from tirefit.slip import kappa_from_sigma, lateral_slip
 
-__all__ = [
-    "AnisotropicBrush",
-    "Brush",
-    "BrushAtPeak",
-    "bristle_stiffness",
-    "friction_coefficient",
-    "half_contact_length",
-    "mu_from_peak",
-    "peak_from_mu",
-    "polar",
-    "resultant",
-]
-
 
 def bristle_stiffness():
     """The field of c_p a^2."""

@@ -37,16 +37,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from tirefit.models.base import AbstractTire, TireForces, TireInputs
-from tirefit.models.brush import (
-    friction_coefficient,
-    half_contact_length,
-    polar,
-)
+from tirefit.models.brush import friction_coefficient, half_contact_length, polar
 from tirefit.models.pressure import AbstractPressure, Parabolic
 from tirefit.params import par
 from tirefit.slip import lateral_slip
-
-__all__ = ["AbstractCarcass", "BeamCarcass", "ParabolicCarcass", "ThreadCarcass"]
 
 
 class Patch(NamedTuple):
@@ -56,14 +50,6 @@ class Patch(NamedTuple):
     stress: jax.Array
     force: jax.Array
     moment: jax.Array
-
-
-def _bristle_stiffness():
-    return par(
-        5e4, (1e-2, 1e9), "N",
-        "bristle stiffness c_p a^2; with the carcass in series C_alpha < 2 c_p a^2",
-        "S(15)", r"c_p a^2", scale="log",
-    )  # fmt: skip
 
 
 def _flexibility(default, largest, meaning, symbol):
@@ -77,7 +63,11 @@ class AbstractCarcass(AbstractTire):
     below the static one can leave more than one breakaway point.
     """
 
-    cpa2: float = _bristle_stiffness()
+    cpa2: float = par(
+        5e4, (1e-2, 1e9), "N",
+        "bristle stiffness c_p a^2; with the carcass in series C_alpha < 2 c_p a^2",
+        "S(15)", r"c_p a^2", scale="log",
+    )  # fmt: skip
     mu: float = friction_coefficient()
     half_length: float = half_contact_length()
     pressure: AbstractPressure = Parabolic()

@@ -24,16 +24,6 @@ from tirefit.models.magic_formula import MagicFormula
 from tirefit.params import par, specs
 from tirefit.slip import lateral_slip
 
-__all__ = [
-    "CombinedMagicFormula",
-    "LiuPeng",
-    "braking_slope",
-    "force_slope",
-    "mu_rate",
-    "nominal_sliding_slip",
-    "scaled_to_combined",
-]
-
 
 def mu_rate(slip, stiffness, mu_fz):
     r"""Friction in use :math:`\gamma = F / (\mu F_z)` of O(12)-(20), from 0 to 1.

@@ -14,27 +14,16 @@ import jax.numpy as jnp
 
 from tirefit.params import par
 
-__all__ = [
-    "AbstractFrictionLaw",
-    "Exponential",
-    "Friction",
-    "Kinetic",
-    "LinearInSpeed",
-    "Stribeck",
-]
-
 
 class AbstractFrictionLaw(eqx.Module):
-    """One dependence of the kinetic friction."""
+    """One dependence of the kinetic friction; with ``static_too`` the static friction
+    follows the same law."""
+
+    static_too: bool = eqx.field(static=True, default=False, kw_only=True)
 
     @abc.abstractmethod
     def apply(self, level, v_s):
         """Coefficient [-] at sliding speed v_s [m/s] >= 0, from its level at rest."""
-
-    @property
-    @abc.abstractmethod
-    def lowers_static(self) -> bool:
-        """Whether the static friction follows the same law."""
 
 
 class Kinetic(AbstractFrictionLaw):
@@ -45,12 +34,7 @@ class Kinetic(AbstractFrictionLaw):
     )
 
     def apply(self, level, v_s):
-        del v_s
         return self.m * level
-
-    @property
-    def lowers_static(self) -> bool:
-        return False
 
 
 class LinearInSpeed(AbstractFrictionLaw):
@@ -59,14 +43,9 @@ class LinearInSpeed(AbstractFrictionLaw):
     n: float = par(
         0.005, (-0.2, 0.2), "s/m", "loss of friction per sliding speed", "S(35)", "n"
     )
-    static_too: bool = eqx.field(static=True, default=False)
 
     def apply(self, level, v_s):
         return level - self.n * v_s
-
-    @property
-    def lowers_static(self) -> bool:
-        return self.static_too
 
 
 def _decay(v_s, v_st, exponent):
@@ -99,15 +78,10 @@ class Exponential(AbstractFrictionLaw):
     )  # fmt: skip
     v_st: float = _v_st(free=False)
     exponent: float = _exponent(free=False)
-    static_too: bool = eqx.field(static=True, default=False)
 
     def apply(self, level, v_s):
         decay = _decay(v_s, self.v_st, self.exponent)
         return level * (self.h + (1 - self.h) * decay)
-
-    @property
-    def lowers_static(self) -> bool:
-        return self.static_too
 
 
 class Stribeck(AbstractFrictionLaw):
@@ -118,15 +92,10 @@ class Stribeck(AbstractFrictionLaw):
     )
     v_st: float = _v_st(free=True)
     exponent: float = _exponent(free=True)
-    static_too: bool = eqx.field(static=True, default=False)
 
     def apply(self, level, v_s):
         decay = _decay(v_s, self.v_st, self.exponent)
         return self.mu_c + (level - self.mu_c) * decay
-
-    @property
-    def lowers_static(self) -> bool:
-        return self.static_too
 
 
 class Friction(eqx.Module):
@@ -143,7 +112,7 @@ class Friction(eqx.Module):
     def static(self, mu, v_s):
         """Coefficient up to which a bristle sticks [-]."""
         for law in self.laws:
-            if law.lowers_static:
+            if law.static_too:
                 mu = law.apply(mu, v_s)
         return mu
 

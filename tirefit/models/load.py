@@ -12,8 +12,6 @@ from tirefit.models.brush import Brush
 from tirefit.models.pressure import reference_load
 from tirefit.params import par, parameter_values, with_values
 
-__all__ = ["LoadDependent"]
-
 
 class LoadDependent(AbstractTire):
     r"""A brush whose stiffness, contact length and friction follow the load.

@@ -26,8 +26,6 @@ from tirefit.models.friction import Stribeck
 from tirefit.params import par
 from tirefit.slip import lateral_slip
 
-__all__ = ["AbstractLuGre", "LuGre", "LuGreLumped", "patch_means"]
-
 # phi_2 = sum of (-x)^k / (k + 2)!, to the last digit for x < 1; highest power first.
 _SERIES = [(-1.0) ** k / math.factorial(k + 2) for k in reversed(range(18))]
 

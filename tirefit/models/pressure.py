@@ -17,18 +17,6 @@ import jax.numpy as jnp
 
 from tirefit.params import par
 
-__all__ = [
-    "AbstractPressure",
-    "Asymmetric",
-    "Elliptic",
-    "ForceAsymmetric",
-    "LoadAsymmetric",
-    "Parabolic",
-    "Quartic",
-    "Uniform",
-    "reference_load",
-]
-
 
 class AbstractPressure(eqx.Module):
     """Density, its integrals from the trailing edge, and the breakaway point."""
@@ -54,7 +42,6 @@ class AbstractPressure(eqx.Module):
 
         It moves with them only where a subclass says so.
         """
-        del rho, braking, fz
         return self
 
 
@@ -236,7 +223,6 @@ class ForceAsymmetric(Asymmetric):
     )  # fmt: skip
 
     def under(self, rho, braking, fz) -> Asymmetric:
-        del fz
         share = self.d_force * braking
 
         def newton(_, d):
@@ -266,5 +252,4 @@ class LoadAsymmetric(Asymmetric):
     fz0: float = reference_load()
 
     def under(self, rho, braking, fz) -> Asymmetric:
-        del rho, braking
         return Asymmetric(_within(self.d + self.d_load * (fz / self.fz0 - 1)))

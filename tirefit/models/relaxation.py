@@ -16,8 +16,6 @@ from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.models.brush import Brush
 from tirefit.params import par
 
-__all__ = ["Relaxed", "lag"]
-
 
 def _recursion(keep, add):
     """All y_i = keep_i y_(i-1) + add_i from y = 0, (n,), by doubling the steps joined.

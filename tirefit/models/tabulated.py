@@ -20,8 +20,6 @@ from numpy.polynomial import chebyshev
 from tirefit.models.pressure import AbstractPressure
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["Tabulated"]
-
 _TERMS = 16
 _NODES = np.cos(np.pi * (np.arange(_TERMS) + 0.5) / _TERMS)
 _TO_SERIES = np.linalg.inv(chebyshev.chebvander(_NODES, _TERMS - 1))
@@ -198,7 +196,6 @@ def _density(edges, series, u):
 
 @jax.custom_jvp
 def _integral(edges, integral, series, u, power):
-    del series, power
     return _each(lambda one: _at(edges, integral, _angle(one)), u)
 
 

@@ -16,14 +16,6 @@ from tirefit.models.brush import Brush
 from tirefit.models.friction import LinearInSpeed
 from tirefit.models.pressure import Asymmetric, Parabolic
 
-__all__ = [
-    "asymmetric_coefficients",
-    "coefficients",
-    "radius",
-    "speed_coefficients",
-    "truncated_force",
-]
-
 _HIGHEST = 5
 
 

@@ -42,8 +42,6 @@ from tirefit.online.controller import (
 )
 from tirefit.params import par
 
-__all__ = ["PHASES", "ConventionalABS"]
-
 PHASES = ("build", "hold", "dump", "wait", "step")
 BUILD, HELD, DUMP, WAIT, STEP = range(len(PHASES))
 

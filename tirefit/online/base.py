@@ -20,25 +20,6 @@ from jaxtyping import Array, Float, Int
 from tirefit.params import par
 from tirefit.results import InputProblem
 
-__all__ = [
-    "FLAGS",
-    "PARAMETERS",
-    "AbstractEstimator",
-    "Estimate",
-    "Flag",
-    "Method",
-    "Parameter",
-    "Sample",
-    "choose",
-    "code",
-    "excitation",
-    "flag_of",
-    "force_noise",
-    "nominal_friction",
-    "nominal_stiffness",
-    "slip_noise",
-]
-
 Sample = Mapping[str, Float[Array, ""]]
 """A method's inputs, by canonical column; each the mean of ``count`` samples, another
 key: noise of ``std`` in each is std / sqrt(count) here."""
@@ -143,11 +124,6 @@ class Method(NamedTuple):
     model: str = "brush"
 
 
-def samples_averaged():
-    """Field of the number of samples that are averaged before a step."""
-    return par(10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n")
-
-
 class AbstractEstimator(eqx.Module):
     """One online method; its fields are its settings, made by ``tirefit.params.par``.
 
@@ -156,7 +132,9 @@ class AbstractEstimator(eqx.Module):
 
     method: ClassVar[Method]
 
-    average: float = samples_averaged()
+    average: float = par(
+        10.0, (1.0, 1e4), "-", "samples averaged before a step", "", r"n"
+    )
 
     def problems(self) -> list[InputProblem]:
         """Why the method refuses its settings, each within its bounds; none if not."""
@@ -185,6 +163,11 @@ class AbstractEstimator(eqx.Module):
 def choose(condition, yes, no):
     """Either of two pytrees of equal structure, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
+
+
+def floats(*values) -> Float[Array, " n"]:
+    """Numbers, settings or scalar arrays as one array."""
+    return jnp.stack([jnp.asarray(value, float) for value in values])
 
 
 def nominal_stiffness():

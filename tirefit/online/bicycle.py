@@ -3,8 +3,6 @@ r"""The bicycle model along a lane, S(22) as corrected: where the vehicle goes n
 import jax
 import jax.numpy as jnp
 
-__all__ = ["bicycle", "lane_crossing"]
-
 
 def bicycle(c_f, c_r, mass, yaw_inertia, l_f, l_r, u):
     """Matrices of the states (y, dy/dt, heading less the road's, yaw rate).

@@ -14,18 +14,6 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-__all__ = [
-    "DECREASE",
-    "HOLD",
-    "INCREASE",
-    "AbstractController",
-    "Command",
-    "Info",
-    "Measurement",
-    "NoController",
-    "Truth",
-]
-
 INCREASE, HOLD, DECREASE = 1.0, 0.0, -1.0
 """Inlet valve open; both shut; outlet valve open, for the whole of an interval."""
 
@@ -120,7 +108,6 @@ class NoController(AbstractController):
     meaning: ClassVar[str] = "no controller: the driver's pressure on every wheel"
 
     def init(self, first: Measurement) -> tuple[()]:
-        del first
         return ()
 
     def step(self, state, measurement):

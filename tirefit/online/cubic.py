@@ -33,8 +33,6 @@ from tirefit.online.base import (
 from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
-__all__ = ["Cubic", "CubicState", "friction_by_cubic"]
-
 _LEAST_SLIDING = 1e-3
 
 
@@ -105,7 +103,6 @@ class Cubic(AbstractEstimator):
         return after, self._estimate(after, idle, usable)
 
     def hold(self, state: CubicState, dt, steps) -> tuple[CubicState, Estimate]:
-        del dt, steps
         return state, self._estimate(state, False, True)
 
     def _estimate(self, state: CubicState, idle, usable) -> Estimate:

@@ -23,6 +23,7 @@ from tirefit.online.base import (
     choose,
     excitation,
     flag_of,
+    floats,
     force_noise,
     nominal_friction,
     nominal_stiffness,
@@ -30,8 +31,6 @@ from tirefit.online.base import (
 )
 from tirefit.online.regression import RESOLVED
 from tirefit.params import par
-
-__all__ = ["Ekf", "EkfState"]
 
 _MEMORY = 0.98
 """Weight of the mean square of the surprises a step before: some 50 steps."""
@@ -77,8 +76,9 @@ class Ekf(AbstractEstimator):
     least_use: float = excitation()
 
     def init(self) -> EkfState:
-        mean = jnp.log(jnp.stack([jnp.asarray(v, float) for v in (self.cpa2, self.mu)]))
-        return EkfState(mean, self._prior(), jnp.ones(()))
+        return EkfState(
+            jnp.log(floats(self.cpa2, self.mu)), self._prior(), jnp.ones(())
+        )
 
     def force(self, x, sigma, fz):
         """Force [N] of the brush at a state (2,) of logarithms, S(29)."""
@@ -109,7 +109,6 @@ class Ekf(AbstractEstimator):
         return after, self._estimate(after, idle, jnp.where(idle, jnp.nan, surprise))
 
     def hold(self, state: EkfState, dt, steps) -> tuple[EkfState, Estimate]:
-        del steps
         held = self._walked(state, dt)
         return held, self._estimate(held, False, jnp.nan)
 
@@ -119,14 +118,11 @@ class Ekf(AbstractEstimator):
         return state._replace(covariance=jnp.diag(widest))
 
     def _prior(self):
-        std = jnp.stack([jnp.asarray(self.prior_cpa2), jnp.asarray(self.prior_mu)])
-        return jnp.diag(std.astype(float) ** 2)
+        return jnp.diag(floats(self.prior_cpa2, self.prior_mu) ** 2)
 
     def _walked(self, state: EkfState, dt) -> EkfState:
-        rate = jnp.stack([jnp.asarray(self.drift_cpa2), jnp.asarray(self.drift_mu)])
-        return state._replace(
-            covariance=state.covariance + jnp.diag(rate.astype(float) ** 2) * dt
-        )
+        grown = jnp.diag(floats(self.drift_cpa2, self.drift_mu) ** 2) * dt
+        return state._replace(covariance=state.covariance + grown)
 
     def _estimate(self, state: EkfState, idle, surprise) -> Estimate:
         widened = jnp.sqrt(jnp.maximum(state.misfit, 1.0))

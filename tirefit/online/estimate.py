@@ -8,43 +8,12 @@ import numpy as np
 from tirefit.data.accept import as_data
 from tirefit.data.read import require
 from tirefit.data.table import TireData
-from tirefit.online.methods import METHODS, estimator_of, methods_named
+from tirefit.online.methods import METHODS, estimator_of
 from tirefit.online.result import Estimates, MethodEstimates
 from tirefit.online.run import run
-from tirefit.params import parameter_values, specs
+from tirefit.params import by_owner, check_names, parameter_values, specs
 from tirefit.precision import require_x64
-from tirefit.results import DataError, InputProblem, UsageError
-
-__all__ = ["estimate", "log_columns", "settings_by_method"]
-
-
-def settings_by_method(
-    settings: Mapping[str, float], names: Sequence[str]
-) -> dict[str, dict[str, float]]:
-    """``{"rls.d": 0.1, "mu": 0.9}`` -> settings of each method.
-
-    A name without a method goes to all methods that have it.
-
-    Raises:
-        UsageError: a method that is not asked for, or a name that no method has.
-    """
-    chosen: dict[str, dict[str, float]] = {name: {} for name in names}
-    problems = []
-    for key, value in settings.items():
-        owner, dot, setting = key.rpartition(".")
-        if dot and owner not in chosen:
-            reason = f"setting {key!r}: method {owner!r} is not asked for"
-            problems.append(InputProblem(reason, f"asked for: {', '.join(names)}"))
-            continue
-        takers = [owner] if dot else [n for n in names if key in specs(METHODS[n]())]
-        if not takers:
-            reason = f"setting {key!r}: none of {', '.join(names)} has it"
-            problems.append(InputProblem(reason, "tirefit methods lists the settings"))
-        for name in takers:
-            chosen[name][setting] = value
-    if problems:
-        raise UsageError(problems)
-    return chosen
+from tirefit.results import DataError, InputProblem
 
 
 def log_columns(data: TireData) -> dict[str, np.ndarray]:
@@ -95,8 +64,8 @@ def estimate(
     """
     require_x64("an online estimate")
     data = as_data(data, mask_bad_rows=True, curve=False)
-    names = methods_named(methods)
-    chosen = settings_by_method(settings or {}, names)
+    names = check_names("method", methods, METHODS)
+    chosen = by_owner(settings or {}, {name: METHODS[name]() for name in names})
     for name in names:
         require(data, ("time", *METHODS[name].method.inputs), f"method {name!r}")
     columns = log_columns(data)

@@ -22,17 +22,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tirefit.data.table import WHEELS
-from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of
+from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of, floats
 from tirefit.online.regression import RESOLVED
 from tirefit.online.vehicle import (
     AbstractVehicleMethod,
     axle_angles,
     brush_share,
     clipped,
+    kalman_update,
 )
 from tirefit.params import par
-
-__all__ = ["HYPOTHESES", "ForceFilter", "ForceState"]
 
 HYPOTHESES = tuple(0.05 * k for k in range(2, 27))
 """Friction 0.1 to 1.3 [-]; each is as likely at first."""
@@ -109,7 +108,6 @@ class ForceFilter(AbstractVehicleMethod):
         )  # fmt: skip
 
     def hold(self, state: ForceState, dt, steps):
-        del steps
         keep = jnp.exp(-dt / self.memory)
         mixed = keep * jnp.exp(state.log_weight) + (1 - keep) / len(HYPOTHESES)
         held = state._replace(waited=state.waited + dt, log_weight=jnp.log(mixed))
@@ -150,7 +148,7 @@ class ForceFilter(AbstractVehicleMethod):
         load = self.mass * 9.81
         stds = [0.1, 0.02, 0.05, 0.1, *[0.5] * 4]
         forces = [0.1 * load] * 4 + [0.3 * load] * 2
-        return jnp.diag(jnp.stack([jnp.asarray(s, float) for s in stds + forces]) ** 2)
+        return jnp.diag(floats(*stds, *forces) ** 2)
 
     def _from(self, sample: Sample):
         zero = jnp.zeros(())
@@ -187,7 +185,7 @@ class ForceFilter(AbstractVehicleMethod):
         """Variances (9,) of the measurements."""
         stds = [self.gyro_std, *[self.omega_std] * 4, *[self.acceleration_std] * 2]
         stds += [self.gyro_std, self.v_std]
-        return jnp.stack([jnp.asarray(s, float) for s in stds]) ** 2
+        return floats(*stds) ** 2
 
     def _predicted(self, state: ForceState, dt) -> ForceState:
         def ahead(x):
@@ -198,7 +196,7 @@ class ForceFilter(AbstractVehicleMethod):
         load = self.force_drift * self.mass * 9.81
         q = [self.speed_drift] * 2 + [0.01, 1.0] + [0.1] * 4
         q += [load / 4] * 4 + [0.15 * load] * 2
-        grown = jnp.diag(jnp.stack([jnp.asarray(s, float) for s in q]) ** 2)
+        grown = jnp.diag(floats(*q) ** 2)
         covariance = slope @ state.covariance @ slope.T + dt * grown
         return state._replace(x=ahead(state.x), covariance=covariance)
 
@@ -207,11 +205,8 @@ class ForceFilter(AbstractVehicleMethod):
         slope = jax.jacfwd(self.seen)(state.x, state.inputs)
         error = seen - self.seen(state.x, state.inputs)
         noise = jnp.diag(self._noise())
-        spread = slope @ state.covariance @ slope.T + noise
-        gain = jnp.linalg.solve(spread, slope @ state.covariance).T
-        kept = jnp.eye(_STATES + _FORCES) - gain @ slope
-        covariance = kept @ state.covariance @ kept.T + gain @ noise @ gain.T
-        return state._replace(x=state.x + gain @ error, covariance=covariance), error
+        x, covariance = kalman_update(state.x, state.covariance, slope, error, noise)
+        return state._replace(x=x, covariance=covariance), error
 
     def modelled(self, x, inputs, mu):
         """Forces (6,) [N] of the brush at the slips of a state, for one friction."""
@@ -226,9 +221,7 @@ class ForceFilter(AbstractVehicleMethod):
         axles = jnp.stack([loads[0] + forward, loads[1] - forward]) / 2
         across = 2 * aside * jnp.array([-0.5, 0.5, -0.5, 0.5])
         load = jnp.maximum(jnp.repeat(axles, 2) + across, 1.0)
-        stiffness = jnp.stack(
-            [jnp.asarray(self.stiffness_f), jnp.asarray(self.stiffness_r)]
-        )
+        stiffness = floats(self.stiffness_f, self.stiffness_r)
         angles = jnp.repeat(jnp.stack([front, rear]), 2)
         share = brush_share(sigma, angles, jnp.repeat(stiffness, 2), mu)
         y = load * share.y

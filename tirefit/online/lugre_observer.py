@@ -57,13 +57,12 @@ from tirefit.online.base import (
     Sample,
     choose,
     flag_of,
+    floats,
 )
 from tirefit.online.regression import RESOLVED
 from tirefit.online.run import LOCKED_SLIP
 from tirefit.params import par
 from tirefit.results import InputProblem
-
-__all__ = ["LuGreObserver", "ObserverState", "peak_share", "weights_of_v"]
 
 _SUBSTEPS = 4
 _LONGEST = 0.5
@@ -89,7 +88,7 @@ def peak_share(tire: LuGre, theta, v):
     Args:
         tire: with theta one; theta: factor of g.
     """
-    level = theta * jnp.stack([jnp.asarray(tire.mu_s), jnp.asarray(tire.mu_c)])
+    level = theta * floats(tire.mu_s, tire.mu_c)
     other = LuGre(
         level[0], level[1], tire.v_st, tire.exponent, tire.sigma2, tire.sigma0,
         tire.sigma1, tire.length,
@@ -188,7 +187,6 @@ class LuGreObserver(AbstractEstimator):
         return ObserverState(x, self._first(), long, long, none, none, peak)
 
     def hold(self, state: ObserverState, dt, steps):
-        del steps
         # Time that passes loosens p; where the sample is used, its step goes on.
         walked = (self.drift_theta * state.x[2]) ** 2 * dt
         held = state._replace(
@@ -288,13 +286,8 @@ class LuGreObserver(AbstractEstimator):
 
     def _peak(self, theta, v):
         """mu at a speed [m/s], and its slope by theta."""
-        return jnp.stack(
-            jax.jvp(
-                lambda t: peak_share(self.tire, t, v),
-                (jnp.asarray(theta, float),),
-                (jnp.ones(()),),
-            )
-        )
+        at, one = (jnp.asarray(theta, float),), (jnp.ones(()),)
+        return jnp.stack(jax.jvp(lambda t: peak_share(self.tire, t, v), at, one))
 
     def _locked(self, u):
         return u[1] > (1 + LOCKED_SLIP) * self.radius * u[0]
@@ -302,13 +295,12 @@ class LuGreObserver(AbstractEstimator):
     def _noise(self, u):
         """Variances (4,) of the inputs."""
         fz = jnp.maximum(u[2], 0.0)
-        stds = [self.omega_std, self.v_std, self.load_std * fz]
-        stds.append(self.torque_std * fz * self.radius)
-        return jnp.stack([jnp.asarray(std, float) for std in stds]) ** 2
+        stds = (self.omega_std, self.v_std, self.load_std * fz)
+        return floats(*stds, self.torque_std * fz * self.radius) ** 2
 
     def _first(self):
         stds = [0.001, self.omega_std, self.prior_theta / self.theta] + [0.0] * 4
-        return jnp.diag(jnp.stack([jnp.asarray(std, float) for std in stds]) ** 2)
+        return jnp.diag(floats(*stds) ** 2)
 
     def _at_rest(self, u, p):
         """x (7,) with the bristles in their steady state at the inputs."""

@@ -1,6 +1,6 @@
 """The online methods by name: one visible dict."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from tirefit.online.base import AbstractEstimator
 from tirefit.online.cubic import Cubic
@@ -14,10 +14,8 @@ from tirefit.online.rls import Rls
 from tirefit.online.slip_slope import SlipSlope, SlipSlopeBraking
 from tirefit.online.tire_sensor import TireSensor
 from tirefit.online.xbs import Xbs, XbsBraking
-from tirefit.params import check_names, check_values, specs, with_values
+from tirefit.params import check_values, specs, with_values
 from tirefit.results import UsageError
-
-__all__ = ["METHODS", "STIFFNESS_OF_LOAD", "estimator_of", "methods_named"]
 
 METHODS: dict[str, type[AbstractEstimator]] = {
     kind.method.name: kind
@@ -42,15 +40,6 @@ METHODS: dict[str, type[AbstractEstimator]] = {
 STIFFNESS_OF_LOAD = 250 / 27
 """c_p a^2 over the load [-] that is expected where nothing is said: the truck tire of
 S section 5 (C_x = 5e5 N at 27 kN); a car's tire has some 8 to 15."""
-
-
-def methods_named(names: str | Sequence[str]) -> tuple[str, ...]:
-    """Names of methods, given as one text with commas or one by one.
-
-    Raises:
-        UsageError: no name, a name twice, or one that is not known.
-    """
-    return check_names("method", names, METHODS)
 
 
 def estimator_of(

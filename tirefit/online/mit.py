@@ -15,8 +15,6 @@ from tirefit.online.base import Estimate, Method, Sample, choose
 from tirefit.online.regression import AbstractRegression
 from tirefit.params import par
 
-__all__ = ["Mit", "MitState"]
-
 _LEAST_THETA = 1e-3
 
 
@@ -79,7 +77,6 @@ class Mit(AbstractRegression):
 
     def hold(self, state: MitState, dt, steps) -> tuple[MitState, Estimate]:
         """Nothing moves: the rule has no notion of what changes in the meantime."""
-        del dt, steps
         return state, self.estimate(*state, False, False, jnp.nan)
 
     def open(self, state: MitState) -> MitState:

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tirefit.data.table import WHEELS
-from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of
+from tirefit.online.base import Estimate, Flag, Method, Sample, choose, flag_of, floats
 from tirefit.online.bicycle import bicycle, lane_crossing
 from tirefit.online.regression import RESOLVED
 from tirefit.online.vehicle import (
@@ -30,6 +30,7 @@ from tirefit.online.vehicle import (
     axle_angles,
     brush_share,
     clipped,
+    kalman_update,
     wrapped,
 )
 from tirefit.online.wheel_force import (
@@ -40,8 +41,6 @@ from tirefit.online.wheel_force import (
     wheel_rls_step,
 )
 from tirefit.params import par
-
-__all__ = ["Path", "PathState"]
 
 _LONGEST = 0.5
 """Time [s] without samples after which the motion starts anew."""
@@ -130,7 +129,6 @@ class Path(AbstractVehicleMethod):
         )  # fmt: skip
 
     def hold(self, state: PathState, dt, steps):
-        del steps
         variance = jnp.minimum(
             state.mu_variance + self.drift_mu**2 * dt, self.prior_mu**2
         )
@@ -168,8 +166,7 @@ class Path(AbstractVehicleMethod):
         return state, self._estimate(state, tlc, jnp.where(anew, jnp.nan, surprise))
 
     def _first(self):
-        std = jnp.array([*_FIRST, 0.0, 0.0]).at[4:].set(self.prior_stiffness)
-        return jnp.diag(std**2)
+        return jnp.diag(floats(*_FIRST, *[self.prior_stiffness] * 2) ** 2)
 
     def _widest(self):
         return jnp.asarray(self.mass * 9.81, float) ** 2
@@ -213,9 +210,7 @@ class Path(AbstractVehicleMethod):
         slope = jax.jacfwd(ahead)(state.z)
         q, c = self.disturbance**2, self.drift_stiffness**2
         turning = q * (self.mass * self.l_f / self.yaw_inertia) ** 2
-        noise = dt * jnp.diag(
-            jnp.stack([jnp.asarray(x, float) for x in (0.0, q, 0.0, turning, c, c)])
-        )
+        noise = dt * jnp.diag(floats(0.0, q, 0.0, turning, c, c))
         covariance = slope @ state.covariance @ slope.T + noise
         return state._replace(z=ahead(state.z), covariance=covariance)
 
@@ -224,21 +219,11 @@ class Path(AbstractVehicleMethod):
         aside = wrapped(sample["heading"] - sample["road_heading"])
         seen = jnp.stack([sample["offset"], aside, sample["yaw_rate"]])
         rows = jnp.eye(6)[jnp.array([0, 2, 3])]
-        stds = jnp.stack(
-            [
-                jnp.asarray(s, float)
-                for s in (self.gps_std, self.heading_std, self.gyro_std)
-            ]
+        stds = floats(self.gps_std, self.heading_std, self.gyro_std)
+        z, covariance = kalman_update(
+            state.z, state.covariance, rows, seen - rows @ state.z, jnp.diag(stds**2)
         )
-        spread = rows @ state.covariance @ rows.T + jnp.diag(stds**2)
-        gain = jnp.linalg.solve(spread, rows @ state.covariance).T
-        kept = jnp.eye(6) - gain @ rows
-        covariance = (
-            kept @ state.covariance @ kept.T + gain @ jnp.diag(stds**2) @ gain.T
-        )
-        return state._replace(
-            z=state.z + gain @ (seen - rows @ state.z), covariance=covariance
-        )
+        return state._replace(z=z, covariance=covariance)
 
     def _with_friction(self, state: PathState, sample: Sample, omega):
         """ln mu after one sample of the front axle's forces, S(21)."""
@@ -285,15 +270,10 @@ class Path(AbstractVehicleMethod):
         mu, mu_std = jnp.exp(state.log_mu), jnp.sqrt(state.mu_variance)
         stiffness = self.stiffness(state.z)
         spread = jnp.sqrt(jnp.diag(state.covariance))[4:]
-        noise = (
-            self.omega_std,
-            self.torque_std,
-            _USUAL,
-            self.radius,
-            self.wheel_inertia,
-        )
+        stds = self.omega_std, self.torque_std
+        wheel = self.radius, self.wheel_inertia, self.pole
         # Two wheels of independent noise, whose mean is observed.
-        observed = jnp.sqrt(2.0) * observer_std(*noise, self.pole)
+        observed = jnp.sqrt(2.0) * observer_std(*stds, _USUAL, *wheel)
         # Both follow a force that rises late, by a time that is known.
         late = 2 * jnp.abs(state.rates) * jnp.stack([2 / self.pole, self.memory])
         forces = 2 * jnp.stack([state.observer.force, state.rls.force])
@@ -306,7 +286,6 @@ class Path(AbstractVehicleMethod):
              state.used * mu_std, tlc[1]]
         )  # fmt: skip
         flag = flag_of(
-            (mu_std > RESOLVED, Flag.LOW_USE),
-            (state.used > self.warn, Flag.NEAR_LIMIT),
+            (mu_std > RESOLVED, Flag.LOW_USE), (state.used > self.warn, Flag.NEAR_LIMIT)
         )
         return Estimate(value, std, flag, surprise)

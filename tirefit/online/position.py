@@ -36,8 +36,6 @@ from tirefit.online.regression import RESOLVED, Regressors, regressors
 from tirefit.online.vehicle import AbstractVehicleMethod, wrapped
 from tirefit.params import par
 
-__all__ = ["Filtered", "Position", "PositionState", "filtered_step"]
-
 _SIGNALS = ("offset", "aside", "road_heading", "yaw_rate", "steering")
 """What is filtered first; aside: heading less that of the road."""
 _SETTLED = 8.0

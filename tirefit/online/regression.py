@@ -30,8 +30,6 @@ from tirefit.online.base import (
 )
 from tirefit.params import par
 
-__all__ = ["RESOLVED", "AbstractRegression", "Regressors", "regressors"]
-
 RESOLVED = 0.15
 """Relative standard deviation from which on mu is not resolved: asphalt, gravel and
 snow are some 0.2 to 0.3 apart, two of these standard deviations."""

@@ -10,8 +10,6 @@ from tirefit.display import Displayed
 from tirefit.online.base import FLAGS, PARAMETERS, Flag, code
 from tirefit.online.methods import METHODS
 
-__all__ = ["SCHEMA", "Change", "Estimates", "MethodEstimates", "changes"]
-
 SCHEMA = "tirefit.estimate/1"
 
 _FAR = 3.0

@@ -23,8 +23,6 @@ from tirefit.online.base import Estimate, Method, Sample, choose
 from tirefit.online.regression import AbstractRegression
 from tirefit.params import par
 
-__all__ = ["Rls", "RlsState"]
-
 _SAMPLES_OF_NOISE = 20.0
 """Samples for which the stated noise counts beside the errors that are seen."""
 _LEAST_THETA = 1e-3
@@ -111,7 +109,6 @@ class Rls(AbstractRegression):
         return after, self._estimate(after, idle, slides, surprise)
 
     def hold(self, state: RlsState, dt, steps) -> tuple[RlsState, Estimate]:
-        del dt
         p = (state.p00, state.p01, state.p11)
         p = jax.lax.cond(
             steps > 0,

@@ -24,16 +24,6 @@ from tirefit.compiled import compiled
 from tirefit.online.base import AbstractEstimator, Estimate, Flag, code, flag_of
 from tirefit.padding import padded_size
 
-__all__ = [
-    "GUARDED",
-    "LOCKED_SLIP",
-    "Guarded",
-    "Stream",
-    "guarded_step",
-    "run",
-    "start",
-]
-
 GUARDED = ("time", "run", "v", "omega")
 """Columns that the guard looks at where a log has them, beside the method's own."""
 
@@ -270,19 +260,16 @@ def run(
             # One run from the start on: looking out for another costs a third more.
             state = state._replace(run=jnp.asarray(columns.pop("run")[0]))
     size = padded_size(n, 1024)
-    # Rows without time and run change nothing, whatever the method.
+    # Rows without time change nothing, whatever the method, if they are of the run.
+    last = {"run": columns["run"][-1]} if "run" in columns and n else {}
     padded = {
-        name: np.concatenate([column, np.full(size - n, _padding(name, column))])
+        name: np.append(column, np.full(size - n, last.get(name, np.nan)))
         for name, column in columns.items()
     }
     chunks = {name: column.reshape(-1, _CHUNK) for name, column in padded.items()}
     leaves, parts = _scan(estimator, state, chunks)
     after = jax.tree.unflatten(jax.tree.structure(state), leaves)
     return after, Estimate(*(np.asarray(part)[:n] for part in parts))
-
-
-def _padding(name: str, column: np.ndarray) -> float:
-    return column[-1] if name == "run" and len(column) else np.nan
 
 
 class Stream:

@@ -17,8 +17,6 @@ from jaxtyping import Array, Float
 from tirefit.online.controller import AbstractController, Command, Measurement
 from tirefit.params import par
 
-__all__ = ["SlipControl"]
-
 
 class _State(NamedTuple):
     """Slip speed (w,) [m/s] at the sample before, and its filtered rate."""

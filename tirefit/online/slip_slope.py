@@ -31,8 +31,6 @@ from tirefit.online.base import (
 from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
-__all__ = ["ROADS", "SlipSlope", "SlipSlopeBraking", "road_of"]
-
 ROADS = ("asphalt", "gravel", "snow", "ice")
 """The four of S section 3.1; estimates number them from 1, by falling friction."""
 
@@ -149,7 +147,6 @@ class SlipSlope(AbstractEstimator):
         return after, self._estimate(after, unused, surprise)
 
     def hold(self, state: SlipSlopeState, dt, steps) -> tuple[SlipSlopeState, Estimate]:
-        del steps
         held = state._replace(
             p00=state.p00 + (self.drift_slope / self.slope) ** 2 * dt,
             p11=state.p11 + self.drift_offset**2 * dt,

@@ -11,8 +11,6 @@ from tirefit.online.methods import METHODS, estimator_of
 from tirefit.online.run import Stream
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["Streams"]
-
 
 class Streams:
     """Methods beside each other; ``header`` is that of ``estimates.csv``.

@@ -36,11 +36,6 @@ from tirefit.online.base import (
 from tirefit.online.regression import RESOLVED
 from tirefit.params import par
 
-__all__ = [
-    "LEAST_FORCE", "LEAST_FRICTION", "MOST_FRICTION", "SCALE", "WEIGHTS", "TireSensor",
-    "gough", "network", "seen", "trained",
-]  # fmt: skip
-
 WEIGHTS = Path(__file__).with_name("tire_sensor.json")
 LEAST_FRICTION, MOST_FRICTION, LEAST_FORCE = 0.1, 1.2, 0.03
 """What the network was trained on: friction [-] and least force over load."""
@@ -165,7 +160,6 @@ class TireSensor(AbstractEstimator):
     def hold(
         self, state: TireSensorState, dt, steps
     ) -> tuple[TireSensorState, Estimate]:
-        del dt, steps
         return state, self._estimate(state, False)
 
     def _outputs(self, x, stiffness):

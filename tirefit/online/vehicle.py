@@ -9,17 +9,9 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from tirefit.models.combined import mu_rate
 from tirefit.online.base import AbstractEstimator
 from tirefit.params import par
-
-__all__ = [
-    "GRAVITY",
-    "AbstractVehicleMethod",
-    "axle_angles",
-    "brush_share",
-    "clipped",
-    "wrapped",
-]
 
 GRAVITY = 9.81
 
@@ -88,8 +80,7 @@ def brush_share(sigma_x, alpha, stiffness, mu) -> Shares:
     sigma_y = jnp.tan(alpha) * (1 + sigma_x)
     # Not quite zero at rest, where its direction has no slope.
     slip = jnp.sqrt(sigma_x * sigma_x + sigma_y * sigma_y + 1e-20)
-    sliding = jnp.minimum(stiffness * slip / (3 * mu), 1.0)
-    force = mu * sliding * (3 - sliding * (3 - sliding))
+    force = mu * mu_rate(slip, stiffness, mu)
     return Shares(force * sigma_x / slip, force * sigma_y / slip)
 
 
@@ -101,6 +92,19 @@ def clipped(omega, v, radius, slowest=0.01):
     """
     turning = jnp.maximum(omega * radius / v, slowest)
     return 1 / turning - 1
+
+
+def kalman_update(x, covariance, slope, error, noise):
+    """A state (n,) and its covariance after a measurement (m,), in Joseph's form.
+
+    Args:
+        slope: (m, n) of the measurement by the state.
+        error: (m,) measured less predicted; noise: (m, m) its covariance.
+    """
+    spread = slope @ covariance @ slope.T + noise
+    gain = jnp.linalg.solve(spread, slope @ covariance).T
+    kept = jnp.eye(len(x)) - gain @ slope
+    return x + gain @ error, kept @ covariance @ kept.T + gain @ noise @ gain.T
 
 
 def wrapped(angle):

@@ -12,8 +12,6 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-__all__ = ["Observer", "WheelRls", "observer_std", "observer_step", "wheel_rls_step"]
-
 
 class Observer(NamedTuple):
     """Wheel speed [rad/s] and force [N] of the adaptive observer."""

@@ -45,21 +45,6 @@ from tirefit.online.base import (
 )
 from tirefit.params import par
 
-__all__ = [
-    "Relation",
-    "Section",
-    "Xbs",
-    "XbsBraking",
-    "XbsState",
-    "friction_from_slope",
-    "high_pass",
-    "low_pass",
-    "rate_in_use",
-    "relation",
-    "servo_spectrum",
-    "speed_spectrum",
-]
-
 _NODES, _FREQUENCIES = 256, 4096
 _SLOWEST, _FASTEST = 0.02, 8.0
 """Poles of the relation over the lower and the upper edge of the band."""
@@ -234,17 +219,6 @@ def rate_in_use(slope, stiffness, direction=0.0):
     return 1 - sticking**3
 
 
-def friction_from_slope(force, fz, slope, stiffness, direction=0.0):
-    r"""Friction :math:`\mu = F / (\gamma F_z)` [-], end of S section 3.5.
-
-    Args:
-        force: resultant F [N]; fz: load [N]; the rest as in :func:`rate_in_use`.
-    """
-    rate = rate_in_use(slope, stiffness, direction)
-    there = rate > 0
-    return jnp.where(there, force / (jnp.where(there, rate, 1.0) * fz), jnp.inf)
-
-
 class Sums(NamedTuple):
     """Weighted by age: squares and products of increments [m2/s2], the weights, and by
     their squares."""
@@ -396,7 +370,6 @@ class Xbs(AbstractEstimator):
 
     def _force(self, sample: Sample):
         """Braking force and load [N] of the sample, where they are known."""
-        del sample
         return jnp.full((), jnp.nan), jnp.full((), jnp.nan)
 
     def pole(self, state: XbsState):

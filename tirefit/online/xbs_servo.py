@@ -41,8 +41,6 @@ from tirefit.online.xbs import Xbs, XbsState
 from tirefit.params import par
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["XbsServo", "XbsServoState", "loop_matrix", "refuse_unstable"]
-
 Wheels = Float[Array, " w"]
 
 _STEADY = 0.05

@@ -15,8 +15,6 @@ from tirefit.sim.brake_request import VEHICLES
 from tirefit.sim.brake_result import Braking, Stop
 from tirefit.sim.brake_road import road_of
 
-__all__ = ["outline", "save_animation"]
-
 _RATE = 20
 """Pictures a second of simulated time; shown as fast as it happened."""
 _WHEEL = (0.6, 0.22)

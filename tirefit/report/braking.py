@@ -7,31 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tirefit.data.table import WHEELS
-from tirefit.report.canvas import (
-    COLORS,
-    DARK,
-    GREY,
-    Picture,
-    panel_title,
-    tidy,
-)
-from tirefit.report.html import png_text, rendered
+from tirefit.report.canvas import COLORS, DARK, GREY, Picture, panel_title, tidy
+from tirefit.report.html import table_fragment
 from tirefit.report.numbers import format_number, plain_text
 from tirefit.report.text import table
 from tirefit.sim.brake_curve import tire_curve
 from tirefit.sim.brake_result import Braking, Stop
 from tirefit.sim.brake_road import road_of
 from tirefit.sim.brake_summary import MEANINGS, UNITS
-
-__all__ = [
-    "Path",
-    "braking_html",
-    "braking_text",
-    "compare_figure",
-    "path_of",
-    "paths_figure",
-    "stop_figure",
-]
 
 _SHORT = {
     "stopping_distance": "distance", "mean_friction_used": "friction used",
@@ -112,9 +95,7 @@ def braking_text(result: Braking) -> str:
 
 def braking_html(result: Braking) -> str:
     """The same as a fragment of HTML, with the figure; for notebooks."""
-    fragment = rendered("table_fragment.html", rows=_rows(result), notes=_notes(result))
-    source = f"data:image/png;base64,{png_text(stop_figure(result))}"
-    return f'{fragment}\n<img alt="braking" src="{source}">'
+    return table_fragment(_rows(result), _notes(result), stop_figure(result), "braking")
 
 
 def _foot(result: Braking) -> str:
@@ -122,10 +103,6 @@ def _foot(result: Braking) -> str:
         f"tirefit {result.version} · braking positive, SI · seed {result.seed} ·"
         f" {_head(result)}"
     )
-
-
-def _wheel_names(stop: Stop) -> list[str]:
-    return list(WHEELS.values()) if len(stop.wheels) == 4 else ["wheel"]
 
 
 _PANELS = (
@@ -139,7 +116,7 @@ def _draw_stop(all_axes, stop: Stop) -> None:
     """One controller's stop down a column of axes, as O Figures 8-9 and 12-13."""
     log, time = stop.log, stop.log.reading.time
     colors = dict(zip(range(4), COLORS, strict=False))
-    names = _wheel_names(stop)
+    names = list(WHEELS.values()) if len(stop.wheels) == 4 else ["wheel"]
     lines = {"linewidth": 0.8}
     for k in range(len(names)):
         style = lines | {"color": colors[k], "label": names[k]}

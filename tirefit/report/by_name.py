@@ -13,17 +13,6 @@ from tirefit.report.fit_tables import reference_text
 from tirefit.report.labels import short_run
 from tirefit.report.numbers import plain_text
 
-__all__ = [
-    "Points",
-    "distinct",
-    "draw_points",
-    "has_runs",
-    "place_points",
-    "points_of",
-    "run_points",
-    "runs_figure",
-]
-
 _SAME = 1e-6
 """Relative spread of a ratio from which two quantities are not one in other units."""
 _MOST_NAMES = 40

@@ -20,23 +20,6 @@ from tirefit.report.labels import fit_files
 from tirefit.report.numbers import plain_text
 from tirefit.report.text import verdict_line
 
-__all__ = [
-    "BLUE",
-    "COLORS",
-    "DARK",
-    "GREY",
-    "ORANGE",
-    "RED",
-    "MOST_DRAWN",
-    "WIDTH",
-    "Picture",
-    "drawn",
-    "frame",
-    "panel_title",
-    "save_picture",
-    "tidy",
-]
-
 BLUE, ORANGE, GREEN = "#0072B2", "#E69F00", "#009E73"
 RED, SKY, PURPLE = "#D55E00", "#56B4E9", "#CC79A7"
 COLORS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY)

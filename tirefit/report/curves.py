@@ -10,6 +10,7 @@ from tirefit.data.levels import levels
 from tirefit.data.run_names import run_names
 from tirefit.fitting.bands import Band, fitted_force, force_band
 from tirefit.fitting.likelihood import CHANNEL_SLIP
+from tirefit.fitting.noise import noise_std
 from tirefit.fitting.result import FitResult
 from tirefit.models import TireInputs
 from tirefit.params import parameter_values, with_values
@@ -270,10 +271,13 @@ def _curves(result: FitResult, channel, members, axis: SlipAxis, normalise, midd
     run = [int(runs[rows][0]) for _, rows in members]
     inputs = TireInputs(**{k: jnp.asarray(v) for k, v in columns.items()})
     scale = problem.used(problem.rows.scale[channel])
-    noise = [float(np.median(scale[rows])) for _, rows in members]
-    band = force_band(
-        result, channel, inputs, np.repeat(run, len(grid)), np.repeat(noise, len(grid))
-    )
+    each = [float(np.median(scale[rows])) for _, rows in members]
+    of_run, noise = np.repeat(run, len(grid)), np.repeat(each, len(grid))
+    if result.noise[channel].keys() & {"share_of_load", "by_run"}:
+        force = fitted_force(result, channel, inputs, of_run)
+        names = np.array(problem.layout.runs)[of_run]
+        noise = noise_std(result.noise[channel], columns["fz"], force, names)
+    band = force_band(result, channel, inputs, of_run, noise)
     curves = []
     for i, (label, _) in enumerate(members):
         unit = middle[i]["fz"] if normalise else 1.0

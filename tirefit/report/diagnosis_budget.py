@@ -8,17 +8,8 @@ import numpy as np
 from tirefit.diagnosis.records import Change, Part
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_words import words_on
+from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number
-
-__all__ = [
-    "CHANNEL_UNITS",
-    "Step",
-    "budget_lines",
-    "budget_sentences",
-    "change_texts",
-    "channel_name",
-    "waterfall_steps",
-]
 
 _SEEN = 1e-3
 """Share of the energy below which a part is not worth a clause."""
@@ -32,9 +23,6 @@ _MANY_TIMES = 4.0
 """Simulated over measured value from which it is said as such, not in per cent."""
 
 _FEW_WORDS, _LACKING = 2, ", which it does not have"
-
-
-CHANNEL_UNITS = {"fx": "N", "fy": "N", "mz": "N m"}
 
 
 class Step(NamedTuple):
@@ -108,7 +96,7 @@ def _whole(parts: Sequence[Part]) -> float:
 
 
 def _sentence(result: Diagnosis, channel: str) -> str:
-    unit, whole = CHANNEL_UNITS[channel], _whole(result.budgets[channel])
+    unit, whole = FORCE_UNIT[channel], _whole(result.budgets[channel])
     parts = [part for part in result.budgets[channel] if part.share >= _SEEN]
     clauses = (f"{format_number(p.rms, 3)} {unit} {_words(result, p)}" for p in parts)
     of_what = f" of {channel_name(channel)}" if len(result.budgets) > 1 else ""
@@ -168,7 +156,7 @@ def waterfall_steps(result: Diagnosis, channel: str | None = None) -> list[Step]
         channel: the first if None.
     """
     channel = channel or next(iter(result.budgets))
-    unit, whole = CHANNEL_UNITS[channel], _whole(result.budgets[channel])
+    unit, whole = FORCE_UNIT[channel], _whole(result.budgets[channel])
     said = f"{format_number(whole, 3)} {unit} (rms), 100 %"
     left, steps = 1.0, [Step("simulator's error", 1.0, 0.0, "whole", said)]
     for part in result.budgets[channel]:

@@ -25,11 +25,7 @@ from tirefit.report.canvas import (
     tidy,
 )
 from tirefit.report.curves import SlipAxis, slip_axis
-from tirefit.report.diagnosis_budget import (
-    Step,
-    channel_name,
-    waterfall_steps,
-)
+from tirefit.report.diagnosis_budget import Step, channel_name, waterfall_steps
 from tirefit.report.diagnosis_look import draw_look
 from tirefit.report.diagnosis_panels import (
     Bar,
@@ -44,19 +40,6 @@ from tirefit.report.diagnosis_panels import (
 from tirefit.report.diagnosis_text import stand_in, subject, verdict_sentence
 from tirefit.report.diagnosis_words import closed_text, remaining_text
 from tirefit.report.numbers import format_number, plain_text
-
-__all__ = [
-    "diagnosis_figure",
-    "draw_closure",
-    "draw_comparison",
-    "draw_evidence",
-    "draw_waterfall",
-    "draw_where",
-    "panel_names",
-    "panel_pictures",
-    "plot_diagnosis",
-    "write_figure",
-]
 
 _FORCE = {"fx": "$F_x$ [N]", "fy": "$F_y$ [N]", "mz": "$M_z$ [N m]"}
 _SIZE = (11.0, 9.0)

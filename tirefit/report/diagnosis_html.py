@@ -4,18 +4,9 @@ from collections.abc import Mapping
 
 from tirefit.diagnosis.result import SCHEMA, Diagnosis
 from tirefit.files import write_text_atomic
-from tirefit.report.canvas import Picture
 from tirefit.report.diagnosis_budget import budget_lines
-from tirefit.report.diagnosis_draw import (
-    diagnosis_figure,
-    panel_names,
-    panel_pictures,
-)
-from tirefit.report.diagnosis_outlook import (
-    confused_lines,
-    smallest_lines,
-    step_lines,
-)
+from tirefit.report.diagnosis_draw import diagnosis_figure, panel_names, panel_pictures
+from tirefit.report.diagnosis_outlook import confused_lines, smallest_lines, step_lines
 from tirefit.report.diagnosis_text import (
     gap_lines,
     rows_line,
@@ -39,12 +30,9 @@ from tirefit.report.diagnosis_words import (
     slip_check_line,
     untestable_groups,
 )
-from tirefit.report.html import png_text, rendered
+from tirefit.report.html import GOOD, OPEN, image_of, rendered
 from tirefit.report.numbers import format_number
 
-__all__ = ["diagnosis_fragment", "diagnosis_page", "write_page"]
-
-_SURE, _OPEN = "#009E73", "#D55E00"
 _ALTERNATIVES = {
     "where": "Map of measured minus fitted force over slip and another quantity",
     "which": "Probability of each explanation as bars",
@@ -54,10 +42,6 @@ _ALTERNATIVES = {
     "budget": "Waterfall from the simulator's error, part by part, to the noise",
     "how far": "Size of the gap before and after, on the rows and on held-out data",
 }
-
-
-def _image(picture: Picture, alternative: str) -> Mapping[str, str]:
-    return {"png": png_text(picture), "alternative": alternative}
 
 
 def _alternative(name: str) -> str:
@@ -71,7 +55,7 @@ def _verdict(result: Diagnosis) -> Mapping:
     return {
         "sentence": verdict_sentence(result),
         "lines": verdict_lines(result),
-        "color": _OPEN if is_open else _SURE,
+        "color": OPEN if is_open else GOOD,
     }
 
 
@@ -166,7 +150,7 @@ def diagnosis_page(result: Diagnosis) -> str:
         budget=budget_lines(result),
         gap=gap_lines(result),
         pictures=[
-            _image(picture, _alternative(name))
+            image_of(picture, _alternative(name))
             for name, picture in panel_pictures(result).items()
         ],
         where=_where(result),
@@ -203,5 +187,5 @@ def diagnosis_fragment(result: Diagnosis) -> str:
         verdict=_verdict(result),
         gap=[*budget_lines(result), *gap_lines(result)],
         candidates=_candidates(result) if result.verdict.names_an_effect else [],
-        picture=_image(picture, "; ".join(map(_alternative, panel_names(result)))),
+        picture=image_of(picture, "; ".join(map(_alternative, panel_names(result)))),
     )

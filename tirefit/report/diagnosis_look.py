@@ -14,8 +14,6 @@ from tirefit.report.diagnosis_words import (
     look_size,
 )
 
-__all__ = ["draw_look", "look_title"]
-
 _SHAPES = {
     "wave": "goes up and down with {covariate}, period {at}, by ± {size}",
     "threshold": "steps at a {covariate} of {at} by {size}",

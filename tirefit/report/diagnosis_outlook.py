@@ -6,8 +6,6 @@ from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_words import amount_text
 from tirefit.report.numbers import format_number
 
-__all__ = ["confused_lines", "smallest_lines", "step_lines"]
-
 _SEEN = 0.5
 """Probability of being seen below which an effect may be there and not show."""
 

@@ -13,17 +13,6 @@ from tirefit.report.diagnosis_words import (
 )
 from tirefit.report.numbers import format_number
 
-__all__ = [
-    "Bar",
-    "ClosureBar",
-    "after_label",
-    "closure_bars",
-    "covariate_label",
-    "evidence_bars",
-    "level_labels",
-    "load_label",
-]
-
 _LABELS = {
     "fz": "load $F_z$ [N]",
     "v": "speed $v$ [m/s]",

@@ -7,11 +7,7 @@ from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.records import Region, Shrinkage
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_lines, change_texts
-from tirefit.report.diagnosis_outlook import (
-    confused_lines,
-    smallest_lines,
-    step_lines,
-)
+from tirefit.report.diagnosis_outlook import confused_lines, smallest_lines, step_lines
 from tirefit.report.diagnosis_words import (
     AGAINST,
     UNLISTED,
@@ -33,20 +29,6 @@ from tirefit.report.diagnosis_words import (
     words_on,
 )
 from tirefit.report.numbers import format_estimate, format_number
-
-__all__ = [
-    "adequacy_line",
-    "diagnosis_text",
-    "gap_lines",
-    "look_lines",
-    "map_lines",
-    "run_lines",
-    "spot_lines",
-    "stand_in",
-    "subject",
-    "verdict_lines",
-    "verdict_sentence",
-]
 
 _WIDTH = 88
 _RUNS = "RUNS (an offset of its own for each, beside what else is named)"

@@ -17,31 +17,6 @@ from tirefit.diagnosis.records import (
 from tirefit.diagnosis.result import Diagnosis
 from tirefit.report.numbers import format_estimate, format_number
 
-__all__ = [
-    "AGAINST",
-    "UNLISTED",
-    "amount_text",
-    "closed_text",
-    "covariate_text",
-    "covariate_unit",
-    "listed_candidates",
-    "look_place",
-    "look_size",
-    "look_text",
-    "needs_text",
-    "nothing",
-    "p_text",
-    "parameter_text",
-    "range_text",
-    "remaining_text",
-    "said_effects",
-    "said_unit",
-    "share_text",
-    "slip_check_line",
-    "untestable_groups",
-    "words_on",
-]
-
 _STRANGER = "not in the library"
 UNLISTED = f"{_STRANGER}, alone or beside"
 """What ``VerdictSummary.unlisted`` is the probability of."""

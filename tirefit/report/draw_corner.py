@@ -10,8 +10,6 @@ from tirefit.fitting.result import FitResult
 from tirefit.report.canvas import BLUE, DARK, GREY, RED, WIDTH, Picture, frame, tidy
 from tirefit.report.uncertainty import Corner, corner_data
 
-__all__ = ["corner_figure", "draw_corner", "draw_joint", "draw_marginal"]
-
 _MOST_PANELS = 8
 """Parameters whose pairs have a panel with scales each: more would be too small."""
 _WORTH_SAYING = 0.3

@@ -14,19 +14,7 @@ from tirefit.report.canvas import (
     frame,
     tidy,
 )
-from tirefit.report.uncertainty import (
-    ProfilePanel,
-    Trace,
-    profile_data,
-    trace_data,
-)
-
-__all__ = [
-    "draw_profile",
-    "draw_trace",
-    "profile_figure",
-    "trace_figure",
-]
+from tirefit.report.uncertainty import ProfilePanel, Trace, profile_data, trace_data
 
 
 def draw_trace(left, right, trace: Trace, i: int) -> None:

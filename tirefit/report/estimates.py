@@ -5,11 +5,9 @@ import numpy as np
 from tirefit.online.base import PARAMETERS, Flag, code
 from tirefit.online.result import Estimates, changes
 from tirefit.report.canvas import COLORS, DARK, GREY, Picture, tidy
-from tirefit.report.html import png_text, rendered
+from tirefit.report.html import table_fragment
 from tirefit.report.numbers import format_estimate, format_number, plain_text
 from tirefit.report.text import table
-
-__all__ = ["estimates_figure", "estimates_html", "estimates_text", "shaded_spans"]
 
 _ROOM = 0.15
 """Of the range of the estimates, beside it."""
@@ -54,11 +52,8 @@ def estimates_text(result: Estimates) -> str:
 
 def estimates_html(result: Estimates) -> str:
     """The same as a fragment of HTML, with the figure; for notebooks."""
-    fragment = rendered(
-        "table_fragment.html", rows=_cells(result), notes=_notes(result)
-    )
-    source = f"data:image/png;base64,{png_text(estimates_figure(result))}"
-    return f'{fragment}\n<img alt="online estimates" src="{source}">'
+    picture = estimates_figure(result)
+    return table_fragment(_cells(result), _notes(result), picture, "online estimates")
 
 
 def shaded_spans(time: np.ndarray, flag: np.ndarray) -> list[tuple[float, float]]:

@@ -1,11 +1,10 @@
 """A fit as one page that needs nothing else."""
 
 import os
-from collections.abc import Mapping, Sequence
 
 from tirefit.files import write_text_atomic
 from tirefit.fitting.result import SCHEMA, FitResult
-from tirefit.report.fit_panels import Shown, page_pictures
+from tirefit.report.fit_panels import page_pictures
 from tirefit.report.fit_tables import (
     FORCE_UNIT,
     chain_rows,
@@ -22,34 +21,9 @@ from tirefit.report.fit_tables import (
     rows_text,
     run_rows,
 )
-from tirefit.report.html import GOOD, OPEN, png_text, rendered
-from tirefit.report.labels import fit_files, notes_of, run_lines
+from tirefit.report.html import image_of, rendered, verdict_parts
+from tirefit.report.labels import fit_files, run_lines
 from tirefit.report.numbers import format_number
-from tirefit.report.text import verdict_line
-
-__all__ = ["fit_page", "page_images", "verdict_parts", "write_fit_page"]
-
-
-def page_images(pictures: Sequence[Shown]) -> list[dict]:
-    """Pictures as the templates take them."""
-    return [
-        {
-            "png": png_text(one.picture), "alternative": one.alternative,
-            "least": one.least,
-        }
-        for one in pictures
-    ]  # fmt: skip
-
-
-def verdict_parts(result: FitResult) -> Mapping:
-    """Sentence, further lines and colour of the verdict."""
-    ok = result.verdict.get("status") == "ok"
-    sentences = result.verdict.get("sentences", [])
-    return {
-        "sentence": verdict_line(result),
-        "lines": sentences if ok else sentences[1:],
-        "color": GOOD if ok else OPEN,
-    }
 
 
 def _quality(result: FitResult) -> list[str]:
@@ -102,7 +76,8 @@ def _provenance(result: FitResult) -> list[str]:
         f"model {result.model}, forces {', '.join(result.forces)}",
         *_asked(result),
         f"solver {result.solver}, seed {result.seed}",
-        *notes_of(result, [*data["assumptions"], *result.noise.get("notes", ())]),
+        *data["assumptions"],
+        *result.noise.get("notes", ()),
         *masked[:20], *more,
         f"tirefit {result.version}, {SCHEMA}; "
         + ", ".join(f"{k} {v}" for k, v in result.versions.items()),
@@ -112,7 +87,6 @@ def _provenance(result: FitResult) -> list[str]:
 def fit_page(result: FitResult) -> str:
     """The whole fit as one HTML document: pictures and figures inside, no script,
     nothing to fetch."""
-    pictures = {k: page_images(v) for k, v in page_pictures(result).items()}
     runs = run_lines(result)
     return rendered(
         "fit_page.html",
@@ -129,7 +103,9 @@ def fit_page(result: FitResult) -> str:
         open=open_lines(result),
         far=far_lines(result),
         correlations=correlation_lines(result, most=20),
-        pictures=pictures,
+        pictures={
+            k: [image_of(*one) for one in v] for k, v in page_pictures(result).items()
+        },
         routes=route_rows(result),
         quality=_quality(result),
         by_run=run_rows(result),

@@ -25,15 +25,6 @@ from tirefit.report.draw_uncertainty import draw_profile, trace_figure
 from tirefit.report.residuals import Residuals, residual_panels
 from tirefit.report.uncertainty import has_trace, profile_data
 
-__all__ = [
-    "WIDE",
-    "Shown",
-    "below",
-    "curve_pictures",
-    "page_pictures",
-    "residual_pictures",
-]
-
 WIDE = 4.6
 _SMALL = 2.3
 _MOST_PAIRED = 40

@@ -32,7 +32,7 @@ Rows = list[list[str]]
 """Cells of a table, header first."""
 
 FORCE_UNIT = {"fx": "N", "fy": "N", "mz": "N m"}
-_ROUTES = ("covariance", "profile", "posterior")
+_ROUTES = ("covariance", "profile", "posterior", "independent")
 _STRONG = 0.9
 
 
@@ -73,8 +73,11 @@ def parameter_rows(result: FitResult) -> Rows:
 
 
 def route_rows(result: FitResult) -> Rows:
-    """The 95 % interval of every free parameter by each of the three ways."""
+    """The 95 % interval of every free parameter by each route, and beside them that of
+    independent rows where the rows count as fewer than half."""
     routes = [route for route in _ROUTES if result.intervals.get(route)]
+    if result.statistics.n_effective >= 0.5 * result.statistics.n:
+        routes = [route for route in routes if route != "independent"]
     rows = [["95 % interval", *routes]]
     for label in result.labels:
         std = result.least_squares[label].std
@@ -90,6 +93,8 @@ def reference_text(result: FitResult) -> str:
     at = f"F_z = {format_number(result.reference['fz'])} N"
     if result.reference.get("v"):
         at += f", v = {result.reference['v']:.3g} m/s"
+    if any("[" in key for key in result.reference):
+        at += ", of runs held elsewhere at their own"
     return at
 
 
@@ -114,14 +119,19 @@ def derived_rows(result: FitResult) -> Rows:
 
 
 def derived_by_run(result: FitResult) -> Rows:
-    """Those that runs differ in: a row per run, a column per quantity."""
+    """Those that runs differ in: a row per run, a column per quantity, and its load and
+    speed where runs were held at different ones."""
     own = {k: v for k, v in result.derived.items() if k != quantity_of(k)}
     names = {quantity_of(k): v.unit for k, v in own.items()}
     head = [name if unit == "-" else f"{name} [{unit}]" for name, unit in names.items()]
-    rows = [["run", *head]]
+    at = result.reference
+    titles = {"fz": "at F_z [N]", "v": "at v [m/s]"}
+    moved = [n for n in titles if any(key.startswith(f"{n}[") for key in at)]
+    rows = [["run", *(titles[n] for n in moved), *head]]
     for run in result.data["runs"] if own else ():
+        points = (format_number(at.get(f"{n}[{run}]", at[n])) for n in moved)
         cells = (_derived_value(own[f"{name}[{run}]"]) for name in names)
-        rows.append([short_run(result, str(run)), *cells])
+        rows.append([short_run(result, str(run)), *points, *cells])
     return rows
 
 
@@ -139,6 +149,21 @@ def _noise_model(result: FitResult) -> str:
     )
 
 
+def _differs(record: dict) -> str:
+    """How the noise of a force differs among rows; empty where it does not."""
+    text = ""
+    if "share_of_force" in record:
+        text = (
+            f"; by row {format_number(record['constant'], 3)} N,"
+            f" {100 * record['share_of_load']:.2g} % of the load and"
+            f" {100 * record['share_of_force']:.2g} % of the force, added in square"
+        )
+    if "by_run" in record:
+        least, most = min(record["by_run"].values()), max(record["by_run"].values())
+        text += f"; times {least:.2g} to {most:.2g} by run"
+    return text
+
+
 def noise_text(result: FitResult) -> str:
     """Standard deviation of every noise, where it is from, and its model."""
     parts = []
@@ -147,7 +172,7 @@ def noise_text(result: FitResult) -> str:
             unit = FORCE_UNIT.get(name, "rad" if name == "alpha" else "-")
             unit = "" if unit == "-" else f" {unit}"
             std = format_number(record["median_std"], 3)
-            parts.append(f"{name} {std}{unit} ({record['source']})")
+            parts.append(f"{name} {std}{unit} ({record['source']}{_differs(record)})")
     return f"{', '.join(parts)}; {_noise_model(result)}"
 
 

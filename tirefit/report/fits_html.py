@@ -4,21 +4,19 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
+from tirefit.data.merged import merged
 from tirefit.data.run_names import name_pattern, run_names
 from tirefit.files import write_text_atomic
 from tirefit.fitting.derived import quantity_of
 from tirefit.fitting.result import SCHEMA, FitResult
 from tirefit.report.by_name import Points, distinct, place_points, points_of
 from tirefit.report.canvas import Picture
-from tirefit.report.fit_html import page_images
 from tirefit.report.fit_panels import WIDE, Shown, below
 from tirefit.report.fit_tables import FORCE_UNIT, Rows, rows_text, value_text
-from tirefit.report.html import GOOD, OPEN, rendered
+from tirefit.report.html import GOOD, OPEN, image_of, rendered
 from tirefit.report.numbers import format_number
 from tirefit.report.overlay import draw_overlay, overlay_of
 from tirefit.results import InputProblem, UsageError
-
-__all__ = ["fits_page", "write_fits_page"]
 
 _TOGETHER = 3
 """Quantities by file in one picture."""
@@ -144,6 +142,7 @@ def _provenance(fits: Mapping[str, FitResult]) -> list[str]:
         f"values: {_one_of(r.source for r in results)}",
         f"solver {_one_of(r.solver for r in results)}, seed"
         f" {_one_of(r.seed for r in results)}",
+        *merged((name, result.data["assumptions"]) for name, result in fits.items()),
         f"tirefit {_one_of(r.version for r in results)}, {SCHEMA}",
     ]
 
@@ -185,10 +184,10 @@ def fits_page(
         title=f"{_one_of(r.model for r in results)} fitted to {len(fits)} files",
         subtitle="; ".join([*pattern, *_said(results)]),
         verdict=_verdict(by_name, failed or {}),
-        curves=page_images(_overlays(by_name)),
+        curves=[image_of(*one) for one in _overlays(by_name)],
         parameters=_parameters(by_name),
         derived=_table(by_name, "derived"),
-        by_file=page_images(_by_file(by_name)),
+        by_file=[image_of(*one) for one in _by_file(by_name)],
         per_run=sorted({quantity_of(k) for r in results for k in r.labels if "[" in k}),
         provenance=_provenance(fits),
         files=_files(by_name),

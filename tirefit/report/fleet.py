@@ -11,8 +11,6 @@ from tirefit.fitting.across_files import AcrossFiles, across_files
 from tirefit.report.canvas import BLUE, DARK, GREY, RED, Picture, panel_title, tidy
 from tirefit.report.numbers import format_number
 
-__all__ = ["Fleet", "Points", "Quantity", "fleet_of", "points", "quantity_figure"]
-
 _KINDS = ("parameter", "effect", "gap", "derived", "statistic")
 """In the order of the page; what a fit was told (``base``) is not among them."""
 

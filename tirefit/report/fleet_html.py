@@ -9,10 +9,8 @@ from tirefit import __version__
 from tirefit.data.records import FAILED
 from tirefit.files import write_text_atomic
 from tirefit.report.fleet import Fleet, Quantity, fleet_of, quantity_figure
-from tirefit.report.html import png_text, rendered
+from tirefit.report.html import image_of, rendered
 from tirefit.report.numbers import format_estimate, format_number
-
-__all__ = ["fleet_page", "write_fleet_page"]
 
 _PICTURES, _LISTED = 12, 40
 """Quantities that are drawn, and files that are listed, at most."""
@@ -35,10 +33,10 @@ def fleet_page(fleet: Fleet, command: str) -> str:
         settings=_settings(fleet, command),
         quantities=_quantities(fleet),
         pictures=[
-            {
-                "png": png_text(quantity_figure(one, fleet.dates is not None)),
-                "alternative": f"{one.name} over the files",
-            }
+            image_of(
+                quantity_figure(one, fleet.dates is not None),
+                f"{one.name} over the files",
+            )
             for one in drawn
         ],
         left=[one.name for one in fleet.quantities[_PICTURES:]],
@@ -108,12 +106,9 @@ def _outliers(fleet: Fleet) -> list[tuple[str, ...]]:
         value = float(one.value[k])
         text = format_estimate(value, std) if std else format_number(value)
         pull = f"{one.across.pulls[k]:+.1f}"
-        rows.append((_file(fleet, one.number[k]), one.name, text, one.unit, pull))
+        file = fleet.files["file"][int(one.number[k]) - 1]
+        rows.append((file, one.name, text, one.unit, pull))
     return rows
-
-
-def _file(fleet: Fleet, number) -> str:
-    return fleet.files["file"][int(number) - 1]
 
 
 def _failed(fleet: Fleet) -> list[tuple[str, ...]]:

@@ -14,8 +14,6 @@ from tirefit.report.labels import fit_files
 from tirefit.report.numbers import format_number
 from tirefit.report.text import verdict_line
 
-__all__ = ["GOOD", "OPEN", "data_fragment", "fit_fragment", "png_text", "rendered"]
-
 GOOD, OPEN = "#009E73", "#D55E00"
 """Colours of a verdict that holds, and of one that leaves something open."""
 
@@ -40,6 +38,18 @@ def png_text(picture) -> str:
     return base64.b64encode(picture._repr_png_()).decode("ascii")
 
 
+def image_of(picture, alternative: str, least: int = 0) -> dict:
+    """A picture as the templates take it: in words too, with its least width [px]."""
+    return {"png": png_text(picture), "alternative": alternative, "least": least}
+
+
+def table_fragment(rows, notes, picture, alternative: str) -> str:
+    """A table with notes and a picture as a fragment of HTML, for notebooks."""
+    fragment = rendered("table_fragment.html", rows=rows, notes=notes)
+    source = f"data:image/png;base64,{png_text(picture)}"
+    return f'{fragment}\n<img alt="{alternative}" src="{source}">'
+
+
 def _figure(result: FitResult) -> str:
     if result.problem is None:
         return ""
@@ -50,10 +60,19 @@ def _figure(result: FitResult) -> str:
     return png_text(picture)
 
 
-def fit_fragment(result: FitResult) -> str:
-    """Parameters, verdict and the fitted curve; no script, no external resource."""
+def verdict_parts(result: FitResult) -> dict:
+    """Sentence, further lines and colour of the verdict."""
     ok = result.verdict.get("status") == "ok"
     sentences = result.verdict.get("sentences", [])
+    return {
+        "sentence": verdict_line(result),
+        "lines": sentences if ok else sentences[1:],
+        "color": GOOD if ok else OPEN,
+    }
+
+
+def fit_fragment(result: FitResult) -> str:
+    """Parameters, verdict and the fitted curve; no script, no external resource."""
     return rendered(
         "fit_fragment.html",
         model=result.model,
@@ -61,9 +80,7 @@ def fit_fragment(result: FitResult) -> str:
         n=result.statistics.n,
         source=result.source,
         rows=parameter_rows(result),
-        color=GOOD if ok else OPEN,
-        verdict=verdict_line(result),
-        sentences=sentences if ok else sentences[1:],
+        verdict=verdict_parts(result),
         png=_figure(result),
     )
 

@@ -3,13 +3,11 @@
 ``fit.json`` keeps the whole names; for readers they are as short as tells them apart.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from tirefit.data.run_names import clipped, label_of_run, name_pattern, run_names
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.result import FitResult
-
-__all__ = ["fit_files", "notes_of", "run_lines", "short_label", "short_run"]
 
 
 def _short(result: FitResult) -> Mapping[str, str]:
@@ -47,26 +45,3 @@ def fit_files(result: FitResult | MagicFormulaFit, most: int = 1000) -> str:
         return clipped(result.data["file"].replace("\\", "/").rsplit("/", 1)[-1], most)
     pattern = name_pattern([file.rsplit("/", 1)[-1] for file in files])
     return clipped(f"{len(files)} files, {pattern}", most)
-
-
-def notes_of(result: FitResult, notes: Sequence[str]) -> list[str]:
-    """Notes on single files by the text, which most files have in common."""
-    count = len(result.data["file"].split(", "))
-    if count == 1:
-        return list(notes)
-    runs = {str(run) for run in result.data["runs"]}
-    # A file of several runs gives them its name and a colon.
-    tables = sorted(runs | {run.rpartition(":")[0] for run in runs} - {""}, key=len)
-    whose: dict[str, list[str]] = {}
-    for note in notes:
-        table = next((t for t in reversed(tables) if note.startswith(f"{t}: ")), "")
-        text = note[len(table) + 2 :] if table else note
-        whose.setdefault(text, []).append(short_run(result, table))
-    return [_noted(text, tables, count) for text, tables in whose.items()]
-
-
-def _noted(text: str, tables: Sequence[str], count: int) -> str:
-    if tables == [""]:
-        return text
-    names = "every file" if len(tables) == count else ", ".join(tables)
-    return f"{names}: {text}"

@@ -8,6 +8,7 @@ from tirefit.fitting.mf.parts import PARTS
 from tirefit.fitting.mf.result import ORIGINS, MagicFormulaFit
 from tirefit.params import specs
 from tirefit.report.html import png_text
+from tirefit.report.labels import fit_files
 from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.text import table, wrapped
 from tirefit.results import Outcome
@@ -20,7 +21,8 @@ _UNIT = {force: CANONICAL[force][0] for force in FORCES}
 def magic_formula_report(fit: MagicFormulaFit) -> str:
     """What was fitted, every coefficient with its origin, noise and verdict."""
     lines = [f"MAGIC FORMULA {fit.model}, tirefit {fit.version}"]
-    lines += wrapped("file", fit.data["file"])
+    several = ", " in fit.data["file"]
+    lines += wrapped("file", fit_files(fit) if several else fit.data["file"])
     lines += wrapped("convention", f"{fit.data['convention']} read; SI, ISO-W in .tir")
     for note in (*fit.data["assumptions"], *fit.notes):
         lines += wrapped("assumed", note)

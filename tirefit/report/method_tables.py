@@ -8,8 +8,6 @@ from tirefit.params import Spec, specs
 from tirefit.report.numbers import format_number
 from tirefit.report.text import WIDTH, table
 
-__all__ = ["methods_dict", "methods_table"]
-
 
 def _settings(kind: type[AbstractEstimator]) -> dict[str, Spec]:
     return specs(kind())

@@ -7,9 +7,8 @@ from tirefit.data.table import FORCES
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.report.canvas import GREY, Picture, panel_title, save_picture
 from tirefit.report.draw import draw_fit
-from tirefit.report.fit_html import page_images
 from tirefit.report.fit_panels import WIDE, Shown, below
-from tirefit.report.html import rendered
+from tirefit.report.html import image_of, rendered
 from tirefit.report.labels import fit_files
 from tirefit.report.magic_formula import magic_formula_report
 from tirefit.report.mf_curves import (
@@ -26,6 +25,7 @@ __all__ = [
     "magic_formula_page",
     "plot_magic_formula",
     "save_pictures",
+    "stacked",
 ]
 
 MAGIC_FORMULA_FILES = tuple(
@@ -52,7 +52,7 @@ def _draw(axes, panel: Panel) -> None:
         axes.set_xticks(*zip(*panel.ticks, strict=True))
 
 
-def _stacked(panels: Sequence[Panel], title: str = "") -> Picture:
+def stacked(panels: Sequence[Panel], title: str = "") -> Picture:
     """One panel below the other, each with its legend below."""
     picture = Picture(figsize=(WIDE, _HEIGHT * len(panels)), layout="constrained")
     if title:
@@ -89,7 +89,7 @@ def plot_magic_formula(fit: MagicFormulaFit, ax=None):
     panels = _panels(fit)
     first = [panels[force][0] for force in fit.binned if force in panels]
     if ax is None:
-        return _stacked(first, _title(fit))
+        return stacked(first, _title(fit))
     _draw(ax, first[0])
     return ax.figure
 
@@ -97,11 +97,11 @@ def plot_magic_formula(fit: MagicFormulaFit, ax=None):
 def magic_formula_page(fit: MagicFormulaFit) -> str:
     """The fit as one HTML document: figures, report, record; nothing to fetch."""
     panels = [panel for named in _panels(fit).values() for panel in named]
-    pictures = [Shown(_stacked([panel]), panel.title) for panel in panels]
+    pictures = [Shown(stacked([panel]), panel.title) for panel in panels]
     return rendered(
         "magic_formula_page.html",
         title=_title(fit),
-        pictures=page_images(pictures),
+        pictures=[image_of(*one) for one in pictures],
         report=magic_formula_report(fit),
         record=fit.to_json(),
     )
@@ -111,7 +111,7 @@ def save_pictures(fit: MagicFormulaFit, folder: Path, svg: bool = False) -> list
     """Writes the figures into a folder; the files. ``svg``: each as SVG too."""
     written = []
     pictures = {"fit": plot_magic_formula(fit)}
-    pictures |= {name: _stacked(p, _title(fit)) for name, p in _panels(fit).items()}
+    pictures |= {name: stacked(p, _title(fit)) for name, p in _panels(fit).items()}
     for name, picture in pictures.items():
         for suffix in (".png", ".svg") if svg else (".png",):
             written.append(save_picture(picture, folder / f"{name}{suffix}"))

@@ -9,8 +9,6 @@ from tirefit.params import Spec, specs
 from tirefit.report.numbers import format_number
 from tirefit.report.text import WIDTH, table
 
-__all__ = ["models_dict", "models_table"]
-
 _LETTERS = re.compile(r"d?m?(ns?|hs?)?")
 
 
@@ -109,19 +107,7 @@ def models_dict(models: Mapping[str, AbstractTire]) -> dict[str, dict]:
     return {
         name: {
             "about": _about(model),
-            "parameters": {
-                key: {
-                    "unit": spec.unit,
-                    "lower": spec.lower,
-                    "upper": spec.upper,
-                    "default": spec.default,
-                    "free": spec.free,
-                    "scale": spec.scale,
-                    "meaning": spec.meaning,
-                    "source": spec.source,
-                }
-                for key, spec in specs(model).items()
-            },
+            "parameters": {k: spec._asdict() for k, spec in specs(model).items()},
         }
         for name, model in models.items()
     }

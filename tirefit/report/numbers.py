@@ -3,14 +3,6 @@
 import math
 from typing import TypeGuard
 
-__all__ = [
-    "format_estimate",
-    "format_interval",
-    "format_number",
-    "places_of",
-    "plain_text",
-]
-
 _MOST_DIGITS = 7
 """No measurement has more, and the rest would be rounding."""
 _TOO_LARGE = 1e7

@@ -15,8 +15,6 @@ from tirefit.report.canvas import COLORS, GREY, tidy
 from tirefit.report.curves import FORCE_LABEL, SlipAxis, slip_axis
 from tirefit.report.numbers import plain_text
 
-__all__ = ["Overlay", "OverlayCurve", "draw_overlay", "overlay_of"]
-
 _POINTS = 160
 _MOST_POINTS = 300
 _MOST_NAMED = 12

@@ -18,8 +18,6 @@ from tirefit.fitting.result import FitResult
 from tirefit.report.curves import slip_axis
 from tirefit.report.numbers import plain_text
 
-__all__ = ["Residuals", "Scatter", "residual_panels"]
-
 _INDEPENDENT = 0.9
 """Effective share of the rows from which their order in the file is moot."""
 _MOST_RUNS = 30

@@ -7,8 +7,6 @@ from tirefit.data.run_names import run_names
 from tirefit.report.numbers import format_estimate
 from tirefit.report.text import table_parts
 
-__all__ = ["summary_table"]
-
 
 def summary_table(fits: Sequence[FileRecord]) -> str:
     """Directory, parameters with standard deviations, RMSE and verdict of every fit."""

@@ -18,7 +18,7 @@ from tirefit.report.fit_tables import (
     rows_text,
     run_rows,
 )
-from tirefit.report.labels import fit_files, notes_of, run_lines
+from tirefit.report.labels import fit_files, run_lines
 from tirefit.report.numbers import format_number
 
 __all__ = [
@@ -95,7 +95,7 @@ def _header(result: FitResult) -> list[str]:
         f"braking positive, SI (file: {data['convention']}, slip"
         f" {data['slip_definition']})",
     )
-    notes = notes_of(result, [*data["assumptions"], *result.noise.get("notes", ())])
+    notes = [*data["assumptions"], *result.noise.get("notes", ())]
     for i, note in enumerate(notes):
         lines += wrapped("assumptions" if i == 0 else "", note)
     for i, problem in enumerate(data["masked"][:5]):

@@ -20,18 +20,6 @@ from tirefit.report.labels import short_label, short_run
 from tirefit.report.numbers import plain_text
 from tirefit.results import InputProblem, UsageError
 
-__all__ = [
-    "Corner",
-    "ProfilePanel",
-    "Trace",
-    "corner_data",
-    "has_trace",
-    "named_labels",
-    "profile_data",
-    "symbol",
-    "trace_data",
-]
-
 _MOST_PAIRS = 20
 _MOST_TRACES = 10
 _MOST_PROFILES = 24
@@ -241,10 +229,7 @@ def _of_others(result: FitResult, labels: Sequence[str]) -> str:
     known = [] if summary is None else [k for k in others if k in summary.rhat]
     if summary is None or not known:
         return text
-    rhat, ess = (
-        max(summary.rhat[k] for k in known),
-        min(summary.ess[k] for k in known),
-    )
+    rhat, ess = max(summary.rhat[k] for k in known), min(summary.ess[k] for k in known)
     return f"{text}; the others: R-hat at most {rhat:.3f}, ESS at least {ess:.0f}"
 
 
@@ -270,15 +255,12 @@ def trace_data(result: FitResult, parameters: Sequence[str] | None = None) -> Tr
             for ensemble in chains
         ]
     )
-    summary = result.posterior
-    rhat, ess = (
-        (None, None)
-        if summary is None
-        else (
+    rhat = ess = None
+    if result.posterior is not None:
+        rhat, ess = (
             np.array([record.get(label, np.nan) for label in labels])
-            for record in (summary.rhat, summary.ess)
+            for record in (result.posterior.rhat, result.posterior.ess)
         )
-    )
     return Trace(
         tuple(symbol(result, label) for label in labels), chosen / max(length - 1, 1),
         chains[:, chosen], edges, density, rhat, ess, _of_others(result, labels),

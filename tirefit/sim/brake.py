@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from tirefit.online.controller import Measurement, Truth
 from tirefit.sim.brake_plant import (
     Contacts,
     Drive,
@@ -23,39 +24,12 @@ from tirefit.sim.brake_plant import (
 )
 from tirefit.sim.brake_sensors import Noise, Sensors, draw_noise, wheel_speeds
 
-__all__ = ["SPUN", "STANDS", "Log", "Reading", "TrueState", "simulate_stop", "xbs_true"]
-
 STANDS = 0.1
 """Speed [m/s] below which the car has stopped: 1.3 cm before the end at mu 0.04."""
 SPUN = 1.5708
 """Angle [rad] from which on a car has spun: across the way that it had."""
 _RUN_IN = 2.0
 """Time [s] for which a car turns at a constant speed before it is braked."""
-
-
-class TrueState(NamedTuple):
-    """What no sensor tells, for controllers that are an upper limit: see
-    :class:`tirefit.online.controller.Truth`, whose fields these are."""
-
-    speed: Float[Array, " w"]
-    slip: Float[Array, " w"]
-    peak: Float[Array, " w"]
-    mu: Float[Array, " w"]
-    fz: Float[Array, " w"]
-
-
-class Reading(NamedTuple):
-    """One sample of the sensors: see :class:`tirefit.online.controller.Measurement`,
-    whose fields these are."""
-
-    time: Float[Array, ""]
-    wheel_speed: Float[Array, " w"]
-    pressure: Float[Array, " w"]
-    deceleration: Float[Array, ""]
-    demand: Float[Array, ""]
-    steering: Float[Array, ""]
-    yaw_rate: Float[Array, ""]
-    truth: TrueState
 
 
 class Log(NamedTuple):
@@ -74,7 +48,7 @@ class Log(NamedTuple):
     xbs_true: Float[Array, "*n w"]
     valve: Float[Array, "*n w"]
     d: Float[Array, "*n w"]
-    reading: Reading
+    reading: Measurement
     info: dict[str, Float[Array, "*n w"]]
     fine: Float[Array, "*n"]
 
@@ -95,7 +69,7 @@ def _read(plant: Plant, sensors: Sensors, s, now: Contacts, t, noise: Noise, d):
     peak, at = plant.tire.peaks(now.mu, now.slips.speed, now.fz)
     slowing, _, _ = accelerations(plant, now.fx + d, now.fy)
     turning = s.omega * jnp.asarray(plant.vehicle.radius)
-    return Reading(
+    return Measurement(
         time=t,
         wheel_speed=wheel_speeds(sensors, turning, noise.speed),
         pressure=s.pressure + sensors.pressure_std * noise.pressure,
@@ -103,7 +77,7 @@ def _read(plant: Plant, sensors: Sensors, s, now: Contacts, t, noise: Noise, d):
         demand=plant.hydraulics.master(t),
         steering=plant.steering,
         yaw_rate=s.yaw_rate,
-        truth=TrueState(now.v_x, now.slips.kappa, at, peak, now.fz),
+        truth=Truth(now.v_x, now.slips.kappa, at, peak, now.fz),
     )
 
 

@@ -7,8 +7,6 @@ import numpy as np
 from tirefit.sim.brake_request import Request, plant_of
 from tirefit.sim.brake_tire import wheel_slips
 
-__all__ = ["tire_curve"]
-
 
 def tire_curve(
     request: Request, most: float, points: int = 200

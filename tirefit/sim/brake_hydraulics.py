@@ -14,8 +14,6 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-__all__ = ["Hydraulics"]
-
 
 class Hydraulics(NamedTuple):
     """``demand`` [Pa] of the driver, reached at ``ramp`` [Pa/s]; ``rise``, ``fall``

@@ -26,17 +26,6 @@ from tirefit.sim.brake_road import Road
 from tirefit.sim.brake_tire import RoadTire, Slips, wheel_slips
 from tirefit.sim.brake_vehicle import Vehicle
 
-__all__ = [
-    "Contacts",
-    "Drive",
-    "Motion",
-    "Plant",
-    "accelerations",
-    "advance",
-    "contacts",
-    "rolling",
-]
-
 Wheels = Float[Array, " w"]
 Number = Float[Array, ""]
 

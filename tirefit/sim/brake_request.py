@@ -19,17 +19,6 @@ from tirefit.sim.brake_sensors import Sensors
 from tirefit.sim.brake_tire import on_road
 from tirefit.sim.brake_vehicle import GRAVITY, Vehicle, four_wheels, quarter_car
 
-__all__ = [
-    "VEHICLES",
-    "Request",
-    "arrays",
-    "check",
-    "doubts",
-    "known_to_controllers",
-    "plant_of",
-    "with_numbers",
-]
-
 VEHICLES = {"car": four_wheels, "quarter": quarter_car}
 """Name of a vehicle -> what makes it."""
 

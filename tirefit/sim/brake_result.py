@@ -24,8 +24,6 @@ from tirefit.sim.brake_summary import (
     summarise,
 )
 
-__all__ = ["SCHEMA", "Braking", "Stop", "brake", "many_stops"]
-
 SCHEMA = "tirefit.brake/1"
 
 _TOGETHER = 50
@@ -173,11 +171,6 @@ def many_stops(
     return jax.lax.map(one, (plants, keys), batch_size=_TOGETHER)
 
 
-def _keys(seed: int, k: int):
-    """Keys of the noise for seeds from ``seed`` on; one for each alone."""
-    return jax.vmap(jax.random.key)(jnp.arange(seed, seed + k))
-
-
 def brake(
     request: Request,
     controllers: Mapping[str, Any],
@@ -216,7 +209,7 @@ def brake(
         done[name] = _stop(name, log, summary, wheels, controller)
         if stops > 1:
             plants = jax.tree.map(lambda x: jnp.repeat(x[None], stops, 0), plant)
-            keys = _keys(seed, stops)
+            keys = jax.vmap(jax.random.key)(jnp.arange(seed, seed + stops))
             all_ = many_stops(plants, controller, sensors, speed, keys, *how)
             many[name] = jax.tree.map(np.asarray, all_)
     return Braking(request, done, many, seed, __version__)

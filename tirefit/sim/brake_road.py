@@ -13,8 +13,6 @@ from jaxtyping import Array, Float
 
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["ROADS", "Road", "road_of"]
-
 ROADS = ("mu=0.4", "mu=0.3:0.8@20", "left=0.3,right=0.8")
 """How a road is written: constant; another friction from 20 m on; split."""
 

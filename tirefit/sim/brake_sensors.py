@@ -11,8 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-__all__ = ["Noise", "Sensors", "draw_noise"]
-
 
 class Sensors(NamedTuple):
     """``speed_std`` [m/s]: noise of a wheel's circumferential speed; ``speed_step``

@@ -10,8 +10,6 @@ from scipy import stats
 from tirefit.sim.brake import SPUN, STANDS, Log
 from tirefit.sim.brake_plant import Plant
 
-__all__ = ["MEANINGS", "UNITS", "Interval", "Summary", "interval", "summarise"]
-
 LOCKED_SLIP = 0.9
 """Slip from which on a wheel counts as locked."""
 RECOVERED = 0.8
@@ -162,11 +160,7 @@ def interval(values: np.ndarray) -> Interval:
     known: Any = np.asarray(values, float)
     known = known[np.isfinite(known)]
     k = len(known)
-    if k == 0:
-        return Interval(np.nan, np.nan, np.nan, np.nan, 0)
-    mean = float(known.mean())
-    if k == 1:
-        return Interval(mean, np.nan, np.nan, np.nan, 1)
-    std = float(known.std(ddof=1))
+    mean = float(known.mean()) if k else np.nan
+    std = float(known.std(ddof=1)) if k > 1 else np.nan
     half = float(stats.t.ppf(0.975, k - 1)) * std / np.sqrt(k)
     return Interval(mean, mean - half, mean + half, std, k)

@@ -21,8 +21,6 @@ from jaxtyping import Array, Float
 from tirefit.models import AbstractTire, TireInputs
 from tirefit.slip import sigma_from_kappa
 
-__all__ = ["LOW_SPEED", "RoadTire", "Slips", "on_road", "wheel_slips"]
-
 LOW_SPEED = 0.3
 """Speed [m/s] below which slip is taken over this speed, lest it be infinitely stiff
 at a standstill; a locked wheel's force fades at a tenth of it, a hand's breadth of way

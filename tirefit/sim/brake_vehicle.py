@@ -13,8 +13,6 @@ from jaxtyping import Array, Float
 from tirefit.data.table import WHEELS
 from tirefit.sim.drive import Car
 
-__all__ = ["GRAVITY", "Vehicle", "four_wheels", "quarter_car"]
-
 GRAVITY = 9.81
 
 Wheels = Float[Array | np.ndarray, " w"]
@@ -58,9 +56,9 @@ fifths of it, has the smaller share that its load under braking asks for."""
 _TRANSFER_TIME = 0.1
 
 
-def four_wheels(car: Car | None = None) -> Vehicle:
+def four_wheels() -> Vehicle:
     """A car whose loads move between front and rear, left and right."""
-    car = Car() if car is None else car
+    car = Car()
     base = car.l_f + car.l_r
     front = np.array([1.0, 1.0, 0.0, 0.0])
     left = np.array([1.0, -1.0, 1.0, -1.0])
@@ -78,9 +76,9 @@ def four_wheels(car: Car | None = None) -> Vehicle:
     )  # fmt: skip
 
 
-def quarter_car(car: Car | None = None) -> Vehicle:
+def quarter_car() -> Vehicle:
     """One front wheel with the mass that it carries; its load is constant."""
-    car = Car() if car is None else car
+    car = Car()
     load = car.mass * GRAVITY * car.l_r / (car.l_f + car.l_r) / 2
     zero = np.zeros(1)
     return Vehicle(

@@ -8,39 +8,25 @@ turned into a force of the road by the slip that it makes:
 
 which diffrax integrates. The torque rises linearly over each tooth to a share of what
 the road could hold, and falls at once. The tire is the Magic Formula of the source, or
-a LuGre tire whose bristles follow in time (:mod:`tirefit.sim.lugre_wheel`); noise comes
+a LuGre tire whose bristles follow in time (:mod:`tirefit.sim.wheel`); noise comes
 on slip and force afterwards, so that the truth is known.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import diffrax
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from tirefit.models import MagicFormula
-from tirefit.sim.lugre_wheel import PATCH, WheelNumbers, lugre_tire, lugre_wheel
+from tirefit.models import LuGre, MagicFormula
+from tirefit.sim.wheel import (
+    PATCH,
+    SLOWEST,
+    STEADY,
+    WheelNumbers,
+    braked_wheel,
+    lugre_tire,
+)
 from tirefit.slip import LOCKED
-
-__all__ = [
-    "BRAKE_GAIN",
-    "LOAD",
-    "PEAK",
-    "STIFFNESS",
-    "TIRES",
-    "Braking",
-    "SimulatedLog",
-    "simulate_braking",
-    "source_tire",
-]
-
-_SLOWEST = 0.01
-"""Wheel speed over that of free rolling below which a wheel is locked: the brake, which
-only holds, cannot turn it backwards."""
-
 
 PEAK, STIFFNESS, LOAD = 0.98, 5e5, 27e3
 """D [-], C_x [N] and F_z [N] of S section 5; the load is not printed, but follows."""
@@ -135,19 +121,29 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
     if how.drop is not None:
         mu = np.where(time < how.drop[0], how.friction, how.drop[1])
     change = np.inf if how.drop is None else how.drop[0]
-    wheel = _source_wheel if how.tire == "magic-formula" else _lugre_wheel
-    moved = wheel(how, (mu[0], mu[-1]), full, change, time)
+    numbers = WheelNumbers(
+        full, how.period, how.radius, how.inertia, how.v, how.fz, change, 1 / how.rate
+    )
+    ends, extra = (mu[0], mu[-1]), {}
+    if how.tire == "lugre":
+        soft = tuple(lugre_tire(peak, how.v) for peak in ends)
+        omega, fx, bent = braked_wheel(numbers, soft, PATCH, time, how.teeth)
+        slope, extra = _slope_at_rest(soft[0], how.v), {"deflection": bent}
+    else:
+        stiff = tuple(map(source_tire, ends))
+        omega, fx, _ = braked_wheel(numbers, stiff, STEADY, time, how.teeth)
+        slope = STIFFNESS / LOAD
     torque = full * (time % how.period) / how.period
     steady = {
         "fz": np.full(n, how.fz), "v": np.full(n, how.v), "torque": torque,
         "brake_pressure": torque / how.radius / BRAKE_GAIN,
     }  # fmt: skip
     free = how.v / how.radius
-    stands = moved["omega"] <= 1.001 * _SLOWEST * free
-    sigma = np.where(stands, LOCKED, free / moved["omega"] - 1)
+    stands = omega <= 1.001 * SLOWEST * free
+    sigma = np.where(stands, LOCKED, free / omega - 1)
     truth = {
-        "time": time, "sigma_x": sigma, "fx": moved["fx"], **steady,
-        "omega": np.where(stands, 0.0, moved["omega"]),
+        "time": time, "sigma_x": sigma, "fx": fx, **steady,
+        "omega": np.where(stands, 0.0, omega),
     }  # fmt: skip
     random = np.random.default_rng(how.seed)
     seen = sigma + np.sqrt(how.slip_variance) * random.standard_normal(n)
@@ -155,71 +151,13 @@ def simulate_braking(how: Braking | None = None) -> SimulatedLog:
     noise = np.sqrt(how.force_variance) * how.fz * random.standard_normal(n)
     # The wheel speed that a measured slip is derived from.
     columns = truth | {
-        "sigma_x": seen, "fx": moved["fx"] + noise,
+        "sigma_x": seen, "fx": fx + noise,
         "omega": np.where(stands, 0.0, free / (1 + seen)),
     }  # fmt: skip
-    known = {name: moved[name] for name in ("cpa2", "deflection") if name in moved}
-    return SimulatedLog(columns, truth | {"mu": mu} | known)
+    known = {"mu": mu, "cpa2": np.full(n, slope * how.fz / 2), **extra}
+    return SimulatedLog(columns, truth | known)
 
 
-def _source_wheel(how: Braking, friction, full: float, change: float, time):
-    """Columns omega, fx and cpa2 of the wheel on the Magic Formula of S section 5."""
-    tires = [source_tire(peak) for peak in friction]
-    omega = np.asarray(_wheel(how, tires, full, change, time))
-    kappa = 1 - omega * how.radius / how.v
-    before, after = (np.asarray(tire.pure(kappa, how.fz)) for tire in tires)
-    fx = np.where(time < change, before, after)
-    cpa2 = np.full(len(time), STIFFNESS / LOAD * how.fz / 2)
-    return {"omega": omega, "fx": fx, "cpa2": cpa2}
-
-
-def _lugre_wheel(how: Braking, friction, full: float, change: float, time):
-    """The same and the deflection on a LuGre tire; its slope at rest depends on v."""
-    tires = lugre_tire(friction[0], how.v), lugre_tire(friction[1], how.v)
-    numbers = WheelNumbers(
-        full, how.period, how.radius, how.inertia, how.v, how.fz, change, 1 / how.rate
-    )
-    omega, fx, deflection = lugre_wheel(numbers, tires, PATCH, time, how.teeth)
-    tire = tires[0]
-    slope = tire.sigma0 * tire.length / 2 + (tire.sigma1 + tire.sigma2) * how.v
-    cpa2 = np.full(len(time), slope * how.fz / 2)
-    return {"omega": omega, "fx": fx, "cpa2": cpa2, "deflection": deflection}
-
-
-def _wheel(how: Braking, tires, full: float, change: float, time):
-    """Wheel speed (n,) [rad/s] at the times, on the tires before and after a change."""
-    free = how.v / how.radius
-    numbers = jax.tree.map(
-        lambda x: jnp.asarray(x, float),
-        (
-            full, how.period, how.radius, how.inertia, how.v, how.fz, change,
-            1 / how.rate, tires,
-        ),
-    )  # fmt: skip
-    return free * _integrate(numbers, jnp.asarray(time), how.teeth)
-
-
-@eqx.filter_jit
-def _integrate(numbers, time, teeth: int):
-    full, period, radius, inertia, v, fz, change, interval, (before, after) = numbers
-
-    def rate(t, turning, args):
-        del args
-        kappa = 1 - turning
-        force = jnp.where(t < change, before.pure(kappa, fz), after.pure(kappa, fz))
-        torque = full * (t % period) / period
-        # A brake holds a wheel that stands; it does not turn it.
-        holds = (turning <= _SLOWEST) & (torque > radius * force)
-        return jnp.where(holds, 0.0, (radius * force - torque) * radius / inertia / v)
-
-    jumps = jnp.append(period * jnp.arange(1, teeth + 1), change)
-    controller = diffrax.ClipStepSizeController(
-        diffrax.PIDController(rtol=1e-7, atol=1e-9, dtmax=interval), step_ts=time,
-        jump_ts=jnp.sort(jnp.where(jnp.isfinite(jumps), jumps, time[-1] + 1.0)),
-    )  # fmt: skip
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(rate), diffrax.Tsit5(), time[0], time[-1], None,
-        jnp.ones(()), saveat=diffrax.SaveAt(ts=time), stepsize_controller=controller,
-        max_steps=2**20,
-    )  # fmt: skip
-    return jnp.clip(solution.ys, _SLOWEST)
+def _slope_at_rest(tire: LuGre, v: float) -> float:
+    """Slope of the force by the slip over the load [-], which depends on the speed."""
+    return tire.sigma0 * tire.length / 2 + (tire.sigma1 + tire.sigma2) * v

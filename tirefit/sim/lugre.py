@@ -29,18 +29,6 @@ from tirefit.models import LuGre, TireForces, TireInputs
 from tirefit.models.brush import resultant
 from tirefit.slip import lateral_slip
 
-__all__ = [
-    "LUMPED",
-    "Bristles",
-    "Contact",
-    "Response",
-    "bristle_forces",
-    "bristle_rate",
-    "contact",
-    "distributed",
-    "simulate",
-]
-
 _POINTS = 4
 
 

@@ -8,8 +8,6 @@ from tirefit.models import MODELS, TireInputs, forces
 from tirefit.params import with_values
 from tirefit.sim.braking import SimulatedLog
 
-__all__ = ["simulate_rig"]
-
 
 def simulate_rig(
     model: str = "brush",

@@ -1,6 +1,6 @@
 """Names of what a rig was set to."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 
 import numpy as np
 
@@ -17,6 +17,8 @@ SHOWN = {
     "sigma_x": (100.0, "%"),
 }
 """Channel -> factor from SI and unit in the names of bins."""
+
+_ANGLES = {"gamma": " camber", "alpha": " slip angle"}
 
 _FINE = 0.02
 """Of a setting, and of its distance to others, by which its name may be off; and in the
@@ -39,7 +41,13 @@ def setting_names(settings: Settings) -> list[str]:
     return [f"{value:.{max(places, 0)}f} {unit}" for value in rounded]
 
 
-def bin_name(level: Mapping[str, int], names: Mapping[str, list[str]], told) -> str:
-    """The name of a bin: of the channels ``told``, which had several settings."""
-    parts = [names[c][k] for c, k in level.items() if c in told and k >= 0]
-    return " ".join(parts) or "all"
+def bin_name(
+    level: Mapping[str, int], names: Mapping[str, list[str]], told: Set[str]
+) -> str:
+    """The name of a bin: its settings of the channels ``told``, which had several.
+
+    Where camber and slip angle are both told, each has its name: both are in degrees.
+    """
+    words = _ANGLES if told >= _ANGLES.keys() else {}
+    shown = ((c, k) for c, k in level.items() if c in told and k >= 0)
+    return " ".join(names[c][k] + words.get(c, "") for c, k in shown) or "all"

@@ -13,7 +13,7 @@ from tirefit.data.prepare.series import Series, bridged, runs_of, series_of
 from tirefit.data.prepare.set_points import Settings, Window, settings_of
 from tirefit.data.prepare.settings import PrepareConfig
 from tirefit.data.prepare.slips import HELD, LEAST, MOVED, SWEPT, Leg, legs
-from tirefit.data.prepare.warmth import with_warmth
+from tirefit.data.prepare.warmth import last_sweeps_kept, with_warmth
 from tirefit.data.prepare.zero_phase import ZeroPhase, zero_phase
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_to_sigma
@@ -138,7 +138,7 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
     parts = trimmed(parts, margin, ends)
     columns = _filtered(raw, series, chosen)
     names = {name: setting_names(s) for name, s in settings.items() if s.is_held}
-    parts = _binned(parts, names, config)
+    parts = _binned(parts, names)
     kept = np.zeros(len(data), bool)
     for part in parts:
         if part.kind in config.keep:
@@ -150,6 +150,7 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
         remedy = "see the segments in the figure, or keep other kinds"
         raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
     notes = [*said, how] if how else list(said)
+    notes += _conditions_at_risk(parts, kept)
     unusable = len(data) - data.n
     if unusable:
         notes.append(
@@ -161,13 +162,37 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
     )  # fmt: skip
 
 
-def _binned(parts: list[Segment], names, config: PrepareConfig) -> list[Segment]:
-    """Segments with their bins, named by what differs among those that are kept."""
-    kept = [part for part in parts if part.kind in config.keep and part.is_held]
+def _conditions_at_risk(parts: list[Segment], kept: np.ndarray) -> list[str]:
+    """Notes that name the conditions of which no sweep is left, or only early ones.
+
+    A condition that was not swept counts by its other rows.
+    """
+    swept = {part.bin for part in parts if part.is_held and part.direction}
+    rows: dict[str, int] = {}
+    kinds: dict[str, dict[str, None]] = {}
+    for part in parts:
+        if part.is_held and (part.direction or part.bin not in swept):
+            name = f"{part.bin} ({part.channel})" if part.channel else part.bin
+            count = int(kept[part.begin : part.end].sum())
+            rows[name] = rows.get(name, 0) + count
+            kinds.setdefault(name, {})[part.kind] = None
+    early = list(dict.fromkeys(part.bin for part in parts if part.early))
+    lost = [f"{k}: {', '.join(kinds[k])}" for k, count in rows.items() if not count]
+    notes = [
+        f"{len(early)} of {len(rows)} conditions have no sweep after the warm-up; their"
+        f" last sweeps are kept: {'; '.join(early)} (--cut-last cuts them)",
+        f"{len(lost)} of {len(rows)} conditions are cut whole: {'; '.join(lost)}",
+    ]
+    return [note for note, named in zip(notes, (early, lost), strict=True) if named]
+
+
+def _binned(parts: list[Segment], names) -> list[Segment]:
+    """Segments with their bins, named by all settings that differ among them."""
+    held = [part for part in parts if part.is_held]
     told = {
         name
         for name in names
-        if len({part.level.get(name, -1) for part in kept} - {-1}) > 1
+        if len({part.level.get(name, -1) for part in held} - {-1}) > 1
     }
     return [
         replace(p, bin=bin_name(p.level, names, told)) if p.is_held else p
@@ -232,11 +257,18 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
     parts = [_with_held_slip(part, conditions, settings) for part in parts]
     parts = _standing(parts, settings.get("v"))
     swept = _mostly_swept(parts, slips)
-    parts, how = with_warmth(
-        parts, series.time, smooth.get("temperature"), config.warm_up, smooth[swept],
-        smooth.get(FORCE_OF[swept]),
-    )  # fmt: skip
+    parts, how = _warmed(parts, config, series, smooth, swept)
     return conditions, parts, [*said, how]
+
+
+def _warmed(parts, config: PrepareConfig, series: Series, channels, swept: str):
+    """The segments with the warm-up told apart, and how it was found."""
+    temperature, force = (channels.get(k) for k in ("temperature", FORCE_OF[swept]))
+    slip, declared = channels[swept], config.warm_up
+    cut, how = with_warmth(parts, series.time, temperature, declared, slip, force)
+    if config.warm_up is None and not config.cut_last:
+        cut = last_sweeps_kept(parts, cut, config.keep)
+    return cut, how
 
 
 def _smoothed(values, series: Series, look: ZeroPhase) -> np.ndarray:
@@ -377,7 +409,6 @@ def _points(data, config: PrepareConfig, series: Series, raw, slips):
             kind = "sweep" if leg.how == SWEPT else "steady"
             channel = swept if leg.how == SWEPT else ""
             parts.append(Segment(kind, leg.begin, leg.end, channel, direction, level))
-    parts, how = with_warmth(
-        parts, series.time, None, config.warm_up, raw[swept], raw.get(FORCE_OF[swept])
-    )
+    timeless = {name: raw[name] for name in raw if name != "temperature"}
+    parts, how = _warmed(parts, config, series, timeless, swept)
     return settings, parts, [*said, how]

@@ -26,7 +26,8 @@ class Segment:
     ``kind`` is a key of ``settings.KINDS``; ``channel`` what was swept or on its way,
     ``direction`` "up" or "down" of a sweep. ``level`` numbers the setting of each
     condition that is held. ``first`` to ``last`` (exclusive) are the rows without what
-    settles at the ends; ``bin`` names the settings.
+    settles at the ends; ``bin`` names the settings. ``early``: a sweep made before the
+    tire was warm, which is kept because its condition has no later one.
     """
 
     kind: str
@@ -38,6 +39,7 @@ class Segment:
     first: int = 0
     last: int = 0
     bin: str = ""
+    early: bool = False
 
     @property
     def is_held(self) -> bool:

@@ -13,12 +13,9 @@ from tirefit.data.write import csv_text
 from tirefit.door import sealed
 from tirefit.files import json_safe
 
-__all__ = ["FROM", "SCHEMA", "prepared_csv", "record_of", "segment_columns", "summary"]
+__all__ = ["SCHEMA", "prepared_csv", "record_of", "segment_columns", "summary"]
 
 SCHEMA = "tirefit.prepare/1"
-
-FROM = "# tirefit {version}: prepared from {name}, SI units, convention braking\n"
-"""First line of the table; the reader takes the convention from it."""
 
 _DIGITS = 9
 """More than any sensor has, and the same on every machine."""
@@ -31,7 +28,8 @@ def _number(value: float) -> float:
 def prepared_csv(prepared: Prepared, version: str) -> str:
     """The kept rows: run, segment, bin, kind, direction, then the canonical channels.
 
-    ``segment`` numbers the segments of the file from 1.
+    ``segment`` numbers the segments of the file from 1. The reader takes constants and
+    convention from the first line.
     """
     kept = prepared.kept
     number = np.zeros(len(kept), int)
@@ -52,7 +50,11 @@ def prepared_csv(prepared: Prepared, version: str) -> str:
         if name in prepared.columns:
             columns[name] = [_number(v) for v in prepared.columns[name][kept]]
     name = data.source.path or data.name
-    first = FROM.format(version=version, name=name.replace("\n", " "))
+    stated = [f"{key}={value:.6g}" for key, value in data.source.constants.items()]
+    constants = f", constants {' '.join(stated)}" if stated else ""
+    name = name.replace("\n", " ")
+    first = f"# tirefit {version}: prepared from {name}, SI units{constants},"
+    first += " convention braking\n"
     return first + csv_text(columns)
 
 
@@ -80,6 +82,7 @@ def _segment(prepared: Prepared, k: int, part: Segment) -> dict[str, Any]:
         "rows": part.end - part.begin,
         "kept": int(prepared.kept[part.begin : part.end].sum()),
         "bin": part.bin,
+        "early": int(part.early),
     }
     for name in prepared.settings:
         level = part.level.get(name, -1) if part.is_held else -1

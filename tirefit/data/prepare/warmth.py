@@ -1,5 +1,6 @@
 """Which sweeps were made before the tire was warm."""
 
+from collections.abc import Collection
 from dataclasses import replace
 from itertools import takewhile
 
@@ -7,7 +8,7 @@ import numpy as np
 
 from tirefit.data.prepare.segments import Segment
 
-__all__ = ["with_warmth"]
+__all__ = ["last_sweeps_kept", "with_warmth"]
 
 _RISE = 5.0
 """Kelvin that a tire gets warmer by at least, if its warming is to be told."""
@@ -50,6 +51,36 @@ def with_warmth(
     if force is not None:
         return _by_repeats(parts, slip, force, time)
     return parts, "warm-up: none can be told without temperature or force"
+
+
+def last_sweeps_kept(
+    before: list[Segment], after: list[Segment], keep: Collection[str]
+) -> list[Segment]:
+    """``after`` with the last sweeps of each condition that would have none left.
+
+    A condition is all settings and the channel that is swept; its last sweep in each
+    direction becomes a sweep again, marked ``early``.
+
+    Args:
+        before, after: the same segments before and after the cut of the warm-up.
+        keep: kinds of segments that are written.
+    """
+    if "sweep" not in keep:
+        return after
+    last: dict[tuple, dict[str, int]] = {}
+    left = set()
+    for number, (was, part) in enumerate(zip(before, after, strict=True)):
+        if was.kind == "sweep":
+            held = sorted((name, k) for name, k in was.level.items() if k >= 0)
+            condition = (was.channel, *held)
+            last.setdefault(condition, {})[was.direction] = number
+            if part.kind in keep:
+                left.add(condition)
+    back = {k for one, ks in last.items() if one not in left for k in ks.values()}
+    return [
+        replace(part, kind="sweep", early=True) if k in back else part
+        for k, part in enumerate(after)
+    ]
 
 
 def _cut(parts, time, until: float, cold_until: float | None) -> list[Segment]:

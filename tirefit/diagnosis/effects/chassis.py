@@ -6,35 +6,22 @@ import numpy as np
 
 from tirefit.diagnosis.effects.free_forms import Form, over, rise
 from tirefit.diagnosis.effects.known import of_a_known_inertia
-from tirefit.diagnosis.effects.record import Effect, seldom
-
-__all__ = ["EFFECTS"]
+from tirefit.diagnosis.effects.record import Effect, adds, seldom
 
 _DIRECTIONS = tuple(np.radians([0.0, 45.0, 90.0, 135.0]))
 """Directions of a slope over the floor; the other half is the other sign."""
 
 
-def _inertia(state, error, constants, rows):
-    del constants
-    return state._replace(force=state.force + error * rows.swing)
-
-
-def _slope(state, slope, constants, rows):
+def _slope(slope, constants, rows):
     along, across = constants
     towards = along * jnp.cos(rows.heading) + across * jnp.sin(rows.heading)
-    return state._replace(force=state.force + slope * rows.load * rows.fz * towards)
+    return slope * rows.load * rows.fz * towards
 
 
 def _round_the_floor(rows, u):
     """Of any direction, and of a floor that is bent: (n, 4), in units of the load."""
-    del u
     turns = [wave(k * rows.heading) for k in (1, 2) for wave in (np.cos, np.sin)]
     return np.stack(turns, axis=1) * (rows.load * rows.fz)[:, None]
-
-
-def _toe(state, angle, constants, rows):
-    del constants
-    return state._replace(shift=state.shift + angle * rows.lean)
 
 
 def _scaled(state, constants, factor):
@@ -47,25 +34,12 @@ def _scaled(state, constants, factor):
     )
 
 
-def _lateral_transfer(state, loss, constants, rows):
-    return _scaled(state, constants, 1 - loss * rows.lean**2)
-
-
-def _unlike(state, share, constants, rows):
-    return _scaled(state, constants, 1 + share * rows.lean)
-
-
-def _steering(state, share, constants, rows):
-    del constants
-    return state._replace(shift=state.shift + share * rows.steering)
-
-
 _OF_BOTH = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
 
 YAW_INERTIA = Effect(
     id="yaw_inertia",
     family="force x yaw acceleration",
-    change=_inertia,
+    change=adds("force", lambda a, _, rows: a * rows.swing),
     scale=0.03,
     per=("swing",),
     unit="kg m",
@@ -86,9 +60,8 @@ YAW_INERTIA = Effect(
 FLOOR_SLOPE = Effect(
     id="floor_slope",
     family="force x heading",
-    change=_slope,
+    change=adds("force", _slope),
     scale=0.01,
-    unit="-",
     formula="F_y + amplitude F_z cos(heading - direction): m g sin(slope)",
     means="the floor or road is not level: the weight pulls the vehicle one way",
     remedy="level the floor, or drive each test both ways and take the mean",
@@ -105,7 +78,7 @@ FLOOR_SLOPE = Effect(
 TOE = Effect(
     id="toe",
     family="slip x lateral acceleration",
-    change=_toe,
+    change=adds("shift", lambda a, _, rows: a * rows.lean),
     scale=0.01,
     unit="rad / g",
     formula="slip angle + amplitude a_y / g; roll steer, Gillespie 1992, 6",
@@ -125,7 +98,7 @@ TOE = Effect(
 LATERAL_TRANSFER = Effect(
     id="lateral_load_transfer",
     family="friction x lateral acceleration",
-    change=_lateral_transfer,
+    change=lambda state, a, of, rows: _scaled(state, of, 1 - a * rows.lean**2),
     scale=0.15,
     unit="1 / g^2",
     formula="1 - amplitude (a_y / g)^2 on friction or stiffness; Milliken 1995, 7",
@@ -144,7 +117,7 @@ LATERAL_TRANSFER = Effect(
 UNLIKE_TIRES = Effect(
     id="unlike_tires",
     family="friction x lateral acceleration",
-    change=_unlike,
+    change=lambda state, a, of, rows: _scaled(state, of, 1 + a * rows.lean),
     scale=0.1,
     unit="1 / g",
     formula="1 + amplitude a_y / g on friction or stiffness",
@@ -163,9 +136,8 @@ UNLIKE_TIRES = Effect(
 STEERING_GAIN = Effect(
     id="steering_gain",
     family="slip x steering",
-    change=_steering,
+    change=adds("shift", lambda a, _, rows: a * rows.steering),
     scale=0.1,
-    unit="-",
     formula="slip angle + amplitude (road wheel angle)",
     means="the steering ratio is off, or the steering gives way",
     remedy="measure the road wheel angle over the command with the wheels loaded",
@@ -179,11 +151,4 @@ STEERING_GAIN = Effect(
     told_apart_by="speeds",
 )
 
-EFFECTS = (
-    YAW_INERTIA,
-    FLOOR_SLOPE,
-    TOE,
-    LATERAL_TRANSFER,
-    UNLIKE_TIRES,
-    STEERING_GAIN,
-)
+EFFECTS = (YAW_INERTIA, FLOOR_SLOPE, TOE, LATERAL_TRANSFER, UNLIKE_TIRES, STEERING_GAIN)

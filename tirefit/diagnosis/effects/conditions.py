@@ -20,11 +20,10 @@ from tirefit.diagnosis.effects.record import (
     SYMBOLS,
     Effect,
     blend,
+    multiplies,
     scaled,
 )
 from tirefit.diagnosis.negligible import FLAT
-
-__all__ = ["EFFECTS", "STEPS"]
 
 _FALLS = ((0.15, 1.0), (0.6, 1.0), (0.6, 0.5), (2.0, 1.0), (4.0, 0.5))
 """(v_st over the largest sliding speed of the file, exponent) of the exponential falls
@@ -91,14 +90,12 @@ _ALONE, _ALL = "of the kinetic friction alone", "of static and kinetic friction 
 
 
 def _which_speed(constants, rows, time) -> str:
-    del rows, time
     kinetic, sliding, _ = constants
     how = "with the sliding speed" if kinetic or sliding else "with the speed of travel"
     return f"{_ALONE if kinetic else _ALL}, {how}"
 
 
 def _which_fall(constants, rows, time) -> str:
-    del time
     v_st, exponent, both = constants
     law = f"with exponent e = {exponent:g}" if exponent else "by log(1 + v_s / v_st)"
     v_st = v_st * float(np.max(rows.brisk))
@@ -106,13 +103,11 @@ def _which_fall(constants, rows, time) -> str:
 
 
 def _which_power(constants, rows, time) -> str:
-    del rows, time
     laws = "a power of the load", "in proportion to F_z / F_z0 - 1"
     return (*laws, "in proportion to log(F_z / F_z0)")[int(np.argmax(constants))]
 
 
 def _which_drift(constants, rows, time) -> str:
-    del rows
     even, way = constants
     lasts = way * float(np.ptp(time))
     return "evenly" if even else f"quick at first, as exp(-t / {lasts:.3g} s)"
@@ -142,39 +137,19 @@ def _with_load(name):
     return change
 
 
-def _times(name, covariate):
-    def change(state, share, constants, rows):
-        del constants
-        return scaled(state, name, 1 + share * getattr(rows, covariate))
-
-    return change
-
-
-def _drift(name):
+def _drift(share, constants, rows):
     """Even over the record, or quick at first: 1 - exp(-t / way), about its middle."""
-
-    def change(state, share, constants, rows):
-        even, way = constants
-        late = 0.5 - jnp.exp(-(rows.time + 0.5) / way)
-        return scaled(state, name, 1 + share * blend((even, 1 - even), rows.time, late))
-
-    return change
+    even, way = constants
+    late = 0.5 - jnp.exp(-(rows.time + 0.5) / way)
+    return 1 + share * blend((even, 1 - even), rows.time, late)
 
 
-def _step(state, share, constants, rows):
+def _step(share, constants, rows):
     """At one time, between two, or in the shape that was found."""
     begin, end, shaped = constants
     sudden = jnp.where((rows.time > begin) & (rows.time < end), 0.5, -0.5)
     shape = blend((1 - shaped, shaped), sudden, rows.change)
-    return scaled(state, "friction", 1 + share * shape)
-
-
-def _half(covariate):
-    def change(state, share, constants, rows):
-        del constants
-        return scaled(state, "friction", 1 + 0.5 * share * getattr(rows, covariate))
-
-    return change
+    return 1 + share * shape
 
 
 def _other(state, share, constants, rows):
@@ -192,11 +167,11 @@ _PER_RUN = "cut the record into runs and fit {} per run"
 _DRIFTS = ((1.0, 1.0), *((0.0, way) for way in _WEAR))
 
 
-def _drifting(name: str, parameter: str, scale: float, forms, looks_like):
+def _drifting(name: str, parameter: str, scale: float, forms, *looks_like: str):
     return Effect(
         id=f"{name}_drift",
         family=f"{name} x time",
-        change=_drift(name),
+        change=multiplies(name, _drift),
         scale=scale,
         unit="per record",
         formula=f"{SYMBOLS[name]} (1 + amplitude t)",
@@ -207,7 +182,7 @@ def _drifting(name: str, parameter: str, scale: float, forms, looks_like):
         variants=_DRIFTS,
         which=_which_drift,
         forms=forms,
-        looks_like=looks_like,
+        looks_like=(f"load_{name}", f"{name}_temperature", *looks_like),
         told_apart_by="random order",
     )
 
@@ -216,7 +191,7 @@ def _heated(name: str, parameter: str, scale: float, size: float):
     return Effect(
         id=f"{name}_temperature",
         family=f"{name} x temperature",
-        change=_times(name, "temperature"),
+        change=multiplies(name, lambda a, _, rows: 1 + a * rows.temperature),
         scale=scale,
         unit="per 20 K",
         formula=f"{SYMBOLS[name]} (1 + amplitude (T - T0) / 20 K)",
@@ -237,7 +212,6 @@ def _loaded(name: str, scale: float, forms, looks_like):
         family=f"{name} x load",
         change=_with_load(name),
         scale=scale,
-        unit="-",
         formula=f"{SYMBOLS[name]} (F_z / F_z0)^amplitude, S 2.1",
         means=f"{name} is a power of the load",
         remedy="fit brush-load",
@@ -278,7 +252,6 @@ SPEED_EXPONENTIAL = Effect(
     family="friction x speed",
     change=_fall,
     scale=0.2,
-    unit="-",
     formula="mu_k = mu (h + (1 - h) exp(-(v_s / v_st)^e)), S(37)",
     means="friction changes with the sliding speed, most of it at low speeds",
     remedy="fit brush-h with this v_st; where all friction changes, mu for each speed",
@@ -296,9 +269,8 @@ SPEED_EXPONENTIAL = Effect(
 STEP = Effect(
     id="friction_step",
     family="friction x time",
-    change=_step,
+    change=multiplies("friction", _step),
     scale=0.15,
-    unit="-",
     formula="mu changes by amplitude at one time, or between two",
     means="friction changes at one time, or for a stretch",
     remedy="cut the record there and fit mu per run",
@@ -319,9 +291,8 @@ STEP = Effect(
 HYSTERESIS = Effect(
     id="friction_hysteresis",
     family="friction x direction",
-    change=_half("turning"),
+    change=multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.turning),
     scale=0.06,
-    unit="-",
     formula="mu differs by amplitude between growing and shrinking slip",
     means="friction differs between growing and shrinking slip",
     remedy=_SPLIT,
@@ -334,9 +305,8 @@ HYSTERESIS = Effect(
 ASYMMETRY = Effect(
     id="drive_brake_asymmetry",
     family="friction x sign",
-    change=_half("side"),
+    change=multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.side),
     scale=0.12,
-    unit="-",
     formula="mu differs by amplitude between the two signs of slip",
     means="friction differs between the two signs of slip",
     remedy=_SPLIT,
@@ -351,7 +321,6 @@ COMBINED = Effect(
     family="inputs",
     change=_other,
     scale=0.15,
-    unit="-",
     formula="the other slip shares the friction",
     means="the other slip takes its part of the friction",
     remedy="fit brush-anisotropic or magic-formula-combined to both slips",
@@ -374,20 +343,8 @@ EFFECTS = (
     _loaded("friction", 0.12, FRICTION_BY_LOAD, ("friction_drift", "force_offset")),
     _heated("friction", "mu", 0.15, 0.03),
     _heated("stiffness", "cpa2", 0.2, 0.06),
-    _drifting(
-        "friction",
-        "mu",
-        0.12,
-        _BY_TIME,
-        ("load_friction", "friction_temperature", "friction_step"),
-    ),
-    _drifting(
-        "stiffness",
-        "cpa2",
-        0.18,
-        over("stiffness", 0.04, "time", ONE_WAY),
-        ("load_stiffness", "stiffness_temperature"),
-    ),
+    _drifting("friction", "mu", 0.12, _BY_TIME, "friction_step"),
+    _drifting("stiffness", "cpa2", 0.18, over("stiffness", 0.04, "time", ONE_WAY)),
     STEP,
     HYSTERESIS,
     ASYMMETRY,

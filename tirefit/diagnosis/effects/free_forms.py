@@ -9,29 +9,6 @@ import numpy as np
 from tirefit.diagnosis.basis import FULL_SLIDING, functions_of
 from tirefit.diagnosis.negligible import ROUNDING
 
-__all__ = [
-    "BOTH_WAYS",
-    "BY_OTHER_SLIP",
-    "BY_SIDE",
-    "FORCE_BY_DIRECTION",
-    "FORCE_BY_LOAD",
-    "Form",
-    "FRICTION_BY_DIRECTION",
-    "FRICTION_BY_LOAD",
-    "FRICTION_BY_SPEED",
-    "ONE_WAY",
-    "SHAPE_OF_THE_CURVE",
-    "SHIFT_BY_CAMBER",
-    "SHIFT_BY_DELAY",
-    "SHIFT_BY_LAG",
-    "SHIFT_BY_SPEED",
-    "SKEW_BY_LOAD",
-    "moved_by",
-    "over",
-    "rise",
-    "weight",
-]
-
 ONE_WAY, BOTH_WAYS = 4, 5
 """Smooth functions of a covariate, few enough to follow no noise; an odd number has one
 at the middle, for a covariate that has two sides."""
@@ -109,14 +86,6 @@ def _of_shape(rows, u):
     return _by_slip("side", _OF_THE_CURVE)(rows, u) * (rows.fz * rows.load)[:, None]
 
 
-def _of_side(rows, u):
-    return rows.side[:, None]
-
-
-def _of_the_demand_across(rows, u):
-    return functions_of(rows.other / rows.fz, BOTH_WAYS)
-
-
 def _of_sliding(rows, u):
     return functions_of(np.sqrt(rows.sliding), _OF_SPEED)
 
@@ -149,18 +118,10 @@ def _at_a_turn(rows, u):
     return np.eye(len(rows.turning))[:, unsure]
 
 
-def _force_at_a_turn(rows, u):
-    return _at_a_turn(rows, u) * rows.load[:, None]
-
-
 def _guided(rows, u):
     """Force on the way up or down, by the size of the force: a function of the slip
     fraction times the load."""
     return _by_slip("turning")(rows, u) * (rows.side * rows.fz * rows.load)[:, None]
-
-
-def _guided_by_rate(rows, u):
-    return _of_rate(rows, u) * (rows.side * rows.load)[:, None]
 
 
 SHAPE_OF_THE_CURVE = (Form("force", 0.01, _of_shape),)
@@ -185,12 +146,16 @@ FRICTION_BY_DIRECTION = (
 )
 BY_SIDE = (
     Form("friction", 0.02, _by_slip("side")),
-    Form("stiffness", 0.02, _of_side),
+    Form("stiffness", 0.02, lambda rows, u: rows.side[:, None]),
 )
 FORCE_BY_DIRECTION = (
     Form("force", 0.004, _guided),
-    Form("force", 0.004, _guided_by_rate),
-    Form("force", 0.02, _force_at_a_turn),
+    Form(
+        "force",
+        0.004,
+        lambda rows, u: _of_rate(rows, u) * (rows.side * rows.load)[:, None],
+    ),
+    Form("force", 0.02, lambda rows, u: _at_a_turn(rows, u) * rows.load[:, None]),
 )
 FORCE_BY_LOAD = over("force", 0.01, "fz", ONE_WAY, weight)
 SKEW_BY_LOAD = tuple(
@@ -199,7 +164,7 @@ SKEW_BY_LOAD = tuple(
 FRICTION_BY_LOAD = over("friction", 0.03, "fz", ONE_WAY)
 SHIFT_BY_SPEED = over("shift", 0.1, "v", ONE_WAY, rise)
 BY_OTHER_SLIP = tuple(
-    Form(field, size, _of_the_demand_across)
-    for field, size in (("friction", 0.03), ("stiffness", 0.03))
+    Form(field, 0.03, lambda rows, u: functions_of(rows.other / rows.fz, BOTH_WAYS))
+    for field in ("friction", "stiffness")
 )
 SHIFT_BY_CAMBER = over("shift", 0.1, "gamma", BOTH_WAYS, rise)

@@ -9,14 +9,6 @@ import numpy as np
 
 from tirefit.diagnosis.motion import GRAVITY
 
-__all__ = [
-    "of_a_known_clock",
-    "of_a_known_height",
-    "of_a_known_inertia",
-    "of_a_known_position",
-    "said_of_motion",
-]
-
 _POSITION = 0.03
 """Error of the place of the tracked point, as a share of the arm of the axle: 1 mm on a
 car of 1:10, 4 cm on a car."""
@@ -82,7 +74,6 @@ def of_a_known_inertia(prior, prepared, rig):
 
 def of_a_known_height(prior, prepared, rig):
     """A load that moves by m h a_x / wheelbase over the range of a_x."""
-    del rig
     if "a_x" not in prepared.data:
         return prior
     span = float(np.ptp(prepared.column("a_x"))) / GRAVITY
@@ -101,7 +92,7 @@ def said_of_motion(base, rig) -> tuple[str, ...]:
     if derived is None:
         return ()
     observed = rows.observed["fy"]
-    missed = observed - base.forces(base.as_given, np.zeros(len(base.atoms)))["fy"]
+    missed = observed - base.forces(base.as_given, base.amplitudes())["fy"]
     said = (
         f"fy was derived from a_y ({derived.mass:.4g} kg of it) and yaw_acceleration:"
         " it shares its channels with the slip, and so does held-out data"

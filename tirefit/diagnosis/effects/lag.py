@@ -8,8 +8,6 @@ from tirefit.diagnosis.effects.known import of_a_known_clock
 from tirefit.diagnosis.effects.record import Effect, scaled
 from tirefit.diagnosis.rates import AGES, AHEAD, STEPS
 
-__all__ = ["EFFECTS", "lagged"]
-
 _NO_LENGTH = 1e-12
 """Share of a step that counts as no length: the slope there is one-sided, not zero."""
 

@@ -9,10 +9,8 @@ from tirefit.diagnosis.effects.free_forms import (
     rise,
     weight,
 )
-from tirefit.diagnosis.effects.record import PER_MILLE, Effect
+from tirefit.diagnosis.effects.record import PER_MILLE, Effect, adds
 from tirefit.diagnosis.slip_check import AGAINST, BESIDE, FOR
-
-__all__ = ["EFFECTS"]
 
 _FINE = 5e-4
 """Standard error of an offset of the slip below which its absence says something."""
@@ -25,41 +23,13 @@ _CORNERING = 10.0
 forms of camber thrust."""
 
 
-def _shift(state, offset, constants, rows):
-    del constants, rows
-    return state._replace(shift=state.shift + offset)
-
-
-def _force(state, offset, constants, rows):
-    # In thousandths of the typical load: the same prior for every tire.
-    del constants
-    return state._replace(force=state.force + PER_MILLE * offset * rows.load)
-
-
-def _conicity(state, share, constants, rows):
-    del constants
-    return state._replace(force=state.force + PER_MILLE * share * rows.load * rows.fz)
-
-
-def _definition(state, weight, constants, rows):
-    del rows
-    return state._replace(curvature=state.curvature + constants[0] * weight)
-
-
 def _as_it_was_read(prior, prepared, rig):
     """Which way a slip would have to be converted depends on what it was read as."""
-    del rig
     return prior._replace(center=prior.center * prepared.definition)
-
-
-def _inertia(state, inertia, constants, rows):
-    del constants
-    return state._replace(force=state.force - inertia * rows.spin)
 
 
 def _of_this_wheel(prior, prepared, rig):
     """A force taken from the torque lacks all of the inertia that is known."""
-    del prepared
     known = rig.wheel_inertia
     if not known:
         return prior
@@ -81,7 +51,6 @@ def _definition_odds(prepared) -> float:
 def _seen_between_slips(prior, prepared, rig):
     """An offset from the slip of the wheel speed is one that may have to be taken off,
     whatever its size."""
-    del rig
     check = prepared.slip_check
     if check is None or not check.shifted:
         return prior
@@ -113,7 +82,7 @@ def _camber(state, share, constants, rows):
 SLIP_OFFSET = Effect(
     id="slip_offset",
     family="measurement",
-    change=_shift,
+    change=adds("shift", lambda a, _, rows: a),
     scale=0.2,
     per=("slip",),
     unit="- of slip",
@@ -133,7 +102,7 @@ SLIP_OFFSET = Effect(
 FORCE_OFFSET = Effect(
     id="force_offset",
     family="measurement",
-    change=_force,
+    change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load),
     scale=25.0,
     unit="1e-3 mean F_z",
     formula="force + amplitude",
@@ -147,9 +116,8 @@ FORCE_OFFSET = Effect(
 SLIP_DEFINITION = Effect(
     id="slip_definition",
     family="measurement",
-    change=_definition,
+    change=adds("curvature", lambda a, constants, _: constants[0] * a),
     scale=0.3,
-    unit="-",
     formula="slip / (1 - amplitude slip)",
     means="the slip follows another definition than it was read by",
     remedy="read its column by the other one: --column kappa=HEADER or sigma_x=HEADER",
@@ -166,7 +134,7 @@ SLIP_DEFINITION = Effect(
 WHEEL_INERTIA = Effect(
     id="wheel_inertia",
     family="measurement",
-    change=_inertia,
+    change=adds("force", lambda a, _, rows: -a * rows.spin),
     scale=0.03,
     per=("inertia",),
     unit="kg m^2",
@@ -189,7 +157,6 @@ CAMBER_THRUST = Effect(
     family="lateral inputs",
     change=_camber,
     scale=0.15,
-    unit="-",
     formula="slip angle + amplitude gamma",
     means="camber adds to the lateral force",
     remedy="measure without camber, or correct for it",
@@ -204,7 +171,7 @@ CAMBER_THRUST = Effect(
 CONICITY = Effect(
     id="conicity",
     family="lateral inputs",
-    change=_conicity,
+    change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.fz),
     scale=25.0,
     unit="1e-3 F_z",
     formula="F_y + amplitude F_z",

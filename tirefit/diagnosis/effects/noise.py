@@ -2,8 +2,6 @@
 
 from tirefit.diagnosis.effects.record import NoiseEffect
 
-__all__ = ["NOISE_EFFECTS"]
-
 NOISE_EFFECTS = (
     NoiseEffect(
         id="outliers",
@@ -13,7 +11,6 @@ NOISE_EFFECTS = (
     ),
     NoiseEffect(
         id="noise_heteroscedastic",
-        flag="",
         means="noise that differs over the range",
         remedy="give fx_std row by row",
     ),
@@ -25,7 +22,6 @@ NOISE_EFFECTS = (
     ),
     NoiseEffect(
         id="slip_noise",
-        flag="",
         means="the slip is measured with noise",
         remedy="give sigma_x_std",
     ),

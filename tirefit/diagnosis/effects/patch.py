@@ -3,9 +3,7 @@
 import jax.numpy as jnp
 
 from tirefit.diagnosis.effects.free_forms import SHAPE_OF_THE_CURVE, SKEW_BY_LOAD
-from tirefit.diagnosis.effects.record import Effect, blend
-
-__all__ = ["EFFECTS"]
+from tirefit.diagnosis.effects.record import Effect, adds, blend
 
 _SKEWS = (-0.32, 0.95)
 """d of S(24) between which the pressure and its slope at the edge keep their signs."""
@@ -19,38 +17,20 @@ def _skewed(state, change):
     return state._replace(skew=jnp.clip(state.skew + change, *_SKEWS))
 
 
-def _skew(state, d, constants, rows):
-    del constants, rows
-    return _skewed(state, d)
-
-
 def _skew_with(state, d, constants, rows):
     moving = blend(constants, rows.force, rows.usage, jnp.log(rows.fz))
     return _skewed(state, d * moving)
 
 
 def _flatness(state, share, constants, rows):
-    del constants, rows
     return state._replace(flat=jnp.clip(state.flat + share, *_FLATNESSES))
-
-
-def _kinetic(state, excess, constants, rows):
-    del constants, rows
-    return state._replace(static=state.static + excess)
-
-
-def _compliance(state, share, constants, rows):
-    # With the base model's force: the slip that it takes up is small.
-    del constants
-    return state._replace(shift=state.shift - share * rows.traction)
 
 
 PRESSURE_ASYMMETRY = Effect(
     id="pressure_asymmetry",
     family="pressure",
-    change=_skew,
+    change=lambda state, d, constants, rows: _skewed(state, d),
     scale=0.24,
-    unit="-",
     formula="p = 3/4 (1 - xi^2)(1 + d xi), S(24)",
     means="the contact pressure is skewed",
     remedy="fit brush-d",
@@ -65,7 +45,6 @@ PRESSURE_FLATNESS = Effect(
     family="pressure",
     change=_flatness,
     scale=0.6,
-    unit="-",
     formula="p from the parabola towards 5/8 (1 - xi^4), S(25)",
     means="the contact pressure is flatter or sharper than a parabola",
     remedy="fit quartic or elliptic",
@@ -78,9 +57,8 @@ PRESSURE_FLATNESS = Effect(
 KINETIC_FRICTION = Effect(
     id="kinetic_friction",
     family="friction",
-    change=_kinetic,
+    change=adds("static", lambda a, constants, rows: a),
     scale=0.25,
-    unit="-",
     formula="mu_k = mu_s / (1 + amplitude), S(31)",
     means="friction falls once the bristles slide",
     remedy="fit brush-m",
@@ -95,7 +73,6 @@ PRESSURE_SHIFT = Effect(
     family="pressure x force",
     change=_skew_with,
     scale=0.24,
-    unit="-",
     formula="d moves by amplitude F / (mu F_z), or with the load, S 4.1",
     means="the contact pressure shifts with force or load",
     remedy="fit brush-d-force or brush-d-load",
@@ -109,10 +86,10 @@ PRESSURE_SHIFT = Effect(
 CARCASS = Effect(
     id="carcass_flexibility",
     family="structure",
-    change=_compliance,
+    # With the base model's force: the slip that it takes up is small.
+    change=adds("shift", lambda a, _, rows: -a * rows.traction),
     scale=0.5,
     per=("slip",),
-    unit="-",
     formula="slip - amplitude F / F_z, S(15)",
     means="the carcass gives way with the force",
     remedy="use a carcass of tirefit.models.carcass; M_z tells it from skewed pressure",

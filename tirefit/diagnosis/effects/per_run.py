@@ -4,10 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.effects.record import Effect, seldom
+from tirefit.diagnosis.effects.record import PER_MILLE, Effect, adds, seldom
 from tirefit.diagnosis.run_codes import shown_runs
-
-__all__ = ["EFFECTS", "OFFSETS", "Offset"]
 
 
 class Offset(NamedTuple):
@@ -28,17 +26,6 @@ OFFSETS = {
 """Effect for all runs -> its offsets of single runs."""
 
 
-def _slip(state, spread, constants, rows):
-    del constants
-    return state._replace(shift=state.shift + spread * rows.run_slip)
-
-
-def _force(state, spread, constants, rows):
-    del constants
-    moved = 1e-3 * spread * rows.load * rows.run_force
-    return state._replace(force=state.force + moved)
-
-
 def _one_each(prepared) -> float:
     """One amplitude stands for a pattern that has a number for every run: each further
     one costs what a parameter costs by BIC."""
@@ -50,7 +37,7 @@ def _one_each(prepared) -> float:
 SLIP_OFFSET_RUN = Effect(
     id="slip_offset_run",
     family="slip x run",
-    change=_slip,
+    change=adds("shift", lambda a, _, rows: a * rows.run_slip),
     scale=0.1,
     per=("slip",),
     unit="- of slip",
@@ -70,7 +57,7 @@ SLIP_OFFSET_RUN = Effect(
 FORCE_OFFSET_RUN = Effect(
     id="force_offset_run",
     family="force x run",
-    change=_force,
+    change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.run_force),
     scale=15.0,
     unit="1e-3 mean F_z",
     formula="force + offset of the run, spread by amplitude: a random effect",

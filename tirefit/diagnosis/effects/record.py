@@ -2,30 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from tirefit.diagnosis.effects.free_forms import Form
 from tirefit.diagnosis.state import Covariates, State
-
-__all__ = [
-    "LEAST_FACTOR",
-    "PER_MILLE",
-    "SHARE",
-    "SYMBOLS",
-    "Atom",
-    "Change",
-    "Effect",
-    "NoiseEffect",
-    "Prior",
-    "atoms_of",
-    "blend",
-    "effects_by_id",
-    "scaled",
-    "seldom",
-]
 
 PER_MILLE = 1e-3
 """Amplitudes of a force are in thousandths of the typical load: one prior for every
@@ -109,7 +92,7 @@ class Effect:
     family: str
     change: Change
     scale: float
-    unit: str
+    unit: str = "-"
     formula: str
     means: str = ""
     remedy: str = ""
@@ -155,7 +138,7 @@ class NoiseEffect:
     """
 
     id: str
-    flag: str
+    flag: str = ""
     means: str
     remedy: str
     family: str = "noise"
@@ -214,11 +197,31 @@ def scaled(state: State, name: str, factor) -> State:
     return state._replace(**{name: getattr(state, name) * factor})
 
 
+Term = Callable[[Any, Any, Covariates], Any]
+"""(amplitude, constants, covariates) -> what is done to one field of the state."""
+
+
+def adds(name: str, term: Term) -> Change:
+    """The change of an effect that adds a term to a field of the state."""
+
+    def change(state, amplitude, constants, rows):
+        added = getattr(state, name) + term(amplitude, constants, rows)
+        return state._replace(**{name: added})
+
+    return change
+
+
+def multiplies(name: str, factor: Term) -> Change:
+    """The change of an effect that multiplies a field; the factor stays positive."""
+    return lambda state, amplitude, constants, rows: scaled(
+        state, name, factor(amplitude, constants, rows)
+    )
+
+
 _SELDOM = -1.0
 """Log odds of an effect that is met a third as often as those of every tire."""
 
 
 def seldom(prepared) -> float:
     """Log odds, whatever the data, of an effect that most files do not have."""
-    del prepared
     return _SELDOM

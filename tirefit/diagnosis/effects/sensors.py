@@ -11,9 +11,14 @@ from tirefit.diagnosis.effects.free_forms import (
     rise,
     weight,
 )
-from tirefit.diagnosis.effects.record import PER_MILLE, Effect, blend, scaled, seldom
-
-__all__ = ["EFFECTS"]
+from tirefit.diagnosis.effects.record import (
+    PER_MILLE,
+    Effect,
+    adds,
+    blend,
+    multiplies,
+    seldom,
+)
 
 _WARMING = 0.2
 """Way of a zero that settles as its amplifier warms up, as a share of the record."""
@@ -25,43 +30,20 @@ def _settled(rows, constants):
     return blend(constants, rows.time, late)
 
 
-def _slip_drift(state, drift, constants, rows):
-    return state._replace(shift=state.shift + drift * _settled(rows, constants))
+def _force_drift(drift, constants, rows):
+    return PER_MILLE * drift * rows.load * _settled(rows, constants)
 
 
-def _force_drift(state, drift, constants, rows):
-    moved = PER_MILLE * drift * rows.load * _settled(rows, constants)
-    return state._replace(force=state.force + moved)
-
-
-def _load_crosstalk(state, share, constants, rows):
-    del constants
-    return state._replace(force=state.force + PER_MILLE * share * rows.load * rows.fz)
-
-
-def _load_offset(state, offset, constants, rows):
-    # A brush under another load is one of another friction: exact where the stiffness
-    # does not follow the load.
-    del constants
-    factor = 1 + PER_MILLE * offset * (1 / rows.fz - 1)
-    return scaled(state, "friction", factor)
-
-
-def _force_crosstalk(state, share, constants, rows):
-    del constants
-    return state._replace(force=state.force + share * rows.across)
-
-
-def _force_hysteresis(state, size, constants, rows):
+def _force_hysteresis(size, constants, rows):
     plain, grown = constants
     way = rows.turning * rows.side * (plain + grown * rows.usage)
-    return state._replace(force=state.force + PER_MILLE * size * rows.load * way)
+    return PER_MILLE * size * rows.load * way
 
 
 SLIP_ZERO_DRIFT = Effect(
     id="slip_zero_drift",
     family="slip x time",
-    change=_slip_drift,
+    change=adds("shift", lambda a, which, rows: a * _settled(rows, which)),
     scale=0.3,
     per=("slip",),
     unit="- of slip per record",
@@ -80,7 +62,7 @@ SLIP_ZERO_DRIFT = Effect(
 FORCE_ZERO_DRIFT = Effect(
     id="force_zero_drift",
     family="force x time",
-    change=_force_drift,
+    change=adds("force", _force_drift),
     scale=35.0,
     unit="1e-3 mean F_z per record",
     formula="force + amplitude t; zero drift of strain gauges, Hoffmann 1989",
@@ -98,7 +80,7 @@ FORCE_ZERO_DRIFT = Effect(
 LOAD_CROSSTALK = Effect(
     id="load_crosstalk",
     family="force x load",
-    change=_load_crosstalk,
+    change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.fz),
     scale=25.0,
     unit="1e-3 F_z",
     formula="F_x + amplitude F_z; crosstalk of a balance, or rolling resistance",
@@ -116,7 +98,11 @@ LOAD_CROSSTALK = Effect(
 LOAD_OFFSET = Effect(
     id="load_offset",
     family="friction x load",
-    change=_load_offset,
+    # A brush under another load is one of another friction: exact where the stiffness
+    # does not follow the load.
+    change=multiplies(
+        "friction", lambda a, _, rows: 1 + PER_MILLE * a * (1 / rows.fz - 1)
+    ),
     scale=60.0,
     unit="1e-3 mean F_z",
     formula="F_z + amplitude",
@@ -132,9 +118,8 @@ LOAD_OFFSET = Effect(
 FORCE_CROSSTALK = Effect(
     id="force_crosstalk",
     family="force x force",
-    change=_force_crosstalk,
+    change=adds("force", lambda a, _, rows: a * rows.across),
     scale=0.04,
-    unit="-",
     formula="force + amplitude (force across); crosstalk of a balance",
     means="the force across leaks into the force",
     remedy="calibrate the balance with pure forces, and check that it stands square",
@@ -148,7 +133,7 @@ FORCE_CROSSTALK = Effect(
 FORCE_HYSTERESIS = Effect(
     id="force_hysteresis",
     family="force x direction",
-    change=_force_hysteresis,
+    change=adds("force", _force_hysteresis),
     scale=20.0,
     unit="1e-3 mean F_z",
     formula="force + amplitude sign(d slip / dt): dry friction in the rig",

@@ -13,9 +13,14 @@ from tirefit.diagnosis.effects.free_forms import (
     weight,
 )
 from tirefit.diagnosis.effects.known import of_a_known_height, of_a_known_position
-from tirefit.diagnosis.effects.record import PER_MILLE, Effect, blend, scaled, seldom
-
-__all__ = ["EFFECTS"]
+from tirefit.diagnosis.effects.record import (
+    PER_MILLE,
+    Effect,
+    adds,
+    blend,
+    multiplies,
+    seldom,
+)
 
 _ALL_BUT = 0.95
 """Share of the friction that a force across takes at most."""
@@ -28,28 +33,18 @@ _ONE_LOAD = 0.1
 from a constant one."""
 
 
-def _slip_load(state, share, constants, rows):
-    """About the usual load, or from none on."""
-    return state._replace(shift=state.shift + share * (rows.fz - constants[0]))
-
-
-def _slip_speed(state, share, constants, rows):
+def _slip_speed(share, constants, rows):
     """A radius that grows with the speed, or with its square; zero at rest, or at the
     usual speed."""
     even, square, about = constants
     grown = blend((even, square), rows.v, rows.v**2 / rows.cruise)
-    return state._replace(shift=state.shift + share * (grown - about * rows.cruise))
+    return share * (grown - about * rows.cruise)
 
 
-def _speed_zero(state, zero, constants, rows):
-    del constants
-    return state._replace(shift=state.shift + zero / rows.pace)
-
-
-def _drag(state, share, constants, rows):
+def _drag(share, constants, rows):
     ratio = rows.v / rows.cruise
     drag = share * blend(constants, ratio, ratio**2)
-    return state._replace(force=state.force + PER_MILLE * rows.load * drag)
+    return PER_MILLE * rows.load * drag
 
 
 def _ellipse(state, share, constants, rows):
@@ -59,16 +54,6 @@ def _ellipse(state, share, constants, rows):
     left = jnp.sqrt(1 - jnp.clip(share * used**2, _DOUBLED, _ALL_BUT))
     stiffness = state.stiffness * (1 - whole * (1 - left))
     return state._replace(friction=state.friction * left, stiffness=stiffness)
-
-
-def _tracked_point(state, lever, constants, rows):
-    del constants
-    return state._replace(shift=state.shift + lever * rows.yaw)
-
-
-def _load_transfer(state, share, constants, rows):
-    del constants
-    return scaled(state, "friction", 1 + share * rows.ahead / rows.fz)
 
 
 def _one_speed_of_the_slip(prepared) -> float:
@@ -88,7 +73,8 @@ def _one_load(prepared) -> float:
 SLIP_LOAD = Effect(
     id="slip_offset_load",
     family="slip x load",
-    change=_slip_load,
+    # About the usual load, or from none on.
+    change=adds("shift", lambda a, about, rows: a * (rows.fz - about[0])),
     scale=0.2,
     per=("slip",),
     unit="- of slip",
@@ -106,7 +92,7 @@ SLIP_LOAD = Effect(
 SLIP_SPEED = Effect(
     id="slip_offset_speed",
     family="slip x speed",
-    change=_slip_speed,
+    change=adds("shift", _slip_speed),
     scale=0.3,
     per=("growth",),
     unit="s/m",
@@ -117,12 +103,7 @@ SLIP_SPEED = Effect(
     bounds=((-6.0, 6.0),),
     odds=_one_speed_of_the_slip,
     needs=("speeds",),
-    variants=(
-        (1.0, 0.0, 0.0),
-        (0.0, 1.0, 0.0),
-        (1.0, 0.0, 1.0),
-        (0.0, 1.0, 1.0),
-    ),
+    variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 1.0), (0.0, 1.0, 1.0)),
     forms=SHIFT_BY_SPEED,
     looks_like=("speed_zero", "speed_drag"),
     told_apart_by="both signs",
@@ -130,7 +111,7 @@ SLIP_SPEED = Effect(
 SPEED_ZERO = Effect(
     id="speed_zero",
     family="slip x speed",
-    change=_speed_zero,
+    change=adds("shift", lambda a, _, rows: a / rows.pace),
     scale=0.3,
     per=("inverse_speed",),
     unit="m/s",
@@ -148,7 +129,7 @@ SPEED_ZERO = Effect(
 SPEED_DRAG = Effect(
     id="speed_drag",
     family="force x speed",
-    change=_drag,
+    change=adds("force", _drag),
     scale=25.0,
     unit="1e-3 mean F_z",
     formula="force + amplitude v / v0, or amplitude (v / v0)^2",
@@ -168,7 +149,6 @@ ELLIPSE = Effect(
     family="friction x force",
     change=_ellipse,
     scale=0.3,
-    unit="-",
     formula="mu, or the whole force, times sqrt(1 - amplitude (F_across / (mu F_z))^2)",
     means="the force across (drive, brake or cornering) takes its part of the friction",
     remedy="fit a combined model to both forces, or leave rows with a force across out",
@@ -187,7 +167,7 @@ ELLIPSE = Effect(
 TRACKED_POINT = Effect(
     id="tracked_point",
     family="slip x yaw",
-    change=_tracked_point,
+    change=adds("shift", lambda a, _, rows: a * rows.yaw),
     scale=0.3,
     per=("lever",),
     unit="m",
@@ -205,7 +185,7 @@ TRACKED_POINT = Effect(
 LOAD_TRANSFER = Effect(
     id="load_transfer",
     family="friction x acceleration",
-    change=_load_transfer,
+    change=multiplies("friction", lambda a, _, rows: 1 + a * rows.ahead / rows.fz),
     scale=0.15,
     unit="over the range of the file",
     formula="F_z + amplitude (geometric mean F_z) a_x: m h a_x / wheelbase",

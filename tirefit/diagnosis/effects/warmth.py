@@ -4,40 +4,27 @@ thermometer."""
 import jax.numpy as jnp
 
 from tirefit.diagnosis.effects.free_forms import ONE_WAY, Form, over
-from tirefit.diagnosis.effects.record import SHARE, SYMBOLS, Effect, scaled, seldom
-
-__all__ = ["EFFECTS"]
+from tirefit.diagnosis.effects.record import (
+    SHARE,
+    SYMBOLS,
+    Effect,
+    multiplies,
+    seldom,
+)
 
 _FITTED = {"friction": "mu", "stiffness": "cpa2"}
 
 
-def _inflated(name):
-    def change(state, share, constants, rows):
-        del constants
-        return scaled(state, name, 1 + share * rows.inflation)
-
-    return change
-
-
-def _worked(name):
+def _worked(share, constants, rows):
     """With the work of sliding so far, under one of its coolings."""
-
-    def change(state, share, constants, rows):
-        return scaled(state, name, 1 + share * rows.work @ jnp.asarray(constants))
-
-    return change
-
-
-def _rolled(state, power, constants, rows):
-    del constants
-    return scaled(state, "stiffness", (rows.pace / rows.cruise) ** power)
+    return 1 + share * rows.work @ jnp.asarray(constants)
 
 
 def _with_pressure(name: str, size: float, form: float):
     return Effect(
         id=f"{name}_pressure",
         family=f"{name} x inflation",
-        change=_inflated(name),
+        change=multiplies(name, lambda a, _, rows: 1 + a * rows.inflation),
         scale=size,
         unit="over the range of the file",
         formula=f"{SYMBOLS[name]} (1 + amplitude (p - p0) / range), Besselink 2010",
@@ -55,7 +42,7 @@ def _with_work(name: str, size: float):
     return Effect(
         id=f"{name}_warming",
         family=f"{name} x work",
-        change=_worked(name),
+        change=multiplies(name, _worked),
         scale=size,
         unit="over the range of the file",
         formula=f"{SYMBOLS[name]} (1 + amplitude W), dW/dt = |F| v_s - W / cooling",
@@ -74,9 +61,8 @@ def _with_work(name: str, size: float):
 STIFFNESS_SPEED = Effect(
     id="stiffness_speed",
     family="stiffness x speed",
-    change=_rolled,
+    change=multiplies("stiffness", lambda a, _, rows: (rows.pace / rows.cruise) ** a),
     scale=0.12,
-    unit="-",
     formula="c_p a^2 (v / v0)^amplitude",
     means="stiffness is a power of the speed: rubber and belt stiffen",
     remedy="fit cpa2 for each speed",

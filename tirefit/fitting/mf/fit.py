@@ -116,10 +116,12 @@ def fit_magic_formula(
     require(whole, ("fz",), f"the model {model}")
     rows, notes = _rows(whole, part, config)
     other = like if like is None or isinstance(like, TirFile) else read_tir(like)
+    constants = whole.source.constants
     if other is not None:
-        config, taken = with_dimensions(other, rows, config)
+        config, taken = with_dimensions(other, rows, config, constants)
         notes += taken
-    tire, assumed = nominal_of(model, rows, config, other.numbers if other else ())
+    also = other.numbers if other else ()
+    tire, assumed = nominal_of(model, rows, config, constants, also)
     borrowed = borrowed_from(other, tire, rows, config) if other else Borrowed({}, ())
     notes += [*assumed, *borrowed.notes, *_slip_noise_left_out(whole, config)]
     problem, priors = problem_from(tire, config, borrowed.priors)
@@ -212,10 +214,16 @@ def nominal_of(
     model: str,
     rows: dict[str, ForceRows],
     config: FitConfig,
+    constants: Mapping[str, float] | None = None,
     also: Iterable[str] = (),
 ):
     """The tire with its nominal state and all that is given; what was assumed. It has
-    an M_x or M_y that is measured, set or among the names ``also``."""
+    an M_x or M_y that is measured, set or among the names ``also``.
+
+    Args:
+        constants: of the data file (``Source.constants``); the configuration has
+            precedence, then these, then what is assumed.
+    """
     empty = MAGIC_FORMULAS[model]
     asked = {name[:3] for name in (*config.parameters, *also)}
     if "mx" not in rows and "QSX" not in asked:
@@ -232,21 +240,28 @@ def nominal_of(
     assumed = {
         "FNOMIN": _rounded(float(np.median(first.column("fz")))),
         "NOMPRES": _rounded(pressure),
-        "INFLPRES": given.get("NOMPRES", _rounded(pressure)),
         "LONGVL": _rounded(speed),
         "UNLOADED_RADIUS": 0.3,
     }
+    stated = {k: v for k, v in (constants or {}).items() if k in assumed}
+    assumed |= stated
+    assumed["INFLPRES"] = given.get("NOMPRES", assumed["NOMPRES"])
     origins = {
         "FNOMIN": "the median load", "NOMPRES": "the median pressure",
         "UNLOADED_RADIUS": "no radius was given; the moments alone refer to it",
     }  # fmt: skip
     if not len(pressures):
         origins["NOMPRES"] = "the data have no pressure"
+    origins |= dict.fromkeys(stated, "stated by the data file")
     notes = [
         f"{name} = {assumed[name]:g}: {why} (parameters.{name}.value gives another)"
         for name, why in origins.items()
         if name not in given
-        and (name != "UNLOADED_RADIUS" or {"mz", *MOMENTS} & rows.keys())
+        and (
+            name != "UNLOADED_RADIUS"
+            or {"mz", *MOMENTS} & rows.keys()
+            or name in stated
+        )
     ]
     return with_values(empty, assumed | given), notes
 

@@ -50,17 +50,22 @@ class Borrowed(NamedTuple):
 
 
 def with_dimensions(
-    like: TirFile, rows: Mapping[str, ForceRows], config: FitConfig
+    like: TirFile,
+    rows: Mapping[str, ForceRows],
+    config: FitConfig,
+    constants: Mapping[str, float],
 ) -> tuple[FitConfig, list[str]]:
     """The settings with what the data cannot hold taken from the other tire: its free
     radius, the nominal pressure of a test without one, and QSX12 to QSX14 where M_x is
-    not measured; what is set stays. And what was taken, in sentences."""
+    not measured; what is set, or a constant of the data file, stays. And what was
+    taken, in sentences."""
     wanted = ["UNLOADED_RADIUS"]
     if not any(np.any(one.column("pressure") > 0) for one in rows.values()):
         wanted.append("NOMPRES")
     wanted += [] if "mx" in rows else NEVER_FITTED
     there = {k: like.numbers[k] for k in wanted if like.numbers.get(k)}
-    taken = {k: v for k, v in there.items() if k not in config.parameters}
+    known = config.parameters.keys() | constants.keys()
+    taken = {k: v for k, v in there.items() if k not in known}
     given = {name: ParameterConfig(value=value) for name, value in taken.items()}
     new = config.model_copy(update={"parameters": config.parameters | given})
     file = Path(like.path).name

@@ -1,13 +1,7 @@
-r"""A braked wheel on a LuGre tire whose bristles follow in time.
+r"""A wheel whose brake's torque rises in saw-teeth, integrated by diffrax.
 
-The balance of :mod:`tirefit.sim.braking`, :math:`J \dot\Omega = R F - T`, together with
-the bristles of :mod:`tirefit.sim.lugre`: those of the whole patch, or their mean, which
-the tread carries out of the patch at the rate :math:`\kappa |\Omega R| / 2a`,
-
-.. math:: \dot z = v_s - \frac{\sigma_0 |v_s|}{\theta g(v_s)} z
-    - \kappa \frac{|\Omega R|}{2a} z
-
-With kappa = 2 it is as stiff at small slip as the patch under an even pressure.
+The balance is :math:`J \dot\Omega = R F - T`. The force is that of a steady tire at the
+slip, or that of a LuGre tire whose bristles (:mod:`tirefit.sim.lugre`) follow in time.
 """
 
 from typing import Any, NamedTuple
@@ -28,19 +22,15 @@ from tirefit.sim.lugre import (
     distributed,
 )
 
-__all__ = ["PATCH", "WheelNumbers", "averaged", "lugre_tire", "lugre_wheel"]
-
-_SLOWEST = 0.01
-"""Wheel speed over that of free rolling below which a wheel is locked."""
-
-
-def averaged(kappa: float = 2.0) -> Bristles:
-    """One bristle for the mean of the patch, carried out of it at the rate kappa."""
-    return Bristles(np.ones(1), np.ones(1), np.full((1, 1), kappa))
+SLOWEST = 0.01
+"""Wheel speed over that of free rolling below which a wheel is locked: the brake, which
+only holds, cannot turn it backwards."""
 
 
 PATCH = distributed(1)
 """Four bristles: S(18) to 1e-4 of the load."""
+STEADY = Bristles(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
+"""No bristle: the force of a steady tire follows the slip at once."""
 
 
 def lugre_tire(peak: float, v: float) -> LuGre:
@@ -73,15 +63,15 @@ class WheelNumbers(NamedTuple):
     interval: Any
 
 
-def lugre_wheel(
-    numbers: WheelNumbers, tires: tuple[LuGre, LuGre], bristles: Bristles, time, teeth
-):
+def braked_wheel(
+    numbers: WheelNumbers, tires: tuple, bristles: Bristles, time, teeth: int
+) -> tuple[np.ndarray, ...]:
     """Wheel speed [rad/s], force [N] and mean deflection [m] at the times (n,).
 
     Args:
         numbers: of the wheel and its brake.
-        tires: before and after the change.
-        bristles: :data:`PATCH`, or ``averaged()``.
+        tires: before and after the change, two :class:`LuGre` or two steady tires.
+        bristles: of the LuGre tires, :data:`PATCH`; :data:`STEADY` for steady tires.
         time: increasing instants [s]; ``teeth``: saw-teeth until then.
     """
     traced = jax.tree.map(lambda x: jnp.asarray(x, float), (numbers, tires))
@@ -89,31 +79,29 @@ def lugre_wheel(
     return tuple(np.asarray(part) for part in moved)
 
 
-def _contact(numbers: WheelNumbers, turning) -> Contact:
-    rolling = numbers.v * turning
-    return Contact(jnp.stack([numbers.v - rolling, 0.0]), rolling, numbers.fz)
-
-
 @eqx.filter_jit
 def _integrate(traced, bristles, time, teeth: int):
     numbers, tires = traced
-    _, period, radius, inertia, v, _, change, interval = numbers
+    _, period, radius, inertia, v, fz, change, interval = numbers
 
     def parts(t, y):
-        turning, z = jnp.clip(y[0], _SLOWEST), y[1]
+        """Wheel speed over that of free rolling, force, rate of the bristles."""
+        turning, z = jnp.clip(y[0], SLOWEST), y[1]
         tire = jax.tree.map(lambda a, b: jnp.where(t < change, a, b), *tires)
-        now = _contact(numbers, turning)
+        if not len(bristles.place):
+            return turning, tire.pure(1 - turning, fz), z
+        now = Contact(jnp.stack([v - v * turning, 0.0]), v * turning, fz)
         force = bristle_forces(tire, bristles, z, now).fx
-        return tire, now, turning, force
+        return turning, force, bristle_rate(tire, bristles, z, now)
 
     def rate(t, y, args):
         del args
-        tire, now, turning, force = parts(t, y)
+        turning, force, bent = parts(t, y)
         torque = numbers.full * (t % period) / period
         # A brake holds a wheel that stands; it does not turn it.
-        holds = (turning <= _SLOWEST) & (torque > radius * force)
+        holds = (turning <= SLOWEST) & (torque > radius * force)
         spun = jnp.where(holds, 0.0, (radius * force - torque) * radius / inertia / v)
-        return spun, bristle_rate(tire, bristles, y[1], now)
+        return spun, bent
 
     jumps = jnp.append(period * jnp.arange(1, teeth + 1), change)
     controller = diffrax.ClipStepSizeController(
@@ -128,7 +116,7 @@ def _integrate(traced, bristles, time, teeth: int):
     )  # fmt: skip
 
     def seen(t, y):
-        _, _, turning, force = parts(t, y)
+        turning, force, _ = parts(t, y)
         return turning * v / radius, force, jnp.asarray(bristles.weight) @ y[1][:, 0]
 
     return jax.vmap(seen)(time, solution.ys)

@@ -1,0 +1,60 @@
+"""What was assumed of many files is printed once, counted, by every command."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+FILES = 6
+
+
+@pytest.fixture
+def sweeps(tmp_path):
+    """Braking sweeps, each at a load of its own that its header and a column state."""
+    rng = np.random.default_rng(8)
+    slip = np.linspace(-0.05, 0.2, 90)
+    for number in range(FILES):
+        load = 2000 + 500 * number
+        force = load * np.tanh(12 * slip) + rng.normal(0, 10, len(slip))
+        rows = [f"{k:.5f},{f:.1f},7,{load}" for k, f in zip(slip, force, strict=True)]
+        text = "\n".join(["kappa,Fx,note,Fz", *rows]) + "\n"
+        Path(tmp_path, f"sweep_{number}.csv").write_text(text)
+    return [f"sweep_{number}.csv" for number in range(FILES)]
+
+
+COMMANDS = {
+    "inspect": ["inspect", "--no-gate"],
+    "fit": ["fit", "--no-posterior", "--out", "fits"],
+    "fit, joint": ["fit", "--no-posterior", "--joint", "--out", "joint"],
+    "fit, Magic Formula": ["fit", "--model", "mf61", "--part", "fx", "--out", "mf"],
+    "prepare": ["prepare", "--rate", "50", "--out", "cut"],
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_note_is_printed_once_with_its_count(run, sweeps, name):
+    first, *rest = COMMANDS[name]
+    done = run(first, *sweeps, *rest)
+    stderr, stdout = (" ".join(text.split()) for text in (done.stderr, done.stdout))
+    warning = f"warning: {FILES} files: no convention declared: read as braking"
+    assert stderr.count(warning) == stderr.count("no convention declared") == 1
+    if name == "prepare":  # it prints no assumptions, its record has them
+        return
+    for said in ("column 'kappa' read as kappa in -", "columns not read: 'note'"):
+        assert len(re.findall(re.escape(said), stdout)) == 1, said
+        assert f"{FILES} files: {said}" in stdout
+
+
+def test_of_one_file_its_own_report_has_them(run, sweeps):
+    done = run("inspect", "--no-gate", sweeps[0])
+    assert "what was assumed\n" in done.stdout and "files" not in done.stdout
+    assert done.stderr == ""
+
+
+def test_each_page_keeps_its_notes_and_the_page_of_all_counts_them(run, sweeps):
+    run("fit", *sweeps[:2], "--no-posterior", "--html", "--out", "o")
+    text = Path("o/fits.html").read_text()
+    assert text.count("columns not read") == 1
+    assert "2 files: columns not read" in text
+    assert "columns not read" in Path("o/sweep_0/fit.html").read_text()

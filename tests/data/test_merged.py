@@ -1,0 +1,50 @@
+"""Sentences of many files: each once, with its files counted; no value is lost."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tirefit.data.merged import merged
+from tirefit.data.read import read_frame
+from tirefit.data.table import join
+
+
+def test_one_sentence_for_all_files_and_names_for_few():
+    said = [(f"run{i:02d}", ["no column gamma"]) for i in range(72)]
+    said[4] = ("run04", ["no column gamma", "row 3 read as units"])
+    assert merged(said) == [
+        "72 files: no column gamma", "run04: row 3 read as units",
+    ]  # fmt: skip
+    half = [(name, texts if i % 2 else []) for i, (name, texts) in enumerate(said)]
+    assert merged(half) == ["36 of 72 files: no column gamma"]
+
+
+def test_values_that_differ_become_their_range():
+    said = [
+        (f"r{i}", [f"FZW = {load} N in all rows", f"MEASID = A-{i}", "from a.csv"])
+        for i, load in enumerate(("1000", "-20.5", "3000", "1000"))
+    ]
+    assert merged(said) == [
+        "4 files: FZW = -20.5 to 3000 N in all rows",
+        "4 files: MEASID = A-0 to A-3",
+        "4 files: from a.csv",
+    ]
+    assert merged(said[:2])[1] == "2 files: MEASID = A-0, A-1"
+
+
+def test_of_one_file_the_sentences_stay():
+    assert merged([("a", ["1 of 2", "3 of 4"])]) == ["1 of 2", "3 of 4"]
+
+
+def test_joined_files_say_each_thing_once():
+    columns = {"kappa": np.linspace(0, 0.1, 9), "fx": np.linspace(0, 900, 9)}
+    tables = [
+        read_frame(columns, f"sweep_{load}", constants={"fz": load})
+        for load in range(1000, 8200, 100)
+    ]
+    alone = {len(table.source.assumptions) for table in tables}
+    said = join(tables).source.assumptions
+    assert len(tables) == 72 and alone == {len(said)}
+    assert "72 files: fz = 1000 to 8100 N in all rows, as declared" in said
+    odd = replace(tables[0], source=replace(tables[0].source, warnings=("look",)))
+    assert join([odd, *tables[1:]]).source.warnings == ("sweep_1000: look",)

@@ -1,0 +1,143 @@
+"""The tracked point by the force against the slip: found, refused, doubted."""
+
+import re
+
+import numpy as np
+import pytest
+from test_contradictions import (
+    BESIDE,
+    DART,
+    POSE,
+    RATES,
+    derived,
+    log_of,
+    vehicle_text,
+)
+
+from tirefit.data.derive import derive
+from tirefit.data.vehicle import load_vehicle
+from tirefit.results import DataError
+
+DART_LOGS = sorted(DART.glob("*/*.csv.gz"))
+L_F, L_R = 1.2, 1.4
+
+
+def dart(tmp_path, point):
+    """The DART car with its tracked point stated elsewhere."""
+    text = (DART / "vehicle.toml").read_text()
+    path = tmp_path / "vehicle.toml"
+    path.write_text(text.replace("[0.115,", f"[{point},"))
+    return load_vehicle(path)
+
+
+@pytest.mark.parametrize("path", DART_LOGS, ids=lambda p: p.name)
+def test_a_measured_log_is_accepted_at_its_point_only(path, tmp_path):
+    right = derive(path, dart(tmp_path, 0.115))
+    at, std = right.point.estimate
+    assert right.warnings == () and std < 0.03
+    assert at == pytest.approx(0.115, abs=3 * std)
+    assert f"± {std:.1g} m" in right.summary()
+    for wrong in (0.115 - 0.13, 0.115 + 0.13):
+        result = derive(path, dart(tmp_path, wrong), believe=True)
+        (said,) = (text for text in result.warnings if "tracked_point" in text)
+        # What is stated does not move the estimate.
+        assert result.point.estimate == pytest.approx((at, std), rel=0.05, abs=1e-4)
+        assert f"say tracked_point = [{at:.3g}, -0.01] in vehicle.toml" in said
+
+
+def test_free_driving_with_the_point_too_far_behind_is_refused(tmp_path):
+    (path,) = DART.glob("free_driving*/*10_02_28.csv.gz")
+    with pytest.raises(DataError) as caught:
+        derive(path, dart(tmp_path, -0.015))
+    (problem,) = caught.value.problems
+    assert "the side force acts the way the axle slides" in problem.reason
+    assert problem.file.endswith("10_02_28.csv.gz")
+    assert "tracked_point = [0.114, -0.01]" in problem.remedy
+
+
+def moved(log, ahead):
+    """Rates of a point so far ahead of the centre of gravity [m]."""
+    turning = np.gradient(log["c3"], log["time"])
+    return log | {
+        "c2": log["c2"] + ahead * log["c3"],
+        "c4": log["c4"] + ahead * turning,
+    }
+
+
+@pytest.mark.parametrize("ahead", [-0.5, 0.0, 1.2])
+@pytest.mark.parametrize("name", ["turns", "turns and brakes", "slow"])
+def test_the_point_is_found_as_put_in_with_its_error(tmp_path, name, ahead):
+    off = []
+    for seed in range(10):
+        log = moved(log_of(seed, name), ahead)
+        at, std = derived(tmp_path, log, RATES, believe=True).point.estimate
+        off.append((at - L_R - ahead) / std)
+        assert std < 0.05
+    assert abs(np.mean(off)) < 1.2 and np.std(off) < 2
+
+
+def test_gps_at_the_front_axle_is_refused_and_the_remedy_is_right(tmp_path):
+    log = moved(log_of(name="slow"), L_F)
+    with pytest.raises(DataError) as caught:
+        derived(tmp_path, log, RATES)
+    (problem,) = caught.value.problems
+    assert "acts the way the axle slides" in problem.reason
+    line = re.search(r"tracked_point = \[([\d.]+), 0\]", problem.remedy)
+    assert float(line[1]) == pytest.approx(L_R + L_F, abs=0.06)
+    path = tmp_path / "vehicle.toml"
+    path.write_text(f"{line[0]}\n{vehicle_text(RATES)}")
+    again = derive(tmp_path / "log.csv", load_vehicle(path))
+    sound = derived(tmp_path, log_of(name="slow"), RATES)
+    assert again.warnings == ()
+    np.testing.assert_allclose(
+        again.columns["alpha"], sound.columns["alpha"], atol=2e-3
+    )
+
+
+def test_a_point_is_doubted_where_the_force_still_opposes_the_slip(tmp_path):
+    (said,) = derived(tmp_path, moved(log_of(name="turns"), L_F), RATES).warnings
+    assert "the log's point is 2.6 ± 0.01 m ahead of the rear axle" in said
+
+
+def test_too_large_a_yaw_inertia_is_named_beside_the_point(tmp_path):
+    text = vehicle_text(RATES).replace("yaw_inertia = 2500", "yaw_inertia = 10000")
+    path = tmp_path / "heavy.toml"
+    path.write_text(text)
+    derived(tmp_path, log_of(name="turns"), RATES)
+    (said,) = derive(tmp_path / "log.csv", load_vehicle(path)).warnings
+    assert "yaw_inertia is 0.25 ± 0.0" in said and "tracked_point" in said
+    factor = re.search(r"say yaw_inertia = ([\de.+]+)", said)
+    assert float(factor[1]) == pytest.approx(2500, rel=0.05)
+
+
+@pytest.mark.parametrize("columns", [RATES, POSE])
+def test_a_log_that_hardly_turns_says_nothing_of_its_point(tmp_path, columns):
+    for name in ("straight", "hardly turns"):
+        result = derived(tmp_path, log_of(name=name), columns)
+        assert not any("tracked_point" in said for said in result.warnings)
+    result = derived(tmp_path, log_of(name="straight"), columns)
+    assert result.point.estimate is None
+    assert "does not show where it is" in result.summary()
+
+
+def late(log, channels, seconds):
+    time = log["time"]
+    return log | {c: np.interp(time - seconds, time, log[c]) for c in channels}
+
+
+@pytest.mark.parametrize("name", ["turns", "slow", "gently"])
+def test_a_pose_on_another_clock_is_refused(tmp_path, name):
+    log = log_of(name=name)
+    with pytest.raises(DataError) as caught:
+        derived(tmp_path, late(log, ("c7", "c8", "c9"), 0.34), POSE | BESIDE)
+    (problem,) = caught.value.problems
+    assert re.search(r"the pose is 0\.34 ± 0\.00\d+ s late", problem.reason)
+    assert "shift the pose in the log" in problem.remedy
+    result = derived(tmp_path, late(log, ("c7", "c8", "c9"), 0.1), POSE | BESIDE)
+    assert "delays up to 0.1" in result.summary()
+
+
+def test_a_late_v_y_is_named_beside_the_point(tmp_path):
+    log = late(log_of(name="turns"), ("c2",), 0.1)
+    (said,) = derived(tmp_path, log, RATES).warnings
+    assert re.search(r"v_y is 0\.(1|09\d|10\d) ± 0\.00\d s late", said)

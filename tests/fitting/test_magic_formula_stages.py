@@ -1,0 +1,238 @@
+"""Stages of a Magic Formula fit: what one channel does to another, limits, weights."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from rig import MF61
+
+from tirefit.data.read import read_frame
+from tirefit.data.tir import read_tir
+from tirefit.fitting.mf.cells import cells_of
+from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.fitting.mf.guards import check_guards
+from tirefit.fitting.mf.parts import own_coefficients
+from tirefit.fitting.mf.rows import ForceRows
+from tirefit.fitting.mf.stages import design_effect
+from tirefit.fitting.predict import predict
+from tirefit.models import TireInputs, forces
+from tirefit.models.mf import curvatures, mf_tire, share_limited
+from tirefit.results import Outcome
+
+TIRE = {
+    "FNOMIN": 4000.0, "UNLOADED_RADIUS": 0.31, "NOMPRES": 2.2e5, "PCX1": 1.6,
+    "PDX1": 1.15, "PDX2": -0.08, "PEX1": 0.3, "PKX1": 22.0, "PKX3": 0.1, "PCY1": 1.35,
+    "PDY1": 1.05, "PDY2": -0.12, "PEY1": -0.4, "PKY1": -21.0, "PKY2": 1.9,
+    "PKY6": -0.9, "QBZ1": 9.0, "QBZ9": 15.0, "QCZ1": 1.15, "QDZ1": 0.11, "QEZ1": -1.0,
+    "RBX1": 12.0, "RBX2": 9.0, "RCX1": 1.05, "RBY1": 14.0, "RBY2": 9.0, "RCY1": 1.05,
+    "RVY4": 40.0, "RVY5": 1.9, "RVY6": 20.0,
+}  # fmt: skip
+GIVEN = {n: {"value": TIRE[n]} for n in ("FNOMIN", "UNLOADED_RADIUS", "NOMPRES")}
+LOADS = (1500.0, 2800.0, 4200.0, 5600.0)
+
+
+def test_of_a_rig(seed=0, combined=True, friction=0.12, loads=LOADS):
+    """Columns of a test of TIRE: friction falls over every sweep by this share, and
+    M_z is that of 1.6 times the cornering stiffness, with a ripple."""
+    generator = np.random.default_rng(seed)
+    time = np.linspace(0.0, 4.0, 100)
+    sweep, parts = np.sin(2 * np.pi * time / 4), []
+    tires = [mf_tire("6.1", TIRE), mf_tire("6.1", TIRE | {"PKY1": 1.6 * -21.0})]
+    plans = [(0.0, 0.21, 0.0), (0.18, 0.0, 0.0)]
+    plans += [(0.18, 0.0, -0.06), (0.18, 0.0, -0.12)] if combined else []
+    for fz in loads:
+        for gamma in (0.0, 0.05):
+            for kappa, alpha, held in plans:
+                columns = np.broadcast_arrays(
+                    -kappa * sweep / (1 + kappa * sweep), alpha * sweep + held,
+                    fz * (1 + 0.02 * sweep), 16.7, gamma,
+                )  # fmt: skip
+                inputs = TireInputs(*columns)
+                fx, fy, _ = (np.asarray(f) for f in list(forces(tires[0], inputs))[:3])
+                mz = np.asarray(forces(tires[1], inputs).mz)
+                mz = mz + 0.002 * fz * np.sin(2 * np.pi * 8.6 * time)
+                worn = 1 - friction * np.cumsum(np.abs(sweep)) / np.sum(np.abs(sweep))
+                noise = 0.004 * fz * generator.standard_normal((3, len(time)))
+                noise[2] *= 0.1
+                values = worn * np.stack([fx, fy, mz]) + noise
+                run = np.full(len(time), len(parts))
+                parts.append(np.stack([*columns, *values, run]))
+    names = ("sigma_x", "alpha", "fz", "v", "gamma", "fx", "fy", "mz", "run")
+    return dict(zip(names, np.concatenate(parts, axis=1), strict=True))
+
+
+test_of_a_rig.__test__ = False
+
+
+@cache
+def fit_of(*channels, combined=True):
+    table = test_of_a_rig()
+    pure = (np.abs(table["alpha"]) < 1e-9) | (np.abs(table["sigma_x"]) < 1e-9)
+    kept = pure | combined
+    absent = {"fx", "fy", "mz"} - set(channels)
+    table = {k: v[kept] for k, v in table.items() if k not in absent}
+    return fit_magic_formula(
+        read_frame(table), "mf61", config={"parameters": GIVEN}, leave_out="none"
+    )
+
+
+def test_a_moment_moves_no_coefficient_of_a_force():
+    """A channel that the formula describes badly: M_z of another stiffness."""
+    whole, without = fit_of("fx", "fy", "mz"), fit_of("fx", "fy")
+    for force in ("fx", "fy"):
+        for name in own_coefficients("6.1", force):
+            one, other = whole.coefficients[name], without.coefficients[name]
+            assert (one.value, one.std) == (other.value, other.std), name
+        assert whole.fitted[force] == without.fitted[force]
+    # The friction of the middle of a sweep, 6 % below that of the tire.
+    for name, true in (("PCX1", 1.6), ("PCY1", 1.35), ("PDX1", 1.08), ("PDY1", 0.99)):
+        one = whole.coefficients[name]
+        assert abs(one.value - true) < max(3 * one.std, 0.02 * true), name
+
+
+def test_rows_of_combined_slip_keep_what_pure_slip_told():
+    whole, pure = fit_of("fx", "fy"), fit_of("fx", "fy", combined=False)
+    told = [
+        name
+        for name, one in pure.coefficients.items()
+        if one.origin == "fitted" and one.part in ("fx", "fy")
+    ]
+    assert {"PCX1", "PDX1", "PKX1", "PCY1", "PDY1", "PKY1"} <= set(told)
+    for name in told:
+        one, other = whole.coefficients[name], pure.coefficients[name]
+        assert abs(one.value - other.value) <= other.std, name
+    assert not whole.worsened
+
+
+def unlimited(tire, inputs):
+    """F_y at zero kappa (4.E19) to (4.E30) of a reader that does not limit E."""
+    p = dict(tire)
+    gamma, fz = inputs.gamma, np.asarray(inputs.fz)
+    dfz = (fz - p["FNOMIN"]) / p["FNOMIN"]
+    mu = (p["PDY1"] + p["PDY2"] * dfz) * (1 - p["PDY3"] * gamma**2)
+    stiffness = p["PKY1"] * p["FNOMIN"] * (1 - p["PKY3"] * np.abs(gamma))
+    stiffness = stiffness * np.sin(
+        p["PKY4"] * np.arctan(fz / p["FNOMIN"] / (p["PKY2"] + p["PKY5"] * gamma**2))
+    )
+    shift = fz * (p["PVY1"] + p["PVY2"] * dfz + (p["PVY3"] + p["PVY4"] * dfz) * gamma)
+    thrust = fz * (p["PKY6"] + p["PKY7"] * dfz) * gamma
+    thrust = thrust - fz * (p["PVY3"] + p["PVY4"] * dfz) * gamma
+    alpha = inputs.alpha + p["PHY1"] + p["PHY2"] * dfz + thrust / stiffness
+    curvature = (p["PEY1"] + p["PEY2"] * dfz) * (
+        1 + p["PEY5"] * gamma**2 - (p["PEY3"] + p["PEY4"] * gamma) * np.sign(alpha)
+    )
+    x = stiffness / (p["PCY1"] * mu * fz) * alpha
+    x = x - curvature * (x - np.arctan(x))
+    return -(mu * fz * np.sin(p["PCY1"] * np.arctan(x)) + shift)
+
+
+def test_a_fit_needs_no_limit_of_the_curvature():
+    """Data of a tire whose E_y is 1.3, as a reader without the limit draws it: every
+    reader of the fitted file draws the same curve within the data."""
+    generator = np.random.default_rng(1)
+    alpha = np.tile(np.linspace(-0.15, 0.15, 120), 3)
+    fz = np.repeat([2000.0, 4000.0, 6000.0], 120)
+    inputs = TireInputs(alpha=alpha, fz=fz, gamma=0 * fz)
+    names = own_coefficients("6.1", "fy")
+    truth = dict.fromkeys(names, 0.0) | {"PKY4": 2.0} | TIRE | {"PEY1": 1.3}
+    fy = unlimited(truth, inputs) + 0.005 * fz * generator.standard_normal(len(fz))
+    table = {"alpha": alpha, "fz": fz, "fy": fy, "run": np.repeat([0, 1, 2], 120)}
+    held = {name: {"value": TIRE[name]} for name in ("PCY1", "PDY1", "PKY1", "PKY2")}
+    fit = fit_magic_formula(
+        read_frame(table), "mf61", part="fy", config={"parameters": GIVEN | held}
+    )
+    assert share_limited(fit.tire, TireInputs(alpha=alpha, fz=fz))["fy"] == 0
+    # It is the limit that holds it back.
+    assert np.max(curvatures(fit.tire, TireInputs(alpha=alpha, fz=fz))["fy"]) > 0.9
+    values = {name: one.value for name, one in fit.coefficients.items()}
+    assert fit.converged
+    other = unlimited(values | {"FNOMIN": TIRE["FNOMIN"]}, inputs)
+    ours = np.asarray(forces(fit.tire, TireInputs(alpha=alpha, fz=fz)).fy)
+    np.testing.assert_allclose(ours, other, rtol=1e-9, atol=1e-6)
+
+
+def test_design_effect_is_that_of_residuals_common_to_a_setting():
+    """1 + (m - 1) rho of settings of m residuals with correlation rho (Kish)."""
+    generator = np.random.default_rng(2)
+    settings, rows = 200, 10
+    setting = np.repeat(np.arange(settings), rows)
+    slopes = np.repeat(generator.standard_normal((settings, 3)), rows, axis=0)
+    for rho in (0.0, 0.3):
+        common = np.repeat(generator.standard_normal(settings), rows)
+        own = generator.standard_normal(settings * rows)
+        noise = np.sqrt(rho) * common + np.sqrt(1 - rho) * own
+        fitted = slopes @ np.linalg.solve(slopes.T @ slopes + np.eye(3), slopes.T)
+        found = design_effect(noise - fitted @ noise, slopes, setting)
+        assert found == pytest.approx(1 + (rows - 1) * rho, rel=0.35)
+        assert (found == 1) == (rho == 0)
+
+
+def test_cells_are_means_of_the_rows_of_one_setting():
+    generator = np.random.default_rng(3)
+    n = 6000
+    inputs = TireInputs(*np.zeros((7, n)))._replace(
+        alpha=generator.uniform(-0.2, 0.2, n), fz=np.full(n, 4e3)
+    )
+    observed = 1e4 * np.asarray(inputs.alpha) + 50 * generator.standard_normal(n)
+    true = np.full(n, True)
+    rows = ForceRows("fy", inputs, observed, 0 * observed, True, 0 * true, true)
+    setting = generator.integers(0, 2, n)
+    cells = cells_of(rows, setting)
+    assert len(cells.rows) < n / 10 and cells.rows.sum() == n
+    assert np.sum(cells.rows * cells.observed) == pytest.approx(np.sum(observed))
+    assert set(cells.setting) == {0, 1}
+    law = cells.white_law(rows, 1e4 * np.asarray(inputs.alpha))
+    assert law.std(4e3, 0.0) == pytest.approx(50.0, rel=0.05)
+
+
+@pytest.mark.parametrize("left", [LOADS[0], LOADS[2], LOADS[3]])
+def test_bands_hold_rows_of_a_load_that_was_left_out(left):
+    """Inside the loads, and at 1.3 times the largest that was fitted."""
+    table = test_of_a_rig(combined=False, loads=(*LOADS[:3], 4900.0, LOADS[3]))
+    near = np.abs(table["fz"] / left - 1) < 0.05
+    if left == LOADS[3]:
+        near |= np.abs(table["fz"] / 4900.0 - 1) < 0.05
+    kept = {name: column[~near] for name, column in table.items()}
+    fit = fit_magic_formula(
+        read_frame(kept), "mf61", config={"parameters": GIVEN}, leave_out="load"
+    )
+    gone = {name: column[near] for name, column in table.items()}
+    given = predict(fit, {k: v for k, v in gone.items() if k not in ("fx", "fy", "mz")})
+    for force in ("fx", "fy"):
+        within = np.abs(given[force] - gone[force]) < 1.96 * given[f"{force}_std"]
+        assert 0.9 <= np.mean(within) <= 0.995, force
+    assert {part.force for part in fit.left_out} == {"fx", "fy", "mz"}
+
+
+def test_guards_tell_what_fails_within_the_data_from_what_fails_beyond():
+    tire = mf_tire("6.1", TIRE | {"PDY2": -0.5})
+    ranges = {"kappa": (-0.2, 0.2), "alpha": (-0.2, 0.2), "gamma": (0.0, 0.05)}
+    within = check_guards(tire, ranges | {"fz": (1500.0, 6500.0)}, ("fx", "fy"))
+    (peak,) = (guard for guard in within if guard.name == "peak")
+    assert not peak.holds and peak.holds_inside
+    wider = check_guards(tire, ranges | {"fz": (1500.0, 12000.0)}, ("fx", "fy"))
+    assert not all(guard.holds_inside for guard in wider)
+
+
+def test_a_curve_that_turns_its_sign_within_the_data_is_no_tire():
+    tir = read_tir(MF61).numbers
+    alpha = np.tile(np.linspace(-0.25, 0.25, 100), 3)
+    fz = np.repeat([3000.0, 5000.0, 7000.0], 100)
+    fy = np.asarray(forces(mf_tire("6.1", tir), TireInputs(alpha=alpha, fz=fz)).fy)
+    fy = fy * np.where(np.abs(alpha) < 0.15, 1.0, -0.6)
+    table = {"alpha": alpha, "fz": fz, "fy": fy, "run": np.repeat([0, 1, 2], 100)}
+    fit = fit_magic_formula(read_frame(table), "mf61", part="fy")
+    assert Outcome.CONVERGED not in fit.outcomes
+    assert Outcome.GUARD_FAILED in fit.outcomes
+    assert "VERDICT: not to be used as it is" in str(fit)
+
+
+def test_friction_that_no_row_reaches_is_no_measurement():
+    alpha = np.tile(np.linspace(-0.02, 0.02, 60), 3)
+    fz = np.repeat([3000.0, 5000.0, 7000.0], 60)
+    tir = read_tir(MF61).numbers
+    fy = np.asarray(forces(mf_tire("6.1", tir), TireInputs(alpha=alpha, fz=fz)).fy)
+    fy = fy + 0.01 * fz * np.random.default_rng(4).standard_normal(len(fz))
+    table = {"alpha": alpha, "fz": fz, "fy": fy, "run": np.repeat([0, 1, 2], 60)}
+    fit = fit_magic_formula(read_frame(table), "mf61", part="fy")
+    assert any("is no measured friction" in note for note in fit.notes)

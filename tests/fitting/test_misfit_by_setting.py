@@ -1,0 +1,139 @@
+"""A misfit that follows a setting of the test is no noise, and correlated noise is."""
+
+import numpy as np
+import pytest
+from recipes import brush_force, solved, table
+from scipy.optimize import curve_fit
+from scipy.signal import lfilter
+
+from tirefit.fitting.estimate import fit
+from tirefit.fitting.inference import deviance, minima
+from tirefit.report.text import fit_report
+
+LOADS = (1500.0, 3000.0, 4500.0, 6000.0, 7500.0)
+SLIP = np.linspace(-0.2, 0.2, 110)
+
+
+def four_coefficients(alpha, B, C, D, E, fz):
+    x = B * alpha
+    return D * fz * np.sin(C * np.arctan(x - E * (x - np.arctan(x))))
+
+
+def over_settings(column, values, force, noise=0.006):
+    """One sweep at each value of a column; ``force`` of (alpha, value, load)."""
+    generator, parts = np.random.default_rng(3), []
+    for value in values:
+        fz = value if column == "fz" else 4000.0
+        fy = force(SLIP, value) + noise * fz * generator.standard_normal(len(SLIP))
+        both = {"alpha": SLIP, "fy": fy, "fz": fz, column: value}
+        parts.append(np.array([np.broadcast_to(v, SLIP.shape) for v in both.values()]))
+    return table(dict(zip(both, np.concatenate(parts, axis=1), strict=True)))
+
+
+@pytest.fixture(scope="module")
+def five_loads():
+    """A tire whose stiffness factor and friction fall with the load."""
+
+    def force(alpha, fz):
+        B, D = 11.0 * (fz / 4000) ** -0.3, 1.3 - 0.1 * fz / 4000
+        return four_coefficients(alpha, B, 1.45, D, -0.6, fz)
+
+    data = over_settings("fz", LOADS, force)
+    return data, fit(data, "magic-formula")
+
+
+def test_a_model_without_the_load_says_so_and_not_that_anything_fits(five_loads):
+    _, result = five_loads
+    assert result.statistics.r2 > 0.99
+    assert result.identified
+    assert result.verdict["status"] == "systematic misfit"
+    first = result.verdict["sentences"][0]
+    assert "the model lacks the load" in first and "mf61" in first
+    assert "loads from 1500 to 7500 N" in first
+    assert not any("anything from" in s for s in result.verdict["sentences"])
+
+
+def test_intervals_of_independent_rows_are_those_of_scipy(five_loads):
+    data, result = five_loads
+    alpha, fz = np.array(data["alpha"]), np.array(data["fz"])
+    # All rows alike: the noise of this fit is one number.
+    values, covariance = curve_fit(
+        lambda x, *p: four_coefficients(x, *p, fz), alpha, data["fy"],
+        [10.0, 1.5, 1.2, 0.0],
+    )  # fmt: skip
+    beside = result.intervals["independent"]
+    for i, name in enumerate("BCDE"):
+        low, high = beside[name]
+        np.testing.assert_allclose(result.parameters[name].value, values[i], rtol=1e-3)
+        # The interval is symmetric in z, scipy's in the value itself.
+        half = 1.964 * np.sqrt(covariance[i, i])
+        np.testing.assert_allclose(high - low, 2 * half, rtol=0.1)
+        wide = result.parameters[name].ci95
+        assert wide[0] < low and high < wide[1]
+    assert " independent" in fit_report(result)
+
+
+def kinetic(alpha, mu, cpa2=6e4, fz=4000.0):
+    slip = np.tan(alpha)
+    return np.sign(slip) * np.abs(brush_force(slip, cpa2, mu, fz=fz))
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "force", "name", "other"),
+    [
+        ("fz", LOADS, lambda a, fz: kinetic(a, 1.3 - 4e-5 * fz, 15 * fz, fz),
+         "load", "brush-load"),
+        ("pressure", (1.6e5, 2.4e5),
+         lambda a, p: kinetic(a, 1.35 - 1e-6 * p, 0.3 * p), "pressure", "mf61"),
+        ("v", (6.0, 28.0), lambda a, v: kinetic(a, 1.25 - 0.01 * v), "speed",
+         "brush-h"),
+        ("gamma", (0.0, 0.07), lambda a, g: kinetic(a + 0.3 * g, 1.1), "camber",
+         "mf61"),
+    ],
+)  # fmt: skip
+def test_the_setting_that_the_residuals_follow_is_named(
+    column, values, force, name, other
+):
+    result = fit(over_settings(column, values, force), "brush")
+    sentences = result.verdict["sentences"]
+    (said,) = [s for s in sentences if s.startswith("the model lacks the")]
+    assert said.startswith(f"the model lacks the {name}:") and other in said
+    assert result.identified
+
+
+def test_the_right_model_lacks_nothing():
+    data = over_settings("fz", LOADS, lambda a, fz: kinetic(a, 1.1, fz=fz))
+    assert fit(data, "brush").verdict["sentences"] == []
+
+
+TRUTH = {"cpa2": 6e4, "mu": 1.05}
+
+
+def filtered(seed, loads=(2000.0, 4000.0, 6000.0), n=600, rho=0.97):
+    """The right model at three loads one after the other, with noise that a filter
+    correlates over 33 rows."""
+    generator = np.random.default_rng(seed)
+    time = np.arange(n) / 20
+    alpha = 0.12 * np.sin(2 * np.pi * time / 9)
+    fz = np.repeat(loads, n // len(loads))
+    white = generator.standard_normal(n + 200)
+    noise = lfilter([np.sqrt(1 - rho**2)], [1, -rho], white)[200:]
+    fy = kinetic(alpha, TRUTH["mu"], TRUTH["cpa2"], fz) + 60 * noise
+    return table({"time": time, "alpha": alpha, "fy": fy, "fz": fz})
+
+
+def test_correlated_noise_stays_noise():
+    """Of 60 filtered logs nearly none is taken for a misfit, and the intervals hold the
+    truth as often as with rows that count as few."""
+    found, inside = 0, []
+    for seed in range(60):
+        end = solved(filtered(seed), {"starts": 1})
+        found += bool(end.misfit.columns)
+        z = np.asarray(end.problem.layout.unconstrained(TRUTH))
+        held = minima(end.problem, np.tile(end.z, (2, 1)), np.arange(2), z)
+        base = float(deviance(end.problem, end.z))
+        inside.append(held.deviance - base < end.level)
+        assert end.n_effective < 60
+    assert found <= 6
+    # A right interval holds it 52 times in 60 or more with 98 %.
+    assert np.all(np.sum(inside, axis=0) >= 52)

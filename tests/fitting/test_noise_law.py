@@ -1,0 +1,67 @@
+"""Stated bands hold 95 % of the rows of every setting, not of all together."""
+
+import numpy as np
+import pytest
+from recipes import TRUTH, brush_force, curve, table
+
+from tirefit.fitting.estimate import fit
+from tirefit.fitting.noise import noise_std
+from tirefit.fitting.predict import predict
+from tirefit.fitting.store import load_fit
+
+N = 600
+
+
+def rig(seed, std):
+    """Free rolling and braking at three loads, each a run; noise ``std`` of
+    (force, fz, run)."""
+    generator = np.random.default_rng(seed)
+    run = np.repeat(np.arange(3), N)
+    fz = np.array([2000.0, 4000.0, 7000.0])[run]
+    free = np.arange(3 * N) % 2 == 0
+    slip = np.where(free, 0.002, 0.3) * generator.uniform(-1, 1, 3 * N)
+    size = brush_force(np.abs(slip), TRUTH["cpa2"] * fz / 4000, TRUTH["mu"], fz=fz)
+    force = np.sign(slip) * size
+    noise = std(np.abs(force), fz, run) * generator.standard_normal(3 * N)
+    columns = {"sigma_x": slip, "fx": force + noise, "fz": fz}
+    runs = ("low", "middle", "high")
+    return table(columns, run=run, runs=runs), 2 * run + free
+
+
+LAWS = {
+    "free rolling": lambda force, fz, run: 10 + 0.04 * force,
+    "load": lambda force, fz, run: 0.02 * fz,
+    "run": lambda force, fz, run: np.array([20.0, 160.0, 40.0])[run],
+}
+CONFIG = {"parameters": {"cpa2": {"per_run": True}}}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_bands_hold_95_in_100_rows_of_every_setting(name, tmp_path):
+    data, setting = rig(1, LAWS[name])
+    result = fit(data, "brush", config=CONFIG)
+    path = tmp_path / "fit.json"
+    path.write_text(result.to_json())
+    for seed, source in ((1, result), (2, load_fit(path))):
+        other, _ = rig(seed, LAWS[name])
+        stated = predict(source, other)
+        inside = np.abs(other["fx"] - stated["fx"]) < 1.96 * stated["fx_std"]
+        share = np.bincount(setting, inside) / np.bincount(setting)
+        # Of 300 rows: 0.95 +- 0.013.
+        assert np.all((share > 0.90) & (share < 0.985)), share
+
+
+def test_noise_alike_everywhere_stays_one_number():
+    seeds = range(10)
+    laws = [fit(curve(seed=seed), "brush").noise["fx"].keys() for seed in seeds]
+    assert not any({"constant", "by_run"} & set(law) for law in laws)
+
+
+def test_noise_of_a_record_by_hand():
+    record = {"median_std": 9.0, "constant": 3.0, "share_of_load": 0.001,
+              "share_of_force": 0.012, "by_run": {"a": 2.0}}  # fmt: skip
+    fz, force = np.array([4000.0, 4000.0]), np.array([1000.0, -1000.0])
+    # 3, 4 and 12 in square are 13.
+    std = noise_std(record, fz, force, ["a", "other"])
+    np.testing.assert_allclose(std, [26.0, 13.0])
+    np.testing.assert_allclose(noise_std({"median_std": 9.0}, fz, force), 9.0)
