@@ -92,7 +92,8 @@ _PAIRS = {"column": "columns", "unit": "units", "constant": "constants"}
 _OPTION = re.compile(
     r"--(?P<pair>column|unit|constant) (?P<key>\w+)=(?P<given>[^\s,;)]*)"
     r"|--(?P<flag>mask-bad-rows|resume|beside)"
-    r"|--(?P<name>convention|slip|rolling-radius|side|model|sampler) (?P<value>[\w.-]+)"
+    r"|--(?P<name>convention|signs|slip|rolling-radius|side|model|sampler)"
+    r" (?P<value>[\w.-]+)"
 )
 
 

@@ -55,6 +55,11 @@ class Convention(NamedTuple):
     mx: int
     my: int
 
+    def turned(self, other: "Convention") -> frozenset[str]:
+        """Fields whose sign differs in the other convention."""
+        named = zip(self._fields[1:], self[1:], other[1:], strict=True)
+        return frozenset(name for name, one, two in named if one != two)
+
 
 CONVENTIONS = {
     "braking": Convention(

@@ -54,8 +54,9 @@ def write(
 
 
 def rows_of(path):
+    """Rows of a table; a first line that states its signs is none of them."""
     with path.open(newline="") as file:
-        return list(csv.DictReader(file))
+        return list(csv.DictReader(row for row in file if not row.startswith("#")))
 
 
 def column(rows, name):
@@ -598,6 +599,8 @@ def test_a_simulator_is_its_parameters_or_its_forces(run, tmp_path):
     run("predict", "brush", "offset.csv", *AS_IT_IS, *beside)
     there, own = rows_of(tmp_path / "beside.csv"), rows_of(path)
     assert list(there[0]) == [*own[0], "fx_sim"]
+    first = (tmp_path / "beside.csv").read_text().splitlines()[0]
+    assert first.startswith("# tirefit") and first.endswith(", convention iso-w")
     for name in own[0]:
         # What was masked says nothing, and stays masked.
         kept = np.isfinite(column(there, "fx"))

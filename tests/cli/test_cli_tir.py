@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tirefit.slip import CONVENTIONS
+
 FOLDER = Path(__file__).parents[1] / "data" / "tir"
 MF52, MF61 = (
     FOLDER / f"mfeval_julia/MagicFormula{number}_Parameters.tir" for number in (52, 61)
@@ -139,3 +141,59 @@ def test_bad_files_and_options(run, tmp_path):
     Path("points.csv").write_text("kappa,alpha,fz\n0.1,0.1,4000\n")
     result = run("predict", "slow.tir", "points.csv", *ISO, exit_code=3)
     assert "needs v (forward speed" in result.stderr
+
+
+def signed_points(convention):
+    """The same points of a tire, as numbers in a file of this convention."""
+    signs = CONVENTIONS[convention]
+    rows = [
+        (k, a, g, signs.fz * fz)
+        for k, a, g in ((0.05, 0.06, 0.03), (-0.1, -0.02, 0.03), (0.2, 0.1, -0.05))
+        for fz in (2000.0, 5000.0)
+    ]
+    lines = [",".join(map(str, row)) for row in rows]
+    Path("points.csv").write_text("\n".join(["kappa,alpha,gamma,fz", *lines]) + "\n")
+
+
+@pytest.mark.parametrize("convention", sorted(set(CONVENTIONS) - {"iso-w"}))
+def test_data_and_tire_in_the_same_signs_have_the_numbers_of_iso_w(run, convention):
+    """Whatever the signs are called: a Magic Formula takes numbers to numbers."""
+    signed_points("iso-w")
+    run("predict", MF61, "points.csv", *ISO)
+    wanted = predicted()
+    signed_points(convention)
+    options = ("--convention", convention, "--signs", convention, "--out", "out.csv")
+    result = run("predict", MF61, "points.csv", *options)
+    assert f"in signs {convention}" in result.stdout
+    assert f"(convention {convention}), as declared" in result.stdout
+    for name in ("fx", "fy", "mz"):
+        np.testing.assert_allclose(predicted()[name], wanted[name], rtol=1e-9)
+
+
+def test_signs_are_of_a_tir_file(run):
+    points_of(MF61)
+    for command in (
+        ("predict", "brush", "points.csv", "--out", "o.csv"),
+        ("diagnose", "points.csv", "--model", "brush", "--out", "o"),
+        ("convert", "--magic-formula", "10,1.5,1,0", "--loads", "4000", "--out", "o"),
+        ("brake", "--tire", "brush", "--out", "o"),
+    ):
+        assert "--signs" in run(*command, "--signs", "sae", exit_code=2).stderr
+    result = run("predict", MF61, "points.csv", "--signs", "sea", *ISO, exit_code=2)
+    assert "did you mean 'sae'" in result.stderr
+
+
+def test_what_a_file_says_of_its_signs_goes_before_the_tires(run):
+    """Braking positive, of F_x alone: every number would do the other way as well."""
+    text = "# tirefit 0.1: convention braking\nkappa,fz\n0.1,4000\n-0.2,4000\n"
+    Path("points.csv").write_text(text)
+    result = run("predict", MF61, "points.csv", "--out", "out.csv")
+    assert "(convention braking), as line 1 says, not as 'iso-w'" in result.stdout
+    said = predicted()["fx"]
+    Path("points.csv").write_text("kappa,fz\n-0.1,4000\n0.2,4000\n")
+    run("predict", MF61, "points.csv", *ISO)
+    np.testing.assert_allclose(said, -predicted()["fx"], rtol=1e-12)
+    Path("points.csv").write_text(text)
+    result = run("predict", MF61, "points.csv", *ISO, exit_code=3)
+    assert "--convention iso-w contradicts the file" in result.stderr
+    assert "'braking': kappa" in result.stderr and "leave out" in result.stderr

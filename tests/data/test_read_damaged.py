@@ -79,3 +79,10 @@ def test_damaged_files_are_read_or_refused(tmp_path, kind):
                 assert all(p.file and p.reason for p in error.problems)
                 outcomes.add("refused")
     assert "refused" in outcomes
+
+
+@pytest.mark.parametrize("text", ['"', '"Format","AiM CSV File"\n"', '\n\n"'])
+def test_a_quotation_mark_alone_is_not_closed(tmp_path, text):
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(DataError, match="quotation mark is not closed"):
+        read(tmp_path / "a.csv")

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from tirefit.cli.options import (
+    SignsOption,
     complain,
     errors_to_exit,
     named_path,
@@ -55,6 +56,7 @@ def brake(
         str | None,
         typer.Option(metavar="MODEL|FIT.json|FILE.tir", help="brush-m if not given"),
     ] = None,
+    signs: SignsOption = None,
     parameter: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="parameter of the model"),
@@ -102,7 +104,7 @@ def brake(
 
         names = check_names("controller", controller, CONTROLLERS)
         chosen = by_owner(settings, {name: CONTROLLERS[name]() for name in names})
-        named, made = _tire(tire, values)
+        named, made = _tire(tire, values, signs)
         request = Request(
             made, named, road=road, speed=speed, vehicle=vehicle.value, steer=steer,
             time_limit=time_limit,
@@ -115,10 +117,13 @@ def brake(
             _run(request, chosen, seed, stops, animate, out)
 
 
-def _tire(source: str | None, values: dict[str, float]):
+def _tire(source: str | None, values: dict[str, float], signs: str | None):
     """Name and record of the tire of a model, a fit or a ``.tir`` file."""
     from tirefit.fitting.predict import tire_with
     from tirefit.fitting.problem import find_model
+
+    if signs and not (source or "").lower().endswith(".tir"):
+        raise UsageError(InputProblem("--signs is of .tir files", "leave it out"))
 
     if source is None:
         return DEFAULT_TIRE, tire_with(find_model(DEFAULT_TIRE), DEFAULT_TIRE,
@@ -138,7 +143,7 @@ def _tire(source: str | None, values: dict[str, float]):
         tir = read_tir(source)
         for text in notes_on(tir):
             complain(f"warning: {source}: {text}")
-        return source, tire_with(tire_of(tir), source, values)
+        return source, tire_with(tire_of(tir, signs=signs), source, values)
     return source, tire_with(find_model(source), source, values)
 
 

@@ -19,6 +19,8 @@ from tirefit.cli.options import (
     DataOptions,
     Files,
     JsonOption,
+    SideOption,
+    SignsOption,
     complain,
     error_text,
     errors_to_exit,
@@ -54,11 +56,6 @@ OutFile = Annotated[
 class Axle(StrEnum):
     rear = "rear"
     front = "front"
-
-
-class Side(StrEnum):
-    left = "left"
-    right = "right"
 
 
 app.command()(fit)
@@ -214,10 +211,8 @@ def predict(
             help="FILE.tir: tan(alpha) and sin(gamma) instead of the angles",
         ),
     ] = False,
-    side: Annotated[
-        Side | None,
-        typer.Option(help="FILE.tir: side of the vehicle; as TYRESIDE if not given"),
-    ] = None,
+    side: SideOption = None,
+    signs: SignsOption = None,
     beside: Annotated[
         bool,
         typer.Option(
@@ -231,32 +226,39 @@ def predict(
     with errors_to_exit():
         if source.lower().endswith(".tir"):
             how = read_options(options, read_config(options.config))
-            _predict_tir(
-                source, data, out, how, parameter, starred_angles, side, beside
-            )
+            of_file = {"starred": starred_angles, "side": side, "signs": signs}
+            _predict_tir(source, data, out, how, parameter, of_file, beside)
             return
-        if starred_angles or side:
-            reason = "--starred-angles and --side are of .tir files"
+        if starred_angles or side or signs:
+            reason = "--starred-angles, --side and --signs are of .tir files"
             raise UsageError(InputProblem(reason, f"leave them out with {source}"))
         is_file = source.endswith(".json") or Path(source).is_file()
         how = read_options(options, read_config(options.config))
         values = _checked_request(source, is_file, data, out, parameter)
         start_jax()
         from tirefit.data.read import read
-        from tirefit.data.write import write_csv
         from tirefit.fitting.predict import predict as forces_of
         from tirefit.fitting.store import load_fit
 
         fitted = load_fit(source) if is_file else source
-        if not isinstance(fitted, str) and how["convention"] is None:
-            how["convention"] = fitted.content["data"]["convention"]
+        if not isinstance(fitted, str):
+            how["otherwise"] = fitted.content["data"]["convention"], source
         table = read(data, **how, forces=False)
         warn(table)
         columns = _predicted(table, forces_of(fitted, table, values), beside)
-        write_csv(out, columns)
+        _write(out, columns, table, source, beside)
         if not is_file:
             say(f"{source} with {_values_text(source, values)}")
         _say_written(out, table, columns)
+
+
+def _write(out, columns, table, source, beside: bool) -> None:
+    """The table; one that `diagnose --sim` reads states its signs in its first line."""
+    from tirefit.data.write import write_csv
+
+    said = f"# tirefit {__version__}: {source} beside, "
+    said += f"convention {table.source.convention}\n"
+    write_csv(out, columns, said if beside else "")
 
 
 def _predicted(table, forces, beside: bool) -> dict:
@@ -266,42 +268,44 @@ def _predicted(table, forces, beside: bool) -> dict:
     return (simulated_table if beside else prediction_table)(table, forces)
 
 
-def _predict_tir(
-    source, data, out, how, parameter, starred_angles, side, beside
-) -> None:
-    """Forces of the tire of a ``.tir`` file, whose own convention is ISO-W."""
+def _predict_tir(source, data, out, how, parameter, of_file: dict, beside) -> None:
+    """Forces of the tire of a ``.tir`` file; ``of_file`` are arguments of ``tire_of``.
+
+    Data whose convention nobody declares are read in ISO-W, as ``.tir`` files are.
+    """
     values = _checked_request(source, False, data, out, parameter)
     from tirefit.data.tir import notes_on, read_tir
 
     tir = read_tir(source)
     start_jax()
     from tirefit.data.read import read
-    from tirefit.data.write import write_csv
     from tirefit.fitting.predict import predict as forces_of
-    from tirefit.fitting.tir import moments_noted, rows_outside, tire_of
+    from tirefit.fitting.tir import TIR_SIGNS, moments_noted, rows_outside, tire_of
 
-    tire = tire_of(tir, starred=starred_angles, side=side and side.value)
-    how["convention"] = how["convention"] or "iso-w"
+    tire, signs = tire_of(tir, **of_file), of_file["signs"]
+    how["otherwise"] = TIR_SIGNS, ".tir files"
     table = read(data, **how, forces=False)
     warn(table)
-    noted = (*notes_on(tir), *moments_noted(tir, table), *rows_outside(tir, table))
-    for text in noted:
+    noted = [*notes_on(tir), *moments_noted(tir, table)]
+    for text in (*noted, *rows_outside(tir, table, signs)):
         complain(f"warning: {source}: {text}")
     columns = _predicted(table, forces_of(tire, table, values), beside)
-    write_csv(out, columns)
+    _write(out, columns, table, source, beside)
     said = [f"{source}: Magic Formula {tir.version}", f"TYRESIDE {tir.side}"]
-    said += [f"mounted {side.value}"] if side else []
-    said += ["tan(alpha) and sin(gamma)" if starred_angles else "raw angles"]
+    said += [f"mounted {of_file['side']}"] if of_file["side"] else []
+    said += [f"in signs {signs}"] if signs else []
+    said += ["tan(alpha) and sin(gamma)" if of_file["starred"] else "raw angles"]
     said += [f"{key} = {value:g}" for key, value in values.items()]
     say(", ".join(said))
     _say_written(out, table, columns)
 
 
 def _say_written(out, table, columns) -> None:
-    convention_text = f"convention {table.source.convention}"
+    source = table.source
+    signs = f"(convention {source.convention}), {source.convention_from}"
     for said in table.first_masked():
         complain(f"warning: set aside, no force: {said}")
-    say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} ({convention_text})")
+    say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} {signs}")
 
 
 def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:

@@ -13,7 +13,14 @@ from tirefit.cli.magic_formula import (
     convert_whole,
     only_of_magic_formula,
 )
-from tirefit.cli.options import complain, errors_to_exit, named_path, say, start_jax
+from tirefit.cli.options import (
+    SignsOption,
+    complain,
+    errors_to_exit,
+    named_path,
+    say,
+    start_jax,
+)
 from tirefit.cli.output import check_directories
 from tirefit.results import InputProblem, TirefitError, UsageError
 
@@ -73,6 +80,7 @@ def convert(
             metavar="N,N,...", help="loads [N]; 0.5, 1 and 1.5 FNOMIN by default"
         ),
     ] = None,
+    signs: SignsOption = None,
     seed: Annotated[
         int | None, typer.Option(min=0, max=2**32 - 1, help="of everything random")
     ] = None,
@@ -94,7 +102,7 @@ def convert(
     refit = {
         "FILE.tir": file, "--magic-formula": magic_formula, "--model": model,
         "--force": force, "--slip-max": slip_max, "--slip-min": slip_min,
-        "--loads": loads, "--seed": seed,
+        "--loads": loads, "--seed": seed, "--signs": signs,
     }  # fmt: skip
     with errors_to_exit():
         if any(value is not None for value in brush.values()):
@@ -103,6 +111,8 @@ def convert(
         coefficients, slips, chosen = _checked(
             file, magic_formula, slip_min, slip_max, loads, out
         )
+        if signs and file is None:
+            raise UsageError(InputProblem("--signs is of .tir files", "leave it out"))
         if model in MAGIC_FORMULA_NAMES:
             asked = {
                 "--magic-formula": magic_formula, "--force": force,
@@ -110,10 +120,11 @@ def convert(
             }  # fmt: skip
             only_of_magic_formula(model, {}, asked)
             assert file is not None  # else --magic-formula would be given
-            raise typer.Exit(convert_whole(file, model, float(slips[-1]), chosen, out))
+            found = convert_whole(file, model, float(slips[-1]), chosen, out, signs)
+            raise typer.Exit(found)
         result = _refit(
             file, coefficients, model or "brush", force or Force.fx, slips, chosen,
-            seed, out,
+            seed, out, signs,
         )  # fmt: skip
         raise typer.Exit(exit_code(result))
 
@@ -205,7 +216,7 @@ def _listed(option: str, text: str, problems: list[InputProblem]) -> list[float]
     return []
 
 
-def _refit(file, coefficients, model, force, slips, loads, seed, out):
+def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
     """The fit of the model to the curve, said, and saved in the folder."""
     from tirefit.data.tir import brush_of, notes_on, read_tir
 
@@ -216,7 +227,7 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out):
     from tirefit.fitting.convert import curve, misfit_by_load
     from tirefit.fitting.likelihood import CHANNEL_SLIP
     from tirefit.fitting.problem import find_model
-    from tirefit.fitting.tir import rows_outside
+    from tirefit.fitting.tir import rows_outside, tire_of
     from tirefit.models import MODELS, AbstractTire
     from tirefit.models.mf import mf_tire
     from tirefit.params import with_values
@@ -231,7 +242,8 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out):
         name += "".join(f", {key} = {value:g}" for key, value in coefficients.items())
     else:
         described = mf_tire(tir.version, tir.numbers)
-        tire, name = described, f"{file}: Magic Formula {tir.version}"
+        tire, name = tire_of(tir, signs=signs), f"{file}: Magic Formula {tir.version}"
+        name += f" in signs {signs}" if signs else ""
         v, nominal = described.nominal.LONGVL, described.nominal.FNOMIN
         loads = loads or [share * nominal for share in _SHARES_OF_NOMINAL]
         written = brush_of(tir)
@@ -248,7 +260,7 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out):
     )
     source = Source(path=str(file or ""), assumptions=said)
     data = curve(tire, force, slips, loads, values=coefficients, v=v, source=source)
-    for text in (*notes_on(tir), *rows_outside(tir, data)) if tir else ():
+    for text in (*notes_on(tir), *rows_outside(tir, data, signs)) if tir else ():
         complain(f"warning: {file}: {text}")
     result = fit_into(out, data, settings)
     say("MISFIT")

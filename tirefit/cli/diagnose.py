@@ -16,6 +16,8 @@ from tirefit.cli.notes import told_together, warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
+    SideOption,
+    SignsOption,
     complain,
     completed,
     errors_to_exit,
@@ -123,6 +125,8 @@ def diagnose(
             help="the simulator's forces stand in FILE: fx_sim, fy_sim, mz_sim",
         ),
     ] = False,
+    side: SideOption = None,
+    signs: SignsOption = None,
     force: Annotated[
         list[str] | None,
         typer.Option(help="force that matters: fx, fy, mz (repeat; all if not given)"),
@@ -175,7 +179,9 @@ def diagnose(
         base = model if sim else plain
         settings = _settings(base, rig, without, how)
         settings["forces"] = forces_named(force)
-        settings |= _simulator(base, parameter, sim, how)
+        settings |= _simulator(
+            base, parameter, sim, how, {"side": side, "signs": signs}
+        )
         with claimed(out), told_together(len(files) + len(holdout or []) > 1):
             kept = [_read(path, how) for path in holdout or []]
             task = _Task(out, settings, kept, how, figures, resume, seed)
@@ -244,11 +250,14 @@ def _is_file(model: str) -> bool:
     return model.lower().endswith((".json", ".tir"))
 
 
-def _simulator(model: str | None, parameter, sim: bool, how: dict) -> dict:
-    """Arguments of ``tirefit.diagnose`` for a simulator that is taken as it is.
+def _simulator(
+    model: str | None, parameter, sim: bool, how: dict, of_tir: dict
+) -> dict:
+    """Arguments of ``tirefit.diagnose`` for a simulator that is taken as it is; none
+    where a form is fitted. Data that declare no convention are read in its file's.
 
-    None where a form is fitted. Of a file, the data are in its convention unless they
-    are said to be in another.
+    Args:
+        of_tir: ``side`` and ``signs`` of a ``.tir`` file.
     """
     problems: list[InputProblem] = []
     values = numbers("--set", parameter, problems)
@@ -256,18 +265,22 @@ def _simulator(model: str | None, parameter, sim: bool, how: dict) -> dict:
         reason = f"--sim with {'--set' if values else f'--model {model}'}"
         remedy = "with --sim, --model names the form that stands in for the simulator"
         problems.append(InputProblem(reason, remedy))
+    of_columns = {"side"} if sim else set(of_tir)
+    wrong = [f"--{name}" for name in of_columns if of_tir[name] is not None]
+    if wrong and not (model or "").lower().endswith(".tir"):
+        reason = f"{' and '.join(wrong)} without --model FILE.tir"
+        problems.append(InputProblem(reason, "leave it out"))
     if problems:
         raise UsageError(problems)
     if sim:
-        return {"sim": True}
+        return {"sim": True, "signs": of_tir["signs"]}
     assert model is not None, "the plain one, where no simulator's forces are given"
     if not values and not _is_file(model):
         return {}
     from tirefit.diagnosis.simulator import simulator_at
 
-    given = simulator_at(model, values)
-    if how["convention"] is None:
-        how["convention"] = given.convention
+    given = simulator_at(model, values, **of_tir)
+    how["otherwise"] = given.otherwise
     return {"model": _PLAIN, "sim": given}
 
 

@@ -81,7 +81,9 @@ def fit_whole(
     return exit_code(result, strict)
 
 
-def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
+def convert_whole(
+    file: Path, model: str, slip_max: float, loads, out: Path, signs: str | None
+):
     """Fits one version of the Magic Formula to the forces of another's file."""
     from tirefit.data.table import CANONICAL
     from tirefit.data.tir import notes_on, read_tir
@@ -95,9 +97,10 @@ def convert_whole(file: Path, model: str, slip_max: float, loads, out: Path):
     for text in notes_on(tir):
         complain(f"warning: {file}: {text}")
     with claimed(out):
-        result = converted(tir, model, slip_max, loads)
+        result = converted(tir, model, slip_max, loads, signs)
         _write(result, out)
-    say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}")
+    own = f" in signs {signs}" if signs else ""
+    say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}{own}")
     for force, (rmse, count) in result.fitted.items():
         unit = CANONICAL[force][0]
         say(f"  {force}: RMSE {rmse:.4g} {unit} over {count} points")

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
+from enum import StrEnum
 from functools import wraps
 from io import StringIO
 from pathlib import Path
@@ -26,6 +27,8 @@ __all__ = [
     "DataOptions",
     "Files",
     "JsonOption",
+    "SideOption",
+    "SignsOption",
     "Unheard",
     "complain",
     "completed",
@@ -71,6 +74,25 @@ Files = Annotated[
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]
+
+
+class Side(StrEnum):
+    left = "left"
+    right = "right"
+
+
+SideOption = Annotated[
+    Side | None,
+    typer.Option(help="FILE.tir: side of the vehicle; as TYRESIDE if not given"),
+]
+SignsOption = Annotated[
+    str | None,
+    typer.Option(
+        help="signs in which FILE.tir (or, of diagnose, fx_sim, ...) was written, as"
+        " for --convention; iso-w if not given",
+        autocompletion=completed(*CONVENTIONS),
+    ),
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,10 +252,14 @@ def read_options(given: DataOptions, config) -> dict[str, Any]:
     if problems:
         raise UsageError(problems)
     below = {} if config is None else config.data.model_dump()
-    single = {
-        name: below.get(name) if getattr(given, name) is None else getattr(given, name)
-        for name in ("convention", "slip", "rolling_radius")
-    }
+    single = {}
+    for name in ("convention", "slip", "rolling_radius"):
+        own, stated = getattr(given, name), below.get(name)
+        single[name] = stated if own is None else own
+        if None not in (own, stated) and own != stated:
+            unused = f"[data] {name} = {stated!r} is not used"
+            option = f"--{name.replace('_', '-')} {own}"
+            complain(f"warning: {config.source}: {unused}: {option} is given")
     return {
         **{name: below.get(name, {}) | own for name, own in named.items()},
         **single,

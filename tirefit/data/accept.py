@@ -25,7 +25,8 @@ def as_data(data: Any, **how: Any) -> TireData:
         data: what ``tirefit.read`` gave, the path of a file, a frame (pandas, polars or
             any with ``columns``), a structured array, or a mapping of name to (n,)
             array.
-        how: arguments of ``tirefit.read``, of data that are not read yet.
+        how: arguments of ``tirefit.read``, of data that are not read yet; ``otherwise``
+            is for files: arrays that declare no convention are canonical.
 
     Raises:
         UsageError: something else.
@@ -35,6 +36,7 @@ def as_data(data: Any, **how: Any) -> TireData:
         return data
     if isinstance(data, str | os.PathLike):
         return read(data, **how)
+    how.pop("otherwise", None)
     if isinstance(data, Mapping) or _is_frame(data):
         return read_frame(data, **how)
     raise UsageError(

@@ -210,7 +210,7 @@ def plan_columns(
         plan.columns[named] = _with_unit(column, plan, file)
         if beside and not plan.columns[named].unit:
             plan.in_units_row.add(plan.problems[-1])
-        _say(column, name in declared, how, plan)
+        _say(column, name in declared or named != name, how, plan)
     _check_all_used(options, plan, file)
     ignored = [h for i, h in enumerate(headers) if h and i not in chosen.values()]
     listed = ", ".join(map(repr, ignored))

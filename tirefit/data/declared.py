@@ -1,14 +1,62 @@
-"""What the user declares about a file."""
+"""What the user declares about a file, and what goes before what."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-from tirefit.data.table import CANONICAL, SIMULATED
-from tirefit.data.units import base_column
-from tirefit.results import InputProblem, UsageError, did_you_mean
+from tirefit.data.table import CANONICAL, SIMULATED, Layout
+from tirefit.data.units import base_column, sign_of
+from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
-__all__ = ["Options"]
+__all__ = ["Options", "Signs", "stated_convention"]
+
+_STATED = re.compile(r"\bconvention\b\W*(?:is +)?([\w-]+(?: +sae\b)?)", re.IGNORECASE)
+
+
+def stated_convention(above: Sequence[str], file: str) -> tuple[Layout, tuple]:
+    """The sign convention that the lines ``above`` a header state, as those that this
+    package writes do, and sentences on names that are not known.
+
+    Raises:
+        DataError: two of them state different conventions.
+    """
+    layout, doubts = Layout(), []
+    for row, line in enumerate(above, 1):
+        if not (stated := _STATED.search(line)):
+            continue
+        name = re.sub("[ _]+", "-", stated[1].lower())
+        if name not in CONVENTIONS:
+            known = f"declare one of {', '.join(CONVENTIONS)} with --convention"
+            doubts.append(f"line {row} states the convention {stated[1]!r}: {known}")
+        elif layout.convention not in (None, name):
+            before = f"contradicts {layout.convention!r} in line {layout.stated_in}"
+            reason = f"the convention {name!r} {before}"
+            raise DataError(InputProblem(reason, "correct one of them", file, row))
+        else:
+            layout = Layout(convention=name, stated_in=layout.stated_in or row)
+    return layout, tuple(doubts)
+
+
+class Signs(NamedTuple):
+    """The sign convention in which a file is read.
+
+    ``whose`` says in words who chose it; ``is_declared`` is False where nobody did;
+    ``problems`` are declarations that contradict each other.
+    """
+
+    convention: str
+    whose: str
+    is_declared: bool = True
+    problems: tuple[InputProblem, ...] = ()
+
+    def __str__(self) -> str:
+        if self.is_declared:
+            return f"signs read as {self.convention!r}, {self.whose}"
+        meaning = CONVENTIONS[self.convention].description
+        return (
+            f"no sign convention declared: {self.convention!r} {self.whose}: {meaning}"
+        )
 
 
 class Options(NamedTuple):
@@ -23,6 +71,39 @@ class Options(NamedTuple):
     mask_bad_rows: bool
     forces: bool
     curve: bool = True
+    otherwise: tuple[str, str] | None = None
+
+    def signs(self, layout: Layout, columns: Iterable[str], file: str) -> Signs:
+        """The convention: the user's, else the file's, else that of a model, else
+        "braking".
+
+        Args:
+            layout: of the file; a convention that it states in so many words must not
+                differ from the user's in the sign of a column that is read.
+            columns: those that are read.
+            file: named in the problem.
+        """
+        own, row = layout.convention, layout.stated_in
+        by_file = f"as line {row} says" if row else "as its layout has it"
+        model, whose = self.otherwise or ("braking", "")
+        if self.convention is None:
+            if own is None:
+                assumed = f"assumed, that of {whose}" if whose else "assumed"
+                return Signs(model, assumed, is_declared=False)
+            unused = f", not as {model!r} of {whose}" if whose and model != own else ""
+            return Signs(own, by_file + unused)
+        if own in (None, self.convention):
+            return Signs(self.convention, "as declared")
+        declared = Signs(self.convention, f"as declared, not {own!r} {by_file}")
+        turned = [n for n in columns if sign_of(own, n) != sign_of(self.convention, n)]
+        if not (row and turned):
+            return declared
+        reason = (
+            f"--convention {self.convention} contradicts the file, which states"
+            f" {own!r}: {', '.join(turned)} would have the other sign"
+        )
+        remedy = f"leave out --convention (or [data] convention), or correct line {row}"
+        return declared._replace(problems=(InputProblem(reason, remedy, file, row),))
 
     def check(self) -> None:
         """Raises UsageError with every option whose value is not a known one."""

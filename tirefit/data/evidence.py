@@ -76,15 +76,16 @@ def evidence_of(
 
 
 def _of_forces(columns) -> Iterator[Evidence]:
-    if {"sigma_x", "fx"} <= columns.keys():
-        slip = slip_ratio_from_sigma(columns["sigma_x"])
-        sign = trend(slip, columns["fx"], 0.005)
-        rule = "the force rises with the slip"
-        yield Evidence(("slip", "fx"), ("sigma_x", "fx"), sign, rule)
-    if {"alpha", "fy"} <= columns.keys():
-        sign = trend(columns["alpha"], columns["fy"], np.radians(0.5))
-        rule = "the side force rises with the slip angle"
-        yield Evidence(("alpha", "fy"), ("alpha", "fy"), sign, rule)
+    for end in ("", "_sim"):
+        if {"sigma_x", f"fx{end}"} <= columns.keys():
+            slip = slip_ratio_from_sigma(columns["sigma_x"])
+            sign = trend(slip, columns[f"fx{end}"], 0.005)
+            rule = "the force rises with the slip"
+            yield Evidence(("slip", "fx"), ("sigma_x", f"fx{end}"), sign, rule)
+        if {"alpha", f"fy{end}"} <= columns.keys():
+            sign = trend(columns["alpha"], columns[f"fy{end}"], np.radians(0.5))
+            rule = "the side force rises with the slip angle"
+            yield Evidence(("alpha", "fy"), ("alpha", f"fy{end}"), sign, rule)
 
 
 def _of_moment(columns) -> Iterator[Evidence]:

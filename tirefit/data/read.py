@@ -13,7 +13,7 @@ from tirefit.data import check, signs
 from tirefit.data.cells import TextColumn
 from tirefit.data.check import BadRows
 from tirefit.data.columns import Plan, plan_columns
-from tirefit.data.declared import Options
+from tirefit.data.declared import Options, Signs
 from tirefit.data.kinds import read_table
 from tirefit.data.quaternion import with_headings
 from tirefit.data.remote import file_at
@@ -29,7 +29,7 @@ from tirefit.data.units import (
     slip_to_sigma,
 )
 from tirefit.results import DataError, InputProblem
-from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
+from tirefit.slip import LOCKED, SLIP_DEFINITIONS
 
 __all__ = ["Table", "read", "read_frame", "read_table", "require"]
 
@@ -46,6 +46,7 @@ def read(
     mask_bad_rows: bool = False,
     forces: bool = True,
     curve: bool = True,
+    otherwise: tuple[str, str] | None = None,
 ) -> TireData:
     """Reads a file of measurements into canonical, checked data.
 
@@ -59,7 +60,9 @@ def read(
             file's header; columns not named here are inferred and said.
         units: canonical name to unit, e.g. ``{"fx": "kN", "kappa": "%"}``; a leading
             minus (``-N``) flips the sign of one column.
-        convention: the file's signs, a key of ``slip.CONVENTIONS``; "braking" if None.
+        convention: the file's signs, a key of ``slip.CONVENTIONS``. None: those that
+            the file declares (a line "convention NAME" above the header, TYDEX, Tire
+            Test Consortium), else those of ``otherwise``, else "braking".
         slip: definition of the slip column, a key of ``slip.SLIP_DEFINITIONS``.
         constants: canonical columns that are constant over the file, SI and canonical
             signs, e.g. ``{"fz": 4000, "v": 20}``.
@@ -73,14 +76,17 @@ def read(
             that the file does not have is kept for writing it.
         curve: False for a log of a vehicle, which need not hold slip, force and load
             nor vary in them: who uses it asks for its columns (:func:`require`).
+        otherwise: the convention of a model that the data are compared with, and its
+            name in messages; assumed where neither the user nor the file declares one.
 
     Raises:
         UsageError: an option has an unknown name or value.
-        DataError: the file cannot be used; holds all problems found.
+        DataError: the file cannot be used, or states another convention than the
+            argument; holds all problems found.
     """
     options = Options(
         columns or {}, units or {}, convention, slip, constants or {},
-        rolling_radius, mask_bad_rows, forces, curve,
+        rolling_radius, mask_bad_rows, forces, curve, otherwise,
     )  # fmt: skip
     options.check()
     return _checked(read_table(file_at(path), options.columns.values()), options)
@@ -123,7 +129,7 @@ class _Reading:
     table: Table
     options: Options
     plan: Plan
-    convention: str
+    signs: Signs
     columns: dict[str, np.ndarray] = field(default_factory=dict)
     shown: dict[str, np.ndarray] = field(default_factory=dict)
     headers: dict[str, str] = field(default_factory=dict)
@@ -137,6 +143,10 @@ class _Reading:
     @property
     def file(self) -> str:
         return self.table.file
+
+    @property
+    def convention(self) -> str:
+        return self.signs.convention
 
     def bad(self) -> np.ndarray:
         """(n,) bool: rows with a fault."""
@@ -152,20 +162,21 @@ def _checked(table: Table, options: Options) -> TireData:
     plan = plan_columns(
         table.headers, table.units_row, options, table.file, table.layout
     )
-    convention = options.convention or table.layout.convention or "braking"
-    reading = _Reading(table, options, plan, convention)
+    declared = options.signs(table.layout, plan.columns, table.file)
+    reading = _Reading(table, options, plan, declared)
     lines = table.header_line, table.units_line or table.header_line
     reading.problems = [
         replace(problem, row=lines[problem in plan.in_units_row])
         for problem in plan.problems
     ]
+    reading.problems += declared.problems
     reading.faults += table.faults
     reading.doubts += table.doubts
     run, runs = _runs(reading)
     _numbers_to_si(reading)
     _constants(reading)
     reading.faults += check.range_faults(
-        reading.columns, reading.shown, reading.headers, convention
+        reading.columns, reading.shown, reading.headers, reading.convention
     )
     definition = plan.slip or "sigma_x"
     _slip_to_sigma(reading, plan.slip)
@@ -175,7 +186,8 @@ def _checked(table: Table, options: Options) -> TireData:
     source = Source(
         path=table.file,
         sha256=table.sha256,
-        convention=convention,
+        convention=reading.convention,
+        convention_from=declared.whose,
         slip_definition=definition,
         columns=reading.headers,
         units=plan.units_to_write
@@ -407,10 +419,7 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
 
 
 def _all_assumptions(reading: _Reading) -> list[str]:
-    said = [*reading.table.notes, *reading.plan.assumptions]
-    if not (reading.options.convention or reading.table.layout.convention):
-        meaning = CONVENTIONS["braking"].description
-        said.append(f"no sign convention declared: 'braking' assumed: {meaning}")
+    said = [*reading.table.notes, *reading.plan.assumptions, str(reading.signs)]
     return said + reading.assumptions
 
 
@@ -420,14 +429,11 @@ def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:
         return ()
     used = {name: values[good] for name, values in reading.columns.items()}
     lines = reading.table.lines[good]
-    declared = reading.options.convention or reading.table.layout.convention
+    declared = reading.signs
     doubt = signs.doubt_convention(used, reading.headers, definition, declared)
     doubts = [doubt] if doubt else []
-    plan = reading.plan.columns.values()
-    doubts += signs.doubt_signs(
-        used, reading.headers, definition, reading.convention, declared is not None,
-        {column.name: column.unit_text for column in plan},
-    )  # fmt: skip
+    units = {c.name: c.unit_text for c in reading.plan.columns.values()}
+    doubts += signs.doubt_signs(used, reading.headers, definition, declared, units)
     doubts += reading.doubts + check.doubt_units(used, reading.headers)
     if "time" in used and reading.options.curve:
         header = reading.headers.get("time", "time")

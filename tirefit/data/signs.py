@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from tirefit.data.declared import Signs
 from tirefit.data.evidence import Evidence, evidence_of
 from tirefit.data.evidence import fitting_conventions as _fitting
 from tirefit.data.evidence import turning as turning_of
@@ -19,8 +20,8 @@ __all__ = [
     "doubt_signs",
 ]
 
-_REFUSED = (("sigma_x", "fx"), ("alpha", "fy"))
-"""Pairs whose signs are wrong beyond doubt where they go the other way."""
+_REFUSED = ("fx", "fy", "fx_sim", "fy_sim")
+"""Forces whose sign beside their slip is wrong beyond doubt the other way round."""
 
 _TURNED = {"mz": "Nm", "gamma": "deg"}
 """Columns whose sign alone differs in many files -> a unit to turn it by."""
@@ -60,17 +61,17 @@ def check_signs(
         definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
     """
     evidence = evidence_of(columns, definition)
-    wrong = [item for item in evidence if item.trend < 0 and item.columns in _REFUSED]
+    wrong = [item for item in evidence if item.trend < 0 and _is_refused(item)]
     if not wrong:
         return []
     fitting = _fitting(evidence, convention)
     problems = []
     for item in wrong:
-        (field, _), (slip, force) = item.fields, item.columns
+        (field, other), (slip, force) = item.fields, item.columns
         names = f"{headers.get(slip, slip)!r} and {headers.get(force, force)!r}"
         reason = (
             f"signs contradict the convention {convention!r}: {names} have"
-            f" {_relation(convention, field, force)} signs there, the data have not"
+            f" {_relation(convention, field, other)} signs there, the data have not"
         )
         remedy = (
             "if the sign of one column differs, put a minus before its unit:"
@@ -82,6 +83,10 @@ def check_signs(
             InputProblem(reason, remedy, file, column=headers.get(force, force))
         )
     return problems
+
+
+def _is_refused(item: Evidence) -> bool:
+    return item.columns[0] in ("sigma_x", "alpha") and item.columns[1] in _REFUSED
 
 
 def _relation(convention: str, field: str, force: str) -> str:
@@ -163,26 +168,26 @@ def doubt_convention(
     columns: Mapping[str, np.ndarray],
     headers: Mapping[str, str],
     definition: str,
-    convention: str | None,
+    signs: Signs,
 ) -> str | None:
     """What speaks against the sign in which the slip was read; None if nothing does.
 
     Forces turn around with the slip, so :func:`check_signs` cannot tell driving from
     braking: a file read the wrong way round fits a mirrored tire without complaint.
-    Slips of one sign are taken as braking; driving slips are doubted unless the speeds
-    of wheel and vehicle confirm them, for omega / v falls as the braking slip rises.
+    Of signs that nobody declared, slips that drive are doubted unless the speeds of
+    wheel and vehicle confirm them, for omega / v falls as the braking slip rises.
 
     Args:
         columns: (n,) canonical columns, used rows only.
         headers: the file's own name of each column.
         definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
-        convention: the one declared; None where "braking" was assumed.
+        signs: in which the file was read.
     """
     if "sigma_x" not in headers or "sigma_x" not in columns:
         return None  # no slip column: computed from speeds, or none at all
     turning = turning_of(columns)
-    pairs = evidence_of(columns, definition)
-    if convention is not None:
+    pairs, convention = evidence_of(columns, definition), signs.convention
+    if signs.is_declared:
         if turning <= 0:
             return None
         fitting = _fitting(pairs, convention)
@@ -192,30 +197,36 @@ def doubt_convention(
             f" by the signs of {convention!r}; "
             + (remedy if fitting else "check --convention")
         )
-    header = headers["sigma_x"]
+    header, sign = headers["sigma_x"], CONVENTIONS[convention].slip
     slip = slip_from_sigma(columns["sigma_x"], definition, columns.get("alpha"))
     low, high = np.percentile(slip, [1, 99])
     has_driving = low < -_LEAST_DRIVING
     if turning < 0 or not (turning or has_driving):
         return None
-    taken = f"{header!r} is taken as braking"
+    brakes = sign > 0  # whether a positive slip was read as braking
+    taken = f"{'' if brakes else 'minus '}{header!r} is taken as braking"
     if has_driving:
-        taken = f"negative {header!r} (down to {np.min(slip):.3g}) is taken as driving"
+        side, end = ("negative", "down") if brakes else ("positive", "up")
+        worst = f"{end} to {sign * np.min(slip):.3g}"
+        taken = f"{side} {header!r} ({worst}) is taken as driving"
+    now, other = ("braking", "driving")[::sign]
+    whose = signs.whose.removeprefix("assumed")
     reason = ""
     if turning > 0:
-        reason = ", but the wheel turns faster as it rises (omega / v)"
+        way = "rises" if brakes else "falls"
+        reason = f", but the wheel turns faster as it {way} (omega / v)"
     elif definition in ("kappa", "s") and low < -0.98 and high < 0.9:
-        reason = ", but -1 is where a wheel locks if driving is positive"
-    elif header in _DRIVING_POSITIVE:
+        reason = f", but {-sign} is where a wheel locks if {other} is positive"
+    elif brakes and header in _DRIVING_POSITIVE:
         reason = f", but in {_DRIVING_POSITIVE[header]} files driving is positive"
-    forces = [item for item in pairs if item.columns in _REFUSED]
-    either = _fitting(pairs, "braking"), _fitting(forces, "braking")
-    driving = [[n for n in names if CONVENTIONS[n].slip < 0] for names in either]
-    fitting = driving[0] or driving[1]
+    forces = [item for item in pairs if _is_refused(item)]
+    either = _fitting(pairs, convention), _fitting(forces, convention)
+    turned = [[n for n in names if CONVENTIONS[n].slip != sign] for names in either]
+    fitting = turned[0] or turned[1]
     return (
-        f"no convention declared: read as braking, so {taken}{reason}; if positive"
-        f" slip means driving in this file, pass --convention {' or '.join(fitting)};"
-        " if it means braking, --convention braking"
+        f"no convention declared: read as {convention}{whose}, so {taken}"
+        f"{reason}; if positive slip means {other} in this file, pass --convention"
+        f" {' or '.join(fitting)}; if it means {now}, --convention {convention}"
     )
 
 
@@ -223,8 +234,7 @@ def doubt_signs(
     columns: Mapping[str, np.ndarray],
     headers: Mapping[str, str],
     definition: str,
-    convention: str,
-    is_declared: bool,
+    signs: Signs,
     units: Mapping[str, str],
 ) -> list[str]:
     """What else speaks against the signs: moment, camber, brakes, the locked wheel.
@@ -233,16 +243,15 @@ def doubt_signs(
         columns: (n,) canonical columns, used rows only.
         headers: the file's own name of each column.
         definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
-        convention: the one the file was read in.
-        is_declared: whether the user, or the file's layout, declared it; where not,
+        signs: in which the file was read; where nobody declared them,
             :func:`doubt_convention` says what the slip alone can tell.
         units: the unit in which each column was read.
     """
-    evidence = evidence_of(columns, definition)
-    said = []
+    evidence, said = evidence_of(columns, definition), []
+    convention, is_declared = signs.convention, signs.is_declared
     for item in evidence:
         of_slip = item.fields == ("slip",)
-        told = item.columns in _REFUSED or item.columns[0] == "omega"
+        told = _is_refused(item) or item.columns[0] == "omega"
         if item.trend >= 0 or told or (of_slip and not is_declared):
             continue
         names = dict.fromkeys(repr(headers.get(c, c)) for c in item.columns)

@@ -5,13 +5,14 @@ number is no error here but a missing value: a vehicle that drives does not stop
 """
 
 import csv
+import itertools
 from collections.abc import Iterator
 from typing import TextIO
 
 import numpy as np
 
 from tirefit.data.columns import is_number, plan_columns
-from tirefit.data.declared import Options
+from tirefit.data.declared import Options, stated_convention
 from tirefit.data.units import sign_of, slip_from_speeds, slip_to_sigma
 from tirefit.results import DataError, InputProblem
 from tirefit.slip import SLIP_DEFINITIONS
@@ -38,7 +39,12 @@ class RowReader:
         )  # fmt: skip
         self._options.check()
         # Not by iterating over the file itself, which would read ahead.
-        self._rows = csv.reader(iter(lines.readline, ""), skipinitialspace=True)
+        above: list[str] = []
+        while (first := lines.readline()).startswith("#"):
+            above.append(first)
+        layout, doubts = stated_convention(above, name)
+        following = itertools.chain([first], iter(lines.readline, ""))
+        self._rows = csv.reader(following, skipinitialspace=True)
         try:
             header = [cell.strip() for cell in next(self._rows, [])]
         except csv.Error as error:
@@ -49,10 +55,12 @@ class RowReader:
             remedy = "begin with a line such as time,sigma_x,fx,fz"
             raise DataError(InputProblem(reason, remedy, name, 1))
         plan = plan_columns(header, None, self._options, name)
-        if plan.problems:
-            raise DataError(plan.problems)
-        self._plan, self._width = plan, len(header)
-        self.assumptions = tuple(plan.assumptions)
+        signs = self._options.signs(layout, plan.columns, name)
+        if problems := [*plan.problems, *signs.problems]:
+            raise DataError(problems)
+        self._plan, self._width, self._above = plan, len(header), len(above)
+        self._convention = signs.convention
+        self.assumptions = (*doubts, *plan.assumptions, str(signs))
         self.bad: tuple[int, str] | None = None
 
     @property
@@ -74,7 +82,7 @@ class RowReader:
             except csv.Error as error:
                 # As a row without a number; what follows is read on.
                 row = self._row([""] * self._width)
-                self.bad = self._rows.line_num, f"not CSV: {error}"
+                self.bad = self._above + self._rows.line_num, f"not CSV: {error}"
                 yield row
                 continue
             if cells is None:
@@ -84,9 +92,8 @@ class RowReader:
 
     def _row(self, cells: list[str]) -> dict[str, float]:
         """Canonical values of one row; NaN for what is not a number."""
-        line, self.bad = self._rows.line_num, None
+        line, self.bad = self._above + self._rows.line_num, None
         row = dict(self._options.constants)
-        convention = self._options.convention or "braking"
         for name, column in self._plan.columns.items():
             if name == "run" or column.unit is None:
                 continue
@@ -95,7 +102,9 @@ class RowReader:
             if np.isnan(value):
                 self.bad = line, f"column {column.header!r}: {text!r} is not a number"
             is_std = name.endswith("_std")
-            row[name] = sign_of(convention, name) * column.unit.to_si(value, is_std)
+            row[name] = sign_of(self._convention, name) * column.unit.to_si(
+                value, is_std
+            )
         if len(cells) != self._width:
             self.bad = line, f"{len(cells)} fields where the header has {self._width}"
         return self._with_sigma(row)

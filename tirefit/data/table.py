@@ -83,12 +83,14 @@ class Layout(NamedTuple):
 
     ``names`` maps a header to a canonical column (or slip definition), to "" where it
     is not to be read; ``units_from`` says where the units stand; ``convention`` is that
-    of the signs, a key of ``slip.CONVENTIONS``, None where the layout has none.
+    of the signs, a key of ``slip.CONVENTIONS``, None where the layout has none;
+    ``stated_in`` is the line in which the file itself states it, 0 where it does not.
     """
 
     names: Mapping[str, str] = {}
     units_from: str = "units row"
     convention: str | None = None
+    stated_in: int = 0
 
 
 SIMULATED = ("fx_sim", "fy_sim", "mz_sim")
@@ -118,6 +120,7 @@ class Source:
 
     ``columns`` maps a canonical column to the file's own header; ``units`` to the
     unit it was read in, ``units_beside`` those columns whose unit is not in the header;
+    ``convention_from`` says who chose the convention;
     ``slip_definition`` is the definition of the file's slip
     column (a key of ``slip.SLIP_DEFINITIONS``); ``line`` holds each row's line.
     ``warnings`` are sentences on what may mean something else than it was read as.
@@ -129,6 +132,7 @@ class Source:
     path: str = ""
     sha256: str = ""
     convention: str = "braking"
+    convention_from: str = ""
     slip_definition: str = "sigma_x"
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
@@ -249,6 +253,11 @@ def join(tables: Sequence[TireData]) -> TireData:
     if dropped:
         said.append(
             f"columns that not every file has were left out: {', '.join(dropped)}"
+        )
+    signs = dict.fromkeys(table.source.convention for table in tables)
+    if len(signs) > 1:
+        said.append(
+            f"files in several conventions: {', '.join(signs)}; each in its own"
         )
     digest = hashlib.sha256(
         "".join(t.source.sha256 for t in tables).encode()

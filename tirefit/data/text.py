@@ -15,13 +15,13 @@ import numpy as np
 
 from tirefit.data.check import BadRows
 from tirefit.data.columns import guess, is_number
+from tirefit.data.declared import stated_convention
 from tirefit.data.remote import Place
 from tirefit.data.table import Layout
 from tirefit.data.units import known_unit
 from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.door import DATA, too_large
 from tirefit.results import DataError, InputProblem, did_you_mean
-from tirefit.slip import CONVENTIONS
 
 __all__ = [
     "SPACED",
@@ -43,8 +43,8 @@ SPACED = "columns separated by white space"
 
 _DELIMITERS = "\t;|,"
 _END = "\0"
-_OWN = re.compile(r"# tirefit .*\bconvention ([\w-]+)\s*$")
-"""First line of a table that this package wrote, with its signs."""
+_OWN = re.compile(r"# tirefit .*, constants ")
+"""First line of a table that this package wrote, before the constants of its tire."""
 _CONSTANT = re.compile(r"([A-Z_]+)=(\d+(?:\.\d+)?(?:e[-+]?\d+)?)\b")
 """A constant of the tire in that line."""
 _AIM = re.compile(r'"?Format"?\s*[,;\t]\s*"?AiM CSV File', re.IGNORECASE)
@@ -181,19 +181,15 @@ def table_of_text(
     rows, numbers = split_rows(lines[start:], delimiter, start, path)
     if aim:
         notes.append("export of AiM RaceStudio")
-        kept = [k for k, row in enumerate(rows) if k > 3 or not _counts_up(row)]
+        kept = [k for k, r in enumerate(rows) if not (0 < k < 4 and _counts_up(r))]
         rows, numbers = [rows[k] for k in kept], [numbers[k] for k in kept]
     common = 0.0 if aim else 0.5
     table = table_of_rows(rows, numbers, path, digest, notes, delimiter, common)
+    layout, doubts = stated_convention(raw[:start], str(path))
     own = _OWN.match(raw[0])
-    if own is None or own[1] not in CONVENTIONS:
-        return table
-    said = f"signs read as {own[1]!r}, as line 1 says"
-    stated = _CONSTANT.findall(raw[0].partition(", constants ")[2])
+    stated = _CONSTANT.findall(raw[0][own.end() :]) if own else []
     constants = {name: float(value) for name, value in stated}
-    layout = Layout(convention=own[1])
-    notes = [*table.notes, said]
-    return replace(table, layout=layout, notes=tuple(notes), constants=constants)
+    return replace(table, layout=layout, doubts=doubts, constants=constants)
 
 
 def content_lines(lines: list[str]) -> list[str]:
@@ -257,7 +253,7 @@ def split_rows(lines, delimiter, start, path) -> tuple[list[list[str]], list[int
         reason = f"the line cannot be split: {error}"
         remedy = "look for a quotation mark that is not closed"
         raise _refusal(reason, remedy, path, number) from error
-    if rows.pop() != [_END]:
+    if rows.pop() != [_END] or not rows:
         reason = "a quotation mark is not closed"
         raise _refusal(reason, "close or remove it", path, numbers[-1])
     return rows, numbers[:-1]

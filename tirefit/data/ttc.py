@@ -40,7 +40,10 @@ def recognised(table: Table) -> Table:
     names = set(table.headers)
     if not ("FZ" in names and names & _SLIPS and names & _MARKS):
         return table
+    own = table.layout
     convention, reason = _convention(table)
+    if own.convention:
+        convention, reason = own.convention, f"signs as line {own.stated_in} says"
     notes = [f"laid out as Tire Test Consortium files are: {reason}"]
     meant = {"N": "omega"}
     if {"SL", "SR"} <= names:
@@ -60,7 +63,7 @@ def recognised(table: Table) -> Table:
         if pressure is not None:
             system = "psi: imperial" if is_imperial else "kPa: metric"
             notes.append(f"no units stated: P of {pressure:.4g} is {system} units")
-    layout = Layout(meant, units_from, convention)
+    layout = Layout(meant, units_from, convention, own.stated_in)
     return replace(table, layout=layout, units_row=units, notes=(*table.notes, *notes))
 
 

@@ -267,7 +267,8 @@ def _converted(texts, conversion: _Conversion) -> np.ndarray | list[str]:
     """Values in the channel's unit; as texts where one of them is no number."""
     factor, before, after = conversion
     try:
-        return factor * (np.array(texts, float) + before) + after
+        with np.errstate(all="ignore"):  # what is not finite is a fault of its row
+            return factor * (np.array(texts, float) + before) + after
     except ValueError:
         return [
             repr(factor * (float(text) + before) + after) if is_number(text) else text

@@ -62,9 +62,10 @@ def output_problems(
     return [InputProblem(reason, remedy, str(path))]
 
 
-def write_csv(path, columns: Mapping[str, object]) -> None:
-    """Writes columns as CSV, whole or not at all; see :func:`csv_text`."""
-    write_text_atomic(path, csv_text(columns))
+def write_csv(path, columns: Mapping[str, object], above: str = "") -> None:
+    """Writes columns as CSV below the line ``above``, whole or not at all; see
+    :func:`csv_text`."""
+    write_text_atomic(path, above + csv_text(columns))
 
 
 def csv_text(columns: Mapping[str, object]) -> str:

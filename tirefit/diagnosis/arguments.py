@@ -58,8 +58,9 @@ def a_model(given: Any) -> str | None:
     raise UsageError(InputProblem(reason, remedy))
 
 
-def tables(given: Any) -> list[TireData]:
+def tables(given: Any, otherwise: tuple[str, str] | None = None) -> list[TireData]:
     """Data of each of several; of one, where it is no list or tuple; none of None.
+    ``otherwise`` is that of ``tirefit.read``.
 
     Raises:
         UsageError, DataError: as :func:`tirefit.data.accept.as_data`.
@@ -67,7 +68,7 @@ def tables(given: Any) -> list[TireData]:
     if given is None:
         return []
     several = given if isinstance(given, list | tuple) else [given]
-    return [as_data(one) for one in several]
+    return [as_data(one, otherwise=otherwise) for one in several]
 
 
 def a_rig(given: Any) -> Rig:

@@ -32,6 +32,7 @@ from tirefit.diagnosis.simulator import (
     check_followed,
     not_followed,
 )
+from tirefit.diagnosis.simulator_signs import check_signs
 from tirefit.diagnosis.slip_nodes import slip_doubt, slip_proxies
 from tirefit.diagnosis.slip_scatter import slip_scatter
 from tirefit.diagnosis.tire import Tire, with_force
@@ -281,7 +282,8 @@ def fit_base(
             stands in for it.
 
     Raises:
-        DataError: the model does not follow the simulator.
+        DataError: the model does not follow the simulator, or the simulator fits with
+            other signs.
     """
     simulator, stand_in = None, name or STAND_INS[0]
     if given is None:
@@ -294,8 +296,9 @@ def fit_base(
         begun = begin(prepared, (model, layout, z, z), effects, rig, given)
     tire, design, z, guess, missed = begun
     if given is not None:
-        simulator = Simulated(given=given, z=z, stand_in=stand_in)
         check_followed(prepared, missed, stand_in)
+        doubt = check_signs(prepared, tire, z, given)
+        simulator = Simulated(given=given, z=z, stand_in=stand_in, doubt=doubt)
         z = np.asarray(tire.refitted(z, design).z)[0]
     fraction = _slip_fraction(prepared, tire, z, design)
     silent = np.zeros(count_atoms(effects))

@@ -34,7 +34,12 @@ from tirefit.diagnosis.result import Diagnosis
 from tirefit.diagnosis.rig import Rig
 from tirefit.diagnosis.rows import Prepared, prepare, thinned
 from tirefit.diagnosis.search import Search, amplitudes_of, search
-from tirefit.diagnosis.simulator import STAND_INS, Given, given_simulator
+from tirefit.diagnosis.simulator import (
+    STAND_INS,
+    Given,
+    given_simulator,
+    simulator_at,
+)
 from tirefit.diagnosis.verdict import gap_p_value, judge, weigh
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.problem import find_model
@@ -58,6 +63,7 @@ def diagnose(
     model: str | None = None,
     *,
     sim: Any = None,
+    signs: str | None = None,
     rig: Rig | str | PathLike | None = None,
     forces: str | Sequence[str] | None = None,
     effects: Sequence[Effect] = EFFECTS,
@@ -70,7 +76,8 @@ def diagnose(
 
     Args:
         data: what ``tirefit.read`` gave, or anything that it reads with its defaults: a
-            path, a frame, a mapping of column to (n,) array.
+            path (of a file that declares no convention beside a file ``sim``: in that
+            one's), a frame, a mapping of column to (n,) array.
         model: name of the base model, the brush by default; a whole Magic Formula
             (``mf52``, ``mf61``, ``mf62``) is first fitted in stages, then taken as it
             is.
@@ -80,6 +87,9 @@ def diagnose(
             rows by channel, in canonical signs. Where only its forces are known,
             ``model``, fitted to them, stands in for what a hypothesis changes; by
             default the brush, or mf61 where that does not follow them closely.
+        signs: convention in which the ``.tir`` file ``sim`` was written ("iso-w" if
+            None), or the columns ``fx_sim``, ... (that of the data if None), a key of
+            ``slip.CONVENTIONS``.
         rig: what is known of the rig (noise, rolling radius, wheel inertia), or the
             path of its ``rig.toml``.
         forces: of fx, fy, mz, those that matter; None for all that were measured.
@@ -101,7 +111,10 @@ def diagnose(
     model, effects = a_model(model), the_effects(effects)
     without = names(without, "without")
     asked = None if forces is None else names(forces, "forces")
-    data, holdout = as_data(data), tables(holdout)
+    if isinstance(sim, str | PathLike):
+        sim = simulator_at(str(sim), signs=signs)
+    otherwise = sim.otherwise if isinstance(sim, Given) else None
+    data, holdout = as_data(data, otherwise=otherwise), tables(holdout, otherwise)
     rig, generator = a_rig(rig), np.random.default_rng(a_seed(seed))
     _are_others(data, holdout)
     data, holdout = without_far(data), [without_far(other) for other in holdout]
@@ -120,7 +133,7 @@ def diagnose(
     plain = STAND_INS[0] if model is None else model
     given, gives = None, _forces_of(plain)
     if sim is not None:
-        given = given_simulator(sim, data)
+        given = given_simulator(sim, data, signs)
         data, holdout = given.beside(data), [given.beside(x, True) for x in holdout]
         gives = given.channels(data, gives)
     if asked is not None:

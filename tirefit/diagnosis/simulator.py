@@ -16,6 +16,7 @@ import numpy as np
 
 from tirefit.data.table import CANONICAL, SIMULATED, TireData
 from tirefit.data.tir import read_tir
+from tirefit.data.units import sign_of
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.layout import FreeParameter, Layout, choose_layout
@@ -24,7 +25,7 @@ from tirefit.fitting.predict import predict
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit, load_fit
-from tirefit.fitting.tir import tire_of
+from tirefit.fitting.tir import TIR_SIGNS, tire_of
 from tirefit.models import AbstractTire
 from tirefit.models import modelled as forces_modelled
 from tirefit.models.mf import MFTire
@@ -78,8 +79,9 @@ class Given:
     ``kind`` is columns, model, fit or tir; ``source`` its name or file, ``sha256`` of
     the file. ``tire`` is None where only its forces are known; ``layout`` and ``z`` are
     those of a fit. ``forces`` gives canonical forces (n,) of the rows of data, None
-    where they stand in the data's own columns. ``convention`` is that which its file is
-    in, data beside it too unless they say otherwise.
+    where they stand in the data's own columns. ``otherwise`` is the convention of data
+    beside it that declare none, and whose it is; ``signs`` that in which a ``.tir``
+    file, or the columns, are said to be.
     """
 
     kind: str
@@ -88,7 +90,8 @@ class Given:
     tire: AbstractTire | None = None
     layout: Layout | None = None
     z: np.ndarray | None = None
-    convention: str | None = None
+    otherwise: tuple[str, str] | None = None
+    signs: str | None = None
     forces: Callable[[TireData], Mapping[str, np.ndarray]] | None = None
 
     def channels(self, data: TireData, modelled: Sequence[str]) -> tuple[str, ...]:
@@ -117,6 +120,12 @@ class Given:
         forces = {k: v for k, v in data.columns.items() if k in SIMULATED}
         if self.forces is not None and not (other and self.tire is None):
             forces = {f"{c}_sim": force for c, force in self.forces(data).items()}
+        if self.tire is None and self.signs is not None:
+            own = (self.signs, data.source.convention)
+            forces = {
+                k: v * np.prod([sign_of(name, k) for name in own])
+                for k, v in forces.items()
+            }
         path = data.source.path or data.name
         # What is not measured has no gap.
         forces = {k: v for k, v in forces.items() if k.removesuffix("_sim") in data}
@@ -163,12 +172,13 @@ class Given:
 
 @dataclass(frozen=True, kw_only=True)
 class Simulated:
-    """A simulator in a diagnosis: parameters z of its tire as given, and the name of
-    the model that stands in where it has none."""
+    """A simulator in a diagnosis: parameters z of its tire as given, the name of the
+    model that stands in where it has none, and a doubt about its signs."""
 
     given: Given
     z: np.ndarray
     stand_in: str = ""
+    doubt: str = ""
 
 
 def _scaling_layout(tire: AbstractTire, mode: str) -> Layout:
@@ -288,13 +298,14 @@ def _rms(values) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def given_simulator(sim: Any, data: TireData) -> Given:
+def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given:
     """The simulator that an argument of :func:`tirefit.diagnose` means.
 
     Args:
         sim: True for the data's columns ``fx_sim``, ...; an array (n,) of the force
             that the data measure, or arrays by channel, canonical; a tire model, a fit,
             or what :func:`simulator_at` gives.
+        signs: convention of the data's columns ``fx_sim``, ..., where not the data's.
 
     Raises:
         UsageError: none of these, or arrays of another length.
@@ -302,7 +313,8 @@ def given_simulator(sim: Any, data: TireData) -> Given:
     if isinstance(sim, Given):
         return sim
     if sim is True:
-        return Given(kind="columns", source="columns")
+        source = f"columns in signs {signs}" if signs else "columns"
+        return Given(kind="columns", source=source, signs=signs)
     if isinstance(sim, MagicFormulaFit):
         return _of_tire(sim.tire, "fit", f"{sim.model} fitted to {sim.data['file']}")
     if isinstance(sim, FitResult):
@@ -379,20 +391,29 @@ def _forces_alone(predicted: Mapping) -> dict[str, np.ndarray]:
     return {c: v for c, v in predicted.items() if f"{c}_sim" in SIMULATED}
 
 
-def simulator_at(text: str, values: Mapping[str, float] | None = None) -> Given:
+def simulator_at(
+    text: str,
+    values: Mapping[str, float] | None = None,
+    *,
+    side: str | None = None,
+    signs: str | None = None,
+) -> Given:
     """The simulator that a name or a file means.
 
     Args:
         text: a ``fit.json``, a ``.tir`` file, or the name of a model.
         values: parameter values of a named model or of a ``.tir`` file.
+        side, signs: of a ``.tir`` file, see :func:`tirefit.fitting.tir.tire_of`.
 
     Raises:
-        UsageError: no such model or parameter, or values for a fit.
+        UsageError: no such model, parameter or convention, or values for a fit.
         DataError: the file cannot be read.
     """
     values = dict(values or {})
-    if text.endswith(".json") or text.lower().endswith(".tir"):
-        return _at_file(text, values)
+    if text.lower().endswith(".tir"):
+        return _at_tir(text, values, side, signs)
+    if text.endswith(".json"):
+        return _at_fit(text, values)
     template = find_model(text)
     check_values(template, text, values)
     whole, known = parameter_values(template) | values, specs(template)
@@ -405,21 +426,23 @@ def simulator_at(text: str, values: Mapping[str, float] | None = None) -> Given:
     return _of_tire(with_values(template, whole), "model", source)
 
 
-def _at_file(text: str, values: dict[str, float]) -> Given:
-    if not text.endswith(".json"):
-        tir = read_tir(text)
-        tire = tire_of(tir)
-        check_values(tire, text, values)
-        tire = with_values(tire, values)
-        said = "".join(f", {name} = {value:g}" for name, value in values.items())
-        given = _of_tire(tire, "tir", f"{text}{said}", _digest(text))
-        return replace(given, convention="iso-w")
+def _at_tir(text: str, values: dict[str, float], side, signs) -> Given:
+    tire = tire_of(read_tir(text), side=side, signs=signs)
+    check_values(tire, text, values)
+    tire = with_values(tire, values)
+    said = "".join(f", {name} = {value:g}" for name, value in values.items())
+    said += "".join(f", {k} {v}" for k, v in (("side", side), ("signs", signs)) if v)
+    given = _of_tire(tire, "tir", f"{text}{said}", _digest(text))
+    return replace(given, otherwise=(TIR_SIGNS, ".tir files"), signs=signs)
+
+
+def _at_fit(text: str, values: dict[str, float]) -> Given:
     if values:
         reason, remedy = "--set with a fit.json", "use it with the name of a model"
         raise UsageError(InputProblem(reason, remedy))
     fit = load_fit(text)
     given = _of_fit(fit, fit.tire, fit.layout, fit.z, text, _digest(text))
-    return replace(given, convention=fit.content["data"]["convention"])
+    return replace(given, otherwise=(fit.content["data"]["convention"], text))
 
 
 def _digest(path: str) -> str:

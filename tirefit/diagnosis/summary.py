@@ -28,10 +28,12 @@ def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
         base: the fit to its rows.
         rig: what is known of the measurement.
     """
+    said = base.simulator.doubt if base.simulator else ""
+    doubts = (f"warning: {said}",) if said else ()
     return DataSummary(
         name=data.name, path=data.source.path, sha256=data.source.sha256,
         convention=data.source.convention, channels=base.prepared.channels,
-        assumptions=(*data.source.notes, *rig.notes, *rig.beside(data)),
+        assumptions=(*doubts, *data.source.notes, *rig.notes, *rig.beside(data)),
         set_aside=data.first_masked(), motion=said_of_motion(base, rig),
         together=moving_together(base.prepared),
     )  # fmt: skip

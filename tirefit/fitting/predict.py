@@ -101,7 +101,8 @@ def predict(
     Args:
         source: a fit, a tire, or the name of a model.
         data: rows with slip, load and, where the model needs it, speed: what
-            ``tirefit.read`` gave, or a path, a frame, a mapping of column to array.
+            ``tirefit.read`` gave, or a path (of a file that declares no convention: in
+            that of the fit's data), a frame, a mapping of column to array.
         values: parameter values of a tire or a named model; its own otherwise.
 
     Returns:
@@ -117,7 +118,7 @@ def predict(
         DataError: the data lack an input, or have runs the fit does not know.
     """
     require_x64("a prediction")
-    data = as_data(data, forces=False)
+    data = as_data(data, forces=False, otherwise=_signs_of(source))
     if isinstance(source, str):
         return _of_model(find_model(source), source, data, values or {})
     if isinstance(source, AbstractTire):
@@ -164,6 +165,14 @@ def predict(
         spread = np.sqrt(np.maximum(variance[channel], 0.0))  # by rounding below it
         out[f"{channel}_std"] = np.hypot(spread, std)
     return _masked(data, out)
+
+
+def _signs_of(source) -> tuple[str, str] | None:
+    """The convention of a fit's data, and whose it is."""
+    if isinstance(source, AbstractTire | str):
+        return None
+    content = source.content if isinstance(source, StoredFit) else vars(source)
+    return content["data"]["convention"], "the fit's data"
 
 
 def _noise_std(data: TireData, channel: str, record: Mapping | None, force, reference):

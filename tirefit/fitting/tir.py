@@ -6,16 +6,19 @@ from tirefit.data.table import TireData
 from tirefit.data.tir import TirFile
 from tirefit.data.tir_keys import LIMITS
 from tirefit.models.base import AbstractTire
-from tirefit.models.mf import Mirrored, mf_tire
+from tirefit.models.mf import OTHER_SIDE, Mirrored, mf_tire
 from tirefit.models.mf.fields import Nominal
-from tirefit.results import InputProblem, UsageError
-from tirefit.slip import kappa_from_sigma
+from tirefit.results import InputProblem, UsageError, did_you_mean
+from tirefit.slip import CONVENTIONS, kappa_from_sigma
 
-__all__ = ["moments_noted", "rows_outside", "tire_of"]
+__all__ = ["TIR_SIGNS", "moments_noted", "rows_outside", "tire_of", "turned_by"]
+
+TIR_SIGNS = "iso-w"
+"""Convention of ``.tir`` files: those of the axes TYDEX W."""
 
 
 def tire_of(
-    tir: TirFile, *, starred: bool = False, side: str | None = None
+    tir: TirFile, *, starred: bool = False, side: str | None = None, signs=None
 ) -> AbstractTire:
     """The tire of a ``.tir`` file.
 
@@ -24,18 +27,22 @@ def tire_of(
         starred: whether the equations take tan(alpha) and sin(gamma).
         side: ``left`` or ``right``: where the tire is mounted; mirrored if the file is
             of the other side. None: as the file has it.
+        signs: the convention in which the file was written, a key of
+            ``slip.CONVENTIONS``; None for :data:`TIR_SIGNS`.
 
     Raises:
-        UsageError: a side is wanted of a file that does not say its own.
+        UsageError: a side is wanted of a file that does not say its own; no such
+            convention.
     """
     tire = mf_tire(tir.version, tir.numbers, starred=starred)
-    if side is None or tir.side in (side.upper(), "SYMMETRIC"):
-        return tire
-    if tir.side == "UNKNOWN":
-        reason = "TYRESIDE is not stated: it cannot be said whether to mirror the tire"
-        remedy = "write TYRESIDE = 'LEFT' or 'RIGHT' into [MODEL], or leave out --side"
-        raise UsageError(InputProblem(reason, remedy, tir.path))
-    return Mirrored(tire)
+    turned = turned_by(signs)
+    if side is not None and tir.side not in (side.upper(), "SYMMETRIC"):
+        if tir.side == "UNKNOWN":
+            reason = "TYRESIDE is not stated: no side to mirror the tire from"
+            remedy = "write TYRESIDE = 'LEFT' or 'RIGHT' into [MODEL], or omit --side"
+            raise UsageError(InputProblem(reason, remedy, tir.path))
+        turned ^= OTHER_SIDE
+    return Mirrored(tire, turned) if turned else tire
 
 
 def moments_noted(tir: TirFile, data: TireData) -> list[str]:
@@ -53,9 +60,24 @@ def moments_noted(tir: TirFile, data: TireData) -> list[str]:
     return said
 
 
-def rows_outside(tir: TirFile, data: TireData) -> list[str]:
-    """Sentences on used rows outside the ranges that the file states for its tire."""
-    numbers, said = tir.numbers, []
+def turned_by(signs: str | None) -> frozenset[str]:
+    """Fields that turn in the convention ``signs``, in place of :data:`TIR_SIGNS`; the
+    load is positive in any.
+
+    Raises:
+        UsageError: there is no such convention.
+    """
+    if signs is not None and signs not in CONVENTIONS:
+        remedy = f"{did_you_mean(signs, CONVENTIONS)}valid: {', '.join(CONVENTIONS)}"
+        raise UsageError(InputProblem(f"--signs: {signs!r} is not known", remedy))
+    own = CONVENTIONS[TIR_SIGNS]
+    return own.turned(CONVENTIONS[signs or TIR_SIGNS]) - {"fz"}
+
+
+def rows_outside(tir: TirFile, data: TireData, signs: str | None = None) -> list[str]:
+    """Sentences on used rows outside the ranges that the file, written in ``signs``,
+    states for its tire."""
+    numbers, said, turned = tir.numbers, [], turned_by(signs)
     for name, (least, most) in LIMITS.items():
         column = "sigma_x" if name == "kappa" else name
         if column not in data:
@@ -63,6 +85,8 @@ def rows_outside(tir: TirFile, data: TireData) -> list[str]:
         values = data.usable(column)
         if name == "kappa":
             values = -kappa_from_sigma(values)
+        if {"kappa": "slip"}.get(name, name) in turned:
+            values = -values
         low, high = numbers.get(least, -np.inf), numbers.get(most, np.inf)
         # A slip loses some digits in its conversions.
         margin = 1e-9 * (high - low) if np.isfinite(high - low) else 0.0

@@ -33,6 +33,8 @@ from tirefit.report.numbers import format_estimate, format_number
 _WIDTH = 88
 _RUNS = "RUNS (an offset of its own for each, beside what else is named)"
 _LEVEL = 0.05
+_OF_SIGNS = ("signs read as", "sign convention declared", "warning: the simulator")
+"""What sentences on the signs of the data, or of a simulator, have in them."""
 _FEW = 10
 """Effects that are named one by one."""
 
@@ -362,6 +364,7 @@ def diagnosis_text(result: Diagnosis) -> str:
     lines = [
         f"DIAGNOSIS of {subject(result)}",
         f"  {rows_line(result)}",
+        *(f"  {s}" for s in result.data.assumptions if any(m in s for m in _OF_SIGNS)),
         *([f"  {slip_check_line(result)}"] if result.slip_check else []),
         *(f"  set aside: {said}" for said in result.data.set_aside),
         *_not_looked_for(result),

@@ -11,8 +11,9 @@ from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.predict import predict
 from tirefit.models import TireInputs
 from tirefit.report.curves import FORCE_LABEL, Curve, FitCurve, Group, even
+from tirefit.results import UsageError
 
-__all__ = ["Panel", "ellipse_panel", "force_panels", "residual_panel"]
+__all__ = ["Panel", "ellipse_panel", "force_panels", "panels_of", "residual_panel"]
 
 _POINTS = 80
 """Of a curve between the first and the last bin."""
@@ -26,13 +27,6 @@ _BY = {
 _AXIS = {
     "alpha": (r"slip angle $\alpha$ [deg]", 180 / np.pi),
     "sigma_x": (r"slip $\kappa$, braking positive [%]", 100.0),
-}
-_NAMES = {
-    "fx": "longitudinal force",
-    "fy": "lateral force",
-    "mz": "aligning moment",
-    "mx": "overturning moment",
-    "my": "rolling resistance moment",
 }
 
 
@@ -67,6 +61,10 @@ def _between(bins: SlipBins) -> TireInputs:
     return TireInputs(*(np.interp(slip, bins.slip, column) for column in bins.inputs))
 
 
+def _named(force: str) -> str:
+    return FORCE_LABEL[force][0].split(" $")[0].capitalize()
+
+
 def _conditions(bins: SlipBins, but: str) -> str:
     texts = [bins.setting.text(name) for name in _BY if name != but]
     return ", ".join(filter(None, texts))
@@ -85,16 +83,10 @@ def _panel(fit, force: str, name: str, members: Sequence[SlipBins]) -> Panel:
         groups.append(Group(label, x, bins.force, bins.low, bins.high))
         curves.append(Curve(label, along, middle, middle, middle, *band, None))
     what, unit, _ = FORCE_LABEL[force]
-    curve = FitCurve(
-        force,
-        x_label,
-        f"{what} [{unit}]",
-        tuple(groups),
-        tuple(curves),
-        "",
-        _conditions(members[0], name),
-    )
-    return Panel(f"{_NAMES[force].capitalize()} by {_BY[name]}", curve)
+    note, y_label = _conditions(members[0], name), f"{what} [{unit}]"
+    shown = tuple(groups), tuple(curves)
+    curve = FitCurve(force, x_label, y_label, *shown, "", note)
+    return Panel(f"{_named(force)} by {_BY[name]}", curve)
 
 
 def force_panels(fit: MagicFormulaFit, force: str) -> list[Panel]:
@@ -144,18 +136,9 @@ def residual_panel(fit: MagicFormulaFit, force: str) -> Panel:
     ticks = [
         (float(place[loads == t].mean()), t) for t in dict.fromkeys(loads.tolist())
     ]
-    panel = FitCurve(
-        force,
-        "settings of the test, by load",
-        f"measured - fitted [{unit}]",
-        tuple(groups),
-        (curve,),
-        "",
-        note,
-    )
-    return Panel(
-        f"{_NAMES[force].capitalize()}, measured less fitted", panel, tuple(even(ticks))
-    )
+    labels = "settings of the test, by load", f"measured - fitted [{unit}]"
+    panel = FitCurve(force, *labels, tuple(groups), (curve,), "", note)
+    return Panel(f"{_named(force)}, measured less fitted", panel, tuple(even(ticks)))
 
 
 def ellipse_panel(fit: MagicFormulaFit) -> list[Panel]:
@@ -187,3 +170,13 @@ def ellipse_panel(fit: MagicFormulaFit) -> list[Panel]:
     note = _conditions(members[0][0], "held")
     panel = FitCurve("fy", x_label, y_label, tuple(groups), tuple(curves), "", note)
     return [Panel("Lateral and longitudinal force share the friction", panel)]
+
+
+def panels_of(fit: MagicFormulaFit) -> dict[str, list[Panel]]:
+    """Name of a figure -> its panels."""
+    if not fit.binned:
+        raise UsageError("this fit has no data in memory (fit again to draw it)")
+    named = {force: force_panels(fit, force) for force in fit.binned}
+    named["residuals"] = [residual_panel(fit, force) for force in fit.binned]
+    named["ellipse"] = ellipse_panel(fit)
+    return {name: panels for name, panels in named.items() if panels}

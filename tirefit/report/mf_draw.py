@@ -3,22 +3,16 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from tirefit.data.table import FORCES
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.report.canvas import GREY, Picture, panel_title, save_picture
+from tirefit.report.curves import FORCE_LABEL
 from tirefit.report.draw import draw_fit
 from tirefit.report.fit_panels import WIDE, Shown, below
 from tirefit.report.html import image_of, rendered
 from tirefit.report.labels import fit_files
 from tirefit.report.magic_formula import magic_formula_report
-from tirefit.report.mf_curves import (
-    Panel,
-    ellipse_panel,
-    force_panels,
-    residual_panel,
-)
+from tirefit.report.mf_curves import Panel, panels_of
 from tirefit.report.numbers import plain_text
-from tirefit.results import UsageError
 
 __all__ = [
     "MAGIC_FORMULA_FILES",
@@ -30,7 +24,7 @@ __all__ = [
 
 MAGIC_FORMULA_FILES = tuple(
     f"{name}{suffix}"
-    for name in ("fit", *FORCES, "residuals", "ellipse")
+    for name in ("fit", *FORCE_LABEL, "residuals", "ellipse")
     for suffix in (".png", ".svg")
 )
 """Every file that :func:`save_pictures` may write."""
@@ -65,16 +59,6 @@ def stacked(panels: Sequence[Panel], title: str = "") -> Picture:
     return picture
 
 
-def _panels(fit: MagicFormulaFit) -> dict[str, list[Panel]]:
-    """Name of a file -> its panels."""
-    if not fit.binned:
-        raise UsageError("this fit has no data in memory (fit again to draw it)")
-    named = {force: force_panels(fit, force) for force in fit.binned}
-    named["residuals"] = [residual_panel(fit, force) for force in fit.binned]
-    named["ellipse"] = ellipse_panel(fit)
-    return {name: panels for name, panels in named.items() if panels}
-
-
 def _title(fit: MagicFormulaFit) -> str:
     return f"{fit.model} fitted to {fit_files(fit, 50)}"
 
@@ -86,7 +70,7 @@ def plot_magic_formula(fit: MagicFormulaFit, ax=None):
         fit: from this process.
         ax: axes to draw the first force on.
     """
-    panels = _panels(fit)
+    panels = panels_of(fit)
     first = [panels[force][0] for force in fit.binned if force in panels]
     if ax is None:
         return stacked(first, _title(fit))
@@ -96,7 +80,7 @@ def plot_magic_formula(fit: MagicFormulaFit, ax=None):
 
 def magic_formula_page(fit: MagicFormulaFit) -> str:
     """The fit as one HTML document: figures, report, record; nothing to fetch."""
-    panels = [panel for named in _panels(fit).values() for panel in named]
+    panels = [panel for named in panels_of(fit).values() for panel in named]
     pictures = [Shown(stacked([panel]), panel.title) for panel in panels]
     return rendered(
         "magic_formula_page.html",
@@ -111,7 +95,7 @@ def save_pictures(fit: MagicFormulaFit, folder: Path, svg: bool = False) -> list
     """Writes the figures into a folder; the files. ``svg``: each as SVG too."""
     written = []
     pictures = {"fit": plot_magic_formula(fit)}
-    pictures |= {name: stacked(p, _title(fit)) for name, p in _panels(fit).items()}
+    pictures |= {name: stacked(p, _title(fit)) for name, p in panels_of(fit).items()}
     for name, picture in pictures.items():
         for suffix in (".png", ".svg") if svg else (".png",):
             written.append(save_picture(picture, folder / f"{name}{suffix}"))

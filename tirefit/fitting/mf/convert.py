@@ -11,9 +11,11 @@ from tirefit.fitting.config import FitConfig
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.parts import NEVER_FITTED, VERSIONS, coefficients_of
 from tirefit.fitting.mf.result import MagicFormulaFit
+from tirefit.fitting.tir import tire_of, turned_by
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
 from tirefit.models.mf.moments import Overturning, Rolling
+from tirefit.models.mf.tire import turned_inputs
 from tirefit.params import specs
 
 __all__ = ["converted", "virtual_test"]
@@ -38,11 +40,12 @@ def virtual_test(
     slip_max: float,
     loads: Sequence[float],
     pressure_too: bool,
+    signs,
     moments: Sequence[str] = (),
 ) -> TireData:
-    """Sweeps in pure and combined slip of the tire of a file, at these loads [N], three
-    cambers and, if ``pressure_too``, three pressures; each is a run. ``moments``: of
-    mx and my, those to be measured beside fx, fy and mz."""
+    """Sweeps in pure and combined slip of the tire of a file in ``signs``, at these
+    loads [N], three cambers and, if ``pressure_too``, three pressures: each a run.
+    ``moments``: of mx and my, those to be measured beside fx, fy and mz."""
     tire = mf_tire(tir.version, tir.numbers)
     kappa = np.linspace(*_range(tir, "kappa", -min(slip_max, 0.99), slip_max), _SLIPS)
     alpha = np.linspace(*_range(tir, "alpha", -slip_max, slip_max), _SLIPS)
@@ -71,7 +74,8 @@ def virtual_test(
         -slip / (1 + slip), angle, load, np.full(len(load), tire.nominal.LONGVL),
         camber, inflation, np.zeros(len(load)),
     )  # fmt: skip
-    given = forces(tire, inputs)._asdict()
+    inputs, own = turned_inputs(inputs, turned_by(signs)), tire_of(tir, signs=signs)
+    given = forces(own, inputs)._asdict()
     given = {name: given[name] for name in ("fx", "fy", "mz", *moments)}
     columns = {k: np.asarray(v) for k, v in (inputs._asdict() | given).items()}
     run = np.repeat(np.arange(len(parts)), _SLIPS)
@@ -84,7 +88,7 @@ def virtual_test(
 
 
 def converted(
-    tir: TirFile, model: str, slip_max: float, loads: Sequence[float]
+    tir: TirFile, model: str, slip_max: float, loads: Sequence[float], signs=None
 ) -> MagicFormulaFit:
     """The Magic Formula ``model`` that a file is nearest to, fitted to its own test;
     5.2, which has no pressure terms, at the nominal pressure. M_x and M_y are copied
@@ -95,6 +99,7 @@ def converted(
         model: ``mf52``, ``mf61`` or ``mf62``.
         slip_max: largest kappa and slip angle [rad].
         loads: F_z [N].
+        signs: convention of the file, ISO-W if None, as that of the result.
     """
     acting = any(tir.numbers.get(name) for name in PRESSURE_TERMS)
     own = {
@@ -102,14 +107,18 @@ def converted(
         *(NEVER_FITTED if model != "mf52" else ()),
     }
     of_mx = [name for name in specs(Overturning()) if tir.numbers.get(name)]
-    moments = () if own.issuperset(of_mx) else ("mx",)
-    data = virtual_test(tir, slip_max, loads, acting and model != "mf52", moments)
+    # The coefficients of a file in other signs are not those of ISO-W.
+    is_fitted = not own.issuperset(of_mx) or turned_by(signs)
+    moments = ("mx",) if of_mx and is_fitted else ()
+    with_pressure = acting and model != "mf52"
+    data = virtual_test(tir, slip_max, loads, with_pressure, signs, moments)
     copied = {*specs(Rolling()), *(() if moments else specs(Overturning()))} & own
     kept = ("FNOMIN", "UNLOADED_RADIUS", "NOMPRES", "LONGVL")
     tire = mf_tire(tir.version, tir.numbers)
     given = {name: {"value": float(getattr(tire.nominal, name))} for name in kept}
     given |= {k: {"value": tir.numbers[k]} for k in copied if k in tir.numbers}
     settings = FitConfig.model_validate({"parameters": given})
+    first = None if turned_by(signs) else tir.numbers
     return fit_magic_formula(
-        data, model, config=settings, first=tir.numbers, leave_out="none"
+        data, model, config=settings, first=first, leave_out="none"
     )

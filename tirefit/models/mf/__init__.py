@@ -8,10 +8,17 @@ supplement (2010) 337-352, where it differs from the book.
 
 from tirefit.models.mf.curvature import curvatures, share_limited
 from tirefit.models.mf.moments import Overturning, Rolling
-from tirefit.models.mf.tire import MFTire, Mirrored, frictions, mf_tire
+from tirefit.models.mf.tire import (
+    OTHER_SIDE,
+    MFTire,
+    Mirrored,
+    frictions,
+    mf_tire,
+)
 
 __all__ = [
     "MAGIC_FORMULAS",
+    "OTHER_SIDE",
     "MFTire",
     "Mirrored",
     "curvatures",

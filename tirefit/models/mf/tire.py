@@ -1,6 +1,6 @@
 """The whole tire: pure and combined slip of one sample."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 
 import equinox as eqx
 import jax
@@ -22,9 +22,7 @@ from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
 from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.params import specs, with_values
-from tirefit.slip import kappa_from_sigma
-
-__all__ = ["MFTire", "Mirrored", "frictions", "mf_tire"]
+from tirefit.slip import LOCKED, kappa_from_sigma, sigma_from_kappa
 
 _DIGRESSION = 10.0
 """A_mu of (4.E8): by it the vertical shifts fall less than a low friction."""
@@ -135,21 +133,43 @@ def frictions(tire: MFTire, inputs: TireInputs) -> dict[str, np.ndarray]:
     return {force: np.asarray(mu) for force, mu in jax.vmap(one)(arrays).items()}
 
 
+OTHER_SIDE = frozenset(("alpha", "gamma", "fy", "mz", "mx"))
+"""Fields of a convention that turn where a tire is mirrored in the plane of its wheel,
+as on the other side of the vehicle."""
+
+
 class Mirrored(AbstractTire):
-    """A tire on the other side of the vehicle: mirrored in the plane of the wheel."""
+    """A tire with some slips and forces of the other sign: mounted on the other side,
+    or given in other axes. ``turned`` names them, as ``slip.Convention`` does."""
 
     tire: AbstractTire
+    turned: frozenset[str] = eqx.field(static=True, default=OTHER_SIDE)
 
     @property
     def needs(self) -> tuple[str, ...]:
         return self.tire.needs
 
     def __call__(self, inputs: TireInputs) -> TireForces:
-        mirrored = inputs._replace(alpha=-inputs.alpha, gamma=-inputs.gamma)
-        forces = self.tire(mirrored)
-        # None, where the tire gives no such force, stays None.
-        odd = {"fy": forces.fy, "mz": forces.mz, "mx": forces.mx}
-        return forces._replace(**jax.tree.map(jnp.negative, odd))
+        forces = self.tire(turned_inputs(inputs, self.turned))
+        return turned_forces(forces, self.turned)
+
+
+def turned_inputs(inputs: TireInputs, turned: Set[str]) -> TireInputs:
+    """Inputs with those of ``turned`` (``slip``, ``alpha``, ``gamma``) of the other
+    sign; a wheel that spins at kappa = -1 or faster is then locked."""
+    names = turned & {"alpha", "gamma"}
+    changed = {name: -getattr(inputs, name) for name in names}
+    if "slip" in turned:
+        kappa = jnp.minimum(-kappa_from_sigma(inputs.sigma_x), kappa_from_sigma(LOCKED))
+        changed["sigma_x"] = sigma_from_kappa(kappa)
+    return inputs._replace(**changed)
+
+
+def turned_forces(forces: TireForces, turned: Set[str]) -> TireForces:
+    """Forces with those of ``turned`` of the other sign; None stays None."""
+    names = turned & set(forces._fields)
+    changed = {n: jax.tree.map(jnp.negative, getattr(forces, n)) for n in names}
+    return forces._replace(**changed)
 
 
 def mf_tire(

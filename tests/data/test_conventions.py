@@ -1,0 +1,170 @@
+"""Which sign convention a file is read in: the user's, the file's own, a model's, the
+default; each is told, and two statements that differ are an error."""
+
+import numpy as np
+import pytest
+from test_read_layouts import truth, ttc
+from test_read_signs import canonical, in_signs
+
+from tirefit.data.read import read, read_frame
+from tirefit.data.stream import RowReader
+from tirefit.data.table import join
+from tirefit.results import DataError
+from tirefit.slip import CONVENTIONS
+
+MODEL = ("iso-w", "tire.tir")
+LINES = {
+    "of this package": "# tirefit 0.1.0: prepared from run.dat, convention {}",
+    "a comment": "# convention: {}",
+    "a title": "Rig 3, sign convention is {}",
+    "an equals sign": "# CONVENTION = '{}'",
+}
+
+
+def written(path, columns, first=""):
+    rows = zip(*columns.values(), strict=True)
+    lines = [first] if first else []
+    lines += [",".join(columns), *(",".join(f"{x:.12g}" for x in row) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def longitudinal():
+    return {name: canonical()[name] for name in ("sigma_x", "fx", "fz")}
+
+
+def same(data, columns):
+    for name, values in columns.items():
+        np.testing.assert_allclose(data[name], values, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+@pytest.mark.parametrize("line", LINES.values(), ids=LINES)
+def test_the_files_own_words_go_before_those_of_a_model(tmp_path, line, convention):
+    frame = in_signs(canonical(), convention)
+    data = read(
+        written(tmp_path / "a.csv", frame, line.format(convention.upper())),
+        otherwise=("sae" if convention == "braking" else "braking", "a model"),
+    )
+    same(data, canonical())
+    assert data.source.convention == convention
+    assert any("as line 1 says, not as" in note for note in data.source.notes)
+
+
+def test_a_model_goes_before_the_default_and_is_named(tmp_path):
+    path = written(tmp_path / "a.csv", in_signs(longitudinal(), "iso-w"))
+    data = read(path, otherwise=MODEL)
+    same(data, longitudinal())
+    (text,) = data.source.warnings
+    assert "read as iso-w, that of tire.tir, so positive 'sigma_x'" in text
+    assert "pass --convention braking; if it means driving, --convention iso-w" in text
+    assert any("'iso-w' assumed, that of tire.tir" in n for n in data.source.notes)
+    same(read(path, convention="iso-w"), longitudinal())
+    same(read(path, convention="iso-w", otherwise=("braking", "m")), longitudinal())
+
+
+def test_two_statements_that_differ_are_an_error_where_a_sign_differs(tmp_path):
+    frame = in_signs(canonical(), "iso-w")
+    path = written(tmp_path / "a.csv", frame, "# convention iso-w")
+    with pytest.raises(DataError) as caught:
+        read(path, convention="braking")
+    (problem,) = caught.value.problems
+    assert (problem.row, problem.file) == (1, str(path))
+    for name in ("sigma_x", "fx", "fy", "mz"):
+        assert name in problem.reason.split("'iso-w':")[1]
+    assert "--convention braking" in problem.reason
+    assert "leave out --convention" in problem.remedy
+    # The same statement twice is none, nor one that turns nothing that is there.
+    same(read(path, convention="iso-w"), canonical())
+    path = written(
+        tmp_path / "b.csv", in_signs(longitudinal(), "iso-w"), "# convention iso-w"
+    )
+    data = read(path, convention="adapted-sae")
+    same(data, longitudinal())
+    assert any("not 'iso-w' as line 1 says" in note for note in data.source.notes)
+
+
+def test_lines_that_contradict_each_other_or_say_nothing_known(tmp_path):
+    twice = "# convention iso-w\n# convention sae"
+    with pytest.raises(DataError, match="(?s)'sae' contradicts 'iso-w' in line 1"):
+        read(written(tmp_path / "a.csv", longitudinal(), twice))
+    path = written(tmp_path / "b.csv", longitudinal(), "# convention DIN 70000")
+    (_, text) = read(path).source.warnings
+    assert "line 1 states the convention 'DIN'" in text and "iso-w" in text
+
+
+def test_a_layout_gives_way_to_the_user_and_to_the_files_own_words(tmp_path):
+    """A consortium's file, whose layout alone says SAE as its loads are negative."""
+    frame = ttc(truth())
+    data = read(written(tmp_path / "a.csv", frame))
+    assert data.source.convention_from == "as its layout has it"
+    data = read(written(tmp_path / "b.csv", frame, "# convention sae"), otherwise=MODEL)
+    assert data.source.convention == "sae"
+    assert data.source.convention_from == "as line 1 says, not as 'iso-w' of tire.tir"
+    positive = frame | {"FZ": -frame["FZ"], "SA": -frame["SA"]}
+    path = written(tmp_path / "c.csv", positive)
+    layout = read(path).source.convention
+    assert layout == "adapted-sae"
+    data = read(path, convention="braking")
+    assert (
+        data.source.convention_from
+        == f"as declared, not {layout!r} as its layout has it"
+    )
+
+
+def test_files_of_several_conventions_are_joined_each_in_its_own(tmp_path):
+    tables = [
+        read(
+            written(
+                tmp_path / f"{name}.csv",
+                in_signs({**canonical(), "fz": canonical()["fz"] + i}, name),
+                f"# convention {name}",
+            )
+        )
+        for i, name in enumerate(CONVENTIONS)
+    ]
+    data = join(tables)
+    same(data, {n: np.tile(canonical()[n], 4) for n in ("sigma_x", "fy", "mz")})
+    assert any("several conventions: braking, iso-w" in n for n in data.source.notes)
+
+
+@pytest.mark.parametrize("first", ["", "# convention iso-w\n"])
+def test_rows_as_they_come_say_their_signs(tmp_path, first):
+    path = tmp_path / "rows.csv"
+    path.write_text(f"{first}sigma_x,fx,fz\n-0.1,-1000,4000\n-0.2,x,4000\n")
+    with open(path) as lines:
+        rows = RowReader(lines)
+        row, _ = rows
+    sign = -1 if first else 1
+    assert (row["sigma_x"], row["fx"]) == (sign * -0.1, sign * -1000)
+    said = " ".join(rows.assumptions)
+    assert ("as line 1 says" if first else "'braking' assumed") in said
+    assert rows.bad is not None and rows.bad[0] == 3 + bool(first)
+    problem = "--convention sae contradicts" if first else "no error"
+    with open(path) as lines:
+        try:
+            RowReader(lines, convention="sae")
+        except DataError as error:
+            assert problem in str(error).replace("convention='sae'", "--convention sae")
+        else:
+            assert not first
+
+
+def test_a_simulated_force_must_go_with_the_slip_as_the_measured_one(tmp_path):
+    for slip, force in (("sigma_x", "fx"), ("alpha", "fy")):
+        frame = {name: canonical()[name] for name in (slip, force, "fz")}
+        right = frame | {f"{force}_sim": 0.9 * frame[force]}
+        assert f"{force}_sim" in read_frame(right, convention="braking")
+        with pytest.raises(DataError, match=f"(?s){force}_sim.*{force}_sim.: .-N"):
+            read_frame(frame | {f"{force}_sim": -frame[force]}, convention="braking")
+
+
+def test_no_camber_says_nothing_of_its_sign():
+    columns = canonical()
+    for gamma in (0 * columns["gamma"], 0 * columns["gamma"] + 0.002):
+        frame = columns | {"gamma": -gamma}
+        assert read_frame(frame, convention="braking").source.warnings == ()
+    # A few rows under camber, all of one sweep of the slip: the angle tells nothing.
+    few = np.where(np.arange(240) > 230, 0.07, 0.0)
+    frame = columns | {"gamma": -few, "fy": columns["fy"] - 2800 * columns["gamma"]}
+    assert read_frame(frame, convention="braking").source.warnings == ()
