@@ -14,7 +14,7 @@ import numpy as np
 
 from tirefit.fitting.mf.cells import Cells, cells_of
 from tirefit.fitting.mf.noise_law import NoiseLaw, noise_law
-from tirefit.fitting.mf.parts import PARTS, coefficients_of, own_coefficients
+from tirefit.fitting.mf.parts import MOMENTS, PARTS, coefficients_of, own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import (
     Block,
@@ -261,7 +261,7 @@ def without(work: Search, keeps: Mapping[str, Sequence[np.ndarray]]) -> Search:
 
 def _title(group: Group) -> str:
     slip = "pure" if group.pure else "combined"
-    return f"{group.force} in {slip} slip"
+    return group.force + ("" if group.force in MOMENTS else f" in {slip} slip")
 
 
 def _one_stage(work: Search, force: str, count: int, rows: ForceRows | None) -> None:
