@@ -2,12 +2,14 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tirefit.data.tir import read_tir
+from tirefit.fitting.tir import own_tire
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import mf_tire
 
@@ -79,3 +81,42 @@ def test_other_commands_say_what_a_whole_magic_formula_is(run, sweeps):
         "mf61", "--out", "c", exit_code=2,
     )  # fmt: skip
     assert "--magic-formula with --model mf61" in ended.stderr
+
+
+def test_a_tire_without_combined_coefficients_is_converted(run):
+    """Both slips by similarity; nothing is advised that the command does not take."""
+    text = (FOLDER / "mfeval_julia/MagicFormula52_Parameters.tir").read_text()
+    Path("plain.tir").write_text(re.sub(r"(?m)^R[BCEHV][XY]\d .*\n", "", text))
+    options = ("--model", "mf61", "--loads", "6000,11000", "--out", "out")
+    said = " ".join(run("convert", "plain.tir", *options).stdout.split())
+    assert "F_x and F_y by the method of similarity" in said
+    assert "VERDICT: converged" in said
+    assert "fit.toml" not in said and "mask" not in said
+    slip = TireInputs(0.25, np.array([-0.2, 0.2]), 6000.0)
+    wanted, alone, found = (
+        np.stack(forces(own_tire(read_tir(path), combination=how), slip)[:2])
+        for path, how in (
+            ("plain.tir", None),
+            ("plain.tir", "none"),
+            ("out/fit.tir", None),
+        )
+    )
+    miss, gap = (np.max(np.abs(given - wanted)) for given in (found, alone))
+    assert miss < 0.15 * 6000.0 and gap > 0.2 * 6000.0
+
+
+def test_a_converted_file_lacks_what_the_file_lacks(run):
+    text = (FOLDER / "mfeval_julia/MagicFormula52_Parameters.tir").read_text()
+    for name in ("LATERAL", "ALIGNING"):
+        text = re.sub(rf"(?ms)^\[{name}_COEFF.*?(?=^\[|\Z)", "", text)
+    Path("along.tir").write_text(text)
+    options = ("--model", "mf61", "--loads", "6000,11000", "--out", "out")
+    assert "it gives no F_y" in run("convert", "along.tir", *options).stdout
+    assert set(read_tir("out/fit.tir").lacks) == {"F_y", "M_z"}
+    kappa = -np.linspace(-0.2, 0.2, 9)
+    found, wanted = (
+        forces(own_tire(read_tir(path)), TireInputs(kappa / (1 - kappa), 0.0, 6000.0))
+        for path in ("out/fit.tir", "along.tir")
+    )
+    np.testing.assert_allclose(found.fx, wanted.fx, atol=1.0)
+    assert found.fy is None and found.mz is None

@@ -112,14 +112,14 @@ def test_coefficients_can_be_set(run, tmp_path):
 def test_bad_files_and_options(run, tmp_path):
     points_of(MF61)
     text = re.sub(r"(?m)^(FITTYP *= +)61", r"\g<1>99", MF61.read_text())
-    text = re.sub(r"(?m)^PDX1 .*\n", "", text)
+    text = re.sub(r"(?m)^FNOMIN .*\n", "", text)
     Path("bad.tir").write_text(text)
     result = run("predict", "bad.tir", "points.csv", *ISO, exit_code=3)
     for word in (
         "error",
         "bad.tir",
         "FITTYP = 99",
-        "PDX1 is missing",
+        "FNOMIN is missing",
         "remedy: add it",
     ):
         assert word in result.stderr
@@ -197,3 +197,102 @@ def test_what_a_file_says_of_its_signs_goes_before_the_tires(run):
     result = run("predict", MF61, "points.csv", *ISO, exit_code=3)
     assert "--convention iso-w contradicts the file" in result.stderr
     assert "'braking': kappa" in result.stderr and "leave out" in result.stderr
+
+
+def without_combined(path):
+    """A file as truck makers write them: PAC2002, no FITTYP, no combined slip."""
+    text = re.sub(
+        r"(?m)^(R[BCEHV][XY]\d|FITTYP|PROPERTY_FILE_FORMAT) .*\n", "", path.read_text()
+    )
+    new = "[MODEL]\nPROPERTY_FILE_FORMAT ='PAC2002'\n"
+    Path("plain.tir").write_text(text.replace("[MODEL]\n", new))
+    lines = ["-0.1,0,4000", "0,0.1,4000", "-0.1,0.1,4000", "-0.1,-0.1,4000"]
+    Path("points.csv").write_text("\n".join(["kappa,alpha,fz", *lines]) + "\n")
+
+
+def test_absent_coefficients_of_combined_slip_are_reported_and_stood_in_for(run):
+    without_combined(MF52)
+    said = run("predict", "plain.tir", "points.csv", *ISO).stderr
+    assert "PROPERTY_FILE_FORMAT = 'PAC2002', there is no FITTYP" in said
+    assert (
+        "2 of 4 rows with both slips: F_x and F_y by the method of similarity" in said
+    )
+    similar = predicted()
+    size = np.hypot(similar["fx"], similar["fy"])
+    said = run(
+        "predict", "plain.tir", "points.csv", "--combination", "none", *ISO
+    ).stderr
+    assert "F_x and F_y as in pure slip: the weighting function is one" in said
+    alone = predicted()
+    np.testing.assert_allclose(alone["fx"][2:], alone["fx"][0], rtol=1e-12)
+    np.testing.assert_allclose(alone["fx"][0], similar["fx"][0], atol=1e-3)
+    np.testing.assert_allclose(alone["fy"][1], similar["fy"][1], atol=1e-3)
+    assert (np.hypot(alone["fx"], alone["fy"])[2:] > 1.15 * size[2:]).all()
+    # Rows of one slip do not depend on it, and a whole file says nothing.
+    Path("points.csv").write_text("kappa,alpha,fz\n-0.1,0,4000\n")
+    assert "slips" not in run("predict", "plain.tir", "points.csv", *ISO).stderr
+    points_of(MF61)
+    assert "slips" not in run("predict", MF61, "points.csv", *ISO).stderr
+    values = ("--set", "RBX1=10", "--set", "RCX1=1")
+    without_combined(MF52)
+    said = run("predict", "plain.tir", "points.csv", *values, *ISO).stderr
+    assert "both slips: F_y by the method" in said
+    given = run(
+        "predict", "brush", "points.csv", "--combination", "none", *ISO, exit_code=2
+    )
+    assert "--combination are of .tir files" in given.stderr
+
+
+def test_zeros_of_a_file_are_kept_and_reported(run):
+    """RCY1 = 0 is what the file says; a stand-in must be asked for."""
+    Path("points.csv").write_text("kappa,alpha,fz\n-0.1,0.1,20000\n")
+    said = run("predict", TRUCK, "points.csv", *ISO).stderr
+    assert "1 of 1 rows with both slips: F_y as in pure slip" in said
+    plain = predicted()
+    said = run("predict", TRUCK, "points.csv", "--combination", "similarity", *ISO)
+    assert "F_x and F_y by the method of similarity" in said.stderr
+    assert abs(predicted()["fy"]) < abs(plain["fy"])
+
+
+def test_forces_that_a_file_lacks_are_left_out_with_the_reason(run):
+    text = re.sub(r"(?m)^PDX1 .*", "PDX1 = $unknown", MF61.read_text())
+    Path("lateral.tir").write_text(text)
+    points_of(MF61)
+    said = run("predict", "lateral.tir", "points.csv", *ISO).stderr
+    assert "it gives no F_x: PDX1 is missing (the longitudinal friction)" in said
+    assert "no value, as if it were not there: PDX1" in said
+    lateral = predicted()
+    assert "fx" not in lateral
+    run("predict", MF61, "points.csv", *ISO)
+    np.testing.assert_allclose(lateral["fy"], predicted()["fy"], rtol=1e-12)
+    Path("points.csv").write_text("kappa,fz\n-0.1,4000\n")
+    run_again = ("predict", "lateral.tir", "points.csv", *ISO)
+    assert "gives fy and mz alone" in run(*run_again, exit_code=3).stderr
+    result = run("convert", "lateral.tir", "--out", "out", exit_code=3)
+    assert "it gives no F_x: PDX1 is missing" in result.stderr
+    assert "or ask for fy" in result.stderr and not Path("out").exists()
+
+
+def test_columns_that_no_coefficient_uses_and_the_limit_of_e_are_reported(run):
+    text = re.sub(r"(?m)^(PDY3|PKY3|PHY3|PVY3|PVY4|PEY4) .*\n", "", MF52.read_text())
+    text = re.sub(r"(?m)^PEX1 .*", "PEX1 = 1.5", text)
+    Path("own.tir").write_text(re.sub(r"(?m)^PEX[234] .*\n", "", text))
+    lines = ["0.1,0,0.03,4000,2e5", "0.1,0,0,6000,3e5", "0,0.1,0,4000,2e5"]
+    Path("points.csv").write_text(
+        "\n".join(["kappa,alpha,gamma,fz,pressure", *lines]) + "\n"
+    )
+    said = run("predict", "own.tir", "points.csv", *ISO).stderr
+    assert "1 of 3 rows with camber, which changes no F_y" in said
+    assert "1 of 3 rows with pressure, which changes no force" in said
+    found = re.search(
+        r"E of F_x exceeds 1 in (\d) of 3 rows \(F_z (\d+) to (\d+) N, up to 1.5\)",
+        said,
+    )
+    assert found and found.groups()[1:] == ("4000", "6000")
+
+
+def test_a_car_brakes_on_a_tire_without_combined_coefficients(run):
+    without_combined(MF52)
+    options = ("--vehicle", "quarter", "--speed", 5, "--controller", "none")
+    said = run("brake", "--tire", "plain.tir", *options, "--out", "out").stderr
+    assert "any rows of both slips: F_x and F_y by the method of similarity" in said

@@ -1,6 +1,7 @@
 """Simulators diagnosed as they are, of known error."""
 
 import json
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -461,3 +462,21 @@ def test_a_fit_with_parameters_of_each_run_is_no_one_simulator(frame):
     config = {"parameters": {"mu": {"per_run": True}}}
     with pytest.raises(UsageError, match="each run"):
         studied(frame, fit(runs, "brush", config=config))
+
+
+def test_what_a_file_lacks_is_reported_beside_its_data(tmp_path):
+    """Combined slip by similarity, and an option that leaves it as in pure slip."""
+    text = re.sub(r"(?m)^R[BCEHV][XY]\d .*\n", "", TIR.read_text())
+    (tmp_path / "plain.tir").write_text(text)
+    table = {
+        "sigma_x": np.array([0.1, 0.1]), "alpha": np.array([0.0, 0.1]),
+        "fz": np.array([4000.0, 4000.0]), "fx": np.array([3000.0, 2500.0]),
+    }  # fmt: skip
+    data = read_frame(table)
+    given = simulator_at(str(tmp_path / "plain.tir"))
+    (said,) = [x for x in given.beside(data).source.warnings if "slips" in x]
+    assert said.startswith("1 of 2 rows with both slips: F_x and F_y by the method")
+    alone = simulator_at(str(tmp_path / "plain.tir"), combination="none")
+    fx, whole = (one.forces(data)["fx"] for one in (given, alone))
+    np.testing.assert_allclose(fx[0], whole[0], atol=1e-3)
+    assert abs(fx[1]) < 0.9 * abs(whole[1])

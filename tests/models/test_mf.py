@@ -299,13 +299,19 @@ def test_slip_speed_lowers_the_friction():
         np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
-def test_vertical_shifts_fall_less_than_a_low_friction():
-    """(4.E8) with A_mu = 10, which 5.2 does not have."""
-    for name, expected in ((MF61, 10 * 0.1 / (1 + 9 * 0.1)), (MF52, 0.1)):
+def test_vertical_shifts_fall_as_in_the_software_or_as_in_the_book():
+    """(4.E8) with A_mu = 1 of MF-Tyre, or 10 of the book, which 5.2 does not have."""
+    book = 10 * 0.1 / (1 + 9 * 0.1)
+    for name, digression, expected in (
+        (MF61, 1.0, 0.1), (MF61, 10.0, book), (MF52, 10.0, 0.1),
+    ):  # fmt: skip
         c = values_of(name)
-        tire = with_values(tire_of(name), {"LMUX": 0.1})
+        version = tire_of(name).version
+        values = {**c, "LMUX": 0.1}
+        tire = mf_tire(version, values, digression=digression)
         shift = iso(tire, -c["PHX1"]).fx / c["FNOMIN"]
         np.testing.assert_allclose(shift, expected * c["PVX1"], rtol=1e-9)
+    assert tire_of(MF61).digression == 1.0
 
 
 def test_weights_are_one_where_they_are_scaled_away():
@@ -418,7 +424,7 @@ def test_curvature_of_each_force_is_that_of_its_coefficients():
     """(4.E14), (4.E24), (4.E56) and (4.E44) by hand."""
     values = {
         "FNOMIN": 4000.0, "PEX1": 0.5, "PEX2": 1.0, "PEX4": 0.2, "PEY1": -1.0,
-        "PEY3": 1.5, "RBX1": 10.0, "RCX1": 1.0, "REX1": 3.0, "QDZ1": 0.1,
+        "PEY3": 1.5, "RBX1": 10.0, "RCX1": 1.0, "REX1": 3.0, "RHX1": 0.01, "QDZ1": 0.1,
         "QEZ1": 0.5, "QEZ2": 4.0,
     }  # fmt: skip
     tire = mf_tire("6.1", values)

@@ -137,13 +137,14 @@ def _tire(source: str | None, values: dict[str, float], signs: str | None):
         fitted = load_fit(source)
         return source, fitted.at_estimate()
     if source.lower().endswith(".tir"):
-        from tirefit.data.tir import notes_on, read_tir
-        from tirefit.fitting.tir import tire_of
+        from tirefit.data.tir import read_tir
+        from tirefit.fitting.tir import remarks, tire_of
 
         tir = read_tir(source)
-        for text in notes_on(tir):
+        tire = tire_of(tir, values=values, signs=signs)
+        for text in remarks(tir, tire):
             complain(f"warning: {source}: {text}")
-        return source, tire_with(tire_of(tir, signs=signs), source, values)
+        return source, tire_with(tire, source, values)
     return source, tire_with(find_model(source), source, values)
 
 

@@ -16,6 +16,7 @@ from tirefit.cli.estimate import estimate
 from tirefit.cli.fit import fit, model_names
 from tirefit.cli.notes import told_together, warn
 from tirefit.cli.options import (
+    CombinationOption,
     DataOptions,
     Files,
     JsonOption,
@@ -213,6 +214,7 @@ def predict(
     ] = False,
     side: SideOption = None,
     signs: SignsOption = None,
+    combination: CombinationOption = None,
     beside: Annotated[
         bool,
         typer.Option(
@@ -226,11 +228,17 @@ def predict(
     with errors_to_exit():
         if source.lower().endswith(".tir"):
             how = read_options(options, read_config(options.config))
-            of_file = {"starred": starred_angles, "side": side, "signs": signs}
+            of_file = {
+                "starred": starred_angles,
+                "side": side,
+                "signs": signs,
+                "combination": combination,
+            }
             _predict_tir(source, data, out, how, parameter, of_file, beside)
             return
-        if starred_angles or side or signs:
-            reason = "--starred-angles, --side and --signs are of .tir files"
+        if starred_angles or side or signs or combination:
+            own = "--starred-angles, --side, --signs and --combination"
+            reason = f"{own} are of .tir files"
             raise UsageError(InputProblem(reason, f"leave them out with {source}"))
         is_file = source.endswith(".json") or Path(source).is_file()
         how = read_options(options, read_config(options.config))
@@ -274,20 +282,20 @@ def _predict_tir(source, data, out, how, parameter, of_file: dict, beside) -> No
     Data whose convention nobody declares are read in ISO-W, as ``.tir`` files are.
     """
     values = _checked_request(source, False, data, out, parameter)
-    from tirefit.data.tir import notes_on, read_tir
+    from tirefit.data.tir import read_tir
 
     tir = read_tir(source)
     start_jax()
     from tirefit.data.read import read
     from tirefit.fitting.predict import predict as forces_of
-    from tirefit.fitting.tir import TIR_SIGNS, moments_noted, rows_outside, tire_of
+    from tirefit.fitting.tir import TIR_SIGNS, moments_noted, remarks, tire_of
 
-    tire, signs = tire_of(tir, **of_file), of_file["signs"]
+    tire, signs = tire_of(tir, values=values, **of_file), of_file["signs"]
     how["otherwise"] = TIR_SIGNS, ".tir files"
     table = read(data, **how, forces=False)
     warn(table)
-    noted = [*notes_on(tir), *moments_noted(tir, table)]
-    for text in (*noted, *rows_outside(tir, table, signs)):
+    noted = remarks(tir, tire, table, signs)
+    for text in (*noted, *moments_noted(tir, table)):
         complain(f"warning: {source}: {text}")
     columns = _predicted(table, forces_of(tire, table, values), beside)
     _write(out, columns, table, source, beside)

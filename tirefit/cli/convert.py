@@ -14,6 +14,7 @@ from tirefit.cli.magic_formula import (
     only_of_magic_formula,
 )
 from tirefit.cli.options import (
+    CombinationOption,
     SignsOption,
     complain,
     errors_to_exit,
@@ -81,6 +82,7 @@ def convert(
         ),
     ] = None,
     signs: SignsOption = None,
+    combination: CombinationOption = None,
     seed: Annotated[
         int | None, typer.Option(min=0, max=2**32 - 1, help="of everything random")
     ] = None,
@@ -103,6 +105,7 @@ def convert(
         "FILE.tir": file, "--magic-formula": magic_formula, "--model": model,
         "--force": force, "--slip-max": slip_max, "--slip-min": slip_min,
         "--loads": loads, "--seed": seed, "--signs": signs,
+        "--combination": combination,
     }  # fmt: skip
     with errors_to_exit():
         if any(value is not None for value in brush.values()):
@@ -120,8 +123,13 @@ def convert(
             }  # fmt: skip
             only_of_magic_formula(model, {}, asked)
             assert file is not None  # else --magic-formula would be given
-            found = convert_whole(file, model, float(slips[-1]), chosen, out, signs)
+            of_file = {"signs": signs, "combination": combination}
+            found = convert_whole(file, model, float(slips[-1]), chosen, out, of_file)
             raise typer.Exit(found)
+        if combination:
+            reason = f"--combination with --model {model or 'brush'}"
+            remedy = "leave it out: a brush is fitted to one force in pure slip"
+            raise UsageError(InputProblem(reason, remedy))
         result = _refit(
             file, coefficients, model or "brush", force or Force.fx, slips, chosen,
             seed, out, signs,
@@ -218,7 +226,7 @@ def _listed(option: str, text: str, problems: list[InputProblem]) -> list[float]
 
 def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
     """The fit of the model to the curve, said, and saved in the folder."""
-    from tirefit.data.tir import brush_of, notes_on, read_tir
+    from tirefit.data.tir import brush_of, read_tir
 
     tir = None if file is None else read_tir(file)
     start_jax()
@@ -227,9 +235,8 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
     from tirefit.fitting.convert import curve, misfit_by_load
     from tirefit.fitting.likelihood import CHANNEL_SLIP
     from tirefit.fitting.problem import find_model
-    from tirefit.fitting.tir import rows_outside, tire_of
+    from tirefit.fitting.tir import check_gives, own_tire, remarks, tire_of
     from tirefit.models import MODELS, AbstractTire
-    from tirefit.models.mf import mf_tire
     from tirefit.params import with_values
 
     find_model(model)
@@ -241,8 +248,10 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
         v, name = None, "Magic Formula"
         name += "".join(f", {key} = {value:g}" for key, value in coefficients.items())
     else:
-        described = mf_tire(tir.version, tir.numbers)
-        tire, name = tire_of(tir, signs=signs), f"{file}: Magic Formula {tir.version}"
+        check_gives(tir, force.value)
+        described = own_tire(tir)
+        tire = of_file = tire_of(tir, signs=signs)
+        name = f"{file}: Magic Formula {tir.version}"
         name += f" in signs {signs}" if signs else ""
         v, nominal = described.nominal.LONGVL, described.nominal.FNOMIN
         loads = loads or [share * nominal for share in _SHARES_OF_NOMINAL]
@@ -260,7 +269,7 @@ def _refit(file, coefficients, model, force, slips, loads, seed, out, signs):
     )
     source = Source(path=str(file or ""), assumptions=said)
     data = curve(tire, force, slips, loads, values=coefficients, v=v, source=source)
-    for text in (*notes_on(tir), *rows_outside(tir, data, signs)) if tir else ():
+    for text in remarks(tir, of_file, data, signs) if tir else ():
         complain(f"warning: {file}: {text}")
     result = fit_into(out, data, settings)
     say("MISFIT")

@@ -14,6 +14,7 @@ from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, attempted, fleet
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES
 from tirefit.cli.notes import told_together, warn
 from tirefit.cli.options import (
+    CombinationOption,
     DataOptions,
     Files,
     SideOption,
@@ -127,6 +128,7 @@ def diagnose(
     ] = False,
     side: SideOption = None,
     signs: SignsOption = None,
+    combination: CombinationOption = None,
     force: Annotated[
         list[str] | None,
         typer.Option(help="force that matters: fx, fy, mz (repeat; all if not given)"),
@@ -179,9 +181,8 @@ def diagnose(
         base = model if sim else plain
         settings = _settings(base, rig, without, how)
         settings["forces"] = forces_named(force)
-        settings |= _simulator(
-            base, parameter, sim, how, {"side": side, "signs": signs}
-        )
+        of_tir = {"side": side, "signs": signs, "combination": combination}
+        settings |= _simulator(base, parameter, sim, how, of_tir)
         with claimed(out), told_together(len(files) + len(holdout or []) > 1):
             kept = [_read(path, how) for path in holdout or []]
             task = _Task(out, settings, kept, how, figures, resume, seed)
@@ -257,7 +258,7 @@ def _simulator(
     where a form is fitted. Data that declare no convention are read in its file's.
 
     Args:
-        of_tir: ``side`` and ``signs`` of a ``.tir`` file.
+        of_tir: ``side``, ``signs`` and ``combination`` of a ``.tir`` file.
     """
     problems: list[InputProblem] = []
     values = numbers("--set", parameter, problems)
@@ -265,10 +266,10 @@ def _simulator(
         reason = f"--sim with {'--set' if values else f'--model {model}'}"
         remedy = "with --sim, --model names the form that stands in for the simulator"
         problems.append(InputProblem(reason, remedy))
-    of_columns = {"side"} if sim else set(of_tir)
+    of_columns = {"side", "combination"} if sim else set(of_tir)
     wrong = [f"--{name}" for name in of_columns if of_tir[name] is not None]
     if wrong and not (model or "").lower().endswith(".tir"):
-        reason = f"{' and '.join(wrong)} without --model FILE.tir"
+        reason = f"{' and '.join(sorted(wrong))} without --model FILE.tir"
         problems.append(InputProblem(reason, "leave it out"))
     if problems:
         raise UsageError(problems)

@@ -82,11 +82,11 @@ def fit_whole(
 
 
 def convert_whole(
-    file: Path, model: str, slip_max: float, loads, out: Path, signs: str | None
+    file: Path, model: str, slip_max: float, loads, out: Path, of_file: dict
 ):
     """Fits one version of the Magic Formula to the forces of another's file."""
     from tirefit.data.table import CANONICAL
-    from tirefit.data.tir import notes_on, read_tir
+    from tirefit.data.tir import read_tir
 
     tir = read_tir(file)
     check_directories([out])
@@ -94,11 +94,10 @@ def convert_whole(
     from tirefit.fitting.mf.convert import converted
 
     loads = loads or [share * tir.numbers["FNOMIN"] for share in _SHARES_OF_NOMINAL]
-    for text in notes_on(tir):
-        complain(f"warning: {file}: {text}")
     with claimed(out):
-        result = converted(tir, model, slip_max, loads, signs)
-        _write(result, out)
+        result = converted(tir, model, slip_max, loads, **of_file)
+        _write(result, out, advice="try other --loads or a smaller --slip-max")
+    signs = of_file["signs"]
     own = f" in signs {signs}" if signs else ""
     say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}{own}")
     for force, (rmse, count) in result.fitted.items():
@@ -107,7 +106,11 @@ def convert_whole(
     return exit_code(result)
 
 
-def _write(result, out: Path, also: Also | None = None) -> None:
+_ADVICE = "give starting values in fit.toml or fix a parameter"
+"""Of a fit that does not converge, which has a fit.toml."""
+
+
+def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -> None:
     """Says the result and writes it into the folder, which is claimed; with figures
     where ``also`` is given."""
     from tirefit.fitting.mf.store import save_magic_formula
@@ -129,5 +132,5 @@ def _write(result, out: Path, also: Also | None = None) -> None:
             if also.html:
                 write_text_atomic(folder / PAGE, magic_formula_page(result))
                 written.append(folder / PAGE)
-    say(str(result))
+    say(str(result).replace(_ADVICE, advice))
     say("wrote " + ", ".join(str(out / path.name) for path in written))

@@ -24,6 +24,7 @@ from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
 __all__ = [
+    "CombinationOption",
     "DataOptions",
     "Files",
     "JsonOption",
@@ -71,6 +72,22 @@ Files = Annotated[
         parser=file_at,
         help="measurements: CSV, TYDEX, MATLAB, Parquet, Arrow, Excel, MDF, ROS bags;"
         " paths, addresses (s3://...), or patterns of them in quotes",
+    ),
+]
+
+
+class Combination(StrEnum):
+    none = "none"
+    similarity = "similarity"
+
+
+CombinationOption = Annotated[
+    Combination | None,
+    typer.Option(
+        "--combination",
+        help="FILE.tir: forces of both slips by its weighting functions, one where it"
+        " has none (none), or by the method of similarity; similarity for the forces"
+        " without coefficients of combined slip if not given",
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print JSON")]

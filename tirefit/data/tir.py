@@ -6,7 +6,12 @@ reading and back to the units of the file on writing.
 """
 
 import math
+import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from collections.abc import Sequence
+from pathlib import Path
 
+from tirefit.data.text import decoded
 from tirefit.data.tir_check import notes_on, problems_of
 from tirefit.data.tir_file import TirFile, parsed, shortest
 from tirefit.door import TIRE, content_of, control_character
@@ -19,14 +24,14 @@ __all__ = [
 ]  # fmt: skip
 
 
-def parse_tir(text: str, path: str = "") -> TirFile:
-    """A ``.tir`` file from its text, checked.
+def parse_tir(text: str, path: str = "", notes: Sequence[str] = ()) -> TirFile:
+    """A ``.tir`` file from its text, checked; ``notes`` on it come before others.
 
     Raises:
         DataError: what cannot be understood, keys that are missing or contradict each
             other, and what is not supported; all problems, each with key and remedy.
     """
-    tir, problems = parsed(text, path)
+    tir, problems = parsed(text, path, notes)
     problems += problems_of(tir)
     if problems:
         raise DataError(problems)
@@ -40,16 +45,22 @@ def read_tir(path) -> TirFile:
         DataError: also where there is no such file, or it is no text.
     """
     content = content_of(path, TIRE, DataError, "give a .tir file")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
+    if len(content) > 1 and 0 in content[:2]:  # UTF-16 without byte order mark
+        low_first = content[1] == 0
+        content = (BOM_UTF16_LE if low_first else BOM_UTF16_BE) + content
+    text, notes = decoded(content, Path(path))
+    # Windows has letters where Latin-1 has control characters.
+    text = re.sub(
+        "[\x80-\x9f]",
+        lambda found: found[0].encode("latin-1").decode("cp1252", "replace"),
+        text,
+    )
     odd = control_character(text)
     if odd is not None:
         row, name = odd
         reason = f"not a text file: it holds the control character {name}"
         raise DataError(InputProblem(reason, "remove it", str(path), row))
-    return parse_tir(text, str(path))
+    return parse_tir(text, str(path), notes)
 
 
 def write_tir(tir: TirFile, path) -> None:

@@ -1,18 +1,13 @@
 """What a ``.tir`` file must satisfy to be evaluated: every problem, with its remedy."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from tirefit.data.columns import is_number
 from tirefit.data.tir_file import Entry, TirFile
 from tirefit.data.tir_keys import (
     COEFFICIENTS,
-    DIMENSIONS,
     FITTYP,
     FORMATS_REFUSED,
     LIMITS,
-    NEUTRAL,
-    NONZERO,
-    ONLY_IN,
     POSITIVE,
     PRESSURE_TERMS,
     REQUIRED,
@@ -26,6 +21,19 @@ __all__ = ["notes_on", "problems_of"]
 _PRESSURES = (1e4, 5e6)
 """Inflation pressures [Pa] of tires, from a kart's to an aircraft's."""
 
+_PER_DEGREE = 2.0
+"""Largest |PKY1| of a tire whose angles are in degrees: per radian those of trucks
+begin at 5, and 60 of a race tire are 1 per degree."""
+
+_EVALUATED_AS = {
+    5.0: "FITTYP = 5 (MF-Tyre 5.0) is evaluated by the equations of 5.2",
+    51.0: "FITTYP = 51 (MF-Tyre 5.1) is evaluated by the equations of 5.2",
+    60.0: "FITTYP = 60 (MF-Tyre 6.0) is evaluated by the equations of 6.1",
+}
+
+_NAMED = 6
+"""Keys or values that a sentence names; it counts the rest."""
+
 
 def problems_of(tir: TirFile) -> list[InputProblem]:
     """All that keeps the file from being evaluated, in the order of its lines."""
@@ -37,14 +45,25 @@ def problems_of(tir: TirFile) -> list[InputProblem]:
         *_missing(tir),
         *_of_values(tir),
         *_of_limits(tir),
-        *_of_version(tir),
     ]
     return sorted(problems, key=lambda problem: problem.row or 0)
 
 
 def notes_on(tir: TirFile) -> list[str]:
     """What was assumed of the file or is not used of it, in sentences."""
-    said = []
+    said = list(tir.notes)
+    if tir.numbers.get("FITTYP") not in FITTYP:
+        said.append(f"taken as Magic Formula {tir.version}: {tir.stated.because}")
+    said += [f"it gives no {force}: {why}" for force, why in tir.lacks.items()]
+    if tir.commas:
+        said.append(f"{tir.commas} values have a decimal comma: read as decimal point")
+    if empty := [e.key for e in tir.wanted() if not e.text]:
+        said.append(f"no value, as if it were not there: {_listed(empty)}")
+    if tir.foreign:
+        said.append(
+            f"MF {tir.version} has no {_listed(tir.foreign)}: not used, which changes"
+            " the tire where another program uses it"
+        )
     entry = tir.find("FE_METHOD")
     if entry and entry.text.upper() == "YES":
         said.append(
@@ -52,15 +71,20 @@ def notes_on(tir: TirFile) -> list[str]:
             " by a friction ellipse"
         )
     use_mode = tir.numbers.get("USE_MODE")
-    if use_mode is not None and use_mode % 10 < 4:
+    if use_mode is not None and use_mode % 10 < 4 and not tir.lacks:
         said.append(
             f"USE_MODE = {use_mode:g} is not used: all forces, with combined slip"
         )
-    if tir.numbers.get("FITTYP") == 5:
-        said.append("FITTYP = 5 (MF-Tyre 5.0) is evaluated by the equations of 5.2")
+    if old := _EVALUATED_AS.get(tir.numbers.get("FITTYP", 0)):
+        said.append(old)
     if not any(entry.section == "UNITS" for entry in tir.entries):
         said.append("there is no [UNITS] section: SI units assumed")
-    if tir.numbers["PKY1"] > 0 and tir.numbers["PDY1"] > 0:
+    if tir.unit("ANGLE") != 1:
+        said.append(
+            "ANGLE is used for the limits of alpha and gamma alone: coefficients are"
+            " per radian"
+        )
+    if tir.numbers.get("PKY1", 0) > 0 and tir.numbers.get("PDY1", 0) > 0:
         said.append(
             "PKY1 > 0 gives F_y > 0 for alpha > 0: these are not the ISO-W axes of a"
             " .tir file"
@@ -75,6 +99,11 @@ def _problem(
     return InputProblem(reason, remedy, tir.path, entry.row if entry else None)
 
 
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more
+
+
 def _of_units(tir: TirFile) -> Iterator[InputProblem]:
     for quantity, sizes in UNITS.items():
         entry = tir.find(quantity, "UNITS")
@@ -82,21 +111,19 @@ def _of_units(tir: TirFile) -> Iterator[InputProblem]:
             continue
         reason = f"{quantity} = {entry.value} in [UNITS] is not supported"
         remedy = f"write the file with one of {', '.join(sizes)}"
-        if quantity == "ANGLE":
-            reason += ": coefficients such as PKY1 and PHY1 hold angles in radians"
+        yield InputProblem(reason, remedy, tir.path, entry.row)
+    entry, stiffness = tir.find("ANGLE", "UNITS"), tir.numbers.get("PKY1", 0.0)
+    if entry and tir.unit("ANGLE") != 1 and 0 < abs(stiffness) < _PER_DEGREE:
+        reason = f"ANGLE = {entry.value}, and PKY1 = {stiffness:g} is per degree"
+        remedy = "write the file with ANGLE = 'radians': coefficients hold angles"
         yield InputProblem(reason, remedy, tir.path, entry.row)
 
 
 def _of_model(tir: TirFile) -> Iterator[InputProblem]:
-    known = ", ".join(f"{number} (MF {name})" for number, name in FITTYP.items())
-    entry = tir.find("FITTYP")
-    if entry is None:
-        reason = "FITTYP is missing: the version of the Magic Formula is unknown"
-        remedy = f"add it to [MODEL]: {known}"
-        yield _problem(tir, "PROPERTY_FILE_FORMAT", reason, remedy)
-    elif tir.numbers.get("FITTYP") not in FITTYP:
-        reason = f"FITTYP = {entry.value} is not a supported version"
-        yield InputProblem(reason, f"supported: {known}", tir.path, entry.row)
+    if tir.stated.name is None:
+        known = ", ".join(f"{number} (MF {name})" for number, name in FITTYP.items())
+        remedy = f"write FITTYP to [MODEL]: {known}"
+        yield _problem(tir, "FITTYP", tir.stated.because, remedy)
     entry = tir.find("PROPERTY_FILE_FORMAT")
     if entry and entry.text.upper() in FORMATS_REFUSED:
         model = FORMATS_REFUSED[entry.text.upper()]
@@ -123,7 +150,7 @@ def _twice(tir: TirFile) -> Iterator[InputProblem]:
     for entry in tir.entries:
         anywhere = entry.key in COEFFICIENTS and entry.section != "UNITS"
         first = seen.setdefault((None if anywhere else entry.section, entry.key), entry)
-        if _value(first) != _value(entry):
+        if (tir.number(first) or first.text) != (tir.number(entry) or entry.text):
             reason = (
                 f"{entry.key} = {entry.value} contradicts {entry.key} = {first.value}"
                 f" in row {first.row}"
@@ -131,31 +158,31 @@ def _twice(tir: TirFile) -> Iterator[InputProblem]:
             yield InputProblem(reason, "remove one of them", tir.path, entry.row)
 
 
-def _value(entry):
-    return float(entry.value) if is_number(entry.value) else entry.text
-
-
 def _no_numbers(tir: TirFile) -> Iterator[InputProblem]:
-    limits = {key for pair in LIMITS.values() for key in pair}
-    wanted = {*COEFFICIENTS, *DIMENSIONS, *limits, "USE_MODE"}
-    for entry in tir.entries:
-        if entry.key not in wanted or entry.section == "UNITS":
-            continue
-        if not is_number(entry.value):
-            what = entry.value if entry.value else "(nothing)"
-            reason = f"{entry.key} = {what} is not a number"
-            remedy = "give a plain number, as in 1.5 or -2e-3"
-            if entry.key not in REQUIRED:
-                remedy += ", or remove the line"
-            yield InputProblem(reason, remedy, tir.path, entry.row)
+    """One problem for all values that are no numbers."""
+    bad = [e for e in tir.wanted() if e.text and tir.number(e) is None]
+    if bad:
+        said = f"{bad[0].key} = {bad[0].value} is not a number"
+        if len(bad) > 1:
+            some = [f"{entry.key} = {entry.value}" for entry in bad]
+            said = f"{len(bad)} values are not numbers: {_listed(some)}"
+        if sum("," in entry.value for entry in bad) == len(bad):
+            said += "; other values have a decimal point"
+        remedy = (
+            "give plain numbers, as in 1.5 or -2e-3; to remove a line changes the tire"
+        )
+        yield InputProblem(said, remedy, tir.path, bad[0].row)
 
 
 def _missing(tir: TirFile) -> Iterator[InputProblem]:
-    there = {entry.key for entry in tir.entries}
-    for key, meaning in REQUIRED.items():
-        if key not in there:
-            reason = f"{key} is missing: {meaning}"
-            yield InputProblem(reason, f"add it to [{COEFFICIENTS[key]}]", tir.path)
+    there = tir.numbers
+    if "FNOMIN" not in there:
+        reason = "FNOMIN is missing: the nominal load, to which every force refers"
+        yield InputProblem(reason, "add it to [VERTICAL]", tir.path)
+    if len(tir.lacks) == len(REQUIRED):
+        reasons = "; ".join(f"no {force}: {why}" for force, why in tir.lacks.items())
+        remedy = "give the coefficients of one force at least"
+        yield InputProblem(f"no force is described: {reasons}", remedy, tir.path)
     acting = [key for key in PRESSURE_TERMS if tir.numbers.get(key)]
     if acting and "NOMPRES" not in there:
         reason = (
@@ -174,10 +201,6 @@ def _of_values(tir: TirFile) -> Iterator[InputProblem]:
         if numbers.get(key, 1.0) <= 0:
             reason = f"{key} = {numbers[key]:g} is not positive"
             yield _problem(tir, key, reason, f"correct {key}")
-    for key in NONZERO:
-        if numbers.get(key) == 0:
-            reason = f"{key} = 0 contradicts a stiffness: {REQUIRED[key]} is not zero"
-            yield _problem(tir, key, reason, f"correct {key}")
     low, high = _PRESSURES
     for key in ("NOMPRES", "INFLPRES"):
         pressure = numbers.get(key)
@@ -194,16 +217,3 @@ def _of_limits(tir: TirFile) -> Iterator[InputProblem]:
             reason = f"{least} = {low:g} contradicts {most} = {high:g}"
             remedy = "the smallest value is above the largest: correct one"
             yield _problem(tir, least, reason, remedy)
-
-
-def _of_version(tir: TirFile) -> Iterator[InputProblem]:
-    """Coefficients that act in the other generation only: not to be passed over."""
-    version = FITTYP.get(tir.numbers.get("FITTYP", 0), "")
-    for key, generation in ONLY_IN.items():
-        value = tir.numbers.get(key)
-        neutral = NEUTRAL.get(key, 1.0 if key.startswith("L") else 0.0)
-        if version and value not in (None, neutral) and version[0] != generation:
-            reason = f"{key} = {value:g} contradicts FITTYP: MF {version} has no {key}"
-            other = "52" if generation == "5" else "61"
-            remedy = f"set {key} = {neutral:g}, or FITTYP = {other} if it is meant"
-            yield _problem(tir, key, reason, remedy)

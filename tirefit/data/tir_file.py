@@ -1,24 +1,53 @@
 """The text of a tire property file, and the values in it."""
 
 import io
+import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
-from tirefit.data.columns import is_number
-from tirefit.data.tir_keys import DIMENSIONS, FITTYP, SECTIONS, UNITS
+from tirefit.data.tir_keys import (
+    ALIASES,
+    DIMENSIONS,
+    FITTYP,
+    KNOWN,
+    NEUTRAL,
+    NONZERO,
+    NUMERIC,
+    ONLY_IN,
+    REQUIRED,
+    SECTIONS,
+    UNITS,
+)
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["Entry", "TirFile", "parsed", "shortest"]
+__all__ = ["Entry", "TirFile", "Version", "parsed", "shortest"]
 
-_SECTION = re.compile(r"\s*\[([^\]]*)\]\s*([$!].*)?$")
-_ENTRY = re.compile(
-    r"""\s*(?P<key>\w+)\s*=[ \t]*"""
-    r"""(?P<value>'[^']*'|"[^"]*"|[^$!'"\r\n]*?)\s*([$!].*)?$"""
+_NUMBER = r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[EeDd][+-]?\d+)?"
+_MARKS = r"[$!%;#]"
+_VALUE = (
+    rf"""[ \t]*(?![ \t])(?P<value>'[^']*'|"[^"]*"|{_NUMBER}(?=\s|{_MARKS}|$)"""
+    rf"""|[^$!'"\t\r\n]*?(?=\s*(?:{_MARKS}|\t|\s\s|$)))"""
 )
-_COMMENT = re.compile(r"\s*([$!#].*)?$")
-_TABLE = re.compile(r"\s*([{(]|[-+.\d])")
+"""A quoted text, a number or other words; a comment may follow without a mark."""
+_SECTION = re.compile(r"\s*\[\s*([A-Za-z]\w{3}[^\]]*)\]")
+"""A name has four letters at least: [N] and [rad] are units in a wrapped comment."""
+_ENTRY = re.compile(r"\s*(?P<key>[A-Za-z]\w*)\s*=" + _VALUE)
+_CONTINUED = re.compile(rf"\s*(?=[='\"]|{_NUMBER}\s*(?:{_MARKS}|[A-Za-z]|$))=?{_VALUE}")
+_BARE = re.compile(rf"\s*(?P<key>[A-Za-z]\w*)\s*(?:{_MARKS}|$)")
+_COMMENT = re.compile(r"\s*([$!#%;/*{(]|[-+.\d]|$)")
+"""A comment, a row of a table, or nothing."""
+_BROKEN = re.compile(r"\s*(?:\[\s*[A-Za-z]\w{3}|(?P<key>[A-Za-z]\w*)\s*(?:=|[-+.\d]))")
+"""A section that is not closed, or a key with something else than a value."""
+
+
+class Version(NamedTuple):
+    """Version of the Magic Formula and what tells it, or why it is None."""
+
+    name: str | None
+    because: str
 
 
 @dataclass(frozen=True)
@@ -42,12 +71,13 @@ class TirFile:
     """A tire property file.
 
     ``lines`` are those of the file with their ends, ``entries`` its keys in order;
-    ``path`` names it in messages.
+    ``path`` names it in messages; ``notes`` are what was assumed to read it.
     """
 
     path: str
     lines: tuple[str, ...]
     entries: tuple[Entry, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def text(self) -> str:
@@ -62,25 +92,98 @@ class TirFile:
                 return entry
         return None
 
+    def wanted(self) -> Iterator[Entry]:
+        """Entries whose values must be numbers."""
+        return (e for e in self.entries if e.key in NUMERIC and e.section != "UNITS")
+
     @cached_property
-    def numbers(self) -> dict[str, float]:
+    def commas(self) -> int:
+        """Number of values with a decimal comma, 0 where others have a point."""
+        values = [e.value for e in self.wanted() if re.fullmatch(_NUMBER, e.value)]
+        commas = sum("," in value for value in values)
+        return 0 if any("." in value for value in values) else commas
+
+    def number(self, entry: Entry) -> float | None:
+        """The number of an entry as it is written, None where it has none."""
+        text = entry.text
+        if re.fullmatch(_NUMBER, text) is None or ("," in text and not self.commas):
+            return None
+        found = float(text.replace(",", ".").upper().replace("D", "E"))
+        return found if math.isfinite(found) else None
+
+    @cached_property
+    def _written(self) -> dict[str, float]:
         """Key -> number, in SI where the key has a dimension, else as it is written."""
         in_si: dict[str, float] = {}
         for entry in self.entries:
-            if entry.section != "UNITS" and is_number(entry.value):
-                in_si.setdefault(entry.key, float(entry.value) * self._size(entry.key))
+            number = self.number(entry)
+            if entry.section != "UNITS" and number is not None:
+                in_si.setdefault(entry.key, number * self._size(entry.key))
         return in_si
+
+    @cached_property
+    def numbers(self) -> dict[str, float]:
+        """As written, without coefficients that the version of the file lacks."""
+        return {k: v for k, v in self._written.items() if k not in self.foreign}
+
+    @cached_property
+    def foreign(self) -> list[str]:
+        """Coefficients that the version of the file lacks and another one has."""
+        return self._acting({"5": "6", "6": "5"}.get((self.stated.name or "")[:1], ""))
+
+    @cached_property
+    def stated(self) -> Version:
+        """Version by FITTYP, else PROPERTY_FILE_FORMAT, else the coefficients."""
+        entry = self.find("FITTYP")
+        if entry and entry.text:
+            name = FITTYP.get(self.number(entry) or 0) or _version_in(entry.text)
+            doubt = "" if name else " is not a supported version"
+            return Version(name, f"FITTYP = {entry.value}{doubt}")
+        entry = self.find("PROPERTY_FILE_FORMAT")
+        if entry and (name := _version_in(entry.text)):
+            return Version(name, f"{entry.key} = {entry.value}, there is no FITTYP")
+        of_5, of_6 = self._acting("5"), self._acting("6")
+        if of_5 and of_6:
+            both = f"{of_5[0]} is of MF 5 and {of_6[0]} of MF 6"
+            return Version(None, f"there is no FITTYP, and {both}")
+        which = f"{of_5[0]} is of MF 5" if of_5 else "no coefficient is of MF 6"
+        name, which = ("6.1", f"{of_6[0]} is of MF 6") if of_6 else ("5.2", which)
+        return Version(name, f"{which} alone, there is no FITTYP")
+
+    def _acting(self, generation: str) -> list[str]:
+        """Coefficients of one generation alone that would have an effect there."""
+        own = (key for key, of in ONLY_IN.items() if of == generation)
+        return [k for k in own if self._written.get(k, _neutral(k)) != _neutral(k)]
 
     @property
     def version(self) -> str:
         """Version of the Magic Formula: 5.2, 6.1 or 6.2; KeyError if not stated."""
-        return FITTYP[self.numbers["FITTYP"]]
+        if self.stated.name is None:
+            raise KeyError(self.stated.because)
+        return self.stated.name
+
+    @cached_property
+    def lacks(self) -> dict[str, str]:
+        """Force that the file does not describe (F_x, F_y, M_z) -> why."""
+        lacks = {}
+        for force, needs in REQUIRED.items():
+            zero = [k for k in needs if k in NONZERO and self.numbers.get(k) == 0]
+            lost = [key for key in needs if key not in self.numbers or key in zero]
+            if set(lost) >= set(needs) - {"UNLOADED_RADIUS"}:
+                lacks[force] = "the file has no coefficients of it"
+            elif lost:
+                how = ("= 0" if key in zero else "is missing" for key in lost)
+                why = zip(lost, how, strict=True)
+                lacks[force] = ", ".join(f"{k} {how} ({needs[k]})" for k, how in why)
+        if "F_y" in lacks:
+            lacks.setdefault("M_z", "it is made of F_y")
+        return lacks
 
     @property
     def side(self) -> str:
         """LEFT, RIGHT, SYMMETRIC or UNKNOWN: where the tire was mounted."""
         entry = self.find("TYRESIDE")
-        return entry.text.upper() if entry else "UNKNOWN"
+        return (entry.text.upper() if entry else "") or "UNKNOWN"
 
     def unit(self, quantity: str) -> float:
         """Size in SI of a quantity of [UNITS]; SI where it is not stated."""
@@ -93,8 +196,13 @@ class TirFile:
         length, force = self.unit("LENGTH"), self.unit("FORCE")
         if dimension == "pressure" and self.find("PRESSURE", "UNITS"):
             return self.unit("PRESSURE")
+        angle = self.unit("ANGLE")
+        limits = (e for e in self.entries if DIMENSIONS.get(e.key) == "angle")
+        if all(abs(self.number(limit) or 0.0) < math.pi for limit in limits):
+            angle = 1.0  # no limits of a tire in degrees
         return {
             None: 1.0,
+            "angle": angle,
             "length": length,
             "force": force,
             "speed": length / self.unit("TIME"),
@@ -116,6 +224,7 @@ class TirFile:
             written = f"'{value}'"
             if not isinstance(value, str):
                 written = shortest(float(value) / self._size(key))
+                written = written.replace(".", ",") if self.commas else written
             entry = self.find(key)
             if entry is not None:
                 start, end = entry.place
@@ -156,18 +265,64 @@ def _with_new(lines: list[str], new: Mapping[str, list[str]]) -> Iterator[str]:
             yield added + end
 
 
-def parsed(text: str, path: str) -> tuple[TirFile, list[InputProblem]]:
-    """The file as it is, unchecked, and the lines that cannot be understood."""
+def _key(found: re.Match) -> str:
+    key = found["key"].upper()
+    return ALIASES.get(key, key)
+
+
+def _neutral(key: str) -> float:
+    """Value of a coefficient at which it has no effect."""
+    return NEUTRAL.get(key, 1.0 if key.startswith("L") else 0.0)
+
+
+def _version_in(text: str) -> str | None:
+    """Version that a text such as MF52, MF-Tyre 6.1, MF_05 or PAC2002 names."""
+    if "PAC2002" in text.upper():
+        return "5.2"
+    found = re.search(r"(?<![\d.])(?:0?(5)[._]?[012]?|6[._]?([012]))(?!\d)", text)
+    if found is None:
+        return None
+    return "5.2" if found[1] else "6.2" if found[2] == "2" else "6.1"
+
+
+def parsed(
+    text: str, path: str, notes: Iterable[str] = ()
+) -> tuple[TirFile, list[InputProblem]]:
+    """The file as it is, unchecked, and the lines that cannot be understood.
+
+    A value may stand on the line after its key, and a comment go on there.
+    """
     lines = tuple(io.StringIO(text, newline=""))
-    entries, problems, section = [], [], ""
+    entries: list[Entry] = []
+    problems, words, section, held = [], [], "", None
     for row, line in enumerate(lines, 1):
-        if header := _SECTION.match(line):
+        key, held = held, None
+        if key and (found := _CONTINUED.match(line)):
+            if entries and (entries[-1].key, entries[-1].value) == (key, ""):
+                entries.pop()
+        elif header := _SECTION.match(line):
             section = header[1].strip().upper()
-        elif entry := _ENTRY.match(line):
-            key, value = entry["key"].upper(), entry["value"]
-            entries.append(Entry(section, key, row, value, entry.span("value")))
-        elif not _COMMENT.match(line) and not _TABLE.match(line):
-            reason = f"{line.strip()[:40]!r} is no section, KEY = VALUE or comment"
-            remedy = "close its quotes or brackets, or begin the comment with $"
-            problems.append(InputProblem(reason, remedy, path, row))
-    return TirFile(path, lines, tuple(entries)), problems
+            continue
+        elif found := _ENTRY.match(line):
+            key = _key(found)
+        else:
+            bare, broken = _BARE.match(line), _BROKEN.match(line)
+            if bare and _key(bare) in KNOWN:
+                held = _key(bare)
+            elif broken and (not broken["key"] or _key(broken) in KNOWN):
+                reason = f"{line.strip()[:40]!r} is no section, KEY = VALUE or comment"
+                remedy = "close its quotes or brackets, or begin the comment with $"
+                problems.append(InputProblem(reason, remedy, path, row))
+            elif not _COMMENT.match(line):
+                words.append(row)
+            continue
+        value = "" if found["value"] in ("&", "\\") else found["value"]
+        entries.append(Entry(section, key, row, value, found.span("value")))
+        held = key if not value else None
+    said = list(notes)
+    if words:
+        some = ", ".join(map(str, words[:5])) + (", ..." if len(words) > 5 else "")
+        said.append(
+            f"{len(words)} lines without KEY = VALUE are taken as comments: rows {some}"
+        )
+    return TirFile(path, lines, tuple(entries), tuple(said)), problems

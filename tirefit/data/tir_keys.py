@@ -1,13 +1,18 @@
 """What the keys of a ``.tir`` file are: section, unit, version, and which must be."""
 
+from math import pi
+
 __all__ = [
+    "ALIASES",
     "COEFFICIENTS",
     "DIMENSIONS",
     "FITTYP",
     "FORMATS_REFUSED",
+    "KNOWN",
     "LIMITS",
     "NEUTRAL",
     "NONZERO",
+    "NUMERIC",
     "ONLY_IN",
     "POSITIVE",
     "PRESSURE_TERMS",
@@ -21,7 +26,9 @@ FITTYP: dict[float, str] = {
     5: "5.2",
     6: "5.2",
     21: "5.2",
+    51: "5.2",
     52: "5.2",
+    60: "6.1",
     61: "6.1",
     62: "6.2",
 }
@@ -80,20 +87,25 @@ NEUTRAL = {"PKY4": 2.0, "LMUV": 0.0, "QSY7": 1.0}
 PRESSURE_TERMS = [key for key in COEFFICIENTS if key.startswith("PP")] + ["QSY8"]
 
 REQUIRED = {
-    "UNLOADED_RADIUS": "the free radius",
-    "FNOMIN": "the nominal load",
-    "PCX1": "the shape factor of F_x",
-    "PDX1": "the longitudinal friction",
-    "PKX1": "the slip stiffness over load",
-    "PCY1": "the shape factor of F_y",
-    "PDY1": "the lateral friction",
-    "PKY1": "the cornering stiffness over load (negative)",
-    "PKY2": "the load of the largest cornering stiffness",
-    "QBZ1": "the slope of the trail",
-    "QCZ1": "the shape factor of the trail",
-    "QDZ1": "the trail over the free radius (0: no moment by it)",
+    "F_x": {
+        "PCX1": "the shape factor",
+        "PDX1": "the longitudinal friction",
+        "PKX1": "the slip stiffness over load",
+    },
+    "F_y": {
+        "PCY1": "the shape factor",
+        "PDY1": "the lateral friction",
+        "PKY1": "the cornering stiffness over load (negative)",
+        "PKY2": "the load of the largest cornering stiffness",
+    },
+    "M_z": {
+        "UNLOADED_RADIUS": "the free radius",
+        "QBZ1": "the slope of the trail",
+        "QCZ1": "the shape factor of the trail",
+        "QDZ1": "the trail over the free radius (0: no moment by it)",
+    },
 }
-"""Key without which no force has a shape -> what it is."""
+"""Force -> key without which it has no shape -> what that is."""
 
 POSITIVE = ("UNLOADED_RADIUS", "FNOMIN", "LONGVL", "NOMPRES", "INFLPRES", "LFZO")
 NONZERO = ("PCX1", "PDX1", "PCY1", "PDY1", "PKY2")
@@ -111,9 +123,16 @@ DIMENSIONS = {
     **dict.fromkeys("UNLOADED_RADIUS WIDTH RIM_RADIUS RIM_WIDTH".split(), "length"),
     **dict.fromkeys("FNOMIN FZMIN FZMAX".split(), "force"),
     **dict.fromkeys("LONGVL VXLOW".split(), "speed"),
+    **dict.fromkeys("ALPMIN ALPMAX CAMMIN CAMMAX".split(), "angle"),
     **dict.fromkeys("NOMPRES INFLPRES PRESMIN PRESMAX".split(), "pressure"),
 }
 """Key -> dimension; the rest is dimensionless, in radians, or not used here."""
+
+ALIASES = {"LFZ0": "LFZO", "IP_NOM": "NOMPRES", "IP": "INFLPRES"}
+"""Other name of a key (the last two of PAC2002) -> its name here."""
+
+NUMERIC = {*COEFFICIENTS, *DIMENSIONS, *sum(LIMITS.values(), ()), "USE_MODE"}
+"""Keys whose values must be numbers."""
 
 _SPELLINGS = {
     "LENGTH": {
@@ -125,7 +144,7 @@ _SPELLINGS = {
         9.80665: "kilogram_force kg_force kgf",
         4.4482216152605: "pound_force poundforce lbf",
     },
-    "ANGLE": {1.0: "radians radian rad"},
+    "ANGLE": {1.0: "radians radian rad", pi / 180: "degrees degree deg"},
     "MASS": {
         1.0: "kilogram kg", 1e-3: "gram g", 0.45359237: "pound_mass lbm lb",
         14.59390293720636: "slug", 1e3: "megagram",
@@ -142,3 +161,6 @@ UNITS = {
     for quantity, sizes in _SPELLINGS.items()
 }
 """Key of [UNITS] -> spelling, in lower case, -> size in SI."""
+
+KNOWN = {*NUMERIC, *SECTIONS, *UNITS, "PROPERTY_FILE_FORMAT", "FILE_TYPE", "FE_METHOD"}
+"""Keys that are used."""

@@ -8,6 +8,7 @@ whatever the simulator has that the tire lacks stays in.
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from tirefit.fitting.predict import predict
 from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit, load_fit
-from tirefit.fitting.tir import TIR_SIGNS, tire_of
+from tirefit.fitting.tir import TIR_SIGNS, remarks, tire_of
 from tirefit.models import AbstractTire
 from tirefit.models import modelled as forces_modelled
 from tirefit.models.mf import MFTire
@@ -81,7 +82,8 @@ class Given:
     those of a fit. ``forces`` gives canonical forces (n,) of the rows of data, None
     where they stand in the data's own columns. ``otherwise`` is the convention of data
     beside it that declare none, and whose it is; ``signs`` that in which a ``.tir``
-    file, or the columns, are said to be.
+    file, or the columns, are said to be; ``remarks`` gives sentences on its file and
+    rows of data.
     """
 
     kind: str
@@ -93,6 +95,7 @@ class Given:
     otherwise: tuple[str, str] | None = None
     signs: str | None = None
     forces: Callable[[TireData], Mapping[str, np.ndarray]] | None = None
+    remarks: Callable[[TireData], list[str]] | None = None
 
     def channels(self, data: TireData, modelled: Sequence[str]) -> tuple[str, ...]:
         """Forces that it gives, and its tire too: ``modelled`` where it has none.
@@ -149,6 +152,9 @@ class Given:
         for name, force in forces.items():
             _check_size(force, data, name, known & data.used, path)
         source = data.source
+        if self.remarks is not None:
+            said = self.remarks(data)
+            source = replace(source, warnings=(*source.warnings, *said))
         if self.forces is not None and (lost := int(np.sum(data.used & ~known))):
             text = f"{lost} of {len(data)} rows without a simulated force are left out"
             source = replace(source, warnings=(*source.warnings, text))
@@ -394,16 +400,15 @@ def _forces_alone(predicted: Mapping) -> dict[str, np.ndarray]:
 def simulator_at(
     text: str,
     values: Mapping[str, float] | None = None,
-    *,
-    side: str | None = None,
-    signs: str | None = None,
+    **of_tir: str | None,
 ) -> Given:
     """The simulator that a name or a file means.
 
     Args:
         text: a ``fit.json``, a ``.tir`` file, or the name of a model.
         values: parameter values of a named model or of a ``.tir`` file.
-        side, signs: of a ``.tir`` file, see :func:`tirefit.fitting.tir.tire_of`.
+        of_tir: ``side``, ``signs`` and ``combination`` of the tire of a ``.tir`` file,
+            see :func:`tirefit.fitting.tir.tire_of`.
 
     Raises:
         UsageError: no such model, parameter or convention, or values for a fit.
@@ -411,7 +416,7 @@ def simulator_at(
     """
     values = dict(values or {})
     if text.lower().endswith(".tir"):
-        return _at_tir(text, values, side, signs)
+        return _at_tir(text, values, of_tir)
     if text.endswith(".json"):
         return _at_fit(text, values)
     template = find_model(text)
@@ -426,14 +431,16 @@ def simulator_at(
     return _of_tire(with_values(template, whole), "model", source)
 
 
-def _at_tir(text: str, values: dict[str, float], side, signs) -> Given:
-    tire = tire_of(read_tir(text), side=side, signs=signs)
+def _at_tir(text: str, values: dict[str, float], of_tir: dict) -> Given:
+    tir, signs = read_tir(text), of_tir.get("signs")
+    tire = tire_of(tir, values=values, **of_tir)
     check_values(tire, text, values)
     tire = with_values(tire, values)
     said = "".join(f", {name} = {value:g}" for name, value in values.items())
-    said += "".join(f", {k} {v}" for k, v in (("side", side), ("signs", signs)) if v)
+    said += "".join(f", {k} {v}" for k, v in of_tir.items() if v)
     given = _of_tire(tire, "tir", f"{text}{said}", _digest(text))
-    return replace(given, otherwise=(TIR_SIGNS, ".tir files"), signs=signs)
+    own = partial(remarks, tir, tire, signs=signs)
+    return replace(given, otherwise=(TIR_SIGNS, ".tir files"), signs=signs, remarks=own)
 
 
 def _at_fit(text: str, values: dict[str, float]) -> Given:

@@ -10,8 +10,8 @@ from tirefit.data.tir import TirFile, brush_of
 from tirefit.fitting.likelihood import CHANNEL_SLIP, row_moments
 from tirefit.fitting.predict import predict
 from tirefit.fitting.result import FitResult
+from tirefit.fitting.tir import own_tire
 from tirefit.models import MODELS, AbstractTire, TireInputs, forces
-from tirefit.models.mf import mf_tire
 from tirefit.params import with_values
 
 __all__ = ["curve", "misfit_by_load", "reduced_misfit"]
@@ -92,7 +92,7 @@ def reduced_misfit(tir: TirFile, loads: Sequence[float]) -> dict[float, dict]:
     slip = np.linspace(0.0, 0.99, 2000)
     points = {"fx": {"sigma_x": slip / (1 - slip)}, "fy": {"alpha": 1.5 * slip}}
     brush = with_values(MODELS["brush"], values)
-    tire = mf_tire(tir.version, tir.numbers)
+    tire = own_tire(tir)
     missed: dict[float, dict] = {}
     for load in loads:
         missed[load] = {}

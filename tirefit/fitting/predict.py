@@ -22,7 +22,7 @@ from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit
 from tirefit.fitting.time_series import check_time_series
-from tirefit.models import AbstractTire, TireInputs, forces
+from tirefit.models import AbstractTire, TireInputs, forces, modelled
 from tirefit.models.mf import MFTire
 from tirefit.params import Values, check_values, parameter_values, with_values
 from tirefit.precision import require_x64
@@ -225,4 +225,10 @@ def _of_model(
     if tire.transient:
         check_time_series(data, name)
     given = forces(tire, _inputs(data), data.run[data.used])._asdict()
-    return _all_rows(data, {c: given[c] for c in _channels(data, given)})
+    channels = _channels(data, given)
+    if not channels:
+        has = " and ".join(modelled(tire))
+        reason = f"{name} gives {has} alone, whose slip the data do not have"
+        remedy = "name the column with --column, or choose another tire"
+        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+    return _all_rows(data, {c: given[c] for c in channels})

@@ -1,40 +1,81 @@
 """The tire of a ``.tir`` file, and rows for which it was not made."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from tirefit.data.table import TireData
-from tirefit.data.tir import TirFile
-from tirefit.data.tir_keys import LIMITS
-from tirefit.models.base import AbstractTire
-from tirefit.models.mf import OTHER_SIDE, Mirrored, mf_tire
+from tirefit.data.tir import TirFile, notes_on
+from tirefit.data.tir_keys import LIMITS, PRESSURE_TERMS
+from tirefit.models.base import AbstractTire, TireInputs
+from tirefit.models.mf import (
+    OTHER_SIDE,
+    WEIGHTS,
+    MFTire,
+    Mirrored,
+    curvatures,
+    mf_tire,
+)
 from tirefit.models.mf.fields import Nominal
-from tirefit.results import InputProblem, UsageError, did_you_mean
+from tirefit.models.mf.tire import turned_inputs
+from tirefit.params import parameter_values
+from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS, kappa_from_sigma
-
-__all__ = ["TIR_SIGNS", "moments_noted", "rows_outside", "tire_of", "turned_by"]
 
 TIR_SIGNS = "iso-w"
 """Convention of ``.tir`` files: those of the axes TYDEX W."""
 
+_SYMBOLS = {"fx": "F_x", "fy": "F_y", "mz": "M_z"}
+_NEEDED = {
+    "camber": "PDY3 PKY3 PKY6 PKY7 PHY3 PVY3 PVY4 PEY4 PEY5",
+    "pressure": " ".join(PRESSURE_TERMS),
+}
+"""Column -> coefficients without any of which it changes no force (camber: no F_y)."""
 
-def tire_of(
-    tir: TirFile, *, starred: bool = False, side: str | None = None, signs=None
-) -> AbstractTire:
-    """The tire of a ``.tir`` file.
+
+def own_tire(
+    tir: TirFile,
+    *,
+    starred: bool = False,
+    combination: str | None = None,
+    values: Mapping[str, float] | None = None,
+) -> MFTire:
+    """The tire of a ``.tir`` file on the side that the file has.
 
     Args:
         tir: the file, read and checked.
         starred: whether the equations take tan(alpha) and sin(gamma).
+        combination: how both slips combine, see :func:`~tirefit.models.mf.mf_tire`.
+        values: coefficients that are given beside the file.
+    """
+    lacks = [name for name, symbol in _SYMBOLS.items() if symbol in tir.lacks]
+    return mf_tire(
+        tir.version,
+        tir.numbers | dict(values or {}),
+        starred=starred,
+        combination=combination,
+        lacks=lacks,
+    )
+
+
+def tire_of(
+    tir: TirFile, *, side: str | None = None, signs: str | None = None, **how
+) -> AbstractTire:
+    """The tire of a ``.tir`` file, in its signs and on a side of the vehicle.
+
+    Args:
+        tir: the file, read and checked.
         side: ``left`` or ``right``: where the tire is mounted; mirrored if the file is
             of the other side. None: as the file has it.
         signs: the convention in which the file was written, a key of
             ``slip.CONVENTIONS``; None for :data:`TIR_SIGNS`.
+        how: keywords of :func:`own_tire`.
 
     Raises:
         UsageError: a side is wanted of a file that does not say its own; no such
             convention.
     """
-    tire = mf_tire(tir.version, tir.numbers, starred=starred)
+    tire = own_tire(tir, **how)
     turned = turned_by(signs)
     if side is not None and tir.side not in (side.upper(), "SYMMETRIC"):
         if tir.side == "UNKNOWN":
@@ -74,10 +115,120 @@ def turned_by(signs: str | None) -> frozenset[str]:
     return own.turned(CONVENTIONS[signs or TIR_SIGNS]) - {"fz"}
 
 
-def rows_outside(tir: TirFile, data: TireData, signs: str | None = None) -> list[str]:
-    """Sentences on used rows outside the ranges that the file, written in ``signs``,
-    states for its tire."""
-    numbers, said, turned = tir.numbers, [], turned_by(signs)
+def check_gives(tir: TirFile, force: str) -> None:
+    """Raises DataError where the file does not describe fx or fy."""
+    symbol = _SYMBOLS[force]
+    if symbol in tir.lacks:
+        reason = f"it gives no {symbol}: {tir.lacks[symbol]}"
+        other = {"fx": "fy", "fy": "fx"}[force]
+        instead = f", or ask for {other}" if _SYMBOLS[other] not in tir.lacks else ""
+        remedy = f"add the coefficients{instead}"
+        raise DataError(InputProblem(reason, remedy, tir.path))
+
+
+def remarks(
+    tir: TirFile,
+    tire: AbstractTire,
+    data: TireData | None = None,
+    signs: str | None = None,
+) -> list[str]:
+    """Sentences on the file: what was assumed of it, and how it fits used rows.
+
+    Args:
+        tire: what :func:`tire_of` made of it.
+        data: rows; None: any may come, of both slips too.
+        signs: convention in which the file was written, see :func:`tire_of`.
+    """
+    said = notes_on(tir)
+    mounted = tire.tire if isinstance(tire, Mirrored) else tire
+    assert isinstance(mounted, MFTire)
+    if data is None:
+        return said + _combination(mounted, "any rows of both slips")
+    slips = [np.nan_to_num(_used(data, name)) for name in ("sigma_x", "alpha")]
+    if both := np.count_nonzero(slips[0] * slips[1]):
+        said += _combination(mounted, f"{both} of {data.n} rows with both slips")
+    turned = tire.turned if isinstance(tire, Mirrored) else frozenset()
+    limited = _limited(mounted, data, turned)
+    return said + _unused(tir, data) + limited + _outside(tir, data, turned_by(signs))
+
+
+def _combination(tire: MFTire, where: str) -> list[str]:
+    """How both slips combine where the weighting functions are not the file's."""
+    said = []
+    if similar := [_SYMBOLS[force] for force in tire.similarity]:
+        said.append(
+            f"{where}: {' and '.join(similar)} by the method of similarity (pure forces"
+            " at the resultant normalised slip), which stands in for coefficients of"
+            " combined slip; --combination none leaves the forces as in pure slip"
+        )
+    values = parameter_values(tire)
+    whole = [
+        _SYMBOLS[force]
+        for force, keys in WEIGHTS.items()
+        if force not in (*tire.similarity, *tire.lacks)
+        and any(values[key] == 0 for key in keys)
+    ]
+    if whole:
+        remedy = "; --combination similarity resolves them" if not tire.lacks else ""
+        said.append(
+            f"{where}: {' and '.join(whole)} as in pure slip: the weighting function"
+            f" is one, so the resultant may exceed the friction{remedy}"
+        )
+    if "fx" in tire.lacks and "mz" not in tire.lacks:
+        said.append(f"{where}: M_z as without F_x, which the file does not give")
+    return said
+
+
+def _used(data: TireData, name: str) -> np.ndarray:
+    """A column of the used rows, zero where the data have none."""
+    return data.usable(name) if name in data else np.zeros(data.n)
+
+
+def _unused(tir: TirFile, data: TireData) -> list[str]:
+    """Columns that vary and that no coefficient of the file uses."""
+    said = []
+    for name, keys in _NEEDED.items():
+        values = np.nan_to_num(_used(data, "gamma" if name == "camber" else name))
+        if name == "pressure":
+            values = values - values[:1]
+        acting = any(tir.numbers.get(key) for key in keys.split())
+        acting |= name == "camber" and "F_y" in tir.lacks
+        if not acting and (count := np.count_nonzero(values)):
+            force = "F_y" if name == "camber" else "force"
+            said.append(
+                f"{count} of {data.n} rows with {name}, which changes no {force}: the"
+                " file has no coefficient of it"
+            )
+    return said
+
+
+def _limited(tire: MFTire, data: TireData, turned: frozenset[str]) -> list[str]:
+    """Forces that depend on the limit of E to one, and at which loads.
+
+    Args:
+        turned: fields of the other sign in the tire.
+    """
+    inputs = TireInputs(*(np.nan_to_num(_used(data, k)) for k in TireInputs._fields))
+    inputs = turned_inputs(inputs, turned)
+    said = []
+    for force, values in curvatures(tire, inputs).items():
+        beyond = np.asarray(values) > 1
+        if not beyond.any():
+            continue
+        loads, largest = np.asarray(inputs.fz)[beyond], np.max(values)
+        where = f"{beyond.sum()} of {data.n} rows (F_z {loads.min():.4g} to"
+        said.append(
+            f"the curvature factor E of {_SYMBOLS[force]} exceeds 1 in {where}"
+            f" {loads.max():.4g} N, up to {largest:.3g}) and is limited to 1 there:"
+            " programs that do not limit it give other forces"
+        )
+    return said
+
+
+def _outside(tir: TirFile, data: TireData, turned: frozenset[str]) -> list[str]:
+    """Rows outside the ranges that the file states for its tire, in signs of which
+    these fields are ``turned``."""
+    numbers, said = tir.numbers, []
     for name, (least, most) in LIMITS.items():
         column = "sigma_x" if name == "kappa" else name
         if column not in data:

@@ -189,19 +189,28 @@ def scaled_to_combined(
     slip_y = lateral_slip(jnp.tan(inputs.alpha), slip_x)
     psi, stuck_x, stuck_y = polar(slip_x / limit_x, slip_y / limit_y)
     _, slid_x, slid_y = polar(slip_x, slip_y)
-    share = jnp.minimum(psi, 1.0)
-    sticks = 3 * (1 - share) ** 2 / (3 - share * (3 - share))
-
     forward = limit_x * psi
     spin = jnp.minimum(forward, _FASTEST_SPIN)
     x_curve = _both_sides(along, "fx", inputs, forward, -spin)
     y_curve = _both_sides(across, "fy", inputs, limit_y * psi, -limit_y * psi)
-    turn = sticks * stuck_y + (1 - sticks) * slid_y
+    turn = turned(psi, stuck_y, slid_y)
     return TireForces(
-        (sticks * stuck_x + (1 - sticks) * slid_x) * _blend(slid_x, x_curve.fx),
-        turn * _blend(slid_y, y_curve.fy),
-        None if y_curve.mz is None else turn * _blend(slid_y, y_curve.mz),
+        turned(psi, stuck_x, slid_x) * blend(slid_x, x_curve.fx),
+        turn * blend(slid_y, y_curve.fy),
+        None if y_curve.mz is None else turn * blend(slid_y, y_curve.mz),
     )
+
+
+def turned(psi, stuck, slid):
+    r"""Cosine of the direction of a force, of which the part A sticks.
+
+    Args:
+        psi: share of the patch that slides, or more, :math:`\psi`.
+        stuck, slid: cosines of the elastic deflection and of the sliding velocity.
+    """
+    share = jnp.minimum(psi, 1.0)
+    sticks = 3 * (1 - share) ** 2 / (3 - share * (3 - share))
+    return sticks * stuck + (1 - sticks) * slid
 
 
 def _both_sides(tire, channel, inputs: TireInputs, positive, negative) -> TireForces:
@@ -210,7 +219,7 @@ def _both_sides(tire, channel, inputs: TireInputs, positive, negative) -> TireFo
     return jax.vmap(lambda slip: _pure(tire, channel, inputs, slip))(slips)
 
 
-def _blend(cosine, force):
+def blend(cosine, force):
     """Size of a force (2,) of the two sides: of the first, the second, or between."""
     return ((1 + cosine) * force[0] - (1 - cosine) * force[1]) / 2
 

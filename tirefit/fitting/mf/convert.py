@@ -1,6 +1,7 @@
 """One version of the Magic Formula from another: a test of the tire without noise."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,9 +12,8 @@ from tirefit.fitting.config import FitConfig
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.parts import NEVER_FITTED, VERSIONS, coefficients_of
 from tirefit.fitting.mf.result import MagicFormulaFit
-from tirefit.fitting.tir import tire_of, turned_by
+from tirefit.fitting.tir import own_tire, remarks, tire_of, turned_by
 from tirefit.models import TireInputs, forces
-from tirefit.models.mf import mf_tire
 from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.models.mf.tire import turned_inputs
 from tirefit.params import specs
@@ -40,13 +40,14 @@ def virtual_test(
     slip_max: float,
     loads: Sequence[float],
     pressure_too: bool,
-    signs,
+    signs: str | None = None,
+    combination: str | None = None,
     moments: Sequence[str] = (),
 ) -> TireData:
     """Sweeps in pure and combined slip of the tire of a file in ``signs``, at these
     loads [N], three cambers and, if ``pressure_too``, three pressures: each a run.
     ``moments``: of mx and my, those to be measured beside fx, fy and mz."""
-    tire = mf_tire(tir.version, tir.numbers)
+    tire = own_tire(tir)
     kappa = np.linspace(*_range(tir, "kappa", -min(slip_max, 0.99), slip_max), _SLIPS)
     alpha = np.linspace(*_range(tir, "alpha", -slip_max, slip_max), _SLIPS)
     low, high = _range(tir, "gamma", -_CAMBER, _CAMBER)
@@ -74,25 +75,35 @@ def virtual_test(
         -slip / (1 + slip), angle, load, np.full(len(load), tire.nominal.LONGVL),
         camber, inflation, np.zeros(len(load)),
     )  # fmt: skip
-    inputs, own = turned_inputs(inputs, turned_by(signs)), tire_of(tir, signs=signs)
+    own = tire_of(tir, signs=signs, combination=combination)
+    inputs = turned_inputs(inputs, turned_by(signs))
     given = forces(own, inputs)._asdict()
     given = {name: given[name] for name in ("fx", "fy", "mz", *moments)}
-    columns = {k: np.asarray(v) for k, v in (inputs._asdict() | given).items()}
-    run = np.repeat(np.arange(len(parts)), _SLIPS)
-    said = "the file has no noise: standard errors are of what the version misses"
-    return TireData(
-        tir.path, columns, np.full(len(load), True), run,
-        tuple(f"sweep {i}" for i in range(len(parts))),
-        Source(path=tir.path, assumptions=(said,)),
-    )  # fmt: skip
+    columns = {
+        k: np.asarray(v) for k, v in (inputs._asdict() | given).items() if v is not None
+    }
+    if "mz" in columns and "fx" not in columns:  # M_z is then of free rolling alone
+        columns["mz"] = np.where(slip == 0, columns["mz"], np.nan)
+    used, run = np.full(len(load), True), np.repeat(np.arange(len(parts)), _SLIPS)
+    names = tuple(f"sweep {i}" for i in range(len(parts)))
+    data = TireData(tir.path, columns, used, run, names, Source(path=tir.path))
+    noise = "the file has no noise: standard errors are of what the version misses"
+    said = (noise, *remarks(tir, own, data, signs))
+    return replace(data, source=replace(data.source, assumptions=said))
 
 
 def converted(
-    tir: TirFile, model: str, slip_max: float, loads: Sequence[float], signs=None
+    tir: TirFile,
+    model: str,
+    slip_max: float,
+    loads: Sequence[float],
+    signs: str | None = None,
+    combination: str | None = None,
 ) -> MagicFormulaFit:
     """The Magic Formula ``model`` that a file is nearest to, fitted to its own test;
-    5.2, which has no pressure terms, at the nominal pressure. M_x and M_y are copied
-    as far as the version has their coefficients; an M_x of more of them is fitted.
+    5.2, which has no pressure terms, at the nominal pressure. It lacks the forces that
+    the file lacks. M_x and M_y are copied as far as the version has their coefficients;
+    an M_x of more of them is fitted.
 
     Args:
         tir: the file, read and checked.
@@ -100,6 +111,8 @@ def converted(
         slip_max: largest kappa and slip angle [rad].
         loads: F_z [N].
         signs: convention of the file, ISO-W if None, as that of the result.
+        combination: how both slips combine in the file's tire, see
+            :func:`~tirefit.fitting.tir.own_tire`.
     """
     acting = any(tir.numbers.get(name) for name in PRESSURE_TERMS)
     own = {
@@ -110,15 +123,16 @@ def converted(
     # The coefficients of a file in other signs are not those of ISO-W.
     is_fitted = not own.issuperset(of_mx) or turned_by(signs)
     moments = ("mx",) if of_mx and is_fitted else ()
-    with_pressure = acting and model != "mf52"
-    data = virtual_test(tir, slip_max, loads, with_pressure, signs, moments)
+    pressure_too = acting and model != "mf52"
+    data = virtual_test(tir, slip_max, loads, pressure_too, signs, combination, moments)
     copied = {*specs(Rolling()), *(() if moments else specs(Overturning()))} & own
     kept = ("FNOMIN", "UNLOADED_RADIUS", "NOMPRES", "LONGVL")
-    tire = mf_tire(tir.version, tir.numbers)
+    tire = own_tire(tir)
     given = {name: {"value": float(getattr(tire.nominal, name))} for name in kept}
     given |= {k: {"value": tir.numbers[k]} for k in copied if k in tir.numbers}
     settings = FitConfig.model_validate({"parameters": given})
     first = None if turned_by(signs) else tir.numbers
-    return fit_magic_formula(
-        data, model, config=settings, first=first, leave_out="none"
-    )
+    fit = fit_magic_formula(data, model, config=settings, first=first, leave_out="none")
+    # The rows of a curve are not to be looked at, however far.
+    notes = tuple(note for note in fit.notes if "standard deviations" not in note)
+    return replace(fit, notes=notes, tire=replace(fit.tire, lacks=tire.lacks))

@@ -21,8 +21,9 @@ from tirefit.fitting.mf.parts import (
 )
 from tirefit.fitting.mf.priors import Prior, normal_form, published_priors
 from tirefit.fitting.mf.rows import ForceRows
+from tirefit.fitting.tir import own_tire
 from tirefit.models import forces
-from tirefit.models.mf import MFTire, mf_tire
+from tirefit.models.mf import MFTire
 from tirefit.params import parameter_values, with_values
 
 __all__ = ["Borrowed", "borrowed_from", "with_dimensions"]
@@ -112,7 +113,7 @@ def _notes(like: TirFile, tire: MFTire, rows, priors, scales) -> tuple[str, ...]
         f"priors of {len(priors)} coefficients are about those of {name}, {ALIKE:g}"
         " times as wide as the spread of the published tires; the tire at FNOMIN ="
         f" {tire.nominal.FNOMIN:g} N is taken to be as it at"
-        f" {like.numbers['FNOMIN']:g} N",
+        f" {own_tire(like).nominal.FNOMIN:g} N",
         f"of {name}: {', '.join(scales)}",
     ]
     if whole:
@@ -131,13 +132,16 @@ def _scale(like: TirFile, tire: MFTire, rows: ForceRows, kind: str) -> float:
     """A measured force over that of the other tire at the nominal state of this one, by
     least squares over the largest or smallest slips."""
     nominal = {k: v for k, v in parameter_values(tire.nominal).items() if k != "LONGVL"}
-    other = with_values(mf_tire(like.version, like.numbers), nominal)
+    other = with_values(own_tire(like), nominal)
     force = rows.force
     size, pure = np.abs(rows.column(SLIPS_OF[force][0])), rows.pure
     if not np.any(pure):
         return 1.0
     low, high = np.quantile(size[pure], [_LOWEST, _HIGHEST])
     chosen = pure & (size >= high if kind == "friction" else size <= low)
-    given = np.asarray(getattr(forces(other, rows.inputs), force))[chosen]
+    found = getattr(forces(other, rows.inputs), force)
+    if found is None:
+        return 1.0
+    given = np.asarray(found)[chosen]
     scale = float(given @ rows.observed[chosen] / max(given @ given, 1e-12))
     return scale if scale > 0 else 1.0

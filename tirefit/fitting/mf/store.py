@@ -37,8 +37,11 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
         said = f"not fitted: {', '.join(sorted(missing))}; values of priors{other}"
         comment.append(said)
     values = parameter_values(fit.tire)
+    lost = {k for k, one in fit.coefficients.items() if one.part in fit.tire.lacks}
     values = {
-        k: v for k, v in values.items() if ONLY_IN.get(k, version[0]) == version[0]
+        k: v
+        for k, v in values.items()
+        if ONLY_IN.get(k, version[0]) == version[0] and k not in lost
     }
     return new_tir(version, values, fit.ranges, notes, comment)
 

@@ -10,6 +10,7 @@ from tirefit.models.mf.curvature import curvatures, share_limited
 from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.models.mf.tire import (
     OTHER_SIDE,
+    WEIGHTS,
     MFTire,
     Mirrored,
     frictions,
@@ -19,6 +20,7 @@ from tirefit.models.mf.tire import (
 __all__ = [
     "MAGIC_FORMULAS",
     "OTHER_SIDE",
+    "WEIGHTS",
     "MFTire",
     "Mirrored",
     "curvatures",

@@ -23,9 +23,9 @@ def curvatures(tire: MFTire, inputs: TireInputs) -> dict[str, Float[Array, " n"]
         inputs: scalars or arrays (n,).
 
     Returns:
-        ``fx``, ``fy``, ``mz``: (n,). An E that has no effect on a sample (zero
-        argument, weight without shape, zero load) counts as zero there. M_z depends on
-        the E of F_y and F_x too, which are not repeated.
+        ``fx``, ``fy``, ``mz``, as far as the tire has them: (n,). An E that has no
+        effect on a sample (zero argument, weight without shape, zero load) counts as
+        zero there. M_z depends on the E of F_y and F_x too, which are not repeated.
     """
     arrays = [jnp.atleast_1d(jnp.asarray(value, float)) for value in inputs]
     return jax.vmap(lambda sample: _largest(tire, sample))(
@@ -44,19 +44,23 @@ def _largest(tire: MFTire, inputs: TireInputs) -> dict:
         acts = (curve.x * shape != 0) & (inputs.fz > 0)
         return jnp.where(acts, curve.curvature, 0.0)
 
-    def weighting(weight):
-        resting = Curve(weight.x_at_rest, weight.curve.curvature)
-        both = acting(weight.curve, weight.shape), acting(resting, weight.shape)
-        return jnp.maximum(*both)
+    def weighting(force, weight):
+        if force in tire.similarity:
+            return 0.0
+        # Without the other slip the weight is one, whatever E.
+        moved = weight.curve.x - weight.x_at_rest
+        return acting(Curve(moved, weight.curve.curvature), weight.shape)
 
     along, across = tire.longitudinal, tire.lateral
-    return {
-        "fx": jnp.maximum(
-            acting(along.curve(at, scale)), weighting(along.weight(at, scale))
-        ),
-        "fy": jnp.maximum(acting(side.curve), weighting(across.weight(at, scale))),
+    weights = {"fx": along.weight(at, scale), "fy": across.weight(at, scale)}
+    found = {
+        "fx": acting(along.curve(at, scale)),
+        "fy": acting(side.curve),
         "mz": acting(tire.aligning.curve(at, scale, slip), tire.aligning.QDZ1),
     }
+    for force, weight in weights.items():
+        found[force] = jnp.maximum(found[force], weighting(force, weight))
+    return {force: value for force, value in found.items() if force not in tire.lacks}
 
 
 def share_limited(tire: MFTire, inputs: TireInputs) -> dict[str, float]:

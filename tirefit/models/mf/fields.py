@@ -31,7 +31,8 @@ class Point(NamedTuple):
     ``dfz`` and ``dpi`` are the normalised changes of load and pressure (4.E2);
     ``friction_*`` scales the friction, lambda*_mu (4.E7), and ``shift_*`` the vertical
     shifts, lambda'_mu (4.E8).
-    ``camber_stiffness``: whether camber acts as in MF 6 (PKY6) or as in 5.2 (PHY3).
+    ``camber_stiffness``: whether camber acts as in MF 6 (PKY6) or as in 5.2 (PHY3);
+    ``starred``: whether alpha* is tan alpha.
     """
 
     kappa: Any
@@ -47,6 +48,17 @@ class Point(NamedTuple):
     shift_x: Any
     shift_y: Any
     camber_stiffness: bool
+    starred: bool
+
+    @property
+    def tan_alpha(self):
+        """Tangent of the slip angle."""
+        return self.alpha if self.starred else jnp.tan(self.alpha)
+
+    def turned(self, tan_alpha) -> "Point":
+        """The same point at another slip angle."""
+        alpha = tan_alpha if self.starred else jnp.arctan(tan_alpha)
+        return self._replace(alpha=alpha, cos_alpha=cos_arctan(tan_alpha))
 
 
 class Curve(NamedTuple):

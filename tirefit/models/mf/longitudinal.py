@@ -49,7 +49,7 @@ class Longitudinal(eqx.Module):
 
     def pure(self, at: Point, scale: Scaling):
         """F_x0 / F_z and K_xk / F_z at zero slip angle, (4.E9) to (4.E18)."""
-        mu, stiffness = self.friction(at, scale), self._stiffness(at, scale)
+        mu, stiffness = self.friction(at, scale), self.stiffness(at, scale)
         angle = self.PCX1 * scale.LCX * bent(*self.curve(at, scale))
         shift = (self.PVX1 + self.PVX2 * at.dfz) * scale.LVX * at.shift_x
         return mu * jnp.sin(angle) + shift, stiffness
@@ -63,7 +63,7 @@ class Longitudinal(eqx.Module):
             * at.friction_x
         )
 
-    def _stiffness(self, at: Point, scale: Scaling):
+    def stiffness(self, at: Point, scale: Scaling):
         """K_xk / F_z, (4.E15)."""
         return (
             (self.PKX1 + self.PKX2 * at.dfz)
@@ -81,7 +81,7 @@ class Longitudinal(eqx.Module):
             * scale.LEX
         )
         shape = self.PCX1 * scale.LCX
-        slope = ratio(self._stiffness(at, scale), shape * self.friction(at, scale))
+        slope = ratio(self.stiffness(at, scale), shape * self.friction(at, scale))
         return Curve(slope * kappa, curvature)
 
     def weight(self, at: Point, scale: Scaling) -> Weight:

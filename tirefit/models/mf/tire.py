@@ -1,6 +1,7 @@
 """The whole tire: pure and combined slip of one sample."""
 
-from collections.abc import Mapping, Set
+from collections.abc import Collection, Mapping, Set
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -21,11 +22,12 @@ from tirefit.models.mf.fields import (
 from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
 from tirefit.models.mf.moments import Overturning, Rolling
+from tirefit.models.mf.similarity import similar_forces
 from tirefit.params import specs, with_values
 from tirefit.slip import LOCKED, kappa_from_sigma, sigma_from_kappa
 
-_DIGRESSION = 10.0
-"""A_mu of (4.E8): by it the vertical shifts fall less than a low friction."""
+WEIGHTS = {"fx": ("RBX1", "RCX1"), "fy": ("RBY1", "RCY1")}
+"""Force -> coefficients without which its weighting function is one at any slip."""
 
 
 class MFTire(AbstractTire):
@@ -39,6 +41,12 @@ class MFTire(AbstractTire):
 
     ``starred``: the equations take tan(alpha) and sin(gamma), as in the book (4.E3,
     4.E4), instead of the angles, as in MF-Tyre.
+    ``digression``: A_mu of (4.E8) in MF 6: the larger, the less the vertical shifts
+    fall with a scaled friction (LMUX, LMUY, LMUV). One, as in the software of TNO that
+    reads and writes the files; the book recommends 10. MF 5.2 has none.
+    ``similarity``: forces that get their combined slip by :mod:`.similarity` instead of
+    by weighting functions.
+    ``lacks``: forces that the tire does not have; they are None.
     """
 
     nominal: Nominal = Nominal()
@@ -50,6 +58,9 @@ class MFTire(AbstractTire):
     rolling: Rolling | None = None
     version: str = eqx.field(static=True, default="6.1")
     starred: bool = eqx.field(static=True, default=False)
+    digression: float = eqx.field(static=True, default=1.0)
+    similarity: tuple[str, ...] = eqx.field(static=True, default=())
+    lacks: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -63,16 +74,25 @@ class MFTire(AbstractTire):
         side = self.lateral.pure(at, scale, fz0)
         side_weight = weighting(self.lateral.weight(at, scale))
         load = jnp.where(inputs.fz > 0, at.fz, 0.0)
-        fx = load * weighting(self.longitudinal.weight(at, scale)) * along
-        induced = self.lateral.induced(at, scale, side.mu)
-        fy = load * (side_weight * side.force + induced)
+        fx = weighting(self.longitudinal.weight(at, scale)) * along
+        fy = side_weight * side.force + self.lateral.induced(at, scale, side.mu)
         # The trail turns the lateral force that is not induced by kappa, (4.E74); in
         # MF 6 that of an upright wheel.
-        upright = side
+        upright, upright_at = side, at
         if at.camber_stiffness:
-            upright = self.lateral.pure(at._replace(gamma=0.0 * at.gamma), scale, fz0)
+            upright_at = at._replace(gamma=0.0 * at.gamma)
+            upright = self.lateral.pure(upright_at, scale, fz0)
+        turned = side_weight * upright.force
+        if self.similarity:
+            similar = partial(similar_forces, self.longitudinal, self.lateral)
+            both = similar(at, scale, fz0)
+            fx = both[0] if "fx" in self.similarity else fx
+            if "fy" in self.similarity:
+                fy, turned = both[1], similar(upright_at, scale, fz0)[1]
+        fx, fy, turned = load * fx, load * fy, load * turned
         slip = ratio(along_stiffness, side.stiffness) * at.kappa
-        turned = load * side_weight * upright.force
+        if "fx" in self.lacks:  # the moment is then that of a freely rolling wheel
+            fx, slip = 0.0 * fx, 0.0 * slip
         mz = (
             load * self.aligning.residual(at, scale, nominal, side, slip)
             - self.aligning.trail(at, scale, nominal, slip) * turned
@@ -84,7 +104,10 @@ class MFTire(AbstractTire):
         if self.rolling is not None:
             my = -self.rolling.moment(at, scale, nominal, load, fx, inputs.v)
         # From ISO-W to the canonical signs of tirefit.slip.
-        return TireForces(-fx, -fy, -mz, mx, my)
+        given = TireForces(-fx, -fy, -mz, mx, my)
+        # Of a force that is not known no moment is made.
+        lacks = (*self.lacks, *(["mx"] if "fy" in self.lacks else ()))
+        return given._replace(**dict.fromkeys(lacks))
 
     def point(self, inputs: TireInputs) -> Point:
         """The operating point in ISO-W axes; no load is that of ``nominal``, safely."""
@@ -99,7 +122,7 @@ class MFTire(AbstractTire):
         sliding = inputs.v * resultant(kappa, tan_alpha) / nominal.LONGVL
         fall = 1 / (1 + scale.LMUV * sliding)
         friction_x, friction_y = scale.LMUX * fall, scale.LMUY * fall
-        digression = 1.0 if is_52 else _DIGRESSION
+        digression = 1.0 if is_52 else self.digression
 
         def shift(friction):
             return digression * friction / (1 + (digression - 1) * friction)
@@ -118,6 +141,7 @@ class MFTire(AbstractTire):
             shift(friction_x),
             shift(friction_y),
             camber_stiffness=not is_52,
+            starred=self.starred,
         )
 
 
@@ -173,7 +197,13 @@ def turned_forces(forces: TireForces, turned: Set[str]) -> TireForces:
 
 
 def mf_tire(
-    version: str, values: Mapping[str, float], *, starred: bool = False
+    version: str,
+    values: Mapping[str, float],
+    *,
+    starred: bool = False,
+    digression: float = 1.0,
+    combination: str | None = None,
+    lacks: Collection[str] = (),
 ) -> MFTire:
     """The tire of a set of coefficients.
 
@@ -182,19 +212,32 @@ def mf_tire(
         values: coefficients by their names in a ``.tir`` file, SI units; other names
             are left aside, and a coefficient that is not there has no effect; without
             any of QSX1 to QSX14 there is no M_x, without any of QSY1 to QSY8 no M_y.
-        starred: see :class:`MFTire`.
+        starred, digression: see :class:`MFTire`.
+        combination: combined slip: ``none``, by the weighting functions, which are one
+            where their coefficients are absent; ``similarity``, by :mod:`.similarity`;
+            None, by similarity for the forces whose coefficients are absent.
+        lacks: forces of which the values are not a description; they are None.
 
     Raises:
-        ValueError: the version is none of these.
+        ValueError: the version or the combination is none of these.
     """
     if version not in ("5.2", "6.1", "6.2"):
         raise ValueError(f"Magic Formula {version}: 5.2, 6.1 and 6.2 are known")
+    if combination not in (None, "none", "similarity"):
+        raise ValueError(f"combination {combination!r}: none and similarity are known")
+    absent = [f for f, keys in WEIGHTS.items() if not all(k in values for k in keys)]
+    similar = {None: absent, "none": (), "similarity": WEIGHTS}[combination]
+    # Similarity takes both pure forces.
+    similar = () if set(WEIGHTS) & set(lacks) else similar
     begin = {key[:3] for key in values}
     tire = MFTire(
         overturning=Overturning() if "QSX" in begin else None,
         rolling=Rolling() if "QSY" in begin else None,
         version=version,
         starred=starred,
+        digression=digression,
+        similarity=tuple(similar),
+        lacks=tuple(lacks),
     )
     if "NOMPRES" in values:
         values = {"INFLPRES": values["NOMPRES"], **values}

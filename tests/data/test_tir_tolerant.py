@@ -1,0 +1,227 @@
+"""Tire property files as they are found: read as others read them, force by force."""
+
+import re
+from pathlib import Path
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from tirefit.data.tir import notes_on, parse_tir, read_tir
+from tirefit.fitting.tir import own_tire
+from tirefit.models import modelled
+from tirefit.results import DataError
+
+FOLDER = Path(__file__).parent / "tir"
+FILES = sorted(FOLDER.glob("*/*.tir"))
+MF52, MF61 = (
+    FOLDER / f"mfeval_julia/MagicFormula{number}_Parameters.tir" for number in (52, 61)
+)
+VALUE = re.compile(
+    r"(?m)^(\w+[ \t]*=[ \t]*)([-+]?[\d.]+(?:[eEdD][-+]?\d+)?)(?=[ \t\r$]|$)"
+)
+
+
+def text_of(path):
+    return path.read_text(encoding="latin-1")
+
+
+def tire(tir):
+    """The tire of a file; 6.2 has the forces of 6.1."""
+    return own_tire(tir.with_values({"FITTYP": 61}) if tir.version == "6.2" else tir)
+
+
+def same(tir, path):
+    """Whether a file has the very coefficients of a published one, hence its forces."""
+    return bool(eqx.tree_equal(tire(tir), tire(read_tir(path))))
+
+
+def shuffled(text, random):
+    """Sections in another order, and the keys within each."""
+    head, *sections = re.split(r"(?m)^(?=\[\w+\])", text)
+    parts = []
+    for k in random.permutation(len(sections)):
+        header, *lines = sections[k].splitlines(keepends=True)
+        if not re.match(r"\[(SHAPE|UNITS)", header):
+            lines = [lines[i] for i in random.permutation(len(lines))]
+        parts.append(
+            "".join([header, *(x if x.endswith("\n") else x + "\n" for x in lines)])
+        )
+    return head + "".join(parts)
+
+
+def wrapped(text, random):
+    """A third of the values on the next line, a third of the comments broken."""
+    lines = []
+    for line in text.splitlines():
+        found = VALUE.match(line)
+        if found and random.random() < 0.3:
+            lines += [found[1], "     " + line[len(found[1]) :]]
+        elif "$" in line and line.count(" ") > 3 and random.random() < 0.3:
+            at = line.index("$") + (len(line) - line.index("$")) // 2
+            lines += [line[:at], line[at:]]
+        else:
+            lines.append(line)
+    return "\n".join(lines) + "\n"
+
+
+def dropped(text, random):
+    """Without a third of the lines of what no force here needs."""
+    unused = re.compile(r"(Q[STR]|PT|PECP|PDXP|PHYP|VERTICAL|BOTTOM|MASS|[A-Z]XLOW)")
+    return "".join(
+        line
+        for line in text.splitlines(keepends=True)
+        if not (unused.match(line) and random.random() < 0.3)
+    )
+
+
+def numbers_as(change):
+    return lambda text, random: VALUE.sub(lambda m: m[1] + change(m[2]), text)
+
+
+FORMS = {
+    "no header": lambda text, random: text[text.index("[UNITS]") :],
+    "shuffled": shuffled,
+    "dropped": dropped,
+    "D exponents": numbers_as(lambda x: f"{float(x):.17E}".replace("E", "D")),
+    "decimal commas": numbers_as(lambda x: x.replace(".", ",")),
+    "lower-case keys": lambda text, random: re.sub(
+        r"(?m)^(\w+)(?=\s*=)", lambda m: m[1].lower(), text
+    ),
+    "tabs": lambda text, random: re.sub(r"(?m) *= *", "\t=\t", text),
+    "no marks": lambda text, random: re.sub(r"(?m)(?<=\d)(\s*)\$", r"\1  ", text),
+    "other marks": lambda text, random: text.replace("$", "!"),
+    "wrapped": wrapped,
+}
+ENCODINGS = ("utf-8", "cp1252", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be")
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_every_published_file_in_every_form_is_the_same_tire(path, tmp_path):
+    """Alone, and up to four at once in any encoding and line ends."""
+    random = np.random.default_rng(2024)
+    chosen = [(name,) for name in FORMS]
+    chosen += [tuple(random.choice(list(FORMS), 4, replace=False)) for _ in range(12)]
+    for names in chosen:
+        text = text_of(path).replace("\r\n", "\n")
+        # Lines are broken last, and commas come after other forms of values.
+        for name in sorted(names, key=list(FORMS).index):
+            text = FORMS[name](text, random)
+        text = text.replace("[UNITS]", "! \N{EN DASH} \N{DEGREE SIGN}C\n[UNITS]")
+        encoding = str(random.choice(ENCODINGS))
+        end = str(random.choice(["\n", "\r\n", "\r"]))
+        (tmp_path / "x.tir").write_bytes(text.replace("\n", end).encode(encoding))
+        tir = read_tir(tmp_path / "x.tir")
+        assert same(tir, path), (names, encoding, end)
+        notes = [note for note in notes_on(tir) if "comma" in note]
+        assert len(notes) == ("decimal commas" in names), notes
+
+
+FORCE_KEYS = {"fx": "PCX1 PDX1 PKX1", "fy": "PCY1 PDY1 PKY1", "mz": "QBZ1 QCZ1 QDZ1"}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_each_force_stands_or_falls_by_itself(path):
+    for force, keys in FORCE_KEYS.items():
+        for key in keys.split():
+            for instead in ("", f"{key} = $empty\n"):
+                text = re.sub(rf"(?m)^{key} .*\n", instead, text_of(path))
+                tir = parse_tir(text)
+                lost = {"fy": ("fy", "mz")}.get(force, (force,))
+                assert own_tire(tir).lacks == lost
+                assert f"{key} is missing" in " ".join(notes_on(tir))
+                assert same(tir.with_values({key: read_tir(path).numbers[key]}), path)
+
+
+@pytest.mark.parametrize(
+    ("lost", "given", "mode"),
+    [
+        ("LONGITUDINAL ALIGNING", ("fy",), 2),
+        ("LATERAL ALIGNING", ("fx",), 1),
+        ("ALIGNING", ("fx", "fy"), 4),
+        ("LONGITUDINAL", ("fy", "mz"), 12),
+    ],
+)
+def test_whole_blocks_may_be_missing(lost, given, mode):
+    text = re.sub(r"(?m)^USE_MODE.*", f"USE_MODE = {mode}", text_of(MF52))
+    for name in lost.split():
+        text = re.sub(rf"(?ms)^\[{name}_COEFF.*?(?=^\[|\Z)", "", text)
+    tir = parse_tir(text)
+    assert modelled(own_tire(tir)) == given
+    said = " ".join(notes_on(tir))
+    assert said.count("the file has no coefficients of it") == len(lost.split())
+    assert "USE_MODE" not in said
+    with pytest.raises(DataError, match="no force is described"):
+        parse_tir(re.sub(r"(?ms)^\[\w+_COEFF.*?(?=^\[|\Z)", "", text))
+
+
+@pytest.mark.parametrize(
+    ("edits", "version", "because"),
+    [
+        (["FITTYP = 'MF52'"], "5.2", "FITTYP = 'MF52'"),
+        (["FITTYP = 6.1"], "6.1", "FITTYP = 6.1"),
+        (["FITTYP ="], "5.2", "no coefficient is of MF 6"),
+        (["PROPERTY_FILE_FORMAT = 'PAC2002'"], "5.2", "FORMAT = 'PAC2002'"),
+        (["PROPERTY_FILE_FORMAT = 'MF_05'"], "5.2", "FORMAT = 'MF_05'"),
+        (["PROPERTY_FILE_FORMAT = 'MF-Tyre 6.2'"], "6.2", "FORMAT = 'MF-Tyre 6.2'"),
+        (["PROPERTY_FILE_FORMAT = 'MF-TYRE'"], "5.2", "no coefficient is of MF 6"),
+        (["PROPERTY_FILE_FORMAT = 'MF61'", "PKY6 = -2"], "6.1", "'MF61'"),
+        (["PKY6 = -2"], "6.1", "PKY6 is of MF 6 alone"),
+        (["PHY3 = 0.1"], "5.2", "PHY3 is of MF 5 alone"),
+        ([], "5.2", "no coefficient is of MF 6"),
+    ],
+)
+def test_the_version_is_told_by_the_file_or_its_keys(edits, version, because):
+    text = re.sub(
+        r"(?m)^(FITTYP|PROPERTY_FILE_FORMAT|PHY3|LGA[XYZ]) .*\n", "", text_of(MF52)
+    )
+    tir = parse_tir(text.replace("[MODEL]\n", "\n".join(["[MODEL]", *edits, ""])))
+    assert tir.version == version
+    (said,) = [note for note in notes_on(tir) if "taken as Magic Formula" in note]
+    assert f"Formula {version}: " in said and because in said
+    if not any("FITTYP = " in edit for edit in edits):
+        assert "there is no FITTYP" in said
+
+
+def test_versions_that_contradict_or_are_not_known_are_refused():
+    text = re.sub(r"(?m)^FITTYP.*\n", "PHY3 = 0.1\n", text_of(MF61))
+    with pytest.raises(DataError, match="PHY3 is of MF 5 and P.* of MF 6.*\n.*FITTYP"):
+        parse_tir(text)
+
+
+def test_keys_of_another_version_are_reported_once_and_not_used():
+    text = re.sub(r"(?m)^FITTYP.*\n", "FITTYP = 6\n", text_of(MF61))
+    tir = parse_tir(text)
+    (said,) = [note for note in notes_on(tir) if "MF 5.2 has no" in note]
+    assert "and 1" in said and "more" in said and "changes the tire" in said
+    lost = read_tir(MF61).numbers.keys() - tir.numbers.keys()
+    assert {"PPX1", "PKY6", "RBY4"} <= lost and "PHY1" not in lost
+    # A factor of one or a zero has no effect, and no note.
+    quiet = parse_tir(
+        re.sub(r"(?m)^LGAX .*", "LGAX = 1\nLKYC = 1\nPPX1 = 0", text_of(MF52))
+    )
+    assert not any("has no" in note for note in notes_on(quiet))
+
+
+def test_other_names_of_keys_and_limits_in_degrees():
+    text = text_of(MF52).replace("LFZO ", "LFZ0 ")
+    text = re.sub(r"(?m)^(LFZ0 +=).*", r"\1 0.8", text)
+    assert parse_tir(text).numbers["LFZO"] == 0.8
+    text = re.sub(r"(?m)^ANGLE .*", "ANGLE = 'degrees'", text_of(MF61))
+    plain = read_tir(MF61).numbers
+    assert parse_tir(text).numbers["ALPMAX"] == plain["ALPMAX"]
+    text = re.sub(r"(?m)^ALPMAX .*", "ALPMAX = 18", text)
+    tir = parse_tir(text)
+    np.testing.assert_allclose(tir.numbers["ALPMAX"], np.pi / 10)
+    assert "ANGLE is used for the limits" in " ".join(notes_on(tir))
+    with pytest.raises(DataError, match="PKY1 = -0.5 is per degree"):
+        parse_tir(re.sub(r"(?m)^PKY1 .*", "PKY1 = -0.5", text))
+
+
+def test_a_changed_value_is_written_as_the_file_writes_its_own():
+    """Behind the key or on the line below, with the file's own decimal mark."""
+    text = numbers_as(lambda x: x.replace(".", ","))(text_of(MF52), None)
+    text = re.sub(r"(?m)^(PDX1 +=)", r"\1\n   ", text)
+    new = parse_tir(text).with_values({"PDX1": 0.75, "PPX1": 0.5})
+    assert new.numbers["PDX1"] == 0.75 and new.find("PPX1").value == "0,5"
+    assert new.lines[new.find("PDX1").row - 1].startswith("    0,75")

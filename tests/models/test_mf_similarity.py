@@ -1,0 +1,123 @@
+"""Combined slip by similarity: against the pure forces, and its own limits."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.models.test_mf import GRID, MF52, MF61, iso, jacobian, tire_of, values_of
+from tirefit.models import TireInputs, modelled
+from tirefit.models.mf import mf_tire
+from tirefit.params import specs
+
+RANDOM = np.random.default_rng(41)
+KAPPA, ALPHA = RANDOM.uniform(-0.9, 0.9, 256), RANDOM.uniform(-0.6, 0.6, 256)
+COMBINED = ("RB", "RC", "RE", "RH", "RV")
+
+
+def similar(name, starred=False, **other):
+    tire = tire_of(name)
+    values = {k: v for k, v in values_of(name).items() if k[:2] not in COMBINED}
+    return mf_tire(tire.version, values | other, starred=starred)
+
+
+@pytest.mark.parametrize("starred", [False, True])
+@pytest.mark.parametrize("name", [MF52, MF61])
+def test_each_pure_slip_has_its_pure_force(name, starred):
+    tire, whole = similar(name, starred), tire_of(name, starred)
+    assert tire.similarity == ("fx", "fy") and whole.similarity == ()
+    for gamma in (0.0, 0.04):
+        found, pure = (iso(t, KAPPA, 0.0, gamma=gamma).fx for t in (tire, whole))
+        np.testing.assert_allclose(found, pure, atol=1e-3)  # of some 5,000 N
+        found, pure = (iso(t, 0.0, ALPHA, gamma=gamma) for t in (tire, whole))
+        np.testing.assert_allclose(found.fy, pure.fy, atol=1e-3)
+
+
+ISOTROPIC = {
+    "FNOMIN": 4000.0, "PCX1": 1.5, "PCY1": 1.5, "PDX1": 1.1, "PDY1": 1.1, "PEX1": -0.5,
+    "PEY1": -0.5, "PKX1": 20.0, "PKY1": -20.0, "PKY2": 1.0, "PKY4": 2.0,
+}  # fmt: skip
+
+
+def test_an_isotropic_tire_pulls_against_its_slip():
+    """(kappa, tan alpha) is then one slip, whose force is the Magic Formula of it."""
+    found = iso(mf_tire("6.1", ISOTROPIC), KAPPA, ALPHA)
+    slip = np.hypot(KAPPA, np.tan(ALPHA))
+    x = 20.0 / (1.5 * 1.1) * slip
+    # The lateral curve is over alpha, the longitudinal one over kappa.
+    angle = 20.0 / (1.5 * 1.1) * np.arctan(slip)
+    for force, b, part in (
+        (found.fx, x, KAPPA), (found.fy, angle, -np.tan(ALPHA)),
+    ):  # fmt: skip
+        curve = np.sin(1.5 * np.arctan(b + 0.5 * (b - np.arctan(b))))
+        np.testing.assert_allclose(force, 4400.0 * curve * part / slip, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", [MF52, MF61])
+def test_combined_force_keeps_to_the_ellipse_of_the_pure_ones(name):
+    tire = similar(name)
+    with_ones = mf_tire(tire.version, values_of(name) | dict.fromkeys(
+        [k for k in specs(tire) if k[:2] in COMBINED], 0.0
+    ))  # fmt: skip
+    grid = np.linspace(-0.99, 3.0, 2000)
+    for fz in (2000.0, 4000.0, 8000.0):
+        largest_x = np.max(np.abs(iso(tire, grid, 0.0, fz).fx))
+        largest_y = np.max(np.abs(iso(tire, 0.0, np.arctan(grid), fz).fy))
+
+        def filled(one, fz=fz, largest=(largest_x, largest_y)):
+            found = iso(one, KAPPA, ALPHA, fz)
+            return np.max((found.fx / largest[0]) ** 2 + (found.fy / largest[1]) ** 2)
+
+        # The other shift at rest dies out as it is, beside the ellipse.
+        assert filled(tire) < 1.002
+        assert filled(with_ones) > 1.7
+
+
+def test_similarity_is_near_the_measured_combined_slip():
+    """Of the pure curves alone, where pure forces side by side are far off."""
+    for name in (MF52, MF61):
+        fz = values_of(name)["FNOMIN"]
+        kappa, alpha = 0.3 * KAPPA, 0.4 * ALPHA
+        true, found = (iso(t, kappa, alpha) for t in (tire_of(name), similar(name)))
+        ones = iso(mf_tire(
+            tire_of(name).version,
+            {k: v for k, v in values_of(name).items() if k[:2] not in COMBINED},
+            combination="none",
+        ), kappa, alpha)  # fmt: skip
+        misses = [
+            np.sqrt(np.mean((x.fx - true.fx) ** 2 + (x.fy - true.fy) ** 2)) / fz
+            for x in (found, ones)
+        ]
+        assert misses[0] < 0.07 and misses[1] > 4 * misses[0]
+
+
+@pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
+def test_values_and_gradients_are_finite_everywhere(dtype):
+    value, slopes = jacobian(similar(MF61, starred=True, LMUV=0.1), dtype)
+    assert np.isfinite(value).all()
+    for leaf in slopes:
+        bad = ~np.isfinite(leaf).all(axis=0)
+        assert not bad.any(), GRID[bad][:3]
+
+
+def test_slope_at_rest_is_the_slip_stiffness():
+    tire = mf_tire("6.1", ISOTROPIC)
+
+    def found(slips):
+        return jnp.stack(tire(TireInputs(slips[0], slips[1], 4000.0))[:2])
+
+    slope = np.asarray(jax.jacfwd(found)(jnp.zeros(2)))
+    np.testing.assert_allclose(slope, 80000.0 * np.eye(2), rtol=1e-6, atol=1e-3)
+
+
+def test_what_is_given_decides_which_forces_are_similar():
+    values = dict(ISOTROPIC, RBX1=10.0, RCX1=1.0)
+    assert mf_tire("6.1", values).similarity == ("fy",)
+    assert mf_tire("6.1", dict(values, RBY1=0.0, RCY1=0.0)).similarity == ()
+    assert mf_tire("6.1", values, combination="none").similarity == ()
+    both = mf_tire("6.1", values, combination="similarity")
+    assert set(both.similarity) == {"fx", "fy"}
+    lateral = mf_tire("6.1", ISOTROPIC, lacks=["fx"])
+    assert lateral.similarity == () and modelled(lateral) == ("fy", "mz")
+    with pytest.raises(ValueError, match="ellipse"):
+        mf_tire("6.1", values, combination="ellipse")

@@ -1,0 +1,66 @@
+r"""Combined slip without coefficients of combined slip: the method of similarity.
+
+Each slip is divided by the slip :math:`\mu_i F_z / K_i` at which its linear force
+reaches the friction limit (P(4.E78) weighs the slips of the trail by their stiffnesses
+in the same way). The pure forces at the resultant s of these normalised slips are
+resolved by the direction of the slips (Pacejka 2012, section 4.2):
+
+.. math::
+   F_i = c_i F_i^-(s) + c_i^2 F_i^+(s) + (1 - c_i^2) \frac{F_i^+(0)}{1 + s^2}
+
+:math:`F^\mp` is the odd or even part of a pure force over its normalised slip, so that
+driving gives way to braking, and left to right, without a kink. The cosine
+:math:`c_i` turns from that of the normalised slips, the elastic deflection, to that of
+the sliding velocity, as in :func:`~tirefit.models.combined.scaled_to_combined`: the
+patch of a brush slides from s = 3 on. In pure slip the force of that slip is the pure
+force, and its other force the shift at rest, which dies out. Without shifts the force
+lies within the ellipse of the two largest pure forces.
+"""
+
+import jax.numpy as jnp
+
+from tirefit.models.combined import blend, turned
+from tirefit.models.mf.fields import Point, Scaling, ratio
+from tirefit.models.mf.lateral import Lateral
+from tirefit.models.mf.longitudinal import Longitudinal
+
+__all__ = ["similar_forces"]
+
+
+def similar_forces(
+    along: Longitudinal, across: Lateral, at: Point, scale: Scaling, fz0
+):
+    """F_x and F_y over F_z of both slips, of two pure curves.
+
+    Args:
+        at: where; with both slips.
+        fz0: scaled nominal load [N].
+    """
+    side = across.pure(at, scale, fz0)
+    limit_x = abs(ratio(along.friction(at, scale), along.stiffness(at, scale)))
+    limit_y = abs(ratio(side.mu, side.stiffness))
+    slips = at.kappa, at.tan_alpha
+    stuck = ratio(slips[0], limit_x), ratio(slips[1], limit_y)
+    resultant, sliding = _length(*stuck), _length(*slips)
+    cosines = [
+        turned(resultant / 3, one / resultant, other / sliding)
+        for one, other in zip(stuck, slips, strict=True)
+    ]
+
+    def fx(slip):
+        return along.pure(at._replace(kappa=slip * limit_x), scale)[0]
+
+    def fy(slip):
+        return across.pure(at.turned(slip * limit_y), scale, fz0).force
+
+    return tuple(
+        cosine * blend(cosine, (pure(resultant), pure(-resultant)))
+        + (1 - cosine**2) * pure(0 * resultant) / (1 + resultant**2)
+        for pure, cosine in zip((fx, fy), cosines, strict=True)
+    )
+
+
+def _length(x, y):
+    """Resultant; not zero at rest, so that shifted forces keep their slope there."""
+    square = x**2 + y**2
+    return jnp.sqrt(square + jnp.finfo(square.dtype).eps)
