@@ -72,27 +72,29 @@ def test_lateral_slip():
 
 # One wheel, one moment, four notations: it moves forward at 10 m/s and to the *left*
 # (slip angle 0.05 rad), brakes (circumferential speed 9.5 m/s, 5 % of v), leans to the
-# right, and the road pushes it back, to the right, 30 mm behind the wheel centre.
+# right, and the road pushes it back, to the right, 30 mm behind the wheel centre, and
+# carries it 10 mm to the right of it and 3 mm before it.
 EVENT = {
     # z up, y left: F_y = -800 N; M_z = x F_y = (-0.03)(-800); driving slip positive.
+    # M_x = y F_z = (-0.01)(4000), M_y = -x F_z = -(0.003)(4000).
     "iso-w": {
         "slip": -0.05, "alpha": 0.05, "gamma": 0.02,
-        "fx": -2000.0, "fy": -800.0, "fz": 4000.0, "mz": 24.0,
+        "fx": -2000.0, "fy": -800.0, "fz": 4000.0, "mz": 24.0, "mx": -40.0, "my": -12.0,
     },
     # z down, y right: travel to the left is a negative slip angle, F_y = +800 N.
     "sae": {
         "slip": -0.05, "alpha": -0.05, "gamma": 0.02,
-        "fx": -2000.0, "fy": 800.0, "fz": -4000.0, "mz": -24.0,
+        "fx": -2000.0, "fy": 800.0, "fz": -4000.0, "mz": -24.0, "mx": -40.0, "my": 12.0,
     },
     # As SAE, but tan(alpha) = -v_y / v_x and the load counted positive.
     "adapted-sae": {
         "slip": -0.05, "alpha": 0.05, "gamma": 0.02,
-        "fx": -2000.0, "fy": 800.0, "fz": 4000.0, "mz": -24.0,
+        "fx": -2000.0, "fy": 800.0, "fz": 4000.0, "mz": -24.0, "mx": -40.0, "my": 12.0,
     },
     # The drawing in slip.py.
     "braking": {
         "slip": 0.05, "alpha": 0.05, "gamma": 0.02,
-        "fx": 2000.0, "fy": 800.0, "fz": 4000.0, "mz": -24.0,
+        "fx": 2000.0, "fy": 800.0, "fz": 4000.0, "mz": -24.0, "mx": 40.0, "my": 12.0,
     },
 }  # fmt: skip
 
@@ -111,7 +113,7 @@ def test_conventions_are_signs_and_state_themselves():
         assert set(convention[1:]) <= {-1, 1}
         assert len(convention.description) > 30
     assert len({convention[1:] for convention in CONVENTIONS.values()}) == 4
-    assert CONVENTIONS["braking"][1:] == (1,) * 7
+    assert CONVENTIONS["braking"][1:] == (1,) * 9
 
 
 @pytest.mark.parametrize(

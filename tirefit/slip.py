@@ -16,7 +16,8 @@ positive force, along both axes. Seen from above, wheel travelling to the right:
     s       = v_sx / |v|
     sigma_y = v_sy / (Omega R_e) = tan(alpha) (1 + sigma_x)
     F_x > 0 when braking, F_y > 0 for alpha > 0, F_z > 0 load,
-    M_z < 0 for small alpha > 0 (the force acts behind the centre).
+    M_z < 0 for small alpha > 0 (the force acts behind the centre),
+    M_y > 0 resists rolling, M_x < 0 where the load acts to the left of the centre.
 
 These are the definitions of S Table 1. Files declare their own convention; it is
 converted at the border only, by the signs of :data:`CONVENTIONS`.
@@ -51,6 +52,8 @@ class Convention(NamedTuple):
     fy: int
     fz: int
     mz: int
+    mx: int
+    my: int
 
     def turned(self, other: "Convention") -> frozenset[str]:
         """Fields whose sign differs in the other convention."""
@@ -61,19 +64,19 @@ class Convention(NamedTuple):
 CONVENTIONS = {
     "braking": Convention(
         "braking slip and force positive, F_y > 0 for alpha > 0, F_z > 0 (canonical)",
-        slip=1, alpha=1, gamma=1, fx=1, fy=1, fz=1, mz=1,
+        slip=1, alpha=1, gamma=1, fx=1, fy=1, fz=1, mz=1, mx=1, my=1,
     ),
     "iso-w": Convention(
         "ISO 8855 / TYDEX W: driving positive, alpha > 0 gives F_y < 0 and M_z > 0",
-        slip=-1, alpha=1, gamma=1, fx=-1, fy=-1, fz=1, mz=-1,
+        slip=-1, alpha=1, gamma=1, fx=-1, fy=-1, fz=1, mz=-1, mx=-1, my=-1,
     ),
     "sae": Convention(
         "SAE J670: z down, F_z < 0, driving positive, alpha > 0 gives F_y < 0, M_z > 0",
-        slip=-1, alpha=-1, gamma=1, fx=-1, fy=1, fz=-1, mz=1,
+        slip=-1, alpha=-1, gamma=1, fx=-1, fy=1, fz=-1, mz=1, mx=-1, my=1,
     ),
     "adapted-sae": Convention(
         "Pacejka's adapted SAE: driving positive, F_z > 0, alpha > 0 gives F_y > 0",
-        slip=-1, alpha=1, gamma=1, fx=-1, fy=1, fz=1, mz=1,
+        slip=-1, alpha=1, gamma=1, fx=-1, fy=1, fz=1, mz=1, mx=-1, my=1,
     ),
 }  # fmt: skip
 

@@ -43,7 +43,7 @@ def predicted():
 
 def assert_reference(rows):
     found = predicted()
-    assert list(found)[-3:] == ["fx", "fy", "mz"]
+    assert list(found)[-5:] == ["fx", "fy", "mz", "mx", "my"]
     for name, share in (("fx", 2e-8), ("fy", 2e-8), ("mz", 2e-9)):
         for row, value in zip(rows, found[name], strict=True):
             if row[name]:

@@ -288,13 +288,14 @@ def _predict_tir(source, data, out, how, parameter, of_file: dict, beside) -> No
     start_jax()
     from tirefit.data.read import read
     from tirefit.fitting.predict import predict as forces_of
-    from tirefit.fitting.tir import TIR_SIGNS, remarks, tire_of
+    from tirefit.fitting.tir import TIR_SIGNS, moments_noted, remarks, tire_of
 
     tire, signs = tire_of(tir, values=values, **of_file), of_file["signs"]
     how["otherwise"] = TIR_SIGNS, ".tir files"
     table = read(data, **how, forces=False)
     warn(table)
-    for text in remarks(tir, tire, table, signs):
+    noted = remarks(tir, tire, table, signs)
+    for text in (*noted, *moments_noted(tir, table)):
         complain(f"warning: {source}: {text}")
     columns = _predicted(table, forces_of(tire, table, values), beside)
     _write(out, columns, table, source, beside)

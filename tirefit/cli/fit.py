@@ -113,8 +113,16 @@ def fit(
     part: Annotated[
         str | None,
         typer.Option(
-            metavar="fx|fy|mz|combined|all",
+            metavar="fx|fy|mz|mx|my|combined|all",
             help="of mf52, mf61, mf62: this part, or all that the files tell",
+        ),
+    ] = None,
+    like: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OTHER.tir",
+            help="of mf52, mf61, mf62: a tire like this one, as prior of what the files"
+            " do not tell",
         ),
     ] = None,
     leave_out: Annotated[
@@ -170,7 +178,7 @@ def fit(
             "--solver": solver, "--sampler": sampler, "--force": force,
             "--resume": resume,
         }  # fmt: skip
-        whole = {"part": part, "leave_out": leave_out}
+        whole = {"part": part, "like": like, "leave_out": leave_out}
         whole = {name: value for name, value in whole.items() if value is not None}
         if only_of_magic_formula(settings.model, whole, unused):
             (directory,) = _output_directories(files, out, joint=True)

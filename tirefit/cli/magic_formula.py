@@ -8,7 +8,7 @@ import typer
 
 from tirefit.cli.fit_one import PAGE, Also, exit_code
 from tirefit.cli.notes import warn
-from tirefit.cli.options import progress_bar, say, start_jax
+from tirefit.cli.options import complain, progress_bar, say, start_jax
 from tirefit.cli.output import check_directories, claimed, is_page, staged
 from tirefit.files import write_text_atomic
 from tirefit.results import ExitCode, InputProblem, UsageError
@@ -81,8 +81,13 @@ def fit_whole(
         options: of :func:`~tirefit.fitting.mf.fit.fit_magic_formula`.
     """
     from tirefit.data.read import read
+    from tirefit.data.tir import notes_on, read_tir
 
     check_directories([out])
+    if like := options.get("like"):
+        options = options | {"like": read_tir(like)}
+        for text in notes_on(options["like"]):
+            complain(f"warning: {like}: {text}")
     tables = [read(file, **how) for file in files]
     warn(*tables)
     start_jax()
@@ -101,6 +106,7 @@ def convert_whole(
     file: Path, model: str, slip_max: float, loads, out: Path, of_file: dict
 ):
     """Fits one version of the Magic Formula to the forces of another's file."""
+    from tirefit.data.table import CANONICAL
     from tirefit.data.tir import read_tir
 
     tir = read_tir(file)
@@ -116,7 +122,7 @@ def convert_whole(
     own = f" in signs {signs}" if signs else ""
     say(f"MISFIT of the {model} to the Magic Formula {tir.version} of {file}{own}")
     for force, (rmse, count) in result.fitted.items():
-        unit = "N m" if force == "mz" else "N"
+        unit = CANONICAL[force][0]
         say(f"  {force}: RMSE {rmse:.4g} {unit} over {count} points")
     return exit_code(result)
 

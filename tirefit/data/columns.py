@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from tirefit.data.declared import Options
-from tirefit.data.table import CANONICAL, SIMULATED, WHEELS, Layout
+from tirefit.data.table import CANONICAL, FORCES, SIMULATED, WHEELS, Layout
 from tirefit.data.units import (
     MEANING_OF_SLIP,
     Unit,
@@ -40,6 +40,9 @@ _NAMES = {
     "fz": "fz forcez load wheelload verticalload normalload verticalforce normalforce",
     "mz": "mz momentz aligningmoment aligningtorque selfaligningmoment"
     " selfaligningtorque",
+    "mx": "mx momentx overturningmoment overturningcouple overturningtorque",
+    "my": "my momenty rollingresistance rollingresistancemoment"
+    " rollingresistancetorque rollingmoment",
     "v": "v vx speed velocity forwardspeed forwardvelocity",
     "torque": "torque braketorque brakingtorque",
     "gamma": "gamma γ ia camber camberangle inclination inclinationangle",
@@ -134,6 +137,9 @@ def guess(header: str) -> Guess | None:
             continue
         stated = unit if unit is not None else suffix or None
         if name == "run" and (is_std or stated is not None):
+            return None
+        # A magnetic field, or a resistance that is a force, is no moment.
+        if name in ("mx", "my") and stated is not None and not _fits(stated, name):
             return None
         if is_sim:
             name = f"{name}_sim"
@@ -337,7 +343,7 @@ def _unit_of(name, index, headers, stated, options, chosen) -> tuple[str, str]:
 
 def _is_predicted(name: str, options: Options) -> bool:
     """Whether a column may be missing, since it is a force yet to be predicted."""
-    return not options.forces and base_column(name) in ("fx", "fy", "mz")
+    return not options.forces and base_column(name) in FORCES
 
 
 def _declared_unit(name: str, options: Options) -> str | None:

@@ -17,7 +17,7 @@ from tirefit.data.declared import Options, Signs
 from tirefit.data.kinds import read_table
 from tirefit.data.quaternion import with_headings
 from tirefit.data.remote import file_at
-from tirefit.data.table import CANONICAL, SlipCheck, Source, TireData
+from tirefit.data.table import CANONICAL, FORCES, SlipCheck, Source, TireData
 from tirefit.data.text import Table, table_of_frame
 from tirefit.data.ttc import recognised
 from tirefit.data.units import (
@@ -112,7 +112,7 @@ def require(data: TireData, columns: Sequence[str], why: str) -> None:
             continue
         unit, meaning = CANONICAL[base_column(column)]
         remedy = f"name its column with --column {column}=HEADER"
-        if base_column(column) not in ("sigma_x", "alpha", "fx", "fy", "mz", "time"):
+        if base_column(column) not in ("sigma_x", "alpha", "time", *FORCES):
             remedy += f", or give --constant {column}=VALUE [{unit}]"
         if column == "sigma_x":
             remedy += " (also kappa, s), or give omega, v and --rolling-radius"
@@ -377,7 +377,7 @@ def _drop_idle_forces(reading: _Reading) -> None:
     options = reading.options
     if not options.forces or not options.curve or not good.any():
         return
-    for name in ("fx", "fy", "mz"):
+    for name in FORCES:
         if name in reading.columns and not np.any(reading.columns[name][good]):
             reading.columns.pop(name)
             header = reading.headers.pop(name, name)

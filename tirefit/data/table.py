@@ -14,6 +14,7 @@ from tirefit.results import DataError, InputProblem
 
 __all__ = [
     "CANONICAL",
+    "FORCES",
     "SIMULATED",
     "Layout",
     "WHEELS",
@@ -40,6 +41,8 @@ CANONICAL = {
     "fy": ("N", "lateral force, positive for alpha > 0"),
     "fz": ("N", "load"),
     "mz": ("N m", "aligning moment"),
+    "mx": ("N m", "overturning moment"),
+    "my": ("N m", "rolling resistance moment, positive where it resists"),
     "v": ("m/s", "forward speed of the wheel centre"),
     "torque": ("N m", "torque of the brake on the wheel, braking positive"),
     "gamma": ("rad", "camber angle"),
@@ -69,6 +72,10 @@ force and moment of the tire what a simulator says of it, as ``<column>_sim``.
 
 The motion of a vehicle, from ``a_x`` on, has the axes of ISO 8855 (x forward, y left,
 yaw counter-clockwise) in every convention, for the conventions are those of a tire."""
+
+
+FORCES = ("fx", "fy", "mz", "mx", "my")
+"""Columns of what the road does to a tire: forces and moments."""
 
 
 class Layout(NamedTuple):

@@ -49,7 +49,7 @@ COEFFICIENTS = {
     "MODEL": "LONGVL",
     "OPERATING_CONDITIONS": "NOMPRES INFLPRES",
     "SCALING_COEFFICIENTS": "LFZO LMUV LCX LMUX LEX LKX LHX LVX LGAX LXAL LCY LMUY LEY"
-    " LKY LHY LVY LGAY LKYC LYKA LVYKA LTR LRES LGAZ LKZC LS",
+    " LKY LHY LVY LGAY LKYC LYKA LVYKA LTR LRES LGAZ LKZC LS LMX LVMX LMY",
     "LONGITUDINAL_COEFFICIENTS": "PCX1 PDX1 PDX2 PDX3 PEX1 PEX2 PEX3 PEX4 PKX1 PKX2"
     " PKX3 PHX1 PHX2 PVX1 PVX2 PPX1 PPX2 PPX3 PPX4 RBX1 RBX2 RBX3 RCX1 REX1 REX2 RHX1",
     "LATERAL_COEFFICIENTS": "PCY1 PDY1 PDY2 PDY3 PEY1 PEY2 PEY3 PEY4 PEY5 PKY1 PKY2"
@@ -58,11 +58,14 @@ COEFFICIENTS = {
     "ALIGNING_COEFFICIENTS": "QBZ1 QBZ2 QBZ3 QBZ4 QBZ5 QBZ9 QBZ10 QCZ1 QDZ1 QDZ2 QDZ3"
     " QDZ4 QDZ6 QDZ7 QDZ8 QDZ9 QDZ10 QDZ11 QEZ1 QEZ2 QEZ3 QEZ4 QEZ5 QHZ1 QHZ2 QHZ3 QHZ4"
     " PPZ1 PPZ2 SSZ1 SSZ2 SSZ3 SSZ4",
+    "OVERTURNING_COEFFICIENTS": "QSX1 QSX2 QSX3 QSX4 QSX5 QSX6 QSX7 QSX8 QSX9 QSX10"
+    " QSX11 QSX12 QSX13 QSX14 PPMX1",
+    "ROLLING_COEFFICIENTS": "QSY1 QSY2 QSY3 QSY4 QSY5 QSY6 QSY7 QSY8",
 }
 COEFFICIENTS = {
     key: section for section, keys in COEFFICIENTS.items() for key in keys.split()
 }
-"""Key that the steady-state F_x, F_y and M_z use -> section it stands in."""
+"""Key that the steady-state forces and moments use -> section it stands in."""
 
 SECTIONS = COEFFICIENTS | {"FITTYP": "MODEL", "TYRESIDE": "MODEL"}
 """Key that can be added to a file -> section it goes to."""
@@ -71,16 +74,17 @@ ONLY_IN = {
     **dict.fromkeys("PHY3 LGAX LGAY LGAZ".split(), "5"),
     **dict.fromkeys(
         "PEY5 PKY4 PKY5 PKY6 PKY7 PPX1 PPX2 PPX3 PPX4 PPY1 PPY2 PPY3 PPY4 PPY5 PPZ1"
-        " PPZ2 RBX3 RBY4 QDZ10 QDZ11 LKYC LKZC LMUV".split(),
+        " PPZ2 RBX3 RBY4 QDZ10 QDZ11 LKYC LKZC LMUV QSX4 QSX5 QSX6 QSX7 QSX8 QSX9"
+        " QSX10 QSX11 QSX12 QSX13 QSX14 PPMX1 QSY5 QSY6 QSY7 QSY8".split(),
         "6",
     ),
 }
 """Coefficient -> the one generation of the Magic Formula that has it."""
 
-NEUTRAL = {"PKY4": 2.0, "LMUV": 0.0}
+NEUTRAL = {"PKY4": 2.0, "LMUV": 0.0, "QSY7": 1.0}
 """Values without effect, where they are not 0 of a coefficient, 1 of a factor L..."""
 
-PRESSURE_TERMS = [key for key in COEFFICIENTS if key.startswith("PP")]
+PRESSURE_TERMS = [key for key in COEFFICIENTS if key.startswith("PP")] + ["QSY8"]
 
 REQUIRED = {
     "F_x": {

@@ -19,11 +19,12 @@ _SLIPS = {"SA", "SL", "SR"}
 
 _METRIC = {
     "ET": "s", "V": "km/h", "N": "rpm", "SA": "deg", "IA": "deg", "P": "kPa",
-    "FX": "N", "FY": "N", "FZ": "N", "MZ": "N m", "TSTC": "degC", "SL": "-", "SR": "-",
+    "FX": "N", "FY": "N", "FZ": "N", "MX": "N m", "MZ": "N m",
+    "TSTC": "degC", "SL": "-", "SR": "-",
 }  # fmt: skip
 _IMPERIAL = _METRIC | {
-    "V": "mph", "P": "psi", "FX": "lbf", "FY": "lbf", "FZ": "lbf", "MZ": "ft-lb",
-    "TSTC": "degF",
+    "V": "mph", "P": "psi", "FX": "lbf", "FY": "lbf", "FZ": "lbf",
+    "MX": "ft-lb", "MZ": "ft-lb", "TSTC": "degF",
 }  # fmt: skip
 
 _MOST_PSI = 35.0

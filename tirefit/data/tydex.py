@@ -28,12 +28,14 @@ __all__ = ["is_tydex", "table_of_tydex"]
 _KEYWORD = re.compile(r"^\s*\*\*\s*([A-Za-z]+)", re.MULTILINE)
 _NAMES = {
     "FX": "fx", "FXW": "fx", "FXH": "fx", "FYW": "fy", "FYH": "fy", "FZW": "fz",
-    "FZH": "fz", "MZW": "mz", "MZH": "mz", "LONGSLIP": "kappa", "SLIPANGL": "alpha",
+    "FZH": "fz", "MZW": "mz", "MZH": "mz", "MXW": "mx", "MYW": "my",
+    "LONGSLIP": "kappa", "SLIPANGL": "alpha",
     "INCLANGL": "gamma", "LONGVEL": "v", "TRAJVELW": "v", "TRAJVELH": "v",
     "WHROTSPD": "omega", "INFLPRES": "pressure", "RUNTIME": "time", "TIME": "time",
     "TYRETEMP": "temperature",
 }  # fmt: skip
-"""Parameters of TYDEX -> columns; of two that mean one, the first of these is read."""
+"""Parameters of TYDEX -> columns; of two that mean one, the first of these is read.
+MXH and MYH are about the wheel centre, and so none of them."""
 
 _OF_TIRE = (
     ("UNLOADED_RADIUS", 1.0, "length", r"RFREE|.*(unloaded|free) radius"),

@@ -69,6 +69,7 @@ _SI = {
 _DIMENSION = {
     "time": "time", "alpha": "angle", "gamma": "angle", "omega": "angular speed",
     "fx": "force", "fy": "force", "fz": "force", "mz": "moment", "v": "speed",
+    "mx": "moment", "my": "moment",
     "pressure": "pressure", "brake_pressure": "pressure", "temperature": "temperature",
     "torque": "moment",
     "alpha_rate": "angular speed", "a_x": "acceleration", "a_y": "acceleration",

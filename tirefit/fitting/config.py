@@ -104,6 +104,8 @@ class NoiseConfig(Section):
     fx: PositiveFloat | None = None
     fy: PositiveFloat | None = None
     mz: PositiveFloat | None = None
+    mx: PositiveFloat | None = None
+    my: PositiveFloat | None = None
     fx_relative: PositiveFloat | None = None
     fy_relative: PositiveFloat | None = None
     sigma_x: PositiveFloat | None = None
@@ -163,6 +165,7 @@ class FitConfig(Section):
     """The whole of ``fit.toml``."""
 
     model: str | None = None
+    friction_temperature: bool = False
     force: (
         Annotated[list[Force], Field(min_length=1), BeforeValidator(_listed)] | None
     ) = None
@@ -189,6 +192,10 @@ def parse_config(content: dict, source: str = "config") -> FitConfig:
         UsageError: unknown keys, wrong types or values, keys that contradict each
             other; every one of them.
     """
+    if isinstance(table := content.get("model"), dict):
+        # [model] with its name, and what it depends on beside it.
+        rest = {key: value for key, value in table.items() if key != "name"}
+        content = {**content, "model": table.get("name"), **rest}
     config = parse_settings(FitConfig, content, source)
     config._source = source
     return config

@@ -13,7 +13,8 @@ from tirefit.data.accept import as_data
 from tirefit.data.read import require
 from tirefit.data.table import TireData
 from tirefit.fitting.layout import Layout
-from tirefit.fitting.likelihood import CHANNEL_SLIP, row_forces
+from tirefit.fitting.likelihood import row_forces
+from tirefit.fitting.mf.parts import SLIPS_OF
 from tirefit.fitting.mf.predict import magic_formula_forces
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.noise import noise_std
@@ -57,7 +58,7 @@ def predict_forces(
         run: run of each row, (n,).
 
     Returns:
-        (force, variance): dicts of arrays (n,) for fx, fy and, where modelled, mz.
+        (force, variance): dicts of arrays (n,) for each force that is modelled.
     """
     force, variance = _linearised(
         model, layout, jnp.asarray(z), jnp.asarray(covariance), inputs, jnp.asarray(run)
@@ -106,9 +107,10 @@ def predict(
 
     Returns:
         (n,) arrays. Of a tire or a named model ``fx`` where the data have sigma_x,
-        ``fy`` and ``mz`` where they have alpha; of a fit the forces that it fitted,
-        each with a ``<force>_std``: parameter uncertainty and the noise of one
-        measurement. Masked rows are NaN.
+        ``fy``, ``mz`` and, where modelled, ``mx`` where they have alpha, and ``my``
+        where they have either; of a fit the forces that it fitted, each with a
+        ``<force>_std``: parameter uncertainty and the noise of one measurement.
+        Masked rows are NaN.
 
     Raises:
         UsageError: unknown model or parameter, or a value outside its bounds; or
@@ -148,7 +150,7 @@ def predict(
     out = {}
     fitted = [channel for channel in _channels(data, force) if channel in noise]
     if not fitted:
-        needs = " and ".join(CHANNEL_SLIP[channel] for channel in noise)
+        needs = " and ".join(dict.fromkeys(SLIPS_OF[channel][0] for channel in noise))
         raise DataError(
             InputProblem(
                 f"the fit is of {', '.join(noise)}: the data need {needs}",
@@ -186,8 +188,8 @@ def _noise_std(data: TireData, channel: str, record: Mapping | None, force, refe
 def _channels(data: TireData, force: Mapping) -> list[str]:
     return [
         channel
-        for channel, slip in CHANNEL_SLIP.items()
-        if slip in data and force.get(channel) is not None
+        for channel, slips in SLIPS_OF.items()
+        if any(slip in data for slip in slips) and force.get(channel) is not None
     ]
 
 

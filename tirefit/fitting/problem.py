@@ -368,6 +368,10 @@ def build(data: TireData, name: str, config: FitConfig, least_rows: int = 8) -> 
 
 
 def _check_inputs(data: TireData, name: str, model, forces, config: FitConfig):
+    if config.friction_temperature:
+        reason = f"friction_temperature with the model {name}"
+        remedy = "it is of mf52, mf61 and mf62: leave it out of [model]"
+        raise UsageError(InputProblem(reason, remedy, config.source))
     if "mz" in forces and "mz" not in modelled(model):
         raise UsageError(
             InputProblem(f"{name} has no aligning moment", "fit fy, or a brush model")

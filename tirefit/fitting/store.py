@@ -127,7 +127,7 @@ class _Reference(_Part):
 
 class _Record(_Part):
     model: str
-    forces: list[Literal["fx", "fy", "mz"]]
+    forces: list[Literal["fx", "fy", "mz", "mx", "my"]]
     noise: dict[str, Any]
     data: _Data
     reference: _Reference

@@ -16,6 +16,7 @@ from tirefit.models.mf import (
     curvatures,
     mf_tire,
 )
+from tirefit.models.mf.fields import Nominal
 from tirefit.models.mf.tire import turned_inputs
 from tirefit.params import parameter_values
 from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
@@ -83,6 +84,21 @@ def tire_of(
             raise UsageError(InputProblem(reason, remedy, tir.path))
         turned ^= OTHER_SIDE
     return Mirrored(tire, turned) if turned else tire
+
+
+def moments_noted(tir: TirFile, data: TireData) -> list[str]:
+    """Sentences on M_x and M_y: which the file does not give, and at what speed."""
+    there = {key[:3] for key in tir.numbers}
+    keys = {"QSX": "mx (overturning moment)", "QSY": "my (rolling resistance moment)"}
+    said = [
+        f"no coefficients {key}...: {name} is not predicted"
+        for key, name in keys.items()
+        if key not in there
+    ]
+    if "v" not in data and any(tir.numbers.get(key) for key in ("QSY3", "QSY4")):
+        speed = tir.numbers.get("LONGVL", Nominal().LONGVL)
+        said.append(f"no column v: my is that of {speed:g} m/s (--constant v=SPEED)")
+    return said
 
 
 def turned_by(signs: str | None) -> frozenset[str]:

@@ -15,7 +15,8 @@ class TireInputs(NamedTuple):
     """One sample in the canonical convention of ``tirefit.slip`` (or a batch of them).
 
     ``sigma_x`` [-], ``alpha`` [rad], ``fz`` [N], ``v`` [m/s] forward speed of the
-    wheel centre, ``gamma`` [rad] camber, ``pressure`` [Pa] of inflation (0: nominal),
+    wheel centre (0: a rolling resistance is that of the nominal speed), ``gamma`` [rad]
+    camber, ``pressure`` [Pa] of inflation (0: nominal),
     ``time`` [s]. A model says in ``needs`` which of the last four change its force.
     """
 
@@ -29,11 +30,16 @@ class TireInputs(NamedTuple):
 
 
 class TireForces(NamedTuple):
-    """Forces [N] and aligning moment [N m] of one sample; None where not modelled."""
+    """Forces [N] and moments [N m] of one sample; None where not modelled.
+
+    ``mz`` aligning, ``mx`` overturning, ``my`` rolling resistance moment.
+    """
 
     fx: Float[Array, "*n"] | None
     fy: Float[Array, "*n"] | None
     mz: Float[Array, "*n"] | None
+    mx: Float[Array, "*n"] | None = None
+    my: Float[Array, "*n"] | None = None
 
 
 class AbstractTire(eqx.Module):
@@ -68,7 +74,7 @@ class AbstractTire(eqx.Module):
 
 
 def modelled(model: AbstractTire) -> tuple[str, ...]:
-    """Which of fx, fy, mz the model gives."""
+    """Which of the forces and moments the model gives."""
     outputs = jax.eval_shape(lambda: model(TireInputs()))
     return tuple(name for name, value in outputs._asdict().items() if value is not None)
 
@@ -89,8 +95,8 @@ def forces(model: AbstractTire, inputs: TireInputs, run=0) -> TireForces:
             with each and takes the rows of a run in time order.
 
     Returns:
-        fx, fy [N] and mz [N m] of shape ``(n,)`` (``()`` if all inputs are scalars);
-        None where the model does not give it.
+        fx, fy [N] and moments [N m] of shape ``(n,)`` (``()`` if all inputs are
+        scalars); None where the model does not give it.
 
     Raises:
         ValueError: an input has more than one dimension.

@@ -35,6 +35,8 @@ FORCE_LABEL = {
     "fx": ("longitudinal force $F_x$", "N", "$F_x / F_z$"),
     "fy": ("lateral force $F_y$", "N", "$F_y / F_z$"),
     "mz": ("aligning moment $M_z$", "N m", "$M_z / F_z$"),
+    "mx": ("overturning moment $M_x$", "N m", "$M_x / F_z$"),
+    "my": ("rolling resistance moment $M_y$", "N m", "$M_y / F_z$"),
 }
 _LIMIT = {
     "mu": ("friction limit", r"\mu"),

@@ -3,6 +3,7 @@
 import html
 from collections.abc import Callable
 
+from tirefit.data.table import CANONICAL, FORCES
 from tirefit.fitting.mf.parts import PARTS
 from tirefit.fitting.mf.result import ORIGINS, MagicFormulaFit
 from tirefit.params import specs
@@ -14,7 +15,7 @@ from tirefit.results import Outcome
 
 __all__ = ["magic_formula_fragment", "magic_formula_report"]
 
-_UNIT = {"fx": "N", "fy": "N", "mz": "N m"}
+_UNIT = {force: CANONICAL[force][0] for force in FORCES}
 
 
 def magic_formula_report(fit: MagicFormulaFit) -> str:
@@ -31,10 +32,12 @@ def magic_formula_report(fit: MagicFormulaFit) -> str:
     lines += _guards(fit)
     for part in fit.parts:
         lines += _coefficients(fit, part)
-    if left_out := [PARTS[part].meaning for part in PARTS if part not in fit.parts]:
-        lines += ["", *wrapped("not fitted", f"{', '.join(left_out)}: at the priors")]
-    lines.append("")
+    there = {one.part for one in fit.coefficients.values()} - {*fit.parts}
     origins = {one.origin for one in fit.coefficients.values()}
+    if left_out := [PARTS[part].meaning for part in PARTS if part in there]:
+        where = "at the priors" + (", or borrowed" if "borrowed" in origins else "")
+        lines += ["", *wrapped("not fitted", f"{', '.join(left_out)}: {where}")]
+    lines.append("")
     for origin in (o for o in ORIGINS if o in origins):
         lines += wrapped(origin, ORIGINS[origin])
     lines += ["", *_verdict(fit)]

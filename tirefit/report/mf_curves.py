@@ -5,9 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.mf.bins import SlipBins
-from tirefit.fitting.mf.parts import NEARLY_PURE
+from tirefit.fitting.mf.parts import NEARLY_PURE, SLIPS_OF
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.predict import predict
 from tirefit.models import TireInputs
@@ -101,7 +100,7 @@ def force_panels(fit: MagicFormulaFit, force: str) -> list[Panel]:
     which it has most of them, with least camber, and then most rows."""
     panels = []
     for name in _BY:
-        swept = "sigma_x" if name == "held" else CHANNEL_SLIP[force]
+        swept = "sigma_x" if name == "held" else SLIPS_OF[force][-1]
         alike: dict[tuple, list[SlipBins]] = {}
         for bins in fit.binned[force]:
             setting = bins.setting

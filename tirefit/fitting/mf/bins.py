@@ -8,8 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from tirefit.data.levels import levels
-from tirefit.fitting.likelihood import CHANNEL_SLIP
-from tirefit.fitting.mf.parts import NEARLY_PURE
+from tirefit.fitting.mf.parts import NEARLY_PURE, SLIPS_OF
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.models import TireInputs
 from tirefit.slip import kappa_from_sigma
@@ -139,7 +138,7 @@ def rig_settings(rows: ForceRows) -> tuple[tuple[Setting, ...], np.ndarray]:
 def _held(force: str, slips, run) -> tuple[np.ndarray, np.ndarray]:
     """Whether the slip angle is the one that is swept, and the level of the other slip,
     0 where it is next to nothing; of each row (n,)."""
-    own = CHANNEL_SLIP[force]
+    own = SLIPS_OF[force][-1]
     other = "alpha" if own == "sigma_x" else "sigma_x"
     none = {name: np.abs(slips[name]) <= NEARLY_PURE[name] for name in slips}
     both = ~none["alpha"] & ~none["sigma_x"]

@@ -27,8 +27,8 @@ _FEWEST = 4096
 _WIDENS = 0.1
 """Slip from which on cells grow with it: there the curves are nearly straight."""
 
-_SHARE = {"fz": 0.05, "pressure": 0.02}
-"""Width of a cell over the value itself, of loads and pressures."""
+_SHARE = {"fz": 0.05, "pressure": 0.02, "v": 0.05}
+"""Width of a cell over the value itself, of loads, pressures and speeds."""
 
 
 class Cells(NamedTuple):
@@ -69,7 +69,9 @@ def cells_of(rows: ForceRows, setting: np.ndarray) -> Cells:
         setting: (n,) integers, which setting of the rig each row is at.
     """
     columns = {k: np.asarray(part) for k, part in rows.inputs._asdict().items()}
-    places = [setting, *(_place(columns, name) for name in (*_WIDTH, *_SHARE))]
+    # Of the forces none, but M_y depends on speed.
+    names = [*_WIDTH, *(name for name in _SHARE if name != "v" or rows.force == "my")]
+    places = [setting, *(_place(columns, name) for name in names)]
     if len(setting) < _FEWEST:
         places.append(np.arange(len(setting)))
     found, code = np.unique(np.stack(places), axis=1, return_inverse=True)

@@ -10,10 +10,13 @@ from tirefit.data.tir import TirFile
 from tirefit.data.tir_keys import LIMITS, PRESSURE_TERMS
 from tirefit.fitting.config import FitConfig
 from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.fitting.mf.parts import NEVER_FITTED, VERSIONS, coefficients_of
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.fitting.tir import own_tire, remarks, tire_of, turned_by
 from tirefit.models import TireInputs, forces
+from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.models.mf.tire import turned_inputs
+from tirefit.params import specs
 
 __all__ = ["converted", "virtual_test"]
 
@@ -39,9 +42,11 @@ def virtual_test(
     pressure_too: bool,
     signs: str | None = None,
     combination: str | None = None,
+    moments: Sequence[str] = (),
 ) -> TireData:
     """Sweeps in pure and combined slip of the tire of a file in ``signs``, at these
-    loads [N], three cambers and, if ``pressure_too``, three pressures: each a run."""
+    loads [N], three cambers and, if ``pressure_too``, three pressures: each a run.
+    ``moments``: of mx and my, those to be measured beside fx, fy and mz."""
     tire = own_tire(tir)
     kappa = np.linspace(*_range(tir, "kappa", -min(slip_max, 0.99), slip_max), _SLIPS)
     alpha = np.linspace(*_range(tir, "alpha", -slip_max, slip_max), _SLIPS)
@@ -73,6 +78,7 @@ def virtual_test(
     own = tire_of(tir, signs=signs, combination=combination)
     inputs = turned_inputs(inputs, turned_by(signs))
     given = forces(own, inputs)._asdict()
+    given = {name: given[name] for name in ("fx", "fy", "mz", *moments)}
     columns = {
         k: np.asarray(v) for k, v in (inputs._asdict() | given).items() if v is not None
     }
@@ -96,7 +102,8 @@ def converted(
 ) -> MagicFormulaFit:
     """The Magic Formula ``model`` that a file is nearest to, fitted to its own test;
     5.2, which has no pressure terms, at the nominal pressure. It lacks the forces that
-    the file lacks.
+    the file lacks. M_x and M_y are copied as far as the version has their coefficients;
+    an M_x of more of them is fitted.
 
     Args:
         tir: the file, read and checked.
@@ -108,11 +115,21 @@ def converted(
             :func:`~tirefit.fitting.tir.own_tire`.
     """
     acting = any(tir.numbers.get(name) for name in PRESSURE_TERMS)
+    own = {
+        *coefficients_of(VERSIONS[model]),
+        *(NEVER_FITTED if model != "mf52" else ()),
+    }
+    of_mx = [name for name in specs(Overturning()) if tir.numbers.get(name)]
+    # The coefficients of a file in other signs are not those of ISO-W.
+    is_fitted = not own.issuperset(of_mx) or turned_by(signs)
+    moments = ("mx",) if of_mx and is_fitted else ()
     pressure_too = acting and model != "mf52"
-    data = virtual_test(tir, slip_max, loads, pressure_too, signs, combination)
+    data = virtual_test(tir, slip_max, loads, pressure_too, signs, combination, moments)
+    copied = {*specs(Rolling()), *(() if moments else specs(Overturning()))} & own
     kept = ("FNOMIN", "UNLOADED_RADIUS", "NOMPRES", "LONGVL")
     tire = own_tire(tir)
     given = {name: {"value": float(getattr(tire.nominal, name))} for name in kept}
+    given |= {k: {"value": tir.numbers[k]} for k in copied if k in tir.numbers}
     settings = FitConfig.model_validate({"parameters": given})
     first = None if turned_by(signs) else tir.numbers
     fit = fit_magic_formula(data, model, config=settings, first=first, leave_out="none")

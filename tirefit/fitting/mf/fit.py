@@ -1,7 +1,9 @@
 """Fit a whole Magic Formula: :func:`fit_magic_formula`."""
 
 import importlib.metadata
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,12 +11,17 @@ import numpy as np
 from tirefit.data.accept import as_data
 from tirefit.data.read import require
 from tirefit.data.table import TireData
+from tirefit.data.tir import TirFile, read_tir
 from tirefit.fitting.config import FitConfig, ParameterConfig, parse_config
 from tirefit.fitting.estimate import data_record
 from tirefit.fitting.mf.bins import binned, settings_of
 from tirefit.fitting.mf.guards import check_guards
 from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, LeftOut, foretold
+from tirefit.fitting.mf.like import Borrowed, borrowed_from, with_dimensions
 from tirefit.fitting.mf.parts import (
+    HELD,
+    MOMENTS,
+    NEVER_FITTED,
     PARTS,
     VERSIONS,
     coefficients_of,
@@ -25,11 +32,12 @@ from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
 from tirefit.fitting.mf.rows import ForceRows, joined, rows_of_forces
 from tirefit.fitting.mf.solve import Problem, row_values
 from tirefit.fitting.mf.stages import Search, groups_of, search
+from tirefit.fitting.mf.temperature import at_reference
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire, frictions
 from tirefit.models.mf.fields import Nominal, Scaling
 from tirefit.params import check_names, check_values, specs, with_values
 from tirefit.precision import require_x64
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.slip import kappa_from_sigma
 
 __all__ = ["fit_magic_formula", "nominal_of", "parts_named", "problem_from"]
@@ -42,12 +50,15 @@ _REACHED = 0.9
 
 
 def parts_named(part: str) -> tuple[str, ...]:
-    """The stages of ``--part``: that one, with ``combined`` and ``all`` all of them.
+    """The stages of ``--part``: that one, with ``combined`` and ``all`` all of them; of
+    M_x or M_y those of the forces too, of which it is made.
 
     Raises:
         UsageError: no such part.
     """
     (name,) = check_names("part", [part], (*PARTS, "all"))
+    if name in MOMENTS:
+        return ("fx", "fy", "combined", name)
     return tuple(PARTS) if name in ("combined", "all") else (name,)
 
 
@@ -58,6 +69,7 @@ def fit_magic_formula(
     part: str = "all",
     config: FitConfig | dict | None = None,
     first: Mapping[str, float] | None = None,
+    like: TirFile | str | os.PathLike | None = None,
     leave_out: str = "three",
     progress: Callable[[float, str], None] = lambda share, note: None,
 ) -> MagicFormulaFit:
@@ -72,12 +84,16 @@ def fit_magic_formula(
         data: what ``tirefit.read`` gave, or what it reads; a list of such counts as
             runs of one data set, which need not hold the same columns.
         model: ``mf52``, ``mf61`` or ``mf62``.
-        part: ``fx``, ``fy`` or ``mz`` in pure slip; ``all``, or ``combined``, is these
-            and combined slip, as far as the data hold them.
+        part: ``fx``, ``fy`` or ``mz`` in pure slip; ``all``, or ``combined``, is these,
+            combined slip, ``mx`` and ``my``, as far as the data hold them; ``mx`` or
+            ``my``: that moment and the forces.
         config: content of ``fit.toml``: noise of the forces; under ``parameters`` the
             nominal state (FNOMIN, UNLOADED_RADIUS, NOMPRES), and value, ``free`` and
-            prior of coefficients.
+            prior of coefficients; ``friction_temperature``: whether friction follows
+            the temperature, at whose median the coefficients then are.
         first: coefficients of a tire that may be near, to start from too.
+        like: a ``.tir`` file, whose coefficients are the priors' means where ``config``
+            says nothing of them.
         leave_out: ``three`` leaves out the bins of three loads in turn, ``load`` those
             of each load, ``bin`` each bin, ``none`` nothing.
         progress: called with the share done and what is being done.
@@ -98,29 +114,64 @@ def fit_magic_formula(
     whole = joined([as_data(table) for table in tables])
     _check_settings(model, config)
     require(whole, ("fz",), f"the model {model}")
-    forces = [f for name in parts for f in PARTS[name].forces]
-    rows = rows_of_forces(whole, list(dict.fromkeys(forces)), config)
-    tire, notes = nominal_of(model, rows, config, whole.source.constants)
-    notes += _slip_noise_left_out(whole, config)
-    problem, priors = problem_from(tire, config)
+    rows, notes = _rows(whole, part, config)
+    other = like if like is None or isinstance(like, TirFile) else read_tir(like)
+    constants = whole.source.constants
+    if other is not None:
+        config, taken = with_dimensions(other, rows, config, constants)
+        notes += taken
+    also = other.numbers if other else ()
+    tire, assumed = nominal_of(model, rows, config, constants, also)
+    borrowed = borrowed_from(other, tire, rows, config) if other else Borrowed({}, ())
+    notes += [*assumed, *borrowed.notes, *_slip_noise_left_out(whole, config)]
+    problem, priors = problem_from(tire, config, borrowed.priors)
     settings = {force: settings_of(of_force) for force, of_force in rows.items()}
     codes = {force: code for force, (_, code) in settings.items()}
-    groups = groups_of(rows, codes, "combined" in parts)
     start = _start(problem, first) if first else None
-    say = _Steps(progress, sum(map(len, groups.values())))
-    work = search(problem, rows, groups, start, say)
+    kinds = sum(len(set(of.pure)) for of in rows.values())
+    say = _Steps(progress, kinds)
+
+    def fitted_to(rows: Mapping[str, ForceRows]) -> Search:
+        groups = groups_of(rows, codes, "combined" in parts)
+        return search(problem, rows, groups, start, say)
+
+    warmth = None
+    if config.friction_temperature:
+        require(whole, ("temperature",), "friction_temperature")
+        work, rows, warmth = at_reference(whole, rows, fitted_to)
+        notes.append(warmth.text())
+    else:
+        work = fitted_to(rows)
     left_out, bands = foretold(work, rows, settings, leave_out, say)
-    fitted = _Fitted(work, rows, left_out, bands)
-    return _result(model, whole, fitted, priors, notes)
+    fitted = _Fitted(work, rows, left_out, bands, borrowed.priors.keys())
+    result = _result(model, whole, fitted, priors, notes)
+    return replace(result, warmth=warmth)
+
+
+def _rows(whole: TireData, part: str, config: FitConfig):
+    """The rows of the forces of a part, and what to say of them; raises DataError for a
+    moment that is asked for and is not there."""
+    parts = parts_named(part)
+    forces = list(dict.fromkeys(f for name in parts for f in PARTS[name].forces))
+    forces = [force for force in forces if force != "mz" or part not in MOMENTS]
+    rows = rows_of_forces(whole, forces, config)
+    lacking = "mx is not fitted: the data have no fy, of which the model makes it"
+    if part in MOMENTS and part not in rows:
+        reason = lacking if part in whole else f"the data have no {part}"
+        remedy = f"leave out --part {part}, or see `tirefit inspect`"
+        raise DataError(InputProblem(reason, remedy, whole.source.path or whole.name))
+    return rows, [lacking] if "mx" in {*parts} & {*whole.columns} - {*rows} else []
 
 
 class _Fitted(NamedTuple):
-    """The search, its rows, and what it foretells of parts that were left out."""
+    """The search, its rows, what it foretells of parts that were left out, and the
+    coefficients whose prior was borrowed."""
 
     work: Search
     rows: Mapping[str, ForceRows]
     left_out: tuple[LeftOut, ...]
     bands: Mapping[str, Band]
+    borrowed: Collection[str] = ()
 
 
 class _Steps:
@@ -138,7 +189,7 @@ def _check_settings(model: str, config: FitConfig) -> None:
     """Raises UsageError for settings that a Magic Formula does not have; all."""
     problems = []
     own = coefficients_of(VERSIONS[model])
-    given = {*specs(Nominal()), *specs(Scaling())}
+    given = {*specs(Nominal()), *specs(Scaling()), *NEVER_FITTED}
     for name, asked in config.parameters.items():
         if name not in own and (name not in given or asked.value is None):
             reason = f"parameters.{name}: {model} does not fit it"
@@ -164,16 +215,23 @@ def nominal_of(
     rows: dict[str, ForceRows],
     config: FitConfig,
     constants: Mapping[str, float] | None = None,
+    also: Iterable[str] = (),
 ):
-    """The tire with its nominal state and all that is given; what was assumed.
+    """The tire with its nominal state and all that is given; what was assumed. It has
+    an M_x or M_y that is measured, set or among the names ``also``.
 
     Args:
         constants: of the data file (``Source.constants``); the configuration has
             precedence, then these, then what is assumed.
     """
     empty = MAGIC_FORMULAS[model]
+    asked = {name[:3] for name in (*config.parameters, *also)}
+    if "mx" not in rows and "QSX" not in asked:
+        empty = replace(empty, overturning=None)
+    if "my" not in rows and "QSY" not in asked:
+        empty = replace(empty, rolling=None)
     given = {k: v.value for k, v in config.parameters.items() if v.value is not None}
-    check_values(empty, model, given)
+    check_values(MAGIC_FORMULAS[model], model, given)
     first = next(iter(rows.values()))
     pressures = first.column("pressure")
     pressures, speeds = pressures[pressures > 0], first.column("v")
@@ -190,7 +248,7 @@ def nominal_of(
     assumed["INFLPRES"] = given.get("NOMPRES", assumed["NOMPRES"])
     origins = {
         "FNOMIN": "the median load", "NOMPRES": "the median pressure",
-        "UNLOADED_RADIUS": "no radius was given; M_z alone refers to it",
+        "UNLOADED_RADIUS": "no radius was given; the moments alone refer to it",
     }  # fmt: skip
     if not len(pressures):
         origins["NOMPRES"] = "the data have no pressure"
@@ -199,7 +257,11 @@ def nominal_of(
         f"{name} = {assumed[name]:g}: {why} (parameters.{name}.value gives another)"
         for name, why in origins.items()
         if name not in given
-        and (name != "UNLOADED_RADIUS" or "mz" in rows or name in stated)
+        and (
+            name != "UNLOADED_RADIUS"
+            or {"mz", *MOMENTS} & rows.keys()
+            or name in stated
+        )
     ]
     return with_values(empty, assumed | given), notes
 
@@ -219,11 +281,17 @@ def _rounded(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def problem_from(tire: MFTire, config: FitConfig) -> tuple[Problem, dict[str, Prior]]:
-    """The coefficients in units of their priors, and the priors."""
-    names = tuple(coefficients_of(tire.version))
-    priors = {name: published_priors()[name] for name in names}
-    asked = {name: config.parameters.get(name, ParameterConfig()) for name in names}
+def problem_from(
+    tire: MFTire, config: FitConfig, borrowed: Mapping[str, Prior] | None = None
+) -> tuple[Problem, dict[str, Prior]]:
+    """The coefficients in units of their priors, and the priors: those that are set,
+    else those ``borrowed``, else the published ones."""
+    known = specs(tire)
+    names = tuple(name for name in coefficients_of(tire.version) if name in known)
+    all_priors = {**published_priors(), **(borrowed or {})}
+    priors = {name: all_priors[name] for name in names}
+    usual = {name: ParameterConfig(free=False) for name in HELD}
+    asked = {n: (usual | config.parameters).get(n, ParameterConfig()) for n in names}
     for name, one in asked.items():
         if one.prior is not None:
             priors[name] = prior_given(name, one.prior.mean, one.prior.std)
@@ -258,7 +326,10 @@ def _result(model, data: TireData, fitted: _Fitted, priors, notes) -> MagicFormu
             value=values[name],
             std=float(np.sqrt(covariance[i, i])),
             origin=_origin(
-                bool(problem.free[i]), shares[i], name in work.moved - work.held
+                bool(problem.free[i]),
+                shares[i],
+                name in work.moved - work.held,
+                name in fitted.borrowed,
             ),
             part=of_part[name],
             prior_mean=priors[name].centre,
@@ -363,8 +434,10 @@ def _not_reached(work: Search, tire: MFTire) -> list[str]:
     return said
 
 
-def _origin(free: bool, share: float, moved: bool) -> str:
+def _origin(free: bool, share: float, moved: bool, borrowed: bool) -> str:
     """``share`` of the prior's variance is left."""
+    if borrowed and not (free and moved and share <= 0.5):
+        return "borrowed"
     if not free:
         return "given"
     if not moved:

@@ -8,12 +8,17 @@ from tirefit.data.table import TireData
 from tirefit.data.tir_keys import ONLY_IN
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.models.mf import MFTire
+from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.params import specs
 from tirefit.slip import kappa_from_sigma
 
 __all__ = [
+    "HELD",
+    "MOMENTS",
     "NEARLY_PURE",
+    "NEVER_FITTED",
     "PARTS",
+    "SLIPS_OF",
     "VERSIONS",
     "Part",
     "coefficients_of",
@@ -24,6 +29,13 @@ __all__ = [
 
 VERSIONS = {"mf52": "5.2", "mf61": "6.1", "mf62": "6.2"}
 """Name of the model -> version of the Magic Formula."""
+
+SLIPS_OF: dict[str, tuple[str, ...]] = {
+    **{force: (slip,) for force, slip in CHANNEL_SLIP.items()},
+    "mx": ("alpha",),
+    "my": ("sigma_x", "alpha"),
+}
+"""Force or moment -> slips one of which the rows need; the other may be left out."""
 
 _BEGINNINGS = {"P": "pure", "Q": "pure", "R": "combined", "S": "combined"}
 
@@ -50,8 +62,29 @@ PARTS = {
     "fy": Part("fy", ("fy",), True, "lateral force in pure slip"),
     "mz": Part("mz", ("mz",), True, "aligning moment in pure slip"),
     "combined": Part("combined", ("fx", "fy", "mz"), False, "combined slip"),
+    "mx": Part("mx", ("mx",), False, "overturning moment"),
+    "my": Part("my", ("my",), False, "rolling resistance moment"),
 }
 """Stage -> what it is, in the order in which they are taken."""
+
+MOMENTS = ("mx", "my")
+"""Forces without coefficients of combined slip: they take F_x and F_y of the model."""
+
+HELD = ("QSX5",)
+"""At its prior's centre unless asked for: QSX4 and QSX5 trade off against each other
+where QSX2 and QSX3 take up what of QSX4 does not change with load."""
+
+NEVER_FITTED = ("QSX12", "QSX13", "QSX14")
+"""Zero in a fit: MF-Tyre asks for these or QSX1 to QSX11, which say the same."""
+
+_OWN = {
+    "fx": MFTire().longitudinal,
+    "fy": MFTire().lateral,
+    "mz": MFTire().aligning,
+    "mx": Overturning(),
+    "my": Rolling(),
+}
+"""Force -> the coefficients that no other force has told before."""
 
 
 def coefficients_of(version: str) -> dict[str, str]:
@@ -59,38 +92,32 @@ def coefficients_of(version: str) -> dict[str, str]:
 
     Scaling factors and the nominal state are not among them: they are given.
     """
-    tire = MFTire()
-    groups = (("fx", tire.longitudinal), ("fy", tire.lateral), ("mz", tire.aligning))
     return {
         name: part if _BEGINNINGS[name[0]] == "pure" else "combined"
-        for part, group in groups
+        for part, group in _OWN.items()
         for name in specs(group)
-        if ONLY_IN.get(name, version[0]) == version[0]
+        if ONLY_IN.get(name, version[0]) == version[0] and name not in NEVER_FITTED
     }
 
 
 def influences(version: str, force: str) -> tuple[str, ...]:
     """The coefficients that a force depends on, in their order."""
-    tire = MFTire()
-    own = {"fx": (tire.longitudinal,), "fy": (tire.lateral,)}
-    groups = own.get(force, (tire.longitudinal, tire.lateral, tire.aligning))
-    names = {name for group in groups for name in specs(group)}
+    of = {"mz": ("fx", "fy", "mz"), "mx": ("fy", "mx"), "my": ("fx", "my")}
+    names = {name for own in of.get(force, (force,)) for name in specs(_OWN[own])}
     return tuple(name for name in coefficients_of(version) if name in names)
 
 
 def own_coefficients(version: str, force: str) -> tuple[str, ...]:
     """The coefficients that the rows of a force move, of pure and combined slip."""
-    tire = MFTire()
-    group = {"fx": tire.longitudinal, "fy": tire.lateral, "mz": tire.aligning}[force]
-    names = specs(group)
+    names = specs(_OWN[force])
     return tuple(name for name in coefficients_of(version) if name in names)
 
 
 def is_pure(data: TireData, force: str) -> np.ndarray:
     """Which of the used rows (n,) of this force have next to nothing of the other
-    slip."""
-    other = "alpha" if CHANNEL_SLIP[force] == "sigma_x" else "sigma_x"
-    if other not in data:
+    slip; all of a moment without coefficients of combined slip."""
+    other = "alpha" if SLIPS_OF[force][0] == "sigma_x" else "sigma_x"
+    if other not in data or force in MOMENTS:
         return np.full(data.n, True)
     size = np.abs(data.usable(other))
     if other == "sigma_x":

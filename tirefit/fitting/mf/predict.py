@@ -24,7 +24,7 @@ def magic_formula_forces(
 
     Args:
         fit: of an :class:`MFTire`.
-        forces: of fx, fy and mz.
+        forces: of fx, fy, mz, mx and my.
         inputs: arrays (n,).
 
     Returns:

@@ -46,25 +46,30 @@ _CENTRED = {
     "RBX1": (12.0, 1.0), "RBX2": (10.0, 0.8), "RCX1": (1.0, 0.1), "RBY1": (12.0, 1.5),
     "RBY2": (8.0, 0.8), "RCY1": (1.0, 0.1), "QBZ9": (10.0, 50.0),
     "RVY4": (40.0, 1.0), "RVY5": (1.9, 0.5), "RVY6": (20.0, 10.0),
+    "QSX5": (0.5, 0.5), "QSX6": (1.0, 0.5), "QSX7": (1.0, 1.0), "QSX8": (1.0, 1.0),
+    "QSX9": (0.5, 0.5), "QSX11": (1.0, 1.0), "QSY1": (0.01, 0.01), "QSY7": (1.0, 0.3),
 }  # fmt: skip
 """Coefficient without which there is no shape -> (centre, least spread).
 
-RVY4 to RVY6 shape an effect of the size RVY1 to RVY3: at zero they would hide it.
+RVY4 to RVY6 shape an effect of the size RVY1 to RVY3, QSX5 to QSX9 and QSX11 those of
+the sizes QSX4 and QSX10: at zero they would hide it.
 """
 
 _AROUND_ZERO = {
     1.0: "PEX4 PEX2 PEX3 PEY1 PEY2 PEY3 REX1 REX2 REY1 REY2 PPX1 PPY1 PPY2 PPY5 PPZ1"
-    " PPZ2 PKY3 PKY6 PKY7 QEZ1 QEZ2 QEZ3 QEZ4 QBZ4 QBZ5 QDZ3 SSZ3 SSZ4 PEX1",
-    0.3: "PDX2 PDY2 PKX3 PPX3 PPY3 QDZ8 QDZ9 QHZ3 QHZ4",
+    " PPZ2 PKY3 PKY6 PKY7 QEZ1 QEZ2 QEZ3 QEZ4 QBZ4 QBZ5 QDZ3 SSZ3 SSZ4 PEX1 QSX2 QSX10"
+    " PPMX1 QSY5 QSY6",
+    0.3: "PDX2 PDY2 PKX3 PPX3 PPY3 QDZ8 QDZ9 QHZ3 QHZ4 QSY8",
     5.0: "PKX2 PDX3 PDY3",
     2.0: "PPX2",
     0.5: "PPX4 PPY4 PVY3 PVY4 RVY3",
     50.0: "PEY4 PEY5 PKY5 QEZ5",
     1000.0: "RBX3 RBY4",
     10.0: "QDZ4 QBZ10",
-    0.003: "PHX1 PHX2 PHY1 PHY2 QDZ6 QDZ7",
+    0.1: "QSX3 QSX4",
+    0.003: "PHX1 PHX2 PHY1 PHY2 QDZ6 QDZ7 QSX1 QSY3 QSY4",
     0.03: "PVX1 PVX2 PVY1 PVY2 RBY3 PHY3 RVY1 RVY2 QDZ2 SSZ1 SSZ2",
-    0.01: "RHX1 RHY1 RHY2 QHZ1 QHZ2",
+    0.01: "RHX1 RHY1 RHY2 QHZ1 QHZ2 QSY2",
     3.0: "QDZ10 QDZ11 QBZ2 QBZ3",
 }
 """Least spread -> coefficients that are zero where a tire has no such effect.
@@ -75,7 +80,7 @@ a pressure off by half, about as large as what it acts upon.
 
 _FLOORS = {name: size for size, names in _AROUND_ZERO.items() for name in names.split()}
 
-_LOG = ("RBX1", "RBX2", "RBY1", "RBY2", "RVY4")
+_LOG = ("RBX1", "RBX2", "RBY1", "RBY2", "RVY4", "QSX5", "QSX6")
 """Coefficients whose sign is without effect (that of RBX1 and RBY1 turns with RBX3 and
 RBY4): their spread is one of the logarithm."""
 
@@ -96,7 +101,8 @@ def normal_form(values: Mapping[str, float]) -> dict[str, float]:
     induced = ("RVY1", "RVY2", "RVY3")
     turning = {
         "PDY1": ("PDY2", *induced), "RVY5": induced, "RVY6": induced,
-        "RBX1": ("RBX3",), "RBY1": ("RBY4",),
+        "RBX1": ("RBX3",), "RBY1": ("RBY4",), "QSX9": ("QSX8",), "QSX11": ("QSX10",),
+        "QSX7": ("QSX4", "QSX8"),
     }  # fmt: skip
     for leader, followers in turning.items():
         if values.get(leader, 0.0) < 0:

@@ -15,6 +15,7 @@ from tirefit.fitting.mf.guards import Guard
 from tirefit.fitting.mf.left_out import LeftOut
 from tirefit.fitting.mf.noise_law import NoiseLaw
 from tirefit.fitting.mf.stages import Stage
+from tirefit.fitting.mf.temperature import FrictionTemperature
 from tirefit.fitting.result import SCHEMA
 from tirefit.fitting.store import StoredFit
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire
@@ -27,6 +28,7 @@ ORIGINS = {
     "fitted": "the data tell it",
     "prior": "the prior tells at least as much of it as the data",
     "held": "not identified, held at its default; the uncertainty is the prior's",
+    "borrowed": "of the tire that `like` names, as the data do not tell it",
     "given": "given, not fitted",
 }
 """How a coefficient came by its value -> what that means."""
@@ -67,7 +69,8 @@ class MagicFormulaFit(Displayed):
     axes. ``fitted`` holds, by force, the root mean square of the residuals [N, N m] and
     their number; ``guards`` say whether it stays a tire within and beyond them.
     ``binned`` holds, by force, the rows by setting and slip, which figures show; a fit
-    read from its file has none.
+    read from its file has none. ``warmth``: the friction over the temperature, of a fit
+    with ``friction_temperature``.
     """
 
     html_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_fragment"
@@ -93,6 +96,7 @@ class MagicFormulaFit(Displayed):
     notes: tuple[str, ...]
     version: str
     binned: Mapping[str, tuple[SlipBins, ...]] = field(default_factory=dict)
+    warmth: FrictionTemperature | None = None
 
     def __repr__(self) -> str:
         return f"MagicFormulaFit({self.model!r}, {self.data['file']!r})"
@@ -217,6 +221,7 @@ class MagicFormulaFit(Displayed):
                     },
                 },
             },
+            "friction_temperature": self.warmth and self.warmth._asdict(),
             "notes": list(self.notes),
             "outcomes": [outcome.name.lower() for outcome in self.outcomes],
         }

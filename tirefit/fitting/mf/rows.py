@@ -7,8 +7,7 @@ import numpy as np
 
 from tirefit.data.table import Source, TireData, join
 from tirefit.fitting.config import FitConfig
-from tirefit.fitting.likelihood import CHANNEL_SLIP
-from tirefit.fitting.mf.parts import is_pure
+from tirefit.fitting.mf.parts import SLIPS_OF, is_pure
 from tirefit.fitting.problem import force_scale
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
@@ -71,7 +70,7 @@ def joined(tables: Sequence[TireData]) -> TireData:
     if len(tables) == 1:
         return tables[0]
     names = dict.fromkeys(name for table in tables for name in table.columns)
-    wanted = [name for name in names if name in (*_ASIDE, *CHANNEL_SLIP)]
+    wanted = [name for name in names if name in (*_ASIDE, *SLIPS_OF)]
     return join([_filled(table, wanted) for table in tables])
 
 
@@ -93,14 +92,17 @@ def _filled(table: TireData, names: Sequence[str]) -> TireData:
 def rows_of_forces(
     data: TireData, forces: Sequence[str], config: FitConfig
 ) -> dict[str, ForceRows]:
-    """The rows of every force that the data hold with its slip.
+    """The rows of every force that the data hold with its slip, those of M_x beside
+    F_y, which it takes from the model.
 
     Raises:
         DataError: a force has fewer than 30 rows, or none is there with its slip.
     """
     rows = {}
     for force in forces:
-        if force not in data or CHANNEL_SLIP[force] not in data:
+        if force not in data or not any(slip in data for slip in SLIPS_OF[force]):
+            continue
+        if force == "mx" and "fy" not in rows:
             continue
         there = np.isfinite(data.columns[force]) & data.used
         if not np.any(there):
@@ -119,7 +121,7 @@ def rows_of_forces(
         raise DataError(
             InputProblem(
                 f"no {' or '.join(forces)} with its slip: a fit needs fx with sigma_x"
-                " (or kappa, s), fy and mz with alpha",
+                " (or kappa, s), fy and mz with alpha, mx with alpha and fy",
                 "see `tirefit inspect`",
                 data.source.path or data.name,
             )

@@ -14,7 +14,7 @@ import numpy as np
 
 from tirefit.fitting.mf.cells import Cells, cells_of
 from tirefit.fitting.mf.noise_law import NoiseLaw, noise_law
-from tirefit.fitting.mf.parts import PARTS, coefficients_of, own_coefficients
+from tirefit.fitting.mf.parts import MOMENTS, PARTS, coefficients_of, own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import (
     Block,
@@ -261,7 +261,7 @@ def without(work: Search, keeps: Mapping[str, Sequence[np.ndarray]]) -> Search:
 
 def _title(group: Group) -> str:
     slip = "pure" if group.pure else "combined"
-    return f"{group.force} in {slip} slip"
+    return group.force + ("" if group.force in MOMENTS else f" in {slip} slip")
 
 
 def _one_stage(work: Search, force: str, count: int, rows: ForceRows | None) -> None:
@@ -455,6 +455,11 @@ _SHAPES: dict[str, tuple[dict[str, float], ...]] = {
     "fx": ({}, {"PCX1": 1.2}, {"PCX1": 1.8}),
     "fy": ({}, {"PCY1": 1.1}, {"PCY1": 1.8}),
     "mz": ({"QEZ1": -0.5}, {"QCZ1": 1.1, "QEZ1": -3.0}, {"QCZ1": 1.5, "QEZ1": -1.0}),
+    "mx": (
+        {},
+        {"QSX2": -1.0, "QSX3": 0.5, "QSX4": -1.0},
+        {"QSX2": 1.0, "QSX3": -0.5, "QSX4": 1.0},
+    ),
 }
 """Shapes of the curves to start from; curves with a peak, without, and sharp ones lie
 in different valleys."""
@@ -471,10 +476,10 @@ def starts_of(work: Search, group: Group) -> list[np.ndarray]:
     starts = [work.u] if work.near else []
     for shape in _SHAPES.get(group.force, ({},)):
         u = work.u.copy()
-        for name, value in (_look(group) | shape).items():
-            i = problem.names.index(name)
-            if problem.free[i]:
-                u[i] = problem.unit(name, value)
+        values = _look(group) | shape
+        for i, name in enumerate(problem.names):
+            if name in values and problem.free[i]:
+                u[i] = problem.unit(name, values[name])
         starts.append(u)
     return starts
 

@@ -22,7 +22,7 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
     known = specs(fit.tire)
     notes = {}
     for name, one in fit.coefficients.items():
-        error = "" if one.origin == "given" else f" +- {one.std:.3g}"
+        error = f" +- {one.std:.3g}" if one.std else ""
         notes[name] = f"{known[name].meaning}; {one.origin}{error}"
     comment = [
         f"Magic Formula {version} fitted by tirefit {fit.version}",
@@ -32,7 +32,10 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
         *fit.notes,
     ]
     if missing := {"fx", "fy", "mz"} - set(fit.forces):
-        comment.append(f"not fitted: {', '.join(sorted(missing))}; values of priors")
+        of = {one.origin for one in fit.coefficients.values()}
+        other = " or borrowed" if "borrowed" in of else ""
+        said = f"not fitted: {', '.join(sorted(missing))}; values of priors{other}"
+        comment.append(said)
     values = parameter_values(fit.tire)
     lost = {k for k, one in fit.coefficients.items() if one.part in fit.tire.lacks}
     values = {

@@ -7,6 +7,7 @@ supplement (2010) 337-352, where it differs from the book.
 """
 
 from tirefit.models.mf.curvature import curvatures, share_limited
+from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.models.mf.tire import (
     OTHER_SIDE,
     WEIGHTS,
@@ -29,9 +30,10 @@ __all__ = [
 ]
 
 MAGIC_FORMULAS = {
-    "mf52": MFTire(version="5.2"),
-    "mf61": MFTire(version="6.1"),
-    "mf62": MFTire(version="6.2"),
+    f"mf{version.replace('.', '')}": MFTire(
+        version=version, overturning=Overturning(), rolling=Rolling()
+    )
+    for version in ("5.2", "6.1", "6.2")
 }
 """Name of a whole Magic Formula -> it, without a tire's coefficients.
 

@@ -144,6 +144,9 @@ class Scaling(eqx.Module):
     LGAZ: float = _scale(r"\gamma z", "the camber in M_z (5.2)", "4.E43")
     LKZC: float = _scale(r"Kz\gamma", "the camber moment (6.x)", "4.E47")
     LS: float = _scale("s", "the moment arm of F_x", "4.E76")
+    LMX: float = _scale("Mx", "the overturning moment", "4.E69")
+    LVMX: float = _scale("VMx", "the shift of the overturning moment", "4.E69")
+    LMY: float = _scale("My", "the rolling resistance moment", "4.E70")
 
 
 def ratio(numerator, denominator):

@@ -21,6 +21,7 @@ from tirefit.models.mf.fields import (
 )
 from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
+from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.models.mf.similarity import similar_forces
 from tirefit.params import specs, with_values
 from tirefit.slip import LOCKED, kappa_from_sigma, sigma_from_kappa
@@ -34,8 +35,9 @@ class MFTire(AbstractTire):
 
     The equations of combined slip are used throughout; a pure slip is the other one at
     zero. Every coefficient is a parameter under its name in a ``.tir`` file. 6.1 and
-    6.2 have the same F_x, F_y and M_z. Nothing is limited to the range in which the
-    coefficients were found.
+    6.2 have the same forces and moments. Nothing is limited to the range in which the
+    coefficients were found. ``overturning`` and ``rolling`` are None where M_x or M_y
+    is not known.
 
     ``starred``: the equations take tan(alpha) and sin(gamma), as in the book (4.E3,
     4.E4), instead of the angles, as in MF-Tyre.
@@ -52,6 +54,8 @@ class MFTire(AbstractTire):
     longitudinal: Longitudinal = Longitudinal()
     lateral: Lateral = Lateral()
     aligning: Aligning = Aligning()
+    overturning: Overturning | None = None
+    rolling: Rolling | None = None
     version: str = eqx.field(static=True, default="6.1")
     starred: bool = eqx.field(static=True, default=False)
     digression: float = eqx.field(static=True, default=1.0)
@@ -94,9 +98,16 @@ class MFTire(AbstractTire):
             - self.aligning.trail(at, scale, nominal, slip) * turned
             + self.aligning.arm(at, scale, nominal, fy) * fx
         )
+        mx = my = None
+        if self.overturning is not None:
+            mx = -self.overturning.moment(at, scale, nominal, load, fy)
+        if self.rolling is not None:
+            my = -self.rolling.moment(at, scale, nominal, load, fx, inputs.v)
         # From ISO-W to the canonical signs of tirefit.slip.
-        given = TireForces(-fx, -fy, -mz)
-        return given._replace(**dict.fromkeys(self.lacks))
+        given = TireForces(-fx, -fy, -mz, mx, my)
+        # Of a force that is not known no moment is made.
+        lacks = (*self.lacks, *(["mx"] if "fy" in self.lacks else ()))
+        return given._replace(**dict.fromkeys(lacks))
 
     def point(self, inputs: TireInputs) -> Point:
         """The operating point in ISO-W axes; no load is that of ``nominal``, safely."""
@@ -146,7 +157,7 @@ def frictions(tire: MFTire, inputs: TireInputs) -> dict[str, np.ndarray]:
     return {force: np.asarray(mu) for force, mu in jax.vmap(one)(arrays).items()}
 
 
-OTHER_SIDE = frozenset(("alpha", "gamma", "fy", "mz"))
+OTHER_SIDE = frozenset(("alpha", "gamma", "fy", "mz", "mx"))
 """Fields of a convention that turn where a tire is mirrored in the plane of its wheel,
 as on the other side of the vehicle."""
 
@@ -199,7 +210,8 @@ def mf_tire(
     Args:
         version: "5.2", "6.1" or "6.2".
         values: coefficients by their names in a ``.tir`` file, SI units; other names
-            are left aside, and a coefficient that is not there has no effect.
+            are left aside, and a coefficient that is not there has no effect; without
+            any of QSX1 to QSX14 there is no M_x, without any of QSY1 to QSY8 no M_y.
         starred, digression: see :class:`MFTire`.
         combination: combined slip: ``none``, by the weighting functions, which are one
             where their coefficients are absent; ``similarity``, by :mod:`.similarity`;
@@ -217,7 +229,10 @@ def mf_tire(
     similar = {None: absent, "none": (), "similarity": WEIGHTS}[combination]
     # Similarity takes both pure forces.
     similar = () if set(WEIGHTS) & set(lacks) else similar
+    begin = {key[:3] for key in values}
     tire = MFTire(
+        overturning=Overturning() if "QSX" in begin else None,
+        rolling=Rolling() if "QSY" in begin else None,
         version=version,
         starred=starred,
         digression=digression,

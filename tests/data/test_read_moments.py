@@ -1,0 +1,76 @@
+"""The columns of the overturning and the rolling resistance moment."""
+
+import numpy as np
+import pytest
+from rig_file import truth, ttc, tydex
+
+from tirefit.data.columns import guess
+from tirefit.data.read import read, read_frame
+from tirefit.data.write import to_convention
+
+
+def columns():
+    known = truth()
+    angle = known["alpha"]
+    return {
+        "alpha": angle, "fz": known["fz"], "fy": -known["fy"],
+        "MX [N m]": -0.02 * known["fy"], "rolling resistance [Nm]": -9 + 0 * angle,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "unit"),
+    [
+        ("MX", "mx", None), ("Mx_Nm", "mx", "Nm"), ("overturning moment", "mx", None),
+        ("Overturning Couple [ft-lb]", "mx", "ft-lb"), ("My (Nm)", "my", "Nm"),
+        ("rolling resistance", "my", None), ("mx std", "mx_std", None),
+    ],
+)  # fmt: skip
+def test_headers_of_the_moments(header, name, unit):
+    assert guess(header) == (name, unit)
+
+
+@pytest.mark.parametrize("header", ["mx [uT]", "my [mm]", "Rolling resistance [N]"])
+def test_what_is_no_moment_is_not_read_as_one(header):
+    assert guess(header) is None
+
+
+def test_moments_turn_with_the_axes_of_the_file():
+    data = read_frame(columns(), convention="iso-w")
+    np.testing.assert_allclose(data["mx"], 0.02 * truth()["fy"])
+    np.testing.assert_allclose(data["my"], 9.0)
+    back = to_convention(data, {"mx": data["mx"], "my": data["my"]})
+    np.testing.assert_allclose(back["MX [N m]"], columns()["MX [N m]"])
+    sae = columns() | {"alpha": -columns()["alpha"], "fz": -columns()["fz"]}
+    sae["fy"] = -sae["fy"]
+    turned = read_frame(sae, convention="sae")
+    np.testing.assert_allclose(turned["mx"], data["mx"])
+    np.testing.assert_allclose(turned["my"], -data["my"])
+
+
+def test_a_moment_that_is_zero_throughout_was_not_measured():
+    data = read_frame(columns() | {"MX [N m]": 0 * truth()["fy"]}, convention="iso-w")
+    assert "mx" not in data and "my" in data
+    assert any("zero in all rows" in text for text in data.source.assumptions)
+
+
+@pytest.mark.parametrize("imperial", [False, True])
+def test_the_tire_test_consortium_has_the_overturning_moment(imperial):
+    known = truth()
+    frame = ttc(known, imperial) | {"MX": 0.02 * known["fy"]}
+    unit = 1.3558179483314004 if imperial else 1.0
+    np.testing.assert_allclose(read_frame(frame)["mx"], -0.02 * known["fy"] * unit)
+
+
+def test_tydex_has_them_in_the_axes_w(tmp_path):
+    known = truth()
+    for name, there in (("MXW", True), ("MXH", False)):
+        text = "\n".join(tydex(known)).replace("MZW", name)
+        (tmp_path / "test.tdx").write_text(text)
+        data = read(tmp_path / "test.tdx")
+        assert "mz" not in data and ("mx" in data) == there
+    text = "\n".join(tydex(known)).replace("MZW", "MYW")
+    (tmp_path / "test.tdx").write_text(text)
+    np.testing.assert_allclose(
+        read(tmp_path / "test.tdx")["my"], known["mz"], atol=1e-3
+    )

@@ -1,0 +1,90 @@
+"""Friction that follows the temperature, as a covariate of a whole Magic Formula."""
+
+import json
+from functools import cache
+
+import jax
+import numpy as np
+import pytest
+from rig import MF52, Plan, sweeps, tire_of
+
+from tirefit.data.read import read_frame
+from tirefit.data.tir import read_tir
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.estimate import fit
+from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.fitting.mf.store import tir_of
+from tirefit.models import TireInputs
+from tirefit.params import with_values
+from tirefit.results import DataError, UsageError
+
+PER_KELVIN = -0.004
+NOMINAL = {"FNOMIN": {"value": read_tir(MF52).numbers["FNOMIN"]}}
+
+
+@cache
+def warming_test():
+    """A tire that warms up over the loads of a test and within each sweep."""
+    inputs, run = sweeps(Plan(MF52), 0, 24, 4)
+    inputs = TireInputs(*(np.asarray(column) + np.zeros(len(run)) for column in inputs))
+    row = np.arange(len(run))
+    warm = 50 + 25 * (1 - np.exp(-2 * row / len(row))) + 6 * np.abs(np.sin(row / 8))
+    tire, reference = tire_of(MF52), np.round(np.median(warm))
+
+    def one(sample, change):
+        return with_values(tire, {"LMUX": 1 + change, "LMUY": 1 + change})(sample)
+
+    true = jax.vmap(one)(inputs, PER_KELVIN * (warm - reference))
+    noise = 0.01 * inputs.fz * np.random.default_rng(5).standard_normal((2, len(run)))
+    columns = {k: getattr(inputs, k) for k in ("sigma_x", "alpha", "fz", "gamma")}
+    forces = {"fx": true.fx + noise[0], "fy": true.fy + noise[1]}
+    forces = {name: np.asarray(column) for name, column in forces.items()}
+    return columns | forces | {"temperature": warm, "run": run}, reference
+
+
+@cache
+def fitted(friction_temperature):
+    config = {"model": {"friction_temperature": friction_temperature}}
+    table, _ = warming_test()
+    config |= {"parameters": NOMINAL}
+    return fit_magic_formula(read_frame(table), "mf52", config=config, leave_out="none")
+
+
+def test_the_change_of_friction_and_the_friction_come_back():
+    found, true = fitted(True), read_tir(MF52).numbers
+    b, std, reference = found.warmth
+    assert reference == warming_test()[1]
+    assert abs(b - PER_KELVIN) < 3 * std < 0.4 * abs(PER_KELVIN)
+    plain = fitted(False)
+    assert plain.warmth is None
+    for name in ("PDX1", "PDX2"):
+        one = found.coefficients[name]
+        assert abs(one.value - true[name]) < 4 * one.std
+    # Without it the warmth of the heavy loads looks like an effect of load.
+    assert abs(plain.coefficients["PDX2"].value - true["PDX2"]) > 0.02
+    assert found.fitted["fx"][0] < plain.fitted["fx"][0]
+
+
+def test_it_is_said_in_percent_and_written():
+    found = fitted(True)
+    said = "% per 10 K of the column temperature; coefficients and figures are at"
+    assert said in " ".join(str(found).split())
+    assert said in tir_of(found).text
+    content = json.loads(found.to_json())["friction_temperature"]
+    assert content["reference"] == warming_test()[1] and content["std"] > 0
+
+
+def test_what_it_cannot_be_asked_of_is_refused():
+    table, _ = warming_test()
+    table = {k: v for k, v in table.items() if k != "temperature"}
+    config = {"model": {"friction_temperature": True}, "parameters": NOMINAL}
+    with pytest.raises(DataError, match="friction_temperature needs temperature"):
+        fit_magic_formula(read_frame(table), "mf52", config=config)
+    still = table | {"temperature": np.full(len(table["fz"]), 60.0)}
+    with pytest.raises(DataError, match="varies by less than 1 K"):
+        fit_magic_formula(read_frame(still), "mf52", config=config)
+    with pytest.raises(UsageError, match="friction_temperature with the model brush"):
+        fit(read_frame(still), model="brush", config={"model": config["model"]})
+    with pytest.raises(UsageError, match="friction_temp"):
+        parse_config({"model": {"friction_temp": True}})
+    assert parse_config({"model": {"name": "mf61"}}).model == "mf61"

@@ -1,0 +1,142 @@
+"""M_x and M_y of a whole Magic Formula, fitted beside the forces."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from rig import MF52, MF61, MF62, Plan, sweeps, tire_of
+
+from tirefit.data.read import read_frame
+from tirefit.data.tir import read_tir
+from tirefit.fitting.mf.convert import converted
+from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.fitting.mf.store import save_magic_formula, tir_of
+from tirefit.fitting.predict import predict
+from tirefit.fitting.store import load_fit
+from tirefit.models import forces
+from tirefit.models.mf import mf_tire
+from tirefit.results import DataError
+
+NOISE = {"mx": 2.0, "my": 0.3}
+NOMINAL = ("FNOMIN", "UNLOADED_RADIUS", "LONGVL")
+
+
+@cache
+def columns():
+    """A test of the tire of MF 5.2 at several speeds, with noise, and what is true."""
+    inputs, run = sweeps(Plan(MF52), 0, 24, 4)
+    draw = np.random.default_rng(4)
+    inputs = inputs._replace(v=draw.uniform(5, 40, len(run)))
+    true = {
+        k: np.asarray(v) for k, v in forces(tire_of(MF52), inputs)._asdict().items()
+    }
+    fz = np.asarray(inputs.fz)
+    std = {"fx": 0.01 * fz, "fy": 0.01 * fz, "mx": 2.0 + 0 * fz, "my": 0.3 + 0 * fz}
+    noisy = {k: true[k] + s * draw.standard_normal(len(fz)) for k, s in std.items()}
+    kept = ("sigma_x", "alpha", "fz", "v", "gamma")
+    given = {k: np.asarray(getattr(inputs, k)) for k in kept}
+    return given | noisy | {"run": run}, true
+
+
+def fitted(without=(), part="all", **more):
+    table, _ = columns()
+    numbers = read_tir(MF52).numbers
+    given = {name: {"value": numbers[name]} for name in NOMINAL} | more
+    table = {k: v for k, v in table.items() if k not in without}
+    return fit_magic_formula(
+        read_frame(table), "mf52", part=part, config={"parameters": given}
+    )
+
+
+@cache
+def whole():
+    return fitted()
+
+
+def test_the_moments_come_back_in_standard_errors():
+    fit, numbers = whole(), read_tir(MF52).numbers
+    assert fit.forces == ("fx", "fy", "mx", "my") and fit.converged
+    assert fit.parts == ("fx", "fy", "combined", "mx", "my")
+    for name, one in fit.coefficients.items():
+        if one.part in ("mx", "my"):
+            assert one.origin == "fitted"
+            assert abs(one.value - numbers[name]) < 4 * one.std, name
+    for force, std in NOISE.items():
+        assert fit.fitted[force][0] == pytest.approx(std, rel=0.05)
+        assert fit.noise[force].std(4e3, 0.0) == pytest.approx(std, rel=0.2)
+
+
+def test_the_moments_do_not_move_the_forces():
+    """Even where they are of another tire."""
+    alone = fitted(without=("mx", "my"))
+    assert not {"mx", "my"} & set(alone.forces)
+    assert not any(name.startswith(("QSX", "QSY")) for name in alone.coefficients)
+    assert "QSX1" not in tir_of(alone).numbers
+    for name, one in alone.coefficients.items():
+        assert whole().coefficients[name] == one
+    for key in ("fx", "fy"):
+        assert whole().fitted[key] == alone.fitted[key]
+    names = list(alone.coefficients)
+    at = [list(whole().coefficients).index(name) for name in names]
+    covariance = whole().covariance[np.ix_(at, at)]
+    np.testing.assert_array_equal(covariance, alone.covariance)
+
+
+def test_the_files_give_the_moments_back(tmp_path):
+    fit, (_, true) = whole(), columns()
+    save_magic_formula(fit, tmp_path)
+    inputs = {k: columns()[0][k] for k in ("sigma_x", "alpha", "fz", "v", "gamma")}
+    stored = predict(load_fit(tmp_path / "fit.json"), inputs)
+    tir = read_tir(tmp_path / "fit.tir")
+    of_file = predict(mf_tire(tir.version, tir.numbers), inputs)
+    for force, noise in NOISE.items():
+        np.testing.assert_allclose(of_file[force], stored[force], rtol=1e-9, atol=1e-9)
+        error = stored[force] - true[force]
+        assert np.sqrt(np.mean(error**2)) < 0.2 * noise
+        own = np.sqrt(np.maximum(stored[f"{force}_std"] ** 2 - noise**2, 0.0))
+        assert np.max(own) < noise
+
+
+def test_one_moment_is_fitted_with_the_forces_that_it_is_made_of():
+    fit = fitted(part="my")
+    assert fit.parts == ("fx", "fy", "combined", "my")
+    assert fit.coefficients["QSY1"] == whole().coefficients["QSY1"]
+    assert "QSX1" not in fit.coefficients
+
+
+def test_an_overturning_moment_needs_a_lateral_force():
+    fit = fitted(without=("fy",))
+    assert "mx" not in fit.forces and "my" in fit.forces
+    assert any("mx is not fitted: the data have no fy" in note for note in fit.notes)
+    for name, said in (
+        ("fy", "mx is not fitted: the data have no fy"),
+        ("mx", "no mx"),
+    ):
+        with pytest.raises(DataError, match=said):
+            fitted(without=(name,), part="mx")
+
+
+def test_a_moment_that_is_given_goes_to_the_file():
+    fit = fitted(without=("mx", "my"), part="fx", QSX3={"value": 0.02})
+    assert fit.coefficients["QSX3"].origin == "given"
+    assert tir_of(fit).numbers["QSX3"] == 0.02 and "QSY1" not in tir_of(fit).numbers
+
+
+@pytest.mark.parametrize(("path", "model"), [(MF62, "mf61"), (MF61, "mf52")])
+def test_another_version_has_the_moments_as_far_as_it_can(path, model):
+    """Exactly in 6.x; in 5.2 an M_x fitted, and the M_y of the nominal state."""
+    tir = read_tir(path)
+    nominal = tir.numbers["FNOMIN"]
+    fit = converted(tir, model, 0.15, [0.6 * nominal, nominal])
+    inputs = {"sigma_x": np.linspace(-0.05, 0.1, 9), "alpha": np.linspace(-0.1, 0.1, 9)}
+    inputs |= {
+        "fz": np.full(9, nominal),
+        "gamma": np.full(9, 0.0),
+        "v": np.full(9, 30.0),
+    }
+    found = predict(fit.tire, inputs)
+    true = predict(mf_tire(tir.version, tir.numbers), inputs)
+    np.testing.assert_allclose(found["my"], true["my"], rtol=1e-3)
+    away = np.max(np.abs(found["mx"] - true["mx"]))
+    most = 0.01 if model == "mf61" else 0.35
+    assert away < most * np.max(np.abs(true["mx"]))

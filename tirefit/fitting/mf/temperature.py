@@ -1,0 +1,129 @@
+"""Friction that changes with the temperature of the tire, as a covariate of a fit.
+
+The friction is mu (1 + b (T - T_ref)). The coefficients hold at T_ref: measured forces
+are carried there with b, which is found with the coefficients (each other's effect is
+projected out of its slope, by Frisch and Waugh), from F_x and F_y together.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.data.table import TireData
+from tirefit.fitting.mf.parts import coefficients_of
+from tirefit.fitting.mf.rows import ForceRows
+from tirefit.fitting.mf.solve import row_gradients, row_values
+from tirefit.fitting.mf.stages import Search, problem_of
+from tirefit.params import parameter_values, with_values
+from tirefit.results import DataError, InputProblem
+
+__all__ = ["FrictionTemperature", "at_reference"]
+
+_ROUNDS = 6
+_SETTLED = 0.1
+"""Fits, at most, and the change of b, in standard errors, that ends them."""
+
+_STEP = 0.05
+"""Change of friction by which a force is expanded to second order."""
+
+_LEAST = 1.0
+"""Range of temperatures [K] below which no change of friction is told: at some 0.5 %
+a kelvin it is less than the noise of a rig."""
+
+_FORCES = ("fx", "fy")
+
+Rows = Mapping[str, ForceRows]
+
+
+class FrictionTemperature(NamedTuple):
+    """Change of friction b [1/K] with its standard error, from ``reference`` [degC]."""
+
+    b: float
+    std: float
+    reference: float
+
+    def text(self) -> str:
+        """What was found, in one sentence."""
+        value, std = (1e3 * number for number in (self.b, self.std))
+        return (
+            f"friction changes by {value:.3g} +- {std:.2g} % per 10 K of the column"
+            f" temperature; coefficients and figures are at {self.reference:g} degC"
+        )
+
+
+def at_reference(
+    data: TireData, rows: Rows, fitted: Callable[[Rows], Search]
+) -> tuple[Search, Rows, FrictionTemperature]:
+    """The search of rows carried to the reference temperature, these rows, and b.
+
+    Args:
+        data: what the rows are of; has a column temperature.
+        rows: by force.
+        fitted: the search of some rows.
+
+    Raises:
+        DataError: the temperature does not vary.
+    """
+    column = data.columns["temperature"]
+    if np.ptp(column[data.used]) < _LEAST:
+        reason = f"temperature varies by less than {_LEAST:g} K: no friction follows it"
+        remedy = "leave friction_temperature out"
+        raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+    reference = float(np.round(np.median(column[data.used])))
+    warmth = {
+        force: column[np.isfinite(data.columns[force]) & data.used] - reference
+        for force in rows
+    }
+    now, b = rows, 0.0
+    for _ in range(_ROUNDS):
+        work = fitted(now)
+        step, std = _step(work, now, warmth)
+        b += step
+        now = {f: _carried(work, of, b * warmth[f]) for f, of in rows.items()}
+        if abs(step) < _SETTLED * std:
+            break
+    return work, now, FrictionTemperature(b, std, reference)
+
+
+def _expanded(work: Search, force: str, inputs) -> tuple[np.ndarray, np.ndarray]:
+    """Slope and half the curvature (n,) of a force in the change of friction."""
+    tire = work.problem.tire
+    scales = {k: parameter_values(tire)[k] for k in ("LMUX", "LMUY")}
+
+    def at(change):
+        other = with_values(tire, {k: (1 + change) * v for k, v in scales.items()})
+        return row_values(replace(work.problem, tire=other), work.u, force, inputs)
+
+    low, middle, high = at(-_STEP), at(0.0), at(_STEP)
+    return (high - low) / (2 * _STEP), (high + low - 2 * middle) / (2 * _STEP**2)
+
+
+def _carried(work: Search, rows: ForceRows, change: np.ndarray) -> ForceRows:
+    """The rows as measured with a friction that is not changed (n,)."""
+    slope, bend = _expanded(work, rows.force, rows.inputs)
+    return replace(rows, observed=rows.observed - change * (slope + change * bend))
+
+
+def _step(work: Search, rows: Rows, warmth) -> tuple[float, float]:
+    """By how much b is to change, and its standard error."""
+    told, downhill = 0.0, 0.0
+    of_part = coefficients_of(work.problem.tire.version)
+    for force in (force for force in _FORCES if force in work.groups):
+        # Combined slip comes second: only pure slip is at its own optimum.
+        group = work.groups[force][0]
+        own = warmth[force][rows[force].chosen([group.pure])]
+        std = np.sqrt(group.each * group.variance(group.cells.observed))
+        slope = _expanded(work, force, group.cells.inputs)[0]
+        slope = group.cells.mean(own) * slope / std
+        names = [n for n in work.moved - work.held if of_part[n] == force]
+        problem = problem_of(work, force, 1, names)
+        residual, gradient = row_gradients(problem, work.u)
+        gradient, u = gradient[:, problem.free], work.u[problem.free]
+        normal = gradient.T @ gradient + np.eye(len(u))
+        alone = slope - gradient @ np.linalg.solve(normal, gradient.T @ slope)
+        told += float(alone @ slope)
+        downhill -= float(alone @ residual)
+        downhill += float(slope @ gradient @ np.linalg.solve(normal, u))
+    return downhill / told, float(1 / np.sqrt(told))
