@@ -25,18 +25,6 @@ converted at the border only, by the signs of :data:`CONVENTIONS`.
 
 from typing import NamedTuple
 
-__all__ = [
-    "CONVENTIONS",
-    "LOCKED",
-    "SLIP_DEFINITIONS",
-    "Convention",
-    "kappa_from_sigma",
-    "lateral_slip",
-    "sigma_from_kappa",
-    "sigma_from_slip_ratio",
-    "slip_ratio_from_sigma",
-]
-
 LOCKED = 1e6
 """Physical slip that stands for a locked wheel (kappa = 1, where sigma is infinite)."""
 

@@ -38,8 +38,6 @@ from tirefit.cli.prepare import prepare
 from tirefit.cli.simulate import app as simulate
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 
-__all__ = ["app"]
-
 app = typer.Typer(
     name="tirefit",
     epilog="Exit codes: 0 ok, 2 usage, 3 data, 4 not converged, 5 not identified"

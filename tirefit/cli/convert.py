@@ -25,8 +25,6 @@ from tirefit.cli.options import (
 from tirefit.cli.output import check_directories
 from tirefit.results import InputProblem, TirefitError, UsageError
 
-__all__ = ["convert"]
-
 _SLIPS = 61
 """Slips of the grid, both ends included."""
 

@@ -45,8 +45,6 @@ from tirefit.results import ExitCode, InputProblem, UsageError
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-__all__ = ["ManyHoldouts", "diagnose"]
-
 
 class ManyHoldouts(TyperCommand):
     """``--holdout A B C``: all file names up to the next option."""

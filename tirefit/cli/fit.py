@@ -39,8 +39,6 @@ from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-__all__ = ["fit", "model_names"]
-
 
 class Solver(StrEnum):
     optimistix = "optimistix"

@@ -17,16 +17,6 @@ if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
     from tirefit.fitting.result import FitResult
 
-__all__ = [
-    "PAGE",
-    "Also",
-    "FitTask",
-    "exit_code",
-    "exit_code_of",
-    "fit_into",
-    "fit_one",
-]
-
 PAGE, CHAIN = "fit.html", "chain.npz"
 
 

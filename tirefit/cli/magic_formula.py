@@ -13,11 +13,6 @@ from tirefit.cli.output import check_directories, claimed, is_page, staged
 from tirefit.files import write_text_atomic
 from tirefit.results import ExitCode, InputProblem, UsageError
 
-__all__ = [
-    "MAGIC_FORMULA_NAMES", "CombinationOption", "convert_whole", "fit_whole",
-    "only_of_magic_formula",
-]  # fmt: skip
-
 MAGIC_FORMULA_NAMES = ("mf52", "mf61", "mf62")
 
 

@@ -6,8 +6,6 @@ from textwrap import fill
 
 from tirefit.cli.options import complain, say
 
-__all__ = ["holds_notes", "told_together", "warn"]
-
 _held: list[tuple[str, list[str], list[str]]] | None = None
 """Notes that wait for those of other files: name, warnings, assumptions."""
 

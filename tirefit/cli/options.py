@@ -23,30 +23,6 @@ from tirefit.data.remote import file_at
 from tirefit.results import ExitCode, InputProblem, TirefitError, UsageError
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
-__all__ = [
-    "DataOptions",
-    "Files",
-    "JsonOption",
-    "SideOption",
-    "SignsOption",
-    "Unheard",
-    "complain",
-    "completed",
-    "error_text",
-    "errors_to_exit",
-    "forces_named",
-    "has_terminal",
-    "named_path",
-    "numbers",
-    "pairs",
-    "progress_bar",
-    "read_config",
-    "read_options",
-    "say",
-    "start_jax",
-    "takes_data_options",
-]
-
 
 def named_path(text: str) -> Path:
     """A path option: an empty name, as of an unset variable, is not the folder here."""

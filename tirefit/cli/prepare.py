@@ -29,8 +29,6 @@ from tirefit.results import DataError, ExitCode, InputProblem, TirefitError, Usa
 if TYPE_CHECKING:  # NumPy, which completion does not wait for
     from tirefit.data.records import FileRecord
 
-__all__ = ["prepare"]
-
 _KEPT = ("sweep", "steady", "cold", "warm-up", "spring-rate", "load-step")
 
 

@@ -8,8 +8,6 @@ from tirefit.data.read import read, read_frame
 from tirefit.data.table import TireData
 from tirefit.results import UsageError
 
-__all__ = ["as_data"]
-
 
 def _is_frame(data: Any) -> bool:
     # A lazy frame of polars warns where its columns are asked for.

@@ -15,20 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = [
-    "EACH",
-    "FEWEST",
-    "LATEST",
-    "Agreement",
-    "Pair",
-    "Term",
-    "agreement",
-    "around",
-    "effective",
-    "instrumented",
-    "surrounded",
-]
-
 LATEST = 0.4
 """Longest delay that is looked for [s]: of the recorders of vehicles."""
 

@@ -32,8 +32,6 @@ from tirefit.data.tydex import is_tydex
 from tirefit.data.white import tabbed
 from tirefit.results import DataError
 
-__all__ = ["LARGE", "table_of_large"]
-
 LARGE = 2**21
 """Bytes from which a file is read so; a smaller one takes no time either way."""
 

@@ -5,8 +5,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-__all__ = ["Body", "TextColumn", "may_hold"]
-
 
 class Body(ABC):
     """The rows of a large text, however they are kept.

@@ -18,20 +18,6 @@ from tirefit.data.evidence import evidence_of, fitting_conventions
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS
 
-__all__ = [
-    "BadRows",
-    "check_columns",
-    "check_variation",
-    "doubt_time",
-    "doubt_units",
-    "has_decimal_comma",
-    "list_problems",
-    "parsed",
-    "range_faults",
-    "read_numbers",
-    "without_masking",
-]
-
 SHOWN = 5
 """Rows of one fault that are listed one by one before the rest is summed up."""
 

@@ -18,15 +18,6 @@ from tirefit.data.units import (
 from tirefit.results import DataError, InputProblem, did_you_mean
 from tirefit.slip import SLIP_DEFINITIONS
 
-__all__ = [
-    "Column",
-    "Plan",
-    "guess",
-    "is_number",
-    "plan_columns",
-    "stated_unit",
-]
-
 _NAMES = {
     "time": "time t elapsed elapsedtime et",
     "sigma_x": "sigmax sigma σ σx physicalslip",

@@ -25,8 +25,6 @@ from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.results import InputProblem
 
-__all__ = ["Comparison", "compare"]
-
 _LATE = 0.05
 _OFFSET = 0.3
 """Delay [s] and offset [m/s2] of an a_y that is used, from which they are said."""

@@ -9,8 +9,6 @@ from tirefit.data.units import base_column, sign_of
 from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS, SLIP_DEFINITIONS
 
-__all__ = ["Options", "Signs", "stated_convention"]
-
 _STATED = re.compile(r"\bconvention\b\W*(?:is +)?([\w-]+(?: +sae\b)?)", re.IGNORECASE)
 
 

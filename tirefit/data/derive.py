@@ -36,8 +36,6 @@ from tirefit.data.zero import zero_of_alpha
 from tirefit.files import write_texts
 from tirefit.results import DataError, InputProblem, UsageError
 
-__all__ = ["DerivedFiles", "DerivedLog", "derive", "derive_files"]
-
 SCHEMA = "tirefit.derive/1"
 
 _NEARLY_ALL = 0.9

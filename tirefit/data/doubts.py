@@ -8,8 +8,6 @@ import numpy as np
 from tirefit.data.motion import Motion
 from tirefit.data.vehicle import Vehicle
 
-__all__ = ["Wave", "doubts", "repeats_with_distance"]
-
 _CUT, _MUCH_CUT = 0.7, 0.05
 """Share of the bandwidth above which the filter takes part of what is there, and the
 share of a column's variance from which that is said."""

@@ -13,8 +13,6 @@ import numpy as np
 from tirefit.data.units import slip_from_sigma
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 
-__all__ = ["Evidence", "evidence_of", "fitting_conventions", "trend", "turning"]
-
 _SMALL_ANGLE = np.radians(4.0)
 """Slip angle up to which the aligning moment has one sign."""
 

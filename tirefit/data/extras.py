@@ -5,8 +5,6 @@ from types import ModuleType
 
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["extra"]
-
 
 def extra(
     module: str, kind: str, file: str, group: str = "files", doing: str = "reading"

@@ -12,16 +12,6 @@ from tirefit.data.table import CANONICAL, TireData
 from tirefit.results import InputProblem
 from tirefit.slip import LOCKED, slip_ratio_from_sigma
 
-__all__ = [
-    "FAR_COLUMNS",
-    "FarValue",
-    "far_values",
-    "like_slips",
-    "problem_at",
-    "why_far",
-    "without_far",
-]
-
 FAR_COLUMNS = (
     "fz", "sigma_x", "alpha", "fx", "fy", "mz", "v", "gamma", "pressure", "temperature",
 )  # fmt: skip

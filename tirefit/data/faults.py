@@ -10,20 +10,6 @@ from tirefit.data.track import Track
 from tirefit.data.units import units_of
 from tirefit.data.vehicle import QUANTITIES, unit_of
 
-__all__ = [
-    "ALIKE",
-    "CHANGED",
-    "RELATED",
-    "SEEN",
-    "SURE",
-    "Fault",
-    "explained",
-    "judged",
-    "no_noise",
-    "not_explained",
-    "strays",
-]
-
 ALIKE = 1.3
 """Largest gain, or its inverse, that agrees: a roll, a lever arm and an encoder make
 gains of 0.9 to 1.2; the nearest unit is 1.9 away (knots for m/s)."""

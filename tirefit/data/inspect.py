@@ -16,8 +16,6 @@ from tirefit.data.units import base_column
 from tirefit.files import json_safe
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 
-__all__ = ["ColumnSummary", "Inspection", "Level", "RunSummary", "Support", "inspect"]
-
 _WIDTH = 80
 _COMBINED = 10
 """Rows of combined slip from which it is no accident."""

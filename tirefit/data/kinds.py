@@ -24,8 +24,6 @@ from tirefit.data.text import (
 )
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["read_table"]
-
 _AS_TEXT = "export it as CSV, or save it as Parquet or as a MATLAB file"
 _UNREADABLE = {
     b"TDSm": ("a measurement file of LabVIEW (.tdms)", _AS_TEXT),

@@ -5,8 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["FEW_SETTINGS", "Levels", "cells", "levels"]
-
 FEW_SETTINGS = 6
 """Levels of a column up to so many are settings of the rig, each looked at by itself;
 more are a range."""

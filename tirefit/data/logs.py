@@ -20,15 +20,6 @@ from tirefit.data.quaternion import heading
 from tirefit.data.remote import Place
 from tirefit.results import DataError, InputProblem
 
-__all__ = [
-    "Signal",
-    "bag_suffix",
-    "channels_of_bag",
-    "channels_of_mdf",
-    "is_mdf",
-    "on_one_clock",
-]
-
 _BAGS = {b"\x89MCAP0": ".mcap", b"SQLite format 3": ".db3", b"#ROSBAG": ".bag"}
 _LARGEST_MESSAGE = 4096
 """Bytes of a message beyond which it is an image or a cloud, and not read."""

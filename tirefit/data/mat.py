@@ -19,8 +19,6 @@ from tirefit.data.extras import extra
 from tirefit.data.mat_sound import check_sound
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["Channels", "channels_of_mat", "is_mat"]
-
 _V5, _V73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 
 _HOW_TO_SAVE = (

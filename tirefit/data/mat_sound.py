@@ -9,8 +9,6 @@ import struct
 import zlib
 from typing import NamedTuple
 
-__all__ = ["check_sound"]
-
 _MATRIX, _COMPRESSED = 14, 15
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8,
           16: 1, 17: 2, 18: 4}  # fmt: skip

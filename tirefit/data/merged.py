@@ -3,8 +3,6 @@
 import re
 from collections.abc import Iterable
 
-__all__ = ["merged"]
-
 _VALUE = re.compile(r"([\w.+-]*\d[\w.+-]*)")
 """A word with a digit: files differ in these where they say the same."""
 

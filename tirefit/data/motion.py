@@ -16,8 +16,6 @@ from tirefit.data.track import Track, read_track
 from tirefit.data.vehicle import POSE, RATES, Vehicle
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["Motion", "low_passed", "read_motion", "road_wheel", "slip_and_force"]
-
 
 @dataclass(frozen=True)
 class Motion:

@@ -22,8 +22,6 @@ from tirefit.data.vehicle import POSE, Vehicle
 from tirefit.data.zero import turns_both_ways
 from tirefit.results import InputProblem
 
-__all__ = ["PointCheck", "check_point"]
-
 _MODERATE = 0.5
 """Share of the strong forces (95th percentile) up to which the cubic holds."""
 

@@ -9,8 +9,6 @@ from tirefit.data.check import has_decimal_comma, read_numbers
 from tirefit.data.columns import guess
 from tirefit.data.text import Table
 
-__all__ = ["heading", "with_headings"]
-
 _PART = re.compile(
     r"(?P<stem>(?:(?:.*[\W_])?(?:q|quat|quaternion|ori|rot|attitude)"
     r"|.*orientation|.*rotation)[\W_]*)(?P<part>[xyzw])\W*(?:[\[({].*)?",

@@ -20,8 +20,6 @@ import numpy as np
 from tirefit.data.extras import extra
 from tirefit.files import replacing
 
-__all__ = ["FAILED", "FileRecord", "ResultsTable", "Row", "dates_of", "records_into"]
-
 FAILED = "failed"
 
 _GROUP = 100_000

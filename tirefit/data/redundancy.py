@@ -20,8 +20,6 @@ from tirefit.data.motion import Motion, low_passed
 from tirefit.data.track import Track
 from tirefit.data.vehicle import Vehicle
 
-__all__ = ["SIDEWAYS", "agreements", "heading_off_path"]
-
 _SLOWER = 5.0
 _STANDING = 0.1
 """Share of the high speeds (95th percentile) below which nothing is compared."""

@@ -12,8 +12,6 @@ from typing import Any
 from tirefit.data.extras import extra
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["Place", "RemoteFile", "expanded", "file_at"]
-
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+(::[a-z][a-z0-9+.-]+)*://", re.IGNORECASE)
 _PATTERN = re.compile(r"[*?\[]")
 

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
-__all__ = ["RunNames", "clipped", "label_of_run", "name_pattern", "run_names"]
-
 LONGEST = 18
 """Characters of a short name, at most: names that are no longer stay as they are."""
 

@@ -13,13 +13,6 @@ from tirefit.data.units import slip_from_sigma, slip_to_sigma
 from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 
-__all__ = [
-    "check_signs",
-    "check_slip",
-    "doubt_convention",
-    "doubt_signs",
-]
-
 _REFUSED = ("fx", "fy", "fx_sim", "fy_sim")
 """Forces whose sign beside their slip is wrong beyond doubt the other way round."""
 

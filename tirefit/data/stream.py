@@ -17,8 +17,6 @@ from tirefit.data.units import sign_of, slip_from_speeds, slip_to_sigma
 from tirefit.results import DataError, InputProblem
 from tirefit.slip import SLIP_DEFINITIONS
 
-__all__ = ["RowReader"]
-
 
 class RowReader:
     """Reads a CSV stream whose first line is the header.

@@ -12,18 +12,6 @@ from tirefit.data.run_names import run_names
 from tirefit.display import Displayed
 from tirefit.results import DataError, InputProblem
 
-__all__ = [
-    "CANONICAL",
-    "FORCES",
-    "SIMULATED",
-    "Layout",
-    "WHEELS",
-    "SlipCheck",
-    "Source",
-    "TireData",
-    "join",
-]
-
 WHEELS = {
     "fl": "front left",
     "fr": "front right",

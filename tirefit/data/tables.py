@@ -12,8 +12,6 @@ from tirefit.data.extras import extra
 from tirefit.data.mat import Channels
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["Sheet", "channels_of_arrow", "is_arrow", "is_excel", "sheet_of_excel"]
-
 _PARQUET, _ARROW = b"PAR1", b"ARROW1"
 _UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
 _SEARCHED = 60

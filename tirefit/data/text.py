@@ -23,21 +23,6 @@ from tirefit.data.white import commented_header, header_above_numbers, tabbed
 from tirefit.door import DATA, too_large
 from tirefit.results import DataError, InputProblem, did_you_mean
 
-__all__ = [
-    "SPACED",
-    "Table",
-    "content_lines",
-    "decoded",
-    "even_out",
-    "gunzipped",
-    "read_bytes",
-    "split_rows",
-    "stem_of",
-    "table_of_frame",
-    "table_of_rows",
-    "table_of_text",
-]
-
 SPACED = "columns separated by white space"
 """The note of a text that is."""
 

@@ -16,8 +16,6 @@ from tirefit.data.tir_keys import (
 )
 from tirefit.results import InputProblem
 
-__all__ = ["notes_on", "problems_of"]
-
 _PRESSURES = (1e4, 5e6)
 """Inflation pressures [Pa] of tires, from a kart's to an aircraft's."""
 

@@ -23,8 +23,6 @@ from tirefit.data.tir_keys import (
 )
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["Entry", "TirFile", "Version", "parsed", "shortest"]
-
 _NUMBER = r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[EeDd][+-]?\d+)?"
 _MARKS = r"[$!%;#]"
 _VALUE = (

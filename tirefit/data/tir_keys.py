@@ -2,26 +2,6 @@
 
 from math import pi
 
-__all__ = [
-    "ALIASES",
-    "COEFFICIENTS",
-    "DIMENSIONS",
-    "FITTYP",
-    "FORMATS_REFUSED",
-    "KNOWN",
-    "LIMITS",
-    "NEUTRAL",
-    "NONZERO",
-    "NUMERIC",
-    "ONLY_IN",
-    "POSITIVE",
-    "PRESSURE_TERMS",
-    "REQUIRED",
-    "SECTIONS",
-    "SIDES",
-    "UNITS",
-]
-
 FITTYP: dict[float, str] = {
     5: "5.2",
     6: "5.2",

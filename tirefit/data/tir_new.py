@@ -6,8 +6,6 @@ from tirefit.data.tir import parse_tir
 from tirefit.data.tir_file import TirFile, shortest
 from tirefit.data.tir_keys import COEFFICIENTS, LIMITS, ONLY_IN
 
-__all__ = ["new_tir"]
-
 _FITTYP = {"5.2": 6, "6.1": 61, "6.2": 62}
 _RANGES = {
     "kappa": "LONG_SLIP_RANGE", "alpha": "SLIP_ANGLE_RANGE",

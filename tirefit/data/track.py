@@ -15,8 +15,6 @@ from tirefit.data.units import known_unit
 from tirefit.data.vehicle import CHECKS, POSE, QUANTITIES, Vehicle, unit_of
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["Channel", "Track", "read_track"]
-
 _MISSING = {"", "nan", "na", "null", "none"}
 _MOST_PROBLEMS = 10
 _CLOSEST = 0.3

@@ -12,8 +12,6 @@ from tirefit.data.check import read_numbers
 from tirefit.data.table import Layout
 from tirefit.data.text import Table
 
-__all__ = ["recognised"]
-
 _MARKS = {"ET", "IA", "RL", "RE", "TSTC", "AMBTMP", "NFX", "NFY"}
 _SLIPS = {"SA", "SL", "SR"}
 

@@ -23,8 +23,6 @@ from tirefit.data.text import Table, stem_of
 from tirefit.data.units import known_unit
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["is_tydex", "table_of_tydex"]
-
 _KEYWORD = re.compile(r"^\s*\*\*\s*([A-Za-z]+)", re.MULTILINE)
 _NAMES = {
     "FX": "fx", "FXW": "fx", "FXH": "fx", "FYW": "fy", "FYH": "fy", "FZW": "fz",

@@ -13,22 +13,6 @@ from tirefit.data.table import WHEELS
 from tirefit.results import DataError, InputProblem, did_you_mean
 from tirefit.slip import CONVENTIONS, LOCKED, SLIP_DEFINITIONS, kappa_from_sigma
 
-__all__ = [
-    "MEANING_OF_SLIP",
-    "SPINNING",
-    "Unit",
-    "base_column",
-    "dimension_of",
-    "known_unit",
-    "resolve_unit",
-    "sign_of",
-    "sigma_derivative",
-    "slip_from_sigma",
-    "slip_from_speeds",
-    "slip_to_sigma",
-    "units_of",
-]
-
 MEANING_OF_SLIP = {
     "sigma_x": "v_sx / (Omega R_e)",
     "kappa": "v_sx / v_x",

@@ -17,11 +17,6 @@ from tirefit.door import read_toml
 from tirefit.results import InputProblem
 from tirefit.settings import Section, parse_settings
 
-__all__ = [
-    "CHECKS", "POSE", "QUANTITIES", "RATES", "Columns", "Filter", "Keep", "Steering",
-    "Vehicle", "load_vehicle", "unit_of",
-]  # fmt: skip
-
 QUANTITIES = {
     "time": "time",
     "x": "length",

@@ -7,8 +7,6 @@ from collections.abc import Callable, Sequence
 from tirefit.data.columns import is_number
 from tirefit.data.units import known_unit
 
-__all__ = ["Header", "commented_header", "header_above_numbers", "tabbed"]
-
 _BELOW = 3
 """Lines below a header in which the first row of numbers must stand: units, a rule."""
 

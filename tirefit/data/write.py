@@ -19,15 +19,6 @@ from tirefit.data.units import (
 from tirefit.files import write_text_atomic
 from tirefit.results import InputProblem
 
-__all__ = [
-    "csv_text",
-    "output_problems",
-    "prediction_table",
-    "simulated_table",
-    "to_convention",
-    "write_csv",
-]
-
 _PLOTTED = ("time", "sigma_x", "alpha", "gamma", "fz", "v", "pressure")
 
 

@@ -4,8 +4,6 @@ import numpy as np
 
 from tirefit.data.vehicle import POSE, Vehicle
 
-__all__ = ["turns_both_ways", "zero_of_alpha"]
-
 
 def zero_of_alpha(
     vehicle: Vehicle, axle: str, alpha: np.ndarray, fy: np.ndarray

@@ -33,19 +33,6 @@ from tirefit.models.mf import MFTire
 from tirefit.params import check_values, parameter_values, specs, with_values
 from tirefit.results import DataError, InputProblem, UsageError
 
-__all__ = [
-    "Given",
-    "Simulated",
-    "as_measured",
-    "STAND_INS",
-    "check_followed",
-    "closely_followed",
-    "given_simulator",
-    "missed_share",
-    "not_followed",
-    "simulator_at",
-]
-
 _FARTHEST_OFF = 0.2
 """Share of the simulated force (rms) that the tire which stands in for a simulator may
 miss. Its slopes share out the gap, and a tire that is off by a fifth of the force is

@@ -21,8 +21,6 @@ from tirefit.params import with_values
 from tirefit.results import DataError, InputProblem
 from tirefit.slip import CONVENTIONS
 
-__all__ = ["check_signs"]
-
 _ADAPTED = 0.3
 """Share by which the parameters of a tire in the right signs may be off; what adapting
 them so far explains is no matter of signs."""

@@ -12,8 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import norm, t
 
-__all__ = ["AcrossFiles", "across_files"]
-
 _HUBER = 1.345
 """Standard deviations from which on a file weighs less (95 % efficient; Huber 1964)."""
 

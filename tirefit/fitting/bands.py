@@ -14,8 +14,6 @@ from tirefit.models import TireInputs
 from tirefit.padding import pad_rows, padded_size
 from tirefit.params import unconstrain
 
-__all__ = ["Band", "fitted_force", "force_band"]
-
 _DRAWS = 400
 _ROOM = 8192
 """Rows that 400 evaluations of which take as long as compiling a program."""

@@ -16,8 +16,6 @@ from tirefit.params import Values, specs, with_values
 from tirefit.precision import require_x64
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["BatchFit", "fit_many"]
-
 
 class BatchFit(NamedTuple):
     """Estimates of B fits: values and standard deviations (B, p) by ``names``."""

@@ -19,9 +19,6 @@ from tirefit.files import replacing
 from tirefit.fitting.result import FitResult
 from tirefit.results import UsageError
 
-__all__ = ["Chain", "Keeper", "extended", "identity_of", "load_chain", "save_chain"]
-
-
 _KIND = "tirefit.chain/1"
 _SECONDS_BETWEEN = 5.0
 

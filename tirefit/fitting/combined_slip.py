@@ -9,8 +9,6 @@ from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.models import AbstractTire, TireInputs
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["slip_of_forces"]
-
 
 def slip_of_forces(
     data: TireData, model: AbstractTire, forces: Sequence[str], noisy: Collection[str]

@@ -29,8 +29,6 @@ from tirefit.fitting.solve import Solved
 from tirefit.padding import pad_rows
 from tirefit.params import unconstrain
 
-__all__ = ["FEWEST", "apart", "cells_of", "condensed"]
-
 FEWEST = 4096
 """Rows of a file that is condensed: fewer take no longer than their cells."""
 

@@ -16,16 +16,6 @@ from tirefit.door import read_toml
 from tirefit.results import InputProblem
 from tirefit.settings import Section, parse_settings
 
-__all__ = [
-    "DataConfig",
-    "FitConfig",
-    "NoiseConfig",
-    "ParameterConfig",
-    "PosteriorConfig",
-    "load_config",
-    "parse_config",
-]
-
 Force = Literal["fx", "fy", "mz"]
 
 

@@ -14,8 +14,6 @@ from tirefit.fitting.tir import own_tire
 from tirefit.models import MODELS, AbstractTire, TireInputs, forces
 from tirefit.params import with_values
 
-__all__ = ["curve", "misfit_by_load", "reduced_misfit"]
-
 
 def curve(
     tire: AbstractTire | str,

@@ -28,16 +28,6 @@ from tirefit.models import TireInputs
 from tirefit.padding import pad_rows, padded_size
 from tirefit.params import with_values
 
-__all__ = [
-    "derived_channel",
-    "derived_from_draws",
-    "derived_from_profile",
-    "derived_values",
-    "quantities",
-    "quantity_of",
-    "reference_points",
-]
-
 _LARGEST_SLIP = 3.0
 _AT_ONCE = 8
 _GRID = np.append(0.0, np.geomspace(1e-5, _LARGEST_SLIP, 199))

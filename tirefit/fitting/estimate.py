@@ -24,8 +24,6 @@ from tirefit.fitting.verdict import judge
 from tirefit.params import constrain, log_jacobian, parameter_values, specs
 from tirefit.precision import require_x64
 
-__all__ = ["data_record", "fit", "with_fixed"]
-
 
 def _not_identified(spec, low, high, open_low: bool, open_high: bool) -> bool:
     """Whether an interval leaves the parameter essentially free.

@@ -8,8 +8,6 @@ from scipy.special import expit, logit
 from tirefit.fitting.inference import deviance_at, inflation, linearise
 from tirefit.fitting.solve import Solved
 
-__all__ = ["extreme"]
-
 
 def _bowl(solved: Solved, z):
     """Deviance at z, half its slope (p,), and half its curvature (p, p)."""

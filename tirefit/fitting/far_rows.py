@@ -44,8 +44,6 @@ from tirefit.fitting.problem import FitTask, build
 from tirefit.fitting.solve import Solved, on_rows, solve_problem
 from tirefit.results import InputProblem
 
-__all__ = ["FarRow", "Settled", "settle"]
-
 _CHANCE = 0.005
 """Share of clean data sets that lose a row, were their noise ..."""
 _TAILS = 30

@@ -9,8 +9,6 @@ from tirefit.fitting.inference import Linearised
 from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.noise import autocorrelation_time, effective_inflation
 
-__all__ = ["Followed", "Misfit", "misfit_by_setting"]
-
 _LOAD = {"brush": "brush-load"} | {f"brush-{k}": f"brush-load-{k}" for k in "dmnh"}
 """Brush of one stiffness and friction at every load -> the one that follows it."""
 

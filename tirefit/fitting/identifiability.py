@@ -31,10 +31,6 @@ from tirefit.fitting.scatter import (
 from tirefit.params import Spec, constrain, log_jacobian
 from tirefit.results import DataError
 
-__all__ = [
-    "MODELS_ASKED", "Identifiability", "ModelGate", "ParameterGate", "identifiability",
-]  # fmt: skip
-
 MODELS_ASKED = (
     "brush", "brush-d", "brush-m", "brush-n", "brush-h", "brush-load", "magic-formula",
 )  # fmt: skip

@@ -19,8 +19,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaln
 
-__all__ = ["LARGEST_K_HAT", "Weighted", "draw_weighted", "smoothed"]
-
 LARGEST_K_HAT = 0.7
 """Above it weighted means do not converge at any practical size (Vehtari et al.)."""
 

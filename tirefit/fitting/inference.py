@@ -33,23 +33,6 @@ from tirefit.fitting.likelihood import (
 )
 from tirefit.params import Values
 
-__all__ = [
-    "REACH",
-    "Linearised",
-    "Minima",
-    "best_of",
-    "covariance",
-    "deviance",
-    "deviance_at",
-    "half_width_95",
-    "inflation",
-    "linearise",
-    "minima",
-    "residuals",
-    "solve_starts",
-    "threshold",
-]
-
 REACH = 12.0
 """|z| at which a parameter has all but reached its bound (6e-6 of the range away)."""
 

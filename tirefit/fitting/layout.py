@@ -24,8 +24,6 @@ from tirefit.params import (
 )
 from tirefit.results import InputProblem, UsageError
 
-__all__ = ["FreeParameter", "Layout", "Tie", "choose_layout"]
-
 
 @dataclass(frozen=True)
 class FreeParameter:

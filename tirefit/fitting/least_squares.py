@@ -14,10 +14,6 @@ import jax.export
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-__all__ = [
-    "SOLVERS", "Minimum", "Solution", "damped_gauss_newton", "directions", "solve",
-]  # fmt: skip
-
 _TOLERANCE = 1e-9
 _MAX_STEPS = 200
 

@@ -31,23 +31,6 @@ from tirefit.fitting.layout import Layout
 from tirefit.models import AbstractTire, TireInputs
 from tirefit.params import Values, with_values
 
-__all__ = [
-    "CHANNEL_SLIP",
-    "LOSSES",
-    "Channel",
-    "FitProblem",
-    "Rows",
-    "Rule",
-    "SlipNodes",
-    "blocks_and_moments",
-    "moments",
-    "noise_factor",
-    "predict",
-    "root_deviance",
-    "row_forces",
-    "row_moments",
-]
-
 CHANNEL_SLIP = {"fx": "sigma_x", "fy": "alpha", "mz": "alpha"}
 """Force channel -> the slip that drives it in pure slip."""
 

@@ -2,15 +2,6 @@
 
 import numpy as np
 
-__all__ = [
-    "bin_edges",
-    "dense_profile",
-    "enclosing",
-    "joint_density",
-    "marginal_density",
-    "near_level",
-]
-
 _BINS = 36
 _FAR = 6.0
 """Reach of an axis from the median, in distances to the end of the central 68.27 % on

@@ -7,17 +7,6 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.special import chdtrc, chdtri
 
-__all__ = [
-    "MAD",
-    "autocorrelation",
-    "autocorrelation_time",
-    "effective_inflation",
-    "noise_law",
-    "noise_std",
-    "robust_scale",
-]
-
-
 MAD = 1.4826
 """Standard deviation of a normal law over its median absolute deviation."""
 

@@ -14,8 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-__all__ = ["nuts_chunk", "nuts_start", "sampler_of_chains"]
-
 _MANY = 20
 """Parameters above which the sampler is NUTS if none is named: with 20 (10 runs of 300
 rows) it takes 24 s of processor, emcee 100; with 90 emcee did not end in 600 s."""

@@ -34,8 +34,6 @@ from tirefit.fitting.verdict import judge
 from tirefit.precision import require_x64
 from tirefit.results import Outcome, UsageError
 
-__all__ = ["CHUNK", "SAMPLERS", "sample", "split_rhat"]
-
 CHUNK = 100
 """Steps between two checks of convergence."""
 

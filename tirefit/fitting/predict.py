@@ -28,8 +28,6 @@ from tirefit.params import Values, check_values, parameter_values, with_values
 from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["predict", "predict_forces", "tire_with"]
-
 
 @compiled(static=("layout",), brief=True)
 def _linearised(model, layout, z, covariance, inputs, run):

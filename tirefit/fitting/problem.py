@@ -23,15 +23,6 @@ from tirefit.padding import pad_rows, padded_size
 from tirefit.params import parameter_values, specs
 from tirefit.results import DataError, InputProblem, UsageError
 
-__all__ = [
-    "FitTask",
-    "build",
-    "check_slip_noise",
-    "find_model",
-    "force_scale",
-    "guess_from_curve",
-]
-
 
 @dataclass(frozen=True)
 class FitTask:

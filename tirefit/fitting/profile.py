@@ -9,8 +9,6 @@ from jaxtyping import Float
 from tirefit.fitting.inference import REACH, Minima, minima
 from tirefit.fitting.likelihood import FitProblem
 
-__all__ = ["Profile", "profile_all"]
-
 
 class Profile(NamedTuple):
     """Profile of one element of z: points (m,), their deviance, and the 95 % interval.

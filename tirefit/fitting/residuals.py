@@ -9,8 +9,6 @@ from tirefit.fitting.likelihood import row_moments
 from tirefit.fitting.noise import autocorrelation
 from tirefit.fitting.result import FitResult
 
-__all__ = ["Means", "means_by", "means_over", "ordered_correlation", "standardised"]
-
 _BINS = 12
 """Settings up to so many have a mean each; more are bins of as many rows each."""
 _FEWEST = 3

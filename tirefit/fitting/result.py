@@ -13,15 +13,6 @@ from tirefit.files import json_safe, json_text
 from tirefit.params import parameter_values
 from tirefit.results import Outcome
 
-__all__ = [
-    "SCHEMA",
-    "Estimate",
-    "FitResult",
-    "FitStatistics",
-    "PosteriorSummary",
-    "information",
-]
-
 SCHEMA = "tirefit.fit/1"
 
 _MOST_ROWS = 1000

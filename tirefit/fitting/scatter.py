@@ -9,8 +9,6 @@ from tirefit.data.table import TireData
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.fitting.noise import autocorrelation_time
 
-__all__ = ["ROWS", "Scatter", "curve_of", "scatter_of", "some_rows", "stretches"]
-
 ROWS = 512
 """Rows that stand for all, spread evenly over loads and slips: one program for all
 files."""

@@ -13,15 +13,6 @@ import numpy as np
 from tirefit.data.table import TireData
 from tirefit.results import DataError, InputProblem
 
-__all__ = [
-    "SlipDistribution",
-    "latent_nodes",
-    "slip_density",
-    "slip_distribution",
-    "speed_of",
-    "std_with_speed",
-]
-
 _REACH = 4.0
 """Nodes span this many slip standard deviations on both sides of the measured slip."""
 

@@ -32,9 +32,6 @@ from tirefit.fitting.noise import effective_inflation, robust_scale
 from tirefit.fitting.problem import FitTask
 from tirefit.fitting.slip_noise import latent_nodes
 
-__all__ = ["Solved", "on_rows", "solve_problem", "starting_points", "with_scale"]
-
-
 _SETTLED = 1e-3
 """Deviance left to gain at which an estimate counts as settled: 3 % of a standard
 deviation."""

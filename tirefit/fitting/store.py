@@ -27,8 +27,6 @@ from tirefit.params import specs, with_values
 from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.slip import CONVENTIONS
 
-__all__ = ["StoredFit", "load_fit", "record_of_fit", "save_fit", "write_posterior"]
-
 
 @dataclass(frozen=True)
 class StoredFit:

@@ -6,8 +6,6 @@ from tirefit.data.table import TireData
 from tirefit.fitting.config import FitConfig
 from tirefit.results import DataError, InputProblem, UsageError
 
-__all__ = ["check_time_series", "check_whole_series"]
-
 
 def _line(data: TireData, row: int) -> int | None:
     return None if data.source.line is None else int(data.source.line[row])

@@ -9,8 +9,6 @@ from tirefit.data.run_names import label_of_run
 from tirefit.fitting.result import FitResult
 from tirefit.results import Outcome
 
-__all__ = ["disagreements", "judge"]
-
 _EXACT = 1e-9
 """RMSE over the range of the force below which residuals are rounding."""
 

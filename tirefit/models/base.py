@@ -8,8 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-__all__ = ["AbstractTire", "TireForces", "TireInputs", "forces", "modelled"]
-
 
 class TireInputs(NamedTuple):
     """One sample in the canonical convention of ``tirefit.slip`` (or a batch of them).

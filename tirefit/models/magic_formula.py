@@ -6,8 +6,6 @@ from tirefit.models.base import AbstractTire, TireForces, TireInputs
 from tirefit.params import par
 from tirefit.slip import kappa_from_sigma
 
-__all__ = ["MagicFormula", "bent"]
-
 
 def bent(x, curvature):
     r""":math:`\arctan\{x - E (x - \arctan x)\}`, the argument over C of all formulas.

@@ -17,17 +17,6 @@ from tirefit.params import parameter_values, with_values
 from tirefit.report.numbers import plain_text
 from tirefit.slip import LOCKED, sigma_from_slip_ratio, slip_ratio_from_sigma
 
-__all__ = [
-    "FORCE_LABEL",
-    "Curve",
-    "FitCurve",
-    "Group",
-    "SlipAxis",
-    "even",
-    "fit_curve",
-    "slip_axis",
-]
-
 _MOST_GROUPS = 6
 _POINTS = 240
 _OTHER = {"sigma_x": "alpha", "alpha": "sigma_x"}

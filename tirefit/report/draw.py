@@ -31,19 +31,6 @@ from tirefit.report.numbers import format_number
 from tirefit.report.residuals import Residuals, Scatter, residual_panels
 from tirefit.report.uncertainty import has_trace
 
-__all__ = [
-    "FIGURE_FILES",
-    "draw_autocorrelation",
-    "draw_fit",
-    "draw_histogram",
-    "draw_quantiles",
-    "draw_scatter",
-    "fit_figure",
-    "residual_figure",
-    "save_figures",
-]
-
-
 FIGURE_FILES = tuple(
     f"{name}{suffix}"
     for name in ("fit", "residuals", "runs", "profile", "corner", "trace")

@@ -8,26 +8,6 @@ from tirefit.fitting.result import Estimate, FitResult, PosteriorSummary
 from tirefit.report.labels import short_label, short_run
 from tirefit.report.numbers import format_estimate, format_interval, format_number
 
-__all__ = [
-    "FORCE_UNIT",
-    "Rows",
-    "chain_rows",
-    "correlation_lines",
-    "derived_by_run",
-    "derived_rows",
-    "far_lines",
-    "noise_text",
-    "note_on",
-    "open_lines",
-    "parameter_rows",
-    "posterior_lines",
-    "reference_text",
-    "route_rows",
-    "rows_text",
-    "run_rows",
-    "value_text",
-]
-
 Rows = list[list[str]]
 """Cells of a table, header first."""
 

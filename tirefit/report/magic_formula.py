@@ -13,8 +13,6 @@ from tirefit.report.numbers import format_estimate, format_number
 from tirefit.report.text import table, wrapped
 from tirefit.results import Outcome
 
-__all__ = ["magic_formula_fragment", "magic_formula_report"]
-
 _UNIT = {force: CANONICAL[force][0] for force in FORCES}
 
 

@@ -13,8 +13,6 @@ from tirefit.models import TireInputs
 from tirefit.report.curves import FORCE_LABEL, Curve, FitCurve, Group, even
 from tirefit.results import UsageError
 
-__all__ = ["Panel", "ellipse_panel", "force_panels", "panels_of", "residual_panel"]
-
 _POINTS = 80
 """Of a curve between the first and the last bin."""
 _IN_95 = 1.96

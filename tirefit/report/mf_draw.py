@@ -14,14 +14,6 @@ from tirefit.report.magic_formula import magic_formula_report
 from tirefit.report.mf_curves import Panel, panels_of
 from tirefit.report.numbers import plain_text
 
-__all__ = [
-    "MAGIC_FORMULA_FILES",
-    "magic_formula_page",
-    "plot_magic_formula",
-    "save_pictures",
-    "stacked",
-]
-
 MAGIC_FORMULA_FILES = tuple(
     f"{name}{suffix}"
     for name in ("fit", *FORCE_LABEL, "residuals", "ellipse")

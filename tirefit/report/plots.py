@@ -15,17 +15,6 @@ from tirefit.report.text import table
 from tirefit.report.uncertainty import has_trace
 from tirefit.results import UsageError
 
-__all__ = [
-    "Comparison",
-    "compare",
-    "plot_corner",
-    "plot_fit",
-    "plot_profile",
-    "plot_residuals",
-    "plot_runs",
-    "plot_trace",
-]
-
 
 def _needs(result: FitResult, what: str, there: bool) -> None:
     if not there:

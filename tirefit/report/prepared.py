@@ -13,8 +13,6 @@ from tirefit.data.units import slip_from_sigma
 from tirefit.report.canvas import BLUE, COLORS, DARK, GREY, ORANGE, RED, Picture, tidy
 from tirefit.report.numbers import plain_text
 
-__all__ = ["Panel", "Strip", "RigView", "prepared_figure", "view_of"]
-
 _GREEN, _PURPLE, _SKY = COLORS[2], COLORS[4], COLORS[5]
 
 _COLOR = {

@@ -21,16 +21,6 @@ from tirefit.report.fit_tables import (
 from tirefit.report.labels import fit_files, run_lines
 from tirefit.report.numbers import format_number
 
-__all__ = [
-    "WIDTH",
-    "fit_report",
-    "parameter_lines",
-    "table",
-    "table_parts",
-    "verdict_line",
-    "wrapped",
-]
-
 WIDTH = 88
 _FAR_ROWS = 8
 """Far rows that are named one by one."""

@@ -27,8 +27,6 @@ from tirefit.online.vehicle import GRAVITY, axle_angles, brush_share, clipped
 from tirefit.results import InputProblem, UsageError
 from tirefit.sim.braking import SimulatedLog
 
-__all__ = ["Car", "Drive", "simulate_drive"]
-
 _SLOWEST = 0.01
 """Wheel speed over that of free rolling below which a brake only holds a wheel."""
 _LEAST_LOAD = 1.0

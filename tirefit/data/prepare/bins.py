@@ -6,8 +6,6 @@ import numpy as np
 
 from tirefit.data.prepare.set_points import Settings
 
-__all__ = ["SHOWN", "bin_name", "setting_names"]
-
 SHOWN = {
     "fz": (1.0, "N"),
     "gamma": (180 / np.pi, "deg"),

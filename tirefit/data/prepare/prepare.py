@@ -20,8 +20,6 @@ from tirefit.data.units import slip_from_sigma, slip_to_sigma
 from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.settings import parse_settings
 
-__all__ = ["Prepared", "prepare"]
-
 CONDITIONS = ("fz", "gamma", "pressure", "v")
 FORCE_OF = {"alpha": "fy", "sigma_x": "fx"}
 

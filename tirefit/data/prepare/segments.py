@@ -9,8 +9,6 @@ from tirefit.data.prepare.series import Series, runs_of
 from tirefit.data.prepare.set_points import Settings
 from tirefit.data.prepare.slips import SWEPT, Leg
 
-__all__ = ["Segment", "segments_of", "trimmed"]
-
 _PART = 0.25
 """Of a whole sweep that is left of it at least where a change cuts into it."""
 _SLOW = 3.0

@@ -6,8 +6,6 @@ import numpy as np
 
 from tirefit.data.table import TireData
 
-__all__ = ["Series", "bridged", "runs_of", "series_of"]
-
 _GAP = 3.5
 """Sampling steps without a row from which on a series is cut in two."""
 

@@ -13,8 +13,6 @@ import numpy as np
 
 from tirefit.data.prepare.series import runs_of
 
-__all__ = ["Settings", "Window", "settings_of", "whole"]
-
 _LEAST = 0.03
 """Of the largest value: settings are further apart than that."""
 _SHARE = 0.02

@@ -6,8 +6,6 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from tirefit.settings import Section
 
-__all__ = ["KINDS", "PrepareConfig"]
-
 Kind = Literal["sweep", "steady", "cold", "warm-up", "spring-rate", "load-step"]
 
 KINDS = {

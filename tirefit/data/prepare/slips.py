@@ -5,8 +5,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-__all__ = ["HELD", "LEAST", "MOVED", "SWEPT", "Leg", "legs", "swept_range"]
-
 HELD, SWEPT, MOVED = "held", "swept", "moved"
 
 LEAST = {"alpha": np.radians(0.5), "sigma_x": 0.01}

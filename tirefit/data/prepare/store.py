@@ -13,8 +13,6 @@ from tirefit.data.write import csv_text
 from tirefit.door import sealed
 from tirefit.files import json_safe
 
-__all__ = ["SCHEMA", "prepared_csv", "record_of", "segment_columns", "summary"]
-
 SCHEMA = "tirefit.prepare/1"
 
 _DIGITS = 9

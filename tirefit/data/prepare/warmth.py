@@ -8,8 +8,6 @@ import numpy as np
 
 from tirefit.data.prepare.segments import Segment
 
-__all__ = ["last_sweeps_kept", "with_warmth"]
-
 _RISE = 5.0
 """Kelvin that a tire gets warmer by at least, if its warming is to be told."""
 _WARM, _COLD = 0.8, 0.33

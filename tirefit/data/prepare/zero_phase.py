@@ -11,8 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-__all__ = ["ZeroPhase", "zero_phase"]
-
 _ORDER = 2
 """Of one pass: the two together fall by 80 dB a decade."""
 _HIGHEST = 0.4

@@ -13,8 +13,6 @@ from tirefit.fitting.mf.rows import ForceRows
 from tirefit.models import TireInputs
 from tirefit.slip import kappa_from_sigma
 
-__all__ = ["Setting", "SlipBins", "binned", "rig_settings", "settings_of"]
-
 _DEG = np.pi / 180
 _HELD = {"fz": 0.03, "pressure": 0.01, "sigma_x": 0.01}
 _HELD |= {"gamma": 0.2 * _DEG, "alpha": 0.3 * _DEG}

@@ -15,8 +15,6 @@ from tirefit.fitting.mf.noise_law import NoiseLaw, noise_law
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.models import TireInputs
 
-__all__ = ["Cells", "cells_of"]
-
 _WIDTH = {"sigma_x": 0.005, "alpha": 0.005, "gamma": 0.005}
 """Of a cell at small slip [-], [rad]: a curve of stiffness factor B misses its mean by
 (B width)^2 / 24 of the force, 0.1 % at B = 30."""

@@ -18,8 +18,6 @@ from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.models.mf.tire import turned_inputs
 from tirefit.params import specs
 
-__all__ = ["converted", "virtual_test"]
-
 _CAMBER, _PRESSURE = 0.08, 0.2
 """Largest camber [rad] and change of pressure, where the file allows as much."""
 

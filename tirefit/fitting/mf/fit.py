@@ -40,8 +40,6 @@ from tirefit.precision import require_x64
 from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.slip import kappa_from_sigma
 
-__all__ = ["fit_magic_formula", "nominal_of", "parts_named", "problem_from"]
-
 _FAR = 7.0
 """Standard deviations of rows and their misfit beyond which a row is counted."""
 

@@ -15,8 +15,6 @@ from tirefit.models import TireInputs, forces
 from tirefit.models.mf import MFTire
 from tirefit.padding import pad_rows, padded_size
 
-__all__ = ["GUARDS", "Guard", "check_guards"]
-
 GUARDS = {
     "stiffness": "the slope at zero slip is positive to twice the largest load",
     "peak": "the largest force is at least a tenth of the load, to twice the largest",

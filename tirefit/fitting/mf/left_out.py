@@ -11,8 +11,6 @@ from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import blocks_of, row_gradients
 from tirefit.fitting.mf.stages import Search, without
 
-__all__ = ["LEAVE_OUT", "Band", "LeftOut", "foretold"]
-
 LEAVE_OUT = ("three", "load", "bin", "none")
 """What is left out in turn: the bins of three loads (the smallest, a middle one, the
 largest), of each load, each bin; or none."""

@@ -26,8 +26,6 @@ from tirefit.models import forces
 from tirefit.models.mf import MFTire
 from tirefit.params import parameter_values, with_values
 
-__all__ = ["Borrowed", "borrowed_from", "with_dimensions"]
-
 ALIKE = 0.25
 """Spread of a borrowed coefficient over that among the published tires, which are of
 all kinds: judgement, as that is."""

@@ -5,8 +5,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import nnls
 
-__all__ = ["NoiseLaw", "noise_law"]
-
 _CLEAR = 10.8
 """Deviance of one degree of freedom at the level of 0.1 %."""
 

@@ -12,21 +12,6 @@ from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.params import specs
 from tirefit.slip import kappa_from_sigma
 
-__all__ = [
-    "HELD",
-    "MOMENTS",
-    "NEARLY_PURE",
-    "NEVER_FITTED",
-    "PARTS",
-    "SLIPS_OF",
-    "VERSIONS",
-    "Part",
-    "coefficients_of",
-    "influences",
-    "is_pure",
-    "own_coefficients",
-]
-
 VERSIONS = {"mf52": "5.2", "mf61": "6.1", "mf62": "6.2"}
 """Name of the model -> version of the Magic Formula."""
 

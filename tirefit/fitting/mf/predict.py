@@ -11,8 +11,6 @@ from tirefit.models import TireInputs
 from tirefit.models.mf import MFTire
 from tirefit.params import parameter_values
 
-__all__ = ["magic_formula_forces"]
-
 
 def magic_formula_forces(
     fit: StoredFit, forces: Sequence[str], inputs: TireInputs

@@ -13,8 +13,6 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["Prior", "normal_form", "prior_given", "priors_of", "published_priors"]
-
 
 class Prior(NamedTuple):
     """Mean and standard deviation of a Gaussian prior, and the values behind it.

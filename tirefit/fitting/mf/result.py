@@ -22,8 +22,6 @@ from tirefit.models.mf import MAGIC_FORMULAS, MFTire
 from tirefit.params import parameter_values, specs, with_values
 from tirefit.results import Outcome
 
-__all__ = ["ORIGINS", "Coefficient", "MagicFormulaFit"]
-
 ORIGINS = {
     "fitted": "the data tell it",
     "prior": "the prior tells at least as much of it as the data",

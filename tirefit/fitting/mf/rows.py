@@ -12,8 +12,6 @@ from tirefit.fitting.problem import force_scale
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["ForceRows", "joined", "rows_of_forces"]
-
 _FEWEST = 30
 """Rows of a force, at least: it has some 20 coefficients in pure slip."""
 

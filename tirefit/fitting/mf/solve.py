@@ -24,19 +24,6 @@ from tirefit.models.mf import MFTire, curvatures
 from tirefit.padding import pad_rows
 from tirefit.params import with_values
 
-__all__ = [
-    "Block",
-    "Minimum",
-    "Problem",
-    "blocks_of",
-    "curvature_at",
-    "limits_of",
-    "minimise",
-    "propagated",
-    "row_gradients",
-    "row_values",
-]
-
 _ROWS = (8192, 1024)
 """Of a block: each call costs as much as some 1000 rows, and the last block is filled
 up. Few sizes, for each is compiled."""

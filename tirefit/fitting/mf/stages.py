@@ -30,8 +30,6 @@ from tirefit.fitting.mf.solve import (
 from tirefit.fitting.noise import autocorrelation_time
 from tirefit.models import TireInputs
 
-__all__ = ["Group", "Search", "Stage", "groups_of", "search", "without"]
-
 _ENOUGH = 2048
 """Cells, evenly taken, from which the best of several starts is chosen."""
 

@@ -12,8 +12,6 @@ from tirefit.fitting.mf.parts import VERSIONS
 from tirefit.fitting.mf.result import MagicFormulaFit
 from tirefit.params import parameter_values, specs
 
-__all__ = ["save_magic_formula", "tir_of"]
-
 
 def tir_of(fit: MagicFormulaFit) -> TirFile:
     """The tire property file of a fit; each coefficient with its standard error and

@@ -19,8 +19,6 @@ from tirefit.fitting.mf.stages import Search, problem_of
 from tirefit.params import parameter_values, with_values
 from tirefit.results import DataError, InputProblem
 
-__all__ = ["FrictionTemperature", "at_reference"]
-
 _ROUNDS = 6
 _SETTLED = 0.1
 """Fits, at most, and the change of b, in standard errors, that ends them."""

@@ -16,8 +16,6 @@ from tirefit.models.mf.fields import (
 )
 from tirefit.models.mf.lateral import PureLateral
 
-__all__ = ["Aligning"]
-
 
 class Aligning(eqx.Module):
     """Coefficients of M_z: trail, residual moment, and the arm of F_x."""

@@ -8,8 +8,6 @@ from tirefit.models.base import TireInputs
 from tirefit.models.mf.fields import Curve, ratio
 from tirefit.models.mf.tire import MFTire
 
-__all__ = ["curvatures", "share_limited"]
-
 
 def curvatures(tire: MFTire, inputs: TireInputs) -> dict[str, Float[Array, " n"]]:
     """Largest curvature factor E of each force, before it is limited to one.

@@ -8,18 +8,6 @@ import jax.numpy as jnp
 from tirefit.models.magic_formula import bent
 from tirefit.params import par
 
-__all__ = [
-    "Curve",
-    "Nominal",
-    "Point",
-    "Scaling",
-    "Weight",
-    "coefficient",
-    "cos_arctan",
-    "ratio",
-    "weighting",
-]
-
 _TINY = 1e-12
 
 

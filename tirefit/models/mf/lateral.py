@@ -16,8 +16,6 @@ from tirefit.models.mf.fields import (
     ratio,
 )
 
-__all__ = ["Lateral", "PureLateral"]
-
 
 class PureLateral(NamedTuple):
     """F_y at zero kappa, and what the aligning moment needs of it.

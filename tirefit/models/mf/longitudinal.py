@@ -14,8 +14,6 @@ from tirefit.models.mf.fields import (
     ratio,
 )
 
-__all__ = ["Longitudinal"]
-
 
 class Longitudinal(eqx.Module):
     """Coefficients of F_x; forces and stiffnesses are per unit of load."""

@@ -11,8 +11,6 @@ import jax.numpy as jnp
 
 from tirefit.models.mf.fields import Nominal, Point, Scaling, coefficient
 
-__all__ = ["Overturning", "Rolling"]
-
 
 class Overturning(eqx.Module):
     """Coefficients of M_x, over F_z R_0.

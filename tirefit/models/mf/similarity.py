@@ -24,8 +24,6 @@ from tirefit.models.mf.fields import Point, Scaling, ratio
 from tirefit.models.mf.lateral import Lateral
 from tirefit.models.mf.longitudinal import Longitudinal
 
-__all__ = ["similar_forces"]
-
 
 def similar_forces(
     along: Longitudinal, across: Lateral, at: Point, scale: Scaling, fz0
