@@ -25,6 +25,8 @@ O
 ``EQUATIONS.md`` of the repository has a line for each equation, and what is corrected
 in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
 
+- Bell, R. M., McCaffrey, D. F.: Bias reduction in standard errors for linear regression
+  with multi-stage samples. Survey Methodology 28 (2002) 169-181.
 - Benjamini, Y., Yekutieli, D.: The control of the false discovery rate in multiple
   testing under dependency. Annals of Statistics 29 (2001) 1165-1188.
 - Berndt, E. K., Hall, B. H., Hall, R. E., Hausman, J. A.: Estimation and inference in

@@ -13,7 +13,6 @@ from scipy.optimize import least_squares
 from tirefit.data.read import read_frame
 from tirefit.data.tir_keys import COEFFICIENTS, ONLY_IN
 from tirefit.fitting.mf.fit import fit_magic_formula
-from tirefit.fitting.mf.noise_law import NoiseLaw, noise_law
 from tirefit.fitting.mf.parts import (
     NEVER_FITTED,
     PARTS,
@@ -23,6 +22,7 @@ from tirefit.fitting.mf.parts import (
 )
 from tirefit.fitting.mf.priors import normal_form, published_priors
 from tirefit.fitting.mf.solve import Problem, blocks_of, minimise, row_gradients
+from tirefit.fitting.noise_law import NoiseLaw, noise_law
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.params import with_values

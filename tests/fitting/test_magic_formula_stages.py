@@ -13,7 +13,7 @@ from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.mf.guards import check_guards
 from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
-from tirefit.fitting.mf.stages import design_effect
+from tirefit.fitting.noise import design_effect
 from tirefit.fitting.predict import predict
 from tirefit.models import TireInputs, forces
 from tirefit.models.mf import curvatures, mf_tire, share_limited

@@ -16,7 +16,7 @@ from tirefit.fitting.far_rows import FarRow, Settled, settle
 from tirefit.fitting.inference import REACH, half_width_95
 from tirefit.fitting.layout import Tie
 from tirefit.fitting.likelihood import FitProblem
-from tirefit.fitting.noise import noise_law
+from tirefit.fitting.noise import noise_by_row
 from tirefit.fitting.profile import Profile, profile_all
 from tirefit.fitting.result import Estimate, FitResult, FitStatistics, information
 from tirefit.fitting.solve import Solved
@@ -220,7 +220,7 @@ def _noise_record(settled: Settled, config: FitConfig) -> dict[str, Any]:
         one_std = channel.noise_estimated and np.ptp(scale) == 0
         if one_std and problem.loss == "squares" and not problem.rows.nodes:
             force = settled.solved.at.mean[channel.name]
-            record[channel.name] |= noise_law(
+            record[channel.name] |= noise_by_row(
                 problem.used(problem.rows.observed[channel.name]) - force,
                 problem.used(problem.rows.inputs.fz), force,
                 problem.used(problem.rows.run), problem.layout.runs,

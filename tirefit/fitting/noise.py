@@ -4,14 +4,22 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy.optimize import nnls
 from scipy.special import chdtrc, chdtri
+
+from tirefit.fitting.noise_law import NoiseLaw, law_shares
 
 MAD = 1.4826
 """Standard deviation of a normal law over its median absolute deviation."""
 
 _CHANCE = 5e-5
 """Probability by chance of a difference of noise that counts as one."""
+
+_CLEAR = 3.1
+"""Standard errors by which a design effect is above one: 0.1 % of a normal law."""
+
+_ALONE = 0.9
+"""Share of what is known in a direction that one setting tells, above which no other
+setting can contradict it."""
 
 _LEAST_RUNS = 4
 """With fewer runs their scatter says nothing."""
@@ -106,37 +114,65 @@ def _inflation(parts: list[np.ndarray]) -> float:
     return time * scatter / freedom if chdtrc(freedom, scatter) < 1e-3 else time
 
 
+def design_effect(residual, slopes, setting) -> float:
+    """Variance of the slope of the deviance over that of independent residuals, in the
+    mean over the directions of the coefficients; settings are independent. One, where
+    it is not above one by 3.1 of its standard errors (0.1 %).
+
+    The bias of residuals of a fit is taken out setting by setting (CR2 of Bell and
+    McCaffrey (2002)).
+
+    Args:
+        residual: (n,) over their noise.
+        slopes: (n, p) of the residuals in coefficients whose prior has unit variance.
+        setting: (n,) integers.
+    """
+    size = slopes.shape[1]
+    values, axes = np.linalg.eigh(slopes.T @ slopes + np.eye(size))
+    # By rounding below the one that the priors give.
+    whitened = slopes @ (axes / np.sqrt(np.maximum(values, 1.0)))
+    found, expected, squares = 0.0, 0.0, 0.0
+    for code in np.unique(setting):
+        part = whitened[setting == code]
+        own, directions = np.linalg.eigh(part.T @ part)
+        score = directions.T @ (part.T @ residual[setting == code])
+        # What a setting tells alone, its residuals cannot contradict.
+        share = np.minimum(own, 1.0)
+        judged = share < _ALONE
+        found += float(np.sum(score[judged] ** 2 / (1 - share[judged])))
+        expected += float(np.sum(share[judged]))
+        squares += float(np.sum(share[judged] ** 2))
+    is_clear = found - expected > _CLEAR * np.sqrt(2 * squares)
+    return found / expected if is_clear else 1.0
+
+
 def robust_scale(residual) -> float:
     """Standard deviation from the median absolute deviation, shape (n,) -> scalar."""
     return float(MAD * np.median(np.abs(residual - np.median(residual))))
 
 
-def noise_law(residual, fz, force, run, names) -> dict[str, Any]:
+def noise_by_row(residual, fz, force, run, names) -> dict[str, Any]:
     """How the noise of a force differs among rows; empty where it does not clearly.
 
-    The variance is a constant, a share of the load squared and one of the force
-    squared, by weighted non-negative least squares on the squared residuals; ``by_run``
-    holds the factor of each run beside that, where runs differ too.
+    The variance is that of :class:`NoiseLaw`; ``by_run`` holds the factor of each run
+    beside that, where runs differ too.
 
     Args:
         residual, fz, force: (n,) observed - fitted, load, fitted force [N].
         run: (n,) position of each row's run in ``names``.
     """
-    design = np.column_stack([np.ones(len(fz)), fz, np.abs(force)]) ** 2
-    design, unit = design / design.mean(axis=0), np.sqrt(design.mean(axis=0))
-    squares = residual**2 / np.mean(residual**2)
-    variance = np.ones(len(squares))
-    for _ in range(20):
-        shares, _ = nnls(design / variance[:, None], squares / variance)
-        variance = np.maximum(design @ shares, 1e-6)
+    terms = np.stack([np.full(len(fz), 1.0), fz**2, force**2], axis=1)
+    shares = law_shares(residual, terms)
+    size = np.mean(residual**2)
+    squares = residual**2 / size
+    variance = np.maximum(terms @ shares / size, 1e-6)
     gain = np.sum(squares - np.log(variance) - squares / variance)
     parts = [(squares / variance)[run == code] for code in np.unique(run)]
     rows_per_one = autocorrelation_time([part / part.mean() - 1 for part in parts])
     law: dict[str, Any] = {}
     if gain > rows_per_one * chdtri(2, _CHANCE):
-        sizes = np.sqrt(shares * np.mean(residual**2)) / unit
         keys = "constant", "share_of_load", "share_of_force"
-        law = dict(zip(keys, sizes.tolist(), strict=True))
+        law = dict(zip(keys, np.sqrt(shares).tolist(), strict=True))
         squares = squares / variance
     count = np.bincount(run, minlength=len(names))
     by_run = np.bincount(run, squares, len(names)) / np.maximum(count, 1)
@@ -157,8 +193,8 @@ def noise_std(record: Mapping[str, Any], fz, force, runs=None, reference=None):
     """
     std = np.broadcast_to(float(record["median_std"]), np.shape(fz))
     if "share_of_load" in record:
-        parts = record["constant"], record["share_of_load"] * fz
-        std = np.hypot(np.hypot(*parts), record.get("share_of_force", 0.0) * force)
+        shares = record["share_of_load"], record.get("share_of_force", 0.0)
+        std = NoiseLaw(record["constant"], *shares).std(fz, force)
     elif record.get("proportional_to_load"):
         std = std * fz / reference
     factors = record.get("by_run", {})

@@ -7,12 +7,13 @@ the formula is misfit, which more rows do not make smaller.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.fitting.mf.noise_law import NoiseLaw, noise_law
 from tirefit.fitting.mf.rows import ForceRows
+from tirefit.fitting.noise_law import NoiseLaw, noise_law
 from tirefit.models import TireInputs
 
 _WIDTH = {"sigma_x": 0.005, "alpha": 0.005, "gamma": 0.005}
@@ -27,6 +28,10 @@ _WIDENS = 0.1
 
 _SHARE = {"fz": 0.05, "pressure": 0.02, "v": 0.05}
 """Width of a cell over the value itself, of loads, pressures and speeds."""
+
+
+_AT_FIRST = 0.05
+"""Noise over the root mean square of the force, before any residual is known."""
 
 
 class Cells(NamedTuple):
@@ -87,3 +92,83 @@ def _place(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
         return np.rint(stretched / _WIDTH[name]).astype(int)
     logarithm = np.log(np.maximum(columns[name], 1e-9))
     return np.rint(logarithm / _SHARE[name]).astype(int)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Cells of one force in pure or in combined slip.
+
+    ``white`` and ``misfit`` are the noise laws of one row and of a cell's mean beside
+    it; ``each``: how many cells count as one, as neighbours miss the formula alike.
+    """
+
+    force: str
+    pure: bool
+    cells: Cells
+    given: np.ndarray | None
+    white: NoiseLaw = NoiseLaw(0.0, 0.0)
+    misfit: NoiseLaw | None = None
+    each: float = 1.0
+
+    def variance(self, predicted: np.ndarray) -> np.ndarray:
+        """Of each cell's mean (m,) about the formula; that is ``predicted`` (m,)."""
+        fz = np.asarray(self.cells.inputs.fz)
+        known = self.known(predicted)
+        if self.misfit is None:
+            return known + _AT_FIRST**2 * float(np.mean(self.cells.observed**2))
+        least = 1e-12 * float(np.mean(self.cells.observed**2))
+        return known + np.maximum(self.misfit.variance(fz, predicted), least)
+
+    def row_variance(self, fz: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+        """Of single rows (n,) about the formula, as the misfit goes."""
+        misfit = self.misfit or NoiseLaw(0.0, 0.0)
+        single = self.white.variance(fz, predicted)
+        if self.given is not None:
+            single = np.median(self.given * self.cells.rows)
+        return single + misfit.variance(fz, predicted)
+
+    def known(self, predicted: np.ndarray) -> np.ndarray:
+        """Part of the variance that the noise of single rows makes, (m,)."""
+        if self.given is not None:
+            return self.given
+        return self.white.variance(self.cells.inputs.fz, predicted) / self.cells.rows
+
+    def part(self, chosen: np.ndarray) -> "Group":
+        """Some of the cells, chosen (m,) bool; their rows are not kept."""
+        cells, given = self.cells, self.given
+        inputs = TireInputs(*(np.asarray(column)[chosen] for column in cells.inputs))
+        return replace(
+            self,
+            cells=Cells(
+                inputs,
+                cells.observed[chosen],
+                cells.rows[chosen],
+                np.zeros(0, int),
+                cells.setting[chosen],
+            ),
+            given=None if given is None else given[chosen],
+        )
+
+
+def groups_of(
+    rows: Mapping[str, ForceRows], settings: Mapping[str, np.ndarray], both: bool
+) -> dict[str, list[Group]]:
+    """Cells of pure slip and, where asked for, of combined slip, by force.
+
+    Args:
+        settings: by force, the setting of the rig (n,) of each row.
+        both: whether rows of combined slip are taken.
+    """
+    groups: dict[str, list[Group]] = {}
+    for force, of_force in rows.items():
+        for is_pure in (True, False):
+            chosen = of_force.chosen([is_pure])
+            if np.any(chosen) and (is_pure or both):
+                some = of_force.part(chosen)
+                cells = cells_of(some, settings[force][chosen])
+                given = None
+                if not some.estimated:
+                    given = cells.mean(some.std**2) / cells.rows
+                group = Group(force, is_pure, cells, given)
+                groups.setdefault(force, []).append(group)
+    return groups

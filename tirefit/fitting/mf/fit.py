@@ -15,6 +15,7 @@ from tirefit.data.tir import TirFile, read_tir
 from tirefit.fitting.config import FitConfig, ParameterConfig, parse_config
 from tirefit.fitting.estimate import data_record
 from tirefit.fitting.mf.bins import binned, settings_of
+from tirefit.fitting.mf.cells import groups_of
 from tirefit.fitting.mf.guards import check_guards
 from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, LeftOut, foretold
 from tirefit.fitting.mf.like import Borrowed, borrowed_from, with_dimensions
@@ -31,7 +32,7 @@ from tirefit.fitting.mf.priors import Prior, normal_form, prior_given, published
 from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
 from tirefit.fitting.mf.rows import ForceRows, joined, rows_of_forces
 from tirefit.fitting.mf.solve import Problem, row_values
-from tirefit.fitting.mf.stages import Search, groups_of, search
+from tirefit.fitting.mf.stages import Search, search
 from tirefit.fitting.mf.temperature import at_reference
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire, frictions
 from tirefit.models.mf.fields import Nominal, Scaling

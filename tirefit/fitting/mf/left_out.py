@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.data.levels import levels
-from tirefit.fitting.mf.noise_law import NoiseLaw, noise_law
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import blocks_of, row_gradients
 from tirefit.fitting.mf.stages import Search, without
+from tirefit.fitting.noise_law import NoiseLaw, noise_law
 
 LEAVE_OUT = ("three", "load", "bin", "none")
 """What is left out in turn: the bins of three loads (the smallest, a middle one, the

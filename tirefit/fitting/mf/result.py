@@ -13,9 +13,9 @@ from tirefit.fitting.layout import FreeParameter, Layout
 from tirefit.fitting.mf.bins import SlipBins
 from tirefit.fitting.mf.guards import Guard
 from tirefit.fitting.mf.left_out import LeftOut
-from tirefit.fitting.mf.noise_law import NoiseLaw
 from tirefit.fitting.mf.stages import Stage
 from tirefit.fitting.mf.temperature import FrictionTemperature
+from tirefit.fitting.noise_law import NoiseLaw
 from tirefit.fitting.result import SCHEMA
 from tirefit.fitting.store import StoredFit
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire

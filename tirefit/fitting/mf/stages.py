@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.fitting.mf.cells import Cells, cells_of
-from tirefit.fitting.mf.noise_law import NoiseLaw, noise_law
+from tirefit.fitting.mf.cells import Group
 from tirefit.fitting.mf.parts import MOMENTS, PARTS, coefficients_of, own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.mf.solve import (
@@ -27,7 +26,9 @@ from tirefit.fitting.mf.solve import (
     row_gradients,
     row_values,
 )
-from tirefit.fitting.noise import autocorrelation_time
+from tirefit.fitting.mf.starts import first_values
+from tirefit.fitting.noise import autocorrelation_time, design_effect
+from tirefit.fitting.noise_law import noise_law
 from tirefit.models import TireInputs
 
 _ENOUGH = 2048
@@ -40,19 +41,9 @@ _ROUNDS = 10
 _SETTLED = 0.02
 """Rounds of search and noise, at most, and the change of the noise that ends them."""
 
-_AT_FIRST = 0.05
-"""Noise over the root mean square of the force, before any residual is known."""
-
 _TOLD = 0.5
 """Share of the prior's variance that is left, below which the rows tell a coefficient:
 later rows do not move it."""
-
-_CLEAR = 3.1
-"""Standard errors by which a design effect is above one: 0.1 % of a normal law."""
-
-_ALONE = 0.9
-"""Share of what is known in a direction that one setting tells, above which no other
-setting can contradict it."""
 
 _HELD = 0.98
 """Share of the prior's variance that is left, above which the rows say nothing."""
@@ -84,59 +75,6 @@ class Stage(NamedTuple):
     def part(self) -> str:
         """The part, of :data:`~tirefit.fitting.mf.parts.PARTS`, to which it belongs."""
         return self.force if self.pure else "combined"
-
-
-@dataclass(frozen=True)
-class Group:
-    """Cells of one force in pure or in combined slip.
-
-    ``white`` and ``misfit`` are the noise laws of one row and of a cell's mean beside
-    it; ``each``: how many cells count as one, as neighbours miss the formula alike.
-    """
-
-    force: str
-    pure: bool
-    cells: Cells
-    given: np.ndarray | None
-    white: NoiseLaw = NoiseLaw(0.0, 0.0)
-    misfit: NoiseLaw | None = None
-    each: float = 1.0
-
-    def variance(self, predicted: np.ndarray) -> np.ndarray:
-        """Of each cell's mean (m,) about the formula; that is ``predicted`` (m,)."""
-        fz = np.asarray(self.cells.inputs.fz)
-        known = self.known(predicted)
-        if self.misfit is None:
-            return known + _AT_FIRST**2 * float(np.mean(self.cells.observed**2))
-        least = 1e-12 * float(np.mean(self.cells.observed**2))
-        return known + np.maximum(self.misfit.variance(fz, predicted), least)
-
-    def row_variance(self, fz: np.ndarray, predicted: np.ndarray) -> np.ndarray:
-        """Of single rows (n,) about the formula, as the misfit goes."""
-        misfit = self.misfit or NoiseLaw(0.0, 0.0)
-        single = self.white.variance(fz, predicted)
-        if self.given is not None:
-            single = np.median(self.given * self.cells.rows)
-        return single + misfit.variance(fz, predicted)
-
-    def known(self, predicted: np.ndarray) -> np.ndarray:
-        """Part of the variance that the noise of single rows makes, (m,)."""
-        if self.given is not None:
-            return self.given
-        return self.white.variance(self.cells.inputs.fz, predicted) / self.cells.rows
-
-    def part(self, chosen: np.ndarray) -> "Group":
-        """Some of the cells, chosen (m,) bool; their rows are not kept."""
-        cells, given = self.cells, self.given
-        inputs = TireInputs(*(np.asarray(column)[chosen] for column in cells.inputs))
-        return replace(
-            self,
-            cells=Cells(
-                inputs, cells.observed[chosen], cells.rows[chosen],
-                np.zeros(0, int), cells.setting[chosen],
-            ),
-            given=None if given is None else given[chosen],
-        )  # fmt: skip
 
 
 @dataclass
@@ -182,30 +120,6 @@ class Search:
             stage._replace(rmse_at_end=self.rmse(of[stage.force, stage.pure]))
             for stage in self.stages
         ]
-
-
-def groups_of(
-    rows: Mapping[str, ForceRows], settings: Mapping[str, np.ndarray], both: bool
-) -> dict[str, list[Group]]:
-    """Cells of pure slip and, where asked for, of combined slip, by force.
-
-    Args:
-        settings: by force, the setting of the rig (n,) of each row.
-        both: whether rows of combined slip are taken.
-    """
-    groups: dict[str, list[Group]] = {}
-    for force, of_force in rows.items():
-        for is_pure in (True, False):
-            chosen = of_force.chosen([is_pure])
-            if np.any(chosen) and (is_pure or both):
-                some = of_force.part(chosen)
-                cells = cells_of(some, settings[force][chosen])
-                given = None
-                if not some.estimated:
-                    given = cells.mean(some.std**2) / cells.rows
-                group = Group(force, is_pure, cells, given)
-                groups.setdefault(force, []).append(group)
-    return groups
 
 
 def search(
@@ -321,7 +235,7 @@ def problem_of(work: Search, force: str, count: int, names, most=None) -> Proble
 
 def _best_start(work: Search, force: str, count: int, names) -> np.ndarray:
     few = problem_of(work, force, count, names, _ENOUGH)
-    starts = starts_of(work, work.groups[force][count - 1])
+    starts = _starts_of(work, work.groups[force][count - 1])
     ends = [minimise(few, start, _TRIES, _ROUGHLY) for start in starts]
     return min(ends, key=lambda end: end.cost).u
 
@@ -360,38 +274,6 @@ def _learn_weight(work: Search, force: str, count: int, names) -> None:
     by_setting = design_effect(residual, slopes[:, problem.free], setting)
     each = max(autocorrelation_time(parts), by_setting)
     work.groups[force][count - 1] = replace(group, each=each)
-
-
-def design_effect(residual, slopes, setting) -> float:
-    """Variance of the slope of the deviance over that of independent residuals, in the
-    mean over the directions of the coefficients; settings are independent. One, where
-    it is not above one by 3.1 of its standard errors (0.1 %).
-
-    The bias of residuals of a fit is taken out setting by setting (CR2: Bell and
-    McCaffrey, *Survey Methodology* 28 (2002) 169-181).
-
-    Args:
-        residual: (n,) over their noise.
-        slopes: (n, p) of the residuals in coefficients whose prior has unit variance.
-        setting: (n,) integers.
-    """
-    size = slopes.shape[1]
-    values, axes = np.linalg.eigh(slopes.T @ slopes + np.eye(size))
-    # By rounding below the one that the priors give.
-    whitened = slopes @ (axes / np.sqrt(np.maximum(values, 1.0)))
-    found, expected, squares = 0.0, 0.0, 0.0
-    for code in np.unique(setting):
-        part = whitened[setting == code]
-        own, directions = np.linalg.eigh(part.T @ part)
-        score = directions.T @ (part.T @ residual[setting == code])
-        # What a setting tells alone, its residuals cannot contradict.
-        share = np.minimum(own, 1.0)
-        judged = share < _ALONE
-        found += float(np.sum(score[judged] ** 2 / (1 - share[judged])))
-        expected += float(np.sum(share[judged]))
-        squares += float(np.sum(share[judged] ** 2))
-    is_clear = found - expected > _CLEAR * np.sqrt(2 * squares)
-    return found / expected if is_clear else 1.0
 
 
 def _hold(work: Search, problem: Problem, end: Minimum) -> tuple[Problem, Minimum]:
@@ -449,53 +331,16 @@ def _note(work: Search, force: str, count: int, problem: Problem, end: Minimum):
     )
 
 
-_SHAPES: dict[str, tuple[dict[str, float], ...]] = {
-    "fx": ({}, {"PCX1": 1.2}, {"PCX1": 1.8}),
-    "fy": ({}, {"PCY1": 1.1}, {"PCY1": 1.8}),
-    "mz": ({"QEZ1": -0.5}, {"QCZ1": 1.1, "QEZ1": -3.0}, {"QCZ1": 1.5, "QEZ1": -1.0}),
-    "mx": (
-        {},
-        {"QSX2": -1.0, "QSX3": 0.5, "QSX4": -1.0},
-        {"QSX2": 1.0, "QSX3": -0.5, "QSX4": 1.0},
-    ),
-}
-"""Shapes of the curves to start from; curves with a peak, without, and sharp ones lie
-in different valleys."""
-
-
-def starts_of(work: Search, group: Group) -> list[np.ndarray]:
-    """First values: what a look at the curve gives, with several shapes.
-
-    Combined slip begins where pure slip ended, if that was there.
-    """
+def _starts_of(work: Search, group: Group) -> list[np.ndarray]:
+    """First values of u; combined slip begins where pure slip, if there, ended."""
     problem = work.problem
     if any(stage.force == group.force for stage in work.stages):
         return [work.u]
     starts = [work.u] if work.near else []
-    for shape in _SHAPES.get(group.force, ({},)):
+    for values in first_values(group):
         u = work.u.copy()
-        values = _look(group) | shape
         for i, name in enumerate(problem.names):
             if name in values and problem.free[i]:
                 u[i] = problem.unit(name, values[name])
         starts.append(u)
     return starts
-
-
-def _look(group: Group) -> dict[str, float]:
-    """Friction and stiffness, from the largest forces and the slope at small slips."""
-    if group.force not in ("fx", "fy"):
-        return {}
-    inputs, force = group.cells.inputs, group.cells.observed
-    slip = np.asarray(inputs.sigma_x if group.force == "fx" else inputs.alpha)
-    fz, size = np.asarray(inputs.fz), np.abs(slip)
-    low = size <= max(np.quantile(size, 0.2), 0.1 * size.max())
-    peak = float(np.clip(np.quantile(np.abs(force) / fz, 0.98), 0.1, 3.0))
-    share = slip[low] * fz[low]
-    slope = 1.2 * float(share @ force[low] / max(share @ share, 1e-12))
-    slope = max(slope, peak / max(size.max(), 1e-6))
-    if group.force == "fx":
-        return {"PDX1": peak, "PKX1": slope}
-    # Of K = PKY1 F_z0 sin(2 arctan(F_z / (PKY2 F_z0))) at the nominal load.
-    at_nominal = np.sin(2 * np.arctan(1 / 2.5))
-    return {"PDY1": peak, "PKY1": -slope / at_nominal, "PKY2": 2.5}

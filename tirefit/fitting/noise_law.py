@@ -46,8 +46,8 @@ def noise_law(residual, fz, force, known=0.0, each=1.0) -> NoiseLaw:
         each: how many residuals count as one, (n,) or a number.
     """
     terms = np.stack([np.full(len(fz), 1.0), fz**2, force**2], axis=1)
-    plain = np.append(_shares(residual, terms[:, :2], known), 0.0)
-    shares = _shares(residual, terms, known)
+    plain = np.append(law_shares(residual, terms[:, :2], known), 0.0)
+    shares = law_shares(residual, terms, known)
     deviances = [_deviance(residual, terms @ x + known, each) for x in (plain, shares)]
     is_clear = deviances[0] - deviances[1] > _CLEAR
     return NoiseLaw(*np.sqrt(shares if is_clear else plain).tolist())
@@ -58,9 +58,16 @@ def _deviance(residual, variance, each) -> float:
     return float(np.sum((np.log(variance) + residual**2 / variance) / each))
 
 
-def _shares(residual, terms, known) -> np.ndarray:
-    """Squares are regressed on the terms, each row weighted by its own variance, twice
-    the square of which is the variance of a square; until the variance settles."""
+def law_shares(residual, terms, known=0.0) -> np.ndarray:
+    """Non-negative shares (k,) of the terms (n, k) that squares of residuals follow.
+
+    Squares are regressed on the terms, each row weighted by its own variance, twice the
+    square of which is the variance of a square; until the variance settles.
+
+    Args:
+        residual: (n,).
+        known: part of each variance that is known already, (n,) or a number.
+    """
     scale = float(np.mean(residual**2)) or 1e-18
     size = np.maximum(np.mean(terms, axis=0), 1e-300)
     scaled, known = terms / size, known / scale
