@@ -43,6 +43,7 @@ in it. P(4.E...) are equations of Pacejka (2012). Cited elsewhere:
   Publications of the Astronomical Society of the Pacific 125 (2013) 306-312.
 - Gäfvert, M., Svendenius, J.: A novel semi-empirical tire model for combined slips.
   Vehicle System Dynamics 43 (2005) 351-384.
+- Hausman, J. A.: Specification tests in econometrics. Econometrica 46 (1978) 1251-1271.
 - Hoffman, M. D., Gelman, A.: The No-U-Turn Sampler. Journal of Machine Learning
   Research 15 (2014) 1593-1623.
 - Huber, P. J.: Robust estimation of a location parameter. Annals of Mathematical

@@ -4,10 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc
 
 from tirefit.data.levels import levels
+from tirefit.fitting.mf.parts import own_coefficients
 from tirefit.fitting.mf.rows import ForceRows
-from tirefit.fitting.mf.solve import blocks_of, row_gradients
+from tirefit.fitting.mf.solve import blocks_of, propagated
 from tirefit.fitting.mf.stages import Search, without
 from tirefit.fitting.noise_law import NoiseLaw, noise_law
 
@@ -20,14 +22,11 @@ _ROWS = 1500
 
 _IN_95 = 1.96
 
-_LEAST = 1e-9
-"""Noise over the root mean square of the force, at least: of data without any."""
+_CHANCE = 0.05
+"""Probability by chance of shifts for which the standard errors are not widened."""
 
-_CLEAR = 3.84
-"""Deviance of one degree of freedom at the level of 5 %."""
-
-_WIDEST, _TRIED = 30.0, 69
-"""Largest factor of the standard errors that is tried, and how many, 5 % apart."""
+_TOLD = 0.1
+"""Growth of a variance, without the part, from which on the part determines it."""
 
 _FEWEST_LOADS = 3
 """Loads of a test, at least, of which one is left out: two others foretell it."""
@@ -55,28 +54,24 @@ class Band(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """Some rows (n,) of one part: what they miss, their load and predicted force.
+    """Some rows (n,) of one part: what they miss, their load, predicted force and the
+    variance that the coefficients give it.
 
-    ``slope`` (n, p): what one standard deviation along each axis of the coefficients'
-    posterior adds to the force; ``rows``: of how many these are taken, and ``each``:
-    how many of these count as one.
+    ``rows``: of how many these are taken, and ``each``: how many of these count as
+    one; ``shift``: see :func:`_shift`.
     """
 
     missed: np.ndarray
     fz: np.ndarray
     predicted: np.ndarray
-    slope: np.ndarray
+    variance: np.ndarray
     rows: int
     each: float
+    shift: tuple[float, int]
 
     @property
     def rmse(self) -> float:
         return float(np.sqrt(np.mean(self.missed**2)))
-
-    @property
-    def variance(self) -> np.ndarray:
-        """That the coefficients give each row, (n,)."""
-        return np.sum(self.slope**2, axis=1)
 
 
 def foretold(
@@ -107,7 +102,8 @@ def foretold(
         for force in fitted.groups:
             own = _chosen(work, rows[force]) & np.isin(settings[force][1], gone[force])
             if np.any(own):
-                part, whole = (_seen(one, rows[force], own) for one in (fitted, work))
+                part = _seen(fitted, rows[force], own, _shift(fitted, work, force))
+                whole = _seen(work, rows[force], own)
                 seen[force].append((label, part, whole))
     found, bands = [], {}
     for force, parts in seen.items():
@@ -168,7 +164,7 @@ def _parts(rows, settings, which: str) -> list[tuple[str, dict[str, list[int]]]]
     ]
 
 
-def _seen(work: Search, rows: ForceRows, chosen: np.ndarray) -> _Seen:
+def _seen(work: Search, rows: ForceRows, chosen: np.ndarray, shift=(0.0, 0)) -> _Seen:
     at = np.flatnonzero(chosen)
     count = len(at)
     if count > _ROWS:
@@ -176,57 +172,53 @@ def _seen(work: Search, rows: ForceRows, chosen: np.ndarray) -> _Seen:
     some = rows.part(at)
     one = np.full(len(at), 1.0)
     blocks = blocks_of(rows.force, some.inputs, some.observed, one)
-    missed, slope = row_gradients(work.problem.with_blocks(blocks), work.u)
-    sizes, axes = np.linalg.eigh(work.covariance)
-    return _Seen(
-        missed=missed,
-        fz=some.column("fz"),
-        predicted=missed + some.observed,
-        slope=slope @ (axes * np.sqrt(np.maximum(sizes, 0.0))),
-        rows=count,
-        each=max(work.rows_per_one(rows.force) * len(at) / count, 1.0),
-    )
+    problem = work.problem.with_blocks(blocks)
+    missed, variance = propagated(problem, work.u, work.covariance)
+    each = max(work.rows_per_one(rows.force) * len(at) / count, 1.0)
+    predicted = missed + some.observed
+    return _Seen(missed, some.column("fz"), predicted, variance, count, each, shift)
+
+
+def _shift(fitted: Search, whole: Search, force: str) -> tuple[float, int]:
+    """How far the coefficients of a force move when a part is left out.
+
+    Estimates from nested data differ with a covariance that is the difference of
+    theirs (Hausman 1978).
+
+    Returns:
+        Sum of squares of the shift over its variance, and the number of directions, of
+        those that the part determines.
+    """
+    names, moved = whole.problem.names, whole.moved - whole.held
+    own = own_coefficients(whole.problem.tire.version, force)
+    at = np.flatnonzero(np.isin(names, [name for name in own if name in moved]))
+    root = np.linalg.cholesky(whole.covariance[np.ix_(at, at)])
+    inverse = np.linalg.inv(root)
+    ratio = inverse @ fitted.covariance[np.ix_(at, at)] @ inverse.T
+    sizes, axes = np.linalg.eigh((ratio + ratio.T) / 2)
+    variance = sizes - 1
+    moves = (axes.T @ inverse @ (fitted.u - whole.u)[at])[variance > _TOLD]
+    return float(np.sum(moves**2 / variance[variance > _TOLD])), len(moves)
 
 
 def _band(parts: Sequence[_Seen]) -> Band:
-    """The band that rows of left-out parts follow."""
-    fz, predicted = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("fz", "predicted")
-    )
-    missed = np.concatenate([part.missed for part in parts])
-    variance = np.concatenate([part.variance for part in parts])
-    each = np.concatenate([np.full(len(part.fz), part.each) for part in parts])
-    law = noise_law(missed, fz, predicted, variance, each)
-    return Band(law, _wider(parts, law))
+    """The band that rows of left-out parts follow.
 
-
-def _wider(parts: Sequence[_Seen], law: NoiseLaw) -> float:
-    """Factor of the standard errors that makes left-out parts most likely.
-
-    What the coefficients' errors do to a part is common to its rows: only as many
-    directions count as stand out of the noise. One, where the likelihood does not rise
-    at the level of 5 %.
+    Standard errors are widened to the size of the shifts, where these are larger than
+    the errors at the level of 5 %.
     """
-    sizes, squares = [], []
-    for part in parts:
-        least = _LEAST**2 * np.mean(part.predicted**2)
-        variance = np.maximum(law.variance(part.fz, part.predicted), least)
-        std = np.sqrt(part.each * variance)
-        axes, spread, _ = np.linalg.svd(part.slope / std[:, None], full_matrices=False)
-        sizes.append(spread**2)
-        squares.append((axes.T @ (part.missed / std)) ** 2)
-    size, square = np.concatenate(sizes), np.concatenate(squares)
-
-    def deviance(factor):
-        variance = 1 + factor * size
-        return float(np.sum(np.log(variance) + square / variance))
-
-    factors = np.geomspace(1.0, _WIDEST**2, _TRIED)
-    deviances = np.array([deviance(factor) for factor in factors])
-    best = int(np.argmin(deviances))
-    is_clear = deviances[0] - deviances[best] > _CLEAR
-    return float(np.sqrt(factors[best])) if is_clear else 1.0
+    squares, count = (
+        sum(column) for column in zip(*(p.shift for p in parts), strict=True)
+    )
+    is_clear = count > 0 and chdtrc(count, squares) < _CHANCE
+    wider = float(np.sqrt(squares / count)) if is_clear else 1.0
+    missed, fz, predicted, variance = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("missed", "fz", "predicted", "variance")
+    )
+    each = np.concatenate([np.full(len(part.fz), part.each) for part in parts])
+    law = noise_law(missed, fz, predicted, wider**2 * variance, each)
+    return Band(law, wider)
 
 
 def _within(one: _Seen, band: Band) -> float:
