@@ -50,7 +50,7 @@ def test_free_driving_with_the_point_too_far_behind_is_refused(tmp_path):
     with pytest.raises(DataError) as caught:
         derive(path, dart(tmp_path, -0.015))
     (problem,) = caught.value.problems
-    assert "the side force acts the way the axle slides" in problem.reason
+    assert "the lateral force acts in the direction of the" in problem.reason
     assert problem.file.endswith("10_02_28.csv.gz")
     assert "tracked_point = [0.114, -0.01]" in problem.remedy
 
@@ -81,7 +81,7 @@ def test_gps_at_the_front_axle_is_refused_and_the_remedy_is_right(tmp_path):
     with pytest.raises(DataError) as caught:
         derived(tmp_path, log, RATES)
     (problem,) = caught.value.problems
-    assert "acts the way the axle slides" in problem.reason
+    assert "acts in the direction of the axle's slip" in problem.reason
     line = re.search(r"tracked_point = \[([\d.]+), 0\]", problem.remedy)
     assert float(line[1]) == pytest.approx(L_R + L_F, abs=0.06)
     path = tmp_path / "vehicle.toml"
@@ -96,7 +96,7 @@ def test_gps_at_the_front_axle_is_refused_and_the_remedy_is_right(tmp_path):
 
 def test_a_point_is_doubted_where_the_force_still_opposes_the_slip(tmp_path):
     (said,) = derived(tmp_path, moved(log_of(name="turns"), L_F), RATES).warnings
-    assert "the log's point is 2.6 ± 0.01 m ahead of the rear axle" in said
+    assert "the tracked point is 2.6 ± 0.01 m ahead of the rear axle" in said
 
 
 def test_a_force_beyond_any_friction_is_doubted(tmp_path):
@@ -132,7 +132,7 @@ def test_a_log_that_hardly_turns_says_nothing_of_its_point(tmp_path, columns):
         assert not any("tracked_point" in said for said in result.warnings)
     result = derived(tmp_path, log_of(name="straight"), columns)
     assert result.point.estimate is None
-    assert "does not show where it is" in result.summary()
+    assert "does not determine it" in result.summary()
 
 
 def late(log, channels, seconds):

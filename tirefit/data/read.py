@@ -60,9 +60,9 @@ def read(
             file's header; columns not named here are inferred and said.
         units: canonical name to unit, e.g. ``{"fx": "kN", "kappa": "%"}``; a leading
             minus (``-N``) flips the sign of one column.
-        convention: the file's signs, a key of ``slip.CONVENTIONS``. None: those that
-            the file declares (a line "convention NAME" above the header, TYDEX, Tire
-            Test Consortium), else those of ``otherwise``, else "braking".
+        convention: the file's signs, a key of ``slip.CONVENTIONS``. If None, those
+            that the file declares (a line "convention NAME" above the header, TYDEX,
+            Tire Test Consortium), else those of ``otherwise``, else "braking".
         slip: definition of the slip column, a key of ``slip.SLIP_DEFINITIONS``.
         constants: canonical columns that are constant over the file, SI and canonical
             signs, e.g. ``{"fz": 4000, "v": 20}``.
@@ -76,13 +76,13 @@ def read(
             that the file does not have is kept for writing it.
         curve: False for a log of a vehicle, which need not hold slip, force and load
             nor vary in them: who uses it asks for its columns (:func:`require`).
-        otherwise: the convention of a model that the data are compared with, and its
-            name in messages; assumed where neither the user nor the file declares one.
+        otherwise: convention of the model that the data are compared with, and the
+            model's name. It is assumed if neither user nor file declares one.
 
     Raises:
         UsageError: an option has an unknown name or value.
-        DataError: the file cannot be used, or states another convention than the
-            argument; holds all problems found.
+        DataError: the file cannot be used, or its convention contradicts the argument;
+            holds all problems found.
     """
     options = Options(
         columns or {}, units or {}, convention, slip, constants or {},
