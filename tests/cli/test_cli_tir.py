@@ -240,7 +240,7 @@ def test_absent_coefficients_of_combined_slip_are_reported_and_stood_in_for(run)
     given = run(
         "predict", "brush", "points.csv", "--combination", "none", *ISO, exit_code=2
     )
-    assert "--combination are of .tir files" in given.stderr
+    assert "--combination apply to .tir files only" in given.stderr
 
 
 def test_zeros_of_a_file_are_kept_and_reported(run):

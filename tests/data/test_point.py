@@ -42,7 +42,7 @@ def test_a_measured_log_is_accepted_at_its_point_only(path, tmp_path):
         (said,) = (text for text in result.warnings if "tracked_point" in text)
         # What is stated does not move the estimate.
         assert result.point.estimate == pytest.approx((at, std), rel=0.05, abs=1e-4)
-        assert f"say tracked_point = [{at:.3g}, -0.01] in vehicle.toml" in said
+        assert f"set tracked_point = [{at:.3g}, -0.01] in vehicle.toml" in said
 
 
 def test_free_driving_with_the_point_too_far_behind_is_refused(tmp_path):
@@ -121,7 +121,7 @@ def test_too_large_a_yaw_inertia_is_named_beside_the_point(tmp_path):
     derived(tmp_path, log_of(name="turns"), RATES)
     (said,) = derive(tmp_path / "log.csv", load_vehicle(path)).warnings
     assert "yaw_inertia is 0.25 ± 0.0" in said and "tracked_point" in said
-    factor = re.search(r"say yaw_inertia = ([\de.+]+)", said)
+    factor = re.search(r"set yaw_inertia = ([\de.+]+)", said)
     assert float(factor[1]) == pytest.approx(2500, rel=0.05)
 
 

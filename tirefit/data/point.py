@@ -171,7 +171,7 @@ def _words(fit: _Fit, stated: float, vehicle: Vehicle) -> tuple[str, str]:
     at, left = stated + fit.amount, (vehicle.tracked_point or (0.0, 0.0))[1]
     place = f"{at:.3g} ± {fit.std:.1g} m ahead of the rear axle"
     reason = f"the tracked point is {place}, not {stated:.3g} m"
-    remedy = f"say tracked_point = [{at:.3g}, {left:g}] in vehicle.toml"
+    remedy = f"set tracked_point = [{at:.3g}, {left:g}] in vehicle.toml"
     return reason, remedy + ("" if vehicle.tracked_point else " (or correct l_r)")
 
 
@@ -183,7 +183,7 @@ def _others(motion, vehicle: Vehicle, rows: _Rows) -> list[tuple[float, str, str
     if _sure(fit) and set(changed.doubts()) <= set(vehicle.doubts()):
         share = f"{1 + fit.amount:.2g} ± {fit.std:.1g}"
         reason = f"yaw_inertia is {share} of the stated one"
-        remedy = f"say yaw_inertia = {changed.yaw_inertia:.3g}"
+        remedy = f"set yaw_inertia = {changed.yaw_inertia:.3g}"
         found.append((fit.misfit, reason, remedy))
     for name in ("yaw",) if pose else ("v_y", "a_y"):
         small = 1 / vehicle.filter.sample_rate
@@ -212,7 +212,7 @@ def _flipped(vehicle: Vehicle) -> tuple[str, str]:
     pose = vehicle.columns.motion == POSE
     name, other, unit = ("yaw", "y", "rad") if pose else ("v_y", "a_y", "m/s")
     unit = f"-{vehicle.units.get(name, unit)}".removeprefix("--")
-    remedy = f'say {name} = "{unit}" in [units] of vehicle.toml'
+    remedy = f'set {name} = "{unit}" in [units] of vehicle.toml'
     return f"{name} or {other} has the other sign", remedy
 
 
