@@ -164,8 +164,8 @@ def test_rows_without_a_prediction_are_listed(run, tmp_path):
     (tmp_path / "d.csv").write_text("\n".join(["sigma_x,fz", *rows]))
     how = ("--out", "f.csv", "--mask-bad-rows")
     said = run("predict", "brush", "d.csv", *SETS, *how).stderr
-    assert "set aside, no force: row 5, column 'fz': 'x' is text" in said
-    assert "set aside, no force: 5 rows in all" in said
+    assert "excluded, no force: row 5, column 'fz': 'x' is text" in said
+    assert "excluded, no force: 5 rows in all" in said
     with open("f.csv") as file:
         forces = [row["fx"] for row in csv.DictReader(file)]
     assert len(forces) == 31 and forces.count("") == 5

@@ -48,7 +48,7 @@ def test_the_files_own_words_go_before_those_of_a_model(tmp_path, line, conventi
     )
     same(data, canonical())
     assert data.source.convention == convention
-    assert any("as line 1 says, not as" in note for note in data.source.notes)
+    assert any("stated in line 1, not as" in note for note in data.source.notes)
 
 
 def test_a_model_goes_before_the_default_and_is_named(tmp_path):
@@ -81,7 +81,7 @@ def test_two_statements_that_differ_are_an_error_where_a_sign_differs(tmp_path):
     )
     data = read(path, convention="adapted-sae")
     same(data, longitudinal())
-    assert any("not 'iso-w' as line 1 says" in note for note in data.source.notes)
+    assert any("not 'iso-w' (stated in line 1)" in note for note in data.source.notes)
 
 
 def test_lines_that_contradict_each_other_or_say_nothing_known(tmp_path):
@@ -97,10 +97,10 @@ def test_a_layout_gives_way_to_the_user_and_to_the_files_own_words(tmp_path):
     """A consortium's file, whose layout alone says SAE as its loads are negative."""
     frame = ttc(truth())
     data = read(written(tmp_path / "a.csv", frame))
-    assert data.source.convention_from == "as its layout has it"
+    assert data.source.convention_from == "by the layout of the file"
     data = read(written(tmp_path / "b.csv", frame, "# convention sae"), otherwise=MODEL)
     assert data.source.convention == "sae"
-    assert data.source.convention_from == "as line 1 says, not as 'iso-w' of tire.tir"
+    assert data.source.convention_from == "stated in line 1, not as 'iso-w' of tire.tir"
     positive = frame | {"FZ": -frame["FZ"], "SA": -frame["SA"]}
     path = written(tmp_path / "c.csv", positive)
     layout = read(path).source.convention
@@ -108,7 +108,7 @@ def test_a_layout_gives_way_to_the_user_and_to_the_files_own_words(tmp_path):
     data = read(path, convention="braking")
     assert (
         data.source.convention_from
-        == f"as declared, not {layout!r} as its layout has it"
+        == f"as declared, not {layout!r} (by the layout of the file)"
     )
 
 
@@ -138,7 +138,7 @@ def test_rows_as_they_come_say_their_signs(tmp_path, first):
     sign = -1 if first else 1
     assert (row["sigma_x"], row["fx"]) == (sign * -0.1, sign * -1000)
     said = " ".join(rows.assumptions)
-    assert ("as line 1 says" if first else "'braking' assumed") in said
+    assert ("stated in line 1" if first else "'braking' assumed") in said
     assert rows.bad is not None and rows.bad[0] == 3 + bool(first)
     problem = "--convention sae contradicts" if first else "no error"
     with open(path) as lines:

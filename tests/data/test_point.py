@@ -42,7 +42,7 @@ def test_a_measured_log_is_accepted_at_its_point_only(path, tmp_path):
         (said,) = (text for text in result.warnings if "tracked_point" in text)
         # What is stated does not move the estimate.
         assert result.point.estimate == pytest.approx((at, std), rel=0.05, abs=1e-4)
-        assert f"say tracked_point = [{at:.3g}, -0.01] in vehicle.toml" in said
+        assert f"set tracked_point = [{at:.3g}, -0.01] in vehicle.toml" in said
 
 
 def test_free_driving_with_the_point_too_far_behind_is_refused(tmp_path):
@@ -50,7 +50,7 @@ def test_free_driving_with_the_point_too_far_behind_is_refused(tmp_path):
     with pytest.raises(DataError) as caught:
         derive(path, dart(tmp_path, -0.015))
     (problem,) = caught.value.problems
-    assert "the side force acts the way the axle slides" in problem.reason
+    assert "the lateral force acts in the direction of the" in problem.reason
     assert problem.file.endswith("10_02_28.csv.gz")
     assert "tracked_point = [0.114, -0.01]" in problem.remedy
 
@@ -81,7 +81,7 @@ def test_gps_at_the_front_axle_is_refused_and_the_remedy_is_right(tmp_path):
     with pytest.raises(DataError) as caught:
         derived(tmp_path, log, RATES)
     (problem,) = caught.value.problems
-    assert "acts the way the axle slides" in problem.reason
+    assert "acts in the direction of the axle's slip" in problem.reason
     line = re.search(r"tracked_point = \[([\d.]+), 0\]", problem.remedy)
     assert float(line[1]) == pytest.approx(L_R + L_F, abs=0.06)
     path = tmp_path / "vehicle.toml"
@@ -96,7 +96,7 @@ def test_gps_at_the_front_axle_is_refused_and_the_remedy_is_right(tmp_path):
 
 def test_a_point_is_doubted_where_the_force_still_opposes_the_slip(tmp_path):
     (said,) = derived(tmp_path, moved(log_of(name="turns"), L_F), RATES).warnings
-    assert "the log's point is 2.6 ± 0.01 m ahead of the rear axle" in said
+    assert "the tracked point is 2.6 ± 0.01 m ahead of the rear axle" in said
 
 
 def test_a_force_beyond_any_friction_is_doubted(tmp_path):
@@ -121,7 +121,7 @@ def test_too_large_a_yaw_inertia_is_named_beside_the_point(tmp_path):
     derived(tmp_path, log_of(name="turns"), RATES)
     (said,) = derive(tmp_path / "log.csv", load_vehicle(path)).warnings
     assert "yaw_inertia is 0.25 ± 0.0" in said and "tracked_point" in said
-    factor = re.search(r"say yaw_inertia = ([\de.+]+)", said)
+    factor = re.search(r"set yaw_inertia = ([\de.+]+)", said)
     assert float(factor[1]) == pytest.approx(2500, rel=0.05)
 
 
@@ -132,7 +132,7 @@ def test_a_log_that_hardly_turns_says_nothing_of_its_point(tmp_path, columns):
         assert not any("tracked_point" in said for said in result.warnings)
     result = derived(tmp_path, log_of(name="straight"), columns)
     assert result.point.estimate is None
-    assert "does not show where it is" in result.summary()
+    assert "does not determine it" in result.summary()
 
 
 def late(log, channels, seconds):

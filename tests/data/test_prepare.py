@@ -297,8 +297,8 @@ def test_the_warm_up_keeps_the_last_sweeps_of_a_condition_and_names_it():
     for config in ({"cut_last": True}, {"warm_up": 60.0}):
         cut = prepared(seen, **config)
         assert swept_rows(cut, 4 * DEG)[0] == 0
-        (note,) = [note for note in cut.notes if "cut whole" in note]
-        assert "1 of 2 conditions are cut whole: 4 deg (alpha): " in note
+        (note,) = [note for note in cut.notes if "no kept rows" in note]
+        assert "1 of 2 conditions have no kept rows: 4 deg (alpha): " in note
     colds = prepared(seen, keep=["cold", "warm-up"])
     assert not any(part.early for part in colds.segments)
 

@@ -66,8 +66,8 @@ def wrapped(text, random):
 
 
 def dropped(text, random):
-    """Without a third of the lines of what no force here needs."""
-    unused = re.compile(r"(Q[STR]|PT|PECP|PDXP|PHYP|VERTICAL|BOTTOM|MASS|[A-Z]XLOW)")
+    """Without a third of the lines of keys that no force uses."""
+    unused = re.compile(r"(Q[TR]|PT|PECP|PDXP|PHYP|VERTICAL|BOTTOM|MASS|[A-Z]XLOW)")
     return "".join(
         line
         for line in text.splitlines(keepends=True)
@@ -147,9 +147,9 @@ def test_whole_blocks_may_be_missing(lost, given, mode):
     for name in lost.split():
         text = re.sub(rf"(?ms)^\[{name}_COEFF.*?(?=^\[|\Z)", "", text)
     tir = parse_tir(text)
-    assert modelled(own_tire(tir)) == given
+    assert tuple(f for f in modelled(own_tire(tir)) if f in FORCE_KEYS) == given
     said = " ".join(notes_on(tir))
-    assert said.count("the file has no coefficients of it") == len(lost.split())
+    assert said.count("its coefficients are missing") == len(lost.split())
     assert "USE_MODE" not in said
     with pytest.raises(DataError, match="no force is described"):
         parse_tir(re.sub(r"(?ms)^\[\w+_COEFF.*?(?=^\[|\Z)", "", text))
@@ -160,15 +160,15 @@ def test_whole_blocks_may_be_missing(lost, given, mode):
     [
         (["FITTYP = 'MF52'"], "5.2", "FITTYP = 'MF52'"),
         (["FITTYP = 6.1"], "6.1", "FITTYP = 6.1"),
-        (["FITTYP ="], "5.2", "no coefficient is of MF 6"),
+        (["FITTYP ="], "5.2", "no coefficient of MF 6"),
         (["PROPERTY_FILE_FORMAT = 'PAC2002'"], "5.2", "FORMAT = 'PAC2002'"),
         (["PROPERTY_FILE_FORMAT = 'MF_05'"], "5.2", "FORMAT = 'MF_05'"),
         (["PROPERTY_FILE_FORMAT = 'MF-Tyre 6.2'"], "6.2", "FORMAT = 'MF-Tyre 6.2'"),
-        (["PROPERTY_FILE_FORMAT = 'MF-TYRE'"], "5.2", "no coefficient is of MF 6"),
+        (["PROPERTY_FILE_FORMAT = 'MF-TYRE'"], "5.2", "no coefficient of MF 6"),
         (["PROPERTY_FILE_FORMAT = 'MF61'", "PKY6 = -2"], "6.1", "'MF61'"),
-        (["PKY6 = -2"], "6.1", "PKY6 is of MF 6 alone"),
-        (["PHY3 = 0.1"], "5.2", "PHY3 is of MF 5 alone"),
-        ([], "5.2", "no coefficient is of MF 6"),
+        (["PKY6 = -2"], "6.1", "only MF 6 has PKY6"),
+        (["PHY3 = 0.1"], "5.2", "only MF 5 has PHY3"),
+        ([], "5.2", "no coefficient of MF 6"),
     ],
 )
 def test_the_version_is_told_by_the_file_or_its_keys(edits, version, because):
@@ -180,12 +180,12 @@ def test_the_version_is_told_by_the_file_or_its_keys(edits, version, because):
     (said,) = [note for note in notes_on(tir) if "taken as Magic Formula" in note]
     assert f"Formula {version}: " in said and because in said
     if not any("FITTYP = " in edit for edit in edits):
-        assert "there is no FITTYP" in said
+        assert "no FITTYP" in said
 
 
 def test_versions_that_contradict_or_are_not_known_are_refused():
     text = re.sub(r"(?m)^FITTYP.*\n", "PHY3 = 0.1\n", text_of(MF61))
-    with pytest.raises(DataError, match="PHY3 is of MF 5 and P.* of MF 6.*\n.*FITTYP"):
+    with pytest.raises(DataError, match="PHY3 belongs to MF 5 and P.*\n.*FITTYP"):
         parse_tir(text)
 
 
@@ -193,7 +193,7 @@ def test_keys_of_another_version_are_reported_once_and_not_used():
     text = re.sub(r"(?m)^FITTYP.*\n", "FITTYP = 6\n", text_of(MF61))
     tir = parse_tir(text)
     (said,) = [note for note in notes_on(tir) if "MF 5.2 has no" in note]
-    assert "and 1" in said and "more" in said and "changes the tire" in said
+    assert re.search(r"and \d+ more", said) and "changes the tire" in said
     lost = read_tir(MF61).numbers.keys() - tir.numbers.keys()
     assert {"PPX1", "PKY6", "RBY4"} <= lost and "PHY1" not in lost
     # A factor of one or a zero has no effect, and no note.
@@ -213,7 +213,7 @@ def test_other_names_of_keys_and_limits_in_degrees():
     text = re.sub(r"(?m)^ALPMAX .*", "ALPMAX = 18", text)
     tir = parse_tir(text)
     np.testing.assert_allclose(tir.numbers["ALPMAX"], np.pi / 10)
-    assert "ANGLE is used for the limits" in " ".join(notes_on(tir))
+    assert "ANGLE applies to the limits" in " ".join(notes_on(tir))
     with pytest.raises(DataError, match="PKY1 = -0.5 is per degree"):
         parse_tir(re.sub(r"(?m)^PKY1 .*", "PKY1 = -0.5", text))
 

@@ -123,8 +123,8 @@ def _tire(source: str | None, values: dict[str, float], signs: str | None):
     from tirefit.fitting.problem import find_model
 
     if signs and not (source or "").lower().endswith(".tir"):
-        raise UsageError(InputProblem("--signs is of .tir files", "leave it out"))
-
+        reason = "--signs applies to .tir files only"
+        raise UsageError(InputProblem(reason, "leave it out"))
     if source is None:
         return DEFAULT_TIRE, tire_with(find_model(DEFAULT_TIRE), DEFAULT_TIRE,
                                        DEFAULT_VALUES | values)  # fmt: skip

@@ -15,7 +15,7 @@ from tirefit.cli.diagnose import ManyHoldouts, diagnose
 from tirefit.cli.estimate import estimate
 from tirefit.cli.fit import fit, model_names
 from tirefit.cli.magic_formula import CombinationOption
-from tirefit.cli.notes import told_together, warn
+from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -120,7 +120,7 @@ def inspect(
     from tirefit.data.remote import expanded
     from tirefit.files import json_safe
 
-    with errors_to_exit(), told_together():
+    with errors_to_exit(), merged_notes():
         how = read_options(options, read_config(options.config))
         worst, files = ExitCode.OK, expanded(files)
         for file in files:
@@ -224,22 +224,17 @@ def predict(
 ) -> None:
     """Forces of a fit or a model, row by row, in the data file's own convention."""
     with errors_to_exit():
+        how = read_options(options, read_config(options.config))
+        of_file: dict = {"side": side, "signs": signs, "combination": combination}
+        of_file["starred"] = starred_angles
         if source.lower().endswith(".tir"):
-            how = read_options(options, read_config(options.config))
-            of_file = {
-                "starred": starred_angles,
-                "side": side,
-                "signs": signs,
-                "combination": combination,
-            }
             _predict_tir(source, data, out, how, parameter, of_file, beside)
             return
-        if starred_angles or side or signs or combination:
+        if any(of_file.values()):
             own = "--starred-angles, --side, --signs and --combination"
-            reason = f"{own} are of .tir files"
+            reason = f"{own} apply to .tir files only"
             raise UsageError(InputProblem(reason, f"leave them out with {source}"))
         is_file = source.endswith(".json") or Path(source).is_file()
-        how = read_options(options, read_config(options.config))
         values = _checked_request(source, is_file, data, out, parameter)
         start_jax()
         from tirefit.data.read import read
@@ -251,33 +246,33 @@ def predict(
             how["otherwise"] = fitted.content["data"]["convention"], source
         table = read(data, **how, forces=False)
         warn(table)
-        columns = _predicted(table, forces_of(fitted, table, values), beside)
-        _write(out, columns, table, source, beside)
+        forces = forces_of(fitted, table, values)
         if not is_file:
             say(f"{source} with {_values_text(source, values)}")
-        _say_written(out, table, columns)
+        _write(out, table, forces, source, beside)
 
 
-def _write(out, columns, table, source, beside: bool) -> None:
-    """The table; one that `diagnose --sim` reads states its signs in its first line."""
-    from tirefit.data.write import write_csv
+def _write(out, table, forces, source, beside: bool) -> None:
+    """Write the forces in the file's own convention and print what was written.
 
-    said = f"# tirefit {__version__}: {source} beside, "
-    said += f"convention {table.source.convention}\n"
-    write_csv(out, columns, said if beside else "")
+    The first line of a table for `diagnose --sim` states the convention.
+    """
+    from tirefit.data.write import prediction_table, simulated_table, write_csv
 
-
-def _predicted(table, forces, beside: bool) -> dict:
-    """Columns to write, in the file's own terms."""
-    from tirefit.data.write import prediction_table, simulated_table
-
-    return (simulated_table if beside else prediction_table)(table, forces)
+    convention = f"convention {table.source.convention}"
+    columns = (simulated_table if beside else prediction_table)(table, forces)
+    first = f"# tirefit {__version__}: {source} beside, {convention}\n"
+    write_csv(out, columns, first if beside else "")
+    for said in table.first_masked():
+        complain(f"warning: excluded, no force: {said}")
+    signs = f"({convention}), {table.source.convention_from}"
+    say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} {signs}")
 
 
 def _predict_tir(source, data, out, how, parameter, of_file: dict, beside) -> None:
-    """Forces of the tire of a ``.tir`` file; ``of_file`` are arguments of ``tire_of``.
+    """Predict with a ``.tir`` file; ``of_file`` are arguments of ``tire_of``.
 
-    Data whose convention nobody declares are read in ISO-W, as ``.tir`` files are.
+    Data without a declared convention are read in that of ``.tir`` files, ISO-W.
     """
     values = _checked_request(source, False, data, out, parameter)
     from tirefit.data.tir import read_tir
@@ -295,23 +290,14 @@ def _predict_tir(source, data, out, how, parameter, of_file: dict, beside) -> No
     noted = remarks(tir, tire, table, signs)
     for text in (*noted, *moments_noted(tir, table)):
         complain(f"warning: {source}: {text}")
-    columns = _predicted(table, forces_of(tire, table, values), beside)
-    _write(out, columns, table, source, beside)
+    forces = forces_of(tire, table, values)
     said = [f"{source}: Magic Formula {tir.version}", f"TYRESIDE {tir.side}"]
     said += [f"mounted {of_file['side']}"] if of_file["side"] else []
     said += [f"in signs {signs}"] if signs else []
     said += ["tan(alpha) and sin(gamma)" if of_file["starred"] else "raw angles"]
     said += [f"{key} = {value:g}" for key, value in values.items()]
     say(", ".join(said))
-    _say_written(out, table, columns)
-
-
-def _say_written(out, table, columns) -> None:
-    source = table.source
-    signs = f"(convention {source.convention}), {source.convention_from}"
-    for said in table.first_masked():
-        complain(f"warning: set aside, no force: {said}")
-    say(f"wrote {out}: {len(table)} rows, {', '.join(columns)} {signs}")
+    _write(out, table, forces, source, beside)
 
 
 def _checked_request(source, is_file, data, out, parameter) -> dict[str, float]:

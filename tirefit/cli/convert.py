@@ -113,7 +113,8 @@ def convert(
             file, magic_formula, slip_min, slip_max, loads, out
         )
         if signs and file is None:
-            raise UsageError(InputProblem("--signs is of .tir files", "leave it out"))
+            reason = "--signs applies to .tir files only"
+            raise UsageError(InputProblem(reason, "leave it out"))
         if model in MAGIC_FORMULA_NAMES:
             asked = {
                 "--magic-formula": magic_formula, "--force": force,

@@ -12,7 +12,7 @@ from typer.core import TyperCommand
 
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, attempted, fleet
 from tirefit.cli.magic_formula import MAGIC_FORMULA_NAMES, CombinationOption
-from tirefit.cli.notes import told_together, warn
+from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -180,7 +180,7 @@ def diagnose(
         settings["forces"] = forces_named(force)
         of_tir = {"side": side, "signs": signs, "combination": combination}
         settings |= _simulator(base, parameter, sim, how, of_tir)
-        with claimed(out), told_together(len(files) + len(holdout or []) > 1):
+        with claimed(out), merged_notes(len(files) + len(holdout or []) > 1):
             kept = [_read(path, how) for path in holdout or []]
             task = _Task(out, settings, kept, how, figures, resume, seed)
             pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
@@ -251,8 +251,8 @@ def _is_file(model: str) -> bool:
 def _simulator(
     model: str | None, parameter, sim: bool, how: dict, of_tir: dict
 ) -> dict:
-    """Arguments of ``tirefit.diagnose`` for a simulator that is taken as it is; none
-    where a form is fitted. Data that declare no convention are read in its file's.
+    """Arguments of ``tirefit.diagnose`` for a given simulator; none if a model is
+    fitted. Data without a declared convention are read in that of the simulator.
 
     Args:
         of_tir: ``side``, ``signs`` and ``combination`` of a ``.tir`` file.

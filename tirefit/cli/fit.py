@@ -14,7 +14,7 @@ from tirefit.cli.magic_formula import (
     fit_whole,
     only_of_magic_formula,
 )
-from tirefit.cli.notes import told_together
+from tirefit.cli.notes import merged_notes
 from tirefit.cli.options import (
     DataOptions,
     Files,
@@ -119,16 +119,16 @@ def fit(
         Path | None,
         typer.Option(
             metavar="OTHER.tir",
-            help="of mf52, mf61, mf62: a tire like this one, as prior of what the files"
-            " do not tell",
+            help="mf52, mf61, mf62: take forces and coefficients that the files do not"
+            " determine from this similar tire",
         ),
     ] = None,
     leave_out: Annotated[
         str | None,
         typer.Option(
             metavar="three|load|bin|none",
-            help="of mf52, mf61, mf62: what is left out in turn to check the bands; by"
-            " default the bins of three loads",
+            help="mf52, mf61, mf62: what is left out, one after another, to check the"
+            " bands; by default the bins of three loads",
         ),
     ] = None,
     joint: Annotated[
@@ -208,7 +208,7 @@ def _fit_all(groups, directories, task: FitTask) -> ExitCode:
     """Every group of files; one bad file does not stop the others."""
     codes: list[ExitCode] = []
     records, rows, failed = [], [], {}
-    with told_together(len(groups) > 1):
+    with merged_notes(len(groups) > 1):
         for i, (group, directory) in enumerate(zip(groups, directories, strict=True)):
             if len(groups) > 1 and has_terminal():
                 complain(f"file {i + 1} of {len(groups)}: {group[0]}")

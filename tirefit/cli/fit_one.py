@@ -111,7 +111,7 @@ def fit_into(
             if posterior and (directory / CHAIN).exists():
                 error.add_note("--resume goes on from its chain")
             raise
-    # Together with those of other files they are printed later.
+    # The assumptions of several files are printed once, merged, at the end.
     record = result.data | ({"assumptions": []} if holds_notes() else {})
     say(str(replace(result, data=record)))
     say("wrote " + ", ".join(str(path) for path in written))

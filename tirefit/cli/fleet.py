@@ -17,7 +17,7 @@ import typer
 
 from tirefit import __version__
 from tirefit.cli.cluster import Ended, cluster, shared
-from tirefit.cli.notes import told_together
+from tirefit.cli.notes import merged_notes
 from tirefit.cli.options import (
     Unheard,
     complain,
@@ -84,8 +84,8 @@ class Piece(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """One file: its exit code, whether that ends the command, what was said and
-    complained of, what the table of all results holds of it, and the notes on it."""
+    """One file: its exit code, whether that ends the command, its standard output and
+    error output, its record in the table of all results, and its notes."""
 
     code: ExitCode
     last: bool = False
@@ -122,7 +122,7 @@ def fleet(
             progress_bar(title) as progress,
             cluster(min(sharing.jobs or 1, len(pieces)), sharing.scheduler) as client,
             closing(shared(work, pieces, client, _alike)) as results,
-            told_together(len(pieces) > 1) as notes,
+            merged_notes(len(pieces) > 1) as notes,
         ):
             for outcome in _in_order(_followed(results, pieces, progress, left)):
                 typer.echo(outcome.said, nl=False)
@@ -222,7 +222,7 @@ def _unpacked(content: bytes) -> tuple[Attempt, Any]:
 def _apart(packed: _Packed, piece: Piece) -> Outcome:
     """One file in a worker, which keeps silent; the command's errors end it there."""
     said, complained = Unheard(), Unheard()
-    with redirect_stdout(said), redirect_stderr(complained), told_together() as held:
+    with redirect_stdout(said), redirect_stderr(complained), merged_notes() as held:
         try:
             with errors_to_exit(), _where_the_command_runs(packed):
                 code, record = attempted(*_unpacked(packed.content), piece)

@@ -25,9 +25,9 @@ CombinationOption = Annotated[
     Combination | None,
     typer.Option(
         "--combination",
-        help="FILE.tir: forces of both slips by its weighting functions, one where it"
-        " has none (none), or by the method of similarity; similarity for the forces"
-        " without coefficients of combined slip if not given",
+        help="FILE.tir: combined slip by its weighting functions, which are one if it"
+        " has none (none), or by the method of similarity; by default similarity for"
+        " forces without coefficients of combined slip",
     ),
 ]
 
@@ -36,11 +36,11 @@ _SHARES_OF_NOMINAL = (0.5, 0.75, 1.0, 1.25, 1.5)
 
 
 def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
-    """Whether a whole Magic Formula is asked for.
+    """Whether the model is a whole Magic Formula.
 
     Args:
-        own: options that only it has, those that were given.
-        unused: option -> whether it was given, of those that it does not have.
+        own: given options that only a whole Magic Formula has.
+        unused: option that it does not have -> its value.
 
     Raises:
         UsageError: an option of the other kind of fit was given.
@@ -55,7 +55,8 @@ def only_of_magic_formula(model: str | None, own: dict, unused: dict) -> bool:
     if own and not whole:
         given = ", ".join(f"--{name.replace('_', '-')}" for name in own)
         reason = f"{given} without --model {', '.join(MAGIC_FORMULA_NAMES)}"
-        problems.append(InputProblem(reason, "other models are fitted as one"))
+        remedy = "leave it out: other models have no such stages"
+        problems.append(InputProblem(reason, remedy))
     if problems:
         raise UsageError(problems)
     return whole
@@ -72,8 +73,7 @@ def fit_whole(
 ) -> ExitCode:
     """Fits all files as runs of one tire; prints and writes the result with figures.
 
-    Args:
-        options: of :func:`~tirefit.fitting.mf.fit.fit_magic_formula`.
+    ``options`` are arguments of :func:`~tirefit.fitting.mf.fit.fit_magic_formula`.
     """
     from tirefit.data.read import read
     from tirefit.data.tir import notes_on, read_tir
@@ -100,7 +100,7 @@ def fit_whole(
 def convert_whole(
     file: Path, model: str, slip_max: float, loads, out: Path, of_file: dict
 ):
-    """Fits one version of the Magic Formula to the forces of another's file."""
+    """Fits a version of the Magic Formula to the forces of a file of another one."""
     from tirefit.data.table import CANONICAL
     from tirefit.data.tir import read_tir
 
@@ -123,12 +123,12 @@ def convert_whole(
 
 
 _ADVICE = "give starting values in fit.toml or fix a parameter"
-"""Of a fit that does not converge, which has a fit.toml."""
+"""Advice in the report of a fit that does not converge; `convert` has no fit.toml."""
 
 
 def _write(result, out: Path, also: Also | None = None, advice: str = _ADVICE) -> None:
-    """Says the result and writes it into the folder, which is claimed; with figures
-    where ``also`` is given."""
+    """Prints the result and writes it into the claimed folder, with figures if
+    ``also`` is given."""
     from tirefit.fitting.mf.store import save_magic_formula
     from tirefit.fitting.result import SCHEMA
     from tirefit.report.draw import FIGURE_FILES

@@ -7,31 +7,31 @@ from textwrap import fill
 from tirefit.cli.options import complain, say
 
 _held: list[tuple[str, list[str], list[str]]] | None = None
-"""Notes that wait for those of other files: name, warnings, assumptions."""
+"""Notes of an open :func:`merged_notes`: file name, warnings, assumptions."""
 
 
 def holds_notes() -> bool:
-    """Whether notes wait for those of other files."""
+    """Whether notes are held until the end of :func:`merged_notes`."""
     return _held is not None
 
 
 def warn(*tables, assumed: Sequence[str] = (), beside: Sequence[str] = ()) -> None:
-    """Print what may mean something else, now or with :func:`told_together`.
+    """Print the warnings on tables, now or at the end of :func:`merged_notes`.
 
     Args:
-        tables: what was read.
-        assumed: assumptions of one table, which are printed together only.
-        beside: warnings of one table that are not of its reading.
+        tables: data that were read.
+        assumed: assumptions of one table, printed at the end of the block only.
+        beside: further warnings on one table.
     """
     said = [*assumed] if holds_notes() else []
     notes = [(t.source.path, [*t.source.warnings, *beside], said) for t in tables]
     if _held is None:
-        _tell(notes)
+        _print(notes)
     else:
         _held.extend(notes)
 
 
-def _tell(notes) -> None:
+def _print(notes) -> None:
     from tirefit.data.merged import merged
 
     alone = f"{notes[0][0]}: " if len(notes) == 1 else ""
@@ -42,11 +42,11 @@ def _tell(notes) -> None:
 
 
 @contextmanager
-def told_together(many: bool = True) -> Iterator[list]:
-    """Hold the notes on ``many`` files; print them merged at the end of the block.
+def merged_notes(many: bool = True) -> Iterator[list]:
+    """Hold the notes on files if they are ``many``; print them merged at the end.
 
     Yields:
-        The notes that are printed then.
+        The notes that are held.
     """
     global _held
     before, held = _held, list[tuple[str, list[str], list[str]]]()
@@ -56,4 +56,4 @@ def told_together(many: bool = True) -> Iterator[list]:
     finally:
         _held = before
         if held:
-            _tell(held)
+            _print(held)

@@ -64,8 +64,8 @@ SideOption = Annotated[
 SignsOption = Annotated[
     str | None,
     typer.Option(
-        help="signs in which FILE.tir (or, of diagnose, fx_sim, ...) was written, as"
-        " for --convention; iso-w if not given",
+        help="sign convention of FILE.tir (in diagnose also of fx_sim, ...), as in"
+        " --convention; iso-w if not given",
         autocompletion=completed(*CONVENTIONS),
     ),
 ]

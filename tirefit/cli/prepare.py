@@ -9,7 +9,7 @@ import typer
 
 from tirefit import __version__
 from tirefit.cli.fleet import Jobs, Piece, Scheduler, Sharing, fleet
-from tirefit.cli.notes import told_together, warn
+from tirefit.cli.notes import merged_notes, warn
 from tirefit.cli.options import (
     DataOptions,
     complain,
@@ -63,7 +63,7 @@ def prepare(
     ] = None,
     cut_last: Annotated[
         bool | None,
-        typer.Option("--cut-last", help="cut warm-up that no later sweep replaces"),
+        typer.Option("--cut-last", help="cut warm-up sweeps without a later sweep too"),
     ] = None,
     keep: Annotated[
         list[str] | None,
@@ -113,7 +113,7 @@ def prepare(
         sharing.check(out, files, made)
         task = _Task(out, how, config)
         pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
-        with claimed(out), told_together(len(files) > 1):
+        with claimed(out), merged_notes(len(files) > 1):
             if sharing.apart:
                 outcomes = fleet("prepare", pieces, _one, task, sharing, out)
                 raise typer.Exit(max(outcome.code for outcome in outcomes))

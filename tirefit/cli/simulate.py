@@ -26,7 +26,7 @@ Truth = Annotated[
 ]
 Drop = Annotated[
     str | None,
-    typer.Option(metavar="TIME=FRICTION", help="another friction from a time on"),
+    typer.Option(metavar="TIME=FRICTION", help="friction that holds from this time"),
 ]
 Seed = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="of the noise")]
 

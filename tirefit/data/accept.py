@@ -23,8 +23,8 @@ def as_data(data: Any, **how: Any) -> TireData:
         data: what ``tirefit.read`` gave, the path of a file, a frame (pandas, polars or
             any with ``columns``), a structured array, or a mapping of name to (n,)
             array.
-        how: arguments of ``tirefit.read``, of data that are not read yet; ``otherwise``
-            is for files: arrays that declare no convention are canonical.
+        how: arguments of ``tirefit.read`` for data that are not read yet. ``otherwise``
+            applies to files only; arrays without a convention are canonical.
 
     Raises:
         UsageError: something else.

@@ -33,10 +33,10 @@ _AROUND = (-2.0, -1.5, -1.0, 1.0, 1.5, 2.0)
 
 _ROUNDS = 4
 EACH = 10
-"""Rows that are taken in the time after which noise is another."""
+"""Rows that are used per correlation time of the noise."""
 
 FEWEST = 50
-"""Rows below which nothing is compared: 5 s of a log that is filtered as usual."""
+"""Fewest rows that are compared: 5 s of a log with the default filter."""
 
 
 class Term(NamedTuple):
@@ -171,7 +171,7 @@ def agreement(pair: Pair, part, usable, rate: float, apart: float) -> Agreement 
 
 
 def around(values, rows, step: int) -> np.ndarray:
-    """Values (n, k) a while before and after the rows, side by side."""
+    """Values (n, k) before and after each row, at the times ``_AROUND``, as columns."""
     last = len(values) - 1
     places = [np.clip(rows + round(k * step), 0, last) for k in _AROUND]
     return np.nan_to_num(np.hstack([values[place] for place in places]))
@@ -237,8 +237,8 @@ def instrumented(values, sides, near, zero: Callable) -> _Fit | None:
     Args:
         values: (n,); sides: (n, k).
         near: (n, m), the instruments.
-        zero: standard deviation of the offset, in the unit of the values, by the (k,)
-            factors of the sides.
+        zero: function of the (k,) factors of the sides that returns the standard
+            deviation of the offset, in the unit of the values.
     """
     one, tiny = np.ones((len(values), 1)), 1e-300
     scale = np.concatenate([np.std(sides, axis=0), [1.0]])

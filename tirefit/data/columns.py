@@ -129,7 +129,7 @@ def guess(header: str) -> Guess | None:
         stated = unit if unit is not None else suffix or None
         if name == "run" and (is_std or stated is not None):
             return None
-        # A magnetic field, or a resistance that is a force, is no moment.
+        # "mx" may be a magnetic field, "rolling resistance" a force.
         if name in ("mx", "my") and stated is not None and not _fits(stated, name):
             return None
         if is_sim:

@@ -283,7 +283,7 @@ def _sideways(track, motion, vehicle, file) -> list[InputProblem]:
 
 
 def _another_clock(pairs, track, vehicle, file) -> list[InputProblem]:
-    """A delay that changes a channel as much as a gain that does not agree."""
+    """Errors of delays that change a channel by more than ``CHANGED``."""
     problems: dict[str, InputProblem] = {}
     for a in pairs:
         column, values = _column(track, a.pair.channel), a.pair.values

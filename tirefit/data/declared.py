@@ -1,4 +1,4 @@
-"""What the user declares about a file, and what goes before what."""
+"""Options that a user declares of a file, and the precedence of sign conventions."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,11 +13,12 @@ _STATED = re.compile(r"\bconvention\b\W*(?:is +)?([\w-]+(?: +sae\b)?)", re.IGNOR
 
 
 def stated_convention(above: Sequence[str], file: str) -> tuple[Layout, tuple]:
-    """The sign convention that the lines ``above`` a header state, as those that this
-    package writes do, and sentences on names that are not known.
+    """The sign convention that the lines ``above`` a header state, and warnings.
+
+    Files that this package writes state it there. An unknown name causes a warning.
 
     Raises:
-        DataError: two of them state different conventions.
+        DataError: two lines state different conventions.
     """
     layout, doubts = Layout(), []
     for row, line in enumerate(above, 1):
@@ -39,8 +40,8 @@ def stated_convention(above: Sequence[str], file: str) -> tuple[Layout, tuple]:
 class Signs(NamedTuple):
     """The sign convention in which a file is read.
 
-    ``whose`` says in words who chose it; ``is_declared`` is False where nobody did;
-    ``problems`` are declarations that contradict each other.
+    ``whose`` is the source of the convention, in words; ``is_declared`` is False if it
+    was assumed; ``problems`` are declarations that contradict each other.
     """
 
     convention: str
@@ -76,13 +77,13 @@ class Options(NamedTuple):
         "braking".
 
         Args:
-            layout: of the file; a convention that it states in so many words must not
-                differ from the user's in the sign of a column that is read.
+            layout: of the file. A convention that a line of the file states must agree
+                with the user's in the sign of every column that is read.
             columns: those that are read.
             file: named in the problem.
         """
         own, row = layout.convention, layout.stated_in
-        by_file = f"as line {row} says" if row else "as its layout has it"
+        by_file = f"stated in line {row}" if row else "by the layout of the file"
         model, whose = self.otherwise or ("braking", "")
         if self.convention is None:
             if own is None:
@@ -92,7 +93,7 @@ class Options(NamedTuple):
             return Signs(own, by_file + unused)
         if own in (None, self.convention):
             return Signs(self.convention, "as declared")
-        declared = Signs(self.convention, f"as declared, not {own!r} {by_file}")
+        declared = Signs(self.convention, f"as declared, not {own!r} ({by_file})")
         turned = [n for n in columns if sign_of(own, n) != sign_of(self.convention, n)]
         if not (row and turned):
             return declared

@@ -68,7 +68,7 @@ class DerivedLog:
         bandwidth: Frequency [Hz] at which the filter's gain is -3 dB.
         heading: Sentence on the offset of heading or sideslip: applied, assumed none,
             left over.
-        point: Where the tracked point is by the force against the slip.
+        point: Position of the tracked point, estimated from force against slip.
         compared: What the redundancy of the log's channels says.
         warnings: Sentences on what in the columns is hardly the tire's.
         assumptions: Sentences: the bandwidth and everything that was assumed.
@@ -177,7 +177,7 @@ def derive(
     warnings = vehicle.doubts() + doubts(columns, motion, kept, vehicle)
     warnings = _hardly_any(kept, dropped) + warnings
     alpha, force = columns["alpha"][kept], columns["fy"][kept]
-    # What one channel too large does to the slip is no matter of the point.
+    # A channel that contradicts others changes the slip angle as a wrong point does.
     checked = kept & (not compared.problems)
     point = check_point(motion, vehicle, checked, str(file))
     _refuse(point.problems, believe)

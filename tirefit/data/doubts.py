@@ -13,7 +13,7 @@ _CUT, _MUCH_CUT = 0.7, 0.05
 share of a column's variance from which that is said."""
 
 _GRIP = 1.5
-"""Side force over load of racing tires on dry asphalt, without downforce."""
+"""Largest |F_y| / F_z of racing tires on dry asphalt, without downforce."""
 
 _SILENT = 1e-300
 """Variance of a column that never changes."""
@@ -68,7 +68,7 @@ def doubts(columns, motion: Motion, kept, vehicle: Vehicle) -> tuple[str, ...]:
 
 
 def _beyond_grip(columns, kept) -> list[str]:
-    """A force that no tire without wings carries."""
+    """Warning of a lateral force that no tire transmits without downforce."""
     share = float(np.percentile(np.abs(columns["fy"] / columns["fz"])[kept], 99))
     if share < _GRIP:
         return []

@@ -11,18 +11,18 @@ from tirefit.data.units import units_of
 from tirefit.data.vehicle import QUANTITIES, unit_of
 
 ALIKE = 1.3
-"""Largest gain, or its inverse, that agrees: a roll, a lever arm and an encoder make
-gains of 0.9 to 1.2; the nearest unit is 1.9 away (knots for m/s)."""
+"""Largest gain (or inverse gain) of channels that agree: body roll, lever arms and
+encoders cause 0.9 to 1.2; the closest pair of units causes 1.9 (knots for m/s)."""
 
 CHANGED = 1 - 1 / ALIKE
-"""Share (rms) of a channel or of the slip angle that a delay or a wrong point changes,
-from which it changes as much as a gain that does not agree."""
+"""Smallest relative change (rms) of a channel by a delay, or of the slip angle by a
+wrong point, that is a fault: as large as that by a gain of ``ALIKE``."""
 
 _NEAR_UNIT, _NEAR, _FARTHEST = math.log(1.2), 2.5, 0.4
 """Largest |log gain| off a unit: this, or so many standard errors, but never more."""
 
 SURE = 4.0
-"""Standard errors from which a gain is not 1."""
+"""Standard errors from which an estimate differs from its stated value."""
 
 _STEERING = (0.4, 8.0)
 """Steering over that of a car that rolls: understeer makes it up to some times more."""

@@ -25,31 +25,22 @@ from tirefit.data.text import (
 from tirefit.results import DataError, InputProblem
 
 _AS_TEXT = "export it as CSV, or save it as Parquet or as a MATLAB file"
-_UNREADABLE = {
-    b"TDSm": ("a measurement file of LabVIEW (.tdms)", _AS_TEXT),
-    b"FEA1": ("a Feather file of version 1", "write it as Parquet or as Feather 2"),
-    b"\x89HDF\r\n": ("an HDF5 file that is not MATLAB's", _AS_TEXT),
-}
-"""First bytes of known files that are not read -> what they are, and the remedy."""
-
-_PYTHON = (
-    (
-        re.compile(rb"PK\x03\x04.{26}[^\0]{1,200}\.npy", re.DOTALL),
-        "NumPy arrays (.npz)",
-        "dict(numpy.load('{}'))",
-    ),
-    (
-        re.compile(rb"\x93NUMPY"),
-        "a NumPy array (.npy)",
-        "dict(zip(['kappa', 'fx', 'fz'], numpy.load('{}').T))",
-    ),
-    (
-        re.compile(rb"\x80[\x02-\x05]|\((dp|lp)\d+\n"),
-        "a pickle, which could run code",
-        "pandas.read_pickle('{}')",
-    ),
+_IN_PYTHON = (
+    "in Python: columns = {}; data = tirefit.read_frame(columns); tirefit.fit(data)."
+    " For a command: pandas.DataFrame(columns).to_csv('run.csv', index=False)"
 )
-"""First bytes of files of Python, what they are, and what gives their columns."""
+_NPZ = _IN_PYTHON.format("dict(numpy.load('{file}'))")
+_NPY = "dict(zip(['kappa', 'fx', 'fz'], numpy.load('{file}').T))"
+_PICKLE = _IN_PYTHON.format("pandas.read_pickle('{file}')")
+_UNREADABLE = {
+    rb"TDSm": ("a measurement file of LabVIEW (.tdms)", _AS_TEXT),
+    rb"FEA1": ("a Feather file of version 1", "write it as Parquet or as Feather 2"),
+    rb"\x89HDF\r\n": ("an HDF5 file that is not MATLAB's", _AS_TEXT),
+    rb"(?s)PK\x03\x04.{26}[^\0]{1,200}\.npy": ("a file of NumPy arrays (.npz)", _NPZ),
+    rb"\x93NUMPY": ("a NumPy array (.npy)", _IN_PYTHON.format(_NPY)),
+    rb"\x80[\x02-\x05]|\((dp|lp)\d+\n": ("a pickle, which could run code", _PICKLE),
+}
+"""Pattern of the first bytes of a file that is not read -> its kind and the remedy."""
 _JSON = re.compile(rb"(\xef\xbb\xbf)?\s*(\{\s*[\"}]|\[\s*[\[{\]])")
 _OUR_FIT = re.compile(rb"\"schema\"\s*:\s*\"tirefit\.fit/")
 
@@ -69,11 +60,10 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
     raw = read_bytes(path)
     content, file = gunzipped(raw, path), str(path)
     for start, (kind, remedy) in _UNREADABLE.items():
-        if content.startswith(start):
+        if re.match(start, content):
             reason = f"this is {kind}, which is not read"
+            remedy = remedy.replace("{file}", Path(file).name)
             raise DataError(InputProblem(reason, remedy, file))
-    if problem := _of_python(content, file):
-        raise DataError(problem)
     if _JSON.match(content):
         raise DataError(_of_json(content, file))
     digest = hashlib.sha256(raw).hexdigest()
@@ -99,19 +89,6 @@ def read_table(path: Place, declared: Collection[str]) -> Table:
     if tydex.is_tydex(text):
         return tydex.table_of_tydex(text, path, digest, notes)
     return table_of_text(text, path, digest, declared, notes)
-
-
-def _of_python(content: bytes, file: str) -> InputProblem | None:
-    """What to do with arrays of NumPy and pickles, which are not read."""
-    for start, kind, load in _PYTHON:
-        if start.match(content):
-            remedy = (
-                f"in Python: columns = {load.format(Path(file).name)}; data ="
-                " tirefit.read_frame(columns); tirefit.fit(data). For a command:"
-                " pandas.DataFrame(columns).to_csv('run.csv', index=False)"
-            )
-            return InputProblem(f"this is {kind}, and is not read", remedy, file)
-    return None
 
 
 def _of_json(content: bytes, file: str) -> InputProblem:

@@ -1,27 +1,27 @@
-"""Sentences on the reading of many files, merged and counted: :func:`merged`."""
+"""Merge and count the notes on many files: :func:`merged`."""
 
 import re
 from collections.abc import Iterable
 
 _VALUE = re.compile(r"([\w.+-]*\d[\w.+-]*)")
-"""A word with a digit: files differ in these where they say the same."""
+"""A word with a digit. Notes that differ in such words only are merged."""
 
 _NAMED = 3
-"""Files, or values that are no numbers, up to which each is listed."""
+"""Largest number of files, or of values that are not numbers, that are listed."""
 
 
 def merged(said: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
-    """Each sentence once, with how many files it holds for.
+    """Each sentence once, with the files that it holds for.
 
-    Sentences that differ in values alone become one, with the range of each value.
+    Sentences that differ in values only are merged, with the range of each value.
 
     Args:
         said: name and sentences of each file.
 
     Returns:
-        The sentences of a single file as they are; of several ``72 files: ...`` where
-        all have it, ``a, b: ...`` where up to three have it, else ``5 of 72 files:
-        ...``, in order of appearance.
+        The sentences of a single file unchanged. Those of several files, in order of
+        appearance: ``72 files: ...`` if all have it, ``a, b: ...`` if up to three have
+        it, else ``5 of 72 files: ...``.
     """
     files = [(name, list(sentences)) for name, sentences in said]
     if len(files) == 1:
@@ -55,7 +55,7 @@ def _sentence(words: tuple[str, ...], values: list[list[str]]) -> str:
 
 
 def _range(values: list[str]) -> str:
-    """A value, all of few, or the ends of their range."""
+    """One value, the list of up to ``_NAMED`` words, or the ends of the range."""
     if len(values) > 1:
         try:
             values = sorted(values, key=float)

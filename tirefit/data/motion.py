@@ -68,8 +68,8 @@ def read_motion(path: str | Place, vehicle: Vehicle) -> tuple[Track, Motion, int
 
 
 def slip_and_force(motion: Motion, vehicle: Vehicle, axle: str = "rear"):
-    """Slip angle [rad], lateral force [N] with the canonical signs, and forward speed
-    [m/s] of an axle, (n,) each; the formulas are those of :mod:`tirefit.data.derive`.
+    """Slip angle [rad], lateral force [N] and forward speed [m/s] of an axle, (n,)
+    each, in canonical signs; formulas: :mod:`tirefit.data.derive`.
     """
     inertial = motion.yaw_acceleration * vehicle.yaw_inertia
     if axle == "rear":
@@ -85,8 +85,8 @@ def slip_and_force(motion: Motion, vehicle: Vehicle, axle: str = "rear"):
 
 
 def road_wheel(motion: Motion, vehicle: Vehicle) -> np.ndarray:
-    """Road wheel angle [rad] by the map, left positive: (n,)."""
-    assert vehicle.steering is not None  # :func:`derive` refused it without
+    """Road wheel angle [rad] from the steering map, left positive: (n,)."""
+    assert vehicle.steering is not None  # :func:`derive` has checked it
     return np.interp(motion.command, vehicle.steering.command, vehicle.steering.angle)
 
 

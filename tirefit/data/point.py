@@ -2,10 +2,11 @@
 
 A point x further ahead lowers the slip angle by :math:`x r / v_x` and the lateral
 acceleration by :math:`x \\dot r`. At moderate slip
-:math:`\\alpha = c_1 F + c_3 F^3 + \\alpha_0` holds; Gauss and Newton fit x, c_1, c_3
-and, if the log turns both ways, :math:`\\alpha_0`. As in :mod:`tirefit.data.agreement`
-values before and after are the instruments, and standard errors count effective rows.
-Other faults with a like effect (yaw inertia, delay, sign) are fitted the same way.
+:math:`\\alpha = c_1 F + c_3 F^3 + \\alpha_0` holds. The Gauss-Newton method fits x,
+c_1, c_3 and, if the log turns both ways, :math:`\\alpha_0`. As in
+:mod:`tirefit.data.agreement`, values before and after a row are its instruments, and
+standard errors use the effective number of rows. Faults with a similar effect (yaw
+inertia, delay, sign) are fitted in the same way.
 """
 
 import math
@@ -23,22 +24,22 @@ from tirefit.data.zero import turns_both_ways
 from tirefit.results import InputProblem
 
 _MODERATE = 0.5
-"""Share of the strong forces (95th percentile) up to which the cubic holds."""
+"""Largest force of the fit over the strong force (95th percentile): the cubic holds."""
 
 _ZERO = 0.02
-"""Zero error [rad] of a heading or a sensor's mounting that turns to one side hide: 1
-deg, twice what was found on measured logs."""
+"""Zero error [rad] of heading or mounting that is assumed if a log turns to one side
+only: 1 deg, twice the errors found in measured logs."""
 
 _ON_CAR = (-0.5, 1.5)
-"""Wheelbases ahead of the rear axle between which a car has points."""
+"""Smallest and largest position on a car [wheelbases ahead of the rear axle]."""
 
 _KNOWN = 0.15
-"""Standard error [wheelbases] up to which an estimate counts: four of them reach from
-the centre of gravity to an axle."""
+"""Largest standard error [wheelbases] of an estimate that is reported: a quarter of
+the distance from the centre of gravity to an axle, about."""
 
 _ONE_POINT = 0.05
-"""Standard deviation of the force over a strong one below which the log holds one
-operating point, which has no slope."""
+"""Standard deviation of the force over the strong force below which the log has one
+operating point and its slope is undefined."""
 
 _MOST_ROWS, _ROUNDS = 20_000, 8
 
@@ -46,8 +47,8 @@ _Change = Callable[[Motion, Vehicle, float], tuple[Motion, Vehicle]]
 
 
 class PointCheck(NamedTuple):
-    """``line`` for the summary; ``estimate`` of the point [m ahead of the rear axle]
-    and its standard error, None if the log does not show it; an error or a warning."""
+    """``line``: sentence for the summary. ``estimate``: position [m ahead of the rear
+    axle] and its standard error, None if the log does not determine it."""
 
     line: str
     estimate: tuple[float, float] | None
@@ -56,8 +57,8 @@ class PointCheck(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """Amount of a change, its standard error, the rms that is left of the slip angle
-    [rad], the share of the slip angle that the change makes, the slope with the change
+    """Amount of a change, its standard error, the rms residual of the slip angle [rad],
+    the effect of the change on the slip angle (rms over rms), the slope with the change
     (:func:`_slope`), and the F statistic of the instruments."""
 
     amount: float = 0.0
@@ -69,8 +70,8 @@ class _Fit(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """Rows to fit, rows between the instruments, the strong force [N], and the prior
-    standard deviation of alpha_0: infinite where it is fitted, else 0."""
+    """Rows to fit, distance of the instruments in rows, the strong force [N], and the
+    prior standard deviation of alpha_0: infinite if it is fitted, else 0."""
 
     rows: np.ndarray
     step: int
@@ -79,12 +80,12 @@ class _Rows(NamedTuple):
 
 
 def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck:
-    """Estimate the tracked point; refuse a force that acts the way the axle slides.
+    """Estimate the tracked point; refuse a force in the direction of the axle's slip.
 
     Args:
         kept: (n,) bool, the samples that will be written.
     """
-    check = PointCheck("tracked point: this log does not show where it is", None)
+    check = PointCheck("tracked point: this log does not determine it", None)
     step = max(1, round(vehicle.filter.sample_rate / vehicle.filter.cutoff))
     known = np.isfinite(slip_and_force(motion, vehicle)).all(axis=0)
     every = surrounded(motion.part, kept & known, known, 2 * step + 1)
@@ -92,7 +93,7 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     if len(every) < FEWEST:
         return check
     rows = _moderate(motion, vehicle, every, step)
-    # With and without a zero error.
+    # The smaller slope: without and with a zero error.
     free = rows._replace(offset=math.inf)
     slope = min(_slope(motion, vehicle, some) for some in (rows, free))
     fit, rows = _point(motion, vehicle, every, step)
@@ -103,7 +104,7 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     if found and on_car:
         side = "ahead of" if fit.amount > 0 else "behind"
         check = PointCheck(
-            f"tracked point: force and slip fit best with it {abs(fit.amount):.2g} ±"
+            f"tracked point: by force against slip {abs(fit.amount):.2g} ±"
             f" {fit.std:.1g} m {side} the stated one",
             (stated + fit.amount, fit.std),
         )
@@ -120,10 +121,10 @@ def check_point(motion: Motion, vehicle: Vehicle, kept, file: str) -> PointCheck
     named = [_flipped(vehicle)] if flipped or not named else named
     reasons, remedies = (", or ".join(words) for words in zip(*named, strict=True))
     if slope > -SURE:
-        said = f"the force would follow the slip if {reasons}; {remedies}"
+        said = f"lateral force against slip angle: {reasons}; {remedies}"
         return check._replace(warnings=(said,))
-    reason = "channels contradict each other: the side force acts the way the axle"
-    reason += f" slides ({-slope:.0f} standard errors): {reasons}"
+    reason = "channels contradict each other: the lateral force acts in the direction"
+    reason += f" of the axle's slip ({-slope:.0f} standard errors): {reasons}"
     return check._replace(problems=(InputProblem(reason, remedies, file),))
 
 
@@ -135,7 +136,7 @@ def _sure(fit: _Fit) -> bool:
 
 
 def _further_ahead(motion: Motion, vehicle: Vehicle, x: float):
-    """Move the tracked point x [m] ahead; changes what alpha and F need only."""
+    """Move the tracked point x [m] ahead: changes v_y and a_y only."""
     v_y = motion.v_y - x * motion.yaw_rate
     a_y = motion.a_y - x * motion.yaw_acceleration
     return replace(motion, v_y=v_y, a_y=a_y), vehicle
@@ -168,24 +169,21 @@ def _mirrored(motion: Motion, vehicle: Vehicle, x: float):
 def _words(fit: _Fit, stated: float, vehicle: Vehicle) -> tuple[str, str]:
     """Reason and remedy of a wrong point."""
     at, left = stated + fit.amount, (vehicle.tracked_point or (0.0, 0.0))[1]
-    reason = (
-        f"the log's point is {at:.3g} ± {fit.std:.1g} m ahead of the rear axle, and"
-    )
-    reason += f" not {stated:.3g} m"
-    remedy = f"say tracked_point = [{at:.3g}, {left:g}] in vehicle.toml"
+    place = f"{at:.3g} ± {fit.std:.1g} m ahead of the rear axle"
+    reason = f"the tracked point is {place}, not {stated:.3g} m"
+    remedy = f"set tracked_point = [{at:.3g}, {left:g}] in vehicle.toml"
     return reason, remedy + ("" if vehicle.tracked_point else " (or correct l_r)")
 
 
 def _others(motion, vehicle: Vehicle, rows: _Rows) -> list[tuple[float, str, str]]:
-    """Misfit [rad], reason and remedy of what else would explain the force."""
+    """Misfit [rad], reason and remedy of each other fault that explains the force."""
     pose, found = vehicle.columns.motion == POSE, []
     fit = _fitted(_more_inertia, 0.1, motion, vehicle, rows)
     changed = _more_inertia(motion, vehicle, fit.amount)[1]
     if _sure(fit) and set(changed.doubts()) <= set(vehicle.doubts()):
-        reason = (
-            f"yaw_inertia is {1 + fit.amount:.2g} ± {fit.std:.1g} of the stated one"
-        )
-        remedy = f"say yaw_inertia = {changed.yaw_inertia:.3g}"
+        share = f"{1 + fit.amount:.2g} ± {fit.std:.1g}"
+        reason = f"yaw_inertia is {share} of the stated one"
+        remedy = f"set yaw_inertia = {changed.yaw_inertia:.3g}"
         found.append((fit.misfit, reason, remedy))
     for name in ("yaw",) if pose else ("v_y", "a_y"):
         small = 1 / vehicle.filter.sample_rate
@@ -201,7 +199,7 @@ def _others(motion, vehicle: Vehicle, rows: _Rows) -> list[tuple[float, str, str
 
 
 def _fits_flipped(motion, vehicle: Vehicle, rows: _Rows) -> bool:
-    """Whether the force follows the slip with the other v_y, and no point makes it."""
+    """Whether the force follows the slip with -v_y, and fits better than as stated."""
     if vehicle.columns.motion == POSE:
         return False
     stated = _fitted(_more_inertia, 0.0, motion, vehicle, rows)
@@ -211,19 +209,18 @@ def _fits_flipped(motion, vehicle: Vehicle, rows: _Rows) -> bool:
 
 def _flipped(vehicle: Vehicle) -> tuple[str, str]:
     """Reason and remedy of a wrong sign."""
-    names = (
-        ("yaw", "y", "rad") if vehicle.columns.motion == POSE else ("v_y", "a_y", "m/s")
-    )
-    unit = f"-{vehicle.units.get(names[0], names[2])}".removeprefix("--")
-    remedy = f'say {names[0]} = "{unit}" in [units] of vehicle.toml'
-    return f"{names[0]} or {names[1]} has the other sign", remedy
+    pose = vehicle.columns.motion == POSE
+    name, other, unit = ("yaw", "y", "rad") if pose else ("v_y", "a_y", "m/s")
+    unit = f"-{vehicle.units.get(name, unit)}".removeprefix("--")
+    remedy = f'set {name} = "{unit}" in [units] of vehicle.toml'
+    return f"{name} or {other} has the other sign", remedy
 
 
 # --- fit ------------------------------------------------------------------------
 
 
 def _moderate(motion: Motion, vehicle: Vehicle, every, step: int) -> _Rows:
-    """The rows of moderate force among ``every`` (n,); all of a log that has few."""
+    """The rows of moderate force among ``every`` (n,), or all if they are too few."""
     force = slip_and_force(motion, vehicle)[1][every]
     strong = max(float(np.percentile(np.abs(force), 95)), 1e-300)
     weak = np.abs(force) <= _MODERATE * strong
@@ -238,7 +235,7 @@ def _shape(force, rows: _Rows) -> np.ndarray:
 
 
 def _point(motion, vehicle, every, step: int) -> tuple[_Fit, _Rows]:
-    """Fit of the tracked point, from the best of a grid by least squares; its rows."""
+    """Fit of the tracked point and its rows; starts at the best point of a grid."""
     stated, best = vehicle.l_r - vehicle.cg_from_tracked[0], (math.inf, 0.0)
     names = Motion.__dataclass_fields__
     few = Motion(**{name: getattr(motion, name)[every] for name in names})
@@ -258,8 +255,8 @@ def _point(motion, vehicle, every, step: int) -> tuple[_Fit, _Rows]:
     rows = _moderate(moved, vehicle, every, step)
     small = 0.01 * vehicle.wheelbase
     fit = _fitted(_further_ahead, small, motion, vehicle, rows, best[1])
-    # Instruments leave the bias of least squares over their F statistic: Bound, Jaeger,
-    # Baker, JASA 1995, eq. 7.
+    # With instruments, the bias of least squares over their F statistic remains: Bound,
+    # Jaeger, Baker, JASA 1995, eq. 7.
     bias = abs(fit.amount - best[1]) / max(fit.strength - 1, 1e-9)
     return fit._replace(std=math.hypot(fit.std, bias)), rows
 
@@ -270,8 +267,8 @@ def _fitted(
     """Fit the amount of a change with which the slip angle follows the force.
 
     Args:
-        small: amount whose effect is linear; 0 of a change that has none.
-        x: amount to begin with.
+        small: step of the numerical derivative; 0 for a change without an amount.
+        x: starting value of the amount.
     """
     keep = rows.rows
     try:
@@ -309,14 +306,14 @@ def _slope(motion: Motion, vehicle: Vehicle, rows: _Rows) -> float:
         fit = _solved(alpha, sides, rows)
         weight = sides[rows.rows] ** 2
         if fit.effective * np.mean(weight) ** 2 / np.mean(weight**2) < SURE**2:
-            return 0.0  # of few facts any slope may be chance
+            return 0.0  # too few effective rows
         return float(fit.theta[0] / max(_with_zero(fit, alpha, sides, rows)[0], 1e-300))
     except np.linalg.LinAlgError:
         return 0.0
 
 
 def _with_zero(fit, alpha, sides, rows: _Rows) -> np.ndarray:
-    """Standard errors (k,), with the share of a zero error that is not fitted."""
+    """Standard errors (k,), with that by a zero error that is not fitted."""
     if rows.offset:
         return fit.std[:-1]
     other = _solved(alpha + _ZERO, sides, rows)

@@ -1,4 +1,4 @@
-"""Headings from the quaternions of a table: :func:`with_headings`."""
+"""Compute headings from the quaternions of a table: :func:`with_headings`."""
 
 import re
 from dataclasses import replace
@@ -17,7 +17,7 @@ _PART = re.compile(
 """``qx``, ``field.pose.pose.orientation.x``, ``/tf/rotation/w``, ``quat_z [-]``."""
 
 _NORM = 0.1
-"""Largest error of a quaternion's norm: of one that is rounded to one decimal place."""
+"""Largest error of a norm: that of components rounded to one decimal place."""
 
 
 def heading(x, y, z, w):
@@ -26,11 +26,11 @@ def heading(x, y, z, w):
 
 
 def with_headings(table: Table) -> tuple[Table, dict[str, str]]:
-    """The table with a column ``...yaw`` [rad] beside each quaternion, and the headers
-    that name one (its components, their common beginning) -> that column.
+    """The table with a column ``...yaw`` [rad] for each quaternion, and a map from the
+    headers that name a quaternion (its components, their common beginning) to it.
 
-    Rows with a component missing, or of another norm than 1, are NaN there and counted
-    in the notes. Where no header means a heading, that of the only quaternion does.
+    Rows without a component, or with a norm that is not 1, are NaN and are counted in
+    the notes. If no header means a heading, the column of a single quaternion does.
     """
     found: dict[str, dict[str, int]] = {}
     for place, header in enumerate(table.headers):
@@ -61,7 +61,7 @@ def with_headings(table: Table) -> tuple[Table, dict[str, str]]:
 
 
 def _values(table: Table, parts: dict[str, int]) -> tuple[np.ndarray, str]:
-    """Heading (n,) [rad], and from what it is, with the rows that have none."""
+    """Heading (n,) [rad], and a note on its columns and on the rows without one."""
     cells = {part: table.cells[place] for part, place in parts.items()}
     commas = table.delimiter not in ("", ",") and has_decimal_comma(cells.values())
     numbers = {
@@ -74,6 +74,6 @@ def _values(table: Table, parts: dict[str, int]) -> tuple[np.ndarray, str]:
     note = f"from the quaternion {', '.join(table.headers[parts[k]] for k in 'xyzw')}"
     note += f"; {missing.sum()} rows lack it" if missing.any() else ""
     if odd.any():
-        note += f"; {odd.sum()} rows masked, of a norm that is not 1"
+        note += f"; {odd.sum()} rows masked, whose norm is not 1"
         note += f" ({np.sum(norm == 0)} of them 0)"
     return np.where(odd, np.nan, heading(**numbers)), note

@@ -60,9 +60,9 @@ def read(
             file's header; columns not named here are inferred and said.
         units: canonical name to unit, e.g. ``{"fx": "kN", "kappa": "%"}``; a leading
             minus (``-N``) flips the sign of one column.
-        convention: the file's signs, a key of ``slip.CONVENTIONS``. None: those that
-            the file declares (a line "convention NAME" above the header, TYDEX, Tire
-            Test Consortium), else those of ``otherwise``, else "braking".
+        convention: the file's signs, a key of ``slip.CONVENTIONS``. If None, those
+            that the file declares (a line "convention NAME" above the header, TYDEX,
+            Tire Test Consortium), else those of ``otherwise``, else "braking".
         slip: definition of the slip column, a key of ``slip.SLIP_DEFINITIONS``.
         constants: canonical columns that are constant over the file, SI and canonical
             signs, e.g. ``{"fz": 4000, "v": 20}``.
@@ -76,13 +76,13 @@ def read(
             that the file does not have is kept for writing it.
         curve: False for a log of a vehicle, which need not hold slip, force and load
             nor vary in them: who uses it asks for its columns (:func:`require`).
-        otherwise: the convention of a model that the data are compared with, and its
-            name in messages; assumed where neither the user nor the file declares one.
+        otherwise: convention of the model that the data are compared with, and the
+            model's name. It is assumed if neither user nor file declares one.
 
     Raises:
         UsageError: an option has an unknown name or value.
-        DataError: the file cannot be used, or states another convention than the
-            argument; holds all problems found.
+        DataError: the file cannot be used, or its convention contradicts the argument;
+            holds all problems found.
     """
     options = Options(
         columns or {}, units or {}, convention, slip, constants or {},
@@ -144,10 +144,6 @@ class _Reading:
     def file(self) -> str:
         return self.table.file
 
-    @property
-    def convention(self) -> str:
-        return self.signs.convention
-
     def bad(self) -> np.ndarray:
         """(n,) bool: rows with a fault."""
         bad = np.zeros(len(self.table.lines), bool)
@@ -162,21 +158,21 @@ def _checked(table: Table, options: Options) -> TireData:
     plan = plan_columns(
         table.headers, table.units_row, options, table.file, table.layout
     )
-    declared = options.signs(table.layout, plan.columns, table.file)
-    reading = _Reading(table, options, plan, declared)
+    read_as = options.signs(table.layout, plan.columns, table.file)
+    reading = _Reading(table, options, plan, read_as)
     lines = table.header_line, table.units_line or table.header_line
     reading.problems = [
         replace(problem, row=lines[problem in plan.in_units_row])
         for problem in plan.problems
     ]
-    reading.problems += declared.problems
+    reading.problems += read_as.problems
     reading.faults += table.faults
     reading.doubts += table.doubts
     run, runs = _runs(reading)
     _numbers_to_si(reading)
     _constants(reading)
     reading.faults += check.range_faults(
-        reading.columns, reading.shown, reading.headers, reading.convention
+        reading.columns, reading.shown, reading.headers, read_as.convention
     )
     definition = plan.slip or "sigma_x"
     _slip_to_sigma(reading, plan.slip)
@@ -186,8 +182,8 @@ def _checked(table: Table, options: Options) -> TireData:
     source = Source(
         path=table.file,
         sha256=table.sha256,
-        convention=reading.convention,
-        convention_from=declared.whose,
+        convention=read_as.convention,
+        convention_from=read_as.whose,
         slip_definition=definition,
         columns=reading.headers,
         units=plan.units_to_write
@@ -263,7 +259,7 @@ def _numbers_to_si(reading: _Reading) -> None:
             sentence = f"sign of column {column.header!r} flipped, as declared"
             reading.assumptions.append(sentence)
         is_std = column.name.endswith("_std")
-        sign = sign_of(reading.convention, column.name)
+        sign = sign_of(reading.signs.convention, column.name)
         reading.shown[column.name] = values
         reading.columns[column.name] = sign * column.unit.to_si(values, is_std)
         reading.headers[column.name] = column.header
@@ -407,7 +403,7 @@ def _raise_or_mask(reading: _Reading) -> tuple[InputProblem, ...]:
             varied = forces and curve
             whole += check.check_variation(used, reading.file) if varied else []
             whole += signs.check_signs(
-                used, reading.headers, reading.convention, reading.file,
+                used, reading.headers, reading.signs.convention, reading.file,
                 reading.plan.slip or "sigma_x",
             )  # fmt: skip
         elif reading.options.mask_bad_rows:
@@ -429,11 +425,11 @@ def _warnings(reading: _Reading, definition: str, run) -> tuple[str, ...]:
         return ()
     used = {name: values[good] for name, values in reading.columns.items()}
     lines = reading.table.lines[good]
-    declared = reading.signs
-    doubt = signs.doubt_convention(used, reading.headers, definition, declared)
+    read_as = reading.signs
+    doubt = signs.doubt_convention(used, reading.headers, definition, read_as)
     doubts = [doubt] if doubt else []
     units = {c.name: c.unit_text for c in reading.plan.columns.values()}
-    doubts += signs.doubt_signs(used, reading.headers, definition, declared, units)
+    doubts += signs.doubt_signs(used, reading.headers, definition, read_as, units)
     doubts += reading.doubts + check.doubt_units(used, reading.headers)
     if "time" in used and reading.options.curve:
         header = reading.headers.get("time", "time")

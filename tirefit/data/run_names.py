@@ -20,9 +20,9 @@ _NUMBER = re.compile(r"[-+]?\d+(\.\d+)?")
 class RunNames(NamedTuple):
     """Short names of runs, all different, in order; ``pattern`` with ``*`` for them.
 
-    The pattern has one ``*`` for each number where names of bins differ in several; it
-    is empty where the names stay as they are, and where what they do not
-    share is long itself: they are numbered then.
+    The pattern has one ``*`` for each number in which names of bins differ. It is empty
+    if the names stay as they are, and if their differing parts are too long: the runs
+    are numbered then.
     """
 
     short: tuple[str, ...]
@@ -66,7 +66,8 @@ def _parts(names: Sequence[str]) -> tuple[str, list[str], str]:
 
 
 def _of_bins(names: tuple[str, ...]) -> RunNames | None:
-    """Names that differ in numbers alone (222 N 0 deg 83 kPa): by all of these."""
+    """The numbers in which the names differ (222 N 0 deg 83 kPa); None if other words
+    differ."""
     words = [name.split(" ") for name in names]
     if len(set(map(len, words))) > 1:
         return None

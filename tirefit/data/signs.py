@@ -14,7 +14,7 @@ from tirefit.results import InputProblem
 from tirefit.slip import CONVENTIONS, slip_ratio_from_sigma
 
 _REFUSED = ("fx", "fy", "fx_sim", "fy_sim")
-"""Forces whose sign beside their slip is wrong beyond doubt the other way round."""
+"""Forces that must rise with their slip: the opposite sign is an error."""
 
 _TURNED = {"mz": "Nm", "gamma": "deg"}
 """Columns whose sign alone differs in many files -> a unit to turn it by."""
@@ -167,14 +167,14 @@ def doubt_convention(
 
     Forces turn around with the slip, so :func:`check_signs` cannot tell driving from
     braking: a file read the wrong way round fits a mirrored tire without complaint.
-    Of signs that nobody declared, slips that drive are doubted unless the speeds of
-    wheel and vehicle confirm them, for omega / v falls as the braking slip rises.
+    If no convention was declared, driving slips cause a warning unless the speeds of
+    wheel and vehicle confirm them: omega / v falls as the braking slip rises.
 
     Args:
         columns: (n,) canonical columns, used rows only.
         headers: the file's own name of each column.
         definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
-        signs: in which the file was read.
+        signs: convention in which the file was read.
     """
     if "sigma_x" not in headers or "sigma_x" not in columns:
         return None  # no slip column: computed from speeds, or none at all
@@ -236,8 +236,8 @@ def doubt_signs(
         columns: (n,) canonical columns, used rows only.
         headers: the file's own name of each column.
         definition: of the file's slip column, a key of ``slip.SLIP_DEFINITIONS``.
-        signs: in which the file was read; where nobody declared them,
-            :func:`doubt_convention` says what the slip alone can tell.
+        signs: convention in which the file was read. If it was not declared,
+            :func:`doubt_convention` checks the slip.
         units: the unit in which each column was read.
     """
     evidence, said = evidence_of(columns, definition), []

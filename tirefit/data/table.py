@@ -63,7 +63,7 @@ yaw counter-clockwise) in every convention, for the conventions are those of a t
 
 
 FORCES = ("fx", "fy", "mz", "mx", "my")
-"""Columns of what the road does to a tire: forces and moments."""
+"""Columns of the forces and moments on a tire, without the load."""
 
 
 class Layout(NamedTuple):
@@ -71,8 +71,8 @@ class Layout(NamedTuple):
 
     ``names`` maps a header to a canonical column (or slip definition), to "" where it
     is not to be read; ``units_from`` says where the units stand; ``convention`` is that
-    of the signs, a key of ``slip.CONVENTIONS``, None where the layout has none;
-    ``stated_in`` is the line in which the file itself states it, 0 where it does not.
+    of the signs, a key of ``slip.CONVENTIONS``, or None; ``stated_in`` is the line of
+    the file that states it, or 0.
     """
 
     names: Mapping[str, str] = {}
@@ -108,13 +108,13 @@ class Source:
 
     ``columns`` maps a canonical column to the file's own header; ``units`` to the
     unit it was read in, ``units_beside`` those columns whose unit is not in the header;
-    ``convention_from`` says who chose the convention;
+    ``convention_from`` is the source of the convention, in words;
     ``slip_definition`` is the definition of the file's slip
     column (a key of ``slip.SLIP_DEFINITIONS``); ``line`` holds each row's line.
     ``warnings`` are sentences on what may mean something else than it was read as.
     ``slip_check`` is there where a slip, omega, v and a rolling radius are. ``paths``
-    names the file of each run where several files were joined. ``constants`` holds what
-    the file states of the tire [SI], by its key in a .tir file.
+    names the file of each run where several files were joined. ``constants`` are the
+    dimensions and nominal values of the tire that the file states [SI], by .tir key.
     """
 
     path: str = ""
@@ -193,11 +193,11 @@ class TireData(Displayed):
 
 
 _SAME = 1e-3
-"""Relative difference of a constant in two files that is rounding of units."""
+"""Largest relative difference of a constant in two files: rounding of units."""
 
 
 def _shared_constants(sources: Sequence[Source]) -> tuple[dict[str, float], list[str]]:
-    """Constants on which all files that state them agree, and warnings of others."""
+    """Constants that agree in all files that state them, and warnings on the others."""
     shared, warnings = {}, []
     for name in dict.fromkeys(key for one in sources for key in one.constants):
         values = [one.constants[name] for one in sources if name in one.constants]
@@ -206,7 +206,7 @@ def _shared_constants(sources: Sequence[Source]) -> tuple[dict[str, float], list
             continue
         warnings.append(
             f"{name} differs between files, {min(values):g} to {max(values):g}: not"
-            f" used; state that of the tire, as by parameters.{name}.value of fit.toml"
+            f" used; state it in fit.toml: parameters.{name}.value"
         )
     return shared, warnings
 
@@ -245,7 +245,7 @@ def join(tables: Sequence[TireData]) -> TireData:
     signs = dict.fromkeys(table.source.convention for table in tables)
     if len(signs) > 1:
         said.append(
-            f"files in several conventions: {', '.join(signs)}; each in its own"
+            f"files in several conventions: {', '.join(signs)}; each is read in its own"
         )
     digest = hashlib.sha256(
         "".join(t.source.sha256 for t in tables).encode()

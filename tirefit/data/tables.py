@@ -102,7 +102,7 @@ def _columns(table, types) -> tuple[dict[str, Any], list[str], list[str]]:
 
 
 _OLE = b"\xd0\xcf\x11\xe0"
-"""First bytes of an Excel file of before 2007, and of other files of that Office."""
+"""First bytes of an Excel file of before 2007, and of other files of old Office."""
 
 
 def is_excel(content: bytes) -> bool:
@@ -178,7 +178,7 @@ def _cells_of_xlsx(library, content: bytes) -> Iterator[tuple[str, Iterable]]:
 
 
 def _cells_of_xls(library, content: bytes) -> Iterator[tuple[str, Iterable]]:
-    """The same of a file of before 2007, where every number is a float."""
+    """Title and rows of values of each sheet of a .xls file."""
     book = library.open_workbook(file_contents=content, logfile=io.StringIO())
 
     def value(cell):
@@ -186,7 +186,8 @@ def _cells_of_xls(library, content: bytes) -> Iterator[tuple[str, Iterable]]:
             return library.xldate_as_datetime(cell.value, book.datemode)
         if cell.ctype == library.XL_CELL_ERROR:
             return library.error_text_from_code.get(cell.value, "#N/A")
-        number = isinstance(cell.value, float)  # 1 of a run's name is 1.0 here
+        # Every number is a float: run 1 is 1.0.
+        number = isinstance(cell.value, float)
         return int(cell.value) if number and cell.value.is_integer() else cell.value
 
     for sheet in book.sheets():

@@ -28,13 +28,11 @@ SPACED = "columns separated by white space"
 
 _DELIMITERS = "\t;|,"
 _END = "\0"
-_OWN = re.compile(r"# tirefit .*, constants ")
-"""First line of a table that this package wrote, before the constants of its tire."""
 _CONSTANT = re.compile(r"([A-Z_]+)=(\d+(?:\.\d+)?(?:e[-+]?\d+)?)\b")
-"""A constant of the tire in that line."""
+"""A constant of the tire in the first line of a table that this package wrote."""
 _AIM = re.compile(r'"?Format"?\s*[,;\t]\s*"?AiM CSV File', re.IGNORECASE)
-"""Beginning of an export of AiM's RaceStudio: keys and values, a blank line, names,
-units, in some versions the numbers of the channels."""
+"""First line of an export of AiM RaceStudio. Keys and values, a blank line, names,
+units and, in some versions, channel numbers follow."""
 _SEARCHED = 60
 """Lines with content in which the header must stand."""
 _LONGEST = 10
@@ -48,7 +46,7 @@ class Table:
     ``cells`` holds per column n strings or an (n,) number array; ``ragged`` (n,) bool
     marks rows without the header's number of fields, ``lines`` (n,) their lines;
     ``notes`` say what was assumed, ``doubts`` what may mean something else;
-    ``constants`` are those of ``Source``.
+    ``constants``: see ``Source``.
     """
 
     file: str
@@ -171,9 +169,9 @@ def table_of_text(
     common = 0.0 if aim else 0.5
     table = table_of_rows(rows, numbers, path, digest, notes, delimiter, common)
     layout, doubts = stated_convention(raw[:start], str(path))
-    own = _OWN.match(raw[0])
-    stated = _CONSTANT.findall(raw[0][own.end() :]) if own else []
-    constants = {name: float(value) for name, value in stated}
+    above = raw[0] if raw[0].startswith("# tirefit ") else ""
+    stated = re.findall(r".*, constants (.*)", above)
+    constants = {k: float(v) for k, v in _CONSTANT.findall("".join(stated))}
     return replace(table, layout=layout, doubts=doubts, constants=constants)
 
 
@@ -194,8 +192,10 @@ def table_of_rows(
     delimiter: str = "",
     common: float = 0.5,
 ) -> Table:
-    """A table of rows of cells, the header first, and the line of each in the file;
-    ``common``: share of common units from which a row is one of units."""
+    """A table of rows of cells, the header first, and the line of each in the file.
+
+    ``common`` is the smallest share of common units in a row of units.
+    """
     headers = [re.sub(r"\s*[\r\n]\s*", " ", cell.strip()) for cell in rows[0]]
     header_line, rows, numbers = numbers[0], rows[1:], numbers[1:]
     if all(is_number(word) for cell in headers for word in cell.split() or [cell]):
@@ -360,13 +360,13 @@ def _spaced_under_tabs(lines, header, delimiter, is_known) -> list[str]:
 
 
 def _counts_up(row: list[str]) -> bool:
-    """Whether these are the numbers of the channels: 1, 2, 3."""
+    """Whether a row holds the channel numbers 1, 2, 3, ..."""
     cells = [cell.strip() for cell in row if cell.strip()]
     return len(cells) > 1 and cells == [str(k + 1) for k in range(len(cells))]
 
 
 def _is_units_row(row: list[str], width: int, common: float) -> bool:
-    """No numbers, and at least that share of what is there are common units."""
+    """Whether a row has no numbers and at least the share ``common`` of known units."""
     cells = [cell.strip() for cell in row]
     stated = [cell for cell in cells if cell not in ("", "-")]
     if len(row) != width or not stated or any(map(is_number, cells)):

@@ -25,7 +25,7 @@ __all__ = [
 
 
 def parse_tir(text: str, path: str = "", notes: Sequence[str] = ()) -> TirFile:
-    """A ``.tir`` file from its text, checked; ``notes`` on it come before others.
+    """A ``.tir`` file from its text, checked; ``notes`` are put before its own.
 
     Raises:
         DataError: what cannot be understood, keys that are missing or contradict each
@@ -49,7 +49,7 @@ def read_tir(path) -> TirFile:
         low_first = content[1] == 0
         content = (BOM_UTF16_LE if low_first else BOM_UTF16_BE) + content
     text, notes = decoded(content, Path(path))
-    # Windows has letters where Latin-1 has control characters.
+    # Windows-1252 has letters at the control characters of Latin-1.
     text = re.sub(
         "[\x80-\x9f]",
         lambda found: found[0].encode("latin-1").decode("cp1252", "replace"),

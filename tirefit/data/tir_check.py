@@ -20,17 +20,14 @@ _PRESSURES = (1e4, 5e6)
 """Inflation pressures [Pa] of tires, from a kart's to an aircraft's."""
 
 _PER_DEGREE = 2.0
-"""Largest |PKY1| of a tire whose angles are in degrees: per radian those of trucks
-begin at 5, and 60 of a race tire are 1 per degree."""
+"""Largest |PKY1| [1/deg]. The smallest of truck tires is 5 per radian, the largest of
+race tires 60 per radian, which is 1 per degree."""
 
-_EVALUATED_AS = {
-    5.0: "FITTYP = 5 (MF-Tyre 5.0) is evaluated by the equations of 5.2",
-    51.0: "FITTYP = 51 (MF-Tyre 5.1) is evaluated by the equations of 5.2",
-    60.0: "FITTYP = 60 (MF-Tyre 6.0) is evaluated by the equations of 6.1",
-}
+_OLDER = (5.0, 51.0, 60.0)
+"""FITTYP of MF-Tyre 5.0, 5.1 and 6.0, which are evaluated as 5.2 and 6.1."""
 
 _NAMED = 6
-"""Keys or values that a sentence names; it counts the rest."""
+"""Largest number of keys or values that a sentence lists; it counts the others."""
 
 
 def problems_of(tir: TirFile) -> list[InputProblem]:
@@ -52,15 +49,15 @@ def notes_on(tir: TirFile) -> list[str]:
     said = list(tir.notes)
     if tir.numbers.get("FITTYP") not in FITTYP:
         said.append(f"taken as Magic Formula {tir.version}: {tir.stated.because}")
-    said += [f"it gives no {force}: {why}" for force, why in tir.lacks.items()]
+    said += [f"no {force} in this file: {why}" for force, why in tir.lacks.items()]
     if tir.commas:
         said.append(f"{tir.commas} values have a decimal comma: read as decimal point")
     if empty := [e.key for e in tir.wanted() if not e.text]:
-        said.append(f"no value, as if it were not there: {_listed(empty)}")
+        said.append(f"keys without a value are ignored: {_listed(empty)}")
     if tir.foreign:
         said.append(
-            f"MF {tir.version} has no {_listed(tir.foreign)}: not used, which changes"
-            " the tire where another program uses it"
+            f"MF {tir.version} has no {_listed(tir.foreign)}: ignored, which changes"
+            " the tire against programs that use them"
         )
     entry = tir.find("FE_METHOD")
     if entry and entry.text.upper() == "YES":
@@ -73,14 +70,14 @@ def notes_on(tir: TirFile) -> list[str]:
         said.append(
             f"USE_MODE = {use_mode:g} is not used: all forces, with combined slip"
         )
-    if old := _EVALUATED_AS.get(tir.numbers.get("FITTYP", 0)):
-        said.append(old)
+    if (number := tir.numbers.get("FITTYP")) in _OLDER:
+        said.append(f"FITTYP = {number:g}: the equations of MF {tir.version} are used")
     if not any(entry.section == "UNITS" for entry in tir.entries):
         said.append("there is no [UNITS] section: SI units assumed")
     if tir.unit("ANGLE") != 1:
         said.append(
-            "ANGLE is used for the limits of alpha and gamma alone: coefficients are"
-            " per radian"
+            "ANGLE applies to the limits of alpha and gamma only: coefficients are per"
+            " radian"
         )
     if tir.numbers.get("PKY1", 0) > 0 and tir.numbers.get("PDY1", 0) > 0:
         said.append(
@@ -113,7 +110,7 @@ def _of_units(tir: TirFile) -> Iterator[InputProblem]:
     entry, stiffness = tir.find("ANGLE", "UNITS"), tir.numbers.get("PKY1", 0.0)
     if entry and tir.unit("ANGLE") != 1 and 0 < abs(stiffness) < _PER_DEGREE:
         reason = f"ANGLE = {entry.value}, and PKY1 = {stiffness:g} is per degree"
-        remedy = "write the file with ANGLE = 'radians': coefficients hold angles"
+        remedy = "write the coefficients per radian, with ANGLE = 'radians'"
         yield InputProblem(reason, remedy, tir.path, entry.row)
 
 
@@ -166,20 +163,18 @@ def _no_numbers(tir: TirFile) -> Iterator[InputProblem]:
             said = f"{len(bad)} values are not numbers: {_listed(some)}"
         if sum("," in entry.value for entry in bad) == len(bad):
             said += "; other values have a decimal point"
-        remedy = (
-            "give plain numbers, as in 1.5 or -2e-3; to remove a line changes the tire"
-        )
+        remedy = "give numbers such as 1.5 or -2e-3; removing a line changes the tire"
         yield InputProblem(said, remedy, tir.path, bad[0].row)
 
 
 def _missing(tir: TirFile) -> Iterator[InputProblem]:
     there = tir.numbers
     if "FNOMIN" not in there:
-        reason = "FNOMIN is missing: the nominal load, to which every force refers"
+        reason = "FNOMIN is missing: the nominal load of all forces"
         yield InputProblem(reason, "add it to [VERTICAL]", tir.path)
     if len(tir.lacks) == len(REQUIRED):
         reasons = "; ".join(f"no {force}: {why}" for force, why in tir.lacks.items())
-        remedy = "give the coefficients of one force at least"
+        remedy = "add the coefficients of at least one force"
         yield InputProblem(f"no force is described: {reasons}", remedy, tir.path)
     acting = [key for key in PRESSURE_TERMS if tir.numbers.get(key)]
     if acting and "NOMPRES" not in there:

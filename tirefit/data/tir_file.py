@@ -29,20 +29,20 @@ _VALUE = (
     rf"""[ \t]*(?![ \t])(?P<value>'[^']*'|"[^"]*"|{_NUMBER}(?=\s|{_MARKS}|$)"""
     rf"""|[^$!'"\t\r\n]*?(?=\s*(?:{_MARKS}|\t|\s\s|$)))"""
 )
-"""A quoted text, a number or other words; a comment may follow without a mark."""
+"""A quoted text, a number or other words; a following comment needs no mark."""
 _SECTION = re.compile(r"\s*\[\s*([A-Za-z]\w{3}[^\]]*)\]")
-"""A name has four letters at least: [N] and [rad] are units in a wrapped comment."""
+"""A name has at least four letters: [N] and [rad] are units in a wrapped comment."""
 _ENTRY = re.compile(r"\s*(?P<key>[A-Za-z]\w*)\s*=" + _VALUE)
 _CONTINUED = re.compile(rf"\s*(?=[='\"]|{_NUMBER}\s*(?:{_MARKS}|[A-Za-z]|$))=?{_VALUE}")
 _BARE = re.compile(rf"\s*(?P<key>[A-Za-z]\w*)\s*(?:{_MARKS}|$)")
 _COMMENT = re.compile(r"\s*([$!#%;/*{(]|[-+.\d]|$)")
 """A comment, a row of a table, or nothing."""
 _BROKEN = re.compile(r"\s*(?:\[\s*[A-Za-z]\w{3}|(?P<key>[A-Za-z]\w*)\s*(?:=|[-+.\d]))")
-"""A section that is not closed, or a key with something else than a value."""
+"""A section that is not closed, or a key without a valid value."""
 
 
 class Version(NamedTuple):
-    """Version of the Magic Formula and what tells it, or why it is None."""
+    """Version of the Magic Formula and its evidence, or the reason why it is None."""
 
     name: str | None
     because: str
@@ -69,7 +69,7 @@ class TirFile:
     """A tire property file.
 
     ``lines`` are those of the file with their ends, ``entries`` its keys in order;
-    ``path`` names it in messages; ``notes`` are what was assumed to read it.
+    ``path`` names it in messages; ``notes`` are assumptions made on reading.
     """
 
     path: str
@@ -96,13 +96,13 @@ class TirFile:
 
     @cached_property
     def commas(self) -> int:
-        """Number of values with a decimal comma, 0 where others have a point."""
+        """Number of values with a decimal comma, 0 if other values have a point."""
         values = [e.value for e in self.wanted() if re.fullmatch(_NUMBER, e.value)]
         commas = sum("," in value for value in values)
         return 0 if any("." in value for value in values) else commas
 
     def number(self, entry: Entry) -> float | None:
-        """The number of an entry as it is written, None where it has none."""
+        """The number of an entry as it is written, or None."""
         text = entry.text
         if re.fullmatch(_NUMBER, text) is None or ("," in text and not self.commas):
             return None
@@ -121,7 +121,7 @@ class TirFile:
 
     @cached_property
     def numbers(self) -> dict[str, float]:
-        """As written, without coefficients that the version of the file lacks."""
+        """Key -> number [SI], without coefficients that the file's version lacks."""
         return {k: v for k, v in self._written.items() if k not in self.foreign}
 
     @cached_property
@@ -139,17 +139,18 @@ class TirFile:
             return Version(name, f"FITTYP = {entry.value}{doubt}")
         entry = self.find("PROPERTY_FILE_FORMAT")
         if entry and (name := _version_in(entry.text)):
-            return Version(name, f"{entry.key} = {entry.value}, there is no FITTYP")
+            return Version(name, f"{entry.key} = {entry.value}, and no FITTYP")
         of_5, of_6 = self._acting("5"), self._acting("6")
         if of_5 and of_6:
-            both = f"{of_5[0]} is of MF 5 and {of_6[0]} of MF 6"
-            return Version(None, f"there is no FITTYP, and {both}")
-        which = f"{of_5[0]} is of MF 5" if of_5 else "no coefficient is of MF 6"
-        name, which = ("6.1", f"{of_6[0]} is of MF 6") if of_6 else ("5.2", which)
-        return Version(name, f"{which} alone, there is no FITTYP")
+            both = f"{of_5[0]} belongs to MF 5 and {of_6[0]} to MF 6"
+            return Version(None, f"no FITTYP, and {both}")
+        if of_6:
+            return Version("6.1", f"no FITTYP, and only MF 6 has {of_6[0]}")
+        which = f"only MF 5 has {of_5[0]}" if of_5 else "no coefficient of MF 6"
+        return Version("5.2", f"no FITTYP, and {which}")
 
     def _acting(self, generation: str) -> list[str]:
-        """Coefficients of one generation alone that would have an effect there."""
+        """Coefficients of this generation only, whose values have an effect."""
         own = (key for key, of in ONLY_IN.items() if of == generation)
         return [k for k in own if self._written.get(k, _neutral(k)) != _neutral(k)]
 
@@ -168,13 +169,13 @@ class TirFile:
             zero = [k for k in needs if k in NONZERO and self.numbers.get(k) == 0]
             lost = [key for key in needs if key not in self.numbers or key in zero]
             if set(lost) >= set(needs) - {"UNLOADED_RADIUS"}:
-                lacks[force] = "the file has no coefficients of it"
+                lacks[force] = "its coefficients are missing"
             elif lost:
                 how = ("= 0" if key in zero else "is missing" for key in lost)
                 why = zip(lost, how, strict=True)
                 lacks[force] = ", ".join(f"{k} {how} ({needs[k]})" for k, how in why)
         if "F_y" in lacks:
-            lacks.setdefault("M_z", "it is made of F_y")
+            lacks.setdefault("M_z", "it is computed from F_y")
         return lacks
 
     @property
@@ -197,7 +198,7 @@ class TirFile:
         angle = self.unit("ANGLE")
         limits = (e for e in self.entries if DIMENSIONS.get(e.key) == "angle")
         if all(abs(self.number(limit) or 0.0) < math.pi for limit in limits):
-            angle = 1.0  # no limits of a tire in degrees
+            angle = 1.0  # limits in degrees would be below 3.2 deg
         return {
             None: 1.0,
             "angle": angle,
@@ -286,9 +287,9 @@ def _version_in(text: str) -> str | None:
 def parsed(
     text: str, path: str, notes: Iterable[str] = ()
 ) -> tuple[TirFile, list[InputProblem]]:
-    """The file as it is, unchecked, and the lines that cannot be understood.
+    """The file, unchecked, and errors of lines that cannot be parsed.
 
-    A value may stand on the line after its key, and a comment go on there.
+    A value or a comment may continue on the line after its key.
     """
     lines = tuple(io.StringIO(text, newline=""))
     entries: list[Entry] = []
@@ -321,6 +322,6 @@ def parsed(
     if words:
         some = ", ".join(map(str, words[:5])) + (", ..." if len(words) > 5 else "")
         said.append(
-            f"{len(words)} lines without KEY = VALUE are taken as comments: rows {some}"
+            f"{len(words)} lines without KEY = VALUE are read as comments: rows {some}"
         )
     return TirFile(path, lines, tuple(entries), tuple(said)), problems

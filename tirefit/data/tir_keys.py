@@ -85,7 +85,7 @@ REQUIRED = {
         "QDZ1": "the trail over the free radius (0: no moment by it)",
     },
 }
-"""Force -> key without which it has no shape -> what that is."""
+"""Force -> key that its formula needs -> meaning of the key."""
 
 POSITIVE = ("UNLOADED_RADIUS", "FNOMIN", "LONGVL", "NOMPRES", "INFLPRES", "LFZO")
 NONZERO = ("PCX1", "PDX1", "PCY1", "PDY1", "PKY2")
@@ -109,7 +109,7 @@ DIMENSIONS = {
 """Key -> dimension; the rest is dimensionless, in radians, or not used here."""
 
 ALIASES = {"LFZ0": "LFZO", "IP_NOM": "NOMPRES", "IP": "INFLPRES"}
-"""Other name of a key (the last two of PAC2002) -> its name here."""
+"""Alias of a key (the last two are of PAC2002) -> its name here."""
 
 NUMERIC = {*COEFFICIENTS, *DIMENSIONS, *sum(LIMITS.values(), ()), "USE_MODE"}
 """Keys whose values must be numbers."""
@@ -143,4 +143,4 @@ UNITS = {
 """Key of [UNITS] -> spelling, in lower case, -> size in SI."""
 
 KNOWN = {*NUMERIC, *SECTIONS, *UNITS, "PROPERTY_FILE_FORMAT", "FILE_TYPE", "FE_METHOD"}
-"""Keys that are used."""
+"""Keys that are read."""

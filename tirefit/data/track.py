@@ -132,8 +132,10 @@ def _unwrapped(yaw: np.ndarray) -> np.ndarray:
 
 
 def _read(path: Place, vehicle: Vehicle) -> tuple[Table, Vehicle]:
-    """The file, which has every column that the vehicle names, and the vehicle with the
-    computed heading where it names a quaternion as yaw."""
+    """The file, with every column that the vehicle names, and the vehicle.
+
+    If the yaw of the vehicle is a quaternion, it becomes the column of its heading.
+    """
     given = vehicle.columns.model_dump().values()
     wanted = [name for name in (*given, vehicle.keep.active) if name]
     table, headings = with_headings(read_table(path, wanted))

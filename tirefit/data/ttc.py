@@ -41,7 +41,7 @@ def recognised(table: Table) -> Table:
     own = table.layout
     convention, reason = _convention(table)
     if own.convention:
-        convention, reason = own.convention, f"signs as line {own.stated_in} says"
+        convention, reason = own.convention, f"signs stated in line {own.stated_in}"
     notes = [f"laid out as Tire Test Consortium files are: {reason}"]
     meant = {"N": "omega"}
     if {"SL", "SR"} <= names:

@@ -33,7 +33,7 @@ _NAMES = {
     "TYRETEMP": "temperature",
 }  # fmt: skip
 """Parameters of TYDEX -> columns; of two that mean one, the first of these is read.
-MXH and MYH are about the wheel centre, and so none of them."""
+MXH and MYH are moments about the wheel centre, not about the contact point."""
 
 _OF_TIRE = (
     ("UNLOADED_RADIUS", 1.0, "length", r"RFREE|.*(unloaded|free) radius"),
@@ -45,16 +45,16 @@ _OF_TIRE = (
     ("FNOMIN", 1.0, "force", r"FNOMIN|NOMLOAD|.*nominal [a-z ]*(load|force)"),
     ("NOMPRES", 1.0, "pressure", r"NOMPRES|.*nominal [a-z ]*pressure"),
 )
-"""Key of a .tir file, factor, dimension, name or comment of the constant; of two that
-mean one, the first of these is taken."""
+"""Key of a .tir file, factor, dimension, and pattern of the name or comment of the
+constant; the first match of a key is used."""
 
 _INCH = 0.0254
 _METRIC_SIZE = re.compile(r"(?<!\d)(\d{3})\s?/\s?(\d{2,3})\s?[A-Z]*-?\s?(\d\d)\b", re.I)
-"""205/60 R15: width [mm], height [% of it] or diameter [mm], rim diameter [inch]."""
+"""205/60 R15: width [mm], aspect ratio [%] or diameter [mm], rim diameter [inch]."""
 _INCH_SIZE = re.compile(r"\b(\d\d(?:\.\d+)?)\s?x\s?\d+(?:\.\d+)?\s?-\s?\d\d\b", re.I)
 """18.0x6.0-10: diameter, width, rim diameter [inch]."""
 _LARGEST = 2.1
-"""Radius [m] of the largest earthmover's tire: beyond it the unit is wrong."""
+"""Radius [m] of the largest earthmover tires: a larger value has a wrong unit."""
 
 _RULE = re.compile(r"!\s*(-|Key\b)", re.IGNORECASE)
 """A line that rules or heads a section, as many files have them."""
@@ -265,7 +265,7 @@ def _converted(texts, conversion: _Conversion) -> np.ndarray | list[str]:
     """Values in the channel's unit; as texts where one of them is no number."""
     factor, before, after = conversion
     try:
-        with np.errstate(all="ignore"):  # what is not finite is a fault of its row
+        with np.errstate(all="ignore"):  # the reader reports rows that are not finite
             return factor * (np.array(texts, float) + before) + after
     except ValueError:
         return [
@@ -278,7 +278,7 @@ def _converted(texts, conversion: _Conversion) -> np.ndarray | list[str]:
 
 
 def _constants(lines, channels) -> tuple[list[_Entry], list[tuple[int, str]]]:
-    """Constants that are columns which no channel is, and the lines of the others."""
+    """Constants that are columns without a channel, and the lines of the others."""
     there = {_NAMES.get(channel.name, channel.name) for channel in channels}
     kept: list[_Entry] = []
     unread = []
@@ -294,8 +294,10 @@ def _constants(lines, channels) -> tuple[list[_Entry], list[tuple[int, str]]]:
 
 
 def _of_tire(lines, header) -> tuple[dict[str, float], dict[str, str]]:
-    """What the constants state of the tire [SI], and a note by line that was used; its
-    nominal size may stand in the header."""
+    """Constants of the tire [SI] by .tir key, and a note by line that was used.
+
+    The nominal size is also read from the header.
+    """
     found: dict[str, float] = {}
     notes: dict[str, str] = {}
 
@@ -321,8 +323,11 @@ def _of_tire(lines, header) -> tuple[dict[str, float], dict[str, str]]:
 
 
 def _si(value: float, unit: str, dimension: str) -> float:
-    """A constant in SI units; without a unit a length above 3 is one of rims, in inch,
-    or in mm, and an aspect ratio above 3 in per cent; NaN of another dimension."""
+    """A constant in SI units, NaN if its unit has another dimension.
+
+    Without a unit, a length from 3 to 30 is in inches (a rim), a longer one in mm, and
+    an aspect ratio above 3 in per cent.
+    """
     if unit.casefold() in ("in", "inch", '"', "zoll"):
         return value * _INCH if dimension == "length" else np.nan
     if unit in ("", "-"):
@@ -334,12 +339,12 @@ def _si(value: float, unit: str, dimension: str) -> float:
 
 
 def _radius_of_size(text: str) -> float:
-    """Radius [m] of the free tire by its nominal size; NaN where the text has none."""
+    """Radius [m] of the free tire from its nominal size, NaN if the text has none."""
     if inches := _INCH_SIZE.search(text):
         return float(inches[1]) * _INCH / 2
     if metric := _METRIC_SIZE.search(text):
         width, height, rim = map(float, metric.groups())
-        high = height > 150  # such as 205/470 R13: the diameter
+        high = height > 150  # 205/470 R13 states the diameter
         return height / 2e3 if high else rim * _INCH / 2 + width * height * 1e-5
     return np.nan
 

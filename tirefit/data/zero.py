@@ -61,10 +61,10 @@ def _alpha_at_rest(alpha: np.ndarray, fy: np.ndarray) -> float | None:
 
 
 def turns_both_ways(share: np.ndarray) -> bool:
-    """Whether a tenth of the samples turns to the rarer side.
+    """Whether more than a tenth of the samples turns to the rarer side.
 
     Args:
-        share: (n,) side force over a strong one.
+        share: (n,) lateral force over the strong force.
     """
     rarer = min(np.count_nonzero(share > 0.05), np.count_nonzero(share < -0.05))
     return bool(rarer > 0.1 * len(share))

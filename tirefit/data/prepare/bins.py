@@ -40,12 +40,12 @@ def setting_names(settings: Settings) -> list[str]:
 
 
 def bin_name(
-    level: Mapping[str, int], names: Mapping[str, list[str]], told: Set[str]
+    level: Mapping[str, int], names: Mapping[str, list[str]], varied: Set[str]
 ) -> str:
-    """The name of a bin: its settings of the channels ``told``, which had several.
+    """The name of a bin: its settings of the channels ``varied``.
 
-    Where camber and slip angle are both told, each has its name: both are in degrees.
+    If camber and slip angle both varied, their names follow the values in degrees.
     """
-    words = _ANGLES if told >= _ANGLES.keys() else {}
-    shown = ((c, k) for c, k in level.items() if c in told and k >= 0)
+    words = _ANGLES if varied >= _ANGLES.keys() else {}
+    shown = ((c, k) for c, k in level.items() if c in varied and k >= 0)
     return " ".join(names[c][k] + words.get(c, "") for c, k in shown) or "all"

@@ -161,9 +161,9 @@ def prepare(data: Any, config: PrepareConfig | dict | None = None) -> Prepared:
 
 
 def _conditions_at_risk(parts: list[Segment], kept: np.ndarray) -> list[str]:
-    """Notes that name the conditions of which no sweep is left, or only early ones.
+    """Notes that name the conditions without kept sweeps, or with early ones only.
 
-    A condition that was not swept counts by its other rows.
+    A condition that was not swept is checked by its other rows.
     """
     swept = {part.bin for part in parts if part.is_held and part.direction}
     rows: dict[str, int] = {}
@@ -179,21 +179,21 @@ def _conditions_at_risk(parts: list[Segment], kept: np.ndarray) -> list[str]:
     notes = [
         f"{len(early)} of {len(rows)} conditions have no sweep after the warm-up; their"
         f" last sweeps are kept: {'; '.join(early)} (--cut-last cuts them)",
-        f"{len(lost)} of {len(rows)} conditions are cut whole: {'; '.join(lost)}",
+        f"{len(lost)} of {len(rows)} conditions have no kept rows: {'; '.join(lost)}",
     ]
     return [note for note, named in zip(notes, (early, lost), strict=True) if named]
 
 
 def _binned(parts: list[Segment], names) -> list[Segment]:
-    """Segments with their bins, named by all settings that differ among them."""
+    """Segments with their bins, which are named by the settings that varied."""
     held = [part for part in parts if part.is_held]
-    told = {
+    varied = {
         name
         for name in names
         if len({part.level.get(name, -1) for part in held} - {-1}) > 1
     }
     return [
-        replace(p, bin=bin_name(p.level, names, told)) if p.is_held else p
+        replace(p, bin=bin_name(p.level, names, varied)) if p.is_held else p
         for p in parts
     ]
 
@@ -260,7 +260,7 @@ def _looked_at(data, config: PrepareConfig, series: Series, raw, slips):
 
 
 def _warmed(parts, config: PrepareConfig, series: Series, channels, swept: str):
-    """The segments with the warm-up told apart, and how it was found."""
+    """The segments with the warm-up marked, and a note on how it was found."""
     temperature, force = (channels.get(k) for k in ("temperature", FORCE_OF[swept]))
     slip, declared = channels[swept], config.warm_up
     cut, how = with_warmth(parts, series.time, temperature, declared, slip, force)

@@ -24,8 +24,8 @@ class Segment:
     ``kind`` is a key of ``settings.KINDS``; ``channel`` what was swept or on its way,
     ``direction`` "up" or "down" of a sweep. ``level`` numbers the setting of each
     condition that is held. ``first`` to ``last`` (exclusive) are the rows without what
-    settles at the ends; ``bin`` names the settings. ``early``: a sweep made before the
-    tire was warm, which is kept because its condition has no later one.
+    settles at the ends; ``bin`` names the settings. ``early`` marks a sweep before the
+    tire was warm that is kept because its condition has no later one.
     """
 
     kind: str

@@ -30,9 +30,9 @@ class PrepareConfig(Section):
     rows a second of a file without time. ``settle`` is cut from either end of what is
     held beside a change. Nothing shorter than ``shortest`` counts as held. ``warm_up``:
     how long from the start the tire was not warm; told by its temperature, or by sweeps
-    that repeat themselves, if not given. Where it was not given, the last sweeps of a
-    condition without later ones are kept, unless ``cut_last``. ``keep``: kinds of
-    segments that are written.
+    that repeat themselves, if not given. Unless it is given or ``cut_last`` is
+    set, the last sweeps of a condition without later ones are kept. ``keep``: kinds
+    of segments that are written.
     """
 
     bandwidth: PositiveFloat | None = None

@@ -26,8 +26,8 @@ def _number(value: float) -> float:
 def prepared_csv(prepared: Prepared, version: str) -> str:
     """The kept rows: run, segment, bin, kind, direction, then the canonical channels.
 
-    ``segment`` numbers the segments of the file from 1. The reader takes constants and
-    convention from the first line.
+    ``segment`` numbers the segments of the file from 1. ``tirefit.read`` takes the
+    constants and the convention from the first line.
     """
     kept = prepared.kept
     number = np.zeros(len(kept), int)

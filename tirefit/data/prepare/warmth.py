@@ -54,10 +54,10 @@ def with_warmth(
 def last_sweeps_kept(
     before: list[Segment], after: list[Segment], keep: Collection[str]
 ) -> list[Segment]:
-    """``after`` with the last sweeps of each condition that would have none left.
+    """``after`` with the last sweeps of each condition that has none left.
 
-    A condition is all settings and the channel that is swept; its last sweep in each
-    direction becomes a sweep again, marked ``early``.
+    A condition is the set of all settings and the swept channel. Its last sweep in each
+    direction becomes a sweep again and is marked ``early``.
 
     Args:
         before, after: the same segments before and after the cut of the warm-up.
