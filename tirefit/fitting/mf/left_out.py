@@ -93,8 +93,8 @@ def foretold(
         which: of :data:`LEAVE_OUT`.
 
     Returns:
-        What was left out, and the bands. With fewer than two parts the fitted rows make
-        the bands too; a single part has no other to be judged by: ``within`` is NaN.
+        What was left out, and the bands. Their noise is at least that of the fitted
+        rows, which are of a band of fewer than two parts; a single part has no other to be judged by: ``within`` is NaN.
     """
     seen: dict[str, list[tuple[str, _Seen, _Seen]]] = {force: [] for force in rows}
     for label, gone in _parts(rows, settings, which):
@@ -118,9 +118,13 @@ def foretold(
                 LeftOut(label, force, part.rows, part.rmse, whole.rmse, within)
             )
         of_band = [part for _, part, _ in parts]
+        fitted_rows = _seen(work, rows[force], _chosen(work, rows[force]))
         if len(of_band) < 2:
-            of_band.append(_seen(work, rows[force], _chosen(work, rows[force])))
-        bands[force] = _band(of_band)
+            of_band.append(fitted_rows)
+        # What others' coefficients made of a part, its noise makes where it is fitted.
+        least = _band([fitted_rows]).law
+        law = NoiseLaw(*map(max, least, _band(of_band).law))
+        bands[force] = Band(law, _wider(of_band, law))
     return tuple(found), bands
 
 
