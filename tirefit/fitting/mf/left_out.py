@@ -94,7 +94,8 @@ def foretold(
 
     Returns:
         What was left out, and the bands. Their noise is at least that of the fitted
-        rows, which are of a band of fewer than two parts; a single part has no other to be judged by: ``within`` is NaN.
+        rows, which make the band too where fewer than two parts were left out; a
+        single part has no other to be judged by: ``within`` is NaN.
     """
     seen: dict[str, list[tuple[str, _Seen, _Seen]]] = {force: [] for force in rows}
     for label, gone in _parts(rows, settings, which):
