@@ -66,6 +66,7 @@ def test_a_file_becomes_a_tir_and_a_prediction(run, sweeps):
         (("--model", "brush", "--part", "fx"), "--part without --model"),
         (("--model", "mf61", "--part", "fz"), "combined"),
         (("--model", "mf61", "--solver", "jaxopt"), "--solver with --model mf61"),
+        (("--model", "mf61", "--jobs", "2"), "--jobs with --model mf61"),
         (("--model", "mf61", "--resume", "--force", "fx"), "--force, --resume"),
     ],
 )

@@ -238,6 +238,7 @@ def test_a_given_coefficient_stays_and_a_prior_of_ones_own_is_used():
         ("mf61", "fy", {"noise": {"loss": "huber"}}, "noise.loss"),
         ("mf61", "fy", {"parameters": {"PDZ1": {"value": 1.0}}}, "PDZ1"),
         ("mf61", "fy", {"parameters": {"PHY3": {"free": False}}}, "PHY3"),
+        ("mf61", "fy", {"force": ["fx"], "starts": 2}, "force, starts in a Magic"),
     ],
 )
 def test_what_cannot_be_asked_is_refused(model, part, config, said):
@@ -253,6 +254,12 @@ def test_data_without_the_force_or_with_few_rows_are_refused():
     few = {k: v[:20] for k, v in table.items()}
     with pytest.raises(DataError, match="20 rows of fy"):
         fit_magic_formula(read_frame(few), "mf61")
+    held = table | {"sigma_x": np.full(len(table["fz"]), 0.1)}
+    with pytest.raises(DataError, match="too few rows of fy in pure slip"):
+        fit_magic_formula(read_frame(held), "mf61", part="fy")
+    in_bar = table | {"pressure": np.full(len(table["fz"]), 2.2)}
+    with pytest.raises(DataError, match=r"2\.2 Pa(.|\n)*units=.*bar"):
+        fit_magic_formula(read_frame(in_bar), "mf61")
 
 
 def test_versions_are_those_of_the_models():

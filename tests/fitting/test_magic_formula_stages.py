@@ -236,3 +236,44 @@ def test_friction_that_no_row_reaches_is_no_measurement():
     table = {"alpha": alpha, "fz": fz, "fy": fy, "run": np.repeat([0, 1, 2], 60)}
     fit = fit_magic_formula(read_frame(table), "mf61", part="fy")
     assert any("is no measured friction" in note for note in fit.notes)
+
+
+def test_a_force_with_few_rows_of_pure_slip_is_fitted_in_one_stage():
+    """Brake sweeps at two angles: M_z and F_y have a dozen rows without kappa."""
+    kappa = np.tile(np.linspace(-0.2, 0.25, 45), 12)
+    alpha, fz = np.repeat(np.tile([0.03, -0.08], 6), 45), np.repeat(LOADS[:3], 180)
+    inputs = TireInputs(sigma_x=kappa, alpha=alpha, fz=fz)
+    _, fy, mz = (np.asarray(f) for f in forces(mf_tire("6.1", TIRE), inputs)[:3])
+    noise = np.random.default_rng(0).standard_normal((2, len(fz)))
+    names = ("sigma_x", "alpha", "fz", "fy", "mz")
+    columns = (kappa, alpha, fz, fy + 20 * noise[0], mz + noise[1])
+    table = dict(zip(names, columns, strict=True))
+    found = fit_magic_formula(
+        read_frame(table), "mf61", config={"parameters": GIVEN}, leave_out="none"
+    )
+    assert [stage.name for stage in found.stages] == [
+        "fy in combined slip", "mz in combined slip",
+    ]  # fmt: skip
+    assert found.fitted["fy"][0] < 25 and found.fitted["mz"][0] < 2
+
+
+def test_a_single_part_left_out_gives_a_band_of_the_noise_and_no_nan():
+    """F_x at two loads of which one is left out: no other part makes its band. One
+    setting of a load is enough to leave it out."""
+    slip, loads = np.linspace(-0.2, 0.2, 41), np.array([1.5e3, 3e3, 4.5e3, 6e3])
+    side = TireInputs(0.0, np.tile(slip, 4), np.repeat(loads, 41))
+    along = TireInputs(np.tile(slip, 2), 0.0, np.repeat([3e3, 4.5e3], 41))
+    noise = np.random.default_rng(0)
+    tables = []
+    for force, slips, inputs in (("fy", "alpha", side), ("fx", "sigma_x", along)):
+        clean = np.asarray(getattr(forces(mf_tire("6.1", TIRE), inputs), force))
+        values = clean + 20 * noise.standard_normal(len(clean))
+        columns = {slips: getattr(inputs, slips), "fz": inputs.fz, force: values}
+        tables.append(read_frame(columns, name=force))
+    found = fit_magic_formula(tables, "mf61", config={"parameters": GIVEN})
+    assert [(part.force, part.label) for part in found.left_out] == [
+        ("fx", "F_z = 4500 N"),
+        *(("fy", f"F_z = {load} N") for load in (1500, 4500, 6000)),
+    ]
+    assert 10 < found.noise["fx"].std(3e3, 0.0) < 40
+    assert "nan" not in str(found)

@@ -174,7 +174,7 @@ def fit(
             settings = settings.model_copy(update={"posterior": chosen})
         unused = {
             "--solver": solver, "--sampler": sampler, "--force": force,
-            "--resume": resume,
+            "--resume": resume, "--jobs": jobs, "--scheduler": scheduler,
         }  # fmt: skip
         whole = {"part": part, "like": like, "leave_out": leave_out}
         whole = {name: value for name, value in whole.items() if value is not None}

@@ -16,7 +16,7 @@ from tirefit.data.tir_keys import (
 )
 from tirefit.results import InputProblem
 
-_PRESSURES = (1e4, 5e6)
+PRESSURES = (1e4, 5e6)
 """Inflation pressures [Pa] of tires, from a kart's to an aircraft's."""
 
 _PER_DEGREE = 2.0
@@ -194,7 +194,7 @@ def _of_values(tir: TirFile) -> Iterator[InputProblem]:
         if numbers.get(key, 1.0) <= 0:
             reason = f"{key} = {numbers[key]:g} is not positive"
             yield _problem(tir, key, reason, f"correct {key}")
-    low, high = _PRESSURES
+    low, high = PRESSURES
     for key in ("NOMPRES", "INFLPRES"):
         pressure = numbers.get(key)
         if pressure is not None and pressure > 0 and not low <= pressure <= high:

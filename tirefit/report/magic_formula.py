@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Callable
+from math import isnan
 
 from tirefit.data.table import CANONICAL, FORCES
 from tirefit.fitting.mf.parts import PARTS
@@ -72,7 +73,7 @@ def _forces(fit: MagicFormulaFit) -> list[str]:
                 f"{law.share:.2%}" if unit == "N" else f"{law.share * 1e3:.2f} mm",
                 f"{law.of_force:.1%}",
                 f"x {fit.wider[force]:.2f}",
-                "each row" if each < 1.05 else f"one of {each:.0f} rows",
+                "each row" if each < 1.5 else f"one of {each:.0f} rows",
             ]
         )
     return ["", "FORCES", *table(rows, right=(1, 2, 3, 4, 5, 6))]
@@ -81,7 +82,8 @@ def _forces(fit: MagicFormulaFit) -> list[str]:
 def _left_out(fit: MagicFormulaFit) -> list[str]:
     """How parts of the data are foretold by the others."""
     if not fit.left_out:
-        said = "nothing was left out: bands are those of the fitted rows, unchecked"
+        said = "nothing was left out, as asked or for want of three loads"
+        said += ": bands are those of the fitted rows, unchecked"
         return ["", *wrapped("left out", said)]
     head = ["left out", "force", "rows", "RMSE", "when fitted", "within 95 % band"]
     rows = [head]
@@ -94,7 +96,7 @@ def _left_out(fit: MagicFormulaFit) -> list[str]:
                 part.force,
                 str(part.rows),
                 *(f"{format_number(size)} {unit}" for size in sizes),
-                f"{part.within:.0%}",
+                "-" if isnan(part.within) else f"{part.within:.0%}",
             ]
         )
     lines = ["", "LEFT OUT, and foretold by the rest (bands made without the part)"]

@@ -27,10 +27,11 @@ from tirefit.fitting.mf.parts import (
     VERSIONS,
     coefficients_of,
     own_coefficients,
+    parts_named,
 )
 from tirefit.fitting.mf.priors import Prior, normal_form, prior_given, published_priors
 from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
-from tirefit.fitting.mf.rows import ForceRows, joined, rows_of_forces
+from tirefit.fitting.mf.rows import ForceRows, joined, rows_of_part
 from tirefit.fitting.mf.solve import Problem, row_values
 from tirefit.fitting.mf.stages import Search, search
 from tirefit.fitting.mf.temperature import at_reference
@@ -38,7 +39,7 @@ from tirefit.models.mf import MAGIC_FORMULAS, MFTire, frictions
 from tirefit.models.mf.fields import Nominal, Scaling
 from tirefit.params import check_names, check_values, specs, with_values
 from tirefit.precision import require_x64
-from tirefit.results import DataError, InputProblem, UsageError
+from tirefit.results import InputProblem, UsageError
 from tirefit.slip import kappa_from_sigma
 
 _FAR = 7.0
@@ -46,19 +47,6 @@ _FAR = 7.0
 
 _REACHED = 0.9
 """Share of mu F_z that some row reaches, below which the friction is not measured."""
-
-
-def parts_named(part: str) -> tuple[str, ...]:
-    """The stages of ``--part``: that one, with ``combined`` and ``all`` all of them; of
-    M_x or M_y those of the forces too, of which it is made.
-
-    Raises:
-        UsageError: no such part.
-    """
-    (name,) = check_names("part", [part], (*PARTS, "all"))
-    if name in MOMENTS:
-        return ("fx", "fy", "combined", name)
-    return tuple(PARTS) if name in ("combined", "all") else (name,)
 
 
 def fit_magic_formula(
@@ -113,7 +101,7 @@ def fit_magic_formula(
     whole = joined([as_data(table) for table in tables])
     _check_settings(model, config)
     require(whole, ("fz",), f"the model {model}")
-    rows, notes = _rows(whole, part, config)
+    rows, notes = rows_of_part(whole, part, config)
     other = like if like is None or isinstance(like, TirFile) else read_tir(like)
     constants = whole.source.constants
     if other is not None:
@@ -145,21 +133,6 @@ def fit_magic_formula(
     fitted = _Fitted(work, rows, left_out, bands, borrowed.priors.keys())
     result = _result(model, whole, fitted, priors, notes)
     return replace(result, warmth=warmth)
-
-
-def _rows(whole: TireData, part: str, config: FitConfig):
-    """The rows of the forces of a part, and what to say of them; raises DataError for a
-    moment that is asked for and is not there."""
-    parts = parts_named(part)
-    forces = list(dict.fromkeys(f for name in parts for f in PARTS[name].forces))
-    forces = [force for force in forces if force != "mz" or part not in MOMENTS]
-    rows = rows_of_forces(whole, forces, config)
-    lacking = "mx is not fitted: the data have no fy, of which the model makes it"
-    if part in MOMENTS and part not in rows:
-        reason = lacking if part in whole else f"the data have no {part}"
-        remedy = f"leave out --part {part}, or see `tirefit inspect`"
-        raise DataError(InputProblem(reason, remedy, whole.source.path or whole.name))
-    return rows, [lacking] if "mx" in {*parts} & {*whole.columns} - {*rows} else []
 
 
 class _Fitted(NamedTuple):
@@ -202,6 +175,11 @@ def _check_settings(model: str, config: FitConfig) -> None:
             reason = f"parameters.{name}: {', '.join(wrong)} in a Magic Formula"
             remedy = "give value to hold it there, or a prior of mean and std"
             problems.append(InputProblem(reason, remedy, config.source))
+    brush = {"force", "solver", "starts", "posterior"} & config.model_fields_set
+    if brush:
+        reason = f"{', '.join(sorted(brush))} in a Magic Formula"
+        remedy = "leave it out: a Magic Formula is fitted in stages of its own"
+        problems.append(InputProblem(reason, remedy, config.source))
     if config.noise.loss not in ("squares", FitConfig().noise.loss):
         reason = f"noise.loss = {config.noise.loss!r} in a Magic Formula"
         problems.append(InputProblem(reason, "leave it out", config.source))
@@ -211,7 +189,7 @@ def _check_settings(model: str, config: FitConfig) -> None:
 
 def nominal_of(
     model: str,
-    rows: dict[str, ForceRows],
+    rows: Mapping[str, ForceRows],
     config: FitConfig,
     constants: Mapping[str, float] | None = None,
     also: Iterable[str] = (),

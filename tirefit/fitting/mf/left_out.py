@@ -88,8 +88,9 @@ def foretold(
         which: of :data:`LEAVE_OUT`.
 
     Returns:
-        What was left out, and the bands; without parts the bands are those of the rows
-        that were fitted.
+        What was left out, and the bands. Their noise is at least that of the fitted
+        rows, which make the band too where fewer than two parts were left out; a
+        single part has no other to be judged by: ``within`` is NaN.
     """
     seen: dict[str, list[tuple[str, _Seen, _Seen]]] = {force: [] for force in rows}
     for label, gone in _parts(rows, settings, which):
@@ -113,8 +114,14 @@ def foretold(
             found.append(
                 LeftOut(label, force, part.rows, part.rmse, whole.rmse, within)
             )
-        fitted_rows = [_seen(work, rows[force], _chosen(work, rows[force]))]
-        bands[force] = _band([part for _, part, _ in parts] or fitted_rows)
+        of_band = [part for _, part, _ in parts]
+        fitted_rows = _seen(work, rows[force], _chosen(work, rows[force]))
+        if len(of_band) < 2:
+            of_band.append(fitted_rows)
+        # What others' coefficients made of a part, its noise makes where it is fitted.
+        least = _band([fitted_rows]).law
+        law = NoiseLaw(*map(max, least, _band(of_band).law))
+        bands[force] = Band(law, _wider(of_band, law))
     return tuple(found), bands
 
 
@@ -145,7 +152,8 @@ def _parts(rows, settings, which: str) -> list[tuple[str, dict[str, list[int]]]]
         )
         for force, (own, code) in settings.items()
     }
-    center = levels(np.sort(np.concatenate(list(loads.values())))).center
+    # Each twice: to `levels` a value that stands alone is no level.
+    center = levels(np.repeat(np.concatenate(list(loads.values())), 2)).center
     if len(center) < _FEWEST_LOADS:
         return []
     chosen = list(range(len(center)))

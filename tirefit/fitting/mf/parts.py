@@ -9,7 +9,7 @@ from tirefit.data.tir_keys import ONLY_IN
 from tirefit.fitting.likelihood import CHANNEL_SLIP
 from tirefit.models.mf import MFTire
 from tirefit.models.mf.moments import Overturning, Rolling
-from tirefit.params import specs
+from tirefit.params import check_names, specs
 from tirefit.slip import kappa_from_sigma
 
 VERSIONS = {"mf52": "5.2", "mf61": "6.1", "mf62": "6.2"}
@@ -70,6 +70,19 @@ _OWN = {
     "my": Rolling(),
 }
 """Force -> the coefficients that no other force has told before."""
+
+
+def parts_named(part: str) -> tuple[str, ...]:
+    """The stages of ``--part``: that one, with ``combined`` and ``all`` all of them; of
+    M_x or M_y those of the forces too, of which it is made.
+
+    Raises:
+        UsageError: no such part.
+    """
+    (name,) = check_names("part", [part], (*PARTS, "all"))
+    if name in MOMENTS:
+        return ("fx", "fy", "combined", name)
+    return tuple(PARTS) if name in ("combined", "all") else (name,)
 
 
 def coefficients_of(version: str) -> dict[str, str]:

@@ -1,13 +1,14 @@
 """Measured rows for a Magic Formula: files put together, one force at a time."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tirefit.data.table import Source, TireData, join
+from tirefit.data.tir_check import PRESSURES
 from tirefit.fitting.config import FitConfig
-from tirefit.fitting.mf.parts import SLIPS_OF, is_pure
+from tirefit.fitting.mf.parts import MOMENTS, PARTS, SLIPS_OF, is_pure, parts_named
 from tirefit.fitting.problem import force_scale
 from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
@@ -28,7 +29,7 @@ _ASIDE = {
 class ForceRows:
     """The rows of one force: ``inputs`` and ``observed`` (n,), ``std`` (n,) of their
     noise, which is ``estimated`` or given; ``run`` (n,) the run of each row; ``pure``
-    (n,): rows in which the other slip is next to nothing."""
+    (n,): rows in which the other slip is next to nothing, none if too few to fit."""
 
     force: str
     inputs: TireInputs
@@ -87,6 +88,43 @@ def _filled(table: TireData, names: Sequence[str]) -> TireData:
     return replace(table, columns={**table.columns, **missing}, source=source)
 
 
+def rows_of_part(
+    whole: TireData, part: str, config: FitConfig
+) -> tuple[Mapping[str, ForceRows], list[str]]:
+    """The rows of the forces of a part, and what to say of them.
+
+    Raises:
+        DataError: the part's own rows are not there, or a pressure that no tire has.
+    """
+    parts = parts_named(part)
+    forces = list(dict.fromkeys(f for name in parts for f in PARTS[name].forces))
+    forces = [force for force in forces if force != "mz" or part not in MOMENTS]
+    rows = rows_of_forces(whole, forces, config)
+    source = whole.source.path or whole.name
+    pressures = next(iter(rows.values())).column("pressure")
+    typical = np.median(pressures[pressures > 0]) if np.any(pressures > 0) else None
+    if typical is not None and not PRESSURES[0] <= typical <= PRESSURES[1]:
+        reason = f"a median pressure of {typical:g} Pa, which no tire has"
+        remedy = "name the unit of its column, as in --unit pressure=bar"
+        raise DataError(InputProblem(reason, remedy, source))
+    if "combined" not in parts and not np.any(rows[part].pure):
+        reason = f"--part {part}: the data have too few rows of {part} in pure slip"
+        remedy = "leave out --part: its rows of combined slip are fitted too"
+        raise DataError(InputProblem(reason, remedy, source))
+    lacking = "mx is not fitted: the data have no fy, of which the model makes it"
+    if part in MOMENTS and part not in rows:
+        reason = lacking if part in whole else f"the data have no {part}"
+        remedy = f"leave out --part {part}, or see `tirefit inspect`"
+        raise DataError(InputProblem(reason, remedy, source))
+    notes = [lacking] if "mx" in {*parts} & {*whole.columns} - {*rows} else []
+    if "mz" in rows and "fy" not in rows:
+        notes.append(
+            "mz is the trail times fy, which is not fitted: fy is as borrowed,"
+            " given, or that of the priors, and the trail makes up for it"
+        )
+    return rows, notes
+
+
 def rows_of_forces(
     data: TireData, forces: Sequence[str], config: FitConfig
 ) -> dict[str, ForceRows]:
@@ -133,7 +171,8 @@ def _rows_of(data: TireData, force: str, config: FitConfig) -> ForceRows:
 
     inputs = TireInputs(*(np.nan_to_num(column(name)) for name in TireInputs._fields))
     std, estimated, _ = force_scale(data, force, config.noise)
+    pure = is_pure(data, force)
     return ForceRows(
         force, inputs, data.usable(force), np.asarray(std, float), estimated,
-        data.run[data.used], is_pure(data, force),
+        data.run[data.used], pure & (np.count_nonzero(pure) >= _FEWEST),
     )  # fmt: skip
