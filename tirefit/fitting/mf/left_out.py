@@ -88,9 +88,8 @@ def foretold(
         which: of :data:`LEAVE_OUT`.
 
     Returns:
-        What was left out, and the bands. Their noise is at least that of the fitted
-        rows, which make the band too where fewer than two parts were left out; a
-        single part has no other to be judged by: ``within`` is NaN.
+        What was left out, and the bands. A single part has no other to be judged by:
+        its ``within`` is NaN.
     """
     seen: dict[str, list[tuple[str, _Seen, _Seen]]] = {force: [] for force in rows}
     for label, gone in _parts(rows, settings, which):
@@ -108,20 +107,15 @@ def foretold(
                 seen[force].append((label, part, whole))
     found, bands = [], {}
     for force, parts in seen.items():
+        fitted_rows = _seen(work, rows[force], _chosen(work, rows[force]))
         for label, part, whole in parts:
             others = [other for _, other, _ in parts if other is not part]
-            within = _within(part, _band(others)) if others else float("nan")
+            band = _band(others, fitted_rows)
+            within = _within(part, band) if others else float("nan")
             found.append(
                 LeftOut(label, force, part.rows, part.rmse, whole.rmse, within)
             )
-        of_band = [part for _, part, _ in parts]
-        fitted_rows = _seen(work, rows[force], _chosen(work, rows[force]))
-        if len(of_band) < 2:
-            of_band.append(fitted_rows)
-        # What others' coefficients made of a part, its noise makes where it is fitted.
-        least = _band([fitted_rows]).law
-        law = NoiseLaw(*map(max, least, _band(of_band).law))
-        bands[force] = Band(law, _wider(of_band, law))
+        bands[force] = _band([part for _, part, _ in parts], fitted_rows)
     return tuple(found), bands
 
 
@@ -209,24 +203,30 @@ def _shift(fitted: Search, whole: Search, force: str) -> tuple[float, int]:
     return float(np.sum(moves**2 / variance[variance > _TOLD])), len(moves)
 
 
-def _band(parts: Sequence[_Seen]) -> Band:
+def _band(parts: Sequence[_Seen], fitted: _Seen) -> Band:
     """The band that rows of left-out parts follow.
 
     Standard errors are widened to the size of the shifts, where these are larger than
-    the errors at the level of 5 %.
+    the errors at the level of 5 %. The noise is that of the left-out rows or that of
+    the ``fitted`` ones, whichever is larger there: in a left-out part the errors of the
+    coefficients may account for all that its rows miss.
     """
-    squares, count = (
-        sum(column) for column in zip(*(p.shift for p in parts), strict=True)
-    )
+    squares = sum(part.shift[0] for part in parts)
+    count = sum(part.shift[1] for part in parts)
     is_clear = count > 0 and chdtrc(count, squares) < _CHANCE
     wider = float(np.sqrt(squares / count)) if is_clear else 1.0
+    laws = [_law_of(some, wider) for some in (parts, [fitted]) if some]
+    sizes = [np.mean(law.variance(fitted.fz, fitted.predicted)) for law in laws]
+    return Band(laws[int(np.argmax(sizes))], wider)
+
+
+def _law_of(parts: Sequence[_Seen], wider: float) -> NoiseLaw:
     missed, fz, predicted, variance = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("missed", "fz", "predicted", "variance")
     )
     each = np.concatenate([np.full(len(part.fz), part.each) for part in parts])
-    law = noise_law(missed, fz, predicted, wider**2 * variance, each)
-    return Band(law, wider)
+    return noise_law(missed, fz, predicted, wider**2 * variance, each)
 
 
 def _within(one: _Seen, band: Band) -> float:
