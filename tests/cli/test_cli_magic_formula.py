@@ -111,7 +111,7 @@ def test_a_converted_file_lacks_what_the_file_lacks(run):
         text = re.sub(rf"(?ms)^\[{name}_COEFF.*?(?=^\[|\Z)", "", text)
     Path("along.tir").write_text(text)
     options = ("--model", "mf61", "--loads", "6000,11000", "--out", "out")
-    assert "it gives no F_y" in run("convert", "along.tir", *options).stdout
+    assert "the file gives no F_y" in run("convert", "along.tir", *options).stdout
     assert set(read_tir("out/fit.tir").lacks) == {"F_y", "M_z"}
     kappa = -np.linspace(-0.2, 0.2, 9)
     found, wanted = (

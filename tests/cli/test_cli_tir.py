@@ -259,7 +259,7 @@ def test_forces_that_a_file_lacks_are_left_out_with_the_reason(run):
     Path("lateral.tir").write_text(text)
     points_of(MF61)
     said = run("predict", "lateral.tir", "points.csv", *ISO).stderr
-    assert "it gives no F_x: PDX1 is missing (the longitudinal friction)" in said
+    assert "the file gives no F_x: PDX1 is missing (the longitudinal friction)" in said
     assert "no value, as if it were not there: PDX1" in said
     lateral = predicted()
     assert "fx" not in lateral
@@ -269,7 +269,7 @@ def test_forces_that_a_file_lacks_are_left_out_with_the_reason(run):
     run_again = ("predict", "lateral.tir", "points.csv", *ISO)
     assert "gives fy and mz alone" in run(*run_again, exit_code=3).stderr
     result = run("convert", "lateral.tir", "--out", "out", exit_code=3)
-    assert "it gives no F_x: PDX1 is missing" in result.stderr
+    assert "the file gives no F_x: PDX1 is missing" in result.stderr
     assert "or ask for fy" in result.stderr and not Path("out").exists()
 
 

@@ -52,7 +52,7 @@ def notes_on(tir: TirFile) -> list[str]:
     said = list(tir.notes)
     if tir.numbers.get("FITTYP") not in FITTYP:
         said.append(f"taken as Magic Formula {tir.version}: {tir.stated.because}")
-    said += [f"it gives no {force}: {why}" for force, why in tir.lacks.items()]
+    said += [f"the file gives no {force}: {why}" for force, why in tir.lacks.items()]
     if tir.commas:
         said.append(f"{tir.commas} values have a decimal comma: read as decimal point")
     if empty := [e.key for e in tir.wanted() if not e.text]:
@@ -85,7 +85,7 @@ def notes_on(tir: TirFile) -> list[str]:
     if tir.numbers.get("PKY1", 0) > 0 and tir.numbers.get("PDY1", 0) > 0:
         said.append(
             "PKY1 > 0 gives F_y > 0 for alpha > 0: these are not the ISO-W axes of a"
-            " .tir file"
+            " .tir file (--signs adapted-sae reads such a file)"
         )
     return said
 

@@ -119,7 +119,7 @@ def check_gives(tir: TirFile, force: str) -> None:
     """Raises DataError where the file does not describe fx or fy."""
     symbol = _SYMBOLS[force]
     if symbol in tir.lacks:
-        reason = f"it gives no {symbol}: {tir.lacks[symbol]}"
+        reason = f"the file gives no {symbol}: {tir.lacks[symbol]}"
         other = {"fx": "fy", "fy": "fx"}[force]
         instead = f", or ask for {other}" if _SYMBOLS[other] not in tir.lacks else ""
         remedy = f"add the coefficients{instead}"
