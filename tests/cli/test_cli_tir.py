@@ -295,4 +295,4 @@ def test_a_car_brakes_on_a_tire_without_combined_coefficients(run):
     without_combined(MF52)
     options = ("--vehicle", "quarter", "--speed", 5, "--controller", "none")
     said = run("brake", "--tire", "plain.tir", *options, "--out", "out").stderr
-    assert "any rows of both slips: F_x and F_y by the method of similarity" in said
+    assert "wherever both slips act: F_x and F_y by the method of similarity" in said
