@@ -25,6 +25,7 @@ def six_logs() -> None:
         logs = sorted(ALL.glob("*/*.csv.gz"), key=lambda log: log.name)
         full = derive_files(logs, ALL / "vehicle.toml", Path(folder, "all.csv")).data
         with full.open() as file:
+            next(file)  # it states the convention
             rows = list(csv.DictReader(file))
     lines = [",".join(rows[0])]
     for run in dict.fromkeys(row["run"] for row in rows):
@@ -45,6 +46,7 @@ def main() -> None:
         logs = sorted(LOGS.glob("*.csv.gz"))
         full = derive_files(logs, HERE / "vehicle.toml", Path(folder, "all.csv")).data
         with full.open() as file:
+            next(file)  # it states the convention
             rows = list(csv.DictReader(file))
     lines = ["time,alpha,fy,fz,v,run"]
     for run in dict.fromkeys(row["run"] for row in rows):

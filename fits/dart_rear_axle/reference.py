@@ -40,6 +40,7 @@ def six_logs(vehicle: Path) -> dict[str, np.ndarray]:
         logs = sorted(LOGS.glob("*/*.csv.gz"))
         written = derive_files(logs, vehicle, Path(folder, "all.csv"))
         with written.data.open() as file:
+            next(file)  # it states the convention
             rows = list(csv.DictReader(file))
     table = np.array([[float(row[k]) for k in ("alpha", "fy", "fz")] for row in rows])
     run = np.array([row["run"] for row in rows])

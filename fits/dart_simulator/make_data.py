@@ -32,6 +32,7 @@ def main() -> None:
             whole = Path(scratch, "all.csv")
             derive_files(logs, vehicle / "vehicle.toml", whole)
             with whole.open() as file:
+                next(file)  # it states the convention
                 rows = list(csv.DictReader(file))
         (HERE / f"{name}.csv").write_text("\n".join(thinned(rows, EVERY)) + "\n")
 

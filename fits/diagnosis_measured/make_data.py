@@ -41,6 +41,7 @@ def main() -> None:
             whole = Path(folder, "all.csv")
             derive_files(some, LOGS / "vehicle.toml", whole)
             with whole.open() as file:
+                next(file)  # it states the convention
                 rows = list(csv.DictReader(file))
         (HERE / f"{name}.csv").write_text("\n".join(thinned(rows, EVERY)) + "\n")
 

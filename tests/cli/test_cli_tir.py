@@ -271,7 +271,7 @@ def test_forces_that_a_file_lacks_are_left_out_with_the_reason(run):
     run_again = ("predict", "lateral.tir", "points.csv", *ISO)
     assert "gives fy and mz alone" in run(*run_again, exit_code=3).stderr
     result = run("convert", "lateral.tir", "--out", "out", exit_code=3)
-    assert "it gives no F_x: PDX1 is missing" in result.stderr
+    assert "the file gives no F_x: PDX1 is missing" in result.stderr
     assert "or ask for fy" in result.stderr and not Path("out").exists()
 
 
@@ -297,4 +297,4 @@ def test_a_car_brakes_on_a_tire_without_combined_coefficients(run):
     without_combined(MF52)
     options = ("--vehicle", "quarter", "--speed", 5, "--controller", "none")
     said = run("brake", "--tire", "plain.tir", *options, "--out", "out").stderr
-    assert "any rows of both slips: F_x and F_y by the method of similarity" in said
+    assert "wherever both slips act: F_x and F_y by the method of similarity" in said

@@ -185,10 +185,7 @@ def derive(
 
     with errors_to_exit():
         units = pairs("--unit", unit)
-        written = derive_files(
-            files, vehicle, out, axle=axle.value, units=units, believe=believe,
-            unwritten=say,
-        )  # fmt: skip
+        written = derive_files(files, vehicle, out, axle.value, units, believe, say)
         say(written.summary())
 
 

@@ -38,6 +38,7 @@ from tirefit.results import DataError, InputProblem, UsageError
 
 SCHEMA = "tirefit.derive/1"
 
+_FIRST = "# tirefit: derived from vehicle logs, SI units, convention braking\n"
 _NEARLY_ALL = 0.9
 """Share of the samples that one reason drops, from which the units are doubted."""
 
@@ -254,7 +255,7 @@ def derive_files(
     columns["run"] = np.repeat([log.name for log in logs], [len(log) for log in logs])
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
     try:
-        write_texts({metadata: content + "\n", out: csv_text(columns)})
+        write_texts({metadata: content + "\n", out: _FIRST + csv_text(columns)})
     except OSError:
         if unwritten is not None:
             unwritten(_summary(logs))

@@ -82,7 +82,7 @@ def notes_on(tir: TirFile) -> list[str]:
     if tir.numbers.get("PKY1", 0) > 0 and tir.numbers.get("PDY1", 0) > 0:
         said.append(
             "PKY1 > 0 gives F_y > 0 for alpha > 0: these are not the ISO-W axes of a"
-            " .tir file"
+            " .tir file (--signs adapted-sae reads such a file)"
         )
     return said
 

@@ -119,7 +119,7 @@ def check_gives(tir: TirFile, force: str) -> None:
     """Raises DataError where the file does not describe fx or fy."""
     symbol = _SYMBOLS[force]
     if symbol in tir.lacks:
-        reason = f"it gives no {symbol}: {tir.lacks[symbol]}"
+        reason = f"the file gives no {symbol}: {tir.lacks[symbol]}"
         other = {"fx": "fy", "fy": "fx"}[force]
         instead = f", or ask for {other}" if _SYMBOLS[other] not in tir.lacks else ""
         remedy = f"add the coefficients{instead}"
@@ -143,7 +143,7 @@ def remarks(
     mounted = tire.tire if isinstance(tire, Mirrored) else tire
     assert isinstance(mounted, MFTire)
     if data is None:
-        return said + _combination(mounted, "any rows of both slips")
+        return said + _combination(mounted, "wherever both slips act")
     slips = [np.nan_to_num(_used(data, name)) for name in ("sigma_x", "alpha")]
     if both := np.count_nonzero(slips[0] * slips[1]):
         said += _combination(mounted, f"{both} of {data.n} rows with both slips")
@@ -159,7 +159,7 @@ def _combination(tire: MFTire, where: str) -> list[str]:
         said.append(
             f"{where}: {' and '.join(similar)} by the method of similarity (pure forces"
             " at the resultant normalised slip), which stands in for coefficients of"
-            " combined slip; --combination none leaves the forces as in pure slip"
+            " combined slip; predict --combination none leaves them as in pure slip"
         )
     values = parameter_values(tire)
     whole = [

@@ -34,8 +34,8 @@ def magic_formula_report(fit: MagicFormulaFit) -> str:
     there = {one.part for one in fit.coefficients.values()} - {*fit.parts}
     origins = {one.origin for one in fit.coefficients.values()}
     if left_out := [PARTS[part].meaning for part in PARTS if part in there]:
-        where = "at the priors" + (", or borrowed" if "borrowed" in origins else "")
-        lines += ["", *wrapped("not fitted", f"{', '.join(left_out)}: {where}")]
+        said = f"{', '.join(left_out)}: given, borrowed or at the priors"
+        lines += ["", *wrapped("not fitted", said)]
     lines.append("")
     for origin in (o for o in ORIGINS if o in origins):
         lines += wrapped(origin, ORIGINS[origin])
@@ -60,7 +60,7 @@ def _stages(fit: MagicFormulaFit) -> list[str]:
 def _forces(fit: MagicFormulaFit) -> list[str]:
     """What rows miss, and the noise of the band of a new measurement."""
     head = ["force", "rows", "RMSE", "noise, constant", "of F_z", "of force"]
-    rows = [[*head, "errors", "count"]]
+    rows = [[*head, "std errors", "count as"]]
     for force, (rmse, count) in fit.fitted.items():
         law, unit = fit.noise[force], _UNIT[force]
         each = fit.inflation[force]
@@ -80,7 +80,7 @@ def _forces(fit: MagicFormulaFit) -> list[str]:
 
 
 def _left_out(fit: MagicFormulaFit) -> list[str]:
-    """How parts of the data are foretold by the others."""
+    """How parts of the data are predicted by the others."""
     if not fit.left_out:
         said = "nothing was left out, as asked or for want of three loads"
         said += ": bands are those of the fitted rows, unchecked"
@@ -99,7 +99,7 @@ def _left_out(fit: MagicFormulaFit) -> list[str]:
                 "-" if isnan(part.within) else f"{part.within:.0%}",
             ]
         )
-    lines = ["", "LEFT OUT, and foretold by the rest (bands made without the part)"]
+    lines = ["", "LEFT OUT, and predicted by the rest (bands made without the part)"]
     return [*lines, *table(rows, right=(2, 3, 4, 5))]
 
 

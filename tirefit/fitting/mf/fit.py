@@ -34,7 +34,7 @@ from tirefit.fitting.mf.result import Coefficient, MagicFormulaFit
 from tirefit.fitting.mf.rows import ForceRows, joined, rows_of_part
 from tirefit.fitting.mf.solve import Problem, row_values
 from tirefit.fitting.mf.stages import Search, search
-from tirefit.fitting.mf.temperature import at_reference
+from tirefit.fitting.mf.temperature import UNUSED, at_reference
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire, frictions
 from tirefit.models.mf.fields import Nominal, Scaling
 from tirefit.params import check_names, check_values, specs, with_values
@@ -129,6 +129,8 @@ def fit_magic_formula(
         notes.append(warmth.text())
     else:
         work = fitted_to(rows)
+        if "temperature" in whole:
+            notes.append(UNUSED)
     left_out, bands = foretold(work, rows, settings, leave_out, say)
     fitted = _Fitted(work, rows, left_out, bands, borrowed.priors.keys())
     result = _result(model, whole, fitted, priors, notes)

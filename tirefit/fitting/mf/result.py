@@ -23,7 +23,7 @@ from tirefit.params import parameter_values, specs, with_values
 from tirefit.results import Outcome
 
 ORIGINS = {
-    "fitted": "the data tell it",
+    "fitted": "the data tell more of it than its prior",
     "prior": "the prior tells at least as much of it as the data",
     "held": "not identified, held at its default; the uncertainty is the prior's",
     "borrowed": "of the tire that `like` names, as the data do not tell it",

@@ -24,8 +24,7 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
         notes[name] = f"{known[name].meaning}; {one.origin}{error}"
     comment = [
         f"Magic Formula {version} fitted by tirefit {fit.version}",
-        f"to {Path(fit.data['file'].split(', ')[0]).name}"
-        + (" and more" if ", " in fit.data["file"] else ""),
+        f"to {', '.join(Path(file).name for file in fit.data['file'].split(', '))}",
         f"forces: {', '.join(fit.forces)}; ISO-W axes; standard errors after +-",
         *fit.notes,
     ]

@@ -26,6 +26,7 @@ _SETTLED = 0.1
 _STEP = 0.05
 """Change of friction by which a force is expanded to second order."""
 
+UNUSED = "the friction is not fitted over temperature (friction_temperature = true)"
 _LEAST = 1.0
 """Range of temperatures [K] below which no change of friction is told: at some 0.5 %
 a kelvin it is less than the noise of a rig."""
