@@ -102,7 +102,7 @@ def force_panels(fit: MagicFormulaFit, force: str) -> list[Panel]:
         alike: dict[tuple, list[SlipBins]] = {}
         for bins in fit.binned[force]:
             setting = bins.setting
-            pure = name == "held" or abs(setting.held) <= min(NEARLY_PURE.values())
+            pure = name == "held" or abs(setting.held) <= NEARLY_PURE
             if setting.swept == swept and pure and len(bins.slip) > 2:
                 key = tuple(getattr(setting, other) for other in _BY if other != name)
                 alike.setdefault(key, []).append(bins)

@@ -17,7 +17,7 @@ from tirefit.fitting.estimate import data_record
 from tirefit.fitting.mf.bins import binned, settings_of
 from tirefit.fitting.mf.cells import groups_of
 from tirefit.fitting.mf.guards import check_guards
-from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, LeftOut, foretold
+from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, LeftOut, cross_validated
 from tirefit.fitting.mf.like import Borrowed, borrowed_from, with_dimensions
 from tirefit.fitting.mf.parts import (
     HELD,
@@ -141,7 +141,7 @@ def fit_magic_formula(
         notes.append(warmth.text())
     else:
         work = fitted_to(rows)
-    left_out, bands = foretold(work, rows, settings, leave_out, say)
+    left_out, bands = cross_validated(work, rows, settings, leave_out, say)
     fitted = _Fitted(work, rows, left_out, bands, borrowed.priors.keys())
     result = _result(model, whole, fitted, priors, notes)
     return replace(result, warmth=warmth)

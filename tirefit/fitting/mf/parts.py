@@ -24,9 +24,10 @@ SLIPS_OF: dict[str, tuple[str, ...]] = {
 
 _BEGINNINGS = {"P": "pure", "Q": "pure", "R": "combined", "S": "combined"}
 
-NEARLY_PURE = {"sigma_x": 0.01, "alpha": 0.01}
-"""Largest other slip at which a row is of pure slip: half a degree of a rig's zero, or
-the slip of a tire that rolls freely; there a weighting function is one but for 1 %."""
+NEARLY_PURE = 0.01
+"""Largest other slip (kappa, or slip angle [rad]) of a row of pure slip. It covers the
+zero error of a rig (half a degree) and the slip of a free-rolling tire; weighting
+functions are within 1 % of one there."""
 
 
 class Part(NamedTuple):
@@ -107,4 +108,4 @@ def is_pure(data: TireData, force: str) -> np.ndarray:
     size = np.abs(data.usable(other))
     if other == "sigma_x":
         size = np.abs(kappa_from_sigma(size))
-    return size <= NEARLY_PURE[other]
+    return size <= NEARLY_PURE
