@@ -235,4 +235,4 @@ def test_friction_that_no_row_reaches_is_no_measurement():
     fy = fy + 0.01 * fz * np.random.default_rng(4).standard_normal(len(fz))
     table = {"alpha": alpha, "fz": fz, "fy": fy, "run": np.repeat([0, 1, 2], 60)}
     fit = fit_magic_formula(read_frame(table), "mf61", part="fy")
-    assert any("is no measured friction" in note for note in fit.notes)
+    assert any("is not a measured friction" in note for note in fit.notes)
