@@ -224,7 +224,7 @@ def test_a_curve_that_turns_its_sign_within_the_data_is_no_tire():
     fit = fit_magic_formula(read_frame(table), "mf61", part="fy")
     assert Outcome.CONVERGED not in fit.outcomes
     assert Outcome.GUARD_FAILED in fit.outcomes
-    assert "VERDICT: not to be used as it is" in str(fit)
+    assert "VERDICT: do not use this fit as it is" in str(fit)
 
 
 def test_friction_that_no_row_reaches_is_no_measurement():
