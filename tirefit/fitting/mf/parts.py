@@ -33,23 +33,21 @@ functions are within 1 % of one there."""
 class Part(NamedTuple):
     """One part of the formula.
 
-    ``forces`` are those whose rows it uses, with ``pure`` only rows of pure slip;
-    ``meaning`` is its name in reports.
+    ``forces`` are those whose rows it uses; ``meaning`` is its name in reports.
     """
 
     name: str
     forces: tuple[str, ...]
-    pure: bool
     meaning: str
 
 
 PARTS = {
-    "fx": Part("fx", ("fx",), True, "longitudinal force in pure slip"),
-    "fy": Part("fy", ("fy",), True, "lateral force in pure slip"),
-    "mz": Part("mz", ("mz",), True, "aligning moment in pure slip"),
-    "combined": Part("combined", ("fx", "fy", "mz"), False, "combined slip"),
-    "mx": Part("mx", ("mx",), False, "overturning moment"),
-    "my": Part("my", ("my",), False, "rolling resistance moment"),
+    "fx": Part("fx", ("fx",), "longitudinal force in pure slip"),
+    "fy": Part("fy", ("fy",), "lateral force in pure slip"),
+    "mz": Part("mz", ("mz",), "aligning moment in pure slip"),
+    "combined": Part("combined", ("fx", "fy", "mz"), "combined slip"),
+    "mx": Part("mx", ("mx",), "overturning moment"),
+    "my": Part("my", ("my",), "rolling resistance moment"),
 }
 """Name -> part, in the order in which they are fitted."""
 

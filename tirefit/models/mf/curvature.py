@@ -61,10 +61,3 @@ def _largest(tire: MFTire, inputs: TireInputs) -> dict:
     for force, weight in weights.items():
         found[force] = jnp.maximum(found[force], weighting(force, weight))
     return {force: value for force, value in found.items() if force not in tire.lacks}
-
-
-def share_limited(tire: MFTire, inputs: TireInputs) -> dict[str, float]:
-    """Share of the samples at which an E of each force exceeds one; see
-    :func:`curvatures`."""
-    found = curvatures(tire, inputs)
-    return {force: float(jnp.mean(values > 1)) for force, values in found.items()}
