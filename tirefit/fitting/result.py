@@ -118,10 +118,10 @@ class FitResult(Displayed):
     """One fit: what went in, what came out, how sure it is.
 
     ``parameters`` and ``derived`` come from the posterior where it ran, else from
-    least squares and the profile, as ``source`` says; all three routes stand in
-    ``intervals`` (``covariance``, ``profile``, ``posterior``), beside the interval that
-    ``independent`` rows would give.
-    ``far_rows`` are far from everything, set aside or not (``far_rows.FarRow``).
+    least squares and the profile, as ``source`` says. ``intervals`` holds those of all
+    three routes (``covariance``, ``profile``, ``posterior``), and those for
+    ``independent`` rows. ``far_rows`` (``far_rows.FarRow``) are far from everything,
+    excluded or not.
     ``chains`` (ensembles, draws, p) are posterior samples of the free parameters in the
     order of ``labels``, thinned to be nearly independent; ``walkers`` the same draws as
     (ensembles, walkers, steps, p); ``z`` and ``covariance`` describe the estimate in

@@ -124,25 +124,23 @@ def residual_panel(fit: MagicFormulaFit, force: str) -> Panel:
     fitted = _fitted(fit, force, [bins.inputs for bins in table])
     residual = [b.force - middle for b, (middle, _) in zip(table, fitted, strict=True)]
     std = np.array([np.median(std) for _, std in fitted])
-    kinds = np.array([bins.setting.text("held") for bins in table])
-    groups = []
-    for kind in even(sorted(set(kinds.tolist()))):
-        own = np.flatnonzero(kinds == kind)
-        x = [i + np.linspace(-0.3, 0.3, len(residual[i])) for i in own]
-        y = [residual[i] for i in own]
-        groups.append(Group(kind, np.concatenate(x), np.concatenate(y)))
-    place = np.arange(float(len(table)))
-    curve = _curve("", place, np.zeros(len(table)), std)
-    size = [float(np.sqrt(np.mean(one**2))) for one in residual]
-    worst = int(np.argmax(size))
-    unit = FORCE_LABEL[force][1]
+    points: dict[str, list[np.ndarray]] = {}
+    places: dict[str, list[int]] = {}
+    for i, (bins, off) in enumerate(zip(table, residual, strict=True)):
+        x = i + np.linspace(-0.3, 0.3, len(off))
+        points.setdefault(bins.setting.text("held"), []).append(np.stack([x, off]))
+        places.setdefault(bins.setting.text("fz"), []).append(i)
+    groups = tuple(
+        Group(kind, *np.concatenate(points[kind], axis=1))
+        for kind in even(sorted(points))
+    )
+    curve = _curve("", np.arange(float(len(table))), np.zeros(len(table)), std)
+    size = [float(np.sqrt(np.mean(off**2))) for off in residual]
+    worst, unit = int(np.argmax(size)), FORCE_LABEL[force][1]
     note = f"worst, {size[worst]:.3g} {unit} rms: {_conditions(table[worst])}"
-    loads = np.array([bins.setting.text("fz") for bins in table])
-    ticks = [
-        (float(place[loads == t].mean()), t) for t in dict.fromkeys(loads.tolist())
-    ]
+    ticks = [(float(np.mean(at)), load) for load, at in places.items()]
     labels = "settings of the test, by load", f"measured - fitted [{unit}]"
-    panel = FitCurve(force, *labels, tuple(groups), (curve,), "", note)
+    panel = FitCurve(force, *labels, groups, (curve,), "", note)
     return Panel(f"{_name_of(force)}, measured - fitted", panel, tuple(even(ticks)))
 
 
