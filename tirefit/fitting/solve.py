@@ -37,8 +37,8 @@ _SETTLED = 1e-3
 deviation."""
 
 _DOUBLED = 6.0
-"""Number of degrees of freedom at which the 95 % quantile of t^2 equals that number: the
-interval then ends where the sum of squares has doubled."""
+"""Number of degrees of freedom that equals its 95 % quantile of t^2: the interval then
+ends where the sum of squares has doubled."""
 
 _ONE_MINIMUM = 1e-5
 """Distance in z below which two estimates are one."""

@@ -147,8 +147,8 @@ class Group:
         """The group of the ``chosen`` cells, (m,) bool; their rows have no code."""
         cells, given = self.cells, self.given
         inputs = TireInputs(*(np.asarray(column)[chosen] for column in cells.inputs))
-        columns = (column[chosen] for column in (cells.observed, cells.rows))
-        some = Cells(inputs, *columns, np.zeros(0, int), cells.setting[chosen])
+        observed, rows = cells.observed[chosen], cells.rows[chosen]
+        some = Cells(inputs, observed, rows, np.zeros(0, int), cells.setting[chosen])
         given = None if given is None else given[chosen]
         return replace(self, cells=some, given=given)
 

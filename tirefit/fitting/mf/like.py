@@ -81,7 +81,7 @@ def borrowed_from(
     values, of_part = normal_form(like.numbers), coefficients_of(tire.version)
     said = []
     for force, kinds in _SCALED.items():
-        by = next((by for by in (force, *_SCALED) if by in rows), None)
+        by = next((by for by in (force, *_SCALED) if by in rows), "")
         for kind, names in kinds.items() if by else ():
             scale = _scale(like, tire, rows[by], kind)
             values |= {name: scale * values.get(name, 0.0) for name in names}
