@@ -1,10 +1,11 @@
-"""The simulated rig test through the whole chain, against what is known of it.
+"""Run the simulated rig test through the whole chain and compare with its truth.
 
-``python -m fits.rig_test.check`` prints, for the test of a seed: root mean square of
-the residuals by force, against the rows and against the noise-free truth; the share of
-rows within the 95 % band by bin, for a load inside that is left out and for 1.3 times
-the largest; processor time and peak memory; and the same residuals of an independent
-least-squares fit. ``--full`` takes the 100 Hz recordings, ``--leave-out`` another load.
+``python -m fits.rig_test.check`` prints, for the test of a seed: the root mean square
+residual of each force against the rows and against the noise-free truth; the same of an
+independent least-squares fit; by kind of sweep the share of rows within the 95 % band,
+for a load inside the range that is left out and for 1.3 times the largest load;
+processor time and peak memory. ``--full`` takes the 100 Hz recordings, ``--leave-out``
+another load.
 """
 
 import argparse
@@ -32,21 +33,21 @@ __all__ = ["BEYOND", "FORCES", "RigRows", "band", "fit_of", "main", "rig_rows"]
 
 FORCES = ("fx", "fy", "mz")
 BEYOND = round(1.3 * max(LOADS), 1)
-"""Load [N] that no fit sees: its band is an extrapolation."""
+"""Load [N] that no fit uses, to check the band in extrapolation."""
 _IN_95 = 1.96
 _SETTING = 0.15
-"""Share of a load by which the rows of its setting may be off."""
+"""Largest relative deviation from a load of the rows of its setting."""
 
 
 class RigRows(NamedTuple):
-    """The prepared rows of one recording, and the state of the tire in each."""
+    """The prepared rows of one recording, and the state of the tire at each row."""
 
     data: TireData
     friction: np.ndarray
     stiffness: np.ndarray
 
     def chosen(self, rows: np.ndarray) -> "RigRows":
-        """Some of the rows, (n,) bool."""
+        """The chosen rows, (n,) bool."""
         used = self.data.used.copy()
         used[used] = rows
         data = replace(self.data, used=used)
@@ -54,27 +55,22 @@ class RigRows(NamedTuple):
 
     @property
     def inputs(self) -> TireInputs:
-        """As measured, (n,) each: what a fit sees."""
+        """The inputs as measured, arrays (n,)."""
+        zero = np.zeros(self.data.n)
+        names = TireInputs._fields
         return TireInputs(
-            *(
-                self.data.usable(name) if name in self.data else np.zeros(self.data.n)
-                for name in TireInputs._fields
-            )
+            *(self.data.usable(k) if k in self.data else zero for k in names)
         )
 
-    def truth(self, mean: bool = False) -> dict[str, np.ndarray]:
-        """Forces without noise at the inputs as measured: of the tire in the state that
-        it had, or in the mean state of its recording."""
-        state = self.friction, self.stiffness
-        if mean:
-            state = tuple(np.full(len(one), one.mean()) for one in state)
-        return true_forces(self.inputs, *state)
+    def truth(self) -> dict[str, np.ndarray]:
+        """Noise-free forces (n,) at the measured inputs, in the state of each row."""
+        return true_forces(self.inputs, self.friction, self.stiffness)
 
 
 def rig_rows(
     folder: Path, seed: int, thin: int, loads: Sequence[float] = LOADS
 ) -> list[RigRows]:
-    """Both recordings, written as files, read, prepared."""
+    """Write both recordings as files, read and prepare them."""
     made = recordings(seed, thin, loads)
     paths = write(folder, seed, thin, loads=loads)
     return [_prepared(path, one) for path, one in zip(paths, made, strict=False)]
@@ -90,19 +86,19 @@ def _prepared(path: Path, recording: Recording) -> RigRows:
 
 
 def _warm_up(recording: Recording) -> float:
-    """Time [s] until the first setting, as the test's protocol has it."""
+    """Time [s] until the first setting of the test protocol."""
     started = recording.measured["time"][np.argmax(recording.warm)]
     return float(started - recording.measured["time"][0])
 
 
 def fit_of(rows: Sequence[RigRows]):
-    """The Magic Formula of these rows, with the settings of ``fit.toml``."""
+    """Fit a Magic Formula to these rows, with the settings of ``fit.toml``."""
     config = load_config(Path(__file__).with_name("fit.toml"))
     return tirefit.fit_magic_formula([one.data for one in rows], "mf61", config=config)
 
 
 def band(fit, rows: RigRows) -> dict[str, np.ndarray]:
-    """What the fit predicts for the rows, with standard deviations."""
+    """Predicted forces of the rows, and their standard deviations."""
     columns = {
         name: column for name, column in rows.inputs._asdict().items() if name != "time"
     }
@@ -122,7 +118,7 @@ def rms(values) -> float:
 
 
 def at_load(rows: RigRows, load: float) -> np.ndarray:
-    """The rows of the setting of this load, (n,) bool; it wanders with the slip."""
+    """The rows of the setting of this load, (n,) bool."""
     return np.abs(rows.data.usable("fz") / load - 1) < _SETTING
 
 
@@ -130,67 +126,45 @@ def left_out(rows: Sequence[RigRows], load: float) -> list[RigRows]:
     return [one.chosen(~at_load(one, load)) for one in rows]
 
 
-def coverage(fit, rows: Sequence[RigRows], load: float) -> dict[str, dict[str, float]]:
-    """Kind of sweep -> share of the measured rows at this load in the 95 % band, and
-    of the truth in the state of each row, by force."""
-    shares: dict[str, dict[str, float]] = {}
+def coverage(fit, rows: Sequence[RigRows], load: float) -> dict[str, list[str]]:
+    """Kind of sweep -> by force, the share of the rows at this load in the 95 % band
+    and their root mean square residual."""
+    found: dict[str, list[str]] = {}
     for one in (one.chosen(at_load(one, load)) for one in rows):
-        given, truth = band(fit, one), one.truth()
+        given = band(fit, one)
         for kind, own in kinds(one).items():
-            found = shares.setdefault(kind, {})
             for force in FORCES:
-                half = _IN_95 * given[f"{force}_std"]
-                for what, seen in (
-                    ("rows", one.data.usable(force)),
-                    ("truth", truth[force]),
-                ):
-                    inside = np.abs(seen - given[force]) <= half
-                    found[f"{force} {what}"] = float(np.mean(inside[own]))
-                found[f"{force} rms"] = rms(
-                    (one.data.usable(force) - given[force])[own]
-                )
-    return shares
+                off = (one.data.usable(force) - given[force])[own]
+                inside = np.abs(off) <= _IN_95 * given[f"{force}_std"][own]
+                text = f"{force} {np.mean(inside):.0%} {rms(off):.3g}"
+                found.setdefault(kind, []).append(text)
+    return found
 
 
 def residuals(rows: Sequence[RigRows], given: Sequence[Mapping[str, np.ndarray]]):
-    """Force -> root mean square against the rows, the truth in the state of each row,
-    and the truth in the mean state."""
+    """Force -> root mean square difference of the given forces from the rows, and from
+    the truth in the state of each row."""
     found = {}
     for force in FORCES:
-        sets = zip(rows, given, strict=True)
-        parts = [
-            (
-                one.data.usable(force) - g[force],
-                one.truth()[force] - g[force],
-                one.truth(mean=True)[force] - g[force],
-            )
-            for one, g in sets
-        ]
-        found[force] = tuple(
-            rms(np.concatenate(each)) for each in zip(*parts, strict=True)
-        )
+        of_rows, of_truth = [], []
+        for one, predicted in zip(rows, given, strict=True):
+            of_rows.append(one.data.usable(force) - predicted[force])
+            of_truth.append(one.truth()[force] - predicted[force])
+        found[force] = tuple(rms(np.concatenate(off)) for off in (of_rows, of_truth))
     return found
 
 
 def _print_residuals(title: str, found) -> None:
-    print(f"{title:<26}    rows   truth   truth at mean state")
+    print(f"{title:<26}    rows   truth")
     for force, values in found.items():
         unit = "N m" if force == "mz" else "N"
-        print(
-            f"  {force} [{unit:<3}]" + " " * 16 + "".join(f"{v:8.3g}" for v in values)
-        )
+        print(f"  {force} [{unit:<3}]{'':16}" + "".join(f"{v:8.3g}" for v in values))
 
 
-def _print_coverage(title: str, shares) -> None:
-    print(f"{title}: share of rows (of truth) in the 95 % band, rms of rows")
-    for kind, found in shares.items():
-        print(f"  {kind:<24}", end="")
-        for force in FORCES:
-            seen, true = (found[f"{force} {what}"] for what in ("rows", "truth"))
-            print(
-                f"  {force} {seen:.0%} ({true:.0%}) {found[f'{force} rms']:.3g}", end=""
-            )
-        print()
+def _print_coverage(title: str, found) -> None:
+    print(f"{title}: share of rows in the 95 % band, rms residual of the rows")
+    for kind, texts in found.items():
+        print(f"  {kind:<24}  {'  '.join(texts)}")
 
 
 def main() -> None:

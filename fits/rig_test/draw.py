@@ -1,4 +1,4 @@
-"""Numbers and figures of the whole chain: ``python -m fits.rig_test.draw``."""
+"""Draw the figures of the whole chain: ``python -m fits.rig_test.draw``."""
 
 import tempfile
 from functools import cache
@@ -33,11 +33,11 @@ def chain():
 
 
 def properties() -> dict[str, float]:
-    """Numbers that expected.toml asks for."""
+    """The numbers that expected.toml limits."""
     rows, fit = chain()
     given = [band(fit, one) for one in rows]
     found = {}
-    for force, (of_rows, of_truth, _) in residuals(rows, given).items():
+    for force, (of_rows, of_truth) in residuals(rows, given).items():
         found[f"{force}: rms of the rows"] = of_rows
         found[f"{force}: rms of the truth"] = of_truth
         inside = [
@@ -47,7 +47,7 @@ def properties() -> dict[str, float]:
         found[f"{force}: rows in the band"] = float(np.mean(np.concatenate(inside)))
         found[f"{force}: settings"] = float(len(fit.binned[force]))
     peer = staged_fit([(one.inputs, one.data) for one in rows])
-    for force, (of_rows, *_) in residuals(rows, [peer(o.inputs) for o in rows]).items():
+    for force, (of_rows, _) in residuals(rows, [peer(o.inputs) for o in rows]).items():
         found[f"{force}: rms of the rows by SciPy"] = of_rows
     with tempfile.TemporaryDirectory() as folder:
         save_magic_formula(fit, Path(folder))

@@ -1,19 +1,19 @@
-"""Writes the simulated rig test: ``python -m fits.rig_test.generate --out DIR``.
+"""Write the simulated rig test: ``python -m fits.rig_test.generate --out DIR``.
 
-Two recordings of a flat-belt rig, laid out as those of the FSAE Tire Test Consortium:
-``cornering.dat`` (slip angle swept, wheel rolling freely) and ``drive_brake.dat`` (slip
-ratio swept at three slip angles), each of a new tire, at 100 Hz; and ``true_tire.tir``.
-``--small`` writes the means of ten rows instead, ``--mat`` MATLAB files.
+The recordings have the layout of the FSAE Tire Test Consortium: ``cornering.dat`` (slip
+angle swept, wheel rolling freely) and ``drive_brake.dat`` (slip ratio swept at three
+slip angles), each of a new tire, at 100 Hz. ``true_tire.tir`` is the true tire.
+``--small`` writes means of ten rows.
 """
 
 import argparse
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import numpy as np
-from scipy.io import savemat
 from scipy.signal import lfilter
 
 from fits.rig_test.tire import NOMINAL, true_forces, write_true_tire
@@ -25,14 +25,14 @@ DEG = np.pi / 180
 STEP = 0.01
 """Time between rows [s]."""
 SMALL = 10
-"""Rows of the full test to one of the small test."""
+"""Rows of the full test per row of the small test."""
 LOADS = (889.6, 667.2, 222.4, 1112.1, 444.8)
 """Wheel loads [N] in the order of the test: 50 to 250 lbf."""
 CAMBERS = (0.0, 2 * DEG, 4 * DEG)
 PRESSURES = (82.7e3, 96.5e3)
 """Inflation pressures [Pa]: 12 and 14 psi."""
 SPEED = 11.18
-"""Of the belt [m/s]: 25 mph."""
+"""Speed of the belt [m/s]: 25 mph."""
 ANGLE, ANGLE_RATE = 12 * DEG, 4 * DEG
 """Largest slip angle [rad] of a sweep and its rate [rad/s]."""
 SLIP, SLIP_RATE = 0.2, 0.1
@@ -40,9 +40,9 @@ SLIP, SLIP_RATE = 0.2, 0.1
 HELD_ANGLES = (0.0, 3 * DEG, 6 * DEG)
 """Slip angles of the brake and drive sweeps [rad], canonical: SA = 0, -3, -6 deg."""
 MOVES = {"fz": 0.5, "alpha": 0.5, "gamma": 1.5, "pressure": 4.0}
-"""Time that a channel needs to its next setting [s]."""
+"""Time [s] in which a channel moves to its next setting."""
 WARM_UP = 8
-"""Sweeps before the first setting."""
+"""Number of sweeps before the first setting."""
 RELAXATION = {"alpha": 0.35, "kappa": 0.12}
 """Distance [m] by which the force lags the slip."""
 REFERENCE_TEMPERATURE = 62.0
@@ -58,11 +58,11 @@ AMBIENT = 24.0
 
 
 class Recording(NamedTuple):
-    """One recording, in canonical SI units and signs, arrays (n,).
+    """One recording in canonical SI units and signs; arrays (n,).
 
-    ``measured``: the channels with their errors; ``inputs``: what the tire was exposed
-    to; ``friction`` and ``stiffness``: factors of its state (temperature, run-in) with
-    which :func:`true_forces` gives the force of that row; ``warm``: past the warm-up.
+    ``measured`` holds the channels with their errors, ``inputs`` the true inputs of the
+    tire. ``friction`` and ``stiffness`` are the factors of :func:`true_forces` for the
+    state of the tire (temperature, run-in). ``warm`` marks rows after the warm-up.
     """
 
     name: str
@@ -73,7 +73,7 @@ class Recording(NamedTuple):
     warm: np.ndarray
 
 
-# --- what the rig is told to do ---------------------------------------------------
+# --- commands to the rig ----------------------------------------------------------
 
 
 class _Script:
@@ -91,7 +91,7 @@ class _Script:
         self.rows += n
 
     def move(self, **settings: float) -> None:
-        """Moves what differs, all at once, and waits for half a second."""
+        """Move all settings that differ together, then wait for half a second."""
         new = {k: v for k, v in settings.items() if v != self.now[k]}
         if new:
             n = round(max(MOVES[name] for name in new) / STEP)
@@ -102,7 +102,7 @@ class _Script:
         self._append(round(0.5 / STEP))
 
     def sweep(self, name: str, most: float, rate: float) -> None:
-        """From zero up, down to the other end, and back to zero."""
+        """Sweep from zero to ``most``, to -``most``, and back to zero."""
         n = round(4 * most / rate / STEP)
         quarter = np.arange(1, n + 1) / n * 4
         path = most * np.interp(quarter, [0, 1, 3, 4], [0, 1, -1, 0])
@@ -112,38 +112,29 @@ class _Script:
         return {name: np.concatenate(parts) for name, parts in self.parts.items()}
 
 
-def _cornering(loads: Sequence[float]) -> tuple[dict[str, np.ndarray], int]:
-    """Commands of the cornering test, and the rows of its warm-up."""
+def _commands(
+    swept: str, angles: Sequence[float], loads: Sequence[float]
+) -> tuple[dict[str, np.ndarray], int]:
+    """Commands of a test that sweeps one slip, and the number of its warm-up rows.
+
+    Args:
+        swept: ``alpha`` or ``kappa``.
+        angles: slip angles [rad] that are held; of the cornering test, zero.
+        loads: wheel loads [N].
+    """
+    sweep = (swept, ANGLE, ANGLE_RATE) if swept == "alpha" else (swept, SLIP, SLIP_RATE)
     script = _Script(fz=LOADS[0], gamma=0.0, pressure=PRESSURES[0])
     script.move()
     for _ in range(WARM_UP):
-        script.sweep("alpha", ANGLE, ANGLE_RATE)
+        script.sweep(*sweep)
     warm_up = script.rows
-    for pressure in PRESSURES:
-        for gamma in CAMBERS:
-            for fz in loads:
-                script.move(fz=fz, gamma=gamma, pressure=pressure)
-                script.sweep("alpha", ANGLE, ANGLE_RATE)
+    for pressure, gamma, alpha, fz in product(PRESSURES, CAMBERS, angles, loads):
+        script.move(fz=fz, gamma=gamma, pressure=pressure, alpha=alpha)
+        script.sweep(*sweep)
     return script.commands(), warm_up
 
 
-def _drive_brake(loads: Sequence[float]) -> tuple[dict[str, np.ndarray], int]:
-    """Commands of the brake and drive test, and the rows of its warm-up."""
-    script = _Script(fz=LOADS[0], gamma=0.0, pressure=PRESSURES[0])
-    script.move()
-    for _ in range(WARM_UP):
-        script.sweep("kappa", SLIP, SLIP_RATE)
-    warm_up = script.rows
-    for pressure in PRESSURES:
-        for gamma in CAMBERS:
-            for alpha in HELD_ANGLES:
-                for fz in loads:
-                    script.move(fz=fz, gamma=gamma, pressure=pressure, alpha=alpha)
-                    script.sweep("kappa", SLIP, SLIP_RATE)
-    return script.commands(), warm_up
-
-
-# --- what happens on the rig ------------------------------------------------------
+# --- physics of rig and tire ------------------------------------------------------
 
 
 def _lagged(values: np.ndarray, time: float) -> np.ndarray:
@@ -154,7 +145,7 @@ def _lagged(values: np.ndarray, time: float) -> np.ndarray:
 
 
 def _wander(rng, n: int, std: float, time: float) -> np.ndarray:
-    """Noise of this standard deviation and correlation time [s]."""
+    """Noise (n,) of a standard deviation and a correlation time [s]."""
     kept = np.exp(-STEP / time)
     white = rng.standard_normal(n)
     white[1:] *= np.sqrt(1 - kept**2)
@@ -162,10 +153,10 @@ def _wander(rng, n: int, std: float, time: float) -> np.ndarray:
 
 
 def _exposed(command: dict[str, np.ndarray], rng) -> dict[str, np.ndarray]:
-    """What the tire is exposed to: the commands with the errors of their controllers.
+    """True channels: the commands with the errors of their controllers.
 
-    The load controller is late and pushed by the forces: the load is up to some 8 %
-    off, as a function of the slip that is swept.
+    The load controller lags, and the slip forces disturb it: the load is up to about
+    8 % off, as a function of the swept slip.
     """
     n = len(command["fz"])
     angle, slip = command["alpha"] / ANGLE, command["kappa"] / SLIP
@@ -184,7 +175,7 @@ def _exposed(command: dict[str, np.ndarray], rng) -> dict[str, np.ndarray]:
 
 
 def _inputs(exposed: dict[str, np.ndarray]) -> TireInputs:
-    """Canonical inputs; the force lags the slips by their relaxation lengths."""
+    """Canonical inputs; the slips are delayed by their relaxation lengths."""
     alpha, kappa = (
         _lagged(exposed[name], RELAXATION[name] / SPEED) for name in ("alpha", "kappa")
     )
@@ -193,13 +184,14 @@ def _inputs(exposed: dict[str, np.ndarray]) -> TireInputs:
 
 
 _HEATING, _SURFACE, _BULK = 0.5, 150.0, 2500.0
-"""Share of the sliding power that heats the tire; heat capacities [J/K]."""
+"""Share of the sliding power that heats the tire; heat capacities of surface and bulk
+[J/K]."""
 _INWARDS, _AWAY = 32.0, 26.0
-"""Heat conducted from surface to bulk, and from bulk to air [W/K]."""
+"""Thermal conductance from surface to bulk, and from bulk to air [W/K]."""
 
 
 def _temperatures(power: np.ndarray) -> np.ndarray:
-    """Surface temperature [degC] under a sliding power [W], (n,)."""
+    """Surface temperature [degC] for a sliding power [W], (n,)."""
     surface = bulk = AMBIENT
     out = np.empty(len(power))
     for row, heat in enumerate((_HEATING * power).tolist()):
@@ -211,8 +203,10 @@ def _temperatures(power: np.ndarray) -> np.ndarray:
 
 
 def _state(inputs: TireInputs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Temperature, and factors of friction and stiffness, of each row: the power that
-    heats the tire is that of its own force, by two rounds."""
+    """Temperature, and the factors of friction and stiffness, of each row.
+
+    The sliding power depends on the force, and so on the temperature: three rounds.
+    """
     friction = stiffness = np.full(len(inputs.fz), 1.0)
     for _ in range(3):
         given = true_forces(inputs, friction, stiffness)
@@ -227,7 +221,7 @@ def _state(inputs: TireInputs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return temperature, friction, stiffness
 
 
-# --- what the rig writes down -----------------------------------------------------
+# --- measurement ------------------------------------------------------------------
 
 _WHITE, _SLOW, _RIPPLE = 0, 1, 2
 _NOISE = {
@@ -237,14 +231,14 @@ _NOISE = {
     "mz": (0.15, 0.25, 0.0012),
     "mx": (0.6, 0.8, 0.0008),
 }
-"""White and correlated noise [N, N m], and the ripple of a revolution over the load
-[-, m]."""
+"""Standard deviations of white and of correlated noise [N, N m], and the amplitude of
+the once-per-revolution ripple relative to the load [-, m]."""
 _VERTICAL_STIFFNESS = 95e3
-"""Of the tire [N/m]."""
+"""Vertical stiffness of the tire [N/m]."""
 
 
 def _measured(exposed, inputs: TireInputs, temperature, given, rng) -> dict:
-    """Channels as measured, canonical signs."""
+    """Channels with measurement errors, in canonical signs."""
     n = len(temperature)
     fz, v = exposed["fz"], exposed["v"]
     loaded = NOMINAL["UNLOADED_RADIUS"] - fz / _VERTICAL_STIFFNESS
@@ -279,7 +273,7 @@ def _measured(exposed, inputs: TireInputs, temperature, given, rng) -> dict:
 
 
 def _thinned(values: np.ndarray, thin: int) -> np.ndarray:
-    """Means of ``thin`` rows each."""
+    """Means of ``thin`` successive rows."""
     rows = len(values) // thin * thin
     return values[:rows].reshape(-1, thin).mean(axis=1)
 
@@ -290,15 +284,15 @@ def recordings(
     """The cornering test, and the brake and drive test.
 
     Args:
-        seed: of the noise and of the wander of the controllers.
-        thin: rows of 100 Hz of which one is the mean.
+        seed: seed of the noise and of the errors of the controllers.
+        thin: number of 100 Hz rows that are averaged into one.
         loads: wheel loads [N] of the sweeps after the warm-up.
     """
     made = []
-    scripts = {"cornering": _cornering, "drive_brake": _drive_brake}
-    for number, (name, script) in enumerate(scripts.items()):
+    tests = {"cornering": ("alpha", (0.0,)), "drive_brake": ("kappa", HELD_ANGLES)}
+    for number, (name, (swept, angles)) in enumerate(tests.items()):
         rng = np.random.default_rng([seed, number])
-        command, warm_up = script(loads)
+        command, warm_up = _commands(swept, angles, loads)
         exposed = _exposed(command, rng)
         felt = _inputs(exposed)
         temperature, friction, stiffness = _state(felt)
@@ -344,11 +338,11 @@ _COLUMNS = {
     "SR": ("slip_of_loaded_radius", 1.0, "none"),
     "SL": ("kappa", -1.0, "none"),
 }
-"""Header -> channel, factor to the file's unit and SAE sign, unit."""
+"""Header -> channel, factor to the unit and sign (SAE) of the file, unit."""
 
 
 def table_of(recording: Recording) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Header -> values (n,) as the rig writes them, and the units."""
+    """Header -> values (n,) in the units and signs of the file, and the units."""
     seen = dict(recording.measured)
     seen |= {"nfx": seen["fx"] / seen["fz"], "nfy": -seen["fy"] / seen["fz"]}
     rolling = seen["omega"] * seen["loaded_radius"]
@@ -358,35 +352,18 @@ def table_of(recording: Recording) -> tuple[dict[str, np.ndarray], list[str]]:
 
 
 def write(
-    directory: Path,
-    seed: int,
-    thin: int = 1,
-    matlab: bool = False,
-    loads: Sequence[float] = LOADS,
+    directory: Path, seed: int, thin: int = 1, loads: Sequence[float] = LOADS
 ) -> list[Path]:
-    """Writes both recordings and the true tire; the paths."""
+    """Write both recordings and the true tire; returns the paths."""
     directory.mkdir(parents=True, exist_ok=True)
     paths = []
     for recording in recordings(seed, thin, loads):
         table, units = table_of(recording)
-        path = directory / f"{recording.name}.{'mat' if matlab else 'dat'}"
-        if matlab:
-            columns = {header: v[:, None] for header, v in table.items()}
-            cells = {
-                "name": np.array(list(table), object),
-                "units": np.array(units, object),
-            }
-            savemat(path, columns | {"channel": cells, "testid": recording.name})
-        else:
-            head = "\n".join(
-                [
-                    f"Title:Simulated rig test: {recording.name}, seed {seed}",
-                    "\t".join(table),
-                    "\t".join(units),
-                ]
-            )
-            rows = np.column_stack(list(table.values()))
-            np.savetxt(path, rows, "%.7g", "\t", header=head, comments="")
+        path = directory / f"{recording.name}.dat"
+        title = f"Title:Simulated rig test: {recording.name}, seed {seed}"
+        head = "\n".join([title, "\t".join(table), "\t".join(units)])
+        rows = np.column_stack(list(table.values()))
+        np.savetxt(path, rows, "%.7g", "\t", header=head, comments="")
         paths.append(path)
     write_true_tire(directory / "true_tire.tir")
     return [*paths, directory / "true_tire.tir"]
@@ -397,12 +374,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder to write to")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--thin", type=int, default=1, help="rows to the mean of one")
-    parser.add_argument("--small", action="store_true", help=f"--thin {SMALL}")
-    parser.add_argument("--mat", action="store_true", help="MATLAB files")
+    parser.add_argument("--small", action="store_true", help=f"means of {SMALL} rows")
     given = parser.parse_args()
-    thin = SMALL if given.small else given.thin
-    for path in write(given.out, given.seed, thin, given.mat):
+    for path in write(given.out, given.seed, SMALL if given.small else 1):
         print(path)
 
 

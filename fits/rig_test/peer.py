@@ -1,9 +1,9 @@
-"""An independent fit of the Magic Formula, as MATLAB's fitters do it.
+"""An independent fit of the Magic Formula by the method of MATLAB's fitters.
 
-Least squares by SciPy over the coefficients of one stage after another: F_x in pure
-slip, F_y in pure slip, M_z in pure slip, then each force in combined slip with the
-coefficients of pure slip held; no priors, no weights, no standard errors. The archived
-magic-formula-tyre-library fits F_x and F_y in pure slip in this way (``fmincon``).
+SciPy minimises the sum of squares stage by stage: F_x, F_y and M_z in pure slip, then
+each force in combined slip with the coefficients of pure slip held. There are no
+priors, weights or standard errors. The archived magic-formula-tyre-library fits F_x and
+F_y in pure slip in this way (``fmincon``).
 """
 
 from collections.abc import Callable, Sequence
@@ -27,25 +27,22 @@ _START = {
     "QBZ9": 10.0, "RBX1": 10.0, "RBX2": 10.0, "RCX1": 1.0, "RBY1": 10.0, "RBY2": 10.0,
     "RCY1": 1.0, "RVY4": 10.0, "RVY5": 1.9, "RVY6": 10.0,
 }  # fmt: skip
-"""First values: those of a textbook tire, elsewhere zero."""
+"""First values of a textbook tire; the other coefficients start at zero."""
 _PURE = 0.01
 _COMBINED = {"fx": ("RBX", "RCX", "REX", "RHX"), "mz": ("SSZ",)}
 _COMBINED["fy"] = ("RBY", "RCY", "REY", "RHY", "RVY")
 
 
-def _column(parts: Sequence[np.ndarray]) -> np.ndarray:
-    return np.concatenate([np.asarray(part) for part in parts])
-
-
 def staged_fit(rows: Sequence[tuple[TireInputs, TireData]]) -> Callable:
-    """The forces of the fitted tire as a function of inputs.
+    """Fit a tire; returns its forces as a function of inputs.
 
     Args:
         rows: inputs and table of each recording.
     """
-    inputs = TireInputs(*map(_column, zip(*(one for one, _ in rows), strict=True)))
+    columns = zip(*(one for one, _ in rows), strict=True)
+    inputs = TireInputs(*map(np.concatenate, columns))
     observed = {
-        force: _column([data.usable(force) for _, data in rows])
+        force: np.concatenate([data.usable(force) for _, data in rows])
         for force in ("fx", "fy", "mz")
     }
     kappa = np.asarray(inputs.sigma_x) / (1 + np.asarray(inputs.sigma_x))
@@ -67,10 +64,9 @@ def staged_fit(rows: Sequence[tuple[TireInputs, TireData]]) -> Callable:
 
 
 def _fit(values, names, force: str, inputs, observed, chosen: np.ndarray) -> None:
-    """One stage, in place: the coefficients named, from the rows chosen."""
+    """Fit the named coefficients to the chosen rows; changes ``values``."""
     at = TireInputs(*(np.asarray(column)[chosen] for column in inputs))
     seen = observed[chosen]
-
     held = mf_tire("6.1", values)
 
     def missed(x):

@@ -49,12 +49,12 @@ OVERTURNING = {"QSX1": -0.004, "QSX2": 0.9, "QSX3": 0.05}
 """Coefficients of M_x, (4.E69) with these three terms alone."""
 
 MOMENT_STIFFNESS = 1.6
-"""Slip stiffnesses by which M_z is made, over those of the forces: no Magic Formula
-describes all three with one set of coefficients, as with a measured tire."""
+"""Ratio of the slip stiffnesses of M_z to those of the forces. One set of coefficients
+of a Magic Formula cannot describe all three, as with a measured tire."""
 
 
 def true_tire(moment: bool = False) -> MFTire:
-    """The tire of the forces, or the one by whose stiffnesses M_z is made."""
+    """The tire of the forces, or the tire of M_z with its larger slip stiffnesses."""
     factor = MOMENT_STIFFNESS if moment else 1.0
     stiffer = {name: factor * TRUE[name] for name in ("PKX1", "PKX2", "PKY1")}
     return mf_tire("6.1", TRUE | stiffer)
@@ -92,7 +92,7 @@ def true_forces(
 
 
 def write_true_tire(path: Path) -> None:
-    """Writes the tire of the forces as a ``.tir`` file."""
+    """Write the tire of the forces as a ``.tir`` file."""
     comment = [
         "The true tire of the simulated rig test",
         f"M_z of the test: slip stiffnesses {MOMENT_STIFFNESS:g} times as large",

@@ -17,7 +17,6 @@ from tirefit.models.mf import (
     Mirrored,
     curvatures,
     mf_tire,
-    share_limited,
 )
 from tirefit.params import parameter_values, specs, with_values
 from tirefit.slip import LOCKED
@@ -436,8 +435,6 @@ def test_curvature_of_each_force_is_that_of_its_coefficients():
     # At alpha = 0 E_y has no effect; -1 (1 - 1.5) = 0.5 at alpha > 0.
     np.testing.assert_allclose(found["fy"], [0.0, 0.0, 0.5, 0.5], rtol=1e-14)
     np.testing.assert_allclose(found["mz"], [2.5, 2.5, 0.5, 0.5], rtol=1e-14)
-    shares = share_limited(tire, TireInputs(-kappa / (1 + kappa), alpha, fz))
-    assert shares == {"fx": 0.75, "fy": 0.0, "mz": 0.5}
 
 
 def test_the_limit_of_curvature_matters_exactly_where_it_is_reported():

@@ -67,9 +67,9 @@ class Given:
     ``kind`` is columns, model, fit or tir; ``source`` its name or file, ``sha256`` of
     the file. ``tire`` is None where only its forces are known; ``layout`` and ``z`` are
     those of a fit. ``forces`` gives canonical forces (n,) of the rows of data, None
-    where they stand in the data's own columns. ``otherwise`` is the convention of data
-    beside it that declare none, and whose it is; ``signs`` that in which a ``.tir``
-    file, or the columns, are said to be; ``remarks`` gives sentences on its file and
+    if they are columns of the data. ``otherwise`` is the convention assumed for data
+    that declare none, and its origin. ``signs`` is the declared convention of a
+    ``.tir`` file or of the columns. ``remarks`` gives sentences on the file and the
     rows of data.
     """
 
@@ -166,7 +166,7 @@ class Given:
 @dataclass(frozen=True, kw_only=True)
 class Simulated:
     """A simulator in a diagnosis: parameters z of its tire as given, the name of the
-    model that stands in where it has none, and a doubt about its signs."""
+    model that replaces a missing tire, and a remark on its signs."""
 
     given: Given
     z: np.ndarray
@@ -298,7 +298,7 @@ def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given
         sim: True for the data's columns ``fx_sim``, ...; an array (n,) of the force
             that the data measure, or arrays by channel, canonical; a tire model, a fit,
             or what :func:`simulator_at` gives.
-        signs: convention of the data's columns ``fx_sim``, ..., where not the data's.
+        signs: convention of the columns ``fx_sim``, ..., if not that of the data.
 
     Raises:
         UsageError: none of these, or arrays of another length.

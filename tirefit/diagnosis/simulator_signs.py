@@ -1,5 +1,8 @@
-"""Whether a simulator fits the data with some of its signs turned: a tire written in
-other axes, or of the other side of the vehicle."""
+"""Test whether a simulator fits the data with some signs reversed.
+
+They are reversed in a tire that was written in other axes, or for the other side of the
+vehicle.
+"""
 
 from collections.abc import Collection, Mapping
 from itertools import combinations
@@ -22,29 +25,34 @@ from tirefit.results import DataError, InputProblem
 from tirefit.slip import CONVENTIONS
 
 _ADAPTED = 0.3
-"""Share by which the parameters of a tire in the right signs may be off; what adapting
-them so far explains is no matter of signs."""
+"""Relative change of the parameters that is fitted under every hypothesis: a misfit
+that such a change explains does not come from signs."""
 
 _STEP = 1e-4
-"""Change of z over which slopes are taken: its effect is far above rounding."""
+"""Step in z of the finite differences; its effect is far above rounding."""
 
 _FELT = 0.1
-"""Share of the squared misfit from which the change of a force by its signs matters."""
+"""Smallest effect of the signs on a channel, as a share of its squared misfit, for the
+channel to count."""
 
 _CLEAR = 0.5
-"""Share of the squared misfit that the right signs leave, at most."""
+"""Largest share of the squared misfit that may remain with the right signs."""
 
 _NEAR = 0.2
-"""How far from 1 the factor may be by which the change of signs fits best. An offset of
-the slip may have the same shape, but at any factor."""
+"""Largest deviation from 1 of the factor at which the change by the signs fits best. An
+offset of the slip can have the same shape, but at any factor."""
 
 _ALIKE = 1.02
-"""Ratio of squared misfits below which rows do not tell two hypotheses apart."""
+"""Ratio of squared misfits below which two hypotheses are not distinguished."""
 
 
 class _Misfit(NamedTuple):
-    """Of a channel with some signs turned: the misfit (rms), its square with parameters
-    adapted, that of the change by the signs, and the factor at which it fits."""
+    """The misfit of a channel with some signs reversed.
+
+    ``rms`` is the root mean square misfit, ``square`` the mean square with adapted
+    parameters, ``change`` the mean square change of the force by the signs, and
+    ``factor`` the factor of this change that fits best.
+    """
 
     rms: float
     square: float
@@ -53,15 +61,14 @@ class _Misfit(NamedTuple):
 
 
 def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
-    """A sentence where a simulator fits with other signs, but its own were declared or
-    cannot be; empty where it does not.
+    """A sentence if a simulator fits better with other signs, else an empty text.
 
     Args:
-        tire: the simulator's, or what stands in for it, with parameters z.
+        tire: the tire of the simulator, or its replacement, with parameters z.
 
     Raises:
-        DataError: a file or columns fit with other signs, and none were declared: a
-            diagnosis would name some effect for the wrong sign.
+        DataError: a file or columns fit with other signs, and no signs were declared. A
+            diagnosis would then name some effect in place of the wrong signs.
     """
     there = _fields_there(prepared)
     as_given = _misfits(prepared, tire, z, frozenset())
@@ -83,7 +90,7 @@ def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
         for c, m in now.items()
         if m.change > _FELT * as_given[c].square
     )
-    ways = " or ".join(_said(h) for h in alike)
+    ways = " or ".join(map(_text, alike))
     reason = f"the simulator {given.source} fits if it is mirrored in {ways}: {better}"
     remedy = "; ".join(_remedies(alike, there, prepared, given))
     if given.signs or given.kind not in ("tir", "columns"):
@@ -92,7 +99,8 @@ def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
     raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
 
 
-def _said(turned: Collection[str]) -> str:
+def _text(turned: Collection[str]) -> str:
+    """The columns with reversed signs, as a text."""
     names = [name for name in CONVENTIONS[TIR_SIGNS]._fields if name in turned]
     return " and ".join(map(_column, names))
 
@@ -102,14 +110,14 @@ def _column(field: str) -> str:
 
 
 def _fields_there(prepared: Prepared) -> frozenset[str]:
-    """Fields of a convention that the rows have: forces, and inputs that are not 0."""
+    """Fields of a convention that matter: the forces, and inputs that are not all 0."""
     inputs = _inputs(prepared)._asdict()
     felt = [f for f in ("slip", "alpha", "gamma") if np.any(inputs[_column(f)])]
     return frozenset((*felt, *prepared.channels))
 
 
 def _inputs(prepared: Prepared) -> TireInputs:
-    """Both slips as measured, and the rest, padded."""
+    """All inputs as measured, padded."""
     size, names = padded_size(prepared.n), TireInputs._fields
     there = {n: prepared.column(n) for n in names if n in prepared.data}
     padded = {n: pad_rows(np.nan_to_num(v), size) for n, v in there.items()}
@@ -117,8 +125,8 @@ def _inputs(prepared: Prepared) -> TireInputs:
 
 
 def _hypotheses(there: frozenset[str]) -> list[frozenset[str]]:
-    """Fields that may be turned together: as between two conventions, by the side of
-    the vehicle, or one alone; of those that the rows have."""
+    """Sets of fields to reverse: differences of two conventions, the other side of the
+    vehicle, and single fields."""
     pairs = combinations(CONVENTIONS.values(), 2)
     sets = [*(one.turned(other) for one, other in pairs), OTHER_SIDE]
     sets += [frozenset((name,)) for name in ("gamma", "fx", "fy", "mz")]
@@ -128,7 +136,7 @@ def _hypotheses(there: frozenset[str]) -> list[frozenset[str]]:
 def _misfits(
     prepared: Prepared, tire: Tire, z, turned: frozenset[str]
 ) -> Mapping[str, _Misfit]:
-    """The misfit of each channel with these signs of the simulator turned."""
+    """The misfit of each channel with the signs of ``turned`` reversed."""
     n, inputs = prepared.n, _inputs(prepared)
     run = pad_rows(prepared.run, padded_size(n))
 
@@ -153,7 +161,7 @@ def _misfits(
         gap = prepared.observed[c] - prepared.column(f"{c}_sim")
         columns = np.array([slope[c] for slope in slopes]).reshape(len(z), n).T
         none, once, twice = (_adapted(gap - k * change, columns) for k in (0, 1, 2))
-        # The least of the parabola through the three.
+        # Minimum of the parabola through the three mean squares.
         bend = 2 * (none - 2 * once + twice)
         factor = (3 * none - 4 * once + twice) / bend if bend > 0 else 0.0
         rms = float(np.sqrt(np.mean((gap - change) ** 2)))
@@ -163,7 +171,7 @@ def _misfits(
 
 
 def _adapted(gap: np.ndarray, columns: np.ndarray) -> float:
-    """Mean square of what is left of a gap (n,) where parameters are adapted."""
+    """Mean square of a gap (n,) after fitting bounded changes of the parameters."""
     best = np.linalg.lstsq(columns, gap, rcond=None)[0]
     best /= max(1.0, np.max(abs(best), initial=0.0))
     return float(np.mean((gap - columns @ best) ** 2))
@@ -172,7 +180,7 @@ def _adapted(gap: np.ndarray, columns: np.ndarray) -> float:
 def _remedies(
     alike: list[frozenset[str]], there: frozenset[str], prepared: Prepared, given: Given
 ) -> list[str]:
-    """How to declare the signs of any of the hypotheses, or those that were taken."""
+    """Options that declare the signs of a hypothesis, or the present signs."""
     source, ways = prepared.data.source, []
     now = CONVENTIONS[given.signs or TIR_SIGNS]
     for name, other in CONVENTIONS.items():

@@ -4,9 +4,9 @@ Without a posterior the interval of a quantity is that of its profile likelihood
 range of its values over all parameters whose deviance stays below the 95 % level. Of
 one parameter alone it is that parameter's own interval, mapped.
 
-A quantity of parameters that each run has its own of is one per run, ``F_max[run]``.
-It is at the load and speed that this run was held at, where runs differ in these, as
-bins of a rig do; else all are at those of the file, so that runs compare.
+A quantity of per-run parameters has one value per run, ``F_max[run]``. If the runs were
+held at different loads or speeds, as bins of a rig are, it is evaluated at those of its
+run; otherwise at those of the file, so that runs can be compared.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -66,8 +66,8 @@ def reference_point(problem: FitProblem, run: int | None = None) -> dict[str, fl
     """Median load [N] and speed [m/s] of the fitted rows.
 
     Args:
-        run: code of a run, whose own median it is where most of its rows (90 %) lie
-            nearer to that than it does to the median of all.
+        run: code of a run. The median of its own rows is taken if 90 % of them are
+            nearer to it than it is to the median of all rows.
     """
     point, here = {}, problem.used(problem.rows.run) == run
     for name in ("fz", "v"):
@@ -81,8 +81,8 @@ def reference_point(problem: FitProblem, run: int | None = None) -> dict[str, fl
 
 
 def reference_points(problem: FitProblem) -> dict[str, float]:
-    """Load and speed of the derived quantities, and as ``fz[run]`` those of the runs
-    that have parameters of their own and were held at other ones."""
+    """Load and speed of the derived quantities; as ``fz[run]`` and ``v[run]`` those of
+    runs with per-run parameters that were held at other values."""
     shared = reference_point(problem)
     own = any(parameter.per_run for _, parameter in problem.layout.elements)
     return shared | {
@@ -195,7 +195,7 @@ def derived_values(model, layout: Layout, z, channel, fz, v, run=0):
 def _evaluator(problem: FitProblem, channel: str, run: int | None) -> Callable:
     """z (m, p) -> quantity -> values (m,) of a run at its reference point, in order.
 
-    Vectors that differ in other runs' elements alone are evaluated once.
+    Vectors that differ only in elements of other runs are evaluated once.
     """
     at = reference_point(problem, run)
     own = problem.layout.elements_of(np.array([run or 0]))[0]
@@ -289,8 +289,8 @@ def derived_from_profile(
 def _of_run(
     solved: Solved, channel: str, run: int | None, ends, estimates, own: np.ndarray
 ) -> Iterator[tuple[str, Estimate]]:
-    """(quantity, estimate) of those that depend on an element which each run has its
-    own of (``own`` (p,)), or of the others where ``run`` is None; ``ends`` (low, high)
+    """(quantity, estimate) of the quantities that depend on a per-run element (``own``
+    (p,)), or of the other quantities if ``run`` is None; ``ends`` (low, high) are those
     of every element (p,)."""
     z, (low, high) = solved.z, ends
     evaluate = _evaluator(solved.problem, channel, run)
@@ -340,7 +340,7 @@ def _estimate(solved: Solved, evaluate, name: str, unit: str, known, ends) -> Es
 
 
 def _by_noise(solved: Solved, value: float, slope) -> bool:
-    """Whether the noise alone limits a quantity, where a misfit widens its interval."""
+    """Whether the noise alone limits a quantity whose interval a misfit widens."""
     noise = solved.of_noise
     if noise is None:
         return False

@@ -44,8 +44,8 @@ def _not_identified(spec, low, high, open_low: bool, open_high: bool) -> bool:
 def _profile_estimates(solved: Solved, profiles: list[Profile]):
     """Least-squares estimates with profile intervals, and covariance intervals.
 
-    A parameter is identified by its profile, or where a misfit widens that, by the
-    noise alone.
+    A parameter is identified if its profile interval is limited or, where misfit widens
+    the interval, if the interval from noise alone is limited.
     """
     estimates, by_covariance = {}, {}
     dof = max(solved.n_effective - solved.problem.layout.size, 1.0)
@@ -77,7 +77,7 @@ def _profile_estimates(solved: Solved, profiles: list[Profile]):
 
 
 def _ends_by(solved: Solved, covariance: np.ndarray, dof: float) -> np.ndarray:
-    """Ends (2, p) in z of the 95 % intervals of a covariance, within reach."""
+    """Ends (2, p) in z of the 95 % intervals from a covariance, cut at the reach."""
     quantile = half_width_95(solved.problem.noise_estimated, dof)
     half = quantile * np.sqrt(np.diag(covariance))
     return np.clip(solved.z + np.array([[-1], [1]]) * half, -REACH, REACH)

@@ -1,4 +1,4 @@
-"""Columns that the residuals of a fit follow, and the models that have them."""
+"""Find inputs that the residuals of a fit depend on, and name models that have them."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from tirefit.fitting.likelihood import CHANNEL_SLIP, FitProblem
 from tirefit.fitting.noise import autocorrelation_time, effective_inflation
 
 _LOAD = {"brush": "brush-load"} | {f"brush-{k}": f"brush-load-{k}" for k in "dmnh"}
-"""Brush of one stiffness and friction at every load -> the one that follows it."""
+"""Brush with constant stiffness and friction -> brush in which both vary with load."""
 
 _COLUMNS = {
     "fz": ("load", "N", "mf61"),
@@ -18,22 +18,22 @@ _COLUMNS = {
     "gamma": ("camber", "rad", "mf61"),
     "pressure": ("pressure", "Pa", "mf61"),
 }
-"""Inputs that a test is set to: name, unit, and the model that has it."""
+"""Input that a test varies -> its name, its unit, and the models that depend on it."""
 
 _VARIES = 0.2
-"""Relative spread of a column (central 95 %) from which it can show anything."""
+"""Smallest relative range (central 95 %) of a column that is tested."""
 
 _LEAST, _CHANCE = 0.1, 5e-5
-"""Share of the residuals' variance, and probability by chance of a chi-square of that
-size at the effective number of what is left, that are clear."""
+"""A trend counts if it explains this share of the residuals' variance, and if its
+chi-square at the effective number of residuals has less than this probability."""
 
 _ROWS = 4096
-"""Rows, evenly spread, that show a share of 0.1."""
+"""Largest number of rows, evenly taken: enough to find a share of 0.1."""
 
 
 class Followed(NamedTuple):
-    """A column of the inputs that the residuals follow: the ends of its central 95 %,
-    and the share of the residuals' variance that trends in it explain."""
+    """A column that the residuals depend on: the ends of its central 95 %, and the
+    share of the residuals' variance that trends in it explain."""
 
     column: str
     low: float
@@ -41,23 +41,23 @@ class Followed(NamedTuple):
     share: float
 
     def sentence(self, model: str) -> str:
-        """What the fitted model lacks, and which model has it."""
+        """The effect that the fitted model lacks, and a model that has it."""
         name, unit, other = _COLUMNS[self.column]
         advice = f"{other} has the {name}; or fit parameters per run (per_run = true)"
         if self.column == "fz" and model in _LOAD:
             advice = f"{_LOAD[model]} lets stiffness and friction change with the load"
         return (
-            f"the model lacks the {name}: {name}s from {self.low:.4g} to"
-            f" {self.high:.4g} {unit}, and {100 * self.share:.0f} % of the residuals'"
-            f" variance follows them: {advice}"
+            f"the model lacks the {name}: over {name}s from {self.low:.4g} to"
+            f" {self.high:.4g} {unit}, trends with the {name} explain"
+            f" {100 * self.share:.0f} % of the variance of the residuals: {advice}"
         )
 
 
 class Misfit(NamedTuple):
-    """The columns that the residuals follow, the one that explains most first.
+    """The columns that the residuals depend on, in the order of selection.
 
-    ``rows_per_one``: rows per independent row were the misfit not there, at the
-    variance that the residuals have with it.
+    ``rows_per_one`` is the number of rows per independent row of the residuals without
+    these trends, scaled to their variance with the trends.
     """
 
     columns: tuple[Followed, ...] = ()
@@ -65,16 +65,15 @@ class Misfit(NamedTuple):
 
 
 def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
-    """The part of the residuals that follows columns of the inputs.
+    """Select the columns that the residuals depend on, by forward selection.
 
-    A force that changes with a column leaves residuals like the column times an offset
-    or the slope of a parameter, on both sides of zero slip alike or not (camber). Each
-    further column is judged by what those before it leave. Empty with noise of the
-    slip, where a row has no residual of its own.
+    If a force varies with a column, its residuals resemble the column times a constant
+    or times the derivative in a parameter, even or odd in the slip (camber). The result
+    is empty with noise of the slip, as a row then has no residual of its own.
 
     Args:
-        at: of the used rows, at the estimate.
-        time: of each row (n,), or None to take the order of the file.
+        at: residuals and derivatives of the used rows at the estimate.
+        time: time of each row (n,), or None to take the order of the file.
     """
     if any(name not in at.values for name in at.mean):
         return Misfit()
@@ -92,9 +91,9 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
     while left and whole > 0:
         more = {}
         for k in left:
-            share = (inputs[k][some] - ends[k][1]) / (ends[k][2] - ends[k][0])
-            share = np.tile(share, len(at.mean))[:, None]
-            more[k] = np.hstack([known, base * share])
+            low, middle, high = ends[k]
+            relative = np.tile((inputs[k][some] - middle) / (high - low), len(at.mean))
+            more[k] = np.hstack([known, base * relative[:, None]])
         explained = {k: _explained(values, known, more[k]) for k in left}
         best = max(left, key=lambda k: explained[k])
         if not explained[best] > _LEAST * whole:
@@ -114,7 +113,8 @@ def misfit_by_setting(problem: FitProblem, at: Linearised, time) -> Misfit:
 
 
 def _explained(values, known, more) -> float:
-    """Sum of squares that more columns explain; zero where that is not clear."""
+    """Sum of squares that the columns ``more`` explain beyond ``known``; zero if it is
+    not significant."""
     (before, fewer), (rest, rank) = _remainder(values, known), _remainder(values, more)
     explained, left = float(before @ before - rest @ rest), float(rest @ rest)
     effective = len(rest) / autocorrelation_time([rest])
@@ -123,6 +123,6 @@ def _explained(values, known, more) -> float:
 
 
 def _remainder(values, columns):
-    """What the columns (n, k) leave of the values (n,), and their rank."""
+    """Residuals (n,) of a regression of the values on columns (n, k), and its rank."""
     solution, _, rank, _ = np.linalg.lstsq(columns, values)
     return values - columns @ solution, int(rank)

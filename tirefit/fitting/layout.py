@@ -79,11 +79,12 @@ class Layout:
 
     @property
     def is_sparse(self) -> bool:
-        """Whether a row depends on some elements of z only, those of its run."""
+        """Whether a row depends only on some elements of z, those of its run."""
         return any(parameter.per_run for parameter in self.free)
 
     def elements_of(self, run):
-        """Elements of z that each row depends on, one per free parameter: (n, q)."""
+        """Indices (n, q) of the elements of z that each row depends on, one per free
+        parameter."""
         count = [len(self.runs) if p.per_run else 1 for p in self.free]
         first = np.cumsum([0, *count[:-1]])
         own = np.array([p.per_run for p in self.free])
@@ -91,7 +92,7 @@ class Layout:
 
     @property
     def prior_elements(self) -> np.ndarray:
-        """The same of each of :meth:`prior_residual`, which depends on one of them."""
+        """Indices, as :meth:`elements_of`, of each of :meth:`prior_residual`."""
         count = [len(self.runs) if p.per_run else 1 for p in self.free]
         run = np.concatenate([np.arange(n) for n in count])
         return self.elements_of(run[[p.prior is not None for _, p in self.elements]])

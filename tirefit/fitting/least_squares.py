@@ -93,8 +93,8 @@ _NO_CURVATURE = 1e-9
 
 
 def directions(elements: Int[Array, "n q"], size: int) -> Float[Array, "q size"]:
-    """Tangents that give every slope at once: a row changes with q elements of z only,
-    and elements in one column share no row."""
+    """Tangents (q, size) that give all derivatives in q passes: a row depends on only q
+    elements of z, and no row depends on two elements of one column."""
     columns = jnp.broadcast_to(jnp.arange(elements.shape[1]), elements.shape)
     return jnp.zeros((elements.shape[1], size)).at[columns, elements].set(1.0)
 
@@ -175,7 +175,8 @@ def damped_gauss_newton(
     Args:
         residual: residuals and scoring weights; p up to about ten.
         start: first z.
-        elements: of z, those that each residual depends on; None for all.
+        elements: indices of the elements of z that each residual depends on; None if
+            it depends on all.
         allowed: takes a trial z to the nearest one that may be tried.
         max_steps: limit of trials, the start included.
         relative, absolute: the search ends where one undamped step could change the

@@ -12,17 +12,17 @@ MAD = 1.4826
 """Standard deviation of a normal law over its median absolute deviation."""
 
 _CHANCE = 5e-5
-"""Probability by chance of a difference of noise that counts as one."""
+"""Level of significance of a difference in noise."""
 
 _CLEAR = 3.1
-"""Standard errors by which a design effect is above one: 0.1 % of a normal law."""
+"""Standard errors by which a design effect must exceed one (0.1 %, one-sided)."""
 
 _ALONE = 0.9
-"""Share of what is known in a direction that one setting tells, above which no other
-setting can contradict it."""
+"""Leverage of one setting in a direction above which its residuals there are ignored:
+no other setting can contradict them."""
 
 _LEAST_RUNS = 4
-"""With fewer runs their scatter says nothing."""
+"""Smallest number of runs whose scatter is tested."""
 
 
 def autocorrelation(residuals: list[np.ndarray]) -> np.ndarray:
@@ -115,28 +115,26 @@ def _inflation(parts: list[np.ndarray]) -> float:
 
 
 def design_effect(residual, slopes, setting) -> float:
-    """Variance of the slope of the deviance over that of independent residuals, in the
-    mean over the directions of the coefficients; settings are independent. One, where
-    it is not above one by 3.1 of its standard errors (0.1 %).
+    """Variance of the gradient of the deviance over that of independent residuals.
 
-    The bias of residuals of a fit is taken out setting by setting (CR2 of Bell and
-    McCaffrey (2002)).
+    It is the mean over the directions of the coefficients; settings are independent.
+    It is one unless it exceeds one by 3.1 of its standard errors (0.1 %). The residuals
+    of each setting are corrected for the fit (CR2 of Bell and McCaffrey (2002)).
 
     Args:
         residual: (n,) over their noise.
-        slopes: (n, p) of the residuals in coefficients whose prior has unit variance.
-        setting: (n,) integers.
+        slopes: (n, p), derivatives of the residuals in coefficients with unit priors.
+        setting: (n,) number of the setting of each residual.
     """
     size = slopes.shape[1]
     values, axes = np.linalg.eigh(slopes.T @ slopes + np.eye(size))
-    # By rounding below the one that the priors give.
+    # The priors contribute one; rounding may give less.
     whitened = slopes @ (axes / np.sqrt(np.maximum(values, 1.0)))
     found, expected, squares = 0.0, 0.0, 0.0
     for code in np.unique(setting):
         part = whitened[setting == code]
         own, directions = np.linalg.eigh(part.T @ part)
         score = directions.T @ (part.T @ residual[setting == code])
-        # What a setting tells alone, its residuals cannot contradict.
         share = np.minimum(own, 1.0)
         judged = share < _ALONE
         found += float(np.sum(score[judged] ** 2 / (1 - share[judged])))
@@ -152,14 +150,14 @@ def robust_scale(residual) -> float:
 
 
 def noise_by_row(residual, fz, force, run, names) -> dict[str, Any]:
-    """How the noise of a force differs among rows; empty where it does not clearly.
+    """The record of a noise that varies among rows; empty if it is not significant.
 
-    The variance is that of :class:`NoiseLaw`; ``by_run`` holds the factor of each run
-    beside that, where runs differ too.
+    Its variance is that of :class:`NoiseLaw`. ``by_run`` holds a further factor of the
+    standard deviation for each run, if the runs differ.
 
     Args:
         residual, fz, force: (n,) observed - fitted, load, fitted force [N].
-        run: (n,) position of each row's run in ``names``.
+        run: (n,) index in ``names`` of the run of each row.
     """
     terms = np.stack([np.full(len(fz), 1.0), fz**2, force**2], axis=1)
     shares = law_shares(residual, terms)
@@ -184,12 +182,12 @@ def noise_by_row(residual, fz, force, run, names) -> dict[str, Any]:
 
 
 def noise_std(record: Mapping[str, Any], fz, force, runs=None, reference=None):
-    """Standard deviation (n,) of one measurement by the noise record of a fit.
+    """Standard deviation (n,) of one measurement, from the noise record of a fit.
 
     Args:
         fz, force: (n,) load and fitted force.
-        runs: (n,) names of the runs, where the rows have them.
-        reference: load [N] of the median, of noise proportional to the load.
+        runs: (n,) names of the runs, if the rows have runs.
+        reference: load [N] of ``median_std``, for noise proportional to the load.
     """
     std = np.broadcast_to(float(record["median_std"]), np.shape(fz))
     if "share_of_load" in record:

@@ -1,4 +1,4 @@
-"""The noise of a force: a constant, a share of the load and a share of the force."""
+"""The noise law of a force: a constant, a share of load and a share of force."""
 
 from typing import NamedTuple
 
@@ -6,18 +6,18 @@ import numpy as np
 from scipy.optimize import nnls
 
 _CLEAR = 10.8
-"""Deviance of one degree of freedom at the level of 0.1 %."""
+"""Chi-square of one degree of freedom at the level of 0.1 %."""
 
 _ROUNDS, _SETTLED = 50, 1e-4
-"""Regressions, at most, and the change of a share of the variance that ends them."""
+"""Limit of regressions, and the change of a share of the variance that ends them."""
 
 
 class NoiseLaw(NamedTuple):
     """Variance of one value: constant^2 + (share F_z)^2 + (of_force F)^2.
 
-    ``constant`` [N, N m]: the sensor; ``share`` [-, m]: what grows with the load;
-    ``of_force`` [-]: what grows with the force itself, as friction that differs from
-    sweep to sweep. A wheel that rolls freely has little of the last one.
+    ``constant`` [N, N m] is the noise of the sensor, ``share`` [-, m] the part
+    proportional to load, and ``of_force`` [-] the part proportional to force, such as
+    friction that varies between sweeps.
     """
 
     constant: float
@@ -34,16 +34,15 @@ class NoiseLaw(NamedTuple):
 
 
 def noise_law(residual, fz, force, known=0.0, each=1.0) -> NoiseLaw:
-    """The law whose squares the residuals (n,) follow best.
+    """Fit the law to the squares of residuals.
 
-    A share of the force is used only where it raises the likelihood at the level of
-    0.1 %.
+    The share of force is zero unless it raises the likelihood at the level of 0.1 %.
 
     Args:
         residual: (n,) [N, N m].
         fz, force: load [N] and force of each, (n,).
-        known: part of each variance that is known already, (n,) or a number.
-        each: how many residuals count as one, (n,) or a number.
+        known: known part of each variance, (n,) or a number.
+        each: number of residuals per independent residual, (n,) or a number.
     """
     terms = np.stack([np.full(len(fz), 1.0), fz**2, force**2], axis=1)
     plain = np.append(law_shares(residual, terms[:, :2], known), 0.0)
@@ -59,14 +58,14 @@ def _deviance(residual, variance, each) -> float:
 
 
 def law_shares(residual, terms, known=0.0) -> np.ndarray:
-    """Non-negative shares (k,) of the terms (n, k) that squares of residuals follow.
+    """Regress squared residuals on variance terms (n, k): non-negative shares (k,).
 
-    Squares are regressed on the terms, each row weighted by its own variance, twice the
-    square of which is the variance of a square; until the variance settles.
+    A square of expectation v has the variance 2 v^2, so each row is weighted by 1 / v.
+    The regression is repeated until the shares settle.
 
     Args:
         residual: (n,).
-        known: part of each variance that is known already, (n,) or a number.
+        known: known part of each variance, (n,) or a number.
     """
     scale = float(np.mean(residual**2)) or 1e-18
     size = np.maximum(np.mean(terms, axis=0), 1e-300)
@@ -77,7 +76,7 @@ def law_shares(residual, terms, known=0.0) -> np.ndarray:
     for _ in range(_ROUNDS):
         variance = scaled @ shares + known + 1e-9
         weighted = scaled / variance[:, None]
-        # The normal equations: few unknowns, whatever the number of rows.
+        # Normal equations, as there are few unknowns and many rows.
         upper = np.linalg.cholesky(weighted.T @ weighted + ridge).T
         aim = np.linalg.solve(upper.T, weighted.T @ (wanted / variance))
         shares, last = nnls(upper, aim)[0], shares

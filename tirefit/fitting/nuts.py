@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 
 _MANY = 20
-"""Parameters above which the sampler is NUTS if none is named: with 20 (10 runs of 300
-rows) it takes 24 s of processor, emcee 100; with 90 emcee did not end in 600 s."""
+"""Number of parameters above which NUTS is the default sampler. With 20 parameters (10
+runs of 300 rows) it takes 24 s of processor time, emcee 100 s; with 90 parameters emcee
+did not finish in 600 s."""
 
 
 _ACCEPTANCE = 0.8
@@ -30,7 +31,7 @@ _SHRINKAGE = 10.0
 
 
 def sampler_of_chains(sampler: str | None, size: int) -> str:
-    """``emcee`` or ``nuts``: the one named, else by the number of parameters."""
+    """The named sampler of chains, else the default for ``size`` parameters."""
     default = "nuts" if size > _MANY else "emcee"
     return sampler if sampler in ("emcee", "nuts") else default
 

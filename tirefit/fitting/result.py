@@ -10,6 +10,8 @@ import numpy as np
 from tirefit.display import Displayed
 from tirefit.door import sealed
 from tirefit.files import json_safe, json_text
+from tirefit.fitting.layout import Layout
+from tirefit.models import AbstractTire
 from tirefit.params import parameter_values
 from tirefit.results import Outcome
 
@@ -116,10 +118,10 @@ class FitResult(Displayed):
     """One fit: what went in, what came out, how sure it is.
 
     ``parameters`` and ``derived`` come from the posterior where it ran, else from
-    least squares and the profile, as ``source`` says; all three routes stand in
-    ``intervals`` (``covariance``, ``profile``, ``posterior``), beside the interval that
-    ``independent`` rows would give.
-    ``far_rows`` are far from everything, set aside or not (``far_rows.FarRow``).
+    least squares and the profile, as ``source`` says. ``intervals`` holds those of all
+    three routes (``covariance``, ``profile``, ``posterior``), and those for
+    ``independent`` rows. ``far_rows`` (``far_rows.FarRow``) are far from everything,
+    excluded or not.
     ``chains`` (ensembles, draws, p) are posterior samples of the free parameters in the
     order of ``labels``, thinned to be nearly independent; ``walkers`` the same draws as
     (ensembles, walkers, steps, p); ``z`` and ``covariance`` describe the estimate in
@@ -183,7 +185,7 @@ class FitResult(Displayed):
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able content of ``fit.json``; no NaN, no infinity (they become null)."""
-        statistics = asdict(self.statistics)
+        statistics, problem = asdict(self.statistics), self.problem
         content = {
             "schema": SCHEMA,
             "version": self.version,
@@ -208,7 +210,7 @@ class FitResult(Displayed):
                 "labels": list(self.labels),
                 "z": self.z,
                 "covariance": self.covariance,
-                "layout": _layout_dict(self.problem),
+                "layout": problem and layout_record(problem.layout, problem.model),
             },
             "verdict": self.verdict,
             "outcomes": [outcome.name.lower() for outcome in self.outcomes],
@@ -228,11 +230,13 @@ def _posterior_dict(summary: PosteriorSummary | None) -> dict | None:
     return asdict(summary) | {"outcome": summary.outcome.name.lower()}
 
 
-def _layout_dict(problem) -> dict | None:
-    """All that ``predict`` needs to rebuild the model from ``fit.json``."""
-    if problem is None:
-        return None
-    layout = problem.layout
+def layout_record(layout: Layout, model: AbstractTire) -> dict:
+    """The record of a layout in ``fit.json``, from which ``predict`` rebuilds it.
+
+    Args:
+        model: holds the values of the fixed parameters.
+    """
+    free = {p.name for p in layout.free}
     return {
         "free": [
             {
@@ -247,7 +251,7 @@ def _layout_dict(problem) -> dict | None:
         "runs": list(layout.runs),
         "fixed": {
             name: float(value)
-            for name, value in parameter_values(problem.model).items()
-            if name not in {p.name for p in layout.free}
+            for name, value in parameter_values(model).items()
+            if name not in free
         },
     }

@@ -37,8 +37,8 @@ _SETTLED = 1e-3
 deviation."""
 
 _DOUBLED = 6.0
-"""Degrees of freedom at which t^2 of 95 % is the number of them: the interval ends
-where the sum of squares has doubled, the force changed by as much as the misfit."""
+"""Number of degrees of freedom that equals its 95 % quantile of t^2: the interval then
+ends where the sum of squares has doubled."""
 
 _ONE_MINIMUM = 1e-5
 """Distance in z below which two estimates are one."""
@@ -67,7 +67,7 @@ class Solved(NamedTuple):
 
     @property
     def of_noise(self) -> np.ndarray | None:
-        """Covariance by the noise alone, where a misfit widens ``covariance``."""
+        """Covariance from noise alone if misfit widens ``covariance``, else None."""
         widened = self.misfit.columns and self.problem.noise_estimated
         return self.independent * self.misfit.rows_per_one if widened else None
 
@@ -192,9 +192,10 @@ def _judged(
 ):
     """The problem with its rules, chi2/dof where the noise was given, n_effective.
 
-    Correlated noise leaves few independent rows, and t of few degrees of freedom an
-    interval of the whole range. A misfit that follows the settings of the test is as
-    correlated, but a force that changes by more than the misfit fits worse for sure.
+    Correlated residuals leave few independent rows. With few degrees of freedom, t can
+    widen an interval to the whole range. If the residuals are misfit that depends on
+    the settings, the number of independent rows therefore has a lower limit: a force
+    that changes by more than the misfit certainly fits worse.
     """
     run = problem.used(problem.rows.run)
     rules, ratios, effective_total = {}, [], 0.0

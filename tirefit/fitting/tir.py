@@ -1,4 +1,4 @@
-"""The tire of a ``.tir`` file, and rows for which it was not made."""
+"""The tire of a ``.tir`` file, and remarks on rows to which it does not apply."""
 
 from collections.abc import Mapping
 
@@ -23,14 +23,14 @@ from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
 from tirefit.slip import CONVENTIONS, kappa_from_sigma
 
 TIR_SIGNS = "iso-w"
-"""Convention of ``.tir`` files: those of the axes TYDEX W."""
+"""Convention of ``.tir`` files: that of the axes TYDEX W."""
 
 _SYMBOLS = {"fx": "F_x", "fy": "F_y", "mz": "M_z"}
 _NEEDED = {
     "camber": "PDY3 PKY3 PKY6 PKY7 PHY3 PVY3 PVY4 PEY4 PEY5",
     "pressure": " ".join(PRESSURE_TERMS),
 }
-"""Column -> coefficients without any of which it changes no force (camber: no F_y)."""
+"""Quantity -> the coefficients by which it changes a force (camber: F_y)."""
 
 
 def own_tire(
@@ -40,13 +40,13 @@ def own_tire(
     combination: str | None = None,
     values: Mapping[str, float] | None = None,
 ) -> MFTire:
-    """The tire of a ``.tir`` file on the side that the file has.
+    """The tire of a ``.tir`` file, on the side of the vehicle of the file.
 
     Args:
         tir: the file, read and checked.
         starred: whether the equations take tan(alpha) and sin(gamma).
         combination: how both slips combine, see :func:`~tirefit.models.mf.mf_tire`.
-        values: coefficients that are given beside the file.
+        values: coefficients that replace or complete those of the file.
     """
     lacks = [name for name, symbol in _SYMBOLS.items() if symbol in tir.lacks]
     return mf_tire(
@@ -61,19 +61,19 @@ def own_tire(
 def tire_of(
     tir: TirFile, *, side: str | None = None, signs: str | None = None, **how
 ) -> AbstractTire:
-    """The tire of a ``.tir`` file, in its signs and on a side of the vehicle.
+    """The tire of a ``.tir`` file, in given signs and on a side of the vehicle.
 
     Args:
         tir: the file, read and checked.
-        side: ``left`` or ``right``: where the tire is mounted; mirrored if the file is
-            of the other side. None: as the file has it.
+        side: ``left`` or ``right``, where the tire is mounted; it is mirrored if the
+            file is for the other side. None for the side of the file.
         signs: the convention in which the file was written, a key of
             ``slip.CONVENTIONS``; None for :data:`TIR_SIGNS`.
         how: keywords of :func:`own_tire`.
 
     Raises:
-        UsageError: a side is wanted of a file that does not say its own; no such
-            convention.
+        UsageError: ``side`` is given but the file does not state its side; or there is
+            no such convention.
     """
     tire = own_tire(tir, **how)
     turned = turned_by(signs)
@@ -87,7 +87,7 @@ def tire_of(
 
 
 def moments_noted(tir: TirFile, data: TireData) -> list[str]:
-    """Sentences on M_x and M_y: which the file does not give, and at what speed."""
+    """Sentences on M_x and M_y: those that the file lacks, and the assumed speed."""
     there = {key[:3] for key in tir.numbers}
     keys = {"QSX": "mx (overturning moment)", "QSY": "my (rolling resistance moment)"}
     said = [
@@ -97,13 +97,15 @@ def moments_noted(tir: TirFile, data: TireData) -> list[str]:
     ]
     if "v" not in data and any(tir.numbers.get(key) for key in ("QSY3", "QSY4")):
         speed = tir.numbers.get("LONGVL", Nominal().LONGVL)
-        said.append(f"no column v: my is that of {speed:g} m/s (--constant v=SPEED)")
+        said.append(
+            f"no column v: my is computed at {speed:g} m/s (--constant v=SPEED)"
+        )
     return said
 
 
 def turned_by(signs: str | None) -> frozenset[str]:
-    """Fields that turn in the convention ``signs``, in place of :data:`TIR_SIGNS`; the
-    load is positive in any.
+    """Fields whose sign differs between the convention ``signs`` and
+    :data:`TIR_SIGNS`; the load is positive in both.
 
     Raises:
         UsageError: there is no such convention.
@@ -116,10 +118,10 @@ def turned_by(signs: str | None) -> frozenset[str]:
 
 
 def check_gives(tir: TirFile, force: str) -> None:
-    """Raises DataError where the file does not describe fx or fy."""
+    """Raise DataError if the file does not describe ``force``, fx or fy."""
     symbol = _SYMBOLS[force]
     if symbol in tir.lacks:
-        reason = f"the file gives no {symbol}: {tir.lacks[symbol]}"
+        reason = f"no {symbol} in this file: {tir.lacks[symbol]}"
         other = {"fx": "fy", "fy": "fx"}[force]
         instead = f", or ask for {other}" if _SYMBOLS[other] not in tir.lacks else ""
         remedy = f"add the coefficients{instead}"
@@ -132,11 +134,11 @@ def remarks(
     data: TireData | None = None,
     signs: str | None = None,
 ) -> list[str]:
-    """Sentences on the file: what was assumed of it, and how it fits used rows.
+    """Sentences on assumptions about the file, and on rows to which it does not apply.
 
     Args:
-        tire: what :func:`tire_of` made of it.
-        data: rows; None: any may come, of both slips too.
+        tire: result of :func:`tire_of`.
+        data: its used rows are checked; None for any rows, with both slips too.
         signs: convention in which the file was written, see :func:`tire_of`.
     """
     said = notes_on(tir)
@@ -153,12 +155,12 @@ def remarks(
 
 
 def _combination(tire: MFTire, where: str) -> list[str]:
-    """How both slips combine where the weighting functions are not the file's."""
+    """Sentences on forces whose combined slip the file does not describe."""
     said = []
     if similar := [_SYMBOLS[force] for force in tire.similarity]:
         said.append(
             f"{where}: {' and '.join(similar)} by the method of similarity (pure forces"
-            " at the resultant normalised slip), which stands in for coefficients of"
+            " at the resultant normalised slip), as the file has no coefficients of"
             " combined slip; predict --combination none leaves them as in pure slip"
         )
     values = parameter_values(tire)
@@ -169,31 +171,33 @@ def _combination(tire: MFTire, where: str) -> list[str]:
         and any(values[key] == 0 for key in keys)
     ]
     if whole:
-        remedy = "; --combination similarity resolves them" if not tire.lacks else ""
+        remedy = "; --combination similarity avoids that" if not tire.lacks else ""
         said.append(
             f"{where}: {' and '.join(whole)} as in pure slip: the weighting function"
-            f" is one, so the resultant may exceed the friction{remedy}"
+            f" is one, so the resultant force may exceed the friction limit{remedy}"
         )
     if "fx" in tire.lacks and "mz" not in tire.lacks:
-        said.append(f"{where}: M_z as without F_x, which the file does not give")
+        said.append(
+            f"{where}: M_z without the part of F_x, which the file does not give"
+        )
     return said
 
 
 def _used(data: TireData, name: str) -> np.ndarray:
-    """A column of the used rows, zero where the data have none."""
+    """A column of the used rows, (n,); zero if the data do not have it."""
     return data.usable(name) if name in data else np.zeros(data.n)
 
 
 def _unused(tir: TirFile, data: TireData) -> list[str]:
-    """Columns that vary and that no coefficient of the file uses."""
+    """Sentences on camber and pressure that vary but change no force of the file."""
+    camber, pressure = (np.nan_to_num(_used(data, k)) for k in ("gamma", "pressure"))
+    values = {"camber": camber, "pressure": pressure - pressure[:1]}
     said = []
     for name, keys in _NEEDED.items():
-        values = np.nan_to_num(_used(data, "gamma" if name == "camber" else name))
-        if name == "pressure":
-            values = values - values[:1]
         acting = any(tir.numbers.get(key) for key in keys.split())
         acting |= name == "camber" and "F_y" in tir.lacks
-        if not acting and (count := np.count_nonzero(values)):
+        count = np.count_nonzero(values[name])
+        if count and not acting:
             force = "F_y" if name == "camber" else "force"
             said.append(
                 f"{count} of {data.n} rows with {name}, which changes no {force}: the"
@@ -203,10 +207,10 @@ def _unused(tir: TirFile, data: TireData) -> list[str]:
 
 
 def _limited(tire: MFTire, data: TireData, turned: frozenset[str]) -> list[str]:
-    """Forces that depend on the limit of E to one, and at which loads.
+    """Sentences on forces that depend on the limit of E to one, with their loads.
 
     Args:
-        turned: fields of the other sign in the tire.
+        turned: fields with reversed sign in the tire.
     """
     inputs = TireInputs(*(np.nan_to_num(_used(data, k)) for k in TireInputs._fields))
     inputs = turned_inputs(inputs, turned)
@@ -226,8 +230,11 @@ def _limited(tire: MFTire, data: TireData, turned: frozenset[str]) -> list[str]:
 
 
 def _outside(tir: TirFile, data: TireData, turned: frozenset[str]) -> list[str]:
-    """Rows outside the ranges that the file states for its tire, in signs of which
-    these fields are ``turned``."""
+    """Sentences on rows outside the ranges that the file states.
+
+    Args:
+        turned: fields with reversed sign in the file.
+    """
     numbers, said = tir.numbers, []
     for name, (least, most) in LIMITS.items():
         column = "sigma_x" if name == "kappa" else name
@@ -239,7 +246,7 @@ def _outside(tir: TirFile, data: TireData, turned: frozenset[str]) -> list[str]:
         if {"kappa": "slip"}.get(name, name) in turned:
             values = -values
         low, high = numbers.get(least, -np.inf), numbers.get(most, np.inf)
-        # A slip loses some digits in its conversions.
+        # The conversions of a slip lose some digits.
         margin = 1e-9 * (high - low) if np.isfinite(high - low) else 0.0
         count = np.count_nonzero((values < low - margin) | (values > high + margin))
         if count:

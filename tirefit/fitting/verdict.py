@@ -108,7 +108,7 @@ def _structure(result: FitResult) -> list[tuple[Outcome | None, str]]:
 
 
 def _lacking(result: FitResult) -> list[tuple[Outcome | None, str]]:
-    """Columns that the residuals follow, with the models that have them."""
+    """Sentences on the effects that the residuals show and the model lacks."""
     if result.solved is None:
         return []
     columns = result.solved.misfit.columns
@@ -118,17 +118,17 @@ def _lacking(result: FitResult) -> list[tuple[Outcome | None, str]]:
 
 
 def _correlated(result: FitResult) -> list[tuple[Outcome | None, str]]:
-    """How many rows count, and what the intervals are where that is a misfit."""
+    """A sentence on correlated residuals, if they halve the number of rows."""
     statistics = result.statistics
     if statistics.n_effective >= 0.5 * statistics.n:
         return []
     text = (
         f"residuals of neighbouring rows are correlated: {statistics.n} rows count as"
-        f" {statistics.n_effective:.0f} independent ones in every interval; those of"
-        " independent rows stand beside them"
+        f" {statistics.n_effective:.0f} independent ones in every interval; the column"
+        " `independent` has the intervals of independent rows"
     )
     if result.solved is not None and result.solved.misfit.columns:
-        text += "; what correlates is a misfit of the model, more than noise"
+        text += "; the correlation comes from misfit of the model more than from noise"
     return [(None, text)]
 
 
@@ -180,7 +180,7 @@ def _findings(result: FitResult) -> list[tuple[Outcome | None, str]]:
     findings += [(None, text) for text in _far_rows(result)]
     findings += [(Outcome.POOR_FIT, text) for text in _fit_quality(result)]
     exact = _exactness(result)
-    # Residuals that are rounding have a structure, and it means nothing.
+    # The structure of residuals that are rounding errors is not reported.
     if exact:
         findings.append((None, exact))
     else:

@@ -202,10 +202,10 @@ def scaled_to_combined(
 
 
 def turned(psi, stuck, slid):
-    r"""Cosine of the direction of a force, of which the part A sticks.
+    r"""Direction cosine of a force of a patch that partly slides.
 
     Args:
-        psi: share of the patch that slides, or more, :math:`\psi`.
+        psi: share of the patch that slides, :math:`\psi`; values above 1 count as 1.
         stuck, slid: cosines of the elastic deflection and of the sliding velocity.
     """
     share = jnp.minimum(psi, 1.0)

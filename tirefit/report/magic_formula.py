@@ -18,7 +18,7 @@ _UNIT = {force: CANONICAL[force][0] for force in FORCES}
 
 
 def magic_formula_report(fit: MagicFormulaFit) -> str:
-    """What was fitted, every coefficient with its origin, noise and verdict."""
+    """Stages, noise, parts left out, guards, coefficients and verdict of a fit."""
     lines = [f"MAGIC FORMULA {fit.model}, tirefit {fit.version}"]
     several = ", " in fit.data["file"]
     lines += wrapped("file", fit_files(fit) if several else fit.data["file"])
@@ -44,8 +44,8 @@ def magic_formula_report(fit: MagicFormulaFit) -> str:
 
 
 def _stages(fit: MagicFormulaFit) -> list[str]:
-    """What each stage misses when it ended and at the end of the fit, by its rows."""
-    head = ["stage", "rows", "cells", "coefficients", "passes", "RMSE", "at the end"]
+    """The residuals of each stage, at its own end and at the end of the fit."""
+    head = ["stage", "rows", "cells", "coefficients", "passes", "RMSE", "RMSE at end"]
     rows = [head]
     for stage in fit.stages:
         unit = _UNIT[stage.force]
@@ -53,14 +53,14 @@ def _stages(fit: MagicFormulaFit) -> list[str]:
         cells = [stage.name, str(stage.rows), str(stage.cells), str(stage.moved)]
         sizes = (stage.rmse, stage.rmse_at_end)
         rows.append([*cells, passes, *(f"{format_number(s)} {unit}" for s in sizes)])
-    lines = ["", "STAGES (cells are means of like rows; RMSE of these)"]
+    lines = ["", "STAGES (RMSE of the means of cells, at end of stage and of fit)"]
     return [*lines, *table(rows, right=(1, 2, 3, 4, 5, 6))]
 
 
 def _forces(fit: MagicFormulaFit) -> list[str]:
-    """What rows miss, and the noise of the band of a new measurement."""
-    head = ["force", "rows", "RMSE", "noise, constant", "of F_z", "of force"]
-    rows = [[*head, "std errors", "count as"]]
+    """The residuals of the rows, and the noise that the bands assume."""
+    head = ["force", "rows", "RMSE", "noise: constant", "of F_z", "of force"]
+    rows = [[*head, "std errors", "independent"]]
     for force, (rmse, count) in fit.fitted.items():
         law, unit = fit.noise[force], _UNIT[force]
         each = fit.inflation[force]
@@ -73,42 +73,36 @@ def _forces(fit: MagicFormulaFit) -> list[str]:
                 f"{law.share:.2%}" if unit == "N" else f"{law.share * 1e3:.2f} mm",
                 f"{law.of_force:.1%}",
                 f"x {fit.wider[force]:.2f}",
-                "each row" if each < 1.5 else f"one of {each:.0f} rows",
+                "every row" if each < 1.5 else f"1 of {each:.0f} rows",
             ]
         )
     return ["", "FORCES", *table(rows, right=(1, 2, 3, 4, 5, 6))]
 
 
 def _left_out(fit: MagicFormulaFit) -> list[str]:
-    """How parts of the data are predicted by the others."""
+    """The predictions of the parts that were left out."""
     if not fit.left_out:
-        said = "nothing was left out, as asked or for want of three loads"
-        said += ": bands are those of the fitted rows, unchecked"
+        said = "nothing, as asked or with fewer than three loads: the bands follow from"
+        said += " the fitted rows and are not checked"
         return ["", *wrapped("left out", said)]
-    head = ["left out", "force", "rows", "RMSE", "when fitted", "within 95 % band"]
+    head = ["left out", "force", "rows", "RMSE", "RMSE if fitted", "rows in 95 % band"]
     rows = [head]
     for part in fit.left_out:
         unit = _UNIT[part.force]
         sizes = (part.rmse, part.rmse_of_all)
-        rows.append(
-            [
-                part.label,
-                part.force,
-                str(part.rows),
-                *(f"{format_number(size)} {unit}" for size in sizes),
-                "-" if isnan(part.within) else f"{part.within:.0%}",
-            ]
-        )
-    lines = ["", "LEFT OUT, and predicted by the rest (bands made without the part)"]
+        rmse = (f"{format_number(size)} {unit}" for size in sizes)
+        within = "-" if isnan(part.within) else f"{part.within:.0%}"
+        rows.append([part.label, part.force, str(part.rows), *rmse, within])
+    lines = ["", "LEFT OUT (predicted from the other rows, with their band)"]
     return [*lines, *table(rows, right=(2, 3, 4, 5))]
 
 
 def _guards(fit: MagicFormulaFit) -> list[str]:
-    """What holds within and beyond the data, and where their loads end."""
+    """Which guards hold within the data and beyond."""
     if not fit.guards:
         return []
     low, high = fit.ranges["fz"]
-    lines = ["", f"IS IT A TIRE? (data: F_z {low:.4g} to {high:.4g} N)"]
+    lines = ["", f"GUARDS (F_z of the data: {low:.4g} to {high:.4g} N)"]
     for guard in fit.guards:
         said = "holds" if guard.holds else "FAILS beyond the data"
         said = said if guard.holds_inside else "FAILS WITHIN THE DATA"
@@ -127,17 +121,17 @@ def _coefficients(fit: MagicFormulaFit, part: str) -> list[str]:
 
 
 def _verdict(fit: MagicFormulaFit) -> list[str]:
-    """Whether it can be used as it is, and what is against it."""
+    """Whether the fit converged, or the reasons not to use it."""
     origins = [one.origin for one in fit.coefficients.values()]
     counts = [f"{origins.count(o)} {o}" for o in ORIGINS if o in origins]
     against = [o for o in fit.outcomes if o in _REASONS]
-    said = "not to be used as it is" if against else "converged"
+    said = "do not use this fit as it is" if against else "converged"
     lines = [f"VERDICT: {said}; coefficients: {', '.join(counts)}"]
     for outcome in against:
         lines += wrapped("", f"{outcome.value}: {', '.join(_REASONS[outcome](fit))}")
     beyond = [one.name for one in fit.guards if one.holds_inside and not one.holds]
     if beyond:
-        lines += wrapped("", f"beyond the data these fail: {', '.join(beyond)}")
+        lines += wrapped("", f"guards that fail beyond the data: {', '.join(beyond)}")
     return lines
 
 
@@ -150,11 +144,11 @@ _REASONS: dict[Outcome, Callable[[MagicFormulaFit], list[str]]] = {
     ],
     Outcome.WORSENED: lambda fit: fit.worsened,
 }
-"""Outcome that is against a fit -> the names of what is."""
+"""Outcome against the use of a fit -> names of the stages or guards concerned."""
 
 
 def magic_formula_fragment(fit: MagicFormulaFit) -> str:
-    """The same for a notebook, with the figure where the fit is of this process."""
+    """The report as HTML for a notebook, with a figure if the fit has its data."""
     picture = ""
     if fit.binned:
         from tirefit.report.mf_draw import plot_magic_formula  # Matplotlib

@@ -1,4 +1,4 @@
-"""What the figures of a Magic Formula fit show, as arrays."""
+"""The contents of the figures of a Magic Formula fit, as arrays."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from tirefit.report.curves import FORCE_LABEL, Curve, FitCurve, Group, even
 from tirefit.results import UsageError
 
 _POINTS = 80
-"""Of a curve between the first and the last bin."""
+"""Points of a curve between the first and the last bin."""
 _IN_95 = 1.96
 _BY = {
     "fz": "load",
@@ -29,8 +29,8 @@ _AXIS = {
 
 
 class Panel(NamedTuple):
-    """One set of axes: its title, and points and curves; ``ticks`` are places along
-    the abscissa that have names, if the abscissa is no quantity."""
+    """One set of axes: title, points and curves; ``ticks`` (place, label) where the
+    abscissa is not a quantity."""
 
     title: str
     curve: FitCurve
@@ -38,8 +38,8 @@ class Panel(NamedTuple):
 
 
 def _fitted(fit: MagicFormulaFit, force: str, inputs: Sequence[TireInputs]):
-    """For each of some inputs the force of the fit and its standard deviation as a
-    measurement, (n,) each."""
+    """For each of the inputs, the predicted force (n,) and its standard deviation (n,)
+    as a measurement."""
     joined = TireInputs(*map(np.concatenate, zip(*inputs, strict=True)))
     columns = {
         name: column
@@ -53,60 +53,65 @@ def _fitted(fit: MagicFormulaFit, force: str, inputs: Sequence[TireInputs]):
 
 
 def _between(bins: SlipBins) -> TireInputs:
-    """Inputs (m,) between the bins of a setting as the rows had them there: the load of
-    a rig follows the slip."""
+    """Inputs (m,) along the slip of a setting, interpolated between its bins: the load
+    of a rig varies with the slip."""
     slip = np.linspace(bins.slip[0], bins.slip[-1], _POINTS)
     return TireInputs(*(np.interp(slip, bins.slip, column) for column in bins.inputs))
 
 
-def _named(force: str) -> str:
+def _curve(label: str, x: np.ndarray, force: np.ndarray, std=0.0) -> Curve:
+    """A curve (m,) with the 95 % band of a measurement."""
+    half = _IN_95 * std
+    return Curve(label, x, force, force, force, force - half, force + half, None)
+
+
+def _name_of(force: str) -> str:
+    """The name of a force as the beginning of a title."""
     return FORCE_LABEL[force][0].split(" $")[0].capitalize()
 
 
-def _conditions(bins: SlipBins, but: str) -> str:
-    texts = [bins.setting.text(name) for name in _BY if name != but]
+def _conditions(bins: SlipBins, without: str = "") -> str:
+    """The conditions of a setting except one."""
+    texts = [bins.setting.text(name) for name in _BY if name != without]
     return ", ".join(filter(None, texts))
 
 
 def _panel(fit, force: str, name: str, members: Sequence[SlipBins]) -> Panel:
     """Points and curves of settings that differ in one condition."""
     x_label, scale = _AXIS[members[0].setting.swept]
-    fitted = _fitted(fit, force, [_between(bins) for bins in members])
+    inputs = [_between(bins) for bins in members]
     groups, curves = [], []
-    for bins, (middle, std) in zip(members, fitted, strict=True):
-        label = bins.setting.text(name)
-        x = scale * bins.slip
-        band = middle - _IN_95 * std, middle + _IN_95 * std
-        along = np.linspace(x[0], x[-1], _POINTS)
+    for bins, (middle, std) in zip(members, _fitted(fit, force, inputs), strict=True):
+        label, x = bins.setting.text(name), scale * bins.slip
         groups.append(Group(label, x, bins.force, bins.low, bins.high))
-        curves.append(Curve(label, along, middle, middle, middle, *band, None))
+        curves.append(_curve(label, np.linspace(x[0], x[-1], _POINTS), middle, std))
     what, unit, _ = FORCE_LABEL[force]
-    note, y_label = _conditions(members[0], name), f"{what} [{unit}]"
-    shown = tuple(groups), tuple(curves)
-    curve = FitCurve(force, x_label, y_label, *shown, "", note)
-    return Panel(f"{_named(force)} by {_BY[name]}", curve)
+    labels, note = (x_label, f"{what} [{unit}]"), _conditions(members[0], name)
+    curve = FitCurve(force, *labels, tuple(groups), tuple(curves), "", note)
+    return Panel(f"{_name_of(force)} by {_BY[name]}", curve)
 
 
-def _told(members: Sequence[SlipBins]) -> tuple[int, float, int]:
+def _preference(members: Sequence[SlipBins]) -> tuple[int, float, int]:
+    """Sort key of the settings to show: most, then least camber, then most rows."""
     rows = sum(int(bins.rows.sum()) for bins in members)
     return len(members), -abs(members[0].setting.gamma), rows
 
 
 def force_panels(fit: MagicFormulaFit, force: str) -> list[Panel]:
-    """A force over slip by load, camber and pressure in pure slip and by the slip angle
-    in combined slip; each where the test has several, the other conditions those at
-    which it has most of them, with least camber, and then most rows."""
+    """A force over slip: by load, camber and pressure in pure slip, by slip angle in
+    combined slip, as far as the test varies these. Of the other conditions, those
+    preferred by :func:`_preference` are shown."""
     panels = []
     for name in _BY:
         swept = "sigma_x" if name == "held" else SLIPS_OF[force][-1]
         alike: dict[tuple, list[SlipBins]] = {}
         for bins in fit.binned[force]:
             setting = bins.setting
-            pure = name == "held" or abs(setting.held) <= min(NEARLY_PURE.values())
+            pure = name == "held" or abs(setting.held) <= NEARLY_PURE
             if setting.swept == swept and pure and len(bins.slip) > 2:
                 key = tuple(getattr(setting, other) for other in _BY if other != name)
                 alike.setdefault(key, []).append(bins)
-        best = max(alike.values(), key=_told, default=[])
+        best = max(alike.values(), key=_preference, default=[])
         if len(best) > 1 or (best and name == "fz"):
             best = sorted(best, key=lambda bins: getattr(bins.setting, name))
             panels.append(_panel(fit, force, name, even(best)))
@@ -114,36 +119,34 @@ def force_panels(fit: MagicFormulaFit, force: str) -> list[Panel]:
 
 
 def residual_panel(fit: MagicFormulaFit, force: str) -> Panel:
-    """What every bin misses, measured - fitted, setting by setting in order of load."""
+    """The residual (measured - fitted) of every bin, by setting in order of load."""
     table = sorted(fit.binned[force], key=lambda bins: bins.setting)
     fitted = _fitted(fit, force, [bins.inputs for bins in table])
-    missed = [b.force - middle for b, (middle, _) in zip(table, fitted, strict=True)]
-    half = np.array([_IN_95 * np.median(std) for _, std in fitted])
-    kinds = np.array([bins.setting.text("held") for bins in table])
-    groups = []
-    for kind in even(sorted(set(kinds.tolist()))):
-        own = np.flatnonzero(kinds == kind)
-        x = [i + np.linspace(-0.3, 0.3, len(missed[i])) for i in own]
-        y = [missed[i] for i in own]
-        groups.append(Group(kind, np.concatenate(x), np.concatenate(y)))
-    place, zero = np.arange(float(len(table))), np.zeros(len(table))
-    curve = Curve("", place, zero, zero, zero, -half, half, None)
-    size = [float(np.sqrt(np.mean(one**2))) for one in missed]
-    worst = int(np.argmax(size))
-    unit = FORCE_LABEL[force][1]
-    note = f"worst, {size[worst]:.3g} {unit} rms: {_conditions(table[worst], '')}"
-    loads = np.array([bins.setting.text("fz") for bins in table])
-    ticks = [
-        (float(place[loads == t].mean()), t) for t in dict.fromkeys(loads.tolist())
-    ]
+    residual = [b.force - middle for b, (middle, _) in zip(table, fitted, strict=True)]
+    std = np.array([np.median(std) for _, std in fitted])
+    points: dict[str, list[np.ndarray]] = {}
+    places: dict[str, list[int]] = {}
+    for i, (bins, off) in enumerate(zip(table, residual, strict=True)):
+        x = i + np.linspace(-0.3, 0.3, len(off))
+        points.setdefault(bins.setting.text("held"), []).append(np.stack([x, off]))
+        places.setdefault(bins.setting.text("fz"), []).append(i)
+    groups = tuple(
+        Group(kind, *np.concatenate(points[kind], axis=1))
+        for kind in even(sorted(points))
+    )
+    curve = _curve("", np.arange(float(len(table))), np.zeros(len(table)), std)
+    size = [float(np.sqrt(np.mean(off**2))) for off in residual]
+    worst, unit = int(np.argmax(size)), FORCE_LABEL[force][1]
+    note = f"worst, {size[worst]:.3g} {unit} rms: {_conditions(table[worst])}"
+    ticks = [(float(np.mean(at)), load) for load, at in places.items()]
     labels = "settings of the test, by load", f"measured - fitted [{unit}]"
-    panel = FitCurve(force, *labels, tuple(groups), (curve,), "", note)
-    return Panel(f"{_named(force)}, measured less fitted", panel, tuple(even(ticks)))
+    panel = FitCurve(force, *labels, groups, (curve,), "", note)
+    return Panel(f"{_name_of(force)}, measured - fitted", panel, tuple(even(ticks)))
 
 
 def ellipse_panel(fit: MagicFormulaFit) -> list[Panel]:
-    """Lateral over longitudinal force in combined slip, over load, at the camber and
-    pressure with most slip angles and the largest load; none without such a test."""
+    """F_y / F_z over F_x / F_z in combined slip, at the load, camber and pressure with
+    most slip angles, then the largest load; empty without combined slip."""
     lateral = {bins.setting: bins for bins in fit.binned.get("fy", ())}
     alike: dict[tuple, list[tuple[SlipBins, SlipBins]]] = {}
     for bins in fit.binned.get("fx", ()):
@@ -165,17 +168,17 @@ def ellipse_panel(fit: MagicFormulaFit) -> list[Panel]:
         )
         groups.append(Group(label, along.force / fz, fy / fz))
         x, y = (fitted[force][i][0] / inputs[i].fz for force in ("fx", "fy"))
-        curves.append(Curve(label, x, y, y, y, y, y, None))
+        curves.append(_curve(label, x, y))
     x_label, y_label = (f"{FORCE_LABEL[force][2]} [-]" for force in ("fx", "fy"))
     note = _conditions(members[0][0], "held")
     panel = FitCurve("fy", x_label, y_label, tuple(groups), tuple(curves), "", note)
-    return [Panel("Lateral and longitudinal force share the friction", panel)]
+    return [Panel("Friction ellipse: lateral over longitudinal force", panel)]
 
 
 def panels_of(fit: MagicFormulaFit) -> dict[str, list[Panel]]:
-    """Name of a figure -> its panels."""
+    """Name of a figure -> its panels; raises UsageError for a fit read from a file."""
     if not fit.binned:
-        raise UsageError("this fit has no data in memory (fit again to draw it)")
+        raise UsageError("a fit read from a file has no data to draw: fit again")
     named = {force: force_panels(fit, force) for force in fit.binned}
     named["residuals"] = [residual_panel(fit, force) for force in fit.binned]
     named["ellipse"] = ellipse_panel(fit)

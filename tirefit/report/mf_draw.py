@@ -1,4 +1,4 @@
-"""Figures of a Magic Formula fit: arrays -> axes, and their files."""
+"""Draw the figures of a Magic Formula fit, and write its files."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,11 +22,11 @@ MAGIC_FORMULA_FILES = tuple(
 """Every file that :func:`save_pictures` may write."""
 
 _HEIGHT = 3.5
-"""Of a panel with its legend [in]."""
+"""Height of a panel with its legend [in]."""
 
 
 def _draw(axes, panel: Panel) -> None:
-    """A panel on given axes, its legend inside."""
+    """Draw a panel on given axes, with its legend inside."""
     draw_fit(axes, panel.curve._replace(note=""), beside=False)
     panel_title(axes, panel.title, panel.curve.note)
     x = [one.slip for one in panel.curve.groups]
@@ -39,7 +39,7 @@ def _draw(axes, panel: Panel) -> None:
 
 
 def stacked(panels: Sequence[Panel], title: str = "") -> Picture:
-    """One panel below the other, each with its legend below."""
+    """The panels one below the other, each with its legend below it."""
     picture = Picture(figsize=(WIDE, _HEIGHT * len(panels)), layout="constrained")
     if title:
         picture.suptitle(plain_text(title), fontsize=9.5, color=GREY)
@@ -56,11 +56,11 @@ def _title(fit: MagicFormulaFit) -> str:
 
 
 def plot_magic_formula(fit: MagicFormulaFit, ax=None):
-    """Every force over its slip by load: bins of the rows, and the fit; the Figure.
+    """Draw every force over its slip by load, measured and fitted; returns the Figure.
 
     Args:
-        fit: from this process.
-        ax: axes to draw the first force on.
+        fit: a fit of this process, which has its data.
+        ax: axes to draw only the first force on.
     """
     panels = panels_of(fit)
     first = [panels[force][0] for force in fit.binned if force in panels]
@@ -71,7 +71,7 @@ def plot_magic_formula(fit: MagicFormulaFit, ax=None):
 
 
 def magic_formula_page(fit: MagicFormulaFit) -> str:
-    """The fit as one HTML document: figures, report, record; nothing to fetch."""
+    """The fit as one self-contained HTML page: figures, report and record."""
     panels = [panel for named in panels_of(fit).values() for panel in named]
     pictures = [Shown(stacked([panel]), panel.title) for panel in panels]
     return rendered(
@@ -84,7 +84,7 @@ def magic_formula_page(fit: MagicFormulaFit) -> str:
 
 
 def save_pictures(fit: MagicFormulaFit, folder: Path, svg: bool = False) -> list[Path]:
-    """Writes the figures into a folder; the files. ``svg``: each as SVG too."""
+    """Write the figures as PNG, and as SVG if ``svg``; returns the files."""
     written = []
     pictures = {"fit": plot_magic_formula(fit)}
     pictures |= {name: stacked(p, _title(fit)) for name, p in panels_of(fit).items()}

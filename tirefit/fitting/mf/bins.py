@@ -1,4 +1,4 @@
-"""The settings of a rig's test, found in its rows, and the rows by setting and slip."""
+"""Find the settings of a rig test in its rows, and bin the rows by setting and slip."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -16,29 +16,31 @@ from tirefit.slip import kappa_from_sigma
 _DEG = np.pi / 180
 _HELD = {"fz": 0.03, "pressure": 0.01, "sigma_x": 0.01}
 _HELD |= {"gamma": 0.2 * _DEG, "alpha": 0.3 * _DEG}
-"""How closely a rig holds a channel at one slip: load and pressure relative to
-themselves, angles in rad, kappa."""
+"""Scatter of a channel that a rig holds constant, at one slip: relative for load and
+pressure, rad for angles, kappa for ``sigma_x``."""
 _SWEPT = 10.0
-"""A level wider than this, in these units, is a range and no setting."""
+"""Width, in units of :data:`_HELD`, above which a level is a range."""
 _MOST = 12
-"""Levels of a channel; more are a range."""
+"""Largest number of levels of a channel; a channel with more is a range."""
 _VALLEY = 0.5
-"""Two levels are told apart where the density of rows between them is below this part
-of that of the sparser one."""
-_LEAST_SHARE, _SUPPORT = 0.01, 0.1
-"""Of the rows: in a level, for fewer are on their way; and that show so many levels."""
+"""Two levels are separate if the density of rows between them falls below this share of
+the lower of their two peaks."""
+_LEAST_SHARE = 0.01
+"""Smallest share of the rows in a level; fewer rows are on the way between levels."""
+_SUPPORT = 0.1
+"""Smallest share of the rows that must show a number of levels for it to be used."""
 _STEPS = 4
-"""Cells of the density in one of the units of :data:`_HELD`."""
+"""Cells of the density estimate per unit of :data:`_HELD`."""
 _CELLS = 32
-"""Bins of the slip between the ends of all sweeps."""
+"""Number of slip bins between the ends of all sweeps."""
 
 
 class Setting(NamedTuple):
-    """What a rig was set to while it swept one slip.
+    """The conditions at which a rig swept one slip.
 
-    ``fz`` [N], ``gamma`` [rad] and ``pressure`` [Pa] are the medians of their levels;
-    ``swept`` is the slip that varies, ``alpha`` or ``sigma_x``, and ``held`` the median
-    of the other one (rad, or kappa); ``run`` is the number of the run.
+    ``fz`` [N], ``gamma`` [rad] and ``pressure`` [Pa] are the medians of their levels.
+    ``swept`` is the slip that varies, ``alpha`` or ``sigma_x``. ``held`` is the median
+    of the other slip (rad, or kappa). ``run`` is the number of the run.
     """
 
     fz: float
@@ -49,14 +51,13 @@ class Setting(NamedTuple):
     run: int
 
     def text(self, name: str) -> str:
-        """One of the conditions in words."""
+        """One condition with its unit, for labels; empty for an unknown pressure."""
         value = getattr(self, name)
-        if name == "held" and self.swept == "alpha":
-            rolls = abs(value) <= NEARLY_PURE["sigma_x"]
-            return "rolling freely" if rolls else f"kappa {value:.2g}"
         if name == "held":
-            is_straight = abs(value) <= NEARLY_PURE["alpha"]
-            return "straight" if is_straight else f"slip angle {value / _DEG:.2g} deg"
+            pure, held = "straight", f"slip angle {value / _DEG:.2g} deg"
+            if self.swept == "alpha":
+                pure, held = "rolling freely", f"kappa {value:.2g}"
+            return pure if abs(value) <= NEARLY_PURE else held
         return {
             "fz": f"{float(f'{value:.3g}'):g} N",
             "gamma": f"camber {round(value / _DEG, 1) + 0.0:g} deg",
@@ -66,10 +67,11 @@ class Setting(NamedTuple):
 
 
 class SlipBins(NamedTuple):
-    """The rows of one setting, of all runs, in bins of the slip that was swept, (m,).
+    """The rows of one setting, of all runs, in m bins of the swept slip; arrays (m,).
 
-    ``slip`` (rad, or kappa), ``inputs`` and ``force`` are medians, ``low`` to ``high``
-    holds 95 % of the forces, ``rows`` is their number.
+    ``slip`` (rad, or kappa), ``inputs`` and ``force`` are medians of the rows of a bin.
+    ``low`` and ``high`` bound the central 95 % of its forces. ``rows`` is the number of
+    its rows.
     """
 
     setting: Setting
@@ -82,8 +84,9 @@ class SlipBins(NamedTuple):
 
 
 def settings_of(rows: ForceRows) -> tuple[tuple[str, ...], np.ndarray]:
-    """The settings of :func:`rig_settings` in words, and the setting of each row:
-    (labels, code (n,)). What all rows share is not in the labels, but for the load."""
+    """A label for each setting of :func:`rig_settings`, and the setting of each row:
+    (labels, code (n,)). A condition that all settings share is omitted from the labels,
+    except the load and the slip that is held."""
     found, code = rig_settings(rows)
     several = {k for k in Setting._fields if len({getattr(s, k) for s in found}) > 1}
     several |= {"fz", "held"}
@@ -100,47 +103,51 @@ def _slips(rows: ForceRows) -> dict[str, np.ndarray]:
 def rig_settings(rows: ForceRows) -> tuple[tuple[Setting, ...], np.ndarray]:
     """The settings of the rows of a force, and the setting of each row.
 
-    Rows share a setting if load, camber, pressure, the slip that is held and the run
-    are the same. The load of a rig follows the slip, so that its levels are looked for
-    among rows of like slips. A channel without levels is cut into thirds of its rows.
+    Rows share a setting if they share the levels of load, camber, pressure and held
+    slip, and the run. The load of a rig varies with the slip, so levels are searched
+    within classes of similar slip. A channel without levels is cut into thirds of its
+    rows.
 
     Args:
         rows: (n,) in the order in which they were measured.
 
     Returns:
-        (settings, code): ``settings[code[i]]`` is that of row i; code (n,).
+        (settings, code): row i has the setting ``settings[code[i]]``; code (n,).
     """
     slips = _slips(rows)
-    alike = sum(5**i * _class_of(*one) for i, one in enumerate(slips.items()))
+    alike = _class_of(slips["alpha"]) + 5 * _class_of(slips["sigma_x"])
     values = {name: rows.column(name) for name in ("fz", "gamma", "pressure")}
     code = {name: _levels(name, column, alike)[0] for name, column in values.items()}
     is_alpha_swept, level = _held(rows.force, slips, rows.run)
     values["held"] = np.where(is_alpha_swept, slips["sigma_x"], slips["alpha"])
-    # Levels of the two slips are different levels.
+    # A level of alpha and a level of kappa are different settings.
     code["held"] = 2 * level + is_alpha_swept
-    middle = {}
-    for name, codes in code.items():
-        found, code[name] = np.unique(codes, return_inverse=True)
-        each = [np.median(values[name][code[name] == k]) for k in range(len(found))]
-        middle[name] = np.array(each)
-    key = np.stack([*code.values(), is_alpha_swept, rows.run], axis=1)
-    unique, of_row = np.unique(key, axis=0, return_inverse=True)
+    level_of = {name: _medians(values[name], codes) for name, codes in code.items()}
+    key = np.stack([*code.values(), rows.run], axis=1)
+    _, first, of_row = np.unique(key, axis=0, return_index=True, return_inverse=True)
     settings = []
-    for *places, turns, run in unique.tolist():
-        at = {k: float(middle[k][i]) for k, i in zip(code, places, strict=True)}
-        swept = "alpha" if turns else "sigma_x"
-        settings.append(Setting(**at, swept=swept, run=run))
+    for i in first.tolist():
+        at = {name: float(column[i]) for name, column in level_of.items()}
+        swept = "alpha" if is_alpha_swept[i] else "sigma_x"
+        settings.append(Setting(**at, swept=swept, run=int(rows.run[i])))
     return tuple(settings), of_row.ravel()
 
 
+def _medians(values: np.ndarray, code: np.ndarray) -> np.ndarray:
+    """For each row (n,), the median of the values of the rows with its code."""
+    _, code = np.unique(code, return_inverse=True)
+    return np.array([np.median(values[code == k]) for k in range(code.max() + 1)])[code]
+
+
 def _held(force: str, slips, run) -> tuple[np.ndarray, np.ndarray]:
-    """Whether the slip angle is the one that is swept, and the level of the other slip,
-    0 where it is next to nothing; of each row (n,)."""
+    """For each row (n,): whether the slip angle is swept, and the level of the other
+    slip, 0 where that slip is nearly zero."""
     own = SLIPS_OF[force][-1]
     other = "alpha" if own == "sigma_x" else "sigma_x"
-    none = {name: np.abs(slips[name]) <= NEARLY_PURE[name] for name in slips}
+    none = {name: np.abs(slip) <= NEARLY_PURE for name, slip in slips.items()}
     both = ~none["alpha"] & ~none["sigma_x"]
-    found = {n: _levels(n, slips[n][both], None) for n in slips} if both.any() else {}
+    one = np.zeros(np.count_nonzero(both), int)
+    found = {n: _levels(n, slips[n][both], one) for n in slips} if both.any() else {}
     held, swept = other, own
     if found and found[other][1] and not found[own][1]:
         held, swept = own, other
@@ -151,7 +158,7 @@ def _held(force: str, slips, run) -> tuple[np.ndarray, np.ndarray]:
             low, high = np.percentile(slips[held][both & (level == k)], [2, 98])
             beyond = np.maximum(low - slips[held], slips[held] - high)
             level[(level < 0) & (beyond <= _HELD[held])] = k
-    # A sweep passes zero at the level at which it was before and is thereafter.
+    # A sweep keeps its level of the held slip while the swept slip passes zero.
     new = np.diff(2 * run + none[swept], prepend=-1) != 0
     starts, block = np.flatnonzero(new), np.cumsum(new) - 1
     least = np.minimum.reduceat(level, starts)
@@ -160,19 +167,19 @@ def _held(force: str, slips, run) -> tuple[np.ndarray, np.ndarray]:
     return is_held == (swept == "alpha"), np.where(is_held, level, 0)
 
 
-def _class_of(name: str, slip: np.ndarray) -> np.ndarray:
-    """Rows of like slips: 0 next to nothing, 1 to 4 a quarter of the others; (n,)."""
-    other = np.abs(slip) > NEARLY_PURE[name]
+def _class_of(slip: np.ndarray) -> np.ndarray:
+    """Class (n,) of similar slip: 0 nearly zero, 1 to 4 a quarter of the other rows."""
+    other = np.abs(slip) > NEARLY_PURE
     edges = np.quantile(slip[other], [0.25, 0.5, 0.75]) if other.any() else [0.0]
     return np.where(other, 1 + np.searchsorted(edges, slip), 0)
 
 
 def _levels(name: str, values: np.ndarray, alike) -> tuple[np.ndarray, bool]:
-    """Level of each value (n,), and whether they are thirds of a range.
+    """The level of each value (n,), and whether the levels are thirds of a range.
 
     Args:
-        alike: class of each row (n,), within which a level is sharper, 0 at rest; None
-            for one class.
+        alike: class of similar slip of each row (n,), 0 at rest; a level scatters less
+            within a class.
     """
     found = levels(values)
     if found.few(_MOST):
@@ -180,20 +187,20 @@ def _levels(name: str, values: np.ndarray, alike) -> tuple[np.ndarray, bool]:
     is_relative = name in ("fz", "pressure")
     x = np.log(np.maximum(values, 1.0)) if is_relative else values
     x = x / _HELD[name]
-    alike = np.zeros(len(x), int) if alike is None else alike
     count = np.bincount(alike)
-    # At rest, class 0, a rig moves from one setting to the next.
+    # Class 0 is left out: a rig moves between settings while both slips are zero.
     count[0] = 0 if len(count) > 1 else count[0]
     classes = np.flatnonzero(count >= _LEAST_SHARE * count.sum())
     modes = {k: _modes(x[alike == k]) for k in classes}
-    # As many levels as a tenth of the rows show: a class may lack some of them.
+    # Take the largest number of levels that a tenth of the rows show: some classes may
+    # lack a level.
     size = [len(own) for own in modes.values()]
     share = np.bincount(size, count[classes]) / count.sum()
     many = np.flatnonzero(share >= min(_SUPPORT, share.max()))[-1]
     center = np.mean([own for own in modes.values() if len(own) == many], axis=0)
     code = _nearest(center, x)
     for k, own in modes.items():
-        # Of as many levels, each class has its own: the load follows the slip.
+        # A class with all levels keeps its own, as the load varies with the slip.
         order = np.arange(many) if len(own) == many else _nearest(center, own)
         code[alike == k] = order[_nearest(own, x[alike == k])]
     width = [np.ptp(np.percentile(x[code == k], [5, 95])) for k in np.unique(code)]
@@ -203,16 +210,17 @@ def _levels(name: str, values: np.ndarray, alike) -> tuple[np.ndarray, bool]:
 
 
 def _nearest(center: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Index (n,) of the center that is nearest to each x (n,)."""
     return np.searchsorted((center[1:] + center[:-1]) / 2, x)
 
 
 def _modes(x: np.ndarray) -> np.ndarray:
-    """Values (k,) that x (n,) gathers at: the medians about the peaks of its density,
-    smoothed over one unit."""
+    """The modes (k,) of x (n,): the median of the rows about each peak of the density,
+    which is smoothed over one unit."""
     cell = ((x - x.min() + 4) * _STEPS).astype(int)
     rows = np.bincount(cell, minlength=cell.max() + 4 * _STEPS).astype(float)
     density = np.log(gaussian_filter1d(rows, _STEPS) + 1e-9)
-    # Peaks of one height would each stand alone.
+    # A small slope, so that of two equal peaks one is the higher.
     density += 1e-6 * np.arange(len(density))
     lowest = np.log(_LEAST_SHARE * len(x) / (_STEPS * np.sqrt(2 * np.pi)))
     peaks, _ = find_peaks(density, lowest, prominence=-np.log(_VALLEY))
@@ -223,7 +231,7 @@ def _modes(x: np.ndarray) -> np.ndarray:
 
 
 def binned(rows: ForceRows) -> tuple[SlipBins, ...]:
-    """The rows of a force by setting and slip: what its figures show."""
+    """The rows of a force binned by setting and slip, for figures."""
     settings, code = rig_settings(replace(rows, run=0 * rows.run))
     columns, slips = np.stack(rows.inputs), _slips(rows)
     table = []
@@ -237,6 +245,6 @@ def binned(rows: ForceRows) -> tuple[SlipBins, ...]:
         middle = np.array([np.median(slip[at]) for at in members])
         low, force, high = np.transpose(spread)
         count = np.array([len(at) for at in members])
-        of_all = TireInputs(*inputs)
-        table.append(SlipBins(setting, middle, of_all, force, low, high, count))
+        medians = TireInputs(*inputs)
+        table.append(SlipBins(setting, middle, medians, force, low, high, count))
     return tuple(table)

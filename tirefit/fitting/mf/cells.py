@@ -1,9 +1,9 @@
-"""Cells of like rows: what a Magic Formula is fitted to in place of every row.
+"""Condense rows into cells, to which a Magic Formula is fitted in place of the rows.
 
-Rows of one setting of the rig at nearly the same slips, load and camber say the same of
-the coefficients. A cell stands for them with its mean inputs and mean force. How its
-rows scatter about its mean is the noise of the measurement; by how much its mean misses
-the formula is misfit, which more rows do not make smaller.
+A cell holds the rows of one setting of the rig at nearly the same slips, load and
+camber. It is fitted with its mean inputs and its mean force. The scatter of its rows
+about their mean is measurement noise, which averages out over the rows. The difference
+between its mean and the formula is misfit, which does not.
 """
 
 from collections.abc import Mapping
@@ -17,29 +17,29 @@ from tirefit.fitting.noise_law import NoiseLaw, noise_law
 from tirefit.models import TireInputs
 
 _WIDTH = {"sigma_x": 0.005, "alpha": 0.005, "gamma": 0.005}
-"""Of a cell at small slip [-], [rad]: a curve of stiffness factor B misses its mean by
-(B width)^2 / 24 of the force, 0.1 % at B = 30."""
+"""Width of a cell at small slip [-], [rad]. The force at the mean input of a cell
+differs from the mean force by (B width)^2 / 24 of it: 0.1 % at a stiffness factor
+B = 30."""
 
 _FEWEST = 4096
-"""Rows that are put into cells: fewer take no longer one by one."""
+"""Number of rows below which every row is a cell: so few take no longer to fit."""
 
 _WIDENS = 0.1
-"""Slip from which on cells grow with it: there the curves are nearly straight."""
+"""Slip above which the width of a cell grows with the slip: the curves are nearly
+straight there."""
 
 _SHARE = {"fz": 0.05, "pressure": 0.02, "v": 0.05}
-"""Width of a cell over the value itself, of loads, pressures and speeds."""
-
+"""Relative width of a cell in load, pressure and speed."""
 
 _AT_FIRST = 0.05
-"""Noise over the root mean square of the force, before any residual is known."""
+"""Noise relative to the root mean square of the force, before the first residuals."""
 
 
 class Cells(NamedTuple):
-    """Cells of the rows of one force.
+    """m cells of the n rows of one force, in the order of their setting and slips.
 
-    ``inputs`` and ``observed`` (m,) are means over the ``rows`` (m,) of each, ``code``
-    (n,) is the cell of each row, ``setting`` (m,) that of the rig. Cells are in the
-    order of their setting and slips.
+    ``inputs`` and ``observed`` (m,) are means over the ``rows`` (m,) of each cell.
+    ``code`` (n,) is the cell of each row. ``setting`` (m,) is the setting of the rig.
     """
 
     inputs: TireInputs
@@ -49,11 +49,15 @@ class Cells(NamedTuple):
     setting: np.ndarray
 
     def mean(self, values: np.ndarray) -> np.ndarray:
-        """Means over the rows of each cell, (n,) -> (m,)."""
+        """Mean of the values (n,) over the rows of each cell: (m,)."""
         return np.bincount(self.code, values, len(self.rows)) / self.rows
 
     def white_law(self, rows: ForceRows, predicted: np.ndarray) -> NoiseLaw:
-        """Noise of one row, from the scatter within cells about ``predicted`` (n,)."""
+        """Noise law of one row, from the scatter within the cells.
+
+        Args:
+            predicted: (n,) force of the formula at each row.
+        """
         residual = rows.observed - predicted
         free = (1 - 1 / self.rows)[self.code]
         shared = free > 0
@@ -65,14 +69,14 @@ class Cells(NamedTuple):
 
 
 def cells_of(rows: ForceRows, setting: np.ndarray) -> Cells:
-    """The cells of rows.
+    """The cells of the rows of one force.
 
     Args:
-        rows: of one force.
-        setting: (n,) integers, which setting of the rig each row is at.
+        rows: n rows.
+        setting: (n,) number of the setting of the rig at each row.
     """
     columns = {k: np.asarray(part) for k, part in rows.inputs._asdict().items()}
-    # Of the forces none, but M_y depends on speed.
+    # Of all forces and moments, only M_y depends on speed.
     names = [*_WIDTH, *(name for name in _SHARE if name != "v" or rows.force == "my")]
     places = [setting, *(_place(columns, name) for name in names)]
     if len(setting) < _FEWEST:
@@ -86,7 +90,7 @@ def cells_of(rows: ForceRows, setting: np.ndarray) -> Cells:
 
 
 def _place(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
-    """Number of the interval of one input, (n,)."""
+    """For each row (n,), the number of the interval that one input lies in."""
     if name in _WIDTH:
         stretched = _WIDENS * np.arcsinh(columns[name] / _WIDENS)
         return np.rint(stretched / _WIDTH[name]).astype(int)
@@ -96,10 +100,12 @@ def _place(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Group:
-    """Cells of one force in pure or in combined slip.
+    """Cells of one force in pure or in combined slip, with their noise.
 
-    ``white`` and ``misfit`` are the noise laws of one row and of a cell's mean beside
-    it; ``each``: how many cells count as one, as neighbours miss the formula alike.
+    ``white`` is the noise law of one row. ``misfit`` is the law of the difference
+    between a cell's mean and the formula. ``given`` (m,) is the variance of each cell's
+    mean where the noise is given. ``each`` is the number of cells per independent cell,
+    as neighbouring cells have similar misfit.
     """
 
     force: str
@@ -111,16 +117,20 @@ class Group:
     each: float = 1.0
 
     def variance(self, predicted: np.ndarray) -> np.ndarray:
-        """Of each cell's mean (m,) about the formula; that is ``predicted`` (m,)."""
-        fz = np.asarray(self.cells.inputs.fz)
+        """Variance (m,) of each cell's mean about the formula.
+
+        Args:
+            predicted: (m,) force of the formula.
+        """
         known = self.known(predicted)
+        mean_square = float(np.mean(self.cells.observed**2))
         if self.misfit is None:
-            return known + _AT_FIRST**2 * float(np.mean(self.cells.observed**2))
-        least = 1e-12 * float(np.mean(self.cells.observed**2))
-        return known + np.maximum(self.misfit.variance(fz, predicted), least)
+            return known + _AT_FIRST**2 * mean_square
+        misfit = self.misfit.variance(np.asarray(self.cells.inputs.fz), predicted)
+        return known + np.maximum(misfit, 1e-12 * mean_square)
 
     def row_variance(self, fz: np.ndarray, predicted: np.ndarray) -> np.ndarray:
-        """Of single rows (n,) about the formula, as the misfit goes."""
+        """Variance (n,) of single rows about the formula: noise and misfit."""
         misfit = self.misfit or NoiseLaw(0.0, 0.0)
         single = self.white.variance(fz, predicted)
         if self.given is not None:
@@ -128,36 +138,29 @@ class Group:
         return single + misfit.variance(fz, predicted)
 
     def known(self, predicted: np.ndarray) -> np.ndarray:
-        """Part of the variance that the noise of single rows makes, (m,)."""
+        """Variance (m,) of each cell's mean from measurement noise alone."""
         if self.given is not None:
             return self.given
         return self.white.variance(self.cells.inputs.fz, predicted) / self.cells.rows
 
     def part(self, chosen: np.ndarray) -> "Group":
-        """Some of the cells, chosen (m,) bool; their rows are not kept."""
+        """The group of the ``chosen`` cells, (m,) bool; their rows have no code."""
         cells, given = self.cells, self.given
         inputs = TireInputs(*(np.asarray(column)[chosen] for column in cells.inputs))
-        return replace(
-            self,
-            cells=Cells(
-                inputs,
-                cells.observed[chosen],
-                cells.rows[chosen],
-                np.zeros(0, int),
-                cells.setting[chosen],
-            ),
-            given=None if given is None else given[chosen],
-        )
+        observed, rows = cells.observed[chosen], cells.rows[chosen]
+        some = Cells(inputs, observed, rows, np.zeros(0, int), cells.setting[chosen])
+        given = None if given is None else given[chosen]
+        return replace(self, cells=some, given=given)
 
 
 def groups_of(
     rows: Mapping[str, ForceRows], settings: Mapping[str, np.ndarray], both: bool
 ) -> dict[str, list[Group]]:
-    """Cells of pure slip and, where asked for, of combined slip, by force.
+    """The groups of each force: pure slip, then combined slip if ``both``.
 
     Args:
         settings: by force, the setting of the rig (n,) of each row.
-        both: whether rows of combined slip are taken.
+        both: whether to include the rows of combined slip.
     """
     groups: dict[str, list[Group]] = {}
     for force, of_force in rows.items():

@@ -1,4 +1,4 @@
-"""One version of the Magic Formula from another: a test of the tire without noise."""
+"""Convert a Magic Formula to another version, by a fit to a noise-free virtual test."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,16 +19,16 @@ from tirefit.models.mf.tire import turned_inputs
 from tirefit.params import specs
 
 _CAMBER, _PRESSURE = 0.08, 0.2
-"""Largest camber [rad] and change of pressure, where the file allows as much."""
+"""Largest camber [rad] and relative change of pressure, if the file allows them."""
 
 _OTHER_SLIPS = (-0.4, -0.15, 0.15, 0.4)
-"""Slip angles of combined sweeps, over the largest."""
+"""Slip angles of combined sweeps, relative to the largest."""
 
 _SLIPS = 41
 
 
 def _range(tir: TirFile, name: str, low: float, high: float) -> tuple[float, float]:
-    """Of an input in ISO-W axes, within what the file was made for."""
+    """The range of an input in ISO-W axes, cut to the range that the file states."""
     least, most = LIMITS[name]
     return max(low, tir.numbers.get(least, low)), min(high, tir.numbers.get(most, high))
 
@@ -42,9 +42,11 @@ def virtual_test(
     combination: str | None = None,
     moments: Sequence[str] = (),
 ) -> TireData:
-    """Sweeps in pure and combined slip of the tire of a file in ``signs``, at these
-    loads [N], three cambers and, if ``pressure_too``, three pressures: each a run.
-    ``moments``: of mx and my, those to be measured beside fx, fy and mz."""
+    """Sweeps in pure and combined slip of the tire of a file, each sweep a run.
+
+    They are at the given loads [N], three cambers and, if ``pressure_too``, three
+    pressures. ``moments`` names those of mx and my to measure beside fx, fy and mz.
+    """
     tire = own_tire(tir)
     kappa = np.linspace(*_range(tir, "kappa", -min(slip_max, 0.99), slip_max), _SLIPS)
     alpha = np.linspace(*_range(tir, "alpha", -slip_max, slip_max), _SLIPS)
@@ -80,12 +82,14 @@ def virtual_test(
     columns = {
         k: np.asarray(v) for k, v in (inputs._asdict() | given).items() if v is not None
     }
-    if "mz" in columns and "fx" not in columns:  # M_z is then of free rolling alone
+    if (
+        "mz" in columns and "fx" not in columns
+    ):  # M_z without F_x is known only for free rolling
         columns["mz"] = np.where(slip == 0, columns["mz"], np.nan)
     used, run = np.full(len(load), True), np.repeat(np.arange(len(parts)), _SLIPS)
     names = tuple(f"sweep {i}" for i in range(len(parts)))
     data = TireData(tir.path, columns, used, run, names, Source(path=tir.path))
-    noise = "the file has no noise: standard errors are of what the version misses"
+    noise = "the test has no noise: standard errors come from misfit of the version"
     said = (noise, *remarks(tir, own, data, signs))
     return replace(data, source=replace(data.source, assumptions=said))
 
@@ -98,18 +102,19 @@ def converted(
     signs: str | None = None,
     combination: str | None = None,
 ) -> MagicFormulaFit:
-    """The Magic Formula ``model`` that a file is nearest to, fitted to its own test;
-    5.2, which has no pressure terms, at the nominal pressure. It lacks the forces that
-    the file lacks. M_x and M_y are copied as far as the version has their coefficients;
-    an M_x of more of them is fitted.
+    """Fit the Magic Formula ``model`` to a virtual test of the tire of a file.
+
+    MF 5.2 has no pressure terms, so its test is at the nominal pressure. The result
+    lacks the forces that the file lacks. M_x and M_y are copied if the version has all
+    their coefficients; otherwise M_x is fitted.
 
     Args:
         tir: the file, read and checked.
         model: ``mf52``, ``mf61`` or ``mf62``.
         slip_max: largest kappa and slip angle [rad].
         loads: F_z [N].
-        signs: convention of the file, ISO-W if None, as that of the result.
-        combination: how both slips combine in the file's tire, see
+        signs: convention of the file, ISO-W if None; the result is in ISO-W.
+        combination: method of combined slip of the tire of the file, see
             :func:`~tirefit.fitting.tir.own_tire`.
     """
     acting = any(tir.numbers.get(name) for name in PRESSURE_TERMS)
@@ -118,7 +123,7 @@ def converted(
         *(NEVER_FITTED if model != "mf52" else ()),
     }
     of_mx = [name for name in specs(Overturning()) if tir.numbers.get(name)]
-    # The coefficients of a file in other signs are not those of ISO-W.
+    # A file in other signs has other coefficients of M_x than the result.
     is_fitted = not own.issuperset(of_mx) or turned_by(signs)
     moments = ("mx",) if of_mx and is_fitted else ()
     pressure_too = acting and model != "mf52"
@@ -131,6 +136,6 @@ def converted(
     settings = FitConfig.model_validate({"parameters": given})
     first = None if turned_by(signs) else tir.numbers
     fit = fit_magic_formula(data, model, config=settings, first=first, leave_out="none")
-    # The rows of a curve are not to be looked at, however far.
+    # Far rows of a noise-free curve are no outliers.
     notes = tuple(note for note in fit.notes if "standard deviations" not in note)
     return replace(fit, notes=notes, tire=replace(fit.tire, lacks=tire.lacks))

@@ -17,11 +17,12 @@ from tirefit.fitting.estimate import data_record
 from tirefit.fitting.mf.bins import binned, settings_of
 from tirefit.fitting.mf.cells import groups_of
 from tirefit.fitting.mf.guards import check_guards
-from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, LeftOut, foretold
+from tirefit.fitting.mf.left_out import LEAVE_OUT, Band, LeftOut, cross_validated
 from tirefit.fitting.mf.like import Borrowed, borrowed_from, with_dimensions
 from tirefit.fitting.mf.parts import (
     HELD,
     MOMENTS,
+    NEARLY_PURE,
     NEVER_FITTED,
     PARTS,
     VERSIONS,
@@ -43,10 +44,10 @@ from tirefit.results import InputProblem, UsageError
 from tirefit.slip import kappa_from_sigma
 
 _FAR = 7.0
-"""Standard deviations of rows and their misfit beyond which a row is counted."""
+"""Standard deviations (of noise and misfit) beyond which a row is reported as far."""
 
 _REACHED = 0.9
-"""Share of mu F_z that some row reaches, below which the friction is not measured."""
+"""Share of mu F_z that some row must reach for the friction to be measured."""
 
 
 def fit_magic_formula(
@@ -60,34 +61,35 @@ def fit_magic_formula(
     leave_out: str = "three",
     progress: Callable[[float, str], None] = lambda share, note: None,
 ) -> MagicFormulaFit:
-    """Every coefficient of a Magic Formula, with its standard error and origin.
+    """Fit every coefficient of a Magic Formula, with its standard error and origin.
 
-    Each force is fitted to its own rows, pure slip before combined slip, and moments
-    after the forces, whose coefficients they do not move; Gaussian priors from
-    published tires keep what the data do not tell at physical values. Parts of the data
-    are then left out in turn: how well the others foretell them makes the bands.
+    Each force is fitted to its own rows, pure slip before combined slip. The moments
+    follow; they do not move coefficients of the forces. Gaussian priors from published
+    tires keep coefficients that the data do not determine at physical values. Then
+    parts of the data are left out in turn and predicted from the others; the errors of
+    these predictions set the bands.
 
     Args:
-        data: what ``tirefit.read`` gave, or what it reads; a list of such counts as
-            runs of one data set, which need not hold the same columns.
+        data: the result of ``tirefit.read``, or a file that it reads; a list of these
+            counts as runs of one data set and need not hold the same columns.
         model: ``mf52``, ``mf61`` or ``mf62``.
-        part: ``fx``, ``fy`` or ``mz`` in pure slip; ``all``, or ``combined``, is these,
+        part: ``fx``, ``fy`` or ``mz`` in pure slip; ``all`` or ``combined`` for these,
             combined slip, ``mx`` and ``my``, as far as the data hold them; ``mx`` or
-            ``my``: that moment and the forces.
+            ``my`` for that moment and the forces.
         config: content of ``fit.toml``: noise of the forces; under ``parameters`` the
             nominal state (FNOMIN, UNLOADED_RADIUS, NOMPRES), and value, ``free`` and
-            prior of coefficients; ``friction_temperature``: whether friction follows
-            the temperature, at whose median the coefficients then are.
-        first: coefficients of a tire that may be near, to start from too.
-        like: a ``.tir`` file, whose coefficients are the priors' means where ``config``
-            says nothing of them.
+            prior of coefficients; ``friction_temperature`` for a friction that changes
+            with temperature (the coefficients then hold at its median).
+        first: coefficients of a tire that may be similar, as an additional start.
+        like: a ``.tir`` file whose coefficients are the means of the priors, except
+            those that ``config`` sets.
         leave_out: ``three`` leaves out the bins of three loads in turn, ``load`` those
             of each load, ``bin`` each bin, ``none`` nothing.
-        progress: called with the share done and what is being done.
+        progress: called with the share done and the name of the next step.
 
     Raises:
-        UsageError: unknown model, part or coefficient, or a setting that is not of a
-            Magic Formula; or 32-bit floats in use.
+        UsageError: unknown model, part or coefficient, a setting that a Magic Formula
+            does not have, or 32-bit floats in use.
         DataError: no force with its slip, or too few rows of one.
     """
     require_x64("a fit")
@@ -110,7 +112,7 @@ def fit_magic_formula(
     also = other.numbers if other else ()
     tire, assumed = nominal_of(model, rows, config, constants, also)
     borrowed = borrowed_from(other, tire, rows, config) if other else Borrowed({}, ())
-    notes += [*assumed, *borrowed.notes, *_slip_noise_left_out(whole, config)]
+    notes += [*assumed, *borrowed.notes, *_unused_slip_noise(whole, config)]
     problem, priors = problem_from(tire, config, borrowed.priors)
     settings = {force: settings_of(of_force) for force, of_force in rows.items()}
     codes = {force: code for force, (_, code) in settings.items()}
@@ -131,25 +133,25 @@ def fit_magic_formula(
         work = fitted_to(rows)
         if "temperature" in whole:
             notes.append(UNUSED)
-    left_out, bands = foretold(work, rows, settings, leave_out, say)
+    left_out, bands = cross_validated(work, rows, settings, leave_out, say)
     fitted = _Fitted(work, rows, left_out, bands, borrowed.priors.keys())
     result = _result(model, whole, fitted, priors, notes)
     return replace(result, warmth=warmth)
 
 
 class _Fitted(NamedTuple):
-    """The search, its rows, what it foretells of parts that were left out, and the
-    coefficients whose prior was borrowed."""
+    """The search and its rows, the cross-validation and its bands, and the coefficients
+    whose prior is that of another tire."""
 
     work: Search
     rows: Mapping[str, ForceRows]
     left_out: tuple[LeftOut, ...]
     bands: Mapping[str, Band]
-    borrowed: Collection[str] = ()
+    borrowed: Collection[str]
 
 
 class _Steps:
-    """Tells a progress bar of steps: ``stages`` of them, and as many again left out."""
+    """Progress in steps: ``stages`` of them, and about as many parts left out."""
 
     def __init__(self, progress: Callable[[float, str], None], stages: int):
         self._progress, self._done, self._all = progress, 0, 2 * stages
@@ -160,7 +162,7 @@ class _Steps:
 
 
 def _check_settings(model: str, config: FitConfig) -> None:
-    """Raises UsageError for settings that a Magic Formula does not have; all."""
+    """Raises one UsageError for all settings that a Magic Formula does not have."""
     problems = []
     own = coefficients_of(VERSIONS[model])
     given = {*specs(Nominal()), *specs(Scaling()), *NEVER_FITTED}
@@ -196,12 +198,15 @@ def nominal_of(
     constants: Mapping[str, float] | None = None,
     also: Iterable[str] = (),
 ):
-    """The tire with its nominal state and all that is given; what was assumed. It has
-    an M_x or M_y that is measured, set or among the names ``also``.
+    """The tire with its nominal state and the given values, and notes on assumptions.
+
+    It has M_x or M_y if the data measure it, or if ``config`` or ``also`` name one of
+    its coefficients.
 
     Args:
-        constants: of the data file (``Source.constants``); the configuration has
-            precedence, then these, then what is assumed.
+        constants: ``Source.constants`` of the data file, which replace assumptions; the
+            configuration replaces both.
+        also: further names of coefficients.
     """
     empty = MAGIC_FORMULAS[model]
     asked = {name[:3] for name in (*config.parameters, *also)}
@@ -225,28 +230,21 @@ def nominal_of(
     stated = {k: v for k, v in (constants or {}).items() if k in assumed}
     assumed |= stated
     assumed["INFLPRES"] = given.get("NOMPRES", assumed["NOMPRES"])
-    origins = {
-        "FNOMIN": "the median load", "NOMPRES": "the median pressure",
-        "UNLOADED_RADIUS": "no radius was given; the moments alone refer to it",
-    }  # fmt: skip
-    if not len(pressures):
-        origins["NOMPRES"] = "the data have no pressure"
+    reason = "the median pressure" if len(pressures) else "the data have no pressure"
+    origins = {"FNOMIN": "the median load", "NOMPRES": reason}
+    if {"mz", *MOMENTS} & rows.keys():
+        origins["UNLOADED_RADIUS"] = "no radius is given; only the moments depend on it"
     origins |= dict.fromkeys(stated, "stated by the data file")
     notes = [
         f"{name} = {assumed[name]:g}: {why} (parameters.{name}.value gives another)"
         for name, why in origins.items()
         if name not in given
-        and (
-            name != "UNLOADED_RADIUS"
-            or {"mz", *MOMENTS} & rows.keys()
-            or name in stated
-        )
     ]
     return with_values(empty, assumed | given), notes
 
 
 def _start(problem: Problem, first: Mapping[str, float]) -> np.ndarray:
-    """u (p,) of the coefficients given, where they can be, else of the centres."""
+    """u (p,) of the given coefficients where they are free, else of the centres."""
     u = np.zeros(len(problem.names))
     for name, value in normal_form(first).items():
         if name in problem.names:
@@ -263,8 +261,8 @@ def _rounded(value: float) -> float:
 def problem_from(
     tire: MFTire, config: FitConfig, borrowed: Mapping[str, Prior] | None = None
 ) -> tuple[Problem, dict[str, Prior]]:
-    """The coefficients in units of their priors, and the priors: those that are set,
-    else those ``borrowed``, else the published ones."""
+    """The problem without rows, and the priors: those of ``config``, else those
+    ``borrowed``, else the published ones."""
     known = specs(tire)
     names = tuple(name for name in coefficients_of(tire.version) if name in known)
     all_priors = {**published_priors(), **(borrowed or {})}
@@ -276,8 +274,10 @@ def problem_from(
             priors[name] = prior_given(name, one.prior.mean, one.prior.std)
         elif one.value is not None:
             priors[name] = priors[name]._replace(centre=one.value, log=False)
-    held = [one.value is not None and one.prior is None for one in asked.values()]
-    held = [h or asked[n].free is False for h, n in zip(held, names, strict=True)]
+    held = [
+        one.free is False or (one.value is not None and one.prior is None)
+        for one in asked.values()
+    ]
     centre = np.array([priors[name].centre for name in names])
     spread = np.array([priors[name].spread for name in names])
     tire = with_values(tire, dict(zip(names, centre.tolist(), strict=True)))
@@ -285,12 +285,13 @@ def problem_from(
     return Problem(tire, names, centre, spread, log, ~np.array(held), ()), priors
 
 
-def _slip_noise_left_out(data: TireData, config: FitConfig) -> list[str]:
-    """What is known of the noise of slips, which has no part in this fit."""
+def _unused_slip_noise(data: TireData, config: FitConfig) -> list[str]:
+    """A note on stated noise of the slips, which this fit does not use."""
     stated = [f"{slip}_std" for slip in ("sigma_x", "alpha") if f"{slip}_std" in data]
     names = ("sigma_x", "alpha", "sigma_x_speed", "alpha_speed")
     stated += [f"noise.{name}" for name in names if getattr(config.noise, name)]
-    return [f"{', '.join(stated)}: slips are taken as exact here"] if stated else []
+    reason = "not used, a Magic Formula fit takes the slips as exact"
+    return [f"{', '.join(stated)}: {reason}"] if stated else []
 
 
 def _result(model, data: TireData, fitted: _Fitted, priors, notes) -> MagicFormulaFit:
@@ -319,7 +320,12 @@ def _result(model, data: TireData, fitted: _Fitted, priors, notes) -> MagicFormu
     residuals = {force: _residuals(work, rows[force]) for force in forces}
     tire = with_values(problem.tire, values)
     ranges = _ranges([rows[force] for force in forces])
-    guarded = tuple(force for force in forces if force in ("fx", "fy"))
+    # A force whose own slip was not swept has no curve to guard.
+    guarded = tuple(
+        force
+        for force in forces
+        if force in ("fx", "fy") and rows[force].slip_range > 2 * NEARLY_PURE
+    )
     return MagicFormulaFit(
         model=model,
         parts=tuple(part for part in PARTS if part in {s.part for s in work.stages}),
@@ -348,7 +354,7 @@ def _result(model, data: TireData, fitted: _Fitted, priors, notes) -> MagicFormu
 
 
 def _wider(problem: Problem, bands: Mapping[str, Band]) -> np.ndarray:
-    """Factor of each coefficient's standard error (p,): that of its force's band."""
+    """Factor (p,) of the standard error of each coefficient: that of its force."""
     factors = np.full(len(problem.names), 1.0)
     for force, band in bands.items():
         own = own_coefficients(problem.tire.version, force)
@@ -357,7 +363,7 @@ def _wider(problem: Problem, bands: Mapping[str, Band]) -> np.ndarray:
 
 
 def _residuals(work: Search, rows: ForceRows) -> np.ndarray:
-    """What the formula is above the rows that were fitted, (n,) [N, N m]."""
+    """Predicted - measured force (n,) [N, N m] of the fitted rows."""
     fitted = rows.chosen([group.pure for group in work.groups[rows.force]])
     some = rows.part(fitted)
     return row_values(work.problem, work.u, rows.force, some.inputs) - some.observed
@@ -372,7 +378,7 @@ def _reference(rows: Sequence[ForceRows]) -> dict[str, float]:
 
 
 def _far(work: Search, rows: Mapping[str, ForceRows], residuals) -> list[str]:
-    """Rows far from the formula and from rows like them, counted by force."""
+    """Notes on the number of rows of each force that are far from the formula."""
     said = []
     for force, missed in residuals.items():
         groups = work.groups[force]
@@ -381,21 +387,18 @@ def _far(work: Search, rows: Mapping[str, ForceRows], residuals) -> list[str]:
         variance = np.max([g.row_variance(fz, predicted) for g in groups], axis=0)
         far = int(np.count_nonzero(missed**2 > _FAR**2 * variance))
         if far:
-            rows_lie = f"rows of {force} lie" if far > 1 else f"row of {force} lies"
             said.append(
-                f"{far} {rows_lie} beyond {_FAR:g} standard deviations and counted like"
-                " any other: mask what is wrong"
+                f"residuals beyond {_FAR:g} standard deviations in {far} of"
+                f" {len(missed)} rows of {force}, which were fitted like the others:"
+                " mask rows that are wrong"
             )
     return said
 
 
 def _not_reached(work: Search, tire: MFTire) -> list[str]:
-    """Frictions that no row comes near: the curve only rises within the slips."""
+    """Notes on friction coefficients that no row reaches."""
     said = []
-    for force, (shape, peak) in {
-        "fx": ("PCX1", "PDX1"),
-        "fy": ("PCY1", "PDY1"),
-    }.items():
+    for force, shape, peak in (("fx", "PCX1", "PDX1"), ("fy", "PCY1", "PDY1")):
         pure = [g.cells for g in work.groups.get(force, ()) if g.pure]
         if not pure or peak not in work.moved:
             continue
@@ -407,14 +410,15 @@ def _not_reached(work: Search, tire: MFTire) -> list[str]:
         if share < _REACHED:
             value = work.problem.values(work.u)[peak]
             said.append(
-                f"{peak} = {value:.3g} is no measured friction: within the slips of the"
-                f" data {force} reaches {share:.0%} of it; {peak} and {shape} trade off"
+                f"{peak} = {value:.3g} is not a measured friction: {force} reaches only"
+                f" {share:.0%} of it within the slips of the data, so {peak} and"
+                f" {shape} trade off; measure larger slips, or give one of them"
             )
     return said
 
 
 def _origin(free: bool, share: float, moved: bool, borrowed: bool) -> str:
-    """``share`` of the prior's variance is left."""
+    """A key of :data:`ORIGINS`; ``share`` is the posterior over the prior variance."""
     if borrowed and not (free and moved and share <= 0.5):
         return "borrowed"
     if not free:
@@ -425,7 +429,7 @@ def _origin(free: bool, share: float, moved: bool, borrowed: bool) -> str:
 
 
 def _ranges(rows: Sequence[ForceRows]) -> dict[str, tuple[float, float]]:
-    """Least and largest value of each input, in ISO-W axes."""
+    """(Least, largest) value of each input, in ISO-W axes."""
     ranges = {}
     for name in ("sigma_x", "alpha", "gamma", "fz", "pressure"):
         column = np.concatenate([getattr(one.inputs, name) for one in rows])

@@ -1,8 +1,8 @@
-"""Guards: whether a fitted Magic Formula stays a tire beyond its data.
+"""Guards: whether the curves of a fitted Magic Formula are those of a tire.
 
-Each is a property of the force on a grid of loads from the smallest of the data to
-twice the largest, of the cambers and pressures of the data, and of slips to a locked
-wheel and 30 degrees.
+Each guard is a property of the force on a grid: loads from the smallest of the data to
+twice the largest, cambers and pressures of the data, slips to a locked wheel and 30
+degrees.
 """
 
 from collections.abc import Mapping
@@ -39,8 +39,8 @@ _LEAST_PEAK = 0.1
 
 
 class Guard(NamedTuple):
-    """One guard: whether it holds; if not, where it fails first, and how; and whether
-    it ``holds_inside``, at loads and slips of the data."""
+    """One guard: whether it holds, its definition or the first failure (``text``), and
+    whether it holds at the loads and slips of the data (``holds_inside``)."""
 
     name: str
     holds: bool
@@ -209,7 +209,7 @@ def check_guards(
         text = GUARDS[name]
         if np.any(states):
             first = np.flatnonzero(states)[np.argmin(grid.fz[states])]
-            text = f"{what} fails: from F_z = {grid.fz[first]:.4g} N on"
+            text = f"{what}, from F_z = {grid.fz[first]:.4g} N on"
             text += f", at gamma = {grid.gamma[first]:.3g} rad"
             if grid.pressure[first] > 0:
                 text += f", {grid.pressure[first]:.4g} Pa"

@@ -1,4 +1,4 @@
-"""What a fit foretells of bins that it did not see, and the bands that follow."""
+"""Cross-validate a fit on parts of the data, and set its prediction bands by them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
@@ -15,27 +15,31 @@ from tirefit.fitting.noise_law import NoiseLaw, noise_law
 
 LEAVE_OUT = ("three", "load", "bin", "none")
 """What is left out in turn: the bins of three loads (the smallest, a middle one, the
-largest), of each load, each bin; or none."""
+largest), the bins of each load, each bin, or nothing."""
 
 _ROWS = 1500
-"""Rows of a force, evenly taken, that a left-out part is judged by."""
+"""Largest number of rows of a force, evenly taken, that a part is judged by."""
 
 _IN_95 = 1.96
 
 _CHANCE = 0.05
-"""Probability by chance of shifts for which the standard errors are not widened."""
+"""Level of the test for shifts that are larger than the standard errors."""
 
-_TOLD = 0.1
-"""Growth of a variance, without the part, from which on the part determines it."""
+_DETERMINED = 0.1
+"""Smallest relative growth of a variance without the part, in a direction of the
+coefficients that the part determines."""
 
 _FEWEST_LOADS = 3
-"""Loads of a test, at least, of which one is left out: two others foretell it."""
+"""Smallest number of loads for one to be left out: two others predict it."""
 
 
 class LeftOut(NamedTuple):
-    """One part of the data that a fit of the others foretells: root mean square of what
-    its rows miss [N, N m], that of the fit of all, and the share of rows within the
-    95 % band, which is made without this part."""
+    """One part of the data of a force, predicted by a fit to the other parts.
+
+    ``rmse`` [N, N m] is the root mean square residual of its ``rows`` under that fit,
+    ``rmse_of_all`` under the fit to all rows. ``within`` is the share of its rows in
+    the 95 % band, which is made without this part.
+    """
 
     label: str
     force: str
@@ -46,22 +50,22 @@ class LeftOut(NamedTuple):
 
 
 class Band(NamedTuple):
-    """Band of a measurement: its noise law, and by how much the standard errors of the
-    coefficients are widened."""
+    """The band of a measurement: its noise law, and the factor by which the standard
+    errors of the coefficients are widened."""
 
     law: NoiseLaw
     wider: float
 
 
-class _Seen(NamedTuple):
-    """Some rows (n,) of one part: what they miss, their load, predicted force and the
-    variance that the coefficients give it.
+class _Sample(NamedTuple):
+    """A sample of n rows of one part under one fit.
 
-    ``rows``: of how many these are taken, and ``each``: how many of these count as
-    one; ``shift``: see :func:`_shift`.
+    ``residual`` (n,) is predicted - measured, ``variance`` (n,) that of the predicted
+    force from the errors of the coefficients. The sample was taken from ``rows`` rows;
+    ``each`` of its rows count as one. ``shift``: see :func:`_shift`.
     """
 
-    missed: np.ndarray
+    residual: np.ndarray
     fz: np.ndarray
     predicted: np.ndarray
     variance: np.ndarray
@@ -71,28 +75,28 @@ class _Seen(NamedTuple):
 
     @property
     def rmse(self) -> float:
-        return float(np.sqrt(np.mean(self.missed**2)))
+        return float(np.sqrt(np.mean(self.residual**2)))
 
 
-def foretold(
+def cross_validated(
     work: Search,
     rows: Mapping[str, ForceRows],
     settings: Mapping[str, tuple[Sequence[str], np.ndarray]],
     which: str,
     progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[tuple[LeftOut, ...], dict[str, Band]]:
-    """Each part left out in turn, and the band of each force that this gives.
+    """Leave each part out in turn and predict it; the band of each force follows.
 
     Args:
         settings: by force, the labels of the settings and the setting (n,) of each row.
         which: of :data:`LEAVE_OUT`.
 
     Returns:
-        What was left out, and the bands. A single part has no other to be judged by:
-        its ``within`` is NaN.
+        The parts, and by force the band. If nothing is left out, the bands are those of
+        the fitted rows. ``within`` of a single part is NaN.
     """
-    seen: dict[str, list[tuple[str, _Seen, _Seen]]] = {force: [] for force in rows}
-    for label, gone in _parts(rows, settings, which):
+    samples: dict[str, list[tuple[str, _Sample, _Sample]]] = {f: [] for f in rows}
+    for label, gone in _parts(rows, settings, which).items():
         progress(f"left out: {label}")
         keeps = {
             force: [~np.isin(group.cells.setting, gone[force]) for group in groups]
@@ -102,71 +106,65 @@ def foretold(
         for force in fitted.groups:
             own = _chosen(work, rows[force]) & np.isin(settings[force][1], gone[force])
             if np.any(own):
-                part = _seen(fitted, rows[force], own, _shift(fitted, work, force))
-                whole = _seen(work, rows[force], own)
-                seen[force].append((label, part, whole))
+                part = _sample(fitted, rows[force], own, _shift(fitted, work, force))
+                whole = _sample(work, rows[force], own)
+                samples[force].append((label, part, whole))
     found, bands = [], {}
-    for force, parts in seen.items():
-        fitted_rows = _seen(work, rows[force], _chosen(work, rows[force]))
+    for force, parts in samples.items():
+        fitted_rows = _sample(work, rows[force], _chosen(work, rows[force]))
         for label, part, whole in parts:
             others = [other for _, other, _ in parts if other is not part]
             band = _band(others, fitted_rows)
             within = _within(part, band) if others else float("nan")
-            found.append(
-                LeftOut(label, force, part.rows, part.rmse, whole.rmse, within)
-            )
+            sizes = part.rmse, whole.rmse
+            found.append(LeftOut(label, force, part.rows, *sizes, within))
         bands[force] = _band([part for _, part, _ in parts], fitted_rows)
     return tuple(found), bands
 
 
 def _chosen(work: Search, rows: ForceRows) -> np.ndarray:
-    """Rows (n,) of a force that were fitted."""
+    """Which rows (n,) of a force were fitted."""
     return rows.chosen([group.pure for group in work.groups[rows.force]])
 
 
-def _parts(rows, settings, which: str) -> list[tuple[str, dict[str, list[int]]]]:
-    """Label -> by force, the settings that are left out together."""
+def _parts(rows, settings, which: str) -> dict[str, dict[str, list[int]]]:
+    """Label of each part -> by force, the settings that are left out together."""
     if which == "none":
-        return []
-    if which == "bin":
-        labels = dict.fromkeys(label for own, _ in settings.values() for label in own)
-        return [
-            (
-                label,
-                {
-                    force: [k for k, name in enumerate(own) if name == label]
-                    for force, (own, _) in settings.items()
-                },
-            )
-            for label in labels
-        ]
-    loads = {
-        force: np.array(
-            [np.median(rows[force].column("fz")[code == k]) for k in range(len(own))]
+        return {}
+    labels = {force: list(own) for force, (own, _) in settings.items()}
+    chosen = list(dict.fromkeys(label for own in labels.values() for label in own))
+    if which != "bin":
+        loads = {
+            force: [
+                np.median(rows[force].column("fz")[code == k]) for k in range(len(own))
+            ]
+            for force, (own, code) in settings.items()
+        }
+        # Each twice: `levels` takes a value that stands alone for no level.
+        center = levels(np.repeat(np.concatenate(list(loads.values())), 2)).center
+        if len(center) < _FEWEST_LOADS:
+            return {}
+        edges, names = (
+            (center[1:] + center[:-1]) / 2,
+            [f"F_z = {c:.0f} N" for c in center],
         )
-        for force, (own, code) in settings.items()
+        labels = {
+            force: [names[k] for k in np.searchsorted(edges, own)]
+            for force, own in loads.items()
+        }
+        chosen = names
+        if which == "three":
+            chosen = [names[k] for k in sorted({0, len(names) // 2, len(names) - 1})]
+    return {
+        label: {
+            force: [k for k, name in enumerate(own) if name == label]
+            for force, own in labels.items()
+        }
+        for label in chosen
     }
-    # Each twice: to `levels` a value that stands alone is no level.
-    center = levels(np.repeat(np.concatenate(list(loads.values())), 2)).center
-    if len(center) < _FEWEST_LOADS:
-        return []
-    chosen = list(range(len(center)))
-    if which == "three":
-        chosen = sorted({0, len(center) // 2, len(center) - 1})
-    edges = (center[1:] + center[:-1]) / 2
-    return [
-        (
-            f"F_z = {center[k]:.0f} N",
-            {
-                force: np.flatnonzero(np.searchsorted(edges, own) == k).tolist()
-                for force, own in loads.items()
-            },
-        )
-        for k in chosen
-    ]
 
 
-def _seen(work: Search, rows: ForceRows, chosen: np.ndarray, shift=(0.0, 0)) -> _Seen:
+def _sample(work: Search, rows: ForceRows, chosen, shift=(0.0, 0)) -> _Sample:
     at = np.flatnonzero(chosen)
     count = len(at)
     if count > _ROWS:
@@ -175,17 +173,18 @@ def _seen(work: Search, rows: ForceRows, chosen: np.ndarray, shift=(0.0, 0)) -> 
     one = np.full(len(at), 1.0)
     blocks = blocks_of(rows.force, some.inputs, some.observed, one)
     problem = work.problem.with_blocks(blocks)
-    missed, variance = propagated(problem, work.u, work.covariance)
+    residual, variance = propagated(problem, work.u, work.covariance)
     each = max(work.rows_per_one(rows.force) * len(at) / count, 1.0)
-    predicted = missed + some.observed
-    return _Seen(missed, some.column("fz"), predicted, variance, count, each, shift)
+    predicted = residual + some.observed
+    fz = some.column("fz")
+    return _Sample(residual, fz, predicted, variance, count, each, shift)
 
 
 def _shift(fitted: Search, whole: Search, force: str) -> tuple[float, int]:
-    """How far the coefficients of a force move when a part is left out.
+    """The shift of the coefficients of a force when a part is left out.
 
-    Estimates from nested data differ with a covariance that is the difference of
-    theirs (Hausman 1978).
+    The difference of two estimates, one of them from part of the data of the other, has
+    a covariance that is the difference of theirs (Hausman 1978).
 
     Returns:
         Sum of squares of the shift over its variance, and the number of directions, of
@@ -194,22 +193,21 @@ def _shift(fitted: Search, whole: Search, force: str) -> tuple[float, int]:
     names, moved = whole.problem.names, whole.moved - whole.held
     own = own_coefficients(whole.problem.tire.version, force)
     at = np.flatnonzero(np.isin(names, [name for name in own if name in moved]))
-    root = np.linalg.cholesky(whole.covariance[np.ix_(at, at)])
-    inverse = np.linalg.inv(root)
+    inverse = np.linalg.inv(np.linalg.cholesky(whole.covariance[np.ix_(at, at)]))
     ratio = inverse @ fitted.covariance[np.ix_(at, at)] @ inverse.T
     sizes, axes = np.linalg.eigh((ratio + ratio.T) / 2)
-    variance = sizes - 1
-    moves = (axes.T @ inverse @ (fitted.u - whole.u)[at])[variance > _TOLD]
-    return float(np.sum(moves**2 / variance[variance > _TOLD])), len(moves)
+    determined = sizes - 1 > _DETERMINED
+    shift = (axes.T @ inverse @ (fitted.u - whole.u)[at])[determined]
+    return float(np.sum(shift**2 / (sizes[determined] - 1))), len(shift)
 
 
-def _band(parts: Sequence[_Seen], fitted: _Seen) -> Band:
+def _band(parts: Sequence[_Sample], fitted: _Sample) -> Band:
     """The band that rows of left-out parts follow.
 
-    Standard errors are widened to the size of the shifts, where these are larger than
-    the errors at the level of 5 %. The noise is that of the left-out rows or that of
-    the ``fitted`` ones, whichever is larger there: in a left-out part the errors of the
-    coefficients may account for all that its rows miss.
+    Standard errors are widened to the size of the shifts if these are larger than the
+    errors at the level of 5 %. The noise is that of the left-out rows or that of the
+    ``fitted`` rows, whichever is larger on the fitted rows: in a left-out part the
+    errors of the coefficients may account for the whole residual.
     """
     squares = sum(part.shift[0] for part in parts)
     count = sum(part.shift[1] for part in parts)
@@ -220,15 +218,17 @@ def _band(parts: Sequence[_Seen], fitted: _Seen) -> Band:
     return Band(laws[int(np.argmax(sizes))], wider)
 
 
-def _law_of(parts: Sequence[_Seen], wider: float) -> NoiseLaw:
-    missed, fz, predicted, variance = (
+def _law_of(parts: Sequence[_Sample], wider: float) -> NoiseLaw:
+    """The noise law of some rows, given the errors of the coefficients."""
+    residual, fz, predicted, variance = (
         np.concatenate([getattr(part, name) for part in parts])
-        for name in ("missed", "fz", "predicted", "variance")
+        for name in ("residual", "fz", "predicted", "variance")
     )
     each = np.concatenate([np.full(len(part.fz), part.each) for part in parts])
-    return noise_law(missed, fz, predicted, wider**2 * variance, each)
+    return noise_law(residual, fz, predicted, wider**2 * variance, each)
 
 
-def _within(one: _Seen, band: Band) -> float:
+def _within(one: _Sample, band: Band) -> float:
+    """Share of the rows of a sample in the 95 % band."""
     variance = band.law.variance(one.fz, one.predicted) + band.wider**2 * one.variance
-    return float(np.mean(np.abs(one.missed) <= _IN_95 * np.sqrt(variance)))
+    return float(np.mean(np.abs(one.residual) <= _IN_95 * np.sqrt(variance)))

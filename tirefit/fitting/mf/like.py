@@ -1,8 +1,8 @@
-"""A named tire as prior of what a test does not tell: :func:`borrowed_from`.
+"""Priors from a named tire, for what a test does not determine: ``--like``.
 
-Coefficients are dimensionless: they carry over to another nominal load and radius. Its
-friction and stiffness are those of the other tire times what the forces that were
-measured are over the other tire's.
+Coefficients are dimensionless, so they apply at another nominal load and radius. The
+coefficients of friction and stiffness are scaled by the ratio of the measured forces to
+those of the named tire.
 """
 
 from collections.abc import Mapping
@@ -13,12 +13,7 @@ import numpy as np
 
 from tirefit.data.tir import TirFile
 from tirefit.fitting.config import FitConfig, ParameterConfig
-from tirefit.fitting.mf.parts import (
-    NEVER_FITTED,
-    PARTS,
-    SLIPS_OF,
-    coefficients_of,
-)
+from tirefit.fitting.mf.parts import NEVER_FITTED, PARTS, SLIPS_OF, coefficients_of
 from tirefit.fitting.mf.priors import Prior, normal_form, published_priors
 from tirefit.fitting.mf.rows import ForceRows
 from tirefit.fitting.tir import own_tire
@@ -27,12 +22,12 @@ from tirefit.models.mf import MFTire
 from tirefit.params import parameter_values, with_values
 
 ALIKE = 0.25
-"""Spread of a borrowed coefficient over that among the published tires, which are of
-all kinds: judgement, as that is."""
+"""Spread of a borrowed prior over that of the published tires, which are of all kinds.
+It is a judgement."""
 
 _LOWEST, _HIGHEST = 0.2, 0.8
-"""Quantiles of the slips of a force below which its rows tell the stiffness, and above
-which the friction."""
+"""Quantiles of slip below which the rows of a force give the scale of stiffness, and
+above which that of friction."""
 
 _SCALED: dict[str, dict[str, tuple[str, ...]]] = {
     "fx": {"friction": ("PDX1", "PDX2"), "stiffness": ("PKX1", "PKX2")},
@@ -42,7 +37,7 @@ _SCALED: dict[str, dict[str, tuple[str, ...]]] = {
 
 
 class Borrowed(NamedTuple):
-    """Priors by coefficient, and what to say of them."""
+    """Priors by coefficient, and notes on them."""
 
     priors: Mapping[str, Prior]
     notes: tuple[str, ...]
@@ -54,10 +49,12 @@ def with_dimensions(
     config: FitConfig,
     constants: Mapping[str, float],
 ) -> tuple[FitConfig, list[str]]:
-    """The settings with what the data cannot hold taken from the other tire: its free
-    radius, the nominal pressure of a test without one, and QSX12 to QSX14 where M_x is
-    not measured; what is set, or a constant of the data file, stays. And what was
-    taken, in sentences."""
+    """Complete the settings from the other tire; returns them with notes.
+
+    Taken are its free radius, its nominal pressure if the test has no pressure, and
+    QSX12 to QSX14 if M_x is not measured, unless the settings or a constant of the data
+    file give them.
+    """
     wanted = ["UNLOADED_RADIUS"]
     if not any(np.any(one.column("pressure") > 0) for one in rows.values()):
         wanted.append("NOMPRES")
@@ -74,21 +71,21 @@ def with_dimensions(
 def borrowed_from(
     like: TirFile, tire: MFTire, rows: Mapping[str, ForceRows], config: FitConfig
 ) -> Borrowed:
-    """Priors about the coefficients of another tire, of which the settings say nothing.
+    """Priors from the coefficients of another tire that the settings do not give.
 
     Args:
-        like: the other tire; of another version, the coefficients that both have.
-        tire: has the nominal state of this one.
+        like: the other tire; if its version differs, both must have the coefficient.
+        tire: this tire, with its nominal state.
         rows: measured rows, by force.
     """
     values, of_part = normal_form(like.numbers), coefficients_of(tire.version)
     said = []
     for force, kinds in _SCALED.items():
-        for by in [by for by in (force, *_SCALED) if by in rows][:1]:
-            for kind, names in kinds.items():
-                scale = _scale(like, tire, rows[by], kind)
-                values |= {name: scale * values.get(name, 0.0) for name in names}
-                said.append(f"{kind} of {force} times {scale:.3g} by the rows of {by}")
+        by = next((by for by in (force, *_SCALED) if by in rows), "")
+        for kind, names in kinds.items() if by else ():
+            scale = _scale(like, tire, rows[by], kind)
+            values |= {name: scale * values.get(name, 0.0) for name in names}
+            said.append(f"{kind} of {force} times {scale:.3g} (from the rows of {by})")
     own = parameter_values(tire)
     priors = {}
     for name in of_part.keys() & values.keys() & own.keys() - config.parameters.keys():
@@ -100,35 +97,33 @@ def borrowed_from(
 
 
 def _notes(like: TirFile, tire: MFTire, rows, priors, scales) -> tuple[str, ...]:
-    of_part = coefficients_of(tire.version)
-    name = f"{Path(like.path).name} (MF {like.version})"
+    """Sentences on the priors and scales, and on forces that have no rows."""
+    of_part, name = coefficients_of(tire.version), Path(like.path).name
+    said = [
+        f"priors of {len(priors)} coefficients are those of {name} (MF {like.version}),"
+        f" {ALIKE:g} times as wide as the spread of published tires; its forces at"
+        f" {own_tire(like).nominal.FNOMIN:g} N are used at FNOMIN ="
+        f" {tire.nominal.FNOMIN:g} N",
+        f"scaled coefficients of {name}: {', '.join(scales)}",
+    ]
+    parts = {of_part[name] for name in priors}
     whole = [
         part.meaning
         for part in PARTS.values()
-        if not set(part.forces) & rows.keys() and part.name in map(of_part.get, priors)
-    ]
-    said = [
-        f"priors of {len(priors)} coefficients are about those of {name}, {ALIKE:g}"
-        " times as wide as the spread of the published tires; the tire at FNOMIN ="
-        f" {tire.nominal.FNOMIN:g} N is taken to be as it at"
-        f" {own_tire(like).nominal.FNOMIN:g} N",
-        f"of {name}: {', '.join(scales)}",
+        if part.name in parts and not set(part.forces) & rows.keys()
     ]
     if whole:
         said.append(f"borrowed, since not measured: {', '.join(whole)}")
-    lost = [
-        k
-        for k in like.numbers
-        if k in published_priors() and k not in of_part and like.numbers[k]
-    ]
-    if lost:
+    lost = [k for k, v in like.numbers.items() if k in published_priors() and v]
+    if lost := [k for k in lost if k not in of_part]:
         said.append(f"not borrowed, as MF {tire.version} lacks them: {', '.join(lost)}")
     return tuple(said)
 
 
 def _scale(like: TirFile, tire: MFTire, rows: ForceRows, kind: str) -> float:
-    """A measured force over that of the other tire at the nominal state of this one, by
-    least squares over the largest or smallest slips."""
+    """Ratio of a measured force to that of the other tire in the nominal state of this
+    one, by least squares over the largest (``friction``) or smallest slips; one if the
+    rows or the other tire do not give it."""
     nominal = {k: v for k, v in parameter_values(tire.nominal).items() if k != "LONGVL"}
     other = with_values(own_tire(like), nominal)
     force = rows.force

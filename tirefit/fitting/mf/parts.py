@@ -1,4 +1,4 @@
-"""The parts of a Magic Formula: which coefficients, from which rows of which force."""
+"""The parts of a Magic Formula: their coefficients, and the rows that fit them."""
 
 from typing import NamedTuple
 
@@ -20,47 +20,46 @@ SLIPS_OF: dict[str, tuple[str, ...]] = {
     "mx": ("alpha",),
     "my": ("sigma_x", "alpha"),
 }
-"""Force or moment -> slips one of which the rows need; the other may be left out."""
+"""Force or moment -> the slips of which the rows need at least one."""
 
 _BEGINNINGS = {"P": "pure", "Q": "pure", "R": "combined", "S": "combined"}
 
-NEARLY_PURE = {"sigma_x": 0.01, "alpha": 0.01}
-"""Largest other slip at which a row is of pure slip: half a degree of a rig's zero, or
-the slip of a tire that rolls freely; there a weighting function is one but for 1 %."""
+NEARLY_PURE = 0.01
+"""Largest other slip (kappa, or slip angle [rad]) of a row of pure slip. It covers the
+zero error of a rig (half a degree) and the slip of a free-rolling tire; weighting
+functions are within 1 % of one there."""
 
 
 class Part(NamedTuple):
-    """What one stage estimates.
+    """One part of the formula.
 
-    ``forces``: whose rows it takes; ``pure``: only those in which the other slip is
-    next to nothing; ``meaning`` for people.
+    ``forces`` are those whose rows it uses; ``meaning`` is its name in reports.
     """
 
     name: str
     forces: tuple[str, ...]
-    pure: bool
     meaning: str
 
 
 PARTS = {
-    "fx": Part("fx", ("fx",), True, "longitudinal force in pure slip"),
-    "fy": Part("fy", ("fy",), True, "lateral force in pure slip"),
-    "mz": Part("mz", ("mz",), True, "aligning moment in pure slip"),
-    "combined": Part("combined", ("fx", "fy", "mz"), False, "combined slip"),
-    "mx": Part("mx", ("mx",), False, "overturning moment"),
-    "my": Part("my", ("my",), False, "rolling resistance moment"),
+    "fx": Part("fx", ("fx",), "longitudinal force in pure slip"),
+    "fy": Part("fy", ("fy",), "lateral force in pure slip"),
+    "mz": Part("mz", ("mz",), "aligning moment in pure slip"),
+    "combined": Part("combined", ("fx", "fy", "mz"), "combined slip"),
+    "mx": Part("mx", ("mx",), "overturning moment"),
+    "my": Part("my", ("my",), "rolling resistance moment"),
 }
-"""Stage -> what it is, in the order in which they are taken."""
+"""Name -> part, in the order in which they are fitted."""
 
 MOMENTS = ("mx", "my")
-"""Forces without coefficients of combined slip: they take F_x and F_y of the model."""
+"""Moments without coefficients of combined slip: they depend on F_x and F_y."""
 
 HELD = ("QSX5",)
-"""At its prior's centre unless asked for: QSX4 and QSX5 trade off against each other
-where QSX2 and QSX3 take up what of QSX4 does not change with load."""
+"""Coefficients at the centre of their prior unless the settings free them: QSX4 and
+QSX5 trade off against each other, as QSX2 and QSX3 explain the rest of QSX4."""
 
 NEVER_FITTED = ("QSX12", "QSX13", "QSX14")
-"""Zero in a fit: MF-Tyre asks for these or QSX1 to QSX11, which say the same."""
+"""Coefficients that are zero in a fit: an alternative to QSX1 to QSX11 in MF-Tyre."""
 
 _OWN = {
     "fx": MFTire().longitudinal,
@@ -69,7 +68,7 @@ _OWN = {
     "mx": Overturning(),
     "my": Rolling(),
 }
-"""Force -> the coefficients that no other force has told before."""
+"""Force -> the coefficients that its rows move."""
 
 
 def parts_named(part: str) -> tuple[str, ...]:
@@ -86,9 +85,10 @@ def parts_named(part: str) -> tuple[str, ...]:
 
 
 def coefficients_of(version: str) -> dict[str, str]:
-    """Coefficient of this version -> the part that estimates it, in their order.
+    """Coefficient of this version -> the part that estimates it, in the order of the
+    equations.
 
-    Scaling factors and the nominal state are not among them: they are given.
+    Scaling factors and the nominal state are given, so they are not included.
     """
     return {
         name: part if _BEGINNINGS[name[0]] == "pure" else "combined"
@@ -99,25 +99,24 @@ def coefficients_of(version: str) -> dict[str, str]:
 
 
 def influences(version: str, force: str) -> tuple[str, ...]:
-    """The coefficients that a force depends on, in their order."""
+    """The coefficients that a force depends on, in the order of the equations."""
     of = {"mz": ("fx", "fy", "mz"), "mx": ("fy", "mx"), "my": ("fx", "my")}
     names = {name for own in of.get(force, (force,)) for name in specs(_OWN[own])}
     return tuple(name for name in coefficients_of(version) if name in names)
 
 
 def own_coefficients(version: str, force: str) -> tuple[str, ...]:
-    """The coefficients that the rows of a force move, of pure and combined slip."""
+    """The coefficients that the rows of a force move, in pure and combined slip."""
     names = specs(_OWN[force])
     return tuple(name for name in coefficients_of(version) if name in names)
 
 
 def is_pure(data: TireData, force: str) -> np.ndarray:
-    """Which of the used rows (n,) of this force have next to nothing of the other
-    slip; all of a moment without coefficients of combined slip."""
+    """Which of the used rows (n,) have pure slip; all rows of M_x and M_y."""
     other = "alpha" if SLIPS_OF[force][0] == "sigma_x" else "sigma_x"
     if other not in data or force in MOMENTS:
         return np.full(data.n, True)
     size = np.abs(data.usable(other))
     if other == "sigma_x":
         size = np.abs(kappa_from_sigma(size))
-    return size <= NEARLY_PURE[other]
+    return size <= NEARLY_PURE

@@ -15,10 +15,10 @@ from tirefit.params import parameter_values
 def magic_formula_forces(
     fit: StoredFit, forces: Sequence[str], inputs: TireInputs
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Forces and the variance that the posterior of the coefficients gives them.
+    """Forces, and their variance from the posterior of the coefficients.
 
-    It is that of all coefficients with their correlations, linear about the estimate
-    (Laplace); those that the data did not tell vary as their priors do.
+    The variance is linear in the covariance of all coefficients (Laplace); coefficients
+    that the data do not identify have the variance of their priors.
 
     Args:
         fit: of an :class:`MFTire`.

@@ -1,4 +1,4 @@
-"""What a fit of a whole Magic Formula ends in: :class:`MagicFormulaFit`."""
+"""The result of a fit of a whole Magic Formula: :class:`MagicFormulaFit`."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -16,35 +16,34 @@ from tirefit.fitting.mf.left_out import LeftOut
 from tirefit.fitting.mf.stages import Stage
 from tirefit.fitting.mf.temperature import FrictionTemperature
 from tirefit.fitting.noise_law import NoiseLaw
-from tirefit.fitting.result import SCHEMA
+from tirefit.fitting.result import SCHEMA, layout_record
 from tirefit.fitting.store import StoredFit
 from tirefit.models.mf import MAGIC_FORMULAS, MFTire
 from tirefit.params import parameter_values, specs, with_values
 from tirefit.results import Outcome
 
 ORIGINS = {
-    "fitted": "the data tell more of it than its prior",
-    "prior": "the prior tells at least as much of it as the data",
+    "fitted": "the data determine it more than its prior",
+    "prior": "determined by the prior at least as much as by the data",
     "held": "not identified, held at its default; the uncertainty is the prior's",
-    "borrowed": "of the tire that `like` names, as the data do not tell it",
+    "borrowed": "taken from the tire of `like`, as the data do not determine it",
     "given": "given, not fitted",
 }
-"""How a coefficient came by its value -> what that means."""
+"""Origin of the value of a coefficient -> its meaning."""
 
 _WORSENED, _NOTHING = 1.1, 1e-4
-"""Root mean square at the end of a fit over that of the stage, from which on later rows
-worsened it, and the share of the force that is no matter: a tenth, where rounding and
-the last digits of a search make a thousandth."""
+"""A stage is worsened if its rmse at the end of the fit exceeds 1.1 times its own rmse
+by more than this share of the force. Later rounding and search change it by 0.1 %."""
 
 _REACH = 200.0
-"""Spreads of the priors on either side in the unconstrained space of ``fit.json``: over
-ten of them its bijection is straight to one part in a thousand."""
+"""Half width of the bounds in ``fit.json``, in standard deviations of the prior: within
+ten of them the map to the unconstrained space is linear to one part in a thousand."""
 
 
 @dataclass(frozen=True)
 class Coefficient:
-    """One coefficient: value, standard error (0 where it was given), a key of
-    :data:`ORIGINS`, the part that estimates it, and its prior."""
+    """One coefficient: value, standard error (0 if given), ``origin`` (a key of
+    :data:`ORIGINS`), the part that estimates it, and its prior."""
 
     value: float
     std: float
@@ -56,19 +55,21 @@ class Coefficient:
 
 @dataclass(frozen=True, repr=False)
 class MagicFormulaFit(Displayed):
-    """A Magic Formula of measured rows.
+    """A Magic Formula fitted to measured rows.
 
-    ``coefficients`` by name in the order of the equations; ``covariance`` (p, p) of
-    them all; ``forces`` are those fitted, ``parts`` the stages taken. ``noise`` (of a
-    measurement, from rows that were left out), ``wider`` (factor of the standard
-    errors, which ``covariance`` holds already) and ``inflation`` (rows that count as
-    one) are by force; ``left_out``: what the fit foretells of parts that it did not
-    see. ``ranges`` hold the (least, largest) value of each input of the rows, in ISO-W
-    axes. ``fitted`` holds, by force, the root mean square of the residuals [N, N m] and
-    their number; ``guards`` say whether it stays a tire within and beyond them.
-    ``binned`` holds, by force, the rows by setting and slip, which figures show; a fit
-    read from its file has none. ``warmth``: the friction over the temperature, of a fit
-    with ``friction_temperature``.
+    ``coefficients`` are in the order of the equations, with their ``covariance``
+    (p, p). ``forces`` are the fitted ones, ``parts`` the stages.
+
+    By force: ``noise`` is the noise law of a measurement, from rows that were left out;
+    ``wider`` the factor of the standard errors, which ``covariance`` includes;
+    ``inflation`` the number of rows per independent row; ``fitted`` the root mean
+    square residual [N, N m] and the number of rows; ``binned`` the rows by setting and
+    slip for figures, empty in a fit read from a file.
+
+    ``left_out`` holds the predictions of parts that were left out, ``ranges`` the
+    (least, largest) value of each input in ISO-W axes, ``guards`` the checks of the
+    curves within and beyond these ranges, and ``warmth`` the change of friction of a
+    fit with ``friction_temperature``.
     """
 
     html_by: ClassVar[str] = "tirefit.report.magic_formula:magic_formula_fragment"
@@ -101,7 +102,7 @@ class MagicFormulaFit(Displayed):
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:
-        """Converged or what is against it, and whether a coefficient is not known."""
+        """Converged, or the reasons against; and whether a coefficient is unknown."""
         wrong = {
             Outcome.NOT_CONVERGED: not self.converged,
             Outcome.GUARD_FAILED: not all(one.holds_inside for one in self.guards),
@@ -113,12 +114,12 @@ class MagicFormulaFit(Displayed):
 
     @property
     def converged(self) -> bool:
-        """Whether every stage ended before its limit of steps."""
+        """Whether every stage ended before its limit of passes."""
         return all(stage.converged for stage in self.stages)
 
     @property
     def worsened(self) -> list[str]:
-        """Stages whose rows miss more at the end of the fit than at their own."""
+        """Stages with larger residuals at the end of the fit than at their own end."""
         return [
             stage.name
             for stage in self.stages
@@ -132,11 +133,11 @@ class MagicFormulaFit(Displayed):
 
     @property
     def stored(self) -> StoredFit:
-        """As a fit that was read from its file: what predictions take."""
+        """The fit in the form of one read from a file, for predictions."""
         layout = self._layout
         free = [p.name for p in layout.free]
         at = [list(self.coefficients).index(name) for name in free]
-        # Where z is zero, a parameter in the middle of its bounds.
+        # At z = 0 a parameter is in the middle of its bounds.
         slope = np.array([(p.spec.upper - p.spec.lower) / 4 for p in layout.free])
         covariance = self.covariance[np.ix_(at, at)] / np.outer(slope, slope)
         template = with_values(
@@ -174,10 +175,7 @@ class MagicFormulaFit(Displayed):
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able content of ``fit.json``."""
-        stored, layout = self.stored, self._layout
-        known = specs(self.tire)
-        free = [p.name for p in layout.free]
-        everything = parameter_values(self.tire)
+        stored, known = self.stored, specs(self.tire)
         content = {
             "schema": SCHEMA,
             "version": self.version,
@@ -199,25 +197,10 @@ class MagicFormulaFit(Displayed):
             "fit": {f: {"rmse": r, "n": n} for f, (r, n) in self.fitted.items()},
             "reference": dict(self.reference),
             "prediction": {
-                "labels": free,
+                "labels": list(stored.layout.labels),
                 "z": stored.z,
                 "covariance": stored.covariance,
-                "layout": {
-                    "free": [
-                        {
-                            "name": p.name,
-                            "per_run": False,
-                            "lower": p.spec.lower,
-                            "upper": p.spec.upper,
-                        }
-                        for p in layout.free
-                    ],
-                    "ties": [],
-                    "runs": ["run"],
-                    "fixed": {
-                        k: float(v) for k, v in everything.items() if k not in free
-                    },
-                },
+                "layout": layout_record(stored.layout, self.tire),
             },
             "friction_temperature": self.warmth and self.warmth._asdict(),
             "notes": list(self.notes),

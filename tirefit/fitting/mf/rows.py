@@ -1,4 +1,4 @@
-"""Measured rows for a Magic Formula: files put together, one force at a time."""
+"""The measured rows of each force, from one or more files."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from tirefit.models import TireInputs
 from tirefit.results import DataError, InputProblem
 
 _FEWEST = 30
-"""Rows of a force, at least: it has some 20 coefficients in pure slip."""
+"""Smallest number of rows of a force, which has some 20 coefficients in pure slip."""
 
 _ASIDE = {
     "sigma_x": "the tire rolls freely",
@@ -22,14 +22,17 @@ _ASIDE = {
     "gamma": "the tire stands upright",
     "pressure": "the pressure is the nominal one",
 }
-"""Column that a test may leave out -> what then holds."""
+"""Column that a test may lack -> the state that is then assumed."""
 
 
 @dataclass(frozen=True)
 class ForceRows:
-    """The rows of one force: ``inputs`` and ``observed`` (n,), ``std`` (n,) of their
-    noise, which is ``estimated`` or given; ``run`` (n,) the run of each row; ``pure``
-    (n,): rows in which the other slip is next to nothing, none if too few to fit."""
+    """The rows of one force.
+
+    ``std`` (n,) is the standard deviation of the noise, which is given unless
+    ``estimated``. ``run`` (n,) is the number of the run. ``pure`` (n,) marks rows of
+    pure slip; none is marked if they are too few to be fitted alone.
+    """
 
     force: str
     inputs: TireInputs
@@ -43,12 +46,17 @@ class ForceRows:
         """One of the inputs, (n,)."""
         return np.asarray(getattr(self.inputs, name))
 
+    @property
+    def slip_range(self) -> float:
+        """Largest minus smallest slip of the force, sigma_x or alpha [rad]."""
+        return float(np.ptp(self.column(SLIPS_OF[self.force][-1])))
+
     def chosen(self, kinds: Sequence[bool]) -> np.ndarray:
-        """Which rows (n,) are of pure slip (True) or of combined slip (False)."""
+        """Which rows (n,) are among the kinds: pure (True) or combined slip (False)."""
         return np.isin(self.pure, kinds)
 
     def part(self, chosen: np.ndarray) -> "ForceRows":
-        """Some of the rows: bool (n,) or their numbers."""
+        """The chosen rows, by bool (n,) or by number."""
         inputs = TireInputs(*(np.asarray(column)[chosen] for column in self.inputs))
         return replace(
             self,
@@ -61,10 +69,10 @@ class ForceRows:
 
 
 def joined(tables: Sequence[TireData]) -> TireData:
-    """Files as runs of one data set; what a file lacks is what its test left out.
+    """Join files as runs of one data set.
 
-    A file without a slip or camber was measured at zero, one without a pressure at the
-    nominal one, and one without a force says nothing of it (NaN).
+    A file without a slip or camber counts as measured at zero, one without a pressure
+    at the nominal pressure. A missing force is NaN.
     """
     if len(tables) == 1:
         return tables[0]
@@ -128,8 +136,8 @@ def rows_of_part(
 def rows_of_forces(
     data: TireData, forces: Sequence[str], config: FitConfig
 ) -> dict[str, ForceRows]:
-    """The rows of every force that the data hold with its slip, those of M_x beside
-    F_y, which it takes from the model.
+    """The rows of every force that the data hold with its slip; of M_x only beside F_y,
+    on which it depends.
 
     Raises:
         DataError: a force has fewer than 30 rows, or none is there with its slip.
@@ -147,7 +155,7 @@ def rows_of_forces(
             raise DataError(
                 InputProblem(
                     f"{np.count_nonzero(there)} rows of {force}: a Magic Formula needs"
-                    f" {_FEWEST} at least",
+                    f" at least {_FEWEST}",
                     "measure more, or fit a brush model",
                     data.source.path or data.name,
                 )
@@ -158,7 +166,7 @@ def rows_of_forces(
             InputProblem(
                 f"no {' or '.join(forces)} with its slip: a fit needs fx with sigma_x"
                 " (or kappa, s), fy and mz with alpha, mx with alpha and fy",
-                "see `tirefit inspect`",
+                "check with `tirefit inspect` how the columns were read",
                 data.source.path or data.name,
             )
         )

@@ -1,12 +1,12 @@
 """Least squares of many coefficients: rows in blocks, priors as further residuals.
 
-The coefficients are searched in units of their priors' spreads about the centres, u: a
-prior is then the residual u itself, and the problem is scaled. Coefficients whose sign
-is without effect are searched by their logarithms, for at zero a force has no slope in
-them, and a least-squares search no way. Each row's force has the
-gradient of all coefficients by one reverse pass, which is some five evaluations
-whatever their number; forward tangents would be one each. Blocks of one size let every
-file, force and stage share three programs.
+The search variable u is the coefficient minus the centre of its prior, over the spread
+of the prior. A prior is then the residual u itself, and the problem is scaled. A
+coefficient whose sign has no effect is searched by its logarithm: at zero the force has
+no slope in it, so a least-squares search could not leave zero. One reverse pass per row
+gives the gradient of its force in all coefficients at the cost of about five
+evaluations; forward tangents would cost one evaluation per coefficient. Blocks have few
+sizes, so that all files, forces and stages share three compiled programs.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,30 +25,32 @@ from tirefit.padding import pad_rows
 from tirefit.params import with_values
 
 _ROWS = (8192, 1024)
-"""Of a block: each call costs as much as some 1000 rows, and the last block is filled
-up. Few sizes, for each is compiled."""
+"""Numbers of rows of a block. A call costs as much as about 1000 rows, and the last
+block is padded. The sizes are few because each is compiled."""
 
 _MAX_STEPS = 200
 _FIRST_DAMPING, _LEAST_DAMPING, _STUCK = 1.0, 1e-6, 1e10
 _GOOD, _FAIR = 0.75, 0.25
 _SETTLED = 1e-6
-"""Deviance that one more undamped step would gain: a thousandth of a standard error."""
+"""Deviance that one more undamped step must gain for the search to go on: a thousandth
+of a standard error."""
 
 _RESTS, _GAINED = 15, 1e-3
-"""So many passes gained so little deviance, a thirtieth of a standard error, in all: at
-an edge of the formula (a changing sign) no step is undamped."""
+"""The search ends if this number of passes gained less than this deviance (a thirtieth
+of a standard error) in all: at a kink of the formula every step stays damped."""
 
 _LIMITED = 256
-"""Points at which the curvature factors of a force are limited to one."""
+"""Number of points at which the curvature factors of a force are limited."""
 
 _LARGEST_E, _OVER = 0.98, 0.005
-"""Curvature factor from which on it costs, and how far beyond it costs one of deviance
-a point: short of one, so that every reader of the coefficients draws the same curve."""
+"""Curvature factor above which a penalty applies, and the excess that costs one of
+deviance per point. The limit is below one so that every reader of the coefficients
+draws the same curve, whether it limits E to one or not."""
 
 
 class Block(NamedTuple):
-    """Rows of one force: inputs, the measured force and 1 / noise, which is zero where
-    the block is only filled up; each (n,), n of ``_ROWS``."""
+    """Rows of one force: inputs, measured force and 1 / noise, which is zero in padding
+    rows; each (n,), n one of ``_ROWS``."""
 
     force: str
     inputs: TireInputs
@@ -58,13 +60,13 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True)
 class Problem:
-    """What is searched: the rows, and which coefficients may move.
+    """A least-squares problem: the rows, and the coefficients that may move.
 
-    ``tire`` holds the nominal state, the scaling factors and what is fixed; ``names``
-    order u, whose units are ``spread`` about ``centre``, each (p,), of the logarithm
-    over that of the centre where ``log`` (p,); ``free`` (p,) says which of them this
-    stage moves. ``limits``: force -> inputs at which its curvature factors stay below
-    one.
+    ``tire`` holds the nominal state, the scaling factors and the fixed coefficients.
+    ``names`` gives the order of u; ``centre`` and ``spread`` (p,) are those of the
+    priors. Where ``log`` (p,), u is the logarithm of the coefficient over its centre.
+    ``free`` (p,) marks the coefficients that this stage moves. ``limits``: force ->
+    inputs at which its curvature factors must stay below one.
     """
 
     tire: MFTire
@@ -87,35 +89,35 @@ class Problem:
         return np.where(self.log, raised, self.centre + moved)
 
     def scale(self, u) -> np.ndarray:
-        """Their slopes in u (p,)."""
+        """Derivatives (p,) of the coefficients in u."""
         return self.spread * np.where(self.log, self.natural(u), 1.0)
 
     def unit(self, name: str, value: float) -> float:
-        """The element of u that gives a coefficient this value."""
+        """The element of u at which a coefficient has this value."""
         i = self.names.index(name)
         if self.log[i]:
             return float(np.log(value / self.centre[i]) / self.spread[i])
         return float((value - self.centre[i]) / self.spread[i])
 
     def with_free(self, names: Sequence[str]) -> "Problem":
-        """The same, with these coefficients moved by the search."""
+        """The same problem with exactly these coefficients free."""
         return replace(self, free=np.isin(self.names, list(names)))
 
     def with_blocks(
         self, blocks: Sequence[Block], limits: Mapping[str, TireInputs] | None = None
     ) -> "Problem":
-        """The same, of other rows."""
+        """The same problem with other rows."""
         return replace(self, blocks=tuple(blocks), limits=limits or {})
 
     def columns(self, force: str) -> tuple[tuple[str, ...], np.ndarray]:
-        """Coefficients on which a force depends, and their places in u."""
+        """The coefficients of a force, and their indices in u."""
         names = influences(self.tire.version, force)
         return names, np.array([self.names.index(name) for name in names])
 
 
 class Minimum(NamedTuple):
-    """Where a search ended: u (p,), sum of squares with that of the priors, and the
-    number of passes over the rows."""
+    """The end of a search: u (p,), the sum of squares of rows and priors, whether it
+    converged, and the number of passes over the rows."""
 
     u: np.ndarray
     cost: float
@@ -124,10 +126,10 @@ class Minimum(NamedTuple):
 
 
 def blocks_of(force: str, inputs: TireInputs, observed, std) -> tuple[Block, ...]:
-    """Rows (n,) cut into blocks; the last one is filled with its first row.
+    """Cut rows (n,) into blocks; the last one is padded with its first row.
 
     Args:
-        std: noise of each row (n,).
+        std: standard deviation of each row (n,).
     """
     rows = np.stack([*inputs, observed, 1 / std])
     blocks, start = [], 0
@@ -144,29 +146,29 @@ def blocks_of(force: str, inputs: TireInputs, observed, std) -> tuple[Block, ...
 
 
 def _gradients(force: str, names: tuple[str, ...], tire: MFTire, theta, inputs):
-    """Force (n,) of each row, and its slope in each coefficient (p, n)."""
+    """Force (n,) of each row, and its derivative in each coefficient (p, n)."""
 
     def one(given, sample):
         return getattr(with_values(tire, given)(sample), force)
 
     given = dict(zip(names, theta, strict=True))
     value, slopes = jax.vmap(jax.value_and_grad(one), in_axes=(None, 0))(given, inputs)
-    # Else the compiler works the whole formula out anew for every column.
+    # Without the barrier the compiler evaluates the formula again for every column.
     columns = jax.lax.optimization_barrier([slopes[name] for name in names])
     return value, jnp.stack(columns)
 
 
 @compiled(static=("force", "names"), brief=True)
 def _pass(force, names, tire, theta, scale, inputs, observed, weight):
-    """Of a block: residuals (n,) over the noise, and their slopes in u (p, n)."""
+    """Residuals (n,) of a block over the noise, and their derivatives in u (p, n)."""
     value, slope = _gradients(force, names, tire, theta, inputs)
     residual = (value - observed) * weight
     return residual, slope * (weight[None, :] * scale[:, None])
 
 
 def _passes(problem: Problem, u: np.ndarray) -> Iterator[tuple]:
-    """Every block with the places of its coefficients in u, its residuals (n,) and
-    their slopes in u (p, n)."""
+    """For every block: the block, the indices in u of its coefficients, its residuals
+    (n,) and their derivatives (p, n)."""
     natural, scale = problem.natural(u), problem.scale(u)
     for block in problem.blocks:
         names, at = problem.columns(block.force)
@@ -179,7 +181,7 @@ def _passes(problem: Problem, u: np.ndarray) -> Iterator[tuple]:
 
 @compiled(static=("force", "names"), brief=True)
 def _excess(force, names, tire, theta, scale, inputs):
-    """How far curvature factors exceed their limit (n,), and its slopes in u (p, n)."""
+    """Excess (n,) of curvature factors over their limit, and its derivatives (p, n)."""
 
     def one(given, sample):
         largest = curvatures(with_values(tire, given), sample)[force][0]
@@ -192,7 +194,7 @@ def _excess(force, names, tire, theta, scale, inputs):
 
 def limits_of(force: str, inputs: Sequence[TireInputs]) -> dict[str, TireInputs]:
     """The points at which the curvature factors of a force are limited: some of the
-    inputs (each of arrays), from the least to the largest load."""
+    inputs (of arrays), evenly taken in the order of load."""
     if force not in ("fx", "fy", "mz"):
         return {}
     columns = [np.concatenate(parts) for parts in zip(*inputs, strict=True)]
@@ -202,7 +204,7 @@ def limits_of(force: str, inputs: Sequence[TireInputs]) -> dict[str, TireInputs]
 
 
 def _all_passes(problem: Problem, u: np.ndarray) -> Iterator[tuple]:
-    """Places in u, residuals (n,), slopes (p, n): of the blocks and of the limits."""
+    """Indices in u, residuals (n,), derivatives (p, n) of the blocks and the limits."""
     for _, at, residual, slopes in _passes(problem, u):
         yield at, residual, slopes
     for force, inputs in problem.limits.items():
@@ -215,15 +217,15 @@ def _all_passes(problem: Problem, u: np.ndarray) -> Iterator[tuple]:
 
 
 def _passed(problem: Problem, u: np.ndarray, moved: np.ndarray):
-    """Sum of squares, half the curvature and half the slope of the rows, at u; the
-    curvature with those that ``moved`` (p,) says."""
+    """Sum of squares of the rows at u, and half its curvature and half its gradient in
+    the coefficients ``moved`` (p,)."""
     size = len(u)
     cost, curvature, slope = 0.0, np.zeros((size, size)), np.zeros(size)
     for at, residual, slopes in _all_passes(problem, u):
         cost += float(residual @ residual)
         chosen = moved[at]
         at, slopes = at[chosen], slopes[chosen]
-        # NumPy's product of a matrix with itself takes half the time of XLA's.
+        # NumPy's product of a matrix with its transpose is twice as fast as XLA's.
         curvature[np.ix_(at, at)] += slopes @ slopes.T
         slope[at] += slopes @ residual
     return cost, curvature, slope
@@ -243,8 +245,8 @@ def row_values(
 
 
 def row_gradients(problem: Problem, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals over the noise (n,) of the problem's rows, and their slopes in u (n, p)
-    in its order; the rows that fill a block up are left out."""
+    """Residuals (n,) of the problem's rows over the noise, and their derivatives in u
+    (n, p); padding rows are omitted."""
     values, slopes = [], []
     for block, at, residual, slope in _passes(problem, u):
         used = block.weight > 0
@@ -258,8 +260,8 @@ def row_gradients(problem: Problem, u: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def propagated(
     problem: Problem, u: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals over the noise (n,) of the problem's rows, and the variance (n,) that a
-    covariance of u (p, p) gives them."""
+    """Residuals (n,) of the problem's rows over the noise, and their variance (n,) for
+    a covariance of u (p, p)."""
     values, variances = [], []
     for block, at, residual, slope in _passes(problem, u):
         used = block.weight > 0
@@ -270,7 +272,7 @@ def propagated(
 
 
 def curvature_at(problem: Problem, u: np.ndarray) -> np.ndarray:
-    """Half the curvature of the rows alone at u (p,), in all coefficients: (p, p)."""
+    """Half the curvature (p, p) of the rows, without priors, in all coefficients."""
     return _passed(problem, u, np.full(len(u), True))[1]
 
 
@@ -283,10 +285,10 @@ def minimise(
     """Levenberg-Marquardt over the free coefficients, from ``start`` (p,), until one
     more step would gain less than ``settled`` of deviance.
 
-    A trial whose cost is not finite is refused like any that is worse. A step is damped
-    in the geometric mean of two measures, the priors' (Levenberg) and the rows' own
-    (Marquardt): from six starts of pure F_y both alone ended in other minima, at edges
-    of the formula, from three, and this from one.
+    A trial whose cost is larger or not finite is refused. The damping matrix is the
+    geometric mean of that of the priors (Levenberg) and that of the rows (Marquardt).
+    Of six starts of pure F_y, either one alone ended in another minimum, at a kink of
+    the formula, from three, and the mean from one.
     """
     free = np.flatnonzero(problem.free)
     u = np.array(start, float)
@@ -318,7 +320,7 @@ def minimise(
         if gain > 0 and share > _FAIR:
             damping, stiffen = damping * (0.1 if share > _GOOD else 1 / 3), 2.0
         else:
-            # Twice, then four, eight times: refusals in a row soon find the scale.
+            # By 2, 4, 8, ...: several refusals in a row soon find the scale.
             damping, stiffen = damping * stiffen, 2 * stiffen
         damping = max(damping, _LEAST_DAMPING)
     return Minimum(u, cost, converged or damping >= _STUCK, steps)

@@ -1,9 +1,10 @@
-"""The search in stages, as tire engineers do it: each force from its own rows.
+"""Fit a Magic Formula in stages, each force from its own rows.
 
-F_x and F_y share no coefficient. Each is found from its rows of pure slip, then, with
-what these told kept, from those of combined slip. A moment depends on the coefficients
-of the forces too: it takes them as known within their errors and moves its own alone,
-so that a moment which the formula describes badly worsens no force.
+F_x and F_y share no coefficient. Each is fitted to its rows of pure slip first. Its
+rows of combined slip then move the other coefficients; those that pure slip determined
+are kept. A moment also depends on the coefficients of the forces. Its stage takes these
+as known within their errors and moves only its own coefficients, so a moment that the
+formula describes badly does not worsen a force.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,31 +33,34 @@ from tirefit.fitting.noise_law import noise_law
 from tirefit.models import TireInputs
 
 _ENOUGH = 2048
-"""Cells, evenly taken, from which the best of several starts is chosen."""
+"""Number of cells, evenly taken, by which the best of several starts is chosen."""
 
 _TRIES, _ROUGHLY = 60, 0.01
-"""Passes, and the deviance left to gain, while the noise is still to be learnt."""
+"""Limit of passes, and the deviance left to gain, while the noise is estimated."""
 
 _ROUNDS = 10
 _SETTLED = 0.02
-"""Rounds of search and noise, at most, and the change of the noise that ends them."""
+"""Limit of rounds of search and noise estimation, and the relative change of the noise
+below which they end."""
 
-_TOLD = 0.5
-"""Share of the prior's variance that is left, below which the rows tell a coefficient:
-later rows do not move it."""
+_DETERMINED = 0.5
+"""Posterior over prior variance below which the rows determine a coefficient: later
+stages do not move it."""
 
 _HELD = 0.98
-"""Share of the prior's variance that is left, above which the rows say nothing."""
+"""Posterior over prior variance above which the rows do not identify a coefficient."""
 
 Progress = Callable[[str], None]
 
 
 class Stage(NamedTuple):
-    """One stage: the force, its rows and their cells, coefficients moved, sum of
-    squares over the noise at its end, passes, whether it converged within its limit.
+    """The record of one stage.
 
-    ``rmse``: root mean square [N, N m] of what the means of its cells miss at its own
-    end, and ``rmse_at_end`` at the end of all.
+    ``rows`` and ``cells`` are counts, ``moved`` is the number of coefficients that the
+    stage moved, ``chi2`` its weighted sum of squares, ``steps`` its passes over the
+    rows, and ``converged`` tells whether it ended before its limit of passes. ``rmse``
+    [N, N m] is the root mean square residual of the means of its cells at the end of
+    the stage, ``rmse_at_end`` at the end of the fit.
     """
 
     name: str
@@ -73,17 +77,17 @@ class Stage(NamedTuple):
 
     @property
     def part(self) -> str:
-        """The part, of :data:`~tirefit.fitting.mf.parts.PARTS`, to which it belongs."""
+        """The key of :data:`~tirefit.fitting.mf.parts.PARTS` of the stage."""
         return self.force if self.pure else "combined"
 
 
 @dataclass
 class Search:
-    """What is known so far: u (p,) and its covariance (p, p), and the stages taken.
+    """The state of the search: u (p,), its covariance (p, p), and the stages done.
 
-    ``groups``: the cells of each force. ``near``: whether the first u was of a tire
-    that may be near. ``moved`` are the coefficients of the stages that had rows,
-    ``held`` those of them that the data do not tell.
+    ``groups`` holds the cells of each force. ``near`` tells whether u started from the
+    coefficients of a tire that may be similar. ``moved`` are the coefficients that some
+    stage moved; ``held`` are those of them that the data do not identify.
     """
 
     problem: Problem
@@ -96,15 +100,15 @@ class Search:
     held: set[str] = field(default_factory=set)
 
     def rmse(self, group: Group) -> float:
-        """Root mean square [N, N m] of what the means of cells miss, each as often as
-        it has rows."""
+        """Root mean square residual [N, N m] of the means of cells, weighted by their
+        numbers of rows."""
         cells = group.cells
-        missed = row_values(self.problem, self.u, group.force, cells.inputs)
-        squares = (missed - cells.observed) ** 2
+        predicted = row_values(self.problem, self.u, group.force, cells.inputs)
+        squares = (predicted - cells.observed) ** 2
         return float(np.sqrt(np.average(squares, weights=cells.rows)))
 
     def rows_per_one(self, force: str) -> float:
-        """How many rows of a force count as one."""
+        """Number of rows of a force per independent row."""
         ones, rows = 0.0, 0
         for group in self.groups[force]:
             fz, observed = np.asarray(group.cells.inputs.fz), group.cells.observed
@@ -114,12 +118,10 @@ class Search:
         return max(rows / ones, 1.0)
 
     def stages_at_end(self) -> list[Stage]:
-        """The stages, with what their rows miss now."""
-        of = {(g.force, g.pure): g for groups in self.groups.values() for g in groups}
-        return [
-            stage._replace(rmse_at_end=self.rmse(of[stage.force, stage.pure]))
-            for stage in self.stages
-        ]
+        """The stages with their present ``rmse_at_end``."""
+        groups = [group for groups in self.groups.values() for group in groups]
+        rmse = {(group.force, group.pure): self.rmse(group) for group in groups}
+        return [s._replace(rmse_at_end=rmse[s.force, s.pure]) for s in self.stages]
 
 
 def search(
@@ -129,13 +131,13 @@ def search(
     first: np.ndarray | None = None,
     progress: Progress = lambda text: None,
 ) -> Search:
-    """Each force from its own rows, pure slip first; moments after the forces.
+    """Fit each force to its own rows, pure slip first; the moments after the forces.
 
     Args:
-        problem: without rows; ``free`` says which coefficients are not fixed.
-        rows: of every force that the data hold.
+        problem: without rows; ``free`` marks the coefficients that are not fixed.
+        rows: of every force in the data.
         groups: their cells.
-        first: u (p,) of a tire that may be near, to start from too.
+        first: u (p,) of a tire that may be similar, as an additional start.
     """
     start = np.zeros(len(problem.names)) if first is None else first
     nothing = np.diag(problem.free.astype(float))
@@ -148,8 +150,7 @@ def search(
 
 
 def without(work: Search, keeps: Mapping[str, Sequence[np.ndarray]]) -> Search:
-    """The same search from where it ended, of some of the cells: what the others are
-    held against.
+    """Fit some of the cells, from the end of a search; the noise of rows is kept.
 
     Args:
         keeps: by force, which cells of each group are kept, (m,) bool.
@@ -177,16 +178,22 @@ def _title(group: Group) -> str:
 
 
 def _one_stage(work: Search, force: str, count: int, rows: ForceRows | None) -> None:
-    """Takes the first ``count`` groups of a force, of which the last is new."""
+    """Fit the first ``count`` groups of a force; the last of them is new.
+
+    Args:
+        rows: rows of the force, for the starts and the noise of single rows; None in a
+            continued search.
+    """
     is_last = count == len(work.groups[force])
     names = _to_move(work, force, is_last)
     if rows is not None:
-        work.u = _best_start(work, force, count, names)
-    end = None
+        few = problem_of(work, force, count, names, _ENOUGH)
+        starts = _starts(work, work.groups[force][count - 1])
+        ends = [minimise(few, start, _TRIES, _ROUGHLY) for start in starts]
+        work.u = min(ends, key=lambda end: end.cost).u
     for _ in range(_ROUNDS):
         problem = problem_of(work, force, count, names)
-        end = minimise(problem, work.u, _TRIES, _ROUGHLY)
-        work.u = end.u
+        work.u = minimise(problem, work.u, _TRIES, _ROUGHLY).u
         if _learn_noise(work, force, count, rows) < _SETTLED:
             break
     _learn_weight(work, force, count, names)
@@ -200,21 +207,20 @@ def _one_stage(work: Search, force: str, count: int, rows: ForceRows | None) -> 
 
 
 def _to_move(work: Search, force: str, is_last: bool) -> list[str]:
-    """Coefficients that a stage moves: those of pure slip, then those of combined slip
-    and what pure slip did not tell."""
-    free = dict(zip(work.problem.names, work.problem.free, strict=True))
-    variance = dict(zip(work.problem.names, np.diagonal(work.covariance), strict=True))
-    own = own_coefficients(work.problem.tire.version, force)
-    pure = [g.pure for g in work.groups[force]]
-    if not all(pure) and is_last:
-        told = {name for name in own if variance[name] <= _TOLD and free[name]}
-        return [n for n in own if free[n] and n not in told & work.moved]
-    part = coefficients_of(work.problem.tire.version)
-    return [name for name in own if free[name] and part[name] == force]
+    """The coefficients that a stage moves: those of pure slip; in combined slip all of
+    the force except those that pure slip determined."""
+    names, version = work.problem.names, work.problem.tire.version
+    free = {n for n, is_free in zip(names, work.problem.free, strict=True) if is_free}
+    own = [name for name in own_coefficients(version, force) if name in free]
+    if is_last and not all(group.pure for group in work.groups[force]):
+        variance = dict(zip(names, np.diagonal(work.covariance), strict=True))
+        return [n for n in own if variance[n] > _DETERMINED or n not in work.moved]
+    part = coefficients_of(version)
+    return [name for name in own if part[name] == force]
 
 
 def _blocks(work: Search, group: Group, most: int | None = None) -> list[Block]:
-    """Blocks of a group's cells with their noise; ``most`` of them evenly taken."""
+    """The cells of a group as blocks, at most ``most`` of them, evenly taken."""
     cells = group.cells
     chosen = np.arange(len(cells.rows))
     if most is not None and len(chosen) > most:
@@ -225,23 +231,17 @@ def _blocks(work: Search, group: Group, most: int | None = None) -> list[Block]:
 
 
 def problem_of(work: Search, force: str, count: int, names, most=None) -> Problem:
-    """The first ``count`` groups of a force, and which coefficients are moved; ``most``
-    cells of a group, evenly taken."""
+    """The problem of the first ``count`` groups of a force, with the coefficients
+    ``names`` free; at most ``most`` cells of a group, evenly taken."""
     groups = work.groups[force][:count]
     blocks = [block for group in groups for block in _blocks(work, group, most)]
     limits = limits_of(force, [group.cells.inputs for group in groups])
     return work.problem.with_free(names).with_blocks(blocks, limits)
 
 
-def _best_start(work: Search, force: str, count: int, names) -> np.ndarray:
-    few = problem_of(work, force, count, names, _ENOUGH)
-    starts = _starts_of(work, work.groups[force][count - 1])
-    ends = [minimise(few, start, _TRIES, _ROUGHLY) for start in starts]
-    return min(ends, key=lambda end: end.cost).u
-
-
 def _learn_noise(work: Search, force: str, count: int, rows) -> float:
-    """The noise of the newest group from its residuals; by how much it changed."""
+    """Estimate the noise of the newest group from its residuals; returns its largest
+    relative change."""
     group = work.groups[force][count - 1]
     cells = group.cells
     predicted = row_values(work.problem, work.u, force, cells.inputs)
@@ -259,11 +259,11 @@ def _learn_noise(work: Search, force: str, count: int, rows) -> float:
 
 
 def _learn_weight(work: Search, force: str, count: int, names) -> None:
-    """How many cells of the newest group count as one.
+    """Set the number of cells per independent cell of the newest group.
 
-    Cells of a sweep miss the formula alike. The larger of two measures: their
-    autocorrelation time along the slip, and by how much the slope of the deviance
-    varies more from setting to setting than that of independent cells would.
+    The misfit of neighbouring cells of a sweep is correlated. The number is the larger
+    of the autocorrelation time of their residuals along the slip, and of the design
+    effect of the settings on the slope of the deviance.
     """
     group = replace(work.groups[force][count - 1], each=1.0)
     work.groups[force][count - 1] = group
@@ -277,7 +277,7 @@ def _learn_weight(work: Search, force: str, count: int, names) -> None:
 
 
 def _hold(work: Search, problem: Problem, end: Minimum) -> tuple[Problem, Minimum]:
-    """What the rows do not tell goes back to the centre of its prior."""
+    """Fix coefficients that the rows do not identify at the centre of their priors."""
     covariance = _covariance(work.covariance, problem, end.u)
     left = np.diagonal(covariance)
     moving = np.flatnonzero(problem.free)
@@ -294,10 +294,11 @@ def _hold(work: Search, problem: Problem, end: Minimum) -> tuple[Problem, Minimu
 
 
 def _covariance(before: np.ndarray, problem: Problem, u: np.ndarray) -> np.ndarray:
-    """Of u (p,): of what was moved, given the rest, and of the rest as before.
+    """The covariance (p, p) of u after a stage.
 
-    With H the curvature of rows and priors, the moved ones m follow the known ones k by
-    -H_mm^-1 H_mk.
+    The known coefficients k keep their covariance. The moved ones m have the covariance
+    H_mm^-1 given k, and change with k by -H_mm^-1 H_mk; H is the curvature of rows and
+    priors.
     """
     moved, known = np.flatnonzero(problem.free), np.flatnonzero(~problem.free)
     curvature = curvature_at(problem, u)
@@ -331,8 +332,8 @@ def _note(work: Search, force: str, count: int, problem: Problem, end: Minimum):
     )
 
 
-def _starts_of(work: Search, group: Group) -> list[np.ndarray]:
-    """First values of u; combined slip begins where pure slip, if there, ended."""
+def _starts(work: Search, group: Group) -> list[np.ndarray]:
+    """First values of u; in combined slip, the end of the stage of pure slip."""
     problem = work.problem
     if any(stage.force == group.force for stage in work.stages):
         return [work.u]

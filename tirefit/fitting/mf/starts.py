@@ -1,4 +1,4 @@
-"""First values of a search: what a look at the curve gives, with several shapes."""
+"""First values of a search: read off the measured curve, with several shapes."""
 
 import numpy as np
 
@@ -14,17 +14,17 @@ _SHAPES: dict[str, tuple[dict[str, float], ...]] = {
         {"QSX2": 1.0, "QSX3": -0.5, "QSX4": 1.0},
     ),
 }
-"""Shapes of the curves to start from; curves with a peak, without, and sharp ones lie
-in different valleys."""
+"""Shapes of the curves to start from. Curves with a peak, without a peak and with a
+sharp peak belong to different local minima."""
 
 
 def first_values(group: Group) -> list[dict[str, float]]:
-    """Coefficients to start from, one set a shape."""
+    """Coefficients to start from, one set per shape."""
     return [_look(group) | shape for shape in _SHAPES.get(group.force, ({},))]
 
 
 def _look(group: Group) -> dict[str, float]:
-    """Friction and stiffness, from the largest forces and the slope at small slips."""
+    """Friction from the largest forces, and stiffness from the slope at small slips."""
     if group.force not in ("fx", "fy"):
         return {}
     inputs, force = group.cells.inputs, group.cells.observed
@@ -37,6 +37,6 @@ def _look(group: Group) -> dict[str, float]:
     slope = max(slope, peak / max(size.max(), 1e-6))
     if group.force == "fx":
         return {"PDX1": peak, "PKX1": slope}
-    # Of K = PKY1 F_z0 sin(2 arctan(F_z / (PKY2 F_z0))) at the nominal load.
+    # K = PKY1 F_z0 sin(2 arctan(F_z / (PKY2 F_z0))) at F_z = F_z0.
     at_nominal = np.sin(2 * np.arctan(1 / 2.5))
     return {"PDY1": peak, "PKY1": -slope / at_nominal, "PKY2": 2.5}

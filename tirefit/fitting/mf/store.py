@@ -14,8 +14,8 @@ from tirefit.params import parameter_values, specs
 
 
 def tir_of(fit: MagicFormulaFit) -> TirFile:
-    """The tire property file of a fit; each coefficient with its standard error and
-    how it came."""
+    """The tire property file of a fit; each coefficient has a comment with its origin
+    and standard error."""
     version = VERSIONS[fit.model]
     known = specs(fit.tire)
     notes = {}
@@ -46,7 +46,7 @@ def tir_of(fit: MagicFormulaFit) -> TirFile:
 def save_magic_formula(
     fit: MagicFormulaFit, directory: str | os.PathLike
 ) -> list[Path]:
-    """Writes ``fit.tir`` and ``fit.json``, each whole or not at all."""
+    """Write ``fit.tir`` and ``fit.json``, each completely or not at all."""
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     write_tir(tir_of(fit), directory / "fit.tir")

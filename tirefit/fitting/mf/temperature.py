@@ -1,8 +1,9 @@
 """Friction that changes with the temperature of the tire, as a covariate of a fit.
 
-The friction is mu (1 + b (T - T_ref)). The coefficients hold at T_ref: measured forces
-are carried there with b, which is found with the coefficients (each other's effect is
-projected out of its slope, by Frisch and Waugh), from F_x and F_y together.
+The friction is mu (1 + b (T - T_ref)). The coefficients hold at T_ref: with b, the
+measured forces are corrected to T_ref before the fit. F_x and F_y together determine b.
+Its slope is made orthogonal to those of the coefficients (Frisch and Waugh), so b and
+the coefficients are estimated jointly.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,15 +22,15 @@ from tirefit.results import DataError, InputProblem
 
 _ROUNDS = 6
 _SETTLED = 0.1
-"""Fits, at most, and the change of b, in standard errors, that ends them."""
+"""Limit of fits, and the change of b in standard errors below which they end."""
 
 _STEP = 0.05
-"""Change of friction by which a force is expanded to second order."""
+"""Relative change of friction for the derivatives of a force."""
 
 UNUSED = "the friction is not fitted over temperature (friction_temperature = true)"
 _LEAST = 1.0
-"""Range of temperatures [K] below which no change of friction is told: at some 0.5 %
-a kelvin it is less than the noise of a rig."""
+"""Smallest range of temperatures [K]. At about 0.5 % per kelvin, a smaller range
+changes the friction by less than the noise of a rig."""
 
 _FORCES = ("fx", "fy")
 
@@ -37,14 +38,15 @@ Rows = Mapping[str, ForceRows]
 
 
 class FrictionTemperature(NamedTuple):
-    """Change of friction b [1/K] with its standard error, from ``reference`` [degC]."""
+    """Relative change of friction b [1/K] with its standard error; it is zero at
+    ``reference`` [degC]."""
 
     b: float
     std: float
     reference: float
 
     def text(self) -> str:
-        """What was found, in one sentence."""
+        """The result as one sentence."""
         value, std = (1e3 * number for number in (self.b, self.std))
         return (
             f"friction changes by {value:.3g} +- {std:.2g} % per 10 K of the column"
@@ -55,20 +57,20 @@ class FrictionTemperature(NamedTuple):
 def at_reference(
     data: TireData, rows: Rows, fitted: Callable[[Rows], Search]
 ) -> tuple[Search, Rows, FrictionTemperature]:
-    """The search of rows carried to the reference temperature, these rows, and b.
+    """Fit rows corrected to the reference temperature: (search, these rows, b).
 
     Args:
-        data: what the rows are of; has a column temperature.
+        data: the data of the rows, with a column temperature.
         rows: by force.
-        fitted: the search of some rows.
+        fitted: fits some rows.
 
     Raises:
-        DataError: the temperature does not vary.
+        DataError: the temperature varies by less than 1 K.
     """
     column = data.columns["temperature"]
     if np.ptp(column[data.used]) < _LEAST:
-        reason = f"temperature varies by less than {_LEAST:g} K: no friction follows it"
-        remedy = "leave friction_temperature out"
+        reason = f"temperature varies by less than {_LEAST:g} K, too little to fit"
+        remedy = "leave out friction_temperature"
         raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
     reference = float(np.round(np.median(column[data.used])))
     warmth = {
@@ -80,14 +82,14 @@ def at_reference(
         work = fitted(now)
         step, std = _step(work, now, warmth)
         b += step
-        now = {f: _carried(work, of, b * warmth[f]) for f, of in rows.items()}
+        now = {f: _corrected(work, of, b * warmth[f]) for f, of in rows.items()}
         if abs(step) < _SETTLED * std:
             break
     return work, now, FrictionTemperature(b, std, reference)
 
 
 def _expanded(work: Search, force: str, inputs) -> tuple[np.ndarray, np.ndarray]:
-    """Slope and half the curvature (n,) of a force in the change of friction."""
+    """First and half the second derivative (n,) of a force in the friction."""
     tire = work.problem.tire
     scales = {k: parameter_values(tire)[k] for k in ("LMUX", "LMUY")}
 
@@ -99,18 +101,18 @@ def _expanded(work: Search, force: str, inputs) -> tuple[np.ndarray, np.ndarray]
     return (high - low) / (2 * _STEP), (high + low - 2 * middle) / (2 * _STEP**2)
 
 
-def _carried(work: Search, rows: ForceRows, change: np.ndarray) -> ForceRows:
-    """The rows as measured with a friction that is not changed (n,)."""
-    slope, bend = _expanded(work, rows.force, rows.inputs)
-    return replace(rows, observed=rows.observed - change * (slope + change * bend))
+def _corrected(work: Search, rows: ForceRows, change: np.ndarray) -> ForceRows:
+    """The rows with forces corrected for a relative ``change`` (n,) of friction."""
+    slope, half = _expanded(work, rows.force, rows.inputs)
+    return replace(rows, observed=rows.observed - change * (slope + change * half))
 
 
 def _step(work: Search, rows: Rows, warmth) -> tuple[float, float]:
-    """By how much b is to change, and its standard error."""
-    told, downhill = 0.0, 0.0
+    """The Gauss-Newton step of b, and its standard error."""
+    information, downhill = 0.0, 0.0
     of_part = coefficients_of(work.problem.tire.version)
     for force in (force for force in _FORCES if force in work.groups):
-        # Combined slip comes second: only pure slip is at its own optimum.
+        # Pure slip only: its stage ended at the optimum of the coefficients it moved.
         group = work.groups[force][0]
         own = warmth[force][rows[force].chosen([group.pure])]
         std = np.sqrt(group.each * group.variance(group.cells.observed))
@@ -122,7 +124,7 @@ def _step(work: Search, rows: Rows, warmth) -> tuple[float, float]:
         gradient, u = gradient[:, problem.free], work.u[problem.free]
         normal = gradient.T @ gradient + np.eye(len(u))
         alone = slope - gradient @ np.linalg.solve(normal, gradient.T @ slope)
-        told += float(alone @ slope)
+        information += float(alone @ slope)
         downhill -= float(alone @ residual)
         downhill += float(slope @ gradient @ np.linalg.solve(normal, u))
-    return downhill / told, float(1 / np.sqrt(told))
+    return downhill / information, float(1 / np.sqrt(information))

@@ -6,7 +6,7 @@ Equation numbers (4.E1 ...) are those of Pacejka, *Tire and Vehicle Dynamics*, 3
 supplement (2010) 337-352, where it differs from the book.
 """
 
-from tirefit.models.mf.curvature import curvatures, share_limited
+from tirefit.models.mf.curvature import curvatures
 from tirefit.models.mf.moments import Overturning, Rolling
 from tirefit.models.mf.tire import (
     OTHER_SIDE,
@@ -26,7 +26,6 @@ __all__ = [
     "curvatures",
     "frictions",
     "mf_tire",
-    "share_limited",
 ]
 
 MAGIC_FORMULAS = {

@@ -1,4 +1,4 @@
-"""Where a Magic Formula depends on the limit of its curvature factors E to one."""
+"""Find where a Magic Formula depends on the limit of its curvature factors E to 1."""
 
 import jax
 import jax.numpy as jnp
@@ -10,20 +10,21 @@ from tirefit.models.mf.tire import MFTire
 
 
 def curvatures(tire: MFTire, inputs: TireInputs) -> dict[str, Float[Array, " n"]]:
-    """Largest curvature factor E of each force, before it is limited to one.
+    """Largest curvature factor E of each force, before the limit to one.
 
-    E > 1 bends a curve back, so readers of a coefficient file differ there: some limit
-    E to one, as :func:`~tirefit.models.magic_formula.bent` does, others do not.
+    At E > 1 the curve bends back. Programs that read a coefficient file differ there:
+    some limit E to one, as :func:`~tirefit.models.magic_formula.bent` does, others do
+    not. F_x and F_y have two factors each: of the pure curve and of the weighting
+    function.
 
     Args:
-        tire: the tire; each of its forces has an own E, and F_x and F_y another one of
-            their weighting functions.
+        tire: the tire.
         inputs: scalars or arrays (n,).
 
     Returns:
-        ``fx``, ``fy``, ``mz``, as far as the tire has them: (n,). An E that has no
-        effect on a sample (zero argument, weight without shape, zero load) counts as
-        zero there. M_z depends on the E of F_y and F_x too, which are not repeated.
+        ``fx``, ``fy``, ``mz``, as far as the tire has them: (n,). An E without effect
+        on a sample (zero argument, weight without shape, zero load) counts as zero.
+        That of M_z does not include those of F_x and F_y, on which M_z also depends.
     """
     arrays = [jnp.atleast_1d(jnp.asarray(value, float)) for value in inputs]
     return jax.vmap(lambda sample: _largest(tire, sample))(
@@ -32,6 +33,7 @@ def curvatures(tire: MFTire, inputs: TireInputs) -> dict[str, Float[Array, " n"]
 
 
 def _largest(tire: MFTire, inputs: TireInputs) -> dict:
+    """:func:`curvatures` of one sample."""
     at, scale = tire.point(inputs), tire.scaling
     fz0 = tire.nominal.FNOMIN * scale.LFZO
     side = tire.lateral.pure(at, scale, fz0)
@@ -45,7 +47,7 @@ def _largest(tire: MFTire, inputs: TireInputs) -> dict:
     def weighting(force, weight):
         if force in tire.similarity:
             return 0.0
-        # Without the other slip the weight is one, whatever E.
+        # Without the other slip the weight is one for any E.
         moved = weight.curve.x - weight.x_at_rest
         return acting(Curve(moved, weight.curve.curvature), weight.shape)
 
@@ -59,10 +61,3 @@ def _largest(tire: MFTire, inputs: TireInputs) -> dict:
     for force, weight in weights.items():
         found[force] = jnp.maximum(found[force], weighting(force, weight))
     return {force: value for force, value in found.items() if force not in tire.lacks}
-
-
-def share_limited(tire: MFTire, inputs: TireInputs) -> dict[str, float]:
-    """Share of the samples at which an E of each force exceeds one; see
-    :func:`curvatures`."""
-    found = curvatures(tire, inputs)
-    return {force: float(jnp.mean(values > 1)) for force, values in found.items()}

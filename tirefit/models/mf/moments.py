@@ -1,9 +1,9 @@
-"""The overturning moment and the rolling resistance moment.
+"""The overturning moment M_x and the rolling resistance moment M_y.
 
-Both follow the equation manual of MF-Tyre 6.1, of which 5.2 is the part without the
-coefficients that it lacks. M_y has the form of Besselink et al. (2010), (A48):
-P(4.E70) has the load in the place of FNOMIN, and the other sign. Loads are over
-FNOMIN, whatever LFZO.
+Both follow the equation manual of MF-Tyre 6.1; MF 5.2 has fewer of the coefficients.
+M_y has the form of Besselink et al. (2010), (A48). P(4.E70) differs: it has the load in
+place of FNOMIN, and the opposite sign. Loads are normalised by FNOMIN, not by
+LFZO FNOMIN.
 """
 
 import equinox as eqx
@@ -13,9 +13,9 @@ from tirefit.models.mf.fields import Nominal, Point, Scaling, coefficient
 
 
 class Overturning(eqx.Module):
-    """Coefficients of M_x, over F_z R_0.
+    """Coefficients of M_x / (F_z R_0).
 
-    MF-Tyre has QSX12 to QSX14 as another way to say what QSX1 to QSX11 say.
+    In MF-Tyre QSX12 to QSX14 are an alternative to QSX1 to QSX11.
     """
 
     QSX1: float = coefficient("q_{sx1}", "shift of M_x", "4.E69")
@@ -35,7 +35,7 @@ class Overturning(eqx.Module):
     PPMX1: float = coefficient("p_{pMx1}", "QSX2 with pressure", "4.E69")
 
     def moment(self, at: Point, scale: Scaling, nominal: Nominal, load, fy):
-        """M_x [N m] at loads and F_y [N] of the model itself, (4.E69)."""
+        """M_x [N m] for a load [N] and the F_y [N] of the model, (4.E69)."""
         gamma, side, share = at.camber, fy / nominal.FNOMIN, at.fz / nominal.FNOMIN
         mixed = jnp.cos(self.QSX5 * jnp.arctan((self.QSX6 * share) ** 2)) * jnp.sin(
             self.QSX7 * gamma + self.QSX8 * jnp.arctan(self.QSX9 * side)
@@ -53,7 +53,7 @@ class Overturning(eqx.Module):
 
 
 class Rolling(eqx.Module):
-    """Coefficients of M_y, over F_z R_0."""
+    """Coefficients of M_y / (F_z R_0)."""
 
     QSY1: float = coefficient("q_{sy1}", "rolling resistance", "4.E70")
     QSY2: float = coefficient("q_{sy2}", "the same, with F_x", "4.E70")
@@ -65,8 +65,8 @@ class Rolling(eqx.Module):
     QSY8: float = coefficient("q_{sy8}", "exponent of the pressure", "4.E70")
 
     def moment(self, at: Point, scale: Scaling, nominal: Nominal, load, fx, v):
-        """M_y [N m] of a wheel that rolls forward at v [m/s], which it resists; at the
-        nominal speed where v is 0."""
+        """M_y [N m] of a wheel that rolls forward at v [m/s], for a load [N] and the
+        F_x [N] of the model. Where v is 0, the speed is the nominal one."""
         share = at.fz / nominal.FNOMIN
         speed = jnp.where(v > 0, v / nominal.LONGVL, 1.0)
         relative = (
@@ -76,6 +76,6 @@ class Rolling(eqx.Module):
             + self.QSY4 * speed**4
             + (self.QSY5 + self.QSY6 * share) * at.camber**2
         )
-        # As (4.E70) but for the first load, which keeps M_y zero without one.
+        # ``load`` is one factor F_z of (4.E70); M_y is zero where it is.
         power = share ** (self.QSY7 - 1) * (1 + at.dpi) ** self.QSY8
         return -nominal.UNLOADED_RADIUS * scale.LMY * load * relative * power

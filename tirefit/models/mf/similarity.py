@@ -1,20 +1,21 @@
 r"""Combined slip without coefficients of combined slip: the method of similarity.
 
-Each slip is divided by the slip :math:`\mu_i F_z / K_i` at which its linear force
-reaches the friction limit (P(4.E78) weighs the slips of the trail by their stiffnesses
-in the same way). The pure forces at the resultant s of these normalised slips are
-resolved by the direction of the slips (Pacejka 2012, section 4.2):
+Each slip is normalised by :math:`\mu_i F_z / K_i`, the slip at which its linear force
+reaches the friction limit; P(4.E78) normalises the slips of the trail by their
+stiffnesses in the same way. The pure forces are evaluated at the resultant s of the
+normalised slips and resolved by the direction of the slips (Pacejka 2012, section 4.2):
 
 .. math::
    F_i = c_i F_i^-(s) + c_i^2 F_i^+(s) + (1 - c_i^2) \frac{F_i^+(0)}{1 + s^2}
 
-:math:`F^\mp` is the odd or even part of a pure force over its normalised slip, so that
-driving gives way to braking, and left to right, without a kink. The cosine
-:math:`c_i` turns from that of the normalised slips, the elastic deflection, to that of
-the sliding velocity, as in :func:`~tirefit.models.combined.scaled_to_combined`: the
-patch of a brush slides from s = 3 on. In pure slip the force of that slip is the pure
-force, and its other force the shift at rest, which dies out. Without shifts the force
-lies within the ellipse of the two largest pure forces.
+:math:`F^-` and :math:`F^+` are the odd and the even part of a pure force over its
+normalised slip, so the force changes smoothly from driving to braking and from left to
+right. The direction cosine :math:`c_i` changes with s from that of the elastic
+deflection (normalised slips) to that of the sliding velocity, as in
+:func:`~tirefit.models.combined.scaled_to_combined`; a brush slides wholly at s = 3. In
+pure slip the force of that slip is the pure force, and the other force is its value at
+rest, which decreases with s. Without shifts the force lies within the ellipse of the
+two largest pure forces.
 """
 
 import jax.numpy as jnp
@@ -28,10 +29,10 @@ from tirefit.models.mf.longitudinal import Longitudinal
 def similar_forces(
     along: Longitudinal, across: Lateral, at: Point, scale: Scaling, fz0
 ):
-    """F_x and F_y over F_z of both slips, of two pure curves.
+    """F_x / F_z and F_y / F_z in combined slip, from the two pure curves.
 
     Args:
-        at: where; with both slips.
+        at: operating point with both slips.
         fz0: scaled nominal load [N].
     """
     side = across.pure(at, scale, fz0)
@@ -59,6 +60,6 @@ def similar_forces(
 
 
 def _length(x, y):
-    """Resultant; not zero at rest, so that shifted forces keep their slope there."""
+    """Resultant; positive at rest, where its derivative must exist."""
     square = x**2 + y**2
     return jnp.sqrt(square + jnp.finfo(square.dtype).eps)

@@ -27,25 +27,24 @@ from tirefit.params import specs, with_values
 from tirefit.slip import LOCKED, kappa_from_sigma, sigma_from_kappa
 
 WEIGHTS = {"fx": ("RBX1", "RCX1"), "fy": ("RBY1", "RCY1")}
-"""Force -> coefficients without which its weighting function is one at any slip."""
+"""Force -> coefficients without which its weighting function is one."""
 
 
 class MFTire(AbstractTire):
     """Magic Formula 5.2, 6.1 or 6.2 in steady state, without turn slip.
 
-    The equations of combined slip are used throughout; a pure slip is the other one at
-    zero. Every coefficient is a parameter under its name in a ``.tir`` file. 6.1 and
-    6.2 have the same forces and moments. Nothing is limited to the range in which the
-    coefficients were found. ``overturning`` and ``rolling`` are None where M_x or M_y
-    is not known.
+    Every coefficient is a parameter under its name in a ``.tir`` file. 6.1 and 6.2 have
+    the same forces and moments. In pure slip the equations of combined slip apply with
+    the other slip zero. Inputs are not limited to the range in which the coefficients
+    were determined. ``overturning`` and ``rolling`` are None if M_x or M_y is unknown.
 
     ``starred``: the equations take tan(alpha) and sin(gamma), as in the book (4.E3,
     4.E4), instead of the angles, as in MF-Tyre.
-    ``digression``: A_mu of (4.E8) in MF 6: the larger, the less the vertical shifts
-    fall with a scaled friction (LMUX, LMUY, LMUV). One, as in the software of TNO that
-    reads and writes the files; the book recommends 10. MF 5.2 has none.
-    ``similarity``: forces that get their combined slip by :mod:`.similarity` instead of
-    by weighting functions.
+    ``digression``: A_mu of (4.E8) in MF 6; the larger it is, the less the vertical
+    shifts decrease with scaled friction (LMUX, LMUY, LMUV). It is 1 in the software of
+    TNO that reads and writes the files; the book recommends 10. MF 5.2 has none.
+    ``similarity``: forces whose combined slip is that of :mod:`.similarity` instead of
+    weighting functions.
     ``lacks``: forces that the tire does not have; they are None.
     """
 
@@ -76,8 +75,8 @@ class MFTire(AbstractTire):
         load = jnp.where(inputs.fz > 0, at.fz, 0.0)
         fx = weighting(self.longitudinal.weight(at, scale)) * along
         fy = side_weight * side.force + self.lateral.induced(at, scale, side.mu)
-        # The trail turns the lateral force that is not induced by kappa, (4.E74); in
-        # MF 6 that of an upright wheel.
+        # The trail acts on the lateral force without the part induced by kappa
+        # (4.E74), in MF 6 on that of an upright wheel.
         upright, upright_at = side, at
         if at.camber_stiffness:
             upright_at = at._replace(gamma=0.0 * at.gamma)
@@ -105,12 +104,12 @@ class MFTire(AbstractTire):
             my = -self.rolling.moment(at, scale, nominal, load, fx, inputs.v)
         # From ISO-W to the canonical signs of tirefit.slip.
         given = TireForces(-fx, -fy, -mz, mx, my)
-        # Of a force that is not known no moment is made.
+        # M_x depends on F_y.
         lacks = (*self.lacks, *(["mx"] if "fy" in self.lacks else ()))
         return given._replace(**dict.fromkeys(lacks))
 
     def point(self, inputs: TireInputs) -> Point:
-        """The operating point in ISO-W axes; no load is that of ``nominal``, safely."""
+        """The operating point in ISO-W axes; a load of zero becomes FNOMIN."""
         scale, nominal = self.scaling, self.nominal
         is_52 = self.version == "5.2"
         fz = jnp.where(inputs.fz > 0, inputs.fz, nominal.FNOMIN)
@@ -158,13 +157,13 @@ def frictions(tire: MFTire, inputs: TireInputs) -> dict[str, np.ndarray]:
 
 
 OTHER_SIDE = frozenset(("alpha", "gamma", "fy", "mz", "mx"))
-"""Fields of a convention that turn where a tire is mirrored in the plane of its wheel,
-as on the other side of the vehicle."""
+"""Fields of a convention that change sign if a tire is mirrored in the plane of its
+wheel, as on the other side of the vehicle."""
 
 
 class Mirrored(AbstractTire):
-    """A tire with some slips and forces of the other sign: mounted on the other side,
-    or given in other axes. ``turned`` names them, as ``slip.Convention`` does."""
+    """A tire with the sign of the fields ``turned`` of ``slip.Convention`` reversed: on
+    the other side of the vehicle, or in other axes."""
 
     tire: AbstractTire
     turned: frozenset[str] = eqx.field(static=True, default=OTHER_SIDE)
@@ -179,8 +178,8 @@ class Mirrored(AbstractTire):
 
 
 def turned_inputs(inputs: TireInputs, turned: Set[str]) -> TireInputs:
-    """Inputs with those of ``turned`` (``slip``, ``alpha``, ``gamma``) of the other
-    sign; a wheel that spins at kappa = -1 or faster is then locked."""
+    """Inputs with the sign of ``turned`` (``slip``, ``alpha``, ``gamma``) reversed; a
+    wheel that spins at kappa = -1 or faster becomes a locked one."""
     names = turned & {"alpha", "gamma"}
     changed = {name: -getattr(inputs, name) for name in names}
     if "slip" in turned:
@@ -190,7 +189,7 @@ def turned_inputs(inputs: TireInputs, turned: Set[str]) -> TireInputs:
 
 
 def turned_forces(forces: TireForces, turned: Set[str]) -> TireForces:
-    """Forces with those of ``turned`` of the other sign; None stays None."""
+    """Forces with the sign of those in ``turned`` reversed; None stays None."""
     names = turned & set(forces._fields)
     changed = {n: jax.tree.map(jnp.negative, getattr(forces, n)) for n in names}
     return forces._replace(**changed)
@@ -210,13 +209,13 @@ def mf_tire(
     Args:
         version: "5.2", "6.1" or "6.2".
         values: coefficients by their names in a ``.tir`` file, SI units; other names
-            are left aside, and a coefficient that is not there has no effect; without
-            any of QSX1 to QSX14 there is no M_x, without any of QSY1 to QSY8 no M_y.
+            are ignored, and missing coefficients have no effect. Without any of QSX1 to
+            QSX14 there is no M_x, without any of QSY1 to QSY8 no M_y.
         starred, digression: see :class:`MFTire`.
-        combination: combined slip: ``none``, by the weighting functions, which are one
-            where their coefficients are absent; ``similarity``, by :mod:`.similarity`;
-            None, by similarity for the forces whose coefficients are absent.
-        lacks: forces of which the values are not a description; they are None.
+        combination: ``none`` for weighting functions, which are one if their
+            coefficients are missing; ``similarity`` for :mod:`.similarity`; None for
+            similarity of the forces whose coefficients are missing.
+        lacks: forces that the values do not describe; they are None.
 
     Raises:
         ValueError: the version or the combination is none of these.
@@ -227,7 +226,7 @@ def mf_tire(
         raise ValueError(f"combination {combination!r}: none and similarity are known")
     absent = [f for f, keys in WEIGHTS.items() if not all(k in values for k in keys)]
     similar = {None: absent, "none": (), "similarity": WEIGHTS}[combination]
-    # Similarity takes both pure forces.
+    # The method of similarity needs both pure forces.
     similar = () if set(WEIGHTS) & set(lacks) else similar
     begin = {key[:3] for key in values}
     tire = MFTire(
