@@ -271,7 +271,7 @@ def test_forces_that_a_file_lacks_are_left_out_with_the_reason(run):
     run_again = ("predict", "lateral.tir", "points.csv", *ISO)
     assert "gives fy and mz alone" in run(*run_again, exit_code=3).stderr
     result = run("convert", "lateral.tir", "--out", "out", exit_code=3)
-    assert "the file gives no F_x: PDX1 is missing" in result.stderr
+    assert "no F_x in this file: PDX1 is missing" in result.stderr
     assert "or ask for fy" in result.stderr and not Path("out").exists()
 
 

@@ -24,7 +24,9 @@ def test_reference_load_is_the_plain_brush(name):
         {key: value for key, value in TRUTH.items() if key != "fz0"},
     )
     inputs = TireInputs(SLIPS, 0.03, TRUTH["fz0"], 20.0)
-    for mine, same in zip(forces(tire, inputs), forces(plain, inputs), strict=True):
+    for mine, same in zip(
+        forces(tire, inputs)[:3], forces(plain, inputs)[:3], strict=True
+    ):
         np.testing.assert_allclose(mine, same, rtol=1e-13)
     assert tire.needs == plain.needs
 
@@ -42,7 +44,9 @@ def test_parameters_follow_the_load(power, fz):
     at_load = {"cpa2": c_p * length**2, "mu": mu, "half_length": length}
     plain = with_values(MODELS["brush"], at_load)
     inputs = TireInputs(SLIPS, 0.02, fz)
-    for mine, same in zip(forces(tire, inputs), forces(plain, inputs), strict=True):
+    for mine, same in zip(
+        forces(tire, inputs)[:3], forces(plain, inputs)[:3], strict=True
+    ):
         np.testing.assert_allclose(mine, same, rtol=1e-12)
     np.testing.assert_allclose(tire.static_friction(fz), mu, rtol=1e-13)
 
@@ -51,7 +55,7 @@ def test_friction_never_vanishes_and_no_load_has_no_force():
     tire = with_values(MODELS["brush-load"], TRUTH | {"mu_load": -0.5})
     np.testing.assert_allclose(tire.static_friction(4e4), 0.009, rtol=1e-12)
     result = forces(tire, TireInputs(0.5, 0.1, np.array([0.0, -100.0, 4e4])))
-    np.testing.assert_array_equal(np.stack(result)[:, :2], 0.0)
+    np.testing.assert_array_equal(np.stack(result[:3])[:, :2], 0.0)
     np.testing.assert_allclose(np.hypot(result.fx, result.fy)[2], 360.0, rtol=1e-12)
 
 

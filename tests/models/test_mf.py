@@ -51,7 +51,12 @@ def iso(tire, kappa=0.0, alpha=0.0, fz=None, gamma=0.0, v=16.6, pressure=0.0):
         row[: max(shape, default=1)] = part
     found = forces(tire, TireInputs(*rows))
     return TireForces(
-        *(-np.asarray(part)[: max(shape, default=1)].reshape(shape) for part in found)
+        *(
+            None
+            if part is None
+            else -np.asarray(part)[: max(shape, default=1)].reshape(shape)
+            for part in found
+        )
     )
 
 

@@ -224,7 +224,7 @@ def test_gradient_is_the_central_difference(name):
     def outputs(columns):
         inputs = [columns[key] for key in INPUTS]
         result = evaluate(name, {key: columns[key] for key in values}, inputs)
-        return jnp.stack(result, axis=-1)
+        return jnp.stack(result[:3], axis=-1)
 
     shifts = (-2, -1, 1, 2)
     moved = {

@@ -145,7 +145,9 @@ def test_asymmetry_follows_the_load():
     tire = with_values(MODELS["brush-d-load"], values)
     plain = with_values(MODELS["brush-d"], {"cpa2": C, "mu": MU, "d": 0.225})
     inputs = TireInputs(np.array([-0.05, 0.02, 0.2]), 0.03, 5000.0)
-    for mine, same in zip(forces(tire, inputs), forces(plain, inputs), strict=True):
+    for mine, same in zip(
+        forces(tire, inputs)[:3], forces(plain, inputs)[:3], strict=True
+    ):
         np.testing.assert_allclose(mine, same, rtol=1e-12)
 
 
@@ -253,12 +255,12 @@ def test_tabulated_law_is_a_model_like_any_other():
     slips = np.array([0.0, 1e-12, 0.05, 0.3, 1e6])
     inputs = TireInputs(slips, 0.05, np.array([0.0, 4e3, 4e3, 4e3, 4e3]))
     result = forces(tire, inputs)
-    assert np.isfinite(np.stack(result)).all()
+    assert np.isfinite(np.stack(result[:3])).all()
     np.testing.assert_allclose(np.hypot(result.fx, result.fy)[-1], MU * FZ, rtol=1e-9)
     arrays = jax.tree.map(jnp.asarray, inputs)
 
     def total(inputs):
-        return sum(jnp.sum(part) for part in forces(tire, inputs))
+        return sum(jnp.sum(part) for part in forces(tire, inputs)[:3])
 
     for leaf in jax.grad(total)(arrays):
         assert np.isfinite(leaf).all()

@@ -72,12 +72,14 @@ def law_shares(residual, terms, known=0.0) -> np.ndarray:
     scaled, known = terms / size, known / scale
     wanted = residual**2 / scale - known
     shares = np.full(terms.shape[1], 1 / terms.shape[1])
-    ridge = 1e-9 * np.eye(terms.shape[1])
     for _ in range(_ROUNDS):
         variance = scaled @ shares + known + 1e-9
         weighted = scaled / variance[:, None]
         # Normal equations, as there are few unknowns and many rows.
-        upper = np.linalg.cholesky(weighted.T @ weighted + ridge).T
+        normal = weighted.T @ weighted
+        # Terms may be the same, as those of one load are.
+        ridge = 1e-9 * np.trace(normal) * np.eye(len(normal))
+        upper = np.linalg.cholesky(normal + ridge).T
         aim = np.linalg.solve(upper.T, weighted.T @ (wanted / variance))
         shares, last = nnls(upper, aim)[0], shares
         if np.max(np.abs(shares - last)) < _SETTLED:

@@ -73,7 +73,7 @@ def _forces(fit: MagicFormulaFit) -> list[str]:
                 f"{law.share:.2%}" if unit == "N" else f"{law.share * 1e3:.2f} mm",
                 f"{law.of_force:.1%}",
                 f"x {fit.wider[force]:.2f}",
-                "every row" if each < 1.5 else f"1 of {each:.0f} rows",
+                "every row" if each < 1.5 else f"1 in {each:.0f}",
             ]
         )
     return ["", "FORCES", *table(rows, right=(1, 2, 3, 4, 5, 6))]
