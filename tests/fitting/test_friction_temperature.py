@@ -70,7 +70,7 @@ def test_it_is_said_in_percent_and_written():
     said = "% per 10 K of the column temperature; coefficients and figures are at"
     assert said in " ".join(str(found).split())
     assert said in tir_of(found).text
-    content = json.loads(found.to_json())["friction_temperature"]
+    content = json.loads(found.to_json())["temperature"]
     assert content["reference"] == warming_test()[1] and content["std"] > 0
 
 

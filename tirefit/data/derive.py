@@ -395,7 +395,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
                 "dropped_samples": dict(log.dropped_samples),
                 "gaps": log.gaps,
                 "heading": log.heading,
-                "tracked_point": log.point.estimate,
+                "point": log.point.estimate,
                 "agreement": log.compared.as_dicts(),
                 "warnings": list(log.warnings),
                 "assumptions": list(log.assumptions),

@@ -126,7 +126,7 @@ def fit_magic_formula(
 
     warmth = None
     if config.friction_temperature:
-        require(whole, ("temperature",), "friction_temperature")
+        require(whole, ("temperature",), "[model] friction_temperature")
         work, rows, warmth = at_reference(whole, rows, fitted_to)
         notes.append(warmth.text())
     else:

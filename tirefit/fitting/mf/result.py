@@ -202,7 +202,7 @@ class MagicFormulaFit(Displayed):
                 "covariance": stored.covariance,
                 "layout": layout_record(stored.layout, self.tire),
             },
-            "friction_temperature": self.warmth and self.warmth._asdict(),
+            "temperature": self.warmth and self.warmth._asdict(),
             "notes": list(self.notes),
             "outcomes": [outcome.name.lower() for outcome in self.outcomes],
         }
