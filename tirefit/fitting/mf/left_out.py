@@ -144,10 +144,8 @@ def _parts(rows, settings, which: str) -> dict[str, dict[str, list[int]]]:
         center = levels(np.repeat(np.concatenate(list(loads.values())), 2)).center
         if len(center) < _FEWEST_LOADS:
             return {}
-        edges, names = (
-            (center[1:] + center[:-1]) / 2,
-            [f"F_z = {c:.0f} N" for c in center],
-        )
+        edges = (center[1:] + center[:-1]) / 2
+        names = [f"F_z = {c:.0f} N" for c in center]
         labels = {
             force: [names[k] for k in np.searchsorted(edges, own)]
             for force, own in loads.items()
