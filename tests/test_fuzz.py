@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fuzz import COMMANDS, KINDS, damaged, failures
 
-from tirefit.diagnosis.rig import load_rig
+from tirefit.diagnosis.rows.rig import load_rig
 from tirefit.door import (
     CHAIN,
     content_of,

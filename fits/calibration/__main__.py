@@ -1,4 +1,4 @@
-"""Teaches the probabilities of ``tirefit/diagnosis/calibrated.py``.
+"""Teaches the probabilities of ``tirefit/diagnosis/decide/calibrated.py``.
 
     python -m fits.calibration --out out/calibration --jobs 2
 

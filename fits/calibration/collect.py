@@ -11,11 +11,11 @@ import jax
 import numpy as np
 
 from tirefit.data.read import read
-from tirefit.diagnosis.conclusion import Judge
+from tirefit.diagnosis.decide.conclusion import Judge
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import studied
-from tirefit.diagnosis.rig import load_rig
-from tirefit.diagnosis.rows import prepare
+from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.rows.rig import load_rig
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
 

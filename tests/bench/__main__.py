@@ -348,7 +348,7 @@ def patterns_of_a_remainder(rows: int = 1000, columns: int = 12) -> None:
     for, and stay in the cache."""
     from types import SimpleNamespace
 
-    from tirefit.diagnosis.patterns import PARAMETERS, patterns
+    from tirefit.diagnosis.rows.patterns import PARAMETERS, patterns
 
     generator = np.random.default_rng(0)
     prepared = SimpleNamespace(

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from tirefit.cli.commands import app
 from tirefit.diagnosis import engine
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.forecast import separability
+from tirefit.diagnosis.summary.forecast import separability
 from tirefit.results import DataError, InputProblem
 
 DIAGNOSE = engine.diagnose
@@ -465,7 +465,7 @@ def test_a_first_result_is_not_half_written(again, tmp_path, monkeypatch):
         path.write_text(text[:10])
         raise OSError(28, "disk full")
 
-    monkeypatch.setattr("tirefit.diagnosis.store.write_text_atomic", full)
+    monkeypatch.setattr("tirefit.diagnosis.summary.store.write_text_atomic", full)
     again("new.csv", exit_code=2)
     assert contents(tmp_path / "out") == before
 

@@ -6,8 +6,8 @@ from scipy.integrate import solve_ivp
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.patterns import Over, Patterns
-from tirefit.diagnosis.rig import Rig
+from tirefit.diagnosis.rows.patterns import Over, Patterns
+from tirefit.diagnosis.rows.rig import Rig
 
 FZ, SPEEDS = (2000.0, 4000.0, 6000.0), (6.0, 24.0)
 RIG = Rig(noise={"fx_relative": 0.01, "sigma_x": 0.001})

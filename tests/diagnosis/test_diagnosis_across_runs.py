@@ -7,13 +7,13 @@ from scipy.stats import t
 
 from fits.dart_rear_axle import logs_left_out
 from tirefit.data.read import read_frame
-from tirefit.diagnosis import across_runs
-from tirefit.diagnosis.across_runs import chosen_across_runs
+from tirefit.diagnosis.decide import across_runs
+from tirefit.diagnosis.decide.across_runs import chosen_across_runs
+from tirefit.diagnosis.decide.verdict import Verdict, Weighed
 from tirefit.diagnosis.effects import EFFECTS, effects_by_id
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.rig import Rig
-from tirefit.diagnosis.search import Hypothesis
-from tirefit.diagnosis.verdict import Verdict, Weighed
+from tirefit.diagnosis.evidence.search import Hypothesis
+from tirefit.diagnosis.rows.rig import Rig
 
 KNOWN = effects_by_id(EFFECTS)
 EMPTY = np.zeros(0)

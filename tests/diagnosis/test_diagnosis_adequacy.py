@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from tirefit.diagnosis.adequacy import (
+from tirefit.diagnosis.decide.adequacy import (
     LEAST_P,
     LEVEL,
     Adequacy,
@@ -15,8 +15,8 @@ from tirefit.diagnosis.adequacy import (
     null,
     refused,
 )
-from tirefit.diagnosis.memory import FORGETFUL, Memory
-from tirefit.diagnosis.standing import _worst
+from tirefit.diagnosis.decide.standing import _worst
+from tirefit.diagnosis.noise.memory import FORGETFUL, Memory
 
 ROWS = 240
 TIME = np.arange(ROWS)

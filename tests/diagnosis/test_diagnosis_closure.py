@@ -8,21 +8,21 @@ from conftest_diagnosis import patterns_of
 from scipy.special import softmax
 from scipy.stats import multivariate_normal
 
-from tirefit.diagnosis.base import Base
-from tirefit.diagnosis.basis import SCALES, Generic, bumps, orthogonal, without
-from tirefit.diagnosis.case import Case
-from tirefit.diagnosis.closure import closure_elsewhere, closure_on_rows
-from tirefit.diagnosis.forward import Design, Linear
-from tirefit.diagnosis.one_place import typical_of_neighbours
-from tirefit.diagnosis.patterns import USUAL_SIZES
-from tirefit.diagnosis.plausible import (
+from tirefit.diagnosis.decide.case import Case
+from tirefit.diagnosis.decide.one_place import typical_of_neighbours
+from tirefit.diagnosis.decide.verdict import Verdict, Weighed
+from tirefit.diagnosis.evidence.base import Base
+from tirefit.diagnosis.evidence.forward import Design, Linear
+from tirefit.diagnosis.evidence.search import Hypothesis
+from tirefit.diagnosis.rows.basis import SCALES, Generic, bumps, orthogonal, without
+from tirefit.diagnosis.rows.patterns import USUAL_SIZES
+from tirefit.diagnosis.summary.closure import closure_elsewhere, closure_on_rows
+from tirefit.diagnosis.summary.plausible import (
     drawn_functions,
     drawn_pattern,
     drawn_wave,
     plausible_forces,
 )
-from tirefit.diagnosis.search import Hypothesis
-from tirefit.diagnosis.verdict import Verdict, Weighed
 
 ROWS = 240
 ALONE = np.zeros(ROWS, int)

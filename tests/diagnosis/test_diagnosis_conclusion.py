@@ -13,19 +13,16 @@ from scipy.optimize import minimize_scalar
 
 import tirefit
 from tirefit.data.read import read_frame
-from tirefit.diagnosis import conclusion
-from tirefit.diagnosis.adequacy import UNTESTED
-from tirefit.diagnosis.base import Base, fit_base
-from tirefit.diagnosis.chances import chance_of_unknown, chance_of_unlisted, chances
-from tirefit.diagnosis.conclusion import Judge, bound_by, probability_of_rest
-from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.linear_fit import linear_at
-from tirefit.diagnosis.records import HeldOut
-from tirefit.diagnosis.rows import prepare
-from tirefit.diagnosis.search import PRIOR_OF_UNKNOWN, Hypothesis, Search
-from tirefit.diagnosis.standing import standing, steadiness
-from tirefit.diagnosis.verdict import (
+from tirefit.diagnosis.decide import conclusion
+from tirefit.diagnosis.decide.adequacy import UNTESTED
+from tirefit.diagnosis.decide.chances import (
+    chance_of_unknown,
+    chance_of_unlisted,
+    chances,
+)
+from tirefit.diagnosis.decide.conclusion import Judge, bound_by, probability_of_rest
+from tirefit.diagnosis.decide.standing import standing, steadiness
+from tirefit.diagnosis.decide.verdict import (
     Verdict,
     Weighed,
     _formulas_first,
@@ -33,6 +30,13 @@ from tirefit.diagnosis.verdict import (
     stand_ins,
     swapped_beside,
 )
+from tirefit.diagnosis.effects import EFFECTS
+from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.evidence.base import Base, fit_base
+from tirefit.diagnosis.evidence.linear_fit import linear_at
+from tirefit.diagnosis.evidence.search import PRIOR_OF_UNKNOWN, Hypothesis, Search
+from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.summary.records import HeldOut
 
 
 def test_probability_of_a_rest_is_that_of_the_best_alternative():

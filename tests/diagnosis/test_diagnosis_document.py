@@ -11,10 +11,10 @@ from conftest_diagnosis import TRUTHS, brush, record
 from tirefit.data.read import read_frame
 from tirefit.diagnosis import engine
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.forecast import _MOMENT, _with_moment, next_measurements
-from tirefit.diagnosis.result import Diagnosis
-from tirefit.diagnosis.rig import Rig
-from tirefit.diagnosis.rows import prepare
+from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.summary.forecast import _MOMENT, _with_moment, next_measurements
+from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.models import Asymmetric, Brush, TireInputs
 
 GAP = ["rms", "resolvable", "closed", "closed_ci", "remaining_rms"]

@@ -10,9 +10,9 @@ from scipy.signal import lfilter
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.forms import follows, form_columns
-from tirefit.diagnosis.rig import Rig
-from tirefit.diagnosis.rows import prepare
+from tirefit.diagnosis.evidence.forms import follows, form_columns
+from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.rows.rig import Rig
 
 BY_ID = {effect.id: effect for effect in EFFECTS}
 

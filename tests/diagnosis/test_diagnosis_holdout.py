@@ -6,10 +6,10 @@ import pytest
 import tirefit
 from fits.withheld.injected import CHANGES, half
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.holdout import _quarters, _told
-from tirefit.diagnosis.records import HeldOut
-from tirefit.diagnosis.rig import Rig
-from tirefit.diagnosis.rows import prepare
+from tirefit.diagnosis.left_out.holdout import _quarters, _told
+from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.summary.records import HeldOut
 
 
 def late(seconds: float):

@@ -12,7 +12,7 @@ import tirefit
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.arguments import a_model, a_rig, a_seed, names, the_effects
 from tirefit.diagnosis.effects import EFFECTS, Effect
-from tirefit.diagnosis.rig import Rig
+from tirefit.diagnosis.rows.rig import Rig
 from tirefit.models import MODELS, Brush
 from tirefit.results import DataError, TirefitError, UsageError
 

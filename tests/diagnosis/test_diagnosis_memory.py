@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tirefit.diagnosis.memory import (
+from tirefit.diagnosis.noise.memory import (
     FORGETFUL,
     Memory,
     likeliest,

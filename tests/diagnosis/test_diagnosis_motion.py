@@ -10,15 +10,19 @@ from scipy.stats import norm, t
 
 from fits.withheld.car import FAULTS, Car, drive
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.closure import closure_elsewhere, of_so_few_runs, without_each
 from tirefit.diagnosis.effects import EFFECTS, atoms_of, effects_by_id
 from tirefit.diagnosis.effects.lag import lagged
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.motion import derived_from
-from tirefit.diagnosis.rates import AHEAD, slip_rate
-from tirefit.diagnosis.rig import Rig, load_rig
-from tirefit.diagnosis.rows import prepare
-from tirefit.diagnosis.runs import shrunk
+from tirefit.diagnosis.evidence.runs import shrunk
+from tirefit.diagnosis.rows.motion import derived_from
+from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.rows.rates import AHEAD, slip_rate
+from tirefit.diagnosis.rows.rig import Rig, load_rig
+from tirefit.diagnosis.summary.closure import (
+    closure_elsewhere,
+    of_so_few_runs,
+    without_each,
+)
 from tirefit.results import UsageError
 
 KNOWN = effects_by_id(EFFECTS)

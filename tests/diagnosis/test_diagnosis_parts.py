@@ -16,26 +16,26 @@ from scipy.special import ndtr
 import tirefit
 from tirefit.data.read import read_frame
 from tirefit.data.table import Source
-from tirefit.diagnosis import rates
-from tirefit.diagnosis.base import fit_base
-from tirefit.diagnosis.basis import Generic, gains, of_any_kind, waves_within
-from tirefit.diagnosis.blocks import blocks_of_settings, coincides
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, atoms_of
-from tirefit.diagnosis.forecast import (
+from tirefit.diagnosis.effects.state import force_of_state, null_state
+from tirefit.diagnosis.evidence.base import fit_base
+from tirefit.diagnosis.evidence.forms import PLACE, form_columns, shape_of_change
+from tirefit.diagnosis.evidence.forward import MOST
+from tirefit.diagnosis.noise.level import judge_noise
+from tirefit.diagnosis.rows import rates
+from tirefit.diagnosis.rows.basis import Generic, gains, of_any_kind, waves_within
+from tirefit.diagnosis.rows.blocks import blocks_of_settings, coincides
+from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.rows.rates import AGES, AHEAD, segments, slip_rate
+from tirefit.diagnosis.rows.rig import VEHICLE, Rig, load_rig
+from tirefit.diagnosis.summary.forecast import (
     Nothing,
     recognition,
     scores_of_nothing,
     separability,
 )
-from tirefit.diagnosis.forms import PLACE, form_columns, shape_of_change
-from tirefit.diagnosis.forward import MOST
-from tirefit.diagnosis.noise import judge_noise
-from tirefit.diagnosis.rates import AGES, AHEAD, segments, slip_rate
-from tirefit.diagnosis.rig import VEHICLE, Rig, load_rig
-from tirefit.diagnosis.rows import prepare
-from tirefit.diagnosis.shares import shapley
-from tirefit.diagnosis.state import force_of_state, null_state
-from tirefit.diagnosis.where import regions, spots
+from tirefit.diagnosis.summary.shares import shapley
+from tirefit.diagnosis.summary.where import regions, spots
 from tirefit.models import Brush, TireInputs
 from tirefit.results import UsageError
 

@@ -12,10 +12,9 @@ from scipy.special import expit, logit
 from fits.calibration.said import lines_of
 from fits.calibration.train import STRANGE, taught
 from tirefit.data.read import read_frame
-from tirefit.diagnosis import calibrated
-from tirefit.diagnosis.adequacy import Adequacy
-from tirefit.diagnosis.basis import _scaled, taken_out
-from tirefit.diagnosis.calibrated import (
+from tirefit.diagnosis.decide import calibrated
+from tirefit.diagnosis.decide.adequacy import Adequacy
+from tirefit.diagnosis.decide.calibrated import (
     Explanation,
     Part,
     as_often_right,
@@ -25,9 +24,16 @@ from tirefit.diagnosis.calibrated import (
     probability_beside,
     probability_of_more,
 )
+from tirefit.diagnosis.decide.standing import Standing
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.patterns import PARAMETERS, looks, patterns, patterns_gain, turns
-from tirefit.diagnosis.standing import Standing
+from tirefit.diagnosis.rows.basis import _scaled, taken_out
+from tirefit.diagnosis.rows.patterns import (
+    PARAMETERS,
+    looks,
+    patterns,
+    patterns_gain,
+    turns,
+)
 
 WAVE = 0.7
 

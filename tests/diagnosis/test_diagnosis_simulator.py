@@ -12,13 +12,13 @@ from conftest_diagnosis import brush
 from scipy.optimize import least_squares
 
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.budget import _energies
-from tirefit.diagnosis.closure import block_means
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.rig import Rig
-from tirefit.diagnosis.simulator import as_measured, not_followed, simulator_at
-from tirefit.diagnosis.store import rows_in_file_terms
+from tirefit.diagnosis.evidence.simulator import as_measured, not_followed, simulator_at
+from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.summary.budget import _energies
+from tirefit.diagnosis.summary.closure import block_means
+from tirefit.diagnosis.summary.store import rows_in_file_terms
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit, save_fit

@@ -6,15 +6,15 @@ from conftest_diagnosis import brush
 from scipy.stats import multivariate_normal
 
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.base import fit_base
-from tirefit.diagnosis.basis import SCALES, without
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.linear_fit import due_to_doubt, gains_beside, linear_at
-from tirefit.diagnosis.rig import Rig
-from tirefit.diagnosis.rows import prepare
-from tirefit.diagnosis.search import _Searcher
-from tirefit.diagnosis.slip_nodes import (
+from tirefit.diagnosis.evidence.base import fit_base
+from tirefit.diagnosis.evidence.linear_fit import due_to_doubt, gains_beside, linear_at
+from tirefit.diagnosis.evidence.search import _Searcher
+from tirefit.diagnosis.rows.basis import SCALES, without
+from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.slip_nodes import (
     slip_doubt,
     slip_law,
     slip_nodes,

@@ -6,8 +6,8 @@ from conftest_diagnosis import brush
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.rig import Rig
-from tirefit.diagnosis.slip_scatter import slip_scatter
+from tirefit.diagnosis.noise.slip_scatter import slip_scatter
+from tirefit.diagnosis.rows.rig import Rig
 
 ROWS, NOISE = 600, 0.002
 LOADS = np.repeat([2000.0, 4000.0, 6000.0], ROWS // 3)

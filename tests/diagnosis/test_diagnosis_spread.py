@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from tirefit.diagnosis.budget import _of_mixture
+from tirefit.diagnosis.summary.budget import _of_mixture
 
 
 def test_one_set_has_its_own_error():

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from tirefit.diagnosis.linear_fit import LinearFit
-from tirefit.diagnosis.look_curve import _bins, curve_of, shape_of
-from tirefit.diagnosis.patterns import Look, Pattern, _over, settings_of
+from tirefit.diagnosis.evidence.linear_fit import LinearFit
+from tirefit.diagnosis.rows.patterns import Look, Pattern, _over, settings_of
+from tirefit.diagnosis.summary.look_curve import _bins, curve_of, shape_of
 
 N = 400
 

@@ -7,11 +7,11 @@ import pytest
 
 from tirefit.data.read import read_frame
 from tirefit.data.tir import read_tir
-from tirefit.diagnosis.base import fit_base
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.rig import Rig
-from tirefit.diagnosis.rows import prepare
-from tirefit.diagnosis.simulator import Given, simulator_at
+from tirefit.diagnosis.evidence.base import fit_base
+from tirefit.diagnosis.evidence.simulator import Given, simulator_at
+from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.rows.rig import Rig
 from tirefit.fitting.tir import tire_of
 from tirefit.models import TireInputs, forces
 from tirefit.results import DataError

@@ -173,7 +173,7 @@ def _read_log(path: Path):
 
 
 def _read_rig(path: Path):
-    from tirefit.diagnosis.rig import load_rig
+    from tirefit.diagnosis.rows.rig import load_rig
 
     return load_rig(path).force_noise("fx", np.full(3, 4000.0))
 

@@ -16,11 +16,14 @@ from pages import PHONE, Page, browse, in_browser, width_on_phone
 
 import tirefit
 from tirefit.data.table import Source, TireData
-from tirefit.diagnosis.adequacy import Adequacy
+from tirefit.diagnosis.decide.adequacy import Adequacy
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect
-from tirefit.diagnosis.look_curve import LookCurve
-from tirefit.diagnosis.patterns import Look
-from tirefit.diagnosis.records import (
+from tirefit.diagnosis.evidence.runs import RunOffsets
+from tirefit.diagnosis.rows.patterns import Look
+from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.rows.slip_check import SlipCheck
+from tirefit.diagnosis.summary.look_curve import LookCurve
+from tirefit.diagnosis.summary.records import (
     Amplitude,
     Candidate,
     Cell,
@@ -40,11 +43,8 @@ from tirefit.diagnosis.records import (
     Untestable,
     VerdictSummary,
 )
-from tirefit.diagnosis.result import Diagnosis
-from tirefit.diagnosis.rig import Rig
-from tirefit.diagnosis.runs import RunOffsets
-from tirefit.diagnosis.slip_check import SlipCheck
-from tirefit.diagnosis.views import ShownRows, compared, residual_map
+from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.diagnosis.summary.views import ShownRows, compared, residual_map
 from tirefit.models import MODELS
 from tirefit.report.canvas import Picture
 from tirefit.report.diagnosis_budget import (

@@ -85,7 +85,7 @@ def _check_replaced(
     out: Path, names: list[str], figures: bool, inputs: list[Path], sharing: Sharing
 ) -> None:
     """Raises UsageError where results would replace what is read, or is no result."""
-    from tirefit.diagnosis.result import SCHEMA
+    from tirefit.diagnosis.summary.result import SCHEMA
 
     parts = [part for name in names for part in _written(name, figures)]
     made = [out / one for part in parts for one in part]
@@ -231,7 +231,7 @@ def _read(path: Path, how: dict, rig=None):
 
 def _settings(model: str | None, rig: Path | None, without, how: dict) -> dict:
     """Arguments of ``tirefit.diagnose`` that all files share."""
-    from tirefit.diagnosis.rig import load_rig
+    from tirefit.diagnosis.rows.rig import load_rig
     from tirefit.fitting.problem import find_model
 
     if model and not _is_file(model) and model not in MAGIC_FORMULA_NAMES:
@@ -275,7 +275,7 @@ def _simulator(
     assert model is not None, "the plain one, where no simulator's forces are given"
     if not values and not _is_file(model):
         return {}
-    from tirefit.diagnosis.simulator import simulator_at
+    from tirefit.diagnosis.evidence.simulator import simulator_at
 
     given = simulator_at(model, values, **of_tir)
     how["otherwise"] = given.otherwise
@@ -325,8 +325,8 @@ def _one_by_one(pieces: list[Piece], task: _Task) -> list[ExitCode]:
 def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     """One file, unless it is done before."""
     from tirefit.diagnosis.engine import diagnose as study
-    from tirefit.diagnosis.result import SCHEMA
-    from tirefit.diagnosis.store import record_of_document, save_diagnosis
+    from tirefit.diagnosis.summary.result import SCHEMA
+    from tirefit.diagnosis.summary.store import record_of_document, save_diagnosis
 
     file, name = piece
     out, seed, kept, figures = task.out, task.seed, task.kept, task.figures
@@ -355,7 +355,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
 
 def _of_before(document: Path) -> "FileRecord | None":
     """What the table of all results holds of a document; None of a damaged one."""
-    from tirefit.diagnosis.store import record_of_document
+    from tirefit.diagnosis.summary.store import record_of_document
 
     try:
         return record_of_document(document)

@@ -10,7 +10,7 @@ import numpy as np
 from tirefit.data.accept import as_data
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects import Effect
-from tirefit.diagnosis.rig import Rig, load_rig
+from tirefit.diagnosis.rows.rig import Rig, load_rig
 from tirefit.results import InputProblem, UsageError
 
 _SEEDS = 2**32

@@ -13,7 +13,6 @@ from tirefit.data.accept import as_data
 from tirefit.data.far import without_far
 from tirefit.data.read import require
 from tirefit.data.table import TireData
-from tirefit.diagnosis.across_runs import held_across_runs
 from tirefit.diagnosis.arguments import (
     a_model,
     a_rig,
@@ -22,25 +21,31 @@ from tirefit.diagnosis.arguments import (
     tables,
     the_effects,
 )
-from tirefit.diagnosis.base import Base, fit_base, shown_slip_noise, with_noise_judged
-from tirefit.diagnosis.blocks import blocks_of_settings, coincides
-from tirefit.diagnosis.case import Case
-from tirefit.diagnosis.conclusion import concluded
-from tirefit.diagnosis.document import document_of
+from tirefit.diagnosis.decide.across_runs import held_across_runs
+from tirefit.diagnosis.decide.case import Case
+from tirefit.diagnosis.decide.conclusion import concluded
+from tirefit.diagnosis.decide.verdict import gap_p_value, judge, weigh
 from tirefit.diagnosis.effects import EFFECTS, Effect
-from tirefit.diagnosis.forms import PLACE, shape_of_change
-from tirefit.diagnosis.records import Settings, Untestable
-from tirefit.diagnosis.result import Diagnosis
-from tirefit.diagnosis.rig import Rig
-from tirefit.diagnosis.rows import Prepared, prepare, thinned
-from tirefit.diagnosis.search import Search, amplitudes_of, search
-from tirefit.diagnosis.simulator import (
+from tirefit.diagnosis.evidence.base import (
+    Base,
+    fit_base,
+    shown_slip_noise,
+    with_noise_judged,
+)
+from tirefit.diagnosis.evidence.forms import PLACE, shape_of_change
+from tirefit.diagnosis.evidence.search import Search, amplitudes_of, search
+from tirefit.diagnosis.evidence.simulator import (
     STAND_INS,
     Given,
     given_simulator,
     simulator_at,
 )
-from tirefit.diagnosis.verdict import gap_p_value, judge, weigh
+from tirefit.diagnosis.rows.blocks import blocks_of_settings, coincides
+from tirefit.diagnosis.rows.prepared import Prepared, prepare, thinned
+from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.summary.document import document_of
+from tirefit.diagnosis.summary.records import Settings, Untestable
+from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled

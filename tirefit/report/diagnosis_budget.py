@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.records import Change, Part
-from tirefit.diagnosis.result import Diagnosis
+from tirefit.diagnosis.summary.records import Change, Part
+from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.diagnosis_words import words_on
 from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_estimate, format_number

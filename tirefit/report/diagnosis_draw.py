@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from tirefit.diagnosis.result import Diagnosis
-from tirefit.diagnosis.views import Comparison, LoadCurve, ResidualMap
+from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.diagnosis.summary.views import Comparison, LoadCurve, ResidualMap
 from tirefit.params import check_names
 from tirefit.report.canvas import (
     BLUE,

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from tirefit.diagnosis.result import SCHEMA, Diagnosis
+from tirefit.diagnosis.summary.result import SCHEMA, Diagnosis
 from tirefit.files import write_text_atomic
 from tirefit.report.diagnosis_budget import budget_lines
 from tirefit.report.diagnosis_draw import diagnosis_figure, panel_names, panel_pictures

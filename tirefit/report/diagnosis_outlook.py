@@ -1,8 +1,8 @@
 """What this data could show: effects that are hard to tell on it, the next measurement,
 and what would have been seen, as lines of text."""
 
-from tirefit.diagnosis.records import NextMeasurement
-from tirefit.diagnosis.result import Diagnosis
+from tirefit.diagnosis.summary.records import NextMeasurement
+from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.diagnosis_words import amount_text
 from tirefit.report.numbers import format_number
 

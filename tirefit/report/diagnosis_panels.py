@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
-from tirefit.diagnosis.records import Shrinkage, VerdictSummary
-from tirefit.diagnosis.result import Diagnosis
-from tirefit.diagnosis.views import LoadCurve, ResidualMap
+from tirefit.diagnosis.summary.records import Shrinkage, VerdictSummary
+from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.diagnosis.summary.views import LoadCurve, ResidualMap
 from tirefit.report.diagnosis_words import (
     UNLISTED,
     listed_candidates,

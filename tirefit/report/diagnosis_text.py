@@ -2,10 +2,10 @@
 
 import textwrap
 
-from tirefit.diagnosis.adequacy import LEAST_P, refused
+from tirefit.diagnosis.decide.adequacy import LEAST_P, refused
 from tirefit.diagnosis.effects import EFFECTS
-from tirefit.diagnosis.records import Region, Shrinkage
-from tirefit.diagnosis.result import Diagnosis
+from tirefit.diagnosis.summary.records import Region, Shrinkage
+from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_lines, change_texts
 from tirefit.report.diagnosis_outlook import confused_lines, smallest_lines, step_lines
 from tirefit.report.diagnosis_words import (

@@ -4,17 +4,17 @@ import math
 from collections.abc import Sequence
 
 from tirefit.data.table import CANONICAL
-from tirefit.diagnosis.closure import WORST
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
-from tirefit.diagnosis.patterns import Look
-from tirefit.diagnosis.records import (
+from tirefit.diagnosis.rows.patterns import Look
+from tirefit.diagnosis.summary.closure import WORST
+from tirefit.diagnosis.summary.records import (
     Candidate,
     Region,
     Spot,
     Untestable,
     VerdictSummary,
 )
-from tirefit.diagnosis.result import Diagnosis
+from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.numbers import format_estimate, format_number
 
 _STRANGER = "not in the library"

@@ -1,6 +1,6 @@
 """The library of unmodelled effects: one record each.
 
-An effect is a name and a change of :class:`tirefit.diagnosis.state.State`; one engine
+An effect is a name and a change of :class:`effects.state.State`; one engine
 fits, tests and ranks them all. A user's own effect is one more record::
 
     from tirefit.diagnosis.effects import EFFECTS, Effect

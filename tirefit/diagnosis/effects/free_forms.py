@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tirefit.diagnosis.basis import FULL_SLIDING, functions_of
 from tirefit.diagnosis.negligible import ROUNDING
+from tirefit.diagnosis.rows.basis import FULL_SLIDING, functions_of
 
 ONE_WAY, BOTH_WAYS = 4, 5
 """Smooth functions of a covariate, few enough to follow no noise; an odd number has one

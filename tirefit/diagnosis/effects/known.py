@@ -7,7 +7,7 @@ effect keeps to the errors that a vehicle may have: millimetres, milliseconds.
 
 import numpy as np
 
-from tirefit.diagnosis.motion import GRAVITY
+from tirefit.diagnosis.rows.motion import GRAVITY
 
 _POSITION = 0.03
 """Error of the place of the tracked point, as a share of the arm of the axle: 1 mm on a
@@ -85,7 +85,7 @@ def said_of_motion(base, rig) -> tuple[str, ...]:
     of one that was measured.
 
     Args:
-        base: the base fit (:class:`tirefit.diagnosis.base.Base`).
+        base: the base fit (:class:`tirefit.diagnosis.evidence.base.Base`).
         rig: what is known.
     """
     rows, derived = base.rows, base.rows.derived

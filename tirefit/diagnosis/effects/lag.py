@@ -6,7 +6,7 @@ import numpy as np
 from tirefit.diagnosis.effects.free_forms import SHIFT_BY_DELAY, SHIFT_BY_LAG
 from tirefit.diagnosis.effects.known import of_a_known_clock
 from tirefit.diagnosis.effects.record import Effect, scaled
-from tirefit.diagnosis.rates import AGES, AHEAD, STEPS
+from tirefit.diagnosis.rows.rates import AGES, AHEAD, STEPS
 
 _NO_LENGTH = 1e-12
 """Share of a step that counts as no length: the slope there is one-sided, not zero."""

@@ -10,7 +10,7 @@ from tirefit.diagnosis.effects.free_forms import (
     weight,
 )
 from tirefit.diagnosis.effects.record import PER_MILLE, Effect, adds
-from tirefit.diagnosis.slip_check import AGAINST, BESIDE, FOR
+from tirefit.diagnosis.rows.slip_check import AGAINST, BESIDE, FOR
 
 _FINE = 5e-4
 """Standard error of an offset of the slip below which its absence says something."""

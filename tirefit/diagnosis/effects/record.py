@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from tirefit.diagnosis.effects.free_forms import Form
-from tirefit.diagnosis.state import Covariates, State
+from tirefit.diagnosis.effects.state import Covariates, State
 
 PER_MILLE = 1e-3
 """Amplitudes of a force are in thousandths of the typical load: one prior for every
@@ -55,7 +55,7 @@ class Effect:
         scale: standard deviation of the amplitude that is expected beforehand, a
             judgement: twice as wide lowers the log evidence of an effect that is there
             for sure by log 2, where 3 and more decide.
-        per: field of :class:`tirefit.diagnosis.sizes.Sizes` in shares of which
+        per: field of :class:`tirefit.diagnosis.rows.sizes.Sizes` in shares of which
             ``scale``, ``center`` and ``bounds`` are: one for all variants or one for
             each.
         unit: unit of the amplitude.
@@ -132,7 +132,7 @@ class NoiseEffect:
 
     Attributes:
         id: its name in every output.
-        flag: of :class:`tirefit.diagnosis.noise.NoiseLevel`, on which it is named;
+        flag: of :class:`noise.level.NoiseLevel`, on which it is named;
             empty where it is reported as a figure only.
         means, remedy: as for :class:`Effect`.
     """

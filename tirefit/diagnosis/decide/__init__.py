@@ -1,0 +1,1 @@
+"""Room 5: from evidence and left-out figures to a verdict."""

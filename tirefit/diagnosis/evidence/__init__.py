@@ -1,0 +1,1 @@
+"""Room 3: forward model, search over sets of effects, discrepancy."""

@@ -1,0 +1,424 @@
+"""The base model fitted with its noise judged: where every diagnosis starts."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from tirefit.diagnosis.effects import Atom, atoms_of
+from tirefit.diagnosis.evidence.beginning import (
+    begin,
+    design_of,
+    first_fit,
+    measured_slips,
+    standing_in,
+    with_offset,
+)
+from tirefit.diagnosis.evidence.changes import count_atoms
+from tirefit.diagnosis.evidence.forms import PLACE
+from tirefit.diagnosis.evidence.forward import Design, Linear, Refit, brush_of_base
+from tirefit.diagnosis.evidence.remainder import whitened_generic
+from tirefit.diagnosis.evidence.runs import with_runs
+from tirefit.diagnosis.evidence.simulator import (
+    STAND_INS,
+    Given,
+    Simulated,
+    check_followed,
+    not_followed,
+)
+from tirefit.diagnosis.evidence.simulator_signs import check_signs
+from tirefit.diagnosis.evidence.tire import Tire, with_force
+from tirefit.diagnosis.negligible import FLAT
+from tirefit.diagnosis.noise.level import NoiseLevel, in_order, judge_noise
+from tirefit.diagnosis.noise.slip_scatter import slip_scatter
+from tirefit.diagnosis.rows.basis import Generic, smooth_basis, wave_basis
+from tirefit.diagnosis.rows.prepared import (
+    NOT_STATED,
+    Prepared,
+    neighbours,
+    on_scale_of,
+)
+from tirefit.diagnosis.rows.slip_nodes import slip_doubt, slip_proxies
+from tirefit.padding import pad_rows
+
+_ON_BOUND = 6.0
+"""Size of a z from which its parameter rests on a bound: it is within 0.25 % of the
+interval."""
+
+_ROWS_OF_A_FUNCTION = 6
+"""Rows for each smooth function that may soak up a gap before the noise is judged:
+five in six are left to judge it by."""
+
+_FELT = 0.1
+"""Standard errors of what a stand-in misses, all rows together, below which nothing
+feels it: no direction is given away for that."""
+
+_LINEARISED = 24
+"""Linearised fits that are kept for as long as their base: 10 MB each at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A tire fitted to a design without effects: parameters z, the refit (of one
+    hypothesis) that gave them, the slip over that of full sliding (n,), and the first
+    ``guess`` of z."""
+
+    tire: Tire
+    design: Design
+    z: np.ndarray
+    refit: Refit
+    slip_fraction: np.ndarray
+    guess: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Base:
+    """Where a diagnosis starts: the rows, the base fit to them, and their noise by
+    channel. Whitened values are over the used rows of all channels, (m, ...). Where
+    there is a ``simulator``, the fit is of its parameters to the data."""
+
+    rows: Prepared
+    fit: Fit
+    noise: Mapping[str, NoiseLevel]
+    simulator: Simulated | None = None
+
+    @property
+    def as_given(self) -> np.ndarray:
+        """Parameters z that the gap starts from: the simulator's, else the fit's."""
+        return self.z if self.simulator is None else self.simulator.z
+
+    @property
+    def prepared(self) -> Prepared:
+        return self.rows
+
+    @property
+    def design(self) -> Design:
+        return self.fit.design
+
+    @property
+    def layout(self):
+        return self.fit.tire.layout
+
+    @property
+    def z(self) -> np.ndarray:
+        return self.fit.z
+
+    def off_bounds(self, z) -> np.ndarray:
+        """Parameters z, those that rest on a bound at the first guess of them: on a
+        bound they have no slope, and no refit that starts there leaves it."""
+        return np.where(np.abs(z) > _ON_BOUND, self.fit.guess, z)
+
+    @property
+    def slip_fraction(self) -> np.ndarray:
+        return self.fit.slip_fraction
+
+    @property
+    def slip_noise(self) -> float:
+        """Typical standard deviation of the slip."""
+        return float(np.median(self.rows.slip_std))
+
+    @cached_property
+    def atoms(self) -> tuple[Atom, ...]:
+        return atoms_of(self.fit.tire.effects)
+
+    @cached_property
+    def generic(self) -> Generic:
+        """Generic functions for each channel by itself, whitened: (m, b)."""
+        fields = np.asarray(self.at_null.fields)
+        return whitened_generic(self.rows, self.design, self.slip_fraction, fields)
+
+    @cached_property
+    def doubt(self) -> np.ndarray:
+        """What the residual may be off by as the true slips are not known, beside the
+        noise of each row: columns (m, k) times independent unit normal numbers."""
+        rows = self.rows
+        off = slip_doubt(rows.slip_law, rows.slip, rows.slip_std, rows.path)
+        return np.concatenate([self._forces_of(off), self.proxies], axis=1)
+
+    @cached_property
+    def _doubtful(self) -> tuple[np.ndarray, np.ndarray]:
+        """Orthonormal directions (m, k) of the doubt, and how much of the residual
+        along each is not known (k,)."""
+        along, size, _ = np.linalg.svd(self.doubt, full_matrices=False)
+        return along, 1 - 1 / np.sqrt(1 + size**2)
+
+    def sure(self, values) -> np.ndarray:
+        """Whitened values (m, ...) of which the doubt is one more noise."""
+        along, unknown = self._doubtful
+        return values - (along * unknown) @ (along.T @ values)
+
+    @cached_property
+    def proxies(self) -> np.ndarray:
+        """Columns (m, k) of the residual that no effect explains: what is measured
+        beside the slip knows of its noise, see :func:`slip_proxies`; and a stand-in
+        knows what it misses of a simulator, not how that changes with it."""
+        rows = self.rows
+        told = slip_proxies(
+            rows.slip, rows.slip_std, rows.moving, rows.path, rows.swing, rows.past
+        )
+        return np.concatenate([self._forces_of(told), self._not_followed], axis=1)
+
+    @cached_property
+    def _not_followed(self) -> np.ndarray:
+        """Columns (m, k) of :func:`not_followed`, whitened, of each channel."""
+        rows, n, blocks = self.rows, self.rows.n, []
+        if self.simulator is None or self.simulator.given.tire is not None:
+            return np.zeros((len(rows.channels) * n, 0))
+        given = self.layout.vector(self.simulator.z)
+        measured = self.layout.vector(self.z)
+        changed = float(np.max(np.abs(measured / np.where(given, given, 1.0) - 1)))
+        for channel in rows.channels:
+            missed = np.asarray(self.design.offset[channel])[:n]
+            off = not_followed(missed, rows.slip, neighbours(rows), min(changed, 1.0))
+            scale = np.asarray(self.design.scale[channel])[:n, None]
+            blocks.append(off * np.asarray(self.design.keep)[:n, None] / scale)
+        found = block_diag(*blocks)
+        return found[:, np.linalg.norm(found, axis=0) > _FELT]
+
+    def _forces_of(self, slips) -> np.ndarray:
+        """Whitened forces (m, k) of small changes of the slips (n, k)."""
+        steep = np.asarray(self.at_null.fields)[:, PLACE["shift"]]
+        return steep[:, None] * np.tile(slips, (len(self.rows.channels), 1))
+
+    @cached_property
+    def at_null(self) -> Linear:
+        """:meth:`linearised` at the base fit."""
+        return self.linearised(self.z, self.amplitudes())
+
+    @cached_property
+    def measured(self) -> "Base":
+        """The same fit at the slips as they were measured, not as they are believed;
+        every candidate asks for its forces."""
+        return self.on(measured_slips(self.design, self.rows))
+
+    def on(self, design: Design, rows: Prepared | None = None) -> "Base":
+        """The same fit looked at on another design, of other rows if given."""
+        fit = replace(self.fit, design=design)
+        return replace(self, fit=fit, rows=rows or self.rows)
+
+    def cut(self, stacked) -> np.ndarray:
+        """Used rows of whitened values (channels x padded, ...)."""
+        stacked = np.asarray(stacked)
+        parts = stacked.reshape(len(self.rows.channels), -1, *stacked.shape[1:])
+        return parts[:, : self.rows.n].reshape(-1, *stacked.shape[1:])
+
+    @cached_property
+    def _linear_at(self) -> dict[tuple[bytes, ...], Linear]:
+        """What was linearised last, by the fit: a verdict comes back to its best."""
+        return {}
+
+    def linearised(self, z, amplitudes) -> Linear:
+        """The used rows, linearised in everything."""
+        key, known = _key(z, amplitudes), self._linear_at
+        if key not in known:
+            if len(known) == _LINEARISED:
+                known.pop(next(iter(known)))
+            whole = self._begun.pop(key, None)
+            whole = whole or self.fit.tire.linearised(z, amplitudes, self.design)
+            known[key] = Linear(*(self.cut(part) for part in whole))
+        return known[key]
+
+    @cached_property
+    def _begun(self) -> dict[tuple[bytes, ...], Linear]:
+        """Of all padded rows, as they come."""
+        return {}
+
+    def begin_linearised(self, points) -> None:
+        """Begins :meth:`linearised` at some (z, amplitudes): JAX goes on with the later
+        ones while NumPy works on the first."""
+        for z, amplitudes in points:
+            if (key := _key(z, amplitudes)) not in self._linear_at:
+                whole = self.fit.tire.linearised(z, amplitudes, self.design)
+                self._begun[key] = whole
+
+    def refit(
+        self, starts, sets, design: Design | None = None, **more: Callable
+    ) -> Refit:
+        """Hypotheses refitted on this design or another: :meth:`Tire.refit`."""
+        return self.fit.tire.refit(starts, sets, design or self.design, **more)
+
+    def amplitudes(self, atoms: Sequence[int] = (), sizes=()) -> np.ndarray:
+        """Amplitudes of all atoms (K,) in their own units, from those of some atoms in
+        prior scales; the others are zero."""
+        full, index = np.zeros(len(self.atoms)), list(atoms)
+        scale = np.asarray(self.design.prior_scale)[index]
+        full[index] = np.asarray(sizes)[: len(index)] * scale
+        return full
+
+    def residual(self, z, amplitudes) -> np.ndarray:
+        """Whitened residual of the used rows, zero for outliers: (m,)."""
+        n = self.rows.n
+        parts = [
+            self.design.keep[:n] * (self.rows.observed[c] - force)
+            / self.design.scale[c][:n]
+            for c, force in self.forces(z, amplitudes).items()
+        ]  # fmt: skip
+        return np.concatenate(parts)
+
+    @cached_property
+    def _forces_at(self) -> dict[tuple[bytes, ...], dict[str, np.ndarray]]:
+        """What :meth:`forces` gave: every candidate asks for the base fit's."""
+        return {}
+
+    def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
+        """Mean force of every used row, by channel."""
+        key, n = _key(z, amplitudes), self.rows.n
+        if key not in self._forces_at:
+            found, _ = self.fit.tire.moments(z, amplitudes, self.design, n)
+            self._forces_at[key] = found
+        return self._forces_at[key]
+
+
+def _key(*arrays) -> tuple[bytes, ...]:
+    return tuple(np.asarray(part).tobytes() for part in arrays)
+
+
+def fit_base(
+    prepared: Prepared, name: str | None, effects, rig, given: Given | None = None
+) -> Base:
+    """Fit the base model, judge the noise, and fit again under it.
+
+    Args:
+        name: of the model; None for the brush, or what stands in for a simulator best.
+        given: a simulator, whose forces stand in the data: the base is it, and what is
+            fitted are its parameters; without a tire of its own the model ``name``
+            stands in for it.
+
+    Raises:
+        DataError: the model does not follow the simulator, or the simulator fits with
+            other signs.
+    """
+    simulator, stand_in = None, name or STAND_INS[0]
+    if given is None:
+        fitted = first_fit(prepared, stand_in, prepared.data)
+        begun = begin(prepared, fitted, effects, rig, None)
+    elif given.tire is None:
+        begun, stand_in = standing_in(prepared, name, effects, rig, given)
+    else:
+        model, layout, z = given.tire_for(prepared)
+        begun = begin(prepared, (model, layout, z, z), effects, rig, given)
+    tire, design, z, guess, missed = begun
+    if given is not None:
+        check_followed(prepared, missed, stand_in)
+        doubt = check_signs(prepared, tire, z, given)
+        simulator = Simulated(given=given, z=z, stand_in=stand_in, doubt=doubt)
+        z = np.asarray(tire.refitted(z, design).z)[0]
+    fraction = _slip_fraction(prepared, tire, z, design)
+    silent = np.zeros(count_atoms(effects))
+    noise = _noise(prepared, tire, design, fraction, rig, z, silent, False)
+    base = _under(noise, prepared, tire, design, fraction, z, guess, simulator)
+    return with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
+
+
+_SMALL = 1e-3
+"""Noise of the slip that shows the slope of a force, within which it is straight."""
+
+
+def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
+    """What the measured forces show of the noise of their slip by the model ``name``;
+    zero where it is stated, or known by its sweeps, where both slips drive, and where
+    the force was derived from the motion, whose errors are those of the slip too."""
+    known = prepared.slip_source != NOT_STATED or prepared.derived is not None
+    if known or prepared.mode == "xy":
+        return 0.0
+    model, layout, z, _ = first_fit(prepared, name, prepared.data)
+    tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
+    noisy = replace(prepared, slip_std=np.full(prepared.n, _SMALL))
+    channel, design = prepared.channels[0], design_of(noisy, effects, rig)
+    silent = np.zeros(count_atoms(effects))
+    mean, spread = tire.moments(z, silent, design, prepared.n)
+    # Where the slip changes its sign the curve bends, and any shift of it is a gap.
+    one_sided = [
+        rows[side == positive]
+        for rows in neighbours(prepared)
+        for side in [prepared.slip[rows] > 0]
+        for positive in (False, True)
+    ]
+    return slip_scatter(
+        prepared.observed[channel] - mean[channel], spread[channel] / _SMALL**2,
+        prepared.inputs.fz, one_sided, in_order(prepared.time, prepared.run),
+    )  # fmt: skip
+
+
+def _under(
+    noise, prepared, tire: Tire, design: Design, fraction, z, guess, simulator
+) -> Base:
+    """The base refitted from z under a noise."""
+    design = _with_noise(prepared, design, noise)
+    refit = tire.refitted(z, design)
+    own = np.asarray(refit.z)[0]
+    fit = Fit(
+        tire=tire, design=design, z=own, refit=refit, slip_fraction=fraction,
+        guess=guess,
+    )  # fmt: skip
+    return Base(rows=prepared, fit=fit, noise=noise, simulator=simulator)
+
+
+def with_noise_judged(base: Base, rig, z, amplitudes, outliers: bool = True) -> Base:
+    """The base refitted under the noise that the remainder of a fit shows.
+
+    Args:
+        z, amplitudes: the fit whose remainder is judged, smooth parts taken out.
+        outliers: whether rows far off are set aside; only a fit without a gross gap
+            can tell them.
+    """
+    rows, tire, fraction = base.rows, base.fit.tire, base.slip_fraction
+    noise = _noise(rows, tire, base.design, fraction, rig, z, amplitudes, outliers)
+    guess, simulator = base.fit.guess, base.simulator
+    return _under(noise, rows, tire, base.design, fraction, base.z, guess, simulator)
+
+
+def on_rows(base: Base, prepared: Prepared, rig) -> Base:
+    """The same fit looked at on other rows: forces only, its noise does not carry."""
+    tire, prepared = base.fit.tire, on_scale_of(prepared, base.rows)
+    design = design_of(prepared, tire.effects, rig)
+    if base.simulator is not None:
+        design, _ = with_offset(prepared, tire, design, base.simulator.z)
+    return base.on(with_force(prepared, tire, design, base.z), prepared)
+
+
+def _slip_fraction(prepared: Prepared, tire: Tire, z, design):
+    """Slip over that of full sliding (n,), 3 mu F_z / (2 c) of the brush with the
+    base's slope and peak."""
+    stiffness, mu = brush_of_base(tire.model, tire.layout, tire.mode, z, design)
+    stiffness = np.asarray(stiffness)[: prepared.n]
+    full = 1.5 * float(mu) * prepared.inputs.fz / np.maximum(stiffness, FLAT)
+    size = np.hypot(prepared.slip, prepared.second)
+    side = np.where(prepared.slip < 0, -1.0, 1.0)
+    return side * size / full
+
+
+def _noise(
+    prepared, tire: Tire, design, fraction, rig, z, amplitudes, outliers
+) -> dict[str, NoiseLevel]:
+    mean, spread = tire.moments(z, amplitudes, design, prepared.n)
+    fz = prepared.inputs.fz
+    typical = fz / np.mean(fz)
+    basis = smooth_basis(prepared, fraction, typical, prepared.n // _ROWS_OF_A_FUNCTION)
+    waves, groups, levels = wave_basis(prepared, typical), neighbours(prepared), {}
+    for channel in prepared.channels:
+        std = f"{channel}_std"
+        given = (
+            prepared.column(std)
+            if std in prepared.data
+            else rig.force_noise(channel, fz)
+        )
+        levels[channel] = judge_noise(
+            prepared.observed[channel] - mean[channel], spread[channel], fz,
+            mean[channel], given, basis, waves, groups, prepared.time, prepared.run,
+            outliers,
+        )  # fmt: skip
+    return levels
+
+
+def _with_noise(prepared: Prepared, design: Design, noise) -> Design:
+    size = len(design.keep)
+    inflation = max(level.inflation for level in noise.values())
+    scale = {
+        c: pad_rows(level.std * np.sqrt(inflation), size) for c, level in noise.items()
+    }
+    keep = (np.arange(size) < prepared.n).astype(float)
+    keep[: prepared.n] = ~np.any([level.outlier for level in noise.values()], axis=0)
+    return design._replace(scale=scale, keep=keep)

@@ -1,0 +1,165 @@
+"""What a diagnosis starts from: the rows as its programs take them, a first fit of the
+base model, and the tire that stands in for a simulator known by its forces."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from tirefit.diagnosis.effects import atoms_of
+from tirefit.diagnosis.effects.state import Covariates
+from tirefit.diagnosis.evidence.changes import count_atoms
+from tirefit.diagnosis.evidence.forward import Design
+from tirefit.diagnosis.evidence.simulator import (
+    STAND_INS,
+    Given,
+    as_measured,
+    closely_followed,
+)
+from tirefit.diagnosis.evidence.tire import Tire
+from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.diagnosis.rows.slip_nodes import slip_nodes
+from tirefit.fitting.config import parse_config
+from tirefit.fitting.inference import best_of, solve_starts
+from tirefit.fitting.mf.fit import fit_magic_formula
+from tirefit.fitting.problem import build
+from tirefit.fitting.solve import starting_points
+from tirefit.models.mf import MAGIC_FORMULAS
+from tirefit.padding import pad_rows, padded_size
+from tirefit.results import DataError
+
+_LEAST_ROWS = 256
+"""Rows that a diagnosis is compiled for, at least: small files share one program."""
+
+_STARTS = 4
+"""Starts of the first fit, whose error the refit under the noise takes away: half of
+those of a fit that is an end in itself."""
+
+_FIRST_NOISE = 0.05
+"""Noise of a force as a share of its standard deviation, before it is judged; only the
+scale of the first forces' weights, which no verdict rests on."""
+
+
+def _priors(prepared: Prepared, effects, rig) -> dict[str, np.ndarray]:
+    """Of every atom: scale in its own unit; center, low and high in scales."""
+    priors = [atom.prior(prepared, rig) for atom in atoms_of(effects)]
+    scale, center, low, high = (np.array(part) for part in zip(*priors, strict=True))
+    return {
+        "prior_scale": scale, "prior_center": center / scale, "low": low / scale,
+        "high": high / scale,
+    }  # fmt: skip
+
+
+def design_of(prepared: Prepared, effects, rig) -> Design:
+    """The rows, padded, as the programs of the engine take them."""
+    size = padded_size(prepared.n, _LEAST_ROWS)
+    slips, weight = slip_nodes(prepared.slip_law, prepared.slip, prepared.slip_std)
+    observed, fz, v = prepared.observed, prepared.inputs.fz, prepared.inputs.v
+    return Design(
+        inputs=type(prepared.inputs)(*(pad_rows(x, size) for x in prepared.inputs)),
+        slip=pad_rows(slips, size),
+        weight=pad_rows(weight, size),
+        second=pad_rows(prepared.second, size),
+        observed={c: pad_rows(x, size) for c, x in observed.items()},
+        scale={c: np.full(size, _FIRST_NOISE * np.std(x)) for c, x in observed.items()},
+        offset={c: np.zeros(size) for c in observed},
+        keep=(np.arange(size) < prepared.n).astype(float),
+        hold=np.zeros(()),
+        rows=Covariates(*(pad_rows(x, size) for x in prepared.covariates)),
+        reference=np.array([np.median(fz), np.median(v)]),
+        **_priors(prepared, effects, rig),
+    )
+
+
+def measured_slips(design: Design, prepared: Prepared) -> Design:
+    """The same design at the slips as they were measured, not as they are believed."""
+    slips = np.repeat(prepared.slip[:, None], design.slip.shape[1], axis=1)
+    return design._replace(slip=pad_rows(slips, len(design.keep)))
+
+
+def with_offset(prepared: Prepared, tire: Tire, design: Design, z):
+    """The design with what a simulator says beyond its tire at the measured slips, and
+    that by channel (n,)."""
+    size, silent = len(design.keep), np.zeros(count_atoms(tire.effects))
+    own = tire.moments(z, silent, measured_slips(design, prepared), prepared.n)[0]
+    missed = {c: prepared.column(f"{c}_sim") - own[c] for c in prepared.channels}
+    offset = {c: pad_rows(values, size) for c, values in missed.items()}
+    return design._replace(offset=offset), missed
+
+
+def first_fit(prepared: Prepared, name: str, data):
+    """(model, layout, z, first guess) by least squares with estimated noise, slip as
+    measured."""
+    force = list(prepared.channels)
+    config = parse_config(
+        {"force": force, "noise": {"loss": "huber"}, "starts": _STARTS}
+    )
+    task = build(data, name, config, _LEAST_ROWS)
+    problem = task.problem
+    if prepared.mode != "xy":
+        # The base model does not know of the other slip: that is an effect.
+        quiet = "alpha" if prepared.mode == "x" else "sigma_x"
+        inputs = problem.rows.inputs
+        silent = np.zeros_like(np.asarray(inputs.fz))
+        problem = problem.with_rows(inputs=inputs._replace(**{quiet: silent}))
+    starts = starting_points(task, config.starts, 0)
+    solution = solve_starts(problem, starts, "gauss-newton")
+    best = np.asarray(solution.z)[best_of(solution)]
+    return problem.model, problem.layout, best, starts[0]
+
+
+class Begun(NamedTuple):
+    """A tire with its parameters z and a first guess of them, on the design of its
+    rows; ``missed`` is what a simulator has beyond it (n,), by channel."""
+
+    tire: Tire
+    design: Design
+    z: np.ndarray
+    guess: np.ndarray
+    missed: dict[str, np.ndarray]
+
+
+def begin(prepared: Prepared, fitted, effects, rig, given: Given | None) -> Begun:
+    """From (model, layout, z, first guess)."""
+    model, layout, z, guess = fitted
+    tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
+    design, missed = design_of(prepared, effects, rig), {}
+    if given is not None:
+        design, missed = with_offset(prepared, tire, design, z)
+    return Begun(tire, design, z, guess, missed)
+
+
+def _stand_in(prepared: Prepared, name: str, given: Given):
+    """(model, layout, z, first guess) of the tire that follows a simulator's forces."""
+    simulated = as_measured(prepared.data, prepared.channels)
+    if name not in MAGIC_FORMULAS:
+        return first_fit(prepared, name, simulated)
+    # Its coefficients follow the simulator; what is adapted are scaling factors.
+    tire = fit_magic_formula(simulated, name).tire
+    model, layout, z = replace(given, tire=tire).tire_for(prepared)
+    return model, layout, z, z
+
+
+def standing_in(prepared: Prepared, name, effects, rig, given: Given):
+    """The tire that follows a simulator's forces, and its model's name: ``name``, or of
+    :data:`STAND_INS` the first that follows closely, else the one that does best."""
+
+    def tried(model: str):
+        fitted = _stand_in(prepared, model, given)
+        return begin(prepared, fitted, effects, rig, given), model
+
+    if name is not None:
+        return tried(name)
+    plain, flexible = STAND_INS
+    first = tried(plain)
+    if closely_followed(prepared, first[0].missed):
+        return first
+    try:
+        other = tried(flexible)
+    except DataError:  # too few rows for its coefficients
+        return first
+
+    def off(one):
+        return sum(float(np.mean(values**2)) for values in one[0].missed.values())
+
+    return min(first, other, key=off)

@@ -1,0 +1,1 @@
+"""Room 4: what each set predicts of data left out."""

@@ -1,0 +1,1 @@
+"""Room 2: the noise of every force and of the slip."""

@@ -1,0 +1,437 @@
+"""What is said of one file: the document of a diagnosis and its rows."""
+
+import importlib.metadata
+from dataclasses import replace
+
+import numpy as np
+
+from tirefit.diagnosis.decide.calibrated import as_often_right
+from tirefit.diagnosis.decide.case import Case
+from tirefit.diagnosis.decide.chances import (
+    chance_of_unknown,
+    chance_of_unlisted,
+    chances,
+)
+from tirefit.diagnosis.decide.conclusion import bound_by, look_of_rest
+from tirefit.diagnosis.decide.standing import widening
+from tirefit.diagnosis.decide.verdict import Verdict
+from tirefit.diagnosis.evidence.base import Base, on_rows
+from tirefit.diagnosis.evidence.linear_fit import fitted_form, linear_at
+from tirefit.diagnosis.evidence.runs import offsets_of_runs
+from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
+from tirefit.diagnosis.left_out.holdout import held_out
+from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
+from tirefit.diagnosis.rows.basis import located, without
+from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.diagnosis.summary.budget import (
+    budgets_of,
+    parameter_changes,
+    simulator_summary,
+)
+from tirefit.diagnosis.summary.closure import Closure, closure_on_rows
+from tirefit.diagnosis.summary.data import data_summary
+from tirefit.diagnosis.summary.forecast import confusion, next_measurements
+from tirefit.diagnosis.summary.look_curve import LookCurve, look_curve
+from tirefit.diagnosis.summary.plausible import plausible_forces
+from tirefit.diagnosis.summary.records import (
+    Amplitude,
+    Candidate,
+    Gap,
+    HeldOut,
+    NoiseSummary,
+    Resolution,
+    Shrinkage,
+    VerdictSummary,
+)
+from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.diagnosis.summary.shares import closed_by_each
+from tirefit.diagnosis.summary.views import compared, residual_map, shown_rows
+from tirefit.diagnosis.summary.where import parameter_map, regions, spots
+
+_LISTED, _MENTIONED = 10, 1e-3
+"""Candidates that are listed, at most; probability from which the unknown is one."""
+
+_SEEN = 3.3
+"""Standard errors of an amplitude that is seen four times in five: 0.84 beyond 2.46,
+which noise exceeds once in 72 files."""
+
+_SEEN_ENERGY = 2.5
+"""The same of the energy of a generic remainder, in standard deviations of that of the
+noise: 0.84 beyond 1.65, which noise exceeds once in 20 files."""
+
+_DIRECTIONS = 40
+"""Smooth directions that share the noise's energy, at most: a remainder of a force over
+slip has no more."""
+
+
+def document_of(
+    case: Case, whole: Prepared, settings, library, holdout, generator, model, seed
+) -> Diagnosis:
+    """The verdict on the rows of ``case``, spread over all rows of ``whole``.
+
+    Args:
+        settings: :class:`~tirefit.diagnosis.summary.records.Settings`.
+        library: effects that were looked for.
+        holdout: tables that the search did not use.
+    """
+    data, base, rig = whole.data, case.base, settings.rig
+    prepared = base.prepared
+    rows = _rows(case, base.measured)
+    # Everything random is drawn in this order: true forces, held-out data, budget.
+    believed, main = _rows(case, base), prepared.channels[0]
+    truth = plausible_forces(case, generator)
+    gaps, held = _gaps(case, rows, truth), held_out(case, holdout, rig, generator)
+    bound = _bound(case, gaps[main].closed, held, bool(holdout))
+    if bound.status != case.verdict.status:
+        other = replace(case, verdict=bound), whole, settings, library, holdout
+        return document_of(*other, generator, model, seed)
+    case = _as_often_right(case)
+    verdict, candidates = case.verdict, _candidates(case, rows, truth)
+    gap, curves = _gap(case, gaps, held), _what_is_left(case)
+    budgets = budgets_of(case, believed, generator)
+    said = _verdict(case, curves)
+    steps, reason = next_measurements(base, case.search, case.weighed, verdict)
+    shown = shown_rows(base, rows[main])
+    noise = _noise(case)
+    # Whether a simulator's parameters explain all that there is.
+    tuned_alone = base.simulator is not None and verdict.status == "none"
+    return Diagnosis(
+        data=data_summary(data, base, rig),
+        model=model,
+        simulator=simulator_summary(base, model, gap.rms),
+        n=data.n,
+        n_effective=prepared.n / noise.inflation,
+        noise=noise,
+        gap=gap,
+        budget=budgets[main],
+        budgets=budgets,
+        where=tuple(regions(base, _missed(base), shown.gap)),
+        spots=spots(base, _missed(base), shown.gap),
+        map=tuple(parameter_map(base)),
+        verdict=said,
+        candidates=candidates,
+        untestable=tuple(case.untestable),
+        resolution=_resolution(case),
+        forecast=tuple(confusion(case.search)),
+        next_measurement=steps,
+        next_measurement_reason=reason,
+        slip_check=case.slip_check,
+        runs=offsets_of_runs(base, verdict.chosen),
+        base_parameters=_base_parameters(base, base.as_given),
+        extended_parameters=_base_parameters(base, verdict.chosen.z),
+        settings=settings,
+        seed=seed,
+        version=importlib.metadata.version("tirefit"),
+        rows=_all_rows(case, whole, rig, rows),
+        table=data,
+        mean_load=float(np.mean(data.usable("fz"))),
+        residual_map=residual_map(shown, noise.inflation, gap.resolvable),
+        comparison=compared(shown, said.names_an_effect or tuned_alone),
+        look=next(iter(curves), None),
+        library=library,
+        meanings={p.name: p.spec.meaning for p in base.layout.free},
+    )  # fmt: skip
+
+
+def _missed(base: Base) -> np.ndarray:
+    """Whitened residual of the first channel, (n,)."""
+    whole = base.residual(base.as_given, base.amplitudes())
+    return whole[: base.prepared.n]
+
+
+def _bound(case: Case, closed: float | None, held: HeldOut | None, on_files: bool):
+    """The verdict that the figures on rows left out allow.
+
+    A simulator is not refitted for its own side of the comparison: on a regime left
+    out, its parameters' extrapolation would be held against the effects.
+    """
+    is_fair = case.base.simulator is None or on_files
+    return bound_by(case.verdict, case.weighed, closed, held if is_fair else None)
+
+
+def _rows(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
+    """Base, extended, located gap and its deviation, canonical, used rows.
+
+    Args:
+        at: the base fit at the slips that the forces are wanted for.
+    """
+    base, verdict = case.base, case.verdict
+    before = at.forces(base.as_given, base.amplitudes())
+    tuned = at.forces(base.z, base.amplitudes()) if base.simulator else {}
+    after = at.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
+    smooth, deviation = _smoothed_remainder(case)
+    form = _form_part(case, verdict.chosen)
+    forces, n = {}, base.prepared.n
+    for k, channel in enumerate(base.prepared.channels):
+        scale = np.asarray(base.design.scale[channel])[:n]
+        part = slice(k * n, (k + 1) * n)
+        forces[channel] = {
+            "base": before[channel],
+            "extended": after[channel] + form[part] * scale,
+            "gap": after[channel] - before[channel] + (form + smooth)[part] * scale,
+            "gap_std": deviation[part] * scale,
+        }
+        if base.simulator:
+            forces[channel] |= {"sim": before[channel], "tuned": tuned[channel]}
+    return forces
+
+
+def _form_part(case: Case, hypothesis: Hypothesis) -> np.ndarray:
+    """What another form of its effects adds to their formulas, whitened (m,)."""
+    base, key = case.base, tuple(sorted(hypothesis.effects))
+    if key not in case.weighed.other_form:
+        return np.zeros(len(base.prepared.channels) * base.prepared.n)
+    return fitted_form(linear_at(base, hypothesis))
+
+
+def _smoothed_remainder(case: Case):
+    """Whitened generic remainder of the chosen fit and the deviation of the located
+    gap, (m,) each; no remainder where a verdict explains all."""
+    base, chosen = case.base, case.verdict.chosen
+    residual, jacobian, tangent, _ = base.linearised(
+        chosen.z, amplitudes_of(base, chosen)
+    )
+    own = tangent[:, list(chosen.atoms)]
+    lone = without(own, jacobian)
+    p = len(chosen.z)
+    variance = np.einsum("mi,ij,mj->m", lone, chosen.covariance[p:, p:], lone)
+    if base.simulator:  # its gap has the parameters in it
+        moved = np.concatenate([jacobian, own], axis=1)
+        variance = np.einsum("mi,ij,mj->m", moved, chosen.covariance, moved)
+    if case.verdict.status in ("named", "cannot_tell"):
+        return np.zeros(len(residual)), np.sqrt(np.maximum(variance, 0))
+    used_up = np.concatenate([jacobian, own], axis=1)
+    smooth, unsure = located(base.generic, used_up, residual)
+    return smooth, np.sqrt(np.maximum(variance + unsure, 0))
+
+
+def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
+    """How far the gap of each channel shrinks on the rows of the search.
+
+    Args:
+        truth: (n, draws) by channel, what the force may truly be.
+    """
+    base, verdict, gaps = case.base, case.verdict, {}
+    for channel, parts in rows.items():
+        silent = verdict.status == "unknown" and not base.simulator
+        extended = parts["base"] if silent else parts["extended"]
+        noise = base.noise[channel]
+        closure = closure_on_rows(
+            truth[channel], parts["base"], extended, noise.std**2, base.prepared.run,
+            noise.inflation,
+        )  # fmt: skip
+        gaps[channel] = _shrinkage(closure, verdict, base)
+    return gaps
+
+
+def _shrinkage(closure: Closure, verdict: Verdict, base: Base) -> Shrinkage:
+    # The parameters of a simulator close a part whatever the verdict on effects is.
+    silent = verdict.status in ("none", "unknown") and not base.simulator
+    closed = 0.0 if silent else closure.closed
+    return Shrinkage(
+        rms=closure.rms,
+        resolvable=closure.resolvable
+        and (verdict.status != "none" or base.simulator is not None),
+        closed=closed if closed is None else float(np.clip(closed, 0.0, 1.0)),
+        closed_ci=(0.0, 0.0) if silent else (closure.low, closure.high),
+        remaining_rms=closure.rms if silent else closure.remaining,
+    )
+
+
+def _gap(case: Case, gaps: dict[str, Shrinkage], holdout: HeldOut | None) -> Gap:
+    base, verdict = case.base, case.verdict
+    named = verdict.status not in ("none", "unknown")
+    return Gap(
+        **vars(gaps[base.prepared.channels[0]]),
+        p_value=verdict.p_value,
+        channels=gaps,
+        holdout=holdout,
+        shares=closed_by_each(base, verdict.chosen) if named else {},
+    )
+
+
+def _noise(case: Case) -> NoiseSummary:
+    base, levels = case.base, case.base.noise
+    return NoiseSummary(
+        forces={c: float(np.median(level.std)) for c, level in levels.items()},
+        slip_name="alpha" if base.prepared.mode == "y" else "sigma_x",
+        slip=base.slip_noise,
+        slip_source=base.prepared.slip_source,
+        source="; ".join(dict.fromkeys(level.source for level in levels.values())),
+        flags=case.noise_flags,
+        excess=max(one.excess for one in base.noise.values()),
+        inflation=max(level.inflation for level in levels.values()),
+        outliers=sum(int(level.outlier.sum()) for level in levels.values()),
+    )
+
+
+def _as_often_right(case: Case) -> Case:
+    """The same, its verdict as sure as such verdicts were right."""
+    verdict = case.verdict
+    status = "noise" if case.on_the_noise else verdict.status
+    probability = as_often_right(status, verdict.probability)
+    return replace(case, verdict=replace(verdict, probability=probability))
+
+
+def _what_is_left(case: Case) -> tuple[LookCurve, ...]:
+    """What a remainder looks like, drawn; the likeliest first."""
+    verdict, base = case.verdict, case.base
+    alike = look_of_rest(verdict, base, case.weighed)
+    return tuple(look_curve(verdict, base, look) for look in alike)
+
+
+def _verdict(case: Case, curves: tuple[LookCurve, ...]) -> VerdictSummary:
+    """The verdict; where no effect on the mean is found, what its noise shows."""
+    verdict = case.verdict
+    noise = case.on_the_noise
+    return VerdictSummary(
+        status="named" if noise else verdict.status,
+        effects=noise or verdict.effects,
+        probability=verdict.probability,
+        also_possible=verdict.also_possible,
+        adequacy=verdict.adequacy,
+        looks_like=tuple(curve.look for curve in curves),
+        parameters=parameter_changes(case, _widening(case.base, verdict.chosen)),
+        unlisted=chance_of_unlisted(verdict, case.weighed),
+        fails_elsewhere=verdict.fails_elsewhere,
+    )
+
+
+def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate, ...]:
+    """The most probable sets of effects, and the unknown; ``rows`` and ``truth`` as in
+    :func:`_gaps`."""
+    weighed, at = case.weighed, case.base.measured
+    main = case.base.prepared.channels[0]
+    before, forces = rows[main]["base"], truth[main]
+    total = chances(case.verdict, weighed)
+    said = tuple(sorted(case.verdict.chosen.effects))
+    ranked = sorted(total, key=lambda key: (key == said, total[key]), reverse=True)
+    ranked = ranked[:most]
+    closed = [_closure_by(case, at, weighed.best_of[k], before, forces) for k in ranked]
+    listed = [
+        _candidate(case, key, total[key], closure)
+        for key, closure in zip(ranked, closed, strict=True)
+    ]
+    if (alone := chance_of_unknown(case.verdict, weighed)) > _MENTIONED:
+        unknown = Candidate(
+            effects=("unknown",), family="unknown", parameters={}, z=None,
+            probability=alone, z_given_rivals=None, closed=0.0,
+            closed_ci=(0.0, 0.0),
+        )  # fmt: skip
+        listed.append(unknown)
+    return tuple(listed)
+
+
+def _widening(base: Base, hypothesis: Hypothesis) -> float:
+    """Of the formulas alone: where an effect has another form, no size of its formula
+    is surer than that."""
+    return widening(base, base.residual(hypothesis.z, amplitudes_of(base, hypothesis)))
+
+
+def _candidate(case: Case, key, probability: float, closure: Closure) -> Candidate:
+    base, hypothesis = case.base, case.weighed.best_of[key]
+    p, parameters = len(hypothesis.z), {}
+    spread = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[p:], 0))
+    spread = spread * np.sqrt(_widening(case.base, hypothesis))
+    scale = np.asarray(base.design.prior_scale)
+    effects = [base.atoms[k].effect for k in hypothesis.atoms]
+    for j, (k, effect) in enumerate(zip(hypothesis.atoms, effects, strict=True)):
+        parameters[f"{effect.id}: {effect.parameter}"] = Amplitude(
+            value=float(hypothesis.amplitude[j] * scale[k]),
+            # However badly it fits, no less is known of it than beforehand.
+            std=float(min(spread[j], 1.0) * scale[k]),
+            unit=effect.unit,
+            formula=base.atoms[k].formula(base.design.rows, base.rows.time),
+        )
+    ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
+    return Candidate(
+        effects=tuple(key),
+        family=" + ".join(dict.fromkeys(e.family for e in effects)),
+        probability=probability,
+        parameters=parameters,
+        z=max((case.search.score.get(e.id, 0.0) for e in effects), key=abs),
+        z_given_rivals=float(np.min(np.abs(ratio))),
+        closed=closure.closed,
+        closed_ci=(closure.low, closure.high),
+    )
+
+
+def _closure_by(case: Case, at: Base, hypothesis, before, truth) -> Closure:
+    """What a hypothesis closes of the first channel's gap, in whatever form.
+
+    Args:
+        at: the base fit at the measured slips.
+        before, truth: (n,) force of the base and (n, draws) what it may truly be.
+    """
+    main, run = at.prepared.channels[0], at.prepared.run
+    after = at.forces(hypothesis.z, amplitudes_of(at, hypothesis))[main]
+    scale = np.asarray(at.design.scale[main])[: len(before)]
+    after = after + _form_part(case, hypothesis)[: len(before)] * scale
+    variance, inflation = at.noise[main].std ** 2, at.noise[main].inflation
+    return closure_on_rows(truth, before, after, variance, run, inflation)
+
+
+def _resolution(case: Case) -> Resolution:
+    """Generic remainder that would be seen four times in five, rms [N]."""
+    base = case.base
+    main = base.prepared.channels[0]
+    scale = np.asarray(base.design.scale[main])[: base.prepared.n]
+    directions = min(base.generic.smooth.shape[1], _DIRECTIONS)
+    needed = np.sqrt(_SEEN_ENERGY * np.sqrt(2 * directions) / base.prepared.n)
+    seen = {
+        effect: _SEEN * abs(value) for effect, value in _smallest_seen(case).items()
+    }
+    return Resolution(remainder=float(np.median(scale) * needed), smallest_effects=seen)
+
+
+def _smallest_seen(case: Case) -> dict[str, float]:
+    """One standard deviation of each effect's amplitude on this data, own units."""
+    base, left = case.base, case.search.projected
+    size, smallest = np.linalg.norm(left, axis=0), {}
+    for k in case.search.testable:
+        effect = base.atoms[k].effect
+        if effect.id not in smallest and size[k] > UNSEEN and not effect.singular:
+            scale = np.asarray(base.design.prior_scale)[k]
+            smallest[effect.id] = float(scale / size[k])
+    return smallest
+
+
+def _base_parameters(base: Base, z) -> dict[str, float]:
+    values = base.layout.natural(z)
+    return {name: float(np.asarray(v).ravel()[0]) for name, v in values.items()}
+
+
+def _all_rows(case: Case, whole: Prepared, rig, rows):
+    """The rows of the whole file, NaN where masked: {channel: {name: (n,)}}."""
+    data = whole.data
+    spread_out: dict[str, dict[str, np.ndarray]] = {}
+    if case.base.prepared.n < whole.n:
+        rows = _on_everything(case, whole, rig, rows)
+    for channel, parts in rows.items():
+        spread_out[channel] = {}
+        for name, values in parts.items():
+            full = np.full(len(data), np.nan)
+            full[data.used] = values
+            spread_out[channel][name] = full
+    return spread_out
+
+
+def _on_everything(case: Case, prepared: Prepared, rig, rows):
+    """Forces of both fits on every row; the located gap between the thinned rows is
+    interpolated in their order."""
+    base, verdict = case.base, case.verdict
+    whole = on_rows(base, prepared, rig).measured
+    before = whole.forces(base.as_given, base.amplitudes())
+    after = whole.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
+    kept, every, spread_out = base.prepared.kept, np.arange(prepared.n), {}
+    for channel, parts in rows.items():
+        rest = parts["gap"] - (parts["extended"] - parts["base"])
+        gap = after[channel] - before[channel] + np.interp(every, kept, rest)
+        spread_out[channel] = {
+            "base": before[channel], "extended": after[channel], "gap": gap,
+            "gap_std": np.interp(every, kept, parts["gap_std"]),
+        }  # fmt: skip
+        if base.simulator:
+            tuned = whole.forces(base.z, base.amplitudes())[channel]
+            spread_out[channel] |= {"sim": before[channel], "tuned": tuned}
+    return spread_out

@@ -1,0 +1,305 @@
+"""What a diagnosis says, as records; their fields are the keys of ``NAME.json``.
+
+Forces in N, moments in N m, slips without unit, angles in rad; ids of effects are those
+of :data:`tirefit.diagnosis.effects.EFFECTS`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from tirefit.diagnosis.decide.adequacy import UNTESTED, Adequacy
+from tirefit.diagnosis.effects import NOISE_EFFECTS
+from tirefit.diagnosis.rows.patterns import Look
+from tirefit.diagnosis.rows.rig import Rig
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataSummary:
+    """The file: its name, where it lies, how it was read; ``set_aside`` names the first
+    rows that were not used, with their reasons, and counts the others; ``motion`` says
+    what follows where the force was derived from the motion of a vehicle, ``together``
+    which conditions move together in the file."""
+
+    name: str
+    path: str
+    sha256: str
+    convention: str
+    channels: tuple[str, ...]
+    assumptions: tuple[str, ...]
+    set_aside: tuple[str, ...] = ()
+    motion: tuple[str, ...] = ()
+    together: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseSummary:
+    """Noise of the forces (median over the rows) and of the slip, standard deviations.
+
+    ``flags`` say what is wrong with the noise, ``inflation`` how many rows count as one
+    that is independent, ``outliers`` how many rows were set aside, ``excess`` how many
+    times the noise that was stated for a force it is, 1 where none was.
+    """
+
+    forces: Mapping[str, float]
+    slip_name: str
+    slip: float
+    slip_source: str
+    source: str
+    flags: tuple[str, ...]
+    inflation: float
+    outliers: int
+    excess: float = 1.0
+
+    def as_json(self) -> Mapping:
+        """Each level under the name of its column."""
+        return {
+            **self.forces, self.slip_name: self.slip,
+            f"{self.slip_name}_source": self.slip_source, "source": self.source,
+            "flags": self.flags, "inflation": self.inflation,
+            "outliers": self.outliers, "excess": self.excess,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shrinkage:
+    """A gap beyond the noise, rms, and how far it shrinks.
+
+    ``closed`` = 1 - remaining_rms / rms with its 90 % interval, None where the gap is
+    not ``resolvable``; it ends at zero on the rows fitted, and all of it at
+    :data:`tirefit.diagnosis.summary.closure.WORST`, where it may be any worse.
+    """
+
+    rms: float
+    resolvable: bool
+    closed: float | None
+    closed_ci: tuple[float | None, float | None]
+    remaining_rms: float
+
+    @property
+    def net_closed(self) -> float | None:
+        """``closed``, below zero where more is left than there was."""
+        if self.closed != 0 or self.remaining_rms <= self.rms:
+            return self.closed
+        return 1 - self.remaining_rms / self.rms
+
+    @property
+    def energy_closed(self) -> float | None:
+        """Share of the gap's energy that is closed."""
+        closed = self.net_closed
+        return None if closed is None else 1 - (1 - closed) ** 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOut(Shrinkage):
+    """The gap on data not used; ``on`` says which."""
+
+    on: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gap(Shrinkage):
+    """The gap of the first channel on the file's own rows, and of every channel.
+
+    ``p_value`` is that of no gap at all, ``shares`` are those of several effects in the
+    energy closed (Shapley).
+    """
+
+    p_value: float
+    channels: Mapping[str, Shrinkage]
+    holdout: HeldOut | None
+    shares: Mapping[str, float] = field(default_factory=dict)
+
+
+class Spot(NamedTuple):
+    """A short stretch of a covariate that holds far more of the gap than its share of
+    the rows; the p-value is corrected as that of a :class:`Region`."""
+
+    covariate: str
+    low: float
+    high: float
+    rows: float
+    share: float
+    p_value: float
+
+
+class Region(NamedTuple):
+    """One bin of one covariate: its share of the gap's energy, and the p-value of its
+    misfit, corrected for the number of regions (Benjamini-Yekutieli)."""
+
+    covariate: str
+    low: float
+    high: float
+    share: float
+    p_value: float
+
+
+class Cell(NamedTuple):
+    """One parameter as a free function of one covariate: its log evidence over the base
+    fit, and the share of the misfit's energy that it takes away at most."""
+
+    parameter: str
+    covariate: str
+    log_evidence: float
+    explains: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerdictSummary:
+    """What is said: none, named, incomplete, unknown or cannot_tell; of which effects;
+    the probability that it is so: of exactly this set where it is named, of these
+    effects and something unlisted where it is incomplete, of something unlisted where
+    that is unknown; what this data cannot tell from it, what the evidence
+    asks for included where none is said; the tests of what it leaves;
+    what that looks like, the most probable first, where it is something unlisted.
+
+    ``unlisted`` is the probability that something unlisted is there, alone or beside.
+    ``parameters`` are those of a simulator that was given: none of a form that was
+    fitted. ``fails_elsewhere``: the status is what it is because rows left out are not
+    predicted as the rows fitted are.
+    """
+
+    status: str
+    effects: tuple[str, ...]
+    probability: float
+    also_possible: tuple[str, ...]
+    adequacy: Adequacy = UNTESTED
+    looks_like: tuple[Look, ...] = ()
+    parameters: Mapping[str, "Change"] = field(default_factory=dict)
+    unlisted: float = 0.0
+    fails_elsewhere: bool = field(default=False, metadata={"written": False})
+
+    @property
+    def names_an_effect(self) -> bool:
+        """Whether effects on the mean force are named, not of the noise alone."""
+        of_noise = {effect.id for effect in NOISE_EFFECTS}
+        on_mean = [e for e in self.effects if e not in of_noise]
+        return bool(on_mean) and on_mean != ["unknown"]
+
+
+class Change(NamedTuple):
+    """A parameter as simulated and as measured, with the standard error of the latter;
+    ``differs`` where the two are more than two standard errors apart."""
+
+    simulated: float
+    measured: float
+    std: float
+    differs: bool
+
+
+class Part(NamedTuple):
+    """A part of the distance from a base to the measurement of a channel.
+
+    ``part`` is parameters, the id of an effect, unexplained or noise; ``share`` is that
+    of the energy (mean square), with its 90 % interval, ``rms`` its root, in the unit
+    of the channel; the shares add to one.
+    """
+
+    part: str
+    rms: float
+    share: float
+    closed_ci: tuple[float, float]
+
+
+class Surrogate(NamedTuple):
+    """The tire that stands in for a simulator: rms [N] of what it misses of the
+    simulated force, first channel, and that as a share of the force and of the gap."""
+
+    model: str
+    rms: float
+    of_force: float
+    of_gap: float
+
+
+class SimulatorSummary(NamedTuple):
+    """A simulator that was diagnosed; ``kind`` is columns, model, fit or tir."""
+
+    kind: str
+    source: str
+    sha256: str | None
+    surrogate: Surrogate
+
+
+class Amplitude(NamedTuple):
+    """Amplitude of an effect with its standard error, in its own unit; ``formula`` says
+    in words which of the effect's formulas it is of, empty where there is one."""
+
+    value: float
+    std: float
+    unit: str
+    formula: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A set of effects that may explain the gap.
+
+    ``parameters`` are keyed ``effect: parameter``; ``z`` is the score at the base fit,
+    ``z_given_rivals`` the smallest amplitude over its error beside the others of the
+    set; both None for what is not in the library.
+    """
+
+    effects: tuple[str, ...]
+    family: str
+    probability: float
+    parameters: Mapping[str, Amplitude]
+    z: float | None
+    z_given_rivals: float | None
+    closed: float | None
+    closed_ci: tuple[float | None, float | None]
+
+
+class Untestable(NamedTuple):
+    """An effect that this data cannot show, and what it needs for that."""
+
+    effect: str
+    needs: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Resolution:
+    """What would have been seen: the smallest unlisted remainder, rms, and amplitudes
+    of effects."""
+
+    remainder: float
+    smallest_effects: Mapping[str, float]
+
+    REMAINDER = "smallest unlisted remainder that would have been seen"
+
+    def as_json(self) -> Mapping:
+        return {
+            self.REMAINDER: self.remainder, "smallest_effects": self.smallest_effects
+        }  # fmt: skip
+
+
+class Forecast(NamedTuple):
+    """An effect of its usual size on these rows: the probabilities that it is seen, and
+    seen and recognised, and what it is taken for else (None: hardly ever anything)."""
+
+    effect: str
+    amplitude: float
+    unit: str
+    seen: float
+    recognised: float
+    taken_for: str | None
+
+
+class NextMeasurement(NamedTuple):
+    """What to add, the two effects that it separates, and the probabilities to tell
+    them apart without and with it."""
+
+    add: str
+    separates: tuple[str, str]
+    p_now: float
+    p_after: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What was known and asked for: rig, ids looked for, files held out (sha256), and
+    the forces that matter, None for all."""
+
+    rig: Rig
+    effects: tuple[str, ...]
+    holdout: tuple[str, ...]
+    forces: tuple[str, ...] | None = None
