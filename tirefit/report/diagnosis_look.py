@@ -84,6 +84,6 @@ def draw_look(figure, panel: LookCurve, beside: str) -> None:
     labels = _ALONG if panel.is_mirrored else _CHANGES
     tidy(axes, _axis_label(panel), labels[panel.look.parameter])
     panel_title(
-        axes, textwrap.fill(look_title(panel), _LETTERS),
+        axes, textwrap.fill(look_title(panel).replace(" %", "\u00a0%"), _LETTERS),
         f"points: bins of the data ± standard error; line: fitted; on top of {beside}",
     )  # fmt: skip

@@ -6,26 +6,15 @@ from collections.abc import Sequence
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
 from tirefit.diagnosis.rows.patterns import Look
+from tirefit.diagnosis.rows.slip_check import SlipCheck
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.records import (
     Candidate,
     Region,
     Spot,
     Untestable,
-    VerdictSummary,
 )
-from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.numbers import format_estimate, format_number
-
-_STRANGER = "not in the library"
-UNLISTED = f"{_STRANGER}, alone or beside"
-"""What ``VerdictSummary.unlisted`` is the probability of."""
-
-AGAINST = (
-    "this is the measurement against the simulator: by their forces alone either may be"
-    " what is off"
-)
-"""What the sign of an effect beside a simulator means."""
 
 _NEEDS = {
     "loads": "more than one load",
@@ -100,12 +89,12 @@ def needs_text(needs: Sequence[str]) -> str:
     return ", ".join(_NEEDS.get(need, need) for need in needs)
 
 
-def untestable_groups(untestable: Sequence[Untestable]) -> list[tuple[str, str]]:
-    """(what is needed, effects that need it), both in words."""
+def untestable_lines(untestable: Sequence[Untestable]) -> list[str]:
+    """What is needed and the effects that need it, a line for each need."""
     groups: dict[str, list[str]] = {}
     for item in untestable:
-        groups.setdefault(needs_text(item.needs), []).append(item.effect)
-    return [(needs, ", ".join(effects)) for needs, effects in groups.items()]
+        groups.setdefault(needs_text(item.needs), []).append(name_of(item.effect))
+    return [f"{needs}: {', '.join(effects)}" for needs, effects in groups.items()]
 
 
 def covariate_text(name: str) -> str:
@@ -169,42 +158,41 @@ def _end(value: float, largest: float) -> str:
     return format_number(0.0 if abs(value) < 5e-4 * abs(largest) else value, 3)
 
 
-def listed_candidates(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Those of the library. What is not in it by itself is no line of its own: it is a
-    part of :data:`UNLISTED`; nor is nothing at all: :func:`nothing`."""
-    return [one for one in candidates if one.effects not in ((), ("unknown",))]
+def name_of(effect: str) -> str:
+    """Readable name of an effect: ``slip offset`` of ``slip_offset``."""
+    return effect.replace("_", " ")
 
 
-def nothing(result: Diagnosis) -> tuple[str, float] | None:
-    """What one calls it that there is no effect, and its probability; None where the
-    verdict leaves none for it."""
-    verdict = result.verdict
-    chances = [one.probability for one in result.candidates if not one.effects]
-    if not verdict.names_an_effect and verdict.status != "unknown":
-        chances = [verdict.probability]
-    # A simulator's gap may be that of its parameters.
-    label = "nothing beside its parameters" if result.simulator else "no gap"
-    return (label, chances[0]) if chances else None
+def name_with_id(effect: str) -> str:
+    """The readable name, and the id in brackets where it differs."""
+    name = name_of(effect)
+    return name if name == effect else f"{name} ({effect})"
 
 
-def said_effects(candidate: Candidate, verdict: VerdictSummary) -> tuple[str, ...]:
-    """What the probability of a candidate is that of: its effects alone, but of the
-    set that an incomplete verdict names."""
-    beside = verdict.status == "incomplete" and candidate.effects == verdict.effects
-    return (*candidate.effects, _STRANGER) if beside else candidate.effects
+def listing(words: Sequence[str], last: str = "and") -> str:
+    """``a, b and c``."""
+    *others, end = words
+    return f"{', '.join(others)} {last} {end}" if others else end
+
+
+def set_name(effects: Sequence[str]) -> str:
+    """Readable name of a set of effects, the empty set and the unlisted included."""
+    if not effects:
+        return "no effect"
+    unlisted = "something unlisted alone"
+    return " + ".join(unlisted if e == "unknown" else name_of(e) for e in effects)
 
 
 def parameter_text(candidate: Candidate) -> str:
-    """Amplitudes of a candidate: ``name = value ± std unit, formula``, named by effect
-    where there are several."""
-    several = len(candidate.parameters) > 1
+    """Amplitudes of a candidate: ``value ± std unit, formula``, named by effect where
+    there are several."""
     parts = []
-    for name, amplitude in candidate.parameters.items():
+    for name, (value, std, unit, formula) in candidate.parameters.items():
         effect, _, parameter = name.partition(": ")
-        label = f"{effect}: {parameter}" if several else parameter
-        value, std, unit, formula = amplitude
+        label = f"{name_of(effect)} " if len(candidate.parameters) > 1 else ""
+        label += "" if parameter == "amplitude" else f"{parameter} = "
         which = f", {formula}" if formula else ""
-        parts.append(f"{label} = {amount_text(value, std, unit)}{which}")
+        parts.append(f"{label}{amount_text(value, std, unit)}{which}")
     return "; ".join(parts)
 
 
@@ -277,11 +265,8 @@ def p_text(p: float, least: float = 1e-12) -> str:
     return f"< {least:.2g}" if p <= least or math.isnan(p) else f"{p:.2g}"
 
 
-def slip_check_line(result: Diagnosis) -> str | None:
-    """The slip column against that of the wheel speed; None where that is unknown."""
-    check = result.slip_check
-    if check is None:
-        return None
+def slip_check_line(check: SlipCheck) -> str:
+    """The slip column against that of the wheel speed."""
     other = f", follows {check.fits}" if check.fits != check.read_as else ""
     return (
         f"slip, read as {check.read_as}, against omega, v and a rolling radius of"
