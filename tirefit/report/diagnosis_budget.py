@@ -36,13 +36,9 @@ def change_texts(result: Diagnosis) -> list[str]:
     """What is wrong with the simulator's parameters: ``friction 9 ± 1 % too high``, the
     surest first; only those that differ from the measurement."""
     wrong = [(k, c) for k, c in result.verdict.parameters.items() if c.differs]
-    wrong.sort(key=lambda item: -_sureness(item[1]))
+    wrong.sort(key=lambda kc: kc[1].std / abs(kc[1].simulated - kc[1].measured))
     words = {**result.meanings, **_SHORT}
     return [_change_text(words.get(name, name), change) for name, change in wrong]
-
-
-def _sureness(change: Change) -> float:
-    return abs(change.simulated - change.measured) / max(change.std, 1e-300)
 
 
 def _change_text(meaning: str, change: Change) -> str:

@@ -6,15 +6,14 @@ from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.summary.result import SCHEMA, Diagnosis
 from tirefit.models import MODELS
 from tirefit.params import specs
-from tirefit.report.diagnosis_outlook import confused_lines, smallest_lines
 from tirefit.report.diagnosis_sections import TESTS, Section, gap_line
 from tirefit.report.diagnosis_words import (
     amount_text,
+    amplitude_text,
     closed_text,
     covariate_text,
     name_of,
     p_text,
-    parameter_text,
     range_text,
     said_unit,
     set_name,
@@ -29,6 +28,10 @@ _LEAST = 0.005
 
 _MOST = 10
 """Parameters of the map, at most."""
+
+
+_SEEN = 0.5
+"""Probability of being seen below which an effect may be there and not show."""
 
 
 def details(result: Diagnosis) -> list[Section]:
@@ -83,16 +86,12 @@ def run_lines(result: Diagnosis) -> Iterator[str]:
 
 
 def _where(result: Diagnosis) -> list[tuple[str, ...]]:
-    return [
-        ("quantity", "range", "share of energy", "p of noise"),
-        *(
-            (
-                covariate_text(region.covariate), range_text(region),
-                share_text(region.share), p_text(region.p_value),
-            )
-            for region in result.where
-        ),
+    rows = [
+        (covariate_text(one.covariate), range_text(one), share_text(one.share),
+         p_text(one.p_value))
+        for one in result.where
     ]  # fmt: skip
+    return [("quantity", "range", "share of energy", "p of noise"), *rows]
 
 
 def _spot_lines(result: Diagnosis) -> list[str]:
@@ -104,17 +103,13 @@ def _spot_lines(result: Diagnosis) -> list[str]:
 
 
 def _map(result: Diagnosis) -> list[tuple[str, ...]]:
-    return [
-        ("parameter", "varies with", "log evidence", "misfit, at most"),
-        *(
-            (
-                cell.parameter, covariate_text(cell.covariate),
-                format_number(cell.log_evidence, 3), share_text(cell.explains),
-            )
-            for cell in result.map[:_MOST]
-            if cell.log_evidence > 0
-        ),
+    rows = [
+        (cell.parameter, covariate_text(cell.covariate),
+         format_number(cell.log_evidence, 3), share_text(cell.explains))
+        for cell in result.map[:_MOST]
+        if cell.log_evidence > 0
     ]  # fmt: skip
+    return [("parameter", "varies with", "log evidence", "misfit, at most"), *rows]
 
 
 def _candidate_lines(result: Diagnosis) -> Iterator[str]:
@@ -124,8 +119,8 @@ def _candidate_lines(result: Diagnosis) -> Iterator[str]:
         line = f"{one.probability:.3f}  {set_name(one.effects)}"
         if one.closed:
             line += f"; closes {closed_text(one.closed, one.closed_ci)} of the gap"
-        if one.parameters:
-            line += f"; {parameter_text(one)}"
+        for name, amplitude in one.parameters.items():
+            line += f"; {name_of(name.partition(': ')[0])} {amplitude_text(amplitude)}"
         if one.z is not None and one.z_given_rivals is not None:
             line += (
                 f"; {format_number(abs(one.z), 3)} standard errors by itself,"
@@ -135,44 +130,58 @@ def _candidate_lines(result: Diagnosis) -> Iterator[str]:
 
 
 def _tests(result: Diagnosis) -> list[tuple[str, ...]]:
-    return [
-        ("test", "p of noise"),
-        *(
-            (TESTS.get(name, name), p_text(p))
-            for name, p in result.verdict.left.tests.items()
-            if p is not None
-        ),
-    ]
+    tests = result.verdict.left.tests.items()
+    rows = [(TESTS.get(name, name), p_text(p)) for name, p in tests if p is not None]
+    return [("test", "p of noise"), *rows]
 
 
 def _parameters(result: Diagnosis) -> list[tuple[str, ...]]:
     model = MODELS.get(result.model)
-    units = {k: spec.unit for k, spec in specs(model).items()} if model else {}
-
-    def with_unit(name: str, text: str) -> str:
-        return f"{text} {units.get(name, '').replace('-', '')}".rstrip()
-
+    units = {k: f"[{spec.unit}]" for k, spec in specs(model).items()} if model else {}
     if changes := result.verdict.parameters:
-        return [
-            ("parameter", "simulated", "measured", "differs"),
-            *(
-                (
-                    name, with_unit(name, format_number(one.simulated)),
-                    with_unit(name, format_estimate(one.measured, one.std)),
-                    "yes" if one.differs else "no",
-                )
-                for name, one in changes.items()
-            ),
+        rows = [
+            (f"{name} {units.get(name, '')}", format_number(one.simulated),
+             format_estimate(one.measured, one.std), "yes" if one.differs else "no")
+            for name, one in changes.items()
         ]  # fmt: skip
+        return [("parameter", "simulated", "measured", "differs"), *rows]
     after = result.extended_parameters
-    return [
-        ("parameter", "model alone", "with the answer"),
-        *(
-            (name, with_unit(name, format_number(value)),
-             with_unit(name, format_number(after.get(name))))
-            for name, value in result.base_parameters.items()
-        ),
+    pairs = [
+        (f"{name} {units.get(name, '')}", format_number(value),
+         format_number(after.get(name)))
+        for name, value in result.base_parameters.items()
     ]  # fmt: skip
+    return [("parameter", "model alone", "with the answer"), *pairs]
+
+
+def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
+    """Effects that these rows would show and yet take for others, as sentences, and
+    those that they would not show at their usual size."""
+    lines = [
+        f"{name_of(chance.effect)} of"
+        f" {amount_text(chance.amplitude, None, chance.unit, 2)}: recognised with"
+        f" probability {chance.recognised:.2f}, else taken for"
+        f" {name_of(chance.taken_for)}"
+        for chance in sorted(result.forecast, key=lambda one: one.recognised)
+        if chance.taken_for and chance.seen >= max(_SEEN, chance.recognised / 0.75)
+    ]
+    unseen = [
+        name_of(chance.effect)
+        for chance in result.forecast
+        if chance.seen < _SEEN and chance.effect not in result.verdict.effects
+    ]
+    at_usual_size = f"not seen here at their usual size: {', '.join(unseen)}"
+    return lines[:most] + [at_usual_size] * bool(unseen)
+
+
+def smallest_lines(result: Diagnosis) -> list[str]:
+    """The smallest amplitudes that would have been seen four times in five."""
+    units = {effect.id: effect.unit for effect in result.library}
+    parts = (
+        f"{name_of(effect)} {amount_text(value, None, units.get(effect, ''), 2)}"
+        for effect, value in result.resolution.smallest_effects.items()
+    )
+    return [", ".join(parts)] if result.resolution.smallest_effects else []
 
 
 def _settings(result: Diagnosis) -> Iterator[str]:

@@ -84,7 +84,11 @@ def draw_ladder(figure, bars: Sequence[LadderBar], unit: str, on: str) -> None:
             axes.axvline(
                 bar.rms, color=_KIND[bar.kind], lw=1.2, ls=(0, (4, 2)), zorder=0
             )
-        closed = "" if bar.closed is None else f", {100 * bar.closed:.0f} % closed"
+        closed = (
+            ""
+            if bar.closed is None or bar.kind == "noise"
+            else f", {100 * bar.closed:.0f} % closed"
+        )
         text = f"{bar.label}: {format_number(bar.rms, 3)} {unit}{closed}"
         axes.text(
             0.01 * reach, place + 0.24, plain_text(text), fontsize=9, color=DARK,
@@ -95,8 +99,10 @@ def draw_ladder(figure, bars: Sequence[LadderBar], unit: str, on: str) -> None:
     axes.set_xlim(0, reach)
     axes.set_ylim(-0.4, max(len(bars), 1) - 0.3)
     axes.set_yticks([])
-    note = textwrap.fill(on or "no part of these rows can be left out", 62)
-    panel_title(axes, "How far the gap shrinks", note)
+    note = "no part of these rows can be left out"
+    if on:
+        note = f"{on}; error bar: standard error of the step's gain"
+    panel_title(axes, "How far the gap shrinks", textwrap.fill(note, 62))
 
 
 def draw_chances(figure, bars: Sequence[ChanceBar]) -> None:

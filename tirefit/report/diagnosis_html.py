@@ -42,17 +42,12 @@ def _answer(result: Diagnosis) -> Mapping:
 
 
 def _shown(sections: Sequence[Section], pictures: Mapping) -> list[Mapping]:
-    return [
-        section._asdict()
-        | {
-            "pictures": [
-                image_of(pictures[name], _alternative(name))
-                for name in section.pictures
-                if name in pictures
-            ]
-        }
-        for section in sections
-    ]
+    shown = []
+    for section in sections:
+        names = [name for name in section.pictures if name in pictures]
+        images = [image_of(pictures[name], _alternative(name)) for name in names]
+        shown.append(section._asdict() | {"pictures": images})
+    return shown
 
 
 def diagnosis_page(result: Diagnosis) -> str:

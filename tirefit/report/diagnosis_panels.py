@@ -7,17 +7,13 @@ from tirefit.diagnosis.summary.records import NOISE, SMOOTH
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.diagnosis.summary.views import LoadCurve, ResidualMap
 from tirefit.report.diagnosis_sections import step_label
-from tirefit.report.diagnosis_words import name_of
+from tirefit.report.diagnosis_words import (
+    NAMED_VALUES,
+    covariate_text,
+    covariate_unit,
+    name_of,
+)
 from tirefit.report.numbers import format_number
-
-_LABELS = {
-    "fz": "load $F_z$ [N]",
-    "v": "speed $v$ [m/s]",
-    "time": "time [s]",
-    "gamma": r"camber $\gamma$ [rad]",
-    "direction": "slip in time",
-}
-_TURNS = {-1.0: "shrinks", 0.0: "steady", 1.0: "grows"}
 
 
 class LadderBar(NamedTuple):
@@ -77,14 +73,14 @@ def chance_bars(result: Diagnosis) -> list[ChanceBar]:
 
 def covariate_label(panel: ResidualMap) -> str:
     """Axis label of what the map is drawn over beside the slip."""
-    return _LABELS[panel.covariate]
+    unit = covariate_unit(panel.covariate)
+    return covariate_text(panel.covariate) + f" [{unit}]" * bool(unit)
 
 
 def level_labels(panel: ResidualMap) -> tuple[str, ...]:
     """Names of the levels of the map: one value, or from - to."""
-    if panel.covariate == "direction":
-        return tuple(_TURNS[float(low)] for low in panel.levels[:, 0])
-    return tuple(_range(low, high) for low, high in panel.levels)
+    named = NAMED_VALUES.get(panel.covariate, {})
+    return tuple(named.get(low) or _range(low, high) for low, high in panel.levels)
 
 
 def _range(low: float, high: float) -> str:

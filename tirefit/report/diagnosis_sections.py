@@ -4,8 +4,15 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from tirefit.diagnosis.decide.adequacy import LEAST_P, LEVEL
-from tirefit.diagnosis.effects import NOISE_EFFECTS
-from tirefit.diagnosis.summary.records import NOISE, SMOOTH, Each, Shrinkage, Status
+from tirefit.diagnosis.summary.closure import WORST
+from tirefit.diagnosis.summary.records import (
+    NOISE,
+    SMOOTH,
+    Each,
+    NextMeasurement,
+    Shrinkage,
+    Status,
+)
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.diagnosis_budget import (
     budget_table,
@@ -13,16 +20,14 @@ from tirefit.report.diagnosis_budget import (
     channel_name,
     stand_in_line,
 )
-from tirefit.report.diagnosis_outlook import step_lines
 from tirefit.report.diagnosis_words import (
-    amount_text,
+    amplitude_text,
     closed_text,
     listing,
     look_text,
     name_of,
     name_with_id,
     p_text,
-    remaining_text,
     slip_check_line,
     untestable_lines,
     words_on,
@@ -38,6 +43,10 @@ _BEYOND = 1.5
 
 _MOST_STEPS = 3
 """Measurements that the first screen proposes, at most."""
+
+_TELLS_MORE = 0.1
+"""Rise of the probability of telling two effects apart from which a measurement is
+proposed: less is not worth another day at the rig."""
 
 TESTS = {
     "time": "neighbours in time miss alike",
@@ -74,7 +83,7 @@ def answer(result: Diagnosis) -> str:
 
 
 def _on_effects(result: Diagnosis, beyond: str) -> str:
-    verdict, noise = result.verdict, [e.id for e in NOISE_EFFECTS]
+    verdict = result.verdict
     chance = f"Probability {verdict.probability:.2f} of"
     if verdict.status == Status.UNKNOWN:
         return (
@@ -83,7 +92,7 @@ def _on_effects(result: Diagnosis, beyond: str) -> str:
             " there."
         )
     if not verdict.names_an_effect:
-        of_noise = [name_of(e) for e in verdict.effects if e in noise]
+        of_noise = [name_of(e) for e in verdict.effects if e != "unknown"]
         tail = f" The noise shows {listing(of_noise)}." if of_noise else ""
         none = "no effect, listed or unlisted."
         return f"No gap shows beyond {beyond}the noise. {chance} {none}{tail}"
@@ -170,10 +179,12 @@ def _ladder(result: Diagnosis) -> Section:
 
 def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
     """How large the gap is on some rows, and how far it shrinks there."""
+    unit = FORCE_UNIT[result.data.channels[0]]
 
     def size(force: float) -> str:
         share = format_number(100 * force / result.mean_load, 2)
-        return f"{format_number(force, 3)} N ({share} % of mean F_z)"
+        tail = f" ({share} % of mean F_z)" * (unit == "N")
+        return f"{format_number(force, 3)} {unit}{tail}"
 
     line = f"{where}: gap of {size(gap.rms)} rms beyond the noise"
     closed = gap.net_closed
@@ -181,10 +192,11 @@ def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
         return line
     if not gap.resolvable or closed is None:
         return f"{line}, too uncertain to say how much of it closes"
+    more = " or more" * (closed <= WORST)
     share = closed_text(closed, gap.closed_ci, gap.energy_closed)
     return (
-        f"{line}, {remaining_text(closed, size(gap.remaining_rms))} with the answer;"
-        f" closed [90 % interval]: {share}"
+        f"{line}, {size(gap.remaining_rms)}{more} with the answer; closed [90 %"
+        f" interval]: {share}"
     )
 
 
@@ -207,11 +219,12 @@ def _effect_lines(result: Diagnosis) -> Iterator[str]:
     for effect in (*verdict.effects, *verdict.also_possible):
         named, means = effect in verdict.effects, words_on(effect, result.library)
         amounts = [
-            amount_text(value, std, unit) + (f", {formula}" if formula else "")
-            for name, (value, std, unit, formula) in parameters.items()
+            amplitude_text(amplitude)
+            for name, amplitude in parameters.items()
             if name.startswith(f"{effect}: ")
         ]
-        yield f"{name_with_id(effect)}: {'; '.join(amounts) if named else 'not named'}"
+        said = amounts if named else ["not named"]
+        yield ": ".join([name_with_id(effect), *["; ".join(said)] * bool(said)])
         if (each := verdict.each.get(effect)) is not None:
             yield f"    {_each_text(each)}"
         if means[0]:
@@ -253,12 +266,41 @@ def left_lines(result: Diagnosis) -> Iterator[str]:
         yield f"none of {len(tested)} tests tells it from noise (p >= {LEVEL:g})"
     for look in left.looks_like[:1]:
         yield (
-            f"it resembles {look_text(look)} (probability {look.probability:.2f} among"
-            f" simple shapes; takes {100 * look.explains:.0f} % of its mean square)"
+            f"it resembles this: {look_text(look)} (probability {look.probability:.2f}"
+            f" among simple shapes; takes {100 * look.explains:.0f} % of its mean"
+            " square)"
         )
     if not result.verdict.names_an_effect:
         smallest = format_number(result.resolution.remainder, 3)
         yield f"smallest unlisted remainder that would be seen: {smallest} {unit} rms"
+
+
+def step_lines(result: Diagnosis) -> list[str]:
+    """Next measurements, each with its reason; where none tells much more, which would
+    tell most, or, of an open verdict, why none would."""
+    why, steps = result.next_measurement_reason, result.next_measurement
+    if not steps:
+        if result.verdict.status != Status.CANNOT_TELL or why is None:
+            return []
+        for effect in (*result.effects, *result.verdict.also_possible):
+            why = why.replace(effect, name_of(effect))
+        return [why]
+    worth = [step for step in steps if step.p_after - step.p_now >= _TELLS_MORE]
+    if not worth:
+        best = max(steps, key=lambda step: step.p_after - step.p_now)
+        return [
+            f"no single listed measurement would tell much more: at best {best.add},"
+            f" which {_tells_apart(best)}"
+        ]
+    return [f"measure {step.add}: it {_tells_apart(step)}" for step in worth]
+
+
+def _tells_apart(step: NextMeasurement) -> str:
+    one, other = map(name_of, step.separates)
+    return (
+        f"tells {one} from {other} with probability {step.p_after:.2f}, instead of"
+        f" {step.p_now:.2f} now"
+    )
 
 
 def first_screen(result: Diagnosis) -> list[Section]:
@@ -272,10 +314,10 @@ def first_screen(result: Diagnosis) -> list[Section]:
     if several := sum(len(one.needs) > 1 for one in result.untestable):
         missing.append(f"several columns: {several} more effects (--full)")
     effects, left = list(_effect_lines(result)), list(left_lines(result))
-    sections += [
+    return [
+        *sections,
         Section("Effects", effects, (), ("which", "before and after")),
         Section("What is left", left, (), ("what is left", "where")),
         Section("Next measurement", steps[:_MOST_STEPS]),
         Section("Not testable on this data (what is missing: effects)", missing),
-    ]  # fmt: skip
-    return [one for one in sections if one.lines or one.table or one.pictures]
+    ]

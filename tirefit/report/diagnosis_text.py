@@ -12,9 +12,7 @@ from tirefit.report.diagnosis_sections import (
     head_lines,
     subject,
 )
-from tirefit.report.text import table
-
-_WIDTH = 88
+from tirefit.report.text import WIDTH, table
 
 
 def _text_of(section: Section) -> Iterator[str]:
@@ -29,7 +27,7 @@ def _text_of(section: Section) -> Iterator[str]:
 
 def _wrapped(line: str) -> list[str]:
     return textwrap.wrap(
-        line, _WIDTH, subsequent_indent=" " * 6, break_long_words=False,
+        line, WIDTH, subsequent_indent=" " * 6, break_long_words=False,
         break_on_hyphens=False,
     )  # fmt: skip
 

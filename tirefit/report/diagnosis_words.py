@@ -9,7 +9,7 @@ from tirefit.diagnosis.rows.patterns import Look
 from tirefit.diagnosis.rows.slip_check import SlipCheck
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.records import (
-    Candidate,
+    Amplitude,
     Region,
     Spot,
     Untestable,
@@ -62,12 +62,12 @@ _FAR = 100.0
 """Slips of full sliding beyond which a number says no more than "far"."""
 
 _SHAPES = {
-    "wave": "goes up and down with {covariate}, with a period of {at}",
-    "threshold": "steps at a {covariate} of {at}",
-    "kink": "bends at a {covariate} of {at}",
-    "local": "differs about a {covariate} of {at}",
+    "wave": "goes up and down with {covariate}, period {at}, by ± {size}",
+    "threshold": "steps at a {covariate} of {at} by {size}",
+    "kink": "bends at a {covariate} of {at}, by {size} from there to the end",
+    "local": "differs about a {covariate} of {at} by {size}",
 }
-_NAMED_VALUES = {
+NAMED_VALUES = {
     "direction": {-1.0: "shrinking", 0.0: "steady", 1.0: "growing"},
     "sign": {-1.0: "negative", 0.0: "zero", 1.0: "positive"},
 }
@@ -84,16 +84,12 @@ def words_on(effect: str, library: Sequence[Effect] = ()) -> tuple[str, str]:
     return (record.means, record.remedy) if record else ("", "")
 
 
-def needs_text(needs: Sequence[str]) -> str:
-    """``needs`` of an untestable effect in words."""
-    return ", ".join(_NEEDS.get(need, need) for need in needs)
-
-
 def untestable_lines(untestable: Sequence[Untestable]) -> list[str]:
     """What is needed and the effects that need it, a line for each need."""
     groups: dict[str, list[str]] = {}
     for item in untestable:
-        groups.setdefault(needs_text(item.needs), []).append(name_of(item.effect))
+        needs = ", ".join(_NEEDS.get(need, need) for need in item.needs)
+        groups.setdefault(needs, []).append(name_of(item.effect))
     return [f"{needs}: {', '.join(effects)}" for needs, effects in groups.items()]
 
 
@@ -105,9 +101,9 @@ def covariate_text(name: str) -> str:
 def range_text(region: Region | Spot) -> str:
     """Where a region, or a spot, lies: one value, or from - to, with its unit."""
     name, low, high = region.covariate, region.low, region.high
-    if name in _NAMED_VALUES:
+    if name in NAMED_VALUES:
         # The few steady rows beside those that grow or shrink do not name the region.
-        return _NAMED_VALUES[name][round(high if abs(high) > abs(low) else low)]
+        return NAMED_VALUES[name][round(high if abs(high) > abs(low) else low)]
     unit = CANONICAL.get(name, ("", ""))[0]
     tail = f" {unit}" if unit not in ("", "-") else ""
     if low == high and (name not in _OF_FULL_SLIDING or abs(low) <= _FAR):
@@ -116,11 +112,9 @@ def range_text(region: Region | Spot) -> str:
         # Next to no friction on some rows: their slip is far beyond full sliding.
         if min(-low, high) > _FAR:
             return "any"
-        return (
-            f"{_end(min(low, _FAR), 1.0)} and more"
-            if high > _FAR
-            else f"{_end(max(high, -_FAR), 1.0)} and less"
-        )
+        if high > _FAR:
+            return f"{_end(min(low, _FAR), 1.0)} and more"
+        return f"{_end(max(high, -_FAR), 1.0)} and less"
     return f"{_end(low, high)} to {_end(high, high)}{tail}"
 
 
@@ -147,10 +141,12 @@ def look_size(parameter: str, size: float) -> str:
 
 
 def look_text(look: Look) -> str:
-    """What a remainder looks like: ``friction that steps at a time of 60 s: -7 %``."""
-    covariate = covariate_text(look.covariate)
-    how = _SHAPES[look.shape].format(covariate=covariate, at=look_place(look))
-    return f"{look.parameter} that {how}: {look_size(look.parameter, look.size)}"
+    """What a remainder resembles: ``friction steps at a time of 60 s by -7 %``."""
+    how = _SHAPES[look.shape].format(
+        covariate=covariate_text(look.covariate), at=look_place(look),
+        size=look_size(look.parameter, look.size),
+    )  # fmt: skip
+    return f"{look.parameter} {how}"
 
 
 def _end(value: float, largest: float) -> str:
@@ -183,17 +179,10 @@ def set_name(effects: Sequence[str]) -> str:
     return " + ".join(unlisted if e == "unknown" else name_of(e) for e in effects)
 
 
-def parameter_text(candidate: Candidate) -> str:
-    """Amplitudes of a candidate: ``value ± std unit, formula``, named by effect where
-    there are several."""
-    parts = []
-    for name, (value, std, unit, formula) in candidate.parameters.items():
-        effect, _, parameter = name.partition(": ")
-        label = f"{name_of(effect)} " if len(candidate.parameters) > 1 else ""
-        label += "" if parameter == "amplitude" else f"{parameter} = "
-        which = f", {formula}" if formula else ""
-        parts.append(f"{label}{amount_text(value, std, unit)}{which}")
-    return "; ".join(parts)
+def amplitude_text(amplitude: Amplitude) -> str:
+    """``value ± std unit``, and the formula that it is of where there are several."""
+    text = amount_text(amplitude.value, amplitude.std, amplitude.unit)
+    return f"{text}, {amplitude.formula}" if amplitude.formula else text
 
 
 _THOUSANDTH = "1e-3 "
@@ -230,10 +219,8 @@ def share_text(share: float | None, ends=None) -> str:
     """``95 % [80 %, 96 %]``; ``-`` for a share that cannot be told."""
     if share is None:
         return "-"
-    if ends is None or ends[0] is None:
-        return f"{100 * share:.0f} %"
-    low, high = ends
-    return f"{100 * share:.0f} % [{100 * low:.0f} %, {100 * high:.0f} %]"
+    tail = "" if ends is None or ends[0] is None else "{:.0%}, {:.0%}".format(*ends)
+    return f"{100 * share:.0f} %" + f" [{tail.replace('%', ' %')}]" * bool(tail)
 
 
 def closed_text(closed: float | None, ends=None, energy: float | None = None) -> str:
@@ -252,11 +239,6 @@ def closed_text(closed: float | None, ends=None, energy: float | None = None) ->
 
 def _closed(share: float) -> str:
     return share_text(share) + (" or worse" if share <= WORST else "")
-
-
-def remaining_text(closed: float, remaining: str) -> str:
-    """What is left of a gap, given as text: a bound where the share closed is one."""
-    return f"{remaining} or more" if closed <= WORST else remaining
 
 
 def p_text(p: float, least: float = 1e-12) -> str:
