@@ -17,6 +17,7 @@ from tirefit.diagnosis.summary.records import (
     DataSummary,
     Forecast,
     Gap,
+    Ladder,
     NextMeasurement,
     NoiseSummary,
     Part,
@@ -32,7 +33,7 @@ from tirefit.diagnosis.summary.views import Comparison, ResidualMap
 from tirefit.display import Displayed
 from tirefit.files import json_text
 
-SCHEMA = "tirefit.diagnosis/2"
+SCHEMA = "tirefit.diagnosis/3"
 
 _NOT_WRITTEN = {"written": False}
 
@@ -73,6 +74,7 @@ class Diagnosis(Displayed):
     spots: tuple[Spot, ...] = ()
     map: tuple[Cell, ...]
     verdict: VerdictSummary
+    ladder: Ladder = Ladder()
     candidates: tuple[Candidate, ...]
     untestable: tuple[Untestable, ...]
     resolution: Resolution
@@ -102,7 +104,9 @@ class Diagnosis(Displayed):
 
     def to_json(self) -> str:
         """The document; not-a-number and infinite become null."""
-        return json_text({"schema": SCHEMA} | _mappings(self))
+        content = {"schema": SCHEMA} | _mappings(self)
+        on, steps = content["ladder"].values()
+        return json_text(content | {"ladder": steps, "ladder_on": on})
 
 
 def _mappings(value: Any) -> Any:
