@@ -22,8 +22,7 @@ from tirefit.diagnosis.summary.records import Change, Part, SimulatorSummary, Su
 PARAMETERS = "parameters"
 
 _HELD = 1e4
-"""Stiffness that holds parameters z: they would move by 1e-8 of the force that pulls at
-them, in standard deviations of the noise."""
+"""Stiffness that holds parameters z: they move by 1e-8 of what pulls at them."""
 
 _DIFFERS = 2.0
 """Standard errors from which a parameter of the simulator counts as wrong."""
@@ -36,12 +35,8 @@ def subsets(players: tuple) -> list[tuple]:
 
 
 def shapley(players: tuple, worth: Callable[[tuple], float]) -> dict:
-    """Shapley value of every player: its mean gain over all orders.
-
-    Args:
-        players: distinct, few.
-        worth: of a tuple of players in the order of ``players``; of () too.
-    """
+    """Shapley value of every player: its mean gain over all orders. ``worth`` takes
+    each of the :func:`subsets`."""
     count, known = len(players), {chosen: worth(chosen) for chosen in subsets(players)}
     values = dict.fromkeys(players, 0.0)
     for player in players:
@@ -74,13 +69,8 @@ def closed_by_each(base: Base, chosen: Hypothesis) -> dict[str, float]:
 
 def budgets_of(case, rows, generator) -> dict[str, tuple[Part, ...]]:
     """Parts of the energy of every channel: parameters (of a simulator), each named
-    effect, unexplained, noise; their shares add to one.
-
-    Args:
-        case: :class:`tirefit.diagnosis.decide.case.Case`.
-        rows: by channel ``extended`` (n,), the force of the verdict, in whatever form
-            of its effects.
-    """
+    effect, unexplained, noise; their shares add to one. ``rows`` holds by channel
+    ``extended`` (n,), the force of the verdict of a ``Case``."""
     missed = _missed(case.base, case.verdict.chosen)
     return {
         channel: _budget(case, channel, missed[channel], parts["extended"], generator)
@@ -114,24 +104,16 @@ def _budget(case, channel: str, missed, extended, generator) -> tuple[Part, ...]
         low, high = of_so_few_runs(shares(means), low, high, shares(fewer))
     names = [p if p == PARAMETERS else base.atoms[p].effect.id for p in parts]
     ends = np.clip(np.stack([low, high], axis=1), 0.0, 1.0).tolist()
-    parts_of = zip(
-        [*names, "unexplained", "noise"], _energies(means)[:-1].tolist(),
-        shares(means).tolist(), ends, strict=True,
-    )  # fmt: skip
-    return tuple(
-        Part(name, value**0.5, share, (below, above))
-        for name, value, share, (below, above) in parts_of
-    )
+    rms = np.sqrt(_energies(means)[:-1]).tolist()
+    columns = [*names, "unexplained", "noise"], rms, shares(means).tolist(), ends
+    return tuple(Part(*one[:3], tuple(one[3])) for one in zip(*columns, strict=True))
 
 
 def _energies(means):
     """Means (..., parts + 3) of the parts, of what is left, of the noise and of the
     whole -> the same, none below zero, with what is left beyond the noise and the noise
-    that is left: all but the last add to the last.
-
-    A part that makes matters worse, as where it serves another channel, counts nothing;
-    the others share what was closed.
-    """
+    that is left: all but the last add to the last. A part that makes matters worse
+    counts nothing; the others share what was closed."""
     parts = np.maximum(means[..., :-3], 0.0)
     left, noise, whole = np.moveaxis(means[..., -3:], -1, 0)
     whole = np.maximum(whole, NONZERO)
@@ -188,11 +170,8 @@ def _spread(case, widening: float) -> np.ndarray:
 
 def parameter_changes(case, widening: float) -> Mapping[str, Change]:
     """The simulator's parameters as given, and as the data have them beside the effects
-    of the verdict; empty where a form was fitted.
-
-    Args:
-        widening: factor on variances, as for amplitudes.
-    """
+    of the verdict; empty where a form was fitted. ``widening`` is a factor on the
+    variances, as for amplitudes."""
     base, z, changes = case.base, np.asarray(case.verdict.chosen.z), {}
     if base.simulator is None:
         return {}
@@ -206,12 +185,8 @@ def parameter_changes(case, widening: float) -> Mapping[str, Change]:
 
 
 def simulator_summary(base: Base, model: str, gap: float) -> SimulatorSummary | None:
-    """What was given, and how well its tire follows it.
-
-    Args:
-        model: name of what stands in for it.
-        gap: the whole gap, rms [N].
-    """
+    """What was given, and how well the ``model`` that stands in for it follows it, also
+    over the whole gap [N]."""
     if base.simulator is None:
         return None
     given, main, n = base.simulator.given, base.rows.channels[0], base.rows.n

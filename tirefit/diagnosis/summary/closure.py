@@ -1,9 +1,5 @@
-"""How far the gap shrinks: on the rows fitted, and on data not used.
-
-A remaining gap hides below the noise: its energy is the difference of two that are
-nearly alike. On the rows fitted the true force is therefore drawn from all that the
-data leave possible; on other rows the energies are resampled in blocks.
-"""
+"""How far the gap shrinks: on the rows fitted, by draws of what the force may truly be,
+as a remaining gap hides below the noise; on data not used, by the energies there."""
 
 from typing import NamedTuple
 
@@ -22,17 +18,14 @@ DRAWS = 400
 INTERVAL = (0.05, 0.95)
 """Quantiles at the ends of a 90 % interval."""
 
-_EVENLY = (np.arange(DRAWS) + 0.5) / DRAWS
-"""Quantiles in the place of draws."""
-
 _RESOLVED = 3.0
 """Standard deviations of the energy of noise from which a gap is resolved."""
 
 WORST = -1.0
 """Closure that counts as the worst there is: the gap doubled."""
 
-_LEAST_BLOCK, _BLOCKS = 5, 60
-"""Rows of a block at least, and blocks of a record at most."""
+_BLOCKS = 60
+"""Blocks of a record, at most."""
 
 _WIDER = 1.2
 """Factor on the errors of parameters: those of a fit whose form is not quite right."""
@@ -41,23 +34,20 @@ _SETS = 3
 """Sets of effects that are drawn from, the most probable ones."""
 
 _SIZES = np.geomspace(0.03, 300, 20)
-"""Standard deviations of the coefficients of a discrepancy, in those of the noise; all
-are as likely beforehand."""
+"""Sizes of a discrepancy's coefficients over the noise; all are as likely."""
 
 _UNDRAWN, _FACTOR = 0.4, 1.5
-"""Discrepancy that has none of the shapes drawn, as a share of what is drawn: median,
-and standard deviation of its logarithm. Development trials leave .2 to .6."""
+"""Discrepancy of other shapes, as a share of what is drawn: its median, and standard
+deviation of its logarithm. Development trials have .2 to .6."""
 
 
 class Closure(NamedTuple):
     """Size of a gap and how much of it an extension closes.
 
     ``rms`` [N] is the base gap beyond noise, ``remaining`` [N] what the extension
-    leaves, ``closed`` = 1 - remaining / rms with its 90 % interval, None where the gap
-    may be too small to say (below 3 sqrt(2 / n_effective) of the noise's energy; on the
-    rows fitted, in more than one draw of twenty). It ends at -1, where the extension
-    doubles the gap: beyond, a small gap sets its size. Of several runs it is no
-    narrower than their differences allow.
+    leaves, ``closed`` = 1 - remaining / rms, -1 at least, with its 90 % interval; None
+    where the gap may be below 3 sqrt(2 / n_effective) of the noise's energy (on the
+    rows fitted, in more than one draw of twenty).
     """
 
     rms: float
@@ -70,12 +60,8 @@ class Closure(NamedTuple):
 
 def plausible_forces(case, generator) -> dict[str, np.ndarray]:
     """Draws of the true force of every used row at its measured slip: (n, draws) by
-    channel. Each draw is of one set of effects, by its probability with or without
-    something unlisted, with an error of its parameters and a discrepancy.
-
-    Args:
-        case: :class:`tirefit.diagnosis.decide.case.Case`.
-    """
+    channel. Each is of one set of effects, by its probability in a ``Case``, with an
+    error of its parameters and a discrepancy."""
     base, weighed, at = case.base, case.weighed, case.base.measured
     beside = weighed.unknown_beside | {(): weighed.unknown_alone}
     total = {key: alone + beside.get(key, 0.0) for key, alone in weighed.sets.items()}
@@ -118,11 +104,8 @@ def _off(base, hypothesis, count: int, generator) -> np.ndarray:
 
 
 def drawn_functions(bases, residual, count: int, generator) -> np.ndarray:
-    """Draws (m, count) of functions of one of the bases, given the residual.
-
-    Args:
-        bases: (left, size) of :func:`tirefit.diagnosis.rows.basis.orthogonal` of each.
-    """
+    """Draws (m, count) of functions of one of the bases, given the residual; each is
+    (left, size) of :func:`tirefit.diagnosis.rows.basis.orthogonal`."""
     scores = [left.T @ residual for left, _ in bases]
     log = [
         [gain(score, scale * size) for scale in _SIZES]
@@ -141,8 +124,14 @@ def drawn_functions(bases, residual, count: int, generator) -> np.ndarray:
     return drawn
 
 
+def _closed(gap, left) -> np.ndarray:
+    """1 - root of the ratio of the energies left and of the gap, no less than -1."""
+    ratio = np.asarray(left) / np.maximum(gap, NONZERO)
+    return np.maximum(1 - np.sqrt(ratio), WORST)
+
+
 def _is_resolvable(gap, variance, inflation) -> bool:
-    """Whether a gap of this energy [N^2] is one that noise does not have."""
+    # Whether noise has no gap of this energy [N^2].
     effective = max(len(variance) / inflation, 1.0)
     return bool(gap >= _RESOLVED * np.sqrt(2 / effective) * np.mean(variance))
 
@@ -161,8 +150,7 @@ def _closure(rms, closed, fewer, resolvable: bool) -> Closure:
 
 
 def closure_on_rows(truth, before, after, variance, run, inflation) -> Closure:
-    """Closure on the rows that were fitted, from what the force there may truly be: the
-    median and the interval of its draws.
+    """Closure on the rows that were fitted: median and interval of its draws.
 
     Args:
         truth: (n, draws) of :func:`plausible_forces` [N].
@@ -181,18 +169,9 @@ def closure_on_rows(truth, before, after, variance, run, inflation) -> Closure:
     )  # fmt: skip
 
 
-def _closed(gap, left) -> np.ndarray:
-    """1 - root of the ratio of the energies left and of the gap, no less than -1."""
-    ratio = np.asarray(left) / np.maximum(gap, NONZERO)
-    return np.maximum(1 - np.sqrt(ratio), WORST)
-
-
 def closure_elsewhere(before, after, variance, run, inflation, generator) -> Closure:
-    """Closure on rows that neither fit has seen, from the energies of what they miss.
-
-    The energy that is left is one of the residuals less that of the noise, and may come
-    out below zero where there is little: given are the median and the interval of what
-    it may be from zero on.
+    """Closure on rows that neither fit has seen. The energy left, that of the residuals
+    less that of the noise, has a normal error and is zero or more.
 
     Args:
         before, after: (n,) residuals [N] of the base and of the extension.
@@ -201,28 +180,29 @@ def closure_elsewhere(before, after, variance, run, inflation, generator) -> Clo
         inflation: rows per independent row.
     """
     terms = np.stack([before**2 - after**2, after**2 - variance], axis=1)
-    gain_, left = terms.mean(axis=0)
+    gained, left = terms.mean(axis=0)
     means = block_means(terms, run, inflation, generator)
+    evenly = np.linspace(0, 1, DRAWS + 2)[1:-1]
     # Of a block or two the spread is no error; the noise alone makes this much.
     of_noise = np.sqrt(2 * np.mean(variance**2) * inflation / len(variance))
     error = max(np.std(means[:, 1]), of_noise, ROUNDING * abs(left), NONZERO)
 
     def closed(gains, value):
-        lefts = truncnorm.ppf(_EVENLY, -value / error, np.inf, value, error)
+        lefts = truncnorm.ppf(evenly, -value / error, np.inf, value, error)
         return _closed(np.maximum(gains + lefts, 0.0), lefts)
 
     # What is gained varies with what is left as it does from sample to sample.
     return _closure(
-        float(np.sqrt(max(gain_ + left, 0.0))),
+        float(np.sqrt(max(gained + left, 0.0))),
         closed(means[np.argsort(means[:, 1]), 0], left),
         [np.median(closed(*means)) for means in without_each(terms, run)],
-        _is_resolvable(gain_ + left, variance, inflation),
+        _is_resolvable(gained + left, variance, inflation),
     )
 
 
 def block_means(terms, run, inflation, generator) -> np.ndarray:
     """Means of terms (n, k) over rows drawn anew in blocks: (draws, k)."""
-    length = int(max(2 * inflation, _LEAST_BLOCK, len(terms) // _BLOCKS))
+    length = int(max(2 * inflation, len(terms) // _BLOCKS))
     blocks = []
     for code in np.unique(run):
         rows = np.flatnonzero(run == code)
@@ -242,13 +222,8 @@ def without_each(terms, run) -> np.ndarray:
 
 
 def of_so_few_runs(value, low, high, one_less):
-    """An interval of 90 % that knows how few runs there are: at least the jackknife's
-    over the runs, by Student's t of one degree of freedom less than there are runs.
-
-    Args:
-        value, low, high: figures and their intervals from blocks of rows, (...).
-        one_less: (R, ...) figures with each run left out.
-    """
+    """A 90 % interval (low, high) of a value widened to the jackknife's over the runs,
+    by Student's t; ``one_less`` (R, ...) are the values with each run left out."""
     count = len(one_less)
     error = np.sqrt(count - 1) * np.std(one_less, axis=0)
     reach = float(stdtrit(count - 1, INTERVAL[1])) * error

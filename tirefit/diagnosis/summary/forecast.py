@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
@@ -21,22 +20,16 @@ DRAWS = 2000
 """Draws of noise: a probability of 5 % is known to half a percent."""
 
 _RARE = 0.05
-"""False alarm rate of the largest score; share of files below which a confusion is not
-reported."""
+"""False alarm rate of the largest score; rate from which a confusion is reported."""
 
 _FACTORS, _SMALL = (0.5, 2.0), 0.1
 """Loads, speeds and slips of further measurements over those of the file."""
 
 _FEW = 3
-"""Pairs of effects that additions are judged by, and additions listed, at most."""
-
-_LEAST_SIZE = 0.3
-"""Least amplitude, in prior scales, at which two effects are compared: a refit near
-zero does not bound the effect."""
+"""Pairs of effects that are compared, and additions that are listed, at most."""
 
 _APART, _WORTHWHILE = 0.98, 0.02
-"""Probability from which two effects count as told apart, and the least rise of it that
-is worth a measurement."""
+"""Probability from which two effects are told apart; rise that is worth an addition."""
 
 _SAME_AGAIN = "the same again"
 _MOMENT = "the aligning moment M_z on lateral runs"
@@ -68,9 +61,8 @@ def scores_of_nothing(directions, draws: int, generator) -> np.ndarray:
 
 def recognition(directions, names: Sequence[str], truth: int, size: float, noise):
     """Probabilities that the largest score exceeds that of noise, and that it is also
-    the right one; the effect that is taken for it instead, None if hardly ever any.
-
-    The scores of unit directions are z ~ N(size R[:, truth], R), R their correlation.
+    the right one; the effect that it is taken for else, None if hardly ever any. Scores
+    of unit directions of correlation R are z ~ N(size R[:, truth], R).
 
     Args:
         directions: (m, K) of length one, base parameters taken out.
@@ -153,25 +145,20 @@ def _changed(base: Base, change: dict) -> Base:
     return base.on(design._replace(inputs=inputs, rows=rows, slip=slip))
 
 
-class _Block(NamedTuple):
-    """Whitened rows of one measurement: by the base parameters (m, p) and by the
-    amplitudes of the effects (m, K)."""
+_Block = tuple[np.ndarray, np.ndarray]
+"""Whitened rows of one measurement: by the base parameters (m, p) and by the amplitudes
+of the effects (m, K)."""
 
-    jacobian: np.ndarray
-    columns: np.ndarray
 
-    @classmethod
-    def of(cls, base: Base, z) -> "_Block":
-        return cls(*base.linearised(z, base.amplitudes())[1:3])
+def _block(base: Base, z) -> _Block:
+    _, jacobian, columns, _ = base.linearised(z, base.amplitudes())
+    return jacobian, columns
 
 
 def _with_moment(base: Base, z) -> _Block:
-    """Lateral runs at the slips and loads of these rows, with F_y and M_z measured.
-
-    F_y has the noise of the force here; the noise of M_z over its peak is that of F_y
-    over its own. The contact length, a factor on all of M_z, is unknown: its column
-    is the last of the jacobian.
-    """
+    """Lateral runs at the slips and loads of these rows, with F_y and M_z measured: F_y
+    with the noise of the force here, M_z with the same share of its peak. The contact
+    length, a factor on all of M_z, is unknown: the last column by the parameters."""
     n, channels = base.prepared.n, ("fy", "mz")
     scale = np.asarray(base.design.scale[base.prepared.channels[0]])
     none = dict.fromkeys(channels, np.zeros_like(scale))
@@ -184,9 +171,9 @@ def _with_moment(base: Base, z) -> _Block:
     force = lateral.forces(z, base.amplitudes())
     peaks = {c: max(float(np.max(np.abs(f))), FLAT) for c, f in force.items()}
     scales = {"fy": scale, "mz": scale * peaks["mz"] / peaks["fy"]}
-    block = _Block.of(lateral.on(design._replace(scale=scales)), z)
+    jacobian, columns = _block(lateral.on(design._replace(scale=scales)), z)
     length = np.append(np.zeros(n), force["mz"] / scales["mz"][:n])
-    return block._replace(jacobian=np.column_stack([block.jacobian, length]))
+    return np.column_stack([jacobian, length]), columns
 
 
 def _told_apart(blocks: Sequence[_Block], one, two) -> float:
@@ -195,36 +182,33 @@ def _told_apart(blocks: Sequence[_Block], one, two) -> float:
     Args:
         one, two: (atom, amplitude in prior scales) of the effects.
     """
-    width = max(block.jacobian.shape[1] for block in blocks)
-    jacobian = np.concatenate(
-        [np.pad(b[0], ((0, 0), (0, width - b[0].shape[1]))) for b in blocks]
-    )
+    width = max(jacobian.shape[1] for jacobian, _ in blocks)
+    known = [np.pad(own, ((0, 0), (0, width - own.shape[1]))) for own, _ in blocks]
     (i, size), (j, other) = one, two
-    left = without(np.concatenate([b.columns[:, [i, j]] for b in blocks]), jacobian)
-    return separability(left, 0, 1, max(size, _LEAST_SIZE), max(other, _LEAST_SIZE))
+    columns = np.concatenate([columns[:, [i, j]] for _, columns in blocks])
+    return separability(without(columns, np.concatenate(known)), 0, 1, size, other)
 
 
 def _sizes(search, weighed) -> dict[str, tuple[int, float]]:
-    """Atom and amplitude in prior scales of each testable effect: as refitted where the
-    effect was refitted alone, else the usual one."""
+    """Atom and amplitude in prior scales of each testable effect: the usual one, or as
+    refitted alone where that is larger: a refit near zero does not bound an effect."""
     center = np.asarray(search.base.design.prior_center)
     sizes: dict[str, tuple[int, float]] = {}
     for k in search.testable:
-        usual = abs(float(center[k])) or 1.0
-        sizes.setdefault(search.base.atoms[k].effect.id, (k, usual))
-    for hypothesis in weighed.best_of.values():
-        if len(hypothesis.atoms) == 1:
-            (k,), (amplitude,) = hypothesis.atoms, hypothesis.amplitude
-            sizes[search.base.atoms[k].effect.id] = k, abs(float(amplitude))
+        name, usual = search.base.atoms[k].effect.id, abs(float(center[k])) or 1.0
+        alone = weighed.best_of.get((name,))
+        if alone is not None and abs(alone.amplitude[0]) > usual:
+            sizes[name] = alone.atoms[0], abs(float(alone.amplitude[0]))
+        sizes.setdefault(name, (k, usual))
     return sizes
 
 
 def _pairs(search, weighed, verdict, known) -> list[tuple[str, str]]:
     """Pairs of known effects that the data may confuse: those named with what else is
     possible and with what they resemble, then the most probable single effects."""
-    resembles = {a.effect.id: a.effect.looks_like for a in search.base.atoms}
+    alike = {atom.effect.id: atom.effect.looks_like for atom in search.base.atoms}
     pairs = [(e, other) for e in verdict.effects for other in verdict.also_possible]
-    pairs += [(e, other) for e in verdict.effects for other in resembles.get(e, ())]
+    pairs += [(e, other) for e in verdict.effects for other in alike.get(e, ())]
     log = {key[0]: w for key, w in weighed.log_weight.items() if len(key) == 1}
     ranked = sorted(log, key=lambda effect: -log[effect])
     pairs += [(ranked[0], other) for other in ranked[1:_FEW]]
@@ -236,20 +220,15 @@ def next_measurements(
     base: Base, search, weighed, verdict, most: int = _FEW
 ) -> tuple[tuple[NextMeasurement, ...], str | None]:
     """Additions, of as many rows as there are, that would separate what the data leave
-    confused.
-
-    Returns:
-        (additions, reason): the largest gain first; where there are none, the reason,
-        else None.
-    """
+    confused, the largest gain first; where there are none, the reason, else None."""
     sizes, z = _sizes(search, weighed), weighed.best_of[()].z
-    here, changes = _Block(*base.at_null[1:3]), _changes(base.prepared)
+    here, changes = base.at_null[1:3], _changes(base.prepared)
 
     @cache
     def added(name: str) -> _Block:
         if name == _MOMENT:
             return _with_moment(base, z)
-        return _Block.of(_changed(base, changes[name]), z)
+        return _block(_changed(base, changes[name]), z)
 
     considered = []
     for pair in _pairs(search, weighed, verdict, sizes):
@@ -279,7 +258,5 @@ def _reason(considered: Sequence[NextMeasurement], status: str) -> str:
             return f"{apart}: this time their noise does not, so repeat them"
         return apart
     best = max(step.p_after for step in considered if step.separates == (a, b))
-    return (
-        f"no addition that is known here would tell {a} from {b}: at best with"
-        f" probability {best:.2f} (now {now:.2f})"
-    )
+    apart = f"no addition that is known here would tell {a} from {b}"
+    return f"{apart}: at best with probability {best:.2f} (now {now:.2f})"

@@ -23,24 +23,18 @@ from tirefit.diagnosis.rows.patterns import (
 )
 from tirefit.diagnosis.summary.where import LEVEL, binned, covariates_of
 
-_BANDS, _COLUMNS, _STEPS = 5, 13, 60
-"""Bands of a swept covariate; bins of the slip in a map and in a curve, at most."""
-
-_BINS = 16
-"""Bins of what is left, at most."""
+_BANDS, _BINS, _STEPS = 5, 13, 60
+"""Bands of a swept covariate, bins of a map or of what is left, and bins of a curve, at
+most."""
 
 _IN_A_BIN, _FEWEST = 8, 4
 """Rows of a bin on average; rows of a cell from which its scatter is known."""
-
 _TENTHS = (0.1, 0.9)
 """Quantiles that hold 80 % of the rows of a bin."""
-
 _BETTER = 0.05
 """Share of its energy by which another map must show more than that over the load."""
-
 _POINTS, _CURVES = 300, 3
 """Points and curves that a figure shows, at most."""
-
 _SHOWN_OVER = ("fz", "v", "time", "direction", "gamma")
 """Covariates that the map is drawn over, the usual one first."""
 
@@ -67,10 +61,8 @@ class ResidualMap(NamedTuple):
 
     ``edges`` (k+1,) of the signed slip fraction; ``levels`` (m, 2) of the other one,
     from and to; ``mean`` (m, k) in % of F_z, NaN for empty cells; ``beyond`` (m, k):
-    that cell's mean is not noise, at 5 % false discoveries (Benjamini-Hochberg);
-    ``energy`` (m, k): the share of the located gap's energy that lies there, 0 where
-    no gap can be resolved.
-    """
+    it is not noise (Benjamini-Hochberg, 5 %); ``energy`` (m, k): share of the located
+    gap's energy, 0 where no gap can be resolved."""
 
     channel: str
     covariate: str
@@ -82,13 +74,9 @@ class ResidualMap(NamedTuple):
 
 
 class LoadCurve(NamedTuple):
-    """One level of load [N], from and to: measured points, and both fits as means over
-    bins of slip.
-
-    ``slip``, ``force`` (n,); ``center``, ``base``, ``extended`` (k,); ``low`` and
-    ``high`` (k,): where the extended force lies for 80 % of the rows of a bin, as it
-    depends on more than slip and load.
-    """
+    """One level of load [N], from and to: measured points ``slip``, ``force`` (n,), and
+    both fits as means over bins of slip (k,); between ``low`` and ``high`` (k,) the
+    extended force lies for 80 % of the rows of a bin."""
 
     load: tuple[float, float]
     slip: np.ndarray
@@ -101,11 +89,8 @@ class LoadCurve(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Before and after: curves by load; rms residuals [N] in bins of slip fraction.
-
-    The residuals hold the noise, of force and of slip, beside the gap. ``named`` says
-    whether ``after`` is the extension, or the base fit and the located gap.
-    """
+    """Before and after: curves by load; rms residuals [N], noise included, in bins of
+    slip fraction. ``named``: ``after`` is the extension, else the located gap is."""
 
     channel: str
     slip_name: str
@@ -117,21 +102,16 @@ class Comparison(NamedTuple):
 
 
 def shown_rows(base, parts) -> ShownRows:
-    """The rows of a base fit.
-
-    Args:
-        parts: ``base``, ``extended`` and ``gap`` (n,) of the first channel.
-    """
-    prepared = base.prepared
-    channel, inputs = prepared.channels[0], prepared.inputs
-    varying = covariates_of(base)
-    covariates = {name: varying[name] for name in _SHOWN_OVER if name in varying}
-    lateral = prepared.mode == "y"
+    """The rows of a base fit; ``parts`` are ``base``, ``extended`` and ``gap`` (n,) of
+    the first channel."""
+    rows, varying = base.prepared, covariates_of(base)
+    channel, is_lateral = rows.channels[0], rows.mode == "y"
     return ShownRows(
-        channel, "alpha" if lateral else "sigma_x",
-        np.arctan(prepared.slip) if lateral else prepared.slip, base.slip_fraction,
-        np.asarray(inputs.fz, float), covariates, prepared.observed[channel],
-        parts["base"], parts["extended"], parts["gap"],
+        channel, "alpha" if is_lateral else "sigma_x",
+        np.arctan(rows.slip) if is_lateral else rows.slip, base.slip_fraction,
+        np.asarray(rows.inputs.fz, float),
+        {name: varying[name] for name in _SHOWN_OVER if name in varying},
+        rows.observed[channel], parts["base"], parts["extended"], parts["gap"],
     )  # fmt: skip
 
 
@@ -154,15 +134,14 @@ def _levels(values) -> tuple[np.ndarray, np.ndarray]:
 def _in_columns(rows: ShownRows, count: int) -> tuple[np.ndarray, np.ndarray]:
     """:func:`binned` of the slip fraction, for maps of ``count`` levels."""
     inside = np.clip(rows.slip_fraction, -FULL_SLIDING, FULL_SLIDING)
-    columns = min(len(inside) // (_IN_A_BIN * count), _COLUMNS)
+    columns = min(len(inside) // (_IN_A_BIN * count), _BINS)
     # An odd number leaves zero slip, where noise flips the sign, within one cell.
     return binned(inside, columns | 1)
 
 
 def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> ResidualMap:
-    """The map over slip fraction and the covariate along which most of the gap shows.
-
-    Loads are preferred where no other covariate shows 5 % more.
+    """The map over slip fraction and the covariate along which most of the gap shows;
+    over loads where no other covariate shows 5 % more.
 
     Args:
         inflation: rows per independent row.
@@ -181,8 +160,7 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
             most, best = seen, (covariate, ends, edges, shape, cell, count, mean, std)
     assert best is not None  # there is a covariate, or else the load
     covariate, ends, edges, shape, cell, count, mean, std = best
-    there = count >= _FEWEST
-    independent = np.maximum(count / inflation, 1.0)
+    there, independent = count >= _FEWEST, np.maximum(count / inflation, 1.0)
     t = mean * np.sqrt(independent) / np.maximum(std, ROUNDING)
     p = 2 * stdtr(np.maximum(independent - 1, 1.0), -np.abs(t))
     beyond = np.zeros(len(mean), bool)
@@ -199,26 +177,22 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
 
 def _load_curve(load, slip, force, base, extended) -> LoadCurve:
     codes, _ = binned(slip, min(len(slip) // _IN_A_BIN, _STEPS))
-    bins = np.unique(codes)
+    bins = [codes == k for k in np.unique(codes)]
     # Within a bin the force rises with slip: only what the extension adds is spread.
-    change = extended - base
-    spread = [np.quantile(change[codes == k], _TENTHS) for k in bins]
-    low, high = np.array(spread).T
-    # A wheel that nearly locks has slips without bound: their mean says nothing.
-    center = np.array([np.median(slip[codes == k]) for k in bins])
+    spread = [np.quantile((extended - base)[rows], _TENTHS) for rows in bins]
+    # A wheel that nearly locks has slips without bound: their mean is of no use.
+    center = np.array([np.median(slip[rows]) for rows in bins])
     before, after = _means(codes, base, extended)
     points = np.unique(np.linspace(0, len(slip) - 1, _POINTS).astype(int))
     return LoadCurve(
-        load, slip[points], force[points], center, before, after, before + low,
-        before + high,
+        load, slip[points], force[points], center, before, after,
+        *(before + np.array(spread).T),
     )  # fmt: skip
 
 
 def compared(rows: ShownRows, named: bool) -> Comparison:
-    """Both fits over the data at up to three loads, and their residuals over slip.
-
-    Where no effect is named, the located gap is drawn in the place of the extension.
-    """
+    """Both fits over the data at up to three loads, and their residuals over slip; the
+    base with the located gap in the place of the extension where no effect is named."""
     after = rows.extended if named else rows.base + rows.gap
     codes, ends = _levels(rows.load)
     there = np.unique(codes)
@@ -243,10 +217,9 @@ class LookCurve(NamedTuple):
 
     ``center``, ``change``, ``std`` (k,) are bins: the covariate, the estimate and its
     standard error; ``x``, ``shape`` (p,) the fitted shape, whose size is that of the
-    look: of a wave the amplitude, of a kink its value at the end. Changes are shares
-    of stiffness or friction, slips, or forces as shares of the load; ``is_mirrored``:
-    they count in the direction of the slip. ``is_folded``: a wave, shown within one
-    period, from 0; ``at_settings``: the bins are settings of the rig.
+    look: of a wave the amplitude, of a kink its value at the end. Changes are in the
+    units of :class:`Look`, in the direction of the slip where ``is_mirrored``;
+    ``is_folded``: a wave, shown within one period; ``at_settings``: bins are settings.
     """
 
     look: Look
@@ -261,12 +234,8 @@ class LookCurve(NamedTuple):
 
 
 def shape_of(one: Pattern | Look, values, low: float, span: float) -> np.ndarray:
-    """The shape of a pattern at values of its covariate: (n, 1); of a wave sine and
-    cosine, (n, 2).
-
-    Args:
-        low, span: least value of the covariate in the data, and its range.
-    """
+    """The shape of a pattern at values of its covariate, which begins at ``low`` in the
+    data and has this ``span``: (n, 1); of a wave sine and cosine, (n, 2)."""
     off = np.asarray(values, float) - one.at
     if one.shape == "wave":
         angle = 2 * np.pi * (np.asarray(values, float) - low) / one.at
@@ -285,20 +254,19 @@ def shape_of(one: Pattern | Look, values, low: float, span: float) -> np.ndarray
 def look_curve(verdict, base: Base, look: Look) -> LookCurve:
     """The shape that the remainder of a verdict resembles, over the data."""
     values = quantities(base.rows, base.slip_fraction)[look.covariate]
-    name, _ = PARAMETERS[look.parameter]
-    field = np.asarray(base.at_null.fields)[:, PLACE[name]].reshape(-1, base.rows.n)
+    place = PLACE[PARAMETERS[look.parameter][0]]
+    field = np.asarray(base.at_null.fields)[:, place].reshape(-1, base.rows.n)
     if look.parameter == "force":
         field = field * np.asarray(base.rows.inputs.fz)
     if is_mirrored(look.parameter, look.covariate):
         field = field * np.where(base.slip_fraction < 0, -1.0, 1.0)
-    linear = linear_at(base, verdict.chosen)
-    return curve_of(look, np.asarray(values, float), field, linear)
+    values, linear = np.asarray(values, float), linear_at(base, verdict.chosen)
+    return curve_of(look, values, field, linear)
 
 
 def curve_of(look: Look, values, field, linear: LinearFit) -> LookCurve:
     """The points are partial residuals (Larsen and McCleary, 1972, Technometrics
-    14:781): what the shape and the base's parameters leave when they are fitted
-    together, with the shape put back; else the base would hide what it has taken up.
+    14:781) of the shape, fitted together with the base's parameters.
 
     Args:
         values: the covariate (n,).
@@ -324,8 +292,6 @@ def curve_of(look: Look, values, field, linear: LinearFit) -> LookCurve:
     else:
         codes = equally_known(place, information)
         x = np.linspace(begin, begin + (look.at if is_folded else span), _POINTS)
-        if look.shape == "threshold":  # a step is upright
-            x = np.sort(np.append(x, [look.at, np.nextafter(look.at, np.inf)]))
     total = np.bincount(codes, information)
     there = total > 0
     center, change = (
@@ -333,8 +299,8 @@ def curve_of(look: Look, values, field, linear: LinearFit) -> LookCurve:
         for part in (information * place, estimate)
     )
     curve = shape_of(look, x, begin, span) @ coefficient
-    sizes = {"wave": np.linalg.norm(coefficient), "kink": curve[-1]}
-    size = float(sizes.get(look.shape, coefficient[0]))
+    size = curve[-1] if look.shape == "kink" else coefficient[0]
+    size = float(np.linalg.norm(coefficient)) if is_folded else float(size)
     return LookCurve(
         look._replace(size=size), center, change, 1 / np.sqrt(total[there]), x, curve,
         is_mirrored(look.parameter, look.covariate), is_folded, settings is not None,

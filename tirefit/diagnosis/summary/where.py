@@ -28,41 +28,24 @@ LEVEL = 0.05
 """Share of false discoveries among the regions, spots or map cells reported."""
 
 _PARTS, _STRETCHES = 4, 32
-"""Parts of a swept covariate, of as many rows each: as regions, and to look for
-spots in."""
+"""Parts of a swept covariate as regions, and to look for spots in; spots at most."""
 
 _NEIGHBOURS = 8
-"""Rows over the slip whose misfits are summed: a smooth misfit adds up, noise does not;
-the fewest rows of a region."""
+"""Rows over the slip whose misfits are summed: a smooth misfit adds up, noise does not.
+Regions have as many at least."""
 
 _DENSE = 4.0
 """Share of the gap over that of the rows from which a stretch is a spot."""
 
-_MOST_SPOTS = 4
-"""Spots that are listed."""
-
 _FUNCTIONS = 6
 """Smooth functions of a covariate that a parameter may follow."""
 
-_MAPPED = PARAMETERS | {
-    "kinetic friction": ("kinetic", 0.06),
-    "pressure": ("skew", 0.1),
-}
-"""Parameters of the map: field of the state, and the usual size of its change."""
-
 _TOGETHER = 0.9
-"""Rank correlation from which two conditions are reported to move together: the order
-of one then explains four fifths of that of the other."""
+"""Rank correlation from which two conditions are reported to move together."""
 
 
 def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
-    """The file of a diagnosis.
-
-    Args:
-        data: the table as it was read.
-        base: the fit to its rows.
-        rig: what is known of the measurement.
-    """
+    """The file of a diagnosis: the table as it was read, with the fit to its rows."""
     said = base.simulator.doubt if base.simulator else ""
     doubts = (f"warning: {said}",) if said else ()
     return DataSummary(
@@ -92,21 +75,16 @@ def moving_together(rows: Prepared) -> tuple[str, ...]:
 def covariates_of(base: Base) -> dict[str, np.ndarray]:
     """Covariates that vary, and the slip fraction: (n,) each."""
     rows = base.prepared
-    values = {"slip_fraction": np.abs(base.slip_fraction)}
-    if "loads" in rows.has:
-        values["fz"] = rows.inputs.fz
-    if "speeds" in rows.has:
-        values["v"] = rows.inputs.v
-    if "time" in rows.has:
-        values["time"] = rows.time
-    if "sweeps" in rows.has:
-        values["direction"] = np.sign(rows.covariates.turning)
-    if "signs" in rows.has:
-        values["sign"] = np.where(rows.slip < 0, -1.0, 1.0)
-    for name in ("temperature", "gamma"):
-        if name in rows.has:
-            values[name] = rows.column(name)
-    return values
+    values = {
+        "fz": ("loads", rows.inputs.fz), "v": ("speeds", rows.inputs.v),
+        "time": ("time", rows.time),
+        "direction": ("sweeps", np.sign(rows.covariates.turning)),
+        "sign": ("signs", np.where(rows.slip < 0, -1.0, 1.0)),
+    }  # fmt: skip
+    found = {"slip_fraction": np.abs(base.slip_fraction)}
+    found |= {name: value for name, (need, value) in values.items() if need in rows.has}
+    others = ("temperature", "gamma")
+    return found | {name: rows.column(name) for name in others if name in rows.has}
 
 
 def _chance(base: Base, residual, rows) -> float:
@@ -146,13 +124,9 @@ def _judged(base: Base, residual, gap, parts) -> list[Region]:
 
 
 def regions(base: Base, residual, gap) -> list[Region]:
-    """Settings, or quarters of what is swept, each with its share of the gap's energy
-    and its corrected p-value; the largest significant share first.
-
-    Args:
-        residual: (n,) whitened residual of the base fit, inflation included.
-        gap: (n,) located gap [N].
-    """
+    """Settings, or quarters of what is swept, with their shares of the energy of the
+    located ``gap`` (n,) [N] and the corrected p-values of the whitened ``residual``
+    (n,), inflation included; the largest significant share first."""
     parts = {}
     for name, values in covariates_of(base).items():
         at = levels(values)
@@ -179,7 +153,7 @@ def spots(base: Base, residual, gap) -> tuple[Spot, ...]:
         for name, low, high, share, p in _judged(base, residual, gap, parts)
         if p <= LEVEL and share >= _DENSE * rows[name]
     ]
-    return tuple(sorted(dense, key=lambda spot: -spot.share)[:_MOST_SPOTS])
+    return tuple(sorted(dense, key=lambda spot: -spot.share)[:_PARTS])
 
 
 def parameter_map(base: Base) -> list[Cell]:
@@ -192,7 +166,7 @@ def parameter_map(base: Base) -> list[Cell]:
     for covariate, values in covariates_of(base).items():
         most = FULL_SLIDING if covariate == "slip_fraction" else np.inf
         shapes = functions_of(np.minimum(values, most).astype(float), _FUNCTIONS)
-        for parameter, (field, size) in _MAPPED.items():
+        for parameter, (field, size) in PARAMETERS.items():
             scaled = size * (load[:, None] if field == "force" else 1.0) * shapes
             columns = fields[:, [PLACE[field]]] * np.tile(scaled, (channels, 1))
             left, length = orthogonal(columns, jacobian)
