@@ -194,7 +194,7 @@ def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
     base = studied("lateral, no M_z").base
     n = base.prepared.n
     (k,) = (i for i, a in enumerate(base.atoms) if a.effect.id == "pressure_asymmetry")
-    block = _with_moment(base, base.z)
+    _, columns = _with_moment(base, base.z)
     values = base.layout.natural(base.z)
     slips, loads = base.prepared.slip, base.prepared.inputs.fz
 
@@ -210,7 +210,7 @@ def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
         )  # fmt: skip
 
     slope = (moment(1e-4) - moment(-1e-4)) / 2e-4
-    ours = block.columns[n : 2 * n, k]
+    ours = columns[n : 2 * n, k]
     # Each load has noise of its own: the ratio is one number a load.
     for fz in (2e3, 5e3):
         rows = loads == fz

@@ -21,7 +21,6 @@ from tirefit.diagnosis.evidence.runs import RunOffsets
 from tirefit.diagnosis.rows.patterns import Look
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.slip_check import SlipCheck
-from tirefit.diagnosis.summary.look_curve import LookCurve
 from tirefit.diagnosis.summary.records import (
     Amplitude,
     Candidate,
@@ -48,7 +47,7 @@ from tirefit.diagnosis.summary.records import (
     VerdictSummary,
 )
 from tirefit.diagnosis.summary.result import Diagnosis
-from tirefit.diagnosis.summary.views import ShownRows, compared, residual_map
+from tirefit.diagnosis.summary.views import LookCurve, ShownRows, compared, residual_map
 from tirefit.models import MODELS
 from tirefit.report.canvas import Picture
 from tirefit.report.diagnosis_budget import (

@@ -5,7 +5,7 @@ import textwrap
 
 import numpy as np
 
-from tirefit.diagnosis.summary.look_curve import LookCurve
+from tirefit.diagnosis.summary.views import LookCurve
 from tirefit.report.canvas import BLUE, DARK, GREY, panel_title, tidy
 from tirefit.report.diagnosis_words import (
     covariate_text,

@@ -25,14 +25,12 @@ from tirefit.diagnosis.rows.basis import located, without
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.summary.budget import (
     budgets_of,
+    closed_by_each,
     parameter_changes,
     simulator_summary,
 )
-from tirefit.diagnosis.summary.closure import Closure, closure_on_rows
-from tirefit.diagnosis.summary.data import data_summary
+from tirefit.diagnosis.summary.closure import Closure, closure_on_rows, plausible_forces
 from tirefit.diagnosis.summary.forecast import confusion, next_measurements
-from tirefit.diagnosis.summary.look_curve import LookCurve, look_curve
-from tirefit.diagnosis.summary.plausible import plausible_forces
 from tirefit.diagnosis.summary.records import (
     NOISE,
     SMOOTH,
@@ -51,9 +49,14 @@ from tirefit.diagnosis.summary.records import (
     VerdictSummary,
 )
 from tirefit.diagnosis.summary.result import Diagnosis
-from tirefit.diagnosis.summary.shares import closed_by_each
-from tirefit.diagnosis.summary.views import compared, residual_map, shown_rows
-from tirefit.diagnosis.summary.where import parameter_map, regions, spots
+from tirefit.diagnosis.summary.views import (
+    LookCurve,
+    compared,
+    look_curve,
+    residual_map,
+    shown_rows,
+)
+from tirefit.diagnosis.summary.where import data_summary, parameter_map, regions, spots
 
 _LISTED, _MENTIONED = 10, 1e-3
 """Candidates that are listed, at most; probability from which the unknown is one."""

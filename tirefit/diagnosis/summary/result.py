@@ -10,7 +10,6 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.evidence.runs import RunOffsets
 from tirefit.diagnosis.rows.slip_check import SlipCheck
-from tirefit.diagnosis.summary.look_curve import LookCurve
 from tirefit.diagnosis.summary.records import (
     Candidate,
     Cell,
@@ -29,7 +28,7 @@ from tirefit.diagnosis.summary.records import (
     Untestable,
     VerdictSummary,
 )
-from tirefit.diagnosis.summary.views import Comparison, ResidualMap
+from tirefit.diagnosis.summary.views import Comparison, LookCurve, ResidualMap
 from tirefit.display import Displayed
 from tirefit.files import json_text
 
