@@ -70,12 +70,16 @@ class Weighed:
     @cached_property
     def sets(self) -> dict[Key, float]:
         """Probability of every set, and of nothing else."""
-        return {k: float(np.exp(v - self.log_total)) for k, v in self.log_weight.items()}
+        return {
+            k: float(np.exp(v - self.log_total)) for k, v in self.log_weight.items()
+        }
 
     @cached_property
     def beside(self) -> dict[Key, float]:
         """Probability of the leading sets, each with a discrepancy beside it."""
-        return {k: float(np.exp(v - self.log_total)) for k, v in self.log_beside.items()}
+        return {
+            k: float(np.exp(v - self.log_total)) for k, v in self.log_beside.items()
+        }
 
     @property
     def unlisted(self) -> float:
@@ -94,6 +98,11 @@ class Weighed:
         some = {k: p for k, p in self.listed.items() if k}
         held = sum(p for k, p in some.items() if set(effects) <= set(k))
         return held / max(sum(some.values()), NONZERO)
+
+    def holding_beside(self, effects) -> float:
+        """Probability of the sets that hold these effects, with a discrepancy."""
+        held = sum(p for k, p in self.beside.items() if set(effects) <= set(k))
+        return held / max(sum(self.beside.values()), NONZERO)
 
     def listed_given_gap(self, key: Key) -> float:
         """Probability of exactly this set, on the same terms."""
@@ -173,5 +182,3 @@ def _simplest(total, count: int):
     """Single effects, the most probable first."""
     singles = sorted((k for k in total if len(k) == 1), key=total.get, reverse=True)
     return singles[:count]
-
-
