@@ -1,6 +1,6 @@
 """Functions of arrays that JAX can trace, evaluated by NumPy: nothing is compiled."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -22,60 +22,103 @@ _WITHIN = {"jit": "jaxpr", "custom_jvp_call": "call_jaxpr"}
 """Primitives that are a function by itself, and the parameter that holds it."""
 
 
-def by_numpy(function: Callable, *example: Any) -> Callable:
-    """The function, for arguments of the shapes of an example.
+class Traced:
+    """A function of arrays as JAX saw it, for arguments of the shapes of an example."""
 
-    What has one value for all rows may come back as that. Primitives without a
-    counterpart here are left to JAX.
-    """
-    closed, shape = jax.make_jaxpr(function, return_shape=True)(*example)
-    structure = jax.tree.structure(shape)
-    values: list[Any] = [None] * len(closed.jaxpr.invars)
-    steps: list[tuple[Callable, list[int], list[int]]] = []
+    def __init__(self, function: Callable, *example: Any):
+        self.program, shape = jax.make_jaxpr(function, return_shape=True)(*example)
+        self.structure = jax.tree.structure(shape)
 
-    def placed(value=None) -> int:
-        values.append(value)
-        return len(values) - 1
+    def by_numpy(self, known: Mapping[int, Any]) -> Callable:
+        """The function of the leaves of its arguments, evaluated by NumPy.
 
-    def flattened(jaxpr, constants, places: list[int]) -> list[int]:
+        What has one value for all rows may come back as that. Primitives without a
+        counterpart here are left to JAX.
+
+        Args:
+            known: values of some leaves, by their number, that will stay: what follows
+                from them alone, and what they multiply by zero, is not evaluated again.
+        """
+        count = len(self.program.jaxpr.invars)
+        steps = _Steps(count, known)
+        closed, structure = self.program, self.structure
+        ends = steps.flattened(closed.jaxpr, closed.consts, list(range(count)))
+        kept, values = steps.needed(ends), steps.values
+
+        def evaluated(*leaves):
+            found = [*map(np.asarray, leaves), *values[count:]]
+            with np.errstate(all="ignore"):
+                for operation, taken, given in kept:
+                    result = operation(*[found[place] for place in taken])
+                    for place, value in zip(given, result, strict=True):
+                        found[place] = value
+            return jax.tree.unflatten(structure, [found[place] for place in ends])
+
+        return evaluated
+
+
+class _Steps:
+    """Operations one after the other, between places of a list of values."""
+
+    def __init__(self, count: int, known: Mapping[int, Any]):
+        self.values: list[Any] = [None] * count
+        self.steps: list[tuple[Callable, list[int], list[int]]] = []
+        for place, value in known.items():
+            self.values[place] = np.asarray(value)
+
+    def placed(self, value=None) -> int:
+        self.values.append(value)
+        return len(self.values) - 1
+
+    def flattened(self, jaxpr, constants, places: list[int]) -> list[int]:
+        """The places of what a program gives, of what it takes."""
         where = dict(zip(jaxpr.invars, places, strict=True))
-        where |= {v: placed(c) for v, c in zip(jaxpr.constvars, constants, strict=True)}
+        for variable, value in zip(jaxpr.constvars, constants, strict=True):
+            where[variable] = self.placed(np.array(value, variable.aval.dtype))
 
         def place(atom) -> int:
             if isinstance(atom, Literal):
-                return placed(np.asarray(atom.val))
+                return self.placed(np.array(atom.val, atom.aval.dtype))
             return where[atom]
 
         for equation in jaxpr.eqns:
             taken = [place(atom) for atom in equation.invars]
             inner = equation.params.get(_WITHIN.get(equation.primitive.name))
             if inner is not None:
-                given = flattened(inner.jaxpr, inner.consts, taken)
+                given = self.flattened(inner.jaxpr, inner.consts, taken)
             else:
-                given = [placed() for _ in equation.outvars]
-                steps.append((_operation(equation), taken, given))
+                given = self._added(equation, taken)
             where |= zip(equation.outvars, given, strict=True)
         return [place(atom) for atom in jaxpr.outvars]
 
-    ends = flattened(closed.jaxpr, closed.consts, list(range(len(values))))
-    needed, kept = set(ends), []
-    for step in reversed(steps):
-        if needed.intersection(step[2]):
-            needed |= set(step[1])
-            kept.append(step)
+    def _added(self, equation, taken: list[int]) -> list[int]:
+        operation, values = _operation(equation), [self.values[k] for k in taken]
+        if all(value is not None for value in values):
+            with np.errstate(all="ignore"):
+                return [self.placed(value) for value in operation(*values)]
+        name, none = equation.primitive.name, [_is_zero(value) for value in values]
+        if any(none) and name in ("mul", "and"):
+            return [self.placed(values[none.index(True)])]
+        if any(none) and name in ("add", "add_any"):
+            return [taken[none.index(False)]]
+        if name == "select_n" and values[0] is not None and not values[0].shape:
+            return [taken[1 + int(values[0])]]
+        given = [self.placed() for _ in equation.outvars]
+        self.steps.append((operation, taken, given))
+        return given
 
-    def evaluated(*arguments):
-        found = values.copy()
-        leaves = jax.tree.leaves(arguments)
-        found[: len(leaves)] = leaves
-        with np.errstate(all="ignore"):
-            for operation, taken, given in reversed(kept):
-                result = operation(*[found[place] for place in taken])
-                for place, value in zip(given, result, strict=True):
-                    found[place] = value
-        return jax.tree.unflatten(structure, [found[place] for place in ends])
+    def needed(self, ends: list[int]) -> list[tuple[Callable, list[int], list[int]]]:
+        """The steps that these places need."""
+        places, kept = set(ends), []
+        for step in reversed(self.steps):
+            if places.intersection(step[2]):
+                places |= set(step[1])
+                kept.append(step)
+        return kept[::-1]
 
-    return evaluated
+
+def _is_zero(value) -> bool:
+    return value is not None and not np.any(value)
 
 
 def _operation(equation) -> Callable:
@@ -95,9 +138,12 @@ def _operation(equation) -> Callable:
     if name == "broadcast_in_dim" and not shapes[0]:
         return lambda x: (x,)
     exact = _exact(equation)
-    return lambda *x: exact(
-        *(np.broadcast_to(one, shape) for one, shape in zip(x, shapes, strict=True))
-    )
+
+    def of_whole(*x):
+        pairs = zip(x, shapes, strict=True)
+        return exact(*(a if a.shape == s else np.broadcast_to(a, s) for a, s in pairs))
+
+    return of_whole
 
 
 def _exact(equation) -> Callable:
@@ -114,12 +160,18 @@ def _exact(equation) -> Callable:
         return spread
     if name == "squeeze":
         return lambda x: (np.squeeze(x, told["dimensions"]),)
-    if name == "slice" and told["strides"] is None:
-        ranges = zip(told["start_indices"], told["limit_indices"], strict=True)
+    if name == "slice":
+        steps = told["strides"] or [1] * len(told["start_indices"])
+        ranges = zip(told["start_indices"], told["limit_indices"], steps, strict=True)
         part = tuple(slice(*each) for each in ranges)
         return lambda x: (x[part],)
+    if name == "reshape" and told["dimensions"] is None:
+        return lambda x: (np.reshape(x, told["new_sizes"]),)
     if name == "reduce_sum":
         return lambda x: (np.sum(x, axis=told["axes"]),)
+    if name == "dot_general" and not any(told["dimension_numbers"][1]):
+        axes = told["dimension_numbers"][0]
+        return lambda x, y: (np.tensordot(x, y, axes),)
 
     def by_jax(*x):
         found = equation.primitive.bind(*x, **told)

@@ -5,8 +5,8 @@ takes XLA 15 s of processor time, more than a diagnosis runs.
 """
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
-from typing import Any, NamedTuple
+from functools import cache, cached_property, lru_cache, partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ import numpy as np
 
 from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.effects.state import Covariates, State, null_state
-from tirefit.diagnosis.evidence.by_numpy import by_numpy
+from tirefit.diagnosis.evidence.by_numpy import Traced
 from tirefit.results import InputProblem, UsageError
 
 _LIBRARIES = 64
@@ -43,20 +43,22 @@ class Changes(NamedTuple):
     sizes: dict[int, float]
 
 
-class _Traced:
-    """The change of one effect, for rows of given shapes."""
+class _Change:
+    """The change of one effect, traced for rows of given shapes.
+
+    ``touched`` are the numbers of the fields of the state that it changes.
+    """
 
     def __init__(self, effect: Effect, constants, rows: Covariates):
         count, self.touched = len(rows.fz), ()
 
-        def moved(amplitude, state, constants, rows):
+        def moved(amplitude, constants, state, rows):
             try:
                 changed = effect.change(state, amplitude, constants, rows)
+                pairs = enumerate(zip(changed, state, strict=True))
                 new = {
-                    f: jnp.broadcast_to(jnp.asarray(after, float), (count,))
-                    for f, (after, before) in enumerate(
-                        zip(changed, state, strict=True)
-                    )
+                    field: jnp.broadcast_to(jnp.asarray(after, float), (count,))
+                    for field, (after, before) in pairs
                     if after is not before
                 }
             except Exception as error:  # whatever a user's function raises
@@ -69,31 +71,62 @@ class _Traced:
             self.touched = tuple(new)
             return list(new.values())
 
-        def direct(amplitude, state, constants, rows):
+        def direct(amplitude, constants, state, rows):
             def alone(amplitude):
-                return moved(amplitude, state, constants, rows)
+                return moved(amplitude, constants, state, rows)
 
             return jax.jvp(alone, (amplitude,), (1.0,))
 
-        def through(amplitude, state, constants, rows, tangent):
+        def through(amplitude, constants, state, rows, tangent):
             def alone(state):
-                return moved(amplitude, state, constants, rows)
+                return moved(amplitude, constants, state, rows)
 
             return jax.jvp(alone, (state,), (tangent,))[1]
 
         state = State(*np.zeros((len(State._fields), count)))
-        self._given: Any = (0.0, state, constants, rows)
-        self.direct, self._through = by_numpy(direct, *self._given), through
-        self._passed: Any = None
+        given = 0.0, constants, state, rows
+        self.direct = Traced(direct, *given)
+        self._through = partial(Traced, through, *given, state)
 
-    def passed_on(self, *given):
-        """What the change makes of the tangents (F, n) of the state: of those touched.
+    @cached_property
+    def through(self) -> Traced:
+        """What it makes of slopes of the state; few hypotheses ask for it."""
+        return self._through()
 
-        Few hypotheses ask for it, so it is traced when the first does.
-        """
-        if self._passed is None:
-            self._passed = by_numpy(self._through, *self._given, self._given[1])
-        return self._passed(*given)
+
+class _Variant:
+    """One variant of an effect: its change for rows of given shapes, by NumPy."""
+
+    def __init__(self, change: _Change, constants):
+        self._change, self._constants = change, constants
+        self.touched = change.touched
+        self._direct = change.direct.by_numpy({_CONSTANTS: constants})
+
+    @cached_property
+    def _through(self):
+        return self._change.through.by_numpy({_CONSTANTS: self._constants})
+
+    def added(self, state, amplitude: float, rows: Covariates):
+        """The state (F, n) with the change, and the slopes of that by its amplitude;
+        where it touches nothing, of a field by nothing."""
+        values, slopes = self._direct(amplitude, self._constants, *state, *rows)
+        after = np.array(state)
+        for field, value in zip(self.touched, values, strict=True):
+            after[field] = value
+        by_field = dict(zip(self.touched, slopes, strict=True))
+        return after, by_field or {0: np.zeros(state.shape[1])}
+
+    def passed_on(self, slopes: Slopes, state, amplitude: float, rows) -> Slopes:
+        """Slopes of the state before the change as those of the state after it."""
+        before = np.zeros_like(state)
+        for field, slope in slopes.items():
+            before[field] = slope
+        new = self._through(amplitude, self._constants, *state, *rows, *before)
+        return {**slopes, **dict(zip(self.touched, new, strict=True))}
+
+
+_CONSTANTS = 1
+"""Number of the constants among the leaves of a change."""
 
 
 class Library:
@@ -107,46 +140,34 @@ class Library:
         pairs = [(e, c) for e, effect in enumerate(effects) for c in effect.variants]
         self.owner = [effect for effect, _ in pairs]
         self.constants = [np.array(constants, float) for _, constants in pairs]
-        self._traced: dict[tuple, _Traced] = {}
+        self._changes: dict[tuple, _Change] = {}
+        self._variants: dict[tuple, _Variant] = {}
 
-    def _of(self, atom: int, rows: Covariates) -> _Traced:
-        key = (self.owner[atom], *(np.shape(part) for part in rows))
-        if key not in self._traced:
-            effect = self.effects[self.owner[atom]]
-            self._traced[key] = _Traced(effect, self.constants[atom], rows)
-        return self._traced[key]
-
-    def _more(self, state, atom: int, amplitude: float, rows: Covariates):
-        """The state (F, n) with an atom more, and the slopes of that by its amplitude;
-        where it touches nothing, of a field by nothing."""
-        traced, after = self._of(atom, rows), np.array(state)
-        given = amplitude, State(*state), self.constants[atom], rows
-        values, slopes = traced.direct(*given)
-        for field, value in zip(traced.touched, values, strict=True):
-            after[field] = value
-        by_field = dict(zip(traced.touched, slopes, strict=True))
-        return after, by_field or {0: np.zeros(len(rows.fz))}
+    def _of(self, atom: int, rows: Covariates) -> _Variant:
+        key, shape, constants = self.owner[atom], rows.past.shape, self.constants[atom]
+        if (atom, shape) not in self._variants:
+            if (key, shape) not in self._changes:
+                new = _Change(self.effects[key], constants, rows)
+                self._changes[key, shape] = new
+            new = _Variant(self._changes[key, shape], constants)
+            self._variants[atom, shape] = new
+        return self._variants[atom, shape]
 
     def state(self, present: Present, rows: Covariates) -> np.ndarray:
         """The state (F, n) with every atom that is present."""
-        state = _nothing(len(rows.fz))
-        for atom, amplitude in present:
-            state = self._more(state, atom, amplitude, rows)[0]
-        return state
+        return self.slopes(present, rows, wanted=False)[0]
 
-    def slopes(self, present: Present, rows: Covariates):
+    def slopes(self, present: Present, rows: Covariates, wanted: bool = True):
         """The state with every atom, and its slopes by each of their amplitudes."""
         state, slopes = _nothing(len(rows.fz)), []
         for atom, amplitude in present:
-            traced = self._of(atom, rows)
-            for k, before in enumerate(slopes):
-                tangent = np.zeros_like(state)
-                for field, slope in before.items():
-                    tangent[field] = slope
-                given = amplitude, State(*state), self.constants[atom], rows
-                new = traced.passed_on(*given, State(*tangent))
-                slopes[k] = before | dict(zip(traced.touched, new, strict=True))
-            state, own = self._more(state, atom, amplitude, rows)
+            variant = self._of(atom, rows)
+            if wanted:
+                slopes = [
+                    variant.passed_on(before, state, amplitude, rows)
+                    for before in slopes
+                ]
+            state, own = variant.added(state, amplitude, rows)
             slopes.append(own)
         return state, slopes
 
@@ -167,11 +188,11 @@ class Library:
                 expected = float(center[atom])
                 size = max(abs(expected), 1.0) * (-1.0 if expected < 0 else 1.0)
                 far = amplitude + size * scale[atom]
-                found.ends[atom] = self._more(others, atom, far, rows)[0]
+                found.ends[atom] = self._of(atom, rows).added(others, far, rows)[0]
                 found.sizes[atom] = size
             else:
-                slopes = self._more(others, atom, amplitude, rows)[1]
-                found.slopes[atom] = slopes
+                variant = self._of(atom, rows)
+                found.slopes[atom] = variant.added(others, amplitude, rows)[1]
         return found
 
 
@@ -181,13 +202,14 @@ def library_of(effects: tuple[Effect, ...]) -> Library:
     return Library(effects)
 
 
+@cache
+def _null() -> np.ndarray:
+    return np.array([float(field) for field in null_state()])
+
+
 def _nothing(count: int) -> np.ndarray:
     """The state (F, n) without any effect."""
-    state = np.array([float(field) for field in _NULL])
-    return np.repeat(state[:, None], count, axis=1)
-
-
-_NULL = null_state()
+    return np.repeat(_null()[:, None], count, axis=1)
 
 
 def count_atoms(effects) -> int:
