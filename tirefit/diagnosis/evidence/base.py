@@ -263,7 +263,7 @@ def fit_base(
     """
     simulator, stand_in = None, name or STAND_INS[0]
     if given is None:
-        fitted = first_fit(prepared, stand_in, prepared.data)
+        fitted = first_fit(prepared, stand_in, prepared.data, effects, rig)
         begun = begin(prepared, fitted, effects, rig, None)
     elif given.tire is None:
         begun, stand_in = standing_in(prepared, name, effects, rig, given)
@@ -294,7 +294,7 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
     known = prepared.slip_source != NOT_STATED or prepared.derived is not None
     if known or prepared.mode == "xy":
         return 0.0
-    model, layout, z, _ = first_fit(prepared, name, prepared.data)
+    model, layout, z, _ = first_fit(prepared, name, prepared.data, effects, rig)
     tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
     noisy = replace(prepared, slip_std=np.full(prepared.n, _SMALL))
     channel, design = prepared.channels[0], design_of(noisy, effects, rig)

@@ -42,7 +42,7 @@ class Refit(NamedTuple):
     penalty: np.ndarray
 
 
-class _Normal(NamedTuple):
+class Normal(NamedTuple):
     """Sums of squares (h,), half their curvatures (h, w, w) and gradients (h, w)."""
 
     cost: np.ndarray
@@ -76,7 +76,7 @@ class _Hypotheses:
         amplitudes = np.clip(points[:, self.p :], self.low[numbers], self.high[numbers])
         return np.concatenate([points[:, : self.p], amplitudes], axis=1)
 
-    def at(self, numbers, points) -> _Normal:
+    def at(self, numbers, points) -> Normal:
         """Around points (k, w), with what pulls on the parameters."""
         wanted = np.concatenate(
             [self.starts[numbers, : self.p], self.center[numbers]], 1
@@ -95,14 +95,14 @@ class _Hypotheses:
             cost[k] += missed @ missed
             normal[k, own, own] += rows @ rows.T
             gradient[k, own] -= rows @ missed
-        return _Normal(cost, normal, gradient)
+        return Normal(cost, normal, gradient)
 
 
 def _solved(system, right) -> np.ndarray:
     return np.linalg.solve(system, right[..., None])[..., 0]
 
 
-def _after_step(z, at: _Normal, damping, allowed: Callable, longest: float):
+def _after_step(z, at: Normal, damping, allowed: Callable, longest: float):
     """As that of ``least_squares``, of each of many."""
 
     def limited(move):
@@ -126,7 +126,7 @@ def _after_step(z, at: _Normal, damping, allowed: Callable, longest: float):
     return limited(_solved(np.where(both, system, one), beside))[0]
 
 
-def _gain(move, at: _Normal):
+def _gain(move, at: Normal):
     """By how much the costs would fall, were the residuals straight."""
     straight = 2 * at.gradient + (at.normal @ move[:, :, None])[..., 0]
     return -np.sum(move * straight, axis=1)
@@ -151,15 +151,34 @@ def refit(model: ForwardModel, starts, sets, design: Design) -> Refit:
 
 
 def _refitted(hypotheses: _Hypotheses) -> Refit:
-    starts, allowed, p = hypotheses.starts, hypotheses.allowed, hypotheses.p
+    p, at, allowed = hypotheses.p, hypotheses.at, hypotheses.allowed
+    z, best = minimised(at, hypotheses.starts, allowed, 0.0, _TOLERANCE, _STEPS)
+    penalty = np.sum((z[:, p:] - hypotheses.center) ** 2, axis=1)
+    # A parameter at its bound has no curvature; what is left of it cancels.
+    curvature = best.normal + FLAT * np.eye(z.shape[1])
+    return Refit(
+        z[:, :p], z[:, p:], best.cost - penalty, np.linalg.slogdet(curvature)[1],
+        np.linalg.inv(curvature), penalty,
+    )  # fmt: skip
+
+
+def minimised(
+    at: Callable, starts, allowed: Callable, relative: float, absolute: float, most: int
+) -> tuple[np.ndarray, Normal]:
+    """``least_squares.damped_gauss_newton`` from each of some starts (h, w).
+
+    Args:
+        at: (numbers (k,), points (k, w)) -> :class:`Normal` of these.
+        allowed: (numbers, points) -> the nearest points that may be tried.
+        relative, absolute, most: when it ends, and its steps.
+    """
+    going = np.arange(len(starts))
     h, w = starts.shape
-    every = np.arange(h)
-    best = _Normal(np.full(h, np.inf), np.tile(np.eye(w), (h, 1, 1)), np.zeros((h, w)))
-    trial = allowed(every, starts)
-    z = trial.copy()
-    damping, promised, going = np.full(h, _FIRST_DAMPING), np.ones(h), every
-    for _ in range(_STEPS):
-        new = hypotheses.at(going, trial[going])
+    best = Normal(np.full(h, np.inf), np.tile(np.eye(w), (h, 1, 1)), np.zeros((h, w)))
+    trial = allowed(going, starts)
+    z, damping, promised = trial.copy(), np.full(h, _FIRST_DAMPING), np.ones(h)
+    for _ in range(most):
+        new = at(going, trial[going])
         better = new.cost < best.cost[going]
         with np.errstate(all="ignore"):
             share = (best.cost[going] - new.cost) / promised[going]
@@ -170,24 +189,18 @@ def _refitted(hypotheses: _Hypotheses) -> Refit:
         eased = np.where(share > _GOOD, _EASE, _EASE_A_LITTLE)
         factor = np.where(better & (share > _FAIR), eased, _STIFFEN)
         damping[going] = np.maximum(damping[going] * factor, _LEAST_DAMPING)
-        at, here = _Normal(*(part[going] for part in best)), z[going]
+        around, here = Normal(*(part[going] for part in best)), z[going]
 
         def within(points, going=going):
             return allowed(going, points)
 
-        whole = _after_step(
-            here, at, np.full(len(going), _LEAST_DAMPING), within, np.inf
-        )
-        settled = np.abs(_gain(whole - here, at)) <= _TOLERANCE
-        trial[going] = _after_step(here, at, damping[going], within, _LONGEST_STEP)
-        promised[going] = _gain(trial[going] - here, at)
+        least = np.full(len(going), _LEAST_DAMPING)
+        whole = _after_step(here, around, least, within, np.inf)
+        gain = np.abs(_gain(whole - here, around))
+        trial[going] = _after_step(here, around, damping[going], within, _LONGEST_STEP)
+        promised[going] = _gain(trial[going] - here, around)
+        settled = gain <= relative * around.cost + absolute
         going = going[~(settled | (damping[going] > _STUCK))]
         if not len(going):
             break
-    penalty = np.sum((z[:, p:] - hypotheses.center) ** 2, axis=1)
-    # A parameter at its bound has no curvature; what is left of it cancels.
-    curvature = best.normal + FLAT * np.eye(w)
-    return Refit(
-        z[:, :p], z[:, p:], best.cost - penalty, np.linalg.slogdet(curvature)[1],
-        np.linalg.inv(curvature), penalty,
-    )  # fmt: skip
+    return z, best
