@@ -39,6 +39,7 @@ class Policy:
     """The thresholds of :func:`decide`. What each buys stands in
     ``fits/withheld/README.md``, as the table of the ablation.
 
+<<<<<<< HEAD
     Attributes:
         likely: probability from which something is said to be there (even odds).
         known: amplitude over its standard error from which an effect may be named: an
@@ -48,6 +49,150 @@ class Policy:
             better to take the place of the most probable one.
         perhaps: probability from which an effect that is not named is possible, and
             probability of a set over that of the best from which it is a rival.
+=======
+    status: str
+    effects: tuple[str, ...]
+    probability: float
+    also_possible: tuple[str, ...]
+    p_value: float
+    chosen: Hypothesis
+    adequacy: Adequacy = UNTESTED
+    fails_elsewhere: bool = False
+    unlisted: float = 0.0
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """Probability of every set of effects that was refitted; ``unknown`` is that of a
+    gap that no listed effect explains, alone or beside the set; ``other_form`` are the
+    sets whose effects are there in a form of their own, ``evidence`` the log evidence
+    of each set over none, in whatever form; ``log_weight`` the same with its prior and
+    ``log_beside`` that with a remainder beside it: of a gap far beyond the noise the
+    probabilities are too small for numbers. ``hidden`` is the probability of sets too
+    improbable to be refitted, which these data could not show either; ``gains`` the log
+    evidence of each kind of remainder beside a set, see
+    :func:`tirefit.diagnosis.rows.basis.gains`."""
+
+    sets: dict[tuple[str, ...], float]
+    best_of: dict[tuple[str, ...], Hypothesis]
+    unknown_alone: float
+    unknown_beside: dict[tuple[str, ...], float]
+    other_form: frozenset[tuple[str, ...]]
+    evidence: dict[tuple[str, ...], float]
+    log_weight: dict[tuple[str, ...], float]
+    log_beside: dict[tuple[str, ...], float]
+    hidden: float
+    gains: dict[tuple[str, ...], dict[str, float]]
+
+    @property
+    def best(self) -> tuple[str, ...]:
+        """The most probable set of effects, if all that is there is listed."""
+        log = self.log_weight
+        return max((k for k in log if k), key=lambda k: log[k], default=())
+
+    @property
+    def listed(self) -> dict[tuple[str, ...], float]:
+        """Probability of every set, if all that is there is listed."""
+        return dict(
+            zip(self.log_weight, softmax([*self.log_weight.values()]), strict=True)
+        )
+
+    def among_listed(self, key) -> float:
+        """Probability of a set, if all that is there is listed."""
+        return float(self.listed[key])
+
+    @property
+    def unlisted(self) -> float:
+        """Probability of something that is not listed, alone or beside a set."""
+        return self.unknown_alone + sum(self.unknown_beside.values())
+
+    def holding(self, key) -> float:
+        """Probability of the sets that hold these effects, if all that is there is
+        listed."""
+        return float(sum(p for k, p in self.listed.items() if set(key) <= set(k)))
+
+
+def gap_p_value(search: Search, generator) -> float:
+    """Whether there is a gap at all: the largest score, and a generic misfit, each
+    against simulated noise; the smaller of both, doubled."""
+    base, left = search.base, search.projected
+    size = np.linalg.norm(left, axis=0)
+    use = [k for k in search.testable if size[k] > UNSEEN]
+    z = left[:, use] / size[use]
+    residual, jacobian, *_ = base.at_null
+    observed = np.max(np.abs(z.T @ base.sure(residual)), initial=0.0)
+    draws = np.abs(scores_of_nothing(z, DRAWS, generator)).max(0, initial=0.0)
+    p_score = (1 + np.sum(draws >= observed)) / (1 + DRAWS)
+    explained = np.concatenate([jacobian, base.proxies], axis=1)
+    p_generic = misfit_p_value(base.generic, explained, residual, generator, DRAWS)
+    return float(min(1.0, 2 * min(p_score, p_generic)))
+
+
+def weigh(search: Search) -> Weighed:
+    """Posterior probabilities of all sets, with and without an unknown remainder."""
+    logs: dict[tuple[str, ...], list[float]] = {}
+    best: dict[tuple[str, ...], Hypothesis] = {}
+    # An estimate is no fit of its set: its remainder is that of a smaller one.
+    fitted = [h for h in search.hypotheses if h.refitted]
+    guessed = [h for h in search.hypotheses if not h.refitted]
+    for hypothesis in fitted:
+        key = tuple(sorted(hypothesis.effects))
+        logs.setdefault(key, []).append(hypothesis.log_weight)
+        if key not in best or hypothesis.log_weight > best[key].log_weight:
+            best[key] = hypothesis
+    total = {key: float(logsumexp(values)) for key, values in logs.items()}
+    evidence = {key: hypothesis.log_evidence for key, hypothesis in best.items()}
+    others, remainder = set(), {}
+    ranked = sorted(total, key=lambda key: total[key], reverse=True)
+    nothing = linear_at(search.base, best[()])
+    of_nothing = due_to_doubt(search.base, best[()], nothing)
+    among = dict.fromkeys([*ranked[:_FREED], *_simplest(total, _SINGLES), ()])
+    for key in among:
+        linear = linear_at(search.base, best[key])
+        if linear.forms.shape[1] and len(key) < MOST_EFFECTS:
+            formula = float(np.log(1 - PRIOR_OF_FORM))
+            # Around nothing, doubt explains what a form is there for.
+            due = min(due_to_doubt(search.base, best[key], linear) - of_nothing, 0.0)
+            form = gain_of_form(search.base, linear) + due - best[key].due_to_doubt
+            total[key] += float(np.logaddexp(formula, form))
+            evidence[key] += float(np.logaddexp(formula, form))
+            if form > formula:
+                others.add(key)
+        remainder[key] = gains_beside(search.base, linear, key in others)
+    total = _formulas_first(total, best)
+    beside = {
+        key: total[key] + of_any_kind(gains) + np.log(PRIOR_OF_UNKNOWN)
+        for key, gains in remainder.items()
+    }
+    rest = [hypothesis.log_weight for hypothesis in guessed]
+    everything = logsumexp([*total.values(), *beside.values(), *rest])
+
+    def probabilities(logs):
+        return {k: float(np.exp(v - everything)) for k, v in logs.items()}
+
+    hidden = [h.log_weight for h in guessed if h.log_evidence < _SHOWS]
+    alone = beside.pop(())
+    return Weighed(
+        sets=probabilities(total),
+        best_of=best,
+        unknown_alone=float(np.exp(alone - everything)),
+        unknown_beside=probabilities(beside),
+        other_form=frozenset(others),
+        evidence=evidence,
+        log_weight=total,
+        log_beside=beside,
+        hidden=float(np.sum(np.exp(np.array(hidden) - everything))),
+        gains=remainder,
+    )
+
+
+def _formulas_first(total, best):
+    """Log weights of sets. Of as many effects in forms of their own, which draw nearly
+    the same, that set is the likeliest whose formulas do best: these exchange weights.
+
+    Args:
+        best: the formulas' fit of each set.
+>>>>>>> evid
     """
 
     likely: float = 0.5
