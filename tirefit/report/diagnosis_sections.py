@@ -129,6 +129,14 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
         yield slip_check_line(check)
 
 
+def foot_line(result: Diagnosis) -> str:
+    """Signs and units of the report, and what it takes to make it again."""
+    return (
+        f"braking positive, SI units (the file: {result.data.convention}); seed"
+        f" {result.seed}, tirefit {result.version}"
+    )
+
+
 def step_label(result: Diagnosis, number: int) -> str:
     """What a step of the ladder adds to the one before."""
     steps = result.ladder.steps
