@@ -20,7 +20,6 @@ from tirefit.diagnosis.evidence.search import (
     PRIOR_OF_UNKNOWN,
     Hypothesis,
     Search,
-    amplitudes_of,
 )
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.basis import of_any_kind
@@ -134,9 +133,6 @@ def weigh(search: Search) -> Weighed:
     nothing = linear_at(search.base, best[()])
     of_nothing = due_to_doubt(search.base, best[()], nothing)
     among = dict.fromkeys([*ranked[:_FREED], *_simplest(total, _SINGLES), ()])
-    search.base.begin_linearised(
-        (best[key].z, amplitudes_of(search.base, best[key])) for key in among
-    )
     for key in among:
         linear = linear_at(search.base, best[key])
         if linear.forms.shape[1] and len(key) < MOST_EFFECTS:
