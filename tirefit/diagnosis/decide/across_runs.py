@@ -18,7 +18,7 @@ from tirefit.diagnosis.evidence.forward import MOST
 from tirefit.diagnosis.evidence.runs import KINDS
 from tirefit.diagnosis.evidence.search import Hypothesis, Search
 from tirefit.diagnosis.negligible import NONZERO
-from tirefit.diagnosis.rows.run_codes import shown_runs
+from tirefit.diagnosis.rows.rates import shown_runs
 
 _FEWEST = 4
 """Runs from which leaving them out in turn says something: of three, two are left to

@@ -14,7 +14,7 @@ from tirefit.diagnosis.decide.adequacy import UNTESTED, Adequacy, Null, adequacy
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.negligible import ROUNDING, SILENT
-from tirefit.diagnosis.noise.level import correlation
+from tirefit.diagnosis.noise.memory import correlation
 from tirefit.diagnosis.rows.basis import without
 from tirefit.diagnosis.rows.patterns import travelled
 from tirefit.diagnosis.rows.prepared import Prepared, neighbours
@@ -213,10 +213,7 @@ def _tested(base: Base, residual, used_up, generator) -> Adequacy:
     of_noise = null(
         used_up[kept_rows], base.doubt[kept_rows], stacked,
         [float(np.sqrt(np.mean(residual[part] ** 2))) for part in rows],
-        [
-            [memory.of(keep) for memory in base.noise[channel].memory]
-            for channel in prepared.channels
-        ],
+        [base.noise[channel].memory for channel in prepared.channels],
         in_time, generator,
     )  # fmt: skip
     each = [

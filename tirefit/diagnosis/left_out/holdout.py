@@ -12,7 +12,7 @@ from tirefit.diagnosis.evidence.runs import KINDS
 from tirefit.diagnosis.evidence.search import amplitudes_of
 from tirefit.diagnosis.negligible import ROUNDING
 from tirefit.diagnosis.rows.prepared import Prepared, prepare
-from tirefit.diagnosis.rows.run_codes import shown_runs
+from tirefit.diagnosis.rows.rates import shown_runs
 from tirefit.diagnosis.summary.closure import Closure, closure_elsewhere
 from tirefit.diagnosis.summary.records import HeldOut
 
