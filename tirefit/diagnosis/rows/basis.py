@@ -35,18 +35,14 @@ _TO_DRAW, _MOST_DRAWN = 8.0, 4
 """chi-squared over that of the largest of as many waves of noise from which a wave is
 located (55 to 1), and largest number of these."""
 
-_FEWEST_WAVES = 4
-"""Over the slip and in time; the most are :data:`WAVES` in time, a quarter over the
-slip."""
-
 _OF_EITHER_SIGN = 0.05
 """Smallest share of the rows with a sign of the slip that has its own functions."""
 
-_BUMPS, _NARROW_BUMPS = (4, 8), (4, 14)
-"""Fewest and most functions of the slip for each sign: the finest are a half and a
-quarter of the slip of full sliding wide."""
+_BUMPS = (4, 8)
+"""Fewest and most functions of the slip for each sign, of the cells twice as many: the
+finest are a half and a quarter of the slip of full sliding wide."""
 
-_ROWS_OF_A_FUNCTION, _ROWS_OF_A_CELL = 3, 4
+_ROWS_OF_A_FUNCTION = 3
 """Smallest number of rows for each function of a basis."""
 
 _LEVELS = 4
@@ -141,7 +137,7 @@ def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
     if loads.few():
         cells = [loads.code == code for code in codes]
     sides = _by_side(slip_fraction, 2).shape[1] // 2
-    count = int(np.clip(most // (sides * len(cells)), *_NARROW_BUMPS))
+    count = int(np.clip(most // (sides * len(cells)), _BUMPS[0], 2 * _BUMPS[1]))
     shapes = _by_side(slip_fraction, count)
     columns = np.concatenate([shapes * cell[:, None] for cell in cells], axis=1)
     return _scaled(columns, scale)
@@ -151,7 +147,7 @@ def wave_basis(prepared, scale) -> np.ndarray:
     """Sine and cosine of slip and of time, side by side: (n, 2 x waves)."""
     slip = prepared.slip
     span = max(np.ptp(slip), FLAT)
-    most = int(np.clip(prepared.n // ROWS_OF_A_WAVE, 2 * _FEWEST_WAVES, WAVES))
+    most = int(np.clip(prepared.n // ROWS_OF_A_WAVE, 2 * _BUMPS[0], WAVES))
     most_over_slip = min(most // 2, WAVES // 4)
     waves = [turns((slip - slip.min()) / span, np.arange(1.0, most_over_slip + 1))]
     if "time" in prepared.has:
@@ -341,7 +337,7 @@ def wide_bases(prepared, slip_fraction, scale) -> tuple[np.ndarray, ...]:
     """Smooth functions, cells and waves of one channel."""
     return (
         smooth_basis(prepared, slip_fraction, scale, prepared.n // _ROWS_OF_A_FUNCTION),
-        _cell_basis(prepared, slip_fraction, scale, prepared.n // _ROWS_OF_A_CELL),
+        _cell_basis(prepared, slip_fraction, scale, prepared.n // _ROWS_OF_A_FUNCTION),
         wave_basis(prepared, scale),
     )
 

@@ -24,12 +24,9 @@ _ANGLE = 1e-3
 _WARMER, _WARMS = 20.0, 0.4
 """Unit of the temperature, and standard deviation above which it varies [K]."""
 
-_BOTH_SIGNS = 0.1
-"""Smallest share of the rows with either sign of slip."""
-
-_ROUND = 0.5
-"""Standard deviations of sine and cosine of the heading, added, of a log that points
-several ways; 1.4 is the most."""
+_BOTH_SIGNS, _ROUND = 0.1, 0.5
+"""Smallest share of the rows with either sign of slip; and smallest sum of the standard
+deviations of sine and cosine of the heading of a log in several directions."""
 
 _EXACT = 1e-3
 """Largest error of a derived force relative to its spread; no transducer agrees so
@@ -40,6 +37,11 @@ _TOP, _HALF = 0.95, (0.4, 0.6)
 _LEAST_RISE, _LEAST = 1e-3, 5
 """Smallest slip at half of the largest force over the largest slip, and smallest number
 of rows there."""
+
+_OF_THE_FIT = ("force", "usage", "change", "traction") + tuple(
+    name for name in Covariates._fields if name.startswith("run_")
+)
+"""Covariates that the base fit gives."""
 
 _COOLINGS = (np.inf, 0.2, 0.05)
 """Time constants of the cooling, in shares of the record."""
@@ -91,11 +93,6 @@ def half_force_slip(slip, share) -> float:
     return float(max(middle, FLAT + _LEAST_RISE * _largest(size)))
 
 
-def _one_over(size: float) -> float:
-    """Reciprocal of a range; 1 where nothing varies."""
-    return 1 / size if size > ROUNDING else 1.0
-
-
 def sizes_of(rows: Covariates, slip, mean_load: float, radius: float | None) -> Sizes:
     """Sizes of a file with these covariates and primary slips (n,).
 
@@ -104,23 +101,26 @@ def sizes_of(rows: Covariates, slip, mean_load: float, radius: float | None) -> 
         radius: rolling radius [m], None where unknown.
     """
     spread, rise = float(np.std(slip)), float(rows.rise[0])
-    rate, per_way = (
-        float(np.sqrt(np.mean(x**2))) for x in (rows.rate, rows.rate / rows.pace)
-    )
-    speeds = float(np.ptp(rows.v))
-    inverse = float(np.ptp(1 / rows.pace)) if speeds > 0 else 0.0
+
+    def per(of: float, size) -> float:  # the reciprocal of no range is 1
+        return of / float(size) if size > ROUNDING else of
+
+    def rms(values):
+        return np.sqrt(np.mean(values**2))
+
+    speeds = np.ptp(rows.v)
     return Sizes(
         slip=rise,
-        sliding=_one_over(_largest(rows.sliding)),
-        rolling=_one_over(speeds),
-        growth=rise * _one_over(speeds),
-        inverse_speed=rise * _one_over(inverse),
-        period=spread * _one_over(rate),
-        way=spread * _one_over(per_way),
-        temperature=_one_over(float(np.ptp(rows.temperature))),
-        lever=rise * _one_over(float(np.std(rows.yaw))),
+        sliding=per(1.0, _largest(rows.sliding)),
+        rolling=per(1.0, speeds),
+        growth=per(rise, speeds),
+        inverse_speed=per(rise, np.ptp(1 / rows.pace) if speeds > 0 else 0.0),
+        period=per(spread, rms(rows.rate)),
+        way=per(spread, rms(rows.rate / rows.pace)),
+        temperature=per(1.0, np.ptp(rows.temperature)),
+        lever=per(rise, np.std(rows.yaw)),
         inertia=mean_load / g * radius**2 if radius else 1.0,
-        swing=mean_load * _one_over(float(np.std(rows.swing))),
+        swing=per(mean_load, np.std(rows.swing)),
     )
 
 
@@ -262,10 +262,6 @@ def covariates_of(
         steering=column(data, "steering"),
         **dict.fromkeys(_OF_THE_FIT, zero),
     )
-
-
-_OF_THE_FIT = ("force", "usage", "run_slip", "run_force", "change", "traction")
-"""Covariates that the base fit gives."""
 
 
 def needs_met(

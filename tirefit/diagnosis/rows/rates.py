@@ -170,9 +170,16 @@ class Past(NamedTuple):
     share: np.ndarray
     interval: float
 
-    def of(self, values) -> np.ndarray:
-        """Any values (n,) at these times: (n, k)."""
-        return (1 - self.share) * values[self.rows] + self.share * values[self.others]
+    def of(self, values, rate=None, time=None) -> np.ndarray:
+        """Any values (n,) at these times (n, k): linear between the rows, or cubic
+        where their rate (n,) is known."""
+        first, last, share = values[self.rows], values[self.others], self.share
+        if rate is None:
+            return (1 - share) * first + share * last
+        step, rest = time[self.others] - time[self.rows], share - 1
+        out, back = step * rate[self.rows], step * rate[self.others]
+        moved = share**2 * (3 - 2 * share) * (last - first)
+        return first + moved + share * rest**2 * out + share**2 * rest * back
 
     def place(self, part, time):
         """Write the rows between which the times of the stretch ``part`` fall.
@@ -269,16 +276,8 @@ def _by_its_rate(slip, time, rate, parts, still: Sweeps) -> Sweeps:
     """Cubics through values and measured rates: a past between the rows."""
     usual = float(np.sqrt(np.mean(rate**2)))
     past = still.past._replace(interval=_SPAN * float(np.std(slip)) / usual)
-    past.path[:] = past.of(slip)
     for part in parts:
-        low, share = past.place(part, time[part])
-        step = time[part][low + 1] - time[part][low]
-        first, last = (slip[part][at] for at in (low, low + 1))
-        out, back = (step * rate[part][at] for at in (low, low + 1))
-        rest = share - 1
-        past.path[part] = (
-            first + share**2 * (3 - 2 * share) * (last - first)
-            + share * rest**2 * out + share**2 * rest * back
-        )  # fmt: skip
+        past.place(part, time[part])
+    past.path[:] = past.of(slip, rate, time)
     turning = np.clip(np.sign(slip) * rate / (2 * _SURE * usual), -1, 1)
     return still._replace(present=True, rate=rate, past=past, turning=turning)
