@@ -85,7 +85,7 @@ __getattr__, __dir__, __all__ = _lazy.attach(
         "data.read": ["read", "read_frame"],
         "diagnosis.effects": ["EFFECTS", "Effect"],
         "diagnosis.engine": ["diagnose"],
-        "diagnosis.rig": ["Rig", "load_rig"],
+        "diagnosis.rows.rig": ["Rig", "load_rig"],
         "fitting.batch": ["fit_many"],
         "fitting.estimate": ["fit"],
         "fitting.identifiability": ["identifiability"],

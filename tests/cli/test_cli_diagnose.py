@@ -158,20 +158,22 @@ def test_several_processes_answer_as_one_does(studied, again, tmp_path):
 def test_the_summary_says_what_to_do(studied):
     report = " ".join(studied[1].stdout.split())
     assert "DIAGNOSIS of offset against brush" in report
-    assert "slip_offset (probability" in report
+    assert "The gap comes from slip offset. Probability" in report
+    assert "slip offset (slip_offset): 0.00" in report
     assert "check the rolling radius" in report
-    assert "load_friction (probability" in report and "fit brush-load" in report
+    assert "The gap comes from load friction" in report and "fit brush-load" in report
+    assert "CANDIDATES" not in report  # --full was not asked for
 
 
 def test_the_document_is_of_the_schema(studied):
     text = (studied[0] / "out" / "offset.json").read_text("utf-8")
     document = json.loads(text)
     assert "NaN" not in text and "Infinity" not in text
-    assert document["schema"] == "tirefit.diagnosis/2"
+    assert document["schema"] == "tirefit.diagnosis/3"
     assert {
         "schema", "data", "model", "n", "n_effective", "noise", "gap", "where",
         "budget", "simulator", "verdict", "candidates", "untestable", "resolution",
-        "next_measurement", "seed", "version",
+        "next_measurement", "seed", "version", "ladder", "ladder_on",
     } <= set(document)  # fmt: skip
     assert document["n"] == 94 and document["noise"]["fx"] == NOISE
     assert document["noise"]["source"] == "given"
@@ -193,8 +195,11 @@ PARTS = {
     "gap": {"rms", "resolvable", "closed", "closed_ci", "remaining_rms", "holdout"},
     "where": {"covariate", "low", "high", "share", "p_value"},
     "verdict": {
-        "status", "effects", "probability", "also_possible", "adequacy", "looks_like",
-        "parameters", "unlisted",
+        "status", "effects", "probability", "each", "also_possible", "left",
+        "parameters",
+    },
+    "ladder": {
+        "effects", "rms_left_out", "closed", "closed_std", "gain", "gain_std",
     },
     "candidates": {
         "effects", "family", "probability", "parameters", "z", "z_given_rivals",
@@ -277,9 +282,9 @@ def test_the_page_holds_the_document(studied):
     record = html.unescape(page.split("<pre>")[1].split("</pre>")[0])
     document = json.loads((folder / "out" / "load.json").read_text())
     assert json.loads(record) == document
-    assert "Verdict: load_friction" in page and "://" not in page
+    assert "The gap comes from load friction" in page and "://" not in page
     probability = document["verdict"]["probability"]
-    assert f"(probability {probability:.2f})" in page
+    assert f"Probability {probability:.2f} of exactly this effect" in page
     picture = (folder / "out" / "load.png").read_bytes()
     assert picture.startswith(b"\x89PNG") and len(picture) > 30_000
 
@@ -403,7 +408,7 @@ def test_resume_does_a_case_with_an_empty_file_again(again, calls, tmp_path, nam
     assert calls == ["load"]
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"schema": "tirefit.diagnosis/2"}'])
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"schema": "tirefit.diagnosis/3"}'])
 def test_resume_does_a_spoiled_document_again(again, calls, tmp_path, text):
     (tmp_path / "out" / "load.json").write_text(text)
     again("load.csv", "--resume", exit_code=3)
@@ -435,7 +440,9 @@ def test_figures_of_the_user_stay(again, tmp_path):
 def test_data_not_used_check_the_closure(again, tmp_path):
     for seed, name in ((11, "wet.csv"), (12, "dry.csv")):
         write(tmp_path / name, power=POWER, seed=seed)
-    again("--holdout", "wet.csv", "dry.csv", "--seed", "0", "load.csv")
+    files = ["--holdout", "wet.csv", "dry.csv"]
+    said = again(*files, "--seed", "0", "load.csv", "--full").stdout
+    assert "files held out (wet, dry): gap of" in said and "CANDIDATES" in said
     document = json.loads((tmp_path / "out" / "load.json").read_text())
     held = document["gap"]["holdout"]
     assert held["on"] == "wet, dry"

@@ -97,7 +97,7 @@ def test_equal_runs_do_not_name_what_only_draws_a_dead_band():
     )
     # Carcass and pressure together leave nothing that a test sees.
     assert found.verdict.status in ("unknown", "incomplete")
-    assert found.verdict.unlisted > 0.5 and len(found.effects) == 1
+    assert found.verdict.left.unlisted > 0.5 and len(found.effects) == 1
 
 
 @pytest.mark.parametrize(

@@ -14,13 +14,12 @@ from tirefit.diagnosis.decide.verdict import Verdict, Weighed
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.forward import Design, Linear
 from tirefit.diagnosis.evidence.search import Hypothesis
-from tirefit.diagnosis.rows.basis import SCALES, Generic, bumps, orthogonal, without
-from tirefit.diagnosis.rows.patterns import USUAL_SIZES
-from tirefit.diagnosis.summary.closure import closure_elsewhere, closure_on_rows
-from tirefit.diagnosis.summary.plausible import (
+from tirefit.diagnosis.rows.basis import Generic, bumps, orthogonal, without
+from tirefit.diagnosis.summary import closure
+from tirefit.diagnosis.summary.closure import (
+    closure_elsewhere,
+    closure_on_rows,
     drawn_functions,
-    drawn_pattern,
-    drawn_wave,
     plausible_forces,
 )
 
@@ -45,39 +44,20 @@ def given_residual(bases, scales, residual):
     return mean, weight @ (np.array(variances) + np.square(means - mean))
 
 
-@pytest.mark.parametrize("kind", ["functions", "wave", "pattern"])
-def test_draws_of_a_remainder_are_those_of_a_dense_gaussian(kind):
-    generator = np.random.default_rng(0)
+def test_draws_of_a_discrepancy_are_those_of_a_dense_gaussian(monkeypatch):
+    generator, sizes = np.random.default_rng(0), np.array([0.5, 3.0])
     against = generator.standard_normal((60, 2))
     columns = generator.standard_normal((60, 6)) / 8
-    left = without(columns, against)
     residual = without(2 * columns[:, 0] + generator.standard_normal(60), against)
-    if kind == "functions":
-        basis, prior = orthogonal(columns, against), np.log([0.2, 0.8])
-        gains = []
-        for scale in (0.5, 3.0):
-            whole = np.eye(60) + scale**2 * left @ left.T
-            gains.append(multivariate_normal(cov=whole).logpdf(residual))
-        drawn = drawn_functions(
-            *basis, residual, (0.5, 3.0), prior + np.array(gains), 4000, generator
-        )
-        parts = [given_residual([left], [s], residual) for s in (0.5, 3.0)]
-        weight = softmax(prior + np.array(gains))
-        mean = weight @ [part[0] for part in parts]
-        spread = [part[1] + (part[0] - mean) ** 2 for part in parts]
-        expected = mean, weight @ spread
-    elif kind == "wave":
-        drawn = drawn_wave(columns, against, residual, 4000, generator)
-        pairs = [left[:, 2 * k : 2 * k + 2] for k in range(3)]
-        expected = given_residual(pairs, SCALES, residual)
-    else:
-        among = patterns_of(columns)
-        drawn = drawn_pattern(among, against, residual, 4000, generator)
-        single = [left[:, [k]] for k in range(6)]
-        expected = given_residual(single, USUAL_SIZES, residual)
-    error = np.sqrt(expected[1] / 4000)
-    assert np.max(np.abs(drawn.mean(axis=1) - expected[0]) / error) < 5
-    np.testing.assert_allclose(drawn.var(axis=1), expected[1], rtol=0.2)
+    monkeypatch.setattr(closure, "_SIZES", sizes)
+    parts = columns[:, :4], columns[:, 4:]
+    bases = [orthogonal(part, against) for part in parts]
+    drawn = drawn_functions(bases, residual, 8000, generator)
+    left = [without(part, against) for part in parts]
+    mean, variance = given_residual(left, sizes, residual)
+    error = np.sqrt(variance / 8000)
+    assert np.max(np.abs(drawn.mean(axis=1) - mean) / error) < 5
+    np.testing.assert_allclose(drawn.var(axis=1), variance, rtol=0.2)
 
 
 class Straight(Base):

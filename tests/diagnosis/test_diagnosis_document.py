@@ -21,11 +21,10 @@ GAP = ["rms", "resolvable", "closed", "closed_ci", "remaining_rms"]
 KEYS = {
     "": [
         "schema", "data", "model", "simulator", "n", "n_effective", "noise", "gap",
-        "budget", "budgets", "where", "spots", "map", "verdict", "candidates",
-        "untestable",
-        "resolution", "forecast", "next_measurement", "next_measurement_reason",
+        "budget", "budgets", "where", "spots", "map", "verdict", "ladder",
+        "candidates", "untestable", "resolution", "forecast", "next_measurement", "next_measurement_reason",
         "slip_check", "runs", "base_parameters", "extended_parameters", "settings",
-        "seed", "version",
+        "seed", "version", "ladder_on",
     ],
     "data": [
         "name", "path", "sha256", "convention", "channels", "assumptions", "set_aside",
@@ -44,11 +43,13 @@ KEYS = {
     "budgets fx 0": ["part", "rms", "share", "closed_ci"],
     "budget 0": ["part", "rms", "share", "closed_ci"],
     "verdict": [
-        "status", "effects", "probability", "also_possible", "adequacy", "looks_like",
-        "parameters", "unlisted",
+        "status", "effects", "probability", "each", "also_possible", "left",
+        "parameters",
     ],
-    "verdict adequacy": [
-        "time", "slip_order", "line", "pure_error", "local", "held_out", "passed"
+    "verdict left": ["rms", "share", "unlisted", "tests", "looks_like"],
+    "verdict left tests": ["time", "slip_order", "line", "pure_error", "local"],
+    "ladder 0": [
+        "effects", "rms_left_out", "closed", "closed_std", "gain", "gain_std"
     ],
     "candidates 0": [
         "effects", "family", "probability", "parameters", "z", "z_given_rivals",
@@ -94,7 +95,7 @@ def test_every_record_is_written_as_it_is_read(diagnosed):
         list(c.effects) for c in found.candidates
     ]
     written = {f.name for f in fields(Diagnosis) if f.metadata.get("written", True)}
-    assert written | {"schema"} == set(document)
+    assert written | {"schema", "ladder_on"} == set(document)
     # Keyed by what the file and the model have.
     free = ("parameters", "budgets", "runs")
     assert all(not isinstance(getattr(found, name), dict) or name.endswith(free)
@@ -193,7 +194,7 @@ def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
     base = studied("lateral, no M_z").base
     n = base.prepared.n
     (k,) = (i for i, a in enumerate(base.atoms) if a.effect.id == "pressure_asymmetry")
-    block = _with_moment(base, base.z)
+    _, columns = _with_moment(base, base.z)
     values = base.layout.natural(base.z)
     slips, loads = base.prepared.slip, base.prepared.inputs.fz
 
@@ -209,7 +210,7 @@ def test_the_moment_that_is_forecast_is_that_of_the_model(studied):
         )  # fmt: skip
 
     slope = (moment(1e-4) - moment(-1e-4)) / 2e-4
-    ours = block.columns[n : 2 * n, k]
+    ours = columns[n : 2 * n, k]
     # Each load has noise of its own: the ratio is one number a load.
     for fz in (2e3, 5e3):
         rows = loads == fz

@@ -27,7 +27,7 @@ GAPS = ("none", "shift", "ripple", "late", "step", "kappa", "load", "half", "noi
 OFTEN_NONE = {
     "closed", "closed_ci", "z", "z_given_rivals", "holdout", "taken_for", "settings",
     "path", "sha256", "given", "slip_check", "next_measurement_reason",
-    "simulator", "adequacy",
+    "simulator", "tests", "closed_left_out", "closed_left_out_std", "ladder",
 }  # fmt: skip
 """Keys that may have no value: too small a gap to say, nothing that it is taken for."""
 
@@ -125,7 +125,7 @@ def _together(document):
         one["probability"] for one in document["candidates"]
         if one["effects"] not in (["unknown"], beside)
     )  # fmt: skip
-    return verdict["unlisted"] + sum(alone)
+    return verdict["left"]["unlisted"] + sum(alone)
 
 
 RADIUS = 0.3  # m, of every wheel here
@@ -226,10 +226,11 @@ def test_the_check_sees_what_nobody_can_mean():
     assert faults(good | {"n_effective": None}, plain)
     assert faults(good | {"noise": {"fx": math.inf}}, plain)
     assert faults(good | {"verdict": QUIET | {"probability": 1.5}}, plain)
-    verdict = {"status": "named", "effects": ["toe"], "unlisted": 0.4}
+    verdict = {"status": "named", "effects": ["toe"], "left": {"unlisted": 0.4}}
     sure = {"candidates": [{"effects": ["toe"], "probability": 0.7, "parameters": {}}]}
     assert faults(good | sure | {"verdict": verdict}, plain)
-    assert faults(good | sure | {"verdict": verdict | {"unlisted": 0.3}}, plain) == []
+    less = verdict | {"left": {"unlisted": 0.3}}
+    assert faults(good | sure | {"verdict": less}, plain) == []
     wild = named("channel_delay: delay", -0.4, 1.8e146, "s")
     assert faults(good | wild, plain)
 

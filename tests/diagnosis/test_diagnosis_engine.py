@@ -69,7 +69,7 @@ def test_an_unlisted_gap_is_unknown(diagnosed):
 def test_document_keeps_the_contract(diagnosed):
     found, _ = diagnosed("slip_offset")
     document = json.loads(found.to_json())
-    assert document["schema"] == "tirefit.diagnosis/2"
+    assert document["schema"] == "tirefit.diagnosis/3"
     assert {
         "schema", "data", "model", "n", "n_effective", "noise", "gap", "where",
         "budget", "simulator", "verdict", "candidates", "untestable", "resolution",
@@ -160,7 +160,7 @@ def test_a_force_through_a_filter_has_no_gap_whatever_is_stated_of_it(fade, seed
     frame = {"time": time, "sigma_x": slip, "fx": force, "fz": fz, "v": 0 * time + 10}
     found = diagnose(read_frame(frame))
     assert found.effects == ("noise_autocorrelated",)
-    assert found.verdict.unlisted < 0.5
+    assert found.verdict.left.unlisted < 0.5
     assert found.noise.forces["fx"] == pytest.approx(80, rel=0.15)
 
 

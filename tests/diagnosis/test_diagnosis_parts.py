@@ -27,13 +27,12 @@ from tirefit.diagnosis.rows.basis import Generic, gains, of_any_kind, waves_with
 from tirefit.diagnosis.rows.prepared import blocks_of_settings, coincides, prepare
 from tirefit.diagnosis.rows.rates import AGES, AHEAD, segments, slip_rate
 from tirefit.diagnosis.rows.rig import VEHICLE, Rig, load_rig
+from tirefit.diagnosis.summary.budget import shapley
 from tirefit.diagnosis.summary.forecast import (
-    Nothing,
     recognition,
     scores_of_nothing,
     separability,
 )
-from tirefit.diagnosis.summary.shares import shapley
 from tirefit.diagnosis.summary.where import regions, spots
 from tirefit.models import Brush, TireInputs
 from tirefit.results import UsageError
@@ -516,22 +515,21 @@ def test_recognition_of_one_of_two_directions(correlation):
         np.cov(noise), [[1, correlation], [correlation, 1]], atol=0.03
     )
     size = 6.0
-    found = recognition(directions, ("a", "b"), 0, size, Nothing.of(noise, np.zeros(2)))
+    seen, recognised, taken_for = recognition(directions, ("a", "b"), 0, size, noise)
     apart, along = ndtr(
         np.sqrt([size**2 * (1 - correlation) / 2, size**2 * (1 + correlation) / 2])
     )
     right = apart * along + (1 - apart) * (1 - along)
-    assert found.seen > 0.999
-    assert found.recognised == pytest.approx(right, abs=0.01)
-    assert found.taken_for == ("b" if right < 0.9 else None)
+    assert seen > 0.999
+    assert recognised == pytest.approx(right, abs=0.01)
+    assert taken_for == ("b" if right < 0.9 else None)
 
 
 def test_nothing_is_seen_of_nothing():
     directions, generator = np.eye(5), np.random.default_rng(2)
     noise = scores_of_nothing(directions, 20000, generator)
-    nothing = Nothing.of(noise, np.zeros(5))
-    found = recognition(directions, tuple("abcde"), 0, 0.0, nothing)
-    assert found.seen == pytest.approx(0.05, abs=0.005)
+    seen, *_ = recognition(directions, tuple("abcde"), 0, 0.0, noise)
+    assert seen == pytest.approx(0.05, abs=0.005)
 
 
 def test_noise_is_found_under_a_gap():

@@ -6,7 +6,7 @@ from conftest_diagnosis import RIG
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.rows.prepared import prepare
-from tirefit.diagnosis.summary.data import moving_together
+from tirefit.diagnosis.summary.where import moving_together
 from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
 

@@ -149,6 +149,9 @@ def diagnose(
     figures: Annotated[
         bool, typer.Option("--figures", help="write NAME.png and NAME.html")
     ] = False,
+    full: Annotated[
+        bool, typer.Option("--full", help="print all details, not one screen")
+    ] = False,
     resume: Annotated[
         bool, typer.Option("--resume", help="keep cases that are done")
     ] = False,
@@ -182,7 +185,7 @@ def diagnose(
         settings |= _simulator(base, parameter, sim, how, of_tir)
         with claimed(out), merged_notes(len(files) + len(holdout or []) > 1):
             kept = [_read(path, how) for path in holdout or []]
-            task = _Task(out, settings, kept, how, figures, resume, seed)
+            task = _Task(out, settings, kept, how, figures, resume, seed, full)
             pieces = [Piece(*pair) for pair in zip(files, names, strict=True)]
             worst = _all(pieces, task, sharing)
         raise typer.Exit(worst)
@@ -294,6 +297,7 @@ class _Task:
     figures: bool
     resume: bool
     seed: int
+    full: bool
 
 
 def _all(pieces: list[Piece], task: _Task, sharing: Sharing) -> ExitCode:
@@ -327,6 +331,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     from tirefit.diagnosis.engine import diagnose as study
     from tirefit.diagnosis.summary.result import SCHEMA
     from tirefit.diagnosis.summary.store import record_of_document, save_diagnosis
+    from tirefit.report.diagnosis_text import diagnosis_text
 
     file, name = piece
     out, seed, kept, figures = task.out, task.seed, task.kept, task.figures
@@ -349,7 +354,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
 
             write_figure(result, folder / f"{name}.png")
             write_page(result, folder / f"{name}.html")
-    say(str(result))
+    say(diagnosis_text(result, task.full))
     return ExitCode.OK, record_of_document(document)
 
 

@@ -81,8 +81,27 @@ def diagnose(
     holdout: Any = (),
     seed: int = 0,
 ) -> Diagnosis:
-    """Where a model misses the data, which unmodelled effect causes it, how far the
-    gap shrinks once it is added.
+    """Which effects a model lacks, and how far the gap to the data shrinks with them.
+
+    Example, a brush with a slip sensor that is off by 0.006::
+
+        >>> import numpy as np, jax, tirefit
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> slip = np.tile(np.linspace(-0.2, 0.2, 32), 3)
+        >>> load = np.repeat([2000.0, 4000.0, 6000.0], 32)
+        >>> true = {"sigma_x": slip + 0.006, "fz": load}
+        >>> force = tirefit.predict("brush", true, {"cpa2": 5e4, "mu": 0.9})["fx"]
+        >>> force = force + np.random.default_rng(1).normal(0, 20, len(slip))
+        >>> measured = {"sigma_x": slip, "fz": load, "fx": force}
+        >>> names = ("slip_offset", "force_offset", "load_friction")
+        >>> few = [effect for effect in tirefit.EFFECTS if effect.id in names]
+        >>> rig = tirefit.Rig(noise={"fx": 20.0})
+        >>> found = tirefit.diagnose(measured, rig=rig, effects=few)
+        >>> found.verdict.status.value, found.verdict.effects
+        ('named', ('slip_offset',))
+
+    ``print(found)`` shows the report on one screen; ``tirefit.plot_diagnosis(found)``
+    draws it.
 
     Args:
         data: what ``tirefit.read`` gave, or anything that it reads with its defaults: a
@@ -108,6 +127,21 @@ def diagnose(
         holdout: data of the same kinds, or a list of such, not used for the search, to
             check the closure on.
         seed: of the simulated null distributions and bootstraps.
+
+    Returns:
+        ``verdict.effects`` are the named effects, ``verdict.probability`` that of
+        exactly this set, and ``verdict.each`` holds for each effect the probability
+        that it is there, what it closes on data left out, and its twins: effects that
+        these data cannot tell from it. Amplitudes are in ``candidates``.
+        ``verdict.left`` is what remains: its rms, the probability that something
+        unlisted is there, and what it resembles. ``ladder`` is how the rms on data left
+        out shrinks effect by effect. ``verdict.status`` sums this up:
+
+        - ``none``: no gap shows beyond the noise;
+        - ``named``: effects are named, nothing unlisted is likelier there than not;
+        - ``cannot_tell``: the same, but a named effect has twins;
+        - ``incomplete``: effects are named, something unlisted is likelier than not;
+        - ``unknown``: a gap shows, and no effect earns a name.
 
     Raises:
         UsageError: no such model, no such force, or no such effect to leave out; an

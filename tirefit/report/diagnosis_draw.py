@@ -1,7 +1,7 @@
-"""Arrays -> axes: where a gap lies, which effect causes it, how far it shrinks."""
+"""Arrays -> axes: how far a gap shrinks, which effects cause it, where it lies."""
 
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -19,26 +19,31 @@ from tirefit.report.canvas import (
     DARK,
     GREY,
     ORANGE,
+    PURPLE,
     Picture,
     panel_title,
     save_picture,
     tidy,
 )
 from tirefit.report.curves import SlipAxis, slip_axis
-from tirefit.report.diagnosis_budget import Step, channel_name, waterfall_steps
+from tirefit.report.diagnosis_budget import (
+    WaterfallBar,
+    channel_name,
+    waterfall_steps,
+)
 from tirefit.report.diagnosis_look import draw_look
 from tirefit.report.diagnosis_panels import (
-    Bar,
-    ClosureBar,
+    ChanceBar,
+    LadderBar,
     after_label,
-    closure_bars,
+    chance_bars,
     covariate_label,
-    evidence_bars,
+    ladder_bars,
     level_labels,
     load_label,
 )
-from tirefit.report.diagnosis_text import stand_in, subject, verdict_sentence
-from tirefit.report.diagnosis_words import closed_text, remaining_text
+from tirefit.report.diagnosis_sections import answer, subject
+from tirefit.report.fit_tables import FORCE_UNIT
 from tirefit.report.numbers import format_number, plain_text
 
 _FORCE = {"fx": "$F_x$ [N]", "fy": "$F_y$ [N]", "mz": "$M_z$ [N m]"}
@@ -49,16 +54,75 @@ _NARROW = 0.035
 
 _SQUARE, _FOOT = 4, 0.36
 """Panels that stand two by two; height of one below them, of that of these."""
-_BAR = {
-    "verdict": BLUE, "rival": ORANGE, "other": GREY, "unknown": "#CC79A7",
-    "none": "#009E73", "rest": "#cccccc",
+_PHONE = (4.2, 3.4)
+"""Size of the ladder's picture: its letters are 11 pixels high at a width of 400."""
+
+_KIND = {
+    "base": GREY, "effect": BLUE, "smooth": ORANGE, "noise": "#bbbbbb",
+    "verdict": BLUE, "other": ORANGE, "unknown": PURPLE, "whole": GREY,
+    "parameters": ORANGE, "unexplained": PURPLE,
 }  # fmt: skip
+"""Colours of the bars of all panels by their kind."""
 
 
-_STEP = {
-    "whole": GREY, "parameters": ORANGE, "effect": BLUE, "unexplained": "#CC79A7",
-    "noise": "#bbbbbb",
-}  # fmt: skip
+def draw_ladder(figure, bars: Sequence[LadderBar], unit: str, on: str) -> None:
+    """How the rms on data left out shrinks from step to step, down to the noise.
+
+    Args:
+        unit: of the rms.
+        on: what is left out; empty where the rms is that of the rows fitted.
+    """
+    axes = figure.subplots()
+    reach = 1.05 * max((bar.rms + (bar.error or 0.0) for bar in bars), default=1.0)
+    for place, bar in zip(range(len(bars))[::-1], bars, strict=True):
+        axes.barh(place, bar.rms, 0.34, color=_KIND[bar.kind])
+        if bar.error is not None and bar.kind != "noise":
+            axes.errorbar(
+                bar.rms, place, xerr=bar.error, fmt="none", ecolor=DARK, capsize=2
+            )
+        if bar.kind in ("smooth", "noise"):
+            axes.axvline(
+                bar.rms, color=_KIND[bar.kind], lw=1.2, ls=(0, (4, 2)), zorder=0
+            )
+        closed = (
+            ""
+            if bar.closed is None or bar.kind == "noise"
+            else f", {100 * bar.closed:.0f} % closed"
+        )
+        text = f"{bar.label}: {format_number(bar.rms, 3)} {unit}{closed}"
+        axes.text(
+            0.01 * reach, place + 0.24, plain_text(text), fontsize=9, color=DARK,
+            bbox={"color": "white", "pad": 0.5},
+        )  # fmt: skip
+    rows = "data left out" if on else "the rows fitted"
+    tidy(axes, f"rms on {rows} [{unit}]", size=9.5)
+    axes.set_xlim(0, reach)
+    axes.set_ylim(-0.4, max(len(bars), 1) - 0.3)
+    axes.set_yticks([])
+    note = "no part of these rows can be left out"
+    if on:
+        note = f"{on}; error bar: standard error of the step's gain"
+    panel_title(axes, "How far the gap shrinks", textwrap.fill(note, 62))
+
+
+def draw_chances(figure, bars: Sequence[ChanceBar]) -> None:
+    """The probability of each effect to be there, those named in blue."""
+    axes = figure.subplots()
+    top = max(len(bars), 3)
+    places = top - 1 - np.arange(len(bars))
+    for place, bar in zip(places, bars, strict=True):
+        axes.barh(place, bar.probability, 0.6, color=_KIND[bar.kind])
+        inside = bar.probability > 0.85
+        axes.text(
+            bar.probability + (-0.01 if inside else 0.01), place,
+            f"{bar.probability:.2f}", va="center", fontsize=8.5,
+            ha="right" if inside else "left", color="white" if inside else DARK,
+        )  # fmt: skip
+    tidy(axes, "probability that it is there, whatever else is")
+    axes.set_yticks(places, [textwrap.fill(bar.label, 18) for bar in bars])
+    axes.set_ylim(-0.6, top - 0.4)
+    axes.set_xlim(0, 1)
+    panel_title(axes, "Which effects are there", "blue: named; orange: not named")
 
 
 def draw_where(figure, panel: ResidualMap, base: str = "base fit") -> None:
@@ -102,27 +166,6 @@ def draw_where(figure, panel: ResidualMap, base: str = "base fit") -> None:
         axes, f"Where: measured {name} minus {base}",
         "dot: beyond the noise (5 % false); number: % of the gap's energy",
     )  # fmt: skip
-
-
-def draw_evidence(figure, bars: list[Bar]) -> None:
-    """Probabilities as bars, the verdict's in blue."""
-    axes = figure.subplots()
-    places = np.arange(len(bars))[::-1]
-    values = [bar.probability for bar in bars]
-    axes.barh(places, values, 0.7, color=[_BAR[bar.kind] for bar in bars])
-    for place, value in zip(places, values, strict=True):
-        text = f"{value:.2f}" if value >= 0.005 else "< 0.01"
-        inside = value > 0.85
-        axes.text(
-            value + (-0.01 if inside else 0.01), place, text, va="center",
-            ha="right" if inside else "left", fontsize=8,
-            color="white" if inside else DARK,
-        )  # fmt: skip
-    tidy(axes, "probability")
-    axes.set_yticks(places, [plain_text(bar.label) for bar in bars])
-    axes.set_xlim(0, 1)
-    note = "by evidence, before what they leave is tested; blue: verdict"
-    panel_title(axes, "Which: explanations of the gap", note)
 
 
 def draw_comparison(figure, panel: Comparison, after: str, base: str = "base") -> None:
@@ -181,66 +224,18 @@ def _draw_load(axes, curve: LoadCurve, axis: SlipAxis, color: str) -> None:
     axes.plot(center, curve.extended, color=color, lw=1.4, zorder=4)
 
 
-def draw_closure(figure, bars: list[ClosureBar], load: float) -> None:
-    """Gaps before and after [N] with their shares.
-
-    Args:
-        load: mean F_z [N] of the rows, for the scale in % of it.
-    """
-    axes = figure.subplots()
-    for k, bar in enumerate(bars):
-        place = 1.0 * (len(bars) - 1 - k)
-        axes.barh(place + 0.16, bar.before, 0.28, color=GREY)
-        if bar.low is not None and bar.high is not None:
-            axes.barh(place - 0.16, bar.after, 0.28, color=BLUE)
-            axes.errorbar(
-                bar.after, place - 0.16, fmt="none", ecolor=DARK, elinewidth=1.2,
-                xerr=[[max(bar.after - bar.low, 0)], [max(bar.high - bar.after, 0)]],
-            )  # fmt: skip
-        axes.text(
-            0.01, place + 0.34, _closure_text(bar), fontsize=8, color=DARK, va="bottom",
-            transform=axes.get_yaxis_transform(),
-        )  # fmt: skip
-    tidy(axes, "gap beyond the noise, rms [N]")
-    reach = 1.12 * max(max(bar.before, bar.high or 0.0) for bar in bars)
-    axes.set_xlim(0, reach if reach > 0 else 1.0)
-    axes.set_ylim(min(len(bars), 2) - 2.45, len(bars) - 0.25)
-    axes.set_yticks([])
-    share = axes.secondary_xaxis(
-        -0.2, functions=(lambda x: 100 * x / load, lambda x: x * load / 100)
-    )
-    share.tick_params(labelsize=7.5, color=GREY, labelcolor=DARK, length=3)
-    share.set_xlabel("% of mean $F_z$", fontsize=8.5, color=DARK)
-    share.spines["bottom"].set_color(GREY)
-    panel_title(
-        axes, "How far: the gap before and after", "grey: base; blue: after, 90 %"
-    )
-
-
-def _closure_text(bar: ClosureBar) -> str:
-    label = textwrap.shorten(bar.label, 60, placeholder=" …")
-    before, after = (format_number(x, 3) for x in (bar.before, bar.after))
-    if bar.low is None or bar.high is None or bar.closed is None:
-        return plain_text(f"{label}: {before} N, nothing to say of a share closed")
-    low, high = (1 - end / bar.before for end in (bar.high, bar.low))
-    return plain_text(
-        f"{label}: {before} N to {remaining_text(bar.closed, f'{after} N')}\n"
-        f"closed {closed_text(bar.closed, (low, high), bar.energy)}"
-    )
-
-
-def draw_waterfall(figure, steps: list[Step], channel: str = "") -> None:
+def draw_waterfall(figure, steps: list[WaterfallBar], channel: str = "") -> None:
     """From a simulator's error down to the noise, in shares of its mean square.
 
     Args:
-        channel: name of what is simulated, where there are several.
+        channel: " of F_x", where several are simulated.
     """
     axes = figure.subplots()
     places = np.arange(len(steps))[::-1]
     whole = 100.0
     for place, step in zip(places, steps, strict=True):
         left, right = sorted((whole * step.before, whole * step.after))
-        axes.barh(place, right - left, 0.62, left=left, color=_STEP[step.kind])
+        axes.barh(place, right - left, 0.62, left=left, color=_KIND[step.kind])
         # Beside the bar, on the side with room for it.
         inside = right > 0.6 * whole
         room = right - left > 0.45 * whole
@@ -260,49 +255,34 @@ def draw_waterfall(figure, steps: list[Step], channel: str = "") -> None:
     axes.set_xlim(0, 1.02 * whole)
     panel_title(
         axes,
-        f"Budget{f' of {channel}' * bool(channel)}: from the simulator's error to the"
-        " noise",
+        f"Budget{channel}: from the simulator's error to the noise",
         "parts add in squares; a bar is a share of their sum [90 % interval]",
     )  # fmt: skip
 
 
 def _panels(result: Diagnosis) -> dict[str, Callable]:
     """Name -> what draws that panel on a figure."""
+    base, after = "simulator" if result.simulator else "base fit", after_label(result)
     panels: dict[str, Callable] = {
-        "where": partial(
-            draw_where,
-            panel=result.residual_map,
-            base="simulator" if result.simulator else "base fit",
-        ),  # fmt: skip
-        "which": partial(draw_evidence, bars=evidence_bars(result)),
-        "before and after": partial(
-            draw_comparison,
-            panel=result.comparison,
-            after=after_label(result),
-            base="simulator" if result.simulator else "base",
-        ),  # fmt: skip
-        "how far": partial(
-            draw_closure, bars=closure_bars(result), load=result.mean_load
+        "ladder": partial(
+            draw_ladder, bars=ladder_bars(result), on=result.ladder.on,
+            unit=FORCE_UNIT[result.data.channels[0]],
         ),
-    }
+        "which": partial(draw_chances, bars=chance_bars(result)),
+        "before and after": partial(
+            draw_comparison, panel=result.comparison, after=after, base=base
+        ),
+        "where": partial(draw_where, panel=result.residual_map, base=base),
+    }  # fmt: skip
     if result.look is not None:
-        beside = after_label(result) if result.comparison.named else "the base fit"
+        beside = after if result.comparison.named else "the base fit"
         panels["what is left"] = partial(draw_look, panel=result.look, beside=beside)
-    return panels | _budgets(result)
-
-
-def _budgets(result: Diagnosis) -> dict[str, Callable]:
-    if result.simulator is None:
-        return {}
     several = len(result.budgets) > 1
-    return {
-        f"budget of {channel_name(channel)}" if several else "budget": partial(
-            draw_waterfall,
-            steps=waterfall_steps(result, channel),
-            channel=channel_name(channel) if several else "",
-        )
-        for channel in result.budgets
-    }
+    for channel in result.budgets if result.simulator else ():
+        of = f" of {channel_name(channel)}" * several
+        bars = waterfall_steps(result, channel)
+        panels[f"budget{of}"] = partial(draw_waterfall, steps=bars, channel=of)
+    return panels
 
 
 def panel_names(result: Diagnosis) -> tuple[str, ...]:
@@ -314,19 +294,20 @@ def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
     """Each panel as a picture of its own: on a phone they stand below each other."""
     pictures = {}
     for name, draw in _panels(result).items():
-        pictures[name] = Picture(figsize=_PANEL, layout="constrained")
+        size = _PHONE if name == "ladder" else _PANEL
+        pictures[name] = Picture(figsize=size, layout="constrained")
         draw(pictures[name])
     return pictures
 
 
 def diagnosis_figure(result: Diagnosis) -> Picture:
-    """All four panels, under the verdict; below them what is left, where it has a
-    shape, and the budget of a simulator, channel by channel."""
+    """All panels under the answer, the ladder first; below the first four what is left,
+    where it has a shape, and the budget of a simulator, channel by channel."""
     panels = _panels(result)
     feet = (_FOOT,) * (len(panels) - _SQUARE)
     width, height = _SIZE
     picture = Picture(figsize=(width, height * (1 + sum(feet))), layout="constrained")
-    heights = (0.065, 1, *feet)
+    heights = (0.08, 1, *feet)
     parts = picture.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)
     head, body, *foot = parts.ravel()
     cells = [*body.subfigures(2, 2).ravel(), *foot]
@@ -336,27 +317,24 @@ def diagnosis_figure(result: Diagnosis) -> Picture:
         0.01, 0.95, plain_text(subject(result)),
         va="top", fontsize=12, fontweight="bold", color=DARK,
     )  # fmt: skip
-    small = f"\n{stand_in(result)}" if stand_in(result) else ""
-    sentence = textwrap.fill(
-        verdict_sentence(result), 150, max_lines=2, placeholder=" …"
-    )
-    head.text(0.01, 0.42, plain_text(sentence), va="top", fontsize=9, color=DARK)
+    sentence = textwrap.fill(answer(result), 140, max_lines=3, placeholder=" …")
+    head.text(0.01, 0.55, plain_text(sentence), va="top", fontsize=9, color=DARK)
     head.text(
         0.99, 0.95, f"tirefit {result.version} · braking positive, SI · seed"
-        f" {result.seed} · {format_number(result.n)} rows{small}",
+        f" {result.seed} · {format_number(result.n)} rows",
         va="top", ha="right", fontsize=7, color=GREY,
     )  # fmt: skip
     return picture
 
 
 def plot_diagnosis(result: Diagnosis, panel: str | None = None):
-    """What a diagnosis saw: where, which effect, before and after, how far; the Figure.
+    """The ladder, the effects, before and after, and where the gap lies: the Figure.
 
     ``plot_diagnosis(result).savefig("why.pdf")`` saves it.
 
     Args:
         result: of ``tirefit.diagnose``.
-        panel: one of them alone, such as ``where``; all if None.
+        panel: one of them alone, such as ``ladder``; all if None.
 
     Raises:
         UsageError: no such panel; names those of this diagnosis.

@@ -5,22 +5,15 @@ import textwrap
 
 import numpy as np
 
-from tirefit.diagnosis.summary.look_curve import LookCurve
+from tirefit.diagnosis.summary.views import LookCurve
 from tirefit.report.canvas import BLUE, DARK, GREY, panel_title, tidy
 from tirefit.report.diagnosis_words import (
     covariate_text,
     covariate_unit,
     look_place,
-    look_size,
+    look_text,
 )
 
-_SHAPES = {
-    "wave": "goes up and down with {covariate}, period {at}, by ± {size}",
-    "threshold": "steps at a {covariate} of {at} by {size}",
-    "kink": "bends at a {covariate} of {at}, by {size} from there to the end",
-    "local": "differs about a {covariate} of {at} by {size}",
-    "setting": "differs at a {covariate} of {at} by {size}",
-}
 _CHANGES = {
     "stiffness": "change of stiffness [%]",
     "friction": "change of friction [%]",
@@ -38,13 +31,7 @@ _LETTERS = 66
 def look_title(panel: LookCurve) -> str:
     """What is left as a sentence: ``What is left: friction steps at a load F_z of 5000
     N by -4.9 %``."""
-    look = panel.look
-    alone = look.shape == "local" and panel.at_settings
-    how = _SHAPES["setting" if alone else look.shape].format(
-        covariate=covariate_text(look.covariate), at=look_place(look),
-        size=look_size(look.parameter, look.size),
-    )  # fmt: skip
-    return f"What is left: {look.parameter} {how}"
+    return f"What is left: {look_text(panel.look)}"
 
 
 def _axis_label(panel: LookCurve) -> str:
@@ -84,6 +71,6 @@ def draw_look(figure, panel: LookCurve, beside: str) -> None:
     labels = _ALONG if panel.is_mirrored else _CHANGES
     tidy(axes, _axis_label(panel), labels[panel.look.parameter])
     panel_title(
-        axes, textwrap.fill(look_title(panel), _LETTERS),
+        axes, textwrap.fill(look_title(panel).replace(" %", "\u00a0%"), _LETTERS),
         f"points: bins of the data ± standard error; line: fitted; on top of {beside}",
     )  # fmt: skip

@@ -6,26 +6,15 @@ from collections.abc import Sequence
 from tirefit.data.table import CANONICAL
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect, effects_by_id
 from tirefit.diagnosis.rows.patterns import Look
+from tirefit.diagnosis.rows.slip_check import SlipCheck
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.records import (
-    Candidate,
+    Amplitude,
     Region,
     Spot,
     Untestable,
-    VerdictSummary,
 )
-from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.numbers import format_estimate, format_number
-
-_STRANGER = "not in the library"
-UNLISTED = f"{_STRANGER}, alone or beside"
-"""What ``VerdictSummary.unlisted`` is the probability of."""
-
-AGAINST = (
-    "this is the measurement against the simulator: by their forces alone either may be"
-    " what is off"
-)
-"""What the sign of an effect beside a simulator means."""
 
 _NEEDS = {
     "loads": "more than one load",
@@ -73,12 +62,12 @@ _FAR = 100.0
 """Slips of full sliding beyond which a number says no more than "far"."""
 
 _SHAPES = {
-    "wave": "goes up and down with {covariate}, with a period of {at}",
-    "threshold": "steps at a {covariate} of {at}",
-    "kink": "bends at a {covariate} of {at}",
-    "local": "differs about a {covariate} of {at}",
+    "wave": "goes up and down with {covariate}, period {at}, by ± {size}",
+    "threshold": "steps at a {covariate} of {at} by {size}",
+    "kink": "bends at a {covariate} of {at}, by {size} from there to the end",
+    "local": "differs about a {covariate} of {at} by {size}",
 }
-_NAMED_VALUES = {
+NAMED_VALUES = {
     "direction": {-1.0: "shrinking", 0.0: "steady", 1.0: "growing"},
     "sign": {-1.0: "negative", 0.0: "zero", 1.0: "positive"},
 }
@@ -95,17 +84,13 @@ def words_on(effect: str, library: Sequence[Effect] = ()) -> tuple[str, str]:
     return (record.means, record.remedy) if record else ("", "")
 
 
-def needs_text(needs: Sequence[str]) -> str:
-    """``needs`` of an untestable effect in words."""
-    return ", ".join(_NEEDS.get(need, need) for need in needs)
-
-
-def untestable_groups(untestable: Sequence[Untestable]) -> list[tuple[str, str]]:
-    """(what is needed, effects that need it), both in words."""
+def untestable_lines(untestable: Sequence[Untestable]) -> list[str]:
+    """What is needed and the effects that need it, a line for each need."""
     groups: dict[str, list[str]] = {}
     for item in untestable:
-        groups.setdefault(needs_text(item.needs), []).append(item.effect)
-    return [(needs, ", ".join(effects)) for needs, effects in groups.items()]
+        needs = ", ".join(_NEEDS.get(need, need) for need in item.needs)
+        groups.setdefault(needs, []).append(name_of(item.effect))
+    return [f"{needs}: {', '.join(effects)}" for needs, effects in groups.items()]
 
 
 def covariate_text(name: str) -> str:
@@ -116,9 +101,9 @@ def covariate_text(name: str) -> str:
 def range_text(region: Region | Spot) -> str:
     """Where a region, or a spot, lies: one value, or from - to, with its unit."""
     name, low, high = region.covariate, region.low, region.high
-    if name in _NAMED_VALUES:
+    if name in NAMED_VALUES:
         # The few steady rows beside those that grow or shrink do not name the region.
-        return _NAMED_VALUES[name][round(high if abs(high) > abs(low) else low)]
+        return NAMED_VALUES[name][round(high if abs(high) > abs(low) else low)]
     unit = CANONICAL.get(name, ("", ""))[0]
     tail = f" {unit}" if unit not in ("", "-") else ""
     if low == high and (name not in _OF_FULL_SLIDING or abs(low) <= _FAR):
@@ -127,11 +112,9 @@ def range_text(region: Region | Spot) -> str:
         # Next to no friction on some rows: their slip is far beyond full sliding.
         if min(-low, high) > _FAR:
             return "any"
-        return (
-            f"{_end(min(low, _FAR), 1.0)} and more"
-            if high > _FAR
-            else f"{_end(max(high, -_FAR), 1.0)} and less"
-        )
+        if high > _FAR:
+            return f"{_end(min(low, _FAR), 1.0)} and more"
+        return f"{_end(max(high, -_FAR), 1.0)} and less"
     return f"{_end(low, high)} to {_end(high, high)}{tail}"
 
 
@@ -158,10 +141,12 @@ def look_size(parameter: str, size: float) -> str:
 
 
 def look_text(look: Look) -> str:
-    """What a remainder looks like: ``friction that steps at a time of 60 s: -7 %``."""
-    covariate = covariate_text(look.covariate)
-    how = _SHAPES[look.shape].format(covariate=covariate, at=look_place(look))
-    return f"{look.parameter} that {how}: {look_size(look.parameter, look.size)}"
+    """What a remainder resembles: ``friction steps at a time of 60 s by -7 %``."""
+    how = _SHAPES[look.shape].format(
+        covariate=covariate_text(look.covariate), at=look_place(look),
+        size=look_size(look.parameter, look.size),
+    )  # fmt: skip
+    return f"{look.parameter} {how}"
 
 
 def _end(value: float, largest: float) -> str:
@@ -169,43 +154,35 @@ def _end(value: float, largest: float) -> str:
     return format_number(0.0 if abs(value) < 5e-4 * abs(largest) else value, 3)
 
 
-def listed_candidates(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Those of the library. What is not in it by itself is no line of its own: it is a
-    part of :data:`UNLISTED`; nor is nothing at all: :func:`nothing`."""
-    return [one for one in candidates if one.effects not in ((), ("unknown",))]
+def name_of(effect: str) -> str:
+    """Readable name of an effect: ``slip offset`` of ``slip_offset``."""
+    return effect.replace("_", " ")
 
 
-def nothing(result: Diagnosis) -> tuple[str, float] | None:
-    """What one calls it that there is no effect, and its probability; None where the
-    verdict leaves none for it."""
-    verdict = result.verdict
-    chances = [one.probability for one in result.candidates if not one.effects]
-    if not verdict.names_an_effect and verdict.status != "unknown":
-        chances = [verdict.probability]
-    # A simulator's gap may be that of its parameters.
-    label = "nothing beside its parameters" if result.simulator else "no gap"
-    return (label, chances[0]) if chances else None
+def name_with_id(effect: str) -> str:
+    """The readable name, and the id in brackets where it differs."""
+    name = name_of(effect)
+    return name if name == effect else f"{name} ({effect})"
 
 
-def said_effects(candidate: Candidate, verdict: VerdictSummary) -> tuple[str, ...]:
-    """What the probability of a candidate is that of: its effects alone, but of the
-    set that an incomplete verdict names."""
-    beside = verdict.status == "incomplete" and candidate.effects == verdict.effects
-    return (*candidate.effects, _STRANGER) if beside else candidate.effects
+def listing(words: Sequence[str], last: str = "and") -> str:
+    """``a, b and c``."""
+    *others, end = words
+    return f"{', '.join(others)} {last} {end}" if others else end
 
 
-def parameter_text(candidate: Candidate) -> str:
-    """Amplitudes of a candidate: ``name = value ± std unit, formula``, named by effect
-    where there are several."""
-    several = len(candidate.parameters) > 1
-    parts = []
-    for name, amplitude in candidate.parameters.items():
-        effect, _, parameter = name.partition(": ")
-        label = f"{effect}: {parameter}" if several else parameter
-        value, std, unit, formula = amplitude
-        which = f", {formula}" if formula else ""
-        parts.append(f"{label} = {amount_text(value, std, unit)}{which}")
-    return "; ".join(parts)
+def set_name(effects: Sequence[str]) -> str:
+    """Readable name of a set of effects, the empty set and the unlisted included."""
+    if not effects:
+        return "no effect"
+    unlisted = "something unlisted alone"
+    return " + ".join(unlisted if e == "unknown" else name_of(e) for e in effects)
+
+
+def amplitude_text(amplitude: Amplitude) -> str:
+    """``value ± std unit``, and the formula that it is of where there are several."""
+    text = amount_text(amplitude.value, amplitude.std, amplitude.unit)
+    return f"{text}, {amplitude.formula}" if amplitude.formula else text
 
 
 _THOUSANDTH = "1e-3 "
@@ -242,10 +219,8 @@ def share_text(share: float | None, ends=None) -> str:
     """``95 % [80 %, 96 %]``; ``-`` for a share that cannot be told."""
     if share is None:
         return "-"
-    if ends is None or ends[0] is None:
-        return f"{100 * share:.0f} %"
-    low, high = ends
-    return f"{100 * share:.0f} % [{100 * low:.0f} %, {100 * high:.0f} %]"
+    tail = "" if ends is None or ends[0] is None else "{:.0%}, {:.0%}".format(*ends)
+    return f"{100 * share:.0f} %" + f" [{tail.replace('%', ' %')}]" * bool(tail)
 
 
 def closed_text(closed: float | None, ends=None, energy: float | None = None) -> str:
@@ -266,22 +241,14 @@ def _closed(share: float) -> str:
     return share_text(share) + (" or worse" if share <= WORST else "")
 
 
-def remaining_text(closed: float, remaining: str) -> str:
-    """What is left of a gap, given as text: a bound where the share closed is one."""
-    return f"{remaining} or more" if closed <= WORST else remaining
-
-
 def p_text(p: float, least: float = 1e-12) -> str:
     """A p-value with two digits; from ``least`` down as a bound, as nobody knows it
     better."""
     return f"< {least:.2g}" if p <= least or math.isnan(p) else f"{p:.2g}"
 
 
-def slip_check_line(result: Diagnosis) -> str | None:
-    """The slip column against that of the wheel speed; None where that is unknown."""
-    check = result.slip_check
-    if check is None:
-        return None
+def slip_check_line(check: SlipCheck) -> str:
+    """The slip column against that of the wheel speed."""
     other = f", follows {check.fits}" if check.fits != check.read_as else ""
     return (
         f"slip, read as {check.read_as}, against omega, v and a rolling radius of"

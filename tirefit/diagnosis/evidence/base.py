@@ -239,6 +239,14 @@ class Base:
         """Hypotheses refitted on this design or another: :meth:`Tire.refit`."""
         return self.fit.tire.refit(starts, sets, design or self.design, **more)
 
+    def refit_folds(self, starts, sets, keeps) -> Refit:
+        """Hypotheses refitted on each of some sets of rows, of the used rows (f, n):
+        leading axes (f, sets). Outliers count in none."""
+        whole = np.array([pad_rows(keep, len(self.design.keep)) for keep in keeps])
+        return self.fit.tire.refit_folds(
+            starts, sets, whole * self.design.keep, self.design
+        )
+
     def amplitudes(self, atoms: Sequence[int] = (), sizes=()) -> np.ndarray:
         """Amplitudes of all atoms (K,) in their own units, from those of some atoms in
         prior scales; the others are zero."""

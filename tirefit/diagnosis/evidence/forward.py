@@ -228,8 +228,7 @@ _FARTHEST = 20.0
 def fill(starts, sets, atoms: int):
     """Starts (z, amplitudes) and sets of atoms as the arrays of :func:`refit_all`.
 
-    Sets smaller than :data:`MOST_EFFECTS` are filled with an effect that does nothing,
-    and the number of hypotheses, at most :data:`MOST`, up to one shape: one program.
+    Sets smaller than :data:`MOST_EFFECTS` are filled with an effect that does nothing.
     """
     size = MOST_EFFECTS
     rows = [
@@ -237,17 +236,17 @@ def fill(starts, sets, atoms: int):
         for z, amplitude in starts
     ]
     index = [(*chosen, *[atoms] * (size - len(chosen))) for chosen in sets]
-    repeat = np.arange(MOST) % len(rows)
-    return np.array(rows)[repeat], np.array(index, int)[repeat], len(rows)
+    return np.array(rows), np.array(index, int)
 
 
 @partial(jax.jit, static_argnames=("layout", "effects", "mode"))
-def refit_all(model, layout, effects, mode, starts, index, count, design):
+def refit_all(model, layout, effects, mode, starts, index, keeps, count, design):
     """Refit hypotheses, by damped Gauss-Newton.
 
     Args:
         starts: (h, p + size): z and amplitudes in prior scales.
         index: (h, size) of the atoms; K stands for none.
+        keeps: (h, n) the rows that count for each, in place of those of the design.
         count: how many of the h hypotheses are wanted; the rest is skipped.
     """
     size = index.shape[1]
@@ -257,7 +256,7 @@ def refit_all(model, layout, effects, mode, starts, index, count, design):
     lowest = jnp.maximum(jnp.append(design.low, -_FARTHEST), -_FARTHEST)
     highest = jnp.minimum(jnp.append(design.high, _FARTHEST), _FARTHEST)
 
-    def one(start, index):
+    def one(start, index, keep):
         low, high = lowest[index], highest[index]
 
         def pull(amplitude):
@@ -267,7 +266,7 @@ def refit_all(model, layout, effects, mode, starts, index, count, design):
             present = Present(index, x[p:] * scale[index])
             state = state_of(effects, present, design.rows)
             mean, _ = forces_of(model, layout, mode, x[:p], state, design)
-            misfit = _whitened(mean, design)
+            misfit = _whitened(mean, design._replace(keep=keep.astype(float)))
             held = design.hold * (x[:p] - start[:p])
             return jnp.concatenate([misfit, pull(x[p:]), held])
 
@@ -277,7 +276,7 @@ def refit_all(model, layout, effects, mode, starts, index, count, design):
         return _refit(whole, pull, allowed, allowed(start), p)
 
     def body(number, refits):
-        here = one(starts[number], index[number])
+        here = one(starts[number], index[number], keeps[number])
         return jax.tree.map(lambda all, x: all.at[number].set(x), refits, here)
 
     h, width = starts.shape

@@ -13,6 +13,7 @@ from tirefit.diagnosis.evidence.changes import (
     states_of,
 )
 from tirefit.diagnosis.evidence.forward import (
+    MOST,
     Design,
     Linear,
     Refit,
@@ -53,13 +54,32 @@ class Tire:
         self, starts, sets, design: Design, meanwhile: Callable = lambda: None
     ) -> Refit:
         """Hypotheses refitted: ``starts`` are (z, amplitudes in prior scales) of each
-        of the ``sets`` of atoms, at most :data:`MOST` of them; ``meanwhile`` is done
-        while JAX refits."""
-        arrays = fill(starts, sets, count_atoms(self.effects))
-        tire = self.model, self.layout, self.effects, self.mode
-        every = refit_all(*tire, *arrays, design)
+        of the ``sets`` of atoms; ``meanwhile`` is done while JAX refits."""
+        every = self.refit_folds(starts, sets, [design.keep], design, meanwhile)
+        return Refit(*(values[0] for values in every))
+
+    def refit_folds(
+        self, starts, sets, keeps, design: Design, meanwhile: Callable = lambda: None
+    ) -> Refit:
+        """The same on each of the sets of rows ``keeps`` (f, n), 0 or 1, in the place
+        of that of the design: leading axes (f, sets)."""
+        starts, index = fill(starts, sets, count_atoms(self.effects))
+        fold, mine = np.divmod(np.arange(len(keeps) * len(sets)), len(sets))
+        keeps = np.asarray(keeps) > 0
+        tire, parts = (self.model, self.layout, self.effects, self.mode), []
+        for first in range(0, len(mine), MOST):
+            jobs = np.arange(first, min(first + MOST, len(mine)))
+            # The first ones again, up to one shape: one program.
+            own, which = mine[np.resize(jobs, MOST)], fold[np.resize(jobs, MOST)]
+            arrays = starts[own], index[own], keeps[which], len(jobs)
+            parts.append((len(jobs), refit_all(*tire, *arrays, design)))
         meanwhile()
-        return Refit(*(np.asarray(values)[: len(sets)] for values in every))
+        shape = len(keeps), len(sets)
+        found = (
+            np.concatenate([np.asarray(refit[k])[:count] for count, refit in parts])
+            for k in range(len(Refit._fields))
+        )
+        return Refit(*(values.reshape(*shape, *values.shape[1:]) for values in found))
 
     def linearised(self, z, amplitudes, design: Design) -> Linear:
         """All rows linearised in everything."""

@@ -1,13 +1,12 @@
-"""What the distance from a base to the measurement is made of: a simulator's own
-parameters, effects, what nobody names, and the noise. The parts add in squares."""
+"""Parts of the distance from a base to the measurement: a simulator's own parameters,
+effects, what is not explained, and the noise. The parts add in squares."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import combinations
+from math import factorial
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
-from tirefit.diagnosis.decide.case import Case
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.evidence.simulator import missed_share
@@ -19,35 +18,59 @@ from tirefit.diagnosis.summary.closure import (
     without_each,
 )
 from tirefit.diagnosis.summary.records import Change, Part, SimulatorSummary, Surrogate
-from tirefit.diagnosis.summary.shares import shapley
 
 PARAMETERS = "parameters"
 
 _HELD = 1e4
-"""Stiffness that holds parameters z: they would move by 1e-8 of the force that pulls at
-them, in standard deviations of the noise."""
+"""Stiffness that holds parameters z: they move by 1e-8 of what pulls at them."""
 
 _DIFFERS = 2.0
-"""Standard errors from which a parameter of the simulator is said to be wrong."""
-
-_BESIDE = 3
-"""Terms beside the parts: what is left, the noise and the whole."""
-
-_STEP = 1e-5
-"""Step of z of a central difference: its error is 1e-10, and rounding adds 1e-11."""
-
-_MOST_LOST = 0.5
-"""Share of the noise's energy that the fitted parameters take up, at most."""
+"""Standard errors from which a parameter of the simulator counts as wrong."""
 
 
-def budgets_of(case: Case, rows, generator) -> dict[str, tuple[Part, ...]]:
+def subsets(players: tuple) -> list[tuple]:
+    """All subsets, the empty one first, each in the order of the players."""
+    sizes = range(len(players) + 1)
+    return [chosen for size in sizes for chosen in combinations(players, size)]
+
+
+def shapley(players: tuple, worth: Callable[[tuple], float]) -> dict:
+    """Shapley value of every player: its mean gain over all orders. ``worth`` takes
+    each of the :func:`subsets`."""
+    count, known = len(players), {chosen: worth(chosen) for chosen in subsets(players)}
+    values = dict.fromkeys(players, 0.0)
+    for player in players:
+        for without in (chosen for chosen in known if player not in chosen):
+            joined = tuple(p for p in players if p in without or p == player)
+            orders = factorial(len(without)) * factorial(count - len(without) - 1)
+            gain = known[joined] - known[without]
+            values[player] = values[player] + orders / factorial(count) * gain
+    return values
+
+
+def closed_by_each(base: Base, chosen: Hypothesis) -> dict[str, float]:
+    """Shares of the misfit's energy, in units of the noise, that the effects of a
+    hypothesis take away; they sum to one. Empty for fewer than two effects."""
+    if len(chosen.atoms) < 2:
+        return {}
+    energy = dict.fromkeys(subsets(chosen.atoms), 0.0)
+    tuned = (PARAMETERS,) if base.simulator else ()
+    for channel, missed in _missed(base, chosen).items():
+        noise = base.noise[channel]
+        for subset in energy:
+            scaled = (missed[(*tuned, *subset)] / noise.std)[~noise.outlier]
+            energy[subset] += float(scaled @ scaled)
+    closed = energy[()] - energy[chosen.atoms]
+    if not closed > 0:
+        return {}
+    values = shapley(chosen.atoms, lambda subset: -energy[subset] / closed)
+    return {base.atoms[k].effect.id: value for k, value in values.items()}
+
+
+def budgets_of(case, rows, generator) -> dict[str, tuple[Part, ...]]:
     """Parts of the energy of every channel: parameters (of a simulator), each named
-    effect, unexplained, noise; their shares add to one.
-
-    Args:
-        rows: by channel ``extended`` (n,), the force of the verdict, in whatever form
-            of its effects.
-    """
+    effect, unexplained, noise; their shares add to one. ``rows`` holds by channel
+    ``extended`` (n,), the force of the verdict of a ``Case``."""
     missed = _missed(case.base, case.verdict.chosen)
     return {
         channel: _budget(case, channel, missed[channel], parts["extended"], generator)
@@ -55,58 +78,44 @@ def budgets_of(case: Case, rows, generator) -> dict[str, tuple[Part, ...]]:
     }
 
 
-def _budget(case: Case, channel: str, missed, extended, generator) -> tuple[Part, ...]:
+def _budget(case, channel: str, missed, extended, generator) -> tuple[Part, ...]:
     base, chosen = case.base, case.verdict.chosen
-    noise, keep = base.noise[channel], ~base.noise[channel].outlier
-    observed = base.rows.observed[channel]
+    noise = base.noise[channel]
     players = ((PARAMETERS,) if base.simulator else ()) + chosen.atoms
     whole = missed[()] ** 2
     parts = shapley(players, lambda subset: whole - missed[subset] ** 2)
-    rest = (observed - extended) ** 2
-    if chosen.atoms:
+    rest = (base.rows.observed[channel] - extended) ** 2
+    for atom in chosen.atoms:
         # Another form than the formulas' belongs to the effects that have it.
-        form = (missed[players] ** 2 - rest) / len(chosen.atoms)
-        for atom in chosen.atoms:
-            parts[atom] = parts[atom] + form
-    used_up = len(chosen.z) + len(chosen.atoms)
-    lost = min(used_up * noise.inflation / base.rows.n, _MOST_LOST)
-    rows = [*parts.values(), rest, (1 - lost) * noise.std**2, whole]
-    terms = np.stack(rows, axis=1)[keep]
-    run = base.rows.run[keep]
-    drawn = _energies(block_means(terms, run, noise.inflation, generator))
-    energy = _energies(terms.mean(axis=0))
-    low, high = np.quantile(drawn[..., :-1] / drawn[..., -1:], INTERVAL, axis=0)
-    one_less = _energies(without_each(terms, run))
-    if len(one_less):
-        shares = one_less[..., :-1] / one_less[..., -1:]
-        low, high = of_so_few_runs(energy[:-1] / energy[-1], low, high, shares)
-        low = np.maximum(low, 0.0)
-    low, high = np.minimum((low, high), 1.0)  # by rounding
+        parts[atom] = parts[atom] + (missed[players] ** 2 - rest) / len(chosen.atoms)
+    fitted = (len(chosen.z) + len(chosen.atoms)) * noise.inflation / base.rows.n
+    rows = [*parts.values(), rest, max(1 - fitted, 0.0) * noise.std**2, whole]
+    terms = np.stack(rows, axis=1)[~noise.outlier]
+    run = base.rows.run[~noise.outlier]
+
+    def shares(means):
+        energies = _energies(means)
+        return energies[..., :-1] / energies[..., -1:]
+
+    means = terms.mean(axis=0)
+    drawn = shares(block_means(terms, run, noise.inflation, generator))
+    low, high = np.quantile(drawn, INTERVAL, axis=0)
+    if len(fewer := without_each(terms, run)):
+        low, high = of_so_few_runs(shares(means), low, high, shares(fewer))
     names = [p if p == PARAMETERS else base.atoms[p].effect.id for p in parts]
-    return tuple(
-        Part(
-            part=name,
-            rms=float(np.sqrt(value)),
-            share=float(value / energy[-1]),
-            closed_ci=(float(ends[0]), float(ends[1])),
-        )
-        for name, value, ends in zip(
-            [*names, "unexplained", "noise"], energy[:-1],
-            zip(low, high, strict=True), strict=True,
-        )
-    )  # fmt: skip
+    ends = np.clip(np.stack([low, high], axis=1), 0.0, 1.0).tolist()
+    rms = np.sqrt(_energies(means)[:-1]).tolist()
+    columns = [*names, "unexplained", "noise"], rms, shares(means).tolist(), ends
+    return tuple(Part(*one[:3], tuple(one[3])) for one in zip(*columns, strict=True))
 
 
 def _energies(means):
     """Means (..., parts + 3) of the parts, of what is left, of the noise and of the
     whole -> the same, none below zero, with what is left beyond the noise and the noise
-    that is left: all but the last add to the last.
-
-    A part that makes matters worse, as where it serves another channel, counts nothing;
-    the others share what was closed.
-    """
-    parts = np.maximum(means[..., :-_BESIDE], 0.0)
-    left, noise, whole = np.moveaxis(means[..., -_BESIDE:], -1, 0)
+    that is left: all but the last add to the last. A part that makes matters worse
+    counts nothing; the others share what was closed."""
+    parts = np.maximum(means[..., :-3], 0.0)
+    left, noise, whole = np.moveaxis(means[..., -3:], -1, 0)
     whole = np.maximum(whole, NONZERO)
     total = np.sum(parts, axis=-1)
     left = np.where(total > 0, np.minimum(left, whole), whole)
@@ -122,122 +131,67 @@ def _missed(
     """Residual (n,) of every channel where only a subset of the players is allowed;
     every subset is refitted, with the simulator's parameters held unless they are among
     it."""
-    atoms, observed = chosen.atoms, base.rows.observed
-    sets = [s for size in range(len(atoms) + 1) for s in combinations(atoms, size)]
-    place = {atom: k for k, atom in enumerate(atoms)}
-    guess = {s: chosen.amplitude[[place[atom] for atom in s]] for s in sets}
-    free = base.refit([(chosen.z, guess[s]) for s in sets], sets)
-    fits: dict[tuple[int | str, ...], tuple[np.ndarray, np.ndarray]] = {}
-    fits |= zip(sets, zip(free.z, free.amplitude, strict=True), strict=True)
-    fits[atoms] = chosen.z, chosen.amplitude
+    atoms, sets = chosen.atoms, subsets(chosen.atoms)
+    guess = [chosen.amplitude[[atoms.index(k) for k in s]] for s in sets]
+    refit = base.refit([(chosen.z, a) for a in guess], sets)
+    free = dict(zip(sets, zip(refit.z, refit.amplitude, strict=True), strict=True))
+    free[atoms] = chosen.z, chosen.amplitude
+    fits: dict[tuple[int | str, ...], tuple] = {**free}
     if base.simulator is not None:
-        held = base.design._replace(hold=np.array(_HELD))
-        start = base.simulator.z
-        stuck = base.refit([(start, guess[s]) for s in sets], sets, held)
-        fits = {(PARAMETERS, *s): fit for s, fit in fits.items()}
+        start, held = base.simulator.z, base.design._replace(hold=np.array(_HELD))
+        stuck = base.refit([(start, a) for a in guess], sets, held)
+        fits = {(PARAMETERS, *s): fit for s, fit in free.items()}
         fits |= {s: (start, a) for s, a in zip(sets, stuck.amplitude, strict=True)}
     missed: dict[str, dict] = {channel: {} for channel in base.rows.channels}
     for subset, (z, amplitude) in fits.items():
         index = [k for k in subset if not isinstance(k, str)]
         forces = base.forces(z, base.amplitudes(index, amplitude))
         for channel, force in forces.items():
-            missed[channel][subset] = observed[channel] - force
+            missed[channel][subset] = base.rows.observed[channel] - force
     return missed
 
 
-_HELD_WITHIN = 0.9
-"""Probability that an interval of a parameter holds."""
-
-_FARTHEST = 8.0
-"""Standard deviations within which a normal part lies."""
-
-_HALVINGS = 40
-"""Steps of bisection to its end: of any width, one in 1e12 is left."""
-
-
-def _misled(base: Base, chosen: Hypothesis) -> np.ndarray:
-    """Variance of the parameters (p,) as the true slips are not known."""
+def _spread(case, widening: float) -> np.ndarray:
+    """Standard errors (p,) of the parameters z beside the verdict's effects: of the
+    mixture of the fits of all sets, each by its probability, and no less than that of
+    the verdict's own fit. The slips are as unsure as ``Base.doubt``."""
+    base, chosen, listed = case.base, case.verdict.chosen, case.weighed.listed
+    each, p = [case.weighed.best_of[key] for key in listed], len(chosen.z)
     linear = base.linearised(chosen.z, amplitudes_of(base, chosen))
     columns = [linear.jacobian, linear.columns[:, list(chosen.atoms)]]
-    fitted = np.concatenate(columns, axis=1)
-    moved = np.linalg.lstsq(fitted, base.doubt, rcond=None)[0]
-    return np.sum(moved[: len(chosen.z)] ** 2, axis=1)
+    moved = np.linalg.lstsq(np.concatenate(columns, axis=1), base.doubt, rcond=None)[0]
+    doubt = np.sum(moved[:p] ** 2, axis=1)
+    variance = np.array([np.diag(h.covariance)[:p] for h in [chosen, *each]])
+    variance = np.maximum(variance, 0.0) * widening + doubt
+    off = np.array([h.z for h in each]) - np.asarray(chosen.z)
+    mixed = np.array([*listed.values()]) @ (variance[1:] + off**2)
+    return np.sqrt(np.maximum(variance[0], mixed))
 
 
-def _of_mixture(shares, off, std) -> np.ndarray:
-    """Standard deviations (p,) of which 1.645 about zero hold nine tenths of a mixture.
-
-    Args:
-        shares: (s,) probabilities of its normal parts.
-        off, std: (s, p) their means and standard deviations.
-    """
-    low, high = np.zeros(off.shape[1]), np.max(np.abs(off) + _FARTHEST * std, axis=0)
-    for _ in range(_HALVINGS):
-        reach = (low + high) / 2
-        inside = ndtr((reach - off) / std) - ndtr((-reach - off) / std)
-        enough = shares @ inside > _HELD_WITHIN
-        low, high = np.where(enough, low, reach), np.where(enough, reach, high)
-    return high / float(ndtri((1 + _HELD_WITHIN) / 2))
-
-
-def _spread(case: Case, widening: float) -> np.ndarray:
-    """Standard deviations (p,) of the parameters beside the verdict's effects, of which
-    1.645 hold nine tenths: of the errors of the fits of all sets that these data leave
-    possible, each by its probability. Where they leave the verdict alone, its own.
-    The slips are as unsure as their density and their phase; see ``Base.doubt``.
-
-    Args:
-        widening: see :func:`parameter_changes`.
-    """
-    chosen, weighed = case.verdict.chosen, case.weighed
-    z = np.asarray(chosen.z)
-    listed = weighed.listed
-    each, shares = [weighed.best_of[k] for k in listed], np.array([*listed.values()])
-    off = np.array([h.z for h in each]) - z
-    variance = np.array([np.diag(h.covariance)[: len(z)] for h in [chosen, *each]])
-    variance = np.maximum(variance, NONZERO) * widening + _misled(case.base, chosen)
-    own, std = np.sqrt(variance[0]), np.sqrt(variance[1:])
-    return np.maximum(own, _of_mixture(shares, off, std))
-
-
-def parameter_changes(case: Case, widening: float) -> Mapping[str, Change]:
+def parameter_changes(case, widening: float) -> Mapping[str, Change]:
     """The simulator's parameters as given, and as the data have them beside the effects
-    of the verdict; empty where a form was fitted.
-
-    Args:
-        widening: factor on variances, as for amplitudes.
-    """
-    base, chosen = case.base, case.verdict.chosen
+    of the verdict; empty where a form was fitted. ``widening`` is a factor on the
+    variances, as for amplitudes."""
+    base, z, changes = case.base, np.asarray(case.verdict.chosen.z), {}
     if base.simulator is None:
         return {}
-    layout, z = base.layout, np.asarray(chosen.z)
-    step, changes = _STEP, {}
-    spread = _spread(case, widening)
-    slope = (layout.vector(z + step) - layout.vector(z - step)) / (2 * step)
-    given, measured = layout.vector(base.simulator.z), layout.vector(z)
-    for k, name in enumerate(layout.labels):
-        std = float(abs(slope[k]) * spread[k])
-        change = float(measured[k] - given[k])
-        changes[name] = Change(
-            float(given[k]), float(measured[k]), std, abs(change) > _DIFFERS * std
-        )
+    values, spread = base.layout.vector, _spread(case, widening)
+    std = np.abs(values(z + spread) - values(z - spread)) / 2
+    ends = values(base.simulator.z), values(z), std
+    for name, given, measured, error in zip(base.layout.labels, *ends, strict=True):
+        differs = bool(abs(measured - given) > _DIFFERS * error)
+        changes[name] = Change(float(given), float(measured), float(error), differs)
     return changes
 
 
 def simulator_summary(base: Base, model: str, gap: float) -> SimulatorSummary | None:
-    """What was given, and how well its tire follows it.
-
-    Args:
-        model: name of what stands in for it.
-        gap: the whole gap, rms [N].
-    """
+    """What was given, and how well the ``model`` that stands in for it follows it, also
+    over the whole gap [N]."""
     if base.simulator is None:
         return None
     given, main, n = base.simulator.given, base.rows.channels[0], base.rows.n
     missed = base.design.offset[main][:n]
     off = float(np.sqrt(np.mean(missed**2)))
-    followed = Surrogate(
-        model=model, rms=off, of_force=missed_share(base.rows, main, missed),
-        of_gap=off / max(gap, NONZERO),
-    )  # fmt: skip
+    share = missed_share(base.rows, main, missed)
+    followed = Surrogate(model, off, share, off / max(gap, NONZERO))
     return SimulatorSummary(given.kind, given.source, given.sha256, followed)

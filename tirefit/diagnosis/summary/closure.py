@@ -1,14 +1,19 @@
-"""How far the gap shrinks: on the rows fitted, and on data not used."""
+"""How far the gap shrinks: on the rows fitted, by draws of what the force may truly be,
+as a remaining gap hides below the noise; on data not used, by the energies there."""
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import softmax, stdtrit
+from scipy.stats import truncnorm
 
+from tirefit.diagnosis.evidence.linear_fit import linear_at
+from tirefit.diagnosis.evidence.search import amplitudes_of
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
+from tirefit.diagnosis.rows.basis import gain, orthogonal
 
-_DRAWS = 400
-"""Bootstrap draws: twenty beyond either end of a 90 % interval."""
+DRAWS = 400
+"""Draws, and bootstrap samples: twenty beyond either end of a 90 % interval."""
 
 INTERVAL = (0.05, 0.95)
 """Quantiles at the ends of a 90 % interval."""
@@ -16,28 +21,33 @@ INTERVAL = (0.05, 0.95)
 _RESOLVED = 3.0
 """Standard deviations of the energy of noise from which a gap is resolved."""
 
-_FEWEST_ROWS = 2.0
-"""Independent rows that a file counts as, at least."""
-
-_GRID, _FARTHEST = 400, 6.0
-"""Steps of an energy's root; standard errors above its figure at which they end."""
-
 WORST = -1.0
 """Closure that counts as the worst there is: the gap doubled."""
 
-_LEAST_BLOCK, _BLOCKS = 5, 60
-"""Rows of a block at least, and blocks of a record at most."""
+_BLOCKS = 60
+"""Blocks of a record, at most."""
+
+_WIDER = 1.2
+"""Factor on the errors of parameters: those of a fit whose form is not quite right."""
+
+_SETS = 3
+"""Sets of effects that are drawn from, the most probable ones."""
+
+_SIZES = np.geomspace(0.03, 300, 20)
+"""Sizes of a discrepancy's coefficients over the noise; all are as likely."""
+
+_UNDRAWN, _FACTOR = 0.4, 1.5
+"""Discrepancy of other shapes, as a share of what is drawn: its median, and standard
+deviation of its logarithm. Development trials have .2 to .6."""
 
 
 class Closure(NamedTuple):
     """Size of a gap and how much of it an extension closes.
 
     ``rms`` [N] is the base gap beyond noise, ``remaining`` [N] what the extension
-    leaves, ``closed`` = 1 - remaining / rms with its 90 % interval, None where the gap
-    may be too small to say (below 3 sqrt(2 / n_effective) of the noise's energy; on the
-    rows fitted, in more than one draw of twenty). It ends at -1, where the extension
-    doubles the gap: beyond, a small gap sets its size. Of several runs it is no
-    narrower than their differences allow.
+    leaves, ``closed`` = 1 - remaining / rms, -1 at least, with its 90 % interval; None
+    where the gap may be below 3 sqrt(2 / n_effective) of the noise's energy (on the
+    rows fitted, in more than one draw of twenty).
     """
 
     rms: float
@@ -48,35 +58,70 @@ class Closure(NamedTuple):
     resolvable: bool
 
 
-def _is_resolvable(gap, variance, inflation) -> bool:
-    """Whether a gap of this energy [N^2] is one that noise does not have."""
-    effective = max(len(variance) / inflation, _FEWEST_ROWS)
-    return bool(gap >= _RESOLVED * np.sqrt(2 / effective) * np.mean(variance))
+def plausible_forces(case, generator) -> dict[str, np.ndarray]:
+    """Draws of the true force of every used row at its measured slip: (n, draws) by
+    channel. Each is of one set of effects, by its probability in a ``Case``, with an
+    error of its parameters and a discrepancy."""
+    base, weighed, at = case.base, case.weighed, case.base.measured
+    beside = weighed.unknown_beside | {(): weighed.unknown_alone}
+    total = {key: alone + beside.get(key, 0.0) for key, alone in weighed.sets.items()}
+    likely = sorted(total, key=lambda key: -total[key])[:_SETS]
+    chances = np.array([total[key] for key in likely])
+    counts = generator.multinomial(DRAWS, chances / chances.sum())
+    n, drawn = base.rows.n, {channel: [] for channel in base.rows.channels}
+    for key, count in zip(likely, counts, strict=True):
+        if not count:
+            continue
+        hypothesis = weighed.best_of[key]
+        force = at.forces(hypothesis.z, amplitudes_of(base, hypothesis))
+        off = _off(base, hypothesis, count, generator)
+        for k, (channel, parts) in enumerate(drawn.items()):
+            scale = np.asarray(base.design.scale[channel])[:n, None]
+            parts.append(force[channel][:, None] + scale * off[k * n : (k + 1) * n])
+    return {channel: np.concatenate(parts, axis=1) for channel, parts in drawn.items()}
 
 
-def closure_on_rows(truth, before, after, variance, run, inflation) -> Closure:
-    """Closure on the rows that were fitted, from what the force there may truly be: the
-    median and the interval of its draws.
+def _off(base, hypothesis, count: int, generator) -> np.ndarray:
+    """Draws of what a refitted set of effects may be off by, whitened: (m, count)."""
+    linear = linear_at(base, hypothesis)
+    values, vectors = np.linalg.eigh(hypothesis.covariance)
+    # A symmetric root: the signs of the vectors do not change the draws.
+    spread = _WIDER * (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    misled = np.linalg.lstsq(linear.used_up, base.doubt, rcond=None)[0]
+    spread = np.concatenate([spread, misled], axis=1)
+    off = spread @ generator.standard_normal((spread.shape[1], count))
+    bases = [
+        orthogonal(basis, linear.explained)
+        for basis in (base.generic.smooth, linear.forms)
+        if basis.shape[1]
+    ]
+    discrepancy = drawn_functions(bases, linear.residual, count, generator)
+    # What has none of these shapes.
+    share = _UNDRAWN * np.exp(_FACTOR * generator.standard_normal(count))
+    rms = share * np.sqrt(np.mean(discrepancy**2, axis=0))
+    unseen = rms * generator.standard_normal(discrepancy.shape)
+    return linear.used_up @ off + discrepancy + unseen
 
-    Args:
-        truth: (n, draws) of :func:`summary.plausible.plausible_forces` [N].
-        before, after: (n,) forces [N] of the base and of the extension.
-        variance: (n,) noise variance [N^2].
-        run: (n,) runs.
-        inflation: rows per independent row.
-    """
-    gaps, rests = (truth - before[:, None]) ** 2, (truth - after[:, None]) ** 2
-    gap, closed = gaps.mean(axis=0), _closed(gaps.mean(axis=0), rests.mean(axis=0))
-    rms, middle = float(np.sqrt(np.median(gap))), float(np.median(closed))
-    remaining = (1 - middle) * rms
-    if not _is_resolvable(np.quantile(gap, INTERVAL[0]), variance, inflation):
-        return Closure(rms, remaining, None, None, None, False)
-    low, high = np.quantile(closed, INTERVAL)
-    one_less = zip(without_each(gaps, run), without_each(rests, run), strict=True)
-    each = np.array([np.median(_closed(*means)) for means in one_less])
-    if len(each):
-        low, high = of_so_few_runs(middle, low, high, each)
-    return Closure(rms, remaining, middle, float(low), float(high), True)
+
+def drawn_functions(bases, residual, count: int, generator) -> np.ndarray:
+    """Draws (m, count) of functions of one of the bases, given the residual; each is
+    (left, size) of :func:`tirefit.diagnosis.rows.basis.orthogonal`."""
+    scores = [left.T @ residual for left, _ in bases]
+    log = [
+        [gain(score, scale * size) for scale in _SIZES]
+        for score, (_, size) in zip(scores, bases, strict=True)
+    ]
+    chosen = generator.choice(np.size(log), count, p=softmax(log).ravel())
+    which, at = np.divmod(chosen, len(_SIZES))
+    drawn = np.empty((len(residual), count))
+    for k in np.unique(which):
+        (left, size), mine = bases[k], which == k
+        t = (_SIZES[at[mine]] * size[:, None]) ** 2
+        shrink = t / (1 + t)
+        unit = left.T @ generator.standard_normal((len(left), int(mine.sum())))
+        mean = shrink * scores[k][:, None]
+        drawn[:, mine] = left @ (mean + np.sqrt(shrink) * unit)
+    return drawn
 
 
 def _closed(gap, left) -> np.ndarray:
@@ -85,12 +130,48 @@ def _closed(gap, left) -> np.ndarray:
     return np.maximum(1 - np.sqrt(ratio), WORST)
 
 
-def closure_elsewhere(before, after, variance, run, inflation, generator) -> Closure:
-    """Closure on rows that neither fit has seen, from the energies of what they miss.
+def _is_resolvable(gap, variance, inflation) -> bool:
+    # Whether noise has no gap of this energy [N^2].
+    effective = max(len(variance) / inflation, 1.0)
+    return bool(gap >= _RESOLVED * np.sqrt(2 / effective) * np.mean(variance))
 
-    The energy that is left is one of the residuals less that of the noise, and may come
-    out below zero where there is little: what is given is the median and the interval
-    of what it may be, any root of it from zero on as likely beforehand.
+
+def _closure(rms, closed, fewer, resolvable: bool) -> Closure:
+    """From the rms [N] of the gap, its closure in draws (d,), and the median closure
+    with each run left out (R,)."""
+    middle = float(np.median(closed))
+    remaining = (1 - middle) * rms
+    if not resolvable:
+        return Closure(rms, remaining, None, None, None, False)
+    low, high = np.quantile(closed, INTERVAL)
+    if len(fewer):
+        low, high = of_so_few_runs(middle, low, high, np.asarray(fewer))
+    return Closure(rms, remaining, middle, float(low), float(high), True)
+
+
+def closure_on_rows(truth, before, after, variance, run, inflation) -> Closure:
+    """Closure on the rows that were fitted: median and interval of its draws.
+
+    Args:
+        truth: (n, draws) of :func:`plausible_forces` [N].
+        before, after: (n,) forces [N] of the base and of the extension.
+        variance: (n,) noise variance [N^2].
+        run: (n,) runs.
+        inflation: rows per independent row.
+    """
+    gaps, rests = (truth - before[:, None]) ** 2, (truth - after[:, None]) ** 2
+    gap = gaps.mean(axis=0)
+    one_less = zip(without_each(gaps, run), without_each(rests, run), strict=True)
+    return _closure(
+        float(np.sqrt(np.median(gap))), _closed(gap, rests.mean(axis=0)),
+        [np.median(_closed(*means)) for means in one_less],
+        _is_resolvable(np.quantile(gap, INTERVAL[0]), variance, inflation),
+    )  # fmt: skip
+
+
+def closure_elsewhere(before, after, variance, run, inflation, generator) -> Closure:
+    """Closure on rows that neither fit has seen. The energy left, that of the residuals
+    less that of the noise, has a normal error and is zero or more.
 
     Args:
         before, after: (n,) residuals [N] of the base and of the extension.
@@ -99,56 +180,36 @@ def closure_elsewhere(before, after, variance, run, inflation, generator) -> Clo
         inflation: rows per independent row.
     """
     terms = np.stack([before**2 - after**2, after**2 - variance], axis=1)
-    gain, left = terms.mean(axis=0)
-    rms = float(np.sqrt(max(gain + left, 0.0)))
+    gained, left = terms.mean(axis=0)
     means = block_means(terms, run, inflation, generator)
-    # What the extension gains is known well, and goes with what it leaves as it does
-    # from one bootstrap to the other.
-    gains = means[np.argsort(means[:, 1]), 0]
+    evenly = np.linspace(0, 1, DRAWS + 2)[1:-1]
     # Of a block or two the spread is no error; the noise alone makes this much.
     of_noise = np.sqrt(2 * np.mean(variance**2) * inflation / len(variance))
-    error = float(max(np.std(means[:, 1]), of_noise))
-    lefts = _not_negative(left, error, len(gains))
-    closed = _closed(np.maximum(gains + lefts, 0.0), lefts)
-    middle = float(np.median(closed))
-    remaining = (1 - middle) * rms
-    if not _is_resolvable(gain + left, variance, inflation):
-        return Closure(rms, remaining, None, None, None, False)
-    low, high = np.quantile(closed, INTERVAL)
-    fewer = without_each(terms, run)
-    if len(fewer):
-        over = np.array(
-            [np.median(_not_negative(x, error, _DRAWS)) for x in fewer[:, 1]]
-        )
-        each = _closed(np.maximum(fewer[:, 0] + over, 0.0), over)
-        low, high = of_so_few_runs(middle, low, high, each)
-    return Closure(rms, remaining, middle, float(low), float(high), True)
+    error = max(np.std(means[:, 1]), of_noise, ROUNDING * abs(left), NONZERO)
 
+    def closed(gains, value):
+        lefts = truncnorm.ppf(evenly, -value / error, np.inf, value, error)
+        return _closed(np.maximum(gains + lefts, 0.0), lefts)
 
-def _not_negative(value: float, error: float, count: int) -> np.ndarray:
-    """Quantiles (count,), ascending, of an energy of which a figure with a normal error
-    is known: its root may be anything from zero on.
-
-    A right figure far above its error keeps its own value; one that is below zero says
-    that there is a part of its error at most.
-    """
-    error = max(error, ROUNDING * abs(value), NONZERO)
-    most = np.sqrt(max(value, 0.0) + _FARTHEST * error)
-    root = (np.arange(_GRID) + 0.5) / _GRID * most
-    off = (root**2 - value) / error
-    weight = np.exp(-0.5 * (off**2 - np.min(off**2)))
-    below = np.cumsum(weight) / np.sum(weight)
-    return np.interp((np.arange(count) + 0.5) / count, below, root) ** 2
+    # What is gained varies with what is left as it does from sample to sample.
+    return _closure(
+        float(np.sqrt(max(gained + left, 0.0))),
+        closed(means[np.argsort(means[:, 1]), 0], left),
+        [np.median(closed(*means)) for means in without_each(terms, run)],
+        _is_resolvable(gained + left, variance, inflation),
+    )
 
 
 def block_means(terms, run, inflation, generator) -> np.ndarray:
     """Means of terms (n, k) over rows drawn anew in blocks: (draws, k)."""
-    length = int(max(2 * inflation, _LEAST_BLOCK, len(terms) // _BLOCKS))
-    blocks = _blocks(run, length)
+    length = int(max(2 * inflation, len(terms) // _BLOCKS))
+    blocks = []
+    for code in np.unique(run):
+        rows = np.flatnonzero(run == code)
+        blocks += np.array_split(rows, max(len(rows) // length, 1))
     sizes = np.array([len(rows) for rows in blocks])
-    begins = np.cumsum(sizes) - sizes
-    sums = np.add.reduceat(terms[np.concatenate(blocks)], begins, axis=0)
-    drawn = generator.multinomial(len(blocks), [1 / len(blocks)] * len(blocks), _DRAWS)
+    sums = np.array([terms[rows].sum(axis=0) for rows in blocks])
+    drawn = generator.multinomial(len(blocks), [1 / len(blocks)] * len(blocks), DRAWS)
     return drawn @ sums / (drawn @ sizes)[:, None]
 
 
@@ -157,30 +218,14 @@ def without_each(terms, run) -> np.ndarray:
     codes = np.unique(run)
     if len(codes) < 2:
         return np.zeros((0, terms.shape[1]))
-    sums = np.array([terms[run == code].sum(axis=0) for code in codes])
-    counts = np.array([np.sum(run == code) for code in codes])
-    return (sums.sum(axis=0) - sums) / (counts.sum() - counts)[:, None]
+    return np.array([terms[run != code].mean(axis=0) for code in codes])
 
 
 def of_so_few_runs(value, low, high, one_less):
-    """An interval of 90 % that knows how few runs there are: at least the jackknife's
-    over the runs, by Student's t of one degree of freedom less than there are runs.
-
-    Args:
-        value, low, high: figures and their intervals from blocks of rows, (...).
-        one_less: (R, ...) figures with each run left out.
-    """
+    """A 90 % interval (low, high) of a value widened to the jackknife's over the runs,
+    by Student's t; ``one_less`` (R, ...) are the values with each run left out."""
     count = len(one_less)
-    off = one_less - one_less.mean(axis=0)
-    error = np.sqrt((count - 1) / count * np.sum(off**2, axis=0))
-    reach = float(stdtrit(count - 1, 0.95)) * error
+    error = np.sqrt(count - 1) * np.std(one_less, axis=0)
+    reach = float(stdtrit(count - 1, INTERVAL[1])) * error
     low = np.maximum(np.minimum(low, value - reach), WORST)
     return low, np.minimum(np.maximum(high, value + reach), 1.0)
-
-
-def _blocks(run, length: int) -> list[np.ndarray]:
-    blocks = []
-    for code in np.unique(run):
-        rows = np.flatnonzero(run == code)
-        blocks += np.array_split(rows, max(len(rows) // length, 1))
-    return blocks

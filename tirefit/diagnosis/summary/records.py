@@ -6,9 +6,9 @@ of :data:`tirefit.diagnosis.effects.EFFECTS`.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum, auto
 from typing import NamedTuple
 
-from tirefit.diagnosis.decide.adequacy import UNTESTED, Adequacy
 from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.rows.patterns import Look
 from tirefit.diagnosis.rows.rig import Rig
@@ -144,30 +144,64 @@ class Cell(NamedTuple):
     explains: float
 
 
+class Status(StrEnum):
+    """What a diagnosis concludes of the gap between the base and the data."""
+
+    NONE = auto()
+    """No gap shows beyond the noise."""
+    NAMED = auto()
+    """Effects are named, and nothing unlisted is likelier there than not."""
+    CANNOT_TELL = auto()
+    """As ``NAMED``, but this data cannot tell a named effect from its twins."""
+    INCOMPLETE = auto()
+    """Effects are named, and something unlisted is likelier there than not."""
+    UNKNOWN = auto()
+    """A gap shows, and no effect earns a name."""
+
+
+class Each(NamedTuple):
+    """One effect: the ``probability`` that it is there, whatever else is; the share of
+    the gap that it closes on data left out, with its standard error, None where nothing
+    could be left out; ``twins`` are effects that this data cannot tell from it."""
+
+    probability: float
+    closed_left_out: float | None
+    closed_left_out_std: float | None
+    twins: tuple[str, ...] = ()
+
+
+class Left(NamedTuple):
+    """What remains of the gap beyond the noise: ``rms`` and ``share`` of its energy;
+    the probability that something ``unlisted`` is there; p-values of the ``tests`` of
+    the remainder, None where the rows have no such order; the shapes that it resembles,
+    the most probable first."""
+
+    rms: float
+    share: float
+    unlisted: float
+    tests: Mapping[str, float | None]
+    looks_like: tuple[Look, ...] = ()
+
+
 @dataclass(frozen=True, kw_only=True)
 class VerdictSummary:
-    """What is said: none, named, incomplete, unknown or cannot_tell; of which effects;
-    the probability that it is so: of exactly this set where it is named, of these
-    effects and something unlisted where it is incomplete, of something unlisted where
-    that is unknown; what this data cannot tell from it, what the evidence
-    asks for included where none is said; the tests of what it leaves;
-    what that looks like, the most probable first, where it is something unlisted.
+    """Which effects are there, and what is left.
 
-    ``unlisted`` is the probability that something unlisted is there, alone or beside.
-    ``parameters`` are those of a simulator that was given: none of a form that was
-    fitted. ``fails_elsewhere``: the status is what it is because rows left out are not
-    predicted as the rows fitted are.
+    ``status`` is derived from both. ``effects`` are the named ones, the one that closes
+    most first; ``probability`` is that of exactly this set and of nothing unlisted
+    beside it (with something unlisted beside it where the status is incomplete).
+    ``each`` is keyed by id; ``also_possible`` are twins of the named effects, and
+    effects of probability 0.1 to 0.5. ``parameters`` are those of a simulator that was
+    given, none of a form that was fitted.
     """
 
-    status: str
+    status: Status
     effects: tuple[str, ...]
     probability: float
-    also_possible: tuple[str, ...]
-    adequacy: Adequacy = UNTESTED
-    looks_like: tuple[Look, ...] = ()
+    each: Mapping[str, Each] = field(default_factory=dict)
+    also_possible: tuple[str, ...] = ()
+    left: Left
     parameters: Mapping[str, "Change"] = field(default_factory=dict)
-    unlisted: float = 0.0
-    fails_elsewhere: bool = field(default=False, metadata={"written": False})
 
     @property
     def names_an_effect(self) -> bool:
@@ -175,6 +209,34 @@ class VerdictSummary:
         of_noise = {effect.id for effect in NOISE_EFFECTS}
         on_mean = [e for e in self.effects if e not in of_noise]
         return bool(on_mean) and on_mean != ["unknown"]
+
+
+class Step(NamedTuple):
+    """One step of the ladder: rms [N] of observed minus predicted force on the rows
+    left out; ``closed`` is the share of what no effect leaves beyond the noise, and
+    ``gain`` [N^2] the fall of the mean square against the step before, each with its
+    standard error; None where there is no step before, or no error is known."""
+
+    effects: tuple[str, ...]
+    rms_left_out: float
+    closed: float | None = None
+    closed_std: float | None = None
+    gain: float | None = None
+    gain_std: float | None = None
+
+
+class Ladder(NamedTuple):
+    """How the gap shrinks on data left out, effect by effect. ``on`` names what is left
+    out; the effects of the last two steps are :data:`SMOOTH`, what any smooth function
+    closes, and :data:`NOISE`, the floor. No steps: nothing could be left out."""
+
+    on: str = ""
+    steps: tuple[Step, ...] = ()
+
+
+SMOOTH: tuple[str, ...] = ("anything smooth",)
+NOISE: tuple[str, ...] = ("noise",)
+"""``Step.effects`` of the last two steps of a ladder."""
 
 
 class Change(NamedTuple):

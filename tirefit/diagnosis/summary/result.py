@@ -10,13 +10,13 @@ from tirefit.data.table import TireData
 from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.evidence.runs import RunOffsets
 from tirefit.diagnosis.rows.slip_check import SlipCheck
-from tirefit.diagnosis.summary.look_curve import LookCurve
 from tirefit.diagnosis.summary.records import (
     Candidate,
     Cell,
     DataSummary,
     Forecast,
     Gap,
+    Ladder,
     NextMeasurement,
     NoiseSummary,
     Part,
@@ -28,11 +28,11 @@ from tirefit.diagnosis.summary.records import (
     Untestable,
     VerdictSummary,
 )
-from tirefit.diagnosis.summary.views import Comparison, ResidualMap
+from tirefit.diagnosis.summary.views import Comparison, LookCurve, ResidualMap
 from tirefit.display import Displayed
 from tirefit.files import json_text
 
-SCHEMA = "tirefit.diagnosis/2"
+SCHEMA = "tirefit.diagnosis/3"
 
 _NOT_WRITTEN = {"written": False}
 
@@ -73,6 +73,7 @@ class Diagnosis(Displayed):
     spots: tuple[Spot, ...] = ()
     map: tuple[Cell, ...]
     verdict: VerdictSummary
+    ladder: Ladder = Ladder()
     candidates: tuple[Candidate, ...]
     untestable: tuple[Untestable, ...]
     resolution: Resolution
@@ -102,7 +103,9 @@ class Diagnosis(Displayed):
 
     def to_json(self) -> str:
         """The document; not-a-number and infinite become null."""
-        return json_text({"schema": SCHEMA} | _mappings(self))
+        content = {"schema": SCHEMA} | _mappings(self)
+        on, steps = content["ladder"].values()
+        return json_text(content | {"ladder": steps, "ladder_on": on})
 
 
 def _mappings(value: Any) -> Any:

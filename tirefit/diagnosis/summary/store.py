@@ -43,11 +43,8 @@ def save_diagnosis(result: Diagnosis, directory, name: str) -> list[Path]:
 
 
 def record_of_document(path: Path) -> FileRecord:
-    """What the table of all results holds of a diagnosis on disk.
-
-    Its numbers: the base's parameters, the gap (``rms``, ``remaining_rms``, ``closed``,
-    ``probability`` of the verdict), and the amplitudes of the effects that are named.
-    """
+    """Row of the table of all results for a diagnosis on disk: base parameters, gap,
+    probability of the verdict, and amplitudes of the named effects."""
     content = json.loads(path.read_text(encoding="utf-8"))
     data, gap, verdict = content["data"], content["gap"], content["verdict"]
     unit = "N m" if data["channels"][0] == "mz" else "N"
@@ -57,7 +54,7 @@ def record_of_document(path: Path) -> FileRecord:
         Row("base", name, value, unit=units.get(name, ""))
         for name, value in content["base_parameters"].items()
     ]
-    rows += [Row("gap", name, gap[name], unit=unit) for name in _GAPS]
+    rows += [Row("gap", k, gap[k], unit=unit) for k in ("rms", "remaining_rms")]
     rows.append(Row("gap", "closed", gap["closed"]))
     rows.append(Row("gap", "probability", verdict["probability"]))
     named = set(verdict["effects"])
@@ -71,6 +68,3 @@ def record_of_document(path: Path) -> FileRecord:
         convention=data["convention"], seed=content["seed"],
         version=content["version"], sha256=data["sha256"],
     )  # fmt: skip
-
-
-_GAPS = ("rms", "remaining_rms")

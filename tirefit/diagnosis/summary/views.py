@@ -1,5 +1,5 @@
-"""What the figures of a diagnosis show, as arrays: which cells of the data miss, and
-both fits over the slip."""
+"""What the figures of a diagnosis show, as arrays: which cells of the data miss, both
+fits over the slip, and the shape of what is left."""
 
 from typing import NamedTuple
 
@@ -8,35 +8,41 @@ from scipy.special import stdtr
 from scipy.stats import false_discovery_control
 
 from tirefit.data.levels import cells, levels
+from tirefit.diagnosis.evidence.base import Base
+from tirefit.diagnosis.evidence.forms import PLACE
+from tirefit.diagnosis.evidence.linear_fit import LinearFit, linear_at
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
-from tirefit.diagnosis.summary.where import LEVEL, covariates_of
-from tirefit.slip import sigma_from_slip_ratio, slip_ratio_from_sigma
+from tirefit.diagnosis.rows.basis import FULL_SLIDING, without
+from tirefit.diagnosis.rows.patterns import (
+    PARAMETERS,
+    Look,
+    Pattern,
+    is_mirrored,
+    quantities,
+    settings_of,
+)
+from tirefit.diagnosis.summary.where import LEVEL, binned, covariates_of
 
-_BANDS = 5
-"""Bands of a covariate that is swept."""
-_BINS, _IN_A_BIN = (4, 14), 8
-"""Bins of the slip, fewest and most, and rows of a bin of a map on average."""
-_FINE, _TENTHS = 8, (0.1, 0.9)
-"""Bins of a curve at least, and rows of one; quantiles that hold 80 % of its rows."""
+_BANDS, _BINS, _STEPS = 5, 13, 60
+"""Bands of a swept covariate, bins of a map or of what is left, and bins of a curve, at
+most."""
+
+_IN_A_BIN, _FEWEST = 8, 4
+"""Rows of a bin on average; rows of a cell from which its scatter is known."""
+_TENTHS = (0.1, 0.9)
+"""Quantiles that hold 80 % of the rows of a bin."""
 _BETTER = 0.05
 """Share of its energy by which another map must show more than that over the load."""
-_FEWEST = 4
-"""Rows of a cell of the map: fewer say nothing of their own scatter."""
-_FARTHEST = 4.0
-"""Slip fractions beyond are shown there: the tire slides in full since one."""
+_POINTS, _CURVES = 300, 3
+"""Points and curves that a figure shows, at most."""
 _SHOWN_OVER = ("fz", "v", "time", "direction", "gamma")
 """Covariates that the map is drawn over, the usual one first."""
-_POINTS, _CURVES, _STEPS = 300, 3, 60
-"""Points and curves that a figure shows, and bins of a curve, at most."""
 
 
 class ShownRows(NamedTuple):
-    """The used rows of the first channel, (n,) each.
-
-    ``slip`` is sigma_x, or alpha [rad] where ``slip_name`` says so; ``covariates`` are
-    those that vary, loads first; ``base``, ``extended`` and ``gap`` [N] are both fits
-    and the located gap.
-    """
+    """The used rows of the first channel, (n,) each: ``slip`` is sigma_x, or alpha
+    [rad] where ``slip_name`` says so; ``covariates`` are those that vary, loads first;
+    ``base``, ``extended`` and ``gap`` [N] are both fits and the located gap."""
 
     channel: str
     slip_name: str
@@ -55,10 +61,8 @@ class ResidualMap(NamedTuple):
 
     ``edges`` (k+1,) of the signed slip fraction; ``levels`` (m, 2) of the other one,
     from and to; ``mean`` (m, k) in % of F_z, NaN for empty cells; ``beyond`` (m, k):
-    that cell's mean is not noise, at 5 % false discoveries (Benjamini-Hochberg);
-    ``energy`` (m, k): the share of the located gap's energy that lies there, 0 where
-    no gap can be resolved.
-    """
+    it is not noise (Benjamini-Hochberg, 5 %); ``energy`` (m, k): share of the located
+    gap's energy, 0 where no gap can be resolved."""
 
     channel: str
     covariate: str
@@ -70,13 +74,9 @@ class ResidualMap(NamedTuple):
 
 
 class LoadCurve(NamedTuple):
-    """One level of load [N], from and to: measured points, and both fits as means over
-    bins of slip.
-
-    ``slip``, ``force`` (n,); ``center``, ``base``, ``extended`` (k,); ``low`` and
-    ``high`` (k,): where the extended force lies for 80 % of the rows of a bin, as it
-    depends on more than slip and load.
-    """
+    """One level of load [N], from and to: measured points ``slip``, ``force`` (n,), and
+    both fits as means over bins of slip (k,); between ``low`` and ``high`` (k,) the
+    extended force lies for 80 % of the rows of a bin."""
 
     load: tuple[float, float]
     slip: np.ndarray
@@ -89,11 +89,8 @@ class LoadCurve(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Before and after: curves by load; rms residuals [N] in bins of slip fraction.
-
-    The residuals hold the noise, of force and of slip, beside the gap. ``named`` says
-    whether ``after`` is the extension, or the base fit and the located gap.
-    """
+    """Before and after: curves by load; rms residuals [N], noise included, in bins of
+    slip fraction. ``named``: ``after`` is the extension, else the located gap is."""
 
     channel: str
     slip_name: str
@@ -105,172 +102,217 @@ class Comparison(NamedTuple):
 
 
 def shown_rows(base, parts) -> ShownRows:
-    """The rows of a base fit.
-
-    Args:
-        parts: ``base``, ``extended`` and ``gap`` (n,) of the first channel.
-    """
-    prepared = base.prepared
-    channel, inputs = prepared.channels[0], prepared.inputs
-    varying = covariates_of(base)
-    covariates = {name: varying[name] for name in _SHOWN_OVER if name in varying}
-    lateral = prepared.mode == "y"
+    """The rows of a base fit; ``parts`` are ``base``, ``extended`` and ``gap`` (n,) of
+    the first channel."""
+    rows, varying = base.prepared, covariates_of(base)
+    channel, is_lateral = rows.channels[0], rows.mode == "y"
     return ShownRows(
-        channel, "alpha" if lateral else "sigma_x",
-        np.arctan(prepared.slip) if lateral else prepared.slip, base.slip_fraction,
-        np.asarray(inputs.fz, float), covariates, prepared.observed[channel],
-        parts["base"], parts["extended"], parts["gap"],
+        channel, "alpha" if is_lateral else "sigma_x",
+        np.arctan(rows.slip) if is_lateral else rows.slip, base.slip_fraction,
+        np.asarray(rows.inputs.fz, float),
+        {name: varying[name] for name in _SHOWN_OVER if name in varying},
+        rows.observed[channel], parts["base"], parts["extended"], parts["gap"],
     )  # fmt: skip
 
 
+def _means(codes, *columns) -> list[np.ndarray]:
+    """Mean of each column in every bin that has rows."""
+    count = np.bincount(codes)
+    there = count > 0
+    return [np.bincount(codes, c)[there] / count[there] for c in columns]
+
+
 def _levels(values) -> tuple[np.ndarray, np.ndarray]:
-    """Codes (n,) of the levels of a covariate, and the levels (m, 2), from and to."""
+    """Level (n,) of each value, and the levels (m, 2), from and to."""
     settings = levels(values)
     if settings.few():
         return settings.code, np.stack([settings.center, settings.center], axis=1)
-    cuts = np.unique(np.quantile(values, np.linspace(0, 1, _BANDS + 1)))
-    codes = np.clip(np.searchsorted(cuts, values, "right") - 1, 0, len(cuts) - 2)
-    return codes, np.stack([cuts[:-1], cuts[1:]], axis=1)
+    codes, edges = binned(values, _BANDS)
+    return codes, np.stack([edges[:-1], edges[1:]], axis=1)
 
 
-def _energy_seen(codes, size: int, values) -> float:
-    """Energy of the cells' means beyond that of their noise."""
-    count, mean, std = cells(codes, size, values)
-    there = count >= _FEWEST
-    return float(np.sum((count * mean**2 - std**2)[there]))
-
-
-def _wide(edges) -> np.ndarray:
-    # One value alone would be a map of no width.
-    return edges if len(edges) > 1 else edges[0] + np.array([-0.5, 0.5])
-
-
-def _slip_edges(fraction, rows: int) -> np.ndarray:
+def _in_columns(rows: ShownRows, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """:func:`binned` of the slip fraction, for maps of ``count`` levels."""
+    inside = np.clip(rows.slip_fraction, -FULL_SLIDING, FULL_SLIDING)
+    columns = min(len(inside) // (_IN_A_BIN * count), _BINS)
     # An odd number leaves zero slip, where noise flips the sign, within one cell.
-    steps = int(np.clip(len(fraction) // (_IN_A_BIN * rows), *_BINS)) | 1
-    inside = np.clip(fraction, -_FARTHEST, _FARTHEST)
-    return _wide(np.unique(np.quantile(inside, np.linspace(0, 1, steps + 1))))
-
-
-class _Grid(NamedTuple):
-    """Cells of slip fraction x a covariate: the ``cell`` (n,) of each row."""
-
-    covariate: str
-    levels: np.ndarray
-    edges: np.ndarray
-    cell: np.ndarray
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        return len(self.levels), len(self.edges) - 1
-
-    @property
-    def size(self) -> int:
-        return self.shape[0] * self.shape[1]
-
-
-def _grid(rows: ShownRows, covariate: str, values) -> _Grid:
-    codes, levels = _levels(values)
-    edges = _slip_edges(rows.slip_fraction, len(levels))
-    inside = np.clip(rows.slip_fraction, edges[0], edges[-1])
-    columns = len(edges) - 1
-    column = np.clip(np.searchsorted(edges, inside, "right") - 1, 0, columns - 1)
-    return _Grid(covariate, levels, edges, codes * columns + column)
+    return binned(inside, columns | 1)
 
 
 def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> ResidualMap:
-    """The map over slip fraction and the covariate along which most of the gap shows.
-
-    Loads are preferred where no other covariate shows 5 % more.
+    """The map over slip fraction and the covariate along which most of the gap shows;
+    over loads where no other covariate shows 5 % more.
 
     Args:
         inflation: rows per independent row.
         resolvable: whether there is a gap to share out.
     """
     residual = 100 * (rows.observed - rows.base) / rows.load
-    most, grid = -np.inf, None
+    most, best = -np.inf, None
     for covariate, values in (rows.covariates or {"fz": rows.load}).items():
-        option = _grid(rows, covariate, values)
-        seen = _energy_seen(option.cell, option.size, residual)
-        if grid is None or seen > most + _BETTER * abs(most):
-            most, grid = seen, option
-    assert grid is not None  # there is a covariate, or else the load
-    count, mean, std = cells(grid.cell, grid.size, residual)
-    there = count >= _FEWEST
-    square = np.bincount(grid.cell, rows.gap**2, grid.size)
-    energy = square * resolvable / max(float(square.sum()), NONZERO)
-    return ResidualMap(
-        rows.channel, grid.covariate, grid.levels, grid.edges,
-        np.where(there, mean, np.nan).reshape(grid.shape),
-        _beyond(count, mean, std, there, inflation).reshape(grid.shape),
-        energy.reshape(grid.shape),
-    )  # fmt: skip
-
-
-def _beyond(count, mean, std, there, inflation: float) -> np.ndarray:
-    """Cells (size,) whose mean is not noise."""
-    independent = np.maximum(count / inflation, 1.0)
+        level, ends = _levels(values)
+        column, edges = _in_columns(rows, len(ends))
+        shape = len(ends), len(edges) - 1
+        cell = level * shape[1] + column
+        count, mean, std = cells(cell, shape[0] * shape[1], residual)
+        seen = float(np.sum((count * mean**2 - std**2)[count >= _FEWEST]))
+        if best is None or seen > most + _BETTER * abs(most):
+            most, best = seen, (covariate, ends, edges, shape, cell, count, mean, std)
+    assert best is not None  # there is a covariate, or else the load
+    covariate, ends, edges, shape, cell, count, mean, std = best
+    there, independent = count >= _FEWEST, np.maximum(count / inflation, 1.0)
     t = mean * np.sqrt(independent) / np.maximum(std, ROUNDING)
     p = 2 * stdtr(np.maximum(independent - 1, 1.0), -np.abs(t))
     beyond = np.zeros(len(mean), bool)
     if there.any():
         beyond[there] = false_discovery_control(p[there]) < LEVEL
-    return beyond
-
-
-def _binned(x, edges, *columns):
-    """(bin of each row, bins with any rows, their means of x and of the columns)."""
-    codes = np.clip(np.searchsorted(edges, x, "right") - 1, 0, len(edges) - 2)
-    count = np.bincount(codes, minlength=len(edges) - 1)
-    there = count > 0
-    sums = (np.bincount(codes, c, len(edges) - 1)[there] for c in (x, *columns))
-    center, *means = (total / count[there] for total in sums)
-    return codes, there, center, means
+    square = np.bincount(cell, rows.gap**2, len(mean))
+    energy = square * resolvable / max(float(square.sum()), NONZERO)
+    return ResidualMap(
+        rows.channel, covariate, ends, edges,
+        np.where(there, mean, np.nan).reshape(shape), beyond.reshape(shape),
+        energy.reshape(shape),
+    )  # fmt: skip
 
 
 def _load_curve(load, slip, force, base, extended) -> LoadCurve:
-    # A wheel that nearly locks has slips without bound: bins are those of its ratio.
-    unbounded = np.max(np.abs(slip), initial=0.0) > 1.0
-    place = slip_ratio_from_sigma(slip) if unbounded else slip
-    steps = int(np.clip(len(slip) // _FINE, _FINE, _STEPS))
-    edges = _wide(np.unique(np.quantile(place, np.linspace(0, 1, steps + 1))))
-    codes, there, center, (before, after) = _binned(place, edges, base, extended)
+    codes, _ = binned(slip, min(len(slip) // _IN_A_BIN, _STEPS))
+    bins = [codes == k for k in np.unique(codes)]
     # Within a bin the force rises with slip: only what the extension adds is spread.
-    change = extended - base
-    low, high = np.array(
-        [np.quantile(change[codes == k], _TENTHS) for k in np.flatnonzero(there)]
-    ).T
+    spread = [np.quantile((extended - base)[rows], _TENTHS) for rows in bins]
+    # A wheel that nearly locks has slips without bound: their mean is of no use.
+    center = np.array([np.median(slip[rows]) for rows in bins])
+    before, after = _means(codes, base, extended)
     points = np.unique(np.linspace(0, len(slip) - 1, _POINTS).astype(int))
     return LoadCurve(
-        load, slip[points], force[points],
-        sigma_from_slip_ratio(center) if unbounded else center, before, after,
-        before + low, before + high,
+        load, slip[points], force[points], center, before, after,
+        *(before + np.array(spread).T),
     )  # fmt: skip
 
 
 def compared(rows: ShownRows, named: bool) -> Comparison:
-    """Both fits over the data at up to three loads, and their residuals over slip.
-
-    Where nothing is named, the located gap stands in for the extension: it says what
-    is missing, not why.
-    """
+    """Both fits over the data at up to three loads, and their residuals over slip; the
+    base with the located gap in the place of the extension where no effect is named."""
     after = rows.extended if named else rows.base + rows.gap
-    codes, levels = _levels(rows.load)
-    there = np.flatnonzero(np.bincount(codes))
+    codes, ends = _levels(rows.load)
+    there = np.unique(codes)
     chosen = np.unique(there[np.linspace(0, len(there) - 1, _CURVES).astype(int)])
     curves = tuple(
         _load_curve(
-            tuple(levels[k].tolist()),
+            tuple(ends[k].tolist()),
             *(x[codes == k] for x in (rows.slip, rows.observed, rows.base, after)),
         )
         for k in chosen
     )
-    fraction = np.clip(rows.slip_fraction, -_FARTHEST, _FARTHEST)
-    *_, center, (before, rest) = _binned(
-        fraction, _slip_edges(fraction, 1), (rows.observed - rows.base) ** 2,
-        (rows.observed - after) ** 2,
-    )  # fmt: skip
+    missed = [(rows.observed - x) ** 2 for x in (rows.base, after)]
+    inside = np.clip(rows.slip_fraction, -FULL_SLIDING, FULL_SLIDING)
+    center, *squares = _means(_in_columns(rows, 1)[0], inside, *missed)
     return Comparison(
-        rows.channel, rows.slip_name, named, curves, center, np.sqrt(before),
-        np.sqrt(rest),
+        rows.channel, rows.slip_name, named, curves, center, *map(np.sqrt, squares)
+    )
+
+
+class LookCurve(NamedTuple):
+    """The local change of the parameter of a :class:`Look` over its covariate.
+
+    ``center``, ``change``, ``std`` (k,) are bins: the covariate, the estimate and its
+    standard error; ``x``, ``shape`` (p,) the fitted shape, whose size is that of the
+    look: of a wave the amplitude, of a kink its value at the end. Changes are in the
+    units of :class:`Look`, in the direction of the slip where ``is_mirrored``;
+    ``is_folded``: a wave, shown within one period; ``at_settings``: bins are settings.
+    """
+
+    look: Look
+    center: np.ndarray
+    change: np.ndarray
+    std: np.ndarray
+    x: np.ndarray
+    shape: np.ndarray
+    is_mirrored: bool
+    is_folded: bool
+    at_settings: bool
+
+
+def shape_of(one: Pattern | Look, values, low: float, span: float) -> np.ndarray:
+    """The shape of a pattern at values of its covariate, which begins at ``low`` in the
+    data and has this ``span``: (n, 1); of a wave sine and cosine, (n, 2)."""
+    off = np.asarray(values, float) - one.at
+    if one.shape == "wave":
+        angle = 2 * np.pi * (np.asarray(values, float) - low) / one.at
+        return np.stack([np.sin(angle), np.cos(angle)], axis=1)
+    if one.shape == "kink":
+        column = np.maximum(off, 0.0) / span
+    elif one.shape == "threshold":
+        column = (off > 0) - 0.5
+    elif one.width:
+        column = np.exp(-0.5 * (off / one.width) ** 2)
+    else:
+        column = 1.0 * np.isclose(values, one.at)
+    return column[:, None]
+
+
+def look_curve(verdict, base: Base, look: Look) -> LookCurve:
+    """The shape that the remainder of a verdict resembles, over the data."""
+    values = quantities(base.rows, base.slip_fraction)[look.covariate]
+    place = PLACE[PARAMETERS[look.parameter][0]]
+    field = np.asarray(base.at_null.fields)[:, place].reshape(-1, base.rows.n)
+    if look.parameter == "force":
+        field = field * np.asarray(base.rows.inputs.fz)
+    if is_mirrored(look.parameter, look.covariate):
+        field = field * np.where(base.slip_fraction < 0, -1.0, 1.0)
+    values, linear = np.asarray(values, float), linear_at(base, verdict.chosen)
+    return curve_of(look, values, field, linear)
+
+
+def curve_of(look: Look, values, field, linear: LinearFit) -> LookCurve:
+    """The points are partial residuals (Larsen and McCleary, 1972, Technometrics
+    14:781) of the shape, fitted together with the base's parameters.
+
+    Args:
+        values: the covariate (n,).
+        field: whitened force of a unit change of the parameter, (channels, n).
+        linear: what the fit leaves, and what it has used up.
+    """
+    low, span = float(values.min()), float(np.ptp(values))
+    settings, is_folded = settings_of(look.covariate, values), look.shape == "wave"
+    if settings is not None:
+        values = settings.center[settings.code]
+    shapes = shape_of(look, values, low, span)
+    columns = (field[:, :, None] * shapes).reshape(-1, shapes.shape[1])
+    lone = without(columns, linear.used_up)
+    residual = without(linear.residual, linear.used_up)
+    coefficient = np.linalg.lstsq(lone, residual, rcond=None)[0]
+    left = (residual - lone @ coefficient).reshape(field.shape)
+    information = np.sum(field**2, axis=0)
+    estimate = information * (shapes @ coefficient) + np.sum(field * left, axis=0)
+
+    place, begin = (np.mod(values - low, look.at), 0.0) if is_folded else (values, low)
+    if settings is not None:
+        codes, x = settings.code, settings.center
+    else:
+        codes = equally_known(place, information)
+        x = np.linspace(begin, begin + (look.at if is_folded else span), _POINTS)
+    total = np.bincount(codes, information)
+    there = total > 0
+    center, change = (
+        np.bincount(codes, part)[there] / total[there]
+        for part in (information * place, estimate)
+    )
+    curve = shape_of(look, x, begin, span) @ coefficient
+    size = curve[-1] if look.shape == "kink" else coefficient[0]
+    size = float(np.linalg.norm(coefficient)) if is_folded else float(size)
+    return LookCurve(
+        look._replace(size=size), center, change, 1 / np.sqrt(total[there]), x, curve,
+        is_mirrored(look.parameter, look.covariate), is_folded, settings is not None,
     )  # fmt: skip
+
+
+def equally_known(place, information) -> np.ndarray:
+    """Bins (n,) along the place in which the parameter is known equally well."""
+    count = max(min(len(place) // _IN_A_BIN, _BINS), 1)
+    order = np.argsort(place, kind="stable")
+    known = np.cumsum(information[order])
+    middle = (known - 0.5 * information[order]) / known[-1]
+    codes = np.empty(len(place), int)
+    codes[order] = np.minimum(count * middle, count - 1).astype(int)
+    return codes

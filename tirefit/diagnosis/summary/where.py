@@ -1,11 +1,15 @@
-"""Where the gap lies: regions of slip, load, speed, time and direction, and which
-parameter of the tire would have to vary with which of them."""
+"""What the file is, and where in it the gap lies: regions of slip, load, speed, time
+and direction, and which parameter of the tire would have to vary with which of them."""
+
+from itertools import combinations
 
 import numpy as np
 from scipy.special import chdtrc
-from scipy.stats import false_discovery_control
+from scipy.stats import false_discovery_control, spearmanr
 
 from tirefit.data.levels import levels
+from tirefit.data.table import TireData
+from tirefit.diagnosis.effects.known import said_of_motion
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.forms import PLACE
 from tirefit.diagnosis.negligible import NONZERO
@@ -15,187 +19,154 @@ from tirefit.diagnosis.rows.basis import (
     mean_gain,
     orthogonal,
 )
-from tirefit.diagnosis.rows.patterns import PARAMETERS, USUAL_SIZES
-from tirefit.diagnosis.summary.records import Cell, Region, Spot
+from tirefit.diagnosis.rows.patterns import PARAMETERS, USUAL_SIZES, quantities
+from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.summary.records import Cell, DataSummary, Region, Spot
 
 LEVEL = 0.05
-"""False discoveries among the regions, or the cells of a map, that are said to hold
-more than noise."""
+"""Share of false discoveries among the regions, spots or map cells reported."""
 
-_PARTS = 4
-"""Parts of a covariate that is swept, at most: of as many rows each."""
+_PARTS, _STRETCHES = 4, 32
+"""Parts of a swept covariate as regions, and to look for spots in; spots at most."""
 
 _NEIGHBOURS = 8
-"""Rows of a run whose misses are added up: a smooth miss adds up, noise does not."""
-
-_STRETCHES = (8, 16, 32, 64)
-"""Parts of the rows that a spot is looked for among, each overlapping the next by half;
-quarters are regions."""
+"""Rows over the slip whose misfits are summed: a smooth misfit adds up, noise does not.
+Regions have as many at least."""
 
 _DENSE = 4.0
 """Share of the gap over that of the rows from which a stretch is a spot."""
 
-_MOST_SPOTS = 4
-
-_EDGE = 1e-6
-"""Width of the ends of a setting over its value: those are rounded values."""
-
 _FUNCTIONS = 6
 """Smooth functions of a covariate that a parameter may follow."""
 
-
-def _bins(values) -> list[tuple[float, float, np.ndarray]]:
-    """Settings, or parts of what is swept: (low, high, rows (n,) bool), each
-    row in one."""
-    settings = levels(values)
-    if settings.few():
-        ends = zip(settings.low.tolist(), settings.high.tolist(), strict=True)
-        return [(*end, _between(values, *end)) for end in ends]
-    parts = int(np.clip(len(values) // _NEIGHBOURS, 1, _PARTS))
-    cuts = np.unique(np.quantile(values, np.linspace(0, 1, parts + 1)))
-    part = np.digitize(values, cuts[1:-1])
-    ends = zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True)
-    return [(*end, part == k) for k, end in enumerate(ends)]
+_TOGETHER = 0.9
+"""Rank correlation from which two conditions are reported to move together."""
 
 
-def _between(values, low: float, high: float) -> np.ndarray:
-    width = _EDGE * max(abs(high), 1.0)
-    return (values >= low - width) & (values <= high + width)
+def data_summary(data: TireData, base: Base, rig: Rig) -> DataSummary:
+    """The file of a diagnosis: the table as it was read, with the fit to its rows."""
+    said = base.simulator.doubt if base.simulator else ""
+    doubts = (f"warning: {said}",) if said else ()
+    return DataSummary(
+        name=data.name, path=data.source.path, sha256=data.source.sha256,
+        convention=data.source.convention, channels=base.prepared.channels,
+        assumptions=(*doubts, *data.source.notes, *rig.notes, *rig.beside(data)),
+        set_aside=data.first_masked(), motion=said_of_motion(base, rig),
+        together=moving_together(base.prepared),
+    )  # fmt: skip
+
+
+def moving_together(rows: Prepared) -> tuple[str, ...]:
+    """A sentence on every two conditions that rise, or rise and fall, together."""
+    values, said = quantities(rows, np.zeros(rows.n)), []
+    names = ("time", "fz", "v", "temperature", "gamma", "pressure")
+    for one, other in combinations([c for c in names if c in values], 2):
+        rank = float(spearmanr(values[one], values[other]).statistic)
+        if abs(rank) > _TOGETHER:
+            how = "rises" if rank > 0 else "falls"
+            said.append(
+                f"{other} {how} with {one} in this file (rank correlation {rank:.2f}):"
+                " an effect of the one may be reported as one of the other"
+            )
+    return tuple(said)
 
 
 def covariates_of(base: Base) -> dict[str, np.ndarray]:
     """Covariates that vary, and the slip fraction: (n,) each."""
-    prepared = base.prepared
-    rows = prepared.covariates
-    values = {"slip_fraction": np.abs(base.slip_fraction)}
-    if "loads" in prepared.has:
-        values["fz"] = prepared.inputs.fz
-    if "speeds" in prepared.has:
-        values["v"] = prepared.inputs.v
-    if "time" in prepared.has:
-        values["time"] = prepared.time
-    if "sweeps" in prepared.has:
-        values["direction"] = np.sign(rows.turning)
-    if "signs" in prepared.has:
-        # A slip of zero itself is no third side.
-        values["sign"] = np.where(prepared.slip < 0, -1.0, 1.0)
-    for name in ("temperature", "gamma"):
-        if name in prepared.has:
-            values[name] = prepared.column(name)
-    return values
+    rows = base.prepared
+    values = {
+        "fz": ("loads", rows.inputs.fz), "v": ("speeds", rows.inputs.v),
+        "time": ("time", rows.time),
+        "direction": ("sweeps", np.sign(rows.covariates.turning)),
+        "sign": ("signs", np.where(rows.slip < 0, -1.0, 1.0)),
+    }  # fmt: skip
+    found = {"slip_fraction": np.abs(base.slip_fraction)}
+    found |= {name: value for name, (need, value) in values.items() if need in rows.has}
+    others = ("temperature", "gamma")
+    return found | {name: rows.column(name) for name in others if name in rows.has}
 
 
-def _chances(residual, slip_fraction) -> np.ndarray:
-    """p-value of each set of whitened misses: of neighbours over the slip, added up.
+def _chance(base: Base, residual, rows) -> float:
+    """p-value of the whitened misfit of ``rows``: chi-squared of the sums over
+    neighbours in slip. The residual has the rows' inflation in it already."""
+    ordered = residual[rows[np.argsort(base.slip_fraction[rows], kind="stable")]]
+    groups = np.array_split(ordered, max(len(rows) // _NEIGHBOURS, 1))
+    return float(chdtrc(len(groups), sum(g.sum() ** 2 / len(g) for g in groups)))
 
-    Args:
-        residual, slip_fraction: (sets, k).
-    """
-    order = np.argsort(slip_fraction, axis=1, kind="stable")
-    part = np.take_along_axis(residual, order, axis=1)
-    groups = np.array_split(
-        np.arange(part.shape[1]), max(part.shape[1] // _NEIGHBOURS, 1)
-    )
-    begins, sizes = [g[0] for g in groups], np.array([len(g) for g in groups])
-    sums = np.add.reduceat(part, begins, axis=1)
-    # The rows' inflation is in the residual already; sums bring it back.
-    return chdtrc(len(groups), np.sum(sums**2 / sizes, axis=1))
+
+def binned(values, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Bin (n,) of each value, and the edges (k + 1,) of ``count`` bins at most, of as
+    many values each."""
+    edges = np.unique(np.quantile(values, np.linspace(0, 1, max(count, 1) + 1)))
+    if len(edges) == 1:  # one value alone would be a bin without width
+        edges = edges[0] + np.array([-0.5, 0.5])
+    return np.digitize(values, edges[1:-1]), edges
+
+
+def _judged(base: Base, residual, gap, parts) -> list[Region]:
+    """Regions of ``parts`` (name -> part of each row, lower and upper ends), p-values
+    by Benjamini and Yekutieli: parts of several covariates share their rows."""
+    energy, found = gap**2 / max(float(np.sum(gap**2)), NONZERO), []
+    for name, (code, *ends) in parts.items():
+        for k, (low, high) in enumerate(zip(*ends, strict=True)):
+            rows = np.flatnonzero(code == k)
+            if len(rows) >= _NEIGHBOURS:
+                p, share = _chance(base, residual, rows), float(energy[rows].sum())
+                found.append(Region(name, float(low), float(high), share, p))
+    if not found:
+        return []
+    chances = false_discovery_control([one.p_value for one in found], method="by")
+    return [
+        region._replace(p_value=float(p))
+        for region, p in zip(found, chances, strict=True)
+    ]
 
 
 def regions(base: Base, residual, gap) -> list[Region]:
-    """Every region with its share and corrected p-value, largest evidence first.
-
-    Args:
-        residual: (n,) whitened residual of the base fit, inflation included.
-        gap: (n,) located gap [N].
-    """
-    energy = gap**2
-    total = max(float(energy.sum()), NONZERO)
-    bins, raw = [], []
+    """Settings, or quarters of what is swept, with their shares of the energy of the
+    located ``gap`` (n,) [N] and the corrected p-values of the whitened ``residual``
+    (n,), inflation included; the largest significant share first."""
+    parts = {}
     for name, values in covariates_of(base).items():
-        for low, high, inside in _bins(values):
-            if inside.sum() < _NEIGHBOURS:
-                continue
-            own = residual[None, inside], base.slip_fraction[None, inside]
-            raw.append(float(_chances(*own)[0]))
-            share = float(energy[inside].sum()) / total
-            bins.append(Region(name, low, high, share, 1.0))
-    if not bins:
-        return []
-    # By Benjamini and Yekutieli: the bins of several covariates share their rows.
-    corrected = false_discovery_control(raw, method="by").tolist()
-    judged = [r._replace(p_value=p) for r, p in zip(bins, corrected, strict=True)]
-    return sorted(judged, key=lambda region: (region.p_value > LEVEL, -region.share))
+        at = levels(values)
+        code, edges = binned(values, min(len(values) // _NEIGHBOURS, _PARTS))
+        parts[name] = code, edges[:-1], edges[1:]
+        if at.few():
+            parts[name] = at.code, at.low, at.high
+    found = _judged(base, residual, gap, parts)
+    return sorted(found, key=lambda r: (r.p_value > LEVEL, -r.share))
 
 
 def spots(base: Base, residual, gap) -> tuple[Spot, ...]:
     """Short stretches of what was swept that hold far more of the gap than their share
-    of the rows, the densest first, none within another; see :func:`regions`."""
-    energy = gap**2
-    total, n = max(float(energy.sum()), NONZERO), len(gap)
-    stretches: list[Spot] = []
+    of the rows, the largest first; arguments as in :func:`regions`."""
+    parts, rows = {}, {}
     for name, values in covariates_of(base).items():
         # Pauses between sweeps part the time; a setting has no stretches.
-        if name != "time" and levels(values).few():
-            continue
-        order = np.argsort(values, kind="stable")
-        for count in _STRETCHES:
-            width = n // count
-            if width < _NEIGHBOURS:
-                break
-            starts = np.arange(0, n - width + 1, width // 2)
-            rows = order[starts[:, None] + np.arange(width)]
-            each = (
-                values[rows[:, 0]], values[rows[:, -1]], np.full(len(rows), width / n),
-                energy[rows].sum(axis=1) / total,
-                _chances(residual[rows], base.slip_fraction[rows]),
-            )  # fmt: skip
-            parts = (part.astype(float).tolist() for part in each)
-            stretches += [Spot(name, *one) for one in zip(*parts, strict=True)]
-    if not stretches:
-        return ()
-    corrected = false_discovery_control([s.p_value for s in stretches], method="by")
+        if name == "time" or not levels(values).few():
+            code, edges = binned(values, min(len(values) // _NEIGHBOURS, _STRETCHES))
+            parts[name] = code, edges[:-1], edges[1:]
+            rows[name] = float(np.max(np.bincount(code))) / len(code)
     dense = [
-        spot._replace(p_value=float(p))
-        for spot, p in zip(stretches, corrected, strict=True)
-        if p <= LEVEL and spot.share >= _DENSE * spot.rows
+        Spot(name, low, high, rows[name], share, p)
+        for name, low, high, share, p in _judged(base, residual, gap, parts)
+        if p <= LEVEL and share >= _DENSE * rows[name]
     ]
-    dense.sort(key=lambda spot: -spot.share / spot.rows)
-    chosen: list[Spot] = []
-    for spot in dense:
-        if not any(_overlap(spot, other) for other in chosen):
-            chosen.append(spot)
-    return tuple(chosen[:_MOST_SPOTS])
-
-
-def _overlap(one: Spot, other: Spot) -> bool:
-    if one.covariate != other.covariate:
-        return False
-    return one.low <= other.high and other.low <= one.high
-
-
-_MAPPED = PARAMETERS | {
-    "kinetic friction": ("kinetic", 0.06),
-    "pressure": ("skew", 0.1),
-}
-"""What may vary: its field of the state, and the usual size of its change."""
+    return tuple(sorted(dense, key=lambda spot: -spot.share)[:_PARTS])
 
 
 def parameter_map(base: Base) -> list[Cell]:
-    """Every parameter against every covariate that varies, the most telling first.
-
-    Cells overlap: a gap of one cause shows in all that can imitate it.
-    """
+    """Every parameter against every covariate that varies, the strongest evidence
+    first. Cells overlap: a gap of one cause shows in all that resemble it."""
     residual, jacobian, _, fields = base.at_null
     load, channels = np.asarray(base.prepared.inputs.fz), len(base.prepared.channels)
     misfit = max(float(residual @ residual), NONZERO)
     cells = []
     for covariate, values in covariates_of(base).items():
-        values = (
-            np.minimum(values, FULL_SLIDING) if covariate == "slip_fraction" else values
-        )
-        shapes = functions_of(np.asarray(values, float), _FUNCTIONS)
-        for parameter, (field, size) in _MAPPED.items():
+        most = FULL_SLIDING if covariate == "slip_fraction" else np.inf
+        shapes = functions_of(np.minimum(values, most).astype(float), _FUNCTIONS)
+        for parameter, (field, size) in PARAMETERS.items():
             scaled = size * (load[:, None] if field == "force" else 1.0) * shapes
             columns = fields[:, [PLACE[field]]] * np.tile(scaled, (channels, 1))
             left, length = orthogonal(columns, jacobian)

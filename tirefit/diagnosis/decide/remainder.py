@@ -1,21 +1,28 @@
-"""What a good engineer would still see in the residual plots of an explanation.
+"""Tests of the remainder: what an engineer would still see in the residual plots.
 
 Every statistic is compared with its values for noise that went through the same fit, on
 these very rows: no table of critical values, no assumption on the design. Residuals
-are whitened; only their shape is judged, so a noise level that is off by a factor is no
-finding here. Noise with a memory is granted as far as it was judged to have one.
+are whitened and only their shape is judged, so a noise level that is off by a factor
+does not count. Autocorrelated noise is granted as far as it was judged to be there.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import rfft
 from scipy.signal import lfilter
 from scipy.sparse import csr_array
 
-from tirefit.diagnosis.negligible import ROUNDING
-from tirefit.diagnosis.noise.memory import Memory
+from tirefit.diagnosis.decide.verdict import Tests
+from tirefit.diagnosis.evidence.base import Base
+from tirefit.diagnosis.evidence.linear_fit import linear_at
+from tirefit.diagnosis.evidence.posterior import Key, Weighed
+from tirefit.diagnosis.negligible import ROUNDING, SILENT
+from tirefit.diagnosis.noise.memory import Memory, correlation
+from tirefit.diagnosis.rows.basis import without
+from tirefit.diagnosis.rows.patterns import travelled
+from tirefit.diagnosis.rows.prepared import Prepared, neighbours
+from tirefit.diagnosis.rows.rates import segments
 
 _PRECISION = np.float32
 """Of the simulated residuals: a thousand draws of all rows are read many times over,
@@ -46,56 +53,14 @@ _LOCAL = (6, 12, 24)
 """Rows of a local block, which multiples of half the shortest are: what sits in one
 region shows there first."""
 
-_LEFT_OUT = 12
-"""Rows of a group that is left out, at least; blocks of its prediction error are half
-as long."""
-
-_BLOCKS_LEFT_OUT = 12
-"""Blocks of the prediction error of a large group, at most."""
-
 _FEWEST_SUMS = 4
 """Sums of neighbours whose mean square says something."""
 
 _WITH_NEIGHBOURS = 3
 """Rows of a setting from which one has a neighbour on either side."""
 
-_UNSUPPORTED = 0.02
-"""A direction of the fit of which so little remains without a group rests on it alone:
-nothing can be predicted there."""
-
-LEVEL = 0.005
-"""A p-value below which a remainder is said to be there: noise fails each test once in
-200 files, and one of the six in 34 files at most."""
-
-
-class Adequacy(NamedTuple):
-    """p-value of what an explanation leaves, by test; None where the rows have no such
-    order. ``passed`` is False where one of them is below :data:`LEVEL`."""
-
-    time: float | None
-    slip_order: float | None
-    line: float | None
-    pure_error: float | None
-    local: float | None
-    held_out: float | None
-    passed: bool
-
-
-UNTESTED = Adequacy(None, None, None, None, None, None, passed=True)
-"""Of a verdict whose remainder was not looked at yet."""
-
 Statistic = Callable[[np.ndarray], np.ndarray]
 """(n, draws) residuals -> (draws,): the larger, the more structure."""
-
-
-def refused(adequacy: Adequacy) -> list[str]:
-    """Names of the tests that are failed, the smallest p-value first."""
-    values = {
-        name: p
-        for name, p in adequacy._asdict().items()
-        if name != "passed" and p is not None and p < LEVEL
-    }
-    return sorted(values, key=lambda name: values[name])
 
 
 def _unit(parts: np.ndarray) -> np.ndarray:
@@ -213,49 +178,6 @@ def _local(stretches: Sequence[np.ndarray]) -> Statistic:
     return statistic
 
 
-def _left_out(group: np.ndarray, unit: np.ndarray) -> Callable | None:
-    """Errors of predicting a group from the fit to all other rows: a function of all
-    residuals, or None where the fit rests on the group.
-
-    Exact for a linear fit: e_G without G = (1 - H_GG)^-1 e_G, H = ``unit`` unit^T.
-    """
-    here = unit[group]
-    rest = np.eye(here.shape[1]) - here.T @ here
-    values, vectors = np.linalg.eigh(rest)
-    if values.min() < _UNSUPPORTED:
-        return None
-    back = here @ (vectors / values) @ vectors.T
-
-    def predicted(parts):
-        own = parts[group]
-        return own + back.astype(own.dtype) @ (here.T.astype(own.dtype) @ own)
-
-    return predicted
-
-
-def _regimes(groups: Sequence[np.ndarray], unit: np.ndarray) -> Statistic | None:
-    """Mean square of summed prediction errors of the group that is predicted worst.
-
-    Args:
-        groups: rows to leave out together, each in the order of the slip.
-        unit: (n, p) orthonormal columns of the fit.
-    """
-    predictions = [(len(g), _left_out(g, unit)) for g in groups if len(g) >= _LEFT_OUT]
-    able = [(size, predict) for size, predict in predictions if predict is not None]
-    if not able:
-        return None
-
-    def statistic(parts):
-        values = []
-        for size, predicted in able:
-            length = max(_LEFT_OUT // 2, size // _BLOCKS_LEFT_OUT)
-            sums = _sums(predicted(parts), length)
-            values.append(_mean_square([sums], len(sums)))
-        return _largest(values)
-
-    return statistic
-
-
 def _noise(n: int, memory: Sequence[Memory], stretches, generator) -> np.ndarray:
     """Draws (n, DRAWS) of unit noise, part of it with a memory along the stretches:
     of each memory that may be, in proportion to its probability."""
@@ -290,67 +212,20 @@ def _p_value(observed: float, drawn: np.ndarray) -> float:
     return float(np.clip(beyond, LEAST_P, among))
 
 
-class Null(NamedTuple):
-    """Noise that went through a fit of all channels together: ``draws`` (m, DRAWS),
-    and the orthonormal columns ``unit`` (m, p) of the fit."""
-
-    draws: np.ndarray
-    unit: np.ndarray
-
-
-def null(
-    used_up: np.ndarray,
-    doubt: np.ndarray,
-    parts: Sequence[np.ndarray],
-    sizes: Sequence[float],
-    memories: Sequence[Sequence[Memory]],
-    in_time: Sequence[np.ndarray] | None,
-    generator: np.random.Generator,
-) -> Null:
-    """What the fit leaves of noise alone.
+def _p_values(residual, draws, in_time, in_slip, orders) -> Tests:
+    """The tests of one channel.
 
     Args:
-        used_up: (m, p) whitened columns of everything that was fitted.
-        doubt: (m, k) directions in which the rows may be off together, by independent
-            unit normal numbers, beside the noise.
-        parts: rows of each channel among the m: index arrays.
-        sizes, memories: standard deviation of the noise of each channel, and what its
-            memory may be.
-        in_time: rows of a channel, in each unbroken stretch in the order of time
-            (index arrays); None where the time is not known.
-        generator: of the noise.
-    """
-    unit, _ = np.linalg.qr(used_up)
-    noise = np.empty((len(used_up), DRAWS))
-    for part, size, memory in zip(parts, sizes, memories, strict=True):
-        noise[part] = size * _noise(len(part), memory, in_time, generator)
-    noise += doubt @ generator.standard_normal((doubt.shape[1], DRAWS))
-    noise, taken = noise.astype(_PRECISION), unit.astype(_PRECISION)
-    return Null(noise - taken @ (taken.T @ noise), unit)
-
-
-def adequacy(
-    residual: np.ndarray,
-    of_noise: Null,
-    in_time: Sequence[np.ndarray] | None,
-    in_slip: Sequence[np.ndarray],
-    groups: Sequence[np.ndarray],
-    orders: Sequence[np.ndarray] = (),
-) -> Adequacy:
-    """Tests of one channel's residual.
-
-    Args:
-        residual: (n,) whitened, of the explanation that is judged.
-        of_noise: what :func:`null` says of these n rows.
-        in_time: see :func:`null`.
+        residual: (n,) whitened.
+        draws: (n, DRAWS) of noise that went through the same fit.
+        in_time: rows of each unbroken stretch in the order of time: index arrays; None
+            where the time is not known.
         in_slip: rows of each setting (load, speed, direction) in the order of slip.
-        groups: regimes to leave out in turn: rows in the order of slip.
-        orders: place of each row in the order of time, rows set aside counted, and in
-            others in which a wave may lie; by default the order of time alone.
+        orders: place of each row in every order in which a wave may lie.
     """
     settings = [s for s in in_slip if len(s) >= _WITH_NEIGHBOURS]
     observed = residual[:, None].astype(_PRECISION)
-    together = _unit(np.concatenate([observed, of_noise.draws], axis=1))
+    together = _unit(np.concatenate([observed, draws], axis=1))
 
     def p_value(statistic: Statistic | None) -> float | None:
         if statistic is None:
@@ -359,22 +234,109 @@ def adequacy(
         return _p_value(observed, np.array(drawn))
 
     ordered = [np.arange(0)] if in_time is None else in_time
-    timed = (
-        in_time is not None and max(len(s) for s in ordered) >= _FEWEST_SUMS * _RUNS[1]
-    )
+    timed = max(len(s) for s in ordered) >= _FEWEST_SUMS * _RUNS[1]
     if not orders or not timed:
-        only = ordered if timed else in_slip
-        orders = [np.argsort(np.concatenate(only))]
+        orders = [np.argsort(np.concatenate(ordered if timed else in_slip))]
     dense = sum(len(s) for s in settings) >= 0.5 * len(residual)
     longest = max((len(s) for s in settings), default=0)
-    tests = {
-        "time": _persistence(ordered) if timed else None,
-        "slip_order": _persistence([np.concatenate(in_slip)]) if dense else None,
-        "line": _lines(orders),
-        "pure_error": _pure_error(settings) if dense else None,
-        "local": _local(settings) if dense and longest >= _LOCAL[0] else None,
-        "held_out": _regimes(groups, of_noise.unit),
-    }
-    values = {name: p_value(statistic) for name, statistic in tests.items()}
-    passed = all(p is None or p >= LEVEL for p in values.values())
-    return Adequacy(**values, passed=passed)
+    return Tests(
+        time=p_value(_persistence(ordered) if timed else None),
+        slip_order=p_value(_persistence([np.concatenate(in_slip)]) if dense else None),
+        line=p_value(_lines(orders)),
+        pure_error=p_value(_pure_error(settings) if dense else None),
+        local=p_value(_local(settings) if dense and longest >= _LOCAL[0] else None),
+    )
+
+
+def _orders(prepared: Prepared, stretches: list[np.ndarray]) -> list[np.ndarray]:
+    """Places of the rows in time and along the distance travelled: what turns with the
+    wheel repeats with that.
+
+    Args:
+        stretches: rows in the order of time, see :func:`segments`.
+    """
+    orders = [np.argsort(np.concatenate(stretches))]
+    if "speeds" in prepared.has:
+        way = travelled(prepared)
+        if np.ptp(way) > 0:
+            steps = (prepared.n - 1) / np.ptp(way)
+            orders.append(np.rint((way - way.min()) * steps).astype(int))
+    return orders
+
+
+def remainder_tests(
+    base: Base, weighed: Weighed, key: Key, generator: np.random.Generator
+) -> Tests:
+    """Tests of what a set of effects leaves: the smallest p-value of the channels times
+    their number (Bonferroni).
+
+    Args:
+        generator: of the noise.
+    """
+    linear = linear_at(base, weighed.best_of[key])
+    if key in weighed.other_form:
+        linear = linear.in_other_form()
+    prepared, n, used_up = base.rows, base.rows.n, linear.used_up
+    residual = without(linear.residual, used_up)
+    keep = np.asarray(base.design.keep[:n]) > 0
+    index = np.cumsum(keep) - 1
+
+    def kept(groups):
+        parts = [index[group[keep[group]]] for group in groups]
+        return [part for part in parts if len(part)]
+
+    in_time, orders = None, []
+    if prepared.time is not None:
+        stretches = segments(prepared.time, prepared.run)
+        in_time = kept(stretches)
+        orders = [places[keep] for places in _orders(prepared, stretches)]
+    in_slip, count = kept(neighbours(prepared)), int(keep.sum())
+    unit, _ = np.linalg.qr(used_up)
+    noise, sizes = [], []
+    for k, channel in enumerate(prepared.channels):
+        part = residual[np.flatnonzero(keep) + k * n]
+        memory = base.noise[channel].memory
+        sizes.append(float(np.sqrt(np.mean(part**2))))
+        noise.append(sizes[-1] * _noise(count, memory, in_time, generator))
+    rows = np.concatenate(
+        [np.flatnonzero(keep) + k * n for k in range(len(prepared.channels))]
+    )
+    doubt = base.doubt[rows]
+    draws = np.concatenate(noise)
+    draws += doubt @ generator.standard_normal((doubt.shape[1], DRAWS))
+    draws, taken = draws.astype(_PRECISION), unit[rows].astype(_PRECISION)
+    draws -= taken @ (taken.T @ draws)
+    each = [
+        _p_values(
+            residual[rows[part]], draws[part], in_time, in_slip, orders
+        )
+        for part, size in zip(
+            np.split(np.arange(len(rows)), len(sizes)), sizes, strict=True
+        )
+        if size > SILENT
+    ]  # fmt: skip
+    return Tests(
+        *(
+            min(1.0, len(each) * min(found)) if (found := _made(values)) else None
+            for values in zip(*each, strict=True)
+        )
+    )
+
+
+def _made(values) -> list[float]:
+    return [p for p in values if p is not None]
+
+
+def widening(base: Base, residual) -> float:
+    """Factor on the variance of amplitudes: what a set leaves is larger than the noise,
+    and neighbours in time agree, where it does not explain everything.
+
+    Args:
+        residual: (m,) whitened, of all channels.
+    """
+    prepared, n = base.rows, base.rows.n
+    rows_each = max(
+        correlation(residual[k * n : (k + 1) * n], prepared.time, prepared.run)
+        for k in range(len(prepared.channels))
+    )
+    return max(float(np.mean(residual**2)), 1.0) * rows_each

@@ -1,0 +1,117 @@
+"""What :func:`tirefit.diagnosis.decide.verdict.decide` is told of one file."""
+
+import numpy as np
+
+from tirefit.diagnosis.decide.calibration import probability_of_unlisted
+from tirefit.diagnosis.decide.remainder import remainder_tests, widening
+from tirefit.diagnosis.decide.verdict import POLICY, Findings, Policy, no_gap_shows
+from tirefit.diagnosis.evidence.base import Base
+from tirefit.diagnosis.evidence.linear_fit import linear_at
+from tirefit.diagnosis.evidence.posterior import Key, Weighed
+from tirefit.diagnosis.evidence.search import amplitudes_of
+from tirefit.diagnosis.left_out.folds import Folds, folds_of
+from tirefit.diagnosis.left_out.ladder import Gain, gained
+from tirefit.diagnosis.left_out.predicted import Predicted, predicted
+from tirefit.diagnosis.negligible import ROUNDING
+from tirefit.diagnosis.rows.basis import without
+
+_LEADING = 6
+"""Sets, and single effects, the most probable of each, that are refitted without each
+part of the data."""
+
+
+def predictions(base: Base, weighed: Weighed) -> Predicted:
+    """The leading sets, and all that the best two are made of, predicted on the rows
+    that their fits did not see."""
+    log = weighed.log_weight
+    ranked = sorted((k for k in log if k), key=lambda k: log[k], reverse=True)
+    singles = [k for k in ranked if len(k) == 1]
+    parts = [
+        tuple(sorted(set(key) - {effect})) for key in ranked[:2] for effect in key
+    ] + [(effect,) for key in ranked[:2] for effect in key]
+    wanted = [(), *ranked[:_LEADING], *singles[:_LEADING], *parts]
+    sets = [weighed.best_of[k] for k in dict.fromkeys(wanted) if k in log]
+    return predicted(base, sets, _folds(base, weighed))
+
+
+def _folds(base: Base, weighed: Weighed) -> Folds:
+    """Whole runs may be left out unless the most probable effects belong to one run."""
+    ids = {a.effect.id for a in base.atoms if "runs" in a.effect.needs}
+    rows_each = max(noise.inflation for noise in base.noise.values())
+    return folds_of(base.rows, rows_each, not ids & set(weighed.best))
+
+
+def floor_of(base: Base) -> float:
+    """Mean square of the noise of the first channel [N^2]."""
+    return float(np.mean(base.noise[base.rows.channels[0]].std ** 2))
+
+
+def better_elsewhere(weighed: Weighed, out: Predicted, needed: float) -> Key:
+    """The most probable set, or the one of as many effects that predicts the rows left
+    out better by more than ``needed`` standard errors.
+
+    The evidence takes the noise as known: where something unlisted is there it is
+    surer of one twin than the data are.
+    """
+    best, at = weighed.best, {key: k for k, key in enumerate(out.effects)}
+    others = [k for k in at if k and len(k) == len(best) and k != best]
+    gains = {k: gained(out, at[k], at[best], 0.0) for k in others} if best in at else {}
+    better = {k: g for k, g in gains.items() if g.gain > needed * g.std}
+    return max(better, key=lambda k: better[k].gain, default=best)
+
+
+def findings_of(
+    base: Base,
+    weighed: Weighed,
+    out: Predicted,
+    generator: np.random.Generator,
+    policy: Policy = POLICY,
+) -> Findings:
+    """What the search, the data left out and the remainder say.
+
+    Args:
+        generator: of simulated residuals.
+    """
+    best = weighed.best
+    key = () if no_gap_shows(weighed, policy) else best
+    tests = remainder_tests(base, weighed, key, generator)
+    unlisted = probability_of_unlisted(weighed, key, tests)
+    if key and unlisted > policy.likely:
+        key = better_elsewhere(weighed, out, policy.gain_beside)
+    return Findings(
+        weighed=weighed, best=key, errors=_errors(base, weighed, out, key),
+        gains=_gains(out, key, floor_of(base)), unlisted=unlisted, tests=tests,
+    )  # fmt: skip
+
+
+def _gains(out: Predicted, key: Key, floor: float) -> dict[str, Gain]:
+    """What each effect of a set gains beside the others."""
+    at, gains = {one: k for k, one in enumerate(out.effects)}, {}
+    for effect in key:
+        less = tuple(sorted(set(key) - {effect}))
+        if key in at and less in at:
+            gains[effect] = gained(out, at[key], at[less], floor)
+    return gains
+
+
+def _errors(base: Base, weighed: Weighed, out: Predicted, key: Key):
+    """Amplitude over its standard error, by effect: the error by the rows, widened by
+    what the set leaves, and by what is not known of the slips; or the jackknife's over
+    the parts left out, where that is larger."""
+    if not key:
+        return {}
+    best = weighed.best_of[key]
+    linear = linear_at(base, best)
+    p, size = len(best.z), np.abs(best.amplitude)
+    left = base.residual(best.z, amplitudes_of(base, best))
+    variance = np.diag(best.covariance)[p:] * widening(base, left)
+    jacobian, own = linear.used_up[:, :p], linear.used_up[:, p:]
+    own = without(own, jacobian)
+    moved = np.linalg.solve(own.T @ own + np.eye(len(size)), own.T @ base.doubt)
+    variance = np.maximum(variance, 0.0) + np.sum(moved**2, axis=1)
+    if key in out.effects:
+        parts = out.amplitude[out.effects.index(key)]
+        off = parts - parts.mean(axis=0)
+        variance = np.maximum(variance, (1 - 1 / len(parts)) * np.sum(off**2, axis=0))
+    error = np.sqrt(np.maximum(variance, ROUNDING))
+    return dict(zip(best.effects, (size / error).tolist(), strict=True))

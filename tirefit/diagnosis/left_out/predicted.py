@@ -1,0 +1,90 @@
+"""What each set of effects predicts of the rows that its fit did not see."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from tirefit.diagnosis.evidence.base import Base
+from tirefit.diagnosis.evidence.search import Hypothesis
+from tirefit.diagnosis.left_out.folds import Folds
+from tirefit.diagnosis.negligible import FLAT
+from tirefit.diagnosis.rows.basis import SCALES
+
+
+class Predicted(NamedTuple):
+    """Sets of effects fitted without each fold and judged on it; ``on`` names the folds.
+
+    ``loss`` (F, S) is the mean square [N^2] of what set s misses of the first channel
+    in fold f, ``whitened`` (F, S) the sum of squares of all channels over the noise,
+    ``rows`` (F,) of the fold, ``amplitude`` the effects' own as refitted, by set:
+    (F, k), in prior scales.
+    """
+
+    on: str
+    effects: tuple[tuple[str, ...], ...]
+    loss: np.ndarray
+    whitened: np.ndarray
+    rows: np.ndarray
+    amplitude: tuple[np.ndarray, ...]
+
+
+def predicted(base: Base, sets: Sequence[Hypothesis], folds: Folds) -> Predicted:
+    """Refit every set without each fold in turn, from its fit to all rows."""
+    n, main = base.rows.n, base.rows.channels[0]
+    keep = np.asarray(base.design.keep)[:n] > 0
+    starts, atoms = [(h.z, h.amplitude) for h in sets], [h.atoms for h in sets]
+    outs = [folds.code == fold for fold in range(folds.count)]
+    refit = base.refit_folds(starts, atoms, [~out for out in outs])
+    loss = np.empty((folds.count, len(sets)))
+    whitened, rows = np.empty_like(loss), np.empty(folds.count, int)
+    for f, out in enumerate(outs):
+        good = out & keep if (out & keep).any() else out
+        rows[f] = good.sum()
+        for k, own in enumerate(atoms):
+            sizes = base.amplitudes(own, refit.amplitude[f, k])
+            forces = base.forces(refit.z[f, k], sizes)
+            missed = {c: (base.rows.observed[c] - x)[good] for c, x in forces.items()}
+            loss[f, k] = np.mean(missed[main] ** 2)
+            whitened[f, k] = sum(
+                np.sum((m / np.asarray(base.design.scale[c])[:n][good]) ** 2)
+                for c, m in missed.items()
+            )
+    amplitude = refit.amplitude
+    own = tuple(amplitude[:, k, : len(h.atoms)] for k, h in enumerate(sets))
+    names = tuple(tuple(sorted(h.effects)) for h in sets)
+    return Predicted(folds.on, names, loss, whitened, rows, own)
+
+
+def smooth_predicted(base: Base, folds: Folds) -> np.ndarray:
+    """Mean square [N^2] of what "anything smooth" misses of each fold: (F,).
+
+    The smooth functions of the discrepancy beside the base model, linearised at its
+    fit, their size chosen by evidence on the other rows.
+    """
+    n, main = base.rows.n, base.rows.channels[0]
+    residual, jacobian, *_ = base.at_null
+    columns, p = np.concatenate([jacobian, base.generic.smooth], 1), jacobian.shape[1]
+    keep = np.asarray(base.design.keep)[:n] > 0
+    scale, losses = np.asarray(base.design.scale[main])[:n], []
+    channels = len(base.rows.channels)
+    for fold in range(folds.count):
+        out = folds.code == fold
+        inside = np.tile(keep & ~out, channels)
+        good = keep & out if (keep & out).any() else out
+        own, rest = columns[inside], residual[inside]
+        gram, score = own.T @ own, own.T @ rest
+        best, weights = -np.inf, np.zeros(columns.shape[1])
+        for size in SCALES:
+            ridge = np.full(columns.shape[1], size**-2.0)
+            ridge[:p] = FLAT
+            factor = cho_factor(gram + np.diag(ridge))
+            found = cho_solve(factor, score)
+            log = 0.5 * score @ found - np.sum(np.log(np.diag(factor[0])))
+            log += 0.5 * np.sum(np.log(ridge[p:]))
+            if log > best:
+                best, weights = log, found
+        left = (residual[:n] - columns[:n] @ weights)[good] * scale[good]
+        losses.append(np.mean(left**2))
+    return np.array(losses)

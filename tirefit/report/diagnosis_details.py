@@ -1,0 +1,207 @@
+"""The details of a diagnosis, below the first screen: ``--full`` and the page."""
+
+from collections.abc import Iterator
+
+from tirefit.diagnosis.effects import EFFECTS
+from tirefit.diagnosis.summary.result import SCHEMA, Diagnosis
+from tirefit.models import MODELS
+from tirefit.params import specs
+from tirefit.report.diagnosis_sections import TESTS, Section, gap_line
+from tirefit.report.diagnosis_words import (
+    amount_text,
+    amplitude_text,
+    closed_text,
+    covariate_text,
+    name_of,
+    p_text,
+    range_text,
+    said_unit,
+    set_name,
+    share_text,
+    slip_check_line,
+    untestable_lines,
+)
+from tirefit.report.numbers import format_estimate, format_number
+
+_LEAST = 0.005
+"""Probability from which a candidate has a line."""
+
+_MOST = 10
+"""Parameters of the map, at most."""
+
+
+_SEEN = 0.5
+"""Probability of being seen below which an effect may be there and not show."""
+
+
+def details(result: Diagnosis) -> list[Section]:
+    """Sections on the gap, where it lies, all candidates, forecast, noise, settings."""
+    sections = [
+        Section("Gap on the rows fitted", list(_gap_lines(result))),
+        Section("Runs (an offset of its own for each)", list(run_lines(result))),
+        Section("Where the gap lies", _spot_lines(result), _where(result)),
+        Section("A parameter that varies freely", (), _map(result)),
+        Section(
+            "Candidates (probability of exactly this set and nothing unlisted)",
+            list(_candidate_lines(result)),
+        ),
+        Section("Tests of what is left", (), _tests(result)),
+        Section("Parameters", (), _parameters(result)),
+        Section("Hard to tell on this data (forecast)", confused_lines(result)),
+        Section("Smallest amplitudes that would be seen", smallest_lines(result)),
+        Section("Not testable", untestable_lines(result.untestable)),
+        Section("Data and settings", list(_settings(result))),
+    ]
+    return [one for one in sections if one.lines or len(one.table) > 1]
+
+
+def _gap_lines(result: Diagnosis) -> Iterator[str]:
+    gap = result.gap
+    yield gap_line(result, gap, f"the {result.n} rows fitted")
+    yield f"probability {p_text(gap.p_value)} of such a misfit by noise alone"
+    if gap.holdout is not None:
+        yield gap_line(result, gap.holdout, gap.holdout.on)
+    if gap.shares:
+        parts = (f"{name_of(k)} {share_text(share)}" for k, share in gap.shares.items())
+        yield f"shares of the energy closed, in any order: {', '.join(parts)}"
+
+
+def run_lines(result: Diagnosis) -> Iterator[str]:
+    """How far the runs of the file differ, one line for each kind of offset."""
+    for kind, runs in result.runs.items():
+        factor, unit = said_unit(runs.unit)
+        common = amount_text(runs.common, runs.std, runs.unit)
+        spread = amount_text(runs.spread, None, runs.unit, 2)
+        low, high = (format_number(factor * end, 2) for end in runs.spread_ci)
+        own = (
+            f"{name} {format_estimate(factor * value, factor * std)}"
+            for name, (value, std) in runs.values.items()
+        )
+        yield (
+            f"{name_of(kind)}: {common} for all {len(runs.values)} runs, standard"
+            f" deviation between runs {spread} [{low}, {high}], p"
+            f" {p_text(runs.p_value)} of none;"
+            f" each run{f' [{unit}]' * bool(unit)}: {', '.join(own)}"
+        )
+
+
+def _where(result: Diagnosis) -> list[tuple[str, ...]]:
+    rows = [
+        (covariate_text(one.covariate), range_text(one), share_text(one.share),
+         p_text(one.p_value))
+        for one in result.where
+    ]  # fmt: skip
+    return [("quantity", "range", "share of energy", "p of noise"), *rows]
+
+
+def _spot_lines(result: Diagnosis) -> list[str]:
+    return [
+        f"one place: {covariate_text(spot.covariate)} {range_text(spot)}:"
+        f" {share_text(spot.share)} of the energy, {share_text(spot.rows)} of the rows"
+        for spot in result.spots
+    ]
+
+
+def _map(result: Diagnosis) -> list[tuple[str, ...]]:
+    rows = [
+        (cell.parameter, covariate_text(cell.covariate),
+         format_number(cell.log_evidence, 3), share_text(cell.explains))
+        for cell in result.map[:_MOST]
+        if cell.log_evidence > 0
+    ]  # fmt: skip
+    return [("parameter", "varies with", "log evidence", "misfit, at most"), *rows]
+
+
+def _candidate_lines(result: Diagnosis) -> Iterator[str]:
+    for one in result.candidates:
+        if one.probability < _LEAST:
+            continue
+        line = f"{one.probability:.3f}  {set_name(one.effects)}"
+        if one.closed:
+            line += f"; closes {closed_text(one.closed, one.closed_ci)} of the gap"
+        for name, amplitude in one.parameters.items():
+            line += f"; {name_of(name.partition(': ')[0])} {amplitude_text(amplitude)}"
+        if one.z is not None and one.z_given_rivals is not None:
+            line += (
+                f"; {format_number(abs(one.z), 3)} standard errors by itself,"
+                f" {format_number(one.z_given_rivals, 3)} beside the others"
+            )
+        yield line
+
+
+def _tests(result: Diagnosis) -> list[tuple[str, ...]]:
+    tests = result.verdict.left.tests.items()
+    rows = [(TESTS.get(name, name), p_text(p)) for name, p in tests if p is not None]
+    return [("test", "p of noise"), *rows]
+
+
+def _parameters(result: Diagnosis) -> list[tuple[str, ...]]:
+    model = MODELS.get(result.model)
+    units = {k: f"[{spec.unit}]" for k, spec in specs(model).items()} if model else {}
+    if changes := result.verdict.parameters:
+        rows = [
+            (f"{name} {units.get(name, '')}", format_number(one.simulated),
+             format_estimate(one.measured, one.std), "yes" if one.differs else "no")
+            for name, one in changes.items()
+        ]  # fmt: skip
+        return [("parameter", "simulated", "measured", "differs"), *rows]
+    after = result.extended_parameters
+    pairs = [
+        (f"{name} {units.get(name, '')}", format_number(value),
+         format_number(after.get(name)))
+        for name, value in result.base_parameters.items()
+    ]  # fmt: skip
+    return [("parameter", "model alone", "with the answer"), *pairs]
+
+
+def confused_lines(result: Diagnosis, most: int = 6) -> list[str]:
+    """Effects that these rows would show and yet take for others, as sentences, and
+    those that they would not show at their usual size."""
+    lines = [
+        f"{name_of(chance.effect)} of"
+        f" {amount_text(chance.amplitude, None, chance.unit, 2)}: recognised with"
+        f" probability {chance.recognised:.2f}, else taken for"
+        f" {name_of(chance.taken_for)}"
+        for chance in sorted(result.forecast, key=lambda one: one.recognised)
+        if chance.taken_for and chance.seen >= max(_SEEN, chance.recognised / 0.75)
+    ]
+    unseen = [
+        name_of(chance.effect)
+        for chance in result.forecast
+        if chance.seen < _SEEN and chance.effect not in result.verdict.effects
+    ]
+    at_usual_size = f"not seen here at their usual size: {', '.join(unseen)}"
+    return lines[:most] + [at_usual_size] * bool(unseen)
+
+
+def smallest_lines(result: Diagnosis) -> list[str]:
+    """The smallest amplitudes that would have been seen four times in five."""
+    units = {effect.id: effect.unit for effect in result.library}
+    parts = (
+        f"{name_of(effect)} {amount_text(value, None, units.get(effect, ''), 2)}"
+        for effect, value in result.resolution.smallest_effects.items()
+    )
+    return [", ".join(parts)] if result.resolution.smallest_effects else []
+
+
+def _settings(result: Diagnosis) -> Iterator[str]:
+    data, settings, noise = result.data, result.settings, result.noise
+    yield f"data: {data.path or data.name}, sha256 {data.sha256 or '-'}"
+    yield (
+        f"{result.n} rows count as {result.n_effective:.0f} independent ones; noise of"
+        f" {noise.slip_name} {format_number(noise.slip, 3)} ({noise.slip_source});"
+        f" {noise.outliers} rows excluded as outliers"
+        f"{'; noise ' * bool(noise.flags)}{', '.join(noise.flags)}"
+    )
+    if result.slip_check is not None:
+        yield slip_check_line(result.slip_check)
+    rig = {k: v for k, v in vars(settings.rig).items() if v}
+    rig |= {f"noise.{k}": v for k, v in rig.pop("noise", {}).items()}
+    known = ", ".join(f"{k} = {v}" for k, v in rig.items() if k != "notes")
+    yield f"known of the rig: {known or 'nothing'}"
+    out = [effect.id for effect in EFFECTS if effect.id not in settings.effects]
+    if out:
+        yield f"not looked for: {', '.join(out)}"
+    yield f"files held out: {len(settings.holdout) or 'none'}; {SCHEMA}"
+    yield from (f"excluded: {reason}" for reason in data.set_aside)
+    yield from (*data.motion, *data.together, *data.assumptions)

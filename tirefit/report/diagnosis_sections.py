@@ -1,0 +1,323 @@
+"""The first screen of a diagnosis: the answer, and what a reader acts on."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from tirefit.diagnosis.decide.adequacy import LEAST_P, LEVEL
+from tirefit.diagnosis.summary.closure import WORST
+from tirefit.diagnosis.summary.records import (
+    NOISE,
+    SMOOTH,
+    Each,
+    NextMeasurement,
+    Shrinkage,
+    Status,
+)
+from tirefit.diagnosis.summary.result import Diagnosis
+from tirefit.report.diagnosis_budget import (
+    budget_table,
+    change_texts,
+    channel_name,
+    stand_in_line,
+)
+from tirefit.report.diagnosis_words import (
+    amplitude_text,
+    closed_text,
+    listing,
+    look_text,
+    name_of,
+    name_with_id,
+    p_text,
+    slip_check_line,
+    untestable_lines,
+    words_on,
+)
+from tirefit.report.fit_tables import FORCE_UNIT
+from tirefit.report.numbers import format_estimate, format_number
+
+_OF_SIGNS = ("signs read as", "sign convention declared", "warning: the simulator")
+"""Parts of the notes on the signs of the data, or of a simulator."""
+
+_BEYOND = 1.5
+"""Noise over the stated noise from which the report says how many times that it is."""
+
+_MOST_STEPS = 3
+"""Measurements that the first screen proposes, at most."""
+
+_TELLS_MORE = 0.1
+"""Rise of the probability of telling two effects apart from which a measurement is
+proposed: less is not worth another day at the rig."""
+
+TESTS = {
+    "time": "neighbours in time miss alike",
+    "slip_order": "neighbours in slip miss alike",
+    "line": "one frequency stands out",
+    "pure_error": "the misfit exceeds the scatter of repeated settings",
+    "local": "one region is missed",
+}
+"""Tests of the remainder -> what each of them sees."""
+
+
+class Section(NamedTuple):
+    """A part of the report: title, a table under its header, lines, and names of the
+    pictures that a page shows there."""
+
+    title: str
+    lines: Sequence[str] = ()
+    table: Sequence[tuple[str, ...]] = ()
+    pictures: Sequence[str] = ()
+
+
+def subject(result: Diagnosis) -> str:
+    """The file, and the model or the simulator's own forces that it is compared to."""
+    is_forces = result.simulator is not None and result.simulator.kind == "columns"
+    against = "the simulator's own forces" if is_forces else result.model
+    return f"{result.data.name} against {against}"
+
+
+def answer(result: Diagnosis) -> str:
+    """The answer: a sentence on the effects; of a simulator, its parameters first."""
+    changes = change_texts(result)
+    said = _on_effects(result, beyond="its parameters and " if changes else "")
+    return f"The simulator has {listing(changes)}. {said}" if changes else said
+
+
+def _on_effects(result: Diagnosis, beyond: str) -> str:
+    verdict = result.verdict
+    chance = f"Probability {verdict.probability:.2f} of"
+    if verdict.status == Status.UNKNOWN:
+        return (
+            f"A gap shows beyond {beyond}the noise, and no listed effect earns a name."
+            f" Probability {verdict.left.unlisted:.2f} that something unlisted is"
+            " there."
+        )
+    if not verdict.names_an_effect:
+        of_noise = [name_of(e) for e in verdict.effects if e != "unknown"]
+        tail = f" The noise shows {listing(of_noise)}." if of_noise else ""
+        none = "no effect, listed or unlisted."
+        return f"No gap shows beyond {beyond}the noise. {chance} {none}{tail}"
+    parts = [name_of(effect) + _or_twins(result, effect) for effect in verdict.effects]
+    these = f"exactly {'this effect' if len(parts) == 1 else 'these effects'} and"
+    if verdict.status == Status.INCOMPLETE:
+        return (
+            f"The gap comes in part from {listing(parts)}; something unlisted is likely"
+            f" there as well. {chance} {these} something unlisted."
+        )
+    return f"The gap comes from {listing(parts)}. {chance} {these} nothing unlisted."
+
+
+def _or_twins(result: Diagnosis, effect: str) -> str:
+    each = result.verdict.each.get(effect)
+    if each is None or not each.twins:
+        return ""
+    twins = listing([name_of(twin) for twin in each.twins], "or")
+    return f" (or {twins}, which this data cannot tell from it)"
+
+
+def head_lines(result: Diagnosis) -> Iterator[str]:
+    """The rows and their noise, and what a reader must know before the answer."""
+    data, noise = result.data, result.noise
+    levels = ", ".join(
+        f"{channel_name(name)} {format_number(level, 3)} {FORCE_UNIT[name]}"
+        for name, level in noise.forces.items()
+    )
+    yield f"{result.n} rows; noise {levels} (standard deviation, {noise.source})"
+    if noise.excess > _BEYOND:
+        yield f"the noise is {noise.excess:.2g} times what is stated"
+    yield from (s for s in data.assumptions if any(part in s for part in _OF_SIGNS))
+    check = result.slip_check
+    if check is not None and check.fits != check.read_as:
+        yield slip_check_line(check)
+
+
+def step_label(result: Diagnosis, number: int) -> str:
+    """What a step of the ladder adds to the one before."""
+    steps = result.ladder.steps
+    effects = steps[number].effects
+    if not effects:
+        return "the simulator" if result.simulator else f"{result.model}, no effect"
+    if effects in (SMOOTH, NOISE):
+        return "noise floor" if effects == NOISE else SMOOTH[0]
+    before = set(steps[number - 1].effects)
+    if before < set(effects):
+        added = [e for e in effects if e not in before]
+        return f"+ {' + '.join(map(name_of, added))}"
+    return f"instead: {' + '.join(map(name_of, effects))}"
+
+
+def _percent(share: float | None, std: float | None) -> str:
+    """``82 ± 5 %``; ``-`` where there is none."""
+    if share is None:
+        return "-"
+    return f"{format_estimate(100 * share, None if std is None else 100 * std)} %"
+
+
+def _ladder(result: Diagnosis) -> Section:
+    ladder, unit = result.ladder, FORCE_UNIT[result.data.channels[0]]
+    on = f" ({ladder.on}; {result.n} rows)" if ladder.on else ""
+    title = f"How far the gap shrinks on data left out{on}"
+    square = f"({unit})^2" if " " in unit else f"{unit}^2"
+    table = [("model", f"rms left out [{unit}]", "closed", f"gain [{square}]")]
+    table += [
+        (step_label(result, k), format_number(step.rms_left_out, 3),
+         _percent(step.closed, step.closed_std),
+         "-" if step.gain is None else format_estimate(step.gain, step.gain_std))
+        for k, step in enumerate(ladder.steps)
+    ]  # fmt: skip
+    lines = [
+        "closed: share of what the first row leaves beyond the noise; gain: fall of the"
+        " mean square from the row above; ± standard error"
+    ]
+    if not ladder.steps:
+        table, lines = [], ["no part of these rows can be left out"]
+        lines += [gap_line(result, result.gap, "the rows fitted")]
+    if result.gap.holdout is not None and result.settings.holdout:
+        held = result.gap.holdout
+        lines.append(gap_line(result, held, f"files held out ({held.on})"))
+    return Section(title, lines, table, ("ladder",))
+
+
+def gap_line(result: Diagnosis, gap: Shrinkage, where: str) -> str:
+    """How large the gap is on some rows, and how far it shrinks there."""
+    unit = FORCE_UNIT[result.data.channels[0]]
+
+    def size(force: float) -> str:
+        share = format_number(100 * force / result.mean_load, 2)
+        tail = f" ({share} % of mean F_z)" * (unit == "N")
+        return f"{format_number(force, 3)} {unit}{tail}"
+
+    line = f"{where}: gap of {size(gap.rms)} rms beyond the noise"
+    closed = gap.net_closed
+    if not (result.verdict.names_an_effect or result.simulator):
+        return line
+    if not gap.resolvable or closed is None:
+        return f"{line}, too uncertain to say how much of it closes"
+    more = " or more" * (closed <= WORST)
+    share = closed_text(closed, gap.closed_ci, gap.energy_closed)
+    return (
+        f"{line}, {size(gap.remaining_rms)}{more} with the answer; closed [90 %"
+        f" interval]: {share}"
+    )
+
+
+def _budget(result: Diagnosis, channel: str) -> Section:
+    several = len(result.budgets) > 1
+    first = channel == result.data.channels[0]
+    of_channel = f" of {channel_name(channel)}" if several else ""
+    return Section(
+        f"Budget of the simulator's error{of_channel} ({result.n} rows)",
+        [stand_in_line(result)] if first and stand_in_line(result) else (),
+        budget_table(result, channel),
+        (f"budget{of_channel}",),
+    )
+
+
+def _effect_lines(result: Diagnosis) -> Iterator[str]:
+    verdict = result.verdict
+    chosen = [c for c in result.candidates if set(c.effects) == set(verdict.effects)]
+    parameters = chosen[0].parameters if chosen else {}
+    for effect in (*verdict.effects, *verdict.also_possible):
+        named, means = effect in verdict.effects, words_on(effect, result.library)
+        amounts = [
+            amplitude_text(amplitude)
+            for name, amplitude in parameters.items()
+            if name.startswith(f"{effect}: ")
+        ]
+        said = amounts if named else ["not named"]
+        yield ": ".join([name_with_id(effect), *["; ".join(said)] * bool(said)])
+        if (each := verdict.each.get(effect)) is not None:
+            yield f"    {_each_text(each)}"
+        if means[0]:
+            yield f"    {means[0]}" + (f"; to do: {means[1]}" if named else "")
+    if verdict.names_an_effect and result.simulator:
+        yield "amplitudes are measurement minus simulator: either may be off"
+
+
+def _each_text(each: Each) -> str:
+    text = f"probability {each.probability:.2f} that it is there"
+    if each.closed_left_out is not None:
+        closed = _percent(each.closed_left_out, each.closed_left_out_std)
+        text += f"; closes {closed} of the gap on data left out"
+    if each.twins:
+        twins = listing([name_of(twin) for twin in each.twins], "or")
+        text += f"; this data cannot tell it from {twins}"
+    return text
+
+
+def left_lines(result: Diagnosis) -> Iterator[str]:
+    """What remains: its size, the tests that see it, what it resembles."""
+    left, unit = result.verdict.left, FORCE_UNIT[result.data.channels[0]]
+    of_gap = f", {100 * left.share:.0f} % of the gap's energy" * result.gap.resolvable
+    yield (
+        f"{format_number(left.rms, 3)} {unit} rms beyond the noise{of_gap}; probability"
+        f" {left.unlisted:.2f} that something unlisted is there"
+    )
+    tested = {name: p for name, p in left.tests.items() if p is not None}
+    least = LEAST_P * len(result.data.channels)
+    seen = [
+        f"{TESTS.get(name, name)} (p {p_text(p, least)})"
+        for name, p in tested.items()
+        if p < LEVEL
+    ]
+    if seen:
+        seen_by = f"{len(seen)} of {len(tested)} tests see it"
+        yield f"{seen_by} (p: probability by noise): {'; '.join(seen)}"
+    elif tested:
+        yield f"none of {len(tested)} tests tells it from noise (p >= {LEVEL:g})"
+    for look in left.looks_like[:1]:
+        yield (
+            f"it resembles this: {look_text(look)} (probability {look.probability:.2f}"
+            f" among simple shapes; takes {100 * look.explains:.0f} % of its mean"
+            " square)"
+        )
+    if not result.verdict.names_an_effect:
+        smallest = format_number(result.resolution.remainder, 3)
+        yield f"smallest unlisted remainder that would be seen: {smallest} {unit} rms"
+
+
+def step_lines(result: Diagnosis) -> list[str]:
+    """Next measurements, each with its reason; where none tells much more, which would
+    tell most, or, of an open verdict, why none would."""
+    why, steps = result.next_measurement_reason, result.next_measurement
+    if not steps:
+        if result.verdict.status != Status.CANNOT_TELL or why is None:
+            return []
+        for effect in (*result.effects, *result.verdict.also_possible):
+            why = why.replace(effect, name_of(effect))
+        return [why]
+    worth = [step for step in steps if step.p_after - step.p_now >= _TELLS_MORE]
+    if not worth:
+        best = max(steps, key=lambda step: step.p_after - step.p_now)
+        return [
+            f"no single listed measurement would tell much more: at best {best.add},"
+            f" which {_tells_apart(best)}"
+        ]
+    return [f"measure {step.add}: it {_tells_apart(step)}" for step in worth]
+
+
+def _tells_apart(step: NextMeasurement) -> str:
+    one, other = map(name_of, step.separates)
+    return (
+        f"tells {one} from {other} with probability {step.p_after:.2f}, instead of"
+        f" {step.p_now:.2f} now"
+    )
+
+
+def first_screen(result: Diagnosis) -> list[Section]:
+    """What a reader acts on, in order: ladder, budget of a simulator, effects, what is
+    left, the next measurement, what cannot be tested."""
+    sections = [_ladder(result)]
+    if result.simulator:
+        sections += [_budget(result, channel) for channel in result.budgets]
+    steps = step_lines(result) if result.verdict.status != Status.NONE else []
+    missing = untestable_lines([x for x in result.untestable if len(x.needs) == 1])
+    if several := sum(len(one.needs) > 1 for one in result.untestable):
+        missing.append(f"several columns: {several} more effects (--full)")
+    effects, left = list(_effect_lines(result)), list(left_lines(result))
+    return [
+        *sections,
+        Section("Effects", effects, (), ("which", "before and after")),
+        Section("What is left", left, (), ("what is left", "where")),
+        Section("Next measurement", steps[:_MOST_STEPS]),
+        Section("Not testable on this data (what is missing: effects)", missing),
+    ]
