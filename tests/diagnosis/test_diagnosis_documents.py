@@ -16,9 +16,9 @@ from conftest_diagnosis import brush
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, effects_by_id
 from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.rows.covariates import Sizes
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
-from tirefit.diagnosis.rows.sizes import Sizes
 
 SLACK = 0.1
 """Of an amplitude's usual size: its bounds are those of a search, not to the digit."""

@@ -11,9 +11,9 @@ from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS, atoms_of
 from tirefit.diagnosis.effects.state import force_of_state, null_state
 from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.rows.covariates import half_force_slip
 from tirefit.diagnosis.rows.prepared import on_scale_of, prepare
 from tirefit.diagnosis.rows.rig import Rig, load_rig
-from tirefit.diagnosis.rows.sizes import half_force_slip
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.problem import build
 from tirefit.models import Brush, TireInputs

@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from tirefit.diagnosis.noise.memory import (
-    FORGETFUL,
-    Memory,
-    likeliest,
-    memory_of,
-    scatter_between,
-)
+from tirefit.diagnosis.noise.memory import FORGETFUL, Memory, memory_of
 
 ROWS = 1200
 TIME = np.linspace(0, 1, ROWS)
@@ -34,13 +28,13 @@ def noise(memory, seed):
     return np.sqrt(memory.share) * slow + np.sqrt(1 - memory.share) * white
 
 
-def may_be(values, unit, stretches=(np.arange(ROWS),), own=None):
-    return memory_of(values - unit @ (unit.T @ values), unit, stretches, own)
+def may_be(values, unit, stretches=(np.arange(ROWS),)):
+    return memory_of(values - unit @ (unit.T @ values), unit, stretches)
 
 
-def judged(*given, **named):
+def judged(*given):
     """The likeliest."""
-    return may_be(*given, **named)[0]
+    return may_be(*given)[0]
 
 
 @pytest.mark.parametrize("count", [4, 200])
@@ -75,24 +69,6 @@ def test_rows_of_a_memory():
     assert np.var(means) * ROWS == pytest.approx(memory.rows_each, rel=0.25)
 
 
-@pytest.mark.parametrize("whose", ["the force", "all"])
-def test_only_what_remembers_has_a_memory(whose):
-    """Rows in turn, forty at a time, of noise that is all the force's own and of noise
-    that is a fifth of it; the memory is the force's, or all the noise has it."""
-    own = np.where(np.arange(ROWS) // 40 % 2, 0.2, 1.0)
-    memory = Memory(0.65, 1.0)
-    shares = []
-    for seed in range(6):
-        slow, slip = noise(memory, seed), noise(FORGETFUL, seed + 50)
-        values = np.sqrt(own) * slow + np.sqrt(1 - own) * slip
-        found = judged(values if whose == "the force" else slow, smooth(4), own=own)
-        share = np.broadcast_to(found.share, ROWS)
-        shares.append([share[own == 1].mean(), share[own < 1].mean()])
-    high, low = np.mean(shares, axis=0)
-    assert high > 0.8
-    assert low == pytest.approx(0.2 if whose == "the force" else high, abs=0.08)
-
-
 def test_memories_that_may_be_hold_the_truth():
     """A record of 150 rows does not tell 0.5 from 0.35: each has its probability."""
     truth, held = Memory(0.5, 1.0), []
@@ -121,43 +97,10 @@ def test_slow_gaps_beside_noise_of_a_known_level_are_no_memory():
     values = noise(FORGETFUL, 2) + walk
     rows, unit = [np.arange(ROWS)], smooth(4)
     values = values - unit @ (unit.T @ values)
-    free, held = (memory_of(values, unit, rows, None, most)[0] for most in (np.inf, 1))
+    free, held = (memory_of(values, unit, rows, most)[0] for most in (np.inf, 1))
     assert held.rows_each < free.rows_each
     # Noise that is as large as it was stated has the same memory.
     own = noise(Memory(0.6, 1.0), 3)
     own = own - unit @ (unit.T @ own)
-    free, held = (memory_of(own, unit, rows, None, most)[0] for most in (np.inf, 1.3))
+    free, held = (memory_of(own, unit, rows, most)[0] for most in (np.inf, 1.3))
     assert held.fade == free.fade
-
-
-@pytest.mark.parametrize("memory", [FORGETFUL, Memory(0.6, 1.0), Memory(0.8, 0.5)])
-def test_scatter_between_neighbours_in_slip(memory):
-    """Against drawn records, of rows that time and slip order differently."""
-    in_slip = np.argsort(np.abs(TIME - 0.4), kind="stable")
-    triples = np.stack([in_slip[1:-1], in_slip[2:], in_slip[:-2]])
-    drawn = []
-    for seed in range(30):
-        middle, after, before = noise(memory, seed)[triples]
-        drawn.append(np.mean((middle - (after + before) / 2) ** 2))
-    told = scatter_between(triples, (memory,), [np.arange(ROWS)], ROWS)
-    assert told == pytest.approx(np.mean(drawn), rel=0.03)
-    two = (memory._replace(chance=0.25), FORGETFUL._replace(chance=0.75))
-    mixed = scatter_between(triples, two, [np.arange(ROWS)], ROWS)
-    assert mixed == pytest.approx(0.25 * told + 0.75 * 1.5)
-
-
-@pytest.mark.parametrize("most", [np.inf, 1.3])
-def test_a_wave_is_likelier_than_a_memory_where_there_is_one(most):
-    wave, rows = smooth(40)[:, [15, 35]], [np.arange(ROWS)]
-
-    def gain(values):
-        unit = smooth(4)
-        more = np.concatenate([unit, wave], axis=1)
-        fits = [
-            likeliest(values - q @ (q.T @ values), q, rows, most) for q in (more, unit)
-        ]
-        return fits[0] - fits[1]
-
-    assert gain(noise(FORGETFUL, 5) + 12 * wave[:, 0]) > 20
-    slow = [gain(noise(Memory(0.7, 1.0), seed)) for seed in range(6)]
-    assert 0 < np.max(slow) < 8

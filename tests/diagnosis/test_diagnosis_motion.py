@@ -14,7 +14,7 @@ from tirefit.diagnosis.effects import EFFECTS, atoms_of, effects_by_id
 from tirefit.diagnosis.effects.lag import lagged
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.evidence.runs import shrunk
-from tirefit.diagnosis.rows.motion import derived_from
+from tirefit.diagnosis.rows.covariates import derived_from
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rates import AHEAD, slip_rate
 from tirefit.diagnosis.rows.rig import Rig, load_rig

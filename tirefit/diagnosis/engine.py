@@ -39,8 +39,13 @@ from tirefit.diagnosis.evidence.simulator import (
     given_simulator,
     simulator_at,
 )
-from tirefit.diagnosis.rows.blocks import blocks_of_settings, coincides
-from tirefit.diagnosis.rows.prepared import Prepared, prepare, thinned
+from tirefit.diagnosis.rows.prepared import (
+    Prepared,
+    blocks_of_settings,
+    coincides,
+    prepare,
+    thinned,
+)
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.document import document_of

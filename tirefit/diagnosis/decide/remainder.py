@@ -18,8 +18,7 @@ from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.linear_fit import linear_at
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
 from tirefit.diagnosis.negligible import ROUNDING, SILENT
-from tirefit.diagnosis.noise.level import correlation
-from tirefit.diagnosis.noise.memory import Memory
+from tirefit.diagnosis.noise.memory import Memory, correlation
 from tirefit.diagnosis.rows.basis import without
 from tirefit.diagnosis.rows.patterns import travelled
 from tirefit.diagnosis.rows.prepared import Prepared, neighbours
@@ -300,7 +299,7 @@ def remainder_tests(
     noise, sizes = [], []
     for k, channel in enumerate(prepared.channels):
         part = residual[np.flatnonzero(keep) + k * n]
-        memory = [one.of(keep) for one in base.noise[channel].memory]
+        memory = base.noise[channel].memory
         sizes.append(float(np.sqrt(np.mean(part**2))))
         noise.append(sizes[-1] * _noise(count, memory, in_time, generator))
     rows = np.concatenate(

@@ -6,8 +6,7 @@ effect keeps to the errors that a vehicle may have: millimetres, milliseconds.
 """
 
 import numpy as np
-
-from tirefit.diagnosis.rows.motion import GRAVITY
+from scipy.constants import g as GRAVITY
 
 _POSITION = 0.03
 """Error of the place of the tracked point, as a share of the arm of the axle: 1 mm on a

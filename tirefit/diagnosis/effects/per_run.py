@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tirefit.diagnosis.effects.record import PER_MILLE, Effect, adds, seldom
-from tirefit.diagnosis.rows.run_codes import shown_runs
+from tirefit.diagnosis.rows.rates import shown_runs
 
 
 class Offset(NamedTuple):

@@ -55,7 +55,7 @@ class Effect:
         scale: standard deviation of the amplitude that is expected beforehand, a
             judgement: twice as wide lowers the log evidence of an effect that is there
             for sure by log 2, where 3 and more decide.
-        per: field of :class:`tirefit.diagnosis.rows.sizes.Sizes` in shares of which
+        per: field of :class:`rows.covariates.Sizes` in shares of which
             ``scale``, ``center`` and ``bounds`` are: one for all variants or one for
             each.
         unit: unit of the amplitude.

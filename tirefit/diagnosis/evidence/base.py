@@ -32,8 +32,8 @@ from tirefit.diagnosis.evidence.simulator import (
 from tirefit.diagnosis.evidence.simulator_signs import check_signs
 from tirefit.diagnosis.evidence.tire import Tire, with_force
 from tirefit.diagnosis.negligible import FLAT
-from tirefit.diagnosis.noise.level import NoiseLevel, in_order, judge_noise
-from tirefit.diagnosis.noise.slip_scatter import slip_scatter
+from tirefit.diagnosis.noise.level import NoiseLevel, judge_noise, slip_scatter
+from tirefit.diagnosis.noise.memory import in_order
 from tirefit.diagnosis.rows.basis import Generic, smooth_basis, wave_basis
 from tirefit.diagnosis.rows.prepared import (
     NOT_STATED,
@@ -159,7 +159,7 @@ class Base:
         knows what it misses of a simulator, not how that changes with it."""
         rows = self.rows
         told = slip_proxies(
-            rows.slip, rows.slip_std, rows.moving, rows.path, rows.swing, rows.past
+            rows.slip, rows.slip_std, rows.moving, rows.path, rows.past
         )
         return np.concatenate([self._forces_of(told), self._not_followed], axis=1)
 

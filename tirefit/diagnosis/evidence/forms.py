@@ -8,7 +8,7 @@ import numpy as np
 from tirefit.diagnosis.effects.state import State
 from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.rows.basis import FULL_SLIDING, bumps, without
-from tirefit.diagnosis.rows.blocks import coincides
+from tirefit.diagnosis.rows.prepared import coincides
 
 PLACE = {name: k for k, name in enumerate(State._fields)}
 """Column of each field of the state in :class:`evidence.forward.Linear`."""

@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 from tirefit.diagnosis.effects.per_run import OFFSETS
 from tirefit.diagnosis.evidence.forms import PLACE
 from tirefit.diagnosis.rows.basis import without
-from tirefit.diagnosis.rows.run_codes import shown_runs
+from tirefit.diagnosis.rows.rates import shown_runs
 from tirefit.padding import pad_rows
 
 KINDS = {effect: of.field for effect, of in OFFSETS.items()}

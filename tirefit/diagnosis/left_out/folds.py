@@ -7,7 +7,7 @@ import numpy as np
 
 from tirefit.data.levels import levels
 from tirefit.diagnosis.rows.prepared import Prepared
-from tirefit.diagnosis.rows.run_codes import shown_runs
+from tirefit.diagnosis.rows.rates import shown_runs
 
 LEAST_RUNS = 3
 """Runs from which whole runs are left out: of two, one is left to fit."""

@@ -1,4 +1,4 @@
-"""Generic bases: what a gap could look like that no listed effect explains."""
+"""Generic bases: remainders that no listed effect explains."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,51 +9,45 @@ import numpy as np
 
 from tirefit.data.levels import levels
 from tirefit.diagnosis.negligible import FLAT, ROUNDING
-from tirefit.diagnosis.rows.patterns import Patterns, patterns_gain, turns
+from tirefit.diagnosis.rows.patterns import (
+    FULL_SLIDING,
+    ROWS_OF_A_WAVE,
+    WAVES,
+    Patterns,
+    patterns_gain,
+    turns,
+)
 
-SCALES = (2.0, 6.0, 18.0, 50.0)
-"""Sizes of a basis function's coefficient that are averaged over, in z units."""
+SCALES = 2.0 * 3.0 ** np.arange(4)
+"""Standard deviations of a basis function's coefficient that are averaged over."""
 
-PRIORS = {"smooth": 0.4, "cells": 0.15, "waves": 0.2, "patterns": 0.25}
-"""What kind of remainder it is, where there is one."""
+PRIORS = dict.fromkeys(("smooth", "cells", "waves", "patterns"), 0.25)
+"""Prior probabilities of the kinds of remainder."""
 
 RANK = 1e-6
-"""Squared length of a direction over that of the longest, below which it is none: what
-is left of columns that the fit has used up is rounding."""
-
-_ROWS_OF_A_WAVE, _WAVES = 12, (4, 24)
-_ROWS_IN_TIME, _WAVES_IN_TIME = 5, (4, 96)
-"""Rows of the shortest wave, on average; fewest and most waves of a record, over the
-slip and in time: a wheel turns often."""
-
-_TO_DRAW = 4.0
-"""Log odds over the number of waves from which a wave is drawn: 55 to 1."""
-
-_MOST_WAVES = 4
-"""Waves that are drawn at once, at most."""
+"""Smallest squared length of a direction over the longest; the rest is rounding."""
 
 _DRAWN_SCALES = np.geomspace(0.3, 300, 25)
-"""Scales of the located remainder, in z units: from below the noise to a thousand times
-that, a third apart."""
+"""Scales of the located remainder, a third apart: from below the noise to 1,000 times
+that."""
 
-FULL_SLIDING = 3.0
-"""Slip over that of full sliding beyond which nothing more depends on it."""
-
-_FARTHEST = 3.5
-"""The same where functions of it stand on both sides of that."""
+_TO_DRAW, _MOST_DRAWN = 8.0, 4
+"""chi-squared over that of the largest of as many waves of noise from which a wave is
+located (55 to 1), and largest number of these."""
 
 _OF_EITHER_SIGN = 0.05
-"""Share of the rows that each sign of the slip has, to have functions of its own."""
+"""Smallest share of the rows with a sign of the slip that has its own functions."""
 
-_OF_A_PARABOLA = 3
-"""Settings through which a parabola is any function of them."""
+_BUMPS = (4, 8)
+"""Fewest and most functions of the slip for each sign, of the cells twice as many: the
+finest are a half and a quarter of the slip of full sliding wide."""
 
-_BUMPS, _NARROW_BUMPS = (4, 8), (4, 14)
-"""Fewest and most functions of the slip, for each sign: the finest are half and a
-quarter as wide as the slip of full sliding."""
+_ROWS_OF_A_FUNCTION = 3
+"""Smallest number of rows for each function of a basis."""
 
-_ROWS_OF_A_FUNCTION, _ROWS_OF_A_CELL = 3, 4
-"""Rows for each function of a generic basis, at least."""
+_LEVELS = 4
+"""Largest number of settings of a covariate with a coefficient each; a parabola is any
+function of one less."""
 
 
 def bumps(values, count: int) -> np.ndarray:
@@ -63,12 +57,8 @@ def bumps(values, count: int) -> np.ndarray:
     return np.exp(-0.5 * ((values[:, None] - centers) / width) ** 2)
 
 
-_LEVELS = 4
-"""Values of a covariate up to which each has a coefficient of its own."""
-
-
 def functions_of(values, count: int) -> np.ndarray:
-    """Smooth functions of a covariate, or one for each of its few levels: (n, k)."""
+    """Smooth functions of a covariate, or one for each of its few settings: (n, k)."""
     settings = levels(values)
     if settings.few(_LEVELS):
         return np.eye(len(settings.center))[settings.code]
@@ -76,8 +66,8 @@ def functions_of(values, count: int) -> np.ndarray:
 
 
 def _by_side(slip_fraction, count: int) -> np.ndarray:
-    """Bumps over the size of the slip, for each sign by itself: (n, 1 or 2 counts)."""
-    inside = np.clip(slip_fraction, -_FARTHEST, _FARTHEST)
+    """Bumps over the size of the slip, for each sign: (n, count or 2 count)."""
+    inside = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
     shapes, positive = bumps(np.abs(inside), count), inside >= 0
     if _OF_EITHER_SIGN < positive.mean() < 1 - _OF_EITHER_SIGN:
         return np.concatenate(
@@ -92,7 +82,7 @@ def _standard(values):
 
 
 def _modulations(prepared) -> list[np.ndarray]:
-    """What the bumps are multiplied by, the most telling first: (n,) each."""
+    """Factors of the bumps in the order of importance: (n,) each."""
     rows = prepared.covariates
     first, second = [np.ones(prepared.n)], []
     for values in (
@@ -101,8 +91,7 @@ def _modulations(prepared) -> list[np.ndarray]:
         unit = _standard(values)
         if unit is not None:
             first.append(unit)
-            # Through three settings a second degree is any function of them.
-            if not levels(values).few(_OF_A_PARABOLA):
+            if not levels(values).few(_LEVELS - 1):
                 second.append(unit**2 - 1)
     if "sweeps" in prepared.has:
         first.append(rows.turning)
@@ -111,31 +100,25 @@ def _modulations(prepared) -> list[np.ndarray]:
     return first + second
 
 
-_TAIL = 1e-8
-"""Squared length of a direction over that of the longest that a basis may lose."""
-
-
 def _scaled(columns, scale):
-    """Whitened, of unit length, and as few as say the same: random coefficients of
-    equal spread on the columns given and on those returned draw the same functions."""
+    """Whitened unit columns, reduced to those that draw the same functions with random
+    coefficients of equal spread."""
     basis = columns * scale[:, None]
     size = np.linalg.norm(basis, axis=0)
     basis = basis[:, size > FLAT] / size[size > FLAT]
     if not basis.shape[1]:
         return basis
-    # Smooth functions overlap: of hundreds, a fraction is independent.
     values, vectors = np.linalg.eigh(basis.T @ basis)
-    return basis @ vectors[:, values > _TAIL * values.max()]
+    return basis @ vectors[:, values > RANK * values.max()]
 
 
 def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
     """Smooth functions of slip, times load, speed, time and direction: (n, b).
 
     Args:
-        prepared: the rows.
         slip_fraction: signed slip over that of full sliding, (n,).
-        scale: typical force over the noise of each row (n,): whitens the columns.
-        most: columns that are wanted, about.
+        scale: (n,) typical force over the noise of each row.
+        most: approximate number of columns.
     """
     modulations = _modulations(prepared)
     sides = _by_side(slip_fraction, 2).shape[1] // 2
@@ -147,15 +130,14 @@ def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
 
 
 def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
-    """Narrow bumps of the slip, for each load by itself: (n, b)."""
+    """Narrow bumps of the slip for each load: (n, b)."""
     loads = levels(prepared.covariates.fz)
-    cells = (
-        [loads.code == code for code in range(len(loads.center))]
-        if loads.few()
-        else [np.ones(prepared.n, bool)]
-    )
+    codes = range(len(loads.center))
+    cells = [np.ones(prepared.n, bool)]
+    if loads.few():
+        cells = [loads.code == code for code in codes]
     sides = _by_side(slip_fraction, 2).shape[1] // 2
-    count = int(np.clip(most // (sides * len(cells)), *_NARROW_BUMPS))
+    count = int(np.clip(most // (sides * len(cells)), _BUMPS[0], 2 * _BUMPS[1]))
     shapes = _by_side(slip_fraction, count)
     columns = np.concatenate([shapes * cell[:, None] for cell in cells], axis=1)
     return _scaled(columns, scale)
@@ -165,10 +147,10 @@ def wave_basis(prepared, scale) -> np.ndarray:
     """Sine and cosine of slip and of time, side by side: (n, 2 x waves)."""
     slip = prepared.slip
     span = max(np.ptp(slip), FLAT)
-    most = int(np.clip(prepared.n // _ROWS_OF_A_WAVE, *_WAVES))
-    waves = [turns((slip - slip.min()) / span, np.arange(1.0, most + 1))]
+    most = int(np.clip(prepared.n // ROWS_OF_A_WAVE, 2 * _BUMPS[0], WAVES))
+    most_over_slip = min(most // 2, WAVES // 4)
+    waves = [turns((slip - slip.min()) / span, np.arange(1.0, most_over_slip + 1))]
     if "time" in prepared.has:
-        most = int(np.clip(prepared.n // _ROWS_IN_TIME, *_WAVES_IN_TIME))
         # Halves: between two whole numbers of waves a third of the energy is lost.
         counts = np.arange(1, most + 0.1, 0.5)
         waves.append(turns(prepared.covariates.time, counts))
@@ -178,15 +160,16 @@ def wave_basis(prepared, scale) -> np.ndarray:
 
 
 def orthogonal(basis, against) -> tuple[np.ndarray, np.ndarray]:
-    """(left (n, q), singular values (q,)) of the basis with ``against`` (n, p) out."""
+    """Orthonormal directions (n, q) of the basis with ``against`` (n, p) taken out, and
+    their singular values (q,)."""
     left = without(basis, against)
     turned, size = _principal(left.T @ left)
     return left @ turned, size
 
 
 def _principal(gram) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (b, q) that make columns with these products orthonormal, and their
-    singular values (q,)."""
+    """Coefficients (b, q) of orthonormal combinations of columns with these products,
+    and their singular values (q,)."""
     values, vectors = np.linalg.eigh(gram)
     good = values > RANK * max(values.max(), ROUNDING)
     size = np.sqrt(values[good])
@@ -200,13 +183,12 @@ def without(basis, against):
 
 
 def taken_out(against, expected=None) -> np.ndarray:
-    """Columns Q (m, q) of which ``1 - Q Q'`` is the precision of whitened rows that a
-    fit leaves: orthonormal where it is free, shorter where the data know a direction no
-    better than its prior.
+    """Columns Q (m, q), where ``1 - Q Q'`` is the precision of the rows after a fit:
+    shorter than one where the data determine a direction no better than its prior.
 
     Args:
         against: (m, p) columns of free coefficients.
-        expected: (m, k) of coefficients with a standard deviation of one, or none.
+        expected: (m, k) of coefficients with a unit standard deviation, or none.
     """
     unit, _ = np.linalg.qr(against)
     if expected is None or not expected.shape[1]:
@@ -216,30 +198,22 @@ def taken_out(against, expected=None) -> np.ndarray:
 
 
 def gain(score, size) -> float:
-    """Log evidence of coefficients of standard deviation ``size`` (q,), over none.
-
-    Args:
-        score: (q,) of orthonormal directions.
-    """
+    """Log evidence of coefficients over none, from the scores (q,) of orthonormal
+    directions and their standard deviations ``size`` (q,)."""
     t = size**2
     return float(0.5 * np.sum(score**2 * t / (1 + t) - np.log1p(t)))
 
 
 def mean_gain(score, size, scales=SCALES) -> float:
-    """Log evidence of a basis, averaged over its scales.
-
-    Args:
-        score: (q,) of its orthonormal directions.
-        size: (q,) their singular values.
-    """
+    """Log evidence of a basis over none, averaged over its scales; see :func:`gain`."""
     gains = [gain(score, scale * size) for scale in scales]
     return float(np.logaddexp.reduce(gains) - np.log(len(scales)))
 
 
 def _in_pairs(gram, score, ridge):
-    """score gram^-1 score and the determinant of each of the waves, of which ``gram``
-    (K, 3) holds the products of sine and sine, sine and cosine, cosine and cosine, and
-    ``score`` (K, 2) those with the residual; ``ridge`` is added to the squares."""
+    """chi-squared and determinant of each wave: ``gram`` (K, 3) holds the products of
+    sine and sine, sine and cosine, cosine and cosine, ``score`` (K, 2) those with the
+    residual; ``ridge`` is added to the squares."""
     a, b, c = gram[:, 0] + ridge, gram[:, 1], gram[:, 2] + ridge
     sine, cosine = score.T
     size = a * c - b * b
@@ -255,15 +229,9 @@ def _gains_of_waves(gram, score) -> np.ndarray:
     return np.array(each)
 
 
-def _gain_of_waves(gram, score) -> float:
-    """Log evidence of one wave, whichever, averaged over waves and scales."""
-    gains = np.ravel(_gains_of_waves(gram, score))
-    return float(np.logaddexp.reduce(gains) - np.log(len(gains)))
-
-
 class WavesOfResidual(NamedTuple):
-    """Each of K waves given a residual, at each of S scales: log evidence over none
-    (S, K), mean (S, K, 2) and covariance (S, K, 2, 2) of its two coefficients."""
+    """K waves given a residual at S scales: log evidence over none (S, K), mean
+    (S, K, 2) and covariance (S, K, 2, 2) of the two coefficients."""
 
     gain: np.ndarray
     mean: np.ndarray
@@ -271,7 +239,7 @@ class WavesOfResidual(NamedTuple):
 
 
 def worth_of_waves(waves, against, residual) -> WavesOfResidual:
-    """One wave at a time, with ``against`` (m, p) out."""
+    """Each wave by itself, with ``against`` (m, p) taken out."""
     left = without(waves, against)
     gram, score = _pairs(left), (left.T @ residual).reshape(-1, 2)
     full = (
@@ -283,14 +251,14 @@ def worth_of_waves(waves, against, residual) -> WavesOfResidual:
 
 
 def _pairs(columns) -> np.ndarray:
-    """Products (K, 3) of sine and cosine of waves (m, 2 K): :func:`_in_pairs`."""
+    """Products (K, 3) of sine and cosine of waves (m, 2 K), see :func:`_in_pairs`."""
     sine, cosine = columns[:, ::2], columns[:, 1::2]
     each = ((sine, sine), (sine, cosine), (cosine, cosine))
     return np.stack([np.einsum("mk,mk->k", *pair) for pair in each], axis=1)
 
 
 def waves_within(waves, against, residual):
-    """chi-squared (K,), two degrees each, of every wave in the residual."""
+    """chi-squared (K,), two degrees of freedom each, of every wave."""
     unit, _ = np.linalg.qr(against)
     rest = residual - unit @ (unit.T @ residual)
     gram, score = _pairs(waves) - _pairs(unit.T @ waves), waves.T @ rest
@@ -299,8 +267,8 @@ def waves_within(waves, against, residual):
 
 @dataclass(frozen=True, eq=False)
 class Generic:
-    """Kinds of remainder, whitened: many smooth functions at once (m, b), many narrow
-    bumps at once (m, c), one of many waves (m, 2 x waves), or one of many patterns."""
+    """Whitened remainders: smooth functions (m, b), narrow bumps (m, c), one of many
+    waves (m, 2 x waves), one of many patterns."""
 
     smooth: np.ndarray
     cells: np.ndarray
@@ -318,10 +286,8 @@ class Generic:
         return smooth.T @ smooth, cells.T @ cells, _pairs(self.waves)
 
     def left(self, against, residual, expected=None) -> "Left":
-        """What a fit leaves of them, and their products with its residual.
-
-        From products of the whole columns, formed once: a fit takes a few directions
-        out of hundreds.
+        """Remainder of these functions after a fit, and their products with its
+        residual, from products of whole columns that are formed once.
 
         Args:
             against, expected: columns that the fit has used up, see :func:`taken_out`.
@@ -343,9 +309,9 @@ class Generic:
 
 
 class Left(NamedTuple):
-    """What a fit leaves of generic columns: ``wide`` holds (products with one another
-    (b, b), with the residual (b,)) of smooth functions and cells; ``waves`` (K, 3) and
-    ``score`` (K, 2) see :func:`_in_pairs`."""
+    """``wide`` holds (products with one another (b, b), with the residual (b,)) of
+    smooth functions and cells; ``waves`` (K, 3) and ``score`` (K, 2) see
+    :func:`_in_pairs`."""
 
     wide: Mapping[str, tuple[np.ndarray, np.ndarray]]
     waves: np.ndarray
@@ -371,35 +337,34 @@ def wide_bases(prepared, slip_fraction, scale) -> tuple[np.ndarray, ...]:
     """Smooth functions, cells and waves of one channel."""
     return (
         smooth_basis(prepared, slip_fraction, scale, prepared.n // _ROWS_OF_A_FUNCTION),
-        _cell_basis(prepared, slip_fraction, scale, prepared.n // _ROWS_OF_A_CELL),
+        _cell_basis(prepared, slip_fraction, scale, prepared.n // _ROWS_OF_A_FUNCTION),
         wave_basis(prepared, scale),
     )
 
 
 def gains(bases: Generic, against, residual, expected=None) -> dict[str, float]:
-    """Log evidence of each kind of remainder that no listed effect explains, over none.
+    """Log evidence of each kind of remainder over none.
 
     Args:
         against, expected: columns that the fit has used up, see :func:`taken_out`.
         residual: (m,) whitened.
     """
     left = bases.left(against, residual, expected)
+    waves = np.ravel(_gains_of_waves(left.waves, left.score))
+    unit = taken_out(against, expected)
     return left.wide_gains() | {
-        "waves": _gain_of_waves(left.waves, left.score),
-        "patterns": patterns_gain(
-            bases.patterns, taken_out(against, expected), residual
-        ),
+        "waves": float(np.logaddexp.reduce(waves) - np.log(len(waves))),
+        "patterns": patterns_gain(bases.patterns, unit, residual),
     }
 
 
 def of_any_kind(kinds: Mapping[str, float]) -> float:
-    """Log evidence of a remainder of whichever kind, from :func:`gains`."""
-    each = [value + np.log(PRIORS[kind]) for kind, value in kinds.items()]
-    return float(np.logaddexp.reduce(each))
+    """Log evidence of a remainder of any kind, from :func:`gains`."""
+    return float(np.logaddexp.reduce(list(kinds.values())) - np.log(len(kinds)))
 
 
 def misfit_p_value(bases: Generic, against, residual, generator, draws: int) -> float:
-    """Whether the residual is more than noise, by any of the bases (Bonferroni)."""
+    """p-value of the residual as noise, by the bases with Bonferroni's correction."""
     values, left = [], bases.left(against, residual)
     for name in left.wide:
         score, size = left.principal(name)
@@ -407,24 +372,24 @@ def misfit_p_value(bases: Generic, against, residual, generator, draws: int) -> 
         noise = generator.standard_normal((draws, len(size))) ** 2 @ size**2
         values.append((1 + np.sum(noise >= total)) / (1 + draws))
     chi2 = left.chi2
-    # A residual without any wave has a chance of one, whose complement has no log.
+    # The logarithm below needs a probability less than one.
     chance = min(np.exp(-0.5 * chi2.max()), 1 - ROUNDING)
     values.append(-np.expm1(len(chi2) * np.log1p(-chance)))
     return float(min(1.0, len(values) * min(values)))
 
 
 def located(bases: Generic, against, residual):
-    """Smooth part of the residual and its variance, (m,) each, by the basis that the
-    residual supports best."""
+    """Smooth part of the residual and its variance, (m,) each, by the basis with the
+    largest evidence and the significant waves."""
     rest = bases.left(against, residual)
     gains, chi2 = rest.wide_gains(), rest.chi2
     chosen = getattr(bases, max(gains, key=lambda name: gains[name]))
-    strong = np.flatnonzero(chi2 > 2 * (np.log(len(chi2)) + _TO_DRAW))
-    strong = strong[np.argsort(-chi2[strong])][:_MOST_WAVES]
+    strong = np.flatnonzero(chi2 > 2 * np.log(len(chi2)) + _TO_DRAW)
+    strong = strong[np.argsort(-chi2[strong])][:_MOST_DRAWN]
     waves = bases.waves[:, np.ravel(strong[:, None] * 2 + [0, 1])]
     left, size = orthogonal(np.concatenate([chosen, waves], axis=1), against)
     score = left.T @ residual
-    # Empirical Bayes: the scale of the basis that the scores themselves suggest.
+    # Empirical Bayes: the scale with the largest evidence.
     fits = [gain(score, scale * size) for scale in _DRAWN_SCALES]
     t = (_DRAWN_SCALES[int(np.argmax(fits))] * size) ** 2
     shrink = t / (1 + t)

@@ -1,12 +1,10 @@
-"""What a remainder looks like: one quantity of the tire that changes in one shape with
-one thing that was measured.
+"""Sharp shapes of a remainder: one parameter of the tire changes with one covariate.
 
-The bases of :mod:`rows.basis` are wide: many smooth functions at once. A
-stranger is often narrow: a kink, a threshold, a wave or one place. Here each such
-pattern is one direction in the space of the data; its evidence has a closed form.
-Thousands of them cost a few products of matrices: a pattern is a shape of the rows
-times the force of a usual change, and both are there once, not every one of their
-products; a wave of any phase is made of two.
+The bases of :mod:`rows.basis` are many smooth functions at once. A pattern is a kink, a
+threshold, a local change or a wave: one direction in the space of the data, whose
+evidence has a closed form. Patterns are products of a shape of the rows and the force
+of a usual change; the shapes and the forces are stored, not their products, and a wave
+of any phase is made of two.
 """
 
 from collections import Counter
@@ -21,29 +19,31 @@ from tirefit.data.levels import Levels, levels
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.rates import segments
 
+FULL_SLIDING = 3.0
+"""Slip over that of full sliding beyond which nothing more depends on it."""
+
 PARAMETERS = {
     "stiffness": ("stiffness", 0.06), "friction": ("friction", 0.03),
     "slip": ("shift", 0.002), "force": ("force", 0.01),
 }  # fmt: skip
-"""What changes: its field of the state, and the usual size of its change; that of the
-force is of the load."""
+"""Parameters: field of the state, and usual size of a change (relative, a slip, or a
+force relative to the load)."""
 
-USUAL_SIZES = (0.5, 2.0, 8.0)
+USUAL_SIZES = 0.5 * 4.0 ** np.arange(3)
 """Multiples of the usual size that the evidence is averaged over."""
 
 _SET_BY_RIG = ("fz", "v", "temperature", "gamma", "pressure")
-"""Quantities that may have few settings: then only thresholds between them and single
-settings are patterns. What moves by itself has gaps at most."""
+"""Covariates that may have few settings: their shapes are thresholds between settings
+and single settings."""
 
-_KINKS = np.linspace(0.125, 0.875, 7)
-_STEPS = np.linspace(0.1, 0.9, 17)
-_PLACES = {0.05: np.linspace(0.05, 0.95, 19), 0.12: np.linspace(0.1, 0.9, 9)}
-"""Places, as shares of the range; bumps by their width. Half a width lies between
-them, so that a shape in between loses a tenth of its square at most."""
+_PLACES = np.arange(0.05, 0.96, 0.05)
+"""Places as shares of the range. Bumps are one and two steps wide, so that a shape
+between two places loses at most a tenth of its square."""
 
-_WAVES = {"time": np.arange(2.0, 48.1, 0.5), "distance": np.arange(2.0, 48.1, 0.5)}
-_FEW_WAVES = np.arange(2.0, 14.1, 0.5)
-"""Waves over the range: what turns or swings repeats in time or with the way."""
+WAVES, ROWS_OF_A_WAVE = 96, 5
+"""Largest number of waves in a record, and smallest number of rows of a wave. Patterns
+in time or distance have half as many, others an eighth."""
+
 PHASES = 4
 """Phases of each wave."""
 
@@ -51,23 +51,22 @@ _MIXED = np.array(
     [(np.cos(p), np.sin(p)) for p in np.pi * np.arange(PHASES) / PHASES], np.float32
 )
 """Sine and cosine in each phase: sin(x + p) = cos p sin x + sin p cos x."""
-_ROWS_OF_A_WAVE = 5
 
-_LEFT, _LEAST = 1e-3, 1e-3
-"""Share of a pattern that the fit must leave, and its squared length in standard errors
-at the usual size: of less, nothing is known."""
+_LEAST = 1e-3
+"""Smallest share of a pattern that the fit leaves, and smallest squared length at the
+usual size in standard errors, of a pattern that is judged."""
 
 _SHOWS = 3.0
-"""Log evidence over nothing from which patterns are told: 20 to 1."""
+"""Log evidence over no remainder from which patterns are reported: 20 to 1."""
 
 _EACH_SIDE = 0.04
-"""Share of the rows that a step must have on either side, and a bump within it."""
+"""Smallest share of the rows on either side of a step, and within a bump."""
 
 
 class Pattern(NamedTuple):
     """``parameter`` changes with ``covariate`` by a ``shape``: kink, threshold, local
-    or wave; ``at`` is its place (the period of a wave), ``width`` that of a local one,
-    in units of the covariate."""
+    or wave at the place ``at`` (the period of a wave), a local one with a ``width``, in
+    units of the covariate."""
 
     parameter: str
     covariate: str
@@ -77,12 +76,12 @@ class Pattern(NamedTuple):
 
 
 class Over(NamedTuple):
-    """Shapes over one covariate that some of the weights take.
+    """Shapes over one covariate.
 
-    ``plain`` (n, a) are shapes as they are; ``waves`` (n, 2 w) sines and cosines in
-    turn, of which every wave has :data:`PHASES` phases. ``listed`` holds
-    (shape, place, width) of every one of the a + 4 w, ``log_prior`` (a + 4 w,) its
-    share; ``weights`` maps each parameter to its column of the weights.
+    ``plain`` (n, a) are shapes, ``waves`` (n, 2 w) sines and cosines in turn, each wave
+    in :data:`PHASES` phases. ``listed`` holds (shape, place, width) of all a + 4 w,
+    ``log_prior`` (a + 4 w,) their log probabilities; ``weights`` maps each parameter to
+    its column of the weights.
     """
 
     covariate: str
@@ -100,7 +99,7 @@ class Over(NamedTuple):
         return np.concatenate([self.plain.T @ against, whole])
 
     def shapes(self, which) -> np.ndarray:
-        """Those of these numbers (c,): (n, c)."""
+        """The shapes with these numbers (c,): (n, c)."""
         plain = which < self.plain.shape[1]
         wave, phase = np.divmod(which[~plain] - self.plain.shape[1], PHASES)
         pairs = self.waves.reshape(len(self.waves), -1, 2)[:, wave]
@@ -110,7 +109,7 @@ class Over(NamedTuple):
         return found
 
     def squares(self, against) -> np.ndarray:
-        """The same of each shape squared."""
+        """Sums over the rows of each squared shape times (n, c): (a + 4 w, c)."""
         sine, cosine = self.waves[:, ::2], self.waves[:, 1::2]
         each = (sine**2, 2 * sine * cosine, cosine**2)
         parts = np.stack([part.T @ against for part in each], axis=1)
@@ -122,21 +121,21 @@ class Over(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Patterns:
-    """Every shape of ``over`` (of n rows) as a change of each of its parameters:
-    ``weights`` (channels, n, W) are the whitened forces of usual changes."""
+    """Every shape of ``over`` as a change of each of its parameters; ``weights``
+    (channels, n, W) are the whitened forces of usual changes."""
 
     weights: np.ndarray
     over: Sequence[Over]
 
     @cached_property
     def log_prior(self) -> np.ndarray:
-        """Of each pattern (k,): each covariate and parameter is as likely."""
+        """Log probability of each pattern (k,): covariates and parameters are equal."""
         each = [np.tile(one.log_prior, len(one.weights)) for one in self.over]
         return np.concatenate(each) - np.log(sum(len(one.weights) for one in self.over))
 
     @cached_property
     def of(self) -> list[Pattern]:
-        """What each of them is."""
+        """All patterns (k)."""
         return [
             Pattern(parameter, one.covariate, *listed)
             for one in self.over
@@ -182,14 +181,11 @@ class Patterns:
 
 
 class Look(NamedTuple):
-    """What a remainder looks like: ``parameter`` (stiffness, friction, slip or force)
-    changes with ``covariate`` by ``shape``: kink, threshold, local or wave.
+    """A pattern that fits the remainder; ``at`` and ``width`` as in :class:`Pattern`.
 
-    ``at`` is its place, of a wave its period, ``width`` the standard width of a local
-    one, in units of the covariate; ``size`` that of the change: a share of stiffness or
-    friction, a slip, or a force as a share of the load. ``probability`` is that of any
-    pattern of this parameter and covariate among all patterns, ``explains`` the share
-    of the remainder's mean square that this one takes away.
+    ``size`` of the change is relative (stiffness, friction), a slip, or a force
+    relative to the load. ``probability`` is that of any pattern of this parameter and
+    covariate, ``explains`` the share of the remainder's mean square that it removes.
     """
 
     parameter: str
@@ -203,7 +199,7 @@ class Look(NamedTuple):
 
 
 def travelled(prepared) -> np.ndarray:
-    """Way since the start of each unbroken record [m]: (n,)."""
+    """Distance since the start of each unbroken record [m]: (n,)."""
     way = np.zeros(prepared.n)
     for rows in segments(prepared.time, prepared.run):
         pace = np.abs(prepared.covariates.v[rows])
@@ -213,39 +209,35 @@ def travelled(prepared) -> np.ndarray:
 
 
 def quantities(prepared, slip_fraction) -> dict[str, np.ndarray]:
-    """What a pattern may depend on, those that vary: (n,) each."""
+    """Covariates of patterns that vary: (n,) each."""
     has, rows = prepared.has, prepared.covariates
-    size = np.minimum(np.abs(slip_fraction), 3.0)
+    size = np.minimum(np.abs(slip_fraction), FULL_SLIDING)
     values = {
         "slip_fraction": size,
         "used_friction": 1 - (1 - np.minimum(size, 1)) ** 3,
     }
     if "signs" in has:
-        values["slip"] = np.clip(slip_fraction, -3.0, 3.0)
+        values["slip"] = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
     if "loads" in has:
         values["fz"] = np.asarray(prepared.inputs.fz)
     if "speeds" in has:
         values["v"] = rows.v
     if "time" in has:
         values["time"] = prepared.time
-        # At one speed the way is the time.
-        if "speeds" in has:
-            values["distance"] = travelled(prepared)
-    for name in ("temperature", "gamma", "pressure"):
-        if name in has:
-            values[name] = prepared.column(name)
-    return values
+    if "time" in has and "speeds" in has:  # else the distance is the time
+        values["distance"] = travelled(prepared)
+    named = ("temperature", "gamma", "pressure")
+    return values | {name: prepared.column(name) for name in named if name in has}
 
 
 def settings_of(covariate: str, values) -> Levels | None:
     """The few settings that a rig has of a covariate; None where it has a range."""
     settings = levels(values)
-    is_set = covariate in _SET_BY_RIG and settings.few()
-    return settings if is_set else None
+    return settings if covariate in _SET_BY_RIG and settings.few() else None
 
 
 def is_mirrored(parameter: str, covariate: str) -> bool:
-    """Whether driving mirrors braking: the change is in the direction of the slip."""
+    """Whether the change has the sign of the slip."""
     of_size = covariate in ("slip_fraction", "used_friction")
     return of_size and parameter in ("force", "slip")
 
@@ -270,26 +262,25 @@ def _between_settings(values, settings: Levels) -> list[_Shape]:
 
 def _in_range(share) -> list[_Shape]:
     """Kinks, steps and bumps over a range, of which rows have these shares."""
-    listed = [
-        ("kink", k, 0.0, np.maximum(share - k, 0.0)) for k in _KINKS
-    ] + [("threshold", k, 0.0, (share > k) - 0.5) for k in _STEPS]  # fmt: skip
-    listed = [one for one in listed if _both_sides(share > one[1])]
-    for width, places in _PLACES.items():
+
+    def both_sides(k) -> bool:
+        return bool(_EACH_SIDE < np.mean(share > k) < 1 - _EACH_SIDE)
+
+    even, step = _PLACES[1::2], _PLACES[1] - _PLACES[0]
+    kinks = [("kink", k, 0.0, np.maximum(share - k, 0.0)) for k in even]
+    listed = kinks + [("threshold", k, 0.0, (share > k) - 0.5) for k in _PLACES]
+    listed = [one for one in listed if both_sides(one[1])]
+    for width, places in ((step, _PLACES), (2 * step, even)):
         for k in places:
-            near = np.abs(share - k) < width
-            if near.mean() > _EACH_SIDE:
+            if np.mean(np.abs(share - k) < width) > _EACH_SIDE:
                 shape = np.exp(-0.5 * ((share - k) / width) ** 2)
                 listed.append(("local", k, width, shape))
     return listed
 
 
 def turns(share, counts) -> np.ndarray:
-    """Sine and cosine, in turn, of so many evenly spaced turns: (n, 2 k).
-
-    Args:
-        share: (n,) what one turn is of.
-        counts: (k,) turns, each as far from the one before.
-    """
+    """Sine and cosine, in turn, of ``counts`` (k,) evenly spaced numbers of turns over
+    the ``share`` (n,): (n, 2 k)."""
     # One product for each instead of a sine and a cosine: i exp(-i x) = sin + i cos.
     step = counts[1] - counts[0] if len(counts) > 1 else 0.0
     parts = np.empty((len(share), len(counts)), complex)
@@ -307,15 +298,16 @@ def _over(covariate: str, values, weights: dict[str, int]) -> Over | None:
         listed = [(name, at, width) for name, at, width, _ in shapes]
     else:
         share = (values - low) / span
-        counts = _WAVES.get(covariate, _FEW_WAVES)
-        counts = counts[counts * _ROWS_OF_A_WAVE < n]
+        most = WAVES // (2 if covariate in ("time", "distance") else 8)
+        counts = np.arange(2.0, most + 0.1, 0.5)
+        counts = counts[counts * ROWS_OF_A_WAVE < n]
         shapes, waves = _in_range(share), turns(share, counts)
         listed = [(name, low + at * span, w * span) for name, at, w, _ in shapes]
         listed += [("wave", span / c, 0.0) for c in counts for _ in range(PHASES)]
     if not listed:
         return None
     plain = np.array([shape for *_, shape in shapes]).reshape(-1, n).T
-    # Every kind of shape is as likely, and within it every place.
+    # Kinds of shapes have equal probabilities, and places within a kind.
     kinds = Counter(name for name, *_ in listed)
     prior = np.array([-np.log(len(kinds) * kinds[name]) for name, *_ in listed])
     return Over(
@@ -324,16 +316,12 @@ def _over(covariate: str, values, weights: dict[str, int]) -> Over | None:
     )  # fmt: skip
 
 
-def _both_sides(beyond) -> bool:
-    return bool(_EACH_SIDE < beyond.mean() < 1 - _EACH_SIDE)
-
-
 def patterns(prepared, slip_fraction, fields: dict[str, np.ndarray]) -> Patterns:
     """All patterns of a file.
 
     Args:
         slip_fraction: signed slip over that of full sliding, (n,).
-        fields: of each of :data:`PARAMETERS` the whitened force (m,) of a unit change.
+        fields: whitened force (m,) of a unit change of each of :data:`PARAMETERS`.
     """
     load = np.asarray(prepared.inputs.fz)
     side = np.where(slip_fraction < 0, -1.0, 1.0)
@@ -356,60 +344,48 @@ def patterns(prepared, slip_fraction, fields: dict[str, np.ndarray]) -> Patterns
     return Patterns(np.stack(columns, axis=2), [one for one in over if one is not None])
 
 
-def _scores(among: Patterns, unit, residual):
-    """Squared length (k,) of every pattern with ``unit`` (m, q) taken out, see
-    :func:`rows.basis.taken_out`, and its product with the residual (k,);
-    both zero where hardly anything is left of it."""
+def _weights(among: Patterns, unit, residual):
+    """Squared length and score (k,) of every pattern with ``unit`` (m, q) taken out,
+    see :func:`rows.basis.taken_out`, and the log weight of each over no pattern at each
+    of the usual sizes, (S, k); zero length where hardly anything is left of it."""
     left = residual - unit @ (unit.T @ residual)
     found = among.products(np.concatenate([unit, left[:, None]], axis=1))
-    whole, used = among.square, np.sum(found[:, :-1] ** 2, axis=1)
-    length = np.where(
-        whole - used > np.maximum(_LEFT * whole, _LEAST), whole - used, 0.0
-    )
-    return length.astype(float), np.where(length > 0, found[:, -1], 0.0).astype(float)
-
-
-def _gains_of_sizes(length, score) -> np.ndarray:
-    """Log evidence of each pattern over none at each of the usual sizes: (S, k)."""
-    each = []
-    for scale in USUAL_SIZES:
-        t = scale**2 * length
-        each.append(0.5 * (scale**2 * score**2 / (1 + t) - np.log1p(t)))
-    return np.array(each)
-
-
-def _gains(length, score) -> np.ndarray:
-    """Log evidence of each pattern over none (k,), averaged over its size."""
-    each = _gains_of_sizes(length, score)
-    return np.logaddexp.reduce(each, axis=0) - np.log(len(USUAL_SIZES))
+    whole = among.square.astype(float)
+    length = whole - np.sum(found[:, :-1] ** 2, axis=1)
+    length = np.where(length > _LEAST * np.maximum(whole, 1.0), length, 0.0)
+    score = np.where(length > 0, found[:, -1], 0.0).astype(float)
+    t = np.square(USUAL_SIZES)[:, None]
+    gain = 0.5 * (t * score**2 / (1 + t * length) - np.log1p(t * length))
+    return length, score, gain + among.log_prior
 
 
 def weights_of_sizes(among: Patterns, against, residual):
-    """Squared length and score (k,) of every pattern with ``against`` (m, p) out, and
-    the log weight of each at each of the usual sizes, (S, k)."""
-    length, score = _scores(among, np.linalg.qr(against)[0], residual)
-    return length, score, _gains_of_sizes(length, score) + among.log_prior
+    """:func:`_weights` with ``against`` (m, p) taken out."""
+    return _weights(among, np.linalg.qr(against)[0], residual)
 
 
 def patterns_gain(among: Patterns, unit, residual) -> float:
-    """Log evidence of one pattern, whichever, over none.
+    """Log evidence over no remainder of one pattern, whichever, averaged over its size.
 
     Args:
-        unit: (m, q) of :func:`tirefit.diagnosis.rows.basis.taken_out`.
+        unit: (m, q) of :func:`rows.basis.taken_out`.
         residual: (m,) whitened.
     """
-    gains = _gains(*_scores(among, unit, residual))
-    return float(np.logaddexp.reduce(gains + among.log_prior))
+    *_, weight = _weights(among, unit, residual)
+    return float(np.logaddexp.reduce(weight, axis=None) - np.log(len(weight)))
 
 
 def looks(among: Patterns, against, residual, most: int = 3) -> list[Look]:
-    """The patterns that a remainder looks like, the most probable of each parameter and
-    quantity; the probability is of all patterns of that parameter and quantity."""
-    length, score = _scores(among, np.linalg.qr(against)[0], residual)
-    weight = _gains(length, score) + among.log_prior
-    if np.logaddexp.reduce(weight) < _SHOWS:
+    """The most probable pattern of each parameter and covariate, most probable first.
+
+    Args:
+        against: (m, p) columns that the fit has used up.
+    """
+    length, score, each = weights_of_sizes(among, against, residual)
+    weight = np.logaddexp.reduce(each, axis=0) - np.log(len(each))
+    whole = np.logaddexp.reduce(weight)
+    if whole < _SHOWS:
         return []
-    share = np.exp(weight - np.logaddexp.reduce(weight))
     energy = max(float(residual @ residual), NONZERO)
     groups: dict[tuple[str, str], list[int]] = {}
     for k, one in enumerate(among.of):
@@ -419,13 +395,9 @@ def looks(among: Patterns, against, residual, most: int = 3) -> list[Look]:
         best = max(members, key=lambda k: weight[k])
         if length[best] <= 0:
             continue
-        usual = PARAMETERS[among.of[best].parameter][1]
-        listed.append(
-            Look(
-                *among.of[best],
-                float(score[best] / length[best]) * usual,
-                float(share[members].sum()),
-                float(score[best] ** 2 / length[best]) / energy,
-            )
-        )
+        size = float(score[best] / length[best])
+        probability = float(np.exp(weight[members] - whole).sum())
+        explains = float(size * score[best]) / energy
+        size *= PARAMETERS[among.of[best].parameter][1]
+        listed.append(Look(*among.of[best], size, probability, explains))
     return sorted(listed, key=lambda look: -look.probability)[:most]

@@ -1,67 +1,57 @@
-"""The path of a slip in time, and how fast it changes, from slips with noise.
+"""Path of a slip in time and its rate of change, estimated from noisy slips.
 
-Local parabolas of several widths, ahead of, around and behind each row, averaged by how
-probable each is: wide where the slip moves smoothly, one-sided where it turns sharply.
+The estimate averages local parabolas of several widths, centred on each row and on
+either side of it, by their probability: wide ones where the slip moves smoothly,
+one-sided ones at sharp turns.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import comb
+from scipy.special import comb, softmax
 
 from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
+from tirefit.diagnosis.rows.rig import LEAST_ROWS
 from tirefit.fitting.noise import MAD
 
-_WINDOWS = (5, 7, 11, 17, 25, 41)
-"""Rows of the local parabolas: each half as wide again as the one before."""
-_COEFFICIENTS = 3
-"""Of a parabola."""
-_NOISY = 17
-"""Width from which, where it predicts best, neighbours differ by noise."""
+_WINDOWS = tuple(int(41 / 1.5**k) | 1 for k in range(5, -1, -1))
+"""Rows of the local parabolas: odd, each 1.5 times the one before."""
 _ALONE = 0.05
-"""Share of its path that is not a row's own value, at least."""
+"""Smallest share of a row's path that comes from other rows."""
 _REACH = _WINDOWS[-1] - 1
-_AS_MEASURED = 3
-"""Rows of the parabola that goes through the values: that none is noise."""
-_ORDERS = range(2, 9)
-"""Differences that are tried for the scatter of values about a curve."""
 _PIECE = 4_000
-"""Rows of a long stretch worked out at once: so many stay near the processor."""
+"""Rows that are computed at once, to bound the memory."""
 
 AHEAD = 4
 """Columns of the past that lie after its row."""
 
-STEPS = (1, 1, 1, 1, 1, 1, 2, 2, 4, 4, 6, 8)
-"""Intervals from each column before the row to the one before that: the longer ago a
-slip was, the less its details count."""
+AGES = np.arange(-AHEAD, 7)
+AGES = np.append(AGES, np.round(AGES[-1] * (4 / 3) ** np.arange(1, 7)).astype(int))
+"""How many intervals ago each column was: each row, then a third more each time."""
 
-AGES = np.concatenate([np.arange(-AHEAD, 1), np.cumsum(STEPS)])
-"""How many intervals ago each column was."""
+STEPS = tuple(np.diff(AGES[AHEAD:]).tolist())
+"""Intervals from each column at or after the row to the next older one."""
 
-_SPAN = 0.45 / 12
-"""The interval, at least, over the time that the slip takes for a change of its
-standard deviation: a straight line over as much misses it by 2e-4 of that."""
-
+_SPAN = 0.0375
+"""Smallest interval over the time in which the slip changes by its standard deviation:
+linear interpolation over it is accurate to 2e-4 of that."""
 
 _WORTH = 0.7
-"""Log probability for each value that a parabola explains, against leaving the values
-as measured, which the shortest does; on saw-tooth and sine sweeps the error claimed is
-the true one."""
+"""Log probability for each row that a parabola explains, against the raw values;
+calibrated so that the stated errors of saw-tooth and sine sweeps are right."""
 
-_UNSTEADY = 0.15
-"""Share of the slip's variance that neighbours in time may leave open in a sweep."""
+_UNSTEADY = 0.4
+"""Largest scatter of neighbours in time, over the slip's standard deviation, of a
+sweep."""
 
-_MORE = 1.3
-"""Scatter of the slip over the stated one from which it counts instead."""
+_MORE = 1.25
+"""Ratio of two estimates of the noise above which they disagree."""
 
 _SURE = 0.05
-"""Share of the usual rate from which a measured one has a sign."""
-
-_FINEST = 1e-9
-"""Error of a slope over the largest slope, at least."""
+"""Standard error of a measured rate, as a share of its rms."""
 
 _GAP = 5.0
-"""A pause of so many median intervals parts two segments of a run."""
+"""Pause, in median intervals, that ends a segment of a run."""
 
 
 def segments(time, run) -> list[np.ndarray]:
@@ -74,10 +64,19 @@ def segments(time, run) -> list[np.ndarray]:
     return np.split(order, breaks)
 
 
-def _in_pieces(of, values, time, *given) -> list[np.ndarray]:
-    """The columns ``of`` (values, time, *given) of one unbroken stretch, a piece at a
-    time: rows depend on none beyond their reach, so the pieces are those of the whole.
+def shown_runs(run, names) -> list[int]:
+    """Codes of the runs with enough rows for an offset of their own.
+
+    Args:
+        run: (n,) codes.
+        names: of all runs.
     """
+    return [k for k in range(len(names)) if np.sum(run == k) >= LEAST_ROWS]
+
+
+def _in_pieces(of, values, time, *given) -> list[np.ndarray]:
+    """The columns ``of(values, time, *given)`` of one stretch, computed in pieces that
+    overlap by the reach of a row."""
     pieces = []
     for first in range(0, len(values), _PIECE):
         start, end = max(first - _REACH, 0), first + _PIECE
@@ -87,18 +86,13 @@ def _in_pieces(of, values, time, *given) -> list[np.ndarray]:
     return [np.concatenate(column) for column in zip(*pieces, strict=True)]
 
 
-class _Parabolas(NamedTuple):
-    """Every window of one width: ``rows`` (a, w, 3) of the fit, ``fit`` (a, 3, w) that
-    gives its coefficients, ``misfit`` (a,), the sum of squares, ``unit`` (a,) of time.
+def _parabolas(values, time, window: int):
+    """Parabolas through every window of one width.
+
+    Returns:
+        ``rows`` (a, w, 3) of the fit, ``fit`` (a, 3, w) from values to coefficients,
+        ``misfit`` (a,), the sum of squares, ``unit`` (a,) of time.
     """
-
-    rows: np.ndarray
-    fit: np.ndarray
-    misfit: np.ndarray
-    unit: np.ndarray
-
-
-def _parabolas(values, time, window: int) -> _Parabolas:
     view = np.lib.stride_tricks.sliding_window_view
     x, t = view(values, window), view(time, window)
     unit = np.maximum((t[:, -1] - t[:, 0]) / 2, ROUNDING)
@@ -111,21 +105,19 @@ def _parabolas(values, time, window: int) -> _Parabolas:
     except np.linalg.LinAlgError:  # times that differ by their last digits alone
         fit = np.linalg.pinv(normal, hermitian=True) @ across
     left = x - (rows @ (fit @ x[:, :, None]))[:, :, 0]
-    return _Parabolas(rows, fit, np.sum(left**2, axis=1), unit)
+    return rows, fit, np.sum(left**2, axis=1), unit
 
 
-def _left_out(values, time, window: int) -> tuple[np.ndarray]:
-    """What each value misses the parabola through its neighbours by: (n,)."""
-    local, size = _parabolas(values, time, window), np.arange(len(values))
-    start = np.clip(size - window // 2, 0, len(values) - window)
-    weights = np.einsum("ni,niw->nw", local.rows[start, size - start], local.fit[start])
-    smooth = np.einsum("nw,nw->n", weights, values[start[:, None] + np.arange(window)])
-    return ((values - smooth) / (1 - weights[size, size - start]),)
+def _scatter(slip, parts, order: int) -> float:
+    """Standard deviation of white noise from differences of this order, which remove a
+    smooth curve, the higher the better."""
+    each = np.concatenate([np.diff(slip[part], order) for part in parts])
+    return MAD * float(np.median(np.abs(each))) / float(np.sqrt(comb(2 * order, order)))
 
 
 class _Path(NamedTuple):
     """``value`` and ``slope`` (n,) with the standard deviation of the slope, and
-    ``reach`` (n, 2 _REACH + 1): how much of the values around each value is made of."""
+    ``reach`` (n, 2 _REACH + 1): weights of the surrounding values in each value."""
 
     value: np.ndarray
     slope: np.ndarray
@@ -133,66 +125,43 @@ class _Path(NamedTuple):
     reach: np.ndarray
 
 
-class _Mean:
-    """Mean and variance over estimates that are added one by one, by their log
-    probability (n,)."""
-
-    def __init__(self, about):
-        self.about, size = about, len(about)
-        self.top = np.full(size, -np.inf)
-        self.total, self.first, self.second = np.zeros((3, size))
-
-    def add(self, log, value, variance):
-        """What the sums so far fade by, and the share of this one: (n,) each."""
-        top = np.maximum(self.top, log)
-        fade, share = np.exp(self.top - top), np.exp(log - top)
-        off = value - self.about
-        self.top = top
-        self.total = fade * self.total + share
-        self.first = fade * self.first + share * off
-        self.second = fade * self.second + share * (off**2 + variance)
-        return fade, share
-
-    def result(self) -> tuple[np.ndarray, np.ndarray]:
-        """(mean, standard deviation)."""
-        off = self.first / self.total
-        variance = np.maximum(self.second / self.total - off**2, 0.0)
-        return self.about + off, np.sqrt(variance)
-
-
 def _averaged(values, time, noise: float) -> _Path:
     """The path of one unbroken stretch, whose values scatter by ``noise``."""
     size, row = len(values), np.arange(len(values))
-    path, rise = _Mean(values), _Mean(np.zeros(size))
-    reach = np.zeros((size, 2 * _REACH + 1))
-    for window in (w for w in (_AS_MEASURED, *_WINDOWS) if w <= size):
-        local = _parabolas(values, time, window)
-        log = _WORTH * (window - _COEFFICIENTS) - 0.5 * local.misfit / noise**2
+    logs, parts = [], []
+    # Through 3 rows a parabola passes exactly: the values as measured.
+    for window in (w for w in (3, *_WINDOWS) if w <= size):
+        rows, fit, misfit, unit = _parabolas(values, time, window)
+        log = _WORTH * (window - 3) - 0.5 * misfit / noise**2
         for first in (row - window // 2, row, row - window + 1):
             start = np.clip(first, 0, size - window)
-            at, fit = local.rows[start, row - start], local.fit[start]
+            at = rows[start, row - start]
             slope = np.stack([np.zeros(size), np.ones(size), 2 * at[:, 1]], axis=1)
-            slope = slope / local.unit[start, None]
-            place = (start - row)[:, None] + _REACH + np.arange(window)
-            around = values[start[:, None] + np.arange(window)]
-            for mean, form in ((rise, slope), (path, at)):
-                weights = np.einsum("ni,niw->nw", form, fit)
-                estimated = np.einsum("nw,nw->n", weights, around)
-                spread = noise**2 * np.sum(weights**2, axis=1)
-                fade, share = mean.add(log[start], estimated, spread)
-            reach *= fade[:, None]
-            reach[row[:, None], place] += share[:, None] * weights
-    return _Path(path.result()[0], *rise.result(), reach / path.total[:, None])
+            of_value, of_slope = (
+                np.einsum("ni,niw->nw", form, fit[start])
+                for form in (at, slope / unit[start, None])
+            )
+            logs.append(log[start])
+            parts.append((start[:, None] + np.arange(window), of_value, of_slope))
+    value, slope, square = np.zeros((3, size))
+    reach = np.zeros((size, 2 * _REACH + 1))
+    for chance, (near, of_value, of_slope) in zip(softmax(logs, 0), parts, strict=True):
+        one = np.einsum("nw,nw->n", of_slope, values[near])
+        value += chance * np.einsum("nw,nw->n", of_value, values[near])
+        slope += chance * one
+        square += chance * (one**2 + noise**2 * np.sum(of_slope**2, axis=1))
+        reach[row[:, None], near - row[:, None] + _REACH] += chance[:, None] * of_value
+    return _Path(value, slope, np.sqrt(np.maximum(square - slope**2, 0.0)), reach)
 
 
 class Past(NamedTuple):
-    """What was before each row, :data:`AGES` times ``interval`` [s] ago: column
-    :data:`AHEAD` is the row itself, those before it come later, those after it earlier.
+    """The slip at :data:`AGES` times ``interval`` [s] before each row; column
+    :data:`AHEAD` is the row itself.
 
-    ``path`` (n, k) is the slip there as the other rows show it: a row's own noise moves
-    neither its own path nor that of its neighbours. Times beyond the sweep are held at
-    its end. ``rows``, ``others`` and ``share`` (n, k) say between which rows each time
-    falls.
+    ``path`` (n, k) is estimated without the row's own value, so that its noise enters
+    neither its own path nor that of its neighbours. Times beyond the sweep take its
+    end. Each time falls between ``rows`` and ``others`` (n, k), after a ``share`` of
+    the step.
     """
 
     path: np.ndarray
@@ -201,32 +170,38 @@ class Past(NamedTuple):
     share: np.ndarray
     interval: float
 
-    def of(self, values) -> np.ndarray:
-        """Any values (n,) at these times: (n, k)."""
-        return (1 - self.share) * values[self.rows] + self.share * values[self.others]
+    def of(self, values, rate=None, time=None) -> np.ndarray:
+        """Any values (n,) at these times (n, k): linear between the rows, or cubic
+        where their rate (n,) is known."""
+        first, last, share = values[self.rows], values[self.others], self.share
+        if rate is None:
+            return (1 - share) * first + share * last
+        step, rest = time[self.others] - time[self.rows], share - 1
+        out, back = step * rate[self.rows], step * rate[self.others]
+        moved = share**2 * (3 - 2 * share) * (last - first)
+        return first + moved + share * rest**2 * out + share**2 * rest * back
 
+    def place(self, part, time):
+        """Write the rows between which the times of the stretch ``part`` fall.
 
-def _no_past(values) -> Past:
-    row = np.repeat(np.arange(len(values))[:, None], len(AGES), axis=1)
-    return Past(np.zeros(row.shape), row, row.copy(), np.zeros(row.shape), 1.0)
-
-
-def _places(past: Past, part, time):
-    """Row numbers (n, 1), and between which rows (n, k) of the stretch the times of the
-    past fall: after ``low``, by so much of a step."""
-    size = len(part)
-    when = np.clip(time[:, None] - past.interval * AGES, time[0], time[-1])
-    low = np.clip(np.searchsorted(time, when, side="right") - 1, 0, size - 2)
-    share = (when - time[low]) / (time[low + 1] - time[low])
-    return np.arange(size)[:, None], low, share
+        Returns:
+            Numbers within the part (n, k) of the rows before, and the share (n, k).
+        """
+        when = np.clip(time[:, None] - self.interval * AGES, time[0], time[-1])
+        low = np.clip(np.searchsorted(time, when, side="right") - 1, 0, len(part) - 2)
+        share = (when - time[low]) / (time[low + 1] - time[low])
+        self.rows[part], self.others[part] = part[low], part[low + 1]
+        self.share[part] = share
+        return low, share
 
 
 def _fill_past(past: Past, part, values, time, path: _Path) -> None:
-    """The past of the rows ``part`` of one unbroken stretch, written into ``past``."""
-    row, low, share = _places(past, part, time)
+    """Write the past of the rows ``part`` of one unbroken stretch."""
+    low, share = past.place(part, time)
+    row = np.arange(len(part))[:, None]
 
     def own(at):
-        """How much of each row's own value is in the path at a row."""
+        """Weight of each row's own value in the path at a row."""
         far = np.abs(row - at) > _REACH
         weight = path.reach[at, np.clip(row - at, -_REACH, _REACH) + _REACH]
         return np.where(far, 0.0, weight)
@@ -235,19 +210,15 @@ def _fill_past(past: Past, part, values, time, path: _Path) -> None:
     noise = ((values - path.value) / alone)[:, None]
     mean = (1 - share) * path.value[low] + share * path.value[low + 1]
     past.path[part] = mean - ((1 - share) * own(low) + share * own(low + 1)) * noise
-    past.rows[part], past.others[part] = part[low], part[low + 1]
-    past.share[part] = share
 
 
 class Sweeps(NamedTuple):
-    """How a slip moves in time: ``rate`` (n,) [1/s]; ``turning`` (n,), +1 where it
-    grows in size, -1 where it shrinks; ``path`` (n,), the smooth slip; ``past``, what
-    it was before; ``present``, whether the rows are sweeps in time at all; ``noise``,
-    what the measured slip scatters about the path, 0 where it is not known."""
+    """Motion of a slip in time: ``rate`` (n,) [1/s]; ``turning`` (n,) from -1 (its size
+    shrinks) to 1 (it grows); ``past``; ``present``, whether the rows are sweeps;
+    ``noise``, the scatter of the slip about its path, 0 where unknown."""
 
     rate: np.ndarray
     turning: np.ndarray
-    path: np.ndarray
     past: Past
     present: bool
     noise: float
@@ -260,13 +231,14 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
         slip: (n,) measured values.
         time: (n,) [s], or None.
         run: (n,) run of each row.
-        noise: what is known of the scatter of the values; 0 is nothing.
-        rate: (n,) [1/s] as it was measured between rows that are too far apart to show
-            it, or None.
+        noise: stated noise of the slip; 0 where unknown.
+        rate: (n,) [1/s] measured rate, for rows too far apart to show it, or None.
     """
     count = len(slip)
-    none = _no_past(slip)
-    still = Sweeps(np.zeros(count), np.zeros(count), slip.copy(), none, False, 0.0)
+    none = np.repeat(np.arange(count)[:, None], len(AGES), axis=1)
+    zero = np.zeros(none.shape)
+    past = Past(zero, none, none.copy(), zero.copy(), 1.0)
+    still = Sweeps(np.zeros(count), np.zeros(count), past, False, 0.0)
     if time is None:
         return still
     parts = [part for part in segments(time, run) if len(part) >= _WINDOWS[0] + 2]
@@ -274,15 +246,11 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
         return still
     if rate is not None and np.any(rate):
         return _by_its_rate(slip, time, rate, parts, still)
-    window, left_out = _best_window(slip, time, parts)
-    if left_out > _UNSTEADY * np.var(slip):
+    curved, seen = _scatter(slip, parts, 2), _scatter(slip, parts, 6)
+    if seen > _UNSTEADY * np.std(slip):
         return still
-    # Left out, a row misses by its own noise and that of the local parabola, which has
-    # 9 / (4 w) of the variance at its middle. Where few neighbours predict best it is
-    # the curve that misses, not noise.
-    seen = np.sqrt(left_out / (1 + 9 / (4 * window)))
-    scatter = seen if window >= _NOISY else 0.0
-    seen = scatter or min(seen, _about_a_curve(slip, parts))
+    # Both orders agree on noise; a curve leaves more in the lower one.
+    scatter = seen if FLAT * np.std(slip) < curved < _MORE * seen else 0.0
     seen = max(seen, FLAT * np.std(slip))
     level = max(noise, scatter if scatter > _MORE * noise else 0.0) or seen
     paths = [
@@ -291,67 +259,25 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     usual = float(np.median(np.concatenate([np.diff(time[part]) for part in parts])))
     rate = np.sqrt(np.mean(np.concatenate([path.slope for path in paths]) ** 2))
     period = float(np.std(slip) / rate) if rate > 0 else 0.0
-    past = none._replace(interval=max(usual, _SPAN * period))
-    sweeps = still._replace(present=True, noise=scatter, past=past)
+    past = past._replace(interval=max(usual, _SPAN * period))
     past.path[:] = past.of(slip)
     for part, path in zip(parts, paths, strict=True):
         _fill_past(past, part, slip[part], time[part], path)
-        sweeps.path[part], sweeps.rate[part] = path.value, path.slope
-        # Slips that a formula gave have no error at all.
-        finest = _FINEST * float(np.max(np.abs(path.slope)))
+        still.rate[part] = path.slope
+        # Slips from a formula have no error at all.
+        finest = FLAT * float(np.max(np.abs(path.slope)))
         error = np.maximum(path.slope_error, max(finest, NONZERO))
         certain = np.sign(slip[part]) * path.slope / (2 * error)
-        sweeps.turning[part] = np.clip(certain, -1, 1)
-    return sweeps
+        still.turning[part] = np.clip(certain, -1, 1)
+    return still._replace(present=True, noise=scatter, past=past)
 
 
 def _by_its_rate(slip, time, rate, parts, still: Sweeps) -> Sweeps:
-    """Cubics through values and rates, as finely as the rate moves the slip: a past
-    that lies between the rows."""
+    """Cubics through values and measured rates: a past between the rows."""
     usual = float(np.sqrt(np.mean(rate**2)))
     past = still.past._replace(interval=_SPAN * float(np.std(slip)) / usual)
-    moving = still._replace(present=True, rate=rate, past=past)
-    past.path[:] = past.of(slip)
     for part in parts:
-        _, low, share = _places(past, part, time[part])
-        step = time[part][low + 1] - time[part][low]
-        first, last = (slip[part][at] for at in (low, low + 1))
-        out, back = (step * rate[part][at] for at in (low, low + 1))
-        rest = share - 1
-        past.path[part] = (
-            first + share**2 * (3 - 2 * share) * (last - first)
-            + share * rest**2 * out + share**2 * rest * back
-        )  # fmt: skip
-        past.rows[part], past.others[part] = part[low], part[low + 1]
-        past.share[part] = share
-    sure = np.sign(slip) * rate / (2 * _SURE * usual)
-    moving.turning[:] = np.clip(sure, -1, 1)
-    return moving
-
-
-def _about_a_curve(slip, parts) -> float:
-    """Scatter of the values about a curve, however it bends: differences of rising
-    order leave ever less of the curve, and the same of the scatter."""
-    return min(
-        MAD * np.median(np.abs(np.concatenate([np.diff(slip[p], k) for p in parts])))
-        / np.sqrt(comb(2 * k, k))
-        for k in _ORDERS
-        if min(len(part) for part in parts) > k
-    )  # fmt: skip
-
-
-def _best_window(slip, time, parts) -> tuple[int, float]:
-    """Window with the smallest leave-one-out error, and that mean square."""
-    best = (_WINDOWS[0], np.inf)
-    for window in _WINDOWS:
-        errors = [
-            _in_pieces(_left_out, slip[part], time[part], window)[0]
-            for part in parts
-            if len(part) > window
-        ]
-        if not errors:
-            break
-        error = float(np.mean(np.concatenate(errors) ** 2))
-        if error < best[1]:
-            best = (window, error)
-    return best
+        past.place(part, time[part])
+    past.path[:] = past.of(slip, rate, time)
+    turning = np.clip(np.sign(slip) * rate / (2 * _SURE * usual), -1, 1)
+    return still._replace(present=True, rate=rate, past=past, turning=turning)

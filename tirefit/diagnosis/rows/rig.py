@@ -1,4 +1,4 @@
-"""What is known of the rig or vehicle that measured: ``rig.toml``."""
+"""``rig.toml``, what the user states of the rig or vehicle, and checks of the data."""
 
 import difflib
 from collections.abc import Mapping
@@ -11,10 +11,10 @@ from pydantic import Field
 
 from tirefit.data.table import TireData
 from tirefit.door import read_toml
-from tirefit.results import InputProblem, UsageError
+from tirefit.results import DataError, InputProblem, UsageError
 from tirefit.settings import Section, parse_settings
 
-# Optional numbers, within what anybody measures.
+# Optional numbers with the range of plausible values.
 _Force = Annotated[float | None, Field(ge=1e-9, le=1e7)]  # N, or N m
 _Share = Annotated[float | None, Field(ge=1e-9, le=1e2)]
 _Slip = Annotated[float | None, Field(ge=1e-12, le=10)]
@@ -52,12 +52,10 @@ class _Vehicle(Section):
 _TABLES: dict[str, type[Section]] = {"noise": _Noise, "vehicle": _Vehicle}
 
 VEHICLE = tuple(_Vehicle.model_fields)
-"""What may be stated of a vehicle: keys of ``[vehicle]``."""
+"""Keys of ``[vehicle]``."""
 
 
 class _RigFile(Section):
-    """``rig.toml`` as it is written."""
-
     rolling_radius: _Length = None
     wheel_inertia: _Inertia = None
     noise: _Noise = _Noise()
@@ -71,24 +69,28 @@ _OWN_COLUMNS = {
     "slip": ("sigma_x_std", "alpha_std"),
     "kappa": ("sigma_x_std",),
 }
-"""Columns of a file that say the same as a key of ``[noise]``, of those whose names do
-not tell."""
+"""Columns that hold the same as a key of ``[noise]``; others are named KEY_std."""
 
-_STANDS = 0.02
-"""Share of the usual wheel speed or speed below which a wheel counts as standing."""
+STANDS = 0.03
+"""Share of the median speed below which a wheel counts as standing."""
+
+LEAST_ROWS = 20
+"""Smallest number of rows of a diagnosis, and of a run with an offset of its own."""
+
+_ABSURD = 1e4
+"""Largest force over largest load above which the units must be wrong."""
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Knowledge of the rig; everything is optional.
+    """Statements about the rig; all are optional.
 
-    ``vehicle`` holds standard errors of what a log is derived with: ``position`` [m] of
-    the tracked point, ``clock`` [s] between channels, ``yaw_inertia`` as a share of it.
+    ``vehicle`` holds standard errors of the inputs of a derived log: ``position`` [m]
+    of the tracked point, ``clock`` [s] between channels, ``yaw_inertia`` (relative).
     ``noise`` holds standard deviations: of a force [N] or as a share of the load
-    (``fx_relative``), of the slip [-] or slip angle [rad], of a speed across the patch
-    [m/s] (``sigma_x_speed``), which is a slip of as much over v. ``commanded_slip``
-    names the column of the slip that was asked for; ``run_order`` is "random" or
-    "sequential".
+    (``fx_relative``), of the slip [-] or slip angle [rad], of the sliding speed [m/s]
+    (``sigma_x_speed``), which divided by v is a slip. ``run_order`` is "random" or
+    "sequential"; ``commanded_slip`` (the column of the demanded slip) is not used.
     """
 
     rolling_radius: float | None = None
@@ -100,8 +102,8 @@ class Rig:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self):
-        """Raises UsageError for a stated noise or error that is no positive number, or
-        two of one force."""
+        """Raises UsageError for a stated value that is not positive, or for two values
+        of one force."""
         for kind in ("noise", "vehicle"):
             for name, value in getattr(self, kind).items():
                 if not 0 < value < np.inf:
@@ -113,34 +115,31 @@ class Rig:
                 raise UsageError(InputProblem(reason, "state one of them"))
 
     def radius_for(self, data: TireData) -> float | None:
-        """Rolling radius [m]: given, or v / omega with the slip along taken out (which
-        lateral data need not hold); None where neither is known."""
+        """Rolling radius [m]: stated, else the median of v / (omega (1 + slip)), else
+        None."""
         if self.rolling_radius:
             return self.rolling_radius
         if "omega" not in data or "v" not in data:
             return None
         omega, v = data.usable("omega"), data.usable("v")
         slip = data.usable("sigma_x") if "sigma_x" in data else np.zeros(data.n)
-        # A wheel that stands, or a slip that has no bound, tells no radius.
-        turning = np.abs(omega) > _STANDS * np.median(np.abs(omega))
-        turning &= (v > _STANDS * np.median(np.abs(v))) & (np.abs(slip) < 1)
+        turning = np.abs(omega) > STANDS * np.median(np.abs(omega))
+        turning &= (v > STANDS * np.median(np.abs(v))) & (np.abs(slip) < 1)
         if not turning.any():
             return None
         radius = v[turning] / (np.abs(omega[turning]) * (1 + slip[turning]))
         return float(np.median(radius))
 
     def slip_noise(self, slip: str) -> float | None:
-        """Given standard deviation of a slip."""
+        """Stated standard deviation of a slip."""
         return self._of_slip(slip, "")
 
     def slip_noise_speed(self, slip: str) -> float | None:
-        """Given standard deviation of the speed that a slip is worked out from [m/s]:
-        of positions or wheel speeds, whose slip is the worse the slower."""
+        """Stated standard deviation of the sliding speed of a slip [m/s]."""
         return self._of_slip(slip, "_speed")
 
     def beside(self, data: TireData) -> tuple[str, ...]:
-        """What it states of a noise that the data's own columns say row by row, which
-        count, as sentences."""
+        """Sentences about stated noises that columns of the data replace."""
         said = []
         for key in self.noise:
             name = key.removesuffix("_relative").removesuffix("_speed")
@@ -157,7 +156,7 @@ class Rig:
         return next((self.noise[k] for k in keys if k in self.noise), None)
 
     def force_noise(self, channel: str, fz) -> np.ndarray | None:
-        """Given standard deviation of a force, shape of ``fz``, or None."""
+        """Stated standard deviation of a force, shape of ``fz``, or None."""
         shared = () if channel == "mz" else ("force",)
         for name in (channel, *shared):
             if name in self.noise:
@@ -168,11 +167,11 @@ class Rig:
 
 
 def load_rig(path: str | Path | None) -> Rig:
-    """Read ``rig.toml``; what it says of other things is noted and left.
+    """Read ``rig.toml``; unknown keys are listed in ``notes``.
 
     Raises:
-        UsageError: no such file, not TOML, a key that is nearly one of its keys, a
-            value of the wrong kind or that nobody measures; all at once.
+        UsageError: no such file, not TOML, a misspelt key, a value of the wrong type or
+            out of range; all problems at once.
     """
     if path is None:
         return Rig()
@@ -190,8 +189,8 @@ def load_rig(path: str | Path | None) -> Rig:
 
 
 def _of_others(content: dict, kind: type[Section]) -> tuple[dict, list[str]]:
-    """The content without keys that resemble none of a section's, and those keys: a
-    description of a rig may serve other programs too."""
+    """The content without keys that resemble no key of the section, and those keys,
+    which may be for other programs."""
     kept, others = {}, []
     for key, value in content.items():
         if not difflib.get_close_matches(key, kind.model_fields, 1):
@@ -202,3 +201,34 @@ def _of_others(content: dict, kind: type[Section]) -> tuple[dict, list[str]]:
             kept[key], inner = _of_others(value, _TABLES[key])
             others += [f"{key}.{name}" for name in inner]
     return kept, others
+
+
+def check_data(data: TireData, channels: tuple[str, ...], rig: Rig) -> None:
+    """Raises DataError for no load, too few rows, or a force or a stated noise of the
+    channels far beyond all loads."""
+    file = data.source.path or data.name
+    if "fz" not in data:
+        reason = "a diagnosis needs fz (load, N) for every row"
+        remedy = "name its column with --column fz=HEADER, or --constant fz=4000"
+        raise DataError(InputProblem(reason, remedy, file))
+    if data.n < LEAST_ROWS:
+        reason = f"{data.n} usable rows: a diagnosis needs {LEAST_ROWS} or more"
+        raise DataError(InputProblem(reason, "measure more points", file))
+    fz = data.usable("fz")
+    largest = float(np.max(np.abs(fz)))
+    for force in sorted({"fx", "fy"} & set(data.columns)):
+        most = np.max(np.abs(data.usable(force))) / largest
+        if not most < _ABSURD:
+            reason = f"{most:.0e} times the largest load: no tire's force"
+            remedy = f"name the unit with --unit {force}=... or that of the load"
+            raise DataError(InputProblem(reason, remedy, file, column=force))
+    for channel in channels:
+        column = f"{channel}_std"
+        stated = data.usable(column) if column in data else rig.force_noise(channel, fz)
+        if stated is not None and np.median(stated) > largest:
+            of_rig = column not in data
+            source = f"[noise] of the rig for {channel}" if of_rig else column
+            reason = f"noise of {np.median(stated):.3g}, beyond the largest load"
+            remedy = f"check the unit of the noise, {source}"
+            at = channel if of_rig else column
+            raise DataError(InputProblem(reason, remedy, file, column=at))

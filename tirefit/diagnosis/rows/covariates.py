@@ -1,0 +1,305 @@
+"""Covariates of the rows, and the sizes that are typical of one file.
+
+The expected amplitude of an effect is a share of such a size, so that one library of
+effects serves a truck at 30 m/s and a model car that slides at 0.1 m/s.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.constants import g
+
+from tirefit.data.table import TireData
+from tirefit.diagnosis.effects.state import Covariates
+from tirefit.diagnosis.negligible import FLAT, ROUNDING
+from tirefit.diagnosis.rows.rates import Sweeps, segments, shown_runs, slip_rate
+from tirefit.diagnosis.rows.rig import STANDS
+
+LOADS = 0.03
+"""Relative spread above which loads, speeds, pressures or forces across vary."""
+
+_ANGLE = 1e-3
+"""Standard deviation [rad] above which camber, steering or the other slip vary."""
+
+_WARMER, _WARMS = 20.0, 0.4
+"""Unit of the temperature, and standard deviation above which it varies [K]."""
+
+_BOTH_SIGNS, _ROUND = 0.1, 0.5
+"""Smallest share of the rows with either sign of slip; and smallest sum of the standard
+deviations of sine and cosine of the heading of a log in several directions."""
+
+_EXACT = 1e-3
+"""Largest error of a derived force relative to its spread; no transducer agrees so
+well with accelerometers."""
+
+_TOP, _HALF = 0.95, (0.4, 0.6)
+"""Quantile used as the largest value, and shares of the largest force about half."""
+_LEAST_RISE, _LEAST = 1e-3, 5
+"""Smallest slip at half of the largest force over the largest slip, and smallest number
+of rows there."""
+
+_OF_THE_FIT = ("force", "usage", "change", "traction") + tuple(
+    name for name in Covariates._fields if name.startswith("run_")
+)
+"""Covariates that the base fit gives."""
+
+_COOLINGS = (np.inf, 0.2, 0.05)
+"""Time constants of the cooling, in shares of the record."""
+
+
+class Sizes(NamedTuple):
+    """Units of the expected amplitudes.
+
+    ``slip`` is the slip at half of the largest force over load [-]; ``sliding`` and
+    ``rolling`` [s/m] are the reciprocal ranges of sliding speed and speed; ``growth``
+    [s/m] and ``inverse_speed`` [m/s] change the slip by ``slip`` over the range of v
+    and 1/v; ``period`` [s] and ``way`` [m]: in which the slip changes by its standard
+    deviation; ``temperature``: reciprocal range in 20 K; ``lever`` [m] changes the slip
+    by ``slip`` at the usual yaw rate over speed; ``inertia`` [kg m^2]: of the carried
+    mass at the rolling radius; ``swing`` [kg m] changes the force by the load at the
+    usual yaw acceleration.
+    """
+
+    plain: float = 1.0
+    slip: float = 1.0
+    sliding: float = 1.0
+    rolling: float = 1.0
+    growth: float = 1.0
+    inverse_speed: float = 1.0
+    period: float = 1.0
+    way: float = 1.0
+    temperature: float = 1.0
+    lever: float = 1.0
+    inertia: float = 1.0
+    swing: float = 1.0
+
+
+def _largest(values) -> float:
+    """Typical largest size of values (n,)."""
+    return float(np.quantile(np.abs(values), _TOP))
+
+
+def half_force_slip(slip, share) -> float:
+    """Median slip at half of the largest force over load.
+
+    Args:
+        slip: (n,) of any sign.
+        share: (n,) force over load.
+    """
+    size, share = np.abs(slip), np.abs(share)
+    top = _largest(share)
+    half = (share > _HALF[0] * top) & (share < _HALF[1] * top)
+    middle = np.median(size[half] if half.sum() >= _LEAST else size)
+    return float(max(middle, FLAT + _LEAST_RISE * _largest(size)))
+
+
+def sizes_of(rows: Covariates, slip, mean_load: float, radius: float | None) -> Sizes:
+    """Sizes of a file with these covariates and primary slips (n,).
+
+    Args:
+        mean_load: of the file [N].
+        radius: rolling radius [m], None where unknown.
+    """
+    spread, rise = float(np.std(slip)), float(rows.rise[0])
+
+    def per(of: float, size) -> float:  # the reciprocal of no range is 1
+        return of / float(size) if size > ROUNDING else of
+
+    def rms(values):
+        return np.sqrt(np.mean(values**2))
+
+    speeds = np.ptp(rows.v)
+    return Sizes(
+        slip=rise,
+        sliding=per(1.0, _largest(rows.sliding)),
+        rolling=per(1.0, speeds),
+        growth=per(rise, speeds),
+        inverse_speed=per(rise, np.ptp(1 / rows.pace) if speeds > 0 else 0.0),
+        period=per(spread, rms(rows.rate)),
+        way=per(spread, rms(rows.rate / rows.pace)),
+        temperature=per(1.0, np.ptp(rows.temperature)),
+        lever=per(rise, np.std(rows.yaw)),
+        inertia=mean_load / g * radius**2 if radius else 1.0,
+        swing=per(mean_load, np.std(rows.swing)),
+    )
+
+
+class Derived(NamedTuple):
+    """A force derived from the motion of the vehicle as -(mass a_y + inertia r').
+
+    ``mass`` [kg], ``inertia`` [kg m] (yaw inertia over wheelbase), ``steered``: whether
+    the force is normal to road wheels that steer.
+    """
+
+    mass: float
+    inertia: float
+    steered: bool
+
+    @property
+    def arm(self) -> float:
+        """Length [m] of the vehicle: about the arm of the axle."""
+        return self.inertia / self.mass
+
+
+def derived_from(data: TireData, channel: str) -> Derived | None:
+    """The law of a lateral force that follows exactly from the file's accelerations."""
+    needed = ("a_y", "yaw_acceleration")
+    if channel != "fy" or any(name not in data for name in needed):
+        return None
+    motion = np.stack([data.usable(name) for name in needed], axis=1)
+    if np.linalg.matrix_rank(motion - motion.mean(axis=0)) < motion.shape[1]:
+        return None
+    found, turned = [], [1.0]
+    if "steering" in data:
+        turned.append(np.cos(data.usable("steering")))
+    for steered, turn in enumerate(turned):
+        ahead = data.usable(channel) * turn
+        share = np.linalg.lstsq(motion, ahead)[0]
+        missed = float(np.std(ahead - motion @ share) / np.std(ahead))
+        mass, inertia = np.abs(share).tolist()
+        found.append((missed, Derived(mass, inertia, bool(steered))))
+    best = min(found, key=lambda one: one[0])
+    return best[1] if best[0] < _EXACT else None
+
+
+def work_of_sliding(power, time, run) -> np.ndarray:
+    """Work of sliding so far under each cooling: (n, coolings).
+
+    Args:
+        power: (n,) force times sliding speed.
+        time: (n,); a pause cools and adds no work.
+    """
+    work = np.zeros((len(power), len(_COOLINGS)))
+    span = np.ptp(time)
+    if span <= 0:
+        return work
+    heated = np.zeros(len(power))
+    for part in segments(time, run):
+        mean = 0.5 * (power[part][1:] + power[part][:-1])
+        heated[part[1:]] = mean * np.diff(time[part])
+    order = np.lexsort((time, run))
+    step = np.maximum(np.diff(time[order], prepend=time[order][0]), 0.0)
+    warmth = np.zeros(len(_COOLINGS))
+    keep = np.exp(-step[:, None] / (np.array(_COOLINGS) * span))
+    for row, left in zip(order.tolist(), keep, strict=True):
+        warmth = left * warmth + heated[row]
+        work[row] = warmth
+    return work
+
+
+def column(data: TireData, name: str) -> np.ndarray:
+    """Used rows (n,) of a column, zero without it."""
+    return data.usable(name) if name in data else np.zeros(data.n)
+
+
+def _force_of(data: TireData, mode: str) -> np.ndarray:
+    """The force that the slip drives (n,), its size where both slips do."""
+    if mode == "xy":
+        return np.hypot(column(data, "fx"), column(data, "fy"))
+    return column(data, f"f{mode}")
+
+
+def _centered(values, width: float) -> np.ndarray:
+    return (values - np.mean(values)) / width
+
+
+def _over_range(values) -> np.ndarray:
+    """About their mean, over their range; zero where nothing varies."""
+    span = np.ptp(values)
+    varies = span > FLAT * np.max(np.abs(values))
+    return _centered(values, span) if varies else np.zeros(len(values))
+
+
+def covariates_of(
+    data: TireData, mode: str, sweeps: Sweeps, slip, second, radius
+) -> Covariates:
+    """Covariates that follow from the columns; the base fit adds the others."""
+    fz, v, zero = data.usable("fz"), column(data, "v"), np.zeros(data.n)
+    time, run, size = column(data, "time"), data.run[data.used], np.hypot(slip, second)
+    omega, force = column(data, "omega"), _force_of(data, mode)
+    sigma, tan_alpha = column(data, "sigma_x"), np.tan(column(data, "alpha"))
+    spin = slip_rate(omega, time, run).rate if "omega" in data else zero
+    interval = np.full(data.n, sweeps.past.interval)
+    usual = float(np.median(np.abs(v)))
+    pace = np.maximum(np.abs(v), STANDS * usual if usual else 1.0)
+    way = sweeps.rate / pace
+    sliding = np.abs(v * (size if mode == "y" else size / (1 + sigma)))
+    work = work_of_sliding(np.abs(force) * sliding, time, run)
+    other = {"x": tan_alpha * (1 + sigma), "y": sigma, "xy": zero}[mode]
+    return Covariates(
+        fz=fz / np.exp(np.mean(np.log(fz))),
+        v=v,
+        time=_over_range(time),
+        temperature=_centered(column(data, "temperature"), _WARMER),
+        inflation=_over_range(column(data, "pressure")),
+        gamma=column(data, "gamma"),
+        rate=sweeps.rate,
+        lag=way * np.std(size) / max(np.sqrt(np.mean(way**2)), ROUNDING),
+        turning=sweeps.turning,
+        side=np.sign(slip),
+        other=other,
+        spin=spin / radius if radius else zero,
+        load=np.full(data.n, np.mean(fz)),
+        past=sweeps.past.path,
+        pull=np.zeros_like(sweeps.past.path),
+        twist=np.zeros_like(sweeps.past.path),
+        burden=sweeps.past.of(fz) / fz[:, None],
+        interval=interval,
+        step=interval * pace,
+        pace=pace,
+        sliding=sliding,
+        brisk=np.full(data.n, max(_largest(sliding), ROUNDING)),
+        cruise=np.full(data.n, np.exp(np.mean(np.log(pace)))),
+        rise=np.full(data.n, half_force_slip(size, force / fz)),
+        peak=np.full(data.n, _largest(force / fz)),
+        work=np.stack([_over_range(part) for part in work.T], axis=1),
+        across=column(data, {"x": "fy", "y": "fx"}.get(mode, "")),
+        yaw=column(data, "yaw_rate") / pace,
+        ahead=_over_range(column(data, "a_x")),
+        swing=column(data, "yaw_acceleration"),
+        heading=column(data, "heading"),
+        lean=column(data, "a_y") / g,
+        steering=column(data, "steering"),
+        **dict.fromkeys(_OF_THE_FIT, zero),
+    )
+
+
+def needs_met(
+    data: TireData, mode: str, rows: Covariates, sweeps: bool, radius, derived
+) -> frozenset[str]:
+    """Names of the needs of effects that this data meets."""
+
+    def varies(name, least=0.0):
+        return name in data and bool(np.std(data.usable(name)) > least)
+
+    def relative(values):
+        return float(np.std(values) / max(np.mean(np.abs(values)), FLAT))
+
+    heading = column(data, "heading")
+    met = {
+        "v": bool(np.median(np.abs(rows.v)) > 0),
+        "speeds": relative(rows.v) > LOADS,
+        "loads": relative(rows.fz) > LOADS,
+        "time": "time" in data and bool(np.any(rows.time)),
+        "temperature": varies("temperature", _WARMS),
+        "pressure": relative(column(data, "pressure")) > LOADS,
+        "gamma": varies("gamma", _ANGLE),
+        "signs": _BOTH_SIGNS < np.mean(rows.side > 0) < 1 - _BOTH_SIGNS,
+        "sweeps": sweeps,
+        "omega": "omega" in data,
+        "rolling_radius": radius is not None,
+        "other slip": float(np.max(np.abs(rows.other))) > _ANGLE,
+        "mz": mode != "x" and "mz" in data,
+        "other force": np.std(rows.across) > LOADS * np.std(_force_of(data, mode)),
+        "yaw_rate": np.std(rows.yaw) > 0,
+        "a_x": np.any(rows.ahead),
+        "work": np.any(rows.work) and np.any(rows.time),
+        "runs": len(shown_runs(data.run[data.used], data.runs)) > 1,
+        "derived force": derived is not None,
+        "yaw_acceleration": varies("yaw_acceleration"),
+        "heading": np.std(np.cos(heading)) + np.std(np.sin(heading)) > _ROUND,
+        "a_y": varies("a_y"),
+        "steering": varies("steering", _ANGLE)
+        and (derived is None or derived.steered),
+    }  # fmt: skip
+    return frozenset(name for name, here in met.items() if here)
