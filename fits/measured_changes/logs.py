@@ -1,8 +1,7 @@
 """Measured logs, with the change that a case asks for, as tables of one axle.
 
 :func:`table` reads the shipped logs, puts the change into the log or into the vehicle
-file, and runs ``tirefit derive``. The result keeps every sample at 100 Hz, with the run
-and the rows that are diagnosed (``kept``).
+file, and derives slip angle and force at 100 Hz. ``kept`` are the rows diagnosed.
 """
 
 import csv
@@ -23,28 +22,19 @@ from tirefit.settings import parse_settings
 
 HERE = Path(__file__).parent
 DART = HERE.parent / "dart_jetracer"
-LATER = HERE / "dart_later"
-RATE = 100.0  # Hz of a whole table
-MASS = {True: 5.1, False: 1.58}  # kg: of the f1tenth car, of the dart car
+FOLDERS = {
+    "circles": DART / "circles_rubbery_floor",
+    "free": DART / "free_driving_16_sept_2024",
+    "later": HERE / "dart_later",
+}
 POINT = {"a": 0.170, "d": 0.195, "others": 0.295}
 """Tracked point of the f1tenth car [m ahead of the rear axle], by force and slip."""
 DRIVEN = "all"
 """Axles that drive the f1tenth car, where ``vehicle.toml`` has a key for it."""
-
-
-@dataclass(frozen=True)
-class Change:
-    """What somebody made of the logs; the defaults change nothing.
-
-    Attributes:
-        vehicle: keys of ``vehicle.toml`` with another value.
-        late: channel of the log -> time [s] by which it is read too late.
-        scaled: derived column -> factor, applied after the derivation.
-    """
-
-    vehicle: Mapping[str, object] = field(default_factory=dict)
-    late: Mapping[str, float] = field(default_factory=dict)
-    scaled: Mapping[str, float] = field(default_factory=dict)
+MASS = {True: 5.1, False: 1.58}  # kg: of the f1tenth car, of the dart car
+RATE = 100.0  # Hz of a whole table
+TENTHS = 10  # blocks of a run
+SHORTEST = 3.0  # s of a run
 
 
 @dataclass(frozen=True)
@@ -55,16 +45,20 @@ class Logs:
         of: "circles", "free", "later" of the dart car, or "a", "d", "others" of the
             f1tenth car; several are joined.
         axle: "rear" or "front".
-        change: put into every log.
+        vehicle: keys of ``vehicle.toml`` with another value.
+        late: channel of the log, or fy as derived -> time [s] by which it is late.
+        scaled: derived column -> factor.
         runs: "each" log is a run, or each "set" (each item of ``of``) is one.
-        part: "all" rows, or the "first" or "second" half of every run.
-        only: runs of the tables to keep, by name; all if empty.
+        part: "all" rows; "odd" or "even" tenths of every run.
+        only: runs to keep, by name; all if empty.
         every: rows at 100 Hz from one diagnosed row to the next.
     """
 
     of: tuple[str, ...]
     axle: str = "rear"
-    change: Change = field(default_factory=Change)
+    vehicle: Mapping[str, object] = field(default_factory=dict)
+    late: Mapping[str, float] = field(default_factory=dict)
+    scaled: Mapping[str, float] = field(default_factory=dict)
     runs: str = "each"
     part: str = "all"
     only: tuple[str, ...] = ()
@@ -101,43 +95,38 @@ class Table:
         return np.split(np.arange(len(self.run)), np.flatnonzero(jump) + 1)
 
     def late(self, name: str, delay: float) -> np.ndarray:
-        """A column a time [s] ago, at the kept rows; a part begins at rest."""
+        """A column a time [s] ago, all rows; a part begins at rest."""
         time, values = self.columns["time"], self.columns[name]
-        return np.concatenate([
-            np.interp(time[part][self.kept[part]] - delay, time[part], values[part])
-            for part in self.parts
-        ])  # fmt: skip
+        before = (np.interp(time[p] - delay, time[p], values[p]) for p in self.parts)
+        return np.concatenate([*before])
 
 
 @cache
 def _raw(source: str) -> dict[str, dict[str, np.ndarray]]:
-    """Log -> header -> (n,) of one set as it is shipped."""
-    if source in POINT:
-        whole = _columns(HERE / "f1tenth" / f"{source}.csv.gz")
-        whole["a_y"] = np.zeros(len(whole["time"]))
-        logs = {}
-        for run in np.unique(whole["run_id"]):
-            rows = whole["run_id"] == run
-            log = {name: values[rows] for name, values in whole.items()}
-            log["a_y"] = log["v_x"] * log["r"] + np.gradient(log["v_y"], log["time"])
-            logs[f"{source}_{run:.0f}"] = log
-        return logs
-    folder = {"circles": DART / "circles_rubbery_floor", "later": LATER}
-    at = folder.get(source, DART / "free_driving_16_sept_2024")
-    paths = sorted(at.glob("*.csv.gz"), key=lambda path: path.name)
-    return {p.name.removesuffix(".csv.gz").split("recording_")[1]: _columns(p)
-            for p in paths}  # fmt: skip
+    """Log -> header -> (n,) of one set as it is shipped, angles unwrapped."""
+    if source in FOLDERS:
+        paths = sorted(FOLDERS[source].glob("*.csv.gz"), key=lambda path: path.name)
+        keep = {"vicon time", "vicon x", "vicon y", "vicon yaw", "safety_value"}
+        return {
+            path.name.removesuffix(".csv.gz").split("recording_")[1]: {
+                name: np.unwrap(values) if name == "vicon yaw" else values
+                for name, values in _columns(path).items()
+                if name in keep
+            }
+            for path in paths
+        }
+    whole, logs = _columns(HERE / "f1tenth" / f"{source}.csv.gz"), {}
+    for run in np.unique(whole["run_id"]):
+        log = {name: x[whole["run_id"] == run] for name, x in whole.items()}
+        log["a_y"] = log["v_x"] * log["r"] + np.gradient(log["v_y"], log["time"])
+        logs[f"{source}_{run:.0f}"] = log
+    return logs
 
 
 def _columns(path: Path) -> dict[str, np.ndarray]:
-    names = {"vicon time", "vicon x", "vicon y", "vicon yaw", "safety_value"}
     with gzip.open(path, "rt") as file:
         header, *rows = csv.reader(file)
-    cells = np.array(rows)
-    wanted = [
-        k for k, n in enumerate(header) if "vicon" not in header[-1] or n in names
-    ]
-    return {header[k]: cells[:, k].astype(float) for k in wanted}
+    return dict(zip(header, np.array(rows, dtype=float).T, strict=True))
 
 
 def _vehicle(source: str, changed: Mapping[str, object]) -> Vehicle:
@@ -152,21 +141,25 @@ def _vehicle(source: str, changed: Mapping[str, object]) -> Vehicle:
 
 
 def _derived(source: str, logs: Logs) -> dict[str, dict[str, np.ndarray]]:
-    """Log -> derived columns at 100 Hz of one set, of logs of more than 3 s."""
-    vehicle, found = _vehicle(source, logs.change.vehicle), {}
+    """Run -> derived columns at 100 Hz of one set."""
+    vehicle, found = _vehicle(source, logs.vehicle), {}
     for name, log in _raw(source).items():
+        if logs.only and name not in logs.only:
+            continue
         clock = log[vehicle.columns.time]
-        late = {
+        written = log | {
             key: np.interp(clock - delay, clock, log[key])
-            for key, delay in logs.change.late.items()
+            for key, delay in logs.late.items()
+            if key in log
         }
-        written = log | late
         with tempfile.TemporaryDirectory() as folder:
             path, cells = Path(folder, "log.csv"), np.stack([*written.values()], axis=1)
             header = ",".join(written)
             np.savetxt(path, cells, "%.6f", ",", header=header, comments="")
-            found[name] = dict(derive(path, vehicle, logs.axle, believe=True).columns)
-    return {name: log for name, log in found.items() if len(log["time"]) > 300}
+            columns = dict(derive(path, vehicle, logs.axle, believe=True).columns)
+        if len(columns["time"]) > SHORTEST * RATE:
+            found[name] = columns
+    return found
 
 
 def table(logs: Logs) -> Table:
@@ -175,37 +168,33 @@ def table(logs: Logs) -> Table:
     for source in logs.of:
         start = 0.0
         for name, columns in _derived(source, logs).items():
-            if logs.only and name not in logs.only:
-                continue
-            for column, factor in logs.change.scaled.items():
-                columns[column] = columns[column] * factor
             if logs.runs == "set":  # the logs of one set follow each other
+                name = source
                 columns["time"] = columns["time"] - columns["time"][0] + start
                 start = columns["time"][-1] + 5.0
-            runs.append(
-                np.full(len(columns["time"]), source if logs.runs == "set" else name)
-            )
+            columns["push"] = MASS[source in POINT] * columns["a_x"]
             parts.append(columns)
-    shared = [c for c in parts[0] if all(c in part for part in parts)]
-    joined = {c: np.concatenate([part[c] for part in parts]) for c in shared}
-    joined["push"] = MASS[logs.of[0] in POINT] * joined["a_x"]
+            runs.append(np.full(len(columns["time"]), name))
+    joined = {c: np.concatenate([part[c] for part in parts]) for c in parts[0]}
+    for column, factor in logs.scaled.items():
+        joined[column] = joined[column] * factor
     run = np.concatenate(runs)
     kept = np.zeros(len(run), bool)
     for name in dict.fromkeys(run):
         rows = np.flatnonzero(run == name)[:: logs.every]
-        half = len(rows) // 2
-        rows = {"all": rows, "first": rows[:half], "second": rows[half:]}[logs.part]
-        kept[rows] = True
+        odd = np.arange(len(rows)) * TENTHS // len(rows) % 2 == 1
+        kept[rows[{"all": odd | ~odd, "odd": odd, "even": ~odd}[logs.part]]] = True
+    made = Table(dict(joined), run, kept)
+    for column, delay in logs.late.items():
+        if column in joined:
+            joined[column] = made.late(column, delay)
+            for part in made.parts:  # its past is not known
+                kept[part[: round(delay * RATE)]] = False
     return Table(joined, run, kept)
 
 
 def data(made: Table, name: str):
-    """The diagnosed rows as ``tirefit`` reads them from a file."""
+    """The diagnosed rows as ``tirefit`` reads them."""
     columns = {key: made[key] for key in made.columns if key != "push"}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, f"{name}.csv")
-        with path.open("w") as file:
-            file.write(",".join([*columns, "run"]) + "\n")
-            for run, *row in zip(made.run[made.kept], *columns.values(), strict=True):
-                file.write(",".join([*(f"{x:.6f}" for x in row), run]) + "\n")
-        return tirefit.read(path, convention="braking")
+    columns["run"] = made.run[made.kept]
+    return tirefit.read_frame(columns, name, convention="braking")

@@ -10,7 +10,6 @@ active. Values are rounded to 0.1 mm/s, 0.1 mrad/s, 0.1 mrad, 0.01 mm.
 
 import csv
 import gzip
-import io
 import sys
 from pathlib import Path
 
@@ -27,15 +26,11 @@ FAST_RAMP = "circles_27_sept_2024_fast_ramp/car_1_Datarecording_09_27_2024_18_18
 def copied(source: Path, target: Path, columns: dict[str, tuple[str, str]]) -> None:
     """Write the columns (here -> (header there, format)) of one gzipped CSV file."""
     with gzip.open(source, "rt") as file:
-        rows = csv.DictReader(file)
-        lines = [",".join(columns)]
-        for row in rows:
-            cells = (f"{float(row[key]):{how}}" for key, how in columns.values())
-            lines.append(",".join(cells))
-    buffer = io.BytesIO()
-    with gzip.GzipFile(filename="", fileobj=buffer, mode="wb", mtime=0) as packed:
-        packed.write(("\n".join(lines) + "\n").encode())
-    target.write_bytes(buffer.getvalue())
+        rows = list(csv.DictReader(file))
+    lines = [",".join(columns)]
+    for row in rows:
+        lines.append(",".join(f"{float(row[k]):{how}}" for k, how in columns.values()))
+    target.write_bytes(gzip.compress(("\n".join(lines) + "\n").encode(), mtime=0))
 
 
 def main(source: Path) -> None:
