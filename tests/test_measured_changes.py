@@ -31,7 +31,7 @@ def test_what_is_known_by_hand_covers_every_case():
     for case in CASES:
         hand = HAND[case.name]
         assert hand["rms"][hand["best"]] <= hand["rms"][""]
-        assert ("change" in hand) == (case.fitted_on is not None)
+        assert ("plain" in hand) == (case.fitted_on is not None)
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ def test_a_force_that_is_late_and_a_load_that_is_wrong():
     assert sum(len(part["fy"]) for part in parts) == len(plain["fy"])
 
 
-TRUTH = {"change": {"mu": [0.8, 0.5], "cpa2": [100.0, 90.0]}}
+TRUTH = {"plain": [90.0, 0.5], "values": [80.0, 0.48, 0.1], "best": "parameters+x"}
 
 
 def _mu(measured, differs=True):

@@ -58,6 +58,11 @@ def _relaxed(rows: Table, length: float) -> np.ndarray:
     return (np.concatenate(whole) - slip)[rows.kept]
 
 
+def _turn(rows: Table) -> np.ndarray:
+    """Slip angle by a point that is 1 m further behind [rad]."""
+    return rows["yaw_rate"] / rows["v"]
+
+
 def _each(rows: Table, *values: float) -> np.ndarray:
     """One value for every run but the first, which has 0."""
     return np.array([0.0, *values])[rows.codes]
@@ -96,13 +101,7 @@ _OF_ALL = {
     "channel_delay": ("alpha", lambda r, u, t: _late(r, "alpha", t), 0.02, -0.2, 0.3),
     "relaxation_length": ("alpha", lambda r, u, x: _relaxed(r, x), 0.05, 0, 2),
     "yaw_inertia": ("force", lambda r, u, j: j * r["yaw_acceleration"], 0, -2, 2),
-    "tracked_point": (
-        "shift",
-        lambda r, u, x: x * r["yaw_rate"] / r["v"],
-        0,
-        -0.4,
-        0.4,
-    ),
+    "tracked_point": ("shift", lambda r, u, x: x * _turn(r), 0, -FAR, FAR),
 }
 _OF_CLOCK = {"yaw_delay": ("shift", lambda r, u, t: t * r["yaw_rate"], 0, -0.05, 0.05)}
 EFFECTS = _OF_ALL | _STEERED | _OF_RUNS | _OF_CLOCK
@@ -214,8 +213,8 @@ def by_hand(case) -> dict:
     values = best(rows, parts, library)
     found: dict = {"n": len(rows["fy"]), "on": on}
     if case.fitted_on is not None:
-        given, new = fitted((), table(case.fitted_on)), fitted((), rows)
-        found["change"] = {"cpa2": [given[0], new[0]], "mu": [given[1], new[1]]}
+        given = fitted((), table(case.fitted_on))
+        found |= {"given": list(given), "plain": list(fitted((), rows))}
         values = {"parameters+" + names: value for names, value in values.items()}
         values = {"": rms(given, (), rows)} | values
     low = min(values.values()) / ENOUGH
