@@ -105,6 +105,7 @@ def _mu(measured, differs=True):
         ({"never": "x|z"}, {"named": ["unknown"]}, "right"),
         ({"change": {"mu": True}}, {"parameters": _mu(0.53)}, "right"),
         ({"change": {"mu": True}}, {"parameters": _mu(0.55)}, "wrong"),
+        ({"change": {"mu": True}}, {"parameters": _mu(0.53, False)}, "wrong"),
         ({"change": {"mu": False}}, {"parameters": _mu(0.55)}, "wrong"),
         ({"change": {"mu": False}}, {"parameters": _mu(0.79, False)}, "right"),
     ],

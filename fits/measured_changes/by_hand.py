@@ -58,11 +58,6 @@ def _relaxed(rows: Table, length: float) -> np.ndarray:
     return (np.concatenate(whole) - slip)[rows.kept]
 
 
-def _turn(rows: Table) -> np.ndarray:
-    """Slip angle by a point that is 1 m further behind [rad]."""
-    return rows["yaw_rate"] / rows["v"]
-
-
 def _each(rows: Table, *values: float) -> np.ndarray:
     """One value for every run but the first, which has 0."""
     return np.array([0.0, *values])[rows.codes]
@@ -101,10 +96,15 @@ _OF_ALL = {
     "channel_delay": ("alpha", lambda r, u, t: _late(r, "alpha", t), 0.02, -0.2, 0.3),
     "relaxation_length": ("alpha", lambda r, u, x: _relaxed(r, x), 0.05, 0, 2),
     "yaw_inertia": ("force", lambda r, u, j: j * r["yaw_acceleration"], 0, -2, 2),
-    "tracked_point": ("shift", lambda r, u, x: x * _turn(r), 0, -FAR, FAR),
+    "tracked_point": ("shift", lambda r, u, x: x * r["turn"], 0, -FAR, FAR),
 }
-_OF_CLOCK = {"yaw_delay": ("shift", lambda r, u, t: t * r["yaw_rate"], 0, -0.05, 0.05)}
-EFFECTS = _OF_ALL | _STEERED | _OF_RUNS | _OF_CLOCK
+_OF_CASES = {
+    "yaw_delay": ("shift", lambda r, u, t: t * r["yaw_rate"], 0, -0.05, 0.05),
+    "load_transfer": ("friction", lambda r, u, k: k * r["a_x"], 0, -0.2, 0.2),
+}
+_TRIED = {"f": ("yaw_delay",), "j": ("load_transfer",)}
+"""Letter of a case -> effects that are tried for it alone."""
+EFFECTS = _OF_ALL | _STEERED | _OF_RUNS | _OF_CASES
 """Name -> (what it changes; by how much: (rows, sliding speed [m/s], its parameter);
 start, lowest and highest value of the parameter, None without one). Names are those of
 tirefit where it has the effect."""
@@ -207,7 +207,7 @@ def by_hand(case) -> dict:
     on, parts = folds(rows, case.in_time)
     library = [
         *_OF_ALL, *(_STEERED if case.logs.axle == "front" else ()),
-        *(_OF_CLOCK if case.letter == "f" else ()),
+        *_TRIED.get(case.letter, ()),
         *(_OF_RUNS if rows.codes.max() > 0 and not on.endswith("turn") else ()),
     ]  # fmt: skip
     values = best(rows, parts, library)

@@ -15,10 +15,10 @@ STEERING = "steering_(delay|lag|late).*"
 DRIVE = "friction_ellipse|drive_force.*|combined_slip"
 BY_RUN = "friction.*_run"
 INERTIA = "yaw_inertia"
-SIX = "slip zero -9.7 mrad; friction rises with the sliding speed"
 ZEROED, DOUBLED = "slip zero -9.7 mrad", "yaw inertia doubled"
+SIX = f"{ZEROED}; friction rises with the sliding speed"
 DRIVEN, LATE = "the drive force takes friction", "steering 90 to 150 ms late"
-CONTROL = "control: nothing changed"
+CONTROL, SAME = "control: nothing changed", {"mu": False, "cpa2": False}
 
 
 @dataclass(frozen=True)
@@ -73,21 +73,21 @@ def _of_dart():
         "dart_circles", "a", CHOOSING, _dart("circles"), ZEROED, ("slip_offset",)
     )
     yield Case("dart_heading_out", "e", CHOOSING, _dart(**right),
-               "that zero taken out", never=ZERO)  # fmt: skip
+               "that zero taken out; rising friction", (RISING,), ZERO)  # fmt: skip
     yield Case("dart_heading_in", "e", CHOOSING,
                _dart(vehicle={"yaw_offset": 0.0196}),
                "slip zero +10 mrad put in", ("slip_offset",))  # fmt: skip
     yield Case("dart_yaw_late", "f", CHOOSING, _dart(**right, late={"vicon yaw": 0.01}),
                "yaw read 10 ms late", (".*delay.*|tracked_point",))  # fmt: skip
     yield Case("dart_halves", "b", CHOOSING, odd, CONTROL, fitted_on=even,
-               change={"mu": False})  # fmt: skip
+               change=SAME)  # fmt: skip
     yield Case("dart_floor", "d", CHOOSING, free, "another floor and day",
                fitted_on=circles, change={"mu": True})  # fmt: skip
     yield Case("dart_floors", "d", CHOOSING, _dart(**right, runs="set"),
-               "two floors as two runs", (BY_RUN,))  # fmt: skip
+               "two floors as two runs; rising friction", (RISING,), ZERO)  # fmt: skip
     yield Case("dart_later", "d", JUDGING, _dart("later", **right),
-               "27 September, floor not stated", fitted_on=_dart(**right),
-               change={"mu": True})  # fmt: skip
+               "27 September: by hand the same friction",
+               fitted_on=_dart(**right), change={"mu": False})  # fmt: skip
 
 
 def _of_one_set(s: str):
@@ -108,7 +108,7 @@ def _of_one_set(s: str):
     yield Case(f"{s}_load", "g", use, light, "load 20 % too low, on the odd tenths",
                fitted_on=even, change={"mu": True, "cpa2": False})  # fmt: skip
     yield Case(f"{s}_halves", "b", use, odd, CONTROL, fitted_on=even,
-               change={"mu": False})  # fmt: skip
+               change=SAME)  # fmt: skip
 
 
 def _of_both():
@@ -130,7 +130,7 @@ def _of_both():
                _car("a", "front", late={"delta": 0.097}), "those 97 ms taken out",
                never=f"{STEERING}|channel_delay|relaxation_length")  # fmt: skip
     yield Case("a_halves_front", "b", CHOOSING, _car("a", "front", "odd"), CONTROL,
-               fitted_on=_car("a", "front", "even"), change={"mu": False})  # fmt: skip
+               fitted_on=_car("a", "front", "even"), change=SAME)  # fmt: skip
 
 
 _SETS = [case for s in ("a", "d", "others") for case in _of_one_set(s)]

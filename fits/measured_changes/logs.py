@@ -29,12 +29,9 @@ FOLDERS = {
 }
 POINT = {"a": 0.170, "d": 0.195, "others": 0.295}
 """Tracked point of the f1tenth car [m ahead of the rear axle], by force and slip."""
-DRIVEN = "all"
-"""Axles that drive the f1tenth car, where ``vehicle.toml`` has a key for it."""
 MASS = {True: 5.1, False: 1.58}  # kg: of the f1tenth car, of the dart car
 RATE = 100.0  # Hz of a whole table
 TENTHS = 10  # blocks of a run
-SHORTEST = 3.0  # s of a run
 
 
 @dataclass(frozen=True)
@@ -67,7 +64,11 @@ class Logs:
 
 @dataclass(frozen=True)
 class Table:
-    """Columns (n,) at 100 Hz, the run (n,) of each row, and the rows diagnosed (n,)."""
+    """Columns (n,) at 100 Hz, the run (n,) of each row, and the rows diagnosed (n,).
+
+    Beside the derived columns: push, the force that accelerates the car [N], and turn,
+    the slip angle by a point 1 m further behind [rad].
+    """
 
     columns: Mapping[str, np.ndarray]
     run: np.ndarray
@@ -135,8 +136,8 @@ def _vehicle(source: str, changed: Mapping[str, object]) -> Vehicle:
     content = tomllib.loads((at / "vehicle.toml").read_text())
     if source in POINT:
         content["tracked_point"] = [POINT[source], 0.0]
-        if "driven" in Vehicle.model_fields:
-            content["driven"] = DRIVEN
+        if "driven" in Vehicle.model_fields:  # F_x = m a_x / 2 of each axle
+            content["driven"] = "all"
     return parse_settings(Vehicle, content | dict(changed), source)
 
 
@@ -157,7 +158,7 @@ def _derived(source: str, logs: Logs) -> dict[str, dict[str, np.ndarray]]:
             header = ",".join(written)
             np.savetxt(path, cells, "%.6f", ",", header=header, comments="")
             columns = dict(derive(path, vehicle, logs.axle, believe=True).columns)
-        if len(columns["time"]) > SHORTEST * RATE:
+        if len(columns["time"]) > 3.0 * RATE:  # s
             found[name] = columns
     return found
 
@@ -173,6 +174,7 @@ def table(logs: Logs) -> Table:
                 columns["time"] = columns["time"] - columns["time"][0] + start
                 start = columns["time"][-1] + 5.0
             columns["push"] = MASS[source in POINT] * columns["a_x"]
+            columns["turn"] = columns["yaw_rate"] / columns["v"]
             parts.append(columns)
             runs.append(np.full(len(columns["time"]), name))
     joined = {c: np.concatenate([part[c] for part in parts]) for c in parts[0]}
@@ -195,6 +197,6 @@ def table(logs: Logs) -> Table:
 
 def data(made: Table, name: str):
     """The diagnosed rows as ``tirefit`` reads them."""
-    columns = {key: made[key] for key in made.columns if key != "push"}
+    columns = {key: made[key] for key in made.columns if key not in ("push", "turn")}
     columns["run"] = made.run[made.kept]
     return tirefit.read_frame(columns, name, convention="braking")

@@ -5,7 +5,7 @@ TeoIlie/Learning-dynamics-models-for-velocity-estimation, commit c40ad24,
 ``code/opti_test``, gzipped) and ``dart_jetracer/`` (GitHub Lorenzo-Lyons/DART, commit
 4b525232, ``ROS_packages/racecar_pkg/src/Data``). Every row is kept, of these columns:
 time [s], v_x, v_y [m/s], r [rad/s], delta [rad], run_id; time, x, y [m], yaw [rad],
-active. Values are rounded to 0.1 mm/s, 0.1 mrad/s, 0.1 mrad, 0.01 mm.
+active; rounded to 0.1 mm/s, 0.1 mrad/s, 0.1 mrad and 0.01 mm.
 """
 
 import csv

@@ -21,11 +21,7 @@ from fits.measured_changes import by_hand
 from fits.measured_changes.cases import CASES, Case
 from fits.measured_changes.logs import Table, data, table
 
-SAME = {
-    "friction_ellipse": "drive_share",
-    "friction_speed_exponential": "friction_ln_speed",
-}
-"""Effect of tirefit -> the one by hand that is closest, where the names differ."""
+SAME = {"friction_ellipse": "drive_share"}  # tirefit's effect -> by hand
 PARAMETERS = {"cpa2": (0, "stiffness"), "mu": (1, "friction")}
 """Parameter -> its place among SciPy's, and what the effects on it have in the name."""
 COLUMNS = (
@@ -72,7 +68,9 @@ def judged(line: dict, case: Case, hand: dict) -> tuple[str, list[str]]:
         tool, (k, field) = line["parameters"][name], PARAMETERS[name]
         truth = [hand["plain"][k], *([hand["values"][k]] * (field not in hand["best"]))]
         at, std = tool["measured"], tool["std"]
-        if changed and max(min(truth) - at, at - max(truth)) > 1.96 * std:
+        if changed and not tool["differs"]:
+            why.append(f"{name} {at:.3g} ± {std:.2g}: no change found")
+        elif changed and max(min(truth) - at, at - max(truth)) > 1.96 * std:
             why.append(f"{name} {at:.3g} ± {std:.2g}, by hand {truth[0]:.3g}")
         elif not changed and tool["differs"]:
             why.append(f"false: {name} differs")
@@ -94,7 +92,7 @@ def diagnosed(case: Case, out: Path) -> dict:
     seconds = time.perf_counter() - began
     (out / f"{case.name}.json").write_text(found.to_json())
     nothing, tool, on = closes(found, case, rows)
-    verdict, gap = found.verdict, found.gap.holdout
+    verdict, gap = found.verdict, found.gap.holdout if held else None
     twins = [t for each in getattr(verdict, "each", {}).values() for t in each.twins]
     return by_hand.rounded({
         "case": case.name, "named": list(verdict.effects),
@@ -135,15 +133,14 @@ def markdown(lines: list[dict]) -> str:
             f"{line['seconds']:.0f}",
         )  # fmt: skip
         text += f"| {' | '.join(cell.replace('|', ' or ') for cell in cells)} |\n"
-    counted = Counter(line["right"] for line in lines).items()
+    said = [f"{name} {n}" for name, n in Counter(x["right"] for x in lines).items()]
     shares = [x["of_possible"] for x in lines if x["of_possible"] is not None]
-    said = [f"{name} {count}" for name, count in counted]
-    said += [f"closed {100 * np.mean(shares):.0f} % of by hand"] if shares else []
-    return f"{text}\n{len(lines)} cases: {', '.join(said)}\n"
+    mean = f"{100 * np.mean(shares):.0f} %" if shares else "-"
+    return f"{text}\n{len(lines)} cases: {', '.join(said)}; of by hand {mean}\n"
 
 
 def main() -> None:
-    """Run the cases asked for, and write the table after each."""
+    """Run the cases, and write the table after each."""
     parser = argparse.ArgumentParser(prog="python -m fits.measured_changes")
     parser.add_argument("--case", action="append", choices=[c.name for c in CASES])
     parser.add_argument("--use", choices=["choosing", "judging"])
