@@ -130,20 +130,21 @@ def _columns(path: Path) -> dict[str, np.ndarray]:
     return dict(zip(header, np.array(rows, dtype=float).T, strict=True))
 
 
-def _vehicle(source: str, changed: Mapping[str, object]) -> Vehicle:
+def _vehicle(source: str, logs: Logs) -> Vehicle:
     """What ``vehicle.toml`` of one set states, with the change."""
     at = HERE / "f1tenth" if source in POINT else DART
     content = tomllib.loads((at / "vehicle.toml").read_text())
     if source in POINT:
         content["tracked_point"] = [POINT[source], 0.0]
-        if "driven" in Vehicle.model_fields:  # F_x = m a_x / 2 of each axle
+        # F_x = m a_x / 2; at the front a late steering would spoil F_y by it.
+        if "driven" in Vehicle.model_fields and logs.axle == "rear":
             content["driven"] = "all"
-    return parse_settings(Vehicle, content | dict(changed), source)
+    return parse_settings(Vehicle, content | dict(logs.vehicle), source)
 
 
 def _derived(source: str, logs: Logs) -> dict[str, dict[str, np.ndarray]]:
     """Run -> derived columns at 100 Hz of one set."""
-    vehicle, found = _vehicle(source, logs.vehicle), {}
+    vehicle, found = _vehicle(source, logs), {}
     for name, log in _raw(source).items():
         if logs.only and name not in logs.only:
             continue
