@@ -95,14 +95,14 @@ def draw_ladder(figure, bars: Sequence[LadderBar], unit: str, on: str) -> None:
             bbox={"color": "white", "pad": 0.5},
         )  # fmt: skip
     rows = "data left out" if on else "the rows fitted"
-    tidy(axes, f"rms on {rows} [{unit}]", size=9.5)
+    error = " ± error of the gain" * bool(on)
+    tidy(axes, f"rms on {rows} [{unit}]{error}", size=9.5)
     axes.set_xlim(0, reach)
     axes.set_ylim(-0.4, max(len(bars), 1) - 0.3)
     axes.set_yticks([])
-    note = "no part of these rows can be left out"
-    if on:
-        note = f"{on}; error bar: standard error of the step's gain"
-    panel_title(axes, "How far the gap shrinks", textwrap.fill(note, 62))
+    note = on or "no part of these rows can be left out"
+    note = textwrap.shorten(note, 62, placeholder=" …")
+    panel_title(axes, "How far the gap shrinks", note)
 
 
 def draw_chances(figure, bars: Sequence[ChanceBar]) -> None:

@@ -74,7 +74,8 @@ def chance_bars(result: Diagnosis) -> list[ChanceBar]:
 def covariate_label(panel: ResidualMap) -> str:
     """Axis label of what the map is drawn over beside the slip."""
     unit = covariate_unit(panel.covariate)
-    return covariate_text(panel.covariate) + f" [{unit}]" * bool(unit)
+    text = covariate_text(panel.covariate).replace("F_z", "$F_z$")
+    return text + f" [{unit}]" * bool(unit)
 
 
 def level_labels(panel: ResidualMap) -> tuple[str, ...]:

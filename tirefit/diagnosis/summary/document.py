@@ -9,7 +9,6 @@ from tirefit.diagnosis.decide.calibrated import as_often_right
 from tirefit.diagnosis.decide.case import Case
 from tirefit.diagnosis.decide.chances import (
     chance_of_unknown,
-    chance_of_unlisted,
     chances,
 )
 from tirefit.diagnosis.decide.conclusion import bound_by, look_of_rest
@@ -25,7 +24,6 @@ from tirefit.diagnosis.rows.basis import located, without
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.summary.budget import (
     budgets_of,
-    parameter_changes,
     simulator_summary,
 )
 from tirefit.diagnosis.summary.closure import Closure, closure_on_rows
@@ -33,22 +31,15 @@ from tirefit.diagnosis.summary.data import data_summary
 from tirefit.diagnosis.summary.forecast import confusion, next_measurements
 from tirefit.diagnosis.summary.look_curve import LookCurve, look_curve
 from tirefit.diagnosis.summary.plausible import plausible_forces
+from tirefit.diagnosis.summary.provisional import ladder_of, verdict_of
 from tirefit.diagnosis.summary.records import (
-    NOISE,
-    SMOOTH,
     Amplitude,
     Candidate,
-    Each,
     Gap,
     HeldOut,
-    Ladder,
-    Left,
     NoiseSummary,
     Resolution,
     Shrinkage,
-    Status,
-    Step,
-    VerdictSummary,
 )
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.diagnosis.summary.shares import closed_by_each
@@ -96,7 +87,8 @@ def document_of(
     verdict, candidates = case.verdict, _candidates(case, rows, truth)
     gap, curves = _gap(case, gaps, held), _what_is_left(case)
     budgets = budgets_of(case, believed, generator)
-    said = _verdict(case, curves, gap)
+    wide = _widening(base, verdict.chosen)
+    said = verdict_of(case, curves, gap, wide)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown = shown_rows(base, rows[main])
     noise = _noise(case)
@@ -116,7 +108,7 @@ def document_of(
         spots=spots(base, _missed(base), shown.gap),
         map=tuple(parameter_map(base)),
         verdict=said,
-        ladder=_ladder(case, gap, rows),
+        ladder=ladder_of(case, gap, rows),
         candidates=candidates,
         untestable=tuple(case.untestable),
         resolution=_resolution(case),
@@ -286,66 +278,6 @@ def _what_is_left(case: Case) -> tuple[LookCurve, ...]:
     verdict, base = case.verdict, case.base
     alike = look_of_rest(verdict, base, case.weighed)
     return tuple(look_curve(verdict, base, look) for look in alike)
-
-
-def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSummary:
-    """Provisional: schema 3 filled from what schema 2 knows."""
-    verdict, weighed, held = case.verdict, case.weighed, gap.holdout
-    noise, named = case.on_the_noise, verdict.status not in ("none", "unknown")
-    unlisted = chance_of_unlisted(verdict, weighed)
-    own = {e: weighed.holding((e,)) for e in (*verdict.effects, *verdict.also_possible)}
-    shares = gap.shares or {e: 1.0 for e in verdict.effects}
-    whole = held.closed if held is not None and named else None
-    twins = verdict.also_possible if verdict.status == "cannot_tell" else ()
-    each = {
-        e: Each(
-            p, None if whole is None else whole * shares.get(e, 0.0),
-            None if whole is None else 0.1, twins if e in verdict.effects else (),
-        )
-        for e, p in own.items() if e != "unknown"
-    }  # fmt: skip
-    tests = verdict.adequacy._asdict()
-    return VerdictSummary(
-        status=Status("named" if noise else verdict.status),
-        effects=noise or (() if verdict.status == "unknown" else verdict.effects),
-        probability=verdict.probability,
-        each=each,
-        also_possible=verdict.also_possible,
-        left=Left(
-            rms=gap.remaining_rms,
-            share=(gap.remaining_rms / max(gap.rms, ROUNDING)) ** 2,
-            unlisted=unlisted,
-            tests={k: tests[k] for k in ("time", "slip_order", "line", "pure_error",
-                                         "local")},
-            looks_like=tuple(curve.look for curve in curves),
-        ),
-        parameters=parameter_changes(case, _widening(case.base, verdict.chosen)),
-    )  # fmt: skip
-
-
-def _ladder(case: Case, gap: Gap, rows) -> Ladder:
-    """Provisional: one step for all effects, from the closure on data left out; the
-    step of anything smooth is of the rows fitted."""
-    held, main = gap.holdout, case.base.prepared.channels[0]
-    if held is None:
-        return Ladder()
-    floor = float(np.sqrt(np.mean(case.base.noise[main].std ** 2)))
-    parts, observed = rows[main], case.base.prepared.observed[main]
-    missed = observed - parts["base"] - parts["gap"]
-    smooth = max(float(np.sqrt(np.mean(missed**2))), floor)
-    found = [(SMOOTH, smooth), (NOISE, floor)]
-    if case.verdict.status not in ("none", "unknown"):
-        after = float(np.hypot(held.remaining_rms, floor))
-        found.insert(0, (case.verdict.effects, after))
-    before, beyond = float(np.hypot(held.rms, floor)), max(held.rms**2, ROUNDING)
-    steps = [Step((), before)]
-    for effects, rms in found:
-        closed, gain = (
-            (before**2 - rms**2) / beyond,
-            steps[-1].rms_left_out ** 2 - rms**2,
-        )
-        steps.append(Step(effects, rms, closed, 0.1, gain, 0.1 * beyond))
-    return Ladder(held.on, tuple(steps))
 
 
 def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate, ...]:
