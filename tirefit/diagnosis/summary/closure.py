@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.special import softmax, stdtrit
-from scipy.stats import truncnorm
+from scipy.stats import norm
 
 from tirefit.diagnosis.evidence.linear_fit import linear_at
 from tirefit.diagnosis.evidence.search import amplitudes_of
@@ -35,6 +35,9 @@ _SETS = 3
 
 _SIZES = np.geomspace(0.03, 300, 20)
 """Sizes of a discrepancy's coefficients over the noise; all are as likely."""
+
+_FAR = 6.0
+"""Standard errors within which an energy is looked for."""
 
 _UNDRAWN, _FACTOR = 0.4, 1.5
 """Discrepancy of other shapes, as a share of what is drawn: its median, and standard
@@ -68,7 +71,8 @@ def plausible_forces(case, generator) -> dict[str, np.ndarray]:
     likely = sorted(total, key=lambda key: -total[key])[:_SETS]
     chances = np.array([total[key] for key in likely])
     counts = generator.multinomial(DRAWS, chances / chances.sum())
-    n, drawn = base.rows.n, {channel: [] for channel in base.rows.channels}
+    n = base.rows.n
+    drawn: dict[str, list] = {channel: [] for channel in base.rows.channels}
     for key, count in zip(likely, counts, strict=True):
         if not count:
             continue
@@ -171,7 +175,8 @@ def closure_on_rows(truth, before, after, variance, run, inflation) -> Closure:
 
 def closure_elsewhere(before, after, variance, run, inflation, generator) -> Closure:
     """Closure on rows that neither fit has seen. The energy left, that of the residuals
-    less that of the noise, has a normal error and is zero or more.
+    less that of the noise, has a normal error; its root is zero or more, all values as
+    likely beforehand.
 
     Args:
         before, after: (n,) residuals [N] of the base and of the extension.
@@ -188,7 +193,9 @@ def closure_elsewhere(before, after, variance, run, inflation, generator) -> Clo
     error = max(np.std(means[:, 1]), of_noise, ROUNDING * abs(left), NONZERO)
 
     def closed(gains, value):
-        lefts = truncnorm.ppf(evenly, -value / error, np.inf, value, error)
+        root = np.sqrt(np.maximum(value, 0.0) + _FAR * error) * evenly
+        below = np.cumsum(softmax(norm.logpdf(root**2, value, error)))
+        lefts = np.interp(evenly, below, root) ** 2
         return _closed(np.maximum(gains + lefts, 0.0), lefts)
 
     # What is gained varies with what is left as it does from sample to sample.

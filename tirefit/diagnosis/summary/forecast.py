@@ -28,8 +28,8 @@ _FACTORS, _SMALL = (0.5, 2.0), 0.1
 _FEW = 3
 """Pairs of effects that are compared, and additions that are listed, at most."""
 
-_APART, _WORTHWHILE = 0.98, 0.02
-"""Probability from which two effects are told apart; rise that is worth an addition."""
+_WORTHWHILE = 0.02
+"""Rise of the probability to tell two effects apart that is worth an addition."""
 
 _SAME_AGAIN = "the same again"
 _MOMENT = "the aligning moment M_z on lateral runs"
@@ -131,7 +131,8 @@ def _changed(base: Base, change: dict) -> Base:
             v=rows.v * factor, lag=rows.lag / factor, sliding=rows.sliding * factor,
             step=rows.step * factor,
         )  # fmt: skip
-    if factor := change.get("slip"):
+    if "slip" in change:
+        factor = change["slip"]
         slip = slip * factor
         scaled = dict.fromkeys(("rate", "lag", "past", "pull", "twist"), factor)
         scaled["sliding"] = abs(factor)
@@ -152,7 +153,7 @@ of the effects (m, K)."""
 
 def _block(base: Base, z) -> _Block:
     _, jacobian, columns, _ = base.linearised(z, base.amplitudes())
-    return jacobian, columns
+    return np.asarray(jacobian), np.asarray(columns)
 
 
 def _with_moment(base: Base, z) -> _Block:
@@ -222,7 +223,7 @@ def next_measurements(
     """Additions, of as many rows as there are, that would separate what the data leave
     confused, the largest gain first; where there are none, the reason, else None."""
     sizes, z = _sizes(search, weighed), weighed.best_of[()].z
-    here, changes = base.at_null[1:3], _changes(base.prepared)
+    here, changes = _block(base, base.z), _changes(base.prepared)
 
     @cache
     def added(name: str) -> _Block:
@@ -238,7 +239,7 @@ def next_measurements(
         has_moment = "mz" in modelled(base.fit.tire.model)
         if "mz" in by and "mz" not in base.prepared.has and has_moment:
             names.append(_MOMENT)
-        for name in names if now <= _APART else [_SAME_AGAIN]:
+        for name in names if now <= 1 - _WORTHWHILE else [_SAME_AGAIN]:
             after = _told_apart([here, added(name)], one, two)
             considered.append(NextMeasurement(name, pair, now, after))
     useful = [step for step in considered if step.p_after > step.p_now + _WORTHWHILE]
@@ -252,7 +253,7 @@ def _reason(considered: Sequence[NextMeasurement], status: str) -> str:
     if not considered:
         return "there is only one effect that these rows can be tested for"
     _, (a, b), now, _ = considered[0]
-    if now > _APART:
+    if now > 1 - _WORTHWHILE:
         apart = f"rows like these tell {a} from {b} with probability {now:.2f}"
         if status == "cannot_tell":
             return f"{apart}: this time their noise does not, so repeat them"
