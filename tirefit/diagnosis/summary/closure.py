@@ -14,31 +14,22 @@ from tirefit.diagnosis.rows.basis import gain, orthogonal
 
 DRAWS = 400
 """Draws, and bootstrap samples: twenty beyond either end of a 90 % interval."""
-
 INTERVAL = (0.05, 0.95)
 """Quantiles at the ends of a 90 % interval."""
-
 _RESOLVED = 3.0
 """Standard deviations of the energy of noise from which a gap is resolved."""
-
 WORST = -1.0
 """Closure that counts as the worst there is: the gap doubled."""
-
 _BLOCKS = 60
 """Blocks of a record, at most."""
-
 _WIDER = 1.2
 """Factor on the errors of parameters: those of a fit whose form is not quite right."""
-
 _SETS = 3
 """Sets of effects that are drawn from, the most probable ones."""
-
 _SIZES = np.geomspace(0.03, 300, 20)
 """Sizes of a discrepancy's coefficients over the noise; all are as likely."""
-
 _FAR = 6.0
 """Standard errors within which an energy is looked for."""
-
 _UNDRAWN, _FACTOR = 0.4, 1.5
 """Discrepancy of other shapes, as a share of what is drawn: its median, and standard
 deviation of its logarithm. Development trials have .2 to .6."""
