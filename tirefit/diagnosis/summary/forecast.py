@@ -14,12 +14,11 @@ from tirefit.diagnosis.negligible import FLAT, UNSEEN
 from tirefit.diagnosis.rows.basis import without
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.summary.records import Forecast, NextMeasurement
+from tirefit.diagnosis.summary.where import LEVEL
 from tirefit.models import modelled
 
 DRAWS = 2000
 """Draws of noise: a probability of 5 % is known to half a percent."""
-_RARE = 0.05
-"""False alarm rate of the largest score; rate from which a confusion is reported."""
 _FACTORS, _SMALL = (0.5, 2.0), 0.1
 """Loads, speeds and slips of further measurements over those of the file."""
 _FEW = 3
@@ -66,13 +65,13 @@ def recognition(directions, names: Sequence[str], truth: int, size: float, noise
         size: its amplitude in standard errors.
         noise: (K, draws) of :func:`scores_of_nothing`.
     """
-    limit = np.quantile(np.abs(noise).max(axis=0), 1 - _RARE)
+    limit = np.quantile(np.abs(noise).max(axis=0), 1 - LEVEL)
     score = np.abs(noise + size * (directions.T @ directions[:, [truth]]))
     found = score.argmax(axis=0)[score.max(axis=0) > limit]
     count, draws = Counter(names[k] for k in found), noise.shape[1]
     right = count.pop(names[truth], 0)
     other, often = max(count.items(), key=lambda one: one[1], default=(None, 0))
-    return len(found) / draws, right / draws, other if often > _RARE * draws else None
+    return len(found) / draws, right / draws, other if often > LEVEL * draws else None
 
 
 def confusion(search, draws: int = DRAWS) -> list[Forecast]:

@@ -25,7 +25,7 @@ from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.summary.records import Cell, DataSummary, Region, Spot
 
 LEVEL = 0.05
-"""Share of false discoveries among the regions, spots or map cells reported."""
+"""Rate of false discoveries (regions, spots, cells), false alarms, and confusions."""
 _PARTS, _STRETCHES = 4, 32
 """Parts of a swept covariate as regions, and to look for spots in; spots at most."""
 _NEIGHBOURS = 8
