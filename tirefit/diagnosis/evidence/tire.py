@@ -83,7 +83,7 @@ class Tire:
         weight, observed = design.weights(), design.forces
         columns = np.zeros((count_atoms(self.effects), *mean.shape))
         for atom, slopes in changes.slopes.items():
-            columns[atom] = _along(fields, slopes, scale[atom])
+            columns[atom] = _along(fields, slopes, float(scale[atom]))
         if changes.ends:
             points = np.repeat(points, len(changes.ends), axis=0)
             ends = self._run(forces_of, points, iter(changes.ends.values()), design)
@@ -124,7 +124,7 @@ class Tire:
             columns[:p] = np.swapaxes(by_z, 0, 1)
             each = zip(columns[p:], atoms, by_amplitude.pop(0), strict=True)
             for column, atom, slopes in each:
-                column[:] = _along(by_field, slopes, scale[atom])
+                column[:] = _along(by_field, slopes, float(scale[atom]))
             yield mean, columns
 
 
