@@ -241,6 +241,12 @@ class Base:
         ]  # fmt: skip
         return np.concatenate(parts)
 
+    def forces_each(self, fits) -> np.ndarray:
+        """Mean forces (h, C, n) of every used row of each of some (z, amplitudes), the
+        channels in the order of their names."""
+        found = self.fit.tire.forces(fits, self.design)
+        return np.array([mean[:, : self.rows.n] for mean, _ in found])
+
     def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
         """Mean force of every used row, by channel."""
         return self.fit.tire.moments(z, amplitudes, self.design, self.rows.n)[0]

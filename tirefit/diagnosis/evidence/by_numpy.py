@@ -55,7 +55,7 @@ def by_numpy(traced: Traced, known: Mapping[int, np.ndarray]) -> Callable:
     kept.reverse()
 
     def evaluated(*arguments):
-        leaves = []
+        leaves: list[Any] = []
         for one in arguments:
             leaves.extend(one) if isinstance(one, tuple) else leaves.append(one)
         found = [*map(np.asarray, leaves), *steps.values[count:]]

@@ -112,8 +112,9 @@ class ForwardModel(Protocol):
     """What predicts the forces of rows from parameters z and amplitudes of atoms: all
     that the search, refits and leaving out need of a tire, or of a vehicle."""
 
-    def moments(self, z, amplitudes, design: Design, n: int):
-        """Mean force and its variance over the slip of the first n rows, by channel."""
+    def forces(self, fits, design: Design) -> Iterator:
+        """Mean forces (C, n) of each of some (z, amplitudes of all atoms), and their
+        variances over the slip."""
 
     def linearised(self, z, amplitudes, design: Design, n: int) -> Linear:
         """The first n rows linearised in everything."""
