@@ -21,9 +21,6 @@ from tirefit.diagnosis.rows.patterns import (
 SCALES = 2.0 * 3.0 ** np.arange(4)
 """Standard deviations of a basis function's coefficient that are averaged over."""
 
-PRIORS = dict.fromkeys(("smooth", "cells", "waves", "patterns"), 0.25)
-"""Prior probabilities of the kinds of remainder."""
-
 RANK = 1e-6
 """Smallest squared length of a direction over the longest; the rest is rounding."""
 
@@ -65,15 +62,18 @@ def functions_of(values, count: int) -> np.ndarray:
     return bumps(values, count)
 
 
-def _by_side(slip_fraction, count: int) -> np.ndarray:
-    """Bumps over the size of the slip, for each sign: (n, count or 2 count)."""
+def _by_side(slip_fraction, factors, scale, most: int, finest: int) -> np.ndarray:
+    """Bumps over the size of the slip, for each sign of it that is there, times each of
+    the factors (n,): about ``most`` whitened columns, at most ``finest`` bumps."""
     inside = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
-    shapes, positive = bumps(np.abs(inside), count), inside >= 0
-    if _OF_EITHER_SIGN < positive.mean() < 1 - _OF_EITHER_SIGN:
-        return np.concatenate(
-            [shapes * positive[:, None], shapes * ~positive[:, None]], 1
-        )
-    return shapes
+    sides = [inside >= 0, inside < 0]
+    if min(np.mean(side) for side in sides) <= _OF_EITHER_SIGN:
+        sides = [np.ones(len(inside), bool)]
+    count = int(np.clip(most // (len(sides) * len(factors)), _BUMPS[0], finest))
+    shapes = bumps(np.abs(inside), count)
+    chosen = factors[: max(most // (len(sides) * count), 1)]
+    columns = [shapes * (side * one)[:, None] for one in chosen for side in sides]
+    return _scaled(np.concatenate(columns, axis=1), scale)
 
 
 def _standard(values):
@@ -120,27 +120,16 @@ def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
         scale: (n,) typical force over the noise of each row.
         most: approximate number of columns.
     """
-    modulations = _modulations(prepared)
-    sides = _by_side(slip_fraction, 2).shape[1] // 2
-    count = int(np.clip(most // (sides * len(modulations)), *_BUMPS))
-    modulations = modulations[: max(most // (sides * count), 1)]
-    shapes = _by_side(slip_fraction, count)
-    columns = np.concatenate([shapes * m[:, None] for m in modulations], axis=1)
-    return _scaled(columns, scale)
+    factors = _modulations(prepared)
+    return _by_side(slip_fraction, factors, scale, most, _BUMPS[1])
 
 
 def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
     """Narrow bumps of the slip for each load: (n, b)."""
-    loads = levels(prepared.covariates.fz)
-    codes = range(len(loads.center))
-    cells = [np.ones(prepared.n, bool)]
+    loads, cells = levels(prepared.covariates.fz), [np.ones(prepared.n, bool)]
     if loads.few():
-        cells = [loads.code == code for code in codes]
-    sides = _by_side(slip_fraction, 2).shape[1] // 2
-    count = int(np.clip(most // (sides * len(cells)), _BUMPS[0], 2 * _BUMPS[1]))
-    shapes = _by_side(slip_fraction, count)
-    columns = np.concatenate([shapes * cell[:, None] for cell in cells], axis=1)
-    return _scaled(columns, scale)
+        cells = [loads.code == code for code in range(len(loads.center))]
+    return _by_side(slip_fraction, cells, scale, most, 2 * _BUMPS[1])
 
 
 def wave_basis(prepared, scale) -> np.ndarray:
@@ -227,27 +216,6 @@ def _gains_of_waves(gram, score) -> np.ndarray:
         chi2, size = _in_pairs(gram, score, scale**-2)
         each.append(0.5 * chi2 - 0.5 * np.log(scale**4 * size))
     return np.array(each)
-
-
-class WavesOfResidual(NamedTuple):
-    """K waves given a residual at S scales: log evidence over none (S, K), mean
-    (S, K, 2) and covariance (S, K, 2, 2) of the two coefficients."""
-
-    gain: np.ndarray
-    mean: np.ndarray
-    covariance: np.ndarray
-
-
-def worth_of_waves(waves, against, residual) -> WavesOfResidual:
-    """Each wave by itself, with ``against`` (m, p) taken out."""
-    left = without(waves, against)
-    gram, score = _pairs(left), (left.T @ residual).reshape(-1, 2)
-    full = (
-        gram[:, [[0, 1], [1, 2]]] + np.eye(2) / np.square(SCALES)[:, None, None, None]
-    )
-    covariance = np.linalg.inv(full)
-    mean = np.einsum("skab,kb->ska", covariance, score)
-    return WavesOfResidual(_gains_of_waves(gram, score), mean, covariance)
 
 
 def _pairs(columns) -> np.ndarray:
@@ -361,21 +329,6 @@ def gains(bases: Generic, against, residual, expected=None) -> dict[str, float]:
 def of_any_kind(kinds: Mapping[str, float]) -> float:
     """Log evidence of a remainder of any kind, from :func:`gains`."""
     return float(np.logaddexp.reduce(list(kinds.values())) - np.log(len(kinds)))
-
-
-def misfit_p_value(bases: Generic, against, residual, generator, draws: int) -> float:
-    """p-value of the residual as noise, by the bases with Bonferroni's correction."""
-    values, left = [], bases.left(against, residual)
-    for name in left.wide:
-        score, size = left.principal(name)
-        total = np.sum(size**2 * score**2)
-        noise = generator.standard_normal((draws, len(size))) ** 2 @ size**2
-        values.append((1 + np.sum(noise >= total)) / (1 + draws))
-    chi2 = left.chi2
-    # The logarithm below needs a probability less than one.
-    chance = min(np.exp(-0.5 * chi2.max()), 1 - ROUNDING)
-    values.append(-np.expm1(len(chi2) * np.log1p(-chance)))
-    return float(min(1.0, len(values) * min(values)))
 
 
 def located(bases: Generic, against, residual):

@@ -36,7 +36,7 @@ _SET_BY_RIG = ("fz", "v", "temperature", "gamma", "pressure")
 """Covariates that may have few settings: their shapes are thresholds between settings
 and single settings."""
 
-_PLACES = np.arange(0.05, 0.96, 0.05)
+_PLACES = np.arange(1, 20) / 20
 """Places as shares of the range. Bumps are one and two steps wide, so that a shape
 between two places loses at most a tenth of its square."""
 
@@ -359,11 +359,6 @@ def _weights(among: Patterns, unit, residual):
     return length, score, gain + among.log_prior
 
 
-def weights_of_sizes(among: Patterns, against, residual):
-    """:func:`_weights` with ``against`` (m, p) taken out."""
-    return _weights(among, np.linalg.qr(against)[0], residual)
-
-
 def patterns_gain(among: Patterns, unit, residual) -> float:
     """Log evidence over no remainder of one pattern, whichever, averaged over its size.
 
@@ -381,7 +376,7 @@ def looks(among: Patterns, against, residual, most: int = 3) -> list[Look]:
     Args:
         against: (m, p) columns that the fit has used up.
     """
-    length, score, each = weights_of_sizes(among, against, residual)
+    length, score, each = _weights(among, np.linalg.qr(against)[0], residual)
     weight = np.logaddexp.reduce(each, axis=0) - np.log(len(each))
     whole = np.logaddexp.reduce(weight)
     if whole < _SHOWS:
