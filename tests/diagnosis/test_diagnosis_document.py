@@ -22,7 +22,8 @@ KEYS = {
     "": [
         "schema", "data", "model", "simulator", "n", "n_effective", "noise", "gap",
         "budget", "budgets", "where", "spots", "map", "verdict", "ladder",
-        "candidates", "untestable", "resolution", "forecast", "next_measurement", "next_measurement_reason",
+        "candidates", "untestable", "resolution", "forecast", "next_measurement",
+        "next_measurement_reason",
         "slip_check", "runs", "base_parameters", "extended_parameters", "settings",
         "seed", "version", "ladder_on",
     ],

@@ -378,13 +378,6 @@ def _is_whole(path: Path, rows: int) -> bool:
     return path.read_bytes().count(b"\n") == rows + 1
 
 
-def _base_of(content: dict) -> list:
-    """Model and simulator of a document."""
-    there = content["simulator"]
-    keys = ("kind", "source", "sha256")
-    return [content["model"], there and [there[key] for key in keys]]
-
-
 def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
     """Whether the document there is of this file as read now, of these settings, this
     seed and version."""
@@ -394,11 +387,11 @@ def _is_done(path: Path, table, settings: dict, kept, seed: int) -> bool:
 
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        data = content["data"]
+        data, sim = content["data"], content["simulator"]
         there = [
             data["sha256"], data["convention"], data["assumptions"],
-            *_base_of(content), content["seed"], content["version"],
-            content["settings"],
+            content["model"], sim and [sim[k] for k in ("kind", "source", "sha256")],
+            content["seed"], content["version"], content["settings"],
         ]  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError):
         return False

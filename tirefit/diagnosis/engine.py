@@ -21,10 +21,8 @@ from tirefit.diagnosis.arguments import (
     tables,
     the_effects,
 )
-from tirefit.diagnosis.decide.across_runs import held_across_runs
-from tirefit.diagnosis.decide.case import Case
-from tirefit.diagnosis.decide.conclusion import concluded
-from tirefit.diagnosis.decide.verdict import gap_p_value, judge, weigh
+from tirefit.diagnosis.decide.findings import findings_of, predictions
+from tirefit.diagnosis.decide.verdict import decide
 from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.evidence.base import (
     Base,
@@ -33,6 +31,7 @@ from tirefit.diagnosis.evidence.base import (
     with_noise_judged,
 )
 from tirefit.diagnosis.evidence.forms import PLACE, shape_of_change
+from tirefit.diagnosis.evidence.posterior import weigh
 from tirefit.diagnosis.evidence.search import Search, amplitudes_of, search
 from tirefit.diagnosis.evidence.simulator import (
     STAND_INS,
@@ -48,6 +47,7 @@ from tirefit.diagnosis.rows.prepared import (
     thinned,
 )
 from tirefit.diagnosis.rows.rig import Rig
+from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.document import document_of
 from tirefit.diagnosis.summary.records import Settings, Untestable
 from tirefit.diagnosis.summary.result import Diagnosis
@@ -308,10 +308,9 @@ def studied(
         searched = search(base, testable)
 
     weighed = weigh(searched)
-    verdict = judge(searched, weighed, gap_p_value(searched, generator))
-    verdict = concluded(verdict, searched, weighed, generator)
-    verdict, weighed = held_across_runs(verdict, searched, weighed, generator)
-    return Case(base, searched, weighed, verdict, untestable)
+    out = predictions(base, weighed)
+    verdict = decide(findings_of(base, weighed, out, generator))
+    return Case(base, searched, weighed, out, verdict, untestable)
 
 
 def _are_smooth(base: Base, testable: Sequence[int]) -> None:

@@ -58,7 +58,6 @@ def details(result: Diagnosis) -> list[Section]:
 def _gap_lines(result: Diagnosis) -> Iterator[str]:
     gap = result.gap
     yield gap_line(result, gap, f"the {result.n} rows fitted")
-    yield f"probability {p_text(gap.p_value)} of such a misfit by noise alone"
     if gap.holdout is not None:
         yield gap_line(result, gap.holdout, gap.holdout.on)
     if gap.shares:

@@ -260,7 +260,7 @@ def draw_waterfall(figure, steps: list[WaterfallBar], channel: str = "") -> None
     )  # fmt: skip
 
 
-def _panels(result: Diagnosis) -> dict[str, Callable]:
+def panels_of(result: Diagnosis) -> dict[str, Callable]:
     """Name -> what draws that panel on a figure."""
     base, after = "simulator" if result.simulator else "base fit", after_label(result)
     panels: dict[str, Callable] = {
@@ -285,15 +285,10 @@ def _panels(result: Diagnosis) -> dict[str, Callable]:
     return panels
 
 
-def panel_names(result: Diagnosis) -> tuple[str, ...]:
-    """What is drawn, in order."""
-    return tuple(_panels(result))
-
-
 def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
     """Each panel as a picture of its own: on a phone they stand below each other."""
     pictures = {}
-    for name, draw in _panels(result).items():
+    for name, draw in panels_of(result).items():
         size = _PHONE if name == "ladder" else _PANEL
         pictures[name] = Picture(figsize=size, layout="constrained")
         draw(pictures[name])
@@ -303,7 +298,7 @@ def panel_pictures(result: Diagnosis) -> dict[str, Picture]:
 def diagnosis_figure(result: Diagnosis) -> Picture:
     """All panels under the answer, the ladder first; below the first four what is left,
     where it has a shape, and the budget of a simulator, channel by channel."""
-    panels = _panels(result)
+    panels = panels_of(result)
     feet = (_FOOT,) * (len(panels) - _SQUARE)
     width, height = _SIZE
     picture = Picture(figsize=(width, height * (1 + sum(feet))), layout="constrained")
@@ -341,7 +336,7 @@ def plot_diagnosis(result: Diagnosis, panel: str | None = None):
     """
     if panel is None:
         return diagnosis_figure(result)
-    check_names("panel", [panel], panel_names(result))
+    check_names("panel", [panel], panels_of(result))
     return panel_pictures(result)[panel]
 
 

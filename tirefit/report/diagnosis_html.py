@@ -6,11 +6,12 @@ from tirefit.diagnosis.summary.records import Status
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.files import write_text_atomic
 from tirefit.report.diagnosis_details import details
-from tirefit.report.diagnosis_draw import diagnosis_figure, panel_names, panel_pictures
+from tirefit.report.diagnosis_draw import diagnosis_figure, panel_pictures, panels_of
 from tirefit.report.diagnosis_sections import (
     Section,
     answer,
     first_screen,
+    foot_line,
     head_lines,
     subject,
 )
@@ -42,7 +43,7 @@ def _answer(result: Diagnosis) -> Mapping:
 
 
 def _shown(sections: Sequence[Section], pictures: Mapping) -> list[Mapping]:
-    shown = []
+    shown: list[Mapping] = []
     for section in sections:
         names = [name for name in section.pictures if name in pictures]
         images = [image_of(pictures[name], _alternative(name)) for name in names]
@@ -60,6 +61,7 @@ def diagnosis_page(result: Diagnosis) -> str:
         answer=_answer(result),
         sections=_shown(first_screen(result), pictures),
         details=_shown(details(result), {}),
+        foot=foot_line(result),
         record=result.to_json(),
     )
 
@@ -82,5 +84,5 @@ def diagnosis_fragment(result: Diagnosis) -> str:
         title=f"{subject(result)}, {result.n} rows",
         answer=_answer(result),
         sections=_shown(first_screen(result), {}),
-        picture=image_of(picture, "; ".join(map(_alternative, panel_names(result)))),
+        picture=image_of(picture, "; ".join(map(_alternative, panels_of(result)))),
     )

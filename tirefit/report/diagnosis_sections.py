@@ -3,11 +3,10 @@
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from tirefit.diagnosis.decide.adequacy import LEAST_P, LEVEL
+from tirefit.diagnosis.decide.remainder import LEAST_P, LEVEL
+from tirefit.diagnosis.left_out.ladder import NOISE, SMOOTH
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.records import (
-    NOISE,
-    SMOOTH,
     Each,
     NextMeasurement,
     Shrinkage,
@@ -128,6 +127,14 @@ def head_lines(result: Diagnosis) -> Iterator[str]:
     check = result.slip_check
     if check is not None and check.fits != check.read_as:
         yield slip_check_line(check)
+
+
+def foot_line(result: Diagnosis) -> str:
+    """Signs and units of the report, and what it takes to make it again."""
+    return (
+        f"braking positive, SI units (the file: {result.data.convention}); seed"
+        f" {result.seed}, tirefit {result.version}"
+    )
 
 
 def step_label(result: Diagnosis, number: int) -> str:

@@ -9,6 +9,7 @@ from tirefit.report.diagnosis_sections import (
     Section,
     answer,
     first_screen,
+    foot_line,
     head_lines,
     subject,
 )
@@ -40,12 +41,8 @@ def diagnosis_text(result: Diagnosis, full: bool = False) -> str:
     """
     sections = first_screen(result) + (details(result) if full else [])
     more = "" if full else "; details: --full, or the JSON document"
-    last = (
-        f"braking positive, SI units (the file: {result.data.convention}); seed"
-        f" {result.seed}, tirefit {result.version}{more}"
-    )
     first = Section("Answer", [answer(result), *head_lines(result)])
     lines = _wrapped(f"DIAGNOSIS of {subject(result)}")
     for section in (first, *sections):
         lines += _text_of(section)
-    return "\n".join([*lines, *_wrapped(last)])
+    return "\n".join([*lines, *_wrapped(foot_line(result) + more)])

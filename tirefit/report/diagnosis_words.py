@@ -173,10 +173,8 @@ def listing(words: Sequence[str], last: str = "and") -> str:
 
 def set_name(effects: Sequence[str]) -> str:
     """Readable name of a set of effects, the empty set and the unlisted included."""
-    if not effects:
-        return "no effect"
-    unlisted = "something unlisted alone"
-    return " + ".join(unlisted if e == "unknown" else name_of(e) for e in effects)
+    names = ["something unlisted" if e == "unknown" else name_of(e) for e in effects]
+    return " + ".join(names) or "no effect"
 
 
 def amplitude_text(amplitude: Amplitude) -> str:
@@ -224,9 +222,8 @@ def share_text(share: float | None, ends=None) -> str:
 
 
 def closed_text(closed: float | None, ends=None, energy: float | None = None) -> str:
-    """As :func:`share_text`, of a gap: how much of it is closed, and of its energy.
-    From where the extension doubles the gap, ``-100 % or worse``: beyond, nobody looks.
-    """
+    """The share of a gap that is closed, with its interval, and that of its energy;
+    ``-100 % or worse`` where the effects double the gap or more."""
     if closed is None:
         return "-"
     said, worse = _closed(closed), " or worse" if closed <= WORST else ""
@@ -242,8 +239,7 @@ def _closed(share: float) -> str:
 
 
 def p_text(p: float, least: float = 1e-12) -> str:
-    """A p-value with two digits; from ``least`` down as a bound, as nobody knows it
-    better."""
+    """A p-value with two digits, or ``< least``, the smallest that is known."""
     return f"< {least:.2g}" if p <= least or math.isnan(p) else f"{p:.2g}"
 
 

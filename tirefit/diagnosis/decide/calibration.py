@@ -13,14 +13,10 @@ from importlib import resources
 
 import numpy as np
 
-from tirefit.diagnosis.decide.verdict import Tests
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
 
 _FARTHEST = 7.0
 """Logarithms of odds beyond this say no more."""
-
-_LEAST_P = 1e-6
-"""The same of a p-value."""
 
 
 @cache
@@ -35,29 +31,27 @@ def log_odds(probability: float) -> float:
     return float(np.clip(np.log(p / (1 - p)), -_FARTHEST, _FARTHEST))
 
 
-def clues_of_unlisted(weighed: Weighed, key: Key, tests: Tests) -> dict[str, float]:
+def clues_of_unlisted(weighed: Weighed, key: Key) -> dict[str, float]:
     """What tells that a set of effects is not all that there is.
 
     Returns:
         "evidence": log odds of a discrepancy by the evidence; "narrow": log evidence of
         the best sharp shape in the remainder, compressed; "share": probability of the
-        set among the listed; "tests": mean of -log10 p of the tests of the remainder.
+        set among the listed.
     """
     gains = weighed.gains.get(key, {})
     narrow = max(gains.get("waves", 0.0), gains.get("patterns", 0.0))
-    made = [max(p, _LEAST_P) for p in tests if p is not None] or [1.0]
     return {
         "evidence": log_odds(weighed.unlisted),
         "narrow": float(np.sign(narrow) * np.log1p(abs(narrow))),
         "share": weighed.listed_given_gap(key) if key else 0.0,
-        "tests": float(-np.mean(np.log10(made))),
     }
 
 
-def probability_of_unlisted(weighed: Weighed, key: Key, tests: Tests) -> float:
+def probability_of_unlisted(weighed: Weighed, key: Key) -> float:
     """Probability that something unlisted is there beside a set, by a logistic
     regression on :func:`clues_of_unlisted`."""
-    return _logistic(_numbers()["unlisted"], clues_of_unlisted(weighed, key, tests))
+    return _logistic(_numbers()["unlisted"], clues_of_unlisted(weighed, key))
 
 
 def _logistic(numbers: Mapping, clues: Mapping[str, float]) -> float:

@@ -1,14 +1,23 @@
 """What :func:`tirefit.diagnosis.decide.verdict.decide` is told of one file."""
 
+from dataclasses import replace
+from itertools import chain, combinations
+
 import numpy as np
 
 from tirefit.diagnosis.decide.calibration import probability_of_unlisted
 from tirefit.diagnosis.decide.remainder import remainder_tests, widening
-from tirefit.diagnosis.decide.verdict import POLICY, Findings, Policy, no_gap_shows
+from tirefit.diagnosis.decide.verdict import (
+    POLICY,
+    Findings,
+    Fitted,
+    Policy,
+    no_gap_shows,
+)
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.linear_fit import linear_at
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
-from tirefit.diagnosis.evidence.search import amplitudes_of
+from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.left_out.folds import Folds, folds_of
 from tirefit.diagnosis.left_out.ladder import Gain, gained
 from tirefit.diagnosis.left_out.predicted import Predicted, predicted
@@ -26,12 +35,29 @@ def predictions(base: Base, weighed: Weighed) -> Predicted:
     log = weighed.log_weight
     ranked = sorted((k for k in log if k), key=lambda k: log[k], reverse=True)
     singles = [k for k in ranked if len(k) == 1]
-    parts = [
-        tuple(sorted(set(key) - {effect})) for key in ranked[:2] for effect in key
-    ] + [(effect,) for key in ranked[:2] for effect in key]
-    wanted = [(), *ranked[:_LEADING], *singles[:_LEADING], *parts]
-    sets = [weighed.best_of[k] for k in dict.fromkeys(wanted) if k in log]
-    return predicted(base, sets, _folds(base, weighed))
+    wanted = [(), *ranked[:_LEADING], *singles[:_LEADING]]
+    sets = {k: weighed.best_of[k] for k in wanted}
+    for key in ranked[:2]:
+        for less in parts_of(key)[1:]:
+            sets.setdefault(less, weighed.best_of.get(less, _part(sets[key], less)))
+    return predicted(base, [*sets.values()], _folds(base, weighed))
+
+
+def parts_of(key: Key) -> list[Key]:
+    """A set of effects and the sets of some of them, the largest first."""
+    sizes = range(len(key), 0, -1)
+    return list(chain.from_iterable(combinations(key, size) for size in sizes))
+
+
+def _part(whole: Hypothesis, key: Key) -> Hypothesis:
+    """Some effects of a fit: where the refit of a set that was not searched starts."""
+    kept = [k for k, effect in enumerate(whole.effects) if effect in key]
+    return replace(
+        whole,
+        atoms=tuple(whole.atoms[k] for k in kept),
+        effects=tuple(whole.effects[k] for k in kept),
+        amplitude=whole.amplitude[kept],
+    )
 
 
 def _folds(base: Base, weighed: Weighed) -> Folds:
@@ -75,13 +101,21 @@ def findings_of(
     best = weighed.best
     key = () if no_gap_shows(weighed, policy) else best
     tests = remainder_tests(base, weighed, key, generator)
-    unlisted = probability_of_unlisted(weighed, key, tests)
-    if key and unlisted > policy.likely:
-        key = better_elsewhere(weighed, out, policy.gain_beside)
+    unlisted = probability_of_unlisted(weighed, key)
+    if key and unlisted > policy.likely and out.across_runs:
+        key = better_elsewhere(weighed, out, policy.gain)
+    floor = floor_of(base)
     return Findings(
-        weighed=weighed, best=key, errors=_errors(base, weighed, out, key),
-        gains=_gains(out, key, floor_of(base)), unlisted=unlisted, tests=tests,
-    )  # fmt: skip
+        weighed=weighed,
+        sets={
+            part: Fitted(_errors(base, weighed, out, part), _gains(out, part, floor))
+            for part in parts_of(key)
+            if part in weighed.log_weight
+        },
+        across_runs=out.across_runs,
+        unlisted=unlisted,
+        tests=tests,
+    )
 
 
 def _gains(out: Predicted, key: Key, floor: float) -> dict[str, Gain]:
@@ -98,8 +132,6 @@ def _errors(base: Base, weighed: Weighed, out: Predicted, key: Key):
     """Amplitude over its standard error, by effect: the error by the rows, widened by
     what the set leaves, and by what is not known of the slips; or the jackknife's over
     the parts left out, where that is larger."""
-    if not key:
-        return {}
     best = weighed.best_of[key]
     linear = linear_at(base, best)
     p, size = len(best.z), np.abs(best.amplitude)

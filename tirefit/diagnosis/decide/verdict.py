@@ -44,9 +44,8 @@ class Policy:
         known: amplitude over its standard error from which an effect may be named: an
             error bar of half the value.
         gain: standard errors by which an effect must improve the prediction of data
-            left out.
-        gain_beside: the same where something unlisted is likelier than not, which
-            listed effects may imitate.
+            left out, and by which another set of as many effects must predict them
+            better to take the place of the most probable one.
         perhaps: probability from which an effect that is not named is possible, and
             probability of a set over that of the best from which it is a rival.
     """
@@ -54,7 +53,6 @@ class Policy:
     likely: float = 0.5
     known: float = 2.0
     gain: float = 1.0
-    gain_beside: float = 2.0
     perhaps: float = 0.1
 
 
@@ -89,26 +87,43 @@ class Tests(NamedTuple):
     local: float | None = None
 
 
+class Fitted(NamedTuple):
+    """A refitted set: by effect its amplitude over its standard error, and what it
+    gains on data left out beside the others; empty where that was not tried."""
+
+    errors: Mapping[str, float]
+    gains: Mapping[str, Gain]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Findings:
     """All that a verdict rests on.
 
     Attributes:
         weighed: the posterior over sets.
-        best: the set that explains most; () where no gap shows.
-        errors: amplitude over standard error of each of its effects.
-        gains: what each gains on data left out, beside the others; empty where nothing
-            could be left out.
+        sets: the set that explains most first, then the sets of some of its effects,
+            the largest and most probable first; empty where no gap shows.
+        across_runs: whether whole runs were left out.
         unlisted: probability that something unlisted is there beside that set.
         tests: of the remainder of that set.
     """
 
     weighed: Weighed
-    best: Key
-    errors: Mapping[str, float]
-    gains: Mapping[str, Gain]
+    sets: Mapping[Key, "Fitted"]
+    across_runs: bool
     unlisted: float
     tests: Tests
+
+    def probability(self, effects, policy: "Policy") -> float:
+        """That these effects are there, whatever else is.
+
+        The parts of one run share what is unlisted, and a listed effect that imitates
+        it predicts them: there the discrepancy stands beside the sets. From run to run
+        only what is there carries over, which ``gains`` judge.
+        """
+        if self.unlisted > policy.likely and not self.across_runs:
+            return self.weighed.holding_beside(effects)
+        return self.weighed.holding(effects)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,52 +174,63 @@ def decide(found: Findings, policy: Policy = POLICY) -> Verdict:
             tests=found.tests, **answers,
         )  # fmt: skip
 
-    best = found.best
-    if not best:
+    if not found.sets:
         if more:
             return verdict(Status.UNKNOWN, unlisted, effects=(UNKNOWN,))
         return verdict(Status.NONE, 1 - unlisted)
+    best = next(iter(found.sets))
     rivals = _rivals(weighed, best, policy)
-    named = [e for e in best if _stands(found, e, rivals, more, policy)]
-    doubtful = [e for e in best if e not in named]
-    also = tuple(dict.fromkeys((*doubtful, *(t for of in rivals.values() for t in of))))
-    if not named:
+    key = next((k for k in found.sets if _stands(found, k, rivals, policy)), ())
+    also = tuple(dict.fromkeys(e for of in (best, *rivals.values()) for e in of))
+    also = tuple(e for e in also if e not in key)
+    if not key:
         if not more and weighed.nothing_shown > 1 - weighed.nothing_shown:
             return verdict(Status.NONE, 1 - unlisted, also_possible=also)
         return verdict(
             Status.UNKNOWN, max(unlisted, policy.likely), effects=(UNKNOWN,),
             also_possible=also,
         )  # fmt: skip
-    named.sort(key=lambda e: -found.gains[e].gain if e in found.gains else 0.0)
-    key = tuple(sorted(named))
+    gains = found.sets[key].gains
+    order = sorted(key, key=lambda e: -gains[e].gain if e in gains else 0.0)
     # Where data left out chose between twins, it is one claim with their probability.
-    exact = weighed.holding(key) if doubtful else weighed.listed_given_gap(weighed.best)
+    exact = weighed.listed_given_gap(weighed.best)
     status = Status.CANNOT_TELL if also else Status.NAMED
     return verdict(
         Status.INCOMPLETE if more else status,
-        exact * (unlisted if more else 1 - unlisted),
-        effects=tuple(named), key=key, also_possible=also,
-        each={e: _each(found, e, rivals.get(e, ())) for e in named},
+        (exact if key == best else weighed.holding(key))
+        * (unlisted if more else 1 - unlisted),
+        effects=tuple(order), key=key, also_possible=also,
+        each={
+            e: Each(
+                min(found.probability((e,), policy), 1.0),
+                gains[e].closed if e in gains else None,
+                gains[e].closed_std if e in gains else None,
+                rivals.get(e, ()),
+            )
+            for e in order
+        },
     )  # fmt: skip
 
 
-def _stands(found: Findings, effect: str, rivals, more: bool, policy: Policy) -> bool:
-    """Whether an effect of the best set may be named. A twin in its place is the same
+def _stands(found: Findings, key: Key, rivals, policy: Policy) -> bool:
+    """Whether every effect of a set may be named. A twin in its place is the same
     claim: their probabilities count together."""
-    weighed = found.weighed
-    there = sum(weighed.holding((e,)) for e in (effect, *rivals.get(effect, ())))
-    if there <= policy.likely or found.errors[effect] < policy.known:
-        return False
-    gained = found.gains.get(effect)
-    needed = policy.gain_beside if more else policy.gain
-    return gained is None or gained.gain > needed * gained.std
+    errors, gains = found.sets[key]
+    for effect in key:
+        alike = (effect, *rivals.get(effect, ()))
+        there = sum(found.probability((e,), policy) for e in alike)
+        if there <= policy.likely or errors[effect] < policy.known:
+            return False
+        if effect in gains and gains[effect].gain <= policy.gain * gains[effect].std:
+            return False
+    return True
 
 
 def _rivals(weighed: Weighed, best: Key, policy: Policy) -> dict[str, tuple[str, ...]]:
     """Effects of other sets that are nearly as probable, by the effect in whose place
     they stand; those beside the whole set stand under the empty name."""
     found: dict[str, list[str]] = {}
-    least = policy.perhaps * weighed.listed[best]
+    least = policy.perhaps * weighed.listed[weighed.best]
     ranked = sorted(weighed.listed, key=weighed.listed.__getitem__, reverse=True)
     for key in ranked:
         if key == best or weighed.listed[key] < least:
@@ -214,13 +240,3 @@ def _rivals(weighed: Weighed, best: Key, policy: Policy) -> dict[str, tuple[str,
             place = min(old) if len(old) == len(new) == 1 else ""
             found.setdefault(place, []).extend(sorted(new))
     return {place: tuple(dict.fromkeys(of)) for place, of in found.items()}
-
-
-def _each(found: Findings, effect: str, twins: tuple[str, ...]) -> Each:
-    gained = found.gains.get(effect)
-    return Each(
-        min(found.weighed.holding((effect,)), 1.0),
-        None if gained is None else gained.closed,
-        None if gained is None else gained.closed_std,
-        twins,
-    )

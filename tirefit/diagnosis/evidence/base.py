@@ -1,7 +1,7 @@
 """The base model fitted with its noise judged: where every diagnosis starts."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +18,8 @@ from tirefit.diagnosis.evidence.beginning import (
 )
 from tirefit.diagnosis.evidence.changes import count_atoms
 from tirefit.diagnosis.evidence.forms import PLACE
-from tirefit.diagnosis.evidence.forward import Design, Linear, Refit, brush_of_base
+from tirefit.diagnosis.evidence.forward import Design, ForwardModel, Linear
+from tirefit.diagnosis.evidence.refits import Refit, refit, refit_folds
 from tirefit.diagnosis.evidence.remainder import whitened_generic
 from tirefit.diagnosis.evidence.runs import with_runs
 from tirefit.diagnosis.evidence.simulator import (
@@ -65,7 +66,7 @@ class Fit:
     hypothesis) that gave them, the slip over that of full sliding (n,), and the first
     ``guess`` of z."""
 
-    tire: Tire
+    tire: ForwardModel
     design: Design
     z: np.ndarray
     refit: Refit
@@ -77,12 +78,14 @@ class Fit:
 class Base:
     """Where a diagnosis starts: the rows, the base fit to them, and their noise by
     channel. Whitened values are over the used rows of all channels, (m, ...). Where
-    there is a ``simulator``, the fit is of its parameters to the data."""
+    there is a ``simulator``, the fit is of its parameters to the data. ``linear`` keeps
+    the last fits linearised, by (z, amplitudes): a verdict comes back to its best."""
 
     rows: Prepared
     fit: Fit
     noise: Mapping[str, NoiseLevel]
     simulator: Simulated | None = None
+    linear: dict[tuple[bytes, ...], Linear] = field(default_factory=dict, init=False)
 
     @property
     def as_given(self) -> np.ndarray:
@@ -198,54 +201,27 @@ class Base:
         fit = replace(self.fit, design=design)
         return replace(self, fit=fit, rows=rows or self.rows)
 
-    def cut(self, stacked) -> np.ndarray:
-        """Used rows of whitened values (channels x padded, ...)."""
-        stacked = np.asarray(stacked)
-        parts = stacked.reshape(len(self.rows.channels), -1, *stacked.shape[1:])
-        return parts[:, : self.rows.n].reshape(-1, *stacked.shape[1:])
-
-    @cached_property
-    def _linear_at(self) -> dict[tuple[bytes, ...], Linear]:
-        """What was linearised last, by the fit: a verdict comes back to its best."""
-        return {}
-
     def linearised(self, z, amplitudes) -> Linear:
         """The used rows, linearised in everything."""
-        key, known = _key(z, amplitudes), self._linear_at
-        if key not in known:
-            if len(known) == _LINEARISED:
-                known.pop(next(iter(known)))
-            whole = self._begun.pop(key, None)
-            whole = whole or self.fit.tire.linearised(z, amplitudes, self.design)
-            known[key] = Linear(*(self.cut(part) for part in whole))
-        return known[key]
+        key = tuple(np.asarray(part).tobytes() for part in (z, amplitudes))
+        if key not in self.linear:
+            if len(self.linear) == _LINEARISED:
+                self.linear.pop(next(iter(self.linear)))
+            model, n = self.fit.tire, self.rows.n
+            self.linear[key] = model.linearised(z, amplitudes, self.design, n)
+        return self.linear[key]
 
-    @cached_property
-    def _begun(self) -> dict[tuple[bytes, ...], Linear]:
-        """Of all padded rows, as they come."""
-        return {}
-
-    def begin_linearised(self, points) -> None:
-        """Begins :meth:`linearised` at some (z, amplitudes): JAX goes on with the later
-        ones while NumPy works on the first."""
-        for z, amplitudes in points:
-            if (key := _key(z, amplitudes)) not in self._linear_at:
-                whole = self.fit.tire.linearised(z, amplitudes, self.design)
-                self._begun[key] = whole
-
-    def refit(
-        self, starts, sets, design: Design | None = None, **more: Callable
-    ) -> Refit:
-        """Hypotheses refitted on this design or another: :meth:`Tire.refit`."""
-        return self.fit.tire.refit(starts, sets, design or self.design, **more)
+    def refit(self, starts, sets, design: Design | None = None) -> Refit:
+        """Hypotheses refitted on this design or another: see :func:`refits.refit`."""
+        return refit(self.fit.tire, starts, sets, design or self.design)
 
     def refit_folds(self, starts, sets, keeps) -> Refit:
         """Hypotheses refitted on each of some sets of rows, of the used rows (f, n):
         leading axes (f, sets). Outliers count in none."""
-        whole = np.array([pad_rows(keep, len(self.design.keep)) for keep in keeps])
-        return self.fit.tire.refit_folds(
-            starts, sets, whole * self.design.keep, self.design
-        )
+        every = np.zeros((len(keeps), len(self.design.keep)))
+        every[:, : self.rows.n] = keeps
+        every *= self.design.keep
+        return refit_folds(self.fit.tire, starts, sets, every, self.design)
 
     def amplitudes(self, atoms: Sequence[int] = (), sizes=()) -> np.ndarray:
         """Amplitudes of all atoms (K,) in their own units, from those of some atoms in
@@ -265,22 +241,9 @@ class Base:
         ]  # fmt: skip
         return np.concatenate(parts)
 
-    @cached_property
-    def _forces_at(self) -> dict[tuple[bytes, ...], dict[str, np.ndarray]]:
-        """What :meth:`forces` gave: every candidate asks for the base fit's."""
-        return {}
-
     def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
         """Mean force of every used row, by channel."""
-        key, n = _key(z, amplitudes), self.rows.n
-        if key not in self._forces_at:
-            found, _ = self.fit.tire.moments(z, amplitudes, self.design, n)
-            self._forces_at[key] = found
-        return self._forces_at[key]
-
-
-def _key(*arrays) -> tuple[bytes, ...]:
-    return tuple(np.asarray(part).tobytes() for part in arrays)
+        return self.fit.tire.moments(z, amplitudes, self.design, self.rows.n)[0]
 
 
 def fit_base(
@@ -300,7 +263,7 @@ def fit_base(
     """
     simulator, stand_in = None, name or STAND_INS[0]
     if given is None:
-        fitted = first_fit(prepared, stand_in, prepared.data)
+        fitted = first_fit(prepared, stand_in, prepared.data, effects, rig)
         begun = begin(prepared, fitted, effects, rig, None)
     elif given.tire is None:
         begun, stand_in = standing_in(prepared, name, effects, rig, given)
@@ -312,7 +275,7 @@ def fit_base(
         check_followed(prepared, missed, stand_in)
         doubt = check_signs(prepared, tire, z, given)
         simulator = Simulated(given=given, z=z, stand_in=stand_in, doubt=doubt)
-        z = np.asarray(tire.refitted(z, design).z)[0]
+        z = _own_refit(tire, z, design).z[0]
     fraction = _slip_fraction(prepared, tire, z, design)
     silent = np.zeros(count_atoms(effects))
     noise = _noise(prepared, tire, design, fraction, rig, z, silent, False)
@@ -331,7 +294,7 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
     known = prepared.slip_source != NOT_STATED or prepared.derived is not None
     if known or prepared.mode == "xy":
         return 0.0
-    model, layout, z, _ = first_fit(prepared, name, prepared.data)
+    model, layout, z, _ = first_fit(prepared, name, prepared.data, effects, rig)
     tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
     noisy = replace(prepared, slip_std=np.full(prepared.n, _SMALL))
     channel, design = prepared.channels[0], design_of(noisy, effects, rig)
@@ -350,15 +313,19 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
     )  # fmt: skip
 
 
+def _own_refit(tire: ForwardModel, z, design: Design) -> Refit:
+    """Its own parameters refitted, without effects, from z."""
+    return refit(tire, [(z, np.zeros(0))], [()], design)
+
+
 def _under(
     noise, prepared, tire: Tire, design: Design, fraction, z, guess, simulator
 ) -> Base:
     """The base refitted from z under a noise."""
     design = _with_noise(prepared, design, noise)
-    refit = tire.refitted(z, design)
-    own = np.asarray(refit.z)[0]
+    own = _own_refit(tire, z, design)
     fit = Fit(
-        tire=tire, design=design, z=own, refit=refit, slip_fraction=fraction,
+        tire=tire, design=design, z=own.z[0], refit=own, slip_fraction=fraction,
         guess=guess,
     )  # fmt: skip
     return Base(rows=prepared, fit=fit, noise=noise, simulator=simulator)
@@ -390,7 +357,7 @@ def on_rows(base: Base, prepared: Prepared, rig) -> Base:
 def _slip_fraction(prepared: Prepared, tire: Tire, z, design):
     """Slip over that of full sliding (n,), 3 mu F_z / (2 c) of the brush with the
     base's slope and peak."""
-    stiffness, mu = brush_of_base(tire.model, tire.layout, tire.mode, z, design)
+    stiffness, mu = tire.brush(z, design)
     stiffness = np.asarray(stiffness)[: prepared.n]
     full = 1.5 * float(mu) * prepared.inputs.fz / np.maximum(stiffness, FLAT)
     size = np.hypot(prepared.slip, prepared.second)

@@ -10,6 +10,7 @@ from tirefit.diagnosis.effects import atoms_of
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.evidence.changes import count_atoms
 from tirefit.diagnosis.evidence.forward import Design
+from tirefit.diagnosis.evidence.refits import Normal, minimised
 from tirefit.diagnosis.evidence.simulator import (
     STAND_INS,
     Given,
@@ -20,7 +21,7 @@ from tirefit.diagnosis.evidence.tire import Tire
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.slip_nodes import slip_nodes
 from tirefit.fitting.config import parse_config
-from tirefit.fitting.inference import best_of, solve_starts
+from tirefit.fitting.inference import REACH
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.problem import build
 from tirefit.fitting.solve import starting_points
@@ -34,6 +35,10 @@ _LEAST_ROWS = 256
 _STARTS = 4
 """Starts of the first fit, whose error the refit under the noise takes away: half of
 those of a fit that is an end in itself."""
+
+_HUBER, _SETTLED, _STEPS = 1.345, 1e-9, 200
+"""Standard errors up to which a row of the first fit counts by its square, the share of
+the sum of squares at which it ends, and its steps at most."""
 
 _FIRST_NOISE = 0.05
 """Noise of a force as a share of its standard deviation, before it is judged; only the
@@ -87,25 +92,38 @@ def with_offset(prepared: Prepared, tire: Tire, design: Design, z):
     return design._replace(offset=offset), missed
 
 
-def first_fit(prepared: Prepared, name: str, data):
+def first_fit(prepared: Prepared, name: str, data, effects, rig):
     """(model, layout, z, first guess) by least squares with estimated noise, slip as
-    measured."""
-    force = list(prepared.channels)
-    config = parse_config(
-        {"force": force, "noise": {"loss": "huber"}, "starts": _STARTS}
-    )
+    measured; outliers count by Huber's loss."""
+    config = parse_config({"force": list(prepared.channels), "starts": _STARTS})
     task = build(data, name, config, _LEAST_ROWS)
-    problem = task.problem
-    if prepared.mode != "xy":
-        # The base model does not know of the other slip: that is an effect.
-        quiet = "alpha" if prepared.mode == "x" else "sigma_x"
-        inputs = problem.rows.inputs
-        silent = np.zeros_like(np.asarray(inputs.fz))
-        problem = problem.with_rows(inputs=inputs._replace(**{quiet: silent}))
+    model, layout, rows = task.problem.model, task.problem.layout, task.problem.rows
+    tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
+    observed, scale = ({c: np.asarray(x) for c, x in part.items()}
+                       for part in (rows.observed, rows.scale))  # fmt: skip
+    design = measured_slips(design_of(prepared, effects, rig), prepared)
+    design = design._replace(observed=observed, scale=scale)
+    weights, forces = design.weights(), design.forces
+
+    def at(numbers, points) -> Normal:
+        found = []
+        for mean, columns in tire.slopes(points, [()] * len(points), design):
+            missed = ((forces - mean) * weights).reshape(-1)
+            size = np.abs(missed)
+            root = np.sqrt(np.maximum(2 * _HUBER * size - _HUBER**2, _HUBER**2))
+            far = size > _HUBER
+            missed = np.where(far, np.sign(missed) * root, missed)
+            by = (columns * weights).reshape(len(columns), -1)
+            by = by * np.where(far, _HUBER / root, 1.0)
+            found.append((missed @ missed, by @ by.T, -by @ missed))
+        return Normal(*(np.array(part) for part in zip(*found, strict=True)))
+
+    def allowed(numbers, points):
+        return np.clip(points, -REACH, REACH)
+
     starts = starting_points(task, config.starts, 0)
-    solution = solve_starts(problem, starts, "gauss-newton")
-    best = np.asarray(solution.z)[best_of(solution)]
-    return problem.model, problem.layout, best, starts[0]
+    z, ends = minimised(at, starts, allowed, _SETTLED, _SETTLED**2, _STEPS)
+    return model, layout, z[int(np.argmin(ends.cost))], starts[0]
 
 
 class Begun(NamedTuple):
@@ -129,11 +147,11 @@ def begin(prepared: Prepared, fitted, effects, rig, given: Given | None) -> Begu
     return Begun(tire, design, z, guess, missed)
 
 
-def _stand_in(prepared: Prepared, name: str, given: Given):
+def _stand_in(prepared: Prepared, name: str, effects, rig, given: Given):
     """(model, layout, z, first guess) of the tire that follows a simulator's forces."""
     simulated = as_measured(prepared.data, prepared.channels)
     if name not in MAGIC_FORMULAS:
-        return first_fit(prepared, name, simulated)
+        return first_fit(prepared, name, simulated, effects, rig)
     # Its coefficients follow the simulator; what is adapted are scaling factors.
     tire = fit_magic_formula(simulated, name).tire
     model, layout, z = replace(given, tire=tire).tire_for(prepared)
@@ -145,7 +163,7 @@ def standing_in(prepared: Prepared, name, effects, rig, given: Given):
     :data:`STAND_INS` the first that follows closely, else the one that does best."""
 
     def tried(model: str):
-        fitted = _stand_in(prepared, model, given)
+        fitted = _stand_in(prepared, model, effects, rig, given)
         return begin(prepared, fitted, effects, rig, given), model
 
     if name is not None:

@@ -1,8 +1,8 @@
-"""Forces of every row under the base model with effects, and their refits."""
+"""Forces of every row under the base model in a given state, and their slopes."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -14,9 +14,7 @@ from tirefit.diagnosis.effects.state import (
     force_of_state,
     peak_ratio,
 )
-from tirefit.diagnosis.evidence.changes import MOST_EFFECTS, Changes, Present, state_of
-from tirefit.diagnosis.negligible import FLAT
-from tirefit.fitting.least_squares import damped_gauss_newton
+from tirefit.fitting.layout import Layout
 from tirefit.models import Brush, Parabolic, TireInputs
 from tirefit.params import Values, with_values
 
@@ -49,6 +47,16 @@ class Design(NamedTuple):
     high: Values
     reference: Values
 
+    @property
+    def forces(self) -> np.ndarray:
+        """Observed forces (C, n), in the order of their names: that of programs."""
+        return np.stack([self.observed[c] for c in sorted(self.observed)])
+
+    def weights(self, keep=None) -> np.ndarray:
+        """What whitens each row (C, n), of other rows that count if given."""
+        scales = np.stack([self.scale[c] for c in sorted(self.observed)])
+        return np.asarray(self.keep if keep is None else keep, float) / scales
+
 
 _AT_ZERO = 1e-6
 """Slip [-] at which stiffness is taken: at zero itself some laws have half a slope."""
@@ -56,6 +64,9 @@ _AT_ZERO = 1e-6
 _HALF_LENGTH = 0.1
 """Half-length of the patch [m] of models that state none, as of a car's tire: it scales
 what a change of shape does to the aligning moment, and nothing else."""
+
+MOST = 64
+"""Hypotheses that are compared at once, at most."""
 
 _LEAST_DIVISOR = 0.05
 """x / (1 - w x) has a pole at slips of 1 / w; it grows no more than twentyfold."""
@@ -69,9 +80,9 @@ def _is_plain(model) -> bool:
     )
 
 
-def _reference(tire, design: Design, mode: str):
+def _reference(tire, where: "Where", mode: str):
     """(c_p a^2 (n,), mu, half-length) of the brush with the base's slope and peak."""
-    fz, v = design.reference
+    fz, v = where.reference
     name = "fy" if mode == "y" else "fx"
 
     def force(slip, sample):
@@ -81,25 +92,64 @@ def _reference(tire, design: Design, mode: str):
     def slope(sample):
         return jax.jvp(lambda s: force(s, sample), (_AT_ZERO,), (1.0,))[1]
 
-    stiffness = jax.vmap(slope)(design.inputs) / 2
+    stiffness = jax.vmap(slope)(where.inputs) / 2
     arm = getattr(tire, "half_length", _HALF_LENGTH)
     return stiffness, peak_ratio(tire, fz, v), arm
 
 
-def forces_of(model, layout, mode: str, z, state: State, design: Design):
-    """Mean and variance over the latent slip of every force: dicts of (n,).
+class Linear(NamedTuple):
+    """A fit linearised, whitened: residual r (m,), J = d force / dz (m, p), T = d force
+    / d amplitude in units of prior scales (m, K), and d force / d field of the state
+    (m, F)."""
 
-    Args:
-        model, layout, z: the base model and its free parameters.
-        mode: which slip drives: x, y or xy.
-        state: the tire and its measurement, effects applied.
+    residual: np.ndarray
+    jacobian: np.ndarray
+    columns: np.ndarray
+    fields: np.ndarray
+
+
+class ForwardModel(Protocol):
+    """What predicts the forces of rows from parameters z and amplitudes of atoms: all
+    that search and verdict know of a tire.
+
+    ``effects`` is the library that the atoms are of.
     """
-    tire = with_values(model, layout.natural(z))
-    plain = _is_plain(model)
-    reference = None if plain else _reference(tire, design, mode)
 
-    def row(state, stiffness, slips, second, inputs):
-        own = None if reference is None else (stiffness, *reference[1:])
+    effects: tuple
+    layout: Layout
+
+    def moments(self, z, amplitudes, design: Design, n: int):
+        """Mean force and its variance over the slip of the first n rows, by channel."""
+
+    def linearised(self, z, amplitudes, design: Design, n: int) -> Linear:
+        """The first n rows linearised in everything."""
+
+    def slopes(self, points, sets, design: Design) -> Iterator:
+        """Of each hypothesis the mean forces (C, n), and their slopes by z and by the
+        amplitudes in prior scales of its atoms (p + k, C, n)."""
+
+
+class Where(NamedTuple):
+    """The part of a :class:`Design` that forces depend on."""
+
+    inputs: TireInputs
+    slip: Values
+    weight: Values
+    second: Values
+    offset: Mapping[str, Values]
+    reference: Values
+
+    @classmethod
+    def of(cls, design: Design) -> "Where":
+        return cls(*(getattr(design, name) for name in cls._fields))
+
+
+def _mean_and_spread(model, layout, mode: str, where: Where) -> Callable:
+    """(z, reference, state, slips, weights, second, inputs) of one row -> mean and
+    variance of each force over the latent slip, without offset: two tuples."""
+
+    def row(z, reference, state, slips, weights, second, inputs):
+        tire = with_values(model, layout.natural(z))
 
         def at(slip):
             moved = slip + state.shift
@@ -107,200 +157,104 @@ def forces_of(model, layout, mode: str, z, state: State, design: Design):
             pair = (state.other, moved) if mode == "y" else (moved, state.other)
             if mode == "xy":
                 pair = (moved, second * (1 + moved))
-            fx, fy, mz = force_of_state(tire, own, state, *pair, inputs)
+            fx, fy, mz = force_of_state(tire, reference, state, *pair, inputs)
             extra = (0.0, state.force) if mode == "y" else (state.force, 0.0)
             forces = {"fx": fx + extra[0], "fy": fy + extra[1], "mz": mz + state.moment}
-            return {c: forces[c] for c in design.observed}
+            return tuple(forces[channel] for channel in where.offset)
 
-        return jax.vmap(at)(slips)
+        forces = jax.vmap(at)(slips)
+        means = [jnp.sum(force * weights) for force in forces]
+        pairs = zip(forces, means, strict=True)
+        return means, [jnp.sum((f - mean) ** 2 * weights) for f, mean in pairs]
 
-    none = jnp.zeros_like(design.second)
-    stiffness = none if reference is None else reference[0]
-    at_nodes = jax.vmap(row)(
-        state, stiffness, design.slip, design.second, design.inputs
-    )
-    mean = {c: jnp.sum(f * design.weight, axis=1) for c, f in at_nodes.items()}
-    spread = {
-        c: jnp.sum((f - mean[c][:, None]) ** 2 * design.weight, axis=1)
-        for c, f in at_nodes.items()
-    }
-    return {c: force + design.offset[c] for c, force in mean.items()}, spread
+    return row
 
 
-def _whitened(mean, design: Design):
-    return jnp.concatenate(
-        [
-            design.keep * (design.observed[c] - mean[c]) / design.scale[c]
-            for c in design.observed
-        ]
-    )
+def _carrier(model, layout, mode: str, z, where: Where):
+    """What carries changes of shape: see :func:`_reference`, each (n,); None where the
+    base is the plain brush."""
+    if _is_plain(model):
+        return None
+    found = _reference(with_values(model, layout.natural(z)), where, mode)
+    return tuple(jnp.broadcast_to(value, where.second.shape) for value in found)
 
 
-@partial(jax.jit, static_argnames=("layout", "mode"))
-def moments(model, layout, mode, z, states, design: Design):
-    """Compiled :func:`forces_of`, of the last of the states (h + 1, F, n)."""
-    return forces_of(model, layout, mode, z, State(*states[-1]), design)
+def _rows_of(where: Where):
+    return where.slip, where.weight, where.second, where.inputs
 
 
-class Linear(NamedTuple):
-    """A fit linearised, whitened; see :func:`tangents`."""
+def _each(count, one: Callable, z, states):
+    """``one`` of the first ``count`` of some fits, one after the other; nothing of the
+    rest."""
+    shapes = jax.eval_shape(one, z[0], states[0])
+    blank = jax.tree.map(lambda a: jnp.zeros((len(z), *a.shape), a.dtype), shapes)
 
-    residual: Values
-    jacobian: Values
-    columns: Values
-    fields: Values
+    def body(k, found):
+        here = one(z[k], states[k])
+        return jax.tree.map(lambda all, new: all.at[k].set(new), found, here)
 
-
-@partial(jax.jit, static_argnames=("layout", "mode"))
-def tangents(
-    model, layout, mode, z, states, changes: Changes, design: Design
-) -> Linear:
-    """Residual r (m,), J = d force / dz (m, p), T = d force / d amplitude in units of
-    prior scales (m, K), and d force / d field of the state (m, F), all whitened.
-
-    Args:
-        states: (h + 1, F, n) of which the last is the one to linearise at.
-        changes: what each atom does to it.
-    """
-
-    def at(z, flat):
-        mean, _ = forces_of(model, layout, mode, z, State(*flat), design)
-        return -_whitened(mean, design)
-
-    # A row's force depends on its own state alone: one pass back for each channel
-    # serves all fields, and fields all atoms: what those do to them costs next to
-    # nothing.
-    flat = states[-1]
-    value, back = jax.vjp(partial(at, z), flat)
-    each = jnp.repeat(jnp.eye(len(design.observed)), flat.shape[1], axis=1)
-    by_row = jnp.swapaxes(jax.lax.map(lambda one: back(one)[0], each), 0, 1)
-    ahead = partial(jax.jvp, lambda z: at(z, flat), (z,))
-    jacobian = jax.lax.map(lambda e: ahead((e,))[1], jnp.eye(z.size))
-    columns = {
-        effect: jnp.sum(
-            jnp.stack([by_row[None, f] * by[:, None] for f, by in slopes.items()]), 0
-        )
-        for effect, slopes in changes.slopes.items()
-    }
-    if changes.ends:
-        ends = jnp.concatenate([*changes.ends.values()])
-        secants = jax.lax.map(lambda end: at(z, end) - value, ends)
-        secants /= jnp.concatenate([*changes.sizes.values()])[:, None]
-        counts = np.cumsum([len(size) for size in changes.sizes.values()])
-        columns |= zip(changes.ends, jnp.split(secants, counts[:-1]), strict=True)
-    in_order = [columns[k].reshape(-1, value.size) for k in sorted(columns)]
-    fields = by_row.reshape(len(flat), -1)
-    return Linear(-value, jacobian.T, jnp.concatenate(in_order).T, fields.T)
-
-
-@partial(jax.jit, static_argnames=("layout", "mode"))
-def brush_of_base(model, layout, mode, z, design: Design):
-    """(c_p a^2 (n,), mu) of the brush with the base model's slope and peak."""
-    stiffness, mu, _ = _reference(with_values(model, layout.natural(z)), design, mode)
-    return stiffness, mu
-
-
-class Refit(NamedTuple):
-    """One hypothesis refitted: parameters, sum of squares, log determinant of the
-    curvature, covariance of (z, amplitudes in prior scales)."""
-
-    z: Values
-    amplitude: Values
-    chi2: Values
-    log_det: Values
-    covariance: Values
-    penalty: Values
-
-
-_REFIT_STEPS = 26
-"""Steps of a refit, at most."""
-_REFIT_TOLERANCE = 1e-3
-"""Chi-squared that one more step of a refit could still gain: evidence is counted in
-whole units."""
-
-MOST = 64
-"""Hypotheses of one call of :func:`refit_all`."""
-
-_FARTHEST = 20.0
-"""Amplitudes, in prior scales, beyond which no refit goes."""
-
-
-def fill(starts, sets, atoms: int):
-    """Starts (z, amplitudes) and sets of atoms as the arrays of :func:`refit_all`.
-
-    Sets smaller than :data:`MOST_EFFECTS` are filled with an effect that does nothing.
-    """
-    size = MOST_EFFECTS
-    rows = [
-        np.concatenate([z, amplitude, np.zeros(size - len(amplitude))])
-        for z, amplitude in starts
-    ]
-    index = [(*chosen, *[atoms] * (size - len(chosen))) for chosen in sets]
-    return np.array(rows), np.array(index, int)
-
-
-@partial(jax.jit, static_argnames=("layout", "effects", "mode"))
-def refit_all(model, layout, effects, mode, starts, index, keeps, count, design):
-    """Refit hypotheses, by damped Gauss-Newton.
-
-    Args:
-        starts: (h, p + size): z and amplitudes in prior scales.
-        index: (h, size) of the atoms; K stands for none.
-        keeps: (h, n) the rows that count for each, in place of those of the design.
-        count: how many of the h hypotheses are wanted; the rest is skipped.
-    """
-    size = index.shape[1]
-    p = starts.shape[1] - size
-    scale = jnp.append(design.prior_scale, 0.0)
-    centers = jnp.append(design.prior_center, 0.0)
-    lowest = jnp.maximum(jnp.append(design.low, -_FARTHEST), -_FARTHEST)
-    highest = jnp.minimum(jnp.append(design.high, _FARTHEST), _FARTHEST)
-
-    def one(start, index, keep):
-        low, high = lowest[index], highest[index]
-
-        def pull(amplitude):
-            return amplitude - centers[index]
-
-        def whole(x):
-            present = Present(index, x[p:] * scale[index])
-            state = state_of(effects, present, design.rows)
-            mean, _ = forces_of(model, layout, mode, x[:p], state, design)
-            misfit = _whitened(mean, design._replace(keep=keep.astype(float)))
-            held = design.hold * (x[:p] - start[:p])
-            return jnp.concatenate([misfit, pull(x[p:]), held])
-
-        def allowed(x):
-            return jnp.concatenate([x[:p], jnp.clip(x[p:], low, high)])
-
-        return _refit(whole, pull, allowed, allowed(start), p)
-
-    def body(number, refits):
-        here = one(starts[number], index[number], keeps[number])
-        return jax.tree.map(lambda all, x: all.at[number].set(x), refits, here)
-
-    h, width = starts.shape
-    shapes = ((p,), (size,), (), (), (width, width), ())
-    blank = Refit(*(jnp.full((h, *shape), jnp.nan) for shape in shapes))
     return jax.lax.fori_loop(0, count, body, blank)
 
 
-def _refit(whole, pull, allowed, start, p: int) -> Refit:
-    """One hypothesis; ``pull`` (size,) of the amplitudes' prior is part of it."""
+@partial(jax.jit, static_argnames=("layout", "mode"))
+def forces_of(model, layout, mode: str, z, states, count, where: Where):
+    """Mean and variance over the latent slip of the forces of some fits: (b, C, n).
 
-    def residual(x):
-        values = whole(x)
-        return values, jnp.ones_like(values)
+    Args:
+        model, layout: the base model and where in z its free parameters stand.
+        mode: which slip drives: x, y or xy.
+        z, states: (b, p), and the states (b, F, n) with effects.
+        count: how many of them are wanted; the rest is skipped.
+    """
+    row = jax.vmap(
+        _mean_and_spread(model, layout, mode, where), (None, 0, 0, 0, 0, 0, 0)
+    )
 
-    end = damped_gauss_newton(
-        residual, start, allowed=allowed, max_steps=_REFIT_STEPS,
-        relative=0.0, absolute=_REFIT_TOLERANCE,
-    )  # fmt: skip
-    penalty = jnp.sum(pull(end.z[p:]) ** 2)
-    # A parameter at its bound has no curvature; what is left of it cancels.
-    identity = jnp.eye(start.size)
-    curvature = end.normal + FLAT * identity
-    return Refit(
-        end.z[:p], end.z[p:], end.cost - penalty, jnp.linalg.slogdet(curvature)[1],
-        jnp.linalg.solve(curvature, identity), penalty,
-    )  # fmt: skip
+    def one(z, state):
+        carrier = _carrier(model, layout, mode, z, where)
+        mean, spread = row(z, carrier, State(*state), *_rows_of(where))
+        offset = jnp.stack([*where.offset.values()])
+        return jnp.stack(mean) + offset, jnp.stack(spread)
+
+    return _each(count, one, z, states)
+
+
+@partial(jax.jit, static_argnames=("layout", "mode"))
+def slopes_of(model, layout, mode: str, z, states, count, where: Where):
+    """Mean forces (b, C, n) of some fits and their slopes by z (b, C, p, n) and by the
+    fields of the state (b, C, F, n); arguments as those of :func:`forces_of`.
+
+    A row's force depends on z and its own state alone: one pass back for each channel
+    serves all of them, with a z for every row.
+    """
+    row = jax.vmap(_mean_and_spread(model, layout, mode, where))
+
+    def one(z, state):
+        def mean(z, carrier, state):
+            found, _ = row(z, carrier, State(*state), *_rows_of(where))
+            return jnp.stack(found)
+
+        def carried(z):
+            return _carrier(model, layout, mode, z, where)
+
+        spread = jnp.broadcast_to(z, (state.shape[1], z.size))
+        value, back = jax.vjp(mean, spread, carried(z), state)
+        each = jnp.repeat(jnp.eye(len(value)), state.shape[1], axis=1)
+        each = each.reshape(len(value), len(value), -1)
+        by_z, by_carrier, by_field = jax.lax.map(back, each)
+        by_z = jnp.swapaxes(by_z, 1, 2)
+        if by_carrier is not None:
+            ahead = partial(jax.jvp, carried, (z,))
+            moved = jax.lax.map(lambda e: ahead((e,))[1], jnp.eye(z.size))
+            for by, change in zip(by_carrier, moved, strict=True):
+                by_z += by[:, None, :] * change[None]
+        return value + jnp.stack([*where.offset.values()]), by_z, by_field
+
+    return _each(count, one, z, states)
+
+
+@partial(jax.jit, static_argnames=("layout", "mode"))
+def brush_of_base(model, layout, mode, z, where: Where):
+    """(c_p a^2 (n,), mu) of the brush with the base model's slope and peak."""
+    stiffness, mu, _ = _reference(with_values(model, layout.natural(z)), where, mode)
+    return stiffness, mu

@@ -20,7 +20,6 @@ from tirefit.diagnosis.evidence.search import (
     PRIOR_OF_UNKNOWN,
     Hypothesis,
     Search,
-    amplitudes_of,
 )
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.basis import of_any_kind
@@ -70,12 +69,16 @@ class Weighed:
     @cached_property
     def sets(self) -> dict[Key, float]:
         """Probability of every set, and of nothing else."""
-        return {k: float(np.exp(v - self.log_total)) for k, v in self.log_weight.items()}
+        return {
+            k: float(np.exp(v - self.log_total)) for k, v in self.log_weight.items()
+        }
 
     @cached_property
     def beside(self) -> dict[Key, float]:
         """Probability of the leading sets, each with a discrepancy beside it."""
-        return {k: float(np.exp(v - self.log_total)) for k, v in self.log_beside.items()}
+        return {
+            k: float(np.exp(v - self.log_total)) for k, v in self.log_beside.items()
+        }
 
     @property
     def unlisted(self) -> float:
@@ -94,6 +97,11 @@ class Weighed:
         some = {k: p for k, p in self.listed.items() if k}
         held = sum(p for k, p in some.items() if set(effects) <= set(k))
         return held / max(sum(some.values()), NONZERO)
+
+    def holding_beside(self, effects) -> float:
+        """Probability of the sets that hold these effects, with a discrepancy."""
+        held = sum(p for k, p in self.beside.items() if set(effects) <= set(k))
+        return held / max(sum(self.beside.values()), NONZERO)
 
     def listed_given_gap(self, key: Key) -> float:
         """Probability of exactly this set, on the same terms."""
@@ -125,9 +133,6 @@ def weigh(search: Search) -> Weighed:
     nothing = linear_at(search.base, best[()])
     of_nothing = due_to_doubt(search.base, best[()], nothing)
     among = dict.fromkeys([*ranked[:_FREED], *_simplest(total, _SINGLES), ()])
-    search.base.begin_linearised(
-        (best[key].z, amplitudes_of(search.base, best[key])) for key in among
-    )
     for key in among:
         linear = linear_at(search.base, best[key])
         if linear.forms.shape[1] and len(key) < MOST_EFFECTS:
@@ -173,5 +178,3 @@ def _simplest(total, count: int):
     """Single effects, the most probable first."""
     singles = sorted((k for k in total if len(k) == 1), key=total.get, reverse=True)
     return singles[:count]
-
-

@@ -211,8 +211,7 @@ class _Searcher:
                 starts.append((z, amplitude))
                 index.append(atoms)
                 owner.append(number)
-        # What the fits leave is held against these functions in any case.
-        every = self.base.refit(starts, index, meanwhile=lambda: self.base.generic)
+        every = self.base.refit(starts, index)
         for number, atoms in enumerate(sets):
             mine = [k for k, o in enumerate(owner) if o == number]
             total = every.chi2[mine] + every.penalty[mine]

@@ -1,36 +1,33 @@
 """A base model with all effects, looked at on any design, and the force that it has."""
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from tirefit.diagnosis.effects import Effect
-from tirefit.diagnosis.evidence.changes import (
-    changes_of,
-    count_atoms,
-    present_in,
-    states_of,
-)
+from tirefit.diagnosis.evidence.changes import Library, count_atoms, library_of
 from tirefit.diagnosis.evidence.forward import (
-    MOST,
     Design,
     Linear,
-    Refit,
-    fill,
-    moments,
-    refit_all,
-    tangents,
+    Where,
+    brush_of_base,
+    forces_of,
+    slopes_of,
 )
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.fitting.layout import Layout
 from tirefit.models import AbstractTire
 from tirefit.padding import pad_rows
 
+_AT_ONCE, _MOST_ROWS = 16, 2**14
+"""Fits of one call of a program, and rows of all of them together, at most."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Tire:
-    """A base model with all effects: what can be looked at on any design.
+    """A base model with all effects, a :class:`forward.ForwardModel`.
 
     ``mode`` says which slip drives, ``layout`` where in z each parameter stands.
     """
@@ -40,55 +37,118 @@ class Tire:
     effects: tuple[Effect, ...]
     mode: str
 
+    @cached_property
+    def library(self) -> Library:
+        return library_of(self.effects)
+
+    def _run(self, program, points, states, design: Design) -> Iterator:
+        """What a program gives for z (h, p) and the states (F, n) of fits, one by one;
+        the next states are made while JAX works on the last."""
+        size, where, waiting = len(design.keep), Where.of(design), None
+        room = int(np.clip(_MOST_ROWS // size, 1, _AT_ONCE))
+        for first in range(0, len(points), room):
+            some = points[first : first + room]
+            several = np.stack([next(states) for _ in some])
+            z, several = (_filled(part, room) for part in (some, several))
+            tire = self.model, self.layout, self.mode
+            found = program(*tire, z, several, len(some), where)
+            if waiting is not None:
+                yield from _one_by_one(*waiting)
+            waiting = found, len(some)
+        if waiting is not None:
+            yield from _one_by_one(*waiting)
+
     def moments(self, z, amplitudes, design: Design, n: int):
         """Mean force and its variance over the slip of the first n rows, by channel."""
-        states = states_of(self.effects, amplitudes, design.rows)
-        both = moments(self.model, self.layout, self.mode, z, states, design)
-        return tuple({c: np.asarray(x)[:n] for c, x in part.items()} for part in both)
-
-    def refitted(self, z, design: Design) -> Refit:
-        """Its own parameters refitted, without effects, from z."""
-        return self.refit([(z, np.zeros(0))], [()], design)
-
-    def refit(
-        self, starts, sets, design: Design, meanwhile: Callable = lambda: None
-    ) -> Refit:
-        """Hypotheses refitted: ``starts`` are (z, amplitudes in prior scales) of each
-        of the ``sets`` of atoms; ``meanwhile`` is done while JAX refits."""
-        every = self.refit_folds(starts, sets, [design.keep], design, meanwhile)
-        return Refit(*(values[0] for values in every))
-
-    def refit_folds(
-        self, starts, sets, keeps, design: Design, meanwhile: Callable = lambda: None
-    ) -> Refit:
-        """The same on each of the sets of rows ``keeps`` (f, n), 0 or 1, in the place
-        of that of the design: leading axes (f, sets)."""
-        starts, index = fill(starts, sets, count_atoms(self.effects))
-        fold, mine = np.divmod(np.arange(len(keeps) * len(sets)), len(sets))
-        keeps = np.asarray(keeps) > 0
-        tire, parts = (self.model, self.layout, self.effects, self.mode), []
-        for first in range(0, len(mine), MOST):
-            jobs = np.arange(first, min(first + MOST, len(mine)))
-            # The first ones again, up to one shape: one program.
-            own, which = mine[np.resize(jobs, MOST)], fold[np.resize(jobs, MOST)]
-            arrays = starts[own], index[own], keeps[which], len(jobs)
-            parts.append((len(jobs), refit_all(*tire, *arrays, design)))
-        meanwhile()
-        shape = len(keeps), len(sets)
-        found = (
-            np.concatenate([np.asarray(refit[k])[:count] for count, refit in parts])
-            for k in range(len(Refit._fields))
+        state = self.library.state(_present(amplitudes), design.rows)
+        points, states = np.asarray(z)[None], iter([state])
+        both = next(self._run(forces_of, points, states, design))
+        channels = sorted(design.observed)
+        return tuple(
+            {c: x[:n] for c, x in zip(channels, part, strict=True)} for part in both
         )
-        return Refit(*(values.reshape(*shape, *values.shape[1:]) for values in found))
 
-    def linearised(self, z, amplitudes, design: Design) -> Linear:
-        """All rows linearised in everything."""
-        rows, present = design.rows, present_in(amplitudes)
-        states = states_of(self.effects, amplitudes, rows)
+    def brush(self, z, design: Design):
+        """(c_p a^2 (n,), mu) of the brush of its slope and peak."""
+        where = Where.of(design)
+        return brush_of_base(self.model, self.layout, self.mode, z, where)
+
+    def linearised(self, z, amplitudes, design: Design, n: int) -> Linear:
+        """The first n rows linearised in everything."""
+        present, rows, points = _present(amplitudes), design.rows, np.asarray(z)[None]
+        state = self.library.state(present, rows)
         scale, center = design.prior_scale, design.prior_center
-        changes = changes_of(self.effects, states, present, rows, scale, center)
-        tire = self.model, self.layout, self.mode
-        return tangents(*tire, z, states, changes, design)
+        changes = self.library.changes(present, rows, scale, center)
+        mean, by_z, fields = next(self._run(slopes_of, points, iter([state]), design))
+        weight, observed = design.weights(), design.forces
+        columns = np.zeros((count_atoms(self.effects), *mean.shape))
+        for atom, slopes in changes.slopes.items():
+            columns[atom] = _along(fields, slopes, scale[atom])
+        if changes.ends:
+            points = np.repeat(points, len(changes.ends), axis=0)
+            ends = self._run(forces_of, points, iter(changes.ends.values()), design)
+            for (atom, size), (far, _) in zip(changes.sizes.items(), ends, strict=True):
+                columns[atom] = (far - mean) / size
+
+        def flat(values):
+            """Of the first n rows, whitened, from (..., C, n)."""
+            values = (values * weight)[..., :n]
+            return np.ascontiguousarray(values.reshape(*values.shape[:-2], -1).T)
+
+        return Linear(
+            flat(observed - mean), flat(np.swapaxes(by_z, 0, 1)), flat(columns),
+            flat(np.swapaxes(fields, 0, 1)),
+        )  # fmt: skip
+
+    def slopes(self, points, sets, design: Design) -> Iterator:
+        """Of each hypothesis the mean forces (C, n), and their slopes by z and by the
+        amplitudes in prior scales of its atoms (p + k, C, n).
+
+        Args:
+            points: (h, p + k) or wider, z and amplitudes.
+            sets: atoms of each.
+        """
+        p, scale, by_amplitude = self.layout.size, design.prior_scale, []
+
+        def states():
+            for point, atoms in zip(points, sets, strict=True):
+                sizes = point[p : p + len(atoms)] * scale[list(atoms)]
+                present = list(zip(atoms, sizes.tolist(), strict=True))
+                state, slopes = self.library.slopes(present, design.rows)
+                by_amplitude.append(slopes)
+                yield state
+
+        found = self._run(slopes_of, points[:, :p], states(), design)
+        for atoms, (mean, by_z, by_field) in zip(sets, found, strict=True):
+            columns = np.empty((p + len(atoms), *mean.shape))
+            columns[:p] = np.swapaxes(by_z, 0, 1)
+            each = zip(columns[p:], atoms, by_amplitude.pop(0), strict=True)
+            for column, atom, slopes in each:
+                column[:] = _along(by_field, slopes, scale[atom])
+            yield mean, columns
+
+
+def _present(amplitudes) -> list[tuple[int, float]]:
+    """The atoms that amplitudes of all (K,), in their own units, have."""
+    return [(int(k), float(amplitudes[k])) for k in np.flatnonzero(amplitudes)]
+
+
+def _filled(values: np.ndarray, count: int) -> np.ndarray:
+    """Up to ``count``, of one shape: one program."""
+    room = np.zeros((count, *values.shape[1:]))
+    room[: len(values)] = values
+    return room
+
+
+def _one_by_one(found, count: int) -> Iterator:
+    """Of each of the first ``count`` fits, what a program gave."""
+    parts = [np.asarray(part) for part in found]
+    yield from (tuple(part[k] for part in parts) for k in range(count))
+
+
+def _along(by_field, slopes, size: float) -> np.ndarray:
+    """Slopes of the forces (C, n) where the fields of the state change by these."""
+    return sum(by_field[:, field] * (size * slope) for field, slope in slopes.items())
 
 
 def with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:

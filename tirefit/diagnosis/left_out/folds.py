@@ -21,13 +21,14 @@ _LEAST_ROWS = 12
 
 class Folds(NamedTuple):
     """``code`` (n,) is the fold of each row, -1 for a row that is never left out;
-    ``on`` names the parts for the report."""
+    ``on`` names the parts for the report; ``across_runs``: they are whole runs."""
 
     code: np.ndarray
     on: str
+    across_runs: bool = False
 
     @property
-    def count(self) -> int:
+    def number(self) -> int:
         return int(self.code.max()) + 1
 
 
@@ -46,7 +47,7 @@ def folds_of(prepared: Prepared, rows_each: float, across_runs: bool = True) -> 
         code = np.full(prepared.n, -1)
         for number, run in enumerate(runs):
             code[prepared.run == run] = number
-        return Folds(code, f"{len(runs)} runs, each left out in turn")
+        return Folds(code, f"{len(runs)} runs, each left out in turn", True)
     most = int(prepared.n // max(_LEAST_ROWS, 4 * rows_each))
     count = max(min(_BLOCKS, most), 2)
     if prepared.time is not None and not prepared.random_order:
@@ -64,7 +65,7 @@ def _in_parts(order: np.ndarray, count: int) -> np.ndarray:
 
 
 def _settings(prepared: Prepared, count: int) -> Folds:
-    """Combinations of load and speed; of a single one, interleaved parts of the slip."""
+    """Combinations of load and speed; of a single one, parts of the slip range."""
     loads, speeds = levels(prepared.inputs.fz), levels(prepared.covariates.v)
     code = np.zeros(prepared.n, int)
     for found in (loads, speeds):

@@ -8,8 +8,10 @@ from tirefit.diagnosis.evidence.posterior import Key
 from tirefit.diagnosis.left_out.predicted import Predicted
 from tirefit.diagnosis.negligible import NONZERO
 
-SMOOTH, NOISE = "anything smooth", "noise"
-"""The last two steps of a ladder: what the discrepancy closes, and the noise floor."""
+SMOOTH: Key = ("anything smooth",)
+NOISE: Key = ("noise",)
+"""``Step.effects`` of the last two steps of a ladder: what the discrepancy closes, and
+the noise floor."""
 
 
 class Gain(NamedTuple):
@@ -56,6 +58,10 @@ class Ladder(NamedTuple):
     steps: tuple[Step, ...] = ()
 
 
+_UNRESOLVED = 0.01
+"""Gap over the noise, in energy, below which none is resolved."""
+
+
 def _error(parts) -> float:
     """Standard error of a sum of independent parts (F,)."""
     return float(np.sqrt(len(parts)) * np.std(parts, ddof=1))
@@ -78,8 +84,9 @@ def _closed(out: Predicted, after, before, floor: float) -> tuple[float, float]:
     share = out.rows / out.rows.sum()
 
     def closed(share):
-        gap = max(float(share @ before) - floor, NONZERO)
-        return 1 - np.sqrt(max(float(share @ after) - floor, 0.0) / gap)
+        gap = max(float(share @ before) - floor, _UNRESOLVED * floor, NONZERO)
+        left = max(float(share @ after) - floor, 0.0)
+        return float(np.clip(1 - np.sqrt(left / gap), -1.0, 1.0))
 
     count = len(share)
     each = []
@@ -90,14 +97,13 @@ def _closed(out: Predicted, after, before, floor: float) -> tuple[float, float]:
     return float(closed(share)), float(np.sqrt(spread))
 
 
-def ladder_of(out: Predicted, key: Key, smooth, floor: float) -> Ladder:
+def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
     """The steps from no effect to a set of effects, then what anybody could close.
 
     Each step adds the effect that predicts the rows left out best.
 
     Args:
         key: the named effects; the step to a set that was not refitted is left out.
-        smooth: (F,) mean square [N^2] of what the discrepancy misses.
         floor: mean square of the noise of the first channel [N^2].
     """
     share = out.rows / out.rows.sum()
@@ -114,11 +120,11 @@ def ladder_of(out: Predicted, key: Key, smooth, floor: float) -> Ladder:
         steps.append(_step(order, out, at[best], at[now], at[()], floor))
         now = best
     last = out.loss[:, at[now]]
-    for name, losses in ((SMOOTH, smooth), (NOISE, np.full(len(share), floor))):
+    for name, losses in ((SMOOTH, out.smooth), (NOISE, np.full(len(share), floor))):
         closed = _closed(out, losses, out.loss[:, at[()]], floor)
         parts = share * (last - losses)
         rms = float(np.sqrt(share @ losses))
-        steps.append(Step((name,), rms, *closed, float(parts.sum()), _error(parts)))
+        steps.append(Step(name, rms, *closed, float(parts.sum()), _error(parts)))
     return Ladder(out.on, tuple(steps))
 
 

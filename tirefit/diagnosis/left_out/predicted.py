@@ -14,20 +14,23 @@ from tirefit.diagnosis.rows.basis import SCALES
 
 
 class Predicted(NamedTuple):
-    """Sets of effects fitted without each fold and judged on it; ``on`` names the folds.
+    """Sets of effects fitted without each fold and judged on it.
 
-    ``loss`` (F, S) is the mean square [N^2] of what set s misses of the first channel
-    in fold f, ``whitened`` (F, S) the sum of squares of all channels over the noise,
-    ``rows`` (F,) of the fold, ``amplitude`` the effects' own as refitted, by set:
-    (F, k), in prior scales.
+    ``on`` names the folds, ``across_runs`` says that they are whole runs. ``loss``
+    (F, S) is the mean square [N^2] of what set s misses of the first channel in fold f,
+    ``whitened`` (F, S) the sum of squares of all channels over the noise, ``rows`` (F,)
+    of the fold, ``amplitude`` the effects' own as refitted, by set: (F, k), in prior
+    scales. ``smooth`` (F,) is the loss of anything smooth.
     """
 
     on: str
+    across_runs: bool
     effects: tuple[tuple[str, ...], ...]
     loss: np.ndarray
     whitened: np.ndarray
     rows: np.ndarray
     amplitude: tuple[np.ndarray, ...]
+    smooth: np.ndarray
 
 
 def predicted(base: Base, sets: Sequence[Hypothesis], folds: Folds) -> Predicted:
@@ -35,10 +38,10 @@ def predicted(base: Base, sets: Sequence[Hypothesis], folds: Folds) -> Predicted
     n, main = base.rows.n, base.rows.channels[0]
     keep = np.asarray(base.design.keep)[:n] > 0
     starts, atoms = [(h.z, h.amplitude) for h in sets], [h.atoms for h in sets]
-    outs = [folds.code == fold for fold in range(folds.count)]
+    outs = [folds.code == fold for fold in range(folds.number)]
     refit = base.refit_folds(starts, atoms, [~out for out in outs])
-    loss = np.empty((folds.count, len(sets)))
-    whitened, rows = np.empty_like(loss), np.empty(folds.count, int)
+    loss = np.empty((folds.number, len(sets)))
+    whitened, rows = np.empty_like(loss), np.empty(folds.number, int)
     for f, out in enumerate(outs):
         good = out & keep if (out & keep).any() else out
         rows[f] = good.sum()
@@ -48,13 +51,16 @@ def predicted(base: Base, sets: Sequence[Hypothesis], folds: Folds) -> Predicted
             missed = {c: (base.rows.observed[c] - x)[good] for c, x in forces.items()}
             loss[f, k] = np.mean(missed[main] ** 2)
             whitened[f, k] = sum(
-                np.sum((m / np.asarray(base.design.scale[c])[:n][good]) ** 2)
+                float(np.sum((m / np.asarray(base.design.scale[c])[:n][good]) ** 2))
                 for c, m in missed.items()
             )
-    amplitude = refit.amplitude
-    own = tuple(amplitude[:, k, : len(h.atoms)] for k, h in enumerate(sets))
+    amplitude = np.asarray(refit.amplitude)
+    sizes_of = tuple(amplitude[:, k, : len(h.atoms)] for k, h in enumerate(sets))
     names = tuple(tuple(sorted(h.effects)) for h in sets)
-    return Predicted(folds.on, names, loss, whitened, rows, own)
+    smooth = smooth_predicted(base, folds)
+    return Predicted(
+        folds.on, folds.across_runs, names, loss, whitened, rows, sizes_of, smooth
+    )
 
 
 def smooth_predicted(base: Base, folds: Folds) -> np.ndarray:
@@ -69,7 +75,7 @@ def smooth_predicted(base: Base, folds: Folds) -> np.ndarray:
     keep = np.asarray(base.design.keep)[:n] > 0
     scale, losses = np.asarray(base.design.scale[main])[:n], []
     channels = len(base.rows.channels)
-    for fold in range(folds.count):
+    for fold in range(folds.number):
         out = folds.code == fold
         inside = np.tile(keep & ~out, channels)
         good = keep & out if (keep & out).any() else out

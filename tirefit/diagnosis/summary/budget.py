@@ -71,7 +71,7 @@ def budgets_of(case, rows, generator) -> dict[str, tuple[Part, ...]]:
     """Parts of the energy of every channel: parameters (of a simulator), each named
     effect, unexplained, noise; their shares add to one. ``rows`` holds by channel
     ``extended`` (n,), the force of the verdict of a ``Case``."""
-    missed = _missed(case.base, case.verdict.chosen)
+    missed = _missed(case.base, case.chosen)
     return {
         channel: _budget(case, channel, missed[channel], parts["extended"], generator)
         for channel, parts in rows.items()
@@ -79,7 +79,7 @@ def budgets_of(case, rows, generator) -> dict[str, tuple[Part, ...]]:
 
 
 def _budget(case, channel: str, missed, extended, generator) -> tuple[Part, ...]:
-    base, chosen = case.base, case.verdict.chosen
+    base, chosen = case.base, case.chosen
     noise = base.noise[channel]
     players = ((PARAMETERS,) if base.simulator else ()) + chosen.atoms
     whole = missed[()] ** 2
@@ -155,7 +155,7 @@ def _spread(case, widening: float) -> np.ndarray:
     """Standard errors (p,) of the parameters z beside the verdict's effects: of the
     mixture of the fits of all sets, each by its probability, and no less than that of
     the verdict's own fit. The slips are as unsure as ``Base.doubt``."""
-    base, chosen, listed = case.base, case.verdict.chosen, case.weighed.listed
+    base, chosen, listed = case.base, case.chosen, case.weighed.listed
     each, p = [case.weighed.best_of[key] for key in listed], len(chosen.z)
     linear = base.linearised(chosen.z, amplitudes_of(base, chosen))
     columns = [linear.jacobian, linear.columns[:, list(chosen.atoms)]]
@@ -172,7 +172,7 @@ def parameter_changes(case, widening: float) -> Mapping[str, Change]:
     """The simulator's parameters as given, and as the data have them beside the effects
     of the verdict; empty where a form was fitted. ``widening`` is a factor on the
     variances, as for amplitudes."""
-    base, z, changes = case.base, np.asarray(case.verdict.chosen.z), {}
+    base, z, changes = case.base, np.asarray(case.chosen.z), {}
     if base.simulator is None:
         return {}
     values, spread = base.layout.vector, _spread(case, widening)

@@ -63,7 +63,7 @@ def plausible_forces(case, generator) -> dict[str, np.ndarray]:
     channel. Each is of one set of effects, by its probability in a ``Case``, with an
     error of its parameters and a discrepancy."""
     base, weighed, at = case.base, case.weighed, case.base.measured
-    beside = weighed.unknown_beside | {(): weighed.unknown_alone}
+    beside = weighed.beside
     total = {key: alone + beside.get(key, 0.0) for key, alone in weighed.sets.items()}
     likely = sorted(total, key=lambda key: -total[key])[:_SETS]
     chances = np.array([total[key] for key in likely])

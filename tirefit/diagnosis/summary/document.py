@@ -1,27 +1,22 @@
 """What is said of one file: the document of a diagnosis and its rows."""
 
 import importlib.metadata
-from dataclasses import replace
 
 import numpy as np
 
-from tirefit.diagnosis.decide.calibrated import as_often_right
-from tirefit.diagnosis.decide.case import Case
-from tirefit.diagnosis.decide.chances import (
-    chance_of_unknown,
-    chance_of_unlisted,
-    chances,
-)
-from tirefit.diagnosis.decide.conclusion import bound_by, look_of_rest
-from tirefit.diagnosis.decide.standing import widening
-from tirefit.diagnosis.decide.verdict import Verdict
+from tirefit.diagnosis.decide.calibration import as_often_right
+from tirefit.diagnosis.decide.findings import floor_of
+from tirefit.diagnosis.decide.remainder import widening
+from tirefit.diagnosis.decide.verdict import Status, Verdict
 from tirefit.diagnosis.evidence.base import Base, on_rows
+from tirefit.diagnosis.evidence.fast_waves import with_fast_waves
 from tirefit.diagnosis.evidence.linear_fit import fitted_form, linear_at
 from tirefit.diagnosis.evidence.runs import offsets_of_runs
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
-from tirefit.diagnosis.left_out.holdout import held_out
+from tirefit.diagnosis.left_out.ladder import ladder_of
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.basis import located, without
+from tirefit.diagnosis.rows.patterns import looks
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.summary.budget import (
     budgets_of,
@@ -29,23 +24,23 @@ from tirefit.diagnosis.summary.budget import (
     parameter_changes,
     simulator_summary,
 )
-from tirefit.diagnosis.summary.closure import Closure, closure_on_rows, plausible_forces
+from tirefit.diagnosis.summary.case import Case
+from tirefit.diagnosis.summary.closure import (
+    Closure,
+    closure_on_rows,
+    plausible_forces,
+)
 from tirefit.diagnosis.summary.forecast import confusion, next_measurements
+from tirefit.diagnosis.summary.holdout import held_out
 from tirefit.diagnosis.summary.records import (
-    NOISE,
-    SMOOTH,
     Amplitude,
     Candidate,
-    Each,
     Gap,
     HeldOut,
-    Ladder,
     Left,
     NoiseSummary,
     Resolution,
     Shrinkage,
-    Status,
-    Step,
     VerdictSummary,
 )
 from tirefit.diagnosis.summary.result import Diagnosis
@@ -60,6 +55,9 @@ from tirefit.diagnosis.summary.where import data_summary, parameter_map, regions
 
 _LISTED, _MENTIONED = 10, 1e-3
 """Candidates that are listed, at most; probability from which the unknown is one."""
+
+_SHOWN = 0.05
+"""Probability of a shape of the remainder from which it is reported."""
 
 _SEEN = 3.3
 """Standard errors of an amplitude that is seen four times in five: 0.84 beyond 2.46,
@@ -90,21 +88,17 @@ def document_of(
     # Everything random is drawn in this order: true forces, held-out data, budget.
     believed, main = _rows(case, base), prepared.channels[0]
     truth = plausible_forces(case, generator)
-    gaps, held = _gaps(case, rows, truth), held_out(case, holdout, rig, generator)
-    bound = _bound(case, gaps[main].closed, held, bool(holdout))
-    if bound.status != case.verdict.status:
-        other = replace(case, verdict=bound), whole, settings, library, holdout
-        return document_of(*other, generator, model, seed)
-    case = _as_often_right(case)
-    verdict, candidates = case.verdict, _candidates(case, rows, truth)
-    gap, curves = _gap(case, gaps, held), _what_is_left(case)
-    budgets = budgets_of(case, believed, generator)
+    ladder = ladder_of(case.predicted, case.verdict.key, floor_of(base))
+    held = held_out(case, holdout, rig, ladder, generator)
+    verdict, gaps = case.verdict, _gaps(case, rows, truth)
+    candidates, gap = _candidates(case, rows, truth), _gap(case, gaps, held)
+    budgets, curves = budgets_of(case, believed, generator), _what_is_left(case)
     said = _verdict(case, curves, gap)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
     shown = shown_rows(base, rows[main])
     noise = _noise(case)
     # Whether a simulator's parameters explain all that there is.
-    tuned_alone = base.simulator is not None and verdict.status == "none"
+    tuned_alone = base.simulator is not None and verdict.status == Status.NONE
     return Diagnosis(
         data=data_summary(data, base, rig),
         model=model,
@@ -119,7 +113,7 @@ def document_of(
         spots=spots(base, _missed(base), shown.gap),
         map=tuple(parameter_map(base)),
         verdict=said,
-        ladder=_ladder(case, gap, rows),
+        ladder=ladder,
         candidates=candidates,
         untestable=tuple(case.untestable),
         resolution=_resolution(case),
@@ -127,9 +121,9 @@ def document_of(
         next_measurement=steps,
         next_measurement_reason=reason,
         slip_check=case.slip_check,
-        runs=offsets_of_runs(base, verdict.chosen),
+        runs=offsets_of_runs(base, case.chosen),
         base_parameters=_base_parameters(base, base.as_given),
-        extended_parameters=_base_parameters(base, verdict.chosen.z),
+        extended_parameters=_base_parameters(base, case.chosen.z),
         settings=settings,
         seed=seed,
         version=importlib.metadata.version("tirefit"),
@@ -150,28 +144,18 @@ def _missed(base: Base) -> np.ndarray:
     return whole[: base.prepared.n]
 
 
-def _bound(case: Case, closed: float | None, held: HeldOut | None, on_files: bool):
-    """The verdict that the figures on rows left out allow.
-
-    A simulator is not refitted for its own side of the comparison: on a regime left
-    out, its parameters' extrapolation would be held against the effects.
-    """
-    is_fair = case.base.simulator is None or on_files
-    return bound_by(case.verdict, case.weighed, closed, held if is_fair else None)
-
-
 def _rows(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
     """Base, extended, located gap and its deviation, canonical, used rows.
 
     Args:
         at: the base fit at the slips that the forces are wanted for.
     """
-    base, verdict = case.base, case.verdict
+    base = case.base
     before = at.forces(base.as_given, base.amplitudes())
     tuned = at.forces(base.z, base.amplitudes()) if base.simulator else {}
-    after = at.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
+    after = at.forces(case.chosen.z, amplitudes_of(base, case.chosen))
     smooth, deviation = _smoothed_remainder(case)
-    form = _form_part(case, verdict.chosen)
+    form = _form_part(case, case.chosen)
     forces, n = {}, base.prepared.n
     for k, channel in enumerate(base.prepared.channels):
         scale = np.asarray(base.design.scale[channel])[:n]
@@ -198,7 +182,7 @@ def _form_part(case: Case, hypothesis: Hypothesis) -> np.ndarray:
 def _smoothed_remainder(case: Case):
     """Whitened generic remainder of the chosen fit and the deviation of the located
     gap, (m,) each; no remainder where a verdict explains all."""
-    base, chosen = case.base, case.verdict.chosen
+    base, chosen = case.base, case.chosen
     residual, jacobian, tangent, _ = base.linearised(
         chosen.z, amplitudes_of(base, chosen)
     )
@@ -209,7 +193,7 @@ def _smoothed_remainder(case: Case):
     if base.simulator:  # its gap has the parameters in it
         moved = np.concatenate([jacobian, own], axis=1)
         variance = np.einsum("mi,ij,mj->m", moved, chosen.covariance, moved)
-    if case.verdict.status in ("named", "cannot_tell"):
+    if case.verdict.status in (Status.NAMED, Status.CANNOT_TELL):
         return np.zeros(len(residual)), np.sqrt(np.maximum(variance, 0))
     used_up = np.concatenate([jacobian, own], axis=1)
     smooth, unsure = located(base.generic, used_up, residual)
@@ -224,7 +208,7 @@ def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
     """
     base, verdict, gaps = case.base, case.verdict, {}
     for channel, parts in rows.items():
-        silent = verdict.status == "unknown" and not base.simulator
+        silent = verdict.status == Status.UNKNOWN and not base.simulator
         extended = parts["base"] if silent else parts["extended"]
         noise = base.noise[channel]
         closure = closure_on_rows(
@@ -237,12 +221,12 @@ def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
 
 def _shrinkage(closure: Closure, verdict: Verdict, base: Base) -> Shrinkage:
     # The parameters of a simulator close a part whatever the verdict on effects is.
-    silent = verdict.status in ("none", "unknown") and not base.simulator
+    silent = not verdict.status.names and not base.simulator
     closed = 0.0 if silent else closure.closed
     return Shrinkage(
         rms=closure.rms,
         resolvable=closure.resolvable
-        and (verdict.status != "none" or base.simulator is not None),
+        and (verdict.status != Status.NONE or base.simulator is not None),
         closed=closed if closed is None else float(np.clip(closed, 0.0, 1.0)),
         closed_ci=(0.0, 0.0) if silent else (closure.low, closure.high),
         remaining_rms=closure.rms if silent else closure.remaining,
@@ -250,14 +234,12 @@ def _shrinkage(closure: Closure, verdict: Verdict, base: Base) -> Shrinkage:
 
 
 def _gap(case: Case, gaps: dict[str, Shrinkage], holdout: HeldOut | None) -> Gap:
-    base, verdict = case.base, case.verdict
-    named = verdict.status not in ("none", "unknown")
+    base, named = case.base, case.verdict.status.names
     return Gap(
         **vars(gaps[base.prepared.channels[0]]),
-        p_value=verdict.p_value,
         channels=gaps,
         holdout=holdout,
-        shares=closed_by_each(base, verdict.chosen) if named else {},
+        shares=closed_by_each(base, case.chosen) if named else {},
     )
 
 
@@ -276,79 +258,46 @@ def _noise(case: Case) -> NoiseSummary:
     )
 
 
-def _as_often_right(case: Case) -> Case:
-    """The same, its verdict as sure as such verdicts were right."""
-    verdict = case.verdict
-    status = "noise" if case.on_the_noise else verdict.status
-    probability = as_often_right(status, verdict.probability)
-    return replace(case, verdict=replace(verdict, probability=probability))
-
-
 def _what_is_left(case: Case) -> tuple[LookCurve, ...]:
-    """What a remainder looks like, drawn; the likeliest first."""
-    verdict, base = case.verdict, case.base
-    alike = look_of_rest(verdict, base, case.weighed)
-    return tuple(look_curve(verdict, base, look) for look in alike)
+    """The shapes that the remainder resembles, the likeliest first; none where nothing
+    unlisted is likelier than not."""
+    base = case.base
+    if case.verdict.status not in (Status.UNKNOWN, Status.INCOMPLETE):
+        return ()
+    linear = linear_at(base, case.chosen)
+    if case.verdict.key in case.weighed.other_form:
+        linear = linear.in_other_form()
+    among, left = base.generic.patterns, without(linear.residual, linear.explained)
+    if base.rows.time is not None:
+        among = with_fast_waves(among, base.rows.time, left)
+    alike = looks(among, linear.explained, linear.residual)
+    return tuple(
+        look_curve(case.chosen, base, look)
+        for look in alike
+        if look.probability > _SHOWN
+    )
 
 
 def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSummary:
-    """Provisional: schema 3 filled from what schema 2 knows."""
-    verdict, weighed, held = case.verdict, case.weighed, gap.holdout
-    noise, named = case.on_the_noise, verdict.status not in ("none", "unknown")
-    unlisted = chance_of_unlisted(verdict, weighed)
-    own = {e: weighed.holding((e,)) for e in (*verdict.effects, *verdict.also_possible)}
-    shares = gap.shares or {e: 1.0 for e in verdict.effects}
-    whole = held.closed if held is not None and named else None
-    twins = verdict.also_possible if verdict.status == "cannot_tell" else ()
-    each = {
-        e: Each(
-            p, None if whole is None else whole * shares.get(e, 0.0),
-            None if whole is None else 0.1, twins if e in verdict.effects else (),
-        )
-        for e, p in own.items() if e != "unknown"
-    }  # fmt: skip
-    tests = verdict.adequacy._asdict()
+    """The verdict, with a probability that says how often such verdicts are right;
+    where no effect on the mean is found, what its noise shows."""
+    verdict, noise = case.verdict, case.on_the_noise
+    status = "noise" if noise else verdict.status
     return VerdictSummary(
-        status=Status("named" if noise else verdict.status),
-        effects=noise or (() if verdict.status == "unknown" else verdict.effects),
-        probability=verdict.probability,
-        each=each,
+        status=Status.NAMED if noise else verdict.status,
+        effects=noise or verdict.effects,
+        probability=as_often_right(status, verdict.probability),
+        each=verdict.each,
         also_possible=verdict.also_possible,
         left=Left(
             rms=gap.remaining_rms,
             share=(gap.remaining_rms / max(gap.rms, ROUNDING)) ** 2,
-            unlisted=unlisted,
-            tests={k: tests[k] for k in ("time", "slip_order", "line", "pure_error",
-                                         "local")},
+            unlisted=verdict.unlisted,
+            tests=verdict.tests._asdict(),
             looks_like=tuple(curve.look for curve in curves),
         ),
-        parameters=parameter_changes(case, _widening(case.base, verdict.chosen)),
+        parameters=parameter_changes(case, _widening(case.base, case.chosen)),
     )  # fmt: skip
-
-
-def _ladder(case: Case, gap: Gap, rows) -> Ladder:
-    """Provisional: one step for all effects, from the closure on data left out; the
-    step of anything smooth is of the rows fitted."""
-    held, main = gap.holdout, case.base.prepared.channels[0]
-    if held is None:
-        return Ladder()
-    floor = float(np.sqrt(np.mean(case.base.noise[main].std ** 2)))
-    parts, observed = rows[main], case.base.prepared.observed[main]
-    missed = observed - parts["base"] - parts["gap"]
-    smooth = max(float(np.sqrt(np.mean(missed**2))), floor)
-    found = [(SMOOTH, smooth), (NOISE, floor)]
-    if case.verdict.status not in ("none", "unknown"):
-        after = float(np.hypot(held.remaining_rms, floor))
-        found.insert(0, (case.verdict.effects, after))
-    before, beyond = float(np.hypot(held.rms, floor)), max(held.rms**2, ROUNDING)
-    steps = [Step((), before)]
-    for effects, rms in found:
-        closed, gain = (
-            (before**2 - rms**2) / beyond,
-            steps[-1].rms_left_out ** 2 - rms**2,
-        )
-        steps.append(Step(effects, rms, closed, 0.1, gain, 0.1 * beyond))
-    return Ladder(held.on, tuple(steps))
 
 
 def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate, ...]:
@@ -357,8 +306,7 @@ def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate
     weighed, at = case.weighed, case.base.measured
     main = case.base.prepared.channels[0]
     before, forces = rows[main]["base"], truth[main]
-    total = chances(case.verdict, weighed)
-    said = tuple(sorted(case.verdict.chosen.effects))
+    total, said = _chances(case), case.verdict.key
     ranked = sorted(total, key=lambda key: (key == said, total[key]), reverse=True)
     ranked = ranked[:most]
     closed = [_closure_by(case, at, weighed.best_of[k], before, forces) for k in ranked]
@@ -366,7 +314,8 @@ def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate
         _candidate(case, key, total[key], closure)
         for key, closure in zip(ranked, closed, strict=True)
     ]
-    if (alone := chance_of_unknown(case.verdict, weighed)) > _MENTIONED:
+    alone = case.verdict.unlisted if not case.verdict.status.names else 0.0
+    if alone > _MENTIONED:
         unknown = Candidate(
             effects=("unknown",), family="unknown", parameters={}, z=None,
             probability=alone, z_given_rivals=None, closed=0.0,
@@ -374,6 +323,20 @@ def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate
         )  # fmt: skip
         listed.append(unknown)
     return tuple(listed)
+
+
+def _chances(case: Case) -> dict:
+    """Probability of every refitted set: that of the verdict for its own, the others
+    share the rest by their evidence."""
+    verdict, listed = case.verdict, case.weighed.listed
+    named = verdict.status.names
+    some = {k: p for k, p in listed.items() if k and not (named and k == verdict.key)}
+    rest = 1 - verdict.probability if named else 1 - verdict.unlisted
+    if verdict.status == Status.NONE:
+        rest *= 1 - case.weighed.nothing_shown
+    scale = rest / max(sum(some.values()), ROUNDING)
+    shared = {k: min(scale, 1.0) * p for k, p in some.items()}
+    return shared | ({verdict.key: verdict.probability} if named else {})
 
 
 def _widening(base: Base, hypothesis: Hypothesis) -> float:
@@ -473,10 +436,10 @@ def _all_rows(case: Case, whole: Prepared, rig, rows):
 def _on_everything(case: Case, prepared: Prepared, rig, rows):
     """Forces of both fits on every row; the located gap between the thinned rows is
     interpolated in their order."""
-    base, verdict = case.base, case.verdict
+    base = case.base
     whole = on_rows(base, prepared, rig).measured
     before = whole.forces(base.as_given, base.amplitudes())
-    after = whole.forces(verdict.chosen.z, amplitudes_of(base, verdict.chosen))
+    after = whole.forces(case.chosen.z, amplitudes_of(base, case.chosen))
     kept, every, spread_out = base.prepared.kept, np.arange(prepared.n), {}
     for channel, parts in rows.items():
         rest = parts["gap"] - (parts["extended"] - parts["base"])

@@ -6,9 +6,9 @@ of :data:`tirefit.diagnosis.effects.EFFECTS`.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum, auto
 from typing import NamedTuple
 
+from tirefit.diagnosis.decide.verdict import Each, Status
 from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.rows.patterns import Look
 from tirefit.diagnosis.rows.rig import Rig
@@ -101,11 +101,9 @@ class HeldOut(Shrinkage):
 class Gap(Shrinkage):
     """The gap of the first channel on the file's own rows, and of every channel.
 
-    ``p_value`` is that of no gap at all, ``shares`` are those of several effects in the
-    energy closed (Shapley).
+    ``shares`` are those of several effects in the energy closed (Shapley).
     """
 
-    p_value: float
     channels: Mapping[str, Shrinkage]
     holdout: HeldOut | None
     shares: Mapping[str, float] = field(default_factory=dict)
@@ -142,32 +140,6 @@ class Cell(NamedTuple):
     covariate: str
     log_evidence: float
     explains: float
-
-
-class Status(StrEnum):
-    """What a diagnosis concludes of the gap between the base and the data."""
-
-    NONE = auto()
-    """No gap shows beyond the noise."""
-    NAMED = auto()
-    """Effects are named, and nothing unlisted is likelier there than not."""
-    CANNOT_TELL = auto()
-    """As ``NAMED``, but this data cannot tell a named effect from its twins."""
-    INCOMPLETE = auto()
-    """Effects are named, and something unlisted is likelier there than not."""
-    UNKNOWN = auto()
-    """A gap shows, and no effect earns a name."""
-
-
-class Each(NamedTuple):
-    """One effect: the ``probability`` that it is there, whatever else is; the share of
-    the gap that it closes on data left out, with its standard error, None where nothing
-    could be left out; ``twins`` are effects that this data cannot tell from it."""
-
-    probability: float
-    closed_left_out: float | None
-    closed_left_out_std: float | None
-    twins: tuple[str, ...] = ()
 
 
 class Left(NamedTuple):
@@ -209,34 +181,6 @@ class VerdictSummary:
         of_noise = {effect.id for effect in NOISE_EFFECTS}
         on_mean = [e for e in self.effects if e not in of_noise]
         return bool(on_mean) and on_mean != ["unknown"]
-
-
-class Step(NamedTuple):
-    """One step of the ladder: rms [N] of observed minus predicted force on the rows
-    left out; ``closed`` is the share of what no effect leaves beyond the noise, and
-    ``gain`` [N^2] the fall of the mean square against the step before, each with its
-    standard error; None where there is no step before, or no error is known."""
-
-    effects: tuple[str, ...]
-    rms_left_out: float
-    closed: float | None = None
-    closed_std: float | None = None
-    gain: float | None = None
-    gain_std: float | None = None
-
-
-class Ladder(NamedTuple):
-    """How the gap shrinks on data left out, effect by effect. ``on`` names what is left
-    out; the effects of the last two steps are :data:`SMOOTH`, what any smooth function
-    closes, and :data:`NOISE`, the floor. No steps: nothing could be left out."""
-
-    on: str = ""
-    steps: tuple[Step, ...] = ()
-
-
-SMOOTH: tuple[str, ...] = ("anything smooth",)
-NOISE: tuple[str, ...] = ("noise",)
-"""``Step.effects`` of the last two steps of a ladder."""
 
 
 class Change(NamedTuple):

@@ -251,8 +251,8 @@ def shape_of(one: Pattern | Look, values, low: float, span: float) -> np.ndarray
     return column[:, None]
 
 
-def look_curve(verdict, base: Base, look: Look) -> LookCurve:
-    """The shape that the remainder of a verdict resembles, over the data."""
+def look_curve(chosen, base: Base, look: Look) -> LookCurve:
+    """The shape that the remainder of a fit resembles, over the data."""
     values = quantities(base.rows, base.slip_fraction)[look.covariate]
     place = PLACE[PARAMETERS[look.parameter][0]]
     field = np.asarray(base.at_null.fields)[:, place].reshape(-1, base.rows.n)
@@ -260,7 +260,7 @@ def look_curve(verdict, base: Base, look: Look) -> LookCurve:
         field = field * np.asarray(base.rows.inputs.fz)
     if is_mirrored(look.parameter, look.covariate):
         field = field * np.where(base.slip_fraction < 0, -1.0, 1.0)
-    values, linear = np.asarray(values, float), linear_at(base, verdict.chosen)
+    values, linear = np.asarray(values, float), linear_at(base, chosen)
     return curve_of(look, values, field, linear)
 
 
