@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -209,15 +208,6 @@ def _in_pairs(gram, score, ridge):
     return (c * sine**2 - 2 * b * sine * cosine + a * cosine**2) / size, size
 
 
-def _gains_of_waves(gram, score) -> np.ndarray:
-    """Log evidence of each wave over none at each of the scales: (S, K)."""
-    each = []
-    for scale in SCALES:
-        chi2, size = _in_pairs(gram, score, scale**-2)
-        each.append(0.5 * chi2 - 0.5 * np.log(scale**4 * size))
-    return np.array(each)
-
-
 def _pairs(columns) -> np.ndarray:
     """Products (K, 3) of sine and cosine of waves (m, 2 K), see :func:`_in_pairs`."""
     sine, cosine = columns[:, ::2], columns[:, 1::2]
@@ -253,52 +243,28 @@ class Generic:
         smooth, cells = self.smooth, self.cells
         return smooth.T @ smooth, cells.T @ cells, _pairs(self.waves)
 
-    def left(self, against, residual, expected=None) -> "Left":
-        """Remainder of these functions after a fit, and their products with its
-        residual, from products of whole columns that are formed once.
+    def left(self, against, residual, expected=None):
+        """What a fit leaves of these functions, from products that are formed once.
 
         Args:
             against, expected: columns that the fit has used up, see :func:`taken_out`.
             residual: (m,) whitened.
+
+        Returns:
+            (scores (q,) and sizes (q,) of the orthonormal directions by name of the
+            basis, products (K, 3) and scores (K, 2) of the waves of :func:`_in_pairs`).
         """
         unit = taken_out(against, expected)
         rest = residual - unit @ (unit.T @ residual)
         both = np.concatenate([unit, rest[:, None]], axis=1).T @ self.columns
         ends = np.cumsum([self.smooth.shape[1], self.cells.shape[1]])
         used, score = np.split(both[:-1], ends, axis=1), np.split(both[-1], ends)
-        smooth, cells, waves = self._grams
-        return Left(
-            {
-                "smooth": (smooth - used[0].T @ used[0], score[0]),
-                "cells": (cells - used[1].T @ used[1], score[1]),
-            },
-            waves - _pairs(used[2]), score[2].reshape(-1, 2),
-        )  # fmt: skip
-
-
-class Left(NamedTuple):
-    """``wide`` holds (products with one another (b, b), with the residual (b,)) of
-    smooth functions and cells; ``waves`` (K, 3) and ``score`` (K, 2) see
-    :func:`_in_pairs`."""
-
-    wide: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    waves: np.ndarray
-    score: np.ndarray
-
-    def principal(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Scores (q,) of the orthonormal directions of a basis, and their sizes."""
-        gram, score = self.wide[name]
-        turned, size = _principal(gram)
-        return score @ turned, size
-
-    def wide_gains(self) -> dict[str, float]:
-        """Log evidence of the smooth functions and of the cells."""
-        return {name: mean_gain(*self.principal(name)) for name in self.wide}
-
-    @property
-    def chi2(self) -> np.ndarray:
-        """:func:`waves_within`."""
-        return _in_pairs(self.waves, self.score, FLAT)[0]
+        *grams, waves = self._grams
+        wide = {}
+        for k, name in enumerate(("smooth", "cells")):
+            turned, size = _principal(grams[k] - used[k].T @ used[k])
+            wide[name] = score[k] @ turned, size
+        return wide, waves - _pairs(used[2]), score[2].reshape(-1, 2)
 
 
 def wide_bases(prepared, slip_fraction, scale) -> tuple[np.ndarray, ...]:
@@ -311,17 +277,16 @@ def wide_bases(prepared, slip_fraction, scale) -> tuple[np.ndarray, ...]:
 
 
 def gains(bases: Generic, against, residual, expected=None) -> dict[str, float]:
-    """Log evidence of each kind of remainder over none.
-
-    Args:
-        against, expected: columns that the fit has used up, see :func:`taken_out`.
-        residual: (m,) whitened.
-    """
-    left = bases.left(against, residual, expected)
-    waves = np.ravel(_gains_of_waves(left.waves, left.score))
+    """Log evidence of each kind of remainder over none; arguments as of
+    :meth:`Generic.left`."""
+    wide, gram, score = bases.left(against, residual, expected)
+    waves = []
+    for scale in SCALES:
+        chi2, size = _in_pairs(gram, score, scale**-2)
+        waves.append(0.5 * chi2 - 0.5 * np.log(scale**4 * size))
     unit = taken_out(against, expected)
-    return left.wide_gains() | {
-        "waves": float(np.logaddexp.reduce(waves) - np.log(len(waves))),
+    return {name: mean_gain(*one) for name, one in wide.items()} | {
+        "waves": float(np.logaddexp.reduce(waves, axis=None) - np.log(np.size(waves))),
         "patterns": patterns_gain(bases.patterns, unit, residual),
     }
 
@@ -334,9 +299,9 @@ def of_any_kind(kinds: Mapping[str, float]) -> float:
 def located(bases: Generic, against, residual):
     """Smooth part of the residual and its variance, (m,) each, by the basis with the
     largest evidence and the significant waves."""
-    rest = bases.left(against, residual)
-    gains, chi2 = rest.wide_gains(), rest.chi2
-    chosen = getattr(bases, max(gains, key=lambda name: gains[name]))
+    wide, *waves_left = bases.left(against, residual)
+    chi2, _ = _in_pairs(*waves_left, FLAT)
+    chosen = getattr(bases, max(wide, key=lambda name: mean_gain(*wide[name])))
     strong = np.flatnonzero(chi2 > 2 * np.log(len(chi2)) + _TO_DRAW)
     strong = strong[np.argsort(-chi2[strong])][:_MOST_DRAWN]
     waves = bases.waves[:, np.ravel(strong[:, None] * 2 + [0, 1])]
