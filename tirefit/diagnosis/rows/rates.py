@@ -246,7 +246,7 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     if rate is not None and np.any(rate):
         return _by_its_rate(slip, time, rate, parts, still)
     curved, seen = _scatter(slip, parts, 2), _scatter(slip, parts, 6)
-    if seen > _UNSTEADY * np.std(slip):
+    if curved > _UNSTEADY * np.std(slip):
         return still
     # Both orders agree on noise; a curve leaves more in the lower one.
     scatter = seen if FLAT * np.std(slip) < curved < _MORE * seen else 0.0
