@@ -132,7 +132,7 @@ def judge_noise(
     size, local = _scale(rest / std, smooth), np.inf
     grows = stated and len(shares) > 2
     if grows:
-        std, source = level(), "estimated: the noise grows with the force"
+        std, source = level(), "estimated: grows with the force, unlike the stated"
     elif stated:
         times, flags, source = _overruled(white, smooth, size, groups, in_time)
         std = std * times
@@ -172,7 +172,7 @@ def _overruled(white, smooth: "_Smooth", size: float, groups, in_time):
     name = min(scales, key=lambda name: scales[name])
     excess = max(_MISSTATED, _CLEAR / np.sqrt(2 * smooth.freedom))
     if scales[name] > 1 + excess:
-        source = f"estimated: {scales[name]:.2g} times the given scatter {name}"
+        source = f"estimated: {scales[name]:.2g} times the stated noise, {name}"
         return scales[name], ["noise_misstated"], source
     return 1.0, ["noise_misstated"] if size < _OVERSTATED else [], "given"
 

@@ -299,8 +299,8 @@ def of_any_kind(kinds: Mapping[str, float]) -> float:
 def located(bases: Generic, against, residual):
     """Smooth part of the residual and its variance, (m,) each, by the basis with the
     largest evidence and the significant waves."""
-    wide, *waves_left = bases.left(against, residual)
-    chi2, _ = _in_pairs(*waves_left, FLAT)
+    wide, gram, of_waves = bases.left(against, residual)
+    chi2, _ = _in_pairs(gram, of_waves, FLAT)
     chosen = getattr(bases, max(wide, key=lambda name: mean_gain(*wide[name])))
     strong = np.flatnonzero(chi2 > 2 * np.log(len(chi2)) + _TO_DRAW)
     strong = strong[np.argsort(-chi2[strong])][:_MOST_DRAWN]
