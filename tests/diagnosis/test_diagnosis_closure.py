@@ -51,7 +51,7 @@ def test_draws_of_a_discrepancy_are_those_of_a_dense_gaussian(monkeypatch):
     residual = without(2 * columns[:, 0] + generator.standard_normal(60), against)
     monkeypatch.setattr(closure, "_SIZES", sizes)
     parts = columns[:, :4], columns[:, 4:]
-    bases = [orthogonal(part, against) for part in parts]
+    bases = [(*orthogonal(part, against), 0.0) for part in parts]
     drawn = drawn_functions(bases, residual, 8000, generator)
     left = [without(part, against) for part in parts]
     mean, variance = given_residual(left, sizes, residual)
@@ -78,11 +78,11 @@ class Straight(Base):
         rows = SimpleNamespace(
             channels=("fx",), n=ROWS, observed=observed, covariates=None
         )
-        none = patterns_of(np.zeros((ROWS, 0)))
+        sharp = patterns_of(smooth)
         self.__dict__ |= {
             "columns": columns, "truth": truth, "atoms": (one,), "rows": rows,
             "fit": SimpleNamespace(design=design, slip_fraction=x),
-            "generic": Generic(smooth, smooth, smooth, none),
+            "generic": Generic(smooth, smooth, smooth, sharp),
             "doubt": np.zeros((ROWS, 1)), "proxies": np.zeros((ROWS, 0)),
         }  # fmt: skip
 

@@ -31,7 +31,6 @@ from tirefit.diagnosis.evidence.base import (
     with_noise_judged,
 )
 from tirefit.diagnosis.evidence.forms import PLACE, shape_of_change
-from tirefit.diagnosis.evidence.posterior import weigh
 from tirefit.diagnosis.evidence.search import Search, amplitudes_of, search
 from tirefit.diagnosis.evidence.simulator import (
     STAND_INS,
@@ -307,8 +306,7 @@ def studied(
         base = shaped or judged
         searched = search(base, testable)
 
-    weighed = weigh(searched)
-    out = predictions(base, weighed)
+    weighed, out = predictions(base, searched)
     verdict = decide(findings_of(base, weighed, out, generator))
     return Case(base, searched, weighed, out, verdict, untestable)
 

@@ -16,9 +16,10 @@ from tirefit.diagnosis.decide.verdict import (
 )
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.linear_fit import linear_at
-from tirefit.diagnosis.evidence.posterior import Key, Weighed
-from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
-from tirefit.diagnosis.left_out.folds import Folds, folds_of
+from tirefit.diagnosis.evidence.posterior import Key, Weighed, weigh
+from tirefit.diagnosis.evidence.search import Hypothesis, Search, amplitudes_of
+from tirefit.diagnosis.left_out.climb import climbed
+from tirefit.diagnosis.left_out.folds import folds_of
 from tirefit.diagnosis.left_out.ladder import Gain, gained
 from tirefit.diagnosis.left_out.predicted import Predicted, predicted
 from tirefit.diagnosis.negligible import ROUNDING
@@ -29,18 +30,29 @@ _LEADING = 6
 part of the data."""
 
 
-def predictions(base: Base, weighed: Weighed) -> Predicted:
-    """The leading sets, and all that the best two are made of, predicted on the rows
-    that their fits did not see."""
+def predictions(
+    base: Base, search: Search, policy: Policy = POLICY
+) -> tuple[Weighed, Predicted]:
+    """The posterior, and what the leading sets and all that they are made of predict of
+    the rows that their fits did not see. Where whole runs are left out, the set that
+    predicts them best is one of them."""
+    own = {a.effect.id for a in base.atoms if "runs" in a.effect.needs}
+    rows_each = max(noise.inflation for noise in base.noise.values())
+    folds = folds_of(base.rows, rows_each, not own & set(search.best.effects))
+    climb: Key = ()
+    if folds.across_runs:
+        climb = tuple(sorted(climbed(base, search, folds, policy.gain).effects))
+    weighed = weigh(search)
     log = weighed.log_weight
     ranked = sorted((k for k in log if k), key=lambda k: log[k], reverse=True)
     singles = [k for k in ranked if len(k) == 1]
-    wanted = [(), *ranked[:_LEADING], *singles[:_LEADING]]
+    wanted = [(), *ranked[:_LEADING], *singles[:_LEADING], *([climb] if climb else [])]
     sets = {k: weighed.best_of[k] for k in wanted}
-    for key in ranked[:2]:
+    for key in (*ranked[:2], climb):
         for less in parts_of(key)[1:]:
             sets.setdefault(less, weighed.best_of.get(less, _part(sets[key], less)))
-    return predicted(base, [*sets.values()], _folds(base, weighed))
+    out = predicted(base, [*sets.values()], folds)
+    return weighed, out._replace(climbed=climb)
 
 
 def parts_of(key: Key) -> list[Key]:
@@ -60,30 +72,9 @@ def _part(whole: Hypothesis, key: Key) -> Hypothesis:
     )
 
 
-def _folds(base: Base, weighed: Weighed) -> Folds:
-    """Whole runs may be left out unless the most probable effects belong to one run."""
-    ids = {a.effect.id for a in base.atoms if "runs" in a.effect.needs}
-    rows_each = max(noise.inflation for noise in base.noise.values())
-    return folds_of(base.rows, rows_each, not ids & set(weighed.best))
-
-
 def floor_of(base: Base) -> float:
     """Mean square of the noise of the first channel [N^2]."""
     return float(np.mean(base.noise[base.rows.channels[0]].std ** 2))
-
-
-def better_elsewhere(weighed: Weighed, out: Predicted, needed: float) -> Key:
-    """The most probable set, or the one of as many effects that predicts the rows left
-    out better by more than ``needed`` standard errors.
-
-    The evidence takes the noise as known: where something unlisted is there it is
-    surer of one twin than the data are.
-    """
-    best, at = weighed.best, {key: k for k, key in enumerate(out.effects)}
-    others = [k for k in at if k and len(k) == len(best) and k != best]
-    gains = {k: gained(out, at[k], at[best], 0.0) for k in others} if best in at else {}
-    better = {k: g for k, g in gains.items() if g.gain > needed * g.std}
-    return max(better, key=lambda k: better[k].gain, default=best)
 
 
 def findings_of(
@@ -103,7 +94,9 @@ def findings_of(
     tests = remainder_tests(base, weighed, key, generator)
     unlisted = probability_of_unlisted(weighed, key)
     if key and unlisted > policy.likely and out.across_runs:
-        key = better_elsewhere(weighed, out, policy.gain)
+        # The evidence takes the noise as known: where something unlisted is there it
+        # is surer than the data of which effects draw it.
+        key = out.climbed or key
     floor = floor_of(base)
     return Findings(
         weighed=weighed,

@@ -6,8 +6,11 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple
 
+from scipy.special import stdtr
+
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
 from tirefit.diagnosis.left_out.ladder import Gain
+from tirefit.diagnosis.negligible import NONZERO
 
 UNKNOWN = "unknown"
 """The id that stands for an effect that the library does not list."""
@@ -44,8 +47,7 @@ class Policy:
         known: amplitude over its standard error from which an effect may be named: an
             error bar of half the value.
         gain: standard errors by which an effect must improve the prediction of data
-            left out, and by which another set of as many effects must predict them
-            better to take the place of the most probable one.
+            left out.
         perhaps: probability from which an effect that is not named is possible, and
             probability of a set over that of the best from which it is a rival.
     """
@@ -114,16 +116,21 @@ class Findings:
     unlisted: float
     tests: Tests
 
-    def probability(self, effects, policy: "Policy") -> float:
-        """That these effects are there, whatever else is.
+    def probability(self, effect: str, key: Key, policy: "Policy") -> float:
+        """That an effect of a set is there, whatever else is.
 
-        The parts of one run share what is unlisted, and a listed effect that imitates
-        it predicts them: there the discrepancy stands beside the sets. From run to run
-        only what is there carries over, which ``gains`` judge.
+        By the posterior over sets where nothing unlisted is likelier than not. Else,
+        where whole runs were left out, by how likely it is that the effect improves the
+        prediction of one more run (Student's t); the parts of a single run share what
+        is unlisted, and a listed effect that imitates it predicts them: there by the
+        sets with a discrepancy beside them.
         """
-        if self.unlisted > policy.likely and not self.across_runs:
-            return self.weighed.holding_beside(effects)
-        return self.weighed.holding(effects)
+        gain = self.sets[key].gains.get(effect) if key in self.sets else None
+        if self.unlisted <= policy.likely:
+            return min(self.weighed.holding((effect,)), 1.0)
+        if self.across_runs and gain is not None:
+            return float(stdtr(gain.parts - 1, gain.gain / max(gain.std, NONZERO)))
+        return min(self.weighed.holding_beside((effect,)), 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,7 +209,7 @@ def decide(found: Findings, policy: Policy = POLICY) -> Verdict:
         effects=tuple(order), key=key, also_possible=also,
         each={
             e: Each(
-                min(found.probability((e,), policy), 1.0),
+                found.probability(e, key, policy),
                 gains[e].closed if e in gains else None,
                 gains[e].closed_std if e in gains else None,
                 rivals.get(e, ()),
@@ -218,7 +225,7 @@ def _stands(found: Findings, key: Key, rivals, policy: Policy) -> bool:
     errors, gains = found.sets[key]
     for effect in key:
         alike = (effect, *rivals.get(effect, ()))
-        there = sum(found.probability((e,), policy) for e in alike)
+        there = sum(found.probability(e, key, policy) for e in alike)
         if there <= policy.likely or errors[effect] < policy.known:
             return False
         if effect in gains and gains[effect].gain <= policy.gain * gains[effect].std:

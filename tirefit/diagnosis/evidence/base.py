@@ -158,9 +158,7 @@ class Base:
         beside the slip knows of its noise, see :func:`slip_proxies`; and a stand-in
         knows what it misses of a simulator, not how that changes with it."""
         rows = self.rows
-        told = slip_proxies(
-            rows.slip, rows.slip_std, rows.moving, rows.path, rows.past
-        )
+        told = slip_proxies(rows.slip, rows.slip_std, rows.moving, rows.path, rows.past)
         return np.concatenate([self._forces_of(told), self._not_followed], axis=1)
 
     @cached_property

@@ -1,6 +1,6 @@
 """Which effects: screened in closed form, refitted one by one, weighed by evidence."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -77,13 +77,19 @@ def amplitudes_of(base: Base, hypothesis: Hypothesis) -> np.ndarray:
 
 @dataclass
 class Search:
-    """Everything the search has found out about one file."""
+    """Everything the search has found out about one file: ``tried`` is every set of
+    atoms with its fit, ``refit`` adds sets to it, from (z, amplitude) by set."""
 
     base: Base
     testable: tuple[int, ...]
     score: dict[str, float]
-    hypotheses: list[Hypothesis]
+    tried: Mapping[tuple[int, ...], Hypothesis]
     projected: np.ndarray
+    refit: Callable[[Sequence[tuple[int, ...]], dict], None]
+
+    @property
+    def hypotheses(self) -> list[Hypothesis]:
+        return list(self.tried.values())
 
     @property
     def best(self) -> Hypothesis:
@@ -327,8 +333,8 @@ def search(base: Base, testable: Sequence[int]) -> Search:
     _pairs_by_screen(searcher, gram, score, [variants[0] for variants in ranked])
     _extend(searcher, 2, *_BEYOND_TWO)
     return Search(
-        base, searcher.testable, _scores(searcher, gram, score),
-        list(searcher.tried.values()), left,
+        base, searcher.testable, _scores(searcher, gram, score), searcher.tried, left,
+        searcher.refit,
     )  # fmt: skip
 
 

@@ -22,12 +22,14 @@ class Gain(NamedTuple):
         std: its standard error over the parts left out.
         closed: share of the gap beyond the noise that it closes, first channel.
         closed_std: its standard error.
+        parts: how many parts were left out.
     """
 
     gain: float
     std: float
     closed: float
     closed_std: float
+    parts: int
 
 
 class Step(NamedTuple):
@@ -75,7 +77,7 @@ def gained(out: Predicted, new: int, old: int, floor: float) -> Gain:
     """
     parts = out.whitened[:, old] - out.whitened[:, new]
     closed, error = _closed(out, out.loss[:, new], out.loss[:, old], floor)
-    return Gain(float(parts.sum()), _error(parts), closed, error)
+    return Gain(float(parts.sum()), _error(parts), closed, error, len(parts))
 
 
 def _closed(out: Predicted, after, before, floor: float) -> tuple[float, float]:

@@ -20,7 +20,8 @@ class Predicted(NamedTuple):
     (F, S) is the mean square [N^2] of what set s misses of the first channel in fold f,
     ``whitened`` (F, S) the sum of squares of all channels over the noise, ``rows`` (F,)
     of the fold, ``amplitude`` the effects' own as refitted, by set: (F, k), in prior
-    scales. ``smooth`` (F,) is the loss of anything smooth.
+    scales. ``smooth`` (F,) is the loss of anything smooth, ``climbed`` the set that a
+    climb over whole runs ends at.
     """
 
     on: str
@@ -31,6 +32,7 @@ class Predicted(NamedTuple):
     rows: np.ndarray
     amplitude: tuple[np.ndarray, ...]
     smooth: np.ndarray
+    climbed: tuple[str, ...] = ()
 
 
 def predicted(base: Base, sets: Sequence[Hypothesis], folds: Folds) -> Predicted:
