@@ -23,7 +23,7 @@ def patterns_of(columns):
     """Patterns of these columns, all as likely."""
     rows, count = columns.shape
     over = Over(
-        "time", columns.astype(np.float32), np.zeros((rows, 0), np.float32),
+        "time", columns.astype(np.float32),
         [("local", k, 1) for k in range(count)],
         np.full(count, -np.log(max(count, 1))), {"force": 0},
     )  # fmt: skip

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from conftest_diagnosis import brush
 from scipy.stats import t
+from tirefit.diagnosis.decide.across_runs import chosen_across_runs
 
 from fits.dart_rear_axle import logs_left_out
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.decide import across_runs
-from tirefit.diagnosis.decide.across_runs import chosen_across_runs
 from tirefit.diagnosis.decide.verdict import Verdict, Weighed
 from tirefit.diagnosis.effects import EFFECTS, effects_by_id
 from tirefit.diagnosis.engine import diagnose

@@ -10,10 +10,6 @@ import numpy as np
 import pytest
 from conftest_diagnosis import RIG, TRUTHS, brush, record
 from scipy.optimize import minimize_scalar
-
-import tirefit
-from tirefit.data.read import read_frame
-from tirefit.diagnosis.decide import conclusion
 from tirefit.diagnosis.decide.adequacy import UNTESTED
 from tirefit.diagnosis.decide.chances import (
     chance_of_unknown,
@@ -22,6 +18,10 @@ from tirefit.diagnosis.decide.chances import (
 )
 from tirefit.diagnosis.decide.conclusion import Judge, bound_by, probability_of_rest
 from tirefit.diagnosis.decide.standing import standing, steadiness
+
+import tirefit
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.decide import conclusion
 from tirefit.diagnosis.decide.verdict import (
     Verdict,
     Weighed,

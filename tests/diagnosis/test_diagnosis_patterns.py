@@ -8,11 +8,6 @@ import pytest
 from conftest_diagnosis import RIG, brush, patterns_of, record
 from scipy.integrate import quad
 from scipy.special import expit, logit
-
-from fits.calibration.said import lines_of
-from fits.calibration.train import STRANGE, taught
-from tirefit.data.read import read_frame
-from tirefit.diagnosis.decide import calibrated
 from tirefit.diagnosis.decide.adequacy import Adequacy
 from tirefit.diagnosis.decide.calibrated import (
     Explanation,
@@ -25,6 +20,11 @@ from tirefit.diagnosis.decide.calibrated import (
     probability_of_more,
 )
 from tirefit.diagnosis.decide.standing import Standing
+
+from fits.calibration.said import lines_of
+from fits.calibration.train import STRANGE, taught
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.decide import calibrated
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.rows.basis import _scaled, taken_out
 from tirefit.diagnosis.rows.patterns import (

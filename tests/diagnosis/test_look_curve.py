@@ -37,7 +37,7 @@ def test_the_shape_drawn_is_the_one_that_was_looked_for(covariate, values):
     low, span = values.min(), np.ptp(values)
     over = _over(covariate, values, {"force": 0})
     assert len(over.listed) >= 5
-    every = over.shapes(np.arange(len(over.listed))).T
+    every = over.shapes.T
     for listed, expected in zip(over.listed, every, strict=True):
         shape = shape_of(Pattern("force", covariate, *listed), values, low, span)
         # A wave of any phase is one of sine and cosine.

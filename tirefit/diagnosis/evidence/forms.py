@@ -73,7 +73,7 @@ def shape_of_change(time, friction, used_up, residual, blocks) -> np.ndarray:
         used_up: (m, p) columns of the rest of the hypothesis.
         residual: (m,) of it, the step left out.
         blocks: (k, 2) stretches that a setting has as well, see
-            :func:`rows.blocks.blocks_of_settings`: none of them is tried.
+            :func:`rows.prepared.blocks_of_settings`: none of them is tried.
     """
     repeats = len(friction) // len(time)
     residual = without(residual, used_up)

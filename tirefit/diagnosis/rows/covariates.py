@@ -21,8 +21,8 @@ LOADS = 0.03
 _ANGLE = 1e-3
 """Standard deviation [rad] above which camber, steering or the other slip vary."""
 
-_WARMER, _WARMS = 20.0, 0.4
-"""Unit of the temperature, and standard deviation above which it varies [K]."""
+_WARMER = 20.0
+"""Unit of the temperature [K]."""
 
 _BOTH_SIGNS, _ROUND = 0.1, 0.5
 """Smallest share of the rows with either sign of slip; and smallest sum of the standard
@@ -34,9 +34,8 @@ well with accelerometers."""
 
 _TOP, _HALF = 0.95, (0.4, 0.6)
 """Quantile used as the largest value, and shares of the largest force about half."""
-_LEAST_RISE, _LEAST = 1e-3, 5
-"""Smallest slip at half of the largest force over the largest slip, and smallest number
-of rows there."""
+_LEAST_RISE = 1e-3
+"""Smallest slip at half of the largest force over the largest slip."""
 
 _OF_THE_FIT = ("force", "usage", "change", "traction") + tuple(
     name for name in Covariates._fields if name.startswith("run_")
@@ -89,7 +88,7 @@ def half_force_slip(slip, share) -> float:
     size, share = np.abs(slip), np.abs(share)
     top = _largest(share)
     half = (share > _HALF[0] * top) & (share < _HALF[1] * top)
-    middle = np.median(size[half] if half.sum() >= _LEAST else size)
+    middle = np.median(size[half] if half.any() else size)
     return float(max(middle, FLAT + _LEAST_RISE * _largest(size)))
 
 
@@ -281,7 +280,7 @@ def needs_met(
         "speeds": relative(rows.v) > LOADS,
         "loads": relative(rows.fz) > LOADS,
         "time": "time" in data and bool(np.any(rows.time)),
-        "temperature": varies("temperature", _WARMS),
+        "temperature": varies("temperature", LOADS * _WARMER),
         "pressure": relative(column(data, "pressure")) > LOADS,
         "gamma": varies("gamma", _ANGLE),
         "signs": _BOTH_SIGNS < np.mean(rows.side > 0) < 1 - _BOTH_SIGNS,
