@@ -325,6 +325,11 @@ def _weights(among: Patterns, unit, residual):
     return length, score, gain + among.log_prior
 
 
+def weights_of_sizes(among: Patterns, against, residual):
+    """:func:`_weights` with ``against`` (m, p) taken out."""
+    return _weights(among, np.linalg.qr(against)[0], residual)
+
+
 def patterns_gain(among: Patterns, unit, residual) -> float:
     """Log evidence over no remainder of one pattern, whichever, averaged over its size.
 
@@ -342,7 +347,7 @@ def looks(among: Patterns, against, residual, most: int = 3) -> list[Look]:
     Args:
         against: (m, p) columns that the fit has used up.
     """
-    length, score, each = _weights(among, np.linalg.qr(against)[0], residual)
+    length, score, each = weights_of_sizes(among, against, residual)
     weight = np.logaddexp.reduce(each, axis=0) - np.log(len(each))
     whole = np.logaddexp.reduce(weight)
     if whole < _SHOWS:
