@@ -310,7 +310,7 @@ def patterns(prepared, slip_fraction, fields: dict[str, np.ndarray]) -> Patterns
     return Patterns(np.stack(columns, axis=2), [one for one in over if one is not None])
 
 
-def _weights(among: Patterns, unit, residual):
+def weights_of_sizes(among: Patterns, unit, residual):
     """Squared length and score (k,) of every pattern with ``unit`` (m, q) taken out,
     see :func:`rows.basis.taken_out`, and the log weight of each over no pattern at each
     of the usual sizes, (S, k); zero length where hardly anything is left of it."""
@@ -332,7 +332,7 @@ def patterns_gain(among: Patterns, unit, residual) -> float:
         unit: (m, q) of :func:`rows.basis.taken_out`.
         residual: (m,) whitened.
     """
-    *_, weight = _weights(among, unit, residual)
+    *_, weight = weights_of_sizes(among, unit, residual)
     return float(np.logaddexp.reduce(weight, axis=None) - np.log(len(weight)))
 
 
@@ -342,7 +342,7 @@ def looks(among: Patterns, against, residual, most: int = 3) -> list[Look]:
     Args:
         against: (m, p) columns that the fit has used up.
     """
-    length, score, each = _weights(among, np.linalg.qr(against)[0], residual)
+    length, score, each = weights_of_sizes(among, np.linalg.qr(against)[0], residual)
     weight = np.logaddexp.reduce(each, axis=0) - np.log(len(each))
     whole = np.logaddexp.reduce(weight)
     if whole < _SHOWS:

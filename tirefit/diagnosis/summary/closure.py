@@ -94,7 +94,8 @@ def _off(base, hypothesis, count: int, generator) -> np.ndarray:
         if basis.shape[1]
     ]
     among = base.generic.patterns
-    *_, log = weights_of_sizes(among, linear.explained, linear.residual)
+    unit, _ = np.linalg.qr(linear.explained)
+    *_, log = weights_of_sizes(among, unit, linear.residual)
     best = np.argsort(-log.max(axis=0))[:_SHAPES]
     sharp = without(among.columns(best), linear.explained)
     size = np.maximum(np.linalg.norm(sharp, axis=0), ROUNDING)
