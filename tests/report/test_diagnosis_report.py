@@ -176,7 +176,7 @@ def noise_of(channel, inflation=1.25):
 
 def said(status, effects, probability=0.6, rivals=(), twins=(), left=LEFT, **others):
     """A verdict; its first effect has twins."""
-    each = {e: Each(0.2, None, None) for e in (*effects, *rivals)}
+    each = {e: Each(0.2, None, None, ()) for e in (*effects, *rivals)}
     each |= {e: Each(0.91, 0.8, 0.05, tuple(twins)) for e in effects[:1]}
     return VerdictSummary(
         status=Status(status), effects=tuple(effects), probability=probability,
@@ -407,7 +407,7 @@ def test_the_ladder_stands_first_in_text_and_page():
     rows = [
         "brush, no effect 500 - -",
         "+ slip offset 300 80.0 ± 5.0 % 160000 ± 9000",
-        "noise floor 224 100 % -",
+        "noise floor 224 100 % 7600 ± 2500",
     ]
     assert all(row in flat(text) for row in rows)
     assert text.index("ANSWER") < text.index(title) < text.index("EFFECTS")
