@@ -10,6 +10,10 @@ of the centre of gravity, left positive; then, with the canonical signs (drawing
     F_y,rear    = -(m l_f a_y - J_z r') / (l_f + l_r)
     F_y,front   = -(m l_r a_y + J_z r') / (l_f + l_r) / cos(delta)
 
+Of an axle that drives, F_x is the force along its wheels that the acceleration ahead
+needs (:func:`tirefit.data.motion.force_along`); its F_y at the front is then less by
+F_x tan(delta).
+
 What :class:`tirefit.data.vehicle.Vehicle` states of the filter is the bandwidth of
 the result: neighbouring samples are correlated, n samples are not n facts.
 """
@@ -26,7 +30,13 @@ import numpy as np
 from tirefit.data.contradictions import Comparison, compare
 from tirefit.data.doubts import doubts
 from tirefit.data.merged import merged
-from tirefit.data.motion import Motion, read_motion, road_wheel, slip_and_force
+from tirefit.data.motion import (
+    Motion,
+    force_along,
+    read_motion,
+    road_wheel,
+    slip_and_force,
+)
 from tirefit.data.point import PointCheck, check_point
 from tirefit.data.remote import Place, file_at
 from tirefit.data.track import Track
@@ -38,7 +48,25 @@ from tirefit.results import DataError, InputProblem, UsageError
 
 SCHEMA = "tirefit.derive/1"
 
-_FIRST = "# tirefit: derived from vehicle logs, SI units, convention braking\n"
+_FIRST = (
+    "# tirefit: derived from vehicle logs, SI units, convention braking, constants {}\n"
+)
+
+_SHARE_STATED, _SHARE_ASSUMED, _SHARE_BRAKING = 0.05, 0.15, 0.3
+"""Standard errors of an axle's part of the force along the vehicle: where which axles
+drive (and how much each) is stated; of an even split that is assumed; and of who brakes
+where one axle drives: cars brake with both."""
+
+_ROLLING = 0.02
+"""Drag and rolling resistance over the weight, of a vehicle whose drag is not stated:
+an error of the force."""
+
+_POSE_CLOCK = 0.005
+"""Standard error [s] of the time between x, y and yaw, which one instrument gives."""
+
+_DELAYED = 3.0
+"""Standard errors from which a delay between two channels is reported."""
+
 _NEARLY_ALL = 0.9
 """Share of the samples that one reason drops, from which the units are doubted."""
 
@@ -59,7 +87,8 @@ class DerivedLog:
             axle], alpha_rate [rad/s] at the full sample rate, and the motion of the
             centre of gravity by ISO 8855: a_x, a_y [m/s2], yaw_rate [rad/s],
             yaw_acceleration [rad/s2]; heading [rad], x, y [m] of a log of poses;
-            steering [rad], the road wheel angle, where the map is given.
+            steering [rad], the road wheel angle, and steering_rate [rad/s] where the
+            map is given; fx, fx_std [N] of an axle that drives.
         rows: Rows in the file.
         dropped_rows: Reason -> rows of the file that were not used.
         samples: Samples on the uniform grid.
@@ -69,6 +98,7 @@ class DerivedLog:
         bandwidth: Frequency [Hz] at which the filter's gain is -3 dB.
         heading: Sentence on the offset of heading or sideslip: applied, assumed none,
             left over.
+        zero: alpha at no side force [rad]; None where the log does not show it.
         point: Position of the tracked point, estimated from force against slip.
         compared: What the redundancy of the log's channels says.
         warnings: Sentences on what in the columns is hardly the tire's.
@@ -85,6 +115,7 @@ class DerivedLog:
     gaps: int
     bandwidth: float
     heading: str
+    zero: float | None
     point: PointCheck
     compared: Comparison
     warnings: tuple[str, ...]
@@ -184,6 +215,7 @@ def derive(
     _refuse(point.problems, believe)
     contradictions = (*compared.problems, *point.problems)
     columns = {name: values[kept] for name, values in columns.items()}
+    heading, zero = zero_of_alpha(vehicle, axle, alpha, force)
     return DerivedLog(
         name=_run_name(file),
         columns=columns,
@@ -193,7 +225,8 @@ def derive(
         dropped_samples=dropped,
         gaps=gaps,
         bandwidth=vehicle.filter.bandwidth,
-        heading=zero_of_alpha(vehicle, axle, alpha, force),
+        heading=heading,
+        zero=zero,
         point=point,
         compared=compared,
         warnings=(
@@ -253,9 +286,11 @@ def derive_files(
         for name in logs[0].columns
     }
     columns["run"] = np.repeat([log.name for log in logs], [len(log) for log in logs])
+    stated = {**_stated(vehicle), **_found(logs)}
+    first = _FIRST.format(" ".join(f"{k}={v:.4g}" for k, v in stated.items()))
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
     try:
-        write_texts({metadata: content + "\n", out: _FIRST + csv_text(columns)})
+        write_texts({metadata: content + "\n", out: first + csv_text(columns)})
     except OSError:
         if unwritten is not None:
             unwritten(_summary(logs))
@@ -303,7 +338,53 @@ def _axle(motion: Motion, vehicle: Vehicle, axle: str) -> dict[str, np.ndarray]:
     columns |= {name: getattr(motion, name) for name in names}
     if vehicle.steering is not None:
         columns["steering"] = road_wheel(motion, vehicle)
+        columns["steering_rate"] = motion.rate_of(columns["steering"])
+    if vehicle.driven in (axle, "all"):
+        force = force_along(motion, vehicle, axle)
+        columns |= {"fx": force, "fx_std": _error_along(force, vehicle)}
     return columns
+
+
+def _error_along(force: np.ndarray, vehicle: Vehicle) -> np.ndarray:
+    """Standard error (n,) [N] of the force along an axle that drives."""
+    assumed = vehicle.driven == "all" and vehicle.rear_share is None
+    part = np.full(len(force), _SHARE_ASSUMED if assumed else _SHARE_STATED)
+    if vehicle.driven != "all":
+        part = np.where(force > 0, _SHARE_BRAKING, part)
+    rolling = _ROLLING * vehicle.mass * vehicle.gravity * (vehicle.drag is None)
+    return np.hypot(part * force * (2 if vehicle.driven == "all" else 1), rolling)
+
+
+def _stated(vehicle: Vehicle) -> dict[str, float]:
+    """What the vehicle file states, and nobody has to assume, by key."""
+    clock = _POSE_CLOCK if vehicle.columns.motion == POSE else None
+    point = vehicle.tracked_point
+    stated = {
+        "wheelbase": vehicle.wheelbase, "yaw_inertia": vehicle.yaw_inertia,
+        "tracked_point": None if point is None else point[0],
+        "clock": vehicle.clock or clock, "wheel_radius": vehicle.wheel_radius,
+    }  # fmt: skip
+    return {key: value for key, value in stated.items() if value is not None}
+
+
+def _found(logs: Sequence[DerivedLog]) -> dict[str, float]:
+    """What the logs show of their own errors, as means over the logs: alpha_zero [rad],
+    found_point [m ahead of the rear axle] and its error, late_CHANNEL [s]."""
+    found, zeros = {}, [log.zero for log in logs if log.zero is not None]
+    if zeros:
+        found["alpha_zero"] = float(np.mean(zeros))
+    estimates = {"found_point": [log.point.estimate for log in logs]}
+    for pair in (pair for log in logs for pair in log.compared.pairs):
+        late = estimates.setdefault(f"late_{pair.pair.channel}", [])
+        late.append((pair.delay, pair.delay_std))
+    for name, each in estimates.items():
+        known = np.array([one for one in each if one and 0 < one[1] < np.inf])
+        if len(known):
+            weight = known[:, 1] ** -2
+            mean, std = weight @ known[:, 0] / weight.sum(), weight.sum() ** -0.5
+            if name == "found_point" or abs(mean) > _DELAYED * std:
+                found |= {name: float(mean), f"{name}_std": float(std)}
+    return found
 
 
 def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
@@ -370,10 +451,11 @@ def _assumptions(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
     if vehicle.tracked_point is None:
         said.append("the log describes the centre of gravity (no tracked_point)")
     if axle == "front":
-        said.append(
-            "the road wheels follow the steering command at once, and the front axle"
-            " neither drives nor brakes"
-        )
+        said.append("the road wheels follow the steering command at once")
+    if vehicle.driven not in (axle, "all"):
+        said.append(f"the {axle} axle neither drives nor brakes")
+    elif vehicle.driven == "all" and vehicle.rear_share is None:
+        said.append("the rear axle has half of the drive force (no rear_share)")
     return (*said, *track.notes)
 
 
@@ -383,6 +465,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
         "tirefit": _version(),
         "axle": axle,
         "vehicle": vehicle.model_dump(),
+        "found": _found(logs),
         "runs": [
             {
                 "run": log.name,
@@ -395,6 +478,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
                 "dropped_samples": dict(log.dropped_samples),
                 "gaps": log.gaps,
                 "heading": log.heading,
+                "alpha_zero": log.zero,
                 "point": log.point.estimate,
                 "agreement": log.compared.as_dicts(),
                 "warnings": list(log.warnings),

@@ -71,17 +71,39 @@ def slip_and_force(motion: Motion, vehicle: Vehicle, axle: str = "rear"):
     """Slip angle [rad], lateral force [N] and forward speed [m/s] of an axle, (n,)
     each, in canonical signs; formulas: :mod:`tirefit.data.derive`.
     """
-    inertial = motion.yaw_acceleration * vehicle.yaw_inertia
     if axle == "rear":
         arm, steer = -vehicle.l_r, np.zeros(len(motion.time))
-        lateral = vehicle.mass * vehicle.l_f * motion.a_y - inertial
     else:
         arm, steer = vehicle.l_f, road_wheel(motion, vehicle)
-        lateral = vehicle.mass * vehicle.l_r * motion.a_y + inertial
     sideways = motion.v_y + arm * motion.yaw_rate
     alpha = np.arctan2(sideways, motion.v_x) - steer
-    force = -lateral / (vehicle.l_f + vehicle.l_r) / np.cos(steer)
+    force = -_lateral(motion, vehicle, axle) / np.cos(steer)
+    if axle == "front" and vehicle.driven in ("front", "all"):
+        force = force - force_along(motion, vehicle, axle) * np.tan(steer)
     return alpha, force, motion.v_x * np.cos(steer) + sideways * np.sin(steer)
+
+
+def _lateral(motion: Motion, vehicle: Vehicle, axle: str) -> np.ndarray:
+    """Force across the vehicle at an axle [N], to the left: (n,)."""
+    arm, sign = (vehicle.l_f, -1) if axle == "rear" else (vehicle.l_r, 1)
+    inertial = sign * vehicle.yaw_inertia * motion.yaw_acceleration
+    return (vehicle.mass * arm * motion.a_y + inertial) / (vehicle.l_f + vehicle.l_r)
+
+
+def force_along(motion: Motion, vehicle: Vehicle, axle: str) -> np.ndarray:
+    """Force along the wheels of an axle [N], braking positive: (n,).
+
+    Both axles push by m a_x and the drag, and by what the side force of steered wheels
+    takes back: T (s + (1 - s) / cos(delta)) = m a_x + drag v^2 + Y_f tan(delta), with s
+    the part of the rear axle and Y_f the force across at the front.
+    """
+    rear = {"rear": 1.0, "front": 0.0}.get(vehicle.driven or "", vehicle.rear_share)
+    rear = 0.5 if rear is None else rear
+    steer = road_wheel(motion, vehicle) if vehicle.steering else 0 * motion.time
+    needed = vehicle.mass * motion.a_x + (vehicle.drag or 0.0) * motion.v_x**2
+    needed = needed + _lateral(motion, vehicle, "front") * np.tan(steer)
+    share = rear if axle == "rear" else 1 - rear
+    return -share * needed / (rear + (1 - rear) / np.cos(steer))
 
 
 def road_wheel(motion: Motion, vehicle: Vehicle) -> np.ndarray:
