@@ -48,7 +48,7 @@ YAW_INERTIA = Effect(
         "the yaw inertia over the wheelbase is off, or the centre of gravity lies"
         " elsewhere along the vehicle"
     ),
-    remedy="swing the vehicle on a pendulum, or correct yaw_inertia of vehicle.toml",
+    remedy="measure yaw_inertia of vehicle.toml: swing the vehicle on a pendulum",
     parameter="error of inertia / wheelbase",
     bounds=((-0.6, 0.6),),
     prior=of_a_known_inertia,

@@ -1,29 +1,42 @@
-"""Offsets that every run has of its own: each is set up anew."""
+"""What every run has of its own: zeros that are set up anew, tires or floors that are
+changed."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
-from tirefit.diagnosis.effects.record import PER_MILLE, Effect, adds, seldom
+from tirefit.diagnosis.effects.record import (
+    PER_MILLE,
+    SYMBOLS,
+    Effect,
+    adds,
+    multiplies,
+    seldom,
+)
 from tirefit.diagnosis.rows.run_codes import shown_runs
 
 
 class Offset(NamedTuple):
-    """An offset that each run may have of its own: the ``field`` of the state that it
-    moves, the covariate with the ``pattern`` of the runs, its unit, and whether its
-    amplitude is in thousandths of the mean load."""
+    """What each run may have of its own: the ``field`` of the state that moves, the
+    covariate with the ``pattern`` of the runs, its unit, whether its amplitude is in
+    thousandths of the mean load, and whether it is a share of a parameter of the tire,
+    so that the runs differ and have nothing in common."""
 
     field: str
     pattern: str
     unit: str
-    of_load: bool
+    of_load: bool = False
+    relative: bool = False
 
 
 OFFSETS = {
-    "slip_offset": Offset("shift", "run_slip", "-", False),
-    "force_offset": Offset("force", "run_force", "N", True),
+    "slip_offset": Offset("shift", "run_slip", "-"),
+    "force_offset": Offset("force", "run_force", "N", of_load=True),
+    "friction": Offset("friction", "run_friction", "-", relative=True),
+    "stiffness": Offset("stiffness", "run_stiffness", "-", relative=True),
 }
-"""Effect for all runs -> its offsets of single runs."""
+"""Id of an effect less ``_run`` -> what the runs differ in."""
 
 
 def _one_each(prepared) -> float:
@@ -32,6 +45,32 @@ def _one_each(prepared) -> float:
     count = len(shown_runs(prepared.run, prepared.data.runs))
     further = max(count - 2, 0)
     return seldom(prepared) - 0.5 * further * np.log(prepared.n / max(count, 1))
+
+
+_SHARED: dict[str, Any] = {
+    "parameter": "spread", "odds": _one_each, "needs": ("runs",),
+    "told_apart_by": "random order",
+}  # fmt: skip
+"""What all of them have."""
+
+
+def _parameter_of_runs(name: str, fitted: str, scale: float, *looks_like: str):
+    def factor(a, _, rows):
+        return jnp.exp(a * getattr(rows, OFFSETS[name].pattern))
+
+    return Effect(
+        id=f"{name}_run",
+        family=f"{name} x run",
+        change=multiplies(name, factor),
+        scale=scale,
+        formula=f"{SYMBOLS[name]} exp(difference of the run), spread by amplitude",
+        means=f"{name} differs from run to run: another tire, surface or day",
+        remedy=f"fit {fitted} for each run; compare runs of one tire and surface only",
+        # The pattern of one is found without the other, whose sign it may have.
+        bounds=((-1.5, 1.5),),
+        looks_like=(f"{name}_drift", f"{name}_warming", *looks_like),
+        **_SHARED,
+    )
 
 
 SLIP_OFFSET_RUN = Effect(
@@ -47,12 +86,9 @@ SLIP_OFFSET_RUN = Effect(
         "zero heading, steering or wheel speed before every run; fit the runs with an"
         " offset each"
     ),
-    parameter="spread",
     bounds=((0.0, 4.0),),
-    odds=_one_each,
-    needs=("runs",),
     looks_like=("slip_offset", "slip_zero_drift", "force_offset_run"),
-    told_apart_by="both signs",
+    **_SHARED | {"told_apart_by": "both signs"},
 )
 FORCE_OFFSET_RUN = Effect(
     id="force_offset_run",
@@ -63,12 +99,14 @@ FORCE_OFFSET_RUN = Effect(
     formula="force + offset of the run, spread by amplitude: a random effect",
     means="the zero of the force differs from run to run",
     remedy="tare before every run; fit the runs with an offset each",
-    parameter="spread",
     bounds=((0.0, 300.0),),
-    odds=_one_each,
-    needs=("runs",),
     looks_like=("force_offset", "force_zero_drift", "slip_offset_run"),
-    told_apart_by="loads",
+    **_SHARED | {"told_apart_by": "loads"},
 )
 
-EFFECTS = (SLIP_OFFSET_RUN, FORCE_OFFSET_RUN)
+EFFECTS = (
+    SLIP_OFFSET_RUN,
+    FORCE_OFFSET_RUN,
+    _parameter_of_runs("friction", "mu", 0.12, "friction_step", "stiffness_run"),
+    _parameter_of_runs("stiffness", "cpa2", 0.18, "friction_run"),
+)

@@ -12,7 +12,11 @@ from tirefit.diagnosis.effects.free_forms import (
     rise,
     weight,
 )
-from tirefit.diagnosis.effects.known import of_a_known_height, of_a_known_position
+from tirefit.diagnosis.effects.known import (
+    of_a_known_force,
+    of_a_known_height,
+    of_a_known_position,
+)
 from tirefit.diagnosis.effects.record import (
     PER_MILLE,
     Effect,
@@ -155,6 +159,7 @@ ELLIPSE = Effect(
     parameter="share",
     bounds=((0.0, 6.0),),
     center=1.0,
+    prior=of_a_known_force,
     needs=("other force",),
     variants=((0.0,), (1.0,)),
     forms=(
@@ -173,7 +178,10 @@ TRACKED_POINT = Effect(
     unit="m",
     formula="slip angle + amplitude (yaw rate) / v",
     means="the slip angle is that of another point than the axle",
-    remedy="move the tracked point by the amplitude along the vehicle",
+    remedy=(
+        "measure tracked_point of vehicle.toml: it is off by the amplitude along the"
+        " vehicle"
+    ),
     parameter="distance",
     bounds=((-6.0, 6.0),),
     prior=of_a_known_position,

@@ -50,17 +50,38 @@ def derived_from(data: TireData, channel: str) -> Derived | None:
     motion = np.stack([data.usable(name) for name in needed], axis=1)
     if np.linalg.matrix_rank(motion - motion.mean(axis=0)) < motion.shape[1]:
         return None
-    force = data.usable(channel)
-    turned = np.cos(data.usable("steering")) if "steering" in data else None
+    force, across = data.usable(channel), []
+    if "steering" in data:
+        angle = data.usable("steering")
+        across.append(force * np.cos(angle))
+        if "fx" in data:  # of an axle that drives
+            across.append(across[0] + data.usable("fx") * np.sin(angle))
     best = None
-    for steer in (None, turned) if turned is not None else (None,):
-        ahead = force if steer is None else force * steer
+    for ahead in (force, *across):
         share = np.linalg.lstsq(motion, ahead)[0]
         missed = float(np.std(ahead - motion @ share) / np.std(ahead))
         if missed < _EXACT and (best is None or missed < best[0]):
             mass, inertia = np.abs(share)
-            best = missed, Derived(float(mass), float(inertia), steer is not None)
+            best = missed, Derived(float(mass), float(inertia), ahead is not force)
     return None if best is None else best[1]
+
+
+_RADIUS = 0.15
+"""Radius of a wheel over the wheelbase: 0.11 of cars, 0.15 to 0.19 of models."""
+
+
+def wheel_radius(data: TireData, derived: Derived | None) -> float:
+    """Radius of the wheel [m] as a derived file states it, else by its wheelbase; zero
+    where neither is known."""
+    stated = data.source.constants
+    if "wheel_radius" in stated:
+        return stated["wheel_radius"]
+    return _RADIUS * wheelbase(data, derived) if derived else 0.0
+
+
+def wheelbase(data: TireData, derived: Derived) -> float:
+    """Of the vehicle [m]: stated, or about twice the arm of an axle."""
+    return data.source.constants.get("wheelbase", 2 * derived.arm)
 
 
 def motion_of(data: TireData) -> dict[str, np.ndarray]:

@@ -16,6 +16,7 @@ from tirefit.diagnosis.rows.motion import (
     derived_from,
     motion_of,
     seen_in_motion,
+    wheel_radius,
 )
 from tirefit.diagnosis.rows.rates import AHEAD, Sweeps, segments, slip_rate
 from tirefit.diagnosis.rows.run_codes import shown_runs
@@ -44,6 +45,11 @@ NOT_STATED = "none assumed"
 
 _MOVE = ("fz", "v", "yaw", "lean", "ahead", "swing", "steering", "across")
 """Covariates that may know the true slip better than the slip as measured does."""
+
+_OF_BASE = ("force", "usage", "change", "traction") + tuple(
+    name for name in Covariates._fields if name.startswith("run_")
+)
+"""Covariates that the base fit gives."""
 
 _DRIVES = 1e-6
 """Standard deviation of a slip from which it drives: less is one value."""
@@ -250,7 +256,10 @@ def prepare(data: TireData, rig, model, slip_scatter: float = 0.0) -> Prepared:
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
         rig.run_order == "random", np.arange(data.n),
         check_slip(data, rig.rolling_radius),
-        sizes_of(covariates, slip, float(np.mean(fz)), radius), derived,
+        sizes_of(covariates, slip, float(np.mean(fz)), radius)._replace(
+            wheel=radius or wheel_radius(data, derived)
+        ),
+        derived,
     )  # fmt: skip
 
 
@@ -276,6 +285,8 @@ def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Cova
     sliding = np.abs(sliding)
     across = {"x": "fy", "y": "fx"}.get(mode, "")
     work = work_of_sliding(np.abs(force) * sliding, data, time, run)
+    steering = _column(data, "steering")
+    steering_rate = _column(data, "steering_rate") if "steering_rate" in data else None
     return Covariates(
         fz=fz / np.exp(np.mean(np.log(fz))),
         v=v,
@@ -288,8 +299,6 @@ def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Cova
         turning=sweeps.turning,
         side=zero,
         other=zero,
-        force=zero,
-        usage=zero,
         spin=spin / radius if radius else zero,
         load=np.full(data.n, np.mean(fz)),
         past=sweeps.past.path,
@@ -309,10 +318,8 @@ def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Cova
         yaw=_column(data, "yaw_rate") / pace,
         ahead=_over_range(_column(data, "a_x")),
         **motion_of(data),
-        run_slip=zero,
-        run_force=zero,
-        change=zero,
-        traction=zero,
+        steered=sweeps.past.of(steering, steering_rate, time),
+        **dict.fromkeys(_OF_BASE, zero),
     )
 
 

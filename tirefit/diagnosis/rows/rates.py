@@ -201,9 +201,16 @@ class Past(NamedTuple):
     share: np.ndarray
     interval: float
 
-    def of(self, values) -> np.ndarray:
-        """Any values (n,) at these times: (n, k)."""
-        return (1 - self.share) * values[self.rows] + self.share * values[self.others]
+    def of(self, values, rate=None, time=None) -> np.ndarray:
+        """Any values (n,) at these times: (n, k), in straight lines between the rows,
+        or as cubics where their rate (n,) is known."""
+        first, last, share = values[self.rows], values[self.others], self.share
+        if rate is None:
+            return (1 - share) * first + share * last
+        step, rest = time[self.others] - time[self.rows], share - 1
+        out, back = step * rate[self.rows], step * rate[self.others]
+        moved = share**2 * (3 - 2 * share) * (last - first)
+        return first + moved + share * rest**2 * out + share**2 * rest * back
 
 
 def _no_past(values) -> Past:
@@ -311,19 +318,11 @@ def _by_its_rate(slip, time, rate, parts, still: Sweeps) -> Sweeps:
     usual = float(np.sqrt(np.mean(rate**2)))
     past = still.past._replace(interval=_SPAN * float(np.std(slip)) / usual)
     moving = still._replace(present=True, rate=rate, past=past)
-    past.path[:] = past.of(slip)
     for part in parts:
         _, low, share = _places(past, part, time[part])
-        step = time[part][low + 1] - time[part][low]
-        first, last = (slip[part][at] for at in (low, low + 1))
-        out, back = (step * rate[part][at] for at in (low, low + 1))
-        rest = share - 1
-        past.path[part] = (
-            first + share**2 * (3 - 2 * share) * (last - first)
-            + share * rest**2 * out + share**2 * rest * back
-        )  # fmt: skip
         past.rows[part], past.others[part] = part[low], part[low + 1]
         past.share[part] = share
+    past.path[:] = past.of(slip, rate, time)
     sure = np.sign(slip) * rate / (2 * _SURE * usual)
     moving.turning[:] = np.clip(sure, -1, 1)
     return moving

@@ -35,7 +35,8 @@ class Sizes(NamedTuple):
     deviation; ``temperature`` is over the range in units of 20 K; ``lever`` [m] moves
     the slip by ``slip`` at the usual yaw rate over speed; ``inertia`` [kg m^2] is that
     of the mass that the tire carries, at its rolling radius; ``swing`` [kg m] changes
-    the force by the load at the usual yaw acceleration.
+    the force by the load at the usual yaw acceleration. ``wheel`` [m] is the radius of
+    the wheel, 0 where nothing tells it.
     """
 
     plain: float = 1.0
@@ -50,6 +51,7 @@ class Sizes(NamedTuple):
     lever: float = 1.0
     inertia: float = 1.0
     swing: float = 1.0
+    wheel: float = 0.0
 
 
 def largest(values) -> float:
