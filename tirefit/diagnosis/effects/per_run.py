@@ -59,27 +59,21 @@ def _parameter_of_runs(name: str, fitted: str, scale: float, *looks_like: str):
         return jnp.exp(a * getattr(rows, OFFSETS[name].pattern))
 
     return Effect(
-        id=f"{name}_run",
-        family=f"{name} x run",
-        change=multiplies(name, factor),
+        id=f"{name}_run", family=f"{name} x run", change=multiplies(name, factor),
         scale=scale,
         formula=f"{SYMBOLS[name]} exp(difference of the run), spread by amplitude",
         means=f"{name} differs from run to run: another tire, surface or day",
         remedy=f"fit {fitted} for each run; compare runs of one tire and surface only",
         # The pattern of one is found without the other, whose sign it may have.
         bounds=((-1.5, 1.5),),
-        looks_like=(f"{name}_drift", f"{name}_warming", *looks_like),
-        **_SHARED,
-    )
+        looks_like=(f"{name}_drift", f"{name}_warming", *looks_like), **_SHARED,
+    )  # fmt: skip
 
 
 SLIP_OFFSET_RUN = Effect(
-    id="slip_offset_run",
-    family="slip x run",
-    change=adds("shift", lambda a, _, rows: a * rows.run_slip),
-    scale=0.1,
-    per=("slip",),
-    unit="- of slip",
+    id="slip_offset_run", family="slip x run",
+    change=adds("shift", lambda a, _, rows: a * rows.run_slip), scale=0.1,
+    per=("slip",), unit="- of slip",
     formula="slip + offset of the run, spread by amplitude: a random effect",
     means="the zero of the slip differs from run to run",
     remedy=(
@@ -89,20 +83,18 @@ SLIP_OFFSET_RUN = Effect(
     bounds=((0.0, 4.0),),
     looks_like=("slip_offset", "slip_zero_drift", "force_offset_run"),
     **_SHARED | {"told_apart_by": "both signs"},
-)
+)  # fmt: skip
 FORCE_OFFSET_RUN = Effect(
-    id="force_offset_run",
-    family="force x run",
+    id="force_offset_run", family="force x run",
     change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.run_force),
-    scale=15.0,
-    unit="1e-3 mean F_z",
+    scale=15.0, unit="1e-3 mean F_z",
     formula="force + offset of the run, spread by amplitude: a random effect",
     means="the zero of the force differs from run to run",
     remedy="tare before every run; fit the runs with an offset each",
     bounds=((0.0, 300.0),),
     looks_like=("force_offset", "force_zero_drift", "slip_offset_run"),
     **_SHARED | {"told_apart_by": "loads"},
-)
+)  # fmt: skip
 
 EFFECTS = (
     SLIP_OFFSET_RUN,
