@@ -293,7 +293,7 @@ def test_runs_with_offsets_of_their_own_are_told_with_their_spread():
     assert told.spread == pytest.approx(np.std(offsets, ddof=1), rel=0.2)
     assert told.p_value < 1e-6
     said = str(found)
-    assert "RUNS (an offset of its own for each, beside what else is named)" in said
+    assert "RUNS (how they differ beside what else is named, each by itself)" in said
     assert "spread between runs 0.00" in said and "shrunk: r0 0.00" in said
     # One zero for all is one, and no spread.
     same = diagnose(read_frame(of_runs([0.004] * 5)), rig=rig, effects=effects)

@@ -141,7 +141,7 @@ def _settings(result: Diagnosis) -> list[str]:
 def diagnosis_page(result: Diagnosis) -> str:
     """The whole diagnosis as one HTML document: pictures and figures inside, no script,
     nothing to fetch."""
-    needs = untestable_groups(result.untestable)
+    needs = untestable_groups(result)
     return rendered(
         "diagnosis_page.html",
         title=subject(result),

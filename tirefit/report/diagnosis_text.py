@@ -4,6 +4,7 @@ import textwrap
 
 from tirefit.diagnosis.decide.adequacy import LEAST_P, refused
 from tirefit.diagnosis.effects import EFFECTS
+from tirefit.diagnosis.effects.per_run import RELATIVE
 from tirefit.diagnosis.summary.records import Region, Shrinkage
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.diagnosis_budget import budget_lines, change_texts
@@ -31,7 +32,7 @@ from tirefit.report.diagnosis_words import (
 from tirefit.report.numbers import format_estimate, format_number
 
 _WIDTH = 88
-_RUNS = "RUNS (an offset of its own for each, beside what else is named)"
+_RUNS = "RUNS (how they differ beside what else is named, each by itself)"
 _LEVEL = 0.05
 _OF_SIGNS = ("signs read as", "sign convention declared", "warning: the simulator")
 """What sentences on the signs of the data, or of a simulator, have in them."""
@@ -325,7 +326,9 @@ def run_lines(result: Diagnosis) -> list[str]:
     lines = []
     for kind, runs in result.runs.items():
         factor, unit = said_unit(runs.unit)
-        common = amount_text(runs.common, runs.std, runs.unit)
+        common = f"{amount_text(runs.common, runs.std, runs.unit)} for all, "
+        if runs.unit == RELATIVE:  # what is common is the tire's own parameter
+            common = ""
         spread = amount_text(runs.spread, None, runs.unit, 2)
         low, high = (format_number(factor * end, 2) for end in runs.spread_ci)
         own = (
@@ -334,7 +337,7 @@ def run_lines(result: Diagnosis) -> list[str]:
         )
         shrunk = f"shrunk{f' [{unit}]' * bool(unit)}: {', '.join(own)}"
         lines.append(
-            f"{kind}: {common} for all, spread between runs {spread} [{low}, {high}]"
+            f"{kind}: {common}spread between runs {spread} [{low}, {high}]"
             f" (p {p_text(runs.p_value)} of none); {shrunk}"
         )
     return lines
@@ -389,7 +392,7 @@ def diagnosis_text(result: Diagnosis) -> str:
         smallest = (f"  {line}" for line in smallest_lines(result))
         lines += ["WOULD HAVE BEEN SEEN", *smallest]
     if result.untestable:
-        groups = untestable_groups(result.untestable)
+        groups = untestable_groups(result)
         lines += ["NOT TESTABLE ON THIS DATA"] + [
             f"  {effects}: needs {needs}" for needs, effects in groups
         ]

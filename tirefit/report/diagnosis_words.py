@@ -11,7 +11,6 @@ from tirefit.diagnosis.summary.records import (
     Candidate,
     Region,
     Spot,
-    Untestable,
     VerdictSummary,
 )
 from tirefit.diagnosis.summary.result import Diagnosis
@@ -54,6 +53,13 @@ _NEEDS = {
     "fx": "fx",
     "fy": "fy",
 }
+_BY_DERIVE = {
+    "other force": "driven", "steering": "[steering], of the front axle",
+    "loads": "h_cg", "heading": "x, y, yaw in [columns]",
+    "a_x": "[columns]", "a_y": "[columns]",
+}  # fmt: skip
+"""Need -> key of vehicle.toml with which a derived file meets it."""
+
 _COVARIATES = {
     "slip_fraction": "slip / slip of full sliding",
     "fz": "load F_z",
@@ -95,16 +101,24 @@ def words_on(effect: str, library: Sequence[Effect] = ()) -> tuple[str, str]:
     return (record.means, record.remedy) if record else ("", "")
 
 
-def needs_text(needs: Sequence[str]) -> str:
-    """``needs`` of an untestable effect in words."""
-    return ", ".join(_NEEDS.get(need, need) for need in needs)
+def needs_text(needs: Sequence[str], derived: bool = False) -> str:
+    """``needs`` of an untestable effect in words.
+
+    Args:
+        derived: whether ``tirefit derive`` could write what is missing.
+    """
+    keys = [_BY_DERIVE[need] for need in needs if derived and need in _BY_DERIVE]
+    how = f" (tirefit derive writes it: {', '.join(keys)} of vehicle.toml)"
+    said = ", ".join(_NEEDS.get(need, need) for need in needs)
+    return said + (how if keys else "")
 
 
-def untestable_groups(untestable: Sequence[Untestable]) -> list[tuple[str, str]]:
+def untestable_groups(result: Diagnosis) -> list[tuple[str, str]]:
     """(what is needed, effects that need it), both in words."""
     groups: dict[str, list[str]] = {}
-    for item in untestable:
-        groups.setdefault(needs_text(item.needs), []).append(item.effect)
+    for item in result.untestable:
+        needs = needs_text(item.needs, bool(result.data.motion))
+        groups.setdefault(needs, []).append(item.effect)
     return [(needs, ", ".join(effects)) for needs, effects in groups.items()]
 
 

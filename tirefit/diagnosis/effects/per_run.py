@@ -16,25 +16,26 @@ from tirefit.diagnosis.effects.record import (
 )
 from tirefit.diagnosis.rows.run_codes import shown_runs
 
+RELATIVE = "relative"
+"""Unit of a share of a parameter of the tire: the runs have nothing of it in common."""
+
 
 class Offset(NamedTuple):
     """What each run may have of its own: the ``field`` of the state that moves, the
-    covariate with the ``pattern`` of the runs, its unit, whether its amplitude is in
-    thousandths of the mean load, and whether it is a share of a parameter of the tire,
-    so that the runs differ and have nothing in common."""
+    covariate with the ``pattern`` of the runs, its unit, and whether its amplitude is
+    in thousandths of the mean load."""
 
     field: str
     pattern: str
     unit: str
     of_load: bool = False
-    relative: bool = False
 
 
 OFFSETS = {
     "slip_offset": Offset("shift", "run_slip", "-"),
     "force_offset": Offset("force", "run_force", "N", of_load=True),
-    "friction": Offset("friction", "run_friction", "-", relative=True),
-    "stiffness": Offset("stiffness", "run_stiffness", "-", relative=True),
+    "friction": Offset("friction", "run_friction", RELATIVE),
+    "stiffness": Offset("stiffness", "run_stiffness", RELATIVE),
 }
 """Id of an effect less ``_run`` -> what the runs differ in."""
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from tirefit.diagnosis.effects.per_run import OFFSETS
+from tirefit.diagnosis.effects.per_run import OFFSETS, RELATIVE
 from tirefit.diagnosis.evidence.forms import PLACE
 from tirefit.diagnosis.rows.basis import without
 from tirefit.diagnosis.rows.run_codes import shown_runs
@@ -122,7 +122,7 @@ def estimates(base, kind: str, hypothesis=None):
         there = _already(base, kind, {ids[k]: amplitudes[k] for k in atoms})
     run, offset = np.tile(rows.run, len(rows.channels)), OFFSETS[kind]
     field = linear.fields[:, PLACE[offset.field]]
-    if offset.relative:
+    if offset.unit == RELATIVE:
         field = field * np.tile(np.exp(there), len(rows.channels))
     own = np.stack([np.where(run == code, field, 0.0) for code in codes], axis=1)
     left = without(own, used_up)
@@ -136,7 +136,7 @@ def estimates(base, kind: str, hypothesis=None):
     inverse = (vector / known) @ vector.T
     first = [int(np.argmax(rows.run == code)) for code in codes]
     own = inverse @ (left.T @ linear.residual) + there[first]
-    if offset.relative:
+    if offset.unit == RELATIVE:
         # What the runs have in common is the tire's own parameter.
         one = np.full((len(codes), len(codes)), 1 / len(codes))
         own = own - own.mean()
