@@ -32,6 +32,7 @@ from tirefit.data.doubts import doubts
 from tirefit.data.merged import merged
 from tirefit.data.motion import (
     Motion,
+    error_along,
     force_along,
     read_motion,
     road_wheel,
@@ -39,6 +40,7 @@ from tirefit.data.motion import (
 )
 from tirefit.data.point import PointCheck, check_point
 from tirefit.data.remote import Place, file_at
+from tirefit.data.stated import found_in, stated_of
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
@@ -51,21 +53,6 @@ SCHEMA = "tirefit.derive/1"
 _FIRST = (
     "# tirefit: derived from vehicle logs, SI units, convention braking, constants {}\n"
 )
-
-_SHARE_STATED, _SHARE_ASSUMED, _SHARE_BRAKING = 0.05, 0.15, 0.3
-"""Standard errors of an axle's part of the force along the vehicle: where which axles
-drive (and how much each) is stated; of an even split that is assumed; and of who brakes
-where one axle drives: cars brake with both."""
-
-_ROLLING = 0.02
-"""Drag and rolling resistance over the weight, of a vehicle whose drag is not stated:
-an error of the force."""
-
-_POSE_CLOCK = 0.005
-"""Standard error [s] of the time between x, y and yaw, which one instrument gives."""
-
-_DELAYED = 3.0
-"""Standard errors from which a delay between two channels is reported."""
 
 _NEARLY_ALL = 0.9
 """Share of the samples that one reason drops, from which the units are doubted."""
@@ -286,7 +273,7 @@ def derive_files(
         for name in logs[0].columns
     }
     columns["run"] = np.repeat([log.name for log in logs], [len(log) for log in logs])
-    stated = {**_stated(vehicle), **_found(logs)}
+    stated = {**stated_of(vehicle), **found_in(logs)}
     first = _FIRST.format(" ".join(f"{k}={v:.4g}" for k, v in stated.items()))
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
     try:
@@ -341,50 +328,8 @@ def _axle(motion: Motion, vehicle: Vehicle, axle: str) -> dict[str, np.ndarray]:
         columns["steering_rate"] = motion.rate_of(columns["steering"])
     if vehicle.driven in (axle, "all"):
         force = force_along(motion, vehicle, axle)
-        columns |= {"fx": force, "fx_std": _error_along(force, vehicle)}
+        columns |= {"fx": force, "fx_std": error_along(force, vehicle, axle)}
     return columns
-
-
-def _error_along(force: np.ndarray, vehicle: Vehicle) -> np.ndarray:
-    """Standard error (n,) [N] of the force along an axle that drives."""
-    assumed = vehicle.driven == "all" and vehicle.rear_share is None
-    part = np.full(len(force), _SHARE_ASSUMED if assumed else _SHARE_STATED)
-    if vehicle.driven != "all":
-        part = np.where(force > 0, _SHARE_BRAKING, part)
-    rolling = _ROLLING * vehicle.mass * vehicle.gravity * (vehicle.drag is None)
-    return np.hypot(part * force * (2 if vehicle.driven == "all" else 1), rolling)
-
-
-def _stated(vehicle: Vehicle) -> dict[str, float]:
-    """What the vehicle file states, and nobody has to assume, by key."""
-    clock = _POSE_CLOCK if vehicle.columns.motion == POSE else None
-    point = vehicle.tracked_point
-    stated = {
-        "wheelbase": vehicle.wheelbase, "yaw_inertia": vehicle.yaw_inertia,
-        "tracked_point": None if point is None else point[0],
-        "clock": vehicle.clock or clock, "wheel_radius": vehicle.wheel_radius,
-    }  # fmt: skip
-    return {key: value for key, value in stated.items() if value is not None}
-
-
-def _found(logs: Sequence[DerivedLog]) -> dict[str, float]:
-    """What the logs show of their own errors, as means over the logs: alpha_zero [rad],
-    found_point [m ahead of the rear axle] and its error, late_CHANNEL [s]."""
-    found, zeros = {}, [log.zero for log in logs if log.zero is not None]
-    if zeros:
-        found["alpha_zero"] = float(np.mean(zeros))
-    estimates = {"found_point": [log.point.estimate for log in logs]}
-    for pair in (pair for log in logs for pair in log.compared.pairs):
-        late = estimates.setdefault(f"late_{pair.pair.channel}", [])
-        late.append((pair.delay, pair.delay_std))
-    for name, each in estimates.items():
-        known = np.array([one for one in each if one and 0 < one[1] < np.inf])
-        if len(known):
-            weight = known[:, 1] ** -2
-            mean, std = weight @ known[:, 0] / weight.sum(), weight.sum() ** -0.5
-            if name == "found_point" or abs(mean) > _DELAYED * std:
-                found |= {name: float(mean), f"{name}_std": float(std)}
-    return found
 
 
 def _kept(motion: Motion, track: Track, vehicle: Vehicle, axle: str):
@@ -465,7 +410,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
         "tirefit": _version(),
         "axle": axle,
         "vehicle": vehicle.model_dump(),
-        "found": _found(logs),
+        "found": found_in(logs),
         "runs": [
             {
                 "run": log.name,

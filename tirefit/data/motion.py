@@ -97,19 +97,35 @@ def force_along(motion: Motion, vehicle: Vehicle, axle: str) -> np.ndarray:
     takes back: T (s + (1 - s) / cos(delta)) = m a_x + drag v^2 + Y_f tan(delta), with s
     the part of the rear axle and Y_f the force across at the front.
     """
-    rear = {"rear": 1.0, "front": 0.0}.get(vehicle.driven or "", vehicle.rear_share)
-    rear = 0.5 if rear is None else rear
+    rear = _part(vehicle, "rear")
     steer = road_wheel(motion, vehicle) if vehicle.steering else 0 * motion.time
     needed = vehicle.mass * motion.a_x + (vehicle.drag or 0.0) * motion.v_x**2
     needed = needed + _lateral(motion, vehicle, "front") * np.tan(steer)
-    share = rear if axle == "rear" else 1 - rear
-    return -share * needed / (rear + (1 - rear) / np.cos(steer))
+    return -_part(vehicle, axle) * needed / (rear + (1 - rear) / np.cos(steer))
+
+
+def _part(vehicle: Vehicle, axle: str) -> float:
+    """Part of the force along the vehicle that acts on an axle."""
+    rear = {"rear": 1.0, "front": 0.0}.get(vehicle.driven or "", vehicle.rear_share)
+    rear = 0.5 if rear is None else rear
+    return rear if axle == "rear" else 1 - rear
 
 
 def road_wheel(motion: Motion, vehicle: Vehicle) -> np.ndarray:
     """Road wheel angle [rad] from the steering map, left positive: (n,)."""
     assert vehicle.steering is not None  # :func:`derive` has checked it
     return np.interp(motion.command, vehicle.steering.command, vehicle.steering.angle)
+
+
+def error_along(force: np.ndarray, vehicle: Vehicle, axle: str) -> np.ndarray:
+    """Standard error (n,) [N] of the force along an axle that drives."""
+    total = force / (_part(vehicle, axle) or 1.0)
+    assumed = vehicle.driven == "all" and vehicle.rear_share is None
+    part = np.full(len(force), _SHARE_ASSUMED if assumed else _SHARE_STATED)
+    if vehicle.driven != "all":
+        part = np.where(force > 0, _SHARE_BRAKING, part)
+    rolling = _ROLLING * vehicle.mass * vehicle.gravity * (vehicle.drag is None)
+    return np.hypot(part * total, rolling)
 
 
 def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0):
@@ -131,6 +147,15 @@ def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0):
     sections = butter(settings.order, cutoff, fs=rate, output="sos")
     return sosfiltfilt(sections, uniform, axis=0, padlen=padding)
 
+
+_SHARE_STATED, _SHARE_ASSUMED, _SHARE_BRAKING = 0.05, 0.15, 0.3
+"""Standard errors of an axle's part of the force along the vehicle: where which axles
+drive (and how much each) is stated; of an even split that is assumed; and of who brakes
+where one axle drives: cars brake with both."""
+
+_ROLLING = 0.02
+"""Drag and rolling resistance over the weight, of a vehicle whose drag is not stated:
+an error of the force."""
 
 _MOST_SAMPLES = 3_000_000
 """Samples on the grid of one log: 8 h at 100 Hz."""

@@ -35,7 +35,9 @@ _QUANTITIES = {
     "position": _Quantity("tracked_point", 0.03, 0.1, "the tracked point to {:.2g} m"),
     "clock": _Quantity("clock", 0.005, 0.1, "the clocks of the channels to {:.2g} s"),
     # Shares: the inertia of most vehicle files is estimated.
-    "yaw_inertia": _Quantity("yaw_inertia", 0.3, 1.0, "the yaw inertia to {:.2g} of it"),
+    "yaw_inertia": _Quantity(
+        "yaw_inertia", 0.3, 1.0, "the yaw inertia to {:.2g} of it"
+    ),
 }
 """Key of ``[vehicle]`` of rig.toml, a standard error -> the quantity that it is of."""
 
