@@ -89,14 +89,15 @@ def test_the_error_of_the_drive_force_says_what_was_assumed(tmp_path):
     np.testing.assert_allclose(found["fx_std"], expected)
     path, car = steered_car(tmp_path, 'driven = "rear"\ndrag = 0.1\n')
     found = derive(path, car).columns
-    assert found["fx_std"][found["fx"] < 0].max() == pytest.approx(
-        0.05 * -found["fx"].min()
-    )
+    known = 0.005 * MASS * 9.80665
+    share = np.where(found["fx"] > 0, 0.3, 0.05)
+    expected = np.hypot(share * found["fx"], known)
+    np.testing.assert_allclose(found["fx_std"], expected)
     # Half of an unknown split is known to 0.15 of the whole.
     path, car = steered_car(tmp_path, 'driven = "all"\ndrag = 0.1\n')
     assumed = derive(path, car)
     np.testing.assert_allclose(
-        assumed.columns["fx_std"], 0.3 * np.abs(assumed.columns["fx"])
+        assumed.columns["fx_std"], np.hypot(0.3 * assumed.columns["fx"], known)
     )
     assert any("no rear_share" in said for said in assumed.assumptions)
 

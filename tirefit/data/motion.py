@@ -124,7 +124,7 @@ def error_along(force: np.ndarray, vehicle: Vehicle, axle: str) -> np.ndarray:
     part = np.full(len(force), _SHARE_ASSUMED if assumed else _SHARE_STATED)
     if vehicle.driven != "all":
         part = np.where(force > 0, _SHARE_BRAKING, part)
-    rolling = _ROLLING * vehicle.mass * vehicle.gravity * (vehicle.drag is None)
+    rolling = _ROLLING[vehicle.drag is not None] * vehicle.mass * vehicle.gravity
     return np.hypot(part * total, rolling)
 
 
@@ -153,9 +153,9 @@ _SHARE_STATED, _SHARE_ASSUMED, _SHARE_BRAKING = 0.05, 0.15, 0.3
 drive (and how much each) is stated; of an even split that is assumed; and of who brakes
 where one axle drives: cars brake with both."""
 
-_ROLLING = 0.02
-"""Drag and rolling resistance over the weight, of a vehicle whose drag is not stated:
-an error of the force."""
+_ROLLING = (0.02, 0.005)
+"""Error of drag and rolling resistance over the weight, without and with a drag that is
+stated."""
 
 _MOST_SAMPLES = 3_000_000
 """Samples on the grid of one log: 8 h at 100 Hz."""

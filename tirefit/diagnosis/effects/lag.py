@@ -83,9 +83,13 @@ def _relax(state, length, constants, rows):
 
 
 def _steer(state, change, rows):
-    """The road wheels steer by a change (n,) [rad] more than was logged."""
+    """The road wheels steer by a change (n,) [rad] more than was logged, and a force
+    that was derived across them turns with them."""
     slip = rows.past[:, AHEAD]
-    return state._replace(shift=state.shift + jnp.tan(jnp.arctan(slip) - change) - slip)
+    return state._replace(
+        shift=state.shift + jnp.tan(jnp.arctan(slip) - change) - slip,
+        force=state.force + rows.pivot * change,
+    )
 
 
 def _too_long(length: float, prepared) -> str:

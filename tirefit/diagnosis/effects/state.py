@@ -46,9 +46,10 @@ class Covariates(NamedTuple):
     the record. ``across`` [N] is the measured force across, ``yaw`` [1/m] yaw rate over
     speed, ``ahead`` the acceleration ahead over its range, ``swing`` [rad/s^2] the yaw
     acceleration, ``heading`` and ``steering`` [rad] as measured, ``steered`` (n, k) the
-    latter where ``past`` has the slip, ``lean`` the lateral acceleration over that of
-    gravity; of a force that was derived from it, what the base model's force would make
-    of it. ``run_slip``, ``run_force``, ``run_friction`` and ``run_stiffness`` are how
+    latter where ``past`` has the slip, ``pivot`` [N/rad] what the road wheel angle does
+    to a force that was derived across it, ``lean`` the lateral acceleration over that
+    of gravity; of a force that was derived from it, what the base model's force would
+    make of it. ``run_slip``, ``run_force``, ``run_friction`` and ``run_stiffness`` are how
     the runs differ in one or the other, of unit rms.
     ``change`` is the shape of a change in time, from -1/2 to 1/2, that
     :func:`evidence.forms.shape_of_change` has found, ``traction`` the force
@@ -91,6 +92,7 @@ class Covariates(NamedTuple):
     lean: Values
     steering: Values
     steered: Values
+    pivot: Values
     run_slip: Values
     run_force: Values
     run_friction: Values

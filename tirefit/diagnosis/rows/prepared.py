@@ -242,6 +242,9 @@ def prepare(data: TireData, rig, model, slip_scatter: float = 0.0) -> Prepared:
     covariates = _covariates(data, mode, sweeps, np.hypot(slip, second), radius)
     covariates = covariates._replace(side=np.sign(slip), other=other)
     fz, derived = data.usable("fz"), derived_from(data, channels[0])
+    if derived is not None and derived.steered:
+        turned = data.usable("fy") * np.tan(data.usable("steering"))
+        covariates = covariates._replace(pivot=covariates.across - turned)
     has = _holdings(data, mode, covariates, sweeps.present, radius)
     has |= {name for name, here in seen_in_motion(data, derived).items() if here}
     inputs = TireInputs(
@@ -318,6 +321,7 @@ def _covariates(data: TireData, mode: str, sweeps: Sweeps, size, radius) -> Cova
         yaw=_column(data, "yaw_rate") / pace,
         ahead=_over_range(_column(data, "a_x")),
         **motion_of(data),
+        pivot=zero,
         steered=sweeps.past.of(steering, steering_rate, time),
         **dict.fromkeys(_OF_BASE, zero),
     )
