@@ -18,11 +18,11 @@ def stated_of(vehicle: Vehicle) -> dict[str, float]:
     """What the vehicle file states, and nobody has to assume, by key."""
     clock = _POSE_CLOCK if vehicle.columns.motion == POSE else None
     point = vehicle.tracked_point
-    stated = {
-        "wheelbase": vehicle.wheelbase, "yaw_inertia": vehicle.yaw_inertia,
-        "tracked_point": None if point is None else point[0],
-        "clock": vehicle.clock or clock, "wheel_radius": vehicle.wheel_radius,
-    }  # fmt: skip
+    stated = dict(
+        wheelbase=vehicle.wheelbase, yaw_inertia=vehicle.yaw_inertia,
+        tracked_point=None if point is None else point[0],
+        clock=vehicle.clock or clock, wheel_radius=vehicle.wheel_radius,
+    )  # fmt: skip
     return {key: value for key, value in stated.items() if value is not None}
 
 

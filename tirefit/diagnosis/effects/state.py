@@ -49,8 +49,8 @@ class Covariates(NamedTuple):
     latter where ``past`` has the slip, ``pivot`` [N/rad] what the road wheel angle does
     to a force that was derived across it, ``lean`` the lateral acceleration over that
     of gravity; of a force that was derived from it, what the base model's force would
-    make of it. ``run_slip``, ``run_force``, ``run_friction`` and ``run_stiffness`` are how
-    the runs differ in one or the other, of unit rms.
+    make of it. ``run_slip``, ``run_force``, ``run_friction`` and ``run_stiffness`` are
+    how the runs differ in one or the other, of unit rms.
     ``change`` is the shape of a change in time, from -1/2 to 1/2, that
     :func:`evidence.forms.shape_of_change` has found, ``traction`` the force
     of the base model over the mean load.
