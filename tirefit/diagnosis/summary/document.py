@@ -358,7 +358,12 @@ def _candidate(case: Case, key, probability: float, closure: Closure) -> Candida
             # However badly it fits, no less is known of it than beforehand.
             std=float(min(spread[j], 1.0) * scale[k]),
             unit=effect.unit,
-            formula=base.atoms[k].formula(base.design.rows, base.rows.time),
+            formula=base.atoms[k].formula(
+                base.design.rows,
+                base.rows.time,
+                hypothesis.amplitude[j] * scale[k],
+                base.rows,
+            ),
         )
     ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
     return Candidate(
