@@ -1,6 +1,7 @@
 """From the posterior over sets, the figures on data left out and the tests of the
 remainder to a verdict. :func:`decide` is pure, and nothing else sets a status."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -199,13 +200,13 @@ def decide(found: Findings, policy: Policy = POLICY) -> Verdict:
         )  # fmt: skip
     gains = found.sets[key].gains
     order = sorted(key, key=lambda e: -gains[e].gain if e in gains else 0.0)
-    # Where data left out chose between twins, it is one claim with their probability.
-    exact = weighed.listed_given_gap(weighed.best)
+    exact = weighed.listed_given_gap(key) if key == best else weighed.holding(key)
+    if more:
+        exact = math.prod(found.probability(e, key, policy) for e in key)
     status = Status.CANNOT_TELL if also else Status.NAMED
     return verdict(
         Status.INCOMPLETE if more else status,
-        (exact if key == best else weighed.holding(key))
-        * (unlisted if more else 1 - unlisted),
+        exact * (unlisted if more else 1 - unlisted),
         effects=tuple(order), key=key, also_possible=also,
         each={
             e: Each(
