@@ -180,7 +180,10 @@ def pattern_of_runs(base, kind: str) -> np.ndarray:
     if seen is None:
         return pattern
     codes, values, covariance = seen
-    for code, value in zip(codes, shrunk(values, covariance).values, strict=True):
+    law = shrunk(values, covariance)
+    if law.spread == 0:
+        return pattern
+    for code, value in zip(codes, law.values, strict=True):
         pattern[base.rows.run == code] = value
     pattern -= pattern.mean()
     size = np.sqrt(np.mean(pattern**2))
