@@ -56,7 +56,7 @@ class Sizes(NamedTuple):
     deviation; ``temperature``: reciprocal range in 20 K; ``lever`` [m] changes the slip
     by ``slip`` at the usual yaw rate over speed; ``inertia`` [kg m^2]: of the carried
     mass at the rolling radius; ``swing`` [kg m] changes the force by the load at the
-    usual yaw acceleration.
+    usual yaw acceleration; ``wheel`` [m] is the radius of the wheel, 0 where unknown.
     """
 
     plain: float = 1.0
@@ -71,6 +71,7 @@ class Sizes(NamedTuple):
     lever: float = 1.0
     inertia: float = 1.0
     swing: float = 1.0
+    wheel: float = 0.0
 
 
 def _largest(values) -> float:
@@ -148,17 +149,37 @@ def derived_from(data: TireData, channel: str) -> Derived | None:
     motion = np.stack([data.usable(name) for name in needed], axis=1)
     if np.linalg.matrix_rank(motion - motion.mean(axis=0)) < motion.shape[1]:
         return None
-    found, turned = [], [1.0]
+    found, across = [], [data.usable(channel)]
     if "steering" in data:
-        turned.append(np.cos(data.usable("steering")))
-    for steered, turn in enumerate(turned):
-        ahead = data.usable(channel) * turn
+        angle = data.usable("steering")
+        across.append(across[0] * np.cos(angle))
+        if "fx" in data:  # of an axle that drives
+            across.append(across[1] + data.usable("fx") * np.sin(angle))
+    for ahead in across:
         share = np.linalg.lstsq(motion, ahead)[0]
         missed = float(np.std(ahead - motion @ share) / np.std(ahead))
         mass, inertia = np.abs(share).tolist()
-        found.append((missed, Derived(mass, inertia, bool(steered))))
+        found.append((missed, Derived(mass, inertia, ahead is not across[0])))
     best = min(found, key=lambda one: one[0])
     return best[1] if best[0] < _EXACT else None
+
+
+_RADIUS = 0.15
+"""Radius of a wheel over the wheelbase: 0.11 of cars, 0.15 to 0.19 of models."""
+
+
+def wheel_radius(data: TireData, derived: Derived | None) -> float:
+    """Radius of the wheel [m] as a derived file states it, else by its wheelbase; zero
+    where neither is known."""
+    stated = data.source.constants
+    if "wheel_radius" in stated:
+        return stated["wheel_radius"]
+    return _RADIUS * wheelbase(data, derived) if derived else 0.0
+
+
+def wheelbase(data: TireData, derived: Derived) -> float:
+    """Of the vehicle [m]: stated, or about twice the arm of an axle."""
+    return data.source.constants.get("wheelbase", 2 * derived.arm)
 
 
 def work_of_sliding(power, time, run) -> np.ndarray:
@@ -259,6 +280,12 @@ def covariates_of(
         heading=column(data, "heading"),
         lean=column(data, "a_y") / g,
         steering=column(data, "steering"),
+        pivot=zero,
+        steered=sweeps.past.of(
+            column(data, "steering"),
+            column(data, "steering_rate") if "steering_rate" in data else None,
+            time,
+        ),
         **dict.fromkeys(_OF_THE_FIT, zero),
     )
 
