@@ -19,6 +19,7 @@ from tirefit.diagnosis.decide.remainder import (
 )
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.evidence.base import Base, fit_base
+from tirefit.diagnosis.evidence.forward import Design
 from tirefit.diagnosis.evidence.linear_fit import LinearFit
 from tirefit.diagnosis.noise.memory import FORGETFUL, Memory
 from tirefit.diagnosis.rows.prepared import prepare
@@ -50,7 +51,8 @@ class Fitted(Base):
     def __init__(self, rows, memory=FORGETFUL, doubt=NOTHING, keep=None):
         keep = np.ones(rows.n) if keep is None else keep.astype(float)
         noise = {c: SimpleNamespace(memory=(memory,)) for c in rows.channels}
-        fit = SimpleNamespace(design=SimpleNamespace(keep=keep))
+        design = Design(*[None] * len(Design._fields))._replace(keep=keep)
+        fit = SimpleNamespace(design=design)
         self.__dict__ |= {"rows": rows, "noise": noise, "fit": fit, "doubt": doubt}
 
 

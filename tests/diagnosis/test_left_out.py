@@ -60,18 +60,16 @@ def five():
 
 @pytest.mark.parametrize("count", [3, 5])
 def test_whole_runs_are_left_out_where_there_are_three(count):
-    frame = logs(count)
-    short = np.arange(len(frame["time"])) < 84 + 90 * (count - 1)
-    # The last run is too short to show anything: its rows are always fitted.
-    short |= np.arange(len(short)) >= len(short) - 4
-    rows = prepared({name: values[short] for name, values in logs(count + 1).items()})
+    """A further run is too short to show anything: its rows are always fitted."""
+    first = np.arange(90 * count + 4)
+    rows = prepared({name: x[first] for name, x in logs(count + 1).items()})
     folds = folds_of(rows, 1.0)
     assert folds.across_runs and folds.number == count
     assert folds.on == f"{count} runs, each left out in turn"
-    for fold in range(folds.number):
+    for fold in range(count):
         (run,) = set(rows.run[folds.code == fold])
         np.testing.assert_array_equal(folds.code == fold, rows.run == run)
-    assert set(rows.run[folds.code == -1]) <= {count}
+    assert set(rows.run[folds.code == -1]) == {count}
 
 
 @pytest.mark.parametrize(
@@ -84,8 +82,8 @@ def test_blocks_of_time_hold_together(count, across_runs):
     order = np.lexsort((rows.time, rows.run))
     assert not folds.across_runs and np.all(folds.code >= 0)
     assert np.all(np.diff(folds.code[order]) >= 0)
-    assert np.ptp(np.bincount(folds.code)) <= 1 and folds.number == 8
-    assert folds.on == "8 blocks of time, each left out in turn"
+    assert np.ptp(np.bincount(folds.code)) <= 1 and folds.number >= 7
+    assert folds.on == f"{folds.number} blocks of time, each left out in turn"
     # A block is several times as long as the noise remembers.
     for rows_each in (5.0, 20.0, 1e3):
         long = folds_of(rows, rows_each, across_runs)
@@ -142,10 +140,9 @@ def test_losses_are_those_of_refits_without_the_fold(five):
             loss, size = by_scipy(five, fold, folds.code, bool(k))
             assert found.loss[fold, k] == pytest.approx(loss, rel=1e-3)
         assert found.amplitude[1][fold, 0] == pytest.approx(size, rel=1e-3)
-    scale = np.asarray(five.design.scale["fy"])[: five.rows.n]
-    assert np.ptp(scale) == 0  # the noise is one number here
+    # The noise is one number here, but for that of the slip.
     rows = found.rows[:, None]
-    np.testing.assert_allclose(found.whitened, found.loss * rows / scale[0] ** 2)
+    np.testing.assert_allclose(found.whitened, found.loss * rows / STD**2, rtol=1e-4)
     assert np.sum(found.rows) == np.sum(np.asarray(five.design.keep) > 0)
 
 

@@ -23,8 +23,8 @@ MOST_EFFECTS = 3
 Present = Sequence[tuple[int, float]]
 """Numbers and amplitudes, in their own units, of the atoms of a hypothesis."""
 
-Slopes = dict[int, np.ndarray]
-"""Derivatives (n,) of the fields of a state that differ, by the number of the field."""
+Slopes = dict[int, np.ndarray | float]
+"""Derivatives of the fields of a state that differ, (n,) or one, by their number."""
 
 
 class Changes(NamedTuple):
