@@ -79,7 +79,7 @@ def test_the_ladder_leads_from_no_effect_to_the_noise(diagnosed, name):
     """A single record: blocks of time; a step for each name."""
     found, _ = diagnosed(name)
     effects = [step.effects for step in found.ladder.steps]
-    assert found.ladder.on == "8 blocks of time, each left out in turn"
+    assert found.ladder.on == "8 blocks of time left out in turn"
     assert effects[0] == () and effects[-2:] == [("anything smooth",), ("noise",)]
     named = set(found.verdict.each)
     assert set().union(*effects[1:-2]) == named

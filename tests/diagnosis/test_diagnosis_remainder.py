@@ -79,7 +79,7 @@ def test_noise_passes_as_often_as_it_should():
         assert low <= small <= high, (name, small)
 
 
-@pytest.mark.parametrize("size", [0.1, 300.0])
+@pytest.mark.parametrize("size", [0.5, 300.0])
 def test_a_wrong_noise_level_is_no_finding(size):
     assert judged(noise_of(2)) == judged(size * noise_of(2))
 
@@ -223,7 +223,7 @@ def test_what_another_form_explains_is_no_remainder():
     against the formulas alone, which cannot, and with their other forms."""
 
     def settling(slip, time, fz, v):
-        return brush(slip + 0.03 * (np.exp(-time / 2.4) - 0.12), 5e4, 0.9, fz)
+        return brush(slip + 0.02 * (np.exp(-time / 2.4) - 0.12), 5e4, 0.9, fz)
 
     frame, _ = record(settling, seed=3)
     base = fit_base(prepare(read_frame(frame), RIG, ("fx",)), "brush", EFFECTS, RIG)
@@ -237,4 +237,4 @@ def test_what_another_form_explains_is_no_remainder():
         )
         for forms in (frozenset(), frozenset([key]))
     )
-    assert min(alone) < LEVEL < min(freed), (alone, freed)
+    assert min(alone) <= LEVEL and min(freed) > 20 * LEVEL, (alone, freed)

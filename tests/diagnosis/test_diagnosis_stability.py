@@ -95,7 +95,7 @@ def test_six_measured_logs_name_the_zero_of_the_slip(found):
         if name.startswith("slip_offset:")
     )
     assert size == pytest.approx(-9.7e-3, abs=2e-3)
-    assert of.ladder.on == "6 runs, each left out in turn"
+    assert of.ladder.on == "6 runs left out in turn"
 
 
 @pytest.mark.parametrize("count", [3, 4, 5])

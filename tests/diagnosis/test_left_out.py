@@ -65,7 +65,7 @@ def test_whole_runs_are_left_out_where_there_are_three(count):
     rows = prepared({name: x[first] for name, x in logs(count + 1).items()})
     folds = folds_of(rows, 1.0)
     assert folds.across_runs and folds.number == count
-    assert folds.on == f"{count} runs, each left out in turn"
+    assert folds.on == f"{count} runs left out in turn"
     for fold in range(count):
         (run,) = set(rows.run[folds.code == fold])
         np.testing.assert_array_equal(folds.code == fold, rows.run == run)
@@ -83,7 +83,7 @@ def test_blocks_of_time_hold_together(count, across_runs):
     assert not folds.across_runs and np.all(folds.code >= 0)
     assert np.all(np.diff(folds.code[order]) >= 0)
     assert np.ptp(np.bincount(folds.code)) <= 1 and folds.number >= 7
-    assert folds.on == f"{folds.number} blocks of time, each left out in turn"
+    assert folds.on == f"{folds.number} blocks of time left out in turn"
     # A block is several times as long as the noise remembers.
     for rows_each in (5.0, 20.0, 1e3):
         long = folds_of(rows, rows_each, across_runs)
@@ -99,10 +99,10 @@ def test_without_time_settings_or_parts_of_the_slip_are_left_out(loads):
     folds = folds_of(rows, 1.0)
     assert np.all(folds.code >= 0) and np.bincount(folds.code).min() >= 12
     if len(loads) > 1:
-        assert folds.on == "3 settings of load and speed, each left out"
+        assert folds.on == "3 settings of load and speed left out in turn"
         assert all(np.ptp(fz[folds.code == k]) == 0 for k in range(3))
     else:
-        assert folds.on == "5 parts of the slip range, each left out in turn"
+        assert folds.on == "5 parts of the slip range left out in turn"
         # No part is one end of the slip: each has rows on both sides of others.
         assert all(np.ptp(slip[folds.code == k]) > 0.15 for k in range(5))
 
@@ -264,7 +264,7 @@ def test_a_climb_does_not_take_what_helps_one_run_alone():
 def test_a_diagnosis_names_what_the_climb_found(count):
     found = diagnose(read_frame(logs(count), "logs"), rig=RIG, effects=LIBRARY)
     assert set(found.effects) == TRUE
-    assert found.ladder.on == f"{count} runs, each left out in turn"
+    assert found.ladder.on == f"{count} runs left out in turn"
     rms = [step.rms_left_out for step in found.ladder.steps]
     assert rms[0] > rms[1] > rms[2] and rms[2] == pytest.approx(STD, rel=0.1)
     assert rms[-1] == pytest.approx(STD, rel=0.1)
