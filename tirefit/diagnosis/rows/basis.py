@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from tirefit.data.levels import levels
-from tirefit.diagnosis.negligible import FLAT, ROUNDING
+from tirefit.diagnosis.negligible import FLAT, ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.patterns import (
     FULL_SLIDING,
     ROWS_OF_A_WAVE,
@@ -77,7 +77,7 @@ def _by_side(slip_fraction, factors, scale, most: int, finest: int) -> np.ndarra
 
 def _standard(values):
     spread = np.std(values)
-    return (values - values.mean()) / spread if spread > FLAT else None
+    return (values - values.mean()) / spread if spread > UNSEEN else None
 
 
 def _modulations(prepared) -> list[np.ndarray]:
