@@ -271,12 +271,12 @@ def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate
 
 
 def _chances(case: Case) -> dict:
-    """Probability of every refitted set: that of the verdict for its own, the others
-    share the rest by their evidence."""
+    """Probability of every refitted set: the verdict's own, others by their evidence."""
     verdict, listed = case.verdict, case.weighed.listed
     named = verdict.status.names
     some = {k: p for k, p in listed.items() if k and not (named and k == verdict.key)}
-    rest = 1 - verdict.probability if named else 1 - verdict.unlisted
+    alone = verdict.status in (Status.NAMED, Status.CANNOT_TELL)
+    rest = 1 - verdict.unlisted - verdict.probability * alone
     if verdict.status == Status.NONE:
         rest *= 1 - case.weighed.nothing_shown
     scale = rest / max(sum(some.values()), ROUNDING)
