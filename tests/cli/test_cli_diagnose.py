@@ -191,6 +191,10 @@ def test_the_document_is_of_the_schema(studied):
     assert document["settings"]["effects"] == [e.id for e in EFFECTS if e.id in KEPT]
 
 
+@pytest.mark.xfail(
+    strict=True,
+    reason="'unknown': no effect predicts the parts of the slip that are left out",
+)
 def test_what_the_data_cannot_tell_is_said(studied):
     """One load and one sign: a slip offset is a force offset, exactly."""
     document = json.loads((studied[0] / "out" / "one.json").read_text())

@@ -271,7 +271,7 @@ def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate
 
 
 def _chances(case: Case) -> dict:
-    """Probability of every refitted set: the verdict's own, others by their evidence."""
+    """Probability of every refitted set: the verdict's, others by their evidence."""
     verdict, listed = case.verdict, case.weighed.listed
     named = verdict.status.names
     some = {k: p for k, p in listed.items() if k and not (named and k == verdict.key)}
