@@ -1066,7 +1066,9 @@ def test_an_effect_of_the_users_own_goes_by_its_id():
     for page in (str(known), diagnosis_page(known)):
         assert "the road has waves; to do: measure elsewhere" in page
     own = Untestable("road_ripple", ("road camera", "omega"))
-    assert untestable_lines([own]) == ["road camera, wheel speed omega: road ripple"]
+    assert untestable_lines(known, [own]) == [
+        "road camera, wheel speed omega: road ripple"
+    ]
 
 
 def test_small_texts():
@@ -1085,7 +1087,7 @@ def test_small_texts():
     assert share_text(None) == "-"
     assert share_text(0.5, [None, None]) == "50 %"
     assert p_text(0.0) == "< 1e-12" and p_text(0.0134) == "0.013"
-    first = untestable_lines(UNTESTABLE)[0]
+    first = untestable_lines(diagnosis(), UNTESTABLE)[0]
     assert first.endswith(": friction temperature, stiffness temperature")
     assert listing(["a"]) == "a" and listing(["a", "b", "c"], "or") == "a, b or c"
     assert set_name(()) == "no effect" and name_with_id("toe") == "toe"
