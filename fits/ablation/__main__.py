@@ -23,7 +23,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--before", type=Path, help="answers of another version")
     given = parser.parse_args(arguments)
     first, second = (loaded(folder) for folder in given.folders)
-    measured = loaded(given.measured) if given.measured else []
+    there = given.measured and given.measured.exists()
+    measured = loaded(given.measured) if there else []
     again = [reproduced(record) for record in (*first, *second, *measured)]
     text = table(first, second, measured, given.before)
     text += f"\nRecords from which the verdict comes out: {sum(again)} of {len(again)}."

@@ -15,8 +15,11 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
+from importlib import import_module
+from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -148,13 +151,17 @@ def _trial(folder: Path, name: str, label: dict, without, sim: bool, at: Path) -
     return _write(at, record | {"name": f"{folder.name}/{name}", "label": label})
 
 
-def _measured(number: int, at: Path) -> str:
-    from fits.measured_changes.cases import CASES
-    from fits.measured_changes.logs import data, table
+def _cases() -> dict[str, Any]:
+    cases = import_module("fits.measured_changes.cases")
+    return {case.name: case for case in cases.CASES}
 
+
+def _measured(name: str, at: Path) -> str:
     import tirefit
 
-    case, sim = CASES[number], None
+    logs = import_module("fits.measured_changes.logs")
+    case, sim = _cases()[name], None
+    data, table = logs.data, logs.table
     if case.fitted_on is not None:
         sim = tirefit.fit(data(table(case.fitted_on), "fitted"), "brush")
     record = diagnosed(data(table(case.logs), case.name), sim=sim)
@@ -193,19 +200,17 @@ def _work(folders: list[Path], out: Path, measured: bool) -> list[tuple]:
             some = (folder, name, label, told[group], bool(sims.get(group)), at)
             if not at.exists():
                 found.append((_trial, *some))
-    if measured:
-        from fits.measured_changes.cases import CASES
-
-        for number, case in enumerate(CASES):
-            at = out / "measured" / f"{case.name}.pickle"
+    if measured and find_spec("fits.measured_changes"):
+        for name, case in _cases().items():
+            at = out / "measured" / f"{name}.pickle"
             if case.use == "choosing" and not at.exists():
-                found.append((_measured, number, at))
+                found.append((_measured, name, at))
     return found
 
 
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument("folders", type=Path, nargs="*")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument(
