@@ -165,15 +165,8 @@ def _measured(name: str, at: Path) -> str:
     if case.fitted_on is not None:
         sim = tirefit.fit(data(table(case.fitted_on), "fitted"), "brush")
     record = diagnosed(data(table(case.logs), case.name), sim=sim)
-    label = {
-        "set": "measured",
-        "named": case.named,
-        "never": case.never,
-        "use": case.use,
-        "effects": [],
-        "families": [],
-        "kind": case.letter,
-    }
+    label = {"set": "measured", "named": case.named, "never": case.never,
+             "effects": [], "families": [], "kind": case.letter}  # fmt: skip
     return _write(at, record | {"name": f"measured/{case.name}", "label": label})
 
 
