@@ -66,7 +66,7 @@ class Rules:
         forms: listed effects have other forms too.
         doubt: what the doubt of the slips takes from the evidence of a set.
         kin: two effects of one family are rarer together.
-        without: a kind of discrepancy that is not looked for.
+        without: kinds of discrepancy that are not looked for.
     """
 
     policy: Policy = POLICY
@@ -79,7 +79,7 @@ class Rules:
     forms: bool = True
     doubt: bool = True
     kin: bool = True
-    without: str = ""
+    without: tuple[str, ...] = ()
 
 
 VARIANTS: dict[str, Rules] = {
@@ -95,10 +95,11 @@ VARIANTS: dict[str, Rules] = {
     "clue evidence off": Rules(clues=("narrow", "share")),
     "clue narrow off": Rules(clues=("evidence", "share")),
     "clue share off": Rules(clues=("evidence", "narrow")),
-    "discrepancy: smooth off": Rules(without="smooth"),
-    "discrepancy: cells off": Rules(without="cells"),
-    "discrepancy: waves off": Rules(without="waves"),
-    "discrepancy: patterns off": Rules(without="patterns"),
+    "discrepancy: smooth off": Rules(without=("smooth",)),
+    "discrepancy: cells off": Rules(without=("cells",)),
+    "discrepancy: smooth and cells off": Rules(without=("smooth", "cells")),
+    "discrepancy: waves off": Rules(without=("waves",)),
+    "discrepancy: patterns off": Rules(without=("patterns",)),
     "other forms off": Rules(forms=False),
     "doubt of the slips off": Rules(doubt=False),
     "prior of kin off": Rules(kin=False),
@@ -157,7 +158,7 @@ def weighed_of(record: Mapping, rules: Rules) -> Weighed:
             evidence[key] += form
         total = _formulas_first(total, {key: sum(fit[:2]) for key, fit in best.items()})
     gains = {
-        key: {kind: v for kind, v in of.items() if kind != rules.without}
+        key: {kind: v for kind, v in of.items() if kind not in rules.without}
         for key, of in told["gains"].items()
     }
     beside = {

@@ -99,7 +99,7 @@ def test_something_unlisted_takes_no_name_away():
     assert (answer.status, answer.effects) == (str(Status.INCOMPLETE), (RISING,))
     by_evidence = decided(strange, VARIANTS["regression off"], {})
     assert by_evidence.status == str(Status.INCOMPLETE)
-    without = Rules(without="waves")
+    without = Rules(without=("waves",))
     gains = weighed_of(strange, without).gains[(RISING,)]
     assert gains.keys() == {"smooth", "cells", "patterns"}
 
