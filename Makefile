@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: install demo test statistics notebooks bench withheld withheld-full ablate calibration friction-benchmark fuzz braking posterior-peers lint types clean
+.PHONY: install demo test statistics notebooks bench withheld withheld-full measured ablate calibration friction-benchmark fuzz braking posterior-peers lint types clean
 
 install: $(STAMP)
 
@@ -22,7 +22,7 @@ demo: install
 
 # One thread of linear algebra: beside another worker a second one only spins, and sums in
 # another order move the last digits, which can choose another way of a search.
-test statistics notebooks: export OPENBLAS_NUM_THREADS = 1
+test statistics notebooks measured: export OPENBLAS_NUM_THREADS = 1
 
 test: install
 	$(BIN)/python -m pytest -q -n 2 tests
@@ -61,6 +61,11 @@ ablate: install
 # The learned numbers of the diagnosis, from these records; see fits/calibration.
 calibration: ablate
 	$(BIN)/python -m fits.calibration out/ablate/records/421 out/ablate/records/422
+
+# What diagnose says of changes that somebody made, in measured data; see
+# fits/measured_changes.
+measured: install
+	$(BIN)/python -m fits.measured_changes --jobs 2 --out out/$@
 
 # Damaged inputs of every kind that is read, some by whole commands, over night; the
 # suite tries 500.

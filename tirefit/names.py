@@ -56,6 +56,7 @@ EFFECT_NAMES = (
     "tracked_point", "load_transfer", "friction_pressure", "stiffness_pressure",
     "friction_warming", "stiffness_warming", "stiffness_speed", "yaw_inertia",
     "floor_slope", "toe", "lateral_load_transfer", "unlike_tires", "steering_gain",
-    "slip_offset_run", "force_offset_run",
+    "slip_offset_run", "force_offset_run", "friction_run", "stiffness_run",
+    "steering_delay", "steering_lag",
 )  # fmt: skip
 """The id of every effect of ``tirefit diagnose``."""

@@ -371,7 +371,7 @@ def patterns_of_a_remainder(rows: int = 1000, columns: int = 12) -> None:
     mine, other = medians([(seconds(ours), seconds(peer)) for _ in range(50)])
     name = f"{len(among.of)} patterns x {columns} columns (dense)"
     say(name, mine * 1e3, other * 1e3, "ms", "lower")
-    shapes = sum(one.plain.shape[1] + one.waves.shape[1] for one in among.over)
+    shapes = sum(one.shapes.shape[1] for one in among.over)
     count, peak = 2 * rows * shapes * len(PARAMETERS) * columns, flops_peak(np.float32)
     limit = f"{peak / 1e9:.0f} Gflop/s, single precision"
     print(f"  {count / mine / peak:.0%} of the arithmetic ({limit})")

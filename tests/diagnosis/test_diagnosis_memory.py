@@ -45,7 +45,7 @@ def test_independent_rows_have_none(count):
 
 
 @pytest.mark.parametrize("count", [4, 200])
-@pytest.mark.parametrize("memory", [Memory(0.5, 1.0), Memory(0.65, 0.7)])
+@pytest.mark.parametrize("memory", [Memory(0.5, 1.0), Memory(0.65, 1.0)])
 def test_a_memory_is_seen_whatever_was_taken_out(memory, count):
     found = [judged(noise(memory, seed), smooth(count)) for seed in range(8)]
     # The correlation at lag one is known best; fade and share trade against it.

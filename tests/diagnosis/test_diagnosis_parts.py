@@ -755,7 +755,7 @@ def test_the_data_and_the_rig_say_more_of_an_amplitude():
     data = read_frame(frame)
     # A wheel weighs a few hundredths of what it carries, at its radius.
     small = replace(RIG, rolling_radius=0.3)
-    carried = np.mean(frame["fz"]) / 9.81 * 0.3**2
+    carried = np.mean(frame["fz"]) / 9.80665 * 0.3**2
     usual = _prior("wheel_inertia", data, small)
     assert usual == pytest.approx(carried * np.array([0.03, 0.0, -0.06, 0.3]))
     # A force worked out from the torque lacks all of a known inertia.

@@ -19,7 +19,6 @@ from tirefit.diagnosis.rows.slip_nodes import (
     slip_law,
     slip_nodes,
     slip_proxies,
-    swing_of,
 )
 
 ROWS, STD = 300, 0.0045
@@ -114,22 +113,6 @@ def test_what_tells_only_together_tells():
     # Neither does alone, nor the past by itself.
     assert slip_proxies(path + noise, std, [path + other]).shape == (ROWS, 0)
     assert slip_proxies(path + noise, std, [], past=past).shape == (ROWS, 0)
-
-
-def test_a_swing_is_found_in_each_stretch():
-    generator, time = np.random.default_rng(4), 0.01 * np.arange(ROWS)
-    stretches = [np.arange(0, 140), np.arange(140, ROWS)]
-    true = np.empty(ROWS)
-    for rows, periods, phase in zip(stretches, (2.3, 4.6), (0.3, 2.0), strict=True):
-        turn = 2 * np.pi * periods * (time[rows] - time[rows[0]]) / np.ptp(time[rows])
-        true[rows] = 0.01 + 0.1 * np.sin(turn + phase)
-    noise = STD * generator.standard_normal(ROWS)
-    told = swing_of(true + noise, time, stretches)
-    assert np.std(told - true) < 0.3 * STD
-    # As a proxy it is the noise, nearly as it is.
-    std = np.full(ROWS, STD)
-    (column,) = slip_proxies(true + noise, std, [], None, told).T
-    np.testing.assert_allclose(-column, noise, atol=STD)
 
 
 SLALOM_RIG = Rig(noise={"fx_relative": 0.01, "sigma_x": 0.003})

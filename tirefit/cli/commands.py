@@ -160,7 +160,7 @@ def derive(
         typer.Option(
             metavar="VEHICLE.TOML",
             parser=named_path,
-            help="vehicle.toml: mass, geometry, inertia",
+            help="vehicle.toml: mass, geometry, inertia, driven axles (VEHICLE.md)",
         ),
     ],
     out: OutFile,

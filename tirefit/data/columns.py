@@ -41,6 +41,7 @@ _NAMES = {
     "brake_pressure": "brakepressure",
     "temperature": "temperature temp tstc tiretemperature tyretemperature",
     "alpha_rate": "alpharate sliprate slipanglerate",
+    "steering_rate": "steeringrate roadwheelanglerate",
     "a_x": "ax accelx accelerationx longacc longitudinalacceleration",
     "a_y": "ay accely accelerationy latacc lateralacceleration",
     "yaw_rate": "yawrate yawvelocity",

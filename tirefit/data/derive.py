@@ -10,6 +10,10 @@ of the centre of gravity, left positive; then, with the canonical signs (drawing
     F_y,rear    = -(m l_f a_y - J_z r') / (l_f + l_r)
     F_y,front   = -(m l_r a_y + J_z r') / (l_f + l_r) / cos(delta)
 
+Of an axle that drives, F_x is the force along its wheels that the acceleration ahead
+needs (:func:`tirefit.data.motion.force_along`); its F_y at the front is then less by
+F_x tan(delta).
+
 What :class:`tirefit.data.vehicle.Vehicle` states of the filter is the bandwidth of
 the result: neighbouring samples are correlated, n samples are not n facts.
 """
@@ -26,9 +30,17 @@ import numpy as np
 from tirefit.data.contradictions import Comparison, compare
 from tirefit.data.doubts import doubts
 from tirefit.data.merged import merged
-from tirefit.data.motion import Motion, read_motion, road_wheel, slip_and_force
+from tirefit.data.motion import (
+    Motion,
+    error_along,
+    force_along,
+    read_motion,
+    road_wheel,
+    slip_and_force,
+)
 from tirefit.data.point import PointCheck, check_point
 from tirefit.data.remote import Place, file_at
+from tirefit.data.stated import found_in, stated_of
 from tirefit.data.track import Track
 from tirefit.data.vehicle import POSE, Vehicle, load_vehicle
 from tirefit.data.write import csv_text, output_problems
@@ -38,7 +50,10 @@ from tirefit.results import DataError, InputProblem, UsageError
 
 SCHEMA = "tirefit.derive/1"
 
-_FIRST = "# tirefit: derived from vehicle logs, SI units, convention braking\n"
+_FIRST = (
+    "# tirefit: derived from vehicle logs, SI units, convention braking, constants {}\n"
+)
+
 _NEARLY_ALL = 0.9
 """Share of the samples that one reason drops, from which the units are doubted."""
 
@@ -59,7 +74,8 @@ class DerivedLog:
             axle], alpha_rate [rad/s] at the full sample rate, and the motion of the
             centre of gravity by ISO 8855: a_x, a_y [m/s2], yaw_rate [rad/s],
             yaw_acceleration [rad/s2]; heading [rad], x, y [m] of a log of poses;
-            steering [rad], the road wheel angle, where the map is given.
+            steering [rad], the road wheel angle, and steering_rate [rad/s] where the
+            map is given; fx, fx_std [N] of an axle that drives.
         rows: Rows in the file.
         dropped_rows: Reason -> rows of the file that were not used.
         samples: Samples on the uniform grid.
@@ -69,6 +85,7 @@ class DerivedLog:
         bandwidth: Frequency [Hz] at which the filter's gain is -3 dB.
         heading: Sentence on the offset of heading or sideslip: applied, assumed none,
             left over.
+        zero: alpha at no side force [rad]; None where the log does not show it.
         point: Position of the tracked point, estimated from force against slip.
         compared: What the redundancy of the log's channels says.
         warnings: Sentences on what in the columns is hardly the tire's.
@@ -85,6 +102,7 @@ class DerivedLog:
     gaps: int
     bandwidth: float
     heading: str
+    zero: float | None
     point: PointCheck
     compared: Comparison
     warnings: tuple[str, ...]
@@ -184,6 +202,7 @@ def derive(
     _refuse(point.problems, believe)
     contradictions = (*compared.problems, *point.problems)
     columns = {name: values[kept] for name, values in columns.items()}
+    heading, zero = zero_of_alpha(vehicle, axle, alpha, force)
     return DerivedLog(
         name=_run_name(file),
         columns=columns,
@@ -193,7 +212,8 @@ def derive(
         dropped_samples=dropped,
         gaps=gaps,
         bandwidth=vehicle.filter.bandwidth,
-        heading=zero_of_alpha(vehicle, axle, alpha, force),
+        heading=heading,
+        zero=zero,
         point=point,
         compared=compared,
         warnings=(
@@ -253,9 +273,11 @@ def derive_files(
         for name in logs[0].columns
     }
     columns["run"] = np.repeat([log.name for log in logs], [len(log) for log in logs])
+    stated = {**stated_of(vehicle), **found_in(logs)}
+    first = _FIRST.format(" ".join(f"{k}={v:.4g}" for k, v in stated.items()))
     content = json.dumps(_metadata(logs, vehicle, axle), indent=2)
     try:
-        write_texts({metadata: content + "\n", out: _FIRST + csv_text(columns)})
+        write_texts({metadata: content + "\n", out: first + csv_text(columns)})
     except OSError:
         if unwritten is not None:
             unwritten(_summary(logs))
@@ -303,6 +325,10 @@ def _axle(motion: Motion, vehicle: Vehicle, axle: str) -> dict[str, np.ndarray]:
     columns |= {name: getattr(motion, name) for name in names}
     if vehicle.steering is not None:
         columns["steering"] = road_wheel(motion, vehicle)
+        columns["steering_rate"] = motion.rate_of(columns["steering"])
+    if vehicle.driven in (axle, "all"):
+        force = force_along(motion, vehicle, axle)
+        columns |= {"fx": force, "fx_std": error_along(force, vehicle, axle)}
     return columns
 
 
@@ -370,10 +396,11 @@ def _assumptions(track: Track, vehicle: Vehicle, axle: str) -> tuple[str, ...]:
     if vehicle.tracked_point is None:
         said.append("the log describes the centre of gravity (no tracked_point)")
     if axle == "front":
-        said.append(
-            "the road wheels follow the steering command at once, and the front axle"
-            " neither drives nor brakes"
-        )
+        said.append("the road wheels follow the steering command at once")
+    if vehicle.driven not in (axle, "all"):
+        said.append(f"the {axle} axle neither drives nor brakes")
+    elif vehicle.driven == "all" and vehicle.rear_share is None:
+        said.append("the rear axle has half of the drive force (no rear_share)")
     return (*said, *track.notes)
 
 
@@ -383,6 +410,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
         "tirefit": _version(),
         "axle": axle,
         "vehicle": vehicle.model_dump(),
+        "found": found_in(logs),
         "runs": [
             {
                 "run": log.name,
@@ -395,6 +423,7 @@ def _metadata(logs: Sequence[DerivedLog], vehicle: Vehicle, axle: str) -> dict:
                 "dropped_samples": dict(log.dropped_samples),
                 "gaps": log.gaps,
                 "heading": log.heading,
+                "alpha_zero": log.zero,
                 "point": log.point.estimate,
                 "agreement": log.compared.as_dicts(),
                 "warnings": list(log.warnings),

@@ -71,23 +71,61 @@ def slip_and_force(motion: Motion, vehicle: Vehicle, axle: str = "rear"):
     """Slip angle [rad], lateral force [N] and forward speed [m/s] of an axle, (n,)
     each, in canonical signs; formulas: :mod:`tirefit.data.derive`.
     """
-    inertial = motion.yaw_acceleration * vehicle.yaw_inertia
     if axle == "rear":
         arm, steer = -vehicle.l_r, np.zeros(len(motion.time))
-        lateral = vehicle.mass * vehicle.l_f * motion.a_y - inertial
     else:
         arm, steer = vehicle.l_f, road_wheel(motion, vehicle)
-        lateral = vehicle.mass * vehicle.l_r * motion.a_y + inertial
     sideways = motion.v_y + arm * motion.yaw_rate
     alpha = np.arctan2(sideways, motion.v_x) - steer
-    force = -lateral / (vehicle.l_f + vehicle.l_r) / np.cos(steer)
+    force = -_lateral(motion, vehicle, axle) / np.cos(steer)
+    if axle == "front" and vehicle.driven in ("front", "all"):
+        force = force - force_along(motion, vehicle, axle) * np.tan(steer)
     return alpha, force, motion.v_x * np.cos(steer) + sideways * np.sin(steer)
+
+
+def _lateral(motion: Motion, vehicle: Vehicle, axle: str) -> np.ndarray:
+    """Force across the vehicle at an axle [N], to the left: (n,)."""
+    arm, sign = (vehicle.l_f, -1) if axle == "rear" else (vehicle.l_r, 1)
+    inertial = sign * vehicle.yaw_inertia * motion.yaw_acceleration
+    return (vehicle.mass * arm * motion.a_y + inertial) / (vehicle.l_f + vehicle.l_r)
+
+
+def force_along(motion: Motion, vehicle: Vehicle, axle: str) -> np.ndarray:
+    """Force along the wheels of an axle [N], braking positive: (n,).
+
+    Both axles push by m a_x and the drag, and by what the side force of steered wheels
+    takes back: T (s + (1 - s) / cos(delta)) = m a_x + drag v^2 + Y_f tan(delta), with s
+    the part of the rear axle and Y_f the force across at the front.
+    """
+    rear = _part(vehicle, "rear")
+    steer = road_wheel(motion, vehicle) if vehicle.steering else 0 * motion.time
+    needed = vehicle.mass * motion.a_x + (vehicle.drag or 0.0) * motion.v_x**2
+    needed = needed + _lateral(motion, vehicle, "front") * np.tan(steer)
+    return -_part(vehicle, axle) * needed / (rear + (1 - rear) / np.cos(steer))
+
+
+def _part(vehicle: Vehicle, axle: str) -> float:
+    """Part of the force along the vehicle that acts on an axle."""
+    rear = {"rear": 1.0, "front": 0.0}.get(vehicle.driven or "", vehicle.rear_share)
+    rear = 0.5 if rear is None else rear
+    return rear if axle == "rear" else 1 - rear
 
 
 def road_wheel(motion: Motion, vehicle: Vehicle) -> np.ndarray:
     """Road wheel angle [rad] from the steering map, left positive: (n,)."""
     assert vehicle.steering is not None  # :func:`derive` has checked it
     return np.interp(motion.command, vehicle.steering.command, vehicle.steering.angle)
+
+
+def error_along(force: np.ndarray, vehicle: Vehicle, axle: str) -> np.ndarray:
+    """Standard error (n,) [N] of the force along an axle that drives."""
+    total = force / (_part(vehicle, axle) or 1.0)
+    assumed = vehicle.driven == "all" and vehicle.rear_share is None
+    part = np.full(len(force), _SHARE_ASSUMED if assumed else _SHARE_STATED)
+    if vehicle.driven != "all":
+        part = np.where(force > 0, _SHARE_BRAKING, part)
+    rolling = _ROLLING[vehicle.drag is not None] * vehicle.mass * vehicle.gravity
+    return np.hypot(part * total, rolling)
 
 
 def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0):
@@ -109,6 +147,15 @@ def low_passed(uniform: np.ndarray, vehicle: Vehicle, slower: float = 1.0):
     sections = butter(settings.order, cutoff, fs=rate, output="sos")
     return sosfiltfilt(sections, uniform, axis=0, padlen=padding)
 
+
+_SHARE_STATED, _SHARE_ASSUMED, _SHARE_BRAKING = 0.05, 0.15, 0.3
+"""Standard errors of an axle's part of the force along the vehicle: where which axles
+drive (and how much each) is stated; of an even split that is assumed; and of who brakes
+where one axle drives: cars brake with both."""
+
+_ROLLING = (0.02, 0.005)
+"""Error of drag and rolling resistance over the weight, without and with a drag that is
+stated."""
 
 _MOST_SAMPLES = 3_000_000
 """Samples on the grid of one log: 8 h at 100 Hz."""

@@ -38,6 +38,7 @@ CANONICAL = {
     "temperature": ("degC", "tire temperature"),
     "brake_pressure": ("Pa", "pressure of the brake of this wheel"),
     "alpha_rate": ("rad/s", "rate of the slip angle, at the full sample rate"),
+    "steering_rate": ("rad/s", "rate of the road wheel angle, likewise, to the left"),
     "a_x": ("m/s2", "acceleration of the vehicle, forward"),
     "a_y": ("m/s2", "acceleration of the vehicle, to the left"),
     "yaw_rate": ("rad/s", "yaw rate, to the left"),
@@ -114,7 +115,8 @@ class Source:
     ``warnings`` are sentences on what may mean something else than it was read as.
     ``slip_check`` is there where a slip, omega, v and a rolling radius are. ``paths``
     names the file of each run where several files were joined. ``constants`` are the
-    dimensions and nominal values of the tire that the file states [SI], by .tir key.
+    dimensions and nominal values of the tire that the file states [SI], by .tir key,
+    and in small letters what ``tirefit derive`` states of the vehicle and found.
     """
 
     path: str = ""
@@ -203,6 +205,7 @@ def _shared_constants(sources: Sequence[Source]) -> tuple[dict[str, float], list
         values = [one.constants[name] for one in sources if name in one.constants]
         if np.ptp(values) <= _SAME * max(values):
             shared[name] = values[0]
+        if name in shared or name.islower():
             continue
         warnings.append(
             f"{name} differs between files, {min(values):g} to {max(values):g}: not"

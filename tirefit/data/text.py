@@ -28,7 +28,7 @@ SPACED = "columns separated by white space"
 
 _DELIMITERS = "\t;|,"
 _END = "\0"
-_CONSTANT = re.compile(r"([A-Z_]+)=(\d+(?:\.\d+)?(?:e[-+]?\d+)?)\b")
+_CONSTANT = re.compile(r"([A-Za-z_]+)=(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)\b")
 """A constant of the tire in the first line of a table that this package wrote."""
 _AIM = re.compile(r'"?Format"?\s*[,;\t]\s*"?AiM CSV File', re.IGNORECASE)
 """First line of an export of AiM RaceStudio. Keys and values, a blank line, names,
@@ -169,7 +169,7 @@ def table_of_text(
     common = 0.0 if aim else 0.5
     table = table_of_rows(rows, numbers, path, digest, notes, delimiter, common)
     layout, doubts = stated_convention(raw[:start], str(path))
-    above = raw[0] if raw[0].startswith("# tirefit ") else ""
+    above = raw[0] if raw[0].startswith(("# tirefit ", "# tirefit:")) else ""
     stated = re.findall(r".*, constants (.*)", above)
     constants = {k: float(v) for k, v in _CONSTANT.findall("".join(stated))}
     return replace(table, layout=layout, doubts=doubts, constants=constants)

@@ -8,7 +8,7 @@ The log's axes are those of ISO 8855: x forward, y left, yaw counter-clockwise.
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
@@ -192,6 +192,13 @@ class Vehicle(Section):
             alpha by as much; logs of rates only.
         h_cg: Height of the centre of gravity [m]; None keeps the load static.
         gravity: [m/s2].
+        driven: Axles that drive and brake; with it derived files have fx of the axle.
+        rear_share: Part of the force along that acts on the rear axle, of a vehicle
+            that all wheels drive [-]; None for half of it, hardly known.
+        drag: Drag over the speed squared [kg/m]; None for none, hardly known.
+        wheel_radius: Of the tires [m]; the diagnosis compares lengths with it.
+        clock: Standard error of the time between the log's channels [s]; those of a
+            pose are from one instrument.
     """
 
     mass: PositiveFloat
@@ -208,6 +215,11 @@ class Vehicle(Section):
     sideslip_offset: float = 0.0
     h_cg: NonNegativeFloat | None = None
     gravity: PositiveFloat = 9.80665
+    driven: Literal["rear", "front", "all"] | None = None
+    rear_share: Annotated[float, Field(ge=0, le=1)] | None = None
+    drag: NonNegativeFloat | None = None
+    wheel_radius: PositiveFloat | None = None
+    clock: PositiveFloat | None = None
     columns: Columns
     units: dict[str, str] = {}
     filter: Filter = Filter()
@@ -247,6 +259,11 @@ class Vehicle(Section):
             yield InputProblem(
                 "[steering] and columns.steering need each other",
                 "give both, or leave both out",
+            )
+        if self.rear_share is not None and self.driven != "all":
+            yield InputProblem(
+                'rear_share applies to driven = "all" only',
+                "leave it out, or state which axles drive",
             )
         if self.yaw_offset and self.columns.motion != POSE:
             yield InputProblem(

@@ -7,8 +7,9 @@ from tirefit.data.vehicle import POSE, Vehicle
 
 def zero_of_alpha(
     vehicle: Vehicle, axle: str, alpha: np.ndarray, fy: np.ndarray
-) -> str:
-    """What was done about the zero of the slip angle, and what is left by the result.
+) -> tuple[str, float | None]:
+    """What was done about the zero of the slip angle, and what is left by the result:
+    a sentence, and alpha at no side force [rad], None where that is not known.
 
     A symmetric axle has no side force at no slip angle, so alpha where fy = 0 is what
     the heading exceeds the yaw that was used; at the front the steering adds its own.
@@ -38,12 +39,12 @@ def zero_of_alpha(
         )
     left = _alpha_at_rest(alpha, fy) if axle == "rear" else None
     if left is None:
-        return said
+        return said, None
     takes_out = given + left if pose else given - left
     return (
         f"{said}; estimated from these data: alpha is {left:+.4f} rad where fy = 0,"
         f" which for a symmetric tire {key} = {takes_out:.4f} takes out"
-    )
+    ), left
 
 
 def _alpha_at_rest(alpha: np.ndarray, fy: np.ndarray) -> float | None:

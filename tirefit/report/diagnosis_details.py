@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from tirefit.diagnosis.effects import EFFECTS
+from tirefit.diagnosis.effects.per_run import RELATIVE
 from tirefit.diagnosis.summary.result import SCHEMA, Diagnosis
 from tirefit.models import MODELS
 from tirefit.params import specs
@@ -49,7 +50,7 @@ def details(result: Diagnosis) -> list[Section]:
         Section("Parameters", (), _parameters(result)),
         Section("Hard to tell on this data (forecast)", confused_lines(result)),
         Section("Smallest amplitudes that would be seen", smallest_lines(result)),
-        Section("Not testable", untestable_lines(result.untestable)),
+        Section("Not testable", untestable_lines(result, result.untestable)),
         Section("Data and settings", list(_settings(result))),
     ]
     return [one for one in sections if one.lines or len(one.table) > 1]
@@ -69,7 +70,9 @@ def run_lines(result: Diagnosis) -> Iterator[str]:
     """How far the runs of the file differ, one line for each kind of offset."""
     for kind, runs in result.runs.items():
         factor, unit = said_unit(runs.unit)
-        common = amount_text(runs.common, runs.std, runs.unit)
+        common = f"{amount_text(runs.common, runs.std, runs.unit)} for all "
+        if runs.unit == RELATIVE:  # what is common is the tire's own parameter
+            common = ""
         spread = amount_text(runs.spread, None, runs.unit, 2)
         low, high = (format_number(factor * end, 2) for end in runs.spread_ci)
         own = (
@@ -77,7 +80,7 @@ def run_lines(result: Diagnosis) -> Iterator[str]:
             for name, (value, std) in runs.values.items()
         )
         yield (
-            f"{name_of(kind)}: {common} for all {len(runs.values)} runs, standard"
+            f"{name_of(kind)}: {common}{len(runs.values)} runs, standard"
             f" deviation between runs {spread} [{low}, {high}], p"
             f" {p_text(runs.p_value)} of none;"
             f" each run{f' [{unit}]' * bool(unit)}: {', '.join(own)}"

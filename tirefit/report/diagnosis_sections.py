@@ -167,8 +167,8 @@ def _ladder(result: Diagnosis) -> Section:
     table = [("model", f"rms left out [{unit}]", "closed", f"gain [{square}]")]
     table += [
         (step_label(result, k), format_number(step.rms_left_out, 3),
-         _percent(step.closed, step.closed_std),
-         "-" if step.gain is None else format_estimate(step.gain, step.gain_std))
+         _percent(step.closed if step.effects else None, step.closed_std or None),
+         format_estimate(step.gain, step.gain_std) if step.effects else "-")
         for k, step in enumerate(ladder.steps)
     ]  # fmt: skip
     lines = [
@@ -317,7 +317,8 @@ def first_screen(result: Diagnosis) -> list[Section]:
     if result.simulator:
         sections += [_budget(result, channel) for channel in result.budgets]
     steps = step_lines(result) if result.verdict.status != Status.NONE else []
-    missing = untestable_lines([x for x in result.untestable if len(x.needs) == 1])
+    single = [one for one in result.untestable if len(one.needs) == 1]
+    missing = untestable_lines(result, single)
     if several := sum(len(one.needs) > 1 for one in result.untestable):
         missing.append(f"several columns: {several} more effects (--full)")
     effects, left = list(_effect_lines(result)), list(left_lines(result))

@@ -14,6 +14,7 @@ from tirefit.diagnosis.summary.records import (
     Spot,
     Untestable,
 )
+from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.report.numbers import format_estimate, format_number
 
 _NEEDS = {
@@ -43,6 +44,13 @@ _NEEDS = {
     "fx": "fx",
     "fy": "fy",
 }
+_BY_DERIVE = {
+    "other force": "driven", "steering": "[steering], of the front axle",
+    "loads": "h_cg", "heading": "x, y, yaw in [columns]",
+    "a_x": "[columns]", "a_y": "[columns]",
+}  # fmt: skip
+"""Need -> key of vehicle.toml with which a derived file meets it."""
+
 _COVARIATES = {
     "slip_fraction": "slip / slip of full sliding",
     "fz": "load F_z",
@@ -84,11 +92,22 @@ def words_on(effect: str, library: Sequence[Effect] = ()) -> tuple[str, str]:
     return (record.means, record.remedy) if record else ("", "")
 
 
-def untestable_lines(untestable: Sequence[Untestable]) -> list[str]:
+def needs_text(needs: Sequence[str], derived: bool = False) -> str:
+    """``needs`` of an untestable effect in words.
+
+    Args:
+        derived: whether ``tirefit derive`` could write what is missing.
+    """
+    keys = [_BY_DERIVE[need] for need in needs if derived and need in _BY_DERIVE]
+    how = f" (tirefit derive writes it: {', '.join(keys)} of vehicle.toml)"
+    return ", ".join(_NEEDS.get(need, need) for need in needs) + (how if keys else "")
+
+
+def untestable_lines(result: Diagnosis, untestable: Sequence[Untestable]) -> list[str]:
     """What is needed and the effects that need it, a line for each need."""
     groups: dict[str, list[str]] = {}
     for item in untestable:
-        needs = ", ".join(_NEEDS.get(need, need) for need in item.needs)
+        needs = needs_text(item.needs, bool(result.data.motion))
         groups.setdefault(needs, []).append(name_of(item.effect))
     return [f"{needs}: {', '.join(effects)}" for needs, effects in groups.items()]
 

@@ -169,89 +169,57 @@ _DRIFTS = ((1.0, 1.0), *((0.0, way) for way in _WEAR))
 
 def _drifting(name: str, parameter: str, scale: float, forms, *looks_like: str):
     return Effect(
-        id=f"{name}_drift",
-        family=f"{name} x time",
-        change=multiplies(name, _drift),
-        scale=scale,
-        unit="per record",
-        formula=f"{SYMBOLS[name]} (1 + amplitude t)",
+        id=f"{name}_drift", family=f"{name} x time", change=multiplies(name, _drift),
+        scale=scale, unit="per record", formula=f"{SYMBOLS[name]} (1 + amplitude t)",
         means=f"{name} changes slowly over the record",
-        remedy=_PER_RUN.format(parameter),
-        bounds=(SHARE,),
-        needs=("time",),
-        variants=_DRIFTS,
-        which=_which_drift,
-        forms=forms,
+        remedy=_PER_RUN.format(parameter), bounds=(SHARE,), needs=("time",),
+        variants=_DRIFTS, which=_which_drift, forms=forms,
         looks_like=(f"load_{name}", f"{name}_temperature", *looks_like),
         told_apart_by="random order",
-    )
+    )  # fmt: skip
 
 
 def _heated(name: str, parameter: str, scale: float, size: float):
     return Effect(
-        id=f"{name}_temperature",
-        family=f"{name} x temperature",
+        id=f"{name}_temperature", family=f"{name} x temperature",
         change=multiplies(name, lambda a, _, rows: 1 + a * rows.temperature),
-        scale=scale,
-        unit="per 20 K",
+        scale=scale, unit="per 20 K",
         formula=f"{SYMBOLS[name]} (1 + amplitude (T - T0) / 20 K)",
         means=f"{name} changes with temperature",
-        remedy=f"fit {parameter} for each range of temperature",
-        bounds=(SHARE,),
-        per=("temperature",),
-        needs=("temperature",),
-        forms=over(name, size, "temperature", BOTH_WAYS),
-        looks_like=(f"{name}_drift",),
+        remedy=f"fit {parameter} for each range of temperature", bounds=(SHARE,),
+        per=("temperature",), needs=("temperature",),
+        forms=over(name, size, "temperature", BOTH_WAYS), looks_like=(f"{name}_drift",),
         told_apart_by="random order",
-    )
+    )  # fmt: skip
 
 
 def _loaded(name: str, scale: float, forms, looks_like):
     return Effect(
-        id=f"load_{name}",
-        family=f"{name} x load",
-        change=_with_load(name),
-        scale=scale,
-        formula=f"{SYMBOLS[name]} (F_z / F_z0)^amplitude, S 2.1",
-        means=f"{name} is a power of the load",
-        remedy="fit brush-load",
-        parameter="power",
-        bounds=(_POWERS,),
-        needs=("loads",),
+        id=f"load_{name}", family=f"{name} x load", change=_with_load(name),
+        scale=scale, formula=f"{SYMBOLS[name]} (F_z / F_z0)^amplitude, S 2.1",
+        means=f"{name} is a power of the load", remedy="fit brush-load",
+        parameter="power", bounds=(_POWERS,), needs=("loads",),
         variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-        which=_which_power,
-        forms=forms,
-        looks_like=looks_like,
+        which=_which_power, forms=forms, looks_like=looks_like,
         told_apart_by="random order",
-    )
+    )  # fmt: skip
 
 
 _BY_TIME = over("friction", 0.02, "time", ONE_WAY)
 
 SPEED_LINEAR = Effect(
-    id="friction_speed_linear",
-    family="friction x speed",
-    change=_linear_loss,
-    scale=0.1,
-    per=("sliding", "sliding", "rolling"),
-    unit="s/m",
+    id="friction_speed_linear", family="friction x speed", change=_linear_loss,
+    scale=0.1, per=("sliding", "sliding", "rolling"), unit="s/m",
     formula="mu_k = mu (1 - amplitude v_s), S(35)",
     means="friction changes in proportion to the speed",
     remedy="fit brush-n; where all friction changes, mu for each speed",
-    parameter="n / mu",
-    bounds=((-2.0, 2.0),),
-    needs=("v",),
-    variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    which=_which_speed,
-    forms=FRICTION_BY_SPEED,
-    looks_like=("friction_speed_exponential",),
+    parameter="n / mu", bounds=((-2.0, 2.0),), needs=("v",),
+    variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), which=_which_speed,
+    forms=FRICTION_BY_SPEED, looks_like=("friction_speed_exponential",),
     told_apart_by="speeds",
-)
+)  # fmt: skip
 SPEED_EXPONENTIAL = Effect(
-    id="friction_speed_exponential",
-    family="friction x speed",
-    change=_fall,
-    scale=0.2,
+    id="friction_speed_exponential", family="friction x speed", change=_fall, scale=0.2,
     formula="mu_k = mu (h + (1 - h) exp(-(v_s / v_st)^e)), S(37)",
     means="friction changes with the sliding speed, most of it at low speeds",
     remedy="fit brush-h with this v_st; where all friction changes, mu for each speed",
@@ -261,78 +229,48 @@ SPEED_EXPONENTIAL = Effect(
     variants=tuple(
         (*fall, both) for both in (0.0, 1.0) for fall in (*_FALLS, _LOGARITHM)
     ),
-    which=_which_fall,
-    forms=FRICTION_BY_SPEED,
-    looks_like=("friction_speed_linear",),
+    which=_which_fall, forms=FRICTION_BY_SPEED, looks_like=("friction_speed_linear",),
     told_apart_by="speeds",
-)
+)  # fmt: skip
 STEP = Effect(
-    id="friction_step",
-    family="friction x time",
-    change=multiplies("friction", _step),
-    scale=0.15,
-    formula="mu changes by amplitude at one time, or between two",
+    id="friction_step", family="friction x time", change=multiplies("friction", _step),
+    scale=0.15, formula="mu changes by amplitude at one time, or between two",
     means="friction changes at one time, or for a stretch",
-    remedy="cut the record there and fit mu per run",
-    bounds=(SHARE,),
-    needs=("time",),
+    remedy="cut the record there and fit mu per run", bounds=(SHARE,), needs=("time",),
     variants=(
         *((at, _NO_END, 0.0) for at in STEPS),
         *((*stretch, 0.0) for stretch in _STRETCHES),
         (0.0, _NO_END, 1.0),
     ),
-    forms=_BY_TIME,
-    which=_which_step,
-    during=lambda constants: (constants[0], constants[1]),
-    scans_time=True,
-    looks_like=("friction_drift",),
-    told_apart_by="random order",
-)
+    forms=_BY_TIME, which=_which_step,
+    during=lambda constants: (constants[0], constants[1]), scans_time=True,
+    looks_like=("friction_drift",), told_apart_by="random order",
+)  # fmt: skip
 HYSTERESIS = Effect(
-    id="friction_hysteresis",
-    family="friction x direction",
+    id="friction_hysteresis", family="friction x direction",
     change=multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.turning),
-    scale=0.06,
-    formula="mu differs by amplitude between growing and shrinking slip",
-    means="friction differs between growing and shrinking slip",
-    remedy=_SPLIT,
-    bounds=((-1.2, 1.2),),
-    needs=("sweeps",),
-    forms=FRICTION_BY_DIRECTION,
-    looks_like=("channel_delay", "relaxation_length"),
-    told_apart_by="two ramp rates",
-)
+    scale=0.06, formula="mu differs by amplitude between growing and shrinking slip",
+    means="friction differs between growing and shrinking slip", remedy=_SPLIT,
+    bounds=((-1.2, 1.2),), needs=("sweeps",), forms=FRICTION_BY_DIRECTION,
+    looks_like=("channel_delay", "relaxation_length"), told_apart_by="two ramp rates",
+)  # fmt: skip
 ASYMMETRY = Effect(
-    id="drive_brake_asymmetry",
-    family="friction x sign",
+    id="drive_brake_asymmetry", family="friction x sign",
     change=multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.side),
-    scale=0.12,
-    formula="mu differs by amplitude between the two signs of slip",
-    means="friction differs between the two signs of slip",
-    remedy=_SPLIT,
-    bounds=(SHARE,),
-    needs=("signs",),
-    forms=BY_SIDE,
-    looks_like=("force_offset",),
+    scale=0.12, formula="mu differs by amplitude between the two signs of slip",
+    means="friction differs between the two signs of slip", remedy=_SPLIT,
+    bounds=(SHARE,), needs=("signs",), forms=BY_SIDE, looks_like=("force_offset",),
     told_apart_by="loads",
-)
+)  # fmt: skip
 COMBINED = Effect(
-    id="combined_slip",
-    family="inputs",
-    change=_other,
-    scale=0.15,
+    id="combined_slip", family="inputs", change=_other, scale=0.15,
     formula="the other slip shares the friction",
     means="the other slip takes its part of the friction",
     remedy="fit brush-anisotropic or magic-formula-combined to both slips",
-    parameter="share",
-    bounds=((-3.0, 3.0),),
-    center=1.0,
-    needs=("other slip",),
-    variants=((1.0, 0.0), (0.0, 1.0)),
-    forms=BY_OTHER_SLIP,
-    singular=True,
+    parameter="share", bounds=((-3.0, 3.0),), center=1.0, needs=("other slip",),
+    variants=((1.0, 0.0), (0.0, 1.0)), forms=BY_OTHER_SLIP, singular=True,
     told_apart_by="pure slip",
-)
+)  # fmt: skip
 
 EFFECTS = (
     SPEED_LINEAR,

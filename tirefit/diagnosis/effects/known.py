@@ -2,21 +2,16 @@
 
 A force that was derived from the motion shares its channels with the slip: whatever
 contains yaw rate or acceleration may imitate anything, on held-out data too. Such an
-effect keeps to the errors that a vehicle may have: millimetres, milliseconds.
+effect keeps to the errors of a measured quantity where the file states it, as
+``tirefit derive`` writes what vehicle.toml states, and to those of a guess elsewhere.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from scipy.constants import g as GRAVITY
 
-_POSITION = 0.03
-"""Error of the place of the tracked point, as a share of the arm of the axle: 1 mm on a
-car of 1:10, 4 cm on a car."""
-
-_CLOCK = 0.005  # s
-"""Error of the time between two channels of one log."""
-
-_INERTIA = 0.3
-"""Error of a yaw inertia that was estimated, as a share of it."""
+from tirefit.diagnosis.rows.covariates import wheelbase
 
 _HEIGHT = 0.4
 """Height of the centre of gravity over the arm of an axle: cars have 0.3 to 0.6."""
@@ -25,50 +20,81 @@ _FAR = 6.0
 """Bounds in standard deviations."""
 
 
+class _Quantity(NamedTuple):
+    """A quantity of the vehicle by its key in vehicle.toml, and its standard error
+    where that states it and where nobody does."""
+
+    key: str
+    stated: float
+    guessed: float
+    words: str
+
+
+_QUANTITIES = {
+    # Shares of the arm of an axle (1 mm on a car of 1:10, 4 cm on a car) and of the
+    # wheelbase.
+    "position": _Quantity("tracked_point", 0.03, 0.1, "the tracked point to {:.2g} m"),
+    "clock": _Quantity("clock", 0.005, 0.1, "the clocks of the channels to {:.2g} s"),
+    # Shares: the inertia of most vehicle files is estimated.
+    "yaw_inertia": _Quantity(
+        "yaw_inertia", 0.3, 1.0, "the yaw inertia to {:.2g} of it"
+    ),
+}
+"""Key of ``[vehicle]`` of rig.toml, a standard error -> the quantity that it is of."""
+
+
+def _error(key: str, prepared, rig) -> tuple[float | None, bool]:
+    """Standard error [m, s, share], and whether it or the quantity is stated; None of a
+    measured force of which nobody says anything."""
+    of, derived, constants = (
+        _QUANTITIES[key], prepared.derived, prepared.data.source.constants,
+    )  # fmt: skip
+    if key in rig.vehicle:
+        return rig.vehicle[key], True
+    if derived is None:
+        return None, False
+    stated = of.key in constants
+    error = of.stated if stated else of.guessed
+    if key == "clock" and stated:
+        error = constants[of.key]
+    if key == "position":
+        error *= derived.arm if stated else wheelbase(prepared.data, derived)
+    return error, stated
+
+
+def _of_scale(prior, scale: float):
+    return prior._replace(scale=scale, low=-_FAR * scale, high=_FAR * scale)
+
+
 def _narrowed(prior, scale: float):
     """The prior, no wider than this scale."""
-    scale = min(prior.scale, scale)
-    low, high = max(prior.low, -_FAR * scale), min(prior.high, _FAR * scale)
-    return prior._replace(scale=scale, low=low, high=high)
+    own = _of_scale(prior, min(prior.scale, scale))
+    return own._replace(low=max(prior.low, own.low), high=min(prior.high, own.high))
 
 
-def position_error(prepared, rig) -> float | None:
-    """Standard error [m] of the tracked point; None where nothing is known."""
-    if "position" in rig.vehicle:
-        return rig.vehicle["position"]
-    return None if prepared.derived is None else _POSITION * prepared.derived.arm
-
-
-def clock_error(prepared, rig) -> float | None:
-    """Standard error [s] of the time between slip and force."""
-    if "clock" in rig.vehicle:
-        return rig.vehicle["clock"]
-    return None if prepared.derived is None else _CLOCK
-
-
-def _inertia_error(rig) -> float:
-    """Standard error of the yaw inertia as a share of it."""
-    return rig.vehicle.get("yaw_inertia", _INERTIA)
+def _of_quantity(key: str, prior, prepared, rig):
+    error, stated = _error(key, prepared, rig)
+    if error is None:
+        return prior
+    return _narrowed(prior, error) if stated else _of_scale(prior, error)
 
 
 def of_a_known_position(prior, prepared, rig):
-    """A distance along the vehicle, measured with a rule."""
-    error = position_error(prepared, rig)
-    return prior if error is None else _narrowed(prior, error)
+    """A distance along the vehicle, measured with a rule where it is stated."""
+    return _of_quantity("position", prior, prepared, rig)
 
 
 def of_a_known_clock(prior, prepared, rig):
     """A delay between channels of one log."""
-    error = clock_error(prepared, rig)
-    return prior if error is None else _narrowed(prior, error)
+    return _of_quantity("clock", prior, prepared, rig)
 
 
 def of_a_known_inertia(prior, prepared, rig):
     """An error of the yaw inertia over the wheelbase."""
     if prepared.derived is None:
         return prior
-    scale = _inertia_error(rig) * prepared.derived.inertia
-    return prior._replace(scale=scale, low=-_FAR * scale, high=_FAR * scale)
+    share, _ = _error("yaw_inertia", prepared, rig)
+    return _of_scale(prior, share * prepared.derived.inertia)
 
 
 def of_a_known_height(prior, prepared, rig):
@@ -77,6 +103,17 @@ def of_a_known_height(prior, prepared, rig):
         return prior
     span = float(np.ptp(prepared.column("a_x"))) / GRAVITY
     return _narrowed(prior, _HEIGHT * span)
+
+
+def of_a_known_force(prior, prepared, rig):
+    """A share of the friction that a force across takes: its error, twice for its
+    square, is one of the share."""
+    name = "fx_std" if prepared.mode == "y" else "fy_std"
+    if name not in prepared.data:
+        return prior
+    size = _rms(np.asarray(prepared.covariates.across))
+    error = 2 * prior.center * _rms(prepared.column(name)) / max(size, 1e-300)
+    return prior._replace(scale=float(np.hypot(prior.scale, error)))
 
 
 def said_of_motion(base, rig) -> tuple[str, ...]:
@@ -103,15 +140,49 @@ def said_of_motion(base, rig) -> tuple[str, ...]:
             f" {_rms(observed + on_a_path):.3g} N rms, the base fit by"
             f" {_rms(missed):.3g} N"
         )
-    # Of a derived force both are known.
-    position, clock = position_error(rows, rig) or 0.0, clock_error(rows, rig) or 0.0
-    known = (
-        f"effects with yaw rate or acceleration keep to what is known of a vehicle:"
-        f" {1e3 * position:.2g} mm, {1e3 * clock:.2g} ms,"
-        f" {100 * _inertia_error(rig):.0f} % of the yaw inertia ([vehicle] of rig.toml"
-        " states other standard errors)"
+    known: dict[bool, list[str]] = {True: [], False: []}
+    for key, of in _QUANTITIES.items():
+        error, stated = _error(key, rows, rig)
+        guess = "" if stated else f" ({of.key} is not stated: measure it)"
+        known[stated].append(of.words.format(error) + guess)
+    priors = (
+        "effects with yaw rate or acceleration keep to what is known of a vehicle:"
+        f" {', '.join(known[True] + known[False])}; [vehicle] of rig.toml states other"
+        " standard errors"
     )
-    return (said, known)
+    return (said, priors, *_found(rows.data.source.constants))
+
+
+def _found(constants) -> tuple[str, ...]:
+    """What ``tirefit derive`` found in the same logs, beside the effect that it may be
+    named as."""
+    found = []
+    if "alpha_zero" in constants:
+        zero = constants["alpha_zero"]
+        found.append(f"alpha is {zero:+.4f} rad where fy = 0 (slip_offset)")
+    if "found_point" in constants:
+        place, stated = constants["found_point"], constants.get("tracked_point")
+        against = "" if stated is None else f", stated {stated:.3g} m"
+        found.append(
+            f"the tracked point is {place:.3g} ± {constants['found_point_std']:.1g} m"
+            f" ahead of the rear axle{against} (tracked_point)"
+        )
+    for key, late in constants.items():
+        if key.startswith("late_") and not key.endswith("_std"):
+            channel, how = key.removeprefix("late_"), "late" if late > 0 else "early"
+            effect = f"{channel}_delay" if channel == "steering" else "channel_delay"
+            found.append(
+                f"{channel} is {abs(late):.2g} ± {constants[f'{key}_std']:.1g} s {how}"
+                f" ({effect})"
+            )
+    if not found:
+        return ()
+    said = "; ".join(found)
+    return (
+        f"tirefit derive found in the same logs, without a tire model: {said}. An"
+        " effect in brackets that is not named is within its error, or shows as another"
+        " effect",
+    )
 
 
 def _rms(values) -> float:

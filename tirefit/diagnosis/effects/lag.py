@@ -11,6 +11,11 @@ from tirefit.diagnosis.rows.rates import AGES, AHEAD, STEPS
 _NO_LENGTH = 1e-12
 """Share of a step that counts as no length: the slope there is one-sided, not zero."""
 
+_RELAXED, _FILTERED = 2.0, 0.1
+"""Longest relaxation of a tire, in radii of its wheel, and delay of a filter [s]."""
+
+_LATE = "so look for another cause: steering or a sensor that comes late"
+
 _FEW_WAYS = 1e-4
 """Steps over the length below which the response is the first term of its series: its
 second is a third of this times it, and the closed form loses digits."""
@@ -77,49 +82,81 @@ def _relax(state, length, constants, rows):
     )
 
 
+def _steer(state, change, rows):
+    """The road wheels steer by a change (n,) [rad] more than was logged, and a force
+    that was derived across them turns with them."""
+    slip = rows.past[:, AHEAD]
+    return state._replace(
+        shift=state.shift + jnp.tan(jnp.arctan(slip) - change) - slip,
+        force=state.force + rows.pivot * change,
+    )
+
+
+def _too_long(length: float, prepared) -> str:
+    """Doubt of a relaxation length; empty where it is one of a tire."""
+    wheel = prepared.sizes.wheel
+    if not wheel or length <= _RELAXED * wheel:
+        return ""
+    return f"doubtful: {length / wheel:.2g} wheel radii, {_LATE}"
+
+
+def _too_late(delay: float, prepared) -> str:
+    if abs(delay) <= _FILTERED:
+        return ""
+    return f"doubtful: more than the {_FILTERED:g} s of a filter, {_LATE}"
+
+
 def _within_the_past(prior, prepared, rig):
     """No row knows more of its past, or of what comes, than was taken along."""
-    prior = of_a_known_clock(prior, prepared, rig)
     first, last = AGES[[0, -1]] * float(prepared.covariates.interval[0])
     return prior._replace(low=max(prior.low, first), high=min(prior.high, last))
 
 
 DELAY = Effect(
-    id="channel_delay",
-    family="measurement",
-    change=_delay,
-    scale=0.15,
-    per=("period",),
-    unit="s",
-    formula="force(t) belongs to slip(t - amplitude)",
+    id="channel_delay", family="measurement", change=_delay, scale=0.15,
+    per=("period",), unit="s", formula="force(t) belongs to slip(t - amplitude)",
     means="force and slip are shifted in time",
-    remedy="shift the force back by the delay",
-    parameter="delay",
-    bounds=((-3.0, 3.0), (-3.0, 3.0), (0.0, 3.0)),
-    prior=_within_the_past,
-    needs=("sweeps",),
-    variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    forms=SHIFT_BY_DELAY,
-    looks_like=("relaxation_length", "friction_hysteresis"),
-    told_apart_by="speeds",
-)
+    remedy="measure the delay (clock in vehicle.toml), and shift the force back by it",
+    parameter="delay", bounds=((-3.0, 3.0), (-3.0, 3.0), (0.0, 3.0)),
+    prior=lambda *given: _within_the_past(of_a_known_clock(*given), *given[1:]),
+    doubts=_too_late, needs=("sweeps",),
+    variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), forms=SHIFT_BY_DELAY,
+    looks_like=("relaxation_length", "friction_hysteresis"), told_apart_by="speeds",
+)  # fmt: skip
 RELAXATION = Effect(
-    id="relaxation_length",
-    family="transient",
-    change=_relax,
-    scale=0.15,
-    per=("way",),
-    unit="m",
-    formula="d slip'/dt = v / amplitude (slip - slip')",
+    id="relaxation_length", family="transient", change=_relax, scale=0.15, per=("way",),
+    unit="m", formula="d slip'/dt = v / amplitude (slip - slip')",
     means="the force lags the slip over a rolling distance",
-    remedy="fit brush-relaxation",
-    parameter="length",
-    bounds=((0.0, 3.0),),
-    needs=("sweeps", "v"),
-    variants=((1.0, 0.0), (0.0, 1.0)),
-    forms=SHIFT_BY_LAG,
-    looks_like=("channel_delay", "friction_hysteresis"),
+    remedy="fit brush-relaxation", parameter="length", bounds=((0.0, 3.0),),
+    doubts=_too_long, needs=("sweeps", "v"), variants=((1.0, 0.0), (0.0, 1.0)),
+    forms=SHIFT_BY_LAG, looks_like=("channel_delay", "friction_hysteresis"),
     told_apart_by="speeds",
-)
+)  # fmt: skip
 
-EFFECTS = (DELAY, RELAXATION)
+STEERING_DELAY = Effect(
+    id="steering_delay", family="slip x steering",
+    change=lambda state, a, _, rows: _steer(state, _late(rows.steered, a, rows), rows),
+    scale=0.08, unit="s", formula="road wheel angle(t) = steering(t - amplitude)",
+    means="the road wheels steer later than was logged: the servo, or its clock",
+    remedy="measure the road wheel angle itself, or shift the steering by the delay",
+    parameter="delay", bounds=((-0.15, 0.5),), prior=_within_the_past,
+    needs=("steering", "sweeps"), channels=("fy", "mz"),
+    looks_like=("relaxation_length", "channel_delay", "steering_lag"),
+    told_apart_by="speeds",
+)  # fmt: skip
+STEERING_LAG = Effect(
+    id="steering_lag", family="slip x steering",
+    change=lambda state, a, _, rows: _steer(
+        state, lagged(rows.steered, a, rows.interval), rows
+    ),
+    scale=0.08, unit="s",
+    formula="amplitude d(angle)/dt = steering - angle, of the road wheels",
+    means="the road wheels follow the steering slowly: a servo, soft linkage",
+    remedy="measure the road wheel angle itself, or lag the steering by the constant",
+    parameter="time constant", bounds=((0.0, 0.5),), needs=("steering", "sweeps"),
+    channels=("fy", "mz"),
+    looks_like=("steering_delay", "relaxation_length", "channel_delay"),
+    told_apart_by="speeds",
+)  # fmt: skip
+
+EFFECTS = (DELAY, RELAXATION, STEERING_DELAY, STEERING_LAG)

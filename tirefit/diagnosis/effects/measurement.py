@@ -80,111 +80,70 @@ def _camber(state, share, constants, rows):
 
 
 SLIP_OFFSET = Effect(
-    id="slip_offset",
-    family="measurement",
-    change=adds("shift", lambda a, _, rows: a),
-    scale=0.2,
-    per=("slip",),
-    unit="- of slip",
-    formula="slip + amplitude",
+    id="slip_offset", family="measurement", change=adds("shift", lambda a, _, rows: a),
+    scale=0.2, per=("slip",), unit="- of slip", formula="slip + amplitude",
     means="the slip is off by a constant",
     remedy=(
         "add it to the slip; check the rolling radius, or the zero of heading or"
         " steering"
     ),
-    bounds=((-4.0, 4.0),),
-    prior=_seen_between_slips,
-    odds=_offset_odds,
-    forms=over("shift", 0.03, "time", ONE_WAY, rise),
-    looks_like=("force_offset",),
+    bounds=((-4.0, 4.0),), prior=_seen_between_slips, odds=_offset_odds,
+    forms=over("shift", 0.03, "time", ONE_WAY, rise), looks_like=("force_offset",),
     told_apart_by="both signs",
-)
+)  # fmt: skip
 FORCE_OFFSET = Effect(
-    id="force_offset",
-    family="measurement",
-    change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load),
-    scale=25.0,
-    unit="1e-3 mean F_z",
-    formula="force + amplitude",
+    id="force_offset", family="measurement",
+    change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load), scale=25.0,
+    unit="1e-3 mean F_z", formula="force + amplitude",
     means="the force is off by a constant",
-    remedy="subtract it; check the zero of the force sensor",
-    bounds=((-500.0, 500.0),),
-    forms=over("force", 0.004, "time", ONE_WAY, weight),
-    looks_like=("slip_offset",),
+    remedy="subtract it; check the zero of the force sensor", bounds=((-500.0, 500.0),),
+    forms=over("force", 0.004, "time", ONE_WAY, weight), looks_like=("slip_offset",),
     told_apart_by="loads",
-)
+)  # fmt: skip
 SLIP_DEFINITION = Effect(
-    id="slip_definition",
-    family="measurement",
-    change=adds("curvature", lambda a, constants, _: constants[0] * a),
-    scale=0.3,
+    id="slip_definition", family="measurement",
+    change=adds("curvature", lambda a, constants, _: constants[0] * a), scale=0.3,
     formula="slip / (1 - amplitude slip)",
     means="the slip follows another definition than it was read by",
     remedy="read its column by the other one: --column kappa=HEADER or sigma_x=HEADER",
-    parameter="1: kappa logged as sigma, or the reverse",
-    bounds=((-6.0, 6.0),),
-    center=1.0,
-    prior=_as_it_was_read,
-    odds=_definition_odds,
-    channels=("fx",),
-    variants=((1.0,), (-1.0,)),
-    looks_like=("pressure_asymmetry",),
+    parameter="1: kappa logged as sigma, or the reverse", bounds=((-6.0, 6.0),),
+    center=1.0, prior=_as_it_was_read, odds=_definition_odds, channels=("fx",),
+    variants=((1.0,), (-1.0,)), looks_like=("pressure_asymmetry",),
     told_apart_by="both signs",
-)
+)  # fmt: skip
 WHEEL_INERTIA = Effect(
-    id="wheel_inertia",
-    family="measurement",
-    change=adds("force", lambda a, _, rows: -a * rows.spin),
-    scale=0.03,
-    per=("inertia",),
-    unit="kg m^2",
-    formula="force - amplitude (d omega / dt) / r",
+    id="wheel_inertia", family="measurement",
+    change=adds("force", lambda a, _, rows: -a * rows.spin), scale=0.03,
+    per=("inertia",), unit="kg m^2", formula="force - amplitude (d omega / dt) / r",
     means="the force lacks the torque that spins the wheel up",
-    remedy="add J (d omega / dt) / r to the force",
-    parameter="inertia",
+    remedy="add J (d omega / dt) / r to the force", parameter="inertia",
     # A log lacks up to the inertia of the wheel and of all that turns with it: some
     # 0.03 of the carried mass at its radius on a car, up to ten times that with a
     # geared drive or a model car's motor. A negative one was taken off twice or with
     # the wrong sign: that of one or two wheels at most.
-    bounds=((-0.06, 0.3),),
-    prior=_of_this_wheel,
+    bounds=((-0.06, 0.3),), prior=_of_this_wheel,
     needs=("omega", "rolling_radius", "sweeps"),
     looks_like=("channel_delay", "relaxation_length", "friction_hysteresis"),
     told_apart_by="speeds",
-)
+)  # fmt: skip
 CAMBER_THRUST = Effect(
-    id="camber_thrust",
-    family="lateral inputs",
-    change=_camber,
-    scale=0.15,
-    formula="slip angle + amplitude gamma",
-    means="camber adds to the lateral force",
+    id="camber_thrust", family="lateral inputs", change=_camber, scale=0.15,
+    formula="slip angle + amplitude gamma", means="camber adds to the lateral force",
     remedy="measure without camber, or correct for it",
-    parameter="camber stiffness / cornering stiffness",
-    bounds=((-3.0, 3.0),),
-    needs=("gamma",),
-    channels=("fy", "mz"),
-    variants=((1.0, 0.0), (0.0, 1.0)),
-    forms=SHIFT_BY_CAMBER,
-    told_apart_by="opposite camber",
-)
+    parameter="camber stiffness / cornering stiffness", bounds=((-3.0, 3.0),),
+    needs=("gamma",), channels=("fy", "mz"), variants=((1.0, 0.0), (0.0, 1.0)),
+    forms=SHIFT_BY_CAMBER, told_apart_by="opposite camber",
+)  # fmt: skip
 CONICITY = Effect(
-    id="conicity",
-    family="lateral inputs",
+    id="conicity", family="lateral inputs",
     change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.fz),
-    scale=25.0,
-    unit="1e-3 F_z",
-    formula="F_y + amplitude F_z",
+    scale=25.0, unit="1e-3 F_z", formula="F_y + amplitude F_z",
     means="a lateral force in proportion to load stands at zero slip",
     remedy="measure again with the tire turned round, and take the mean",
-    parameter="share",
-    bounds=((-500.0, 500.0),),
-    needs=("loads",),
-    channels=("fy", "mz"),
-    forms=(*SHIFT_BY_CAMBER, *FORCE_BY_LOAD),
-    looks_like=("force_offset", "slip_offset"),
-    told_apart_by="loads",
-)
+    parameter="share", bounds=((-500.0, 500.0),), needs=("loads",),
+    channels=("fy", "mz"), forms=(*SHIFT_BY_CAMBER, *FORCE_BY_LOAD),
+    looks_like=("force_offset", "slip_offset"), told_apart_by="loads",
+)  # fmt: skip
 
 EFFECTS = (
     SLIP_OFFSET,

@@ -8,22 +8,22 @@ NOISE_EFFECTS = (
         flag="outliers",
         means="rows far off all others",
         remedy="set [noise] loss = 'huber'",
-    ),
+    ),  # fmt: skip
     NoiseEffect(
         id="noise_heteroscedastic",
         means="noise that differs over the range",
         remedy="give fx_std row by row",
-    ),
+    ),  # fmt: skip
     NoiseEffect(
         id="noise_autocorrelated",
         flag="autocorrelated",
         means="neighbouring rows share their noise",
         remedy="none needed: rows count at their effective number",
-    ),
+    ),  # fmt: skip
     NoiseEffect(
         id="slip_noise",
         means="the slip is measured with noise",
         remedy="give sigma_x_std",
-    ),
+    ),  # fmt: skip
 )
 """They change the error law and not the mean."""

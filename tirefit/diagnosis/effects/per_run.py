@@ -1,29 +1,43 @@
-"""Offsets that every run has of its own: each is set up anew."""
+"""What every run has of its own: zeros that are set up anew, tires or floors that are
+changed."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
-from tirefit.diagnosis.effects.record import PER_MILLE, Effect, adds, seldom
+from tirefit.diagnosis.effects.record import (
+    PER_MILLE,
+    SYMBOLS,
+    Effect,
+    adds,
+    multiplies,
+    seldom,
+)
 from tirefit.diagnosis.rows.rates import shown_runs
+
+RELATIVE = "relative"
+"""Unit of a share of a parameter of the tire: the runs have nothing of it in common."""
 
 
 class Offset(NamedTuple):
-    """An offset that each run may have of its own: the ``field`` of the state that it
-    moves, the covariate with the ``pattern`` of the runs, its unit, and whether its
-    amplitude is in thousandths of the mean load."""
+    """What each run may have of its own: the ``field`` of the state that moves, the
+    covariate with the ``pattern`` of the runs, its unit, and whether its amplitude is
+    in thousandths of the mean load."""
 
     field: str
     pattern: str
     unit: str
-    of_load: bool
+    of_load: bool = False
 
 
 OFFSETS = {
-    "slip_offset": Offset("shift", "run_slip", "-", False),
-    "force_offset": Offset("force", "run_force", "N", True),
+    "slip_offset": Offset("shift", "run_slip", "-"),
+    "force_offset": Offset("force", "run_force", "N", of_load=True),
+    "friction": Offset("friction", "run_friction", RELATIVE),
+    "stiffness": Offset("stiffness", "run_stiffness", RELATIVE),
 }
-"""Effect for all runs -> its offsets of single runs."""
+"""Id of an effect less ``_run`` -> what the runs differ in."""
 
 
 def _one_each(prepared) -> float:
@@ -34,41 +48,58 @@ def _one_each(prepared) -> float:
     return seldom(prepared) - 0.5 * further * np.log(prepared.n / max(count, 1))
 
 
+_SHARED: dict[str, Any] = {
+    "parameter": "spread", "odds": _one_each, "needs": ("runs",),
+    "told_apart_by": "random order",
+}  # fmt: skip
+"""What all of them have."""
+
+
+def _parameter_of_runs(name: str, fitted: str, scale: float, *looks_like: str):
+    def factor(a, _, rows):
+        return jnp.exp(a * getattr(rows, OFFSETS[name].pattern))
+
+    return Effect(
+        id=f"{name}_run", family=f"{name} x run", change=multiplies(name, factor),
+        scale=scale,
+        formula=f"{SYMBOLS[name]} exp(difference of the run), spread by amplitude",
+        means=f"{name} differs from run to run: another tire, surface or day",
+        remedy=f"fit {fitted} for each run; compare runs of one tire and surface only",
+        # The pattern of one is found without the other, whose sign it may have.
+        bounds=((-1.5, 1.5),),
+        looks_like=(f"{name}_drift", f"{name}_warming", *looks_like), **_SHARED,
+    )  # fmt: skip
+
+
 SLIP_OFFSET_RUN = Effect(
-    id="slip_offset_run",
-    family="slip x run",
-    change=adds("shift", lambda a, _, rows: a * rows.run_slip),
-    scale=0.1,
-    per=("slip",),
-    unit="- of slip",
+    id="slip_offset_run", family="slip x run",
+    change=adds("shift", lambda a, _, rows: a * rows.run_slip), scale=0.1,
+    per=("slip",), unit="- of slip",
     formula="slip + offset of the run, spread by amplitude: a random effect",
     means="the zero of the slip differs from run to run",
     remedy=(
         "zero heading, steering or wheel speed before every run; fit the runs with an"
         " offset each"
     ),
-    parameter="spread",
     bounds=((0.0, 4.0),),
-    odds=_one_each,
-    needs=("runs",),
     looks_like=("slip_offset", "slip_zero_drift", "force_offset_run"),
-    told_apart_by="both signs",
-)
+    **_SHARED | {"told_apart_by": "both signs"},
+)  # fmt: skip
 FORCE_OFFSET_RUN = Effect(
-    id="force_offset_run",
-    family="force x run",
+    id="force_offset_run", family="force x run",
     change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.run_force),
-    scale=15.0,
-    unit="1e-3 mean F_z",
+    scale=15.0, unit="1e-3 mean F_z",
     formula="force + offset of the run, spread by amplitude: a random effect",
     means="the zero of the force differs from run to run",
     remedy="tare before every run; fit the runs with an offset each",
-    parameter="spread",
     bounds=((0.0, 300.0),),
-    odds=_one_each,
-    needs=("runs",),
     looks_like=("force_offset", "force_zero_drift", "slip_offset_run"),
-    told_apart_by="loads",
-)
+    **_SHARED | {"told_apart_by": "loads"},
+)  # fmt: skip
 
-EFFECTS = (SLIP_OFFSET_RUN, FORCE_OFFSET_RUN)
+EFFECTS = (
+    SLIP_OFFSET_RUN,
+    FORCE_OFFSET_RUN,
+    _parameter_of_runs("friction", "mu", 0.12, "friction_step", "stiffness_run"),
+    _parameter_of_runs("stiffness", "cpa2", 0.18, "friction_run"),
+)

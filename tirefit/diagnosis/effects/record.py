@@ -77,6 +77,8 @@ class Effect:
         which: (constants, covariates (n,), time (n,) [s] or None) -> in words which
             formula a variant is, with the values without which its amplitude says
             little.
+        doubts: (amplitude, prepared rows) -> why no such effect is as large, in words;
+            empty where it may be.
         forms: other shapes in which the same parameter may vary with the same quantity.
         during: (constants) -> begin and end of what a variant changes, in shares of the
             record about its middle, where it acts for a stretch of it: a setting that
@@ -106,6 +108,7 @@ class Effect:
     channels: tuple[str, ...] = ()
     variants: tuple[tuple[float, ...], ...] = ((),)
     which: Callable[[tuple[float, ...], Covariates, object], str] | None = None
+    doubts: Callable[[float, object], str] | None = None
     forms: tuple[Form, ...] = ()
     during: Callable[[tuple[float, ...]], tuple[float, float]] | None = None
     scans_time: bool = False
@@ -164,11 +167,15 @@ class Atom:
         prior = Prior(effect.scale, effect.center, *pair).times(size)
         return prior if effect.prior is None else effect.prior(prior, prepared, rig)
 
-    def formula(self, rows: Covariates, time) -> str:
-        """Which of the effect's formulas it is, in words; empty where it has one."""
-        return (
-            self.effect.which(self.constants, rows, time) if self.effect.which else ""
-        )
+    def formula(self, rows: Covariates, time, amplitude=0.0, prepared=None) -> str:
+        """Which of the effect's formulas it is, in words; empty where it has one. Of an
+        amplitude beyond the effect's own, its doubts as well."""
+        of, said = self.effect, []
+        if of.which:
+            said.append(of.which(self.constants, rows, time))
+        if of.doubts and prepared is not None:
+            said.append(of.doubts(float(amplitude), prepared))
+        return ", ".join(part for part in said if part)
 
     def change(self, state: State, amplitude, rows: Covariates) -> State:
         """The state with this variant added."""

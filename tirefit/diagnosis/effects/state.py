@@ -45,10 +45,12 @@ class Covariates(NamedTuple):
     all of it, and what is left of it after a cooling of a fifth and of a twentieth of
     the record. ``across`` [N] is the measured force across, ``yaw`` [1/m] yaw rate over
     speed, ``ahead`` the acceleration ahead over its range, ``swing`` [rad/s^2] the yaw
-    acceleration, ``heading`` and ``steering`` [rad] as measured, ``lean`` the lateral
-    acceleration over that of gravity; of a force that was derived from it, what the
-    base model's force would make of it. ``run_slip`` and ``run_force`` are how the runs
-    differ in one or the other, of unit rms.
+    acceleration, ``heading`` and ``steering`` [rad] as measured, ``steered`` (n, k) the
+    latter where ``past`` has the slip, ``pivot`` [N/rad] what the road wheel angle does
+    to a force that was derived across it, ``lean`` the lateral acceleration over that
+    of gravity; of a force that was derived from it, what the base model's force would
+    make of it. ``run_slip``, ``run_force``, ``run_friction`` and ``run_stiffness`` are
+    how the runs differ in one or the other, of unit rms.
     ``change`` is the shape of a change in time, from -1/2 to 1/2, that
     :func:`evidence.forms.shape_of_change` has found, ``traction`` the force
     of the base model over the mean load.
@@ -89,8 +91,12 @@ class Covariates(NamedTuple):
     heading: Values
     lean: Values
     steering: Values
+    steered: Values
+    pivot: Values
     run_slip: Values
     run_force: Values
+    run_friction: Values
+    run_stiffness: Values
     change: Values
     traction: Values
 

@@ -18,7 +18,7 @@ from tirefit.diagnosis.evidence.beginning import (
 )
 from tirefit.diagnosis.evidence.changes import count_atoms
 from tirefit.diagnosis.evidence.forms import PLACE
-from tirefit.diagnosis.evidence.forward import Design, ForwardModel, Linear
+from tirefit.diagnosis.evidence.forward import Design, Linear
 from tirefit.diagnosis.evidence.refits import Refit, refit, refit_folds
 from tirefit.diagnosis.evidence.remainder import whitened_generic
 from tirefit.diagnosis.evidence.runs import with_runs
@@ -66,7 +66,7 @@ class Fit:
     hypothesis) that gave them, the slip over that of full sliding (n,), and the first
     ``guess`` of z."""
 
-    tire: ForwardModel
+    tire: Tire
     design: Design
     z: np.ndarray
     refit: Refit
@@ -239,6 +239,12 @@ class Base:
         ]  # fmt: skip
         return np.concatenate(parts)
 
+    def forces_each(self, fits) -> np.ndarray:
+        """Mean forces (h, C, n) of every used row of each of some (z, amplitudes), the
+        channels in the order of their names."""
+        found = self.fit.tire.forces(fits, self.design)
+        return np.array([mean[:, : self.rows.n] for mean, _ in found])
+
     def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
         """Mean force of every used row, by channel."""
         return self.fit.tire.moments(z, amplitudes, self.design, self.rows.n)[0]
@@ -311,7 +317,7 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
     )  # fmt: skip
 
 
-def _own_refit(tire: ForwardModel, z, design: Design) -> Refit:
+def _own_refit(tire: Tire, z, design: Design) -> Refit:
     """Its own parameters refitted, without effects, from z."""
     return refit(tire, [(z, np.zeros(0))], [()], design)
 

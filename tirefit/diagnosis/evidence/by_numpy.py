@@ -1,7 +1,7 @@
 """Functions of arrays that JAX can trace, evaluated by NumPy: nothing is compiled."""
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -16,109 +16,107 @@ _ELEMENTWISE: dict[str, Callable] = {
     "pow": np.power, "sign": np.sign, "sin": np.sin, "sqrt": np.sqrt,
     "square": np.square, "sub": np.subtract, "tan": np.tan, "tanh": np.tanh,
 }  # fmt: skip
-"""Primitives of JAX that one function of NumPy does, for floats and truth values."""
+"""Primitives of JAX that one function of NumPy does."""
 
 _WITHIN = {"jit": "jaxpr", "custom_jvp_call": "call_jaxpr"}
 """Primitives that are a function by itself, and the parameter that holds it."""
 
 
-class Traced:
-    """A function of arrays as JAX saw it, for arguments of the shapes of an example."""
+class Traced(NamedTuple):
+    """A function as JAX saw it: the program, and the structure of what it gives."""
 
-    def __init__(self, function: Callable, *example: Any):
-        self.program, shape = jax.make_jaxpr(function, return_shape=True)(*example)
-        self.structure = jax.tree.structure(shape)
+    program: Any
+    structure: Any
 
-    def by_numpy(self, known: Mapping[int, Any]) -> Callable:
-        """The function of the leaves of its arguments, evaluated by NumPy.
+    @classmethod
+    def of(cls, function: Callable, *example: Any) -> "Traced":
+        """For arguments of the shapes of an example."""
+        program, shape = jax.make_jaxpr(function, return_shape=True)(*example)
+        return cls(program, jax.tree.structure(shape))
 
-        What has one value for all rows may come back as that. Primitives without a
-        counterpart here are left to JAX.
 
-        Args:
-            known: values of some leaves, by their number, that will stay: what follows
-                from them alone, and what they multiply by zero, is not evaluated again.
-        """
-        count = len(self.program.jaxpr.invars)
-        steps = _Steps(count, known)
-        closed, structure = self.program, self.structure
-        ends = steps.flattened(closed.jaxpr, closed.consts, list(range(count)))
-        kept, values = steps.needed(ends), steps.values
+def by_numpy(traced: Traced, known: Mapping[int, np.ndarray]) -> Callable:
+    """The function, of arrays or tuples of such; what has one value for all rows may
+    come back as that.
 
-        def evaluated(*leaves):
-            found = [*map(np.asarray, leaves), *values[count:]]
-            with np.errstate(all="ignore"):
-                for operation, taken, given in kept:
-                    result = operation(*[found[place] for place in taken])
-                    for place, value in zip(given, result, strict=True):
-                        found[place] = value
-            return jax.tree.unflatten(structure, [found[place] for place in ends])
+    Args:
+        known: leaves of the arguments that will be the same, by their number: what
+            follows from them alone, and what they multiply by zero, is not evaluated
+            again.
+    """
+    (closed, structure), count = traced, len(traced.program.jaxpr.invars)
+    steps = _Steps([known.get(k) for k in range(count)])
+    ends = steps.added(closed.jaxpr, closed.consts, list(range(count)))
+    needed, kept = set(ends), []
+    for step in reversed(steps.steps):
+        if needed.intersection(step[2]):
+            needed |= set(step[1])
+            kept.append(step)
+    kept.reverse()
 
-        return evaluated
+    def evaluated(*arguments):
+        leaves: list[Any] = []
+        for one in arguments:
+            leaves.extend(one) if isinstance(one, tuple) else leaves.append(one)
+        found = [*map(np.asarray, leaves), *steps.values[count:]]
+        with np.errstate(all="ignore"):
+            for operation, taken, given in kept:
+                result = operation(*[found[place] for place in taken])
+                for place, value in zip(given, result, strict=True):
+                    found[place] = value
+        return jax.tree.unflatten(structure, [found[place] for place in ends])
+
+    return evaluated
 
 
 class _Steps:
-    """Operations one after the other, between places of a list of values."""
+    """Operations one after the other, between places of a list of values; None stands
+    for what is not known yet."""
 
-    def __init__(self, count: int, known: Mapping[int, Any]):
-        self.values: list[Any] = [None] * count
+    def __init__(self, values: list):
+        self.values = values
         self.steps: list[tuple[Callable, list[int], list[int]]] = []
-        for place, value in known.items():
-            self.values[place] = np.asarray(value)
 
-    def placed(self, value=None) -> int:
+    def _place(self, value=None) -> int:
         self.values.append(value)
         return len(self.values) - 1
 
-    def flattened(self, jaxpr, constants, places: list[int]) -> list[int]:
-        """The places of what a program gives, of what it takes."""
+    def added(self, jaxpr, constants, places: list[int]) -> list[int]:
+        """The places of what a program gives, of those of what it takes."""
         where = dict(zip(jaxpr.invars, places, strict=True))
         for variable, value in zip(jaxpr.constvars, constants, strict=True):
-            where[variable] = self.placed(np.array(value, variable.aval.dtype))
-
-        def place(atom) -> int:
-            if isinstance(atom, Literal):
-                return self.placed(np.array(atom.val, atom.aval.dtype))
-            return where[atom]
-
+            where[variable] = self._place(np.array(value, variable.aval.dtype))
         for equation in jaxpr.eqns:
-            taken = [place(atom) for atom in equation.invars]
+            taken = [self._of(atom, where) for atom in equation.invars]
             inner = equation.params.get(_WITHIN.get(equation.primitive.name))
             if inner is not None:
-                given = self.flattened(inner.jaxpr, inner.consts, taken)
+                given = self.added(inner.jaxpr, inner.consts, taken)
             else:
-                given = self._added(equation, taken)
+                given = self._step(equation, taken)
             where |= zip(equation.outvars, given, strict=True)
-        return [place(atom) for atom in jaxpr.outvars]
+        return [self._of(atom, where) for atom in jaxpr.outvars]
 
-    def _added(self, equation, taken: list[int]) -> list[int]:
+    def _of(self, atom, where) -> int:
+        if isinstance(atom, Literal):
+            return self._place(np.array(atom.val, atom.aval.dtype))  # type: ignore
+        return where[atom]
+
+    def _step(self, equation, taken: list[int]) -> list[int]:
         operation, values = _operation(equation), [self.values[k] for k in taken]
+        name = equation.primitive.name
+        zero = [value is not None and not np.any(value) for value in values]
         if all(value is not None for value in values):
             with np.errstate(all="ignore"):
-                return [self.placed(value) for value in operation(*values)]
-        name, none = equation.primitive.name, [_is_zero(value) for value in values]
-        if any(none) and name in ("mul", "and"):
-            return [self.placed(values[none.index(True)])]
-        if any(none) and name in ("add", "add_any"):
-            return [taken[none.index(False)]]
+                return [self._place(value) for value in operation(*values)]
+        if any(zero) and name in ("mul", "and"):
+            return [self._place(values[zero.index(True)])]
+        if any(zero) and name in ("add", "add_any"):
+            return [taken[zero.index(False)]]
         if name == "select_n" and values[0] is not None and not values[0].shape:
             return [taken[1 + int(values[0])]]
-        given = [self.placed() for _ in equation.outvars]
+        given = [self._place() for _ in equation.outvars]
         self.steps.append((operation, taken, given))
         return given
-
-    def needed(self, ends: list[int]) -> list[tuple[Callable, list[int], list[int]]]:
-        """The steps that these places need."""
-        places, kept = set(ends), []
-        for step in reversed(self.steps):
-            if places.intersection(step[2]):
-                places |= set(step[1])
-                kept.append(step)
-        return kept[::-1]
-
-
-def _is_zero(value) -> bool:
-    return value is not None and not np.any(value)
 
 
 def _operation(equation) -> Callable:
@@ -132,7 +130,7 @@ def _operation(equation) -> Callable:
     if name == "integer_pow":
         return lambda x: (x ** float(told["y"]),)
     if name == "convert_element_type":
-        return lambda x: (np.asarray(x).astype(told["new_dtype"]),)
+        return lambda x: (x.astype(told["new_dtype"]),)
     if name == "select_n" and len(shapes) == 3:
         return lambda which, no, yes: (np.where(which, yes, no),)
     if name == "broadcast_in_dim" and not shapes[0]:
@@ -147,17 +145,13 @@ def _operation(equation) -> Callable:
 
 
 def _exact(equation) -> Callable:
-    """The same of arrays that are of the shapes of their variables."""
+    """The same of arrays of the very shapes; what NumPy has no short way for is left to
+    JAX."""
     name, told = equation.primitive.name, equation.params
     if name == "broadcast_in_dim":
-        places = told["broadcast_dimensions"]
-
-        def spread(x):
-            shape = np.ones(len(told["shape"]), int)
-            shape[list(places)] = x.shape
-            return (np.reshape(x, shape),)
-
-        return spread
+        shape = np.ones(len(told["shape"]), int)
+        shape[list(told["broadcast_dimensions"])] = equation.invars[0].aval.shape
+        return lambda x: (np.reshape(x, shape),)
     if name == "squeeze":
         return lambda x: (np.squeeze(x, told["dimensions"]),)
     if name == "slice":

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 
-from tirefit.diagnosis.rows.patterns import PHASES, Over, Patterns, turns
+from tirefit.diagnosis.rows.patterns import PHASES, Over, Patterns, phased, turns
 
 _FINER = 4
 """Lines of the periodogram for each that a record has: between two of them a wave loses
@@ -65,7 +65,7 @@ def with_fast_waves(among: Patterns, time, residual) -> Patterns:
     listed = [("wave", span / c, 0.0) for c in counts for _ in range(PHASES)]
     lines = np.count_nonzero(fast) / _FINER * PHASES
     drawn = Over(
-        "time", np.zeros((len(time), 0), np.float32), waves.astype(np.float32), listed,
+        "time", phased(waves).astype(np.float32), listed,
         np.full(len(listed), -np.log(lines)), slow.weights,
     )  # fmt: skip
     return replace(among, over=(*among.over, drawn))

@@ -73,17 +73,15 @@ def shape_of_change(time, friction, used_up, residual, blocks) -> np.ndarray:
         used_up: (m, p) columns of the rest of the hypothesis.
         residual: (m,) of it, the step left out.
         blocks: (k, 2) stretches that a setting has as well, see
-            :func:`rows.blocks.blocks_of_settings`: none of them is tried.
+            :func:`rows.prepared.blocks_of_settings`: none of them is tried.
     """
     repeats = len(friction) // len(time)
     residual = without(residual, used_up)
     best, best_gain = np.zeros(len(time)), 0.0
     for width, length in product(_WIDTHS, (None, *_LENGTHS)):
-        begin = _TIMES
-        if length is not None:
-            if length < 2 * width:
-                continue
-            begin = begin[~coincides(begin, begin + length, blocks)]
+        if length is not None and length < 2 * width:
+            continue
+        begin = _TIMES[~coincides(_TIMES, _TIMES + (length or np.inf), blocks)]
         shapes = 0.5 * np.tanh((time[:, None] - begin) / width)
         if length is not None:
             shapes -= 0.5 * np.tanh((time[:, None] - begin - length) / width) + 0.5

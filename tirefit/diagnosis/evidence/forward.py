@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,6 @@ from tirefit.diagnosis.effects.state import (
     force_of_state,
     peak_ratio,
 )
-from tirefit.fitting.layout import Layout
 from tirefit.models import Brush, Parabolic, TireInputs
 from tirefit.params import Values, with_values
 
@@ -108,18 +107,14 @@ class Linear(NamedTuple):
     fields: np.ndarray
 
 
+@runtime_checkable
 class ForwardModel(Protocol):
     """What predicts the forces of rows from parameters z and amplitudes of atoms: all
-    that search and verdict know of a tire.
+    that the search, refits and leaving out need of a tire, or of a vehicle."""
 
-    ``effects`` is the library that the atoms are of.
-    """
-
-    effects: tuple
-    layout: Layout
-
-    def moments(self, z, amplitudes, design: Design, n: int):
-        """Mean force and its variance over the slip of the first n rows, by channel."""
+    def forces(self, fits, design: Design) -> Iterator:
+        """Mean forces (C, n) of each of some (z, amplitudes of all atoms), and their
+        variances over the slip."""
 
     def linearised(self, z, amplitudes, design: Design, n: int) -> Linear:
         """The first n rows linearised in everything."""

@@ -24,7 +24,6 @@ _LONGEST_STEP = 3.0
 """As those of :func:`tirefit.fitting.least_squares.damped_gauss_newton`, where they are
 explained."""
 
-
 _FARTHEST = 20.0
 """Amplitudes, in prior scales, beyond which no refit goes."""
 
@@ -64,7 +63,7 @@ class _Hypotheses:
             row[: self.p + len(amplitude)] = *z, *amplitude
         self.starts = np.tile(begin, (len(keeps), 1))
         self.sets = [tuple(atoms) for _ in keeps for atoms in sets]
-        self.weights = [design.weights(keep) for keep in keeps for _ in sets]
+        self.weights = [w for w in map(design.weights, keeps) for _ in sets]
         self.forces, none = design.forces, len(design.prior_scale)
         index = [[*s, *[none] * (MOST_EFFECTS - len(s))] for s in self.sets]
         self.center = np.append(design.prior_center, 0.0)[index]
@@ -78,12 +77,10 @@ class _Hypotheses:
 
     def at(self, numbers, points) -> Normal:
         """Around points (k, w), with what pulls on the parameters."""
-        wanted = np.concatenate(
-            [self.starts[numbers, : self.p], self.center[numbers]], 1
-        )
+        held, center = self.starts[numbers, : self.p], self.center[numbers]
         pull = np.ones(points.shape[1])
         pull[: self.p] = float(self.design.hold) ** 2
-        off = points - wanted
+        off = points - np.concatenate([held, center], axis=1)
         cost, gradient = np.sum(pull * off**2, axis=1), pull * off
         normal = np.tile(np.diag(pull), (len(points), 1, 1))
         sets = [self.sets[number] for number in numbers]
@@ -120,9 +117,8 @@ def _after_step(z, at: Normal, damping, allowed: Callable, longest: float):
         return reached
     fixed = np.where(free, 0.0, reached - z)
     both = free[:, :, None] & free[:, None, :]
-    beside = np.where(
-        free, -at.gradient - (at.normal @ fixed[:, :, None])[..., 0], fixed
-    )
+    steep = at.gradient + (at.normal @ fixed[:, :, None])[..., 0]
+    beside = np.where(free, -steep, fixed)
     return limited(_solved(np.where(both, system, one), beside))[0]
 
 

@@ -6,14 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from tirefit.diagnosis.effects.per_run import OFFSETS
+from tirefit.diagnosis.effects.per_run import OFFSETS, RELATIVE
 from tirefit.diagnosis.evidence.forms import PLACE
 from tirefit.diagnosis.rows.basis import without
 from tirefit.diagnosis.rows.rates import shown_runs
 from tirefit.padding import pad_rows
 
-KINDS = {effect: of.field for effect, of in OFFSETS.items()}
-"""Effect whose amplitude may be each run's own -> the field of the state it moves."""
+KINDS = tuple(OFFSETS)
+"""What may be each run's own: ids of effects less ``_run``."""
 
 _STEPS = 400
 """Spreads that are tried, from none to three times the range of the runs."""
@@ -120,8 +120,10 @@ def estimates(base, kind: str, hypothesis=None):
         other = [k for k in atoms if ids[k] not in (kind, f"{kind}_run")]
         used_up = np.concatenate([linear.jacobian, linear.columns[:, other]], axis=1)
         there = _already(base, kind, {ids[k]: amplitudes[k] for k in atoms})
-    run = np.tile(rows.run, len(rows.channels))
-    field = linear.fields[:, PLACE[KINDS[kind]]]
+    run, offset = np.tile(rows.run, len(rows.channels)), OFFSETS[kind]
+    field = linear.fields[:, PLACE[offset.field]]
+    if offset.unit == RELATIVE:
+        field = field * np.tile(np.exp(there), len(rows.channels))
     own = np.stack([np.where(run == code, field, 0.0) for code in codes], axis=1)
     left = without(own, used_up)
     normal = left.T @ left
@@ -134,6 +136,12 @@ def estimates(base, kind: str, hypothesis=None):
     inverse = (vector / known) @ vector.T
     first = [int(np.argmax(rows.run == code)) for code in codes]
     own = inverse @ (left.T @ linear.residual) + there[first]
+    if offset.unit == RELATIVE:
+        # What the runs have in common is the tire's own parameter.
+        one = np.full((len(codes), len(codes)), 1 / len(codes))
+        own = own - own.mean()
+        inverse = inverse - one @ inverse - inverse @ one + one @ inverse @ one
+        inverse = inverse + one * np.trace(inverse) / max(len(codes) - 1, 1)
     return codes, own, wide * inverse
 
 
@@ -172,7 +180,10 @@ def pattern_of_runs(base, kind: str) -> np.ndarray:
     if seen is None:
         return pattern
     codes, values, covariance = seen
-    for code, value in zip(codes, shrunk(values, covariance).values, strict=True):
+    law = shrunk(values, covariance)
+    if law.spread == 0:
+        return pattern
+    for code, value in zip(codes, law.values, strict=True):
         pattern[base.rows.run == code] = value
     pattern -= pattern.mean()
     size = np.sqrt(np.mean(pattern**2))

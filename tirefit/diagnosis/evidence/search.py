@@ -38,6 +38,9 @@ size changes them all by a thousandth of a standard error together."""
 _HOPELESS = 30.0
 """Log weight below the best at which a set is not extended any more."""
 
+_DIGITS = 6
+"""Decimals of the log evidence of the linear screen: finer differences are rounding."""
+
 _WORTH_A_REFIT = 4.0
 """Log weight below the best, by the linear step, at which a set is not refitted: less
 than a fiftieth of the best each."""
@@ -201,7 +204,8 @@ class _Searcher:
         if not sets:
             return []
         values = _log_bayes(gram, score, self.center, self.sign, sets)
-        return values.tolist()
+        # Variants that are the same on a file differ by their last digits alone.
+        return np.round(values, _DIGITS).tolist()
 
     def refit(self, sets: Sequence[tuple[int, ...]], guesses: dict) -> None:
         """Refit sets of atoms, two starts each where the sign is open."""

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from tirefit.diagnosis.effects import Effect
+from tirefit.diagnosis.effects.state import State
 from tirefit.diagnosis.evidence.changes import Library, count_atoms, library_of
 from tirefit.diagnosis.evidence.forward import (
     Design,
@@ -21,8 +22,9 @@ from tirefit.fitting.layout import Layout
 from tirefit.models import AbstractTire
 from tirefit.padding import pad_rows
 
-_AT_ONCE, _MOST_ROWS = 16, 2**14
-"""Fits of one call of a program, and rows of all of them together, at most."""
+_FIELDS, _AT_ONCE, _MOST_ROWS = len(State._fields), 16, 2**14
+"""Fields of a state; fits of one call of a program, and rows of all of them at once, at
+most."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +50,13 @@ class Tire:
         room = int(np.clip(_MOST_ROWS // size, 1, _AT_ONCE))
         for first in range(0, len(points), room):
             some = points[first : first + room]
-            several = np.stack([next(states) for _ in some])
-            z, several = (_filled(part, room) for part in (some, several))
+            z, several = (
+                np.zeros((room, some.shape[1])),
+                np.zeros((room, _FIELDS, size)),
+            )
+            z[: len(some)] = some
+            for state in several[: len(some)]:
+                state[:] = next(states)
             tire = self.model, self.layout, self.mode
             found = program(*tire, z, several, len(some), where)
             if waiting is not None:
@@ -58,14 +65,18 @@ class Tire:
         if waiting is not None:
             yield from _one_by_one(*waiting)
 
+    def forces(self, fits, design: Design) -> Iterator:
+        """Mean forces (C, n) of each of some (z, amplitudes of all atoms), and their
+        variances over the slip."""
+        points = np.array([z for z, _ in fits])
+        some = (self.library.state(_present(a), design.rows) for _, a in fits)
+        return self._run(forces_of, points, some, design)
+
     def moments(self, z, amplitudes, design: Design, n: int):
-        """Mean force and its variance over the slip of the first n rows, by channel."""
-        state = self.library.state(_present(amplitudes), design.rows)
-        points, states = np.asarray(z)[None], iter([state])
-        both = next(self._run(forces_of, points, states, design))
-        channels = sorted(design.observed)
+        """Those of one fit, of the first n rows, by channel."""
+        both, names = self.forces([(z, amplitudes)], design), sorted(design.observed)
         return tuple(
-            {c: x[:n] for c, x in zip(channels, part, strict=True)} for part in both
+            {c: x[:n] for c, x in zip(names, part, strict=True)} for part in next(both)
         )
 
     def brush(self, z, design: Design):
@@ -83,7 +94,7 @@ class Tire:
         weight, observed = design.weights(), design.forces
         columns = np.zeros((count_atoms(self.effects), *mean.shape))
         for atom, slopes in changes.slopes.items():
-            columns[atom] = _along(fields, slopes, scale[atom])
+            columns[atom] = _along(fields, slopes, float(scale[atom]))
         if changes.ends:
             points = np.repeat(points, len(changes.ends), axis=0)
             ends = self._run(forces_of, points, iter(changes.ends.values()), design)
@@ -124,20 +135,13 @@ class Tire:
             columns[:p] = np.swapaxes(by_z, 0, 1)
             each = zip(columns[p:], atoms, by_amplitude.pop(0), strict=True)
             for column, atom, slopes in each:
-                column[:] = _along(by_field, slopes, scale[atom])
+                column[:] = _along(by_field, slopes, float(scale[atom]))
             yield mean, columns
 
 
 def _present(amplitudes) -> list[tuple[int, float]]:
     """The atoms that amplitudes of all (K,), in their own units, have."""
     return [(int(k), float(amplitudes[k])) for k in np.flatnonzero(amplitudes)]
-
-
-def _filled(values: np.ndarray, count: int) -> np.ndarray:
-    """Up to ``count``, of one shape: one program."""
-    room = np.zeros((count, *values.shape[1:]))
-    room[: len(values)] = values
-    return room
 
 
 def _one_by_one(found, count: int) -> Iterator:

@@ -10,10 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import convolve1d, median_filter
 from scipy.optimize import nnls
-from scipy.special import erfc, gammainc
+from scipy.special import chdtr, chdtrc
 
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 from tirefit.diagnosis.noise.memory import (
+    CORRELATED,
     Memory,
     in_order,
     memory_of,
@@ -29,8 +30,14 @@ _FINEST = 1e-5
 
 _CLIP = 2.5
 """Residual, in standard deviations, at which squares are clipped."""
-_CLIPPED = gammainc(1.5, _CLIP**2 / 2) + _CLIP**2 * erfc(_CLIP / np.sqrt(2.0))
-"""Mean square of a normal number clipped there."""
+
+
+def _mean_of_clipped(square: float) -> float:
+    """Mean square of a normal number whose square is clipped here."""
+    return float(chdtr(3, square) + square * chdtrc(1, square))
+
+
+_CLIPPED = _mean_of_clipped(_CLIP**2)
 
 _OUTLIER = 4.5
 """Standard deviations from which a row is excluded: one normal row in 1.5e5."""
@@ -56,9 +63,6 @@ normal noise in 15,000."""
 _STRONG_WAVE, _WAVES = 6.0, 3
 """Log odds, beyond the log of their number, from which a wave is no noise; and the
 largest number of waves that are removed."""
-
-_UNEVEN = 1.3
-"""Largest over smallest standard deviation of noise reported as uneven."""
 
 _NEIGHBOURED = 0.3
 """Smallest share of the rows with neighbours that represents all."""
@@ -128,7 +132,7 @@ def judge_noise(
     size, local = _scale(rest / std, smooth), np.inf
     grows = stated and len(shares) > 2
     if grows:
-        std, source = level(), "estimated: the noise grows with the force"
+        std, source = level(), "estimated: grows with the force, unlike the stated"
     elif stated:
         times, flags, source = _overruled(white, smooth, size, groups, in_time)
         std = std * times
@@ -142,7 +146,7 @@ def judge_noise(
             std = std * local
             memory = smooth.memory(rest / std, in_time)
     std = np.maximum(std, floor)
-    if grows or (not stated and np.max(std) > _UNEVEN * np.min(std)):
+    if grows or (not stated and np.max(std) > (1 + _MISSTATED) ** 2 * np.min(std)):
         flags.append("heteroscedastic")
     elif stated and np.std(fz) > LOADS * np.mean(fz):
         if abs(_growth(rest / std, np.log(fz), keep)) > _CLEAR:
@@ -168,7 +172,7 @@ def _overruled(white, smooth: "_Smooth", size: float, groups, in_time):
     name = min(scales, key=lambda name: scales[name])
     excess = max(_MISSTATED, _CLEAR / np.sqrt(2 * smooth.freedom))
     if scales[name] > 1 + excess:
-        source = f"estimated: {scales[name]:.2g} times the given scatter {name}"
+        source = f"estimated: {scales[name]:.2g} times the stated noise, {name}"
         return scales[name], ["noise_misstated"], source
     return 1.0, ["noise_misstated"] if size < _OVERSTATED else [], "given"
 
@@ -312,11 +316,6 @@ def _growth(white, values, keep) -> float:
     return float(square @ (x - x.mean())) / float(np.std(x) * np.sqrt(2 * len(x)))
 
 
-_SLOPED = 2.5
-"""Standard errors from which the scatter follows the steepness: one record in 160
-without noise of the slip."""
-
-
 def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) -> float:
     """Standard deviation of the slip noise from the forces, zero where none shows.
 
@@ -345,7 +344,7 @@ def slip_scatter(residual, steepness, fz, alike: Sequence, in_time: Sequence) ->
     own, along = own / without[:, None], parts[:, -1] / without
     along = along - own @ np.linalg.lstsq(own, along, rcond=None)[0]
     chance = max(2.0, float(np.var(over))) * _TOGETHER * float(along @ along)
-    if over @ along < _SLOPED * np.sqrt(max(chance, NONZERO)):
+    if over @ along < CORRELATED * np.sqrt(max(chance, NONZERO)):
         return 0.0
     local, slope = np.zeros((2, len(residual)))
     middle = np.concatenate([rows[1:-1] for rows in alike])

@@ -20,8 +20,8 @@ class Memory(NamedTuple):
     ``fade`` is the correlation of neighbours, ``chance`` the probability of this one.
     """
 
-    fade: float
-    share: float
+    fade: float = 0.0
+    share: float = 0.0
     chance: float = 1.0
 
     @property
@@ -30,10 +30,10 @@ class Memory(NamedTuple):
         return 1 + 2 * self.share * self.fade / (1 - self.fade)
 
 
-FORGETFUL = Memory(0.0, 0.0)
+FORGETFUL = Memory()
 """Independent rows."""
 
-_FADES = np.linspace(0.0, 0.95, 20)
+_FADES = np.arange(20) / 20
 """Correlations of neighbours that are compared."""
 
 _LEAST_CHANCE = 0.02
@@ -44,9 +44,6 @@ CORRELATED = 2.5
 
 _FACTS = 20
 """Smallest number of independent rows: more correlation is taken for a gap."""
-
-_SHORTEST = 3
-"""Smallest number of rows of a stretch."""
 
 
 def memory_of(
@@ -62,7 +59,7 @@ def memory_of(
         most: largest variance of the noise, so that a slow gap beside noise of a known
             level is not taken for correlated noise.
     """
-    stretches = [rows for rows in stretches if len(rows) >= _SHORTEST]
+    stretches = [rows for rows in stretches if len(rows) > 2]
     if not stretches or np.sqrt(np.mean(white**2)) < SILENT:
         return (FORGETFUL,)
     rows, q = unit.shape

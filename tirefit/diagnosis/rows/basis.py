@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,9 +19,6 @@ from tirefit.diagnosis.rows.patterns import (
 
 SCALES = 2.0 * 3.0 ** np.arange(4)
 """Standard deviations of a basis function's coefficient that are averaged over."""
-
-PRIORS = dict.fromkeys(("smooth", "cells", "waves", "patterns"), 0.25)
-"""Prior probabilities of the kinds of remainder."""
 
 RANK = 1e-6
 """Smallest squared length of a direction over the longest; the rest is rounding."""
@@ -65,15 +61,18 @@ def functions_of(values, count: int) -> np.ndarray:
     return bumps(values, count)
 
 
-def _by_side(slip_fraction, count: int) -> np.ndarray:
-    """Bumps over the size of the slip, for each sign: (n, count or 2 count)."""
+def _by_side(slip_fraction, factors, scale, most: int, finest: int) -> np.ndarray:
+    """Bumps over the size of the slip, for each sign of it that is there, times each of
+    the factors (n,): about ``most`` whitened columns, at most ``finest`` bumps."""
     inside = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
-    shapes, positive = bumps(np.abs(inside), count), inside >= 0
-    if _OF_EITHER_SIGN < positive.mean() < 1 - _OF_EITHER_SIGN:
-        return np.concatenate(
-            [shapes * positive[:, None], shapes * ~positive[:, None]], 1
-        )
-    return shapes
+    sides = [inside >= 0, inside < 0]
+    if min(np.mean(side) for side in sides) <= _OF_EITHER_SIGN:
+        sides = [np.ones(len(inside), bool)]
+    count = int(np.clip(most // (len(sides) * len(factors)), _BUMPS[0], finest))
+    shapes = bumps(np.abs(inside), count)
+    chosen = factors[: max(most // (len(sides) * count), 1)]
+    columns = [shapes * (side * one)[:, None] for one in chosen for side in sides]
+    return _scaled(np.concatenate(columns, axis=1), scale)
 
 
 def _standard(values):
@@ -120,27 +119,16 @@ def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
         scale: (n,) typical force over the noise of each row.
         most: approximate number of columns.
     """
-    modulations = _modulations(prepared)
-    sides = _by_side(slip_fraction, 2).shape[1] // 2
-    count = int(np.clip(most // (sides * len(modulations)), *_BUMPS))
-    modulations = modulations[: max(most // (sides * count), 1)]
-    shapes = _by_side(slip_fraction, count)
-    columns = np.concatenate([shapes * m[:, None] for m in modulations], axis=1)
-    return _scaled(columns, scale)
+    factors = _modulations(prepared)
+    return _by_side(slip_fraction, factors, scale, most, _BUMPS[1])
 
 
 def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
     """Narrow bumps of the slip for each load: (n, b)."""
-    loads = levels(prepared.covariates.fz)
-    codes = range(len(loads.center))
-    cells = [np.ones(prepared.n, bool)]
+    loads, cells = levels(prepared.covariates.fz), [np.ones(prepared.n, bool)]
     if loads.few():
-        cells = [loads.code == code for code in codes]
-    sides = _by_side(slip_fraction, 2).shape[1] // 2
-    count = int(np.clip(most // (sides * len(cells)), _BUMPS[0], 2 * _BUMPS[1]))
-    shapes = _by_side(slip_fraction, count)
-    columns = np.concatenate([shapes * cell[:, None] for cell in cells], axis=1)
-    return _scaled(columns, scale)
+        cells = [loads.code == code for code in range(len(loads.center))]
+    return _by_side(slip_fraction, cells, scale, most, 2 * _BUMPS[1])
 
 
 def wave_basis(prepared, scale) -> np.ndarray:
@@ -220,36 +208,6 @@ def _in_pairs(gram, score, ridge):
     return (c * sine**2 - 2 * b * sine * cosine + a * cosine**2) / size, size
 
 
-def _gains_of_waves(gram, score) -> np.ndarray:
-    """Log evidence of each wave over none at each of the scales: (S, K)."""
-    each = []
-    for scale in SCALES:
-        chi2, size = _in_pairs(gram, score, scale**-2)
-        each.append(0.5 * chi2 - 0.5 * np.log(scale**4 * size))
-    return np.array(each)
-
-
-class WavesOfResidual(NamedTuple):
-    """K waves given a residual at S scales: log evidence over none (S, K), mean
-    (S, K, 2) and covariance (S, K, 2, 2) of the two coefficients."""
-
-    gain: np.ndarray
-    mean: np.ndarray
-    covariance: np.ndarray
-
-
-def worth_of_waves(waves, against, residual) -> WavesOfResidual:
-    """Each wave by itself, with ``against`` (m, p) taken out."""
-    left = without(waves, against)
-    gram, score = _pairs(left), (left.T @ residual).reshape(-1, 2)
-    full = (
-        gram[:, [[0, 1], [1, 2]]] + np.eye(2) / np.square(SCALES)[:, None, None, None]
-    )
-    covariance = np.linalg.inv(full)
-    mean = np.einsum("skab,kb->ska", covariance, score)
-    return WavesOfResidual(_gains_of_waves(gram, score), mean, covariance)
-
-
 def _pairs(columns) -> np.ndarray:
     """Products (K, 3) of sine and cosine of waves (m, 2 K), see :func:`_in_pairs`."""
     sine, cosine = columns[:, ::2], columns[:, 1::2]
@@ -285,52 +243,28 @@ class Generic:
         smooth, cells = self.smooth, self.cells
         return smooth.T @ smooth, cells.T @ cells, _pairs(self.waves)
 
-    def left(self, against, residual, expected=None) -> "Left":
-        """Remainder of these functions after a fit, and their products with its
-        residual, from products of whole columns that are formed once.
+    def left(self, against, residual, expected=None):
+        """What a fit leaves of these functions, from products that are formed once.
 
         Args:
             against, expected: columns that the fit has used up, see :func:`taken_out`.
             residual: (m,) whitened.
+
+        Returns:
+            (scores (q,) and sizes (q,) of the orthonormal directions by name of the
+            basis, products (K, 3) and scores (K, 2) of the waves of :func:`_in_pairs`).
         """
         unit = taken_out(against, expected)
         rest = residual - unit @ (unit.T @ residual)
         both = np.concatenate([unit, rest[:, None]], axis=1).T @ self.columns
         ends = np.cumsum([self.smooth.shape[1], self.cells.shape[1]])
         used, score = np.split(both[:-1], ends, axis=1), np.split(both[-1], ends)
-        smooth, cells, waves = self._grams
-        return Left(
-            {
-                "smooth": (smooth - used[0].T @ used[0], score[0]),
-                "cells": (cells - used[1].T @ used[1], score[1]),
-            },
-            waves - _pairs(used[2]), score[2].reshape(-1, 2),
-        )  # fmt: skip
-
-
-class Left(NamedTuple):
-    """``wide`` holds (products with one another (b, b), with the residual (b,)) of
-    smooth functions and cells; ``waves`` (K, 3) and ``score`` (K, 2) see
-    :func:`_in_pairs`."""
-
-    wide: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    waves: np.ndarray
-    score: np.ndarray
-
-    def principal(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Scores (q,) of the orthonormal directions of a basis, and their sizes."""
-        gram, score = self.wide[name]
-        turned, size = _principal(gram)
-        return score @ turned, size
-
-    def wide_gains(self) -> dict[str, float]:
-        """Log evidence of the smooth functions and of the cells."""
-        return {name: mean_gain(*self.principal(name)) for name in self.wide}
-
-    @property
-    def chi2(self) -> np.ndarray:
-        """:func:`waves_within`."""
-        return _in_pairs(self.waves, self.score, FLAT)[0]
+        *grams, waves = self._grams
+        wide = {}
+        for k, name in enumerate(("smooth", "cells")):
+            turned, size = _principal(grams[k] - used[k].T @ used[k])
+            wide[name] = score[k] @ turned, size
+        return wide, waves - _pairs(used[2]), score[2].reshape(-1, 2)
 
 
 def wide_bases(prepared, slip_fraction, scale) -> tuple[np.ndarray, ...]:
@@ -343,17 +277,16 @@ def wide_bases(prepared, slip_fraction, scale) -> tuple[np.ndarray, ...]:
 
 
 def gains(bases: Generic, against, residual, expected=None) -> dict[str, float]:
-    """Log evidence of each kind of remainder over none.
-
-    Args:
-        against, expected: columns that the fit has used up, see :func:`taken_out`.
-        residual: (m,) whitened.
-    """
-    left = bases.left(against, residual, expected)
-    waves = np.ravel(_gains_of_waves(left.waves, left.score))
+    """Log evidence of each kind of remainder over none; arguments as of
+    :meth:`Generic.left`."""
+    wide, gram, score = bases.left(against, residual, expected)
+    waves = []
+    for scale in SCALES:
+        chi2, size = _in_pairs(gram, score, scale**-2)
+        waves.append(0.5 * chi2 - 0.5 * np.log(scale**4 * size))
     unit = taken_out(against, expected)
-    return left.wide_gains() | {
-        "waves": float(np.logaddexp.reduce(waves) - np.log(len(waves))),
+    return {name: mean_gain(*one) for name, one in wide.items()} | {
+        "waves": float(np.logaddexp.reduce(waves, axis=None) - np.log(np.size(waves))),
         "patterns": patterns_gain(bases.patterns, unit, residual),
     }
 
@@ -363,27 +296,12 @@ def of_any_kind(kinds: Mapping[str, float]) -> float:
     return float(np.logaddexp.reduce(list(kinds.values())) - np.log(len(kinds)))
 
 
-def misfit_p_value(bases: Generic, against, residual, generator, draws: int) -> float:
-    """p-value of the residual as noise, by the bases with Bonferroni's correction."""
-    values, left = [], bases.left(against, residual)
-    for name in left.wide:
-        score, size = left.principal(name)
-        total = np.sum(size**2 * score**2)
-        noise = generator.standard_normal((draws, len(size))) ** 2 @ size**2
-        values.append((1 + np.sum(noise >= total)) / (1 + draws))
-    chi2 = left.chi2
-    # The logarithm below needs a probability less than one.
-    chance = min(np.exp(-0.5 * chi2.max()), 1 - ROUNDING)
-    values.append(-np.expm1(len(chi2) * np.log1p(-chance)))
-    return float(min(1.0, len(values) * min(values)))
-
-
 def located(bases: Generic, against, residual):
     """Smooth part of the residual and its variance, (m,) each, by the basis with the
     largest evidence and the significant waves."""
-    rest = bases.left(against, residual)
-    gains, chi2 = rest.wide_gains(), rest.chi2
-    chosen = getattr(bases, max(gains, key=lambda name: gains[name]))
+    wide, gram, of_waves = bases.left(against, residual)
+    chi2, _ = _in_pairs(gram, of_waves, FLAT)
+    chosen = getattr(bases, max(wide, key=lambda name: mean_gain(*wide[name])))
     strong = np.flatnonzero(chi2 > 2 * np.log(len(chi2)) + _TO_DRAW)
     strong = strong[np.argsort(-chi2[strong])][:_MOST_DRAWN]
     waves = bases.waves[:, np.ravel(strong[:, None] * 2 + [0, 1])]

@@ -21,8 +21,8 @@ LOADS = 0.03
 _ANGLE = 1e-3
 """Standard deviation [rad] above which camber, steering or the other slip vary."""
 
-_WARMER, _WARMS = 20.0, 0.4
-"""Unit of the temperature, and standard deviation above which it varies [K]."""
+_WARMER = 20.0
+"""Unit of the temperature [K]."""
 
 _BOTH_SIGNS, _ROUND = 0.1, 0.5
 """Smallest share of the rows with either sign of slip; and smallest sum of the standard
@@ -34,9 +34,8 @@ well with accelerometers."""
 
 _TOP, _HALF = 0.95, (0.4, 0.6)
 """Quantile used as the largest value, and shares of the largest force about half."""
-_LEAST_RISE, _LEAST = 1e-3, 5
-"""Smallest slip at half of the largest force over the largest slip, and smallest number
-of rows there."""
+_LEAST_RISE = 1e-3
+"""Smallest slip at half of the largest force over the largest slip."""
 
 _OF_THE_FIT = ("force", "usage", "change", "traction") + tuple(
     name for name in Covariates._fields if name.startswith("run_")
@@ -57,7 +56,7 @@ class Sizes(NamedTuple):
     deviation; ``temperature``: reciprocal range in 20 K; ``lever`` [m] changes the slip
     by ``slip`` at the usual yaw rate over speed; ``inertia`` [kg m^2]: of the carried
     mass at the rolling radius; ``swing`` [kg m] changes the force by the load at the
-    usual yaw acceleration.
+    usual yaw acceleration; ``wheel`` [m] is the radius of the wheel, 0 where unknown.
     """
 
     plain: float = 1.0
@@ -72,6 +71,7 @@ class Sizes(NamedTuple):
     lever: float = 1.0
     inertia: float = 1.0
     swing: float = 1.0
+    wheel: float = 0.0
 
 
 def _largest(values) -> float:
@@ -89,7 +89,7 @@ def half_force_slip(slip, share) -> float:
     size, share = np.abs(slip), np.abs(share)
     top = _largest(share)
     half = (share > _HALF[0] * top) & (share < _HALF[1] * top)
-    middle = np.median(size[half] if half.sum() >= _LEAST else size)
+    middle = np.median(size[half] if half.any() else size)
     return float(max(middle, FLAT + _LEAST_RISE * _largest(size)))
 
 
@@ -149,17 +149,37 @@ def derived_from(data: TireData, channel: str) -> Derived | None:
     motion = np.stack([data.usable(name) for name in needed], axis=1)
     if np.linalg.matrix_rank(motion - motion.mean(axis=0)) < motion.shape[1]:
         return None
-    found, turned = [], [1.0]
+    found, across = [], [data.usable(channel)]
     if "steering" in data:
-        turned.append(np.cos(data.usable("steering")))
-    for steered, turn in enumerate(turned):
-        ahead = data.usable(channel) * turn
+        angle = data.usable("steering")
+        across.append(across[0] * np.cos(angle))
+        if "fx" in data:  # of an axle that drives
+            across.append(across[1] + data.usable("fx") * np.sin(angle))
+    for ahead in across:
         share = np.linalg.lstsq(motion, ahead)[0]
         missed = float(np.std(ahead - motion @ share) / np.std(ahead))
         mass, inertia = np.abs(share).tolist()
-        found.append((missed, Derived(mass, inertia, bool(steered))))
+        found.append((missed, Derived(mass, inertia, ahead is not across[0])))
     best = min(found, key=lambda one: one[0])
     return best[1] if best[0] < _EXACT else None
+
+
+_RADIUS = 0.15
+"""Radius of a wheel over the wheelbase: 0.11 of cars, 0.15 to 0.19 of models."""
+
+
+def wheel_radius(data: TireData, derived: Derived | None) -> float:
+    """Radius of the wheel [m] as a derived file states it, else by its wheelbase; zero
+    where neither is known."""
+    stated = data.source.constants
+    if "wheel_radius" in stated:
+        return stated["wheel_radius"]
+    return _RADIUS * wheelbase(data, derived) if derived else 0.0
+
+
+def wheelbase(data: TireData, derived: Derived) -> float:
+    """Of the vehicle [m]: stated, or about twice the arm of an axle."""
+    return data.source.constants.get("wheelbase", 2 * derived.arm)
 
 
 def work_of_sliding(power, time, run) -> np.ndarray:
@@ -260,6 +280,12 @@ def covariates_of(
         heading=column(data, "heading"),
         lean=column(data, "a_y") / g,
         steering=column(data, "steering"),
+        pivot=zero,
+        steered=sweeps.past.of(
+            column(data, "steering"),
+            column(data, "steering_rate") if "steering_rate" in data else None,
+            time,
+        ),
         **dict.fromkeys(_OF_THE_FIT, zero),
     )
 
@@ -281,7 +307,7 @@ def needs_met(
         "speeds": relative(rows.v) > LOADS,
         "loads": relative(rows.fz) > LOADS,
         "time": "time" in data and bool(np.any(rows.time)),
-        "temperature": varies("temperature", _WARMS),
+        "temperature": varies("temperature", LOADS * _WARMER),
         "pressure": relative(column(data, "pressure")) > LOADS,
         "gamma": varies("gamma", _ANGLE),
         "signs": _BOTH_SIGNS < np.mean(rows.side > 0) < 1 - _BOTH_SIGNS,

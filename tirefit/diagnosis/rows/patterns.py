@@ -3,8 +3,7 @@
 The bases of :mod:`rows.basis` are many smooth functions at once. A pattern is a kink, a
 threshold, a local change or a wave: one direction in the space of the data, whose
 evidence has a closed form. Patterns are products of a shape of the rows and the force
-of a usual change; the shapes and the forces are stored, not their products, and a wave
-of any phase is made of two.
+of a usual change; the shapes and the forces are stored, not their products.
 """
 
 from collections import Counter
@@ -36,7 +35,7 @@ _SET_BY_RIG = ("fz", "v", "temperature", "gamma", "pressure")
 """Covariates that may have few settings: their shapes are thresholds between settings
 and single settings."""
 
-_PLACES = np.arange(0.05, 0.96, 0.05)
+_PLACES = np.arange(1, 20) / 20
 """Places as shares of the range. Bumps are one and two steps wide, so that a shape
 between two places loses at most a tenth of its square."""
 
@@ -50,7 +49,7 @@ PHASES = 4
 _MIXED = np.array(
     [(np.cos(p), np.sin(p)) for p in np.pi * np.arange(PHASES) / PHASES], np.float32
 )
-"""Sine and cosine in each phase: sin(x + p) = cos p sin x + sin p cos x."""
+"""Weights of sine and cosine in each phase."""
 
 _LEAST = 1e-3
 """Smallest share of a pattern that the fit leaves, and smallest squared length at the
@@ -76,47 +75,14 @@ class Pattern(NamedTuple):
 
 
 class Over(NamedTuple):
-    """Shapes over one covariate.
-
-    ``plain`` (n, a) are shapes, ``waves`` (n, 2 w) sines and cosines in turn, each wave
-    in :data:`PHASES` phases. ``listed`` holds (shape, place, width) of all a + 4 w,
-    ``log_prior`` (a + 4 w,) their log probabilities; ``weights`` maps each parameter to
-    its column of the weights.
-    """
+    """Shapes (n, k) over one covariate, ``listed`` as (shape, place, width), their log
+    probabilities (k,), and the column of the weights of each parameter."""
 
     covariate: str
-    plain: np.ndarray
-    waves: np.ndarray
+    shapes: np.ndarray
     listed: Sequence[tuple[str, float, float]]
     log_prior: np.ndarray
     weights: dict[str, int]
-
-    def products(self, against) -> np.ndarray:
-        """Sums over the rows of each shape times (n, c): (a + 4 w, c)."""
-        waves = (self.waves.T @ against).reshape(-1, 2, against.shape[1])
-        phased = np.einsum("fi,wic->wfc", _MIXED, waves)
-        whole = phased.reshape(-1, against.shape[1])
-        return np.concatenate([self.plain.T @ against, whole])
-
-    def shapes(self, which) -> np.ndarray:
-        """The shapes with these numbers (c,): (n, c)."""
-        plain = which < self.plain.shape[1]
-        wave, phase = np.divmod(which[~plain] - self.plain.shape[1], PHASES)
-        pairs = self.waves.reshape(len(self.waves), -1, 2)[:, wave]
-        found = np.empty((len(self.waves), len(which)))
-        found[:, plain] = self.plain[:, which[plain]]
-        found[:, ~plain] = np.einsum("nci,ci->nc", pairs, _MIXED[phase])
-        return found
-
-    def squares(self, against) -> np.ndarray:
-        """Sums over the rows of each squared shape times (n, c): (a + 4 w, c)."""
-        sine, cosine = self.waves[:, ::2], self.waves[:, 1::2]
-        each = (sine**2, 2 * sine * cosine, cosine**2)
-        parts = np.stack([part.T @ against for part in each], axis=1)
-        mixed = np.stack([_MIXED[:, 0] ** 2, _MIXED.prod(axis=1), _MIXED[:, 1] ** 2])
-        waves = np.einsum("if,wic->wfc", mixed.astype(np.float32), parts)
-        whole = waves.reshape(-1, against.shape[1])
-        return np.concatenate([(self.plain**2).T @ against, whole])
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,13 +113,10 @@ class Patterns:
     def square(self) -> np.ndarray:
         """Squared length of each pattern (k,)."""
         force = np.sum(self.weights**2, axis=0).astype(np.float32)
-        columns = [list(one.weights.values()) for one in self.over]
-        return np.concatenate(
-            [
-                one.squares(force[:, own]).T.ravel()
-                for one, own in zip(self.over, columns, strict=True)
-            ]
-        )
+        each = [
+            (one.shapes**2).T @ force[:, [*one.weights.values()]] for one in self.over
+        ]
+        return np.concatenate([part.T.ravel() for part in each])
 
     def columns(self, which) -> np.ndarray:
         """Whitened forces (m, c) of the patterns of these numbers (c,)."""
@@ -161,7 +124,7 @@ class Patterns:
         for one in self.over:
             for column in one.weights.values():
                 mine = (which >= begin) & (which < begin + len(one.listed))
-                shapes = one.shapes(which[mine] - begin)
+                shapes = one.shapes[:, which[mine] - begin]
                 found[:, :, mine] = self.weights[:, :, [column]] * shapes
                 begin += len(one.listed)
         return found.reshape(-1, len(which))
@@ -174,7 +137,7 @@ class Patterns:
         blocks = []
         for one in self.over:
             own = force[:, list(one.weights.values())]
-            found = one.products(own.reshape(n, -1))
+            found = one.shapes.T @ own.reshape(n, -1)
             found = found.reshape(-1, *own.shape[1:]).swapaxes(0, 1)
             blocks.append(found.reshape(-1, own.shape[2]))
         return np.concatenate(blocks)
@@ -289,6 +252,11 @@ def turns(share, counts) -> np.ndarray:
     return np.cumprod(parts, axis=1).view(float)
 
 
+def phased(waves) -> np.ndarray:
+    """Waves (n, 2 k) of :func:`turns` in each phase: (n, k x phases)."""
+    return (waves.reshape(len(waves), -1, 2) @ _MIXED.T).reshape(len(waves), -1)
+
+
 def _over(covariate: str, values, weights: dict[str, int]) -> Over | None:
     """All shapes over one quantity; None if there are none."""
     settings, n = settings_of(covariate, values), len(values)
@@ -301,7 +269,7 @@ def _over(covariate: str, values, weights: dict[str, int]) -> Over | None:
         most = WAVES // (2 if covariate in ("time", "distance") else 8)
         counts = np.arange(2.0, most + 0.1, 0.5)
         counts = counts[counts * ROWS_OF_A_WAVE < n]
-        shapes, waves = _in_range(share), turns(share, counts)
+        shapes, waves = _in_range(share), phased(turns(share, counts))
         listed = [(name, low + at * span, w * span) for name, at, w, _ in shapes]
         listed += [("wave", span / c, 0.0) for c in counts for _ in range(PHASES)]
     if not listed:
@@ -310,10 +278,8 @@ def _over(covariate: str, values, weights: dict[str, int]) -> Over | None:
     # Kinds of shapes have equal probabilities, and places within a kind.
     kinds = Counter(name for name, *_ in listed)
     prior = np.array([-np.log(len(kinds) * kinds[name]) for name, *_ in listed])
-    return Over(
-        covariate, plain.astype(np.float32), waves.astype(np.float32), listed, prior,
-        weights,
-    )  # fmt: skip
+    every = np.concatenate([plain, waves], axis=1).astype(np.float32)
+    return Over(covariate, every, listed, prior, weights)
 
 
 def patterns(prepared, slip_fraction, fields: dict[str, np.ndarray]) -> Patterns:
@@ -344,7 +310,7 @@ def patterns(prepared, slip_fraction, fields: dict[str, np.ndarray]) -> Patterns
     return Patterns(np.stack(columns, axis=2), [one for one in over if one is not None])
 
 
-def _weights(among: Patterns, unit, residual):
+def weights_of_sizes(among: Patterns, unit, residual):
     """Squared length and score (k,) of every pattern with ``unit`` (m, q) taken out,
     see :func:`rows.basis.taken_out`, and the log weight of each over no pattern at each
     of the usual sizes, (S, k); zero length where hardly anything is left of it."""
@@ -359,11 +325,6 @@ def _weights(among: Patterns, unit, residual):
     return length, score, gain + among.log_prior
 
 
-def weights_of_sizes(among: Patterns, against, residual):
-    """:func:`_weights` with ``against`` (m, p) taken out."""
-    return _weights(among, np.linalg.qr(against)[0], residual)
-
-
 def patterns_gain(among: Patterns, unit, residual) -> float:
     """Log evidence over no remainder of one pattern, whichever, averaged over its size.
 
@@ -371,7 +332,7 @@ def patterns_gain(among: Patterns, unit, residual) -> float:
         unit: (m, q) of :func:`rows.basis.taken_out`.
         residual: (m,) whitened.
     """
-    *_, weight = _weights(among, unit, residual)
+    *_, weight = weights_of_sizes(among, unit, residual)
     return float(np.logaddexp.reduce(weight, axis=None) - np.log(len(weight)))
 
 
@@ -381,7 +342,7 @@ def looks(among: Patterns, against, residual, most: int = 3) -> list[Look]:
     Args:
         against: (m, p) columns that the fit has used up.
     """
-    length, score, each = weights_of_sizes(among, against, residual)
+    length, score, each = weights_of_sizes(among, np.linalg.qr(against)[0], residual)
     weight = np.logaddexp.reduce(each, axis=0) - np.log(len(each))
     whole = np.logaddexp.reduce(weight)
     if whole < _SHOWS:

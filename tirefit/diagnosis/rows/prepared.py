@@ -17,6 +17,7 @@ from tirefit.diagnosis.rows.covariates import (
     derived_from,
     needs_met,
     sizes_of,
+    wheel_radius,
 )
 from tirefit.diagnosis.rows.rates import AHEAD, slip_rate
 from tirefit.diagnosis.rows.rig import Rig, check_data
@@ -47,8 +48,9 @@ _LIKE_LOADS, _LIKE_SPEEDS = 0.05, 0.1
 """Steps of log F_z and log v within which rows are neighbours: the accuracy to which a
 rig holds a load and a driver a speed."""
 
-_SAME = 0.8
-"""Overlap of two stretches, over both together, from which they coincide."""
+_SAME, _NEAR = 0.8, 0.02
+"""Overlap of two stretches, over both together, from which they coincide; and distance
+of a step from a change of run, as a share of the record, within which it is that."""
 
 
 @dataclass(frozen=True)
@@ -180,6 +182,10 @@ def prepare(data: TireData, rig: Rig, model, slip_scatter: float = 0.0) -> Prepa
     radius = rig.radius_for(data)
     covariates = covariates_of(data, mode, sweeps, slip, second, radius)
     fz, derived = data.usable("fz"), derived_from(data, channels[0])
+    if derived is not None and derived.steered:
+        turned = data.usable("fy") * np.tan(data.usable("steering"))
+        covariates = covariates._replace(pivot=covariates.across - turned)
+    sizes = sizes_of(covariates, slip, float(np.mean(fz)), radius)
     inputs = TireInputs(
         np.zeros(data.n), np.zeros(data.n), fz, covariates.v, covariates.gamma,
         column(data, "pressure"), column(data, "time"),
@@ -192,7 +198,7 @@ def prepare(data: TireData, rig: Rig, model, slip_scatter: float = 0.0) -> Prepa
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
         rig.run_order == "random", np.arange(data.n),
         check_slip(data, rig.rolling_radius),
-        sizes_of(covariates, slip, float(np.mean(fz)), radius), derived,
+        sizes._replace(wheel=radius or wheel_radius(data, derived)), derived,
     )  # fmt: skip
 
 
@@ -262,17 +268,24 @@ def blocks_of_settings(prepared: Prepared) -> np.ndarray:
     with a load, a speed or a pair of both that occurs at no other time.
 
     An effect of the time and one of the setting are equal there. Stretches at the begin
-    and the end of the record are left out: there a change is a step.
+    and the end of the record are left out: there a change is a step. Of a change from
+    one run to the next the end is infinite: a step there is of the runs.
     """
     rows = prepared.covariates
     found = [levels(values) for values in (rows.fz, rows.v)]
     codes = [one.code for one in found if one.few() and len(one.center) > 1]
     if len(codes) == 2:
         codes.append(codes[0] * (1 + codes[1].max()) + codes[1])
-    if "time" not in prepared.has or not codes:
+    if "time" not in prepared.has:
         return np.zeros((0, 2))
     order = np.argsort(rows.time, kind="stable")
-    time, blocks = rows.time[order], set()
+    time, run = np.asarray(rows.time)[order], prepared.run[order]
+    blocks: set[tuple[float, float]] = set()
+    for at in np.flatnonzero(np.diff(run)) + 1 if "runs" in prepared.has else ():
+        if not np.intersect1d(run[:at], run[at:]).size:
+            pause = time[at] - time[at - 1]
+            within = np.linspace(time[at - 1], time[at], 2 + int(pause / _NEAR))
+            blocks.update((begin, np.inf) for begin in within.tolist())
     for code in codes:
         sequence = code[order]
         ends = np.flatnonzero(np.diff(sequence)) + 1
@@ -288,4 +301,5 @@ def coincides(begin, end, blocks: np.ndarray) -> np.ndarray | np.bool:
     begin, end = np.asarray(begin)[..., None], np.asarray(end)[..., None]
     both = np.minimum(end, blocks[:, 1]) - np.maximum(begin, blocks[:, 0])
     either = np.maximum(end, blocks[:, 1]) - np.minimum(begin, blocks[:, 0])
-    return np.any(both > _SAME * either, axis=-1)
+    of_runs = np.isinf(blocks[:, 1]) & (np.abs(begin - blocks[:, 0]) <= _NEAR)
+    return np.any((both > _SAME * either) | (of_runs & (end > 0.5)), axis=-1)

@@ -14,7 +14,7 @@ from tirefit.diagnosis.negligible import FLAT, NONZERO, ROUNDING
 from tirefit.diagnosis.rows.rig import LEAST_ROWS
 from tirefit.fitting.noise import MAD
 
-_WINDOWS = tuple(int(41 / 1.5**k) | 1 for k in range(5, -1, -1))
+_WINDOWS = sorted(int(41 / 1.5**k) | 1 for k in range(6))
 """Rows of the local parabolas: odd, each 1.5 times the one before."""
 _ALONE = 0.05
 """Smallest share of a row's path that comes from other rows."""
@@ -25,8 +25,7 @@ _PIECE = 4_000
 AHEAD = 4
 """Columns of the past that lie after its row."""
 
-AGES = np.arange(-AHEAD, 7)
-AGES = np.append(AGES, np.round(AGES[-1] * (4 / 3) ** np.arange(1, 7)).astype(int))
+AGES = np.append(np.arange(-AHEAD, 7), np.geomspace(8, 34, 6).round().astype(int))
 """How many intervals ago each column was: each row, then a third more each time."""
 
 STEPS = tuple(np.diff(AGES[AHEAD:]).tolist())
@@ -247,7 +246,7 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     if rate is not None and np.any(rate):
         return _by_its_rate(slip, time, rate, parts, still)
     curved, seen = _scatter(slip, parts, 2), _scatter(slip, parts, 6)
-    if seen > _UNSTEADY * np.std(slip):
+    if curved > _UNSTEADY * np.std(slip):
         return still
     # Both orders agree on noise; a curve leaves more in the lower one.
     scatter = seen if FLAT * np.std(slip) < curved < _MORE * seen else 0.0

@@ -11,6 +11,7 @@ import numpy as np
 
 from tirefit.data.table import TireData
 from tirefit.data.units import slip_from_sigma, slip_from_speeds
+from tirefit.diagnosis.rows.rig import LEAST_ROWS
 
 FOR, BESIDE, AGAINST = 3.0, 1.5, -1.5
 """Changes of an effect's log odds: the comparison shows it, shows it or an error of the
@@ -21,7 +22,6 @@ _DEFINITIONS = ("sigma_x", "kappa", "slip_ratio")
 _LARGEST = 3.0
 """Slip above which the wheel hardly turns."""
 
-_LEAST_ROWS = 10
 _WRITTEN = 1e-6
 """Resolution of the slip in files."""
 _BETTER = 0.7
@@ -88,7 +88,7 @@ def check_slip(data: TireData, radius: float | None) -> SlipCheck | None:
     computed = slip_from_speeds(omega, v, radius)
     good = (np.abs(computed) < _LARGEST) & (np.abs(sigma) < _LARGEST) & (omega > 0)
     good &= computed > -1 + 1 / (1 + _LARGEST)
-    if good.sum() < _LEAST_ROWS or np.ptp(computed[good]) < _WRITTEN:
+    if good.sum() < LEAST_ROWS or np.ptp(computed[good]) < _WRITTEN:
         return None
     alpha = data.usable("alpha")[good] if "alpha" in data else None
     read_as = data.source.slip_definition

@@ -125,9 +125,7 @@ def _energies(means):
     return np.concatenate([parts, rest], axis=-1)
 
 
-def _missed(
-    base: Base, chosen: Hypothesis
-) -> dict[str, dict[tuple[int | str, ...], np.ndarray]]:
+def _missed(base: Base, chosen: Hypothesis) -> dict[str, dict[tuple, np.ndarray]]:
     """Residual (n,) of every channel where only a subset of the players is allowed;
     every subset is refitted, with the simulator's parameters held unless they are among
     it."""
@@ -136,7 +134,7 @@ def _missed(
     refit = base.refit([(chosen.z, a) for a in guess], sets)
     free = dict(zip(sets, zip(refit.z, refit.amplitude, strict=True), strict=True))
     free[atoms] = chosen.z, chosen.amplitude
-    fits: dict[tuple[int | str, ...], tuple] = {**free}
+    fits: dict[tuple, tuple] = {**free}
     if base.simulator is not None:
         start, held = base.simulator.z, base.design._replace(hold=np.array(_HELD))
         stuck = base.refit([(start, a) for a in guess], sets, held)

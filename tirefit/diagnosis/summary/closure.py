@@ -5,37 +5,34 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.special import softmax, stdtrit
-from scipy.stats import truncnorm
+from scipy.stats import norm
 
 from tirefit.diagnosis.evidence.linear_fit import linear_at
 from tirefit.diagnosis.evidence.search import amplitudes_of
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
-from tirefit.diagnosis.rows.basis import gain, orthogonal
+from tirefit.diagnosis.rows.basis import gain, orthogonal, without
+from tirefit.diagnosis.rows.patterns import weights_of_sizes
 
 DRAWS = 400
 """Draws, and bootstrap samples: twenty beyond either end of a 90 % interval."""
-
 INTERVAL = (0.05, 0.95)
 """Quantiles at the ends of a 90 % interval."""
-
 _RESOLVED = 3.0
 """Standard deviations of the energy of noise from which a gap is resolved."""
-
 WORST = -1.0
 """Closure that counts as the worst there is: the gap doubled."""
-
 _BLOCKS = 60
 """Blocks of a record, at most."""
-
 _WIDER = 1.2
 """Factor on the errors of parameters: those of a fit whose form is not quite right."""
-
 _SETS = 3
 """Sets of effects that are drawn from, the most probable ones."""
-
 _SIZES = np.geomspace(0.03, 300, 20)
 """Sizes of a discrepancy's coefficients over the noise; all are as likely."""
-
+_SHAPES = 30
+"""Sharp shapes of a discrepancy that are drawn, the most probable ones."""
+_FAR = 6.0
+"""Standard errors within which an energy is looked for."""
 _UNDRAWN, _FACTOR = 0.4, 1.5
 """Discrepancy of other shapes, as a share of what is drawn: its median, and standard
 deviation of its logarithm. Development trials have .2 to .6."""
@@ -68,7 +65,8 @@ def plausible_forces(case, generator) -> dict[str, np.ndarray]:
     likely = sorted(total, key=lambda key: -total[key])[:_SETS]
     chances = np.array([total[key] for key in likely])
     counts = generator.multinomial(DRAWS, chances / chances.sum())
-    n, drawn = base.rows.n, {channel: [] for channel in base.rows.channels}
+    n = base.rows.n
+    drawn: dict[str, list] = {channel: [] for channel in base.rows.channels}
     for key, count in zip(likely, counts, strict=True):
         if not count:
             continue
@@ -91,10 +89,18 @@ def _off(base, hypothesis, count: int, generator) -> np.ndarray:
     spread = np.concatenate([spread, misled], axis=1)
     off = spread @ generator.standard_normal((spread.shape[1], count))
     bases = [
-        orthogonal(basis, linear.explained)
+        (*orthogonal(basis, linear.explained), 0.0)
         for basis in (base.generic.smooth, linear.forms)
         if basis.shape[1]
     ]
+    among = base.generic.patterns
+    unit, _ = np.linalg.qr(linear.explained)
+    *_, log = weights_of_sizes(among, unit, linear.residual)
+    best = np.argsort(-log.max(axis=0))[:_SHAPES]
+    sharp = without(among.columns(best), linear.explained)
+    size = np.maximum(np.linalg.norm(sharp, axis=0), ROUNDING)
+    each = (sharp / size).T[:, :, None], size[:, None], among.log_prior[best]
+    bases += zip(*each, strict=True)
     discrepancy = drawn_functions(bases, linear.residual, count, generator)
     # What has none of these shapes.
     share = _UNDRAWN * np.exp(_FACTOR * generator.standard_normal(count))
@@ -105,17 +111,17 @@ def _off(base, hypothesis, count: int, generator) -> np.ndarray:
 
 def drawn_functions(bases, residual, count: int, generator) -> np.ndarray:
     """Draws (m, count) of functions of one of the bases, given the residual; each is
-    (left, size) of :func:`tirefit.diagnosis.rows.basis.orthogonal`."""
-    scores = [left.T @ residual for left, _ in bases]
+    (left, size) of :func:`tirefit.diagnosis.rows.basis.orthogonal`, and a log prior."""
+    scores = [left.T @ residual for left, *_ in bases]
     log = [
-        [gain(score, scale * size) for scale in _SIZES]
-        for score, (_, size) in zip(scores, bases, strict=True)
+        [gain(score, scale * size) + prior for scale in _SIZES]
+        for score, (_, size, prior) in zip(scores, bases, strict=True)
     ]
     chosen = generator.choice(np.size(log), count, p=softmax(log).ravel())
     which, at = np.divmod(chosen, len(_SIZES))
     drawn = np.empty((len(residual), count))
     for k in np.unique(which):
-        (left, size), mine = bases[k], which == k
+        (left, size, _), mine = bases[k], which == k
         t = (_SIZES[at[mine]] * size[:, None]) ** 2
         shrink = t / (1 + t)
         unit = left.T @ generator.standard_normal((len(left), int(mine.sum())))
@@ -131,7 +137,6 @@ def _closed(gap, left) -> np.ndarray:
 
 
 def _is_resolvable(gap, variance, inflation) -> bool:
-    # Whether noise has no gap of this energy [N^2].
     effective = max(len(variance) / inflation, 1.0)
     return bool(gap >= _RESOLVED * np.sqrt(2 / effective) * np.mean(variance))
 
@@ -171,7 +176,8 @@ def closure_on_rows(truth, before, after, variance, run, inflation) -> Closure:
 
 def closure_elsewhere(before, after, variance, run, inflation, generator) -> Closure:
     """Closure on rows that neither fit has seen. The energy left, that of the residuals
-    less that of the noise, has a normal error and is zero or more.
+    less that of the noise, has a normal error; its root is zero or more, all values as
+    likely beforehand.
 
     Args:
         before, after: (n,) residuals [N] of the base and of the extension.
@@ -188,7 +194,9 @@ def closure_elsewhere(before, after, variance, run, inflation, generator) -> Clo
     error = max(np.std(means[:, 1]), of_noise, ROUNDING * abs(left), NONZERO)
 
     def closed(gains, value):
-        lefts = truncnorm.ppf(evenly, -value / error, np.inf, value, error)
+        root = np.sqrt(np.maximum(value, 0.0) + _FAR * error) * evenly
+        below = np.cumsum(softmax(norm.logpdf(root**2, value, error)))
+        lefts = np.interp(evenly, below, root) ** 2
         return _closed(np.maximum(gains + lefts, 0.0), lefts)
 
     # What is gained varies with what is left as it does from sample to sample.

@@ -8,14 +8,14 @@ from tirefit.diagnosis.decide.calibration import as_often_right
 from tirefit.diagnosis.decide.findings import floor_of
 from tirefit.diagnosis.decide.remainder import widening
 from tirefit.diagnosis.decide.verdict import Status, Verdict
-from tirefit.diagnosis.evidence.base import Base, on_rows
+from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.fast_waves import with_fast_waves
-from tirefit.diagnosis.evidence.linear_fit import fitted_form, linear_at
+from tirefit.diagnosis.evidence.linear_fit import linear_at
 from tirefit.diagnosis.evidence.runs import offsets_of_runs
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.left_out.ladder import ladder_of
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
-from tirefit.diagnosis.rows.basis import located, without
+from tirefit.diagnosis.rows.basis import without
 from tirefit.diagnosis.rows.patterns import looks
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.summary.budget import (
@@ -30,6 +30,7 @@ from tirefit.diagnosis.summary.closure import (
     closure_on_rows,
     plausible_forces,
 )
+from tirefit.diagnosis.summary.forces import all_rows, form_part, rows_of
 from tirefit.diagnosis.summary.forecast import confusion, next_measurements
 from tirefit.diagnosis.summary.holdout import held_out
 from tirefit.diagnosis.summary.records import (
@@ -84,9 +85,9 @@ def document_of(
     """
     data, base, rig = whole.data, case.base, settings.rig
     prepared = base.prepared
-    rows = _rows(case, base.measured)
+    rows = rows_of(case, base.measured)
     # Everything random is drawn in this order: true forces, held-out data, budget.
-    believed, main = _rows(case, base), prepared.channels[0]
+    believed, main = rows_of(case, base), prepared.channels[0]
     truth = plausible_forces(case, generator)
     ladder = ladder_of(case.predicted, case.verdict.key, floor_of(base))
     held = held_out(case, holdout, rig, ladder, generator)
@@ -127,7 +128,7 @@ def document_of(
         settings=settings,
         seed=seed,
         version=importlib.metadata.version("tirefit"),
-        rows=_all_rows(case, whole, rig, rows),
+        rows=all_rows(case, whole, rig, rows),
         table=data,
         mean_load=float(np.mean(data.usable("fz"))),
         residual_map=residual_map(shown, noise.inflation, gap.resolvable),
@@ -142,62 +143,6 @@ def _missed(base: Base) -> np.ndarray:
     """Whitened residual of the first channel, (n,)."""
     whole = base.residual(base.as_given, base.amplitudes())
     return whole[: base.prepared.n]
-
-
-def _rows(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
-    """Base, extended, located gap and its deviation, canonical, used rows.
-
-    Args:
-        at: the base fit at the slips that the forces are wanted for.
-    """
-    base = case.base
-    before = at.forces(base.as_given, base.amplitudes())
-    tuned = at.forces(base.z, base.amplitudes()) if base.simulator else {}
-    after = at.forces(case.chosen.z, amplitudes_of(base, case.chosen))
-    smooth, deviation = _smoothed_remainder(case)
-    form = _form_part(case, case.chosen)
-    forces, n = {}, base.prepared.n
-    for k, channel in enumerate(base.prepared.channels):
-        scale = np.asarray(base.design.scale[channel])[:n]
-        part = slice(k * n, (k + 1) * n)
-        forces[channel] = {
-            "base": before[channel],
-            "extended": after[channel] + form[part] * scale,
-            "gap": after[channel] - before[channel] + (form + smooth)[part] * scale,
-            "gap_std": deviation[part] * scale,
-        }
-        if base.simulator:
-            forces[channel] |= {"sim": before[channel], "tuned": tuned[channel]}
-    return forces
-
-
-def _form_part(case: Case, hypothesis: Hypothesis) -> np.ndarray:
-    """What another form of its effects adds to their formulas, whitened (m,)."""
-    base, key = case.base, tuple(sorted(hypothesis.effects))
-    if key not in case.weighed.other_form:
-        return np.zeros(len(base.prepared.channels) * base.prepared.n)
-    return fitted_form(linear_at(base, hypothesis))
-
-
-def _smoothed_remainder(case: Case):
-    """Whitened generic remainder of the chosen fit and the deviation of the located
-    gap, (m,) each; no remainder where a verdict explains all."""
-    base, chosen = case.base, case.chosen
-    residual, jacobian, tangent, _ = base.linearised(
-        chosen.z, amplitudes_of(base, chosen)
-    )
-    own = tangent[:, list(chosen.atoms)]
-    lone = without(own, jacobian)
-    p = len(chosen.z)
-    variance = np.einsum("mi,ij,mj->m", lone, chosen.covariance[p:, p:], lone)
-    if base.simulator:  # its gap has the parameters in it
-        moved = np.concatenate([jacobian, own], axis=1)
-        variance = np.einsum("mi,ij,mj->m", moved, chosen.covariance, moved)
-    if case.verdict.status in (Status.NAMED, Status.CANNOT_TELL):
-        return np.zeros(len(residual)), np.sqrt(np.maximum(variance, 0))
-    used_up = np.concatenate([jacobian, own], axis=1)
-    smooth, unsure = located(base.generic, used_up, residual)
-    return smooth, np.sqrt(np.maximum(variance + unsure, 0))
 
 
 def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
@@ -358,7 +303,12 @@ def _candidate(case: Case, key, probability: float, closure: Closure) -> Candida
             # However badly it fits, no less is known of it than beforehand.
             std=float(min(spread[j], 1.0) * scale[k]),
             unit=effect.unit,
-            formula=base.atoms[k].formula(base.design.rows, base.rows.time),
+            formula=base.atoms[k].formula(
+                base.design.rows,
+                base.rows.time,
+                hypothesis.amplitude[j] * scale[k],
+                base.rows,
+            ),
         )
     ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
     return Candidate(
@@ -383,7 +333,7 @@ def _closure_by(case: Case, at: Base, hypothesis, before, truth) -> Closure:
     main, run = at.prepared.channels[0], at.prepared.run
     after = at.forces(hypothesis.z, amplitudes_of(at, hypothesis))[main]
     scale = np.asarray(at.design.scale[main])[: len(before)]
-    after = after + _form_part(case, hypothesis)[: len(before)] * scale
+    after = after + form_part(case, hypothesis)[: len(before)] * scale
     variance, inflation = at.noise[main].std ** 2, at.noise[main].inflation
     return closure_on_rows(truth, before, after, variance, run, inflation)
 
@@ -416,39 +366,3 @@ def _smallest_seen(case: Case) -> dict[str, float]:
 def _base_parameters(base: Base, z) -> dict[str, float]:
     values = base.layout.natural(z)
     return {name: float(np.asarray(v).ravel()[0]) for name, v in values.items()}
-
-
-def _all_rows(case: Case, whole: Prepared, rig, rows):
-    """The rows of the whole file, NaN where masked: {channel: {name: (n,)}}."""
-    data = whole.data
-    spread_out: dict[str, dict[str, np.ndarray]] = {}
-    if case.base.prepared.n < whole.n:
-        rows = _on_everything(case, whole, rig, rows)
-    for channel, parts in rows.items():
-        spread_out[channel] = {}
-        for name, values in parts.items():
-            full = np.full(len(data), np.nan)
-            full[data.used] = values
-            spread_out[channel][name] = full
-    return spread_out
-
-
-def _on_everything(case: Case, prepared: Prepared, rig, rows):
-    """Forces of both fits on every row; the located gap between the thinned rows is
-    interpolated in their order."""
-    base = case.base
-    whole = on_rows(base, prepared, rig).measured
-    before = whole.forces(base.as_given, base.amplitudes())
-    after = whole.forces(case.chosen.z, amplitudes_of(base, case.chosen))
-    kept, every, spread_out = base.prepared.kept, np.arange(prepared.n), {}
-    for channel, parts in rows.items():
-        rest = parts["gap"] - (parts["extended"] - parts["base"])
-        gap = after[channel] - before[channel] + np.interp(every, kept, rest)
-        spread_out[channel] = {
-            "base": before[channel], "extended": after[channel], "gap": gap,
-            "gap_std": np.interp(every, kept, parts["gap_std"]),
-        }  # fmt: skip
-        if base.simulator:
-            tuned = whole.forces(base.z, base.amplitudes())[channel]
-            spread_out[channel] |= {"sim": before[channel], "tuned": tuned}
-    return spread_out

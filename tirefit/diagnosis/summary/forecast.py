@@ -14,23 +14,17 @@ from tirefit.diagnosis.negligible import FLAT, UNSEEN
 from tirefit.diagnosis.rows.basis import without
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.summary.records import Forecast, NextMeasurement
+from tirefit.diagnosis.summary.where import LEVEL
 from tirefit.models import modelled
 
 DRAWS = 2000
 """Draws of noise: a probability of 5 % is known to half a percent."""
-
-_RARE = 0.05
-"""False alarm rate of the largest score; rate from which a confusion is reported."""
-
 _FACTORS, _SMALL = (0.5, 2.0), 0.1
 """Loads, speeds and slips of further measurements over those of the file."""
-
 _FEW = 3
 """Pairs of effects that are compared, and additions that are listed, at most."""
-
-_APART, _WORTHWHILE = 0.98, 0.02
-"""Probability from which two effects are told apart; rise that is worth an addition."""
-
+_WORTHWHILE = 0.02
+"""Rise of the probability to tell two effects apart that is worth an addition."""
 _SAME_AGAIN = "the same again"
 _MOMENT = "the aligning moment M_z on lateral runs"
 
@@ -71,13 +65,13 @@ def recognition(directions, names: Sequence[str], truth: int, size: float, noise
         size: its amplitude in standard errors.
         noise: (K, draws) of :func:`scores_of_nothing`.
     """
-    limit = np.quantile(np.abs(noise).max(axis=0), 1 - _RARE)
+    limit = np.quantile(np.abs(noise).max(axis=0), 1 - LEVEL)
     score = np.abs(noise + size * (directions.T @ directions[:, [truth]]))
     found = score.argmax(axis=0)[score.max(axis=0) > limit]
     count, draws = Counter(names[k] for k in found), noise.shape[1]
     right = count.pop(names[truth], 0)
     other, often = max(count.items(), key=lambda one: one[1], default=(None, 0))
-    return len(found) / draws, right / draws, other if often > _RARE * draws else None
+    return len(found) / draws, right / draws, other if often > LEVEL * draws else None
 
 
 def confusion(search, draws: int = DRAWS) -> list[Forecast]:
@@ -131,7 +125,8 @@ def _changed(base: Base, change: dict) -> Base:
             v=rows.v * factor, lag=rows.lag / factor, sliding=rows.sliding * factor,
             step=rows.step * factor,
         )  # fmt: skip
-    if factor := change.get("slip"):
+    if "slip" in change:
+        factor = change["slip"]
         slip = slip * factor
         scaled = dict.fromkeys(("rate", "lag", "past", "pull", "twist"), factor)
         scaled["sliding"] = abs(factor)
@@ -152,7 +147,7 @@ of the effects (m, K)."""
 
 def _block(base: Base, z) -> _Block:
     _, jacobian, columns, _ = base.linearised(z, base.amplitudes())
-    return jacobian, columns
+    return np.asarray(jacobian), np.asarray(columns)
 
 
 def _with_moment(base: Base, z) -> _Block:
@@ -222,7 +217,7 @@ def next_measurements(
     """Additions, of as many rows as there are, that would separate what the data leave
     confused, the largest gain first; where there are none, the reason, else None."""
     sizes, z = _sizes(search, weighed), weighed.best_of[()].z
-    here, changes = base.at_null[1:3], _changes(base.prepared)
+    here, changes = _block(base, base.z), _changes(base.prepared)
 
     @cache
     def added(name: str) -> _Block:
@@ -238,7 +233,7 @@ def next_measurements(
         has_moment = "mz" in modelled(base.fit.tire.model)
         if "mz" in by and "mz" not in base.prepared.has and has_moment:
             names.append(_MOMENT)
-        for name in names if now <= _APART else [_SAME_AGAIN]:
+        for name in names if now <= 1 - _WORTHWHILE else [_SAME_AGAIN]:
             after = _told_apart([here, added(name)], one, two)
             considered.append(NextMeasurement(name, pair, now, after))
     useful = [step for step in considered if step.p_after > step.p_now + _WORTHWHILE]
@@ -252,7 +247,7 @@ def _reason(considered: Sequence[NextMeasurement], status: str) -> str:
     if not considered:
         return "there is only one effect that these rows can be tested for"
     _, (a, b), now, _ = considered[0]
-    if now > _APART:
+    if now > 1 - _WORTHWHILE:
         apart = f"rows like these tell {a} from {b} with probability {now:.2f}"
         if status == "cannot_tell":
             return f"{apart}: this time their noise does not, so repeat them"

@@ -241,14 +241,12 @@ def shape_of(one: Pattern | Look, values, low: float, span: float) -> np.ndarray
         angle = 2 * np.pi * (np.asarray(values, float) - low) / one.at
         return np.stack([np.sin(angle), np.cos(angle)], axis=1)
     if one.shape == "kink":
-        column = np.maximum(off, 0.0) / span
-    elif one.shape == "threshold":
-        column = (off > 0) - 0.5
-    elif one.width:
-        column = np.exp(-0.5 * (off / one.width) ** 2)
-    else:
-        column = 1.0 * np.isclose(values, one.at)
-    return column[:, None]
+        return np.maximum(off, 0.0)[:, None] / span
+    if one.shape == "threshold":
+        return (off > 0)[:, None] - 0.5
+    if one.width:
+        return np.exp(-0.5 * (off[:, None] / one.width) ** 2)
+    return 1.0 * np.isclose(values, one.at)[:, None]
 
 
 def look_curve(chosen, base: Base, look: Look) -> LookCurve:

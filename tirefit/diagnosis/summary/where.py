@@ -25,21 +25,16 @@ from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.summary.records import Cell, DataSummary, Region, Spot
 
 LEVEL = 0.05
-"""Share of false discoveries among the regions, spots or map cells reported."""
-
+"""Rate of false discoveries (regions, spots, cells), false alarms, and confusions."""
 _PARTS, _STRETCHES = 4, 32
 """Parts of a swept covariate as regions, and to look for spots in; spots at most."""
-
 _NEIGHBOURS = 8
 """Rows over the slip whose misfits are summed: a smooth misfit adds up, noise does not.
 Regions have as many at least."""
-
 _DENSE = 4.0
 """Share of the gap over that of the rows from which a stretch is a spot."""
-
 _FUNCTIONS = 6
 """Smooth functions of a covariate that a parameter may follow."""
-
 _TOGETHER = 0.9
 """Rank correlation from which two conditions are reported to move together."""
 

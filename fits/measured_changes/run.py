@@ -1,0 +1,173 @@
+"""Diagnose the cases: ``python -m fits.measured_changes [--case NAME] --out DIR``.
+
+Writes ``DIR/NAME.json`` (the diagnosis), ``DIR/table.json`` and ``DIR/table.md``. Cases
+that are done in ``DIR`` stay in the table; those asked for are diagnosed again.
+"""
+
+import argparse
+import json
+import multiprocessing
+import re
+import time
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import tirefit
+from fits.measured_changes import by_hand
+from fits.measured_changes.cases import CASES, Case
+from fits.measured_changes.logs import Table, data, table
+
+SAME = {"friction_ellipse": "drive_share"}  # tirefit's effect -> by hand
+PARAMETERS = {"cpa2": (0, "stiffness"), "mu": (1, "friction")}
+"""Parameter -> its place among SciPy's, and what the effects on it have in the name."""
+COLUMNS = (
+    "case", "use", "what is known", "nothing", "by hand", "tool", "of by hand",
+    "named", "status", "right", "s",
+)  # fmt: skip
+
+
+def of_ladder(found) -> tuple[float, float] | None:
+    """rms [N] left out with nothing and with what is named, by the tool's own ladder;
+    where the names are no step of it, by its longest step within them."""
+    ladder, named = getattr(found, "ladder", None), set(found.verdict.effects)
+    if ladder is None or not ladder.steps:
+        return None
+    inside = [s for s in ladder.steps[:-2] if set(s.effects) <= named]
+    own = max(inside, key=lambda step: len(step.effects))
+    return ladder.steps[0].rms_left_out, own.rms_left_out
+
+
+def closes(found, case: Case, rows: Table) -> tuple[float, float, str]:
+    """rms [N] with nothing and with what is named, and where: on the tool's ladder;
+    without one on rows left out, fitted by hand; else on the rows diagnosed."""
+    if (own := of_ladder(found)) is not None:
+        return *own, "ladder"
+    known = [SAME.get(n, n) for n in found.verdict.effects if n != "unknown"]
+    if case.fitted_on is None and set(known) <= set(by_hand.EFFECTS):
+        parts = by_hand.folds(rows, case.in_time)[1]
+        some = (by_hand.rms_left_out(names, rows, parts) for names in ((), known))
+        return *some, "by hand"
+    missed = (rows["fy"] - found.rows["fy"][kind] for kind in ("base", "extended"))
+    return *(float(np.sqrt(np.nanmean(m**2))) for m in missed), "rows diagnosed"
+
+
+def judged(line: dict, case: Case, hand: dict) -> tuple[str, list[str]]:
+    """Right, said (not named, but a twin or also possible) or wrong; and why."""
+
+    def one_of(names, pattern):
+        return [name for name in names if re.fullmatch(pattern, name)]
+
+    missing = [p for p in case.named if not one_of(line["named"], p)]
+    why = [f"not named: {pattern}" for pattern in missing]
+    why += [f"false: {name}" for name in one_of(line["named"], case.never)]
+    for name, changed in case.change.items():
+        tool, (k, field) = line["parameters"][name], PARAMETERS[name]
+        truth = [hand["plain"][k], *([hand["values"][k]] * (field not in hand["best"]))]
+        at, std = tool["measured"], tool["std"]
+        if changed and not tool["differs"]:
+            why.append(f"{name} {at:.3g} ± {std:.2g}: no change found")
+        elif changed and max(min(truth) - at, at - max(truth)) > 1.96 * std:
+            why.append(f"{name} {at:.3g} ± {std:.2g}, by hand {truth[0]:.3g}")
+        elif not changed and tool["differs"]:
+            why.append(f"false: {name} differs")
+    only_said = len(why) == len(missing) and all(
+        one_of(line["said"], p) for p in missing
+    )
+    return ("said" if only_said else "wrong") if why else "right", why
+
+
+def diagnosed(case: Case, out: Path) -> dict:
+    """What the tool says of a case; writes the document of the diagnosis."""
+    jax.config.update("jax_enable_x64", True)
+    rows, sim = table(case.logs), None
+    if case.fitted_on is not None:
+        sim = tirefit.fit(data(table(case.fitted_on), "fitted"), "brush")
+    held = [data(table(case.held_out), "held_out")] if case.held_out else []
+    began = time.perf_counter()
+    found = tirefit.diagnose(data(rows, case.name), sim=sim, holdout=held)
+    seconds = time.perf_counter() - began
+    (out / f"{case.name}.json").write_text(found.to_json())
+    nothing, tool, on = closes(found, case, rows)
+    verdict, gap = found.verdict, found.gap.holdout if held else None
+    twins = [t for each in getattr(verdict, "each", {}).values() for t in each.twins]
+    return by_hand.rounded({
+        "case": case.name, "named": list(verdict.effects),
+        "status": str(verdict.status), "probability": verdict.probability,
+        "said": [*verdict.also_possible, *twins],
+        "parameters": {k: p._asdict() for k, p in verdict.parameters.items()},
+        "tool_nothing": nothing, "tool": tool, "tool_on": on,
+        "held_out": gap and [gap.rms, gap.remaining_rms], "seconds": seconds,
+    })  # fmt: skip
+
+
+def scored(line: dict, case: Case, hand: dict) -> dict:
+    """The line with what is known of the case, by hand too, and whether it is right."""
+    right, why = judged(line, case, hand)
+    before, best = hand["rms"][""], hand["rms"][hand["best"]]
+    closed = 1 - line["tool"] / line["tool_nothing"]
+    return line | {
+        "letter": case.letter, "use": case.use, "truth": case.truth, "on": hand["on"],
+        "nothing": before, "by_hand": best, "best": hand["best"],
+        "of_possible": closed / (1 - best / before) if best < 0.97 * before else None,
+        "held_out_by_hand": hand.get("held_out"), "right": right, "why": why,
+    }  # fmt: skip
+
+
+def markdown(lines: list[dict]) -> str:
+    """The table; rms in N, on rows left out but where the tool's has a star."""
+    text = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|\n"
+    for line in lines:
+        share, star = line["of_possible"], "*" * (line["tool_on"] == "rows diagnosed")
+        cells = (
+            line["case"], line["use"], line["truth"], f"{line['nothing']:.3f}",
+            f"{line['by_hand']:.3f} {line['best'].replace('+', ' + ')}",
+            f"{line['tool_nothing']:.3f} → {line['tool']:.3f}{star}",
+            "-" if share is None else f"{100 * share:.0f} %",
+            ", ".join(line["named"]) or "nothing",
+            f"{line['status']} {line['probability']:.2f}",
+            ": ".join(filter(None, (line["right"], "; ".join(line["why"])))),
+            f"{line['seconds']:.0f}",
+        )  # fmt: skip
+        text += f"| {' | '.join(cell.replace('|', ' or ') for cell in cells)} |\n"
+    said = [f"{name} {n}" for name, n in Counter(x["right"] for x in lines).items()]
+    shares = [x["of_possible"] for x in lines if x["of_possible"] is not None]
+    mean = f"{100 * np.mean(shares):.0f} %" if shares else "-"
+    return f"{text}\n{len(lines)} cases: {', '.join(said)}; of by hand {mean}\n"
+
+
+def main() -> None:
+    """Run the cases, and write the table after each."""
+    parser = argparse.ArgumentParser(prog="python -m fits.measured_changes")
+    parser.add_argument("--case", action="append", choices=[c.name for c in CASES])
+    parser.add_argument("--use", choices=["choosing", "judging"])
+    parser.add_argument("--table", action="store_true", help="only the table again")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", type=Path, required=True)
+    asked = parser.parse_args()
+    asked.out.mkdir(parents=True, exist_ok=True)
+    at = asked.out / "table.json"
+    lines = {x["case"]: x for x in json.loads(at.read_text())} if at.exists() else {}
+
+    def write(new: dict) -> None:
+        lines.update(new)
+        hand = json.loads(by_hand.FILE.read_text())
+        done = [
+            scored(lines[c.name], c, hand[c.name]) for c in CASES if c.name in lines
+        ]
+        at.write_text(json.dumps(done, indent=1) + "\n")
+        (asked.out / "table.md").write_text(markdown(done))
+        for line in done:
+            if line["case"] in new:
+                print(markdown([line]).split("\n")[2], flush=True)
+
+    write({})
+    cases = [c for c in CASES if c.name in (asked.case or [c.name])]
+    cases = [c for c in cases if c.use == (asked.use or c.use) and not asked.table]
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(asked.jobs, context) as pool:
+        for done in as_completed(pool.submit(diagnosed, c, asked.out) for c in cases):
+            write({done.result()["case"]: done.result()})

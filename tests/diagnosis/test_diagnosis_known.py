@@ -1,0 +1,268 @@
+"""What a derived file states and shows of its vehicle, steering and drive force."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest_diagnosis import brush
+from scipy.interpolate import CubicSpline
+
+from fits.withheld.car import Car, drive, steer
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.effects import EFFECTS, atoms_of, effects_by_id
+from tirefit.diagnosis.effects.state import null_state
+from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.rows.covariates import derived_from
+from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.rows.rates import AHEAD
+from tirefit.diagnosis.rows.rig import Rig
+from tirefit.report.diagnosis_words import needs_text
+
+KNOWN = effects_by_id(EFFECTS)
+LIBRARY = tuple(
+    KNOWN[name]
+    for name in (
+        "tracked_point", "slip_offset", "steering_delay", "steering_lag",
+        "steering_gain", "relaxation_length", "channel_delay", "friction_ellipse",
+        "friction_run", "stiffness_run", "slip_offset_run", "friction_drift",
+        "stiffness_drift", "friction_step",
+    )
+)  # fmt: skip
+"""One for all tests: each library is a program of its own."""
+RIG = Rig(noise={"fy_relative": 0.005, "alpha": 5e-4})
+STATED = {"tracked_point": 0.0, "clock": 0.005, "yaw_inertia": 2300.0}
+
+
+def stating(frame, **constants):
+    """The data of a file that states these constants in its first line."""
+    data = read_frame(frame)
+    return replace(data, source=replace(data.source, constants=constants))
+
+
+@pytest.fixture(scope="module")
+def driven():
+    return drive(Car())
+
+
+# --- what nobody stated is not known ----------------------------------------------
+
+
+def prior(effect, data, rig=RIG):
+    prepared = prepare(data, rig, ("fy",))
+    return atoms_of([KNOWN[effect]])[0].prior(prepared, rig)
+
+
+@pytest.mark.parametrize(
+    ("effect", "key", "wide"),
+    [
+        ("tracked_point", "tracked_point", 0.1 * 2.6),
+        ("channel_delay", "clock", 0.1),
+        ("yaw_inertia", "yaw_inertia", 2300 / 2.6),
+    ],
+)
+def test_what_is_not_stated_has_a_wide_prior(driven, effect, key, wide):
+    stated = prior(effect, stating(driven, wheelbase=2.6, **STATED))
+    rest = {name: value for name, value in STATED.items() if name != key}
+    found = prior(effect, stating(driven, wheelbase=2.6, **rest))
+    assert found.scale == pytest.approx(wide)
+    assert found.scale > 3 * stated.scale
+    # A stated standard error counts before that.
+    errors = {"position": 0.01, "clock": 0.01, "yaw_inertia": 0.1}
+    told = prior(effect, stating(driven, wheelbase=2.6, **rest), Rig(vehicle=errors))
+    assert told.scale < 0.5 * found.scale
+
+
+def test_the_clock_of_a_file_is_as_good_as_it_states(driven):
+    data = stating(driven, **STATED | {"clock": 0.02})
+    assert prior("channel_delay", data).scale == pytest.approx(0.02)
+
+
+def test_a_point_that_nobody_stated_is_found_and_to_be_measured():
+    """30 cm on a wheelbase of 2.6 m: far beyond what is measured with a rule."""
+    data = stating(drive(Car(ahead=0.3)), wheelbase=2.6)
+    found = diagnose(data, rig=RIG, effects=LIBRARY)
+    assert found.effects == ("tracked_point",)
+    (size,) = found.candidates[0].parameters.values()
+    assert abs(size.value + 0.3) < 4 * size.std < 0.1
+    assert "tracked_point is not stated: measure it" in " ".join(found.data.motion)
+    assert KNOWN["tracked_point"].remedy.startswith("measure")
+
+
+def test_what_derive_found_stands_beside_the_verdict(driven):
+    shown = {
+        "alpha_zero": -0.0098, "found_point": 0.11, "found_point_std": 0.002,
+        "late_steering": -0.127, "late_steering_std": 0.015,
+    }  # fmt: skip
+    data = stating(driven, **STATED, **shown)
+    said = diagnose(data, rig=RIG, effects=LIBRARY).data.motion[-1]
+    assert "alpha is -0.0098 rad where fy = 0 (slip_offset)" in said
+    assert "0.11 ± 0.002 m ahead of the rear axle, stated 0 m (tracked_point)" in said
+    assert "steering is 0.13 ± 0.01 s early (steering_delay)" in said
+    plain = diagnose(stating(driven, **STATED), rig=RIG, effects=LIBRARY)
+    assert "tirefit derive found" not in " ".join(plain.data.motion)
+
+
+# --- the steering -----------------------------------------------------------------
+
+DELAY = 0.12
+
+
+def front(logged):
+    """The front axle, its road wheel angle logged as ``logged(time)``."""
+    frame = drive(Car(), "front")
+    time, true = frame["time"], frame["steering"]
+    other = logged(time)
+    frame["alpha"] = frame["alpha"] + true - other
+    frame["fy"] = frame["fy"] * np.cos(true) / np.cos(other)
+    frame["steering"] = other
+    step = 1e-4
+    frame["alpha_rate"] = CubicSpline(time, frame["alpha"])(time, 1)
+    frame["steering_rate"] = (logged(time + step) - logged(time - step)) / (2 * step)
+    return frame
+
+
+def lagging(time, constant=0.15):
+    """What a first-order lag turns into :func:`steer`: the command ahead of it."""
+    step = 1e-4
+    return steer(time) + constant * (steer(time + step) - steer(time - step)) / (
+        2 * step
+    )
+
+
+def shifted(effect, frame, amplitude):
+    prepared = prepare(read_frame(frame), RIG, ("fy",))
+    (atom,) = atoms_of([KNOWN[effect]])
+    moved = atom.change(null_state(), amplitude, prepared.covariates)
+    return prepared, np.asarray(moved.shift)
+
+
+@pytest.mark.parametrize(
+    ("effect", "logged", "amplitude"),
+    [
+        ("steering_delay", lambda time: steer(time + DELAY), DELAY),
+        ("steering_lag", lagging, 0.15),
+    ],
+)
+def test_late_steering_moves_the_slip_by_its_angle(effect, logged, amplitude):
+    """Rows 0.1 s apart: between them the angle is known by its rate."""
+    frame = front(logged)
+    prepared, shift = shifted(effect, frame, amplitude)
+    slip = prepared.past[:, AHEAD]
+    turned = frame["steering"] - steer(frame["time"])
+    right = np.tan(np.arctan(slip) + turned) - slip
+    inside = frame["time"] > 1.5
+    assert np.sqrt(np.mean(right**2)) > 5e-3
+    missed = np.sqrt(np.mean((shift - right)[inside] ** 2))
+    assert missed < 0.03 * np.sqrt(np.mean(right**2))
+
+
+@pytest.mark.parametrize(
+    ("effect", "logged", "amplitude"),
+    [
+        ("steering_delay", lambda time: steer(time + DELAY), DELAY),
+        ("steering_lag", lagging, 0.15),
+    ],
+)
+def test_late_steering_is_named(effect, logged, amplitude):
+    found = diagnose(read_frame(front(logged)), rig=RIG, effects=LIBRARY)
+    assert found.effects == (effect,)
+    (size,) = found.candidates[0].parameters.values()
+    assert size.value == pytest.approx(amplitude, rel=0.1)
+
+
+def test_the_rear_axle_has_no_steering(driven):
+    found = diagnose(read_frame(driven), rig=RIG, effects=LIBRARY)
+    assert "steering_delay" in {one.effect for one in found.untestable}
+
+
+def test_a_lag_that_no_tire_has_is_doubted(driven):
+    prepared = prepare(stating(driven, wheel_radius=0.3, **STATED), RIG, ("fy",))
+    rows, relaxation = prepared.covariates, atoms_of([KNOWN["relaxation_length"]])[0]
+    assert "4 wheel radii" in relaxation.formula(rows, prepared.time, 1.2, prepared)
+    assert relaxation.formula(rows, prepared.time, 0.5, prepared) == ""
+    # By the wheelbase, where the radius is not stated.
+    unstated = prepare(stating(driven, wheelbase=2.6), RIG, ("fy",))
+    assert unstated.sizes.wheel == pytest.approx(0.39)
+    delay = atoms_of([KNOWN["channel_delay"]])[0]
+    assert "0.1 s of a filter" in delay.formula(rows, prepared.time, -0.12, prepared)
+    assert delay.formula(rows, prepared.time, 0.08, prepared) == ""
+
+
+# --- the drive force --------------------------------------------------------------
+
+
+def test_a_front_force_that_drives_is_derived_as_well():
+    frame = drive(Car(), "front")
+    pull = 300 * np.sin(np.arange(700))
+    steered = frame | {
+        "fx": pull, "fy": frame["fy"] - pull * np.tan(frame["steering"])
+    }  # fmt: skip
+    found = derived_from(read_frame(steered), "fy")
+    assert found is not None and found.steered
+    assert found.mass == pytest.approx(1400 * 1.4 / 2.6)
+
+
+def test_the_error_of_a_drive_force_is_one_of_its_share(driven):
+    fx = 2000 * np.sin(0.3 * np.arange(700))
+    sure = read_frame(driven | {"fx": fx})
+    assert prior("friction_ellipse", sure).scale == pytest.approx(0.3)
+    unsure = read_frame(driven | {"fx": fx, "fx_std": 0.25 * np.abs(fx) + 1e-9})
+    assert prior("friction_ellipse", unsure).scale == pytest.approx(np.hypot(0.3, 0.5))
+
+
+def test_what_derive_could_write_is_said(driven):
+    assert needs_text(("other force",)) == "the force of the other slip"
+    said = needs_text(("other force",), derived=True)
+    assert said.endswith("(tirefit derive writes it: driven of vehicle.toml)")
+    found = diagnose(read_frame(driven), rig=RIG, effects=LIBRARY)
+    assert "driven of vehicle.toml" in " ".join(str(found).split())
+
+
+# --- runs -------------------------------------------------------------------------
+
+
+def two_tires(frictions, stiffnesses, seed=0):
+    """Free driving of both sides, every run with a tire of its own."""
+    generator, blocks = np.random.default_rng(seed), []
+    for number, (mu, stiffness) in enumerate(zip(frictions, stiffnesses, strict=True)):
+        time = np.arange(200) * 0.1
+        slip = 0.18 * np.sin(0.9 * time + number)
+        force = brush(slip, stiffness, mu, 4000.0)
+        force = force + 20 * generator.standard_normal(200)
+        blocks.append([time, np.arctan(slip), force, 0 * time + number])
+    time, alpha, fy, run = np.concatenate(blocks, axis=1)
+    run = np.array([f"r{k:.0f}" for k in run])
+    return {"time": time, "alpha": alpha, "fy": fy, "fz": 0 * time + 4000, "run": run}
+
+
+@pytest.mark.parametrize(
+    ("frictions", "stiffnesses", "named"),
+    [
+        ((0.9, 0.6), (5e4, 5e4), {"friction_run"}),
+        ((0.9, 0.6), (5e4, 3.5e4), {"friction_run", "stiffness_run"}),
+        ((0.9, 0.7, 0.8, 1.0), (5e4,) * 4, {"friction_run"}),
+        ((0.9, 0.9), (5e4, 5e4), set()),
+    ],
+)
+def test_tires_that_differ_from_run_to_run_are_named(frictions, stiffnesses, named):
+    rig = Rig(noise={"fy": 20.0, "alpha": 1e-4})
+    data = read_frame(two_tires(frictions, stiffnesses))
+    found = diagnose(data, rig=rig, effects=LIBRARY)
+    assert set(found.effects) == named
+    if named == {"friction_run"}:
+        told = found.runs["friction"]
+        own = np.log(frictions) - np.mean(np.log(frictions))
+        shown = np.array([told.values[f"r{k}"] for k in range(len(own))])
+        np.testing.assert_allclose(shown[:, 0], own, atol=0.02)
+        assert np.all(shown[:, 1] < 0.02) and told.p_value < 1e-9
+        assert "friction: spread between runs" in str(found)
+
+
+def test_a_step_between_two_runs_is_theirs():
+    """Runs one after the other: what changes there is told of the runs."""
+    frame = two_tires((0.9, 0.6), (5e4, 5e4))
+    frame["time"] = frame["time"] + 30.0 * (frame["run"] == "r1")
+    rig = Rig(noise={"fy": 20.0, "alpha": 1e-4})
+    assert diagnose(read_frame(frame), rig=rig, effects=LIBRARY).effects == (
+        "friction_run",
+    )
