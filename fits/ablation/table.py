@@ -132,7 +132,7 @@ def _seconds(records: Iterable[Mapping], stages: Iterable[str]) -> str:
 
 def _measured(records: Sequence[Mapping], answers: Mapping[str, Answer]) -> list[str]:
     """Of the measured cases: how many are named right of those that have something to
-    name, and mean share of the closure by hand."""
+    name, and mean share of the closure by hand, at most all of it."""
     hand, right, closed = _by_hand(), [], []
     for record in records:
         label, answer = record["label"], answers[record["name"]]
@@ -146,7 +146,8 @@ def _measured(records: Sequence[Mapping], answers: Mapping[str, Answer]) -> list
         best = hand.get(_bare(record["name"]))
         if best and best["rms"][best["best"]] < 0.97 * best["rms"][""]:
             possible = 1 - best["rms"][best["best"]] / best["rms"][""]
-            closed.append(_closed(record["out"], answer.effects) / possible)
+            own = _closed(record["out"], answer.effects)
+            closed.append(min(own / possible, 1.0))
     named = f"{sum(right)} of {len(right)}" if right else "-"
     return [named, f"{np.mean(closed):.2f}" if closed else "-"]
 
