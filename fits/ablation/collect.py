@@ -35,8 +35,10 @@ most probable set are made, whatever the clues say of it."""
 
 def _without_tests(findings, base, weighed, out, key, policy):
     """Figures of one set; the tests of its remainder decide nothing, and take long."""
+    from tirefit.diagnosis.decide.verdict import Tests
+
     alone = replace(weighed, log_weight={(): 0.0, key: 1.0})
-    with patch.object(findings, "remainder_tests"):
+    with patch.object(findings, "remainder_tests", return_value=Tests()):
         found = findings.findings_of(base, alone, out, np.random.default_rng(0), policy)
     return found.sets[key]
 
@@ -93,6 +95,18 @@ def record_of(base, search, weighed, out, found, verdict) -> dict:
     }  # fmt: skip
 
 
+class _Stopped(Exception):
+    """The verdict stands: nothing more is asked."""
+
+    def __init__(self, case):
+        super().__init__()
+        self.case = case
+
+
+def _stopped(case, *rest):
+    raise _Stopped(case)
+
+
 def diagnosed(data, **given) -> dict:
     """The record of one file, and ``seconds``, the CPU time of its diagnosis up to the
     verdict, in all and by stage; arguments as in :func:`tirefit.diagnose`."""
@@ -119,10 +133,11 @@ def diagnosed(data, **given) -> dict:
         for name in ("weigh", "climbed", "predicted", "remainder_tests"):
             patches.enter_context(timed(findings, name))
         patches.enter_context(timed(engine, "findings_of"))
-        patches.enter_context(
-            patch.object(engine, "document_of", lambda case, *rest: case)
-        )
-        case = engine.diagnose(data, **given)
+        patches.enter_context(patch.object(engine, "document_of", _stopped))
+        try:
+            engine.diagnose(data, **given)
+        except _Stopped as stopped:
+            case = stopped.case
     spent["in all"] = time.process_time() - began
     record = record_of(
         case.base, case.search, case.weighed, case.predicted, told[-1], case.verdict
