@@ -10,7 +10,6 @@ from scipy.integrate import quad
 from scipy.special import expit, logit
 
 from fits.calibration.said import lines_of
-from fits.calibration.train import STRANGE, taught
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.decide import calibration
 from tirefit.diagnosis.decide.calibration import (
@@ -232,23 +231,3 @@ def test_verdicts_are_as_sure_as_such_verdicts_were_right(monkeypatch):
         assert as_often_right("named", said) == pytest.approx(said, abs=0.03)
         assert as_often_right("unknown", said) == pytest.approx(said)
     assert 0.5 < as_often_right("named", 1.0) < 1.0
-
-
-def test_a_regression_finds_the_odds_that_drew_its_cases():
-    generator = np.random.default_rng(3)
-    records = []
-    for number in range(3000):
-        x, y = generator.standard_normal(2)
-        strange = generator.uniform() < expit(1.5 * x - 0.5)
-        records.append({
-            "set": STRANGE[0] if strange else "singles", "kind": f"k{number % 20}",
-            "families": [], "effects": ["a"] if generator.uniform() < expit(y) else [],
-            "more": {"x": x, "y": y}, "beside": {"a": {"y": y}},
-        })  # fmt: skip
-    numbers = taught(records)
-    weights = {k: w / s for k, (_, s, w) in numbers["more"]["clues"].items()}
-    assert weights["x"] == pytest.approx(1.5, abs=0.15)
-    assert weights["y"] == pytest.approx(0.0, abs=0.15)
-    assert numbers["more"]["checked"]["calibration error"] < 0.03
-    _, spread, weight = numbers["beside"]["clues"]["y"]
-    assert weight / spread == pytest.approx(1.0, abs=0.2)
