@@ -94,7 +94,8 @@ class Tire:
         weight, observed = design.weights(), design.forces
         columns = np.zeros((count_atoms(self.effects), *mean.shape))
         for atom, slopes in changes.slopes.items():
-            columns[atom] = _along(fields, slopes, float(scale[atom]))
+            with np.errstate(invalid="ignore"):  # the engine refuses such an effect
+                columns[atom] = _along(fields, slopes, float(scale[atom]))
         if changes.ends:
             points = np.repeat(points, len(changes.ends), axis=0)
             ends = self._run(forces_of, points, iter(changes.ends.values()), design)
