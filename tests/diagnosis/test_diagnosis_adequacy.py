@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from scipy.stats import binom
-
 from tirefit.diagnosis.decide.adequacy import (
     LEAST_P,
     LEVEL,
@@ -16,6 +15,7 @@ from tirefit.diagnosis.decide.adequacy import (
     refused,
 )
 from tirefit.diagnosis.decide.standing import _worst
+
 from tirefit.diagnosis.noise.memory import FORGETFUL, Memory
 
 ROWS = 240

@@ -8,8 +8,8 @@ from conftest_diagnosis import patterns_of
 from scipy.special import softmax
 from scipy.stats import multivariate_normal
 from tirefit.diagnosis.decide.case import Case
-
 from tirefit.diagnosis.decide.one_place import typical_of_neighbours
+
 from tirefit.diagnosis.decide.verdict import Verdict, Weighed
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.forward import Design, Linear

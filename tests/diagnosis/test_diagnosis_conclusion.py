@@ -33,7 +33,7 @@ from tirefit.diagnosis.decide.verdict import (
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.evidence.base import Base, fit_base
-from tirefit.diagnosis.evidence.linear_fit import linear_at
+from tirefit.diagnosis.evidence.posterior import linear_at
 from tirefit.diagnosis.evidence.search import PRIOR_OF_UNKNOWN, Hypothesis, Search
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.summary.records import HeldOut

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from tirefit.diagnosis.left_out.holdout import _quarters, _told
 
 import tirefit
 from fits.withheld.injected import CHANGES, half
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.left_out.holdout import _quarters, _told
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.summary.records import HeldOut

@@ -8,8 +8,7 @@ import numpy as np
 
 from tirefit.diagnosis.effects import atoms_of
 from tirefit.diagnosis.effects.state import Covariates
-from tirefit.diagnosis.evidence.changes import count_atoms
-from tirefit.diagnosis.evidence.forward import Design
+from tirefit.diagnosis.evidence.forward import Design, Tire
 from tirefit.diagnosis.evidence.refits import Normal, minimised
 from tirefit.diagnosis.evidence.simulator import (
     STAND_INS,
@@ -17,11 +16,12 @@ from tirefit.diagnosis.evidence.simulator import (
     as_measured,
     closely_followed,
 )
-from tirefit.diagnosis.evidence.tire import Tire
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.slip_nodes import slip_nodes
+from tirefit.fitting.across_files import HUBER
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import REACH
+from tirefit.fitting.least_squares import MAX_STEPS, TOLERANCE
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.problem import build
 from tirefit.fitting.solve import starting_points
@@ -36,23 +36,9 @@ _STARTS = 4
 """Starts of the first fit, whose error the refit under the noise takes away: half of
 those of a fit that is an end in itself."""
 
-_HUBER, _SETTLED, _STEPS = 1.345, 1e-9, 200
-"""Standard errors up to which a row of the first fit counts by its square, the share of
-the sum of squares at which it ends, and its steps at most."""
-
 _FIRST_NOISE = 0.05
 """Noise of a force as a share of its standard deviation, before it is judged; only the
 scale of the first forces' weights, which no verdict rests on."""
-
-
-def _priors(prepared: Prepared, effects, rig) -> dict[str, np.ndarray]:
-    """Of every atom: scale in its own unit; center, low and high in scales."""
-    priors = [atom.prior(prepared, rig) for atom in atoms_of(effects)]
-    scale, center, low, high = (np.array(part) for part in zip(*priors, strict=True))
-    return {
-        "prior_scale": scale, "prior_center": center / scale, "low": low / scale,
-        "high": high / scale,
-    }  # fmt: skip
 
 
 def design_of(prepared: Prepared, effects, rig) -> Design:
@@ -60,6 +46,8 @@ def design_of(prepared: Prepared, effects, rig) -> Design:
     size = padded_size(prepared.n, _LEAST_ROWS)
     slips, weight = slip_nodes(prepared.slip_law, prepared.slip, prepared.slip_std)
     observed, fz, v = prepared.observed, prepared.inputs.fz, prepared.inputs.v
+    priors = [atom.prior(prepared, rig) for atom in atoms_of(effects)]
+    scale, center, low, high = (np.array(part) for part in zip(*priors, strict=True))
     return Design(
         inputs=type(prepared.inputs)(*(pad_rows(x, size) for x in prepared.inputs)),
         slip=pad_rows(slips, size),
@@ -71,8 +59,11 @@ def design_of(prepared: Prepared, effects, rig) -> Design:
         keep=(np.arange(size) < prepared.n).astype(float),
         hold=np.zeros(()),
         rows=Covariates(*(pad_rows(x, size) for x in prepared.covariates)),
+        prior_scale=scale,
+        prior_center=center / scale,
+        low=low / scale,
+        high=high / scale,
         reference=np.array([np.median(fz), np.median(v)]),
-        **_priors(prepared, effects, rig),
     )
 
 
@@ -85,15 +76,16 @@ def measured_slips(design: Design, prepared: Prepared) -> Design:
 def with_offset(prepared: Prepared, tire: Tire, design: Design, z):
     """The design with what a simulator says beyond its tire at the measured slips, and
     that by channel (n,)."""
-    size, silent = len(design.keep), np.zeros(count_atoms(tire.effects))
-    own = tire.moments(z, silent, measured_slips(design, prepared), prepared.n)[0]
+    own = tire.moments(z, measured_slips(design, prepared), prepared.n)[0]
     missed = {c: prepared.column(f"{c}_sim") - own[c] for c in prepared.channels}
-    offset = {c: pad_rows(values, size) for c, values in missed.items()}
+    offset = {c: pad_rows(values, len(design.keep)) for c, values in missed.items()}
     return design._replace(offset=offset), missed
 
 
-def first_fit(prepared: Prepared, name: str, data, effects, rig):
-    """(model, layout, z, first guess) by least squares with estimated noise, slip as
+def first_fit(
+    prepared: Prepared, name: str, data, effects, rig
+) -> tuple[Tire, np.ndarray, np.ndarray]:
+    """(tire, z, first guess of z) by least squares with estimated noise, slip as
     measured; outliers count by Huber's loss."""
     config = parse_config({"force": list(prepared.channels), "starts": _STARTS})
     task = build(data, name, config, _LEAST_ROWS)
@@ -110,11 +102,11 @@ def first_fit(prepared: Prepared, name: str, data, effects, rig):
         for mean, columns in tire.slopes(points, [()] * len(points), design):
             missed = ((forces - mean) * weights).reshape(-1)
             size = np.abs(missed)
-            root = np.sqrt(np.maximum(2 * _HUBER * size - _HUBER**2, _HUBER**2))
-            far = size > _HUBER
+            root = np.sqrt(np.maximum(2 * HUBER * size - HUBER**2, HUBER**2))
+            far = size > HUBER
             missed = np.where(far, np.sign(missed) * root, missed)
             by = (columns * weights).reshape(len(columns), -1)
-            by = by * np.where(far, _HUBER / root, 1.0)
+            by = by * np.where(far, HUBER / root, 1.0)
             found.append((missed @ missed, by @ by.T, -by @ missed))
         return Normal(*(np.array(part) for part in zip(*found, strict=True)))
 
@@ -122,8 +114,8 @@ def first_fit(prepared: Prepared, name: str, data, effects, rig):
         return np.clip(points, -REACH, REACH)
 
     starts = starting_points(task, config.starts, 0)
-    z, ends = minimised(at, starts, allowed, _SETTLED, _SETTLED**2, _STEPS)
-    return model, layout, z[int(np.argmin(ends.cost))], starts[0]
+    z, ends = minimised(at, starts, allowed, TOLERANCE, TOLERANCE**2, MAX_STEPS)
+    return tire, z[int(np.argmin(ends.cost))], starts[0]
 
 
 class Begun(NamedTuple):
@@ -137,34 +129,27 @@ class Begun(NamedTuple):
     missed: dict[str, np.ndarray]
 
 
-def begin(prepared: Prepared, fitted, effects, rig, given: Given | None) -> Begun:
-    """From (model, layout, z, first guess)."""
-    model, layout, z, guess = fitted
-    tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
-    design, missed = design_of(prepared, effects, rig), {}
-    if given is not None:
+def begin(prepared: Prepared, tire: Tire, z, guess, rig, simulated: bool) -> Begun:
+    """A fitted tire on the rows, with what a simulator in their data has beyond it."""
+    design, missed = design_of(prepared, tire.effects, rig), {}
+    if simulated:
         design, missed = with_offset(prepared, tire, design, z)
     return Begun(tire, design, z, guess, missed)
-
-
-def _stand_in(prepared: Prepared, name: str, effects, rig, given: Given):
-    """(model, layout, z, first guess) of the tire that follows a simulator's forces."""
-    simulated = as_measured(prepared.data, prepared.channels)
-    if name not in MAGIC_FORMULAS:
-        return first_fit(prepared, name, simulated, effects, rig)
-    # Its coefficients follow the simulator; what is adapted are scaling factors.
-    tire = fit_magic_formula(simulated, name).tire
-    model, layout, z = replace(given, tire=tire).tire_for(prepared)
-    return model, layout, z, z
 
 
 def standing_in(prepared: Prepared, name, effects, rig, given: Given):
     """The tire that follows a simulator's forces, and its model's name: ``name``, or of
     :data:`STAND_INS` the first that follows closely, else the one that does best."""
+    simulated = as_measured(prepared.data, prepared.channels)
 
     def tried(model: str):
-        fitted = _stand_in(prepared, model, effects, rig, given)
-        return begin(prepared, fitted, effects, rig, given), model
+        if model in MAGIC_FORMULAS:
+            # Its coefficients follow the simulator; adapted are scaling factors.
+            own = replace(given, tire=fit_magic_formula(simulated, model).tire)
+            fitted = own.tire_for(prepared, effects)
+        else:
+            fitted = first_fit(prepared, model, simulated, effects, rig)
+        return begin(prepared, *fitted, rig, True), model
 
     if name is not None:
         return tried(name)

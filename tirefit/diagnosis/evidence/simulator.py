@@ -1,24 +1,27 @@
-"""Somebody's simulator as it is: its forces beside the measured ones, and the tire that
-stands in for it where a hypothesis changes it.
+"""Somebody's simulator as it is: its forces beside the measured ones, the tire that
+stands in for it where a hypothesis changes it, and a test of its signs.
 
 A hypothesis predicts the simulator's force + tire(changed) - tire(as simulated):
 whatever the simulator has that the tire lacks stays in.
 """
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tirefit.data.table import CANONICAL, SIMULATED, TireData
 from tirefit.data.tir import read_tir
 from tirefit.data.units import sign_of
+from tirefit.diagnosis.evidence.forward import Tire
 from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.layout import FreeParameter, Layout, choose_layout
 from tirefit.fitting.mf.result import MagicFormulaFit
@@ -27,37 +30,43 @@ from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit, load_fit
 from tirefit.fitting.tir import TIR_SIGNS, remarks, tire_of
-from tirefit.models import AbstractTire
+from tirefit.models import AbstractTire, TireInputs, forces
 from tirefit.models import modelled as forces_modelled
-from tirefit.models.mf import MFTire
+from tirefit.models.mf import OTHER_SIDE, MFTire
+from tirefit.models.mf.tire import turned_forces, turned_inputs
+from tirefit.padding import pad_rows, padded_size
 from tirefit.params import check_values, parameter_values, specs, with_values
 from tirefit.results import DataError, InputProblem, UsageError
-
-_FARTHEST_OFF = 0.2
-"""Share of the simulated force (rms) that the tire which stands in for a simulator may
-miss. Its slopes share out the gap, and a tire that is off by a fifth of the force is
-off by as much in its slopes: parts of the budget then err by a fifth of themselves. The
-gap is no yardstick: a simulator near the truth has a small one, and its slopes are
-needed then as ever."""
+from tirefit.slip import CONVENTIONS
 
 STAND_INS = ("brush", "mf61")
 """Models that may stand in for a simulator whose forces alone are known, where none is
 asked for: the plain one, and one that follows any load, camber and curve."""
 
-_CLOSELY = 0.01
-"""Share of the simulated force (rms) up to which the plain one follows it: what it
-misses of slopes is then a hundredth of the parts of a budget."""
+_FARTHEST_OFF, _CLOSELY = 0.2, 0.01
+"""Shares of the simulated force (rms) that the tire which stands in for a simulator may
+miss at most, and up to which the plain one is good enough. Its slopes share out the
+gap: a tire that is off by a fifth of the force is off by as much in its slopes, and so
+are the parts of the budget."""
 
-_SCALING = {"x": ("LMUX", "LKX"), "y": ("LMUY", "LKY")}
-"""Scaling factors of a Magic Formula tire's friction and stiffness, by slip."""
+_SCALING = {
+    "x": {"LMUX": "friction (longitudinal)", "LKX": "slip stiffness"},
+    "y": {"LMUY": "friction (lateral)", "LKY": "cornering stiffness"},
+}
+"""Scaling factors of a Magic Formula tire that are adapted, by slip."""
 
-_MEANINGS = {
-    "LMUX": "friction (longitudinal)", "LKX": "slip stiffness",
-    "LMUY": "friction (lateral)", "LKY": "cornering stiffness",
-}  # fmt: skip
+_FACTOR = 50.0
+"""Largest scaling factor that is adapted; the smallest is its reciprocal."""
 
-_FACTOR = (0.02, 50.0)
-"""Bounds of a scaling factor that is adapted."""
+_ADAPTED, _STEP = 0.3, 1e-4
+"""Relative change of the parameters that is fitted whatever the signs: a misfit that it
+explains does not come from signs. And the step in z of its finite differences."""
+
+_FELT, _CLEAR, _NEAR, _ALIKE = 0.1, 0.5, 0.2, 1.02
+"""Of other signs: smallest effect on a channel, as a share of its squared misfit, for
+the channel to count; largest share of that misfit that may remain; largest deviation
+from 1 of the factor at which the change fits best, as an offset of the slip has the
+same shape at any factor; and ratio of squared misfits below which two are alike."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,11 +94,8 @@ class Given:
     remarks: Callable[[TireData], list[str]] | None = None
 
     def channels(self, data: TireData, modelled: Sequence[str]) -> tuple[str, ...]:
-        """Forces that it gives, and its tire too: ``modelled`` where it has none.
-
-        Args:
-            data: of :meth:`beside`.
-        """
+        """Forces that it gives beside ``data`` of :meth:`beside`, and its tire too:
+        ``modelled`` where it has none."""
         if self.tire is not None:
             modelled = forces_modelled(self.tire)
         return tuple(c for c in modelled if f"{c}_sim" in data)
@@ -107,60 +113,66 @@ class Given:
                 data lack an input of the simulator.
         """
         columns = {k: v for k, v in data.columns.items() if k not in SIMULATED}
-        forces = {k: v for k, v in data.columns.items() if k in SIMULATED}
-        if self.forces is not None and not (other and self.tire is None):
-            forces = {f"{c}_sim": force for c, force in self.forces(data).items()}
-        if self.tire is None and self.signs is not None:
-            own = (self.signs, data.source.convention)
-            forces = {
-                k: v * np.prod([sign_of(name, k) for name in own])
-                for k, v in forces.items()
-            }
-        path = data.source.path or data.name
-        # What is not measured has no gap.
-        forces = {k: v for k, v in forces.items() if k.removesuffix("_sim") in data}
-        silent = [k for k, v in forces.items() if not np.any(np.nan_to_num(v))]
-        if self.tire is not None:  # as one without coefficients of M_z
-            forces = {k: v for k, v in forces.items() if k not in silent}
-        elif silent:
-            there = bool(np.any(np.isfinite(forces[silent[0]])))
-            what = "zero" if there else "no number"
-            reason = f"{what} in every row: no force of a simulator"
-            remedy = "write the simulated force into it, or leave the column out"
-            raise DataError(InputProblem(reason, remedy, path, column=silent[0]))
-        if not forces:
+        path, found = data.source.path or data.name, self._forces(data, other)
+        if not found:
             reason = "no force of the simulator (fx_sim, fy_sim) beside a measured one"
             remedy = (
                 "write its force for every row into a column fx_sim or fy_sim, in the"
                 " unit and sign of fx or fy; `tirefit predict ... --beside` does so"
             )
             raise DataError(InputProblem(reason, remedy, path))
-        known = np.all([np.isfinite(force) for force in forces.values()], axis=0)
-        for name, force in forces.items():
+        known = np.all([np.isfinite(force) for force in found.values()], axis=0)
+        for name, force in found.items():
             _check_size(force, data, name, known & data.used, path)
-        source = data.source
-        if self.remarks is not None:
-            said = self.remarks(data)
-            source = replace(source, warnings=(*source.warnings, *said))
+        said = [] if self.remarks is None else self.remarks(data)
         if self.forces is not None and (lost := int(np.sum(data.used & ~known))):
             text = f"{lost} of {len(data)} rows without a simulated force are left out"
-            source = replace(source, warnings=(*source.warnings, text))
-        return replace(data, columns=columns | forces, source=source).where(known)
+            said = [*said, text]
+        source = replace(data.source, warnings=(*data.source.warnings, *said))
+        return replace(data, columns=columns | found, source=source).where(known)
 
-    def tire_for(self, prepared) -> tuple[AbstractTire, Layout, np.ndarray]:
-        """Its tire, which parameters of it may be adapted, and their values as z."""
-        tire = self.tire
+    def _forces(self, data: TireData, other: bool) -> dict[str, np.ndarray]:
+        """Its forces (n,) beside the measured ones, by column."""
+        found = {k: v for k, v in data.columns.items() if k in SIMULATED}
+        if self.forces is not None and not (other and self.tire is None):
+            found = {f"{c}_sim": force for c, force in self.forces(data).items()}
+        if self.tire is None and self.signs is not None:
+            own = (self.signs, data.source.convention)
+            found = {
+                k: v * np.prod([sign_of(name, k) for name in own])
+                for k, v in found.items()
+            }
+        # What is not measured has no gap.
+        found = {k: v for k, v in found.items() if k.removesuffix("_sim") in data}
+        silent = [k for k, v in found.items() if not np.any(np.nan_to_num(v))]
+        if silent and self.tire is None:
+            there = bool(np.any(np.isfinite(found[silent[0]])))
+            what = "zero" if there else "no number"
+            reason = f"{what} in every row: no force of a simulator"
+            remedy = "write the simulated force into it, or leave the column out"
+            path = data.source.path or data.name
+            raise DataError(InputProblem(reason, remedy, path, column=silent[0]))
+        # A tire without coefficients of M_z has none.
+        return {k: v for k, v in found.items() if k not in silent}
+
+    def tire_for(self, prepared: Prepared, effects) -> tuple[Tire, np.ndarray, Any]:
+        """Its tire, whose layout says which parameters may be adapted; their values as
+        z, and again as the first guess of them."""
+        tire, layout, z = self.tire, self.layout, self.z
         assert tire is not None, "only its forces are known: no tire to adapt"
-        if self.layout is not None:
-            return tire, self.layout, np.asarray(self.z)
-        values = parameter_values(tire)
-        if "LMUX" in values:
-            layout = _scaling_layout(tire, prepared.mode)
-            return tire, layout, layout.unconstrained(values)
-        held = {name: {"value": float(value)} for name, value in values.items()}
-        config = parse_config({"parameters": held})
-        tire, layout, _ = choose_layout(tire, config, ("run",), prepared.channels)
-        return tire, layout, layout.unconstrained(values)
+        if layout is None:
+            values = parameter_values(tire)
+            if "LMUX" in values:
+                layout = _scaling_layout(tire, prepared.mode)
+            else:
+                held = {name: {"value": float(value)} for name, value in values.items()}
+                config = parse_config({"parameters": held})
+                own = choose_layout(tire, config, ("run",), prepared.channels)
+                tire, layout = own[:2]
+            z = layout.unconstrained(values)
+        z, known = np.asarray(z), tuple(effects)
+        model = Tire(model=tire, layout=layout, effects=known, mode=prepared.mode)
+        return model, z, z
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,18 +188,13 @@ class Simulated:
 
 def _scaling_layout(tire: AbstractTire, mode: str) -> Layout:
     """The scaling factors of friction and stiffness as parameters."""
+    bounds: dict[str, Any] = {"lower": 1 / _FACTOR, "upper": _FACTOR, "scale": "log"}
     known = specs(tire)
-    low, high = _FACTOR
     return Layout(
         tuple(
-            FreeParameter(
-                name,
-                known[name]._replace(
-                    lower=low, upper=high, scale="log", meaning=_MEANINGS[name]
-                ),
-            )
+            FreeParameter(name, known[name]._replace(meaning=meaning, **bounds))
             for slip in mode
-            for name in _SCALING[slip]
+            for name, meaning in _SCALING[slip].items()
         )
     )
 
@@ -199,20 +206,15 @@ def as_measured(data: TireData, channels: Sequence[str]) -> TireData:
     return replace(data, columns=columns | {c: data[f"{c}_sim"] for c in channels})
 
 
-def missed_share(prepared, channel: str, values) -> float:
+def missed_share(prepared: Prepared, channel: str, values) -> float:
     """What a tire misses of the simulated forces (n,), as a share of these, rms."""
-    size = _rms(prepared.column(f"{channel}_sim"))
-    return _rms(values) / max(size, NONZERO)
+    return _rms(values) / max(_rms(prepared.column(f"{channel}_sim")), NONZERO)
 
 
-def closely_followed(prepared, missed: Mapping[str, np.ndarray]) -> bool:
-    """Whether a tire follows the simulated forces so well that none need be better.
-
-    Args:
-        missed: simulated force less that of the tire, (n,) by channel.
-    """
-    shares = [missed_share(prepared, c, values) for c, values in missed.items()]
-    return max(shares) <= _CLOSELY
+def closely_followed(prepared: Prepared, missed: Mapping[str, np.ndarray]) -> bool:
+    """Whether a tire that misses so much of the simulated forces (n,), by channel,
+    follows them so well that none need be better."""
+    return max(missed_share(prepared, c, off) for c, off in missed.items()) <= _CLOSELY
 
 
 def check_followed(prepared, missed: Mapping[str, np.ndarray], name: str) -> None:
@@ -222,22 +224,18 @@ def check_followed(prepared, missed: Mapping[str, np.ndarray], name: str) -> Non
         missed: simulated force less that of the tire, (n,) by channel.
         name: of the model that stands in.
     """
-    for channel, values in missed.items():
-        off, share = _rms(values), missed_share(prepared, channel, values)
+    for c, values in missed.items():
+        share = missed_share(prepared, c, values)
         if share > _FARTHEST_OFF:
-            data = prepared.data
-            raise DataError(
-                InputProblem(
-                    f"the tire that stands in for the simulator does not follow it: it"
-                    f" misses {channel}_sim by {off:.3g}"
-                    f" {CANONICAL[channel][0]} rms,"
-                    f" {100 * share:.0f} % of it"
-                    f" ({100 * _FARTHEST_OFF:.0f} % at most)",
-                    f"choose a base model nearer to the simulator than {name} with"
-                    f" --model, and check sign, unit and row order of {channel}_sim",
-                    data.source.path or data.name,
-                )
+            off, data = f"{_rms(values):.3g} {CANONICAL[c][0]}", prepared.data
+            reason = (
+                f"the tire that stands in for the simulator does not follow it: it"
+                f" misses {c}_sim by {off} rms, {100 * share:.0f} % of it"
+                f" ({100 * _FARTHEST_OFF:.0f} % at most)"
             )
+            remedy = f"choose a base model nearer to the simulator than {name} with"
+            remedy += f" --model, and check sign, unit and row order of {c}_sim"
+            raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
 
 
 def _check_size(force, data: TireData, name: str, rows, path: str) -> None:
@@ -249,42 +247,10 @@ def _check_size(force, data: TireData, name: str, rows, path: str) -> None:
         return
     size = float(np.mean(np.abs(measured[rows])))
     ratio = float(np.mean(np.abs(force[rows]))) / max(size, NONZERO)
-    low, high = _FACTOR
-    if not low < ratio < high:
+    if not 1 / _FACTOR < ratio < _FACTOR:
         reason = f"its mean size is {ratio:.3g} times that of the measured force"
         remedy = f"check unit and rows of {name}: no tire is off by that much"
         raise DataError(InputProblem(reason, remedy, path, column=name))
-
-
-_USUAL_CHANGE = 0.1
-"""Share by which a hypothesis changes friction or stiffness, at least."""
-
-_AROUND = 4
-"""Rows on either side over which the slope of what a stand-in misses is taken."""
-
-
-def not_followed(missed, slip, groups, changed: float) -> np.ndarray:
-    """How a simulator may change where its stand-in does not: columns (n, 2), to first
-    order. Where it misses e, friction times 1 + a and stiffness times 1 + b add
-    a (e - slip e') + b slip e' to what the stand-in's own change is.
-
-    Args:
-        missed: simulated force less that of its stand-in, (n,).
-        groups: index arrays of like rows in the order of their slip.
-        changed: typical size of a and b.
-    """
-    steep, wide = np.zeros(len(slip)), 2 * _AROUND + 1
-    for rows in groups:
-        if len(rows) < wide:
-            continue
-        x, y = (
-            np.lib.stride_tricks.sliding_window_view(np.pad(v, _AROUND, "edge"), wide)
-            for v in (slip[rows], missed[rows])
-        )
-        x, y = (view - view.mean(axis=1, keepdims=True) for view in (x, y))
-        steep[rows] = np.sum(x * y, axis=1) / np.maximum(np.sum(x * x, axis=1), NONZERO)
-    size = max(changed, _USUAL_CHANGE)
-    return size * np.stack([missed, slip * steep], axis=1)
 
 
 def _rms(values) -> float:
@@ -319,18 +285,21 @@ def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given
         return _of_tire(sim, "model", type(sim).__name__)
     if isinstance(sim, str | PathLike):
         return simulator_at(str(sim))
-    return _of_arrays(sim, data)
+    arrays = _arrays(sim, data)
+    return Given(kind="columns", source="arrays", forces=lambda _: arrays)
 
 
-def _of_arrays(sim, data: TireData) -> Given:
+def _arrays(sim, data: TireData) -> dict[str, np.ndarray]:
+    def wrong(reason, remedy):
+        return UsageError(InputProblem(reason, remedy))
+
     if not isinstance(sim, Mapping):
         measured = [c for c in ("fx", "fy") if c in data]
         if len(measured) != 1:
             reason = f"one array, and {' and '.join(measured) or 'no force'} measured"
-            remedy = "give arrays by name: sim={'fx': ..., 'fy': ...}"
-            raise UsageError(InputProblem(reason, remedy))
+            raise wrong(reason, "give arrays by name: sim={'fx': ..., 'fy': ...}")
         sim = {measured[0]: sim}
-    arrays = {}
+    arrays: dict[str, np.ndarray] = {}
     for name, values in sim.items():
         channel = str(name).removesuffix("_sim")
         try:
@@ -339,18 +308,16 @@ def _of_arrays(sim, data: TireData) -> Given:
             # What is masked is not known, as an empty cell.
             array: np.ndarray = np.ma.filled(np.ma.asarray(values, float), np.nan)
         except (TypeError, ValueError):
-            reason = f"sim is of type {type(values).__name__}"
             remedy = "give a tire model, a fit, a file, True, or arrays of forces"
-            raise UsageError(InputProblem(reason, remedy)) from None
+            raise wrong(f"sim is of type {type(values).__name__}", remedy) from None
         if f"{channel}_sim" not in SIMULATED or array.shape != (len(data),):
-            reason = f"sim: {name} of shape {array.shape}"
             remedy = f"give fx, fy or mz with one value for each of {len(data)} rows"
-            raise UsageError(InputProblem(reason, remedy))
+            raise wrong(f"sim: {name} of shape {array.shape}", remedy)
         if channel in arrays:
             reason = f"sim: {channel} and {channel}_sim are one force"
-            raise UsageError(InputProblem(reason, "give one of them"))
+            raise wrong(reason, "give one of them")
         arrays[channel] = array
-    return Given(kind="columns", source="arrays", forces=lambda _: arrays)
+    return arrays
 
 
 def _of_fit(fit, tire, layout, z, source, sha256=None) -> Given:
@@ -358,30 +325,21 @@ def _of_fit(fit, tire, layout, z, source, sha256=None) -> Given:
         reason = f"{source}: a fit with parameters of each run is no one simulator"
         remedy = "write its forces beside the data (`tirefit predict --beside`), --sim"
         raise UsageError(InputProblem(reason, remedy))
-
     if isinstance(tire, MFTire):
         # What is adapted of a Magic Formula are its scaling factors.
         values = {k: float(v) for k, v in layout.natural(z).items()}
         return _of_tire(with_values(tire, values), "fit", source, sha256)
-
-    def forces(data):
-        return _forces_alone(predict(fit, data))
-
-    return Given(
-        kind="fit", source=source, sha256=sha256, tire=tire, layout=layout,
-        z=np.asarray(z), forces=forces,
-    )  # fmt: skip
+    given = replace(_of_tire(tire, "fit", source, sha256), layout=layout)
+    return replace(given, z=np.asarray(z), forces=partial(_predicted, fit))
 
 
 def _of_tire(tire, kind: str, source: str, sha256=None) -> Given:
-    def forces(data):
-        return _forces_alone(predict(tire, data))
-
+    forces = partial(_predicted, tire)
     return Given(kind=kind, source=source, sha256=sha256, tire=tire, forces=forces)
 
 
-def _forces_alone(predicted: Mapping) -> dict[str, np.ndarray]:
-    return {c: v for c, v in predicted.items() if f"{c}_sim" in SIMULATED}
+def _predicted(model, data: TireData) -> dict[str, np.ndarray]:
+    return {c: v for c, v in predict(model, data).items() if f"{c}_sim" in SIMULATED}
 
 
 def simulator_at(
@@ -405,7 +363,12 @@ def simulator_at(
     if text.lower().endswith(".tir"):
         return _at_tir(text, values, of_tir)
     if text.endswith(".json"):
-        return _at_fit(text, values)
+        if values:
+            reason, remedy = "--set with a fit.json", "use it with the name of a model"
+            raise UsageError(InputProblem(reason, remedy))
+        fit = load_fit(text)
+        given = _of_fit(fit, fit.tire, fit.layout, fit.z, text, _digest(text))
+        return replace(given, otherwise=(fit.content["data"]["convention"], text))
     template = find_model(text)
     check_values(template, text, values)
     whole, known = parameter_values(template) | values, specs(template)
@@ -414,8 +377,7 @@ def simulator_at(
         for name, value in whole.items()
         if name in values or known[name].free
     ]
-    source = ", ".join([text, *said])
-    return _of_tire(with_values(template, whole), "model", source)
+    return _of_tire(with_values(template, whole), "model", ", ".join([text, *said]))
 
 
 def _at_tir(text: str, values: dict[str, float], of_tir: dict) -> Given:
@@ -430,14 +392,157 @@ def _at_tir(text: str, values: dict[str, float], of_tir: dict) -> Given:
     return replace(given, otherwise=(TIR_SIGNS, ".tir files"), signs=signs, remarks=own)
 
 
-def _at_fit(text: str, values: dict[str, float]) -> Given:
-    if values:
-        reason, remedy = "--set with a fit.json", "use it with the name of a model"
-        raise UsageError(InputProblem(reason, remedy))
-    fit = load_fit(text)
-    given = _of_fit(fit, fit.tire, fit.layout, fit.z, text, _digest(text))
-    return replace(given, otherwise=(fit.content["data"]["convention"], text))
-
-
 def _digest(path: str) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+class _Misfit(NamedTuple):
+    """The misfit of a channel with some signs reversed: its rms, its mean square with
+    adapted parameters, the mean square change of the force by the signs, and the factor
+    of this change that fits best."""
+
+    rms: float
+    square: float
+    change: float
+    factor: float
+
+
+def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
+    """A sentence if a simulator fits better with some signs reversed, as a tire written
+    in other axes or for the other side of the vehicle does; else an empty text.
+
+    Args:
+        tire: the tire of the simulator, or its replacement, with parameters z.
+
+    Raises:
+        DataError: a file or columns fit with other signs, and no signs were declared. A
+            diagnosis would then name some effect in place of the wrong signs.
+    """
+    inputs = _inputs(prepared)
+    felt = [
+        f for f in ("slip", "alpha", "gamma") if np.any(getattr(inputs, _column(f)))
+    ]
+    there = frozenset((*felt, *prepared.channels))
+    as_given = _misfits(prepared, tire, z, frozenset())
+    left: dict[frozenset[str], float] = {}
+    for turned in _hypotheses(there):
+        misfits = _misfits(prepared, tire, z, turned)
+        shares = {c: m.square / as_given[c].square for c, m in misfits.items()}
+        felt = [c for c, m in misfits.items() if m.change > _FELT * as_given[c].square]
+        near = all(abs(misfits[c].factor - 1) < _NEAR and shares[c] < 1 for c in felt)
+        if felt and near and np.mean([shares[c] for c in felt]) < _CLEAR:
+            left[turned] = sum(shares.values())
+    if not left:
+        return ""
+    alike = [h for h in left if left[h] <= _ALIKE * min(left.values())]
+    better = ", ".join(
+        f"{c} {as_given[c].rms:.3g} -> {m.rms:.3g} {CANONICAL[c][0]} rms"
+        f" ({as_given[c].square ** 0.5:.3g} -> {m.square**0.5:.3g} if adapted too)"
+        for c, m in _misfits(prepared, tire, z, alike[0]).items()
+        if m.change > _FELT * as_given[c].square
+    )
+    ways = " or ".join(map(_text, alike))
+    reason = f"the simulator {given.source} fits if it is mirrored in {ways}: {better}"
+    remedy = "; ".join(_remedies(alike, there, prepared, given))
+    if given.signs or given.kind not in ("tir", "columns"):
+        return f"{reason}. It is taken as it is: {remedy}"
+    data = prepared.data
+    raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+
+
+def _text(turned: Collection[str]) -> str:
+    """The columns with reversed signs, as a text."""
+    names = [name for name in CONVENTIONS[TIR_SIGNS]._fields if name in turned]
+    return " and ".join(map(_column, names))
+
+
+def _column(field: str) -> str:
+    return "sigma_x" if field == "slip" else field
+
+
+def _inputs(prepared: Prepared) -> TireInputs:
+    """All inputs as measured, padded."""
+    size, names = padded_size(prepared.n), TireInputs._fields
+    there = {n: prepared.column(n) for n in names if n in prepared.data}
+    padded = {n: pad_rows(np.nan_to_num(v), size) for n, v in there.items()}
+    return TireInputs(*(padded.get(n, np.zeros(size)) for n in names))
+
+
+def _hypotheses(there: frozenset[str]) -> list[frozenset[str]]:
+    """Sets of fields to reverse: differences of two conventions, the other side of the
+    vehicle, and single fields."""
+    pairs = combinations(CONVENTIONS.values(), 2)
+    sets = [*(one.turned(other) for one, other in pairs), OTHER_SIDE]
+    sets += [frozenset((name,)) for name in ("gamma", "fx", "fy", "mz")]
+    return [h for h in dict.fromkeys(h & there for h in sets) if h]
+
+
+def _misfits(
+    prepared: Prepared, tire: Tire, z, turned: frozenset[str]
+) -> Mapping[str, _Misfit]:
+    """The misfit of each channel with the signs of ``turned`` reversed."""
+    n, inputs = prepared.n, _inputs(prepared)
+    run = pad_rows(prepared.run, padded_size(n))
+
+    def of(z, turned=turned):
+        model = with_values(tire.model, tire.layout.natural(z))
+        found = forces(model, turned_inputs(inputs, turned), run)
+        every = turned_forces(found, turned)._asdict()
+        return {c: np.asarray(every[c])[:n] for c in prepared.channels}
+
+    z = np.asarray(z, float)
+    here, plain, values = of(z), of(z, frozenset()), tire.layout.vector(z)
+    slopes = []
+    for i, step in enumerate(_STEP * np.eye(len(z))):
+        moved = abs(tire.layout.vector(z + step) - values)[i]
+        unit = _ADAPTED * abs(values[i]) / max(moved, NONZERO)
+        each = of(z + step).items()
+        slopes.append({c: unit * (force - here[c]) for c, force in each})
+    found = {}
+    for c, force in here.items():
+        change = force - plain[c]
+        gap = prepared.observed[c] - prepared.column(f"{c}_sim")
+        columns = np.array([slope[c] for slope in slopes]).reshape(len(z), n).T
+        none, once, twice = (_adapted(gap - k * change, columns) for k in (0, 1, 2))
+        # Minimum of the parabola through the three mean squares.
+        bend = 2 * (none - 2 * once + twice)
+        factor = (3 * none - 4 * once + twice) / bend if bend > 0 else 0.0
+        square = max(once, NONZERO)
+        found[c] = _Misfit(_rms(gap - change), square, _rms(change) ** 2, factor)
+    return found
+
+
+def _adapted(gap: np.ndarray, columns: np.ndarray) -> float:
+    """Mean square of a gap (n,) after fitting bounded changes of the parameters."""
+    best = np.linalg.lstsq(columns, gap, rcond=None)[0]
+    best /= max(1.0, np.max(abs(best), initial=0.0))
+    return float(np.mean((gap - columns @ best) ** 2))
+
+
+def _remedies(
+    alike: list[frozenset[str]], there: frozenset[str], prepared: Prepared, given: Given
+) -> list[str]:
+    """Options that declare the signs of a hypothesis, or the present signs."""
+    source, ways, tir = prepared.data.source, [], given.kind == "tir"
+    now = CONVENTIONS[given.signs or TIR_SIGNS]
+    if tir:
+        ways += [
+            f"--signs {name} reads the file so"
+            for name, other in CONVENTIONS.items()
+            if now.turned(other) & there in alike
+        ]
+        if OTHER_SIDE & there in alike:
+            ways.append("--side, if it is a tire of the other side of the vehicle")
+    if source.convention_from.startswith("assumed"):
+        read = CONVENTIONS[source.convention]
+        ways += [
+            f"--convention {name} reads the data so, which declare none"
+            for name, other in CONVENTIONS.items()
+            if other.fz == read.fz and read.turned(other) & there in alike
+        ]
+    for (name,) in (h for h in alike if len(h) == 1):
+        unit = source.units.get(name, CANONICAL[_column(name)][0]).replace(" ", "")
+        ways.append(f"--unit {_column(name)}=-{unit}, if that column alone is turned")
+    ways = ways or ["turn these signs in the simulator, or in the data"]
+    kept = given.signs or (TIR_SIGNS if tir else source.convention)
+    return [*ways, f"--signs {kept} keeps it as it is"]
