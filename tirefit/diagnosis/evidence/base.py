@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 from tirefit.diagnosis.effects import Atom, atoms_of
 from tirefit.diagnosis.evidence.beginning import (
     begin,
+    check_followed,
     design_of,
     first_fit,
     measured_slips,
@@ -24,7 +25,6 @@ from tirefit.diagnosis.evidence.simulator import (
     STAND_INS,
     Given,
     Simulated,
-    check_followed,
     check_signs,
 )
 from tirefit.diagnosis.negligible import FLAT

@@ -6,16 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.data.table import CANONICAL, TireData
 from tirefit.diagnosis.effects import atoms_of
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.evidence.forward import Design, Tire
 from tirefit.diagnosis.evidence.refits import Normal, minimised
-from tirefit.diagnosis.evidence.simulator import (
-    STAND_INS,
-    Given,
-    as_measured,
-    closely_followed,
-)
+from tirefit.diagnosis.evidence.simulator import STAND_INS, Given
+from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.slip_nodes import slip_nodes
 from tirefit.fitting.across_files import HUBER
@@ -27,7 +24,7 @@ from tirefit.fitting.problem import build
 from tirefit.fitting.solve import starting_points
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.padding import pad_rows, padded_size
-from tirefit.results import DataError
+from tirefit.results import DataError, InputProblem
 
 _LEAST_ROWS = 256
 """Rows that a diagnosis is compiled for, at least: small files share one program."""
@@ -35,6 +32,12 @@ _LEAST_ROWS = 256
 _STARTS = 4
 """Starts of the first fit, whose error the refit under the noise takes away: half of
 those of a fit that is an end in itself."""
+
+_FARTHEST_OFF, _CLOSELY = 0.2, 0.01
+"""Shares of the simulated force (rms) that the tire which stands in for a simulator may
+miss at most, and up to which the plain one is good enough. Its slopes share out the
+gap: a tire that is off by a fifth of the force is off by as much in its slopes, and so
+are the parts of the budget."""
 
 _FIRST_NOISE = 0.05
 """Noise of a force as a share of its standard deviation, before it is judged; only the
@@ -90,7 +93,7 @@ def first_fit(
     config = parse_config({"force": list(prepared.channels), "starts": _STARTS})
     task = build(data, name, config, _LEAST_ROWS)
     model, layout, rows = task.problem.model, task.problem.layout, task.problem.rows
-    tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
+    tire = Tire(model, layout, tuple(effects), prepared.mode)
     observed, scale = ({c: np.asarray(x) for c, x in part.items()}
                        for part in (rows.observed, rows.scale))  # fmt: skip
     design = measured_slips(design_of(prepared, effects, rig), prepared)
@@ -137,6 +140,39 @@ def begin(prepared: Prepared, tire: Tire, z, guess, rig, simulated: bool) -> Beg
     return Begun(tire, design, z, guess, missed)
 
 
+def as_measured(data: TireData, channels) -> TireData:
+    """The data with the simulated forces in the place of the measured ones."""
+    dropped = {f"{c}_std" for c in channels}
+    columns = {k: v for k, v in data.columns.items() if k not in dropped}
+    return replace(data, columns=columns | {c: data[f"{c}_sim"] for c in channels})
+
+
+def _rms(values) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def missed_share(prepared: Prepared, channel: str, values) -> float:
+    """What a tire misses of the simulated forces (n,), as a share of these, rms."""
+    return _rms(values) / max(_rms(prepared.column(f"{channel}_sim")), NONZERO)
+
+
+def check_followed(prepared: Prepared, missed: dict, name: str) -> None:
+    """Raises DataError where a tire, of the model ``name`` that stands in, misses too
+    much of the simulated forces, (n,) by channel."""
+    for c, values in missed.items():
+        share = missed_share(prepared, c, values)
+        if share > _FARTHEST_OFF:
+            off, data = f"{_rms(values):.3g} {CANONICAL[c][0]}", prepared.data
+            reason = (
+                f"the tire that stands in for the simulator does not follow it: it"
+                f" misses {c}_sim by {off} rms, {100 * share:.0f} % of it"
+                f" ({100 * _FARTHEST_OFF:.0f} % at most)"
+            )
+            remedy = f"choose a base model nearer to the simulator than {name} with"
+            remedy += f" --model, and check sign, unit and row order of {c}_sim"
+            raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+
+
 def standing_in(prepared: Prepared, name, effects, rig, given: Given):
     """The tire that follows a simulator's forces, and its model's name: ``name``, or of
     :data:`STAND_INS` the first that follows closely, else the one that does best."""
@@ -155,14 +191,15 @@ def standing_in(prepared: Prepared, name, effects, rig, given: Given):
         return tried(name)
     plain, flexible = STAND_INS
     first = tried(plain)
-    if closely_followed(prepared, first[0].missed):
+    off = [missed_share(prepared, c, v) for c, v in first[0].missed.items()]
+    if max(off) <= _CLOSELY:
         return first
     try:
         other = tried(flexible)
     except DataError:  # too few rows for its coefficients
         return first
 
-    def off(one):
+    def energy(one):
         return sum(float(np.mean(values**2)) for values in one[0].missed.values())
 
-    return min(first, other, key=off)
+    return min(first, other, key=energy)

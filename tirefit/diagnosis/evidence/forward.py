@@ -243,7 +243,7 @@ def _brush_of(model, layout, mode: str, z, where: _Where):
     return _reference(with_values(model, layout.natural(z)), where, mode)[:2]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Tire:
     """A base model with all effects, looked at on any design: a :class:`ForwardModel`.
 

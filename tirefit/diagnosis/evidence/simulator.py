@@ -1,12 +1,9 @@
-"""Somebody's simulator as it is: its forces beside the measured ones, the tire that
-stands in for it where a hypothesis changes it, and a test of its signs.
-
-A hypothesis predicts the simulator's force + tire(changed) - tire(as simulated):
-whatever the simulator has that the tire lacks stays in.
-"""
+"""Somebody's simulator as it is: its forces beside the measured ones, and a test of its
+signs. A hypothesis predicts its force + tire(changed) - tire(as simulated): whatever it
+has that the tire lacks stays in."""
 
 import hashlib
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -43,12 +40,6 @@ STAND_INS = ("brush", "mf61")
 """Models that may stand in for a simulator whose forces alone are known, where none is
 asked for: the plain one, and one that follows any load, camber and curve."""
 
-_FARTHEST_OFF, _CLOSELY = 0.2, 0.01
-"""Shares of the simulated force (rms) that the tire which stands in for a simulator may
-miss at most, and up to which the plain one is good enough. Its slopes share out the
-gap: a tire that is off by a fifth of the force is off by as much in its slopes, and so
-are the parts of the budget."""
-
 _SCALING = {
     "x": {"LMUX": "friction (longitudinal)", "LKX": "slip stiffness"},
     "y": {"LMUY": "friction (lateral)", "LKY": "cornering stiffness"},
@@ -76,10 +67,9 @@ class Given:
     ``kind`` is columns, model, fit or tir; ``source`` its name or file, ``sha256`` of
     the file. ``tire`` is None where only its forces are known; ``layout`` and ``z`` are
     those of a fit. ``forces`` gives canonical forces (n,) of the rows of data, None
-    if they are columns of the data. ``otherwise`` is the convention assumed for data
-    that declare none, and its origin. ``signs`` is the declared convention of a
-    ``.tir`` file or of the columns. ``remarks`` gives sentences on the file and the
-    rows of data.
+    for columns of the data; ``remarks`` sentences on file and data. ``otherwise`` is
+    the convention assumed for data that declare none, and its origin; ``signs`` that of
+    a ``.tir`` file or of columns, where declared.
     """
 
     kind: str
@@ -94,11 +84,10 @@ class Given:
     remarks: Callable[[TireData], list[str]] | None = None
 
     def channels(self, data: TireData, modelled: Sequence[str]) -> tuple[str, ...]:
-        """Forces that it gives beside ``data`` of :meth:`beside`, and its tire too:
-        ``modelled`` where it has none."""
-        if self.tire is not None:
-            modelled = forces_modelled(self.tire)
-        return tuple(c for c in modelled if f"{c}_sim" in data)
+        """Forces that it gives beside ``data`` of :meth:`beside`: of those ``modelled``
+        by its tire, if it has one."""
+        own = modelled if self.tire is None else forces_modelled(self.tire)
+        return tuple(c for c in own if f"{c}_sim" in data)
 
     def beside(self, data: TireData, other: bool = False) -> TireData:
         """The data with the simulator's forces as their columns ``fx_sim``, ...; rows
@@ -113,17 +102,17 @@ class Given:
                 data lack an input of the simulator.
         """
         columns = {k: v for k, v in data.columns.items() if k not in SIMULATED}
-        path, found = data.source.path or data.name, self._forces(data, other)
+        found = self._forces(data, other)
         if not found:
             reason = "no force of the simulator (fx_sim, fy_sim) beside a measured one"
             remedy = (
                 "write its force for every row into a column fx_sim or fy_sim, in the"
                 " unit and sign of fx or fy; `tirefit predict ... --beside` does so"
             )
-            raise DataError(InputProblem(reason, remedy, path))
+            raise _bad(data, reason, remedy)
         known = np.all([np.isfinite(force) for force in found.values()], axis=0)
         for name, force in found.items():
-            _check_size(force, data, name, known & data.used, path)
+            _check_size(force, data, name, known & data.used)
         said = [] if self.remarks is None else self.remarks(data)
         if self.forces is not None and (lost := int(np.sum(data.used & ~known))):
             text = f"{lost} of {len(data)} rows without a simulated force are left out"
@@ -150,8 +139,7 @@ class Given:
             what = "zero" if there else "no number"
             reason = f"{what} in every row: no force of a simulator"
             remedy = "write the simulated force into it, or leave the column out"
-            path = data.source.path or data.name
-            raise DataError(InputProblem(reason, remedy, path, column=silent[0]))
+            raise _bad(data, reason, remedy, silent[0])
         # A tire without coefficients of M_z has none.
         return {k: v for k, v in found.items() if k not in silent}
 
@@ -170,9 +158,8 @@ class Given:
                 own = choose_layout(tire, config, ("run",), prepared.channels)
                 tire, layout = own[:2]
             z = layout.unconstrained(values)
-        z, known = np.asarray(z), tuple(effects)
-        model = Tire(model=tire, layout=layout, effects=known, mode=prepared.mode)
-        return model, z, z
+        z, given = np.asarray(z), (tire, layout, tuple(effects), prepared.mode)
+        return Tire(*given), z, z
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,73 +175,30 @@ class Simulated:
 
 def _scaling_layout(tire: AbstractTire, mode: str) -> Layout:
     """The scaling factors of friction and stiffness as parameters."""
+    known, new = specs(tire), {k: v for slip in mode for k, v in _SCALING[slip].items()}
     bounds: dict[str, Any] = {"lower": 1 / _FACTOR, "upper": _FACTOR, "scale": "log"}
-    known = specs(tire)
-    return Layout(
-        tuple(
-            FreeParameter(name, known[name]._replace(meaning=meaning, **bounds))
-            for slip in mode
-            for name, meaning in _SCALING[slip].items()
-        )
-    )
+    parts = ((k, known[k]._replace(meaning=said, **bounds)) for k, said in new.items())
+    return Layout(tuple(FreeParameter(*part) for part in parts))
 
 
-def as_measured(data: TireData, channels: Sequence[str]) -> TireData:
-    """The data with the simulated forces in the place of the measured ones."""
-    dropped = {f"{c}_std" for c in channels}
-    columns = {k: v for k, v in data.columns.items() if k not in dropped}
-    return replace(data, columns=columns | {c: data[f"{c}_sim"] for c in channels})
+def _bad(data: TireData, reason: str, remedy: str, column=None) -> DataError:
+    path = data.source.path or data.name
+    return DataError(InputProblem(reason, remedy, path, column=column))
 
 
-def missed_share(prepared: Prepared, channel: str, values) -> float:
-    """What a tire misses of the simulated forces (n,), as a share of these, rms."""
-    return _rms(values) / max(_rms(prepared.column(f"{channel}_sim")), NONZERO)
-
-
-def closely_followed(prepared: Prepared, missed: Mapping[str, np.ndarray]) -> bool:
-    """Whether a tire that misses so much of the simulated forces (n,), by channel,
-    follows them so well that none need be better."""
-    return max(missed_share(prepared, c, off) for c, off in missed.items()) <= _CLOSELY
-
-
-def check_followed(prepared, missed: Mapping[str, np.ndarray], name: str) -> None:
-    """Raises DataError where the tire misses the simulated forces by too much.
-
-    Args:
-        missed: simulated force less that of the tire, (n,) by channel.
-        name: of the model that stands in.
-    """
-    for c, values in missed.items():
-        share = missed_share(prepared, c, values)
-        if share > _FARTHEST_OFF:
-            off, data = f"{_rms(values):.3g} {CANONICAL[c][0]}", prepared.data
-            reason = (
-                f"the tire that stands in for the simulator does not follow it: it"
-                f" misses {c}_sim by {off} rms, {100 * share:.0f} % of it"
-                f" ({100 * _FARTHEST_OFF:.0f} % at most)"
-            )
-            remedy = f"choose a base model nearer to the simulator than {name} with"
-            remedy += f" --model, and check sign, unit and row order of {c}_sim"
-            raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
-
-
-def _check_size(force, data: TireData, name: str, rows, path: str) -> None:
+def _check_size(force, data: TireData, name: str, rows) -> None:
     """Raises DataError where a simulated force (n,) is not of the measured one's size:
     no parameter that is adapted bridges that."""
     measured = data[name.removesuffix("_sim")]
     rows = rows & np.isfinite(measured)
     if not rows.any():
         return
-    size = float(np.mean(np.abs(measured[rows])))
-    ratio = float(np.mean(np.abs(force[rows]))) / max(size, NONZERO)
+    own, size = (float(np.mean(np.abs(part[rows]))) for part in (force, measured))
+    ratio = own / max(size, NONZERO)
     if not 1 / _FACTOR < ratio < _FACTOR:
         reason = f"its mean size is {ratio:.3g} times that of the measured force"
         remedy = f"check unit and rows of {name}: no tire is off by that much"
-        raise DataError(InputProblem(reason, remedy, path, column=name))
-
-
-def _rms(values) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+        raise _bad(data, reason, remedy, name)
 
 
 def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given:
@@ -277,65 +221,65 @@ def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given
     if isinstance(sim, MagicFormulaFit):
         return _of_tire(sim.tire, "fit", f"{sim.model} fitted to {sim.data['file']}")
     if isinstance(sim, FitResult):
-        problem = sim.problem
-        return _of_fit(sim, problem.model, problem.layout, sim.z, sim.model)
+        return _of_fit(sim, sim.problem.model, sim.problem.layout, sim.model)
     if isinstance(sim, StoredFit):
-        return _of_fit(sim, sim.tire, sim.layout, sim.z, sim.model)
+        return _of_fit(sim, sim.tire, sim.layout, sim.model)
     if isinstance(sim, AbstractTire):
         return _of_tire(sim, "model", type(sim).__name__)
     if isinstance(sim, str | PathLike):
         return simulator_at(str(sim))
-    arrays = _arrays(sim, data)
-    return Given(kind="columns", source="arrays", forces=lambda _: arrays)
-
-
-def _arrays(sim, data: TireData) -> dict[str, np.ndarray]:
-    def wrong(reason, remedy):
-        return UsageError(InputProblem(reason, remedy))
-
     if not isinstance(sim, Mapping):
         measured = [c for c in ("fx", "fy") if c in data]
         if len(measured) != 1:
             reason = f"one array, and {' and '.join(measured) or 'no force'} measured"
-            raise wrong(reason, "give arrays by name: sim={'fx': ..., 'fy': ...}")
+            remedy = "give arrays by name: sim={'fx': ..., 'fy': ...}"
+            raise UsageError(InputProblem(reason, remedy))
         sim = {measured[0]: sim}
+    arrays = _arrays(sim, len(data))
+    return Given(kind="columns", source="arrays", forces=lambda _: arrays)
+
+
+def _arrays(sim: Mapping, n: int) -> dict[str, np.ndarray]:
     arrays: dict[str, np.ndarray] = {}
     for name, values in sim.items():
-        channel = str(name).removesuffix("_sim")
+        channel, reason = str(name).removesuffix("_sim"), ""
         try:
             if np.iscomplexobj(values):
                 raise TypeError
             # What is masked is not known, as an empty cell.
             array: np.ndarray = np.ma.filled(np.ma.asarray(values, float), np.nan)
         except (TypeError, ValueError):
+            reason = f"sim is of type {type(values).__name__}"
             remedy = "give a tire model, a fit, a file, True, or arrays of forces"
-            raise wrong(f"sim is of type {type(values).__name__}", remedy) from None
-        if f"{channel}_sim" not in SIMULATED or array.shape != (len(data),):
-            remedy = f"give fx, fy or mz with one value for each of {len(data)} rows"
-            raise wrong(f"sim: {name} of shape {array.shape}", remedy)
-        if channel in arrays:
+            raise UsageError(InputProblem(reason, remedy)) from None
+        if f"{channel}_sim" not in SIMULATED or array.shape != (n,):
+            reason = f"sim: {name} of shape {array.shape}"
+            remedy = f"give fx, fy or mz with one value for each of {n} rows"
+        elif channel in arrays:
             reason = f"sim: {channel} and {channel}_sim are one force"
-            raise wrong(reason, "give one of them")
+            remedy = "give one of them"
+        if reason:
+            raise UsageError(InputProblem(reason, remedy))
         arrays[channel] = array
     return arrays
 
 
-def _of_fit(fit, tire, layout, z, source, sha256=None) -> Given:
+def _of_fit(fit, tire, layout, source, sha256=None) -> Given:
     if any(parameter.per_run for parameter in layout.free):
         reason = f"{source}: a fit with parameters of each run is no one simulator"
         remedy = "write its forces beside the data (`tirefit predict --beside`), --sim"
         raise UsageError(InputProblem(reason, remedy))
     if isinstance(tire, MFTire):
         # What is adapted of a Magic Formula are its scaling factors.
-        values = {k: float(v) for k, v in layout.natural(z).items()}
+        values = {k: float(v) for k, v in layout.natural(fit.z).items()}
         return _of_tire(with_values(tire, values), "fit", source, sha256)
     given = replace(_of_tire(tire, "fit", source, sha256), layout=layout)
-    return replace(given, z=np.asarray(z), forces=partial(_predicted, fit))
+    return replace(given, z=np.asarray(fit.z), forces=partial(_predicted, fit))
 
 
 def _of_tire(tire, kind: str, source: str, sha256=None) -> Given:
-    forces = partial(_predicted, tire)
-    return Given(kind=kind, source=source, sha256=sha256, tire=tire, forces=forces)
+    own = partial(_predicted, tire)
+    return Given(kind=kind, source=source, sha256=sha256, tire=tire, forces=own)
 
 
 def _predicted(model, data: TireData) -> dict[str, np.ndarray]:
@@ -367,17 +311,15 @@ def simulator_at(
             reason, remedy = "--set with a fit.json", "use it with the name of a model"
             raise UsageError(InputProblem(reason, remedy))
         fit = load_fit(text)
-        given = _of_fit(fit, fit.tire, fit.layout, fit.z, text, _digest(text))
+        given = _of_fit(fit, fit.tire, fit.layout, text, _digest(text))
         return replace(given, otherwise=(fit.content["data"]["convention"], text))
     template = find_model(text)
     check_values(template, text, values)
     whole, known = parameter_values(template) | values, specs(template)
-    said = [
-        f"{name} = {float(value):g}{'' if name in values else ' (default)'}"
-        for name, value in whole.items()
-        if name in values or known[name].free
-    ]
-    return _of_tire(with_values(template, whole), "model", ", ".join([text, *said]))
+    shown = (name for name in whole if name in values or known[name].free)
+    for k in shown:
+        text += f", {k} = {float(whole[k]):g}{'' if k in values else ' (default)'}"
+    return _of_tire(with_values(template, whole), "model", text)
 
 
 def _at_tir(text: str, values: dict[str, float], of_tir: dict) -> Given:
@@ -397,14 +339,14 @@ def _digest(path: str) -> str:
 
 
 class _Misfit(NamedTuple):
-    """The misfit of a channel with some signs reversed: its rms, its mean square with
-    adapted parameters, the mean square change of the force by the signs, and the factor
-    of this change that fits best."""
+    """Of each channel (C,), with some signs reversed: the rms misfit, its mean square
+    with adapted parameters, the mean square change of the force by the signs, and the
+    factor of this change that fits best."""
 
-    rms: float
-    square: float
-    change: float
-    factor: float
+    rms: np.ndarray
+    square: np.ndarray
+    change: np.ndarray
+    factor: np.ndarray
 
 
 def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
@@ -418,42 +360,39 @@ def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
         DataError: a file or columns fit with other signs, and no signs were declared. A
             diagnosis would then name some effect in place of the wrong signs.
     """
-    inputs = _inputs(prepared)
-    felt = [
-        f for f in ("slip", "alpha", "gamma") if np.any(getattr(inputs, _column(f)))
-    ]
-    there = frozenset((*felt, *prepared.channels))
-    as_given = _misfits(prepared, tire, z, frozenset())
-    left: dict[frozenset[str], float] = {}
+    inputs = _inputs(prepared)._asdict()
+    moved = [f for f in ("slip", "alpha", "gamma") if np.any(inputs[_column(f)])]
+    there, left = frozenset((*moved, *prepared.channels)), {}
+    before = _misfits(prepared, tire, z, frozenset())
     for turned in _hypotheses(there):
-        misfits = _misfits(prepared, tire, z, turned)
-        shares = {c: m.square / as_given[c].square for c, m in misfits.items()}
-        felt = [c for c, m in misfits.items() if m.change > _FELT * as_given[c].square]
-        near = all(abs(misfits[c].factor - 1) < _NEAR and shares[c] < 1 for c in felt)
-        if felt and near and np.mean([shares[c] for c in felt]) < _CLEAR:
-            left[turned] = sum(shares.values())
+        after = _misfits(prepared, tire, z, turned)
+        share, felt = after.square / before.square, _felt(after, before)
+        near = (np.abs(after.factor - 1) < _NEAR) & (share < 1)
+        if felt.any() and near[felt].all() and np.mean(share[felt]) < _CLEAR:
+            left[turned] = float(np.sum(share))
     if not left:
         return ""
     alike = [h for h in left if left[h] <= _ALIKE * min(left.values())]
+    after = _misfits(prepared, tire, z, alike[0])
     better = ", ".join(
-        f"{c} {as_given[c].rms:.3g} -> {m.rms:.3g} {CANONICAL[c][0]} rms"
-        f" ({as_given[c].square ** 0.5:.3g} -> {m.square**0.5:.3g} if adapted too)"
-        for c, m in _misfits(prepared, tire, z, alike[0]).items()
-        if m.change > _FELT * as_given[c].square
+        f"{c} {before.rms[k]:.3g} -> {after.rms[k]:.3g} {CANONICAL[c][0]} rms"
+        f" ({before.square[k] ** 0.5:.3g} -> {after.square[k] ** 0.5:.3g} if adapted"
+        " too)"
+        for k, c in enumerate(prepared.channels)
+        if _felt(after, before)[k]
     )
-    ways = " or ".join(map(_text, alike))
-    reason = f"the simulator {given.source} fits if it is mirrored in {ways}: {better}"
+    fields = CONVENTIONS[TIR_SIGNS]._fields
+    ways = (" and ".join(_column(f) for f in fields if f in turned) for turned in alike)
+    reason = f"the simulator {given.source} fits if it is mirrored in"
+    reason += f" {' or '.join(ways)}: {better}"
     remedy = "; ".join(_remedies(alike, there, prepared, given))
     if given.signs or given.kind not in ("tir", "columns"):
         return f"{reason}. It is taken as it is: {remedy}"
-    data = prepared.data
-    raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+    raise _bad(prepared.data, reason, remedy)
 
 
-def _text(turned: Collection[str]) -> str:
-    """The columns with reversed signs, as a text."""
-    names = [name for name in CONVENTIONS[TIR_SIGNS]._fields if name in turned]
-    return " and ".join(map(_column, names))
+def _felt(after: _Misfit, before: _Misfit) -> np.ndarray:
+    return after.change > _FELT * before.square
 
 
 def _column(field: str) -> str:
@@ -477,39 +416,35 @@ def _hypotheses(there: frozenset[str]) -> list[frozenset[str]]:
     return [h for h in dict.fromkeys(h & there for h in sets) if h]
 
 
-def _misfits(
-    prepared: Prepared, tire: Tire, z, turned: frozenset[str]
-) -> Mapping[str, _Misfit]:
-    """The misfit of each channel with the signs of ``turned`` reversed."""
-    n, inputs = prepared.n, _inputs(prepared)
+def _misfits(prepared: Prepared, tire: Tire, z, turned: frozenset[str]) -> _Misfit:
+    """The misfit with the signs of ``turned`` reversed."""
+    n, inputs, channels = prepared.n, _inputs(prepared), prepared.channels
     run = pad_rows(prepared.run, padded_size(n))
 
     def of(z, turned=turned):
         model = with_values(tire.model, tire.layout.natural(z))
         found = forces(model, turned_inputs(inputs, turned), run)
         every = turned_forces(found, turned)._asdict()
-        return {c: np.asarray(every[c])[:n] for c in prepared.channels}
+        return np.array([every[c][:n] for c in channels])
 
-    z = np.asarray(z, float)
-    here, plain, values = of(z), of(z, frozenset()), tire.layout.vector(z)
-    slopes = []
+    here, z = of(z), np.asarray(z, float)
+    change, values = here - of(z, frozenset()), tire.layout.vector(z)
+    slopes = np.zeros((len(z), *here.shape))
     for i, step in enumerate(_STEP * np.eye(len(z))):
         moved = abs(tire.layout.vector(z + step) - values)[i]
         unit = _ADAPTED * abs(values[i]) / max(moved, NONZERO)
-        each = of(z + step).items()
-        slopes.append({c: unit * (force - here[c]) for c, force in each})
-    found = {}
-    for c, force in here.items():
-        change = force - plain[c]
-        gap = prepared.observed[c] - prepared.column(f"{c}_sim")
-        columns = np.array([slope[c] for slope in slopes]).reshape(len(z), n).T
-        none, once, twice = (_adapted(gap - k * change, columns) for k in (0, 1, 2))
-        # Minimum of the parabola through the three mean squares.
-        bend = 2 * (none - 2 * once + twice)
-        factor = (3 * none - 4 * once + twice) / bend if bend > 0 else 0.0
-        square = max(once, NONZERO)
-        found[c] = _Misfit(_rms(gap - change), square, _rms(change) ** 2, factor)
-    return found
+        slopes[i] = unit * (of(z + step) - here)
+    gap = [prepared.observed[c] - prepared.column(f"{c}_sim") for c in channels]
+    none, once, twice = (
+        np.array([*map(_adapted, gap - k * change, np.moveaxis(slopes, 0, -1))])
+        for k in (0, 1, 2)
+    )
+    # Minimum of the parabola through the three mean squares.
+    bend, top = 2 * (none - 2 * once + twice), 3 * none - 4 * once + twice
+    factor = np.where(bend > 0, top / np.where(bend > 0, bend, 1.0), 0.0)
+    rms = np.sqrt(np.mean((gap - change) ** 2, axis=1))
+    square = np.maximum(once, NONZERO)
+    return _Misfit(rms, square, np.mean(change**2, axis=1), factor)
 
 
 def _adapted(gap: np.ndarray, columns: np.ndarray) -> float:
@@ -519,27 +454,19 @@ def _adapted(gap: np.ndarray, columns: np.ndarray) -> float:
     return float(np.mean((gap - columns @ best) ** 2))
 
 
-def _remedies(
-    alike: list[frozenset[str]], there: frozenset[str], prepared: Prepared, given: Given
-) -> list[str]:
+def _remedies(alike, there: frozenset[str], prepared: Prepared, given: Given):
     """Options that declare the signs of a hypothesis, or the present signs."""
-    source, ways, tir = prepared.data.source, [], given.kind == "tir"
-    now = CONVENTIONS[given.signs or TIR_SIGNS]
-    if tir:
-        ways += [
-            f"--signs {name} reads the file so"
-            for name, other in CONVENTIONS.items()
-            if now.turned(other) & there in alike
-        ]
-        if OTHER_SIDE & there in alike:
-            ways.append("--side, if it is a tire of the other side of the vehicle")
-    if source.convention_from.startswith("assumed"):
-        read = CONVENTIONS[source.convention]
-        ways += [
-            f"--convention {name} reads the data so, which declare none"
-            for name, other in CONVENTIONS.items()
-            if other.fz == read.fz and read.turned(other) & there in alike
-        ]
+    source, tir = prepared.data.source, given.kind == "tir"
+    now, read = CONVENTIONS[given.signs or TIR_SIGNS], CONVENTIONS[source.convention]
+    ways, assumed = [], source.convention_from.startswith("assumed")
+    for name, other in CONVENTIONS.items():
+        if tir and now.turned(other) & there in alike:
+            ways.append(f"--signs {name} reads the file so")
+    if tir and OTHER_SIDE & there in alike:
+        ways.append("--side, if it is a tire of the other side of the vehicle")
+    for name, other in CONVENTIONS.items():
+        if assumed and other.fz == read.fz and read.turned(other) & there in alike:
+            ways.append(f"--convention {name} reads the data so, which declare none")
     for (name,) in (h for h in alike if len(h) == 1):
         unit = source.units.get(name, CANONICAL[_column(name)][0]).replace(" ", "")
         ways.append(f"--unit {_column(name)}=-{unit}, if that column alone is turned")
