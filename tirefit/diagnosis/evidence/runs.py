@@ -140,11 +140,13 @@ def offsets_of_runs(base, hypothesis) -> dict[str, RunOffsets]:
     offsets = {}
     for kind, offset in OFFSETS.items():
         if (seen := _estimates(base, kind, hypothesis)) is not None:
-            *law, values, errors = shrunk(*seen[1:])
+            law = shrunk(*seen[1:])
             names = [base.rows.data.runs[code] for code in seen[0]]
-            each = zip(values.tolist(), errors.tolist(), strict=True)
-            own = dict(zip(names, each, strict=True))
-            offsets[kind] = RunOffsets(offset.unit, *law, own)
+            own = zip(law.values.tolist(), law.errors.tolist(), strict=True)
+            offsets[kind] = RunOffsets(
+                offset.unit, law.common, law.std, law.spread, law.spread_ci,
+                law.p_value, dict(zip(names, own, strict=True)),
+            )  # fmt: skip
     return offsets
 
 
