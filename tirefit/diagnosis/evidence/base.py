@@ -41,19 +41,19 @@ from tirefit.diagnosis.rows.slip_nodes import slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
 _ON_BOUND = 6.0
-"""Size of a z from which its parameter rests on a bound: it is within 0.25 % of the
-interval."""
+"""Size of a z from which its parameter rests on a bound, to 0.25 % of the interval."""
 
 _ROWS_OF_A_FUNCTION = 6
-"""Rows for each smooth function that may soak up a gap before the noise is judged:
-five in six are left to judge it by."""
+"""Rows for each smooth function that may soak up a gap before the noise is judged."""
 
 _FELT = 0.1
-"""Standard errors of what a stand-in misses, all rows together, below which nothing
-feels it: no direction is given away for that."""
+"""Standard errors of what a stand-in misses, all rows together, that nothing feels."""
 
 _LINEARISED = 24
 """Linearised fits that are kept for as long as their base: 10 MB each at most."""
+
+_SMALL = 1e-3
+"""Noise of the slip that shows the slope of a force, within which it is straight."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,9 +150,8 @@ class Base:
 
     @cached_property
     def proxies(self) -> np.ndarray:
-        """Columns (m, k) of the residual that no effect explains: what is measured
-        beside the slip knows of its noise, see :func:`slip_proxies`; and a stand-in
-        knows what it misses of a simulator, not how that changes with it."""
+        """Columns (m, k) of the residual that no effect explains: what the rows tell of
+        the noise of their slip, see :func:`slip_proxies`, and :func:`not_followed`."""
         rows = self.rows
         told = slip_proxies(rows.slip, rows.slip_std, rows.moving, rows.path, rows.past)
         return np.concatenate([self._forces_of(told), self._not_followed], axis=1)
@@ -186,8 +185,7 @@ class Base:
 
     @cached_property
     def measured(self) -> "Base":
-        """The same fit at the slips as they were measured, not as they are believed;
-        every candidate asks for its forces."""
+        """The same fit at the slips as they were measured, not as they are believed."""
         return self.on(measured_slips(self.design, self.rows))
 
     def on(self, design: Design, rows: Prepared | None = None) -> "Base":
@@ -210,8 +208,8 @@ class Base:
         return refit(self.fit.tire, starts, sets, design or self.design)
 
     def refit_folds(self, starts, sets, keeps) -> Refit:
-        """Hypotheses refitted on each of some sets of rows, of the used rows (f, n):
-        leading axes (f, sets). Outliers count in none."""
+        """Hypotheses refitted on each of some sets of the used rows (f, n), without
+        outliers: leading axes (f, sets)."""
         every = np.zeros((len(keeps), len(self.design.keep)))
         every[:, : self.rows.n] = keeps
         every *= self.design.keep
@@ -250,13 +248,11 @@ def fit_base(
 
     Args:
         name: of the model; None for the brush, or what stands in for a simulator best.
-        given: a simulator, whose forces stand in the data: the base is it, and what is
-            fitted are its parameters; without a tire of its own the model ``name``
-            stands in for it.
+        given: a simulator, whose forces stand in the data: the base is it, adapted;
+            without a tire of its own the model ``name`` stands in for it.
 
     Raises:
-        DataError: the model does not follow the simulator, or the simulator fits with
-            other signs.
+        DataError: the model does not follow the simulator, or that has other signs.
     """
     simulator, stand_in = None, name or STAND_INS[0]
     if given is None:
@@ -278,14 +274,10 @@ def fit_base(
     return with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
 
 
-_SMALL = 1e-3
-"""Noise of the slip that shows the slope of a force, within which it is straight."""
-
-
 def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
     """What the measured forces show of the noise of their slip by the model ``name``;
-    zero where it is stated, or known by its sweeps, where both slips drive, and where
-    the force was derived from the motion, whose errors are those of the slip too."""
+    zero where it is known, where both slips drive, and where the force was derived from
+    the motion, whose errors are those of the slip too."""
     known = prepared.slip_source != NOT_STATED or prepared.derived is not None
     if known or prepared.mode == "xy":
         return 0.0
@@ -294,12 +286,8 @@ def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
     channel, design = prepared.channels[0], design_of(noisy, effects, rig)
     mean, spread = tire.moments(z, design, prepared.n)
     # Where the slip changes its sign the curve bends, and any shift of it is a gap.
-    one_sided = [
-        rows[side == positive]
-        for rows in neighbours(prepared)
-        for side in [prepared.slip[rows] > 0]
-        for positive in (False, True)
-    ]
+    side, groups = prepared.slip > 0, neighbours(prepared)
+    one_sided = [r[side[r] == positive] for r in groups for positive in (False, True)]
     return slip_scatter(
         prepared.observed[channel] - mean[channel], spread[channel] / _SMALL**2,
         prepared.inputs.fz, one_sided, in_order(prepared.time, prepared.run),

@@ -28,12 +28,9 @@ Slopes = dict[int, np.ndarray]
 
 
 class Changes(NamedTuple):
-    """What more of each atom does to a state, by the number of the atom.
-
-    ``slopes`` are by its amplitude. Where that slope vanishes or misleads, ``ends`` is
-    instead the state (F, n) that lies ``sizes`` prior scales away, one or as far as the
-    amplitude that is expected.
-    """
+    """What more of each atom does to a state: ``slopes`` by its amplitude; where those
+    vanish or mislead, the state (F, n) in ``ends`` that lies ``sizes`` prior scales
+    away, one or as far as is expected."""
 
     slopes: dict[int, Slopes]
     ends: dict[int, np.ndarray]
@@ -41,10 +38,8 @@ class Changes(NamedTuple):
 
 
 class _Change:
-    """The change of an effect, for rows of given shapes, by NumPy.
-
-    ``touched`` are the numbers of the fields of the state that it changes.
-    """
+    """The change of an effect, for rows of given shapes, by NumPy; ``touched`` are the
+    numbers of the fields of the state that it changes."""
 
     touched: tuple[int, ...] = ()
 
@@ -147,12 +142,8 @@ class Library:
         return state, slopes
 
     def changes(self, present: Present, rows: Covariates, scale, center) -> Changes:
-        """What more of each atom does beside those that are present.
-
-        Args:
-            scale: (K,) prior scales of the amplitudes, in their own units.
-            center: (K,) expected amplitudes, in prior scales.
-        """
+        """What more of each atom does beside those that are present: of amplitudes
+        (K,) with these prior scales, and expected at the center, in such scales."""
         whole, amplitudes = self.state(present, rows), dict(present)
         found = Changes({}, {}, {})
         for number, atom in enumerate(self.atoms):
@@ -223,13 +214,8 @@ class _Traced(NamedTuple):
 
 def _by_numpy(traced: _Traced, known: Mapping[int, np.ndarray]) -> Callable:
     """The function, of arrays or tuples of such; what has one value for all rows may
-    come back as that.
-
-    Args:
-        known: leaves of the arguments that will be the same, by their number: what
-            follows from them alone, and what they multiply by zero, is not evaluated
-            again.
-    """
+    come back as that. What follows from the leaves of the arguments that are ``known``,
+    by number, or is multiplied by zero, is not evaluated again."""
     (closed, structure), count = traced, len(traced.program.jaxpr.invars)
     steps = _Steps([known.get(k) for k in range(count)])
     ends = steps.added(closed.jaxpr, closed.consts, list(range(count)))
@@ -303,7 +289,7 @@ class _Steps:
 
 def _operation(equation) -> Callable:
     """A function of arrays, each of the shape of its variable or one that broadcasts to
-    it, that gives a tuple of such."""
+    it, that gives a tuple of such; what NumPy has no short way for is left to JAX."""
     name, told = equation.primitive.name, equation.params
     shapes = [variable.aval.shape for variable in equation.invars]
     if name in _ELEMENTWISE:
@@ -316,36 +302,35 @@ def _operation(equation) -> Callable:
         return lambda which, no, yes: (np.where(which, yes, no),)
     if name == "broadcast_in_dim" and not shapes[0]:
         return lambda x: (x,)
-    exact = _exact(equation)
-    return lambda *x: exact(*map(np.broadcast_to, x, shapes))
 
-
-def _exact(equation) -> Callable:
-    """The same of arrays of the very shapes; what NumPy has no short way for is left to
-    JAX."""
-    name, told = equation.primitive.name, equation.params
-    if name == "broadcast_in_dim":
-        shape = np.ones(len(told["shape"]), int)
-        shape[list(told["broadcast_dimensions"])] = equation.invars[0].aval.shape
-        return lambda x: (np.reshape(x, shape),)
-    if name == "squeeze":
-        return lambda x: (np.squeeze(x, told["dimensions"]),)
-    if name == "slice":
-        steps = told["strides"] or [1] * len(told["start_indices"])
-        ranges = zip(told["start_indices"], told["limit_indices"], steps, strict=True)
-        part = tuple(slice(*each) for each in ranges)
-        return lambda x: (x[part],)
-    if name == "reshape" and told["dimensions"] is None:
-        return lambda x: (np.reshape(x, told["new_sizes"]),)
-    if name == "reduce_sum":
-        return lambda x: (np.sum(x, axis=told["axes"]),)
-    if name == "dot_general" and not any(told["dimension_numbers"][1]):
-        axes = told["dimension_numbers"][0]
-        return lambda x, y: (np.tensordot(x, y, axes),)
-
-    def by_jax(*x):
-        found = equation.primitive.bind(*x, **told)
+    def exact(*x):
+        whole = [*map(np.broadcast_to, x, shapes)]
+        if name in _OF_WHOLE:
+            return (_OF_WHOLE[name](*whole, told),)
+        found = equation.primitive.bind(*whole, **told)
         several = equation.primitive.multiple_results
         return tuple(map(np.asarray, found if several else (found,)))
 
-    return by_jax
+    return exact
+
+
+def _broadcast(x, told):
+    shape = np.ones(len(told["shape"]), int)
+    shape[list(told["broadcast_dimensions"])] = x.shape
+    return np.reshape(x, shape)
+
+
+def _part(x, told):
+    steps = told["strides"] or [1] * x.ndim
+    ranges = zip(told["start_indices"], told["limit_indices"], steps, strict=True)
+    return x[tuple(slice(*each) for each in ranges)]
+
+
+_OF_WHOLE: dict[str, Callable] = {
+    "broadcast_in_dim": _broadcast,
+    "reduce_sum": lambda x, told: np.sum(x, axis=told["axes"]),
+    "reshape": lambda x, told: np.reshape(x, told["new_sizes"]),
+    "slice": _part,
+    "squeeze": lambda x, told: np.squeeze(x, told["dimensions"]),
+}
+"""Primitives on arrays of the very shapes of their variables."""

@@ -40,13 +40,12 @@ _AT_ONCE, _MOST_ROWS = 16, 16384
 class Design(NamedTuple):
     """Everything a refit needs, as arrays, padded to few shapes.
 
-    ``slip`` and ``weight`` are the nodes of the latent slip and their probabilities,
-    (n, q); ``observed`` and ``scale`` (n,) by channel; ``offset`` (n,) by channel is
-    what a simulator says beyond the tire that stands in for it, zero for a form that
-    was fitted; ``keep`` (n,) is 0 for padding and outliers. ``hold`` is the stiffness
-    that keeps a refit's z where it starts, 0 where it is free. Of the amplitudes (K,),
-    ``prior_scale`` is in their own units, ``prior_center``, ``low`` and ``high`` are in
-    prior scales; ``reference`` is load and speed.
+    ``slip`` and ``weight`` (n, q) are the nodes of the latent slip and their
+    probabilities; by channel, ``observed``, ``scale`` and what a simulator says beyond
+    its tire, ``offset``, are (n,); ``keep`` (n,) is 0 for padding and outliers.
+    ``hold`` is the stiffness that keeps a refit's z where it starts, 0 where it is
+    free. Of the amplitudes (K,), ``prior_scale`` is in their own units, and the
+    center, ``low`` and ``high`` are in prior scales; ``reference`` is load and speed.
     """
 
     inputs: TireInputs
@@ -115,11 +114,7 @@ class _Where(NamedTuple):
         return cls(*(getattr(design, name) for name in cls._fields))
 
     def each(self):
-        """Of each row."""
         return self.slip, self.weight, self.second, self.inputs
-
-    def offsets(self):
-        return jnp.stack([*self.offset.values()])
 
 
 def _reference(tire, where: _Where, mode: str):
@@ -188,19 +183,15 @@ def _each(count, one: Callable, z, states):
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
 def _forces_of(model, layout, mode: str, z, states, count, where: _Where):
-    """Mean and variance over the latent slip of the forces of some fits: (b, C, n).
-
-    Args:
-        z, states: (b, p), and the states (b, F, n) with effects.
-        count: how many of them are wanted; the rest is skipped.
-    """
+    """Mean and variance over the latent slip of the forces (b, C, n) of the first
+    ``count`` fits, of z (b, p) and states with effects (b, F, n)."""
     row = _mean_and_spread(model, layout, mode, where)
     row = jax.vmap(row, (None, 0, 0, 0, 0, 0, 0))
 
     def one(z, state):
         carrier = _carrier(model, layout, mode, z, where)
         mean, spread = row(z, carrier, State(*state), *where.each())
-        return jnp.stack(mean) + where.offsets(), jnp.stack(spread)
+        return jnp.stack(mean) + jnp.stack([*where.offset.values()]), jnp.stack(spread)
 
     return _each(count, one, z, states)
 
@@ -208,11 +199,8 @@ def _forces_of(model, layout, mode: str, z, states, count, where: _Where):
 @partial(jax.jit, static_argnames=("layout", "mode"))
 def _slopes_of(model, layout, mode: str, z, states, count, where: _Where):
     """Mean forces (b, C, n) of some fits and their slopes by z (b, C, p, n) and by the
-    fields of the state (b, C, F, n); arguments as those of :func:`_forces_of`.
-
-    A row's force depends on z and its own state alone: one pass back for each channel
-    serves all of them, with a z for every row.
-    """
+    fields of the state (b, C, F, n). A row's force depends on z and its own state
+    alone: one pass back for each channel serves all, with a z for every row."""
     row = jax.vmap(_mean_and_spread(model, layout, mode, where))
 
     def one(z, state):
@@ -233,7 +221,7 @@ def _slopes_of(model, layout, mode: str, z, states, count, where: _Where):
             moved = jax.lax.map(lambda e: ahead((e,))[1], jnp.eye(z.size))
             for by, change in zip(by_carrier, moved, strict=True):
                 by_z += by[:, None, :] * change[None]
-        return value + where.offsets(), by_z, by_field
+        return value + jnp.stack([*where.offset.values()]), by_z, by_field
 
     return _each(count, one, z, states)
 
@@ -246,10 +234,7 @@ def _brush_of(model, layout, mode: str, z, where: _Where):
 @dataclass(frozen=True)
 class Tire:
     """A base model with all effects, looked at on any design: a :class:`ForwardModel`.
-
-    ``mode`` says which slip drives (x, y or xy), ``layout`` where in z each parameter
-    stands.
-    """
+    ``mode`` says which slip drives (x, y or xy), ``layout`` where z has what."""
 
     model: AbstractTire
     layout: Layout
@@ -323,13 +308,9 @@ class Tire:
         return Linear(*map(flat, (observed - mean, by_z, columns, fields)))
 
     def slopes(self, points, sets, design: Design) -> Iterator:
-        """Of each hypothesis the mean forces (C, n), and their slopes by z and by the
-        amplitudes in prior scales of its atoms (p + k, C, n).
-
-        Args:
-            points: (h, p + k) or wider, z and amplitudes.
-            sets: atoms of each.
-        """
+        """Of each hypothesis, a set of atoms at a point (z, amplitudes, ...), the mean
+        forces (C, n), and their slopes by z and amplitudes, in prior scales
+        (p + k, C, n)."""
         p, scale, by_amplitude = self.layout.size, design.prior_scale, []
 
         def states():

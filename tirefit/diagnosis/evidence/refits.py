@@ -92,12 +92,8 @@ class _Hypotheses:
 
 
 def refit_folds(model: ForwardModel, starts, sets, keeps, design: Design) -> Refit:
-    """Hypotheses refitted by damped Gauss-Newton: leading axes (f, sets).
-
-    Args:
-        starts: (z, amplitudes in prior scales) of each of the ``sets`` of atoms.
-        keeps: (f, n) sets of rows, 0 or 1, in the place of that of the design.
-    """
+    """Sets of atoms refitted from starts (z, amplitudes in prior scales), each on every
+    set of rows ``keeps`` (f, n), 0 or 1: leading axes (f, sets)."""
     those = _Hypotheses(model, starts, sets, keeps, design)
     z, best = minimised(those.at, those.starts, those.allowed, 0.0, _TOLERANCE, _STEPS)
     p, shape = those.p, (len(keeps), len(sets))
@@ -148,13 +144,8 @@ def _gain(move, at: Normal):
 def minimised(
     at: Callable, starts, allowed: Callable, relative: float, absolute: float, most: int
 ) -> tuple[np.ndarray, Normal]:
-    """``least_squares.damped_gauss_newton`` from each of some starts (h, w).
-
-    Args:
-        at: (numbers (k,), points (k, w)) -> :class:`Normal` of these.
-        allowed: (numbers, points) -> the nearest points that may be tried.
-        relative, absolute, most: when it ends, and its steps.
-    """
+    """``least_squares.damped_gauss_newton`` from each of some starts (h, w): ``at`` and
+    ``allowed`` take numbers of these (k,) and points (k, w)."""
     going, law = np.arange(len(starts)), one_start
     h, w = starts.shape
     best = Normal(np.full(h, np.inf), np.tile(np.eye(w), (h, 1, 1)), np.zeros((h, w)))
