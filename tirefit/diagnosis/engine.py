@@ -28,6 +28,7 @@ from tirefit.diagnosis.evidence.simulator import (
     STAND_INS,
     Given,
     given_simulator,
+    refused,
     simulator_at,
 )
 from tirefit.diagnosis.rows.prepared import (
@@ -47,7 +48,7 @@ from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.precision import require_x64
-from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
+from tirefit.results import InputProblem, UsageError, did_you_mean
 
 _CHANGED, _AMONG = 0.1, 4
 """A change of the noise level, as a logarithm, after which the search starts anew; and
@@ -194,8 +195,7 @@ def _are_others(data: TireData, holdout: Sequence[TireData]) -> None:
         if (same or other.columns is data.columns) and np.any(other.used & data.used):
             reason = "held out are the data that are diagnosed: they check nothing"
             remedy = "give other data with --holdout, or none: a part is left out then"
-            path = other.source.path or other.name
-            raise DataError(InputProblem(reason, remedy, path))
+            raise refused(other, reason, remedy)
 
 
 def _are_known(without: Sequence[str], known: set[str]) -> None:

@@ -2,7 +2,6 @@
 base model, and the tire that stands in for a simulator known by its forces."""
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from tirefit.diagnosis.effects import atoms_of
 from tirefit.diagnosis.effects.state import Covariates
 from tirefit.diagnosis.evidence.forward import Design, Tire
 from tirefit.diagnosis.evidence.refits import Normal, minimised
-from tirefit.diagnosis.evidence.simulator import STAND_INS, Given
+from tirefit.diagnosis.evidence.simulator import STAND_INS, Given, refused
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.slip_nodes import slip_nodes
@@ -24,20 +23,18 @@ from tirefit.fitting.problem import build
 from tirefit.fitting.solve import starting_points
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.padding import pad_rows, padded_size
-from tirefit.results import DataError, InputProblem
+from tirefit.results import DataError
 
 _LEAST_ROWS = 256
 """Rows that a diagnosis is compiled for, at least: small files share one program."""
 
 _STARTS = 4
-"""Starts of the first fit, whose error the refit under the noise takes away: half of
-those of a fit that is an end in itself."""
+"""Starts of the first fit, half of those of a fit that is an end in itself."""
 
 _FARTHEST_OFF, _CLOSELY = 0.2, 0.01
-"""Shares of the simulated force (rms) that the tire which stands in for a simulator may
-miss at most, and up to which the plain one is good enough. Its slopes share out the
-gap: a tire that is off by a fifth of the force is off by as much in its slopes, and so
-are the parts of the budget."""
+"""Shares of the simulated force (rms) that a tire which stands in for a simulator may
+miss at most, and up to which the plain one is good enough: its slopes, and so the parts
+of the budget, are off by as much."""
 
 _FIRST_NOISE = 0.05
 """Noise of a force as a share of its standard deviation, before it is judged; only the
@@ -121,23 +118,17 @@ def first_fit(
     return tire, z[int(np.argmin(ends.cost))], starts[0]
 
 
-class Begun(NamedTuple):
-    """A tire with its parameters z and a first guess of them, on the design of its
-    rows; ``missed`` is what a simulator has beyond it (n,), by channel."""
-
-    tire: Tire
-    design: Design
-    z: np.ndarray
-    guess: np.ndarray
-    missed: dict[str, np.ndarray]
+Begun = tuple[Tire, Design, np.ndarray, np.ndarray, dict[str, np.ndarray]]
+"""A tire on the design of its rows, its z and a first guess of z, and what a simulator
+has beyond it (n,), by channel."""
 
 
 def begin(prepared: Prepared, tire: Tire, z, guess, rig, simulated: bool) -> Begun:
-    """A fitted tire on the rows, with what a simulator in their data has beyond it."""
+    """A fitted tire on the rows, and on a simulator in their data."""
     design, missed = design_of(prepared, tire.effects, rig), {}
     if simulated:
         design, missed = with_offset(prepared, tire, design, z)
-    return Begun(tire, design, z, guess, missed)
+    return tire, design, z, guess, missed
 
 
 def as_measured(data: TireData, channels) -> TireData:
@@ -162,15 +153,14 @@ def check_followed(prepared: Prepared, missed: dict, name: str) -> None:
     for c, values in missed.items():
         share = missed_share(prepared, c, values)
         if share > _FARTHEST_OFF:
-            off, data = f"{_rms(values):.3g} {CANONICAL[c][0]}", prepared.data
             reason = (
                 f"the tire that stands in for the simulator does not follow it: it"
-                f" misses {c}_sim by {off} rms, {100 * share:.0f} % of it"
-                f" ({100 * _FARTHEST_OFF:.0f} % at most)"
+                f" misses {c}_sim by {_rms(values):.3g} {CANONICAL[c][0]} rms,"
+                f" {100 * share:.0f} % of it ({100 * _FARTHEST_OFF:.0f} % at most)"
             )
             remedy = f"choose a base model nearer to the simulator than {name} with"
             remedy += f" --model, and check sign, unit and row order of {c}_sim"
-            raise DataError(InputProblem(reason, remedy, data.source.path or data.name))
+            raise refused(prepared.data, reason, remedy)
 
 
 def standing_in(prepared: Prepared, name, effects, rig, given: Given):
@@ -191,7 +181,7 @@ def standing_in(prepared: Prepared, name, effects, rig, given: Given):
         return tried(name)
     plain, flexible = STAND_INS
     first = tried(plain)
-    off = [missed_share(prepared, c, v) for c, v in first[0].missed.items()]
+    off = [missed_share(prepared, c, v) for c, v in first[0][-1].items()]
     if max(off) <= _CLOSELY:
         return first
     try:
@@ -200,6 +190,6 @@ def standing_in(prepared: Prepared, name, effects, rig, given: Given):
         return first
 
     def energy(one):
-        return sum(float(np.mean(values**2)) for values in one[0].missed.values())
+        return sum(float(np.mean(values**2)) for values in one[0][-1].values())
 
     return min(first, other, key=energy)

@@ -71,11 +71,8 @@ def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
 
 def due_to_doubt(base, hypothesis: Hypothesis, linear: LinearFit) -> float:
     """What the doubt of the slips, of which a refit knew nothing, changes in the log
-    evidence of a set around its own fit.
-
-    It is not fitted again: sets that miss much end at one optimum or another then, and
-    their evidence is a matter of chance by tens of units.
-    """
+    evidence of a set around its own fit. It is not fitted again: sets that miss much
+    end at one optimum or another then, and their evidence changes by tens of units."""
     center = np.asarray(base.design.prior_center)[list(hypothesis.atoms)]
     off = hypothesis.amplitude - center
     p = linear.used_up.shape[1] - len(off)
@@ -91,15 +88,14 @@ def due_to_doubt(base, hypothesis: Hypothesis, linear: LinearFit) -> float:
 
 def gains_beside(base, linear: LinearFit, in_other_form: bool) -> dict[str, float]:
     """Log evidence of each kind of remainder beside a set of effects, in the formulas'
-    form or in another, which is no larger than such forms are.
+    form or in another, which is no larger than such forms are. The doubt of the slips
+    adds nothing: what is seen only where they are doubted is not seen in the data."""
 
-    The doubt of the slips is one more noise, to a remainder as to an effect, and adds
-    nothing: what is seen only where the slips are doubted is not seen in the data.
-    """
+    explained, residual = linear.explained, linear.residual
 
     def found(*expected):
-        columns = np.concatenate([linear.explained[:, :0], *expected], axis=1)
-        return gains(base.generic, linear.explained, linear.residual, columns)
+        columns = np.concatenate([explained[:, :0], *expected], axis=1)
+        return gains(base.generic, explained, residual, columns)
 
     forms = [linear.forms] if in_other_form else []
     sure = found(*forms)
@@ -118,15 +114,12 @@ def fitted_form(linear: LinearFit) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Weighed:
-    """Every refitted set of effects with its weight.
-
-    ``best_of`` is the best fit of each set, ``log_weight`` its log evidence over no
-    effect plus log prior, ``log_beside`` the same with a discrepancy beside it (of the
-    leading sets), ``evidence`` the log evidence alone, in whatever form; ``other_form``
-    holds the sets whose effects have a form of their own. ``gains`` is the log evidence
-    of each kind of discrepancy beside a set. ``hidden`` is the probability of sets too
-    improbable to be refitted, which these data could not show either.
-    """
+    """Every refitted set of effects, with its best fit, its log evidence over no effect
+    plus log prior, that with a discrepancy beside it (of the leading sets), the log
+    evidence alone, in whatever form, and that of each kind of discrepancy beside it.
+    ``other_form`` are the sets whose effects have a form of their own; ``hidden`` is
+    the probability of sets too improbable to be refitted, which these data could not
+    show either."""
 
     best_of: Mapping[Key, Hypothesis]
     log_weight: Mapping[Key, float]
@@ -246,11 +239,7 @@ def _gain_of_form(base, linear: LinearFit) -> float:
 
 def _formulas_first(total, best):
     """Log weights of sets. Of as many effects in forms of their own, which draw nearly
-    the same, that set is the likeliest whose formulas do best: these exchange weights.
-
-    Args:
-        best: the formulas' fit of each set.
-    """
+    the same, the likeliest is whose formulas fit ``best``: these exchange weights."""
     likeliest = max((k for k in total if k), key=lambda k: total[k], default=())
     least = total[likeliest] + np.log(_RIVAL)
     alike = [k for k in total if len(k) == len(likeliest) and total[k] >= least]

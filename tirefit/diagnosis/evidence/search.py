@@ -49,14 +49,11 @@ those that are likeliest."""
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A set of atoms, refitted: what it costs and explains.
-
-    ``log_evidence`` is relative to the base model alone; ``log_prior`` that of the
-    set. ``amplitude`` is in prior scales, ``covariance`` that of (z, amplitude).
+    """A set of atoms, refitted: ``log_evidence`` is relative to the base model alone;
+    ``amplitude`` in prior scales, ``covariance`` that of (z, amplitude).
     ``due_to_doubt`` is what of the evidence the doubt of the slips made, to first order
     around the base fit. ``refitted`` is False where the linear step showed that it is
-    not worth it.
-    """
+    not worth it."""
 
     atoms: tuple[int, ...]
     effects: tuple[str, ...]
@@ -173,12 +170,10 @@ class _Searcher:
 
     def _due_to_doubt(self, atoms) -> float:
         """What the doubt of the slips takes from the log evidence of a set, to first
-        order. Refits know nothing of it: of each slip's own noise only.
-
-        It adds nothing: what an effect explains only where the slips are doubted is not
-        seen in the data. Of pulses with noisy slips, doubt of their phase made a lag of
-        1.4 standard errors likelier by a factor of a million.
-        """
+        order; refits know of each slip's own noise only. It adds nothing: what an
+        effect explains only where the slips are doubted is not seen in the data (of
+        pulses with noisy slips, a lag of 1.4 standard errors became likelier by a
+        factor of a million)."""
         doubting, sure = (
             _log_bayes(gram, score, self.center, self.sign, [atoms])[0]
             for gram, score in self._with_doubt_and_without

@@ -109,7 +109,7 @@ class Given:
                 "write its force for every row into a column fx_sim or fy_sim, in the"
                 " unit and sign of fx or fy; `tirefit predict ... --beside` does so"
             )
-            raise _bad(data, reason, remedy)
+            raise refused(data, reason, remedy)
         known = np.all([np.isfinite(force) for force in found.values()], axis=0)
         for name, force in found.items():
             _check_size(force, data, name, known & data.used)
@@ -127,10 +127,8 @@ class Given:
             found = {f"{c}_sim": force for c, force in self.forces(data).items()}
         if self.tire is None and self.signs is not None:
             own = (self.signs, data.source.convention)
-            found = {
-                k: v * np.prod([sign_of(name, k) for name in own])
-                for k, v in found.items()
-            }
+            for k in found:
+                found[k] = found[k] * np.prod([sign_of(name, k) for name in own])
         # What is not measured has no gap.
         found = {k: v for k, v in found.items() if k.removesuffix("_sim") in data}
         silent = [k for k, v in found.items() if not np.any(np.nan_to_num(v))]
@@ -139,7 +137,7 @@ class Given:
             what = "zero" if there else "no number"
             reason = f"{what} in every row: no force of a simulator"
             remedy = "write the simulated force into it, or leave the column out"
-            raise _bad(data, reason, remedy, silent[0])
+            raise refused(data, reason, remedy, silent[0])
         # A tire without coefficients of M_z has none.
         return {k: v for k, v in found.items() if k not in silent}
 
@@ -175,13 +173,16 @@ class Simulated:
 
 def _scaling_layout(tire: AbstractTire, mode: str) -> Layout:
     """The scaling factors of friction and stiffness as parameters."""
-    known, new = specs(tire), {k: v for slip in mode for k, v in _SCALING[slip].items()}
+    known, parameters = specs(tire), []
     bounds: dict[str, Any] = {"lower": 1 / _FACTOR, "upper": _FACTOR, "scale": "log"}
-    parts = ((k, known[k]._replace(meaning=said, **bounds)) for k, said in new.items())
-    return Layout(tuple(FreeParameter(*part) for part in parts))
+    for name, said in (pair for slip in mode for pair in _SCALING[slip].items()):
+        spec = known[name]._replace(meaning=said, **bounds)
+        parameters.append(FreeParameter(name, spec))
+    return Layout(tuple(parameters))
 
 
-def _bad(data: TireData, reason: str, remedy: str, column=None) -> DataError:
+def refused(data: TireData, reason: str, remedy: str, column=None) -> DataError:
+    """The error of data that cannot be diagnosed."""
     path = data.source.path or data.name
     return DataError(InputProblem(reason, remedy, path, column=column))
 
@@ -198,7 +199,7 @@ def _check_size(force, data: TireData, name: str, rows) -> None:
     if not 1 / _FACTOR < ratio < _FACTOR:
         reason = f"its mean size is {ratio:.3g} times that of the measured force"
         remedy = f"check unit and rows of {name}: no tire is off by that much"
-        raise _bad(data, reason, remedy, name)
+        raise refused(data, reason, remedy, name)
 
 
 def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given:
@@ -366,7 +367,7 @@ def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
     before = _misfits(prepared, tire, z, frozenset())
     for turned in _hypotheses(there):
         after = _misfits(prepared, tire, z, turned)
-        share, felt = after.square / before.square, _felt(after, before)
+        share, felt = after.square / before.square, after.change > _FELT * before.square
         near = (np.abs(after.factor - 1) < _NEAR) & (share < 1)
         if felt.any() and near[felt].all() and np.mean(share[felt]) < _CLEAR:
             left[turned] = float(np.sum(share))
@@ -379,7 +380,7 @@ def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
         f" ({before.square[k] ** 0.5:.3g} -> {after.square[k] ** 0.5:.3g} if adapted"
         " too)"
         for k, c in enumerate(prepared.channels)
-        if _felt(after, before)[k]
+        if after.change[k] > _FELT * before.square[k]
     )
     fields = CONVENTIONS[TIR_SIGNS]._fields
     ways = (" and ".join(_column(f) for f in fields if f in turned) for turned in alike)
@@ -388,11 +389,7 @@ def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
     remedy = "; ".join(_remedies(alike, there, prepared, given))
     if given.signs or given.kind not in ("tir", "columns"):
         return f"{reason}. It is taken as it is: {remedy}"
-    raise _bad(prepared.data, reason, remedy)
-
-
-def _felt(after: _Misfit, before: _Misfit) -> np.ndarray:
-    return after.change > _FELT * before.square
+    raise refused(prepared.data, reason, remedy)
 
 
 def _column(field: str) -> str:
