@@ -9,9 +9,9 @@ from pathlib import Path
 
 import jax
 import numpy as np
-from tirefit.diagnosis.decide.conclusion import Judge
 
 from tirefit.data.read import read
+from tirefit.diagnosis.decide.conclusion import Judge
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import studied
 from tirefit.diagnosis.rows.prepared import prepare

@@ -133,6 +133,11 @@ class Findings:
             return float(stdtr(gain.parts - 1, gain.gain / max(gain.std, NONZERO)))
         return min(self.weighed.holding_beside((effect,)), 1.0)
 
+    def claim(self, effect: str, key: Key, rivals, policy: "Policy") -> float:
+        """That an effect or one of its twins is there: one claim."""
+        alike = (effect, *rivals.get(effect, ()))
+        return min(sum(self.probability(e, key, policy) for e in alike), 1.0)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
@@ -202,7 +207,7 @@ def decide(found: Findings, policy: Policy = POLICY) -> Verdict:
     order = sorted(key, key=lambda e: -gains[e].gain if e in gains else 0.0)
     exact = weighed.listed_given_gap(key) if key == best else weighed.holding(key)
     if more:
-        exact = math.prod(found.probability(e, key, policy) for e in key)
+        exact = math.prod(found.claim(e, key, rivals, policy) for e in key)
     status = Status.CANNOT_TELL if also else Status.NAMED
     return verdict(
         Status.INCOMPLETE if more else status,
@@ -225,8 +230,7 @@ def _stands(found: Findings, key: Key, rivals, policy: Policy) -> bool:
     claim: their probabilities count together."""
     errors, gains = found.sets[key]
     for effect in key:
-        alike = (effect, *rivals.get(effect, ()))
-        there = sum(found.probability(e, key, policy) for e in alike)
+        there = found.claim(effect, key, rivals, policy)
         if there <= policy.likely or errors[effect] < policy.known:
             return False
         if effect in gains and gains[effect].gain <= policy.gain * gains[effect].std:

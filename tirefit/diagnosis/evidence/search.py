@@ -42,6 +42,9 @@ _FAR, _SMALL, _TINY = 4.0, 0.3, 0.1
 """Amplitudes in prior scales where refits start: farthest, second start and nearest to
 zero of an effect of one sign."""
 
+_DIGITS = 6
+"""Decimals of the log evidence of the linear screen: finer differences are rounding."""
+
 _LIKELY = 3
 """Variants of one effect that are refitted, and sets of one effect that are extended:
 those that are likeliest."""
@@ -185,7 +188,8 @@ class _Searcher:
         if not sets:
             return []
         values = _log_bayes(gram, score, self.center, self.sign, sets)
-        return values.tolist()
+        # Variants that are the same on a file differ by their last digits alone.
+        return np.round(values, _DIGITS).tolist()
 
     def refit(self, sets: Sequence[tuple[int, ...]], guesses: dict) -> None:
         """Refit sets of atoms, two starts each where the sign is open."""
