@@ -46,7 +46,7 @@ class _Change:
     def __init__(self, effect: Effect, rows: Covariates):
         self._effect, count = effect, len(rows.fz)
         self._given = 0.0, _nothing(count), np.array(effect.variants[0], float), rows
-        self._direct = _Traced.of(self._by_amplitude, *self._given)
+        self._direct = _traced(self._by_amplitude, *self._given)
         self._functions: dict[tuple, Callable] = {}
 
     def _changed(self, amplitude, state, constants, rows) -> list:
@@ -77,10 +77,10 @@ class _Change:
         return jax.jvp(alone, (state,), (tangent,))[1]
 
     @cached_property
-    def _through(self) -> "_Traced":
-        return _Traced.of(self._by_state, *self._given, self._given[1])
+    def _through(self) -> tuple:
+        return _traced(self._by_state, *self._given, self._given[1])
 
-    def _evaluated(self, traced: "_Traced", amplitude, state, constants, *more):
+    def _evaluated(self, traced: tuple, amplitude, state, constants, *more):
         """By NumPy, for the variant of these constants, the third argument."""
         key, constants = (traced is self._direct, constants), np.array(constants, float)
         if key not in self._functions:
@@ -199,24 +199,19 @@ _WITHIN = {"jit": "jaxpr", "custom_jvp_call": "call_jaxpr"}
 """Primitives that are a function by itself, and the parameter that holds it."""
 
 
-class _Traced(NamedTuple):
-    """A function as JAX saw it: the program, and the structure of what it gives."""
-
-    program: Any
-    structure: Any
-
-    @classmethod
-    def of(cls, function: Callable, *example: Any) -> "_Traced":
-        """For arguments of the shapes of an example."""
-        program, shape = jax.make_jaxpr(function, return_shape=True)(*example)
-        return cls(program, jax.tree.structure(shape))
+def _traced(function: Callable, *example: Any) -> tuple[Any, Any]:
+    """A function of arguments of the shapes of an example, as JAX saw it: the program,
+    and the structure of what it gives."""
+    program, shape = jax.make_jaxpr(function, return_shape=True)(*example)
+    return program, jax.tree.structure(shape)
 
 
-def _by_numpy(traced: _Traced, known: Mapping[int, np.ndarray]) -> Callable:
+def _by_numpy(traced: tuple, known: Mapping[int, np.ndarray]) -> Callable:
     """The function, of arrays or tuples of such; what has one value for all rows may
     come back as that. What follows from the leaves of the arguments that are ``known``,
     by number, or is multiplied by zero, is not evaluated again."""
-    (closed, structure), count = traced, len(traced.program.jaxpr.invars)
+    closed, structure = traced
+    count = len(closed.jaxpr.invars)
     steps = _Steps([known.get(k) for k in range(count)])
     ends = steps.added(closed.jaxpr, closed.consts, list(range(count)))
     needed, kept = set(ends), list[tuple]()

@@ -207,16 +207,14 @@ class _Searcher:
 
     def estimate(self, atoms, guess, within: Hypothesis, value: float) -> None:
         """Record a set too improbable to refit, from the linear step to it."""
-        if atoms in self.tried:
-            return
-        p, size = len(within.z), len(atoms)
-        z, amplitude = guess
-        wide = np.eye(p + size)
+        p, (z, amplitude) = len(within.z), guess
+        wide = np.eye(p + len(atoms))
         wide[:p, :p] = within.covariance[:p, :p]
-        self.tried[atoms] = Hypothesis(
+        found = Hypothesis(
             atoms, tuple(self.ids[k] for k in atoms), within.log_evidence + value,
             self.log_prior(atoms), z, amplitude, wide, within.chi2, refitted=False,
         )  # fmt: skip
+        self.tried.setdefault(atoms, found)
 
     def within(self, atoms, amplitude) -> np.ndarray:
         """Amplitudes of these atoms, in prior scales, where physics allows them."""

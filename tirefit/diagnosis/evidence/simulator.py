@@ -203,13 +203,8 @@ def _check_size(force, data: TireData, name: str, rows) -> None:
 
 
 def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given:
-    """The simulator that an argument of :func:`tirefit.diagnose` means.
-
-    Args:
-        sim: True for the data's columns ``fx_sim``, ...; an array (n,) of the force
-            that the data measure, or arrays by channel, canonical; a tire model, a fit,
-            or what :func:`simulator_at` gives.
-        signs: convention of the columns ``fx_sim``, ..., if not that of the data.
+    """The simulator that ``sim`` of :func:`tirefit.diagnose` means, or what
+    :func:`simulator_at` gave; ``signs`` is the convention of columns ``fx_sim``, ...
 
     Raises:
         UsageError: none of these, or arrays of another length.
@@ -288,9 +283,7 @@ def _predicted(model, data: TireData) -> dict[str, np.ndarray]:
 
 
 def simulator_at(
-    text: str,
-    values: Mapping[str, float] | None = None,
-    **of_tir: str | None,
+    text: str, values: Mapping[str, float] | None = None, **of_tir: str | None
 ) -> Given:
     """The simulator that a name or a file means.
 
