@@ -142,12 +142,12 @@ def _rms(values) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def missed_share(prepared: Prepared, channel: str, values) -> float:
+def missed_share(prepared, channel: str, values) -> float:
     """What a tire misses of the simulated forces (n,), as a share of these, rms."""
     return _rms(values) / max(_rms(prepared.column(f"{channel}_sim")), NONZERO)
 
 
-def check_followed(prepared: Prepared, missed: dict, name: str) -> None:
+def check_followed(prepared, missed: dict, name: str) -> None:
     """Raises DataError where a tire, of the model ``name`` that stands in, misses too
     much of the simulated forces, (n,) by channel."""
     for c, values in missed.items():

@@ -55,7 +55,7 @@ fiftieth of its square at most. Strongest lines that are drawn, of each paramete
 Places of a sampling for each row from which it is none."""
 
 
-def form_columns(effects, fields, prepared: Prepared, slip_fraction) -> np.ndarray:
+def form_columns(effects, fields, prepared, slip_fraction) -> np.ndarray:
     """Columns of the free forms of these effects, in units of their priors: (m, k).
 
     Args:
