@@ -15,8 +15,7 @@ from tirefit.diagnosis.decide.verdict import (
     no_gap_shows,
 )
 from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.linear_fit import linear_at
-from tirefit.diagnosis.evidence.posterior import Key, Weighed, weigh
+from tirefit.diagnosis.evidence.posterior import Key, Weighed, linear_at, weigh
 from tirefit.diagnosis.evidence.search import Hypothesis, Search, amplitudes_of
 from tirefit.diagnosis.left_out.climb import climbed
 from tirefit.diagnosis.left_out.folds import folds_of

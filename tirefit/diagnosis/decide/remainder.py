@@ -15,8 +15,7 @@ from scipy.sparse import csr_array
 
 from tirefit.diagnosis.decide.verdict import Tests
 from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.linear_fit import linear_at
-from tirefit.diagnosis.evidence.posterior import Key, Weighed
+from tirefit.diagnosis.evidence.posterior import Key, Weighed, linear_at
 from tirefit.diagnosis.negligible import ROUNDING, SILENT
 from tirefit.diagnosis.noise.memory import Memory, correlation
 from tirefit.diagnosis.rows.basis import without

@@ -97,12 +97,8 @@ def _modulations(prepared) -> list[np.ndarray]:
         if (speed := _standard(rows.v)) is not None:
             first.append(rows.turning * speed)
     if "runs" in prepared.has:  # each run may be a tire or a floor of its own
-        codes = np.unique(prepared.run)[1 : _LEVELS + 1]
-        first[1:1] = [
-            unit
-            for k in codes
-            if (unit := _standard(1.0 * (prepared.run == k))) is not None
-        ]
+        own = [_standard(prepared.run == k) for k in np.unique(prepared.run)[1:]]
+        first[1:1] = [unit for unit in own[:_LEVELS] if unit is not None]
     return first + second
 
 

@@ -9,8 +9,8 @@ from tirefit.diagnosis.decide.findings import floor_of
 from tirefit.diagnosis.decide.remainder import widening
 from tirefit.diagnosis.decide.verdict import Status, Verdict
 from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.fast_waves import with_fast_waves
-from tirefit.diagnosis.evidence.linear_fit import linear_at
+from tirefit.diagnosis.evidence.forms import with_fast_waves
+from tirefit.diagnosis.evidence.posterior import linear_at
 from tirefit.diagnosis.evidence.runs import offsets_of_runs
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.left_out.ladder import ladder_of
