@@ -338,7 +338,8 @@ def _noise(
 ) -> dict[str, NoiseLevel]:
     mean, spread = fit.tire.moments(fit.z, fit.design, prepared.n, amplitudes)
     fz, most = prepared.inputs.fz, prepared.n // _ROWS_OF_A_FUNCTION
-    basis = smooth_basis(prepared, fit.slip_fraction, fz / np.mean(fz), most)
+    typical = fz / np.mean(fz)
+    basis = smooth_basis(prepared, fit.slip_fraction, typical, most, runs=True)
     waves = wave_basis(prepared, fz / np.mean(fz))
     groups, levels = neighbours(prepared), {}
     for c in prepared.channels:

@@ -283,6 +283,7 @@ class Tire:
         """(c_p a^2 (n,), mu) of the brush of its slope and peak."""
         return _brush_of(self.model, self.layout, self.mode, z, _Where.of(design))
 
+    @np.errstate(invalid="ignore")  # the engine refuses an effect without a slope
     def linearised(self, z, amplitudes, design: Design, n: int) -> Linear:
         """The first n rows linearised in everything."""
         present, rows, points = _present(amplitudes), design.rows, np.asarray(z)[None]
@@ -293,8 +294,7 @@ class Tire:
         weight, observed = design.weights(), design.forces
         columns = np.zeros((count_atoms(self.effects), *mean.shape))
         for atom, slopes in changes.slopes.items():
-            with np.errstate(invalid="ignore"):  # the engine refuses such an effect
-                columns[atom] = _along(fields, slopes, float(scale[atom]))
+            columns[atom] = _along(fields, slopes, float(scale[atom]))
         points = np.repeat(points, len(changes.ends), axis=0)
         ends = self._run(_forces_of, points, iter(changes.ends.values()), design)
         for (atom, size), (far, _) in zip(changes.sizes.items(), ends, strict=True):

@@ -144,7 +144,7 @@ def judge_noise(
         apart = _CLEAR * max(one.rows_each for one in memory) * (memory[0].fade > 0)
         local = _between(residual / std, groups, keep, apart, in_time)
         if local < 1:
-            std = std * local
+            std = np.maximum(std * local, floor)
             memory = smooth.memory(rest / std, in_time)
     std = np.maximum(std, floor)
     if np.all(std <= floor):  # forces from a formula: digits are left, no noise

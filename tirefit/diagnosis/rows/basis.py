@@ -96,9 +96,6 @@ def _modulations(prepared) -> list[np.ndarray]:
         first.append(rows.turning)
         if (speed := _standard(rows.v)) is not None:
             first.append(rows.turning * speed)
-    if "runs" in prepared.has:  # each run may be a tire or a floor of its own
-        own = [_standard(prepared.run == k) for k in np.unique(prepared.run)[1:]]
-        first[1:1] = [unit for unit in own[:_LEVELS] if unit is not None]
     return first + second
 
 
@@ -114,15 +111,22 @@ def _scaled(columns, scale):
     return basis @ vectors[:, values > RANK * values.max()]
 
 
-def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
+def smooth_basis(
+    prepared, slip_fraction, scale, most: int, runs: bool = False
+) -> np.ndarray:
     """Smooth functions of slip, times load, speed, time and direction: (n, b).
 
     Args:
+        runs: whether each run has functions of its own too, as a tire or a floor of its
+            own; they predict nothing of another run.
         slip_fraction: signed slip over that of full sliding, (n,).
         scale: (n,) typical force over the noise of each row.
         most: approximate number of columns.
     """
     factors = _modulations(prepared)
+    if runs and "runs" in prepared.has:
+        own = [_standard(prepared.run == k) for k in np.unique(prepared.run)[1:]]
+        factors[1:1] = [unit for unit in own[:_LEVELS] if unit is not None]
     return _by_side(slip_fraction, factors, scale, most, _BUMPS[1])
 
 
