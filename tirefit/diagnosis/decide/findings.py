@@ -100,12 +100,12 @@ def findings_of(
         # is surer than the data of which effects draw it.
         key = out.climbed or key
     floor = floor_of(base)
+    parts = [part for part in parts_of(key) if part in weighed.log_weight]
     return Findings(
         weighed=weighed,
         sets={
             part: Fitted(_errors(base, weighed, out, part), _gains(out, part, floor))
-            for part in parts_of(key)
-            if part in weighed.log_weight
+            for part in sorted(parts, key=lambda k: (-len(k), -weighed.log_weight[k]))
         },
         across_runs=out.across_runs,
         unlisted=unlisted,
