@@ -17,7 +17,7 @@ from tirefit.diagnosis.decide.verdict import (
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.posterior import Key, Weighed, linear_at, weigh
 from tirefit.diagnosis.evidence.search import Hypothesis, Search, amplitudes_of
-from tirefit.diagnosis.left_out.climb import climbed
+from tirefit.diagnosis.left_out.climb import climbed, of_one_run
 from tirefit.diagnosis.left_out.folds import folds_of
 from tirefit.diagnosis.left_out.ladder import Gain, gained
 from tirefit.diagnosis.left_out.predicted import Predicted, predicted
@@ -36,8 +36,10 @@ def predictions(
     the rows that their fits did not see. Where whole runs are left out, the set that
     predicts them best is one of them."""
     climb: Key = ()
+    whole = search.best
+    parts = [_part(whole, key) for key in parts_of(whole.effects)[1:]]
+    search.refit([p.atoms for p in parts], {p.atoms: (p.z, p.amplitude) for p in parts})
     weighed = weigh(search)
-    # What belongs to one run cannot be predicted from the others.
     own = {a.effect.id for a in base.atoms if "runs" in a.effect.needs}
     of_runs = sum(p for key, p in weighed.listed.items() if own & set(key))
     rows_each = max(noise.inflation for noise in base.noise.values())
@@ -98,7 +100,7 @@ def findings_of(
     if key and unlisted > policy.likely and out.across_runs:
         # The evidence takes the noise as known: where something unlisted is there it
         # is surer than the data of which effects draw it.
-        key = out.climbed or key
+        key = out.climbed or tuple(e for e in key if e not in of_one_run(base))
     floor = floor_of(base)
     parts = [part for part in parts_of(key) if part in weighed.log_weight]
     return Findings(

@@ -19,9 +19,6 @@ _PRIOR_OF_SIZE = (0.4, 0.4, 0.1, 0.015)
 """Probability of so many effects at once; nothing and one are as likely, and every
 further one is four to seven times rarer."""
 
-_PRIOR_OF_KIN = 0.1
-"""That two effects of one set are of one family, against two families."""
-
 PRIOR_OF_UNKNOWN = 0.1
 """That something is there that no listed effect explains, beside any set."""
 
@@ -146,11 +143,9 @@ class _Searcher:
     def log_prior(self, atoms: tuple[int, ...]) -> float:
         """Split evenly over families, then forms, then variants."""
         total = np.log(_PRIOR_OF_SIZE[len(atoms)])
-        families = [self.effects[k].family for k in atoms]
-        for k, family in zip(atoms, families, strict=True):
-            total -= np.log(len(self.forms) * self.forms[family])
+        for k in atoms:
+            total -= np.log(len(self.forms) * self.forms[self.effects[k].family])
             total += self.odds[k] - np.log(self.variants[self.ids[k]])
-        total += np.log(_PRIOR_OF_KIN) * (len(atoms) - len(set(families)))
         return float(total + np.log(factorial(len(atoms))))
 
     def columns(self, hypothesis: Hypothesis):
@@ -193,7 +188,8 @@ class _Searcher:
 
     def refit(self, sets: Sequence[tuple[int, ...]], guesses: dict) -> None:
         """Refit sets of atoms, two starts each where the sign is open."""
-        sets = [s for s in dict.fromkeys(sets) if s and s not in self.tried]
+        done = {s for s, known in self.tried.items() if known.refitted}
+        sets = [s for s in dict.fromkeys(sets) if s and s not in done]
         starts = [self._starts(atoms, guesses.get(atoms)) for atoms in sets]
         if not sets:
             return

@@ -51,17 +51,24 @@ def climbed(base: Base, search: Search, folds: Folds, needed: float) -> Hypothes
     return now
 
 
+def of_one_run(base: Base) -> set[str]:
+    """Effects that belong to a single run, or to one moment of it: other runs tell
+    nothing of them."""
+    effects = [atom.effect for atom in base.atoms]
+    return {e.id for e in effects if "runs" in e.needs or e.scans_time}
+
+
 def _steps(base: Base, search: Search) -> dict[str, int]:
-    """Effects that may be steps, each by its atom in the best set that holds it; none
-    that belongs to a single run."""
+    """Effects that may be steps, each by its atom in the best set that holds it."""
     fitted = [h for h in search.hypotheses if h.refitted]
     ranked = sorted(fitted, key=lambda h: -h.log_weight)
     singles = [h for h in ranked if len(h.atoms) == 1][:_SINGLES]
     atoms: dict[str, int] = {}
+    own = of_one_run(base)
     for hypothesis in (*ranked[:_SETS], *singles):
         for k in hypothesis.atoms:
             effect = base.atoms[k].effect
-            if "runs" not in effect.needs:
+            if effect.id not in own:
                 atoms.setdefault(effect.id, k)
     return atoms
 

@@ -9,8 +9,9 @@ from tirefit.data.levels import levels
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.rates import shown_runs
 
-LEAST_RUNS = 3
-"""Runs from which whole runs are left out: of two, one is left to fit."""
+LEAST_RUNS = 4
+"""Runs from which whole runs are left out: three measured circles, two to one side, do
+not tell a slip offset that four logs show at 14 standard errors."""
 
 _BLOCKS = 8
 """Blocks of time, or parts of the slip, that are left out in turn."""
@@ -33,7 +34,7 @@ class Folds(NamedTuple):
 
 
 def folds_of(prepared: Prepared, rows_each: float, across_runs: bool = True) -> Folds:
-    """The partition of the used rows: whole runs where there are three or more, else
+    """The partition of the used rows: whole runs where there are four or more, else
     blocks of time, else settings and parts of the slip.
 
     Args:

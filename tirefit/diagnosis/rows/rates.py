@@ -46,6 +46,10 @@ sweep."""
 _MORE = 1.25
 """Ratio of two estimates of the noise above which they disagree."""
 
+_NOISY = 17
+"""Rows over which a slip in noise is a parabola; a record with too few rows for its
+motion is not."""
+
 _SURE = 0.05
 """Standard error of a measured rate, as a share of its rms."""
 
@@ -112,6 +116,16 @@ def _scatter(slip, parts, order: int) -> float:
     smooth curve, the higher the better."""
     each = np.concatenate([np.diff(slip[part], order) for part in parts])
     return MAD * float(np.median(np.abs(each))) / float(np.sqrt(comb(2 * order, order)))
+
+
+def _about_parabolas(slip, time, parts) -> float:
+    """The same from what parabolas through :data:`_NOISY` rows leave; infinite where no
+    stretch has so many."""
+    long = [part for part in parts if len(part) >= _NOISY]
+    if not long:
+        return np.inf
+    left = [_parabolas(slip[p], time[p], _NOISY)[2] for p in long]
+    return float(np.sqrt(np.median(np.concatenate(left)) / (_NOISY - 3)))
 
 
 class _Path(NamedTuple):
@@ -248,8 +262,9 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     curved, seen = _scatter(slip, parts, 2), _scatter(slip, parts, 6)
     if curved > _UNSTEADY * np.std(slip):
         return still
-    # Both orders agree on noise; a curve leaves more in the lower one.
-    scatter = seen if FLAT * np.std(slip) < curved < _MORE * seen else 0.0
+    # All agree on noise; a curve leaves more in a lower order, or about wide parabolas.
+    most = max(curved, _about_parabolas(slip, time, parts))
+    scatter = seen if FLAT * np.std(slip) < most < _MORE * seen else 0.0
     seen = max(seen, FLAT * np.std(slip))
     level = max(noise, scatter if scatter > _MORE * noise else 0.0) or seen
     paths = [
