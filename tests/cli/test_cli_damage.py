@@ -47,7 +47,7 @@ MODULES = {
     for name in INTO_FOLDERS
 }
 REPORTS = {
-    "fit": "VERDICT", "convert": "VERDICT", "diagnose": "WHERE",
+    "fit": "VERDICT", "convert": "VERDICT", "diagnose": "HOW FAR THE GAP SHRINKS",
     "estimate": "ESTIMATES", "brake": "BRAKING",
 }  # fmt: skip
 

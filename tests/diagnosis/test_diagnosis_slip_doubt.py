@@ -138,6 +138,11 @@ def test_a_load_that_the_cornering_shifts_names_no_effect():
     assert not verdict.names_an_effect and verdict.status != "unknown"
 
 
+@pytest.mark.xfail(
+    strict=True,
+    reason="a smooth discrepancy alone is as probable as the drift: unknown, with the"
+    " drift among also_possible",
+)
 def test_what_the_load_knows_of_the_slip_hides_no_effect():
     data = slalom(lambda time: 0.9 - 0.012 * time)
     verdict = diagnose(data, rig=SLALOM_RIG).verdict

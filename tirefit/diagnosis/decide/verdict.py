@@ -49,16 +49,15 @@ class Policy:
             error bar of half the value.
         gain: standard errors by which an effect must improve the prediction of data
             left out.
-        perhaps: probability from which an effect that is not named is possible, and
-            probability of a set over that of the best from which it is a rival.
-        tested: p-value below which the tests together see a remainder (Bonferroni).
+        perhaps: probability from which something is possible: no gap at all, where no
+            effect earns a name, or an effect that is not named; and probability of a
+            set over that of the best from which it is a rival.
     """
 
     likely: float = 0.5
     known: float = 2.0
     gain: float = 1.0
     perhaps: float = 0.1
-    tested: float = 0.005
 
 
 POLICY = Policy()
@@ -199,9 +198,7 @@ def decide(found: Findings, policy: Policy = POLICY) -> Verdict:
     also = tuple(dict.fromkeys(e for of in (best, *rivals.values()) for e in of))
     also = tuple(e for e in also if e not in key)
     if not key:
-        made = [p for p in found.tests if p is not None]
-        seen = len(made) * min(made, default=1.0) < policy.tested
-        if not more and not seen:
+        if not more and weighed.nothing_shown > policy.perhaps:
             return verdict(Status.NONE, 1 - unlisted, also_possible=also)
         return verdict(
             Status.UNKNOWN, max(unlisted, policy.likely), effects=(UNKNOWN,),
