@@ -13,7 +13,10 @@ import numpy as np
 
 from fits.calibration import train
 from fits.withheld.judge import HIDDEN, kind_of
-from tirefit.diagnosis.decide.calibration import clues_of_unlisted
+from tirefit.diagnosis.decide.calibration import (
+    clues_of_unlisted,
+    probability_by_tests,
+)
 from tirefit.diagnosis.decide.findings import parts_of
 from tirefit.diagnosis.decide.verdict import (
     POLICY,
@@ -28,7 +31,7 @@ from tirefit.diagnosis.decide.verdict import (
 )
 from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
-from tirefit.diagnosis.evidence.search import PRIOR_OF_KIN, PRIOR_OF_UNKNOWN
+from tirefit.diagnosis.evidence.search import PRIOR_OF_UNKNOWN
 from tirefit.diagnosis.left_out.ladder import Gain
 from tirefit.diagnosis.rows.basis import of_any_kind
 
@@ -65,7 +68,7 @@ class Rules:
         each: an effect must be likelier there than not.
         forms: listed effects have other forms too.
         doubt: what the doubt of the slips takes from the evidence of a set.
-        kin: two effects of one family are rarer together.
+        tests: the tests of the remainder may show something unlisted.
         without: kinds of discrepancy that are not looked for.
     """
 
@@ -78,7 +81,7 @@ class Rules:
     each: bool = True
     forms: bool = True
     doubt: bool = True
-    kin: bool = True
+    tests: bool = True
     without: tuple[str, ...] = ()
 
 
@@ -101,7 +104,7 @@ VARIANTS: dict[str, Rules] = {
     "discrepancy: patterns off": Rules(without=("patterns",)),
     "other forms off": Rules(forms=False),
     "doubt of the slips off": Rules(doubt=False),
-    "prior of kin off": Rules(kin=False),
+    "tests of the remainder off": Rules(tests=False),
 }
 """The rows of the table."""
 
@@ -135,9 +138,6 @@ def weighed_of(record: Mapping, rules: Rules) -> Weighed:
     told, best, logs = record["weighed"], {}, {}
     rest, hidden = [], []
     for key, evidence, prior, due, refitted in record["hypotheses"]:
-        if not rules.kin:
-            kin = len(key) - len({record["family"][effect] for effect in key})
-            prior -= np.log(PRIOR_OF_KIN) * kin
         evidence -= 0.0 if rules.doubt else due
         if refitted:
             logs.setdefault(key, []).append(evidence + prior)
@@ -272,6 +272,9 @@ def decided(record: Mapping, rules: Rules, numbers: Mapping) -> Answer:
         answer = _plainly(weighed)
     else:
         unlisted = unlisted_of(weighed, rules, numbers)
+        if rules.tests:
+            tests = Tests(**record["found"].get("tests", {}))
+            unlisted = max(unlisted, probability_by_tests(tests))
         found = findings_of(record, weighed, unlisted, rules)
         verdict = decide(found, rules.policy)
         answer = Answer(

@@ -141,4 +141,4 @@ def test_scatter_beyond_the_stated_noise_is_said(times):
     assert not set(found.verdict.effects) - {"noise_misstated"}
     assert "noise_misstated" in found.noise.flags
     assert found.noise.excess == pytest.approx(times, rel=0.1)
-    assert f"{times:.2g} times the stated noise"[:1] in found.noise.source
+    assert "times the stated noise" in found.noise.source

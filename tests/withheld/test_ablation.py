@@ -20,7 +20,6 @@ from fits.ablation.variants import (
 from fits.calibration import said, train
 from fits.withheld import generate
 from tirefit.diagnosis.decide.verdict import POLICY, Policy, Status
-from tirefit.diagnosis.evidence.search import PRIOR_OF_KIN
 
 NUMBERS = {"bias": -4.0, "clues": {"evidence": [0.0, 1.0, 1.0]}}
 """Something unlisted where the evidence says so by log odds of four."""
@@ -107,11 +106,9 @@ def test_something_unlisted_takes_no_name_away():
 def test_stages_are_undone():
     pair = (OFFSET, RISING)
     on = weighed_of(record(), Rules()).log_weight
-    kin = weighed_of(record(), Rules(kin=False)).log_weight
     doubt = weighed_of(record(), Rules(doubt=False)).log_weight
-    assert kin[pair] - on[pair] == pytest.approx(-np.log(PRIOR_OF_KIN))
     assert doubt[pair] - on[pair] == pytest.approx(0.5)
-    assert kin[(RISING,)] == doubt[(RISING,)] == on[(RISING,)]
+    assert doubt[(RISING,)] == on[(RISING,)]
 
 
 def test_runs_that_a_climb_predicts_best_are_asked():

@@ -13,7 +13,9 @@ from importlib import resources
 
 import numpy as np
 
+from tirefit.diagnosis.decide.verdict import Tests
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
+from tirefit.diagnosis.evidence.search import PRIOR_OF_UNKNOWN
 
 _FARTHEST = 7.0
 """Logarithms of odds beyond this say no more."""
@@ -50,6 +52,21 @@ def probability_of_unlisted(weighed: Weighed, key: Key) -> float:
     """Probability that something unlisted is there beside a set, by a logistic
     regression on :func:`clues_of_unlisted`."""
     return _logistic(_numbers()["unlisted"], clues_of_unlisted(weighed, key))
+
+
+def probability_by_tests(tests: Tests) -> float:
+    """The same by the smallest p-value of the tests of the remainder (Bonferroni).
+
+    They see what the discrepancy has no shape for, as the hum of the mains. The largest
+    Bayes factor that a p-value stands for is 1 / (-e p log p) (Sellke, Bayarri and
+    Berger 2001); the prior odds are those of something unlisted.
+    """
+    made = [p for p in tests if p is not None]
+    p = len(made) * min(made, default=1.0)
+    odds = PRIOR_OF_UNKNOWN / (1 - PRIOR_OF_UNKNOWN)
+    if p < 1 / np.e:
+        odds /= -np.e * p * np.log(p)
+    return float(odds / (1 + odds))
 
 
 def _logistic(numbers: Mapping, clues: Mapping[str, float]) -> float:
