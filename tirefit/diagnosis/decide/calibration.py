@@ -62,7 +62,7 @@ def probability_by_tests(tests: Tests) -> float:
     Berger 2001); the prior odds are those of something unlisted.
     """
     made = [p for p in tests if p is not None]
-    p = len(made) * min(made, default=1.0)
+    p = max(len(made), 1) * min(made, default=1.0)
     odds = PRIOR_OF_UNKNOWN / (1 - PRIOR_OF_UNKNOWN)
     if p < 1 / np.e:
         odds /= -np.e * p * np.log(p)
