@@ -45,27 +45,22 @@ def _about_mean(shapes):
     return shapes - shapes.mean(axis=0)
 
 
+_UNITS = {"shift": "rise", "force": "load"}
+"""Field of the state -> covariate that is the unit of its forms; none for factors."""
+
+
 def over(
-    field: str, size: float, covariate: str, count: int, times: Callable | None = None
+    field: str, size: float, covariate: str, count: int = ONE_WAY
 ) -> tuple[Form, ...]:
-    """A field as ``count`` smooth functions of one covariate about their means (the
-    mean is no change), in units of ``times(rows)`` (n,) if given."""
+    """A field as ``count`` smooth functions of one covariate about their means: the
+    mean is no change."""
 
     def shapes(rows, u):
         free = _about_mean(functions_of(getattr(rows, covariate), count))
-        return free if times is None else free * times(rows)[:, None]
+        unit = _UNITS.get(field)
+        return free if unit is None else free * getattr(rows, unit)[:, None]
 
     return (Form(field, size, shapes, by=covariate),)
-
-
-def rise(rows):
-    """Slip at half of the largest force, (n,): the unit of a shift of the slip."""
-    return rows.rise
-
-
-def weight(rows):
-    """Mean load [N], (n,): the unit of a force."""
-    return rows.load
 
 
 def _of_slip(u, count: int = ONE_WAY):
@@ -155,9 +150,9 @@ FORCE_BY_DIRECTION = (
     Form("force", 0.004, _rate_of_force),
     Form("force", 0.02, lambda rows, u: _at_a_turn(rows, u) * rows.load[:, None]),
 )
-FORCE_BY_LOAD = over("force", 0.01, "fz", ONE_WAY, weight)
-SKEW_BY_LOAD = (over("skew", 0.1, "fz", ONE_WAY)[0]._replace(needs="loads"),)
-FRICTION_BY_LOAD = over("friction", 0.03, "fz", ONE_WAY)
-SHIFT_BY_SPEED = over("shift", 0.1, "v", ONE_WAY, rise)
+FORCE_BY_LOAD = over("force", 0.01, "fz")
+SKEW_BY_LOAD = (over("skew", 0.1, "fz")[0]._replace(needs="loads"),)
+FRICTION_BY_LOAD = over("friction", 0.03, "fz")
+SHIFT_BY_SPEED = over("shift", 0.1, "v")
 BY_OTHER_SLIP = tuple(Form(f, 0.03, _other_slip) for f in ("friction", "stiffness"))
-SHIFT_BY_CAMBER = over("shift", 0.1, "gamma", BOTH_WAYS, rise)
+SHIFT_BY_CAMBER = over("shift", 0.1, "gamma", BOTH_WAYS)

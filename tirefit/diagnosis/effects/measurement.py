@@ -26,8 +26,7 @@ _CORNERING = 10.0
 camber thrust."""
 
 _WARMING = 0.2
-"""Time constant of a zero that settles as its amplifier warms up, as a share of the
-record."""
+"""Time constant of a zero that settles with its warm amplifier, over the record."""
 
 
 def _as_it_was_read(prior, prepared, rig):
@@ -114,33 +113,30 @@ def _in_proportion(id: str, family: str, formula: str, remedy: str, **given) -> 
 OFFSETS = (
     Effect(
         id="slip_offset", family="measurement", scale=0.2, per=("slip",),
-        change=adds("shift", lambda a, _, rows: a), unit="- of slip",
+        change=adds("shift", lambda a, _, rows: a), unit="- of slip", odds=_offset_odds,
         formula="slip + amplitude", means="the slip is off by a constant",
         remedy="add it to the slip; check the rolling radius, or the zero of heading or"
         " steering", bounds=((-4.0, 4.0),), prior=_seen_between_slips,
-        odds=_offset_odds,
-        forms=free.over("shift", 0.03, "time", free.ONE_WAY, free.rise),
-        looks_like=("force_offset",), told_apart_by="both signs",
+        forms=free.over("shift", 0.03, "time"), looks_like=("force_offset",),
+        told_apart_by="both signs",
     ),
     Effect(
         id="force_offset", family="measurement", scale=25.0, unit="1e-3 mean F_z",
         change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load),
         formula="force + amplitude", means="the force is off by a constant",
-        remedy="subtract it; check the zero of the force sensor",
-        bounds=((-500.0, 500.0),),
-        forms=free.over("force", 0.004, "time", free.ONE_WAY, free.weight),
-        looks_like=("slip_offset",), told_apart_by="loads",
+        remedy="subtract it; check the zero of the force sensor", told_apart_by="loads",
+        bounds=((-500.0, 500.0),), forms=free.over("force", 0.004, "time"),
+        looks_like=("slip_offset",),
     ),
     Effect(
-        id="slip_definition", family="measurement", scale=0.3,
-        change=adds("curvature", lambda a, constants, _: constants[0] * a),
-        formula="slip / (1 - amplitude slip)",
+        id="slip_definition", family="measurement", scale=0.3, bounds=((-6.0, 6.0),),
+        change=adds("curvature", lambda a, constants, _: constants[0] * a), center=1.0,
+        formula="slip / (1 - amplitude slip)", prior=_as_it_was_read, channels=("fx",),
         means="the slip follows another definition than it was read by",
         remedy="read its column by the other one: --column kappa=HEADER or"
         " sigma_x=HEADER", parameter="1: kappa logged as sigma, or the reverse",
-        bounds=((-6.0, 6.0),), center=1.0, prior=_as_it_was_read, odds=_definition_odds,
-        channels=("fx",), variants=((1.0,), (-1.0,)),
-        looks_like=("pressure_asymmetry",), told_apart_by="both signs",
+        odds=_definition_odds, variants=((1.0,), (-1.0,)), told_apart_by="both signs",
+        looks_like=("pressure_asymmetry",),
     ),
     Effect(
         id="wheel_inertia", family="measurement", scale=0.03, per=("inertia",),
@@ -158,12 +154,11 @@ OFFSETS = (
     ),
     Effect(
         id="camber_thrust", family="lateral inputs", change=_camber, scale=0.15,
-        formula="slip angle + amplitude gamma",
-        means="camber adds to the lateral force",
-        remedy="measure without camber, or correct for it",
-        parameter="camber stiffness / cornering stiffness", bounds=((-3.0, 3.0),),
-        needs=("gamma",), channels=("fy", "mz"), variants=choices(2),
-        forms=free.SHIFT_BY_CAMBER, told_apart_by="opposite camber",
+        formula="slip angle + amplitude gamma", bounds=((-3.0, 3.0),), needs=("gamma",),
+        means="camber adds to the lateral force", channels=("fy", "mz"),
+        remedy="measure without camber, or correct for it", variants=choices(2),
+        parameter="camber stiffness / cornering stiffness", forms=free.SHIFT_BY_CAMBER,
+        told_apart_by="opposite camber",
     ),
     _in_proportion(
         "conicity", "lateral inputs", "F_y + amplitude F_z",
@@ -177,25 +172,22 @@ SENSORS = (
     Effect(
         id="slip_zero_drift", family="slip x time", scale=0.3, per=("slip",),
         change=adds("shift", lambda a, which, rows: a * _settled(rows, which)),
-        unit="- of slip per record", formula="slip + amplitude t",
-        means="the zero of the slip moves over the record",
+        unit="- of slip per record", formula="slip + amplitude t", parameter="drift",
+        means="the zero of the slip moves over the record", bounds=((-6.0, 6.0),),
         remedy="zero heading, steering or wheel speed between runs, and cut runs"
-        " shorter", parameter="drift", bounds=((-6.0, 6.0),), odds=seldom,
-        needs=("time",), variants=choices(2),
-        forms=free.over("shift", 0.1, "time", free.ONE_WAY, free.rise),
+        " shorter", odds=seldom, needs=("time",), variants=choices(2),
+        forms=free.over("shift", 0.1, "time"), told_apart_by="both signs",
         looks_like=("force_zero_drift", "stiffness_drift", "friction_drift"),
-        told_apart_by="both signs",
     ),
     Effect(
-        id="force_zero_drift", family="force x time", scale=35.0,
+        id="force_zero_drift", family="force x time", scale=35.0, parameter="drift",
         change=adds("force", _force_drift), unit="1e-3 mean F_z per record",
         formula="force + amplitude t; zero drift of strain gauges, Hoffmann 1989",
-        means="the zero of the force sensor moves over the record",
+        means="the zero of the force sensor moves over the record", odds=seldom,
         remedy="tare between runs; subtract the zeros before and after, shared by time",
-        parameter="drift", bounds=((-700.0, 700.0),), odds=seldom, needs=("time",),
-        variants=choices(2),
-        forms=free.over("force", 0.01, "time", free.ONE_WAY, free.weight),
-        looks_like=("slip_zero_drift", "friction_drift"), told_apart_by="both signs",
+        bounds=((-700.0, 700.0),), needs=("time",), variants=choices(2),
+        forms=free.over("force", 0.01, "time"), told_apart_by="both signs",
+        looks_like=("slip_zero_drift", "friction_drift"),
     ),
     _in_proportion(
         "load_crosstalk", "force x load",
@@ -217,21 +209,20 @@ SENSORS = (
         told_apart_by="loads",
     ),
     Effect(
-        id="force_crosstalk", family="force x force", scale=0.04,
-        change=adds("force", lambda a, _, rows: a * rows.across),
-        formula="force + amplitude (force across); crosstalk of a balance",
-        means="the force across leaks into the force",
+        id="force_crosstalk", family="force x force", scale=0.04, parameter="share",
+        change=adds("force", lambda a, _, rows: a * rows.across), bounds=((-0.8, 0.8),),
+        formula="force + amplitude (force across); crosstalk of a balance", odds=seldom,
+        means="the force across leaks into the force", needs=("other force",),
         remedy="calibrate the balance with pure forces, and check its alignment",
-        parameter="share", bounds=((-0.8, 0.8),), odds=seldom, needs=("other force",),
         looks_like=("combined_slip", "friction_ellipse"), told_apart_by="pure slip",
     ),
     Effect(
-        id="force_hysteresis", family="force x direction", scale=20.0,
+        id="force_hysteresis", family="force x direction", scale=20.0, odds=seldom,
         change=adds("force", _force_hysteresis), unit="1e-3 mean F_z",
         formula="force + amplitude sign(d slip / dt): dry friction in the rig",
         means="the force sensor reads differently on the way up and on the way down",
         remedy="grease or unload the guides of the sensor; take the mean of both ways",
-        bounds=((-400.0, 400.0),), odds=seldom, needs=("sweeps",), variants=choices(2),
+        bounds=((-400.0, 400.0),), needs=("sweeps",), variants=choices(2),
         forms=free.FORCE_BY_DIRECTION, told_apart_by="two ramp rates",
         looks_like=("friction_hysteresis", "channel_delay", "relaxation_length"),
     ),

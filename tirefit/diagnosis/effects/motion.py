@@ -20,11 +20,9 @@ from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.covariates import wheelbase
 from tirefit.diagnosis.rows.rates import AGES, AHEAD, STEPS
 
-_HEIGHT = 0.4
-"""Height of the centre of gravity over the arm of an axle: cars have 0.3 to 0.6."""
-
-_FAR = 6.0
-"""Bounds in standard deviations."""
+_HEIGHT, _FAR = 0.4, 6.0
+"""Height of the centre of gravity over the arm of an axle (cars have 0.3 to 0.6);
+bounds in standard deviations."""
 
 _NO_LENGTH = 1e-12
 """Share of a step that counts as no length: the slope there is one-sided, not zero."""
@@ -33,8 +31,8 @@ _RELAXED, _FILTERED = 2.0, 0.1
 """Longest relaxation of a tire, in radii of its wheel, and delay of a filter [s]."""
 
 _FEW_WAYS = 1e-4
-"""Steps over the length below which the response is the first term of its series: its
-second is a third of this times it, and the closed form loses digits."""
+"""Steps over the length below which the response is the first term of its series: the
+closed form loses digits there."""
 
 
 class _Quantity(NamedTuple):
@@ -130,12 +128,8 @@ def _within_the_past(prior, prepared, rig):
 
 
 def said_of_motion(base, rig) -> tuple[str, ...]:
-    """Sentences about a force that was derived from the motion; none of a measured one.
-
-    Args:
-        base: the base fit (:class:`tirefit.diagnosis.evidence.base.Base`).
-        rig: what is known.
-    """
+    """Sentences about the force of a base fit that was derived from the motion; none
+    for a measured one."""
     rows, derived = base.rows, base.rows.derived
     if derived is None:
         return ()
@@ -166,8 +160,7 @@ def said_of_motion(base, rig) -> tuple[str, ...]:
 
 
 def _found(constants) -> tuple[str, ...]:
-    """What ``tirefit derive`` found in the same logs, beside the effect that it may be
-    named as."""
+    """Findings of ``tirefit derive`` in the same logs, with the effect of each."""
     found = []
     if "alpha_zero" in constants:
         zero = constants["alpha_zero"]
@@ -299,23 +292,21 @@ def _of_a_known_clock(prior, prepared, rig):
 
 EFFECTS = (
     Effect(
-        id="channel_delay", family="measurement", change=_delay, scale=0.15,
-        per=("period",), unit="s", formula="force(t) belongs to slip(t - amplitude)",
-        means="force and slip are shifted in time",
+        id="channel_delay", family="measurement", change=_delay, scale=0.15, unit="s",
+        per=("period",), formula="force(t) belongs to slip(t - amplitude)",
+        means="force and slip are shifted in time", parameter="delay", doubts=_too_late,
         remedy="measure the delay (clock in vehicle.toml) and shift the force by it",
-        parameter="delay", bounds=((-3.0, 3.0), (-3.0, 3.0), (0.0, 3.0)),
-        prior=_of_a_known_clock, doubts=_too_late, needs=("sweeps",),
-        variants=choices(3), forms=SHIFT_BY_DELAY, told_apart_by="speeds",
-        looks_like=("relaxation_length", "friction_hysteresis"),
+        bounds=((-3.0, 3.0), (-3.0, 3.0), (0.0, 3.0)), prior=_of_a_known_clock,
+        needs=("sweeps",), variants=choices(3), forms=SHIFT_BY_DELAY,
+        told_apart_by="speeds", looks_like=("relaxation_length", "friction_hysteresis"),
     ),
     Effect(
-        id="relaxation_length", family="transient", change=_relax, scale=0.15,
-        per=("way",), unit="m", formula="d slip'/dt = v / amplitude (slip - slip')",
-        means="the force lags the slip over a rolling distance",
-        remedy="fit brush-relaxation", parameter="length", bounds=((0.0, 3.0),),
-        doubts=_too_long, needs=("sweeps", "v"), variants=choices(2),
-        forms=SHIFT_BY_LAG, looks_like=("channel_delay", "friction_hysteresis"),
-        told_apart_by="speeds",
+        id="relaxation_length", family="transient", change=_relax, scale=0.15, unit="m",
+        per=("way",), formula="d slip'/dt = v / amplitude (slip - slip')",
+        means="the force lags the slip over a rolling distance", parameter="length",
+        remedy="fit brush-relaxation", bounds=((0.0, 3.0),), doubts=_too_long,
+        needs=("sweeps", "v"), variants=choices(2), forms=SHIFT_BY_LAG,
+        looks_like=("channel_delay", "friction_hysteresis"), told_apart_by="speeds",
     ),
     Effect(
         id="steering_delay", family="slip x steering", change=_steer(_late), scale=0.08,
@@ -323,9 +314,8 @@ EFFECTS = (
         means="the road wheels steer later than was logged: the servo, or its clock",
         remedy="measure the road wheel angle, or shift the steering by the delay",
         parameter="delay", bounds=((-0.15, 0.5),), prior=_within_the_past,
-        needs=("steering", "sweeps"), channels=("fy", "mz"),
+        needs=("steering", "sweeps"), channels=("fy", "mz"), told_apart_by="speeds",
         looks_like=("relaxation_length", "channel_delay", "steering_lag"),
-        told_apart_by="speeds",
     ),
     Effect(
         id="steering_lag", family="slip x steering", scale=0.08, unit="s",
@@ -334,8 +324,7 @@ EFFECTS = (
         means="the road wheels follow the steering slowly: a servo, soft linkage",
         remedy="measure the road wheel angle, or lag the steering by the constant",
         parameter="time constant", bounds=((0.0, 0.5),), needs=("steering", "sweeps"),
-        channels=("fy", "mz"),
+        channels=("fy", "mz"), told_apart_by="speeds",
         looks_like=("steering_delay", "relaxation_length", "channel_delay"),
-        told_apart_by="speeds",
     ),
 )  # fmt: skip

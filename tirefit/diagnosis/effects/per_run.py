@@ -75,9 +75,9 @@ EFFECTS = (
         "slip_offset_run", "slip", "both signs", scale=0.1, per=("slip",),
         change=adds("shift", lambda a, _, rows: a * rows.run_slip), unit="- of slip",
         formula="slip + offset of the run, spread by amplitude: a random effect",
-        means="the zero of the slip differs from run to run",
+        means="the zero of the slip differs from run to run", bounds=((0.0, 4.0),),
         remedy="zero heading, steering or wheel speed before every run; fit the runs"
-        " with an offset each", bounds=((0.0, 4.0),),
+        " with an offset each",
         looks_like=("slip_offset", "slip_zero_drift", "force_offset_run"),
     ),
     _run(
@@ -85,9 +85,8 @@ EFFECTS = (
         change=adds(
             "force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.run_force
         ), formula="force + offset of the run, spread by amplitude: a random effect",
-        means="the zero of the force differs from run to run",
+        means="the zero of the force differs from run to run", bounds=((0.0, 300.0),),
         remedy="tare before every run; fit the runs with an offset each",
-        bounds=((0.0, 300.0),),
         looks_like=("force_offset", "force_zero_drift", "slip_offset_run"),
     ),
     _parameter_of_runs("friction", "mu", 0.12, "friction_step", "stiffness_run"),

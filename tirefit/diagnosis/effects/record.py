@@ -11,8 +11,7 @@ from tirefit.diagnosis.effects.free_forms import Form
 from tirefit.diagnosis.effects.state import Covariates, State
 
 PER_MILLE = 1e-3
-"""Amplitudes of a force are in thousandths of the mean load: one prior for every
-tire."""
+"""Unit of amplitudes of a force over the mean load: one prior for every tire."""
 
 LEAST_FACTOR = 0.05
 """Smallest friction or stiffness over its usual value: a law that falls in a straight
@@ -51,30 +50,28 @@ class Effect:
         family: which parameter varies with which quantity.
         change: (state, amplitude, constants, covariates) -> state; amplitude 0
             changes nothing.
-        scale: prior standard deviation of the amplitude. It is a judgement: twice as
-            wide lowers the log evidence of a certain effect by log 2; 3 decides.
+        scale: prior standard deviation of the amplitude, a judgement: twice as wide
+            lowers the log evidence of a certain effect by log 2.
         per: field of :class:`rows.covariates.Sizes` that is the unit of ``scale``,
             ``center`` and ``bounds``: one for all variants or one for each.
         unit: unit of the amplitude.
         formula, means, remedy: for the report: the law, in words, what to do about it.
         parameter: name of the amplitude.
-        bounds: physical bounds of the amplitude, one pair for all variants or one for
-            each; about 20 scales where physics sets none.
+        bounds: of the amplitude, one pair for all variants or one for each; physical,
+            else about 20 scales.
         center: expected amplitude; not zero for mistakes of a known size.
         prior: (prior, prepared rows, rig) -> prior, where data or rig say more.
         odds: prepared rows -> change of the prior log odds.
         needs: columns or properties of the data without which it cannot be seen.
         channels: forces that it can change; empty is all.
         variants: constants of each formula that is tried; all of one length.
-        which: (constants, covariates (n,), time (n,) [s] or None) -> words for the
-            formula of a variant, with the values that its amplitude depends on.
+        which: (constants, covariates, time [s] or None) -> words for the formula of a
+            variant, with the values that its amplitude depends on.
         doubts: (amplitude, prepared rows) -> why the amplitude is implausible, or "".
         forms: other shapes in which the parameter may vary with the quantity.
-        during: constants -> begin and end of the stretch that a variant changes, as
-            shares of the record about its middle. A variant is not tried if a setting
-            was held for the same stretch.
-        scans_time: the variants are times of a sudden change, whose shape is fitted
-            once one of them is probable.
+        during: constants -> begin and end of the stretch that a variant changes (shares
+            of the record about its middle); not tried if a setting was held for it.
+        scans_time: variants are times of a sudden change, whose shape is fitted later.
         singular: its tangent at zero vanishes; it is always refitted.
         looks_like: ids of effects that it is confused with.
         told_apart_by: the measurement that separates it from them.

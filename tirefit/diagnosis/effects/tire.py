@@ -183,89 +183,85 @@ def _by_condition(
     symbol, range_of_file = SYMBOLS[name], "over the range of the file"
     heat, inflation, work = sizes
 
-    def effect(id, covariate, scale, factor, **others: Any) -> Effect:
-        given: dict[str, Any] = {"change": multiplies(name, factor), "bounds": (SHARE,)}
+    def effect(id, covariate, scale, change, bounds=SHARE, **given: Any) -> Effect:
         return Effect(
-            id=id, family=f"{name} x {covariate}", scale=scale,
-            told_apart_by="random order", **given | others,
+            id=id, family=f"{name} x {covariate}", scale=scale, change=change,
+            bounds=(bounds,), told_apart_by="random order", **given,
         )  # fmt: skip
 
     drift, temperature = f"{name}_drift", f"{name}_temperature"
     return (
         effect(
-            f"load_{name}", "load", scales[0], None, change=partial(_with_load, name),
-            formula=f"{symbol} (F_z / F_z0)^amplitude, S 2.1",
-            means=f"{name} is a power of the load", remedy="fit brush-load",
-            parameter="power", bounds=(_POWERS,), needs=("loads",), which=_which_power,
-            variants=choices(3), forms=by_load, looks_like=(drift, *like_load),
+            f"load_{name}", "load", scales[0], partial(_with_load, name), forms=by_load,
+            formula=f"{symbol} (F_z / F_z0)^amplitude, S 2.1", remedy="fit brush-load",
+            means=f"{name} is a power of the load", parameter="power", needs=("loads",),
+            bounds=_POWERS, which=_which_power, variants=choices(3),
+            looks_like=(drift, *like_load),
         ),
         effect(
             temperature, "temperature", scales[1],
-            lambda a, _, rows: 1 + a * rows.temperature, unit="per 20 K",
-            formula=f"{symbol} (1 + amplitude (T - T0) / 20 K)",
-            means=f"{name} changes with temperature", per=("temperature",),
+            multiplies(name, lambda a, _, rows: 1 + a * rows.temperature),
+            unit="per 20 K", formula=f"{symbol} (1 + amplitude (T - T0) / 20 K)",
+            per=("temperature",), means=f"{name} changes with temperature",
+            needs=("temperature",), looks_like=(drift,),
             remedy=f"fit {fitted} for each range of temperature",
-            needs=("temperature",),
             forms=free.over(name, heat, "temperature", free.BOTH_WAYS),
-            looks_like=(drift,),
         ),
         effect(
-            drift, "time", scales[2], _drift, unit="per record",
-            formula=f"{symbol} (1 + amplitude t)", which=_which_drift,
-            means=f"{name} changes slowly over the record",
-            remedy=f"cut the record into runs and fit {fitted} per run",
-            needs=("time",), variants=_DRIFTS, forms=by_time,
+            drift, "time", scales[2], multiplies(name, _drift), unit="per record",
+            which=_which_drift, formula=f"{symbol} (1 + amplitude t)", needs=("time",),
+            variants=_DRIFTS, means=f"{name} changes slowly over the record",
+            forms=by_time, remedy=f"cut the record into runs and fit {fitted} per run",
             looks_like=(f"load_{name}", temperature, *like_time),
         ),
         effect(
             f"{name}_pressure", "inflation", scales[3],
-            lambda a, _, rows: 1 + a * rows.inflation, unit=range_of_file,
+            multiplies(name, lambda a, _, rows: 1 + a * rows.inflation),
+            unit=range_of_file, means=f"{name} changes with the inflation pressure",
             formula=f"{symbol} (1 + amplitude (p - p0) / range), Besselink 2010",
-            means=f"{name} changes with the inflation pressure",
-            remedy=f"fit {fitted} for each pressure", needs=("pressure",),
-            forms=free.over(name, inflation, "inflation", free.ONE_WAY),
+            needs=("pressure",), remedy=f"fit {fitted} for each pressure",
             looks_like=(drift, temperature),
+            forms=free.over(name, inflation, "inflation"),
         ),
         effect(
-            f"{name}_warming", "work", scales[4], _worked, unit=range_of_file,
+            f"{name}_warming", "work", scales[4], multiplies(name, _worked),
+            unit=range_of_file, odds=seldom, needs=("work", "v"), variants=choices(3),
             formula=f"{symbol} (1 + amplitude W), dW/dt = |F| v_s - W / cooling",
             means=f"{name} follows the work of sliding: the tire warms up or wears",
             remedy="measure the temperature; warm up first and pause between runs",
-            odds=seldom, needs=("work", "v"), variants=choices(3),
             forms=(free.Form(name, work, lambda rows, u: rows.work),),
             looks_like=(drift, temperature),
         ),
     )  # fmt: skip
 
 
-_BY_TIME = free.over("friction", 0.02, "time", free.ONE_WAY)
+_BY_TIME = free.over("friction", 0.02, "time")
 _FRICTION = _by_condition(
     "friction", "mu", (0.12, 0.15, 0.12, 0.12, 0.15), free.FRICTION_BY_LOAD, _BY_TIME,
     (0.03, 0.03, 0.15), ("force_offset",), ("friction_step",),
 )  # fmt: skip
 _STIFFNESS = _by_condition(
     "stiffness", "cpa2", (0.5, 0.2, 0.18, 0.2, 0.2),
-    free.over("stiffness", 0.06, "fz", free.ONE_WAY),
-    free.over("stiffness", 0.04, "time", free.ONE_WAY),
+    free.over("stiffness", 0.06, "fz"),
+    free.over("stiffness", 0.04, "time"),
     (0.06, 0.06, 0.2), (), (),
 )  # fmt: skip
 
 PATCH = (
     Effect(
-        id="pressure_asymmetry", family="pressure",
-        change=lambda state, d, constants, rows: _skewed(state, d), scale=0.24,
-        formula="p = 3/4 (1 - xi^2)(1 + d xi), S(24)",
-        means="the contact pressure is skewed", remedy="fit brush-d", parameter="d",
-        bounds=(_SKEWS,), forms=free.SHAPE_OF_THE_CURVE,
+        id="pressure_asymmetry", family="pressure", scale=0.24, remedy="fit brush-d",
+        change=lambda state, d, constants, rows: _skewed(state, d), parameter="d",
+        formula="p = 3/4 (1 - xi^2)(1 + d xi), S(24)", bounds=(_SKEWS,),
+        means="the contact pressure is skewed", forms=free.SHAPE_OF_THE_CURVE,
         looks_like=("carcass_flexibility", "pressure_flatness", "slip_definition"),
         told_apart_by="mz",
     ),
     Effect(
         id="pressure_flatness", family="pressure", change=_flatness, scale=0.6,
-        formula="p from the parabola towards 5/8 (1 - xi^4), S(25)",
+        formula="p from the parabola towards 5/8 (1 - xi^4), S(25)", parameter="share",
         means="the contact pressure is flatter or sharper than a parabola",
-        remedy="fit quartic or elliptic", parameter="share", bounds=(_FLATNESSES,),
-        forms=free.SHAPE_OF_THE_CURVE, told_apart_by="mz",
+        remedy="fit quartic or elliptic", bounds=(_FLATNESSES,), told_apart_by="mz",
+        forms=free.SHAPE_OF_THE_CURVE,
         looks_like=("pressure_asymmetry", "carcass_flexibility"),
     ),
     Effect(
@@ -273,17 +269,15 @@ PATCH = (
         change=adds("static", lambda a, constants, rows: a), scale=0.25,
         formula="mu_k = mu_s / (1 + amplitude), S(31)",
         means="friction falls once the bristles slide", remedy="fit brush-m",
-        parameter="mu_s / mu_k - 1",
-        bounds=((0.0, 4.0),),  # rubber that slides keeps a fifth of its grip and more
+        parameter="mu_s / mu_k - 1", bounds=((0.0, 4.0),),  # a fifth of the grip stays
         forms=free.SHAPE_OF_THE_CURVE, singular=True, told_apart_by="speeds",
     ),
     Effect(
         id="pressure_shift_load", family="pressure x force", change=_skew_with,
         scale=0.24, means="the contact pressure shifts with force or load",
         formula="d moves by amplitude F / (mu F_z), or with the load, S 4.1",
-        remedy="fit brush-d-force or brush-d-load", parameter="d",
-        bounds=((-2.0, 2.0),),  # of d over the whole range
-        variants=choices(3), forms=free.SKEW_BY_LOAD, told_apart_by="loads",
+        remedy="fit brush-d-force or brush-d-load", parameter="d", variants=choices(3),
+        told_apart_by="loads", bounds=((-2.0, 2.0),), forms=free.SKEW_BY_LOAD,
         looks_like=("pressure_asymmetry",),
     ),
     Effect(
@@ -301,12 +295,11 @@ PATCH = (
 _BY_SPEED = (
     Effect(
         id="friction_speed_linear", family="friction x speed", change=_linear_loss,
-        scale=0.1, per=("sliding", "sliding", "rolling"), unit="s/m",
-        formula="mu_k = mu (1 - amplitude v_s), S(35)",
-        means="friction changes in proportion to the speed",
+        scale=0.1, per=("sliding", "sliding", "rolling"), unit="s/m", needs=("v",),
+        formula="mu_k = mu (1 - amplitude v_s), S(35)", parameter="n / mu",
+        means="friction changes in proportion to the speed", bounds=((-2.0, 2.0),),
         remedy="fit brush-n; where all friction changes, mu for each speed",
-        parameter="n / mu", bounds=((-2.0, 2.0),), needs=("v",), variants=choices(3),
-        which=_which_speed, forms=free.FRICTION_BY_SPEED,
+        variants=choices(3), which=_which_speed, forms=free.FRICTION_BY_SPEED,
         looks_like=("friction_speed_exponential",), told_apart_by="speeds",
     ),
     Effect(
@@ -323,46 +316,41 @@ _BY_SPEED = (
 )  # fmt: skip
 _BY_STATE = (
     Effect(
-        id="friction_step", family="friction x time", scale=0.15,
-        change=multiplies("friction", _step),
-        formula="mu changes by amplitude at one time, or between two",
-        means="friction changes at one time, or for a stretch",
-        remedy="cut the record there and fit mu per run", bounds=(SHARE,),
-        needs=("time",),
+        id="friction_step", family="friction x time", scale=0.15, bounds=(SHARE,),
+        change=multiplies("friction", _step), needs=("time",), forms=_BY_TIME,
+        formula="mu changes by amplitude at one time, or between two", scans_time=True,
+        means="friction changes at one time, or for a stretch", which=_which_step,
+        remedy="cut the record there and fit mu per run", told_apart_by="random order",
         variants=(
             *((at, _NO_END, 0.0) for at in STEPS),
             *((*stretch, 0.0) for stretch in _STRETCHES),
             (0.0, _NO_END, 1.0),
-        ), forms=_BY_TIME, which=_which_step, scans_time=True,
-        during=lambda constants: (constants[0], constants[1]),
-        looks_like=("friction_drift",), told_apart_by="random order",
+        ), during=lambda constants: (constants[0], constants[1]),
+        looks_like=("friction_drift",),
     ),
     Effect(
-        id="friction_hysteresis", family="friction x direction",
+        id="friction_hysteresis", family="friction x direction", scale=0.06,
         change=multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.turning),
         formula="mu differs by amplitude between growing and shrinking slip",
-        means="friction differs between growing and shrinking slip", scale=0.06,
+        means="friction differs between growing and shrinking slip", needs=("sweeps",),
         remedy="fit the two parts as runs of their own", bounds=((-1.2, 1.2),),
-        needs=("sweeps",), forms=free.FRICTION_BY_DIRECTION,
-        told_apart_by="two ramp rates",
+        forms=free.FRICTION_BY_DIRECTION, told_apart_by="two ramp rates",
         looks_like=("channel_delay", "relaxation_length"),
     ),
     Effect(
-        id="drive_brake_asymmetry", family="friction x sign",
+        id="drive_brake_asymmetry", family="friction x sign", scale=0.12,
         change=multiplies("friction", lambda a, _, rows: 1 + 0.5 * a * rows.side),
-        scale=0.12, formula="mu differs by amplitude between the two signs of slip",
-        means="friction differs between the two signs of slip",
-        remedy="fit the two parts as runs of their own", bounds=(SHARE,),
-        needs=("signs",), forms=free.BY_SIDE, looks_like=("force_offset",),
-        told_apart_by="loads",
+        formula="mu differs by amplitude between the two signs of slip",
+        means="friction differs between the two signs of slip", bounds=(SHARE,),
+        remedy="fit the two parts as runs of their own", needs=("signs",),
+        forms=free.BY_SIDE, looks_like=("force_offset",), told_apart_by="loads",
     ),
     Effect(
-        id="combined_slip", family="inputs", change=_other, scale=0.15,
-        formula="the other slip shares the friction",
-        means="the other slip uses a part of the friction",
+        id="combined_slip", family="inputs", change=_other, scale=0.15, center=1.0,
+        formula="the other slip shares the friction", parameter="share", singular=True,
+        means="the other slip uses a part of the friction", bounds=((-3.0, 3.0),),
         remedy="fit brush-anisotropic or magic-formula-combined to both slips",
-        parameter="share", bounds=((-3.0, 3.0),), center=1.0, needs=("other slip",),
-        variants=choices(2), forms=free.BY_OTHER_SLIP, singular=True,
+        needs=("other slip",), variants=choices(2), forms=free.BY_OTHER_SLIP,
         told_apart_by="pure slip",
     ),
 )  # fmt: skip
@@ -375,14 +363,13 @@ CONDITIONS = (
 WARMTH = (
     _FRICTION[3], _STIFFNESS[3], _FRICTION[4], _STIFFNESS[4],
     Effect(
-        id="stiffness_speed", family="stiffness x speed", scale=0.12,
+        id="stiffness_speed", family="stiffness x speed", scale=0.12, parameter="power",
         change=multiplies(
             "stiffness", lambda a, _, rows: (rows.pace / rows.cruise) ** a
-        ), formula="c_p a^2 (v / v0)^amplitude",
-        means="stiffness is a power of the speed: rubber and belt stiffen",
-        remedy="fit cpa2 for each speed", parameter="power", bounds=((-1.5, 1.5),),
-        odds=seldom, needs=("speeds",),
-        forms=free.over("stiffness", 0.05, "v", free.ONE_WAY),
-        looks_like=("relaxation_length", "stiffness_drift"), told_apart_by="speeds",
+        ), formula="c_p a^2 (v / v0)^amplitude", remedy="fit cpa2 for each speed",
+        means="stiffness is a power of the speed: rubber and belt stiffen", odds=seldom,
+        bounds=((-1.5, 1.5),), needs=("speeds",), told_apart_by="speeds",
+        forms=free.over("stiffness", 0.05, "v"),
+        looks_like=("relaxation_length", "stiffness_drift"),
     ),
 )  # fmt: skip

@@ -27,12 +27,9 @@ _ALL_BUT, _DOUBLED = 0.95, -3.0
 """Largest share of the friction that a force across takes, and the largest that it
 adds: the friction is doubled."""
 
-_ALIKE = 0.9
-"""Correlation of speed and slip above which their effects are hardly separable."""
-
-_ONE_LOAD = 0.1
-"""Standard deviation of log F_z below which a zero that follows the load is hardly
-separable from a constant one."""
+_ALIKE, _ONE_LOAD = 0.9, 0.1
+"""Correlation of speed and slip above which, and standard deviation of log F_z below
+which, an effect of the speed or the load is hardly separable from a constant one."""
 
 _DIRECTIONS = tuple(np.radians([0.0, 45.0, 90.0, 135.0]))
 """Directions of a slope over the floor; the other half is the other sign."""
@@ -103,7 +100,7 @@ def _of_the_axle(id: str, factor, **given) -> Effect:
     return Effect(
         id=id, family="friction x lateral acceleration", change=change, odds=seldom,
         needs=("a_y",), channels=("fy", "mz"), variants=_OF_BOTH,
-        forms=free.over("friction", 0.02, "lean", free.ONE_WAY), **given,
+        forms=free.over("friction", 0.02, "lean"), **given,
     )  # fmt: skip
 
 
@@ -118,19 +115,17 @@ SPEEDS = (
         means="the zero of the slip moves with load",
         remedy="take the rolling radius (steering zero) as a function of load",
         bounds=((-4.0, 4.0),), odds=_one_load, needs=("loads",),
-        variants=((1.0,), (0.0,)),
-        forms=free.over("shift", 0.1, "fz", free.ONE_WAY, free.rise),
+        variants=((1.0,), (0.0,)), forms=free.over("shift", 0.1, "fz"),
         looks_like=("load_crosstalk", "conicity", "load_stiffness"),
         told_apart_by="both signs",
     ),
     Effect(
         id="slip_offset_speed", family="slip x speed", scale=0.3, per=("growth",),
-        change=adds("shift", _slip_speed), unit="s/m",
+        change=adds("shift", _slip_speed), unit="s/m", bounds=((-6.0, 6.0),),
         formula="slip + amplitude v: a tire that grows with its speed",
-        means="the zero of the slip moves with speed",
+        means="the zero of the slip moves with speed", odds=_one_speed_of_the_slip,
         remedy="take the rolling radius as a function of speed; laterally check what"
-        " turns the wheel or the zero of the heading with speed", bounds=((-6.0, 6.0),),
-        odds=_one_speed_of_the_slip, needs=("speeds",),
+        " turns the wheel or the zero of the heading with speed", needs=("speeds",),
         variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 1.0), (0.0, 1.0, 1.0)),
         forms=free.SHIFT_BY_SPEED, looks_like=("speed_zero", "speed_drag"),
         told_apart_by="both signs",
@@ -138,32 +133,29 @@ SPEEDS = (
     Effect(
         id="speed_zero", family="slip x speed", scale=0.3, per=("inverse_speed",),
         change=adds("shift", lambda a, _, rows: a / rows.pace), unit="m/s",
-        formula="slip + amplitude / v",
+        formula="slip + amplitude / v", parameter="zero", bounds=((-6.0, 6.0),),
         means="a speed is off by a constant, so the slip is off at low speed",
         remedy="check the zeros of the speed sensors at rest (ahead, across, of the"
-        " wheel)", parameter="zero", bounds=((-6.0, 6.0),), odds=_one_speed_of_the_slip,
-        needs=("speeds",), forms=free.SHIFT_BY_SPEED,
-        looks_like=("slip_offset_speed", "speed_drag"), told_apart_by="both signs",
+        " wheel)", odds=_one_speed_of_the_slip, needs=("speeds",),
+        forms=free.SHIFT_BY_SPEED, looks_like=("slip_offset_speed", "speed_drag"),
+        told_apart_by="both signs",
     ),
     Effect(
         id="speed_drag", family="force x speed", change=adds("force", _drag),
-        scale=25.0, unit="1e-3 mean F_z",
-        formula="force + amplitude v / v0, or amplitude (v / v0)^2",
+        scale=25.0, unit="1e-3 mean F_z", bounds=((-500.0, 500.0),), needs=("speeds",),
+        formula="force + amplitude v / v0, or amplitude (v / v0)^2", channels=("fx",),
         means="the tire force contains a force that follows the speed: drag, bearings",
-        remedy="coast down and subtract the force measured then",
-        bounds=((-500.0, 500.0),), odds=_one_speed_of_the_slip, needs=("speeds",),
-        channels=("fx",), variants=choices(2),
-        forms=free.over("force", 0.01, "v", free.ONE_WAY, free.weight),
+        remedy="coast down and subtract the force measured then", variants=choices(2),
+        odds=_one_speed_of_the_slip, forms=free.over("force", 0.01, "v"),
         looks_like=("slip_offset_speed", "speed_zero"), told_apart_by="both signs",
     ),
     Effect(
         id="friction_ellipse", family="friction x force", change=_ellipse, scale=0.3,
         formula="mu, or the whole force, times sqrt(1 - amplitude (F_across / (mu"
-        " F_z))^2)",
+        " F_z))^2)", parameter="share", bounds=((0.0, 6.0),), center=1.0,
         means="the force across (drive, brake, cornering) uses a part of the friction",
         remedy="fit a combined model to both forces, or exclude rows with force across",
-        parameter="share", bounds=((0.0, 6.0),), center=1.0, prior=of_a_known_force,
-        needs=("other force",), variants=((0.0,), (1.0,)),
+        prior=of_a_known_force, needs=("other force",), variants=((0.0,), (1.0,)),
         forms=(
             *free.over("friction", 0.03, "across", free.BOTH_WAYS),
             *free.over("stiffness", 0.03, "across", free.BOTH_WAYS),
@@ -171,23 +163,22 @@ SPEEDS = (
     ),
     Effect(
         id="tracked_point", family="slip x yaw", scale=0.3, per=("lever",), unit="m",
-        change=adds("shift", lambda a, _, rows: a * rows.yaw),
-        formula="slip angle + amplitude (yaw rate) / v",
+        change=adds("shift", lambda a, _, rows: a * rows.yaw), parameter="distance",
+        formula="slip angle + amplitude (yaw rate) / v", bounds=((-6.0, 6.0),),
         means="the slip angle is that of another point than the axle",
         remedy="measure tracked_point of vehicle.toml: it is off by the amplitude along"
-        " the vehicle", parameter="distance", bounds=((-6.0, 6.0),),
-        prior=of_a_known_position, needs=("yaw_rate", "v"), channels=("fy", "mz"),
-        told_apart_by="speeds", looks_like=("slip_offset", "carcass_flexibility"),
+        " the vehicle", prior=of_a_known_position, needs=("yaw_rate", "v"),
+        channels=("fy", "mz"), told_apart_by="speeds",
+        looks_like=("slip_offset", "carcass_flexibility"),
     ),
     Effect(
         id="load_transfer", family="friction x acceleration", scale=0.15,
         change=multiplies("friction", lambda a, _, rows: 1 + a * rows.ahead / rows.fz),
-        unit="over the range of the file",
+        unit="over the range of the file", remedy="add m h a_x / wheelbase to fz",
         formula="F_z + amplitude (geometric mean F_z) a_x: m h a_x / wheelbase",
         means="the load moves between the axles with the acceleration, and fz does not",
-        remedy="add m h a_x / wheelbase to fz", parameter="share", bounds=(SHARE,),
-        prior=of_a_known_height, needs=("a_x",),
-        forms=free.over("friction", 0.03, "ahead", free.ONE_WAY), told_apart_by="loads",
+        parameter="share", bounds=(SHARE,), prior=of_a_known_height, needs=("a_x",),
+        forms=free.over("friction", 0.03, "ahead"), told_apart_by="loads",
         looks_like=("drive_brake_asymmetry", "friction_ellipse"),
     ),
 )  # fmt: skip
@@ -197,21 +188,19 @@ CHASSIS = (
         id="yaw_inertia", family="force x yaw acceleration", scale=0.03, per=("swing",),
         unit="kg m", change=adds("force", lambda a, _, rows: a * rows.swing),
         formula="F_y + amplitude r', r' the yaw acceleration; Milliken 1995, 5.3",
-        means="the yaw inertia over the wheelbase is wrong, or the position of the"
-        " centre of gravity along the vehicle is",
+        means="the yaw inertia over the wheelbase or the position of the centre of"
+        " gravity is wrong", bounds=((-0.6, 0.6),), prior=of_a_known_inertia,
         remedy="measure yaw_inertia of vehicle.toml: swing the vehicle on a pendulum",
-        parameter="error of inertia / wheelbase", bounds=((-0.6, 0.6),),
-        prior=of_a_known_inertia, needs=("yaw_acceleration", "derived force"),
-        channels=("fy",), told_apart_by="two ramp rates",
+        parameter="error of inertia / wheelbase", channels=("fy",),
+        needs=("yaw_acceleration", "derived force"), told_apart_by="two ramp rates",
         looks_like=("channel_delay", "relaxation_length", "tracked_point"),
     ),
     Effect(
         id="floor_slope", family="force x heading", change=adds("force", _slope),
-        scale=0.01,
+        scale=0.01, parameter="slope", bounds=((-0.1, 0.1),), odds=seldom,
         formula="F_y + amplitude F_z cos(heading - direction): m g sin(slope)",
         means="the floor or road is not level: the weight pulls the vehicle one way",
         remedy="level the floor, or drive each test both ways and take the mean",
-        parameter="slope", bounds=((-0.1, 0.1),), odds=seldom,
         needs=("heading", "derived force"), channels=("fy",),
         variants=tuple((float(np.cos(d)), float(np.sin(d))) for d in _DIRECTIONS),
         forms=(free.Form("force", 0.005, _round_the_floor),),
@@ -219,41 +208,38 @@ CHASSIS = (
     ),
     Effect(
         id="toe", family="slip x lateral acceleration", scale=0.01, unit="rad / g",
-        change=adds("shift", lambda a, _, rows: a * rows.lean),
+        change=adds("shift", lambda a, _, rows: a * rows.lean), parameter="steer",
         formula="slip angle + amplitude a_y / g; roll steer, Gillespie 1992, 6",
         means="the wheels steer as the axle rolls: toe of the outer wheel, roll steer,"
-        " soft mounts",
+        " soft mounts", bounds=((-0.06, 0.06),), odds=seldom, needs=("a_y",),
         remedy="measure toe against roll and side force on the axle and correct for it",
-        parameter="steer", bounds=((-0.06, 0.06),), odds=seldom, needs=("a_y",),
         channels=("fy", "mz"), told_apart_by="loads",
         looks_like=("carcass_flexibility", "stiffness_speed", "tracked_point"),
     ),
     _of_the_axle(
         "lateral_load_transfer", lambda a, lean: 1 - a * lean**2, scale=0.15,
-        unit="1 / g^2",
+        unit="1 / g^2", parameter="loss", bounds=((0.0, 0.9),), told_apart_by="loads",
         formula="1 - amplitude (a_y / g)^2 on friction or stiffness; Milliken 1995, 7",
         means="the wheels of the axle share the load unevenly, which costs grip",
         remedy="give the load of each wheel, or fit a model whose friction falls with"
-        " load", parameter="loss", bounds=((0.0, 0.9),), told_apart_by="loads",
+        " load",
         looks_like=("pressure_flatness", "load_friction", "friction_speed_linear"),
     ),
     _of_the_axle(
         "unlike_tires", lambda a, lean: 1 + a * lean, scale=0.1, unit="1 / g",
-        formula="1 + amplitude a_y / g on friction or stiffness",
+        formula="1 + amplitude a_y / g on friction or stiffness", bounds=((-0.6, 0.6),),
         means="the two tires of the axle differ, and the one with more load dominates",
         remedy="swap the tires of the axle, and measure again", parameter="difference",
-        bounds=((-0.6, 0.6),), told_apart_by="both signs",
-        looks_like=("drive_brake_asymmetry", "slip_offset"),
+        told_apart_by="both signs", looks_like=("drive_brake_asymmetry", "slip_offset"),
     ),
     Effect(
-        id="steering_gain", family="slip x steering", scale=0.1,
-        change=adds("shift", lambda a, _, rows: a * rows.steering),
-        formula="slip angle + amplitude (road wheel angle)",
+        id="steering_gain", family="slip x steering", scale=0.1, bounds=((-0.6, 0.6),),
+        change=adds("shift", lambda a, _, rows: a * rows.steering), odds=seldom,
+        formula="slip angle + amplitude (road wheel angle)", needs=("steering",),
         means="the steering ratio is wrong, or the steering yields under load",
         remedy="measure the road wheel angle over the command with the wheels loaded",
-        parameter="error of the ratio", bounds=((-0.6, 0.6),), odds=seldom,
-        needs=("steering",), channels=("fy", "mz"), told_apart_by="speeds",
-        forms=free.over("shift", 0.1, "steering", free.ONE_WAY, free.rise),
+        parameter="error of the ratio", channels=("fy", "mz"), told_apart_by="speeds",
+        forms=free.over("shift", 0.1, "steering"),
         looks_like=("tracked_point", "toe", "slip_offset"),
     ),
 )  # fmt: skip
