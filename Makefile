@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: install demo test statistics notebooks bench withheld withheld-full measured friction-benchmark fuzz braking posterior-peers lint types clean
+.PHONY: install demo test statistics notebooks bench withheld withheld-full measured ablate calibration friction-benchmark fuzz braking posterior-peers lint types clean
 
 install: $(STAMP)
 
@@ -46,6 +46,21 @@ withheld withheld-full: install
 	$(BIN)/python -m fits.withheld.forest --out out/forest.npz
 	$(BIN)/python -m fits.withheld.baselines out/$@ --forest out/forest.npz --jobs 2
 	$(BIN)/python -m fits.withheld.score out/$@ --bound 60
+
+# What each stage and rule of the diagnosis buys: chosen on the first seed, judged on the
+# second; see fits/withheld.
+ablate: RECORDS = out/ablate/records
+ablate: install
+	for seed in 421 422; do \
+	  test -f out/ablate/$$seed/labels.json || \
+	  $(BIN)/python -m fits.withheld.generate --seed $$seed --trials 480 --rows 200,900 --out out/ablate/$$seed \
+	  || exit 1; done
+	$(BIN)/python -m fits.ablation.collect out/ablate/421 out/ablate/422 --measured --out $(RECORDS) --jobs 2
+	$(BIN)/python -m fits.ablation $(RECORDS)/421 $(RECORDS)/422 --measured $(RECORDS)/measured --out out/ablate/table.md
+
+# The learned numbers of the diagnosis, from these records; see fits/calibration.
+calibration: ablate
+	$(BIN)/python -m fits.calibration out/ablate/records/421 out/ablate/records/422
 
 # What diagnose says of changes that somebody made, in measured data; see
 # fits/measured_changes.

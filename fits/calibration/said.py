@@ -1,48 +1,35 @@
 """How often verdicts are right, by status and by how sure they were."""
 
-import json
 from collections import defaultdict
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.optimize import minimize
 
-from fits.withheld.effects import NOISE_EFFECTS
-from fits.withheld.judge import judge
+__all__ = ["as_said", "checked", "lines_of"]
 
-__all__ = ["lines_of", "verdicts_of"]
-
-FARTHEST = 0.005  # of a probability from zero or one
+FARTHEST = 7.0  # log odds beyond which more say no more, as in decide/calibration.py
 RIDGE = 2.0  # 1 / variance of offset and slope about 0 and 1
 
-
-def verdicts_of(folder: Path) -> list[tuple[str, float, bool]]:
-    """(status, probability, right) of each answered trial; "noise" is the status of a
-    verdict that names effects on the noise alone."""
-    found = []
-    for name, label in json.loads((folder / "labels.json").read_text()).items():
-        path = folder / "answers" / Path(label["file"]).with_suffix(".json")
-        if label["set"] == "raw" or not path.exists():
-            continue
-        answer = json.loads(path.read_text())
-        verdict, outcome = answer["verdict"], judge(name, label, answer)
-        on_noise = verdict["effects"] and set(verdict["effects"]) <= set(NOISE_EFFECTS)
-        status = "noise" if on_noise else verdict["status"]
-        found.append((status, verdict["probability"], outcome.right))
-    return found
+Said = tuple[str, float, bool]
+"""Status, probability, right: of one verdict."""
 
 
-def lines_of(verdicts) -> dict[str, list[float]]:
+def _log_odds(probability) -> np.ndarray:
+    p = np.clip(probability, 1e-12, 1 - 1e-12)
+    return np.clip(np.log(p / (1 - p)), -FARTHEST, FARTHEST)
+
+
+def lines_of(verdicts: Sequence[Said]) -> dict[str, list[float]]:
     """Offset and slope, by status, of the log odds of being right over the log odds
     that were said, by logistic regression, drawn towards 0 and 1."""
     each = defaultdict(list)
     for status, said, right in verdicts:
-        each[status].append((said, right))
+        each[str(status)].append((said, right))
     lines = {}
     for status, cases in sorted(each.items()):
         said, right = np.array(cases, float).T
-        p = np.clip(said, FARTHEST, 1 - FARTHEST)
-        odds = np.log(p / (1 - p))
+        odds = _log_odds(said)
 
         def loss(line, odds=odds, right=right):
             t = line[0] + line[1] * odds
@@ -51,3 +38,37 @@ def lines_of(verdicts) -> dict[str, list[float]]:
 
         lines[status] = [round(float(v), 4) for v in minimize(loss, [0.0, 1.0]).x]
     return lines
+
+
+def as_said(lines: Mapping, status: str, probability: float) -> float:
+    """Share of verdicts of this status and probability that are right."""
+    offset, slope = lines.get(status, (0.0, 1.0))
+    return float(1 / (1 + np.exp(-offset - slope * _log_odds(probability))))
+
+
+def checked(verdicts: Sequence[Said], halves: Sequence[int]) -> dict[str, float]:
+    """Brier score and calibration error of what was said, and of what the other half of
+    the verdicts teaches to say; ``halves``: 0 or 1 for each."""
+    right = np.array([right for *_, right in verdicts], float)
+    before = np.array([said for _, said, _ in verdicts])
+    lines = [
+        lines_of([v for v, half in zip(verdicts, halves, strict=True) if half != own])
+        for own in (0, 1)
+    ]
+    after = np.array([
+        as_said(lines[half], status, said)
+        for (status, said, _), half in zip(verdicts, halves, strict=True)
+    ])  # fmt: skip
+    return {
+        "verdicts": len(verdicts),
+        "Brier score before": float(np.mean((before - right) ** 2)),
+        "Brier score": float(np.mean((after - right) ** 2)),
+        "calibration error before": _calibration_error(before, right),
+        "calibration error": _calibration_error(after, right),
+    }
+
+
+def _calibration_error(said, right) -> float:
+    """Mean distance of said and observed share over tenths of the probability."""
+    place = np.minimum((said * 10).astype(int), 9)
+    return float(np.abs(np.bincount(place, said - right)).sum() / len(said))

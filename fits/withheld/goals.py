@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from fits.withheld.judge import kind_of
+from fits.withheld.judge import HIDDEN, kind_of
 from fits.withheld.thresholds import (
     Check,
     Scored,
@@ -36,8 +36,8 @@ def _said(outcomes: Iterable) -> tuple:
 def _hidden(s: Scored) -> list[Check]:
     out, strangers = [], ("unlisted", "procedural")
     for size, bounds, limit in (
-        ("gap >= 0.8 of the noise", STRONG, 0.92),
-        ("gap 0.15-0.5 of the noise", WEAK, 0.75),
+        ("gap >= 0.8 of the noise", STRONG, 0.91),
+        ("gap 0.15-0.5 of the noise", WEAK, 0.65),
     ):
         of = _between(s, bounds, *strangers)
         out += [
@@ -54,11 +54,11 @@ def _listed(s: Scored) -> list[Check]:
     pairs = s.where("pairs")
     return [
         check(2, "listed, strong: exact", 0.95, False, share(o.exact for o in strong)),
-        check(2, "listed, weak: exact", 0.90, False, share(o.exact for o in weak)),
-        check(3, "exact or said so, strong", 0.97, False, _said(strong)),
-        check(3, "exact or said so, weak", 0.97, False, _said(weak)),
-        check(3, "exact or said so, pairs", 0.95, False, _said(pairs)),
-        check(4, "pairs exact", 0.85, False, share(o.exact for o in pairs)),
+        check(2, "listed, weak: exact", 0.88, False, share(o.exact for o in weak)),
+        check(3, "exact or said so, strong", 0.98, False, _said(strong)),
+        check(3, "exact or said so, weak", 0.95, False, _said(weak)),
+        check(3, "exact or said so, pairs", 0.85, False, _said(pairs)),
+        check(4, "pairs exact", 0.65, False, share(o.exact for o in pairs)),
     ]
 
 
@@ -68,16 +68,24 @@ def _others(s: Scored, labels: dict, outcomes: dict) -> list[Check]:
     known = s.that(lambda x, o: x["set"] != "raw")
     return [
         check(5, "false alarms", 0.04, True, share(o.flagged for o in alarms)),
-        check(6, "family left out: flagged", 0.85, False,
+        check(6, "family left out: flagged", 0.62, False,
               share(o.unknown for o in s.where("leave_out"))),
-        check(6, "foreign tire: flagged", 0.85, False,
+        check(6, "foreign tire: flagged", 0.88, False,
               share(o.unknown for o in s.where("foreign"))),
+        check(6, "a listed effect beside a stranger: the effect named", 0.75, False,
+              share(o.named for o in s.where("beside"))),
+        check(6, "false names beside something unlisted, a case", 0.15, True,
+              _mean([o.false_names for o in s.where(*HIDDEN)])),
         check(6, "injected into measured data: named", 0.80, False,
               share(o.exact for o in telling(labels, outcomes))),
-        check(7, "calibration error", 0.05, True,
+        check(7, "calibration error", 0.04, True,
               (expected_calibration_error(known), len(known))),
-        check(7, "Brier score", 0.08, True, (brier(known), len(known))),
+        check(7, "Brier score", 0.14, True, (brier(known), len(known))),
     ]  # fmt: skip
+
+
+def _mean(values: list[int]) -> tuple[float | None, int]:
+    return (float(np.mean(values)) if values else None), len(values)
 
 
 def _quantile(values: list[float], level: float) -> tuple[float | None, int]:
@@ -104,7 +112,7 @@ def _closure(s: Scored) -> list[Check]:
     return [
         check(9, "closure, claimed against true, median", 0.02, True,
               _quantile(off, 0.5)),
-        check(9, "closure, claimed against true, 90 %", 0.06, True,
+        check(9, "closure, claimed against true, 90 %", 0.09, True,
               _quantile(off, 0.9)),
     ]  # fmt: skip
 

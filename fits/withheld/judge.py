@@ -39,6 +39,9 @@ class Outcome(NamedTuple):
     status: str
     effects: tuple[str, ...]
     also: tuple[str, ...]
+    named: bool = False  # every effect that is there
+    false_names: int = 0  # effects named that are not there
+    unlisted: float | None = None  # said probability of something that is not listed
     claimed: float | None = None
     claimed_ci: tuple | None = None
     closed: float | None = None
@@ -77,14 +80,9 @@ def answer_of(result: dict) -> Answer:
     ]
     names = {c["effects"][0]: c["family"] for c in candidates if len(c["effects"]) == 1}
     return Answer(
-        verdict["status"], effects, mean, tuple(_ids(verdict["also_possible"])),
+        verdict["status"], effects, mean, tuple(verdict["also_possible"]),
         float(verdict["probability"] or 0.0), ranked, names,
     )  # fmt: skip
-
-
-def _ids(alternatives) -> list[str]:
-    """Ids of the alternatives, each an id or a list of ids."""
-    return [e for a in alternatives for e in ([a] if isinstance(a, str) else a)]
 
 
 def _credible(ranked, level=0.9) -> list:
@@ -139,7 +137,10 @@ def judge(name: str, label: dict, result: dict) -> Outcome:
         sure_wrong=named and a.probability > SURE and not right,
         probability=a.probability, family_probability=_family_probability(a),
         covered=truth in credible, set_size=len(credible), status=a.status,
-        effects=a.effects, also=a.also, **_gap(result), **_simulator(label, result),
+        effects=a.effects, also=a.also, named=bool(truth) and truth <= a.mean,
+        false_names=len(a.mean - truth),
+        unlisted=result["verdict"].get("left", {}).get("unlisted"),
+        **_gap(result), **_simulator(label, result),
     )  # fmt: skip
 
 

@@ -116,6 +116,7 @@ def summary(labels: dict, outcomes: dict[str, Outcome]) -> dict:
         "beside a listed one: said, and only it named": share(
             o.right for o in of("beside")
         ),
+        "beside, the listed one named": share(o.named for o in of("beside")),
         "beside, named at > .9": share(o.sure_wrong for o in of("beside")),
         "injected, named": share(o.exact for o in telling(labels, outcomes)),
         "confident and wrong, listed": share(o.sure_wrong for o in [*singles, *pairs]),

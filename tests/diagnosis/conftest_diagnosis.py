@@ -6,6 +6,8 @@ from scipy.integrate import solve_ivp
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.engine import diagnose
+from tirefit.diagnosis.evidence.posterior import Weighed
+from tirefit.diagnosis.evidence.search import Hypothesis
 from tirefit.diagnosis.rows.patterns import Over, Patterns
 from tirefit.diagnosis.rows.rig import Rig
 
@@ -28,6 +30,38 @@ def patterns_of(columns):
         np.full(count, -np.log(max(count, 1))), {"force": 0},
     )  # fmt: skip
     return Patterns(np.ones((1, rows, 1)), [over])
+
+
+def bare(key=(), **known):
+    """A refitted set of effects of which no more is known than that."""
+    none = np.zeros(0)
+    blank = {"atoms": (), "effects": key, "log_evidence": 0.0, "log_prior": 0.0}
+    blank |= {"z": none, "amplitude": none, "covariance": np.zeros((0, 0))}
+    return Hypothesis(**blank | {"chi2": 0.0} | known)
+
+
+def refitted(base, *effects):
+    """A set of effects, refitted from one prior scale of each."""
+    names = [atom.effect.id for atom in base.atoms]
+    atoms = tuple(sorted(names.index(effect) for effect in effects))
+    refit = base.refit([(base.z, np.ones(len(atoms)))], [atoms])
+    p, size = len(refit.z[0]), len(atoms)
+    return bare(
+        tuple(names[k] for k in atoms), atoms=atoms, z=refit.z[0],
+        amplitude=refit.amplitude[0][:size],
+        covariance=refit.covariance[0][: p + size, : p + size],
+    )  # fmt: skip
+
+
+def weighed_of(alone, beside=None, **known):
+    """A posterior by hand: probabilities of sets, and of sets beside a discrepancy."""
+    log, more = (
+        {key: float(np.log(p)) for key, p in of.items()} for of in (alone, beside or {})
+    )
+    given = {"best_of": {key: bare(key) for key in log}, "log_weight": log}
+    given |= {"log_beside": more, "evidence": {key: 9.0 * len(key) for key in log}}
+    given |= {"other_form": frozenset(), "gains": {}, "log_total": 0.0, "hidden": 0.0}
+    return Weighed(**given | known)
 
 
 def record(change=None, seed=0, rows=40):

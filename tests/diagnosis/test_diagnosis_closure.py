@@ -4,18 +4,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest_diagnosis import patterns_of
+from conftest_diagnosis import patterns_of, weighed_of
 from scipy.special import softmax
 from scipy.stats import multivariate_normal
-from tirefit.diagnosis.decide.case import Case
 
-from tirefit.diagnosis.decide.one_place import typical_of_neighbours
-from tirefit.diagnosis.decide.verdict import Verdict, Weighed
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.forward import Design, Linear
 from tirefit.diagnosis.evidence.search import Hypothesis
 from tirefit.diagnosis.rows.basis import Generic, bumps, orthogonal, without
 from tirefit.diagnosis.summary import closure
+from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.closure import (
     closure_elsewhere,
     closure_on_rows,
@@ -107,12 +105,8 @@ class Straight(Base):
     def case(self):
         """All that is known: the effect is there and nothing else."""
         key, case = ("one",), object.__new__(Case)
-        weighed = Weighed(
-            {key: 1.0}, {key: self.fitted()}, 0.0, {}, frozenset(), {key: 9.0},
-            {key: 0.0}, {}, 0.0, {},
-        )  # fmt: skip
-        verdict = Verdict("named", key, 1.0, (), 0.0, self.fitted())
-        case.__dict__.update(base=self, weighed=weighed, verdict=verdict)
+        weighed = weighed_of({key: 1.0}, best_of={key: self.fitted()})
+        case.__dict__.update(base=self, weighed=weighed)
         return case
 
 
@@ -220,13 +214,3 @@ def test_closure_elsewhere_holds_the_truth_nine_times_in_ten():
         assert found.closed < 1
     assert 0.83 <= np.mean(held) <= 0.97
     assert abs(np.mean(off)) < 0.05
-
-
-def test_a_row_that_is_off_alone_is_not_typical_of_its_neighbours():
-    missed = np.zeros(20)
-    missed[[0, 4]] = 50.0  # alone, at the end of a group too
-    missed[10:14] = 9.0
-    groups = [np.arange(16), np.arange(16, 20)]
-    missed[16:] = 9.0  # too few to tell
-    expected = np.where((np.arange(20) >= 10) & (np.arange(20) < 14), 9.0, 0.0)
-    np.testing.assert_array_equal(typical_of_neighbours(missed, groups), expected)

@@ -98,7 +98,7 @@ def test_a_named_effect_says_of_which_formula_its_amplitude_is(said):
     assert found.effects == (effect,)
     named = next(c for c in found.candidates if c.effects == (effect,))
     (size,) = named.parameters.values()
-    assert said in size.formula and said in str(found).replace("\n    ", " ")
+    assert said in size.formula and said in " ".join(str(found).split())
     assert size.value == pytest.approx(amplitude, rel=rel)
 
 

@@ -8,7 +8,7 @@ from conftest_diagnosis import RIG, brush, record
 
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.evidence.fast_waves import with_fast_waves
+from tirefit.diagnosis.evidence.forms import with_fast_waves
 from tirefit.diagnosis.rows.patterns import PARAMETERS, looks, patterns
 
 ROWS, STEP, HUM = 900, 0.005, 1 / 50.3

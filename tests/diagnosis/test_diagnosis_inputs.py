@@ -14,6 +14,7 @@ from tirefit.diagnosis.arguments import a_model, a_rig, a_seed, names, the_effec
 from tirefit.diagnosis.effects import EFFECTS, Effect
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.models import MODELS, Brush
+from tirefit.report.diagnosis_text import diagnosis_text
 from tirefit.results import DataError, TirefitError, UsageError
 
 
@@ -43,7 +44,7 @@ def test_one_mistyped_cell_is_set_aside_and_said(column, value, has):
     assert f"column {column!r}" in said and has in said
     assert found.n == as_typed.n - 1
     assert found.verdict.effects == as_typed.verdict.effects == ()
-    assert f"set aside: {said.split(':')[0]}" in str(found)
+    assert f"excluded: {said.split(':')[0]}" in diagnosis_text(found, full=True)
     # Of many rows the first are named.
     many = read_frame(data)
     again = replace(many, source=replace(many.source, masked=()))

@@ -24,6 +24,7 @@ from tirefit.diagnosis.summary.closure import (
     of_so_few_runs,
     without_each,
 )
+from tirefit.report.diagnosis_text import diagnosis_text
 from tirefit.results import UsageError
 
 KNOWN = effects_by_id(EFFECTS)
@@ -107,7 +108,8 @@ def test_the_acceleration_of_a_derived_force_explains_nothing(driven):
     assert "fy was derived from a_y (646.2 kg of it)" in said
     assert "no tire at all" in said
     assert "the yaw inertia to 1 of it (yaw_inertia is not stated: measure it)" in said
-    assert said.split(";")[0] in " ".join(str(found).split())
+    whole = diagnosis_text(found, full=True)
+    assert said.split(";")[0] in " ".join(whole.split())
     measured = drive(Car(), measured=True)
     assert not diagnose(read_frame(measured), rig=RIG, effects=effects).data.motion
     assert found.verdict.status == "none"
@@ -298,9 +300,8 @@ def test_runs_with_offsets_of_their_own_are_told_with_their_spread():
     assert np.all(np.abs(own[:, 0] - offsets) < 4 * own[:, 1])
     assert told.spread == pytest.approx(np.std(offsets, ddof=1), rel=0.2)
     assert told.p_value < 1e-6
-    said = str(found)
-    assert "RUNS (how they differ beside what else is named, each by itself)" in said
-    assert "spread between runs 0.00" in said and "shrunk: r0 0.00" in said
+    said = " ".join(diagnosis_text(found, full=True).split())
+    assert "standard deviation between runs 0.00" in said and "r0 0.00" in said
     # One zero for all is one, and no spread.
     same = diagnose(read_frame(of_runs([0.004] * 5)), rig=rig, effects=effects)
     assert same.effects == ("slip_offset",)

@@ -5,26 +5,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest_diagnosis import RIG, brush, patterns_of, record
+from conftest_diagnosis import RIG, brush, patterns_of, record, weighed_of
 from scipy.integrate import quad
 from scipy.special import expit, logit
-from tirefit.diagnosis.decide.adequacy import Adequacy
-from tirefit.diagnosis.decide.calibrated import (
-    Explanation,
-    Part,
-    as_often_right,
-    clues_of_effect,
-    clues_of_rest,
-    clues_of_set,
-    probability_beside,
-    probability_of_more,
-)
-from tirefit.diagnosis.decide.standing import Standing
 
 from fits.calibration.said import lines_of
-from fits.calibration.train import STRANGE, taught
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.decide import calibrated
+from tirefit.diagnosis.decide import calibration
+from tirefit.diagnosis.decide.calibration import (
+    as_often_right,
+    clues_of_unlisted,
+    probability_of_unlisted,
+)
+from tirefit.diagnosis.decide.verdict import Status
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.rows.basis import _scaled, taken_out
 from tirefit.diagnosis.rows.patterns import (
@@ -197,72 +190,30 @@ def test_who_names_everything_shows_no_look(diagnosed):
     assert found.verdict.left.looks_like == ()
 
 
-PASSED = Adequacy(0.5, 0.4, 0.6, 0.3, 0.7, 0.5, passed=True)
-FAILED = Adequacy(0.001, 0.001, 0.5, 0.001, 0.001, 0.001, passed=False)
-NOTHING = {"smooth": -20.0, "cells": -12.0, "waves": -1.0, "patterns": -0.5}
-MUCH = {"smooth": 200.0, "cells": 150.0, "waves": 60.0, "patterns": 180.0}
+NARROW = {"smooth": 5.0, "cells": 3.0, "waves": 60.0, "patterns": 40.0}
 
 
-EXPLAINED = {"smooth": 150.0, "cells": 80.0, "waves": 30.0, "patterns": 40.0}
-FIRM = Part(40.0, 190.0, 200.0, 30.0, 0.05, 150.0, 1.0)
+def beside(unlisted, gains):
+    """Probability of something unlisted beside a set."""
+    alone, more = {("a",): 1 - unlisted}, {("a",): unlisted}
+    of = weighed_of(alone, more, gains={("a",): gains})
+    return probability_of_unlisted(of, ("a",))
 
 
-def explanation(adequacy=PASSED, gains=NOTHING, **given) -> Explanation:
-    """One effect of 900 rows, 200 units of log evidence, well ahead of any other."""
-    standing = Standing(adequacy, adequacy, False, (40.0,), 1.0)
-    of_none = {kind: gains[kind] + EXPLAINED[kind] for kind in gains}
-    firm = Explanation(standing, gains, of_none, 200.0, 0.0, 60.0, 1e-12, 1, 900)
-    return firm._replace(**given)
-
-
-def more(of, part=FIRM):
-    of_effects = [clues_of_effect(part, of)]
-    return probability_of_more(clues_of_set(clues_of_rest(of), of_effects))
-
-
-def test_probability_of_more_follows_the_clues():
-    clean = more(explanation())
+def test_probability_of_something_unlisted_follows_the_clues():
+    none = dict.fromkeys(NARROW, -2.0)
+    clean = beside(1e-4, none)
     assert clean < 0.1
-    assert more(explanation(FAILED)) > 2 * clean
-    assert more(explanation(FAILED, MUCH)) > max(0.85, 10 * clean)
-    # What its formula fails, but another form of it passes, is less than what fails
-    # and leaves much.
-    standing = Standing(PASSED, FAILED, True, (40.0,), 1.0)
-    bent = more(explanation(standing=standing, of_form=30.0))
-    assert clean < bent < 0.6 * more(explanation(FAILED, MUCH))
-    # Of another size in each regime, or no better than a remainder of any kind, an
-    # effect is likelier something else.
-    assert more(explanation(), FIRM._replace(steady=1.0)) > clean
-    assert more(explanation(), FIRM._replace(over_rest=-5.0)) > clean
-    # A remainder of its own kind draws it as well.
-    assert more(explanation(nothing_listed=0.5)) > 2 * clean
+    assert beside(0.999, none) > 3 * clean
+    assert beside(1e-4, NARROW) > 3 * clean
+    assert beside(0.999, NARROW) > 0.95
 
 
-def test_probability_of_an_effect_follows_the_clues():
-    beside = explanation(FAILED, MUCH)
-
-    def chance(part):
-        return probability_beside(clues_of_effect(part, beside))
-
-    strong, weak = chance(FIRM), chance(Part(3.0, 10.0, 5.0, 3.0, 0.5, 2.0, 0.1))
-    assert strong > 5 * weak and strong > 0.25
-    assert chance(FIRM._replace(in_sets=0.1)) < strong
-    # As firm, but of another size in each regime; or no better than a remainder.
-    assert chance(FIRM._replace(steady=1.0, changed=2.0)) < 0.5 * strong
-    assert chance(FIRM._replace(over_rest=-5.0)) < 0.8 * strong
-
-
-def test_the_numbers_shipped_are_those_of_a_checked_regression():
-    numbers = calibrated._numbers()
-    for which in ("more", "beside"):
-        checked = numbers[which]["checked"]
-        assert checked["cases"] > 500
-        assert checked["calibration error"] < 0.05
-        assert sum(count for *_, count in checked["reliability"]) == checked["cases"]
-    beside = clues_of_effect(FIRM, explanation())
-    of_set = clues_of_set(clues_of_rest(explanation()), [beside])
-    assert numbers["beside"]["clues"].keys() == beside.keys()
-    assert numbers["more"]["clues"].keys() == of_set.keys()
+def test_the_regression_uses_the_clues_that_the_program_gives():
+    of = weighed_of({("a",): 0.5}, {("a",): 0.5}, gains={("a",): NARROW})
+    numbers = calibration._numbers()["unlisted"]
+    assert numbers["clues"].keys() == clues_of_unlisted(of, ("a",)).keys()
+    assert set(calibration._numbers()["said"]) <= {*Status, "noise"}
 
 
 def test_verdicts_are_as_sure_as_such_verdicts_were_right(monkeypatch):
@@ -273,30 +224,10 @@ def test_verdicts_are_as_sure_as_such_verdicts_were_right(monkeypatch):
         right = generator.uniform(size=4000) < expit(offset + slope * logit(said))
         verdicts += zip([status] * 4000, said, right, strict=True)
     numbers = {"said": lines_of(verdicts)}
-    monkeypatch.setattr(calibrated, "_numbers", lambda: numbers)
+    monkeypatch.setattr(calibration, "_numbers", lambda: numbers)
     for said in (0.3, 0.6, 0.95):
         wanted = expit(-0.4 + 0.5 * logit(said))
         assert as_often_right("none", said) == pytest.approx(wanted, abs=0.03)
         assert as_often_right("named", said) == pytest.approx(said, abs=0.03)
         assert as_often_right("unknown", said) == pytest.approx(said)
     assert 0.5 < as_often_right("named", 1.0) < 1.0
-
-
-def test_a_regression_finds_the_odds_that_drew_its_cases():
-    generator = np.random.default_rng(3)
-    records = []
-    for number in range(3000):
-        x, y = generator.standard_normal(2)
-        strange = generator.uniform() < expit(1.5 * x - 0.5)
-        records.append({
-            "set": STRANGE[0] if strange else "singles", "kind": f"k{number % 20}",
-            "families": [], "effects": ["a"] if generator.uniform() < expit(y) else [],
-            "more": {"x": x, "y": y}, "beside": {"a": {"y": y}},
-        })  # fmt: skip
-    numbers = taught(records)
-    weights = {k: w / s for k, (_, s, w) in numbers["more"]["clues"].items()}
-    assert weights["x"] == pytest.approx(1.5, abs=0.15)
-    assert weights["y"] == pytest.approx(0.0, abs=0.15)
-    assert numbers["more"]["checked"]["calibration error"] < 0.03
-    _, spread, weight = numbers["beside"]["clues"]["y"]
-    assert weight / spread == pytest.approx(1.0, abs=0.2)

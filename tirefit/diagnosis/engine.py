@@ -1,7 +1,6 @@
 """One file diagnosed: noise first, then where, which, how far, and what to measure."""
 
 from collections.abc import Sequence
-from functools import cache
 from os import PathLike
 from typing import Any
 
@@ -13,14 +12,7 @@ from tirefit.data.accept import as_data
 from tirefit.data.far import without_far
 from tirefit.data.read import require
 from tirefit.data.table import TireData
-from tirefit.diagnosis.arguments import (
-    a_model,
-    a_rig,
-    a_seed,
-    names,
-    tables,
-    the_effects,
-)
+from tirefit.diagnosis import arguments as args
 from tirefit.diagnosis.decide.findings import findings_of, predictions
 from tirefit.diagnosis.decide.verdict import decide
 from tirefit.diagnosis.effects import EFFECTS, Effect
@@ -36,6 +28,7 @@ from tirefit.diagnosis.evidence.simulator import (
     STAND_INS,
     Given,
     given_simulator,
+    refused,
     simulator_at,
 )
 from tirefit.diagnosis.rows.prepared import (
@@ -55,13 +48,11 @@ from tirefit.fitting.problem import find_model
 from tirefit.models import modelled
 from tirefit.models.mf import MAGIC_FORMULAS
 from tirefit.precision import require_x64
-from tirefit.results import DataError, InputProblem, UsageError, did_you_mean
+from tirefit.results import InputProblem, UsageError, did_you_mean
 
-_CHANGED = 0.1
-"""A change of the noise level, as a logarithm, after which the search starts anew."""
-
-_AMONG = 4
-"""Best hypotheses among which a sudden change must be for its shape to be fitted."""
+_CHANGED, _AMONG = 0.1, 4
+"""A change of the noise level, as a logarithm, after which the search starts anew; and
+best hypotheses among which a sudden change must be for its shape to be fitted."""
 
 _MOST_ROWS = 6000
 """The search looks at so many rows, evenly spread; the last word is on all of them."""
@@ -107,14 +98,13 @@ def diagnose(
             path (of a file that declares no convention beside a file ``sim``: in that
             one's), a frame, a mapping of column to (n,) array.
         model: name of the base model, the brush by default; a whole Magic Formula
-            (``mf52``, ``mf61``, ``mf62``) is first fitted in stages, then taken as it
-            is.
-        sim: a simulator to take as it is, in the place of a fit of ``model``: a tire
-            model with its values, a fit, a ``fit.json`` or ``.tir`` file, True for the
-            data's columns ``fx_sim``, ``fy_sim``, ``mz_sim``, or arrays (n,) of all
-            rows by channel, in canonical signs. Where only its forces are known,
-            ``model``, fitted to them, stands in for what a hypothesis changes; by
-            default the brush, or mf61 where that does not follow them closely.
+            (``mf52``, ``mf61``, ``mf62``) is fitted in stages, then taken as it is.
+        sim: a simulator in the place of a fit of ``model``: a tire model with its
+            values, a fit, a ``fit.json`` or ``.tir`` file, True for the data's columns
+            ``fx_sim``, ``fy_sim``, ``mz_sim``, or arrays (n,) by channel, in canonical
+            signs. Where only its forces are known, ``model``, fitted to them, stands in
+            for what a hypothesis changes: the brush by default, or mf61 where that does
+            not follow them closely.
         signs: convention in which the ``.tir`` file ``sim`` was written ("iso-w" if
             None), or the columns ``fx_sim``, ... (that of the data if None), a key of
             ``slip.CONVENTIONS``.
@@ -131,10 +121,8 @@ def diagnose(
         ``verdict.effects`` are the named effects, ``verdict.probability`` that of
         exactly this set, and ``verdict.each`` holds for each effect the probability
         that it is there, what it closes on data left out, and its twins: effects that
-        these data cannot tell from it. Amplitudes are in ``candidates``.
-        ``verdict.left`` is what remains: its rms, the probability that something
-        unlisted is there, and what it resembles. ``ladder`` is how the rms on data left
-        out shrinks effect by effect. ``verdict.status`` sums this up:
+        these data cannot tell from it. ``verdict.left`` is what remains, ``ladder`` how
+        the rms on data left out shrinks effect by effect. ``verdict.status`` is
 
         - ``none``: no gap shows beyond the noise;
         - ``named``: effects are named, nothing unlisted is likelier there than not;
@@ -151,67 +139,52 @@ def diagnose(
     """
     require_x64("a diagnosis")
     release_programs()
-    model, effects = a_model(model), the_effects(effects)
-    without = names(without, "without")
-    asked = None if forces is None else names(forces, "forces")
+    model, effects = args.a_model(model), args.the_effects(effects)
+    without = args.names(without, "without")
+    asked = None if forces is None else args.names(forces, "forces")
     if isinstance(sim, str | PathLike):
         sim = simulator_at(str(sim), signs=signs)
     otherwise = sim.otherwise if isinstance(sim, Given) else None
-    data, holdout = as_data(data, otherwise=otherwise), tables(holdout, otherwise)
-    rig, generator = a_rig(rig), np.random.default_rng(a_seed(seed))
+    every = [data, *args.several(holdout)]
+    data, *holdout = (as_data(one, otherwise=otherwise) for one in every)
+    rig, generator = args.a_rig(rig), np.random.default_rng(args.a_seed(seed))
     _are_others(data, holdout)
     data, holdout = without_far(data), [without_far(other) for other in holdout]
-    known = {effect.id for effect in effects}
-    if unknown := sorted(set(without) - known):
-        problems = []
-        for name in unknown:
-            meant = did_you_mean(name, known)
-            remedy = f"{meant}known effects: {', '.join(sorted(known))}"
-            problems.append(InputProblem(f"--without: no effect {name!r}", remedy))
-        raise UsageError(problems)
+    _are_known(without, {effect.id for effect in effects})
     if model in MAGIC_FORMULAS and sim is None:
         # Its coefficients are those of all rows; what is adapted beside a hypothesis
         # are its scaling factors.
         sim = fit_magic_formula(data, model)
     plain = STAND_INS[0] if model is None else model
-    given, gives = None, _forces_of(plain)
+    given, own = None, modelled(MAGIC_FORMULAS.get(plain) or find_model(plain))
+    gives = own
     if sim is not None:
         given = given_simulator(sim, data, signs)
         data, holdout = given.beside(data), [given.beside(x, True) for x in holdout]
-        gives = given.channels(data, gives)
+        gives = given.channels(data, own)
+        own = own if given.tire is None else ()
     if asked is not None:
-        in_columns = given is not None and given.tire is None
-        gives = _asked_for(asked, data, gives, _forces_of(plain) if in_columns else ())
+        gives = _asked_for(asked, data, gives, own)
     library = tuple(effect for effect in effects if effect.id not in without)
     settings = Settings(
-        rig=rig,
-        effects=tuple(effect.id for effect in library),
+        rig=rig, effects=tuple(effect.id for effect in library), forces=asked,
         holdout=tuple(other.source.sha256 for other in holdout),
-        forces=asked,
-    )
+    )  # fmt: skip
     # The matrices are small: a second thread only spins while it waits, and sums in
     # another order move last digits, which can choose another way of a search.
-    with _linear_algebra().limit(limits=1, user_api="blas"):
+    with ThreadpoolController().limit(limits=1, user_api="blas"):
         whole = prepare(data, rig, gives)
         form = STAND_INS[0] if plain in MAGIC_FORMULAS else plain
         some = thinned(whole, _MOST_ROWS)
         if shown := shown_slip_noise(some, form, effects, rig):
-            whole = prepare(data, rig, gives, shown)
-            some = thinned(whole, _MOST_ROWS)
+            some = thinned(whole := prepare(data, rig, gives, shown), _MOST_ROWS)
         case = studied(some, model, rig, effects, without, generator, given)
         name, simulated = plain, case.base.simulator
         if simulated is not None:
             given = simulated.given
             name = simulated.stand_in if given.tire is None else given.source
-        return document_of(
-            case, whole, settings, library, holdout, generator, name, seed
-        )
-
-
-@cache
-def _linear_algebra() -> ThreadpoolController:
-    """The libraries of linear algebra that this process has loaded."""
-    return ThreadpoolController()
+        made = settings, library, holdout, generator, name, seed
+        return document_of(case, whole, *made)
 
 
 def _are_others(data: TireData, holdout: Sequence[TireData]) -> None:
@@ -222,15 +195,22 @@ def _are_others(data: TireData, holdout: Sequence[TireData]) -> None:
         if (same or other.columns is data.columns) and np.any(other.used & data.used):
             reason = "held out are the data that are diagnosed: they check nothing"
             remedy = "give other data with --holdout, or none: a part is left out then"
-            name = other.source.path or other.name
-            raise DataError(InputProblem(reason, remedy, name))
+            raise refused(other, reason, remedy)
 
 
-def _asked_for(
-    forces: tuple[str, ...], data: TireData, gives, in_columns
-) -> tuple[str, ...]:
+def _are_known(without: Sequence[str], known: set[str]) -> None:
+    """Raises UsageError where something is left out that is no effect."""
+    every, problems = ", ".join(sorted(known)), []
+    for name in sorted(set(without) - known):
+        remedy = f"{did_you_mean(name, known)}known effects: {every}"
+        problems.append(InputProblem(f"--without: no effect {name!r}", remedy))
+    if problems:
+        raise UsageError(problems)
+
+
+def _asked_for(forces, data: TireData, gives, in_columns) -> tuple[str, ...]:
     """Of what the model gives, the forces that are asked for; ``in_columns`` are those
-    that it gives where the simulator does."""
+    that it gives where the columns of a simulator do."""
     problems = []
     for name in (name for name in forces if name not in gives):
         reason, remedy = f"the model gives no {name}", f"it gives {', '.join(gives)}"
@@ -244,21 +224,14 @@ def _asked_for(
     return tuple(name for name in gives if name in forces)
 
 
-@cache
-def _forces_of(model: str) -> tuple[str, ...]:
-    """Which of fx, fy, mz the registered model gives."""
-    return modelled(MAGIC_FORMULAS.get(model) or find_model(model))
-
-
 def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[Untestable]]:
+    """Atoms that the data can show, and what the others lack."""
     possible, missing = [], {}
     blocks = blocks_of_settings(prepared)
     for k, atom in enumerate(atoms):
         effect = atom.effect
-        if effect.id in without:
-            continue
         during = effect.during and effect.during(atom.constants)
-        if during and coincides(during[0], during[1], blocks):
+        if effect.id in without or (during and coincides(during[0], during[1], blocks)):
             continue
         lacks = [need for need in effect.needs if need not in prepared.has]
         if effect.channels and not set(effect.channels) & set(prepared.channels):
@@ -270,24 +243,21 @@ def _testable(prepared: Prepared, atoms, without) -> tuple[list[int], list[Untes
     return possible, list(missing.values())
 
 
-def _level(base: Base) -> np.ndarray:
-    return np.array(
-        [
-            np.log(np.median(noise.std)) + 0.5 * np.log(noise.inflation)
-            for noise in base.noise.values()
-        ]
-    )
+def _changed(judged: Base, base: Base) -> bool:
+    """Whether the noise is judged as another, or other rows are set aside."""
+    for channel, old in base.noise.items():
+        new = judged.noise[channel]
+        level = np.median(new.std) / np.median(old.std)
+        level *= np.sqrt(new.inflation / old.inflation)
+        if abs(np.log(level)) > _CHANGED or np.any(new.outlier != old.outlier):
+            return True
+    return False
 
 
 def studied(
-    prepared: Prepared,
-    model: str | None,
-    rig: Rig,
-    effects: tuple[Effect, ...],
-    without: Sequence[str],
-    generator: np.random.Generator,
+    prepared: Prepared, model: str | None, rig: Rig, effects, without, generator,
     given: Given | None = None,
-) -> Case:
+) -> Case:  # fmt: skip
     """Noise, search and verdict of prepared rows; arguments as in :func:`diagnose`."""
     base = fit_base(prepared, model, effects, rig, given)
     testable, untestable = _testable(prepared, base.atoms, without)
@@ -296,11 +266,7 @@ def studied(
     # What the best explanation leaves shows the noise better than the base fit does.
     best = searched.best
     judged = with_noise_judged(base, rig, best.z, amplitudes_of(base, best))
-    again = np.any(np.abs(_level(judged) - _level(base)) > _CHANGED)
-    again |= any(
-        np.any(judged.noise[c].outlier != noise.outlier)
-        for c, noise in base.noise.items()
-    )
+    again = _changed(judged, base)
     shaped = _with_change(judged if again else base, searched)
     if again or shaped is not None:
         base = shaped or judged
@@ -324,23 +290,23 @@ def _with_change(base: Base, searched: Search) -> Base | None:
     """The base with the shape of a sudden change, where one is among the best."""
     fitted = [h for h in searched.hypotheses if h.refitted]
     ranked = sorted(fitted, key=lambda h: -h.log_weight)[:_AMONG]
-    steps = [k for k, atom in enumerate(base.atoms) if atom.effect.scans_time]
-    likely = [h for h in ranked if set(h.atoms) & set(steps)]
-    if not likely:
+    steps = {k for k, atom in enumerate(base.atoms) if atom.effect.scans_time}
+    likely = next((h for h in ranked if set(h.atoms) & steps), None)
+    if likely is None:
         return None
-    amplitudes = amplitudes_of(base, likely[0])
-    rest = [k for k in likely[0].atoms if k not in steps]
-    residual, jacobian, columns, fields = base.linearised(likely[0].z, amplitudes)
+    amplitudes = amplitudes_of(base, likely)
+    residual, jacobian, columns, fields = base.linearised(likely.z, amplitudes)
     # The residual without the step, to first order.
-    own = [k for k in likely[0].atoms if k in steps]
+    own = [k for k in likely.atoms if k in steps]
+    rest = [k for k in likely.atoms if k not in steps]
     size = amplitudes[own] / np.asarray(base.design.prior_scale)[own]
     residual = residual + columns[:, own] @ size
     used_up = np.concatenate([jacobian, columns[:, rest]], axis=1)
-    rows = base.design.rows
     shape = shape_of_change(
         base.prepared.covariates.time, fields[:, PLACE["friction"]], used_up, residual,
         blocks_of_settings(base.prepared),
     )  # fmt: skip
     padded = np.zeros(len(base.design.keep))
     padded[: len(shape)] = shape
-    return base.on(base.design._replace(rows=rows._replace(change=padded)))
+    rows = base.design.rows._replace(change=padded)
+    return base.on(base.design._replace(rows=rows))

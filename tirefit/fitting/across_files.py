@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import norm, t
 
-_HUBER = 1.345
+HUBER = 1.345
 """Standard deviations from which on a file weighs less (95 % efficient; Huber 1964)."""
 
 _MEDIAN = float(norm.ppf(0.75))
@@ -61,7 +61,7 @@ def across_files(value, std, when) -> AcrossFiles:
         residual = value - design @ at
         scatter = _scatter(residual * widened, std)
         scale = np.hypot(std, scatter) + _tiny(value)
-        root = np.sqrt(np.minimum(1.0, _HUBER / np.abs(residual / scale).clip(1e-9)))
+        root = np.sqrt(np.minimum(1.0, HUBER / np.abs(residual / scale).clip(1e-9)))
         left = design * (root / scale)[:, None]
         before, at = at, np.linalg.lstsq(left, value * root / scale, rcond=None)[0]
         if np.all(np.abs(at - before) <= 1e-4 * np.median(scale)):
@@ -104,8 +104,8 @@ def _std(design: np.ndarray, pulls: np.ndarray, scale: np.ndarray) -> float:
     """Of the slope: Huber's second moment with his correction for few files (Robust
     Statistics, 1981, eq. 7.6.2)."""
     n, p = design.shape
-    psi = np.clip(pulls, -_HUBER, _HUBER)
-    share = max(float(np.mean(np.abs(pulls) < _HUBER)), 0.5)
+    psi = np.clip(pulls, -HUBER, HUBER)
+    share = max(float(np.mean(np.abs(pulls) < HUBER)), 0.5)
     correction = 1 + p / n * (1 - share) / share
     variance = correction**2 * float(psi @ psi) / (n - p) / share**2
     # Files that agree to the last digit have no scale of their own.

@@ -14,8 +14,8 @@ import jax.export
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-_TOLERANCE = 1e-9
-_MAX_STEPS = 200
+TOLERANCE = 1e-9
+MAX_STEPS = 200
 
 
 class Solution(NamedTuple):
@@ -62,33 +62,33 @@ class _State(NamedTuple):
     done: Bool[Array, ""]
 
 
-_FIRST_DAMPING = 1e-3
+FIRST_DAMPING = 1e-3
 """Share of the diagonal added to the normal matrix, before the first trial."""
 
-_LEAST_SCALE = 0.1
+LEAST_SCALE = 0.1
 """Share of its largest element that each of the diagonal counts as, at least, when it
 is damped. Without it an element that the rows hardly inform about runs ahead along a
 curved valley: of eight starts on ``fits/lugre_figure_11`` one arrived in 200 trials;
 with 0.1 four do. With 0.3 all do, but d of a brush-d creeps to its bound."""
 
-_GOOD, _FAIR = 0.75, 0.25
+GOOD, FAIR = 0.75, 0.25
 """Shares of the promised gain from which on a trial was good, or fair."""
 
-_EASE, _EASE_A_LITTLE, _STIFFEN = 1 / 10, 1 / 3, 2.0
+EASE, EASE_A_LITTLE, STIFFEN = 1 / 10, 1 / 3, 2.0
 """Factors of the damping after a good, a fair and any other trial. A factor of ten both
 ways goes to and fro at the edge of a valley: magic-formula on ``fits/cmu_wheel`` took
 all 200 trials from two of eight starts, and takes 51 to 80 from each."""
 
-_LEAST_DAMPING = 1e-9
+LEAST_DAMPING = 1e-9
 """Below it a step is undamped to rounding; it also keeps a singular matrix solvable."""
 
-_STUCK = 1e9
+STUCK = 1e9
 """Damping at which steps are too small to change anything: the search ends."""
 
-_LONGEST_STEP = 3.0
+LONGEST_STEP = 3.0
 """In z a parameter crosses its whole range within ten; longer steps are wild."""
 
-_NO_CURVATURE = 1e-9
+NO_CURVATURE = 1e-9
 """Added to the diagonal: an element that no row informs about stays where it is."""
 
 
@@ -136,7 +136,7 @@ def _after_step(z, normal, gradient, damping, allowed: Callable, longest: float)
         return allowed(asked), asked
 
     size = jnp.diagonal(normal)
-    size = jnp.maximum(size, _LEAST_SCALE * jnp.max(size)) + _NO_CURVATURE
+    size = jnp.maximum(size, LEAST_SCALE * jnp.max(size)) + NO_CURVATURE
     system = normal + damping * jnp.diag(size)
     move = -jnp.linalg.solve(system, gradient)
     reached, asked = limited(move)
@@ -158,9 +158,9 @@ def damped_gauss_newton(
     *,
     elements: Int[Array, "n q"] | None = None,
     allowed: Callable = _anywhere,
-    max_steps: int = _MAX_STEPS,
-    relative: float = _TOLERANCE,
-    absolute: float = _TOLERANCE**2,
+    max_steps: int = MAX_STEPS,
+    relative: float = TOLERANCE,
+    absolute: float = TOLERANCE**2,
 ) -> Minimum:
     """Levenberg-Marquardt on the normal equations of a handful of parameters.
 
@@ -197,18 +197,18 @@ def damped_gauss_newton(
         z, cost = keep(state.trial, best.z), keep(cost, best.cost)
         normal, gradient = keep(normal, best.normal), keep(gradient, state.gradient)
         # The start, which nothing promised, is a share of infinity.
-        eased = jnp.where(share > _GOOD, _EASE, _EASE_A_LITTLE)
-        fair = better & (share > _FAIR)
-        damping = state.damping * jnp.where(fair, eased, _STIFFEN)
-        damping = jnp.maximum(damping, _LEAST_DAMPING)
+        eased = jnp.where(share > GOOD, EASE, EASE_A_LITTLE)
+        fair = better & (share > FAIR)
+        damping = state.damping * jnp.where(fair, eased, STIFFEN)
+        damping = jnp.maximum(damping, LEAST_DAMPING)
         ahead = z, normal, gradient
-        whole = _after_step(*ahead, _LEAST_DAMPING, allowed, jnp.inf)
+        whole = _after_step(*ahead, LEAST_DAMPING, allowed, jnp.inf)
         settled = jnp.abs(_gain(whole - z, normal, gradient)) <= (
             relative * cost + absolute
         )
-        trial = _after_step(*ahead, damping, allowed, _LONGEST_STEP)
+        trial = _after_step(*ahead, damping, allowed, LONGEST_STEP)
         promised = _gain(trial - z, normal, gradient)
-        done = settled | (damping > _STUCK)
+        done = settled | (damping > STUCK)
         best = Minimum(z, cost, normal, done & jnp.isfinite(cost), best.steps + 1)
         return _State(best, gradient, trial, damping, promised, done)
 
@@ -218,7 +218,7 @@ def damped_gauss_newton(
     size, no = start.size, jnp.array(False)
     nothing = Minimum(start, jnp.array(jnp.inf), jnp.eye(size), no, jnp.array(0))
     one = jnp.array(1.0)
-    first = _State(nothing, jnp.zeros(size), start, _FIRST_DAMPING * one, one, no)
+    first = _State(nothing, jnp.zeros(size), start, FIRST_DAMPING * one, one, no)
     return jax.lax.while_loop(going, step, first).best
 
 
@@ -250,7 +250,7 @@ def _optimistix(residual: Residual, start) -> Solution:
         rtol=1e-8, atol=1e-8
     )
     solution: optx.Solution[Array, Any] = optx.least_squares(
-        lambda z, _: ordinary(z), solver, start, max_steps=_MAX_STEPS, throw=False
+        lambda z, _: ordinary(z), solver, start, max_steps=MAX_STEPS, throw=False
     )
     values, _ = residual(solution.value)
     return Solution(
@@ -272,7 +272,7 @@ def _jaxopt(residual: Residual, start) -> Solution:
         # non-finite residual would stall it for good.
         solver = jaxopt.LevenbergMarquardt(
             residual_fun=lambda z: jnp.nan_to_num(ordinary(z), nan=1e6, posinf=1e6),
-            maxiter=_MAX_STEPS,
+            maxiter=MAX_STEPS,
             tol=1e-6,
             xtol=1e-10,
             gtol=1e-6,
@@ -280,7 +280,7 @@ def _jaxopt(residual: Residual, start) -> Solution:
         z, state = solver.run(start)
     values, _ = residual(z)
     cost = values @ values
-    converged = jnp.isfinite(cost) & (state.iter_num < _MAX_STEPS)
+    converged = jnp.isfinite(cost) & (state.iter_num < MAX_STEPS)
     return Solution(z, cost, converged, state.iter_num)
 
 

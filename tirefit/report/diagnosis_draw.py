@@ -101,8 +101,8 @@ def draw_ladder(figure, bars: Sequence[LadderBar], unit: str, on: str) -> None:
     axes.set_yticks([])
     note = "no part of these rows can be left out"
     if on:
-        note = f"{on}; error bar: standard error of the step's gain"
-    panel_title(axes, "How far the gap shrinks", textwrap.fill(note, 62))
+        note = f"{on}; bar: standard error"
+    panel_title(axes, "How far the gap shrinks", note)
 
 
 def draw_chances(figure, bars: Sequence[ChanceBar]) -> None:

@@ -50,8 +50,8 @@ def ladder_bars(result: Diagnosis) -> list[LadderBar]:
         LadderBar(
             step_label(result, k), step.rms_left_out,
             # d(rms) = d(rms^2) / (2 rms)
-            None if step.gain_std is None else step.gain_std / (2 * step.rms_left_out),
-            step.closed, kinds.get(step.effects, "effect"),
+            step.gain_std / (2 * step.rms_left_out) if step.effects else None,
+            step.closed if step.effects else None, kinds.get(step.effects, "effect"),
         )
         for k, step in enumerate(result.ladder.steps)
     ]  # fmt: skip

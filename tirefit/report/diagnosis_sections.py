@@ -167,8 +167,8 @@ def _ladder(result: Diagnosis) -> Section:
     table = [("model", f"rms left out [{unit}]", "closed", f"gain [{square}]")]
     table += [
         (step_label(result, k), format_number(step.rms_left_out, 3),
-         _percent(step.closed, step.closed_std),
-         "-" if step.gain is None else format_estimate(step.gain, step.gain_std))
+         _percent(step.closed if step.effects else None, step.closed_std or None),
+         format_estimate(step.gain, step.gain_std) if step.effects else "-")
         for k, step in enumerate(ladder.steps)
     ]  # fmt: skip
     lines = [

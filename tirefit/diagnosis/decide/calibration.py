@@ -36,15 +36,13 @@ def clues_of_unlisted(weighed: Weighed, key: Key) -> dict[str, float]:
 
     Returns:
         "evidence": log odds of a discrepancy by the evidence; "narrow": log evidence of
-        the best sharp shape in the remainder, compressed; "share": probability of the
-        set among the listed.
+        the best sharp shape in the remainder, compressed.
     """
     gains = weighed.gains.get(key, {})
     narrow = max(gains.get("waves", 0.0), gains.get("patterns", 0.0))
     return {
         "evidence": log_odds(weighed.unlisted),
         "narrow": float(np.sign(narrow) * np.log1p(abs(narrow))),
-        "share": weighed.listed_given_gap(key) if key else 0.0,
     }
 
 

@@ -15,8 +15,7 @@ from tirefit.diagnosis.decide.verdict import (
     no_gap_shows,
 )
 from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.linear_fit import linear_at
-from tirefit.diagnosis.evidence.posterior import Key, Weighed, weigh
+from tirefit.diagnosis.evidence.posterior import Key, Weighed, linear_at, weigh
 from tirefit.diagnosis.evidence.search import Hypothesis, Search, amplitudes_of
 from tirefit.diagnosis.left_out.climb import climbed
 from tirefit.diagnosis.left_out.folds import folds_of
@@ -36,13 +35,16 @@ def predictions(
     """The posterior, and what the leading sets and all that they are made of predict of
     the rows that their fits did not see. Where whole runs are left out, the set that
     predicts them best is one of them."""
-    own = {a.effect.id for a in base.atoms if "runs" in a.effect.needs}
-    rows_each = max(noise.inflation for noise in base.noise.values())
-    folds = folds_of(base.rows, rows_each, not own & set(search.best.effects))
     climb: Key = ()
+    weighed = weigh(search)
+    # What belongs to one run cannot be predicted from the others.
+    own = {a.effect.id for a in base.atoms if "runs" in a.effect.needs}
+    of_runs = sum(p for key, p in weighed.listed.items() if own & set(key))
+    rows_each = max(noise.inflation for noise in base.noise.values())
+    folds = folds_of(base.rows, rows_each, of_runs <= policy.likely)
     if folds.across_runs:
         climb = tuple(sorted(climbed(base, search, folds, policy.gain).effects))
-    weighed = weigh(search)
+        weighed = weigh(search)
     log = weighed.log_weight
     ranked = sorted((k for k in log if k), key=lambda k: log[k], reverse=True)
     singles = [k for k in ranked if len(k) == 1]
@@ -98,12 +100,12 @@ def findings_of(
         # is surer than the data of which effects draw it.
         key = out.climbed or key
     floor = floor_of(base)
+    parts = [part for part in parts_of(key) if part in weighed.log_weight]
     return Findings(
         weighed=weighed,
         sets={
             part: Fitted(_errors(base, weighed, out, part), _gains(out, part, floor))
-            for part in parts_of(key)
-            if part in weighed.log_weight
+            for part in sorted(parts, key=lambda k: (-len(k), -weighed.log_weight[k]))
         },
         across_runs=out.across_runs,
         unlisted=unlisted,

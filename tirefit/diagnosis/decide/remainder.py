@@ -15,8 +15,7 @@ from scipy.sparse import csr_array
 
 from tirefit.diagnosis.decide.verdict import Tests
 from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.linear_fit import linear_at
-from tirefit.diagnosis.evidence.posterior import Key, Weighed
+from tirefit.diagnosis.evidence.posterior import Key, Weighed, linear_at
 from tirefit.diagnosis.negligible import ROUNDING, SILENT
 from tirefit.diagnosis.noise.memory import Memory, correlation
 from tirefit.diagnosis.rows.basis import without
@@ -25,13 +24,12 @@ from tirefit.diagnosis.rows.prepared import Prepared, neighbours
 from tirefit.diagnosis.rows.rates import segments
 
 _PRECISION = np.float32
-"""Of the simulated residuals: a thousand draws of all rows are read many times over,
-and a p-value counts in thousandths."""
+"""Of the simulated residuals, which are read many times over."""
 
 _LEAST_SIZE = 1e-30
 """Divisor in the place of zero, in that precision."""
 
-DRAWS = 999
+DRAWS = 199
 """Simulated residuals."""
 
 _TAIL = 0.9

@@ -51,12 +51,14 @@ class Policy:
             left out.
         perhaps: probability from which an effect that is not named is possible, and
             probability of a set over that of the best from which it is a rival.
+        tested: p-value below which the tests together see a remainder (Bonferroni).
     """
 
     likely: float = 0.5
     known: float = 2.0
     gain: float = 1.0
     perhaps: float = 0.1
+    tested: float = 0.005
 
 
 POLICY = Policy()
@@ -133,6 +135,11 @@ class Findings:
             return float(stdtr(gain.parts - 1, gain.gain / max(gain.std, NONZERO)))
         return min(self.weighed.holding_beside((effect,)), 1.0)
 
+    def claim(self, effect: str, key: Key, rivals, policy: "Policy") -> float:
+        """That an effect or one of its twins is there: one claim."""
+        alike = (effect, *rivals.get(effect, ()))
+        return min(sum(self.probability(e, key, policy) for e in alike), 1.0)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
@@ -192,7 +199,9 @@ def decide(found: Findings, policy: Policy = POLICY) -> Verdict:
     also = tuple(dict.fromkeys(e for of in (best, *rivals.values()) for e in of))
     also = tuple(e for e in also if e not in key)
     if not key:
-        if not more and weighed.nothing_shown > 1 - weighed.nothing_shown:
+        made = [p for p in found.tests if p is not None]
+        seen = len(made) * min(made, default=1.0) < policy.tested
+        if not more and not seen:
             return verdict(Status.NONE, 1 - unlisted, also_possible=also)
         return verdict(
             Status.UNKNOWN, max(unlisted, policy.likely), effects=(UNKNOWN,),
@@ -202,7 +211,7 @@ def decide(found: Findings, policy: Policy = POLICY) -> Verdict:
     order = sorted(key, key=lambda e: -gains[e].gain if e in gains else 0.0)
     exact = weighed.listed_given_gap(key) if key == best else weighed.holding(key)
     if more:
-        exact = math.prod(found.probability(e, key, policy) for e in key)
+        exact = math.prod(found.claim(e, key, rivals, policy) for e in key)
     status = Status.CANNOT_TELL if also else Status.NAMED
     return verdict(
         Status.INCOMPLETE if more else status,
@@ -225,8 +234,7 @@ def _stands(found: Findings, key: Key, rivals, policy: Policy) -> bool:
     claim: their probabilities count together."""
     errors, gains = found.sets[key]
     for effect in key:
-        alike = (effect, *rivals.get(effect, ()))
-        there = sum(found.probability(e, key, policy) for e in alike)
+        there = found.claim(effect, key, rivals, policy)
         if there <= policy.likely or errors[effect] < policy.known:
             return False
         if effect in gains and gains[effect].gain <= policy.gain * gains[effect].std:

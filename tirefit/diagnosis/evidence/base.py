@@ -10,27 +10,23 @@ from scipy.linalg import block_diag
 from tirefit.diagnosis.effects import Atom, atoms_of
 from tirefit.diagnosis.evidence.beginning import (
     begin,
+    check_followed,
     design_of,
     first_fit,
     measured_slips,
     standing_in,
     with_offset,
 )
-from tirefit.diagnosis.evidence.changes import count_atoms
-from tirefit.diagnosis.evidence.forms import PLACE
-from tirefit.diagnosis.evidence.forward import Design, Linear
+from tirefit.diagnosis.evidence.forms import PLACE, not_followed, whitened_generic
+from tirefit.diagnosis.evidence.forward import Design, Linear, Tire, with_force
 from tirefit.diagnosis.evidence.refits import Refit, refit, refit_folds
-from tirefit.diagnosis.evidence.remainder import whitened_generic
 from tirefit.diagnosis.evidence.runs import with_runs
 from tirefit.diagnosis.evidence.simulator import (
     STAND_INS,
     Given,
     Simulated,
-    check_followed,
-    not_followed,
+    check_signs,
 )
-from tirefit.diagnosis.evidence.simulator_signs import check_signs
-from tirefit.diagnosis.evidence.tire import Tire, with_force
 from tirefit.diagnosis.negligible import FLAT
 from tirefit.diagnosis.noise.level import NoiseLevel, judge_noise, slip_scatter
 from tirefit.diagnosis.noise.memory import in_order
@@ -45,44 +41,44 @@ from tirefit.diagnosis.rows.slip_nodes import slip_doubt, slip_proxies
 from tirefit.padding import pad_rows
 
 _ON_BOUND = 6.0
-"""Size of a z from which its parameter rests on a bound: it is within 0.25 % of the
-interval."""
+"""Size of a z from which its parameter rests on a bound, to 0.25 % of the interval."""
 
 _ROWS_OF_A_FUNCTION = 6
-"""Rows for each smooth function that may soak up a gap before the noise is judged:
-five in six are left to judge it by."""
+"""Rows for each smooth function that may soak up a gap before the noise is judged."""
 
 _FELT = 0.1
-"""Standard errors of what a stand-in misses, all rows together, below which nothing
-feels it: no direction is given away for that."""
+"""Standard errors of what a stand-in misses, all rows together, that nothing feels."""
 
 _LINEARISED = 24
 """Linearised fits that are kept for as long as their base: 10 MB each at most."""
 
+_SMALL = 1e-3
+"""Noise of the slip that shows the slope of a force, within which it is straight."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """A tire fitted to a design without effects: parameters z, the refit (of one
-    hypothesis) that gave them, the slip over that of full sliding (n,), and the first
-    ``guess`` of z."""
+    """A tire fitted to a design without effects: parameters z, the first ``guess`` of
+    them, and the slip over that of full sliding (n,)."""
 
     tire: Tire
     design: Design
     z: np.ndarray
-    refit: Refit
-    slip_fraction: np.ndarray
     guess: np.ndarray
+    slip_fraction: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
 class Base:
     """Where a diagnosis starts: the rows, the base fit to them, and their noise by
-    channel. Whitened values are over the used rows of all channels, (m, ...). Where
-    there is a ``simulator``, the fit is of its parameters to the data. ``linear`` keeps
-    the last fits linearised, by (z, amplitudes): a verdict comes back to its best."""
+    channel. Whitened values are over the used rows of all channels, (m, ...). ``alone``
+    is the refit without effects that gave z. Where there is a ``simulator``, the fit is
+    of its parameters to the data. ``linear`` keeps the last fits linearised, by (z,
+    amplitudes): a verdict comes back to its best."""
 
     rows: Prepared
     fit: Fit
+    alone: Refit
     noise: Mapping[str, NoiseLevel]
     simulator: Simulated | None = None
     linear: dict[tuple[bytes, ...], Linear] = field(default_factory=dict, init=False)
@@ -154,9 +150,8 @@ class Base:
 
     @cached_property
     def proxies(self) -> np.ndarray:
-        """Columns (m, k) of the residual that no effect explains: what is measured
-        beside the slip knows of its noise, see :func:`slip_proxies`; and a stand-in
-        knows what it misses of a simulator, not how that changes with it."""
+        """Columns (m, k) of the residual that no effect explains: what the rows tell of
+        the noise of their slip, see :func:`slip_proxies`, and :func:`not_followed`."""
         rows = self.rows
         told = slip_proxies(rows.slip, rows.slip_std, rows.moving, rows.path, rows.past)
         return np.concatenate([self._forces_of(told), self._not_followed], axis=1)
@@ -168,13 +163,13 @@ class Base:
         if self.simulator is None or self.simulator.given.tire is not None:
             return np.zeros((len(rows.channels) * n, 0))
         given = self.layout.vector(self.simulator.z)
-        measured = self.layout.vector(self.z)
-        changed = float(np.max(np.abs(measured / np.where(given, given, 1.0) - 1)))
+        changed = np.abs(self.layout.vector(self.z) / np.where(given, given, 1.0) - 1)
         for channel in rows.channels:
             missed = np.asarray(self.design.offset[channel])[:n]
-            off = not_followed(missed, rows.slip, neighbours(rows), min(changed, 1.0))
-            scale = np.asarray(self.design.scale[channel])[:n, None]
-            blocks.append(off * np.asarray(self.design.keep)[:n, None] / scale)
+            around, most = neighbours(rows), min(float(np.max(changed)), 1.0)
+            off = not_followed(missed, rows.slip, around, most)
+            weight = np.asarray(self.design.keep) / self.design.scale[channel]
+            blocks.append(off * weight[:n, None])
         found = block_diag(*blocks)
         return found[:, np.linalg.norm(found, axis=0) > _FELT]
 
@@ -190,8 +185,7 @@ class Base:
 
     @cached_property
     def measured(self) -> "Base":
-        """The same fit at the slips as they were measured, not as they are believed;
-        every candidate asks for its forces."""
+        """The same fit at the slips as they were measured, not as they are believed."""
         return self.on(measured_slips(self.design, self.rows))
 
     def on(self, design: Design, rows: Prepared | None = None) -> "Base":
@@ -201,12 +195,12 @@ class Base:
 
     def linearised(self, z, amplitudes) -> Linear:
         """The used rows, linearised in everything."""
-        key = tuple(np.asarray(part).tobytes() for part in (z, amplitudes))
+        key, tire = (np.asarray(z).tobytes(), amplitudes.tobytes()), self.fit.tire
         if key not in self.linear:
             if len(self.linear) == _LINEARISED:
                 self.linear.pop(next(iter(self.linear)))
-            model, n = self.fit.tire, self.rows.n
-            self.linear[key] = model.linearised(z, amplitudes, self.design, n)
+            given = z, amplitudes, self.design, self.rows.n
+            self.linear[key] = tire.linearised(*given)
         return self.linear[key]
 
     def refit(self, starts, sets, design: Design | None = None) -> Refit:
@@ -214,8 +208,8 @@ class Base:
         return refit(self.fit.tire, starts, sets, design or self.design)
 
     def refit_folds(self, starts, sets, keeps) -> Refit:
-        """Hypotheses refitted on each of some sets of rows, of the used rows (f, n):
-        leading axes (f, sets). Outliers count in none."""
+        """Hypotheses refitted on each of some sets of the used rows (f, n), without
+        outliers: leading axes (f, sets)."""
         every = np.zeros((len(keeps), len(self.design.keep)))
         every[:, : self.rows.n] = keeps
         every *= self.design.keep
@@ -231,12 +225,9 @@ class Base:
 
     def residual(self, z, amplitudes) -> np.ndarray:
         """Whitened residual of the used rows, zero for outliers: (m,)."""
-        n = self.rows.n
-        parts = [
-            self.design.keep[:n] * (self.rows.observed[c] - force)
-            / self.design.scale[c][:n]
-            for c, force in self.forces(z, amplitudes).items()
-        ]  # fmt: skip
+        n, scale, keep = self.rows.n, self.design.scale, self.design.keep
+        each = self.forces(z, amplitudes).items()
+        parts = [keep[:n] * (self.rows.observed[c] - f) / scale[c][:n] for c, f in each]
         return np.concatenate(parts)
 
     def forces_each(self, fits) -> np.ndarray:
@@ -247,7 +238,7 @@ class Base:
 
     def forces(self, z, amplitudes) -> dict[str, np.ndarray]:
         """Mean force of every used row, by channel."""
-        return self.fit.tire.moments(z, amplitudes, self.design, self.rows.n)[0]
+        return self.fit.tire.moments(z, self.design, self.rows.n, amplitudes)[0]
 
 
 def fit_base(
@@ -257,96 +248,70 @@ def fit_base(
 
     Args:
         name: of the model; None for the brush, or what stands in for a simulator best.
-        given: a simulator, whose forces stand in the data: the base is it, and what is
-            fitted are its parameters; without a tire of its own the model ``name``
-            stands in for it.
+        given: a simulator, whose forces stand in the data: the base is it, adapted;
+            without a tire of its own the model ``name`` stands in for it.
 
     Raises:
-        DataError: the model does not follow the simulator, or the simulator fits with
-            other signs.
+        DataError: the model does not follow the simulator, or that has other signs.
     """
     simulator, stand_in = None, name or STAND_INS[0]
     if given is None:
         fitted = first_fit(prepared, stand_in, prepared.data, effects, rig)
-        begun = begin(prepared, fitted, effects, rig, None)
+        begun = begin(prepared, *fitted, rig, False)
     elif given.tire is None:
         begun, stand_in = standing_in(prepared, name, effects, rig, given)
     else:
-        model, layout, z = given.tire_for(prepared)
-        begun = begin(prepared, (model, layout, z, z), effects, rig, given)
+        begun = begin(prepared, *given.tire_for(prepared, effects), rig, True)
     tire, design, z, guess, missed = begun
     if given is not None:
         check_followed(prepared, missed, stand_in)
         doubt = check_signs(prepared, tire, z, given)
         simulator = Simulated(given=given, z=z, stand_in=stand_in, doubt=doubt)
-        z = _own_refit(tire, z, design).z[0]
+        z = refit(tire, [(z, ())], [()], design).z[0]
     fraction = _slip_fraction(prepared, tire, z, design)
-    silent = np.zeros(count_atoms(effects))
-    noise = _noise(prepared, tire, design, fraction, rig, z, silent, False)
-    base = _under(noise, prepared, tire, design, fraction, z, guess, simulator)
+    fit = Fit(tire=tire, design=design, z=z, guess=guess, slip_fraction=fraction)
+    base = _under(_noise(prepared, fit, rig), prepared, fit, simulator)
     return with_runs(base.on(with_force(prepared, tire, base.design, base.z)))
-
-
-_SMALL = 1e-3
-"""Noise of the slip that shows the slope of a force, within which it is straight."""
 
 
 def shown_slip_noise(prepared: Prepared, name: str, effects, rig) -> float:
     """What the measured forces show of the noise of their slip by the model ``name``;
-    zero where it is stated, or known by its sweeps, where both slips drive, and where
-    the force was derived from the motion, whose errors are those of the slip too."""
+    zero where it is known, where both slips drive, and where the force was derived from
+    the motion, whose errors are those of the slip too."""
     known = prepared.slip_source != NOT_STATED or prepared.derived is not None
     if known or prepared.mode == "xy":
         return 0.0
-    model, layout, z, _ = first_fit(prepared, name, prepared.data, effects, rig)
-    tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
+    tire, z, _ = first_fit(prepared, name, prepared.data, effects, rig)
     noisy = replace(prepared, slip_std=np.full(prepared.n, _SMALL))
     channel, design = prepared.channels[0], design_of(noisy, effects, rig)
-    silent = np.zeros(count_atoms(effects))
-    mean, spread = tire.moments(z, silent, design, prepared.n)
+    mean, spread = tire.moments(z, design, prepared.n)
     # Where the slip changes its sign the curve bends, and any shift of it is a gap.
-    one_sided = [
-        rows[side == positive]
-        for rows in neighbours(prepared)
-        for side in [prepared.slip[rows] > 0]
-        for positive in (False, True)
-    ]
+    side, groups = prepared.slip > 0, neighbours(prepared)
+    one_sided = [r[side[r] == positive] for r in groups for positive in (False, True)]
     return slip_scatter(
         prepared.observed[channel] - mean[channel], spread[channel] / _SMALL**2,
         prepared.inputs.fz, one_sided, in_order(prepared.time, prepared.run),
     )  # fmt: skip
 
 
-def _own_refit(tire: Tire, z, design: Design) -> Refit:
-    """Its own parameters refitted, without effects, from z."""
-    return refit(tire, [(z, np.zeros(0))], [()], design)
+def _under(noise, prepared: Prepared, fit: Fit, simulator) -> Base:
+    """The base refitted under a noise."""
+    size, levels = len(fit.design.keep), noise.values()
+    wide = np.sqrt(max(level.inflation for level in levels))
+    scale = {c: pad_rows(level.std * wide, size) for c, level in noise.items()}
+    keep = (np.arange(size) < prepared.n).astype(float)
+    keep[: prepared.n] = ~np.any([level.outlier for level in levels], axis=0)
+    design = fit.design._replace(scale=scale, keep=keep)
+    alone = refit(fit.tire, [(fit.z, ())], [()], design)
+    fit = replace(fit, design=design, z=alone.z[0])
+    return Base(rows=prepared, fit=fit, alone=alone, noise=noise, simulator=simulator)
 
 
-def _under(
-    noise, prepared, tire: Tire, design: Design, fraction, z, guess, simulator
-) -> Base:
-    """The base refitted from z under a noise."""
-    design = _with_noise(prepared, design, noise)
-    own = _own_refit(tire, z, design)
-    fit = Fit(
-        tire=tire, design=design, z=own.z[0], refit=own, slip_fraction=fraction,
-        guess=guess,
-    )  # fmt: skip
-    return Base(rows=prepared, fit=fit, noise=noise, simulator=simulator)
-
-
-def with_noise_judged(base: Base, rig, z, amplitudes, outliers: bool = True) -> Base:
-    """The base refitted under the noise that the remainder of a fit shows.
-
-    Args:
-        z, amplitudes: the fit whose remainder is judged, smooth parts taken out.
-        outliers: whether rows far off are set aside; only a fit without a gross gap
-            can tell them.
-    """
-    rows, tire, fraction = base.rows, base.fit.tire, base.slip_fraction
-    noise = _noise(rows, tire, base.design, fraction, rig, z, amplitudes, outliers)
-    guess, simulator = base.fit.guess, base.simulator
-    return _under(noise, rows, tire, base.design, fraction, base.z, guess, simulator)
+def with_noise_judged(base: Base, rig, z, amplitudes) -> Base:
+    """The base refitted under the noise that the remainder of a fit (z, amplitudes)
+    shows, rows far off set aside: only a fit without a gross gap can tell them."""
+    noise = _noise(base.rows, replace(base.fit, z=z), rig, amplitudes, outliers=True)
+    return _under(noise, base.rows, base.fit, base.simulator)
 
 
 def on_rows(base: Base, prepared: Prepared, rig) -> Base:
@@ -362,42 +327,27 @@ def _slip_fraction(prepared: Prepared, tire: Tire, z, design):
     """Slip over that of full sliding (n,), 3 mu F_z / (2 c) of the brush with the
     base's slope and peak."""
     stiffness, mu = tire.brush(z, design)
-    stiffness = np.asarray(stiffness)[: prepared.n]
-    full = 1.5 * float(mu) * prepared.inputs.fz / np.maximum(stiffness, FLAT)
+    stiffness = np.maximum(np.asarray(stiffness)[: prepared.n], FLAT)
     size = np.hypot(prepared.slip, prepared.second)
     side = np.where(prepared.slip < 0, -1.0, 1.0)
-    return side * size / full
+    return side * size / (1.5 * float(mu) * prepared.inputs.fz / stiffness)
 
 
 def _noise(
-    prepared, tire: Tire, design, fraction, rig, z, amplitudes, outliers
+    prepared: Prepared, fit: Fit, rig, amplitudes=(), outliers: bool = False
 ) -> dict[str, NoiseLevel]:
-    mean, spread = tire.moments(z, amplitudes, design, prepared.n)
-    fz = prepared.inputs.fz
+    mean, spread = fit.tire.moments(fit.z, fit.design, prepared.n, amplitudes)
+    fz, most = prepared.inputs.fz, prepared.n // _ROWS_OF_A_FUNCTION
     typical = fz / np.mean(fz)
-    basis = smooth_basis(prepared, fraction, typical, prepared.n // _ROWS_OF_A_FUNCTION)
-    waves, groups, levels = wave_basis(prepared, typical), neighbours(prepared), {}
-    for channel in prepared.channels:
-        std = f"{channel}_std"
-        given = (
-            prepared.column(std)
-            if std in prepared.data
-            else rig.force_noise(channel, fz)
-        )
-        levels[channel] = judge_noise(
-            prepared.observed[channel] - mean[channel], spread[channel], fz,
-            mean[channel], given, basis, waves, groups, prepared.time, prepared.run,
-            outliers,
+    basis = smooth_basis(prepared, fit.slip_fraction, typical, most, runs=True)
+    waves = wave_basis(prepared, fz / np.mean(fz))
+    groups, levels = neighbours(prepared), {}
+    for c in prepared.channels:
+        given = rig.force_noise(c, fz)
+        if f"{c}_std" in prepared.data:
+            given = prepared.column(f"{c}_std")
+        levels[c] = judge_noise(
+            prepared.observed[c] - mean[c], spread[c], fz, mean[c], given, basis, waves,
+            groups, prepared.time, prepared.run, outliers,
         )  # fmt: skip
     return levels
-
-
-def _with_noise(prepared: Prepared, design: Design, noise) -> Design:
-    size = len(design.keep)
-    inflation = max(level.inflation for level in noise.values())
-    scale = {
-        c: pad_rows(level.std * np.sqrt(inflation), size) for c, level in noise.items()
-    }
-    keep = (np.arange(size) < prepared.n).astype(float)
-    keep[: prepared.n] = ~np.any([level.outlier for level in noise.values()], axis=0)
-    return design._replace(scale=scale, keep=keep)

@@ -2,26 +2,22 @@
 base model, and the tire that stands in for a simulator known by its forces."""
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
+from tirefit.data.table import CANONICAL, TireData
 from tirefit.diagnosis.effects import atoms_of
 from tirefit.diagnosis.effects.state import Covariates
-from tirefit.diagnosis.evidence.changes import count_atoms
-from tirefit.diagnosis.evidence.forward import Design
+from tirefit.diagnosis.evidence.forward import Design, Tire
 from tirefit.diagnosis.evidence.refits import Normal, minimised
-from tirefit.diagnosis.evidence.simulator import (
-    STAND_INS,
-    Given,
-    as_measured,
-    closely_followed,
-)
-from tirefit.diagnosis.evidence.tire import Tire
+from tirefit.diagnosis.evidence.simulator import STAND_INS, Given, refused
+from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.rows.slip_nodes import slip_nodes
+from tirefit.fitting.across_files import HUBER
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.inference import REACH
+from tirefit.fitting.least_squares import MAX_STEPS, TOLERANCE
 from tirefit.fitting.mf.fit import fit_magic_formula
 from tirefit.fitting.problem import build
 from tirefit.fitting.solve import starting_points
@@ -33,26 +29,16 @@ _LEAST_ROWS = 256
 """Rows that a diagnosis is compiled for, at least: small files share one program."""
 
 _STARTS = 4
-"""Starts of the first fit, whose error the refit under the noise takes away: half of
-those of a fit that is an end in itself."""
+"""Starts of the first fit, half of those of a fit that is an end in itself."""
 
-_HUBER, _SETTLED, _STEPS = 1.345, 1e-9, 200
-"""Standard errors up to which a row of the first fit counts by its square, the share of
-the sum of squares at which it ends, and its steps at most."""
+_FARTHEST_OFF, _CLOSELY = 0.2, 0.01
+"""Shares of the simulated force (rms) that a tire which stands in for a simulator may
+miss at most, and up to which the plain one is good enough: its slopes, and so the parts
+of the budget, are off by as much."""
 
 _FIRST_NOISE = 0.05
 """Noise of a force as a share of its standard deviation, before it is judged; only the
 scale of the first forces' weights, which no verdict rests on."""
-
-
-def _priors(prepared: Prepared, effects, rig) -> dict[str, np.ndarray]:
-    """Of every atom: scale in its own unit; center, low and high in scales."""
-    priors = [atom.prior(prepared, rig) for atom in atoms_of(effects)]
-    scale, center, low, high = (np.array(part) for part in zip(*priors, strict=True))
-    return {
-        "prior_scale": scale, "prior_center": center / scale, "low": low / scale,
-        "high": high / scale,
-    }  # fmt: skip
 
 
 def design_of(prepared: Prepared, effects, rig) -> Design:
@@ -60,6 +46,8 @@ def design_of(prepared: Prepared, effects, rig) -> Design:
     size = padded_size(prepared.n, _LEAST_ROWS)
     slips, weight = slip_nodes(prepared.slip_law, prepared.slip, prepared.slip_std)
     observed, fz, v = prepared.observed, prepared.inputs.fz, prepared.inputs.v
+    priors = [atom.prior(prepared, rig) for atom in atoms_of(effects)]
+    scale, center, low, high = (np.array(part) for part in zip(*priors, strict=True))
     return Design(
         inputs=type(prepared.inputs)(*(pad_rows(x, size) for x in prepared.inputs)),
         slip=pad_rows(slips, size),
@@ -71,8 +59,11 @@ def design_of(prepared: Prepared, effects, rig) -> Design:
         keep=(np.arange(size) < prepared.n).astype(float),
         hold=np.zeros(()),
         rows=Covariates(*(pad_rows(x, size) for x in prepared.covariates)),
+        prior_scale=scale,
+        prior_center=center / scale,
+        low=low / scale,
+        high=high / scale,
         reference=np.array([np.median(fz), np.median(v)]),
-        **_priors(prepared, effects, rig),
     )
 
 
@@ -85,20 +76,21 @@ def measured_slips(design: Design, prepared: Prepared) -> Design:
 def with_offset(prepared: Prepared, tire: Tire, design: Design, z):
     """The design with what a simulator says beyond its tire at the measured slips, and
     that by channel (n,)."""
-    size, silent = len(design.keep), np.zeros(count_atoms(tire.effects))
-    own = tire.moments(z, silent, measured_slips(design, prepared), prepared.n)[0]
+    own = tire.moments(z, measured_slips(design, prepared), prepared.n)[0]
     missed = {c: prepared.column(f"{c}_sim") - own[c] for c in prepared.channels}
-    offset = {c: pad_rows(values, size) for c, values in missed.items()}
+    offset = {c: pad_rows(values, len(design.keep)) for c, values in missed.items()}
     return design._replace(offset=offset), missed
 
 
-def first_fit(prepared: Prepared, name: str, data, effects, rig):
-    """(model, layout, z, first guess) by least squares with estimated noise, slip as
+def first_fit(
+    prepared: Prepared, name: str, data, effects, rig
+) -> tuple[Tire, np.ndarray, np.ndarray]:
+    """(tire, z, first guess of z) by least squares with estimated noise, slip as
     measured; outliers count by Huber's loss."""
     config = parse_config({"force": list(prepared.channels), "starts": _STARTS})
     task = build(data, name, config, _LEAST_ROWS)
     model, layout, rows = task.problem.model, task.problem.layout, task.problem.rows
-    tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
+    tire = Tire(model, layout, tuple(effects), prepared.mode)
     observed, scale = ({c: np.asarray(x) for c, x in part.items()}
                        for part in (rows.observed, rows.scale))  # fmt: skip
     design = measured_slips(design_of(prepared, effects, rig), prepared)
@@ -110,11 +102,11 @@ def first_fit(prepared: Prepared, name: str, data, effects, rig):
         for mean, columns in tire.slopes(points, [()] * len(points), design):
             missed = ((forces - mean) * weights).reshape(-1)
             size = np.abs(missed)
-            root = np.sqrt(np.maximum(2 * _HUBER * size - _HUBER**2, _HUBER**2))
-            far = size > _HUBER
+            root = np.sqrt(np.maximum(2 * HUBER * size - HUBER**2, HUBER**2))
+            far = size > HUBER
             missed = np.where(far, np.sign(missed) * root, missed)
             by = (columns * weights).reshape(len(columns), -1)
-            by = by * np.where(far, _HUBER / root, 1.0)
+            by = by * np.where(far, HUBER / root, 1.0)
             found.append((missed @ missed, by @ by.T, -by @ missed))
         return Normal(*(np.array(part) for part in zip(*found, strict=True)))
 
@@ -122,62 +114,82 @@ def first_fit(prepared: Prepared, name: str, data, effects, rig):
         return np.clip(points, -REACH, REACH)
 
     starts = starting_points(task, config.starts, 0)
-    z, ends = minimised(at, starts, allowed, _SETTLED, _SETTLED**2, _STEPS)
-    return model, layout, z[int(np.argmin(ends.cost))], starts[0]
+    z, ends = minimised(at, starts, allowed, TOLERANCE, TOLERANCE**2, MAX_STEPS)
+    return tire, z[int(np.argmin(ends.cost))], starts[0]
 
 
-class Begun(NamedTuple):
-    """A tire with its parameters z and a first guess of them, on the design of its
-    rows; ``missed`` is what a simulator has beyond it (n,), by channel."""
-
-    tire: Tire
-    design: Design
-    z: np.ndarray
-    guess: np.ndarray
-    missed: dict[str, np.ndarray]
+Begun = tuple[Tire, Design, np.ndarray, np.ndarray, dict[str, np.ndarray]]
+"""A tire on the design of its rows, its z and a first guess of z, and what a simulator
+has beyond it (n,), by channel."""
 
 
-def begin(prepared: Prepared, fitted, effects, rig, given: Given | None) -> Begun:
-    """From (model, layout, z, first guess)."""
-    model, layout, z, guess = fitted
-    tire = Tire(model=model, layout=layout, effects=tuple(effects), mode=prepared.mode)
-    design, missed = design_of(prepared, effects, rig), {}
-    if given is not None:
+def begin(prepared: Prepared, tire: Tire, z, guess, rig, simulated: bool) -> Begun:
+    """A fitted tire on the rows, and on a simulator in their data."""
+    design, missed = design_of(prepared, tire.effects, rig), {}
+    if simulated:
         design, missed = with_offset(prepared, tire, design, z)
-    return Begun(tire, design, z, guess, missed)
+    return tire, design, z, guess, missed
 
 
-def _stand_in(prepared: Prepared, name: str, effects, rig, given: Given):
-    """(model, layout, z, first guess) of the tire that follows a simulator's forces."""
-    simulated = as_measured(prepared.data, prepared.channels)
-    if name not in MAGIC_FORMULAS:
-        return first_fit(prepared, name, simulated, effects, rig)
-    # Its coefficients follow the simulator; what is adapted are scaling factors.
-    tire = fit_magic_formula(simulated, name).tire
-    model, layout, z = replace(given, tire=tire).tire_for(prepared)
-    return model, layout, z, z
+def as_measured(data: TireData, channels) -> TireData:
+    """The data with the simulated forces in the place of the measured ones."""
+    dropped = {f"{c}_std" for c in channels}
+    columns = {k: v for k, v in data.columns.items() if k not in dropped}
+    return replace(data, columns=columns | {c: data[f"{c}_sim"] for c in channels})
+
+
+def _rms(values) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def missed_share(prepared, channel: str, values) -> float:
+    """What a tire misses of the simulated forces (n,), as a share of these, rms."""
+    return _rms(values) / max(_rms(prepared.column(f"{channel}_sim")), NONZERO)
+
+
+def check_followed(prepared, missed: dict, name: str) -> None:
+    """Raises DataError where a tire, of the model ``name`` that stands in, misses too
+    much of the simulated forces, (n,) by channel."""
+    for c, values in missed.items():
+        share = missed_share(prepared, c, values)
+        if share > _FARTHEST_OFF:
+            reason = (
+                f"the tire that stands in for the simulator does not follow it: it"
+                f" misses {c}_sim by {_rms(values):.3g} {CANONICAL[c][0]} rms,"
+                f" {100 * share:.0f} % of it ({100 * _FARTHEST_OFF:.0f} % at most)"
+            )
+            remedy = f"choose a base model nearer to the simulator than {name} with"
+            remedy += f" --model, and check sign, unit and row order of {c}_sim"
+            raise refused(prepared.data, reason, remedy)
 
 
 def standing_in(prepared: Prepared, name, effects, rig, given: Given):
     """The tire that follows a simulator's forces, and its model's name: ``name``, or of
     :data:`STAND_INS` the first that follows closely, else the one that does best."""
+    simulated = as_measured(prepared.data, prepared.channels)
 
     def tried(model: str):
-        fitted = _stand_in(prepared, model, effects, rig, given)
-        return begin(prepared, fitted, effects, rig, given), model
+        if model in MAGIC_FORMULAS:
+            # Its coefficients follow the simulator; adapted are scaling factors.
+            own = replace(given, tire=fit_magic_formula(simulated, model).tire)
+            fitted = own.tire_for(prepared, effects)
+        else:
+            fitted = first_fit(prepared, model, simulated, effects, rig)
+        return begin(prepared, *fitted, rig, True), model
 
     if name is not None:
         return tried(name)
     plain, flexible = STAND_INS
     first = tried(plain)
-    if closely_followed(prepared, first[0].missed):
+    off = [missed_share(prepared, c, v) for c, v in first[0][-1].items()]
+    if max(off) <= _CLOSELY:
         return first
     try:
         other = tried(flexible)
     except DataError:  # too few rows for its coefficients
         return first
 
-    def off(one):
-        return sum(float(np.mean(values**2)) for values in one[0].missed.values())
+    def energy(one):
+        return sum(float(np.mean(values**2)) for values in one[0][-1].values())
 
-    return min(first, other, key=off)
+    return min(first, other, key=energy)

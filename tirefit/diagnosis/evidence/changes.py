@@ -1,20 +1,20 @@
 """What effects do to the state of every row: the part of a fit that knows of them.
 
-The changes are traced once and evaluated by NumPy: to compile the fifty of the library
-takes XLA 15 s of processor time, more than a diagnosis runs.
+The changes are traced once by JAX and evaluated by NumPy: to compile the fifty of the
+library takes XLA 15 s of processor time, more than a diagnosis runs.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import Literal
 
 from tirefit.diagnosis.effects import Effect, atoms_of
 from tirefit.diagnosis.effects.state import Covariates, State, null_state
-from tirefit.diagnosis.evidence.by_numpy import Traced, by_numpy
 from tirefit.results import InputProblem, UsageError
 
 MOST_EFFECTS = 3
@@ -23,17 +23,14 @@ MOST_EFFECTS = 3
 Present = Sequence[tuple[int, float]]
 """Numbers and amplitudes, in their own units, of the atoms of a hypothesis."""
 
-Slopes = dict[int, np.ndarray]
-"""Derivatives (n,) of the fields of a state that differ, by the number of the field."""
+Slopes = dict[int, np.ndarray | float]
+"""Derivatives of the fields of a state that differ, (n,) or one, by their number."""
 
 
 class Changes(NamedTuple):
-    """What more of each atom does to a state, by the number of the atom.
-
-    ``slopes`` are by its amplitude. Where that slope vanishes or misleads, ``ends`` is
-    instead the state (F, n) that lies ``sizes`` prior scales away, one or as far as the
-    amplitude that is expected.
-    """
+    """What more of each atom does to a state: ``slopes`` by its amplitude; where those
+    vanish or mislead, the state (F, n) in ``ends`` that lies ``sizes`` prior scales
+    away, one or as far as is expected."""
 
     slopes: dict[int, Slopes]
     ends: dict[int, np.ndarray]
@@ -41,17 +38,15 @@ class Changes(NamedTuple):
 
 
 class _Change:
-    """The change of an effect, for rows of given shapes, by NumPy.
-
-    ``touched`` are the numbers of the fields of the state that it changes.
-    """
+    """The change of an effect, for rows of given shapes, by NumPy; ``touched`` are the
+    numbers of the fields of the state that it changes."""
 
     touched: tuple[int, ...] = ()
 
     def __init__(self, effect: Effect, rows: Covariates):
         self._effect, count = effect, len(rows.fz)
         self._given = 0.0, _nothing(count), np.array(effect.variants[0], float), rows
-        self._direct = Traced.of(self._by_amplitude, *self._given)
+        self._direct = _traced(self._by_amplitude, *self._given)
         self._functions: dict[tuple, Callable] = {}
 
     def _changed(self, amplitude, state, constants, rows) -> list:
@@ -82,14 +77,14 @@ class _Change:
         return jax.jvp(alone, (state,), (tangent,))[1]
 
     @cached_property
-    def _through(self) -> Traced:
-        return Traced.of(self._by_state, *self._given, self._given[1])
+    def _through(self) -> tuple:
+        return _traced(self._by_state, *self._given, self._given[1])
 
-    def _evaluated(self, traced: Traced, amplitude, state, constants, *more):
-        """By NumPy, for the variant of these constants."""
+    def _evaluated(self, traced: tuple, amplitude, state, constants, *more):
+        """By NumPy, for the variant of these constants, the third argument."""
         key, constants = (traced is self._direct, constants), np.array(constants, float)
         if key not in self._functions:
-            self._functions[key] = by_numpy(traced, {_CONSTANTS: constants})
+            self._functions[key] = _by_numpy(traced, {2: constants})
         return self._functions[key](amplitude, state, constants, *more)
 
     def added(self, state, amplitude: float, constants, rows: Covariates):
@@ -111,10 +106,6 @@ class _Change:
         given = amplitude, state, constants, rows
         new = self._evaluated(self._through, *given, before)
         return slopes | dict(zip(self.touched, new, strict=True))
-
-
-_CONSTANTS = 2
-"""Number of the constants among the arguments of a change, and their leaves."""
 
 
 class Library:
@@ -151,30 +142,24 @@ class Library:
         return state, slopes
 
     def changes(self, present: Present, rows: Covariates, scale, center) -> Changes:
-        """What more of each atom does beside those that are present.
-
-        Args:
-            scale: (K,) prior scales of the amplitudes, in their own units.
-            center: (K,) expected amplitudes, in prior scales.
-        """
+        """What more of each atom does beside those that are present: of amplitudes
+        (K,) with these prior scales, and expected at the center, in such scales."""
         whole, amplitudes = self.state(present, rows), dict(present)
         found = Changes({}, {}, {})
         for number, atom in enumerate(self.atoms):
             others, amplitude = whole, amplitudes.get(number, 0.0)
             if number in amplitudes:
                 others = self.state([p for p in present if p[0] != number], rows)
-            (change, constants), expected = (
-                self._of(number, rows),
-                float(center[number]),
-            )
+            change, constants = self._of(number, rows)
             if atom.effect.far:
+                expected = float(center[number])
                 size = max(abs(expected), 1.0) * (-1.0 if expected < 0 else 1.0)
                 far = amplitude + size * scale[number]
                 found.ends[number] = change.added(others, far, constants, rows)[0]
                 found.sizes[number] = size
             else:
-                given = others, amplitude, constants, rows
-                found.slopes[number] = change.added(*given)[1]
+                own = change.added(others, amplitude, constants, rows)[1]
+                found.slopes[number] = own
         return found
 
 
@@ -186,14 +171,161 @@ def library_of(effects: tuple[Effect, ...]) -> Library:
 
 @cache
 def _null() -> np.ndarray:
-    return np.array([float(value) for value in null_state()])
+    return np.array([[float(value)] for value in null_state()])
 
 
 def _nothing(count: int) -> np.ndarray:
     """The state (F, n) without any effect."""
-    return np.repeat(_null()[:, None], count, axis=1)
+    return np.repeat(_null(), count, axis=1)
 
 
 def count_atoms(effects) -> int:
     """Variants of all effects."""
     return sum(len(effect.variants) for effect in effects)
+
+
+_ELEMENTWISE: dict[str, Callable] = {
+    "abs": np.abs, "add": np.add, "add_any": np.add, "and": np.bitwise_and,
+    "cos": np.cos, "div": np.divide, "eq": np.equal, "exp": np.exp,
+    "expm1": np.expm1, "ge": np.greater_equal, "gt": np.greater, "le": np.less_equal,
+    "log": np.log, "log1p": np.log1p, "lt": np.less, "max": np.maximum,
+    "min": np.minimum, "mul": np.multiply, "ne": np.not_equal, "neg": np.negative,
+    "pow": np.power, "sign": np.sign, "sin": np.sin, "sqrt": np.sqrt,
+    "square": np.square, "sub": np.subtract, "tan": np.tan, "tanh": np.tanh,
+}  # fmt: skip
+"""Primitives of JAX that one function of NumPy does."""
+
+_WITHIN = {"jit": "jaxpr", "custom_jvp_call": "call_jaxpr"}
+"""Primitives that are a function by itself, and the parameter that holds it."""
+
+
+def _traced(function: Callable, *example: Any) -> tuple[Any, Any]:
+    """A function of arguments of the shapes of an example, as JAX saw it: the program,
+    and the structure of what it gives."""
+    program, shape = jax.make_jaxpr(function, return_shape=True)(*example)
+    return program, jax.tree.structure(shape)
+
+
+def _by_numpy(traced: tuple, known: Mapping[int, np.ndarray]) -> Callable:
+    """The function, of arrays or tuples of such; what has one value for all rows may
+    come back as that. What follows from the leaves of the arguments that are ``known``,
+    by number, or is multiplied by zero, is not evaluated again."""
+    closed, structure = traced
+    count = len(closed.jaxpr.invars)
+    steps = _Steps([known.get(k) for k in range(count)])
+    ends = steps.added(closed.jaxpr, closed.consts, list(range(count)))
+    needed, kept = set(ends), list[tuple]()
+    for step in reversed(steps.steps):
+        if needed.intersection(step[2]):
+            needed |= set(step[1])
+            kept.insert(0, step)
+
+    def evaluated(*arguments):
+        found = [*map(np.asarray, jax.tree.leaves(arguments)), *steps.values[count:]]
+        with np.errstate(all="ignore"):
+            for operation, taken, given in kept:
+                result = operation(*[found[place] for place in taken])
+                for place, value in zip(given, result, strict=True):
+                    found[place] = value
+        return jax.tree.unflatten(structure, [found[place] for place in ends])
+
+    return evaluated
+
+
+class _Steps:
+    """Operations one after the other, between places of a list of values; None stands
+    for what is not known yet."""
+
+    def __init__(self, values: list):
+        self.values = values
+        self.steps: list[tuple[Callable, list[int], list[int]]] = []
+
+    def _place(self, value=None) -> int:
+        self.values.append(value)
+        return len(self.values) - 1
+
+    def added(self, jaxpr, constants, places: list[int]) -> list[int]:
+        """The places of what a program gives, of those of what it takes."""
+        where = dict(zip(jaxpr.invars, places, strict=True))
+        for variable, value in zip(jaxpr.constvars, constants, strict=True):
+            where[variable] = self._place(np.array(value, variable.aval.dtype))
+        for equation in jaxpr.eqns:
+            taken = [self._of(atom, where) for atom in equation.invars]
+            inner = equation.params.get(_WITHIN.get(equation.primitive.name))
+            if inner is not None:
+                given = self.added(inner.jaxpr, inner.consts, taken)
+            else:
+                given = self._step(equation, taken)
+            where |= zip(equation.outvars, given, strict=True)
+        return [self._of(atom, where) for atom in jaxpr.outvars]
+
+    def _of(self, atom, where) -> int:
+        if isinstance(atom, Literal):
+            return self._place(np.array(atom.val, atom.aval.dtype))  # type: ignore
+        return where[atom]
+
+    def _step(self, equation, taken: list[int]) -> list[int]:
+        operation, values = _operation(equation), [self.values[k] for k in taken]
+        name = equation.primitive.name
+        zero = [value is not None and not np.any(value) for value in values]
+        if all(value is not None for value in values):
+            with np.errstate(all="ignore"):
+                return [self._place(value) for value in operation(*values)]
+        if any(zero) and name in ("mul", "and"):
+            return [self._place(values[zero.index(True)])]
+        if any(zero) and name in ("add", "add_any"):
+            return [taken[zero.index(False)]]
+        if name == "select_n" and values[0] is not None and not values[0].shape:
+            return [taken[1 + int(values[0])]]
+        given = [self._place() for _ in equation.outvars]
+        self.steps.append((operation, taken, given))
+        return given
+
+
+def _operation(equation) -> Callable:
+    """A function of arrays, each of the shape of its variable or one that broadcasts to
+    it, that gives a tuple of such; what NumPy has no short way for is left to JAX."""
+    name, told = equation.primitive.name, equation.params
+    shapes = [variable.aval.shape for variable in equation.invars]
+    if name in _ELEMENTWISE:
+        return lambda *x: (_ELEMENTWISE[name](*x),)
+    if name == "integer_pow":
+        return lambda x: (x ** float(told["y"]),)
+    if name == "convert_element_type":
+        return lambda x: (x.astype(told["new_dtype"]),)
+    if name == "select_n" and len(shapes) == 3:
+        return lambda which, no, yes: (np.where(which, yes, no),)
+    if name == "broadcast_in_dim" and not shapes[0]:
+        return lambda x: (x,)
+
+    def exact(*x):
+        whole = [*map(np.broadcast_to, x, shapes)]
+        if name in _OF_WHOLE:
+            return (_OF_WHOLE[name](*whole, told),)
+        found = equation.primitive.bind(*whole, **told)
+        several = equation.primitive.multiple_results
+        return tuple(map(np.asarray, found if several else (found,)))
+
+    return exact
+
+
+def _broadcast(x, told):
+    shape = np.ones(len(told["shape"]), int)
+    shape[list(told["broadcast_dimensions"])] = x.shape
+    return np.reshape(x, shape)
+
+
+def _part(x, told):
+    steps = told["strides"] or [1] * x.ndim
+    ranges = zip(told["start_indices"], told["limit_indices"], steps, strict=True)
+    return x[tuple(slice(*each) for each in ranges)]
+
+
+_OF_WHOLE: dict[str, Callable] = {
+    "broadcast_in_dim": _broadcast,
+    "reduce_sum": lambda x, told: np.sum(x, axis=told["axes"]),
+    "reshape": lambda x, told: np.reshape(x, told["new_sizes"]),
+    "slice": _part,
+    "squeeze": lambda x, told: np.squeeze(x, told["dimensions"]),
+}
+"""Primitives on arrays of the very shapes of their variables."""

@@ -1,18 +1,36 @@
-"""Other forms of a listed effect: the same parameter varies with the same quantity, in
-a shape that no formula has."""
+"""Forms that no formula has: other forms of a listed effect, of a sudden change, of
+what a stand-in misses, and of a remainder on the rows of one file."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
+from scipy.fft import next_fast_len, rfft
+from scipy.linalg import block_diag
 
 from tirefit.diagnosis.effects.state import State
-from tirefit.diagnosis.negligible import FLAT
-from tirefit.diagnosis.rows.basis import FULL_SLIDING, bumps, without
-from tirefit.diagnosis.rows.prepared import coincides
+from tirefit.diagnosis.evidence.forward import Design
+from tirefit.diagnosis.negligible import FLAT, NONZERO
+from tirefit.diagnosis.rows.basis import (
+    FULL_SLIDING,
+    Generic,
+    bumps,
+    wide_bases,
+    without,
+)
+from tirefit.diagnosis.rows.patterns import (
+    PARAMETERS,
+    PHASES,
+    Over,
+    Patterns,
+    patterns,
+    phased,
+    turns,
+)
+from tirefit.diagnosis.rows.prepared import Prepared, coincides
 
 PLACE = {name: k for k, name in enumerate(State._fields)}
 """Column of each field of the state in :class:`evidence.forward.Linear`."""
-
 
 _WIDTHS = (0.004, 0.02, 0.05, 0.1)
 """Widths of a change that are tried, as shares of the record: sudden to gradual."""
@@ -23,10 +41,18 @@ _TIMES = np.linspace(-0.46, 0.46, 93)
 _LENGTHS = (0.08, 0.12, 0.17, 0.24, 0.34, 0.48)
 """Lengths of a change that ends, in the same unit."""
 
-
 _OF_SLIP, _OWN = 12, 0.1
 """Functions of the slip that a covariate may follow, and the share of its variance that
 is its own where it does."""
+
+_USUAL_CHANGE, _AROUND = 0.1, 4
+"""Share by which a hypothesis changes friction or stiffness, at least; and rows on
+either side over which the slope of what a stand-in misses is taken."""
+
+_FINER, _DRAWN, _SPARSE = 4, 2, 4
+"""Lines of a periodogram for each that a record has: between two of them a wave loses a
+fiftieth of its square at most. Strongest lines that are drawn, of each parameter.
+Places of a sampling for each row from which it is none."""
 
 
 def form_columns(effects, fields, prepared, slip_fraction) -> np.ndarray:
@@ -45,21 +71,17 @@ def form_columns(effects, fields, prepared, slip_fraction) -> np.ndarray:
             continue
         if form.by and follows(getattr(rows, form.by), slip_fraction):
             continue
-        shapes = form.size * form.shapes(rows, slip_fraction)
-        blocks.append(
-            fields[:, PLACE[form.field], None] * np.tile(shapes, (channels, 1))
-        )
+        shapes = np.tile(form.size * form.shapes(rows, slip_fraction), (channels, 1))
+        blocks.append(fields[:, PLACE[form.field], None] * shapes)
     return np.concatenate(blocks, axis=1)
 
 
 def follows(values, slip_fraction) -> bool:
     """Whether a covariate (n,) is a function of the slip, as a load that moves with the
     braking is: of its variance hardly a tenth is its own."""
-    inside = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
-    shapes = bumps(inside, _OF_SLIP)
-    own = without(
-        values - values.mean(), np.column_stack([np.ones(len(values)), shapes])
-    )
+    shapes = bumps(np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING), _OF_SLIP)
+    shapes = np.column_stack([np.ones(len(values)), shapes])
+    own = without(values - values.mean(), shapes)
     return bool(0 < np.sum(own**2) <= _OWN * len(values) * np.var(values))
 
 
@@ -92,3 +114,84 @@ def shape_of_change(time, friction, used_up, residual, blocks) -> np.ndarray:
         if gain.max() > best_gain:
             best, best_gain = shapes[:, int(np.argmax(gain))], gain.max()
     return best
+
+
+def not_followed(missed, slip, groups, changed: float) -> np.ndarray:
+    """How a simulator may change where its stand-in does not: columns (n, 2), to first
+    order. Where it misses e, friction times 1 + a and stiffness times 1 + b add
+    a (e - slip e') + b slip e' to what the stand-in's own change is.
+
+    Args:
+        missed: simulated force less that of its stand-in, (n,).
+        groups: index arrays of like rows in the order of their slip.
+        changed: typical size of a and b.
+    """
+    steep, wide = np.zeros(len(slip)), 2 * _AROUND + 1
+    for rows in (rows for rows in groups if len(rows) >= wide):
+        x, y = (
+            np.lib.stride_tricks.sliding_window_view(np.pad(v, _AROUND, "edge"), wide)
+            for v in (slip[rows], missed[rows])
+        )
+        x, y = (view - view.mean(axis=1, keepdims=True) for view in (x, y))
+        steep[rows] = np.sum(x * y, axis=1) / np.maximum(np.sum(x * x, axis=1), NONZERO)
+    return max(changed, _USUAL_CHANGE) * np.stack([missed, slip * steep], axis=1)
+
+
+def whitened_generic(
+    rows: Prepared, design: Design, slip_fraction, fields: np.ndarray
+) -> Generic:
+    """What a remainder may look like: generic functions for each channel by itself,
+    whitened (m, b); arguments as of :func:`form_columns`."""
+    keep, bases = np.asarray(design.keep)[: rows.n, None], []
+    for channel in rows.channels:
+        typical = rows.inputs.fz / np.asarray(design.scale[channel])[: rows.n]
+        bases.append([b * keep for b in wide_bases(rows, slip_fraction, typical)])
+    smooth, cells, waves = (block_diag(*each) for each in zip(*bases, strict=True))
+    by_name = {name: fields[:, PLACE[field]] for name, (field, _) in PARAMETERS.items()}
+    return Generic(smooth, cells, waves, patterns(rows, slip_fraction, by_name))
+
+
+def with_fast_waves(among: Patterns, time, residual) -> Patterns:
+    """The patterns, and as those of one quantity more the strongest waves in time of
+    what is left that are faster than they are: the hum of the mains, chatter, a
+    resonance. There may be as many as half the rows, and each is as probable as one of
+    so many. The same patterns where the record has no sampling that shows any.
+
+    Args:
+        time: (n,) of the rows [s].
+        residual: (m,) whitened, the fit taken out.
+    """
+    slow = next((one for one in among.over if one.covariate == "time"), None)
+    moments = np.unique(time)
+    if slow is None or len(moments) < 2:
+        return among
+    low, span = moments[0], moments[-1] - moments[0]
+    step = float(np.median(np.diff(moments)))
+    places = np.rint((time - low) / step).astype(int)
+    count = int(places.max()) + 1
+    if count > _SPARSE * len(time):
+        return among
+    size = next_fast_len(_FINER * count, real=True)
+    cycles = np.arange(size // 2) * span / (step * size)
+    there = [span / at for shape, at, _ in slow.listed if shape == "wave"]
+    fast = cycles > max(there, default=1.0)
+    if not fast.any():
+        return among
+    weights, chosen = among.weights, set[float]()
+    for column in slow.weights.values():
+        each = weights[:, :, column] * residual.reshape(len(weights), -1)
+        each = np.bincount(places, np.sum(each, axis=0), count)
+        power = np.abs(rfft(each, size)[: size // 2]) * fast
+        for _ in range(_DRAWN):
+            line = int(np.argmax(power))
+            if power[line] <= 0:
+                break
+            chosen.add(float(cycles[line]))
+            power[max(line - 2 * _FINER, 0) : line + 2 * _FINER + 1] = 0.0
+    share, counts = (time - low) / span, np.array(sorted(chosen))
+    waves = np.concatenate([turns(share, np.array([c])) for c in counts], axis=1)
+    listed = [("wave", span / c, 0.0) for c in counts for _ in range(PHASES)]
+    rare = -np.log(np.count_nonzero(fast) / _FINER * PHASES)
+    prior, drawn = np.full(len(listed), rare), phased(waves).astype(np.float32)
+    more = Over("time", drawn, listed, prior, slow.weights)
+    return replace(among, over=(*among.over, more))

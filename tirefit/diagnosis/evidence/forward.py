@@ -1,6 +1,7 @@
-"""Forces of every row under the base model in a given state, and their slopes."""
+"""Forces of every row under a base model with effects, and their slopes."""
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -8,26 +9,43 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.effects.state import (
     Covariates,
     State,
     force_of_state,
     peak_ratio,
 )
-from tirefit.models import Brush, Parabolic, TireInputs
+from tirefit.diagnosis.evidence.changes import Library, count_atoms, library_of
+from tirefit.diagnosis.rows.prepared import Prepared
+from tirefit.fitting.layout import Layout
+from tirefit.models import AbstractTire, Brush, Parabolic, TireInputs
+from tirefit.padding import pad_rows
 from tirefit.params import Values, with_values
+
+_AT_ZERO = 1e-6
+"""Slip [-] at which stiffness is taken: at zero itself some laws have half a slope."""
+
+_HALF_LENGTH = 0.1
+"""Half-length of the patch [m] of models that state none, as of a car's tire: it scales
+what a change of shape does to the aligning moment, and nothing else."""
+
+_LEAST_DIVISOR = 0.05
+"""x / (1 - w x) has a pole at slips of 1 / w; it grows no more than twentyfold."""
+
+_AT_ONCE, _MOST_ROWS = 16, 16384
+"""Fits of one call of a program, and rows of all of them at once, at most."""
 
 
 class Design(NamedTuple):
     """Everything a refit needs, as arrays, padded to few shapes.
 
-    ``slip`` and ``weight`` are the nodes of the latent slip and their probabilities,
-    (n, q); ``observed`` and ``scale`` (n,) by channel; ``offset`` (n,) by channel is
-    what a simulator says beyond the tire that stands in for it, zero for a form that
-    was fitted; ``keep`` (n,) is 0 for padding and outliers. ``hold`` is the stiffness
-    that keeps a refit's z where it starts, 0 where it is free. Of the amplitudes (K,),
-    ``prior_scale`` is in their own units, ``prior_center``, ``low`` and ``high`` are in
-    prior scales; ``reference`` is load and speed.
+    ``slip`` and ``weight`` (n, q) are the nodes of the latent slip and their
+    probabilities; by channel, ``observed``, ``scale`` and what a simulator says beyond
+    its tire, ``offset``, are (n,); ``keep`` (n,) is 0 for padding and outliers.
+    ``hold`` is the stiffness that keeps a refit's z where it starts, 0 where it is
+    free. Of the amplitudes (K,), ``prior_scale`` is in their own units, and the
+    center, ``low`` and ``high`` are in prior scales; ``reference`` is load and speed.
     """
 
     inputs: TireInputs
@@ -57,45 +75,6 @@ class Design(NamedTuple):
         return np.asarray(self.keep if keep is None else keep, float) / scales
 
 
-_AT_ZERO = 1e-6
-"""Slip [-] at which stiffness is taken: at zero itself some laws have half a slope."""
-
-_HALF_LENGTH = 0.1
-"""Half-length of the patch [m] of models that state none, as of a car's tire: it scales
-what a change of shape does to the aligning moment, and nothing else."""
-
-MOST = 64
-"""Hypotheses that are compared at once, at most."""
-
-_LEAST_DIVISOR = 0.05
-"""x / (1 - w x) has a pole at slips of 1 / w; it grows no more than twentyfold."""
-
-
-def _is_plain(model) -> bool:
-    return (
-        type(model) is Brush
-        and type(model.pressure) is Parabolic
-        and not model.friction.laws
-    )
-
-
-def _reference(tire, where: "Where", mode: str):
-    """(c_p a^2 (n,), mu, half-length) of the brush with the base's slope and peak."""
-    fz, v = where.reference
-    name = "fy" if mode == "y" else "fx"
-
-    def force(slip, sample):
-        where = {"alpha": slip} if mode == "y" else {"sigma_x": slip}
-        return getattr(tire(sample._replace(**where)), name)
-
-    def slope(sample):
-        return jax.jvp(lambda s: force(s, sample), (_AT_ZERO,), (1.0,))[1]
-
-    stiffness = jax.vmap(slope)(where.inputs) / 2
-    arm = getattr(tire, "half_length", _HALF_LENGTH)
-    return stiffness, peak_ratio(tire, fz, v), arm
-
-
 class Linear(NamedTuple):
     """A fit linearised, whitened: residual r (m,), J = d force / dz (m, p), T = d force
     / d amplitude in units of prior scales (m, K), and d force / d field of the state
@@ -113,18 +92,14 @@ class ForwardModel(Protocol):
     that the search, refits and leaving out need of a tire, or of a vehicle."""
 
     def forces(self, fits, design: Design) -> Iterator:
-        """Mean forces (C, n) of each of some (z, amplitudes of all atoms), and their
-        variances over the slip."""
+        """See :meth:`Tire.forces`, as of the others."""
 
-    def linearised(self, z, amplitudes, design: Design, n: int) -> Linear:
-        """The first n rows linearised in everything."""
+    def linearised(self, z, amplitudes, design: Design, n: int) -> Linear: ...
 
-    def slopes(self, points, sets, design: Design) -> Iterator:
-        """Of each hypothesis the mean forces (C, n), and their slopes by z and by the
-        amplitudes in prior scales of its atoms (p + k, C, n)."""
+    def slopes(self, points, sets, design: Design) -> Iterator: ...
 
 
-class Where(NamedTuple):
+class _Where(NamedTuple):
     """The part of a :class:`Design` that forces depend on."""
 
     inputs: TireInputs
@@ -135,11 +110,29 @@ class Where(NamedTuple):
     reference: Values
 
     @classmethod
-    def of(cls, design: Design) -> "Where":
+    def of(cls, design: Design) -> "_Where":
         return cls(*(getattr(design, name) for name in cls._fields))
 
+    def each(self):
+        return self.slip, self.weight, self.second, self.inputs
 
-def _mean_and_spread(model, layout, mode: str, where: Where) -> Callable:
+
+def _reference(tire, where: _Where, mode: str):
+    """(c_p a^2 (n,), mu, half-length) of the brush with the base's slope and peak."""
+    driven, name = ("alpha", "fy") if mode == "y" else ("sigma_x", "fx")
+
+    def slope(sample):
+        def force(slip):
+            return getattr(tire(sample._replace(**{driven: slip})), name)
+
+        return jax.jvp(force, (_AT_ZERO,), (1.0,))[1]
+
+    stiffness = jax.vmap(slope)(where.inputs) / 2
+    arm = getattr(tire, "half_length", _HALF_LENGTH)
+    return stiffness, peak_ratio(tire, *where.reference), arm
+
+
+def _mean_and_spread(model, layout, mode: str, where: _Where) -> Callable:
     """(z, reference, state, slips, weights, second, inputs) of one row -> mean and
     variance of each force over the latent slip, without offset: two tuples."""
 
@@ -165,17 +158,14 @@ def _mean_and_spread(model, layout, mode: str, where: Where) -> Callable:
     return row
 
 
-def _carrier(model, layout, mode: str, z, where: Where):
+def _carrier(model, layout, mode: str, z, where: _Where):
     """What carries changes of shape: see :func:`_reference`, each (n,); None where the
     base is the plain brush."""
-    if _is_plain(model):
-        return None
+    if type(model) is Brush and type(model.pressure) is Parabolic:
+        if not model.friction.laws:
+            return None
     found = _reference(with_values(model, layout.natural(z)), where, mode)
     return tuple(jnp.broadcast_to(value, where.second.shape) for value in found)
-
-
-def _rows_of(where: Where):
-    return where.slip, where.weight, where.second, where.inputs
 
 
 def _each(count, one: Callable, z, states):
@@ -192,42 +182,30 @@ def _each(count, one: Callable, z, states):
 
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
-def forces_of(model, layout, mode: str, z, states, count, where: Where):
-    """Mean and variance over the latent slip of the forces of some fits: (b, C, n).
-
-    Args:
-        model, layout: the base model and where in z its free parameters stand.
-        mode: which slip drives: x, y or xy.
-        z, states: (b, p), and the states (b, F, n) with effects.
-        count: how many of them are wanted; the rest is skipped.
-    """
-    row = jax.vmap(
-        _mean_and_spread(model, layout, mode, where), (None, 0, 0, 0, 0, 0, 0)
-    )
+def _forces_of(model, layout, mode: str, z, states, count, where: _Where):
+    """Mean and variance over the latent slip of the forces (b, C, n) of the first
+    ``count`` fits, of z (b, p) and states with effects (b, F, n)."""
+    row = _mean_and_spread(model, layout, mode, where)
+    row = jax.vmap(row, (None, 0, 0, 0, 0, 0, 0))
 
     def one(z, state):
         carrier = _carrier(model, layout, mode, z, where)
-        mean, spread = row(z, carrier, State(*state), *_rows_of(where))
-        offset = jnp.stack([*where.offset.values()])
-        return jnp.stack(mean) + offset, jnp.stack(spread)
+        mean, spread = row(z, carrier, State(*state), *where.each())
+        return jnp.stack(mean) + jnp.stack([*where.offset.values()]), jnp.stack(spread)
 
     return _each(count, one, z, states)
 
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
-def slopes_of(model, layout, mode: str, z, states, count, where: Where):
+def _slopes_of(model, layout, mode: str, z, states, count, where: _Where):
     """Mean forces (b, C, n) of some fits and their slopes by z (b, C, p, n) and by the
-    fields of the state (b, C, F, n); arguments as those of :func:`forces_of`.
-
-    A row's force depends on z and its own state alone: one pass back for each channel
-    serves all of them, with a z for every row.
-    """
+    fields of the state (b, C, F, n). A row's force depends on z and its own state
+    alone: one pass back for each channel serves all, with a z for every row."""
     row = jax.vmap(_mean_and_spread(model, layout, mode, where))
 
     def one(z, state):
         def mean(z, carrier, state):
-            found, _ = row(z, carrier, State(*state), *_rows_of(where))
-            return jnp.stack(found)
+            return jnp.stack(row(z, carrier, State(*state), *where.each())[0])
 
         def carried(z):
             return _carrier(model, layout, mode, z, where)
@@ -249,7 +227,161 @@ def slopes_of(model, layout, mode: str, z, states, count, where: Where):
 
 
 @partial(jax.jit, static_argnames=("layout", "mode"))
-def brush_of_base(model, layout, mode, z, where: Where):
-    """(c_p a^2 (n,), mu) of the brush with the base model's slope and peak."""
-    stiffness, mu, _ = _reference(with_values(model, layout.natural(z)), where, mode)
-    return stiffness, mu
+def _brush_of(model, layout, mode: str, z, where: _Where):
+    return _reference(with_values(model, layout.natural(z)), where, mode)[:2]
+
+
+@dataclass(frozen=True)
+class Tire:
+    """A base model with all effects, looked at on any design: a :class:`ForwardModel`.
+    ``mode`` says which slip drives (x, y or xy), ``layout`` where z has what."""
+
+    model: AbstractTire
+    layout: Layout
+    effects: tuple[Effect, ...]
+    mode: str
+
+    @property
+    def library(self) -> Library:
+        return library_of(self.effects)
+
+    def _run(self, program, points, states, design: Design) -> Iterator:
+        """What a program gives for z (h, p) and the states (F, n) of fits, one by one;
+        the next states are made while JAX works on the last."""
+        size, where, waiting = len(design.keep), _Where.of(design), None
+        room = int(np.clip(_MOST_ROWS // size, 1, _AT_ONCE))
+        for first in range(0, len(points), room):
+            some = points[first : first + room]
+            z = np.zeros((room, some.shape[1]))
+            several = np.zeros((room, len(State._fields), size))
+            z[: len(some)] = some
+            for state in several[: len(some)]:
+                state[:] = next(states)
+            tire = self.model, self.layout, self.mode
+            found = program(*tire, z, several, len(some), where)
+            if waiting is not None:
+                yield from _one_by_one(*waiting)
+            waiting = found, len(some)
+        if waiting is not None:
+            yield from _one_by_one(*waiting)
+
+    def forces(self, fits, design: Design) -> Iterator:
+        """Mean forces (C, n) of each of some (z, amplitudes of all atoms), and their
+        variances over the slip."""
+        points = np.array([z for z, _ in fits])
+        some = (self.library.state(_present(a), design.rows) for _, a in fits)
+        return self._run(_forces_of, points, some, design)
+
+    def moments(self, z, design: Design, n: int, amplitudes=()):
+        """Those of one fit, of the first n rows, by channel."""
+        both, names = self.forces([(z, amplitudes)], design), sorted(design.observed)
+        return tuple(
+            {c: x[:n] for c, x in zip(names, part, strict=True)} for part in next(both)
+        )
+
+    def brush(self, z, design: Design):
+        """(c_p a^2 (n,), mu) of the brush of its slope and peak."""
+        return _brush_of(self.model, self.layout, self.mode, z, _Where.of(design))
+
+    @np.errstate(invalid="ignore")  # the engine refuses an effect without a slope
+    def linearised(self, z, amplitudes, design: Design, n: int) -> Linear:
+        """The first n rows linearised in everything."""
+        present, rows, points = _present(amplitudes), design.rows, np.asarray(z)[None]
+        state = self.library.state(present, rows)
+        scale, center = design.prior_scale, design.prior_center
+        changes = self.library.changes(present, rows, scale, center)
+        mean, by_z, fields = next(self._run(_slopes_of, points, iter([state]), design))
+        weight, observed = design.weights(), design.forces
+        columns = np.zeros((count_atoms(self.effects), *mean.shape))
+        for atom, slopes in changes.slopes.items():
+            columns[atom] = _along(fields, slopes, float(scale[atom]))
+        points = np.repeat(points, len(changes.ends), axis=0)
+        ends = self._run(_forces_of, points, iter(changes.ends.values()), design)
+        for (atom, size), (far, _) in zip(changes.sizes.items(), ends, strict=True):
+            columns[atom] = (far - mean) / size
+
+        def flat(values):
+            """Of the first n rows, whitened, from (..., C, n)."""
+            values = (values * weight)[..., :n]
+            return np.ascontiguousarray(values.reshape(*values.shape[:-2], -1).T)
+
+        by_z, fields = np.swapaxes(by_z, 0, 1), np.swapaxes(fields, 0, 1)
+        return Linear(*map(flat, (observed - mean, by_z, columns, fields)))
+
+    def slopes(self, points, sets, design: Design) -> Iterator:
+        """Of each hypothesis, a set of atoms at a point (z, amplitudes, ...), the mean
+        forces (C, n), and their slopes by z and amplitudes, in prior scales
+        (p + k, C, n)."""
+        p, scale, by_amplitude = self.layout.size, design.prior_scale, []
+
+        def states():
+            for point, atoms in zip(points, sets, strict=True):
+                sizes = point[p : p + len(atoms)] * scale[list(atoms)]
+                present = list(zip(atoms, sizes.tolist(), strict=True))
+                state, slopes = self.library.slopes(present, design.rows)
+                by_amplitude.append(slopes)
+                yield state
+
+        found = self._run(_slopes_of, points[:, :p], states(), design)
+        for atoms, (mean, by_z, by_field) in zip(sets, found, strict=True):
+            columns = np.empty((p + len(atoms), *mean.shape))
+            columns[:p] = np.swapaxes(by_z, 0, 1)
+            each = zip(columns[p:], atoms, by_amplitude.pop(0), strict=True)
+            for column, atom, slopes in each:
+                column[:] = _along(by_field, slopes, float(scale[atom]))
+            yield mean, columns
+
+
+def _present(amplitudes) -> list[tuple[int, float]]:
+    """The atoms that amplitudes of all (K,), in their own units, have."""
+    return [(int(k), float(amplitudes[k])) for k in np.flatnonzero(amplitudes)]
+
+
+def _one_by_one(found, count: int) -> Iterator:
+    """Of each of the first ``count`` fits, what a program gave."""
+    parts = [np.asarray(part) for part in found]
+    yield from (tuple(part[k] for part in parts) for k in range(count))
+
+
+def _along(by_field, slopes, size: float) -> np.ndarray:
+    """Slopes of the forces (C, n) where the fields of the state change by these."""
+    return sum(by_field[:, field] * (size * slope) for field, slope in slopes.items())
+
+
+def with_force(prepared: Prepared, tire: Tire, design: Design, z) -> Design:
+    """The base model's force over its peak, for the effects that follow it."""
+    channel, fz = prepared.channels[0], prepared.inputs.fz
+    mean = tire.moments(z, design, prepared.n)[0][channel]
+    size = len(design.keep)
+    share = pad_rows(mean / (np.max(np.abs(mean) / fz) * fz), size)
+    before = _pull(prepared, tire, design, z)
+    rows = design.rows._replace(
+        force=share, usage=np.abs(share),
+        traction=pad_rows(mean / prepared.covariates.load, size),
+        pull=pad_rows(before[channel], size),
+        twist=pad_rows(before.get("mz", np.zeros_like(before[channel])), size),
+    )  # fmt: skip
+    if prepared.derived is not None:
+        # The acceleration is the force itself: what would explain it is not measured.
+        rows = rows._replace(lean=pad_rows(-mean / fz, size))
+    return design._replace(rows=rows)
+
+
+def _pull(prepared, tire: Tire, design: Design, z) -> dict[str, np.ndarray]:
+    """Forces of the base model at the past of every row: (n, k) by channel."""
+    past = prepared.covariates.past
+    if "sweeps" not in prepared.has:
+        return {c: np.zeros_like(past) for c in prepared.channels}
+    alone, size = np.zeros_like(design.weight), len(design.keep)
+    alone[:, 0] = 1.0
+    columns = []
+    for k in range(past.shape[1]):
+        slip = np.repeat(pad_rows(past[:, [k]], size), alone.shape[1], axis=1)
+        earlier = (pad_rows(part[:, k], size) for part in prepared.before)
+        # A simulator's past beyond its tire is not known.
+        then = design._replace(
+            slip=slip, weight=alone, inputs=type(design.inputs)(*earlier),
+            offset={c: np.zeros(size) for c in design.offset},
+        )  # fmt: skip
+        columns.append(tire.moments(z, then, prepared.n)[0])
+    return {c: np.stack([one[c] for one in columns], axis=1) for c in columns[0]}

@@ -1,28 +1,27 @@
-"""The posterior over sets of effects: each with its evidence, alone and beside a
-discrepancy, which is whatever no listed effect explains."""
+"""The posterior over sets of effects: each refitted, linearised around its fit, and
+weighed alone and beside a discrepancy, which is whatever no listed effect explains."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp, softmax
 
 from tirefit.diagnosis.evidence.changes import MOST_EFFECTS
-from tirefit.diagnosis.evidence.linear_fit import (
-    PRIOR_OF_FORM,
-    due_to_doubt,
-    gain_of_form,
-    gains_beside,
-    linear_at,
-)
+from tirefit.diagnosis.evidence.forms import form_columns
 from tirefit.diagnosis.evidence.search import (
     PRIOR_OF_UNKNOWN,
     Hypothesis,
     Search,
+    amplitudes_of,
 )
-from tirefit.diagnosis.negligible import NONZERO
-from tirefit.diagnosis.rows.basis import of_any_kind
+from tirefit.diagnosis.negligible import FLAT, NONZERO
+from tirefit.diagnosis.rows.basis import gain, gains, of_any_kind, orthogonal
+
+_PRIOR_OF_FORM = 0.4
+"""That a listed effect is there in another form than the formulas'."""
 
 _SHOWS = 3.0
 """Log evidence over no effect from which a set of effects shows at all: 20 to 1."""
@@ -38,17 +37,89 @@ Key = tuple[str, ...]
 """A set of effects: their ids in order; () is no effect."""
 
 
+class LinearFit(NamedTuple):
+    """A refitted hypothesis: residual (m,), the columns that it used up (m, p), those
+    of the other forms of its effects (m, k), and what is measured beside the slip knows
+    of its noise (m, j)."""
+
+    residual: np.ndarray
+    used_up: np.ndarray
+    forms: np.ndarray
+    proxies: np.ndarray
+
+    @property
+    def explained(self) -> np.ndarray:
+        """Columns (m, p + j) of all that needs no further explanation."""
+        return np.concatenate([self.used_up, self.proxies], axis=1)
+
+    def in_other_form(self) -> "LinearFit":
+        """The same where the effects are there in another form: that is used up too."""
+        whole = np.concatenate([self.used_up, self.forms], axis=1)
+        return self._replace(used_up=whole)
+
+
+def linear_at(base, hypothesis: Hypothesis) -> LinearFit:
+    """Around a refitted hypothesis."""
+    amplitudes, atoms = amplitudes_of(base, hypothesis), list(hypothesis.atoms)
+    residual, jacobian, columns, fields = base.linearised(hypothesis.z, amplitudes)
+    effects = [base.atoms[k].effect for k in atoms]
+    forms = form_columns(effects, fields, base.prepared, base.slip_fraction)
+    keep = np.tile(base.design.keep[: base.prepared.n], len(base.prepared.channels))
+    used_up = np.concatenate([jacobian, columns[:, atoms]], axis=1)
+    return LinearFit(residual, used_up, forms * keep[:, None], base.proxies)
+
+
+def due_to_doubt(base, hypothesis: Hypothesis, linear: LinearFit) -> float:
+    """What the doubt of the slips, of which a refit knew nothing, changes in the log
+    evidence of a set around its own fit. It is not fitted again: sets that miss much
+    end at one optimum or another then, and their evidence changes by tens of units."""
+    center = np.asarray(base.design.prior_center)[list(hypothesis.atoms)]
+    off = hypothesis.amplitude - center
+    p = linear.used_up.shape[1] - len(off)
+    prior = np.diag(np.concatenate([np.full(p, FLAT), np.ones(len(off))]))
+
+    def log_evidence(used_up, residual):
+        determinant = np.linalg.slogdet(used_up.T @ used_up + prior)[1]
+        return -0.5 * (residual @ residual + off @ off + determinant)
+
+    doubted = base.sure(linear.used_up), base.sure(linear.residual)
+    return float(log_evidence(*doubted) - log_evidence(linear.used_up, linear.residual))
+
+
+def gains_beside(base, linear: LinearFit, in_other_form: bool) -> dict[str, float]:
+    """Log evidence of each kind of remainder beside a set of effects, in the formulas'
+    form or in another, which is no larger than such forms are. The doubt of the slips
+    adds nothing: what is seen only where they are doubted is not seen in the data."""
+
+    explained, residual = linear.explained, linear.residual
+
+    def found(*expected):
+        columns = np.concatenate([explained[:, :0], *expected], axis=1)
+        return gains(base.generic, explained, residual, columns)
+
+    forms = [linear.forms] if in_other_form else []
+    sure = found(*forms)
+    if not base.doubt.shape[1] or max(sure.values()) <= 0:
+        return sure
+    doubting = found(*forms, base.doubt)
+    return {kind: min(value, doubting[kind]) for kind, value in sure.items()}
+
+
+def fitted_form(linear: LinearFit) -> np.ndarray:
+    """What the other forms add to the fit, whitened: (m,)."""
+    left, size = orthogonal(linear.forms, linear.used_up)
+    t = size**2
+    return left @ (left.T @ linear.residual * t / (1 + t))
+
+
 @dataclass(frozen=True)
 class Weighed:
-    """Every refitted set of effects with its weight.
-
-    ``best_of`` is the best fit of each set, ``log_weight`` its log evidence over no
-    effect plus log prior, ``log_beside`` the same with a discrepancy beside it (of the
-    leading sets), ``evidence`` the log evidence alone, in whatever form; ``other_form``
-    holds the sets whose effects have a form of their own. ``gains`` is the log evidence
-    of each kind of discrepancy beside a set. ``hidden`` is the probability of sets too
-    improbable to be refitted, which these data could not show either.
-    """
+    """Every refitted set of effects, with its best fit, its log evidence over no effect
+    plus log prior, that with a discrepancy beside it (of the leading sets), the log
+    evidence alone, in whatever form, and that of each kind of discrepancy beside it.
+    ``other_form`` are the sets whose effects have a form of their own; ``hidden`` is
+    the probability of sets too improbable to be refitted, which these data could not
+    show either."""
 
     best_of: Mapping[Key, Hypothesis]
     log_weight: Mapping[Key, float]
@@ -69,16 +140,15 @@ class Weighed:
     @cached_property
     def sets(self) -> dict[Key, float]:
         """Probability of every set, and of nothing else."""
-        return {
-            k: float(np.exp(v - self.log_total)) for k, v in self.log_weight.items()
-        }
+        return self._probabilities(self.log_weight)
 
     @cached_property
     def beside(self) -> dict[Key, float]:
         """Probability of the leading sets, each with a discrepancy beside it."""
-        return {
-            k: float(np.exp(v - self.log_total)) for k, v in self.log_beside.items()
-        }
+        return self._probabilities(self.log_beside)
+
+    def _probabilities(self, log) -> dict[Key, float]:
+        return {k: float(np.exp(v - self.log_total)) for k, v in log.items()}
 
     @property
     def unlisted(self) -> float:
@@ -94,14 +164,11 @@ class Weighed:
     def holding(self, effects) -> float:
         """Probability of the sets that hold these effects, if something is there and
         all of it is listed."""
-        some = {k: p for k, p in self.listed.items() if k}
-        held = sum(p for k, p in some.items() if set(effects) <= set(k))
-        return held / max(sum(some.values()), NONZERO)
+        return _holding({k: p for k, p in self.listed.items() if k}, effects)
 
     def holding_beside(self, effects) -> float:
         """Probability of the sets that hold these effects, with a discrepancy."""
-        held = sum(p for k, p in self.beside.items() if set(effects) <= set(k))
-        return held / max(sum(self.beside.values()), NONZERO)
+        return _holding(self.beside, effects)
 
     def listed_given_gap(self, key: Key) -> float:
         """Probability of exactly this set, on the same terms."""
@@ -114,14 +181,17 @@ class Weighed:
         return min(self.hidden + sum(weak), 1.0)
 
 
+def _holding(sets: Mapping[Key, float], effects) -> float:
+    held = sum(p for k, p in sets.items() if set(effects) <= set(k))
+    return held / max(sum(sets.values()), NONZERO)
+
+
 def weigh(search: Search) -> Weighed:
     """Posterior probabilities of all sets, with and without an unknown remainder."""
-    logs: dict[tuple[str, ...], list[float]] = {}
-    best: dict[tuple[str, ...], Hypothesis] = {}
+    base, best = search.base, dict[Key, Hypothesis]()
+    logs: dict[Key, list[float]] = {}
     # An estimate is no fit of its set: its remainder is that of a smaller one.
-    fitted = [h for h in search.hypotheses if h.refitted]
-    guessed = [h for h in search.hypotheses if not h.refitted]
-    for hypothesis in fitted:
+    for hypothesis in (h for h in search.hypotheses if h.refitted):
         key = tuple(sorted(hypothesis.effects))
         logs.setdefault(key, []).append(hypothesis.log_weight)
         if key not in best or hypothesis.log_weight > best[key].log_weight:
@@ -129,27 +199,27 @@ def weigh(search: Search) -> Weighed:
     total = {key: float(logsumexp(values)) for key, values in logs.items()}
     evidence = {key: hypothesis.log_evidence for key, hypothesis in best.items()}
     others, remainder = set(), {}
+    of_nothing = due_to_doubt(base, best[()], linear_at(base, best[()]))
     ranked = sorted(total, key=lambda key: total[key], reverse=True)
-    nothing = linear_at(search.base, best[()])
-    of_nothing = due_to_doubt(search.base, best[()], nothing)
-    among = dict.fromkeys([*ranked[:_FREED], *_simplest(total, _SINGLES), ()])
-    for key in among:
-        linear = linear_at(search.base, best[key])
+    singles = [key for key in ranked if len(key) == 1][:_SINGLES]
+    for key in dict.fromkeys([*ranked[:_FREED], *singles, ()]):
+        linear = linear_at(base, best[key])
         if linear.forms.shape[1] and len(key) < MOST_EFFECTS:
-            formula = float(np.log(1 - PRIOR_OF_FORM))
+            formula = float(np.log(1 - _PRIOR_OF_FORM))
             # Around nothing, doubt explains what a form is there for.
-            due = min(due_to_doubt(search.base, best[key], linear) - of_nothing, 0.0)
-            form = gain_of_form(search.base, linear) + due - best[key].due_to_doubt
+            due = min(due_to_doubt(base, best[key], linear) - of_nothing, 0.0)
+            form = _gain_of_form(base, linear) + due - best[key].due_to_doubt
             total[key] += float(np.logaddexp(formula, form))
             evidence[key] += float(np.logaddexp(formula, form))
             if form > formula:
                 others.add(key)
-        remainder[key] = gains_beside(search.base, linear, key in others)
+        remainder[key] = gains_beside(base, linear, key in others)
     total = _formulas_first(total, best)
     beside = {
         key: total[key] + of_any_kind(gains) + np.log(PRIOR_OF_UNKNOWN)
         for key, gains in remainder.items()
     }
+    guessed = [h for h in search.hypotheses if not h.refitted]
     rest = [hypothesis.log_weight for hypothesis in guessed]
     everything = float(logsumexp([*total.values(), *beside.values(), *rest]))
     hidden = [h.log_weight for h in guessed if h.log_evidence < _SHOWS]
@@ -160,21 +230,18 @@ def weigh(search: Search) -> Weighed:
     )  # fmt: skip
 
 
+def _gain_of_form(base, linear: LinearFit) -> float:
+    """Log evidence of the other forms over the formulas, with their prior."""
+    left, size = orthogonal(base.sure(linear.forms), base.sure(linear.used_up))
+    there = gain(left.T @ base.sure(linear.residual), size)
+    return there + float(np.log(_PRIOR_OF_FORM))
+
+
 def _formulas_first(total, best):
     """Log weights of sets. Of as many effects in forms of their own, which draw nearly
-    the same, that set is the likeliest whose formulas do best: these exchange weights.
-
-    Args:
-        best: the formulas' fit of each set.
-    """
+    the same, the likeliest is whose formulas fit ``best``: these exchange weights."""
     likeliest = max((k for k in total if k), key=lambda k: total[k], default=())
     least = total[likeliest] + np.log(_RIVAL)
     alike = [k for k in total if len(k) == len(likeliest) and total[k] >= least]
     nearest = max(alike, key=lambda k: best[k].log_weight)
     return total | {likeliest: total[nearest], nearest: total[likeliest]}
-
-
-def _simplest(total, count: int):
-    """Single effects, the most probable first."""
-    singles = sorted((k for k in total if len(k) == 1), key=total.get, reverse=True)
-    return singles[:count]

@@ -1,6 +1,7 @@
 """Refits of hypotheses: damped Gauss-Newton, many at once, by NumPy."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from tirefit.diagnosis.evidence.changes import MOST_EFFECTS
 from tirefit.diagnosis.evidence.forward import Design, ForwardModel
 from tirefit.diagnosis.negligible import FLAT
+from tirefit.fitting import least_squares as one_start
 
 _STEPS = 26
 """Steps of a refit, at most."""
@@ -15,14 +17,6 @@ _STEPS = 26
 _TOLERANCE = 1e-3
 """Chi-squared that one more step of a refit could still gain: evidence is counted in
 whole units."""
-
-_FIRST_DAMPING, _LEAST_DAMPING, _STUCK = 1e-3, 1e-9, 1e9
-_LEAST_SCALE, _NO_CURVATURE = 0.1, 1e-9
-_GOOD, _FAIR = 0.75, 0.25
-_EASE, _EASE_A_LITTLE, _STIFFEN = 1 / 10, 1 / 3, 2.0
-_LONGEST_STEP = 3.0
-"""As those of :func:`tirefit.fitting.least_squares.damped_gauss_newton`, where they are
-explained."""
 
 _FARTHEST = 20.0
 """Amplitudes, in prior scales, beyond which no refit goes."""
@@ -41,6 +35,11 @@ class Refit(NamedTuple):
     penalty: np.ndarray
 
 
+def one_of(every: Refit, k: int) -> Refit:
+    """One of the hypotheses."""
+    return Refit(*(np.asarray(part)[k] for part in every))
+
+
 class Normal(NamedTuple):
     """Sums of squares (h,), half their curvatures (h, w, w) and gradients (h, w)."""
 
@@ -50,11 +49,8 @@ class Normal(NamedTuple):
 
 
 class _Hypotheses:
-    """Sets of atoms, each on some sets of rows, to be refitted.
-
-    ``starts`` (h, w) are z and amplitudes; sets smaller than the largest are filled
-    with amplitudes of nothing.
-    """
+    """Sets of atoms, each on some sets of rows, to be refitted from ``starts`` (h, w);
+    sets smaller than the largest are filled with amplitudes of nothing."""
 
     def __init__(self, model: ForwardModel, starts, sets, keeps, design: Design):
         self.model, self.design, self.p = model, design, len(starts[0][0])
@@ -95,31 +91,48 @@ class _Hypotheses:
         return Normal(cost, normal, gradient)
 
 
-def _solved(system, right) -> np.ndarray:
-    return np.linalg.solve(system, right[..., None])[..., 0]
+def refit_folds(model: ForwardModel, starts, sets, keeps, design: Design) -> Refit:
+    """Sets of atoms refitted from starts (z, amplitudes in prior scales), each on every
+    set of rows ``keeps`` (f, n), 0 or 1: leading axes (f, sets)."""
+    those = _Hypotheses(model, starts, sets, keeps, design)
+    z, best = minimised(those.at, those.starts, those.allowed, 0.0, _TOLERANCE, _STEPS)
+    p, shape = those.p, (len(keeps), len(sets))
+    penalty = np.sum((z[:, p:] - those.center) ** 2, axis=1)
+    # A parameter at its bound has no curvature; what is left of it cancels.
+    curvature = best.normal + FLAT * np.eye(z.shape[1])
+    found = (
+        z[:, :p], z[:, p:], best.cost - penalty, np.linalg.slogdet(curvature)[1],
+        np.linalg.inv(curvature), penalty,
+    )  # fmt: skip
+    return Refit(*(values.reshape(*shape, *values.shape[1:]) for values in found))
 
 
-def _after_step(z, at: Normal, damping, allowed: Callable, longest: float):
-    """As that of ``least_squares``, of each of many."""
+def refit(model: ForwardModel, starts, sets, design: Design) -> Refit:
+    """The same on the rows of the design: leading axis (sets,)."""
+    return one_of(refit_folds(model, starts, sets, [design.keep], design), 0)
 
-    def limited(move):
+
+def _after_step(z, at: Normal, allowed: Callable, damping, longest: float):
+    """As that of :mod:`tirefit.fitting.least_squares`, of each of many."""
+
+    def limited(system, right):
+        move = np.linalg.solve(system, right[..., None])[..., 0]
         asked = z + np.clip(move, -longest, longest)
-        return allowed(asked), asked
+        reached = allowed(asked)
+        return reached, (reached == asked) & (np.abs(move) <= longest)
 
     size, one = np.diagonal(at.normal, axis1=1, axis2=2), np.eye(z.shape[1])
-    size = np.maximum(size, _LEAST_SCALE * size.max(axis=1, keepdims=True))
-    size = (size + _NO_CURVATURE) * damping[:, None]
+    size = np.maximum(size, one_start.LEAST_SCALE * size.max(axis=1, keepdims=True))
+    size = (size + one_start.NO_CURVATURE) * damping[:, None]
     system = at.normal + size[:, :, None] * one
-    move = -_solved(system, at.gradient)
-    reached, asked = limited(move)
-    free = (reached == asked) & (np.abs(move) <= longest)
+    reached, free = limited(system, -at.gradient)
     if free.all():
         return reached
     fixed = np.where(free, 0.0, reached - z)
     both = free[:, :, None] & free[:, None, :]
     steep = at.gradient + (at.normal @ fixed[:, :, None])[..., 0]
     beside = np.where(free, -steep, fixed)
-    return limited(_solved(np.where(both, system, one), beside))[0]
+    return limited(np.where(both, system, one), beside)[0]
 
 
 def _gain(move, at: Normal):
@@ -128,51 +141,16 @@ def _gain(move, at: Normal):
     return -np.sum(move * straight, axis=1)
 
 
-def refit_folds(model: ForwardModel, starts, sets, keeps, design: Design) -> Refit:
-    """Hypotheses refitted by damped Gauss-Newton: leading axes (f, sets).
-
-    Args:
-        starts: (z, amplitudes in prior scales) of each of the ``sets`` of atoms.
-        keeps: (f, n) sets of rows, 0 or 1, in the place of that of the design.
-    """
-    hypotheses = _Hypotheses(model, starts, sets, keeps, design)
-    every, shape = _refitted(hypotheses), (len(keeps), len(sets))
-    return Refit(*(values.reshape(*shape, *values.shape[1:]) for values in every))
-
-
-def refit(model: ForwardModel, starts, sets, design: Design) -> Refit:
-    """The same on the rows of the design: leading axis (sets,)."""
-    every = refit_folds(model, starts, sets, [design.keep], design)
-    return Refit(*(values[0] for values in every))
-
-
-def _refitted(hypotheses: _Hypotheses) -> Refit:
-    p, at, allowed = hypotheses.p, hypotheses.at, hypotheses.allowed
-    z, best = minimised(at, hypotheses.starts, allowed, 0.0, _TOLERANCE, _STEPS)
-    penalty = np.sum((z[:, p:] - hypotheses.center) ** 2, axis=1)
-    # A parameter at its bound has no curvature; what is left of it cancels.
-    curvature = best.normal + FLAT * np.eye(z.shape[1])
-    return Refit(
-        z[:, :p], z[:, p:], best.cost - penalty, np.linalg.slogdet(curvature)[1],
-        np.linalg.inv(curvature), penalty,
-    )  # fmt: skip
-
-
 def minimised(
     at: Callable, starts, allowed: Callable, relative: float, absolute: float, most: int
 ) -> tuple[np.ndarray, Normal]:
-    """``least_squares.damped_gauss_newton`` from each of some starts (h, w).
-
-    Args:
-        at: (numbers (k,), points (k, w)) -> :class:`Normal` of these.
-        allowed: (numbers, points) -> the nearest points that may be tried.
-        relative, absolute, most: when it ends, and its steps.
-    """
-    going = np.arange(len(starts))
+    """``least_squares.damped_gauss_newton`` from each of some starts (h, w): ``at`` and
+    ``allowed`` take numbers of these (k,) and points (k, w)."""
+    going, law = np.arange(len(starts)), one_start
     h, w = starts.shape
     best = Normal(np.full(h, np.inf), np.tile(np.eye(w), (h, 1, 1)), np.zeros((h, w)))
     trial = allowed(going, starts)
-    z, damping, promised = trial.copy(), np.full(h, _FIRST_DAMPING), np.ones(h)
+    z, damping, promised = trial.copy(), np.full(h, law.FIRST_DAMPING), np.ones(h)
     for _ in range(most):
         new = at(going, trial[going])
         better = new.cost < best.cost[going]
@@ -182,21 +160,17 @@ def minimised(
         z[mine] = trial[mine]
         for old, here in zip(best, new, strict=True):
             old[mine] = here[better]
-        eased = np.where(share > _GOOD, _EASE, _EASE_A_LITTLE)
-        factor = np.where(better & (share > _FAIR), eased, _STIFFEN)
-        damping[going] = np.maximum(damping[going] * factor, _LEAST_DAMPING)
+        eased = np.where(share > law.GOOD, law.EASE, law.EASE_A_LITTLE)
+        factor = np.where(better & (share > law.FAIR), eased, law.STIFFEN)
+        damping[going] = np.maximum(damping[going] * factor, law.LEAST_DAMPING)
         around, here = Normal(*(part[going] for part in best)), z[going]
-
-        def within(points, going=going):
-            return allowed(going, points)
-
-        least = np.full(len(going), _LEAST_DAMPING)
-        whole = _after_step(here, around, least, within, np.inf)
+        step = partial(_after_step, here, around, partial(allowed, going))
+        whole = step(np.full(len(going), law.LEAST_DAMPING), np.inf)
         gain = np.abs(_gain(whole - here, around))
-        trial[going] = _after_step(here, around, damping[going], within, _LONGEST_STEP)
+        trial[going] = step(damping[going], law.LONGEST_STEP)
         promised[going] = _gain(trial[going] - here, around)
         settled = gain <= relative * around.cost + absolute
-        going = going[~(settled | (damping[going] > _STUCK))]
+        going = going[~(settled | (damping[going] > law.STUCK))]
         if not len(going):
             break
     return z, best

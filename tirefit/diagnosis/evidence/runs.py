@@ -8,18 +8,14 @@ from scipy.special import chdtrc
 
 from tirefit.diagnosis.effects.per_run import OFFSETS, RELATIVE
 from tirefit.diagnosis.evidence.forms import PLACE
+from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.basis import without
 from tirefit.diagnosis.rows.rates import shown_runs
 from tirefit.padding import pad_rows
 
-KINDS = tuple(OFFSETS)
-"""What may be each run's own: ids of effects less ``_run``."""
-
-_STEPS = 400
-"""Spreads that are tried, from none to three times the range of the runs."""
-
-_NINETY = 1.353
-"""Fall of the log likelihood at the ends of a 90 % interval of one parameter."""
+_STEPS, _NINETY = 400, 1.353
+"""Spreads that are tried, from none to three times the range of the runs; and the fall
+of the log likelihood at the ends of a 90 % interval of one parameter."""
 
 _UNKNOWN = 1e6
 """Error of a run's offset, in those of the best known one, that says nothing."""
@@ -40,10 +36,8 @@ class Shrunk(NamedTuple):
 
 
 class RunOffsets(NamedTuple):
-    """One kind of offset over the runs of a file, in its own unit.
-
-    ``values`` are each run's own with its standard error, by the run's name.
-    """
+    """One kind of offset over the runs of a file, in its own unit: :class:`Shrunk`,
+    with (value, standard error) of each run by its name."""
 
     unit: str
     common: float
@@ -64,54 +58,43 @@ def shrunk(values, covariance) -> Shrunk:
         values: (R,) estimates, two or more.
         covariance: (R, R) of their errors.
     """
-    values, ones = np.asarray(values, float), np.ones(len(values))
-    tried = np.linspace(0.0, 3 * max(np.ptp(values), 1e-300), _STEPS)
-
-    def at(spread):
-        inverse = np.linalg.pinv(covariance + spread**2 * np.eye(len(values)))
-        weight = float(ones @ inverse @ ones)
-        common = float(ones @ inverse @ values) / weight
-        off = values - common
-        log = np.linalg.slogdet(inverse)[1] - np.log(weight) - off @ inverse @ off
-        return 0.5 * log, common, weight, inverse
-
-    logs = np.array([at(spread)[0] for spread in tried])
+    error, axes = np.linalg.eigh(covariance)
+    along, one = axes.T @ values, np.sum(axes, axis=0)
+    tried = np.linspace(0.0, 3 * max(np.ptp(values), NONZERO), _STEPS)
+    # In the axes of the errors the values are independent: (spreads, R).
+    sharp = 1 / np.maximum(error + tried[:, None] ** 2, NONZERO)
+    weight = sharp @ one**2
+    common = sharp @ (one * along) / weight
+    off = along - common[:, None] * one
+    square = np.sum(sharp * off**2, axis=1)
+    logs = 0.5 * (np.sum(np.log(sharp), axis=1) - np.log(weight) - square)
     best = int(np.argmax(logs))
-    spread = float(tried[best])
     inside = tried[logs > logs[best] - _NINETY]
-    _, common, weight, inverse = at(spread)
-    own = common + spread**2 * inverse @ (values - common)
-    kept = np.linalg.pinv(inverse) - spread**2 * np.eye(len(values))
-    variance = spread**2 * np.diag(inverse @ kept)
+    far = tried[best] ** 2 * sharp[best]
+    own = common[best] + axes @ (far * off[best])
     # The common value is no better known than the runs tell of it.
-    pull = 1 - spread**2 * inverse @ ones
-    errors = np.sqrt(np.maximum(variance + pull**2 / weight, 0.0))
-    _, middle, _, sharp = at(0.0)
-    q = float((values - middle) @ sharp @ (values - middle))
+    pull = 1 - axes @ (far * one)
+    errors = np.sqrt(axes**2 @ (far * error) + pull**2 / weight[best])
     return Shrunk(
-        common, weight**-0.5, spread, (float(inside[0]), float(inside[-1])),
-        float(chdtrc(len(values) - 1, q)), own, errors,
+        float(common[best]), float(weight[best] ** -0.5), float(tried[best]),
+        (float(inside[0]), float(inside[-1])),
+        float(chdtrc(len(own) - 1, square[0])), own, errors,
     )  # fmt: skip
 
 
-def estimates(base, kind: str, hypothesis=None):
-    """Each run's own offset beside the rest of a hypothesis, to first order.
-
-    Args:
-        base: the base fit (:class:`tirefit.diagnosis.evidence.base.Base`).
-        kind: of :data:`KINDS`.
-        hypothesis: with z, atoms and amplitude; None for the base fit itself.
+def _estimates(base, kind: str, hypothesis=None):
+    """Each run's own offset beside the rest of a hypothesis, None for the base fit, to
+    first order.
 
     Returns:
         (codes, values (R,), covariance (R, R)) in the units of the field; None where
         fewer than two runs are long enough, or nothing tells them apart.
     """
-    rows, names = base.rows, base.rows.data.runs
-    codes = shown_runs(rows.run, names)
+    rows, offset = base.rows, OFFSETS[kind]
+    codes = shown_runs(rows.run, rows.data.runs)
     if len(codes) < 2:
         return None
-    linear, used_up = base.at_null, base.at_null.jacobian
-    there = np.zeros(rows.n)
+    linear, used_up, there = base.at_null, base.at_null.jacobian, np.zeros(rows.n)
     if hypothesis is not None and hypothesis.atoms:
         atoms = list(hypothesis.atoms)
         amplitudes = base.amplitudes(atoms, hypothesis.amplitude)
@@ -120,20 +103,16 @@ def estimates(base, kind: str, hypothesis=None):
         other = [k for k in atoms if ids[k] not in (kind, f"{kind}_run")]
         used_up = np.concatenate([linear.jacobian, linear.columns[:, other]], axis=1)
         there = _already(base, kind, {ids[k]: amplitudes[k] for k in atoms})
-    run, offset = np.tile(rows.run, len(rows.channels)), OFFSETS[kind]
-    field = linear.fields[:, PLACE[offset.field]]
+    run, field = np.tile(rows.run, len(rows.channels)), PLACE[offset.field]
+    slope = linear.fields[:, field]
     if offset.unit == RELATIVE:
-        field = field * np.tile(np.exp(there), len(rows.channels))
-    own = np.stack([np.where(run == code, field, 0.0) for code in codes], axis=1)
+        slope = slope * np.tile(np.exp(there), len(rows.channels))
+    own = np.stack([np.where(run == code, slope, 0.0) for code in codes], axis=1)
     left = without(own, used_up)
-    normal = left.T @ left
-    # What a few large residuals would do to the error, every row does here.
-    wide = max(noise.inflation for noise in base.noise.values())
-    value, vector = np.linalg.eigh(normal)
+    value, vector = np.linalg.eigh(left.T @ left)
     if value[-1] <= 0:
         return None
-    known = np.maximum(value, value[-1] / _UNKNOWN)
-    inverse = (vector / known) @ vector.T
+    inverse = (vector / np.maximum(value, value[-1] / _UNKNOWN)) @ vector.T
     first = [int(np.argmax(rows.run == code)) for code in codes]
     own = inverse @ (left.T @ linear.residual) + there[first]
     if offset.unit == RELATIVE:
@@ -142,7 +121,8 @@ def estimates(base, kind: str, hypothesis=None):
         own = own - own.mean()
         inverse = inverse - one @ inverse - inverse @ one + one @ inverse @ one
         inverse = inverse + one * np.trace(inverse) / max(len(codes) - 1, 1)
-    return codes, own, wide * inverse
+    # What a few large residuals would do to the error, every row does here.
+    return codes, own, max(level.inflation for level in base.noise.values()) * inverse
 
 
 def _already(base, kind: str, amplitudes: Mapping[str, float]) -> np.ndarray:
@@ -158,29 +138,25 @@ def _already(base, kind: str, amplitudes: Mapping[str, float]) -> np.ndarray:
 def offsets_of_runs(base, hypothesis) -> dict[str, RunOffsets]:
     """How the runs differ beside a hypothesis, by kind; empty for a single run."""
     offsets = {}
-    for kind in KINDS:
-        seen = estimates(base, kind, hypothesis)
-        if seen is None:
-            continue
-        codes, values, covariance = seen
-        law = shrunk(values, covariance)
-        names = [base.rows.data.runs[code] for code in codes]
-        own = zip(law.values.tolist(), law.errors.tolist(), strict=True)
-        offsets[kind] = RunOffsets(
-            OFFSETS[kind].unit, law.common, law.std, law.spread,
-            law.spread_ci, law.p_value, dict(zip(names, own, strict=True)),
-        )  # fmt: skip
+    for kind, offset in OFFSETS.items():
+        if (seen := _estimates(base, kind, hypothesis)) is not None:
+            law = shrunk(*seen[1:])
+            names = [base.rows.data.runs[code] for code in seen[0]]
+            own = zip(law.values.tolist(), law.errors.tolist(), strict=True)
+            offsets[kind] = RunOffsets(
+                offset.unit, law.common, law.std, law.spread, law.spread_ci,
+                law.p_value, dict(zip(names, own, strict=True)),
+            )  # fmt: skip
     return offsets
 
 
-def pattern_of_runs(base, kind: str) -> np.ndarray:
+def _pattern(base, kind: str) -> np.ndarray:
     """How the runs differ, less what is common, of unit rms over the rows: (n,); zero
     where they do not."""
-    pattern, seen = np.zeros(base.rows.n), estimates(base, kind)
-    if seen is None:
+    pattern, seen = np.zeros(base.rows.n), _estimates(base, kind)
+    if seen is None or (law := shrunk(*seen[1:])).spread == 0:
         return pattern
-    codes, values, covariance = seen
-    for code, value in zip(codes, shrunk(values, covariance).values, strict=True):
+    for code, value in zip(seen[0], law.values, strict=True):
         pattern[base.rows.run == code] = value
     pattern -= pattern.mean()
     size = np.sqrt(np.mean(pattern**2))
@@ -193,8 +169,7 @@ def with_runs(base):
         return base
     size, rows = len(base.design.keep), base.design.rows
     patterns = {
-        offset.pattern: pad_rows(pattern_of_runs(base, kind), size)
+        offset.pattern: pad_rows(_pattern(base, kind), size)
         for kind, offset in OFFSETS.items()
     }
-    rows = rows._replace(**patterns)
-    return base.on(base.design._replace(rows=rows))
+    return base.on(base.design._replace(rows=rows._replace(**patterns)))

@@ -1,58 +1,62 @@
 """Which effects: screened in closed form, refitted one by one, weighed by evidence."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from math import factorial
 
 import numpy as np
 from scipy.special import log_ndtr
 
 from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.forward import MOST
-from tirefit.diagnosis.negligible import ROUNDING
+from tirefit.diagnosis.evidence.refits import one_of
+from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.basis import without
 
-PRIOR_OF_SIZE = {0: 0.4, 1: 0.4, 2: 0.1, 3: 0.015}
+_PRIOR_OF_SIZE = (0.4, 0.4, 0.1, 0.015)
 """Probability of so many effects at once; nothing and one are as likely, and every
 further one is four to seven times rarer."""
 
-PRIOR_OF_KIN = 0.1
+_PRIOR_OF_KIN = 0.1
 """That two effects of one set are of one family, against two families."""
 
 PRIOR_OF_UNKNOWN = 0.1
 """That something is there that no listed effect explains, beside any set."""
 
-_BEST_SINGLES, _WITHIN = 6, 15.0
-"""Single effects that are refitted: so many, and all within so much log evidence of the
-best by the linear screen, which may be wrong by some of it on a large gap."""
+_WITHIN = 15.0
+"""Log evidence below the best by the linear screen within which every single effect is
+refitted: that screen may be wrong by some of it on a large gap."""
 
-_PAIRS, _BEYOND_ONE, _BEYOND_TWO = 6, (3, 6), (2, 4)
-"""Pairs of the linear screen that are refitted; sets of one and of two effects that are
-extended, and effects that are tried beside each: what is less likely rarely wins."""
+_SOME, _BEYOND_TWO = 6, (2, 4)
+"""Single effects, pairs of the linear screen and effects beside the best sets of one
+that are refitted at least; sets of two that are extended, and effects beside each. What
+is less likely rarely wins."""
 
-_UNSEEN = 1e-6
-"""Squared length of a direction of whitened rows below which an effect of the usual
-size changes them all by a thousandth of a standard error together."""
+_HOPELESS, _WORTH_A_REFIT = 30.0, 4.0
+"""Log weights below the best at which a set is not extended any more, and, by the
+linear step, at which it is not refitted: it has less than a fiftieth of the best."""
 
-_HOPELESS = 30.0
-"""Log weight below the best at which a set is not extended any more."""
+_FAR, _SMALL, _TINY = 4.0, 0.3, 0.1
+"""Amplitudes in prior scales where refits start: farthest, second start and nearest to
+zero of an effect of one sign."""
 
-_WORTH_A_REFIT = 4.0
-"""Log weight below the best, by the linear step, at which a set is not refitted: less
-than a fiftieth of the best each."""
+_DIGITS = 6
+"""Decimals of the log evidence of the linear screen: finer differences are rounding."""
+
+_LIKELY = 3
+"""Variants of one effect that are refitted, and sets of one effect that are extended:
+those that are likeliest."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A set of atoms, refitted: what it costs and explains.
-
-    ``log_evidence`` is relative to the base model alone; ``log_prior`` that of the
-    set. ``amplitude`` is in prior scales, ``covariance`` that of (z, amplitude).
+    """A set of atoms, refitted: ``log_evidence`` is relative to the base model alone;
+    ``amplitude`` in prior scales, ``covariance`` that of (z, amplitude).
     ``due_to_doubt`` is what of the evidence the doubt of the slips made, to first order
     around the base fit. ``refitted`` is False where the linear step showed that it is
-    not worth it.
-    """
+    not worth it."""
 
     atoms: tuple[int, ...]
     effects: tuple[str, ...]
@@ -120,54 +124,39 @@ class _Searcher:
 
     def __init__(self, base: Base, testable: Sequence[int]):
         self.base, self.testable = base, tuple(testable)
-        effects = [atom.effect for atom in base.atoms]
+        self.effects = [atom.effect for atom in base.atoms]
         self.low, self.high = base.design.low, base.design.high
         # One half of the prior is gone where only one sign is physical.
         self.sign = np.where(self.low >= 0, 1.0, np.where(self.high <= 0, -1.0, 0.0))
         self.center = np.asarray(base.design.prior_center)
-        self.ids = [effect.id for effect in effects]
-        self.odds = [e.odds(base.rows) if e.odds else 0.0 for e in effects]
-        self.singular = np.array([effect.far for effect in effects], bool)
-        self.tried: dict[tuple[int, ...], Hypothesis] = {}
-        families = {effects[k].family for k in self.testable}
-        self.forms = {
-            f: len({effects[k].id for k in self.testable if effects[k].family == f})
-            for f in families
-        }
-        self.variants = {
-            i: sum(1 for k in self.testable if self.ids[k] == i) for i in set(self.ids)
-        }
-        self._add_null()
+        self.ids = [effect.id for effect in self.effects]
+        self.odds = [e.odds(base.rows) if e.odds else 0.0 for e in self.effects]
+        self.variants = Counter(self.ids[k] for k in self.testable)
+        kinds = {(self.effects[k].family, self.ids[k]) for k in self.testable}
+        self.forms = Counter(family for family, _ in kinds)
+        self.null = one_of(base.alone, 0)
+        z = self.null.z
+        self.tried: dict[tuple[int, ...], Hypothesis] = {
+            (): Hypothesis(
+                (), (), 0.0, self.log_prior(()), z, np.zeros(0),
+                self.null.covariance[: len(z), : len(z)], float(self.null.chi2),
+            )
+        }  # fmt: skip
 
     def log_prior(self, atoms: tuple[int, ...]) -> float:
         """Split evenly over families, then forms, then variants."""
-        total = np.log(PRIOR_OF_SIZE[len(atoms)])
-        for k in atoms:
-            family = self.base.atoms[k].effect.family
+        total = np.log(_PRIOR_OF_SIZE[len(atoms)])
+        families = [self.effects[k].family for k in atoms]
+        for k, family in zip(atoms, families, strict=True):
             total -= np.log(len(self.forms) * self.forms[family])
             total += self.odds[k] - np.log(self.variants[self.ids[k]])
-        families = {self.base.atoms[k].effect.family for k in atoms}
-        total += np.log(PRIOR_OF_KIN) * (len(atoms) - len(families))
-        return float(total + np.log(np.prod(np.arange(1, len(atoms) + 1))))
-
-    def _add_null(self) -> None:
-        refit = self.base.fit.refit
-        self.null_chi2 = float(refit.chi2[0])
-        self.null_log_det = float(refit.log_det[0])
-        z = np.asarray(refit.z)[0]
-        self.tried[()] = Hypothesis(
-            (), (), 0.0, self.log_prior(()), z, np.zeros(0),
-            np.asarray(refit.covariance)[0][: len(z), : len(z)], self.null_chi2,
-        )  # fmt: skip
+        total += np.log(_PRIOR_OF_KIN) * (len(atoms) - len(set(families)))
+        return float(total + np.log(factorial(len(atoms))))
 
     def columns(self, hypothesis: Hypothesis):
         """(gram, score, projected columns (m, K)) around a refitted hypothesis."""
-        base = self.base
-        if hypothesis.atoms:
-            amplitudes = amplitudes_of(base, hypothesis)
-            residual, jacobian, columns, _ = base.linearised(hypothesis.z, amplitudes)
-        else:
-            residual, jacobian, columns, _ = base.at_null
+        base, amplitudes = self.base, amplitudes_of(self.base, hypothesis)
+        residual, jacobian, columns, _ = base.linearised(hypothesis.z, amplitudes)
         used_up = np.concatenate([jacobian, columns[:, hypothesis.atoms]], 1)
         return self._projected(*map(base.sure, (columns, used_up, residual)))
 
@@ -179,17 +168,15 @@ class _Searcher:
     def _with_doubt_and_without(self) -> tuple[tuple, tuple]:
         """(gram, score) around the base fit, twice."""
         residual, jacobian, columns, _ = self.base.at_null
-        gram, score, _ = self._projected(columns, jacobian, residual)
-        return self.columns(self.tried[()])[:2], (gram, score)
+        sure = self._projected(columns, jacobian, residual)
+        return self.columns(self.tried[()])[:2], sure[:2]
 
     def _due_to_doubt(self, atoms) -> float:
         """What the doubt of the slips takes from the log evidence of a set, to first
-        order. Refits know nothing of it: of each slip's own noise only.
-
-        It adds nothing: what an effect explains only where the slips are doubted is not
-        seen in the data. Of pulses with noisy slips, doubt of their phase made a lag of
-        1.4 standard errors likelier by a factor of a million.
-        """
+        order; refits know of each slip's own noise only. It adds nothing: what an
+        effect explains only where the slips are doubted is not seen in the data (of
+        pulses with noisy slips, a lag of 1.4 standard errors became likelier by a
+        factor of a million)."""
         doubting, sure = (
             _log_bayes(gram, score, self.center, self.sign, [atoms])[0]
             for gram, score in self._with_doubt_and_without
@@ -201,70 +188,60 @@ class _Searcher:
         if not sets:
             return []
         values = _log_bayes(gram, score, self.center, self.sign, sets)
-        return values.tolist()
+        # Variants that are the same on a file differ by their last digits alone.
+        return np.round(values, _DIGITS).tolist()
 
     def refit(self, sets: Sequence[tuple[int, ...]], guesses: dict) -> None:
         """Refit sets of atoms, two starts each where the sign is open."""
         sets = [s for s in dict.fromkeys(sets) if s and s not in self.tried]
-        half = MOST // 2  # each set may have two starts
-        for begin in range(0, len(sets), half):
-            self._refit_some(sets[begin : begin + half], guesses)
-
-    def _refit_some(self, sets, guesses) -> None:
-        starts, index, owner = [], [], []
-        for number, atoms in enumerate(sets):
-            for z, amplitude in self._starts(atoms, guesses.get(atoms)):
-                starts.append((z, amplitude))
-                index.append(atoms)
-                owner.append(number)
-        every = self.base.refit(starts, index)
-        for number, atoms in enumerate(sets):
-            mine = [k for k, o in enumerate(owner) if o == number]
-            total = every.chi2[mine] + every.penalty[mine]
-            total = np.where(np.isfinite(total), total, np.inf)
-            best = mine[int(np.argmin(total))]
-            self._record(atoms, type(every)(*(part[best] for part in every)))
+        starts = [self._starts(atoms, guesses.get(atoms)) for atoms in sets]
+        if not sets:
+            return
+        index = [s for s, mine in zip(sets, starts, strict=True) for _ in mine]
+        every = self.base.refit([one for mine in starts for one in mine], index)
+        total = every.chi2 + every.penalty
+        total = np.where(np.isfinite(total), total, np.inf)
+        for atoms in sets:
+            mine = [k for k, other in enumerate(index) if other == atoms]
+            self._record(atoms, one_of(every, mine[int(np.argmin(total[mine]))]))
 
     def estimate(self, atoms, guess, within: Hypothesis, value: float) -> None:
         """Record a set too improbable to refit, from the linear step to it."""
-        if atoms in self.tried:
-            return
-        p, size = len(within.z), len(atoms)
-        z, amplitude = guess
-        wide = np.eye(p + size)
+        p, (z, amplitude) = len(within.z), guess
+        wide = np.eye(p + len(atoms))
         wide[:p, :p] = within.covariance[:p, :p]
-        self.tried[atoms] = Hypothesis(
+        found = Hypothesis(
             atoms, tuple(self.ids[k] for k in atoms), within.log_evidence + value,
             self.log_prior(atoms), z, amplitude, wide, within.chi2, refitted=False,
         )  # fmt: skip
+        self.tried.setdefault(atoms, found)
 
     def within(self, atoms, amplitude) -> np.ndarray:
         """Amplitudes of these atoms, in prior scales, where physics allows them."""
         return np.clip(amplitude, self.low[list(atoms)], self.high[list(atoms)])
 
-    def _starts(self, atoms, guess):
+    def _starts(self, atoms, guess) -> list[tuple]:
         z = self.base.off_bounds(self.base.z)
-        if guess is not None:
-            yield self.base.off_bounds(guess[0]), guess[1]
-        else:
-            sign, center = self.sign[list(atoms)], self.center[list(atoms)]
-            first = np.where(sign != 0, sign, 1.0)
-            yield z, self.within(atoms, np.where(center != 0, center, first))
-        if guess is None or any(self.singular[k] for k in atoms):
-            sign, center = self.sign[list(atoms)], self.center[list(atoms)]
-            other = np.where(sign != 0, _SMALL * sign, -1.0)
-            yield z, self.within(atoms, np.where(center != 0, center, other))
+        sign, center = self.sign[list(atoms)], self.center[list(atoms)]
+
+        def at(size, default):
+            first = np.where(sign != 0, size * sign, default)
+            return z, self.within(atoms, np.where(center != 0, center, first))
+
+        if guess is None:
+            return [at(1.0, 1.0), at(_SMALL, -1.0)]
+        first = self.base.off_bounds(guess[0]), guess[1]
+        far = any(self.effects[k].far for k in atoms)
+        return [first, at(_SMALL, -1.0)] if far else [first]
 
     def _record(self, atoms, refit) -> None:
         if not np.isfinite(refit.chi2):
             return
         p, size = len(refit.z), len(atoms)
-        value = -0.5 * (refit.chi2 - self.null_chi2) - 0.5 * refit.penalty
-        value -= 0.5 * (refit.log_det - self.null_log_det)
-        amplitude, cov = (
-            refit.amplitude[:size],
-            refit.covariance[: p + size, : p + size],
-        )
+        value = -0.5 * (refit.chi2 - self.null.chi2) - 0.5 * refit.penalty
+        value -= 0.5 * (refit.log_det - self.null.log_det)
+        amplitude = refit.amplitude[:size]
+        cov = refit.covariance[: p + size, : p + size]
         spread = np.sqrt(np.maximum(np.diag(cov)[p:], ROUNDING))
         for k, a, s in zip(atoms, amplitude, spread, strict=True):
             if self.sign[k]:
@@ -275,42 +252,50 @@ class _Searcher:
             self.log_prior(atoms), refit.z, amplitude, cov, float(refit.chi2), due,
         )  # fmt: skip
 
+    def best_variants(self, gram, score, within=()) -> list[list[tuple[float, int]]]:
+        """For each effect its best atoms added to ``within``, the best effect first:
+        [[(log weight, atom), ...], ...]."""
+        variants: dict[str, list[tuple[float, int]]] = {}
+        inside = {self.ids[k] for k in within}
+        seen = [k for k in self.testable if gram[k, k] >= UNSEEN]
+        open_to = [k for k in seen if self.ids[k] not in inside]
+        values = self.screened(gram, score, [(k,) for k in open_to])
+        for value, k in zip(values, open_to, strict=True):
+            variants.setdefault(self.ids[k], []).append((value, k))
+        each = (sorted(v, reverse=True) for v in variants.values())
+        return sorted(each, reverse=True)
 
-_FAR, _SMALL, _TINY = 4.0, 0.3, 0.1
-"""Amplitudes in prior scales where refits start: farthest, second start and nearest to
-zero of an effect of one sign."""
+    def guess(self, gram, score, hypothesis: Hypothesis, k: int):
+        """A set with one more atom, and the start of its refit: the step that the
+        linear score suggests."""
+        shift = (score[k] - gram[k, k] * self.center[k]) / (gram[k, k] + 1)
+        first = np.clip(self.center[k] + shift, -_FAR, _FAR)
+        if self.sign[k]:  # at zero itself it would stay
+            first = self.sign[k] * max(self.sign[k] * first, _TINY)
+        amplitude = np.append(hypothesis.amplitude, self.within((k,), first))
+        atoms = np.array((*hypothesis.atoms, k))
+        order = np.argsort(atoms)
+        return tuple(atoms[order].tolist()), (hypothesis.z, amplitude[order])
 
-_LIKELY_VARIANTS = 3
-"""Variants of one effect that are refitted: those that the linear screen likes best."""
-
-
-def _best_variants(searcher: _Searcher, gram, score, within=()):
-    """For each effect its best atoms added to ``within``, the best effect first:
-    [[(log weight, atom), ...], ...]."""
-    variants: dict[str, list[tuple[float, int]]] = {}
-    inside = {searcher.ids[k] for k in within}
-    open_to = [
-        k
-        for k in searcher.testable
-        if searcher.ids[k] not in inside and gram[k, k] >= _UNSEEN
-    ]
-    for value, k in zip(searcher.screened(gram, score, [(k,) for k in open_to]),
-                        open_to, strict=True):  # fmt: skip
-        variants.setdefault(searcher.ids[k], []).append((value, k))
-    return sorted((sorted(v, reverse=True) for v in variants.values()), reverse=True)
-
-
-def _guess(searcher, gram, score, hypothesis: Hypothesis, k: int):
-    """Start of a refit: the step that the linear score suggests."""
-    shift = (score[k] - gram[k, k] * searcher.center[k]) / (gram[k, k] + 1)
-    first = np.clip(searcher.center[k] + shift, -_FAR, _FAR)
-    if searcher.sign[k]:  # at zero itself it would stay
-        first = searcher.sign[k] * max(searcher.sign[k] * first, _TINY)
-    amplitude = np.append(hypothesis.amplitude, searcher.within((k,), first))
-    order = np.argsort((*hypothesis.atoms, k))
-    return tuple(np.array((*hypothesis.atoms, k))[order].tolist()), (
-        hypothesis.z, amplitude[order]
-    )  # fmt: skip
+    def extend(self, size: int, beam: int, width: int) -> None:
+        """Add to the best sets of this size what their remainders point at."""
+        sets = [h for h in self.tried.values() if len(h.atoms) == size]
+        sets = sorted(sets, key=lambda h: -h.log_weight)[:beam]
+        guesses: dict[tuple[int, ...], tuple] = {}
+        top = max(h.log_weight for h in self.tried.values())
+        for hypothesis in sets:
+            if hypothesis.log_weight < top - _HOPELESS and hypothesis is not sets[0]:
+                continue
+            gram, score, _ = self.columns(hypothesis)
+            ranked = self.best_variants(gram, score, hypothesis.atoms)
+            for value, k in [variants[0] for variants in ranked[:width]]:
+                atoms, guess = self.guess(gram, score, hypothesis, k)
+                expected = hypothesis.log_evidence + value + self.log_prior(atoms)
+                if expected > top - _WORTH_A_REFIT:
+                    guesses.setdefault(atoms, guess)
+                else:
+                    self.estimate(atoms, guess, hypothesis, value)
+        self.refit(list(guesses), guesses)
 
 
 def search(base: Base, testable: Sequence[int]) -> Search:
@@ -318,64 +303,27 @@ def search(base: Base, testable: Sequence[int]) -> Search:
     searcher = _Searcher(base, testable)
     null = searcher.tried[()]
     gram, score, left = searcher.columns(null)
-    ranked = _best_variants(searcher, gram, score)
-    singles, guesses = [], {}
+    ranked = searcher.best_variants(gram, score)
+    guesses: dict[tuple[int, ...], tuple] = {}
     for rank, variants in enumerate(ranked):
         top, first = variants[0]
-        near = rank < _BEST_SINGLES or top > ranked[0][0][0] - _WITHIN
-        if near or searcher.singular[first]:
-            for _, k in variants[:_LIKELY_VARIANTS]:
-                atoms, guess = _guess(searcher, gram, score, null, k)
-                singles.append(atoms)
-                guesses[atoms] = guess
-    searcher.refit(singles, guesses)
-    _extend(searcher, 1, *_BEYOND_ONE)
-    _pairs_by_screen(searcher, gram, score, [variants[0] for variants in ranked])
-    _extend(searcher, 2, *_BEYOND_TWO)
-    return Search(
-        base, searcher.testable, _scores(searcher, gram, score), searcher.tried, left,
-        searcher.refit,
-    )  # fmt: skip
-
-
-def _pairs_by_screen(searcher, gram, score, ranked, count: int = _PAIRS) -> None:
-    """Pairs that only show together."""
-    atoms = [k for _, k in ranked]
-    pairs = list(combinations(sorted(atoms), 2))
+        near = rank < _SOME or top > ranked[0][0][0] - _WITHIN
+        if near or searcher.effects[first].far:
+            more = [searcher.guess(gram, score, null, k) for _, k in variants[:_LIKELY]]
+            guesses |= dict(more)
+    searcher.refit(list(guesses), guesses)
+    searcher.extend(1, _LIKELY, _SOME)
+    # Pairs that only show together.
+    pairs = list(combinations(sorted(variants[0][1] for variants in ranked), 2))
     values = zip(searcher.screened(gram, score, pairs), pairs, strict=True)
-    best = sorted(values, reverse=True)[:count]
-    searcher.refit([pair for _, pair in best], {})
-
-
-def _extend(searcher: _Searcher, size: int, beam: int, width: int) -> None:
-    """Add to the best sets of this size what their remainders point at."""
-    sets = [h for h in searcher.tried.values() if len(h.atoms) == size]
-    sets = sorted(sets, key=lambda h: -h.log_weight)[:beam]
-    wanted: list[tuple[int, ...]] = []
-    guesses: dict[tuple[int, ...], tuple] = {}
-    top = max(h.log_weight for h in searcher.tried.values())
-    for hypothesis in sets:
-        if hypothesis.log_weight < top - _HOPELESS and hypothesis is not sets[0]:
-            continue
-        gram, score, _ = searcher.columns(hypothesis)
-        ranked = _best_variants(searcher, gram, score, hypothesis.atoms)
-        for value, k in [variants[0] for variants in ranked[:width]]:
-            atoms, guess = _guess(searcher, gram, score, hypothesis, k)
-            expected = hypothesis.log_evidence + value + searcher.log_prior(atoms)
-            if expected > top - _WORTH_A_REFIT:
-                wanted.append(atoms)
-                guesses.setdefault(atoms, guess)
-            else:
-                searcher.estimate(atoms, guess, hypothesis, value)
-    searcher.refit(wanted, guesses)
-
-
-def _scores(searcher: _Searcher, gram, score) -> dict[str, float]:
-    """z of each effect at the base fit: the largest of its variants."""
+    searcher.refit([pair for _, pair in sorted(values, reverse=True)[:_SOME]], {})
+    searcher.extend(2, *_BEYOND_TWO)
+    # z of each effect at the base fit: the largest of its variants.
     largest: dict[str, float] = {}
     for k in searcher.testable:
-        if gram[k, k] > _UNSEEN:
-            z = float(score[k] / np.sqrt(gram[k, k]))
-            if abs(z) > abs(largest.get(searcher.ids[k], 0.0)):
-                largest[searcher.ids[k]] = z
-    return largest
+        if gram[k, k] > UNSEEN:
+            z, effect = float(score[k] / np.sqrt(gram[k, k])), searcher.ids[k]
+            if abs(z) > abs(largest.get(effect, 0.0)):
+                largest[effect] = z
+    tried, refit = searcher.tried, searcher.refit
+    return Search(base, searcher.testable, largest, tried, left, refit)

@@ -1,24 +1,24 @@
-"""Somebody's simulator as it is: its forces beside the measured ones, and the tire that
-stands in for it where a hypothesis changes it.
-
-A hypothesis predicts the simulator's force + tire(changed) - tire(as simulated):
-whatever the simulator has that the tire lacks stays in.
-"""
+"""Somebody's simulator as it is: its forces beside the measured ones, and a test of its
+signs. A hypothesis predicts its force + tire(changed) - tire(as simulated): whatever it
+has that the tire lacks stays in."""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tirefit.data.table import CANONICAL, SIMULATED, TireData
 from tirefit.data.tir import read_tir
 from tirefit.data.units import sign_of
+from tirefit.diagnosis.evidence.forward import Tire
 from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.fitting.config import parse_config
 from tirefit.fitting.layout import FreeParameter, Layout, choose_layout
 from tirefit.fitting.mf.result import MagicFormulaFit
@@ -27,37 +27,37 @@ from tirefit.fitting.problem import find_model
 from tirefit.fitting.result import FitResult
 from tirefit.fitting.store import StoredFit, load_fit
 from tirefit.fitting.tir import TIR_SIGNS, remarks, tire_of
-from tirefit.models import AbstractTire
+from tirefit.models import AbstractTire, TireInputs, forces
 from tirefit.models import modelled as forces_modelled
-from tirefit.models.mf import MFTire
+from tirefit.models.mf import OTHER_SIDE, MFTire
+from tirefit.models.mf.tire import turned_forces, turned_inputs
+from tirefit.padding import pad_rows, padded_size
 from tirefit.params import check_values, parameter_values, specs, with_values
 from tirefit.results import DataError, InputProblem, UsageError
-
-_FARTHEST_OFF = 0.2
-"""Share of the simulated force (rms) that the tire which stands in for a simulator may
-miss. Its slopes share out the gap, and a tire that is off by a fifth of the force is
-off by as much in its slopes: parts of the budget then err by a fifth of themselves. The
-gap is no yardstick: a simulator near the truth has a small one, and its slopes are
-needed then as ever."""
+from tirefit.slip import CONVENTIONS
 
 STAND_INS = ("brush", "mf61")
 """Models that may stand in for a simulator whose forces alone are known, where none is
 asked for: the plain one, and one that follows any load, camber and curve."""
 
-_CLOSELY = 0.01
-"""Share of the simulated force (rms) up to which the plain one follows it: what it
-misses of slopes is then a hundredth of the parts of a budget."""
+_SCALING = {
+    "x": {"LMUX": "friction (longitudinal)", "LKX": "slip stiffness"},
+    "y": {"LMUY": "friction (lateral)", "LKY": "cornering stiffness"},
+}
+"""Scaling factors of a Magic Formula tire that are adapted, by slip."""
 
-_SCALING = {"x": ("LMUX", "LKX"), "y": ("LMUY", "LKY")}
-"""Scaling factors of a Magic Formula tire's friction and stiffness, by slip."""
+_FACTOR = 50.0
+"""Largest scaling factor that is adapted; the smallest is its reciprocal."""
 
-_MEANINGS = {
-    "LMUX": "friction (longitudinal)", "LKX": "slip stiffness",
-    "LMUY": "friction (lateral)", "LKY": "cornering stiffness",
-}  # fmt: skip
+_ADAPTED, _STEP = 0.3, 1e-4
+"""Relative change of the parameters that is fitted whatever the signs: a misfit that it
+explains does not come from signs. And the step in z of its finite differences."""
 
-_FACTOR = (0.02, 50.0)
-"""Bounds of a scaling factor that is adapted."""
+_FELT, _CLEAR, _NEAR, _ALIKE = 0.1, 0.5, 0.2, 1.02
+"""Of other signs: smallest effect on a channel, as a share of its squared misfit, for
+the channel to count; largest share of that misfit that may remain; largest deviation
+from 1 of the factor at which the change fits best, as an offset of the slip has the
+same shape at any factor; and ratio of squared misfits below which two are alike."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,10 +67,9 @@ class Given:
     ``kind`` is columns, model, fit or tir; ``source`` its name or file, ``sha256`` of
     the file. ``tire`` is None where only its forces are known; ``layout`` and ``z`` are
     those of a fit. ``forces`` gives canonical forces (n,) of the rows of data, None
-    if they are columns of the data. ``otherwise`` is the convention assumed for data
-    that declare none, and its origin. ``signs`` is the declared convention of a
-    ``.tir`` file or of the columns. ``remarks`` gives sentences on the file and the
-    rows of data.
+    for columns of the data; ``remarks`` sentences on file and data. ``otherwise`` is
+    the convention assumed for data that declare none, and its origin; ``signs`` that of
+    a ``.tir`` file or of columns, where declared.
     """
 
     kind: str
@@ -85,14 +84,10 @@ class Given:
     remarks: Callable[[TireData], list[str]] | None = None
 
     def channels(self, data: TireData, modelled: Sequence[str]) -> tuple[str, ...]:
-        """Forces that it gives, and its tire too: ``modelled`` where it has none.
-
-        Args:
-            data: of :meth:`beside`.
-        """
-        if self.tire is not None:
-            modelled = forces_modelled(self.tire)
-        return tuple(c for c in modelled if f"{c}_sim" in data)
+        """Forces that it gives beside ``data`` of :meth:`beside`: of those ``modelled``
+        by its tire, if it has one."""
+        own = modelled if self.tire is None else forces_modelled(self.tire)
+        return tuple(c for c in own if f"{c}_sim" in data)
 
     def beside(self, data: TireData, other: bool = False) -> TireData:
         """The data with the simulator's forces as their columns ``fx_sim``, ...; rows
@@ -107,60 +102,62 @@ class Given:
                 data lack an input of the simulator.
         """
         columns = {k: v for k, v in data.columns.items() if k not in SIMULATED}
-        forces = {k: v for k, v in data.columns.items() if k in SIMULATED}
-        if self.forces is not None and not (other and self.tire is None):
-            forces = {f"{c}_sim": force for c, force in self.forces(data).items()}
-        if self.tire is None and self.signs is not None:
-            own = (self.signs, data.source.convention)
-            forces = {
-                k: v * np.prod([sign_of(name, k) for name in own])
-                for k, v in forces.items()
-            }
-        path = data.source.path or data.name
-        # What is not measured has no gap.
-        forces = {k: v for k, v in forces.items() if k.removesuffix("_sim") in data}
-        silent = [k for k, v in forces.items() if not np.any(np.nan_to_num(v))]
-        if self.tire is not None:  # as one without coefficients of M_z
-            forces = {k: v for k, v in forces.items() if k not in silent}
-        elif silent:
-            there = bool(np.any(np.isfinite(forces[silent[0]])))
-            what = "zero" if there else "no number"
-            reason = f"{what} in every row: no force of a simulator"
-            remedy = "write the simulated force into it, or leave the column out"
-            raise DataError(InputProblem(reason, remedy, path, column=silent[0]))
-        if not forces:
+        found = self._forces(data, other)
+        if not found:
             reason = "no force of the simulator (fx_sim, fy_sim) beside a measured one"
             remedy = (
                 "write its force for every row into a column fx_sim or fy_sim, in the"
                 " unit and sign of fx or fy; `tirefit predict ... --beside` does so"
             )
-            raise DataError(InputProblem(reason, remedy, path))
-        known = np.all([np.isfinite(force) for force in forces.values()], axis=0)
-        for name, force in forces.items():
-            _check_size(force, data, name, known & data.used, path)
-        source = data.source
-        if self.remarks is not None:
-            said = self.remarks(data)
-            source = replace(source, warnings=(*source.warnings, *said))
+            raise refused(data, reason, remedy)
+        known = np.all([np.isfinite(force) for force in found.values()], axis=0)
+        for name, force in found.items():
+            _check_size(force, data, name, known & data.used)
+        said = [] if self.remarks is None else self.remarks(data)
         if self.forces is not None and (lost := int(np.sum(data.used & ~known))):
             text = f"{lost} of {len(data)} rows without a simulated force are left out"
-            source = replace(source, warnings=(*source.warnings, text))
-        return replace(data, columns=columns | forces, source=source).where(known)
+            said = [*said, text]
+        source = replace(data.source, warnings=(*data.source.warnings, *said))
+        return replace(data, columns=columns | found, source=source).where(known)
 
-    def tire_for(self, prepared) -> tuple[AbstractTire, Layout, np.ndarray]:
-        """Its tire, which parameters of it may be adapted, and their values as z."""
-        tire = self.tire
+    def _forces(self, data: TireData, other: bool) -> dict[str, np.ndarray]:
+        """Its forces (n,) beside the measured ones, by column."""
+        found = {k: v for k, v in data.columns.items() if k in SIMULATED}
+        if self.forces is not None and not (other and self.tire is None):
+            found = {f"{c}_sim": force for c, force in self.forces(data).items()}
+        if self.tire is None and self.signs is not None:
+            own = (self.signs, data.source.convention)
+            for k in found:
+                found[k] = found[k] * np.prod([sign_of(name, k) for name in own])
+        # What is not measured has no gap.
+        found = {k: v for k, v in found.items() if k.removesuffix("_sim") in data}
+        silent = [k for k, v in found.items() if not np.any(np.nan_to_num(v))]
+        if silent and self.tire is None:
+            there = bool(np.any(np.isfinite(found[silent[0]])))
+            what = "zero" if there else "no number"
+            reason = f"{what} in every row: no force of a simulator"
+            remedy = "write the simulated force into it, or leave the column out"
+            raise refused(data, reason, remedy, silent[0])
+        # A tire without coefficients of M_z has none.
+        return {k: v for k, v in found.items() if k not in silent}
+
+    def tire_for(self, prepared: Prepared, effects) -> tuple[Tire, np.ndarray, Any]:
+        """Its tire, whose layout says which parameters may be adapted; their values as
+        z, and again as the first guess of them."""
+        tire, layout, z = self.tire, self.layout, self.z
         assert tire is not None, "only its forces are known: no tire to adapt"
-        if self.layout is not None:
-            return tire, self.layout, np.asarray(self.z)
-        values = parameter_values(tire)
-        if "LMUX" in values:
-            layout = _scaling_layout(tire, prepared.mode)
-            return tire, layout, layout.unconstrained(values)
-        held = {name: {"value": float(value)} for name, value in values.items()}
-        config = parse_config({"parameters": held})
-        tire, layout, _ = choose_layout(tire, config, ("run",), prepared.channels)
-        return tire, layout, layout.unconstrained(values)
+        if layout is None:
+            values = parameter_values(tire)
+            if "LMUX" in values:
+                layout = _scaling_layout(tire, prepared.mode)
+            else:
+                held = {name: {"value": float(value)} for name, value in values.items()}
+                config = parse_config({"parameters": held})
+                own = choose_layout(tire, config, ("run",), prepared.channels)
+                tire, layout = own[:2]
+            z = layout.unconstrained(values)
+        z, given = np.asarray(z), (tire, layout, tuple(effects), prepared.mode)
+        return Tire(*given), z, z
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,129 +173,38 @@ class Simulated:
 
 def _scaling_layout(tire: AbstractTire, mode: str) -> Layout:
     """The scaling factors of friction and stiffness as parameters."""
-    known = specs(tire)
-    low, high = _FACTOR
-    return Layout(
-        tuple(
-            FreeParameter(
-                name,
-                known[name]._replace(
-                    lower=low, upper=high, scale="log", meaning=_MEANINGS[name]
-                ),
-            )
-            for slip in mode
-            for name in _SCALING[slip]
-        )
-    )
+    known, parameters = specs(tire), []
+    bounds: dict[str, Any] = {"lower": 1 / _FACTOR, "upper": _FACTOR, "scale": "log"}
+    for name, said in (pair for slip in mode for pair in _SCALING[slip].items()):
+        spec = known[name]._replace(meaning=said, **bounds)
+        parameters.append(FreeParameter(name, spec))
+    return Layout(tuple(parameters))
 
 
-def as_measured(data: TireData, channels: Sequence[str]) -> TireData:
-    """The data with the simulated forces in the place of the measured ones."""
-    dropped = {f"{c}_std" for c in channels}
-    columns = {k: v for k, v in data.columns.items() if k not in dropped}
-    return replace(data, columns=columns | {c: data[f"{c}_sim"] for c in channels})
+def refused(data: TireData, reason: str, remedy: str, column=None) -> DataError:
+    """The error of data that cannot be diagnosed."""
+    path = data.source.path or data.name
+    return DataError(InputProblem(reason, remedy, path, column=column))
 
 
-def missed_share(prepared, channel: str, values) -> float:
-    """What a tire misses of the simulated forces (n,), as a share of these, rms."""
-    size = _rms(prepared.column(f"{channel}_sim"))
-    return _rms(values) / max(size, NONZERO)
-
-
-def closely_followed(prepared, missed: Mapping[str, np.ndarray]) -> bool:
-    """Whether a tire follows the simulated forces so well that none need be better.
-
-    Args:
-        missed: simulated force less that of the tire, (n,) by channel.
-    """
-    shares = [missed_share(prepared, c, values) for c, values in missed.items()]
-    return max(shares) <= _CLOSELY
-
-
-def check_followed(prepared, missed: Mapping[str, np.ndarray], name: str) -> None:
-    """Raises DataError where the tire misses the simulated forces by too much.
-
-    Args:
-        missed: simulated force less that of the tire, (n,) by channel.
-        name: of the model that stands in.
-    """
-    for channel, values in missed.items():
-        off, share = _rms(values), missed_share(prepared, channel, values)
-        if share > _FARTHEST_OFF:
-            data = prepared.data
-            raise DataError(
-                InputProblem(
-                    f"the tire that stands in for the simulator does not follow it: it"
-                    f" misses {channel}_sim by {off:.3g}"
-                    f" {CANONICAL[channel][0]} rms,"
-                    f" {100 * share:.0f} % of it"
-                    f" ({100 * _FARTHEST_OFF:.0f} % at most)",
-                    f"choose a base model nearer to the simulator than {name} with"
-                    f" --model, and check sign, unit and row order of {channel}_sim",
-                    data.source.path or data.name,
-                )
-            )
-
-
-def _check_size(force, data: TireData, name: str, rows, path: str) -> None:
+def _check_size(force, data: TireData, name: str, rows) -> None:
     """Raises DataError where a simulated force (n,) is not of the measured one's size:
     no parameter that is adapted bridges that."""
     measured = data[name.removesuffix("_sim")]
     rows = rows & np.isfinite(measured)
     if not rows.any():
         return
-    size = float(np.mean(np.abs(measured[rows])))
-    ratio = float(np.mean(np.abs(force[rows]))) / max(size, NONZERO)
-    low, high = _FACTOR
-    if not low < ratio < high:
+    own, size = (float(np.mean(np.abs(part[rows]))) for part in (force, measured))
+    ratio = own / max(size, NONZERO)
+    if not 1 / _FACTOR < ratio < _FACTOR:
         reason = f"its mean size is {ratio:.3g} times that of the measured force"
         remedy = f"check unit and rows of {name}: no tire is off by that much"
-        raise DataError(InputProblem(reason, remedy, path, column=name))
-
-
-_USUAL_CHANGE = 0.1
-"""Share by which a hypothesis changes friction or stiffness, at least."""
-
-_AROUND = 4
-"""Rows on either side over which the slope of what a stand-in misses is taken."""
-
-
-def not_followed(missed, slip, groups, changed: float) -> np.ndarray:
-    """How a simulator may change where its stand-in does not: columns (n, 2), to first
-    order. Where it misses e, friction times 1 + a and stiffness times 1 + b add
-    a (e - slip e') + b slip e' to what the stand-in's own change is.
-
-    Args:
-        missed: simulated force less that of its stand-in, (n,).
-        groups: index arrays of like rows in the order of their slip.
-        changed: typical size of a and b.
-    """
-    steep, wide = np.zeros(len(slip)), 2 * _AROUND + 1
-    for rows in groups:
-        if len(rows) < wide:
-            continue
-        x, y = (
-            np.lib.stride_tricks.sliding_window_view(np.pad(v, _AROUND, "edge"), wide)
-            for v in (slip[rows], missed[rows])
-        )
-        x, y = (view - view.mean(axis=1, keepdims=True) for view in (x, y))
-        steep[rows] = np.sum(x * y, axis=1) / np.maximum(np.sum(x * x, axis=1), NONZERO)
-    size = max(changed, _USUAL_CHANGE)
-    return size * np.stack([missed, slip * steep], axis=1)
-
-
-def _rms(values) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+        raise refused(data, reason, remedy, name)
 
 
 def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given:
-    """The simulator that an argument of :func:`tirefit.diagnose` means.
-
-    Args:
-        sim: True for the data's columns ``fx_sim``, ...; an array (n,) of the force
-            that the data measure, or arrays by channel, canonical; a tire model, a fit,
-            or what :func:`simulator_at` gives.
-        signs: convention of the columns ``fx_sim``, ..., if not that of the data.
+    """The simulator that ``sim`` of :func:`tirefit.diagnose` means, or what
+    :func:`simulator_at` gave; ``signs`` is the convention of columns ``fx_sim``, ...
 
     Raises:
         UsageError: none of these, or arrays of another length.
@@ -311,18 +217,13 @@ def given_simulator(sim: Any, data: TireData, signs: str | None = None) -> Given
     if isinstance(sim, MagicFormulaFit):
         return _of_tire(sim.tire, "fit", f"{sim.model} fitted to {sim.data['file']}")
     if isinstance(sim, FitResult):
-        problem = sim.problem
-        return _of_fit(sim, problem.model, problem.layout, sim.z, sim.model)
+        return _of_fit(sim, sim.problem.model, sim.problem.layout, sim.model)
     if isinstance(sim, StoredFit):
-        return _of_fit(sim, sim.tire, sim.layout, sim.z, sim.model)
+        return _of_fit(sim, sim.tire, sim.layout, sim.model)
     if isinstance(sim, AbstractTire):
         return _of_tire(sim, "model", type(sim).__name__)
     if isinstance(sim, str | PathLike):
         return simulator_at(str(sim))
-    return _of_arrays(sim, data)
-
-
-def _of_arrays(sim, data: TireData) -> Given:
     if not isinstance(sim, Mapping):
         measured = [c for c in ("fx", "fy") if c in data]
         if len(measured) != 1:
@@ -330,9 +231,14 @@ def _of_arrays(sim, data: TireData) -> Given:
             remedy = "give arrays by name: sim={'fx': ..., 'fy': ...}"
             raise UsageError(InputProblem(reason, remedy))
         sim = {measured[0]: sim}
-    arrays = {}
+    arrays = _arrays(sim, len(data))
+    return Given(kind="columns", source="arrays", forces=lambda _: arrays)
+
+
+def _arrays(sim: Mapping, n: int) -> dict[str, np.ndarray]:
+    arrays: dict[str, np.ndarray] = {}
     for name, values in sim.items():
-        channel = str(name).removesuffix("_sim")
+        channel, reason = str(name).removesuffix("_sim"), ""
         try:
             if np.iscomplexobj(values):
                 raise TypeError
@@ -342,52 +248,42 @@ def _of_arrays(sim, data: TireData) -> Given:
             reason = f"sim is of type {type(values).__name__}"
             remedy = "give a tire model, a fit, a file, True, or arrays of forces"
             raise UsageError(InputProblem(reason, remedy)) from None
-        if f"{channel}_sim" not in SIMULATED or array.shape != (len(data),):
+        if f"{channel}_sim" not in SIMULATED or array.shape != (n,):
             reason = f"sim: {name} of shape {array.shape}"
-            remedy = f"give fx, fy or mz with one value for each of {len(data)} rows"
-            raise UsageError(InputProblem(reason, remedy))
-        if channel in arrays:
+            remedy = f"give fx, fy or mz with one value for each of {n} rows"
+        elif channel in arrays:
             reason = f"sim: {channel} and {channel}_sim are one force"
-            raise UsageError(InputProblem(reason, "give one of them"))
+            remedy = "give one of them"
+        if reason:
+            raise UsageError(InputProblem(reason, remedy))
         arrays[channel] = array
-    return Given(kind="columns", source="arrays", forces=lambda _: arrays)
+    return arrays
 
 
-def _of_fit(fit, tire, layout, z, source, sha256=None) -> Given:
+def _of_fit(fit, tire, layout, source, sha256=None) -> Given:
     if any(parameter.per_run for parameter in layout.free):
         reason = f"{source}: a fit with parameters of each run is no one simulator"
         remedy = "write its forces beside the data (`tirefit predict --beside`), --sim"
         raise UsageError(InputProblem(reason, remedy))
-
     if isinstance(tire, MFTire):
         # What is adapted of a Magic Formula are its scaling factors.
-        values = {k: float(v) for k, v in layout.natural(z).items()}
+        values = {k: float(v) for k, v in layout.natural(fit.z).items()}
         return _of_tire(with_values(tire, values), "fit", source, sha256)
-
-    def forces(data):
-        return _forces_alone(predict(fit, data))
-
-    return Given(
-        kind="fit", source=source, sha256=sha256, tire=tire, layout=layout,
-        z=np.asarray(z), forces=forces,
-    )  # fmt: skip
+    given = replace(_of_tire(tire, "fit", source, sha256), layout=layout)
+    return replace(given, z=np.asarray(fit.z), forces=partial(_predicted, fit))
 
 
 def _of_tire(tire, kind: str, source: str, sha256=None) -> Given:
-    def forces(data):
-        return _forces_alone(predict(tire, data))
-
-    return Given(kind=kind, source=source, sha256=sha256, tire=tire, forces=forces)
+    own = partial(_predicted, tire)
+    return Given(kind=kind, source=source, sha256=sha256, tire=tire, forces=own)
 
 
-def _forces_alone(predicted: Mapping) -> dict[str, np.ndarray]:
-    return {c: v for c, v in predicted.items() if f"{c}_sim" in SIMULATED}
+def _predicted(model, data: TireData) -> dict[str, np.ndarray]:
+    return {c: v for c, v in predict(model, data).items() if f"{c}_sim" in SIMULATED}
 
 
 def simulator_at(
-    text: str,
-    values: Mapping[str, float] | None = None,
-    **of_tir: str | None,
+    text: str, values: Mapping[str, float] | None = None, **of_tir: str | None
 ) -> Given:
     """The simulator that a name or a file means.
 
@@ -405,17 +301,19 @@ def simulator_at(
     if text.lower().endswith(".tir"):
         return _at_tir(text, values, of_tir)
     if text.endswith(".json"):
-        return _at_fit(text, values)
+        if values:
+            reason, remedy = "--set with a fit.json", "use it with the name of a model"
+            raise UsageError(InputProblem(reason, remedy))
+        fit = load_fit(text)
+        given = _of_fit(fit, fit.tire, fit.layout, text, _digest(text))
+        return replace(given, otherwise=(fit.content["data"]["convention"], text))
     template = find_model(text)
     check_values(template, text, values)
     whole, known = parameter_values(template) | values, specs(template)
-    said = [
-        f"{name} = {float(value):g}{'' if name in values else ' (default)'}"
-        for name, value in whole.items()
-        if name in values or known[name].free
-    ]
-    source = ", ".join([text, *said])
-    return _of_tire(with_values(template, whole), "model", source)
+    shown = (name for name in whole if name in values or known[name].free)
+    for k in shown:
+        text += f", {k} = {float(whole[k]):g}{'' if k in values else ' (default)'}"
+    return _of_tire(with_values(template, whole), "model", text)
 
 
 def _at_tir(text: str, values: dict[str, float], of_tir: dict) -> Given:
@@ -430,14 +328,138 @@ def _at_tir(text: str, values: dict[str, float], of_tir: dict) -> Given:
     return replace(given, otherwise=(TIR_SIGNS, ".tir files"), signs=signs, remarks=own)
 
 
-def _at_fit(text: str, values: dict[str, float]) -> Given:
-    if values:
-        reason, remedy = "--set with a fit.json", "use it with the name of a model"
-        raise UsageError(InputProblem(reason, remedy))
-    fit = load_fit(text)
-    given = _of_fit(fit, fit.tire, fit.layout, fit.z, text, _digest(text))
-    return replace(given, otherwise=(fit.content["data"]["convention"], text))
-
-
 def _digest(path: str) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+class _Misfit(NamedTuple):
+    """Of each channel (C,), with some signs reversed: the rms misfit, its mean square
+    with adapted parameters, the mean square change of the force by the signs, and the
+    factor of this change that fits best."""
+
+    rms: np.ndarray
+    square: np.ndarray
+    change: np.ndarray
+    factor: np.ndarray
+
+
+def check_signs(prepared: Prepared, tire: Tire, z, given: Given) -> str:
+    """A sentence if a simulator fits better with some signs reversed, as a tire written
+    in other axes or for the other side of the vehicle does; else an empty text.
+
+    Args:
+        tire: the tire of the simulator, or its replacement, with parameters z.
+
+    Raises:
+        DataError: a file or columns fit with other signs, and no signs were declared. A
+            diagnosis would then name some effect in place of the wrong signs.
+    """
+    inputs = _inputs(prepared)._asdict()
+    moved = [f for f in ("slip", "alpha", "gamma") if np.any(inputs[_column(f)])]
+    there, left = frozenset((*moved, *prepared.channels)), {}
+    before = _misfits(prepared, tire, z, frozenset())
+    for turned in _hypotheses(there):
+        after = _misfits(prepared, tire, z, turned)
+        share, felt = after.square / before.square, after.change > _FELT * before.square
+        near = (np.abs(after.factor - 1) < _NEAR) & (share < 1)
+        if felt.any() and near[felt].all() and np.mean(share[felt]) < _CLEAR:
+            left[turned] = float(np.sum(share))
+    if not left:
+        return ""
+    alike = [h for h in left if left[h] <= _ALIKE * min(left.values())]
+    after = _misfits(prepared, tire, z, alike[0])
+    better = ", ".join(
+        f"{c} {before.rms[k]:.3g} -> {after.rms[k]:.3g} {CANONICAL[c][0]} rms"
+        f" ({before.square[k] ** 0.5:.3g} -> {after.square[k] ** 0.5:.3g} if adapted"
+        " too)"
+        for k, c in enumerate(prepared.channels)
+        if after.change[k] > _FELT * before.square[k]
+    )
+    fields = CONVENTIONS[TIR_SIGNS]._fields
+    ways = (" and ".join(_column(f) for f in fields if f in turned) for turned in alike)
+    reason = f"the simulator {given.source} fits if it is mirrored in"
+    reason += f" {' or '.join(ways)}: {better}"
+    remedy = "; ".join(_remedies(alike, there, prepared, given))
+    if given.signs or given.kind not in ("tir", "columns"):
+        return f"{reason}. It is taken as it is: {remedy}"
+    raise refused(prepared.data, reason, remedy)
+
+
+def _column(field: str) -> str:
+    return "sigma_x" if field == "slip" else field
+
+
+def _inputs(prepared: Prepared) -> TireInputs:
+    """All inputs as measured, padded."""
+    size, names = padded_size(prepared.n), TireInputs._fields
+    there = {n: prepared.column(n) for n in names if n in prepared.data}
+    padded = {n: pad_rows(np.nan_to_num(v), size) for n, v in there.items()}
+    return TireInputs(*(padded.get(n, np.zeros(size)) for n in names))
+
+
+def _hypotheses(there: frozenset[str]) -> list[frozenset[str]]:
+    """Sets of fields to reverse: differences of two conventions, the other side of the
+    vehicle, and single fields."""
+    pairs = combinations(CONVENTIONS.values(), 2)
+    sets = [*(one.turned(other) for one, other in pairs), OTHER_SIDE]
+    sets += [frozenset((name,)) for name in ("gamma", "fx", "fy", "mz")]
+    return [h for h in dict.fromkeys(h & there for h in sets) if h]
+
+
+def _misfits(prepared: Prepared, tire: Tire, z, turned: frozenset[str]) -> _Misfit:
+    """The misfit with the signs of ``turned`` reversed."""
+    n, inputs, channels = prepared.n, _inputs(prepared), prepared.channels
+    run = pad_rows(prepared.run, padded_size(n))
+
+    def of(z, turned=turned):
+        model = with_values(tire.model, tire.layout.natural(z))
+        found = forces(model, turned_inputs(inputs, turned), run)
+        every = turned_forces(found, turned)._asdict()
+        return np.array([every[c][:n] for c in channels])
+
+    here, z = of(z), np.asarray(z, float)
+    change, values = here - of(z, frozenset()), tire.layout.vector(z)
+    slopes = np.zeros((len(z), *here.shape))
+    for i, step in enumerate(_STEP * np.eye(len(z))):
+        moved = abs(tire.layout.vector(z + step) - values)[i]
+        unit = _ADAPTED * abs(values[i]) / max(moved, NONZERO)
+        slopes[i] = unit * (of(z + step) - here)
+    gap = [prepared.observed[c] - prepared.column(f"{c}_sim") for c in channels]
+    none, once, twice = (
+        np.array([*map(_adapted, gap - k * change, np.moveaxis(slopes, 0, -1))])
+        for k in (0, 1, 2)
+    )
+    # Minimum of the parabola through the three mean squares.
+    bend, top = 2 * (none - 2 * once + twice), 3 * none - 4 * once + twice
+    factor = np.where(bend > 0, top / np.where(bend > 0, bend, 1.0), 0.0)
+    rms = np.sqrt(np.mean((gap - change) ** 2, axis=1))
+    square = np.maximum(once, NONZERO)
+    return _Misfit(rms, square, np.mean(change**2, axis=1), factor)
+
+
+def _adapted(gap: np.ndarray, columns: np.ndarray) -> float:
+    """Mean square of a gap (n,) after fitting bounded changes of the parameters."""
+    best = np.linalg.lstsq(columns, gap, rcond=None)[0]
+    best /= max(1.0, np.max(abs(best), initial=0.0))
+    return float(np.mean((gap - columns @ best) ** 2))
+
+
+def _remedies(alike, there: frozenset[str], prepared: Prepared, given: Given):
+    """Options that declare the signs of a hypothesis, or the present signs."""
+    source, tir = prepared.data.source, given.kind == "tir"
+    now, read = CONVENTIONS[given.signs or TIR_SIGNS], CONVENTIONS[source.convention]
+    ways, assumed = [], source.convention_from.startswith("assumed")
+    for name, other in CONVENTIONS.items():
+        if tir and now.turned(other) & there in alike:
+            ways.append(f"--signs {name} reads the file so")
+    if tir and OTHER_SIDE & there in alike:
+        ways.append("--side, if it is a tire of the other side of the vehicle")
+    for name, other in CONVENTIONS.items():
+        if assumed and other.fz == read.fz and read.turned(other) & there in alike:
+            ways.append(f"--convention {name} reads the data so, which declare none")
+    for (name,) in (h for h in alike if len(h) == 1):
+        unit = source.units.get(name, CANONICAL[_column(name)][0]).replace(" ", "")
+        ways.append(f"--unit {_column(name)}=-{unit}, if that column alone is turned")
+    ways = ways or ["turn these signs in the simulator, or in the data"]
+    kept = given.signs or (TIR_SIGNS if tir else source.convention)
+    return [*ways, f"--signs {kept} keeps it as it is"]

@@ -47,13 +47,13 @@ def folds_of(prepared: Prepared, rows_each: float, across_runs: bool = True) -> 
         code = np.full(prepared.n, -1)
         for number, run in enumerate(runs):
             code[prepared.run == run] = number
-        return Folds(code, f"{len(runs)} runs, each left out in turn", True)
+        return Folds(code, f"{len(runs)} runs left out in turn", True)
     most = int(prepared.n // max(_LEAST_ROWS, 4 * rows_each))
     count = max(min(_BLOCKS, most), 2)
     if prepared.time is not None and not prepared.random_order:
         order = np.lexsort((prepared.time, prepared.run))
         return Folds(
-            _in_parts(order, count), f"{count} blocks of time, each left out in turn"
+            _in_parts(order, count), f"{count} blocks of time left out in turn"
         )
     return _settings(prepared, count)
 
@@ -74,6 +74,6 @@ def _settings(prepared: Prepared, count: int) -> Folds:
     _, code = np.unique(code, return_inverse=True)
     sizes = np.bincount(code)
     if len(sizes) > 2 and sizes.min() >= _LEAST_ROWS:
-        return Folds(code, f"{len(sizes)} settings of load and speed, each left out")
+        return Folds(code, f"{len(sizes)} settings of load and speed left out in turn")
     parts = _in_parts(np.argsort(prepared.slip, kind="stable"), 2 * count) % count
-    return Folds(parts, f"{count} parts of the slip range, each left out in turn")
+    return Folds(parts, f"{count} parts of the slip range left out in turn")

@@ -39,6 +39,9 @@ def predicted(base: Base, sets: Sequence[Hypothesis], folds: Folds) -> Predicted
     """Refit every set without each fold in turn, from its fit to all rows."""
     n, main = base.rows.n, base.rows.channels[0]
     keep = np.asarray(base.design.keep)[:n] > 0
+    names = sorted(base.rows.observed)
+    observed = np.stack([base.rows.observed[c] for c in names])
+    scale = np.stack([np.asarray(base.design.scale[c])[:n] for c in names])
     starts, atoms = [(h.z, h.amplitude) for h in sets], [h.atoms for h in sets]
     outs = [folds.code == fold for fold in range(folds.number)]
     refit = base.refit_folds(starts, atoms, [~out for out in outs])
@@ -47,21 +50,19 @@ def predicted(base: Base, sets: Sequence[Hypothesis], folds: Folds) -> Predicted
     for f, out in enumerate(outs):
         good = out & keep if (out & keep).any() else out
         rows[f] = good.sum()
-        for k, own in enumerate(atoms):
-            sizes = base.amplitudes(own, refit.amplitude[f, k])
-            forces = base.forces(refit.z[f, k], sizes)
-            missed = {c: (base.rows.observed[c] - x)[good] for c, x in forces.items()}
-            loss[f, k] = np.mean(missed[main] ** 2)
-            whitened[f, k] = sum(
-                float(np.sum((m / np.asarray(base.design.scale[c])[:n][good]) ** 2))
-                for c, m in missed.items()
-            )
+        fits = [
+            (refit.z[f, k], base.amplitudes(own, refit.amplitude[f, k]))
+            for k, own in enumerate(atoms)
+        ]
+        missed = (observed - base.forces_each(fits))[:, :, good]
+        loss[f] = np.mean(missed[:, names.index(main)] ** 2, axis=1)
+        whitened[f] = np.sum((missed / scale[:, good]) ** 2, axis=(1, 2))
     amplitude = np.asarray(refit.amplitude)
     sizes_of = tuple(amplitude[:, k, : len(h.atoms)] for k, h in enumerate(sets))
-    names = tuple(tuple(sorted(h.effects)) for h in sets)
+    keys = tuple(tuple(sorted(h.effects)) for h in sets)
     smooth = smooth_predicted(base, folds)
     return Predicted(
-        folds.on, folds.across_runs, names, loss, whitened, rows, sizes_of, smooth
+        folds.on, folds.across_runs, keys, loss, whitened, rows, sizes_of, smooth
     )
 
 

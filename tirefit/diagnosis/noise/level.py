@@ -15,6 +15,7 @@ from scipy.special import chdtr, chdtrc
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 from tirefit.diagnosis.noise.memory import (
     CORRELATED,
+    FORGETFUL,
     Memory,
     in_order,
     memory_of,
@@ -137,15 +138,17 @@ def judge_noise(
         times, flags, source = _overruled(white, smooth, size, groups, in_time)
         std = std * times
     else:
-        std, source = level(), "differences"
+        std, source = np.maximum(level(), floor), "differences"
     memory = smooth.memory(rest / std, in_time)
     if not stated:
         apart = _CLEAR * max(one.rows_each for one in memory) * (memory[0].fade > 0)
         local = _between(residual / std, groups, keep, apart, in_time)
         if local < 1:
-            std = std * local
+            std = np.maximum(std * local, floor)
             memory = smooth.memory(rest / std, in_time)
     std = np.maximum(std, floor)
+    if np.all(std <= floor):  # forces from a formula: digits are left, no noise
+        memory = (FORGETFUL,)
     if grows or (not stated and np.max(std) > (1 + _MISSTATED) ** 2 * np.min(std)):
         flags.append("heteroscedastic")
     elif stated and np.std(fz) > LOADS * np.mean(fz):
@@ -153,7 +156,10 @@ def judge_noise(
             flags.append("heteroscedastic")
     if np.count_nonzero(~keep) > max(_FEW, _FLAGGED * len(residual)):
         flags.append("outliers")
-    inflation = rows_per_independent(memory, np.where(keep, rest, 0) / std, time, run)
+    inflation = 1.0
+    if np.any(std > floor):
+        left = np.where(keep, rest, 0) / std
+        inflation = rows_per_independent(memory, left, time, run)
     if inflation > 1:
         flags.append("autocorrelated")
     first = np.sqrt(base**2 + spread)

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from tirefit.data.levels import levels
-from tirefit.diagnosis.negligible import FLAT, ROUNDING
+from tirefit.diagnosis.negligible import FLAT, ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.patterns import (
     FULL_SLIDING,
     ROWS_OF_A_WAVE,
@@ -77,7 +77,7 @@ def _by_side(slip_fraction, factors, scale, most: int, finest: int) -> np.ndarra
 
 def _standard(values):
     spread = np.std(values)
-    return (values - values.mean()) / spread if spread > FLAT else None
+    return (values - values.mean()) / spread if spread > UNSEEN else None
 
 
 def _modulations(prepared) -> list[np.ndarray]:
@@ -111,15 +111,22 @@ def _scaled(columns, scale):
     return basis @ vectors[:, values > RANK * values.max()]
 
 
-def smooth_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
+def smooth_basis(
+    prepared, slip_fraction, scale, most: int, runs: bool = False
+) -> np.ndarray:
     """Smooth functions of slip, times load, speed, time and direction: (n, b).
 
     Args:
+        runs: whether each run has functions of its own too, as a tire or a floor of its
+            own; they predict nothing of another run.
         slip_fraction: signed slip over that of full sliding, (n,).
         scale: (n,) typical force over the noise of each row.
         most: approximate number of columns.
     """
     factors = _modulations(prepared)
+    if runs and "runs" in prepared.has:
+        own = [_standard(prepared.run == k) for k in np.unique(prepared.run)[1:]]
+        factors[1:1] = [unit for unit in own[:_LEVELS] if unit is not None]
     return _by_side(slip_fraction, factors, scale, most, _BUMPS[1])
 
 

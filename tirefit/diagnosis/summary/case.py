@@ -42,8 +42,8 @@ class Case:
 
     @property
     def on_the_noise(self) -> tuple[str, ...]:
-        """The effects on the noise alone, where none on the mean is found."""
-        if self.verdict.status != Status.NONE:
+        """The effects on the noise alone, where none on the mean is possible."""
+        if self.verdict.status != Status.NONE or self.verdict.also_possible:
             return ()
         of_flag = {effect.flag: effect.id for effect in NOISE_EFFECTS if effect.flag}
         return tuple(of_flag[f] for f in self.noise_flags if f in of_flag)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import softmax, stdtrit
 from scipy.stats import norm
 
-from tirefit.diagnosis.evidence.linear_fit import linear_at
+from tirefit.diagnosis.evidence.posterior import linear_at
 from tirefit.diagnosis.evidence.search import amplitudes_of
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 from tirefit.diagnosis.rows.basis import gain, orthogonal, without

@@ -9,8 +9,8 @@ from tirefit.diagnosis.decide.findings import floor_of
 from tirefit.diagnosis.decide.remainder import widening
 from tirefit.diagnosis.decide.verdict import Status, Verdict
 from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.fast_waves import with_fast_waves
-from tirefit.diagnosis.evidence.linear_fit import linear_at
+from tirefit.diagnosis.evidence.forms import with_fast_waves
+from tirefit.diagnosis.evidence.posterior import linear_at
 from tirefit.diagnosis.evidence.runs import offsets_of_runs
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.left_out.ladder import ladder_of
@@ -271,12 +271,12 @@ def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate
 
 
 def _chances(case: Case) -> dict:
-    """Probability of every refitted set: that of the verdict for its own, the others
-    share the rest by their evidence."""
+    """Probability of every refitted set: the verdict's, others by their evidence."""
     verdict, listed = case.verdict, case.weighed.listed
     named = verdict.status.names
     some = {k: p for k, p in listed.items() if k and not (named and k == verdict.key)}
-    rest = 1 - verdict.probability if named else 1 - verdict.unlisted
+    alone = verdict.status in (Status.NAMED, Status.CANNOT_TELL)
+    rest = 1 - verdict.unlisted - verdict.probability * alone
     if verdict.status == Status.NONE:
         rest *= 1 - case.weighed.nothing_shown
     scale = rest / max(sum(some.values()), ROUNDING)

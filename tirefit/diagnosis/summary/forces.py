@@ -4,7 +4,7 @@ import numpy as np
 
 from tirefit.diagnosis.decide.verdict import Status
 from tirefit.diagnosis.evidence.base import Base, on_rows
-from tirefit.diagnosis.evidence.linear_fit import fitted_form, linear_at
+from tirefit.diagnosis.evidence.posterior import fitted_form, linear_at
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
 from tirefit.diagnosis.rows.basis import located, without
 from tirefit.diagnosis.rows.prepared import Prepared

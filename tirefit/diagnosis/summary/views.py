@@ -10,7 +10,7 @@ from scipy.stats import false_discovery_control
 from tirefit.data.levels import cells, levels
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.forms import PLACE
-from tirefit.diagnosis.evidence.linear_fit import LinearFit, linear_at
+from tirefit.diagnosis.evidence.posterior import LinearFit, linear_at
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 from tirefit.diagnosis.rows.basis import FULL_SLIDING, without
 from tirefit.diagnosis.rows.patterns import (

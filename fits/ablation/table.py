@@ -1,0 +1,220 @@
+"""The table: what the decision says with one stage or rule switched off at a time."""
+
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib import resources
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from fits.ablation.variants import VARIANTS, Answer, Rules, decided, taught
+from fits.calibration import said, train
+from fits.calibration.__main__ import verdicts_of
+from fits.withheld.goals import STRONG, WEAK
+from fits.withheld.judge import HIDDEN, Outcome, judge, kind_of
+from fits.withheld.thresholds import brier, share, telling
+
+__all__ = ["answered", "row_of", "table"]
+
+BEFORE = "rules before"
+"""The row of another version's documents."""
+
+STRANGERS = ("unlisted", "procedural")
+
+
+class Scores:
+    """Outcomes of trials with their labels, by name."""
+
+    def __init__(self, labels: Mapping[str, Mapping], outcomes: Mapping[str, Outcome]):
+        self.labels = {name: labels[name] for name in outcomes}
+        self.outcomes = outcomes
+
+    def of(self, *sets: str, size=(-np.inf, np.inf)) -> list[Outcome]:
+        """Of these sets, where the gap over the noise is of this size."""
+        return [
+            o
+            for name, o in self.outcomes.items()
+            if self.labels[name]["set"] in sets
+            and size[0] <= self.labels[name].get("gap_over_noise", 0.0) <= size[1]
+        ]
+
+
+def _exact(*sets, size=(-np.inf, np.inf)) -> Callable:
+    return lambda s: share(o.exact for o in s.of(*sets, size=size))
+
+
+def _said(*sets, size=(-np.inf, np.inf)) -> Callable:
+    return lambda s: share(o.exact_or_alias for o in s.of(*sets, size=size))
+
+
+def _flagged(*sets, size=(-np.inf, np.inf)) -> Callable:
+    return lambda s: share(o.unknown for o in s.of(*sets, size=size))
+
+
+def _false_names(s: Scores) -> tuple:
+    counts = [o.false_names for o in s.of(*HIDDEN)]
+    return (float(np.mean(counts)) if counts else None), len(counts)
+
+
+def _alarms(s: Scores) -> tuple:
+    return share(
+        o.flagged for name, o in s.outcomes.items() if kind_of(s.labels[name]) == "null"
+    )
+
+
+def _brier(s: Scores) -> tuple:
+    known = [o for name, o in s.outcomes.items() if s.labels[name]["set"] != "raw"]
+    return brier(known), len(known)
+
+
+COLUMNS: dict[str, Callable[[Scores], tuple]] = {
+    "strong: exact": _exact("singles", size=STRONG),
+    "strong: said": _said("singles", size=STRONG),
+    "weak: exact": _exact("singles", size=WEAK),
+    "weak: said": _said("singles", size=WEAK),
+    "pairs: exact": _exact("pairs"),
+    "pairs: said": _said("pairs"),
+    "strangers, strong": _flagged(*STRANGERS, size=STRONG),
+    "strangers, weak": _flagged(*STRANGERS, size=WEAK),
+    "surely misnamed": lambda s: share(o.sure_wrong for o in s.of(*STRANGERS)),
+    "family left out": _flagged("leave_out"),
+    "foreign": _flagged("foreign"),
+    "beside: effect named": lambda s: share(o.named for o in s.of("beside")),
+    "false names a case": _false_names,
+    "false alarms": _alarms,
+    "injected": lambda s: share(o.exact for o in telling(s.labels, s.outcomes)),
+    "Brier": _brier,
+}
+"""Column -> (value, count) of the scores."""
+
+SAVED = {"climb off": ("climbed",), "gain: no data left out": ("predicted",),
+         "plain decision": ("climbed", "predicted", "remainder_tests")}  # fmt: skip
+"""Stages of the record that a row does not need."""
+
+
+def answered(
+    first: Sequence[Mapping], second: Sequence[Mapping], rules: Rules
+) -> dict[str, Answer]:
+    """The answers to the second records by the rules, by name; what is learned is
+    taught on the first: the regression, and how often verdicts of a status are right.
+    """
+    numbers = {} if rules.plain else train.taught(taught(first, rules))
+    lines = said.lines_of(verdicts_of(first, numbers, rules))
+    found = {}
+    for record in second:
+        answer = decided(record, rules, numbers)
+        probability = said.as_said(lines, answer.kind, answer.probability)
+        found[record["name"]] = answer._replace(probability=probability)
+    return found
+
+
+def _bare(name: str) -> str:
+    return name.rpartition("/")[2]
+
+
+def row_of(outcomes: Mapping[str, Outcome], labels: Mapping[str, Mapping]) -> list[str]:
+    """The cells of a row."""
+    scores = Scores(labels, outcomes)
+    found = [column(scores) for column in COLUMNS.values()]
+    return ["-" if value is None else f"{value:.2f}" for value, _ in found]
+
+
+def _seconds(records: Iterable[Mapping], stages: Iterable[str]) -> str:
+    """Median CPU seconds of a file up to its verdict, without some stages."""
+    spent = [
+        r["seconds"]["in all"] - sum(r["seconds"].get(stage, 0.0) for stage in stages)
+        for r in records
+    ]
+    return f"{np.median(spent):.2f}"
+
+
+def _measured(records: Sequence[Mapping], answers: Mapping[str, Answer]) -> list[str]:
+    """Of the measured cases: how many are named right of those that have something to
+    name, and mean share of the closure by hand, at most all of it."""
+    hand, right, closed = _by_hand(), [], []
+    for record in records:
+        label, answer = record["label"], answers[record["name"]]
+        if label["named"] or label["never"]:
+            found = all(
+                any(re.fullmatch(pattern, e) for e in answer.effects)
+                for pattern in label["named"]
+            )
+            false = [e for e in answer.effects if re.fullmatch(label["never"], e)]
+            right.append(found and not false)
+        best = hand.get(_bare(record["name"]))
+        if best and best["rms"][best["best"]] < 0.97 * best["rms"][""]:
+            possible = 1 - best["rms"][best["best"]] / best["rms"][""]
+            own = _closed(record["out"], answer.effects)
+            closed.append(min(own / possible, 1.0))
+    named = f"{sum(right)} of {len(right)}" if right else "-"
+    return [named, f"{np.mean(closed):.2f}" if closed else "-"]
+
+
+def _by_hand() -> dict:
+    if find_spec("fits.measured_changes") is None:
+        return {}
+    at = resources.files("fits.measured_changes") / "by_hand.json"
+    return json.loads(at.read_text())
+
+
+def _closed(out: Mapping, effects: Sequence[str]) -> float:
+    """Share of the rms on data left out that a set of effects closes; zero of one that
+    was not refitted there."""
+    sets = [tuple(key) for key in out["effects"]]
+    key = tuple(sorted(effects))
+    if key not in sets:
+        return 0.0
+    square = out["rows"] @ out["loss"]
+    return float(1 - np.sqrt(square[sets.index(key)] / square[sets.index(())]))
+
+
+def _before(answers: Path, labels: Mapping) -> dict[str, Outcome]:
+    found = {}
+    for name, label in labels.items():
+        path = answers / Path(label["file"]).with_suffix(".json")
+        if path.exists():
+            found[name] = judge(name, label, json.loads(path.read_text()))
+    return found
+
+
+def table(
+    first: Sequence[Mapping],
+    second: Sequence[Mapping],
+    measured: Sequence[Mapping] = (),
+    before: Path | None = None,
+) -> str:
+    """The table in Markdown.
+
+    Args:
+        first: records on which what is learned is taught, and the rules were chosen.
+        second: records on which every row is judged.
+        measured: records of the measured cases.
+        before: folder of the answers of another version to the second trials.
+    """
+    labels = {_bare(r["name"]): r["label"] for r in second}
+    scores = Scores(labels, {n: judge(n, labels[n], NOTHING) for n in labels})
+    counts = [str(column(scores)[1]) for column in COLUMNS.values()]
+    ends = ["measured: named", "closed, of by hand", "CPU s"]
+    lines = [["", *COLUMNS, *ends], ["---"] * (len(COLUMNS) + 4)]
+    lines.append(["trials", *counts, "", "", ""])
+    for name, rules in VARIANTS.items():
+        answers = answered(first, [*second, *measured], rules)
+        outcomes = {
+            _bare(r["name"]): judge(
+                _bare(r["name"]), r["label"], answers[r["name"]].document
+            )
+            for r in second
+        }
+        seconds = _seconds(second, SAVED.get(name, ()))
+        cells = row_of(outcomes, labels)
+        lines.append([name, *cells, *_measured(measured, answers), seconds])
+    if before is not None and (outcomes := _before(before, labels)):
+        some = f"{BEFORE} ({len(outcomes)} of {len(labels)} trials)"
+        lines.insert(3, [some, *row_of(outcomes, labels), "-", "-", "-"])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+NOTHING = Answer("none", (), 0.0, ()).document
+"""The document of who says nothing: to count trials by."""

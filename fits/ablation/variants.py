@@ -1,0 +1,319 @@
+"""The decision of the product, and the same with one stage or rule switched off.
+
+Everything is worked out again from the records of :mod:`fits.ablation.collect`. A stage
+that changes which sets the search refits (the prior of kin, the doubt of the slips) is
+undone for the sets that it did refit.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from fits.calibration import train
+from fits.withheld.judge import HIDDEN, kind_of
+from tirefit.diagnosis.decide.calibration import clues_of_unlisted
+from tirefit.diagnosis.decide.findings import parts_of
+from tirefit.diagnosis.decide.verdict import (
+    POLICY,
+    UNKNOWN,
+    Findings,
+    Fitted,
+    Policy,
+    Status,
+    Tests,
+    decide,
+    no_gap_shows,
+)
+from tirefit.diagnosis.effects import NOISE_EFFECTS
+from tirefit.diagnosis.evidence.posterior import Key, Weighed
+from tirefit.diagnosis.evidence.search import PRIOR_OF_KIN, PRIOR_OF_UNKNOWN
+from tirefit.diagnosis.left_out.ladder import Gain
+from tirefit.diagnosis.rows.basis import of_any_kind
+
+__all__ = [
+    "VARIANTS",
+    "Answer",
+    "Rules",
+    "decided",
+    "reproduced",
+    "taught",
+    "weighed_of",
+]
+
+ALWAYS = 1e9
+"""Standard errors by which no effect is refused."""
+
+NEVER = 1.0
+"""A probability that another set never has over that of the best: no rival."""
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What of the diagnosis is on.
+
+    Attributes:
+        policy: thresholds of the decision.
+        plain: the likeliest of nothing, a set, a set beside something unlisted, and
+            something unlisted alone, by evidence; nothing else is asked then.
+        climb: beside something unlisted the set that predicts whole runs best is asked.
+        regression: the probability of something unlisted is learned; else by evidence.
+        clues: those of the regression; all of them if empty.
+        beside: how likely an effect is there beside something unlisted is asked of the
+            runs left out, or of the sets beside a discrepancy; else of all sets.
+        each: an effect must be likelier there than not.
+        forms: listed effects have other forms too.
+        doubt: what the doubt of the slips takes from the evidence of a set.
+        kin: two effects of one family are rarer together.
+        without: kinds of discrepancy that are not looked for.
+    """
+
+    policy: Policy = POLICY
+    plain: bool = False
+    climb: bool = True
+    regression: bool = True
+    clues: tuple[str, ...] = ()
+    beside: bool = True
+    each: bool = True
+    forms: bool = True
+    doubt: bool = True
+    kin: bool = True
+    without: tuple[str, ...] = ()
+
+
+VARIANTS: dict[str, Rules] = {
+    "plain decision": Rules(plain=True),
+    "the product": Rules(),
+    "known: no error bar asked": Rules(Policy(known=0.0)),
+    "gain: no data left out": Rules(Policy(gain=-ALWAYS)),
+    "each effect likelier than not: off": Rules(each=False),
+    "beside something unlisted by its own probability: off": Rules(beside=False),
+    "climb off": Rules(climb=False),
+    "also possible: off": Rules(Policy(perhaps=NEVER)),
+    "regression off": Rules(regression=False),
+    "clue evidence off": Rules(clues=("narrow",)),
+    "clue narrow off": Rules(clues=("evidence",)),
+    "discrepancy: smooth off": Rules(without=("smooth",)),
+    "discrepancy: cells off": Rules(without=("cells",)),
+    "discrepancy: smooth and cells off": Rules(without=("smooth", "cells")),
+    "discrepancy: waves off": Rules(without=("waves",)),
+    "discrepancy: patterns off": Rules(without=("patterns",)),
+    "other forms off": Rules(forms=False),
+    "doubt of the slips off": Rules(doubt=False),
+    "prior of kin off": Rules(kin=False),
+}
+"""The rows of the table."""
+
+
+class Answer(NamedTuple):
+    """What a verdict says, as far as it is judged."""
+
+    status: str
+    effects: tuple[str, ...]
+    probability: float
+    also: tuple[str, ...]
+
+    @property
+    def document(self) -> dict:
+        """The same as the part of a document that the check judges."""
+        return {"verdict": {
+            "status": self.status, "effects": self.effects,
+            "probability": self.probability, "also_possible": self.also,
+        }}  # fmt: skip
+
+    @property
+    def kind(self) -> str:
+        """The status, or "noise" where effects on the noise alone are named."""
+        noise = {effect.id for effect in NOISE_EFFECTS}
+        on_noise = self.effects and set(self.effects) <= noise
+        return "noise" if on_noise else self.status
+
+
+def weighed_of(record: Mapping, rules: Rules) -> Weighed:
+    """The posterior over sets of a record by the rules."""
+    told, best, logs = record["weighed"], {}, {}
+    rest, hidden = [], []
+    for key, evidence, prior, due, refitted in record["hypotheses"]:
+        if not rules.kin:
+            kin = len(key) - len({record["family"][effect] for effect in key})
+            prior -= np.log(PRIOR_OF_KIN) * kin
+        evidence -= 0.0 if rules.doubt else due
+        if refitted:
+            logs.setdefault(key, []).append(evidence + prior)
+            if key not in best or evidence + prior > sum(best[key][:2]):
+                best[key] = evidence, prior, due
+        else:
+            rest.append(evidence + prior)
+            hidden += [evidence + prior] if evidence < SHOWS else []
+    total = {key: _sum(values) for key, values in logs.items()}
+    evidence = {key: fit[0] for key, fit in best.items()}
+    if rules.forms:
+        for key in told["gains"]:
+            # What other forms add, once the formulas' evidence is taken away.
+            due = 0.0 if rules.doubt else best[key][2]
+            form = told["evidence"][key] - evidence[key] - due
+            total[key] += form
+            evidence[key] += form
+        total = _formulas_first(total, {key: sum(fit[:2]) for key, fit in best.items()})
+    gains = {
+        key: {kind: v for kind, v in of.items() if kind not in rules.without}
+        for key, of in told["gains"].items()
+    }
+    beside = {
+        key: total[key] + of_any_kind(of) + float(np.log(PRIOR_OF_UNKNOWN))
+        for key, of in gains.items()
+    }
+    everything = _sum([*total.values(), *beside.values(), *rest])
+    return Weighed(
+        best_of={}, log_weight=total, log_beside=beside, evidence=evidence,
+        other_form=frozenset(told["other_form"] if rules.forms else ()), gains=gains,
+        log_total=everything,
+        hidden=float(np.sum(np.exp(np.array(hidden) - everything))),
+    )  # fmt: skip
+
+
+def _sum(logs: Sequence[float]) -> float:
+    return float(np.logaddexp.reduce(logs))
+
+
+SHOWS, RIVAL = 3.0, 0.1
+"""As in tirefit/diagnosis/evidence/posterior.py; the table says how many verdicts come
+out as the product gave them."""
+
+
+def _formulas_first(total: dict[Key, float], formula: Mapping) -> dict[Key, float]:
+    """As there: of sets in other forms that are as likely, the formulas decide."""
+    first = max((k for k in total if k), key=lambda k: total[k], default=())
+    alike = [k for k in total if len(k) == len(first)]
+    alike = [k for k in alike if total[k] >= total[first] + np.log(RIVAL)]
+    nearest = max(alike, key=lambda k: formula[k])
+    return total | {first: total[nearest], nearest: total[first]}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Asked(Findings):
+    """Findings of which rules are switched off."""
+
+    rules: Rules = field(default_factory=Rules)
+
+    def probability(self, effect: str, key: Key, policy: Policy) -> float:
+        if not self.rules.each:
+            return 1.0
+        if not self.rules.beside:
+            return min(self.weighed.holding((effect,)), 1.0)
+        return super().probability(effect, key, policy)
+
+
+def _clues(weighed: Weighed, rules: Rules) -> dict[str, float]:
+    key = () if no_gap_shows(weighed, rules.policy) else weighed.best
+    found = clues_of_unlisted(weighed, key)
+    return {name: found[name] for name in rules.clues or found}
+
+
+def taught(records: Sequence[Mapping], rules: Rules) -> list[train.Case]:
+    """What the regression is taught of trials. A measured file is left out: what it
+    holds is not known."""
+    found = []
+    for record in records:
+        label = record["label"]
+        if label["set"] in ("raw", "injected", "measured"):
+            continue
+        strange, group = kind_of(label) in HIDDEN, record["name"]
+        if strange:
+            group = (label["kind"] or label["families"][0]).split(",")[0]
+        found.append(
+            train.Case(_clues(weighed_of(record, rules), rules), strange, group)
+        )
+    return found
+
+
+def unlisted_of(weighed: Weighed, rules: Rules, numbers: Mapping) -> float:
+    """Probability of something unlisted; ``numbers`` of the regression."""
+    if not rules.regression:
+        return weighed.unlisted
+    return train.chance(numbers, _clues(weighed, rules))
+
+
+def findings_of(
+    record: Mapping, weighed: Weighed, unlisted: float, rules: Rules
+) -> Findings:
+    """What the decision is told of a record."""
+    out = record["out"]
+    key = () if no_gap_shows(weighed, rules.policy) else weighed.best
+    if key and unlisted > rules.policy.likely and out["across_runs"] and rules.climb:
+        key = tuple(out["climbed"]) or key
+    sets = {
+        part: _fitted(record, part)
+        for part in parts_of(key)
+        if part in weighed.log_weight
+    }
+    return _Asked(
+        weighed=weighed, sets=sets, across_runs=out["across_runs"], unlisted=unlisted,
+        tests=Tests(), rules=rules,
+    )  # fmt: skip
+
+
+def _fitted(record: Mapping, key: Key) -> Fitted:
+    """The figures of a set; of one that the product did not need, each effect's largest
+    amplitude over its error beside others, and no data left out."""
+    if key in record["fitted"]:
+        errors, gains = record["fitted"][key]
+        return Fitted(errors, {effect: Gain(*of) for effect, of in gains.items()})
+    known = [errors for errors, _ in record["fitted"].values()]
+    some = {e: max((k[e] for k in known if e in k), default=np.inf) for e in key}
+    return Fitted(some, {})
+
+
+def decided(record: Mapping, rules: Rules, numbers: Mapping) -> Answer:
+    """The answer to a record by the rules."""
+    weighed = weighed_of(record, rules)
+    if rules.plain:
+        answer = _plainly(weighed)
+    else:
+        unlisted = unlisted_of(weighed, rules, numbers)
+        found = findings_of(record, weighed, unlisted, rules)
+        verdict = decide(found, rules.policy)
+        answer = Answer(
+            str(verdict.status), verdict.effects, verdict.probability,
+            verdict.also_possible,
+        )  # fmt: skip
+    named = {effect.flag: effect.id for effect in NOISE_EFFECTS if effect.flag}
+    odd = tuple(named[flag] for flag in record["flags"] if flag in named)
+    if answer.status == Status.NONE and odd:
+        return answer._replace(status=str(Status.NAMED), effects=odd)
+    return answer
+
+
+def _plainly(weighed: Weighed) -> Answer:
+    """The likeliest of nothing, a set of listed effects, a set beside something
+    unlisted, and something unlisted alone."""
+    listed = max(weighed.sets, key=weighed.sets.__getitem__)
+    beside = max(weighed.beside, key=weighed.beside.__getitem__)
+    unlisted, nothing = weighed.unlisted, weighed.nothing_shown
+    if nothing > 0.5 or nothing > max(weighed.sets[listed], weighed.beside[beside]):
+        return Answer(str(Status.NONE), (), nothing, ())
+    if unlisted > 0.5:
+        status = Status.INCOMPLETE if beside else Status.UNKNOWN
+        return Answer(str(status), beside or (UNKNOWN,), unlisted, ())
+    best, also = weighed.best, []
+    least = weighed.log_weight[best] + np.log(POLICY.perhaps)
+    for key, log in weighed.log_weight.items():
+        smaller = len(key) <= len(best) or set(best) < set(key)
+        if key != best and smaller and log > least:
+            also += [effect for effect in key if effect not in best]
+    status = Status.CANNOT_TELL if also else Status.NAMED
+    sure = weighed.listed_given_gap(best) * (1 - unlisted)
+    return Answer(str(status), best, sure, tuple(dict.fromkeys(also)))
+
+
+def reproduced(record: Mapping) -> bool:
+    """Whether the verdict comes out of the record as the product gave it."""
+    rules = Rules()
+    weighed = weighed_of(record, rules)
+    verdict = decide(findings_of(record, weighed, record["found"]["unlisted"], rules))
+    told = record["verdict"]
+    return (
+        verdict.effects == tuple(told["effects"])
+        and abs(verdict.probability - told["probability"]) < 1e-6
+    )

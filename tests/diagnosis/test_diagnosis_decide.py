@@ -1,0 +1,268 @@
+"""The decision: from findings written by hand to each status, by each threshold."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from conftest_diagnosis import bare, weighed_of
+from scipy.stats import t
+
+from tirefit.diagnosis.decide.findings import parts_of
+from tirefit.diagnosis.decide.verdict import (
+    POLICY,
+    Findings,
+    Fitted,
+    Policy,
+    Status,
+    decide,
+    no_gap_shows,
+)
+from tirefit.diagnosis.decide.verdict import Tests as Remainder
+from tirefit.diagnosis.evidence.posterior import _formulas_first
+from tirefit.diagnosis.left_out.ladder import Gain
+
+A, B, C = ("a",), ("b",), ("c",)
+AB = ("a", "b")
+
+
+def gain(ratio=5.0, size=100.0, closed=0.5):
+    return Gain(size, size / ratio, closed, closed / ratio, 6)
+
+
+def fitted(key, error=9.0, ratio=5.0):
+    """A set whose effects are all as well known and gain as much."""
+    return Fitted(dict.fromkeys(key, error), {e: gain(ratio) for e in key})
+
+
+def findings(alone, sets=None, unlisted=0.1, beside=None, **others):
+    best = max((k for k in alone if k), key=alone.__getitem__)
+    given = {"across_runs": True, "tests": Remainder(time=0.01), "unlisted": unlisted}
+    given["sets"] = {best: fitted(best)} if sets is None else sets
+    return Findings(weighed=weighed_of(alone, beside), **given | others)
+
+
+NAMED = findings({A: 0.9, (): 0.02})
+
+
+def test_effects_that_pass_are_named():
+    verdict = decide(NAMED)
+    assert (verdict.status, verdict.effects, verdict.key) == (Status.NAMED, A, A)
+    assert verdict.unlisted == 0.1 and verdict.tests == NAMED.tests
+    # Of exactly this set, if something is there, and of nothing unlisted.
+    assert verdict.probability == pytest.approx(0.9)
+    each = verdict.each["a"]
+    assert (each.closed_left_out, each.closed_left_out_std) == (0.5, 0.1)
+    assert each.probability == pytest.approx(1.0) and each.twins == ()
+
+
+def test_the_effect_that_gains_most_comes_first():
+    gains = {"a": gain(size=50.0), "b": gain(size=80.0)}
+    sets = {AB: Fitted({"a": 9.0, "b": 9.0}, gains)}
+    assert decide(findings({AB: 0.9, A: 0.02}, sets)).effects == ("b", "a")
+
+
+@pytest.mark.parametrize(
+    ("unlisted", "status", "effects"),
+    [(0.5, Status.NONE, ()), (0.51, Status.UNKNOWN, ("unknown",))],
+)
+def test_where_no_set_shows_the_unlisted_decides(unlisted, status, effects):
+    verdict = decide(findings({A: 0.1, (): 0.8}, {}, unlisted))
+    assert (verdict.status, verdict.effects, verdict.each) == (status, effects, {})
+    assert verdict.probability == pytest.approx(max(unlisted, 1 - unlisted))
+
+
+def test_a_twin_makes_it_cannot_tell_and_counts_for_its_effect():
+    """Neither is likelier than not; that one of them is there is."""
+    sets = {A: fitted(A)}
+    verdict = decide(findings({A: 0.48, B: 0.46, (): 0.01}, sets))
+    assert (verdict.status, verdict.effects) == (Status.CANNOT_TELL, A)
+    assert verdict.also_possible == B and verdict.each["a"].twins == B
+    assert verdict.each["a"].probability == pytest.approx(0.48 / 0.94)
+    # A rival beside the whole set is possible, and no twin.
+    verdict = decide(findings({A: 0.7, AB: 0.2}, sets))
+    assert verdict.status == Status.CANNOT_TELL and verdict.also_possible == B
+    assert verdict.each["a"].twins == ()
+
+
+def test_something_unlisted_beside_named_effects_is_incomplete():
+    verdict = decide(replace(NAMED, unlisted=0.8))
+    assert (verdict.status, verdict.effects) == (Status.INCOMPLETE, A)
+    # That one more run is predicted better: Student's t of six.
+    chance = t.cdf(5.0, 5)
+    assert verdict.each["a"].probability == pytest.approx(chance)
+    assert verdict.probability == pytest.approx(0.8 * chance)
+
+
+def test_the_parts_of_one_run_share_what_is_unlisted():
+    """There an effect is as likely as the sets that hold it beside a discrepancy."""
+    beside = {A: 0.3, B: 0.5}
+    one = findings({A: 0.9, B: 0.01}, unlisted=0.8, beside=beside, across_runs=False)
+    assert decide(one).status == Status.UNKNOWN
+    two = replace(one, weighed=weighed_of({A: 0.9, B: 0.01}, {A: 0.5, B: 0.3}))
+    verdict = decide(two)
+    assert (verdict.status, verdict.effects) == (Status.INCOMPLETE, A)
+    assert verdict.each["a"].probability == pytest.approx(0.5 / 0.8)
+
+
+def test_of_a_set_that_does_not_stand_its_largest_part_that_does_is_named():
+    sets = {
+        AB: Fitted({"a": 9.0, "b": 1.2}, {"a": gain(), "b": gain()}), A: fitted(A),
+        B: fitted(B),
+    }  # fmt: skip
+    verdict = decide(findings({AB: 0.8, A: 0.02, B: 0.01}, sets))
+    assert (verdict.effects, verdict.also_possible) == (A, B)
+    # As likely as all sets that hold it.
+    assert verdict.probability == pytest.approx(0.9 * 0.82 / 0.83)
+
+
+def test_a_gap_that_no_effect_explains_is_unknown_unless_it_may_be_noise():
+    weak = {A: Fitted({"a": 1.0}, {"a": gain()})}
+    seen = findings({A: 0.9, (): 0.05}, weak, tests=Remainder(time=0.001))
+    verdict = decide(seen)
+    assert (verdict.status, verdict.effects) == (Status.UNKNOWN, ("unknown",))
+    assert verdict.also_possible == A and verdict.probability == 0.5
+    quiet = decide(findings({A: 0.9, (): 0.05}, weak))
+    assert (quiet.status, quiet.also_possible) == (Status.NONE, A)
+    sure = findings({A: 0.3, (): 0.6}, weak, unlisted=0.7)
+    assert decide(sure).status == Status.UNKNOWN
+
+
+STANDS = {
+    "known": lambda x: {A: Fitted({"a": x}, {"a": gain()})},
+    "gain": lambda x: {A: Fitted({"a": 9.0}, {"a": gain(x)})},
+}
+
+
+@pytest.mark.parametrize(
+    ("rule", "passes", "fails", "strict"),
+    [("known", 2.0, 1.99, False), ("gain", 1.01, 1.0, True)],
+)
+def test_each_threshold_of_a_name(rule, passes, fails, strict):
+    def named(value, policy=POLICY):
+        verdict = decide(findings({A: 0.9, (): 0.02}, STANDS[rule](value)), policy)
+        return verdict.status == Status.NAMED
+
+    assert named(passes) and not named(fails)
+    # It is the policy's number, and no other.
+    for least in (0.5, 4.0):
+        policy = replace(POLICY, **{rule: least})
+        values = (0.9 * least, least, 1.1 * least)
+        assert [named(v, policy) for v in values] == [False, not strict, True]
+
+
+@pytest.mark.parametrize("likely", [0.3, 0.5, 0.9])
+def test_a_name_is_likelier_than_the_policy_asks(likely):
+    """Of pairs: their effects stand in nobody's place."""
+    policy, sets = Policy(likely=likely, perhaps=0.99), {AB: fitted(AB)}
+
+    def named(p):
+        rest = {("c", "d", "e"): 1 - p} if p < 1 else {}
+        return decide(findings({AB: p} | rest, sets, 0.01), policy).status.names
+
+    assert named(likely + 0.01) and not named(likely - 0.01)
+    # Also from where on something unlisted is said to be there.
+    for unlisted in (likely - 0.01, likely + 0.01):
+        verdict = decide(replace(NAMED, unlisted=unlisted), policy)
+        more = unlisted > likely
+        assert verdict.status == (Status.INCOMPLETE if more else Status.NAMED)
+
+
+@pytest.mark.parametrize("perhaps", [0.05, 0.1, 0.4])
+def test_a_rival_is_as_probable_as_the_policy_asks(perhaps):
+    for share, also in ((1.02 * perhaps, B), (0.98 * perhaps, ())):
+        found = findings({A: 0.6, B: 0.6 * share}, {A: fitted(A)}, 0.0)
+        assert decide(found, Policy(perhaps=perhaps)).also_possible == also
+
+
+def test_no_gap_shows_where_what_shows_is_improbable():
+    few = {A: 0.3, (): 0.6}
+    assert no_gap_shows(weighed_of(few))
+    assert no_gap_shows(weighed_of({(): 1.0}))  # nothing was fitted
+    assert not no_gap_shows(weighed_of({A: 0.6, (): 0.3}))
+    # Sets whose evidence does not reach 20 to 1 say as little as none.
+    assert no_gap_shows(weighed_of({A: 0.6, (): 0.3}, evidence={A: 2.9, (): 0.0}))
+    assert no_gap_shows(weighed_of({A: 0.3, (): 0.3}, hidden=0.3))
+    assert not no_gap_shows(weighed_of({A: 0.01, (): 0.6}, {(): 0.55}))
+
+
+def random_findings(generator, unlisted):
+    """Three effects, their sets in any order of weight; whole runs left out."""
+    keys = [(), *parts_of(("a", "b", "c"))]
+    p = dict(zip(keys, generator.dirichlet(np.full(8, 0.3)) + 1e-6, strict=True))
+    beside = {key: float(x) * generator.uniform() for key, x in p.items()}
+    sets = {}
+    for key in keys[1:]:
+        errors = {e: float(generator.uniform(1.5, 9)) for e in key}
+        gains = {e: gain(float(generator.uniform(0.5, 6))) for e in key}
+        sets[key] = Fitted(errors, gains)
+    best = max(keys[1:], key=p.__getitem__)
+    sets = {key: sets[key] for key in parts_of(best)}
+    alone = {key: float(x) for key, x in p.items()}
+    return findings(alone, sets, unlisted, beside)
+
+
+def test_across_runs_something_unlisted_takes_no_name_away():
+    generator = np.random.default_rng(0)
+    for _ in range(400):
+        found = random_findings(generator, 0.2)
+        before, after = (
+            decide(replace(found, unlisted=chance)) for chance in (0.2, 0.95)
+        )
+        if before.key == next(iter(found.sets)):
+            assert after.key == before.key and after.status == Status.INCOMPLETE
+        assert len(after.key) >= len(before.key)
+
+
+def test_a_verdict_keeps_to_its_words():
+    """Of any findings: what each status says holds, and nothing is said twice."""
+    generator = np.random.default_rng(1)
+    seen = set()
+    for _ in range(400):
+        found = random_findings(generator, float(generator.uniform()))
+        if generator.uniform() < 0.2:
+            found = replace(found, sets={})
+        verdict = decide(found)
+        seen.add(verdict.status)
+        assert 0 <= verdict.probability <= 1
+        assert set(verdict.each) == set(verdict.key)
+        assert not set(verdict.also_possible) & set(verdict.effects)
+        assert bool(verdict.key) == verdict.status.names
+        if verdict.key:
+            assert set(verdict.effects) == set(verdict.key)
+        more = found.unlisted > POLICY.likely
+        assert more == (verdict.status in (Status.INCOMPLETE, Status.UNKNOWN)) or (
+            verdict.status == Status.UNKNOWN and not verdict.key
+        )
+        assert all(0 <= each.probability <= 1 for each in verdict.each.values())
+    assert seen == set(Status)
+
+
+def test_every_threshold_is_explained():
+    assert len(fields(Policy)) <= 15
+    for field in fields(Policy):
+        assert f"{field.name}:" in Policy.__doc__, field.name
+
+
+def test_the_posterior_adds_up():
+    """Sets, sets beside a discrepancy, and what was too improbable to refit."""
+    of = weighed_of({A: 0.4, AB: 0.2, (): 0.1}, {A: 0.15, B: 0.1})
+    assert of.best == A and of.unlisted == pytest.approx(0.25)
+    assert sum(of.listed.values()) == pytest.approx(1.0)
+    assert of.holding(B) == pytest.approx(0.2 / 0.6)
+    assert of.holding(A) == pytest.approx(1.0)
+    assert of.holding_beside(A) == pytest.approx(0.6)
+    assert of.listed_given_gap(A) == pytest.approx(0.4 / 0.6)
+    assert of.nothing_shown == pytest.approx(0.1)
+
+
+def test_of_sets_that_draw_alike_the_one_whose_formulas_do_best_is_the_likeliest():
+    """They swap their weights: no verdict is less probable than a candidate."""
+    weights = {A: 5.0, B: 6.0, AB: 9.0, C: 9.0}
+    fits = {key: bare(key, log_evidence=w) for key, w in weights.items()}
+    total = {(): 0.0, A: 8.0, B: 7.0, AB: 7.5, C: 5.0}
+    assert _formulas_first(total, fits) == total | {A: 7.0, B: 8.0}
+
+
+def test_parts_of_a_set_come_largest_first():
+    assert parts_of(("a", "b", "c"))[:2] == [("a", "b", "c"), ("a", "b")]
+    assert [len(k) for k in parts_of(("a", "b", "c"))] == [3, 2, 2, 2, 1, 1, 1]

@@ -1,0 +1,119 @@
+"""What says nothing of the tire changes no verdict: the order of rows, the seed, last
+digits, a further run that agrees. On synthetic runs and on six measured logs."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_left_out import RIG, logs
+
+import tirefit
+from tirefit.data.read import read_frame
+from tirefit.diagnosis.engine import diagnose
+
+MEASURED = Path(__file__).parents[2] / "fits" / "dart_rear_axle" / "six_logs.csv"
+CLOSE = 0.01
+"""Largest change of a closure that counts as none."""
+
+
+def columns_of(name):
+    if name == "synthetic":
+        return logs(3), RIG
+    data = tirefit.read(MEASURED)
+    runs = np.array(data.runs)[data.run]
+    return {**data.columns, "run": runs}, None
+
+
+def shuffled(columns):
+    order = np.random.default_rng(0).permutation(len(columns["time"]))
+    return {name: values[order] for name, values in columns.items()}
+
+
+def moved(columns):
+    """All numbers changed by a relative 1e-9."""
+    generator = np.random.default_rng(0)
+    return {
+        name: values * (1 + 1e-9 * generator.standard_normal(len(values)))
+        if values.dtype.kind == "f" and name != "time"
+        else values
+        for name, values in columns.items()
+    }  # fmt: skip
+
+
+def only(columns, count):
+    """The first runs, as they stand in the file."""
+    kept = list(dict.fromkeys(columns["run"]))[:count]
+    rows = np.isin(columns["run"], kept)
+    return {name: values[rows] for name, values in columns.items()}
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Diagnosis of a data set, changed in some way."""
+    known = {}
+
+    def find(name, change=None, seed=0, count=None):
+        key = name, change, seed, count
+        if key not in known:
+            columns, rig = columns_of(name)
+            columns = only(columns, count) if count else columns
+            columns = change(columns) if change else columns
+            known[key] = diagnose(read_frame(columns, name), rig=rig, seed=seed)
+        return known[key]
+
+    return find
+
+
+def closures(found):
+    """Of the rows fitted, of the rows left out, of each effect there."""
+    held = found.gap.holdout.closed if found.gap.holdout else None
+    each = [one.closed_left_out for one in found.verdict.each.values()]
+    steps = [step.closed for step in found.ladder.steps]
+    return np.array([found.gap.closed, held, *each, *steps], float)
+
+
+CHANGES = {"order": (shuffled, 0), "digits": (moved, 0), "seed": (None, 5)}
+
+
+BY_ORDER = pytest.mark.xfail(
+    strict=True,
+    reason="the search refits friction_speed_linear + slip_offset + stiffness_speed"
+    " under one order of the rows only (log weight 1930.8 against 1925.9 of the best"
+    " of the other); noise and a third name, force_hysteresis, follow from that",
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        *(("synthetic", change) for change in CHANGES), ("measured", "digits"),
+        ("measured", "seed"), pytest.param("measured", "order", marks=BY_ORDER),
+    ],
+)  # fmt: skip
+def test_a_verdict_stays_as_it_is(found, name, change):
+    plain, other = found(name), found(name, *CHANGES[change])
+    assert other.verdict.status == plain.verdict.status
+    assert other.effects == plain.effects
+    assert other.verdict.also_possible == plain.verdict.also_possible
+    np.testing.assert_allclose(closures(other), closures(plain), atol=CLOSE)
+
+
+def test_six_measured_logs_name_the_zero_of_the_slip(found):
+    """Fourteen standard errors by hand, the same in every run."""
+    of = found("measured")
+    assert "slip_offset" in of.effects
+    (size,) = (
+        amplitude.value
+        for name, amplitude in of.candidates[0].parameters.items()
+        if name.startswith("slip_offset:")
+    )
+    assert size == pytest.approx(-9.7e-3, abs=2e-3)
+    assert of.ladder.on == "6 runs left out in turn"
+
+
+@pytest.mark.parametrize("count", [3, 4, 5])
+def test_a_log_that_agrees_removes_no_name(found, count):
+    """Of nested subsets of the measured logs."""
+    fewer = found("measured", count=count)
+    more = found("measured", count=count + 1 if count < 5 else None)
+    assert ("slip_offset" in more.effects) or ("slip_offset" not in fewer.effects)
