@@ -18,7 +18,7 @@ from tirefit.diagnosis.effects.free_forms import SHIFT_BY_DELAY, SHIFT_BY_LAG
 from tirefit.diagnosis.effects.record import Effect, choices, scaled
 from tirefit.diagnosis.negligible import NONZERO
 from tirefit.diagnosis.rows.covariates import wheelbase
-from tirefit.diagnosis.rows.rates import AGES, AHEAD, STEPS
+from tirefit.diagnosis.rows.rates import AGES, AHEAD
 
 _HEIGHT, _FAR = 0.4, 6.0
 """Height of the centre of gravity over the arm of an axle (cars have 0.3 to 0.6);
@@ -31,8 +31,7 @@ _RELAXED, _FILTERED = 2.0, 0.1
 """Longest relaxation of a tire, in radii of its wheel, and delay of a filter [s]."""
 
 _FEW_WAYS = 1e-4
-"""Steps over the length below which the response is the first term of its series: the
-closed form loses digits there."""
+"""Steps over the length below which the response is the first term of its series."""
 
 
 class _Quantity(NamedTuple):
@@ -219,7 +218,7 @@ def lagged(past, length, step):
     # At a length of zero itself the slope is that of lengths above.
     length = jnp.where(length < 0, 0.0, length) + _NO_LENGTH * step
     one = (step / length)[:, None]
-    ways, gone = (one * np.array([of], float) for of in (STEPS, AGES[AHEAD:]))
+    ways, gone = (one * of[None] for of in (np.diff(AGES[AHEAD:]), AGES[AHEAD:]))
     # Response to values that rise over the way, and what is left of it by now.
     decay, since = jnp.exp(-ways), jnp.exp(-gone)
     share = jnp.where(ways < _FEW_WAYS, ways / 2, 1 - (1 - decay) / ways)

@@ -24,16 +24,14 @@ RANK = 1e-6
 """Smallest squared length of a direction over the longest; the rest is rounding."""
 
 _BUMPS = (4, 8)
-"""Fewest and most functions of the slip for each sign, of the cells twice as many: the
-finest are a half and a quarter of the slip of full sliding wide."""
+"""Fewest and most functions of the slip for each sign; cells have twice as many."""
 
 _LEVELS = 4
-"""Largest number of settings of a covariate with a coefficient each; a parabola is any
-function of one less."""
+"""Largest number of settings of a covariate with a coefficient each."""
 
 
 def bumps(values, count: int) -> np.ndarray:
-    """Radial functions over the range of the values, (n, count)."""
+    """Radial functions over the range of the values: (n, count)."""
     centers = np.linspace(values.min(), values.max(), count)
     width = max((centers[1] - centers[0]), FLAT)
     return np.exp(-0.5 * ((values[:, None] - centers) / width) ** 2)
@@ -98,13 +96,13 @@ def _scaled(columns, scale):
 def smooth_basis(
     prepared, slip_fraction, scale, most: int, runs: bool = False
 ) -> np.ndarray:
-    """Smooth functions of slip, times load, speed, time and direction: (n, b).
+    """Smooth functions of slip, times load, speed, time and direction (n, b).
 
     Args:
-        runs: whether each run has functions of its own too.
         slip_fraction: signed slip over that of full sliding, (n,).
         scale: (n,) typical force over the noise of each row.
         most: approximate number of columns.
+        runs: whether each run has functions of its own too.
     """
     factors = _modulations(prepared)
     if runs and "runs" in prepared.has:
@@ -253,8 +251,7 @@ def wide_bases(prepared, slip_fraction, scale) -> tuple[np.ndarray, ...]:
 
 
 def gains(bases: Generic, against, residual, expected=None) -> dict[str, float]:
-    """Log evidence of each kind of remainder over none; arguments as of
-    :meth:`Generic.left`."""
+    """Log evidence of each kind of remainder over none, see :meth:`Generic.left`."""
     wide, gram, score = bases.left(against, residual, expected)
     waves = []
     for scale in SCALES:

@@ -1,8 +1,5 @@
-"""Covariates of the rows, and the sizes that are typical of one file.
-
-The expected amplitude of an effect is a share of such a size, so that one library of
-effects serves a truck at 30 m/s and a model car that slides at 0.1 m/s.
-"""
+"""Covariates of the rows, and typical sizes of one file. Amplitudes are expected in
+units of these sizes: one library of effects serves a truck and a model car."""
 
 from typing import NamedTuple
 
@@ -15,19 +12,12 @@ from tirefit.diagnosis.negligible import FLAT, ROUNDING
 from tirefit.diagnosis.rows.rates import Sweeps, segments, shown_runs, slip_rate
 from tirefit.diagnosis.rows.rig import STANDS
 
-LOADS = 0.03
-"""Relative spread above which loads, speeds, pressures or forces across vary."""
-
-_ANGLE = 1e-3
-"""Standard deviation [rad] above which camber, steering or the other slip vary."""
+LOADS, _ANGLE = 0.03, 1e-3
+"""Spread above which a quantity varies: relative (loads, speeds, pressures, forces
+across), and of camber, steering or the other slip [rad]."""
 
 _WARMER = 20.0
 """Unit of the temperature [K]."""
-
-_OF_THE_FIT = ("force", "usage", "change", "traction", *(
-    name for name in Covariates._fields if name.startswith("run_")
-))  # fmt: skip
-"""Covariates that the base fit gives."""
 
 _COOLINGS = (np.inf, 0.2, 0.05)
 """Time constants of the cooling, in shares of the record."""
@@ -141,8 +131,7 @@ def wheelbase(data: TireData, derived: Derived) -> float:
 
 
 def work_of_sliding(power, time, run) -> np.ndarray:
-    """Work of sliding so far under each cooling (n, coolings), from force times sliding
-    speed (n,); a pause cools and adds no work."""
+    """Work of sliding so far, by its power (n,), under each cooling: (n, coolings)."""
     work = np.zeros((len(power), len(_COOLINGS)))
     span = np.ptp(time)
     if span <= 0:
@@ -202,6 +191,8 @@ def covariates_of(
     other = {"x": tan_alpha * (1 + sigma), "y": sigma, "xy": zero}[mode]
     steering, past = column(data, "steering"), sweeps.past
     steering_rate = column(data, "steering_rate") if "steering_rate" in data else None
+    of_runs = (name for name in Covariates._fields if name.startswith("run_"))
+    of_the_fit = ("force", "usage", "change", "traction", *of_runs)
     return Covariates(
         fz=fz / np.exp(np.mean(np.log(fz))), v=v, time=_over_range(time),
         temperature=_centered(column(data, "temperature"), _WARMER),
@@ -222,7 +213,7 @@ def covariates_of(
         swing=column(data, "yaw_acceleration"), heading=column(data, "heading"),
         lean=column(data, "a_y") / g, steering=steering, pivot=zero,
         steered=past.of(steering, steering_rate, time),
-        **dict.fromkeys(_OF_THE_FIT, zero),
+        **dict.fromkeys(of_the_fit, zero),
     )  # fmt: skip
 
 

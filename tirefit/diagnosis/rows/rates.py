@@ -15,9 +15,8 @@ from tirefit.fitting.noise import MAD
 
 _WINDOWS = sorted(int(41 / 1.5**k) | 1 for k in range(6))
 """Rows of the local parabolas: odd, each 1.5 times the one before."""
-_REACH = _WINDOWS[-1] - 1
-_PIECE = 4_000
-"""Rows that are computed at once, to bound the memory."""
+_REACH, _PIECE = _WINDOWS[-1] - 1, 4_000
+"""Rows beside a row that its path uses; rows at once, which bounds the memory."""
 
 AHEAD = 4
 """Columns of the past that lie after its row."""
@@ -25,24 +24,20 @@ AHEAD = 4
 AGES = np.append(np.arange(-AHEAD, 7), np.geomspace(8, 34, 6).round().astype(int))
 """How many intervals ago each column was: each row, then a third more each time."""
 
-STEPS = tuple(np.diff(AGES[AHEAD:]).tolist())
-"""Intervals from each column at or after the row to the next older one."""
-
 _SPAN = 0.0375
 """Smallest interval over the time in which the slip changes by its standard deviation:
 linear interpolation over it is accurate to 2e-4 of that."""
 
 _WORTH = 0.7
-"""Log probability for each row that a parabola explains, against the raw values;
-calibrated so that the stated errors of saw-tooth and sine sweeps are right."""
+"""Log probability of each row that a parabola explains, calibrated on the errors of
+saw-tooth and sine sweeps."""
 
 _MORE = 1.25
 """Ratio of two estimates of the noise above which they disagree."""
 
 
 def segments(time, run) -> list[np.ndarray]:
-    """Rows of each unbroken stretch in time order: index arrays. A pause of 5 median
-    intervals ends a stretch."""
+    """Index arrays of stretches without a pause of 5 usual intervals, in time order."""
     order = np.lexsort((time, run))
     step = np.diff(time[order])
     same = np.diff(run[order]) == 0
@@ -52,14 +47,12 @@ def segments(time, run) -> list[np.ndarray]:
 
 
 def shown_runs(run, names) -> list[int]:
-    """Codes of the runs with enough rows for an offset of their own, from the codes of
-    the rows (n,) and the names of all runs."""
+    """Codes of the runs ``names`` with enough rows for an offset of their own."""
     return [k for k in range(len(names)) if np.sum(run == k) >= LEAST_ROWS]
 
 
 def _in_pieces(of, values, time, *given) -> list[np.ndarray]:
-    """The columns ``of(values, time, *given)`` of one stretch, computed in pieces that
-    overlap by the reach of a row."""
+    """Columns ``of(values, time, *given)`` of one stretch, in overlapping pieces."""
     pieces = []
     for first in range(0, len(values), _PIECE):
         start, end = max(first - _REACH, 0), first + _PIECE
@@ -70,9 +63,8 @@ def _in_pieces(of, values, time, *given) -> list[np.ndarray]:
 
 
 def _parabolas(values, time, window: int):
-    """Parabolas through every window of one width: ``rows`` (a, w, 3) of the fit,
-    ``fit`` (a, 3, w) from values to coefficients, ``misfit`` (a,), the sum of squares,
-    ``unit`` (a,) of time."""
+    """Parabolas through every window of one width: rows (a, w, 3) of the fit, matrix
+    (a, 3, w) from values to coefficients, sum of squares (a,), unit of time (a,)."""
     view = np.lib.stride_tricks.sliding_window_view
     x, t = view(values, window), view(time, window)
     unit = np.maximum((t[:, -1] - t[:, 0]) / 2, ROUNDING)
@@ -146,8 +138,7 @@ class Past(NamedTuple):
     interval: float
 
     def of(self, values, rate=None, time=None) -> np.ndarray:
-        """Values (n,) at these times (n, k): linear between the rows, or cubic where
-        their rate (n,) is known."""
+        """Values (n,) at these times (n, k): linear, or cubic with their rate (n,)."""
         first, last, share = values[self.rows], values[self.others], self.share
         if rate is None:
             return (1 - share) * first + share * last
@@ -157,8 +148,8 @@ class Past(NamedTuple):
         return first + moved + share * rest**2 * out + share**2 * rest * back
 
     def place(self, part, time):
-        """Write the rows between which the times of the stretch ``part`` fall; returns
-        their numbers within the part (n, k), and the share (n, k)."""
+        """Write the rows between which the times of the stretch ``part`` fall; their
+        numbers within the part, and the share: (n, k) each."""
         when = np.clip(time[:, None] - self.interval * AGES, time[0], time[-1])
         low = np.clip(np.searchsorted(time, when, side="right") - 1, 0, len(part) - 2)
         share = (when - time[low]) / (time[low + 1] - time[low])
@@ -195,19 +186,15 @@ class Sweeps(NamedTuple):
 
 
 def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
-    """Rate of change of the slip.
+    """Rate of change of slips (n,) at times (n,) [s], or None, of runs (n,).
 
     Args:
-        slip: (n,) measured values.
-        time: (n,) [s], or None.
-        run: (n,) run of each row.
         noise: stated noise of the slip; 0 where unknown.
         rate: (n,) [1/s] measured rate, for rows too far apart to show it, or None.
     """
     count = len(slip)
     none = np.repeat(np.arange(count)[:, None], len(AGES), axis=1)
-    zero = np.zeros(none.shape)
-    past = Past(zero, none, none.copy(), zero.copy(), 1.0)
+    past = Past(np.zeros(none.shape), none, none.copy(), np.zeros(none.shape), 1.0)
     still = Sweeps(np.zeros(count), np.zeros(count), past, False, 0.0)
     if time is None:
         return still

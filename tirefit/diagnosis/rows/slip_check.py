@@ -1,8 +1,7 @@
 """Comparison of the slip column with the slip from the wheel speed.
 
-Another definition of slip, or a constant offset, shows against
-(v - omega R) / (omega R) without any force. Except for the definition, the comparison
-does not show whether the column or the speeds are wrong.
+Another definition or an offset shows against (v - omega R) / (omega R) without any
+force. Except for the definition, the column or the speeds may be wrong.
 """
 
 from typing import NamedTuple
@@ -14,9 +13,8 @@ from tirefit.data.units import slip_from_sigma, slip_from_speeds
 from tirefit.diagnosis.rows.rig import LEAST_ROWS
 
 FOR, BESIDE, AGAINST = 3.0, 1.5, -1.5
-"""Changes of an effect's log odds: the comparison shows it, shows it or an error of the
-speeds, or would have shown it. With one of 25 effects expected, 3 gives about even
-odds, and 1.5 leaves half of that to the speeds."""
+"""Changes of an effect's log odds: the comparison shows it (about even odds of one in
+25 effects), shows it or an error of the speeds, or would have shown it."""
 
 _WRITTEN, _BETTER = 1e-6, 0.7
 """Resolution of the slip in files; largest scatter of the best definition over that of
@@ -62,8 +60,7 @@ def _line(computed, logged) -> dict[str, float]:
 
 
 def check_slip(data: TireData, radius: float | None) -> SlipCheck | None:
-    """The comparison on the used rows; None without omega, v, a stated radius [m] and
-    a longitudinal slip that varies."""
+    """The comparison; None without omega, v, a radius [m] and slips that vary."""
     if radius is None or not {"omega", "v", "sigma_x"} <= set(data.columns):
         return None
     omega, v, sigma = (data.usable(name) for name in ("omega", "v", "sigma_x"))

@@ -7,15 +7,13 @@ from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
 
 _COUNTS = (3, 5)
 """Gauss-Hermite nodes of the slip noise: exact for polynomial forces of degree 5, 9."""
-_STEEP, _LARGE = 0.01, 0.9
-"""Ratio of the slip noise to a large slip (quantile) above which the force bends within
-the noise."""
 _NODES = {count: np.polynomial.hermite_e.hermegauss(count) for count in _COUNTS}
 
 
 def _steep(slip, std) -> bool:
-    large = max(float(np.quantile(np.abs(slip), _LARGE)), FLAT)
-    return float(np.median(std)) > _STEEP * large
+    """Whether the force bends within the noise: 1 % of a large slip."""
+    large = max(float(np.quantile(np.abs(slip), 0.9)), FLAT)
+    return float(np.median(std)) > 0.01 * large
 
 
 def slip_law(slip, std) -> SlipDistribution | None:
@@ -25,8 +23,7 @@ def slip_law(slip, std) -> SlipDistribution | None:
 
 
 def slip_nodes(law: SlipDistribution | None, slip, std):
-    """True slips (n, k) and their probabilities (n, k); the measured slip without
-    :func:`slip_law`."""
+    """True slips and their probabilities, (n, k) each; measured slips without a law."""
     if law is None:
         return slip[:, None], np.ones((len(slip), 1))
     offset, mass = _NODES[_COUNTS[int(_steep(slip, std))]]
@@ -42,10 +39,7 @@ def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray
     All rows share one density of the true slips, which was estimated from the same
     noisy slips: where the slip moves steadily, rows of one phase have the same error.
 
-    Args:
-        law: :func:`slip_law` of the file.
-        slip, std: (n,) measured values and their noise.
-        path: (n,) slips estimated from their neighbours in time, or None.
+    ``path`` holds slips (n,) estimated from their neighbours in time, or is None.
     """
     columns, std = [np.zeros((len(slip), 0))], np.maximum(std, FLAT)
     if law is not None and _steep(slip, std):
@@ -61,13 +55,12 @@ def slip_proxies(slip, std, measured, path=None, past=None) -> np.ndarray:
     """Noise of the slips as other measurements predict it: columns (n, k).
 
     A quantity that moves with the true slip (its neighbours in time, a load that the
-    cornering shifts) has none of its noise. A regression then gives it a part of the
-    slip's effect. The expected noise of row i is
-    std^2 / variance(slip - predicted) of (slip - predicted)_i.
+    cornering shifts) has none of its noise, so a regression gives it a part of the
+    slip's effect. The expected noise of row i is std^2 / variance(slip - predicted) of
+    (slip - predicted)_i.
 
     Args:
-        measured: (n,) each, other measurements without settings; the slips are
-            predicted from a cubic of each and from the past, together.
+        measured: (n,) each; the slips are predicted from a cubic of each and the past.
         path: as in :func:`slip_doubt`.
         past: (n, k) slips before, at and after each row by their neighbours in time.
     """
