@@ -5,9 +5,8 @@ import numpy as np
 from tirefit.diagnosis.negligible import FLAT, NONZERO
 from tirefit.fitting.slip_noise import SlipDistribution, slip_distribution
 
-_COUNTS = (3, 5)
+_FEW, _MANY = (np.polynomial.hermite_e.hermegauss(count) for count in (3, 5))
 """Gauss-Hermite nodes of the slip noise: exact for polynomial forces of degree 5, 9."""
-_NODES = {count: np.polynomial.hermite_e.hermegauss(count) for count in _COUNTS}
 
 
 def _steep(slip, std) -> bool:
@@ -26,7 +25,7 @@ def slip_nodes(law: SlipDistribution | None, slip, std):
     """True slips and their probabilities, (n, k) each; measured slips without a law."""
     if law is None:
         return slip[:, None], np.ones((len(slip), 1))
-    offset, mass = _NODES[_COUNTS[int(_steep(slip, std))]]
+    offset, mass = _MANY if _steep(slip, std) else _FEW
     mean, spread = law.moments(slip, std)
     nodes = mean[:, None] + spread[:, None] * offset
     return nodes, np.tile(mass / mass.sum(), (len(slip), 1))
@@ -38,14 +37,13 @@ def slip_doubt(law: SlipDistribution | None, slip, std, path=None) -> np.ndarray
 
     All rows share one density of the true slips, which was estimated from the same
     noisy slips: where the slip moves steadily, rows of one phase have the same error.
-
     ``path`` holds slips (n,) estimated from their neighbours in time, or is None.
     """
     columns, std = [np.zeros((len(slip), 0))], np.maximum(std, FLAT)
     if law is not None and _steep(slip, std):
         columns.append(_of_density(law, slip, std))
     if law is not None and path is not None:
-        offset, mass = _NODES[_COUNTS[1]]
+        offset, mass = _MANY
         believed = np.array([law.moments(path + std * e, std)[0] for e in offset]).T
         columns.append((believed @ (mass / mass.sum()) - path)[:, None])
     return np.concatenate(columns, axis=1)
