@@ -12,7 +12,7 @@ from scipy.stats import norm, t
 from fits.withheld.car import FAULTS, Car, drive
 from tirefit.data.read import read_frame
 from tirefit.diagnosis.effects import EFFECTS, atoms_of, effects_by_id
-from tirefit.diagnosis.effects.lag import lagged
+from tirefit.diagnosis.effects.motion import lagged
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.evidence.runs import shrunk
 from tirefit.diagnosis.rows.covariates import derived_from

@@ -17,20 +17,10 @@ fits, tests and ranks them all. A user's own effect is one more record::
     tirefit.diagnose(data, effects=EFFECTS + (mine,))
 """
 
-from tirefit.diagnosis.effects import (
-    chassis,
-    conditions,
-    lag,
-    measurement,
-    patch,
-    per_run,
-    sensors,
-    vehicle,
-    warmth,
-)
+from tirefit.diagnosis.effects import measurement, motion, per_run, tire, vehicle
 from tirefit.diagnosis.effects.free_forms import Form
-from tirefit.diagnosis.effects.noise import NOISE_EFFECTS
 from tirefit.diagnosis.effects.record import (
+    NOISE_EFFECTS,
     Atom,
     Effect,
     NoiseEffect,
@@ -40,25 +30,13 @@ from tirefit.diagnosis.effects.record import (
 )
 
 __all__ = [
-    "EFFECTS",
-    "NOISE_EFFECTS",
-    "Atom",
-    "Effect",
-    "Form",
-    "NoiseEffect",
-    "Prior",
-    "atoms_of",
-    "effects_by_id",
-]
+    "EFFECTS", "NOISE_EFFECTS", "Atom", "Effect", "Form", "NoiseEffect", "Prior",
+    "atoms_of", "effects_by_id",
+]  # fmt: skip
 
+# The order decides between effects of equal evidence.
 EFFECTS: tuple[Effect, ...] = (
-    *patch.EFFECTS,
-    *conditions.EFFECTS,
-    *measurement.EFFECTS,
-    *lag.EFFECTS,
-    *sensors.EFFECTS,
-    *vehicle.EFFECTS,
-    *warmth.EFFECTS,
-    *chassis.EFFECTS,
+    *tire.PATCH, *tire.CONDITIONS, *measurement.OFFSETS, *motion.EFFECTS,
+    *measurement.SENSORS, *vehicle.SPEEDS, *tire.WARMTH, *vehicle.CHASSIS,
     *per_run.EFFECTS,
-)
+)  # fmt: skip

@@ -1,5 +1,5 @@
-"""Free forms of an effect: the same parameter varies with the same quantity, in a shape
-that no formula has."""
+"""Free forms of an effect: the same parameter varies with the same quantity by smooth
+functions instead of a formula."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -10,29 +10,29 @@ from tirefit.diagnosis.negligible import ROUNDING
 from tirefit.diagnosis.rows.basis import FULL_SLIDING, functions_of
 
 ONE_WAY, BOTH_WAYS = 4, 5
-"""Smooth functions of a covariate, few enough to follow no noise; an odd number has one
-at the middle, for a covariate that has two sides."""
+"""Numbers of smooth functions of a covariate, few enough to follow no noise. The odd
+one has a function at the middle, for a covariate with two sides."""
 
 _OF_THE_CURVE, _OF_SPEED, _OF_RATE = 9, 8, 6
-"""The same of the whole curve of force over slip and of friction over sliding speed,
-which rise and fall within a part of the range, and of the rate of the slip."""
+"""The same for force over slip, friction over sliding speed and friction over the rate
+of the slip, which vary within a part of the range."""
 
 _QUICKEST = 3.0
 """Rates over the usual one that count as this one: a jump."""
 
-
-_SURE, _TURNS = 0.99, 0.1
-"""Certainty of a direction from which there is no doubt about it; share of the rows up
-to which the others are turns of the slip, and not slips that hardly move."""
+_CERTAIN, _TURNS = 0.99, 0.1
+"""Size of ``turning`` from which the direction is certain; largest share of uncertain
+rows that are turns of the slip, and not a slip that hardly moves."""
 
 
 class Form(NamedTuple):
     """``field`` of the state that moves by ``size`` times smooth functions of what
     ``shapes(rows, u)`` gives, (n, k); u is slip over that of full sliding, (n,).
-    ``needs`` is what the data must hold: at one speed any function of the sliding speed
-    is one of the slip, and would explain whatever there is. So would one of ``by``, the
-    covariate whose functions they are, where that follows the slip. A form may add an
-    eighth to a half of what the formula beside it may."""
+
+    A form is left out where the data lack ``needs`` (at one speed, any function of the
+    sliding speed is one of the slip), or where the covariate ``by`` follows the slip:
+    it would fit any remainder. A form may add an eighth to a half of what the formula
+    may."""
 
     field: str
     size: float
@@ -45,27 +45,22 @@ def _about_mean(shapes):
     return shapes - shapes.mean(axis=0)
 
 
+_UNITS = {"shift": "rise", "force": "load"}
+"""Field of the state -> covariate that is the unit of its forms; none for factors."""
+
+
 def over(
-    field: str, size: float, covariate: str, count: int, times: Callable | None = None
+    field: str, size: float, covariate: str, count: int = ONE_WAY
 ) -> tuple[Form, ...]:
-    """A field as ``count`` smooth functions of one covariate about their means, in
-    units of ``times(rows)`` (n,) where they are given: what stays is no change."""
+    """A field as ``count`` smooth functions of one covariate about their means: the
+    mean is no change."""
 
     def shapes(rows, u):
         free = _about_mean(functions_of(getattr(rows, covariate), count))
-        return free if times is None else free * times(rows)[:, None]
+        unit = _UNITS.get(field)
+        return free if unit is None else free * getattr(rows, unit)[:, None]
 
     return (Form(field, size, shapes, by=covariate),)
-
-
-def rise(rows):
-    """Slip at half of the largest force, (n,): the unit of a shift of the slip."""
-    return rows.rise
-
-
-def weight(rows):
-    """Mean load [N], (n,): the unit of a force."""
-    return rows.load
 
 
 def _of_slip(u, count: int = ONE_WAY):
@@ -74,11 +69,7 @@ def _of_slip(u, count: int = ONE_WAY):
 
 def _by_slip(factor: str, count: int = ONE_WAY):
     """Functions of the size of the slip, times a covariate."""
-
-    def shapes(rows, u):
-        return _of_slip(u, count) * getattr(rows, factor)[:, None]
-
-    return shapes
+    return lambda rows, u: _of_slip(u, count) * getattr(rows, factor)[:, None]
 
 
 def _of_shape(rows, u):
@@ -98,44 +89,50 @@ def _of_rate(rows, u):
 
 
 def _by_lag(rows, u):
-    """Functions of the size of the slip about their means, times its change with the
-    way: what is the same at every slip is the formula."""
+    """Functions of the size of the slip about their means (the mean is the formula),
+    times the change of the slip with distance."""
     return _about_mean(_of_slip(u)) * rows.lag[:, None]
 
 
 def _by_delay(rows, u):
-    """The same of its change with time, in the unit of ``lag``."""
+    """The same times its change with time, in the unit of ``lag``."""
     change = rows.lag * rows.pace
     usual = np.mean(change**2) / max(np.mean(rows.lag**2), ROUNDING)
     return _by_lag(rows._replace(lag=change / max(np.sqrt(usual), ROUNDING)), u)
 
 
 def _at_a_turn(rows, u):
-    """Each row by itself of which nobody can say which way the slip moves there."""
-    unsure = np.flatnonzero((np.abs(rows.turning) < _SURE) & (rows.turning != 0))
+    """One column for each row at which the direction of the slip is uncertain."""
+    unsure = np.flatnonzero((np.abs(rows.turning) < _CERTAIN) & (rows.turning != 0))
     if len(unsure) > _TURNS * len(rows.turning):
         unsure = unsure[:0]
     return np.eye(len(rows.turning))[:, unsure]
 
 
 def _guided(rows, u):
-    """Force on the way up or down, by the size of the force: a function of the slip
-    fraction times the load."""
+    """Force by direction, as a function of the size of the slip times the load."""
     return _by_slip("turning")(rows, u) * (rows.side * rows.fz * rows.load)[:, None]
+
+
+def _rate_of_force(rows, u):
+    return _of_rate(rows, u) * (rows.side * rows.load)[:, None]
+
+
+def _other_slip(rows, u):
+    return functions_of(rows.other / rows.fz, BOTH_WAYS)
 
 
 SHAPE_OF_THE_CURVE = (Form("force", 0.01, _of_shape),)
 
 
 def moved_by(forms: tuple[Form, ...]) -> frozenset[str]:
-    """What effects of these forms move: fields of the state, or the curve itself."""
+    """Fields of the state that effects of these forms move, or {"curve"}."""
     fields = frozenset(form.field for form in forms)
     return frozenset({"curve"}) if forms == SHAPE_OF_THE_CURVE else fields
 
 
-FRICTION_BY_SPEED = (
-    Form("friction", 0.06, _of_sliding, "speeds"),
-    Form("kinetic", 0.06, _of_sliding, "speeds"),
+FRICTION_BY_SPEED = tuple(
+    Form(field, 0.06, _of_sliding, "speeds") for field in ("friction", "kinetic")
 )
 SHIFT_BY_DELAY = (Form("shift", 0.04, _by_delay),)
 SHIFT_BY_LAG = (Form("shift", 0.04, _by_lag),)
@@ -150,21 +147,12 @@ BY_SIDE = (
 )
 FORCE_BY_DIRECTION = (
     Form("force", 0.004, _guided),
-    Form(
-        "force",
-        0.004,
-        lambda rows, u: _of_rate(rows, u) * (rows.side * rows.load)[:, None],
-    ),
+    Form("force", 0.004, _rate_of_force),
     Form("force", 0.02, lambda rows, u: _at_a_turn(rows, u) * rows.load[:, None]),
 )
-FORCE_BY_LOAD = over("force", 0.01, "fz", ONE_WAY, weight)
-SKEW_BY_LOAD = tuple(
-    form._replace(needs="loads") for form in over("skew", 0.1, "fz", ONE_WAY)
-)
-FRICTION_BY_LOAD = over("friction", 0.03, "fz", ONE_WAY)
-SHIFT_BY_SPEED = over("shift", 0.1, "v", ONE_WAY, rise)
-BY_OTHER_SLIP = tuple(
-    Form(field, 0.03, lambda rows, u: functions_of(rows.other / rows.fz, BOTH_WAYS))
-    for field in ("friction", "stiffness")
-)
-SHIFT_BY_CAMBER = over("shift", 0.1, "gamma", BOTH_WAYS, rise)
+FORCE_BY_LOAD = over("force", 0.01, "fz")
+SKEW_BY_LOAD = (over("skew", 0.1, "fz")[0]._replace(needs="loads"),)
+FRICTION_BY_LOAD = over("friction", 0.03, "fz")
+SHIFT_BY_SPEED = over("shift", 0.1, "v")
+BY_OTHER_SLIP = tuple(Form(f, 0.03, _other_slip) for f in ("friction", "stiffness"))
+SHIFT_BY_CAMBER = over("shift", 0.1, "gamma", BOTH_WAYS)

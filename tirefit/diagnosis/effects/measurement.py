@@ -1,35 +1,41 @@
-"""Effects of the measurement: offsets, the definition of the slip, a force that was
-worked out without the wheel's inertia; camber and conicity beside them."""
+"""Effects of the measurement: offsets and zeros that move, the definition of the slip,
+the wheel's inertia, channels that leak into one another, camber and conicity."""
 
-from tirefit.diagnosis.effects.free_forms import (
-    FORCE_BY_LOAD,
-    ONE_WAY,
-    SHIFT_BY_CAMBER,
-    over,
-    rise,
-    weight,
+import jax.numpy as jnp
+
+from tirefit.diagnosis.effects import free_forms as free
+from tirefit.diagnosis.effects.record import (
+    PER_MILLE,
+    Effect,
+    adds,
+    blend,
+    choices,
+    multiplies,
+    seldom,
 )
-from tirefit.diagnosis.effects.record import PER_MILLE, Effect, adds
 from tirefit.diagnosis.rows.slip_check import AGAINST, BESIDE, FOR
 
 _FINE = 5e-4
-"""Standard error of an offset of the slip below which its absence says something."""
+"""Standard error of an offset of the slip below which its absence is evidence."""
 
 _INERTIA_STATED = 0.3
 """Standard deviation of a stated inertia over it: hub, disc and shaft turn too."""
 
 _CORNERING = 10.0
-"""Cornering stiffness over load [1/rad] that is usual: the same amplitude for both
-forms of camber thrust."""
+"""Usual cornering stiffness over load [1/rad]: the same amplitude for both forms of
+camber thrust."""
+
+_WARMING = 0.2
+"""Time constant of a zero that settles with its warm amplifier, over the record."""
 
 
 def _as_it_was_read(prior, prepared, rig):
-    """Which way a slip would have to be converted depends on what it was read as."""
+    """The sign of the conversion depends on how the slip was read."""
     return prior._replace(center=prior.center * prepared.definition)
 
 
 def _of_this_wheel(prior, prepared, rig):
-    """A force taken from the torque lacks all of the inertia that is known."""
+    """A force taken from the torque lacks the whole inertia that the rig states."""
     known = rig.wheel_inertia
     if not known:
         return prior
@@ -39,7 +45,7 @@ def _of_this_wheel(prior, prepared, rig):
 
 
 def _definition_odds(prepared) -> float:
-    """Log odds by the slip of the wheel speed, which no error of it can bend."""
+    """Log odds by the slip of the wheel speed, whose errors are not curved."""
     check = prepared.slip_check
     if check is None:
         return 0.0
@@ -49,8 +55,7 @@ def _definition_odds(prepared) -> float:
 
 
 def _seen_between_slips(prior, prepared, rig):
-    """An offset from the slip of the wheel speed is one that may have to be taken off,
-    whatever its size."""
+    """The prior, wide enough for the offset from the slip of the wheel speed."""
     check = prepared.slip_check
     if check is None or not check.shifted:
         return prior
@@ -72,84 +77,153 @@ def _offset_odds(prepared) -> float:
 
 def _camber(state, share, constants, rows):
     shift, force = constants
+    thrust = force * _CORNERING * share * rows.gamma * rows.fz * rows.load
     return state._replace(
-        shift=state.shift + shift * share * rows.gamma,
-        force=state.force
-        + force * _CORNERING * share * rows.gamma * rows.fz * rows.load,
+        shift=state.shift + shift * share * rows.gamma, force=state.force + thrust
     )
 
 
-SLIP_OFFSET = Effect(
-    id="slip_offset", family="measurement", change=adds("shift", lambda a, _, rows: a),
-    scale=0.2, per=("slip",), unit="- of slip", formula="slip + amplitude",
-    means="the slip is off by a constant",
-    remedy=(
-        "add it to the slip; check the rolling radius, or the zero of heading or"
-        " steering"
+def _settled(rows, constants):
+    """Even over the record, or quick at first; about its middle."""
+    late = 0.5 - jnp.exp(-(rows.time + 0.5) / _WARMING)
+    return blend(constants, rows.time, late)
+
+
+def _force_drift(drift, constants, rows):
+    return PER_MILLE * drift * rows.load * _settled(rows, constants)
+
+
+def _force_hysteresis(size, constants, rows):
+    plain, grown = constants
+    way = rows.turning * rows.side * (plain + grown * rows.usage)
+    return PER_MILLE * size * rows.load * way
+
+
+def _in_proportion(id: str, family: str, formula: str, remedy: str, **given) -> Effect:
+    """A force in proportion to the load."""
+    return Effect(
+        id=id, family=family, formula=formula, remedy=remedy, scale=25.0,
+        change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.fz),
+        unit="1e-3 F_z", means="a force in proportion to load acts at zero slip",
+        parameter="share", bounds=((-500.0, 500.0),), needs=("loads",),
+        looks_like=("force_offset", "slip_offset"), **given,
+    )  # fmt: skip
+
+
+OFFSETS = (
+    Effect(
+        id="slip_offset", family="measurement", scale=0.2, per=("slip",),
+        change=adds("shift", lambda a, _, rows: a), unit="- of slip", odds=_offset_odds,
+        formula="slip + amplitude", means="the slip is off by a constant",
+        remedy="add it to the slip; check the rolling radius, or the zero of heading or"
+        " steering", bounds=((-4.0, 4.0),), prior=_seen_between_slips,
+        forms=free.over("shift", 0.03, "time"), looks_like=("force_offset",),
+        told_apart_by="both signs",
     ),
-    bounds=((-4.0, 4.0),), prior=_seen_between_slips, odds=_offset_odds,
-    forms=over("shift", 0.03, "time", ONE_WAY, rise), looks_like=("force_offset",),
-    told_apart_by="both signs",
-)  # fmt: skip
-FORCE_OFFSET = Effect(
-    id="force_offset", family="measurement",
-    change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load), scale=25.0,
-    unit="1e-3 mean F_z", formula="force + amplitude",
-    means="the force is off by a constant",
-    remedy="subtract it; check the zero of the force sensor", bounds=((-500.0, 500.0),),
-    forms=over("force", 0.004, "time", ONE_WAY, weight), looks_like=("slip_offset",),
-    told_apart_by="loads",
-)  # fmt: skip
-SLIP_DEFINITION = Effect(
-    id="slip_definition", family="measurement",
-    change=adds("curvature", lambda a, constants, _: constants[0] * a), scale=0.3,
-    formula="slip / (1 - amplitude slip)",
-    means="the slip follows another definition than it was read by",
-    remedy="read its column by the other one: --column kappa=HEADER or sigma_x=HEADER",
-    parameter="1: kappa logged as sigma, or the reverse", bounds=((-6.0, 6.0),),
-    center=1.0, prior=_as_it_was_read, odds=_definition_odds, channels=("fx",),
-    variants=((1.0,), (-1.0,)), looks_like=("pressure_asymmetry",),
-    told_apart_by="both signs",
-)  # fmt: skip
-WHEEL_INERTIA = Effect(
-    id="wheel_inertia", family="measurement",
-    change=adds("force", lambda a, _, rows: -a * rows.spin), scale=0.03,
-    per=("inertia",), unit="kg m^2", formula="force - amplitude (d omega / dt) / r",
-    means="the force lacks the torque that spins the wheel up",
-    remedy="add J (d omega / dt) / r to the force", parameter="inertia",
-    # A log lacks up to the inertia of the wheel and of all that turns with it: some
-    # 0.03 of the carried mass at its radius on a car, up to ten times that with a
-    # geared drive or a model car's motor. A negative one was taken off twice or with
-    # the wrong sign: that of one or two wheels at most.
-    bounds=((-0.06, 0.3),), prior=_of_this_wheel,
-    needs=("omega", "rolling_radius", "sweeps"),
-    looks_like=("channel_delay", "relaxation_length", "friction_hysteresis"),
-    told_apart_by="speeds",
-)  # fmt: skip
-CAMBER_THRUST = Effect(
-    id="camber_thrust", family="lateral inputs", change=_camber, scale=0.15,
-    formula="slip angle + amplitude gamma", means="camber adds to the lateral force",
-    remedy="measure without camber, or correct for it",
-    parameter="camber stiffness / cornering stiffness", bounds=((-3.0, 3.0),),
-    needs=("gamma",), channels=("fy", "mz"), variants=((1.0, 0.0), (0.0, 1.0)),
-    forms=SHIFT_BY_CAMBER, told_apart_by="opposite camber",
-)  # fmt: skip
-CONICITY = Effect(
-    id="conicity", family="lateral inputs",
-    change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.fz),
-    scale=25.0, unit="1e-3 F_z", formula="F_y + amplitude F_z",
-    means="a lateral force in proportion to load stands at zero slip",
-    remedy="measure again with the tire turned round, and take the mean",
-    parameter="share", bounds=((-500.0, 500.0),), needs=("loads",),
-    channels=("fy", "mz"), forms=(*SHIFT_BY_CAMBER, *FORCE_BY_LOAD),
-    looks_like=("force_offset", "slip_offset"), told_apart_by="loads",
+    Effect(
+        id="force_offset", family="measurement", scale=25.0, unit="1e-3 mean F_z",
+        change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load),
+        formula="force + amplitude", means="the force is off by a constant",
+        remedy="subtract it; check the zero of the force sensor", told_apart_by="loads",
+        bounds=((-500.0, 500.0),), forms=free.over("force", 0.004, "time"),
+        looks_like=("slip_offset",),
+    ),
+    Effect(
+        id="slip_definition", family="measurement", scale=0.3, bounds=((-6.0, 6.0),),
+        change=adds("curvature", lambda a, constants, _: constants[0] * a), center=1.0,
+        formula="slip / (1 - amplitude slip)", prior=_as_it_was_read, channels=("fx",),
+        means="the slip follows another definition than it was read by",
+        remedy="read its column by the other one: --column kappa=HEADER or"
+        " sigma_x=HEADER", parameter="1: kappa logged as sigma, or the reverse",
+        odds=_definition_odds, variants=((1.0,), (-1.0,)), told_apart_by="both signs",
+        looks_like=("pressure_asymmetry",),
+    ),
+    Effect(
+        id="wheel_inertia", family="measurement", scale=0.03, per=("inertia",),
+        change=adds("force", lambda a, _, rows: -a * rows.spin), unit="kg m^2",
+        formula="force - amplitude (d omega / dt) / r",
+        means="the force lacks the torque that spins the wheel up",
+        remedy="add J (d omega / dt) / r to the force", parameter="inertia",
+        # A log lacks up to the inertia of the wheel and of all that turns with it: some
+        # 0.03 of the carried mass at its radius on a car, up to ten times that with a
+        # geared drive or a model car's motor. A negative one was subtracted twice or
+        # with the wrong sign: that of one or two wheels at most.
+        bounds=((-0.06, 0.3),), prior=_of_this_wheel,
+        needs=("omega", "rolling_radius", "sweeps"), told_apart_by="speeds",
+        looks_like=("channel_delay", "relaxation_length", "friction_hysteresis"),
+    ),
+    Effect(
+        id="camber_thrust", family="lateral inputs", change=_camber, scale=0.15,
+        formula="slip angle + amplitude gamma", bounds=((-3.0, 3.0),), needs=("gamma",),
+        means="camber adds to the lateral force", channels=("fy", "mz"),
+        remedy="measure without camber, or correct for it", variants=choices(2),
+        parameter="camber stiffness / cornering stiffness", forms=free.SHIFT_BY_CAMBER,
+        told_apart_by="opposite camber",
+    ),
+    _in_proportion(
+        "conicity", "lateral inputs", "F_y + amplitude F_z",
+        "measure again with the tire turned round, and take the mean",
+        channels=("fy", "mz"), forms=(*free.SHIFT_BY_CAMBER, *free.FORCE_BY_LOAD),
+        told_apart_by="loads",
+    ),
 )  # fmt: skip
 
-EFFECTS = (
-    SLIP_OFFSET,
-    FORCE_OFFSET,
-    SLIP_DEFINITION,
-    WHEEL_INERTIA,
-    CAMBER_THRUST,
-    CONICITY,
-)
+SENSORS = (
+    Effect(
+        id="slip_zero_drift", family="slip x time", scale=0.3, per=("slip",),
+        change=adds("shift", lambda a, which, rows: a * _settled(rows, which)),
+        unit="- of slip per record", formula="slip + amplitude t", parameter="drift",
+        means="the zero of the slip moves over the record", bounds=((-6.0, 6.0),),
+        remedy="zero heading, steering or wheel speed between runs, and cut runs"
+        " shorter", odds=seldom, needs=("time",), variants=choices(2),
+        forms=free.over("shift", 0.1, "time"), told_apart_by="both signs",
+        looks_like=("force_zero_drift", "stiffness_drift", "friction_drift"),
+    ),
+    Effect(
+        id="force_zero_drift", family="force x time", scale=35.0, parameter="drift",
+        change=adds("force", _force_drift), unit="1e-3 mean F_z per record",
+        formula="force + amplitude t; zero drift of strain gauges, Hoffmann 1989",
+        means="the zero of the force sensor moves over the record", odds=seldom,
+        remedy="tare between runs; subtract the zeros before and after, shared by time",
+        bounds=((-700.0, 700.0),), needs=("time",), variants=choices(2),
+        forms=free.over("force", 0.01, "time"), told_apart_by="both signs",
+        looks_like=("slip_zero_drift", "friction_drift"),
+    ),
+    _in_proportion(
+        "load_crosstalk", "force x load",
+        "F_x + amplitude F_z; crosstalk of a balance, or rolling resistance",
+        "calibrate the crosstalk of F_z; subtract the rolling resistance", odds=seldom,
+        channels=("fx",), forms=free.FORCE_BY_LOAD, told_apart_by="both signs",
+    ),
+    Effect(
+        id="load_offset", family="friction x load", scale=60.0, unit="1e-3 mean F_z",
+        # A brush under another load is one of another friction: exact where the
+        # stiffness does not follow the load.
+        change=multiplies(
+            "friction", lambda a, _, rows: 1 + PER_MILLE * a * (1 / rows.fz - 1)
+        ),
+        formula="F_z + amplitude", means="the load is off by a constant",
+        remedy="check the zero of the load cell, and the mass of rim and hub",
+        bounds=((-400.0, 400.0),), odds=seldom, needs=("loads",),
+        forms=free.FRICTION_BY_LOAD, looks_like=("load_friction", "load_stiffness"),
+        told_apart_by="loads",
+    ),
+    Effect(
+        id="force_crosstalk", family="force x force", scale=0.04, parameter="share",
+        change=adds("force", lambda a, _, rows: a * rows.across), bounds=((-0.8, 0.8),),
+        formula="force + amplitude (force across); crosstalk of a balance", odds=seldom,
+        means="the force across leaks into the force", needs=("other force",),
+        remedy="calibrate the balance with pure forces, and check its alignment",
+        looks_like=("combined_slip", "friction_ellipse"), told_apart_by="pure slip",
+    ),
+    Effect(
+        id="force_hysteresis", family="force x direction", scale=20.0, odds=seldom,
+        change=adds("force", _force_hysteresis), unit="1e-3 mean F_z",
+        formula="force + amplitude sign(d slip / dt): dry friction in the rig",
+        means="the force sensor reads differently on the way up and on the way down",
+        remedy="grease or unload the guides of the sensor; take the mean of both ways",
+        bounds=((-400.0, 400.0),), needs=("sweeps",), variants=choices(2),
+        forms=free.FORCE_BY_DIRECTION, told_apart_by="two ramp rates",
+        looks_like=("friction_hysteresis", "channel_delay", "relaxation_length"),
+    ),
+)  # fmt: skip

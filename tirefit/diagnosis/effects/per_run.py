@@ -1,5 +1,4 @@
-"""What every run has of its own: zeros that are set up anew, tires or floors that are
-changed."""
+"""Effects of runs: zeros that are set up anew, tires or floors that are changed."""
 
 from typing import Any, NamedTuple
 
@@ -41,65 +40,55 @@ OFFSETS = {
 
 
 def _one_each(prepared) -> float:
-    """One amplitude stands for a pattern that has a number for every run: each further
-    one costs what a parameter costs by BIC."""
+    """Prior log odds: the amplitude stands for a pattern with a number for every run,
+    and each further one costs what a parameter costs by BIC."""
     count = len(shown_runs(prepared.run, prepared.data.runs))
     further = max(count - 2, 0)
     return seldom(prepared) - 0.5 * further * np.log(prepared.n / max(count, 1))
 
 
-_SHARED: dict[str, Any] = {
-    "parameter": "spread", "odds": _one_each, "needs": ("runs",),
-    "told_apart_by": "random order",
-}  # fmt: skip
-"""What all of them have."""
+def _run(id: str, family: str, told_apart_by: str, **given: Any) -> Effect:
+    return Effect(
+        id=id, family=f"{family} x run", parameter="spread", odds=_one_each,
+        needs=("runs",), told_apart_by=told_apart_by, **given,
+    )  # fmt: skip
 
 
 def _parameter_of_runs(name: str, fitted: str, scale: float, *looks_like: str):
     def factor(a, _, rows):
         return jnp.exp(a * getattr(rows, OFFSETS[name].pattern))
 
-    return Effect(
-        id=f"{name}_run", family=f"{name} x run", change=multiplies(name, factor),
+    return _run(
+        f"{name}_run", name, "random order", change=multiplies(name, factor),
         scale=scale,
         formula=f"{SYMBOLS[name]} exp(difference of the run), spread by amplitude",
         means=f"{name} differs from run to run: another tire, surface or day",
         remedy=f"fit {fitted} for each run; compare runs of one tire and surface only",
         # The pattern of one is found without the other, whose sign it may have.
         bounds=((-1.5, 1.5),),
-        looks_like=(f"{name}_drift", f"{name}_warming", *looks_like), **_SHARED,
+        looks_like=(f"{name}_drift", f"{name}_warming", *looks_like),
     )  # fmt: skip
 
 
-SLIP_OFFSET_RUN = Effect(
-    id="slip_offset_run", family="slip x run",
-    change=adds("shift", lambda a, _, rows: a * rows.run_slip), scale=0.1,
-    per=("slip",), unit="- of slip",
-    formula="slip + offset of the run, spread by amplitude: a random effect",
-    means="the zero of the slip differs from run to run",
-    remedy=(
-        "zero heading, steering or wheel speed before every run; fit the runs with an"
-        " offset each"
-    ),
-    bounds=((0.0, 4.0),),
-    looks_like=("slip_offset", "slip_zero_drift", "force_offset_run"),
-    **_SHARED | {"told_apart_by": "both signs"},
-)  # fmt: skip
-FORCE_OFFSET_RUN = Effect(
-    id="force_offset_run", family="force x run",
-    change=adds("force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.run_force),
-    scale=15.0, unit="1e-3 mean F_z",
-    formula="force + offset of the run, spread by amplitude: a random effect",
-    means="the zero of the force differs from run to run",
-    remedy="tare before every run; fit the runs with an offset each",
-    bounds=((0.0, 300.0),),
-    looks_like=("force_offset", "force_zero_drift", "slip_offset_run"),
-    **_SHARED | {"told_apart_by": "loads"},
-)  # fmt: skip
-
 EFFECTS = (
-    SLIP_OFFSET_RUN,
-    FORCE_OFFSET_RUN,
+    _run(
+        "slip_offset_run", "slip", "both signs", scale=0.1, per=("slip",),
+        change=adds("shift", lambda a, _, rows: a * rows.run_slip), unit="- of slip",
+        formula="slip + offset of the run, spread by amplitude: a random effect",
+        means="the zero of the slip differs from run to run", bounds=((0.0, 4.0),),
+        remedy="zero heading, steering or wheel speed before every run; fit the runs"
+        " with an offset each",
+        looks_like=("slip_offset", "slip_zero_drift", "force_offset_run"),
+    ),
+    _run(
+        "force_offset_run", "force", "loads", scale=15.0, unit="1e-3 mean F_z",
+        change=adds(
+            "force", lambda a, _, rows: PER_MILLE * a * rows.load * rows.run_force
+        ), formula="force + offset of the run, spread by amplitude: a random effect",
+        means="the zero of the force differs from run to run", bounds=((0.0, 300.0),),
+        remedy="tare before every run; fit the runs with an offset each",
+        looks_like=("force_offset", "force_zero_drift", "slip_offset_run"),
+    ),
     _parameter_of_runs("friction", "mu", 0.12, "friction_step", "stiffness_run"),
     _parameter_of_runs("stiffness", "cpa2", 0.18, "friction_run"),
-)
+)  # fmt: skip

@@ -1,4 +1,4 @@
-"""What an effect is: one record that carries everything of its own."""
+"""The record of an effect: its formula, prior, needs and texts, and its variants."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,26 +11,24 @@ from tirefit.diagnosis.effects.free_forms import Form
 from tirefit.diagnosis.effects.state import Covariates, State
 
 PER_MILLE = 1e-3
-"""Amplitudes of a force are in thousandths of the typical load: one prior for every
-tire."""
+"""Unit of amplitudes of a force over the mean load: one prior for every tire."""
 
 LEAST_FACTOR = 0.05
-"""Friction or stiffness over its usual value, at least: a law that falls in a straight
+"""Smallest friction or stiffness over its usual value: a law that falls in a straight
 line would cross zero at amplitudes that a search tries."""
 
 SHARE = (-1.9, 1.9)
-"""A friction or a stiffness that changes by a share between its ends stays positive at
-both where the share stays below two."""
+"""Bounds of a relative change between two ends: below 2, both ends stay positive."""
 
 SYMBOLS = {"friction": "mu", "stiffness": "c_p a^2"}
-"""Field of the state that is multiplied -> what formulas call it."""
+"""Field of the state that is multiplied -> its symbol in formulas."""
 
 Change = Callable[[State, float, Array | tuple[float, ...], Covariates], State]
 
 
 class Prior(NamedTuple):
-    """What is believed of one amplitude beforehand, in its own unit: a Gaussian of
-    ``scale`` about ``center`` within ``low`` and ``high``."""
+    """Prior of one amplitude in its own unit: a Gaussian of ``scale`` about ``center``
+    within ``low`` and ``high``."""
 
     scale: float
     center: float
@@ -38,7 +36,7 @@ class Prior(NamedTuple):
     high: float
 
     def times(self, size: float) -> "Prior":
-        """The same in shares of a size of the file."""
+        """The same in units of a size of the file."""
         return Prior(*(size * part for part in self))
 
 
@@ -52,42 +50,31 @@ class Effect:
         family: which parameter varies with which quantity.
         change: (state, amplitude, constants, covariates) -> state; amplitude 0
             changes nothing.
-        scale: standard deviation of the amplitude that is expected beforehand, a
-            judgement: twice as wide lowers the log evidence of an effect that is there
-            for sure by log 2, where 3 and more decide.
-        per: field of :class:`rows.covariates.Sizes` in shares of which
-            ``scale``, ``center`` and ``bounds`` are: one for all variants or one for
-            each.
+        scale: prior standard deviation of the amplitude, a judgement: twice as wide
+            lowers the log evidence of a certain effect by log 2.
+        per: field of :class:`rows.covariates.Sizes` that is the unit of ``scale``,
+            ``center`` and ``bounds``: one for all variants or one for each.
         unit: unit of the amplitude.
-        formula: what it does, for the report.
-        means: the same in words.
-        remedy: what to do once it is named.
-        parameter: what the amplitude is called.
-        bounds: amplitudes that physics allows, one pair for all variants or one for
-            each; twenty scales or so where it allows any.
+        formula, means, remedy: for the report: the law, in words, what to do about it.
+        parameter: name of the amplitude.
+        bounds: of the amplitude, one pair for all variants or one for each; physical,
+            else about 20 scales.
         center: expected amplitude; not zero for mistakes of a known size.
-        prior: (prior, prepared rows, rig) -> prior, where the data or the rig say more
-            of the amplitude than ``scale``, ``center`` and ``bounds``.
-        odds: prepared rows -> what they add to the log odds of the effect before any
-            force is looked at.
+        prior: (prior, prepared rows, rig) -> prior, where data or rig say more.
+        odds: prepared rows -> change of the prior log odds.
         needs: columns or properties of the data without which it cannot be seen.
         channels: forces that it can change; empty is all.
-        variants: the constants of each formula that is tried (other times, other
-            speeds); all of one length.
-        which: (constants, covariates (n,), time (n,) [s] or None) -> in words which
-            formula a variant is, with the values without which its amplitude says
-            little.
-        doubts: (amplitude, prepared rows) -> why no such effect is as large, in words;
-            empty where it may be.
-        forms: other shapes in which the same parameter may vary with the same quantity.
-        during: (constants) -> begin and end of what a variant changes, in shares of the
-            record about its middle, where it acts for a stretch of it: a setting that
-            was held for just as long would do the same, and the variant is not tried.
-        scans_time: its variants are the times of a sudden change; once one is likely
-            the shape of that change is fitted.
+        variants: constants of each formula that is tried; all of one length.
+        which: (constants, covariates, time [s] or None) -> words for the formula of a
+            variant, with the values that its amplitude depends on.
+        doubts: (amplitude, prepared rows) -> why the amplitude is implausible, or "".
+        forms: other shapes in which the parameter may vary with the quantity.
+        during: constants -> begin and end of the stretch that a variant changes (shares
+            of the record about its middle); not tried if a setting was held for it.
+        scans_time: variants are times of a sudden change, whose shape is fitted later.
         singular: its tangent at zero vanishes; it is always refitted.
-        looks_like: ids that it is easily taken for.
-        told_apart_by: what measurement separates it from them.
+        looks_like: ids of effects that it is confused with.
+        told_apart_by: the measurement that separates it from them.
     """
 
     id: str
@@ -125,19 +112,16 @@ class Effect:
 
     @property
     def far(self) -> bool:
-        """Whether its tangent at zero says little: none, or expected elsewhere."""
+        """Whether the tangent at zero is a poor approximation."""
         return self.singular or self.center != 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseEffect:
-    """A law of the noise, not of the mean: named where no effect on the mean is.
+    """A law of the noise, named where no effect on the mean is.
 
-    Attributes:
-        id: its name in every output.
-        flag: of :class:`noise.level.NoiseLevel`, on which it is named;
-            empty where it is reported as a figure only.
-        means, remedy: as for :class:`Effect`.
+    ``flag`` is the one of :class:`noise.level.NoiseLevel` on which it is named, empty
+    where it is reported as a figure only; the others are as for :class:`Effect`.
     """
 
     id: str
@@ -145,6 +129,27 @@ class NoiseEffect:
     means: str
     remedy: str
     family: str = "noise"
+
+
+NOISE_EFFECTS = (
+    NoiseEffect(
+        id="outliers", flag="outliers", means="some rows lie far from all others",
+        remedy="set [noise] loss = 'huber'",
+    ),
+    NoiseEffect(
+        id="noise_heteroscedastic", means="the noise level differs over the range",
+        remedy="give fx_std row by row",
+    ),
+    NoiseEffect(
+        id="noise_autocorrelated", flag="autocorrelated",
+        means="the noise of neighbouring rows is correlated",
+        remedy="none needed: rows count at their effective number",
+    ),
+    NoiseEffect(
+        id="slip_noise", means="the slip is measured with noise",
+        remedy="give sigma_x_std",
+    ),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -159,7 +164,7 @@ class Atom:
         return self.effect.variants[self.variant]
 
     def prior(self, prepared, rig) -> Prior:
-        """On the scale of the file, with what the data and the rig say beyond that."""
+        """Prior in the unit of the amplitude, with what data and rig add to it."""
         effect = self.effect
         pair = effect.bounds[self.variant if len(effect.bounds) > 1 else 0]
         per = effect.per[self.variant if len(effect.per) > 1 else 0]
@@ -168,14 +173,14 @@ class Atom:
         return prior if effect.prior is None else effect.prior(prior, prepared, rig)
 
     def formula(self, rows: Covariates, time, amplitude=0.0, prepared=None) -> str:
-        """Which of the effect's formulas it is, in words; empty where it has one. Of an
-        amplitude beyond the effect's own, its doubts as well."""
-        of, said = self.effect, []
+        """Words for the formula of the variant, empty where the effect has one, and the
+        doubts about an amplitude if ``prepared`` is given."""
+        of, parts = self.effect, []
         if of.which:
-            said.append(of.which(self.constants, rows, time))
+            parts.append(of.which(self.constants, rows, time))
         if of.doubts and prepared is not None:
-            said.append(of.doubts(float(amplitude), prepared))
-        return ", ".join(part for part in said if part)
+            parts.append(of.doubts(float(amplitude), prepared))
+        return ", ".join(part for part in parts if part)
 
     def change(self, state: State, amplitude, rows: Covariates) -> State:
         """The state with this variant added."""
@@ -192,14 +197,18 @@ def effects_by_id(effects: Sequence[Effect | NoiseEffect]) -> dict:
     return {effect.id: effect for effect in effects}
 
 
+def choices(count: int) -> tuple[tuple[float, ...], ...]:
+    """Constants of ``count`` variants that :func:`blend` one formula each."""
+    return tuple(tuple(float(i == k) for i in range(count)) for k in range(count))
+
+
 def blend(constants, *values):
-    """Values weighted by constants: a variant that picks one of them has a one there
-    and zeros elsewhere."""
+    """Sum of the values weighted by the constants: one of them for :func:`choices`."""
     return sum(c * value for c, value in zip(constants, values, strict=True))
 
 
 def scaled(state: State, name: str, factor) -> State:
-    """A field of the state times a factor, which stays positive."""
+    """The state with one field times a factor, which stays positive."""
     factor = jnp.maximum(factor, LEAST_FACTOR)
     return state._replace(**{name: getattr(state, name) * factor})
 
@@ -230,5 +239,5 @@ _SELDOM = -1.0
 
 
 def seldom(prepared) -> float:
-    """Log odds, whatever the data, of an effect that most files do not have."""
+    """Prior log odds of an effect that most files do not have."""
     return _SELDOM

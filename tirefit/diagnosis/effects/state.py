@@ -20,118 +20,78 @@ from tirefit.params import Values
 
 
 class Covariates(NamedTuple):
-    """What effects may depend on, one value per row (n,).
+    """What effects may depend on: one value per row, (n,), or (n, k) where noted.
 
-    Zeros where the data lack a column. ``fz`` is the load over its geometric mean,
-    ``time`` runs from -1/2 to 1/2 over the record, ``temperature`` is in units of 20 K
-    about its mean, ``inflation`` the pressure from -1/2 to 1/2 over its range.
-    ``rate`` is the derivative of the smooth slip [1/s], ``lag`` its change with the way
-    over the usual one, times the spread of the slip [-]; ``turning`` is +1 while the
-    slip grows in size and -1 while it shrinks; ``side`` is the sign of the slip.
-    ``other`` is the slip that the base model leaves out (lateral sigma_y for F_x),
-    ``force`` the base model's force over its peak, with its sign, ``usage`` its size,
-    and ``spin`` d(omega)/dt over the rolling radius [rad/(m s^2)]. ``load`` is the mean
-    load [N].
-
-    ``past`` (n, k) is the smooth slip before, at and after each row, see
-    :class:`rows.rates.Past`, ``pull`` (n, k) [N] the force of the base
-    model there, ``twist`` (n, k) [N m] its moment; all are zero without sweeps.
-    ``burden`` (n, k) is the load there over that of the row. From column to column it
-    is ``interval`` [s] and ``step`` [m] back. ``pace`` [m/s] is the speed, a share of
-    the usual one at least, ``cruise`` [m/s] its geometric mean; ``sliding`` [m/s] is
-    the sliding speed of the measured slip, ``brisk`` [m/s] its typical largest value.
-    ``rise`` is the slip at half of the largest force, ``peak`` that force over the
-    load. ``work`` (n, 3) is the work of sliding so far, over its range about its mean:
-    all of it, and what is left of it after a cooling of a fifth and of a twentieth of
-    the record. ``across`` [N] is the measured force across, ``yaw`` [1/m] yaw rate over
-    speed, ``ahead`` the acceleration ahead over its range, ``swing`` [rad/s^2] the yaw
-    acceleration, ``heading`` and ``steering`` [rad] as measured, ``steered`` (n, k) the
-    latter where ``past`` has the slip, ``pivot`` [N/rad] what the road wheel angle does
-    to a force that was derived across it, ``lean`` the lateral acceleration over that
-    of gravity; of a force that was derived from it, what the base model's force would
-    make of it. ``run_slip``, ``run_force``, ``run_friction`` and ``run_stiffness`` are
-    how the runs differ in one or the other, of unit rms.
-    ``change`` is the shape of a change in time, from -1/2 to 1/2, that
-    :func:`evidence.forms.shape_of_change` has found, ``traction`` the force
-    of the base model over the mean load.
+    Zero where the data lack a column. Columns (n, k) of the past belong to the times of
+    :class:`rows.rates.Past`; they are zero without sweeps.
     """
 
-    fz: Values
-    v: Values
-    time: Values
-    temperature: Values
-    inflation: Values
-    gamma: Values
-    rate: Values
-    lag: Values
-    turning: Values
-    side: Values
-    other: Values
-    force: Values
-    usage: Values
-    spin: Values
-    load: Values
-    past: Values
-    pull: Values
-    twist: Values
-    burden: Values
-    interval: Values
-    step: Values
-    pace: Values
-    sliding: Values
-    brisk: Values
-    cruise: Values
-    rise: Values
-    peak: Values
-    work: Values
-    across: Values
-    yaw: Values
-    ahead: Values
-    swing: Values
-    heading: Values
-    lean: Values
-    steering: Values
-    steered: Values
-    pivot: Values
-    run_slip: Values
-    run_force: Values
-    run_friction: Values
-    run_stiffness: Values
-    change: Values
-    traction: Values
+    fz: Values  # load over its geometric mean
+    v: Values  # speed [m/s]
+    time: Values  # -1/2 to 1/2 over the record
+    temperature: Values  # about its mean [20 K]
+    inflation: Values  # pressure, -1/2 to 1/2 over its range
+    gamma: Values  # camber [rad]
+    rate: Values  # derivative of the smooth slip [1/s]
+    lag: Values  # slip per distance over its usual value, times the spread of the slip
+    turning: Values  # +1 while the size of the slip grows, -1 while it shrinks
+    side: Values  # sign of the slip
+    other: Values  # the slip that the base model leaves out (sigma_y for F_x)
+    force: Values  # force of the base model over its peak, signed
+    usage: Values  # its size
+    spin: Values  # d(omega)/dt over the rolling radius [rad/(m s^2)]
+    load: Values  # mean load [N]
+    past: Values  # (n, k) smooth slip before, at and after each row
+    pull: Values  # (n, k) force of the base model there [N]
+    twist: Values  # (n, k) its moment there [N m]
+    burden: Values  # (n, k) load there over that of the row
+    interval: Values  # time between the columns of the past [s]
+    step: Values  # distance between them [m]
+    pace: Values  # speed [m/s], a share of the usual one at least
+    sliding: Values  # sliding speed of the measured slip [m/s]
+    brisk: Values  # its typical largest value [m/s]
+    cruise: Values  # geometric mean of the speed [m/s]
+    rise: Values  # slip at half of the largest force
+    peak: Values  # largest force over the load
+    work: Values  # (n, 3) work of sliding so far under each cooling, over its range
+    across: Values  # measured force across [N]
+    yaw: Values  # yaw rate over speed [1/m]
+    ahead: Values  # longitudinal acceleration over its range
+    swing: Values  # yaw acceleration [rad/s^2]
+    heading: Values  # [rad]
+    lean: Values  # lateral acceleration over g; of a derived force, the base model's
+    steering: Values  # road wheel angle [rad]
+    steered: Values  # (n, k) the same in the past
+    pivot: Values  # slope of a derived force over the road wheel angle [N/rad]
+    run_slip: Values  # how the runs differ in slip offset, unit rms
+    run_force: Values  # in force offset
+    run_friction: Values  # in log friction
+    run_stiffness: Values  # in log stiffness
+    change: Values  # -1/2 to 1/2, found by :func:`evidence.forms.shape_of_change`
+    traction: Values  # force of the base model over the mean load
 
 
 class State(NamedTuple):
-    """A tire and its measurement with all effects applied; arrays (n,) or scalars.
+    """A tire and its measurement with all effects applied; arrays (n,) or scalars."""
 
-    ``shift`` [-] is added to the slip, ``curvature`` w turns it into x / (1 - w x),
-    ``other`` is the slip across. ``stiffness`` and ``friction`` multiply; ``skew`` is d
-    of S(24) and ``flat`` the share of the quartic law S(25); ``static`` is the excess
-    of static over kinetic friction, 1/m - 1, and ``kinetic`` multiplies the kinetic
-    one alone. ``force`` [N] is added to the measured force, ``moment`` [N m] to the
-    moment.
-    """
-
-    shift: Array
-    curvature: Array
-    other: Array
-    stiffness: Array
-    friction: Array
-    skew: Array
-    flat: Array
-    static: Array
-    kinetic: Array
-    force: Array
-    moment: Array
+    shift: Array  # added to the slip
+    curvature: Array  # w: the slip x becomes x / (1 - w x)
+    other: Array  # slip across
+    stiffness: Array  # factor
+    friction: Array  # factor
+    skew: Array  # d of S(24)
+    flat: Array  # share of the quartic law S(25)
+    static: Array  # excess of static over kinetic friction, 1/m - 1
+    kinetic: Array  # factor on the kinetic friction alone
+    force: Array  # added to the measured force [N]
+    moment: Array  # added to the moment [N m]
 
 
 def null_state() -> State:
     """No effect at all."""
     zero, one = jnp.zeros(()), jnp.ones(())
-    return State(
-        shift=zero, curvature=zero, other=zero, stiffness=one, friction=one, skew=zero,
-        flat=zero, static=zero, kinetic=one, force=zero, moment=zero,
-    )  # fmt: skip
+    factors = {"stiffness": one, "friction": one, "kinetic": one}
+    return State(**dict.fromkeys(State._fields, zero) | factors)
 
 
 class _Shaped(AbstractPressure):
@@ -228,11 +188,10 @@ def peak_ratio(base, fz, v):
     slips = jnp.geomspace(*_PEAKS)
 
     def force(slip):
-        forces = base(TireInputs(sigma_x=slip, fz=fz, v=v))
-        if forces.fx is None:
-            forces = base(TireInputs(alpha=jnp.arctan(slip), fz=fz, v=v))
-            return forces.fy
-        return forces.fx
+        fx = base(TireInputs(sigma_x=slip, fz=fz, v=v)).fx
+        if fx is not None:
+            return fx
+        return base(TireInputs(alpha=jnp.arctan(slip), fz=fz, v=v)).fy
 
     return jnp.max(jax.vmap(force)(slips)) / fz
 
@@ -262,26 +221,14 @@ def force_of_state(base, reference, state: State, slip_x, slip_y, inputs: TireIn
     ratio = state.stiffness / state.friction
     along, across = slip_x * ratio, slip_y * ratio
     size = jnp.sqrt(along**2 + across**2 + _AT_REST)
-    g = state.friction
-    if reference is None:
-        bare = base
-        change, turn = _shape_change(
-            state, bare.cpa2, bare.mu, bare.half_length, size, inputs.fz, True
-        )
-        return (
-            g * along / size * change,
-            g * across / size * change,
-            g * bare.half_length * across / size * turn,
-        )
-    stiffness, mu, arm = reference
+    bare = reference is None
+    stiffness, mu, arm = (base.cpa2, base.mu, base.half_length) if bare else reference
+    change, turn = _shape_change(state, stiffness, mu, arm, size, inputs.fz, bare)
+    x, y = along / size, across / size
+    added = x * change, y * change, arm * y * turn
+    if bare:
+        return tuple(state.friction * part for part in added)
     alpha = jnp.arctan(across / (1 + along))
-    forces = base(inputs._replace(sigma_x=along, alpha=alpha))
-    change, turn = _shape_change(state, stiffness, mu, arm, size, inputs.fz, False)
-    fx = 0.0 if forces.fx is None else forces.fx
-    fy = 0.0 if forces.fy is None else forces.fy
-    mz = 0.0 if forces.mz is None else forces.mz
-    return (
-        g * (fx + along / size * change),
-        g * (fy + across / size * change),
-        g * (mz + arm * across / size * turn),
-    )
+    found = base(inputs._replace(sigma_x=along, alpha=alpha))
+    own = (0.0 if f is None else f for f in (found.fx, found.fy, found.mz))
+    return tuple(state.friction * (o + a) for o, a in zip(own, added, strict=True))

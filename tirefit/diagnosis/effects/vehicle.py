@@ -1,40 +1,41 @@
-"""Effects of the vehicle: radii that change, speeds with a zero, what is not measured
-where the tire is."""
+"""Effects of the vehicle: radii that change, speeds with a zero, forces across, load
+transfer, inertia, floor, both wheels of an axle, steering."""
 
 import jax.numpy as jnp
 import numpy as np
 
-from tirefit.diagnosis.effects.free_forms import (
-    BOTH_WAYS,
-    ONE_WAY,
-    SHIFT_BY_SPEED,
-    over,
-    rise,
-    weight,
-)
-from tirefit.diagnosis.effects.known import (
+from tirefit.diagnosis.effects import free_forms as free
+from tirefit.diagnosis.effects.motion import (
     of_a_known_force,
     of_a_known_height,
+    of_a_known_inertia,
     of_a_known_position,
 )
 from tirefit.diagnosis.effects.record import (
+    LEAST_FACTOR,
     PER_MILLE,
+    SHARE,
     Effect,
     adds,
     blend,
+    choices,
     multiplies,
     seldom,
 )
 
-_ALL_BUT = 0.95
-"""Share of the friction that a force across takes at most."""
-_DOUBLED = -3.0
-"""The same of what it adds: the friction is doubled at most."""
-_ALIKE = 0.9
-"""Correlation of speed and slip from which one is hardly told from the other."""
-_ONE_LOAD = 0.1
-"""Standard deviation of log F_z below which a zero that follows the load is hardly told
-from a constant one."""
+_ALL_BUT, _DOUBLED = 0.95, -3.0
+"""Largest share of the friction that a force across takes, and the largest that it
+adds: the friction is doubled."""
+
+_ALIKE, _ONE_LOAD = 0.9, 0.1
+"""Correlation of speed and slip above which, and standard deviation of log F_z below
+which, an effect of the speed or the load is hardly separable from a constant one."""
+
+_DIRECTIONS = tuple(np.radians([0.0, 45.0, 90.0, 135.0]))
+"""Directions of a slope over the floor; the other half is the other sign."""
+
+_OF_BOTH = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
+"""Exponents of a factor on friction and stiffness: one of them, or both."""
 
 
 def _slip_speed(share, constants, rows):
@@ -52,7 +53,7 @@ def _drag(share, constants, rows):
 
 
 def _ellipse(state, share, constants, rows):
-    """Of the friction, or of the whole force, as a vehicle model's last line has it."""
+    """Factor on the friction, or on the whole force."""
     (whole,) = constants
     used = rows.across / (rows.peak * rows.fz * rows.load)
     left = jnp.sqrt(1 - jnp.clip(share * used**2, _DOUBLED, _ALL_BUT))
@@ -61,106 +62,184 @@ def _ellipse(state, share, constants, rows):
 
 
 def _one_speed_of_the_slip(prepared) -> float:
-    """A slip that follows the speed is hardly told from one of the force."""
+    """Log odds, less where the speed follows the slip: the slip explains the same."""
     speed, slip = prepared.covariates.v, np.abs(prepared.slip)
     alike = abs(np.corrcoef(speed, slip)[0, 1]) if np.ptp(speed) > 0 else 0.0
     return seldom(prepared) - 2 * float(alike > _ALIKE)
 
 
 def _one_load(prepared) -> float:
-    """Where the load hardly varies, a zero that follows it is one more claim than a
-    constant one, and no better seen."""
+    """Log odds, less where the load hardly varies: a constant zero fits as well."""
     varies = float(np.std(np.log(prepared.inputs.fz)))
     return seldom(prepared) - 2 * float(varies < _ONE_LOAD)
 
 
-SLIP_LOAD = Effect(
-    id="slip_offset_load", family="slip x load",
-    # About the usual load, or from none on.
-    change=adds("shift", lambda a, about, rows: a * (rows.fz - about[0])), scale=0.2,
-    per=("slip",), unit="- of slip",
-    formula="slip + amplitude (F_z / F_z0 - 1); effective rolling radius, Pacejka 1.2",
-    means="the zero of the slip moves with load",
-    remedy="take the rolling radius (steering zero) as a function of load",
-    bounds=((-4.0, 4.0),), odds=_one_load, needs=("loads",),
-    forms=over("shift", 0.1, "fz", ONE_WAY, rise), variants=((1.0,), (0.0,)),
-    looks_like=("load_crosstalk", "conicity", "load_stiffness"),
-    told_apart_by="both signs",
-)  # fmt: skip
-SLIP_SPEED = Effect(
-    id="slip_offset_speed", family="slip x speed", change=adds("shift", _slip_speed),
-    scale=0.3, per=("growth",), unit="s/m",
-    formula="slip + amplitude v: a tire that grows with its speed",
-    means="the zero of the slip moves with speed",
-    remedy="take the rolling radius as a function of speed; laterally look for what"
-    " turns the wheel, or the heading's zero, with speed",
-    bounds=((-6.0, 6.0),), odds=_one_speed_of_the_slip, needs=("speeds",),
-    variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 1.0), (0.0, 1.0, 1.0)),
-    forms=SHIFT_BY_SPEED, looks_like=("speed_zero", "speed_drag"),
-    told_apart_by="both signs",
-)  # fmt: skip
-SPEED_ZERO = Effect(
-    id="speed_zero", family="slip x speed",
-    change=adds("shift", lambda a, _, rows: a / rows.pace), scale=0.3,
-    per=("inverse_speed",), unit="m/s", formula="slip + amplitude / v",
-    means="a speed is off by a constant, so that the slip is at low speed",
-    remedy="check the zeros of the speed sensors at rest (ahead, across, of the wheel)",
-    parameter="zero", bounds=((-6.0, 6.0),), odds=_one_speed_of_the_slip,
-    needs=("speeds",), forms=SHIFT_BY_SPEED,
-    looks_like=("slip_offset_speed", "speed_drag"), told_apart_by="both signs",
-)  # fmt: skip
-SPEED_DRAG = Effect(
-    id="speed_drag", family="force x speed", change=adds("force", _drag), scale=25.0,
-    unit="1e-3 mean F_z", formula="force + amplitude v / v0, or amplitude (v / v0)^2",
-    means="a force that follows the speed is taken for one of the tire: drag, bearings",
-    remedy="coast down and subtract what is measured then", bounds=((-500.0, 500.0),),
-    odds=_one_speed_of_the_slip, needs=("speeds",), channels=("fx",),
-    variants=((1.0, 0.0), (0.0, 1.0)), forms=over("force", 0.01, "v", 4, weight),
-    looks_like=("slip_offset_speed", "speed_zero"), told_apart_by="both signs",
-)  # fmt: skip
-ELLIPSE = Effect(
-    id="friction_ellipse", family="friction x force", change=_ellipse, scale=0.3,
-    formula="mu, or the whole force, times sqrt(1 - amplitude (F_across / (mu F_z))^2)",
-    means="the force across (drive, brake or cornering) takes its part of the friction",
-    remedy="fit a combined model to both forces, or leave rows with a force across out",
-    parameter="share", bounds=((0.0, 6.0),), center=1.0, prior=of_a_known_force,
-    needs=("other force",), variants=((0.0,), (1.0,)),
-    forms=(
-        *over("friction", 0.03, "across", BOTH_WAYS),
-        *over("stiffness", 0.03, "across", BOTH_WAYS),
+def _slope(slope, constants, rows):
+    along, across = constants
+    towards = along * jnp.cos(rows.heading) + across * jnp.sin(rows.heading)
+    return slope * rows.load * rows.fz * towards
+
+
+def _round_the_floor(rows, u):
+    """Force over load by the heading, for slopes and a bent floor: (n, 4)."""
+    turns = [wave(k * rows.heading) for k in (1, 2) for wave in (np.cos, np.sin)]
+    return np.stack(turns, axis=1) * (rows.load * rows.fz)[:, None]
+
+
+def _of_the_axle(id: str, factor, **given) -> Effect:
+    """Friction, stiffness or both times a factor of the lateral acceleration."""
+
+    def change(state, amplitude, constants, rows):
+        friction, stiffness = constants
+        times = jnp.maximum(factor(amplitude, rows.lean), LEAST_FACTOR)
+        return state._replace(
+            friction=state.friction * times**friction,
+            stiffness=state.stiffness * times**stiffness,
+        )
+
+    return Effect(
+        id=id, family="friction x lateral acceleration", change=change, odds=seldom,
+        needs=("a_y",), channels=("fy", "mz"), variants=_OF_BOTH,
+        forms=free.over("friction", 0.02, "lean"), **given,
+    )  # fmt: skip
+
+
+SPEEDS = (
+    Effect(
+        id="slip_offset_load", family="slip x load", scale=0.2, per=("slip",),
+        # About the usual load, or from none on.
+        change=adds("shift", lambda a, about, rows: a * (rows.fz - about[0])),
+        unit="- of slip",
+        formula="slip + amplitude (F_z / F_z0 - 1); effective rolling radius,"
+        " Pacejka 1.2",
+        means="the zero of the slip moves with load",
+        remedy="take the rolling radius (steering zero) as a function of load",
+        bounds=((-4.0, 4.0),), odds=_one_load, needs=("loads",),
+        variants=((1.0,), (0.0,)), forms=free.over("shift", 0.1, "fz"),
+        looks_like=("load_crosstalk", "conicity", "load_stiffness"),
+        told_apart_by="both signs",
     ),
-    looks_like=("combined_slip", "force_crosstalk"), told_apart_by="pure slip",
-)  # fmt: skip
-TRACKED_POINT = Effect(
-    id="tracked_point", family="slip x yaw",
-    change=adds("shift", lambda a, _, rows: a * rows.yaw), scale=0.3, per=("lever",),
-    unit="m", formula="slip angle + amplitude (yaw rate) / v",
-    means="the slip angle is that of another point than the axle",
-    remedy=(
-        "measure tracked_point of vehicle.toml: it is off by the amplitude along the"
-        " vehicle"
+    Effect(
+        id="slip_offset_speed", family="slip x speed", scale=0.3, per=("growth",),
+        change=adds("shift", _slip_speed), unit="s/m", bounds=((-6.0, 6.0),),
+        formula="slip + amplitude v: a tire that grows with its speed",
+        means="the zero of the slip moves with speed", odds=_one_speed_of_the_slip,
+        remedy="take the rolling radius as a function of speed; laterally check what"
+        " turns the wheel or the zero of the heading with speed", needs=("speeds",),
+        variants=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 1.0), (0.0, 1.0, 1.0)),
+        forms=free.SHIFT_BY_SPEED, looks_like=("speed_zero", "speed_drag"),
+        told_apart_by="both signs",
     ),
-    parameter="distance", bounds=((-6.0, 6.0),), prior=of_a_known_position,
-    needs=("yaw_rate", "v"), channels=("fy", "mz"),
-    looks_like=("slip_offset", "carcass_flexibility"), told_apart_by="speeds",
-)  # fmt: skip
-LOAD_TRANSFER = Effect(
-    id="load_transfer", family="friction x acceleration",
-    change=multiplies("friction", lambda a, _, rows: 1 + a * rows.ahead / rows.fz),
-    scale=0.15, unit="over the range of the file",
-    formula="F_z + amplitude (geometric mean F_z) a_x: m h a_x / wheelbase",
-    means="the load moves between the axles with the acceleration, and fz does not",
-    remedy="add m h a_x / wheelbase to fz", parameter="share", bounds=((-1.9, 1.9),),
-    prior=of_a_known_height, needs=("a_x",), forms=over("friction", 0.03, "ahead", 4),
-    looks_like=("drive_brake_asymmetry", "friction_ellipse"), told_apart_by="loads",
+    Effect(
+        id="speed_zero", family="slip x speed", scale=0.3, per=("inverse_speed",),
+        change=adds("shift", lambda a, _, rows: a / rows.pace), unit="m/s",
+        formula="slip + amplitude / v", parameter="zero", bounds=((-6.0, 6.0),),
+        means="a speed is off by a constant, so the slip is off at low speed",
+        remedy="check the zeros of the speed sensors at rest (ahead, across, of the"
+        " wheel)", odds=_one_speed_of_the_slip, needs=("speeds",),
+        forms=free.SHIFT_BY_SPEED, looks_like=("slip_offset_speed", "speed_drag"),
+        told_apart_by="both signs",
+    ),
+    Effect(
+        id="speed_drag", family="force x speed", change=adds("force", _drag),
+        scale=25.0, unit="1e-3 mean F_z", bounds=((-500.0, 500.0),), needs=("speeds",),
+        formula="force + amplitude v / v0, or amplitude (v / v0)^2", channels=("fx",),
+        means="the tire force contains a force that follows the speed: drag, bearings",
+        remedy="coast down and subtract the force measured then", variants=choices(2),
+        odds=_one_speed_of_the_slip, forms=free.over("force", 0.01, "v"),
+        looks_like=("slip_offset_speed", "speed_zero"), told_apart_by="both signs",
+    ),
+    Effect(
+        id="friction_ellipse", family="friction x force", change=_ellipse, scale=0.3,
+        formula="mu, or the whole force, times sqrt(1 - amplitude (F_across / (mu"
+        " F_z))^2)", parameter="share", bounds=((0.0, 6.0),), center=1.0,
+        means="the force across (drive, brake, cornering) uses a part of the friction",
+        remedy="fit a combined model to both forces, or exclude rows with force across",
+        prior=of_a_known_force, needs=("other force",), variants=((0.0,), (1.0,)),
+        forms=(
+            *free.over("friction", 0.03, "across", free.BOTH_WAYS),
+            *free.over("stiffness", 0.03, "across", free.BOTH_WAYS),
+        ), looks_like=("combined_slip", "force_crosstalk"), told_apart_by="pure slip",
+    ),
+    Effect(
+        id="tracked_point", family="slip x yaw", scale=0.3, per=("lever",), unit="m",
+        change=adds("shift", lambda a, _, rows: a * rows.yaw), parameter="distance",
+        formula="slip angle + amplitude (yaw rate) / v", bounds=((-6.0, 6.0),),
+        means="the slip angle is that of another point than the axle",
+        remedy="measure tracked_point of vehicle.toml: it is off by the amplitude along"
+        " the vehicle", prior=of_a_known_position, needs=("yaw_rate", "v"),
+        channels=("fy", "mz"), told_apart_by="speeds",
+        looks_like=("slip_offset", "carcass_flexibility"),
+    ),
+    Effect(
+        id="load_transfer", family="friction x acceleration", scale=0.15,
+        change=multiplies("friction", lambda a, _, rows: 1 + a * rows.ahead / rows.fz),
+        unit="over the range of the file", remedy="add m h a_x / wheelbase to fz",
+        formula="F_z + amplitude (geometric mean F_z) a_x: m h a_x / wheelbase",
+        means="the load moves between the axles with the acceleration, and fz does not",
+        parameter="share", bounds=(SHARE,), prior=of_a_known_height, needs=("a_x",),
+        forms=free.over("friction", 0.03, "ahead"), told_apart_by="loads",
+        looks_like=("drive_brake_asymmetry", "friction_ellipse"),
+    ),
 )  # fmt: skip
 
-EFFECTS = (
-    SLIP_LOAD,
-    SLIP_SPEED,
-    SPEED_ZERO,
-    SPEED_DRAG,
-    ELLIPSE,
-    TRACKED_POINT,
-    LOAD_TRANSFER,
-)
+CHASSIS = (
+    Effect(
+        id="yaw_inertia", family="force x yaw acceleration", scale=0.03, per=("swing",),
+        unit="kg m", change=adds("force", lambda a, _, rows: a * rows.swing),
+        formula="F_y + amplitude r', r' the yaw acceleration; Milliken 1995, 5.3",
+        means="the yaw inertia over the wheelbase or the position of the centre of"
+        " gravity is wrong", bounds=((-0.6, 0.6),), prior=of_a_known_inertia,
+        remedy="measure yaw_inertia of vehicle.toml: swing the vehicle on a pendulum",
+        parameter="error of inertia / wheelbase", channels=("fy",),
+        needs=("yaw_acceleration", "derived force"), told_apart_by="two ramp rates",
+        looks_like=("channel_delay", "relaxation_length", "tracked_point"),
+    ),
+    Effect(
+        id="floor_slope", family="force x heading", change=adds("force", _slope),
+        scale=0.01, parameter="slope", bounds=((-0.1, 0.1),), odds=seldom,
+        formula="F_y + amplitude F_z cos(heading - direction): m g sin(slope)",
+        means="the floor or road is not level: the weight pulls the vehicle one way",
+        remedy="level the floor, or drive each test both ways and take the mean",
+        needs=("heading", "derived force"), channels=("fy",),
+        variants=tuple((float(np.cos(d)), float(np.sin(d))) for d in _DIRECTIONS),
+        forms=(free.Form("force", 0.005, _round_the_floor),),
+        looks_like=("slip_offset", "force_offset"), told_apart_by="random order",
+    ),
+    Effect(
+        id="toe", family="slip x lateral acceleration", scale=0.01, unit="rad / g",
+        change=adds("shift", lambda a, _, rows: a * rows.lean), parameter="steer",
+        formula="slip angle + amplitude a_y / g; roll steer, Gillespie 1992, 6",
+        means="the wheels steer as the axle rolls: toe of the outer wheel, roll steer,"
+        " soft mounts", bounds=((-0.06, 0.06),), odds=seldom, needs=("a_y",),
+        remedy="measure toe against roll and side force on the axle and correct for it",
+        channels=("fy", "mz"), told_apart_by="loads",
+        looks_like=("carcass_flexibility", "stiffness_speed", "tracked_point"),
+    ),
+    _of_the_axle(
+        "lateral_load_transfer", lambda a, lean: 1 - a * lean**2, scale=0.15,
+        unit="1 / g^2", parameter="loss", bounds=((0.0, 0.9),), told_apart_by="loads",
+        formula="1 - amplitude (a_y / g)^2 on friction or stiffness; Milliken 1995, 7",
+        means="the wheels of the axle share the load unevenly, which costs grip",
+        remedy="give the load of each wheel, or fit a model whose friction falls with"
+        " load",
+        looks_like=("pressure_flatness", "load_friction", "friction_speed_linear"),
+    ),
+    _of_the_axle(
+        "unlike_tires", lambda a, lean: 1 + a * lean, scale=0.1, unit="1 / g",
+        formula="1 + amplitude a_y / g on friction or stiffness", bounds=((-0.6, 0.6),),
+        means="the two tires of the axle differ, and the one with more load dominates",
+        remedy="swap the tires of the axle, and measure again", parameter="difference",
+        told_apart_by="both signs", looks_like=("drive_brake_asymmetry", "slip_offset"),
+    ),
+    Effect(
+        id="steering_gain", family="slip x steering", scale=0.1, bounds=((-0.6, 0.6),),
+        change=adds("shift", lambda a, _, rows: a * rows.steering), odds=seldom,
+        formula="slip angle + amplitude (road wheel angle)", needs=("steering",),
+        means="the steering ratio is wrong, or the steering yields under load",
+        remedy="measure the road wheel angle over the command with the wheels loaded",
+        parameter="error of the ratio", channels=("fy", "mz"), told_apart_by="speeds",
+        forms=free.over("shift", 0.1, "steering"),
+        looks_like=("tracked_point", "toe", "slip_offset"),
+    ),
+)  # fmt: skip

@@ -23,31 +23,15 @@ SCALES = 2.0 * 3.0 ** np.arange(4)
 RANK = 1e-6
 """Smallest squared length of a direction over the longest; the rest is rounding."""
 
-_DRAWN_SCALES = np.geomspace(0.3, 300, 25)
-"""Scales of the located remainder, a third apart: from below the noise to 1,000 times
-that."""
-
-_TO_DRAW, _MOST_DRAWN = 8.0, 4
-"""chi-squared over that of the largest of as many waves of noise from which a wave is
-located (55 to 1), and largest number of these."""
-
-_OF_EITHER_SIGN = 0.05
-"""Smallest share of the rows with a sign of the slip that has its own functions."""
-
 _BUMPS = (4, 8)
-"""Fewest and most functions of the slip for each sign, of the cells twice as many: the
-finest are a half and a quarter of the slip of full sliding wide."""
-
-_ROWS_OF_A_FUNCTION = 3
-"""Smallest number of rows for each function of a basis."""
+"""Fewest and most functions of the slip for each sign; cells have twice as many."""
 
 _LEVELS = 4
-"""Largest number of settings of a covariate with a coefficient each; a parabola is any
-function of one less."""
+"""Largest number of settings of a covariate with a coefficient each."""
 
 
 def bumps(values, count: int) -> np.ndarray:
-    """Radial functions over the range of the values, (n, count)."""
+    """Radial functions over the range of the values: (n, count)."""
     centers = np.linspace(values.min(), values.max(), count)
     width = max((centers[1] - centers[0]), FLAT)
     return np.exp(-0.5 * ((values[:, None] - centers) / width) ** 2)
@@ -62,11 +46,11 @@ def functions_of(values, count: int) -> np.ndarray:
 
 
 def _by_side(slip_fraction, factors, scale, most: int, finest: int) -> np.ndarray:
-    """Bumps over the size of the slip, for each sign of it that is there, times each of
-    the factors (n,): about ``most`` whitened columns, at most ``finest`` bumps."""
+    """Bumps over the size of the slip, for each sign of a twentieth of the rows, times
+    each factor (n,): about ``most`` whitened columns, at most ``finest`` bumps."""
     inside = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
     sides = [inside >= 0, inside < 0]
-    if min(np.mean(side) for side in sides) <= _OF_EITHER_SIGN:
+    if min(np.mean(side) for side in sides) <= 0.05:
         sides = [np.ones(len(inside), bool)]
     count = int(np.clip(most // (len(sides) * len(factors)), _BUMPS[0], finest))
     shapes = bumps(np.abs(inside), count)
@@ -84,11 +68,9 @@ def _modulations(prepared) -> list[np.ndarray]:
     """Factors of the bumps in the order of importance: (n,) each."""
     rows = prepared.covariates
     first, second = [np.ones(prepared.n)], []
-    for values in (
-        np.log(rows.fz), rows.v, rows.time, rows.temperature, rows.gamma, rows.other
-    ):  # fmt: skip
-        unit = _standard(values)
-        if unit is not None:
+    plain = (rows.v, rows.time, rows.temperature, rows.gamma, rows.other)
+    for values in (np.log(rows.fz), *plain):
+        if (unit := _standard(values)) is not None:
             first.append(unit)
             if not levels(values).few(_LEVELS - 1):
                 second.append(unit**2 - 1)
@@ -114,14 +96,13 @@ def _scaled(columns, scale):
 def smooth_basis(
     prepared, slip_fraction, scale, most: int, runs: bool = False
 ) -> np.ndarray:
-    """Smooth functions of slip, times load, speed, time and direction: (n, b).
+    """Smooth functions of slip, times load, speed, time and direction (n, b).
 
     Args:
-        runs: whether each run has functions of its own too, as a tire or a floor of its
-            own; they predict nothing of another run.
         slip_fraction: signed slip over that of full sliding, (n,).
         scale: (n,) typical force over the noise of each row.
         most: approximate number of columns.
+        runs: whether each run has functions of its own too.
     """
     factors = _modulations(prepared)
     if runs and "runs" in prepared.has:
@@ -178,13 +159,9 @@ def without(basis, against):
 
 
 def taken_out(against, expected=None) -> np.ndarray:
-    """Columns Q (m, q), where ``1 - Q Q'`` is the precision of the rows after a fit:
-    shorter than one where the data determine a direction no better than its prior.
-
-    Args:
-        against: (m, p) columns of free coefficients.
-        expected: (m, k) of coefficients with a unit standard deviation, or none.
-    """
+    """Columns Q (m, q), where ``1 - Q Q'`` is the precision of the rows after a fit of
+    columns ``against`` (m, p) with free coefficients and ``expected`` (m, k) with unit
+    standard deviation: shorter than one where the prior determines a direction."""
     unit, _ = np.linalg.qr(against)
     if expected is None or not expected.shape[1]:
         return unit
@@ -206,9 +183,8 @@ def mean_gain(score, size, scales=SCALES) -> float:
 
 
 def _in_pairs(gram, score, ridge):
-    """chi-squared and determinant of each wave: ``gram`` (K, 3) holds the products of
-    sine and sine, sine and cosine, cosine and cosine, ``score`` (K, 2) those with the
-    residual; ``ridge`` is added to the squares."""
+    """chi-squared and determinant of each wave, from the products ``gram`` (K, 3) of
+    :func:`_pairs` and ``score`` (K, 2) with the residual; ``ridge`` adds to squares."""
     a, b, c = gram[:, 0] + ridge, gram[:, 1], gram[:, 2] + ridge
     sine, cosine = score.T
     size = a * c - b * b
@@ -216,7 +192,8 @@ def _in_pairs(gram, score, ridge):
 
 
 def _pairs(columns) -> np.ndarray:
-    """Products (K, 3) of sine and cosine of waves (m, 2 K), see :func:`_in_pairs`."""
+    """Products of sine and sine, sine and cosine, cosine and cosine of waves (m, 2 K):
+    (K, 3)."""
     sine, cosine = columns[:, ::2], columns[:, 1::2]
     each = ((sine, sine), (sine, cosine), (cosine, cosine))
     return np.stack([np.einsum("mk,mk->k", *pair) for pair in each], axis=1)
@@ -251,16 +228,9 @@ class Generic:
         return smooth.T @ smooth, cells.T @ cells, _pairs(self.waves)
 
     def left(self, against, residual, expected=None):
-        """What a fit leaves of these functions, from products that are formed once.
-
-        Args:
-            against, expected: columns that the fit has used up, see :func:`taken_out`.
-            residual: (m,) whitened.
-
-        Returns:
-            (scores (q,) and sizes (q,) of the orthonormal directions by name of the
-            basis, products (K, 3) and scores (K, 2) of the waves of :func:`_in_pairs`).
-        """
+        """What a fit that used up ``against`` and ``expected`` (:func:`taken_out`)
+        leaves: scores and sizes (q,) of orthonormal directions by name of the basis,
+        products (K, 3) and scores (K, 2) of the waves of :func:`_in_pairs`."""
         unit = taken_out(against, expected)
         rest = residual - unit @ (unit.T @ residual)
         both = np.concatenate([unit, rest[:, None]], axis=1).T @ self.columns
@@ -276,16 +246,12 @@ class Generic:
 
 def wide_bases(prepared, slip_fraction, scale) -> tuple[np.ndarray, ...]:
     """Smooth functions, cells and waves of one channel."""
-    return (
-        smooth_basis(prepared, slip_fraction, scale, prepared.n // _ROWS_OF_A_FUNCTION),
-        _cell_basis(prepared, slip_fraction, scale, prepared.n // _ROWS_OF_A_FUNCTION),
-        wave_basis(prepared, scale),
-    )
+    given = prepared, slip_fraction, scale, prepared.n // 3  # rows of a function
+    return smooth_basis(*given), _cell_basis(*given), wave_basis(prepared, scale)
 
 
 def gains(bases: Generic, against, residual, expected=None) -> dict[str, float]:
-    """Log evidence of each kind of remainder over none; arguments as of
-    :meth:`Generic.left`."""
+    """Log evidence of each kind of remainder over none, see :meth:`Generic.left`."""
     wide, gram, score = bases.left(against, residual, expected)
     waves = []
     for scale in SCALES:
@@ -309,13 +275,14 @@ def located(bases: Generic, against, residual):
     wide, gram, of_waves = bases.left(against, residual)
     chi2, _ = _in_pairs(gram, of_waves, FLAT)
     chosen = getattr(bases, max(wide, key=lambda name: mean_gain(*wide[name])))
-    strong = np.flatnonzero(chi2 > 2 * np.log(len(chi2)) + _TO_DRAW)
-    strong = strong[np.argsort(-chi2[strong])][:_MOST_DRAWN]
+    # 8 over the largest of as many waves of noise: 55 to 1.
+    strong = np.flatnonzero(chi2 > 2 * np.log(len(chi2)) + 8)
+    strong = strong[np.argsort(-chi2[strong])][:4]
     waves = bases.waves[:, np.ravel(strong[:, None] * 2 + [0, 1])]
     left, size = orthogonal(np.concatenate([chosen, waves], axis=1), against)
     score = left.T @ residual
-    # Empirical Bayes: the scale with the largest evidence.
-    fits = [gain(score, scale * size) for scale in _DRAWN_SCALES]
-    t = (_DRAWN_SCALES[int(np.argmax(fits))] * size) ** 2
+    # Empirical Bayes: the scale with the largest evidence, from 0.3 of the noise on.
+    scale = max(np.geomspace(0.3, 300, 25), key=lambda one: gain(score, one * size))
+    t = (scale * size) ** 2
     shrink = t / (1 + t)
     return left @ (shrink * score), np.einsum("mq,q,mq->m", left, shrink, left)

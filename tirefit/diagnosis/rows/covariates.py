@@ -1,8 +1,5 @@
-"""Covariates of the rows, and the sizes that are typical of one file.
-
-The expected amplitude of an effect is a share of such a size, so that one library of
-effects serves a truck at 30 m/s and a model car that slides at 0.1 m/s.
-"""
+"""Covariates of the rows, and typical sizes of one file. Amplitudes are expected in
+units of these sizes: one library of effects serves a truck and a model car."""
 
 from typing import NamedTuple
 
@@ -15,91 +12,53 @@ from tirefit.diagnosis.negligible import FLAT, ROUNDING
 from tirefit.diagnosis.rows.rates import Sweeps, segments, shown_runs, slip_rate
 from tirefit.diagnosis.rows.rig import STANDS
 
-LOADS = 0.03
-"""Relative spread above which loads, speeds, pressures or forces across vary."""
-
-_ANGLE = 1e-3
-"""Standard deviation [rad] above which camber, steering or the other slip vary."""
+LOADS, _ANGLE = 0.03, 1e-3
+"""Spread above which a quantity varies: relative (loads, speeds, pressures, forces
+across), and of camber, steering or the other slip [rad]."""
 
 _WARMER = 20.0
 """Unit of the temperature [K]."""
-
-_BOTH_SIGNS, _ROUND = 0.1, 0.5
-"""Smallest share of the rows with either sign of slip; and smallest sum of the standard
-deviations of sine and cosine of the heading of a log in several directions."""
-
-_EXACT = 1e-3
-"""Largest error of a derived force relative to its spread; no transducer agrees so
-well with accelerometers."""
-
-_TOP, _HALF = 0.95, (0.4, 0.6)
-"""Quantile used as the largest value, and shares of the largest force about half."""
-_LEAST_RISE = 1e-3
-"""Smallest slip at half of the largest force over the largest slip."""
-
-_OF_THE_FIT = ("force", "usage", "change", "traction") + tuple(
-    name for name in Covariates._fields if name.startswith("run_")
-)
-"""Covariates that the base fit gives."""
 
 _COOLINGS = (np.inf, 0.2, 0.05)
 """Time constants of the cooling, in shares of the record."""
 
 
 class Sizes(NamedTuple):
-    """Units of the expected amplitudes.
-
-    ``slip`` is the slip at half of the largest force over load [-]; ``sliding`` and
-    ``rolling`` [s/m] are the reciprocal ranges of sliding speed and speed; ``growth``
-    [s/m] and ``inverse_speed`` [m/s] change the slip by ``slip`` over the range of v
-    and 1/v; ``period`` [s] and ``way`` [m]: in which the slip changes by its standard
-    deviation; ``temperature``: reciprocal range in 20 K; ``lever`` [m] changes the slip
-    by ``slip`` at the usual yaw rate over speed; ``inertia`` [kg m^2]: of the carried
-    mass at the rolling radius; ``swing`` [kg m] changes the force by the load at the
-    usual yaw acceleration; ``wheel`` [m] is the radius of the wheel, 0 where unknown.
-    """
+    """Units of the expected amplitudes."""
 
     plain: float = 1.0
-    slip: float = 1.0
-    sliding: float = 1.0
-    rolling: float = 1.0
-    growth: float = 1.0
-    inverse_speed: float = 1.0
-    period: float = 1.0
-    way: float = 1.0
-    temperature: float = 1.0
-    lever: float = 1.0
-    inertia: float = 1.0
-    swing: float = 1.0
-    wheel: float = 0.0
+    slip: float = 1.0  # slip at half of the largest force over load
+    sliding: float = 1.0  # reciprocal range of the sliding speed [s/m]
+    rolling: float = 1.0  # that of the speed [s/m]
+    growth: float = 1.0  # changes the slip by ``slip`` over the range of v [s/m]
+    inverse_speed: float = 1.0  # and over that of 1/v [m/s]
+    period: float = 1.0  # in which the slip changes by its standard deviation [s]
+    way: float = 1.0  # the same as a distance [m]
+    temperature: float = 1.0  # reciprocal range in 20 K
+    lever: float = 1.0  # changes the slip by ``slip`` at the usual yaw rate over v [m]
+    inertia: float = 1.0  # of the carried mass at the rolling radius [kg m^2]
+    swing: float = 1.0  # changes the force by the load at the usual r' [kg m]
+    wheel: float = 0.0  # radius of the wheel [m], 0 where unknown
 
 
 def _largest(values) -> float:
     """Typical largest size of values (n,)."""
-    return float(np.quantile(np.abs(values), _TOP))
+    return float(np.quantile(np.abs(values), 0.95))
 
 
 def half_force_slip(slip, share) -> float:
-    """Median slip at half of the largest force over load.
-
-    Args:
-        slip: (n,) of any sign.
-        share: (n,) force over load.
-    """
+    """Median size of the slips (n,) at 0.4 to 0.6 of the largest force over load (n,),
+    at least a thousandth of the largest slip."""
     size, share = np.abs(slip), np.abs(share)
     top = _largest(share)
-    half = (share > _HALF[0] * top) & (share < _HALF[1] * top)
+    half = (share > 0.4 * top) & (share < 0.6 * top)
     middle = np.median(size[half] if half.any() else size)
-    return float(max(middle, FLAT + _LEAST_RISE * _largest(size)))
+    return float(max(middle, FLAT + 1e-3 * _largest(size)))
 
 
 def sizes_of(rows: Covariates, slip, mean_load: float, radius: float | None) -> Sizes:
-    """Sizes of a file with these covariates and primary slips (n,).
-
-    Args:
-        mean_load: of the file [N].
-        radius: rolling radius [m], None where unknown.
-    """
+    """Sizes of a file with these covariates, primary slips (n,), mean load [N] and
+    rolling radius [m], None where unknown."""
     spread, rise = float(np.std(slip)), float(rows.rise[0])
 
     def per(of: float, size) -> float:  # the reciprocal of no range is 1
@@ -110,30 +69,22 @@ def sizes_of(rows: Covariates, slip, mean_load: float, radius: float | None) -> 
 
     speeds = np.ptp(rows.v)
     return Sizes(
-        slip=rise,
-        sliding=per(1.0, _largest(rows.sliding)),
-        rolling=per(1.0, speeds),
-        growth=per(rise, speeds),
+        slip=rise, sliding=per(1.0, _largest(rows.sliding)), rolling=per(1.0, speeds),
+        growth=per(rise, speeds), period=per(spread, rms(rows.rate)),
         inverse_speed=per(rise, np.ptp(1 / rows.pace) if speeds > 0 else 0.0),
-        period=per(spread, rms(rows.rate)),
         way=per(spread, rms(rows.rate / rows.pace)),
         temperature=per(1.0, np.ptp(rows.temperature)),
-        lever=per(rise, np.std(rows.yaw)),
+        lever=per(rise, np.std(rows.yaw)), swing=per(mean_load, np.std(rows.swing)),
         inertia=mean_load / g * radius**2 if radius else 1.0,
-        swing=per(mean_load, np.std(rows.swing)),
-    )
+    )  # fmt: skip
 
 
 class Derived(NamedTuple):
-    """A force derived from the motion of the vehicle as -(mass a_y + inertia r').
+    """A force derived from the motion of the vehicle as -(mass a_y + inertia r')."""
 
-    ``mass`` [kg], ``inertia`` [kg m] (yaw inertia over wheelbase), ``steered``: whether
-    the force is normal to road wheels that steer.
-    """
-
-    mass: float
-    inertia: float
-    steered: bool
+    mass: float  # [kg]
+    inertia: float  # yaw inertia over wheelbase [kg m]
+    steered: bool  # whether the force is normal to road wheels that steer
 
     @property
     def arm(self) -> float:
@@ -161,20 +112,17 @@ def derived_from(data: TireData, channel: str) -> Derived | None:
         mass, inertia = np.abs(share).tolist()
         found.append((missed, Derived(mass, inertia, ahead is not across[0])))
     best = min(found, key=lambda one: one[0])
-    return best[1] if best[0] < _EXACT else None
-
-
-_RADIUS = 0.15
-"""Radius of a wheel over the wheelbase: 0.11 of cars, 0.15 to 0.19 of models."""
+    # No transducer agrees with accelerometers to a thousandth.
+    return best[1] if best[0] < 1e-3 else None
 
 
 def wheel_radius(data: TireData, derived: Derived | None) -> float:
-    """Radius of the wheel [m] as a derived file states it, else by its wheelbase; zero
-    where neither is known."""
+    """Radius of the wheel [m] as a derived file states it, else 0.15 of the wheelbase
+    (0.11 of cars, up to 0.19 of models); zero where neither is known."""
     stated = data.source.constants
     if "wheel_radius" in stated:
         return stated["wheel_radius"]
-    return _RADIUS * wheelbase(data, derived) if derived else 0.0
+    return 0.15 * wheelbase(data, derived) if derived else 0.0
 
 
 def wheelbase(data: TireData, derived: Derived) -> float:
@@ -183,12 +131,7 @@ def wheelbase(data: TireData, derived: Derived) -> float:
 
 
 def work_of_sliding(power, time, run) -> np.ndarray:
-    """Work of sliding so far under each cooling: (n, coolings).
-
-    Args:
-        power: (n,) force times sliding speed.
-        time: (n,); a pause cools and adds no work.
-    """
+    """Work of sliding so far, by its power (n,), under each cooling: (n, coolings)."""
     work = np.zeros((len(power), len(_COOLINGS)))
     span = np.ptp(time)
     if span <= 0:
@@ -246,48 +189,32 @@ def covariates_of(
     sliding = np.abs(v * (size if mode == "y" else size / (1 + sigma)))
     work = work_of_sliding(np.abs(force) * sliding, time, run)
     other = {"x": tan_alpha * (1 + sigma), "y": sigma, "xy": zero}[mode]
+    steering, past = column(data, "steering"), sweeps.past
+    steering_rate = column(data, "steering_rate") if "steering_rate" in data else None
+    of_runs = (name for name in Covariates._fields if name.startswith("run_"))
+    of_the_fit = ("force", "usage", "change", "traction", *of_runs)
     return Covariates(
-        fz=fz / np.exp(np.mean(np.log(fz))),
-        v=v,
-        time=_over_range(time),
+        fz=fz / np.exp(np.mean(np.log(fz))), v=v, time=_over_range(time),
         temperature=_centered(column(data, "temperature"), _WARMER),
-        inflation=_over_range(column(data, "pressure")),
-        gamma=column(data, "gamma"),
-        rate=sweeps.rate,
+        inflation=_over_range(column(data, "pressure")), gamma=column(data, "gamma"),
+        rate=sweeps.rate, turning=sweeps.turning, side=np.sign(slip), other=other,
         lag=way * np.std(size) / max(np.sqrt(np.mean(way**2)), ROUNDING),
-        turning=sweeps.turning,
-        side=np.sign(slip),
-        other=other,
-        spin=spin / radius if radius else zero,
-        load=np.full(data.n, np.mean(fz)),
-        past=sweeps.past.path,
-        pull=np.zeros_like(sweeps.past.path),
-        twist=np.zeros_like(sweeps.past.path),
-        burden=sweeps.past.of(fz) / fz[:, None],
-        interval=interval,
-        step=interval * pace,
-        pace=pace,
-        sliding=sliding,
+        spin=spin / radius if radius else zero, load=np.full(data.n, np.mean(fz)),
+        past=past.path, pull=np.zeros_like(past.path), twist=np.zeros_like(past.path),
+        burden=past.of(fz) / fz[:, None], interval=interval, step=interval * pace,
+        pace=pace, sliding=sliding,
         brisk=np.full(data.n, max(_largest(sliding), ROUNDING)),
         cruise=np.full(data.n, np.exp(np.mean(np.log(pace)))),
         rise=np.full(data.n, half_force_slip(size, force / fz)),
         peak=np.full(data.n, _largest(force / fz)),
         work=np.stack([_over_range(part) for part in work.T], axis=1),
         across=column(data, {"x": "fy", "y": "fx"}.get(mode, "")),
-        yaw=column(data, "yaw_rate") / pace,
-        ahead=_over_range(column(data, "a_x")),
-        swing=column(data, "yaw_acceleration"),
-        heading=column(data, "heading"),
-        lean=column(data, "a_y") / g,
-        steering=column(data, "steering"),
-        pivot=zero,
-        steered=sweeps.past.of(
-            column(data, "steering"),
-            column(data, "steering_rate") if "steering_rate" in data else None,
-            time,
-        ),
-        **dict.fromkeys(_OF_THE_FIT, zero),
-    )
+        yaw=column(data, "yaw_rate") / pace, ahead=_over_range(column(data, "a_x")),
+        swing=column(data, "yaw_acceleration"), heading=column(data, "heading"),
+        lean=column(data, "a_y") / g, steering=steering, pivot=zero,
+        steered=past.of(steering, steering_rate, time),
+        **dict.fromkeys(of_the_fit, zero),
+    )  # fmt: skip
 
 
 def needs_met(
@@ -310,7 +237,7 @@ def needs_met(
         "temperature": varies("temperature", LOADS * _WARMER),
         "pressure": relative(column(data, "pressure")) > LOADS,
         "gamma": varies("gamma", _ANGLE),
-        "signs": _BOTH_SIGNS < np.mean(rows.side > 0) < 1 - _BOTH_SIGNS,
+        "signs": 0.1 < np.mean(rows.side > 0) < 0.9,
         "sweeps": sweeps,
         "omega": "omega" in data,
         "rolling_radius": radius is not None,
@@ -323,9 +250,9 @@ def needs_met(
         "runs": len(shown_runs(data.run[data.used], data.runs)) > 1,
         "derived force": derived is not None,
         "yaw_acceleration": varies("yaw_acceleration"),
-        "heading": np.std(np.cos(heading)) + np.std(np.sin(heading)) > _ROUND,
+        # Several directions.
+        "heading": np.std(np.cos(heading)) + np.std(np.sin(heading)) > 0.5,
         "a_y": varies("a_y"),
-        "steering": varies("steering", _ANGLE)
-        and (derived is None or derived.steered),
+        "steering": varies("steering", _ANGLE) and (not derived or derived.steered),
     }  # fmt: skip
     return frozenset(name for name, here in met.items() if here)

@@ -1,9 +1,8 @@
 """Sharp shapes of a remainder: one parameter of the tire changes with one covariate.
 
-The bases of :mod:`rows.basis` are many smooth functions at once. A pattern is a kink, a
-threshold, a local change or a wave: one direction in the space of the data, whose
-evidence has a closed form. Patterns are products of a shape of the rows and the force
-of a usual change; the shapes and the forces are stored, not their products.
+A pattern is a kink, a threshold, a local change or a wave: one direction in the space
+of the data, whose evidence has a closed form. It is the product of a shape of the rows
+and the force of a usual change; shapes and forces are stored, not their products.
 """
 
 from collections import Counter
@@ -32,12 +31,11 @@ USUAL_SIZES = 0.5 * 4.0 ** np.arange(3)
 """Multiples of the usual size that the evidence is averaged over."""
 
 _SET_BY_RIG = ("fz", "v", "temperature", "gamma", "pressure")
-"""Covariates that may have few settings: their shapes are thresholds between settings
-and single settings."""
+"""Covariates that may have few settings, with shapes of their own."""
 
 _PLACES = np.arange(1, 20) / 20
-"""Places as shares of the range. Bumps are one and two steps wide, so that a shape
-between two places loses at most a tenth of its square."""
+"""Places as shares of the range: a bump between two, one or two steps wide, loses at
+most a tenth of its square."""
 
 WAVES, ROWS_OF_A_WAVE = 96, 5
 """Largest number of waves in a record, and smallest number of rows of a wave. Patterns
@@ -46,43 +44,25 @@ in time or distance have half as many, others an eighth."""
 PHASES = 4
 """Phases of each wave."""
 
-_MIXED = np.array(
-    [(np.cos(p), np.sin(p)) for p in np.pi * np.arange(PHASES) / PHASES], np.float32
-)
-"""Weights of sine and cosine in each phase."""
-
-_LEAST = 1e-3
-"""Smallest share of a pattern that the fit leaves, and smallest squared length at the
-usual size in standard errors, of a pattern that is judged."""
-
-_SHOWS = 3.0
-"""Log evidence over no remainder from which patterns are reported: 20 to 1."""
-
-_EACH_SIDE = 0.04
-"""Smallest share of the rows on either side of a step, and within a bump."""
-
 
 class Pattern(NamedTuple):
-    """``parameter`` changes with ``covariate`` by a ``shape``: kink, threshold, local
-    or wave at the place ``at`` (the period of a wave), a local one with a ``width``, in
-    units of the covariate."""
+    """A change of a parameter with a covariate; lengths in units of the covariate."""
 
     parameter: str
     covariate: str
-    shape: str
-    at: float
-    width: float
+    shape: str  # kink, threshold, local or wave
+    at: float  # place; the period of a wave
+    width: float  # of a local change
 
 
 class Over(NamedTuple):
-    """Shapes (n, k) over one covariate, ``listed`` as (shape, place, width), their log
-    probabilities (k,), and the column of the weights of each parameter."""
+    """Shapes over one covariate."""
 
     covariate: str
-    shapes: np.ndarray
-    listed: Sequence[tuple[str, float, float]]
-    log_prior: np.ndarray
-    weights: dict[str, int]
+    shapes: np.ndarray  # (n, k)
+    listed: Sequence[tuple[str, float, float]]  # k of (shape, place, width)
+    log_prior: np.ndarray  # (k,)
+    weights: dict[str, int]  # parameter -> its column of ``Patterns.weights``
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +93,9 @@ class Patterns:
     def square(self) -> np.ndarray:
         """Squared length of each pattern (k,)."""
         force = np.sum(self.weights**2, axis=0).astype(np.float32)
-        each = [
+        each = (
             (one.shapes**2).T @ force[:, [*one.weights.values()]] for one in self.over
-        ]
+        )
         return np.concatenate([part.T.ravel() for part in each])
 
     def columns(self, which) -> np.ndarray:
@@ -144,21 +124,16 @@ class Patterns:
 
 
 class Look(NamedTuple):
-    """A pattern that fits the remainder; ``at`` and ``width`` as in :class:`Pattern`.
-
-    ``size`` of the change is relative (stiffness, friction), a slip, or a force
-    relative to the load. ``probability`` is that of any pattern of this parameter and
-    covariate, ``explains`` the share of the remainder's mean square that it removes.
-    """
+    """A pattern that fits the remainder; its first fields are those of it."""
 
     parameter: str
     covariate: str
     shape: str
     at: float
     width: float
-    size: float
-    probability: float
-    explains: float
+    size: float  # relative (stiffness, friction), a slip, or a force over load
+    probability: float  # of any pattern of this parameter and covariate
+    explains: float  # share of the mean square of the remainder
 
 
 def travelled(prepared) -> np.ndarray:
@@ -224,10 +199,11 @@ def _between_settings(values, settings: Levels) -> list[_Shape]:
 
 
 def _in_range(share) -> list[_Shape]:
-    """Kinks, steps and bumps over a range, of which rows have these shares."""
+    """Kinks, steps and bumps over a range, of which rows have these shares, with 4 % of
+    the rows at least on either side of a step and within a bump."""
 
     def both_sides(k) -> bool:
-        return bool(_EACH_SIDE < np.mean(share > k) < 1 - _EACH_SIDE)
+        return bool(0.04 < np.mean(share > k) < 0.96)
 
     even, step = _PLACES[1::2], _PLACES[1] - _PLACES[0]
     kinks = [("kink", k, 0.0, np.maximum(share - k, 0.0)) for k in even]
@@ -235,15 +211,14 @@ def _in_range(share) -> list[_Shape]:
     listed = [one for one in listed if both_sides(one[1])]
     for width, places in ((step, _PLACES), (2 * step, even)):
         for k in places:
-            if np.mean(np.abs(share - k) < width) > _EACH_SIDE:
+            if np.mean(np.abs(share - k) < width) > 0.04:
                 shape = np.exp(-0.5 * ((share - k) / width) ** 2)
                 listed.append(("local", k, width, shape))
     return listed
 
 
 def turns(share, counts) -> np.ndarray:
-    """Sine and cosine, in turn, of ``counts`` (k,) evenly spaced numbers of turns over
-    the ``share`` (n,): (n, 2 k)."""
+    """Sine and cosine, in turn, of evenly spaced numbers of turns (k,): (n, 2 k)."""
     # One product for each instead of a sine and a cosine: i exp(-i x) = sin + i cos.
     step = counts[1] - counts[0] if len(counts) > 1 else 0.0
     parts = np.empty((len(share), len(counts)), complex)
@@ -254,7 +229,9 @@ def turns(share, counts) -> np.ndarray:
 
 def phased(waves) -> np.ndarray:
     """Waves (n, 2 k) of :func:`turns` in each phase: (n, k x phases)."""
-    return (waves.reshape(len(waves), -1, 2) @ _MIXED.T).reshape(len(waves), -1)
+    angle = np.pi * np.arange(PHASES) / PHASES
+    mixed = np.array([np.cos(angle), np.sin(angle)], np.float32)
+    return (waves.reshape(len(waves), -1, 2) @ mixed).reshape(len(waves), -1)
 
 
 def _over(covariate: str, values, weights: dict[str, int]) -> Over | None:
@@ -283,42 +260,33 @@ def _over(covariate: str, values, weights: dict[str, int]) -> Over | None:
 
 
 def patterns(prepared, slip_fraction, fields: dict[str, np.ndarray]) -> Patterns:
-    """All patterns of a file.
-
-    Args:
-        slip_fraction: signed slip over that of full sliding, (n,).
-        fields: whitened force (m,) of a unit change of each of :data:`PARAMETERS`.
-    """
+    """All patterns of a file, from the signed slip over that of full sliding (n,) and
+    the whitened force (m,) of a unit change of each of :data:`PARAMETERS`."""
     load = np.asarray(prepared.inputs.fz)
     side = np.where(slip_fraction < 0, -1.0, 1.0)
     columns: list[np.ndarray] = []
-    number: dict[tuple[str, bool], int] = {}
     for parameter, (_, usual) in PARAMETERS.items():
-        size = usual * load if parameter == "force" else np.full(prepared.n, usual)
-        field = fields[parameter].reshape(len(prepared.channels), prepared.n)
-        for mirrored in (False, True):
-            number[parameter, mirrored] = len(columns)
-            columns.append(field * (side * size if mirrored else size))
-    over = [
-        _over(
-            covariate,
-            np.asarray(values, float),
-            {name: number[name, is_mirrored(name, covariate)] for name in PARAMETERS},
-        )
-        for covariate, values in quantities(prepared, slip_fraction).items()
-    ]
+        field = fields[parameter].reshape(len(prepared.channels), prepared.n) * usual
+        field = field * load if parameter == "force" else field
+        columns += [field, field * side]  # the second one for mirrored changes
+    over = []
+    for covariate, values in quantities(prepared, slip_fraction).items():
+        mirrored = [is_mirrored(name, covariate) for name in PARAMETERS]
+        number = {name: 2 * k + mirrored[k] for k, name in enumerate(PARAMETERS)}
+        over.append(_over(covariate, np.asarray(values, float), number))
     return Patterns(np.stack(columns, axis=2), [one for one in over if one is not None])
 
 
 def weights_of_sizes(among: Patterns, unit, residual):
-    """Squared length and score (k,) of every pattern with ``unit`` (m, q) taken out,
-    see :func:`rows.basis.taken_out`, and the log weight of each over no pattern at each
-    of the usual sizes, (S, k); zero length where hardly anything is left of it."""
+    """Squared length and score (k,) of every pattern with ``unit`` (m, q) of
+    :func:`rows.basis.taken_out` taken out, and its log weight over no pattern at each
+    usual size (S, k); zero length where hardly anything is left of it."""
     left = residual - unit @ (unit.T @ residual)
     found = among.products(np.concatenate([unit, left[:, None]], axis=1))
     whole = among.square.astype(float)
     length = whole - np.sum(found[:, :-1] ** 2, axis=1)
-    length = np.where(length > _LEAST * np.maximum(whole, 1.0), length, 0.0)
+    # A thousandth at least, of the pattern and of a standard error at its usual size.
+    length = np.where(length > 1e-3 * np.maximum(whole, 1.0), length, 0.0)
     score = np.where(length > 0, found[:, -1], 0.0).astype(float)
     t = np.square(USUAL_SIZES)[:, None]
     gain = 0.5 * (t * score**2 / (1 + t * length) - np.log1p(t * length))
@@ -326,26 +294,18 @@ def weights_of_sizes(among: Patterns, unit, residual):
 
 
 def patterns_gain(among: Patterns, unit, residual) -> float:
-    """Log evidence over no remainder of one pattern, whichever, averaged over its size.
-
-    Args:
-        unit: (m, q) of :func:`rows.basis.taken_out`.
-        residual: (m,) whitened.
-    """
+    """Log evidence over no remainder of any one pattern, averaged over its size."""
     *_, weight = weights_of_sizes(among, unit, residual)
     return float(np.logaddexp.reduce(weight, axis=None) - np.log(len(weight)))
 
 
 def looks(among: Patterns, against, residual, most: int = 3) -> list[Look]:
-    """The most probable pattern of each parameter and covariate, most probable first.
-
-    Args:
-        against: (m, p) columns that the fit has used up.
-    """
+    """The most probable pattern of each parameter and covariate, most probable first,
+    of what a fit of ``against`` (m, p) leaves."""
     length, score, each = weights_of_sizes(among, np.linalg.qr(against)[0], residual)
     weight = np.logaddexp.reduce(each, axis=0) - np.log(len(each))
     whole = np.logaddexp.reduce(weight)
-    if whole < _SHOWS:
+    if whole < 3:  # 20 to 1 over no remainder
         return []
     energy = max(float(residual @ residual), NONZERO)
     groups: dict[tuple[str, str], list[int]] = {}

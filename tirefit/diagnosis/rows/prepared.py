@@ -9,30 +9,17 @@ import numpy as np
 from tirefit.data.levels import levels
 from tirefit.data.table import TireData
 from tirefit.diagnosis.effects.state import Covariates
-from tirefit.diagnosis.rows.covariates import (
-    Derived,
-    Sizes,
-    column,
-    covariates_of,
-    derived_from,
-    needs_met,
-    sizes_of,
-    wheel_radius,
-)
+from tirefit.diagnosis.rows import covariates as table
 from tirefit.diagnosis.rows.rates import AHEAD, slip_rate
-from tirefit.diagnosis.rows.rig import Rig, check_data
+from tirefit.diagnosis.rows.rig import Rig, check_data, unfit
 from tirefit.diagnosis.rows.slip_check import SlipCheck, check_slip
 from tirefit.diagnosis.rows.slip_nodes import slip_law
 from tirefit.fitting.problem import check_slip_noise
 from tirefit.fitting.slip_noise import SlipDistribution, speed_of, std_with_speed
 from tirefit.models import TireInputs
-from tirefit.results import DataError, InputProblem
 
 MODES = {"x": ("fx",), "y": ("fy", "mz"), "xy": ("fx", "fy", "mz")}
 """Slips that drive the forces -> forces that may be diagnosed."""
-
-_ONE_SLIP = 10.0
-"""Ratio of the spreads of two slips above which the smaller is a disturbance."""
 
 _SCATTER = "scatter about smooth sweeps"
 _SHOWN = "scatter where the force is steep"
@@ -40,13 +27,6 @@ NOT_STATED = "none assumed"
 
 _MOVE = ("fz", "v", "yaw", "lean", "ahead", "swing", "steering", "across")
 """Covariates that may move with the true slip."""
-
-_DRIVES, _FAR = 1e-6, 10.0
-"""Smallest standard deviation of a driving slip, and slip beyond which all slides."""
-
-_LIKE_LOADS, _LIKE_SPEEDS = 0.05, 0.1
-"""Steps of log F_z and log v within which rows are neighbours: the accuracy to which a
-rig holds a load and a driver a speed."""
 
 _SAME, _NEAR = 0.8, 0.02
 """Overlap of two stretches, over both together, from which they coincide; and distance
@@ -57,12 +37,7 @@ of a step from a change of run, as a share of the record, within which it is tha
 class Prepared:
     """The n used rows of one file.
 
-    ``slip`` (n,) is the primary slip [-]: sigma_x, or tan(alpha) for lateral data;
-    ``slip_std`` its noise; ``second`` (n,) is tan(alpha) where both drive. ``observed``
-    holds the forces (n,) by channel. ``has`` names the needs of effects that the data
-    meet. ``before`` are the inputs in the past of each row (n, k), ``kept`` (n,) the
-    numbers of these rows among the used rows of the data. ``derived`` is None where the
-    force was measured.
+    ``slip`` is the primary slip [-]: sigma_x, or tan(alpha) for lateral data.
     """
 
     data: TireData
@@ -70,21 +45,21 @@ class Prepared:
     channels: tuple[str, ...]
     inputs: TireInputs
     slip: np.ndarray
-    slip_std: np.ndarray
-    second: np.ndarray
-    observed: Mapping[str, np.ndarray]
+    slip_std: np.ndarray  # noise of the slip
+    second: np.ndarray  # tan(alpha) where both slips drive
+    observed: Mapping[str, np.ndarray]  # forces by channel
     covariates: Covariates
-    before: TireInputs
-    has: frozenset[str]
+    before: TireInputs  # inputs in the past of each row (n, k)
+    has: frozenset[str]  # needs of effects that the data meet
     time: np.ndarray | None
     run: np.ndarray
     definition: float
     slip_source: str
     random_order: bool
-    kept: np.ndarray
+    kept: np.ndarray  # numbers of these rows among the used rows of the data
     slip_check: SlipCheck | None
-    sizes: Sizes
-    derived: Derived | None
+    sizes: table.Sizes
+    derived: table.Derived | None  # None where the force was measured
 
     @property
     def n(self) -> int:
@@ -117,27 +92,26 @@ class Prepared:
         return [values for values in each if not levels(values).few()]
 
     def column(self, name: str) -> np.ndarray:
-        """A column of the data, (n,)."""
+        """A table.column of the data, (n,)."""
         return self.data.usable(name)[self.kept]
 
 
 def _mode(data: TireData) -> str:
     def drives(slip, force):
-        return slip in data and force in data and np.std(data.usable(slip)) > _DRIVES
+        return slip in data and force in data and np.std(data.usable(slip)) > 1e-6
 
     along, across = drives("sigma_x", "fx"), drives("alpha", "fy")
     if along and across:
-        x = np.clip(data.usable("sigma_x"), -_FAR, _FAR)
-        y = np.clip(np.tan(data.usable("alpha")), -_FAR, _FAR)
-        ratio = np.std(x) / np.std(y)
-        return "x" if ratio > _ONE_SLIP else "y" if ratio < 1 / _ONE_SLIP else "xy"
+        slips = data.usable("sigma_x"), np.tan(data.usable("alpha"))
+        x, y = (np.std(np.clip(slip, -10, 10)) for slip in slips)  # beyond, all slides
+        # A tenth of the other slip is a disturbance.
+        return "x" if x > 10 * y else "y" if y > 10 * x else "xy"
     if not along and not across:
         reason = (
             "no force with a slip that varies: a diagnosis needs fx with sigma_x"
             " (or kappa, s), or fy with alpha"
         )
-        file = data.source.path or data.name
-        raise DataError(InputProblem(reason, "see `tirefit inspect`", file))
+        raise unfit(data, reason, "see `tirefit inspect`")
     return "x" if along else "y"
 
 
@@ -147,26 +121,20 @@ def _channels(data: TireData, mode: str, given) -> tuple[str, ...]:
     if not channels:
         reason = f"{' or '.join(MODES[mode])}, whose slip varies, is not simulated"
         remedy = f"the model gives {', '.join(given) or 'no force'}: choose another"
-        file = data.source.path or data.name
-        raise DataError(InputProblem(reason, remedy, file))
+        raise unfit(data, reason, remedy)
     return channels
 
 
 def prepare(data: TireData, rig: Rig, model, slip_scatter: float = 0.0) -> Prepared:
-    """Slips, channels and covariates of the used rows.
+    """Slips, channels and covariates of the used rows, for the forces of a model.
 
-    Args:
-        model: forces that the model gives.
-        slip_scatter: noise of the slip where it is neither stated nor seen in sweeps.
-
-    Raises:
-        DataError: no force with a slip that varies, no load, too few rows, a force far
-            beyond all loads, or a stated noise larger than the variation of the values.
+    ``slip_scatter`` is the noise of the slip where it is neither stated nor seen in
+    sweeps. Raises DataError for data that cannot be diagnosed.
     """
     check_data(data, (), rig)
     mode = _mode(data)
-    tan_alpha = np.tan(column(data, "alpha"))
-    slip = tan_alpha if mode == "y" else column(data, "sigma_x")
+    tan_alpha = np.tan(table.column(data, "alpha"))
+    slip = tan_alpha if mode == "y" else table.column(data, "sigma_x")
     second = tan_alpha if mode == "xy" else np.zeros(data.n)
     channels = _channels(data, mode, model)
     time, run = data.usable("time") if "time" in data else None, data.run[data.used]
@@ -180,31 +148,31 @@ def prepare(data: TireData, rig: Rig, model, slip_scatter: float = 0.0) -> Prepa
         check_slip_noise(data, "alpha" if mode == "y" else "sigma_x", std)
     check_data(data, channels, rig)
     radius = rig.radius_for(data)
-    covariates = covariates_of(data, mode, sweeps, slip, second, radius)
-    fz, derived = data.usable("fz"), derived_from(data, channels[0])
+    covariates = table.covariates_of(data, mode, sweeps, slip, second, radius)
+    fz, derived = data.usable("fz"), table.derived_from(data, channels[0])
     if derived is not None and derived.steered:
         turned = data.usable("fy") * np.tan(data.usable("steering"))
         covariates = covariates._replace(pivot=covariates.across - turned)
-    sizes = sizes_of(covariates, slip, float(np.mean(fz)), radius)
+    sizes = table.sizes_of(covariates, slip, float(np.mean(fz)), radius)
     inputs = TireInputs(
         np.zeros(data.n), np.zeros(data.n), fz, covariates.v, covariates.gamma,
-        column(data, "pressure"), column(data, "time"),
+        table.column(data, "pressure"), table.column(data, "time"),
     )  # fmt: skip
     return Prepared(
         data, mode, channels, inputs, slip, std, second,
         {c: data.usable(c) for c in channels}, covariates,
         TireInputs(*(sweeps.past.of(part) for part in inputs)),
-        needs_met(data, mode, covariates, sweeps.present, radius, derived), time, run,
+        table.needs_met(data, mode, covariates, sweeps.present, radius, derived),
+        time, run,
         -1.0 if data.source.slip_definition in ("kappa", "s") else 1.0, source,
         rig.run_order == "random", np.arange(data.n),
         check_slip(data, rig.rolling_radius),
-        sizes._replace(wheel=radius or wheel_radius(data, derived)), derived,
+        sizes._replace(wheel=radius or table.wheel_radius(data, derived)), derived,
     )  # fmt: skip
 
 
 def on_scale_of(prepared: Prepared, fitted: Prepared) -> Prepared:
-    """The same rows with the typical values of the fitted ones, so that an amplitude
-    found there means the same here."""
+    """The rows with the typical values, and so the amplitudes, of the fitted ones."""
     here, there = prepared.covariates, fitted.covariates
     typical = ("load", "brisk", "cruise", "rise", "peak")
     constants = {name: np.full(prepared.n, getattr(there, name)[0]) for name in typical}
@@ -250,13 +218,12 @@ def _slip_std(data: TireData, mode: str, rig: Rig, scatter: float, shown: float)
 def neighbours(prepared: Prepared) -> list[np.ndarray]:
     """Rows of like run, load, speed and direction in the order of slip: index arrays.
 
-    The forces of neighbours differ by noise alone.
+    The forces of neighbours differ by noise alone: a rig holds a load to 5 %, a driver
+    a speed to 10 %.
     """
     rows = prepared.covariates
-    settings = np.stack([
-        prepared.run, np.round(np.log(rows.fz) / _LIKE_LOADS),
-        np.round(np.log(rows.pace) / _LIKE_SPEEDS), np.sign(rows.turning),
-    ], axis=1)  # fmt: skip
+    load, speed = np.round(np.log(rows.fz) / 0.05), np.round(np.log(rows.pace) / 0.1)
+    settings = np.stack([prepared.run, load, speed, np.sign(rows.turning)], axis=1)
     _, cell = np.unique(settings, axis=0, return_inverse=True)
     cell = np.ravel(cell)
     order = np.lexsort((prepared.slip, cell))
@@ -267,9 +234,9 @@ def blocks_of_settings(prepared: Prepared) -> np.ndarray:
     """Begin and end (k, 2) of the stretches, as shares of the record about its middle,
     with a load, a speed or a pair of both that occurs at no other time.
 
-    An effect of the time and one of the setting are equal there. Stretches at the begin
-    and the end of the record are left out: there a change is a step. Of a change from
-    one run to the next the end is infinite: a step there is of the runs.
+    An effect of the time equals one of the setting there. Stretches at the ends of the
+    record are excluded: there a change is a step. The end of a change of run is
+    infinite.
     """
     rows = prepared.covariates
     found = [levels(values) for values in (rows.fz, rows.v)]

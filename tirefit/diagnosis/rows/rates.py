@@ -1,8 +1,7 @@
 """Path of a slip in time and its rate of change, estimated from noisy slips.
 
 The estimate averages local parabolas of several widths, centred on each row and on
-either side of it, by their probability: wide ones where the slip moves smoothly,
-one-sided ones at sharp turns.
+either side of it, by their probability.
 """
 
 from typing import NamedTuple
@@ -16,11 +15,8 @@ from tirefit.fitting.noise import MAD
 
 _WINDOWS = sorted(int(41 / 1.5**k) | 1 for k in range(6))
 """Rows of the local parabolas: odd, each 1.5 times the one before."""
-_ALONE = 0.05
-"""Smallest share of a row's path that comes from other rows."""
-_REACH = _WINDOWS[-1] - 1
-_PIECE = 4_000
-"""Rows that are computed at once, to bound the memory."""
+_REACH, _PIECE = _WINDOWS[-1] - 1, 4_000
+"""Rows beside a row that its path uses; rows at once, which bounds the memory."""
 
 AHEAD = 4
 """Columns of the past that lie after its row."""
@@ -28,20 +24,13 @@ AHEAD = 4
 AGES = np.append(np.arange(-AHEAD, 7), np.geomspace(8, 34, 6).round().astype(int))
 """How many intervals ago each column was: each row, then a third more each time."""
 
-STEPS = tuple(np.diff(AGES[AHEAD:]).tolist())
-"""Intervals from each column at or after the row to the next older one."""
-
 _SPAN = 0.0375
 """Smallest interval over the time in which the slip changes by its standard deviation:
 linear interpolation over it is accurate to 2e-4 of that."""
 
 _WORTH = 0.7
-"""Log probability for each row that a parabola explains, against the raw values;
-calibrated so that the stated errors of saw-tooth and sine sweeps are right."""
-
-_UNSTEADY = 0.4
-"""Largest scatter of neighbours in time, over the slip's standard deviation, of a
-sweep."""
+"""Log probability of each row that a parabola explains, calibrated on the errors of
+saw-tooth and sine sweeps."""
 
 _MORE = 1.25
 """Ratio of two estimates of the noise above which they disagree."""
@@ -50,36 +39,24 @@ _NOISY = 17
 """Rows over which a slip in noise is a parabola; a record with too few rows for its
 motion is not."""
 
-_SURE = 0.05
-"""Standard error of a measured rate, as a share of its rms."""
-
-_GAP = 5.0
-"""Pause, in median intervals, that ends a segment of a run."""
-
 
 def segments(time, run) -> list[np.ndarray]:
-    """Rows of each unbroken stretch in time order: index arrays."""
+    """Index arrays of stretches without a pause of 5 usual intervals, in time order."""
     order = np.lexsort((time, run))
     step = np.diff(time[order])
     same = np.diff(run[order]) == 0
     usual = np.median(step[same & (step > 0)]) if np.any(same & (step > 0)) else 1.0
-    breaks = np.flatnonzero(~same | (step > _GAP * usual) | (step <= 0)) + 1
+    breaks = np.flatnonzero(~same | (step > 5 * usual) | (step <= 0)) + 1
     return np.split(order, breaks)
 
 
 def shown_runs(run, names) -> list[int]:
-    """Codes of the runs with enough rows for an offset of their own.
-
-    Args:
-        run: (n,) codes.
-        names: of all runs.
-    """
+    """Codes of the runs ``names`` with enough rows for an offset of their own."""
     return [k for k in range(len(names)) if np.sum(run == k) >= LEAST_ROWS]
 
 
 def _in_pieces(of, values, time, *given) -> list[np.ndarray]:
-    """The columns ``of(values, time, *given)`` of one stretch, computed in pieces that
-    overlap by the reach of a row."""
+    """Columns ``of(values, time, *given)`` of one stretch, in overlapping pieces."""
     pieces = []
     for first in range(0, len(values), _PIECE):
         start, end = max(first - _REACH, 0), first + _PIECE
@@ -90,12 +67,8 @@ def _in_pieces(of, values, time, *given) -> list[np.ndarray]:
 
 
 def _parabolas(values, time, window: int):
-    """Parabolas through every window of one width.
-
-    Returns:
-        ``rows`` (a, w, 3) of the fit, ``fit`` (a, 3, w) from values to coefficients,
-        ``misfit`` (a,), the sum of squares, ``unit`` (a,) of time.
-    """
+    """Parabolas through every window of one width: rows (a, w, 3) of the fit, matrix
+    (a, 3, w) from values to coefficients, sum of squares (a,), unit of time (a,)."""
     view = np.lib.stride_tricks.sliding_window_view
     x, t = view(values, window), view(time, window)
     unit = np.maximum((t[:, -1] - t[:, 0]) / 2, ROUNDING)
@@ -129,13 +102,10 @@ def _about_parabolas(slip, time, parts) -> float:
 
 
 class _Path(NamedTuple):
-    """``value`` and ``slope`` (n,) with the standard deviation of the slope, and
-    ``reach`` (n, 2 _REACH + 1): weights of the surrounding values in each value."""
-
-    value: np.ndarray
-    slope: np.ndarray
-    slope_error: np.ndarray
-    reach: np.ndarray
+    value: np.ndarray  # (n,)
+    slope: np.ndarray  # (n,)
+    slope_error: np.ndarray  # (n,) standard deviation
+    reach: np.ndarray  # (n, 2 _REACH + 1) weights of the surrounding values
 
 
 def _averaged(values, time, noise: float) -> _Path:
@@ -169,23 +139,20 @@ def _averaged(values, time, noise: float) -> _Path:
 
 class Past(NamedTuple):
     """The slip at :data:`AGES` times ``interval`` [s] before each row; column
-    :data:`AHEAD` is the row itself.
+    :data:`AHEAD` is the row itself. Times beyond the sweep take its end.
 
-    ``path`` (n, k) is estimated without the row's own value, so that its noise enters
-    neither its own path nor that of its neighbours. Times beyond the sweep take its
-    end. Each time falls between ``rows`` and ``others`` (n, k), after a ``share`` of
-    the step.
+    ``path`` is estimated without the row's own value, so that its noise enters neither
+    its own path nor that of its neighbours.
     """
 
-    path: np.ndarray
-    rows: np.ndarray
-    others: np.ndarray
-    share: np.ndarray
+    path: np.ndarray  # (n, k)
+    rows: np.ndarray  # (n, k) rows before each time
+    others: np.ndarray  # (n, k) rows after it
+    share: np.ndarray  # (n, k) of the step between them
     interval: float
 
     def of(self, values, rate=None, time=None) -> np.ndarray:
-        """Any values (n,) at these times (n, k): linear between the rows, or cubic
-        where their rate (n,) is known."""
+        """Values (n,) at these times (n, k): linear, or cubic with their rate (n,)."""
         first, last, share = values[self.rows], values[self.others], self.share
         if rate is None:
             return (1 - share) * first + share * last
@@ -195,11 +162,8 @@ class Past(NamedTuple):
         return first + moved + share * rest**2 * out + share**2 * rest * back
 
     def place(self, part, time):
-        """Write the rows between which the times of the stretch ``part`` fall.
-
-        Returns:
-            Numbers within the part (n, k) of the rows before, and the share (n, k).
-        """
+        """Write the rows between which the times of the stretch ``part`` fall; their
+        numbers within the part, and the share: (n, k) each."""
         when = np.clip(time[:, None] - self.interval * AGES, time[0], time[-1])
         low = np.clip(np.searchsorted(time, when, side="right") - 1, 0, len(part) - 2)
         share = (when - time[low]) / (time[low + 1] - time[low])
@@ -219,38 +183,32 @@ def _fill_past(past: Past, part, values, time, path: _Path) -> None:
         weight = path.reach[at, np.clip(row - at, -_REACH, _REACH) + _REACH]
         return np.where(far, 0.0, weight)
 
-    alone = np.maximum(1 - path.reach[:, _REACH], _ALONE)
+    alone = np.maximum(1 - path.reach[:, _REACH], 0.05)
     noise = ((values - path.value) / alone)[:, None]
     mean = (1 - share) * path.value[low] + share * path.value[low + 1]
     past.path[part] = mean - ((1 - share) * own(low) + share * own(low + 1)) * noise
 
 
 class Sweeps(NamedTuple):
-    """Motion of a slip in time: ``rate`` (n,) [1/s]; ``turning`` (n,) from -1 (its size
-    shrinks) to 1 (it grows); ``past``; ``present``, whether the rows are sweeps;
-    ``noise``, the scatter of the slip about its path, 0 where unknown."""
+    """Motion of a slip in time."""
 
-    rate: np.ndarray
-    turning: np.ndarray
+    rate: np.ndarray  # (n,) [1/s]
+    turning: np.ndarray  # (n,) from -1 (its size shrinks) to 1 (it grows)
     past: Past
-    present: bool
-    noise: float
+    present: bool  # whether the rows are sweeps
+    noise: float  # scatter of the slip about its path, 0 where unknown
 
 
 def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
-    """Rate of change of the slip.
+    """Rate of change of slips (n,) at times (n,) [s], or None, of runs (n,).
 
     Args:
-        slip: (n,) measured values.
-        time: (n,) [s], or None.
-        run: (n,) run of each row.
         noise: stated noise of the slip; 0 where unknown.
         rate: (n,) [1/s] measured rate, for rows too far apart to show it, or None.
     """
     count = len(slip)
     none = np.repeat(np.arange(count)[:, None], len(AGES), axis=1)
-    zero = np.zeros(none.shape)
-    past = Past(zero, none, none.copy(), zero.copy(), 1.0)
+    past = Past(np.zeros(none.shape), none, none.copy(), np.zeros(none.shape), 1.0)
     still = Sweeps(np.zeros(count), np.zeros(count), past, False, 0.0)
     if time is None:
         return still
@@ -260,16 +218,15 @@ def slip_rate(slip, time, run, noise: float = 0.0, rate=None) -> Sweeps:
     if rate is not None and np.any(rate):
         return _by_its_rate(slip, time, rate, parts, still)
     curved, seen = _scatter(slip, parts, 2), _scatter(slip, parts, 6)
-    if curved > _UNSTEADY * np.std(slip):
+    if curved > 0.4 * np.std(slip):  # neighbours in time scatter: no sweep
         return still
     # All agree on noise; a curve leaves more in a lower order, or about wide parabolas.
     most = max(curved, _about_parabolas(slip, time, parts))
     scatter = seen if FLAT * np.std(slip) < most < _MORE * seen else 0.0
     seen = max(seen, FLAT * np.std(slip))
     level = max(noise, scatter if scatter > _MORE * noise else 0.0) or seen
-    paths = [
-        _Path(*_in_pieces(_averaged, slip[part], time[part], level)) for part in parts
-    ]
+    each = ((slip[part], time[part], level) for part in parts)
+    paths = [_Path(*_in_pieces(_averaged, *given)) for given in each]
     usual = float(np.median(np.concatenate([np.diff(time[part]) for part in parts])))
     rate = np.sqrt(np.mean(np.concatenate([path.slope for path in paths]) ** 2))
     period = float(np.std(slip) / rate) if rate > 0 else 0.0
@@ -293,5 +250,6 @@ def _by_its_rate(slip, time, rate, parts, still: Sweeps) -> Sweeps:
     for part in parts:
         past.place(part, time[part])
     past.path[:] = past.of(slip, rate, time)
-    turning = np.clip(np.sign(slip) * rate / (2 * _SURE * usual), -1, 1)
+    error = 0.05 * usual  # of a measured rate
+    turning = np.clip(np.sign(slip) * rate / (2 * error), -1, 1)
     return still._replace(present=True, rate=rate, past=past, turning=turning)

@@ -65,10 +65,9 @@ class _RigFile(Section):
 
 
 _OWN_COLUMNS = {
-    "force": ("fx_std", "fy_std"),
-    "slip": ("sigma_x_std", "alpha_std"),
+    "force": ("fx_std", "fy_std"), "slip": ("sigma_x_std", "alpha_std"),
     "kappa": ("sigma_x_std",),
-}
+}  # fmt: skip
 """Columns that hold the same as a key of ``[noise]``; others are named KEY_std."""
 
 STANDS = 0.03
@@ -77,9 +76,6 @@ STANDS = 0.03
 LEAST_ROWS = 20
 """Smallest number of rows of a diagnosis, and of a run with an offset of its own."""
 
-_ABSURD = 1e4
-"""Largest force over largest load above which the units must be wrong."""
-
 
 @dataclass(frozen=True)
 class Rig:
@@ -87,10 +83,9 @@ class Rig:
 
     ``vehicle`` holds standard errors of the inputs of a derived log: ``position`` [m]
     of the tracked point, ``clock`` [s] between channels, ``yaw_inertia`` (relative).
-    ``noise`` holds standard deviations: of a force [N] or as a share of the load
+    ``noise`` holds standard deviations: of a force [N] or over the load
     (``fx_relative``), of the slip [-] or slip angle [rad], of the sliding speed [m/s]
-    (``sigma_x_speed``), which divided by v is a slip. ``run_order`` is "random" or
-    "sequential"; ``commanded_slip`` (the column of the demanded slip) is not used.
+    (``sigma_x_speed``). ``commanded_slip`` (a column) is not used.
     """
 
     rolling_radius: float | None = None
@@ -102,8 +97,7 @@ class Rig:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self):
-        """Raises UsageError for a stated value that is not positive, or for two values
-        of one force."""
+        """Raises UsageError for a value not above zero, or two of one force."""
         for kind in ("noise", "vehicle"):
             for name, value in getattr(self, kind).items():
                 if not 0 < value < np.inf:
@@ -115,8 +109,7 @@ class Rig:
                 raise UsageError(InputProblem(reason, "state one of them"))
 
     def radius_for(self, data: TireData) -> float | None:
-        """Rolling radius [m]: stated, else the median of v / (omega (1 + slip)), else
-        None."""
+        """Rolling radius [m]: stated, or the median of v / (omega (1 + slip))."""
         if self.rolling_radius:
             return self.rolling_radius
         if "omega" not in data or "v" not in data:
@@ -130,13 +123,15 @@ class Rig:
         radius = v[turning] / (np.abs(omega[turning]) * (1 + slip[turning]))
         return float(np.median(radius))
 
-    def slip_noise(self, slip: str) -> float | None:
+    def slip_noise(self, slip: str, kind: str = "") -> float | None:
         """Stated standard deviation of a slip."""
-        return self._of_slip(slip, "")
+        names = ("alpha",) if slip == "alpha" else ("sigma_x", "kappa")
+        keys = (f"{name}{kind}" for name in (*names, "slip"))
+        return next((self.noise[k] for k in keys if k in self.noise), None)
 
     def slip_noise_speed(self, slip: str) -> float | None:
         """Stated standard deviation of the sliding speed of a slip [m/s]."""
-        return self._of_slip(slip, "_speed")
+        return self.slip_noise(slip, "_speed")
 
     def beside(self, data: TireData) -> tuple[str, ...]:
         """Sentences about stated noises that columns of the data replace."""
@@ -150,11 +145,6 @@ class Rig:
             ]
         return tuple(said)
 
-    def _of_slip(self, slip: str, kind: str) -> float | None:
-        names = ("alpha",) if slip == "alpha" else ("sigma_x", "kappa")
-        keys = (f"{name}{kind}" for name in (*names, "slip"))
-        return next((self.noise[k] for k in keys if k in self.noise), None)
-
     def force_noise(self, channel: str, fz) -> np.ndarray | None:
         """Stated standard deviation of a force, shape of ``fz``, or None."""
         shared = () if channel == "mz" else ("force",)
@@ -167,12 +157,7 @@ class Rig:
 
 
 def load_rig(path: str | Path | None) -> Rig:
-    """Read ``rig.toml``; unknown keys are listed in ``notes``.
-
-    Raises:
-        UsageError: no such file, not TOML, a misspelt key, a value of the wrong type or
-            out of range; all problems at once.
-    """
+    """Read ``rig.toml``; ``notes`` list unknown keys. Raises UsageError."""
     if path is None:
         return Rig()
     content, others = _of_others(read_toml(path), _RigFile)
@@ -183,9 +168,8 @@ def load_rig(path: str | Path | None) -> Rig:
     try:
         return Rig(**stated.model_dump(exclude_none=True), notes=tuple(notes))
     except UsageError as error:
-        raise UsageError(
-            [replace(one, file=str(path)) for one in error.problems]
-        ) from None
+        problems = [replace(one, file=str(path)) for one in error.problems]
+        raise UsageError(problems) from None
 
 
 def _of_others(content: dict, kind: type[Section]) -> tuple[dict, list[str]]:
@@ -203,32 +187,35 @@ def _of_others(content: dict, kind: type[Section]) -> tuple[dict, list[str]]:
     return kept, others
 
 
+def unfit(data: TireData, reason: str, remedy: str, column: str = "") -> DataError:
+    """The error of data that cannot be diagnosed."""
+    file = data.source.path or data.name
+    return DataError(InputProblem(reason, remedy, file, column=column or None))
+
+
 def check_data(data: TireData, channels: tuple[str, ...], rig: Rig) -> None:
     """Raises DataError for no load, too few rows, or a force or a stated noise of the
     channels far beyond all loads."""
-    file = data.source.path or data.name
     if "fz" not in data:
         reason = "a diagnosis needs fz (load, N) for every row"
         remedy = "name its column with --column fz=HEADER, or --constant fz=4000"
-        raise DataError(InputProblem(reason, remedy, file))
+        raise unfit(data, reason, remedy)
     if data.n < LEAST_ROWS:
         reason = f"{data.n} usable rows: a diagnosis needs {LEAST_ROWS} or more"
-        raise DataError(InputProblem(reason, "measure more points", file))
+        raise unfit(data, reason, "measure more points")
     fz = data.usable("fz")
     largest = float(np.max(np.abs(fz)))
     for force in sorted({"fx", "fy"} & set(data.columns)):
         most = np.max(np.abs(data.usable(force))) / largest
-        if not most < _ABSURD:
+        if not most < 1e4:
             reason = f"{most:.0e} times the largest load: no tire's force"
             remedy = f"name the unit with --unit {force}=... or that of the load"
-            raise DataError(InputProblem(reason, remedy, file, column=force))
+            raise unfit(data, reason, remedy, force)
     for channel in channels:
         column = f"{channel}_std"
         stated = data.usable(column) if column in data else rig.force_noise(channel, fz)
         if stated is not None and np.median(stated) > largest:
-            of_rig = column not in data
-            source = f"[noise] of the rig for {channel}" if of_rig else column
+            of_rig = f"[noise] of the rig for {channel}", channel
+            source, at = (column, column) if column in data else of_rig
             reason = f"noise of {np.median(stated):.3g}, beyond the largest load"
-            remedy = f"check the unit of the noise, {source}"
-            at = channel if of_rig else column
-            raise DataError(InputProblem(reason, remedy, file, column=at))
+            raise unfit(data, reason, f"check the unit of the noise, {source}", at)

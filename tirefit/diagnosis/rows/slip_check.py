@@ -1,8 +1,7 @@
 """Comparison of the slip column with the slip from the wheel speed.
 
-Another definition of slip, or a constant offset, shows against
-(v - omega R) / (omega R) without any force. Except for the definition, the comparison
-does not show whether the column or the speeds are wrong.
+Another definition or an offset shows against (v - omega R) / (omega R) without any
+force. Except for the definition, the column or the speeds may be wrong.
 """
 
 from typing import NamedTuple
@@ -14,56 +13,37 @@ from tirefit.data.units import slip_from_sigma, slip_from_speeds
 from tirefit.diagnosis.rows.rig import LEAST_ROWS
 
 FOR, BESIDE, AGAINST = 3.0, 1.5, -1.5
-"""Changes of an effect's log odds: the comparison shows it, shows it or an error of the
-speeds, or would have shown it. With one of 25 effects expected, 3 gives about even
-odds, and 1.5 leaves half of that to the speeds."""
+"""Changes of an effect's log odds: the comparison shows it (about even odds of one in
+25 effects), shows it or an error of the speeds, or would have shown it."""
 
-_DEFINITIONS = ("sigma_x", "kappa", "slip_ratio")
-_LARGEST = 3.0
-"""Slip above which the wheel hardly turns."""
-
-_WRITTEN = 1e-6
-"""Resolution of the slip in files."""
-_BETTER = 0.7
-"""Largest scatter of the best definition over that of another one."""
-
-_SURE = 4.0
-"""Standard errors of an offset that count."""
-
-_GAIN = 0.02
-"""Error of a gain that an error of the radius may cause."""
+_WRITTEN, _BETTER = 1e-6, 0.7
+"""Resolution of the slip in files; largest scatter of the best definition over that of
+another one."""
 
 
 class SlipCheck(NamedTuple):
-    """The slip column against omega, v and the radius.
+    """The slip column against omega, v and the radius."""
 
-    The column was read as the definition ``read_as`` and ``fits`` another or the same
-    best; ``radius`` [m] was used. ``rms`` is the difference from the computed slip in
-    ``read_as``, ``scatter`` that in ``fits`` about a line with ``offset`` (standard
-    error ``offset_std``) and ``gain``. ``told_apart``: all other definitions leave
-    clearly more.
-    """
-
-    read_as: str
-    fits: str
-    radius: float
-    rms: float
-    scatter: float
+    read_as: str  # definition of the slip
+    fits: str  # the one that fits best
+    radius: float  # [m] that was used
+    rms: float  # difference from the computed slip in ``read_as``
+    scatter: float  # that in ``fits``, about a line of offset and gain
     offset: float
     offset_std: float
     gain: float
-    told_apart: bool
+    told_apart: bool  # all other definitions leave clearly more
 
     @property
     def shifted(self) -> bool:
-        """Whether the offset is significant."""
-        return abs(self.offset) > _SURE * self.offset_std
+        """Whether the offset is significant: 4 standard errors."""
+        return abs(self.offset) > 4 * self.offset_std
 
     @property
     def agrees(self) -> bool:
-        """Whether the column agrees with the speeds."""
+        """Whether column and speeds agree, but for a wrong radius (2 % of gain)."""
         same = self.fits == self.read_as and not self.shifted
-        return same and abs(self.gain - 1) < _GAIN
+        return same and abs(self.gain - 1) < 0.02
 
 
 def _line(computed, logged) -> dict[str, float]:
@@ -80,31 +60,29 @@ def _line(computed, logged) -> dict[str, float]:
 
 
 def check_slip(data: TireData, radius: float | None) -> SlipCheck | None:
-    """The comparison on the used rows; None without omega, v, a stated radius [m] and
-    a longitudinal slip that varies."""
+    """The comparison; None without omega, v, a radius [m] and slips that vary."""
     if radius is None or not {"omega", "v", "sigma_x"} <= set(data.columns):
         return None
     omega, v, sigma = (data.usable(name) for name in ("omega", "v", "sigma_x"))
     computed = slip_from_speeds(omega, v, radius)
-    good = (np.abs(computed) < _LARGEST) & (np.abs(sigma) < _LARGEST) & (omega > 0)
-    good &= computed > -1 + 1 / (1 + _LARGEST)
+    largest = 3.0  # beyond, the wheel hardly turns
+    good = (np.abs(computed) < largest) & (np.abs(sigma) < largest) & (omega > 0)
+    good &= computed > -1 + 1 / (1 + largest)
     if good.sum() < LEAST_ROWS or np.ptp(computed[good]) < _WRITTEN:
         return None
     alpha = data.usable("alpha")[good] if "alpha" in data else None
     read_as = data.source.slip_definition
     own = "kappa" if read_as == "s" else read_as
     logged = slip_from_sigma(sigma[good], read_as, alpha)
-    meant = {name: slip_from_sigma(computed[good], name) for name in _DEFINITIONS}
+    definitions = ("sigma_x", "kappa", "slip_ratio")
+    meant = {name: slip_from_sigma(computed[good], name) for name in definitions}
     lines = {name: _line(x, logged) for name, x in meant.items()}
     best = min(lines, key=lambda name: lines[name]["scatter"])
     if lines[best]["scatter"] > _BETTER * lines[own]["scatter"]:
         best = own
     others = [line["scatter"] for name, line in lines.items() if name != best]
     return SlipCheck(
-        read_as=read_as,
-        fits=read_as if best == own else best,
-        radius=radius,
+        read_as=read_as, fits=read_as if best == own else best, radius=radius,
         rms=float(np.sqrt(np.mean((logged - meant[own]) ** 2))),
-        told_apart=lines[best]["scatter"] < _BETTER * min(others),
-        **lines[best],
-    )
+        told_apart=lines[best]["scatter"] < _BETTER * min(others), **lines[best],
+    )  # fmt: skip

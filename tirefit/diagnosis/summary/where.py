@@ -9,7 +9,7 @@ from scipy.stats import false_discovery_control, spearmanr
 
 from tirefit.data.levels import levels
 from tirefit.data.table import TireData
-from tirefit.diagnosis.effects.known import said_of_motion
+from tirefit.diagnosis.effects.motion import said_of_motion
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.forms import PLACE
 from tirefit.diagnosis.negligible import NONZERO

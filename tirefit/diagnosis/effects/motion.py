@@ -1,0 +1,329 @@
+"""Effects of the past (delays, relaxation, steering lag), and priors from what is known
+of the motion of a vehicle.
+
+A force that was derived from the motion shares its channels with the slip: an effect of
+yaw rate or acceleration may fit any remainder, on held-out data too. The prior of such
+an effect is the error of a measured quantity where the file states it (``tirefit
+derive`` writes what vehicle.toml states), else that of a guess.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.constants import g as GRAVITY
+
+from tirefit.diagnosis.effects.free_forms import SHIFT_BY_DELAY, SHIFT_BY_LAG
+from tirefit.diagnosis.effects.record import Effect, choices, scaled
+from tirefit.diagnosis.negligible import NONZERO
+from tirefit.diagnosis.rows.covariates import wheelbase
+from tirefit.diagnosis.rows.rates import AGES, AHEAD
+
+_HEIGHT, _FAR = 0.4, 6.0
+"""Height of the centre of gravity over the arm of an axle (cars have 0.3 to 0.6);
+bounds in standard deviations."""
+
+_NO_LENGTH = 1e-12
+"""Share of a step that counts as no length: the slope there is one-sided, not zero."""
+
+_RELAXED, _FILTERED = 2.0, 0.1
+"""Longest relaxation of a tire, in radii of its wheel, and delay of a filter [s]."""
+
+_FEW_WAYS = 1e-4
+"""Steps over the length below which the response is the first term of its series."""
+
+
+class _Quantity(NamedTuple):
+    """A quantity by its ``key`` in vehicle.toml, and its standard error where that file
+    states the quantity, and where it does not."""
+
+    key: str
+    stated: float
+    guessed: float
+    words: str
+
+
+_QUANTITIES = {
+    # Shares of the arm of an axle (1 mm on a car of 1:10, 4 cm on a car) and of the
+    # wheelbase; of yaw inertia: that of most vehicle files is estimated.
+    "position": _Quantity("tracked_point", 0.03, 0.1, "the tracked point to {:.2g} m"),
+    "clock": _Quantity("clock", 0.005, 0.1, "the clocks of the channels to {:.2g} s"),
+    "yaw_inertia": _Quantity("yaw_inertia", 0.3, 1, "the yaw inertia to {:.2g} of it"),
+}
+"""Key of ``[vehicle]`` of rig.toml, a standard error -> the quantity that it is of."""
+
+
+def _error(key: str, prepared, rig) -> tuple[float | None, bool]:
+    """Standard error [m, s, share], and whether it or the quantity is stated; None for
+    a measured force without a statement."""
+    of, derived = _QUANTITIES[key], prepared.derived
+    if key in rig.vehicle:
+        return rig.vehicle[key], True
+    if derived is None:
+        return None, False
+    constants = prepared.data.source.constants
+    stated = of.key in constants
+    error = of.stated if stated else of.guessed
+    if key == "clock" and stated:
+        error = constants[of.key]
+    if key == "position":
+        error *= derived.arm if stated else wheelbase(prepared.data, derived)
+    return error, stated
+
+
+def _of_scale(prior, scale: float):
+    return prior._replace(scale=scale, low=-_FAR * scale, high=_FAR * scale)
+
+
+def _narrowed(prior, scale: float):
+    """The prior, no wider than this scale."""
+    own = _of_scale(prior, min(prior.scale, scale))
+    return own._replace(low=max(prior.low, own.low), high=min(prior.high, own.high))
+
+
+def _of_quantity(key: str, prior, prepared, rig):
+    error, stated = _error(key, prepared, rig)
+    if error is None:
+        return prior
+    return _narrowed(prior, error) if stated else _of_scale(prior, error)
+
+
+of_a_known_position = partial(_of_quantity, "position")
+"""Prior of a distance along the vehicle, measured with a rule where stated."""
+
+
+def of_a_known_inertia(prior, prepared, rig):
+    """Prior of an error of the yaw inertia over the wheelbase."""
+    if prepared.derived is None:
+        return prior
+    share, _ = _error("yaw_inertia", prepared, rig)
+    return _of_scale(prior, share * prepared.derived.inertia)
+
+
+def of_a_known_height(prior, prepared, rig):
+    """Prior of a load that moves by m h a_x / wheelbase over the range of a_x."""
+    if "a_x" not in prepared.data:
+        return prior
+    span = float(np.ptp(prepared.column("a_x"))) / GRAVITY
+    return _narrowed(prior, _HEIGHT * span)
+
+
+def of_a_known_force(prior, prepared, rig):
+    """Prior of a share of the friction that a force across takes, widened by the error
+    of that force, twice for its square."""
+    name = "fx_std" if prepared.mode == "y" else "fy_std"
+    if name not in prepared.data:
+        return prior
+    size = _rms(np.asarray(prepared.covariates.across))
+    error = 2 * prior.center * _rms(prepared.column(name)) / max(size, NONZERO)
+    return prior._replace(scale=float(np.hypot(prior.scale, error)))
+
+
+def _within_the_past(prior, prepared, rig):
+    """The prior within the past and future that each row knows."""
+    first, last = AGES[[0, -1]] * float(prepared.covariates.interval[0])
+    return prior._replace(low=max(prior.low, first), high=min(prior.high, last))
+
+
+def said_of_motion(base, rig) -> tuple[str, ...]:
+    """Sentences about the force of a base fit that was derived from the motion; none
+    for a measured one."""
+    rows, derived = base.rows, base.rows.derived
+    if derived is None:
+        return ()
+    observed = rows.observed["fy"]
+    missed = observed - base.forces(base.as_given, base.amplitudes())["fy"]
+    said = (
+        f"fy was derived from a_y ({derived.mass:.4g} kg of it) and yaw_acceleration:"
+        " it shares its channels with the slip, and so does held-out data"
+    )
+    if "yaw_rate" in rows.has and derived.mass is not None:
+        on_a_path = derived.mass * rows.column("v") * rows.column("yaw_rate")
+        said += (
+            "; no tire at all, mass x v x yaw_rate, misses it by"
+            f" {_rms(observed + on_a_path):.3g} N rms, the base fit by"
+            f" {_rms(missed):.3g} N"
+        )
+    known: dict[bool, list[str]] = {True: [], False: []}
+    for key, of in _QUANTITIES.items():
+        error, stated = _error(key, rows, rig)
+        guess = "" if stated else f" ({of.key} is not stated: measure it)"
+        known[stated].append(of.words.format(error) + guess)
+    priors = (
+        "effects with yaw rate or acceleration keep to what is known of a vehicle:"
+        f" {', '.join(known[True] + known[False])}; [vehicle] of rig.toml states other"
+        " standard errors"
+    )
+    return (said, priors, *_found(rows.data.source.constants))
+
+
+def _found(constants) -> tuple[str, ...]:
+    """Findings of ``tirefit derive`` in the same logs, with the effect of each."""
+    found = []
+    if "alpha_zero" in constants:
+        zero = constants["alpha_zero"]
+        found.append(f"alpha is {zero:+.4f} rad where fy = 0 (slip_offset)")
+    if "found_point" in constants:
+        place, std = constants["found_point"], constants["found_point_std"]
+        stated = constants.get("tracked_point")
+        against = "" if stated is None else f", stated {stated:.3g} m"
+        found.append(
+            f"the tracked point is {place:.3g} ± {std:.1g} m"
+            f" ahead of the rear axle{against} (tracked_point)"
+        )
+    for key, late in constants.items():
+        if key.startswith("late_") and not key.endswith("_std"):
+            channel, how = key.removeprefix("late_"), "late" if late > 0 else "early"
+            error = f"{abs(late):.2g} ± {constants[f'{key}_std']:.1g} s {how}"
+            effect = f"{channel}_delay" if channel == "steering" else "channel_delay"
+            found.append(f"{channel} is {error} ({effect})")
+    if not found:
+        return ()
+    return (
+        "tirefit derive found in the same logs, without a tire model:"
+        f" {'; '.join(found)}. An effect in brackets that is not named is within its"
+        " error, or shows as another effect",
+    )
+
+
+def _rms(values) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _late(past, delay, rows):
+    """Change of values (n, k) by a delay [s]: (n,).
+
+    Exact for values that move in straight lines from column to column.
+    """
+    age, ages = jnp.clip(delay / rows.interval, AGES[0], AGES[-1]), jnp.asarray(AGES)
+    passed = jnp.sum(age[:, None] >= ages[None, :], axis=1)
+    low = jnp.clip(passed - 1, 0, ages.size - 2)
+    share = (age - ages[low]) / (ages[low + 1] - ages[low])
+    before = jnp.take_along_axis(past, low[:, None], axis=1)[:, 0]
+    after = jnp.take_along_axis(past, low[:, None] + 1, axis=1)[:, 0]
+    return before + share * (after - before) - past[:, AHEAD]
+
+
+def lagged(past, length, step):
+    """Change of values (n, k) by a first-order lag over a length: (n,).
+
+    Exact for values that rest before their past and then move in straight lines from
+    column to column. A length below zero would foresee, and counts as none.
+
+    Args:
+        length: of the response, in the unit of ``step``.
+        step: (n,) of one of :data:`AGES`.
+    """
+    # At a length of zero itself the slope is that of lengths above.
+    length = jnp.where(length < 0, 0.0, length) + _NO_LENGTH * step
+    one = (step / length)[:, None]
+    ways, gone = (one * of[None] for of in (np.diff(AGES[AHEAD:]), AGES[AHEAD:]))
+    # Response to values that rise over the way, and what is left of it by now.
+    decay, since = jnp.exp(-ways), jnp.exp(-gone)
+    share = jnp.where(ways < _FEW_WAYS, ways / 2, 1 - (1 - decay) / ways)
+    after, before = past[:, AHEAD:-1], past[:, AHEAD + 1 :]
+    risen = share * after + (1 - share - decay) * before
+    behind = jnp.sum(since[:, :-1] * risen, axis=1) + since[:, -1] * past[:, -1]
+    return behind - past[:, AHEAD]
+
+
+def _delay(state, delay, constants, rows):
+    """Delay the slip, or the forces (at the delayed slip and load), or filter the
+    forces by a first order of which the delay is the time constant [s]."""
+    slip, force, filtered = constants
+    # A brush under another load is one of another friction, see S(12).
+    load = 1 + _late(rows.burden, force * delay, rows)
+    moved = scaled(state, "friction", load)
+    constant = filtered * delay
+    return moved._replace(
+        shift=state.shift + _late(rows.past, (slip + force) * delay, rows),
+        force=state.force + filtered * lagged(rows.pull, constant, rows.interval),
+        moment=state.moment + filtered * lagged(rows.twist, constant, rows.interval),
+    )
+
+
+def _relax(state, length, constants, rows):
+    slip, force = constants
+    return state._replace(
+        shift=state.shift + slip * lagged(rows.past, length, rows.step),
+        force=state.force + force * lagged(rows.pull, length, rows.step),
+        moment=state.moment + force * lagged(rows.twist, length, rows.step),
+    )
+
+
+def _steer(late):
+    """Change by a road wheel angle that differs from the logged one by ``late(past,
+    amplitude, rows)`` (n,) [rad]; a force derived across the wheels turns with them."""
+
+    def change(state, amplitude, constants, rows):
+        slip, turned = rows.past[:, AHEAD], late(rows.steered, amplitude, rows)
+        return state._replace(
+            shift=state.shift + jnp.tan(jnp.arctan(slip) - turned) - slip,
+            force=state.force + rows.pivot * turned,
+        )
+
+    return change
+
+
+_CAUSE = "so look for another cause: steering or a sensor that comes late"
+
+
+def _too_long(length: float, prepared) -> str:
+    """Doubt of a relaxation length; empty where it is one of a tire."""
+    wheel = prepared.sizes.wheel
+    if not wheel or length <= _RELAXED * wheel:
+        return ""
+    return f"doubtful: {length / wheel:.2g} wheel radii, {_CAUSE}"
+
+
+def _too_late(delay: float, prepared) -> str:
+    if abs(delay) <= _FILTERED:
+        return ""
+    return f"doubtful: more than the {_FILTERED:g} s of a filter, {_CAUSE}"
+
+
+def _of_a_known_clock(prior, prepared, rig):
+    """Prior of a delay between channels of one log."""
+    known = _of_quantity("clock", prior, prepared, rig)
+    return _within_the_past(known, prepared, rig)
+
+
+EFFECTS = (
+    Effect(
+        id="channel_delay", family="measurement", change=_delay, scale=0.15, unit="s",
+        per=("period",), formula="force(t) belongs to slip(t - amplitude)",
+        means="force and slip are shifted in time", parameter="delay", doubts=_too_late,
+        remedy="measure the delay (clock in vehicle.toml) and shift the force by it",
+        bounds=((-3.0, 3.0), (-3.0, 3.0), (0.0, 3.0)), prior=_of_a_known_clock,
+        needs=("sweeps",), variants=choices(3), forms=SHIFT_BY_DELAY,
+        told_apart_by="speeds", looks_like=("relaxation_length", "friction_hysteresis"),
+    ),
+    Effect(
+        id="relaxation_length", family="transient", change=_relax, scale=0.15, unit="m",
+        per=("way",), formula="d slip'/dt = v / amplitude (slip - slip')",
+        means="the force lags the slip over a rolling distance", parameter="length",
+        remedy="fit brush-relaxation", bounds=((0.0, 3.0),), doubts=_too_long,
+        needs=("sweeps", "v"), variants=choices(2), forms=SHIFT_BY_LAG,
+        looks_like=("channel_delay", "friction_hysteresis"), told_apart_by="speeds",
+    ),
+    Effect(
+        id="steering_delay", family="slip x steering", change=_steer(_late), scale=0.08,
+        unit="s", formula="road wheel angle(t) = steering(t - amplitude)",
+        means="the road wheels steer later than was logged: the servo, or its clock",
+        remedy="measure the road wheel angle, or shift the steering by the delay",
+        parameter="delay", bounds=((-0.15, 0.5),), prior=_within_the_past,
+        needs=("steering", "sweeps"), channels=("fy", "mz"), told_apart_by="speeds",
+        looks_like=("relaxation_length", "channel_delay", "steering_lag"),
+    ),
+    Effect(
+        id="steering_lag", family="slip x steering", scale=0.08, unit="s",
+        change=_steer(lambda past, a, rows: lagged(past, a, rows.interval)),
+        formula="amplitude d(angle)/dt = steering - angle, of the road wheels",
+        means="the road wheels follow the steering slowly: a servo, soft linkage",
+        remedy="measure the road wheel angle, or lag the steering by the constant",
+        parameter="time constant", bounds=((0.0, 0.5),), needs=("steering", "sweeps"),
+        channels=("fy", "mz"), told_apart_by="speeds",
+        looks_like=("steering_delay", "relaxation_length", "channel_delay"),
+    ),
+)  # fmt: skip
