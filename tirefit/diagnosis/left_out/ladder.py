@@ -123,7 +123,8 @@ def ladder_of(out: Predicted, key: Key, floor: float) -> Ladder:
         now = best
     last = out.loss[:, at[now]]
     for name, losses in ((SMOOTH, out.smooth), (NOISE, np.full(len(share), floor))):
-        closed = _closed(out, losses, out.loss[:, at[()]], floor)
+        none = out.loss[:, at[()]]
+        closed = (1.0, 0.0) if name == NOISE else _closed(out, losses, none, floor)
         parts = share * (last - losses)
         rms = float(np.sqrt(share @ losses))
         steps.append(Step(name, rms, *closed, float(parts.sum()), _error(parts)))
