@@ -84,7 +84,9 @@ def test_the_ladder_leads_from_no_effect_to_the_noise(diagnosed, name):
     named = set(found.verdict.each)
     assert set().union(*effects[1:-2]) == named
     if named:
-        assert found.ladder.steps[-3].closed > 0.5
+        # Beside something unlisted a listed effect may close little of the gap.
+        least = 0.5 if name != "unknown" else 0.0
+        assert found.ladder.steps[-3].closed > least
         held = found.gap.holdout
         assert held.closed == found.ladder.steps[-3].closed and held.on
 

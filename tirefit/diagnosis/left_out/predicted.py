@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.special import softmax
 
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.search import Hypothesis
@@ -70,7 +71,7 @@ def smooth_predicted(base: Base, folds: Folds) -> np.ndarray:
     """Mean square [N^2] of what "anything smooth" misses of each fold: (F,).
 
     The smooth functions of the discrepancy beside the base model, linearised at its
-    fit, their size chosen by evidence on the other rows.
+    fit, of each size by its evidence on the other rows.
     """
     n, main = base.rows.n, base.rows.channels[0]
     residual, jacobian, *_ = base.at_null
@@ -84,7 +85,7 @@ def smooth_predicted(base: Base, folds: Folds) -> np.ndarray:
         good = keep & out if (keep & out).any() else out
         own, rest = columns[inside], residual[inside]
         gram, score = own.T @ own, own.T @ rest
-        best, weights = -np.inf, np.zeros(columns.shape[1])
+        logs, fits = [], []
         for size in SCALES:
             ridge = np.full(columns.shape[1], size**-2.0)
             ridge[:p] = FLAT
@@ -92,8 +93,9 @@ def smooth_predicted(base: Base, folds: Folds) -> np.ndarray:
             found = cho_solve(factor, score)
             log = 0.5 * score @ found - np.sum(np.log(np.diag(factor[0])))
             log += 0.5 * np.sum(np.log(ridge[p:]))
-            if log > best:
-                best, weights = log, found
+            logs.append(log)
+            fits.append(found)
+        weights = softmax(logs) @ np.array(fits)
         left = (residual[:n] - columns[:n] @ weights)[good] * scale[good]
         losses.append(np.mean(left**2))
     return np.array(losses)
