@@ -345,7 +345,7 @@ def test_an_interval_of_few_runs_is_that_of_students_t():
 
 REAR = pytest.mark.xfail(
     strict=True,
-    reason="carcass, relaxation and toe together draw what the motion knows of the slip:"
+    reason="carcass, relaxation and toe together draw what the motion knows of it:"
     " none is known to half its size, and the status is unknown at 0.5",
 )
 
