@@ -7,6 +7,7 @@ they were not taught.
 """
 
 import json
+import math
 from collections.abc import Mapping
 from functools import cache
 from importlib import resources
@@ -64,8 +65,8 @@ def probability_by_tests(tests: Tests) -> float:
     made = [p for p in tests if p is not None]
     p = max(len(made), 1) * min(made, default=1.0)
     odds = PRIOR_OF_UNKNOWN / (1 - PRIOR_OF_UNKNOWN)
-    if p < 1 / np.e:
-        odds /= -np.e * p * np.log(p)
+    if p < 1 / math.e:
+        odds /= -math.e * p * math.log(p)
     return float(odds / (1 + odds))
 
 
