@@ -80,7 +80,7 @@ class Straight(Base):
         self.__dict__ |= {
             "columns": columns, "truth": truth, "atoms": (one,), "rows": rows,
             "fit": SimpleNamespace(design=design, slip_fraction=x),
-            "generic": Generic(smooth, smooth, smooth, sharp),
+            "generic": Generic(smooth, smooth, sharp),
             "doubt": np.zeros((ROWS, 1)), "proxies": np.zeros((ROWS, 0)),
         }  # fmt: skip
 

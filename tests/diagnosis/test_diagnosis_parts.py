@@ -410,9 +410,7 @@ def test_evidence_gain_of_gaussian_coefficients():
     against = np.ones((50, 1))
     wave = np.stack([np.sin(np.arange(50.0)), np.cos(np.arange(50.0))], axis=1)
     narrow = patterns_of(10 * column[:, None])
-    bases = Generic(
-        column[:, None], column[:, None], wave / np.linalg.norm(wave, axis=0), narrow
-    )
+    bases = Generic(column[:, None], wave / np.linalg.norm(wave, axis=0), narrow)
     kinds = gains(bases, against, residual)
     lone = column - column.mean()
 
@@ -434,7 +432,6 @@ def test_evidence_gain_of_gaussian_coefficients():
 
     two = np.mean([dblquad(in_plane, -12, 12, -12, 12, args=(s,))[0] for s in scales])
     np.testing.assert_allclose(kinds["smooth"], np.log(one), rtol=1e-4)
-    np.testing.assert_allclose(kinds["cells"], np.log(one), rtol=1e-4)
     np.testing.assert_allclose(kinds["waves"], np.log(two), rtol=1e-4)
     assert min(kinds.values()) < of_any_kind(kinds) < max(kinds.values())
     assert of_any_kind(dict.fromkeys(kinds, 3.0)) == pytest.approx(3.0)
@@ -448,9 +445,7 @@ def test_a_remainder_beside_forms_of_an_expected_size_is_that_of_dense_normal_la
     residual = generator.standard_normal(50) + 30 * column
     flat = generator.standard_normal((50, 2))
     wave = np.column_stack([column, generator.standard_normal(50)])
-    bases = Generic(
-        column[:, None], column[:, None], wave, patterns_of(column[:, None])
-    )
+    bases = Generic(column[:, None], wave, patterns_of(column[:, None]))
     found = gains(bases, flat, residual, forms)
 
     wide = np.eye(50) + forms @ forms.T + 1e7 * flat @ flat.T

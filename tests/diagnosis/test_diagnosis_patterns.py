@@ -190,7 +190,7 @@ def test_who_names_everything_shows_no_look(diagnosed):
     assert found.verdict.left.looks_like == ()
 
 
-NARROW = {"smooth": 5.0, "cells": 3.0, "waves": 60.0, "patterns": 40.0}
+NARROW = {"smooth": 5.0, "waves": 60.0, "patterns": 40.0}
 
 
 def beside(unlisted, gains):

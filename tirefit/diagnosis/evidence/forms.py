@@ -15,7 +15,8 @@ from tirefit.diagnosis.rows.basis import (
     FULL_SLIDING,
     Generic,
     bumps,
-    wide_bases,
+    smooth_basis,
+    wave_basis,
     without,
 )
 from tirefit.diagnosis.rows.patterns import (
@@ -48,6 +49,9 @@ is its own where it does."""
 _USUAL_CHANGE, _AROUND = 0.1, 4
 """Share by which a hypothesis changes friction or stiffness, at least; and rows on
 either side over which the slope of what a stand-in misses is taken."""
+
+_ROWS_OF_A_FUNCTION = 3
+"""Rows for each smooth function of a remainder, at least."""
 
 _FINER, _DRAWN, _SPARSE = 4, 2, 4
 """Lines of a periodogram for each that a record has: between two of them a wave loses a
@@ -145,10 +149,12 @@ def whitened_generic(
     keep, bases = np.asarray(design.keep)[: rows.n, None], []
     for channel in rows.channels:
         typical = rows.inputs.fz / np.asarray(design.scale[channel])[: rows.n]
-        bases.append([b * keep for b in wide_bases(rows, slip_fraction, typical)])
-    smooth, cells, waves = (block_diag(*each) for each in zip(*bases, strict=True))
+        most = rows.n // _ROWS_OF_A_FUNCTION
+        smooth = smooth_basis(rows, slip_fraction, typical, most)
+        bases.append([b * keep for b in (smooth, wave_basis(rows, typical))])
+    smooth, waves = (block_diag(*each) for each in zip(*bases, strict=True))
     by_name = {name: fields[:, PLACE[field]] for name, (field, _) in PARAMETERS.items()}
-    return Generic(smooth, cells, waves, patterns(rows, slip_fraction, by_name))
+    return Generic(smooth, waves, patterns(rows, slip_fraction, by_name))
 
 
 def with_fast_waves(among: Patterns, time, residual) -> Patterns:

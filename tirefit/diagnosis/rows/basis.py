@@ -24,7 +24,7 @@ RANK = 1e-6
 """Smallest squared length of a direction over the longest; the rest is rounding."""
 
 _BUMPS = (4, 8)
-"""Fewest and most functions of the slip for each sign; cells have twice as many."""
+"""Fewest and most functions of the slip for each sign."""
 
 _LEVELS = 4
 """Largest number of settings of a covariate with a coefficient each."""
@@ -45,14 +45,14 @@ def functions_of(values, count: int) -> np.ndarray:
     return bumps(values, count)
 
 
-def _by_side(slip_fraction, factors, scale, most: int, finest: int) -> np.ndarray:
+def _by_side(slip_fraction, factors, scale, most: int) -> np.ndarray:
     """Bumps over the size of the slip, for each sign of a twentieth of the rows, times
-    each factor (n,): about ``most`` whitened columns, at most ``finest`` bumps."""
+    each factor (n,): about ``most`` whitened columns."""
     inside = np.clip(slip_fraction, -FULL_SLIDING, FULL_SLIDING)
     sides = [inside >= 0, inside < 0]
     if min(np.mean(side) for side in sides) <= 0.05:
         sides = [np.ones(len(inside), bool)]
-    count = int(np.clip(most // (len(sides) * len(factors)), _BUMPS[0], finest))
+    count = int(np.clip(most // (len(sides) * len(factors)), *_BUMPS))
     shapes = bumps(np.abs(inside), count)
     chosen = factors[: max(most // (len(sides) * count), 1)]
     columns = [shapes * (side * one)[:, None] for one in chosen for side in sides]
@@ -108,15 +108,7 @@ def smooth_basis(
     if runs and "runs" in prepared.has:
         own = [_standard(prepared.run == k) for k in np.unique(prepared.run)[1:]]
         factors[1:1] = [unit for unit in own[:_LEVELS] if unit is not None]
-    return _by_side(slip_fraction, factors, scale, most, _BUMPS[1])
-
-
-def _cell_basis(prepared, slip_fraction, scale, most: int) -> np.ndarray:
-    """Narrow bumps of the slip for each load: (n, b)."""
-    loads, cells = levels(prepared.covariates.fz), [np.ones(prepared.n, bool)]
-    if loads.few():
-        cells = [loads.code == code for code in range(len(loads.center))]
-    return _by_side(slip_fraction, cells, scale, most, 2 * _BUMPS[1])
+    return _by_side(slip_fraction, factors, scale, most)
 
 
 def wave_basis(prepared, scale) -> np.ndarray:
@@ -209,56 +201,47 @@ def waves_within(waves, against, residual):
 
 @dataclass(frozen=True, eq=False)
 class Generic:
-    """Whitened remainders: smooth functions (m, b), narrow bumps (m, c), one of many
-    waves (m, 2 x waves), one of many patterns."""
+    """Whitened remainders: smooth functions (m, b), one of many waves (m, 2 x waves),
+    one of many patterns."""
 
     smooth: np.ndarray
-    cells: np.ndarray
     waves: np.ndarray
     patterns: Patterns
 
     @cached_property
     def columns(self) -> np.ndarray:
         """All but the patterns, side by side."""
-        return np.concatenate([self.smooth, self.cells, self.waves], axis=1)
+        return np.concatenate([self.smooth, self.waves], axis=1)
 
     @cached_property
-    def _grams(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        smooth, cells = self.smooth, self.cells
-        return smooth.T @ smooth, cells.T @ cells, _pairs(self.waves)
+    def _grams(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.smooth.T @ self.smooth, _pairs(self.waves)
 
     def left(self, against, residual, expected=None):
         """What a fit that used up ``against`` and ``expected`` (:func:`taken_out`)
-        leaves: scores and sizes (q,) of orthonormal directions by name of the basis,
-        products (K, 3) and scores (K, 2) of the waves of :func:`_in_pairs`."""
+        leaves: scores and sizes (q,) of orthonormal smooth directions, products (K, 3)
+        and scores (K, 2) of the waves of :func:`_in_pairs`."""
         unit = taken_out(against, expected)
         rest = residual - unit @ (unit.T @ residual)
         both = np.concatenate([unit, rest[:, None]], axis=1).T @ self.columns
-        ends = np.cumsum([self.smooth.shape[1], self.cells.shape[1]])
-        used, score = np.split(both[:-1], ends, axis=1), np.split(both[-1], ends)
-        *grams, waves = self._grams
-        wide = {}
-        for k, name in enumerate(("smooth", "cells")):
-            turned, size = _principal(grams[k] - used[k].T @ used[k])
-            wide[name] = score[k] @ turned, size
-        return wide, waves - _pairs(used[2]), score[2].reshape(-1, 2)
-
-
-def wide_bases(prepared, slip_fraction, scale) -> tuple[np.ndarray, ...]:
-    """Smooth functions, cells and waves of one channel."""
-    given = prepared, slip_fraction, scale, prepared.n // 3  # rows of a function
-    return smooth_basis(*given), _cell_basis(*given), wave_basis(prepared, scale)
+        ends = self.smooth.shape[1]
+        used, score = np.split(both[:-1], [ends], axis=1), np.split(both[-1], [ends])
+        gram, waves = self._grams
+        turned, size = _principal(gram - used[0].T @ used[0])
+        left = score[0] @ turned, size
+        return left, waves - _pairs(used[1]), score[1].reshape(-1, 2)
 
 
 def gains(bases: Generic, against, residual, expected=None) -> dict[str, float]:
     """Log evidence of each kind of remainder over none, see :meth:`Generic.left`."""
-    wide, gram, score = bases.left(against, residual, expected)
+    smooth, gram, score = bases.left(against, residual, expected)
     waves = []
     for scale in SCALES:
         chi2, size = _in_pairs(gram, score, scale**-2)
         waves.append(0.5 * chi2 - 0.5 * np.log(scale**4 * size))
     unit = taken_out(against, expected)
-    return {name: mean_gain(*one) for name, one in wide.items()} | {
+    return {
+        "smooth": mean_gain(*smooth),
         "waves": float(np.logaddexp.reduce(waves, axis=None) - np.log(np.size(waves))),
         "patterns": patterns_gain(bases.patterns, unit, residual),
     }
@@ -270,16 +253,15 @@ def of_any_kind(kinds: Mapping[str, float]) -> float:
 
 
 def located(bases: Generic, against, residual):
-    """Smooth part of the residual and its variance, (m,) each, by the basis with the
-    largest evidence and the significant waves."""
-    wide, gram, of_waves = bases.left(against, residual)
+    """Smooth part of the residual and its variance, (m,) each, by the smooth functions
+    and the significant waves."""
+    _, gram, of_waves = bases.left(against, residual)
     chi2, _ = _in_pairs(gram, of_waves, FLAT)
-    chosen = getattr(bases, max(wide, key=lambda name: mean_gain(*wide[name])))
     # 8 over the largest of as many waves of noise: 55 to 1.
     strong = np.flatnonzero(chi2 > 2 * np.log(len(chi2)) + 8)
     strong = strong[np.argsort(-chi2[strong])][:4]
     waves = bases.waves[:, np.ravel(strong[:, None] * 2 + [0, 1])]
-    left, size = orthogonal(np.concatenate([chosen, waves], axis=1), against)
+    left, size = orthogonal(np.concatenate([bases.smooth, waves], axis=1), against)
     score = left.T @ residual
     # Empirical Bayes: the scale with the largest evidence, from 0.3 of the noise on.
     scale = max(np.geomspace(0.3, 300, 25), key=lambda one: gain(score, one * size))
