@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fits.ablation.variants import VARIANTS, Answer, Rules, decided, taught
-from fits.calibration import said, train
-from fits.calibration.__main__ import verdicts_of
+from fits.ablation.variants import VARIANTS, Answer, Rules, decided
+from fits.calibration import said
+from fits.calibration.__main__ import lines_by
 from fits.withheld.goals import STRONG, WEAK
 from fits.withheld.judge import HIDDEN, Outcome, judge, kind_of
 from fits.withheld.thresholds import brier, share, telling
@@ -97,14 +97,12 @@ SAVED = {"climb off": ("climbed",), "gain: no data left out": ("predicted",),
 def answered(
     first: Sequence[Mapping], second: Sequence[Mapping], rules: Rules
 ) -> dict[str, Answer]:
-    """The answers to the second records by the rules, by name; what is learned is
-    taught on the first: the regression, and how often verdicts of a status are right.
-    """
-    numbers = {} if rules.plain else train.taught(taught(first, rules))
-    lines = said.lines_of(verdicts_of(first, numbers, rules))
+    """The answers to the second records by the rules, by name; the first teach the
+    calibration."""
+    lines = lines_by(first, rules)
     found = {}
     for record in second:
-        answer = decided(record, rules, numbers)
+        answer = decided(record, rules, lines)
         probability = said.as_said(lines, answer.kind, answer.probability)
         found[record["name"]] = answer._replace(probability=probability)
     return found

@@ -11,12 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fits.calibration import train
+from fits.calibration import said
 from fits.withheld.judge import HIDDEN, kind_of
-from tirefit.diagnosis.decide.calibration import (
-    clues_of_unlisted,
-    probability_by_tests,
-)
+from tirefit.diagnosis.decide.calibration import probability_by_tests
 from tirefit.diagnosis.decide.findings import parts_of
 from tirefit.diagnosis.decide.verdict import (
     POLICY,
@@ -61,8 +58,8 @@ class Rules:
         plain: the likeliest of nothing, a set, a set beside something unlisted, and
             something unlisted alone, by evidence; nothing else is asked then.
         climb: beside something unlisted the set that predicts whole runs best is asked.
-        regression: the probability of something unlisted is learned; else by evidence.
-        clues: those of the regression; all of them if empty.
+        calibrated: the probability of something unlisted is what trials teach of that
+            of the evidence; else the evidence's own.
         beside: how likely an effect is there beside something unlisted is asked of the
             runs left out, or of the sets beside a discrepancy; else of all sets.
         each: an effect must be likelier there than not.
@@ -75,8 +72,7 @@ class Rules:
     policy: Policy = POLICY
     plain: bool = False
     climb: bool = True
-    regression: bool = True
-    clues: tuple[str, ...] = ()
+    calibrated: bool = True
     beside: bool = True
     each: bool = True
     forms: bool = True
@@ -94,9 +90,7 @@ VARIANTS: dict[str, Rules] = {
     "beside something unlisted by its own probability: off": Rules(beside=False),
     "climb off": Rules(climb=False),
     "also possible: off": Rules(Policy(perhaps=NEVER)),
-    "regression off": Rules(regression=False),
-    "clue evidence off": Rules(clues=("narrow",)),
-    "clue narrow off": Rules(clues=("evidence",)),
+    "something unlisted as probable as by the evidence": Rules(calibrated=False),
     "discrepancy: smooth off": Rules(without=("smooth",)),
     "discrepancy: waves off": Rules(without=("waves",)),
     "discrepancy: patterns off": Rules(without=("patterns",)),
@@ -153,7 +147,6 @@ def weighed_of(record: Mapping, rules: Rules) -> Weighed:
             form = told["evidence"][key] - evidence[key] - due
             total[key] += form
             evidence[key] += form
-        total = _formulas_first(total, {key: sum(fit[:2]) for key, fit in best.items()})
     gains = {
         key: {kind: v for kind, v in of.items() if kind not in rules.without}
         for key, of in told["gains"].items()
@@ -175,18 +168,12 @@ def _sum(logs: Sequence[float]) -> float:
     return float(np.logaddexp.reduce(logs))
 
 
-SHOWS, RIVAL = 3.0, 0.1
+UNLISTED = "unlisted"
+"""What the calibration calls the probability of something unlisted."""
+
+SHOWS = 3.0
 """As in tirefit/diagnosis/evidence/posterior.py; the table says how many verdicts come
 out as the product gave them."""
-
-
-def _formulas_first(total: dict[Key, float], formula: Mapping) -> dict[Key, float]:
-    """As there: of sets in other forms that are as likely, the formulas decide."""
-    first = max((k for k in total if k), key=lambda k: total[k], default=())
-    alike = [k for k in total if len(k) == len(first)]
-    alike = [k for k in alike if total[k] >= total[first] + np.log(RIVAL)]
-    nearest = max(alike, key=lambda k: formula[k])
-    return total | {first: total[nearest], nearest: total[first]}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,34 +190,16 @@ class _Asked(Findings):
         return super().probability(effect, key, policy)
 
 
-def _clues(weighed: Weighed, rules: Rules) -> dict[str, float]:
-    key = () if no_gap_shows(weighed, rules.policy) else weighed.best
-    found = clues_of_unlisted(weighed, key)
-    return {name: found[name] for name in rules.clues or found}
-
-
-def taught(records: Sequence[Mapping], rules: Rules) -> list[train.Case]:
-    """What the regression is taught of trials. A measured file is left out: what it
-    holds is not known."""
+def taught(records: Sequence[Mapping], rules: Rules) -> list[said.Said]:
+    """How probable something unlisted is by the evidence, and whether it is there. A
+    measured file is left out: what it holds is not known."""
     found = []
     for record in records:
         label = record["label"]
-        if label["set"] in ("raw", "injected", "measured"):
-            continue
-        strange, group = kind_of(label) in HIDDEN, record["name"]
-        if strange:
-            group = (label["kind"] or label["families"][0]).split(",")[0]
-        found.append(
-            train.Case(_clues(weighed_of(record, rules), rules), strange, group)
-        )
+        if label["set"] not in ("raw", "injected", "measured"):
+            there = kind_of(label) in HIDDEN
+            found.append((UNLISTED, weighed_of(record, rules).unlisted, there))
     return found
-
-
-def unlisted_of(weighed: Weighed, rules: Rules, numbers: Mapping) -> float:
-    """Probability of something unlisted; ``numbers`` of the regression."""
-    if not rules.regression:
-        return weighed.unlisted
-    return train.chance(numbers, _clues(weighed, rules))
 
 
 def findings_of(
@@ -263,13 +232,15 @@ def _fitted(record: Mapping, key: Key) -> Fitted:
     return Fitted(some, {})
 
 
-def decided(record: Mapping, rules: Rules, numbers: Mapping) -> Answer:
-    """The answer to a record by the rules."""
+def decided(record: Mapping, rules: Rules, lines: Mapping) -> Answer:
+    """The answer to a record by the rules; ``lines`` of :func:`said.lines_of`."""
     weighed = weighed_of(record, rules)
     if rules.plain:
         answer = _plainly(weighed)
     else:
-        unlisted = unlisted_of(weighed, rules, numbers)
+        unlisted = weighed.unlisted
+        if rules.calibrated:
+            unlisted = said.as_said(lines, UNLISTED, unlisted)
         if rules.tests:
             tests = Tests(**record["found"].get("tests", {}))
             unlisted = max(unlisted, probability_by_tests(tests))

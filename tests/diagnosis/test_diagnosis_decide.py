@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from conftest_diagnosis import bare, weighed_of
+from conftest_diagnosis import weighed_of
 from scipy.stats import t
 
 from tirefit.diagnosis.decide.findings import parts_of
@@ -18,7 +18,6 @@ from tirefit.diagnosis.decide.verdict import (
     no_gap_shows,
 )
 from tirefit.diagnosis.decide.verdict import Tests as Remainder
-from tirefit.diagnosis.evidence.posterior import _formulas_first
 from tirefit.diagnosis.left_out.ladder import Gain
 
 A, B, C = ("a",), ("b",), ("c",)
@@ -252,14 +251,6 @@ def test_the_posterior_adds_up():
     assert of.holding_beside(A) == pytest.approx(0.6)
     assert of.listed_given_gap(A) == pytest.approx(0.4 / 0.6)
     assert of.nothing_shown == pytest.approx(0.1)
-
-
-def test_of_sets_that_draw_alike_the_one_whose_formulas_do_best_is_the_likeliest():
-    """They swap their weights: no verdict is less probable than a candidate."""
-    weights = {A: 5.0, B: 6.0, AB: 9.0, C: 9.0}
-    fits = {key: bare(key, log_evidence=w) for key, w in weights.items()}
-    total = {(): 0.0, A: 8.0, B: 7.0, AB: 7.5, C: 5.0}
-    assert _formulas_first(total, fits) == total | {A: 7.0, B: 8.0}
 
 
 def test_parts_of_a_set_come_largest_first():

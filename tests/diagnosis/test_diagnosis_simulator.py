@@ -257,14 +257,7 @@ def dugoff(slip, fz, friction=0.9, stiffness=9e4):
 @pytest.mark.parametrize(
     "offset",
     [
-        pytest.param(
-            0.0,
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="'unknown' at 0.50: no effect is named, and nothing unlisted is"
-                " likelier than not",
-            ),
-        ),
+        0.0,
         pytest.param(
             OFFSET,
             marks=pytest.mark.xfail(

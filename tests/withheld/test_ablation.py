@@ -17,11 +17,11 @@ from fits.ablation.variants import (
     taught,
     weighed_of,
 )
-from fits.calibration import said, train
+from fits.calibration import said
 from fits.withheld import generate
 from tirefit.diagnosis.decide.verdict import POLICY, Policy, Status
 
-NUMBERS = {"bias": -4.0, "clues": {"evidence": [0.0, 1.0, 1.0]}}
+NUMBERS = {"unlisted": (-4.0, 1.0)}
 """Something unlisted where the evidence says so by log odds of four."""
 
 RISING, OFFSET = "friction_speed_linear", "slip_offset"
@@ -37,7 +37,7 @@ def label(kind="singles", effects=(RISING,), **given):
 def record(name="t/t0", *, alone=20.0, beside=0.0, errors=9.0, gain=(30.0, 3.0), **of):
     """A file with one good set; ``alone``: its log evidence, ``beside``: that of a
     sharp shape in what it leaves."""
-    key, some = (RISING,), {"smooth": -1.0, "cells": -1.0, "waves": beside}
+    key, some = (RISING,), {"smooth": -1.0, "waves": beside}
     hypotheses = [
         ((), 0.0, -1.0, 0.0, True), (key, alone, -4.0, 0.0, True),
         ((OFFSET,), 1.0, -4.0, 0.0, True),
@@ -96,11 +96,11 @@ def test_something_unlisted_takes_no_name_away():
     strange = record(beside=12.0)
     answer = decided(strange, Rules(), NUMBERS)
     assert (answer.status, answer.effects) == (str(Status.INCOMPLETE), (RISING,))
-    by_evidence = decided(strange, VARIANTS["regression off"], {})
+    by_evidence = decided(strange, Rules(calibrated=False), {})
     assert by_evidence.status == str(Status.INCOMPLETE)
     without = Rules(without=("waves",))
     gains = weighed_of(strange, without).gains[(RISING,)]
-    assert gains.keys() == {"smooth", "cells", "patterns"}
+    assert gains.keys() == {"smooth", "patterns"}
 
 
 def test_stages_are_undone():
@@ -146,20 +146,6 @@ def test_the_table_counts_what_is_named(tmp_path):
 
 
 # --- calibration --------------------------------------------------------------------
-
-
-def test_a_regression_finds_the_odds_that_drew_its_cases():
-    generator, cases = np.random.default_rng(3), []
-    for number in range(3000):
-        x, y = generator.standard_normal(2)
-        strange = generator.uniform() < expit(1.5 * x - 0.5)
-        cases.append(train.Case({"x": x, "y": y}, strange, f"k{number % 20}"))
-    weights = {k: w / s for k, (_, s, w) in train.taught(cases)["clues"].items()}
-    assert weights["x"] == pytest.approx(1.5, abs=0.15)
-    assert weights["y"] == pytest.approx(0.0, abs=0.15)
-    found = train.checked(cases)
-    assert 0.4 < found["log loss"] < 0.55
-    assert found["false at 1/2"] < found["flagged at 1/2"]
 
 
 def test_what_is_said_by_halves_is_as_often_right():

@@ -5,10 +5,7 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from tirefit.diagnosis.decide.calibration import (
-    probability_by_tests,
-    probability_of_unlisted,
-)
+from tirefit.diagnosis.decide.calibration import as_often_right, probability_by_tests
 from tirefit.diagnosis.decide.remainder import remainder_tests, widening
 from tirefit.diagnosis.decide.verdict import (
     POLICY,
@@ -99,8 +96,8 @@ def findings_of(
     best = weighed.best
     key = () if no_gap_shows(weighed, policy) else best
     tests = remainder_tests(base, weighed, key, generator)
-    by_tests = probability_by_tests(tests)
-    unlisted = max(probability_of_unlisted(weighed, key), by_tests)
+    unlisted = as_often_right("unlisted", weighed.unlisted)
+    unlisted = max(unlisted, probability_by_tests(tests))
     if key and unlisted > policy.likely and out.across_runs:
         # The evidence takes the noise as known: where something unlisted is there it
         # is surer than the data of which effects draw it.

@@ -26,9 +26,6 @@ _PRIOR_OF_FORM = 0.4
 _SHOWS = 3.0
 """Log evidence over no effect from which a set of effects shows at all: 20 to 1."""
 
-_RIVAL = 0.1
-"""Share of the best set's probability from which another set is a rival."""
-
 _FREED, _SINGLES = 6, 8
 """Sets, and sets of one effect, the most probable of each, that are weighed with other
 forms and with a discrepancy too."""
@@ -214,7 +211,6 @@ def weigh(search: Search) -> Weighed:
             if form > formula:
                 others.add(key)
         remainder[key] = gains_beside(base, linear, key in others)
-    total = _formulas_first(total, best)
     beside = {
         key: total[key] + of_any_kind(gains) + np.log(PRIOR_OF_UNKNOWN)
         for key, gains in remainder.items()
@@ -235,13 +231,3 @@ def _gain_of_form(base, linear: LinearFit) -> float:
     left, size = orthogonal(base.sure(linear.forms), base.sure(linear.used_up))
     there = gain(left.T @ base.sure(linear.residual), size)
     return there + float(np.log(_PRIOR_OF_FORM))
-
-
-def _formulas_first(total, best):
-    """Log weights of sets. Of as many effects in forms of their own, which draw nearly
-    the same, the likeliest is whose formulas fit ``best``: these exchange weights."""
-    likeliest = max((k for k in total if k), key=lambda k: total[k], default=())
-    least = total[likeliest] + np.log(_RIVAL)
-    alike = [k for k in total if len(k) == len(likeliest) and total[k] >= least]
-    nearest = max(alike, key=lambda k: best[k].log_weight)
-    return total | {likeliest: total[nearest], nearest: total[likeliest]}
