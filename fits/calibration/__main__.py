@@ -37,7 +37,7 @@ def verdicts_of(records: Sequence[Mapping], numbers, rules) -> list[said.Said]:
 
 
 def numbers_of(records: Sequence[Mapping], rules: Rules = Rules()) -> dict:
-    """What ``tirefit/diagnosis/decide/calibration.py`` reads."""
+    """What ``tirefit/diagnosis/decide/findings.py`` reads."""
     numbers = train.taught(taught(records, rules))
     lines = said.lines_of(verdicts_of(records, numbers, rules))
     return {"unlisted": numbers, "said": lines}

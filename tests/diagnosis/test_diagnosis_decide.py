@@ -19,7 +19,7 @@ from tirefit.diagnosis.decide.verdict import (
 )
 from tirefit.diagnosis.decide.verdict import Tests as Remainder
 from tirefit.diagnosis.evidence.posterior import _formulas_first
-from tirefit.diagnosis.left_out.ladder import Gain
+from tirefit.diagnosis.left_out import Gain
 
 A, B, C = ("a",), ("b",), ("c",)
 AB = ("a", "b")

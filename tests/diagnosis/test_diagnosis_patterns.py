@@ -11,8 +11,8 @@ from scipy.special import expit, logit
 
 from fits.calibration.said import lines_of
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.decide import calibration
-from tirefit.diagnosis.decide.calibration import (
+from tirefit.diagnosis.decide import findings
+from tirefit.diagnosis.decide.findings import (
     as_often_right,
     clues_of_unlisted,
     probability_of_unlisted,
@@ -211,9 +211,9 @@ def test_probability_of_something_unlisted_follows_the_clues():
 
 def test_the_regression_uses_the_clues_that_the_program_gives():
     of = weighed_of({("a",): 0.5}, {("a",): 0.5}, gains={("a",): NARROW})
-    numbers = calibration._numbers()["unlisted"]
+    numbers = findings._numbers()["unlisted"]
     assert numbers["clues"].keys() == clues_of_unlisted(of, ("a",)).keys()
-    assert set(calibration._numbers()["said"]) <= {*Status, "noise"}
+    assert set(findings._numbers()["said"]) <= {*Status, "noise"}
 
 
 def test_verdicts_are_as_sure_as_such_verdicts_were_right(monkeypatch):
@@ -224,7 +224,7 @@ def test_verdicts_are_as_sure_as_such_verdicts_were_right(monkeypatch):
         right = generator.uniform(size=4000) < expit(offset + slope * logit(said))
         verdicts += zip([status] * 4000, said, right, strict=True)
     numbers = {"said": lines_of(verdicts)}
-    monkeypatch.setattr(calibration, "_numbers", lambda: numbers)
+    monkeypatch.setattr(findings, "_numbers", lambda: numbers)
     for said in (0.3, 0.6, 0.95):
         wanted = expit(-0.4 + 0.5 * logit(said))
         assert as_often_right("none", said) == pytest.approx(wanted, abs=0.03)

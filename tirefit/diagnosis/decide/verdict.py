@@ -10,7 +10,7 @@ from typing import NamedTuple
 from scipy.special import stdtr
 
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
-from tirefit.diagnosis.left_out.ladder import Gain
+from tirefit.diagnosis.left_out import Gain
 from tirefit.diagnosis.negligible import NONZERO
 
 UNKNOWN = "unknown"

@@ -4,8 +4,7 @@ import importlib.metadata
 
 import numpy as np
 
-from tirefit.diagnosis.decide.calibration import as_often_right
-from tirefit.diagnosis.decide.findings import floor_of
+from tirefit.diagnosis.decide.findings import as_often_right, floor_of
 from tirefit.diagnosis.decide.remainder import widening
 from tirefit.diagnosis.decide.verdict import Status, Verdict
 from tirefit.diagnosis.evidence.base import Base
@@ -13,7 +12,7 @@ from tirefit.diagnosis.evidence.forms import with_fast_waves
 from tirefit.diagnosis.evidence.posterior import linear_at
 from tirefit.diagnosis.evidence.runs import offsets_of_runs
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
-from tirefit.diagnosis.left_out.ladder import ladder_of
+from tirefit.diagnosis.left_out import ladder_of
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.basis import without
 from tirefit.diagnosis.rows.patterns import looks

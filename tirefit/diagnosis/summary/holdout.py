@@ -6,7 +6,7 @@ import numpy as np
 
 from tirefit.diagnosis.evidence.base import on_rows
 from tirefit.diagnosis.evidence.search import amplitudes_of
-from tirefit.diagnosis.left_out.ladder import Ladder
+from tirefit.diagnosis.left_out import Ladder
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.summary.case import Case
 from tirefit.diagnosis.summary.closure import closure_elsewhere
