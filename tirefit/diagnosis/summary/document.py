@@ -1,12 +1,13 @@
 """What is said of one file: the document of a diagnosis and its rows."""
 
 import importlib.metadata
+from dataclasses import replace
 
 import numpy as np
 
 from tirefit.diagnosis.decide.findings import as_often_right, floor_of
 from tirefit.diagnosis.decide.remainder import widening
-from tirefit.diagnosis.decide.verdict import Status, Verdict
+from tirefit.diagnosis.decide.verdict import Status
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.forms import with_fast_waves
 from tirefit.diagnosis.evidence.posterior import linear_at
@@ -23,15 +24,13 @@ from tirefit.diagnosis.summary.budget import (
     parameter_changes,
     simulator_summary,
 )
-from tirefit.diagnosis.summary.case import Case
+from tirefit.diagnosis.summary.case import Case, all_rows, form_part, rows_of
 from tirefit.diagnosis.summary.closure import (
-    Closure,
     closure_on_rows,
+    held_out,
     plausible_forces,
 )
-from tirefit.diagnosis.summary.forces import all_rows, form_part, rows_of
 from tirefit.diagnosis.summary.forecast import confusion, next_measurements
-from tirefit.diagnosis.summary.holdout import held_out
 from tirefit.diagnosis.summary.records import (
     Amplitude,
     Candidate,
@@ -120,7 +119,7 @@ def document_of(
         forecast=tuple(confusion(case.search)),
         next_measurement=steps,
         next_measurement_reason=reason,
-        slip_check=case.slip_check,
+        slip_check=base.rows.slip_check,
         runs=offsets_of_runs(base, case.chosen),
         base_parameters=_base_parameters(base, base.as_given),
         extended_parameters=_base_parameters(base, case.chosen.z),
@@ -150,31 +149,25 @@ def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
     Args:
         truth: (n, draws) by channel, what the force may truly be.
     """
-    base, verdict, gaps = case.base, case.verdict, {}
+    base, status, gaps = case.base, case.verdict.status, {}
+    # The parameters of a simulator close a part whatever the verdict on effects is.
+    is_simulator = base.simulator is not None
     for channel, parts in rows.items():
-        silent = verdict.status == Status.UNKNOWN and not base.simulator
-        extended = parts["base"] if silent else parts["extended"]
-        noise = base.noise[channel]
-        closure = closure_on_rows(
-            truth[channel], parts["base"], extended, noise.std**2, base.prepared.run,
+        alone = status == Status.UNKNOWN and not is_simulator
+        noise, after = base.noise[channel], parts["base" if alone else "extended"]
+        found = closure_on_rows(
+            truth[channel], parts["base"], after, noise.std**2, base.prepared.run,
             noise.inflation,
         )  # fmt: skip
-        gaps[channel] = _shrinkage(closure, verdict, base)
+        shows = found.resolvable and (status != Status.NONE or is_simulator)
+        gaps[channel] = replace(found, resolvable=shows)
+        if not status.names and not is_simulator:
+            silent = {"closed": 0.0, "closed_ci": (0.0, 0.0)}
+            gaps[channel] = replace(gaps[channel], **silent, remaining_rms=found.rms)
+        elif found.closed is not None:
+            closed = float(np.clip(found.closed, 0.0, 1.0))
+            gaps[channel] = replace(gaps[channel], closed=closed)
     return gaps
-
-
-def _shrinkage(closure: Closure, verdict: Verdict, base: Base) -> Shrinkage:
-    # The parameters of a simulator close a part whatever the verdict on effects is.
-    silent = not verdict.status.names and not base.simulator
-    closed = 0.0 if silent else closure.closed
-    return Shrinkage(
-        rms=closure.rms,
-        resolvable=closure.resolvable
-        and (verdict.status != Status.NONE or base.simulator is not None),
-        closed=closed if closed is None else float(np.clip(closed, 0.0, 1.0)),
-        closed_ci=(0.0, 0.0) if silent else (closure.low, closure.high),
-        remaining_rms=closure.rms if silent else closure.remaining,
-    )
 
 
 def _gap(case: Case, gaps: dict[str, Shrinkage], holdout: HeldOut | None) -> Gap:
@@ -289,7 +282,7 @@ def _widening(base: Base, hypothesis: Hypothesis) -> float:
     return widening(base, base.residual(hypothesis.z, amplitudes_of(base, hypothesis)))
 
 
-def _candidate(case: Case, key, probability: float, closure: Closure) -> Candidate:
+def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
     p, parameters = len(hypothesis.z), {}
     spread = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[p:], 0))
@@ -318,11 +311,11 @@ def _candidate(case: Case, key, probability: float, closure: Closure) -> Candida
         z=max((case.search.score.get(e.id, 0.0) for e in effects), key=abs),
         z_given_rivals=float(np.min(np.abs(ratio))),
         closed=closure.closed,
-        closed_ci=(closure.low, closure.high),
+        closed_ci=closure.closed_ci,
     )
 
 
-def _closure_by(case: Case, at: Base, hypothesis, before, truth) -> Closure:
+def _closure_by(case: Case, at: Base, hypothesis, before, truth) -> Shrinkage:
     """What a hypothesis closes of the first channel's gap, in whatever form.
 
     Args:
