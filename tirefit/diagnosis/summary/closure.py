@@ -260,6 +260,7 @@ def _on_files(case: Case, holdout: Sequence, rig, generator) -> HeldOut:
         variance, run = (scale * other.rows.inputs.fz) ** 2, other.rows.run + runs
         parts.append((observed - before, observed - after, variance, run))
         runs += len(data.runs)
-    every = map(np.concatenate, zip(*parts, strict=True))
-    closure = closure_elsewhere(*every, base.noise[main].inflation, generator)
+    before, after, variance, run = map(np.concatenate, zip(*parts, strict=True))
+    inflation = base.noise[main].inflation
+    closure = closure_elsewhere(before, after, variance, run, inflation, generator)
     return HeldOut(**vars(closure), on=", ".join(data.name for data in holdout))

@@ -157,8 +157,10 @@ def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
         shows = found.resolvable and (status != Status.NONE or is_simulator)
         gaps[channel] = replace(found, resolvable=shows)
         if not status.names and not is_simulator:
-            silent = {"closed": 0.0, "closed_ci": (0.0, 0.0)}
-            gaps[channel] = replace(gaps[channel], **silent, remaining_rms=found.rms)
+            gaps[channel] = replace(
+                gaps[channel], closed=0.0, closed_ci=(0.0, 0.0),
+                remaining_rms=found.rms,
+            )  # fmt: skip
         elif found.closed is not None:
             closed = float(np.clip(found.closed, 0.0, 1.0))
             gaps[channel] = replace(gaps[channel], closed=closed)

@@ -1,7 +1,7 @@
 """What the figures of a diagnosis show, as arrays: which cells of the data miss, both
 fits over the slip, and the shape of what is left."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import stdtr
@@ -21,14 +21,14 @@ from tirefit.diagnosis.rows.patterns import (
     quantities,
     settings_of,
 )
-from tirefit.diagnosis.summary.where import LEVEL, binned, covariates_of
+from tirefit.diagnosis.summary.where import FEWEST_ROWS, LEVEL, binned, covariates_of
 
 _BANDS, _BINS, _STEPS = 5, 13, 60
 """Bands of a swept covariate, bins of a map or of what is left, and bins of a curve, at
 most."""
 
-_IN_A_BIN, _FEWEST = 8, 4
-"""Rows of a bin on average; rows of a cell from which its scatter is known."""
+_FEWEST = 4
+"""Rows of a cell from which its scatter is known."""
 _TENTHS = (0.1, 0.9)
 """Quantiles that hold 80 % of the rows of a bin."""
 _BETTER = 0.05
@@ -134,7 +134,7 @@ def _levels(values) -> tuple[np.ndarray, np.ndarray]:
 def _in_columns(rows: ShownRows, count: int) -> tuple[np.ndarray, np.ndarray]:
     """:func:`binned` of the slip fraction, for maps of ``count`` levels."""
     inside = np.clip(rows.slip_fraction, -FULL_SLIDING, FULL_SLIDING)
-    columns = min(len(inside) // (_IN_A_BIN * count), _BINS)
+    columns = min(len(inside) // (FEWEST_ROWS * count), _BINS)
     # An odd number leaves zero slip, where noise flips the sign, within one cell.
     return binned(inside, columns | 1)
 
@@ -148,7 +148,7 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
         resolvable: whether there is a gap to share out.
     """
     residual = 100 * (rows.observed - rows.base) / rows.load
-    found, most = [], -np.inf
+    most, found = -np.inf, list[Any]()
     for covariate, values in (rows.covariates or {"fz": rows.load}).items():
         level, ends = _levels(values)
         column, edges = _in_columns(rows, len(ends))
@@ -175,7 +175,7 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
 
 
 def _load_curve(load, slip, force, base, extended) -> LoadCurve:
-    codes, _ = binned(slip, min(len(slip) // _IN_A_BIN, _STEPS))
+    codes, _ = binned(slip, min(len(slip) // FEWEST_ROWS, _STEPS))
     bins = [codes == k for k in np.unique(codes)]
     # Within a bin the force rises with slip: only what the extension adds is spread.
     spread = [np.quantile((extended - base)[rows], _TENTHS) for rows in bins]
@@ -301,7 +301,7 @@ def curve_of(look: Look, values, field, linear: LinearFit) -> LookCurve:
 
 def equally_known(place, information) -> np.ndarray:
     """Bins (n,) along the place in which the parameter is known equally well."""
-    count = max(min(len(place) // _IN_A_BIN, _BINS), 1)
+    count = max(min(len(place) // FEWEST_ROWS, _BINS), 1)
     order = np.argsort(place, kind="stable")
     known = np.cumsum(information[order])
     middle = (known - 0.5 * information[order]) / known[-1]
