@@ -13,8 +13,7 @@ import numpy as np
 
 from fits.calibration import said
 from fits.withheld.judge import HIDDEN, kind_of
-from tirefit.diagnosis.decide.calibration import probability_by_tests
-from tirefit.diagnosis.decide.findings import parts_of
+from tirefit.diagnosis.decide.findings import parts_of, probability_by_tests
 from tirefit.diagnosis.decide.verdict import (
     POLICY,
     UNKNOWN,
@@ -29,7 +28,7 @@ from tirefit.diagnosis.decide.verdict import (
 from tirefit.diagnosis.effects import NOISE_EFFECTS
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
 from tirefit.diagnosis.evidence.search import PRIOR_OF_UNKNOWN
-from tirefit.diagnosis.left_out.ladder import Gain
+from tirefit.diagnosis.left_out import Gain
 from tirefit.diagnosis.rows.basis import of_any_kind
 
 __all__ = [

@@ -35,7 +35,7 @@ def verdicts_of(records: Sequence[Mapping], lines, rules) -> list[said.Said]:
 
 
 def lines_by(records: Sequence[Mapping], rules: Rules = Rules()) -> dict:
-    """What ``tirefit/diagnosis/decide/calibration.py`` reads."""
+    """What ``tirefit/diagnosis/decide/findings.py`` reads."""
     lines = said.lines_of(taught(records, rules))
     return lines | said.lines_of(verdicts_of(records, lines, rules))
 

@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 
 __all__ = ["as_said", "checked", "lines_of"]
 
-FARTHEST = 7.0  # log odds beyond which more say no more, as in decide/calibration.py
+FARTHEST = 7.0  # log odds beyond which more say no more, as in decide/findings.py
 RIDGE = 2.0  # 1 / variance of offset and slope about 0 and 1
 
 Said = tuple[str, float, bool]

@@ -443,7 +443,7 @@ def test_a_first_result_is_not_half_written(again, tmp_path, monkeypatch):
         path.write_text(text[:10])
         raise OSError(28, "disk full")
 
-    monkeypatch.setattr("tirefit.diagnosis.summary.store.write_text_atomic", full)
+    monkeypatch.setattr("tirefit.diagnosis.summary.result.write_text_atomic", full)
     again("new.csv", exit_code=2)
     assert contents(tmp_path / "out") == before
 

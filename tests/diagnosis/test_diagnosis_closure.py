@@ -138,7 +138,7 @@ def test_an_interval_of_closure_holds_the_truth_nine_times_in_ten():
         truth = plausible_forces(base.case(), generator)["fx"]
         found = closure_on_rows(truth, before, after, np.ones(ROWS), ALONE, 1.0)
         closed = 1 - rms(base.truth - after) / rms(base.truth - before)
-        held.append(found.low <= closed <= found.high)
+        held.append(found.closed_ci[0] <= closed <= found.closed_ci[1])
         off.append(found.closed - closed)
     assert 0.82 <= np.mean(held) <= 0.97
     assert abs(np.mean(off)) < 0.02 and np.median(np.abs(off)) < 0.06
@@ -154,8 +154,8 @@ def test_closure_of_draws_is_that_of_what_they_say():
     # The draws differ by one: their energy adds to what is left and to the gap.
     expected = 1 - np.sqrt((0.2**2 * 800 + 1) / (800 + 1))
     assert found.closed == pytest.approx(expected, abs=0.002)
-    assert found.low < expected < found.high and found.resolvable
-    assert found.remaining == pytest.approx((1 - found.closed) * found.rms)
+    assert found.closed_ci[0] < expected < found.closed_ci[1] and found.resolvable
+    assert found.remaining_rms == pytest.approx((1 - found.closed) * found.rms)
     # No more is claimed than that the gap is not doubled.
     assert closure_on_rows(truth, 0 * gap, 9 * gap, variance, ALONE, 1.0).closed == -1
     tiny = closure_on_rows(truth / 40, 0 * gap, 0 * gap, variance, ALONE, 1.0)
@@ -164,7 +164,7 @@ def test_closure_of_draws_is_that_of_what_they_say():
     halves = np.repeat([0, 1], ROWS // 2)
     mixed = np.where(halves == 0, gap, 0.2 * gap)
     apart = closure_on_rows(truth, 0 * gap, mixed, variance, halves, 1.0)
-    assert apart.low == -1 and apart.high == 1
+    assert apart.closed_ci[0] == -1 and apart.closed_ci[1] == 1
 
 
 def test_closure_elsewhere_of_known_energies():
@@ -177,7 +177,7 @@ def test_closure_elsewhere_of_known_energies():
     )
     assert found.rms == pytest.approx(40 / np.sqrt(2), rel=0.02)
     assert found.closed == pytest.approx(0.8, abs=0.02)
-    assert found.low < 0.8 < found.high
+    assert found.closed_ci[0] < 0.8 < found.closed_ci[1]
     tiny = closure_elsewhere(noise, noise, variance, run, 1.0, generator)
     assert tiny.closed is None and not tiny.resolvable
     worse = closure_elsewhere(
@@ -193,7 +193,7 @@ def test_nine_rows_do_not_show_that_nothing_is_left():
     found = closure_elsewhere(
         gap + noise, 0.5 * noise, np.ones(9), np.zeros(9, int), 1.0, generator
     )
-    assert 0.6 < found.low < 0.92 < found.high < 1.0
+    assert 0.6 < found.closed_ci[0] < 0.92 < found.closed_ci[1] < 1.0
 
 
 def test_closure_elsewhere_holds_the_truth_nine_times_in_ten():
@@ -208,7 +208,7 @@ def test_closure_elsewhere_holds_the_truth_nine_times_in_ten():
         found = closure_elsewhere(
             gap + noise, share * other + noise, np.ones(ROWS), ALONE, 1.0, generator
         )
-        held.append(found.low <= 1 - share <= found.high)
+        held.append(found.closed_ci[0] <= 1 - share <= found.closed_ci[1])
         off.append(found.closed - (1 - share))
         # Nobody knows that nothing at all is left.
         assert found.closed < 1

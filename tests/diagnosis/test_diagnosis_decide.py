@@ -18,7 +18,7 @@ from tirefit.diagnosis.decide.verdict import (
     no_gap_shows,
 )
 from tirefit.diagnosis.decide.verdict import Tests as Remainder
-from tirefit.diagnosis.left_out.ladder import Gain
+from tirefit.diagnosis.left_out import Gain
 
 A, B, C = ("a",), ("b",), ("c",)
 AB = ("a", "b")

@@ -322,7 +322,7 @@ def test_an_interval_of_closure_knows_that_three_logs_are_three():
 
     def width(codes):
         found = closure_elsewhere(before, after, np.ones(1200), codes, 1.0, generator)
-        return found.high - found.low
+        return found.closed_ci[1] - found.closed_ci[0]
 
     assert width(run) > 5 * width(np.zeros(1200, int))
     # Alike, three logs tell as much as their rows.

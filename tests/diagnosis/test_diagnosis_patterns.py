@@ -11,8 +11,8 @@ from scipy.special import expit, logit
 
 from fits.calibration.said import lines_of
 from tirefit.data.read import read_frame
-from tirefit.diagnosis.decide import calibration
-from tirefit.diagnosis.decide.calibration import as_often_right
+from tirefit.diagnosis.decide import findings
+from tirefit.diagnosis.decide.findings import as_often_right
 from tirefit.diagnosis.decide.verdict import Status
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.rows.basis import _scaled, taken_out
@@ -187,7 +187,7 @@ def test_who_names_everything_shows_no_look(diagnosed):
 
 
 def test_the_calibration_knows_every_status():
-    assert calibration._numbers().keys() <= {*Status, "noise", "unlisted"}
+    assert findings._numbers().keys() <= {*Status, "noise", "unlisted"}
     doubtful, sure = (as_often_right("unlisted", p) for p in (1e-4, 0.999))
     assert doubtful < 0.1 < 0.9 < sure
 
@@ -200,7 +200,7 @@ def test_verdicts_are_as_sure_as_such_verdicts_were_right(monkeypatch):
         right = generator.uniform(size=4000) < expit(offset + slope * logit(said))
         verdicts += zip([status] * 4000, said, right, strict=True)
     numbers = lines_of(verdicts)
-    monkeypatch.setattr(calibration, "_numbers", lambda: numbers)
+    monkeypatch.setattr(findings, "_numbers", lambda: numbers)
     for said in (0.3, 0.6, 0.95):
         wanted = expit(-0.4 + 0.5 * logit(said))
         assert as_often_right("none", said) == pytest.approx(wanted, abs=0.03)

@@ -20,7 +20,7 @@ from tirefit.diagnosis.evidence.simulator import simulator_at
 from tirefit.diagnosis.rows.rig import Rig
 from tirefit.diagnosis.summary.budget import _energies
 from tirefit.diagnosis.summary.closure import block_means
-from tirefit.diagnosis.summary.store import rows_in_file_terms
+from tirefit.diagnosis.summary.result import rows_in_file_terms
 from tirefit.fitting.estimate import fit
 from tirefit.fitting.predict import predict
 from tirefit.fitting.store import load_fit, save_fit

@@ -12,10 +12,17 @@ from tirefit.diagnosis.effects import EFFECTS
 from tirefit.diagnosis.engine import diagnose
 from tirefit.diagnosis.evidence.base import fit_base
 from tirefit.diagnosis.evidence.search import search
-from tirefit.diagnosis.left_out.climb import climbed
-from tirefit.diagnosis.left_out.folds import Folds, folds_of
-from tirefit.diagnosis.left_out.ladder import NOISE, SMOOTH, gained, ladder_of
-from tirefit.diagnosis.left_out.predicted import Predicted, predicted
+from tirefit.diagnosis.left_out import (
+    NOISE,
+    SMOOTH,
+    Folds,
+    Predicted,
+    climbed,
+    folds_of,
+    gained,
+    ladder_of,
+    predicted,
+)
 from tirefit.diagnosis.rows.prepared import prepare
 from tirefit.diagnosis.rows.rig import Rig
 

@@ -329,8 +329,11 @@ def _one_by_one(pieces: list[Piece], task: _Task) -> list[ExitCode]:
 def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
     """One file, unless it is done before."""
     from tirefit.diagnosis.engine import diagnose as study
-    from tirefit.diagnosis.summary.result import SCHEMA
-    from tirefit.diagnosis.summary.store import record_of_document, save_diagnosis
+    from tirefit.diagnosis.summary.result import (
+        SCHEMA,
+        record_of_document,
+        save_diagnosis,
+    )
     from tirefit.report.diagnosis_text import diagnosis_text
 
     file, name = piece
@@ -360,7 +363,7 @@ def _one(piece: Piece, task: _Task) -> tuple[ExitCode, "FileRecord"]:
 
 def _of_before(document: Path) -> "FileRecord | None":
     """What the table of all results holds of a document; None of a damaged one."""
-    from tirefit.diagnosis.summary.store import record_of_document
+    from tirefit.diagnosis.summary.result import record_of_document
 
     try:
         return record_of_document(document)

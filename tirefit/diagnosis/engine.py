@@ -294,13 +294,12 @@ def _with_change(base: Base, searched: Search) -> Base | None:
     likely = next((h for h in ranked if set(h.atoms) & steps), None)
     if likely is None:
         return None
-    amplitudes = amplitudes_of(base, likely)
-    residual, jacobian, columns, fields = base.linearised(likely.z, amplitudes)
-    # The residual without the step, to first order.
-    own = [k for k in likely.atoms if k in steps]
+    linear = base.linearised(likely.z, amplitudes_of(base, likely))
+    residual, jacobian, columns, fields = linear
     rest = [k for k in likely.atoms if k not in steps]
-    size = amplitudes[own] / np.asarray(base.design.prior_scale)[own]
-    residual = residual + columns[:, own] @ size
+    # The residual without the step, to first order.
+    for k, size in zip(likely.atoms, likely.amplitude, strict=True):
+        residual = residual + (columns[:, k] * size if k in steps else 0.0)
     used_up = np.concatenate([jacobian, columns[:, rest]], axis=1)
     shape = shape_of_change(
         base.prepared.covariates.time, fields[:, PLACE["friction"]], used_up, residual,

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from tirefit.diagnosis.left_out.ladder import NOISE, SMOOTH
+from tirefit.diagnosis.left_out import NOISE, SMOOTH
 from tirefit.diagnosis.summary.result import Diagnosis
 from tirefit.diagnosis.summary.views import LoadCurve, ResidualMap
 from tirefit.report.diagnosis_sections import step_label

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from tirefit.diagnosis.decide.remainder import LEAST_P, LEVEL
-from tirefit.diagnosis.left_out.ladder import NOISE, SMOOTH
+from tirefit.diagnosis.left_out import NOISE, SMOOTH
 from tirefit.diagnosis.summary.closure import WORST
 from tirefit.diagnosis.summary.records import (
     Each,

@@ -1,32 +1,54 @@
-"""What :func:`tirefit.diagnosis.decide.verdict.decide` is told of one file."""
+"""What :func:`tirefit.diagnosis.decide.verdict.decide` takes of one file, and how often
+verdicts of a status are right and something unlisted is there, learned from trials
+whose cause is known. ``python -m fits.calibration`` writes the learned numbers into
+``calibration.json``: two for each.
+"""
 
+import json
+import math
 from dataclasses import replace
+from functools import cache
+from importlib import resources
 from itertools import chain, combinations
 
 import numpy as np
+from scipy.special import expit, logit
 
-from tirefit.diagnosis.decide.calibration import as_often_right, probability_by_tests
 from tirefit.diagnosis.decide.remainder import remainder_tests, widening
 from tirefit.diagnosis.decide.verdict import (
     POLICY,
     Findings,
     Fitted,
     Policy,
+    Tests,
     no_gap_shows,
 )
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.posterior import Key, Weighed, linear_at, weigh
-from tirefit.diagnosis.evidence.search import Hypothesis, Search, amplitudes_of
-from tirefit.diagnosis.left_out.climb import climbed, of_one_run
-from tirefit.diagnosis.left_out.folds import folds_of
-from tirefit.diagnosis.left_out.ladder import Gain, gained
-from tirefit.diagnosis.left_out.predicted import Predicted, predicted
+from tirefit.diagnosis.evidence.search import (
+    PRIOR_OF_UNKNOWN,
+    Hypothesis,
+    Search,
+    amplitudes_of,
+)
+from tirefit.diagnosis.left_out import (
+    Gain,
+    Predicted,
+    climbed,
+    folds_of,
+    gained,
+    of_one_run,
+    predicted,
+)
 from tirefit.diagnosis.negligible import ROUNDING
 from tirefit.diagnosis.rows.basis import without
 
 _LEADING = 6
 """Sets, and single effects, the most probable of each, that are refitted without each
 part of the data."""
+
+_FARTHEST = 7.0
+"""Largest log odds that are told apart."""
 
 
 def predictions(
@@ -145,3 +167,37 @@ def _errors(base: Base, weighed: Weighed, out: Predicted, key: Key):
         variance = np.maximum(variance, (1 - 1 / len(parts)) * np.sum(off**2, axis=0))
     error = np.sqrt(np.maximum(variance, ROUNDING))
     return dict(zip(best.effects, (size / error).tolist(), strict=True))
+
+
+@cache
+def _numbers() -> dict:
+    file = resources.files("tirefit.diagnosis") / "calibration.json"
+    return json.loads(file.read_text())
+
+
+def probability_by_tests(tests: Tests) -> float:
+    """Probability of something unlisted by the smallest p-value of the tests of the
+    remainder (Bonferroni).
+
+    They see what the discrepancy has no shape for, such as mains hum. The largest
+    Bayes factor that a p-value stands for is 1 / (-e p log p) (Sellke, Bayarri and
+    Berger 2001); the prior odds are those of something unlisted.
+    """
+    made = [p for p in tests if p is not None]
+    p = max(len(made), 1) * min(made, default=1.0)
+    odds = PRIOR_OF_UNKNOWN / (1 - PRIOR_OF_UNKNOWN)
+    if p < 1 / math.e:
+        odds /= -math.e * p * math.log(p)
+    return float(odds / (1 + odds))
+
+
+def as_often_right(status: str, probability: float) -> float:
+    """Share of verdicts of this status and this probability that are right.
+
+    Args:
+        status: of the verdict; "noise" where it names an effect on the noise alone;
+            "unlisted" for the probability of something unlisted.
+    """
+    offset, slope = _numbers().get(status, (0.0, 1.0))
+    odds = np.clip(logit(np.clip(probability, 0.0, 1.0)), -_FARTHEST, _FARTHEST)
+    return float(expit(offset + slope * odds))

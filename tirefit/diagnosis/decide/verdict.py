@@ -10,7 +10,7 @@ from typing import NamedTuple
 from scipy.special import stdtr
 
 from tirefit.diagnosis.evidence.posterior import Key, Weighed
-from tirefit.diagnosis.left_out.ladder import Gain
+from tirefit.diagnosis.left_out import Gain
 from tirefit.diagnosis.negligible import NONZERO
 
 UNKNOWN = "unknown"
@@ -64,15 +64,10 @@ POLICY = Policy()
 
 
 class Each(NamedTuple):
-    """One effect that is named.
-
-    Attributes:
-        probability: that it is there, whatever else is.
-        closed_left_out: share of the gap that it closes on data left out, beside the
-            other named effects; None where nothing could be left out.
-        closed_left_out_std: its standard error over the parts that were left out.
-        twins: effects that these data cannot tell from it.
-    """
+    """One named effect: the probability that it is there, whatever else is; the share
+    of the gap that it closes on data left out beside the other named effects, with its
+    standard error (None where nothing could be left out); and its ``twins``: effects
+    that these data cannot tell from it."""
 
     probability: float
     closed_left_out: float | None
@@ -101,16 +96,11 @@ class Fitted(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """All that a verdict rests on.
-
-    Attributes:
-        weighed: the posterior over sets.
-        sets: the set that explains most first, then the sets of some of its effects,
-            the largest and most probable first; empty where no gap shows.
-        across_runs: whether whole runs were left out.
-        unlisted: probability that something unlisted is there beside that set.
-        tests: of the remainder of that set.
-    """
+    """All that a verdict rests on: the posterior over sets; ``sets``, the set that
+    explains most first, then the sets of some of its effects, the largest and most
+    probable first (empty where no gap shows); whether whole runs were left out; the
+    probability that something unlisted is there beside the first set; and the tests of
+    the remainder of that set."""
 
     weighed: Weighed
     sets: Mapping[Key, "Fitted"]
@@ -144,17 +134,11 @@ class Findings:
 class Verdict:
     """The two answers: which effects are there, and what is left.
 
-    Attributes:
-        status: derived from both.
-        effects: ids, the one that gains most on data left out first; empty for no gap,
-            ``("unknown",)`` where no effect is named.
-        key: the named effects as a set of the posterior.
-        probability: that the verdict is right: of exactly this set and of nothing
-            unlisted beside it, or of these effects and something unlisted.
-        each: by effect.
-        also_possible: ids that these data do not rule out.
-        unlisted: probability that something unlisted is there.
-        tests: of the remainder.
+    ``effects`` are ids, the one that gains most on data left out first; empty for no
+    gap, ``("unknown",)`` where no effect is named; ``key`` is the set of the named
+    ones. ``probability`` is that of exactly this set and of nothing unlisted beside it,
+    or of these effects and something unlisted. ``also_possible`` are ids that these
+    data do not rule out, ``unlisted`` is the probability of something unlisted.
     """
 
     status: Status
@@ -188,24 +172,26 @@ def decide(found: Findings, policy: Policy = POLICY) -> Verdict:
             tests=found.tests, **answers,
         )  # fmt: skip
 
+    def unnamed(is_gap: bool, also=()):
+        if not is_gap:
+            return verdict(Status.NONE, 1 - unlisted, also_possible=also)
+        there, effects = max(unlisted, policy.likely), (UNKNOWN,)
+        return verdict(Status.UNKNOWN, there, effects=effects, also_possible=also)
+
     if not found.sets:
-        if more:
-            return verdict(Status.UNKNOWN, unlisted, effects=(UNKNOWN,))
-        return verdict(Status.NONE, 1 - unlisted)
+        return unnamed(more)
     best = next(iter(found.sets))
     rivals = _rivals(weighed, best, policy)
     key = next((k for k in found.sets if _stands(found, k, rivals, policy)), ())
     also = tuple(dict.fromkeys(e for of in (best, *rivals.values()) for e in of))
     also = tuple(e for e in also if e not in key)
     if not key:
-        if not more and weighed.nothing_shown > policy.perhaps:
-            return verdict(Status.NONE, 1 - unlisted, also_possible=also)
-        return verdict(
-            Status.UNKNOWN, max(unlisted, policy.likely), effects=(UNKNOWN,),
-            also_possible=also,
-        )  # fmt: skip
-    gains = found.sets[key].gains
-    order = sorted(key, key=lambda e: -gains[e].gain if e in gains else 0.0)
+        return unnamed(more or weighed.nothing_shown <= policy.perhaps, also)
+    gains, each = found.sets[key].gains, {}
+    for e in sorted(key, key=lambda e: -gains[e].gain if e in gains else 0.0):
+        gain, there = gains.get(e), found.probability(e, key, policy)
+        closed, std = (gain.closed, gain.closed_std) if gain else (None, None)
+        each[e] = Each(there, closed, std, rivals.get(e, ()))
     exact = weighed.listed_given_gap(key) if key == best else weighed.holding(key)
     if more:
         exact = math.prod(found.claim(e, key, rivals, policy) for e in key)
@@ -213,16 +199,7 @@ def decide(found: Findings, policy: Policy = POLICY) -> Verdict:
     return verdict(
         Status.INCOMPLETE if more else status,
         exact * (unlisted if more else 1 - unlisted),
-        effects=tuple(order), key=key, also_possible=also,
-        each={
-            e: Each(
-                found.probability(e, key, policy),
-                gains[e].closed if e in gains else None,
-                gains[e].closed_std if e in gains else None,
-                rivals.get(e, ()),
-            )
-            for e in order
-        },
+        effects=tuple(each), key=key, also_possible=also, each=each,
     )  # fmt: skip
 
 

@@ -3,10 +3,11 @@ effects, what is not explained, and the noise. The parts add in squares."""
 
 from collections.abc import Callable, Mapping
 from itertools import combinations
-from math import factorial
+from math import comb
 
 import numpy as np
 
+from tirefit.diagnosis.decide.verdict import POLICY
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.beginning import missed_share
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
@@ -24,9 +25,6 @@ PARAMETERS = "parameters"
 _HELD = 1e4
 """Stiffness that holds parameters z: they move by 1e-8 of what pulls at them."""
 
-_DIFFERS = 2.0
-"""Standard errors from which a parameter of the simulator counts as wrong."""
-
 
 def subsets(players: tuple) -> list[tuple]:
     """All subsets, the empty one first, each in the order of the players."""
@@ -41,10 +39,10 @@ def shapley(players: tuple, worth: Callable[[tuple], float]) -> dict:
     values = dict.fromkeys(players, 0.0)
     for player in players:
         for without in (chosen for chosen in known if player not in chosen):
-            joined = tuple(p for p in players if p in without or p == player)
-            orders = factorial(len(without)) * factorial(count - len(without) - 1)
-            gain = known[joined] - known[without]
-            values[player] = values[player] + orders / factorial(count) * gain
+            joined = tuple(p for p in players if p in (*without, player))
+            # Share of the orders in which exactly these come before the player.
+            share = 1 / (count * comb(count - 1, len(without)))
+            values[player] += share * (known[joined] - known[without])
     return values
 
 
@@ -103,10 +101,10 @@ def _budget(case, channel: str, missed, extended, generator) -> tuple[Part, ...]
     if len(fewer := without_each(terms, run)):
         low, high = of_so_few_runs(shares(means), low, high, shares(fewer))
     names = [p if p == PARAMETERS else base.atoms[p].effect.id for p in parts]
-    ends = np.clip(np.stack([low, high], axis=1), 0.0, 1.0).tolist()
+    ends = np.clip([low, high], 0.0, 1.0).T.tolist()
     rms = np.sqrt(_energies(means)[:-1]).tolist()
-    columns = [*names, "unexplained", "noise"], rms, shares(means).tolist(), ends
-    return tuple(Part(*one[:3], tuple(one[3])) for one in zip(*columns, strict=True))
+    columns = [*names, "unexplained", "noise"], rms, shares(means).tolist()
+    return tuple(map(Part, *columns, map(tuple, ends)))
 
 
 def _energies(means):
@@ -177,7 +175,7 @@ def parameter_changes(case, widening: float) -> Mapping[str, Change]:
     std = np.abs(values(z + spread) - values(z - spread)) / 2
     ends = values(base.simulator.z), values(z), std
     for name, given, measured, error in zip(base.layout.labels, *ends, strict=True):
-        differs = bool(abs(measured - given) > _DIFFERS * error)
+        differs = bool(abs(measured - given) > POLICY.known * error)
         changes[name] = Change(float(given), float(measured), float(error), differs)
     return changes
 

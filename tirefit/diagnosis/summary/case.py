@@ -1,14 +1,18 @@
-"""Everything known of one file when its verdict stands."""
+"""Everything known of one file when its verdict stands, and the forces of every row of
+the file: of the base, with the named effects, and the located gap."""
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from tirefit.diagnosis.decide.verdict import Status, Verdict
 from tirefit.diagnosis.effects import NOISE_EFFECTS
-from tirefit.diagnosis.evidence.base import Base
-from tirefit.diagnosis.evidence.posterior import Weighed
-from tirefit.diagnosis.evidence.search import Hypothesis, Search
-from tirefit.diagnosis.left_out.predicted import Predicted
-from tirefit.diagnosis.rows.slip_check import SlipCheck
+from tirefit.diagnosis.evidence.base import Base, on_rows
+from tirefit.diagnosis.evidence.posterior import Weighed, fitted_form, linear_at
+from tirefit.diagnosis.evidence.search import Hypothesis, Search, amplitudes_of
+from tirefit.diagnosis.left_out import Predicted
+from tirefit.diagnosis.rows.basis import located, without
+from tirefit.diagnosis.rows.prepared import Prepared
 from tirefit.diagnosis.summary.records import Untestable
 
 
@@ -30,11 +34,6 @@ class Case:
         return self.weighed.best_of[self.verdict.key]
 
     @property
-    def slip_check(self) -> SlipCheck | None:
-        """The slip column against the slip of the wheel speed, where that is known."""
-        return self.base.rows.slip_check
-
-    @property
     def noise_flags(self) -> tuple[str, ...]:
         """What is odd about the noise of any channel."""
         levels = self.base.noise.values()
@@ -47,3 +46,82 @@ class Case:
             return ()
         of_flag = {effect.flag: effect.id for effect in NOISE_EFFECTS if effect.flag}
         return tuple(of_flag[f] for f in self.noise_flags if f in of_flag)
+
+
+def _both(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
+    """Forces of the base and of the verdict's fit by channel, at the slips of ``at``;
+    those of a simulator as given, and tuned, too."""
+    base = case.base
+    before = at.forces(base.as_given, base.amplitudes())
+    after = at.forces(case.chosen.z, amplitudes_of(base, case.chosen))
+    channels = base.prepared.channels
+    forces = {c: {"base": before[c], "extended": after[c]} for c in channels}
+    if base.simulator:
+        tuned = at.forces(base.z, base.amplitudes())
+        for channel in channels:
+            forces[channel] |= {"sim": before[channel], "tuned": tuned[channel]}
+    return forces
+
+
+def rows_of(case: Case, at: Base) -> dict[str, dict[str, np.ndarray]]:
+    """Base, extended, located gap and its deviation, canonical, used rows.
+
+    Args:
+        at: the base fit at the slips that the forces are wanted for.
+    """
+    smooth, deviation = _smoothed_remainder(case)
+    form, n = form_part(case, case.chosen), case.base.prepared.n
+    forces = _both(case, at)
+    for k, (channel, parts) in enumerate(forces.items()):
+        scale = np.asarray(case.base.design.scale[channel])[:n]
+        part = slice(k * n, (k + 1) * n)
+        gap = parts["extended"] - parts["base"] + (form + smooth)[part] * scale
+        parts["extended"] = parts["extended"] + form[part] * scale
+        parts |= {"gap": gap, "gap_std": deviation[part] * scale}
+    return forces
+
+
+def form_part(case: Case, hypothesis: Hypothesis) -> np.ndarray:
+    """What another form of its effects adds to their formulas, whitened (m,)."""
+    base, key = case.base, tuple(sorted(hypothesis.effects))
+    if key not in case.weighed.other_form:
+        return np.zeros(len(base.prepared.channels) * base.prepared.n)
+    return fitted_form(linear_at(base, hypothesis))
+
+
+def _smoothed_remainder(case: Case):
+    """Whitened generic remainder of the chosen fit and the deviation of the located
+    gap, (m,) each; no remainder where a verdict explains all."""
+    base, chosen, p = case.base, case.chosen, len(case.chosen.z)
+    linear = base.linearised(chosen.z, amplitudes_of(base, chosen))
+    own = linear.columns[:, list(chosen.atoms)]
+    used_up = np.concatenate([linear.jacobian, own], axis=1)
+    # The gap of a simulator has its parameters in it.
+    moved = used_up if base.simulator else without(own, linear.jacobian)
+    known = chosen.covariance if base.simulator else chosen.covariance[p:, p:]
+    variance = np.einsum("mi,ij,mj->m", moved, known, moved)
+    smooth = np.zeros(len(variance))
+    if case.verdict.status not in (Status.NAMED, Status.CANNOT_TELL):
+        smooth, unsure = located(base.generic, used_up, linear.residual)
+        variance = variance + unsure
+    return smooth, np.sqrt(np.maximum(variance, 0))
+
+
+def all_rows(case: Case, whole: Prepared, rig, rows):
+    """The rows of the whole file, NaN where masked: {channel: {name: (n,)}}; between
+    thinned rows the located gap is interpolated in their order."""
+    data, kept, every = whole.data, case.base.prepared.kept, np.arange(whole.n)
+    if case.base.prepared.n < whole.n:
+        forces = _both(case, on_rows(case.base, whole, rig).measured)
+        for channel, parts in forces.items():
+            few = rows[channel]
+            rest = np.interp(every, kept, few["gap"] - few["extended"] + few["base"])
+            parts["gap"] = parts["extended"] - parts["base"] + rest
+            parts["gap_std"] = np.interp(every, kept, few["gap_std"])
+        rows = forces
+    spread_out: dict[str, dict[str, np.ndarray]] = {}
+    for channel, parts in rows.items():
+        spread_out[channel] = {name: np.full(len(data), np.nan) for name in parts}
+        for name, values in parts.items():
+            spread_out[channel][name][data.used] = values
+    return spread_out

@@ -1,17 +1,22 @@
 """How far the gap shrinks: on the rows fitted, by draws of what the force may truly be,
 as a remaining gap hides below the noise; on data not used, by the energies there."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.special import softmax, stdtrit
 from scipy.stats import norm
 
+from tirefit.diagnosis.evidence.base import on_rows
 from tirefit.diagnosis.evidence.posterior import linear_at
 from tirefit.diagnosis.evidence.search import amplitudes_of
+from tirefit.diagnosis.left_out import Ladder
 from tirefit.diagnosis.negligible import NONZERO, ROUNDING
 from tirefit.diagnosis.rows.basis import gain, orthogonal, without
 from tirefit.diagnosis.rows.patterns import weights_of_sizes
+from tirefit.diagnosis.rows.prepared import prepare
+from tirefit.diagnosis.summary.case import Case
+from tirefit.diagnosis.summary.records import HeldOut, Shrinkage
 
 DRAWS = 400
 """Draws, and bootstrap samples: twenty beyond either end of a 90 % interval."""
@@ -36,23 +41,8 @@ _FAR = 6.0
 _UNDRAWN, _FACTOR = 0.4, 1.5
 """Discrepancy of other shapes, as a share of what is drawn: its median, and standard
 deviation of its logarithm. Development trials have .2 to .6."""
-
-
-class Closure(NamedTuple):
-    """Size of a gap and how much of it an extension closes.
-
-    ``rms`` [N] is the base gap beyond noise, ``remaining`` [N] what the extension
-    leaves, ``closed`` = 1 - remaining / rms, -1 at least, with its 90 % interval; None
-    where the gap may be below 3 sqrt(2 / n_effective) of the noise's energy (on the
-    rows fitted, in more than one draw of twenty).
-    """
-
-    rms: float
-    remaining: float
-    closed: float | None
-    low: float | None
-    high: float | None
-    resolvable: bool
+_NINETY = 1.645
+"""Standard errors on both sides of a 90 % interval."""
 
 
 def plausible_forces(case, generator) -> dict[str, np.ndarray]:
@@ -141,21 +131,23 @@ def _is_resolvable(gap, variance, inflation) -> bool:
     return bool(gap >= _RESOLVED * np.sqrt(2 / effective) * np.mean(variance))
 
 
-def _closure(rms, closed, fewer, resolvable: bool) -> Closure:
+def _shrinkage(rms, closed, fewer, resolvable: bool) -> Shrinkage:
     """From the rms [N] of the gap, its closure in draws (d,), and the median closure
     with each run left out (R,)."""
-    middle = float(np.median(closed))
-    remaining = (1 - middle) * rms
-    if not resolvable:
-        return Closure(rms, remaining, None, None, None, False)
-    low, high = np.quantile(closed, INTERVAL)
+    middle, (low, high) = float(np.median(closed)), np.quantile(closed, INTERVAL)
     if len(fewer):
         low, high = of_so_few_runs(middle, low, high, np.asarray(fewer))
-    return Closure(rms, remaining, middle, float(low), float(high), True)
+    return Shrinkage(
+        rms=rms, resolvable=resolvable, closed=middle if resolvable else None,
+        closed_ci=(float(low), float(high)) if resolvable else (None, None),
+        remaining_rms=(1 - middle) * rms,
+    )  # fmt: skip
 
 
-def closure_on_rows(truth, before, after, variance, run, inflation) -> Closure:
-    """Closure on the rows that were fitted: median and interval of its draws.
+def closure_on_rows(truth, before, after, variance, run, inflation) -> Shrinkage:
+    """Closure on the rows that were fitted: median and interval of its draws. The gap
+    is resolvable where at most one draw of twenty is below 3 sqrt(2 / n_effective) of
+    the energy of the noise.
 
     Args:
         truth: (n, draws) of :func:`plausible_forces` [N].
@@ -167,14 +159,14 @@ def closure_on_rows(truth, before, after, variance, run, inflation) -> Closure:
     gaps, rests = (truth - before[:, None]) ** 2, (truth - after[:, None]) ** 2
     gap = gaps.mean(axis=0)
     one_less = zip(without_each(gaps, run), without_each(rests, run), strict=True)
-    return _closure(
+    return _shrinkage(
         float(np.sqrt(np.median(gap))), _closed(gap, rests.mean(axis=0)),
         [np.median(_closed(*means)) for means in one_less],
         _is_resolvable(np.quantile(gap, INTERVAL[0]), variance, inflation),
     )  # fmt: skip
 
 
-def closure_elsewhere(before, after, variance, run, inflation, generator) -> Closure:
+def closure_elsewhere(before, after, variance, run, inflation, generator) -> Shrinkage:
     """Closure on rows that neither fit has seen. The energy left, that of the residuals
     less that of the noise, has a normal error; its root is zero or more, all values as
     likely beforehand.
@@ -200,7 +192,7 @@ def closure_elsewhere(before, after, variance, run, inflation, generator) -> Clo
         return _closed(np.maximum(gains + lefts, 0.0), lefts)
 
     # What is gained varies with what is left as it does from sample to sample.
-    return _closure(
+    return _shrinkage(
         float(np.sqrt(max(gained + left, 0.0))),
         closed(means[np.argsort(means[:, 1]), 0], left),
         [np.median(closed(*means)) for means in without_each(terms, run)],
@@ -237,3 +229,38 @@ def of_so_few_runs(value, low, high, one_less):
     reach = float(stdtrit(count - 1, INTERVAL[1])) * error
     low = np.maximum(np.minimum(low, value - reach), WORST)
     return low, np.minimum(np.maximum(high, value + reach), 1.0)
+
+
+def held_out(case: Case, holdout: Sequence, rig, ladder: Ladder, generator):
+    """Closure on other files where there are some, else that of the ladder's last set
+    of effects; None where no effect is named and no file is given."""
+    if holdout:
+        return _on_files(case, holdout, rig, generator)
+    if not case.verdict.status.names or len(ladder.steps) < 4:
+        return None
+    base, step, floor = ladder.steps[0], ladder.steps[-3], ladder.steps[-1]
+    rms = np.sqrt(max(base.rms_left_out**2 - floor.rms_left_out**2, 0.0))
+    reach = _NINETY * step.closed_std
+    return HeldOut(
+        rms=float(rms), resolvable=True, closed=step.closed,
+        closed_ci=(max(step.closed - reach, WORST), min(step.closed + reach, 1.0)),
+        remaining_rms=float((1 - step.closed) * rms), on=ladder.on,
+    )  # fmt: skip
+
+
+def _on_files(case: Case, holdout: Sequence, rig, generator) -> HeldOut:
+    base, chosen, rows = case.base, case.chosen, case.base.rows
+    main, runs, parts = rows.channels[0], 0, []
+    scale = np.median(base.noise[main].std / rows.inputs.fz)
+    for data in holdout:
+        other = on_rows(base, prepare(data, rig, rows.channels, rows.slip_scatter), rig)
+        observed = other.rows.observed[main]
+        before = other.forces(base.as_given, base.amplitudes())[main]
+        after = other.forces(chosen.z, amplitudes_of(base, chosen))[main]
+        variance, run = (scale * other.rows.inputs.fz) ** 2, other.rows.run + runs
+        parts.append((observed - before, observed - after, variance, run))
+        runs += len(data.runs)
+    before, after, variance, run = map(np.concatenate, zip(*parts, strict=True))
+    inflation = base.noise[main].inflation
+    closure = closure_elsewhere(before, after, variance, run, inflation, generator)
+    return HeldOut(**vars(closure), on=", ".join(data.name for data in holdout))

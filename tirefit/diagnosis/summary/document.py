@@ -1,19 +1,19 @@
 """What is said of one file: the document of a diagnosis and its rows."""
 
 import importlib.metadata
+from dataclasses import replace
 
 import numpy as np
 
-from tirefit.diagnosis.decide.calibration import as_often_right
-from tirefit.diagnosis.decide.findings import floor_of
+from tirefit.diagnosis.decide.findings import as_often_right, floor_of
 from tirefit.diagnosis.decide.remainder import widening
-from tirefit.diagnosis.decide.verdict import Status, Verdict
+from tirefit.diagnosis.decide.verdict import Status
 from tirefit.diagnosis.evidence.base import Base
 from tirefit.diagnosis.evidence.forms import with_fast_waves
 from tirefit.diagnosis.evidence.posterior import linear_at
 from tirefit.diagnosis.evidence.runs import offsets_of_runs
 from tirefit.diagnosis.evidence.search import Hypothesis, amplitudes_of
-from tirefit.diagnosis.left_out.ladder import ladder_of
+from tirefit.diagnosis.left_out import ladder_of
 from tirefit.diagnosis.negligible import ROUNDING, UNSEEN
 from tirefit.diagnosis.rows.basis import without
 from tirefit.diagnosis.rows.patterns import looks
@@ -24,20 +24,17 @@ from tirefit.diagnosis.summary.budget import (
     parameter_changes,
     simulator_summary,
 )
-from tirefit.diagnosis.summary.case import Case
+from tirefit.diagnosis.summary.case import Case, all_rows, form_part, rows_of
 from tirefit.diagnosis.summary.closure import (
-    Closure,
     closure_on_rows,
+    held_out,
     plausible_forces,
 )
-from tirefit.diagnosis.summary.forces import all_rows, form_part, rows_of
 from tirefit.diagnosis.summary.forecast import confusion, next_measurements
-from tirefit.diagnosis.summary.holdout import held_out
 from tirefit.diagnosis.summary.records import (
     Amplitude,
     Candidate,
     Gap,
-    HeldOut,
     Left,
     NoiseSummary,
     Resolution,
@@ -92,12 +89,14 @@ def document_of(
     ladder = ladder_of(case.predicted, case.verdict.key, floor_of(base))
     held = held_out(case, holdout, rig, ladder, generator)
     verdict, gaps = case.verdict, _gaps(case, rows, truth)
-    candidates, gap = _candidates(case, rows, truth), _gap(case, gaps, held)
+    candidates = _candidates(case, rows[main]["base"], truth[main])
+    shares = closed_by_each(base, case.chosen) if verdict.status.names else {}
+    gap = Gap(**vars(gaps[main]), channels=gaps, holdout=held, shares=shares)
     budgets, curves = budgets_of(case, believed, generator), _what_is_left(case)
     said = _verdict(case, curves, gap)
     steps, reason = next_measurements(base, case.search, case.weighed, verdict)
-    shown = shown_rows(base, rows[main])
-    noise = _noise(case)
+    shown, noise = shown_rows(base, rows[main]), _noise(case)
+    missed = base.residual(base.as_given, base.amplitudes())[: prepared.n]
     # Whether a simulator's parameters explain all that there is.
     tuned_alone = base.simulator is not None and verdict.status == Status.NONE
     return Diagnosis(
@@ -110,8 +109,8 @@ def document_of(
         gap=gap,
         budget=budgets[main],
         budgets=budgets,
-        where=tuple(regions(base, _missed(base), shown.gap)),
-        spots=spots(base, _missed(base), shown.gap),
+        where=tuple(regions(base, missed, shown.gap)),
+        spots=spots(base, missed, shown.gap),
         map=tuple(parameter_map(base)),
         verdict=said,
         ladder=ladder,
@@ -121,7 +120,7 @@ def document_of(
         forecast=tuple(confusion(case.search)),
         next_measurement=steps,
         next_measurement_reason=reason,
-        slip_check=case.slip_check,
+        slip_check=base.rows.slip_check,
         runs=offsets_of_runs(base, case.chosen),
         base_parameters=_base_parameters(base, base.as_given),
         extended_parameters=_base_parameters(base, case.chosen.z),
@@ -139,53 +138,33 @@ def document_of(
     )  # fmt: skip
 
 
-def _missed(base: Base) -> np.ndarray:
-    """Whitened residual of the first channel, (n,)."""
-    whole = base.residual(base.as_given, base.amplitudes())
-    return whole[: base.prepared.n]
-
-
 def _gaps(case: Case, rows, truth) -> dict[str, Shrinkage]:
     """How far the gap of each channel shrinks on the rows of the search.
 
     Args:
         truth: (n, draws) by channel, what the force may truly be.
     """
-    base, verdict, gaps = case.base, case.verdict, {}
+    base, status, gaps = case.base, case.verdict.status, {}
+    # The parameters of a simulator close a part whatever the verdict on effects is.
+    is_simulator = base.simulator is not None
     for channel, parts in rows.items():
-        silent = verdict.status == Status.UNKNOWN and not base.simulator
-        extended = parts["base"] if silent else parts["extended"]
-        noise = base.noise[channel]
-        closure = closure_on_rows(
-            truth[channel], parts["base"], extended, noise.std**2, base.prepared.run,
+        alone = status == Status.UNKNOWN and not is_simulator
+        noise, after = base.noise[channel], parts["base" if alone else "extended"]
+        found = closure_on_rows(
+            truth[channel], parts["base"], after, noise.std**2, base.prepared.run,
             noise.inflation,
         )  # fmt: skip
-        gaps[channel] = _shrinkage(closure, verdict, base)
+        shows = found.resolvable and (status != Status.NONE or is_simulator)
+        gaps[channel] = replace(found, resolvable=shows)
+        if not status.names and not is_simulator:
+            gaps[channel] = replace(
+                gaps[channel], closed=0.0, closed_ci=(0.0, 0.0),
+                remaining_rms=found.rms,
+            )  # fmt: skip
+        elif found.closed is not None:
+            closed = float(np.clip(found.closed, 0.0, 1.0))
+            gaps[channel] = replace(gaps[channel], closed=closed)
     return gaps
-
-
-def _shrinkage(closure: Closure, verdict: Verdict, base: Base) -> Shrinkage:
-    # The parameters of a simulator close a part whatever the verdict on effects is.
-    silent = not verdict.status.names and not base.simulator
-    closed = 0.0 if silent else closure.closed
-    return Shrinkage(
-        rms=closure.rms,
-        resolvable=closure.resolvable
-        and (verdict.status != Status.NONE or base.simulator is not None),
-        closed=closed if closed is None else float(np.clip(closed, 0.0, 1.0)),
-        closed_ci=(0.0, 0.0) if silent else (closure.low, closure.high),
-        remaining_rms=closure.rms if silent else closure.remaining,
-    )
-
-
-def _gap(case: Case, gaps: dict[str, Shrinkage], holdout: HeldOut | None) -> Gap:
-    base, named = case.base, case.verdict.status.names
-    return Gap(
-        **vars(gaps[base.prepared.channels[0]]),
-        channels=gaps,
-        holdout=holdout,
-        shares=closed_by_each(base, case.chosen) if named else {},
-    )
 
 
 def _noise(case: Case) -> NoiseSummary:
@@ -245,21 +224,20 @@ def _verdict(case: Case, curves: tuple[LookCurve, ...], gap: Gap) -> VerdictSumm
     )  # fmt: skip
 
 
-def _candidates(case: Case, rows, truth, most: int = _LISTED) -> tuple[Candidate, ...]:
-    """The most probable sets of effects, and the unknown; ``rows`` and ``truth`` as in
-    :func:`_gaps`."""
-    weighed, at = case.weighed, case.base.measured
-    main = case.base.prepared.channels[0]
-    before, forces = rows[main]["base"], truth[main]
-    total, said = _chances(case), case.verdict.key
-    ranked = sorted(total, key=lambda key: (key == said, total[key]), reverse=True)
-    ranked = ranked[:most]
-    closed = [_closure_by(case, at, weighed.best_of[k], before, forces) for k in ranked]
+def _candidates(case: Case, before, truth) -> tuple[Candidate, ...]:
+    """The most probable sets of effects, and the unknown.
+
+    Args:
+        before, truth: (n,) force of the base and (n, draws) what it may truly be, first
+            channel.
+    """
+    total, verdict = _chances(case), case.verdict
+    ranked = sorted(total, key=lambda k: (k == verdict.key, total[k]), reverse=True)
     listed = [
-        _candidate(case, key, total[key], closure)
-        for key, closure in zip(ranked, closed, strict=True)
+        _candidate(case, key, total[key], _closure_by(case, key, before, truth))
+        for key in ranked[:_LISTED]
     ]
-    alone = case.verdict.unlisted if not case.verdict.status.names else 0.0
+    alone = verdict.unlisted if not verdict.status.names else 0.0
     if alone > _MENTIONED:
         unknown = Candidate(
             effects=("unknown",), family="unknown", parameters={}, z=None,
@@ -290,77 +268,62 @@ def _widening(base: Base, hypothesis: Hypothesis) -> float:
     return widening(base, base.residual(hypothesis.z, amplitudes_of(base, hypothesis)))
 
 
-def _candidate(case: Case, key, probability: float, closure: Closure) -> Candidate:
+def _candidate(case: Case, key, probability: float, closure: Shrinkage) -> Candidate:
     base, hypothesis = case.base, case.weighed.best_of[key]
     p, parameters = len(hypothesis.z), {}
     spread = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[p:], 0))
-    spread = spread * np.sqrt(_widening(case.base, hypothesis))
-    scale = np.asarray(base.design.prior_scale)
-    effects = [base.atoms[k].effect for k in hypothesis.atoms]
-    for j, (k, effect) in enumerate(zip(hypothesis.atoms, effects, strict=True)):
-        parameters[f"{effect.id}: {effect.parameter}"] = Amplitude(
-            value=float(hypothesis.amplitude[j] * scale[k]),
-            # However badly it fits, no less is known of it than beforehand.
-            std=float(min(spread[j], 1.0) * scale[k]),
-            unit=effect.unit,
-            formula=base.atoms[k].formula(
-                base.design.rows,
-                base.rows.time,
-                hypothesis.amplitude[j] * scale[k],
-                base.rows,
-            ),
-        )
+    spread = spread * np.sqrt(_widening(base, hypothesis))
     ratio = hypothesis.amplitude / np.maximum(spread, ROUNDING)
+    atoms = [base.atoms[k] for k in hypothesis.atoms]
+    scale = np.asarray(base.design.prior_scale)[list(hypothesis.atoms)]
+    sizes = hypothesis.amplitude * scale
+    # However badly it fits, no less is known of it than beforehand.
+    errors = np.minimum(spread, 1.0) * scale
+    for atom, size, error in zip(atoms, sizes, errors, strict=True):
+        formula = atom.formula(base.design.rows, base.rows.time, size, base.rows)
+        name = f"{atom.effect.id}: {atom.effect.parameter}"
+        unit = atom.effect.unit
+        parameters[name] = Amplitude(float(size), float(error), unit, formula)
+    score = case.search.score
     return Candidate(
-        effects=tuple(key),
-        family=" + ".join(dict.fromkeys(e.family for e in effects)),
+        effects=key,
+        family=" + ".join(dict.fromkeys(atom.effect.family for atom in atoms)),
         probability=probability,
         parameters=parameters,
-        z=max((case.search.score.get(e.id, 0.0) for e in effects), key=abs),
+        z=max((score.get(effect, 0.0) for effect in hypothesis.effects), key=abs),
         z_given_rivals=float(np.min(np.abs(ratio))),
         closed=closure.closed,
-        closed_ci=(closure.low, closure.high),
+        closed_ci=closure.closed_ci,
     )
 
 
-def _closure_by(case: Case, at: Base, hypothesis, before, truth) -> Closure:
-    """What a hypothesis closes of the first channel's gap, in whatever form.
-
-    Args:
-        at: the base fit at the measured slips.
-        before, truth: (n,) force of the base and (n, draws) what it may truly be.
-    """
-    main, run = at.prepared.channels[0], at.prepared.run
+def _closure_by(case: Case, key, before, truth) -> Shrinkage:
+    """What a set of effects closes of the first channel's gap, in whatever form;
+    arguments as in :func:`_candidates`."""
+    at, hypothesis = case.base.measured, case.weighed.best_of[key]
+    main, n = at.prepared.channels[0], len(before)
     after = at.forces(hypothesis.z, amplitudes_of(at, hypothesis))[main]
-    scale = np.asarray(at.design.scale[main])[: len(before)]
-    after = after + form_part(case, hypothesis)[: len(before)] * scale
-    variance, inflation = at.noise[main].std ** 2, at.noise[main].inflation
-    return closure_on_rows(truth, before, after, variance, run, inflation)
+    after = after + form_part(case, hypothesis)[:n] * at.design.scale[main][:n]
+    noise = at.noise[main]
+    given = noise.std**2, at.prepared.run, noise.inflation
+    return closure_on_rows(truth, before, after, *given)
 
 
 def _resolution(case: Case) -> Resolution:
-    """Generic remainder that would be seen four times in five, rms [N]."""
-    base = case.base
-    main = base.prepared.channels[0]
-    scale = np.asarray(base.design.scale[main])[: base.prepared.n]
+    """The smallest generic remainder, rms [N], and the smallest amplitudes of effects,
+    in their own units, that would be seen four times in five."""
+    base, n = case.base, case.base.prepared.n
+    scale = np.asarray(base.design.scale[base.prepared.channels[0]])[:n]
     directions = min(base.generic.smooth.shape[1], _DIRECTIONS)
-    needed = np.sqrt(_SEEN_ENERGY * np.sqrt(2 * directions) / base.prepared.n)
-    seen = {
-        effect: _SEEN * abs(value) for effect, value in _smallest_seen(case).items()
-    }
-    return Resolution(remainder=float(np.median(scale) * needed), smallest_effects=seen)
-
-
-def _smallest_seen(case: Case) -> dict[str, float]:
-    """One standard deviation of each effect's amplitude on this data, own units."""
-    base, left = case.base, case.search.projected
-    size, smallest = np.linalg.norm(left, axis=0), {}
+    needed = np.sqrt(_SEEN_ENERGY * np.sqrt(2 * directions) / n)
+    size, smallest = np.linalg.norm(case.search.projected, axis=0), {}
     for k in case.search.testable:
         effect = base.atoms[k].effect
         if effect.id not in smallest and size[k] > UNSEEN and not effect.singular:
-            scale = np.asarray(base.design.prior_scale)[k]
-            smallest[effect.id] = float(scale / size[k])
-    return smallest
+            std = float(base.design.prior_scale[k] / size[k])
+            smallest[effect.id] = _SEEN * abs(std)
+    remainder = float(np.median(scale) * needed)
+    return Resolution(remainder=remainder, smallest_effects=smallest)
 
 
 def _base_parameters(base: Base, z) -> dict[str, float]:

@@ -74,7 +74,7 @@ def recognition(directions, names: Sequence[str], truth: int, size: float, noise
     return len(found) / draws, right / draws, other if often > LEVEL * draws else None
 
 
-def confusion(search, draws: int = DRAWS) -> list[Forecast]:
+def confusion(search) -> list[Forecast]:
     """For each testable effect at its usual size: would these rows show it, and what
     would it be taken for?"""
     base, left = search.base, search.projected
@@ -83,7 +83,7 @@ def confusion(search, draws: int = DRAWS) -> list[Forecast]:
     if not use:
         return []
     directions = left[:, use] / length[use]
-    noise = scores_of_nothing(directions, draws, np.random.default_rng(0))
+    noise = scores_of_nothing(directions, DRAWS, np.random.default_rng(0))
     names, forecasts = [base.atoms[k].effect.id for k in use], []
     for name in dict.fromkeys(names):
         first = names.index(name)
@@ -113,31 +113,23 @@ def _changes(prepared: Prepared) -> dict[str, dict]:
 def _changed(base: Base, change: dict) -> Base:
     """The design measured under other conditions; of two, in turn from row to row."""
     design, n, size = base.design, base.prepared.n, len(base.design.keep)
-    rows, inputs, slip = design.rows, design.inputs, design.slip
-    if "fz" in change:
-        factor = np.resize(change["fz"], size)
-        inputs = inputs._replace(fz=inputs.fz * factor)
-        rows = rows._replace(fz=rows.fz * factor)
-    if "v" in change:
-        factor = np.resize(change["v"], size)
-        inputs = inputs._replace(v=inputs.v * factor)
-        rows = rows._replace(
-            v=rows.v * factor, lag=rows.lag / factor, sliding=rows.sliding * factor,
-            step=rows.step * factor,
-        )  # fmt: skip
+    inputs, rows, slip = design.inputs, design.rows, change.get("slip", 1.0)
+    scaled = {k: np.resize(change[k], size) for k in ("fz", "v") if k in change}
+    inputs = inputs._replace(**{k: getattr(inputs, k) * f for k, f in scaled.items()})
+    if "v" in scaled:
+        scaled |= dict.fromkeys(("sliding", "step"), scaled["v"])
+        scaled["lag"] = 1 / scaled["v"]
     if "slip" in change:
-        factor = change["slip"]
-        slip = slip * factor
-        scaled = dict.fromkeys(("rate", "lag", "past", "pull", "twist"), factor)
-        scaled["sliding"] = abs(factor)
-        if factor < 0:
-            scaled |= dict.fromkeys(("side", "other", "force", "traction"), factor)
-        rows = rows._replace(**{k: getattr(rows, k) * f for k, f in scaled.items()})
+        scaled = dict.fromkeys(("rate", "lag", "past", "pull", "twist"), slip)
+        scaled["sliding"] = abs(slip)
+    if slip < 0:
+        scaled |= dict.fromkeys(("side", "other", "force", "traction"), slip)
+    rows = rows._replace(**{k: getattr(rows, k) * f for k, f in scaled.items()})
     if change.get("shuffle"):
         order = np.arange(size)
         order[:n] = np.random.default_rng(0).permutation(n)
         rows = rows._replace(time=rows.time[order], temperature=rows.temperature[order])
-    return base.on(design._replace(inputs=inputs, rows=rows, slip=slip))
+    return base.on(design._replace(inputs=inputs, rows=rows, slip=design.slip * slip))
 
 
 _Block = tuple[np.ndarray, np.ndarray]

@@ -16,10 +16,9 @@ from tirefit.diagnosis.rows.rig import Rig
 
 @dataclass(frozen=True, kw_only=True)
 class DataSummary:
-    """The file: its name, where it lies, how it was read; ``set_aside`` names the first
-    rows that were not used, with their reasons, and counts the others; ``motion`` says
-    what follows where the force was derived from the motion of a vehicle, ``together``
-    which conditions move together in the file."""
+    """The file and how it was read; ``set_aside`` names the first excluded rows with
+    their reasons and counts the others; ``motion`` are notes on a force derived from
+    the motion of a vehicle, ``together`` on conditions that move together."""
 
     name: str
     path: str
@@ -34,12 +33,9 @@ class DataSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseSummary:
-    """Noise of the forces (median over the rows) and of the slip, standard deviations.
-
-    ``flags`` say what is wrong with the noise, ``inflation`` how many rows count as one
-    that is independent, ``outliers`` how many rows were set aside, ``excess`` how many
-    times the noise that was stated for a force it is, 1 where none was.
-    """
+    """Standard deviations of the noise of the forces (median over the rows) and of the
+    slip; ``inflation`` is rows per independent row, ``outliers`` the number of excluded
+    rows, ``excess`` the noise over the stated noise, 1 where none was stated."""
 
     forces: Mapping[str, float]
     slip_name: str
@@ -63,12 +59,10 @@ class NoiseSummary:
 
 @dataclass(frozen=True, kw_only=True)
 class Shrinkage:
-    """A gap beyond the noise, rms, and how far it shrinks.
-
-    ``closed`` = 1 - remaining_rms / rms with its 90 % interval, None where the gap is
-    not ``resolvable``; it ends at zero on the rows fitted, and all of it at
-    :data:`tirefit.diagnosis.summary.closure.WORST`, where it may be any worse.
-    """
+    """A gap beyond the noise, rms, and how far it shrinks: ``closed`` is 1 -
+    remaining_rms / rms with its 90 % interval, None where the gap is not
+    ``resolvable``. It ends at zero on the rows fitted, elsewhere at
+    :data:`tirefit.diagnosis.summary.closure.WORST`, where it may be any worse."""
 
     rms: float
     resolvable: bool
@@ -99,10 +93,8 @@ class HeldOut(Shrinkage):
 
 @dataclass(frozen=True, kw_only=True)
 class Gap(Shrinkage):
-    """The gap of the first channel on the file's own rows, and of every channel.
-
-    ``shares`` are those of several effects in the energy closed (Shapley).
-    """
+    """The gap of the first channel on the file's own rows, and of every channel;
+    ``shares`` are those of several effects in the energy closed (Shapley)."""
 
     channels: Mapping[str, Shrinkage]
     holdout: HeldOut | None
@@ -157,15 +149,10 @@ class Left(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class VerdictSummary:
-    """Which effects are there, and what is left.
-
-    ``status`` is derived from both. ``effects`` are the named ones, the one that closes
-    most first; ``probability`` is that of exactly this set and of nothing unlisted
-    beside it (with something unlisted beside it where the status is incomplete).
-    ``each`` is keyed by id; ``also_possible`` are twins of the named effects, and
-    effects of probability 0.1 to 0.5. ``parameters`` are those of a simulator that was
-    given, none of a form that was fitted.
-    """
+    """Which effects are there, and what is left: a
+    :class:`~tirefit.diagnosis.decide.verdict.Verdict` as it is reported, with a
+    ``probability`` that says how often such verdicts are right; ``parameters`` are
+    those of a given simulator, none of a fitted form."""
 
     status: Status
     effects: tuple[str, ...]
@@ -194,12 +181,9 @@ class Change(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A part of the distance from a base to the measurement of a channel.
-
-    ``part`` is parameters, the id of an effect, unexplained or noise; ``share`` is that
-    of the energy (mean square), with its 90 % interval, ``rms`` its root, in the unit
-    of the channel; the shares add to one.
-    """
+    """A part of the distance from a base to the measurement of a channel: parameters,
+    the id of an effect, unexplained or noise. ``share`` is that of the mean square,
+    with its 90 % interval, ``rms`` its root; the shares add to one."""
 
     part: str
     rms: float
@@ -238,12 +222,9 @@ class Amplitude(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A set of effects that may explain the gap.
-
-    ``parameters`` are keyed ``effect: parameter``; ``z`` is the score at the base fit,
-    ``z_given_rivals`` the smallest amplitude over its error beside the others of the
-    set; both None for what is not in the library.
-    """
+    """A set of effects that may explain the gap. ``parameters`` are keyed ``effect:
+    parameter``; ``z`` is the score at the base fit, ``z_given_rivals`` the smallest
+    amplitude over its error beside the others of the set; None for the unknown."""
 
     effects: tuple[str, ...]
     family: str

@@ -1,15 +1,20 @@
-"""What a diagnosis found: :class:`Diagnosis`, as JSON, as rows, as text."""
+"""What a diagnosis found: :class:`Diagnosis`, and its files ``NAME.json`` and
+``NAME.rows.csv``."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
+from tirefit.data.records import FileRecord, Row
 from tirefit.data.table import TireData
+from tirefit.data.write import to_convention, write_csv
 from tirefit.diagnosis.effects import Effect
 from tirefit.diagnosis.evidence.runs import RunOffsets
-from tirefit.diagnosis.left_out.ladder import Ladder
+from tirefit.diagnosis.left_out import Ladder
 from tirefit.diagnosis.rows.slip_check import SlipCheck
 from tirefit.diagnosis.summary.records import (
     Candidate,
@@ -30,7 +35,9 @@ from tirefit.diagnosis.summary.records import (
 )
 from tirefit.diagnosis.summary.views import Comparison, LookCurve, ResidualMap
 from tirefit.display import Displayed
-from tirefit.files import json_text
+from tirefit.files import json_text, write_text_atomic
+from tirefit.models import MODELS
+from tirefit.params import specs
 
 SCHEMA = "tirefit.diagnosis/3"
 
@@ -122,3 +129,52 @@ def _mappings(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_mappings(item) for item in value]
     return value
+
+
+def rows_in_file_terms(result: Diagnosis) -> dict[str, np.ndarray]:
+    """Columns of ``NAME.rows.csv``, in the file's own convention and units."""
+    data, out = result.table, {}
+    for channel, parts in result.rows.items():
+        header = data.source.columns.get(channel, channel)
+        # A difference of forces converts as a force: units have no offset here.
+        own = {k: to_convention(data, {channel: x})[header] for k, x in parts.items()}
+        for name in ("sim", "tuned", "base", "extended", "gap"):
+            if name in own:  # only a simulator is as given, and tuned
+                out[f"{name}_{channel}"] = own[name]
+        out[f"gap_{channel}_std"] = np.abs(own["gap_std"])
+    return out | {"masked": (~data.used).astype(int)}
+
+
+def save_diagnosis(result: Diagnosis, directory, name: str) -> list[Path]:
+    """Write ``name.json`` and ``name.rows.csv`` into an existing directory."""
+    directory = Path(directory)
+    rows, document = directory / f"{name}.rows.csv", directory / f"{name}.json"
+    write_csv(rows, rows_in_file_terms(result))
+    # The document comes last: where it stands, the rows beside it are its own.
+    write_text_atomic(document, result.to_json())
+    return [document, rows]
+
+
+def record_of_document(path: Path) -> FileRecord:
+    """Row of the table of all results for a diagnosis on disk: base parameters, gap,
+    probability of the verdict, and amplitudes of the named effects."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    data, gap, verdict = content["data"], content["gap"], content["verdict"]
+    unit = "N m" if data["channels"][0] == "mz" else "N"
+    template = MODELS.get(content["model"])
+    units = {k: s.unit for k, s in specs(template).items()} if template else {}
+    base, named = content["base_parameters"], set(verdict["effects"])
+    rows = [Row("base", k, x, unit=units.get(k, "")) for k, x in base.items()]
+    rows += [Row("gap", k, gap[k], unit=unit) for k in ("rms", "remaining_rms")]
+    rows += [Row("gap", "closed", gap["closed"])]
+    rows += [Row("gap", "probability", verdict["probability"])]
+    best = (one for one in content["candidates"] if set(one["effects"]) == named)
+    for name, amplitude in next(best, {"parameters": {}})["parameters"].items():
+        value, std, unit = (amplitude[k] for k in ("value", "std", "unit"))
+        rows.append(Row("effect", name, value, std, unit=unit))
+    status = ": ".join(filter(None, [verdict["status"], ", ".join(verdict["effects"])]))
+    return FileRecord(
+        data["path"], str(path), content["model"], status, tuple(rows),
+        convention=data["convention"], seed=content["seed"],
+        version=content["version"], sha256=data["sha256"],
+    )  # fmt: skip

@@ -1,7 +1,7 @@
 """What the figures of a diagnosis show, as arrays: which cells of the data miss, both
 fits over the slip, and the shape of what is left."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import stdtr
@@ -21,14 +21,14 @@ from tirefit.diagnosis.rows.patterns import (
     quantities,
     settings_of,
 )
-from tirefit.diagnosis.summary.where import LEVEL, binned, covariates_of
+from tirefit.diagnosis.summary.where import FEWEST_ROWS, LEVEL, binned, covariates_of
 
 _BANDS, _BINS, _STEPS = 5, 13, 60
 """Bands of a swept covariate, bins of a map or of what is left, and bins of a curve, at
 most."""
 
-_IN_A_BIN, _FEWEST = 8, 4
-"""Rows of a bin on average; rows of a cell from which its scatter is known."""
+_FEWEST = 4
+"""Rows of a cell from which its scatter is known."""
 _TENTHS = (0.1, 0.9)
 """Quantiles that hold 80 % of the rows of a bin."""
 _BETTER = 0.05
@@ -134,7 +134,7 @@ def _levels(values) -> tuple[np.ndarray, np.ndarray]:
 def _in_columns(rows: ShownRows, count: int) -> tuple[np.ndarray, np.ndarray]:
     """:func:`binned` of the slip fraction, for maps of ``count`` levels."""
     inside = np.clip(rows.slip_fraction, -FULL_SLIDING, FULL_SLIDING)
-    columns = min(len(inside) // (_IN_A_BIN * count), _BINS)
+    columns = min(len(inside) // (FEWEST_ROWS * count), _BINS)
     # An odd number leaves zero slip, where noise flips the sign, within one cell.
     return binned(inside, columns | 1)
 
@@ -148,18 +148,17 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
         resolvable: whether there is a gap to share out.
     """
     residual = 100 * (rows.observed - rows.base) / rows.load
-    most, best = -np.inf, None
+    most, found = -np.inf, list[Any]()
     for covariate, values in (rows.covariates or {"fz": rows.load}).items():
         level, ends = _levels(values)
         column, edges = _in_columns(rows, len(ends))
-        shape = len(ends), len(edges) - 1
-        cell = level * shape[1] + column
-        count, mean, std = cells(cell, shape[0] * shape[1], residual)
+        cell = level * (len(edges) - 1) + column
+        each = cells(cell, len(ends) * (len(edges) - 1), residual)
+        count, mean, std = each
         seen = float(np.sum((count * mean**2 - std**2)[count >= _FEWEST]))
-        if best is None or seen > most + _BETTER * abs(most):
-            most, best = seen, (covariate, ends, edges, shape, cell, count, mean, std)
-    assert best is not None  # there is a covariate, or else the load
-    covariate, ends, edges, shape, cell, count, mean, std = best
+        if not found or seen > most + _BETTER * abs(most):
+            most, found = seen, [covariate, ends, edges, cell, *each]
+    covariate, ends, edges, cell, count, mean, std = found
     there, independent = count >= _FEWEST, np.maximum(count / inflation, 1.0)
     t = mean * np.sqrt(independent) / np.maximum(std, ROUNDING)
     p = 2 * stdtr(np.maximum(independent - 1, 1.0), -np.abs(t))
@@ -168,15 +167,15 @@ def residual_map(rows: ShownRows, inflation: float, resolvable: bool) -> Residua
         beyond[there] = false_discovery_control(p[there]) < LEVEL
     square = np.bincount(cell, rows.gap**2, len(mean))
     energy = square * resolvable / max(float(square.sum()), NONZERO)
+    shown = np.where(there, mean, np.nan), beyond, energy
+    shape = len(ends), len(edges) - 1
     return ResidualMap(
-        rows.channel, covariate, ends, edges,
-        np.where(there, mean, np.nan).reshape(shape), beyond.reshape(shape),
-        energy.reshape(shape),
-    )  # fmt: skip
+        rows.channel, covariate, ends, edges, *(x.reshape(shape) for x in shown)
+    )
 
 
 def _load_curve(load, slip, force, base, extended) -> LoadCurve:
-    codes, _ = binned(slip, min(len(slip) // _IN_A_BIN, _STEPS))
+    codes, _ = binned(slip, min(len(slip) // FEWEST_ROWS, _STEPS))
     bins = [codes == k for k in np.unique(codes)]
     # Within a bin the force rises with slip: only what the extension adds is spread.
     spread = [np.quantile((extended - base)[rows], _TENTHS) for rows in bins]
@@ -195,13 +194,10 @@ def compared(rows: ShownRows, named: bool) -> Comparison:
     base with the located gap in the place of the extension where no effect is named."""
     after = rows.extended if named else rows.base + rows.gap
     codes, ends = _levels(rows.load)
-    there = np.unique(codes)
+    there, each = np.unique(codes), (rows.slip, rows.observed, rows.base, after)
     chosen = np.unique(there[np.linspace(0, len(there) - 1, _CURVES).astype(int)])
     curves = tuple(
-        _load_curve(
-            tuple(ends[k].tolist()),
-            *(x[codes == k] for x in (rows.slip, rows.observed, rows.base, after)),
-        )
+        _load_curve(tuple(ends[k].tolist()), *(x[codes == k] for x in each))
         for k in chosen
     )
     missed = [(rows.observed - x) ** 2 for x in (rows.base, after)]
@@ -290,12 +286,10 @@ def curve_of(look: Look, values, field, linear: LinearFit) -> LookCurve:
     else:
         codes = equally_known(place, information)
         x = np.linspace(begin, begin + (look.at if is_folded else span), _POINTS)
-    total = np.bincount(codes, information)
+    total, *sums = (np.bincount(codes, x) for x in (
+        information, information * place, estimate))  # fmt: skip
     there = total > 0
-    center, change = (
-        np.bincount(codes, part)[there] / total[there]
-        for part in (information * place, estimate)
-    )
+    center, change = (part[there] / total[there] for part in sums)
     curve = shape_of(look, x, begin, span) @ coefficient
     size = curve[-1] if look.shape == "kink" else coefficient[0]
     size = float(np.linalg.norm(coefficient)) if is_folded else float(size)
@@ -307,7 +301,7 @@ def curve_of(look: Look, values, field, linear: LinearFit) -> LookCurve:
 
 def equally_known(place, information) -> np.ndarray:
     """Bins (n,) along the place in which the parameter is known equally well."""
-    count = max(min(len(place) // _IN_A_BIN, _BINS), 1)
+    count = max(min(len(place) // FEWEST_ROWS, _BINS), 1)
     order = np.argsort(place, kind="stable")
     known = np.cumsum(information[order])
     middle = (known - 0.5 * information[order]) / known[-1]

@@ -28,9 +28,9 @@ LEVEL = 0.05
 """Rate of false discoveries (regions, spots, cells), false alarms, and confusions."""
 _PARTS, _STRETCHES = 4, 32
 """Parts of a swept covariate as regions, and to look for spots in; spots at most."""
-_NEIGHBOURS = 8
-"""Rows over the slip whose misfits are summed: a smooth misfit adds up, noise does not.
-Regions have as many at least."""
+FEWEST_ROWS = 8
+"""Fewest rows of a region, and of a bin on average; and rows over the slip whose
+misfits are summed: a smooth misfit adds up, noise does not."""
 _DENSE = 4.0
 """Share of the gap over that of the rows from which a stretch is a spot."""
 _FUNCTIONS = 6
@@ -86,7 +86,7 @@ def _chance(base: Base, residual, rows) -> float:
     """p-value of the whitened misfit of ``rows``: chi-squared of the sums over
     neighbours in slip. The residual has the rows' inflation in it already."""
     ordered = residual[rows[np.argsort(base.slip_fraction[rows], kind="stable")]]
-    groups = np.array_split(ordered, max(len(rows) // _NEIGHBOURS, 1))
+    groups = np.array_split(ordered, max(len(rows) // FEWEST_ROWS, 1))
     return float(chdtrc(len(groups), sum(g.sum() ** 2 / len(g) for g in groups)))
 
 
@@ -106,7 +106,7 @@ def _judged(base: Base, residual, gap, parts) -> list[Region]:
     for name, (code, *ends) in parts.items():
         for k, (low, high) in enumerate(zip(*ends, strict=True)):
             rows = np.flatnonzero(code == k)
-            if len(rows) >= _NEIGHBOURS:
+            if len(rows) >= FEWEST_ROWS:
                 p, share = _chance(base, residual, rows), float(energy[rows].sum())
                 found.append(Region(name, float(low), float(high), share, p))
     if not found:
@@ -118,6 +118,12 @@ def _judged(base: Base, residual, gap, parts) -> list[Region]:
     ]
 
 
+def _parts(values, count: int):
+    """Part (n,) of each value, and both ends of the parts, of as many rows each."""
+    code, edges = binned(values, min(len(values) // FEWEST_ROWS, count))
+    return code, edges[:-1], edges[1:]
+
+
 def regions(base: Base, residual, gap) -> list[Region]:
     """Settings, or quarters of what is swept, with their shares of the energy of the
     located ``gap`` (n,) [N] and the corrected p-values of the whitened ``residual``
@@ -125,10 +131,8 @@ def regions(base: Base, residual, gap) -> list[Region]:
     parts = {}
     for name, values in covariates_of(base).items():
         at = levels(values)
-        code, edges = binned(values, min(len(values) // _NEIGHBOURS, _PARTS))
-        parts[name] = code, edges[:-1], edges[1:]
-        if at.few():
-            parts[name] = at.code, at.low, at.high
+        few = at.few()
+        parts[name] = (at.code, at.low, at.high) if few else _parts(values, _PARTS)
     found = _judged(base, residual, gap, parts)
     return sorted(found, key=lambda r: (r.p_value > LEVEL, -r.share))
 
@@ -136,13 +140,13 @@ def regions(base: Base, residual, gap) -> list[Region]:
 def spots(base: Base, residual, gap) -> tuple[Spot, ...]:
     """Short stretches of what was swept that hold far more of the gap than their share
     of the rows, the largest first; arguments as in :func:`regions`."""
-    parts, rows = {}, {}
-    for name, values in covariates_of(base).items():
+    parts = {
+        name: _parts(values, _STRETCHES)
+        for name, values in covariates_of(base).items()
         # Pauses between sweeps part the time; a setting has no stretches.
-        if name == "time" or not levels(values).few():
-            code, edges = binned(values, min(len(values) // _NEIGHBOURS, _STRETCHES))
-            parts[name] = code, edges[:-1], edges[1:]
-            rows[name] = float(np.max(np.bincount(code))) / len(code)
+        if name == "time" or not levels(values).few()
+    }
+    rows = {k: float(np.bincount(c).max() / len(c)) for k, (c, *_) in parts.items()}
     dense = [
         Spot(name, low, high, rows[name], share, p)
         for name, low, high, share, p in _judged(base, residual, gap, parts)

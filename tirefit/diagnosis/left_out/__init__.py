@@ -1,1 +1,0 @@
-"""Room 4: what each set predicts of data left out."""
